@@ -1,0 +1,177 @@
+"""What a reducer is: its parts as explicit numbers. Classmethods derive them from teeth and module.
+
+An RV reducer is an involute stage (sun, planets), cranks carried by the planets, and cycloid discs
+on the cranks that roll in a ring of pins; the carrier is the output.
+"""
+
+import math
+from typing import Any, Self
+
+from rvjax.records import Record, concrete, count, field, quantity, record
+from rvjax.units import deg
+
+
+@record
+class InvoluteStage(Record):
+    """First stage: sun and planets."""
+
+    sun_teeth: int = count("teeth of the sun, z1")
+    planet_teeth: int = count("teeth of a planet, z2")
+    module: Any = field("m", "module", sign="positive")
+    pressure_angle: Any = field("rad", "pressure angle", sign="positive")
+    centre_distance: Any = field("m", "sun axis to planet axis, a0", sign="positive")
+    sun_radius: Any = field("m", "reference radius of the sun, r1", sign="positive")
+    sun_base_radius: Any = field("m", "base radius of the sun", sign="positive")
+    planet_base_radius: Any = field("m", "base radius of a planet", sign="positive")
+
+    @classmethod
+    def from_teeth(cls, sun_teeth: int, planet_teeth: int, *, module: Any, pressure_angle: Any = 20 * deg) -> Self:
+        """Standard spur gears without profile shift: every radius follows from teeth and module.
+
+        Args:
+            sun_teeth, planet_teeth: counts.
+            module: m. pressure_angle: rad.
+        """
+        cosine = math.cos(pressure_angle) if concrete(pressure_angle) else _traced_cos(pressure_angle)
+        return cls(
+            sun_teeth=sun_teeth,
+            planet_teeth=planet_teeth,
+            module=module,
+            pressure_angle=pressure_angle,
+            centre_distance=module * (sun_teeth + planet_teeth) / 2,
+            sun_radius=module * sun_teeth / 2,
+            sun_base_radius=module * sun_teeth / 2 * cosine,
+            planet_base_radius=module * planet_teeth / 2 * cosine,
+        )
+
+
+def _traced_cos(angle: Any) -> Any:
+    import jax.numpy as jnp  # only a traced angle needs it
+
+    return jnp.cos(angle)
+
+
+@record
+class CycloidStage(Record):
+    """Second stage: cycloid discs rolling in the pin ring.
+
+    The shortening coefficient K1 is eccentricity * pin_count / pin_circle_radius unless
+    `shortening` overrides it.
+    """
+
+    disc_teeth: int = count("teeth of a disc, zc")
+    pin_count: int = count("pins of the ring, zp")
+    disc_count: int = count("discs, nd")
+    eccentricity: Any = field("m", "nominal eccentricity of cranks and discs, e", sign="positive")
+    pin_circle_radius: Any = field("m", "radius of the pin circle, rp", sign="positive")
+    pin_radius: Any = field("m", "radius of a pin, rrp", sign="positive")
+    equidistant_modification: Any = field("m", "profile modification; > 0 removes flank material", default=0.0)
+    shift_modification: Any = field("m", "profile modification; < 0 removes flank material", default=0.0)
+    force_angle: Any = field("rad", "direction of the disc-pin mesh force (dynamics)", default=30 * deg)
+    disc_phase: Any = field("rad", "eccentric direction of disc 1 (dynamics)", default=0.0)
+    shortening: Any = field("-", "K1 where it is given, not derived", default=None)
+
+    @property
+    def shortening_coefficient(self) -> Any:
+        """K1, dimensionless; a proper cycloid needs 0 < K1 < 1."""
+        if self.shortening is not None:
+            return self.shortening
+        return self.eccentricity * self.pin_count / self.pin_circle_radius
+
+    def _check(self) -> None:
+        values = (self.eccentricity, self.pin_circle_radius, 0.0 if self.shortening is None else self.shortening)
+        if concrete(*values) and (self.shortening_coefficient >= 1 or self.shortening_coefficient <= 0):
+            source = "shortening" if self.shortening is not None else "eccentricity * pin_count / pin_circle_radius"
+            raise ValueError(
+                f"CycloidStage.{source} = {quantity(self.shortening_coefficient, '-')}: the shortening coefficient K1 "
+                f"must lie between 0 and 1 (eccentricity = {quantity(self.eccentricity, 'm')}, "
+                f"pin_circle_radius = {quantity(self.pin_circle_radius, 'm')})"
+            )
+
+
+@record
+class CrankStage(Record):
+    """Crankshafts, equally spaced on a circle; two cranks are 2 * circle_radius apart."""
+
+    count: int = count("crankshafts, each with its planet", minimum=2)
+    circle_radius: Any = field("m", "radius of the circle of crank axes, R", sign="positive")
+    bearing_stiffness: Any = field("N/m", "crank arm and bearings in series, per crank and disc", default=None, sign="positive")
+
+
+@record
+class Inertia(Record):
+    """Masses and polar moments of inertia of the parts (dynamics)."""
+
+    sun_mass: Any = field("kg", "sun", sign="positive")
+    sun_inertia: Any = field("kg m2", "sun", sign="positive")
+    planet_mass: Any = field("kg", "one planet", sign="positive")
+    planet_inertia: Any = field("kg m2", "one planet", sign="positive")
+    crank_mass: Any = field("kg", "one crankshaft", sign="positive")
+    crank_inertia: Any = field("kg m2", "one crankshaft", sign="positive")
+    disc_mass: Any = field("kg", "one disc", sign="positive")
+    disc_inertia: Any = field("kg m2", "one disc", sign="positive")
+    output_mass: Any = field("kg", "output wheel", sign="positive")
+    output_inertia: Any = field("kg m2", "output wheel", sign="positive")
+
+
+@record
+class Stiffness(Record):
+    """Stiffness of supports, shafts, bearings and meshes (dynamics); meshes as mean values."""
+
+    sun_support: Any = field("N/m", "radial support of the sun", sign="nonnegative")
+    sun_torsion: Any = field("N m/rad", "input shaft", sign="nonnegative")
+    planet_crank_bending: Any = field("N/m", "planet on its crankshaft", sign="nonnegative")
+    planet_crank_torsion: Any = field("N m/rad", "planet on its crankshaft", sign="nonnegative")
+    support_bearing: Any = field("N/m", "crankshaft in the output wheel", sign="nonnegative")
+    turning_arm_bearing: Any = field("N/m", "disc on the crankshaft", sign="nonnegative")
+    sun_planet_mesh: Any = field("N/m", "one involute mesh", sign="nonnegative")
+    disc_pin_mesh: Any = field("N/m", "one disc in the pin ring", sign="nonnegative")
+    output_support: Any = field("N/m", "radial support of the output wheel", default=0.0, sign="nonnegative")
+    output_torsion: Any = field("N m/rad", "output shaft", default=0.0, sign="nonnegative")
+
+
+@record
+class MeshVariation(Record):
+    """Periodic part of the mesh stiffness: swing (peak to peak over mean), duty, ramp width over period."""
+
+    planetary_swing: Any = field("-", "sun-planet mesh", sign="nonnegative")
+    planetary_duty: Any = field("-", "sun-planet mesh", sign="nonnegative")
+    planetary_ramp: Any = field("-", "sun-planet mesh", sign="nonnegative")
+    cycloid_swing: Any = field("-", "disc-pin mesh", sign="nonnegative")
+    cycloid_duty: Any = field("-", "disc-pin mesh", sign="nonnegative")
+    cycloid_ramp: Any = field("-", "disc-pin mesh", sign="nonnegative")
+
+
+@record
+class Damping(Record):
+    """Damping of the whole reducer; every kind may be zero."""
+
+    loss_factor: Any = field("-", "structural loss factor", default=0.0, sign="nonnegative")
+    rayleigh_mass: Any = field("1/s", "share of the mass matrix", default=0.0, sign="nonnegative")
+    rayleigh_stiffness: Any = field("s", "share of the stiffness matrix", default=0.0, sign="nonnegative")
+    modal_ratio: Any = field("-", "damping ratio of every mode", default=0.0, sign="nonnegative")
+
+
+@record
+class RVReducer(Record):
+    """An RV reducer. The last four parts are needed by the dynamic model only."""
+
+    involute: InvoluteStage = field("-", "first stage", kind="record")
+    cycloid: CycloidStage = field("-", "second stage", kind="record")
+    cranks: CrankStage = field("-", "crankshafts", kind="record")
+    inertia: Inertia | None = field("-", "masses and moments of inertia", kind="record", default=None)
+    stiffness: Stiffness | None = field("-", "stiffnesses", kind="record", default=None)
+    mesh_variation: MeshVariation | None = field("-", "periodic mesh stiffness", kind="record", default=None)
+    damping: Damping | None = field("-", "damping", kind="record", default=None)
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Sizes of the named axes in the shapes of this design's errors."""
+        return {"discs": self.cycloid.disc_count, "cranks": self.cranks.count}
+
+    @property
+    def error_record(self) -> Any:
+        """The record that describes this design's manufacturing errors."""
+        from rvjax.errors import RVErrors  # errors stand one floor above designs
+
+        return RVErrors

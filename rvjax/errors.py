@@ -1,0 +1,45 @@
+"""How the parts of a reducer deviate from nominal. Every field is a deviation and defaults to zero.
+
+One physical error has one home: each model reads the fields it depends on, and the derivative of a
+model to a field it does not read is exactly zero.
+"""
+
+from typing import Any, Self
+
+from rvjax.designs import RVReducer
+from rvjax.records import Record, broadcast_fields, field, record
+
+
+@record
+class RVErrors(Record):
+    """Manufacturing errors of the parts of an RV reducer.
+
+    Bore positions are [radial, tangential] in the frame of their crank: radial away from the axis,
+    tangential counter-clockwise.
+    """
+
+    crank_eccentricity: Any = field("m", "eccentricity of each crank journal", shape=("discs", "cranks"), default=0.0)
+    crank_phase: Any = field("rad", "angle of each crankshaft", shape=("cranks",), default=0.0)
+    disc_bore: Any = field("m", "position of the bores in the discs", shape=("discs", "cranks", 2), default=0.0)
+    carrier_bore: Any = field("m", "position of the bores in the carrier", shape=("cranks", 2), default=0.0)
+    bearing_clearance: Any = field("m", "radial clearance of the crank bearings; total play is twice that", default=0.0, sign="nonnegative")
+    eccentricity: Any = field("m", "eccentricity of discs and cranks alike", default=0.0)
+    pin_circle_radius: Any = field("m", "radius of the pin circle; > 0 is play", default=0.0)
+    pin_radius: Any = field("m", "radius of the pins; < 0 is play", default=0.0)
+    pin_hole_clearance: Any = field("m", "diametral clearance of the pins in their holes", default=0.0, sign="nonnegative")
+    pin_position: Any = field("m", "circumferential position of the pins", default=0.0)
+    disc_runout: Any = field("m", "radial runout of the disc teeth", default=0.0)
+    disc_cumulative_pitch: Any = field("m", "cumulative pitch error of the disc", default=0.0)
+    equidistant_modification: Any = field("m", "deviation of the equidistant modification", default=0.0)
+    shift_modification: Any = field("m", "deviation of the shift modification", default=0.0)
+    base_tangent_upper: Any = field("m", "upper deviation of the base tangent length; < 0 thins the tooth", default=0.0)
+    base_tangent_lower: Any = field("m", "lower deviation of the base tangent length; < 0 thins the tooth", default=0.0)
+
+    @classmethod
+    def for_design(cls, design: RVReducer, **errors: Any) -> Self:
+        """Errors with full array shapes for `design`; a scalar for an array field is broadcast.
+
+        Raises:
+            ValueError: unknown field, or a shape that does not fit the design.
+        """
+        return cls(**broadcast_fields(cls, design.counts, errors))

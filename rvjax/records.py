@@ -1,0 +1,243 @@
+"""`@record`: frozen dataclasses that are JAX pytrees and know the unit, shape and meaning of every field.
+
+Counts are static (part of the compiled program); everything else is traced. A constructor checks
+concrete numbers; tracers, nested records and whatever `jax.tree` rebuilds pass through untouched,
+so that records can be stacked, vmapped and differentiated.
+"""
+
+import dataclasses
+import inspect
+import operator
+from collections.abc import Mapping
+from typing import Any, Self, TypeVar, dataclass_transform
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+Class = TypeVar("Class", bound=type)
+Shape = tuple[str | int, ...]
+
+
+def field(
+    unit: str,
+    meaning: str,
+    *,
+    shape: Shape = (),
+    default: Any = dataclasses.MISSING,
+    sign: str = "any",
+    kind: str = "real",
+) -> Any:
+    """Declare a traced field of a record.
+
+    Args:
+        unit: SI unit as text, "-" for none.
+        meaning: one line.
+        shape: names or numbers of axes; () is a scalar. A scalar is always accepted.
+        default: as in dataclasses; the default None makes the field optional.
+        sign: "positive", "nonnegative" or "any"; checked on concrete numbers.
+        kind: "real", "pair" (two numbers, given as a tuple or an array), "integer" (result fields),
+            or "record" (a nested record).
+    """
+    metadata = dict(unit=unit, meaning=meaning, shape=shape, sign=sign, kind=kind)
+    return dataclasses.field(default=default, metadata=metadata)
+
+
+def count(meaning: str, *, minimum: int = 1) -> Any:
+    """Declare a static count (teeth, pins, cranks ...), an integer of at least `minimum`."""
+    return dataclasses.field(metadata=dict(unit="-", meaning=meaning, minimum=minimum, kind="count"))
+
+
+def text(meaning: str, *, default: Any = dataclasses.MISSING) -> Any:
+    """Declare a static text field, such as the names of a result's columns."""
+    return dataclasses.field(default=default, metadata=dict(unit="-", meaning=meaning, kind="text"))
+
+
+class Record:
+    """Base of all records; `@record` does the work."""
+
+    def replace(self, **changes: Any) -> Self:
+        """A copy with some fields changed, checked like a new record."""
+        known = {f.name for f in dataclasses.fields(self)}  # type: ignore[arg-type]
+        for name in changes:
+            if name not in known:
+                raise ValueError(f"{type(self).__name__} has no field {name!r}; it has {', '.join(sorted(known))}")
+        return dataclasses.replace(self, **changes)  # type: ignore[type-var]
+
+    def __post_init__(self) -> None:
+        for f in dataclasses.fields(self):  # type: ignore[arg-type]
+            object.__setattr__(self, f.name, _checked(type(self).__name__, f, getattr(self, f.name)))
+        _check_axes(self)
+        self._check()
+
+    def _check(self) -> None:
+        """Checks that involve several fields; see `concrete`."""
+
+
+@dataclass_transform(frozen_default=True, eq_default=False, field_specifiers=(field, count, text))
+def record(cls: Class) -> Class:
+    """Turn a class whose fields are declared with `field`, `count` or `text` into a record.
+
+    The table of fields (name, unit, shape, meaning) is appended to the class docstring.
+    """
+    made = dataclasses.dataclass(frozen=True, eq=False)(cls)
+    fields = dataclasses.fields(made)
+    static = tuple(f.name for f in fields if f.metadata["kind"] in ("count", "text"))
+    traced = tuple(f.name for f in fields if f.name not in static)
+    made.__doc__ = f"{inspect.cleandoc(cls.__doc__ or '')}\n\n{_field_table(fields)}"
+
+    def flatten(item: Any) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
+        return tuple(getattr(item, n) for n in traced), tuple(getattr(item, n) for n in static)
+
+    def flatten_with_keys(item: Any) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
+        children, aux = flatten(item)
+        return tuple((jax.tree_util.GetAttrKey(n), c) for n, c in zip(traced, children)), aux
+
+    def unflatten(aux: tuple[Any, ...], children: tuple[Any, ...]) -> Any:
+        item = object.__new__(made)  # no checks: jax.tree rebuilds records from tracers and stacks
+        for name, value in (*zip(traced, children), *zip(static, aux)):
+            object.__setattr__(item, name, value)
+        return item
+
+    jax.tree_util.register_pytree_with_keys(made, flatten_with_keys, unflatten, flatten)
+    return made  # type: ignore[return-value]
+
+
+def is_concrete(value: Any) -> bool:
+    """True for a number or an array whose value can be looked at now."""
+    return isinstance(value, (float, int, np.ndarray, np.generic)) or (
+        isinstance(value, jax.Array) and not isinstance(value, jax.core.Tracer)
+    )
+
+
+def concrete(*values: Any) -> bool:
+    """True if every value is a concrete number, so that a constructor may judge it."""
+    return all(is_concrete(v) for v in values)
+
+
+def quantity(value: Any, unit: str) -> str:
+    """A value with its unit, for messages."""
+    number = f"{float(value):.6g}" if np.ndim(value) == 0 else np.array2string(np.asarray(value), precision=6)
+    return number if unit == "-" else f"{number} {unit}"
+
+
+def promote(*trees: Any) -> Any:
+    """Bring every number in `trees` to their common floating dtype.
+
+    Python floats are weak: they take the dtype of the arrays beside them, or the default
+    float where there are none. Returns one tree, or a tuple of trees.
+    """
+    leaves = jax.tree.leaves(trees)
+    dtype = jnp.result_type(float, *leaves)
+    cast = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), trees)
+    return cast[0] if len(trees) == 1 else cast
+
+
+def axis_sizes(shape: Shape, counts: Mapping[str, int]) -> tuple[int, ...]:
+    """Sizes of a declared shape, named axes looked up in `counts`."""
+    return tuple(axis if isinstance(axis, int) else counts[axis] for axis in shape)
+
+
+def broadcast_fields(cls: Any, counts: Mapping[str, int], values: Mapping[str, Any]) -> dict[str, Any]:
+    """Fill every traced field of `cls` to its full shape: scalars are broadcast, absent fields take the default.
+
+    Raises:
+        ValueError: unknown field, or a shape that is neither a scalar nor the field's.
+    """
+    fields = {f.name: f for f in dataclasses.fields(cls)}
+    for name in values:
+        if name not in fields:
+            raise ValueError(f"{cls.__name__} has no field {name!r}; it has {', '.join(sorted(fields))}")
+    filled = {}
+    for name, f in fields.items():
+        value, sizes = values.get(name, f.default), axis_sizes(f.metadata["shape"], counts)
+        if not sizes:
+            filled[name] = value
+            continue
+        value = _number(cls.__name__, f, value)
+        if np.ndim(value) and np.shape(value) != sizes:
+            raise ValueError(
+                f"{cls.__name__}.{name}: shape {np.shape(value)} does not fit this design, "
+                f"expected {_shape_text(f.metadata['shape'])} = {sizes} or a scalar"
+            )
+        library: Any = np if isinstance(value, (float, np.ndarray)) else jnp
+        filled[name] = library.broadcast_to(value, sizes)
+    return filled
+
+
+def _shape_text(shape: Shape) -> str:
+    return "(" + ", ".join(map(str, shape)) + ("," if len(shape) == 1 else "") + ")"
+
+
+def _field_table(fields: tuple[dataclasses.Field[Any], ...]) -> str:
+    rows = [(f.name, f.metadata["unit"], _shape_text(f.metadata.get("shape", ())), f.metadata["meaning"]) for f in fields]
+    widths = [max(len(row[k]) for row in rows) for k in range(3)]
+    lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths)) + "  " + row[3] for row in rows]
+    return "Fields (name, unit, shape, meaning)::\n\n" + "\n".join("    " + line for line in lines)
+
+
+def _number(owner: str, f: dataclasses.Field[Any], value: Any) -> Any:
+    """Python numbers become floats (NumPy scalars would promote float32 programs), sequences arrays."""
+    if isinstance(value, (bool, str, bytes)):
+        raise ValueError(f"{owner}.{f.name} = {value!r}: must be a number in {f.metadata['unit']}")
+    if isinstance(value, (list, tuple)):
+        if f.metadata["kind"] == "pair" and len(value) == 2:
+            return tuple(_number(owner, f, v) for v in value)  # stays weakly typed, unlike an array
+        traced = any(isinstance(leaf, jax.Array) for leaf in jax.tree.leaves(value))
+        try:
+            value = jnp.asarray(value) if traced else np.asarray(value)
+        except (TypeError, ValueError):
+            raise ValueError(f"{owner}.{f.name} = {value!r}: must be an array of numbers") from None
+    if isinstance(value, np.ndarray) and value.dtype.kind not in "fiu":
+        raise ValueError(f"{owner}.{f.name}: must hold numbers in {f.metadata['unit']}, got dtype {value.dtype}")
+    if isinstance(value, (int, float, np.generic)) or (isinstance(value, np.ndarray) and value.ndim == 0):
+        return float(value)
+    if isinstance(value, np.ndarray) and value.dtype.kind in "iu":
+        return value.astype(float)
+    return value
+
+
+def _checked(owner: str, f: dataclasses.Field[Any], value: Any) -> Any:
+    kind = f.metadata["kind"]
+    if kind == "count":
+        try:
+            number = operator.index(value)
+        except TypeError:
+            raise ValueError(f"{owner}.{f.name} = {value!r}: must be an integer") from None
+        if isinstance(value, bool) or number < f.metadata["minimum"]:
+            raise ValueError(f"{owner}.{f.name} = {value!r}: must be an integer of at least {f.metadata['minimum']}")
+        return number
+    if kind in ("text", "integer", "record") or value is None or isinstance(value, Record):
+        return value  # a tolerance may stand in the place of a number, None in the place of a part
+    value = _number(owner, f, value)
+    if is_concrete(value):
+        _check_sign(owner, f, value)
+    return value
+
+
+def _check_sign(owner: str, f: dataclasses.Field[Any], value: Any) -> None:
+    sign, values = f.metadata["sign"], np.asarray(value)
+    bad = {"positive": values <= 0, "nonnegative": values < 0, "any": np.False_}[sign]  # NaN passes: a status names it
+    if np.any(bad):
+        rule = {"positive": "positive", "nonnegative": "zero or positive"}[sign]
+        raise ValueError(f"{owner}.{f.name} = {quantity(value, f.metadata['unit'])}: must be {rule}")
+
+
+def _check_axes(item: Any) -> None:
+    """Ranks, literal axes, and one size for each named axis across the record's fields."""
+    sizes: dict[str, tuple[int, str]] = {}
+    owner = type(item).__name__
+    for f in dataclasses.fields(item):
+        value, declared = getattr(item, f.name), f.metadata.get("shape", ())
+        if f.metadata["kind"] not in ("real", "pair") or not is_concrete(value) or np.ndim(value) == 0:
+            continue
+        shape = np.shape(value)
+        expected = f"expected {_shape_text(declared)}" + (" or a scalar" if declared else ", a scalar; sweep with jax.vmap")
+        if len(shape) != len(declared):
+            raise ValueError(f"{owner}.{f.name}: shape {shape}, {expected}")
+        for axis, size in zip(declared, shape):
+            if isinstance(axis, int):
+                if axis != size:
+                    raise ValueError(f"{owner}.{f.name}: shape {shape}, {expected}")
+            elif sizes.setdefault(axis, (size, f.name))[0] != size:
+                raise ValueError(f"{owner}.{f.name}: shape {shape} has {size} {axis}, {sizes[axis][1]} has {sizes[axis][0]}")
