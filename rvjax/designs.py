@@ -29,8 +29,10 @@ class InvoluteStage(Record):
         """Standard spur gears without profile shift: every radius follows from teeth and module.
 
         Args:
-            sun_teeth, planet_teeth: counts.
-            module: m. pressure_angle: rad.
+            sun_teeth: teeth of the sun.
+            planet_teeth: teeth of a planet.
+            module: m.
+            pressure_angle: rad.
         """
         cosine = math.cos(pressure_angle) if concrete(pressure_angle) else _traced_cos(pressure_angle)
         return cls(
@@ -95,7 +97,9 @@ class CrankStage(Record):
 
     count: int = count("crankshafts, each with its planet", minimum=2)
     circle_radius: Any = field("m", "radius of the circle of crank axes, R", sign="positive")
-    bearing_stiffness: Any = field("N/m", "crank arm and bearings in series, per crank and disc", default=None, sign="positive")
+    bearing_stiffness: Any = field(
+        "N/m", "crank arm and bearings in series", default=None, sign="positive"
+    )
 
 
 @record

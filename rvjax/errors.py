@@ -22,11 +22,15 @@ class RVErrors(Record):
     crank_phase: Any = field("rad", "angle of each crankshaft", shape=("cranks",), default=0.0)
     disc_bore: Any = field("m", "position of the bores in the discs", shape=("discs", "cranks", 2), default=0.0)
     carrier_bore: Any = field("m", "position of the bores in the carrier", shape=("cranks", 2), default=0.0)
-    bearing_clearance: Any = field("m", "radial clearance of the crank bearings; total play is twice that", default=0.0, sign="nonnegative")
+    bearing_clearance: Any = field(
+        "m", "radial clearance of the crank bearings, half the play", default=0.0, sign="nonnegative"
+    )
     eccentricity: Any = field("m", "eccentricity of discs and cranks alike", default=0.0)
     pin_circle_radius: Any = field("m", "radius of the pin circle; > 0 is play", default=0.0)
     pin_radius: Any = field("m", "radius of the pins; < 0 is play", default=0.0)
-    pin_hole_clearance: Any = field("m", "diametral clearance of the pins in their holes", default=0.0, sign="nonnegative")
+    pin_hole_clearance: Any = field(
+        "m", "diametral clearance of the pins", default=0.0, sign="nonnegative"
+    )
     pin_position: Any = field("m", "circumferential position of the pins", default=0.0)
     disc_runout: Any = field("m", "radial runout of the disc teeth", default=0.0)
     disc_cumulative_pitch: Any = field("m", "cumulative pitch error of the disc", default=0.0)

@@ -8,7 +8,7 @@ so that records can be stacked, vmapped and differentiated.
 import dataclasses
 import inspect
 import operator
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, Self, TypeVar, dataclass_transform
 
 import jax
@@ -80,7 +80,7 @@ def record(cls: Class) -> Class:
 
     The table of fields (name, unit, shape, meaning) is appended to the class docstring.
     """
-    made = dataclasses.dataclass(frozen=True, eq=False)(cls)
+    made: Any = dataclasses.dataclass(frozen=True, eq=False)(cls)
     fields = dataclasses.fields(made)
     static = tuple(f.name for f in fields if f.metadata["kind"] in ("count", "text"))
     traced = tuple(f.name for f in fields if f.name not in static)
@@ -93,14 +93,14 @@ def record(cls: Class) -> Class:
         children, aux = flatten(item)
         return tuple((jax.tree_util.GetAttrKey(n), c) for n, c in zip(traced, children)), aux
 
-    def unflatten(aux: tuple[Any, ...], children: tuple[Any, ...]) -> Any:
+    def unflatten(aux: tuple[Any, ...], children: Iterable[Any]) -> Any:
         item = object.__new__(made)  # no checks: jax.tree rebuilds records from tracers and stacks
         for name, value in (*zip(traced, children), *zip(static, aux)):
             object.__setattr__(item, name, value)
         return item
 
     jax.tree_util.register_pytree_with_keys(made, flatten_with_keys, unflatten, flatten)
-    return made  # type: ignore[return-value]
+    return made
 
 
 def is_concrete(value: Any) -> bool:
@@ -170,7 +170,9 @@ def _shape_text(shape: Shape) -> str:
 
 
 def _field_table(fields: tuple[dataclasses.Field[Any], ...]) -> str:
-    rows = [(f.name, f.metadata["unit"], _shape_text(f.metadata.get("shape", ())), f.metadata["meaning"]) for f in fields]
+    rows = [
+        (f.name, f.metadata["unit"], _shape_text(f.metadata.get("shape", ())), f.metadata["meaning"]) for f in fields
+    ]
     widths = [max(len(row[k]) for row in rows) for k in range(3)]
     lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths)) + "  " + row[3] for row in rows]
     return "Fields (name, unit, shape, meaning)::\n\n" + "\n".join("    " + line for line in lines)
@@ -218,7 +220,7 @@ def _checked(owner: str, f: dataclasses.Field[Any], value: Any) -> Any:
 def _check_sign(owner: str, f: dataclasses.Field[Any], value: Any) -> None:
     sign, values = f.metadata["sign"], np.asarray(value)
     bad = {"positive": values <= 0, "nonnegative": values < 0, "any": np.False_}[sign]  # NaN passes: a status names it
-    if np.any(bad):
+    if np.asarray(bad).any():
         rule = {"positive": "positive", "nonnegative": "zero or positive"}[sign]
         raise ValueError(f"{owner}.{f.name} = {quantity(value, f.metadata['unit'])}: must be {rule}")
 
@@ -232,7 +234,9 @@ def _check_axes(item: Any) -> None:
         if f.metadata["kind"] not in ("real", "pair") or not is_concrete(value) or np.ndim(value) == 0:
             continue
         shape = np.shape(value)
-        expected = f"expected {_shape_text(declared)}" + (" or a scalar" if declared else ", a scalar; sweep with jax.vmap")
+        expected = f"expected {_shape_text(declared)}" + (
+            " or a scalar" if declared else ", a scalar; sweep with jax.vmap"
+        )
         if len(shape) != len(declared):
             raise ValueError(f"{owner}.{f.name}: shape {shape}, {expected}")
         for axis, size in zip(declared, shape):
@@ -240,4 +244,6 @@ def _check_axes(item: Any) -> None:
                 if axis != size:
                     raise ValueError(f"{owner}.{f.name}: shape {shape}, {expected}")
             elif sizes.setdefault(axis, (size, f.name))[0] != size:
-                raise ValueError(f"{owner}.{f.name}: shape {shape} has {size} {axis}, {sizes[axis][1]} has {sizes[axis][0]}")
+                raise ValueError(
+                    f"{owner}.{f.name}: shape {shape} has {size} {axis}, {sizes[axis][1]} has {sizes[axis][0]}"
+                )

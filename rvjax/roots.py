@@ -1,0 +1,204 @@
+"""Differentiable root finding: a safeguarded scalar Newton and a damped Newton for small vectors.
+
+Both find x with residual(x, params) = 0 and are differentiated by the implicit function theorem,
+
+    dx = -(d residual / dx)^-1 (d residual / d params) dparams,
+
+so a derivative costs one linear solve at the root, not a walk back through the iteration. Forward and
+reverse mode work, and again on the result (second derivatives). Everything the root depends on must
+enter through `params`; start values and brackets only choose the root and carry no derivative.
+
+Under `jax.vmap` every lane carries its own status. A lane that fails has the value NaN and the
+derivative zero, and leaves its neighbours as they are.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from rvjax.records import Record, field, promote, record
+from rvjax.status import SolveInfo, Status, succeeded
+
+Residual = Callable[[Any, Any], jax.Array]
+
+_RUNNING = -1  # not a Status: the loop goes on
+
+
+@record
+class Root(Record):
+    """A root and how it was found."""
+
+    value: Any = field("as the unknown", "the root, () or (n,); NaN where the solve failed", shape=("n",))
+    info: SolveInfo = field("-", "residual is |residual(value)|, for vectors its Euclidean norm", kind="record")
+
+
+def bracketed(
+    residual: Residual,
+    params: Any,
+    lower: Any,
+    upper: Any,
+    *,
+    start: Any = None,
+    max_steps: int = 128,
+    tolerance: float | None = None,
+) -> Root:
+    """Root of a scalar function inside a bracket, by Newton steps safeguarded with bisection.
+
+    A Newton step is taken where it stays inside the bracket and the last one has at least halved the
+    residual, else the bracket is halved, so a continuous function always converges.
+
+    Args:
+        residual: residual(x, params) -> scalar, differentiable, of opposite signs at the two ends.
+        params: pytree of floats the residual depends on.
+        lower: one finite end of the bracket.
+        upper: the other end, above or below it.
+        start: first iterate, clipped to the bracket; the middle by default.
+        max_steps: residual evaluations at most.
+        tolerance: largest last step relative to the root; 8 machine epsilons by default.
+
+    Returns:
+        Root with status CONVERGED, NO_BRACKET, MAX_STEPS or NONFINITE.
+    """
+    params, lower, upper, start = promote(params, lower, upper, 0.5 * (lower + upper) if start is None else start)
+    iterate = partial(_bracketed_iteration, max_steps=max_steps, tolerance=_tolerance(tolerance, lower.dtype))
+    return _masked(*_implicit(residual, iterate, params, (lower, upper, start)))
+
+
+def newton(
+    residual: Residual,
+    params: Any,
+    start: Any,
+    *,
+    scale: float = 0.0,
+    max_steps: int = 50,
+    tolerance: float | None = None,
+) -> Root:
+    """Root of a small system by damped Newton steps with the exact Jacobian.
+
+    A step that does not reduce the norm of the residual is taken back and shortened.
+
+    Args:
+        residual: residual(x, params) -> (n,), differentiable; scale its entries alike.
+        params: pytree of floats the residual depends on.
+        start: first iterate (n,).
+        scale: size of x below which it need not be resolved; set it where the root may be zero.
+        max_steps: Jacobian evaluations at most.
+        tolerance: largest last step relative to max(|x|, scale); 64 machine epsilons by default.
+
+    Returns:
+        Root with status CONVERGED, SINGULAR, MAX_STEPS or NONFINITE.
+    """
+    params, start = promote(params, start)
+    step = _tolerance(None if tolerance is None else tolerance / 8, start.dtype) * 8
+    iterate = partial(_newton_iteration, scale=scale, max_steps=max_steps, tolerance=step)
+    return _masked(*_implicit(residual, iterate, params, (start,)))
+
+
+def _tolerance(given: float | None, dtype: Any) -> float:
+    return 8 * float(jnp.finfo(dtype).eps) if given is None else given
+
+
+def _masked(value: jax.Array, info: SolveInfo) -> Root:
+    return Root(jnp.where(succeeded(info.status), value, jnp.nan), info)
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(0, 1))
+def _implicit(residual: Residual, iterate: Callable[..., Any], params: Any, guess: Any) -> tuple[Any, SolveInfo]:
+    return iterate(residual, params, guess)
+
+
+@_implicit.defjvp
+def _implicit_jvp(residual: Residual, iterate: Callable[..., Any], primals: Any, tangents: Any) -> Any:
+    (params, guess), (dparams, _) = primals, tangents
+    value, info = _implicit(residual, iterate, params, guess)
+    good = succeeded(info.status)
+
+    # A failed lane may hold NaN. Selecting before and after the linear map keeps both its tangent and,
+    # transposed, its cotangent exactly zero, here and in second derivatives.
+    def keep(tree: Any) -> Any:
+        return jax.tree.map(lambda leaf: jnp.where(good, leaf, jax.lax.stop_gradient(leaf)), tree)
+
+    value, params = keep(value), keep(params)
+    dparams = jax.tree.map(lambda tangent: jnp.where(good, tangent, jnp.zeros_like(tangent)), dparams)
+    _, change = jax.jvp(lambda p: residual(value, p), (params,), (dparams,))
+    slope = jax.jacfwd(residual)(value, params)
+    if value.ndim == 0:
+        regular = good & (slope != 0)
+        dvalue = jnp.where(regular, -change / jnp.where(regular, slope, 1), 0)
+    else:
+        slope = jnp.where(good, slope, jnp.eye(value.size, dtype=value.dtype))
+        dvalue = jnp.where(good, -jnp.linalg.solve(slope, change), 0)
+    return (value, info), (dvalue, jax.custom_derivatives.zero_from_primal(info))
+
+
+def _bracketed_iteration(
+    residual: Residual, params: Any, guess: Any, *, max_steps: int, tolerance: float
+) -> tuple[jax.Array, SolveInfo]:
+    lower, upper, start = guess
+    at_lower, at_upper = residual(lower, params), residual(upper, params)
+    rising = at_lower <= at_upper
+    below, above = jnp.where(rising, lower, upper), jnp.where(rising, upper, lower)  # residual <= 0, >= 0
+    status = jnp.where(at_lower * at_upper > 0, int(Status.NO_BRACKET), _RUNNING)
+    status = jnp.where(jnp.isfinite(at_lower) & jnp.isfinite(at_upper), status, int(Status.NONFINITE))
+    x = jnp.clip(start, jnp.minimum(lower, upper), jnp.maximum(lower, upper))
+    x = jnp.where(at_lower == 0, lower, jnp.where(at_upper == 0, upper, x))  # an end that is a root
+
+    def running(state: Any) -> jax.Array:
+        return state[-2] == _RUNNING
+
+    def body(state: Any) -> Any:
+        x, below, above, last, status, steps = state
+        value, slope = jax.jvp(lambda y: residual(y, params), (x,), (jnp.ones_like(x),))
+        below, above = jnp.where(value <= 0, x, below), jnp.where(value >= 0, x, above)
+        target = x - value / jnp.where(slope == 0, 1, slope)
+        inside = (slope != 0) & ((target - below) * (target - above) <= 0)
+        use = inside & (2 * jnp.abs(value) <= last)
+        target = jnp.where(use, target, 0.5 * (below + above))
+        target = jnp.where(value == 0, x, target)
+        last = jnp.where(use, jnp.abs(value), jnp.inf)  # after halving, a Newton step gets its chance
+        steps = steps + 1
+        done = jnp.abs(target - x) <= tolerance * jnp.abs(target)
+        status = jnp.where(done, int(Status.CONVERGED), jnp.where(steps >= max_steps, int(Status.MAX_STEPS), _RUNNING))
+        status = jnp.where(jnp.isfinite(value), status, int(Status.NONFINITE))
+        return target, below, above, last, status, steps
+
+    first = (x, below, above, jnp.full_like(x, jnp.inf), status, jnp.zeros_like(status))
+    x, _, _, _, status, steps = jax.lax.while_loop(running, body, first)
+    info = SolveInfo(status.astype(jnp.int32), steps.astype(jnp.int32), jnp.abs(residual(x, params)))
+    return x, info
+
+
+def _newton_iteration(
+    residual: Residual, params: Any, guess: Any, *, scale: float, max_steps: int, tolerance: float
+) -> tuple[jax.Array, SolveInfo]:
+    (start,) = guess
+
+    def running(state: Any) -> jax.Array:
+        return state[-2] == _RUNNING
+
+    def norm(vector: jax.Array) -> jax.Array:
+        return jnp.sqrt(jnp.sum(vector * vector))
+
+    def body(state: Any) -> Any:
+        x, value, damping, status, steps = state
+        step = -jnp.linalg.solve(jax.jacfwd(residual)(x, params), value)
+        regular = jnp.all(jnp.isfinite(step))
+        done = (norm(step) <= tolerance * jnp.maximum(norm(x), scale)) | (norm(value) == 0)
+        trial = x + jnp.where(done, 1, damping) * jnp.where(regular, step, 0)
+        at_trial = residual(trial, params)
+        better = norm(at_trial) < norm(value)  # false for NaN: the step is shortened
+        x, value = jnp.where(better, trial, x), jnp.where(better, at_trial, value)
+        damping = jnp.where(better, jnp.minimum(2 * damping, 1), damping / 4)
+        steps = steps + 1
+        status = jnp.where(done, int(Status.CONVERGED), jnp.where(steps >= max_steps, int(Status.MAX_STEPS), _RUNNING))
+        status = jnp.where(regular | (norm(value) == 0), status, int(Status.SINGULAR))
+        return x, value, damping, status, steps
+
+    value = residual(start, params)
+    status = jnp.where(jnp.all(jnp.isfinite(value)), _RUNNING, int(Status.NONFINITE))
+    first = (start, value, jnp.ones((), start.dtype), status, jnp.zeros_like(status))
+    x, value, _, status, steps = jax.lax.while_loop(running, body, first)
+    return x, SolveInfo(status.astype(jnp.int32), steps.astype(jnp.int32), norm(value))

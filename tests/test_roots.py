@@ -1,0 +1,208 @@
+"""Root finding against optimistix, finite differences, an unrolled derivative and closed forms.
+
+Kepler's equation x - e sin x = m stands for a well-behaved scalar root; its derivatives are
+dx/dm = 1/(1 - e cos x), d2x/dm2 = -e sin x/(1 - e cos x)^3. Tolerances are those of the last Newton
+step (a few machine epsilons); finite differences carry 1e-8 of truncation and rounding.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from jax.test_util import check_grads
+
+from rvjax import Status, roots
+
+
+def kepler(x, params):
+    e, m = params
+    return x - e * jnp.sin(x) - m
+
+
+def kepler_root(e, m, **options):
+    return roots.bracketed(kepler, (e, m), m - e, m + e, **options)
+
+
+def circle_and_line(x, params):
+    """x0^2 + x1^2 = r^2, x1 = k x0: root r/sqrt(1 + k^2) (1, k)."""
+    r, k = params
+    return jnp.stack([x[0] ** 2 + x[1] ** 2 - r**2, x[1] - k * x[0]])
+
+
+def line_root(r, k, start=(1.0, 0.5)):
+    return roots.newton(circle_and_line, (r, k), jnp.array(start))
+
+
+ECCENTRICITY = jnp.linspace(0.05, 0.95, 40)
+ANOMALY = jnp.linspace(-3.0, 3.0, 40)
+
+
+def test_scalar_root_equals_optimistix():
+    def theirs(e, m):
+        solver = optimistix.Newton(rtol=1e-14, atol=1e-14)
+        return optimistix.root_find(kepler, solver, m, args=(e, m), throw=False).value
+
+    ours = jax.jit(jax.vmap(kepler_root))(ECCENTRICITY, ANOMALY)
+    np.testing.assert_allclose(ours.value, jax.jit(jax.vmap(theirs))(ECCENTRICITY, ANOMALY), rtol=1e-13)
+    assert np.all(ours.info.status == Status.CONVERGED)
+    assert np.max(ours.info.residual) < 1e-15 and np.max(ours.info.steps) <= 9
+
+    grad_ours = jax.vmap(jax.grad(lambda e, m: kepler_root(e, m).value, argnums=(0, 1)))(ECCENTRICITY, ANOMALY)
+    grad_theirs = jax.vmap(jax.grad(theirs, argnums=(0, 1)))(ECCENTRICITY, ANOMALY)
+    for a, b in zip(grad_ours, grad_theirs):
+        np.testing.assert_allclose(a, b, rtol=1e-12)
+
+
+def test_vector_root_equals_optimistix_and_closed_form():
+    radius, slope = jnp.linspace(0.5, 4.0, 30), jnp.linspace(-0.3, 3.0, 30)
+    ours = jax.jit(jax.vmap(line_root))(radius, slope)
+    exact = radius / jnp.sqrt(1 + slope**2)
+    assert np.all(ours.info.status == Status.CONVERGED)
+    np.testing.assert_allclose(ours.value, jnp.stack([exact, slope * exact], axis=1), rtol=1e-14)
+
+    def theirs(r, k):
+        solver = optimistix.Newton(rtol=1e-13, atol=1e-13)
+        return optimistix.root_find(circle_and_line, solver, jnp.array([1.0, 0.5]), args=(r, k), throw=False).value
+
+    np.testing.assert_allclose(ours.value, jax.jit(jax.vmap(theirs))(radius, slope), rtol=1e-12)
+    jacobian = jax.jit(jax.vmap(jax.jacrev(lambda r, k: line_root(r, k).value, argnums=1)))(radius, slope)
+    exact_slope = -radius * slope * (1 + slope**2) ** -1.5
+    np.testing.assert_allclose(jacobian[:, 0], exact_slope, rtol=1e-12, atol=1e-15)
+
+
+def test_first_and_second_derivatives_equal_the_closed_form():
+    def root(e, m):
+        return kepler_root(e, m).value
+
+    def over_cases(f):
+        return jax.jit(jax.vmap(f))(ECCENTRICITY, ANOMALY)
+
+    x = over_cases(root)
+    q = 1 - ECCENTRICITY * jnp.cos(x)
+    for first in (jax.grad(root, argnums=1), jax.jacfwd(root, argnums=1)):
+        np.testing.assert_allclose(over_cases(first), 1 / q, rtol=1e-13)
+        for second in (jax.jacfwd(first, argnums=1), jax.grad(first, argnums=1)):
+            exact = -ECCENTRICITY * jnp.sin(x) / q**3
+            np.testing.assert_allclose(over_cases(second), exact, rtol=1e-11, atol=1e-14)
+
+
+def test_derivatives_equal_finite_differences():
+    scalar = jax.jit(lambda e, m: kepler_root(e, m).value)
+    vector = jax.jit(lambda r, k: line_root(r, k).value)
+    check_grads(scalar, (0.6, 1.1), order=2, modes=("fwd", "rev"), rtol=1e-6)
+    check_grads(vector, (2.0, 0.7), order=2, modes=("fwd", "rev"), rtol=1e-6)
+
+
+def test_implicit_derivative_equals_the_unrolled_one():
+    def unrolled(e, m):
+        x = m
+        for _ in range(12):
+            x = x - kepler(x, (e, m)) / (1 - e * jnp.cos(x))
+        return x
+
+    for argument in (0, 1):
+        implicit = jax.grad(lambda *a: kepler_root(*a).value, argnums=argument)(0.4, 2.0)
+        np.testing.assert_allclose(implicit, jax.grad(unrolled, argnums=argument)(0.4, 2.0), rtol=1e-13)
+
+
+def cubic(x, p):
+    return x**3 - p
+
+
+def test_a_failed_lane_leaves_the_others_alone():
+    p = jnp.array([8.0, jnp.nan, 27.0, 1e9, jnp.inf])
+    good = np.array([0, 2])
+
+    def solve(p):
+        return roots.bracketed(cubic, p, 0.0, 10.0)
+
+    found = jax.jit(jax.vmap(solve))(p)
+    expected = [Status.CONVERGED, Status.NONFINITE, Status.CONVERGED, Status.NO_BRACKET, Status.NONFINITE]
+    assert list(found.info.status) == [int(s) for s in expected]
+    np.testing.assert_allclose(found.value[good], [2.0, 3.0], rtol=1e-15)
+    assert np.all(np.isnan(found.value[np.array([1, 3, 4])]))
+
+    def total(p):
+        root = jax.vmap(solve)(p)
+        return jnp.sum(jnp.where(root.info.status == Status.CONVERGED, root.value, 0.0))
+
+    gradient = jax.jit(jax.grad(total))(p)
+    np.testing.assert_allclose(gradient[good], [1 / 12, 1 / 27], rtol=1e-14)
+    assert np.all(gradient[np.array([1, 3, 4])] == 0)
+    np.testing.assert_array_equal(jax.jit(jax.jacfwd(total))(p), gradient)
+    hessian = jax.jit(jax.hessian(total))(p)
+    np.testing.assert_allclose(np.diag(hessian)[good], [-1 / 144, -2 / 27 / 81], rtol=1e-13)
+    assert np.all(np.isfinite(hessian))
+
+
+def test_a_failed_vector_lane_leaves_the_others_alone():
+    def residual(x, p):
+        return jnp.stack([x[0] * x[0] - p, x[1] - p])
+
+    def solve(p):
+        return roots.newton(residual, p, jnp.array([1.0, 1.0]))
+
+    p = jnp.array([4.0, jnp.nan, -1.0, 9.0])  # x^2 = -1 has no root
+    found = jax.jit(jax.vmap(solve))(p)
+    assert list(found.info.status[np.array([0, 1, 3])]) == [Status.CONVERGED, Status.NONFINITE, Status.CONVERGED]
+    assert int(found.info.status[2]) in (Status.MAX_STEPS, Status.SINGULAR)
+
+    def total(p):
+        root = jax.vmap(solve)(p)
+        return jnp.sum(jnp.where((root.info.status == Status.CONVERGED)[:, None], root.value, 0.0))
+
+    np.testing.assert_allclose(jax.jit(jax.grad(total))(p), [1.25, 0.0, 0.0, 1 + 1 / 6], rtol=1e-14)
+
+
+def test_singular_jacobian_is_named():
+    found = roots.newton(lambda x, p: jnp.stack([x[0] + x[1] - p, x[0] + x[1] + p]), 1.0, jnp.array([0.0, 0.0]))
+    assert int(found.info.status) == Status.SINGULAR
+    assert np.all(np.isnan(found.value))
+
+
+def test_too_few_steps_is_named():
+    assert int(kepler_root(0.9, 1.0, max_steps=2).info.status) == Status.MAX_STEPS
+    found = roots.newton(circle_and_line, (2.0, 1.0), jnp.array([5.0, 0.0]), max_steps=2)
+    assert int(found.info.status) == Status.MAX_STEPS
+
+
+def test_newton_reaches_a_root_at_zero():
+    found = roots.newton(lambda x, p: jnp.expm1(x) * p, jnp.array([2.0, 3.0]), jnp.array([0.4, -0.2]), scale=1.0)
+    assert int(found.info.status) == Status.CONVERGED
+    np.testing.assert_allclose(found.value, 0.0, atol=1e-16)
+
+
+@pytest.mark.parametrize("ends", [(-1.0, 4.0), (4.0, -1.0)])
+def test_ends_in_either_order_and_a_root_at_an_end(ends):
+    assert float(roots.bracketed(lambda x, p: x - p, 2.5, *ends).value) == 2.5
+    assert float(roots.bracketed(lambda x, p: p - x, 4.0, *ends).value) == 4.0
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    root=st.floats(-50, 50).filter(lambda x: abs(x) > 1e-6),
+    steepness=st.floats(1e-3, 1e3),
+    start=st.floats(-100, 100),
+)
+def test_any_start_converges_on_functions_that_defeat_plain_newton(root, steepness, start):
+    # atan is flat far away: plain Newton diverges from there.
+    found = _atan_root(root, steepness, start)
+    assert int(found.info.status) == Status.CONVERGED
+    assert abs(float(found.value) - root) <= 1e-14 * abs(root) + 1e-300
+
+
+@jax.jit
+def _atan_root(root, steepness, start):
+    return roots.bracketed(lambda x, p: jnp.arctan(p[1] * (x - p[0])), (root, steepness), -100.0, 100.0, start=start)
+
+
+def test_float32_stays_float32():
+    single = jnp.float32
+    root = kepler_root(single(0.5), single(1.0))
+    assert root.value.dtype == single and root.info.residual.dtype == single
+    np.testing.assert_allclose(root.value, kepler_root(0.5, 1.0).value, rtol=1e-6)
+    pair = roots.newton(circle_and_line, (single(2.0), single(1.0)), jnp.ones(2, single))
+    assert pair.value.dtype == single and int(pair.info.status) == Status.CONVERGED
