@@ -25,8 +25,7 @@ RV_40E = RVReducer(
     ),
     cranks=CrankStage(
         count=2,  # text: "two parallel crankshafts"
-        circle_radius=36.0
-        * mm,  # inferred: the printed rigid ranges admit a spacing of 72.00 mm only
+        circle_radius=36.0 * mm,  # inferred: the printed rigid ranges admit a spacing of 72.00 mm only
         bearing_stiffness=6e8,  # assumed: right order of magnitude, no maker's datum
     ),
 )

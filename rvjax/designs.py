@@ -97,9 +97,7 @@ class CrankStage(Record):
 
     count: int = count("crankshafts, each with its planet", minimum=2)
     circle_radius: Any = field("m", "radius of the circle of crank axes, R", sign="positive")
-    bearing_stiffness: Any = field(
-        "N/m", "crank arm and bearings in series", default=None, sign="positive"
-    )
+    bearing_stiffness: Any = field("N/m", "crank arm and bearings in series", default=None, sign="positive")
 
 
 @record

@@ -28,9 +28,7 @@ class RVErrors(Record):
     eccentricity: Any = field("m", "eccentricity of discs and cranks alike", default=0.0)
     pin_circle_radius: Any = field("m", "radius of the pin circle; > 0 is play", default=0.0)
     pin_radius: Any = field("m", "radius of the pins; < 0 is play", default=0.0)
-    pin_hole_clearance: Any = field(
-        "m", "diametral clearance of the pins", default=0.0, sign="nonnegative"
-    )
+    pin_hole_clearance: Any = field("m", "diametral clearance of the pins", default=0.0, sign="nonnegative")
     pin_position: Any = field("m", "circumferential position of the pins", default=0.0)
     disc_runout: Any = field("m", "radial runout of the disc teeth", default=0.0)
     disc_cumulative_pitch: Any = field("m", "cumulative pitch error of the disc", default=0.0)
