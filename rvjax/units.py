@@ -1,9 +1,11 @@
-"""SI multipliers: write ``3.5 * mm``, divide by a unit to read a result in it.
+"""SI multipliers, and numbers with units as text.
 
-Everything inside rvjax is SI (m, rad, N, N m, kg, s, Pa); these are plain floats.
+Write ``3.5 * mm``, divide by a unit to read a result in it. Everything inside rvjax is SI (m, rad, N,
+N m, kg, s, Pa); text with units ("3.5 mm") is for study files and reports only.
 """
 
 import math
+from typing import Any
 
 mm = 1e-3
 um = 1e-6
@@ -13,3 +15,59 @@ arcsec = deg / 3600
 rpm = 2 * math.pi / 60
 MPa = 1e6
 GPa = 1e9
+
+# For each SI unit, the units a person may write.
+KNOWN: dict[str, dict[str, float]] = {
+    "m": {"m": 1.0, "mm": mm, "um": um},
+    "rad": {"rad": 1.0, "deg": deg, "arcmin": arcmin, "arcsec": arcsec},
+    "rad/s": {"rad/s": 1.0, "rpm": rpm},
+    "N": {"N": 1.0, "kN": 1e3},
+    "N m": {"N m": 1.0, "kN m": 1e3},
+    "N/m": {"N/m": 1.0, "N/mm": 1e3, "N/um": 1e6},
+    "N m/rad": {"N m/rad": 1.0, "N m/arcmin": 1 / arcmin},
+    "Pa": {"Pa": 1.0, "MPa": MPa, "GPa": GPa},
+    "kg": {"kg": 1.0},
+    "kg m2": {"kg m2": 1.0},
+    "s": {"s": 1.0},
+    "1/s": {"1/s": 1.0},
+}
+
+# The unit in which a person reads a manufacturing error or a response.
+READ_IN = {"m": "um", "rad": "arcmin"}
+
+
+def parse(value: Any, unit: str) -> float:
+    """A number in SI from text such as "3.5 mm"; `unit` is the SI unit that is expected.
+
+    Args:
+        value: text with a unit, or a plain number where `unit` is "-".
+        unit: SI unit, "-" for none.
+
+    Raises:
+        ValueError: says what is wrong with `value`; the caller adds the name of the field.
+    """
+    if unit == "-":
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+            raise ValueError(f"{value!r}: must be a plain finite number")
+        return float(value)
+    units = KNOWN[unit]
+    example = ", ".join(units)
+    if not isinstance(value, str):
+        raise ValueError(f"{value!r}: needs a unit in quotes ({example})")
+    number, _, name = value.strip().partition(" ")
+    try:
+        result = float(number)
+    except ValueError:
+        raise ValueError(f'{value!r}: must be a number, a space and a unit, like "3.5 {next(iter(units))}"') from None
+    name = name.strip()
+    if name not in units:
+        raise ValueError(f"{value!r}: unit {name!r} is not one of {example}")
+    if not math.isfinite(result):
+        raise ValueError(f"{value!r}: must be finite")
+    return result * units[name]
+
+
+def readable(unit: str) -> tuple[str, float]:
+    """Name and SI size of the unit in which a person reads errors and responses given in `unit`."""
+    name = READ_IN.get(unit, unit)
+    return name, KNOWN.get(unit, {}).get(name, 1.0)

@@ -1,0 +1,159 @@
+"""Pictures: functions that take numbers in SI and return Axes. One style, units on the axes.
+
+Colours are distinguishable with colour-vision deficiency and in grey print; before is always the
+light dashed one, after the dark solid one. The models never import this module.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+
+from rvjax.units import readable
+
+BEFORE, AFTER, LIMIT = "#E69F00", "#0072B2", "#D55E00"
+PALETTE = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#F0E442", "#000000")
+HATCHES = ("", "//", "..", "xx", "\\\\", "++", "oo", "--")
+
+_STYLE = {
+    "figure.dpi": 120,
+    "figure.constrained_layout.use": True,
+    "font.size": 10,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.color": "0.9",
+    "axes.axisbelow": True,
+    "legend.frameon": False,
+}
+
+
+@contextmanager
+def style() -> Iterator[None]:
+    """The one style of all pictures."""
+    with plt.rc_context(_STYLE):
+        yield
+
+
+def words(name: str) -> str:
+    """A field name as words: crank_eccentricity -> crank eccentricity."""
+    return name.replace("_", " ")
+
+
+def turn_curves(angle: Any, before: Any, after: Any, *, axes: Axes | None = None) -> Axes:
+    """Transmission error of sample units over one crank turn, each about its own mean.
+
+    Args:
+        angle: crank angle, rad (n,).
+        before: transmission error, rad (units, n), with the tolerances of the study.
+        after: the same with the allocated tolerances.
+        axes: where to draw; a new figure by default.
+    """
+    axes = _axes(axes)
+    unit, size = readable("rad")
+    closed = np.append(np.degrees(angle), 360.0)
+    for curves, colour, dash, label in ((after, AFTER, "-", "after"), (before, BEFORE, (0, (4, 2)), "before")):
+        centred = np.asarray(curves) - np.mean(curves, axis=1, keepdims=True)
+        lines = axes.plot(
+            closed, np.column_stack([centred, centred[:, :1]]).T / size, color=colour, ls=dash, lw=0.8, alpha=0.7
+        )
+        lines[0].set_label(f"{label} ({len(centred)} units)")
+    axes.set(xlabel="crank angle (deg)", ylabel=f"transmission error ({unit})", xlim=(0, 360), xticks=range(0, 361, 60))
+    axes.set_title("Transmission error over one crank turn, sample units")
+    axes.legend(loc="upper right", ncols=2)
+    return axes
+
+
+def response_histogram(
+    before: Any, after: Any, *, unit: str, name: str, upper: float = np.inf, lower: float = -np.inf, axes: Axes | None = None
+) -> Axes:
+    """How a response is distributed before and after, with its limits.
+
+    Args:
+        before: values of the response, SI (samples,), with the tolerances of the study.
+        after: the same with the allocated tolerances.
+        unit: SI unit of the response.
+        name: of the response.
+        upper: upper limit, SI.
+        lower: lower limit, SI.
+        axes: where to draw; a new figure by default.
+    """
+    axes = _axes(axes)
+    shown, size = readable(unit)
+    values = [np.asarray(v)[np.isfinite(v)] / size for v in (before, after)]
+    low, high = min(v.min() for v in values), max(v.max() for v in values)
+    bins = np.linspace(low, high, 81) if high > low else 10
+    axes.hist(values[1], bins, density=True, color=AFTER, alpha=0.75, label="after")
+    axes.hist(values[0], bins, density=True, histtype="step", color=BEFORE, lw=1.6, ls="--", label="before")
+    for limit in (lower, upper):
+        if np.isfinite(limit):
+            axes.axvline(limit / size, color=LIMIT, lw=1.5, label=f"limit {limit / size:.4g} {shown}")
+    axes.set(xlabel=f"{words(name)} ({shown})", ylabel=f"density (1/{shown})", title=f"Distribution of {words(name)}")
+    axes.legend()
+    return axes
+
+
+def variance_shares(shares: Mapping[str, Mapping[str, float]], *, title: str, axes: Axes | None = None) -> Axes:
+    """Share of each error in the variance of each response, as stacked bars.
+
+    Args:
+        shares: {response: {field: share}}.
+        title: of the picture.
+        axes: where to draw; a new figure by default.
+    """
+    axes = _axes(axes)
+    fields = list(next(iter(shares.values())))
+    rows = np.arange(len(shares))
+    left = np.zeros(len(shares))
+    for k, field in enumerate(fields):
+        width = np.array([100 * shares[name][field] for name in shares])
+        colour, hatch = PALETTE[k % len(PALETTE)], HATCHES[k % len(HATCHES)]
+        axes.barh(rows, width, left=left, color=colour, hatch=hatch, edgecolor="white", label=words(field), height=0.6)
+        for row in rows:
+            if width[row] >= 6:
+                box = dict(facecolor="white", edgecolor="none", pad=1.0, alpha=0.85)
+                axes.text(
+                    left[row] + width[row] / 2, row, f"{width[row]:.0f}", ha="center", va="center", bbox=box, fontsize=9
+                )
+        left += width
+    axes.set_yticks(rows, [words(name) for name in shares])
+    axes.set(xlabel="share of variance (%)", xlim=(0, 100), title=title)
+    axes.grid(axis="y", visible=False)
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.18), ncols=3)
+    return axes
+
+
+def cost_against_yield(
+    targets: Sequence[float], costs: Sequence[float], *, chosen: tuple[float, float], start: tuple[float, float],
+    axes: Axes | None = None,
+) -> Axes:
+    """Cheapest cost for each yield; the yield axis is stretched towards 1.
+
+    Args:
+        targets: yields that every requirement must reach, 0 to 1.
+        costs: cheapest cost for each.
+        chosen: (yield, cost) of the allocation.
+        start: (yield, cost) of the tolerances of the study.
+        axes: where to draw; a new figure by default.
+    """
+    axes = _axes(axes)
+    rejects = [1 - t for t in targets]
+    floor = min(*rejects, 1 - chosen[0]) / 3  # yields nearer to 1 than the picture shows stand at its edge
+    axes.plot(rejects, costs, "o-", color=AFTER, label="cheapest tolerances")
+    axes.plot(1 - chosen[0], chosen[1], "*", ms=15, color=LIMIT, label="this study", zorder=3)
+    axes.plot(max(1 - start[0], floor), start[1], "s", ms=8, color=BEFORE, label="before", zorder=3)
+    axes.set_xscale("log")
+    axes.invert_xaxis()
+    ticks = [10.0**-k for k in range(1, 7) if floor <= 10.0**-k <= 1.05 * max(rejects)]
+    axes.set_xticks(ticks, [f"{100 * (1 - t):.6g}" for t in ticks])
+    axes.set_xticks([], minor=True)
+    axes.set(xlabel="yield of each requirement (%)", ylabel="cost", title="Cost against yield")
+    axes.legend()
+    return axes
+
+
+def _axes(axes: Axes | None) -> Axes:
+    return plt.subplots(figsize=(7, 4.2))[1] if axes is None else axes

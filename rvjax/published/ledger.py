@@ -1,0 +1,135 @@
+"""The literature's figures as data, held against what the models give now.
+
+One TOML file per source. Fields of a `[[figure]]`:
+
+    id               source.section.short_name, unique
+    where, claim     place in the source, the figure or statement in own words
+    value, unit      as printed; true for a statement that is either right or wrong (unit "bool")
+    inputs           what to set to obtain our_value
+    our_value        what the right model gives, in `our_unit` where present, else `unit`
+    tolerance        absolute tolerance on our_value, element by element
+    rounding         half the last printed digit
+    expected_status  the verdict the tests hold the computed one against
+    reading          the interpretation under which the figure comes out; not evidence for it
+    contradicted_by  what the figure cannot stand beside
+    missing          what the source leaves out
+    note             anything else a reader should know
+
+Status words: reproduced (within rounding), reproduced_with_reading, close (within 10 %), contradicted,
+not_computable; not_reproduced would be a defect of rvjax, and a test forbids it.
+"""
+
+import importlib
+import tomllib
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import resources
+from typing import Any
+
+SOURCES = ("rv40e",)
+"""Sources in the ledger; each has a TOML file and a module of the same name with a dict `COMPUTED`."""
+
+CLOSE = 0.10
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """One published figure beside the computed one.
+
+    `right` is the physically right value where the published figure follows only under a reading.
+    """
+
+    id: str
+    claim: str
+    published: Any
+    computed: Any
+    unit: str
+    status: str
+    note: str
+    right: Any = None
+
+    def as_json(self) -> dict[str, Any]:
+        """The fields meant for machines."""
+        names = ("id", "published", "computed", "unit", "status", "note")
+        return {name: getattr(self, name) for name in names}
+
+
+def figures(source: str) -> list[dict[str, Any]]:
+    """The figures of one source, as in its TOML file."""
+    return parse(source)["figure"]
+
+
+def parse(source: str) -> dict[str, Any]:
+    """The whole ledger file of one source."""
+    return tomllib.loads((resources.files("rvjax.published") / f"{source}.toml").read_text("utf-8"))
+
+
+def reproduce(sources: tuple[str, ...] = SOURCES) -> list[Comparison]:
+    """Compute every figure of `sources` now and compare it with the published one; needs float64."""
+    rows = []
+    for source in sources:
+        module = importlib.import_module(f"rvjax.published.{source}")
+        right = getattr(module, "RIGHT", {})
+        for figure in figures(source):
+            computed = _call(module.COMPUTED.get(figure["id"]))
+            rows.append(compare(figure, computed, _call(right.get(figure["id"]))))
+    return rows
+
+
+def compare(figure: dict[str, Any], computed: Any, right: Any = None) -> Comparison:
+    """Judge one figure; `computed` is None where the source does not allow a value."""
+    unit = figure.get("our_unit", figure["unit"])
+    notes = [figure[key] for key in ("contradicted_by", "missing", "reading", "note") if key in figure]
+    if right is not None:
+        notes.append(f"physically right: {show(right)} {unit}")
+    return Comparison(
+        id=figure["id"],
+        claim=figure["claim"],
+        published=figure["value"],
+        computed=computed,
+        unit=unit,
+        status=_status(figure, computed),
+        note="; ".join(notes),
+        right=right,
+    )
+
+
+def show(value: Any) -> str:
+    """A figure as short text: numbers to six digits, lists with spaces, yes and no for statements."""
+    if value is None:
+        return "-"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, (list, tuple)):
+        return " ".join(show(v) for v in value)
+    return value if isinstance(value, str) else f"{value:.6g}"
+
+
+def _call(function: Callable[[], Any] | None) -> Any:
+    return None if function is None else _plain(function())
+
+
+def _plain(value: Any) -> Any:
+    """Arrays and NumPy scalars as Python numbers, fit for JSON."""
+    if isinstance(value, (list, tuple)):
+        return [_plain(v) for v in value]
+    return value.tolist() if hasattr(value, "tolist") else value
+
+
+def _status(figure: dict[str, Any], computed: Any) -> str:
+    if "contradicted_by" in figure:  # the verdict of an argument, not of a number
+        return "contradicted"
+    if computed is None:
+        return "not_computable"
+    published = _list(figure["value"])
+    ours, rounding = _list(computed), _list(figure.get("rounding", 0.0))
+    rounding = rounding * len(published) if len(rounding) == 1 else rounding
+    if all(abs(a - b) <= r * (1 + 1e-9) for a, b, r in zip(ours, published, rounding, strict=True)):
+        return "reproduced_with_reading" if "reading" in figure else "reproduced"
+    if all(abs(a - b) <= CLOSE * abs(b) for a, b in zip(ours, published)):
+        return "close"
+    return "not_reproduced"
+
+
+def _list(value: Any) -> list[Any]:
+    return list(value) if isinstance(value, (list, tuple)) else [value]

@@ -1,0 +1,250 @@
+"""Figures of the web article on the original errors of the RV-40E's second stage (a four-bar linkage).
+
+Its numbers follow only from the *crossed* root of its quadratic, in radians printed as degrees, with a
+crank spacing of 72 mm, at crank angle 90 deg: at zero error that root is 2 e / l = 0.0361, where a
+parallelogram gives 0. `RIGHT` holds the open branch of the exact closure for the same errors.
+"""
+
+from collections.abc import Callable
+from functools import cache, partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rvjax.catalogue import RV_40E
+from rvjax.errors import RVErrors
+from rvjax.four_bar import LinkDeviations, solve_closure, transmission_error
+from rvjax.units import arcmin, deg, mm, um
+
+ECCENTRICITY = RV_40E.cycloid.eccentricity
+SPACING = 2 * RV_40E.cranks.circle_radius
+RIGHT_ANGLE = 90 * deg
+BAND = 0.1 * mm  # the source varies every error by +-0.1 mm
+
+# Effective elastic lengthening of both cranks, fitted to the printed elastic ranges: the source prints neither
+# bearing forces nor displacements, and no single stiffness gives all three.
+ELASTIC_CRANK = 0.00453 * mm
+ELASTIC_TABLE_2_3 = 0.029 * mm
+ELASTIC_OUTPUT = 0.0929 * mm
+
+
+@cache
+def _kernel(closure: str, branch: str) -> Callable[..., jax.Array]:
+    def angle(links: jax.Array, crank_angle: jax.Array) -> jax.Array:
+        deviations = LinkDeviations(crank_1=links[0], coupler=links[1], crank_3=links[2], frame=links[3])
+        solved = solve_closure(
+            ECCENTRICITY,
+            SPACING,
+            deviations,
+            crank_angle=crank_angle,
+            cranks="free",
+            closure=closure,
+            branch=branch,
+        )
+        return jnp.abs(solved.coupler_angle)
+
+    return jax.jit(jax.vmap(angle, in_axes=(0, None)))
+
+
+def printed(crank_1: Any = 0.0, coupler: Any = 0.0, crank_3: Any = 0.0, frame: Any = 0.0, **options: Any) -> np.ndarray:
+    """|coupler angle| in rad under the reading that gives the source's figures; arrays of errors in m."""
+    options = dict(closure="quadratic", branch="crossed", crank_angle=RIGHT_ANGLE) | options
+    links = np.stack(np.broadcast_arrays(*np.atleast_1d(crank_1, coupler, crank_3, frame)), axis=1)
+    return np.asarray(_kernel(options["closure"], options["branch"])(links, options["crank_angle"]))
+
+
+right = partial(printed, closure="newton", branch="open")  # the parallelogram's own root, exact closure
+
+
+def _range(values: np.ndarray) -> list[float]:
+    return [values.min(), values.max()]
+
+
+SWEEP = np.linspace(-BAND, BAND, 2001)
+
+
+def _both_cranks(solve: Callable[..., np.ndarray], elastic: float = 0.0) -> np.ndarray:
+    return solve(crank_1=SWEEP + elastic, crank_3=SWEEP + elastic)
+
+
+def _coupler(solve: Callable[..., np.ndarray], elastic: float = 0.0) -> np.ndarray:
+    return solve(crank_1=elastic, coupler=SWEEP, crank_3=elastic)
+
+
+def _frame(solve: Callable[..., np.ndarray], elastic: float = 0.0) -> np.ndarray:
+    return solve(crank_1=elastic, crank_3=elastic, frame=SWEEP)
+
+
+# Tables 2 to 4: two errors, each -0.1, 0, +0.1 mm, the first one slowest; and the elastic lengthening.
+TABLES: dict[str, tuple[str, str, float]] = {
+    "table2": ("crank_1", "coupler", ELASTIC_TABLE_2_3),
+    "table3": ("crank_1", "frame", ELASTIC_TABLE_2_3),
+    "table4": ("coupler", "frame", ELASTIC_OUTPUT),
+}
+
+
+def _grid(table: str, points: int, elastic: bool, solve: Callable[..., np.ndarray] = printed) -> np.ndarray:
+    first, second, lengthening = TABLES[table]
+    steps = np.linspace(-BAND, BAND, points)
+    errors = {first: np.repeat(steps, points), second: np.tile(steps, points)}
+    for crank in ("crank_1", "crank_3"):
+        errors[crank] = errors.get(crank, 0.0) + (lengthening if elastic else 0.0)
+    return solve(**errors)
+
+
+def _row(table: str, row: int, solve: Callable[..., np.ndarray] = printed) -> list[float]:
+    return [_grid(table, 3, elastic, solve)[row - 1] for elastic in (False, True)]
+
+
+def _margin(table: str) -> list[float]:
+    return _range(_grid(table, 3, True) - _grid(table, 3, False))
+
+
+def _quadratic_is_the_closure() -> bool:
+    """Printed a, b, c against |l1 + l2 - l4|^2 - l3^2, which differ by terms of third order in the angle only."""
+    rng = np.random.default_rng(0)
+    l1, l2, l3, l4 = np.array([[ECCENTRICITY], [SPACING], [ECCENTRICITY], [SPACING]]) + rng.uniform(
+        -BAND, BAND, (4, 100)
+    )
+    crank, angle = rng.uniform(0, 2 * np.pi, 100), rng.uniform(-1e-3, 1e-3, 100)
+    a = l2 * l4 - l1 * l2 * np.cos(crank)
+    b = 2 * l1 * l2 * np.sin(crank)
+    c = l1**2 + l2**2 + l4**2 - l3**2 - 2 * l1 * l4 * np.cos(crank) + 2 * l1 * l2 * np.cos(crank) - 2 * l2 * l4
+    exact = np.abs(l1 * np.exp(1j * crank) + l2 * np.exp(1j * angle) - l4) ** 2 - l3**2
+    return bool(np.all(np.abs(a * angle**2 + b * angle + c - exact) <= SPACING**2 * np.abs(angle) ** 3))
+
+
+def _parallelogram() -> bool:
+    angles = np.arange(5, 360, 7.0) * deg  # off the dead points
+    return all(float(right(crank_angle=angle)[0]) == 0.0 for angle in angles)
+
+
+def _small_angle_error() -> float:
+    exact, quadratic = right(crank_1=BAND), right(crank_1=BAND, closure="quadratic")
+    return float(abs(quadratic / exact - 1)[0])
+
+
+def _locked(crank_angle: Any) -> jax.Array:
+    return solve_closure(ECCENTRICITY, SPACING, LinkDeviations(crank_3=10 * um), crank_angle=crank_angle).coupler_angle
+
+
+def _largest_at_right_angle() -> bool:
+    angles = np.arange(0, 181, 15) * deg
+    return int(np.argmax(np.abs(jax.vmap(_locked)(angles)))) == 6
+
+
+def _equal_cranks_help() -> bool:
+    def error(cranks: str) -> float:
+        deviations = LinkDeviations(crank_1=-20 * um, crank_3=-20 * um)
+        solved = solve_closure(ECCENTRICITY, SPACING, deviations, crank_angle=RIGHT_ANGLE, cranks=cranks)
+        return abs(float(solved.coupler_angle))
+
+    return error("free") < 0 or error("phase_locked") < 0  # the error-free linkage gives exactly 0
+
+
+def _derivative(name: str, **options: str) -> float:
+    def angle(value: jax.Array) -> jax.Array:
+        deviations = LinkDeviations(**{name: value})
+        choice = dict(cranks="free") | options
+        return solve_closure(ECCENTRICITY, SPACING, deviations, crank_angle=RIGHT_ANGLE, **choice).coupler_angle
+
+    return float(jax.grad(angle)(0.0))
+
+
+def _ranking() -> bool:
+    crank, frame, coupler = (
+        abs(_derivative(name, closure="quadratic", branch="crossed")) for name in ("crank_1", "frame", "coupler")
+    )
+    return crank > frame > coupler
+
+
+def _clearance_matters() -> bool:
+    def pair(shift: jax.Array) -> jax.Array:  # both joints move across the frame, in opposite senses
+        deviations = LinkDeviations(joint=(0.0, 2 * shift))
+        return solve_closure(ECCENTRICITY, SPACING, deviations, crank_angle=RIGHT_ANGLE, cranks="free").coupler_angle
+
+    return abs(float(jax.grad(pair)(0.0))) > abs(_derivative("crank_1"))
+
+
+def _loaded_clearance() -> bool:
+    errors = RVErrors(bearing_clearance=5 * um)
+    solved = transmission_error(RV_40E, errors, crank_angle=RIGHT_ANGLE, output_torque=412.0)
+    return abs(float(solved.error)) > 5e-5
+
+
+def _not_additive() -> bool:
+    together = right(coupler=-BAND, frame=BAND)[0]
+    alone = right(coupler=-BAND)[0] + right(frame=BAND)[0]
+    return bool(abs(together - alone) > 0.1 * alone)
+
+
+def _saddle() -> bool:
+    def angle(links: jax.Array) -> jax.Array:
+        deviations = LinkDeviations(coupler=links[0], frame=links[1])
+        choice = dict(cranks="free", closure="quadratic", branch="crossed")
+        return -solve_closure(ECCENTRICITY, SPACING, deviations, crank_angle=RIGHT_ANGLE, **choice).coupler_angle
+
+    return bool(np.linalg.det(jax.hessian(angle)(jnp.zeros(2))) < 0)
+
+
+def _frame_maximum_inside() -> bool:
+    values = _frame(printed)
+    return bool(values[-1] < values[0] < values.max() and -0.05 * mm < SWEEP[np.argmax(values)] < -0.04 * mm)
+
+
+def _misalignment_percent() -> float:
+    aligned, turned = printed()[0], printed(crank_angle=RIGHT_ANGLE + 0.01)[0]
+    return 100 * abs(turned / aligned - 1)
+
+
+COMPUTED: dict[str, Callable[[], Any]] = {
+    "rv40e.crank.rigid_range": lambda: _range(_both_cranks(printed)),
+    "rv40e.crank.elastic_range": lambda: _range(_both_cranks(printed, ELASTIC_CRANK)),
+    "rv40e.cycloid_bore.rigid_range": lambda: _range(_coupler(printed)),
+    "rv40e.cycloid_bore.elastic_range": lambda: _range(_coupler(printed, ELASTIC_CRANK)),
+    "rv40e.output_bore.rigid_range": lambda: _range(_frame(printed)),
+    "rv40e.output_bore.elastic_range": lambda: _range(_frame(printed, ELASTIC_OUTPUT)),
+    **{f"rv40e.{table}.row{row}": partial(_row, table, row) for table in TABLES for row in range(1, 10)},
+    "rv40e.table4.rigid_range": lambda: _range(_grid("table4", 11, False)),
+    "rv40e.table4.elastic_range": lambda: _range(_grid("table4", 11, True)),
+    "rv40e.table2.elastic_margin": partial(_margin, "table2"),
+    "rv40e.table3.elastic_margin": partial(_margin, "table3"),
+    "rv40e.zero_error.rigid": lambda: printed()[0],
+    "rv40e.model.parallelogram": _parallelogram,
+    "rv40e.intro.one_arcmin": lambda: 0.0361 * deg / arcmin,
+    "rv40e.model.coefficients": _quadratic_is_the_closure,
+    "rv40e.model.small_angle": lambda: _small_angle_error() < 1e-6,
+    "rv40e.model.critical_angle": _largest_at_right_angle,
+    "rv40e.crank.elastic_larger": lambda: bool(
+        np.all(_both_cranks(printed, ELASTIC_CRANK) > _both_cranks(printed)),
+    ),
+    "rv40e.crank.minimum_negative": lambda: bool(SWEEP[np.argmin(_both_cranks(printed))] < 0),
+    "rv40e.crank.guideline": _equal_cranks_help,
+    "rv40e.cycloid_bore.falls_both_sides": lambda: bool(
+        max(printed(coupler=np.array([-BAND, BAND]))) < printed()[0],
+    ),
+    "rv40e.cycloid_bore.tolerance_loose": lambda: _derivative("coupler") == 0.0,
+    "rv40e.output_bore.positive_better": _frame_maximum_inside,
+    "rv40e.output_bore.guideline": lambda: bool(right(frame=20 * um)[0] < right()[0]),
+    "rv40e.composite.not_additive": _not_additive,
+    "rv40e.table2.surface": lambda: bool(np.diff(printed(coupler=np.array([-BAND, 0.0, BAND])), 2)[0] < 0),
+    "rv40e.table2.minimum": lambda: bool(np.argmin(_grid("table2", 3, False)) < 3),
+    "rv40e.table3.minimum": lambda: bool(np.argmin(_grid("table3", 3, False)) == 2),
+    "rv40e.table4.minimum": lambda: bool(np.argmin(_grid("table4", 3, False)) == 2),
+    "rv40e.table4.saddle": _saddle,
+    "rv40e.clearance.amplifies": _loaded_clearance,
+    "rv40e.sensitivity.ranking": _ranking,
+    "rv40e.sensitivity.clearance": _clearance_matters,
+    "rv40e.assembly.misalignment": _misalignment_percent,
+}
+
+RIGHT: dict[str, Callable[[], Any]] = {
+    "rv40e.crank.rigid_range": lambda: _range(_both_cranks(right)),
+    "rv40e.cycloid_bore.rigid_range": lambda: _range(_coupler(right)),
+    "rv40e.output_bore.rigid_range": lambda: _range(_frame(right)),
+    **{f"rv40e.{table}.row{row}": partial(_row, table, row, right) for table in TABLES for row in range(1, 10)},
+    "rv40e.table4.rigid_range": lambda: _range(_grid("table4", 11, False, right)),
+    "rv40e.zero_error.rigid": lambda: right()[0],
+}

@@ -1,0 +1,303 @@
+"""A study: design, conditions, tolerances, costs, requirements - read from TOML with units in strings."""
+
+import dataclasses
+import tomllib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from rvjax import catalogue, scene
+from rvjax.records import Record
+from rvjax.scene import OUTPUTS, Conditions
+from rvjax.tolerances import Exponential, ReciprocalPower, Requirement, Tolerance, for_design
+from rvjax.units import parse
+
+DESIGNS = {"rv-40e": catalogue.RV_40E}
+COSTS: dict[str, Any] = {"reciprocal_power": ReciprocalPower, "exponential": Exponential}
+
+
+@dataclass(frozen=True)
+class Study:
+    """A question about one design.
+
+    Attributes:
+        name: short name, from the file.
+        text: the TOML that defines the study.
+        design: the reducer.
+        conditions: how it runs.
+        tolerances: record of the design's errors with a Tolerance or None in each field.
+        costs: cost model of each field that may change, by name.
+        requirements: limits by response name.
+        seed: of all random numbers.
+        samples: units that the optimiser sees.
+    """
+
+    name: str
+    text: str
+    design: Any
+    conditions: Conditions
+    tolerances: Any
+    costs: dict[str, Any]
+    requirements: dict[str, Requirement]
+    seed: int = 0
+    samples: int = 16384
+
+    def response(self) -> Callable[[Any], Any]:
+        """errors -> Outcome of the responses that the requirements name."""
+        return scene.response(self.design, tuple(self.requirements), self.conditions)
+
+    @property
+    def fields(self) -> list[str]:
+        """Names of the errors with a tolerance, in the order of the error record."""
+        names = [f.name for f in dataclasses.fields(self.tolerances)]
+        return [name for name in names if getattr(self.tolerances, name) is not None]
+
+    def unit(self, field: str) -> str:
+        """SI unit of an error."""
+        return _metadata(type(self.tolerances), field)["unit"]
+
+
+class StudyError(ValueError):
+    """A study that cannot be used: says the file, the key, its value and why."""
+
+
+def load(source: str) -> Study:
+    """A study from a TOML file, or an embedded one by name ("rv-40e").
+
+    Raises:
+        StudyError: one line that names the key, its value and the unit.
+        FileNotFoundError: neither a file nor an embedded study.
+    """
+    path = Path(source)
+    if path.suffix == ".toml":
+        try:
+            text = path.read_text("utf-8")
+        except FileNotFoundError:
+            raise FileNotFoundError(f"{source}: no such study file") from None
+        except (OSError, UnicodeDecodeError) as error:
+            raise StudyError(f"{source}: cannot be read as text ({error})") from None
+        return parse_study(text, name=path.stem)
+    embedded = resources.files("rvjax") / "studies" / f"{source}.toml"
+    if not embedded.is_file():
+        raise FileNotFoundError(f"{source}: neither a .toml file nor an embedded study ({', '.join(embedded_names())})")
+    return parse_study(embedded.read_text("utf-8"), name=source)
+
+
+def embedded_names() -> list[str]:
+    """Names of the studies that come with rvjax."""
+    files = (resources.files("rvjax") / "studies").iterdir()
+    return sorted(Path(file.name).stem for file in files if file.name.endswith(".toml"))
+
+
+def parse_study(text: str, *, name: str) -> Study:
+    """A study from TOML text.
+
+    Args:
+        text: TOML.
+        name: short name for messages and result folders.
+
+    Raises:
+        StudyError: one line that names the key, its value and the unit.
+    """
+    with _naming(name):
+        try:
+            tables = tomllib.loads(text)
+        except tomllib.TOMLDecodeError as error:
+            raise ValueError(f"not valid TOML: {error}") from None
+        _known(tables, {"design", "conditions", "tolerances", "cost", "requirement", "run"}, "")
+        for key in ("design", "tolerances", "requirement"):
+            if not _table(tables, key):
+                raise ValueError(f"[{key}] is missing or empty")
+        design = _design(_table(tables, "design"))
+        error_record = design.error_record
+        tolerances = _tolerances(design, _table(tables, "tolerances"))
+        costs = _costs(error_record, tolerances, _table(tables, "cost"))
+        run = _table(tables, "run")
+        _known(run, {"seed", "samples"}, "run")
+        study = Study(
+            name=name,
+            text=text,
+            design=design,
+            conditions=_conditions(_table(tables, "conditions")),
+            tolerances=tolerances,
+            costs=costs,
+            requirements=_requirements(_table(tables, "requirement")),
+            seed=_integer(run.get("seed", 0), "run.seed", 0),
+            samples=_integer(run.get("samples", 16384), "run.samples", 16),
+        )
+        scene.check_nominal(study.response(), error_record())
+        return study
+
+
+@contextmanager
+def _naming(where: str) -> Iterator[None]:
+    """Prefix the messages of errors with where they happened, and keep them to one line."""
+    try:
+        yield
+    except (ValueError, TypeError) as error:
+        raise StudyError(f"{where}: {' '.join(str(error).split())}") from None
+
+
+def _known(table: dict[str, Any], keys: set[str], where: str) -> None:
+    for key in table:
+        if key not in keys:
+            name = f"{where}.{key}" if where else f"[{key}]"
+            raise ValueError(f"unknown key {name}; known here: {', '.join(sorted(keys))}")
+
+
+def _table(parent: dict[str, Any], key: str) -> dict[str, Any]:
+    value = parent.get(key, {})
+    if not isinstance(value, dict):
+        raise ValueError(f"{key} = {value!r}: must be a table")
+    return value
+
+
+def _integer(value: Any, where: str, minimum: int) -> int:
+    if isinstance(value, bool) or not isinstance(value, int) or value < minimum:
+        raise ValueError(f"{where} = {value!r}: must be an integer of at least {minimum}")
+    return value
+
+
+def _quantity(value: Any, unit: str, where: str) -> float:
+    try:
+        return parse(value, unit)
+    except ValueError as error:
+        raise ValueError(f"{where} = {error}") from None
+
+
+def _metadata(record: Any, field: str) -> Any:
+    return next(f.metadata for f in dataclasses.fields(record) if f.name == field)
+
+
+def _design(table: dict[str, Any]) -> Any:
+    base = table.get("base")
+    if base not in DESIGNS:
+        raise ValueError(f"design.base = {base!r}: must be one of {', '.join(DESIGNS)}")
+    design = DESIGNS[base]
+    for part, changes in table.items():
+        if part != "base":
+            _known({part: None}, {f.name for f in dataclasses.fields(design)} | {"base"}, "design")
+            design = design.replace(**{part: _override(getattr(design, part), changes, f"design.{part}")})
+    return design
+
+
+def _override(part: Any, changes: Any, where: str) -> Any:
+    if not isinstance(part, Record) or not isinstance(changes, dict):
+        raise ValueError(f"{where} = {changes!r}: must be a table of changes to a part that the base design has")
+    _known(changes, {f.name for f in dataclasses.fields(part)}, where)  # type: ignore[arg-type]
+    values = {}
+    for key, value in changes.items():
+        metadata = _metadata(part, key)
+        is_count = metadata["kind"] == "count"
+        values[key] = value if is_count else _quantity(value, metadata["unit"], f"{where}.{key}")
+    return part.replace(**values)
+
+
+def _conditions(table: dict[str, Any]) -> Conditions:
+    _known(table, {f.name for f in dataclasses.fields(Conditions)}, "conditions")
+    values = dict(table)
+    if "output_torque" in values:
+        values["output_torque"] = _quantity(values["output_torque"], "N m", "conditions.output_torque")
+    if "angles" in values:
+        values["angles"] = _integer(values["angles"], "conditions.angles", 8)
+    if "gear_stiffness_ratio" in values:
+        values["gear_stiffness_ratio"] = _quantity(
+            values["gear_stiffness_ratio"], "-", "conditions.gear_stiffness_ratio"
+        )
+    return Conditions(**values)
+
+
+def _tolerances(design: Any, table: dict[str, Any]) -> Any:
+    fields = {f.name for f in dataclasses.fields(design.error_record)}
+    _known(table, fields, "tolerances")
+    made = {}
+    for field in table:
+        where = f"tolerances.{field}"
+        with _naming_field(where):
+            made[field] = _tolerance(_table(table, field), _metadata(design.error_record, field)["unit"], where)
+    return for_design(design, **made)
+
+
+@contextmanager
+def _naming_field(where: str) -> Iterator[None]:
+    try:
+        yield
+    except ValueError as error:
+        raise error if where in str(error) else ValueError(f"{where}: {error}") from None
+
+
+_PLAIN = ("distribution", "cp", "shift", "batch", "beta")
+
+
+def _tolerance(table: dict[str, Any], unit: str, where: str) -> Tolerance:
+    _known(table, {"lower", "upper", "half_width", "grade", "size", *_PLAIN}, where)
+    options: dict[str, Any] = {key: table[key] for key in _PLAIN if key in table}
+    for key in ("cp", "shift", "batch"):
+        if key in options:
+            options[key] = _quantity(options[key], "-", f"{where}.{key}")
+    if "beta" in options:
+        options["beta"] = tuple(options["beta"])
+    size = _quantity(table["size"], "m", f"{where}.size") if "size" in table else None
+    ways = [{"lower", "upper"}, {"half_width"}, {"grade", "size"}]
+    given = set(table) & {"lower", "upper", "half_width", "grade"}
+    chosen = next((way for way in ways if given and given == way - {"size"}), None)
+    if chosen is None or (chosen == ways[2] and size is None):
+        raise ValueError(f"{where}: give lower and upper, or half_width, or grade and size")
+    if chosen == ways[2]:
+        if unit != "m":
+            raise ValueError(f"{where}.grade = {table['grade']!r}: grades are for lengths, this error is in {unit}")
+        return Tolerance.grade(table["grade"], size, **options)
+    limits = {key: _quantity(table[key], unit, f"{where}.{key}") for key in sorted(given)}
+    if chosen == ways[1]:
+        return Tolerance.symmetric(limits["half_width"], size=size, **options)
+    return Tolerance(limits["lower"], limits["upper"], size=size, **options)
+
+
+def _costs(error_record: Any, tolerances: Any, table: dict[str, Any]) -> dict[str, Any]:
+    costs = {}
+    for field in table:
+        where, entry = f"cost.{field}", dict(_table(table, field))
+        if field not in {f.name for f in dataclasses.fields(error_record)} or getattr(tolerances, field) is None:
+            raise ValueError(f"{where}: there is no [tolerances.{field}] for it")
+        unit = _metadata(error_record, field)["unit"]
+        model = entry.pop("model", "reciprocal_power")
+        if model not in COSTS:
+            raise ValueError(f"{where}.model = {model!r}: must be one of {', '.join(COSTS)}")
+        units = {"fixed": "-", "scale": "-", "finest": unit, "coarsest": unit}
+        units |= {"reference": unit, "power": "-"} if model == "reciprocal_power" else {"decay": unit}
+        _known(entry, set(units), where)
+        for key in ("finest", "coarsest"):
+            if key not in entry:
+                raise ValueError(f"{where}.{key} is missing: the range of the process in {unit}")
+        with _naming_field(where):
+            costs[field] = COSTS[model](
+                **{key: _quantity(value, units[key], f"{where}.{key}") for key, value in entry.items()}
+            )
+    return costs
+
+
+def _requirements(table: dict[str, Any]) -> dict[str, Requirement]:
+    requirements = {}
+    for name in table:
+        where, entry = f"requirement.{name}", _table(table, name)
+        _known(entry, {"response", "lower", "upper", "target"}, where)
+        response = entry.get("response", name)
+        if response not in OUTPUTS:
+            raise ValueError(f"{where}.response = {response!r}: must be one of {', '.join(OUTPUTS)}")
+        if response in requirements:
+            raise ValueError(f"{where}.response = {response!r}: already has a requirement")
+        limits = {
+            key: _quantity(entry[key], OUTPUTS[response].unit, f"{where}.{key}")
+            for key in ("lower", "upper")
+            if key in entry
+        }
+        if not limits:
+            raise ValueError(f"{where}: give upper or lower in {OUTPUTS[response].unit}")
+        if "target" in entry:
+            limits["target"] = _quantity(entry["target"], "-", f"{where}.target")
+        with _naming_field(where):
+            requirements[response] = Requirement(**limits)
+    return requirements

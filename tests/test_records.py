@@ -1,0 +1,113 @@
+"""Records: pytrees that know unit, shape and sign; what constructors refuse and what passes untouched."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import rvjax
+from rvjax import CycloidStage, InvoluteStage, RVErrors, catalogue
+from rvjax.records import Record, promote
+from rvjax.units import deg, mm, um
+
+RV_40E = catalogue.RV_40E
+
+
+def test_counts_are_static_and_numbers_are_traced():
+    leaves, structure = jax.tree.flatten(RV_40E.cycloid)
+    assert RV_40E.cycloid.eccentricity in leaves
+    assert 39 not in leaves  # disc_teeth
+    assert structure != jax.tree.structure(RV_40E.cycloid.replace(disc_teeth=29, pin_count=30))
+    compiled = jax.jit(lambda design: design.cycloid.eccentricity * design.cycloid.pin_count)
+    assert float(compiled(RV_40E)) == pytest.approx(52 * mm)
+    compiled(RV_40E.replace(cycloid=RV_40E.cycloid.replace(eccentricity=1.2 * mm)))
+    assert compiled._cache_size() == 1
+
+
+def test_docstring_tells_unit_shape_and_meaning_of_every_field():
+    for cls in (RVErrors, CycloidStage, rvjax.SolveInfo):
+        for f in dataclasses.fields(cls):
+            line = next(line for line in cls.__doc__.splitlines() if line.strip().startswith(f.name + " "))
+            assert f.metadata["unit"] in line and f.metadata["meaning"] in line
+
+
+def test_python_numbers_stay_python_floats():
+    errors = RVErrors(eccentricity=np.float64(1e-6), pin_radius=0)
+    assert type(errors.eccentricity) is float and type(errors.pin_radius) is float
+    assert promote(errors, jnp.float32(1.0))[0].eccentricity.dtype == jnp.float32
+    assert promote(errors).eccentricity.dtype == jnp.float64
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (
+            lambda: RV_40E.cycloid.replace(eccentricity=-1.3 * mm),
+            ["CycloidStage.eccentricity", "-0.0013 m", "positive"],
+        ),
+        (lambda: RV_40E.cycloid.replace(eccentricity=2 * mm), ["1.25", "shortening coefficient K1", "0.002 m"]),
+        (lambda: RV_40E.cycloid.replace(shortening=1.0), ["shortening", "between 0 and 1"]),
+        (lambda: RV_40E.cycloid.replace(disc_teeth=39.5), ["disc_teeth", "39.5", "integer"]),
+        (lambda: RV_40E.cranks.replace(count=1), ["count", "at least 2"]),
+        (lambda: RV_40E.cranks.replace(circle_radius=jnp.ones(3)), ["circle_radius", "(3,)", "vmap"]),
+        (lambda: RV_40E.replace(eccentricity=1 * mm), ["RVReducer", "no field 'eccentricity'"]),
+        (lambda: RVErrors(bearing_clearance=-1 * um), ["bearing_clearance", "-1e-06 m", "zero or positive"]),
+        (lambda: RVErrors(pin_radius="1 um"), ["pin_radius", "'1 um'", "number in m"]),
+        (lambda: RVErrors(crank_eccentricity=np.zeros(2)), ["crank_eccentricity", "(2,)", "(discs, cranks)"]),
+        (lambda: RVErrors(disc_bore=np.zeros((2, 2, 3))), ["disc_bore", "(discs, cranks, 2)"]),
+        (
+            lambda: RVErrors(crank_eccentricity=np.zeros((2, 2)), crank_phase=np.zeros(3)),
+            ["crank_phase", "3 cranks", "crank_eccentricity has 2"],
+        ),
+        (lambda: RVErrors.for_design(RV_40E, carrier_bore=np.zeros((3, 2))), ["carrier_bore", "(3, 2)", "(2, 2)"]),
+        (lambda: RVErrors.for_design(RV_40E, carrier_bores=0.0), ["no field 'carrier_bores'", "carrier_bore"]),
+    ],
+)
+def test_bad_input_names_field_value_and_unit(make, words):
+    with pytest.raises(ValueError, match=words[0].replace("(", r"\(").replace(")", r"\)")) as caught:
+        make()
+    for word in words:
+        assert word in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_tracers_and_stacked_records_pass_untouched():
+    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *[RV_40E.replace() for _ in range(3)])
+    assert isinstance(stacked, Record) and stacked.cycloid.eccentricity.shape == (3,)
+    batch = jax.vmap(lambda d, e: d.cycloid.replace(eccentricity=e).shortening_coefficient)
+    np.testing.assert_allclose(batch(stacked, jnp.array([-1.0, 0.5, 3.0]) * mm), [-0.625, 0.3125, 1.875])
+    slope = jax.grad(lambda e: RV_40E.cycloid.replace(eccentricity=e).shortening_coefficient)(1.3 * mm)
+    assert float(slope) == pytest.approx(40 / (64 * mm))
+
+
+def test_for_design_broadcasts_scalars_to_the_design():
+    errors = RVErrors.for_design(RV_40E, crank_phase=1e-3, disc_bore=[[[1, 2], [3, 4]], [[5, 6], [7, 8]]])
+    np.testing.assert_array_equal(errors.crank_phase, [1e-3, 1e-3])
+    assert errors.disc_bore.shape == (2, 2, 2) and errors.crank_eccentricity.shape == (2, 2)
+    assert errors.eccentricity == 0.0
+    traced = jax.jit(lambda x: RVErrors.for_design(RV_40E, crank_eccentricity=x).crank_eccentricity)(2e-6)
+    np.testing.assert_array_equal(traced, np.full((2, 2), 2e-6))
+
+
+def test_catalogue_holds_together():
+    """Table values of the RV-40E against each other: gear geometry and crank spacing."""
+    stage = InvoluteStage.from_teeth(10, 26, module=2 * mm, pressure_angle=20 * deg)
+    for f in dataclasses.fields(stage):
+        assert getattr(RV_40E.involute, f.name) == pytest.approx(getattr(stage, f.name), rel=1e-14)
+    assert RV_40E.cranks.circle_radius == RV_40E.involute.centre_distance
+    assert RV_40E.cycloid.shortening_coefficient == pytest.approx(0.8125)
+    assert RV_40E.cycloid.pin_count == RV_40E.cycloid.disc_teeth + 1
+
+
+def test_import_changes_no_setting_and_touches_no_device():
+    import subprocess
+    import sys
+
+    code = (
+        "import jax, rvjax, rvjax.four_bar, rvjax.tolerances\n"
+        "from jax._src import xla_bridge\n"
+        "assert not jax.config.jax_enable_x64 and not xla_bridge._backends\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)

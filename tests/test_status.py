@@ -1,0 +1,53 @@
+"""Statuses, their precedence, and `check`."""
+
+import jax.numpy as jnp
+import pytest
+
+import rvjax
+from rvjax import SolveError, SolveInfo, Status, check
+from rvjax.records import Record, field, record
+from rvjax.status import PRECEDENCE, first_failure, succeeded, worst
+
+
+@record
+class Result(Record):
+    """A solved result."""
+
+    info: SolveInfo = field("-", "how it went", kind="record")
+
+
+def result(*statuses):
+    return Result(SolveInfo(jnp.array([int(s) for s in statuses])))
+
+
+def test_every_status_has_its_place():
+    assert set(PRECEDENCE) == set(Status) and len(PRECEDENCE) == len(Status)
+    assert Status.CONVERGED == 0 and PRECEDENCE[-1] is Status.CONVERGED and PRECEDENCE[0] is Status.NONFINITE
+
+
+def test_the_worst_of_several_is_the_first_by_precedence():
+    for better, status in zip(PRECEDENCE[1:], PRECEDENCE):
+        assert int(worst(jnp.array([int(better), int(status)]))) == status
+    rows = jnp.array([[0, int(Status.UNLOADED)], [int(Status.SINGULAR), int(Status.CHANGE_POINT)]])
+    assert list(worst(rows, axis=1)) == [Status.UNLOADED, Status.CHANGE_POINT]
+
+
+def test_first_failure_does_not_depend_on_the_order_of_its_checks():
+    checks = [(jnp.array([True, True, False]), Status.SINGULAR), (jnp.array([True, False, False]), Status.NONFINITE)]
+    expected = [Status.NONFINITE, Status.SINGULAR, Status.CONVERGED]
+    assert list(first_failure(*checks)) == list(first_failure(*checks[::-1])) == expected
+
+
+def test_check_passes_success_and_returns_the_result():
+    good = result(Status.CONVERGED, Status.UNLOADED)
+    assert check(good) is good
+    assert list(succeeded(good.info.status)) == [True, True]
+
+
+def test_check_names_reasons_counts_and_the_first_lane():
+    bad = result(Status.CONVERGED, Status.NOT_ASSEMBLABLE, Status.NONFINITE, Status.NOT_ASSEMBLABLE)
+    with pytest.raises(SolveError, match=r"3 of 4 .*NONFINITE 1 \(first at index \(2,\)\), NOT_ASSEMBLABLE 2 .*\(1,\)"):
+        check(bad)
+    assert check(bad, max_failed_fraction=0.75) is bad
+    with pytest.raises(TypeError, match="info"):
+        rvjax.check(3.0)

@@ -1,0 +1,45 @@
+"""Units as multipliers and as text."""
+
+import math
+
+import pytest
+
+from rvjax import units
+
+
+def test_multipliers():
+    assert 180 * units.deg == math.pi
+    assert 60 * units.arcmin == pytest.approx(units.deg) and 60 * units.arcsec == pytest.approx(units.arcmin)
+    assert 60 * units.rpm == pytest.approx(2 * math.pi)
+    assert 3.5 * units.mm == pytest.approx(3500 * units.um) == pytest.approx(0.0035)
+    assert units.GPa == 1000 * units.MPa
+
+
+@pytest.mark.parametrize(
+    ("text", "unit", "value"),
+    [("3.5 mm", "m", 0.0035), ("-2 arcmin", "rad", -2 * units.arcmin), ("6e8 N/m", "N/m", 6e8), (0.3, "-", 0.3)],
+)
+def test_parse(text, unit, value):
+    assert units.parse(text, unit) == pytest.approx(value)
+
+
+@pytest.mark.parametrize(
+    ("value", "unit", "words"),
+    [
+        ("3.5 kg", "m", "unit 'kg' is not one of m, mm, um"),
+        ("3.5mm", "m", "a number, a space and a unit"),
+        (3.5, "m", "needs a unit"),
+        ("inf m", "m", "finite"),
+        ("3 mm", "-", "plain finite number"),
+        (True, "-", "plain finite number"),
+    ],
+)
+def test_parse_refuses(value, unit, words):
+    with pytest.raises(ValueError, match=words):
+        units.parse(value, unit)
+
+
+def test_readable_units():
+    assert units.readable("rad") == ("arcmin", units.arcmin)
+    assert units.readable("m") == ("um", units.um)
+    assert units.readable("N") == ("N", 1.0)
