@@ -1,0 +1,30 @@
+"""Tolerances: distributions of part errors, the distribution of a response, and the cheapest tolerances.
+
+    Design + Tolerances --sample--> Errors --response--> Statistics --gradient--> new Tolerances
+
+Nothing here knows a gear: a response is any pure function of the errors of one unit.
+"""
+
+from rvjax.tolerances.cost import Exponential, ReciprocalPower, Table
+from rvjax.tolerances.distributions import Tolerance
+from rvjax.tolerances.estimates import Estimate
+from rvjax.tolerances.grades import it_width
+from rvjax.tolerances.monte_carlo import Statistics, monte_carlo
+from rvjax.tolerances.requirements import Requirement
+from rvjax.tolerances.responses import Outcome
+from rvjax.tolerances.sampling import for_design, sample
+
+__all__ = [
+    "Estimate",
+    "Exponential",
+    "Outcome",
+    "ReciprocalPower",
+    "Requirement",
+    "Statistics",
+    "Table",
+    "Tolerance",
+    "for_design",
+    "it_width",
+    "monte_carlo",
+    "sample",
+]
