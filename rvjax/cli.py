@@ -50,7 +50,11 @@ def _parser() -> argparse.ArgumentParser:
         "certify them on fresh random units, and write tables and pictures to a results folder.",
     )
     allocate.add_argument(
-        "study", nargs="?", default="rv-40e", metavar="STUDY", help="a study file (.toml), or the embedded rv-40e (default)"
+        "study",
+        nargs="?",
+        default="rv-40e",
+        metavar="STUDY",
+        help="a study file (.toml), or the embedded rv-40e (default)",
     )
     allocate.add_argument(
         "--results", metavar="DIR", help="new folder for the results (default: results/STUDY, numbered if it exists)"

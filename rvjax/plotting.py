@@ -68,7 +68,14 @@ def turn_curves(angle: Any, before: Any, after: Any, *, axes: Axes | None = None
 
 
 def response_histogram(
-    before: Any, after: Any, *, unit: str, name: str, upper: float = np.inf, lower: float = -np.inf, axes: Axes | None = None
+    before: Any,
+    after: Any,
+    *,
+    unit: str,
+    name: str,
+    upper: float = np.inf,
+    lower: float = -np.inf,
+    axes: Axes | None = None,
 ) -> Axes:
     """How a response is distributed before and after, with its limits.
 
@@ -127,7 +134,11 @@ def variance_shares(shares: Mapping[str, Mapping[str, float]], *, title: str, ax
 
 
 def cost_against_yield(
-    targets: Sequence[float], costs: Sequence[float], *, chosen: tuple[float, float], start: tuple[float, float],
+    targets: Sequence[float],
+    costs: Sequence[float],
+    *,
+    chosen: tuple[float, float],
+    start: tuple[float, float],
     axes: Axes | None = None,
 ) -> Axes:
     """Cheapest cost for each yield; the yield axis is stretched towards 1.

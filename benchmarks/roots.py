@@ -1,0 +1,74 @@
+"""Cost of the derivative of a root: implicit against unrolled, beside the primal.
+
+Scalar: Kepler's equation, 100,000 lanes. Vector: a line and a circle (2 unknowns), 20,000 lanes.
+Target: gradient of the batch mean <= 2 x the batch mean.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from timing import alternate, arguments, publish, settings
+
+settings()
+
+from rvjax import roots  # noqa: E402  (after the flags)
+
+STEPS = 12  # of the unrolled iteration, as many as the slowest lane needs
+
+
+def kepler(x, params):
+    e, m = params
+    return x - e * jnp.sin(x) - m
+
+
+def kepler_mean(e, m):
+    solve = jax.vmap(lambda e, m: roots.bracketed(kepler, (e, m), m - e, m + e, start=m).value)
+    return jnp.mean(solve(e, m))
+
+
+def kepler_mean_unrolled(e, m):
+    x = m
+    for _ in range(STEPS):
+        x = x - kepler(x, (e, m)) / (1 - e * jnp.cos(x))
+    return jnp.mean(x)
+
+
+def circle_and_line(x, params):
+    r, k = params
+    return jnp.stack([x[0] ** 2 + x[1] ** 2 - r**2, x[1] - k * x[0]])
+
+
+def line_mean(r, k):
+    solve = jax.vmap(lambda r, k: roots.newton(circle_and_line, (r, k), jnp.ones(2)).value[0])
+    return jnp.mean(solve(r, k))
+
+
+def main() -> None:
+    options = arguments(__doc__)
+    rng = np.random.default_rng(0)
+    orbit = jax.device_put((rng.uniform(0.05, 0.8, 100_000), rng.uniform(-3, 3, 100_000)))
+    lines = jax.device_put((rng.uniform(0.5, 4, 20_000), rng.uniform(-0.3, 3, 20_000)))
+    functions = {
+        "scalar": (kepler_mean, orbit),
+        "scalar_gradient": (jax.grad(kepler_mean, argnums=(0, 1)), orbit),
+        "unrolled": (kepler_mean_unrolled, orbit),
+        "unrolled_gradient": (jax.grad(kepler_mean_unrolled, argnums=(0, 1)), orbit),
+        "vector": (line_mean, lines),
+        "vector_gradient": (jax.grad(line_mean, argnums=(0, 1)), lines),
+    }
+    jitted = {name: (jax.jit(f), data) for name, (f, data) in functions.items()}
+    implicit = jitted["scalar_gradient"][0](*orbit)
+    unrolled = jitted["unrolled_gradient"][0](*orbit)
+    np.testing.assert_allclose(implicit[0], unrolled[0], rtol=1e-9, atol=1e-18)
+    best = alternate({name: (lambda f=f, data=data: f(*data)) for name, (f, data) in jitted.items()})
+    figures = {f"{name}_ns_per_lane": 1e9 * best[name] / len(jitted[name][1][0]) for name in best}
+    figures["scalar_gradient_ratio"] = best["scalar_gradient"] / best["scalar"]
+    figures["vector_gradient_ratio"] = best["vector_gradient"] / best["vector"]
+    figures["unrolled_gradient_ratio"] = best["unrolled_gradient"] / best["unrolled"]
+    figures["unrolled_gradient_over_implicit"] = best["unrolled_gradient"] / best["scalar_gradient"]
+    publish("roots", figures, options.json)
+
+
+if __name__ == "__main__":
+    main()

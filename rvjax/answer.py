@@ -1,0 +1,142 @@
+"""The answer to a study: the allocation, and what a person wants to see beside it."""
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import numpy as np
+
+from rvjax import scene
+from rvjax.study import Study
+from rvjax.tolerances import Allocation, Statistics, allocate, monte_carlo, rss, sample
+
+SHOWN_UNITS = 24  # units whose transmission error is drawn over a crank turn
+HISTOGRAM_UNITS = 20_000
+YIELD_SWEEP = (0.9, 0.95, 0.99, 0.995, 0.999)
+SWEEP_CERTIFICATE = 20_000  # the curve needs no certificate of its own: it shows the optimiser's cost
+
+
+@dataclass(frozen=True)
+class Side:
+    """One set of tolerances and what it gives.
+
+    Attributes:
+        tolerances: record with a Tolerance or None in each field.
+        cost: of each field that has a cost.
+        shares: {response: {field: share of variance}}.
+        sensitivities: {response: {field: sensitivity}}, response unit per unit of the error.
+        values: {response: values of sample units}, for histograms.
+        turns: transmission error of sample units over a crank turn, rad (units, angles), or None.
+    """
+
+    tolerances: Any
+    cost: dict[str, float]
+    shares: Mapping[str, Mapping[str, float]]
+    sensitivities: Mapping[str, Mapping[str, float]]
+    values: Mapping[str, np.ndarray]
+    turns: np.ndarray | None
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What `rvjax allocate` found.
+
+    Attributes:
+        study: the question.
+        allocation: the cheapest tolerances and their certificate.
+        certificate_before: statistics of the study's own tolerances, on the certificate's random numbers.
+        before: the study's own tolerances.
+        after: the allocated tolerances.
+        cost_curve: (yield, cheapest cost) pairs; empty where the study is infeasible.
+    """
+
+    study: Study
+    allocation: Allocation
+    certificate_before: Statistics
+    before: Side
+    after: Side
+    cost_curve: list[tuple[float, float]]
+
+
+def answer(study: Study, *, progress: bool = False) -> Answer:
+    """Allocate the tolerances of a study and collect what the report shows.
+
+    Args:
+        study: the question.
+        progress: show progress bars.
+    """
+    response = study.response()
+    allocation = allocate(
+        response,
+        study.tolerances,
+        study.requirements,
+        costs=study.costs,
+        samples=study.samples,
+        seed=study.seed,
+        grades=any(tolerance.size is not None for tolerance in _given(study)),
+        progress=progress,
+    )
+    certificate = allocation.certificate
+    before = monte_carlo(
+        response,
+        study.tolerances,
+        samples=certificate.samples,
+        seed=study.seed + 1,
+        requirements=study.requirements,
+        progress=progress,
+    )
+    return Answer(
+        study=study,
+        allocation=allocation,
+        certificate_before=before,
+        before=_side(study, response, study.tolerances),
+        after=_side(study, response, allocation.tolerances),
+        cost_curve=_cost_curve(study, response) if allocation.feasible else [],
+    )
+
+
+def _given(study: Study) -> list[Any]:
+    return [getattr(study.tolerances, name) for name in study.fields]
+
+
+def _side(study: Study, response: Callable[[Any], Any], tolerances: Any) -> Side:
+    moments = rss(response, tolerances)
+    kept = monte_carlo(response, tolerances, samples=HISTOGRAM_UNITS, seed=study.seed + 2, keep=True)
+    return Side(
+        tolerances=tolerances,
+        cost={name: float(cost(getattr(tolerances, name).half_width)) for name, cost in study.costs.items()},
+        shares=moments.contributions,
+        sensitivities=moments.sensitivities,
+        values=kept.values,
+        turns=_turns(study, tolerances) if "transmission_error" in study.requirements else None,
+    )
+
+
+def _turns(study: Study, tolerances: Any) -> np.ndarray:
+    def curve(index: jax.Array) -> jax.Array:
+        errors = sample(tolerances, index, seed=study.seed + 2)
+        return scene.turn(study.design, errors, study.conditions).error
+
+    return np.asarray(jax.jit(jax.vmap(curve))(np.arange(SHOWN_UNITS)))
+
+
+def _cost_curve(study: Study, response: Callable[[Any], Any]) -> list[tuple[float, float]]:
+    curve = []
+    for target in YIELD_SWEEP:
+        requirements = {
+            name: dataclasses.replace(requirement, target=target) for name, requirement in study.requirements.items()
+        }
+        found = allocate(
+            response,
+            study.tolerances,
+            requirements,
+            costs=study.costs,
+            samples=study.samples,
+            seed=study.seed,
+            certificate_samples=SWEEP_CERTIFICATE,
+        )
+        if found.feasible:
+            curve.append((target, float(found.cost)))
+    return curve
