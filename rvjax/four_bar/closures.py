@@ -1,0 +1,221 @@
+"""Where the coupler of a four-bar linkage comes to rest, for free, phase-locked and geared cranks.
+
+Every function takes finite numbers of a possible geometry; `linkage` sees to that.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rvjax import roots
+from rvjax.status import SolveInfo, Status
+
+
+class Links(NamedTuple):
+    """A linkage: nominal lengths e and l, deviations, the direction of crank 1, the frame vector."""
+
+    e: jax.Array
+    l: jax.Array  # noqa: E741  (the field's symbol)
+    d1: jax.Array
+    d2: jax.Array
+    d3: jax.Array
+    psi: jax.Array  # crank 3 minus crank 1
+    b4: jax.Array
+    gy: jax.Array
+    cosine: jax.Array
+    sine: jax.Array
+    dx: jax.Array  # frame vector d4, b4 and joint included: (l + dx, dy)
+    dy: jax.Array
+    axial: jax.Array  # d4 + gx, of which dx consists to first order
+
+
+class Resting(NamedTuple):
+    """Coupler at rest; the flags say why an angle may be missing or have no derivative."""
+
+    angle: jax.Array
+    misfit: jax.Array
+    info: SolveInfo
+    open_chain: Any = np.False_  # the links are too short to meet
+    change_point: Any = np.False_  # crank 1 in line with the frame
+    fold: Any = np.False_  # the two branches meet
+
+
+def at_once(like: jax.Array) -> SolveInfo:
+    """The info of a closed form."""
+    return SolveInfo(jnp.zeros_like(like, jnp.int32), jnp.zeros_like(like, jnp.int32), jnp.zeros_like(like))
+
+
+class View(NamedTuple):
+    """The linkage seen along its frame vector."""
+
+    length: jax.Array  # of the frame vector, L
+    cosine: jax.Array  # of crank 1
+    sine: jax.Array
+    excess: jax.Array  # l2' - L
+
+
+def view(links: Links) -> View:
+    """Turn crank 1 into the frame of the effective frame vector; no angle is formed."""
+    l, dx, dy = links.l, links.dx, links.dy  # noqa: E741
+    length = jnp.sqrt((l + dx) ** 2 + dy**2)
+    cosine = (links.cosine * (l + dx) + links.sine * dy) / length
+    sine = (links.sine * (l + dx) - links.cosine * dy) / length
+    eps = float(jnp.finfo(sine.dtype).eps)
+    sine = jnp.where(jnp.abs(sine) <= 8 * eps, jnp.abs(sine), sine)  # rounding must not choose a dead point's sign
+    return View(length, cosine, sine, links.d2 - (2 * l * dx + dx**2 + dy**2) / (length + l))
+
+
+def gap(links: Links, seen: View) -> jax.Array:
+    """Length that free cranks lack to be assembled (> 0), from the triangle of pin 1, coupler and crank 3."""
+    l1, l3 = links.e + links.d1, links.e + links.d3
+    along, across = seen.length - l1 * seen.cosine, l1 * seen.sine
+    reach = jnp.sqrt(along**2 + across**2)
+    return jnp.abs(seen.excess + l1 * seen.cosine - across**2 / (reach + along)) - l3
+
+
+def free(links: Links, seen: View, *, closure: str, branch: str) -> Resting:
+    """Crank 3 follows: a (2 - 2 cos x) + b sin x + c = 0, (S1) with the angle of crank 3 eliminated."""
+    e, d1, d2, d3 = links.e, links.d1, links.d2, links.d3
+    l1, l2, l3, h = e + d1, links.l + d2, e + d3, seen.excess
+    a = 1 - l1 * seen.cosine / seen.length  # all three divided by l2' L
+    b = 2 * l1 * seen.sine / seen.length
+    c = ((d1 - d3) * (2 * e + d1 + d3) + 2 * l1 * h * seen.cosine + h**2) / (l2 * seen.length)
+    d = b**2 - 4 * a * c - c**2
+    # Lengths are known to a rounding of l2' and L, which on the scale of the cranks is a wider band.
+    eps = float(jnp.finfo(d.dtype).eps)
+    band = 8 * eps * (seen.length + l2) / (l1 + l3) * (b**2 + jnp.abs(4 * a * c) + c**2)
+    flags = dict(
+        open_chain=d < -band,
+        change_point=jnp.abs(seen.sine) < (1e-6 if eps < 1e-10 else 1e-3),
+        fold=jnp.abs(d) <= band,
+    )
+    if closure == "first_order":
+        angle = _free_first_order(links, flags["change_point"])
+        return Resting(angle, jnp.zeros_like(angle), at_once(angle), **flags)
+    x, info = _free_root(a, b, c, d, flags["fold"], closure=closure, branch=branch)
+    angle = jnp.arctan2(links.dy, links.l + links.dx) + x
+    return Resting(angle, jnp.zeros_like(angle), info, **flags)
+
+
+def _free_first_order(links: Links, change_point: jax.Array) -> jax.Array:
+    d1, d2, d3, cosine, sine = links.d1, links.d2, links.d3, links.cosine, links.sine
+    gx_d4 = links.axial
+    numerator = (d3 - d1) + (gx_d4 - d2) * cosine + links.gy * sine
+    angle = links.b4 + numerator / (links.l * jnp.where(change_point, 1, sine))
+    return jnp.where(change_point, jnp.where(numerator == 0, links.b4, jnp.nan), angle)
+
+
+def _free_root(a: Any, b: Any, c: Any, d: Any, fold: Any, *, closure: str, branch: str) -> tuple[jax.Array, SolveInfo]:
+    """Root x of the open or crossed branch; at a fold both branches meet at -atan2(b, 2 a)."""
+    s = jnp.where(b < 0, -1, 1).astype(b.dtype)
+    if closure == "closed_form":
+        root = _root(jnp.where(fold, 0, d))
+        if branch == "open":
+            return 2 * jnp.arctan2(-s * c, _nonzero(jnp.abs(b) + root)), at_once(a)
+        return 2 * jnp.arctan2(-(b + s * root), 4 * a + c), at_once(a)
+    sum_ = b + s * _root(b**2 - 4 * a * c)
+    quadratic = -2 * c / _nonzero(sum_) if branch == "open" else -sum_ / (2 * a)  # (S2)
+    if closure == "quadratic":
+        return quadratic, at_once(a)
+    # F falls and rises monotonically between the fold angle and its opposite points.
+    middle = -jnp.arctan2(b, 2 * a)
+    side = s if branch == "open" else -s
+    start = jax.lax.stop_gradient(quadratic)
+    found = roots.bracketed(_free_residual, (a, b, c), middle, middle + side * jnp.pi, start=start)
+    status = jnp.where(fold & (found.info.status == Status.NO_BRACKET), int(Status.CONVERGED), found.info.status)
+    return jnp.where(fold, middle, found.value), SolveInfo(status, found.info.steps, found.info.residual)
+
+
+def _free_residual(x: Any, params: Any) -> jax.Array:
+    a, b, c = params
+    return 4 * a * jnp.sin(x / 2) ** 2 + b * jnp.sin(x) + c  # (S1)
+
+
+def _root(x: jax.Array) -> jax.Array:
+    """Square root, zero with zero derivative where x <= 0."""
+    return jnp.where(x > 0, jnp.sqrt(jnp.where(x > 0, x, 1)), 0)
+
+
+def _nonzero(x: jax.Array) -> jax.Array:
+    """A denominator whose numerator is zero too where it vanishes."""
+    return jnp.where(x == 0, 1, x)
+
+
+def locked(links: Links, *, closure: str) -> Resting:
+    """Both cranks geared rigidly: two equal bearings share the misfit, the coupler points along X, Y."""
+    x, y = _offset(links, links.psi)
+    misfit = stretch(links.l, x, y) - links.d2
+    if closure == "first_order":
+        angle = _locked_first_order(links, links.psi)
+        return Resting(angle, misfit, at_once(angle))
+    angle, info = direction_angle(1 + x / links.l, y / links.l, closure=closure)
+    return Resting(angle, misfit, info)
+
+
+def _offset(links: Links, psi: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Vector from pin 1 to pin 3 less (l, 0)."""
+    half_sine, half_cosine = jnp.sin(psi / 2), jnp.cos(psi / 2)
+    w, difference = 2 * (links.e + links.d3) * half_sine, links.d3 - links.d1
+    x = links.dx + difference * links.cosine - w * (links.sine * half_cosine + links.cosine * half_sine)
+    y = links.dy + difference * links.sine + w * (links.cosine * half_cosine - links.sine * half_sine)
+    return x, y
+
+
+def stretch(l: jax.Array, x: jax.Array, y: jax.Array) -> jax.Array:  # noqa: E741
+    """hypot(l + x, y) - l without cancellation."""
+    return (2 * l * x + x**2 + y**2) / (jnp.sqrt((l + x) ** 2 + y**2) + l)
+
+
+def _locked_first_order(links: Links, psi: jax.Array) -> jax.Array:
+    turned = (links.d3 - links.d1) * links.sine + links.e * psi * links.cosine + links.gy
+    return links.b4 + turned / links.l
+
+
+def direction_angle(x: jax.Array, y: jax.Array, *, closure: str) -> tuple[jax.Array, SolveInfo]:
+    """Angle of the vector (x, y): by atan2, or as the root of x sin b = y cos b in its quadrant pair."""
+    if closure == "closed_form":
+        return jnp.arctan2(y, x), at_once(x)
+    centre = jnp.where(x > 0, 0, jnp.where(y < 0, -jnp.pi / 2, jnp.pi / 2)).astype(x.dtype)
+    quarter = jnp.asarray(jnp.pi / 2, x.dtype)
+    start = jax.lax.stop_gradient(jnp.where(x > 0, y / jnp.where(x > 0, x, 1), centre))
+    found = roots.bracketed(_direction_residual, (x, y), centre - quarter, centre + quarter, start=start)
+    return found.value, found.info
+
+
+def _direction_residual(b: Any, params: Any) -> jax.Array:
+    x, y = params
+    return x * jnp.sin(b) - y * jnp.cos(b)
+
+
+def geared(links: Links, ratio: jax.Array, *, closure: str) -> Resting:
+    """Gears of finite stiffness: crank 3 slips by delta so that m^2/2 + ratio e^2 delta^2/2 is least."""
+    e, cosine, sine = links.e, links.cosine, links.sine
+    m = links.axial - links.d2 + (links.d3 - links.d1) * cosine - e * links.psi * sine  # first order
+    slip = sine * m / (e * (sine**2 + ratio))
+    info = at_once(slip)
+    if closure == "newton":
+        # |m| grows by at most l3' a radian, so beyond `bound` the gears outweigh the bearings.
+        stiff = ratio * e**2
+        l3 = jnp.abs(e + links.d3)
+        widest = jnp.abs(_misfit(links, jnp.zeros_like(slip))) + 2 * l3
+        bound = jax.lax.stop_gradient(1.01 * widest * l3 / stiff) + jnp.abs(jax.lax.stop_gradient(slip))
+        found = roots.bracketed(_slip_residual, (links, ratio), -bound, bound, start=jax.lax.stop_gradient(slip))
+        slip, info = found.value, found.info
+    x, y = _offset(links, links.psi + slip)
+    misfit = stretch(links.l, x, y) - links.d2
+    if closure == "first_order":
+        return Resting(_locked_first_order(links, links.psi + slip), misfit, info)
+    return Resting(jnp.arctan2(y, links.l + x), misfit, info)
+
+
+def _misfit(links: Links, slip: jax.Array) -> jax.Array:
+    return stretch(links.l, *_offset(links, links.psi + slip)) - links.d2
+
+
+def _slip_residual(slip: Any, params: Any) -> jax.Array:
+    """Derivative of the energy with respect to the slip, divided by e^2."""
+    links, ratio = params
+    m, slope = jax.jvp(lambda s: _misfit(links, s), (slip,), (jnp.ones_like(slip),))
+    return m * slope / links.e**2 + ratio * slip

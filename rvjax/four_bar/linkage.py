@@ -1,0 +1,200 @@
+"""One four-bar linkage: two cranks, the disc as coupler, the carrier as frame.
+
+The carrier is at rest, x runs from crank 1 to crank 3, angles are counter-clockwise. All formulas
+take deviations from nominal, never the difference of two lengths, so that micrometres on 72 mm keep
+their digits in float32.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rvjax.four_bar import closures
+from rvjax.records import Record, concrete, field, promote, quantity, record
+from rvjax.status import SolveInfo, Status, first_failure
+
+ALLOWED = {  # (cranks, branch): closures
+    ("phase_locked", "open"): ("newton", "closed_form", "first_order"),
+    ("free", "open"): ("newton", "closed_form", "quadratic", "first_order"),
+    ("free", "crossed"): ("newton", "closed_form", "quadratic"),
+    ("geared", "open"): ("newton", "first_order"),
+}
+
+
+@record
+class LinkDeviations(Record):
+    """Deviations of one linkage from the parallelogram."""
+
+    crank_1: Any = field("m", "length of crank 1, d1", default=0.0)
+    coupler: Any = field("m", "bore distance in the disc, d2", default=0.0)
+    crank_3: Any = field("m", "length of crank 3, d3", default=0.0)
+    frame: Any = field("m", "bore distance in the carrier, d4", default=0.0)
+    crank_phase: Any = field("rad", "angle of crank 3 minus crank 1, psi; ignored by free cranks", default=0.0)
+    frame_angle: Any = field("rad", "direction of the carrier bores, b4", default=0.0)
+    joint: Any = field(
+        "m", "bore centre minus pin centre, crank 3 minus crank 1, (x, y)", shape=(2,), kind="pair", default=(0.0, 0.0)
+    )
+
+
+@record
+class Closure(Record):
+    """Position of the coupler."""
+
+    coupler_angle: Any = field("rad", "direction of the coupler, b2, from the x axis")
+    misfit: Any = field("m", "what the bearings must stretch: bore distance offered minus the disc's")
+    gap: Any = field("m", "> 0: length a linkage with free cranks lacks to be assembled")
+    info: SolveInfo = field("-", "how the solve ended", kind="record")
+
+
+class Crank(NamedTuple):
+    """Direction of crank 1; kept as cosine and sine so that a batch shares them."""
+
+    cosine: jax.Array
+    sine: jax.Array
+    finite: jax.Array
+
+    def turned(self, cosine: jax.Array, sine: jax.Array) -> "Crank":
+        """Turned counter-clockwise by an angle given by its cosine and sine."""
+        return Crank(self.cosine * cosine - self.sine * sine, self.sine * cosine + self.cosine * sine, self.finite)
+
+
+def crank_direction(angle: jax.Array) -> Crank:
+    """The direction of `angle`; a non-finite angle is marked and replaced by zero."""
+    finite = jnp.isfinite(angle)
+    angle = jnp.where(finite, angle, 0)
+    return Crank(jnp.cos(angle), jnp.sin(angle), finite)
+
+
+def solve_closure(
+    eccentricity: Any,
+    spacing: Any,
+    deviations: LinkDeviations,
+    *,
+    crank_angle: Any,
+    cranks: str = "phase_locked",
+    gear_stiffness_ratio: Any = None,
+    closure: str = "newton",
+    branch: str = "open",
+) -> Closure:
+    """Coupler angle of one linkage with deviating links.
+
+    Args:
+        eccentricity: nominal length of both cranks, e, () m.
+        spacing: nominal length of coupler and frame, l, () m.
+        deviations: of the links.
+        crank_angle: of crank 1 from the x axis, () rad.
+        cranks: "phase_locked" (both geared rigidly to the sun; least-squares position), "free" (crank 3
+            follows, the source's model), or "geared" (gears of finite stiffness between the two).
+        gear_stiffness_ratio: torsional stiffness of the gear path over half the bearing stiffness times e
+            squared, () > 0; for "geared" only.
+        closure: "newton" or "closed_form" (both exact), "quadratic" (S2), "first_order".
+        branch: "open" (parallelogram) or "crossed" (free cranks only).
+
+    Returns:
+        Closure. Status NONFINITE, INVALID_GEOMETRY, NOT_ASSEMBLABLE, MAX_STEPS: the angle is NaN.
+        CHANGE_POINT (free cranks in line with the frame) and SINGULAR (fold: the linkage just closes):
+        the angle is a root, its derivative is not to be used. `first_order` has no root to lose and
+        keeps its value where the linkage cannot be assembled.
+
+    Raises:
+        ValueError: a combination of methods that does not exist, or, where every number is concrete, an
+            impossible length.
+    """
+    check_methods(cranks, gear_stiffness_ratio, closure, branch)
+    _check_lengths(cranks, eccentricity, spacing, deviations)
+    numbers = promote(eccentricity, spacing, deviations, crank_angle, gear_stiffness_ratio)
+    e, spacing, deviations, angle, ratio = numbers
+    return close(e, spacing, deviations, crank_direction(angle), ratio, cranks=cranks, closure=closure, branch=branch)
+
+
+def check_methods(cranks: str, gear_stiffness_ratio: Any, closure: str, branch: str) -> None:
+    """Raise ValueError unless the methods fit together."""
+    if (cranks, "open") not in ALLOWED:
+        raise ValueError(f"cranks = {cranks!r}: must be 'phase_locked', 'free' or 'geared'")
+    if branch not in ("open", "crossed"):
+        raise ValueError(f"branch = {branch!r}: must be 'open' or 'crossed'")
+    allowed = ALLOWED.get((cranks, branch), ())
+    if closure not in allowed:
+        offered = f"closures {', '.join(allowed)}" if allowed else "the open branch only"
+        raise ValueError(f"closure = {closure!r}, branch = {branch!r}: cranks = {cranks!r} has {offered}")
+    if cranks != "geared" and gear_stiffness_ratio is not None:
+        raise ValueError(f"gear_stiffness_ratio: cranks = {cranks!r} has no use for it; it belongs to 'geared'")
+    if cranks == "geared" and gear_stiffness_ratio is None:
+        raise ValueError("gear_stiffness_ratio: needed for cranks = 'geared'")
+    if gear_stiffness_ratio is not None and concrete(gear_stiffness_ratio) and np.any(gear_stiffness_ratio <= 0):
+        raise ValueError(f"gear_stiffness_ratio = {quantity(gear_stiffness_ratio, '-')}: must be positive")
+
+
+def _check_lengths(cranks: str, eccentricity: Any, spacing: Any, deviations: LinkDeviations) -> None:
+    """Judge concrete lengths; a zero crank is a limit that a status describes."""
+    lengths = {
+        "spacing": (spacing,),
+        "spacing + coupler": (spacing, deviations.coupler),
+        "spacing + frame": (spacing, deviations.frame),
+    }
+    if cranks == "free":
+        lengths["eccentricity + crank_1"] = (eccentricity, deviations.crank_1)
+        lengths["eccentricity + crank_3"] = (eccentricity, deviations.crank_3)
+    for name, parts in lengths.items():
+        if concrete(*parts):
+            total = sum(np.asarray(part, float) for part in parts)
+            if np.any(total < 0) or (name.startswith("spacing") and np.any(total == 0)):
+                raise ValueError(f"{name} = {quantity(total, 'm')}: a link must have a positive length")
+
+
+def close(
+    e: jax.Array,
+    spacing: jax.Array,
+    deviations: LinkDeviations,
+    crank: Crank,
+    ratio: jax.Array | None,
+    *,
+    cranks: str,
+    closure: str,
+    branch: str,
+) -> Closure:
+    """`solve_closure` on promoted numbers, checked methods and the direction of crank 1."""
+    d1, d2, d3, d4 = deviations.crank_1, deviations.coupler, deviations.crank_3, deviations.frame
+    psi, b4, gx, gy = deviations.crank_phase, deviations.frame_angle, deviations.joint[0], deviations.joint[1]
+    ratio = jnp.ones_like(e) if ratio is None else ratio
+    finite = jnp.isfinite(e + spacing + ratio + d1 + d2 + d3 + d4 + psi + b4 + gx + gy) & crank.finite
+    possible = (spacing > 0) & (spacing + d2 > 0) & (spacing + d4 > 0)
+    if cranks == "free":
+        possible &= (e + d1 > 0) & (e + d3 > 0)
+    if cranks == "geared":
+        possible &= (e > 0) & (ratio > 0)
+    # A lane outside the model is solved as a nominal linkage of unit size, so its derivatives stay finite.
+    good = finite & possible
+    d1, d2, d3, d4, psi, b4, gx, gy = (jnp.where(good, x, 0) for x in (d1, d2, d3, d4, psi, b4, gx, gy))
+    e, l, ratio = jnp.where(good, e, 0.02), jnp.where(good, spacing, 1), jnp.where(good, ratio, 1)  # noqa: E741
+    half_sine, half_cosine = jnp.sin(b4 / 2), jnp.cos(b4 / 2)
+    dx = d4 + gx - 2 * (l + d4) * half_sine**2
+    dy = 2 * (l + d4) * half_sine * half_cosine + gy
+    links = closures.Links(e, l, d1, d2, d3, psi, b4, gy, crank.cosine, crank.sine, dx, dy, axial=d4 + gx)
+    seen = closures.view(links)
+    if cranks == "free":
+        resting = closures.free(links, seen, closure=closure, branch=branch)
+    elif cranks == "geared":
+        resting = closures.geared(links, ratio, closure=closure)
+    else:
+        resting = closures.locked(links, closure=closure)
+
+    unsolved = resting.info.status == Status.MAX_STEPS
+    missing = ~(jnp.isfinite(resting.angle) | resting.change_point | resting.open_chain | unsolved)
+    status = first_failure(
+        (~finite | (good & missing), Status.NONFINITE),
+        (~possible, Status.INVALID_GEOMETRY),
+        (resting.open_chain, Status.NOT_ASSEMBLABLE),
+        (unsolved & ~resting.open_chain, Status.MAX_STEPS),
+        (resting.change_point, Status.CHANGE_POINT),
+        (resting.fold, Status.SINGULAR),
+    )
+    known = good if closure == "first_order" else good & ~resting.open_chain
+    return Closure(
+        coupler_angle=jnp.where(known, resting.angle, jnp.nan),
+        misfit=jnp.where(known, resting.misfit, jnp.nan),
+        gap=jnp.where(good, closures.gap(links, seen), jnp.nan),
+        info=SolveInfo(status, resting.info.steps, resting.info.residual),
+    )
