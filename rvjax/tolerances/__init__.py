@@ -12,19 +12,25 @@ from rvjax.tolerances.grades import it_width
 from rvjax.tolerances.monte_carlo import Statistics, monte_carlo
 from rvjax.tolerances.requirements import Requirement
 from rvjax.tolerances.responses import Outcome
+from rvjax.tolerances.rss import Moments, rss
 from rvjax.tolerances.sampling import for_design, sample
+from rvjax.tolerances.worst_case import WorstCase, worst_case
 
 __all__ = [
     "Estimate",
     "Exponential",
+    "Moments",
     "Outcome",
     "ReciprocalPower",
     "Requirement",
     "Statistics",
     "Table",
     "Tolerance",
+    "WorstCase",
     "for_design",
     "it_width",
     "monte_carlo",
+    "rss",
     "sample",
+    "worst_case",
 ]

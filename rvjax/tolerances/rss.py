@@ -1,0 +1,258 @@
+"""Root sum of squares: the moments of a response from its derivatives at the mean errors."""
+
+import dataclasses
+import functools
+import math
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy import special
+
+from rvjax.status import succeeded
+from rvjax.tolerances.distributions import Tolerance, central_moments, deviate
+from rvjax.tolerances.requirements import Requirement
+from rvjax.tolerances.responses import Response, by_response, evaluate, like_response, respond_units, response_names
+from rvjax.tolerances.sampling import Layout, deviations, layout, normals, root_key
+
+_PROBES = 256  # units whose gradients decide whether the response has a kink, and stand in for it
+_SAMPLED = 4096  # units behind mean and sd of a response with a kink
+_STEP = 1e-3  # of a unit's deviations: so near the mean a smooth gradient has hardly moved
+
+
+@dataclasses.dataclass(frozen=True)
+class Moments:
+    """Mean and spread of a response; every field but `method` has its structure.
+
+    Attributes:
+        mean: unit of the response.
+        sd: standard deviation.
+        cpk: min(U - mean, mean - L)/(3 sd); None without requirement.
+        yield_: share within the limits if the response were normal; None without requirement.
+        contributions: {field: share of the variance}, summing to 1 (all 0 if nothing varies).
+        sensitivities: {field: derivative of the response per element}; its root mean square over
+            units where the method is "sampled".
+        method: "first order", "second order", or "sampled" where the response has a kink at the mean.
+    """
+
+    mean: Any
+    sd: Any
+    cpk: Any
+    yield_: Any
+    contributions: Any
+    sensitivities: Any
+    method: Any
+
+
+def rss(response: Response, tolerances: Any, *, order: int = 1, requirements: Any = None) -> Moments:
+    """Moments of a response by propagation of the errors' moments.
+
+    Order 1: mean f(E e), variance g' Sigma g with the gradient g at the mean errors. Order 2 adds the
+    curvature and the third and fourth moments of the errors: exact for a quadratic response of
+    independent errors, or of normal errors with batch factors.
+
+    A peak-to-peak value has a kink where its errors vanish: the gradient there says nothing about its
+    neighbourhood. Where gradients of random units close to the mean show such a jump, mean and sd come
+    from 4096 units and the shares from mean squared gradients; `method` then says "sampled".
+
+    Args:
+        response: pure function of the errors of one unit; a scalar, a dict or record of scalars, or `Outcome`.
+        tolerances: record or dict with a `Tolerance` or None in each field.
+        order: 1 or 2. Use 1 where contact makes the curvature unbounded.
+        requirements: `Requirement`, or a dict of them by name of the response; for cpk and yield.
+
+    Raises:
+        ValueError: another order, or order 2 of batches that are not normal.
+    """
+    if order not in (1, 2):
+        raise ValueError(f"order = {order!r}: must be 1 or 2")
+    parts = layout(layout(tolerances).replace({}))
+    names = response_names(response, tolerances)
+    required = by_response(requirements, names, Requirement, "requirements")
+    law = _Law(parts)
+    mean = _mean_errors(parts)
+    value, gradients, near, far = _derivatives(response, parts.replace({}), names, mean, root_key(0))
+    found = {}
+    for k, name in enumerate(names):
+        gradient = np.asarray(gradients[k], float)
+        if _kink(gradient, np.asarray(near[k]), np.asarray(far[k]), law.sd):
+            found[name] = _sampled(response, parts, name, np.asarray(far[k], float), law)
+        elif order == 1:
+            found[name] = _Propagated(float(value[k]), law.shares(gradient), gradient, "first order")
+        else:
+            hessian = np.asarray(_hessian(response, parts.replace({}), (name,), mean), float)
+            found[name] = _second_order(float(value[k]), gradient, hessian, law)
+    results = {name: _figures(item, required.get(name), law) for name, item in found.items()}
+    columns = {f.name: like_response({n: r[f.name] for n, r in results.items()}) for f in dataclasses.fields(Moments)}
+    if not required:
+        columns |= dict(cpk=None, yield_=None)
+    return Moments(**columns)
+
+
+class _Law:
+    """Moments of all active elements in one vector, field after field."""
+
+    def __init__(self, parts: Layout) -> None:
+        self.fields = parts.active
+        self.slices, start = {}, 0
+        moments, blocks = [], []
+        for name, tolerance in self.fields.items():
+            size = math.prod(tolerance.shape)
+            self.slices[name] = slice(start, start + size)
+            start += size
+            moments += [central_moments(tolerance)] * size
+            blocks.append(_correlation(tolerance))
+        table = np.array(moments).reshape(start, 4)
+        self.variance, self.third, self.fourth = table[:, 1], table[:, 2], table[:, 3]
+        self.sd = np.sqrt(self.variance)
+        self.correlation = np.zeros((start, start))
+        for place, block in zip(self.slices.values(), blocks):
+            self.correlation[place, place] = block
+
+    @property
+    def covariance(self) -> np.ndarray:
+        return self.correlation * np.outer(self.sd, self.sd)
+
+    def shares(self, gradient: np.ndarray) -> dict[str, float]:
+        """g' Sigma g of each field alone; fields are independent of each other."""
+        scaled = gradient * self.sd
+        return {n: float(scaled[s] @ self.correlation[s, s] @ scaled[s]) for n, s in self.slices.items()}
+
+    def by_field(self, values: np.ndarray) -> dict[str, Any]:
+        """A vector over all elements as arrays by field."""
+        return {n: values[s].reshape(self.fields[n].shape)[()] for n, s in self.slices.items()}
+
+
+def _correlation(tolerance: Tolerance) -> np.ndarray:
+    """Correlation of a field's elements: `batch` on z, carried through q(Phi(z)) by its Hermite series."""
+    size = math.prod(tolerance.shape)
+    if not tolerance.batch:
+        return np.eye(size)
+    if tolerance.is_vector:
+        same_component = np.tile(np.eye(2), (size // 2, size // 2))
+        return np.eye(size) * (1 - tolerance.batch) + tolerance.batch * same_component
+    rho = tolerance.batch
+    if tolerance.distribution != "normal":  # corr = sum rho^k a_k^2 / sum a_k^2, a_k = E[q He_k]/sqrt(k!)
+        nodes, weights = np.polynomial.hermite_e.hermegauss(64)
+        values = np.asarray(deviate(tolerance, jnp.asarray(nodes)))
+        powers = np.arange(1, 24)
+        series = np.polynomial.hermite_e.hermevander(nodes, 23)[:, 1:].T @ (weights * values)
+        squares = series**2 / np.array([math.factorial(k) for k in powers])
+        rho = float((rho**powers * squares).sum() / squares.sum()) if squares.sum() else rho
+    return np.eye(size) * (1 - rho) + rho
+
+
+@dataclasses.dataclass(frozen=True)
+class _Propagated:
+    mean: float
+    variances: dict[str, float]  # by field; their sum is the variance, but for `extra`
+    gradient: np.ndarray
+    method: str
+    total: float | None = None  # variance where it is not the sum of the shares
+
+
+def _figures(item: _Propagated, requirement: Requirement | None, law: _Law) -> dict[str, Any]:
+    shared = sum(item.variances.values())
+    sd = math.sqrt(max(0.0, shared if item.total is None else item.total))
+    cpk = share_good = None
+    if requirement is not None:
+        _, cpk = requirement.capability(item.mean, sd)
+        share_good = _normal_yield(item.mean, sd, requirement)
+    return dict(
+        mean=item.mean,
+        sd=sd,
+        cpk=cpk,
+        yield_=share_good,
+        contributions={n: v / shared if shared > 0 else 0.0 for n, v in item.variances.items()},
+        sensitivities=law.by_field(item.gradient),
+        method=item.method,
+    )
+
+
+def _normal_yield(mean: float, sd: float, requirement: Requirement) -> float:
+    if math.isnan(mean) or math.isnan(sd):
+        return math.nan
+    if sd == 0:
+        return float(requirement.margin(mean) <= 0)
+    return float(special.ndtr((requirement.upper - mean) / sd) - special.ndtr((requirement.lower - mean) / sd))
+
+
+def _second_order(value: float, g: np.ndarray, h: np.ndarray, law: _Law) -> _Propagated:
+    """Moments of f + g'd + d'Hd/2; exact second moments of the quadratic form."""
+    covariance, curvature = law.covariance, np.diag(h)
+    mean = value + 0.5 * float((h * covariance).sum())
+    correlated = [t for t in law.fields.values() if t.batch and math.prod(t.shape) > 1]
+    normal = all(t.distribution == "normal" or t.is_vector for t in law.fields.values())
+    if correlated and not normal:
+        raise ValueError("order = 2: batch factors need normal errors; use order = 1 or monte_carlo")
+    rows = 0.5 * ((h @ covariance) * (h @ covariance).T).sum(axis=1)  # tr(H Sigma H Sigma)/2, by element
+    # What the third and fourth moments add to the normal law, for independent elements.
+    rows += g * curvature * law.third + 0.25 * curvature**2 * (law.fourth - 3 * law.variance**2) * (not correlated)
+    linear = law.shares(g)
+    variances = {n: linear[n] + float(rows[s].sum()) for n, s in law.slices.items()}
+    return _Propagated(mean, variances, g, "second order")
+
+
+def _kink(gradient: np.ndarray, near: np.ndarray, far: np.ndarray, sd: np.ndarray) -> bool:
+    """Does the gradient jump within a thousandth of a unit's deviations, by more than 10 % of its size there?"""
+    if not np.isfinite(gradient).all():
+        return bool(np.isfinite(far).any())
+    jump, size = (((v * sd) ** 2).sum(axis=1) for v in (near - gradient, far))
+    seen = np.isfinite(jump) & np.isfinite(size)
+    return bool(seen.any() and jump[seen].mean() > 0.01 * size[seen].mean())
+
+
+def _sampled(response: Response, parts: Layout, name: str, gradients: np.ndarray, law: _Law) -> _Propagated:
+    gradients = gradients[np.isfinite(gradients).all(axis=1)]
+    values, status = respond_units(response, parts.replace({}), root_key(0), jnp.uint32(0), count=_SAMPLED)
+    valid = np.asarray(values[name], float)[np.asarray(succeeded(status))]
+    shares = {n: 0.0 for n in law.slices}
+    for gradient in gradients:
+        for n, v in law.shares(gradient).items():
+            shares[n] += v / len(gradients)
+    mean_square = np.sqrt((gradients**2).mean(axis=0))
+    return _Propagated(float(valid.mean()), shares, mean_square, "sampled", float(valid.var(ddof=1)))
+
+
+def _mean_errors(parts: Layout) -> jax.Array:
+    """E e of all active elements; host numbers, since a traced tolerance has no moments here."""
+    means = [np.full(math.prod(t.shape), central_moments(t)[0]) for t in parts.active.values()]
+    return jnp.asarray(np.concatenate([np.zeros(0), *means]), jnp.result_type(float))
+
+
+def _flat(response: Response, parts: Layout, names: tuple[str, ...]) -> Callable[[jax.Array], jax.Array]:
+    """The named values, stacked, as a function of all active elements in one vector."""
+    shapes = {n: t.shape for n, t in parts.active.items()}
+
+    def function(vector: jax.Array) -> jax.Array:
+        active, start = {}, 0
+        for n, shape in shapes.items():
+            stop = start + math.prod(shape)
+            active[n], start = vector[start:stop].reshape(shape), stop
+        values, _ = evaluate(response, parts.errors(active))
+        return jnp.stack([values[n] for n in names])
+
+    return function
+
+
+@functools.partial(jax.jit, static_argnums=(0, 2))
+def _derivatives(
+    response: Response, tolerances: Any, names: tuple[str, ...], mean: jax.Array, key: jax.Array
+) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
+    """Values (k,) and gradients (k, n) at the mean; gradients (k, units, n) near it and at whole units."""
+    parts = layout(tolerances)
+    function = _flat(response, parts, names)
+    errors = deviations(parts, normals(parts, key, jnp.arange(_PROBES, dtype=jnp.uint32)))
+    rows = [jnp.zeros((0, _PROBES), mean.dtype), *(v.reshape(-1, _PROBES) for v in errors.values())]
+    units = jnp.concatenate(rows).T - mean[None]
+    points = jnp.concatenate([mean[None], mean[None] + _STEP * units, mean[None] + units])
+    gradients = jnp.moveaxis(jax.lax.map(jax.jacrev(function), points, batch_size=64), 1, 0)
+    return function(mean), gradients[:, 0], gradients[:, 1 : 1 + _PROBES], gradients[:, 1 + _PROBES :]
+
+
+@functools.partial(jax.jit, static_argnums=(0, 2))
+def _hessian(response: Response, tolerances: Any, names: tuple[str, ...], mean: jax.Array) -> jax.Array:
+    function = _flat(response, layout(tolerances), names)
+    return jax.hessian(lambda vector: function(vector)[0])(mean)
