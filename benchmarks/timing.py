@@ -30,7 +30,7 @@ def settings() -> None:
 def alternate(
     candidates: Mapping[str, Callable[[], Any]], *, seconds: float = 2.0, rounds: int = 25
 ) -> dict[str, float]:
-    """Minimum seconds of each candidate, run in turn until both `rounds` and `seconds` (each) are over, or 10 x seconds."""
+    """Minimum seconds of each candidate, run in turn for `rounds` and `seconds` each, or 10 x `seconds` together."""
     import jax
 
     for run in candidates.values():

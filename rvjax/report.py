@@ -230,6 +230,7 @@ def as_json(answer: Answer) -> dict[str, Any]:
     import jax
 
     study, allocation = answer.study, answer.allocation
+    graded = allocation.graded
     return {
         "study": study.name,
         "status": allocation.status,
@@ -244,7 +245,7 @@ def as_json(answer: Answer) -> dict[str, Any]:
                 "unit": study.unit(field),
                 "before": _limits(getattr(study.tolerances, field)),
                 "after": _limits(getattr(allocation.tolerances, field)),
-                "graded": _limits(getattr(allocation.graded.tolerances, field)) if allocation.graded else None,
+                "graded": _limits(getattr(graded.tolerances, field)) if graded else None,
             }
             for field in study.fields
         },
