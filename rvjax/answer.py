@@ -75,6 +75,7 @@ def answer(study: Study, *, progress: bool = False) -> Answer:
         costs=study.costs,
         samples=study.samples,
         seed=study.seed,
+        certificate_samples=study.certificate_samples,
         grades=any(tolerance.size is not None for tolerance in _given(study)),
         progress=progress,
     )

@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 
 from rvjax import four_bar
@@ -57,7 +58,6 @@ def turn(design: RVReducer, errors: Any, conditions: Conditions, *, loaded: bool
         output_torque=conditions.output_torque if loaded else 0.0,
         cranks=conditions.cranks,
         gear_stiffness_ratio=conditions.gear_stiffness_ratio,
-        closure="newton" if conditions.cranks == "geared" else "closed_form",
     )
 
 
@@ -106,6 +106,6 @@ def check_nominal(response: Callable[[Any], Outcome], errors: Any) -> None:
     Raises:
         ValueError: names the status.
     """
-    status = Status(int(response(errors).status))
+    status = Status(int(jax.jit(lambda e: response(e).status)(errors)))
     if status not in (Status.CONVERGED, Status.UNLOADED):
         raise ValueError(f"the linkage without errors cannot be solved: {status.name}")

@@ -33,6 +33,7 @@ class Study:
         requirements: limits by response name.
         seed: of all random numbers.
         samples: units that the optimiser sees.
+        certificate_samples: fresh units on which the result is certified.
     """
 
     name: str
@@ -44,6 +45,7 @@ class Study:
     requirements: dict[str, Requirement]
     seed: int = 0
     samples: int = 16384
+    certificate_samples: int = 1_000_000
 
     def response(self) -> Callable[[Any], Any]:
         """errors -> Outcome of the responses that the requirements name."""
@@ -116,7 +118,7 @@ def parse_study(text: str, *, name: str) -> Study:
         tolerances = _tolerances(design, _table(tables, "tolerances"))
         costs = _costs(error_record, tolerances, _table(tables, "cost"))
         run = _table(tables, "run")
-        _known(run, {"seed", "samples"}, "run")
+        _known(run, {"seed", "samples", "certificate_samples"}, "run")
         study = Study(
             name=name,
             text=text,
@@ -127,6 +129,7 @@ def parse_study(text: str, *, name: str) -> Study:
             requirements=_requirements(_table(tables, "requirement")),
             seed=_integer(run.get("seed", 0), "run.seed", 0),
             samples=_integer(run.get("samples", 16384), "run.samples", 16),
+            certificate_samples=_integer(run.get("certificate_samples", 1_000_000), "run.certificate_samples", 16),
         )
         scene.check_nominal(study.response(), error_record())
         return study

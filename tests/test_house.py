@@ -1,0 +1,140 @@
+"""The house itself: imports run downwards, docstrings equal signatures, the README holds what it promises."""
+
+import ast
+import dataclasses
+import importlib
+import inspect
+import re
+from pathlib import Path
+
+import pytest
+
+import rvjax
+from rvjax.records import Record
+
+ROOT = Path(__file__).parent.parent
+PACKAGE = ROOT / "rvjax"
+MODELS = ("four_bar", "lost_motion", "mesh_force", "dynamics")
+
+# From the ground up; a module may import modules of lower floors and of its own package only.
+FLOORS = (
+    ("units",),
+    ("records",),
+    ("status",),
+    ("roots", "contact"),
+    ("designs",),
+    ("errors",),
+    ("catalogue",),
+    (*MODELS, "tolerances"),
+    ("scene",),
+    ("study",),
+    ("answer", "published"),
+    ("plotting",),
+    ("report",),
+    ("cli",),
+    ("__main__",),
+)
+FLOOR = {name: number for number, names in enumerate(FLOORS) for name in names}
+# One look upwards, from a function body: a design names its error record so that statistics can ask it.
+ALLOWED = {("designs", "errors")}
+
+
+def rooms():
+    return sorted(path for path in PACKAGE.rglob("*.py") if path.parent != PACKAGE or path.name != "__init__.py")
+
+
+def room_of(path):
+    return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+
+
+def imports(path):
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] == "rvjax":
+            parts = node.module.split(".")
+            yield from [parts[1]] if len(parts) > 1 else [alias.name for alias in node.names]
+        elif isinstance(node, ast.Import):
+            yield from (alias.name.split(".")[1] for alias in node.names if alias.name.startswith("rvjax."))
+
+
+def test_imports_run_downwards():
+    for path in rooms():
+        room = room_of(path)
+        assert room in FLOOR, f"{room} has no floor"
+        for other in imports(path):
+            if other == room or (room, other) in ALLOWED or other not in FLOOR:
+                continue
+            assert FLOOR[other] < FLOOR[room], f"{path.relative_to(ROOT)} imports {other}"
+
+
+def test_statistics_know_no_gears():
+    allowed = {"tolerances", "records", "status", "units"}
+    for path in (PACKAGE / "tolerances").glob("*.py"):
+        assert set(imports(path)) <= allowed, path.name
+
+
+def public_functions():
+    for path in [PACKAGE / "__init__.py", *rooms()]:
+        name = ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+        if path.name == "__main__.py":
+            continue
+        module = importlib.import_module(name)
+        for attribute, value in vars(module).items():
+            home = getattr(value, "__module__", None)
+            if attribute.startswith("_") or home != name:
+                continue
+            if inspect.isfunction(inspect.unwrap(value)) if callable(value) else False:
+                yield f"{name}.{attribute}", inspect.unwrap(value)
+            elif inspect.isclass(value):
+                yield f"{name}.{attribute}", value
+                for method, function in vars(value).items():
+                    function = getattr(function, "__func__", function)
+                    if not method.startswith("_") and inspect.isfunction(function):
+                        yield f"{name}.{attribute}.{method}", function
+
+
+PUBLIC = dict(public_functions())
+
+
+@pytest.mark.parametrize("name", PUBLIC)
+def test_docstring_tells_the_parameters_of_the_signature(name):
+    """Every public name has a docstring; where it lists arguments, they are those of the signature."""
+    thing = PUBLIC[name]
+    assert thing.__doc__, f"{name} has no docstring"
+    section = re.search(r"\n\s*(?:Args|Attributes):\n(.*?)(?=\n\s*\n|\Z)", inspect.cleandoc(thing.__doc__), re.DOTALL)
+    if section is None:
+        return
+    documented = re.findall(r"^ {4}\*{0,2}(\w+):", section.group(1), re.MULTILINE)
+    if inspect.isclass(thing):
+        assert dataclasses.is_dataclass(thing), name
+        expected = [f.name for f in dataclasses.fields(thing)]
+    else:
+        expected = [p for p in inspect.signature(thing).parameters if p not in ("self", "cls")]
+    assert documented == expected, name
+
+
+def test_every_record_declares_unit_and_meaning():
+    def below(cls):
+        for child in cls.__subclasses__():
+            yield child
+            yield from below(child)
+
+    seen = 0
+    for cls in below(Record):
+        for f in dataclasses.fields(cls):
+            assert f.metadata["meaning"] and f.metadata["unit"], f"{cls.__name__}.{f.name}"
+            seen += 1
+    assert seen > 50
+
+
+def test_readme_begins_with_the_two_commands():
+    blocks = re.findall(r"^```(\w*)\n(.*?)^```", (ROOT / "README.md").read_text(), re.MULTILINE | re.DOTALL)
+    shell = [text for language, text in blocks if language == "sh"]
+    assert "rvjax allocate" in shell[0]
+    for tool in ("ruff check", "ruff format --check", "mypy", "pytest"):
+        assert tool in shell[1]
+
+
+def test_the_version_is_said_once():
+    citation = (ROOT / "CITATION.cff").read_text()
+    assert f"\nversion: {rvjax.__version__}\n" in citation
+    assert f"## {rvjax.__version__}" in (ROOT / "CHANGELOG.md").read_text()

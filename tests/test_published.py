@@ -1,0 +1,101 @@
+"""The ledger of published figures: every verdict and every value is computed now and held against the ledger.
+
+The ledger's own values were computed independently; the tolerance of each figure stands beside it.
+"""
+
+import json
+
+import pytest
+
+from rvjax import catalogue, cli, published
+from rvjax.units import mm, parse
+
+VERDICTS = {"reproduced", "reproduced_with_reading", "close", "contradicted", "not_computable"}
+
+
+def as_list(value):
+    return list(value) if isinstance(value, (list, tuple)) else [value]
+
+
+@pytest.fixture(scope="module")
+def rows():
+    return {row.id: row for row in published.reproduce()}
+
+
+@pytest.fixture(scope="module")
+def figures():
+    return [figure for source in published.SOURCES for figure in published.figures(source)]
+
+
+def test_every_figure_gets_its_verdict(rows, figures):
+    assert len(rows) == len(figures) == len({figure["id"] for figure in figures})
+    wrong = [(f["id"], rows[f["id"]].status) for f in figures if rows[f["id"]].status != f["expected_status"]]
+    assert wrong == []
+    assert {row.status for row in rows.values()} <= VERDICTS
+
+
+def test_every_computed_value_equals_the_independent_one(rows, figures):
+    for figure in figures:
+        computed = rows[figure["id"]].computed
+        if "our_value" not in figure:
+            assert computed is None, figure["id"]
+            continue
+        ours, theirs = as_list(computed), as_list(figure["our_value"])
+        tolerance = as_list(figure.get("tolerance", 0.0))
+        tolerance = tolerance * len(theirs) if len(tolerance) == 1 else tolerance
+        for a, b, allowed in zip(ours, theirs, tolerance, strict=True):
+            assert abs(a - b) <= allowed, (figure["id"], a, b)
+
+
+def test_rigid_ranges_of_the_rv40e_to_their_last_digit_beside_the_right_values(rows):
+    for name, digits, printed, largest in (
+        ("crank", 4, [0.0333, 0.0389], 0.0),
+        ("cycloid_bore", 6, [0.036058, 0.036111], 5.36e-5),
+        ("output_bore", 6, [0.036008, 0.036123], 5.35e-5),
+    ):
+        row = rows[f"rv40e.{name}.rigid_range"]
+        assert [round(value, digits) for value in row.computed] == printed
+        assert row.right[0] == 0.0 and row.right[1] == pytest.approx(largest, rel=2e-3, abs=0.0)
+
+
+def test_the_judge_is_not_blind():
+    figure = dict(id="x", claim="c", value=[1.0, 2.0], unit="m", rounding=[0.05, 0.05])
+    judge = lambda *computed, **more: published.compare(figure | more, list(computed)).status  # noqa: E731
+    assert judge(1.04, 2.0) == "reproduced"
+    assert judge(1.04, 2.0, reading="r") == "reproduced_with_reading"
+    assert judge(1.06, 2.0) == "close"
+    assert judge(1.2, 2.0) == "not_reproduced"
+    assert judge(1.0, 2.0, contradicted_by="statics") == "contradicted"
+    assert published.compare(figure, None).status == "not_computable"
+    assert published.compare(dict(figure, value=True, unit="bool"), False).status == "not_reproduced"
+
+
+def test_catalogue_holds_the_tables_of_the_sources():
+    table = published.parse("rv40e")["inputs"]["rv40e"]["table1"]
+    design = catalogue.RV_40E
+    for name in ("sun_teeth", "planet_teeth"):
+        assert getattr(design.involute, name) == table[name]
+    for name in ("disc_teeth", "pin_count"):
+        assert getattr(design.cycloid, name) == table[name]
+    assert design.cycloid.eccentricity == pytest.approx(parse(table["eccentricity"], "m"))
+    assert 2 * design.cycloid.pin_circle_radius == pytest.approx(parse(table["pin_circle_diameter"], "m"))
+    assert 2 * design.cycloid.pin_radius == pytest.approx(6 * mm) == pytest.approx(parse(table["pin_diameter"], "m"))
+
+
+def test_reproduce_prints_only_json_for_machines(capsys):
+    assert cli.main(["reproduce", "--json"]) == 0
+    listed = json.loads(capsys.readouterr().out)
+    assert [set(entry) for entry in listed] == [{"id", "published", "computed", "unit", "status", "note"}] * len(listed)
+    by_id = {entry["id"]: entry for entry in listed}
+    entry = by_id["rv40e.crank.rigid_range"]
+    assert entry["unit"] == "rad" and "crossed branch" in entry["note"]
+    assert by_id["rv40e.validation.fea"]["computed"] is None
+    assert "finite-element" in by_id["rv40e.validation.fea"]["note"]
+
+
+def test_reproduce_prints_a_table_with_the_right_values(capsys):
+    assert cli.main(["reproduce", "--notes"]) == 0
+    text = capsys.readouterr().out
+    line = next(line for line in text.splitlines() if line.startswith("rv40e.cycloid_bore.rigid_range"))
+    assert "0.036058 0.036111" in line and "reproduced_with_reading" in line and "5.35726e-05" in line
+    assert f"{len(published.figures('rv40e'))} figures: " in text or "figures: " in text

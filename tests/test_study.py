@@ -1,0 +1,121 @@
+"""Study files: what a good one means, and one clear line for every kind of bad one."""
+
+from importlib import resources
+
+import numpy as np
+import pytest
+
+from rvjax import catalogue, study
+from rvjax.study import StudyError, parse_study
+from rvjax.tolerances import Exponential, ReciprocalPower
+from rvjax.units import arcmin, um
+
+GOOD = (resources.files("rvjax") / "studies" / "rv-40e.toml").read_text("utf-8")
+
+
+def test_the_embedded_study_says_what_its_file_says():
+    s = study.load("rv-40e")
+    assert study.embedded_names() == ["rv-40e"] and s.text == GOOD
+    assert s.fields == ["crank_eccentricity", "crank_phase", "disc_bore", "carrier_bore", "bearing_clearance"]
+    assert s.design is catalogue.RV_40E
+    assert s.conditions.output_torque == 412.0 and s.conditions.angles == 64
+    assert float(s.tolerances.crank_eccentricity.half_width) == pytest.approx(6.5 * um)
+    assert s.tolerances.disc_bore.shape == (2, 2, 2)
+    assert s.tolerances.bearing_clearance.middle == pytest.approx(8 * um)
+    assert s.tolerances.pin_radius is None
+    assert isinstance(s.costs["crank_phase"], ReciprocalPower)
+    assert float(s.costs["crank_phase"](5 * arcmin)) == pytest.approx(1.0)
+    assert s.requirements["transmission_error"].upper == pytest.approx(arcmin)
+    assert s.requirements["misfit"].upper == pytest.approx(30 * um)
+    assert sum(float(cost(getattr(s.tolerances, f).half_width)) for f, cost in s.costs.items()) == pytest.approx(
+        21.96, abs=5e-3
+    )
+
+
+def test_the_response_gives_what_the_requirements_name_and_nothing_else():
+    s = parse_study(
+        GOOD.replace('[requirement.misfit]\nresponse = "misfit"\nupper = "30 um"\ntarget = 0.9973\n', ""), name="x"
+    )
+    assert set(s.response()(s.design.error_record()).value) == {"transmission_error"}
+
+
+def test_overrides_units_and_cost_models():
+    changes = 'cycloid.eccentricity = "1.25 mm"\ncranks.bearing_stiffness = "500 N/um"'
+    text = GOOD.replace('base = "rv-40e"', f'base = "rv-40e"\n{changes}')
+    old = '[cost.crank_phase]\nscale = 1\nreference = "5 arcmin"'
+    text = text.replace(old, '[cost.crank_phase]\nmodel = "exponential"\nscale = 2\ndecay = "300 arcsec"')
+    s = parse_study(text, name="x")
+    assert s.design.cycloid.eccentricity == pytest.approx(1.25e-3)
+    assert s.design.cranks.bearing_stiffness == pytest.approx(5e8)
+    assert isinstance(s.costs["crank_phase"], Exponential)
+    assert float(s.costs["crank_phase"](5 * arcmin)) == pytest.approx(2 / np.e)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("[tolerances.crank_phase]", "[tolerances.crank_phases]", ["tolerances.crank_phases", "crank_phase"]),
+        ('"5 arcmin"\n\n[tolerances.disc', '"5 um"\n\n[tolerances.disc', ["crank_phase.half_width", "5 um", "arcmin"]),
+        ('half_width = "5 arcmin"', "half_width = 5", ["crank_phase.half_width", "5", "needs a unit"]),
+        ('half_width = "5 arcmin"', 'half_width = "-5 arcmin"', ["crank_phase"]),
+        ('lower = "4 um"', 'lower = "14 um"', ["bearing_clearance", "lower", "upper"]),
+        ('grade = "IT6" # +-6.5 um', 'grade = "IT66"', ["crank_eccentricity", "IT66"]),
+        (
+            'size = "25 mm"\n\n[tolerances.crank_phase]',
+            'size = "25 m"\n\n[tolerances.crank_phase]',
+            ["crank_eccentricity", "size", "25 m"],
+        ),
+        (
+            'size = "25 mm"\n\n[tolerances.crank_phase]',
+            "\n[tolerances.crank_phase]",
+            ["crank_eccentricity", "grade and size"],
+        ),
+        ('base = "rv-40e"', 'base = "rv-41e"', ["design.base", "rv-41e", "rv-40e"]),
+        (
+            'base = "rv-40e"',
+            'base = "rv-40e"\ncycloid.eccentricity = "-1 mm"',
+            ["eccentricity", "-0.001 m", "positive"],
+        ),
+        ('base = "rv-40e"', 'base = "rv-40e"\ncycloid.eccentricity = "2 mm"', ["shortening coefficient K1", "0.002 m"]),
+        ('base = "rv-40e"', 'base = "rv-40e"\ncycloid.excentricity = "1 mm"', ["design.cycloid.excentricity"]),
+        ('base = "rv-40e"', 'base = "rv-40e"\ncycloid.disc_teeth = 3.5', ["disc_teeth", "3.5", "integer"]),
+        ("angles = 64", "angles = 64\ncranks = 'free'", ["linkage", "NOT_ASSEMBLABLE"]),
+        ("angles = 64", "angles = 6", ["conditions.angles", "6", "8"]),
+        ("angles = 64", "angels = 64", ["conditions.angels", "angles"]),
+        ('output_torque = "412 N m"', 'output_torque = "412 N/m"', ["output_torque", "N/m", "N m"]),
+        ("scale = 6", "scale = -6", ["cost.crank_eccentricity", "scale"]),
+        ("scale = 6", 'scale = 6\nmodel = "linear"', ["cost.crank_eccentricity.model", "linear"]),
+        ('finest = "2 um"\ncoarsest = "40 um"\n\n[cost.crank_phase]', "\n[cost.crank_phase]", ["finest", "missing"]),
+        ("[cost.crank_phase]", "[cost.pin_radius]", ["cost.pin_radius", "tolerances.pin_radius"]),
+        ('response = "misfit"', 'response = "noise"', ["requirement.misfit.response", "noise", "transmission_error"]),
+        ('response = "misfit"', 'response = "transmission_error"', ["requirement.misfit", "already"]),
+        ('upper = "30 um"', 'upper = "30 arcmin"', ["requirement.misfit.upper", "30 arcmin", "um"]),
+        ('upper = "30 um"\n', "", ["requirement.misfit", "upper or lower"]),
+        ('upper = "30 um"\ntarget = 0.9973', 'upper = "30 um"\ntarget = 99.73', ["target", "99.73"]),
+        ("seed = 0", "seed = -1", ["run.seed", "-1"]),
+        ("seed = 0", "sead = 0", ["run.sead"]),
+        ("[run]", "[runs]", ["[runs]"]),
+        ("[design]", "[design", ["TOML", "line"]),
+        ("[design]", "[design]\nbase = 3 #", ["TOML"]),
+    ],
+)
+def test_bad_input_is_one_clear_line(old, new, words):
+    assert old in GOOD
+    with pytest.raises(StudyError, match=r"^bad\.toml: ") as caught:
+        parse_study(GOOD.replace(old, new, 1), name="bad.toml")
+    for word in words:
+        assert word in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_missing_files_and_names(tmp_path):
+    with pytest.raises(FileNotFoundError, match="no such study file"):
+        study.load(str(tmp_path / "absent.toml"))
+    with pytest.raises(FileNotFoundError, match="rv-40e"):
+        study.load("rv-41e")
+    (tmp_path / "binary.toml").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(StudyError, match="cannot be read"):
+        study.load(str(tmp_path / "binary.toml"))
+    (tmp_path / "empty.toml").write_text("")
+    with pytest.raises(StudyError, match="design"):
+        study.load(str(tmp_path / "empty.toml"))
