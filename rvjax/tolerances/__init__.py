@@ -5,6 +5,7 @@
 Nothing here knows a gear: a response is any pure function of the errors of one unit.
 """
 
+from rvjax.tolerances.allocation import Allocation, allocate
 from rvjax.tolerances.cost import Exponential, ReciprocalPower, Table
 from rvjax.tolerances.distributions import Tolerance
 from rvjax.tolerances.estimates import Estimate
@@ -17,6 +18,7 @@ from rvjax.tolerances.sampling import for_design, sample
 from rvjax.tolerances.worst_case import WorstCase, worst_case
 
 __all__ = [
+    "Allocation",
     "Estimate",
     "Exponential",
     "Moments",
@@ -27,6 +29,7 @@ __all__ = [
     "Table",
     "Tolerance",
     "WorstCase",
+    "allocate",
     "for_design",
     "it_width",
     "monte_carlo",

@@ -4,6 +4,8 @@ import dataclasses
 import math
 from typing import Any
 
+import numpy as np
+
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Requirement:
@@ -41,6 +43,12 @@ class Requirement:
             return below
         middle, half = (self.lower + self.upper) / 2, (self.upper - self.lower) / 2
         return abs(value - middle) - half
+
+    def outward(self, value: Any) -> Any:
+        """Derivative of the margin to the value, +1 or -1; NumPy arrays."""
+        if math.isinf(self.lower) or math.isinf(self.upper):
+            return np.full(np.shape(value), 1.0 if math.isinf(self.lower) else -1.0)
+        return np.where(value < (self.lower + self.upper) / 2, -1.0, 1.0)
 
     def capability(self, mean: float, sd: float) -> tuple[float, float]:
         """Cp and Cpk of a mean and standard deviation; a one-sided requirement has no Cp (nan)."""
