@@ -26,7 +26,7 @@ class Side:
         tolerances: record with a Tolerance or None in each field.
         cost: of each field that has a cost.
         shares: {response: {field: share of variance}}.
-        sensitivities: {response: {field: sensitivity}}, response unit per unit of the error.
+        sensitivities: {response: {field: derivative per element, root mean square over the elements}}.
         values: {response: values of sample units}, for histograms.
         turns: transmission error of sample units over a crank turn, rad (units, angles), or None.
     """
@@ -109,7 +109,10 @@ def _side(study: Study, response: Callable[[Any], Any], tolerances: Any) -> Side
         tolerances=tolerances,
         cost={name: float(cost(getattr(tolerances, name).half_width)) for name, cost in study.costs.items()},
         shares=moments.contributions,
-        sensitivities=moments.sensitivities,
+        sensitivities={
+            name: {field: float(np.sqrt(np.mean(np.square(derivative)))) for field, derivative in fields.items()}
+            for name, fields in moments.sensitivities.items()
+        },
         values=kept.values,
         turns=_turns(study, tolerances) if "transmission_error" in study.requirements else None,
     )
