@@ -27,7 +27,11 @@ __version__ = "0.1.0"
 # Where a name lives that is loaded when first asked for; None: the name is a submodule.
 _LAZY = {
     "LinkDeviations": "four_bar",
+    "LoopFigures": "lost_motion",
+    "LostMotion": "lost_motion",
+    "LostMotionTerms": "lost_motion",
     "four_bar": None,
+    "lost_motion": None,
     "roots": None,
     "tolerances": None,
 }

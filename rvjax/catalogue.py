@@ -1,6 +1,7 @@
 """Published reducers. Every value carries the table it comes from; what nobody printed says "assumed"."""
 
 from rvjax.designs import CrankStage, CycloidStage, InvoluteStage, RVReducer
+from rvjax.errors import RVErrors
 from rvjax.units import deg, mm
 
 # RV-40E: anonymous web article on the original errors of the second stage as a four-bar linkage.
@@ -28,4 +29,53 @@ RV_40E = RVReducer(
         circle_radius=36.0 * mm,  # inferred: the printed rigid ranges admit a spacing of 72.00 mm only
         bearing_stiffness=6e8,  # assumed: right order of magnitude, no maker's datum
     ),
+)
+
+# RV-20E-141: Liu, Fu, Zhao, Ma, Rui, Zhang, Mech. Sci. 13, 855 (2022), doi 10.5194/ms-13-855-2022. Its Table 8
+# contradicts itself in three places, each marked "inconsistent"; the values kept are those its totals need.
+RV_20E = RVReducer(
+    involute=InvoluteStage(
+        sun_teeth=12,  # Table 8
+        planet_teeth=42,  # Table 8
+        module=1.5 * mm,  # Table 8; inconsistent: 1.5 mm (12 + 42) / 2 = 40.5 mm, not 27.5 mm. Not read
+        pressure_angle=20 * deg,  # Table 8
+        centre_distance=27.5 * mm,  # Table 8
+        sun_radius=13.5 * mm,  # Table 8, its symbol misprinted "i16"; inconsistent: 6.11 mm from the centre
+        #   distance and the teeth, 9 mm from the module; the printed lost motion needs 13.5 mm
+        sun_base_radius=5.7425660159138845 * mm,  # inferred: 27.5 mm * 12 / 54 * cos 20 deg, so that the pair meshes
+        planet_base_radius=20.098981055698598 * mm,  # inferred: 27.5 mm * 42 / 54 * cos 20 deg
+    ),
+    cycloid=CycloidStage(
+        disc_teeth=39,  # Table 8
+        pin_count=40,  # Table 8
+        disc_count=2,  # assumed: usual layout, opposed discs
+        eccentricity=0.9 * mm,  # Table 8
+        pin_circle_radius=52.0 * mm,  # Table 8
+        pin_radius=2.0 * mm,  # Table 8
+        equidistant_modification=-0.010 * mm,  # Table 9
+        shift_modification=-0.012 * mm,  # Table 9
+        shortening=0.72,  # Table 8; inconsistent: 0.9 * 40 / 52 = 0.6923 (0.72 fits a pin circle of 50 mm); the
+        #   printed lost motion needs 0.72
+    ),
+    cranks=CrankStage(
+        count=2,  # assumed: usual layout
+        circle_radius=27.5 * mm,  # by geometry: the centre distance
+        # bearing_stiffness: nobody printed it
+    ),
+)
+
+# Table 9; of the errors printed with both signs the upper limit.
+RV_20E_ERRORS = RVErrors(
+    base_tangent_upper=0.0035 * mm,
+    base_tangent_lower=-0.0309 * mm,
+    pin_circle_radius=0.010 * mm,
+    pin_radius=-0.004 * mm,
+    pin_hole_clearance=0.005 * mm,  # printed with the symbol of the pin radius error
+    disc_runout=0.015 * mm,
+    pin_position=0.0,
+    disc_cumulative_pitch=0.019 * mm,
+    equidistant_modification=0.001 * mm,  # +-0.001 mm
+    shift_modification=0.003 * mm,  # +-0.003 mm
+    eccentricity=0.005 * mm,
+    bearing_clearance=0.001 * mm,  # radial, half of the printed clearance: Eq. 18 is the whole play only for that
 )

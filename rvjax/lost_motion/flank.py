@@ -1,0 +1,178 @@
+"""Free rotation between the modified cycloid flank and the pins: first-order minimum and exact contact.
+
+All profile and pin deviations act through two lengths. The disc is ground as the envelope of pins whose
+circle is larger by `d` and whose radius is larger by `D` than those of the pins it runs in; parallel
+curves leave nothing else. A flank point belongs to a flank angle phi, the crank angle (z_c times the pin
+angle) at which it touches its pin nominally; `b(phi)` is the rotation of the disc that brings it into
+contact, and the play of both flanks together is twice its minimum.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+STEPS = 10  # near d = s D, where b is flat, they leave 1e-10 of b; elsewhere five reach rounding
+
+
+class Flank(NamedTuple):
+    """Flank and pins; lengths in m."""
+
+    e: jax.Array  # eccentricity of disc and crank, error included
+    ring: jax.Array  # radius of the pin circle, error included, R
+    k: jax.Array  # shortening coefficient of the disc as ground, K
+    D: jax.Array  # pin radius that the disc is ground for, less the pin radius
+    d: jax.Array  # pin circle radius that the disc is ground for, less the pin circle radius
+    teeth: float  # of the disc, z_c
+
+
+def first_order_minimum(flank: Flank) -> jax.Array:
+    """Play of both flanks, rad: minimum over phi of the free rotation to first order in D and d.
+
+    To first order b = [D S - d (1 - K cos phi)] / (e z_c sin phi) with S^2 = 1 + K^2 - 2 K cos phi. Both
+    quotients are stationary at cos phi = K, the single minimum while d <= s D. Beyond, two equal minima
+    lie where S / r = 1 -+ sqrt(1 - (s / r)^2), r = d / D.
+    """
+    e, k, D, d = flank.e, flank.k, flank.D, flank.d
+    s = jnp.sqrt((1 - k) * (1 + k))
+    twofold, product = d > s * D, (D - d) * (D + d)
+    usable = twofold & (product > 0)
+    root = jnp.where(usable, jnp.sqrt(jnp.where(usable, product, 1)), 0)
+    return 2 * jnp.where(twofold, k * root, D - s * d) / (e * flank.teeth)
+
+
+def free_rotation(position: jax.Array, flank: Flank) -> jax.Array:
+    """Rotation b of the disc that brings one flank point into contact, rad; inf where none does.
+
+    `position` is ln tan(phi / 2): sin phi, 1 - cos phi and 1 + cos phi keep their digits at both ends,
+    and b grows smoothly without bound towards them, so that the search needs no limits.
+
+    The offset flank point must come to lie on the pin circle. Its distance from the crank axis fixes the
+    cosine of the flank angle phi' at which a nominal pin centre has the same distance; the difference
+    cos phi' - cos phi is formed directly from the deviations, so that small ones keep their digits.
+    """
+    e, ring, k, D, d, teeth = flank
+    ground = ring + d
+    t = jnp.exp(position)
+    scale = 1 / (1 + t * t)
+    cosine, sine = (1 - t * t) * scale, 2 * t * scale
+    below, above = 2 * t * t * scale, 2 * scale  # 1 - cos phi, 1 + cos phi
+    normal_x = (1 - k) + k * below  # 1 - K cos phi
+    S = jnp.sqrt((1 - k) * (1 - k) + 2 * k * below)
+    offset = D / S
+    change = -d * (ring + ground) + 2 * e * d * cosine - D * D
+    change = change + 2 * offset * (ground * normal_x - e * (cosine - k))
+    change = change / (2 * ring * e)  # cos phi' - cos phi
+    product = (below - change) * (above + change)  # sin^2 phi'
+    reachable = (below > change) & (above > -change)
+    sine_2 = jnp.where(reachable, jnp.sqrt(jnp.where(reachable, product, 1)), 1)
+    tan_h = -change / (sine + sine_2)  # h = (phi' - phi) / 2
+    cos_h = 1 / jnp.sqrt(1 + tan_h * tan_h)
+    sin_h = tan_h * cos_h
+    cos_1, sin_1 = cosine * cos_h - sine * sin_h, sine * cos_h + cosine * sin_h  # phi + h
+    cos_2, sin_2 = cos_1 * cos_h - sin_1 * sin_h, sin_1 * cos_h + cos_1 * sin_h  # phi'
+    px, py = ring - e * cos_2, -e * sin_2  # pin centre seen from the crank axis
+    mx = d - 2 * e * sin_h * sin_1 - offset * normal_x  # offset flank point less pin centre
+    my = 2 * e * sin_h * cos_1 + offset * k * sine
+    turn = jnp.arctan2(my * px - mx * py, px * px + py * py + mx * px + my * py)
+    return jnp.where(reachable, turn - 2 * jnp.arctan(tan_h) / teeth, jnp.inf)
+
+
+class Minimum(NamedTuple):
+    """Exact play of both flanks and how well its place is known."""
+
+    play: jax.Array  # rad
+    angle: jax.Array  # flank angle of the minimum, rad
+    slope: jax.Array  # |db / d position| left, rad
+    converged: jax.Array
+
+
+def minimum(flank: Flank) -> Minimum:
+    """Play of both flanks, exact: twice the minimum of `free_rotation` over the flank.
+
+    Guarded Newton steps on b'(position) = 0 descend from the two first-order minima. Where these merge
+    (d near s D) the starts are kept apart by as much as higher orders may shift the merging, since b may
+    then have two minima where the first order has one.
+
+    The place of the minimum carries no derivative of its own; one Newton step of value zero gives it the
+    derivative -b'_p / b'' that second derivatives need.
+    """
+    frozen: Any = jax.lax.stop_gradient(flank)
+    best, converged = jax.lax.stop_gradient(_descend(frozen))
+    one = jnp.ones_like(best.position)
+    slope = jax.jvp(lambda y: free_rotation(y, flank), (best.position,), (one,))[1]
+    curved = best.curvature > 1e-9 * _size(frozen)  # not at D = d = 0, where every point is a minimum
+    shift = jnp.where(curved, slope / jnp.where(curved, best.curvature, 1), 0)
+    play = 2 * free_rotation(best.position - (shift - jax.lax.stop_gradient(shift)), flank)
+    return Minimum(play, 2 * jnp.arctan(jnp.exp(best.position)), jnp.abs(best.slope), converged)
+
+
+def _size(flank: Flank) -> jax.Array:
+    """Size of b: the rotations that D and d alone would give."""
+    return (jnp.abs(flank.D) + jnp.abs(flank.d)) / (flank.e * flank.teeth)
+
+
+def _starts(flank: Flank) -> tuple[jax.Array, jax.Array]:
+    """Positions of the two first-order minima, drawn apart where they coincide."""
+    k, D, d = flank.k, flank.D, flank.d
+    s = jnp.sqrt((1 - k) * (1 + k))
+    twofold = d > s * D
+    ratio = jnp.where(twofold, d / jnp.where(twofold, D, 1), s)
+    apart = s + (1 - s) * jnp.minimum((jnp.abs(D) + jnp.abs(d)) / flank.e, 0.1)
+    ratio = jnp.clip(ratio, apart, 1)
+    gap = jnp.sqrt((ratio - s) * (ratio + s))
+    far = ratio + gap  # S at the two minima; their product is s^2
+    return _position(s * s / far, k), _position(far, k)
+
+
+def _position(S: jax.Array, k: jax.Array) -> jax.Array:
+    """ln tan(phi / 2) of the flank point with the given S."""
+    eps = float(jnp.finfo(S.dtype).eps)
+    low, high = S - (1 - k), (1 + k) - S
+    low, high = jnp.maximum(low, 4 * eps), jnp.maximum(high, 4 * eps)
+    return 0.5 * jnp.log(low * (S + (1 - k)) / (high * (S + (1 + k))))
+
+
+class _Point(NamedTuple):
+    position: jax.Array
+    rotation: jax.Array
+    slope: jax.Array
+    curvature: jax.Array
+
+
+def _at(position: jax.Array, flank: Flank) -> _Point:
+    """Free rotation there with its first two derivatives."""
+    one = jnp.ones_like(position)
+
+    def slope(x: jax.Array) -> tuple[jax.Array, jax.Array]:
+        return jax.jvp(lambda y: free_rotation(y, flank), (x,), (one,))
+
+    (rotation, first), (_, second) = jax.jvp(slope, (position,), (one,))
+    return _Point(position, rotation, first, second)
+
+
+def _descend(flank: Flank) -> tuple[_Point, jax.Array]:
+    """The lower of the two minima, and whether what remains to descend is negligible.
+
+    Where the curvature vanishes or is negative the step goes down the slope; a step that does not
+    descend is taken back and shortened.
+    """
+    size = _size(flank)
+    least = 1e-12 * size + float(jnp.finfo(size.dtype).tiny)
+
+    def step(state: tuple[_Point, jax.Array]) -> tuple[_Point, jax.Array]:
+        best, damping = state
+        move = -damping * best.slope / jnp.maximum(jnp.abs(best.curvature), least)
+        trial = _at(best.position + jnp.clip(move, -0.5, 0.5), flank)
+        lower = trial.rotation <= best.rotation  # false for NaN and out of reach
+        best = _Point(*(jnp.where(lower, new, old) for new, old in zip(trial, best)))
+        return best, jnp.where(lower, jnp.minimum(2 * damping, 1), damping / 4)
+
+    def body(_: Any, states: Any) -> Any:
+        return tuple(step(state) for state in states)
+
+    states = tuple((_at(start, flank), jnp.ones_like(start)) for start in _starts(flank))
+    (near, _), (far, _) = jax.lax.fori_loop(0, STEPS, body, states)
+    best = _Point(*(jnp.where(near.rotation <= far.rotation, one, other) for one, other in zip(near, far)))
+    remaining = best.slope**2 / jnp.maximum(jnp.abs(best.curvature), least)
+    return best, jnp.isfinite(best.rotation) & (remaining <= 1e-7 * size)

@@ -1,0 +1,214 @@
+"""Free angle of the output, input locked, when the load reverses: what is read, what is valid, what comes out."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from rvjax.designs import RVReducer
+from rvjax.errors import RVErrors
+from rvjax.lost_motion import flank as flanks
+from rvjax.lost_motion.terms import FLANK_TERMS, LostMotionTerms, Teeth, Unit, contributions, harmless
+from rvjax.records import Record, field, promote, record
+from rvjax.status import SolveInfo, Status, first_failure
+
+READINGS = ("consistent", "as_printed")
+PROFILES = ("first_order", "closed_form", "contact")
+
+ERRORS_READ = (
+    "base_tangent_upper",
+    "base_tangent_lower",
+    "pin_circle_radius",
+    "pin_radius",
+    "pin_hole_clearance",
+    "disc_runout",
+    "pin_position",
+    "disc_cumulative_pitch",
+    "equidistant_modification",
+    "shift_modification",
+    "eccentricity",
+    "bearing_clearance",
+)
+
+
+@record
+class LostMotion(Record):
+    """Lost motion of one unit at its output."""
+
+    total: Any = field("rad", "free angle; < 0 is interference (preload)")
+    play: Any = field("rad", "max(0, total)")
+    terms: LostMotionTerms = field("-", "every contribution", kind="record")
+    valid: Any = field("-", "true where the status is CONVERGED", kind="integer")
+    info: SolveInfo = field("-", "steps and slope left are those of the contact search", kind="record")
+
+
+def geometric(
+    design: RVReducer,
+    errors: RVErrors,
+    *,
+    reading: str = "consistent",
+    profile: str = "first_order",
+    tilt: Any = 0.0,
+    centre_shift: Any = 0.0,
+    normal_force: Any = None,
+) -> LostMotion:
+    """Lost motion from involute stage, cycloid stage and crank bearings (Liu et al. 2022, Eq. 21).
+
+    Args:
+        design: the reducer; involute stage and cycloid stage are read.
+        errors: of its parts; bearing clearance, the eccentricity of discs and cranks alike, and every
+            error of pins, disc profile and base tangent are read.
+        reading: "consistent" puts every term in radians; "as_printed" follows Eq. 16, 17 and 21 to the
+            letter, slips of units and brackets included, to reproduce what was printed.
+        profile: "first_order", the sum of the paper; "closed_form", the first-order minimum over the flank;
+            "contact", the exact minimum over the flank, with K1 = e z_p / r_p even where the design overrides it.
+        tilt: of the input shaft, beta, rad; see `shaft_tilt`.
+        centre_shift: radial displacement of sun against planet, a1, m.
+        normal_force: mesh force on the planet, N, from which "as_printed" reads a pressure angle (Eq. 11) with
+            an inertia calibrated for the RV-20E; without it the pressure angle is that of the design.
+
+    Returns:
+        LostMotion. Total, play and terms are NaN with status NONFINITE (a number that is read is NaN or inf),
+        INVALID_GEOMETRY (K1 outside (0, 1), a radius, force or cosine that must be positive is not), and, for
+        "closed_form" and "contact", NOT_ASSEMBLABLE (tooth tips or roots interfere at any angle) or MAX_STEPS.
+        With PRESSURE_ANGLE (Eq. 11 gives a cosine above 1) they are kept, but `valid` is false.
+
+    Raises:
+        ValueError: unknown reading or profile; "as_printed" with another profile than "first_order"; normal_force
+            with "consistent"; a flank profile for other than one tooth of difference; no more pins than teeth.
+    """
+    _check_methods(design, reading, profile, normal_force)
+    involute, cycloid, parts, tilt, shift, force = promote(
+        design.involute, design.cycloid, errors, tilt, centre_shift, normal_force
+    )
+    counts = (involute.sun_teeth, involute.planet_teeth, cycloid.disc_teeth, cycloid.pin_count)
+    teeth = Teeth(*map(float, counts))
+    unit = Unit(
+        alpha=involute.pressure_angle if force is None else None,
+        force=force,
+        a0=involute.centre_distance,
+        a1=shift,
+        r1=involute.sun_radius,
+        e=cycloid.eccentricity,
+        rp=cycloid.pin_circle_radius,
+        given_k1=None if profile == "contact" else cycloid.shortening,
+        equidistant=cycloid.equidistant_modification,
+        shift=cycloid.shift_modification,
+        tilt=tilt,
+    )
+    # A NaN or an infinity survives the sum.
+    finite = jnp.isfinite(sum(jax.tree.leaves(unit)) + sum(getattr(parts, name) for name in ERRORS_READ))
+    possible = _possible(unit, parts, teeth, profile)
+    # Where the model does not apply it runs on harmless numbers, so that no derivative meets 0 * inf.
+    good = finite & possible
+    unit = Unit(*(None if x is None else jnp.where(good, x, h) for x, h in zip(unit, harmless(teeth))))
+    parts = jax.tree.map(lambda x: jnp.where(good, x, 0), parts)
+
+    terms, cosine = contributions(unit, parts, teeth, reading)
+    values = vars(terms)
+    total = sum(values.values())
+    assembles = converged = jnp.ones_like(good)
+    steps, residual = 0, jnp.zeros_like(total)
+    if profile != "first_order":
+        flank = _flank(unit, parts, teeth, profile)
+        assembles = flank.d <= flank.D  # else tooth tips or roots interfere whatever the rotation
+        flank = flank._replace(D=jnp.where(assembles, flank.D, 0), d=jnp.where(assembles, flank.d, 0))
+        if profile == "contact":
+            found = flanks.minimum(flank)
+            of_flank, converged, steps, residual = found.play, found.converged, flanks.STEPS, found.slope
+        else:
+            of_flank = flanks.first_order_minimum(flank)
+        replaced = sum(values[name] for name in FLANK_TERMS)
+        total = of_flank + sum(value for name, value in values.items() if name not in FLANK_TERMS)
+        terms = terms.replace(contact_remainder=of_flank - replaced)
+
+    status = first_failure(
+        (~(finite & jnp.isfinite(total)), Status.NONFINITE),
+        (~possible, Status.INVALID_GEOMETRY),
+        (~converged, Status.MAX_STEPS),
+        (~assembles, Status.NOT_ASSEMBLABLE),
+        (cosine > 1, Status.PRESSURE_ANGLE),
+    )
+    kept = (status == Status.CONVERGED) | (status == Status.PRESSURE_ANGLE)
+    total, terms = jax.tree.map(lambda value: jnp.where(kept, value, jnp.nan), (total, terms))
+    info = SolveInfo(status, jnp.full_like(status, steps), jnp.where(kept, residual, jnp.nan))
+    return LostMotion(total, jnp.maximum(total, 0), terms, status == Status.CONVERGED, info)
+
+
+def shaft_tilt(deflection: Any, length: Any) -> jax.Array:
+    """Tilt of a shaft from its radial deflection over a length: arcsin(Y / L), Liu et al. 2022, Eq. 1.
+
+    Args:
+        deflection: Y, () m, signed.
+        length: L, () m, positive.
+
+    Returns:
+        Tilt, () rad with the sign of the deflection; NaN where |deflection| > length.
+    """
+    deflection, length = promote(deflection, length)
+    possible = (jnp.abs(deflection) <= length) & (length > 0)
+    tilt = jnp.arcsin(jnp.where(possible, deflection, 0) / jnp.where(possible, length, 1))  # Eq. 1
+    return jnp.where(possible, tilt, jnp.nan)
+
+
+def empirical_normal_force(output_torque: Any) -> jax.Array:
+    """Normal force that makes "as_printed" return the tilted rows of Table 10 of Liu et al. 2022: a fit.
+
+    Not a prediction: each printed total implies its own force through Eq. 11, and a straight line goes through
+    these six. Totals come back within 0.001 arcmin (0.0015 arcmin for a row left out of the fit). The row without
+    torque does not lie on the line (0.048 arcmin off). For the RV-20E with the errors of Table 9 only.
+
+    Args:
+        output_torque: at the output, () N m, 50 to 200.
+
+    Returns:
+        Force, () N; NaN outside the range of the fit.
+    """
+    torque = promote(output_torque)
+    inside = (torque >= 50) & (torque <= 200)
+    return jnp.where(inside, 1.5081 + 0.2373 * torque / 200, jnp.nan)
+
+
+def _check_methods(design: RVReducer, reading: str, profile: str, normal_force: Any) -> None:
+    if reading not in READINGS:
+        raise ValueError(f"reading = {reading!r}: must be one of {', '.join(READINGS)}")
+    if profile not in PROFILES:
+        raise ValueError(f"profile = {profile!r}: must be one of {', '.join(PROFILES)}")
+    if reading == "as_printed" and profile != "first_order":
+        raise ValueError(f"profile = {profile!r}: reading 'as_printed' knows the sum of terms only, 'first_order'")
+    if reading == "consistent" and normal_force is not None:
+        raise ValueError("normal_force: only reading 'as_printed' derives a pressure angle from a force")
+    difference = design.cycloid.pin_count - design.cycloid.disc_teeth
+    if profile != "first_order" and difference != 1:
+        raise ValueError(f"profile = {profile!r}: needs one pin more than disc teeth, not {difference}")
+    if difference < 1:
+        raise ValueError(
+            f"CycloidStage.pin_count = {design.cycloid.pin_count}: must exceed disc_teeth = {design.cycloid.disc_teeth}"
+        )
+
+
+def _possible(unit: Unit, parts: RVErrors, teeth: Teeth, profile: str) -> jax.Array:
+    """False where a length, force or cosine that must be positive is not, or K1 lies outside (0, 1)."""
+    contact_angle = jnp.cos(unit.alpha) if unit.force is None else unit.force
+    positive = [unit.e, unit.rp, unit.r1, unit.a0 + unit.a1, contact_angle]
+    between = [unit.k1(teeth)]
+    if profile != "first_order":
+        flank = _flank(unit, parts, teeth, profile)
+        positive += [flank.e, flank.ring, flank.ring + flank.d]
+        between += [flank.k]
+    possible = jnp.abs(unit.tilt) < jnp.pi / 2
+    for value in positive + between:
+        possible = possible & (value > 0)
+    for value in between:
+        possible = possible & (value < 1)
+    return possible
+
+
+def _flank(unit: Unit, parts: RVErrors, teeth: Teeth, profile: str) -> flanks.Flank:
+    """Flank as ground and pins as they are: every profile and pin deviation in the two lengths D and d."""
+    e = unit.e + parts.eccentricity
+    D = unit.equidistant + parts.equidistant_modification - parts.pin_radius + parts.pin_hole_clearance / 2
+    d = unit.shift + parts.shift_modification - parts.pin_circle_radius
+    ring = unit.rp + parts.pin_circle_radius
+    k = e * teeth.zp / (ring + d) if profile == "contact" else unit.k1(teeth) * e / unit.e
+    return flanks.Flank(e, ring, k, D, d, teeth.zc)
