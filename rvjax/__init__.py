@@ -9,6 +9,7 @@ from typing import Any
 
 from rvjax import catalogue, units
 from rvjax.designs import (
+    CamRollerReducer,
     CrankStage,
     CycloidStage,
     Damping,
@@ -18,7 +19,7 @@ from rvjax.designs import (
     RVReducer,
     Stiffness,
 )
-from rvjax.errors import RVErrors
+from rvjax.errors import CamRollerErrors, RVErrors
 from rvjax.records import Record
 from rvjax.status import SolveError, SolveInfo, Status, check
 
@@ -30,13 +31,18 @@ _LAZY = {
     "LoopFigures": "lost_motion",
     "LostMotion": "lost_motion",
     "LostMotionTerms": "lost_motion",
+    "MeshForces": "mesh_force",
+    "ToothProfile": "mesh_force",
     "four_bar": None,
     "lost_motion": None,
+    "mesh_force": None,
     "roots": None,
     "tolerances": None,
 }
 
 __all__ = [
+    "CamRollerErrors",
+    "CamRollerReducer",
     "CrankStage",
     "CycloidStage",
     "Damping",

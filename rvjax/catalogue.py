@@ -1,8 +1,20 @@
 """Published reducers. Every value carries the table it comes from; what nobody printed says "assumed"."""
 
-from rvjax.designs import CrankStage, CycloidStage, InvoluteStage, RVReducer
+from rvjax.designs import CamRollerReducer, CrankStage, CycloidStage, InvoluteStage, RVReducer
 from rvjax.errors import RVErrors
-from rvjax.units import deg, mm
+from rvjax.units import MPa, deg, mm
+
+# Second stage of a compound oscillatory roller reducer: Wei et al. 2021, Chin. J. Mech. Eng. 34:84.
+CORR = CamRollerReducer(
+    gear_teeth=25,  # Table 1
+    cam_radius=135.0 * mm,  # Table 1
+    roller_radius=8.0 * mm,  # Table 1
+    roller_length=12.0 * mm,  # Table 1
+    eccentricity=3.5 * mm,  # Table 1
+    young_modulus=2.06e5 * MPa,  # Table 1
+    poisson_ratio=0.3,  # Table 1
+    cam_share=0.55,  # Eq. 8
+)
 
 # RV-40E: anonymous web article on the original errors of the second stage as a four-bar linkage.
 RV_40E = RVReducer(

@@ -1,11 +1,15 @@
 """What a reducer is: its parts as explicit numbers. Classmethods derive them from teeth and module.
 
 An RV reducer is an involute stage (sun, planets), cranks carried by the planets, and cycloid discs
-on the cranks that roll in a ring of pins; the carrier is the output.
+on the cranks that roll in a ring of pins; the carrier is the output. A cam roller reducer is the second
+stage of a compound oscillatory roller reducer: an eccentric cam pushes rollers in a slotted cage against
+an inner gear; the cage is the output.
 """
 
 import math
 from typing import Any, Self
+
+import numpy as np
 
 from rvjax.records import Record, concrete, count, field, quantity, record
 from rvjax.units import deg
@@ -177,3 +181,41 @@ class RVReducer(Record):
         from rvjax.errors import RVErrors  # errors stand one floor above designs
 
         return RVErrors
+
+
+@record
+class CamRollerReducer(Record):
+    """Oscillatory roller stage: eccentric disc cam, one roller more than gear teeth, fixed inner gear."""
+
+    gear_teeth: int = count("teeth of the fixed inner gear, z; there are z + 1 rollers", minimum=2)
+    cam_radius: Any = field("m", "radius of the disc cam, Rj", sign="positive")
+    roller_radius: Any = field("m", "radius of a roller, r", sign="positive")
+    roller_length: Any = field("m", "length of a roller, lH", sign="positive")
+    eccentricity: Any = field("m", "eccentricity of the cam, e", sign="positive")
+    young_modulus: Any = field("Pa", "Young's modulus of all parts, E", sign="positive")
+    poisson_ratio: Any = field("-", "Poisson's ratio of all parts")
+    cam_share: Any = field("-", "part of the torque carried by one of the two cams", default=0.55)
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Sizes of the named axes in the shapes of this design's errors."""
+        return {"rollers": self.gear_teeth + 1}
+
+    @property
+    def error_record(self) -> Any:
+        """The record that describes this design's manufacturing errors."""
+        from rvjax.errors import CamRollerErrors  # errors stand one floor above designs
+
+        return CamRollerErrors
+
+    def _check(self) -> None:
+        if concrete(self.eccentricity, self.cam_radius, self.roller_radius):
+            if np.any(np.asarray(self.eccentricity) >= np.asarray(self.cam_radius + self.roller_radius)):
+                raise ValueError(
+                    f"CamRollerReducer.eccentricity = {quantity(self.eccentricity, 'm')}: must be smaller than "
+                    f"cam_radius + roller_radius = {quantity(self.cam_radius + self.roller_radius, 'm')}"
+                )
+        if concrete(self.poisson_ratio) and np.any(np.abs(np.asarray(self.poisson_ratio)) >= 1):
+            raise ValueError(
+                f"CamRollerReducer.poisson_ratio = {quantity(self.poisson_ratio, '-')}: must lie between -1 and 1"
+            )

@@ -6,7 +6,7 @@ model to a field it does not read is exactly zero.
 
 from typing import Any, Self
 
-from rvjax.designs import RVReducer
+from rvjax.designs import CamRollerReducer, RVReducer
 from rvjax.records import Record, broadcast_fields, field, record
 
 
@@ -39,6 +39,26 @@ class RVErrors(Record):
 
     @classmethod
     def for_design(cls, design: RVReducer, **errors: Any) -> Self:
+        """Errors with full array shapes for `design`; a scalar for an array field is broadcast.
+
+        Raises:
+            ValueError: unknown field, or a shape that does not fit the design.
+        """
+        return cls(**broadcast_fields(cls, design.counts, errors))
+
+
+@record
+class CamRollerErrors(Record):
+    """Manufacturing errors of an oscillatory roller stage; > 0 is extra material or throw, that is interference."""
+
+    cam_radius: Any = field("m", "radius of the disc cam", default=0.0)
+    eccentricity: Any = field("m", "eccentricity of the cam (installation)", default=0.0)
+    roller_radius: Any = field(
+        "m", "radius of the rollers, one number or one per roller", shape=("rollers",), default=0.0
+    )
+
+    @classmethod
+    def for_design(cls, design: CamRollerReducer, **errors: Any) -> Self:
         """Errors with full array shapes for `design`; a scalar for an array field is broadcast.
 
         Raises:

@@ -1,0 +1,120 @@
+"""Line contact of a roller with a cam, a plane or a hollow flank: approach, its limit, its pressure.
+
+Everything is dimensionless. The roller has radius r, the other body curvature k (> 0 hollow); the
+relative radius of the contact is lambda = r m with m = 1 / (1 - r k), the half-width is
+b = r sqrt(m v), and v is the load in units of pi l r / (4 C), the load that would make b = r on a plane.
+C = 2 (1 - nu^2) / E for two bodies of one material, l is the length.
+
+Source: Wei et al. 2021, Chin. J. Mech. Eng. 34:84, Eqs. 9-12: each body yields by the depth (sagitta) of
+the flat of half-width b. Written with 1 - sqrt(1 - x) = x / (1 + sqrt(1 - x)) nothing cancels, not even
+in float32, and m holds for convex, flat and hollow bodies alike.
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+# 1 - sqrt(1 - x) = x/2 + x^2/8 + ...: the terms from the second on.
+_SAGITTA_SERIES = (1 / 8, 1 / 16, 5 / 128, 7 / 256)
+
+
+def compliance(young_modulus: Any, poisson_ratio: Any) -> Any:
+    """C of two bodies of one material, 1/Pa (Eq. 9).
+
+    Args:
+        young_modulus: Pa.
+        poisson_ratio: of both bodies.
+    """
+    return 2 * (1 - poisson_ratio**2) / young_modulus
+
+
+def load_unit(young_modulus: Any, poisson_ratio: Any, length: Any, radius: Any) -> Any:
+    """Load that would make the half-width equal to the roller radius on a plane, N.
+
+    Args:
+        young_modulus: Pa.
+        poisson_ratio: of both bodies.
+        length: of the contact, m.
+        radius: of the roller, m.
+    """
+    return jnp.pi * length * radius / (4 * compliance(young_modulus, poisson_ratio))
+
+
+def approach(load: jax.Array, relative_radius: jax.Array) -> jax.Array:
+    """Approach of the two bodies in roller radii, load / 2 for small loads (Eqs. 11, 12).
+
+    Args:
+        load: v >= 0, smaller than `load_limit`.
+        relative_radius: m > 0 of the contact; 1 for a plane.
+    """
+    v, m = load, relative_radius
+    return m * v / (1 + jnp.sqrt(1 - m * v)) + (1 - m) * v / (1 + jnp.sqrt(1 - (1 - m) ** 2 / m * v))
+
+
+def approach_slope(load: jax.Array, relative_radius: jax.Array) -> jax.Array:
+    """Derivative of `approach` to the load.
+
+    Args:
+        load: v, as in `approach`.
+        relative_radius: m, as in `approach`.
+    """
+    v, m = load, relative_radius
+    return (m / jnp.sqrt(1 - m * v) + (1 - m) / jnp.sqrt(1 - (1 - m) ** 2 / m * v)) / 2
+
+
+def load_limit(relative_radius: jax.Array) -> jax.Array:
+    """Load at which the half-width reaches the radius of one of the bodies.
+
+    Args:
+        relative_radius: m, as in `approach`.
+    """
+    m = relative_radius
+    return 1 / jnp.maximum(m, (1 - m) ** 2 / m)
+
+
+def approach_series(relative_radius: jax.Array) -> tuple[jax.Array, ...]:
+    """Coefficients of v^2 ... v^5 in the power series of `approach`.
+
+    Args:
+        relative_radius: m, as in `approach`.
+    """
+    m = relative_radius
+    hollow = (1 - m) ** 2 / m
+    terms, here, there = [], m, 1 - m
+    for coefficient in _SAGITTA_SERIES:
+        here, there = here * m, there * hollow
+        terms.append(coefficient * (here + there))
+    return tuple(terms)
+
+
+def inverse_series(a2: Any, a3: Any, a4: Any, a5: Any) -> tuple[Any, Any, Any, Any]:
+    """Coefficients of u = y + b2 y^2 + ... + b5 y^5 where y = u + a2 u^2 + ... + a5 u^5.
+
+    Args:
+        a2: coefficient of u^2.
+        a3: of u^3.
+        a4: of u^4.
+        a5: of u^5.
+    """
+    return (
+        -a2,
+        2 * a2**2 - a3,
+        5 * a2 * a3 - 5 * a2**3 - a4,
+        14 * a2**4 - 21 * a2**2 * a3 + 6 * a2 * a4 + 3 * a3**2 - a5,
+    )
+
+
+def pressure(force: jax.Array, young_modulus: Any, poisson_ratio: Any, length: Any, relative_radius: Any) -> jax.Array:
+    """Largest contact pressure of a Hertzian line contact, Pa; its derivative at zero force is set to zero.
+
+    Args:
+        force: >= 0, N.
+        young_modulus: Pa.
+        poisson_ratio: of both bodies.
+        length: of the contact, m.
+        relative_radius: lambda, m.
+    """
+    square = force / (jnp.pi * length * relative_radius * compliance(young_modulus, poisson_ratio))
+    loaded = square > 0
+    return jnp.where(loaded, jnp.sqrt(jnp.where(loaded, square, 1)), 0)

@@ -1,0 +1,147 @@
+"""Forces on the rollers of one unit at one output angle."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rvjax import contact as line_contact
+from rvjax.designs import CamRollerReducer
+from rvjax.errors import CamRollerErrors
+from rvjax.mesh_force import geometry, laws
+from rvjax.mesh_force.balance import balance
+from rvjax.records import Record, field, promote, record
+from rvjax.status import SolveInfo, Status, first_failure, succeeded
+
+_DEAD_CENTRE = 1e-6  # arm over eccentricity below which a roller does not decide where the dead band ends
+
+
+@record
+class MeshForces(Record):
+    """Forces on rollers i = 0 .. z, which stand at output_angle + 2 pi i / (z + 1)."""
+
+    cam: Any = field("N", "force of the cam, >= 0", shape=("rollers",))
+    cage: Any = field("N", "force of the cage, signed like sin psi", shape=("rollers",))
+    gear: Any = field("N", "force of the inner gear, >= 0", shape=("rollers",))
+    windup: Any = field("rad", "crank rotation against the fixed output")
+    info: SolveInfo = field("-", "residual: moment missing, relative", kind="record")
+
+
+def solve(
+    design: CamRollerReducer,
+    errors: CamRollerErrors,
+    *,
+    input_torque: Any,
+    output_angle: Any,
+    contact: str = "hertz",
+) -> MeshForces:
+    """Forces of cam, cage and gear on every roller, and the elastic windup of the crank.
+
+    Quasi-static, without friction; every contact is elastic and unilateral. Errors act as interference on the
+    nominal geometry, which they leave as it is.
+
+    Args:
+        design: the stage.
+        errors: of its parts, m; `roller_radius` is () or one number per roller (z + 1,).
+        input_torque: torque M0 on the crank, of which one cam carries `cam_share`, () N m; < 0 drives the other way.
+        output_angle: angle theta of the cage, () rad; at 0 roller 0 stands at dead centre.
+        contact: "hertz", "linear" (its small-load limit) or "palmgren" (softer, for errors of many micrometres).
+
+    Returns:
+        MeshForces. Status CONVERGED, UNLOADED (no torque and no preload: windup is where contact begins), or with
+        NaN values: NONFINITE, INVALID_GEOMETRY, UNDERCUT, CONTACT_OVERLOAD (a half-width reaches a radius; hertz
+        only), MAX_STEPS. Wei et al. 2021, Eqs. 4-27.
+
+    Raises:
+        ValueError: unknown `contact`, or a shape of `errors.roller_radius` that does not fit the design.
+    """
+    if contact not in laws.CONTACTS:
+        raise ValueError(f"contact = {contact!r}: must be one of {', '.join(laws.CONTACTS)}")
+    z = design.gear_teeth
+    if np.shape(errors.roller_radius) not in ((), (z + 1,)):
+        raise ValueError(
+            f"CamRollerErrors.roller_radius: shape {np.shape(errors.roller_radius)}, expected () or ({z + 1},)"
+        )
+    design, errors, torque, angle = promote(design, errors, input_torque, output_angle)
+    finite = jnp.asarray(True)
+    for leaf in jax.tree.leaves((design, errors, torque, angle)):
+        finite &= jnp.all(jnp.isfinite(leaf))
+    valid, undercut = _possible(design), geometry.undercut_margin(design) <= 0
+    good = finite & valid & ~undercut
+
+    # A lane outside the domain computes a harmless case instead, so that no derivative of it is NaN.
+    design = jax.tree.map(lambda value, safe: jnp.where(good, value, safe), design, _harmless(z, torque.dtype))
+    errors, torque, angle = jax.tree.map(lambda value: jnp.where(good, value, 0), (errors, torque, angle))
+
+    r, e, link = design.roller_radius, design.eccentricity, design.cam_radius + design.roller_radius
+    place = geometry.rollers(e, link, z, *geometry.cam_lead(z, angle))
+    cage_weight = jnp.abs(place.cage_ratio)
+    interference = (  # (17)-(27) by virtual work: a roller acts at three contacts, the cam at one
+        errors.cam_radius
+        + errors.eccentricity * place.throw
+        + errors.roller_radius * (1 + cage_weight + place.gear_ratio)
+    )
+    roller = laws.Compliance(
+        cage=cage_weight,
+        gear=place.gear_ratio,
+        cam_radius=jnp.broadcast_to(design.cam_radius / link, place.arm.shape),
+        gear_radius=1 + r * place.centre_curvature,  # (10)
+        palmgren=jnp.broadcast_to(3.81 / 4**0.9 * (design.roller_length / r) ** 0.1, place.arm.shape),
+    )
+    unit = line_contact.load_unit(design.young_modulus, design.poisson_ratio, design.roller_length, r)
+    gap = interference / r
+    moment = design.cam_share * torque / (unit * e)
+    edge, slack = _dead_band(place.arm, gap)
+    idle = slack & (moment == 0)
+    tau, load, facts = balance(contact, place.arm, gap, roller, moment)
+    load = jnp.where(idle & (jnp.abs(place.arm) > _DEAD_CENTRE), 0, load)
+    windup = jnp.where(idle, edge, tau) * r / e
+    cam = unit * load
+
+    tolerance = 1e-12 if torque.dtype == jnp.float64 else 64 * float(jnp.finfo(torque.dtype).eps)
+    status = first_failure(
+        (~finite, Status.NONFINITE),
+        (~valid, Status.INVALID_GEOMETRY),
+        (undercut, Status.UNDERCUT),
+        (facts.overload, Status.CONTACT_OVERLOAD),
+        (~(facts.residual <= tolerance), Status.MAX_STEPS),
+        (idle & ~jnp.any(load > 0), Status.UNLOADED),
+    )
+    status = jnp.where(jnp.isfinite(windup) & jnp.all(jnp.isfinite(cam)), status, int(Status.NONFINITE))
+    fine = succeeded(status)
+    cam, cage, gear, windup = (
+        jnp.where(fine, value, jnp.nan) for value in (cam, cam * place.cage_ratio, cam * place.gear_ratio, windup)
+    )
+    return MeshForces(cam, cage, gear, windup, SolveInfo(status, facts.steps, facts.residual))
+
+
+def _possible(design: CamRollerReducer) -> jax.Array:
+    lengths = (design.cam_radius, design.roller_radius, design.roller_length, design.eccentricity)
+    possible = (design.young_modulus > 0) & (jnp.abs(design.poisson_ratio) < 1)
+    for length in lengths:
+        possible &= length > 0
+    return possible & (design.eccentricity < design.cam_radius + design.roller_radius)
+
+
+def _harmless(teeth: int, dtype: Any) -> CamRollerReducer:
+    safe = CamRollerReducer(
+        gear_teeth=teeth,
+        cam_radius=1.0,
+        roller_radius=0.1,
+        roller_length=0.1,
+        eccentricity=0.2 / teeth**2,
+        young_modulus=1.0,
+        poisson_ratio=0.3,
+        cam_share=1.0,
+    )
+    return jax.tree.map(lambda value: jnp.asarray(value, dtype), safe)
+
+
+def _dead_band(arm: jax.Array, gap: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Upper edge of the range of windups at which nothing is loaded, and whether there is such a range."""
+    forward, backward = arm > _DEAD_CENTRE, arm < -_DEAD_CENTRE
+    threshold = -gap / jnp.where(forward | backward, arm, 1)
+    upper = jnp.min(jnp.where(forward, threshold, jnp.inf))
+    lower = jnp.max(jnp.where(backward, threshold, -jnp.inf))
+    return upper, lower <= upper

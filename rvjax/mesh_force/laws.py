@@ -1,0 +1,143 @@
+"""How one roller yields: the laws between its cam force and the approach of its three contacts.
+
+Dimensionless: load u in units of pi l r / (4 C), approach in roller radii. The cage and the gear carry
+|rs| and rn times the cam load, and by virtual work their approaches enter with the same weights
+(Wei et al. 2021, Eqs. 13-15). Linear stiffness: approach = weight u / 2.
+
+"hertz" is the depth of the flats (Eqs. 11, 12), "linear" its small-load limit, "palmgren" the empirical
+law of roller bearings, 3.84e-5 F^0.9 / l^0.8 (mm, N, steel).
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from rvjax import contact
+
+CONTACTS = ("hertz", "linear", "palmgren")
+
+_INVERSE_STEPS = 40  # at most; 3 or 4 at ordinary loads, 10 at the limit
+
+
+class Compliance(NamedTuple):
+    """What the laws need of a roller; shape of the rollers."""
+
+    cage: jax.Array  # |Fs / Fj|
+    gear: jax.Array  # Fn / Fj
+    cam_radius: jax.Array  # relative radius of the cam contact over r, Rj / (Rj + r)
+    gear_radius: jax.Array  # relative radius of the gear contact over r, 1 + r kc
+    palmgren: jax.Array  # factor of Palmgren's law
+
+    @property
+    def weight(self) -> jax.Array:
+        """1 + rs^2 + rn^2."""
+        return 1 + self.cage**2 + self.gear**2
+
+
+def approach(law: str, load: jax.Array, roller: Compliance) -> jax.Array:
+    """Approach of the cam against the gear along the cam normal (Eq. 13).
+
+    Args:
+        law: one of `CONTACTS`.
+        load: u >= 0.
+        roller: its compliance.
+    """
+    if law == "linear":
+        return roller.weight * load / 2
+    if law == "palmgren":
+        return roller.palmgren * _palmgren_weight(roller) * _power(load, 0.9)
+    return (
+        contact.approach(load, roller.cam_radius)
+        + roller.cage * contact.approach(roller.cage * load, jnp.ones_like(load))
+        + roller.gear * contact.approach(roller.gear * load, roller.gear_radius)
+    )
+
+
+def slope(law: str, load: jax.Array, roller: Compliance) -> jax.Array:
+    """Derivative of `approach` to the load; for Palmgren's law infinite at zero load, here 1.
+
+    Args:
+        law: one of `CONTACTS`.
+        load: u >= 0.
+        roller: its compliance.
+    """
+    if law == "linear":
+        return roller.weight / 2
+    if law == "palmgren":
+        loaded = load > 0
+        some = jnp.where(loaded, load, 1)
+        return jnp.where(loaded, 0.9 * roller.palmgren * _palmgren_weight(roller) * some**-0.1, 1)
+    return (
+        contact.approach_slope(load, roller.cam_radius)
+        + roller.cage**2 * contact.approach_slope(roller.cage * load, jnp.ones_like(load))
+        + roller.gear**2 * contact.approach_slope(roller.gear * load, roller.gear_radius)
+    )
+
+
+def load_limit(law: str, roller: Compliance) -> jax.Array:
+    """Load at which a half-width reaches a radius; infinite but for "hertz".
+
+    Args:
+        law: one of `CONTACTS`.
+        roller: its compliance.
+    """
+    if law != "hertz":
+        return jnp.full_like(roller.weight, jnp.inf)
+    gear = contact.load_limit(roller.gear_radius) / roller.gear
+    return jnp.minimum(jnp.minimum(contact.load_limit(roller.cam_radius), gear), 1 / jnp.maximum(roller.cage, 1))
+
+
+def inverse(law: str, depth: jax.Array, roller: Compliance) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Load, stiffness du/d(depth) and whether the load limit is passed, for a given approach.
+
+    Beyond the limit of "hertz" the load goes on with the linear stiffness, so that sums over rollers stay
+    monotone; where the equilibrium needs that, it has no solution.
+
+    Args:
+        law: one of `CONTACTS`.
+        depth: approach; nothing is loaded where it is <= 0.
+        roller: its compliance.
+    """
+    loaded = depth > 0
+    depth = jnp.where(loaded, depth, 0)
+    stiffness = 2 / roller.weight
+    if law == "linear":
+        return stiffness * depth, jnp.where(loaded, stiffness, 0), jnp.zeros_like(loaded)
+    if law == "palmgren":
+        some = jnp.where(loaded, depth, 1)
+        load = (some / (roller.palmgren * _palmgren_weight(roller))) ** (10 / 9)
+        return jnp.where(loaded, load, 0), jnp.where(loaded, load / (0.9 * some), 0), jnp.zeros_like(loaded)
+    limit = load_limit(law, roller) * (1 - float(jnp.finfo(depth.dtype).eps) ** 0.5)
+    last = approach(law, limit, roller)
+    beyond = depth > last
+    load = _hertz_load(jnp.minimum(depth, last), roller, limit)
+    rate = jnp.where(beyond, stiffness, 1 / slope(law, load, roller))
+    return load + jnp.where(beyond, stiffness * (depth - last), 0), jnp.where(loaded, rate, 0), beyond
+
+
+def _hertz_load(depth: jax.Array, roller: Compliance, limit: jax.Array) -> jax.Array:
+    """Newton from above: the approach is convex, so every step stays above the root and none overshoots."""
+    tolerance = 4 * float(jnp.finfo(depth.dtype).eps)
+
+    def running(state: tuple[jax.Array, jax.Array, jax.Array]) -> jax.Array:
+        load, last, steps = state
+        return jnp.any(last > tolerance * load) & (steps < _INVERSE_STEPS)
+
+    def step(state: tuple[jax.Array, jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array, jax.Array]:
+        load, _, steps = state
+        change = (approach("hertz", load, roller) - depth) / slope("hertz", load, roller)
+        return jnp.clip(load - change, 0, limit), jnp.abs(change), steps + 1
+
+    start = jnp.minimum(2 * depth / roller.weight, limit)
+    return jax.lax.while_loop(running, step, (start, start, jnp.zeros((), jnp.int32)))[0]
+
+
+def _palmgren_weight(roller: Compliance) -> jax.Array:
+    return 1 + _power(roller.cage, 1.9) + roller.gear**1.9
+
+
+def _power(base: jax.Array, exponent: float) -> jax.Array:
+    """base ** exponent with the derivative 0 at base = 0."""
+    positive = base > 0
+    return jnp.where(positive, jnp.where(positive, base, 1) ** exponent, 0)
