@@ -13,6 +13,7 @@ from rvjax.tolerances.monte_carlo import Statistics, monte_carlo
 from rvjax.tolerances.requirements import Requirement
 from rvjax.tolerances.responses import PLAIN, Response
 
+_CHUNK = 16384  # temporaries of a response over many angles then stay near the cache
 _DRAWS = 8  # certificates in one search; every one is a new chance to pass by luck
 _CUSHION = 0.7  # standard errors of the yield kept in hand, so that the next draw passes too
 _WORTH = 3e-3  # a common factor nearer to 1 saves nothing
@@ -39,7 +40,8 @@ class Certifier:
             tolerances,
             samples=self.samples,
             seed=self.seed,
-            requirements=required[PLAIN] if PLAIN in required else required,
+            chunk=_CHUNK,
+            requirements=required.get(PLAIN, required),
             confidence=self.confidence,
             keep=keep,
             progress=self.progress,

@@ -66,7 +66,8 @@ class Moments4:
         offset = float(centred.mean())
         centred -= offset
         squares = centred * centred
-        sums = float(squares.sum()), float(squares @ centred), float(squares @ squares)
+        # Not `@`: BLAS threads would fight with the device for the cores.
+        sums = float(squares.sum()), float((squares * centred).sum()), float((squares * squares).sum())
         return cls(values.size, float(values[0]) + offset, *sums, float(values.min()), float(values.max()))
 
     def merge(self, b: "Moments4") -> "Moments4":
@@ -155,14 +156,20 @@ class Order:
         """The value of a (fractional) rank, 1 .. n."""
         if math.isnan(self._low):
             return _interpolated(np.sort(np.concatenate(self._first)), rank)
-        if rank <= self._below:
-            return float(np.interp(rank, [1, self._below + 1], [self.minimum, self._low]))
+        k = min(max(int(rank), 1), self.n)
+        low = self._at(k)
+        return low + (self._at(min(k + 1, self.n)) - low) * min(max(rank - k, 0.0), 1.0)
+
+    def _at(self, k: int) -> float:
+        """Order statistic k, 1 .. n; spread evenly over the bin or tail it falls into."""
         inside = np.cumsum(self._counts) + self._below
-        if rank > inside[-1]:
-            return float(np.interp(rank, [inside[-1], self.n], [self._low + BINS * self._width, self.maximum]))
-        k = int(np.searchsorted(inside, rank))
-        share = (rank - (inside[k] - self._counts[k]) - 0.5) / self._counts[k]
-        return float(np.clip(self._low + self._width * (k + min(max(share, 0.0), 1.0)), self.minimum, self.maximum))
+        if k <= self._below:
+            return float(np.interp(k, [1, self._below + 1], [self.minimum, self._low]))
+        if k > inside[-1]:
+            return float(np.interp(k, [inside[-1], self.n], [self._low + BINS * self._width, self.maximum]))
+        place = int(np.searchsorted(inside, k))
+        share = (k - (inside[place] - self._counts[place]) - 0.5) / self._counts[place]
+        return float(np.clip(self._low + self._width * (place + share), self.minimum, self.maximum))
 
 
 class ExactOrder:

@@ -122,7 +122,8 @@ class _Law:
 
     def by_field(self, values: np.ndarray) -> dict[str, Any]:
         """A vector over all elements as arrays by field."""
-        return {n: values[s].reshape(self.fields[n].shape)[()] for n, s in self.slices.items()}
+        shapes = {n: t.shape for n, t in self.fields.items()}
+        return {n: values[s].reshape(shapes[n]) if shapes[n] else float(values[s][0]) for n, s in self.slices.items()}
 
 
 def _correlation(tolerance: Tolerance) -> np.ndarray:
@@ -248,8 +249,10 @@ def _derivatives(
     rows = [jnp.zeros((0, _PROBES), mean.dtype), *(v.reshape(-1, _PROBES) for v in errors.values())]
     units = jnp.concatenate(rows).T - mean[None]
     points = jnp.concatenate([mean[None], mean[None] + _STEP * units, mean[None] + units])
-    gradients = jnp.moveaxis(jax.lax.map(jax.jacrev(function), points, batch_size=64), 1, 0)
-    return function(mean), gradients[:, 0], gradients[:, 1 : 1 + _PROBES], gradients[:, 1 + _PROBES :]
+    both = jax.vmap(jax.jacrev(lambda vector: (function(vector),) * 2, has_aux=True))
+    gradients, values = both(points)
+    gradients = jnp.moveaxis(gradients, 1, 0)
+    return values[0], gradients[:, 0], gradients[:, 1 : 1 + _PROBES], gradients[:, 1 + _PROBES :]
 
 
 @functools.partial(jax.jit, static_argnums=(0, 2))

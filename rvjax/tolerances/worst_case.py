@@ -16,6 +16,7 @@ from rvjax.tolerances.sampling import Layout, layout
 
 _ALL_CORNERS = 12  # up to so many coordinates every corner is looked at
 _STARTS = 16  # else: corners of gradient signs at the middle and at random points
+_BLOCK = 64  # points evaluated at once, padded, so that one program serves every question
 _ROUNDS = 20  # gradient signs taken anew; every round must improve, so this is a limit seldom met
 
 
@@ -86,12 +87,11 @@ class _Search:
         return self.parts.errors(_unit_errors(self.parts, jnp.asarray(u)))
 
     def look(self, points: np.ndarray, k: int, sign: float) -> tuple[np.ndarray, np.ndarray]:
-        """Values (nan where failed) and gradients of sign * response k at points (m, n), in blocks of one size."""
+        """Values (nan where failed) and gradients of sign * response k at points (m, n)."""
         values, gradients = [], []
-        block = min(len(points), 256)
-        for start in range(0, len(points), block):
-            part = points[start : start + block]
-            padded = np.concatenate([part, np.repeat(part[:1], block - len(part), axis=0)])
+        for start in range(0, len(points), _BLOCK):
+            part = points[start : start + _BLOCK]
+            padded = np.concatenate([part, np.repeat(part[:1], _BLOCK - len(part), axis=0)])
             v, g = _values_and_gradients(self.response, self.names, self.parts.replace({}), jnp.asarray(padded), k)
             values.append(np.asarray(v)[: len(part)])
             gradients.append(np.asarray(g)[: len(part)])
