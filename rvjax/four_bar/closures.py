@@ -13,6 +13,25 @@ from rvjax import roots
 from rvjax.status import SolveInfo, Status
 
 
+class Crank(NamedTuple):
+    """Direction of crank 1; kept as cosine and sine so that a batch shares them."""
+
+    cosine: jax.Array
+    sine: jax.Array
+    finite: jax.Array
+
+    def turned(self, cosine: jax.Array, sine: jax.Array) -> "Crank":
+        """Turned counter-clockwise by an angle given by its cosine and sine."""
+        return Crank(self.cosine * cosine - self.sine * sine, self.sine * cosine + self.cosine * sine, self.finite)
+
+
+def crank_direction(angle: jax.Array) -> Crank:
+    """The direction of `angle`; a non-finite angle is marked and replaced by zero."""
+    finite = jnp.isfinite(angle)
+    angle = jnp.where(finite, angle, 0)
+    return Crank(jnp.cos(angle), jnp.sin(angle), finite)
+
+
 class Links(NamedTuple):
     """A linkage: nominal lengths e and l, deviations, the direction of crank 1, the frame vector."""
 

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from rvjax.designs import RVReducer
+from rvjax.four_bar.closures import Crank
 
 Vector = tuple[jax.Array, jax.Array]
 
@@ -45,12 +46,12 @@ def disc_load(design: RVReducer, eccentricity: Any, shortening: Any, torque: jax
     )
 
 
-def pin_force(load: DiscLoad, cosine: jax.Array, sine: jax.Array, tangent: Vector, count: int, radius: Any) -> Vector:
-    """Force of a disc on one of `count` crank pins; (cosine, sine) is the disc's eccentric direction."""
+def pin_force(load: DiscLoad, crank: Crank, tangent: tuple[Any, Any], count: int, radius: Any) -> Vector:
+    """Force of a disc on one of `count` crank pins; `crank` is the disc's eccentric direction."""
     couple = load.torque / (count * radius)
     return (
-        (load.radial * cosine - load.tangential * sine) / count + couple * tangent[0],
-        (load.radial * sine + load.tangential * cosine) / count + couple * tangent[1],
+        (load.radial * crank.cosine - load.tangential * crank.sine) / count + couple * tangent[0],
+        (load.radial * crank.sine + load.tangential * crank.cosine) / count + couple * tangent[1],
     )
 
 

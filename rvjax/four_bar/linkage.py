@@ -5,7 +5,7 @@ take deviations from nominal, never the difference of two lengths, so that micro
 their digits in float32.
 """
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -48,25 +48,6 @@ class Closure(Record):
     info: SolveInfo = field("-", "how the solve ended", kind="record")
 
 
-class Crank(NamedTuple):
-    """Direction of crank 1; kept as cosine and sine so that a batch shares them."""
-
-    cosine: jax.Array
-    sine: jax.Array
-    finite: jax.Array
-
-    def turned(self, cosine: jax.Array, sine: jax.Array) -> "Crank":
-        """Turned counter-clockwise by an angle given by its cosine and sine."""
-        return Crank(self.cosine * cosine - self.sine * sine, self.sine * cosine + self.cosine * sine, self.finite)
-
-
-def crank_direction(angle: jax.Array) -> Crank:
-    """The direction of `angle`; a non-finite angle is marked and replaced by zero."""
-    finite = jnp.isfinite(angle)
-    angle = jnp.where(finite, angle, 0)
-    return Crank(jnp.cos(angle), jnp.sin(angle), finite)
-
-
 def solve_closure(
     eccentricity: Any,
     spacing: Any,
@@ -106,7 +87,9 @@ def solve_closure(
     _check_lengths(cranks, eccentricity, spacing, deviations)
     numbers = promote(eccentricity, spacing, deviations, crank_angle, gear_stiffness_ratio)
     e, spacing, deviations, angle, ratio = numbers
-    return close(e, spacing, deviations, crank_direction(angle), ratio, cranks=cranks, closure=closure, branch=branch)
+    return close(
+        e, spacing, deviations, closures.crank_direction(angle), ratio, cranks=cranks, closure=closure, branch=branch
+    )
 
 
 def check_methods(cranks: str, gear_stiffness_ratio: Any, closure: str, branch: str) -> None:
@@ -148,7 +131,7 @@ def close(
     e: jax.Array,
     spacing: jax.Array,
     deviations: LinkDeviations,
-    crank: Crank,
+    crank: closures.Crank,
     ratio: jax.Array | None,
     *,
     cranks: str,

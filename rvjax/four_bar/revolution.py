@@ -1,6 +1,6 @@
 """A whole crank turn: the transmission error curve and its figures."""
 
-import math
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -9,9 +9,13 @@ import numpy as np
 
 from rvjax.designs import RVReducer
 from rvjax.errors import RVErrors
-from rvjax.four_bar.reducer import transmission_error
+from rvjax.four_bar.closures import Crank, at_once
+from rvjax.four_bar.fit import fit, misfit, vector
+from rvjax.four_bar.linkage import check_methods
+from rvjax.four_bar.reducer import check_crank_count, transmission_error
+from rvjax.four_bar.unit import Unit, take_apart
 from rvjax.records import Record, field, record
-from rvjax.status import SolveInfo, worst
+from rvjax.status import SolveInfo, Status, worst
 
 
 @record
@@ -25,6 +29,7 @@ class Revolution(Record):
     minimum: Any = field("rad", "smallest error")
     peak_to_peak: Any = field("rad", "maximum less minimum")
     mean: Any = field("rad", "mean error")
+    largest_misfit: Any = field("m", "largest |misfit| over angles and discs")
     harmonics: Any = field("rad", "X[h], complex: error = Re sum X[h] exp(i h crank_angle)", shape=("orders",))
     info: SolveInfo = field("-", "of the worst angle", kind="record")
 
@@ -54,10 +59,16 @@ def revolution(
 
     Returns:
         Revolution. One failed angle makes the figures NaN; `info` says why.
+
+    Raises:
+        ValueError: as in `transmission_error`.
     """
     if closure is None:
         closure = "newton" if cranks == "geared" else "closed_form"
-    turn = 2 * math.pi / angles * np.arange(angles)
+    check_crank_count(design, cranks)
+    check_methods(cranks, gear_stiffness_ratio, closure, branch)
+    (unit,) = take_apart(design, errors, output_torque)
+    crank_angle = jnp.asarray(2 * np.pi / angles * np.arange(angles), unit.radius.dtype)
 
     def at(angle: jax.Array) -> Any:
         return transmission_error(
@@ -71,12 +82,17 @@ def revolution(
             branch=branch,
         )
 
-    dtype = jnp.result_type(float, *jax.tree.leaves((design.cycloid, design.cranks, errors, output_torque)))
-    crank_angle = jnp.asarray(turn, dtype)
     curve = jax.vmap(at)(crank_angle)
-    maximum, minimum = jnp.max(curve.error), jnp.min(curve.error)
-    orders = (angles + 1) // 2  # below half the sampling rate
-    spectrum = jnp.fft.rfft(curve.error)[:orders]
+    if cranks == "phase_locked" and closure == "closed_form":
+        maximum, minimum, largest_misfit = _extremes(unit, crank_angle)
+        status = jnp.where(jnp.isfinite(maximum - minimum), unit.status, int(Status.NONFINITE))
+        status = jnp.where(unit.status == Status.INVALID_GEOMETRY, unit.status, status)
+        info = at_once(maximum).replace(status=status)
+    else:
+        maximum, minimum = jnp.max(curve.error), jnp.min(curve.error)
+        largest_misfit = jnp.max(jnp.abs(curve.misfit))
+        info = SolveInfo(worst(curve.info.status), jnp.max(curve.info.steps), jnp.max(curve.info.residual))
+    spectrum = jnp.fft.rfft(curve.error)[: (angles + 1) // 2]  # orders below half the sampling rate
     return Revolution(
         crank_angle=crank_angle,
         error=curve.error,
@@ -85,6 +101,59 @@ def revolution(
         minimum=minimum,
         peak_to_peak=maximum - minimum,
         mean=jnp.mean(curve.error),
-        harmonics=spectrum * np.where(np.arange(orders) == 0, 1, 2).astype(spectrum.dtype) / angles,
-        info=SolveInfo(worst(curve.info.status), jnp.max(curve.info.steps), jnp.max(curve.info.residual)),
+        largest_misfit=largest_misfit,
+        harmonics=spectrum * np.where(np.arange(len(spectrum)) == 0, 1, 2).astype(spectrum.dtype) / angles,
+        info=info,
     )
+
+
+def _extremes(unit: Unit, crank_angle: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Largest and smallest error and largest |misfit| of phase-locked cranks, without the curve.
+
+    The angles at which they occur are searched first, then the figures are evaluated there. The search
+    carries no derivative, for that of a maximum is the derivative at its place, so that a gradient costs
+    a few angles instead of all. It compares tangents: discs are turned one after the other by
+    multiplying their vectors (C + i S), which needs no angle of any of them.
+    """
+    discs = range(len(unit.disc))
+    fits = [fit(unit, k) for k in discs]
+    fixed_unit, fixed_fits = jax.lax.stop_gradient((unit, fits))
+    at = jnp.cos(crank_angle), jnp.sin(crank_angle)
+
+    def turn(first: Crank) -> Any:
+        cosine, sine = jnp.ones_like(unit.radius), jnp.zeros_like(unit.radius)
+        for k in discs:
+            c, s = vector(fixed_unit, fixed_fits[k], unit.disc_crank(k, first))
+            cosine, sine = cosine * c - sine * s, sine * c + cosine * s
+        return sine / cosine
+
+    def error(first: Crank) -> Any:
+        vectors = [vector(unit, fits[k], unit.disc_crank(k, first)) for k in discs]
+        return -sum(jnp.arctan2(s, c) for c, s in vectors) / len(vectors)
+
+    def size(k: int, first: Crank) -> Any:
+        return misfit(unit, fits[k], unit.disc_crank(k, first))
+
+    lowest, highest = _search(lambda first: (turn(first), -turn(first)), *at)
+    places = _search(
+        lambda first: [jnp.abs(misfit(fixed_unit, fixed_fits[k], unit.disc_crank(k, first))) for k in discs], *at
+    )
+    worst_misfit = jnp.max(jnp.stack([jnp.abs(size(k, place)) for k, place in zip(discs, places)]))
+    good = unit.finite & unit.possible
+    return tuple(jnp.where(good, x, jnp.nan) for x in (error(highest), error(lowest), worst_misfit))
+
+
+def _search(scores: Callable[[Crank], Any], cosine: jax.Array, sine: jax.Array) -> list[Crank]:
+    """The direction at which each score is largest; in a batch every operation runs along the batch."""
+
+    def step(best: Any, place: Any) -> Any:
+        now = scores(Crank(*place, True))
+        better = [score > old for score, (old, _, _) in zip(now, best)]
+        return [
+            (jnp.where(up, score, old[0]), jnp.where(up, place[0], old[1]), jnp.where(up, place[1], old[2]))
+            for up, score, old in zip(better, now, best)
+        ], None
+
+    start = [(score, cosine[0], sine[0]) for score in scores(Crank(cosine[0], sine[0], True))]
+    best, _ = jax.lax.scan(step, start, (cosine[1:], sine[1:]), unroll=4)
+    return [Crank(x, y, True) for _, x, y in best]

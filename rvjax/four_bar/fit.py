@@ -1,0 +1,116 @@
+"""Phase-locked cranks, two or more: a disc settles where it fits its crank pins best (planar Procrustes).
+
+A pin stands at R er + D with D = K + A u + B n + d: carrier bore K, crank errors A along and B across the
+eccentric direction u, joint shift d. The bore stands at Q = R er + q in the disc, mean removed. The disc
+turns by the angle of the vector (C, S), S = sum Q x (R er + D), C = sum Q . (R er + D), whose coefficients
+in u belong to the unit: in a batch over shared angles each angle costs a few multiplications.
+"""
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+
+from rvjax.four_bar.closures import Crank, stretch
+from rvjax.four_bar.unit import Unit, Vector
+
+
+class Fit(NamedTuple):
+    """What does not depend on the crank angle; lists run over cranks."""
+
+    seats: list[Vector]  # Q
+    bores: list[Vector]  # q, mean included
+    carrier: list[Vector]  # K
+    along: list[Any]  # A
+    across: list[Any]  # B
+    cosine: Any  # C and S: parts of the bores, less the nominal C = c R^2
+    sine: Any
+    straight: Any  # parts of the crank errors along and across u
+    skew: Any
+    bore_excess: Any  # two cranks: bore distance in the disc less l
+
+
+def fit(unit: Unit, k: int) -> Fit:
+    """Prepare disc k."""
+    radius, disc = unit.radius, unit.disc[k]
+    bores = [_cartesian(axis, polar) for axis, polar in zip(unit.axes, disc)]
+    carrier = [_cartesian(axis, polar) for axis, polar in zip(unit.axes, unit.carrier)]
+    mean = _mean(bores)
+    seats = [(radius * u + (x - mean[0]), radius * v + (y - mean[1])) for (u, v), (x, y) in zip(unit.axes, bores)]
+    along, across = [], []
+    for delta, psi in zip(unit.delta[k], unit.psi):  # (e + delta) exp(i psi) - e, without its cancellation
+        half_sine, half_cosine = jnp.sin(psi / 2), jnp.cos(psi / 2)
+        along.append(delta * (1 - 2 * half_sine**2) - unit.eccentricity * (2 * half_sine**2))
+        across.append((unit.eccentricity + delta) * (2 * half_sine * half_cosine))
+    excess = jnp.zeros_like(radius)
+    if len(disc) == 2:
+        excess = stretch(2 * radius, disc[0][0] + disc[1][0], disc[0][1] + disc[1][1])
+    return Fit(
+        seats,
+        bores,
+        carrier,
+        along,
+        across,
+        cosine=_sum_dot(seats, carrier) + radius * sum(radial for radial, _ in disc),
+        sine=_sum_cross(seats, carrier) - radius * sum(tangential for _, tangential in disc),
+        straight=sum(a * x + b * y for a, b, (x, y) in zip(along, across, seats)),
+        skew=sum(b * x - a * y for a, b, (x, y) in zip(along, across, seats)),
+        bore_excess=excess,
+    )
+
+
+def vector(unit: Unit, fit: Fit, crank: Crank) -> Vector:
+    """(C, S) at an eccentric direction of the disc."""
+    cosine = fit.cosine + (fit.straight * crank.cosine - fit.skew * crank.sine)
+    sine = fit.sine + (fit.skew * crank.cosine + fit.straight * crank.sine)
+    if unit.load is not None:
+        shifts = unit.joint_shifts(crank)
+        cosine, sine = cosine + _sum_dot(fit.seats, shifts), sine + _sum_cross(fit.seats, shifts)
+    return len(fit.seats) * unit.radius**2 + cosine, sine
+
+
+def misfit(unit: Unit, fit: Fit, crank: Crank) -> Any:
+    """Two cranks: distance of the pins less that of the bores. More: sqrt(2 sum |residual|^2)."""
+    shifts = unit.joint_shifts(crank)
+    pins = [  # D
+        (x + (a * crank.cosine - b * crank.sine) + dx, y + (a * crank.sine + b * crank.cosine) + dy)
+        for (x, y), a, b, (dx, dy) in zip(fit.carrier, fit.along, fit.across, shifts)
+    ]
+    if len(pins) == 2:
+        return stretch(2 * unit.radius, pins[1][0] - pins[0][0], pins[1][1] - pins[0][1]) - fit.bore_excess
+    c, s = vector(unit, fit, crank)
+    length = jnp.sqrt(c**2 + s**2)
+    sine, versine = s / length, s**2 / (length * (length + c))  # sin, 1 - cos of the disc's angle
+    offsets = [(x - u, y - v) for (x, y), (u, v) in zip(pins, fit.bores)]
+    mean = _mean(offsets)
+    square = 2 * sum(
+        (x - mean[0] + versine * u + sine * v) ** 2 + (y - mean[1] + versine * v - sine * u) ** 2
+        for (x, y), (u, v) in zip(offsets, fit.seats)
+    )
+    return jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1)), 0)
+
+
+def first_order_angle(unit: Unit, k: int, crank: Crank) -> Any:
+    """Tangential displacement of the pins against the bores, mean over the cranks, divided by R."""
+    turned = 0
+    for i, ((x, y), shift) in enumerate(zip(unit.axes, unit.joint_shifts(crank))):
+        turned += unit.delta[k][i] * (crank.sine * x - crank.cosine * y)
+        turned += unit.eccentricity * unit.psi[i] * (crank.cosine * x + crank.sine * y)
+        turned += unit.carrier[i][1] - unit.disc[k][i][1] + (shift[1] * x - shift[0] * y)
+    return turned / (len(unit.axes) * unit.radius)
+
+
+def _cartesian(axis: Vector, polar: Vector) -> Vector:
+    """A (radial, tangential) vector of the crank at `axis` in x and y."""
+    return polar[0] * axis[0] - polar[1] * axis[1], polar[0] * axis[1] + polar[1] * axis[0]
+
+
+def _mean(points: list[Vector]) -> Vector:
+    return sum(x for x, _ in points) / len(points), sum(y for _, y in points) / len(points)
+
+
+def _sum_dot(first: list[Vector], second: list[Vector]) -> Any:
+    return sum(x * u + y * v for (x, y), (u, v) in zip(first, second))
+
+
+def _sum_cross(first: list[Vector], second: list[Vector]) -> Any:
+    return sum(x * v - y * u for (x, y), (u, v) in zip(first, second))

@@ -1,0 +1,126 @@
+"""One reducer taken apart into the numbers that place its discs.
+
+Axes of cranks and discs are unrolled into lists: a batch of units then sees element-wise arithmetic
+only, which XLA turns into a few vector loops.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rvjax.designs import RVReducer
+from rvjax.errors import RVErrors
+from rvjax.four_bar import forces
+from rvjax.four_bar.closures import Crank
+from rvjax.records import broadcast_fields, is_concrete, promote
+from rvjax.status import Status, first_failure
+
+Vector = tuple[Any, Any]
+
+
+class Unit(NamedTuple):
+    """Numbers of one reducer, finite and possible; lists run over discs [k] and cranks [i]."""
+
+    eccentricity: Any  # nominal plus error
+    radius: Any  # of the circle of crank axes
+    axes: list[Vector]  # [i] radial unit vectors
+    delta: list[list[Any]]  # [k][i] crank eccentricity errors
+    psi: list[Any]  # [i] crank phases
+    disc: list[list[Vector]]  # [k][i] bores, (radial, tangential)
+    carrier: list[Vector]  # [i] bores, (radial, tangential)
+    clearance: Any
+    load: forces.DiscLoad | None  # None: unloaded
+    stiffness: Any
+    finite: Any
+    possible: Any
+
+    @property
+    def status(self) -> jax.Array:
+        """What is wrong with the numbers themselves."""
+        return first_failure((~self.finite, Status.NONFINITE), (~self.possible, Status.INVALID_GEOMETRY))
+
+    def disc_crank(self, k: int, first: Crank) -> Crank:
+        """Eccentric direction of disc k, the first disc's given."""
+        return first.turned(*exact_direction(2 * k, len(self.disc)))
+
+    def joint_shifts(self, crank: Crank) -> list[Vector]:
+        """Bores against pins of a disc, per crank."""
+        if self.load is None:
+            return [(0, 0)] * len(self.axes)
+        tangents = [(-y, x) for x, y in self.axes]
+        pins = [forces.pin_force(self.load, crank, tangent, len(self.axes), self.radius) for tangent in tangents]
+        return [forces.joint_shift(force, self.clearance, self.stiffness) for force in pins]
+
+
+def take_apart(design: RVReducer, errors: RVErrors, output_torque: Any, *others: Any) -> tuple[Any, ...]:
+    """The unit, and `others` in its dtype. An impossible lane becomes a nominal unit: its derivatives stay finite.
+
+    Raises:
+        ValueError: errors whose shapes do not fit the design, or a load without bearing stiffness.
+    """
+    loaded = not (is_concrete(output_torque) and np.all(np.asarray(output_torque) == 0))
+    if loaded and design.cranks.bearing_stiffness is None:
+        raise ValueError("CrankStage.bearing_stiffness = None: a load (output_torque) needs it, in N/m")
+    numbers = promote(design.cycloid, design.cranks, errors, output_torque, others)
+    cycloid, stage, errors, torque, others = numbers
+    discs, cranks = range(cycloid.disc_count), range(stage.count)
+    names = ("crank_eccentricity", "crank_phase", "disc_bore", "carrier_bore")
+    full = broadcast_fields(RVErrors, design.counts, {name: getattr(errors, name) for name in names})
+    deviations = (
+        _unstack(full["crank_eccentricity"]),
+        _unstack(full["crank_phase"]),
+        _unstack(full["disc_bore"]),
+        _unstack(full["carrier_bore"]),
+        errors.bearing_clearance,
+        errors.eccentricity,
+    )
+
+    # Design and load are judged apart from the errors: a batch over errors then leaves them unbatched.
+    e, radius, shortening = cycloid.eccentricity, stage.circle_radius, cycloid.shortening_coefficient
+    stiffness = stage.bearing_stiffness if loaded else jnp.ones_like(e)
+    finite = jnp.isfinite(e + radius + shortening + stiffness + torque)
+    possible = (radius > 0) & (shortening < 1)
+    if loaded:
+        possible &= (e > 0) & (shortening > 0) & (stiffness > 0)
+    good = finite & possible
+    nominal = ((e, 0.02), (radius, 1), (shortening, 0.5), (stiffness, 1), (torque, 0))
+    e, radius, shortening, stiffness, torque = (jnp.where(good, x, safe) for x, safe in nominal)
+
+    finite &= jnp.isfinite(sum(jax.tree.leaves(deviations)))
+    if stage.count == 2:
+        possible &= 2 * radius + sum(radial for radial, _ in deviations[3]) > 0  # l4'
+    good = finite & possible
+    delta, psi, disc, carrier, clearance, eccentricity = jax.tree.map(lambda x: jnp.where(good, x, 0), deviations)
+    unit = Unit(
+        eccentricity=e + eccentricity,
+        radius=radius,
+        axes=[exact_direction(stage.count + 2 * i, stage.count) for i in cranks],  # pi + 2 pi i / c
+        delta=delta,
+        psi=psi,
+        disc=disc,
+        carrier=carrier,
+        clearance=clearance,
+        load=forces.disc_load(design, e, shortening, torque) if loaded else None,
+        stiffness=stiffness,
+        finite=finite,
+        possible=possible,
+    )
+    return unit, *others
+
+
+def exact_direction(halves: int, count: int) -> Vector:
+    """Cosine and sine of pi * halves / count, exact where they are 0 or +-1."""
+    if (2 * halves) % count == 0:
+        return ((1, 0), (0, 1), (-1, 0), (0, -1))[(2 * halves // count) % 4]
+    return math.cos(math.pi * halves / count), math.sin(math.pi * halves / count)
+
+
+def _unstack(array: jax.Array) -> Any:
+    """Nested lists of scalars. Split, unlike indexing, is transposed into one concatenation."""
+    flat = [part.reshape(()) for part in jax.lax.split(array.reshape(-1), (1,) * array.size)]
+    for size in array.shape[:0:-1]:
+        flat = [flat[i : i + size] for i in range(0, len(flat), size)]
+    return flat
