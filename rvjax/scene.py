@@ -6,6 +6,7 @@ An output is one scalar of one unit. Statistics and allocation see the resulting
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import jax
@@ -80,6 +81,8 @@ OUTPUTS = {
 def response(design: Any, outputs: Sequence[str], conditions: Conditions) -> Callable[[Any], Outcome]:
     """The function errors -> Outcome({output: value}, status) of one unit, with no output but those asked for.
 
+    The same question gives the same function again, so that what was compiled for it is used again.
+
     Args:
         design: the reducer.
         outputs: names in `OUTPUTS`.
@@ -91,7 +94,11 @@ def response(design: Any, outputs: Sequence[str], conditions: Conditions) -> Cal
     for name in outputs:
         if name not in OUTPUTS:
             raise ValueError(f"unknown response {name!r}; there are {', '.join(OUTPUTS)}")
+    return _response(design, tuple(outputs), conditions)
 
+
+@cache
+def _response(design: Any, outputs: tuple[str, ...], conditions: Conditions) -> Callable[[Any], Outcome]:
     def evaluate(errors: Any) -> Outcome:
         found = {name: OUTPUTS[name].evaluate(design, errors, conditions) for name in outputs}
         statuses = jnp.stack([jnp.asarray(status) for _, status in found.values()])
