@@ -210,10 +210,11 @@ class CamRollerReducer(Record):
 
     def _check(self) -> None:
         if concrete(self.eccentricity, self.cam_radius, self.roller_radius):
-            if np.any(np.asarray(self.eccentricity) >= np.asarray(self.cam_radius + self.roller_radius)):
+            link = self.cam_radius + self.roller_radius
+            if np.any(np.asarray(self.eccentricity) >= np.asarray(link)):
                 raise ValueError(
                     f"CamRollerReducer.eccentricity = {quantity(self.eccentricity, 'm')}: must be smaller than "
-                    f"cam_radius + roller_radius = {quantity(self.cam_radius + self.roller_radius, 'm')}"
+                    f"cam_radius + roller_radius = {quantity(link, 'm')}"
                 )
         if concrete(self.poisson_ratio) and np.any(np.abs(np.asarray(self.poisson_ratio)) >= 1):
             raise ValueError(

@@ -1,5 +1,6 @@
 """Forces on the rollers of one unit at one output angle."""
 
+from functools import partial
 from typing import Any
 
 import jax
@@ -28,6 +29,7 @@ class MeshForces(Record):
     info: SolveInfo = field("-", "residual: moment missing, relative", kind="record")
 
 
+@partial(jax.jit, static_argnames="contact")
 def solve(
     design: CamRollerReducer,
     errors: CamRollerErrors,

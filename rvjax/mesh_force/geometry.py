@@ -121,6 +121,7 @@ def largest_roller_radius(design: CamRollerReducer) -> jax.Array:
     return jnp.where(exists, root, jnp.inf)
 
 
+@jax.jit
 def tooth_profile(design: CamRollerReducer, angle: Any) -> ToothProfile:
     """Point of the inner gear where a roller stands at `angle`.
 

@@ -1,0 +1,161 @@
+"""Forces over one work cycle of a roller, its statistics, and parametric studies of them.
+
+While the output turns by 2 pi / (z n) the n rollers together pass through every cam lead, so that few
+angles describe the whole cycle of one roller. With an error for each roller the rollers differ, and the
+output has to turn by a whole tooth.
+
+Source: Wei et al. 2021, Chin. J. Mech. Eng. 34:84, section 4, Figs. 11-16.
+"""
+
+import math
+from collections.abc import Mapping
+from functools import partial
+from types import MappingProxyType
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rvjax.designs import CamRollerReducer
+from rvjax.errors import CamRollerErrors
+from rvjax.mesh_force import geometry
+from rvjax.mesh_force.equilibrium import MeshForces, solve
+from rvjax.mesh_force.loads import contact_pressure
+from rvjax.records import Record, field, promote, record
+from rvjax.status import SolveInfo, worst
+from rvjax.units import mm, um
+
+CALIBRATED_TORQUE = 109.56418376586802
+"""Crank torque in N m at which the mean cam force of the CORR is the published 1735 N; itself not published."""
+
+PUBLISHED_STUDIES: Mapping[str, tuple[str, float, float]] = MappingProxyType(
+    {
+        "11": ("eccentricity", 2.5 * mm, 4.0 * mm),
+        "12": ("roller_radius", 7.0 * mm, 20.0 * mm),
+        "13": ("cam_radius", 125.0 * mm, 170.0 * mm),
+        "14": ("errors.cam_radius", -20.0 * um, 20.0 * um),
+        "15": ("errors.eccentricity", -10.0 * um, 50.0 * um),
+        "16": ("errors.roller_radius", -20.0 * um, 20.0 * um),
+    }
+)
+"""Figure of Wei et al. 2021: what it varies, from where to where; beyond 10.05 mm Fig. 12 has no tooth flank."""
+
+
+@record
+class CycleStatistics(Record):
+    """Statistics over one work cycle. Means: rollers of the working half, unloaded ones count as zero."""
+
+    cam_mean: Any = field("N", "mean cam force")
+    cam_peak: Any = field("N", "largest cam force")
+    gear_mean: Any = field("N", "mean gear force")
+    gear_peak: Any = field("N", "largest gear force")
+    cage_mean: Any = field("N", "mean signed cage force")
+    cage_peak_to_peak: Any = field("N", "largest less smallest signed cage force")
+    pressure_peak: Any = field("Pa", "largest contact pressure of cam, cage and gear")
+    windup_mean: Any = field("rad", "mean windup")
+    windup_peak_to_peak: Any = field("rad", "largest less smallest windup")
+    info: SolveInfo = field("-", "of the worst angle", kind="record")
+
+
+def cycle_angles(gear_teeth: int, *, samples: int = 8, roller_by_roller: bool = False) -> np.ndarray:
+    """Output angles of one work cycle, rad: (samples,), or (samples n,) where the rollers differ.
+
+    Args:
+        gear_teeth: z.
+        samples: angles in the time in which a roller takes the place of the next.
+        roller_by_roller: whether every roller has an error of its own.
+    """
+    points = samples * (gear_teeth + 1 if roller_by_roller else 1)
+    return (np.arange(points) + 0.5) * (2 * math.pi / (gear_teeth * (gear_teeth + 1) * samples))
+
+
+@partial(jax.jit, static_argnames=("contact", "samples"))
+def cycle_statistics(
+    design: CamRollerReducer,
+    errors: CamRollerErrors,
+    *,
+    input_torque: Any,
+    contact: str = "hertz",
+    samples: int = 8,
+) -> CycleStatistics:
+    """Mean, peak and peak to peak of the forces over one work cycle of a roller.
+
+    Args:
+        design: as in `solve`.
+        errors: as in `solve`; with one radius error per roller a whole tooth is sampled.
+        input_torque: as in `solve`; for a negative torque the other half works.
+        contact: as in `solve`.
+        samples: angles in the time in which a roller takes the place of the next, static.
+
+    Returns:
+        CycleStatistics; NaN with the worst status where an angle cannot be solved.
+    """
+    z = design.gear_teeth
+    design, errors, torque = promote(design, errors, input_torque)
+    angles = cycle_angles(z, samples=samples, roller_by_roller=np.ndim(errors.roller_radius) == 1)
+
+    def at(angle: jax.Array) -> tuple[MeshForces, jax.Array, jax.Array]:
+        forces = solve(design, errors, input_torque=torque, output_angle=angle, contact=contact)
+        pressure = contact_pressure(design, forces, output_angle=angle)
+        largest = jnp.max(jnp.stack([pressure.cam, pressure.cage, pressure.gear]))
+        sine, _ = geometry.cam_lead(z, angle)
+        return forces, sine * jnp.where(torque < 0, -1, 1) > 0, largest
+
+    forces, working, pressure = jax.vmap(at)(jnp.asarray(angles, torque.dtype))
+
+    def mean(force: jax.Array) -> jax.Array:
+        return jnp.sum(jnp.where(working, force, 0)) / jnp.sum(working, dtype=force.dtype)
+
+    info = forces.info
+    return CycleStatistics(
+        cam_mean=mean(forces.cam),
+        cam_peak=jnp.max(forces.cam),
+        gear_mean=mean(forces.gear),
+        gear_peak=jnp.max(forces.gear),
+        cage_mean=mean(forces.cage),
+        cage_peak_to_peak=jnp.max(forces.cage) - jnp.min(forces.cage),
+        pressure_peak=jnp.max(pressure),
+        windup_mean=jnp.mean(forces.windup),
+        windup_peak_to_peak=jnp.max(forces.windup) - jnp.min(forces.windup),
+        info=SolveInfo(worst(info.status), jnp.max(info.steps), jnp.max(info.residual)),
+    )
+
+
+@partial(jax.jit, static_argnames=("parameter", "contact", "samples"))
+def sweep(
+    design: CamRollerReducer,
+    errors: CamRollerErrors,
+    parameter: str,
+    values: Any,
+    *,
+    input_torque: Any,
+    contact: str = "hertz",
+    samples: int = 8,
+) -> CycleStatistics:
+    """Statistics of the work cycle while one field varies; one vmapped solve.
+
+    Args:
+        design: as in `solve`.
+        errors: as in `solve`.
+        parameter: field of the design ("eccentricity") or of its errors ("errors.eccentricity").
+        values: of that field (k,), SI.
+        input_torque: as in `solve`.
+        contact: as in `solve`.
+        samples: as in `cycle_statistics`.
+
+    Returns:
+        CycleStatistics with (k,) fields.
+
+    Raises:
+        ValueError: no such field.
+    """
+    name = parameter.removeprefix("errors.")
+    of_errors = name != parameter
+    design, errors, values, torque = promote(design, errors, values, input_torque)
+
+    def at(value: jax.Array) -> CycleStatistics:
+        unit = (design, errors.replace(**{name: value})) if of_errors else (design.replace(**{name: value}), errors)
+        return cycle_statistics(*unit, input_torque=torque, contact=contact, samples=samples)
+
+    return jax.vmap(at)(values)

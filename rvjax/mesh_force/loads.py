@@ -1,0 +1,96 @@
+"""What the forces on the rollers mean: contact pressure, load sharing, mesh stiffness."""
+
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from rvjax import contact as line_contact
+from rvjax.designs import CamRollerReducer
+from rvjax.errors import CamRollerErrors
+from rvjax.mesh_force import geometry
+from rvjax.mesh_force.equilibrium import MeshForces, solve
+from rvjax.records import Record, field, promote, record
+
+
+@record
+class ContactPressure(Record):
+    """Largest Hertzian pressure in the contacts of every roller; 0 where nothing is loaded."""
+
+    cam: Any = field("Pa", "at the cam", shape=("rollers",))
+    cage: Any = field("Pa", "at the cage", shape=("rollers",))
+    gear: Any = field("Pa", "at the inner gear", shape=("rollers",))
+
+
+@jax.jit
+def contact_pressure(design: CamRollerReducer, forces: MeshForces, *, output_angle: Any) -> ContactPressure:
+    """Hertzian line-contact pressure of the forces that `solve` returned.
+
+    Args:
+        design: the stage.
+        forces: of `solve` at the same angle.
+        output_angle: angle theta of the cage, () rad.
+    """
+    design, angle, cam, cage, gear = promote(design, output_angle, forces.cam, forces.cage, forces.gear)
+    r, link = design.roller_radius, design.cam_radius + design.roller_radius
+    place = geometry.rollers(design.eccentricity, link, design.gear_teeth, *geometry.cam_lead(design.gear_teeth, angle))
+
+    def pressure(force: jax.Array, radius: jax.Array) -> jax.Array:
+        return line_contact.pressure(force, design.young_modulus, design.poisson_ratio, design.roller_length, radius)
+
+    return ContactPressure(
+        cam=pressure(cam, r * design.cam_radius / link),
+        cage=pressure(jnp.abs(cage), r),
+        gear=pressure(gear, r * (1 + r * place.centre_curvature)),  # (10)
+    )
+
+
+@jax.jit
+def load_sharing(design: CamRollerReducer, forces: MeshForces, *, output_angle: Any) -> jax.Array:
+    """Part of the cam torque that every roller carries, (z + 1,), sum 1; 0 where there is no torque.
+
+    Rollers preloaded on the return flank carry negative parts.
+
+    Args:
+        design: the stage.
+        forces: of `solve` at the same angle.
+        output_angle: angle theta of the cage, () rad.
+    """
+    design, angle, cam = promote(design, output_angle, forces.cam)
+    link = design.cam_radius + design.roller_radius
+    place = geometry.rollers(design.eccentricity, link, design.gear_teeth, *geometry.cam_lead(design.gear_teeth, angle))
+    moments = design.eccentricity * place.arm * cam  # (8)
+    total = jnp.sum(moments)
+    return jnp.where(total == 0, 0, moments / jnp.where(total == 0, 1, total))
+
+
+@partial(jax.jit, static_argnames="contact")
+def mesh_stiffness(
+    design: CamRollerReducer,
+    errors: CamRollerErrors,
+    *,
+    input_torque: Any,
+    output_angle: Any,
+    contact: str = "hertz",
+) -> jax.Array:
+    """Tangent stiffness of the crank against the fixed output, d input_torque / d windup, N m/rad.
+
+    Args:
+        design: as in `solve`.
+        errors: as in `solve`.
+        input_torque: as in `solve`.
+        output_angle: as in `solve`.
+        contact: as in `solve`.
+
+    Returns:
+        () N m/rad; 0 where nothing is loaded, NaN where `solve` fails.
+    """
+    design, errors, torque, angle = promote(design, errors, input_torque, output_angle)
+
+    def windup(torque: jax.Array) -> jax.Array:
+        return solve(design, errors, input_torque=torque, output_angle=angle, contact=contact).windup
+
+    value, compliance = jax.jvp(windup, (torque,), (jnp.ones_like(torque),))
+    stiffness = jnp.where(compliance > 0, 1 / jnp.where(compliance > 0, compliance, 1), 0)
+    return jnp.where(jnp.isnan(value), jnp.nan, stiffness)
