@@ -14,13 +14,13 @@ from rvjax.status import SolveInfo, Status
 
 
 class Crank(NamedTuple):
-    """Direction of crank 1; kept as cosine and sine so that a batch shares them."""
+    """Direction of a crank; kept as cosine and sine so that a batch shares them."""
 
-    cosine: jax.Array
-    sine: jax.Array
-    finite: jax.Array
+    cosine: Any
+    sine: Any
+    finite: Any = True
 
-    def turned(self, cosine: jax.Array, sine: jax.Array) -> "Crank":
+    def turned(self, cosine: Any, sine: Any) -> "Crank":
         """Turned counter-clockwise by an angle given by its cosine and sine."""
         return Crank(self.cosine * cosine - self.sine * sine, self.sine * cosine + self.cosine * sine, self.finite)
 

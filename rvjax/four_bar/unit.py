@@ -66,7 +66,6 @@ def take_apart(design: RVReducer, errors: RVErrors, output_torque: Any, *others:
         raise ValueError("CrankStage.bearing_stiffness = None: a load (output_torque) needs it, in N/m")
     numbers = promote(design.cycloid, design.cranks, errors, output_torque, others)
     cycloid, stage, errors, torque, others = numbers
-    discs, cranks = range(cycloid.disc_count), range(stage.count)
     names = ("crank_eccentricity", "crank_phase", "disc_bore", "carrier_bore")
     full = broadcast_fields(RVErrors, design.counts, {name: getattr(errors, name) for name in names})
     deviations = (
@@ -97,7 +96,7 @@ def take_apart(design: RVReducer, errors: RVErrors, output_torque: Any, *others:
     unit = Unit(
         eccentricity=e + eccentricity,
         radius=radius,
-        axes=[exact_direction(stage.count + 2 * i, stage.count) for i in cranks],  # pi + 2 pi i / c
+        axes=[exact_direction(stage.count + 2 * i, stage.count) for i in range(stage.count)],  # pi + 2 pi i / c
         delta=delta,
         psi=psi,
         disc=disc,
@@ -119,8 +118,8 @@ def exact_direction(halves: int, count: int) -> Vector:
 
 
 def _unstack(array: jax.Array) -> Any:
-    """Nested lists of scalars. Split, unlike indexing, is transposed into one concatenation."""
-    flat = [part.reshape(()) for part in jax.lax.split(array.reshape(-1), (1,) * array.size)]
+    """Nested lists of scalars. A split, unlike indexing, is transposed into one concatenation."""
+    items: list[Any] = [part.reshape(()) for part in jax.lax.split(array.reshape(-1), (1,) * array.size)]
     for size in array.shape[:0:-1]:
-        flat = [flat[i : i + size] for i in range(0, len(flat), size)]
-    return flat
+        items = [items[i : i + size] for i in range(0, len(items), size)]
+    return items
