@@ -1,6 +1,16 @@
 """Published reducers. Every value carries the table it comes from; what nobody printed says "assumed"."""
 
-from rvjax.designs import CamRollerReducer, CrankStage, CycloidStage, InvoluteStage, RVReducer
+from rvjax.designs import (
+    CamRollerReducer,
+    CrankStage,
+    CycloidStage,
+    Damping,
+    Inertia,
+    InvoluteStage,
+    MeshVariation,
+    RVReducer,
+    Stiffness,
+)
 from rvjax.errors import RVErrors
 from rvjax.units import MPa, deg, mm
 
@@ -90,4 +100,61 @@ RV_20E_ERRORS = RVErrors(
     shift_modification=0.003 * mm,  # +-0.003 mm
     eccentricity=0.005 * mm,
     bearing_clearance=0.001 * mm,  # radial, half of the printed clearance: Eq. 18 is the whole play only for that
+)
+
+# RV-320E: Yang, Chen, Wang, Chin. J. Mech. Eng. 31:49 (2018), doi 10.1186/s10033-018-0249-y. Its Table 1 heads the
+# radii "base diameter": 15 * 1.5 mm / 2 * cos 20 deg = 10.57 mm. Mesh stiffness variation is not printed at all.
+RV_320E = RVReducer(
+    involute=InvoluteStage(
+        sun_teeth=15,  # derived from the base radii: module 1.5 mm, 20 deg
+        planet_teeth=69,  # derived, as above
+        module=1.5 * mm,  # derived, as above
+        pressure_angle=20 * deg,  # derived, as above
+        centre_distance=63.0 * mm,  # derived: 1.5 mm (15 + 69) / 2; the crank circle is printed as 63.50 mm
+        sun_radius=11.25 * mm,  # derived: 1.5 mm * 15 / 2
+        sun_base_radius=10.57 * mm,  # Table 1, printed as a diameter
+        planet_base_radius=48.63 * mm,  # Table 1, printed as a diameter
+    ),
+    cycloid=CycloidStage(
+        disc_teeth=39,  # derived: 85.80 mm / 2.20 mm, Table 1
+        pin_count=40,  # derived: one more
+        disc_count=3,  # Section 3.3
+        eccentricity=2.2 * mm,  # Table 1, "crankshaft"
+        pin_circle_radius=114.0 * mm,  # assumed: not read by the dynamic model
+        pin_radius=5.0 * mm,  # assumed: not read by the dynamic model
+        force_angle=30 * deg,  # assumed: not printed
+        disc_phase=0.0,  # free: without influence for three discs or more
+    ),
+    cranks=CrankStage(count=4, circle_radius=63.5 * mm),  # Section 3.3; Table 1, "carrier"
+    inertia=Inertia(  # Table 1
+        sun_mass=1.30,
+        sun_inertia=4.44e-4,
+        planet_mass=0.88,
+        planet_inertia=1.01e-3,
+        crank_mass=0.40,
+        crank_inertia=7.56e-5,
+        disc_mass=2.76,
+        disc_inertia=2.09e-2,
+        output_mass=15.33,
+        output_inertia=1.06e-1,
+    ),
+    stiffness=Stiffness(  # Table 2; the text names an output support and torsion without values: zero
+        sun_support=4.19e7,
+        sun_torsion=1.16e4,
+        planet_crank_bending=2.33e8,  # "crankshaft"
+        planet_crank_torsion=6.99e4,  # "crankshaft"
+        support_bearing=9.84e8,
+        turning_arm_bearing=9.76e8,
+        sun_planet_mesh=2.68e8,
+        disc_pin_mesh=8.35e8,
+    ),
+    mesh_variation=MeshVariation(
+        planetary_swing=0.3,  # assumed
+        planetary_duty=0.643,  # derived: transverse contact ratio 1.643 of the involute pair
+        planetary_ramp=0.0,  # assumed
+        cycloid_swing=0.1,  # assumed
+        cycloid_duty=0.5,  # assumed
+        cycloid_ramp=0.0,  # assumed
+    ),
+    damping=Damping(),  # the source is undamped
 )
