@@ -306,7 +306,7 @@ def test_a_sampled_preload_passes_where_an_eager_one_is_refused():
         (lambda: monte_carlo(linear, STACK, samples=9, seed=0, chunk=0), "chunk = 0: must be at least 1"),
         (lambda: monte_carlo(linear, STACK, samples=9, seed=0, quantiles=(1.0,)), "quantiles: 1.0 must lie between"),
         (lambda: monte_carlo(linear, STACK, samples=9, seed=0, confidence=2), "confidence = 2"),
-        (lambda: monte_carlo(three, STACK, samples=9, seed=0), r"response: must be one real number per unit, got shape \(3,\)"),
+        (lambda: monte_carlo(three, STACK, samples=9, seed=0), r"must be one real number per unit, got shape \(3,\)"),
         (lambda: monte_carlo(pair, STACK, samples=9, seed=0, requirements=LIMITS), "the response has the names"),
         (lambda: monte_carlo(pair, STACK, samples=9, seed=0, requirements={"x": LIMITS}), "'x' is no name"),
         (lambda: Requirement(), "needs a lower or an upper limit"),

@@ -1,7 +1,6 @@
 """Allocation: the cheapest tolerances that still meet every requirement, with a certificate or a refusal."""
 
 import dataclasses
-import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -12,17 +11,15 @@ import numpy as np
 from rvjax.records import Record
 from rvjax.tolerances.certificate import Certifier
 from rvjax.tolerances.cost import Cost
-from rvjax.tolerances.monte_carlo import Statistics
+from rvjax.tolerances.monte_carlo import Statistics, progress_bar
 from rvjax.tolerances.requirements import Requirement
 from rvjax.tolerances.responses import Response, by_response, like_response, response_names
 from rvjax.tolerances.sampling import Layout, layout
-from rvjax.tolerances.separable import cheapest, total_cost
+from rvjax.tolerances.search import Search
 from rvjax.tolerances.snapping import snap
-from rvjax.tolerances.training import Point, Training
+from rvjax.tolerances.training import Training
 
 _FEWEST = 100  # units a quantile can be learned from
-_RADIUS = 1.5  # first step, at most, in logarithms of the half-widths
-_SETTLED = 2e-3  # steps and violations (as parts of the way to the limit) smaller than this end the search
 
 
 @dataclasses.dataclass(frozen=True)
@@ -82,8 +79,8 @@ def allocate(
     Changing a half-width scales the limits about their middle; shift and cp stay. One sample of units
     serves all steps. Each step models every constraint as a root sum of squares with the sampled
     margins and slopes, solves that model by an augmented Lagrangian, and is accepted if the sampled
-    cost and violation fall. Fresh units then certify the result: a yield counts by its lower confidence
-    bound, and all half-widths shrink together until it holds.
+    cost and violation fall. A larger sample corrects the quantiles once. Fresh units then certify the
+    result: a yield counts by its lower confidence bound, and all half-widths shrink together until it holds.
 
     Args:
         response: pure function of the errors of one unit; a scalar, a dict or record of scalars, or `Outcome`.
@@ -123,27 +120,27 @@ def allocate(
     priced = _costs_by_field(costs, parts)
     training = Training(response, parts, tuple(priced), required, joint_target, samples, seed)
     certifier = Certifier(response, required, joint_target, certificate_samples, confidence, seed, progress)
-    search = _Search(training, priced, max_steps, progress)
-
-    low, high = search.low, search.high
-    start = np.array([float(parts.active[name].half_width) for name in priced])
-    shortfall = dict.fromkeys(required, 0.0)
-    if not (training.margins(low) <= 0).all():
-        status, half_widths, prices = "NOT_CERTIFIED", low, np.zeros(len(required))
-        certificate, shortfall = certifier.shortfall(training.tolerances(low))
-        if any(missing > 0 for missing in shortfall.values()):
-            status = "INFEASIBLE"
-        elif certifier.holds(certificate):
-            status = "OPTIMAL"
-        elif joint_target is not None:
-            status = "INFEASIBLE"
-    else:
-        point, multipliers, converged = search.run(start)
-        prices = multipliers @ point.weights
-        half_widths, certificate = certifier.settle(training, point.half_widths, low, high)
-        status = "OPTIMAL" if converged else "MAX_STEPS"
+    search = Search(training, priced, max_steps)
+    start, low = np.array([float(parts.active[name].half_width) for name in priced]), search.low
+    shortfall, prices = dict.fromkeys(required, 0.0), np.zeros(len(required))
+    if (training.margins(low) <= 0).all():
+        with progress_bar(progress, None, "allocation", "step") as search.advance:
+            point, settled = search.run(search.begin(start))
+            if certificate_samples > samples:  # a larger sample knows the quantiles better: tell the smaller one
+                seen = certifier.draw(training.tolerances(point.half_widths))
+                point, settled = search.run(training.correct(point, certifier.factors(seen)))
+        prices = search.multipliers(point) @ point.weights
+        half_widths, certificate = certifier.settle(training, point.half_widths, low)
+        status = "OPTIMAL" if settled else "MAX_STEPS"
         if not certifier.holds(certificate):
             status = "NOT_CERTIFIED"
+    else:
+        half_widths = low
+        certificate, shortfall = certifier.shortfall(training.tolerances(low))
+        refused = joint_target is not None or any(missing > 0 for missing in shortfall.values())
+        status = "INFEASIBLE" if refused else "NOT_CERTIFIED"  # the larger sample may see the limits just met
+        if certifier.holds(certificate):
+            status = "OPTIMAL"
 
     def result(status: str, t: np.ndarray, certificate: Statistics, **more: Any) -> Allocation:
         return Allocation(
@@ -187,60 +184,3 @@ def _costs_by_field(costs: Any, parts: Layout) -> dict[str, Cost]:
     if not priced:
         raise ValueError("costs: no field has a cost, so there is nothing to allocate")
     return priced
-
-
-class _Search:
-    """Steps of the separable model, kept to a trust region."""
-
-    def __init__(self, training: Training, priced: dict[str, Cost], max_steps: int, progress: bool) -> None:
-        self.training, self.costs, self.max_steps, self.progress = training, tuple(priced.values()), max_steps, progress
-        self.low = np.array([float(cost.finest) for cost in self.costs])
-        self.high = np.array([float(cost.coarsest) for cost in self.costs])
-        self.history: list[dict[str, Any]] = []
-
-    def cost(self, half_widths: np.ndarray) -> float:
-        """Total cost."""
-        return float(total_cost(self.costs, jnp.asarray(half_widths)))
-
-    def look(self, half_widths: np.ndarray) -> Point:
-        """Evaluate the sample and note it."""
-        point = self.training.point(half_widths)
-        names = [name or "response" for name in self.training.requirements] + ["joint"] * self.training.joint
-        self.history.append(
-            dict(
-                cost=self.cost(half_widths),
-                margins=dict(zip(names, map(float, point.margins))),
-                half_widths=dict(zip(self.training.fields, map(float, half_widths))),
-            )
-        )
-        return point
-
-    def run(self, start: np.ndarray) -> tuple[Point, np.ndarray, bool]:
-        """From the given half-widths to the cheapest: the last point, its multipliers, and whether it settled."""
-        distance, radius = self.training.distance, _RADIUS
-        best = self.look(np.clip(start, self.low, self.high))
-        if not np.isfinite(best.margins).all():  # too many units fail there; at the finest they do not
-            best = self.look(self.low)
-        prices = np.zeros(len(distance))
-        penalty = self.cost(best.half_widths) / distance
-        while len(self.history) < self.max_steps:
-            reach = math.exp(radius)
-            low, high = (np.clip(best.half_widths * f, self.low, self.high) for f in (1 / reach, reach))
-            wanted, prices = cheapest(self.costs, best, distance, low, high, prices)
-            penalty = np.maximum(penalty, 2 * prices)
-            step = float(np.abs(np.log(wanted / best.half_widths)).max())
-            met = (best.margins <= _SETTLED * distance).all()
-            if step < _SETTLED and (met or radius < _SETTLED):
-                return best, prices, bool(met)
-            new = self.look(wanted)
-            if self._merit(new, penalty) < self._merit(best, penalty):
-                best, radius = new, max(radius, 2 * step)
-            else:
-                radius = step / 3
-            if radius < _SETTLED / 2:
-                return best, prices, bool((best.margins <= _SETTLED * distance).all())
-        return best, prices, False
-
-    def _merit(self, point: Point, penalty: np.ndarray) -> float:
-        """Cost plus an exact penalty on violated constraints."""
-        return self.cost(point.half_widths) + float(penalty @ np.maximum(point.margins, 0.0))

@@ -16,7 +16,7 @@ from rvjax.tolerances.responses import PLAIN, Response
 _CHUNK = 16384  # temporaries of a response over many angles then stay near the cache
 _DRAWS = 8  # certificates in one search; every one is a new chance to pass by luck
 _CUSHION = 0.7  # standard errors of the yield kept in hand, so that the next draw passes too
-_WORTH = 3e-3  # a common factor nearer to 1 saves nothing
+_LEAST = 1e-3  # least step of a shrinking half-width, relative
 
 
 @dataclasses.dataclass
@@ -64,43 +64,27 @@ class Certifier:
         targets = [r.target for r in self.requirements.values()] + [self.joint_target or 0.0]
         return wilson(self.samples, self.samples, self.confidence).lower < max(targets)
 
-    def factor(self, statistics: Statistics) -> float:
-        """Common factor on all half-widths after which a draw should just hold, by the normal law."""
+    def factors(self, statistics: Statistics) -> np.ndarray:
+        """Of each constraint: the common factor on all half-widths after which a draw should just hold (normal law)."""
         z, n = deviate_of(self.confidence), self.samples
-        factors = []
+        found = []
         for share, target in self.judged(statistics):
-            error = math.sqrt(target * (1 - target) / n)
-            wanted = min(target + (z + _CUSHION) * error + z**2 / n, 1 - 0.5 / n)
+            # The score interval has its lower end at the target where the share lies z errors of the target above it.
+            wanted = min(target + (z + _CUSHION) * math.sqrt(target * (1 - target) / n), 1 - 0.5 / n)
             seen = min(max(share.value, 0.5 / n), 1 - 0.5 / n)
-            factors.append(_two_sided(seen) / _two_sided(wanted))
-        return min(factors)
+            found.append(_two_sided(seen) / _two_sided(wanted))
+        return np.array(found)
 
-    def settle(
-        self, training: Any, start: np.ndarray, low: np.ndarray, high: np.ndarray
-    ) -> tuple[np.ndarray, Statistics]:
-        """Scale half-widths by a common factor until a certificate holds; the last one drawn otherwise.
-
-        A first certificate with room to spare loosens them once: it knows the yield better than the
-        sample that was optimised on.
-        """
-        half_widths, loosened, good = start, self.samples <= training.samples, None
-        for _ in range(_DRAWS):
-            statistics = self.draw(training.tolerances(half_widths))
-            factor = self.factor(statistics)
-            if self.holds(statistics):
-                good = half_widths, statistics
-                if loosened or factor < 1 + _WORTH:
-                    break
-                loosened = True
-                factor = min(factor, 1.1)
-            else:
-                loosened = True
-                factor = max(0.5, min(factor, 1 - _WORTH / 3))
-            after = np.clip(half_widths * factor, low, high)
-            if np.array_equal(after, half_widths) or (self.hopeless() and not self.holds(statistics)):
+    def settle(self, training: Any, start: np.ndarray, low: np.ndarray) -> tuple[np.ndarray, Statistics]:
+        """Shrink all half-widths by common factors until a certificate holds; the last one drawn otherwise."""
+        half_widths, statistics = start, self.draw(training.tolerances(start))
+        for _ in range(_DRAWS - 1):
+            factor = max(0.5, min(self.factors(statistics).min(), 1 - _LEAST))
+            after = np.maximum(half_widths * factor, np.minimum(low, half_widths))
+            if self.holds(statistics) or self.hopeless() or np.array_equal(after, half_widths):
                 break
-            half_widths = after
-        return good if good is not None else (half_widths, statistics)
+            half_widths, statistics = after, self.draw(training.tolerances(after))
+        return half_widths, statistics
 
     def shortfall(self, tolerances: Any) -> tuple[Statistics, dict[str, float]]:
         """How far each limit would have to move outwards for these tolerances; 0 where it is met."""

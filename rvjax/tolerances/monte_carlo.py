@@ -201,7 +201,7 @@ def monte_carlo(
     tolerances = layout(tolerances).replace({})
     names = response_names(response, tolerances)
     tally = _Tally(names, by_response(requirements, names, Requirement, "requirements"), samples if keep else 0)
-    with _bar(progress, samples) as advance:
+    with progress_bar(progress, samples, "Monte Carlo", "unit") as advance:
         for values, status in _chunks(response, tolerances, root_key(seed), samples, min(chunk, samples)):
             tally.add(values, status)
             advance(len(status))
@@ -237,11 +237,12 @@ def _positive(name: str, value: Any) -> int:
 
 
 @contextlib.contextmanager
-def _bar(progress: bool, samples: int) -> Iterator[Any]:
-    if not progress:
+def progress_bar(shown: bool, total: int | None, description: str, unit: str) -> Iterator[Any]:
+    """A function that advances a tqdm bar, or does nothing."""
+    if not shown:
         yield lambda count: None
         return
     from tqdm import tqdm
 
-    with tqdm(total=samples, unit="unit", unit_scale=True, desc="Monte Carlo") as bar:
+    with tqdm(total=total, unit=unit, unit_scale=True, desc=description) as bar:
         yield bar.update

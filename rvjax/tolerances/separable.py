@@ -27,9 +27,8 @@ def cheapest(
     distance: np.ndarray,
     low: np.ndarray,
     high: np.ndarray,
-    multipliers: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Half-widths of least cost under the model around `point`, and the multipliers of its constraints.
+    """Half-widths of least cost under the model around `point`, and its multipliers, cost per unit of each margin.
 
     Args:
         costs: of the fields.
@@ -37,7 +36,6 @@ def cheapest(
         distance: (c,) of the nominal response from each limit.
         low: (j,) least half-widths.
         high: (j,) largest half-widths.
-        multipliers: (c,) start, cost per unit of each margin.
     """
     reach = np.maximum(point.margins + distance, 1e-3 * distance)
     constant = (reach / distance) ** 2
@@ -45,7 +43,7 @@ def cheapest(
     total = float(total_cost(costs, jnp.asarray(point.half_widths)))
     arrays = [jnp.asarray(a) for a in (np.log(point.half_widths), np.log(low), np.log(high), constant, weights)]
     with jax.numpy_dtype_promotion("standard"):  # optax raises floats to integer powers
-        found, prices = _solve(costs, total, *arrays, jnp.asarray(multipliers * distance / total))
+        found, prices = _solve(costs, total, *arrays)
     return np.clip(np.exp(np.asarray(found)), low, high), np.asarray(prices) * total / distance
 
 
@@ -56,12 +54,13 @@ def total_cost(costs: tuple[Any, ...], half_widths: jax.Array) -> jax.Array:
 
 
 @jax.jit
-def _solve(costs: Any, total: Any, start: Any, low: Any, high: Any, constant: Any, weights: Any, prices: Any) -> Any:
+def _solve(costs: Any, total: Any, start: Any, low: Any, high: Any, constant: Any, weights: Any) -> Any:
     """Augmented Lagrangian in logarithms of the half-widths, projected to the bounds."""
     optimiser = optax.adam(_RATES, b1=0.8, b2=0.95)
 
     def constraints(x: jax.Array) -> jax.Array:
-        return 0.5 * (constant - 1 + weights @ jnp.expm1(2 * (x - start)))  # slope 1 in s/distance where active
+        square = constant + weights @ jnp.expm1(2 * (x - start))
+        return 0.5 * jnp.log(jnp.maximum(square, 1e-6))  # log(s/distance), gentle where far violated
 
     def lagrangian(x: jax.Array, prices: jax.Array) -> jax.Array:
         pressed = jnp.maximum(0.0, prices + _PENALTY * constraints(x))
@@ -77,4 +76,4 @@ def _solve(costs: Any, total: Any, start: Any, low: Any, high: Any, constant: An
         x, _state, _prices = jax.lax.fori_loop(0, _STEPS, step, (x, optimiser.init(x), prices))
         return x, jnp.maximum(0.0, prices + _PENALTY * constraints(x))
 
-    return jax.lax.fori_loop(0, _MULTIPLIER_STEPS, round_, (jnp.clip(start, low, high), prices))
+    return jax.lax.fori_loop(0, _MULTIPLIER_STEPS, round_, (jnp.clip(start, low, high), jnp.zeros_like(constant)))

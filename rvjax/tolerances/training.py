@@ -65,6 +65,7 @@ class Training:
         nominal = -np.median(own, axis=1)
         self.scales = np.where(np.isfinite(nominal) & (nominal > 0), nominal, self._spread(own))
         self.distance = np.append(self.scales, 1.0) if self.joint else self.scales
+        self.correction = np.ones(len(self.distance))
 
     @staticmethod
     def _spread(margins: np.ndarray) -> np.ndarray:
@@ -100,6 +101,20 @@ class Training:
                 slopes[k] = fit * (at_target[k] + self.distance[k]) * half_widths
         weights = np.stack([np.abs(rows).mean(axis=0) for rows in cotangents])
         return Point(half_widths, at_target, slopes, weights)
+
+    def correct(self, point: Point, factors: np.ndarray) -> Point:
+        """Learn from a larger sample that half-widths times `factors` would just meet each target.
+
+        A few thousand units know a far quantile to a percent or two only. From now on the way of each
+        active constraint from the nominal response is scaled by what the larger sample saw at `point`.
+        """
+        reach = (point.margins + self.distance) / self.distance
+        seen = 1 / (factors * reach)
+        active = (reach > 0.9) & (np.abs(np.log(seen)) < 0.2)
+        ratio = np.where(active, seen, 1.0)
+        self.correction = self.correction * ratio
+        margins = ratio * (point.margins + self.distance) - self.distance
+        return dataclasses.replace(point, margins=margins, slopes=ratio[:, None] * point.slopes)
 
     def _own(self, half_widths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Margin of each requirement and unit, inf where the unit failed; sign of its derivative to the response."""
@@ -144,7 +159,7 @@ class Training:
             a, b = ordered[low], ordered[min(low + 1, self.samples - 1)]
             quantile = a + (rank - low) * (b - a) if np.isfinite(b) else b
             further = special.ndtri((1 + target) / 2) / special.ndtri((1 + level) / 2)
-            found[k] = (quantile + self.distance[k]) * further - self.distance[k]
+            found[k] = (quantile + self.distance[k]) * further * self.correction[k] - self.distance[k]
         return found
 
     def _nearest(self, margins: np.ndarray, target: float) -> np.ndarray:

@@ -1,0 +1,312 @@
+"""Allocation: closed-form optima, refusals, certificates, grades.
+
+Oracle: for a linear response y = sum a_j e_j of normal errors and costs 1/t the optimum is
+t_j ~ (1/a_j^2)^(1/3), with sqrt(sum a_j^2 t_j^2) = 3 cp L / z(target). The sample knows the ratio of
+half-widths to 2 % and the certificate of 10^6 units costs up to 1 % of half-width (its confidence bound
+lies two standard errors inside), so costs agree to 1.5 %, half-widths to 3 %.
+"""
+
+import math
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import stats
+
+from rvjax.status import Status
+from rvjax.tolerances import (
+    Exponential,
+    Outcome,
+    ReciprocalPower,
+    Requirement,
+    Table,
+    Tolerance,
+    allocate,
+    it_width,
+    monte_carlo,
+)
+from rvjax.units import mm, um
+
+WIDE = ReciprocalPower(finest=1 * um, coarsest=500 * um)
+PAIR = {"a": Tolerance.symmetric(10 * um), "b": Tolerance.symmetric(10 * um)}
+COSTS = {"a": WIDE, "b": WIDE}
+LIMIT = 20 * um
+
+
+def linear(e):
+    return e["a"] + 2 * e["b"]
+
+
+def two(e):
+    return {"y": e["a"] + 2 * e["b"], "b": jnp.abs(e["b"])}
+
+
+def radius(target, limit=LIMIT):
+    """sqrt(sum a_j^2 t_j^2) that gives this yield of a two-sided requirement, cp = 1."""
+    return 3 * limit / stats.norm.ppf((1 + target) / 2)
+
+
+def closed_form(target):
+    b = radius(target) / math.sqrt(4 ** (2 / 3) + 4)
+    return 4 ** (1 / 3) * b, b
+
+
+def cost_of_two(limit_y, limit_b):
+    """Cost where both |y| <= limit_y and |b| <= limit_b bind."""
+    b = radius(0.9973, limit_b)
+    return 10 * um / math.sqrt(radius(0.9973, limit_y) ** 2 - 4 * b**2) + 10 * um / b
+
+
+@pytest.fixture(scope="module")
+def optimum():
+    return allocate(linear, PAIR, Requirement(lower=-LIMIT, upper=LIMIT), costs=COSTS)
+
+
+def test_closed_form_of_two_fields(optimum):
+    a, b = closed_form(0.9973)
+    assert (optimum.feasible, optimum.status) == (True, "OPTIMAL")
+    assert optimum.cost == pytest.approx(10 * um / a + 10 * um / b, rel=0.015)
+    assert optimum.half_widths["a"] / optimum.half_widths["b"] == pytest.approx(1.5874, rel=0.03)
+    reached = math.hypot(optimum.half_widths["a"], 2 * optimum.half_widths["b"])
+    assert 0.985 * radius(0.9973) < reached < radius(0.9973)  # active, from the safe side
+    assert optimum.certificate.yield_.lower >= 0.9973
+    assert optimum.certificate.seed > 0  # not the units that were learned from
+    assert optimum.start_cost == pytest.approx(2.0)
+    assert optimum.costs == pytest.approx({n: 10 * um / t for n, t in optimum.half_widths.items()})
+    assert optimum.tolerances["a"].upper == pytest.approx(optimum.half_widths["a"])
+    assert optimum.shortfall == 0.0
+    assert optimum.graded is None
+    assert len(optimum.history) < 12
+    assert optimum.history[0]["cost"] == pytest.approx(2.0)
+
+
+def test_multiplier_is_the_shadow_price(optimum):
+    """The optimal cost is C ~ 1/L, so dC/dL = -C/L."""
+    a, b = closed_form(0.9973)
+    assert optimum.multipliers == pytest.approx(-(10 * um / a + 10 * um / b) / LIMIT, rel=0.04)
+
+
+def test_the_same_study_gives_the_same_bits(optimum):
+    again = allocate(linear, PAIR, Requirement(lower=-LIMIT, upper=LIMIT), costs=COSTS)
+    assert again.half_widths == optimum.half_widths
+    assert again.certificate == optimum.certificate
+
+
+def test_the_start_does_not_matter(optimum):
+    start = {"a": Tolerance.symmetric(400 * um), "b": Tolerance.symmetric(1 * um)}
+    found = allocate(linear, start, Requirement(lower=-LIMIT, upper=LIMIT), costs=COSTS, certificate_samples=100_000)
+    assert found.history[-1]["half_widths"] == pytest.approx(optimum.history[-1]["half_widths"], rel=0.02)
+
+
+def test_a_bound_holds_one_field():
+    """The rest of the spread is left to a; its half-width is 3.6 times as sensitive to the yield as the sum."""
+    assert closed_form(0.9973)[1] < 8.5 * um
+    bounded = {"a": WIDE, "b": WIDE.replace(finest=8.5 * um)}
+    found = allocate(linear, PAIR, Requirement(lower=-LIMIT, upper=LIMIT), costs=bounded)
+    assert found.half_widths["b"] == 8.5 * um
+    assert found.half_widths["a"] == pytest.approx(math.sqrt(radius(0.9973) ** 2 - (17 * um) ** 2), rel=0.04)
+
+
+def test_infeasible_says_by_how_much():
+    found = allocate(
+        linear, PAIR, Requirement(lower=0.0, upper=0.0, target=0.9), costs=COSTS, certificate_samples=200_000
+    )
+    assert (found.feasible, found.status) == (False, "INFEASIBLE")
+    assert found.half_widths == {"a": 1 * um, "b": 1 * um}
+    sd = math.sqrt(5) / 3 * um
+    assert found.shortfall == pytest.approx(stats.norm.ppf(0.95) * sd, rel=0.01)
+    assert found.certificate.yield_.value == 0.0
+    assert found.certificate.values is None
+    assert found.multipliers == 0.0
+
+
+def test_two_requirements_and_an_idle_one():
+    requirements = {"y": Requirement(lower=-LIMIT, upper=LIMIT), "b": Requirement(upper=1.0)}
+    found = allocate(two, PAIR, requirements, costs=COSTS, certificate_samples=200_000)
+    assert found.multipliers["b"] == 0.0
+    assert found.multipliers["y"] < 0.0
+    assert found.shortfall == {"y": 0.0, "b": 0.0}
+    # Now |b| <= 10 um binds as well: b is fixed by it, a by the other.
+    tight = {"y": requirements["y"], "b": Requirement(upper=6 * um)}
+    found = allocate(two, PAIR, tight, costs=COSTS, samples=65536)
+    b = radius(0.9973, 6 * um)
+    a = math.sqrt(radius(0.9973) ** 2 - 4 * b**2)
+    assert found.half_widths == pytest.approx({"a": a, "b": b}, rel=0.03)
+    # Shadow prices by finite differences of the closed form's cost.
+    step = 1e-3 * um
+    slopes = {
+        "y": (cost_of_two(LIMIT + step, 6 * um) - cost_of_two(LIMIT - step, 6 * um)) / (2 * step),
+        "b": (cost_of_two(LIMIT, 6 * um + step) - cost_of_two(LIMIT, 6 * um - step)) / (2 * step),
+    }
+    assert found.multipliers == pytest.approx(slopes, rel=0.1)
+
+
+def test_joint_target_costs_more():
+    requirements = {
+        "y": Requirement(lower=-LIMIT, upper=LIMIT, target=0.99),
+        "b": Requirement(upper=6 * um, target=0.99),
+    }
+    alone, joint = (
+        allocate(two, PAIR, requirements, costs=COSTS, joint_target=j, certificate_samples=200_000)
+        for j in (None, 0.99)
+    )
+    assert alone.certificate.joint_yield.value < 0.99
+    assert joint.certificate.joint_yield.lower >= 0.99
+    assert joint.cost > alone.cost * 1.005
+    assert all(price <= 0 for price in joint.multipliers.values())
+
+
+def test_extreme_targets():
+    for target in (0.5, 0.99997):  # a certificate of 30 ppm allows 20 rejects in a million: 2 % of half-width, and luck
+        requirement = Requirement(lower=-LIMIT, upper=LIMIT, target=target)
+        found = allocate(linear, PAIR, requirement, costs=COSTS)
+        a, b = closed_form(target)
+        assert found.status == "OPTIMAL"
+        assert found.cost == pytest.approx(10 * um / a + 10 * um / b, rel=0.05)
+    beyond = Requirement(lower=-LIMIT, upper=LIMIT, target=1 - 1e-6)  # a million units cannot certify one in a million
+    found = allocate(linear, PAIR, beyond, costs=COSTS)
+    assert found.status == "NOT_CERTIFIED"
+    assert math.hypot(found.half_widths["a"], 2 * found.half_widths["b"]) == pytest.approx(radius(1 - 1e-6), rel=0.08)
+
+
+def test_other_costs_and_kept_fields():
+    """Exponential and tabulated costs against a fine scan of the one free direction; c keeps its tolerance."""
+    costs = {
+        "a": Exponential(decay=20 * um, finest=1 * um, coarsest=200 * um, scale=3.0),
+        "b": Table((2 * um, 10 * um, 60 * um), (9.0, 2.0, 0.5)),
+        "c": None,
+    }
+    tolerances = {**PAIR, "c": Tolerance.symmetric(12 * um)}
+    response = lambda e: e["a"] + 2 * e["b"] + e["c"]  # noqa: E731
+    found = allocate(response, tolerances, Requirement(lower=-LIMIT, upper=LIMIT, target=0.99), costs=costs)
+    free = radius(0.99) ** 2 - (12 * um) ** 2
+    b = np.linspace(2 * um, math.sqrt(free) / 2 * 0.999, 20_000)
+    b = b[b <= 60 * um]
+    a = np.sqrt(free - 4 * b**2)
+    total = 3 * np.exp(-a / (20 * um)) + np.exp(
+        np.interp(np.log(b), np.log(costs["b"].half_widths), np.log(costs["b"].costs))
+    )
+    assert found.cost == pytest.approx(total[a >= 1 * um].min(), rel=0.02)
+    assert found.tolerances["c"].upper == 12 * um
+    assert "c" not in found.half_widths
+
+
+def test_asymmetric_shifted_field_scales_about_its_middle():
+    tolerances = {"a": Tolerance(-2 * um, 8 * um, cp=1.2, shift=0.3), "b": Tolerance.symmetric(1 * um)}
+    found = allocate(
+        lambda e: e["a"] + e["b"],
+        tolerances,
+        Requirement(upper=30 * um, target=0.99),
+        costs={"a": WIDE},
+        certificate_samples=200_000,
+    )
+    t = found.half_widths["a"]
+    assert (found.tolerances["a"].lower, found.tolerances["a"].upper) == pytest.approx((3 * um - t, 3 * um + t))
+    assert found.tolerances["a"].shift == 0.3
+    sd = math.hypot(t / 3.6, um / 3)
+    assert 3 * um + 0.3 * t + stats.norm.ppf(0.99) * sd == pytest.approx(30 * um, rel=0.01)
+
+
+def test_failed_units_count_as_rejects():
+    """Units with |b| > 15 um fail; they, not the generous limit, bind b."""
+
+    def response(e):
+        failed = jnp.abs(e["b"]) > 15 * um
+        return Outcome(e["a"], jnp.where(failed, int(Status.NOT_ASSEMBLABLE), int(Status.CONVERGED)))
+
+    found = allocate(
+        response,
+        PAIR,
+        Requirement(lower=-LIMIT, upper=LIMIT, target=0.99),
+        costs={"a": WIDE},
+        certificate_samples=200_000,
+    )
+    assert found.status == "OPTIMAL"
+    share = found.certificate.failed / found.certificate.samples
+    lost = 2 * stats.norm.sf(4.5)
+    assert share == pytest.approx(lost, abs=1e-4)
+    hopeless = allocate(
+        response,
+        {**PAIR, "b": Tolerance.symmetric(60 * um)},
+        Requirement(upper=LIMIT),
+        costs={"a": WIDE},
+        certificate_samples=10_000,
+    )
+    assert hopeless.status == "INFEASIBLE"
+    assert hopeless.shortfall == math.inf  # no limit is wide enough for units that do not exist
+
+
+def test_few_steps_and_few_certificate_units():
+    requirement = Requirement(lower=-LIMIT, upper=LIMIT)
+    found = allocate(linear, PAIR, requirement, costs=COSTS, max_steps=1, certificate_samples=100_000)
+    assert found.status == "MAX_STEPS"
+    assert found.certificate.yield_.lower >= 0.9973
+    found = allocate(linear, PAIR, requirement, costs=COSTS, certificate_samples=1000)  # 1000/1003.84 < 0.9973
+    assert found.status == "NOT_CERTIFIED"
+    assert found.feasible
+
+
+def test_grades():
+    sized = {"a": PAIR["a"].replace(size=25 * mm), "b": PAIR["b"].replace(size=25 * mm)}
+    requirement = Requirement(lower=-LIMIT, upper=LIMIT)
+    found = allocate(linear, sized, requirement, costs=COSTS, grades=True)
+    graded = found.graded
+    assert graded.status == "OPTIMAL"
+    for name, grade in graded.grades.items():
+        assert graded.half_widths[name] == pytest.approx(it_width(grade, 25 * mm) / 2)
+    # The cheapest grades by enumeration of the closed-form yield (none of them stands near the limit).
+    widths = {f"IT{k}": it_width(f"IT{k}", 25 * mm) / 2 for k in range(1, 12)}
+    sets = [
+        (10 * um / a + 10 * um / b, {"a": ga, "b": gb})
+        for ga, a in widths.items()
+        for gb, b in widths.items()
+        if 1 * um <= min(a, b) and math.hypot(a, 2 * b) <= radius(0.9973) * 0.99
+    ]
+    assert graded.grades == min(sets, key=lambda item: item[0])[1]
+    assert graded.certificate.yield_.lower >= 0.9973
+    fresh = monte_carlo(linear, graded.tolerances, samples=100_000, seed=999, requirements=requirement)
+    assert fresh.yield_.value > 0.9973
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (dict(requirements=None), "requirements: needs at least one"),
+        (dict(costs={}), "costs: no field has a cost"),
+        (dict(costs=WIDE), "costs: must be a record or a dict"),
+        (dict(costs={"d": WIDE}), "costs: 'd' has no tolerance; these have: a, b"),
+        (dict(costs={"a": 3.0}), "costs: a = 3.0 must be a ReciprocalPower"),
+        (dict(joint_target=1.0), "joint_target = 1.0: must lie between 0 and 1"),
+        (dict(samples=10), "samples = 10: must be at least 100"),
+        (dict(max_steps=0), "max_steps = 0: must be at least 1"),
+    ],
+)
+def test_bad_input_is_named(changes, message):
+    arguments = dict(requirements=Requirement(upper=LIMIT), costs=COSTS) | changes
+    with pytest.raises(ValueError, match=message):
+        allocate(linear, PAIR, **arguments)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: ReciprocalPower(finest=2.0, coarsest=1.0), "ReciprocalPower.finest = 2: must not exceed coarsest = 1"),
+        (lambda: ReciprocalPower(finest=-1.0, coarsest=1.0), "ReciprocalPower.finest = -1: must be positive"),
+        (lambda: Exponential(finest=1.0, coarsest=2.0, decay=0.0), "Exponential.decay = 0: must be positive"),
+        (lambda: Table((1.0, 2.0), (1.0, 3.0)), "Table.costs = .*must fall"),
+        (lambda: Table((2.0, 1.0), (3.0, 1.0)), "Table.half_widths = .*must ascend"),
+        (lambda: Table((2.0,), (3.0,)), "needs at least two"),
+    ],
+)
+def test_bad_costs_are_named(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()
+
+
+def test_costs():
+    t = jnp.asarray([5 * um, 20 * um])
+    np.testing.assert_allclose(WIDE.replace(scale=6.0, fixed=1.0, power=2.0)(t), [25.0, 2.5])
+    np.testing.assert_allclose(Exponential(decay=5 * um, finest=1 * um, coarsest=1.0)(t), np.exp([-1.0, -4.0]))
+    table = Table((5 * um, 20 * um, 80 * um), (8.0, 2.0, 0.5))
+    np.testing.assert_allclose(table(jnp.asarray([5 * um, 10 * um, 40 * um])), [8.0, 4.0, 1.0])
+    assert (table.finest, table.coarsest) == (5 * um, 80 * um)
