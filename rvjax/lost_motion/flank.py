@@ -23,7 +23,7 @@ class Flank(NamedTuple):
     k: jax.Array  # shortening coefficient of the disc as ground, K
     D: jax.Array  # pin radius that the disc is ground for, less the pin radius
     d: jax.Array  # pin circle radius that the disc is ground for, less the pin circle radius
-    teeth: float  # of the disc, z_c
+    teeth: Any  # of the disc, z_c
 
 
 def first_order_minimum(flank: Flank) -> jax.Array:
@@ -93,18 +93,45 @@ def minimum(flank: Flank) -> Minimum:
     Guarded Newton steps on b'(position) = 0 descend from the two first-order minima. Where these merge
     (d near s D) the starts are kept apart by as much as higher orders may shift the merging, since b may
     then have two minima where the first order has one.
-
-    The place of the minimum carries no derivative of its own; one Newton step of value zero gives it the
-    derivative -b'_p / b'' that second derivatives need.
     """
-    frozen: Any = jax.lax.stop_gradient(flank)
-    best, converged = jax.lax.stop_gradient(_descend(frozen))
-    one = jnp.ones_like(best.position)
-    slope = jax.jvp(lambda y: free_rotation(y, flank), (best.position,), (one,))[1]
-    curved = best.curvature > 1e-9 * _size(frozen)  # not at D = d = 0, where every point is a minimum
-    shift = jnp.where(curved, slope / jnp.where(curved, best.curvature, 1), 0)
-    play = 2 * free_rotation(best.position - (shift - jax.lax.stop_gradient(shift)), flank)
-    return Minimum(play, 2 * jnp.arctan(jnp.exp(best.position)), jnp.abs(best.slope), converged)
+    position, slope, converged = _place(flank)
+    return Minimum(2 * _lowest(flank, position), 2 * jnp.arctan(jnp.exp(position)), jnp.abs(slope), converged)
+
+
+@jax.custom_jvp
+def _lowest(flank: Flank, position: jax.Array) -> jax.Array:
+    """Free rotation at its minimum, where its derivative is the partial one at fixed position."""
+    return free_rotation(position, flank)
+
+
+@_lowest.defjvp
+def _lowest_jvp(primals: Any, tangents: Any) -> Any:
+    (flank, position), (dflank, _) = primals, tangents
+    return jax.jvp(lambda f: free_rotation(position, f), (flank,), (dflank,))
+
+
+@jax.custom_jvp
+def _place(flank: Flank) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Position of the minimum, the slope left there, and whether the search came to an end."""
+    best, converged = _descend(flank)
+    return best.position, best.slope, converged
+
+
+@_place.defjvp
+def _place_jvp(primals: Any, tangents: Any) -> Any:
+    """Second derivatives of the play need dposition = -db' / b'', from b' = 0."""
+    (flank,), (dflank,) = primals, tangents
+    position, slope, converged = _place(flank)
+    curvature = _at(position, flank).curvature
+    curved = curvature > 1e-9 * _size(flank)  # not at D = d = 0, where every point is a minimum
+
+    def rate(f: Flank) -> jax.Array:
+        return jax.jvp(lambda x: free_rotation(x, f), (position,), (jnp.ones_like(position),))[1]
+
+    _, drate = jax.jvp(rate, (flank,), (dflank,))
+    dposition = jnp.where(curved, -drate / jnp.where(curved, curvature, 1), 0)
+    rest = (slope, converged)
+    return (position, *rest), (dposition, *jax.custom_derivatives.zero_from_primal(rest))
 
 
 def _size(flank: Flank) -> jax.Array:
@@ -158,13 +185,15 @@ def _descend(flank: Flank) -> tuple[_Point, jax.Array]:
     descend is taken back and shortened.
     """
     size = _size(flank)
-    least = 1e-12 * size + float(jnp.finfo(size.dtype).tiny)
+    limits = jnp.finfo(size.dtype)
+    least = float(limits.eps) ** 0.5 * size + float(limits.tiny)  # a smaller curvature is rounding
+    rounding = 4 * float(limits.eps) * size
 
     def step(state: tuple[_Point, jax.Array]) -> tuple[_Point, jax.Array]:
         best, damping = state
         move = -damping * best.slope / jnp.maximum(jnp.abs(best.curvature), least)
         trial = _at(best.position + jnp.clip(move, -0.5, 0.5), flank)
-        lower = trial.rotation <= best.rotation  # false for NaN and out of reach
+        lower = trial.rotation <= best.rotation + rounding  # false for NaN and out of reach
         best = _Point(*(jnp.where(lower, new, old) for new, old in zip(trial, best)))
         return best, jnp.where(lower, jnp.minimum(2 * damping, 1), damping / 4)
 
@@ -175,4 +204,4 @@ def _descend(flank: Flank) -> tuple[_Point, jax.Array]:
     (near, _), (far, _) = jax.lax.fori_loop(0, STEPS, body, states)
     best = _Point(*(jnp.where(near.rotation <= far.rotation, one, other) for one, other in zip(near, far)))
     remaining = best.slope**2 / jnp.maximum(jnp.abs(best.curvature), least)
-    return best, jnp.isfinite(best.rotation) & (remaining <= 1e-7 * size)
+    return best, jnp.isfinite(best.rotation) & (remaining <= max(1e-7, 32 * float(limits.eps)) * size)
