@@ -34,9 +34,8 @@ class Facts(NamedTuple):
 
     steps: jax.Array
     residual: jax.Array  # moment missing, relative to the larger of the torque and the sum of |moments|
-    overload: jax.Array
-    loaded: jax.Array  # any roller
-    stiffness: jax.Array  # S (n,), 0 for an unloaded roller
+    overload: jax.Array  # a load limit is passed
+    finite: jax.Array
 
 
 Balance = tuple[jax.Array, jax.Array, Facts]
@@ -79,14 +78,16 @@ def balance(law: str, arm: jax.Array, gap: jax.Array, roller: Compliance, torque
     # What rounding of x leaves is shared out along the stiffness.
     load = jnp.maximum(load - rate * arm * jnp.where(slope > 0, missing / jnp.where(slope > 0, slope, 1), 0), 0)
     missing, _, scale = _moment(arm, load, rate, torque)
+    overload = jnp.any(beyond)
+    finite = jnp.isfinite(tau + x) & jnp.all(jnp.isfinite(load))
+    good = finite & ~overload  # a failed lane returns zeros, so that no derivative of it is NaN
     facts = Facts(
         steps=linear_steps + steps,
         residual=jnp.where(scale > 0, jnp.abs(missing) / jnp.where(scale > 0, scale, 1), 0),
-        overload=jnp.any(beyond),
-        loaded=jnp.any(load > 0),
-        stiffness=rate,
+        overload=overload,
+        finite=finite,
     )
-    return tau + x, load, facts
+    return jnp.where(good, tau + x, 0), jnp.where(good, load, 0), facts
 
 
 @balance.defjvp

@@ -103,14 +103,13 @@ def solve(
 
     tolerance = 1e-12 if torque.dtype == jnp.float64 else 64 * float(jnp.finfo(torque.dtype).eps)
     status = first_failure(
-        (~finite, Status.NONFINITE),
+        (~finite | ~facts.finite, Status.NONFINITE),
         (~valid, Status.INVALID_GEOMETRY),
         (undercut, Status.UNDERCUT),
         (facts.overload, Status.CONTACT_OVERLOAD),
         (~(facts.residual <= tolerance), Status.MAX_STEPS),
         (idle & ~jnp.any(load > 0), Status.UNLOADED),
     )
-    status = jnp.where(jnp.isfinite(windup) & jnp.all(jnp.isfinite(cam)), status, int(Status.NONFINITE))
     fine = succeeded(status)
     cam, cage, gear, windup = (
         jnp.where(fine, value, jnp.nan) for value in (cam, cam * place.cage_ratio, cam * place.gear_ratio, windup)

@@ -1,0 +1,254 @@
+"""Mesh forces over random designs: census of statuses, equilibrium, invariants, derivatives.
+
+Oracle: NumPy with the paper's own angles (tests/cam_roller.py): statics and approaches are evaluated from
+the returned forces, not from anything the solver computed. Moments close to 1e-12 of their sum; the angle
+z theta (up to 400 rad) is rounded differently, which leaves 1e-9. Derivatives are compared with central
+differences of the solver, whose own accuracy limits them to 1e-6.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import cam_roller
+from cam_roller import approach, corr, geometry, half_widths, random_units, solve
+from rvjax import Status
+
+TEETH = (2, 3, 5, 8, 13, 25, 40, 60)
+UNITS = 2500  # of each
+
+
+@pytest.mark.parametrize("teeth", TEETH)
+def test_census_of_random_designs(teeth):
+    """Every lane converges, or is overloaded and only then; equilibrium and compatibility hold for the rest."""
+    cases = random_units(teeth, UNITS, np.random.default_rng(teeth))
+    result = solve(teeth, cases)
+    status = result.info.status
+    good, over = status == Status.CONVERGED, status == Status.CONTACT_OVERLOAD
+    assert (good | over).all(), {Status(int(s)).name: int((status == s).sum()) for s in np.unique(status)}
+    assert good.mean() > 0.9 and np.isnan(result.windup[over]).all()
+    assert result.info.residual[good].max() <= 1e-12
+
+    cases = {name: v[good] for name, v in cases.items()}
+    result = jax.tree.map(lambda leaf: leaf[good], result)
+    place, torque = geometry(teeth, cases), (cases["cam_share"] * cases["torque"])
+    moments = place["arm"] * result.cam
+    size = np.maximum(np.abs(torque), np.abs(moments).sum(1))
+    assert (np.abs(moments.sum(1) - torque) / size).max() < 1e-9
+    # sum s Fs = (z + 1) T for any load sharing, preloaded or not
+    assert (np.abs((place["s"] * result.cage).sum(1) - (teeth + 1) * torque) / size).max() < (teeth + 1) * 1e-9
+    # triangle of forces on every roller
+    largest = result.gear.max(1, keepdims=True)
+    triangle = (
+        result.cam * np.cos(place["gamma"]) - result.gear * np.cos(place["beta"]),
+        result.cam * np.sin(place["gamma"]) + result.gear * np.sin(place["beta"]) - result.cage,
+    )
+    assert max(np.abs(leg / largest).max() for leg in triangle) < 1e-9
+    assert (half_widths(teeth, cases, result) < 1).all()
+    # loaded rollers: approach = windup a + g; unloaded ones keep a gap
+    depth = result.windup[:, None] * place["arm"] + place["gap"]
+    size = np.abs(depth).max(1, keepdims=True)
+    loaded = result.cam > 0
+    assert np.abs(np.where(loaded, approach(teeth, cases, result, "hertz") - depth, 0) / size).max() < 1e-9
+    assert np.where(loaded, 0, depth / size).max() < 1e-9
+
+
+@pytest.mark.parametrize("contact", ["linear", "palmgren"])
+def test_census_of_the_other_contacts(contact):
+    cases = random_units(13, UNITS, np.random.default_rng(1))
+    result, place = solve(13, cases, contact), geometry(13, cases)
+    assert (result.info.status == Status.CONVERGED).all() and result.info.residual.max() <= 1e-12
+    depth = result.windup[:, None] * place["arm"] + place["gap"]
+    size, loaded = np.abs(depth).max(1, keepdims=True), result.cam > 0
+    assert np.abs(np.where(loaded, approach(13, cases, result, contact) - depth, 0) / size).max() < 1e-9
+    assert np.where(loaded, 0, depth / size).max() < 1e-9
+
+
+def test_overload_begins_where_a_half_width_reaches_a_radius():
+    """Bisect the torque between CONVERGED and CONTACT_OVERLOAD: the last solvable load stands at the limit."""
+    rng = np.random.default_rng(2)
+    cases = random_units(13, 512, rng, torque=(0, 1), error=(-7, -5))
+    low, high = np.log10(cases["torque"] ** 2) / 2 - 8, np.full(512, 14.0)
+    for _ in range(45):
+        middle = (low + high) / 2
+        result = solve(13, cases | {"torque": 10**middle})
+        assert np.isin(result.info.status, [Status.CONVERGED, Status.CONTACT_OVERLOAD]).all()
+        fine = result.info.status == Status.CONVERGED
+        low, high = np.where(fine, middle, low), np.where(fine, high, middle)
+    cases |= {"torque": 10**low}
+    result = solve(13, cases)
+    widest = half_widths(13, cases, result).max((1, 2))
+    assert (widest < 1).all() and widest.min() > 0.999
+
+
+@pytest.mark.parametrize("contact", ["hertz", "palmgren"])
+def test_symmetries(contact):
+    """Cyclic shifts, mirror image, similarity, and what the torque and the modulus scale."""
+    teeth, n = 13, 14
+    rng = np.random.default_rng(4)
+    cases = random_units(teeth, 400, rng, torque=(-1, 2), error=(-7, -5)) | {"angle": rng.uniform(-1, 1, 400)}
+    base = solve(teeth, cases, contact)
+    ok = base.info.status == Status.CONVERGED
+    assert ok.mean() > 0.95
+    place = geometry(teeth, cases)
+    near = np.abs(base.windup[:, None] * place["arm"] + place["gap"]).max(1)
+
+    def same(changes, roll=lambda force: force, force=1.0, windup=1.0, cage=1.0):
+        result = solve(teeth, cases | changes, contact)
+        np.testing.assert_array_equal(result.info.status, base.info.status)
+        stiff = base.gear.max(1, keepdims=True)
+        # micrometre gaps over nanometre approaches amplify the rounding of z theta
+        gap = 1e-14 * np.abs(place["gap"]).max(1) / np.maximum(near, 1e-300)
+        for name, sign in (("cam", 1.0), ("cage", cage), ("gear", 1.0)):
+            error = np.abs(getattr(result, name) - sign * force * roll(getattr(base, name))) / (force * stiff)
+            assert (error[ok].max(1) <= 1e-7 + gap[ok]).all(), name
+        np.testing.assert_allclose(result.windup[ok], windup * base.windup[ok], rtol=1e-8)
+
+    radii = "errors.roller_radius"
+    same(
+        {"angle": cases["angle"] + 2 * np.pi / (teeth * n), radii: np.roll(cases[radii], 1, 1)},
+        lambda f: np.roll(f, 1, 1),
+    )
+    same({"angle": cases["angle"] + 2 * np.pi / n, radii: np.roll(cases[radii], -1, 1)}, lambda f: np.roll(f, -1, 1))
+
+    def mirrored(force):
+        return np.roll(force[:, ::-1], 1, 1)
+
+    mirror = {"angle": -cases["angle"], "torque": -cases["torque"], radii: mirrored(cases[radii])}
+    same(mirror, mirrored, cage=-1.0, windup=-1.0)
+    lengths = (
+        "cam_radius",
+        "roller_radius",
+        "roller_length",
+        "eccentricity",
+        *("errors." + n for n in cam_roller.ERRORS),
+    )
+    same({name: 3 * cases[name] for name in lengths} | {"torque": 27 * cases["torque"]}, force=9.0)
+    same({"cam_share": 2 * cases["cam_share"], "torque": cases["torque"] / 2})
+    if contact == "hertz":
+        same({"young_modulus": 2 * cases["young_modulus"], "torque": 2 * cases["torque"]}, force=2.0)
+
+
+def test_reciprocity_and_the_balance_of_derivatives():
+    """dF_i/dg_j is symmetric, and an interference changes no moment: sum_i a_i dF_i/dg_j = 0."""
+    teeth = 8
+    cases = random_units(teeth, 64, np.random.default_rng(6), torque=(0, 2), error=(-7, -6))
+
+    def cam(radii, case):
+        result = cam_roller.single(teeth, "hertz", case | {"errors.roller_radius": radii})
+        return result.cam
+
+    jacobian = np.asarray(jax.jit(jax.vmap(jax.jacfwd(cam)))(cases["errors.roller_radius"], cases))
+    place = geometry(teeth, cases)
+    jacobian = jacobian / (1 + np.abs(place["cage_ratio"]) + place["gear_ratio"])[:, None, :]  # by g_j
+    size = np.abs(jacobian).max((1, 2), keepdims=True)
+    ok = np.isfinite(size[:, 0, 0])
+    assert ok.mean() > 0.95
+    assert np.abs((jacobian - np.swapaxes(jacobian, 1, 2)) / size)[ok].max() < 1e-12
+    balance = np.einsum("ui,uij->uj", place["arm"], jacobian) / (size[:, 0] * place["arm"].max(1, keepdims=True))
+    assert np.abs(balance)[ok].max() < 1e-11
+
+
+@pytest.mark.parametrize("contact", ["hertz", "linear", "palmgren"])
+def test_derivatives_equal_central_differences(contact):
+    """Every input of 32 random units, where no roller gains or loses contact within the step; both modes agree."""
+    teeth, count = 8, 32
+    cases = random_units(teeth, count, np.random.default_rng(7), torque=(0, 2), error=(-7, -6)) | {
+        "angle": np.linspace(-1, 1, count)
+    }
+    scale = {name: np.abs(v) for name, v in cases.items()} | {"angle": np.full(count, 0.02)}
+    scale |= {n: np.full_like(cases[n], 1e-6) for n in cases if n.startswith("errors.")}
+
+    def outputs(case):
+        result = cam_roller.single(teeth, contact, case)
+        unit = jax.lax.stop_gradient(jnp.max(result.gear))
+        parts = [result.cam / unit, result.cage / unit, result.gear / unit]
+        return jnp.concatenate([*parts, result.windup[None] / jax.lax.stop_gradient(jnp.abs(result.windup))])
+
+    weights = np.random.default_rng(8).normal(size=3 * (teeth + 1) + 1)
+    values = jax.jit(jax.vmap(outputs))
+    reverse = jax.jit(jax.vmap(jax.grad(lambda case: jnp.sum(weights * outputs(case)))))(cases)
+    direction = {
+        name: np.random.default_rng(k).normal(size=v.shape) * scale[name] for k, (name, v) in enumerate(cases.items())
+    }
+    forward = jax.jit(jax.vmap(lambda c, d: jax.jvp(outputs, (c,), (d,))[1]))
+    ok = np.isfinite(np.asarray(values(cases))).all(1)
+    assert ok.mean() > 0.9
+    compared = 0
+    for name in cases:
+        step = {n: np.where(n == name, direction[n], 0.0) for n in cases}
+        h = 1e-5
+        ends = [solve(teeth, {n: cases[n] + sign * h * step[n] for n in cases}, contact) for sign in (-1, 1)]
+        middle = solve(teeth, cases, contact)
+        unit = middle.gear.max(1, keepdims=True)
+        difference = np.concatenate(
+            [(getattr(ends[1], f) - getattr(ends[0], f)) / unit for f in ("cam", "cage", "gear")]
+            + [((ends[1].windup - ends[0].windup) / np.abs(middle.windup))[:, None]],
+            axis=1,
+        ) / (2 * h)
+        analytic = np.asarray(forward(cases, step))
+        steady = ok & ((ends[0].cam > 0) == (ends[1].cam > 0)).all(1)
+        size = np.maximum(np.abs(analytic).max(1, keepdims=True), 1e-2)
+        assert (np.abs(analytic - difference) / size)[steady].max() < 1e-6, name
+        compared += steady.sum()
+        back = np.sum((reverse[name] * step[name]).reshape(count, -1), axis=1)
+        np.testing.assert_allclose(back[ok], (analytic @ weights)[ok], rtol=1e-9, atol=1e-9 * np.abs(analytic).max())
+    assert compared > 0.8 * len(cases) * count
+
+
+@pytest.mark.parametrize("contact", ["hertz", "palmgren"])
+def test_derivatives_at_a_contact_change_are_one_sided(contact):
+    """A roller set exactly to the point of touching: the derivative is that of one of the two sides."""
+    cases = corr(1, errors_roller_radius=np.linspace(-2e-6, 2e-6, 26))
+    place, roller = geometry(25, cases), 20
+    away = {n: v.copy() for n, v in cases.items()}
+    away["errors.roller_radius"][0, roller] = -1e-4
+    windup = solve(25, away, contact).windup[0]
+    weight = 1 + abs(place["cage_ratio"][0, roller]) + place["gear_ratio"][0, roller]
+    touch = -windup * place["arm"][0, roller] / weight
+
+    def outputs(radius, case):
+        radii = case["errors.roller_radius"].at[roller].set(radius)
+        result = cam_roller.single(25, contact, case | {"errors.roller_radius": radii})
+        return jnp.concatenate([result.windup[None] * 1e6, result.cam])
+
+    case = {n: jnp.asarray(v[0]) for n, v in cases.items()}
+    slope = np.asarray(jax.jit(jax.jacrev(outputs))(touch, case))
+    value = jax.jit(outputs)
+    h = 1e-12
+    sides = [(np.asarray(value(touch + s * h, case)) - np.asarray(value(touch, case))) / (s * h) for s in (-1, 1)]
+    assert np.isfinite(slope).all()
+    size = np.abs(sides[1]).max()
+    assert min(np.abs(slope - side).max() for side in sides) < 1e-2 * size  # difference quotients: 12 digits over 1 pm
+    assert np.abs(sides[0]).max() < 1e-2 * size  # a roller without contact changes nothing
+
+
+@pytest.mark.parametrize("contact", ["hertz", "linear", "palmgren"])
+def test_second_derivatives(contact):
+    cases = corr(1, errors_roller_radius=np.linspace(-2e-6, 2e-6, 26))
+    case = {n: jnp.asarray(v[0]) for n, v in cases.items()}
+
+    def output(x):
+        moved = {"eccentricity": 3.5e-3 * (1 + x[0]), "errors.cam_radius": 1e-6 * x[1]}
+        result = cam_roller.single(25, contact, case | moved | {"torque": 100 * (1 + x[2]), "angle": 0.2 + x[3]})
+        return result.windup * 1e3 + result.cam[20] / 1e3
+
+    gradient = jax.jit(jax.grad(output))
+    x, h = jnp.array([0.0, 0.5, 0.0, 0.0]), 1e-6
+    hessian = np.asarray(jax.jit(jax.hessian(output))(x))
+    steps = h * np.eye(4)
+    differences = np.stack([(gradient(x + s) - gradient(x - s)) / (2 * h) for s in steps])
+    np.testing.assert_allclose(hessian, hessian.T, atol=1e-10 * np.abs(hessian).max())
+    np.testing.assert_allclose(hessian, differences, atol=5e-5 * np.abs(hessian).max())
+
+
+def test_zero_errors_have_finite_derivatives_without_torque():
+    cases = corr(32, torque=np.where(np.arange(32) % 2, 0.0, 100.0), angle=np.where(np.arange(32) % 4 < 2, 0.0, 0.0013))
+
+    def outputs(case):
+        result = cam_roller.single(25, "palmgren", case)
+        return jnp.concatenate([result.cam, result.cage, result.gear, result.windup[None]])
+
+    for slope in jax.tree.leaves(jax.jit(jax.vmap(jax.jacrev(outputs)))(cases)):
+        assert np.isfinite(slope).all()
