@@ -7,6 +7,7 @@ closed form t_j ~ (c_j k_j / b_j)^(1/(k_j+2)). The model costs nothing to evalua
 with Adam (Hestenes 1969, Powell 1969; optax) solves it for any number of constraints and any cost.
 """
 
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -14,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
+from rvjax.records import promote
 from rvjax.tolerances.training import Point
 
 _MULTIPLIER_STEPS, _STEPS = 30, 120
@@ -50,12 +52,32 @@ def cheapest(
 @jax.jit
 def total_cost(costs: tuple[Any, ...], half_widths: jax.Array) -> jax.Array:
     """Sum of the costs of all fields."""
-    return sum((cost(half_widths[j]) for j, cost in enumerate(costs)), start=jnp.zeros((), half_widths.dtype))
+    return _summed(costs)(half_widths)
+
+
+def _summed(costs: tuple[Any, ...]) -> Callable[[jax.Array], jax.Array]:
+    """The sum as a function; costs of one kind are stacked, so that hundreds of fields stay a few operations."""
+    kinds: dict[Any, list[int]] = {}
+    for j, cost in enumerate(costs):
+        shapes = tuple(jnp.shape(leaf) for leaf in jax.tree.leaves(cost))
+        kinds.setdefault((type(cost), shapes), []).append(j)
+    groups = [(np.array(js), promote(*(costs[j] for j in js))) for js in kinds.values()]
+    stacks = [
+        (js, jax.tree.map(lambda *leaves: jnp.stack(leaves), *([same] if len(js) == 1 else same)))
+        for js, same in groups
+    ]
+
+    def total(half_widths: jax.Array) -> jax.Array:
+        parts = [jnp.sum(jax.vmap(lambda cost, t: cost(t))(stack, half_widths[js])) for js, stack in stacks]
+        return jnp.sum(jnp.stack(parts))
+
+    return total
 
 
 @jax.jit
 def _solve(costs: Any, total: Any, start: Any, low: Any, high: Any, constant: Any, weights: Any) -> Any:
     """Augmented Lagrangian in logarithms of the half-widths, projected to the bounds."""
+    cost = _summed(costs)
     optimiser = optax.adam(_RATES, b1=0.8, b2=0.95)
 
     def constraints(x: jax.Array) -> jax.Array:
@@ -64,7 +86,7 @@ def _solve(costs: Any, total: Any, start: Any, low: Any, high: Any, constant: An
 
     def lagrangian(x: jax.Array, prices: jax.Array) -> jax.Array:
         pressed = jnp.maximum(0.0, prices + _PENALTY * constraints(x))
-        return total_cost(costs, jnp.exp(x)) / total + (pressed @ pressed - prices @ prices) / (2 * _PENALTY)
+        return cost(jnp.exp(x)) / total + (pressed @ pressed - prices @ prices) / (2 * _PENALTY)
 
     def step(_: int, carry: Any) -> Any:
         x, state, prices = carry
