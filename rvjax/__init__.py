@@ -27,12 +27,21 @@ __version__ = "0.1.0"
 
 # Where a name lives that is loaded when first asked for; None: the name is a submodule.
 _LAZY = {
+    "Block": "dynamics",
+    "Blocks": "dynamics",
+    "EnergyShares": "dynamics",
     "LinkDeviations": "four_bar",
     "LoopFigures": "lost_motion",
     "LostMotion": "lost_motion",
     "LostMotionTerms": "lost_motion",
+    "Lumped": "dynamics",
     "MeshForces": "mesh_force",
+    "Modes": "dynamics",
+    "Response": "dynamics",
+    "Static": "dynamics",
+    "System": "dynamics",
     "ToothProfile": "mesh_force",
+    "dynamics": None,
     "four_bar": None,
     "lost_motion": None,
     "mesh_force": None,

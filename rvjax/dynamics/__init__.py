@@ -1,0 +1,33 @@
+"""Plane vibration of an RV reducer as a lumped model: modes, forced response, stability, sensitivities.
+
+Rigid sun, planets, cranks, discs and output wheel on linear springs; the mesh stiffness of one stage varies
+periodically under a constant load torque. Left out: gyroscopic terms, clearance, loss of contact, the pin ring.
+
+Source: Yang, Chen, Wang, "Response Sensitivity to Design Parameters of RV Reducer", Chin. J. Mech. Eng. 31:49
+(2018), doi 10.1186/s10033-018-0249-y. Harmonic balance, periodic solution and derivatives are our own.
+"""
+
+from rvjax.dynamics.assembly import Lumped, System, assemble, lump
+from rvjax.dynamics.modes import EnergyShares, Modes, energy_shares, modes
+from rvjax.dynamics.response import Response, constant_forcing, response
+from rvjax.dynamics.static import Static, static
+from rvjax.dynamics.symmetry import Block, Blocks, blocks
+
+__all__ = [
+    "Block",
+    "Blocks",
+    "EnergyShares",
+    "Lumped",
+    "Modes",
+    "Response",
+    "Static",
+    "System",
+    "assemble",
+    "blocks",
+    "constant_forcing",
+    "energy_shares",
+    "lump",
+    "modes",
+    "response",
+    "static",
+]

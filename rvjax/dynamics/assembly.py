@@ -1,0 +1,280 @@
+"""Springs and masses of the lumped model: one table of deflection vectors gives K, for any number of parts.
+
+Every part moves in the plane with (x, y, rotation), rotation counter-clockwise: sun, planets, cranks, discs,
+output wheel. Sun and output use the fixed frame; planet and crank i the frame at psi_i = 2 pi (i-1)/M with x
+radially outwards; disc j the frame at psi_cj = disc_phase + 2 pi (j-1)/N with x along its eccentricity. The
+deflection of a spring is v.q with v linear in thirteen numbers of the design (`geometry_numbers`), so that
+v, K = sum k v v^T and their derivatives are products with constant arrays.
+
+Source: Yang, Chen, Wang, Chin. J. Mech. Eng. 31:49 (2018), doi 10.1186/s10033-018-0249-y, Eq. 1 and Appendix.
+"""
+
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rvjax.catalogue import RV_320E
+from rvjax.designs import Damping, Inertia, MeshVariation, RVReducer, Stiffness
+from rvjax.records import Record, concrete, count, field, promote, record, text
+from rvjax.status import Status, first_failure
+
+
+@record
+class Lumped(Record):
+    """The numbers of a reducer that the lumped model reads; `eccentricity` and `force_arm` may vary apart."""
+
+    cranks: int = count("planets and crankshafts, M", minimum=2)
+    discs: int = count("discs, N")
+    sun_teeth: int = count("teeth of the sun")
+    planet_teeth: int = count("teeth of a planet")
+    disc_teeth: int = count("teeth of a disc; the ring has one pin more")
+    sun_base_radius: Any = field("m", "base radius of the sun, rs", sign="positive")
+    planet_base_radius: Any = field("m", "base radius of a planet, rp", sign="positive")
+    eccentricity: Any = field("m", "eccentricity of the cranks, e", sign="positive")
+    force_arm: Any = field("m", "rolling radius of a disc, rc = e disc_teeth unless set", sign="positive")
+    circle_radius: Any = field("m", "radius of the circle of crank axes, rH", sign="positive")
+    pressure_angle: Any = field("rad", "of the sun-planet mesh, alpha")
+    force_angle: Any = field("rad", "of the disc-pin mesh, beta")
+    disc_phase: Any = field("rad", "eccentric direction of disc 1")
+    inertia: Inertia = field("-", "masses and moments of inertia", kind="record")
+    stiffness: Stiffness = field("-", "stiffnesses", kind="record")
+    mesh_variation: MeshVariation = field("-", "periodic mesh stiffness", kind="record")
+    damping: Damping = field("-", "damping", kind="record")
+
+
+@record
+class System(Record):
+    """Mass and mean stiffness of the whole reducer in physical coordinates."""
+
+    mass: Any = field("kg, kg m2", "diagonal of the mass matrix", shape=("n",))
+    stiffness: Any = field("N/m, N, N m", "mean stiffness matrix", shape=("n", "n"))
+    labels: tuple[str, ...] = text("names of the coordinates")
+
+
+def lump(design: RVReducer | Lumped) -> Lumped:
+    """The lumped parameters of a reducer; a Lumped passes through.
+
+    Args:
+        design: a reducer with inertia and stiffness; without mesh_variation its meshes are constant, without
+            damping it is undamped.
+
+    Raises:
+        ValueError: a part is missing, a ring without exactly one pin more than the disc has teeth, or a
+            concrete zero stiffness that leaves the torque no path.
+    """
+    if isinstance(design, Lumped):
+        return design
+    if design.inertia is None or design.stiffness is None:
+        missing = "inertia" if design.inertia is None else "stiffness"
+        raise ValueError(f"RVReducer.{missing} = None: the dynamic model needs it")
+    stage = design.cycloid
+    if stage.pin_count != stage.disc_teeth + 1:
+        raise ValueError(
+            f"CycloidStage.pin_count = {stage.pin_count}: must be disc_teeth + 1 = {stage.disc_teeth + 1} (dynamics)"
+        )
+    for name in ("planet_crank_torsion", "disc_pin_mesh", "turning_arm_bearing"):
+        value = getattr(design.stiffness, name)
+        if concrete(value) and np.any(np.asarray(value) == 0):
+            raise ValueError(f"Stiffness.{name} = 0: no path for the torque; must be positive")
+    return Lumped(
+        cranks=design.cranks.count,
+        discs=stage.disc_count,
+        sun_teeth=design.involute.sun_teeth,
+        planet_teeth=design.involute.planet_teeth,
+        disc_teeth=stage.disc_teeth,
+        sun_base_radius=design.involute.sun_base_radius,
+        planet_base_radius=design.involute.planet_base_radius,
+        eccentricity=stage.eccentricity,
+        force_arm=stage.eccentricity * stage.disc_teeth,
+        circle_radius=design.cranks.circle_radius,
+        pressure_angle=design.involute.pressure_angle,
+        force_angle=stage.force_angle,
+        disc_phase=stage.disc_phase,
+        inertia=design.inertia,
+        stiffness=design.stiffness,
+        mesh_variation=design.mesh_variation or MeshVariation(0.0, 0.5, 0.0, 0.0, 0.5, 0.0),
+        damping=design.damping or Damping(),
+    )
+
+
+def admit(lumped: Lumped, *conditions: Any) -> tuple[Lumped, tuple[Any, ...], jax.Array]:
+    """Everything in one dtype, a lane outside the model's domain replaced by a harmless one, and its status."""
+    lumped, conditions = promote(lumped, conditions)
+    leaves = jax.tree.leaves((lumped, conditions))
+    finite = jnp.all(jnp.stack([jnp.isfinite(leaf) for leaf in leaves]))
+    positive = jnp.stack(
+        [
+            *(lumped.sun_base_radius, lumped.planet_base_radius, lumped.eccentricity, lumped.circle_radius),
+            *jax.tree.leaves(lumped.inertia),
+        ]
+    )
+    invalid = (jnp.min(positive) <= 0) | (jnp.abs(jnp.cos(lumped.force_angle)) < 1e-9)  # pins carry no torque
+    status = first_failure((~finite, Status.NONFINITE), (invalid, Status.INVALID_GEOMETRY))
+    good = status == Status.CONVERGED
+    spare = jax.tree.leaves((lump(RV_320E), (1.0,) * len(conditions)))
+    kept = [jnp.where(good, leaf, jnp.asarray(other, leaf.dtype)) for leaf, other in zip(leaves, spare)]
+    lumped, conditions = jax.tree.unflatten(jax.tree.structure((lumped, conditions)), kept)
+    return lumped, conditions, status
+
+
+def assemble(design: RVReducer | Lumped) -> System:
+    """Mass and mean stiffness matrix of the whole reducer.
+
+    Args:
+        design: a reducer with inertia and stiffness, or its lumped parameters.
+
+    Returns:
+        System of n = 6 M + 3 N + 6 coordinates (M cranks, N discs), labelled `sun.x` ... `output.rotation`.
+
+    Raises:
+        ValueError: as `lump`.
+    """
+    lumped = promote(lump(design))
+    table = spring_table(lumped.cranks, lumped.discs)
+    rows = deflections(lumped, table.rows)
+    stiffness = rows.T @ (spring_stiffness(lumped)[:, None] * rows)
+    return System(mass=mass_vector(lumped), stiffness=stiffness, labels=table.labels)
+
+
+def mass_vector(lumped: Lumped) -> jax.Array:
+    """Diagonal of the mass matrix (n,)."""
+    part = lumped.inertia
+    pairs = jnp.stack([jnp.stack([getattr(part, f"{p}_mass"), getattr(part, f"{p}_inertia")]) for p in PARTS])
+    table = spring_table(lumped.cranks, lumped.discs)
+    return pairs[table.part, table.rotates]
+
+
+def spring_stiffness(lumped: Lumped) -> jax.Array:
+    """Stiffness of every spring of the table (springs,)."""
+    values = jnp.stack([getattr(lumped.stiffness, name) for name in SPRINGS])
+    return values[spring_table(lumped.cranks, lumped.discs).kind]
+
+
+def geometry_numbers(lumped: Lumped) -> jax.Array:
+    """The thirteen numbers in which all deflection vectors are linear."""
+    ca, sa = jnp.cos(lumped.pressure_angle), jnp.sin(lumped.pressure_angle)
+    cp, sp = jnp.cos(lumped.disc_phase), jnp.sin(lumped.disc_phase)
+    cb, sb = jnp.cos(lumped.force_angle), jnp.sin(lumped.force_angle)
+    e = lumped.eccentricity
+    rs, rp, rh = lumped.sun_base_radius, lumped.planet_base_radius, lumped.circle_radius
+    return jnp.stack([jnp.ones_like(ca), ca, sa, rs, rp, rh, cp, sp, e * cp, e * sp, cb, sb, lumped.force_arm * cb])
+
+
+def deflections(lumped: Lumped, rows: np.ndarray) -> jax.Array:
+    """Deflection vectors from the constant array `rows` (13, springs, coordinates), real or complex."""
+    numbers = geometry_numbers(lumped)
+    if np.iscomplexobj(rows):
+        numbers = jax.lax.complex(numbers, jnp.zeros_like(numbers))
+    return jnp.tensordot(numbers, jnp.asarray(rows, numbers.dtype), axes=1)
+
+
+PARTS = ("sun", "planet", "crank", "disc", "output")
+SPRINGS = (
+    "sun_support",
+    "sun_torsion",
+    "planet_crank_bending",
+    "planet_crank_torsion",
+    "support_bearing",
+    "turning_arm_bearing",
+    "sun_planet_mesh",
+    "disc_pin_mesh",
+    "output_support",
+    "output_torsion",
+)
+_ONE, _CA, _SA, _RS, _RP, _RH, _CP, _SP, _ECP, _ESP, _CB, _SB, _RCB = range(13)
+
+
+class SpringTable(NamedTuple):
+    """Constants of a layout of M cranks and N discs; n coordinates."""
+
+    rows: np.ndarray  # (13, springs, n): deflection vectors in terms of `geometry_numbers`
+    kind: np.ndarray  # (springs,): index into SPRINGS
+    part: np.ndarray  # (n,): index into PARTS
+    rotates: np.ndarray  # (n,): 0 for x and y, 1 for rotation
+    labels: tuple[str, ...]
+
+    def of(self, name: str) -> np.ndarray:
+        """Positions of the springs of one kind."""
+        return np.flatnonzero(self.kind == SPRINGS.index(name))
+
+
+def circle(count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Cosine and sine of `count` equal steps round a circle, with clean zeros."""
+    return clean_direction(2 * np.pi * np.arange(count) / count)
+
+
+def clean_direction(angle: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Cosine and sine, with exact zeros at multiples of a right angle."""
+    direction = np.stack([np.cos(angle), np.sin(angle)])
+    direction[np.abs(direction) < 1e-15] = 0
+    return direction[0], direction[1]
+
+
+def first_index(cranks: int, discs: int) -> dict[str, int]:
+    """Index of the x coordinate of the first member of each part."""
+    return dict(zip(PARTS, np.cumsum([0, 3, 3 * cranks, 3 * cranks, 3 * discs]).tolist()))
+
+
+@lru_cache
+def spring_table(cranks: int, discs: int) -> SpringTable:
+    """Springs of a layout: support, shafts, bearings and meshes as in Section 2 of the source."""
+    start = first_index(cranks, discs)
+    sun, output = start["sun"], start["output"]
+    size = output + 3
+    rows: list[tuple[str, list[tuple[int, int, Any]]]] = []
+
+    def spring(kind: str, *terms: tuple[int, int, Any]) -> None:
+        rows.append((kind, list(terms)))  # terms: (coordinate, geometry number, factor)
+
+    for x, name in ((sun, "sun"), (output, "output")):
+        spring(f"{name}_support", (x, _ONE, 1))
+        spring(f"{name}_support", (x + 1, _ONE, 1))
+        spring(f"{name}_torsion", (x + 2, _ONE, 1))
+    cosine, sine = circle(cranks)
+    for i in range(cranks):
+        c, s = cosine[i], sine[i]
+        p, h = start["planet"] + 3 * i, start["crank"] + 3 * i
+        spring(  # cos(a) xs + sin(a) ys + rs ths - sin(al) xp - cos(al) yp + rp thp, a = psi_i + pi/2 - al
+            "sun_planet_mesh",
+            *((sun, _SA, c), (sun, _CA, -s), (sun + 1, _CA, c), (sun + 1, _SA, s), (sun + 2, _RS, 1)),
+            *((p, _SA, -1), (p + 1, _CA, -1), (p + 2, _RP, 1)),
+        )
+        for axis, kind in enumerate(("bending", "bending", "torsion")):
+            spring(f"planet_crank_{kind}", (p + axis, _ONE, 1), (h + axis, _ONE, -1))
+        spring("support_bearing", (h, _ONE, 1), (output, _ONE, -c), (output + 1, _ONE, -s))
+        spring("support_bearing", (h + 1, _ONE, 1), (output, _ONE, s), (output + 1, _ONE, -c), (output + 2, _RH, -1))
+        for j in range(discs):
+            x = start["disc"] + 3 * j
+            turn = 2 * np.pi * (j * cranks - i * discs) / (cranks * discs)  # phi_ij without the phase of disc 1
+            c, s = clean_direction(turn)
+            spring(  # xH - e sin(phi) thH - cos(phi) xc + sin(phi) yc
+                "turning_arm_bearing",
+                *((h, _ONE, 1), (h + 2, _ESP, -c), (h + 2, _ECP, -s)),
+                *((x, _CP, -c), (x, _SP, s), (x + 1, _SP, c), (x + 1, _CP, s)),
+            )
+            spring(  # yH + e cos(phi) thH - sin(phi) xc - cos(phi) yc - rH thc
+                "turning_arm_bearing",
+                *((h + 1, _ONE, 1), (h + 2, _ECP, c), (h + 2, _ESP, -s)),
+                *((x, _SP, -c), (x, _CP, -s), (x + 1, _CP, -c), (x + 1, _SP, s), (x + 2, _RH, -1)),
+            )
+    for j in range(discs):
+        x = start["disc"] + 3 * j
+        spring("disc_pin_mesh", (x, _SB, 1), (x + 1, _CB, 1), (x + 2, _RCB, 1))
+
+    table = np.zeros((13, len(rows), size))
+    for k, (_, terms) in enumerate(rows):
+        for coordinate, number, factor in terms:
+            table[number, k, coordinate] += factor
+    members = dict(zip(PARTS, (1, cranks, cranks, discs, 1)))
+    labels = tuple(
+        f"{name}{i + 1 if name in ('planet', 'crank', 'disc') else ''}.{axis}"
+        for name in PARTS
+        for i in range(members[name])
+        for axis in ("x", "y", "rotation")
+    )
+    part = np.repeat(np.arange(5), [3 * members[name] for name in PARTS])
+    kinds = np.array([SPRINGS.index(name) for name, _ in rows])
+    return SpringTable(table, kinds, part, np.tile([0, 0, 1], size // 3), labels)

@@ -1,0 +1,138 @@
+"""Harmonic balance with full coupling: q = sum over |l| <= H of Q_l e^{i l w t}, Q_-l = conj Q_l.
+
+Every product of stiffness variation and vibration enters through the deflections d_il = v_i.Q_l of the varying
+meshes. With d_il = e^{i l ph_i} delta_il (ph_i the mesh phases) they alone satisfy, for l = -H .. H,
+
+    delta_l + Gamma_l (T delta)_l = v.qbar [l = 0],
+    Gamma_l[i, m] = e^{-i l ph_i} v_i^T Z_l^-1 v_m e^{i l ph_m},    (T delta)_l = k sum_{j != l} a_|l-j| / 2 delta_j,
+    Q_l = qbar [l = 0] - Z_l^-1 sum_m v_m e^{i l ph_m} (T delta)_ml.
+
+Mesh form: one unknown per mesh and harmonic, for any layout. Cyclic form: where shifting the members by one is
+a symmetry of the mean system all delta_il are equal, and one unknown per harmonic remains.
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rvjax.dynamics.assembly import Lumped, spring_table
+from rvjax.dynamics.excitation import MESH, mesh_teeth, phases, wave_coefficients
+from rvjax.dynamics.harmonics import Solved, constants, in_order, resonance_distance, shares, unfold
+from rvjax.dynamics.linear import solve
+from rvjax.dynamics.modal import dynamic_stiffness, modal_sectors, modal_solve, on_resonance, residual
+from rvjax.dynamics.static import linear_ratio, mean_state, mesh_rows, mesh_stiffness, torque_kind
+from rvjax.dynamics.symmetry import sector
+
+
+def solve_cyclic(lumped: Lumped, w: Any, output_torque: Any, stage: str, harmonics: int, indices: np.ndarray) -> Solved:
+    """Cyclic form at signed mesh frequency `w`, rad/s: one small solve and one scalar unknown per harmonic."""
+    mesh, kind = MESH[stage], torque_kind(lumped)
+    members = spring_table(lumped.cranks, lumped.discs).of(mesh)
+    rows_0 = mesh_rows(lumped, mesh, kind)
+    torques = (-output_torque / linear_ratio(lumped), output_torque)
+    state = mean_state(lumped, kind, *torques, jnp.sum(rows_0, axis=0)[:, None])
+    mean, x_0 = state.solution[:, 0], state.solution[:, 1]
+
+    parts = shares(lumped.cranks, lumped.discs, stage, mesh_teeth(lumped, stage), harmonics)
+    sectors = modal_sectors(lumped, [share.key for share in parts])
+    own, shown, distances, singular, misses = [], [], [], [state.singular], [state.residual]
+    for key, orders in parts:
+        modal = sectors[key]
+        frequency = orders.astype(w.dtype) * w
+        z = dynamic_stiffness(lumped, frequency)
+        waves = constants(phases(lumped, stage, orders), w)
+        rhs = (waves @ modal.springs[members].conj().astype(waves.dtype))[:, :, None]
+        x = modal_solve(modal, z, rhs)  # Z_l^-1 sum_i e^{i l ph_i} v_i
+        own.append(unfold(orders, x[:, :, 0] @ modal.springs[members[0]].astype(waves.dtype)))
+        shown.append(unfold(orders, x[:, :, 0] @ modal.rows(indices).T.astype(waves.dtype)))
+        distances.append(resonance_distance(modal, frequency))
+        singular.append(on_resonance(modal, z))
+        misses.append(residual(modal, z, x, rhs))
+    orders_used = [share.harmonics for share in parts]
+    absent = constants(0, w)
+    gamma = jnp.concatenate([constants(rows_0[:1] @ x_0, w), in_order(orders_used, own, harmonics, absent)])
+    basis = jnp.asarray(sector(lumped.cranks, lumped.discs, kind).basis[indices], mean.dtype)
+    shown = [
+        constants((basis @ x_0)[None], w),
+        in_order(orders_used, shown, harmonics, jnp.stack([absent] * len(indices))),
+    ]
+    coupling, pivot = _coupling(lumped, stage, harmonics, gamma[:, None, None], rows_0[:1] @ mean)
+    motion = -jnp.concatenate(shown) * coupling
+    return Solved(
+        amplitude=2 * motion[1:],
+        mean=basis @ mean + motion[0].real,
+        distance=in_order(orders_used, distances, harmonics, jnp.full((), jnp.inf, w.dtype)),
+        singular=jnp.any(jnp.stack(singular)) | _is_singular(pivot),
+        residual=jnp.max(jnp.stack(misses)),
+    )
+
+
+def solve_mesh(lumped: Lumped, w: Any, output_torque: Any, stage: str, harmonics: int, indices: np.ndarray) -> Solved:
+    """Mesh form at signed mesh frequency `w`, rad/s, on the whole model: any layout."""
+    mesh, key = MESH[stage], ("coupled", 0)
+    members = spring_table(lumped.cranks, lumped.discs).of(mesh)
+    rows_0 = mesh_rows(lumped, mesh, *key)
+    torques = (-output_torque / linear_ratio(lumped), output_torque)
+    state = mean_state(lumped, key[0], *torques, rows_0.T)
+    mean, x_0 = state.solution[:, 0], state.solution[:, 1:]
+
+    modal = modal_sectors(lumped, [key])[key]
+    orders = np.arange(1, harmonics + 1)
+    frequency = orders.astype(w.dtype) * w
+    z = dynamic_stiffness(lumped, frequency)
+    waves = constants(phases(lumped, stage, orders), w)
+    springs = modal.springs[members].astype(waves.dtype)
+    rhs = springs.T[None] * waves[:, None, :]
+    x = modal_solve(modal, z, rhs)  # Z_l^-1 v_m e^{i l ph_m}
+    gamma = waves.conj()[:, :, None] * jnp.einsum("ir,lrm->lim", springs, x)
+    gamma = jnp.concatenate([constants(rows_0 @ x_0, w)[None], gamma])
+    shown = jnp.einsum("kr,lrm->lkm", modal.rows(indices).astype(waves.dtype), x)
+    shown = jnp.concatenate([constants(x_0[indices], w)[None], shown])
+    coupling, pivot = _coupling(lumped, stage, harmonics, gamma, rows_0 @ mean)
+    motion = -jnp.einsum("lkm,lm->lk", shown, coupling)
+    return Solved(
+        amplitude=2 * motion[1:],
+        mean=mean[indices] + motion[0].real,
+        distance=resonance_distance(modal, frequency),
+        singular=state.singular | on_resonance(modal, z) | _is_singular(pivot),
+        residual=jnp.maximum(state.residual, residual(modal, z, x, rhs)),
+    )
+
+
+def _coupling(
+    lumped: Lumped, stage: str, harmonics: int, gamma: jax.Array, load: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """(T delta)_l for l = 0 .. H (H + 1, m), and the smallest pivot of the system that gives delta.
+
+    With delta_-l = conj delta_l the real parts p and imaginary parts q of delta_0 .. delta_H are the unknowns:
+    (T delta)_l = sum_j (t_|l-j| + t_l+j) p_j + i (t_|l-j| - t_l+j) q_j, the terms t_l+j for j >= 1 only.
+    """
+    count, meshes = harmonics + 1, gamma.shape[1]
+    half = wave_coefficients(lumped, stage, 2 * harmonics) * mesh_stiffness(lumped, MESH[stage])[0] / 2
+    t = jnp.concatenate([jnp.zeros_like(half[:1]), half])
+    order = np.arange(count)
+    near, far = t[np.abs(order[:, None] - order)], jnp.where(order >= 1, t[order[:, None] + order], 0)
+    even, odd = near + far, near - far
+    odd = jnp.where(order >= 1, odd, 0)  # q_0 = 0
+
+    def block(values: jax.Array, matrix: jax.Array) -> jax.Array:
+        return jnp.einsum("lim,lj->lijm", values, matrix).reshape(count * meshes, count * meshes)
+
+    one = jnp.eye(count * meshes, dtype=t.dtype)
+    matrix = jnp.block(
+        [
+            [one + block(gamma.real, even), -block(gamma.imag, odd)],
+            [block(gamma.imag, even), one + block(gamma.real, odd)],
+        ]
+    )
+    rhs = jnp.zeros(2 * count * meshes, t.dtype).at[:meshes].set(load)
+    scale = 1 / jax.lax.stop_gradient(jnp.max(jnp.abs(matrix), axis=1, keepdims=True))
+    unknown, pivot = solve(scale * matrix, scale * rhs[:, None])
+    p, q = unknown.reshape(2, count, meshes)
+    return jax.lax.complex(even @ p, odd @ q), pivot
+
+
+def _is_singular(pivot: jax.Array) -> jax.Array:
+    return ~(pivot > 16 * jnp.finfo(pivot.dtype).eps)

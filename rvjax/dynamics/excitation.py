@@ -1,0 +1,50 @@
+"""What excites the reducer: mesh frequencies, mesh phases and the Fourier series of the mesh stiffness."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rvjax.dynamics.assembly import Lumped, circle
+
+STAGES = ("planetary", "cycloid")
+MESH = {"planetary": "sun_planet_mesh", "cycloid": "disc_pin_mesh"}
+
+
+def mesh_count(lumped: Lumped, stage: str) -> int:
+    """Meshes of a stage: one for each planet, or one for each disc."""
+    return lumped.cranks if stage == "planetary" else lumped.discs
+
+
+def mesh_teeth(lumped: Lumped, stage: str) -> int:
+    """Teeth that set the phases between the meshes: of the sun; pins of the ring, seen from the eccentric."""
+    return lumped.sun_teeth if stage == "planetary" else lumped.disc_teeth + 1
+
+
+def mesh_frequency(lumped: Lumped, sun_speed: Any, stage: str) -> Any:
+    """Angular mesh frequency with the sign of the speed, rad/s: pin ring fixed, carrier out, sun at `sun_speed`."""
+    pins = lumped.disc_teeth + 1
+    ratio = 1 + lumped.planet_teeth * pins / lumped.sun_teeth  # sun speed over output speed
+    if stage == "planetary":
+        return sun_speed * (lumped.sun_teeth * (1 - 1 / ratio))  # zs |n_s - n_o|
+    return sun_speed * (pins * lumped.disc_teeth / ratio)  # Zp |n_H|, n_H = -Zc n_o
+
+
+def wave_coefficients(lumped: Lumped, stage: str, harmonics: int) -> jax.Array:
+    """Cosine coefficients a_l, l = 1 .. harmonics, of one mesh stiffness over its mean (harmonics,).
+
+    A trapezoid: swing peak to peak, duty the share of the period at the high level, ramp the width of each flank.
+    """
+    variation = lumped.mesh_variation
+    swing, duty, ramp = (getattr(variation, f"{stage}_{name}") for name in ("swing", "duty", "ramp"))
+    order = jnp.arange(1, harmonics + 1, dtype=swing.dtype)
+    return 2 * swing / (order * jnp.pi) * jnp.sin(order * jnp.pi * duty) * jnp.sinc(order * ramp)
+
+
+def phases(lumped: Lumped, stage: str, harmonics: np.ndarray) -> np.ndarray:
+    """e^{i l ph_i} of every mesh (harmonics, meshes); ph_i = 2 pi teeth (i-1) / meshes, reduced in integers."""
+    number = mesh_count(lumped, stage)
+    turns = np.outer(harmonics, mesh_teeth(lumped, stage) * np.arange(number)) % number
+    cosine, sine = circle(number)
+    return cosine[turns] + 1j * sine[turns]

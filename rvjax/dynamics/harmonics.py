@@ -1,0 +1,75 @@
+"""Which sector each mesh harmonic excites, and the rows of several sectors put back in order."""
+
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rvjax.dynamics.modal import Key, ModalSector
+from rvjax.dynamics.symmetry import is_split
+
+
+class Share(NamedTuple):
+    """Harmonics that excite one sector; negative: the conjugate sector, solved as harmonic -l."""
+
+    key: Key
+    harmonics: np.ndarray
+
+
+@lru_cache
+def shares(cranks: int, discs: int, stage: str, teeth: int, harmonics: int) -> tuple[Share, ...]:
+    """Which sector each mesh harmonic excites: label k = l teeth mod members of the stage."""
+    number = cranks if stage == "planetary" else discs
+    own = "planetary" if stage == "planetary" else "disc"
+    found: dict[Key, list[int]] = {}
+    for order in range(1, harmonics + 1):
+        k = order * teeth % number
+        if discs == 1:
+            key, signed = ("coupled", 0), order
+        elif k == 0:
+            key, signed = ("rotational", 0), order
+        elif k in (1, number - 1):
+            key, signed = ("translational", 0), order if k == 1 or not is_split(cranks, discs) else -order
+        else:
+            key, signed = (own, min(k, number - k)), order if 2 * k <= number else -order
+        found.setdefault(key, []).append(signed)
+    return tuple(Share(key, np.array(orders)) for key, orders in found.items())
+
+
+class Solved(NamedTuple):
+    """What a method of solution hands back."""
+
+    amplitude: jax.Array  # (H, k) complex
+    mean: jax.Array  # (k,)
+    distance: jax.Array  # (H,)
+    singular: jax.Array  # () bool
+    residual: jax.Array  # ()
+
+
+def unfold(orders: np.ndarray, rows: jax.Array) -> jax.Array:
+    """Rows of harmonic -l turned into those of l."""
+    negative = (orders < 0).reshape(-1, *(1,) * (rows.ndim - 1))
+    return jnp.where(negative, rows.conj(), rows)
+
+
+def in_order(orders: Sequence[np.ndarray], rows: Sequence[jax.Array], harmonics: int, absent: jax.Array) -> jax.Array:
+    """Rows of harmonics 1 .. H from those of several shares; `absent` fills what no share delivers."""
+    present = [int(order) for part in orders for order in np.abs(part)]
+    missing = [order for order in range(1, harmonics + 1) if order not in present]
+    rows = [*rows, jnp.broadcast_to(absent, (len(missing), *absent.shape))]
+    return jnp.concatenate(rows)[np.argsort(present + missing)]
+
+
+def resonance_distance(modal: ModalSector, frequency: jax.Array) -> jax.Array:
+    """min |w / w_r - 1| over the modes of a sector, for angular frequencies (L,)."""
+    own = jnp.sqrt(modal.square)
+    ratio = jnp.abs(frequency)[:, None] / jnp.where(own > 0, own, 1)
+    return jnp.min(jnp.where(own > 0, jnp.abs(ratio - 1), jnp.inf), axis=1)
+
+
+def constants(values: Any, like: jax.Array) -> jax.Array:
+    """A constant array as complex numbers of the precision of `like`."""
+    return jnp.asarray(values, jnp.result_type(like.dtype, jnp.complex64))

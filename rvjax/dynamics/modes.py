@@ -1,0 +1,156 @@
+"""Natural frequencies, mode shapes, their kinds, and where their energy sits."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rvjax.designs import RVReducer
+from rvjax.dynamics.assembly import (
+    PARTS,
+    SPRINGS,
+    Lumped,
+    admit,
+    deflections,
+    lump,
+    mass_vector,
+    spring_stiffness,
+    spring_table,
+)
+from rvjax.dynamics.modal import stacked
+from rvjax.dynamics.symmetry import (
+    KINDS,
+    WHOLE,
+    kinds,
+    sector,
+    sector_mass,
+    sector_rows,
+    sector_stiffness,
+)
+from rvjax.records import Record, field, record, text
+from rvjax.status import SolveInfo, Status, first_failure
+
+
+@record
+class Modes(Record):
+    """Undamped modes of the mean system, ascending."""
+
+    frequency: Any = field("Hz", "natural frequencies; rigid motions have exactly 0", shape=("modes",))
+    shape: Any = field("1/sqrt(kg)", "columns: mass-normalised shapes, rows as System.labels", shape=("n", "modes"))
+    kind_index: Any = field("-", "kind of each mode, an index into KINDS", shape=("modes",), kind="integer")
+    info: SolveInfo = field("-", "CONVERGED, INVALID_GEOMETRY or NONFINITE", kind="record")
+
+    @property
+    def kind(self) -> np.ndarray:
+        """Kind of each mode as text: rotational, translational, planetary, disc or coupled (outside jit)."""
+        return np.array(KINDS)[np.asarray(self.kind_index)]
+
+
+@record
+class EnergyShares(Record):
+    """Where the energy of each mode sits; each row sums to one (strain of a rigid motion: zero)."""
+
+    strain: Any = field("-", "share of each kind of spring", shape=("modes", "springs"))
+    kinetic: Any = field("-", "share of each kind of part", shape=("modes", "parts"))
+    springs: tuple[str, ...] = text("kinds of springs, fields of Stiffness", default=SPRINGS)
+    parts: tuple[str, ...] = text("kinds of parts", default=PARTS)
+
+
+def modes(design: RVReducer | Lumped) -> Modes:
+    """Natural frequencies and mode shapes of the mean system (Eq. 2), by kind.
+
+    With three or more cranks and discs modes are rotational, translational (in pairs), planetary (planets and
+    cranks alone) or disc. With two of either the translational pairs split and mix; with one disc all modes are
+    "coupled". Derivatives hold at repeated frequencies too, for every change of the design, since that keeps the
+    symmetry; shapes of a pair are any two of its plane.
+
+    Args:
+        design: a reducer with inertia and stiffness, or its lumped parameters.
+
+    Returns:
+        Modes; NaN for INVALID_GEOMETRY (radii or masses not positive) and NONFINITE input.
+
+    Raises:
+        ValueError: as `rvjax.dynamics.lump`.
+    """
+    return _modes(lump(design))
+
+
+@jax.jit
+def _modes(lumped: Lumped) -> Modes:
+    lumped, _, status = admit(lumped)
+    keys = [(kind, WHOLE) for kind in kinds(lumped.cranks, lumped.discs)]
+    scaled, roots = [], []
+    for key in keys:
+        roots.append(jax.lax.rsqrt(sector_mass(lumped, *key)))
+        scaled.append(sector_stiffness(lumped, *key) * roots[-1][:, None] * roots[-1][None, :])
+    squares, shapes, codes = [], [], []
+    k = spring_stiffness(lumped)
+    _, vectors = _eigh(stacked(scaled))
+    for i, (key, root) in enumerate(zip(keys, roots)):
+        own = root[:, None] * vectors[i, : len(root), : len(root)]
+        springs = deflections(lumped, sector_rows(lumped.cranks, lumped.discs, *key)) @ own
+        squares.append(jnp.sum(k[:, None] * springs**2, axis=0))  # a sum of squares keeps small ones accurate
+        shapes.append(jnp.asarray(sector(lumped.cranks, lumped.discs, *key).basis, own.dtype) @ own)
+        codes += [KINDS.index(key[0])] * len(root)
+    square, shape = jnp.concatenate(squares), jnp.concatenate(shapes, axis=1)
+    order = jnp.argsort(square)
+    square, shape = square[order], shape[:, order]
+    rigid = square <= jnp.finfo(square.dtype).eps * jnp.max(square)
+    frequency = jnp.where(rigid, 0, jnp.sqrt(jnp.where(rigid, 1, square)) / (2 * jnp.pi))
+    good = status == Status.CONVERGED
+    own_status = first_failure((~jnp.all(jnp.isfinite(frequency)), Status.NONFINITE))
+    return Modes(
+        frequency=jnp.where(good, frequency, jnp.nan),
+        shape=jnp.where(good, shape, jnp.nan),
+        kind_index=jnp.asarray(codes, jnp.int32)[order],
+        info=SolveInfo(jnp.where(good, own_status, status), jnp.int32(0), jnp.zeros_like(square[0])),
+    )
+
+
+def energy_shares(design: RVReducer | Lumped, found: Modes) -> EnergyShares:
+    """Shares of strain energy by kind of spring and of kinetic energy by kind of part.
+
+    Args:
+        design: what `found` was computed from.
+        found: modes of that design.
+    """
+    return _energy_shares(lump(design), found.shape)
+
+
+@jax.jit
+def _energy_shares(lumped: Lumped, shape: jax.Array) -> EnergyShares:
+    lumped, _, _ = admit(lumped)
+    table = spring_table(lumped.cranks, lumped.discs)
+    shape = shape.astype(lumped.eccentricity.dtype)
+    strain = spring_stiffness(lumped)[:, None] * (deflections(lumped, table.rows) @ shape) ** 2
+    kinetic = mass_vector(lumped)[:, None] * shape**2
+
+    def grouped(energy: jax.Array, group: np.ndarray, number: int) -> jax.Array:
+        member = jnp.asarray(group[:, None] == np.arange(number), energy.dtype)
+        sums = energy.T @ member
+        total = jnp.sum(sums, axis=1, keepdims=True)
+        return sums / jnp.where(total > 0, total, 1)
+
+    rigid = jnp.sum(strain, axis=0) <= jnp.finfo(strain.dtype).eps * jnp.max(jnp.sum(strain, axis=0))
+    strain = jnp.where(rigid, 0, strain)
+    return EnergyShares(grouped(strain, table.kind, len(SPRINGS)), grouped(kinetic, table.part, len(PARTS)))
+
+
+@jax.custom_jvp
+def _eigh(matrix: jax.Array) -> tuple[jax.Array, jax.Array]:
+    values, vectors = jnp.linalg.eigh(matrix)[:2]
+    return values, vectors
+
+
+@_eigh.defjvp
+def _eigh_jvp(primals: Any, tangents: Any) -> Any:
+    # A change of the design keeps the symmetry, hence every repeated pair: inside a pair nothing turns.
+    values, vectors = _eigh(primals[0])
+    change = jnp.swapaxes(vectors, -1, -2) @ tangents[0] @ vectors
+    gap = values[..., None, :] - values[..., :, None]
+    floor = 100 * jnp.finfo(values.dtype).eps * jnp.max(jnp.abs(values), axis=-1)[..., None, None]
+    apart = jnp.abs(gap) > floor
+    turn = jnp.where(apart, change / jnp.where(apart, gap, 1), 0)
+    return (values, vectors), (jnp.diagonal(change, axis1=-2, axis2=-1), vectors @ turn)

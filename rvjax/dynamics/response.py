@@ -1,0 +1,162 @@
+"""Steady response to the periodic mesh stiffness of one stage, per mesh harmonic."""
+
+from collections.abc import Sequence
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rvjax.designs import RVReducer
+from rvjax.dynamics.assembly import Lumped, admit, lump, spring_table
+from rvjax.dynamics.balance import solve_cyclic, solve_mesh
+from rvjax.dynamics.excitation import STAGES, mesh_frequency
+from rvjax.dynamics.first_order import solve_first_order
+from rvjax.records import Record, field, record, text
+from rvjax.status import SolveInfo, Status, first_failure
+
+METHODS = ("first_order", "harmonic_balance")
+OUTPUTS = ("output.x", "output.y", "output.rotation")
+
+
+@record
+class Response(Record):
+    """Periodic response q(t) = mean + Re sum_l amplitude_l e^{i l w t}, w the angular mesh frequency."""
+
+    frequency: Any = field("Hz", "of each harmonic", shape=("harmonics",))
+    amplitude: Any = field("m, rad", "complex amplitude of each harmonic and output", shape=("harmonics", "outputs"))
+    mean: Any = field("m, rad", "mean deflection of each output", shape=("outputs",))
+    resonance_distance: Any = field(
+        "-",
+        "of each harmonic: min |l w / w_r - 1| over the modes that it excites and the outputs show; inf without any",
+        shape=("harmonics",),
+    )
+    outputs: tuple[str, ...] = text("names of the outputs, from System.labels")
+    form: str = text("first_order, cyclic or mesh: the equations that were solved")
+    info: SolveInfo = field("-", "residual of the solves; CONVERGED, SINGULAR, ...", kind="record")
+
+
+def response(
+    design: RVReducer | Lumped,
+    *,
+    sun_speed: Any,
+    output_torque: Any,
+    stage: str = "planetary",
+    harmonics: int = 9,
+    method: str = "first_order",
+    outputs: Sequence[str] | None = None,
+) -> Response:
+    """Steady response to the mesh stiffness variation of one stage under constant load.
+
+    The first-order solution (Eqs. 5 to 9 of Yang et al. 2018) applies the stiffness variation to the mean
+    deflection only; harmonic balance keeps its product with the vibration. By symmetry each harmonic excites one
+    kind of motion: what `outputs` cannot show is not solved, and is exactly zero.
+
+    Args:
+        design: a reducer with inertia, stiffness and mesh variation, or its lumped parameters.
+        sun_speed: () rad/s, of either sign.
+        output_torque: external torque on the output, () N m; negative opposes a positive rotation.
+        stage: whose meshes vary: "planetary" or "cycloid".
+        harmonics: of the mesh frequency, H; harmonic balance drops all above.
+        method: "first_order" or "harmonic_balance".
+        outputs: names from `assemble(design).labels`; by default output.x, output.y, output.rotation.
+
+    Returns:
+        Response. SINGULAR where no spring carries the torque, or undamped with a harmonic on a mode to
+        rounding; NaN for INVALID_GEOMETRY (radii or masses not positive, pins along the radius) and NONFINITE.
+
+    Raises:
+        ValueError: unknown stage, method or output, harmonics below 1, or as `rvjax.dynamics.lump`.
+    """
+    lumped = lump(design)
+    if stage not in STAGES:
+        raise ValueError(f"stage = {stage!r}: must be one of {', '.join(STAGES)}")
+    if method not in METHODS:
+        raise ValueError(f"method = {method!r}: must be one of {', '.join(METHODS)}")
+    if harmonics < 1:
+        raise ValueError(f"harmonics = {harmonics}: must be at least 1")
+    outputs = OUTPUTS if outputs is None else tuple(outputs)
+    output_indices(lumped, outputs)
+    return _response(lumped, sun_speed, output_torque, stage, harmonics, method, outputs, False)
+
+
+def constant_forcing(
+    design: RVReducer | Lumped,
+    *,
+    sun_speed: Any,
+    output_torque: Any,
+    stage: str = "planetary",
+    harmonics: int = 9,
+    outputs: Sequence[str] | None = None,
+) -> Response:
+    """First-order response whose derivatives leave out those of the forcing, as Eq. 14 of Yang et al. 2018 does.
+
+    Its value is that of `response`. Its derivatives are right for inertias and, while only one of the central
+    parts is held against rotation, for stiffnesses; for geometry and angles they are not.
+
+    Args:
+        design: as in `response`.
+        sun_speed: as in `response`.
+        output_torque: as in `response`.
+        stage: as in `response`.
+        harmonics: as in `response`.
+        outputs: as in `response`.
+    """
+    lumped = lump(design)
+    outputs = OUTPUTS if outputs is None else tuple(outputs)
+    output_indices(lumped, outputs)
+    return _response(lumped, sun_speed, output_torque, stage, harmonics, "first_order", outputs, True)
+
+
+def output_indices(lumped: Lumped, outputs: Sequence[str]) -> np.ndarray:
+    """Positions of coordinates given by name.
+
+    Raises:
+        ValueError: a name that does not exist.
+    """
+    labels = spring_table(lumped.cranks, lumped.discs).labels
+    for name in outputs:
+        if name not in labels:
+            raise ValueError(f"unknown output {name!r}; there are {', '.join(labels)}")
+    return np.array([labels.index(name) for name in outputs], int)
+
+
+@partial(jax.jit, static_argnums=(3, 4, 5, 6, 7))
+def _response(
+    lumped: Lumped,
+    sun_speed: Any,
+    output_torque: Any,
+    stage: str,
+    harmonics: int,
+    method: str,
+    outputs: tuple[str, ...],
+    freeze_forcing: bool,
+) -> Response:
+    lumped, (sun_speed, output_torque), status = admit(lumped, sun_speed, output_torque)
+    indices = output_indices(lumped, outputs)
+    w = mesh_frequency(lumped, sun_speed, stage)
+    if method == "first_order":
+        form = "first_order"
+        solved = solve_first_order(lumped, w, output_torque, stage, harmonics, indices, freeze_forcing)
+    elif lumped.cranks >= 3 and (lumped.discs >= 3 or stage == "cycloid"):
+        form = "cyclic"
+        solved = solve_cyclic(lumped, w, output_torque, stage, harmonics, indices)
+    else:
+        form = "mesh"
+        solved = solve_mesh(lumped, w, output_torque, stage, harmonics, indices)
+    amplitude = jnp.where(w < 0, solved.amplitude.conj(), solved.amplitude)  # time reversed
+    good = status == Status.CONVERGED
+    overflow = ~(jnp.all(jnp.isfinite(amplitude)) & jnp.all(jnp.isfinite(solved.mean)))
+    own = first_failure((solved.singular, Status.SINGULAR), (overflow, Status.NONFINITE))
+    own = jnp.where(solved.singular & overflow, int(Status.SINGULAR), own)
+    order = jnp.arange(1, harmonics + 1, dtype=w.dtype)
+    return Response(
+        frequency=jnp.where(good, order * jnp.abs(w) / (2 * jnp.pi), jnp.nan),
+        amplitude=jnp.where(good, amplitude, jnp.nan),
+        mean=jnp.where(good, solved.mean, jnp.nan),
+        resonance_distance=jnp.where(good, solved.distance, jnp.nan),
+        outputs=outputs,
+        form=form,
+        info=SolveInfo(jnp.where(good, own, status), jnp.asarray(0), solved.residual),
+    )

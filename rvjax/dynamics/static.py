@@ -1,0 +1,118 @@
+"""Mean deflection under the load torque and the mesh forces that carry it."""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rvjax.designs import RVReducer
+from rvjax.dynamics.assembly import Lumped, admit, deflections, lump, spring_stiffness, spring_table
+from rvjax.dynamics.linear import solve
+from rvjax.dynamics.symmetry import sector, sector_rows, sector_stiffness
+from rvjax.records import Record, field, record
+from rvjax.status import SolveInfo, Status, first_failure
+
+
+@record
+class Static(Record):
+    """Mean state under a constant load torque."""
+
+    deflection: Any = field("m, rad", "mean deflection, in the order of System.labels", shape=("n",))
+    planetary_force: Any = field("N", "force of each sun-planet mesh", shape=("planets",))
+    cycloid_force: Any = field("N", "force of each disc-pin mesh", shape=("discs",))
+    info: SolveInfo = field("-", "CONVERGED, SINGULAR, INVALID_GEOMETRY or NONFINITE", kind="record")
+
+
+class MeanState(NamedTuple):
+    """Response of the mean system to constant forces in one sector."""
+
+    solution: jax.Array  # (r, 1 + m): under the torques, under the further loads
+    singular: jax.Array  # () bool
+    residual: jax.Array  # ()
+
+
+def linear_ratio(lumped: Lumped) -> jax.Array:
+    """Sun rotation over output rotation in the rigid mode of the linear model."""
+    planet = lumped.disc_teeth * lumped.planet_base_radius
+    return (planet + jnp.cos(lumped.pressure_angle) * lumped.circle_radius) / lumped.sun_base_radius
+
+
+def torque_kind(lumped: Lumped) -> str:
+    """Sector that holds the rotations of sun and output."""
+    return "rotational" if lumped.discs > 1 else "coupled"
+
+
+def mean_state(lumped: Lumped, kind: str, sun_torque: Any, output_torque: Any, loads: Any = None) -> MeanState:
+    """Solve Kbar q = F in the sector `kind`, for the two torques and for further `loads` (r, m).
+
+    Where neither sun nor output is held against rotation, the sun is held at zero: balanced loads leave that
+    spring without force.
+    """
+    stiffness = sector_stiffness(lumped, kind)
+    place = np.arange(len(stiffness))
+    sun, output = place == (0 if kind == "rotational" else 2), place == len(place) - 1
+    free = (lumped.stiffness.sun_torsion == 0) & (lumped.stiffness.output_torsion == 0)
+    ground = jnp.where(free, lumped.stiffness.sun_planet_mesh * lumped.sun_base_radius**2, 0)
+    stiffness = stiffness + jnp.diag(jnp.where(sun, ground, 0))
+    rhs = jnp.where(sun, sun_torque, jnp.where(output, output_torque, 0))[:, None]
+    rhs = rhs if loads is None else jnp.concatenate([rhs, loads], axis=1)
+
+    diagonal = jnp.diag(stiffness)
+    scale = jax.lax.rsqrt(jnp.where(diagonal > 0, diagonal, 1))[:, None]
+    scaled = scale * stiffness * scale.T  # condition 1e6 in SI, 1e2 so
+    unknown, pivot = solve(scaled, scale * rhs)
+    singular = ~(pivot > 4 * len(place) * jnp.finfo(pivot.dtype).eps)
+    miss = jnp.max(jnp.abs(scaled @ unknown - scale * rhs))
+    size = jnp.max(jnp.abs(unknown)) + jnp.max(jnp.abs(scale * rhs))
+    return MeanState(scale * unknown, singular, miss / jnp.where(size > 0, size, 1))
+
+
+def mesh_rows(lumped: Lumped, mesh: str, kind: str, label: int = 0) -> jax.Array:
+    """Deflection vectors of the springs of one kind in a sector (members, r)."""
+    members = spring_table(lumped.cranks, lumped.discs).of(mesh)
+    return deflections(lumped, sector_rows(lumped.cranks, lumped.discs, kind, label)[:, members])
+
+
+def mesh_stiffness(lumped: Lumped, mesh: str) -> jax.Array:
+    """Mean stiffness of each mesh of a stage (members,)."""
+    return spring_stiffness(lumped)[spring_table(lumped.cranks, lumped.discs).of(mesh)]
+
+
+def static(design: RVReducer | Lumped, *, output_torque: Any) -> Static:
+    """Mean deflection under a load torque on the output, balanced by the sun torque.
+
+    Args:
+        design: a reducer with inertia and stiffness, or its lumped parameters.
+        output_torque: external torque on the output, () N m; negative opposes a positive rotation.
+
+    Returns:
+        Static (Kbar qbar = F, after Eq. 3). SINGULAR where no spring carries the torque; NaN for
+        INVALID_GEOMETRY (radii or masses not positive, pins along the radius) and NONFINITE input.
+
+    Raises:
+        ValueError: as `rvjax.dynamics.lump`.
+    """
+    return _static(lump(design), output_torque)
+
+
+@jax.jit
+def _static(lumped: Lumped, output_torque: Any) -> Static:
+    lumped, (output_torque,), status = admit(lumped, output_torque)
+    kind = torque_kind(lumped)
+    state = mean_state(lumped, kind, -output_torque / linear_ratio(lumped), output_torque)
+    basis = sector(lumped.cranks, lumped.discs, kind).basis
+    mean = state.solution[:, 0]
+    deflection = jnp.asarray(basis, mean.dtype) @ mean
+    forces = [
+        mesh_stiffness(lumped, mesh) * (mesh_rows(lumped, mesh, kind) @ mean)
+        for mesh in ("sun_planet_mesh", "disc_pin_mesh")
+    ]
+    good = status == Status.CONVERGED
+    own = first_failure((state.singular, Status.SINGULAR), (~jnp.all(jnp.isfinite(deflection)), Status.NONFINITE))
+    return Static(
+        deflection=jnp.where(good, deflection, jnp.nan),
+        planetary_force=jnp.where(good, forces[0], jnp.nan),
+        cycloid_force=jnp.where(good, forces[1], jnp.nan),
+        info=SolveInfo(jnp.where(good, own, status), jnp.asarray(0), state.residual),
+    )
