@@ -156,6 +156,16 @@ def test_joint_target_costs_more():
     assert all(price <= 0 for price in joint.multipliers.values())
 
 
+def test_correlation_tightens():
+    """y = a + 2 b with corr 0.6: t_a^2 + 4 t_b^2 + 2.4 t_a t_b = radius^2, scanned for the optimum."""
+    requirement = Requirement(lower=-LIMIT, upper=LIMIT)
+    found = allocate(linear, PAIR, requirement, costs=COSTS, correlation={("a", "b"): 0.6}, certificate_samples=200_000)
+    ratio = np.linspace(0.5, 5, 10_000)
+    b = radius(0.9973) / np.sqrt(ratio**2 + 4 + 2.4 * ratio)
+    assert found.cost == pytest.approx((10 * um / (ratio * b) + 10 * um / b).min(), rel=0.025)
+    assert isinstance(found.tolerances, dict)
+
+
 def test_extreme_targets():
     for target in (0.5, 0.99997):  # a certificate of 30 ppm allows 20 rejects in a million: 2 % of half-width, and luck
         requirement = Requirement(lower=-LIMIT, upper=LIMIT, target=target)

@@ -13,7 +13,7 @@ import pytest
 from scipy import stats
 
 import rvjax
-from rvjax.tolerances import Requirement, Tolerance, for_design, monte_carlo, rss, worst_case
+from rvjax.tolerances import Requirement, Tolerance, for_design, monte_carlo, rss, sample, worst_case
 from rvjax.units import um
 
 LIMITS = Requirement(lower=-30 * um, upper=30 * um)
@@ -105,8 +105,51 @@ def test_batch_factor():
     assert rss(average, uniform).sd == pytest.approx(math.sqrt(3) * math.sqrt((1 + 3 * rho) / 4), rel=1e-4)
     square = lambda e: jnp.sum(e["x"]) ** 2  # noqa: E731
     assert rss(square, tolerances, order=2).sd == pytest.approx(10 * math.sqrt(2))  # var(sum) = 4 + 12/2
-    with pytest.raises(ValueError, match="order = 2: batch factors need normal errors"):
+    with pytest.raises(ValueError, match="order = 2: correlated errors must be normal"):
         rss(square, uniform, order=2)
+
+
+def test_correlated_errors():
+    """sd of linear sums from the correlation matrix; the share of a field is its part of the variance."""
+    tolerances = {"a": Tolerance.symmetric(3.0), "b": Tolerance.symmetric(6.0, shape=(2,), batch=0.2)}
+    correlation = {("a", "b[1]"): 0.5}
+    response = lambda e: e["a"] + e["b"][0] - e["b"][1]  # noqa: E731
+    matrix = np.array([[1, 0, 1.0], [0, 4, 0.8], [1.0, 0.8, 4]])  # 0.5 * 1 * 2 and 0.2 * 2 * 2
+    g = np.array([1.0, 1.0, -1.0])
+    found = rss(response, tolerances, correlation=correlation)
+    assert found.sd == pytest.approx(math.sqrt(g @ matrix @ g), rel=1e-12)
+    assert found.contributions["a"] == pytest.approx((matrix @ g)[0] / (g @ matrix @ g), abs=1e-12)
+    drawn = monte_carlo(response, tolerances, samples=200_000, seed=0, correlation=correlation)
+    assert abs(drawn.sd.value - found.sd) < 4 * drawn.sd.error
+    mixed = {
+        "a": Tolerance(0.0, 3.0, distribution="rayleigh"),
+        "b": Tolerance.symmetric(1.0, distribution="uniform", shape=(2,)),
+    }
+    found = rss(response, mixed, correlation={("a", "b"): -0.6})
+    drawn = monte_carlo(response, mixed, samples=200_000, seed=0, correlation={("a", "b"): -0.6})
+    assert abs(drawn.sd.value - found.sd) < 4 * drawn.sd.error
+    unit = sample(mixed, 17, seed=3, correlation={("a", "b"): -0.6})
+    kept = monte_carlo(response, mixed, samples=18, seed=3, correlation={("a", "b"): -0.6}, keep=True)
+    assert float(response(unit)) == pytest.approx(kept.values[17], rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("correlation", "message"),
+    [
+        ({("a", "d"): 0.5}, "correlation: 'd' has no tolerance; these have: a, b, c"),
+        ({("a", "b[3]"): 0.5}, r"'b\[3\]' is no element of shape \(\)"),
+        ({("a", "b"): 1.0}, "must lie between -1 and 1"),
+        ({("a", "a"): 0.5}, "shares an element with itself"),
+        (
+            {("a", "b"): 0.9, ("b", "c"): 0.9, ("a", "c"): -0.9},
+            "its smallest eigenvalue is -0.8",
+        ),
+        ({"ab": 0.5}, "must be a pair of names"),
+    ],
+)
+def test_bad_correlations_are_named(correlation, message):
+    with pytest.raises(ValueError, match=message):
+        rss(linear, stack(), correlation=correlation)
 
 
 def test_a_kink_at_the_mean_is_sampled():

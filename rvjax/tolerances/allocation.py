@@ -10,11 +10,12 @@ import numpy as np
 
 from rvjax.records import Record
 from rvjax.tolerances.certificate import Certifier
+from rvjax.tolerances.correlation import Correlation, correlated
 from rvjax.tolerances.cost import Cost
+from rvjax.tolerances.layout import Layout, layout
 from rvjax.tolerances.monte_carlo import Statistics, progress_bar
 from rvjax.tolerances.requirements import Requirement
 from rvjax.tolerances.responses import Response, by_response, like_response, response_names
-from rvjax.tolerances.sampling import Layout, layout
 from rvjax.tolerances.search import Search
 from rvjax.tolerances.snapping import snap
 from rvjax.tolerances.training import Training
@@ -68,6 +69,7 @@ def allocate(
     samples: int = 16384,
     seed: int = 0,
     joint_target: float | None = None,
+    correlation: Correlation = None,
     certificate_samples: int = 1_000_000,
     confidence: float = 0.95,
     grades: bool = False,
@@ -91,6 +93,7 @@ def allocate(
         samples: units to learn from.
         seed: of these units; certificates use the seeds after it.
         joint_target: share of units that must meet all requirements at once, if wanted.
+        correlation: {(field or element, field or element): correlation of their z}.
         certificate_samples: fresh units per certificate.
         confidence: of the certificate's intervals.
         grades: also snap fields with a `size` to ISO 286 grades.
@@ -103,8 +106,8 @@ def allocate(
     Raises:
         ValueError: no requirement, no cost, or names that do not fit.
     """
-    parts = layout(layout(tolerances).replace({}))
-    names = response_names(response, tolerances)
+    parts = layout(correlated(tolerances, correlation))
+    names = response_names(response, parts.replace({}))
     required = by_response(requirements, names, Requirement, "requirements")
     if not required:
         raise ValueError("requirements: needs at least one")
@@ -146,7 +149,7 @@ def allocate(
         return Allocation(
             feasible=status != "INFEASIBLE",
             status=status,
-            tolerances=training.tolerances(t),
+            tolerances=parts.bare(training.tolerances(t)),
             cost=search.cost(t),
             start_cost=search.cost(start),
             costs={name: float(cost(jnp.asarray(t[j]))) for j, (name, cost) in enumerate(priced.items())},

@@ -7,6 +7,7 @@ the tolerance only shapes and scales them: the same z serve every tolerance (com
 import dataclasses
 import functools
 import math
+import operator
 from typing import Any, Self
 
 import jax
@@ -91,8 +92,11 @@ class Tolerance(Record):
     def _check(self) -> None:
         if self.distribution not in DISTRIBUTIONS:
             raise _bad("distribution", self.distribution, f"unknown, choose from {', '.join(DISTRIBUTIONS)}")
-        shape = (self.shape,) if isinstance(self.shape, int) else tuple(self.shape)
-        if not all(isinstance(n, int) and n >= 0 for n in shape):
+        try:
+            shape = tuple(map(operator.index, self.shape))
+        except TypeError:
+            raise _bad("shape", self.shape, "must be a tuple of sizes") from None
+        if min(shape, default=0) < 0:
             raise _bad("shape", self.shape, "must be a tuple of sizes")
         object.__setattr__(self, "shape", shape)
         if not isinstance(self.batch, (int, float)) or not 0 <= self.batch < 1:

@@ -12,10 +12,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax.status import PRECEDENCE, SUCCESS
+from rvjax.tolerances.correlation import Correlation, correlated
 from rvjax.tolerances.estimates import Estimate, ExactOrder, Moments4, Order, deviate_of, quantile_estimate, wilson
+from rvjax.tolerances.layout import root_key
 from rvjax.tolerances.requirements import Requirement
 from rvjax.tolerances.responses import Response, by_response, like_response, respond_units, response_names
-from rvjax.tolerances.sampling import check_method, layout, root_key
+from rvjax.tolerances.sampling import check_method
 
 
 @dataclasses.dataclass(frozen=True)
@@ -165,6 +167,7 @@ def monte_carlo(
     chunk: int = 65536,
     requirements: Any = None,
     quantiles: tuple[float, ...] = (0.00135, 0.5, 0.99865),
+    correlation: Correlation = None,
     confidence: float = 0.95,
     keep: bool = False,
     progress: bool = False,
@@ -183,6 +186,7 @@ def monte_carlo(
         chunk: units evaluated at once.
         requirements: `Requirement`, or a dict of them by name of the response.
         quantiles: shares whose quantiles are wanted.
+        correlation: {(field or element, field or element): correlation of their z}.
         confidence: of every interval.
         keep: keep the response of every unit (host memory grows with `samples`).
         progress: show a progress bar.
@@ -198,7 +202,7 @@ def monte_carlo(
     for p in quantiles:
         if not 0 < p < 1:
             raise ValueError(f"quantiles: {p!r} must lie between 0 and 1")
-    tolerances = layout(tolerances).replace({})
+    tolerances = correlated(tolerances, correlation)
     names = response_names(response, tolerances)
     tally = _Tally(names, by_response(requirements, names, Requirement, "requirements"), samples if keep else 0)
     with progress_bar(progress, samples, "Monte Carlo", "unit") as advance:

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 
 from rvjax.records import Record, field, record
 from rvjax.status import Status, succeeded, worst
-from rvjax.tolerances.sampling import deviations, layout, normals
+from rvjax.tolerances.layout import deviations, drawn, layout
 
 PLAIN = ""
 """Name of the only scalar of a response that returns no dict."""
@@ -103,8 +103,7 @@ def respond_units(
     response: Response, tolerances: Any, key: jax.Array, start: jax.Array, *, count: int
 ) -> tuple[dict[str, jax.Array], jax.Array]:
     """Values and status of units start .. start + count - 1; one compilation whatever the start."""
-    z = normals(layout(tolerances), key, start + jnp.arange(count, dtype=jnp.uint32))
-    return respond(response, tolerances, z)
+    return respond(response, tolerances, drawn(tolerances, key, start, count=count))
 
 
 def response_names(response: Response, tolerances: Any) -> tuple[str, ...]:

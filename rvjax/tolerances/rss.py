@@ -12,11 +12,13 @@ import numpy as np
 from scipy import special
 
 from rvjax.status import succeeded
-from rvjax.tolerances.distributions import Tolerance, central_moments, deviate
+from rvjax.tolerances.correlation import Correlation, correlated, z_correlation
+from rvjax.tolerances.distributions import central_moments, deviate
+from rvjax.tolerances.layout import Layout, deviations, layout, normals, root_key
 from rvjax.tolerances.requirements import Requirement
 from rvjax.tolerances.responses import Response, by_response, evaluate, like_response, respond_units, response_names
-from rvjax.tolerances.sampling import Layout, deviations, layout, normals, root_key
 
+_TERMS = 23  # of Hermite series
 _PROBES = 256  # units whose gradients decide whether the response has a kink, and stand in for it
 _SAMPLED = 4096  # units behind mean and sd of a response with a kink
 _STEP = 1e-3  # of a unit's deviations: so near the mean a smooth gradient has hardly moved
@@ -46,7 +48,14 @@ class Moments:
     method: Any
 
 
-def rss(response: Response, tolerances: Any, *, order: int = 1, requirements: Any = None) -> Moments:
+def rss(
+    response: Response,
+    tolerances: Any,
+    *,
+    order: int = 1,
+    requirements: Any = None,
+    correlation: Correlation = None,
+) -> Moments:
     """Moments of a response by propagation of the errors' moments.
 
     Order 1: mean f(E e), variance g' Sigma g with the gradient g at the mean errors. Order 2 adds the
@@ -62,14 +71,16 @@ def rss(response: Response, tolerances: Any, *, order: int = 1, requirements: An
         tolerances: record or dict with a `Tolerance` or None in each field.
         order: 1 or 2. Use 1 where contact makes the curvature unbounded.
         requirements: `Requirement`, or a dict of them by name of the response; for cpk and yield.
+        correlation: {(field or element, field or element): correlation of their z}. The share of a field is
+            then its part of g' Sigma g, which may be negative.
 
     Raises:
-        ValueError: another order, or order 2 of batches that are not normal.
+        ValueError: another order, or order 2 of correlated errors that are not normal.
     """
     if order not in (1, 2):
         raise ValueError(f"order = {order!r}: must be 1 or 2")
-    parts = layout(layout(tolerances).replace({}))
-    names = response_names(response, tolerances)
+    parts = layout(correlated(tolerances, correlation))
+    names = response_names(response, parts.replace({}))
     required = by_response(requirements, names, Requirement, "requirements")
     law = _Law(parts)
     mean = _mean_errors(parts)
@@ -96,29 +107,27 @@ class _Law:
 
     def __init__(self, parts: Layout) -> None:
         self.fields = parts.active
-        self.slices, start = {}, 0
-        moments, blocks = [], []
+        self.slices, start, moments = {}, 0, []
         for name, tolerance in self.fields.items():
             size = math.prod(tolerance.shape)
             self.slices[name] = slice(start, start + size)
             start += size
             moments += [central_moments(tolerance)] * size
-            blocks.append(_correlation(tolerance))
         table = np.array(moments).reshape(start, 4)
         self.variance, self.third, self.fourth = table[:, 1], table[:, 2], table[:, 3]
         self.sd = np.sqrt(self.variance)
-        self.correlation = np.zeros((start, start))
-        for place, block in zip(self.slices.values(), blocks):
-            self.correlation[place, place] = block
+        self.correlation = _of_errors(z_correlation(parts), parts)
+        self.independent = bool((self.correlation == np.eye(start)).all())
 
     @property
     def covariance(self) -> np.ndarray:
         return self.correlation * np.outer(self.sd, self.sd)
 
     def shares(self, gradient: np.ndarray) -> dict[str, float]:
-        """g' Sigma g of each field alone; fields are independent of each other."""
+        """Parts of g' Sigma g by field."""
         scaled = gradient * self.sd
-        return {n: float(scaled[s] @ self.correlation[s, s] @ scaled[s]) for n, s in self.slices.items()}
+        rows = scaled * (self.correlation @ scaled)
+        return {n: float(rows[s].sum()) for n, s in self.slices.items()}
 
     def by_field(self, values: np.ndarray) -> dict[str, Any]:
         """A vector over all elements as arrays by field."""
@@ -126,23 +135,30 @@ class _Law:
         return {n: values[s].reshape(shapes[n]) if shapes[n] else float(values[s][0]) for n, s in self.slices.items()}
 
 
-def _correlation(tolerance: Tolerance) -> np.ndarray:
-    """Correlation of a field's elements: `batch` on z, carried through q(Phi(z)) by its Hermite series."""
-    size = math.prod(tolerance.shape)
-    if not tolerance.batch:
-        return np.eye(size)
-    if tolerance.is_vector:
-        same_component = np.tile(np.eye(2), (size // 2, size // 2))
-        return np.eye(size) * (1 - tolerance.batch) + tolerance.batch * same_component
-    rho = tolerance.batch
-    if tolerance.distribution != "normal":  # corr = sum rho^k a_k^2 / sum a_k^2, a_k = E[q He_k]/sqrt(k!)
-        nodes, weights = np.polynomial.hermite_e.hermegauss(64)
-        values = np.asarray(deviate(tolerance, jnp.asarray(nodes)))
-        powers = np.arange(1, 24)
-        series = np.polynomial.hermite_e.hermevander(nodes, 23)[:, 1:].T @ (weights * values)
-        squares = series**2 / np.array([math.factorial(k) for k in powers])
-        rho = float((rho**powers * squares).sum() / squares.sum()) if squares.sum() else rho
-    return np.eye(size) * (1 - rho) + rho
+def _of_errors(z_matrix: np.ndarray, parts: Layout) -> np.ndarray:
+    """Correlation of the errors from that of their z, through the maps q(Phi(z)).
+
+    By the Hermite series of the maps, corr(q_i, q_j) = sum_k rho^k a_ik a_jk with a_k = E[q He_k]/sqrt(k!),
+    normalised to sum a_k^2 = 1; for normal errors it is rho itself.
+    """
+    if (z_matrix == np.eye(len(z_matrix))).all():
+        return z_matrix
+    nodes, weights = np.polynomial.hermite_e.hermegauss(64)
+    basis = np.polynomial.hermite_e.hermevander(nodes, _TERMS)[:, 1:] * weights[:, None]
+    scale = np.array([math.sqrt(math.factorial(k)) for k in range(1, _TERMS + 1)])
+    rows = []
+    for tolerance in parts.active.values():
+        series = np.asarray(deviate(tolerance, jnp.asarray(nodes)), float) @ basis / scale
+        size = float(np.linalg.norm(series))
+        if tolerance.distribution == "normal" or tolerance.is_vector or size == 0:
+            series, size = np.eye(_TERMS)[0], 1.0
+        rows += [series / size] * math.prod(tolerance.shape)
+    a = np.array(rows).reshape(len(z_matrix), _TERMS)
+    found = np.zeros_like(z_matrix)
+    for k in range(1, _TERMS + 1):
+        found += z_matrix**k * np.outer(a[:, k - 1], a[:, k - 1])
+    np.fill_diagonal(found, 1.0)
+    return found
 
 
 @dataclasses.dataclass(frozen=True)
@@ -184,13 +200,12 @@ def _second_order(value: float, g: np.ndarray, h: np.ndarray, law: _Law) -> _Pro
     """Moments of f + g'd + d'Hd/2; exact second moments of the quadratic form."""
     covariance, curvature = law.covariance, np.diag(h)
     mean = value + 0.5 * float((h * covariance).sum())
-    correlated = [t for t in law.fields.values() if t.batch and math.prod(t.shape) > 1]
     normal = all(t.distribution == "normal" or t.is_vector for t in law.fields.values())
-    if correlated and not normal:
-        raise ValueError("order = 2: batch factors need normal errors; use order = 1 or monte_carlo")
+    if not (law.independent or normal):
+        raise ValueError("order = 2: correlated errors must be normal; use order = 1 or monte_carlo")
     rows = 0.5 * ((h @ covariance) * (h @ covariance).T).sum(axis=1)  # tr(H Sigma H Sigma)/2, by element
     # What the third and fourth moments add to the normal law, for independent elements.
-    rows += g * curvature * law.third + 0.25 * curvature**2 * (law.fourth - 3 * law.variance**2) * (not correlated)
+    rows += g * curvature * law.third + 0.25 * curvature**2 * (law.fourth - 3 * law.variance**2) * law.independent
     linear = law.shares(g)
     variances = {n: linear[n] + float(rows[s].sum()) for n, s in law.slices.items()}
     return _Propagated(mean, variances, g, "second order")

@@ -14,9 +14,9 @@ import numpy as np
 from scipy import special
 
 from rvjax.status import succeeded
+from rvjax.tolerances.layout import Layout, deviations, drawn, layout, root_key
 from rvjax.tolerances.requirements import Requirement
 from rvjax.tolerances.responses import Response, evaluate, respond
-from rvjax.tolerances.sampling import Layout, deviations, layout, normals, root_key
 
 _BLOCK = 16384  # units evaluated at once
 _BEYOND = 8  # units that must lie beyond a sampled quantile; further out the tail is extended as a normal one
@@ -58,8 +58,8 @@ class Training:
         self.targets = [r.target for r in requirements.values()] + ([] if joint_target is None else [joint_target])
         self.lanes = min(samples, max(_FEWEST_LANES, samples // _LANES_PART))
         key, block = root_key(seed), min(samples, _BLOCK)
-        draw = jax.jit(lambda start: normals(parts, key, start + jnp.arange(block, dtype=jnp.uint32)))
-        self.blocks = [draw(jnp.uint32(start)) for start in range(0, samples, block)]
+        starts = range(0, samples, block)
+        self.blocks = [drawn(parts.replace({}), key, jnp.uint32(start), count=block) for start in starts]
         # How far the nominal response stays from each limit; margins are measured from there.
         own, _ = self._own(np.zeros(len(fields)))
         nominal = -np.median(own, axis=1)

@@ -11,8 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax.status import succeeded
+from rvjax.tolerances.layout import Layout, layout
 from rvjax.tolerances.responses import Response, evaluate, like_response, response_names
-from rvjax.tolerances.sampling import Layout, layout
 
 _ALL_CORNERS = 12  # up to so many coordinates every corner is looked at
 _STARTS = 16  # else: corners of gradient signs at the middle and at random points
