@@ -12,7 +12,7 @@ from rvjax import scene
 from rvjax.study import Study
 from rvjax.tolerances import Allocation, Statistics, allocate, monte_carlo, rss, sample
 
-SHOWN_UNITS = 24  # units whose transmission error is drawn over a crank turn
+SHOWN_UNITS = 24  # units whose curve is drawn
 HISTOGRAM_UNITS = 20_000
 YIELD_SWEEP = (0.9, 0.95, 0.99, 0.995, 0.999)
 SWEEP_CERTIFICATE = 4096  # not used: the curve shows the optimiser's cost, certified ones lie a little above it
@@ -28,7 +28,7 @@ class Side:
         shares: {response: {field: share of variance}}.
         sensitivities: {response: {field: derivative per element, root mean square over the elements}}.
         values: {response: values of sample units}, for histograms.
-        turns: transmission error of sample units over a crank turn, rad (units, angles), or None.
+        curves: the curve of the kind of design for sample units, SI (units, angles).
     """
 
     tolerances: Any
@@ -36,7 +36,7 @@ class Side:
     shares: Mapping[str, Mapping[str, float]]
     sensitivities: Mapping[str, Mapping[str, float]]
     values: Mapping[str, np.ndarray]
-    turns: np.ndarray | None
+    curves: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -50,6 +50,7 @@ class Answer:
         before: the study's own tolerances.
         after: the allocated tolerances.
         cost_curve: (yield, cheapest cost) pairs; empty where the study is infeasible.
+        angle: of the curves, rad (angles,).
     """
 
     study: Study
@@ -58,6 +59,7 @@ class Answer:
     before: Side
     after: Side
     cost_curve: list[tuple[float, float]]
+    angle: np.ndarray
 
 
 def answer(study: Study, *, progress: bool = False) -> Answer:
@@ -95,7 +97,14 @@ def answer(study: Study, *, progress: bool = False) -> Answer:
         before=_side(study, response, study.tolerances),
         after=_side(study, response, allocation.tolerances),
         cost_curve=_cost_curve(study, response) if allocation.feasible else [],
+        angle=np.asarray(_nominal_angle(study)),
     )
+
+
+def _nominal_angle(study: Study) -> Any:
+    curve = scene.kind(study.design).curve
+    nominal = jax.jit(lambda errors: curve.evaluate(study.design, errors, study.conditions)[0])
+    return nominal(study.design.error_record())
 
 
 def _given(study: Study) -> list[Any]:
@@ -114,16 +123,18 @@ def _side(study: Study, response: Callable[[Any], Any], tolerances: Any) -> Side
             for name, fields in moments.sensitivities.items()
         },
         values=kept.values,
-        turns=_turns(study, tolerances) if "transmission_error" in study.requirements else None,
+        curves=_curves(study, tolerances),
     )
 
 
-def _turns(study: Study, tolerances: Any) -> np.ndarray:
-    def curve(index: jax.Array) -> jax.Array:
-        errors = sample(tolerances, index, seed=study.seed + 2)
-        return scene.turn(study.design, errors, study.conditions).error
+def _curves(study: Study, tolerances: Any) -> np.ndarray:
+    curve = scene.kind(study.design).curve
 
-    return np.asarray(jax.jit(jax.vmap(curve))(np.arange(SHOWN_UNITS)))
+    def of_unit(index: jax.Array) -> jax.Array:
+        errors = sample(tolerances, index, seed=study.seed + 2)
+        return curve.evaluate(study.design, errors, study.conditions)[1]
+
+    return np.asarray(jax.jit(jax.vmap(of_unit))(np.arange(SHOWN_UNITS)))
 
 
 def _cost_curve(study: Study, response: Callable[[Any], Any]) -> list[tuple[float, float]]:

@@ -43,26 +43,29 @@ def words(name: str) -> str:
     return name.replace("_", " ")
 
 
-def turn_curves(angle: Any, before: Any, after: Any, *, axes: Axes | None = None) -> Axes:
-    """Transmission error of sample units over one crank turn, each about its own mean.
+def unit_curves(angle: Any, before: Any, after: Any, title: str, unit: str, *, axes: Axes | None = None) -> Axes:
+    """A response of sample units over one cycle, before and after; angles about their own mean.
 
     Args:
-        angle: crank angle, rad (n,).
-        before: transmission error, rad (units, n), with the tolerances of the study.
+        angle: rad (n,), uniform over the cycle.
+        before: values, SI (units, n), with the tolerances of the study.
         after: the same with the allocated tolerances.
+        title: of the picture.
+        unit: SI unit of the values; a mean angle is an offset of assembly and is taken away.
         axes: where to draw; a new figure by default.
     """
     axes = _axes(axes)
-    unit, size = readable("rad")
-    closed = np.append(np.degrees(angle), 360.0)
+    shown, size = readable(unit)
+    end = np.degrees(2 * angle[-1] - angle[-2])
+    closed = np.append(np.degrees(angle), end)
     for curves, colour, dash, label in ((after, AFTER, "-", "after"), (before, BEFORE, (0, (4, 2)), "before")):
-        centred = np.asarray(curves) - np.mean(curves, axis=1, keepdims=True)
-        lines = axes.plot(
-            closed, np.column_stack([centred, centred[:, :1]]).T / size, color=colour, ls=dash, lw=0.8, alpha=0.7
-        )
-        lines[0].set_label(f"{label} ({len(centred)} units)")
-    axes.set(xlabel="crank angle (deg)", ylabel=f"transmission error ({unit})", xlim=(0, 360), xticks=range(0, 361, 60))
-    axes.set_title("Transmission error over one crank turn, sample units")
+        values = np.asarray(curves) / size
+        values = values - values.mean(axis=1, keepdims=True) if unit == "rad" else values
+        lines = axes.plot(closed, np.column_stack([values, values[:, :1]]).T, color=colour, ls=dash, lw=0.8, alpha=0.7)
+        lines[0].set_label(f"{label} ({len(values)} units)")
+    axes.set(xlabel="angle (deg)", ylabel=f"{shown}", xlim=(0, end), title=title)
+    if np.isclose(end, 360):
+        axes.set_xticks(range(0, 361, 60))
     axes.legend(loc="upper right", ncols=2)
     return axes
 

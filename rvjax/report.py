@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 
 import rvjax
+from rvjax import scene
 from rvjax.answer import Answer
 from rvjax.published import Comparison, show
-from rvjax.scene import OUTPUTS
 from rvjax.tolerances import Estimate
 from rvjax.units import readable
 
@@ -69,30 +69,48 @@ def yield_text(estimate: Estimate) -> str:
 
 
 def tolerance_rows(answer: Answer) -> tuple[list[str], list[list[str]]]:
-    """Headers and rows of the table of errors: tolerance before and after, sensitivity, share, cost."""
+    """Headers and rows of the table of tolerances: before, after, snapped to grades, and their cost."""
     study, allocation = answer.study, answer.allocation
-    names = list(study.requirements)
-    headers = ["error", "before", "after"] + (["graded"] if allocation.graded else [])
-    for name in names:
-        unit, _ = readable(OUTPUTS[name].unit)
-        headers += [f"{name}: sensitivity ({unit}/unit)", "share"]
-    headers += ["cost before", "cost after"]
+    graded = allocation.graded
+    headers = ["error", "before", "after", "cost before", "cost after"]
+    if graded:
+        headers += ["graded", "grade", "cost graded"]
     rows = []
     for field in study.fields:
         unit = study.unit(field)
-        row = [field, tolerance_text(getattr(study.tolerances, field), unit)]
-        row.append(tolerance_text(getattr(allocation.tolerances, field), unit))
-        if allocation.graded:
-            row.append(tolerance_text(getattr(allocation.graded.tolerances, field), unit))
-        for name in names:
-            scale = readable(unit)[1] / readable(OUTPUTS[name].unit)[1]
-            row.append(f"{answer.after.sensitivities[name][field] * scale:.4g}")
-            row.append(f"{100 * answer.after.shares[name][field]:.1f} %")
-        for side in (answer.before, answer.after):
-            row.append(f"{side.cost[field]:.3f}" if field in side.cost else "-")
+        row = [field, *(tolerance_text(getattr(t, field), unit) for t in (study.tolerances, allocation.tolerances))]
+        row += [_cost_text(side.cost, field) for side in (answer.before, answer.after)]
+        if graded:
+            row.append(tolerance_text(getattr(graded.tolerances, field), unit))
+            row += [graded.grades.get(field, "-"), _cost_text(graded.costs, field)]
         rows.append(row)
-    blank = [""] * (len(headers) - 3)
-    rows.append(["sum of costs", *blank, f"{allocation.start_cost:.3f}", f"{allocation.cost:.3f}"])
+    total = ["sum", "", "", f"{allocation.start_cost:.3f}", f"{allocation.cost:.3f}"]
+    rows.append(total + (["", "", f"{graded.cost:.3f}"] if graded else []))
+    return headers, rows
+
+
+def _cost_text(costs: dict[str, float], field: str) -> str:
+    return f"{costs[field]:.3f}" if field in costs else "-"
+
+
+def influence_rows(answer: Answer) -> tuple[list[str], list[list[str]]]:
+    """Headers and rows of the table of influence: sensitivity and share of variance for each response, after.
+
+    A sensitivity is the derivative to one element of the error, root mean square over its elements.
+    """
+    study, side = answer.study, answer.after
+    headers = ["error"]
+    for name in study.requirements:
+        headers += [f"d {name} / d error", "share"]
+    rows = []
+    for field in study.fields:
+        error_unit, error_size = readable(study.unit(field))
+        row = [field]
+        for name in study.requirements:
+            unit, size = readable(study.output(name).unit)
+            row.append(f"{side.sensitivities[name][field] * error_size / size:.4f} {unit}/{error_unit}")
+            row.append(f"{100 * side.shares[name][field]:.1f} %")
+        rows.append(row)
     return headers, rows
 
 
@@ -102,7 +120,7 @@ def requirement_rows(answer: Answer) -> tuple[list[str], list[list[str]]]:
     headers = ["requirement", "limit", "target", "yield before [interval]", "yield after [interval]", "shadow price"]
     rows = []
     for name, requirement in answer.study.requirements.items():
-        unit, size = readable(OUTPUTS[name].unit)
+        unit, size = readable(answer.study.output(name).unit)
         limits = [
             f"{sign} {limit / size:.4g} {unit}"
             for sign, limit in ((">=", requirement.lower), ("<=", requirement.upper))
@@ -136,10 +154,12 @@ def summary(answer: Answer) -> str:
     else:
         lines.append("No tolerances within the process ranges meet the requirements; at the finest ones")
         for name, shortfall in allocation.shortfall.items():
-            unit, size = readable(OUTPUTS[name].unit)
+            unit, size = readable(study.output(name).unit)
             if shortfall > 0:
                 lines.append(f"  the limit of {name} would have to move by {shortfall / size:.4g} {unit}")
-    lines += ["", table(*tolerance_rows(answer)), "", table(*requirement_rows(answer)), ""]
+    for rows in (tolerance_rows, influence_rows, requirement_rows):
+        lines += ["", table(*rows(answer))]
+    lines.append("")
     joint = certificate.joint_yield
     lines.append(
         f"Certificate: {certificate.samples:,} fresh units, {certificate.failed:,} failed"
@@ -177,8 +197,12 @@ def write(answer: Answer, folder: Path) -> None:
         (scratch / "study.toml").write_text(answer.study.text, "utf-8")
         (scratch / "summary.txt").write_text(summary(answer) + "\n", "utf-8")
         (scratch / "result.json").write_text(json.dumps(as_json(answer), indent=1, allow_nan=False), "utf-8")
-        (scratch / "tolerances.csv").write_text(_csv(*tolerance_rows(answer)), "utf-8")
-        (scratch / "requirements.csv").write_text(_csv(*requirement_rows(answer)), "utf-8")
+        for name, rows in (
+            ("tolerances", tolerance_rows),
+            ("influence", influence_rows),
+            ("requirements", requirement_rows),
+        ):
+            (scratch / f"{name}.csv").write_text(_csv(*rows(answer)), "utf-8")
         draw(answer, scratch)
         scratch.chmod(0o755)  # mkdtemp makes it private
         scratch.rename(folder)
@@ -198,14 +222,16 @@ def draw(answer: Answer, folder: Path) -> None:
         plt.close(axes.figure)
 
     with plotting.style():
-        if answer.after.turns is not None and answer.before.turns is not None:
-            angle = np.arange(answer.after.turns.shape[1]) * 2 * np.pi / answer.after.turns.shape[1]
-            save(plotting.turn_curves(angle, answer.before.turns, answer.after.turns), "transmission_error_turn")
+        curve = scene.kind(answer.study.design).curve
+        save(
+            plotting.unit_curves(answer.angle, answer.before.curves, answer.after.curves, curve.title, curve.unit),
+            "curves",
+        )
         for name, requirement in answer.study.requirements.items():
             axes = plotting.response_histogram(
                 answer.before.values[name],
                 answer.after.values[name],
-                unit=OUTPUTS[name].unit,
+                unit=answer.study.output(name).unit,
                 name=name,
                 upper=requirement.upper,
                 lower=requirement.lower,

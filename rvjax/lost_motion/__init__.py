@@ -1,10 +1,11 @@
 """Lost motion."""
 
-from rvjax.lost_motion.geometric import LostMotion, empirical_normal_force, geometric, shaft_tilt
+from rvjax.lost_motion.geometric import PROFILES, LostMotion, empirical_normal_force, geometric, shaft_tilt
 from rvjax.lost_motion.loop import LoopFigures, hysteresis_loop, loop_figures
 from rvjax.lost_motion.terms import LostMotionTerms
 
 __all__ = [
+    "PROFILES",
     "LoopFigures",
     "LostMotion",
     "LostMotionTerms",

@@ -1,69 +1,22 @@
-"""A study: design, conditions, tolerances, costs, requirements - read from TOML with units in strings."""
+"""Studies read from TOML with units in strings; whatever is wrong is one line that names key, value and unit."""
 
 import dataclasses
 import tomllib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
 from rvjax import catalogue, scene
 from rvjax.records import Record
-from rvjax.scene import OUTPUTS, Conditions
+from rvjax.study.question import Study, StudyError
 from rvjax.tolerances import Exponential, ReciprocalPower, Requirement, Tolerance, for_design
 from rvjax.units import parse
 
-DESIGNS = {"rv-40e": catalogue.RV_40E}
+DESIGNS = {"corr": catalogue.CORR, "rv-20e": catalogue.RV_20E, "rv-40e": catalogue.RV_40E}
 COSTS: dict[str, Any] = {"reciprocal_power": ReciprocalPower, "exponential": Exponential}
-
-
-@dataclass(frozen=True)
-class Study:
-    """A question about one design.
-
-    Attributes:
-        name: short name, from the file.
-        text: the TOML that defines the study.
-        design: the reducer.
-        conditions: how it runs.
-        tolerances: record of the design's errors with a Tolerance or None in each field.
-        costs: cost model of each field that may change, by name.
-        requirements: limits by response name.
-        seed: of all random numbers.
-        samples: units that the optimiser sees.
-        certificate_samples: fresh units on which the result is certified.
-    """
-
-    name: str
-    text: str
-    design: Any
-    conditions: Conditions
-    tolerances: Any
-    costs: dict[str, Any]
-    requirements: dict[str, Requirement]
-    seed: int = 0
-    samples: int = 16384
-    certificate_samples: int = 1_000_000
-
-    def response(self) -> Callable[[Any], Any]:
-        """errors -> Outcome of the responses that the requirements name."""
-        return scene.response(self.design, tuple(self.requirements), self.conditions)
-
-    @property
-    def fields(self) -> list[str]:
-        """Names of the errors with a tolerance, in the order of the error record."""
-        names = [f.name for f in dataclasses.fields(self.tolerances)]
-        return [name for name in names if getattr(self.tolerances, name) is not None]
-
-    def unit(self, field: str) -> str:
-        """SI unit of an error."""
-        return _metadata(type(self.tolerances), field)["unit"]
-
-
-class StudyError(ValueError):
-    """A study that cannot be used: says the file, the key, its value and why."""
+EMBEDDED = resources.files("rvjax.study") / "embedded"
 
 
 def load(source: str) -> Study:
@@ -82,7 +35,7 @@ def load(source: str) -> Study:
         except (OSError, UnicodeDecodeError) as error:
             raise StudyError(f"{source}: cannot be read as text ({error})") from None
         return parse_study(text, name=path.stem)
-    embedded = resources.files("rvjax") / "studies" / f"{source}.toml"
+    embedded = EMBEDDED / f"{source}.toml"
     if not embedded.is_file():
         raise FileNotFoundError(f"{source}: neither a .toml file nor an embedded study ({', '.join(embedded_names())})")
     return parse_study(embedded.read_text("utf-8"), name=source)
@@ -90,8 +43,7 @@ def load(source: str) -> Study:
 
 def embedded_names() -> list[str]:
     """Names of the studies that come with rvjax."""
-    files = (resources.files("rvjax") / "studies").iterdir()
-    return sorted(Path(file.name).stem for file in files if file.name.endswith(".toml"))
+    return sorted(Path(file.name).stem for file in EMBEDDED.iterdir() if file.name.endswith(".toml"))
 
 
 def parse_study(text: str, *, name: str) -> Study:
@@ -123,10 +75,10 @@ def parse_study(text: str, *, name: str) -> Study:
             name=name,
             text=text,
             design=design,
-            conditions=_conditions(_table(tables, "conditions")),
+            conditions=_conditions(scene.kind(design).conditions, _table(tables, "conditions")),
             tolerances=tolerances,
             costs=costs,
-            requirements=_requirements(_table(tables, "requirement")),
+            requirements=_requirements(scene.kind(design).outputs, _table(tables, "requirement")),
             seed=_integer(run.get("seed", 0), "run.seed", 0),
             samples=_integer(run.get("samples", 16384), "run.samples", 16),
             certificate_samples=_integer(run.get("certificate_samples", 1_000_000), "run.certificate_samples", 16),
@@ -176,10 +128,7 @@ def _metadata(record: Any, field: str) -> Any:
 
 
 def _design(table: dict[str, Any]) -> Any:
-    base = table.get("base")
-    if base not in DESIGNS:
-        raise ValueError(f"design.base = {base!r}: must be one of {', '.join(DESIGNS)}")
-    design = DESIGNS[base]
+    design = DESIGNS[_choice(table.get("base"), DESIGNS, "design.base")]
     for part, changes in table.items():
         if part != "base":
             _known({part: None}, {f.name for f in dataclasses.fields(design)} | {"base"}, "design")
@@ -199,18 +148,25 @@ def _override(part: Any, changes: Any, where: str) -> Any:
     return part.replace(**values)
 
 
-def _conditions(table: dict[str, Any]) -> Conditions:
-    _known(table, {f.name for f in dataclasses.fields(Conditions)}, "conditions")
-    values = dict(table)
-    if "output_torque" in values:
-        values["output_torque"] = _quantity(values["output_torque"], "N m", "conditions.output_torque")
-    if "angles" in values:
-        values["angles"] = _integer(values["angles"], "conditions.angles", 8)
-    if "gear_stiffness_ratio" in values:
-        values["gear_stiffness_ratio"] = _quantity(
-            values["gear_stiffness_ratio"], "-", "conditions.gear_stiffness_ratio"
-        )
-    return Conditions(**values)
+def _conditions(kind: Any, table: dict[str, Any]) -> Any:
+    fields = {f.name: f for f in dataclasses.fields(kind)}
+    _known(table, set(fields), "conditions")
+    values = {}
+    for key, value in table.items():
+        metadata, where = fields[key].metadata, f"conditions.{key}"
+        if "unit" in metadata:
+            values[key] = _quantity(value, metadata["unit"], where)
+        elif "minimum" in metadata:
+            values[key] = _integer(value, where, metadata["minimum"])
+        else:
+            values[key] = _choice(value, metadata["choices"], where)
+    return kind(**values)
+
+
+def _choice(value: Any, choices: Iterable[str], where: str) -> str:
+    if value not in choices:
+        raise ValueError(f"{where} = {value!r}: must be one of {', '.join(choices)}")
+    return value
 
 
 def _tolerances(design: Any, table: dict[str, Any]) -> Any:
@@ -267,8 +223,7 @@ def _costs(error_record: Any, tolerances: Any, table: dict[str, Any]) -> dict[st
             raise ValueError(f"{where}: there is no [tolerances.{field}] for it")
         unit = _metadata(error_record, field)["unit"]
         model = entry.pop("model", "reciprocal_power")
-        if model not in COSTS:
-            raise ValueError(f"{where}.model = {model!r}: must be one of {', '.join(COSTS)}")
+        _choice(model, COSTS, f"{where}.model")
         units = {"fixed": "-", "scale": "-", "finest": unit, "coarsest": unit}
         units |= {"reference": unit, "power": "-"} if model == "reciprocal_power" else {"decay": unit}
         _known(entry, set(units), where)
@@ -282,23 +237,21 @@ def _costs(error_record: Any, tolerances: Any, table: dict[str, Any]) -> dict[st
     return costs
 
 
-def _requirements(table: dict[str, Any]) -> dict[str, Requirement]:
+def _requirements(outputs: Mapping[str, scene.Output], table: dict[str, Any]) -> dict[str, Requirement]:
     requirements = {}
     for name in table:
         where, entry = f"requirement.{name}", _table(table, name)
         _known(entry, {"response", "lower", "upper", "target"}, where)
-        response = entry.get("response", name)
-        if response not in OUTPUTS:
-            raise ValueError(f"{where}.response = {response!r}: must be one of {', '.join(OUTPUTS)}")
+        response = _choice(entry.get("response", name), outputs, f"{where}.response")
         if response in requirements:
             raise ValueError(f"{where}.response = {response!r}: already has a requirement")
         limits = {
-            key: _quantity(entry[key], OUTPUTS[response].unit, f"{where}.{key}")
+            key: _quantity(entry[key], outputs[response].unit, f"{where}.{key}")
             for key in ("lower", "upper")
             if key in entry
         }
         if not limits:
-            raise ValueError(f"{where}: give upper or lower in {OUTPUTS[response].unit}")
+            raise ValueError(f"{where}: give upper or lower in {outputs[response].unit}")
         if "target" in entry:
             limits["target"] = _quantity(entry["target"], "-", f"{where}.target")
         with _naming_field(where):

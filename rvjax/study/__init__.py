@@ -1,0 +1,6 @@
+"""Studies: a question about one design, in Python or as a TOML file."""
+
+from rvjax.study.question import Study, StudyError
+from rvjax.study.read import embedded_names, load, parse_study
+
+__all__ = ["Study", "StudyError", "embedded_names", "load", "parse_study"]

@@ -1,0 +1,61 @@
+"""A study: design, conditions, tolerances, costs and requirements."""
+
+import dataclasses
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from rvjax import scene
+from rvjax.tolerances import Requirement
+
+
+@dataclass(frozen=True)
+class Study:
+    """A question about one design.
+
+    Attributes:
+        name: short name, from the file.
+        text: the TOML that defines the study.
+        design: the reducer.
+        conditions: how it runs.
+        tolerances: record of the design's errors with a Tolerance or None in each field.
+        costs: cost model of each field that may change, by name.
+        requirements: limits by response name.
+        seed: of all random numbers.
+        samples: units that the optimiser sees.
+        certificate_samples: fresh units on which the result is certified.
+    """
+
+    name: str
+    text: str
+    design: Any
+    conditions: Any
+    tolerances: Any
+    costs: dict[str, Any]
+    requirements: dict[str, Requirement]
+    seed: int = 0
+    samples: int = 16384
+    certificate_samples: int = 1_000_000
+
+    def response(self) -> Callable[[Any], Any]:
+        """errors -> Outcome of the responses that the requirements name."""
+        return scene.response(self.design, tuple(self.requirements), self.conditions)
+
+    @property
+    def fields(self) -> list[str]:
+        """Names of the errors with a tolerance, in the order of the error record."""
+        names = [f.name for f in dataclasses.fields(self.tolerances)]
+        return [name for name in names if getattr(self.tolerances, name) is not None]
+
+    def unit(self, field: str) -> str:
+        """SI unit of an error."""
+        fields = dataclasses.fields(self.tolerances)
+        return next(f.metadata["unit"] for f in fields if f.name == field)
+
+    def output(self, name: str) -> scene.Output:
+        """What a response of this study is."""
+        return scene.kind(self.design).outputs[name]
+
+
+class StudyError(ValueError):
+    """A study that cannot be used: says the file, the key, its value and why."""
