@@ -4,6 +4,8 @@ Oracles: tests/reference/lost_motion.json (1e-12 arcmin); the loop's own figures
 dissipated energy by the trapezoidal rule on a fine torque grid (1e-6, its error); central differences (1e-6).
 """
 
+from itertools import pairwise
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -37,9 +39,7 @@ def test_reference_cases(reference):
             angle = hysteresis_loop(jnp.array(case["torque"]), **options)
             np.testing.assert_allclose(angle / arcmin, case["expect_arcmin"], rtol=0, atol=1e-12)
         else:
-            figures = loop_figures(
-                torque_threshold=case["torque_threshold"], torque_max=case["torque_max"], **options
-            )
+            figures = loop_figures(torque_threshold=case["torque_threshold"], torque_max=case["torque_max"], **options)
             expected = case["expect"]
             np.testing.assert_allclose(figures.lost_motion / arcmin, expected["lost_motion_arcmin"], atol=1e-10)
             np.testing.assert_allclose(
@@ -82,7 +82,7 @@ def test_odd_with_return_point_memory():
     first, second = (np.asarray(hysteresis_loop(inner, **LOOP))[k] for k in (1, 9))
     assert first == second
     # Rate independent: samples on the way change nothing
-    dense = np.concatenate([np.linspace(a, b, 7)[:-1] for a, b in zip(inner[:-1], inner[1:])] + [inner[-1:]])
+    dense = np.concatenate([np.linspace(a, b, 7)[:-1] for a, b in pairwise(inner)] + [inner[-1:]])
     np.testing.assert_array_equal(hysteresis_loop(dense, **LOOP)[::6], hysteresis_loop(inner, **LOOP))
 
 

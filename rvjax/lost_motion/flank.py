@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-STEPS = 10  # near d = s D, where b is flat, they leave 1e-10 of b; elsewhere five reach rounding
+STEPS = 11  # near d = s D, where b is flat, they leave 1e-10 of b; elsewhere five reach rounding
 
 
 class Flank(NamedTuple):
@@ -200,7 +200,9 @@ def _descend(flank: Flank) -> tuple[_Point, jax.Array]:
     def body(_: Any, states: Any) -> Any:
         return tuple(step(state) for state in states)
 
-    states = tuple((_at(start, flank), jnp.ones_like(start)) for start in _starts(flank))
+    # The first step stands still and evaluates the start.
+    zero, one = jnp.zeros_like(size), jnp.ones_like(size)
+    states = tuple((_Point(start, jnp.full_like(size, jnp.inf), zero, zero), one) for start in _starts(flank))
     (near, _), (far, _) = jax.lax.fori_loop(0, STEPS, body, states)
     best = _Point(*(jnp.where(near.rotation <= far.rotation, one, other) for one, other in zip(near, far)))
     remaining = best.slope**2 / jnp.maximum(jnp.abs(best.curvature), least)
