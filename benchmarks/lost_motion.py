@@ -17,7 +17,7 @@ settings()
 from rvjax import RVErrors  # noqa: E402  (after the flags)
 from rvjax.catalogue import RV_20E  # noqa: E402
 from rvjax.lost_motion import geometric  # noqa: E402
-from rvjax.lost_motion.geometric import ERRORS_READ  # noqa: E402
+from rvjax.lost_motion.reducer import ERRORS_READ  # noqa: E402
 from rvjax.units import arcmin, um  # noqa: E402
 
 UNITS, CHUNK = 10_000_000, 100_000

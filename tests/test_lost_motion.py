@@ -16,7 +16,7 @@ import rvjax
 from rvjax import RVErrors, Status
 from rvjax.catalogue import RV_20E, RV_20E_ERRORS
 from rvjax.lost_motion import empirical_normal_force, geometric, shaft_tilt
-from rvjax.lost_motion.geometric import ERRORS_READ, PROFILES
+from rvjax.lost_motion.reducer import ERRORS_READ, PROFILES
 from rvjax.units import arcmin, deg, mm, um
 
 solve = jax.jit(geometric, static_argnames=("reading", "profile"))

@@ -1,6 +1,6 @@
 """Lost motion."""
 
-from rvjax.lost_motion.geometric import PROFILES, LostMotion, empirical_normal_force, geometric, shaft_tilt
+from rvjax.lost_motion.reducer import PROFILES, LostMotion, empirical_normal_force, geometric, shaft_tilt
 from rvjax.lost_motion.loop import LoopFigures, hysteresis_loop, loop_figures
 from rvjax.lost_motion.terms import LostMotionTerms
 
