@@ -1,46 +1,13 @@
-"""Pictures: functions that take numbers in SI and return Axes. One style, units on the axes.
+"""Pictures of an allocation: before is always the light dashed one, after the dark solid one."""
 
-Colours are distinguishable with colour-vision deficiency and in grey print; before is always the
-light dashed one, after the dark solid one. The models never import this module.
-"""
-
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 
+from rvjax.plotting.style import AFTER, BEFORE, HATCHES, LIMIT, PALETTE, new_axes, words
 from rvjax.units import readable
-
-BEFORE, AFTER, LIMIT = "#E69F00", "#0072B2", "#D55E00"
-PALETTE = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#F0E442", "#000000")
-HATCHES = ("", "//", "..", "xx", "\\\\", "++", "oo", "--")
-
-_STYLE = {
-    "figure.dpi": 120,
-    "figure.constrained_layout.use": True,
-    "font.size": 10,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "grid.color": "0.9",
-    "axes.axisbelow": True,
-    "legend.frameon": False,
-}
-
-
-@contextmanager
-def style() -> Iterator[None]:
-    """The one style of all pictures."""
-    with plt.rc_context(_STYLE):
-        yield
-
-
-def words(name: str) -> str:
-    """A field name as words: crank_eccentricity -> crank eccentricity."""
-    return name.replace("_", " ")
 
 
 def unit_curves(angle: Any, before: Any, after: Any, title: str, unit: str, *, axes: Axes | None = None) -> Axes:
@@ -54,7 +21,7 @@ def unit_curves(angle: Any, before: Any, after: Any, title: str, unit: str, *, a
         unit: SI unit of the values; a mean angle is an offset of assembly and is taken away.
         axes: where to draw; a new figure by default.
     """
-    axes = _axes(axes)
+    axes = new_axes(axes)
     shown, size = readable(unit)
     end = np.degrees(2 * angle[-1] - angle[-2])
     closed = np.append(np.degrees(angle), end)
@@ -91,7 +58,7 @@ def response_histogram(
         lower: lower limit, SI.
         axes: where to draw; a new figure by default.
     """
-    axes = _axes(axes)
+    axes = new_axes(axes)
     shown, size = readable(unit)
     values = [np.asarray(v)[np.isfinite(v)] / size for v in (before, after)]
     low, high = min(v.min() for v in values), max(v.max() for v in values)
@@ -114,7 +81,7 @@ def variance_shares(shares: Mapping[str, Mapping[str, float]], *, title: str, ax
         title: of the picture.
         axes: where to draw; a new figure by default.
     """
-    axes = _axes(axes)
+    axes = new_axes(axes)
     fields = list(next(iter(shares.values())))
     rows = np.arange(len(shares))
     left = np.zeros(len(shares))
@@ -153,7 +120,7 @@ def cost_against_yield(
         start: (yield, cost) of the tolerances of the study.
         axes: where to draw; a new figure by default.
     """
-    axes = _axes(axes)
+    axes = new_axes(axes)
     rejects = [1 - t for t in targets]
     floor = min(*rejects, 1 - chosen[0]) / 3  # yields nearer to 1 than the picture shows stand at its edge
     axes.plot(rejects, costs, "o-", color=AFTER, label="cheapest tolerances")
@@ -167,7 +134,3 @@ def cost_against_yield(
     axes.set(xlabel="yield of each requirement (%)", ylabel="cost", title="Cost against yield")
     axes.legend()
     return axes
-
-
-def _axes(axes: Axes | None) -> Axes:
-    return plt.subplots(figsize=(7, 4.2))[1] if axes is None else axes

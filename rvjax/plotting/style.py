@@ -1,0 +1,40 @@
+"""The one style of all pictures: readable in print and with colour-vision deficiency."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import matplotlib.pyplot as plt
+from matplotlib.axes import Axes
+
+BEFORE, AFTER, LIMIT = "#E69F00", "#0072B2", "#D55E00"
+PALETTE = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#F0E442", "#000000")
+HATCHES = ("", "//", "..", "xx", "\\\\", "++", "oo", "--")
+
+_STYLE = {
+    "figure.dpi": 120,
+    "figure.constrained_layout.use": True,
+    "font.size": 10,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.color": "0.9",
+    "axes.axisbelow": True,
+    "legend.frameon": False,
+}
+
+
+@contextmanager
+def style() -> Iterator[None]:
+    """The one style of all pictures."""
+    with plt.rc_context(_STYLE):
+        yield
+
+
+def words(name: str) -> str:
+    """A field name as words: crank_eccentricity -> crank eccentricity."""
+    return name.replace("_", " ")
+
+
+def new_axes(axes: Axes | None) -> Axes:
+    """The axes given, or those of a new figure."""
+    return plt.subplots(figsize=(7, 4.2))[1] if axes is None else axes
