@@ -33,13 +33,14 @@ def contributions(result: LostMotion, *, axes: Axes | None = None) -> Axes:
             fontsize=9,
         )
     total = float(result.total) / arcmin
-    axes.axvline(total, color=LIMIT, lw=1.5, label=f"total {total:+.3f} arcmin")
+    axes.axvline(total, color=LIMIT, lw=1.5, ls="--", zorder=0)
     axes.axvline(0, color="0.3", lw=0.8)
     axes.set_yticks(rows, [words(name) for name in names])
     axes.margins(x=0.15)
-    axes.set(xlabel="contribution to the lost motion (arcmin)", title="Lost motion, contribution by contribution")
+    title = f"Contributions to the lost motion; their sum {total:+.3f} arcmin is the dashed line"
+    axes.set_title(title, fontsize=10)
+    axes.set(xlabel="contribution (arcmin)")
     axes.grid(axis="y", visible=False)
-    axes.legend(loc="lower right")
     return axes
 
 
@@ -68,8 +69,8 @@ def torque_angle_loop(
     ramp = np.linspace(-1, 1, 801)
     torque = torque_max * np.concatenate([np.linspace(0, 1, 401), ramp[::-1], ramp])
     angle = np.asarray(hysteresis_loop(torque, play=play, stiffness=stiffness, friction=friction, smoothing=smoothing))
+    axes.plot(torque[401:], angle[401:] / arcmin, color=AFTER, lw=2.0, label="cycle")
     axes.plot(torque[:401], angle[:401] / arcmin, color=BEFORE, ls="--", lw=1.2, label="first loading")
-    axes.plot(torque[401:], angle[401:] / arcmin, color=AFTER, lw=1.6, label="cycle")
     for sign in (-1, 1):
         axes.axvline(sign * torque_threshold, color=LIMIT, lw=1.0, ls=":")
     axes.plot([], [], color=LIMIT, lw=1.0, ls=":", label=f"+-{torque_threshold:.3g} N m")
