@@ -9,7 +9,9 @@ Source: Yang, Chen, Wang, "Response Sensitivity to Design Parameters of RV Reduc
 
 from rvjax.dynamics.assembly import Lumped, System, assemble, lump
 from rvjax.dynamics.modes import EnergyShares, Modes, energy_shares, modes
+from rvjax.dynamics.periodic import Floquet, Periodic, floquet, periodic
 from rvjax.dynamics.response import Response, constant_forcing, response
+from rvjax.dynamics.sensitivity import log_sensitivities
 from rvjax.dynamics.static import Static, static
 from rvjax.dynamics.symmetry import Block, Blocks, blocks
 
@@ -17,8 +19,10 @@ __all__ = [
     "Block",
     "Blocks",
     "EnergyShares",
+    "Floquet",
     "Lumped",
     "Modes",
+    "Periodic",
     "Response",
     "Static",
     "System",
@@ -26,8 +30,11 @@ __all__ = [
     "blocks",
     "constant_forcing",
     "energy_shares",
+    "floquet",
+    "log_sensitivities",
     "lump",
     "modes",
+    "periodic",
     "response",
     "static",
 ]

@@ -12,6 +12,16 @@ STAGES = ("planetary", "cycloid")
 MESH = {"planetary": "sun_planet_mesh", "cycloid": "disc_pin_mesh"}
 
 
+def check_stage(stage: str) -> None:
+    """Refuse a stage that does not exist.
+
+    Raises:
+        ValueError: names the stages.
+    """
+    if stage not in STAGES:
+        raise ValueError(f"stage = {stage!r}: must be one of {', '.join(STAGES)}")
+
+
 def mesh_count(lumped: Lumped, stage: str) -> int:
     """Meshes of a stage: one for each planet, or one for each disc."""
     return lumped.cranks if stage == "planetary" else lumped.discs
@@ -43,8 +53,17 @@ def wave_coefficients(lumped: Lumped, stage: str, harmonics: int) -> jax.Array:
 
 
 def phases(lumped: Lumped, stage: str, harmonics: np.ndarray) -> np.ndarray:
-    """e^{i l ph_i} of every mesh (harmonics, meshes); ph_i = 2 pi teeth (i-1) / meshes, reduced in integers."""
+    """e^{i l ph_i} of every mesh (harmonics, meshes), from integer steps: no rounding at high harmonics."""
+    cosine, sine = circle(mesh_count(lumped, stage))
+    steps = np.outer(harmonics, _phase_steps(lumped, stage)) % mesh_count(lumped, stage)
+    return cosine[steps] + 1j * sine[steps]
+
+
+def mesh_phases(lumped: Lumped, stage: str) -> np.ndarray:
+    """ph_i = 2 pi teeth (i-1) / meshes, rad (meshes,)."""
+    return 2 * np.pi * _phase_steps(lumped, stage) / mesh_count(lumped, stage)
+
+
+def _phase_steps(lumped: Lumped, stage: str) -> np.ndarray:
     number = mesh_count(lumped, stage)
-    turns = np.outer(harmonics, mesh_teeth(lumped, stage) * np.arange(number)) % number
-    cosine, sine = circle(number)
-    return cosine[turns] + 1j * sine[turns]
+    return mesh_teeth(lumped, stage) * np.arange(number) % number

@@ -8,8 +8,24 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax.dynamics.assembly import Lumped, spring_table
 from rvjax.dynamics.modal import Key, ModalSector
 from rvjax.dynamics.symmetry import is_split
+
+OUTPUTS = ("output.x", "output.y", "output.rotation")
+
+
+def output_indices(lumped: Lumped, outputs: Sequence[str]) -> np.ndarray:
+    """Positions of coordinates given by name.
+
+    Raises:
+        ValueError: a name that does not exist.
+    """
+    labels = spring_table(lumped.cranks, lumped.discs).labels
+    for name in outputs:
+        if name not in labels:
+            raise ValueError(f"unknown output {name!r}; there are {', '.join(labels)}")
+    return np.array([labels.index(name) for name in outputs], int)
 
 
 class Share(NamedTuple):
@@ -65,11 +81,11 @@ def in_order(orders: Sequence[np.ndarray], rows: Sequence[jax.Array], harmonics:
 
 def resonance_distance(modal: ModalSector, frequency: jax.Array) -> jax.Array:
     """min |w / w_r - 1| over the modes of a sector, for angular frequencies (L,)."""
-    own = jnp.sqrt(modal.square)
+    own = jnp.sqrt(modal.square)[None, :]
     ratio = jnp.abs(frequency)[:, None] / jnp.where(own > 0, own, 1)
     return jnp.min(jnp.where(own > 0, jnp.abs(ratio - 1), jnp.inf), axis=1)
 
 
 def constants(values: Any, like: jax.Array) -> jax.Array:
     """A constant array as complex numbers of the precision of `like`."""
-    return jnp.asarray(values, jnp.result_type(like.dtype, jnp.complex64))
+    return jnp.asarray(values, np.result_type(like.dtype, np.complex64))

@@ -50,7 +50,7 @@ def modal_sectors(lumped: Lumped, keys: Sequence[Key]) -> dict[Key, ModalSector]
     for kind, label in keys:  # copies of one kind share their matrix, hence their eigenvectors
         rows = deflections(lumped, sector_rows(lumped.cranks, lumped.discs, kind, label))
         inverse_root = jax.lax.rsqrt(sector_mass(lumped, kind, label))
-        dtype = jnp.result_type(rows.dtype, vectors.dtype)
+        dtype = np.result_type(rows.dtype, vectors.dtype)
         transform = inverse_root.astype(dtype)[:, None] * own[kind].astype(dtype)
         springs = rows.astype(dtype) @ transform
         stiffness = springs.conj().T @ (k.astype(dtype)[:, None] * springs)
@@ -64,7 +64,7 @@ def modal_sectors(lumped: Lumped, keys: Sequence[Key]) -> dict[Key, ModalSector]
 def stacked(matrices: Sequence[jax.Array]) -> jax.Array:
     """Hermitian matrices of several sizes as one batch; what pads a smaller one lies beyond its spectrum."""
     largest = max(len(matrix) for matrix in matrices)
-    dtype = jnp.result_type(*[matrix.dtype for matrix in matrices])
+    dtype = np.result_type(*[matrix.dtype for matrix in matrices])
     padded = []
     for matrix in matrices:
         above = 1.01 * jax.lax.stop_gradient(jnp.max(jnp.sum(jnp.abs(matrix), axis=1)))
@@ -96,7 +96,7 @@ def dynamic_stiffness(lumped: Lumped, frequency: jax.Array) -> DynamicStiffness:
 def modal_solve(modal: ModalSector, z: DynamicStiffness, rhs: jax.Array) -> jax.Array:
     """Z^-1 rhs in modal coordinates, rhs (L, r, m)."""
     dtype = rhs.dtype
-    diagonal = _diagonal(modal, z)[:, :, None]
+    diagonal = _divisor(modal, z)[:, :, None]
     matrix, root = modal.stiffness.astype(dtype), matrix_root(modal.stiffness, modal.square).astype(dtype)
 
     def multiply(x: jax.Array) -> jax.Array:
@@ -114,35 +114,39 @@ def modal_solve(modal: ModalSector, z: DynamicStiffness, rhs: jax.Array) -> jax.
 
 def on_resonance(modal: ModalSector, z: DynamicStiffness) -> jax.Array:
     """True where an undamped frequency meets a mode to rounding."""
-    size = modal.square + jnp.abs(z.scalar)[:, None]
-    return jnp.any(jnp.abs(_diagonal(modal, z, safe=False)) <= _floor(size))
+    value, size = _diagonal(modal, z)
+    return jnp.any(jnp.abs(value) <= _floor(size))
 
 
 def residual(modal: ModalSector, z: DynamicStiffness, solution: jax.Array, rhs: jax.Array) -> jax.Array:
     """Largest |Z x - b| / (|Z| |x| + |b|) over the frequencies."""
     dtype = rhs.dtype
-    terms = (modal.stiffness.astype(dtype), jnp.diag(jnp.sqrt(modal.square)).astype(dtype))
+    root, one = jnp.diag(jnp.sqrt(modal.square)), jnp.eye(len(modal.square))
+    terms = [term.astype(dtype) for term in (modal.stiffness, root, one)]
     matrix = sum(c[:, None, None] * term[None] for c, term in zip(z, terms))
-    matrix = matrix + z.scalar[:, None, None] * jnp.eye(len(modal.square), dtype=dtype)
     miss = jnp.linalg.norm(jnp.einsum("lij,ljm->lim", matrix, solution) - rhs, axis=(1, 2))
     size = jnp.linalg.norm(matrix, axis=(1, 2)) * jnp.linalg.norm(solution, axis=(1, 2))
     size = size + jnp.linalg.norm(rhs, axis=(1, 2))
-    return jnp.max(miss / jnp.where(size > 0, size, 1))
+    return jax.lax.stop_gradient(jnp.max(miss / jnp.where(size > 0, size, 1)))
 
 
 def _floor(size: jax.Array) -> jax.Array:
     return 4 * jnp.finfo(size.dtype).eps * size
 
 
-def _diagonal(modal: ModalSector, z: DynamicStiffness, safe: bool = True) -> jax.Array:
-    frozen = jax.lax.stop_gradient(z)
-    square = modal.square.astype(frozen.scalar.dtype)
-    value = frozen.stiffness[:, None] * square + frozen.root[:, None] * jnp.sqrt(square) + frozen.scalar[:, None]
-    if not safe:
-        return value
-    size = modal.square + jnp.abs(frozen.scalar)[:, None]
+def _diagonal(modal: ModalSector, z: DynamicStiffness) -> tuple[jax.Array, jax.Array]:
+    """Value of Z in modal coordinates (L, r), no derivative, and the size of its terms."""
+    stiffness, root, scalar = jax.tree.map(lambda c: jax.lax.stop_gradient(c)[:, None], z)
+    square = modal.square[None, :]
+    value = stiffness * square.astype(scalar.dtype) + root * jnp.sqrt(square).astype(scalar.dtype) + scalar
+    return value, square + jnp.abs(scalar)
+
+
+def _divisor(modal: ModalSector, z: DynamicStiffness) -> jax.Array:
+    """The diagonal, kept from zero so that a resonance gives a large number, not NaN."""
+    value, size = _diagonal(modal, z)
     floor = _floor(jnp.maximum(size, jnp.finfo(size.dtype).eps * jnp.max(modal.square)))
-    return jnp.where(jnp.abs(value) <= floor, floor.astype(value.dtype), value)  # as large as a number can be
+    return jnp.where(jnp.abs(value) <= floor, floor.astype(value.dtype), value)
 
 
 @jax.custom_jvp

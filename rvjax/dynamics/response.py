@@ -6,18 +6,17 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from rvjax.designs import RVReducer
-from rvjax.dynamics.assembly import Lumped, admit, lump, spring_table
+from rvjax.dynamics.assembly import Lumped, admit, lump
 from rvjax.dynamics.balance import solve_cyclic, solve_mesh
-from rvjax.dynamics.excitation import STAGES, mesh_frequency
+from rvjax.dynamics.excitation import check_stage, mesh_frequency
 from rvjax.dynamics.first_order import solve_first_order
+from rvjax.dynamics.harmonics import OUTPUTS, output_indices
 from rvjax.records import Record, field, record, text
 from rvjax.status import SolveInfo, Status, first_failure
 
 METHODS = ("first_order", "harmonic_balance")
-OUTPUTS = ("output.x", "output.y", "output.rotation")
 
 
 @record
@@ -70,8 +69,7 @@ def response(
         ValueError: unknown stage, method or output, harmonics below 1, or as `rvjax.dynamics.lump`.
     """
     lumped = lump(design)
-    if stage not in STAGES:
-        raise ValueError(f"stage = {stage!r}: must be one of {', '.join(STAGES)}")
+    check_stage(stage)
     if method not in METHODS:
         raise ValueError(f"method = {method!r}: must be one of {', '.join(METHODS)}")
     if harmonics < 1:
@@ -104,22 +102,10 @@ def constant_forcing(
         outputs: as in `response`.
     """
     lumped = lump(design)
+    check_stage(stage)
     outputs = OUTPUTS if outputs is None else tuple(outputs)
     output_indices(lumped, outputs)
     return _response(lumped, sun_speed, output_torque, stage, harmonics, "first_order", outputs, True)
-
-
-def output_indices(lumped: Lumped, outputs: Sequence[str]) -> np.ndarray:
-    """Positions of coordinates given by name.
-
-    Raises:
-        ValueError: a name that does not exist.
-    """
-    labels = spring_table(lumped.cranks, lumped.discs).labels
-    for name in outputs:
-        if name not in labels:
-            raise ValueError(f"unknown output {name!r}; there are {', '.join(labels)}")
-    return np.array([labels.index(name) for name in outputs], int)
 
 
 @partial(jax.jit, static_argnums=(3, 4, 5, 6, 7))
@@ -158,5 +144,5 @@ def _response(
         resonance_distance=jnp.where(good, solved.distance, jnp.nan),
         outputs=outputs,
         form=form,
-        info=SolveInfo(jnp.where(good, own, status), jnp.asarray(0), solved.residual),
+        info=SolveInfo(jnp.where(good, own, status), jnp.int32(0), solved.residual),
     )

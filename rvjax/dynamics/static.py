@@ -114,5 +114,5 @@ def _static(lumped: Lumped, output_torque: Any) -> Static:
         deflection=jnp.where(good, deflection, jnp.nan),
         planetary_force=jnp.where(good, forces[0], jnp.nan),
         cycloid_force=jnp.where(good, forces[1], jnp.nan),
-        info=SolveInfo(jnp.where(good, own, status), jnp.asarray(0), state.residual),
+        info=SolveInfo(jnp.where(good, own, status), jnp.int32(0), state.residual),
     )
