@@ -18,7 +18,7 @@ import rvjax
 from rvjax.status import Status
 from rvjax.tolerances import Outcome, Requirement, Tolerance, for_design, monte_carlo, sample
 from rvjax.tolerances.estimates import ExactOrder, Moments4, Order, quantile_estimate, wilson
-from rvjax.tolerances.responses import respond_units
+from rvjax.tolerances.responses import respond
 from rvjax.units import mm, um
 
 STACK = dict(a=Tolerance.symmetric(12 * um), b=Tolerance.symmetric(9 * um), c=Tolerance.symmetric(6 * um))
@@ -157,10 +157,10 @@ def test_chunks_change_neither_counts_nor_figures():
 
 def test_one_compilation_serves_every_tolerance_and_every_chunk():
     monte_carlo(pair, STACK, samples=2500, seed=0, chunk=1000)
-    compiled = respond_units._cache_size()
+    compiled = respond._cache_size()
     wider = {name: t.with_half_width(2 * t.half_width) for name, t in STACK.items()}
     monte_carlo(pair, wider, samples=7200, seed=1, chunk=1000, requirements={"sum": LIMITS})
-    assert respond_units._cache_size() == compiled
+    assert respond._cache_size() == compiled
 
 
 def test_histogram_quantiles_equal_kept_ones_within_a_bin():

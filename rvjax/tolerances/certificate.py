@@ -11,9 +11,8 @@ from scipy import special
 from rvjax.tolerances.estimates import Estimate, deviate_of, wilson
 from rvjax.tolerances.monte_carlo import Statistics, monte_carlo
 from rvjax.tolerances.requirements import Requirement
-from rvjax.tolerances.responses import PLAIN, Response
+from rvjax.tolerances.responses import BLOCK, PLAIN, Response
 
-_CHUNK = 16384  # temporaries of a response over many angles then stay near the cache
 _DRAWS = 8  # certificates in one search; every one is a new chance to pass by luck
 _CUSHION = 0.7  # standard errors of the yield kept in hand, so that the next draw passes too
 _LEAST = 1e-3  # least step of a shrinking half-width, relative
@@ -40,7 +39,7 @@ class Certifier:
             tolerances,
             samples=self.samples,
             seed=self.seed,
-            chunk=_CHUNK,
+            chunk=BLOCK,
             requirements=required.get(PLAIN, required),
             confidence=self.confidence,
             keep=keep,

@@ -8,7 +8,6 @@ from collections.abc import Iterator
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from rvjax.status import PRECEDENCE, SUCCESS
@@ -221,7 +220,7 @@ def _chunks(
         after = None
         if start is not None:  # the last chunk is as long as the others, and cut below: nothing is compiled twice
             after = (
-                respond_units(response, tolerances, key, jnp.uint32(start), count=chunk),
+                respond_units(response, tolerances, key, start, count=chunk),
                 min(chunk, samples - start),
             )
         if ready is not None:

@@ -14,6 +14,10 @@ from rvjax.records import Record, field, record
 from rvjax.status import Status, succeeded, worst
 from rvjax.tolerances.layout import deviations, drawn, layout
 
+BLOCK = 16384
+"""Units at once where nobody chose: the same everywhere, so that a response is compiled for it once; temporaries of
+a response over many angles then stay near the cache."""
+
 PLAIN = ""
 """Name of the only scalar of a response that returns no dict."""
 
@@ -98,12 +102,14 @@ def respond(response: Response, tolerances: Any, z: jax.Array) -> tuple[dict[str
     return jax.vmap(one, in_axes=-1, axis_size=z.shape[-1])(errors)
 
 
-@functools.partial(jax.jit, static_argnames=("response", "count"))
 def respond_units(
-    response: Response, tolerances: Any, key: jax.Array, start: jax.Array, *, count: int
+    response: Response, tolerances: Any, key: jax.Array, start: int, *, count: int
 ) -> tuple[dict[str, jax.Array], jax.Array]:
-    """Values and status of units start .. start + count - 1; one compilation whatever the start."""
-    return respond(response, tolerances, drawn(tolerances, key, start, count=count))
+    """Values and status of units start .. start + count - 1; one compilation whatever the start.
+
+    Drawing is a program of its own, so that the response is compiled once for one number of units, whoever asks.
+    """
+    return respond(response, tolerances, drawn(tolerances, key, jnp.uint32(start), count=count))
 
 
 def response_names(response: Response, tolerances: Any) -> tuple[str, ...]:

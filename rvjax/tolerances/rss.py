@@ -16,11 +16,18 @@ from rvjax.tolerances.correlation import Correlation, correlated, z_correlation
 from rvjax.tolerances.distributions import central_moments, deviate
 from rvjax.tolerances.layout import Layout, deviations, layout, normals, root_key
 from rvjax.tolerances.requirements import Requirement
-from rvjax.tolerances.responses import Response, by_response, evaluate, like_response, respond_units, response_names
+from rvjax.tolerances.responses import (
+    BLOCK,
+    Response,
+    by_response,
+    evaluate,
+    like_response,
+    respond_units,
+    response_names,
+)
 
 _TERMS = 23  # of Hermite series
 _PROBES = 256  # units whose gradients decide whether the response has a kink, and stand in for it
-_SAMPLED = 4096  # units behind mean and sd of a response with a kink
 _STEP = 1e-3  # of a unit's deviations: so near the mean a smooth gradient has hardly moved
 
 
@@ -222,7 +229,7 @@ def _kink(gradient: np.ndarray, near: np.ndarray, far: np.ndarray, sd: np.ndarra
 
 def _sampled(response: Response, parts: Layout, name: str, gradients: np.ndarray, law: _Law) -> _Propagated:
     gradients = gradients[np.isfinite(gradients).all(axis=1)]
-    values, status = respond_units(response, parts.replace({}), root_key(0), jnp.uint32(0), count=_SAMPLED)
+    values, status = respond_units(response, parts.replace({}), root_key(0), 0, count=BLOCK)
     valid = np.asarray(values[name], float)[np.asarray(succeeded(status))]
     shares = {n: 0.0 for n in law.slices}
     for gradient in gradients:
@@ -262,12 +269,19 @@ def _derivatives(
     function = _flat(response, parts, names)
     errors = deviations(parts, normals(parts, key, jnp.arange(_PROBES, dtype=jnp.uint32)))
     rows = [jnp.zeros((0, _PROBES), mean.dtype), *(v.reshape(-1, _PROBES) for v in errors.values())]
-    units = jnp.concatenate(rows).T - mean[None]
-    points = jnp.concatenate([mean[None], mean[None] + _STEP * units, mean[None] + units])
-    both = jax.vmap(jax.jacrev(lambda vector: (function(vector),) * 2, has_aux=True))
-    gradients, values = both(points)
-    gradients = jnp.moveaxis(gradients, 1, 0)
-    return values[0], gradients[:, 0], gradients[:, 1 : 1 + _PROBES], gradients[:, 1 + _PROBES :]
+    units = jnp.concatenate(rows) - mean[:, None]
+    points = jnp.concatenate([mean[:, None], mean[:, None] + _STEP * units, mean[:, None] + units], axis=1)
+    # One lane per point and value: one reverse pass, units last, compiles in half the time of a Jacobian per unit.
+    count, lanes = points.shape[1], jnp.tile(points, len(names))
+    cotangents = jnp.repeat(jnp.eye(len(names), dtype=mean.dtype), count, axis=1)
+
+    def pulled(vector: jax.Array, cotangent: jax.Array) -> tuple[jax.Array, jax.Array]:
+        values, pull = jax.vjp(function, vector)
+        return values, pull(cotangent)[0]
+
+    values, gradients = jax.vmap(pulled, in_axes=-1, out_axes=-1)(lanes, cotangents)
+    gradients = gradients.reshape(-1, len(names), count).transpose(1, 2, 0)
+    return values[:, 0], gradients[:, 0], gradients[:, 1 : 1 + _PROBES], gradients[:, 1 + _PROBES :]
 
 
 @functools.partial(jax.jit, static_argnums=(0, 2))

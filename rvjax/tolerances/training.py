@@ -16,9 +16,8 @@ from scipy import special
 from rvjax.status import succeeded
 from rvjax.tolerances.layout import Layout, deviations, drawn, layout, root_key
 from rvjax.tolerances.requirements import Requirement
-from rvjax.tolerances.responses import Response, evaluate, respond
+from rvjax.tolerances.responses import BLOCK, Response, evaluate, respond
 
-_BLOCK = 16384  # units evaluated at once
 _BEYOND = 8  # units that must lie beyond a sampled quantile; further out the tail is extended as a normal one
 _FEWEST_LANES, _LANES_PART = 256, 8  # slopes come from the units nearest the quantile, an eighth of all
 
@@ -57,7 +56,7 @@ class Training:
         self.samples, self.joint = samples, joint_target is not None
         self.targets = [r.target for r in requirements.values()] + ([] if joint_target is None else [joint_target])
         self.lanes = min(samples, max(_FEWEST_LANES, samples // _LANES_PART))
-        key, block = root_key(seed), min(samples, _BLOCK)
+        key, block = root_key(seed), min(samples, BLOCK)
         starts = range(0, samples, block)
         self.blocks = [drawn(parts.replace({}), key, jnp.uint32(start), count=block) for start in starts]
         # How far the nominal response stays from each limit; margins are measured from there.
@@ -108,7 +107,7 @@ class Training:
         A few thousand units know a far quantile to a percent or two only. From now on the way of each
         active constraint from the nominal response is scaled by what the larger sample saw at `point`.
         """
-        reach = (point.margins + self.distance) / self.distance
+        reach = np.maximum((point.margins + self.distance) / self.distance, 1e-3)
         seen = 1 / (factors * reach)
         active = (reach > 0.9) & (np.abs(np.log(seen)) < 0.2)
         ratio = np.where(active, seen, 1.0)

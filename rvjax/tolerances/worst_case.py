@@ -210,5 +210,5 @@ def _values_and_gradients(
         values, status = evaluate(response, parts.errors(_unit_errors(parts, u)))
         return jnp.stack([values[name] for name in names])[k], status
 
-    (found, status), gradients = jax.vmap(jax.value_and_grad(value, has_aux=True))(points)
+    (found, status), gradients = jax.vmap(jax.value_and_grad(value, has_aux=True), in_axes=-1)(points.T)
     return jnp.where(succeeded(status), found, jnp.nan), gradients
