@@ -11,11 +11,11 @@ import numpy as np
 from rvjax import scene
 from rvjax.study import Study
 from rvjax.tolerances import Allocation, Statistics, allocate, monte_carlo, rss, sample
+from rvjax.tolerances.responses import BLOCK  # chunks of the certificate's size: the response compiles once
 
 SHOWN_UNITS = 24  # units whose curve is drawn
-HISTOGRAM_UNITS = 20_000
+SHOWN_VALUES = 65_536  # units behind a histogram
 YIELD_SWEEP = (0.9, 0.95, 0.99, 0.995, 0.999)
-SWEEP_CERTIFICATE = 4096  # not used: the curve shows the optimiser's cost, certified ones lie a little above it
 
 
 @dataclass(frozen=True)
@@ -87,6 +87,7 @@ def answer(study: Study, *, progress: bool = False) -> Answer:
         study.tolerances,
         samples=certificate.samples,
         seed=study.seed + 1,
+        chunk=BLOCK,
         requirements=study.requirements,
         progress=progress,
     )
@@ -113,7 +114,7 @@ def _given(study: Study) -> list[Any]:
 
 def _side(study: Study, response: Callable[[Any], Any], tolerances: Any) -> Side:
     moments = rss(response, tolerances)
-    kept = monte_carlo(response, tolerances, samples=HISTOGRAM_UNITS, seed=study.seed + 2, keep=True)
+    kept = monte_carlo(response, tolerances, samples=SHOWN_VALUES, seed=study.seed + 2, chunk=BLOCK, keep=True)
     return Side(
         tolerances=tolerances,
         cost={name: float(cost(getattr(tolerances, name).half_width)) for name, cost in study.costs.items()},
@@ -150,7 +151,7 @@ def _cost_curve(study: Study, response: Callable[[Any], Any]) -> list[tuple[floa
             costs=study.costs,
             samples=study.samples,
             seed=study.seed,
-            certificate_samples=SWEEP_CERTIFICATE,
+            certificate_samples=SHOWN_VALUES,  # the curve shows the cost before certification: smooth, a little below
         )
         if found.feasible:
             curve.append((target, float(found.history[-1]["cost"])))

@@ -33,7 +33,7 @@ KNOWN: dict[str, dict[str, float]] = {
 }
 
 # The unit in which a person reads a manufacturing error or a response.
-READ_IN = {"m": "um", "rad": "arcmin"}
+READ_IN = {"m": "um", "rad": "arcmin", "Pa": "MPa"}
 
 
 def parse(value: Any, unit: str) -> float:
