@@ -15,6 +15,7 @@ import numpy as np
 
 from rvjax import four_bar, lost_motion, mesh_force
 from rvjax.designs import CamRollerReducer, RVReducer
+from rvjax.lost_motion.reducer import PROFILES
 from rvjax.status import Status, worst
 from rvjax.tolerances import Outcome
 
@@ -37,7 +38,7 @@ class RVConditions:
     angles: int = field(default=64, metadata=dict(minimum=8))
     cranks: str = field(default="phase_locked", metadata=dict(choices=("phase_locked", "geared", "free")))
     gear_stiffness_ratio: float | None = field(default=None, metadata=dict(unit="-"))
-    lost_motion_profile: str = field(default="first_order", metadata=dict(choices=lost_motion.PROFILES))
+    lost_motion_profile: str = field(default="first_order", metadata=dict(choices=PROFILES))
 
 
 @dataclass(frozen=True)
