@@ -20,7 +20,7 @@ from rvjax.lost_motion import geometric  # noqa: E402
 from rvjax.lost_motion.reducer import ERRORS_READ  # noqa: E402
 from rvjax.units import arcmin, um  # noqa: E402
 
-UNITS, CHUNK = 10_000_000, 100_000
+UNITS, CHUNK = 10_000_000, 50_000
 LEVELS = ("first_order", "closed_form", "contact")
 DESIGN = RV_20E.replace(cycloid=RV_20E.cycloid.replace(shortening=None))
 

@@ -60,8 +60,9 @@ def geometric(
             error of pins, disc profile and base tangent are read.
         reading: "consistent" puts every term in radians; "as_printed" follows Eq. 16, 17 and 21 to the
             letter, slips of units and brackets included, to reproduce what was printed.
-        profile: "first_order", the sum of the paper; "closed_form", the first-order minimum over the flank;
-            "contact", the exact minimum over the flank, with K1 = e z_p / r_p even where the design overrides it.
+        profile: "first_order", the sum of the paper; "closed_form", the first-order minimum over the flank, with
+            K1 in proportion to the eccentricity, error included; "contact", the exact minimum over the flank, with
+            K1 = e z_p / r_p even where the design overrides it.
         tilt: of the input shaft, beta, rad; see `shaft_tilt`.
         centre_shift: radial displacement of sun against planet, a1, m.
         normal_force: mesh force on the planet, N, from which "as_printed" reads a pressure angle (Eq. 11) with
@@ -96,8 +97,10 @@ def geometric(
         shift=cycloid.shift_modification,
         tilt=tilt,
     )
-    # A NaN or an infinity survives the sum.
-    finite = jnp.isfinite(sum(jax.tree.leaves(unit)) + sum(getattr(parts, name) for name in ERRORS_READ))
+    # A NaN or an infinity survives the sum. The square root is for XLA, which does not repeat a costly operation
+    # in every kernel that needs its result: else each of the twelve sums of a gradient would read all errors.
+    read = sum(jax.tree.leaves(unit)) + sum(getattr(parts, name) for name in ERRORS_READ)
+    finite = jnp.isfinite(jnp.sqrt(jnp.abs(jax.lax.stop_gradient(read))))
     possible = _possible(unit, parts, teeth, profile)
     # Where the model does not apply it runs on harmless numbers, so that no derivative meets 0 * inf.
     good = finite & possible
@@ -123,7 +126,7 @@ def geometric(
         terms = terms.replace(contact_remainder=of_flank - replaced)
 
     status = first_failure(
-        (~(finite & jnp.isfinite(total)), Status.NONFINITE),
+        (~finite, Status.NONFINITE),
         (~possible, Status.INVALID_GEOMETRY),
         (~converged, Status.MAX_STEPS),
         (~assembles, Status.NOT_ASSEMBLABLE),
