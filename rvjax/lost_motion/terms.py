@@ -61,6 +61,7 @@ class Teeth(NamedTuple):
 
     @property
     def ratio(self) -> float:
+        """Turns of the sun for one of the output."""
         return 1 + self.z2 * self.zp / (self.z1 * (self.zp - self.zc))  # Eq. 4, ring fixed
 
 
@@ -80,6 +81,11 @@ class Unit(NamedTuple):
     tilt: Any
 
     def k1(self, teeth: Teeth) -> Any:
+        """Shortening coefficient: as given, else e z_p / r_p.
+
+        Args:
+            teeth: counts of the same design.
+        """
         return self.e * teeth.zp / self.rp if self.given_k1 is None else self.given_k1
 
 
