@@ -82,6 +82,33 @@ def test_catalogue_holds_the_tables_of_the_sources():
     assert 2 * design.cycloid.pin_radius == pytest.approx(6 * mm) == pytest.approx(parse(table["pin_diameter"], "m"))
 
 
+def test_catalogue_holds_the_rv20e_tables():
+    tables = published.parse("rv20e")["inputs"]["rv20e"]
+    design, errors = catalogue.RV_20E, catalogue.RV_20E_ERRORS
+    lengths = {
+        "pin_circle_radius": design.cycloid,
+        "pin_radius": design.cycloid,
+        "eccentricity": design.cycloid,
+        "module": design.involute,
+        "centre_distance": design.involute,
+        "sun_radius": design.involute,
+    }
+    for name, part in lengths.items():
+        assert getattr(part, name) == pytest.approx(parse(tables["table8"][name], "m")), name
+    assert design.cycloid.shortening == tables["table8"]["shortening"]
+    for name in ("sun_teeth", "planet_teeth"):
+        assert getattr(design.involute, name) == tables["table8"][name]
+    for name in ("equidistant_modification", "shift_modification"):
+        assert getattr(design.cycloid, name) == pytest.approx(parse(tables["table9"][name], "m"))
+        assert getattr(errors, name) == pytest.approx(parse(tables["table9"][f"{name}_error"], "m"))
+    for name in ("base_tangent_upper", "base_tangent_lower", "pin_circle_radius", "pin_radius", "pin_hole_clearance"):
+        assert getattr(errors, name) == pytest.approx(parse(tables["table9"][name], "m")), name
+    for name in ("disc_runout", "disc_cumulative_pitch", "pin_position", "eccentricity"):
+        assert getattr(errors, name) == pytest.approx(parse(tables["table9"][name], "m")), name
+    # the printed clearance is the whole free travel, the field is radial
+    assert 2 * errors.bearing_clearance == pytest.approx(parse(tables["table9"]["bearing_clearance"], "m"))
+
+
 def test_reproduce_prints_only_json_for_machines(capsys):
     assert cli.main(["reproduce", "--json"]) == 0
     listed = json.loads(capsys.readouterr().out)
@@ -98,4 +125,4 @@ def test_reproduce_prints_a_table_with_the_right_values(capsys):
     text = capsys.readouterr().out
     line = next(line for line in text.splitlines() if line.startswith("rv40e.cycloid_bore.rigid_range"))
     assert "0.036058 0.036111" in line and "reproduced_with_reading" in line and "5.35726e-05" in line
-    assert f"{len(published.figures('rv40e'))} figures: " in text or "figures: " in text
+    assert f"{sum(len(published.figures(source)) for source in published.SOURCES)} figures: " in text

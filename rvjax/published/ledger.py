@@ -26,7 +26,7 @@ from dataclasses import dataclass
 from importlib import resources
 from typing import Any
 
-SOURCES = ("rv40e",)
+SOURCES = ("rv20e", "rv40e")
 """Sources in the ledger; each has a TOML file and a module of the same name with a dict `COMPUTED`."""
 
 CLOSE = 0.10
