@@ -134,6 +134,12 @@ def test_readme_begins_with_the_two_commands():
         assert tool in shell[1]
 
 
+def test_the_python_of_the_readme_runs(capsys):
+    for code in re.findall(r"^```python\n(.*?)^```", (ROOT / "README.md").read_text(), re.MULTILINE | re.DOTALL):
+        exec(compile(code, "README.md", "exec"), {})
+    assert len(capsys.readouterr().out.splitlines()) >= 2
+
+
 def test_the_version_is_said_once():
     citation = (ROOT / "CITATION.cff").read_text()
     assert f"\nversion: {rvjax.__version__}\n" in citation
