@@ -1,0 +1,91 @@
+"""Pictures of the oscillatory roller stage: the tooth with its undercut limit, and the parametric studies."""
+
+from typing import Any
+
+import jax
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+
+from rvjax.designs import CamRollerReducer
+from rvjax.mesh_force import CycleStatistics, largest_roller_radius, tooth_profile
+from rvjax.plotting.style import AFTER, BEFORE, LIMIT, PALETTE, new_axes, words
+from rvjax.units import mm, um
+
+
+def tooth(design: CamRollerReducer, *, axes: Axes | None = None) -> Axes:
+    """One tooth of the inner gear: roller centre curve, flank, and the flank at the undercut limit.
+
+    Args:
+        design: the stage.
+        axes: where to draw; a new figure by default.
+    """
+    axes = new_axes(axes)
+    pitch = 2 * np.pi / design.gear_teeth
+    angles = np.linspace(-0.75 * pitch, 0.75 * pitch, 601)
+    profiles = jax.jit(jax.vmap(tooth_profile, in_axes=(None, 0)))
+    limit = float(largest_roller_radius(design))
+    here = profiles(design, angles)
+    axes.plot(*np.asarray(here.centre).T / mm, color="0.5", ls=":", lw=1.2, label="roller centres")
+    axes.plot(
+        *np.asarray(here.flank).T / mm, color=AFTER, lw=2.0, label=f"flank, r = {design.roller_radius / mm:.4g} mm"
+    )
+    if np.isfinite(limit):
+        # the centre curve stays: a larger roller on a smaller cam
+        link = design.cam_radius + design.roller_radius
+        for radius, colour, dash, label in (
+            (limit, BEFORE, "-", f"undercut limit, r = {limit / mm:.4g} mm"),
+            (1.4 * limit, LIMIT, "--", f"undercut, r = {1.4 * limit / mm:.4g} mm"),
+        ):
+            other = profiles(design.replace(roller_radius=radius, cam_radius=link - radius), angles)
+            axes.plot(*np.asarray(other.flank).T / mm, color=colour, ls=dash, lw=1.4, label=label)
+    axes.set_aspect("equal")
+    axes.set(xlabel="x (mm)", ylabel="y (mm)", title="Tooth of the inner gear")
+    axes.margins(y=0.12)
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.18), fontsize=9, ncols=2)
+    return axes
+
+
+FORCES = ("cam_mean", "cam_peak", "gear_mean", "gear_peak", "cage_mean", "cage_peak_to_peak")
+
+
+def study(parameter: str, values: Any, statistics: CycleStatistics, *, title: str, axes: Axes | None = None) -> Axes:
+    """Forces of a work cycle while one dimension or error varies.
+
+    Args:
+        parameter: as in `mesh_force.sweep`.
+        values: of the parameter, m (k,).
+        statistics: of `mesh_force.sweep`, fields (k,); NaN (undercut) leaves a gap.
+        title: of the picture.
+        axes: where to draw; a new figure by default.
+    """
+    axes = new_axes(axes)
+    shown, size = ("um", um) if parameter.startswith("errors.") else ("mm", mm)
+    for k, name in enumerate(FORCES):
+        dash = "-" if name.endswith("mean") else "--"
+        force = np.asarray(getattr(statistics, name))
+        axes.plot(np.asarray(values) / size, force, dash, color=PALETTE[k // 2], lw=1.6, label=words(name))
+    gone = ~np.isfinite(np.asarray(statistics.cam_mean))
+    if gone.any():
+        axes.axvspan(
+            np.asarray(values)[gone].min() / size, np.asarray(values)[gone].max() / size, color="0.92", zorder=0
+        )
+        axes.text(0.98, 0.5, "undercut", transform=axes.transAxes, ha="right", color="0.4")
+    axes.set(xlabel=f"{words(parameter.removeprefix('errors.'))} ({shown})", ylabel="force (N)", title=title)
+    return axes
+
+
+def studies(results: dict[str, tuple[str, Any, CycleStatistics]]) -> Any:
+    """Several parametric studies side by side.
+
+    Args:
+        results: {title: (parameter, values, statistics)}, six at most.
+
+    Returns:
+        The figure.
+    """
+    figure, grid = plt.subplots(2, 3, figsize=(12, 7))
+    for axes, (title, (parameter, values, statistics)) in zip(grid.flat, results.items()):
+        study(parameter, values, statistics, title=title, axes=axes)
+    figure.legend(*grid.flat[0].get_legend_handles_labels(), loc="outside lower center", ncols=6)
+    return figure
