@@ -82,7 +82,7 @@ def tolerance_rows(answer: Answer) -> tuple[list[str], list[list[str]]]:
         row += [_cost_text(side.cost, field) for side in (answer.before, answer.after)]
         if graded:
             row.append(tolerance_text(getattr(graded.tolerances, field), unit))
-            row += [graded.grades.get(field, "-"), _cost_text(graded.costs, field)]
+            row += [(graded.grades or {}).get(field, "-"), _cost_text(graded.costs, field)]
         rows.append(row)
     total = ["sum", "", "", f"{allocation.start_cost:.3f}", f"{allocation.cost:.3f}"]
     rows.append(total + (["", "", f"{graded.cost:.3f}"] if graded else []))

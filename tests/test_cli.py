@@ -15,7 +15,8 @@ from rvjax import cli, report
 GOOD = (resources.files("rvjax.study") / "embedded" / "rv-40e.toml").read_text("utf-8")
 SMALL = GOOD.replace("angles = 64 ", "angles = 12 ").replace("samples = 16384", "samples = 1024")
 SMALL = SMALL.replace("certificate_samples = 1_000_000", "certificate_samples = 60_000")
-PICTURES = ["curves", "histogram_transmission_error", "histogram_misfit", "histogram_lost_motion", "variance_shares", "cost_against_yield"]
+HISTOGRAMS = ["histogram_transmission_error", "histogram_misfit", "histogram_lost_motion"]
+PICTURES = ["curves", *HISTOGRAMS, "variance_shares", "cost_against_yield"]
 
 
 @pytest.fixture

@@ -83,18 +83,17 @@ def variance_shares(shares: Mapping[str, Mapping[str, float]], *, title: str, ax
     """
     axes = new_axes(axes)
     fields = list(next(iter(shares.values())))
-    rows = np.arange(len(shares))
+    rows = [float(row) for row in range(len(shares))]
     left = np.zeros(len(shares))
     for k, field in enumerate(fields):
         width = np.array([100 * shares[name][field] for name in shares])
         colour, hatch = PALETTE[k % len(PALETTE)], HATCHES[k % len(HATCHES)]
         axes.barh(rows, width, left=left, color=colour, hatch=hatch, edgecolor="white", label=words(field), height=0.6)
-        for row in rows:
-            if width[row] >= 6:
+        for row, part, start in zip(rows, width, left):
+            if part >= 6:
                 box = dict(facecolor="white", edgecolor="none", pad=1.0, alpha=0.85)
-                axes.text(
-                    left[row] + width[row] / 2, row, f"{width[row]:.0f}", ha="center", va="center", bbox=box, fontsize=9
-                )
+                middle = start + part / 2
+                axes.text(middle, row, f"{part:.0f}", ha="center", va="center", bbox=box, fontsize=9)
         left += width
     axes.set_yticks(rows, [words(name) for name in shares])
     axes.set(xlabel="share of variance (%)", xlim=(0, 100), title=title)

@@ -88,7 +88,7 @@ TABLES: dict[str, tuple[str, str, float]] = {
 def _grid(table: str, points: int, elastic: bool, solve: Callable[..., np.ndarray] = printed) -> np.ndarray:
     first, second, lengthening = TABLES[table]
     steps = np.linspace(-BAND, BAND, points)
-    errors = {first: np.repeat(steps, points), second: np.tile(steps, points)}
+    errors: dict[str, Any] = {first: np.repeat(steps, points), second: np.tile(steps, points)}
     for crank in ("crank_1", "crank_3"):
         errors[crank] = errors.get(crank, 0.0) + (lengthening if elastic else 0.0)
     return solve(**errors)

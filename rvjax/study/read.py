@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from rvjax import catalogue, scene
-from rvjax.records import Record
 from rvjax.study.question import Study, StudyError
 from rvjax.tolerances import Exponential, ReciprocalPower, Requirement, Tolerance, for_design
 from rvjax.units import parse
@@ -137,9 +136,9 @@ def _design(table: dict[str, Any]) -> Any:
 
 
 def _override(part: Any, changes: Any, where: str) -> Any:
-    if not isinstance(part, Record) or not isinstance(changes, dict):
+    if not dataclasses.is_dataclass(part) or not isinstance(changes, dict):
         raise ValueError(f"{where} = {changes!r}: must be a table of changes to a part that the base design has")
-    _known(changes, {f.name for f in dataclasses.fields(part)}, where)  # type: ignore[arg-type]
+    _known(changes, {f.name for f in dataclasses.fields(part)}, where)
     values = {}
     for key, value in changes.items():
         metadata = _metadata(part, key)
@@ -151,7 +150,7 @@ def _override(part: Any, changes: Any, where: str) -> Any:
 def _conditions(kind: Any, table: dict[str, Any]) -> Any:
     fields = {f.name: f for f in dataclasses.fields(kind)}
     _known(table, set(fields), "conditions")
-    values = {}
+    values: dict[str, Any] = {}
     for key, value in table.items():
         metadata, where = fields[key].metadata, f"conditions.{key}"
         if "unit" in metadata:
@@ -245,7 +244,7 @@ def _requirements(outputs: Mapping[str, scene.Output], table: dict[str, Any]) ->
         response = _choice(entry.get("response", name), outputs, f"{where}.response")
         if response in requirements:
             raise ValueError(f"{where}.response = {response!r}: already has a requirement")
-        limits = {
+        limits: dict[str, float] = {
             key: _quantity(entry[key], outputs[response].unit, f"{where}.{key}")
             for key in ("lower", "upper")
             if key in entry
