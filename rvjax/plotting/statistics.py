@@ -62,7 +62,7 @@ def response_histogram(
     shown, size = readable(unit)
     values = [np.asarray(v)[np.isfinite(v)] / size for v in (before, after)]
     low, high = min(v.min() for v in values), max(v.max() for v in values)
-    bins = np.linspace(low, high, 81) if high > low else 10
+    bins: Any = np.linspace(low, high, 81) if high > low else 10
     axes.hist(values[1], bins, density=True, color=AFTER, alpha=0.75, label="after")
     axes.hist(values[0], bins, density=True, histtype="step", color=BEFORE, lw=1.6, ls="--", label="before")
     for limit in (lower, upper):

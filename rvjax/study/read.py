@@ -136,12 +136,13 @@ def _design(table: dict[str, Any]) -> Any:
 
 
 def _override(part: Any, changes: Any, where: str) -> Any:
-    if not dataclasses.is_dataclass(part) or not isinstance(changes, dict):
+    if part is None or not isinstance(changes, dict):
         raise ValueError(f"{where} = {changes!r}: must be a table of changes to a part that the base design has")
-    _known(changes, {f.name for f in dataclasses.fields(part)}, where)
+    record: Any = type(part)
+    _known(changes, {f.name for f in dataclasses.fields(record)}, where)
     values = {}
     for key, value in changes.items():
-        metadata = _metadata(part, key)
+        metadata = _metadata(record, key)
         is_count = metadata["kind"] == "count"
         values[key] = value if is_count else _quantity(value, metadata["unit"], f"{where}.{key}")
     return part.replace(**values)
