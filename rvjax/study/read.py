@@ -127,7 +127,7 @@ def _metadata(record: Any, field: str) -> Any:
 
 
 def _design(table: dict[str, Any]) -> Any:
-    design = DESIGNS[_choice(table.get("base"), DESIGNS, "design.base")]
+    design: Any = DESIGNS[_choice(table.get("base"), DESIGNS, "design.base")]
     for part, changes in table.items():
         if part != "base":
             _known({part: None}, {f.name for f in dataclasses.fields(design)} | {"base"}, "design")
