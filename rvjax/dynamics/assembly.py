@@ -136,7 +136,8 @@ def assemble(design: RVReducer | Lumped) -> System:
     table = spring_table(lumped.cranks, lumped.discs)
     rows = deflections(lumped, table.rows)
     stiffness = rows.T @ (spring_stiffness(lumped)[:, None] * rows)
-    return System(mass=mass_vector(lumped), stiffness=stiffness, labels=table.labels)
+    symmetric = (stiffness + stiffness.T) / 2  # the product is so to rounding only
+    return System(mass=mass_vector(lumped), stiffness=symmetric, labels=table.labels)
 
 
 def mass_vector(lumped: Lumped) -> jax.Array:

@@ -1,5 +1,7 @@
 """Sensitivity of one amplitude to every number of a design, by automatic differentiation through the solves."""
 
+from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import jax
@@ -7,6 +9,7 @@ import jax.numpy as jnp
 
 from rvjax.designs import RVReducer
 from rvjax.dynamics.assembly import Lumped
+from rvjax.dynamics.harmonics import OUTPUTS
 from rvjax.dynamics.response import constant_forcing, response
 from rvjax.records import promote
 
@@ -19,11 +22,11 @@ def log_sensitivities(
     sun_speed: Any,
     output_torque: Any,
     stage: str = "planetary",
-    harmonic: int = 1,
-    output: str = "output.rotation",
+    harmonics: int = 9,
+    outputs: Sequence[str] = OUTPUTS,
     formula: str = "total",
 ) -> dict[str, jax.Array]:
-    """Relative change of one first-order amplitude B for a relative change of each number: (xi / B) dB/dxi.
+    """Relative change of each first-order amplitude B for a relative change of each number: (xi / B) dB/dxi.
 
     Args:
         design: a reducer, whose eccentricity moves the rolling radius of the discs along, or its lumped
@@ -31,37 +34,37 @@ def log_sensitivities(
         sun_speed: () rad/s.
         output_torque: external torque on the output, () N m.
         stage: whose meshes vary: "planetary" or "cycloid".
-        harmonic: of the mesh frequency, from 1.
-        output: a name from `assemble(design).labels`.
+        harmonics: of the mesh frequency, H.
+        outputs: k names from `assemble(design).labels`.
         formula: "total", or "constant_forcing" as Eq. 14 of Yang et al. 2018.
 
     Returns:
-        {field: complex}, such as "stiffness.sun_support"; the real part is the relative change of |B|. Zero
-        everywhere for an output that the harmonic does not excite.
+        {field: (H, k) complex}, fields such as "stiffness.sun_support"; the real part is the relative change of
+        |B|. Zero for an output that a harmonic does not excite.
 
     Raises:
         ValueError: unknown formula, or as `response`.
     """
     if formula not in FORMULAS:
         raise ValueError(f"formula = {formula!r}: must be one of {', '.join(FORMULAS)}")
+    return _log_sensitivities(design, sun_speed, output_torque, stage, harmonics, tuple(outputs), formula)
+
+
+@partial(jax.jit, static_argnums=(3, 4, 5, 6))
+def _log_sensitivities(
+    design: Any, sun_speed: Any, output_torque: Any, stage: str, harmonics: int, outputs: tuple[str, ...], formula: str
+) -> dict[str, jax.Array]:
     design = promote(design)
+    conditions = dict(sun_speed=sun_speed, output_torque=output_torque)
 
     def amplitude(changed: Any) -> tuple[jax.Array, jax.Array]:
-        found = FORMULAS[formula](
-            changed,
-            sun_speed=sun_speed,
-            output_torque=output_torque,
-            stage=stage,
-            harmonics=harmonic,
-            outputs=(output,),
-        ).amplitude[harmonic - 1, 0]
+        found = FORMULAS[formula](changed, **conditions, stage=stage, harmonics=harmonics, outputs=outputs).amplitude
         return found, found
 
     slopes, value = jax.jacfwd(amplitude, has_aux=True)(design)
     divisor = jnp.where(value == 0, 1, value)
-    values = jax.tree.leaves(design)
     paths, _ = jax.tree.flatten_with_path(slopes)
     return {
         jax.tree_util.keystr(path, simple=True, separator="."): number.astype(value.dtype) * slope / divisor
-        for (path, slope), number in zip(paths, values)
+        for (path, slope), number in zip(paths, jax.tree.leaves(design))
     }

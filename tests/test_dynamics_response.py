@@ -1,0 +1,342 @@
+"""Forced response: first order, harmonic balance, exact periodic solution, stability.
+
+Oracles: independent cases (tests/reference/dynamics.json, tolerances as stated there); dense NumPy solves of
+dynamics_oracle.py, full harmonic balance included, to 1e-9 of the largest amplitude of each coordinate; the
+exact periodic solution, to which harmonic balance must tend.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from dynamics_oracle import Oracle, layout
+
+import rvjax
+from rvjax import Damping, Status, dynamics
+from rvjax.catalogue import RV_320E
+from rvjax.units import rpm
+
+TORQUE = -3136.0
+RATED = 1000 * rpm
+DAMPING = Damping(loss_factor=0.02, rayleigh_mass=30.0, rayleigh_stiffness=2e-7, modal_ratio=0.01)
+NAMES = {
+    "x_s": "sun.x",
+    "theta_s": "sun.rotation",
+    "theta_p1": "planet1.rotation",
+    "x_H1": "crank1.x",
+    "y_c1": "disc1.y",
+    "x_o": "output.x",
+    "y_o": "output.y",
+    "theta_o": "output.rotation",
+}
+STAGE = {"sp": "planetary", "cp": "cycloid"}
+
+
+def varied(design, **changes):
+    return design.replace(mesh_variation=design.mesh_variation.replace(**changes))
+
+
+def solve(design, **options):
+    return dynamics.response(design, **(dict(sun_speed=RATED, output_torque=TORQUE) | options))
+
+
+def all_labels(design):
+    return dynamics.assemble(design).labels
+
+
+def assert_close(found, expected, rtol):
+    """Within rtol of the largest amplitude of each coordinate, and a hundredth of the largest of its type."""
+    scale = np.abs(expected).max(axis=0)
+    kinds = np.arange(expected.shape[1]) % 3 == 2
+    for kind in (kinds, ~kinds):
+        scale[kind] = np.maximum(scale[kind], 1e-2 * scale[kind].max())
+    assert (np.abs(found - expected) / scale).max() < rtol
+
+
+@pytest.fixture(scope="module")
+def cases(reference):
+    return {case["id"]: case for case in reference("dynamics")["cases"]}
+
+
+@pytest.mark.parametrize("number", [25, 28, 30, 33])
+def test_first_order_is_that_of_the_reference(cases, number):
+    case = cases[number]
+    stage, order = STAGE[case["stage"]], case["harmonic"]
+    rated = {"planetary": 248.64864864864865, "cycloid": 140.54054054054052}[stage]
+    outputs = [NAMES[name] for name in case["out"]]
+    found = solve(RV_320E, sun_speed=case["f_mesh_Hz"] / rated * RATED, stage=stage, outputs=outputs)
+    assert found.info.status == Status.CONVERGED
+    expected = np.array([complex(*value) for value in case["out"].values()])
+    np.testing.assert_allclose(
+        found.amplitude[order - 1], expected, rtol=1e-5 if number == 33 else 1e-8, atol=1e-13 * np.abs(expected).max()
+    )
+    suppressed = expected == 0
+    assert np.all(np.asarray(found.amplitude)[order - 1, suppressed] == 0)
+
+
+def test_no_mesh_load_no_response(cases):
+    """Output held against rotation, sun free and without torque: the held spring takes all."""
+    design = RV_320E.replace(stiffness=RV_320E.stiffness.replace(sun_torsion=0.0, output_torsion=1e6))
+    oracle = Oracle(design)
+    load = oracle.load(TORQUE)
+    load[2] = 0.0
+    assert np.abs(np.array(oracle.meshes["planetary"]) @ np.linalg.solve(oracle.K, load)).max() < 1e-17
+    assert all(value == [0.0, 0.0] for value in cases[36]["out"].values())
+
+
+def test_harmonic_balance_is_that_of_the_reference(cases):
+    case = cases[48]
+    design = RV_320E.replace(damping=Damping(loss_factor=0.04))
+    outputs = ["output.x", "output.rotation", "sun.rotation"]
+    found = solve(design, method="harmonic_balance", harmonics=20, outputs=outputs)
+    assert found.form == "cyclic"
+    for order, values in case["out"].items():
+        expected = np.array([complex(*values[name]) for name in ("x_o", "theta_o", "theta_s")])
+        ours = found.mean if order == "0" else found.amplitude[int(order) - 1] / 2
+        np.testing.assert_allclose(ours, expected, rtol=1e-8, atol=1e-16)
+
+
+LAYOUTS = [
+    *((4, 3, "planetary"), (4, 3, "cycloid"), (3, 2, "planetary"), (3, 2, "cycloid")),
+    *((2, 3, "cycloid"), (2, 2, "planetary"), (3, 1, "planetary"), (5, 4, "cycloid")),
+]
+
+
+@pytest.mark.parametrize(("cranks", "discs", "stage"), LAYOUTS)
+def test_both_methods_equal_dense_solves(cranks, discs, stage):
+    """First order and harmonic balance, all coordinates, all dampings, in layouts of every kind."""
+    design = layout(RV_320E, cranks, discs, disc_phase=0.3).replace(damping=DAMPING)
+    design = varied(design, planetary_swing=0.5, cycloid_swing=0.4, planetary_ramp=0.1)
+    oracle, harmonics = Oracle(design), 4
+    w = oracle.frequency(stage, RATED)
+    options = dict(stage=stage, harmonics=harmonics, outputs=all_labels(design))
+    found = solve(design, **options)
+    assert found.info.status == Status.CONVERGED and found.info.residual < 1e-13
+    assert_close(np.asarray(found.amplitude), oracle.first_order(stage, w, harmonics, TORQUE), 1e-9)
+    np.testing.assert_allclose(found.frequency, w * np.arange(1, harmonics + 1) / (2 * np.pi), rtol=1e-12)
+
+    found = solve(design, **options, method="harmonic_balance")
+    assert found.info.status == Status.CONVERGED and found.info.residual < 1e-13
+    assert found.form == ("cyclic" if cranks >= 3 and (discs >= 3 or stage == "cycloid") else "mesh")
+    expected = oracle.harmonic_balance(stage, w, harmonics, TORQUE)[harmonics:]
+    ours = np.concatenate([np.asarray(found.mean)[None], np.asarray(found.amplitude) / 2])
+    assert_close(ours[1:], expected[1:], 1e-9)
+    np.testing.assert_allclose(ours[0], expected[0].real, rtol=1e-9, atol=1e-9 * np.abs(expected[0]).max())
+
+
+def test_the_cyclic_and_the_mesh_form_agree():
+    """The mesh form holds everywhere; where the cyclic form is chosen both must give the same."""
+    lumped = dynamics.lump(RV_320E.replace(damping=DAMPING))
+    numbers, (speed, torque), _ = dynamics.assembly.admit(lumped, RATED, TORQUE)
+    w = dynamics.excitation.mesh_frequency(numbers, speed, "cycloid")
+    arguments = (numbers, w, torque, "cycloid", 6, np.array([0, 2, 27, 36, 38]))
+    cyclic, mesh = (
+        jax.jit(lambda n, w, t, solve=solve: solve(n, w, t, *arguments[3:]))(*arguments[:3])
+        for solve in (dynamics.balance.solve_cyclic, dynamics.balance.solve_mesh)
+    )
+    scale = np.abs(np.asarray(cyclic.amplitude)).max(axis=0)
+    np.testing.assert_allclose(np.asarray(mesh.amplitude) / scale, np.asarray(cyclic.amplitude) / scale, atol=1e-10)
+    np.testing.assert_allclose(mesh.mean, cyclic.mean, rtol=1e-9, atol=1e-16)
+
+
+@pytest.mark.parametrize("method", ["first_order", "harmonic_balance"])
+def test_backward_rotation(method):
+    """The sun turns backwards: the phases run backwards, the amplitudes follow the dense solve of conj phases."""
+    design = RV_320E.replace(damping=DAMPING)
+    oracle = Oracle(design)
+    found = solve(design, sun_speed=-RATED, harmonics=4, method=method, outputs=all_labels(design))
+    rows, k, phase, a = oracle.stage("planetary", 8)
+    oracle.stage = lambda *_: (rows, k, -phase, a)
+    w = oracle.frequency("planetary", -RATED)
+    if method == "first_order":
+        expected = oracle.first_order("planetary", w, 4, TORQUE)
+    else:
+        expected = 2 * oracle.harmonic_balance("planetary", w, 4, TORQUE)[5:]
+    assert_close(np.asarray(found.amplitude), expected, 1e-9)
+
+
+def samples(found, count):
+    time = np.arange(count) / count
+    orders = np.arange(1, len(found.amplitude) + 1)
+    waves = np.exp(2j * np.pi * np.outer(time, orders)) @ np.asarray(found.amplitude)
+    return np.asarray(found.mean) + waves.real
+
+
+def test_the_exact_solution_and_how_harmonics_approach_it(cases):
+    case, outputs = cases[42]["out"], ("output.x", "output.rotation", "sun.rotation")
+    design = RV_320E.replace(damping=Damping(modal_ratio=0.02))
+    exact = rvjax.check(dynamics.periodic(design, sun_speed=RATED, output_torque=TORQUE, samples=256, outputs=outputs))
+    expected = [case["q_o_x_at_t0"], case["theta_o_at_t0"], case["theta_s_at_t0"]]
+    np.testing.assert_allclose(exact.deflection[0], expected, rtol=1e-7)
+    assert float(exact.multiplier) == pytest.approx(case["rho"], rel=1e-7)
+    article = solve(design, outputs=outputs)
+    assert float(samples(article, 1)[0, 1]) == pytest.approx(case["article9_theta_o_at_t0"], rel=1e-9)
+
+    moving = np.asarray(exact.deflection) - np.asarray(article.mean)
+    error = {}
+    for method, harmonics in (("first_order", 9), ("harmonic_balance", 9), ("harmonic_balance", 60)):
+        found = solve(design, method=method, harmonics=harmonics, outputs=outputs)
+        miss = samples(found, 256) - np.asarray(exact.deflection)
+        error[method, harmonics] = np.sqrt(np.mean(miss**2, axis=0) / np.mean(moving**2, axis=0))
+    np.testing.assert_allclose(error["first_order", 9], [0.27, 0.56, 0.38], atol=0.01)
+    np.testing.assert_allclose(error["harmonic_balance", 9], [0.33, 0.49, 0.37], atol=0.01)
+    assert np.all(error["harmonic_balance", 60] < [1e-3, 1.2e-3, 4e-3])
+
+
+def test_the_exact_solution_of_a_free_reducer_running_backwards():
+    """Neither end held, two cranks, backwards: harmonic balance with many harmonics is the comparison."""
+    design = layout(RV_320E, 2, 2, disc_phase=0.3).replace(damping=Damping(modal_ratio=0.05))
+    design = design.replace(stiffness=design.stiffness.replace(sun_torsion=0.0))
+    options = dict(sun_speed=-3 * RATED, output_torque=TORQUE, stage="cycloid", outputs=("output.rotation", "disc1.x"))
+    exact = dynamics.periodic(design, samples=64, **options)
+    assert exact.info.status == Status.CONVERGED
+    found = dynamics.response(design, method="harmonic_balance", harmonics=40, **options)
+    moving = np.asarray(exact.deflection) - np.asarray(exact.deflection).mean(axis=0)
+    miss = samples(found, 64) - np.asarray(exact.deflection)
+    assert np.all(np.abs(miss - miss.mean(axis=0)).max(axis=0) < 5e-3 * np.abs(moving).max(axis=0))
+
+
+def test_stability():
+    """Multipliers of a parametric resonance, found by a period map of 40 digits: 1.13 and 1.23."""
+    design = varied(RV_320E.replace(damping=Damping(modal_ratio=0.001)), planetary_swing=0.6)
+    unit = RATED / 248.64864864864865
+    run = jax.jit(jax.vmap(lambda n: dynamics.floquet(design, sun_speed=n)))
+    found = run(jnp.array([2229.0, 5200.0, 248.6]) * unit)
+    np.testing.assert_allclose(found.multiplier[:2], [1.13, 1.23], atol=0.005)
+    assert found.info.status.tolist() == [Status.UNSTABLE, Status.UNSTABLE, Status.CONVERGED]
+    with pytest.raises(rvjax.SolveError, match="UNSTABLE 2"):
+        rvjax.check(found)
+    undamped = dynamics.floquet(RV_320E, sun_speed=RATED)
+    assert float(undamped.multiplier) == pytest.approx(1, abs=1e-9) and undamped.info.status == Status.CONVERGED
+    # Without variation the multipliers are those of constant damping: e^{-zeta w_1 T}.
+    calm = varied(RV_320E.replace(damping=Damping(modal_ratio=0.02)), planetary_swing=0.0)
+    lowest = 2 * np.pi * float(dynamics.modes(RV_320E).frequency[0])
+    expected = np.exp(-0.02 * lowest / 248.64864864864865)
+    assert float(dynamics.floquet(calm, sun_speed=RATED).multiplier) == pytest.approx(expected, rel=1e-9)
+
+
+def test_what_the_exact_solution_refuses():
+    for design, name in (
+        (varied(RV_320E, planetary_ramp=0.1), "planetary_ramp"),
+        (RV_320E.replace(damping=Damping(loss_factor=0.01)), "loss_factor"),
+    ):
+        with pytest.raises(ValueError, match=name):
+            dynamics.floquet(design, sun_speed=RATED)
+    assert np.isnan(dynamics.floquet(RV_320E, sun_speed=0.0).multiplier)
+
+
+def test_symmetry_of_the_response():
+    """Members repeat one another one phase later; zero where the harmonic excites nothing that is shown."""
+    design = RV_320E.replace(damping=DAMPING)
+    labels = all_labels(design)
+    found = dict(zip(labels, np.asarray(solve(design, outputs=labels).amplitude).T))
+    orders = np.arange(1, 10)
+    for i in range(4):
+        shift = np.exp(2j * np.pi * orders * 15 * i / 4)
+        np.testing.assert_allclose(found[f"planet{i + 1}.y"], shift * found["planet1.y"], rtol=1e-9, atol=1e-20)
+    for l in orders:
+        rotational, translational = found["output.rotation"][l - 1], found["output.x"][l - 1]
+        assert (rotational != 0) == (l % 4 == 0) and (translational != 0) == (l % 2 == 1)
+    k = np.where(orders * 15 % 4 == 1, 1, -1)[::2]
+    np.testing.assert_allclose(found["output.y"][::2], 1j * k * found["output.x"][::2], rtol=1e-9)
+    few = solve(design, outputs=["output.rotation"])
+    np.testing.assert_allclose(few.amplitude[:, 0], found["output.rotation"], rtol=1e-12)
+    assert np.all(np.isinf(np.asarray(few.resonance_distance)[[0, 1, 2, 4, 5, 6, 8]]))
+
+
+def test_scaling_and_limits():
+    base = RV_320E.replace(damping=Damping(loss_factor=0.05))
+    one = np.asarray(solve(base).amplitude)
+    np.testing.assert_allclose(solve(base, output_torque=2 * TORQUE).amplitude, 2 * one, rtol=1e-12)
+    doubled = varied(base, planetary_swing=0.6)
+    np.testing.assert_allclose(solve(doubled).amplitude, 2 * one, rtol=1e-12)
+    assert np.all(np.asarray(solve(base, output_torque=0.0).amplitude) == 0)
+    # k c^2 at equal masses moves every frequency by c.
+    stiff = base.replace(stiffness=jax.tree.map(lambda k: 9 * k, base.stiffness))
+    np.testing.assert_allclose(dynamics.modes(stiff).frequency, 3 * dynamics.modes(base).frequency, rtol=1e-9)
+    np.testing.assert_allclose(solve(stiff, sun_speed=3 * RATED).amplitude, one / 9, rtol=1e-9, atol=1e-30)
+    # Harmonic balance tends to first order as the swing goes to zero, quadratically apart.
+    gaps = []
+    for swing in (1e-3, 1e-4):
+        small = varied(base, planetary_swing=swing)
+        first, full = (np.asarray(solve(small, method=m).amplitude) for m in ("first_order", "harmonic_balance"))
+        gaps.append(np.abs(full - first).max())
+    assert gaps[0] / gaps[1] == pytest.approx(100, rel=0.05)
+
+
+def test_extremes():
+    """Inputs at the edge of the domain give numbers or a status, never silent NaN; lanes do not touch each other."""
+    s = RV_320E.stiffness
+
+    def lane(changes):
+        sun_torsion, sun_support, torsion, bending, angle, e, swing, mesh, speed = changes
+        design = RV_320E.replace(
+            stiffness=s.replace(
+                sun_torsion=sun_torsion,
+                sun_support=sun_support,
+                planet_crank_torsion=torsion,
+                planet_crank_bending=bending,
+                disc_pin_mesh=mesh,
+            ),
+            cycloid=RV_320E.cycloid.replace(force_angle=angle, eccentricity=e),
+            mesh_variation=RV_320E.mesh_variation.replace(planetary_swing=swing),
+        )
+        first = solve(design, sun_speed=speed)
+        full = solve(design, sun_speed=speed, method="harmonic_balance")
+        return (first.amplitude, first.info.status), (full.amplitude, full.info.status)
+
+    nominal = dict(
+        kst=1.16e4, ks=4.19e7, kH=6.99e4, ka=2.33e8, beta=np.pi / 6, e=2.2e-3, swing=0.3, kcr=8.35e8, n=RATED
+    )
+    changed = [
+        *(dict(), dict(kst=0.0), dict(ks=0.0), dict(kH=100.0), dict(ka=1e12, kH=1e9), dict(beta=0.0)),
+        *(dict(beta=np.radians(80)), dict(e=1e-6), dict(swing=0.9), dict(swing=0.0), dict(n=0.0)),
+        *(dict(beta=np.pi / 2), dict(e=-1e-3), dict(kcr=0.0), dict(kH=0.0), dict(ks=np.nan), dict(n=np.inf)),
+    ]
+    rows = np.array([list((nominal | change).values()) for change in changed])
+    run = jax.jit(jax.vmap(lane))
+    good = [Status.CONVERGED] * 11
+    bad = [Status.INVALID_GEOMETRY] * 2 + [Status.SINGULAR] * 2 + [Status.NONFINITE] * 2
+    for amplitude, status in run(jnp.asarray(rows)):
+        assert status.tolist() == good + bad
+        finite = np.isfinite(np.asarray(amplitude)).all(axis=(1, 2))
+        assert finite[:11].all() and not finite[[11, 12, 15, 16]].any()
+        assert np.all(np.asarray(amplitude)[9] == 0)
+    np.testing.assert_allclose(run(jnp.asarray(rows))[0][0][0], solve(RV_320E).amplitude, rtol=1e-9, atol=1e-20)
+
+
+def test_a_harmonic_on_a_mode():
+    """Undamped on resonance to rounding: a large number or SINGULAR, never NaN."""
+    mode = float(dynamics.modes(RV_320E).frequency[1])
+    speeds = np.nextafter(mode / 248.64864864864865 * RATED, [0.0, np.inf])
+    grid = jnp.asarray([speeds[0], mode / 248.64864864864865 * RATED, speeds[1]])
+    found = jax.jit(jax.vmap(lambda n: solve(RV_320E, sun_speed=n)))(grid)
+    assert np.isfinite(np.asarray(found.amplitude)).all()
+    assert np.all(np.abs(found.amplitude[:, 0, 0]) > 1e3 * 6.5e-9)
+    assert set(found.info.status.tolist()) <= {Status.CONVERGED, Status.SINGULAR}
+    assert np.all(np.asarray(found.resonance_distance)[:, 0] < 1e-12)
+
+
+def test_single_precision():
+    """Against double precision of the same rounded inputs; near an undamped resonance the error is eps / distance."""
+
+    def single(tree):
+        return jax.tree.map(jnp.float32, tree)
+
+    def rounded(tree):
+        return jax.tree.map(lambda x: np.float64(np.float32(x)), tree)
+
+    mode = float(dynamics.modes(RV_320E).frequency[1]) / 248.64864864864865 * RATED
+    for distance, bound in ((1e-1, 1e-5), (1e-2, 3e-5), (1e-3, 3e-4), (1e-4, 3e-3)):
+        speed = np.float32(mode * (1 + distance))
+        fine = solve(rounded(RV_320E), sun_speed=float(speed))
+        coarse = solve(single(RV_320E), sun_speed=jnp.asarray(speed), output_torque=jnp.float32(TORQUE))
+        assert coarse.amplitude.dtype == jnp.complex64 and coarse.info.status == Status.CONVERGED
+        scale = np.abs(np.asarray(fine.amplitude)[:, 0]).max()
+        assert np.abs(np.asarray(coarse.amplitude)[:, 0] - np.asarray(fine.amplitude)[:, 0]).max() / scale < bound
+    damped = RV_320E.replace(damping=Damping(loss_factor=0.02))
+    fine = solve(rounded(damped), sun_speed=float(np.float32(RATED)), method="harmonic_balance")
+    coarse = solve(single(damped), sun_speed=jnp.float32(RATED), method="harmonic_balance")
+    scale = np.abs(np.asarray(fine.amplitude)).max(axis=0)
+    assert coarse.amplitude.dtype == jnp.complex64
+    assert (np.abs(np.asarray(coarse.amplitude) - np.asarray(fine.amplitude)) / scale).max() < 3e-3
