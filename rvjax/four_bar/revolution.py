@@ -160,5 +160,5 @@ def _search(scores: Callable[[Crank], list[Any]], cosine: jax.Array, sine: jax.A
         ], None
 
     start = [(score, cosine[0], sine[0]) for score in scores(Crank(cosine[0], sine[0]))]
-    best, _ = jax.lax.scan(step, start, (cosine[1:], sine[1:]), unroll=4)
+    best, _ = jax.lax.scan(step, start, (cosine[1:], sine[1:]))
     return [Crank(x, y) for _, x, y in best]
