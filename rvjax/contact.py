@@ -15,9 +15,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-# 1 - sqrt(1 - x) = x/2 + x^2/8 + ...: the terms from the second on.
-_SAGITTA_SERIES = (1 / 8, 1 / 16, 5 / 128, 7 / 256)
-
 
 def compliance(young_modulus: Any, poisson_ratio: Any) -> Any:
     """C of two bodies of one material, 1/Pa (Eq. 9).
@@ -41,15 +38,33 @@ def load_unit(young_modulus: Any, poisson_ratio: Any, length: Any, radius: Any) 
     return jnp.pi * length * radius / (4 * compliance(young_modulus, poisson_ratio))
 
 
+def sagitta(square: jax.Array) -> jax.Array:
+    """1 - sqrt(1 - square): the approach on a plane (m = 1) under the load v = square (Eq. 12).
+
+    Args:
+        square: of a half-width over a radius, 0 to 1.
+    """
+    return square / (1 + jnp.sqrt(1 - square))
+
+
+def sagitta_slope(square: jax.Array) -> jax.Array:
+    """Derivative of `sagitta`.
+
+    Args:
+        square: as in `sagitta`.
+    """
+    return 0.5 / jnp.sqrt(1 - square)
+
+
 def approach(load: jax.Array, relative_radius: jax.Array) -> jax.Array:
-    """Approach of the two bodies in roller radii, load / 2 for small loads (Eqs. 11, 12).
+    """Approach of the two bodies in roller radii, load / 2 for small loads (Eq. 11).
 
     Args:
         load: v >= 0, smaller than `load_limit`.
-        relative_radius: m > 0 of the contact; 1 for a plane.
+        relative_radius: m > 0 of the contact.
     """
     v, m = load, relative_radius
-    return m * v / (1 + jnp.sqrt(1 - m * v)) + (1 - m) * v / (1 + jnp.sqrt(1 - (1 - m) ** 2 / m * v))
+    return sagitta(m * v) + (1 - m) * v / (1 + jnp.sqrt(1 - (1 - m) ** 2 / m * v))
 
 
 def approach_slope(load: jax.Array, relative_radius: jax.Array) -> jax.Array:
@@ -60,7 +75,7 @@ def approach_slope(load: jax.Array, relative_radius: jax.Array) -> jax.Array:
         relative_radius: m, as in `approach`.
     """
     v, m = load, relative_radius
-    return (m / jnp.sqrt(1 - m * v) + (1 - m) / jnp.sqrt(1 - (1 - m) ** 2 / m * v)) / 2
+    return m * sagitta_slope(m * v) + (1 - m) * sagitta_slope((1 - m) ** 2 / m * v)
 
 
 def load_limit(relative_radius: jax.Array) -> jax.Array:
@@ -73,36 +88,15 @@ def load_limit(relative_radius: jax.Array) -> jax.Array:
     return 1 / jnp.maximum(m, (1 - m) ** 2 / m)
 
 
-def approach_series(relative_radius: jax.Array) -> tuple[jax.Array, ...]:
-    """Coefficients of v^2 ... v^5 in the power series of `approach`.
+def approach_series(relative_radius: Any) -> tuple[Any, Any]:
+    """Coefficients of v^2 and v^3 in the power series of `approach`.
 
     Args:
-        relative_radius: m, as in `approach`.
+        relative_radius: m, as in `approach`; 1.0 for a plane.
     """
     m = relative_radius
-    hollow = (1 - m) ** 2 / m
-    terms, here, there = [], m, 1 - m
-    for coefficient in _SAGITTA_SERIES:
-        here, there = here * m, there * hollow
-        terms.append(coefficient * (here + there))
-    return tuple(terms)
-
-
-def inverse_series(a2: Any, a3: Any, a4: Any, a5: Any) -> tuple[Any, Any, Any, Any]:
-    """Coefficients of u = y + b2 y^2 + ... + b5 y^5 where y = u + a2 u^2 + ... + a5 u^5.
-
-    Args:
-        a2: coefficient of u^2.
-        a3: of u^3.
-        a4: of u^4.
-        a5: of u^5.
-    """
-    return (
-        -a2,
-        2 * a2**2 - a3,
-        5 * a2 * a3 - 5 * a2**3 - a4,
-        14 * a2**4 - 21 * a2**2 * a3 + 6 * a2 * a4 + 3 * a3**2 - a5,
-    )
+    hollow = (1 - m) ** 3 / m
+    return (m**2 + hollow) / 8, (m**3 + hollow * (1 - m) ** 2 / m) / 16
 
 
 def pressure(force: jax.Array, young_modulus: Any, poisson_ratio: Any, length: Any, relative_radius: Any) -> jax.Array:

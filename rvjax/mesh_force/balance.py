@@ -1,149 +1,129 @@
-"""Equilibrium of all rollers under one torque: the scalar root behind `solve`.
+"""Equilibrium of a case: its derivatives, and how batches of cases are laid out.
 
-    approach(u_i) = tau a_i + g_i  where the right side is positive, else u_i = 0
-    sum_i a_i u_i = torque
-
-The moment of the loads is a nondecreasing function of the windup tau with slope sum a^2 S, S = stiffness
-of a loaded roller: Newton steps inside a bracket find its root. First with linear contacts, where Newton
-on a piecewise linear function ends exactly after a few steps; then, for a nonlinear law, in the shift x
-from that windup, depths being x a_i + (tau_0 a_i + g_i). The shift is as small as the elastic approach, so
-nothing cancels even where a clearance is many orders larger.
-
-Derivatives are those of the solution, by the implicit function theorem,
-
-    du_i = S_i (a_i dtau + tau da_i + dg_i - dD_i),  dtau from the derivative of the moment,
-
-forward, reverse and repeated; 0 for an unloaded roller and where nothing is loaded.
+A batch is solved in blocks small enough for the cache, as arrays (rollers, cases): arithmetic then runs along
+the cases, and a sum over the rollers is a sum of rows. `jax.vmap` alone would put the cases first, where sums
+over two dozen rollers cost several times as much; the rule in `_batched` chooses the layout.
 """
 
+import functools
 from collections.abc import Callable
-from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 
 from rvjax.mesh_force import laws
+from rvjax.mesh_force.block import DEAD_CENTRE, Balance, solve_block
+from rvjax.mesh_force.case import Case
 from rvjax.mesh_force.laws import Compliance
 
-_MAX_STEPS = 100
+_BLOCK = 1024  # cases; a block's arrays (26, 1024) stay in the cache of one core
 
 
-class Facts(NamedTuple):
-    """How the balance was found; carries no derivative."""
+@functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
+def attach(
+    law: str,
+    arm: jax.Array,
+    gap: jax.Array,
+    compliance: Compliance,
+    torque: jax.Array,
+    windup: jax.Array,
+    load: jax.Array,
+) -> tuple[jax.Array, jax.Array]:
+    """Windup and loads unchanged, with the derivatives of the equilibrium.
 
-    steps: jax.Array
-    residual: jax.Array  # moment missing, relative to the larger of the torque and the sum of |moments|
-    overload: jax.Array  # a load limit is passed
-    finite: jax.Array
-
-
-Balance = tuple[jax.Array, jax.Array, Facts]
-
-
-@partial(jax.custom_jvp, nondiff_argnums=(0,))
-def balance(law: str, arm: jax.Array, gap: jax.Array, roller: Compliance, torque: jax.Array) -> Balance:
-    """Windup, loads (n,) and `Facts` of the equilibrium; all dimensionless.
+    By the implicit function theorem, du_i = S_i (a_i dtau + tau da_i + dg_i - dD_i), with dtau from the
+    derivative of the moment; 0 for an unloaded roller. Forward, reverse and repeated.
 
     Args:
         law: one of `laws.CONTACTS`.
-        arm: moment arms (n,) over the eccentricity.
-        gap: interference (n,) over the roller radius, > 0 loads.
-        roller: compliances, (n,) each.
-        torque: () over eccentricity and load unit.
+        arm: moment arms (n,).
+        gap: interference (n,).
+        compliance: of the rollers.
+        torque: ().
+        windup: () of the equilibrium.
+        load: (n,) of the equilibrium.
     """
-    stiffness = 2 / roller.weight
+    return windup, load
 
-    def linear(tau: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-        depth = tau * arm + gap
-        load = jnp.where(depth > 0, stiffness * depth, 0)
-        return _moment(arm, load, jnp.where(depth > 0, stiffness, 0), torque)
 
-    # Start: all rollers of the working half loaded; without errors this is the linear solution.
-    working = jnp.where(arm * jnp.where(torque < 0, -1, 1) > 0, arm * stiffness, 0)
-    start = (torque - jnp.sum(working * gap)) / jnp.sum(working * arm)
-    size = jnp.max(jnp.abs(gap)) + jnp.abs(start)
-    tau, linear_steps = _monotone_root(linear, start, size)
+@attach.defjvp
+def _attach_jvp(law: str, primals: Any, tangents: Any) -> Any:
+    arm, gap, compliance, _, _, _ = primals
+    darm, dgap, dcompliance, dtorque, _, _ = tangents
+    windup, load = attach(law, *primals)
+    rate = jnp.where(load > 0, 1 / laws.slope(law, load, compliance), 0)
+    _, dapproach = jax.jvp(lambda c: laws.approach(law, load, c), (compliance,), (dcompliance,))
+    ddepth = windup * darm + dgap - dapproach
+    slope = jnp.sum(arm**2 * rate)
+    dmissing = dtorque - jnp.sum(load * darm) - jnp.sum(arm * rate * ddepth)
+    # Nothing loaded: the windup is where the first roller touches.
+    first = (arm > DEAD_CENTRE) & (windup * arm + gap >= -1e-12 * jnp.abs(gap))
+    touching = jnp.sum(jnp.where(first, arm, 0))
+    dedge = -jnp.sum(jnp.where(first, windup * darm + dgap, 0)) / jnp.where(touching > 0, touching, 1)
+    dwindup = jnp.where(slope > 0, dmissing / jnp.where(slope > 0, slope, 1), dedge)
+    return (windup, load), (dwindup, rate * (arm * dwindup + ddepth))
 
-    shifted = tau * arm + gap
 
-    def exact(x: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-        load, rate, _ = laws.inverse(law, x * arm + shifted, roller)
-        return _moment(arm, load, rate, torque)
+@functools.partial(jax.custom_jvp, nondiff_argnums=(0, 1))
+def balance(law: str, teeth: int, case: Case) -> Balance:
+    """The equilibrium of a case, (n,) loads; carries no derivative.
 
-    size = jnp.max(jnp.abs(shifted))
-    x, steps = _monotone_root(exact, jnp.zeros_like(tau), size)
-    load, rate, beyond = laws.inverse(law, x * arm + shifted, roller)
-    missing, slope, _ = _moment(arm, load, rate, torque)
-    # What rounding of x leaves is shared out along the stiffness.
-    load = jnp.maximum(load - rate * arm * jnp.where(slope > 0, missing / jnp.where(slope > 0, slope, 1), 0), 0)
-    missing, _, scale = _moment(arm, load, rate, torque)
-    overload = jnp.any(beyond)
-    finite = jnp.isfinite(tau + x) & jnp.all(jnp.isfinite(load))
-    good = finite & ~overload  # a failed lane returns zeros, so that no derivative of it is NaN
-    facts = Facts(
-        steps=linear_steps + steps,
-        residual=jnp.where(scale > 0, jnp.abs(missing) / jnp.where(scale > 0, scale, 1), 0),
-        overload=overload,
-        finite=finite,
-    )
-    return jnp.where(good, tau + x, 0), jnp.where(good, load, 0), facts
+    Args:
+        law: one of `laws.CONTACTS`.
+        teeth: z.
+        case: the case.
+    """
+    found = _batched(law, teeth)(jax.tree.map(lambda leaf: leaf[None], case))
+    return jax.tree.map(lambda leaf: leaf[0], found)
 
 
 @balance.defjvp
-def _balance_jvp(law: str, primals: Any, tangents: Any) -> tuple[Balance, Balance]:
-    arm, gap, roller, torque = primals
-    darm, dgap, droller, dtorque = tangents
-    tau, load, facts = balance(law, arm, gap, roller, torque)
-    loaded = load > 0
-    rate = jnp.where(loaded, 1 / laws.slope(law, load, roller), 0)
-    _, dapproach = jax.jvp(lambda r: laws.approach(law, load, r), (roller,), (droller,))
-    ddepth = tau * darm + dgap - dapproach
-    slope = jnp.sum(arm**2 * rate)
-    dmissing = dtorque - jnp.sum(load * darm) - jnp.sum(arm * rate * ddepth)
-    dtau = jnp.where(slope > 0, dmissing / jnp.where(slope > 0, slope, 1), 0)
-    dload = rate * (arm * dtau + ddepth)
-    return (tau, load, facts), (dtau, dload, jax.custom_derivatives.zero_from_primal(facts))
+def _balance_jvp(law: str, teeth: int, primals: Any, tangents: Any) -> Any:
+    found = balance(law, teeth, *primals)
+    return found, jax.custom_derivatives.zero_from_primal(found)
 
 
-def _moment(
-    arm: jax.Array, load: jax.Array, rate: jax.Array, torque: jax.Array
-) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Moment of the loads minus the torque, its slope in the windup, and the size to judge it by."""
-    moments = arm * load
-    scale = jnp.maximum(jnp.abs(torque), jnp.sum(jnp.abs(moments)))
-    return jnp.sum(moments) - torque, jnp.sum(arm**2 * rate), scale
+@functools.cache
+def _batched(law: str, teeth: int) -> Callable[[Case], Balance]:
+    """Batch (cases, ...) -> Balance (cases, ...); vmap makes a larger batch of it."""
+    solve = jax.custom_batching.custom_vmap(functools.partial(_in_blocks, law, teeth))
+
+    @solve.def_vmap
+    def _rule(size: int, batched: list[Case], case: Case) -> tuple[Balance, Balance]:
+        (is_batched,) = batched
+        inner = max(leaf.shape[1 if of_batch else 0] for leaf, of_batch in zip(case, is_batched))
+
+        def flat(leaf: jax.Array, of_batch: bool) -> jax.Array:
+            if not of_batch and len(leaf) == 1:
+                return leaf  # shared by all
+            leaf = leaf if of_batch else jnp.broadcast_to(leaf, (size, *leaf.shape))
+            leaf = jnp.broadcast_to(leaf, (size, inner, *leaf.shape[2:]))
+            return leaf.reshape(size * inner, *leaf.shape[2:])
+
+        found = solve(jax.tree.map(flat, case, is_batched))
+        found = jax.tree.map(lambda leaf: leaf.reshape(size, inner, *leaf.shape[1:]), found)
+        return found, jax.tree.map(lambda _: True, found)
+
+    return solve
 
 
-def _monotone_root(
-    evaluate: Callable[[jax.Array], tuple[jax.Array, jax.Array, jax.Array]], start: jax.Array, size: jax.Array
-) -> tuple[jax.Array, jax.Array]:
-    """Root of a nondecreasing function by Newton steps inside a bracket that opens at infinity.
+def _in_blocks(law: str, teeth: int, case: Case) -> Balance:
+    size = max(len(leaf) for leaf in case)
+    if size <= _BLOCK:
+        return solve_block(law, teeth, case, size)
+    blocks = -(-size // _BLOCK)
 
-    A step that leaves the bracket, or follows one that did not halve the residual, is replaced by the
-    middle of the bracket; while one end is open, by a stride that doubles.
-    """
-    tolerance = 4 * float(jnp.finfo(start.dtype).eps)
+    def cut(leaf: jax.Array) -> jax.Array:
+        leaf = jnp.concatenate([leaf, jnp.broadcast_to(leaf[-1:], (blocks * _BLOCK - size, *leaf.shape[1:]))])
+        return leaf.reshape(blocks, _BLOCK, *leaf.shape[1:])
 
-    def running(state: Any) -> jax.Array:
-        return state[-1]
+    shared = [len(leaf) == 1 for leaf in case]
 
-    def step(state: Any) -> Any:
-        x, low, high, last, stride, steps, _ = state
-        missing, slope, scale = evaluate(x)
-        low, high = jnp.where(missing <= 0, x, low), jnp.where(missing >= 0, x, high)
-        closed = jnp.isfinite(low) & jnp.isfinite(high)
-        newton = x - missing / jnp.where(slope > 0, slope, 1)
-        use = (slope > 0) & (newton >= low) & (newton <= high) & (~closed | (2 * jnp.abs(missing) <= last))
-        middle = jnp.where(closed, (low + high) / 2, x - jnp.sign(missing) * stride)
-        target = jnp.where(use, newton, middle)
-        found = jnp.abs(missing) <= tolerance * scale
-        done = found | (jnp.abs(target - x) <= tolerance * jnp.abs(target)) | ~jnp.isfinite(target)
-        target = jnp.where(found, x, target)
-        last = jnp.where(use, jnp.abs(missing), jnp.inf)
-        return target, low, high, last, 2 * stride, steps + 1, ~done & (steps + 1 < _MAX_STEPS)
+    def block(parts: list[jax.Array]) -> Balance:
+        rest = iter(parts)
+        whole = Case(*(leaf if is_shared else next(rest) for leaf, is_shared in zip(case, shared)))
+        return solve_block(law, teeth, whole, _BLOCK)
 
-    infinity = jnp.full_like(start, jnp.inf)
-    state = (start, -infinity, infinity, infinity, size, jnp.zeros((), jnp.int32), jnp.ones((), bool))
-    final = jax.lax.while_loop(running, step, state)
-    return final[0], final[-2]
+    found = jax.lax.map(block, [cut(leaf) for leaf, is_shared in zip(case, shared) if not is_shared])
+    return jax.tree.map(lambda leaf: leaf.reshape(blocks * _BLOCK, *leaf.shape[2:])[:size], found)

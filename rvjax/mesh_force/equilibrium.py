@@ -7,15 +7,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax import contact as line_contact
 from rvjax.designs import CamRollerReducer
 from rvjax.errors import CamRollerErrors
 from rvjax.mesh_force import geometry, laws
-from rvjax.mesh_force.balance import balance
+from rvjax.mesh_force.balance import attach, balance
+from rvjax.mesh_force.case import all_rollers, take_apart
 from rvjax.records import Record, field, promote, record
 from rvjax.status import SolveInfo, Status, first_failure, succeeded
-
-_DEAD_CENTRE = 1e-6  # arm over eccentricity below which a roller does not decide where the dead band ends
 
 
 @record
@@ -76,45 +74,28 @@ def solve(
     design = jax.tree.map(lambda value, safe: jnp.where(good, value, safe), design, _harmless(z, torque.dtype))
     errors, torque, angle = jax.tree.map(lambda value: jnp.where(good, value, 0), (errors, torque, angle))
 
-    r, e, link = design.roller_radius, design.eccentricity, design.cam_radius + design.roller_radius
-    place = geometry.rollers(e, link, z, *geometry.cam_lead(z, angle))
-    cage_weight = jnp.abs(place.cage_ratio)
-    interference = (  # (17)-(27) by virtual work: a roller acts at three contacts, the cam at one
-        errors.cam_radius
-        + errors.eccentricity * place.throw
-        + errors.roller_radius * (1 + cage_weight + place.gear_ratio)
-    )
-    roller = laws.Compliance(
-        cage=cage_weight,
-        gear=place.gear_ratio,
-        cam_radius=jnp.broadcast_to(design.cam_radius / link, place.arm.shape),
-        gear_radius=1 + r * place.centre_curvature,  # (10)
-        palmgren=jnp.broadcast_to(3.81 / 4**0.9 * (design.roller_length / r) ** 0.1, place.arm.shape),
-    )
-    unit = line_contact.load_unit(design.young_modulus, design.poisson_ratio, design.roller_length, r)
-    gap = interference / r
-    moment = design.cam_share * torque / (unit * e)
-    edge, slack = _dead_band(place.arm, gap)
-    idle = slack & (moment == 0)
-    tau, load, facts = balance(contact, place.arm, gap, roller, moment)
-    load = jnp.where(idle & (jnp.abs(place.arm) > _DEAD_CENTRE), 0, load)
-    windup = jnp.where(idle, edge, tau) * r / e
+    case, unit = take_apart(design, errors, torque, angle)
+    found = balance(contact, z, case)
+    rollers = all_rollers(z, case)
+    windup, load = attach(contact, rollers.arm, rollers.gap, rollers.compliance, case.torque, found.windup, found.load)
+    windup *= design.roller_radius / design.eccentricity
     cam = unit * load
 
     tolerance = 1e-12 if torque.dtype == jnp.float64 else 64 * float(jnp.finfo(torque.dtype).eps)
     status = first_failure(
-        (~finite | ~facts.finite, Status.NONFINITE),
+        (~finite | ~found.finite, Status.NONFINITE),
         (~valid, Status.INVALID_GEOMETRY),
         (undercut, Status.UNDERCUT),
-        (facts.overload, Status.CONTACT_OVERLOAD),
-        (~(facts.residual <= tolerance), Status.MAX_STEPS),
-        (idle & ~jnp.any(load > 0), Status.UNLOADED),
+        (found.overload, Status.CONTACT_OVERLOAD),
+        (~(found.residual <= tolerance), Status.MAX_STEPS),
+        ((case.torque == 0) & ~jnp.any(load > 0), Status.UNLOADED),
     )
     fine = succeeded(status)
     cam, cage, gear, windup = (
-        jnp.where(fine, value, jnp.nan) for value in (cam, cam * place.cage_ratio, cam * place.gear_ratio, windup)
+        jnp.where(fine, value, jnp.nan)
+        for value in (cam, cam * rollers.cage_ratio, cam * rollers.compliance.gear, windup)
     )
-    return MeshForces(cam, cage, gear, windup, SolveInfo(status, facts.steps, facts.residual))
+    return MeshForces(cam, cage, gear, windup, SolveInfo(status, found.steps, found.residual))
 
 
 def _possible(design: CamRollerReducer) -> jax.Array:
@@ -137,12 +118,3 @@ def _harmless(teeth: int, dtype: Any) -> CamRollerReducer:
         cam_share=1.0,
     )
     return jax.tree.map(lambda value: jnp.asarray(value, dtype), safe)
-
-
-def _dead_band(arm: jax.Array, gap: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Upper edge of the range of windups at which nothing is loaded, and whether there is such a range."""
-    forward, backward = arm > _DEAD_CENTRE, arm < -_DEAD_CENTRE
-    threshold = -gap / jnp.where(forward | backward, arm, 1)
-    upper = jnp.min(jnp.where(forward, threshold, jnp.inf))
-    lower = jnp.max(jnp.where(backward, threshold, -jnp.inf))
-    return upper, lower <= upper

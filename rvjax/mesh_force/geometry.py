@@ -58,8 +58,8 @@ def rollers(eccentricity: jax.Array, link: jax.Array, teeth: int, sin_psi: jax.A
     sin_g = eccentricity / link * sin_psi  # (6)
     cos_g = jnp.sqrt(1 - sin_g**2)
     distance = eccentricity * cos_psi + link * cos_g  # (7)
-    root = jnp.sqrt(cos_g**2 + teeth**2 * sin_g**2)
-    lift = 1 + teeth**2 * (eccentricity / link) * cos_psi / (cos_g * root**2)
+    square = cos_g**2 + teeth**2 * sin_g**2
+    root = jnp.sqrt(square)
     return Rollers(
         cos_g=cos_g,
         sin_g=sin_g,
@@ -68,8 +68,21 @@ def rollers(eccentricity: jax.Array, link: jax.Array, teeth: int, sin_psi: jax.A
         throw=cos_psi * cos_g - sin_psi * sin_g,
         cage_ratio=(teeth + 1) * sin_g,  # (4)
         gear_ratio=root,  # (4): cos g / cos(pressure angle)
-        centre_curvature=cos_g / (distance * root) * lift,
+        centre_curvature=(cos_g * square + teeth**2 * (eccentricity / link) * cos_psi) / (distance * square * root),
     )
+
+
+def roller_directions(teeth: int, dtype: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Sine and cosine of 2 pi i / n, i = 0 .. z, each (n,).
+
+    Args:
+        teeth: z.
+        dtype: of the result.
+    """
+    count = teeth + 1
+    sines = [_sine_of_half_turns(2 * i, count) for i in range(count)]
+    cosines = [_sine_of_half_turns(count - 4 * i, 2 * count) for i in range(count)]
+    return np.asarray(sines, dtype), np.asarray(cosines, dtype)
 
 
 def cam_lead(teeth: int, output_angle: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -79,10 +92,8 @@ def cam_lead(teeth: int, output_angle: jax.Array) -> tuple[jax.Array, jax.Array]
         teeth: z.
         output_angle: theta, () rad.
     """
-    count = teeth + 1
     sine, cosine = jnp.sin(teeth * output_angle), jnp.cos(teeth * output_angle)
-    table = [(_sine_of_half_turns(2 * i, count), _sine_of_half_turns(count - 4 * i, 2 * count)) for i in range(count)]
-    sines, cosines = np.asarray(table, output_angle.dtype).T
+    sines, cosines = roller_directions(teeth, output_angle.dtype)
     return sine * cosines - cosine * sines, cosine * cosines + sine * sines
 
 

@@ -21,7 +21,7 @@ _INVERSE_STEPS = 40  # at most; 3 or 4 at ordinary loads, 10 at the limit
 
 
 class Compliance(NamedTuple):
-    """What the laws need of a roller; shape of the rollers."""
+    """What the laws need of a roller or of all; the two that are alike for all may be scalars."""
 
     cage: jax.Array  # |Fs / Fj|
     gear: jax.Array  # Fn / Fj
@@ -49,7 +49,7 @@ def approach(law: str, load: jax.Array, roller: Compliance) -> jax.Array:
         return roller.palmgren * _palmgren_weight(roller) * _power(load, 0.9)
     return (
         contact.approach(load, roller.cam_radius)
-        + roller.cage * contact.approach(roller.cage * load, jnp.ones_like(load))
+        + roller.cage * contact.sagitta(roller.cage * load)
         + roller.gear * contact.approach(roller.gear * load, roller.gear_radius)
     )
 
@@ -70,7 +70,7 @@ def slope(law: str, load: jax.Array, roller: Compliance) -> jax.Array:
         return jnp.where(loaded, 0.9 * roller.palmgren * _palmgren_weight(roller) * some**-0.1, 1)
     return (
         contact.approach_slope(load, roller.cam_radius)
-        + roller.cage**2 * contact.approach_slope(roller.cage * load, jnp.ones_like(load))
+        + roller.cage**2 * contact.sagitta_slope(roller.cage * load)
         + roller.gear**2 * contact.approach_slope(roller.gear * load, roller.gear_radius)
     )
 
@@ -83,7 +83,7 @@ def load_limit(law: str, roller: Compliance) -> jax.Array:
         roller: its compliance.
     """
     if law != "hertz":
-        return jnp.full_like(roller.weight, jnp.inf)
+        return jnp.full_like(roller.gear, jnp.inf)
     gear = contact.load_limit(roller.gear_radius) / roller.gear
     return jnp.minimum(jnp.minimum(contact.load_limit(roller.cam_radius), gear), 1 / jnp.maximum(roller.cage, 1))
 
@@ -114,6 +114,30 @@ def inverse(law: str, depth: jax.Array, roller: Compliance) -> tuple[jax.Array, 
     load = _hertz_load(jnp.minimum(depth, last), roller, limit)
     rate = jnp.where(beyond, stiffness, 1 / slope(law, load, roller))
     return load + jnp.where(beyond, stiffness * (depth - last), 0), jnp.where(loaded, rate, 0), beyond
+
+
+def guess(law: str, depth: jax.Array, roller: Compliance) -> tuple[jax.Array, jax.Array]:
+    """Load and stiffness of `inverse` without iteration: exact but for "hertz", there the power series.
+
+    At half-widths of 0.03 r the series is good to 1e-9; from 0.4 r on it only stays in bounds.
+
+    Args:
+        law: one of `CONTACTS`.
+        depth: approach >= 0.
+        roller: its compliance.
+    """
+    if law != "hertz":
+        load, rate, _ = inverse(law, depth, roller)
+        return load, rate
+    stiffness = 2 / roller.weight
+    y = stiffness * depth
+    gear = contact.approach_series(roller.gear_radius)
+    cam, flat = contact.approach_series(roller.cam_radius), contact.approach_series(1.0)
+    a2, a3 = (
+        stiffness * (cam[k] + roller.cage ** (k + 3) * flat[k] + roller.gear ** (k + 3) * gear[k]) for k in (0, 1)
+    )
+    b2, b3 = -a2, 2 * a2**2 - a3  # reversion of y = u + a2 u^2 + a3 u^3
+    return y * jnp.clip(1 + y * (b2 + y * b3), 0.2, 1), stiffness * jnp.clip(1 + y * (2 * b2 + 3 * y * b3), 0.05, 1)
 
 
 def _hertz_load(depth: jax.Array, roller: Compliance, limit: jax.Array) -> jax.Array:

@@ -1,0 +1,106 @@
+"""One case in numbers without units, and its rollers, one at a time or all at once.
+
+Lengths are in roller radii or eccentricities, loads in units of pi l r / (4 C); the windup tau stands for
+windup times eccentricity over roller radius, so that tau * arm + gap is an approach in roller radii.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from rvjax import contact
+from rvjax.designs import CamRollerReducer
+from rvjax.errors import CamRollerErrors
+from rvjax.mesh_force import geometry
+from rvjax.mesh_force.laws import Compliance
+
+
+class Case(NamedTuple):
+    """What decides the equilibrium; leaves are (), or (cases,) in a batch; `radius_error` also one per roller."""
+
+    eccentricity: jax.Array
+    link: jax.Array  # Rj + r
+    roller_radius: jax.Array
+    palmgren: jax.Array  # factor of Palmgren's law
+    sine: jax.Array  # of z theta
+    cosine: jax.Array
+    cam_error: jax.Array  # over r, like the next two
+    throw_error: jax.Array
+    radius_error: jax.Array
+    torque: jax.Array  # of one cam over load unit and eccentricity
+
+
+class Roller(NamedTuple):
+    """One roller, or all of them as in `all_rollers`."""
+
+    arm: jax.Array
+    gap: jax.Array  # interference, > 0 loads
+    compliance: Compliance
+    cage_ratio: jax.Array  # signed
+
+
+def take_apart(design: CamRollerReducer, errors: CamRollerErrors, torque: Any, angle: Any) -> tuple[Case, jax.Array]:
+    """The case, and the unit of its loads in N.
+
+    Args:
+        design: a possible stage, as arrays of one dtype.
+        errors: of its parts.
+        torque: on the crank, N m.
+        angle: of the output, rad.
+    """
+    r, e = design.roller_radius, design.eccentricity
+    unit = contact.load_unit(design.young_modulus, design.poisson_ratio, design.roller_length, r)
+    case = Case(
+        eccentricity=e,
+        link=design.cam_radius + r,
+        roller_radius=r,
+        palmgren=3.81 / 4**0.9 * (design.roller_length / r) ** 0.1,
+        sine=jnp.sin(design.gear_teeth * angle),
+        cosine=jnp.cos(design.gear_teeth * angle),
+        cam_error=errors.cam_radius / r,
+        throw_error=errors.eccentricity / r,
+        radius_error=errors.roller_radius / r,
+        torque=design.cam_share * torque / (unit * e),
+    )
+    return case, unit
+
+
+def roller(teeth: int, case: Case, sine: Any, cosine: Any, radius_error: jax.Array) -> Roller:
+    """A roller whose ray stands at an angle of given sine and cosine over the first one.
+
+    Args:
+        teeth: z.
+        case: the case.
+        sine: of the angle 2 pi i / n, a number, or all of them (n,).
+        cosine: likewise.
+        radius_error: of the roller over r.
+    """
+    sin_psi = case.sine * cosine - case.cosine * sine  # (5)
+    cos_psi = case.cosine * cosine + case.sine * sine
+    place = geometry.rollers(case.eccentricity, case.link, teeth, sin_psi, cos_psi)
+    cage = jnp.abs(place.cage_ratio)
+    # (17)-(27) by virtual work: a roller acts at three contacts, the cam at one.
+    gap = case.cam_error + case.throw_error * place.throw + radius_error * (1 + cage + place.gear_ratio)
+    compliance = Compliance(
+        cage=cage,
+        gear=place.gear_ratio,
+        cam_radius=1 - case.roller_radius / case.link,
+        gear_radius=1 + case.roller_radius * place.centre_curvature,  # (10)
+        palmgren=case.palmgren,
+    )
+    return Roller(place.arm, gap, compliance, place.cage_ratio)
+
+
+def all_rollers(teeth: int, case: Case) -> Roller:
+    """Every roller: (n,) for one case, (n, cases) for a batch whose `radius_error` is (n, cases) or (cases,).
+
+    Args:
+        teeth: z.
+        case: the case, or a batch.
+    """
+    sines, cosines = geometry.roller_directions(teeth, case.sine.dtype)
+    if case.sine.ndim:
+        sines, cosines = sines[:, None], cosines[:, None]
+        case = jax.tree.map(lambda leaf: leaf[None] if leaf.ndim == 1 else leaf, case)
+    return roller(teeth, case, sines, cosines, case.radius_error)
