@@ -119,7 +119,7 @@ def _transmission_error(design: RVReducer, errors: Any, conditions: RVConditions
 
 def _misfit(design: RVReducer, errors: Any, conditions: RVConditions) -> Solved:
     result = _turn(design, errors, conditions, loaded=False)
-    return jnp.max(jnp.abs(result.misfit)), result.info.status
+    return result.largest_misfit, result.info.status
 
 
 def _lost_motion(design: RVReducer, errors: Any, conditions: RVConditions) -> Solved:
