@@ -35,12 +35,12 @@ def solve(teeth, cases, contact="hertz"):
     return jax.tree.map(lambda leaf: np.asarray(leaf)[:count], result)
 
 
-def corr(count, **changes):
+def corr(count, teeth=25, **changes):
     """`count` units of the published stage, without errors, at 100 N m and 0.0013 rad."""
     stage = rvjax.catalogue.CORR
     cases = {name: np.full(count, getattr(stage, name)) for name in DESIGN}
     cases |= {"errors." + name: np.zeros(count) for name in ERRORS[:2]}
-    cases |= {"errors.roller_radius": np.zeros((count, stage.gear_teeth + 1))}
+    cases |= {"errors.roller_radius": np.zeros((count, teeth + 1))}
     cases |= {"torque": np.full(count, 100.0), "angle": np.full(count, 0.0013)}
     for name, value in changes.items():
         name = name.replace("errors_", "errors.")

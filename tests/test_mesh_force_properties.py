@@ -167,20 +167,19 @@ def test_derivatives_equal_central_differences(contact):
         return jnp.concatenate([*parts, result.windup[None] / jax.lax.stop_gradient(jnp.abs(result.windup))])
 
     weights = np.random.default_rng(8).normal(size=3 * (teeth + 1) + 1)
-    values = jax.jit(jax.vmap(outputs))
+    middle = solve(teeth, cases, contact)
     reverse = jax.jit(jax.vmap(jax.grad(lambda case: jnp.sum(weights * outputs(case)))))(cases)
     direction = {
         name: np.random.default_rng(k).normal(size=v.shape) * scale[name] for k, (name, v) in enumerate(cases.items())
     }
     forward = jax.jit(jax.vmap(lambda c, d: jax.jvp(outputs, (c,), (d,))[1]))
-    ok = np.isfinite(np.asarray(values(cases))).all(1)
+    ok = np.isfinite(middle.windup)
     assert ok.mean() > 0.9
     compared = 0
     for name in cases:
         step = {n: np.where(n == name, direction[n], 0.0) for n in cases}
         h = 1e-5
         ends = [solve(teeth, {n: cases[n] + sign * h * step[n] for n in cases}, contact) for sign in (-1, 1)]
-        middle = solve(teeth, cases, contact)
         unit = middle.gear.max(1, keepdims=True)
         difference = np.concatenate(
             [(getattr(ends[1], f) - getattr(ends[0], f)) / unit for f in ("cam", "cage", "gear")]
@@ -200,17 +199,18 @@ def test_derivatives_equal_central_differences(contact):
 @pytest.mark.parametrize("contact", ["hertz", "palmgren"])
 def test_derivatives_at_a_contact_change_are_one_sided(contact):
     """A roller set exactly to the point of touching: the derivative lies between those of the two sides."""
-    cases = corr(1, errors_roller_radius=np.linspace(-2e-6, 2e-6, 26))
-    place, roller = geometry(25, cases), 20
+    teeth, roller = 8, 7
+    cases = corr(1, errors_roller_radius=np.linspace(-2e-6, 2e-6, 9), teeth=teeth)
+    place = geometry(teeth, cases)
     away = {n: v.copy() for n, v in cases.items()}
     away["errors.roller_radius"][0, roller] = -1e-4
-    windup = solve(25, away, contact).windup[0]
+    windup = solve(teeth, away, contact).windup[0]
     weight = 1 + abs(place["cage_ratio"][0, roller]) + place["gear_ratio"][0, roller]
     touch = -windup * place["arm"][0, roller] / weight
 
     def outputs(radius, case):
         radii = case["errors.roller_radius"].at[roller].set(radius)
-        result = cam_roller.single(25, contact, case | {"errors.roller_radius": radii})
+        result = cam_roller.single(teeth, contact, case | {"errors.roller_radius": radii})
         return jnp.concatenate([result.windup[None] * 1e6, result.cam])
 
     case = {n: jnp.asarray(v[0]) for n, v in cases.items()}
@@ -226,13 +226,13 @@ def test_derivatives_at_a_contact_change_are_one_sided(contact):
 
 @pytest.mark.parametrize("contact", ["hertz", "linear", "palmgren"])
 def test_second_derivatives(contact):
-    cases = corr(1, errors_roller_radius=np.linspace(-2e-6, 2e-6, 26))
+    cases = corr(1, errors_roller_radius=np.linspace(-2e-6, 2e-6, 9), teeth=8)
     case = {n: jnp.asarray(v[0]) for n, v in cases.items()}
 
     def output(x):
         moved = {"eccentricity": 3.5e-3 * (1 + x[0]), "errors.cam_radius": 1e-6 * x[1]}
-        result = cam_roller.single(25, contact, case | moved | {"torque": 100 * (1 + x[2]), "angle": 0.2 + x[3]})
-        return result.windup * 1e3 + result.cam[20] / 1e3
+        result = cam_roller.single(8, contact, case | moved | {"torque": 100 * (1 + x[2]), "angle": 0.6 + x[3]})
+        return result.windup * 1e3 + jnp.max(result.cam) / 1e3
 
     gradient = jax.jit(jax.grad(output))
     x, h = jnp.array([0.0, 0.5, 0.0, 0.0]), 1e-6
@@ -244,10 +244,11 @@ def test_second_derivatives(contact):
 
 
 def test_zero_errors_have_finite_derivatives_without_torque():
-    cases = corr(32, torque=np.where(np.arange(32) % 2, 0.0, 100.0), angle=np.where(np.arange(32) % 4 < 2, 0.0, 0.0013))
+    angles = np.where(np.arange(32) % 4 < 2, 0.0, 0.0013)
+    cases = corr(32, torque=np.where(np.arange(32) % 2, 0.0, 100.0), angle=angles, teeth=8)
 
     def outputs(case):
-        result = cam_roller.single(25, "palmgren", case)
+        result = cam_roller.single(8, "palmgren", case)
         return jnp.concatenate([result.cam, result.cage, result.gear, result.windup[None]])
 
     for slope in jax.tree.leaves(jax.jit(jax.vmap(jax.jacrev(outputs)))(cases)):
