@@ -101,23 +101,34 @@ def lump(design: RVReducer | Lumped) -> Lumped:
 
 
 def admit(lumped: Lumped, *conditions: Any) -> tuple[Lumped, tuple[Any, ...], jax.Array]:
-    """Everything in one dtype, a lane outside the model's domain replaced by a harmless one, and its status."""
+    """Everything in one dtype, a lane outside the model's domain replaced by a harmless one, and its status.
+
+    Design and conditions are judged apart, so that a sweep of conditions leaves the design, and with it the
+    eigenproblem, one.
+    """
     lumped, conditions = promote(lumped, conditions)
-    leaves = jax.tree.leaves((lumped, conditions))
-    finite = jnp.all(jnp.stack([jnp.isfinite(leaf) for leaf in leaves]))
-    positive = jnp.stack(
-        [
-            *(lumped.sun_base_radius, lumped.planet_base_radius, lumped.eccentricity, lumped.circle_radius),
-            *jax.tree.leaves(lumped.inertia),
-        ]
+    leaves = jax.tree.leaves(lumped)
+    finite = jnp.all(jnp.isfinite(jnp.stack(leaves)))
+    radii = (lumped.sun_base_radius, lumped.planet_base_radius, lumped.eccentricity, lumped.circle_radius)
+    positive = jnp.min(jnp.stack([*radii, *jax.tree.leaves(lumped.inertia)])) > 0
+    loaded = jnp.abs(jnp.cos(lumped.force_angle)) >= 1e-9  # else the pins carry no torque
+    good = finite & positive & loaded
+    lumped = jax.tree.map(lambda leaf, spare: jnp.where(good, leaf, spare), lumped, _spare(lumped))
+    possible = jnp.asarray(True)
+    for condition in conditions:
+        possible &= jnp.isfinite(condition)
+    conditions = tuple(jnp.where(jnp.isfinite(c), c, 1) for c in conditions)
+    invalid = ~(positive & loaded)
+    return (
+        lumped,
+        conditions,
+        first_failure((~(finite & possible), Status.NONFINITE), (invalid, Status.INVALID_GEOMETRY)),
     )
-    invalid = (jnp.min(positive) <= 0) | (jnp.abs(jnp.cos(lumped.force_angle)) < 1e-9)  # pins carry no torque
-    status = first_failure((~finite, Status.NONFINITE), (invalid, Status.INVALID_GEOMETRY))
-    good = status == Status.CONVERGED
-    spare = jax.tree.leaves((lump(RV_320E), (1.0,) * len(conditions)))
-    kept = [jnp.where(good, leaf, jnp.asarray(other, leaf.dtype)) for leaf, other in zip(leaves, spare)]
-    lumped, conditions = jax.tree.unflatten(jax.tree.structure((lumped, conditions)), kept)
-    return lumped, conditions, status
+
+
+def _spare(lumped: Lumped) -> Lumped:
+    """Numbers of a sound reducer in the shape of `lumped`."""
+    return jax.tree.unflatten(jax.tree.structure(lumped), jax.tree.leaves(lump(RV_320E)))
 
 
 def assemble(design: RVReducer | Lumped) -> System:

@@ -96,7 +96,7 @@ def dynamic_stiffness(lumped: Lumped, frequency: jax.Array) -> DynamicStiffness:
 def modal_solve(modal: ModalSector, z: DynamicStiffness, rhs: jax.Array) -> jax.Array:
     """Z^-1 rhs in modal coordinates, rhs (L, r, m)."""
     dtype = rhs.dtype
-    diagonal = _divisor(modal, z)[:, :, None]
+    inverse = _inverse(modal, z)[:, :, None]
     matrix, root = modal.stiffness.astype(dtype), matrix_root(modal.stiffness, modal.square).astype(dtype)
 
     def multiply(x: jax.Array) -> jax.Array:
@@ -104,9 +104,9 @@ def modal_solve(modal: ModalSector, z: DynamicStiffness, rhs: jax.Array) -> jax.
         return z.stiffness[:, None, None] * stiff + z.root[:, None, None] * rooted + z.scalar[:, None, None] * x
 
     def divide(multiplied: Any, b: jax.Array) -> jax.Array:
-        x = b / diagonal
+        x = b * inverse
         for _ in range(REFINEMENTS[str(modal.square.dtype)]):
-            x = x + (b - multiplied(x)) / diagonal
+            x = x + (b - multiplied(x)) * inverse
         return x
 
     return jax.lax.custom_linear_solve(multiply, rhs, divide, divide)
@@ -115,7 +115,7 @@ def modal_solve(modal: ModalSector, z: DynamicStiffness, rhs: jax.Array) -> jax.
 def on_resonance(modal: ModalSector, z: DynamicStiffness) -> jax.Array:
     """True where an undamped frequency meets a mode to rounding."""
     value, size = _diagonal(modal, z)
-    return jnp.any(jnp.abs(value) <= _floor(size))
+    return jnp.any(jnp.abs(value.real) + jnp.abs(value.imag) <= _floor(size))
 
 
 def residual(modal: ModalSector, z: DynamicStiffness, solution: jax.Array, rhs: jax.Array) -> jax.Array:
@@ -142,11 +142,14 @@ def _diagonal(modal: ModalSector, z: DynamicStiffness) -> tuple[jax.Array, jax.A
     return value, square + jnp.abs(scalar)
 
 
-def _divisor(modal: ModalSector, z: DynamicStiffness) -> jax.Array:
-    """The diagonal, kept from zero so that a resonance gives a large number, not NaN."""
+def _inverse(modal: ModalSector, z: DynamicStiffness) -> jax.Array:
+    """One over the diagonal, kept from zero so that a resonance gives a large number, not NaN."""
     value, size = _diagonal(modal, z)
     floor = _floor(jnp.maximum(size, jnp.finfo(size.dtype).eps * jnp.max(modal.square)))
-    return jnp.where(jnp.abs(value) <= floor, floor.astype(value.dtype), value)
+    small = jnp.abs(value.real) + jnp.abs(value.imag) <= floor
+    real, imaginary = jnp.where(small, floor, value.real), jnp.where(small, 0, value.imag)
+    square = real**2 + imaginary**2  # XLA divides complex numbers one by one; this runs in vectors
+    return jax.lax.complex(real / square, -imaginary / square)
 
 
 @jax.custom_jvp
