@@ -150,7 +150,7 @@ RV_320E = RVReducer(
     ),
     mesh_variation=MeshVariation(
         planetary_swing=0.3,  # assumed
-        planetary_duty=0.643,  # derived: transverse contact ratio 1.643 of the involute pair
+        planetary_duty=0.643,  # assumed: transverse contact ratio 1.643 of the involute pair
         planetary_ramp=0.0,  # assumed
         cycloid_swing=0.1,  # assumed
         cycloid_duty=0.5,  # assumed

@@ -52,7 +52,7 @@ def sixth_order(function, x, h):
 
 
 def speed_up(
-    method, design=DAMPED, stage="planetary", harmonics=4, outputs=("output.x", "output.rotation", "planet1.y")
+    method, design=DAMPED, stage="planetary", harmonics=4, outputs=("output.x", "output.rotation")
 ):
     def amplitudes(values):
         full = design
@@ -75,19 +75,18 @@ def speed_up(
 @pytest.mark.parametrize(
     ("method", "design", "stage"),
     [
-        ("first_order", DAMPED, "planetary"),
         ("harmonic_balance", DAMPED, "planetary"),
         ("harmonic_balance", layout(DAMPED, 3, 2, disc_phase=0.3), "planetary"),
     ],
-    ids=["first_order", "cyclic", "mesh"],
+    ids=["cyclic", "mesh"],
 )
 def test_forward_reverse_and_finite_differences_agree(method, design, stage):
     function, point = speed_up(method, design, stage)
-    forward, reverse = jax.jit(jax.jacfwd(function))(point), jax.jit(jax.jacrev(function))(point)
-    value = np.abs(np.asarray(function(point))).max(axis=(0, 1), keepdims=True)[..., None]
+    forward, reverse = jax.jit(lambda x: (jax.jacfwd(function)(x), jax.jacrev(function)(x)))(point)
+    run = jax.jit(jax.vmap(function))
+    value = np.abs(np.asarray(run(jnp.stack([point] * 6))[0])).max(axis=(0, 1), keepdims=True)[..., None]
     scale = value / np.abs(point)  # of the output, per relative change of the field
     np.testing.assert_allclose(forward / scale, reverse / scale, atol=1e-10)
-    run = jax.jit(jax.vmap(function))
     for k, step in enumerate(FIELDS.values()):
         h = step * point[k]
         rows = run(jnp.stack([point.at[k].add(j * h) for j in (-3, -2, -1, 1, 2, 3)]))

@@ -1,0 +1,172 @@
+"""Pictures of the dynamic model: natural frequencies, responses, sensitivities, accuracy."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+
+from rvjax.dynamics import Modes
+from rvjax.plotting.style import AFTER, BEFORE, PALETTE, new_axes, words
+from rvjax.units import rpm
+
+KIND_STYLES = {
+    "rotational": (PALETTE[0], "-"),
+    "translational": (PALETTE[5], "--"),
+    "planetary": (PALETTE[2], ":"),
+    "disc": (PALETTE[3], "-."),
+    "coupled": (PALETTE[7], "-"),
+}
+
+
+def campbell(
+    found: Modes,
+    speed: Any,
+    mesh_frequency: Any,
+    *,
+    harmonics: Mapping[int, str],
+    highest: float = 2500.0,
+    axes: Axes | None = None,
+) -> Axes:
+    """Natural frequencies and mesh harmonics over speed; a marker where a harmonic meets a kind that it excites.
+
+    Args:
+        found: modes of the reducer.
+        speed: sun speed, rad/s (n,).
+        mesh_frequency: fundamental of the stage at each speed, Hz (n,).
+        harmonics: {order: kind of mode that it excites}.
+        highest: top of the frequency axis, Hz.
+        axes: where to draw; a new figure by default.
+    """
+    axes = new_axes(axes)
+    turns, lines = np.asarray(speed) / rpm, np.asarray(mesh_frequency)
+    frequency, kind = np.asarray(found.frequency), found.kind
+    for name in dict.fromkeys(kind):
+        shown = frequency[(kind == name) & (frequency < highest)]
+        colour, dash = KIND_STYLES[name]
+        for k, value in enumerate(shown):
+            axes.axhline(value, color=colour, ls=dash, lw=1.2, label=name if k == 0 else None)
+    for order, name in harmonics.items():
+        axes.plot(turns, order * lines, color="0.55", lw=0.8)
+        inside = np.flatnonzero(order * lines <= highest)
+        end = inside[-1]
+        axes.annotate(
+            f"{order}", (turns[end], order * lines[end]), fontsize=8, color="0.3", xytext=(2, 0),
+            textcoords="offset points", va="center", annotation_clip=False,
+        )  # fmt: skip
+        for value in frequency[(kind == name) & (frequency < highest)]:
+            if order * lines[0] <= value <= order * lines[-1]:
+                at = np.interp(value, order * lines, turns)
+                axes.plot(at, value, "o", ms=4, color=KIND_STYLES[name][0])
+    axes.set(
+        xlabel="sun speed (r/min)", ylabel="frequency (Hz)", xlim=(turns[0], turns[-1]), ylim=(0, highest),
+        title="Mesh harmonics (numbers) and natural frequencies; dots: excited",
+    )  # fmt: skip
+    axes.grid(visible=False)
+    axes.legend(loc="upper left", frameon=True, framealpha=0.9)
+    return axes
+
+
+def speed_response(
+    mesh_frequency: Any,
+    amplitude: Any,
+    *,
+    harmonics: Sequence[int],
+    unit: str,
+    name: str,
+    axes: Axes | None = None,
+) -> Axes:
+    """Amplitudes of harmonics over the mesh frequency.
+
+    Args:
+        mesh_frequency: Hz (n,).
+        amplitude: complex or magnitudes, m or rad (n, H).
+        harmonics: which to draw, from 1.
+        unit: of the amplitude, m or rad.
+        name: of the output.
+        axes: where to draw; a new figure by default.
+    """
+    axes = new_axes(axes)
+    for k, order in enumerate(harmonics):
+        size = np.abs(np.asarray(amplitude)[:, order - 1])
+        axes.semilogy(mesh_frequency, size, color=PALETTE[k % len(PALETTE)], lw=1.2, label=f"harmonic {order}")
+    axes.set(xlabel="mesh frequency (Hz)", ylabel=f"amplitude ({unit})", title=f"Response of {words(name)}")
+    axes.set_xlim(np.min(mesh_frequency), np.max(mesh_frequency))
+    axes.legend(ncols=2)
+    return axes
+
+
+def sensitivity_bars(
+    shares: Mapping[str, Any],
+    *,
+    other: Mapping[str, Any] | None = None,
+    labels: tuple[str, str],
+    axes: Axes | None = None,
+) -> Axes:
+    """Log-sensitivities as bars, largest first, beside those of another formula.
+
+    Args:
+        shares: {field: relative change of the amplitude per relative change of the field}; real parts count.
+        other: the same of another formula.
+        labels: names of the two formulas.
+        axes: where to draw; a new figure by default.
+    """
+    values = {name: float(np.real(value)) for name, value in shares.items()}
+    names = sorted((n for n in values if abs(values[n]) > 1e-6), key=lambda n: abs(values[n]))
+    axes = plt.subplots(figsize=(7, 1.2 + 0.26 * len(names)))[1] if axes is None else axes
+    rows, thick = np.arange(len(names)), 0.75 if other is None else 0.38
+    axes.barh(
+        rows + (0 if other is None else thick / 2), [values[n] for n in names], thick, color=AFTER, label=labels[0]
+    )
+    if other is not None:
+        beside = [float(np.real(other[n])) for n in names]
+        axes.barh(rows - thick / 2, beside, thick, color=BEFORE, hatch="//", edgecolor="white", label=labels[1])
+    axes.set_yticks(rows, [words(n.split(".")[-1]) for n in names], fontsize=8)
+    axes.set(xlabel="relative change of the amplitude / relative change of the field", title="Log-sensitivities")
+    axes.grid(axis="y", visible=False)
+    axes.legend(loc="lower right")
+    return axes
+
+
+def sensitivity_curves(
+    values: Any, slopes: Mapping[str, Any], *, field: str, unit: str, ylabel: str, axes: Axes | None = None
+) -> Axes:
+    """Magnitude of a sensitivity over the field itself, one curve for each condition.
+
+    Args:
+        values: of the field, SI (n,).
+        slopes: {condition: sensitivities (n,)}.
+        field: name of the field.
+        unit: its unit.
+        ylabel: what the curves are, with unit.
+        axes: where to draw; a new figure by default.
+    """
+    axes = new_axes(axes)
+    dashes = ("-", "--", ":", "-.")
+    for k, (label, slope) in enumerate(slopes.items()):
+        axes.semilogy(values, np.abs(slope), color=PALETTE[k % len(PALETTE)], ls=dashes[k % 4], label=label)
+    axes.set(xlabel=f"{words(field)} ({unit})", ylabel=ylabel, title=f"Sensitivity to {words(field)}")
+    axes.legend()
+    return axes
+
+
+def error_against_harmonics(
+    harmonics: Mapping[str, Any], errors: Mapping[str, Any], *, axes: Axes | None = None
+) -> Axes:
+    """Error of truncated solutions against the exact one over the number of harmonics.
+
+    Args:
+        harmonics: {method: numbers of harmonics (n,)}.
+        errors: {method: rms errors relative to the moving part (n,)}.
+        axes: where to draw; a new figure by default.
+    """
+    axes = new_axes(axes)
+    for k, name in enumerate(harmonics):
+        axes.loglog(harmonics[name], errors[name], "os^D"[k % 4] + "-", color=PALETTE[k], label=words(name))
+    ticks = sorted({int(h) for numbers in harmonics.values() for h in numbers})
+    axes.set_xticks(ticks, [str(t) for t in ticks])
+    axes.set_xticks([], minor=True)
+    axes.set(xlabel="harmonics", ylabel="rms error / rms of the moving part", title="Error against the exact solution")
+    axes.legend()
+    return axes
