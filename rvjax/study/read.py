@@ -13,7 +13,7 @@ from rvjax.study.question import Study, StudyError
 from rvjax.tolerances import Exponential, ReciprocalPower, Requirement, Tolerance, for_design
 from rvjax.units import parse
 
-DESIGNS = {"corr": catalogue.CORR, "rv-20e": catalogue.RV_20E, "rv-40e": catalogue.RV_40E}
+DESIGNS = {"rv-20e": catalogue.RV_20E, "rv-40e": catalogue.RV_40E}
 COSTS: dict[str, Any] = {"reciprocal_power": ReciprocalPower, "exponential": Exponential}
 EMBEDDED = resources.files("rvjax.study") / "embedded"
 
