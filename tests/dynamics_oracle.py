@@ -90,8 +90,8 @@ class Oracle:
         phase = 2 * np.pi * teeth * np.arange(len(rows)) / len(rows)
         k = d.stiffness.sun_planet_mesh if name == "planetary" else d.stiffness.disc_pin_mesh
         swing, duty, ramp = (getattr(v, f"{name}_{x}") for x in ("swing", "duty", "ramp"))
-        l = np.arange(1, harmonics + 1)
-        return rows, k, phase, 2 * swing / (l * np.pi) * np.sin(l * np.pi * duty) * np.sinc(l * ramp)
+        order = np.arange(1, harmonics + 1)
+        return rows, k, phase, 2 * swing / (order * np.pi) * np.sin(order * np.pi * duty) * np.sinc(order * ramp)
 
     def frequency(self, name, sun_speed):
         """Angular mesh frequency from the speeds of the shafts, pin ring fixed."""
@@ -103,13 +103,15 @@ class Oracle:
         crank = output - (sun_speed - output) * d.involute.sun_teeth / d.involute.planet_teeth
         return d.cycloid.pin_count * abs(crank)
 
-    def impedance(self, w, l):
+    def impedance(self, w, order):
         d = self.design.damping
         root = np.sqrt(self.m)
         values, vectors = np.linalg.eigh(self.K / np.outer(root, root))
         c = 2 * d.modal_ratio * (vectors * np.sqrt(np.maximum(values, 0))) @ vectors.T * np.outer(root, root)
         c = c + d.rayleigh_mass * np.diag(self.m) + d.rayleigh_stiffness * self.K
-        return self.K * (1 + 1j * d.loss_factor * np.sign(l)) + 1j * l * w * c - (l * w) ** 2 * np.diag(self.m)
+        return (
+            self.K * (1 + 1j * d.loss_factor * np.sign(order)) + 1j * order * w * c - (order * w) ** 2 * np.diag(self.m)
+        )
 
     def first_order(self, name, w, harmonics, output_torque):
         """B_l (harmonics, n)."""
@@ -117,23 +119,23 @@ class Oracle:
         force = k * rows @ self.mean(output_torque)
         return np.array(
             [
-                self.solve(self.impedance(w, l), -a[l - 1] * (np.exp(1j * l * phase) * force) @ rows)
-                for l in range(1, harmonics + 1)
+                self.solve(self.impedance(w, n), -a[n - 1] * (np.exp(1j * n * phase) * force) @ rows)
+                for n in range(1, harmonics + 1)
             ]
         )
 
     def harmonic_balance(self, name, w, harmonics, output_torque):
         """Two-sided Q_l, l = -H .. H, from one dense system."""
         rows, k, phase, a = self.stage(name, 2 * harmonics)
-        order = np.arange(-harmonics, harmonics + 1)
-        size = len(order)
+        orders = np.arange(-harmonics, harmonics + 1)
+        size = len(orders)
         matrix = np.zeros((size, self.n, size, self.n), complex)
-        for p, l in enumerate(order):
-            for q, j in enumerate(order):
+        for p, n in enumerate(orders):
+            for q, j in enumerate(orders):
                 if p == q:
-                    matrix[p, :, q] = self.impedance(w, l)
+                    matrix[p, :, q] = self.impedance(w, n)
                 else:
-                    weight = k * a[abs(l - j) - 1] / 2 * np.exp(1j * (l - j) * phase)
+                    weight = k * a[abs(n - j) - 1] / 2 * np.exp(1j * (n - j) * phase)
                     matrix[p, :, q] = (rows.T * weight) @ rows
         rhs = np.zeros((size, self.n), complex)
         rhs[harmonics] = self.load(output_torque)

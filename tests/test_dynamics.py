@@ -6,13 +6,15 @@ the NumPy model of dynamics_oracle.py, and the printed appendix of Yang et al. 2
 
 import jax
 import jax.numpy as jnp
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
-from dynamics_oracle import Oracle, layout
 
 import rvjax
+from dynamics_oracle import Oracle, layout
 from rvjax import Status, dynamics
 from rvjax.catalogue import RV_20E, RV_320E
+from rvjax.plotting import dynamics as plotting
 from rvjax.published.rv320e_appendix import printed_stiffness
 from rvjax.units import arcsec, deg, rpm
 
@@ -260,9 +262,9 @@ def test_mesh_frequencies_and_wave(cases):
 def test_what_is_refused():
     with pytest.raises(ValueError, match="inertia = None"):
         dynamics.assemble(RV_20E)
-    with pytest.raises(ValueError, match="disc_teeth \\+ 1"):
+    with pytest.raises(ValueError, match=r"disc_teeth \+ 1"):
         dynamics.modes(cycloid(pin_count=41))
-    with pytest.raises(ValueError, match="Stiffness.disc_pin_mesh = 0"):
+    with pytest.raises(ValueError, match=r"Stiffness\.disc_pin_mesh = 0"):
         dynamics.static(stiffness(disc_pin_mesh=0.0), output_torque=TORQUE)
     with pytest.raises(ValueError, match="eccentricity"):
         cycloid(eccentricity=0.0)
@@ -293,6 +295,23 @@ def test_statuses_of_modes_and_mean_state_by_lane():
     assert np.isfinite(static.deflection[4]).all() and modes.frequency[4, 0] == 0
     pins = dynamics.static(cycloid(force_angle=90 * deg), output_torque=TORQUE)
     assert pins.info.status == Status.INVALID_GEOMETRY
+
+
+def test_pictures():
+    found = dynamics.modes(RV_320E)
+    speed = np.linspace(1, 1000, 50)
+    mesh = speed * 2.37
+    kinds = {1: "translational", 4: "rotational"}
+    assert len(plotting.campbell(found, speed, mesh, harmonics=kinds).lines) > 10
+    amplitude = np.ones((50, 9)) * (1 + 1j)
+    axes = plotting.speed_response(mesh, amplitude, harmonics=(1, 3), unit="m", name="output.x")
+    assert axes.get_ylabel() == "amplitude (m)" and len(axes.lines) == 2
+    shares = {"stiffness.sun_support": 0.1, "inertia.sun_mass": -0.2, "inertia.disc_mass": 0.0}
+    axes = plotting.sensitivity_bars(shares, other=shares, labels=("total", "Eq. 14"))
+    assert [tick.get_text() for tick in axes.get_yticklabels()] == ["sun support", "sun mass"]
+    plotting.sensitivity_curves(mesh, {"one": mesh}, field="sun_mass", unit="kg", ylabel="m/kg")
+    plotting.error_against_harmonics({"first_order": [9, 30]}, {"first_order": [0.5, 0.3]})
+    plt.close("all")
 
 
 def test_soft_sideways_mode_of_two_discs():

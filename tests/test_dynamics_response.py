@@ -9,9 +9,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from dynamics_oracle import Oracle, layout
 
 import rvjax
+from dynamics_oracle import Oracle, layout
 from rvjax import Damping, Status, dynamics
 from rvjax.catalogue import RV_320E
 from rvjax.units import rpm
@@ -235,9 +235,9 @@ def test_symmetry_of_the_response():
     for i in range(4):
         shift = np.exp(2j * np.pi * orders * 15 * i / 4)
         np.testing.assert_allclose(found[f"planet{i + 1}.y"], shift * found["planet1.y"], rtol=1e-9, atol=1e-20)
-    for l in orders:
-        rotational, translational = found["output.rotation"][l - 1], found["output.x"][l - 1]
-        assert (rotational != 0) == (l % 4 == 0) and (translational != 0) == (l % 2 == 1)
+    for n in orders:
+        rotational, translational = found["output.rotation"][n - 1], found["output.x"][n - 1]
+        assert (rotational != 0) == (n % 4 == 0) and (translational != 0) == (n % 2 == 1)
     k = np.where(orders * 15 % 4 == 1, 1, -1)[::2]
     np.testing.assert_allclose(found["output.y"][::2], 1j * k * found["output.x"][::2], rtol=1e-9)
     few = solve(design, outputs=["output.rotation"])

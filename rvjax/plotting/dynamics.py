@@ -52,8 +52,8 @@ def campbell(
         inside = np.flatnonzero(order * lines <= highest)
         end = inside[-1]
         axes.annotate(
-            f"{order}", (turns[end], order * lines[end]), fontsize=8, color="0.3", xytext=(2, 0),
-            textcoords="offset points", va="center", annotation_clip=False,
+            f"{order}", (turns[end], order * lines[end]), fontsize=8, color="0.3", xytext=(0, 3),
+            textcoords="offset points", ha="center", annotation_clip=False,
         )  # fmt: skip
         for value in frequency[(kind == name) & (frequency < highest)]:
             if order * lines[0] <= value <= order * lines[-1]:
@@ -61,10 +61,11 @@ def campbell(
                 axes.plot(at, value, "o", ms=4, color=KIND_STYLES[name][0])
     axes.set(
         xlabel="sun speed (r/min)", ylabel="frequency (Hz)", xlim=(turns[0], turns[-1]), ylim=(0, highest),
-        title="Mesh harmonics (numbers) and natural frequencies; dots: excited",
+        
     )  # fmt: skip
+    axes.set_title("Mesh harmonics (numbers) and natural frequencies; dots: excited", pad=14)
     axes.grid(visible=False)
-    axes.legend(loc="upper left", frameon=True, framealpha=0.9)
+    axes.legend(loc="lower right", frameon=True, framealpha=0.9)
     return axes
 
 
@@ -146,6 +147,8 @@ def sensitivity_curves(
     dashes = ("-", "--", ":", "-.")
     for k, (label, slope) in enumerate(slopes.items()):
         axes.semilogy(values, np.abs(slope), color=PALETTE[k % len(PALETTE)], ls=dashes[k % 4], label=label)
+    if np.max(values) > 30 * np.min(values) > 0:
+        axes.set_xscale("log")
     axes.set(xlabel=f"{words(field)} ({unit})", ylabel=ylabel, title=f"Sensitivity to {words(field)}")
     axes.legend()
     return axes
