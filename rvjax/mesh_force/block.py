@@ -17,6 +17,7 @@ shift x is as small as the elastic approach, so nothing cancels even where a cle
 Arrays are (rollers, cases), or (1, cases) for what a case has once. A block goes on until its last case is done.
 """
 
+import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -27,6 +28,7 @@ from rvjax.mesh_force import laws
 from rvjax.mesh_force.case import Case, Roller, all_rollers
 
 DEAD_CENTRE = 1e-6  # arm over eccentricity below which a roller does not decide where contact begins
+_MANY = 64  # cases from which sums are unrolled
 _LINEAR_STEPS = 12  # at most; 3 to 5 are usual
 _NEWTON_STEPS = 3  # at most; 1 is usual
 _SAFE_STEPS = 100
@@ -59,12 +61,30 @@ def solve_block(law: str, teeth: int, case: Case, size: int) -> Balance:
     rollers = jax.lax.optimization_barrier(rollers)  # once, not again for every sum
     torque = jnp.broadcast_to(case.torque, (1, size))
     start, stride, steps = _start(law, rollers, torque)
-    found = _safe(law, rollers, torque, stride, *_newton(law, rollers, torque, start, steps))
-    idle = jnp.any(torque == 0)
-    windup, load = jax.lax.cond(
-        idle, _rest, lambda *unchanged: unchanged[2:], rollers, torque, found.windup, found.load
+    start, x, load, fine, steps = _newton(law, rollers, torque, start, steps)
+    windup, load, steps, overload, finite = jax.lax.cond(
+        jnp.all(fine), _as_it_is, functools.partial(_safe, law), rollers, torque, stride, start, x, load, fine, steps
     )
-    return Balance(*(leaf[0] for leaf in found))._replace(windup=windup[0], load=load.T)
+    windup, load = jax.lax.cond(
+        jnp.any(torque == 0), _rest, lambda *unchanged: unchanged[2:], rollers, torque, windup, load
+    )
+    missing = jnp.abs(_sum(jnp.multiply, rollers.arm, load) - torque)
+    scale = jnp.maximum(jnp.abs(torque), _sum(lambda a, u: jnp.abs(a * u), rollers.arm, load))
+    residual = jnp.where(scale > 0, missing / jnp.where(scale > 0, scale, 1), 0)
+    return Balance(windup[0], load.T, steps[0], residual[0], overload[0], finite[0])
+
+
+def _as_it_is(
+    rollers: Roller,
+    torque: jax.Array,
+    stride: jax.Array,
+    start: jax.Array,
+    x: jax.Array,
+    load: jax.Array,
+    fine: jax.Array,
+    steps: jax.Array,
+) -> tuple[jax.Array, ...]:
+    return start + x, load, jnp.broadcast_to(steps, x.shape), jnp.zeros_like(fine), fine
 
 
 def _rest(rollers: Roller, torque: jax.Array, windup: jax.Array, load: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -92,28 +112,31 @@ def _start(law: str, rollers: Roller, torque: jax.Array) -> tuple[jax.Array, jax
     slope = _sum(lambda a, k: jnp.where(a * direction > 0, a * k, 0), arm, stiff_arm)
     preload = _sum(lambda a, k, g: jnp.where(a * direction > 0, k * g, 0), arm, stiff_arm, gap)
     windup = (torque - preload) / jnp.where(slope > 0, slope, 1)
+    stride = jnp.abs(windup) + _largest(jnp.abs, gap)
+    least = jnp.where(slope > 0, slope, 1) / 20  # of the slope, where few rollers touch
 
     def moment_slope(windup: jax.Array) -> jax.Array:
         return _sum(lambda a, k, g: jnp.where(windup * a + g > 0, a * k, 0), arm, stiff_arm, gap)
 
     def running(state: Any) -> jax.Array:
-        windup, change, _, steps = state
-        return jnp.any(change > 1e-6 * jnp.abs(windup)) & (steps < _LINEAR_STEPS)
+        windup, change, steps = state
+        return jnp.any(jnp.abs(change) > 1e-6 * jnp.abs(windup)) & (steps < _LINEAR_STEPS)
 
     def step(state: Any) -> Any:
-        windup, change, bracket, steps = state
-        moment = _sum(lambda a, k, g: k * jnp.maximum(windup * a + g, 0), arm, stiff_arm, gap)
-        bracket, target = _advance(bracket, windup, moment - torque, moment_slope(windup), halving=False)
-        target = jnp.where(change > 1e-6 * jnp.abs(windup), target, windup)  # no case depends on its neighbours
-        return target, jnp.abs(target - windup), bracket, steps + 1
+        windup, change, steps = state
+        moment = _sum(lambda a, k, g: jnp.where(windup * a + g > 0, k * (windup * a + g), 0), arm, stiff_arm, gap)
+        slope = jnp.maximum(moment_slope(windup), least)
+        damping = jnp.where(steps < _LINEAR_STEPS // 2, 1, 0.5).astype(torque.dtype)  # against a cycle of two steps
+        # A case that is done stays: none depends on its neighbours.
+        change = jnp.where(jnp.abs(change) > 1e-6 * jnp.abs(windup), damping * (torque - moment) / slope, 0)
+        return windup + change, change, steps + 1
 
-    stride = jnp.abs(windup) + _fold(jnp.maximum, jnp.abs(gap))
-    first = (windup, jnp.full_like(windup, jnp.inf), _open_bracket(stride), jnp.zeros((), jnp.int32))
-    windup, _, _, steps = jax.lax.while_loop(running, step, first)
+    first = (windup, jnp.full_like(windup, jnp.inf), jnp.zeros((), jnp.int32))
+    windup, _, steps = jax.lax.while_loop(running, step, first)
     if law == "hertz":
         load, _ = laws.guess(law, jnp.maximum(windup * arm + gap, 0), rollers.compliance)
         missing, slope = _sum(jnp.multiply, arm, load) - torque, moment_slope(windup)
-        windup -= jnp.where(slope > 0, missing / jnp.where(slope > 0, slope, 1), 0)
+        windup -= missing / jnp.maximum(slope, least)
     return windup, stride, steps
 
 
@@ -147,13 +170,17 @@ def _newton_step(law: str, rollers: Roller, torque: jax.Array, start: jax.Array)
     missing = _sum(lambda a, u, du: a * (u + du), arm, load, change) - torque
     x = -missing / jnp.where(slope > 0, slope, 1)
     change = change + rate * arm * x
-    # A Newton step leaves its square times the relative change of the stiffness up to this load, and the error
-    # of that stiffness, a third power. A roller that changes sides spoils the step.
-    bend = jnp.abs(rate * compliance.weight / 2 - 1)
-    left = jnp.abs(change) * (jnp.abs(change) / jnp.where(load > 0, load, 1) * bend + (3 * bend) ** 3)
-    tolerance = 8 * float(jnp.finfo(load.dtype).eps) * _fold(jnp.maximum, load)
-    spoiled = jnp.where(depth > 0, (load + change < 0) | ~(left <= tolerance), depth + x * arm > 0)
-    return x, load + change, (torque != 0) & jnp.isfinite(x) & ~_fold(jnp.logical_or, spoiled)
+    # A Newton step leaves its square times the relative change of the stiffness up to this load, and the error of
+    # that stiffness, a third power of the same. A roller that changes sides spoils the step.
+    tolerance = 8 * float(jnp.finfo(load.dtype).eps) * _largest(jnp.positive, load)
+
+    def too_much(g: Any, a: Any, u: Any, k: Any, weight: Any, du: Any) -> Any:
+        bend = jnp.abs(k * weight / 2 - 1)
+        left = jnp.abs(du) * (jnp.abs(du) + 27 * u * bend**2) * bend - tolerance * u
+        return jnp.where(start * a + g > 0, jnp.maximum(left, -(u + du)), (start + x) * a + g)
+
+    worst = _largest(too_much, gap, arm, load, rate, compliance.weight, change)
+    return x, load + change, (torque != 0) & (worst <= 0)  # false for NaN
 
 
 def _safe(
@@ -166,8 +193,8 @@ def _safe(
     load: jax.Array,
     fine: jax.Array,
     steps: jax.Array,
-) -> Balance:
-    """The equilibrium, where it is not `fine` yet by a bracket and exact loads."""
+) -> tuple[jax.Array, ...]:
+    """Windup, loads, steps, overload, finite: as they are where `fine`, else by a bracket and exact loads."""
     arm, compliance = rollers.arm, rollers.compliance
     start = jnp.where(jnp.isfinite(start), start, 0)
     tolerance = 4 * float(jnp.finfo(x.dtype).eps)
@@ -181,7 +208,7 @@ def _safe(
         missing = jnp.sum(arm * load, axis=0, keepdims=True) - torque
         slope = jnp.sum(arm**2 * rate, axis=0, keepdims=True)
         scale = jnp.maximum(jnp.abs(torque), jnp.sum(jnp.abs(arm * load), axis=0, keepdims=True))
-        bracket, target = _advance(state["bracket"], x, missing, slope, halving=True)
+        bracket, target = _advance(state["bracket"], x, missing, slope)
         finite, overload = jnp.isfinite(target) & jnp.isfinite(scale), jnp.any(beyond, axis=0, keepdims=True)
         done = (jnp.abs(missing) <= tolerance * scale) | (jnp.abs(target - x) <= tolerance * jnp.abs(target)) | ~finite
         # What rounding of x leaves is shared out along the stiffness.
@@ -199,7 +226,7 @@ def _safe(
         }
         return jax.tree.map(lambda after, before: jnp.where(state["running"], after, before), new, state)
 
-    state = {
+    state: dict[str, Any] = {
         "x": jnp.where(fine, x, 0),
         "load": load,
         "bracket": _open_bracket(stride),
@@ -209,16 +236,7 @@ def _safe(
         "running": ~fine,
     }
     state = jax.lax.while_loop(running, step, state)
-    missing = jnp.abs(_sum(jnp.multiply, arm, state["load"]) - torque)
-    scale = jnp.maximum(jnp.abs(torque), _sum(lambda a, u: jnp.abs(a * u), arm, state["load"]))
-    return Balance(
-        windup=start + state["x"],
-        load=state["load"],
-        steps=state["steps"],
-        residual=jnp.where(scale > 0, missing / jnp.where(scale > 0, scale, 1), 0),
-        overload=state["overload"],
-        finite=state["finite"],
-    )
+    return start + state["x"], state["load"], state["steps"], state["overload"], state["finite"]
 
 
 class _Bracket(NamedTuple):
@@ -233,22 +251,18 @@ def _open_bracket(stride: jax.Array) -> _Bracket:
     return _Bracket(-infinity, infinity, infinity, stride)
 
 
-def _advance(
-    bracket: _Bracket, x: jax.Array, missing: jax.Array, slope: jax.Array, *, halving: bool
-) -> tuple[_Bracket, jax.Array]:
+def _advance(bracket: _Bracket, x: jax.Array, missing: jax.Array, slope: jax.Array) -> tuple[_Bracket, jax.Array]:
     """Newton step on a nondecreasing function inside a bracket that opens at infinity.
 
-    A step that does not stay strictly inside the bracket, or with `halving` follows one that did not halve the
-    residual, is replaced by the middle of the bracket; while one end is open, by a stride that doubles. At the
-    root, where rounding decides, Newton steps stand.
+    A step that does not stay strictly inside the bracket, or follows one that did not halve the residual, is
+    replaced by the middle of the bracket; while one end is open, by a stride that doubles. At the root, where
+    rounding decides, Newton steps stand.
     """
     low, high = jnp.where(missing <= 0, x, bracket.low), jnp.where(missing >= 0, x, bracket.high)
     closed = jnp.isfinite(low) & jnp.isfinite(high)
     newton = x - missing / jnp.where(slope > 0, slope, 1)
     settled = jnp.abs(newton - x) <= 16 * float(jnp.finfo(x.dtype).eps) * jnp.abs(newton)
-    inside = (newton > low) & (newton < high)
-    if halving:
-        inside &= ~closed | (2 * jnp.abs(missing) <= bracket.last)
+    inside = (newton > low) & (newton < high) & (~closed | (2 * jnp.abs(missing) <= bracket.last))
     use = (slope > 0) & (settled | inside)
     other = jnp.where(closed, (low + high) / 2, x - jnp.sign(missing) * bracket.stride)
     after = _Bracket(low, high, jnp.where(use, jnp.abs(missing), jnp.inf), 2 * bracket.stride)
@@ -256,17 +270,19 @@ def _advance(
 
 
 def _sum(term: Callable[..., jax.Array], *columns: jax.Array) -> jax.Array:
-    """Sum of `term` over the rollers, (1, cases); row by row, so that it is one pass over the columns."""
-    return _pairwise(jnp.add, [term(*(column[i : i + 1] for column in columns)) for i in range(len(columns[0]))])
+    """Sum of `term` over the rollers, (1, cases)."""
+    return _fold(jnp.add, jnp.sum, term, columns)
 
 
-def _fold(combine: Callable[[jax.Array, jax.Array], jax.Array], rows: jax.Array) -> jax.Array:
-    """Rows (n, cases) combined to (1, cases)."""
-    return _pairwise(combine, [rows[i : i + 1] for i in range(len(rows))])
+def _largest(term: Callable[..., jax.Array], *columns: jax.Array) -> jax.Array:
+    """Largest `term` of all rollers, (1, cases)."""
+    return _fold(jnp.maximum, jnp.max, term, columns)
 
 
-def _pairwise(combine: Callable[[jax.Array, jax.Array], jax.Array], parts: list[jax.Array]) -> jax.Array:
-    while len(parts) > 1:
-        pairs = [combine(a, b) for a, b in zip(parts[::2], parts[1::2])]
-        parts = pairs + parts[len(parts) // 2 * 2 :]
-    return parts[0]
+def _fold(combine: Callable[..., Any], whole: Callable[..., Any], term: Any, columns: tuple[jax.Array, ...]) -> Any:
+    """Terms of all rollers combined; of many cases one row after the other, in a single pass over the columns."""
+    first = term(*(column[:1] for column in columns))
+    if first.shape[1] < _MANY:
+        return whole(term(*columns), axis=0, keepdims=True)  # a smaller program
+    rows = (term(*(column[i : i + 1] for column in columns)) for i in range(1, len(columns[0])))
+    return functools.reduce(combine, rows, first)

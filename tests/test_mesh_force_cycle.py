@@ -1,0 +1,123 @@
+"""Cycle statistics, sweeps, contact pressure, load sharing, stiffness; what statics says about published values.
+
+Oracle: studies of tests/reference/mesh_force.json (40 digits, 1e-9 relative), NumPy in the paper's terms, and
+theorems of statics that hold whatever the contact law.
+"""
+
+import jax
+import numpy as np
+import pytest
+
+import cam_roller
+import rvjax
+from cam_roller import corr, geometry, half_widths
+from rvjax import CamRollerErrors, Status, mesh_force
+
+CORR = rvjax.catalogue.CORR
+TORQUE = mesh_force.CALIBRATED_TORQUE
+
+
+@pytest.mark.parametrize(("figure", "contact"), [("11", "hertz"), ("12", "hertz"), ("14", "hertz"), ("14", "palmgren")])
+def test_reference_studies(reference, figure, contact):
+    studies = [s for s in reference("mesh_force")["studies"] if (s["figure"], s["contact"]) == (figure, contact)]
+    parameter = mesh_force.PUBLISHED_STUDIES[figure][0]
+    values = np.array([s["value"] for s in studies])
+    found = mesh_force.sweep(CORR, CamRollerErrors(), parameter, values, input_torque=TORQUE, contact=contact)
+    for k, study in enumerate(studies):
+        expected = study["statistics"]
+        if "status" in expected:
+            assert Status(int(found.info.status[k])).name == expected["status"]
+            assert np.isnan(found.cam_mean[k])
+            continue
+        for name, value in expected.items():
+            assert float(getattr(found, name)[k]) == pytest.approx(value, rel=1e-9), (study["value"], name)
+
+
+def test_statistics_with_one_error_per_roller():
+    """Equal radii give the statistics of one radius; a whole tooth is sampled and the torque's sign mirrors."""
+    design = CORR.replace(gear_teeth=5)
+    many = CamRollerErrors.for_design(design, roller_radius=1e-6)
+    one = mesh_force.cycle_statistics(design, CamRollerErrors(roller_radius=1e-6), input_torque=50.0)
+    all_equal = mesh_force.cycle_statistics(design, many, input_torque=50.0)
+    backwards = mesh_force.cycle_statistics(design, CamRollerErrors(roller_radius=1e-6), input_torque=-50.0)
+    for name in ("cam_mean", "cam_peak", "gear_mean", "gear_peak", "cage_peak_to_peak", "pressure_peak"):
+        assert float(getattr(one, name)) == pytest.approx(float(getattr(all_equal, name)), rel=1e-9), name
+        assert float(getattr(one, name)) == pytest.approx(float(getattr(backwards, name)), rel=1e-9), name
+    assert float(backwards.cage_mean) == pytest.approx(-float(one.cage_mean), rel=1e-9)
+    angles = mesh_force.cycle_angles(5, roller_by_roller=True)
+    assert angles.shape == (48,) and angles[-1] < 2 * np.pi / 5
+
+
+def test_pressure_sharing_and_stiffness():
+    cases = corr(1, angle=0.01, errors_cam_radius=1e-6)
+    errors = CamRollerErrors(cam_radius=1e-6)
+    forces = mesh_force.solve(CORR, errors, input_torque=100.0, output_angle=0.01)
+    place, widths = (
+        geometry(25, cases),
+        half_widths(25, cases, jax.tree.map(lambda leaf: np.asarray(leaf)[None], forces)),
+    )
+    pressure = mesh_force.contact_pressure(CORR, forces, output_angle=0.01)
+    # p = 2 F / (pi b l); on the flat cage b is the half-width over the roller radius
+    loaded = np.asarray(forces.cage) != 0
+    width = widths[0, :, 1] * CORR.roller_radius
+    expected = 2 * np.abs(forces.cage)[loaded] / (np.pi * width[loaded] * CORR.roller_length)
+    np.testing.assert_allclose(pressure.cage[loaded], expected, rtol=1e-10)
+    assert float(pressure.cam.max()) < float(pressure.gear.max())
+    sharing = mesh_force.load_sharing(CORR, forces, output_angle=0.01)
+    np.testing.assert_allclose(sharing, place["arm"][0] * forces.cam / 55.0, rtol=1e-9, atol=1e-12)
+    stiffness = mesh_force.mesh_stiffness(CORR, errors, input_torque=100.0, output_angle=0.01)
+    ends = [mesh_force.solve(CORR, errors, input_torque=t, output_angle=0.01).windup for t in (99.99, 100.01)]
+    assert float(stiffness) == pytest.approx(0.02 / float(ends[1] - ends[0]), rel=1e-6)
+    idle = mesh_force.solve(CORR, CamRollerErrors(), input_torque=0.0, output_angle=0.01)
+    assert not mesh_force.load_sharing(CORR, idle, output_angle=0.01).any()
+    assert not mesh_force.contact_pressure(CORR, idle, output_angle=0.01).gear.any()
+
+
+def test_statics_forbid_the_published_cage_forces():
+    """sum s Fs = (z + 1) T however the load is shared, so errors cannot lower the mean cage force by 15 or 25 %.
+
+    s lies between L - e and L + e: at one torque the sum of the cage forces of the working half moves by 5 % at
+    most if only that half is loaded, and preload on the return flank can only raise it. Wei et al. 2021 print a
+    fall from 239 to 181 N (installation error, Fig. 15) and from 246 to 210 N (roller error, Fig. 16).
+    """
+    rng = np.random.default_rng(0)
+    place = geometry(25, corr(1, angle=0.01))
+    arm, s, ratio = (place[name][0] for name in ("arm", "s", "cage_ratio"))
+    torque, working = 0.55 * TORQUE, arm > 0
+    sums = []
+    for _ in range(500):
+        cam = rng.exponential(size=26) * (rng.uniform(size=26) < rng.uniform(0.1, 1))
+        cam[20] += 1e-3
+        preload = rng.integers(2)
+        cam = np.where(working, cam, preload * cam * 0.2)
+        drive, brake = np.sum((arm * cam)[working]), -np.sum((arm * cam)[~working])
+        cam = np.where(working, cam * (torque + brake) / drive, cam)  # any load sharing with the right torque
+        assert np.sum(s * ratio * cam) == pytest.approx(26 * torque, rel=1e-9)
+        sums.append((preload, np.sum((ratio * cam)[working])))
+    low, high = 26 * torque / (0.143 + 0.0035), 26 * torque / (0.143 - 0.0035)
+    assert all(low <= total and (preload or total <= high) for preload, total in sums)
+    largest_fall = 1 - low / high
+    assert largest_fall < 0.05
+    assert largest_fall < min(1 - 181 / 239, 1 - 210 / 246)
+    # and the library obeys it
+    found = mesh_force.sweep(
+        CORR,
+        CamRollerErrors(),
+        "errors.roller_radius",
+        np.linspace(-2e-5, 2e-5, 5),
+        input_torque=TORQUE,
+        contact="linear",
+    )
+    assert (np.diff(found.cage_mean) > -0.05 * found.cage_mean[:-1]).all()
+
+
+def test_random_errors_are_one_batch():
+    """26 independent radii: the peak force of a batch is what every unit gives alone."""
+    radii = np.random.default_rng(1).normal(size=(3, 26)) * 1e-6
+    program = jax.jit(
+        jax.vmap(lambda dr: cam_roller.single(25, "linear", {**one, "errors.roller_radius": dr}).cam.max())
+    )
+    one = {name: v[0] for name, v in corr(1).items()}
+    batch = program(radii)
+    alone = [cam_roller.solve(25, corr(1, errors_roller_radius=row), "linear").cam.max() for row in radii]
+    np.testing.assert_allclose(batch, alone, rtol=1e-12)
