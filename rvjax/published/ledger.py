@@ -26,7 +26,7 @@ from dataclasses import dataclass
 from importlib import resources
 from typing import Any
 
-SOURCES = ("rv20e", "rv40e")
+SOURCES = ("rv20e", "rv320e", "rv40e")
 """Sources in the ledger; each has a TOML file and a module of the same name with a dict `COMPUTED`."""
 
 CLOSE = 0.10
@@ -71,7 +71,7 @@ def reproduce(sources: tuple[str, ...] = SOURCES) -> list[Comparison]:
         module = importlib.import_module(f"rvjax.published.{source}")
         right = getattr(module, "RIGHT", {})
         for figure in figures(source):
-            computed = _call(module.COMPUTED.get(figure["id"]))
+            computed = _call(module.COMPUTED[figure["id"]]) if "our_value" in figure else None
             rows.append(compare(figure, computed, _call(right.get(figure["id"]))))
     return rows
 
@@ -101,7 +101,8 @@ def show(value: Any) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, (list, tuple)):
-        return " ".join(show(v) for v in value)
+        shown = [show(v) for v in value]
+        return " ".join(shown) if len(shown) <= 3 else f"{shown[0]} {shown[1]} .. {shown[-1]} ({len(shown)})"
     return value if isinstance(value, str) else f"{value:.6g}"
 
 
