@@ -101,6 +101,14 @@ def test_catalogue_holds_together():
     assert RV_40E.cycloid.pin_count == RV_40E.cycloid.disc_teeth + 1
 
 
+def test_every_public_name_is_there():
+    for name in rvjax.__all__:
+        assert getattr(rvjax, name) is not None, name
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        rvjax.nothing  # noqa: B018
+    assert set(rvjax.__all__) <= set(dir(rvjax))
+
+
 def test_import_changes_no_setting_and_touches_no_device():
     import subprocess
     import sys
