@@ -52,6 +52,9 @@ def test_histogram_marks_both_limits_in_readable_units():
 def test_shares_fill_the_bar():
     axes = plotting.variance_shares({"a": {"x": 0.25, "y": 0.75}, "b": {"x": 1.0, "y": 0.0}}, title="shares")
     assert sum(bar.get_width() for bar in axes.patches) == pytest.approx(200)
+    many = plotting.variance_shares({"a": {f"field{k}": 1 / 16 for k in range(16)}}, title="shares")
+    looks = {(bar.get_facecolor(), bar.get_hatch()) for bar in many.patches}
+    assert len(looks) == 16  # no two errors look alike
 
 
 def test_cost_against_yield_shows_the_study_between_its_neighbours():

@@ -87,7 +87,8 @@ def variance_shares(shares: Mapping[str, Mapping[str, float]], *, title: str, ax
     left = np.zeros(len(shares))
     for k, field in enumerate(fields):
         width = np.array([100 * shares[name][field] for name in shares])
-        colour, hatch = PALETTE[k % len(PALETTE)], HATCHES[k % len(HATCHES)]
+        colour = PALETTE[k % len(PALETTE)]
+        hatch = HATCHES[(k + k // len(PALETTE)) % len(HATCHES)]  # another pairing in the second round of colours
         axes.barh(rows, width, left=left, color=colour, hatch=hatch, edgecolor="white", label=words(field), height=0.6)
         for row, part, start in zip(rows, width, left):
             if part >= 6:
