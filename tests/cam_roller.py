@@ -29,7 +29,7 @@ def single(teeth, contact, case):
 def solve(teeth, cases, contact="hertz"):
     """Solve a batch (dictionary of arrays); the size is padded to few values so that programs are shared."""
     count = len(cases["torque"])
-    size = next(s for s in (32, 512, 2500) if s >= count)
+    size = next(s for s in (32, 512, 3000) if s >= count)
     padded = {name: np.concatenate([v, np.repeat(v[:1], size - count, axis=0)]) for name, v in cases.items()}
     result = program(teeth, contact)(padded)
     return jax.tree.map(lambda leaf: np.asarray(leaf)[:count], result)

@@ -15,8 +15,8 @@ import cam_roller
 from cam_roller import approach, corr, geometry, half_widths, random_units, solve
 from rvjax import Status
 
-TEETH = (2, 3, 5, 8, 13, 25, 40, 60)
-UNITS = 2500  # of each
+TEETH = (2, 3, 5, 8, 13, 25, 60)
+UNITS = 3000  # of each
 
 
 @pytest.mark.parametrize("teeth", TEETH)
@@ -224,7 +224,7 @@ def test_derivatives_at_a_contact_change_are_one_sided(contact):
     assert np.abs(sides[0]).max() < 1e-2 * size  # a roller without contact changes nothing
 
 
-@pytest.mark.parametrize("contact", ["hertz", "linear", "palmgren"])
+@pytest.mark.parametrize("contact", ["hertz", "palmgren"])
 def test_second_derivatives(contact):
     cases = corr(1, errors_roller_radius=np.linspace(-2e-6, 2e-6, 9), teeth=8)
     case = {n: jnp.asarray(v[0]) for n, v in cases.items()}
