@@ -63,7 +63,7 @@ def test_the_judge_is_not_blind():
     judge = lambda *computed, **more: published.compare(figure | more, list(computed)).status  # noqa: E731
     assert judge(1.04, 2.0) == "reproduced"
     assert judge(1.04, 2.0, reading="r") == "reproduced_with_reading"
-    assert judge(1.06, 2.0) == "close"
+    assert judge(1.04, 2.0, calibrated="torque") == judge(1.06, 2.0) == "close"
     assert judge(1.2, 2.0) == "not_reproduced"
     assert judge(1.0, 2.0, contradicted_by="statics") == "contradicted"
     assert published.compare(figure, None).status == "not_computable"
@@ -80,6 +80,16 @@ def test_catalogue_holds_the_tables_of_the_sources():
     assert design.cycloid.eccentricity == pytest.approx(parse(table["eccentricity"], "m"))
     assert 2 * design.cycloid.pin_circle_radius == pytest.approx(parse(table["pin_circle_diameter"], "m"))
     assert 2 * design.cycloid.pin_radius == pytest.approx(6 * mm) == pytest.approx(parse(table["pin_diameter"], "m"))
+
+
+def test_catalogue_holds_the_corr_table():
+    table = published.parse("corr")["inputs"]["corr"]["table1"]
+    design = catalogue.CORR
+    assert (design.gear_teeth, design.gear_teeth + 1) == (table["gear_teeth"], table["ratio"])
+    for name in ("cam_radius", "roller_radius", "roller_length", "eccentricity"):
+        assert getattr(design, name) == pytest.approx(parse(table[name], "m")), name
+    assert design.young_modulus == pytest.approx(parse(table["young_modulus"], "Pa"))
+    assert (design.poisson_ratio, design.cam_share) == (table["poisson_ratio"], table["cam_share"])
 
 
 def test_catalogue_holds_the_rv20e_tables():

@@ -1,0 +1,277 @@
+"""Figures of Wei et al. 2021 (Chin. J. Mech. Eng. 34:84) on the mesh forces of the oscillatory roller stage.
+
+The crank torque is not published; it is set so that the mean cam force of Table 1 comes out, hence absolute
+forces are weak evidence and changes are the stronger one. Linear contacts: the exact ones differ by 2e-5.
+"""
+
+from collections.abc import Callable
+from functools import cache, partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rvjax import mesh_force
+from rvjax.catalogue import CORR
+from rvjax.errors import CamRollerErrors
+from rvjax.units import mm, um
+
+TORQUE = 109.56  # N m, [method.corr_cycle] of the ledger, as the next one
+SAMPLES = 40
+Z, N, E, R, LINK = CORR.gear_teeth, CORR.gear_teeth + 1, CORR.eccentricity, CORR.roller_radius, 0.143
+
+# What is varied and the values at which a figure asks for forces; the first two are the ends of its range.
+VALUES = {
+    "eccentricity": (2.5 * mm, 4.0 * mm),  # Fig. 11
+    "roller_radius": (7.0 * mm, 10.0 * mm),  # Fig. 12, which goes on to 20 mm: no flank beyond 10.05 mm
+    "cam_radius": (125.0 * mm, 170.0 * mm),  # Fig. 13
+    "errors.cam_radius": (-20 * um, 20 * um, 0.0, 2 * um),  # Fig. 14
+    "errors.eccentricity": (-10 * um, 50 * um, 0.0, 10 * um, 20 * um),  # Fig. 15
+    "errors.roller_radius": (-20 * um, 20 * um, 0.0),  # Fig. 16
+}
+UNITS = [(parameter, value) for parameter, values in VALUES.items() for value in values]
+
+
+def _unit(parameter: str, value: float) -> tuple[Any, CamRollerErrors]:
+    name = parameter.removeprefix("errors.")
+    if name == parameter:
+        return CORR.replace(**{name: value}), CamRollerErrors()
+    return CORR, CamRollerErrors().replace(**{name: value})
+
+
+@cache
+def _cycles() -> mesh_force.CycleStatistics:
+    """Statistics of all units of the figures, in one program."""
+    stacked = jax.tree.map(lambda *leaves: jnp.asarray(leaves), *(_unit(*unit) for unit in UNITS))
+    run = partial(mesh_force.cycle_statistics, input_torque=TORQUE, contact="linear", samples=SAMPLES)
+    return jax.device_get(jax.jit(jax.vmap(lambda unit: run(*unit)))(stacked))
+
+
+def _at(name: str, parameter: str, value: float) -> float:
+    return float(getattr(_cycles(), name)[UNITS.index((parameter, value))])
+
+
+def _ends(parameter: str, *names: str) -> list[float]:
+    """Each statistic at the first end of the range, then at the second."""
+    return [_at(name, parameter, value) for value in VALUES[parameter][:2] for name in names]
+
+
+def _end(end: int, parameter: str, *names: str) -> list[float]:
+    return [_at(name, parameter, VALUES[parameter][end]) for name in names]
+
+
+def _change(parameter: str, name: str) -> float:
+    """From the first end of the range to the second, %."""
+    first, second = _ends(parameter, name)
+    return 100 * (second / first - 1)
+
+
+def _changes_little(parameter: str, share: float, *names: str) -> bool:
+    """No value of the range moves a statistic by more than this share of that without error."""
+    return all(
+        abs(_at(name, parameter, value) / _at(name, parameter, 0.0) - 1) <= share
+        for name in names
+        for value in VALUES[parameter]
+    )
+
+
+@cache
+def _cycle() -> tuple[np.ndarray, mesh_force.MeshForces]:
+    """Angles of the work cycle, and the forces at Table 1."""
+    angles = mesh_force.cycle_angles(Z, samples=SAMPLES)
+    solve = partial(mesh_force.solve, CORR, CamRollerErrors(), input_torque=TORQUE, contact="linear")
+    return angles, jax.device_get(jax.jit(jax.vmap(lambda angle: solve(output_angle=angle)))(angles))
+
+
+def _leads() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """psi, gamma, beta and s of every roller at every angle of the cycle, written as in the source."""
+    angles, _ = _cycle()
+    psi = Z * angles[:, None] - 2 * np.pi * np.arange(N) / N
+    gamma = np.arcsin(E / LINK * np.sin(psi))
+    return psi, gamma, np.arctan(Z * np.tan(gamma)), E * np.cos(psi) + LINK * np.cos(gamma)
+
+
+@cache
+def _profile() -> tuple[np.ndarray, mesh_force.ToothProfile]:
+    """Two teeth of the gear."""
+    angles = np.linspace(0, 4 * np.pi / Z, 81)
+    return angles, jax.device_get(jax.jit(jax.vmap(lambda angle: mesh_force.tooth_profile(CORR, angle)))(angles))
+
+
+def _flank_repeats() -> bool:
+    """The same flank on every tooth, swept at the ratio of the tooth counts: the ratio of the speeds is constant."""
+    _, profile = _profile()
+    radius = np.hypot(*profile.flank.T)
+    return bool(np.allclose(radius[:41], radius[40:], rtol=1e-12))
+
+
+def _profile_normal() -> bool:
+    angles, profile = _profile()
+    gamma = np.arcsin(E / LINK * np.sin(Z * angles))
+    return bool(np.allclose(profile.normal_angle, angles + np.arctan(Z * np.tan(gamma)), atol=1e-12))
+
+
+def _centre_circle() -> bool:
+    """Distance of the roller centres from the cam centre: Rj + r, not Rj."""
+    angles, profile = _profile()
+    cam = E * np.stack([np.sin(N * angles), np.cos(N * angles)], axis=1)
+    return bool(np.allclose(np.linalg.norm(profile.centre - cam, axis=1), CORR.cam_radius))
+
+
+def _statics() -> bool:
+    _, forces = _cycle()
+    _, gamma, beta, _ = _leads()
+    size = 1e-9 * forces.gear.max()
+    along = np.allclose(forces.cam * np.cos(gamma), forces.gear * np.cos(beta), atol=size)
+    return along and np.allclose(forces.cam * np.sin(gamma) + forces.gear * np.sin(beta), forces.cage, atol=size)
+
+
+def _gear_projection() -> bool:
+    _, forces = _cycle()
+    _, gamma, beta, _ = _leads()
+    loaded = forces.cam > 0
+    return bool(
+        np.allclose((forces.gear / np.where(loaded, forces.cam, 1) * np.cos(beta))[loaded], np.cos(gamma)[loaded])
+    )
+
+
+def _moment_arm() -> bool:
+    psi, gamma, _, s = _leads()
+    return bool(np.allclose(E * np.sin(psi + gamma), s * np.sin(gamma), atol=1e-15))
+
+
+def _loaded() -> np.ndarray:
+    return _cycle()[1].cam > 0
+
+
+def _fixed_index_set() -> bool:
+    """The rollers loaded at an angle are those loaded half a tooth later."""
+    solve = partial(mesh_force.solve, CORR, CamRollerErrors(), input_torque=TORQUE, contact="linear")
+    return bool(((solve(output_angle=0.001).cam > 0) == (solve(output_angle=0.001 + np.pi / Z).cam > 0)).all())
+
+
+def _printed_approach() -> bool:
+    """Eq. 11 with the roller length in the radical of the half-width vanishes without force."""
+    return bool(abs(R - np.sqrt(R**2 - (CORR.roller_length / 2) ** 2)) < 1e-9)
+
+
+def _printed_cage_projection() -> bool:
+    """Eq. 14 with tan(theta_i) leaves every roller a positive compliance."""
+    theta = 2 * np.pi * np.arange(N) / N
+    gamma = np.arcsin(E / LINK * np.sin(-theta))
+    cage, gear = np.abs(N * np.sin(gamma)), np.cos(gamma) / np.cos(np.arctan(Z * np.tan(gamma)))
+    return bool((1 + np.tan(theta) * np.cos(gamma) * cage + gear**2 > 0).all())
+
+
+def _printed_windup() -> bool:
+    psi, gamma, _, _ = _leads()
+    return bool(np.allclose(np.sin(gamma), np.sin(psi + gamma)))
+
+
+def _errors_fluctuate() -> bool:
+    """20 um of each error move the peak of the cam force by more than a tenth."""
+    return not any(
+        abs(_at("cam_peak", error, 20 * um) / _at("cam_peak", error, 0.0) - 1) <= 0.1
+        for error in ("errors.cam_radius", "errors.eccentricity", "errors.roller_radius")
+    )
+
+
+def _strongest() -> bool:
+    roller, cam, throw = (
+        _at("cam_mean", f"errors.{name}", 20 * um) for name in ("roller_radius", "cam_radius", "eccentricity")
+    )
+    return roller > cam > throw
+
+
+def _centre_circle_change() -> float:
+    """The mean cage force is 2 T / (Rj + r) by statics; roller radius 7 to 20 mm, %."""
+    return 100 * ((135 + 7) / (135 + 20) - 1)
+
+
+_eccentricity, _cam = partial(_change, "eccentricity"), partial(_change, "cam_radius")
+_cam_error, _throw_error = partial(_change, "errors.cam_radius"), partial(_change, "errors.eccentricity")
+_roller_error = partial(_change, "errors.roller_radius")
+
+COMPUTED: dict[str, Callable[[], Any]] = {
+    "corr.abstract.eccentricity_change": lambda: _eccentricity("cam_mean"),
+    "corr.abstract.roller_radius_change": _centre_circle_change,
+    "corr.abstract.cam_radius_change": lambda: _cam("cage_mean"),
+    "corr.abstract.errors_fluctuate": _errors_fluctuate,
+    "corr.intro.half_of_teeth": lambda: float(np.median(_loaded().sum(1))),
+    "corr.sec2.at_most_half_loaded": lambda: bool((_loaded().sum(1) <= N // 2).all()),
+    "corr.sec2.constant_ratio": _flank_repeats,
+    "corr.table1.ratio": lambda: float(N),
+    "corr.eq3.profile_normal": _profile_normal,
+    "corr.eq4.statics": _statics,
+    "corr.eq6_eq7.centre_circle": _centre_circle,
+    "corr.eq8.moment_arm": _moment_arm,
+    "corr.eq8.index_set": _fixed_index_set,
+    "corr.eq11.approach": _printed_approach,
+    "corr.eq14.cage_projection": _printed_cage_projection,
+    "corr.eq15.gear_projection": _gear_projection,
+    "corr.eq16.windup": _printed_windup,
+    "corr.eq18.error_sign": lambda: (
+        _at("cam_mean", "errors.cam_radius", 2 * um) < _at("cam_mean", "errors.cam_radius", 0.0)
+    ),
+    "corr.fig11.eccentricity_strong": lambda: abs(_eccentricity("cam_mean")) > 10,
+    "corr.fig11.peak_start": partial(_end, 0, "eccentricity", "cam_peak", "gear_peak"),
+    "corr.fig11.peak_end": partial(_end, 1, "eccentricity", "cam_peak", "gear_peak"),
+    "corr.fig11.peak_change": lambda: _eccentricity("cam_peak"),
+    "corr.fig11.mean_start": lambda: _end(0, "eccentricity", "cam_mean")[0],
+    "corr.fig11.mean_end": lambda: _end(1, "eccentricity", "cam_mean")[0],
+    "corr.fig11.mean_change": lambda: _eccentricity("cam_mean"),
+    "corr.fig11.cage_mean_unchanged": lambda: abs(_eccentricity("cage_mean")) < 1,
+    "corr.fig11.cage_p2p_unchanged": lambda: abs(_eccentricity("cage_peak_to_peak")) < 1,
+    "corr.fig12.little_effect": lambda: all(
+        abs(_change("roller_radius", name)) < 2 for name in ("cam_mean", "gear_mean")
+    ),
+    "corr.fig12.range": lambda: float(mesh_force.largest_roller_radius(CORR)) / mm,
+    "corr.fig12.cam_mean_start": lambda: _end(0, "roller_radius", "cam_mean")[0],
+    "corr.fig12.gear_mean_start": lambda: _end(0, "roller_radius", "gear_mean")[0],
+    "corr.fig12.cage_mean_start": lambda: _end(0, "roller_radius", "cage_mean")[0],
+    "corr.fig12.cage_mean_change": _centre_circle_change,
+    "corr.fig12.peak_start": partial(_end, 0, "roller_radius", "cam_peak", "gear_peak"),
+    "corr.fig12.cage_p2p_start": lambda: _end(0, "roller_radius", "cage_peak_to_peak")[0],
+    "corr.fig13.smaller_than_eccentricity": lambda: abs(_cam("cam_mean")) < abs(_eccentricity("cam_mean")),
+    "corr.fig15.huge_effect": lambda: (
+        _at("cam_peak", "errors.eccentricity", 50 * um) > 2 * _at("cam_peak", "errors.eccentricity", 0.0)
+    ),
+    "corr.fig15.cam_gear_mean_small": partial(_changes_little, "errors.eccentricity", 0.5, "cam_mean", "gear_mean"),
+    "corr.fig15.peak_rise": lambda: (
+        _at("cam_peak", "errors.eccentricity", -10 * um) <= _at("cam_peak", "errors.eccentricity", 0.0)
+    ),
+    "corr.fig16.strongest": _strongest,
+    "corr.fig16.peak": partial(_ends, "errors.roller_radius", "cam_peak"),
+    "corr.fig16.peak_change": lambda: _roller_error("cam_peak"),
+    "corr.fig16.cage_p2p_small": partial(_changes_little, "errors.roller_radius", 0.5, "cage_peak_to_peak"),
+    "corr.conclusion.eccentricity_mean": lambda: _eccentricity("cam_mean"),
+    "corr.conclusion.eccentricity_peak": lambda: _eccentricity("cam_peak"),
+    "corr.conclusion.eccentricity_cage_little": lambda: abs(_eccentricity("cage_mean")) < 1,
+    "corr.conclusion.radii_small_on_cam_gear": lambda: abs(_cam("cam_mean")) < 2 and abs(_cam("cage_mean")) > 20,
+    "corr.conclusion.roller_cage_mean": _centre_circle_change,
+    "corr.conclusion.cam_cage_mean": lambda: _cam("cage_mean"),
+    "corr.conclusion.cam_cage_p2p": lambda: _cam("cage_peak_to_peak"),
+    "corr.conclusion.smoother_less_force": lambda: _cam("cam_peak") < 0,
+    "corr.conclusion.cam_error_means": lambda: _cam_error("cam_mean"),
+    "corr.conclusion.cam_error_peaks": lambda: _cam_error("cam_peak"),
+    "corr.conclusion.installation_cage_mean": lambda: _throw_error("cage_mean"),
+    "corr.conclusion.installation_cage_p2p": lambda: _throw_error("cage_peak_to_peak"),
+    "corr.conclusion.roller_error_cam_mean": lambda: _roller_error("cam_mean"),
+    "corr.conclusion.roller_error_gear_mean": lambda: _roller_error("gear_mean"),
+    "corr.conclusion.roller_error_cage_mean": lambda: _roller_error("cage_mean"),
+    "corr.conclusion.roller_error_peak": lambda: _roller_error("cam_peak"),
+}
+
+# Figures 13 to 16 print a pair of values and their change of each of these statistics.
+_ALL = ("cam_mean", "cam_peak", "gear_mean", "gear_peak", "cage_mean", "cage_peak_to_peak")
+for _figure, _parameter, _names in (
+    ("fig13", "cam_radius", _ALL),
+    ("fig14", "errors.cam_radius", _ALL),
+    ("fig15", "errors.eccentricity", ("cage_mean", "cage_peak_to_peak")),
+    ("fig16", "errors.roller_radius", ("cam_mean", "gear_mean", "cage_mean")),
+):
+    for _name in _names:
+        _id = f"corr.{_figure}.{_name.replace('peak_to_peak', 'p2p')}"
+        COMPUTED[_id] = partial(_ends, _parameter, _name)
+        COMPUTED[f"{_id}_change"] = partial(_change, _parameter, _name)
