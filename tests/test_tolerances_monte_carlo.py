@@ -17,7 +17,8 @@ from scipy import stats
 import rvjax
 from rvjax.status import Status
 from rvjax.tolerances import Outcome, Requirement, Tolerance, for_design, monte_carlo, sample
-from rvjax.tolerances.estimates import ExactOrder, Moments4, Order, quantile_estimate, wilson
+from rvjax.tolerances.estimates import Moments4, wilson
+from rvjax.tolerances.order import ExactOrder, Order, quantile_estimate
 from rvjax.tolerances.responses import respond
 from rvjax.units import mm, um
 

@@ -1,13 +1,10 @@
-"""Figures with their uncertainty: estimates and intervals, mergeable moments, quantiles in constant memory."""
+"""Figures with their uncertainty: estimates and intervals, moments that can be merged."""
 
 import dataclasses
 import math
 
 import numpy as np
 from scipy import special
-
-PILOT = 4096
-BINS = 2**16
 
 
 @dataclasses.dataclass(frozen=True)
@@ -34,15 +31,19 @@ def deviate_of(confidence: float) -> float:
     return float(special.ndtri((1 + confidence) / 2))
 
 
-def wilson(successes: int, samples: int, confidence: float) -> Estimate:
-    """A share with the score interval of Wilson (1927), which holds at 0 and 1 too."""
-    z, n = deviate_of(confidence), samples
-    share = successes / n
+def score_interval(share: float, n: float, deviate: float) -> tuple[float, float]:
+    """Score interval of Wilson (1927) for a share of n units, which holds at 0 and 1 too."""
+    z = deviate
     centre = (share + z**2 / (2 * n)) / (1 + z**2 / n)
     half = z / (1 + z**2 / n) * math.sqrt(share * (1 - share) / n + z**2 / (4 * n**2))
-    lower = 0.0 if successes == 0 else max(0.0, centre - half)
-    upper = 1.0 if successes == n else min(1.0, centre + half)
-    return Estimate(share, math.sqrt(share * (1 - share) / n), lower, upper)
+    return (0.0 if share == 0 else max(0.0, centre - half)), (1.0 if share == 1 else min(1.0, centre + half))
+
+
+def wilson(successes: int, samples: int, confidence: float) -> Estimate:
+    """A share of independent units with the score interval."""
+    share = successes / samples
+    lower, upper = score_interval(share, samples, deviate_of(confidence))
+    return Estimate(share, math.sqrt(share * (1 - share) / samples), lower, upper)
 
 
 @dataclasses.dataclass
@@ -108,106 +109,38 @@ class Moments4:
         return Estimate(sd, error, max(0.0, sd - half), sd + half)
 
 
-class Order:
-    """Order statistics: exact up to `PILOT` values, then from a histogram, within one of its bins.
+class Pairwise:
+    """Moments of a row of blocks, merged in pairs of neighbours, then pairs of pairs.
 
-    The range comes from the first `PILOT` values, whatever the chunks they arrive in, and is half
-    their span wider on each side; what falls outside is counted apart.
+    The tree depends on the numbers of the blocks alone: in whatever order, or in however many
+    processes, the blocks come, the sum has the same bits. It holds one node for each bit of the count
+    while the blocks come in order.
     """
 
     def __init__(self) -> None:
-        self._first: list[np.ndarray] = []
-        self._waiting = 0
-        self._counts = np.zeros(BINS, np.int64)
-        self._low, self._width = math.nan, math.nan
-        self._below = self._above = self.n = 0
-        self.minimum, self.maximum = math.inf, -math.inf
+        self._nodes: dict[tuple[int, int], Moments4] = {}
 
-    def add(self, values: np.ndarray) -> None:
-        """Take in one block of finite values."""
-        if not values.size:
-            return
-        self.n += values.size
-        self.minimum, self.maximum = min(self.minimum, values.min()), max(self.maximum, values.max())
-        if math.isnan(self._low):
-            self._first.append(values)
-            self._waiting += values.size
-            if self._waiting >= PILOT:
-                block = np.concatenate(self._first)
-                self._set_range(block[:PILOT])
-                self._first = []
-                self._count(block)
-        else:
-            self._count(values)
+    def add(self, place: int, block: Moments4, level: int = 0) -> None:
+        """Take in the block of number `place`, or the node `place` of a higher level."""
+        while (level, place ^ 1) in self._nodes:
+            other = self._nodes.pop((level, place ^ 1))
+            block = other.merge(block) if place & 1 else block.merge(other)
+            level, place = level + 1, place >> 1
+        self._nodes[level, place] = block
 
-    def _set_range(self, pilot: np.ndarray) -> None:
-        low, high = float(pilot.min()), float(pilot.max())
-        margin = (high - low) / 2 or max(abs(low), 1e-300) * 1e-9
-        self._low, self._width = low - margin, (high - low + 2 * margin) / BINS
+    def total(self) -> Moments4:
+        """Moments of all blocks."""
+        whole = Moments4()
+        for _, node in sorted(self._nodes.items(), key=lambda item: item[0][1] << item[0][0]):
+            whole = whole.merge(node)
+        return whole
 
-    def _count(self, values: np.ndarray) -> None:
-        place = np.floor((values - self._low) / self._width)
-        below, above = place < 0, place >= BINS
-        self._below += int(below.sum())
-        self._above += int(above.sum())
-        self._counts += np.bincount(place[~(below | above)].astype(np.int64), minlength=BINS)
+    def state(self) -> np.ndarray:
+        """Nodes as rows of level, place and moments."""
+        rows = [[level, place, *dataclasses.astuple(node)] for (level, place), node in self._nodes.items()]
+        return np.array(rows, float).reshape(len(rows), 2 + len(dataclasses.fields(Moments4)))
 
-    def at(self, rank: float) -> float:
-        """The value of a (fractional) rank, 1 .. n."""
-        if math.isnan(self._low):
-            return _interpolated(np.sort(np.concatenate(self._first)), rank)
-        k = min(max(int(rank), 1), self.n)
-        low = self._at(k)
-        return low + (self._at(min(k + 1, self.n)) - low) * min(max(rank - k, 0.0), 1.0)
-
-    def _at(self, k: int) -> float:
-        """Order statistic k, 1 .. n; spread evenly over the bin or tail it falls into."""
-        inside = np.cumsum(self._counts) + self._below
-        if k <= self._below:
-            return float(np.interp(k, [1, self._below + 1], [self.minimum, self._low]))
-        if k > inside[-1]:
-            return float(np.interp(k, [inside[-1], self.n], [self._low + BINS * self._width, self.maximum]))
-        place = int(np.searchsorted(inside, k))
-        share = (k - (inside[place] - self._counts[place]) - 0.5) / self._counts[place]
-        return float(np.clip(self._low + self._width * (place + share), self.minimum, self.maximum))
-
-
-class ExactOrder:
-    """Order statistics of values that are all kept."""
-
-    def __init__(self, values: np.ndarray) -> None:
-        self._sorted = np.sort(values)
-        self.n = values.size
-
-    def at(self, rank: float) -> float:
-        """The value of a (fractional) rank, 1 .. n."""
-        return _interpolated(self._sorted, rank)
-
-
-def _interpolated(ordered: np.ndarray, rank: float) -> float:
-    k = min(max(int(rank), 1), ordered.size)
-    low, high = float(ordered[k - 1]), float(ordered[min(k, ordered.size - 1)])
-    return low + (high - low) * min(max(rank - k, 0.0), 1.0)
-
-
-def quantile_estimate(order: Order | ExactOrder, p: float, confidence: float) -> Estimate:
-    """The p-quantile, linear between order statistics, with the distribution-free binomial interval.
-
-    Where the sample is too small to bound the quantile, that end of the interval is infinite.
-    """
-    n = order.n
-    if not n:
-        return Estimate(math.nan, math.nan, math.nan, math.nan)
-    first, last = _binomial_quantile((1 - confidence) / 2, n, p), _binomial_quantile((1 + confidence) / 2, n, p) + 1
-    lower = order.at(first) if first >= 1 else -math.inf
-    upper = order.at(last) if last <= n else math.inf
-    return Estimate(order.at(1 + (n - 1) * p), (upper - lower) / (2 * deviate_of(confidence)), lower, upper)
-
-
-def _binomial_quantile(share: float, n: int, p: float) -> int:
-    """Smallest k with P(B <= k) >= share, B ~ binomial(n, p)."""
-    low, high = -1, n  # P(B <= low) < share <= P(B <= high)
-    while high - low > 1:
-        k = (low + high) // 2
-        low, high = (low, k) if special.bdtr(k, n, p) >= share else (k, high)
-    return high
+    def merge(self, state: np.ndarray) -> None:
+        """Take in the nodes of another row's `state`."""
+        for level, place, n, *figures in state.tolist():
+            self.add(int(place), Moments4(int(n), *figures), int(level))

@@ -12,8 +12,9 @@ import numpy as np
 
 from rvjax.status import PRECEDENCE, SUCCESS
 from rvjax.tolerances.correlation import Correlation, correlated
-from rvjax.tolerances.estimates import Estimate, ExactOrder, Moments4, Order, deviate_of, quantile_estimate, wilson
+from rvjax.tolerances.estimates import Estimate, Moments4, deviate_of, wilson
 from rvjax.tolerances.layout import root_key
+from rvjax.tolerances.order import ExactOrder, Order, quantile_estimate
 from rvjax.tolerances.requirements import Requirement
 from rvjax.tolerances.responses import Response, by_response, like_response, respond_units, response_names
 from rvjax.tolerances.sampling import check_method
