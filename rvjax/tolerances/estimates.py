@@ -89,6 +89,11 @@ class Moments4:
         """Sample standard deviation; nan for fewer than two values."""
         return math.sqrt(self.s2 / (self.n - 1)) if self.n > 1 else math.nan
 
+    @property
+    def mean_or_nan(self) -> float:
+        """The mean; nan without values."""
+        return self.mean if self.n else math.nan
+
     def mean_estimate(self, confidence: float) -> Estimate:
         """The mean; its error sd/sqrt(n)."""
         if not self.n:

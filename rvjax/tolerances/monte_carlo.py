@@ -1,160 +1,27 @@
 """Monte Carlo: the distribution of a response over units with random errors, in constant memory."""
 
 import contextlib
-import dataclasses
-import math
+import functools
 import operator
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 
-from rvjax.status import PRECEDENCE, SUCCESS
+from rvjax.tolerances.checkpoint import Checkpoint, describe, response_hash, versions
 from rvjax.tolerances.correlation import Correlation, correlated
-from rvjax.tolerances.estimates import Estimate, Moments4, deviate_of, wilson
-from rvjax.tolerances.layout import root_key
-from rvjax.tolerances.order import ExactOrder, Order, quantile_estimate
+from rvjax.tolerances.devices import Evaluator
+from rvjax.tolerances.estimates import deviate_of
+from rvjax.tolerances.processes import gathered, place
 from rvjax.tolerances.requirements import Requirement
-from rvjax.tolerances.responses import Response, by_response, like_response, respond_units, response_names
+from rvjax.tolerances.responses import Response, by_response, response_names
 from rvjax.tolerances.sampling import check_method
+from rvjax.tolerances.sobol import SCRAMBLES
+from rvjax.tolerances.statistics import Statistics, statistics
+from rvjax.tolerances.tally import Tally
 
-
-@dataclasses.dataclass(frozen=True)
-class Statistics:
-    """What a batch of units does.
-
-    Fields that depend on the response have its structure: plain for a scalar response, a dict of the
-    same names otherwise (quantiles: {p: ...}). A failed unit is a reject in every yield, and takes no
-    part in moments, extremes and quantiles.
-
-    Attributes:
-        samples: units, failed ones included.
-        seed: of the random numbers.
-        method: of the random numbers.
-        confidence: of every interval.
-        failed: units without a valid response.
-        failures: their number by status name.
-        examples: index of the first failed unit by status name; `sample` replays it.
-        worst_index: index of the first unit that failed for the worst reason, None without failures.
-        mean: `Estimate` of the mean, unit of the response.
-        sd: `Estimate` of the standard deviation; its error holds for any law.
-        quantiles: {p: `Estimate`}, linear between order statistics, with binomial intervals; exact with
-            `keep` or up to 4096 units, else within one histogram bin.
-        minimum: smallest value.
-        maximum: largest value.
-        yield_: `Estimate` of the share of units within the limits, Wilson interval; None without requirement.
-        ppm: `Estimate` of the rejects per million units.
-        cp: (U - L)/(6 sd); nan for a one-sided requirement.
-        cpk: min(U - mean, mean - L)/(3 sd).
-        joint_yield: `Estimate` of the share of units that meet all requirements.
-        values: response of every unit, nan for failed ones, if `keep`; else None.
-    """
-
-    samples: int
-    seed: int
-    method: str
-    confidence: float
-    failed: int
-    failures: dict[str, int]
-    examples: dict[str, int]
-    worst_index: int | None
-    mean: Any
-    sd: Any
-    quantiles: dict[float, Any]
-    minimum: Any
-    maximum: Any
-    yield_: Any
-    ppm: Any
-    cp: Any
-    cpk: Any
-    joint_yield: Estimate | None
-    values: Any
-
-
-class _Tally:
-    """Host side of a run: what is kept of the chunks."""
-
-    def __init__(self, names: tuple[str, ...], requirements: dict[str, Requirement], kept: int) -> None:
-        self.requirements = requirements
-        self.moments = {name: Moments4() for name in names}
-        self.orders = {name: Order() for name in names}
-        self.values = {name: np.full(kept, math.nan) for name in names} if kept else {}
-        self.passed = dict.fromkeys(requirements, 0)
-        self.joint, self.samples = 0, 0
-        self.failures: dict[int, int] = {}
-        self.examples: dict[int, int] = {}
-
-    def add(self, values: dict[str, np.ndarray], status: np.ndarray) -> None:
-        """Take in the next chunk."""
-        good = np.isin(status, [int(name) for name in SUCCESS])
-        if not good.all():
-            self._add_failures(status, good)
-        joint = good.copy()
-        for name, raw in values.items():
-            finite = raw[good].astype(np.float64, copy=False)
-            self.moments[name] = self.moments[name].merge(Moments4.of(finite))
-            if self.values:
-                self.values[name][self.samples : self.samples + len(raw)][good] = finite
-            else:
-                self.orders[name].add(finite)
-            if name in self.requirements:
-                passed = self.requirements[name].margin(finite) <= 0
-                self.passed[name] += int(passed.sum())
-                joint[good] &= passed
-        self.joint += int(joint.sum())
-        self.samples += len(status)
-
-    def _add_failures(self, status: np.ndarray, good: np.ndarray) -> None:
-        for code in np.unique(status[~good]):
-            lanes = status == code
-            self.failures[int(code)] = self.failures.get(int(code), 0) + int(lanes.sum())
-            self.examples.setdefault(int(code), self.samples + int(np.argmax(lanes)))
-
-    def statistics(self, quantiles: tuple[float, ...], confidence: float, seed: int, method: str) -> Statistics:
-        """The figures with their intervals."""
-        named = [status for status in PRECEDENCE if int(status) in self.failures]
-        orders: dict[str, Any] = self.orders
-        if self.values:
-            orders = {name: ExactOrder(kept[~np.isnan(kept)]) for name, kept in self.values.items()}
-        moments, required = self.moments, self.requirements
-        yields = {
-            name: wilson(self.passed[name], self.samples, confidence) if name in required else None for name in moments
-        }
-        capability = {
-            name: required[name].capability(m.mean, m.sd) if name in required and m.n else (math.nan, math.nan)
-            for name, m in moments.items()
-        }
-        return Statistics(
-            samples=self.samples,
-            seed=seed,
-            method=method,
-            confidence=confidence,
-            failed=sum(self.failures.values()),
-            failures={status.name: self.failures[int(status)] for status in named},
-            examples={status.name: self.examples[int(status)] for status in named},
-            worst_index=self.examples[int(named[0])] if named else None,
-            mean=like_response({name: m.mean_estimate(confidence) for name, m in moments.items()}),
-            sd=like_response({name: m.sd_estimate(confidence) for name, m in moments.items()}),
-            quantiles={
-                p: like_response({name: quantile_estimate(order, p, confidence) for name, order in orders.items()})
-                for p in quantiles
-            },
-            minimum=like_response({name: m.minimum for name, m in moments.items()}),
-            maximum=like_response({name: m.maximum for name, m in moments.items()}),
-            yield_=like_response(yields) if required else None,
-            ppm=like_response({name: _ppm(share) for name, share in yields.items()}) if required else None,
-            cp=like_response({name: cp for name, (cp, _) in capability.items()}) if required else None,
-            cpk=like_response({name: cpk for name, (_, cpk) in capability.items()}) if required else None,
-            joint_yield=wilson(self.joint, self.samples, confidence) if required else None,
-            values=like_response(self.values) if self.values else None,
-        )
-
-
-def _ppm(share: Estimate | None) -> Estimate | None:
-    if share is None:
-        return None
-    return Estimate(1e6 * (1 - share.value), 1e6 * share.error, 1e6 * (1 - share.upper), 1e6 * (1 - share.lower))
+__all__ = ["Statistics", "monte_carlo", "progress_bar"]
 
 
 def monte_carlo(
@@ -169,30 +36,48 @@ def monte_carlo(
     quantiles: tuple[float, ...] = (0.00135, 0.5, 0.99865),
     correlation: Correlation = None,
     confidence: float = 0.95,
+    checkpoint: str | Path | None = None,
     keep: bool = False,
     progress: bool = False,
 ) -> Statistics:
     """Statistics of a response over random units, chunk by chunk.
 
-    Unit i depends on the seed, i and the active fields only. Another chunk size gives equal counts and
-    values equal to round-off. Device memory holds two chunks, whatever `samples`.
+    Unit i depends on the seed, i, the method and the active fields only. Another chunk size, or another
+    number of devices, gives equal counts and values equal to round-off; the same chunk gives the same
+    bits, also after an interruption and in any number of processes. Device memory holds two chunks,
+    whatever `samples`.
+
+    All local devices share every chunk. Where `jax.distributed.initialize` was called, every process
+    must call this function alike: each takes every n-th chunk, and all return the same result.
+
+    Method "sobol" takes unit i as point i // 16 of scramble i mod 16 of Sobol points. The mean then comes
+    nearer with the same number of units, extreme quantiles hardly; all standard errors and intervals
+    come from the spread of the 16 scrambles (a yield or quantile with fewer than 160 units beyond it
+    counts as no better than one of independent units).
 
     Args:
         response: pure function of the errors of one unit; a scalar, a dict or record of scalars, or `Outcome`.
         tolerances: record or dict with a `Tolerance` or None in each field.
         samples: units, at least 1.
         seed: of the random numbers.
-        method: "random".
+        method: "random" or "sobol".
         chunk: units evaluated at once.
         requirements: `Requirement`, or a dict of them by name of the response.
         quantiles: shares whose quantiles are wanted.
         correlation: {(field or element, field or element): correlation of their z}.
         confidence: of every interval.
-        keep: keep the response of every unit (host memory grows with `samples`).
+        checkpoint: file to which the state goes at most once a second, and from which the same study goes on
+            after an interruption, to identical bits; a larger `samples` continues a finished one. Several
+            processes write one file each, with the number of the process behind the name.
+        keep: keep the response of every unit (host memory, and the checkpoint, grow with `samples`).
         progress: show a progress bar.
 
     Returns:
         `Statistics`.
+
+    Raises:
+        ValueError: bad arguments, or a checkpoint that is damaged or belongs to another study.
+        OSError: the checkpoint cannot be written at the start (later that is a warning: nothing is lost).
     """
     check_method(method)
     deviate_of(confidence)
@@ -204,29 +89,67 @@ def monte_carlo(
             raise ValueError(f"quantiles: {p!r} must lie between 0 and 1")
     tolerances = correlated(tolerances, correlation)
     names = response_names(response, tolerances)
-    tally = _Tally(names, by_response(requirements, names, Requirement, "requirements"), samples if keep else 0)
-    with progress_bar(progress, samples, "Monte Carlo", "unit") as advance:
-        for values, status in _chunks(response, tolerances, root_key(seed), samples, min(chunk, samples)):
-            tally.add(values, status)
-            advance(len(status))
-    return tally.statistics(tuple(quantiles), confidence, seed, method)
+    required = by_response(requirements, names, Requirement, "requirements")
+    study = describe(tolerances, required) | {"seed": str(seed), "method": method, "chunk": str(chunk)}
+    process, processes = place()
+
+    def empty() -> Tally:
+        return Tally(names, required, SCRAMBLES if method == "sobol" else 1, samples if keep else 0)
+
+    tally, file, done = empty(), None, 0
+    if checkpoint is not None:
+        study["response"] = response_hash(response, tolerances)
+        mine = {"process": f"{process} of {processes}", "values": "kept" if keep else "not kept"}
+        file = Checkpoint(_of_process(checkpoint, process, processes), study | mine | versions())
+        done, state = file.load()
+        if done * chunk > samples:
+            raise ValueError(f"samples = {samples}: checkpoint = {str(checkpoint)!r} holds {done * chunk} already")
+        if state:
+            tally.merge(state)
+    evaluator = Evaluator(response, tolerances, seed, method, min(chunk, samples))
+    label = "Monte Carlo" if processes == 1 else f"Monte Carlo, process {process + 1} of {processes}"
+    reached = done * chunk
+    with progress_bar(progress, samples, label, "unit", initial=reached) as advance:
+        for number, values, status in _chunks(evaluator, tally, range(done, -(-samples // chunk)), chunk, samples):
+            own = number % processes == process
+            tally.add(number, number * chunk, values, status, own=own)
+            if file is not None and own and len(status) == chunk:  # a larger study evaluates a shorter last chunk whole
+                last = (number + 1 + processes) * chunk > samples
+                file.save(number + 1, functools.partial(tally.state, (number + 1) * chunk), now=last)
+            advance(min((number + 1) * chunk, samples) - reached)
+            reached = min((number + 1) * chunk, samples)
+    if processes > 1:
+        states, tally = gathered(tally.state(samples)), empty()
+        for part in states:
+            tally.merge(part)
+    return statistics(tally, quantiles=tuple(quantiles), confidence=confidence, seed=seed, method=method, study=study)
+
+
+def _of_process(path: str | Path, process: int, processes: int) -> Path:
+    whole = Path(path)
+    return whole if processes == 1 else whole.with_name(f"{whole.name}.{process}-of-{processes}")
 
 
 def _chunks(
-    response: Response, tolerances: Any, key: jax.Array, samples: int, chunk: int
-) -> Iterator[tuple[dict[str, np.ndarray], np.ndarray]]:
-    """Evaluated chunks in order; the device works on the next one while the host reads this one."""
+    evaluator: Evaluator, tally: Tally, numbers: range, chunk: int, samples: int
+) -> Iterator[tuple[int, dict[str, np.ndarray], np.ndarray]]:
+    """Evaluated chunks of this process in order; the device works on the next one while the host reads this one.
+
+    Until the range of the histograms is known, those of other processes too.
+    """
+    process, processes = place()
     ready = None
-    for start in (*range(0, samples, chunk), None):
+    for number in (*numbers, None):
         after = None
-        if start is not None:  # the last chunk is as long as the others, and cut below: nothing is compiled twice
-            after = (
-                respond_units(response, tolerances, key, start, count=chunk),
-                min(chunk, samples - start),
-            )
+        if number is not None:
+            if number % processes != process and tally.settled:
+                continue
+            after = number, evaluator.start(number * chunk)
         if ready is not None:
-            (values, status), count = ready
-            yield {name: np.asarray(v)[:count] for name, v in values.items()}, np.asarray(status)[:count]
+            done, (values, status) = ready
+            # The last chunk is evaluated as long as the others, and cut here: nothing is compiled twice.
+            count = min(chunk, samples - done * chunk)
+            yield done, {name: np.asarray(v)[:count] for name, v in values.items()}, np.asarray(status)[:count]
         ready = after
 
 
@@ -241,12 +164,12 @@ def _positive(name: str, value: Any) -> int:
 
 
 @contextlib.contextmanager
-def progress_bar(shown: bool, total: int | None, description: str, unit: str) -> Iterator[Any]:
+def progress_bar(shown: bool, total: int | None, description: str, unit: str, *, initial: int = 0) -> Iterator[Any]:
     """A function that advances a tqdm bar, or does nothing."""
     if not shown:
         yield lambda count: None
         return
     from tqdm import tqdm
 
-    with tqdm(total=total, unit=unit, unit_scale=True, desc=description) as bar:
+    with tqdm(total=total, unit=unit, unit_scale=True, desc=description, initial=initial) as bar:
         yield bar.update

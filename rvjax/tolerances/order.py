@@ -1,6 +1,7 @@
 """Order statistics: of all values where they are kept, else in constant memory from a histogram."""
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -115,7 +116,7 @@ class Order:
         return self._coarse[:, :place].sum(axis=1) + share * self._coarse[:, place], self._coarse.sum(axis=1)
 
     def state(self) -> dict[str, np.ndarray]:
-        """Everything that `restore` and `merge` need."""
+        """Everything that `merge` needs."""
         return {
             "scalars": np.array([self._low, self._width, self.minimum, self.maximum]),
             "numbers": np.array([self._below, self._above, self.n]),
@@ -123,34 +124,27 @@ class Order:
             "waiting": self._waiting,
             "waiting_streams": self._waiting_streams,
             "counts": self._counts,
-            "coarse": self._coarse if self.streams > 1 else np.empty(0, np.int64),
+            "coarse": self._coarse,
         }
 
-    def restore(self, state: dict[str, np.ndarray]) -> None:
-        """Become what a `state` says."""
-        self._low, self._width, self.minimum, self.maximum = (float(v) for v in state["scalars"])
-        self._below, self._above, self.n = (int(v) for v in state["numbers"])
-        self._pilot, self._waiting = state["pilot"], state["waiting"]
-        self._waiting_streams = state["waiting_streams"]
-        self._counts = state["counts"].copy()
-        if self.streams > 1:
-            self._coarse = state["coarse"].reshape(self._coarse.shape).copy()
-
-    def merge(self, other: "Order") -> None:
-        """Take in what another process has counted; both have seen the same pilot values.
+    def merge(self, state: Mapping[str, np.ndarray]) -> None:
+        """Take in the `state` of the order statistics of other units of the same study.
 
         Raises:
             ValueError: the ranges differ, so that the processes did not compute the same values.
         """
-        mine, theirs = (self._low, self._width), (other._low, other._width)
-        if mine != theirs and not (math.isnan(mine[0]) and math.isnan(theirs[0])):
+        low, width, minimum, maximum = (float(v) for v in state["scalars"])
+        below, above, n = (int(v) for v in state["numbers"])
+        if not self.n and not self.settled:  # nothing here yet: the other's range, or its search for one, goes on
+            self._low, self._width, self._pilot = low, width, state["pilot"]
+        elif (self._low, self._width) != (low, width) and not (math.isnan(low) and math.isnan(self._low)):
             raise ValueError("processes: they computed different values for the same units; use like machines")
-        self._waiting = np.concatenate([self._waiting, other._waiting])
-        self._waiting_streams = np.concatenate([self._waiting_streams, other._waiting_streams])
-        self._counts += other._counts
-        self._coarse += other._coarse
-        self._below, self._above, self.n = self._below + other._below, self._above + other._above, self.n + other.n
-        self.minimum, self.maximum = min(self.minimum, other.minimum), max(self.maximum, other.maximum)
+        self._waiting = np.concatenate([self._waiting, state["waiting"]])
+        self._waiting_streams = np.concatenate([self._waiting_streams, state["waiting_streams"]])
+        self._counts += state["counts"]
+        self._coarse += state["coarse"]
+        self._below, self._above, self.n = self._below + below, self._above + above, self.n + n
+        self.minimum, self.maximum = min(self.minimum, minimum), max(self.maximum, maximum)
 
 
 class ExactOrder:

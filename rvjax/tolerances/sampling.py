@@ -9,6 +9,7 @@ from rvjax.records import axis_sizes, is_concrete
 from rvjax.tolerances.correlation import Correlation, correlated
 from rvjax.tolerances.distributions import Tolerance
 from rvjax.tolerances.layout import deviations, layout, normals, root_key
+from rvjax.tolerances.sobol import SobolPoints
 
 
 def for_design(design: Any, **tolerances: Tolerance | None) -> Any:
@@ -42,14 +43,17 @@ def for_design(design: Any, **tolerances: Tolerance | None) -> Any:
     return cls(**filled)
 
 
+METHODS = ("random", "sobol")
+
+
 def check_method(method: str) -> None:
-    """Only plain random numbers are drawn."""
-    if method != "random":
-        raise ValueError(f"method = {method!r}: only 'random' is supported")
+    """Refuse an unknown way to draw units."""
+    if method not in METHODS:
+        raise ValueError(f"method = {method!r}: must be one of {', '.join(METHODS)}")
 
 
 def sample(tolerances: Any, index: Any, *, seed: int, method: str = "random", correlation: Correlation = None) -> Any:
-    """The errors of unit number `index`; vmaps over `index`.
+    """The errors of unit number `index`; vmaps over `index` for random units.
 
     The unit depends on seed, index and method, on which fields are active (each draws its own
     numbers); not on the limits, which only scale the numbers, nor on chunks or devices.
@@ -58,7 +62,7 @@ def sample(tolerances: Any, index: Any, *, seed: int, method: str = "random", co
         tolerances: record or dict with a `Tolerance` or None in each field.
         index: number of the unit, 0 or more.
         seed: of the study.
-        method: "random".
+        method: "random", or "sobol": drawn on the host, so that `index` must be a number.
         correlation: {(field or element, field or element): correlation of their z}, such as
             {("pin_radius", "disc_bore[0,1,0]"): 0.5}.
 
@@ -69,5 +73,10 @@ def sample(tolerances: Any, index: Any, *, seed: int, method: str = "random", co
     if is_concrete(index) and (int(index) != index or index < 0):
         raise ValueError(f"index = {index!r}: must be an integer of at least 0")
     parts = layout(correlated(tolerances, correlation))
-    z = normals(parts, root_key(seed), jnp.asarray(index, jnp.uint32)[None])
-    return parts.errors(deviations(parts, z[:, 0]))
+    if method == "random":
+        z = normals(parts, root_key(seed), jnp.asarray(index, jnp.uint32)[None])[:, 0]
+    elif is_concrete(index):
+        z = jnp.asarray(SobolPoints(parts.numbers, seed).z(int(index), 1)[:, 0], jnp.result_type(float))
+    else:
+        raise ValueError("index: must be a number for method 'sobol', whose points are drawn on the host")
+    return parts.errors(deviations(parts, z))
