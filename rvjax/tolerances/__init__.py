@@ -9,31 +9,37 @@ from rvjax.tolerances.allocation import Allocation, allocate
 from rvjax.tolerances.cost import Exponential, ReciprocalPower, Table
 from rvjax.tolerances.distributions import Tolerance
 from rvjax.tolerances.estimates import Estimate
+from rvjax.tolerances.failure import FailureProbability, failure_probability
 from rvjax.tolerances.grades import it_width
 from rvjax.tolerances.monte_carlo import Statistics, monte_carlo
 from rvjax.tolerances.requirements import Requirement
 from rvjax.tolerances.responses import Outcome
 from rvjax.tolerances.rss import Moments, rss
 from rvjax.tolerances.sampling import for_design, sample
+from rvjax.tolerances.sobol_indices import SobolIndices, sobol_indices
 from rvjax.tolerances.worst_case import WorstCase, worst_case
 
 __all__ = [
     "Allocation",
     "Estimate",
     "Exponential",
+    "FailureProbability",
     "Moments",
     "Outcome",
     "ReciprocalPower",
     "Requirement",
+    "SobolIndices",
     "Statistics",
     "Table",
     "Tolerance",
     "WorstCase",
     "allocate",
+    "failure_probability",
     "for_design",
     "it_width",
     "monte_carlo",
     "rss",
     "sample",
+    "sobol_indices",
     "worst_case",
 ]

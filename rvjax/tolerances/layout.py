@@ -45,7 +45,7 @@ class Layout:
         """Random numbers per unit."""
         if self.mixing is not None:
             return self.mixing.shape[0]
-        return sum(_numbers(tolerance) for tolerance in self.active.values())
+        return sum(numbers_of(tolerance) for tolerance in self.active.values())
 
     def errors(self, values: dict[str, Any]) -> Any:
         """The error structure with `values` in the active fields; inactive ones stay plain 0.0 and cost nothing."""
@@ -89,7 +89,8 @@ def _is_leaf(item: Any) -> bool:
     return item is None or isinstance(item, Tolerance)
 
 
-def _numbers(tolerance: Tolerance) -> int:
+def numbers_of(tolerance: Tolerance) -> int:
+    """Random numbers of one field, shared factors included, where no correlation mixes the fields."""
     own = math.prod(tolerance.shape)
     if tolerance.batch == 0:
         return own
@@ -118,7 +119,7 @@ def deviations(parts: Layout, z: jax.Array) -> dict[str, jax.Array]:
     for name, tolerance in parts.active.items():
         stop = start + math.prod(tolerance.shape)
         own = z[start:stop].reshape(tolerance.shape + z.shape[1:])
-        start = stop if parts.mixing is not None else start + _numbers(tolerance)
+        start = stop if parts.mixing is not None else start + numbers_of(tolerance)
         if tolerance.batch and parts.mixing is None:
             shared = z[stop:start]  # (1, *batch), or (2, *batch) for vectors
             lead = (1,) * (len(tolerance.shape) - 1)

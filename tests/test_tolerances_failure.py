@@ -1,0 +1,209 @@
+"""Failure probabilities far out in the tail.
+
+Oracles: closed forms (normal, chi-square, gamma and uniform-product tails), quadrature for a parabolic limit, the
+plain count among many units for a reducer. A probability must lie within 4 of its own standard errors, and that error
+below 5 %; the index of a flat limit is exact to round-off, that of a curved one to 1e-4 (its search stops at an angle
+of 1e-3, which enters squared).
+"""
+
+import math
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import integrate, special, stats
+
+import rvjax
+from rvjax import scene
+from rvjax.status import Status
+from rvjax.tolerances import Outcome, Requirement, Tolerance, failure_probability, for_design, monte_carlo
+from rvjax.units import um
+
+UNIT = Tolerance.symmetric(3.0)  # standard normal
+THREE = {"a": UNIT, "b": UNIT, "c": UNIT}
+THIRTY = {"v": Tolerance.symmetric(3.0, shape=(30,))}
+EVEN = Tolerance(0.0, 1.0, distribution="uniform")
+ROOT = math.sqrt(14)
+
+
+def flat(e):
+    return (3 * e["a"] - 2 * e["b"] + e["c"]) / ROOT
+
+
+def agrees(found, exact, error=0.05):
+    share = found.probability
+    assert abs(share.value - exact) < 4 * share.error
+    assert share.error < error * exact
+    assert share.lower < share.value < share.upper
+    assert found.effective_samples > 100
+
+
+def test_flat_limit():
+    found = failure_probability(flat, THREE, Requirement(upper=4.0), samples=20_000, seed=1)
+    agrees(found, 3.1671e-5, 0.02)
+    assert found.reliability_index == pytest.approx(4.0, abs=1e-9)
+    assert {n: float(v) for n, v in found.point.items()} == pytest.approx(
+        {"a": 12 / ROOT, "b": -8 / ROOT, "c": 4 / ROOT}
+    )
+    assert (found.points, found.status) == (1, "OK")
+    assert 20_000 < found.evaluations < 50_000
+    again = failure_probability(flat, THREE, Requirement(upper=4.0), samples=20_000, seed=1)
+    assert again.probability == found.probability
+
+
+def test_errors_are_honest():
+    """Twenty seeds: the scatter of the estimates is what each says of itself, and there is no bias."""
+    runs = [failure_probability(flat, THREE, Requirement(upper=4.0), samples=2000, seed=s) for s in range(20)]
+    off = np.array([(r.probability.value - special.ndtr(-4.0)) / r.probability.error for r in runs])
+    assert abs(off.mean()) < 4 / math.sqrt(20)
+    assert 0.5 < off.std(ddof=1) < 1.6
+
+
+def test_both_limits_have_their_points():
+    found = failure_probability(flat, THREE, Requirement(lower=-4.3, upper=4.0), samples=20_000, seed=2)
+    agrees(found, stats.norm.sf(4.0) + stats.norm.sf(4.3))
+    assert (found.points, found.status) == (2, "SEVERAL_POINTS")
+    assert found.reliability_index == pytest.approx(4.0)
+
+
+@pytest.mark.parametrize("limit", [0.0, -1.3, 1.0])
+def test_frequent_failures(limit):
+    found = failure_probability(flat, THREE, Requirement(upper=limit), samples=20_000, seed=0)
+    agrees(found, stats.norm.sf(limit))
+    assert found.reliability_index == pytest.approx(limit, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("response", "tolerances", "requirement", "exact", "index"),
+    [
+        # Every phase is equally bad; the other numbers are idle.
+        (
+            lambda e: jnp.sqrt(e["v"][0] ** 2 + e["v"][7] ** 2),
+            THIRTY,
+            Requirement(upper=5.0),
+            math.exp(-12.5),
+            5.0,
+        ),
+        (lambda e: jnp.sum(e["v"][:3] ** 2), THIRTY, Requirement(upper=25.0), stats.chi2.sf(25, 3), 5.0),
+        # c (1 + L + L^2/2) with L = ln(1/c); the limit bends away from its nearest point along three arms.
+        (
+            lambda e: e["a"] * e["b"] * e["c"],
+            {"a": EVEN, "b": EVEN, "c": EVEN},
+            Requirement(lower=1e-6),
+            1e-6 * (1 + math.log(1e6) + math.log(1e6) ** 2 / 2),
+            -stats.norm.ppf(1e-2) * math.sqrt(3),
+        ),
+        # Squares of Rayleigh magnitudes are exponential, their sum follows a gamma law.
+        (
+            lambda e: (e["a"] ** 2 + e["b"] ** 2) / 2,
+            dict.fromkeys("ab", Tolerance(0.0, 3.0, distribution="rayleigh")),
+            Requirement(upper=16.0),
+            stats.gamma.sf(16, 2),
+            None,
+        ),
+        # The corner of a square: y has a kink and its slope in z dies out towards the edges.
+        (
+            lambda e: e["a"] + e["b"],
+            {"a": EVEN, "b": EVEN},
+            Requirement(upper=2 - 1e-3),
+            1e-6 / 2,
+            None,
+        ),
+    ],
+    ids=["ring", "sphere", "uniform product", "gamma", "corner"],
+)
+def test_curved_limits(response, tolerances, requirement, exact, index):
+    found = failure_probability(response, tolerances, requirement, samples=30_000, seed=3)
+    agrees(found, exact)
+    assert found.evaluations < 100_000
+    if index is not None:
+        assert found.reliability_index == pytest.approx(index, abs=1e-4)
+
+
+@pytest.mark.parametrize("bend", [-0.15, 0.15])
+def test_parabola(bend):
+    exact, _ = integrate.quad(lambda x: stats.norm.pdf(x) * stats.norm.sf(4 + bend / 2 * x * x), -10, 10)
+    pair = {"a": UNIT, "b": UNIT}
+    found = failure_probability(
+        lambda e: e["a"] - bend / 2 * e["b"] ** 2, pair, Requirement(upper=4.0), samples=20_000, seed=4
+    )
+    agrees(found, exact)
+    assert (found.reliability_index, found.status) == (pytest.approx(4.0, abs=1e-5), "OK")
+
+
+def test_failed_units_are_failures():
+    def response(e):
+        lost = jnp.abs(e["v"][3]) > 4.5
+        return Outcome(e["v"][1], jnp.where(lost, int(Status.NOT_ASSEMBLABLE), int(Status.CONVERGED)))
+
+    found = failure_probability(response, THIRTY, Requirement(upper=9.0), samples=20_000, seed=5)
+    agrees(found, 2 * stats.norm.sf(4.5))
+    assert found.reliability_index == pytest.approx(4.5, abs=1e-4)
+    assert abs(float(found.point["v"][3])) == pytest.approx(4.5, abs=1e-4)
+    hidden = lambda e: jnp.where(e["a"] > 4.2, jnp.nan, e["a"])  # noqa: E731
+    agrees(failure_probability(hidden, THREE, Requirement(upper=4.0), samples=20_000, seed=5), stats.norm.sf(4.0))
+    nothing = failure_probability(lambda e: e["a"] * jnp.nan, THREE, Requirement(upper=1.0), samples=1000, seed=0)
+    assert nothing.probability.value == 1.0
+    assert (nothing.reliability_index, nothing.point) == (-math.inf, None)
+
+
+def test_correlated_and_batched_errors():
+    """sd of a + b with correlation 0.6 is sqrt(3.2); of the mean of 4 with batch factor 0.5, sqrt(5/8)."""
+    total = lambda e: e["a"] + e["b"]  # noqa: E731
+    options = dict(samples=10_000, seed=6)
+    found = failure_probability(
+        total, {"a": UNIT, "b": UNIT}, Requirement(upper=4.5 * math.sqrt(3.2)), correlation={("a", "b"): 0.6}, **options
+    )
+    agrees(found, stats.norm.sf(4.5))
+    assert (float(found.point["a"]), float(found.point["b"])) == pytest.approx([4.5 * math.sqrt(0.8)] * 2)
+    batch = {"v": Tolerance.symmetric(3.0, shape=(4,), batch=0.5)}
+    found = failure_probability(
+        lambda e: jnp.mean(e["v"]), batch, Requirement(lower=-4.5 * math.sqrt(0.625)), **options
+    )
+    agrees(found, stats.norm.sf(4.5))
+    assert found.reliability_index == pytest.approx(4.5)
+
+
+def test_unreachable_limits_and_no_spread():
+    found = failure_probability(flat, dict.fromkeys("abc", EVEN), Requirement(upper=9.0), samples=1000, seed=0)
+    assert (found.probability.value, found.reliability_index, found.point) == (0.0, math.inf, None)
+    assert 0 < found.probability.upper < 0.1
+    assert found.status == "FEW_EFFECTIVE_SAMPLES, NO_POINT"
+    fixed = dict.fromkeys("abc", Tolerance(1.0, 1.0))
+    assert failure_probability(flat, fixed, Requirement(upper=1.0), samples=100, seed=0).probability.value == 0.0
+    assert failure_probability(flat, fixed, Requirement(upper=0.5), samples=100, seed=0).probability.value == 1.0
+
+
+def test_responses_of_several_values():
+    response = lambda e: {"y": flat(e), "a": e["a"]}  # noqa: E731
+    required = {"y": Requirement(upper=4.0), "a": Requirement(lower=-3.5)}
+    found = failure_probability(response, THREE, required, samples=10_000, seed=7)
+    assert found.reliability_index == pytest.approx({"y": 4.0, "a": 3.5})
+    for name, share in found.probability.items():
+        assert abs(share.value - stats.norm.sf(found.reliability_index[name])) < 4 * share.error
+    with pytest.raises(ValueError, match="the response has the names"):
+        failure_probability(response, THREE, Requirement(upper=4.0), samples=100, seed=0)
+    with pytest.raises(ValueError, match="samples = 1: must be at least 2"):
+        failure_probability(flat, THREE, Requirement(upper=4.0), samples=1, seed=0)
+
+
+def test_misfit_of_a_reducer():
+    """The largest misfit over two discs and 16 angles: kinks everywhere, several ways to fail."""
+    conditions = scene.RVConditions(angles=16)
+    response = scene.response(rvjax.catalogue.RV_40E, ("misfit",), conditions)
+    fine = Tolerance.grade("IT6", 0.025)
+    tolerances = for_design(rvjax.catalogue.RV_40E, crank_eccentricity=fine, disc_bore=fine, carrier_bore=fine)
+    usual, rare = ({"misfit": Requirement(upper=limit)} for limit in (19 * um, 27 * um))
+    counted = monte_carlo(response, tolerances, samples=200_000, seed=8, chunk=16384, requirements=usual)
+    share, error = counted.ppm["misfit"].value / 1e6, counted.ppm["misfit"].error / 1e6
+    found = failure_probability(response, tolerances, usual, samples=20_000, seed=9)
+    own = found.probability["misfit"]
+    assert abs(own.value - share) < 4 * math.hypot(own.error, error)
+    first, second = (failure_probability(response, tolerances, rare, samples=40_000, seed=s) for s in (1, 2))
+    one, two = (item.probability["misfit"] for item in (first, second))
+    assert 1e-8 < one.value < 1e-5
+    assert abs(one.value - two.value) < 4 * math.hypot(one.error, two.error)
+    assert one.error < 0.05 / 2 * one.value
+    assert first.evaluations["misfit"] <= 100_000
+    at_point = response(first.point["misfit"]).value["misfit"]
+    assert float(at_point) == pytest.approx(27 * um, rel=1e-3)
