@@ -16,6 +16,7 @@ from rvjax.tolerances.requirements import Requirement
 from rvjax.tolerances.responses import Outcome
 from rvjax.tolerances.rss import Moments, rss
 from rvjax.tolerances.sampling import for_design, sample
+from rvjax.tolerances.saving import Origin, load, origin, save
 from rvjax.tolerances.sobol_indices import SobolIndices, sobol_indices
 from rvjax.tolerances.worst_case import WorstCase, worst_case
 
@@ -25,6 +26,7 @@ __all__ = [
     "Exponential",
     "FailureProbability",
     "Moments",
+    "Origin",
     "Outcome",
     "ReciprocalPower",
     "Requirement",
@@ -37,9 +39,12 @@ __all__ = [
     "failure_probability",
     "for_design",
     "it_width",
+    "load",
     "monte_carlo",
+    "origin",
     "rss",
     "sample",
+    "save",
     "sobol_indices",
     "worst_case",
 ]

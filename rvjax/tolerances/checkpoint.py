@@ -77,8 +77,7 @@ class Checkpoint:
             OSError: it cannot be read, or nothing can be written there.
         """
         try:
-            with np.load(self._path, allow_pickle=False) as file:
-                arrays = {name: file[name] for name in file.files}
+            arrays = unpacked(self._path.read_bytes())
             about = json.loads(arrays.pop("about").tobytes())
             written, chunk = dict(about["fingerprint"]), int(about["next"])
             if about["format"] != _FORMAT:
