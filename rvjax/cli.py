@@ -1,4 +1,4 @@
-"""The command line: `rvjax allocate`, `rvjax reproduce`.
+"""The command line: `rvjax allocate`, `rvjax montecarlo`, `rvjax reproduce`.
 
 Bad input ends with one line on standard error and exit code 2; a question that has no answer
 (infeasible requirements) with exit code 1.
@@ -8,8 +8,10 @@ import argparse
 import json
 import os
 import sys
+import time
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 EXIT_OK, EXIT_NO_ANSWER, EXIT_BAD_INPUT = 0, 1, 2
 
@@ -19,6 +21,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = _parser()
     try:
         options = parser.parse_args(arguments)
+        options.command = list(sys.argv[1:] if arguments is None else arguments)
     except SystemExit as stop:  # argparse has printed what is wrong, or the help
         return int(stop.code or 0)
     _prepare()
@@ -28,7 +31,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"rvjax: error: {' '.join(str(error).split())}", file=sys.stderr)
         return EXIT_BAD_INPUT
     except KeyboardInterrupt:
-        print("rvjax: interrupted, nothing was written", file=sys.stderr)
+        file = getattr(options, "checkpoint", None)
+        rest = f"the same command goes on from {file}" if file else "nothing was written"
+        print(f"rvjax: interrupted, {rest}", file=sys.stderr)
         return 130
 
 
@@ -62,6 +67,8 @@ def _parser() -> argparse.ArgumentParser:
     allocate.add_argument("--quiet", action="store_true", help="no progress bars")
     allocate.set_defaults(run=_allocate)
 
+    _add_montecarlo(commands)
+
     reproduce = commands.add_parser(
         "reproduce",
         help="published figures beside computed ones, with a verdict",
@@ -71,6 +78,42 @@ def _parser() -> argparse.ArgumentParser:
     reproduce.add_argument("--notes", action="store_true", help="print the reading or the reason under each figure")
     reproduce.set_defaults(run=_reproduce)
     return parser
+
+
+def _add_montecarlo(commands: Any) -> None:
+    montecarlo = commands.add_parser(
+        "montecarlo",
+        help="what a batch of units does, however large",
+        description="Draw units of a study with random errors and print the statistics of their responses. Memory "
+        "stays the same however many units; all local devices share the work.",
+    )
+    montecarlo.add_argument(
+        "study", nargs="?", default="rv-40e", metavar="STUDY", help="a study file (.toml), or the embedded rv-40e"
+    )
+    montecarlo.add_argument("--samples", type=_count, metavar="N", help="units (default: the study's certificate)")
+    montecarlo.add_argument("--seed", type=int, help="of the random numbers (default: the study's)")
+    montecarlo.add_argument("--sobol", action="store_true", help="scrambled Sobol points instead of random numbers")
+    montecarlo.add_argument("--chunk", type=_count, metavar="N", help="units at once")
+    montecarlo.add_argument("--processes", type=_count, default=1, metavar="N", help="processes on this machine")
+    montecarlo.add_argument(
+        "--checkpoint", metavar="FILE", help="go on from this file after an interruption; written once a second"
+    )
+    montecarlo.add_argument("--json", metavar="FILE.json", help="write the figures")
+    montecarlo.add_argument("--save", metavar="FILE.npz", help="write the figures and the responses of every unit")
+    montecarlo.add_argument("--quiet", action="store_true", help="no progress bar")
+    montecarlo.add_argument("--worker", nargs=4, help=argparse.SUPPRESS)  # one of several processes: see `batch.work`
+    montecarlo.set_defaults(run=_montecarlo)
+
+
+def _count(text: str) -> int:
+    """A number such as 250000, 1_000_000 or 1e8."""
+    try:
+        number = float(text)
+    except ValueError:
+        number = 0.0
+    if not (1 <= number <= 2**53 and number == int(number)):
+        raise argparse.ArgumentTypeError(f"{text!r}: must be a whole number of at least 1")
+    return int(number)
 
 
 def _prepare() -> None:
@@ -102,6 +145,38 @@ def _allocate(options: argparse.Namespace) -> int:
     report.write(found, folder)
     print(f"\nResults: {folder}")
     return EXIT_OK if found.allocation.status == "OPTIMAL" else EXIT_NO_ANSWER
+
+
+def _montecarlo(options: argparse.Namespace) -> int:
+    from rvjax import batch
+
+    for option, ending in (("json", ".json"), ("save", ".npz")):
+        path = getattr(options, option)
+        if path is not None and not path.endswith(ending):
+            raise ValueError(f"--{option} {path}: must end with {ending}")
+        if path is not None and not Path(path).absolute().parent.is_dir():
+            raise ValueError(f"--{option} {path}: there is no such folder")
+    wanted = batch.Batch(
+        study=options.study,
+        samples=options.samples,
+        seed=options.seed,
+        sobol=options.sobol,
+        chunk=options.chunk or batch.CHUNK,
+        checkpoint=options.checkpoint,
+        keep=options.save is not None,
+        progress=not options.quiet,
+    )
+    if options.worker:
+        address, number, processes, target = options.worker
+        batch.work(wanted, address, int(number), int(processes), target)
+        return EXIT_OK
+    started = time.perf_counter()
+    found = batch.run(wanted) if options.processes == 1 else batch.run_in_processes(options.command, options.processes)
+    seconds = time.perf_counter() - started
+    batch.write(found, options.study, figures=options.json, samples=options.save)
+    print(batch.summary(found, options.study))
+    print(f"\n{seconds:.1f} s, start and compilation included")
+    return EXIT_OK
 
 
 def _reproduce(options: argparse.Namespace) -> int:

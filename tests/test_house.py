@@ -31,6 +31,7 @@ FLOORS = (
     ("answer", "published"),
     ("plotting",),
     ("report",),
+    ("batch",),
     ("cli",),
     ("__main__",),
 )

@@ -118,6 +118,7 @@ def monte_carlo(
                 file.save(number + 1, functools.partial(tally.state, (number + 1) * chunk), now=last)
             advance(min((number + 1) * chunk, samples) - reached)
             reached = min((number + 1) * chunk, samples)
+        advance(samples - reached)  # the last chunks may be other processes'
     if processes > 1:
         states, tally = gathered(tally.state(samples)), empty()
         for part in states:

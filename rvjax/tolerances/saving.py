@@ -177,7 +177,7 @@ def _rebuilt(name: str, fields: dict[str, Any]) -> Any:
     if set(fields) != expected:
         different = ", ".join(sorted(set(fields) ^ expected))
         raise ValueError(f"load: {name} has other fields in this version of rvjax: {different}")
-    made = object.__new__(cls)  # as it was saved: nothing is checked or filled in again
+    made: Any = object.__new__(cls)  # as it was saved: nothing is checked or filled in again
     for field, value in fields.items():
         object.__setattr__(made, field, value)
     return made

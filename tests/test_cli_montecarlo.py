@@ -1,0 +1,111 @@
+"""`rvjax montecarlo` from end to end on a study that compiles fast.
+
+Oracle: `monte_carlo` on the same study in this process, to the last bit.
+"""
+
+import dataclasses
+import json
+import subprocess
+import sys
+from importlib import resources
+
+import numpy as np
+import pytest
+
+from rvjax import batch, cli, study
+from rvjax.tolerances import load, monte_carlo, origin
+
+GOOD = (resources.files("rvjax.study") / "embedded" / "rv-40e.toml").read_text("utf-8")
+HEAD, *REQUIREMENTS = GOOD.partition("[requirement.transmission_error]")
+SMALL = HEAD + REQUIREMENTS[-1][REQUIREMENTS[-1].index("[requirement.lost_motion]") :]
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "small.toml").write_text(SMALL)
+    return tmp_path
+
+
+@pytest.fixture(scope="module")
+def expected():
+    question = study.parse_study(SMALL, name="small")
+    arguments = dict(samples=5000, seed=4, chunk=1000, requirements=question.requirements, keep=True)
+    return monte_carlo(question.response(), question.tolerances, **arguments)
+
+
+def figures(found):
+    return repr(dataclasses.replace(found, values=None, study={}))
+
+
+def test_a_batch_prints_and_writes_its_figures(here, capsys, expected):
+    command = "montecarlo small.toml --samples 5e3 --seed 4 --chunk 1000 --json a.json --save a.npz --checkpoint c"
+    assert cli.main([*command.split(), "--quiet"]) == 0
+    printed = capsys.readouterr()
+    for words in (
+        "Study small: 5,000 units, method random, seed 4",
+        "lost_motion",
+        "arcmin",
+        "0 failed",
+        "independent",
+    ):
+        assert words in printed.out
+    assert printed.err == ""
+    found = load("a.npz")
+    np.testing.assert_array_equal(found.values["lost_motion"], expected.values["lost_motion"])
+    written = json.loads((here / "a.json").read_text())
+    assert written["result"]["fields"]["values"] is None
+    assert origin("a.json").study["toml"] == SMALL and origin("a.json").seed == 4
+    mean = expected.mean["lost_motion"].value
+    assert load("a.json").mean["lost_motion"].value == mean
+    assert f"{mean / 2.908882086657216e-4:.5g}" in printed.out
+
+
+def test_two_processes_on_one_machine(here, expected):
+    command = "montecarlo small.toml --samples 5000 --seed 4 --chunk 1000 --processes 2 --checkpoint c --save a.npz"
+    done = subprocess.run([sys.executable, "-m", "rvjax", *command.split()], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert "process 1 of 2" in done.stderr and "process 2 of 2" not in done.stderr
+    assert sorted(file.name for file in here.iterdir()) == ["a.npz", "c.0-of-2", "c.1-of-2", "small.toml"]
+    np.testing.assert_allclose(load("a.npz").values["lost_motion"], expected.values["lost_motion"], rtol=1e-12)
+    one = load("a.npz")
+    assert one.samples == 5000 and one.yield_ == expected.yield_
+
+
+def test_a_process_that_fails_ends_the_others(here):
+    (here / "c.1-of-2").write_text("damaged")
+    with pytest.raises(ValueError, match=r"process 2 of 2 ended with 2 rvjax: error: checkpoint = .*damaged"):
+        batch.run_in_processes(["montecarlo", "small.toml", "--samples", "5000", "--checkpoint", "c", "--quiet"], 2)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--samples", "0"], ["--samples", "'0'", "at least 1"]),
+        (["--samples", "many"], ["--samples", "'many'", "whole number"]),
+        (["--json", "a.txt"], ["--json a.txt", "must end with .json"]),
+        (["--save", "no/a.npz"], ["--save no/a.npz", "no such folder"]),
+        (["--checkpoint", "no/c", "--samples", "9"], ["no/c"]),
+        (["--chunk", "1.5"], ["--chunk", "'1.5'"]),
+    ],
+)
+def test_bad_input_is_one_line_and_exit_code_2(here, capsys, arguments, words):
+    before = sorted(here.rglob("*"))
+    assert cli.main(["montecarlo", "small.toml", "--quiet", *arguments]) == 2
+    captured = capsys.readouterr()
+    message = captured.err.strip().splitlines()[-1]
+    for word in words:
+        assert word in message
+    assert "Traceback" not in captured.err and captured.out == ""
+    assert sorted(here.rglob("*")) == before
+
+
+def test_an_interrupted_batch_says_how_to_go_on(here, capsys, monkeypatch):
+    def interrupted(_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(batch, "run", interrupted)
+    assert cli.main(["montecarlo", "small.toml", "--checkpoint", "c"]) == 130
+    assert "the same command goes on from c" in capsys.readouterr().err
+    assert cli.main(["montecarlo", "small.toml"]) == 130
+    assert "nothing was written" in capsys.readouterr().err
