@@ -97,7 +97,7 @@ def sweep() -> dict:
     w = np.array([oracle.frequency("planetary", n) for n in SPEEDS])
     rows, k, phase, a = oracle.stage("planetary", HARMONICS)
     orders = np.arange(1, HARMONICS + 1)
-    loads = np.stack([-a[l - 1] * (np.exp(1j * l * phase) * (k * rows @ oracle.mean(TORQUE))) @ rows for l in orders])  # noqa: E741
+    loads = np.stack([-a[l - 1] * (np.exp(1j * l * phase) * (k * (rows @ oracle.mean(TORQUE)))) @ rows for l in orders])  # noqa: E741
 
     def one(design, speed):
         found = dynamics.response(

@@ -106,32 +106,35 @@ class CrankStage(Record):
 
 @record
 class Inertia(Record):
-    """Masses and polar moments of inertia of the parts (dynamics)."""
+    """Masses and polar moments of inertia of the parts (dynamics); arrays where members differ."""
 
     sun_mass: Any = field("kg", "sun", sign="positive")
     sun_inertia: Any = field("kg m2", "sun", sign="positive")
-    planet_mass: Any = field("kg", "one planet", sign="positive")
-    planet_inertia: Any = field("kg m2", "one planet", sign="positive")
-    crank_mass: Any = field("kg", "one crankshaft", sign="positive")
-    crank_inertia: Any = field("kg m2", "one crankshaft", sign="positive")
-    disc_mass: Any = field("kg", "one disc", sign="positive")
-    disc_inertia: Any = field("kg m2", "one disc", sign="positive")
+    planet_mass: Any = field("kg", "one planet", shape=("cranks",), sign="positive")
+    planet_inertia: Any = field("kg m2", "one planet", shape=("cranks",), sign="positive")
+    crank_mass: Any = field("kg", "one crankshaft", shape=("cranks",), sign="positive")
+    crank_inertia: Any = field("kg m2", "one crankshaft", shape=("cranks",), sign="positive")
+    disc_mass: Any = field("kg", "one disc", shape=("discs",), sign="positive")
+    disc_inertia: Any = field("kg m2", "one disc", shape=("discs",), sign="positive")
     output_mass: Any = field("kg", "output wheel", sign="positive")
     output_inertia: Any = field("kg m2", "output wheel", sign="positive")
 
 
 @record
 class Stiffness(Record):
-    """Stiffness of supports, shafts, bearings and meshes (dynamics); meshes as mean values."""
+    """Stiffness of supports, shafts, bearings and meshes (dynamics); arrays where members differ.
+
+    Meshes as mean values over their period.
+    """
 
     sun_support: Any = field("N/m", "radial support of the sun", sign="nonnegative")
     sun_torsion: Any = field("N m/rad", "input shaft", sign="nonnegative")
-    planet_crank_bending: Any = field("N/m", "planet on its crankshaft", sign="nonnegative")
-    planet_crank_torsion: Any = field("N m/rad", "planet on its crankshaft", sign="nonnegative")
-    support_bearing: Any = field("N/m", "crankshaft in the output wheel", sign="nonnegative")
-    turning_arm_bearing: Any = field("N/m", "disc on the crankshaft", sign="nonnegative")
-    sun_planet_mesh: Any = field("N/m", "one involute mesh", sign="nonnegative")
-    disc_pin_mesh: Any = field("N/m", "one disc in the pin ring", sign="nonnegative")
+    planet_crank_bending: Any = field("N/m", "planet on its crankshaft", shape=("cranks",), sign="nonnegative")
+    planet_crank_torsion: Any = field("N m/rad", "planet on its crankshaft", shape=("cranks",), sign="nonnegative")
+    support_bearing: Any = field("N/m", "crankshaft in the output wheel", shape=("cranks",), sign="nonnegative")
+    turning_arm_bearing: Any = field("N/m", "disc on the crankshaft", shape=("discs", "cranks"), sign="nonnegative")
+    sun_planet_mesh: Any = field("N/m", "one involute mesh", shape=("cranks",), sign="nonnegative")
+    disc_pin_mesh: Any = field("N/m", "one disc in the pin ring", shape=("discs",), sign="nonnegative")
     output_support: Any = field("N/m", "radial support of the output wheel", default=0.0, sign="nonnegative")
     output_torsion: Any = field("N m/rad", "output shaft", default=0.0, sign="nonnegative")
 

@@ -43,29 +43,39 @@ class Oracle:
         for first, k, kt in ((sun, s.sun_support, s.sun_torsion), (out, s.output_support, s.output_torsion)):
             self.springs += [(k, unit[first]), (k, unit[first + 1]), (kt, unit[first + 2])]
         self.meshes = {"planetary": [], "cycloid": []}
+
+        def each(number, count):
+            """A number for every member; an array gives it one by one."""
+            return np.broadcast_to(number, (count,))
+
+        planetary, cycloid = each(s.sun_planet_mesh, M), each(s.disc_pin_mesh, N)
+        self.mesh_stiffness = {"planetary": planetary, "cycloid": cycloid}
+        bending, torsion = each(s.planet_crank_bending, M), each(s.planet_crank_torsion, M)
+        support, arm_bearing = each(s.support_bearing, M), np.broadcast_to(s.turning_arm_bearing, (N, M))
         for i in range(M):
             axis = R * np.array([np.cos(psi[i]), np.sin(psi[i])])
             direction = np.array([np.cos(psi[i] + np.pi / 2 - alpha), np.sin(psi[i] + np.pi / 2 - alpha)])
             row = direction @ (point(sun, 0, (0, 0)) - point(planet[i], psi[i], (0, 0)))
             row[sun + 2], row[planet[i] + 2] = g.sun_base_radius, g.planet_base_radius
             self.meshes["planetary"].append(row)
-            self.springs.append((s.sun_planet_mesh, row))
-            for axis_, k in enumerate((s.planet_crank_bending, s.planet_crank_bending, s.planet_crank_torsion)):
+            self.springs.append((planetary[i], row))
+            for axis_, k in enumerate((bending[i], bending[i], torsion[i])):
                 self.springs.append((k, unit[planet[i] + axis_] - unit[crank[i] + axis_]))
             own = point(crank[i], psi[i], (0, 0))
-            self.springs += [(s.support_bearing, r) for r in own - point(out, 0, axis)]
+            self.springs += [(support[i], r) for r in own - point(out, 0, axis)]
             for j in range(N):
                 arm = e * np.array([np.cos(psi_c[j]), np.sin(psi_c[j])])
                 gap = point(crank[i], psi[i], arm) - point(disc[j], psi_c[j], axis)
-                self.springs += [(s.turning_arm_bearing, r) for r in gap]
+                self.springs += [(arm_bearing[j, i], r) for r in gap]
         for j in range(N):
             row = np.zeros(self.n)
             row[disc[j] : disc[j] + 3] = np.sin(beta), np.cos(beta), rc * np.cos(beta)
             self.meshes["cycloid"].append(row)
-            self.springs.append((s.disc_pin_mesh, row))
+            self.springs.append((cycloid[j], row))
         self.K = sum(k * np.outer(v, v) for k, v in self.springs)
-        pairs = [(m.sun_mass, m.sun_inertia)] + [(m.planet_mass, m.planet_inertia)] * M
-        pairs += [(m.crank_mass, m.crank_inertia)] * M + [(m.disc_mass, m.disc_inertia)] * N
+        pairs = [(m.sun_mass, m.sun_inertia)]
+        for part, count in (("planet", M), ("crank", M), ("disc", N)):
+            pairs += zip(*(each(getattr(m, f"{part}_{name}"), count) for name in ("mass", "inertia")))
         self.m = np.array([x for a, b in [*pairs, (m.output_mass, m.output_inertia)] for x in (a, a, b)])
         self.ratio = (design.cycloid.disc_teeth * g.planet_base_radius + np.cos(alpha) * R) / g.sun_base_radius
 
@@ -88,7 +98,7 @@ class Oracle:
         rows = np.array(self.meshes[name])
         teeth = d.involute.sun_teeth if name == "planetary" else d.cycloid.pin_count
         phase = 2 * np.pi * teeth * np.arange(len(rows)) / len(rows)
-        k = d.stiffness.sun_planet_mesh if name == "planetary" else d.stiffness.disc_pin_mesh
+        k = self.mesh_stiffness[name]
         swing, duty, ramp = (getattr(v, f"{name}_{x}") for x in ("swing", "duty", "ramp"))
         order = np.arange(1, harmonics + 1)
         return rows, k, phase, 2 * swing / (order * np.pi) * np.sin(order * np.pi * duty) * np.sinc(order * ramp)
@@ -116,7 +126,7 @@ class Oracle:
     def first_order(self, name, w, harmonics, output_torque):
         """B_l (harmonics, n)."""
         rows, k, phase, a = self.stage(name, harmonics)
-        force = k * rows @ self.mean(output_torque)
+        force = k * (rows @ self.mean(output_torque))
         return np.array(
             [
                 self.solve(self.impedance(w, n), -a[n - 1] * (np.exp(1j * n * phase) * force) @ rows)

@@ -8,6 +8,7 @@ Source: Yang, Chen, Wang, "Response Sensitivity to Design Parameters of RV Reduc
 """
 
 from rvjax.dynamics.assembly import Lumped, System, assemble, lump
+from rvjax.dynamics.deviations import with_deviations
 from rvjax.dynamics.modes import EnergyShares, Modes, energy_shares, modes
 from rvjax.dynamics.periodic import Floquet, Periodic, floquet, periodic
 from rvjax.dynamics.response import Response, constant_forcing, response
@@ -37,4 +38,5 @@ __all__ = [
     "periodic",
     "response",
     "static",
+    "with_deviations",
 ]

@@ -9,6 +9,8 @@ v, K = sum k v v^T and their derivatives are products with constant arrays.
 Source: Yang, Chen, Wang, Chin. J. Mech. Eng. 31:49 (2018), doi 10.1186/s10033-018-0249-y, Eq. 1 and Appendix.
 """
 
+from collections.abc import Sequence
+from dataclasses import fields
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -18,7 +20,7 @@ import numpy as np
 
 from rvjax.catalogue import RV_320E
 from rvjax.designs import Damping, Inertia, MeshVariation, RVReducer, Stiffness
-from rvjax.records import Record, concrete, count, field, promote, record, text
+from rvjax.records import Record, axis_sizes, concrete, count, field, promote, record, text
 from rvjax.status import Status, first_failure
 
 
@@ -44,6 +46,11 @@ class Lumped(Record):
     mesh_variation: MeshVariation = field("-", "periodic mesh stiffness", kind="record")
     damping: Damping = field("-", "damping", kind="record")
 
+    @property
+    def alike(self) -> bool:
+        """True if one number stands for all members of a kind, so that equal spacing makes the model symmetric."""
+        return all(jnp.ndim(leaf) == 0 for leaf in jax.tree.leaves((self.inertia, self.stiffness)))
+
 
 @record
 class System(Record):
@@ -62,8 +69,9 @@ def lump(design: RVReducer | Lumped) -> Lumped:
             damping it is undamped.
 
     Raises:
-        ValueError: a part is missing, a ring without exactly one pin more than the disc has teeth, or a
-            concrete zero stiffness that leaves the torque no path.
+        ValueError: a part is missing, a ring without exactly one pin more than the disc has teeth, a
+            concrete zero stiffness that leaves the torque no path, or an array that has not one number for each
+            member.
     """
     if isinstance(design, Lumped):
         return design
@@ -79,6 +87,8 @@ def lump(design: RVReducer | Lumped) -> Lumped:
         value = getattr(design.stiffness, name)
         if concrete(value) and np.any(np.asarray(value) == 0):
             raise ValueError(f"Stiffness.{name} = 0: no path for the torque; must be positive")
+    for part in (design.inertia, design.stiffness):
+        _check_members(part, design.counts)
     return Lumped(
         cranks=design.cranks.count,
         discs=stage.disc_count,
@@ -100,6 +110,14 @@ def lump(design: RVReducer | Lumped) -> Lumped:
     )
 
 
+def _check_members(part: Inertia | Stiffness, counts: dict[str, int]) -> None:
+    for f in fields(part):
+        shape, sizes = jnp.shape(getattr(part, f.name)), axis_sizes(f.metadata["shape"], counts)
+        if shape not in ((), sizes):
+            expected = f"one number for each of ({', '.join(f.metadata['shape'])}) = {sizes} or" if sizes else "only"
+            raise ValueError(f"{type(part).__name__}.{f.name}: shape {shape}, expected {expected} a scalar")
+
+
 def admit(lumped: Lumped, *conditions: Any) -> tuple[Lumped, tuple[Any, ...], jax.Array]:
     """Everything in one dtype, a lane outside the model's domain replaced by a harmless one, and its status.
 
@@ -108,22 +126,27 @@ def admit(lumped: Lumped, *conditions: Any) -> tuple[Lumped, tuple[Any, ...], ja
     """
     lumped, conditions = promote(lumped, conditions)
     leaves = jax.tree.leaves(lumped)
-    finite = jnp.all(jnp.isfinite(jnp.stack(leaves)))
+    finite = jnp.all(jnp.isfinite(_flat(leaves)))
     radii = (lumped.sun_base_radius, lumped.planet_base_radius, lumped.eccentricity, lumped.circle_radius)
-    positive = jnp.min(jnp.stack([*radii, *jax.tree.leaves(lumped.inertia)])) > 0
+    positive = jnp.min(_flat([*radii, *jax.tree.leaves(lumped.inertia)])) > 0
+    positive &= jnp.min(_flat(jax.tree.leaves(lumped.stiffness))) >= 0
     loaded = jnp.abs(jnp.cos(lumped.force_angle)) >= 1e-9  # else the pins carry no torque
     good = finite & positive & loaded
     lumped = jax.tree.map(lambda leaf, spare: jnp.where(good, leaf, spare), lumped, _spare(lumped))
     possible = jnp.asarray(True)
-    for condition in conditions:
+    for condition in jax.tree.leaves(conditions):
         possible &= jnp.isfinite(condition)
-    conditions = tuple(jnp.where(jnp.isfinite(c), c, 1) for c in conditions)
+    conditions = jax.tree.map(lambda c: jnp.where(jnp.isfinite(c), c, 1), conditions)
     invalid = ~(positive & loaded)
     return (
         lumped,
         conditions,
         first_failure((~(finite & possible), Status.NONFINITE), (invalid, Status.INVALID_GEOMETRY)),
     )
+
+
+def _flat(leaves: list[Any]) -> jax.Array:
+    return jnp.concatenate([jnp.ravel(leaf) for leaf in leaves])
 
 
 def _spare(lumped: Lumped) -> Lumped:
@@ -153,16 +176,20 @@ def assemble(design: RVReducer | Lumped) -> System:
 
 def mass_vector(lumped: Lumped) -> jax.Array:
     """Diagonal of the mass matrix (n,)."""
-    part = lumped.inertia
-    pairs = jnp.stack([jnp.stack([getattr(part, f"{p}_mass"), getattr(part, f"{p}_inertia")]) for p in PARTS])
-    table = spring_table(lumped.cranks, lumped.discs)
-    return pairs[table.part, table.rotates]
+    mass, turning = (_by_member(lumped, lumped.inertia, [f"{p}_{name}" for p in PARTS]) for name in ("mass", "inertia"))
+    return jnp.stack([mass, mass, turning], axis=1).ravel()
 
 
 def spring_stiffness(lumped: Lumped) -> jax.Array:
     """Stiffness of every spring of the table (springs,)."""
-    values = jnp.stack([getattr(lumped.stiffness, name) for name in SPRINGS])
-    return values[spring_table(lumped.cranks, lumped.discs).kind]
+    return _by_member(lumped, lumped.stiffness, SPRINGS)[spring_table(lumped.cranks, lumped.discs).member]
+
+
+def _by_member(lumped: Lumped, part: Inertia | Stiffness, names: Sequence[str]) -> jax.Array:
+    """Fields of a record one after the other, with one number for each member."""
+    counts = dict(cranks=lumped.cranks, discs=lumped.discs)
+    declared = {f.name: f.metadata["shape"] for f in fields(part)}
+    return _flat([jnp.broadcast_to(getattr(part, name), axis_sizes(declared[name], counts)) for name in names])
 
 
 def geometry_numbers(lumped: Lumped) -> jax.Array:
@@ -204,8 +231,8 @@ class SpringTable(NamedTuple):
 
     rows: np.ndarray  # (13, springs, n): deflection vectors in terms of `geometry_numbers`
     kind: np.ndarray  # (springs,): index into SPRINGS
+    member: np.ndarray  # (springs,): index into the stiffnesses of all kinds and members in turn
     part: np.ndarray  # (n,): index into PARTS
-    rotates: np.ndarray  # (n,): 0 for x and y, 1 for rotation
     labels: tuple[str, ...]
 
     def of(self, name: str) -> np.ndarray:
@@ -236,48 +263,48 @@ def spring_table(cranks: int, discs: int) -> SpringTable:
     start = first_index(cranks, discs)
     sun, output = start["sun"], start["output"]
     size = output + 3
-    rows: list[tuple[str, list[tuple[int, int, Any]]]] = []
+    rows: list[tuple[str, int, list[tuple[int, int, Any]]]] = []
 
-    def spring(kind: str, *terms: tuple[int, int, Any]) -> None:
-        rows.append((kind, list(terms)))  # terms: (coordinate, geometry number, factor)
+    def spring(kind: str, member: int, *terms: tuple[int, int, Any]) -> None:
+        rows.append((kind, member, list(terms)))  # terms: (coordinate, geometry number, factor)
 
     for x, name in ((sun, "sun"), (output, "output")):
-        spring(f"{name}_support", (x, _ONE, 1))
-        spring(f"{name}_support", (x + 1, _ONE, 1))
-        spring(f"{name}_torsion", (x + 2, _ONE, 1))
+        spring(f"{name}_support", 0, (x, _ONE, 1))
+        spring(f"{name}_support", 0, (x + 1, _ONE, 1))
+        spring(f"{name}_torsion", 0, (x + 2, _ONE, 1))
     cosine, sine = circle(cranks)
     for i in range(cranks):
         c, s = cosine[i], sine[i]
         p, h = start["planet"] + 3 * i, start["crank"] + 3 * i
         spring(  # cos(a) xs + sin(a) ys + rs ths - sin(al) xp - cos(al) yp + rp thp, a = psi_i + pi/2 - al
-            "sun_planet_mesh",
+            *("sun_planet_mesh", i),
             *((sun, _SA, c), (sun, _CA, -s), (sun + 1, _CA, c), (sun + 1, _SA, s), (sun + 2, _RS, 1)),
             *((p, _SA, -1), (p + 1, _CA, -1), (p + 2, _RP, 1)),
         )
         for axis, kind in enumerate(("bending", "bending", "torsion")):
-            spring(f"planet_crank_{kind}", (p + axis, _ONE, 1), (h + axis, _ONE, -1))
-        spring("support_bearing", (h, _ONE, 1), (output, _ONE, -c), (output + 1, _ONE, -s))
-        spring("support_bearing", (h + 1, _ONE, 1), (output, _ONE, s), (output + 1, _ONE, -c), (output + 2, _RH, -1))
+            spring(f"planet_crank_{kind}", i, (p + axis, _ONE, 1), (h + axis, _ONE, -1))
+        spring("support_bearing", i, (h, _ONE, 1), (output, _ONE, -c), (output + 1, _ONE, -s))
+        spring("support_bearing", i, (h + 1, _ONE, 1), (output, _ONE, s), (output + 1, _ONE, -c), (output + 2, _RH, -1))
         for j in range(discs):
             x = start["disc"] + 3 * j
             turn = 2 * np.pi * (j * cranks - i * discs) / (cranks * discs)  # phi_ij without the phase of disc 1
             c, s = clean_direction(turn)
             spring(  # xH - e sin(phi) thH - cos(phi) xc + sin(phi) yc
-                "turning_arm_bearing",
+                *("turning_arm_bearing", j * cranks + i),
                 *((h, _ONE, 1), (h + 2, _ESP, -c), (h + 2, _ECP, -s)),
                 *((x, _CP, -c), (x, _SP, s), (x + 1, _SP, c), (x + 1, _CP, s)),
             )
             spring(  # yH + e cos(phi) thH - sin(phi) xc - cos(phi) yc - rH thc
-                "turning_arm_bearing",
+                *("turning_arm_bearing", j * cranks + i),
                 *((h + 1, _ONE, 1), (h + 2, _ECP, c), (h + 2, _ESP, -s)),
                 *((x, _SP, -c), (x, _CP, -s), (x + 1, _CP, -c), (x + 1, _SP, s), (x + 2, _RH, -1)),
             )
     for j in range(discs):
         x = start["disc"] + 3 * j
-        spring("disc_pin_mesh", (x, _SB, 1), (x + 1, _CB, 1), (x + 2, _RCB, 1))
+        spring("disc_pin_mesh", j, (x, _SB, 1), (x + 1, _CB, 1), (x + 2, _RCB, 1))
 
     table = np.zeros((13, len(rows), size))
-    for k, (_, terms) in enumerate(rows):
+    for k, (_, _, terms) in enumerate(rows):
         for coordinate, number, factor in terms:
             table[number, k, coordinate] += factor
     members = dict(zip(PARTS, (1, cranks, cranks, discs, 1)))
@@ -288,5 +315,7 @@ def spring_table(cranks: int, discs: int) -> SpringTable:
         for axis in ("x", "y", "rotation")
     )
     part = np.repeat(np.arange(5), [3 * members[name] for name in PARTS])
-    kinds = np.array([SPRINGS.index(name) for name, _ in rows])
-    return SpringTable(table, kinds, part, np.tile([0, 0, 1], size // 3), labels)
+    kinds = np.array([SPRINGS.index(name) for name, _, _ in rows])
+    own = np.array([member for _, member, _ in rows])
+    first = np.cumsum([0] + [own[kinds == k].max() + 1 for k in range(len(SPRINGS) - 1)])
+    return SpringTable(table, kinds, first[kinds] + own, part, labels)

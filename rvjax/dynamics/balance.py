@@ -4,7 +4,7 @@ Every product of stiffness variation and vibration enters through the deflection
 meshes. With d_il = e^{i l ph_i} delta_il (ph_i the mesh phases) they alone satisfy, for l = -H .. H,
 
     delta_l + Gamma_l (T delta)_l = v.qbar [l = 0],
-    Gamma_l[i, m] = e^{-i l ph_i} v_i^T Z_l^-1 v_m e^{i l ph_m},    (T delta)_l = k sum_{j != l} a_|l-j| / 2 delta_j,
+    Gamma_l[i, m] = e^{-i l ph_i} v_i^T Z_l^-1 v_m e^{i l ph_m},  (T delta)_ml = k_m sum_{j != l} a_|l-j|/2 delta_mj,
     Q_l = qbar [l = 0] - Z_l^-1 sum_m v_m e^{i l ph_m} (T delta)_ml.
 
 Mesh form: one unknown per mesh and harmonic, for any layout. Cyclic form: where shifting the members by one is
@@ -18,24 +18,23 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax.dynamics.assembly import Lumped, spring_table
-from rvjax.dynamics.excitation import MESH, mesh_teeth, phases, wave_coefficients
+from rvjax.dynamics.excitation import MESH, phases, wave_coefficients
 from rvjax.dynamics.harmonics import Solved, constants, in_order, resonance_distance, shares, unfold
 from rvjax.dynamics.linear import solve
 from rvjax.dynamics.modal import dynamic_stiffness, modal_sectors, modal_solve, on_resonance, residual
-from rvjax.dynamics.static import linear_ratio, mean_state, mesh_rows, mesh_stiffness, torque_kind
+from rvjax.dynamics.static import Torques, mean_state, mesh_rows, mesh_stiffness, torque_kind
 from rvjax.dynamics.symmetry import sector
 
 
-def solve_cyclic(lumped: Lumped, w: Any, output_torque: Any, stage: str, harmonics: int, indices: np.ndarray) -> Solved:
+def solve_cyclic(lumped: Lumped, w: Any, torques: Torques, stage: str, harmonics: int, indices: np.ndarray) -> Solved:
     """Cyclic form at signed mesh frequency `w`, rad/s: one small solve and one scalar unknown per harmonic."""
     mesh, kind = MESH[stage], torque_kind(lumped)
     members = spring_table(lumped.cranks, lumped.discs).of(mesh)
     rows_0 = mesh_rows(lumped, mesh, kind)
-    torques = (-output_torque / linear_ratio(lumped), output_torque)
     state = mean_state(lumped, kind, *torques, jnp.sum(rows_0, axis=0)[:, None])
     mean, x_0 = state.solution[:, 0], state.solution[:, 1]
 
-    parts = shares(lumped.cranks, lumped.discs, stage, mesh_teeth(lumped, stage), harmonics)
+    parts = shares(lumped, stage, harmonics)
     sectors = modal_sectors(lumped, [share.key for share in parts])
     own, shown, distances, singular, misses = [], [], [], [state.singular], [state.residual]
     for key, orders in parts:
@@ -69,12 +68,11 @@ def solve_cyclic(lumped: Lumped, w: Any, output_torque: Any, stage: str, harmoni
     )
 
 
-def solve_mesh(lumped: Lumped, w: Any, output_torque: Any, stage: str, harmonics: int, indices: np.ndarray) -> Solved:
+def solve_mesh(lumped: Lumped, w: Any, torques: Torques, stage: str, harmonics: int, indices: np.ndarray) -> Solved:
     """Mesh form at signed mesh frequency `w`, rad/s, on the whole model: any layout."""
     mesh, key = MESH[stage], ("coupled", 0)
     members = spring_table(lumped.cranks, lumped.discs).of(mesh)
     rows_0 = mesh_rows(lumped, mesh, *key)
-    torques = (-output_torque / linear_ratio(lumped), output_torque)
     state = mean_state(lumped, key[0], *torques, rows_0.T)
     mean, x_0 = state.solution[:, 0], state.solution[:, 1:]
 
@@ -110,7 +108,8 @@ def _coupling(
     (T delta)_l = sum_j (t_|l-j| + t_l+j) p_j + i (t_|l-j| - t_l+j) q_j, the terms t_l+j for j >= 1 only.
     """
     count, meshes = harmonics + 1, gamma.shape[1]
-    half = wave_coefficients(lumped, stage, 2 * harmonics) * mesh_stiffness(lumped, MESH[stage])[0] / 2
+    half = wave_coefficients(lumped, stage, 2 * harmonics) / 2
+    k = mesh_stiffness(lumped, MESH[stage])[:meshes]
     t = jnp.concatenate([jnp.zeros_like(half[:1]), half])
     order = np.arange(count)
     near, far = t[np.abs(order[:, None] - order)], jnp.where(order >= 1, t[order[:, None] + order], 0)
@@ -118,7 +117,7 @@ def _coupling(
     odd = jnp.where(order >= 1, odd, 0)  # q_0 = 0
 
     def block(values: jax.Array, matrix: jax.Array) -> jax.Array:
-        return jnp.einsum("lim,lj->lijm", values, matrix).reshape(count * meshes, count * meshes)
+        return jnp.einsum("lim,lj->lijm", values * k[None, None, :], matrix).reshape(count * meshes, count * meshes)
 
     one = jnp.eye(count * meshes, dtype=t.dtype)
     matrix = jnp.block(
@@ -131,7 +130,7 @@ def _coupling(
     scale = 1 / jax.lax.stop_gradient(jnp.max(jnp.abs(matrix), axis=1, keepdims=True))
     unknown, pivot = solve(scale * matrix, scale * rhs[:, None])
     p, q = unknown.reshape(2, count, meshes)
-    return jax.lax.complex(even @ p, odd @ q), pivot
+    return jax.lax.complex(even @ p * k[None, :], odd @ q * k[None, :]), pivot
 
 
 def _is_singular(pivot: jax.Array) -> jax.Array:

@@ -7,29 +7,29 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax.dynamics.assembly import Lumped, spring_table
-from rvjax.dynamics.excitation import MESH, mesh_teeth, phases, wave_coefficients
+from rvjax.dynamics.excitation import MESH, phases, wave_coefficients
 from rvjax.dynamics.harmonics import Solved, constants, in_order, resonance_distance, shares, unfold
 from rvjax.dynamics.modal import dynamic_stiffness, modal_sectors, modal_solve, on_resonance, residual
-from rvjax.dynamics.static import linear_ratio, mean_state, mesh_rows, mesh_stiffness, torque_kind
+from rvjax.dynamics.static import Torques, mean_state, mesh_rows, mesh_stiffness, torque_kind
 from rvjax.dynamics.symmetry import sector
 
 
 def solve_first_order(
-    lumped: Lumped, w: Any, output_torque: Any, stage: str, harmonics: int, indices: np.ndarray, freeze_forcing: bool
+    lumped: Lumped, w: Any, torques: Torques, stage: str, harmonics: int, indices: np.ndarray, freeze_forcing: bool
 ) -> Solved:
     """Amplitudes of the coordinates `indices` at signed mesh frequency `w`, rad/s.
 
     `freeze_forcing` keeps the forces on the physical coordinates out of the derivatives.
     """
     mesh, kind = MESH[stage], torque_kind(lumped)
-    state = mean_state(lumped, kind, -output_torque / linear_ratio(lumped), output_torque)
+    state = mean_state(lumped, kind, *torques)
     mean = state.solution[:, 0]
     force = mesh_stiffness(lumped, mesh) * (mesh_rows(lumped, mesh, kind) @ mean)
     coefficients = wave_coefficients(lumped, stage, harmonics)
 
     used = [
         share
-        for share in shares(lumped.cranks, lumped.discs, stage, mesh_teeth(lumped, stage), harmonics)
+        for share in shares(lumped, stage, harmonics)
         if np.any(sector(lumped.cranks, lumped.discs, *share.key).basis[indices])
     ]
     sectors = modal_sectors(lumped, [share.key for share in used])

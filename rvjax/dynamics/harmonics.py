@@ -9,8 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax.dynamics.assembly import Lumped, spring_table
+from rvjax.dynamics.excitation import mesh_teeth
 from rvjax.dynamics.modal import Key, ModalSector
-from rvjax.dynamics.symmetry import is_split
+from rvjax.dynamics.symmetry import is_split, is_symmetric
 
 OUTPUTS = ("output.x", "output.y", "output.rotation")
 
@@ -35,15 +36,20 @@ class Share(NamedTuple):
     harmonics: np.ndarray
 
 
+def shares(lumped: Lumped, stage: str, harmonics: int) -> tuple[Share, ...]:
+    """Which sector each mesh harmonic excites: label k = l teeth mod members of the stage; else the whole model."""
+    symmetric = is_symmetric(lumped)
+    return _shares(lumped.cranks, lumped.discs, symmetric, stage, mesh_teeth(lumped, stage), harmonics)
+
+
 @lru_cache
-def shares(cranks: int, discs: int, stage: str, teeth: int, harmonics: int) -> tuple[Share, ...]:
-    """Which sector each mesh harmonic excites: label k = l teeth mod members of the stage."""
+def _shares(cranks: int, discs: int, symmetric: bool, stage: str, teeth: int, harmonics: int) -> tuple[Share, ...]:
     number = cranks if stage == "planetary" else discs
     own = "planetary" if stage == "planetary" else "disc"
     found: dict[Key, list[int]] = {}
     for order in range(1, harmonics + 1):
         k = order * teeth % number
-        if discs == 1:
+        if not symmetric:
             key, signed = ("coupled", 0), order
         elif k == 0:
             key, signed = ("rotational", 0), order
@@ -81,9 +87,10 @@ def in_order(orders: Sequence[np.ndarray], rows: Sequence[jax.Array], harmonics:
 
 def resonance_distance(modal: ModalSector, frequency: jax.Array) -> jax.Array:
     """min |w / w_r - 1| over the modes of a sector, for angular frequencies (L,)."""
-    own = jnp.sqrt(modal.square)[None, :]
-    ratio = jnp.abs(frequency)[:, None] / jnp.where(own > 0, own, 1)
-    return jnp.min(jnp.where(own > 0, jnp.abs(ratio - 1), jnp.inf), axis=1)
+    square = jnp.diag(modal.stiffness).real  # on fixed eigenvectors its derivative is that of the eigenvalue
+    moving = (square > 0)[None, :]
+    ratio = jnp.abs(frequency)[:, None] * jax.lax.rsqrt(jnp.where(moving, square[None, :], 1))
+    return jnp.min(jnp.where(moving, jnp.abs(ratio - 1), jnp.inf), axis=1)
 
 
 def constants(values: Any, like: jax.Array) -> jax.Array:

@@ -61,9 +61,10 @@ def modes(design: RVReducer | Lumped) -> Modes:
     """Natural frequencies and mode shapes of the mean system (Eq. 2), by kind.
 
     With three or more cranks and discs modes are rotational, translational (in pairs), planetary (planets and
-    cranks alone) or disc. With two of either the translational pairs split and mix; with one disc all modes are
-    "coupled". Derivatives hold at repeated frequencies too, for every change of the design, since that keeps the
-    symmetry; shapes of a pair are any two of its plane.
+    cranks alone) or disc. With two of either the translational pairs split and mix; with one disc, or members given
+    one by one, all modes are "coupled". Derivatives hold at repeated frequencies too, for every change that members
+    share, since that keeps the symmetry; shapes of a pair are any two of its plane. One member alone splits the
+    pairs of equal members, which has no derivative: there the sum over a pair is right.
 
     Args:
         design: a reducer with inertia and stiffness, or its lumped parameters.
@@ -80,7 +81,7 @@ def modes(design: RVReducer | Lumped) -> Modes:
 @jax.jit
 def _modes(lumped: Lumped) -> Modes:
     lumped, _, status = admit(lumped)
-    keys = [(kind, WHOLE) for kind in kinds(lumped.cranks, lumped.discs)]
+    keys = [(kind, WHOLE) for kind in kinds(lumped)]
     scaled, roots = [], []
     for key in keys:
         roots.append(jax.lax.rsqrt(sector_mass(lumped, *key)))

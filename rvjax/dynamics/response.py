@@ -13,6 +13,8 @@ from rvjax.dynamics.balance import solve_cyclic, solve_mesh
 from rvjax.dynamics.excitation import check_stage, mesh_frequency
 from rvjax.dynamics.first_order import solve_first_order
 from rvjax.dynamics.harmonics import OUTPUTS, output_indices
+from rvjax.dynamics.static import Torques, balancing_torque
+from rvjax.dynamics.symmetry import is_symmetric
 from rvjax.records import Record, field, record, text
 from rvjax.status import SolveInfo, Status, first_failure
 
@@ -32,7 +34,9 @@ class Response(Record):
         shape=("harmonics",),
     )
     outputs: tuple[str, ...] = text("names of the outputs, from System.labels")
-    form: str = text("first_order, cyclic or mesh: the equations that were solved")
+    form: str = text(
+        "equations that were solved: first_order or cyclic, by symmetry; first_order_whole or mesh, on the whole model"
+    )
     info: SolveInfo = field("-", "residual of the solves; CONVERGED, SINGULAR, ...", kind="record")
 
 
@@ -45,12 +49,14 @@ def response(
     harmonics: int = 9,
     method: str = "first_order",
     outputs: Sequence[str] | None = None,
+    sun_torque: Any = None,
 ) -> Response:
     """Steady response to the mesh stiffness variation of one stage under constant load.
 
     The first-order solution (Eqs. 5 to 9 of Yang et al. 2018) applies the stiffness variation to the mean
     deflection only; harmonic balance keeps its product with the vibration. By symmetry each harmonic excites one
-    kind of motion: what `outputs` cannot show is not solved, and is exactly zero.
+    kind of motion: what `outputs` cannot show is not solved, and is exactly zero. One disc, or members given one by
+    one, leave no symmetry, and the whole model is solved; `form` says which.
 
     Args:
         design: a reducer with inertia, stiffness and mesh variation, or its lumped parameters.
@@ -60,6 +66,7 @@ def response(
         harmonics: of the mesh frequency, H; harmonic balance drops all above.
         method: "first_order" or "harmonic_balance".
         outputs: names from `assemble(design).labels`; by default output.x, output.y, output.rotation.
+        sun_torque: external torque on the sun, () N m; by default the one that balances `output_torque`.
 
     Returns:
         Response. SINGULAR where no spring carries the torque, or undamped with a harmonic on a mode to
@@ -76,7 +83,7 @@ def response(
         raise ValueError(f"harmonics = {harmonics}: must be at least 1")
     outputs = OUTPUTS if outputs is None else tuple(outputs)
     output_indices(lumped, outputs)
-    return _response(lumped, sun_speed, output_torque, stage, harmonics, method, outputs, False)
+    return _response(lumped, sun_speed, output_torque, sun_torque, stage, harmonics, method, outputs, False)
 
 
 def constant_forcing(
@@ -105,32 +112,35 @@ def constant_forcing(
     check_stage(stage)
     outputs = OUTPUTS if outputs is None else tuple(outputs)
     output_indices(lumped, outputs)
-    return _response(lumped, sun_speed, output_torque, stage, harmonics, "first_order", outputs, True)
+    return _response(lumped, sun_speed, output_torque, None, stage, harmonics, "first_order", outputs, True)
 
 
-@partial(jax.jit, static_argnums=(3, 4, 5, 6, 7))
+@partial(jax.jit, static_argnums=(4, 5, 6, 7, 8))
 def _response(
     lumped: Lumped,
     sun_speed: Any,
     output_torque: Any,
+    sun_torque: Any,
     stage: str,
     harmonics: int,
     method: str,
     outputs: tuple[str, ...],
     freeze_forcing: bool,
 ) -> Response:
-    lumped, (sun_speed, output_torque), status = admit(lumped, sun_speed, output_torque)
+    lumped, (sun_speed, output_torque, sun_torque), status = admit(lumped, sun_speed, output_torque, sun_torque)
+    sun_torque = balancing_torque(lumped, output_torque) if sun_torque is None else sun_torque
+    torques = Torques(sun_torque, output_torque)
     indices = output_indices(lumped, outputs)
     w = mesh_frequency(lumped, sun_speed, stage)
     if method == "first_order":
-        form = "first_order"
-        solved = solve_first_order(lumped, w, output_torque, stage, harmonics, indices, freeze_forcing)
-    elif lumped.cranks >= 3 and (lumped.discs >= 3 or stage == "cycloid"):
+        form = "first_order" if is_symmetric(lumped) else "first_order_whole"
+        solved = solve_first_order(lumped, w, torques, stage, harmonics, indices, freeze_forcing)
+    elif lumped.alike and lumped.cranks >= 3 and (lumped.discs >= 3 or stage == "cycloid"):
         form = "cyclic"
-        solved = solve_cyclic(lumped, w, output_torque, stage, harmonics, indices)
+        solved = solve_cyclic(lumped, w, torques, stage, harmonics, indices)
     else:
         form = "mesh"
-        solved = solve_mesh(lumped, w, output_torque, stage, harmonics, indices)
+        solved = solve_mesh(lumped, w, torques, stage, harmonics, indices)
     amplitude = jnp.where(w < 0, solved.amplitude.conj(), solved.amplitude)  # time reversed
     good = status == Status.CONVERGED
     overflow = ~(jnp.all(jnp.isfinite(amplitude)) & jnp.all(jnp.isfinite(solved.mean)))

@@ -40,7 +40,7 @@ def log_sensitivities(
 
     Returns:
         {field: (H, k) complex}, fields such as "stiffness.sun_support"; the real part is the relative change of
-        |B|. Zero for an output that a harmonic does not excite.
+        |B|. Zero for an output that a harmonic does not excite. A field that holds an array adds its axes.
 
     Raises:
         ValueError: unknown formula, or as `response`.
@@ -64,7 +64,9 @@ def _log_sensitivities(
     slopes, value = jax.jacfwd(amplitude, has_aux=True)(design)
     divisor = jnp.where(value == 0, 1, value)
     paths, _ = jax.tree.flatten_with_path(slopes)
-    return {
-        jax.tree_util.keystr(path, simple=True, separator="."): number.astype(value.dtype) * slope / divisor
-        for (path, slope), number in zip(paths, jax.tree.leaves(design))
-    }
+    found = {}
+    for (path, slope), number in zip(paths, jax.tree.leaves(design)):
+        factor = jnp.broadcast_to(number, slope.shape).astype(value.dtype)
+        beside = jnp.expand_dims(divisor, range(2, slope.ndim))
+        found[jax.tree_util.keystr(path, simple=True, separator=".")] = factor * slope / beside
+    return found

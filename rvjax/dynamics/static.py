@@ -9,7 +9,7 @@ import numpy as np
 from rvjax.designs import RVReducer
 from rvjax.dynamics.assembly import Lumped, admit, deflections, lump, spring_stiffness, spring_table
 from rvjax.dynamics.linear import solve
-from rvjax.dynamics.symmetry import sector, sector_rows, sector_stiffness
+from rvjax.dynamics.symmetry import is_symmetric, sector, sector_rows, sector_stiffness
 from rvjax.records import Record, field, record
 from rvjax.status import SolveInfo, Status, first_failure
 
@@ -22,6 +22,13 @@ class Static(Record):
     planetary_force: Any = field("N", "force of each sun-planet mesh", shape=("planets",))
     cycloid_force: Any = field("N", "force of each disc-pin mesh", shape=("discs",))
     info: SolveInfo = field("-", "CONVERGED, SINGULAR, INVALID_GEOMETRY or NONFINITE", kind="record")
+
+
+class Torques(NamedTuple):
+    """External torques, () N m."""
+
+    sun: Any
+    output: Any
 
 
 class MeanState(NamedTuple):
@@ -40,20 +47,25 @@ def linear_ratio(lumped: Lumped) -> jax.Array:
 
 def torque_kind(lumped: Lumped) -> str:
     """Sector that holds the rotations of sun and output."""
-    return "rotational" if lumped.discs > 1 else "coupled"
+    return "rotational" if is_symmetric(lumped) else "coupled"
+
+
+def balancing_torque(lumped: Lumped, output_torque: Any) -> Any:
+    """Sun torque that leaves the rigid mode without load."""
+    return -output_torque / linear_ratio(lumped)
 
 
 def mean_state(lumped: Lumped, kind: str, sun_torque: Any, output_torque: Any, loads: Any = None) -> MeanState:
     """Solve Kbar q = F in the sector `kind`, for the two torques and for further `loads` (r, m).
 
     Where neither sun nor output is held against rotation, the sun is held at zero: balanced loads leave that
-    spring without force.
+    spring without force, others are singular.
     """
     stiffness = sector_stiffness(lumped, kind)
     place = np.arange(len(stiffness))
     sun, output = place == (0 if kind == "rotational" else 2), place == len(place) - 1
     free = (lumped.stiffness.sun_torsion == 0) & (lumped.stiffness.output_torsion == 0)
-    ground = jnp.where(free, lumped.stiffness.sun_planet_mesh * lumped.sun_base_radius**2, 0)
+    ground = jnp.where(free, mesh_stiffness(lumped, "sun_planet_mesh")[0] * lumped.sun_base_radius**2, 0)
     stiffness = stiffness + jnp.diag(jnp.where(sun, ground, 0))
     rhs = jnp.where(sun, sun_torque, jnp.where(output, output_torque, 0))[:, None]
     rhs = rhs if loads is None else jnp.concatenate([rhs, loads], axis=1)
@@ -62,7 +74,10 @@ def mean_state(lumped: Lumped, kind: str, sun_torque: Any, output_torque: Any, l
     scale = jax.lax.rsqrt(jnp.where(diagonal > 0, diagonal, 1))[:, None]
     scaled = scale * stiffness * scale.T  # condition 1e6 in SI, 1e2 so
     unknown, pivot = solve(scaled, scale * rhs)
-    singular = ~(pivot > 4 * len(place) * jnp.finfo(pivot.dtype).eps)
+    rounding = jnp.finfo(pivot.dtype).eps
+    excess = jnp.abs(sun_torque - balancing_torque(lumped, output_torque))
+    size = jnp.abs(sun_torque) + jnp.abs(output_torque) / linear_ratio(lumped)
+    singular = ~(pivot > 4 * len(place) * rounding) | (free & (excess > 64 * rounding * size))
     miss = jnp.max(jnp.abs(scaled @ unknown - scale * rhs))
     size = jnp.max(jnp.abs(unknown)) + jnp.max(jnp.abs(scale * rhs))
     return MeanState(scale * unknown, singular, miss / jnp.where(size > 0, size, 1))
@@ -79,12 +94,14 @@ def mesh_stiffness(lumped: Lumped, mesh: str) -> jax.Array:
     return spring_stiffness(lumped)[spring_table(lumped.cranks, lumped.discs).of(mesh)]
 
 
-def static(design: RVReducer | Lumped, *, output_torque: Any) -> Static:
-    """Mean deflection under a load torque on the output, balanced by the sun torque.
+def static(design: RVReducer | Lumped, *, output_torque: Any, sun_torque: Any = None) -> Static:
+    """Mean deflection under a load torque on the output.
 
     Args:
         design: a reducer with inertia and stiffness, or its lumped parameters.
         output_torque: external torque on the output, () N m; negative opposes a positive rotation.
+        sun_torque: external torque on the sun, () N m; by default the one that balances `output_torque`. Zero: the
+            input is held by its torsion spring alone, as in a measurement of torsional stiffness.
 
     Returns:
         Static (Kbar qbar = F, after Eq. 3). SINGULAR where no spring carries the torque; NaN for
@@ -93,14 +110,15 @@ def static(design: RVReducer | Lumped, *, output_torque: Any) -> Static:
     Raises:
         ValueError: as `rvjax.dynamics.lump`.
     """
-    return _static(lump(design), output_torque)
+    return _static(lump(design), output_torque, sun_torque)
 
 
 @jax.jit
-def _static(lumped: Lumped, output_torque: Any) -> Static:
-    lumped, (output_torque,), status = admit(lumped, output_torque)
+def _static(lumped: Lumped, output_torque: Any, sun_torque: Any) -> Static:
+    lumped, (output_torque, sun_torque), status = admit(lumped, output_torque, sun_torque)
+    sun_torque = balancing_torque(lumped, output_torque) if sun_torque is None else sun_torque
     kind = torque_kind(lumped)
-    state = mean_state(lumped, kind, -output_torque / linear_ratio(lumped), output_torque)
+    state = mean_state(lumped, kind, sun_torque, output_torque)
     basis = sector(lumped.cranks, lumped.discs, kind).basis
     mean = state.solution[:, 0]
     deflection = jnp.asarray(basis, mean.dtype) @ mean

@@ -9,7 +9,8 @@ few labels k couple with the central parts:
     disc            k = 2 .. N - 2, discs only                              3, real, N - 3 copies
 
 For M = 2 or N = 2 the labels +1 and -1 coincide on one side, and the two translational systems join into one
-real system; with one disc nothing splits off and the whole model is one "coupled" system.
+real system; with one disc, or members given one by one, nothing splits off and the whole model is one "coupled"
+system.
 """
 
 from functools import lru_cache
@@ -124,11 +125,16 @@ def is_split(cranks: int, discs: int) -> bool:
     return cranks >= 3 and discs >= 3
 
 
-def kinds(cranks: int, discs: int) -> tuple[str, ...]:
-    """Kinds of sectors that a layout has; together they span the whole space."""
-    if discs == 1:
+def is_symmetric(lumped: Lumped) -> bool:
+    """True where central parts, or members alike, split off; one disc or unequal members couple everything."""
+    return lumped.discs > 1 and lumped.alike
+
+
+def kinds(lumped: Lumped) -> tuple[str, ...]:
+    """Kinds of sectors that a reducer has; together they span the whole space."""
+    if not is_symmetric(lumped):
         return ("coupled",)
-    extra = (("planetary",) if cranks > 3 else ()) + (("disc",) if discs > 3 else ())
+    extra = (("planetary",) if lumped.cranks > 3 else ()) + (("disc",) if lumped.discs > 3 else ())
     return ("rotational", "translational", *extra)
 
 
@@ -172,12 +178,14 @@ def blocks(design: RVReducer | Lumped) -> Blocks:
         3 (N - 3) frequencies.
 
     Raises:
-        ValueError: fewer than three cranks or discs, or as `lump`.
+        ValueError: fewer than three cranks or discs, members given one by one, or as `lump`.
     """
     lumped = promote(lump(design))
     cranks, discs = lumped.cranks, lumped.discs
     if not is_split(cranks, discs):
         raise ValueError(f"blocks need three or more cranks and discs, got {cranks} cranks and {discs} discs")
+    if not lumped.alike:
+        raise ValueError("blocks need members alike: one number for each field of Inertia and Stiffness, not an array")
 
     def block(kind: str, copies: int) -> Block | None:
         if copies == 0:

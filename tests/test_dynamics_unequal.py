@@ -1,0 +1,200 @@
+"""Unequal members, given torques, and tolerances of stiffness and mass.
+
+Oracles: dense NumPy solves of dynamics_oracle.py with every member's own number (1e-9 of the largest amplitude);
+equal numbers given one by one against one number for all (1e-9, two ways through the same matrices); independent
+cases (tests/reference/dynamics.json); first-order propagation by sensitivities, which a Monte Carlo study of small
+deviations must meet within its sampling error.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from dynamics_oracle import Oracle, layout
+from rvjax import Damping, Status, dynamics
+from rvjax.catalogue import RV_320E
+from rvjax.dynamics import with_deviations
+from rvjax.tolerances import Outcome, Tolerance, monte_carlo
+from rvjax.units import rpm
+
+TORQUE, RATED = -3136.0, 1000 * rpm
+DAMPED = RV_320E.replace(damping=Damping(0.02, 30.0, 2e-7, 0.01))
+RATED_CASE = dict(sun_speed=RATED, output_torque=TORQUE)
+
+
+def unequal(design, seed=3, size=0.2):
+    """Every member with a stiffness and a mass of its own."""
+    rng, c, d = np.random.default_rng(seed), design.cranks.count, design.cycloid.disc_count
+    shapes = dict.fromkeys(("sun_planet_mesh", "planet_crank_bending", "planet_crank_torsion", "support_bearing"), (c,))
+    shapes |= dict(turning_arm_bearing=(d, c), disc_pin_mesh=(d,))
+    shapes = {f"stiffness.{name}": shape for name, shape in shapes.items()}
+    for part, count in (("planet", c), ("crank", c), ("disc", d)):
+        shapes |= {f"inertia.{part}_mass": (count,), f"inertia.{part}_inertia": (count,)}
+    deviations = {name: size * rng.uniform(-1, 1, shape) for name, shape in shapes.items()}
+    return jax.tree.map(lambda x: x if np.ndim(x) == 0 else np.asarray(x), with_deviations(design, deviations))
+
+
+def assert_close(found, expected, rtol=1e-9):
+    """Within rtol of the largest translation, or rotation, of all."""
+    for kind in (np.arange(expected.shape[-1]) % 3 == 2, np.arange(expected.shape[-1]) % 3 != 2):
+        assert np.abs(found - expected)[..., kind].max() < rtol * np.abs(expected[..., kind]).max()
+
+
+@pytest.mark.parametrize("stage", ["planetary", "cycloid"])
+def test_unequal_members_are_solved_on_the_whole_model(stage):
+    design, harmonics = unequal(layout(DAMPED, 4, 3, disc_phase=0.3)), 4
+    oracle = Oracle(design)
+    w, labels = oracle.frequency(stage, RATED), dynamics.assemble(design).labels
+
+    @jax.jit
+    def solve(design):
+        options = RATED_CASE | dict(stage=stage, harmonics=harmonics, outputs=labels)
+        return [dynamics.response(design, **options, method=m) for m in ("first_order", "harmonic_balance")]
+
+    first, full = solve(design)
+    assert (first.form, full.form) == ("first_order_whole", "mesh")
+    assert first.info.status == full.info.status == Status.CONVERGED
+    assert_close(np.asarray(first.amplitude), oracle.first_order(stage, w, harmonics, TORQUE))
+    expected = oracle.harmonic_balance(stage, w, harmonics, TORQUE)[harmonics:]
+    assert_close(np.asarray(full.amplitude), 2 * expected[1:])
+    assert_close(np.asarray(full.mean), expected[0].real)
+    if stage == "cycloid":
+        return
+    np.testing.assert_allclose(dynamics.assemble(design).stiffness, oracle.K, atol=1e-14 * np.abs(oracle.K).max())
+    modes, static = dynamics.modes(design), dynamics.static(design, output_torque=TORQUE)
+    root = np.sqrt(oracle.m)
+    squares = np.linalg.eigvalsh(oracle.K / np.outer(root, root))
+    np.testing.assert_allclose(modes.frequency, np.sqrt(squares) / (2 * np.pi), rtol=1e-9)
+    assert set(modes.kind) == {"coupled"}
+    assert_close(np.asarray(static.deflection), oracle.mean(TORQUE))
+    # Still statically determinate where the springs share one force each: discs in parallel are not.
+    assert np.ptp(np.asarray(static.cycloid_force)) > 1
+    assert np.sum(static.cycloid_force) == pytest.approx(-3 * 13639.03, rel=1e-6)
+
+
+def test_equal_members_given_one_by_one_are_equal():
+    """The same reducer through its symmetry and, as arrays, through the whole model."""
+    design = layout(DAMPED, 4, 3)
+    arrays = design.replace(stiffness=design.stiffness.replace(disc_pin_mesh=np.full(3, 8.35e8)))
+    outputs = ("output.x", "output.rotation", "planet2.y")
+    for method in ("first_order", "harmonic_balance"):
+        alike, each = (dynamics.response(d, **RATED_CASE, method=method, outputs=outputs) for d in (design, arrays))
+        assert alike.form != each.form
+        one, other = np.asarray(alike.amplitude), np.asarray(each.amplitude)
+        assert np.all(np.abs(one - other).max(axis=0) < 1e-9 * np.abs(one).max(axis=0))
+    modes = dynamics.modes(design)
+    np.testing.assert_allclose(dynamics.modes(arrays).frequency, modes.frequency, rtol=1e-9)
+    # One number for all is the sum of the members' shares, in every derivative.
+    logs = [dynamics.log_sensitivities(d, **RATED_CASE, harmonics=4) for d in (design, arrays)]
+    name = "stiffness.disc_pin_mesh"
+    assert logs[1][name].shape == (4, 3, 3)
+    np.testing.assert_allclose(np.sum(logs[1][name], axis=-1)[0, 0], logs[0][name][0, 0], rtol=1e-8)
+    np.testing.assert_allclose(logs[1]["cycloid.eccentricity"][0, 0], logs[0]["cycloid.eccentricity"][0, 0], rtol=1e-8)
+
+
+def test_what_is_refused():
+    with pytest.raises(ValueError, match=r"disc_pin_mesh: shape \(4,\), expected one number for each of \(discs\)"):
+        dynamics.assemble(RV_320E.replace(stiffness=RV_320E.stiffness.replace(disc_pin_mesh=np.full(4, 8.35e8))))
+    with pytest.raises(ValueError, match=r"a scalar; sweep with jax\.vmap"):
+        RV_320E.stiffness.replace(sun_support=np.full(4, 8.35e8))
+    with pytest.raises(ValueError, match="members alike"):
+        dynamics.blocks(unequal(RV_320E))
+    for name in ("stiffness.magic", "magic", "stiffness", "stiffness.sun_support.x", "cycloid.disc_teeth"):
+        with pytest.raises(ValueError, match=f"deviations: {name!r} is no number of this design"):
+            with_deviations(RV_320E, {name: 0.1})
+
+
+def test_a_given_sun_torque(reference):
+    """The input held by its torsion spring alone, as a torsional stiffness is measured; none without any spring."""
+    cases = {case["id"]: case for case in reference("dynamics")["cases"]}
+    names = {"theta_s": "sun.rotation", "theta_p1": "planet1.rotation", "x_H1": "crank1.x", "y_c1": "disc1.y"}
+    names |= {"theta_c1": "disc1.rotation", "theta_o": "output.rotation", "x_o": "output.x", "y_o": "output.y"}
+    names |= {"x_s": "sun.x", "theta_s": "sun.rotation"}
+    labels = dynamics.assemble(RV_320E).labels
+    held = dynamics.static(RV_320E, output_torque=TORQUE, sun_torque=0.0)
+    for name, value in cases[21]["out"].items():
+        assert float(held.deflection[labels.index(names[name])]) == pytest.approx(value, rel=1e-9, abs=1e-15)
+    # Output held, input free and without torque: no mesh carries load, nothing vibrates.
+    design = RV_320E.replace(stiffness=RV_320E.stiffness.replace(sun_torsion=0.0, output_torsion=1e6))
+    outputs = [names[name] for name in cases[36]["out"]]
+    for method in ("first_order", "harmonic_balance"):
+        still = dynamics.response(design, **RATED_CASE, sun_torque=0.0, method=method, outputs=outputs)
+        assert still.info.status == Status.CONVERGED
+        assert np.abs(np.asarray(still.amplitude)).max() < 1e-17  # rounding of a mean state of 1e-3 rad
+        moving = dynamics.response(design, **RATED_CASE, method=method, outputs=outputs)
+        assert np.abs(np.asarray(moving.amplitude)).max() > 1e-8
+    free = RV_320E.replace(stiffness=RV_320E.stiffness.replace(sun_torsion=0.0))
+    assert dynamics.static(free, output_torque=TORQUE, sun_torque=0.0).info.status == Status.SINGULAR
+
+
+def test_sweeps_over_speeds_and_designs_compile_once():
+    """Stacked records are a batch: one program for every grid of one size, each lane the single case."""
+
+    def one(design, speed):
+        found = dynamics.response(design, sun_speed=speed, output_torque=TORQUE, harmonics=4)
+        return found.amplitude, found.resonance_distance, found.info.status
+
+    stiffness = jnp.array([0.9, 1.0, 1.1])
+    designs = jax.vmap(lambda d: with_deviations(DAMPED, {"stiffness.disc_pin_mesh": d - 1}))(stiffness)
+    run = jax.jit(jax.vmap(jax.vmap(one, in_axes=(None, 0)), in_axes=(0, None)))
+    for speeds in (jnp.array([0.5, 1.0]) * RATED, jnp.array([0.7, -1.0]) * RATED):
+        amplitude, distance, status = run(designs, speeds)
+    assert run._cache_size() == 1
+    assert amplitude.shape == (3, 2, 4, 3) and distance.shape == (3, 2, 4) and np.all(status == Status.CONVERGED)
+    alone = dynamics.response(DAMPED, sun_speed=0.7 * RATED, output_torque=TORQUE, harmonics=4)
+    np.testing.assert_allclose(amplitude[1, 0], alone.amplitude, rtol=1e-10, atol=1e-22)
+    assert np.all(np.diff(np.abs(amplitude[:, 0, 0, 0])) != 0)
+
+
+def test_monte_carlo_of_stiffness_and_mass_meets_first_order():
+    """Relative bands of 3 sigma, all members alike: an amplitude, a frequency and the distance from resonance."""
+    bands = {
+        "stiffness.disc_pin_mesh": 0.03,
+        "stiffness.turning_arm_bearing": 0.03,
+        "stiffness.sun_torsion": 0.03,
+        "inertia.disc_inertia": 0.015,
+        "inertia.sun_inertia": 0.015,
+    }
+    design = RV_320E.replace(damping=Damping(loss_factor=0.02))
+
+    def figures(deviations):
+        unit = with_deviations(design, deviations)
+        found = dynamics.response(unit, **RATED_CASE, harmonics=4, outputs=("output.rotation", "sun.rotation"))
+        modes = dynamics.modes(unit)
+        values = dict(
+            rotation=jnp.abs(found.amplitude[3, 0]), torsion=modes.frequency[0], margin=found.resonance_distance[3]
+        )
+        return Outcome(value=values, status=jnp.stack([found.info.status, modes.info.status]))
+
+    tolerances = {name: Tolerance.symmetric(band) for name, band in bands.items()}
+    found = monte_carlo(figures, tolerances, samples=2000, seed=1, chunk=1000)
+    assert found.failed == 0
+
+    @jax.jit
+    def first_order_of(deviations):
+        return jax.jacfwd(lambda d: figures(d).value)(deviations), figures(deviations).value
+
+    slopes, nominal = first_order_of(dict.fromkeys(bands, 0.0))
+    for figure in nominal:
+        first_order = np.sqrt(sum((float(slopes[figure][name]) * band / 3) ** 2 for name, band in bands.items()))
+        assert first_order > 0
+        # Sampling error of the spread of 2000 units: 1.6 %; curvature adds a fraction of a percent.
+        assert found.sd[figure].value == pytest.approx(first_order, rel=0.05), figure
+        assert found.mean[figure].value == pytest.approx(float(nominal[figure]), abs=0.1 * first_order)
+
+
+def test_members_that_vary_one_by_one_average_out():
+    """n independent members spread the first torsional frequency by 1/sqrt(n) of what they do all alike."""
+
+    def torsion(deviations):
+        return dynamics.modes(with_deviations(RV_320E, deviations)).frequency[0]
+
+    name, band = "stiffness.disc_pin_mesh", 0.1
+    modes = dynamics.modes(RV_320E)
+    shares = dynamics.energy_shares(RV_320E, modes)
+    slope = float(modes.frequency[0] * shares.strain[0, shares.springs.index("disc_pin_mesh")]) / 2
+    own = monte_carlo(torsion, {name: Tolerance.symmetric(band, shape=(3,))}, samples=1000, seed=2, chunk=1000)
+    # Sampling error of the spread: 2.2 %.
+    assert own.sd.value == pytest.approx(slope * band / 3 / np.sqrt(3), rel=0.07)
+    assert own.failed == 0
