@@ -13,9 +13,10 @@ import jax
 import jax.numpy as jnp
 
 from rvjax.mesh_force import laws
-from rvjax.mesh_force.block import DEAD_CENTRE, Balance, solve_block
+from rvjax.mesh_force.block import Balance, solve_block
 from rvjax.mesh_force.case import Case
 from rvjax.mesh_force.laws import Compliance
+from rvjax.mesh_force.safe import DEAD_CENTRE
 
 _BLOCK = 1024  # cases; a block's arrays (26, 1024) stay in the cache of one core
 

@@ -1,7 +1,7 @@
 """One case in numbers without units, and its rollers, one at a time or all at once.
 
-Lengths are in roller radii or eccentricities, loads in units of pi l r / (4 C); the windup tau stands for
-windup times eccentricity over roller radius, so that tau * arm + gap is an approach in roller radii.
+Lengths are in roller radii, the geometry in lengths of the link Rj + r, loads in units of pi l r / (4 C); the
+windup tau stands for windup times eccentricity over roller radius, so that tau * arm + gap is an approach.
 """
 
 from typing import Any, NamedTuple
@@ -19,9 +19,8 @@ from rvjax.mesh_force.laws import Compliance
 class Case(NamedTuple):
     """What decides the equilibrium; leaves are (), or (cases,) in a batch; `radius_error` also one per roller."""
 
-    eccentricity: jax.Array
-    link: jax.Array  # Rj + r
-    roller_radius: jax.Array
+    eccentricity: jax.Array  # over the link Rj + r
+    roller_radius: jax.Array  # over the link
     palmgren: jax.Array  # factor of Palmgren's law
     sine: jax.Array  # of z theta
     cosine: jax.Array
@@ -49,12 +48,11 @@ def take_apart(design: CamRollerReducer, errors: CamRollerErrors, torque: Any, a
         torque: on the crank, N m.
         angle: of the output, rad.
     """
-    r, e = design.roller_radius, design.eccentricity
+    r, e, link = design.roller_radius, design.eccentricity, design.cam_radius + design.roller_radius
     unit = contact.load_unit(design.young_modulus, design.poisson_ratio, design.roller_length, r)
     case = Case(
-        eccentricity=e,
-        link=design.cam_radius + r,
-        roller_radius=r,
+        eccentricity=e / link,
+        roller_radius=r / link,
         palmgren=3.81 / 4**0.9 * (design.roller_length / r) ** 0.1,
         sine=jnp.sin(design.gear_teeth * angle),
         cosine=jnp.cos(design.gear_teeth * angle),
@@ -78,14 +76,14 @@ def roller(teeth: int, case: Case, sine: Any, cosine: Any, radius_error: jax.Arr
     """
     sin_psi = case.sine * cosine - case.cosine * sine  # (5)
     cos_psi = case.cosine * cosine + case.sine * sine
-    place = geometry.rollers(case.eccentricity, case.link, teeth, sin_psi, cos_psi)
+    place = geometry.rollers(case.eccentricity, 1, teeth, sin_psi, cos_psi)
     cage = jnp.abs(place.cage_ratio)
     # (17)-(27) by virtual work: a roller acts at three contacts, the cam at one.
     gap = case.cam_error + case.throw_error * place.throw + radius_error * (1 + cage + place.gear_ratio)
     compliance = Compliance(
         cage=cage,
         gear=place.gear_ratio,
-        cam_radius=1 - case.roller_radius / case.link,
+        cam_radius=1 - case.roller_radius,
         gear_radius=1 + case.roller_radius * place.centre_curvature,  # (10)
         palmgren=case.palmgren,
     )

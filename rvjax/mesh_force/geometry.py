@@ -45,7 +45,7 @@ class ToothProfile(Record):
     undercut: Any = field("-", "True where the design has no complete working profile", kind="integer")
 
 
-def rollers(eccentricity: jax.Array, link: jax.Array, teeth: int, sin_psi: jax.Array, cos_psi: jax.Array) -> Rollers:
+def rollers(eccentricity: jax.Array, link: Any, teeth: int, sin_psi: jax.Array, cos_psi: jax.Array) -> Rollers:
     """Geometry of rollers from the cam lead psi over their rays; elementwise in any shape.
 
     Args:

@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 
 from rvjax import contact
+from rvjax.fastmath import power
 
 CONTACTS = ("hertz", "linear", "palmgren")
 
@@ -46,7 +47,7 @@ def approach(law: str, load: jax.Array, roller: Compliance) -> jax.Array:
     if law == "linear":
         return roller.weight * load / 2
     if law == "palmgren":
-        return roller.palmgren * _palmgren_weight(roller) * _power(load, 0.9)
+        return roller.palmgren * _palmgren_weight(roller) * power(load, 0.9)
     return (
         contact.approach(load, roller.cam_radius)
         + roller.cage * contact.sagitta(roller.cage * load)
@@ -67,7 +68,7 @@ def slope(law: str, load: jax.Array, roller: Compliance) -> jax.Array:
     if law == "palmgren":
         loaded = load > 0
         some = jnp.where(loaded, load, 1)
-        return jnp.where(loaded, 0.9 * roller.palmgren * _palmgren_weight(roller) * some**-0.1, 1)
+        return jnp.where(loaded, 0.9 * roller.palmgren * _palmgren_weight(roller) * power(some, -0.1), 1)
     return (
         contact.approach_slope(load, roller.cam_radius)
         + roller.cage**2 * contact.sagitta_slope(roller.cage * load)
@@ -106,7 +107,7 @@ def inverse(law: str, depth: jax.Array, roller: Compliance) -> tuple[jax.Array, 
         return stiffness * depth, jnp.where(loaded, stiffness, 0), jnp.zeros_like(loaded)
     if law == "palmgren":
         some = jnp.where(loaded, depth, 1)
-        load = (some / (roller.palmgren * _palmgren_weight(roller))) ** (10 / 9)
+        load = power(some / (roller.palmgren * _palmgren_weight(roller)), 10 / 9)
         return jnp.where(loaded, load, 0), jnp.where(loaded, load / (0.9 * some), 0), jnp.zeros_like(loaded)
     limit = load_limit(law, roller) * (1 - float(jnp.finfo(depth.dtype).eps) ** 0.5)
     last = approach(law, limit, roller)
@@ -116,19 +117,28 @@ def inverse(law: str, depth: jax.Array, roller: Compliance) -> tuple[jax.Array, 
     return load + jnp.where(beyond, stiffness * (depth - last), 0), jnp.where(loaded, rate, 0), beyond
 
 
-def guess(law: str, depth: jax.Array, roller: Compliance) -> tuple[jax.Array, jax.Array]:
-    """Load and stiffness of `inverse` without iteration: exact but for "hertz", there the power series.
+def secant_stiffness(law: str, load: jax.Array, roller: Compliance) -> jax.Array:
+    """Load over approach at a load; but for "palmgren" that of small loads.
+
+    Args:
+        law: one of `CONTACTS`.
+        load: u > 0.
+        roller: its compliance.
+    """
+    if law == "palmgren":
+        return power(load, 0.1) / (roller.palmgren * _palmgren_weight(roller))
+    return 2 / roller.weight
+
+
+def series(depth: jax.Array, roller: Compliance) -> tuple[jax.Array, jax.Array]:
+    """Load and stiffness of "hertz" for an approach, by power series.
 
     At half-widths of 0.03 r the series is good to 1e-9; from 0.4 r on it only stays in bounds.
 
     Args:
-        law: one of `CONTACTS`.
         depth: approach >= 0.
         roller: its compliance.
     """
-    if law != "hertz":
-        load, rate, _ = inverse(law, depth, roller)
-        return load, rate
     stiffness = 2 / roller.weight
     y = stiffness * depth
     gear = contact.approach_series(roller.gear_radius)
@@ -158,10 +168,4 @@ def _hertz_load(depth: jax.Array, roller: Compliance, limit: jax.Array) -> jax.A
 
 
 def _palmgren_weight(roller: Compliance) -> jax.Array:
-    return 1 + _power(roller.cage, 1.9) + roller.gear**1.9
-
-
-def _power(base: jax.Array, exponent: float) -> jax.Array:
-    """base ** exponent with the derivative 0 at base = 0."""
-    positive = base > 0
-    return jnp.where(positive, jnp.where(positive, base, 1) ** exponent, 0)
+    return 1 + power(roller.cage, 1.9) + power(roller.gear, 1.9)

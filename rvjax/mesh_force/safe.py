@@ -1,0 +1,128 @@
+"""Equilibrium of the cases that Newton steps left open: a bracket for the windup, every load solved exactly.
+
+Rare cases only: no torque, a load limit passed, rollers that change sides at the last step, rounding.
+Arrays are (rollers, cases), or (1, cases) for what a case has once.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from rvjax.mesh_force import laws
+from rvjax.mesh_force.case import Case, Roller, all_rollers
+
+DEAD_CENTRE = 1e-6  # arm over eccentricity below which a roller does not decide where contact begins
+_STEPS = 100
+
+
+def solve(law: str, teeth: int, case: Case, torque: jax.Array, start: jax.Array) -> dict[str, jax.Array]:
+    """Windup, steps, overload and finite (cases,), and load (n, cases).
+
+    Args:
+        law: one of `laws.CONTACTS`.
+        teeth: z.
+        case: leaves (cases,) or (1,); `radius_error` also (n, cases) or (n, 1).
+        torque: (cases,).
+        start: windup near which to search, (cases,); 0 serves where it is not finite.
+    """
+    rollers = all_rollers(teeth, case)
+    rollers = rollers._replace(gap=jnp.broadcast_to(rollers.gap, (teeth + 1, *torque.shape)))
+    torque = torque[None]
+    start = jnp.where(jnp.isfinite(start), start, 0)[None]
+    found = _bracketed(law, rollers, torque, start)
+    windup, load = _rest(rollers, torque, found["windup"], found["load"])
+    found = {**found, "windup": windup}
+    return {name: value[0] for name, value in found.items() if name != "load"} | {"load": load}
+
+
+def _bracketed(law: str, rollers: Roller, torque: jax.Array, start: jax.Array) -> dict[str, jax.Array]:
+    arm, compliance = rollers.arm, rollers.compliance
+    from_start = start * arm + rollers.gap
+    tolerance = 4 * float(jnp.finfo(torque.dtype).eps)
+
+    def running(state: dict[str, Any]) -> jax.Array:
+        return jnp.any(state["running"])
+
+    def step(state: dict[str, Any]) -> dict[str, Any]:
+        x = state["x"]
+        load, rate, beyond = laws.inverse(law, x * arm + from_start, compliance)
+        missing = jnp.sum(arm * load, axis=0, keepdims=True) - torque
+        slope = jnp.sum(arm**2 * rate, axis=0, keepdims=True)
+        scale = jnp.maximum(jnp.abs(torque), jnp.sum(jnp.abs(arm * load), axis=0, keepdims=True))
+        bracket, target = _advance(state["bracket"], x, missing, slope)
+        finite, overload = jnp.isfinite(target) & jnp.isfinite(scale), jnp.any(beyond, axis=0, keepdims=True)
+        done = (jnp.abs(missing) <= tolerance * scale) | (jnp.abs(target - x) <= tolerance * jnp.abs(target)) | ~finite
+        # What rounding of x leaves is shared out along the stiffness.
+        rest = jnp.where(slope > 0, missing / jnp.where(slope > 0, slope, 1), 0)
+        corrected = jnp.maximum(load - rate * arm * rest, 0)
+        good = finite & ~overload  # a failed lane returns zeros, so that no derivative of it is NaN
+        new = {
+            "x": jnp.where(done, jnp.where(good, x, 0), target),
+            "load": jnp.where(done, jnp.where(good, corrected, 0), load),
+            "bracket": bracket,
+            "steps": state["steps"] + 1,
+            "overload": overload,
+            "finite": finite,
+            "running": ~done & (state["steps"] < _STEPS),
+        }
+        return jax.tree.map(lambda after, before: jnp.where(state["running"], after, before), new, state)
+
+    stride = jnp.abs(start) + jnp.max(jnp.abs(rollers.gap), axis=0, keepdims=True)
+    state: dict[str, Any] = {
+        "x": jnp.zeros_like(start),
+        "load": jnp.zeros_like(rollers.gap),
+        "bracket": _open_bracket(stride),
+        "steps": jnp.zeros(start.shape, jnp.int32),
+        "overload": jnp.zeros(start.shape, bool),
+        "finite": jnp.ones(start.shape, bool),
+        "running": jnp.ones(start.shape, bool),
+    }
+    state = jax.lax.while_loop(running, step, state)
+    return {"windup": start + state["x"], **{name: state[name] for name in ("load", "steps", "overload", "finite")}}
+
+
+def _rest(rollers: Roller, torque: jax.Array, windup: jax.Array, load: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Without torque and preload: no loads, and the windup at the upper edge of where nothing is loaded."""
+    edge, slack = _dead_band(rollers)
+    idle = slack & (torque == 0)
+    return jnp.where(idle, edge, windup), jnp.where(idle & (jnp.abs(rollers.arm) > DEAD_CENTRE), 0, load)
+
+
+def _dead_band(rollers: Roller) -> tuple[jax.Array, jax.Array]:
+    """Upper edge of the range of windups at which nothing is loaded, and whether there is such a range."""
+    forward, backward = rollers.arm > DEAD_CENTRE, rollers.arm < -DEAD_CENTRE
+    threshold = -rollers.gap / jnp.where(forward | backward, rollers.arm, 1)
+    upper = jnp.min(jnp.where(forward, threshold, jnp.inf), axis=0, keepdims=True)
+    lower = jnp.max(jnp.where(backward, threshold, -jnp.inf), axis=0, keepdims=True)
+    return upper, lower <= upper
+
+
+class _Bracket(NamedTuple):
+    low: jax.Array
+    high: jax.Array
+    last: jax.Array  # |missing| before the last Newton step
+    stride: jax.Array
+
+
+def _open_bracket(stride: jax.Array) -> _Bracket:
+    infinity = jnp.full_like(stride, jnp.inf)
+    return _Bracket(-infinity, infinity, infinity, stride)
+
+
+def _advance(bracket: _Bracket, x: jax.Array, missing: jax.Array, slope: jax.Array) -> tuple[_Bracket, jax.Array]:
+    """Newton step on a nondecreasing function inside a bracket that opens at infinity.
+
+    A step that does not stay strictly inside the bracket, or follows one that did not halve the residual, is
+    replaced by the middle of the bracket; while one end is open, by a stride that doubles. At the root, where
+    rounding decides, Newton steps stand.
+    """
+    low, high = jnp.where(missing <= 0, x, bracket.low), jnp.where(missing >= 0, x, bracket.high)
+    closed = jnp.isfinite(low) & jnp.isfinite(high)
+    newton = x - missing / jnp.where(slope > 0, slope, 1)
+    settled = jnp.abs(newton - x) <= 16 * float(jnp.finfo(x.dtype).eps) * jnp.abs(newton)
+    inside = (newton > low) & (newton < high) & (~closed | (2 * jnp.abs(missing) <= bracket.last))
+    use = (slope > 0) & (settled | inside)
+    other = jnp.where(closed, (low + high) / 2, x - jnp.sign(missing) * bracket.stride)
+    after = _Bracket(low, high, jnp.where(use, jnp.abs(missing), jnp.inf), 2 * bracket.stride)
+    return after, jnp.where(use, newton, jnp.where(missing == 0, x, other))
