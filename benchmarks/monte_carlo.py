@@ -1,0 +1,191 @@
+"""A hundred million RV-40E units in one run: rate beside the bare jitted kernel, memory against units.
+
+The response is the four-bar part of the embedded study: peak-to-peak transmission error over a crank turn of 64
+angles under load, with the study's tolerances and requirement. The bare kernel is the same two jitted programs
+(random numbers, response) called chunk after chunk with nothing read by the host; it is timed in slices between
+slices of the run, so that a busy machine slows both alike. Memory is the resident set at every tenth of the run.
+
+    python benchmarks/monte_carlo.py --units 1e8 [--method sobol] [--checkpoint FILE] [--json FILE]
+"""
+
+import argparse
+import os
+import threading
+import time
+from pathlib import Path
+
+from timing import publish, settings
+
+settings()
+
+import jax  # noqa: E402
+import jax.numpy as jnp  # noqa: E402
+
+from rvjax import scene, study  # noqa: E402
+from rvjax.tolerances import monte_carlo  # noqa: E402
+from rvjax.tolerances.layout import drawn, layout, root_key  # noqa: E402
+from rvjax.tolerances.responses import respond  # noqa: E402
+
+FIELDS = ("crank_eccentricity", "crank_phase", "disc_bore", "carrier_bore", "bearing_clearance")
+OUTPUT = "transmission_error"
+
+
+def question():
+    """Response, tolerances and requirement of the four-bar part of the study."""
+    asked = study.load("rv-40e")
+    others = {name: None for name in asked.fields if name not in FIELDS}
+    respond_with = scene.response(asked.design, (OUTPUT,), asked.conditions)
+    return respond_with, asked.tolerances.replace(**others), {OUTPUT: asked.requirements[OUTPUT]}
+
+
+def resident():
+    """Memory of this process in MB."""
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
+
+
+class Memory:
+    """Largest resident set in each part of a run, sampled every 20 ms."""
+
+    def __init__(self):
+        self.largest, self._on = 0.0, True
+        self._thread = threading.Thread(target=self._watch, daemon=True)
+        self._thread.start()
+
+    def _watch(self):
+        while self._on:
+            self.largest = max(self.largest, resident())
+            time.sleep(0.02)
+
+    def part(self):
+        """The largest since the last call."""
+        found, self.largest = max(self.largest, resident()), 0.0
+        return found
+
+    def stop(self):
+        """End watching."""
+        self._on = False
+        self._thread.join()
+
+
+def kernel(response, tolerances, chunk, chunks):
+    """Seconds of the bare programs over `chunks` chunks, in order and without waiting between them."""
+    key = root_key(0)
+    start = time.perf_counter()
+    for number in range(chunks):
+        out = respond(response, tolerances, drawn(tolerances, key, jnp.uint32(number * chunk), count=chunk))
+    jax.block_until_ready(out)
+    return time.perf_counter() - start
+
+
+def response_only(response, tolerances, chunk, chunks):
+    """Seconds of the response alone, on one set of random numbers."""
+    z = drawn(tolerances, root_key(0), jnp.uint32(0), count=chunk)
+    jax.block_until_ready(respond(response, tolerances, z))
+    start = time.perf_counter()
+    for _ in range(chunks):
+        out = respond(response, tolerances, z)
+    jax.block_until_ready(out)
+    return time.perf_counter() - start
+
+
+def race(response, tolerances, required, chunk, method, rounds=7, chunks=24):
+    """Smallest ns a unit of the statistics, the bare programs, and the response alone; in turn."""
+
+    def whole():
+        start = time.perf_counter()
+        monte_carlo(
+            response, tolerances, samples=chunks * chunk, seed=0, chunk=chunk, method=method, requirements=required
+        )
+        return time.perf_counter() - start
+
+    candidates = {
+        "monte_carlo": whole,
+        "kernel": lambda: kernel(response, tolerances, chunk, chunks),
+        "response": lambda: response_only(response, tolerances, chunk, chunks),
+    }
+    seconds = {name: [run() for _ in range(1)] and [] for name, run in candidates.items()}  # the first run compiles
+    for _ in range(rounds):
+        for name, run in candidates.items():
+            seconds[name].append(run())
+    return {name: 1e9 * min(found) / (chunks * chunk) for name, found in seconds.items()}
+
+
+def main():
+    """Race, then the long run."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--units", type=float, default=1e7)
+    parser.add_argument("--chunk", type=int, default=32768)
+    parser.add_argument("--method", default="random")
+    parser.add_argument("--checkpoint", help="write a checkpoint while running")
+    parser.add_argument("--json", type=Path, help="write the figures to this file")
+    options = parser.parse_args()
+    units, chunk = int(options.units), options.chunk
+    response, tolerances, required = question()
+    ns = race(response, tolerances, required, chunk, options.method)
+
+    curve, memory, began = [], Memory(), time.perf_counter()
+    # The run is watched through its progress: every tenth of it gives a point of the curve.
+    found = watched_run(response, tolerances, required, units, options, curve, memory, began)
+    seconds = time.perf_counter() - began
+    memory.stop()
+    after = kernel(response, tolerances, chunk, 24) / (24 * chunk) * 1e9
+    print(f"{'units':>12s} {'seconds':>9s} {'memory MB':>10s}")
+    for done, elapsed, largest in curve:
+        print(f"{done:12,d} {elapsed:9.1f} {largest:10.1f}")
+    first, last = curve[0][2], max(point[2] for point in curve[1:])
+    mean = found.mean[OUTPUT]
+    publish(
+        "monte_carlo",
+        {
+            "units": units,
+            "chunk": chunk,
+            "random_numbers_per_unit": layout(tolerances).numbers,
+            "seconds": seconds,
+            "ns_per_unit_of_the_run": 1e9 * seconds / units,
+            **{f"ns_per_unit_{name}": value for name, value in ns.items()},
+            "ns_per_unit_kernel_after_the_run": after,
+            "monte_carlo_over_kernel": ns["monte_carlo"] / ns["kernel"],
+            "monte_carlo_over_response_alone": ns["monte_carlo"] / ns["response"],
+            "memory_growth_MB_after_the_first_tenth": last - first,
+            "mean_arcmin": mean.value / 2.908882086657216e-4,
+            "mean_standard_error_arcmin": mean.error / 2.908882086657216e-4,
+            "rejects_ppm": found.ppm[OUTPUT].value,
+            "rejects_ppm_lower": found.ppm[OUTPUT].lower,
+            "rejects_ppm_upper": found.ppm[OUTPUT].upper,
+            "failed": found.failed,
+        },
+        options.json,
+    )
+
+
+def watched_run(response, tolerances, required, units, options, curve, memory, began):
+    """The long run, with a point of the memory curve at every tenth."""
+    from rvjax.tolerances import tally
+
+    add, tenth = tally.Tally.add, max(units // 10, options.chunk)
+
+    def watching(self, number, start, values, status, **own):
+        add(self, number, start, values, status, **own)
+        done = start + len(status)
+        if done // tenth > len(curve) or done == units:
+            curve.append((done, time.perf_counter() - began, memory.part()))
+
+    tally.Tally.add = watching
+    try:
+        return monte_carlo(
+            response,
+            tolerances,
+            samples=units,
+            seed=0,
+            chunk=options.chunk,
+            method=options.method,
+            requirements=required,
+            checkpoint=options.checkpoint,
+        )
+    finally:
+        tally.Tally.add = add
+
+
+if __name__ == "__main__":
+    main()
