@@ -1,6 +1,5 @@
 """The answer to a study: the allocation, and what a person wants to see beside it."""
 
-import dataclasses
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -10,7 +9,7 @@ import numpy as np
 
 from rvjax import scene
 from rvjax.study import Study
-from rvjax.tolerances import Allocation, Statistics, allocate, monte_carlo, rss, sample
+from rvjax.tolerances import Allocation, Statistics, allocate, cost_curve, monte_carlo, rss, sample
 from rvjax.tolerances.responses import BLOCK  # chunks of the certificate's size: the response compiles once
 
 SHOWN_UNITS = 24  # units whose curve is drawn
@@ -97,7 +96,7 @@ def answer(study: Study, *, progress: bool = False) -> Answer:
         certificate_before=before,
         before=_side(study, response, study.tolerances),
         after=_side(study, response, allocation.tolerances),
-        cost_curve=_cost_curve(study, response) if allocation.feasible else [],
+        cost_curve=_cost_curve(study, response, allocation.tolerances) if allocation.feasible else [],
         angle=np.asarray(_nominal_angle(study)),
     )
 
@@ -138,21 +137,17 @@ def _curves(study: Study, tolerances: Any) -> np.ndarray:
     return np.asarray(jax.jit(jax.vmap(of_unit))(np.arange(SHOWN_UNITS)))
 
 
-def _cost_curve(study: Study, response: Callable[[Any], Any]) -> list[tuple[float, float]]:
-    curve = []
-    for target in YIELD_SWEEP:
-        requirements = {
-            name: dataclasses.replace(requirement, target=target) for name, requirement in study.requirements.items()
-        }
-        found = allocate(
-            response,
-            study.tolerances,
-            requirements,
-            costs=study.costs,
-            samples=study.samples,
-            seed=study.seed,
-            certificate_samples=SHOWN_VALUES,  # the curve shows the cost before certification: smooth, a little below
-        )
-        if found.feasible:
-            curve.append((target, float(found.history[-1]["cost"])))
-    return curve
+def _cost_curve(study: Study, response: Callable[[Any], Any], start: Any) -> list[tuple[float, float]]:
+    curve = cost_curve(
+        response,
+        start,
+        study.requirements,
+        costs=study.costs,
+        values=YIELD_SWEEP,
+        against="target",
+        samples=study.samples,
+        seed=study.seed,
+        certificate_samples=SHOWN_VALUES,
+    )
+    # Before certification: smooth, a little below.
+    return [(target, cost) for target, cost in zip(curve.values, curve.learned) if np.isfinite(cost)]

@@ -1,11 +1,18 @@
 """Pictures: functions that take numbers and results in SI and return Axes. The models never import this package."""
 
 from rvjax.plotting.lost_motion import contributions, torque_angle_loop
-from rvjax.plotting.statistics import cost_against_yield, response_histogram, unit_curves, variance_shares
+from rvjax.plotting.statistics import (
+    cost_against_limit,
+    cost_against_yield,
+    response_histogram,
+    unit_curves,
+    variance_shares,
+)
 from rvjax.plotting.style import style
 
 __all__ = [
     "contributions",
+    "cost_against_limit",
     "cost_against_yield",
     "response_histogram",
     "style",

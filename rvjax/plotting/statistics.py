@@ -134,3 +134,52 @@ def cost_against_yield(
     axes.set(xlabel="yield of each requirement (%)", ylabel="cost", title="Cost against yield")
     axes.legend()
     return axes
+
+
+def cost_against_limit(
+    limits: Sequence[float],
+    costs: Sequence[float],
+    *,
+    unit: str,
+    name: str,
+    prices: Sequence[float] | None = None,
+    chosen: tuple[float, float] | None = None,
+    axes: Axes | None = None,
+) -> Axes:
+    """Cheapest cost for each limit of a requirement; limits that cannot be met are shaded.
+
+    Args:
+        limits: SI.
+        costs: cheapest cost for each, nan where the requirements cannot be met.
+        unit: SI unit of the limit.
+        name: of the response.
+        prices: d cost / d limit at each limit, SI, drawn as short tangents.
+        chosen: (limit, cost) of the study, SI.
+        axes: where to draw; a new figure by default.
+    """
+    axes = new_axes(axes)
+    shown, size = readable(unit)
+    order = np.argsort(limits)
+    x, y = np.asarray(limits, float)[order] / size, np.asarray(costs, float)[order]
+    met = np.isfinite(y)
+    axes.plot(x[met], y[met], "o-", color=AFTER, label="cheapest tolerances")
+    if prices is not None:
+        slopes = np.asarray(prices, float)[order] * size
+        reach = 0.04 * (x[-1] - x[0])
+        tangents = np.array([[x - reach, x + reach], [y - slopes * reach, y + slopes * reach]])
+        lines = axes.plot(*tangents[:, :, met & np.isfinite(slopes)], color=LIMIT, lw=1.5)
+        if lines:
+            lines[0].set_label("shadow price")
+    if not met.all():
+        ends = [x[~met].min(), x[~met].max()]
+        if met.any():  # half-way to the neighbour that is met, on the side where it lies
+            side = int(x[met].mean() > x[~met].mean())
+            ends[side] = (ends[side] + (x[met].min() if side else x[met].max())) / 2
+        axes.axvspan(*ends, color="0.85", label="cannot be met")
+    if chosen is not None:
+        axes.plot(chosen[0] / size, chosen[1], "*", ms=15, color=LIMIT, label="this study", zorder=3)
+    axes.set(
+        xlabel=f"limit of {words(name)} ({shown})", ylabel="cost", title=f"Cost against the limit of {words(name)}"
+    )
+    axes.legend()
+    return axes

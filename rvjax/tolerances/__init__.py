@@ -7,6 +7,7 @@ Nothing here knows a gear: a response is any pure function of the errors of one 
 
 from rvjax.tolerances.allocation import Allocation, allocate
 from rvjax.tolerances.cost import Exponential, ReciprocalPower, Table
+from rvjax.tolerances.cost_curve import CostCurve, cost_curve
 from rvjax.tolerances.distributions import Tolerance
 from rvjax.tolerances.estimates import Estimate
 from rvjax.tolerances.failure import FailureProbability, failure_probability
@@ -22,6 +23,7 @@ from rvjax.tolerances.worst_case import WorstCase, worst_case
 
 __all__ = [
     "Allocation",
+    "CostCurve",
     "Estimate",
     "Exponential",
     "FailureProbability",
@@ -36,6 +38,7 @@ __all__ = [
     "Tolerance",
     "WorstCase",
     "allocate",
+    "cost_curve",
     "failure_probability",
     "for_design",
     "it_width",

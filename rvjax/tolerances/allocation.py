@@ -17,7 +17,7 @@ from rvjax.tolerances.monte_carlo import Statistics, progress_bar
 from rvjax.tolerances.requirements import Requirement
 from rvjax.tolerances.responses import Response, by_response, like_response, response_names
 from rvjax.tolerances.search import Search
-from rvjax.tolerances.snapping import snap
+from rvjax.tolerances.snapping import Snapping
 from rvjax.tolerances.training import Training
 
 _FEWEST = 100  # units a quantile can be learned from
@@ -96,7 +96,7 @@ def allocate(
         correlation: {(field or element, field or element): correlation of their z}.
         certificate_samples: fresh units per certificate.
         confidence: of the certificate's intervals.
-        grades: also snap fields with a `size` to ISO 286 grades.
+        grades: also snap fields with a `size` to ISO 286 grades and fit the other fields to them.
         max_steps: sets of half-widths tried, at most.
         progress: show progress bars.
 
@@ -163,7 +163,7 @@ def allocate(
 
     graded = None
     if grades and status != "INFEASIBLE":
-        t, found, snapped = snap(training, certifier, priced, half_widths, certificate)
+        t, found, snapped = Snapping(training, certifier, priced, max_steps).snap(half_widths, certificate)
         graded = result(
             "OPTIMAL" if certifier.holds(snapped) else "NOT_CERTIFIED", t, snapped, grades=found, graded=None
         )

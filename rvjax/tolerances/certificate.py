@@ -74,10 +74,12 @@ class Certifier:
             found.append(_two_sided(seen) / _two_sided(wanted))
         return np.array(found)
 
-    def settle(self, training: Any, start: np.ndarray, low: np.ndarray) -> tuple[np.ndarray, Statistics]:
+    def settle(
+        self, training: Any, start: np.ndarray, low: np.ndarray, *, draws: int = _DRAWS
+    ) -> tuple[np.ndarray, Statistics]:
         """Shrink all half-widths by common factors until a certificate holds; the last one drawn otherwise."""
         half_widths, statistics = start, self.draw(training.tolerances(start))
-        for _ in range(_DRAWS - 1):
+        for _ in range(draws - 1):
             factor = max(0.5, min(self.factors(statistics).min(), 1 - _LEAST))
             after = np.maximum(half_widths * factor, np.minimum(low, half_widths))
             if self.holds(statistics) or self.hopeless() or np.array_equal(after, half_widths):

@@ -249,11 +249,12 @@ def _flat(response: Response, parts: Layout, names: tuple[str, ...]) -> Callable
     """The named values, stacked, as a function of all active elements in one vector."""
     shapes = {n: t.shape for n, t in parts.active.items()}
 
+    ends = np.cumsum([math.prod(shape) for shape in shapes.values()])
+
     def function(vector: jax.Array) -> jax.Array:
-        active, start = {}, 0
-        for n, shape in shapes.items():
-            stop = start + math.prod(shape)
-            active[n], start = vector[start:stop].reshape(shape), stop
+        # Split, not sliced: its transpose is one concatenation, which compiles for hundreds of fields too.
+        own = jnp.split(vector, ends[:-1]) if shapes else []
+        active = {n: part.reshape(shape) for part, (n, shape) in zip(own, shapes.items())}
         values, _ = evaluate(response, parts.errors(active))
         return jnp.stack([values[n] for n in names])
 

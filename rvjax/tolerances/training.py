@@ -190,7 +190,8 @@ def _unit_gradients(
     parts = layout(tolerances)
 
     def weighted(t: jax.Array, z: jax.Array, cotangent: jax.Array) -> jax.Array:
-        scaled = parts.replace({n: parts.active[n].with_half_width(t[j]) for j, n in enumerate(fields)})
+        widths = jnp.split(t, len(fields))  # the transpose of a split is one concatenation
+        scaled = parts.replace({n: parts.active[n].with_half_width(w[0]) for n, w in zip(fields, widths)})
         errors = deviations(layout(scaled), z)
         values, _ = evaluate(response, parts.errors(errors))
         return jnp.stack([values[name] for name in names]) @ cotangent

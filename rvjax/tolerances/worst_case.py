@@ -190,12 +190,12 @@ class _Search:
 
 def _unit_errors(parts: Layout, u: jax.Array) -> dict[str, jax.Array]:
     """Errors of the active fields from unit coordinates (n,)."""
-    errors, start = {}, 0
-    for name, tolerance in parts.active.items():
-        stop = start + math.prod(tolerance.shape)
-        own = u[start:stop].reshape(tolerance.shape)
+    errors = {}
+    ends = np.cumsum([math.prod(t.shape) for t in parts.active.values()])
+    pieces = jnp.split(u, ends[:-1]) if parts.active else []  # the transpose of a split is one concatenation
+    for (name, tolerance), piece in zip(parts.active.items(), pieces):
+        own = piece.reshape(tolerance.shape)
         errors[name] = tolerance.upper * own if tolerance.is_vector else tolerance.middle + tolerance.half_width * own
-        start = stop
     return errors
 
 

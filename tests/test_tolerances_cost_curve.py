@@ -1,0 +1,189 @@
+"""Allocation seen from its requirements: shadow prices, requirement curves, grades beside free fields, many fields.
+
+Oracles: the closed form of a linear response with costs 1/t (sqrt(sum a_j^2 t_j^2) = 3 L / z(target), hence a cost
+~ z/L), and finite differences of the allocated cost itself. The certificate's confidence bound costs about
+0.5 % of half-width at 4 million units, 1 % to 1.5 % at one million, 3 % at 100 000; a sample of 65536 knows a
+quantile to half a percent. Costs are judged to 1 %, prices to 4 %.
+"""
+
+import math
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import stats
+
+from rvjax import plotting
+from rvjax.tolerances import (
+    Exponential,
+    ReciprocalPower,
+    Requirement,
+    Tolerance,
+    allocate,
+    cost_curve,
+    it_width,
+    rss,
+    worst_case,
+)
+from rvjax.units import mm, um
+
+WIDE = ReciprocalPower(finest=1 * um, coarsest=500 * um)
+PAIR = {"a": Tolerance.symmetric(10 * um), "b": Tolerance.symmetric(10 * um)}
+COSTS = {"a": WIDE, "b": WIDE}
+LIMIT = 20 * um
+
+
+def linear(e):
+    return e["a"] + 2 * e["b"]
+
+
+def bent(e):
+    """No closed form: a root sum of squares beside a linear part."""
+    return jnp.sqrt((10 * um) ** 2 + e["a"] ** 2 + 3 * e["b"] ** 2) - 10 * um + 0.3 * e["a"]
+
+
+def radius(target, limit=LIMIT):
+    return 3 * limit / stats.norm.ppf((1 + target) / 2)
+
+
+def closed_cost(target, limit=LIMIT):
+    b = radius(target, limit) / math.sqrt(4 ** (2 / 3) + 4)
+    return 10 * um * (1 / (4 ** (1 / 3) * b) + 1 / b)
+
+
+def test_closed_form_within_one_percent():
+    found = allocate(
+        linear,
+        PAIR,
+        Requirement(lower=-LIMIT, upper=LIMIT),
+        costs=COSTS,
+        samples=65536,
+        certificate_samples=4_000_000,
+    )
+    assert found.status == "OPTIMAL"
+    assert found.cost == pytest.approx(closed_cost(0.9973), rel=0.01)
+
+
+def test_two_hundred_fields():
+    """Costs c_j/t and slopes a_j: t_j ~ (c_j/a_j^2)^(1/3)."""
+    names = [f"e{k:03d}" for k in range(200)]
+    slope = dict(zip(names, np.linspace(0.2, 3.0, 200)))
+    scale = dict(zip(names, 1 + np.arange(200) % 7))
+    tolerances = {n: Tolerance.symmetric(5 * um) for n in names}
+    response = lambda e: sum(slope[n] * e[n] for n in names)  # noqa: E731
+    row = {"e": Tolerance.symmetric(5 * um, shape=(200,))}
+    summed = lambda e: jnp.sum(np.array(list(slope.values())) * e["e"])  # noqa: E731
+    assert rss(summed, row).sd == pytest.approx(5 / 3 * um * math.sqrt(sum(a**2 for a in slope.values())), rel=1e-12)
+    assert worst_case(summed, row).upper == pytest.approx(5 * um * sum(slope.values()), rel=1e-12)
+    costs = {n: ReciprocalPower(finest=0.1 * um, coarsest=1000 * um, scale=float(scale[n])) for n in names}
+    found = allocate(
+        response,
+        tolerances,
+        Requirement(lower=-LIMIT, upper=LIMIT),
+        costs=costs,
+        samples=4096,
+        certificate_samples=50_000,
+    )
+    shape = np.array([(scale[n] / slope[n] ** 2) ** (1 / 3) for n in names])
+    t = shape * radius(0.9973) / math.sqrt(sum((slope[n] * s) ** 2 for n, s in zip(names, shape)))
+    best = sum(scale[n] * 10 * um / tj for n, tj in zip(names, t))
+    assert found.status == "OPTIMAL"
+    assert best * 0.99 < found.cost < best * 1.08  # the certificate of 50 000 units costs 4 %
+
+
+@pytest.fixture(scope="module")
+def of_bent():
+    options = dict(samples=65536, certificate_samples=100_000)
+    costs = {"a": WIDE, "b": Exponential(decay=8 * um, finest=1 * um, coarsest=100 * um, scale=4.0)}
+    return cost_curve(
+        bent, PAIR, Requirement(upper=12 * um), costs=costs, values=np.array([11, 12, 13]) * um, **options
+    )
+
+
+def test_shadow_prices_are_the_slope_of_the_curve(of_bent):
+    low, middle, high = of_bent.learned
+    slope = (high - low) / (2 * um)
+    assert of_bent.multipliers[1] == pytest.approx(slope, rel=0.04)
+    assert of_bent.multipliers[0] < of_bent.multipliers[1] < of_bent.multipliers[2] < 0
+    assert low > middle > high
+    assert all(cost >= learned for cost, learned in zip(of_bent.costs, of_bent.learned))
+    assert {a.status for a in of_bent.allocations} == {"OPTIMAL"}
+
+
+def test_each_point_starts_from_the_last(of_bent):
+    assert of_bent.values == pytest.approx((11 * um, 12 * um, 13 * um))
+    for before, after in zip(of_bent.allocations, of_bent.allocations[1:]):
+        assert after.history[0]["half_widths"] == pytest.approx(before.half_widths)
+    assert max(of_bent.evaluations[1:]) <= of_bent.evaluations[0]
+
+
+def test_curve_against_the_target():
+    """The cost grows like z(target); of two requirements only the named one moves."""
+    targets = (0.9, 0.99, 0.999)
+    curve = cost_curve(
+        linear,
+        PAIR,
+        Requirement(lower=-LIMIT, upper=LIMIT),
+        costs=COSTS,
+        values=targets,
+        against="target",
+        samples=65536,
+        certificate_samples=1_000_000,
+    )
+    assert curve.costs == pytest.approx([closed_cost(target) for target in targets], rel=0.02)
+    assert curve.allocations[0].certificate.yield_.lower >= 0.9
+    assert all(math.isnan(price) for price in curve.multipliers)
+
+
+def test_curve_against_one_of_two_limits():
+    response = lambda e: {"y": linear(e), "b": jnp.abs(e["b"])}  # noqa: E731
+    required = {"y": Requirement(lower=-LIMIT, upper=LIMIT, target=0.99), "b": Requirement(upper=1.0)}
+    options = dict(costs=COSTS, values=(40 * um, 20 * um, 1 * um), certificate_samples=100_000)
+    curve = cost_curve(response, PAIR, required, of="y", **options)
+    assert curve.learned[:2] == pytest.approx([closed_cost(0.99, limit) for limit in (40 * um, 20 * um)], rel=0.03)
+    assert curve.multipliers[1] == pytest.approx(-curve.learned[1] / (20 * um), rel=0.04)
+    assert math.isnan(curve.costs[2]) and not curve.allocations[2].feasible
+    axes = plotting.cost_against_limit(
+        curve.values, curve.costs, unit="m", name="y", prices=curve.multipliers, chosen=(LIMIT, curve.costs[1])
+    )
+    assert axes.lines[0].get_xdata() == pytest.approx([20, 40])  # um; the third cannot be met
+    assert "cannot be met" in {text.get_text() for text in axes.get_legend().get_texts()}
+    tangent = axes.lines[1]
+    (x0, x1), (y0, y1) = tangent.get_xdata(), tangent.get_ydata()
+    assert (y1 - y0) / (x1 - x0) == pytest.approx(curve.multipliers[1] * um)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (dict(against="cost"), "against = 'cost': must be 'limit' or 'target'"),
+        (dict(of="y"), "there is only one requirement"),
+        (dict(values=()), "values: needs at least one"),
+    ],
+)
+def test_bad_curves_are_named(options, message):
+    with pytest.raises(ValueError, match=message):
+        cost_curve(linear, PAIR, Requirement(upper=LIMIT), costs=COSTS, **{"values": (LIMIT,), **options})
+    two = {"y": Requirement(upper=LIMIT), "z": Requirement(upper=LIMIT)}
+    with pytest.raises(ValueError, match="name the requirement whose limit moves, one of y, z"):
+        cost_curve(linear, PAIR, two, costs=COSTS, values=(LIMIT,))
+
+
+def test_free_fields_take_up_what_the_grades_leave():
+    """a is snapped to a grade; b is what the closed-form limit then allows."""
+    sized = {**PAIR, "a": PAIR["a"].replace(size=25 * mm)}
+    requirement = Requirement(lower=-LIMIT, upper=LIMIT)
+    found = allocate(linear, sized, requirement, costs=COSTS, samples=65536, grades=True)
+    graded = found.graded
+    assert list(graded.grades) == ["a"]
+    a = it_width(graded.grades["a"], 25 * mm) / 2
+    assert graded.half_widths["a"] == pytest.approx(a)
+    b = math.sqrt(radius(0.9973) ** 2 - a**2) / 2
+    assert 0.97 * b < graded.half_widths["b"] < b  # from the safe side
+    assert graded.half_widths["b"] != found.half_widths["b"]
+    assert graded.certificate.yield_.lower >= 0.9973
+    # The cheapest of all grades, each with the b that the closed form leaves.
+    halves = [it_width(f"IT{k}", 25 * mm) / 2 for k in range(1, 12)]
+    halves = [t for t in halves if 1 * um <= t and t < radius(0.9973)]
+    total = [10 * um / t + 20 * um / math.sqrt(radius(0.9973) ** 2 - t**2) for t in halves]
+    assert graded.cost == pytest.approx(min(total), rel=0.025)
