@@ -223,7 +223,7 @@ def balance() -> dict:
         if "balance H" not in name or "dense" in name
     }
 
-    levels = [("first_order", h) for h in (9, 30, 60)] + [("harmonic_balance", h) for h in (9, 30, 60, 120, 250)]
+    levels = [("first_order", h) for h in (1, 3, 9, 30, 60)] + [("harmonic_balance", h) for h in (9, 30, 60, 120, 250)]
     print(f"{'level':24s}" + "".join(f"{name:>18s}" for name in outputs) + f"{'ms':>10s}")
     for method, harmonics in levels:
         run = ours(harmonics, method)

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 
 from rvjax.dynamics import Modes
 from rvjax.plotting.style import AFTER, BEFORE, PALETTE, new_axes, words
-from rvjax.units import rpm
+from rvjax.units import readable, rpm
 
 KIND_STYLES = {
     "rotational": (PALETTE[0], "-"),
@@ -29,7 +29,9 @@ def campbell(
     highest: float = 2500.0,
     axes: Axes | None = None,
 ) -> Axes:
-    """Natural frequencies and mesh harmonics over speed; a marker where a harmonic meets a kind that it excites.
+    """Natural frequencies and mesh harmonics over speed; a dot where a harmonic meets a kind that it excites.
+
+    A harmonic has the colour of the kind that it excites.
 
     Args:
         found: modes of the reducer.
@@ -48,24 +50,21 @@ def campbell(
         for k, value in enumerate(shown):
             axes.axhline(value, color=colour, ls=dash, lw=1.2, label=name if k == 0 else None)
     for order, name in harmonics.items():
-        axes.plot(turns, order * lines, color="0.55", lw=0.8)
+        axes.plot(turns, order * lines, color=KIND_STYLES[name][0], lw=0.8, alpha=0.6)
         inside = np.flatnonzero(order * lines <= highest)
         end = inside[-1]
         axes.annotate(
-            f"{order}", (turns[end], order * lines[end]), fontsize=8, color="0.3", xytext=(0, 3),
-            textcoords="offset points", ha="center", annotation_clip=False,
+            f" {order}", (turns[end], order * lines[end]), fontsize=8, color=KIND_STYLES[name][0], xytext=(0, 1),
+            textcoords="offset points", ha="left", annotation_clip=False,
         )  # fmt: skip
         for value in frequency[(kind == name) & (frequency < highest)]:
             if order * lines[0] <= value <= order * lines[-1]:
                 at = np.interp(value, order * lines, turns)
                 axes.plot(at, value, "o", ms=4, color=KIND_STYLES[name][0])
-    axes.set(
-        xlabel="sun speed (r/min)", ylabel="frequency (Hz)", xlim=(turns[0], turns[-1]), ylim=(0, highest),
-        
-    )  # fmt: skip
-    axes.set_title("Mesh harmonics (numbers) and natural frequencies; dots: excited", pad=14)
+    axes.set(xlabel="sun speed (r/min)", ylabel="frequency (Hz)", xlim=(turns[0], turns[-1]), ylim=(0, highest))
+    axes.set_title("Natural frequencies and mesh harmonics (numbers); dots: excited", pad=14)
     axes.grid(visible=False)
-    axes.legend(loc="lower right", frameon=True, framealpha=0.9)
+    axes.legend(loc="upper left", frameon=True, framealpha=0.9)
     return axes
 
 
@@ -89,12 +88,16 @@ def speed_response(
         axes: where to draw; a new figure by default.
     """
     axes = new_axes(axes)
+    shown, size = readable(unit)
     for k, order in enumerate(harmonics):
-        size = np.abs(np.asarray(amplitude)[:, order - 1])
-        axes.semilogy(mesh_frequency, size, color=PALETTE[k % len(PALETTE)], lw=1.2, label=f"harmonic {order}")
-    axes.set(xlabel="mesh frequency (Hz)", ylabel=f"amplitude ({unit})", title=f"Response of {words(name)}")
+        height = np.abs(np.asarray(amplitude)[:, order - 1]) / size
+        colour, dash = PALETTE[k % len(PALETTE)], ("-", "--", "-.", ":")[k % 4]
+        axes.semilogy(mesh_frequency, height, color=colour, ls=dash, lw=1.2, label=f"{order}")
+    axes.set(xlabel="mesh frequency (Hz)", ylabel=f"amplitude ({shown})", title=f"Response of {words(name)}")
     axes.set_xlim(np.min(mesh_frequency), np.max(mesh_frequency))
-    axes.legend(ncols=2)
+    low, high = axes.get_ylim()
+    axes.set_ylim(low, high * (high / low) ** 0.15)  # room for the legend
+    axes.legend(ncols=len(harmonics), loc="upper center", title="harmonic")
     return axes
 
 
@@ -105,7 +108,7 @@ def sensitivity_bars(
     labels: tuple[str, str],
     axes: Axes | None = None,
 ) -> Axes:
-    """Log-sensitivities as bars, largest first, beside those of another formula.
+    """Log-sensitivities as bars, largest first, beside those of another formula; below a hundredth left out.
 
     Args:
         shares: {field: relative change of the amplitude per relative change of the field}; real parts count.
@@ -114,15 +117,17 @@ def sensitivity_bars(
         axes: where to draw; a new figure by default.
     """
     values = {name: float(np.real(value)) for name, value in shares.items()}
-    names = sorted((n for n in values if abs(values[n]) > 1e-6), key=lambda n: abs(values[n]))
+    beside = {name: float(np.real(value)) for name, value in (other or {}).items()}
+    size = {name: max(abs(value), abs(beside.get(name, 0.0))) for name, value in values.items()}
+    names = sorted((n for n in values if size[n] >= 0.01 * max(size.values())), key=lambda n: size[n])
     axes = plt.subplots(figsize=(7, 1.2 + 0.26 * len(names)))[1] if axes is None else axes
     rows, thick = np.arange(len(names)), 0.75 if other is None else 0.38
     axes.barh(
         rows + (0 if other is None else thick / 2), [values[n] for n in names], thick, color=AFTER, label=labels[0]
     )
     if other is not None:
-        beside = [float(np.real(other[n])) for n in names]
-        axes.barh(rows - thick / 2, beside, thick, color=BEFORE, hatch="//", edgecolor="white", label=labels[1])
+        second = [beside[n] for n in names]
+        axes.barh(rows - thick / 2, second, thick, color=BEFORE, hatch="//", edgecolor="white", label=labels[1])
     axes.set_yticks(rows, [words(n.split(".")[-1]) for n in names], fontsize=8)
     axes.set(xlabel="relative change of the amplitude / relative change of the field", title="Log-sensitivities")
     axes.grid(axis="y", visible=False)
@@ -151,6 +156,30 @@ def sensitivity_curves(
         axes.set_xscale("log")
     axes.set(xlabel=f"{words(field)} ({unit})", ylabel=ylabel, title=f"Sensitivity to {words(field)}")
     axes.legend()
+    return axes
+
+
+def spread(values: Any, *, mean: float, sd: float, unit: str, name: str, axes: Axes | None = None) -> Axes:
+    """How a response is distributed over random units, beside the normal law that first order predicts.
+
+    Args:
+        values: of the response, SI (samples,), from Monte Carlo.
+        mean: response without deviations, SI.
+        sd: standard deviation by the sensitivities, SI.
+        unit: SI unit of the response.
+        name: of the response.
+        axes: where to draw; a new figure by default.
+    """
+    axes = new_axes(axes)
+    shown, size = readable(unit)
+    found = np.asarray(values)[np.isfinite(values)] / size
+    axes.hist(found, 60, density=True, color=AFTER, alpha=0.6, label=f"Monte Carlo, {len(found)} units")
+    line, centre, width = np.linspace(found.min(), found.max(), 300), mean / size, sd / size
+    normal = np.exp(-(((line - centre) / width) ** 2) / 2) / (width * np.sqrt(2 * np.pi))
+    axes.plot(line, normal, color=BEFORE, lw=1.8, label=f"first order, sd {width:.3g} {shown}")
+    axes.set(xlabel=f"{words(name)} ({shown})", ylabel=f"density (1/{shown})", title=f"Spread of {words(name)}")
+    axes.set_ylim(0, 1.25 * axes.get_ylim()[1])  # room for the legend
+    axes.legend(loc="upper center", ncols=2)
     return axes
 
 
