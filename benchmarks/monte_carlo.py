@@ -2,8 +2,9 @@
 
 The response is the four-bar part of the embedded study: peak-to-peak transmission error over a crank turn of 64
 angles under load, with the study's tolerances and requirement. The bare kernel is the same two jitted programs
-(random numbers, response) called chunk after chunk with nothing read by the host; it is timed in slices between
-slices of the run, so that a busy machine slows both alike. Memory is the resident set at every tenth of the run.
+(random numbers, response) called chunk after chunk with nothing read by the host; the two alternate, in batches of a
+few hundred thousand units, so that a busy machine slows both alike. Memory is the largest resident set in every tenth
+of the run.
 
     python benchmarks/monte_carlo.py --units 1e8 [--method sobol] [--checkpoint FILE] [--json FILE]
 """
@@ -14,17 +15,17 @@ import threading
 import time
 from pathlib import Path
 
-from timing import publish, settings
+from timing import alternate, publish, settings
 
 settings()
 
-import jax  # noqa: E402
 import jax.numpy as jnp  # noqa: E402
 
 from rvjax import scene, study  # noqa: E402
 from rvjax.tolerances import monte_carlo  # noqa: E402
 from rvjax.tolerances.layout import drawn, layout, root_key  # noqa: E402
 from rvjax.tolerances.responses import respond  # noqa: E402
+from rvjax.units import arcmin  # noqa: E402
 
 FIELDS = ("crank_eccentricity", "crank_phase", "disc_bore", "carrier_bore", "bearing_clearance")
 OUTPUT = "transmission_error"
@@ -68,47 +69,27 @@ class Memory:
         self._thread.join()
 
 
-def kernel(response, tolerances, chunk, chunks):
-    """Seconds of the bare programs over `chunks` chunks, in order and without waiting between them."""
+def race(response, tolerances, required, chunk, method, chunks=12):
+    """Smallest ns a unit of the statistics, of the bare programs, and of the response alone, in turn."""
     key = root_key(0)
-    start = time.perf_counter()
-    for number in range(chunks):
-        out = respond(response, tolerances, drawn(tolerances, key, jnp.uint32(number * chunk), count=chunk))
-    jax.block_until_ready(out)
-    return time.perf_counter() - start
-
-
-def response_only(response, tolerances, chunk, chunks):
-    """Seconds of the response alone, on one set of random numbers."""
-    z = drawn(tolerances, root_key(0), jnp.uint32(0), count=chunk)
-    jax.block_until_ready(respond(response, tolerances, z))
-    start = time.perf_counter()
-    for _ in range(chunks):
-        out = respond(response, tolerances, z)
-    jax.block_until_ready(out)
-    return time.perf_counter() - start
-
-
-def race(response, tolerances, required, chunk, method, rounds=7, chunks=24):
-    """Smallest ns a unit of the statistics, the bare programs, and the response alone; in turn."""
+    z = drawn(tolerances, key, jnp.uint32(0), count=chunk)
 
     def whole():
-        start = time.perf_counter()
-        monte_carlo(
-            response, tolerances, samples=chunks * chunk, seed=0, chunk=chunk, method=method, requirements=required
-        )
-        return time.perf_counter() - start
+        units = chunks * chunk
+        monte_carlo(response, tolerances, samples=units, seed=0, chunk=chunk, method=method, requirements=required)
 
-    candidates = {
-        "monte_carlo": whole,
-        "kernel": lambda: kernel(response, tolerances, chunk, chunks),
-        "response": lambda: response_only(response, tolerances, chunk, chunks),
-    }
-    seconds = {name: [run() for _ in range(1)] and [] for name, run in candidates.items()}  # the first run compiles
-    for _ in range(rounds):
-        for name, run in candidates.items():
-            seconds[name].append(run())
-    return {name: 1e9 * min(found) / (chunks * chunk) for name, found in seconds.items()}
+    def kernel():  # chunk after chunk without waiting between them
+        for number in range(chunks):
+            out = respond(response, tolerances, drawn(tolerances, key, jnp.uint32(number * chunk), count=chunk))
+        return out
+
+    def response_alone():
+        for _ in range(chunks):
+            out = respond(response, tolerances, z)
+        return out
+
+    best = alternate({"monte_carlo": whole, "kernel": kernel, "response_alone": response_alone}, seconds=5, rounds=15)
+    return {name: 1e9 * seconds / (chunks * chunk) for name, seconds in best.items()}
 
 
 def main():
@@ -129,7 +110,6 @@ def main():
     found = watched_run(response, tolerances, required, units, options, curve, memory, began)
     seconds = time.perf_counter() - began
     memory.stop()
-    after = kernel(response, tolerances, chunk, 24) / (24 * chunk) * 1e9
     print(f"{'units':>12s} {'seconds':>9s} {'memory MB':>10s}")
     for done, elapsed, largest in curve:
         print(f"{done:12,d} {elapsed:9.1f} {largest:10.1f}")
@@ -144,12 +124,11 @@ def main():
             "seconds": seconds,
             "ns_per_unit_of_the_run": 1e9 * seconds / units,
             **{f"ns_per_unit_{name}": value for name, value in ns.items()},
-            "ns_per_unit_kernel_after_the_run": after,
             "monte_carlo_over_kernel": ns["monte_carlo"] / ns["kernel"],
-            "monte_carlo_over_response_alone": ns["monte_carlo"] / ns["response"],
+            "monte_carlo_over_response_alone": ns["monte_carlo"] / ns["response_alone"],
             "memory_growth_MB_after_the_first_tenth": last - first,
-            "mean_arcmin": mean.value / 2.908882086657216e-4,
-            "mean_standard_error_arcmin": mean.error / 2.908882086657216e-4,
+            "mean_arcmin": mean.value / arcmin,
+            "mean_standard_error_arcmin": mean.error / arcmin,
             "rejects_ppm": found.ppm[OUTPUT].value,
             "rejects_ppm_lower": found.ppm[OUTPUT].lower,
             "rejects_ppm_upper": found.ppm[OUTPUT].upper,
