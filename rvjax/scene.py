@@ -11,10 +11,12 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
-from rvjax import four_bar, lost_motion
-from rvjax.designs import RVReducer
+from rvjax import four_bar, lost_motion, mesh_force
+from rvjax.designs import CamRollerReducer, RVReducer
 from rvjax.lost_motion.reducer import PROFILES
+from rvjax.mesh_force.laws import CONTACTS
 from rvjax.status import Status, worst
 from rvjax.tolerances import Outcome
 
@@ -38,6 +40,21 @@ class RVConditions:
     cranks: str = field(default="phase_locked", metadata=dict(choices=("phase_locked", "geared", "free")))
     gear_stiffness_ratio: float | None = field(default=None, metadata=dict(unit="-"))
     lost_motion_profile: str = field(default="first_order", metadata=dict(choices=PROFILES))
+
+
+@dataclass(frozen=True)
+class CamRollerConditions:
+    """How an oscillatory roller stage runs while it is judged.
+
+    Attributes:
+        input_torque: torque on the crank, N m.
+        contact: "palmgren", "hertz" or "linear".
+        angles: output angles in the time in which a roller takes the place of the next.
+    """
+
+    input_torque: float = field(default=0.0, metadata=dict(unit="N m"))
+    contact: str = field(default="palmgren", metadata=dict(choices=CONTACTS))
+    angles: int = field(default=1, metadata=dict(minimum=1))
 
 
 @dataclass(frozen=True)
@@ -116,6 +133,37 @@ def _turn_curve(design: RVReducer, errors: Any, conditions: RVConditions) -> tup
     return result.crank_angle, result.error
 
 
+def _cycle(design: CamRollerReducer, errors: Any, conditions: CamRollerConditions) -> Any:
+    return mesh_force.cycle_statistics(
+        design,
+        errors,
+        input_torque=conditions.input_torque,
+        contact=conditions.contact,
+        samples=conditions.angles,
+    )
+
+
+def _cam_force(design: CamRollerReducer, errors: Any, conditions: CamRollerConditions) -> Solved:
+    result = _cycle(design, errors, conditions)
+    return result.cam_peak, result.info.status
+
+
+def _contact_pressure(design: CamRollerReducer, errors: Any, conditions: CamRollerConditions) -> Solved:
+    result = _cycle(design, errors, conditions)
+    return result.pressure_peak, result.info.status
+
+
+def _cam_force_curve(design: CamRollerReducer, errors: Any, conditions: CamRollerConditions) -> tuple[Any, Any]:
+    """Largest cam force of all rollers while the output turns by one tooth of the gear."""
+    angles = np.linspace(0, 2 * np.pi / design.gear_teeth, 8 * (design.gear_teeth + 1), endpoint=False)
+
+    def largest(angle: jax.Array) -> jax.Array:
+        torque, contact = conditions.input_torque, conditions.contact
+        return jnp.max(mesh_force.solve(design, errors, input_torque=torque, output_angle=angle, contact=contact).cam)
+
+    return angles, jax.vmap(largest)(jnp.asarray(angles))
+
+
 KINDS: dict[type, Kind] = {
     RVReducer: Kind(
         conditions=RVConditions,
@@ -125,6 +173,14 @@ KINDS: dict[type, Kind] = {
             "lost_motion": Output("rad", "free angle of the output, < 0: interference", _lost_motion),
         },
         curve=Curve("Transmission error over one crank turn", "rad", _turn_curve),
+    ),
+    CamRollerReducer: Kind(
+        conditions=CamRollerConditions,
+        outputs={
+            "cam_force": Output("N", "largest cam force of all rollers over a work cycle", _cam_force),
+            "contact_pressure": Output("Pa", "largest contact pressure over a work cycle", _contact_pressure),
+        },
+        curve=Curve("Largest cam force while the output turns by one tooth", "N", _cam_force_curve),
     ),
 }
 

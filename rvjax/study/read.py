@@ -13,7 +13,7 @@ from rvjax.study.question import Study, StudyError
 from rvjax.tolerances import Exponential, ReciprocalPower, Requirement, Tolerance, for_design
 from rvjax.units import parse
 
-DESIGNS = {"rv-20e": catalogue.RV_20E, "rv-40e": catalogue.RV_40E}
+DESIGNS = {"corr": catalogue.CORR, "rv-20e": catalogue.RV_20E, "rv-40e": catalogue.RV_40E}
 COSTS: dict[str, Any] = {"reciprocal_power": ReciprocalPower, "exponential": Exponential}
 EMBEDDED = resources.files("rvjax.study") / "embedded"
 
@@ -128,24 +128,22 @@ def _metadata(record: Any, field: str) -> Any:
 
 def _design(table: dict[str, Any]) -> Any:
     design: Any = DESIGNS[_choice(table.get("base"), DESIGNS, "design.base")]
-    for part, changes in table.items():
-        if part != "base":
-            _known({part: None}, {f.name for f in dataclasses.fields(design)} | {"base"}, "design")
-            design = design.replace(**{part: _override(getattr(design, part), changes, f"design.{part}")})
-    return design
+    return _override(design, {key: value for key, value in table.items() if key != "base"}, "design")
 
 
-def _override(part: Any, changes: Any, where: str) -> Any:
-    if part is None or not isinstance(changes, dict):
+def _override(record: Any, changes: Any, where: str) -> Any:
+    """A record with some fields changed; a field that is a record takes a table."""
+    if record is None or not isinstance(changes, dict):
         raise ValueError(f"{where} = {changes!r}: must be a table of changes to a part that the base design has")
-    record: Any = type(part)
-    _known(changes, {f.name for f in dataclasses.fields(record)}, where)
+    _known(changes, {f.name for f in dataclasses.fields(record)} | ({"base"} if where == "design" else set()), where)
     values = {}
     for key, value in changes.items():
-        metadata = _metadata(record, key)
-        is_count = metadata["kind"] == "count"
-        values[key] = value if is_count else _quantity(value, metadata["unit"], f"{where}.{key}")
-    return part.replace(**values)
+        metadata, name = _metadata(type(record), key), f"{where}.{key}"
+        if metadata["kind"] == "record":
+            values[key] = _override(getattr(record, key), value, name)
+        else:
+            values[key] = value if metadata["kind"] == "count" else _quantity(value, metadata["unit"], name)
+    return record.replace(**values)
 
 
 def _conditions(kind: Any, table: dict[str, Any]) -> Any:
