@@ -17,12 +17,10 @@ _EVERYWHERE = jax.sharding.PartitionSpec()
 
 
 class Evaluator:
-    """Evaluates chunks of one study; devices compute while the host goes on.
-
-    Args are those of `monte_carlo`; `chunk` is the number of units evaluated at once.
-    """
+    """Evaluates chunks of one study; devices compute while the host goes on."""
 
     def __init__(self, response: Response, tolerances: Any, seed: int, method: str, chunk: int) -> None:
+        """What to evaluate, as in `monte_carlo`; `chunk` units at once."""
         self._response, self._tolerances, self._key = response, tolerances, root_key(seed)
         self._points = SobolPoints(layout(tolerances).numbers, seed) if method == "sobol" else None
         devices = jax.local_devices()
@@ -40,15 +38,12 @@ class Evaluator:
     def _z(self, first: int) -> jax.Array:
         if self._points is not None:
             z = self._points.z(first, self._count).astype(jnp.result_type(float))
-            return jnp.asarray(z) if self._mesh is None else jax.device_put(z, self._sharding)
+            if self._mesh is None:
+                return jnp.asarray(z)
+            return jax.device_put(z, jax.sharding.NamedSharding(self._mesh, _NUMBERS))
         if self._mesh is None:
             return drawn(self._tolerances, self._key, jnp.uint32(first), count=self._count)
         return _drawn_on(self._mesh, self._count, self._tolerances, self._key, jnp.uint32(first))
-
-    @property
-    def _sharding(self) -> jax.sharding.NamedSharding:
-        assert self._mesh is not None
-        return jax.sharding.NamedSharding(self._mesh, _NUMBERS)
 
 
 @functools.partial(jax.jit, static_argnums=(0, 1))

@@ -2,6 +2,7 @@
 
 import contextlib
 import functools
+import itertools
 import operator
 from collections.abc import Iterator
 from pathlib import Path
@@ -140,7 +141,7 @@ def _chunks(
     """
     process, processes = place()
     ready = None
-    for number in (*numbers, None):
+    for number in itertools.chain(numbers, [None]):
         after = None
         if number is not None:
             if number % processes != process and tally.settled:
