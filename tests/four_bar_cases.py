@@ -5,10 +5,11 @@ import functools
 import jax
 import numpy as np
 
-from rvjax import LinkDeviations, four_bar
+from rvjax import LinkDeviations, Status, four_bar
 from rvjax.four_bar.linkage import ALLOWED
 
 MM = 1e-3
+E, SPACING = 1.3 * MM, 72 * MM
 METHODS = [(cranks, closure, branch) for (cranks, branch), closures in ALLOWED.items() for closure in closures]
 EXACT = [methods for methods in METHODS if methods[1] in ("newton", "closed_form")]
 
@@ -94,3 +95,17 @@ def random_linkages(count, seed, size=20e-6, away=0.0):
     angle = rng.uniform(away, np.pi - away, count) + np.pi * rng.integers(0, 2, count)
     ratio = np.exp(rng.uniform(np.log(0.3), np.log(100), count))
     return rng.uniform(1e-3, 3e-3, count), rng.uniform(50e-3, 120e-3, count), deviations, angle, ratio
+
+
+def names(status):
+    """Status names of a batch."""
+    return [Status(int(value)).name for value in np.atleast_1d(status)]
+
+
+def at(methods, angle, e=E, spacing=SPACING, ratio=1.0, **deviations):
+    """Linkages that share everything but what is given as an array."""
+    deviations = batch(**deviations)
+    full = np.broadcast_arrays(e, spacing, angle, ratio, *columns(deviations))
+    e, spacing, angle, ratio = (np.array(x, float) for x in full[:4])
+    arguments = [np.atleast_1d(x) for x in (e, spacing)], batch(*map(np.atleast_1d, full[4:]))
+    return solver(methods)(*arguments[0], arguments[1], np.atleast_1d(angle), np.atleast_1d(ratio))

@@ -1,19 +1,15 @@
-"""One four-bar linkage: values, invariants, derivatives, statuses.
+"""One four-bar linkage: values and invariants.
 
 Oracles: a reference file computed with 40 digits by circle intersection and vector sums (tolerances are the
 file's own: float64 1e-10 relative, float32 1e-5); the vector loop, intersected circles and a minimised energy
-in mpmath over random linkages (1e-11 relative: rounding of the inputs, amplified near the dead points);
-closed-form sensitivities; finite differences (steps of 1e-3 of the deviation, so 1e-5 relative).
+in mpmath over random linkages (1e-11 relative: rounding of the inputs, amplified near the dead points).
 """
 
-import jax
-import jax.numpy as jnp
 import mpmath
 import numpy as np
 import pytest
 
-from four_bar_cases import EXACT, METHODS, MM, batch, columns, linkages, one, padded, random_linkages, slopes, solver
-from rvjax import LinkDeviations, Status, check, four_bar
+from four_bar_cases import EXACT, METHODS, MM, at, batch, columns, linkages, names, random_linkages, solver
 
 READINGS = {
     "free_open_exact": [("free", "newton", "open"), ("free", "closed_form", "open")],
@@ -24,21 +20,6 @@ READINGS = {
     "locked": [("phase_locked", "newton", "open"), ("phase_locked", "closed_form", "open")],
     "locked_first_order": [("phase_locked", "first_order", "open")],
 }
-E, SPACING = 1.3 * MM, 72 * MM
-FREE = [methods for methods in METHODS if methods[0] == "free"]
-
-
-def names(status):
-    return [Status(int(value)).name for value in np.atleast_1d(status)]
-
-
-def at(methods, angle, e=E, spacing=SPACING, ratio=1.0, **deviations):
-    """Linkages that share everything but what is given as an array."""
-    deviations = batch(**deviations)
-    full = np.broadcast_arrays(e, spacing, angle, ratio, *columns(deviations))
-    e, spacing, angle, ratio = (np.array(x, float) for x in full[:4])
-    arguments = [np.atleast_1d(x) for x in (e, spacing)], batch(*map(np.atleast_1d, full[4:]))
-    return solver(methods)(*arguments[0], arguments[1], np.atleast_1d(angle), np.atleast_1d(ratio))
 
 
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])
@@ -82,9 +63,6 @@ def test_reference_geared(reference, dtype):
         if closure == "newton" and dtype == np.float64:
             misfit = np.array([c["expected"]["geared_misfit_mm"] for c in cases]) * MM
             np.testing.assert_allclose(result.misfit, misfit, 1e-10, 1e-18)
-
-
-# --- independent geometry ----------------------------------------------------------------------------
 
 
 def vectors(e, spacing, d, angle):
@@ -137,9 +115,6 @@ def test_geared_cranks_share_the_misfit(cranks):
             vector = coupler(slip)
             np.testing.assert_allclose(result.coupler_angle[i], float(mpmath.arg(vector)), rtol=1e-11)
             np.testing.assert_allclose(result.misfit[i], float(abs(vector) - l2), rtol=1e-9)
-
-
-# --- invariants --------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("methods", [m for m in EXACT if m[0] == "free"])
@@ -247,252 +222,3 @@ def test_geared_joins_free_and_locked():
         result = geared(e, spacing, deviations, angle, np.full(50, ratio))
         assert set(names(result.info.status)) == {"CONVERGED"}
         np.testing.assert_allclose(result.coupler_angle, limit.coupler_angle, rtol=tolerance)
-
-
-# --- derivatives -------------------------------------------------------------------------------------
-
-
-def sensitivities(cranks, angle):
-    """Closed-form derivatives of b2 at zero error, in the order of the deviations; float derivations by hand."""
-    sine, cosine, one_ = np.sin(angle), np.cos(angle), np.ones_like(angle)
-    if cranks == "free":
-        cot = cosine / sine
-        rows = [-1 / sine, -cot, 1 / sine, cot, 0 * one_, SPACING * one_, cot, one_]
-    else:
-        rows = [-sine, 0 * one_, sine, 0 * one_, E * cosine, SPACING * one_, 0 * one_, one_]
-    return np.array(rows) / SPACING
-
-
-@pytest.mark.parametrize("methods", [m for m in METHODS if m[2] == "open" and m[0] != "geared"])
-def test_sensitivities_at_zero_error(methods, reference):
-    angle = np.deg2rad(np.array([90, 30, 60, 137, 211, 300.0]))
-    zeros = batch(*np.zeros((8, 6)))
-    _, _, found = slopes(methods)((np.full(6, E), np.full(6, SPACING), zeros), angle, np.ones(6))
-    np.testing.assert_allclose(columns(found), sensitivities(methods[0], angle), rtol=1e-12, atol=1e-11)
-    printed = reference("four_bar")["sensitivities"]
-    key = "free_open_exact" if methods[0] == "free" else "locked"
-    order = ["crank_1", "coupler", "crank_3", "frame", "crank_phase", "frame_angle", "joint_x", "joint_y"]
-    for i, case in enumerate(printed):
-        per = [case[key].get(f"{name}_per_mm", case[key].get(f"{name}_per_rad")) for name in order]
-        scale = [1 if name in ("crank_phase", "frame_angle") else 1e3 for name in order]
-        np.testing.assert_allclose(np.array(columns(found))[:, i], np.multiply(per, scale), rtol=1e-10, atol=1e-11)
-
-
-def test_locked_zero_error_is_finite_everywhere():
-    angle = np.concatenate([np.deg2rad(np.arange(0, 361, 15.0)), [0, np.pi, 2 * np.pi]])
-    for methods in (m for m in METHODS if m[0] != "free"):
-        n = len(angle)
-        result = at(methods, angle)
-        assert np.all(np.asarray(result.coupler_angle) == 0)
-        numbers = (np.full(n, E), np.full(n, SPACING), batch(*np.zeros((8, n))))
-        for leaf in jax.tree.leaves(slopes(methods)(numbers, angle, np.ones(n))):
-            assert np.all(np.isfinite(leaf))
-
-
-@pytest.mark.parametrize("methods", METHODS)
-def test_derivatives_equal_differences(methods):
-    e, spacing, deviations, angle, ratio = random_linkages(20, seed=11, away=0.4)
-    numbers = (e, spacing, deviations)
-    found = jax.tree.leaves(slopes(methods)(numbers, angle, ratio))
-    leaves, tree = jax.tree.flatten(numbers)
-    for i, leaf in enumerate(leaves):
-        step = 1e-6 if i in (6, 7) else 1e-8  # rad, m
-
-        def shifted(by, i=i, leaf=leaf):
-            moved = tree.unflatten([*leaves[:i], leaf + by, *leaves[i + 1 :]])
-            return np.asarray(solver(methods)(*moved, angle, ratio).coupler_angle)
-
-        difference = (8 * (shifted(step) - shifted(-step)) - (shifted(2 * step) - shifted(-2 * step))) / (12 * step)
-        np.testing.assert_allclose(found[i], difference, rtol=1e-6, atol=1e-7 if i in (6, 7) else 1e-6)
-
-
-@pytest.mark.parametrize("methods", [m for m in METHODS if m[1:] == ("newton", "open")])
-def test_second_derivatives(methods):
-    def gradient(vector, crank_angle):
-        def coupler_angle(vector):
-            deviations = jax.tree.unflatten(jax.tree.structure(LinkDeviations()), list(vector))
-            return one(E, SPACING, deviations, crank_angle, 5.0, methods=methods).coupler_angle
-
-        return jax.grad(coupler_angle)(vector)
-
-    def curvature(vector, direction, crank_angle):
-        return jax.jvp(lambda v: gradient(v, crank_angle), (vector,), (direction,))[1]
-
-    first, second = padded(gradient), padded(curvature)
-    _, _, deviations, angle, _ = random_linkages(6, seed=12, away=0.6)
-    vector = np.array(columns(deviations)).T
-    direction = np.random.default_rng(0).normal(size=vector.shape)
-    found = second(vector, direction, angle)
-    difference = (first(vector + 1e-7 * direction, angle) - first(vector - 1e-7 * direction, angle)) / 2e-7
-    np.testing.assert_allclose(found, difference, rtol=1e-4, atol=2e-2)  # of 1/m^2, up to 1e5
-    if methods[0] == "free":  # b2 = -d2^2/(2 e l) and the same of d4, nearly, at 90 deg
-        zero = second(np.zeros((2, 8)), np.eye(8)[[1, 3]], np.full(2, np.pi / 2))
-        np.testing.assert_allclose([zero[0, 1], zero[1, 3]], -1 / (E * SPACING), rtol=2e-2)
-
-
-def test_newton_equals_closed_form():
-    inputs = e, spacing, deviations, angle, ratio = random_linkages(200, seed=13, away=0.2)
-    for cranks, branch in (("free", "open"), ("free", "crossed"), ("phase_locked", "open")):
-        pair = [(cranks, closure, branch) for closure in ("newton", "closed_form")]
-        values = [solver(methods)(*inputs).coupler_angle for methods in pair]
-        np.testing.assert_allclose(*values, rtol=1e-11)
-        tangents = [jax.tree.leaves(slopes(methods)((e, spacing, deviations), angle, ratio)) for methods in pair]
-        for first, second in zip(*tangents):
-            np.testing.assert_allclose(first, second, rtol=1e-9, atol=1e-10)
-
-
-# --- outside the ordinary ----------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (dict(cranks="locked"), "cranks"),
-        (dict(branch="other"), "branch"),
-        (dict(closure="exact"), "closure"),
-        (dict(closure="quadratic"), "closure"),
-        (dict(branch="crossed"), "branch"),
-        (dict(cranks="free", closure="first_order", branch="crossed"), "closure"),
-        (dict(gear_stiffness_ratio=67.0), "gear_stiffness_ratio"),
-        (dict(cranks="free", gear_stiffness_ratio=67.0), "gear_stiffness_ratio"),
-        (dict(cranks="geared"), "gear_stiffness_ratio"),
-        (dict(cranks="geared", gear_stiffness_ratio=0.0), "gear_stiffness_ratio"),
-        (dict(cranks="geared", gear_stiffness_ratio=67.0, closure="closed_form"), "closure"),
-        (dict(cranks="geared", gear_stiffness_ratio=67.0, branch="crossed"), "branch"),
-    ],
-)
-def test_impossible_methods(arguments, message):
-    with pytest.raises(ValueError, match=message):
-        four_bar.solve_closure(E, SPACING, LinkDeviations(), crank_angle=1.0, **arguments)
-
-
-def test_impossible_lengths_raise_where_concrete():
-    with pytest.raises(ValueError, match=r"eccentricity \+ crank_1 = -0.0007 m"):
-        four_bar.solve_closure(E, SPACING, LinkDeviations(crank_1=-2 * MM), crank_angle=1.0, cranks="free")
-    with pytest.raises(ValueError, match="spacing = 0 m"):
-        four_bar.solve_closure(E, 0.0, LinkDeviations(), crank_angle=1.0)
-    four_bar.solve_closure(E, SPACING, LinkDeviations(crank_1=-2 * MM), crank_angle=1.0)
-
-
-@pytest.mark.parametrize("methods", FREE)
-def test_free_statuses(methods):
-    fold = 2 * E  # coupler too long by the crank's play at 90 deg
-    reach = np.hypot(SPACING, E)
-    cases = {
-        "CONVERGED": dict(angle=np.pi / 2, d1=1e-5),
-        "CHANGE_POINT": dict(angle=np.pi, d1=-1e-5, d2=0.0),
-        "NOT_ASSEMBLABLE": dict(angle=np.pi / 2, d2=2 * MM),
-        "SINGULAR": dict(angle=np.pi / 2, d2=reach + E - SPACING),
-        "INVALID_GEOMETRY": dict(angle=np.pi / 2, d1=-fold),
-        "NONFINITE": dict(angle=np.pi / 2, gx=np.nan),
-    }
-    for name, case in cases.items():
-        result = at(methods, **case)
-        assert names(result.info.status) == [name]
-        lost = name in ("NOT_ASSEMBLABLE", "INVALID_GEOMETRY", "NONFINITE")
-        linear = methods[1] == "first_order"
-        assert np.isnan(result.coupler_angle[0]) == (
-            (lost and not (linear and name == "NOT_ASSEMBLABLE")) or (linear and name == "CHANGE_POINT")
-        )
-    np.testing.assert_allclose(at(methods, **cases["NOT_ASSEMBLABLE"]).gap, 0.688e-3, rtol=1e-3)
-    np.testing.assert_allclose(at(methods, np.deg2rad(5), d1=2e-5).gap, 14.9e-6, rtol=2e-3)
-    assert names(at(methods, np.deg2rad(5), d1=2e-5).info.status) == ["NOT_ASSEMBLABLE"]
-    assert names(at(methods, 1.0, e=0.0).info.status)[0] in ("CHANGE_POINT", "INVALID_GEOMETRY")
-    assert names(at(methods, 1.0, d2=1.0).info.status) == ["NOT_ASSEMBLABLE"]
-    assert names(at(methods, 1.0, spacing=-1.0, d2=np.inf).info.status) == ["NONFINITE"]  # precedence
-
-
-@pytest.mark.parametrize("methods", [m for m in FREE if m[1] != "first_order"])
-def test_dead_points_and_folds_are_roots(methods):
-    sign = 1 if methods[2] == "open" else -1
-    angle = np.array([0, np.pi, 2 * np.pi])
-    zero = at(methods, angle)
-    assert names(zero.info.status) == ["CHANGE_POINT"] * 3
-    assert np.max(np.abs(zero.coupler_angle)) < 1e-15
-    # c < 0: roots +-sqrt(-c/a), the open one positive whatever rounding does to sin b1
-    dead = at(methods, angle, d1=np.array([-1e-5, -1e-5, -1e-5]))
-    assert np.all(sign * np.asarray(dead.coupler_angle) > 1e-3)
-    d2 = np.hypot(SPACING, E) + E - SPACING
-    fold = at(methods, np.pi / 2, d2=d2).coupler_angle[0]
-    if methods[1] != "quadratic":
-        np.testing.assert_allclose(fold, -np.arctan2(E, SPACING), rtol=1e-6)
-
-
-def test_locked_extremes():
-    for methods in (m for m in METHODS if m[0] == "phase_locked"):
-        dead = at(methods, np.array([0, np.pi]), d1=2e-5, d2=1e-5, d4=-1e-5)
-        assert names(dead.info.status) == ["CONVERGED"] * 2
-        none = at(methods, 1.0, e=0.0, d1=1e-5, gy=2e-5)
-        assert names(none.info.status) == ["CONVERGED"]
-        np.testing.assert_allclose(none.coupler_angle, (2e-5 - 1e-5 * np.sin(1)) / SPACING, rtol=1e-3)
-        long = at(methods, 1.0, d2=1.0)
-        assert names(long.info.status) == ["CONVERGED"]
-        np.testing.assert_allclose(long.misfit, -1.0, rtol=1e-12)
-        assert long.gap[0] > 0.9
-        backwards = at(methods, 1.0, d1=1e-5, b4=2.5)
-        assert names(backwards.info.status) == ["CONVERGED"]
-
-
-@pytest.mark.parametrize("methods", METHODS)
-def test_lost_inputs_have_a_status(methods):
-    """Every input may be NaN or infinite, every link may have no length."""
-    n = 12
-    e, spacing, angle, ratio = np.full(n, E), np.full(n, SPACING), np.full(n, 1.0), np.full(n, 5.0)
-    deviations = np.full((8, n), 1e-6)
-    for i, lost in enumerate((e, spacing, angle, *deviations)):
-        lost[i] = np.nan if i % 2 else np.inf
-    result = solver(methods)(e, spacing, batch(*deviations), angle, ratio)
-    assert names(result.info.status) == ["NONFINITE"] * 11 + ["CONVERGED"]
-    assert np.all(np.isnan(result.coupler_angle[:11]))
-    assert np.all(np.isnan(result.misfit[:11]))
-    assert np.isfinite(result.coupler_angle[11])
-    for case in (dict(spacing=0.0), dict(spacing=-1.0), dict(d2=-SPACING), dict(d4=-2 * SPACING)):
-        assert names(at(methods, 1.0, **case).info.status) == ["INVALID_GEOMETRY"]
-
-
-@pytest.mark.parametrize("methods", METHODS)
-def test_lost_lanes_leave_their_neighbours_alone(methods):
-    size = 6
-    e, spacing, deviations, angle, _ = random_linkages(2 * size, seed=14, away=0.6)
-    e, spacing = jnp.asarray(e[0]), jnp.asarray(spacing[0])  # shared by all lanes
-    rows = np.array(columns(deviations))
-    lost = rows.copy()
-    lost[0, size:] = [np.nan, -1.0, 0, 0, 0, 0]
-    lost[1, size:] = [0, 0, 2 * MM, 1.0, np.inf, -1.0]
-    lost_angle = angle.copy()
-    lost[:, -3], lost_angle[-3] = 0, 0  # no error at the dead point
-    lost[:, -1], lost_angle[-1] = 0, np.nan
-
-    @jax.jit
-    def gradients(rows, angle):
-        def total(shared, deviations):
-            def solve(deviations, angle):
-                return one(*shared, deviations, angle, 5.0, methods=methods)
-
-            result = jax.vmap(solve)(deviations, angle)
-            counted = result.info.status == Status.CONVERGED
-            lanes = jnp.where(counted, result.coupler_angle, 0)
-            return jnp.sum(lanes[:size]) + 1e-30 * jnp.sum(lanes), (lanes, counted)
-
-        tree = jax.tree.structure(LinkDeviations())
-        return jax.grad(total, argnums=(0, 1), has_aux=True)((e, spacing), tree.unflatten(list(rows)))
-
-    (shared, each), (values, _) = gradients(rows, angle)
-    (lost_shared, lost_each), (lost_values, counted) = gradients(lost, lost_angle)
-    assert np.array_equal(lost_values[:size], values[:size])
-    np.testing.assert_allclose(lost_shared, shared, rtol=1e-12)
-    assert np.all(counted[:size])
-    assert not counted[size]
-    assert not counted[-1]
-    for lane, lost_lane in zip(columns(each), columns(lost_each)):
-        assert np.array_equal(lane[:size], lost_lane[:size])
-        assert np.all(np.isfinite(lost_lane))
-        assert np.all(np.asarray(lost_lane)[~np.asarray(counted)] == 0)
-
-
-def test_check_speaks_for_a_batch():
-    inputs = random_linkages(4, seed=15, away=0.4)
-    check(solver(("free", "newton", "open"))(*inputs))
-    bad = batch(d2=np.array([0, 2 * MM]))
-    with pytest.raises(Exception, match="NOT_ASSEMBLABLE 1"):
-        check(solver(("free", "newton", "open"))(np.full(2, E), np.full(2, SPACING), bad, np.full(2, 1.5), np.ones(2)))

@@ -2,74 +2,20 @@
 
 Oracles: the 40-digit reference file (its own tolerances: float64 1e-10, float32 1e-5 relative); full-length
 vector sums in 80-bit floats, which lose 4 digits of 19 to cancellation (1e-11 relative); power balance and
-series of the pin loads; closed first-order harmonics; finite differences.
+series of the pin loads; closed first-order harmonics.
 """
+
+import itertools
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rvjax import CrankStage, CycloidStage, InvoluteStage, RVErrors, RVReducer, Status, catalogue, four_bar
+from four_bar_reducers import READ, drawn, reducer, referenced, revolution, transmission_error
+from rvjax import RVErrors, Status, catalogue, four_bar
 from rvjax.four_bar.forces import pin_load_ratio
 from rvjax.units import mm, um
-
-STATIC = ("angles", "cranks", "closure", "branch")
-revolution = jax.jit(four_bar.revolution, static_argnames=STATIC)
-transmission_error = jax.jit(four_bar.transmission_error, static_argnames=STATIC[1:])
-READ = ("crank_eccentricity", "crank_phase", "disc_bore", "carrier_bore", "bearing_clearance", "eccentricity")
-
-
-def reducer(cranks=2, discs=2, e=1.3 * mm, radius=36 * mm, stiffness=6e8, teeth=(10, 26, 39, 40), pins=64 * mm):
-    return RVReducer(
-        InvoluteStage.from_teeth(teeth[0], teeth[1], module=2 * mm),
-        CycloidStage(teeth[2], teeth[3], discs, e, pins, 3 * mm),
-        CrankStage(cranks, radius, stiffness),
-    )
-
-
-def referenced(case, dtype=np.float64):
-    """Design and errors of a case of the reference file."""
-    d = case["design"]
-    design = reducer(
-        d["cranks"],
-        d["discs"],
-        d["eccentricity_mm"] * mm,
-        d["crank_circle_radius_mm"] * mm,
-        d["bearing_stiffness_N_per_mm"] / mm,
-        (d["sun_teeth"], d["planet_teeth"], d["disc_teeth"], d["pin_count"]),
-        d["pin_circle_radius_mm"] * mm,
-    )
-    errors = {n: np.asarray(v) * (1 if n == "crank_phase" else mm) for n, v in case["errors_mm_rad"].items()}
-    return design, cast(RVErrors.for_design(design, **errors), dtype)
-
-
-def cast(errors, dtype):
-    return jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), errors)
-
-
-def drawn(design, seed, size=10 * um, units=None):
-    """Random errors of one unit, or of many along the last axis."""
-    rng, counts = np.random.default_rng(seed), design.counts
-    c, d, last = counts["cranks"], counts["discs"], () if units is None else (units,)
-    values = dict(
-        crank_eccentricity=rng.normal(0, size, (d, c, *last)),
-        crank_phase=rng.normal(0, 1e-4, (c, *last)),
-        disc_bore=rng.normal(0, size, (d, c, 2, *last)),
-        carrier_bore=rng.normal(0, size, (c, 2, *last)),
-        bearing_clearance=np.abs(rng.normal(0, size, last)),
-        eccentricity=rng.normal(0, size, last),
-    )
-    blank = RVErrors.for_design(design)
-    leaves, tree = jax.tree.flatten_with_path(blank)
-    full = [np.zeros((*np.shape(leaf), *last)) + values.get(path[0].name, 0) for path, leaf in leaves]
-    return tree.unflatten(map(jnp.asarray, full))
-
-
-def changed(errors, **changes):
-    """A batch with some fields changed; constructors take one case only."""
-    leaves, tree = jax.tree.flatten_with_path(errors)
-    return tree.unflatten([jnp.asarray(changes.get(path[0].name, leaf)) for path, leaf in leaves])
 
 
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])
@@ -157,12 +103,11 @@ def plain_forces(design, u, axis, torque):
     return force + couple / (len(axis) * design.cranks.circle_radius) * 1j * axis
 
 
-@pytest.mark.parametrize("cranks", [2, 3, 5])
-@pytest.mark.parametrize("discs", [1, 2, 3])
-@pytest.mark.parametrize("torque", [0.0, 412.0, -300.0])
-def test_locked_reducer_against_plain_vectors(cranks, discs, torque):
+@pytest.mark.parametrize(("cranks", "discs"), [(2, 1), (2, 3), (3, 1), (3, 2), (5, 2)])
+def test_locked_reducer_against_plain_vectors(cranks, discs):
+    """Every number of cranks and of discs, one disc with even and odd cranks, loaded both ways and not."""
     design = reducer(cranks, discs)
-    for seed in range(3):
+    for seed, torque in itertools.product(range(3), (0.0, 412.0, -300.0)):
         errors, angle = drawn(design, seed), 0.7 + 2 * seed
         result = transmission_error(design, errors, crank_angle=angle, output_torque=torque, closure="closed_form")
         per_disc, misfit = plain(design, errors, angle, torque)
@@ -218,27 +163,6 @@ def test_elastic_wind_up_is_constant(torque):
     np.testing.assert_allclose(result.error[12], -1.25820394e-4 * np.sign(torque), rtol=1e-6)
 
 
-def test_torque_through_zero():
-    """Without load clearance has no direction: a jump whose one-sided limits are opposite."""
-    design, errors = catalogue.RV_40E, RVErrors(bearing_clearance=5 * um)
-
-    @jax.jit
-    def error(torque, clearance):
-        return transmission_error(
-            design, errors.replace(bearing_clearance=clearance), crank_angle=np.pi / 2, output_torque=torque
-        ).error
-
-    value, slopes = jax.value_and_grad(error, argnums=(0, 1))(0.0, 5 * um)
-    assert value == 0
-    assert slopes[1] == 0
-    np.testing.assert_allclose(slopes[0], -2 * 198.937142857143 / 412 / (6e8 * (72 * mm) ** 2), rtol=1e-9)
-    np.testing.assert_allclose(error(1e-9, 5 * um), -error(-1e-9, 5 * um), rtol=1e-2)
-    assert abs(error(1e-9, 5 * um)) > 1e-4
-    clearance_slope = jax.grad(error, argnums=1)(412.0, 5 * um)
-    difference = (error(412.0, 6 * um) - error(412.0, 4 * um)) / (2 * um)
-    np.testing.assert_allclose(clearance_slope, difference, rtol=1e-5)
-
-
 def test_first_harmonic_in_closed_form():
     """Phase-locked and unloaded the error is a pure first harmonic, to first order, in every design."""
     for design in (catalogue.RV_40E, reducer(3, 3)):
@@ -291,144 +215,3 @@ def test_revolution_equals_its_curve():
             for j in (0, 7, 31):
                 alone = transmission_error(catalogue.RV_40E, unit, crank_angle=result.crank_angle[0, j])
                 np.testing.assert_allclose(alone.error, error[3, j], rtol=1e-12)
-
-
-def test_derivatives_equal_differences():
-    """Reverse and forward mode against differences, for a random sum of figures along a random direction."""
-    design, rng = catalogue.RV_40E, np.random.default_rng(1)
-    errors, weights = drawn(design, 9), rng.normal(size=5)
-
-    def figure(errors):
-        result = four_bar.revolution(design, errors, output_torque=412.0)
-        parts = jnp.stack([result.maximum, result.minimum, result.largest_misfit, result.mean, result.error[5]])
-        return jnp.dot(parts, weights)
-
-    value, gradient = jax.jit(figure), jax.jit(jax.grad(figure))(errors)
-    forward = jax.jit(lambda e, d: jax.jvp(figure, (e,), (d,))[1])
-    blank = jax.tree.map(jnp.zeros_like, errors)
-    for name in RVErrors.__dataclass_fields__:
-        found = np.asarray(getattr(gradient, name))
-        if name not in READ:
-            assert np.all(found == 0)
-            continue
-        direction = changed(blank, **{name: rng.normal(size=found.shape)})
-        above, below = (value(jax.tree.map(lambda x, d, s=s: x + s * 1e-9 * d, errors, direction)) for s in (1, -1))
-        expected = (above - below) / 2e-9
-        np.testing.assert_allclose(np.sum(found * getattr(direction, name)), expected, rtol=1e-5, atol=1e-5)
-        np.testing.assert_allclose(forward(errors, direction), expected, rtol=1e-5, atol=1e-5)
-
-
-def test_zero_errors_are_exactly_zero_with_finite_derivatives():
-    """At every crank angle; a random weight on each makes one lost derivative spoil the sum."""
-    for cranks in (2, 3):
-        design, angles = reducer(cranks), np.linspace(0, 2 * np.pi, 25)
-
-        def figures(errors, design=design, angles=angles):
-            def one(angle):
-                result = four_bar.transmission_error(design, errors, crank_angle=angle, closure="closed_form")
-                return jnp.concatenate([result.per_disc, result.misfit])
-
-            return jax.vmap(one)(jnp.asarray(angles))
-
-        @jax.jit
-        def pulled(errors, weights, figures=figures):
-            value, pull = jax.vjp(figures, errors)
-            return value, pull(weights)[0]
-
-        zero = cast(RVErrors.for_design(design), np.float64)
-        value, gradient = pulled(zero, np.random.default_rng(0).normal(size=(25, 4)))
-        assert np.all(np.asarray(value) == 0)
-        for leaf in jax.tree.leaves(gradient):
-            assert np.all(np.isfinite(leaf))
-
-
-def test_second_derivatives_of_a_curve():
-    design, errors = catalogue.RV_40E, drawn(catalogue.RV_40E, 10)
-
-    def error(delta):
-        return transmission_error(
-            design, errors.replace(crank_eccentricity=delta), crank_angle=0.8, output_torque=412.0
-        ).error
-
-    delta = errors.crank_eccentricity
-    second = np.asarray(jax.jit(jax.hessian(error))(delta)).reshape(4, 4)
-    first = jax.jit(jax.grad(error))
-    for j in range(4):
-        step = 1e-7 * np.eye(4)[j].reshape(2, 2)
-        difference = np.ravel((first(delta + step) - first(delta - step)) / 2e-7)
-        np.testing.assert_allclose(second[j], difference, rtol=1e-5, atol=1e-2)
-
-
-def test_lost_units_leave_their_neighbours_alone():
-    design = catalogue.RV_40E
-    units = drawn(design, 11, units=6)
-
-    def total(design, units):
-        def one(errors):
-            result = four_bar.revolution(design, errors)
-            return jnp.stack([result.peak_to_peak, result.largest_misfit]), result.info.status
-
-        values, status = jax.vmap(one, in_axes=-1)(units)
-        return jnp.sum(jnp.where((status == 0)[:, None], values, 0)[:3]), (values, status)
-
-    gradient = jax.jit(jax.grad(total, argnums=(0, 1), has_aux=True))
-    (shared, each), (values, status) = gradient(design, units)
-    assert set(np.asarray(status)) == {0}
-    carrier = np.array(units.carrier_bore)
-    carrier[0, 0, 3] = -80 * mm  # the carrier bores change places
-    phase = np.array(units.crank_phase)
-    phase[1, 4] = np.nan
-    clearance = np.array(units.bearing_clearance)
-    clearance[5] = np.inf
-    lost = changed(units, carrier_bore=carrier, crank_phase=phase, bearing_clearance=clearance)
-    (lost_shared, lost_each), (lost_values, lost_status) = gradient(design, lost)
-    assert [Status(int(s)).name for s in lost_status[3:]] == ["INVALID_GEOMETRY", "NONFINITE", "NONFINITE"]
-    assert np.all(np.isnan(lost_values[3:]))
-    assert np.array_equal(lost_values[:3], values[:3])
-    for first, second in zip(jax.tree.leaves(shared), jax.tree.leaves(lost_shared)):
-        np.testing.assert_allclose(second, first, rtol=1e-12)
-    for first, second in zip(jax.tree.leaves(each), jax.tree.leaves(lost_each)):
-        assert np.array_equal(second[..., :3], first[..., :3])
-        assert np.all(np.asarray(second)[..., 3:] == 0)
-
-
-def test_statuses():
-    def status(design=catalogue.RV_40E, errors=None, **arguments):
-        arguments = dict(crank_angle=1.0) | arguments
-        result = four_bar.transmission_error(design, errors or RVErrors(), **arguments)
-        assert np.isnan(result.error) == (int(result.info.status) not in (Status.CONVERGED, Status.CHANGE_POINT))
-        return Status(int(result.info.status)).name
-
-    assert status() == "CONVERGED"
-    assert status(crank_angle=np.nan) == "NONFINITE"
-    assert status(output_torque=np.inf) == "NONFINITE"
-    assert status(errors=RVErrors(eccentricity=np.nan)) == "NONFINITE"
-    assert status(errors=RVErrors(pin_radius=np.nan)) == "CONVERGED"  # not read by this model
-    assert status(catalogue.RV_40E.replace(cranks=CrankStage(2, np.nan))) == "NONFINITE"
-    assert status(crank_angle=0.0, cranks="free") == "CHANGE_POINT"
-    assert status(errors=RVErrors(disc_bore=np.full((2, 2, 2), 1 * mm)), cranks="free") == "NOT_ASSEMBLABLE"
-    steep = jax.tree.map(lambda leaf: leaf, catalogue.RV_40E)
-    object.__setattr__(steep.cycloid, "shortening", 1.0)  # a batch is not checked
-    assert status(steep) == "INVALID_GEOMETRY"
-
-
-def test_impossible_arguments():
-    for arguments, message in (
-        (dict(closure="quadratic"), "closure"),
-        (dict(branch="crossed"), "branch"),
-        (dict(cranks="geared"), "gear_stiffness_ratio"),
-    ):
-        for function in (lambda **a: four_bar.transmission_error(**a, crank_angle=1.0), four_bar.revolution):
-            with pytest.raises(ValueError, match=message):
-                function(design=catalogue.RV_40E, errors=RVErrors(), **arguments)
-    with pytest.raises(ValueError, match="3 cranks"):
-        four_bar.transmission_error(reducer(3), RVErrors(), crank_angle=1.0, cranks="free")
-    with pytest.raises(ValueError, match=r"RVErrors\.crank_phase"):
-        four_bar.transmission_error(catalogue.RV_40E, RVErrors(crank_phase=np.zeros(3)), crank_angle=1.0)
-    soft = reducer(stiffness=None)
-    four_bar.transmission_error(soft, RVErrors(), crank_angle=1.0)
-    for torque in (412.0, np.float64(1.0)):
-        with pytest.raises(ValueError, match="bearing_stiffness"):
-            four_bar.transmission_error(soft, RVErrors(), crank_angle=1.0, output_torque=torque)
-    with pytest.raises(ValueError, match="bearing_stiffness"):
-        jax.jit(lambda t: four_bar.revolution(soft, RVErrors(), output_torque=t))(0.0)

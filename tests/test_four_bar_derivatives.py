@@ -1,0 +1,142 @@
+"""One four-bar linkage: derivatives.
+
+Oracles: closed-form sensitivities at zero error (1e-12, float derivations by hand); finite differences (steps of 1e-3
+of the deviation, so 1e-6 relative); the Newton and the closed form of the same linkage against each other.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from four_bar_cases import METHODS, MM, SPACING, E, at, batch, columns, one, padded, random_linkages, slopes, solver
+from rvjax import LinkDeviations, Status
+
+
+def sensitivities(cranks, angle):
+    """Closed-form derivatives of b2 at zero error, in the order of the deviations; float derivations by hand."""
+    sine, cosine, one_ = np.sin(angle), np.cos(angle), np.ones_like(angle)
+    if cranks == "free":
+        cot = cosine / sine
+        rows = [-1 / sine, -cot, 1 / sine, cot, 0 * one_, SPACING * one_, cot, one_]
+    else:
+        rows = [-sine, 0 * one_, sine, 0 * one_, E * cosine, SPACING * one_, 0 * one_, one_]
+    return np.array(rows) / SPACING
+
+
+@pytest.mark.parametrize("methods", [m for m in METHODS if m[2] == "open" and m[0] != "geared"])
+def test_sensitivities_at_zero_error(methods, reference):
+    angle = np.deg2rad(np.array([90, 30, 60, 137, 211, 300.0]))
+    zeros = batch(*np.zeros((8, 6)))
+    _, _, found = slopes(methods)((np.full(6, E), np.full(6, SPACING), zeros), angle, np.ones(6))
+    np.testing.assert_allclose(columns(found), sensitivities(methods[0], angle), rtol=1e-12, atol=1e-11)
+    printed = reference("four_bar")["sensitivities"]
+    key = "free_open_exact" if methods[0] == "free" else "locked"
+    order = ["crank_1", "coupler", "crank_3", "frame", "crank_phase", "frame_angle", "joint_x", "joint_y"]
+    for i, case in enumerate(printed):
+        per = [case[key].get(f"{name}_per_mm", case[key].get(f"{name}_per_rad")) for name in order]
+        scale = [1 if name in ("crank_phase", "frame_angle") else 1e3 for name in order]
+        np.testing.assert_allclose(np.array(columns(found))[:, i], np.multiply(per, scale), rtol=1e-10, atol=1e-11)
+
+
+def test_locked_zero_error_is_finite_everywhere():
+    angle = np.concatenate([np.deg2rad(np.arange(0, 361, 15.0)), [0, np.pi, 2 * np.pi]])
+    for methods in (m for m in METHODS if m[0] != "free"):
+        n = len(angle)
+        result = at(methods, angle)
+        assert np.all(np.asarray(result.coupler_angle) == 0)
+        numbers = (np.full(n, E), np.full(n, SPACING), batch(*np.zeros((8, n))))
+        for leaf in jax.tree.leaves(slopes(methods)(numbers, angle, np.ones(n))):
+            assert np.all(np.isfinite(leaf))
+
+
+@pytest.mark.parametrize("methods", METHODS)
+def test_derivatives_equal_differences(methods):
+    e, spacing, deviations, angle, ratio = random_linkages(20, seed=11, away=0.4)
+    numbers = (e, spacing, deviations)
+    found = jax.tree.leaves(slopes(methods)(numbers, angle, ratio))
+    leaves, tree = jax.tree.flatten(numbers)
+    for i, leaf in enumerate(leaves):
+        step = 1e-6 if i in (6, 7) else 1e-8  # rad, m
+
+        def shifted(by, i=i, leaf=leaf):
+            moved = tree.unflatten([*leaves[:i], leaf + by, *leaves[i + 1 :]])
+            return np.asarray(solver(methods)(*moved, angle, ratio).coupler_angle)
+
+        difference = (8 * (shifted(step) - shifted(-step)) - (shifted(2 * step) - shifted(-2 * step))) / (12 * step)
+        np.testing.assert_allclose(found[i], difference, rtol=1e-6, atol=1e-7 if i in (6, 7) else 1e-6)
+
+
+@pytest.mark.parametrize("methods", [m for m in METHODS if m[1:] == ("newton", "open")])
+def test_second_derivatives(methods):
+    def gradient(vector, crank_angle):
+        def coupler_angle(vector):
+            deviations = jax.tree.unflatten(jax.tree.structure(LinkDeviations()), list(vector))
+            return one(E, SPACING, deviations, crank_angle, 5.0, methods=methods).coupler_angle
+
+        return jax.grad(coupler_angle)(vector)
+
+    def curvature(vector, direction, crank_angle):
+        return jax.jvp(lambda v: gradient(v, crank_angle), (vector,), (direction,))[1]
+
+    first, second = padded(gradient), padded(curvature)
+    _, _, deviations, angle, _ = random_linkages(6, seed=12, away=0.6)
+    vector = np.array(columns(deviations)).T
+    direction = np.random.default_rng(0).normal(size=vector.shape)
+    found = second(vector, direction, angle)
+    difference = (first(vector + 1e-7 * direction, angle) - first(vector - 1e-7 * direction, angle)) / 2e-7
+    np.testing.assert_allclose(found, difference, rtol=1e-4, atol=2e-2)  # of 1/m^2, up to 1e5
+    if methods[0] == "free":  # b2 = -d2^2/(2 e l) and the same of d4, nearly, at 90 deg
+        zero = second(np.zeros((2, 8)), np.eye(8)[[1, 3]], np.full(2, np.pi / 2))
+        np.testing.assert_allclose([zero[0, 1], zero[1, 3]], -1 / (E * SPACING), rtol=2e-2)
+
+
+def test_newton_equals_closed_form():
+    inputs = e, spacing, deviations, angle, ratio = random_linkages(200, seed=13, away=0.2)
+    for cranks, branch in (("free", "open"), ("free", "crossed"), ("phase_locked", "open")):
+        pair = [(cranks, closure, branch) for closure in ("newton", "closed_form")]
+        values = [solver(methods)(*inputs).coupler_angle for methods in pair]
+        np.testing.assert_allclose(*values, rtol=1e-11)
+        tangents = [jax.tree.leaves(slopes(methods)((e, spacing, deviations), angle, ratio)) for methods in pair]
+        for first, second in zip(*tangents):
+            np.testing.assert_allclose(first, second, rtol=1e-9, atol=1e-10)
+
+
+@pytest.mark.parametrize("methods", METHODS)
+def test_lost_lanes_leave_their_neighbours_alone(methods):
+    size = 6
+    e, spacing, deviations, angle, _ = random_linkages(2 * size, seed=14, away=0.6)
+    e, spacing = jnp.asarray(e[0]), jnp.asarray(spacing[0])  # shared by all lanes
+    rows = np.array(columns(deviations))
+    lost = rows.copy()
+    lost[0, size:] = [np.nan, -1.0, 0, 0, 0, 0]
+    lost[1, size:] = [0, 0, 2 * MM, 1.0, np.inf, -1.0]
+    lost_angle = angle.copy()
+    lost[:, -3], lost_angle[-3] = 0, 0  # no error at the dead point
+    lost[:, -1], lost_angle[-1] = 0, np.nan
+
+    @jax.jit
+    def gradients(rows, angle):
+        def total(shared, deviations):
+            def solve(deviations, angle):
+                return one(*shared, deviations, angle, 5.0, methods=methods)
+
+            result = jax.vmap(solve)(deviations, angle)
+            counted = result.info.status == Status.CONVERGED
+            lanes = jnp.where(counted, result.coupler_angle, 0)
+            return jnp.sum(lanes[:size]) + 1e-30 * jnp.sum(lanes), (lanes, counted)
+
+        tree = jax.tree.structure(LinkDeviations())
+        return jax.grad(total, argnums=(0, 1), has_aux=True)((e, spacing), tree.unflatten(list(rows)))
+
+    (shared, each), (values, _) = gradients(rows, angle)
+    (lost_shared, lost_each), (lost_values, counted) = gradients(lost, lost_angle)
+    assert np.array_equal(lost_values[:size], values[:size])
+    np.testing.assert_allclose(lost_shared, shared, rtol=1e-12)
+    assert np.all(counted[:size])
+    assert not counted[size]
+    assert not counted[-1]
+    for lane, lost_lane in zip(columns(each), columns(lost_each)):
+        assert np.array_equal(lane[:size], lost_lane[:size])
+        assert np.all(np.isfinite(lost_lane))
+        assert np.all(np.asarray(lost_lane)[~np.asarray(counted)] == 0)
