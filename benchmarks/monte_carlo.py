@@ -7,9 +7,12 @@ few hundred thousand units, so that a busy machine slows both alike. Memory is t
 of the run.
 
     python benchmarks/monte_carlo.py --units 1e8 [--method sobol] [--checkpoint FILE] [--json FILE]
+    python benchmarks/monte_carlo.py --seeds 200
 """
 
 import argparse
+import functools
+import math
 import os
 import threading
 import time
@@ -92,6 +95,37 @@ def race(response, tolerances, required, chunk, method, chunks=12):
     return {name: 1e9 * seconds / (chunks * chunk) for name, seconds in best.items()}
 
 
+def sobol_gain(seeds, units=16384):
+    """Errors of the whole study's estimates by both methods: seen over seeds, stated, and covered by the intervals."""
+    asked = study.load("rv-40e")
+    run = functools.partial(monte_carlo, asked.response(), asked.tolerances, requirements=asked.requirements)
+    true = run(samples=2**21, seed=10**6, method="sobol")
+    figures = {
+        "mean": lambda s, name: s.mean[name],
+        "sd": lambda s, name: s.sd[name],
+        "quantile 99.865 %": lambda s, name: s.quantiles[0.99865][name],
+        "yield": lambda s, name: s.yield_[name],
+    }
+    print(f"{seeds} studies of {units} units; the truth from {2**21} Sobol units")
+    print(
+        f"{'response':20s} {'figure':18s} {'method':7s} {'rms error':>10s} {'stated':>10s} {'covered':>8s} {'gain':>6s}"
+    )
+    found = {
+        method: [run(samples=units, seed=s, method=method) for s in range(seeds)] for method in ("random", "sobol")
+    }
+    for name in asked.requirements:
+        for figure, of in figures.items():
+            truth, seen = of(true, name).value, {}
+            for method, runs in found.items():
+                estimates = [of(statistics, name) for statistics in runs]
+                seen[method] = math.sqrt(sum((e.value - truth) ** 2 for e in estimates) / seeds)
+                stated = math.sqrt(sum(e.error**2 for e in estimates) / seeds)
+                covered = sum(e.lower <= truth <= e.upper for e in estimates) / seeds
+                gain = f"{seen['random'] / seen[method]:6.1f}" if seen[method] else "     -"
+                row = f"{name:20s} {figure:18s} {method:7s} {seen[method]:10.3g} {stated:10.3g} {covered:8.3f} {gain}"
+                print(row)
+
+
 def main():
     """Race, then the long run."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -99,8 +133,11 @@ def main():
     parser.add_argument("--chunk", type=int, default=32768)
     parser.add_argument("--method", default="random")
     parser.add_argument("--checkpoint", help="write a checkpoint while running")
+    parser.add_argument("--seeds", type=int, default=0, help="only compare Sobol points with random ones over seeds")
     parser.add_argument("--json", type=Path, help="write the figures to this file")
     options = parser.parse_args()
+    if options.seeds:
+        return sobol_gain(options.seeds)
     units, chunk = int(options.units), options.chunk
     response, tolerances, required = question()
     ns = race(response, tolerances, required, chunk, options.method)

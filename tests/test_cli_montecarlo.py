@@ -61,7 +61,7 @@ def test_a_batch_prints_and_writes_its_figures(here, capsys, expected):
     assert f"{mean / 2.908882086657216e-4:.5g}" in printed.out
 
 
-def test_two_processes_on_one_machine(here, expected):
+def test_two_processes_on_one_machine(here, capsys, expected):
     command = "montecarlo small.toml --samples 5000 --seed 4 --chunk 1000 --processes 2 --checkpoint c --save a.npz"
     done = subprocess.run([sys.executable, "-m", "rvjax", *command.split()], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
@@ -70,6 +70,8 @@ def test_two_processes_on_one_machine(here, expected):
     np.testing.assert_allclose(load("a.npz").values["lost_motion"], expected.values["lost_motion"], rtol=1e-12)
     one = load("a.npz")
     assert one.samples == 5000 and one.yield_ == expected.yield_
+    assert cli.main([*command.replace("--processes 2", "--quiet").split()]) == 2  # would begin anew
+    assert "c.0-of-2 is of another number of processes than 1" in capsys.readouterr().err.replace("c.1", "c.0")
 
 
 def test_a_process_that_fails_ends_the_others(here):

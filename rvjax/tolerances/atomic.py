@@ -3,6 +3,9 @@
 import os
 from pathlib import Path
 
+PARTIAL = ".partial"
+"""Ending of a file that is being written."""
+
 
 def write_atomically(path: Path, content: bytes) -> None:
     """Write a file so that a reader, or the next run after a crash, finds the old or the new content, never a part.
@@ -14,7 +17,7 @@ def write_atomically(path: Path, content: bytes) -> None:
     Raises:
         OSError: it cannot be written; the old content stays.
     """
-    partial = path.with_name(path.name + ".partial")
+    partial = path.with_name(path.name + PARTIAL)
     try:
         with partial.open("wb") as file:
             file.write(content)

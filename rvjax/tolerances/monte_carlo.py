@@ -2,6 +2,7 @@
 
 import contextlib
 import functools
+import glob
 import itertools
 import operator
 from collections.abc import Iterator
@@ -10,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from rvjax.tolerances.atomic import PARTIAL
 from rvjax.tolerances.checkpoint import Checkpoint, describe, response_hash, versions
 from rvjax.tolerances.correlation import Correlation, correlated
 from rvjax.tolerances.devices import Evaluator
@@ -128,8 +130,17 @@ def monte_carlo(
 
 
 def _of_process(path: str | Path, process: int, processes: int) -> Path:
+    """The checkpoint of one process; refuses those of another number of processes, which would begin anew."""
     whole = Path(path)
-    return whole if processes == 1 else whole.with_name(f"{whole.name}.{process}-of-{processes}")
+    all_of = [whole.with_name(f"{whole.name}.{number}-of-{processes}") for number in range(processes)]
+    all_of = [whole] if processes == 1 else all_of
+    for found in (whole, *whole.parent.glob(f"{glob.escape(whole.name)}.*-of-*")):
+        if found.suffix != PARTIAL and found not in all_of and found.is_file():
+            raise ValueError(
+                f"checkpoint = {str(path)!r}: {found.name} is of another number of processes than {processes}; "
+                "name another file, or delete it to begin anew"
+            )
+    return all_of[process]
 
 
 def _chunks(
