@@ -1,0 +1,186 @@
+"""Allocation by gradients beside derivative-free optimisers: units evaluated until the cheapest tolerances are found.
+
+First the closed form: linear responses, whose optimum is known. Then the RV-40E study: all optimisers minimise the
+same cost under the same sampled constraints (the same units, the same quantiles), from the same start, in logarithms
+of the half-widths. One look costs `samples` units; a unit's value with its gradient counts as three. An optimiser has
+arrived when its best tolerances so far cost at most 1 % more than the optimum, with no requirement violated by more
+than 0.2 % of the way from the nominal response to the limit. The optimum is the cheapest such set any of them found.
+Most of them do not know that they have arrived: the units until each stops by itself stand beside.
+"""
+
+import math
+import time
+
+import numpy as np
+from scipy import optimize, stats
+
+from timing import arguments, publish, settings
+
+settings()
+
+from rvjax.study import load  # noqa: E402  (after the flags)
+from rvjax.tolerances import ReciprocalPower, Requirement, Tolerance, allocate  # noqa: E402
+from rvjax.tolerances.layout import layout  # noqa: E402
+from rvjax.tolerances.search import Search  # noqa: E402
+from rvjax.tolerances.training import Training  # noqa: E402
+from rvjax.units import um  # noqa: E402
+
+GRADIENT, VIOLATION, NEAR = 3, 2e-3, 1.01
+CLOSED_FORM = {"two fields": (1.0, 2.0), "eight fields": (1.0, 2.0, 0.5, 3.0, 1.5, 0.7, 1.0, 2.5)}
+
+
+class Counted(Training):
+    """The learning sample; counts the units it evaluates."""
+
+    units = 0
+
+    def _own(self, half_widths):
+        self.units += self.samples
+        return super()._own(half_widths)
+
+    def _gradients(self, half_widths, lanes, cotangents):
+        self.units += GRADIENT * len(lanes)
+        return super()._gradients(half_widths, lanes, cotangents)
+
+
+class Race:
+    """The common problem, with a record of (units, cost, violation) of everything an optimiser looked at."""
+
+    def __init__(self, study):
+        self.study, self.parts = study, layout(study.tolerances)
+        self.priced = {name: study.costs[name] for name in self.parts.active if name in study.costs}
+        self.start = np.array([float(self.parts.active[name].half_width) for name in self.priced])
+
+    def begin(self):
+        """Forget everything: each optimiser pays for all it sees."""
+        study, fields = self.study, tuple(self.priced)
+        self.training = Counted(study.response(), self.parts, fields, study.requirements, None, study.samples, 0)
+        self.search = Search(self.training, self.priced, 300)
+        self.low, self.high = np.log(self.search.low), np.log(self.search.high)
+        self.looks, self.memory = [], {}
+
+    def look(self, x):
+        """Cost and margins (relative) at logarithms of half-widths; one evaluation for both."""
+        key = tuple(x)
+        if key not in self.memory:
+            t = np.exp(np.clip(x, self.low, self.high))
+            margins = self.training.margins(t) / self.training.distance
+            self.memory[key] = self.search.cost(t), margins
+            self.looks.append((self.training.units, self.memory[key][0], float(margins.max())))
+        return self.memory[key]
+
+    def penalised(self, x):
+        """Cost with an exact penalty, and one for leaving the process range."""
+        cost, margins = self.look(x)
+        outside = np.maximum(0, self.low - x).sum() + np.maximum(0, x - self.high).sum()
+        return cost + 100 * np.maximum(margins, 0).sum() + 10 * outside
+
+    def gradients(self):
+        point, _ = self.search.run(self.search.begin(self.start))
+        each = (self.training.units - 2 * self.training.samples) / len(self.search.history)
+        for k, item in enumerate(self.search.history):
+            margins = np.array(list(item["margins"].values())) / self.training.distance
+            self.looks.append((int(self.training.samples + (k + 1) * each), item["cost"], float(margins.max())))
+        return point
+
+    def cobyla(self, first_step):
+        constraints = [
+            {"type": "ineq", "fun": lambda x: -self.look(x)[1]},
+            {"type": "ineq", "fun": lambda x: x - self.low},
+            {"type": "ineq", "fun": lambda x: self.high - x},
+        ]
+        optimize.minimize(
+            lambda x: self.look(x)[0] / 10,
+            np.log(self.start),
+            method="COBYLA",
+            constraints=constraints,
+            options=dict(rhobeg=first_step, tol=1e-4, maxiter=2000),
+        )
+
+    def cobyqa(self):
+        met = optimize.NonlinearConstraint(lambda x: self.look(x)[1], -np.inf, 0)
+        optimize.minimize(
+            lambda x: self.look(x)[0] / 10,
+            np.log(self.start),
+            method="COBYQA",
+            bounds=optimize.Bounds(self.low, self.high),
+            constraints=[met],
+            options=dict(initial_tr_radius=0.3, final_tr_radius=1e-3, maxfev=1000),
+        )
+
+    def nelder_mead(self):
+        options = dict(maxfev=3000, xatol=1e-4, fatol=1e-4, adaptive=True)
+        optimize.minimize(self.penalised, np.log(self.start), method="Nelder-Mead", options=options)
+
+    def powell(self):
+        bounds = list(zip(self.low, self.high))
+        optimize.minimize(self.penalised, np.log(self.start), method="Powell", bounds=bounds, options=dict(maxfev=3000))
+
+    def evolution(self):
+        bounds = list(zip(self.low, self.high))
+        optimize.differential_evolution(
+            self.penalised, bounds, x0=np.log(self.start), seed=0, maxiter=40, popsize=8, polish=False
+        )
+
+
+def closed_forms():
+    """Cost found over cost of the closed form, certified by four million units."""
+    figures, limit = {}, 20 * um
+    for name, slopes in CLOSED_FORM.items():
+        fields = [f"e{k}" for k in range(len(slopes))]
+        found = allocate(
+            lambda e, slopes=slopes, fields=fields: sum(a * e[n] for a, n in zip(slopes, fields)),
+            {n: Tolerance.symmetric(10 * um) for n in fields},
+            Requirement(lower=-limit, upper=limit),
+            costs={n: ReciprocalPower(finest=0.1 * um, coarsest=1000 * um) for n in fields},
+            samples=65536,
+            certificate_samples=4_000_000,
+        )
+        shape = np.array(slopes) ** (-2 / 3)
+        radius = 3 * limit / stats.norm.ppf((1 + 0.9973) / 2)
+        t = shape * radius / math.sqrt(((np.array(slopes) * shape) ** 2).sum())
+        figures[f"closed form, {name}: cost / optimum"] = found.cost / float((10 * um / t).sum())
+        figures[f"closed form, {name}: looks"] = len(found.history)
+    return figures
+
+
+def main():
+    """Print and publish the figures."""
+    options = arguments(__doc__)
+    figures = closed_forms()
+    race = Race(load("rv-40e"))
+    contenders = {
+        "gradients": race.gradients,
+        "COBYLA, first step 0.1": lambda: race.cobyla(0.1),
+        "COBYLA, first step 1": lambda: race.cobyla(1.0),
+        "COBYQA": race.cobyqa,
+        "Nelder-Mead": race.nelder_mead,
+        "Powell": race.powell,
+        "differential evolution": race.evolution,
+    }
+    race.begin()
+    race.gradients()  # compiles what all of them use
+    looks, seconds = {}, {}
+    for name, run in contenders.items():
+        race.begin()
+        start = time.perf_counter()
+        run()
+        looks[name], seconds[name] = race.looks, time.perf_counter() - start
+    optimum = min(cost for seen in looks.values() for _, cost, violation in seen if violation <= VIOLATION)
+    figures["RV-40E: optimum of the sampled problem"] = optimum
+    arrived = {}
+    for name, seen in looks.items():
+        good = [(units, cost) for units, cost, violation in seen if violation <= VIOLATION]
+        arrived[name] = next((units for units, cost in good if cost <= NEAR * optimum), math.inf)
+        figures[f"RV-40E, {name}: best cost / optimum"] = min(cost for _, cost in good) / optimum
+        figures[f"RV-40E, {name}: units until within 1 %"] = arrived[name]
+        figures[f"RV-40E, {name}: times the units of gradients"] = arrived[name] / arrived["gradients"]
+        figures[f"RV-40E, {name}: units until it stops"] = seen[-1][0]
+        figures[f"RV-40E, {name}: times those of gradients"] = seen[-1][0] / looks["gradients"][-1][0]
+        figures[f"RV-40E, {name}: looks"] = len(seen)
+        figures[f"RV-40E, {name}: seconds"] = seconds[name]
+    publish("allocation", figures, options.json)
+
+
+if __name__ == "__main__":
+    main()
