@@ -131,6 +131,22 @@ def test_parabola(bend):
     assert (found.reliability_index, found.status) == (pytest.approx(4.0, abs=1e-5), "OK")
 
 
+def test_a_failure_that_plain_units_do_not_foretell():
+    """A second way to fail, as likely as the first but steep: no plain unit comes near it."""
+    response = lambda e: jnp.maximum(e["a"], 20 * (e["b"] - 4.3) + 4.2)  # noqa: E731
+    found = failure_probability(response, THREE, Requirement(upper=4.2), samples=20_000, seed=0)
+    agrees(found, stats.norm.sf(4.2) + stats.norm.sf(4.3))
+    assert (found.points, found.status) == (2, "SEVERAL_POINTS")
+
+
+def test_many_numbers():
+    many = {"v": Tolerance.symmetric(3.0, shape=(200,))}
+    found = failure_probability(
+        lambda e: jnp.sum(e["v"]) / math.sqrt(200), many, Requirement(upper=6.0), samples=10_000, seed=0
+    )
+    agrees(found, stats.norm.sf(6.0))
+
+
 def test_failed_units_are_failures():
     def response(e):
         lost = jnp.abs(e["v"][3]) > 4.5

@@ -15,8 +15,8 @@ from rvjax.tolerances.layout import Layout, deviations, layout
 from rvjax.tolerances.requirements import Requirement
 from rvjax.tolerances.responses import Response, by_response, like_response, response_names
 
-_PILOT = BATCH // 2  # units that show where to start, at each of two spreads
-_WIDE = 2.0
+_PILOT = BATCH // 2  # plain units that show where to start; as many are spread wider
+_WIDE = (2.0, 3.0)  # spreads that reach failures which plain units do not foretell
 _ROUNDS = 4  # of looking for failures that no point stands for yet
 _APART = 0.8  # least distance of two points that both stand for themselves
 _MOST_POINTS = 192
@@ -175,12 +175,15 @@ class _Points:
     def explore(self, random: np.random.Generator) -> None:
         """Find the points: from plain units and from widely spread ones, then from failures far from all points."""
         pilot = random.standard_normal((len(self.centres), 2 * _PILOT))
-        pilot[:, _PILOT:] *= _WIDE
+        pilot[:, _PILOT::2] *= _WIDE[0]
+        pilot[:, _PILOT + 1 :: 2] *= _WIDE[1]
         values = self.units.values(pilot)
         for state in self.states:
             # Nearest to the limit from the side of the middle; failing units, where only few do.
             order = np.argsort(np.nan_to_num(-state.g(values[:_PILOT]), nan=math.inf))
             self.add(design_points(state, pilot[:, order[:LANES]]))
+            far = _PILOT + np.flatnonzero(state.g(values[_PILOT:]) > 0)
+            self.add(design_points(state, pilot[:, far[:LANES]]))
         if np.isnan(values).any() and not self.middle_fails:
             self.add(without_slope(self.states[0], pilot[:, np.isnan(values)]))
         for _ in range(_ROUNDS):
