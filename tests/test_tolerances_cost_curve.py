@@ -23,8 +23,11 @@ from rvjax.tolerances import (
     cost_curve,
     it_width,
     rss,
+    separable,
+    training,
     worst_case,
 )
+from rvjax.tolerances.responses import respond
 from rvjax.units import mm, um
 
 WIDE = ReciprocalPower(finest=1 * um, coarsest=500 * um)
@@ -115,6 +118,17 @@ def test_each_point_starts_from_the_last(of_bent):
     for before, after in zip(of_bent.allocations, of_bent.allocations[1:]):
         assert after.history[0]["half_widths"] == pytest.approx(before.half_widths)
     assert max(of_bent.evaluations[1:]) <= of_bent.evaluations[0]
+
+
+def test_a_curve_compiles_nothing_anew(of_bent):
+    programs = (respond, training._unit_gradients, separable._solve)
+    before = [program._cache_size() for program in programs]
+    first = of_bent.allocations[0]
+    costs = {"a": WIDE, "b": Exponential(decay=9 * um, finest=1 * um, coarsest=90 * um, scale=3.0)}
+    options = dict(samples=65536, certificate_samples=100_000)
+    curve = cost_curve(bent, first.tolerances, Requirement(upper=1.0), costs=costs, values=(11.5 * um,), **options)
+    assert curve.costs[0] > 0
+    assert [program._cache_size() for program in programs] == before
 
 
 def test_curve_against_the_target():

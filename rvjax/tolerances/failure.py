@@ -75,7 +75,7 @@ def failure_probability(
         tolerances: record or dict with a `Tolerance` or None in each field.
         requirement: `Requirement`, or a dict of them by name of the response, each judged alone; its target
             plays no part.
-        samples: units of the final draw; the searches add some 10 000 to 30 000 evaluations.
+        samples: units of the final draw; the searches add some 10 000 to 40 000 evaluations.
         seed: of the random numbers.
         correlation: {(field or element, field or element): correlation of their z}.
 
