@@ -43,8 +43,8 @@ def test_ishigami(of_ishigami):
     assert (FIRST["x1"], FIRST["x2"], TOTAL["x1"], TOTAL["x3"]) == pytest.approx(
         (0.3139, 0.4424, 0.5576, 0.2437), abs=1e-4
     )
-    agree(of_ishigami.first, FIRST, 0.004)
-    agree(of_ishigami.total, TOTAL, 0.004)
+    agree(of_ishigami.first, FIRST, 0.006)
+    agree(of_ishigami.total, TOTAL, 0.006)
     assert of_ishigami.evaluations == 16384 * 6
     assert (of_ishigami.used, of_ishigami.failed) == (16384, 0)
 
@@ -59,7 +59,7 @@ def test_chunks_do_not_matter(of_ishigami):
     for name in ISHIGAMI:
         assert parts.total[name].value == pytest.approx(of_ishigami.total[name].value, rel=1e-12, abs=1e-14)
         assert parts.total[name].error == pytest.approx(of_ishigami.total[name].error, rel=1e-9, abs=1e-14)
-    odd = [sobol_indices(ishigami, ISHIGAMI, samples=1000, seed=0, chunk=chunk) for chunk in (128, 65536)]
+    odd = [sobol_indices(ishigami, ISHIGAMI, samples=1000, seed=0, chunk=chunk) for chunk in (77, 65536)]
     assert odd[0].total["x1"].value == pytest.approx(odd[1].total["x1"].value, rel=1e-12)
 
 
@@ -145,5 +145,5 @@ def test_bad_arguments_are_named():
         sobol_indices(lambda e: e["x"], pair, samples=64, seed=0, correlation={("x", "y"): 0.5})
     with pytest.raises(ValueError, match="samples = 31: must be at least 32"):
         sobol_indices(lambda e: e["x"], pair, samples=31, seed=0)
-    with pytest.raises(ValueError, match="chunk = 15: must be at least 16"):
-        sobol_indices(lambda e: e["x"], pair, samples=64, seed=0, chunk=15)
+    with pytest.raises(ValueError, match="chunk = 0: must be at least 1"):
+        sobol_indices(lambda e: e["x"], pair, samples=64, seed=0, chunk=0)

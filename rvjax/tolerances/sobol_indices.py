@@ -8,16 +8,15 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 from scipy import special
-from scipy.stats import qmc
 
 from rvjax.status import succeeded
 from rvjax.tolerances.correlation import Correlation
 from rvjax.tolerances.estimates import Estimate
 from rvjax.tolerances.layout import Layout, layout, numbers_of
 from rvjax.tolerances.responses import Response, like_response, respond, response_names
+from rvjax.tolerances.sobol import SCRAMBLES, SobolPoints
 
-_SCRAMBLES = 16
-_FEWEST = 2 * _SCRAMBLES
+_FEWEST = 2 * SCRAMBLES
 
 
 @dataclasses.dataclass(frozen=True)
@@ -64,7 +63,7 @@ def sobol_indices(
     Args:
         response: pure function of the errors of one unit; a scalar, a dict or record of scalars, or `Outcome`.
         tolerances: record or dict with a `Tolerance` or None in each field.
-        samples: rows, at least 32; a multiple of 16 powers of two is best. Cost: samples (fields + 2) units.
+        samples: rows, at least 32; 16 times a power of two is best. Cost: samples (fields + 2) units.
         seed: of the scrambles.
         chunk: units evaluated at once.
         correlation: must be empty; a share of the variance is defined for independent fields only.
@@ -79,19 +78,23 @@ def sobol_indices(
     if correlation or parts.mixing is not None:
         raise ValueError("correlation: Sobol indices are defined for independent fields only; see rss for shares")
     if samples < _FEWEST:
-        raise ValueError(f"samples = {samples!r}: must be at least {_FEWEST}, two for each of {_SCRAMBLES} scrambles")
-    if chunk < _SCRAMBLES:
-        raise ValueError(f"chunk = {chunk!r}: must be at least {_SCRAMBLES}, one for each scramble")
+        raise ValueError(f"samples = {samples!r}: must be at least {_FEWEST}, two for each of {SCRAMBLES} scrambles")
+    if chunk < 1:
+        raise ValueError(f"chunk = {chunk!r}: must be at least 1")
     names, fields = response_names(response, tolerances), tuple(parts.active)
     sums = {name: _Sums(len(fields)) for name in names}
     used = failed = 0
-    for z in _designs(parts, samples, chunk, seed):
-        rows = [_evaluated(response, parts, part) for part in z]
+    points, block = SobolPoints(2 * parts.numbers, seed), min(chunk, samples)
+    for start in range(0, samples, block):
+        count = min(block, samples - start)
+        z = np.pad(points.z(start, count), ((0, 0), (0, block - count)))  # one program for chunks of one length
+        rows = [_evaluated(response, parts, mixed, count) for mixed in _mixtures(parts, *np.split(z, 2))]
         good = np.all([valid for _, valid in rows], axis=0)
         used += int(good.sum())
         failed += sum(int((~valid).sum()) for _, valid in rows)
+        scramble = (start + np.flatnonzero(good)) % SCRAMBLES
         for name in names:
-            sums[name].add([values[name] for values, _ in rows], good)
+            sums[name].add([values[name][good] for values, _ in rows], scramble)
     shares = {name: item.shares(fields) for name, item in sums.items()}
     return SobolIndices(
         first=like_response({name: first for name, (first, _) in shares.items()}),
@@ -104,36 +107,23 @@ def sobol_indices(
     )
 
 
-def _designs(parts: Layout, samples: int, chunk: int, seed: int) -> Iterator[Iterator[tuple[np.ndarray, int]]]:
-    """For each chunk of rows the z (numbers, rows) of A, B and every AB_i, one after the other."""
-    numbers, block = parts.numbers, samples
-    if samples > chunk:  # the sequences advance by powers of two
-        block = _SCRAMBLES * 2 ** int(math.log2(chunk // _SCRAMBLES))
-    each = 2 ** math.ceil(math.log2(math.ceil(block / _SCRAMBLES)))
-    generators = np.random.default_rng(seed).spawn(_SCRAMBLES)
-    engines = [qmc.Sobol(max(1, 2 * numbers), scramble=True, seed=generator) for generator in generators]
-    for start in range(0, samples, block):
-        points = np.stack([engine.random(each) for engine in engines], axis=1).reshape(each * _SCRAMBLES, -1)
-        # The points are multiples of 2^-30 and may be 0: take the middles of these cells.
-        z = special.ndtri(points[:block].T + 2.0**-31)
-        yield _mixtures(parts, z[:numbers], z[numbers : 2 * numbers], min(block, samples - start))
-
-
-def _mixtures(parts: Layout, a: np.ndarray, b: np.ndarray, count: int) -> Iterator[tuple[np.ndarray, int]]:
-    yield a, count
-    yield b, count
+def _mixtures(parts: Layout, a: np.ndarray, b: np.ndarray) -> Iterator[np.ndarray]:
+    """The z (numbers, rows) of A, B and every AB_i."""
+    yield a
+    yield b
     start = 0
     for tolerance in parts.active.values():
         stop = start + numbers_of(tolerance)
         mixed = a.copy()
         mixed[start:stop] = b[start:stop]
         start = stop
-        yield mixed, count
+        yield mixed
 
 
-def _evaluated(response: Response, parts: Layout, part: tuple[np.ndarray, int]) -> tuple[dict[str, np.ndarray], Any]:
-    """Values and validity. The last chunk is evaluated as long as the others, and cut: nothing is compiled twice."""
-    z, count = part
+def _evaluated(
+    response: Response, parts: Layout, z: np.ndarray, count: int
+) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """Values and validity of the first `count` units."""
     values, status = respond(response, parts.replace({}), jnp.asarray(z, jnp.result_type(float)))
     return {n: np.asarray(v, float)[:count] for n, v in values.items()}, np.asarray(succeeded(status))[:count]
 
@@ -143,21 +133,20 @@ class _Sums:
 
     def __init__(self, fields: int) -> None:
         self.origin: float | None = None  # values are taken relative to the first one, which keeps their digits
-        self.own = np.zeros((5, _SCRAMBLES))  # rows, a, b, a^2, b^2
-        self.crossed = np.zeros((3, fields, _SCRAMBLES))  # b (ab - a), ab - a, (ab - a)^2
+        self.own = np.zeros((5, SCRAMBLES))  # rows, a, b, a^2, b^2
+        self.crossed = np.zeros((3, fields, SCRAMBLES))  # b (ab - a), ab - a, (ab - a)^2
 
-    def add(self, rows: list[np.ndarray], good: np.ndarray) -> None:
-        """Take in A, B and every AB_i of the next chunk."""
-        scramble = np.arange(len(good))[good] % _SCRAMBLES
-        if not scramble.size:
+    def add(self, rows: list[np.ndarray], scramble: np.ndarray) -> None:
+        """Take in A, B and every AB_i of the next chunk, and the scramble of each row."""
+        a, b, *mixed = rows
+        if not a.size:
             return
-        a, b, *mixed = (row[good] for row in rows)
         if self.origin is None:
             self.origin = float(a[0])
         a, b = a - self.origin, b - self.origin
 
         def summed(values: np.ndarray) -> np.ndarray:
-            return np.bincount(scramble, values, _SCRAMBLES)
+            return np.bincount(scramble, values, SCRAMBLES)
 
         self.own += [summed(v) for v in (np.ones(len(a)), a, b, a * a, b * b)]
         for i, row in enumerate(mixed):
@@ -187,6 +176,6 @@ def _share(parts: np.ndarray, variances: np.ndarray) -> Estimate:
         return Estimate(0.0, 0.0, 0.0, 0.0)
     ratio = float(parts.sum() / whole)
     scatter = (parts - ratio * variances) / whole  # sums to 0
-    error = math.sqrt(float((scatter**2).sum()) * _SCRAMBLES / (_SCRAMBLES - 1))
-    half = float(special.stdtrit(_SCRAMBLES - 1, 0.975)) * error
+    error = math.sqrt(float((scatter**2).sum()) * SCRAMBLES / (SCRAMBLES - 1))
+    half = float(special.stdtrit(SCRAMBLES - 1, 0.975)) * error
     return Estimate(ratio, error, ratio - half, ratio + half)
