@@ -8,8 +8,10 @@ in u belong to the unit: in a batch over shared angles each angle costs a few mu
 
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 
+from rvjax.fastmath import sin_cos
 from rvjax.four_bar.closures import Crank, stretch
 from rvjax.four_bar.unit import Unit, Vector
 
@@ -22,10 +24,8 @@ class Fit(NamedTuple):
     carrier: list[Vector]  # K
     along: list[Any]  # A
     across: list[Any]  # B
-    cosine: Any  # C and S: parts of the bores, less the nominal C = c R^2
-    sine: Any
-    straight: Any  # parts of the crank errors along and across u
-    skew: Any
+    still: Any  # C + i S: part of the bores, less the nominal C = c R^2; complex, see `fit`
+    turning: Any  # part of the crank errors, times u
     bore_excess: Any  # two cranks: bore distance in the disc less l
 
 
@@ -38,7 +38,7 @@ def fit(unit: Unit, k: int) -> Fit:
     seats = [(radius * u + (x - mean[0]), radius * v + (y - mean[1])) for (u, v), (x, y) in zip(unit.axes, bores)]
     along, across = [], []
     for delta, psi in zip(unit.delta[k], unit.psi):  # (e + delta) exp(i psi) - e, without its cancellation
-        half_sine, half_cosine = jnp.sin(psi / 2), jnp.cos(psi / 2)
+        half_sine, half_cosine = sin_cos(psi / 2)
         along.append(delta * (1 - 2 * half_sine**2) - unit.eccentricity * (2 * half_sine**2))
         across.append((unit.eccentricity + delta) * (2 * half_sine * half_cosine))
     excess = jnp.zeros_like(radius)
@@ -50,18 +50,24 @@ def fit(unit: Unit, k: int) -> Fit:
         carrier,
         along,
         across,
-        cosine=_sum_dot(seats, carrier) + radius * sum(radial for radial, _ in disc),
-        sine=_sum_cross(seats, carrier) - radius * sum(tangential for _, tangential in disc),
-        straight=sum(a * x + b * y for a, b, (x, y) in zip(along, across, seats)),
-        skew=sum(b * x - a * y for a, b, (x, y) in zip(along, across, seats)),
+        # Complex numbers, for XLA evaluates everything behind one result in one pass.
+        still=_complex(
+            _sum_dot(seats, carrier) + radius * sum(radial for radial, _ in disc),
+            _sum_cross(seats, carrier) - radius * sum(tangential for _, tangential in disc),
+        ),
+        turning=_complex(
+            sum(a * x + b * y for a, b, (x, y) in zip(along, across, seats)),
+            sum(b * x - a * y for a, b, (x, y) in zip(along, across, seats)),
+        ),
         bore_excess=excess,
     )
 
 
 def vector(unit: Unit, fit: Fit, crank: Crank) -> Vector:
     """(C, S) at an eccentric direction of the disc."""
-    cosine = fit.cosine + (fit.straight * crank.cosine - fit.skew * crank.sine)
-    sine = fit.sine + (fit.skew * crank.cosine + fit.straight * crank.sine)
+    straight, skew = jnp.real(fit.turning), jnp.imag(fit.turning)
+    cosine = jnp.real(fit.still) + (straight * crank.cosine - skew * crank.sine)
+    sine = jnp.imag(fit.still) + (skew * crank.cosine + straight * crank.sine)
     if unit.load is not None:
         shifts = unit.joint_shifts(crank)
         cosine, sine = cosine + _sum_dot(fit.seats, shifts), sine + _sum_cross(fit.seats, shifts)
@@ -102,6 +108,10 @@ def first_order_angle(unit: Unit, k: int, crank: Crank) -> Any:
 def _cartesian(axis: Vector, polar: Vector) -> Vector:
     """A (radial, tangential) vector of the crank at `axis` in x and y."""
     return polar[0] * axis[0] - polar[1] * axis[1], polar[0] * axis[1] + polar[1] * axis[0]
+
+
+def _complex(real: Any, imaginary: Any) -> jax.Array:
+    return jax.lax.complex(*jnp.broadcast_arrays(real, imaginary))
 
 
 def _mean(points: list[Vector]) -> Vector:

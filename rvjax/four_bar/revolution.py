@@ -1,6 +1,5 @@
 """A whole crank turn: the transmission error curve and its figures."""
 
-from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -9,7 +8,9 @@ import numpy as np
 
 from rvjax.designs import RVReducer
 from rvjax.errors import RVErrors
+from rvjax.fastmath import arctan
 from rvjax.four_bar.closures import Crank, at_once
+from rvjax.four_bar.extremes import largest_over_turn
 from rvjax.four_bar.fit import fit, misfit, vector
 from rvjax.four_bar.linkage import check_methods
 from rvjax.four_bar.reducer import check_crank_count, transmission_error
@@ -112,53 +113,33 @@ def revolution(
 def _extremes(unit: Unit, crank_angle: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Largest and smallest error and largest |misfit| of phase-locked cranks, without the curve.
 
-    The angles at which they occur are searched first, then the figures are evaluated there. The search
-    carries no derivative, for that of a maximum is the derivative at its place, so that a gradient costs
-    a few angles instead of all. It compares tangents: discs are turned one after the other by
-    multiplying their vectors (C + i S), which needs no angle of any of them.
+    The error is an angle whose tangent needs no angle of any disc: their vectors (C + i S) are turned one
+    after the other by multiplication.
     """
     discs = range(len(unit.disc))
-    fits = [fit(unit, k) for k in discs]
-    fixed, fixed_fits = jax.lax.stop_gradient((unit, fits))
 
-    def tangent(first: Crank) -> Any:
+    def tangent(parts: Any, first: Crank) -> Any:
+        unit, fits = parts
         cosine, sine = jnp.ones_like(unit.radius), jnp.zeros_like(unit.radius)
         for k in discs:
-            c, s = vector(fixed, fixed_fits[k], unit.disc_crank(k, first))
+            c, s = vector(unit, fits[k], unit.disc_crank(k, first))
             cosine, sine = cosine * c - sine * s, sine * c + cosine * s
         return sine / cosine
 
-    def misfits(first: Crank) -> list[Any]:
-        return [jnp.abs(misfit(fixed, fixed_fits[k], unit.disc_crank(k, first))) for k in discs]
+    def tangents(parts: Any, first: Crank) -> tuple[Any, Any]:
+        value = tangent(parts, first)
+        return value, -value
 
-    def error(first: Crank) -> Any:
-        vectors = [vector(unit, fits[k], unit.disc_crank(k, first)) for k in discs]
-        return -sum(jnp.arctan2(s, c) for c, s in vectors) / len(vectors)
+    def misfits(parts: Any, first: Crank) -> tuple[Any, ...]:
+        unit, fits = parts
+        return (jnp.max(jnp.stack([jnp.abs(misfit(unit, fits[k], unit.disc_crank(k, first))) for k in discs])),)
 
-    cosine, sine = jnp.cos(crank_angle), jnp.sin(crank_angle)
-    least, most = _search(lambda first: [tangent(first), -tangent(first)], cosine, sine)
-    places = _search(misfits, cosine, sine)
-    largest = [jnp.abs(misfit(unit, fits[k], unit.disc_crank(k, places[k]))) for k in discs]
+    parts = (unit, [fit(unit, k) for k in discs])
+    most, least = largest_over_turn(tangents, parts, crank_angle)
+    (largest,) = largest_over_turn(misfits, parts, crank_angle)
     good = unit.finite & unit.possible
-    maximum, minimum, largest_misfit = error(most), error(least), jnp.max(jnp.stack(largest))
     return (
-        jnp.where(good, maximum, jnp.nan),
-        jnp.where(good, minimum, jnp.nan),
-        jnp.where(good, largest_misfit, jnp.nan),
+        jnp.where(good, arctan(least) / len(discs), jnp.nan),
+        jnp.where(good, -arctan(most) / len(discs), jnp.nan),
+        jnp.where(good, largest, jnp.nan),
     )
-
-
-def _search(scores: Callable[[Crank], list[Any]], cosine: jax.Array, sine: jax.Array) -> list[Crank]:
-    """The direction at which each score is largest; in a batch every operation runs along the batch."""
-
-    def step(best: Any, place: Any) -> Any:
-        now = scores(Crank(*place))
-        better = [score > old[0] for score, old in zip(now, best)]
-        return [
-            (jnp.where(up, score, old[0]), jnp.where(up, place[0], old[1]), jnp.where(up, place[1], old[2]))
-            for up, score, old in zip(better, now, best)
-        ], None
-
-    start = [(score, cosine[0], sine[0]) for score in scores(Crank(cosine[0], sine[0]))]
-    best, _ = jax.lax.scan(step, start, (cosine[1:], sine[1:]))
-    return [Crank(x, y) for _, x, y in best]
