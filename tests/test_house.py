@@ -21,7 +21,7 @@ FLOORS = (
     ("units",),
     ("records",),
     ("status",),
-    ("roots", "contact"),
+    ("roots", "fastmath", "contact"),
     ("designs",),
     ("errors",),
     ("catalogue",),
