@@ -1,4 +1,4 @@
-"""Shared by all benchmarks: alternating minimum times, the machine, JSON, C compiled on the spot.
+"""Shared by all benchmarks: settings, JSON, C compiled on the spot, and the clock of `rvjax tradeoff`.
 
 Candidates are run in turn and the minimum of each is kept, so that a busy machine slows all alike;
 the ratios of the minima are the figures to compare.
@@ -8,14 +8,15 @@ import argparse
 import ctypes
 import json
 import os
-import platform
 import shutil
 import subprocess
 import tempfile
-import time
-from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
+
+from rvjax.tradeoff.timing import alternate, compiled, machine
+
+__all__ = ["alternate", "arguments", "c_library", "compiled", "machine", "publish", "settings"]
 
 
 def settings() -> None:
@@ -25,56 +26,6 @@ def settings() -> None:
     import rvjax
 
     rvjax.enable_x64()
-
-
-def alternate(
-    candidates: Mapping[str, Callable[[], Any]], *, seconds: float = 2.0, rounds: int = 25
-) -> dict[str, float]:
-    """Minimum seconds of each candidate, run in turn for `rounds` and `seconds` each, or 10 x `seconds` together."""
-    import jax
-
-    for run in candidates.values():
-        jax.block_until_ready(run())
-    best = dict.fromkeys(candidates, float("inf"))
-    spent = dict.fromkeys(candidates, 0.0)
-    turn = 0
-    while (turn < rounds or min(spent.values()) < seconds) and sum(spent.values()) < 10 * seconds:
-        for name, run in candidates.items():
-            start = time.perf_counter()
-            jax.block_until_ready(run())
-            elapsed = time.perf_counter() - start
-            best[name], spent[name] = min(best[name], elapsed), spent[name] + elapsed
-        turn += 1
-    return best
-
-
-def compiled(function: Callable[..., Any], *arguments: Any) -> tuple[Any, dict[str, float]]:
-    """A jitted function compiled for `arguments`, with compile seconds and temporary memory in MB."""
-    import jax
-
-    start = time.perf_counter()
-    program = jax.jit(function).lower(*arguments).compile()
-    seconds = time.perf_counter() - start
-    memory = program.memory_analysis()
-    return program, {"compile_s": round(seconds, 3), "temporary_MB": round(memory.temp_size_in_bytes / 2**20, 2)}
-
-
-def machine() -> dict[str, Any]:
-    """Where and with what the figures were measured."""
-    import jax
-
-    model = ""
-    if Path("/proc/cpuinfo").exists():
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-        model = next((line.split(":")[1].strip() for line in lines if line.startswith("model name")), "")
-    return {
-        "processor": model or platform.processor(),
-        "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
-        "python": platform.python_version(),
-        "jax": jax.__version__,
-        "backend": jax.default_backend(),
-        "xla_flags": os.environ.get("XLA_FLAGS", ""),
-    }
 
 
 def c_library(source: str) -> ctypes.CDLL | None:

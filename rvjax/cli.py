@@ -1,4 +1,4 @@
-"""The command line: `rvjax allocate`, `rvjax montecarlo`, `rvjax reproduce`.
+"""The command line: `rvjax allocate`, `rvjax montecarlo`, `rvjax reproduce`, `rvjax tradeoff`.
 
 Bad input ends with one line on standard error and exit code 2; a question that has no answer
 (infeasible requirements) with exit code 1.
@@ -77,6 +77,18 @@ def _parser() -> argparse.ArgumentParser:
     reproduce.add_argument("--json", action="store_true", help="only a JSON list, for machines")
     reproduce.add_argument("--notes", action="store_true", help="print the reading or the reason under each figure")
     reproduce.set_defaults(run=_reproduce)
+
+    tradeoff = commands.add_parser(
+        "tradeoff",
+        help="speed against accuracy of every model, measured on this machine",
+        description="Measure time and error of every level of every model side by side, and say which to use when. "
+        "Takes a minute or two on an idle machine, most of it compilation.",
+    )
+    tradeoff.add_argument("--json", metavar="FILE.json", help="write the table")
+    tradeoff.add_argument("--picture", metavar="FILE.png", help="draw error against time")
+    tradeoff.add_argument("--quick", action="store_true", help="fewer levels and cases")
+    tradeoff.add_argument("--seed", type=int, default=0, help="of the random cases")
+    tradeoff.set_defaults(run=_tradeoff)
     return parser
 
 
@@ -150,12 +162,7 @@ def _allocate(options: argparse.Namespace) -> int:
 def _montecarlo(options: argparse.Namespace) -> int:
     from rvjax import batch
 
-    for option, ending in (("json", ".json"), ("save", ".npz")):
-        path = getattr(options, option)
-        if path is not None and not path.endswith(ending):
-            raise ValueError(f"--{option} {path}: must end with {ending}")
-        if path is not None and not Path(path).absolute().parent.is_dir():
-            raise ValueError(f"--{option} {path}: there is no such folder")
+    _check_files(options, json=".json", save=".npz")
     wanted = batch.Batch(
         study=options.study,
         samples=options.samples,
@@ -179,6 +186,16 @@ def _montecarlo(options: argparse.Namespace) -> int:
     return EXIT_OK
 
 
+def _check_files(options: argparse.Namespace, **endings: str) -> None:
+    """Refuse a file that could not be written, before any work is done."""
+    for option, ending in endings.items():
+        path = getattr(options, option)
+        if path is not None and not path.endswith(ending):
+            raise ValueError(f"--{option} {path}: must end with {ending}")
+        if path is not None and not Path(path).absolute().parent.is_dir():
+            raise ValueError(f"--{option} {path}: there is no such folder")
+
+
 def _reproduce(options: argparse.Namespace) -> int:
     from rvjax import published, report
 
@@ -187,4 +204,23 @@ def _reproduce(options: argparse.Namespace) -> int:
         print(json.dumps([row.as_json() for row in rows], indent=1, allow_nan=False))
     else:
         print(report.comparison_table(rows, notes=options.notes))
+    return EXIT_OK
+
+
+def _tradeoff(options: argparse.Namespace) -> int:
+    from rvjax import plotting, tradeoff
+
+    _check_files(options, json=".json", picture=".png")
+    started = time.perf_counter()
+    table = tradeoff.measure(
+        quick=options.quick,
+        seed=options.seed,
+        say=lambda name: print(f"measuring {name}", file=sys.stderr, flush=True),
+    )
+    print(tradeoff.report(table))
+    if options.json:
+        table.save(options.json)
+    if options.picture:
+        plotting.tradeoff(table).savefig(options.picture)
+    print(f"\n{time.perf_counter() - started:.1f} s, compilation included")
     return EXIT_OK

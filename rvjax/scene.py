@@ -5,7 +5,7 @@ An output is one scalar of one unit. Statistics and allocation see the resulting
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from typing import Any
 
@@ -14,12 +14,28 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax import four_bar, lost_motion, mesh_force
+from rvjax.choice import Choice, choose
 from rvjax.designs import CamRollerReducer, RVReducer
 from rvjax.lost_motion.reducer import PROFILES
 from rvjax.mesh_force.laws import CONTACTS
 from rvjax.status import Status, worst
 from rvjax.tolerances import Outcome
 
+__all__ = [
+    "CamRollerConditions",
+    "Choice",
+    "Curve",
+    "KINDS",
+    "Kind",
+    "Output",
+    "RVConditions",
+    "check_nominal",
+    "choose",
+    "kind",
+    "response",
+]
+
+CLOSURES = ("first_order", "quadratic", "closed_form", "newton")
 Solved = tuple[Any, Any]  # value and status
 
 
@@ -33,6 +49,7 @@ class RVConditions:
         cranks: "phase_locked", "geared" or "free".
         gear_stiffness_ratio: stiffness of the gears between the cranks, for geared cranks.
         lost_motion_profile: "first_order", "closed_form" or "contact".
+        closure: of the crank linkages, as in `four_bar.revolution`; None is the exact one.
     """
 
     output_torque: float = field(default=0.0, metadata=dict(unit="N m"))
@@ -40,6 +57,7 @@ class RVConditions:
     cranks: str = field(default="phase_locked", metadata=dict(choices=("phase_locked", "geared", "free")))
     gear_stiffness_ratio: float | None = field(default=None, metadata=dict(unit="-"))
     lost_motion_profile: str = field(default="first_order", metadata=dict(choices=PROFILES))
+    closure: str | None = field(default=None, metadata=dict(choices=CLOSURES))
 
 
 @dataclass(frozen=True)
@@ -110,6 +128,7 @@ def _turn(design: RVReducer, errors: Any, conditions: RVConditions, *, loaded: b
         output_torque=conditions.output_torque if loaded else 0.0,
         cranks=conditions.cranks,
         gear_stiffness_ratio=conditions.gear_stiffness_ratio,
+        closure=conditions.closure,
     )
 
 
@@ -190,7 +209,9 @@ def kind(design: Any) -> Kind:
     return KINDS[type(design)]
 
 
-def response(design: Any, outputs: Sequence[str], conditions: Any) -> Callable[[Any], Outcome]:
+def response(
+    design: Any, outputs: Sequence[str], conditions: Any, choices: Mapping[str, Choice] | None = None
+) -> Callable[[Any], Outcome]:
     """The function errors -> Outcome({output: value}, status) of one unit, with no output but those asked for.
 
     The same question gives the same function again, so that what was compiled for it is used again.
@@ -199,6 +220,7 @@ def response(design: Any, outputs: Sequence[str], conditions: Any) -> Callable[[
         design: the reducer.
         outputs: names of outputs of this kind of design.
         conditions: how the reducer runs.
+        choices: levels from `choose`, by output; an output without one is computed as `conditions` say.
 
     Raises:
         ValueError: an output that does not exist.
@@ -207,19 +229,33 @@ def response(design: Any, outputs: Sequence[str], conditions: Any) -> Callable[[
     for name in outputs:
         if name not in known:
             raise ValueError(f"unknown response {name!r}; there are {', '.join(known)}")
-    return _response(design, tuple(outputs), conditions)
+    return _response(design, tuple(outputs), conditions, tuple((choices or {}).values()))
 
 
 @cache
-def _response(design: Any, outputs: tuple[str, ...], conditions: Any) -> Callable[[Any], Outcome]:
-    known = kind(design).outputs
+def _response(
+    design: Any, outputs: tuple[str, ...], conditions: Any, choices: tuple[Choice, ...]
+) -> Callable[[Any], Outcome]:
+    known, chosen = kind(design).outputs, {choice.output: choice for choice in choices}
+
+    def one(name: str, errors: Any) -> Solved:
+        if name not in chosen:
+            return known[name].evaluate(design, errors, conditions)
+        own = replace(conditions, **dict(chosen[name].settings))
+        given = jnp.result_type(float, *jax.tree.leaves(errors))
+        value, status = known[name].evaluate(design, _in_precision(errors, chosen[name].precision), own)
+        return value.astype(given), status
 
     def evaluate(errors: Any) -> Outcome:
-        found = {name: known[name].evaluate(design, errors, conditions) for name in outputs}
+        found = {name: one(name, errors) for name in outputs}
         statuses = jnp.stack([jnp.asarray(status) for _, status in found.values()])
         return Outcome({name: value for name, (value, _) in found.items()}, worst(statuses))
 
     return evaluate
+
+
+def _in_precision(errors: Any, precision: str) -> Any:
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf, precision), errors)
 
 
 def check_nominal(response: Callable[[Any], Outcome], errors: Any) -> None:

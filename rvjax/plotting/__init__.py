@@ -9,14 +9,17 @@ from rvjax.plotting.statistics import (
     variance_shares,
 )
 from rvjax.plotting.style import style
+from rvjax.plotting.tradeoff import pareto, tradeoff
 
 __all__ = [
     "contributions",
     "cost_against_limit",
     "cost_against_yield",
+    "pareto",
     "response_histogram",
     "style",
     "torque_angle_loop",
+    "tradeoff",
     "unit_curves",
     "variance_shares",
 ]

@@ -24,6 +24,7 @@ class Study:
         seed: of all random numbers.
         samples: units that the optimiser sees.
         certificate_samples: fresh units on which the result is certified.
+        accuracy: largest error of computation allowed, by response name; without one the conditions decide.
     """
 
     name: str
@@ -36,10 +37,29 @@ class Study:
     seed: int = 0
     samples: int = 16384
     certificate_samples: int = 1_000_000
+    accuracy: dict[str, float] = dataclasses.field(default_factory=dict)
 
     def response(self) -> Callable[[Any], Any]:
         """errors -> Outcome of the responses that the requirements name."""
-        return scene.response(self.design, tuple(self.requirements), self.conditions)
+        return scene.response(self.design, tuple(self.requirements), self.conditions, self.choices())
+
+    def choices(self) -> dict[str, scene.Choice]:
+        """The level of each response with an accuracy, for tolerances as wide as the costs let them become."""
+        if not self.accuracy:
+            return {}
+        widest = {
+            name: getattr(self.tolerances, name).with_half_width(
+                max(cost.coarsest, getattr(self.tolerances, name).half_width)
+            )
+            for name, cost in self.costs.items()
+        }
+        return scene.choose(
+            self.design,
+            tuple(self.requirements),
+            self.conditions,
+            tolerances=self.tolerances.replace(**widest),
+            accuracy=self.accuracy,
+        )
 
     @property
     def fields(self) -> list[str]:

@@ -60,7 +60,7 @@ def parse_study(text: str, *, name: str) -> Study:
             tables = tomllib.loads(text)
         except tomllib.TOMLDecodeError as error:
             raise ValueError(f"not valid TOML: {error}") from None
-        _known(tables, {"design", "conditions", "tolerances", "cost", "requirement", "run"}, "")
+        _known(tables, {"accuracy", "conditions", "cost", "design", "requirement", "run", "tolerances"}, "")
         for key in ("design", "tolerances", "requirement"):
             if not _table(tables, key):
                 raise ValueError(f"[{key}] is missing or empty")
@@ -70,6 +70,7 @@ def parse_study(text: str, *, name: str) -> Study:
         costs = _costs(error_record, tolerances, _table(tables, "cost"))
         run = _table(tables, "run")
         _known(run, {"seed", "samples", "certificate_samples"}, "run")
+        requirements = _requirements(scene.kind(design).outputs, _table(tables, "requirement"))
         study = Study(
             name=name,
             text=text,
@@ -77,7 +78,8 @@ def parse_study(text: str, *, name: str) -> Study:
             conditions=_conditions(scene.kind(design).conditions, _table(tables, "conditions")),
             tolerances=tolerances,
             costs=costs,
-            requirements=_requirements(scene.kind(design).outputs, _table(tables, "requirement")),
+            requirements=requirements,
+            accuracy=_accuracy(scene.kind(design).outputs, requirements, _table(tables, "accuracy")),
             seed=_integer(run.get("seed", 0), "run.seed", 0),
             samples=_integer(run.get("samples", 16384), "run.samples", 16),
             certificate_samples=_integer(run.get("certificate_samples", 1_000_000), "run.certificate_samples", 16),
@@ -233,6 +235,19 @@ def _costs(error_record: Any, tolerances: Any, table: dict[str, Any]) -> dict[st
                 **{key: _quantity(value, units[key], f"{where}.{key}") for key, value in entry.items()}
             )
     return costs
+
+
+def _accuracy(
+    outputs: Mapping[str, scene.Output], requirements: Mapping[str, Requirement], table: dict[str, Any]
+) -> dict[str, float]:
+    found = {}
+    for name, value in table.items():
+        where = f"accuracy.{name}"
+        _choice(name, requirements, f"{where}: response")
+        found[name] = _quantity(value, outputs[name].unit, where)
+        if found[name] <= 0:
+            raise ValueError(f"{where} = {value!r}: must be positive")
+    return found
 
 
 def _requirements(outputs: Mapping[str, scene.Output], table: dict[str, Any]) -> dict[str, Requirement]:

@@ -1,0 +1,66 @@
+"""Error against time of every level of every model, with the levels that no other beats."""
+
+import math
+
+import matplotlib.pyplot as plt
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from rvjax.accuracy import Level, Model, Table
+from rvjax.plotting.style import PALETTE, new_axes, style, words
+
+
+def pareto(model: Model, *, axes: Axes | None = None) -> Axes:
+    """Largest error against time per case of the levels of one model, both logarithmic.
+
+    Filled: float64, hollow: float32. The line joins the levels that no other beats in both; the reference, whose
+    error is zero by definition, stands at the bottom.
+
+    Args:
+        model: measured.
+        axes: where to draw; a new figure by default.
+    """
+    axes = new_axes(axes)
+    shown = [level for level in model.levels if math.isfinite(model.relative(level))]
+    positive = [model.relative(level) for level in shown if model.relative(level) > 0]
+    floor = min(positive) / 10 if positive else 1e-16
+    front = [level for level in model.front() if level in shown]
+
+    def place(level: Level) -> tuple[float, float]:
+        return level.ns, max(model.relative(level), floor)
+
+    axes.plot(*zip(*map(place, front)), color="0.6", lw=1.2, zorder=1)
+    kinds = list(dict.fromkeys(level.name.split(",")[0] for level in shown))
+    for level in shown:
+        colour = PALETTE[kinds.index(level.name.split(",")[0]) % len(PALETTE)]
+        face = colour if level.precision == "float64" else "white"
+        marker = "*" if level.name == model.reference else "o"
+        axes.scatter(*place(level), s=90 if marker == "*" else 36, marker=marker, facecolors=face, edgecolors=colour)
+    for k, level in enumerate(front):
+        label = level.name.rsplit(", float", 1)[0]
+        up = k % 2 == 0
+        axes.annotate(
+            label, place(level), xytext=(4, 6 if up else -12), textcoords="offset points", fontsize=7, color="0.25"
+        )
+    axes.set(xscale="log", yscale="log", xlabel="time per case (ns)", ylabel="largest error / rms of the output")
+    axes.set_title(words(model.name), fontsize=10)
+    axes.margins(x=0.25, y=0.12)
+    return axes
+
+
+def tradeoff(table: Table) -> Figure:
+    """All models of a table, one picture each.
+
+    Args:
+        table: measured.
+    """
+    models = list(table.models.values())
+    rows = math.ceil(len(models) / 2)
+    with style():
+        figure, axes = plt.subplots(rows, 2, figsize=(11, 3.4 * rows), squeeze=False)
+        for model, place in zip(models, axes.flat):
+            pareto(model, axes=place)
+        for place in axes.flat[len(models) :]:
+            place.set_visible(False)
+        figure.suptitle("Speed against accuracy (filled: float64, hollow: float32, star: reference)")
+    return figure

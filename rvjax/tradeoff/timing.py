@@ -1,0 +1,60 @@
+"""Times side by side: candidates run in turn and the minimum of each counts, so that a busy machine slows all alike."""
+
+import os
+import platform
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import jax
+
+
+def alternate(
+    candidates: Mapping[str, Callable[[], Any]], *, seconds: float = 2.0, rounds: int = 25
+) -> dict[str, float]:
+    """Minimum seconds of each candidate, run in turn for `rounds` and `seconds` each, or 10 x `seconds` together.
+
+    Args:
+        candidates: by name.
+        seconds: that each runs at least.
+        rounds: that all run at least.
+    """
+    for run in candidates.values():
+        jax.block_until_ready(run())
+    best = dict.fromkeys(candidates, float("inf"))
+    spent = dict.fromkeys(candidates, 0.0)
+    turn = 0
+    while (turn < rounds or min(spent.values()) < seconds) and sum(spent.values()) < 10 * seconds:
+        for name, run in candidates.items():
+            start = time.perf_counter()
+            jax.block_until_ready(run())
+            elapsed = time.perf_counter() - start
+            best[name], spent[name] = min(best[name], elapsed), spent[name] + elapsed
+        turn += 1
+    return best
+
+
+def compiled(function: Callable[..., Any], *arguments: Any) -> tuple[Any, dict[str, float]]:
+    """A jitted function compiled for `arguments`, with compile seconds and temporary memory in MB."""
+    start = time.perf_counter()
+    program = jax.jit(function).lower(*arguments).compile()
+    seconds = time.perf_counter() - start
+    memory: Any = program.memory_analysis()
+    return program, {"compile_s": round(seconds, 3), "temporary_MB": round(memory.temp_size_in_bytes / 2**20, 2)}
+
+
+def machine() -> dict[str, Any]:
+    """Where and with what the figures were measured."""
+    model = ""
+    if Path("/proc/cpuinfo").exists():
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        model = next((line.split(":")[1].strip() for line in lines if line.startswith("model name")), "")
+    return {
+        "processor": model or platform.processor(),
+        "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
+        "python": platform.python_version(),
+        "jax": jax.__version__,
+        "backend": jax.default_backend(),
+        "xla_flags": os.environ.get("XLA_FLAGS", ""),
+    }

@@ -1,0 +1,58 @@
+"""The figures of the README are those of the benchmarks.
+
+Oracle: benchmarks/results.json, written by `python benchmarks/run.py`. A figure in the README is followed by a comment
+with the script and the name of its figure, such as `44 <!-- four_bar: numpy_over_library -->`, and by a factor where
+the units differ: `1.9 <!-- dynamics: seconds * 1e3 -->`. It must be the measured one, rounded to the digits shown.
+"""
+
+import json
+import math
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+RESULTS = ROOT / "benchmarks" / "results.json"
+MARK = re.compile(
+    r"(?P<text>[\d.,]+(?:e-?\d+)?)[^\d|\n<]*<!-- (?P<script>\w+): (?P<figure>.+?)(?: \* (?P<factor>[\d.e+-]+))? -->"
+)
+
+
+def differences(text, results):
+    """(marks, what does not agree) of a text against results."""
+    marks, wrong = list(MARK.finditer(text)), []
+    for mark in marks:
+        figures = results.get(mark["script"], {}).get("figures", {})
+        if mark["figure"] not in figures:
+            wrong.append(f"{mark['script']}: there is no figure {mark['figure']!r}")
+            continue
+        printed, value = mark["text"].replace(",", ""), figures[mark["figure"]] * float(mark["factor"] or 1)
+        if not math.isclose(float(printed), value, rel_tol=1e-9, abs_tol=0.5 * last_digit(printed) * (1 + 1e-9)):
+            wrong.append(f"{mark['script']}: {mark['figure']} is {value:.6g}, not {printed}")
+    return marks, wrong
+
+
+def last_digit(printed):
+    """Size of one unit of the last digit shown; zeros that end a whole number are rounding: 6200 is 62 hundreds."""
+    mantissa, _, exponent = printed.partition("e")
+    whole, point, fraction = mantissa.partition(".")
+    digits = -len(fraction) if point else len(whole) - len(whole.rstrip("0"))
+    return 10.0 ** (digits + int(exponent or 0))
+
+
+def test_the_comparison_finds_what_is_wrong():
+    results = {"a": {"figures": {"n / m": 44.3, "s": 0.00192, "big": 6230.0}}}
+    good = "| 44 x <!-- a: n / m --> | 1.9 ms <!-- a: s * 1e3 -->, 6,200 <!-- a: big --> |"
+    assert differences(good, results)[1] == [] and len(differences(good, results)[0]) == 3
+    for old, new in (("44 x", "45 x"), ("1.9", "1.8"), ("6,200", "6,300"), ("n / m", "n / k"), ("a: s", "b: s")):
+        assert len(differences(good.replace(old, new), results)[1]) == 1, new
+
+
+def test_the_readme_prints_what_was_measured():
+    if not RESULTS.exists():
+        pytest.skip("benchmarks/results.json is missing: python benchmarks/run.py writes it")
+    text = (ROOT / "README.md").read_text("utf-8")
+    marks, wrong = differences(text, json.loads(RESULTS.read_text("utf-8")))
+    assert not wrong, "\n".join(wrong)
+    assert marks, "the README marks no figure"
