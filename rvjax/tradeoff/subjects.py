@@ -169,7 +169,7 @@ def _four_bar(output: str, unit: str, quick: bool) -> Subject:
         evaluate=_of_scene((output,), scene.RVConditions(), "output_torque"),
         extra=_torques(torque),
         batch=4096,
-        calls=2 if quick else 9,
+        calls=2 if quick else 7,
         sizes=(*SIZES, 10.0),  # allocation may widen tolerances several times
     )
 
@@ -263,8 +263,8 @@ def _dynamics(quick: bool) -> Subject:
         ways=tuple(ways),
         evaluate=_vibration,
         extra=extra,
-        batch=32,
-        calls=1 if quick else 4,
+        batch=8,
+        calls=2 if quick else 10,
         sizes=(0.1, 0.3, 1.0),
     )
 
