@@ -58,9 +58,13 @@ _SINE = [(-1) ** n / math.factorial(2 * n + 1) for n in range(1, 9)]  # of r^3, 
 _COSINE = [(-1) ** n / math.factorial(2 * n) for n in range(1, 9)]  # of r^2, r^4 ..
 
 
+LARGEST_ANGLE = 1e5
+"""Up to here `sin_cos` keeps its digits."""
+
+
 @jax.custom_jvp
 def sin_cos(x: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Sine and cosine; |x| < 1e5, beyond that they lose digits.
+    """Sine and cosine for |x| < `LARGEST_ANGLE`; beyond, digits are lost, and then everything.
 
     Args:
         x: rad.

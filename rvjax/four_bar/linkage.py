@@ -142,7 +142,8 @@ def close(
     d1, d2, d3, d4 = deviations.crank_1, deviations.coupler, deviations.crank_3, deviations.frame
     psi, b4, gx, gy = deviations.crank_phase, deviations.frame_angle, deviations.joint[0], deviations.joint[1]
     ratio = jnp.ones_like(e) if ratio is None else ratio
-    finite = jnp.isfinite(e + spacing + ratio + d1 + d2 + d3 + d4 + psi + b4 + gx + gy) & crank.finite
+    lengths = sum(jnp.abs(x) for x in (e, d1, d2, d3, d4, gx, gy)) / jnp.where(spacing > 0, spacing, 1)
+    finite = jnp.isfinite(lengths**4 + ratio + psi + b4 + spacing**2) & crank.finite  # powers that the closures form
     possible = (spacing > 0) & (spacing + d2 > 0) & (spacing + d4 > 0)
     if cranks == "free":
         possible &= (e + d1 > 0) & (e + d3 > 0)
@@ -165,7 +166,8 @@ def close(
         resting = closures.locked(links, closure=closure)
 
     unsolved = resting.info.status == Status.MAX_STEPS
-    missing = ~(jnp.isfinite(resting.angle) | resting.change_point | resting.open_chain | unsolved)
+    nowhere = resting.change_point if closure == "first_order" else False
+    missing = ~(jnp.isfinite(resting.angle) | nowhere | resting.open_chain | unsolved)
     status = first_failure(
         (~finite | (good & missing), Status.NONFINITE),
         (~possible, Status.INVALID_GEOMETRY),

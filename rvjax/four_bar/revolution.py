@@ -11,7 +11,7 @@ from rvjax.errors import RVErrors
 from rvjax.fastmath import arctan
 from rvjax.four_bar.closures import Crank, at_once
 from rvjax.four_bar.extremes import largest_over_turn
-from rvjax.four_bar.fit import fit, misfit, vector
+from rvjax.four_bar.fit import fit, largest_turn, misfit, vector
 from rvjax.four_bar.linkage import check_methods
 from rvjax.four_bar.reducer import check_crank_count, transmission_error
 from rvjax.four_bar.unit import Unit, take_apart
@@ -114,32 +114,42 @@ def _extremes(unit: Unit, crank_angle: jax.Array) -> tuple[jax.Array, jax.Array,
     """Largest and smallest error and largest |misfit| of phase-locked cranks, without the curve.
 
     The error is an angle whose tangent needs no angle of any disc: their vectors (C + i S) are turned one
-    after the other by multiplication.
+    after the other by multiplication. Where discs may turn by a right angle together, the tangent does not rise
+    with the angle, and the angles are searched.
     """
     discs = range(len(unit.disc))
 
-    def tangent(parts: Any, first: Crank) -> Any:
+    def vectors(parts: Any, first: Crank) -> list[tuple[Any, Any]]:
         unit, fits = parts
-        cosine, sine = jnp.ones_like(unit.radius), jnp.zeros_like(unit.radius)
-        for k in discs:
-            c, s = vector(unit, fits[k], unit.disc_crank(k, first))
-            cosine, sine = cosine * c - sine * s, sine * c + cosine * s
-        return sine / cosine
+        return [vector(unit, fits[k], unit.disc_crank(k, first)) for k in discs]
 
     def tangents(parts: Any, first: Crank) -> tuple[Any, Any]:
-        value = tangent(parts, first)
-        return value, -value
+        cosine, sine = jnp.ones_like(unit.radius), jnp.zeros_like(unit.radius)
+        for c, s in vectors(parts, first):
+            cosine, sine = cosine * c - sine * s, sine * c + cosine * s
+        return sine / cosine, -sine / cosine
+
+    def angles(parts: Any, first: Crank) -> tuple[Any, Any]:
+        total = sum(jnp.arctan2(s, c) for c, s in vectors(parts, first))
+        return total, -total
 
     def misfits(parts: Any, first: Crank) -> tuple[Any, ...]:
         unit, fits = parts
         return (jnp.max(jnp.stack([jnp.abs(misfit(unit, fits[k], unit.disc_crank(k, first))) for k in discs])),)
 
-    parts = (unit, [fit(unit, k) for k in discs])
-    most, least = largest_over_turn(tangents, parts, crank_angle)
-    (largest,) = largest_over_turn(misfits, parts, crank_angle)
+    fits = [fit(unit, k) for k in discs]
+    most, least = largest_over_turn(
+        angles,
+        (unit, fits),
+        crank_angle,
+        ranks=tangents,
+        ranked=lambda best: tuple(arctan(tangent) for tangent in best),
+        wide=~(sum(largest_turn(unit, one) for one in fits) < np.pi / 2),
+    )
+    (largest,) = largest_over_turn(misfits, (unit, fits), crank_angle)
     good = unit.finite & unit.possible
     return (
-        jnp.where(good, arctan(least) / len(discs), jnp.nan),
-        jnp.where(good, -arctan(most) / len(discs), jnp.nan),
+        jnp.where(good, least / len(discs), jnp.nan),
+        jnp.where(good, -most / len(discs), jnp.nan),
         jnp.where(good, largest, jnp.nan),
     )

@@ -13,6 +13,7 @@ import numpy as np
 
 from rvjax.designs import RVReducer
 from rvjax.errors import RVErrors
+from rvjax.fastmath import LARGEST_ANGLE
 from rvjax.four_bar import forces
 from rvjax.four_bar.closures import Crank
 from rvjax.records import broadcast_fields, is_concrete, promote
@@ -80,15 +81,21 @@ def take_apart(design: RVReducer, errors: RVErrors, output_torque: Any, *others:
     # Design and load are judged apart from the errors: a batch over errors then leaves them unbatched.
     e, radius, shortening = cycloid.eccentricity, stage.circle_radius, cycloid.shortening_coefficient
     stiffness = stage.bearing_stiffness if loaded else jnp.ones_like(e)
-    finite = jnp.isfinite(e + radius + shortening + stiffness + torque)
     possible = (radius > 0) & (shortening < 1)
     if loaded:
         possible &= (e > 0) & (shortening > 0) & (stiffness > 0)
+    # Fourth powers of lengths over the radius, and forces, are formed on the way: they must not overflow.
+    size = jnp.where(possible, radius, 1)
+    force = torque / jnp.where(possible & (e > 0), jnp.minimum(e, size), 1) if loaded else 0
+    ratio = (jnp.abs(e) + jnp.abs(force) / jnp.where(possible, stiffness, 1)) / size
+    finite = jnp.isfinite(ratio**4 + force * force + radius**4 + shortening + stiffness + torque)
     good = finite & possible
     nominal = ((e, 0.02), (radius, 1), (shortening, 0.5), (stiffness, 1), (torque, 0))
     e, radius, shortening, stiffness, torque = (jnp.where(good, x, safe) for x, safe in nominal)
 
-    finite &= jnp.isfinite(sum(jax.tree.leaves(deviations)))
+    finite &= jnp.isfinite((sum(jnp.abs(x) for x in jax.tree.leaves(deviations)) / radius) ** 4)
+    for phase in deviations[1]:
+        finite &= jnp.abs(phase) < LARGEST_ANGLE
     if stage.count == 2:
         possible &= 2 * radius + sum(radial for radial, _ in deviations[3]) > 0  # l4'
     good = finite & possible

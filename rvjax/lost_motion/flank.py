@@ -95,6 +95,9 @@ def minimum(flank: Flank) -> Minimum:
     then have two minima where the first order has one.
     """
     position, slope, converged = _place(flank)
+    # A search without end goes on with an unmodified flank, so that no derivative of it is NaN.
+    flank = flank._replace(D=jnp.where(converged, flank.D, 0), d=jnp.where(converged, flank.d, 0))
+    position = jnp.where(converged, position, 0)
     return Minimum(2 * _lowest(flank, position), 2 * jnp.arctan(jnp.exp(position)), jnp.abs(slope), converged)
 
 

@@ -99,9 +99,12 @@ def geometric(
     )
     # A NaN or an infinity survives the sum. The square root is for XLA, which does not repeat a costly operation
     # in every kernel that needs its result: else each of the twelve sums of a gradient would read all errors.
-    read = sum(jax.tree.leaves(unit)) + sum(getattr(parts, name) for name in ERRORS_READ)
-    finite = jnp.isfinite(jnp.sqrt(jnp.abs(jax.lax.stop_gradient(read))))
+    read = sum(jnp.abs(x) for x in jax.tree.leaves(unit)) + sum(jnp.abs(getattr(parts, name)) for name in ERRORS_READ)
     possible = _possible(unit, parts, teeth, profile)
+    # Terms are at most of second order in lengths over the smallest radius: that must not overflow either.
+    smallest = jnp.minimum(jnp.minimum(unit.e, unit.rp), jnp.minimum(unit.r1, unit.a0 + unit.a1))
+    read = jax.lax.stop_gradient(read / jnp.where(smallest > 0, smallest, 1))
+    finite = jnp.sqrt(read) < float(jnp.finfo(read.dtype).max) ** 0.25
     # Where the model does not apply it runs on harmless numbers, so that no derivative meets 0 * inf.
     good = finite & possible
     unit = Unit(*(None if x is None else jnp.where(good, x, h) for x, h in zip(unit, harmless(teeth))))

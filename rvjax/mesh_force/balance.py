@@ -18,7 +18,7 @@ from rvjax.mesh_force.case import Case
 from rvjax.mesh_force.laws import Compliance
 from rvjax.mesh_force.safe import DEAD_CENTRE
 
-_BLOCK = 1024  # cases; a block's arrays (26, 1024) stay in the cache of one core
+_BLOCK = 512  # cases; a block's arrays (26, 512) stay in the cache of one core
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax import contact as contact_mechanics
 from rvjax.designs import CamRollerReducer
 from rvjax.errors import CamRollerErrors
 from rvjax.mesh_force import geometry, laws
@@ -68,6 +69,7 @@ def solve(
     for leaf in jax.tree.leaves((design, errors, torque, angle)):
         finite &= jnp.all(jnp.isfinite(leaf))
     valid, undercut = _possible(design), geometry.undercut_margin(design) <= 0
+    finite &= ~valid | _in_range(design, errors, torque)
     good = finite & valid & ~undercut
 
     # A lane outside the domain computes a harmless case instead, so that no derivative of it is NaN.
@@ -104,6 +106,20 @@ def _possible(design: CamRollerReducer) -> jax.Array:
     for length in lengths:
         possible &= length > 0
     return possible & (design.eccentricity < design.cam_radius + design.roller_radius)
+
+
+def _in_range(design: CamRollerReducer, errors: CamRollerErrors, torque: jax.Array) -> jax.Array:
+    """Whether no product on the way overflows; squares of the ratios below are formed."""
+    r, e, link = design.roller_radius, design.eccentricity, design.cam_radius + design.roller_radius
+    root = float(jnp.finfo(torque.dtype).max) ** 0.5
+    unit = contact_mechanics.load_unit(design.young_modulus, design.poisson_ratio, design.roller_length, r)
+    interference = jnp.max(jnp.abs(errors.cam_radius) + jnp.abs(errors.eccentricity) + jnp.abs(errors.roller_radius))
+    ratios = (link / r, link / e, link / design.cam_radius, interference / r, design.roller_length / r)
+    load = jnp.abs(design.cam_share * torque) / (unit * e)
+    in_range = (load < root) & (unit * (1 + load) < root) & (link * e * r > 1 / root)
+    for ratio in ratios:
+        in_range &= ratio * ratio < root
+    return in_range
 
 
 def _harmless(teeth: int, dtype: Any) -> CamRollerReducer:

@@ -40,6 +40,7 @@ def _bracketed(law: str, rollers: Roller, torque: jax.Array, start: jax.Array) -
     arm, compliance = rollers.arm, rollers.compliance
     from_start = start * arm + rollers.gap
     tolerance = 4 * float(jnp.finfo(torque.dtype).eps)
+    depth_rounding = tolerance / 4 * (jnp.abs(start * arm) + jnp.abs(rollers.gap))
 
     def running(state: dict[str, Any]) -> jax.Array:
         return jnp.any(state["running"])
@@ -53,6 +54,10 @@ def _bracketed(law: str, rollers: Roller, torque: jax.Array, start: jax.Array) -
         bracket, target = _advance(state["bracket"], x, missing, slope)
         finite, overload = jnp.isfinite(target) & jnp.isfinite(scale), jnp.any(beyond, axis=0, keepdims=True)
         done = (jnp.abs(missing) <= tolerance * scale) | (jnp.abs(target - x) <= tolerance * jnp.abs(target)) | ~finite
+        # A step below the rounding of the depths themselves ends nowhere: they may be small beside gap and windup.
+        done |= jnp.any(load > 0, axis=0, keepdims=True) & ~jnp.any(
+            (load > 0) & (jnp.abs(arm * (target - x)) > depth_rounding), axis=0, keepdims=True
+        )
         # What rounding of x leaves is shared out along the stiffness.
         rest = jnp.where(slope > 0, missing / jnp.where(slope > 0, slope, 1), 0)
         corrected = jnp.maximum(load - rate * arm * rest, 0)
