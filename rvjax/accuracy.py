@@ -169,7 +169,10 @@ class Table:
         data = json.loads(path.read_text("utf-8") if hasattr(path, "read_text") else Path(path).read_text("utf-8"))
         models = {}
         for name, model in data["models"].items():
-            levels = tuple(Level(**(level | {"largest": _lists(level["largest"])})) for level in model.pop("levels"))
+            levels = tuple(
+                Level(**(level | {kind: _lists(level[kind]) for kind in ("largest", "rms")}))
+                for level in model.pop("levels")
+            )
             model |= {"torque": model["torque"] and tuple(model["torque"]), "failed": tuple(model["failed"])}
             models[name] = Model(**model, levels=levels)
         return cls(data["machine"], data["seed"], models)

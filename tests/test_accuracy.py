@@ -1,0 +1,214 @@
+"""The measured table: interpolation, the cheapest level, and scenes that keep the accuracy they ask for.
+
+Oracle: a table made by hand, whose cheapest level follows with pencil and paper; for scenes, the exact level itself on
+units, designs and accuracies that the stored table never saw.
+"""
+
+import dataclasses
+import math
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from rvjax import cli, scene, study, tradeoff
+from rvjax.accuracy import Level, Model, Table, stored
+from rvjax.catalogue import RV_40E
+from rvjax.plotting import tradeoff as picture
+from rvjax.status import succeeded
+from rvjax.tolerances import Tolerance, for_design, sample
+from rvjax.tradeoff import subjects
+from rvjax.units import arcsec, um
+
+
+def level(name, largest, ns, precision="float64"):
+    return Level(name, dict(angles=8), precision, {"out": largest}, {"out": largest}, ns, 1.0, 1.0, 10)
+
+
+def model(*levels):
+    return Model(
+        name="m", outputs={"out": "m"}, case="case", design={"a": 1.0}, spread=0.1, errors={"f": 1e-6},
+        sizes=[0.3, 1.0, 3.0], torque=None, conditions={}, typical={"out": [1.0, 1.0, 1.0]}, failed=(0, 1),
+        reference="exact", levels=(*levels, level("exact", [0.0, 0.0, 0.0], 100.0)),
+    )  # fmt: skip
+
+
+ROUGH, FINE = level("rough", [1e-3, 1e-2, 1e-1], 1.0), level("fine", [1e-5, 1e-4, 1e-3], 10.0)
+BROKEN = level("broken", [1e-9, 1e-9, math.inf], 0.1, "float32")
+
+
+def test_the_cheapest_level_that_is_twice_as_good_as_asked():
+    made = model(ROUGH, FINE)
+    for wanted, size, name in (
+        (0.021, 1.0, "rough"),
+        (0.019, 1.0, "fine"),
+        (0.019, 0.9, "rough"),  # 2 * 0.01 * 0.9^1.91
+        (1.9e-4, 1.0, "exact"),
+        (1.0, 3.1, "exact"),
+        (1.0, 0.29, "exact"),
+    ):
+        assert made.cheapest({"out": wanted}, size).name == name, (wanted, size)
+    middle = made.bound(ROUGH, "out", math.sqrt(3.0))
+    assert middle == pytest.approx(2 * math.sqrt(1e-2 * 1e-1))
+
+
+def test_a_level_that_fails_is_not_taken_beyond_the_size_where_it_works():
+    made = model(ROUGH, BROKEN)
+    assert made.cheapest({"out": 1.0}, 1.0).name == "broken"
+    assert made.cheapest({"out": 1.0}, 1.01).name == "rough"
+
+
+def test_errors_never_shrink_with_size():
+    odd = level("odd", [1e-2, 1e-4, 1e-3], 1.0)
+    assert model(odd).bound(odd, "out", 1.0) == pytest.approx(2e-2)
+
+
+def test_the_front_and_the_sentence():
+    worse = level("worse", [1.0, 0.02, 1.0], 5.0)
+    made = model(ROUGH, worse, FINE)
+    assert [x.name for x in made.front()] == ["rough", "fine", "exact"]
+    sentence = tradeoff.advice(made)
+    assert "rough (1 ns)" in sentence and "fine (10 ns)" in sentence and "worse" not in sentence
+
+
+def test_a_table_comes_back_from_its_file(tmp_path):
+    table = Table({"cores": 2}, 0, {"m": model(ROUGH, BROKEN)})
+    table.save(tmp_path / "t.json")
+    assert Table.load(tmp_path / "t.json") == table
+    assert "broken" in tradeoff.report(table)
+
+
+def test_every_model_of_the_stored_table_can_be_shown():
+    table = stored()
+    assert {"transmission_error", "misfit", "lost_motion", "mesh_force", "dynamics", "statistics"} <= set(table.models)
+    figure = picture(table)
+    assert sum(axes.get_visible() for axes in figure.axes) == len(table.models)
+    for one in table.models.values():
+        assert tradeoff.advice(one).startswith(("Take ", "Only ")) and len(one.front()) >= 2
+
+
+LINKS = dict(crank_eccentricity=Tolerance.symmetric(6.5 * um), disc_bore=Tolerance.symmetric(6.5 * um))
+LOADED = scene.RVConditions(output_torque=412.0)
+
+
+def chosen(accuracy, design=RV_40E, conditions=LOADED, tolerances=None, output="transmission_error"):
+    tolerances = tolerances or for_design(design, **LINKS)
+    return scene.choose(design, (output,), conditions, tolerances=tolerances, accuracy={output: accuracy})[output]
+
+
+def test_more_accuracy_costs_more():
+    found = [chosen(a * arcsec) for a in (30.0, 3.0, 0.3, 1e-6)]
+    assert [c.ns for c in found] == sorted(c.ns for c in found) and found[0].ns < found[-1].ns / 10
+    assert all(c.bound <= a * arcsec for c, a in zip(found, (30.0, 3.0, 0.3)) if c.bound is not None)
+    assert found[-1].bound is None and "2048" in found[-1].level
+
+
+@pytest.mark.parametrize(
+    ("change", "word"),
+    [
+        (dict(design=RV_40E.replace(cranks=RV_40E.cranks.replace(circle_radius=50e-3))), "circle_radius"),
+        (dict(design=RV_40E.replace(cycloid=RV_40E.cycloid.replace(disc_count=3))), "disc_count"),
+        (dict(conditions=dataclasses.replace(LOADED, output_torque=600.0)), "torque"),
+        (dict(conditions=dataclasses.replace(LOADED, cranks="free")), "cranks"),
+        (dict(tolerances=for_design(RV_40E, disc_bore=Tolerance.symmetric(90 * um))), "disc_bore"),
+        (dict(tolerances=for_design(RV_40E, disc_bore=Tolerance.symmetric(0.1 * um))), "disc_bore"),
+    ],
+)
+def test_outside_what_was_measured_the_exact_level(change, word):
+    choice = chosen(30 * arcsec, **change)
+    assert choice.bound is None and word in choice.why and dict(choice.settings)["closure"] is None
+
+
+def test_what_an_output_does_not_read_does_not_matter():
+    design = RV_40E.replace(cycloid=RV_40E.cycloid.replace(equidistant_modification=-20 * um, pin_radius=4e-3))
+    tolerances = for_design(design, **LINKS, disc_runout=Tolerance(0.0, 500 * um))
+    assert chosen(30 * arcsec, design, tolerances=tolerances).bound is not None
+
+
+def test_an_accuracy_must_make_sense():
+    with pytest.raises(ValueError, match="positive"):
+        chosen(0.0)
+    with pytest.raises(ValueError, match="not asked for"):
+        scene.choose(RV_40E, ("misfit",), LOADED, tolerances=for_design(RV_40E), accuracy={"lost_motion": 1.0})
+
+
+def test_a_study_states_its_accuracy():
+    text = study.load("rv-40e").text
+    s = study.parse_study(text + '\n[accuracy]\ntransmission_error = "3 arcsec"\n', name="x")
+    assert s.accuracy == pytest.approx({"transmission_error": 3 * arcsec})
+    assert list(s.choices()) == ["transmission_error"] and s.choices()["transmission_error"].bound < 3 * arcsec
+    errors = sample(s.tolerances, 3, seed=1)
+    rough, exact = jax.jit(s.response())(errors), jax.jit(study.load("rv-40e").response())(errors)
+    assert rough.value["lost_motion"] == exact.value["lost_motion"]
+    assert rough.value["transmission_error"].dtype == jnp.float64
+    off = abs(float(rough.value["transmission_error"] - exact.value["transmission_error"]))
+    assert 0 < off < 3 * arcsec
+    for bad in ('noise = "1 um"', 'misfit = "1 arcsec"', 'misfit = "-1 um"', "misfit = 1"):
+        with pytest.raises(study.StudyError, match="accuracy"):
+            study.parse_study(f"{text}\n[accuracy]\n{bad}\n", name="x")
+
+
+@pytest.fixture(scope="module")
+def lost_motion():
+    return next(s for s in subjects() if s.name == "lost_motion")
+
+
+def test_measuring_a_model(lost_motion):
+    ways = tuple(way for way in lost_motion.ways if way.name != "contact")
+    small = dataclasses.replace(lost_motion, ways=ways, batch=64, calls=1)
+    made = tradeoff.measure_model(small, seed=0, seconds=0.01)
+    exact = made.level(made.reference)
+    assert exact.largest == {"lost_motion": [0.0, 0.0, 0.0]} and all(x.ns > 0 for x in made.levels)
+    single = made.level("closed form, float32")
+    assert 0 < made.relative(single) < 1e-5  # rounding
+    assert made.relative(made.level("first order, float64")) > 100 * made.relative(single)
+    assert "cycloid.pin_circle_radius" in made.design and "cranks.circle_radius" not in made.design
+    assert made.errors["disc_runout"] == pytest.approx(15 * um)
+
+
+def test_scenes_keep_their_accuracy(lost_motion):
+    """40 designs and tolerances that were never measured, 32 units each."""
+    kept, rng, units = lost_motion, np.random.default_rng(7), 32
+    typical = stored().models["lost_motion"].typical["lost_motion"][1]
+
+    @partial(jax.jit, static_argnums=(0, 1))
+    def run(settings, precision, design, errors):
+        case = jax.tree.map(lambda x: jnp.asarray(x, precision), (design, errors, jnp.zeros(units)))
+        values, status = jax.vmap(lambda *c: kept.evaluate(dict(settings), *c))(*case)
+        return values["lost_motion"].astype(float), status
+
+    draw = jax.jit(jax.vmap(lambda t, k: sample(t, k, seed=5), in_axes=(None, 0)))
+    names, exact = set(), (("lost_motion_profile", "contact"),)
+    for number in range(40):
+        design = jax.tree.map(lambda x: float(x * rng.uniform(0.95, 1.05)), kept.design)
+        factor, accuracy = np.exp(rng.uniform(np.log(0.3), np.log(3))), typical * 10 ** rng.uniform(-4, 0)
+        tolerances = kept.tolerances.replace(
+            **{
+                name: t.replace(lower=t.lower * factor, upper=t.upper * factor)
+                for name, t in vars(kept.tolerances).items()
+                if t is not None
+            }
+        )
+        choice = chosen(accuracy, design, scene.RVConditions(), tolerances, "lost_motion")
+        names.add(choice.level)
+        errors = draw(tolerances, jnp.arange(number * units, (number + 1) * units))
+        designs = jax.tree.map(lambda x: np.full(units, x), design)
+        errors = jax.tree.map(lambda x: jnp.broadcast_to(x, (units,)), errors)
+        true, status = run(exact, "float64", designs, errors)
+        found, own = run(choice.settings, choice.precision, designs, errors)
+        good = succeeded(status)
+        assert jnp.all(succeeded(own)[good])
+        assert jnp.all(jnp.abs(found - true)[good] <= (accuracy if choice.bound is None else choice.bound))
+    assert len(names) >= 3
+
+
+def test_the_command_prints_writes_and_draws(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(tradeoff, "measure", lambda **_: Table({"cores": 2}, 0, {"m": model(ROUGH, FINE)}))
+    files = tmp_path / "t.json", tmp_path / "t.png"
+    assert cli.main(["tradeoff", "--quick", "--json", str(files[0]), "--picture", str(files[1])]) == 0
+    assert Table.load(files[0]).models["m"].level("rough") == ROUGH and files[1].stat().st_size > 1000
+    assert "Take for an error below" in capsys.readouterr().out
+    assert cli.main(["tradeoff", "--json", str(tmp_path / "t.txt")]) == 2
+    assert "must end with .json" in capsys.readouterr().err
