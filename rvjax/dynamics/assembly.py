@@ -125,18 +125,21 @@ def admit(lumped: Lumped, *conditions: Any) -> tuple[Lumped, tuple[Any, ...], ja
     eigenproblem, one.
     """
     lumped, conditions = promote(lumped, conditions)
-    leaves = jax.tree.leaves(lumped)
-    finite = jnp.all(jnp.isfinite(_flat(leaves)))
+    numbers = _flat(jax.tree.leaves(lumped))
+    largest = float(jnp.finfo(numbers.dtype).max) ** 0.4  # products of two numbers, and their quotients, are formed
+    finite = jnp.all(jnp.abs(numbers) < largest)
     radii = (lumped.sun_base_radius, lumped.planet_base_radius, lumped.eccentricity, lumped.circle_radius)
-    positive = jnp.min(_flat([*radii, *jax.tree.leaves(lumped.inertia)])) > 0
+    smallest = jnp.min(_flat([*radii, *jax.tree.leaves(lumped.inertia)]))
+    positive = smallest > 0
+    finite &= ~positive | (smallest > 1 / largest)
     positive &= jnp.min(_flat(jax.tree.leaves(lumped.stiffness))) >= 0
     loaded = jnp.abs(jnp.cos(lumped.force_angle)) >= 1e-9  # else the pins carry no torque
     good = finite & positive & loaded
     lumped = jax.tree.map(lambda leaf, spare: jnp.where(good, leaf, spare), lumped, _spare(lumped))
     possible = jnp.asarray(True)
     for condition in jax.tree.leaves(conditions):
-        possible &= jnp.isfinite(condition)
-    conditions = jax.tree.map(lambda c: jnp.where(jnp.isfinite(c), c, 1), conditions)
+        possible &= jnp.abs(condition) < largest
+    conditions = jax.tree.map(lambda c: jnp.where(jnp.abs(c) < largest, c, 1), conditions)
     invalid = ~(positive & loaded)
     return (
         lumped,

@@ -146,6 +146,8 @@ def _response(
     overflow = ~(jnp.all(jnp.isfinite(amplitude)) & jnp.all(jnp.isfinite(solved.mean)))
     own = first_failure((solved.singular, Status.SINGULAR), (overflow, Status.NONFINITE))
     own = jnp.where(solved.singular & overflow, int(Status.SINGULAR), own)
+    status = jnp.where(good, own, status)
+    good &= own != Status.NONFINITE
     order = jnp.arange(1, harmonics + 1, dtype=w.dtype)
     return Response(
         frequency=jnp.where(good, order * jnp.abs(w) / (2 * jnp.pi), jnp.nan),
@@ -154,5 +156,5 @@ def _response(
         resonance_distance=jnp.where(good, solved.distance, jnp.nan),
         outputs=outputs,
         form=form,
-        info=SolveInfo(jnp.where(good, own, status), jnp.int32(0), solved.residual),
+        info=SolveInfo(status, jnp.int32(0), solved.residual),
     )

@@ -15,6 +15,8 @@ from rvjax.units import parse
 
 DESIGNS = {"corr": catalogue.CORR, "rv-20e": catalogue.RV_20E, "rv-40e": catalogue.RV_40E}
 COSTS: dict[str, Any] = {"reciprocal_power": ReciprocalPower, "exponential": Exponential}
+# Beyond these a program neither compiles in time nor fits into memory.
+_MOST = {"angles": 100_000, "count": 64, "disc_count": 64, "gear_teeth": 2000, "teeth": 1_000_000}
 EMBEDDED = resources.files("rvjax.study") / "embedded"
 
 
@@ -58,7 +60,7 @@ def parse_study(text: str, *, name: str) -> Study:
     with _naming(name):
         try:
             tables = tomllib.loads(text)
-        except tomllib.TOMLDecodeError as error:
+        except (tomllib.TOMLDecodeError, RecursionError) as error:
             raise ValueError(f"not valid TOML: {error}") from None
         _known(tables, {"accuracy", "conditions", "cost", "design", "requirement", "run", "tolerances"}, "")
         for key in ("design", "tolerances", "requirement"):
@@ -80,9 +82,11 @@ def parse_study(text: str, *, name: str) -> Study:
             costs=costs,
             requirements=requirements,
             accuracy=_accuracy(scene.kind(design).outputs, requirements, _table(tables, "accuracy")),
-            seed=_integer(run.get("seed", 0), "run.seed", 0),
-            samples=_integer(run.get("samples", 16384), "run.samples", 16),
-            certificate_samples=_integer(run.get("certificate_samples", 1_000_000), "run.certificate_samples", 16),
+            seed=_integer(run.get("seed", 0), "run.seed", 0, 2**32 - 1),
+            samples=_integer(run.get("samples", 16384), "run.samples", 16, 2**32),
+            certificate_samples=_integer(
+                run.get("certificate_samples", 1_000_000), "run.certificate_samples", 16, 2**32
+            ),
         )
         scene.check_nominal(study.response(), error_record())
         return study
@@ -94,7 +98,10 @@ def _naming(where: str) -> Iterator[None]:
     try:
         yield
     except (ValueError, TypeError) as error:
-        raise StudyError(f"{where}: {' '.join(str(error).split())}") from None
+        message = " ".join(str(error).split())
+        if len(message) > 400:  # a hostile value is not repeated at length
+            message = f"{message[:200]} ... {message[-150:]}"
+        raise StudyError(f"{where}: {message}") from None
 
 
 def _known(table: dict[str, Any], keys: set[str], where: str) -> None:
@@ -111,9 +118,11 @@ def _table(parent: dict[str, Any], key: str) -> dict[str, Any]:
     return value
 
 
-def _integer(value: Any, where: str, minimum: int) -> int:
+def _integer(value: Any, where: str, minimum: int, maximum: int) -> int:
     if isinstance(value, bool) or not isinstance(value, int) or value < minimum:
         raise ValueError(f"{where} = {value!r}: must be an integer of at least {minimum}")
+    if value > maximum:
+        raise ValueError(f"{where} = {value}: must be at most {maximum}")
     return value
 
 
@@ -122,6 +131,12 @@ def _quantity(value: Any, unit: str, where: str) -> float:
         return parse(value, unit)
     except ValueError as error:
         raise ValueError(f"{where} = {error}") from None
+
+
+def _count(value: Any, key: str, where: str) -> Any:
+    if isinstance(value, int) and value > _MOST.get(key, _MOST["teeth"]):
+        raise ValueError(f"{where} = {value}: must be at most {_MOST.get(key, _MOST['teeth'])}")
+    return value  # the record judges the rest
 
 
 def _metadata(record: Any, field: str) -> Any:
@@ -144,7 +159,8 @@ def _override(record: Any, changes: Any, where: str) -> Any:
         if metadata["kind"] == "record":
             values[key] = _override(getattr(record, key), value, name)
         else:
-            values[key] = value if metadata["kind"] == "count" else _quantity(value, metadata["unit"], name)
+            is_count = metadata["kind"] == "count"
+            values[key] = _count(value, key, name) if is_count else _quantity(value, metadata["unit"], name)
     return record.replace(**values)
 
 
@@ -157,14 +173,14 @@ def _conditions(kind: Any, table: dict[str, Any]) -> Any:
         if "unit" in metadata:
             values[key] = _quantity(value, metadata["unit"], where)
         elif "minimum" in metadata:
-            values[key] = _integer(value, where, metadata["minimum"])
+            values[key] = _integer(value, where, metadata["minimum"], _MOST[key])
         else:
             values[key] = _choice(value, metadata["choices"], where)
     return kind(**values)
 
 
 def _choice(value: Any, choices: Iterable[str], where: str) -> str:
-    if value not in choices:
+    if not isinstance(value, str) or value not in choices:
         raise ValueError(f"{where} = {value!r}: must be one of {', '.join(choices)}")
     return value
 

@@ -121,7 +121,9 @@ class Checkpoint:
         except OSError as error:
             if not self._warned:
                 message = f"checkpoint = {str(self._path)!r}: cannot be written ({error}); the study goes on without"
-                warnings.warn(message, RuntimeWarning, stacklevel=3)
+                with warnings.catch_warnings():  # where warnings are errors, this one must not end the study
+                    warnings.simplefilter("always", RuntimeWarning)
+                    warnings.warn(message, RuntimeWarning, stacklevel=3)
             self._warned = True
         end = time.monotonic()
         self._next = end + max(EVERY, _SHARE * (end - start))

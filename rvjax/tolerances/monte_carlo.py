@@ -5,6 +5,7 @@ import functools
 import glob
 import itertools
 import operator
+import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -93,6 +94,8 @@ def monte_carlo(
     tolerances = correlated(tolerances, correlation)
     names = response_names(response, tolerances)
     required = by_response(requirements, names, Requirement, "requirements")
+    if keep:
+        _check_memory(samples, len(names))
     study = describe(tolerances, required) | {"seed": str(seed), "method": method, "chunk": str(chunk)}
     process, processes = place()
 
@@ -127,6 +130,18 @@ def monte_carlo(
         for part in states:
             tally.merge(part)
     return statistics(tally, quantiles=tuple(quantiles), confidence=confidence, seed=seed, method=method, study=study)
+
+
+def _check_memory(samples: int, responses: int) -> None:
+    """Refuse to keep more numbers than half the memory of this machine holds: what is kept is also sorted and saved."""
+    if not hasattr(os, "sysconf"):  # Windows does not say
+        return
+    memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    if 8 * samples * responses > memory / 2:
+        raise ValueError(
+            f"keep = True: {samples} units need {8 * samples * responses / 2**30:.3g} GiB, more than half of this "
+            f"machine's {memory / 2**30:.3g} GiB; without keep memory does not grow with samples"
+        )
 
 
 def _of_process(path: str | Path, process: int, processes: int) -> Path:
