@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from linear_pair import COSTS, LIMIT, PAIR, WIDE, linear, radius
 from rvjax.status import Status
 from rvjax.tolerances import (
     Exponential,
@@ -27,23 +28,9 @@ from rvjax.tolerances import (
 )
 from rvjax.units import mm, um
 
-WIDE = ReciprocalPower(finest=1 * um, coarsest=500 * um)
-PAIR = {"a": Tolerance.symmetric(10 * um), "b": Tolerance.symmetric(10 * um)}
-COSTS = {"a": WIDE, "b": WIDE}
-LIMIT = 20 * um
-
-
-def linear(e):
-    return e["a"] + 2 * e["b"]
-
 
 def two(e):
     return {"y": e["a"] + 2 * e["b"], "b": jnp.abs(e["b"])}
-
-
-def radius(target, limit=LIMIT):
-    """sqrt(sum a_j^2 t_j^2) that gives this yield of a two-sided requirement, cp = 1."""
-    return 3 * limit / stats.norm.ppf((1 + target) / 2)
 
 
 def closed_form(target):

@@ -11,8 +11,8 @@ import math
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy import stats
 
+from linear_pair import COSTS, LIMIT, PAIR, WIDE, linear, radius
 from rvjax import plotting
 from rvjax.tolerances import (
     Exponential,
@@ -30,23 +30,10 @@ from rvjax.tolerances import (
 from rvjax.tolerances.responses import respond
 from rvjax.units import mm, um
 
-WIDE = ReciprocalPower(finest=1 * um, coarsest=500 * um)
-PAIR = {"a": Tolerance.symmetric(10 * um), "b": Tolerance.symmetric(10 * um)}
-COSTS = {"a": WIDE, "b": WIDE}
-LIMIT = 20 * um
-
-
-def linear(e):
-    return e["a"] + 2 * e["b"]
-
 
 def bent(e):
     """No closed form: a root sum of squares beside a linear part."""
     return jnp.sqrt((10 * um) ** 2 + e["a"] ** 2 + 3 * e["b"] ** 2) - 10 * um + 0.3 * e["a"]
-
-
-def radius(target, limit=LIMIT):
-    return 3 * limit / stats.norm.ppf((1 + target) / 2)
 
 
 def closed_cost(target, limit=LIMIT):
