@@ -36,12 +36,14 @@ def pareto(model: Model, *, axes: Axes | None = None) -> Axes:
         face = colour if level.precision == "float64" else "white"
         marker = "*" if level.name == model.reference else "o"
         axes.scatter(*place(level), s=90 if marker == "*" else 36, marker=marker, facecolors=face, edgecolors=colour)
-    for k, level in enumerate(front):
+    named: list[Level] = []
+    for level in front:
+        if named and model.relative(level) > 0.6 * model.relative(named[-1]):
+            continue  # hardly better than its neighbour: the names would cover each other
+        named.append(level)
+        below = -12 if len(named) % 2 == 0 else 6
         label = level.name.rsplit(", float", 1)[0]
-        up = k % 2 == 0
-        axes.annotate(
-            label, place(level), xytext=(4, 6 if up else -12), textcoords="offset points", fontsize=7, color="0.25"
-        )
+        axes.annotate(label, place(level), xytext=(4, below), textcoords="offset points", fontsize=7, color="0.25")
     axes.set(xscale="log", yscale="log", xlabel="time per case (ns)", ylabel="largest error / rms of the output")
     axes.set_title(words(model.name), fontsize=10)
     axes.margins(x=0.25, y=0.12)
