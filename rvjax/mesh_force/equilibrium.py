@@ -69,8 +69,10 @@ def solve(
     for leaf in jax.tree.leaves((design, errors, torque, angle)):
         finite &= jnp.all(jnp.isfinite(leaf))
     valid, undercut = _possible(design), geometry.undercut_margin(design) <= 0
-    finite &= ~valid | _in_range(design, errors, torque)
-    good = finite & valid & ~undercut
+    in_range, crushing = _in_range(design, errors, torque)
+    crushing &= contact == "hertz"
+    finite &= ~valid | in_range | crushing
+    good = finite & valid & ~undercut & ~crushing
 
     # A lane outside the domain computes a harmless case instead, so that no derivative of it is NaN.
     design = jax.tree.map(lambda value, safe: jnp.where(good, value, safe), design, _harmless(z, torque.dtype))
@@ -88,7 +90,7 @@ def solve(
         (~finite | ~found.finite, Status.NONFINITE),
         (~valid, Status.INVALID_GEOMETRY),
         (undercut, Status.UNDERCUT),
-        (found.overload, Status.CONTACT_OVERLOAD),
+        (found.overload | crushing, Status.CONTACT_OVERLOAD),
         (~(found.residual <= tolerance), Status.MAX_STEPS),
         ((case.torque == 0) & ~jnp.any(load > 0), Status.UNLOADED),
     )
@@ -108,18 +110,19 @@ def _possible(design: CamRollerReducer) -> jax.Array:
     return possible & (design.eccentricity < design.cam_radius + design.roller_radius)
 
 
-def _in_range(design: CamRollerReducer, errors: CamRollerErrors, torque: jax.Array) -> jax.Array:
-    """Whether no product on the way overflows; squares of the ratios below are formed."""
+def _in_range(design: CamRollerReducer, errors: CamRollerErrors, torque: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Whether no product on the way overflows, and whether only the load does; squares of the ratios are formed."""
     r, e, link = design.roller_radius, design.eccentricity, design.cam_radius + design.roller_radius
     root = float(jnp.finfo(torque.dtype).max) ** 0.5
     unit = contact_mechanics.load_unit(design.young_modulus, design.poisson_ratio, design.roller_length, r)
     interference = jnp.max(jnp.abs(errors.cam_radius) + jnp.abs(errors.eccentricity) + jnp.abs(errors.roller_radius))
     ratios = (link / r, link / e, link / design.cam_radius, interference / r, design.roller_length / r)
     load = jnp.abs(design.cam_share * torque) / (unit * e)
-    in_range = (load < root) & (unit * (1 + load) < root) & (link * e * r > 1 / root)
+    sound = (unit < root) & (link * e * r > 1 / root)
     for ratio in ratios:
-        in_range &= ratio * ratio < root
-    return in_range
+        sound &= ratio * ratio < root
+    fits = (load < root) & (unit * (1 + load) < root)
+    return sound & fits, sound & ~fits & jnp.isfinite(torque)
 
 
 def _harmless(teeth: int, dtype: Any) -> CamRollerReducer:
