@@ -16,13 +16,7 @@ _UNROLL = 4  # angles per step: so many evaluations share one pass through memor
 
 
 def largest_over_turn(
-    scores: Callable[[Any, Crank], tuple[Any, ...]],
-    parts: Any,
-    crank_angle: jax.Array,
-    *,
-    ranks: Callable[[Any, Crank], tuple[Any, ...]] | None = None,
-    ranked: Callable[[tuple[jax.Array, ...]], tuple[jax.Array, ...]] = lambda best: best,
-    wide: Any = False,
+    scores: Callable[[Any, Crank], tuple[Any, ...]], parts: Any, crank_angle: jax.Array
 ) -> tuple[jax.Array, ...]:
     """Largest value of each score over the angles.
 
@@ -30,48 +24,29 @@ def largest_over_turn(
         scores: (parts, crank) -> one score or two.
         parts: pytree; leaves that are not arrays stay constants, so that XLA can fold them.
         crank_angle: angles (angles,), without derivative.
-        ranks: what to search instead where it is cheaper than the scores and rises with them.
-        ranked: the scores that belong to ranks.
-        wide: () bool, where ranks do not rise with the scores. A batch pays for the scores if one lane is wide.
     """
     leaves, tree = jax.tree.flatten(parts)
     is_array = [isinstance(leaf, jax.Array) for leaf in leaves]
-    wide = jax.lax.stop_gradient(jnp.asarray(wide))
 
     def whole(arrays: list[jax.Array]) -> Any:
         rest = iter(arrays)
         return jax.tree.unflatten(tree, [next(rest) if varies else leaf for leaf, varies in zip(leaves, is_array)])
 
-    def searched(search: Callable[..., Any], arrays: list[jax.Array], wide: jax.Array) -> Any:
-        """`search` by ranks, or by scores where a lane is wide; each with whether it was by ranks."""
-        if ranks is None:
-            return search(lambda crank: scores(whole(arrays), crank), crank_angle)
-        found = search(lambda crank: ranks(whole(arrays), crank), crank_angle)
-        if search is _values:
-            found = ranked(found)
-        # A loop of one round or none: under vmap a condition would take both ways for all lanes.
-        _, found = jax.lax.while_loop(
-            lambda state: state[0],
-            lambda state: (jnp.zeros_like(wide), search(lambda crank: scores(whole(arrays), crank), crank_angle)),
-            (wide, found),
-        )
-        return found
-
     @jax.custom_jvp
-    def largest(arrays: list[jax.Array], wide: jax.Array) -> tuple[jax.Array, ...]:
-        return searched(_values, arrays, wide)
+    def largest(arrays: list[jax.Array]) -> tuple[jax.Array, ...]:
+        return _values(lambda crank: scores(whole(arrays), crank), crank_angle)
 
     @largest.defjvp
     def _rule(primals: Any, tangents: Any) -> Any:
-        (arrays, wide), (changes, _) = primals, tangents
-        places = searched(_places, jax.lax.stop_gradient(arrays), wide)
+        (arrays,), (changes,) = primals, tangents
+        places = _places(lambda crank: scores(whole(arrays), crank), crank_angle)
 
         def at_places(arrays: list[jax.Array]) -> tuple[Any, ...]:
             return tuple(scores(whole(arrays), place)[number] for number, place in enumerate(places))
 
         return jax.jvp(at_places, (arrays,), (changes,))
 
-    return largest([leaf for leaf, varies in zip(leaves, is_array) if varies], wide)
+    return largest([leaf for leaf, varies in zip(leaves, is_array) if varies])
 
 
 def _values(scores: Callable[[Crank], tuple[Any, ...]], crank_angle: jax.Array) -> tuple[jax.Array, ...]:

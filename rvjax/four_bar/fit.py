@@ -12,7 +12,6 @@ import jax
 import jax.numpy as jnp
 
 from rvjax.fastmath import sin_cos
-from rvjax.four_bar import forces
 from rvjax.four_bar.closures import Crank, stretch
 from rvjax.four_bar.unit import Unit, Vector
 
@@ -73,18 +72,6 @@ def vector(unit: Unit, fit: Fit, crank: Crank) -> Vector:
         shifts = unit.joint_shifts(crank)
         cosine, sine = cosine + _sum_dot(fit.seats, shifts), sine + _sum_cross(fit.seats, shifts)
     return len(fit.seats) * unit.radius**2 + cosine, sine
-
-
-def largest_turn(unit: Unit, fit: Fit) -> Any:
-    """A bound of |angle of (C, S)| over all crank angles, rad; pi / 2 or more where it may be anything."""
-    spread = sum(jnp.abs(part(x)) for x in (fit.still, fit.turning) for part in (jnp.real, jnp.imag))
-    if unit.load is not None:
-        shift = (
-            jnp.abs(unit.clearance) + forces.largest_pin_force(unit.load, len(fit.seats), unit.radius) / unit.stiffness
-        )
-        spread = spread + shift * sum(jnp.abs(x) + jnp.abs(y) for x, y in fit.seats)
-    ratio = spread / (len(fit.seats) * unit.radius**2)
-    return ratio * (jnp.pi / 2)  # an arc is at most so much longer than its sine
 
 
 def misfit(unit: Unit, fit: Fit, crank: Crank) -> Any:

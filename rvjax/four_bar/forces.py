@@ -55,11 +55,6 @@ def pin_force(load: DiscLoad, crank: Crank, tangent: tuple[Any, Any], count: int
     )
 
 
-def largest_pin_force(load: DiscLoad, count: int, radius: Any) -> jax.Array:
-    """No force of a disc on one of `count` crank pins is larger over a crank turn."""
-    return (load.radial + jnp.abs(load.tangential) + jnp.abs(load.torque) / radius) / count
-
-
 def joint_shift(force: Vector, clearance: jax.Array, stiffness: jax.Array) -> Vector:
     """Bore against pin: the clearance taken up in the direction of the load, and the elastic approach.
 

@@ -11,7 +11,7 @@ from rvjax.errors import RVErrors
 from rvjax.fastmath import arctan
 from rvjax.four_bar.closures import Crank, at_once
 from rvjax.four_bar.extremes import largest_over_turn
-from rvjax.four_bar.fit import fit, largest_turn, misfit, vector
+from rvjax.four_bar.fit import fit, misfit, vector
 from rvjax.four_bar.linkage import check_methods
 from rvjax.four_bar.reducer import check_crank_count, transmission_error
 from rvjax.four_bar.unit import Unit, take_apart
@@ -113,43 +113,41 @@ def revolution(
 def _extremes(unit: Unit, crank_angle: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Largest and smallest error and largest |misfit| of phase-locked cranks, without the curve.
 
-    The error is an angle whose tangent needs no angle of any disc: their vectors (C + i S) are turned one
-    after the other by multiplication. Where discs may turn by a right angle together, the tangent does not rise
-    with the angle, and the angles are searched.
+    The search needs no angle of any disc: their vectors (C + i S) are turned one after the other by
+    multiplication, and a quotient that rises with the angle stands for it (discs together within half a turn).
     """
     discs = range(len(unit.disc))
 
-    def vectors(parts: Any, first: Crank) -> list[tuple[Any, Any]]:
+    def quotients(parts: Any, first: Crank) -> tuple[Any, Any]:
         unit, fits = parts
-        return [vector(unit, fits[k], unit.disc_crank(k, first)) for k in discs]
-
-    def tangents(parts: Any, first: Crank) -> tuple[Any, Any]:
         cosine, sine = jnp.ones_like(unit.radius), jnp.zeros_like(unit.radius)
-        for c, s in vectors(parts, first):
+        for k in discs:
+            c, s = vector(unit, fits[k], unit.disc_crank(k, first))
             cosine, sine = cosine * c - sine * s, sine * c + cosine * s
-        return sine / cosine, -sine / cosine
-
-    def angles(parts: Any, first: Crank) -> tuple[Any, Any]:
-        total = sum(jnp.arctan2(s, c) for c, s in vectors(parts, first))
-        return total, -total
+        quotient = sine / (jnp.abs(cosine) + jnp.abs(sine))  # -1 to 1 up to a right angle, to +-2 beyond
+        quotient = jnp.where(cosine >= 0, quotient, jnp.where(sine >= 0, 2.0, -2.0) - quotient)
+        return quotient, -quotient
 
     def misfits(parts: Any, first: Crank) -> tuple[Any, ...]:
         unit, fits = parts
         return (jnp.max(jnp.stack([jnp.abs(misfit(unit, fits[k], unit.disc_crank(k, first))) for k in discs])),)
 
-    fits = [fit(unit, k) for k in discs]
-    most, least = largest_over_turn(
-        angles,
-        (unit, fits),
-        crank_angle,
-        ranks=tangents,
-        ranked=lambda best: tuple(arctan(tangent) for tangent in best),
-        wide=~(sum(largest_turn(unit, one) for one in fits) < np.pi / 2),
-    )
-    (largest,) = largest_over_turn(misfits, (unit, fits), crank_angle)
+    parts = (unit, [fit(unit, k) for k in discs])
+    most, least = largest_over_turn(quotients, parts, crank_angle)
+    (largest,) = largest_over_turn(misfits, parts, crank_angle)
     good = unit.finite & unit.possible
     return (
-        jnp.where(good, least / len(discs), jnp.nan),
-        jnp.where(good, -most / len(discs), jnp.nan),
+        jnp.where(good, _angle(least) / len(discs), jnp.nan),
+        jnp.where(good, -_angle(most) / len(discs), jnp.nan),
         jnp.where(good, largest, jnp.nan),
     )
+
+
+def _angle(quotient: jax.Array) -> jax.Array:
+    """The angle that a quotient of `_extremes` stands for."""
+    beyond = jnp.abs(quotient) > 1
+    half_turn = jnp.where(beyond, jnp.sign(quotient), 0)
+    within = jnp.where(beyond, quotient - 2 * half_turn, quotient)  # beyond a right angle: of the opposite direction
+    right = jnp.abs(within) == 1
+    tangent = within / jnp.where(right, 1, 1 - jnp.abs(within))
+    return jnp.where(right, within * (np.pi / 2), arctan(tangent)) + np.pi * half_turn
