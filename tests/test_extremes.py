@@ -200,7 +200,7 @@ def test_dynamics_beyond_the_arithmetic():
     assert np.isfinite(slope).all()
 
 
-# --- properties; `settings.register_profile` of conftest decides how many examples
+# --- properties
 
 
 LANES = 64

@@ -147,7 +147,7 @@ def _response(
     own = first_failure((solved.singular, Status.SINGULAR), (overflow, Status.NONFINITE))
     own = jnp.where(solved.singular & overflow, int(Status.SINGULAR), own)
     status = jnp.where(good, own, status)
-    good &= own != Status.NONFINITE
+    good &= ~overflow
     order = jnp.arange(1, harmonics + 1, dtype=w.dtype)
     return Response(
         frequency=jnp.where(good, order * jnp.abs(w) / (2 * jnp.pi), jnp.nan),
