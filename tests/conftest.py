@@ -1,14 +1,14 @@
 """Test configuration: float64, no silent promotion of dtype or rank, headless pictures, programs compiled once.
 
 Three quarters of the time of the tests is compilation. What one worker or process compiled, all others and
-every later run, in any clone, take from the user's cache; JAX_COMPILATION_CACHE_DIR names another folder.
+every later run take from `.pytest_cache`; delete it to compile afresh.
 """
 
 import json
 import os
 from pathlib import Path
 
-os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path("~/.cache/rvjax-tests").expanduser()))
+os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path(__file__).parents[1] / ".pytest_cache" / "jax"))
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.2")
 
 import jax
