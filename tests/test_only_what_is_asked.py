@@ -42,8 +42,14 @@ def cost_of(outputs, errors):
 def test_an_output_costs_only_itself():
     errors = full(units(STUDY.tolerances))
     together = cost_of(tuple(STUDY.requirements), errors)
-    assert together > 1.1 * cost_of(("transmission_error",), errors)
-    assert together > 15 * cost_of(("lost_motion",), errors)
+    error, misfit, free = (cost_of((name,), errors) for name in ("transmission_error", "misfit", "lost_motion"))
+    assert together > 3 * misfit
+    assert together > 15 * free
+    # Two models share nothing, and one asked for alone brings nothing of the other.
+    assert cost_of(("transmission_error", "lost_motion"), errors) == pytest.approx(error + free, rel=0.01)
+    assert cost_of(("misfit", "lost_motion"), errors) == pytest.approx(misfit + free, rel=0.01)
+    # Transmission error and misfit share their linkage; the misfit's own search comes on top.
+    assert together - (error + free) > 0.35 * misfit
 
 
 def test_rotation_of_the_output_costs_a_tenth_of_all_coordinates():
