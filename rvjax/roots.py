@@ -150,23 +150,28 @@ def _bracketed_iteration(
         return state[-2] == _RUNNING
 
     def body(state: Any) -> Any:
-        x, below, above, last, status, steps = state
+        x, below, above, last, stride, status, steps = state
         value, slope = jax.jvp(lambda y: residual(y, params), (x,), (jnp.ones_like(x),))
         below, above = jnp.where(value <= 0, x, below), jnp.where(value >= 0, x, above)
         target = x - value / jnp.where(slope == 0, 1, slope)
         inside = (slope != 0) & ((target - below) * (target - above) <= 0)
         use = inside & (2 * jnp.abs(value) <= last)
-        target = jnp.where(use, target, 0.5 * (below + above))
+        # Near the root rounding may keep the residual from halving. The middle of a bracket that is still wide
+        # would lead away, to another root perhaps: strides that grow find the sign change next to here.
+        half = 0.5 * (jnp.where(value < 0, above, below) - x)
+        stride = jnp.where(use, jnp.abs(target - x), 4 * stride)
+        near = x + jnp.clip(half, -stride, stride)
+        target = jnp.where(use, target, near)
         target = jnp.where(value == 0, x, target)
         last = jnp.where(use, jnp.abs(value), jnp.inf)  # after halving, a Newton step gets its chance
         steps = steps + 1
         done = jnp.abs(target - x) <= tolerance * jnp.abs(target)
         status = jnp.where(done, int(Status.CONVERGED), jnp.where(steps >= max_steps, int(Status.MAX_STEPS), _RUNNING))
         status = jnp.where(jnp.isfinite(value), status, int(Status.NONFINITE))
-        return target, below, above, last, status, steps
+        return target, below, above, last, stride, status, steps
 
-    first = (x, below, above, jnp.full_like(x, jnp.inf), status, jnp.zeros_like(status))
-    x, _, _, _, status, steps = jax.lax.while_loop(running, body, first)
+    first = (x, below, above, jnp.full_like(x, jnp.inf), jnp.abs(upper - lower), status, jnp.zeros_like(status))
+    x, _, _, _, _, status, steps = jax.lax.while_loop(running, body, first)
     info = SolveInfo(status.astype(jnp.int32), steps.astype(jnp.int32), jnp.abs(residual(x, params)))
     return x, info
 
