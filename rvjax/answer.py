@@ -28,6 +28,8 @@ class Side:
         sensitivities: {response: {field: derivative per element, root mean square over the elements}}.
         values: {response: values of sample units}, for histograms.
         curves: the curve of the kind of design for sample units, SI (units, angles).
+        failed: {status name: index of the first sample unit that failed so}.
+        seed: of the sample units.
     """
 
     tolerances: Any
@@ -36,11 +38,13 @@ class Side:
     sensitivities: Mapping[str, Mapping[str, float]]
     values: Mapping[str, np.ndarray]
     curves: np.ndarray
+    failed: dict[str, int]
+    seed: int
 
 
 @dataclass(frozen=True)
 class Answer:
-    """What `rvjax allocate` found.
+    """What `rvjax allocate` and `rvjax report` found.
 
     Attributes:
         study: the question.
@@ -113,7 +117,8 @@ def _given(study: Study) -> list[Any]:
 
 def _side(study: Study, response: Callable[[Any], Any], tolerances: Any) -> Side:
     moments = rss(response, tolerances)
-    kept = monte_carlo(response, tolerances, samples=SHOWN_VALUES, seed=study.seed + 2, chunk=BLOCK, keep=True)
+    seed = study.seed + 2
+    kept = monte_carlo(response, tolerances, samples=SHOWN_VALUES, seed=seed, chunk=BLOCK, keep=True)
     return Side(
         tolerances=tolerances,
         cost={name: float(cost(getattr(tolerances, name).half_width)) for name, cost in study.costs.items()},
@@ -123,15 +128,17 @@ def _side(study: Study, response: Callable[[Any], Any], tolerances: Any) -> Side
             for name, fields in moments.sensitivities.items()
         },
         values=kept.values,
-        curves=_curves(study, tolerances),
+        curves=_curves(study, tolerances, seed),
+        failed=kept.examples,
+        seed=seed,
     )
 
 
-def _curves(study: Study, tolerances: Any) -> np.ndarray:
+def _curves(study: Study, tolerances: Any, seed: int) -> np.ndarray:
     curve = scene.kind(study.design).curve
 
     def of_unit(index: jax.Array) -> jax.Array:
-        errors = sample(tolerances, index, seed=study.seed + 2)
+        errors = sample(tolerances, index, seed=seed)
         return curve.evaluate(study.design, errors, study.conditions)[1]
 
     return np.asarray(jax.jit(jax.vmap(of_unit))(np.arange(SHOWN_UNITS)))

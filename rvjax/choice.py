@@ -93,6 +93,30 @@ def choose(
     return {name: found[name] for name in outputs if name in found}
 
 
+def as_given(design: Any, outputs: Sequence[str], conditions: Any, *, tolerances: Any) -> dict[str, Choice]:
+    """The level that the conditions themselves select for each output, and what is measured of it.
+
+    Args:
+        design: the reducer.
+        outputs: that are asked for; one of which no such level was measured is left out.
+        conditions: how the reducer runs.
+        tolerances: of the units; record with a `Tolerance` or None.
+    """
+    found = {}
+    for name in outputs:
+        model, reason = _model(stored().models.values(), name, design, conditions)
+        size, problem = _size(model, tolerances)
+        reason = reason or problem
+        for level in model.levels:
+            settings = tuple(level.settings.items())
+            if level.precision != "float64" or any(getattr(conditions, key) != value for key, value in settings):
+                continue
+            bound = None if reason or level.name == model.reference else model.bound(level, name, size)
+            why = f"the study says so; its error here was not measured ({reason})" if reason else "the study says so"
+            found[name] = Choice(name, level.name, settings, level.precision, bound, level.ns, why)
+    return found
+
+
 def _differs(model: Model, conditions: Any) -> list[str]:
     return [name for name, value in model.conditions.items() if getattr(conditions, name) != value]
 

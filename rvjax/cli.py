@@ -1,4 +1,4 @@
-"""The command line: `rvjax allocate`, `rvjax montecarlo`, `rvjax reproduce`, `rvjax tradeoff`.
+"""The command line: `rvjax allocate`, `rvjax report`, `rvjax montecarlo`, `rvjax reproduce`, `rvjax tradeoff`.
 
 Bad input ends with one line on standard error and exit code 2; a question that has no answer
 (infeasible requirements) with exit code 1.
@@ -8,8 +8,9 @@ import argparse
 import json
 import os
 import sys
+import textwrap
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -42,79 +43,174 @@ def _parser() -> argparse.ArgumentParser:
 
     parser = argparse.ArgumentParser(
         prog="rvjax",
-        description="Accuracy of precision reducers: errors, tolerances and what they cost.",
-        epilog="Exit codes: 0 done, 1 no tolerances meet the requirements, 2 bad input.",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        description="What microns of manufacturing error do to the accuracy of a precision reducer,\n"
+        "and which tolerances are the cheapest that still meet the requirement.",
+        epilog="""examples:
+  rvjax allocate                       the cheapest tolerances of an RV-40E, about 40 s
+  rvjax report my-study.toml           the same of your own reducer, as one HTML page
+  rvjax montecarlo corr --samples 1e5  what a batch of an oscillatory roller stage does
+  rvjax reproduce --notes              the literature's figures beside computed ones
+  rvjax COMMAND --help                 options, defaults and examples of a command
+
+A study file asks one question of one reducer, in TOML with units in strings ("3.5 um"). Copy one that
+comes with rvjax (rv-40e, corr; every results folder holds its study) and change it.
+
+exit codes: 0 done; 1 no tolerances meet the requirements, or not with certainty; 2 bad input, one line on
+standard error says what; 130 interrupted.
+""",
     )
     parser.add_argument("--version", action="version", version=f"rvjax {rvjax.__version__}")
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
 
-    allocate = commands.add_parser(
+    allocate = _command(
+        commands,
         "allocate",
-        help="the cheapest tolerances that still meet the requirements",
-        description="Find the cheapest tolerances with which the required share of units meets every requirement, "
+        _allocate,
+        "the cheapest tolerances that still meet the requirements",
+        "Find the cheapest tolerances with which the required share of units meets every requirement, "
         "certify them on fresh random units, and write tables and pictures to a results folder.",
+        """examples:
+  rvjax allocate
+  rvjax allocate my-study.toml --results results/first-try
+
+The folder holds summary.txt, CSV tables, result.json (SI, with seed and versions), study.toml and pictures;
+nothing is ever overwritten. exit code 1: no tolerances within the process ranges meet the requirements (the
+summary says by how much the limits would have to move), or they could not be certified.
+""",
     )
-    allocate.add_argument(
-        "study",
-        nargs="?",
-        default="rv-40e",
-        metavar="STUDY",
-        help="a study file (.toml), or the embedded rv-40e (default)",
-    )
+    _add_study(allocate)
     allocate.add_argument(
         "--results", metavar="DIR", help="new folder for the results (default: results/STUDY, numbered if it exists)"
     )
     allocate.add_argument("--quiet", action="store_true", help="no progress bars")
-    allocate.set_defaults(run=_allocate)
+
+    report = _command(
+        commands,
+        "report",
+        _report,
+        "the same answer as one HTML page, for screen, phone and paper",
+        "Find the cheapest tolerances as `allocate` does and write one self-contained HTML page: verdict, "
+        "tolerances and cost, influence of each error, worst units, levels of computation, seed and versions.",
+        """examples:
+  rvjax report
+  rvjax report my-study.toml --output page.html
+
+The page holds its pictures, needs no network and no script. exit code 1: the page says that no tolerances meet
+the requirements, or that they could not be certified.
+""",
+    )
+    _add_study(report)
+    report.add_argument(
+        "--output",
+        metavar="FILE.html",
+        help="the page, replaced if it exists (default: report.html in a new folder results/STUDY)",
+    )
+    report.add_argument("--quiet", action="store_true", help="no progress bars")
 
     _add_montecarlo(commands)
 
-    reproduce = commands.add_parser(
+    reproduce = _command(
+        commands,
         "reproduce",
-        help="published figures beside computed ones, with a verdict",
-        description="Compute the published figures of the literature now and print them beside the printed ones.",
-    )
-    reproduce.add_argument("--json", action="store_true", help="only a JSON list, for machines")
-    reproduce.add_argument("--notes", action="store_true", help="print the reading or the reason under each figure")
-    reproduce.set_defaults(run=_reproduce)
+        _reproduce,
+        "published figures beside computed ones, with a verdict",
+        "Compute the published figures of the literature now and print them beside the printed ones. "
+        "Takes about a minute, most of it compilation.",
+        """examples:
+  rvjax reproduce --notes
+  rvjax reproduce --json > figures.json
 
-    tradeoff = commands.add_parser(
-        "tradeoff",
-        help="speed against accuracy of every model, measured on this machine",
-        description="Measure time and error of every level of every model side by side, and say which to use when. "
-        "Takes a minute or two on an idle machine, most of it compilation.",
+verdicts: reproduced (within the printed rounding), reproduced_with_reading (under an interpretation that the
+note names), close (within 10 %), contradicted (the figure cannot stand beside what the note names),
+not_computable (the source leaves an input out). exit code 0 whatever the verdicts.
+""",
     )
-    tradeoff.add_argument("--json", metavar="FILE.json", help="write the table")
-    tradeoff.add_argument("--picture", metavar="FILE.png", help="draw error against time")
+    reproduce.add_argument("--json", action="store_true", help="only a JSON list on standard output, for machines")
+    reproduce.add_argument("--notes", action="store_true", help="print the reading or the reason under each figure")
+
+    tradeoff = _command(
+        commands,
+        "tradeoff",
+        _tradeoff,
+        "speed against accuracy of every model, measured on this machine",
+        "Measure time and error of every level of every model side by side, and say which to use when. "
+        "Takes a minute or two on an idle machine, most of it compilation.",
+        """examples:
+  rvjax tradeoff --quick
+  rvjax tradeoff --json here.json --picture here.png
+
+Studies with an [accuracy] table take their levels from the measured table that comes with rvjax.
+""",
+    )
+    tradeoff.add_argument("--json", metavar="FILE.json", help="write the table (default: only print it)")
+    tradeoff.add_argument("--picture", metavar="FILE.png", help="draw error against time (default: no picture)")
     tradeoff.add_argument("--quick", action="store_true", help="fewer levels and cases")
-    tradeoff.add_argument("--seed", type=int, default=0, help="of the random cases")
-    tradeoff.set_defaults(run=_tradeoff)
+    tradeoff.add_argument("--seed", type=int, default=0, help="of the random cases (default: 0)")
     return parser
 
 
+def _command(
+    commands: Any, name: str, run: Callable[[argparse.Namespace], int], line: str, description: str, epilog: str
+) -> argparse.ArgumentParser:
+    command = commands.add_parser(
+        name,
+        help=line,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        description=textwrap.fill(description, 110),
+        epilog=epilog,
+    )
+    command.set_defaults(run=run)
+    return command
+
+
+def _add_study(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "study",
+        nargs="?",
+        default="rv-40e",
+        metavar="STUDY",
+        help="a study file (.toml), or one that comes with rvjax: rv-40e (default), corr",
+    )
+
+
 def _add_montecarlo(commands: Any) -> None:
-    montecarlo = commands.add_parser(
+    montecarlo = _command(
+        commands,
         "montecarlo",
-        help="what a batch of units does, however large",
-        description="Draw units of a study with random errors and print the statistics of their responses. Memory "
+        _montecarlo,
+        "what a batch of units does, however large",
+        "Draw units of a study with random errors and print the statistics of their responses. Memory "
         "stays the same however many units; all local devices share the work.",
+        """examples:
+  rvjax montecarlo my-study.toml
+  rvjax montecarlo my-study.toml --samples 1e8 --checkpoint run.ckpt --json figures.json
+  rvjax montecarlo rv-40e --sobol --samples 65536
+
+Killed with a --checkpoint, the same command goes on and ends with the same bits; more --samples continue a
+finished batch. A unit that fails counts as a reject, by reason. exit code 0 whatever the yield.
+""",
     )
+    _add_study(montecarlo)
     montecarlo.add_argument(
-        "study", nargs="?", default="rv-40e", metavar="STUDY", help="a study file (.toml), or the embedded rv-40e"
+        "--samples",
+        type=_count,
+        metavar="N",
+        help="units, such as 250000 or 1e8 (default: the study's certificate_samples)",
     )
-    montecarlo.add_argument("--samples", type=_count, metavar="N", help="units (default: the study's certificate)")
     montecarlo.add_argument("--seed", type=int, help="of the random numbers (default: the study's)")
-    montecarlo.add_argument("--sobol", action="store_true", help="scrambled Sobol points instead of random numbers")
-    montecarlo.add_argument("--chunk", type=_count, metavar="N", help="units at once")
-    montecarlo.add_argument("--processes", type=_count, default=1, metavar="N", help="processes on this machine")
+    montecarlo.add_argument("--sobol", action="store_true", help="scrambled Sobol points (default: random numbers)")
+    montecarlo.add_argument("--chunk", type=_count, metavar="N", help="units at once (default: 32768)")
+    montecarlo.add_argument(
+        "--processes", type=_count, default=1, metavar="N", help="processes on this machine (default: 1)"
+    )
     montecarlo.add_argument(
         "--checkpoint", metavar="FILE", help="go on from this file after an interruption; written once a second"
     )
-    montecarlo.add_argument("--json", metavar="FILE.json", help="write the figures")
+    montecarlo.add_argument("--json", metavar="FILE.json", help="write the figures (default: only print)")
     montecarlo.add_argument("--save", metavar="FILE.npz", help="write the figures and the responses of every unit")
     montecarlo.add_argument("--quiet", action="store_true", help="no progress bar")
     montecarlo.add_argument("--worker", nargs=4, help=argparse.SUPPRESS)  # one of several processes: see `batch.work`
-    montecarlo.set_defaults(run=_montecarlo)
 
 
 def _count(text: str) -> int:
@@ -149,13 +245,34 @@ def _has_avx512() -> bool:
 def _allocate(options: argparse.Namespace) -> int:
     from rvjax import report, study
     from rvjax.answer import answer
+    from rvjax.tolerances.atomic import check_writable
 
     question = study.load(options.study)
     folder = report.results_folder(options.results, question.name)
+    check_writable(folder)
     found = answer(question, progress=not options.quiet)
     print(report.summary(found))
     report.write(found, folder)
     print(f"\nResults: {folder}")
+    return EXIT_OK if found.allocation.status == "OPTIMAL" else EXIT_NO_ANSWER
+
+
+def _report(options: argparse.Namespace) -> int:
+    from rvjax import page, report, study
+    from rvjax.answer import answer
+    from rvjax.tolerances.atomic import check_writable, write_atomically
+
+    _check_files(options, output=".html")
+    question = study.load(options.study)
+    given = options.output is not None
+    path = Path(options.output) if given else report.results_folder(None, question.name) / "report.html"
+    check_writable(path)
+    found = answer(question, progress=not options.quiet)
+    content = page.page(found, options.study).encode("utf-8")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_atomically(path, content)
+    print(report.headline(found))
+    print(f"Report: {path}")
     return EXIT_OK if found.allocation.status == "OPTIMAL" else EXIT_NO_ANSWER
 
 

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 import rvjax
-from rvjax import scene
 from rvjax.answer import Answer
+from rvjax.pictures import pictures
 from rvjax.published import Comparison, show
 from rvjax.tolerances import Estimate
 from rvjax.units import readable
@@ -140,10 +140,9 @@ def requirement_rows(answer: Answer) -> tuple[list[str], list[list[str]]]:
     return headers, rows
 
 
-def summary(answer: Answer) -> str:
-    """The whole answer as text."""
+def headline(answer: Answer) -> str:
+    """Verdict and cost, or why there is no answer."""
     study, allocation = answer.study, answer.allocation
-    certificate = allocation.certificate
     lines = [f"Study {study.name}: {allocation.status}", ""]
     if allocation.feasible:
         change = 100 * (allocation.cost / allocation.start_cost - 1)
@@ -157,6 +156,13 @@ def summary(answer: Answer) -> str:
             unit, size = readable(study.output(name).unit)
             if shortfall > 0:
                 lines.append(f"  the limit of {name} would have to move by {shortfall / size:.4g} {unit}")
+    return "\n".join(lines)
+
+
+def summary(answer: Answer) -> str:
+    """The whole answer as text."""
+    certificate = answer.allocation.certificate
+    lines = [headline(answer)]
     for rows in (tolerance_rows, influence_rows, requirement_rows):
         lines += ["", table(*rows(answer))]
     lines.append("")
@@ -172,6 +178,7 @@ def results_folder(option: str | None, name: str) -> Path:
     """The folder that the results will go to; it must not exist yet, so that nothing is overwritten.
 
     Raises:
+        OSError: it cannot be made.
         ValueError: the folder asked for exists.
     """
     if option is not None:
@@ -203,52 +210,13 @@ def write(answer: Answer, folder: Path) -> None:
             ("requirements", requirement_rows),
         ):
             (scratch / f"{name}.csv").write_text(_csv(*rows(answer)), "utf-8")
-        draw(answer, scratch)
+        for picture in pictures(answer):
+            (scratch / f"{picture.name}.png").write_bytes(picture.content)
         scratch.chmod(0o755)  # mkdtemp makes it private
         scratch.rename(folder)
     except BaseException:
         shutil.rmtree(scratch, ignore_errors=True)
         raise
-
-
-def draw(answer: Answer, folder: Path) -> None:
-    """Draw the pictures of an answer into a folder."""
-    import matplotlib.pyplot as plt
-
-    from rvjax import plotting
-
-    def save(axes: Any, name: str) -> None:
-        axes.figure.savefig(folder / f"{name}.png", dpi=150)
-        plt.close(axes.figure)
-
-    with plotting.style():
-        curve = scene.kind(answer.study.design).curve
-        save(
-            plotting.unit_curves(answer.angle, answer.before.curves, answer.after.curves, curve.title, curve.unit),
-            "curves",
-        )
-        for name, requirement in answer.study.requirements.items():
-            axes = plotting.response_histogram(
-                answer.before.values[name],
-                answer.after.values[name],
-                unit=answer.study.output(name).unit,
-                name=name,
-                upper=requirement.upper,
-                lower=requirement.lower,
-            )
-            save(axes, f"histogram_{name}")
-        save(plotting.variance_shares(answer.after.shares, title="Who causes the variance, after"), "variance_shares")
-        if answer.cost_curve:
-            axes = plotting.cost_against_yield(
-                *zip(*answer.cost_curve),
-                chosen=(_least_yield(answer.allocation.certificate), answer.allocation.cost),
-                start=(_least_yield(answer.certificate_before), answer.allocation.start_cost),
-            )
-            save(axes, "cost_against_yield")
-
-
-def _least_yield(statistics: Any) -> float:
-    return min(estimate.value for estimate in statistics.yield_.values())
 
 
 def as_json(answer: Answer) -> dict[str, Any]:

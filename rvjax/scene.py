@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax import four_bar, lost_motion, mesh_force
-from rvjax.choice import Choice, choose
+from rvjax.choice import Choice, as_given, choose
 from rvjax.designs import CamRollerReducer, RVReducer
 from rvjax.lost_motion.reducer import PROFILES
 from rvjax.mesh_force.laws import CONTACTS
@@ -29,6 +29,7 @@ __all__ = [
     "Kind",
     "Output",
     "RVConditions",
+    "as_given",
     "check_nominal",
     "choose",
     "kind",

@@ -49,6 +49,23 @@ PRECEDENCE = (
 
 SUCCESS = (Status.UNLOADED, Status.CONVERGED)
 
+MEANING = {
+    Status.NONFINITE: "an input, or a number on the way, is not finite",
+    Status.INVALID_GEOMETRY: "lengths or angles that no such part can have",
+    Status.UNDERCUT: "the tooth flank cuts into itself",
+    Status.CONTACT_OVERLOAD: "a contact is wider than its theory holds",
+    Status.NO_BRACKET: "no sign change of the equation was found",
+    Status.MAX_STEPS: "the solver did not finish in its steps",
+    Status.NOT_ASSEMBLABLE: "the parts cannot be put together without deformation",
+    Status.PRESSURE_ANGLE: "a pressure angle whose cosine lies outside 0 to 1",
+    Status.CHANGE_POINT: "a linkage at its dead point, where two closures meet",
+    Status.SINGULAR: "equations without a unique solution",
+    Status.UNSTABLE: "the vibration grows from period to period",
+    Status.UNLOADED: "no contact carries load; a success",
+    Status.CONVERGED: "solved; a success",
+}
+"""Why, for a person."""
+
 _RANK = np.zeros(len(PRECEDENCE), np.int32)
 _RANK[[int(status) for status in PRECEDENCE]] = np.arange(len(PRECEDENCE))
 _ORDER = np.array([int(status) for status in PRECEDENCE], np.int32)

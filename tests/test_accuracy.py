@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from rvjax import cli, scene, study, tradeoff
-from rvjax.accuracy import Level, Model, Table, stored
+from rvjax.accuracy import SAFETY, Level, Model, Table, stored
 from rvjax.catalogue import RV_40E
 from rvjax.plotting import tradeoff as picture
 from rvjax.status import succeeded
@@ -212,3 +212,16 @@ def test_the_command_prints_writes_and_draws(tmp_path, monkeypatch, capsys):
     assert "Take for an error below" in capsys.readouterr().out
     assert cli.main(["tradeoff", "--json", str(tmp_path / "t.txt")]) == 2
     assert "must end with .json" in capsys.readouterr().err
+
+
+def test_the_level_that_the_conditions_select_is_named_with_its_measured_error():
+    question = study.load("rv-40e")
+    outputs = tuple(question.requirements)
+    found = scene.as_given(question.design, outputs, question.conditions, tolerances=question.tolerances)
+    assert found["transmission_error"].level == "closed form, 64 angles, float64"
+    largest = stored().models["transmission_error"].level(found["transmission_error"].level).largest
+    bounds = SAFETY * np.array(largest["transmission_error"])
+    assert bounds.min() <= found["transmission_error"].bound <= bounds.max()
+    assert found["lost_motion"].bound is None and "not measured" in found["lost_motion"].why
+    other = dataclasses.replace(question.conditions, angles=17)
+    assert "transmission_error" not in scene.as_given(question.design, outputs, other, tolerances=question.tolerances)

@@ -1,16 +1,28 @@
-"""The command line from end to end on a small study: answer, refusal, bad input; nothing half-written."""
+"""The command line from end to end on a small study: answer, page, refusal, bad input; nothing half-written.
+
+The page is looked at in a real browser where one is installed.
+"""
 
 import csv
+import dataclasses
+import html.parser
 import json
+import os
+import re
+import shutil
 import subprocess
 import sys
 from importlib import resources
+from pathlib import Path
 
 import matplotlib.image
+import numpy as np
 import pytest
 
 import rvjax
-from rvjax import cli, report
+import rvjax.answer
+import rvjax.worst_units
+from rvjax import cli, page, report
 
 GOOD = (resources.files("rvjax.study") / "embedded" / "rv-40e.toml").read_text("utf-8")
 SMALL = GOOD.replace("angles = 64 ", "angles = 12 ").replace("samples = 16384", "samples = 1024")
@@ -23,6 +35,22 @@ PICTURES = ["curves", *HISTOGRAMS, "variance_shares", "cost_against_yield"]
 def here(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     return tmp_path
+
+
+@pytest.fixture(scope="module", autouse=True)
+def answers():
+    """Every study is answered once, whichever command asks."""
+    found, real = {}, rvjax.answer.answer
+
+    def once(question, *, progress=False):
+        key = question.text
+        if key not in found:
+            found[key] = real(question, progress=progress)
+        return dataclasses.replace(found[key], study=question)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(rvjax.answer, "answer", once)
+        yield found
 
 
 @pytest.fixture(scope="module")
@@ -82,6 +110,11 @@ def test_infeasible_requirements_are_refused_with_the_shortfall(here, capsys):
     result = json.loads((here / "results" / "hard" / "result.json").read_text())
     assert not result["feasible"] and 0 < result["shortfall"]["transmission_error"] < 1e-4
     assert result["shortfall"]["misfit"] == 0
+    assert cli.main(["report", "hard.toml", "--quiet", "--output", "hard.html"]) == 1
+    text = Path("hard.html").read_text("utf-8")
+    assert "✘ No tolerances within the process ranges" in text and "✘ not met" in text
+    assert re.search(r"limit of transmission error would have to move by 0\.\d+ arcmin", text)
+    assert Path("results/hard").is_dir() and not Path("results/hard-2").exists()
 
 
 @pytest.mark.parametrize(
@@ -92,6 +125,12 @@ def test_infeasible_requirements_are_refused_with_the_shortfall(here, capsys):
         (["allocate", "bad.toml"], ["bad", "tolerances.crank_phase.half_width", "5 kg", "arcmin"]),
         (["allocate", "good.toml", "--results", "taken"], ["taken", "exists"]),
         (["allocate", "folder.toml"], ["folder.toml"]),
+        (["allocate", "good.toml", "--results", "good.toml/out"], ["good.toml", "not a folder"]),
+        (["report", "good.toml", "--output", "page.pdf"], ["page.pdf", ".html"]),
+        (["report", "good.toml", "--output", "absent/page.html"], ["absent/page.html", "no such folder"]),
+        (["report", "good.toml", "--output", "taken.html"], ["taken.html", "is a folder"]),
+        (["report", "good.toml", "--output", f"{'x' * 250}.html"], ["xxx", "too long"]),
+        (["report", "absent.toml"], ["absent.toml", "no such study file"]),
         (["allocate", "good.toml", "--colour"], ["--colour"]),
         (["alocate"], ["alocate"]),
     ],
@@ -100,6 +139,7 @@ def test_bad_input_is_one_line_and_exit_code_2(here, capsys, arguments, words):
     (here / "bad.toml").write_text(SMALL.replace('"5 arcmin"\n\n[tolerances.disc', '"5 kg"\n\n[tolerances.disc'))
     (here / "good.toml").write_text(SMALL)
     (here / "taken").mkdir()
+    (here / "taken.html").mkdir()
     (here / "folder.toml").mkdir()
     before = sorted(here.rglob("*"))
     assert cli.main(arguments) == 2
@@ -109,6 +149,113 @@ def test_bad_input_is_one_line_and_exit_code_2(here, capsys, arguments, words):
         assert word in message
     assert "Traceback" not in captured.err and captured.out == ""
     assert sorted(here.rglob("*")) == before
+
+
+class Tags(html.parser.HTMLParser):
+    """Counts elements and refuses one that is closed in the wrong order."""
+
+    VOID = ("meta", "img", "rect", "path", "circle")
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.seen, self.headings = [], [], []
+        self.feed(text)
+        self.close()
+        assert self.open == []
+
+    def handle_starttag(self, tag, attrs):
+        self.seen.append((tag, dict(attrs)))
+        if tag not in self.VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert tag in self.VOID or self.open.pop() == tag
+
+    def handle_data(self, data):
+        if self.open and self.open[-1] in ("h1", "h2"):
+            self.headings.append(data)
+
+
+@pytest.fixture(scope="module")
+def written(answered, tmp_path_factory):
+    """The page of the small study."""
+    folder = tmp_path_factory.mktemp("report")
+    (folder / "small.toml").write_text(SMALL)
+    code = cli.main(["report", str(folder / "small.toml"), "--output", str(folder / "page.html"), "--quiet"])
+    assert code == 0 and sorted(p.name for p in folder.iterdir()) == ["page.html", "small.toml"]
+    return folder / "page.html"
+
+
+def test_the_page_holds_the_answer_and_needs_nothing_else(written, answered):
+    text = written.read_text("utf-8")
+    tags = Tags(text)
+    sections = ["Requirements", "Tolerances and cost", "Which error matters", "Worst units"]
+    sections += ["How exactly it was computed", "How to get this page again"]
+    assert tags.headings == ["small", *sections]
+    images = [attrs for tag, attrs in tags.seen if tag == "img"]
+    assert len(images) == len(PICTURES)
+    assert all(image["src"].startswith("data:image/svg+xml;base64,") and image["alt"] for image in images)
+    assert not {tag for tag, _ in tags.seen} & {"script", "link", "iframe", "base", "object"}
+    assert not re.search(r"(?:src|href)=['\"](?!data:)|url\(|@import", text)
+    result = json.loads((answered[1] / "result.json").read_text())
+    shown = [f"{result['cost']['after']:.3f}", "✔ met", "IT6", "±6.50 µm", "60,000", "seed", rvjax.__version__]
+    shown += [
+        "no such level was measured",
+        "first order, float64",
+        "rvjax report ",
+        "certificate_samples = 60_000",
+        "No maker publishes these values",
+    ]
+    for words in shown:
+        assert words in text, words
+
+
+def test_the_worst_units_are_the_worst_and_can_be_replayed(answers, answered):
+    answer = answers[SMALL]
+    found = rvjax.worst_units.worst_units(answer)
+    assert [unit.requirement for unit in found] == [n for n in answer.study.requirements for _ in range(2)]
+    side = answer.after
+    for name in answer.study.requirements:
+        assert found[[u.requirement for u in found].index(name)].values[name] == np.nanmax(side.values[name])
+    unit = found[0]
+    errors = rvjax.tolerances.sample(side.tolerances, unit.index, seed=side.seed)
+    np.testing.assert_allclose(unit.errors["crank_phase"], errors.crank_phase, rtol=1e-12)
+    assert {f: values.size for f, values in unit.errors.items()}["disc_bore"] == 8
+    failed = dataclasses.replace(side, failed={"NOT_ASSEMBLABLE": 7})
+    text = page.page(dataclasses.replace(answer, after=failed), "x.toml")
+    assert "Unit 7 failed" in text and "cannot be put together" in text
+
+
+def test_text_of_the_user_is_escaped(answers, answered):
+    answer, hostile = answers[SMALL], """</pre><script>alert("1")</script>&amp;'"""
+    question = dataclasses.replace(answer.study, name=hostile, text=f"# {hostile}\n{SMALL}")
+    text = page.page(dataclasses.replace(answer, study=question), f"{hostile}.toml")
+    tags = Tags(text)
+    assert "script" not in {tag for tag, _ in tags.seen}
+    assert tags.headings[0] == hostile
+    assert text.count("&lt;/pre&gt;&lt;script&gt;alert(&quot;1&quot;)&lt;/script&gt;&amp;amp;&#x27;") >= 4
+
+
+def test_the_page_in_a_browser(written, tmp_path):
+    browser = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+    if browser is None:
+        pytest.skip("no chromium, chromium-browser or google-chrome on PATH")
+    look = "onload = () => document.title = JSON.stringify({images: [...document.images].map(i => i.naturalWidth), "
+    look += (
+        "wide: document.documentElement.scrollWidth - innerWidth, tables: document.querySelectorAll('table').length})"
+    )
+    copy = tmp_path / "page.html"
+    copy.write_text(written.read_text("utf-8").replace("</body>", f"<script>{look}</script></body>"), "utf-8")
+    quiet = "--headless --no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking "
+    quiet += "--disable-component-update --disable-sync --window-size=500,900 --dump-dom"
+    command = [browser, *quiet.split(), f"--user-data-dir={tmp_path}/profile", copy.as_uri()]
+    environment = os.environ | {"HOME": str(tmp_path)}
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, env=environment, check=True)
+    seen = json.loads(re.search(r"<title>(.*?)</title>", done.stdout).group(1))
+    assert len(seen["images"]) == len(PICTURES) and min(seen["images"]) > 300  # every picture was decoded
+    assert seen["wide"] <= 0  # nothing sticks out of a narrow window
+    assert seen["tables"] >= 5
+    assert "the cheapest tolerances" in done.stdout and "±6.50" in done.stdout
 
 
 def test_a_failure_while_writing_leaves_nothing(answered, here, monkeypatch):
@@ -145,4 +292,5 @@ def test_version_and_module_entry():
 def test_help_names_every_command(capsys):
     assert cli.main(["--help"]) == 0
     text = capsys.readouterr().out
-    assert "allocate" in text and "reproduce" in text and "Exit codes" in text
+    for words in ("allocate", "report", "montecarlo", "reproduce", "tradeoff", "exit codes", "examples"):
+        assert words in text

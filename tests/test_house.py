@@ -31,8 +31,9 @@ FLOORS = (
     ("study",),
     ("answer", "published", "tradeoff"),
     ("plotting",),
+    ("pictures", "worst_units"),
     ("report",),
-    ("batch",),
+    ("batch", "page"),
     ("cli",),
     ("__main__",),
 )

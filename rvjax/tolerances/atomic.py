@@ -7,6 +7,26 @@ PARTIAL = ".partial"
 """Ending of a file that is being written."""
 
 
+def check_writable(path: Path) -> None:
+    """Refuse a file that `write_atomically` could not write, before any work is done; leaves nothing behind.
+
+    Args:
+        path: of the file; its folder, and those above it, may still have to be made.
+
+    Raises:
+        OSError: says why not.
+    """
+    if path.is_dir():
+        raise IsADirectoryError(f"{path}: is a folder")
+    folder = next(p for p in path.absolute().parents if p.exists())
+    if not folder.is_dir():
+        raise NotADirectoryError(f"{path}: {folder} is not a folder")
+    trial = folder / (path.name + PARTIAL)  # the name itself may be too long, the disk read-only
+    if not trial.exists():
+        trial.touch()
+        trial.unlink()
+
+
 def write_atomically(path: Path, content: bytes) -> None:
     """Write a file so that a reader, or the next run after a crash, finds the old or the new content, never a part.
 
