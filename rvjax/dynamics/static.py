@@ -74,13 +74,16 @@ def mean_state(lumped: Lumped, kind: str, sun_torque: Any, output_torque: Any, l
     scale = jax.lax.rsqrt(jnp.where(diagonal > 0, diagonal, 1))[:, None]
     scaled = scale * stiffness * scale.T  # condition 1e6 in SI, 1e2 so
     unknown, pivot = solve(scaled, scale * rhs)
-    rounding = jnp.finfo(pivot.dtype).eps
+    rounding = float(jnp.finfo(pivot.dtype).eps)
     excess = jnp.abs(sun_torque - balancing_torque(lumped, output_torque))
     size = jnp.abs(sun_torque) + jnp.abs(output_torque) / linear_ratio(lumped)
-    singular = ~(pivot > 4 * len(place) * rounding) | (free & (excess > 64 * rounding * size))
+    least = max(4 * len(place) * rounding, rounding**0.75)
+    singular = ~(pivot > least) | (free & (excess > 64 * rounding * size))
     miss = jnp.max(jnp.abs(scaled @ unknown - scale * rhs))
     size = jnp.max(jnp.abs(unknown)) + jnp.max(jnp.abs(scale * rhs))
-    return MeanState(scale * unknown, singular, miss / jnp.where(size > 0, size, 1))
+    left = miss / jnp.where(size > 0, size, 1)
+    # Rounding can hide a mechanism from the pivots, but then not from what the solution misses.
+    return MeanState(scale * unknown, singular | ~(left <= rounding ** (2 / 3)), left)
 
 
 def mesh_rows(lumped: Lumped, mesh: str, kind: str, label: int = 0) -> jax.Array:

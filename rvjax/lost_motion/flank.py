@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+_WIDEST, _POINTS = 20.0, 256  # search over the whole flank, where the first-order minima are out of reach
 STEPS = 11  # near d = s D, where b is flat, they leave 1e-10 of b; elsewhere five reach rounding
 
 
@@ -85,6 +86,7 @@ class Minimum(NamedTuple):
     angle: jax.Array  # flank angle of the minimum, rad
     slope: jax.Array  # |db / d position| left, rad
     converged: jax.Array
+    reaches: jax.Array  # whether any point of the flank reaches the pins
 
 
 def minimum(flank: Flank) -> Minimum:
@@ -94,11 +96,11 @@ def minimum(flank: Flank) -> Minimum:
     (d near s D) the starts are kept apart by as much as higher orders may shift the merging, since b may
     then have two minima where the first order has one.
     """
-    position, slope, converged = _place(flank)
+    position, slope, converged, reaches = _place(flank)
     # A search without end goes on with an unmodified flank, so that no derivative of it is NaN.
     flank = flank._replace(D=jnp.where(converged, flank.D, 0), d=jnp.where(converged, flank.d, 0))
     position = jnp.where(converged, position, 0)
-    return Minimum(2 * _lowest(flank, position), 2 * jnp.arctan(jnp.exp(position)), jnp.abs(slope), converged)
+    return Minimum(2 * _lowest(flank, position), 2 * jnp.arctan(jnp.exp(position)), jnp.abs(slope), converged, reaches)
 
 
 @jax.custom_jvp
@@ -114,17 +116,26 @@ def _lowest_jvp(primals: Any, tangents: Any) -> Any:
 
 
 @jax.custom_jvp
-def _place(flank: Flank) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Position of the minimum, the slope left there, and whether the search came to an end."""
-    best, converged = _descend(flank)
-    return best.position, best.slope, converged
+def _place(flank: Flank) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
+    """Position of the minimum, the slope left there, whether the search came to an end and reached anything."""
+    best, converged = _descend(flank, _starts(flank))
+
+    def once_more(state: tuple[_Point, jax.Array, jax.Array]) -> tuple[_Point, jax.Array, jax.Array]:
+        points = jnp.linspace(-_WIDEST, _WIDEST, _POINTS, dtype=flank.k.dtype)
+        start = points[jnp.argmin(free_rotation(points, flank))]
+        new = (*_descend(flank, (start, start)), jnp.zeros((), bool))
+        return jax.tree.map(lambda after, before: jnp.where(state[2], after, before), new, state)
+
+    # A loop, so that a batch pays for it only where one of its lanes needs it.
+    best, converged, _ = jax.lax.while_loop(lambda state: state[2], once_more, (best, converged, ~converged))
+    return best.position, best.slope, converged, jnp.isfinite(best.rotation)
 
 
 @_place.defjvp
 def _place_jvp(primals: Any, tangents: Any) -> Any:
     """Second derivatives of the play need dposition = -db' / b'', from b' = 0."""
     (flank,), (dflank,) = primals, tangents
-    position, slope, converged = _place(flank)
+    position, slope, converged, reaches = _place(flank)
     curvature = _at(position, flank).curvature
     curved = curvature > 1e-9 * _size(flank)  # not at D = d = 0, where every point is a minimum
 
@@ -133,7 +144,7 @@ def _place_jvp(primals: Any, tangents: Any) -> Any:
 
     _, drate = jax.jvp(rate, (flank,), (dflank,))
     dposition = jnp.where(curved, -drate / jnp.where(curved, curvature, 1), 0)
-    rest = (slope, converged)
+    rest = (slope, converged, reaches)
     return (position, *rest), (dposition, *jax.custom_derivatives.zero_from_primal(rest))
 
 
@@ -181,7 +192,7 @@ def _at(position: jax.Array, flank: Flank) -> _Point:
     return _Point(position, rotation, first, second)
 
 
-def _descend(flank: Flank) -> tuple[_Point, jax.Array]:
+def _descend(flank: Flank, starts: tuple[jax.Array, jax.Array]) -> tuple[_Point, jax.Array]:
     """The lower of the two minima, and whether what remains to descend is negligible.
 
     Where the curvature vanishes or is negative the step goes down the slope; a step that does not
@@ -205,7 +216,7 @@ def _descend(flank: Flank) -> tuple[_Point, jax.Array]:
 
     # The first step stands still and evaluates the start.
     zero, one = jnp.zeros_like(size), jnp.ones_like(size)
-    states = tuple((_Point(start, jnp.full_like(size, jnp.inf), zero, zero), one) for start in _starts(flank))
+    states = tuple((_Point(start, jnp.full_like(size, jnp.inf), zero, zero), one) for start in starts)
     (near, _), (far, _) = jax.lax.fori_loop(0, STEPS, body, states)
     best = _Point(*(jnp.where(near.rotation <= far.rotation, one, other) for one, other in zip(near, far)))
     remaining = best.slope**2 / jnp.maximum(jnp.abs(best.curvature), least)

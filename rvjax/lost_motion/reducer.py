@@ -70,8 +70,9 @@ def geometric(
 
     Returns:
         LostMotion. Total, play and terms are NaN with status NONFINITE (a number that is read is NaN or inf),
-        INVALID_GEOMETRY (K1 outside (0, 1), a radius, force or cosine that must be positive is not), and, for
-        "closed_form" and "contact", NOT_ASSEMBLABLE (tooth tips or roots interfere at any angle) or MAX_STEPS.
+        INVALID_GEOMETRY (K1 outside (0, 1), a radius, force or cosine that must be positive is not, or deviations so
+        large that no point of the flank reaches the pins), and, for "closed_form" and "contact", NOT_ASSEMBLABLE
+        (tooth tips or roots interfere at any angle) or MAX_STEPS.
         With PRESSURE_ANGLE (Eq. 11 gives a cosine above 1) they are kept, but `valid` is false.
 
     Raises:
@@ -122,6 +123,7 @@ def geometric(
         if profile == "contact":
             found = flanks.minimum(flank)
             of_flank, converged, steps, residual = found.play, found.converged, flanks.STEPS, found.slope
+            possible &= found.reaches
         else:
             of_flank = flanks.first_order_minimum(flank)
         replaced = sum(values[name] for name in FLANK_TERMS)

@@ -14,9 +14,8 @@ import jax.numpy as jnp
 
 from rvjax.mesh_force import laws
 from rvjax.mesh_force.block import Balance, solve_block
-from rvjax.mesh_force.case import Case
+from rvjax.mesh_force.case import Case, lever
 from rvjax.mesh_force.laws import Compliance
-from rvjax.mesh_force.safe import DEAD_CENTRE
 
 _BLOCK = 512  # cases; a block's arrays (26, 512) stay in the cache of one core
 
@@ -56,10 +55,11 @@ def _attach_jvp(law: str, primals: Any, tangents: Any) -> Any:
     rate = jnp.where(load > 0, 1 / laws.slope(law, load, compliance), 0)
     _, dapproach = jax.jvp(lambda c: laws.approach(law, load, c), (compliance,), (dcompliance,))
     ddepth = windup * darm + dgap - dapproach
+    arm = lever(arm)
     slope = jnp.sum(arm**2 * rate)
     dmissing = dtorque - jnp.sum(load * darm) - jnp.sum(arm * rate * ddepth)
     # Nothing loaded: the windup is where the first roller touches.
-    first = (arm > DEAD_CENTRE) & (windup * arm + gap >= -1e-12 * jnp.abs(gap))
+    first = (arm > 0) & (windup * arm + gap >= -1e-12 * jnp.abs(gap))
     touching = jnp.sum(jnp.where(first, arm, 0))
     dedge = -jnp.sum(jnp.where(first, windup * darm + dgap, 0)) / jnp.where(touching > 0, touching, 1)
     dwindup = jnp.where(slope > 0, dmissing / jnp.where(slope > 0, slope, 1), dedge)

@@ -27,7 +27,7 @@ import jax.numpy as jnp
 
 from rvjax.fastmath import power
 from rvjax.mesh_force import laws, safe
-from rvjax.mesh_force.case import Case, Roller, roller
+from rvjax.mesh_force.case import Case, Roller, lever, roller
 from rvjax.mesh_force.geometry import roller_directions
 
 _LINEAR_STEPS = 8  # at most; 3 to 5 are usual
@@ -127,7 +127,7 @@ def _sums(term: Callable[[Any], jax.Array], like: jax.Array) -> jax.Array:
 def _rows(law: str, roller_at: Callable[[Any], Roller], typical: jax.Array, count: int) -> _Rows:
     def put(i: Any, rows: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         r = roller_at(i)
-        place = jnp.broadcast_to(jax.lax.complex(r.arm, jnp.broadcast_to(r.gap, r.arm.shape)), typical.shape)
+        place = jnp.broadcast_to(jax.lax.complex(lever(r.arm), jnp.broadcast_to(r.gap, r.arm.shape)), typical.shape)
         stiffness = jnp.broadcast_to(laws.secant_stiffness(law, typical, r.compliance), typical.shape)
         return _put(rows[0], place, i), _put(rows[1], stiffness, i)
 

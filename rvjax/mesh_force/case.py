@@ -102,3 +102,14 @@ def all_rollers(teeth: int, case: Case) -> Roller:
         sines, cosines = sines[:, None], cosines[:, None]
         case = jax.tree.map(lambda leaf: leaf[None] if leaf.ndim == 1 else leaf, case)
     return roller(teeth, case, sines, cosines, case.radius_error)
+
+
+def lever(arm: jax.Array) -> jax.Array:
+    """Arms without the rounding that a roller at dead centre has instead of none.
+
+    Such a roller carries preload but no torque. A sign that rounding chose would let it turn the crank.
+
+    Args:
+        arm: over the eccentricity.
+    """
+    return jnp.where(jnp.abs(arm) > 64 * float(jnp.finfo(arm.dtype).eps), arm, 0)

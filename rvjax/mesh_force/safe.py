@@ -10,9 +10,8 @@ import jax
 import jax.numpy as jnp
 
 from rvjax.mesh_force import laws
-from rvjax.mesh_force.case import Case, Roller, all_rollers
+from rvjax.mesh_force.case import Case, Roller, all_rollers, lever
 
-DEAD_CENTRE = 1e-6  # arm over eccentricity below which a roller does not decide where contact begins
 _STEPS = 100
 
 
@@ -27,7 +26,8 @@ def solve(law: str, teeth: int, case: Case, torque: jax.Array, start: jax.Array)
         start: windup near which to search, (cases,); 0 serves where it is not finite.
     """
     rollers = all_rollers(teeth, case)
-    rollers = rollers._replace(gap=jnp.broadcast_to(rollers.gap, (teeth + 1, *torque.shape)))
+    gap = jnp.broadcast_to(rollers.gap, (teeth + 1, *torque.shape))
+    rollers = rollers._replace(arm=lever(rollers.arm), gap=gap)
     torque = torque[None]
     start = jnp.where(jnp.isfinite(start), start, 0)[None]
     found = _bracketed(law, rollers, torque, start)
@@ -91,12 +91,12 @@ def _rest(rollers: Roller, torque: jax.Array, windup: jax.Array, load: jax.Array
     """Without torque and preload: no loads, and the windup at the upper edge of where nothing is loaded."""
     edge, slack = _dead_band(rollers)
     idle = slack & (torque == 0)
-    return jnp.where(idle, edge, windup), jnp.where(idle & (jnp.abs(rollers.arm) > DEAD_CENTRE), 0, load)
+    return jnp.where(idle, edge, windup), jnp.where(idle & (rollers.arm != 0), 0, load)
 
 
 def _dead_band(rollers: Roller) -> tuple[jax.Array, jax.Array]:
     """Upper edge of the range of windups at which nothing is loaded, and whether there is such a range."""
-    forward, backward = rollers.arm > DEAD_CENTRE, rollers.arm < -DEAD_CENTRE
+    forward, backward = rollers.arm > 0, rollers.arm < 0
     threshold = -rollers.gap / jnp.where(forward | backward, rollers.arm, 1)
     upper = jnp.min(jnp.where(forward, threshold, jnp.inf), axis=0, keepdims=True)
     lower = jnp.max(jnp.where(backward, threshold, -jnp.inf), axis=0, keepdims=True)
