@@ -1,6 +1,10 @@
 """Pictures: functions that take numbers and results in SI and return Axes. The models never import this package."""
 
+from rvjax.plotting import dynamics, four_bar, mesh_force
+from rvjax.plotting.allocation import cost_bars
+from rvjax.plotting.batches import batch_histograms, rejects_against_limit
 from rvjax.plotting.lost_motion import contributions, torque_angle_loop
+from rvjax.plotting.published import verdicts
 from rvjax.plotting.statistics import (
     cost_against_limit,
     cost_against_yield,
@@ -8,18 +12,28 @@ from rvjax.plotting.statistics import (
     unit_curves,
     variance_shares,
 )
-from rvjax.plotting.style import style
+from rvjax.plotting.style import new_axes, style, use_style, words
 from rvjax.plotting.tradeoff import pareto, tradeoff
 
 __all__ = [
+    "batch_histograms",
     "contributions",
     "cost_against_limit",
     "cost_against_yield",
+    "cost_bars",
+    "dynamics",
+    "four_bar",
+    "mesh_force",
+    "new_axes",
     "pareto",
+    "rejects_against_limit",
     "response_histogram",
     "style",
     "torque_angle_loop",
     "tradeoff",
     "unit_curves",
+    "use_style",
     "variance_shares",
+    "verdicts",
+    "words",
 ]

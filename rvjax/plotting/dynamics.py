@@ -7,7 +7,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 
-from rvjax.dynamics import Modes
+from rvjax.dynamics import Modes, Periodic, Response
 from rvjax.plotting.style import AFTER, BEFORE, PALETTE, new_axes, words
 from rvjax.units import readable, rpm
 
@@ -98,6 +98,34 @@ def speed_response(
     low, high = axes.get_ylim()
     axes.set_ylim(low, high * (high / low) ** 0.15)  # room for the legend
     axes.legend(ncols=len(harmonics), loc="upper center", title="harmonic")
+    return axes
+
+
+def one_period(
+    exact: Periodic, responses: Mapping[str, Response], *, output: str, unit: str, axes: Axes | None = None
+) -> Axes:
+    """One output over one mesh period: the exact steady state, and truncated solutions that should meet it.
+
+    Args:
+        exact: of `dynamics.periodic`.
+        responses: {name: of `dynamics.response` under the same conditions}.
+        output: name.
+        unit: of the output, m or rad.
+        axes: where to draw; a new figure by default.
+    """
+    axes = new_axes(axes)
+    shown, size = readable(unit)
+    time, column = np.asarray(exact.time), exact.outputs.index(output)
+    turn = 2 * np.pi * time / (time[-1] + time[1])
+    motion = np.asarray(exact.deflection)[:, column]
+    axes.plot(1e3 * time, (motion - motion.mean()) / size, color="0.65", lw=4, label="exact")
+    for k, (name, found) in enumerate(responses.items()):
+        amplitude = np.asarray(found.amplitude)[:, found.outputs.index(output)]
+        order = np.arange(1, len(amplitude) + 1)
+        curve = np.real(np.exp(1j * turn[:, None] * order) @ amplitude) / size
+        axes.plot(1e3 * time, curve, ("-", "--", "-.", ":")[k % 4], color=PALETTE[(0, 5, 2, 3)[k % 4]], label=name)
+    axes.set(xlabel="time in one mesh period (ms)", ylabel=f"{words(output)} about its mean ({shown})")
+    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
     return axes
 
 

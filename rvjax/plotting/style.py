@@ -18,6 +18,7 @@ _STYLE: Any = {
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.grid": True,
+    "axes.prop_cycle": plt.cycler(color=PALETTE),
     "grid.color": "0.9",
     "axes.axisbelow": True,
     "legend.frameon": False,
@@ -31,11 +32,16 @@ def style() -> Iterator[None]:
         yield
 
 
+def use_style() -> None:
+    """The one style for all pictures to come, of a size that keeps notebooks small."""
+    plt.rcParams.update(_STYLE | {"figure.dpi": 100})
+
+
 def words(name: str) -> str:
     """A field name as words: crank_eccentricity -> crank eccentricity."""
     return name.replace("_", " ")
 
 
-def new_axes(axes: Axes | None) -> Axes:
+def new_axes(axes: Axes | None = None) -> Axes:
     """The axes given, or those of a new figure."""
     return plt.subplots(figsize=(7, 4.2))[1] if axes is None else axes
