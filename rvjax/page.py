@@ -221,7 +221,7 @@ def _levels(answer: Answer) -> str:
             rows.append([title, "as in the conditions below", wanted, "-", "-", "no such level was measured"])
             continue
         choice = choices[name]
-        bound = "-" if choice.bound is None else f"< {choice.bound / size:.2g} {unit}"
+        bound = "-" if choice.bound is None else f"< {float(f'{choice.bound / size:.2g}'):g} {unit}"
         rows.append(
             [
                 title,

@@ -1,0 +1,208 @@
+"""What the docs show of rvjax itself, made while they are built: drawings, and tables that never go stale."""
+
+import dataclasses
+from pathlib import Path
+
+import jax
+import matplotlib.pyplot as plt
+import numpy as np
+
+import rvjax
+from rvjax import accuracy, catalogue, dynamics, four_bar, lost_motion, plotting, published, scene, tradeoff, units
+from rvjax.errors import CamRollerErrors, RVErrors
+from rvjax.plotting import drawings
+from rvjax.plotting import dynamics as dynamic_pictures
+from rvjax.plotting import mesh_force as mesh_pictures
+from rvjax.plotting.style import AFTER, BEFORE
+from rvjax.status import MEANING, PRECEDENCE, SUCCESS
+from rvjax.units import arcmin, arcsec, readable, rpm, um
+
+
+def everything(folder: Path) -> None:
+    """Write all pictures and tables."""
+    folder.mkdir(exist_ok=True)
+    rvjax.enable_x64()
+    for name, text in TEXTS.items():
+        _write(folder / f"{name}.md", text().encode())
+    with plotting.style():
+        for name, (draw, size) in PICTURES.items():
+            figure = draw(plt.subplots(figsize=size)[1] if size else None)
+            getattr(figure, "figure", figure).savefig(folder / f"{name}.png", dpi=110)
+            plt.close("all")
+
+
+def _write(path: Path, content: bytes) -> None:
+    if not path.exists() or path.read_bytes() != content:  # an unchanged page is not built again
+        path.write_bytes(content)
+
+
+def _table(headers, rows):
+    lines = [headers, ["---"] * len(headers), *rows]
+    cell = lambda value: str(value).replace("|", "\\|").replace("\n", " ")  # noqa: E731
+    return "\n".join("| " + " | ".join(map(cell, line)) + " |" for line in lines) + "\n"
+
+
+def _statuses():
+    rows = [(f"`{s.name}`", MEANING[s], "passes" if s in SUCCESS else "raises") for s in PRECEDENCE]
+    return _table(["status, worst first", "meaning", "`check`"], rows)
+
+
+def _units():
+    rows = [(f"`{unit}`", ", ".join(f"`{name}`" for name in names)) for unit, names in units.KNOWN.items()]
+    return _table(["SI unit", "what a study file may write"], rows)
+
+
+def _outputs():
+    rows = [
+        (design.__name__, f"`{name}`", output.unit, output.meaning)
+        for design, kind in scene.KINDS.items()
+        for name, output in kind.outputs.items()
+    ]
+    return _table(["kind of design", "response", "unit", "meaning"], rows)
+
+
+def _conditions():
+    rows = []
+    for design, kind in scene.KINDS.items():
+        about = dict(line.strip().split(": ", 1) for line in kind.conditions.__doc__.splitlines() if ": " in line)
+        for f in dataclasses.fields(kind.conditions):
+            m = f.metadata
+            what = m.get("unit") or (
+                "one of " + ", ".join(f"`{c}`" for c in m["choices"]) if "choices" in m else "count"
+            )
+            rows.append((design.__name__, f"`{f.name}`", what, f"`{f.default!r}`", about[f.name]))
+    return _table(["kind of design", "key", "unit or choice", "default", "meaning"], rows)
+
+
+def _errors(cls):
+    rows = [(f"`{f.name}`", f.metadata["unit"], _shape(f), f.metadata["meaning"]) for f in dataclasses.fields(cls)]
+    return _table(["error", "unit", "shape", "meaning; a deviation from nominal"], rows)
+
+
+def _shape(f):
+    return " x ".join(map(str, f.metadata["shape"])) or "one number"
+
+
+def _levels():
+    blocks = []
+    for model in accuracy.stored().models.values():
+        first = next(iter(model.outputs))
+        unit, size = ("arcsec", arcsec) if model.outputs[first] == "rad" else readable(model.outputs[first])
+        front, at = model.front(), model.sizes.index(min(model.sizes, key=lambda s: abs(s - 1)))
+        rows = []
+        for level in sorted(model.levels, key=lambda level: level.ns):
+            mark = "**" if level in front else ""
+            error = level.largest[first][at] / size
+            rows.append(
+                (f"{mark}{level.name}{mark}", f"{level.ns / 1e3:.3g}", f"{error:.2g}", f"{model.relative(level):.1g}")
+            )
+        blocks += [
+            f"## {model.name}: {first.replace('_', ' ')}\n",
+            f"One case is a {model.case}.\n\n{tradeoff.advice(model)}\n",
+            _table(
+                ["level (bold: on the front)", "time, us", f"largest error, {unit}", "over rms of the output"], rows
+            ),
+        ]
+    stored = accuracy.stored()
+    machine = ", ".join(
+        f"{key} {value}" for key, value in stored.machine.items() if key in ("processor", "cores", "jax")
+    )
+    return "\n".join([*blocks, f"\nMeasured on: {machine}; seed {stored.seed}.\n"])
+
+
+def _reproduce():
+    """The ledger: the tests hold its values and verdicts against those that the models give."""
+    blocks, counts = [], {}
+    for source in published.SOURCES:
+        rows = []
+        for figure in published.figures(source):
+            row = published.compare(figure, figure.get("our_value"))
+            counts[row.status] = counts.get(row.status, 0) + 1
+            note = f"{row.claim}. {row.note}" if row.note else f"{row.claim}."
+            shown = [published.show(value) for value in (row.published, row.computed)]
+            rows.append((f"`{row.id}`", *shown, row.unit, row.status.replace("_", " "), _plain(note)))
+        blocks += [f"## {source}\n", published.parse(source)["citation"] + ".\n"]
+        blocks.append(_table(["figure", "published", "computed", "unit", "verdict", "claim, and why"], rows))
+    verdicts = [(verdict.replace("_", " "), number) for verdict, number in sorted(counts.items())]
+    return _table(["verdict", "figures"], [*verdicts, ("all", sum(counts.values()))]) + "\n" + "\n".join(blocks)
+
+
+def _plain(text):
+    """Ledger text is plain: nothing in it is Markdown."""
+    for character in "\\`*_<>$[]{}":
+        text = text.replace(character, "\\" + character)
+    return text
+
+
+def _turn(axes):
+    design = catalogue.RV_40E
+
+    @jax.jit
+    def turn(clearance, torque):
+        errors = RVErrors.for_design(design, crank_eccentricity=[[5 * um, 0], [0, 0]], bearing_clearance=clearance)
+        return four_bar.revolution(design, errors, angles=180, output_torque=torque)
+
+    for label, clearance, torque, colour, dash in (
+        ("one crank journal +5 um", 0.0, 0.0, AFTER, "-"),
+        ("and 8 um of bearing clearance under 412 N m", 8 * um, 412.0, BEFORE, "--"),
+    ):
+        found = turn(clearance, torque)
+        error = np.asarray(found.error - found.mean) / arcmin
+        axes.plot(np.degrees(found.crank_angle), error, linestyle=dash, color=colour, label=label)
+    axes.set(xlabel="crank angle (deg)", ylabel="transmission error less its mean (arcmin)", xlim=(0, 360))
+    axes.set_title("Transmission error over a crank turn")
+    axes.set_xticks(range(0, 361, 60))
+    axes.legend()
+    return axes
+
+
+def _campbell(axes):
+    design = catalogue.RV_320E
+    speed = np.linspace(100, 2000, 200) * rpm
+    per_turn = design.involute.sun_teeth * (1 - 1 / float(_ratio(design)))
+    return dynamic_pictures.campbell(
+        dynamics.modes(design), speed, per_turn * speed / (2 * np.pi),
+        harmonics={1: "translational", 2: "planetary", 4: "rotational"}, axes=axes,
+    )  # fmt: skip
+
+
+def _ratio(design):
+    return 1 + design.cycloid.pin_count * design.involute.planet_teeth / design.involute.sun_teeth
+
+
+TEXTS = {
+    "conditions": _conditions,
+    "errors_cam_roller": lambda: _errors(CamRollerErrors),
+    "errors_rv": lambda: _errors(RVErrors),
+    "levels": _levels,
+    "outputs": _outputs,
+    "reproduce": _reproduce,
+    "statuses": _statuses,
+    "units": _units,
+}
+PICTURES = {
+    "reducer": (lambda axes: drawings.reducer(catalogue.RV_40E, axes=axes), (7, 7.4)),
+    "linkage": (lambda axes: drawings.linkage(catalogue.RV_40E, axes=axes), (7, 5.2)),
+    "turn": (_turn, (7, 4.2)),
+    "contributions": (
+        lambda axes: plotting.contributions(
+            lost_motion.geometric(catalogue.RV_20E, catalogue.RV_20E_ERRORS), axes=axes
+        ),
+        (7, 4.2),
+    ),
+    "loop": (
+        lambda axes: plotting.torque_angle_loop(
+            torque_max=167.0,
+            torque_threshold=5.0,
+            play=1 * arcmin,
+            stiffness=50 / arcmin,
+            friction=2.0,
+            smoothing=1.5,
+            axes=axes,
+        ),
+        (7, 4.2),
+    ),
+    "tooth": (lambda axes: mesh_pictures.tooth(catalogue.CORR, axes=axes), (7, 4.6)),
+    "campbell": (_campbell, (7, 4.6)),
+    "tradeoff": (lambda axes: plotting.tradeoff(accuracy.stored()), None),
+}

@@ -1,0 +1,141 @@
+"""Drawings of frames and signs: the second stage seen along its axis, and its linkage with the errors of its parts."""
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.patches import Circle
+
+from rvjax.designs import RVReducer
+from rvjax.plotting.style import AFTER, BEFORE, LIMIT, PALETTE, new_axes
+from rvjax.units import mm
+
+GREY, GREEN = "0.45", PALETTE[2]
+
+
+def reducer(design: RVReducer, *, crank_angle: float = np.pi / 4, axes: Axes | None = None) -> Axes:
+    """The second stage along its axis: pins, first disc, cranks, the frame and the sense of positive angles.
+
+    Args:
+        design: of the reducer.
+        crank_angle: of the first disc, rad; drawn at the next multiple of the pin pitch.
+        axes: where to draw; a new figure by default.
+    """
+    axes = new_axes(axes)
+    cycloid, cranks = design.cycloid, design.cranks
+    pitch = 2 * np.pi / cycloid.pin_count
+    angle = pitch * round(crank_angle / pitch)  # where the disc meshes as it does at zero
+    for pin in pitch * np.arange(cycloid.pin_count):
+        axes.add_patch(
+            Circle(
+                tuple(cycloid.pin_circle_radius / mm * _unit(pin)), cycloid.pin_radius / mm, fc="0.85", ec=GREY, lw=0.8
+            )
+        )
+    centre = cycloid.eccentricity * _unit(angle)
+    axes.plot(*(_turn(_disc(design), angle).T + centre[:, None]) / mm, color=AFTER, lw=1.6, label="disc 0")
+    for k, place in enumerate(_places(design)):
+        axes.add_patch(Circle(tuple(place / mm), 0.14 * cranks.circle_radius / mm, fc="white", ec=GREY, lw=1.2))
+        bore = place + centre
+        axes.add_patch(Circle(tuple(bore / mm), 0.2 * cranks.circle_radius / mm, fill=False, ec=AFTER, lw=1.2))
+        axes.plot(*place / mm, "o", color=LIMIT, ms=4, label="axis of a crank in the carrier" if k == 0 else None)
+        axes.annotate(f"crank {k}", place / mm, xytext=(0, -32), textcoords="offset points", ha="center")
+    axes.plot(0, 0, "+", color="black", ms=9)
+    axes.plot(*centre / mm, "o", color=AFTER, ms=4, label="centre of the disc, an eccentricity away")
+    reach = 0.42 * cycloid.pin_circle_radius / mm
+    for text, end, shift in (("x", (reach, 0), (2, -10)), ("y", (0, reach), (-12, 0))):
+        axes.annotate("", end, (0, 0), arrowprops=dict(arrowstyle="-|>", color="black", lw=1.2))
+        axes.annotate(text, end, xytext=shift, textcoords="offset points", va="center")
+    _sense(axes, 0.3 * cycloid.pin_circle_radius / mm, 20, 115)
+    axes.annotate("+", 0.34 * cycloid.pin_circle_radius / mm * _unit(np.radians(70)), fontsize=14, ha="center")
+    axes.set_aspect("equal")
+    axes.set(xlabel="x (mm)", ylabel="y (mm)", title="Second stage along its axis; angles counter-clockwise")
+    axes.grid(visible=False)
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=2, fontsize=9)
+    return axes
+
+
+def linkage(design: RVReducer, *, crank_angle: float = np.pi / 3, axes: Axes | None = None) -> Axes:
+    """One disc on two cranks as a four-bar linkage, and where each error acts; the cranks are drawn far too long.
+
+    Args:
+        design: of a reducer with two cranks.
+        crank_angle: of the disc, rad.
+        axes: where to draw; a new figure by default.
+    """
+    axes = new_axes(axes)
+    half = design.cranks.circle_radius / mm
+    arm = 0.55 * half
+    ends = np.array([[-half, 0.0], [half, 0.0]])
+    pins = ends + arm * _unit(crank_angle)
+    axes.plot(*ends.T, color="0.6", lw=6, solid_capstyle="round", zorder=1, label="carrier (frame)")
+    axes.plot(*pins.T, color=AFTER, lw=6, solid_capstyle="round", zorder=1, label="disc (coupler)")
+    for k in range(2):
+        line = np.array([ends[k], pins[k]])
+        axes.plot(*line.T, color=BEFORE, lw=4, zorder=2, label="crank" if k == 0 else None)
+        axes.plot(*line.T, "o", color="white", mec="black", ms=9, zorder=3)
+        axes.annotate(
+            f"crank {k}",
+            ends[k],
+            xytext=(12 * (1 - 2 * k), -18),
+            textcoords="offset points",
+            ha="left" if k == 0 else "right",
+        )
+        outward = 1 if k else -1
+        # each in the frame of its crank: radial away from the axis, tangential counter-clockwise
+        for at, colour in ((ends[k], LIMIT), (pins[k], GREEN)):
+            for direction, name in ((np.array([outward, 0]), "r"), (np.array([0, outward]), "t")):
+                tip = at + 0.34 * half * direction
+                axes.plot(*(tip + 0.1 * half * direction), alpha=0)  # arrows do not count for the limits
+                axes.annotate("", tip, at, arrowprops=dict(arrowstyle="-|>", color=colour, lw=1.6), zorder=4)
+                axes.annotate(name, tip + 0.07 * half * direction, color=colour, ha="center", va="center")
+    axes.plot([], [], color=LIMIT, lw=1.6, label="carrier_bore [radial r, tangential t]")
+    axes.plot([], [], color=GREEN, lw=1.6, label="disc_bore [radial r, tangential t]")
+    middle = (ends[0] + pins[0]) / 2
+    for text, place, shift in (
+        ("eccentricity +\ncrank_eccentricity", middle, (-8, 0)),
+        ("crank_angle +\ncrank_phase", ends[0] + 0.3 * half * _unit(crank_angle / 2), (8, 8)),
+    ):
+        side = "right" if shift[0] < 0 else "left"
+        axes.annotate(text, place, xytext=shift, textcoords="offset points", ha=side, fontsize=9)
+    turn = 0.28 * half * np.array([_unit(a) for a in np.linspace(0, crank_angle, 30)]) + ends[0]
+    axes.plot(*turn.T, color="black", lw=1.0)
+    axes.annotate("", turn[-1], turn[-3], arrowprops=dict(arrowstyle="-|>", color="black", lw=1.0))
+    title = "A disc on two cranks (eccentricity far too long)\n"
+    title += "transmission error > 0: carrier counter-clockwise against the disc"
+    axes.set_aspect("equal")
+    axes.set(xlabel="x (mm)", ylabel="y (mm)", title=title)
+    axes.title.set_fontsize(10)
+    axes.margins(x=0.06, y=0.1)
+    axes.grid(visible=False)
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.18), ncols=2, fontsize=9)
+    return axes
+
+
+def _unit(angle: float) -> np.ndarray:
+    return np.array([np.cos(angle), np.sin(angle)])
+
+
+def _turn(points: np.ndarray, angle: float) -> np.ndarray:
+    c, s = np.cos(angle), np.sin(angle)
+    return points @ np.array([[c, s], [-s, c]])
+
+
+def _places(design: RVReducer) -> list[np.ndarray]:
+    """Axes of the cranks in the carrier: crank 0 on the negative x axis, the others counter-clockwise."""
+    count = design.cranks.count
+    return [design.cranks.circle_radius * _unit(np.pi + 2 * np.pi * k / count) for k in range(count)]
+
+
+def _disc(design: RVReducer) -> np.ndarray:
+    """Flank of a disc about its own centre, m (n, 2): parallel curve of a shortened epitrochoid."""
+    c, t = design.cycloid, np.linspace(0, 2 * np.pi, 60 * design.cycloid.pin_count)
+    # Path of a pin's centre in the frame of the disc, and its normal towards the disc.
+    path = c.pin_circle_radius * np.stack([np.cos(t), np.sin(t)]) - c.eccentricity * np.stack(
+        [np.cos(c.pin_count * t), np.sin(c.pin_count * t)]
+    )
+    slope = np.gradient(path, t, axis=1, edge_order=2)
+    return (path + c.pin_radius * np.stack([-slope[1], slope[0]]) / np.hypot(*slope)).T
+
+
+def _sense(axes: Axes, radius: float, start: float, end: float) -> None:
+    arc = radius * np.array([_unit(a) for a in np.radians(np.linspace(start, end, 40))])
+    axes.plot(*arc.T, color="black", lw=1.2)
+    axes.annotate("", arc[-1], arc[-3], arrowprops=dict(arrowstyle="-|>", color="black", lw=1.2))

@@ -1,0 +1,107 @@
+"""The docs: every Python block of every page runs, what the blocks state is asserted in them, the build has no warning.
+
+The drawings are held against the numbers that they show.
+"""
+
+import os
+import re
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+
+from rvjax import catalogue, cli, published, study
+from rvjax.plotting import drawings
+from rvjax.units import mm
+
+DOCS = Path(__file__).parent.parent / "docs"
+PAGES = sorted(path.relative_to(DOCS) for path in DOCS.rglob("*.md") if not str(path.relative_to(DOCS)).startswith("_"))
+
+
+def blocks(page, language):
+    pattern = rf"^( *)```{language}\n(.*?)^\1```"
+    found = re.findall(pattern, (DOCS / page).read_text("utf-8"), re.MULTILINE | re.DOTALL)
+    return [textwrap.dedent(text) for _, text in found]
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if blocks(page, "python")], ids=str)
+def test_the_python_of_a_page_runs(page):
+    """One namespace for a page, top to bottom, as a reader would type it."""
+    namespace = {"__name__": "docs"}
+    for code in blocks(page, "python"):
+        exec(compile(code, str(page), "exec"), namespace)
+
+
+def test_the_study_of_the_docs_is_a_study():
+    (text,) = blocks("study.md", "toml")
+    question = study.parse_study(text, name="docs")
+    assert question.design.cycloid.eccentricity == pytest.approx(1.25e-3)
+    assert list(question.costs) == ["crank_eccentricity"] and list(question.requirements) == ["transmission_error"]
+
+
+def test_every_key_of_a_study_is_explained():
+    text = (DOCS / "study.md").read_text("utf-8")
+    keys = ["lower", "upper", "half_width", "grade", "size", "distribution", "cp", "shift", "batch", "beta", "model"]
+    keys += ["fixed", "scale", "finest", "coarsest", "reference", "power", "decay", "response", "target", "base"]
+    keys += ["seed", "samples", "certificate_samples"]
+    for key in keys:
+        assert f"`{key}`" in text, key
+    for table in ("accuracy", "conditions", "cost", "design", "requirement", "run", "tolerances"):
+        assert f"## `[{table}" in text, table
+
+
+def test_the_commands_of_the_docs_exist(capsys):
+    text = "".join((DOCS / page).read_text("utf-8") for page in PAGES)
+    for command in sorted(set(re.findall(r"rvjax (allocate|report|montecarlo|reproduce|tradeoff|[a-z]+ --)", text))):
+        assert cli.main([command, "--help"]) == 0
+    assert "examples:" in capsys.readouterr().out
+
+
+def test_the_build_has_no_warning(tmp_path):
+    pytest.importorskip("sphinx")
+    pytest.importorskip("myst_parser")
+    pytest.importorskip("furo")
+    command = [sys.executable, "-m", "sphinx", "-W", "-n", "-q", "--keep-going", "-d", tmp_path / "doctrees"]
+    quiet = os.environ | {"TF_CPP_MIN_LOG_LEVEL": "3"}
+    done = subprocess.run([*command, DOCS, tmp_path / "html"], capture_output=True, text=True, check=False, env=quiet)
+    assert done.returncode == 0, done.stderr
+    for page in PAGES:
+        assert (tmp_path / "html" / page.with_suffix(".html")).is_file()
+    reproduce = (tmp_path / "html" / "reproduce.html").read_text("utf-8")
+    for source in published.SOURCES:
+        for figure in published.figures(source):
+            assert figure["id"] in reproduce
+    levels = (tmp_path / "html" / "levels.html").read_text("utf-8")
+    assert "closed form, 64 angles, float64" in levels and "_images/tradeoff.png" in levels
+    api = (tmp_path / "html" / "api" / "four_bar.html").read_text("utf-8")
+    assert 'id="rvjax.four_bar.revolution"' in api and "output_torque" in api
+
+
+@pytest.fixture
+def axes():
+    yield plt.subplots()[1]
+    plt.close("all")
+
+
+def test_the_drawn_disc_touches_the_pins_and_enters_none(axes):
+    design = catalogue.RV_40E
+    drawings.reducer(design, crank_angle=0.7, axes=axes)
+    disc = next(line for line in axes.lines if line.get_label() == "disc 0").get_xydata() * mm
+    pins = np.array([patch.center for patch in axes.patches[: design.cycloid.pin_count]]) * mm
+    gaps = np.linalg.norm(disc[None] - pins[:, None], axis=-1).min(axis=1) - design.cycloid.pin_radius
+    # The flank conjugate to the pins touches all of them; drawn with 60 points for each tooth.
+    assert gaps.min() > -2e-6 and gaps.max() < 20e-6
+
+
+def test_the_drawn_linkage_is_a_parallelogram_in_the_frames_of_its_cranks(axes):
+    drawings.linkage(catalogue.RV_40E, crank_angle=1.0, axes=axes)
+    lines = {line.get_label(): line.get_xydata() for line in axes.lines}
+    carrier, disc = lines["carrier (frame)"], lines["disc (coupler)"]
+    np.testing.assert_allclose(np.diff(carrier, axis=0), np.diff(disc, axis=0))
+    assert carrier[0, 0] == -36.0 and np.diff(carrier, axis=0)[0, 0] == 72.0  # crank 0 on the negative x axis
+    arm = disc[0] - carrier[0]
+    assert np.arctan2(arm[1], arm[0]) == pytest.approx(1.0)

@@ -1,0 +1,26 @@
+"""The wheel holds every file that the package needs, and nothing else; built here, without a network."""
+
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+
+
+def test_the_wheel_holds_every_file_of_the_package(tmp_path):
+    wheel = pytest.importorskip("hatchling.builders.wheel")
+    builder = wheel.WheelBuilder(str(ROOT))
+    (path,) = builder.build(directory=str(tmp_path), versions=["standard"])
+    names = zipfile.ZipFile(path).namelist()
+    found = {name for name in names if ".dist-info/" not in name}
+    there = {
+        str(file.relative_to(ROOT))
+        for file in (ROOT / "rvjax").rglob("*")
+        if file.is_file() and "__pycache__" not in file.parts
+    }
+    assert found == there
+    assert {".py", ".toml", ".json", ".css"} == {Path(name).suffix for name in found}
+    (entry,) = (name for name in names if name.endswith("entry_points.txt"))
+    assert "rvjax = rvjax.cli:main" in zipfile.ZipFile(path).read(entry).decode()
+    assert any(name.endswith("licenses/LICENSE") for name in names)
