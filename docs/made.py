@@ -62,16 +62,16 @@ def _outputs():
 
 
 def _conditions():
-    rows = []
+    blocks = []
     for design, kind in scene.KINDS.items():
         about = dict(line.strip().split(": ", 1) for line in kind.conditions.__doc__.splitlines() if ": " in line)
+        rows = []
         for f in dataclasses.fields(kind.conditions):
-            m = f.metadata
-            what = m.get("unit") or (
-                "one of " + ", ".join(f"`{c}`" for c in m["choices"]) if "choices" in m else "count"
-            )
-            rows.append((design.__name__, f"`{f.name}`", what, f"`{f.default!r}`", about[f.name]))
-    return _table(["kind of design", "key", "unit or choice", "default", "meaning"], rows)
+            choices = ", ".join(f"`{choice}`" for choice in f.metadata.get("choices", ()))
+            what = f.metadata.get("unit") or choices or f"count, at least {f.metadata['minimum']}"
+            rows.append((f"`{f.name}`", what, "-" if f.default is None else f"`{f.default}`", about[f.name]))
+        blocks += [f"For `{design.__name__}`:\n", _table(["key", "unit or choices", "default", "meaning"], rows)]
+    return "\n".join(blocks)
 
 
 def _errors(cls):
@@ -118,11 +118,11 @@ def _reproduce():
         for figure in published.figures(source):
             row = published.compare(figure, figure.get("our_value"))
             counts[row.status] = counts.get(row.status, 0) + 1
-            note = f"{row.claim}. {row.note}" if row.note else f"{row.claim}."
+            parts = [f"`{row.id}`", _plain(row.claim), *([f"*{_plain(row.note)}*"] if row.note else [])]
             shown = [published.show(value) for value in (row.published, row.computed)]
-            rows.append((f"`{row.id}`", *shown, row.unit, row.status.replace("_", " "), _plain(note)))
+            rows.append(("<br>".join(parts), *shown, row.unit, row.status.replace("_", " ")))
         blocks += [f"## {source}\n", published.parse(source)["citation"] + ".\n"]
-        blocks.append(_table(["figure", "published", "computed", "unit", "verdict", "claim, and why"], rows))
+        blocks.append(_table(["figure, claim, and why", "published", "computed", "unit", "verdict"], rows))
     verdicts = [(verdict.replace("_", " "), number) for verdict, number in sorted(counts.items())]
     return _table(["verdict", "figures"], [*verdicts, ("all", sum(counts.values()))]) + "\n" + "\n".join(blocks)
 
@@ -188,7 +188,7 @@ PICTURES = {
         lambda axes: plotting.contributions(
             lost_motion.geometric(catalogue.RV_20E, catalogue.RV_20E_ERRORS), axes=axes
         ),
-        (7, 4.2),
+        (8.4, 4.4),
     ),
     "loop": (
         lambda axes: plotting.torque_angle_loop(

@@ -75,6 +75,9 @@ def test_the_build_has_no_warning(tmp_path):
     for source in published.SOURCES:
         for figure in published.figures(source):
             assert figure["id"] in reproduce
+            # The page shows the ledger's values: `test_published` holds these against computed ones.
+            shown = published.compare(figure, figure.get("our_value"))
+            assert shown.status == figure["expected_status"], figure["id"]
     levels = (tmp_path / "html" / "levels.html").read_text("utf-8")
     assert "closed form, 64 angles, float64" in levels and "_images/tradeoff.png" in levels
     api = (tmp_path / "html" / "api" / "four_bar.html").read_text("utf-8")

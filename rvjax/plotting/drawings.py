@@ -36,7 +36,7 @@ def reducer(design: RVReducer, *, crank_angle: float = np.pi / 4, axes: Axes | N
         bore = place + centre
         axes.add_patch(Circle(tuple(bore / mm), 0.2 * cranks.circle_radius / mm, fill=False, ec=AFTER, lw=1.2))
         axes.plot(*place / mm, "o", color=LIMIT, ms=4, label="axis of a crank in the carrier" if k == 0 else None)
-        axes.annotate(f"crank {k}", place / mm, xytext=(0, -32), textcoords="offset points", ha="center")
+        axes.annotate(f"crank {k}", tuple(place / mm), xytext=(0, -32), textcoords="offset points", ha="center")
     axes.plot(0, 0, "+", color="black", ms=9)
     axes.plot(*centre / mm, "o", color=AFTER, ms=4, label="centre of the disc, an eccentricity away")
     reach = 0.42 * cycloid.pin_circle_radius / mm
