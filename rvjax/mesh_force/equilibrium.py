@@ -119,10 +119,11 @@ def _in_range(design: CamRollerReducer, errors: CamRollerErrors, torque: jax.Arr
     ratios = (link / r, link / e, link / design.cam_radius, interference / r, design.roller_length / r)
     load = jnp.abs(design.cam_share * torque) / (unit * e)
     sound = (unit < root) & (link * e * r > 1 / root)
+    sound &= design.cam_radius > 64 * float(jnp.finfo(torque.dtype).eps) * link  # formed as the rest of the link
     for ratio in ratios:
         sound &= ratio * ratio < root
     fits = (load < root) & (unit * (1 + load) < root)
-    return sound & fits, sound & ~fits & jnp.isfinite(torque)
+    return sound & fits & (unit * e > 1 / root), sound & ~fits & jnp.isfinite(torque)
 
 
 def _harmless(teeth: int, dtype: Any) -> CamRollerReducer:

@@ -1,0 +1,161 @@
+"""Corners that the census and the search for worse inputs found, each as a test.
+
+Oracles: closed forms (a roller at dead centre carries its preload, a geared linkage without misfit does not slip), a
+grid over the whole flank, the rank of the stiffness matrix. Tolerances: 1e-12 where the same number is formed twice,
+1e-9 for a minimum known from a grid; statuses exactly.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import rvjax
+from rvjax import CamRollerErrors, LinkDeviations, RVErrors, Status, catalogue, four_bar, lost_motion, roots
+from rvjax.designs import CrankStage
+from rvjax.lost_motion.flank import Flank, free_rotation
+
+
+def test_a_preloaded_roller_at_dead_centre_has_no_arm():
+    """Without torque its arm of 1e-16 was a moment that nothing balanced: MAX_STEPS, one case in four hundred."""
+    design = catalogue.CORR.replace(gear_teeth=2, eccentricity=2e-3, roller_radius=8e-3)
+
+    def solve(place, gap, torque):
+        errors = CamRollerErrors(roller_radius=gap)
+        found = rvjax.mesh_force.solve(design, errors, input_torque=torque, output_angle=place, contact="linear")
+        return jnp.sum(found.gear), found
+
+    place = np.array([-7, -5, -4, -2, -1, 0, 1, 3, 5, 6, 7, 8]) * np.pi / 6  # one roller within rounding of dead centre
+    psi = 2 * place[:, None] - 2 * np.pi * np.arange(3) / 3
+    dead = np.abs(np.sin(psi)) < 1e-9
+    gap = np.where(dead, 1e-6, np.where(np.cos(psi) > 0, -1e-6, -2e-6))
+    (_, found), slope = jax.jit(jax.vmap(jax.value_and_grad(solve, has_aux=True)))(place, gap, np.zeros(12))
+    loaded = dead.any(1)
+    assert loaded.sum() >= 6
+    np.testing.assert_array_equal(found.info.status, np.where(loaded, Status.CONVERGED, Status.UNLOADED))
+    np.testing.assert_array_equal(np.asarray(found.cam) > 0, dead)
+    # At dead centre all three forces lie on the ray (Wei et al. 2021, Eq. 4).
+    np.testing.assert_allclose(found.cam.max(1)[loaded], found.gear.max(1)[loaded], 1e-9)
+    assert np.isfinite(slope).all()
+
+
+def test_rounding_at_a_root_does_not_lead_to_another_root():
+    """A staircase of width eps round the root at 0; the middle of the bracket is nearly a root as well."""
+
+    def staircase(x, shift):
+        steps = jnp.round(x * 2**52) / 2**52
+        y = x + jax.lax.stop_gradient(steps - x) - shift
+        return y * (y**2 - 0.25) * (y**2 - 0.36)
+
+    shift = np.array([3e-17, -2e-17, 5e-17])
+    found = jax.jit(jax.vmap(lambda p: roots.bracketed(staircase, p, -1.0, 1.0, start=0.0)))(shift)
+    np.testing.assert_array_equal(found.info.status, Status.CONVERGED)
+    assert np.abs(found.value).max() < 4e-16
+
+
+def test_geared_cranks_without_misfit_do_not_slip():
+    """Soft gears leave other places of rest, which bisection found when rounding kept Newton from halving."""
+    rng = np.random.default_rng(0)
+    lanes = np.stack([10 ** rng.uniform(-3, -1, 400), rng.uniform(-7, 7, 400), rng.uniform(-0.03, 0.03, 400)], 1)
+
+    def close(x):
+        found = four_bar.solve_closure(
+            x[0], 1.0, LinkDeviations(frame_angle=x[2]), crank_angle=x[1], cranks="geared", gear_stiffness_ratio=0.15
+        )
+        return found.coupler_angle, found.info.status
+
+    angle, status = jax.jit(jax.vmap(close))(lanes)
+    np.testing.assert_array_equal(status, Status.CONVERGED)
+    np.testing.assert_allclose(angle, lanes[:, 2], 1e-12, 1e-15)
+
+
+def test_contact_where_first_order_minima_are_out_of_reach():
+    """Deviations beyond the curvature of the flank: the search began where no pin reaches, and ended there."""
+    teeth = 39
+    rng = np.random.default_rng(1)
+    lanes = np.stack([rng.uniform(0.1, 0.95, 300), *rng.uniform(-1.2, 1.2, (2, 300))], 1)
+    base = catalogue.RV_40E
+    e, pins = 1e-3, teeth + 1
+
+    def play(x):
+        radius = e * pins / x[0]
+        cycloid = base.cycloid.replace(
+            eccentricity=e,
+            pin_circle_radius=radius,
+            equidistant_modification=e * x[1],
+            shift_modification=e * x[2],
+            shortening=None,
+        )
+        found = lost_motion.geometric(base.replace(cycloid=cycloid), RVErrors(), profile="contact")
+        ground = radius + e * x[2]
+        flank = Flank(e, radius, e * pins / ground, e * x[1], e * x[2], float(teeth))
+        grid = jnp.linspace(-20.0, 20.0, 4001)
+        rotation = free_rotation(grid, flank)
+        best = jnp.argmin(rotation)
+        edge = ~jnp.isfinite(rotation[best - 1] + rotation[best + 1])
+        return found.total, found.info.status, 2 * rotation[best], edge
+
+    total, status, expected, edge = jax.tree.map(np.asarray, jax.jit(jax.vmap(play))(lanes))
+    apart = lanes[:, 2] > lanes[:, 1]
+    np.testing.assert_array_equal(status[apart], Status.NOT_ASSEMBLABLE)
+    nowhere = ~apart & ~np.isfinite(expected)
+    np.testing.assert_array_equal(status[nowhere], Status.INVALID_GEOMETRY)
+    inside = ~apart & np.isfinite(expected) & ~edge
+    np.testing.assert_array_equal(status[inside], Status.CONVERGED)
+    assert inside.sum() > 100
+    # A grid of 0.01 lies above the minimum by its square.
+    assert (total[inside] <= expected[inside] + 1e-15).all()
+    np.testing.assert_allclose(total[inside], expected[inside], 3e-4, 1e-6)
+
+
+# Springs in the order of `Stiffness`, then crank circle, both base radii, eccentricity, force and pressure angle.
+MECHANISMS = np.array([
+    [59334747.89576002, 91031.4764509725, 50397769.073954396, 157441.27727857526, 7055014717.117551,
+     532243467.29605913, 305553420.0501586, 1370343288.8857896, 0.0, 44172284.3748329, 0.028505839108659812,
+     0.0133938234740538, 0.03146095581947544, 0.007406970821219618, -0.3786567190442447, 0.1475161712452229],
+    [78479710.44234009, 2533.1853131496187, 1670363286.7878058, 107622.76557176322, 144332819.28839782,
+     7278065208.342986, 36876563.063428685, 1659379098.5288453, 0.0, 12400242.143662898, 0.05235133215508134,
+     0.04375480853949276, 0.43607976184018793, 0.0017587024912326507, -0.025026983554082838, 0.12320047502801554],
+    [276861979.4231343, 5428.835876401473, 64902848.89338402, 13104.791902224304, 1879802904.8645122,
+     768314346.0046825, 174347361.46002883, 312669343.09176254, 0.0, 17547265.88042725, 0.024102153703986006,
+     0.0043994081151812366, 0.05209808816040097, 0.011606348739680413, -1.039701722582893, 0.4106034994250439],
+])  # fmt: skip
+
+
+def test_a_mechanism_is_singular_whatever_the_pivots_say():
+    """Two cranks and one disc do not hold the output sideways. Pivots of 2e-14 passed for stiffness: CONVERGED, with
+    a mean deflection that missed the torque by 1e-3. Held sideways, the same reducers are sound."""
+    base = catalogue.RV_320E
+
+    def solve(x, support):
+        springs = dict(zip(("sun_support", "sun_torsion", "planet_crank_bending", "planet_crank_torsion",
+                            "support_bearing", "turning_arm_bearing", "sun_planet_mesh", "disc_pin_mesh",
+                            "output_support", "output_torsion"), x))  # fmt: skip
+        involute = base.involute.replace(sun_base_radius=x[11], planet_base_radius=x[12], pressure_angle=x[15])
+        design = base.replace(
+            involute=involute,
+            cycloid=base.cycloid.replace(disc_count=1, eccentricity=x[13], force_angle=x[14]),
+            cranks=CrankStage(2, x[10]),
+            stiffness=base.stiffness.replace(**{**springs, "output_support": support}),
+        )
+        return rvjax.dynamics.static(design, output_torque=-780.0).info
+
+    solve = jax.jit(jax.vmap(solve, in_axes=(0, None)))
+    np.testing.assert_array_equal(solve(MECHANISMS, 0.0).status, Status.SINGULAR)
+    held = solve(MECHANISMS, 1e7)
+    np.testing.assert_array_equal(held.status, Status.CONVERGED)
+    assert np.asarray(held.residual).max() < 1e-11
+
+
+def test_a_cam_lost_in_the_rounding_of_the_link():
+    """1e-30 m beside a roller of 9 mm: a contact of radius zero, and gradients that were NaN."""
+    radius = np.array([0.135, 1e-30, 0.135])
+    length = np.array([0.012, 0.012, 1e-300])
+
+    def solve(radius, length):
+        design = catalogue.CORR.replace(gear_teeth=3, cam_radius=radius, roller_length=length)
+        found = rvjax.mesh_force.solve(design, CamRollerErrors(), input_torque=1e-9, output_angle=0.3)
+        return jnp.sum(jnp.where(jnp.isfinite(found.gear), found.gear, 0)), found.info.status
+
+    (_, status), slope = jax.jit(jax.vmap(jax.value_and_grad(solve, argnums=(0, 1), has_aux=True)))(radius, length)
+    assert status[0] == Status.CONVERGED and status[1] == Status.NONFINITE
+    assert all(np.isfinite(leaf).all() for leaf in slope)
