@@ -9,6 +9,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 # ln 2 = high + low; high has so few bits that its multiples by an exponent are exact.
 _LN2_HIGH, _LN2_LOW = float.fromhex("0x1.62e42ffp-1"), float.fromhex("-0x1.718432a1b0e26p-35")
@@ -58,25 +59,25 @@ _SINE = [(-1) ** n / math.factorial(2 * n + 1) for n in range(1, 9)]  # of r^3, 
 _COSINE = [(-1) ** n / math.factorial(2 * n) for n in range(1, 9)]  # of r^2, r^4 ..
 
 
-LARGEST_ANGLE = 1e5
-"""Up to here `sin_cos` keeps its digits."""
+LARGEST_ANGLE = 2.0**50
+"""Up to here `sin_cos` knows the angle as well as float64 does; a unit in the last place is then a quarter rad."""
 
 
 @jax.custom_jvp
 def sin_cos(x: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Sine and cosine for |x| < `LARGEST_ANGLE`; beyond, digits are lost, and then everything.
+    """Sine and cosine: to 2 units in the last place up to 1e5, of an angle within rounding of x up to `LARGEST_ANGLE`.
 
     Args:
-        x: rad.
+        x: rad; beyond `LARGEST_ANGLE` the result has no meaning.
     """
     if x.dtype != jnp.float64:
         return jnp.sin(x), jnp.cos(x)
-    quarter = jnp.round(x * (1 / _HALF_PI[0]))
+    quarter = jnp.round(x * (2 / math.pi))
     r = ((x - quarter * _HALF_PI[0]) - quarter * _HALF_PI[1]) - quarter * _HALF_PI[2]
     square = r * r
     sine, cosine = r + r * _polynomial(_SINE, square), 1 + _polynomial(_COSINE, square)
-    turn = quarter.astype(jnp.int64) & 3
-    swapped, minus_sine, minus_cosine = (turn & 1) == 1, turn >= 2, (turn == 1) | (turn == 2)
+    turn = quarter - 4 * jnp.floor(quarter / 4)  # 0 to 3; whole numbers as floats stay in vectors
+    swapped, minus_sine, minus_cosine = (turn == 1) | (turn == 3), turn >= 2, (turn == 1) | (turn == 2)
     first, second = jnp.where(swapped, cosine, sine), jnp.where(swapped, sine, cosine)
     first = jnp.where(x == 0, x, jnp.where(minus_sine, -first, first))  # keeps the sign of a zero
     return first, jnp.where(minus_cosine, -second, second)
@@ -89,32 +90,70 @@ def _sin_cos_jvp(primals: Any, tangents: Any) -> Any:
     return (sine, cosine), (cosine * dx, -sine * dx)
 
 
-_ARCTAN = [(-1) ** n / (2 * n + 1) for n in range(1, 12)]  # of t^3, t^5 ..; the next is below 1e-18 up to tan(pi/16)
+_EIGHTH = math.tan(math.pi / 8)
+_INVERSE = 0x7FDE623822FC16E6  # bits of y and of about 1 / y add up to this
+_PI, _PI_LOW = 2 * _HALF_PI[0], 2 * (_HALF_PI[1] + _HALF_PI[2])
+
+
+def _arctan_coefficients() -> list[float]:
+    """Of t^3, t^5 .. up to tan(pi/8): the series, cut by interpolation in Chebyshev points instead of at its end."""
+
+    def tail(z: Any) -> Any:  # (arctan t - t) / t^3 at z = t^2
+        return sum((-1) ** (n + 1) * z**n / (2 * n + 3) for n in range(30))
+
+    cut = np.polynomial.Chebyshev.interpolate(tail, 11, domain=[0, _EIGHTH**2])
+    return [float(c) for c in cut.convert(kind=np.polynomial.Polynomial, domain=[-1, 1]).coef]
+
+
+_ARCTAN = _arctan_coefficients()
 
 
 @jax.custom_jvp
-def arctan(x: jax.Array) -> jax.Array:
-    """Inverse tangent, also of infinity.
+def arctan2(y: jax.Array, x: jax.Array) -> jax.Array:
+    """Angle of the vector (x, y), -pi to pi, as `jnp.arctan2`, with a derivative of zero at (0, 0).
 
     Args:
-        x: any number.
+        y: zero, or in size between 1e-150 and 1e150.
+        x: as y.
     """
     if x.dtype != jnp.float64:
-        return jnp.arctan(x)
-    size = jnp.abs(x)
-    steep = size > 1
-    t = jnp.where(steep, 1 / jnp.where(steep, size, 1), size)
-    for _ in range(2):  # arctan t = 2 arctan(t / (1 + sqrt(1 + t^2)))
-        t = t / (1 + jnp.sqrt(1 + t * t))
-    angle = 4 * (t + t * _polynomial(_ARCTAN, t * t))
-    angle = jnp.where(steep, _HALF_PI[0] - angle + _HALF_PI[1], angle)
-    return jnp.where(x < 0, -angle, jnp.where(size > 0, angle, x))
+        return jnp.arctan2(y, x)
+    width, height = jnp.abs(x), jnp.abs(y)
+    small, large = jnp.minimum(width, height), jnp.maximum(width, height)
+    beyond = small > _EIGHTH * large  # measured from 45 degrees
+    t = divide(jnp.where(beyond, small - large, small), jnp.where(beyond, small + large, large))
+    base = jnp.where(beyond, _PI / 4, 0)
+    for flipped, middle in ((height > width, _PI / 2), (jnp.signbit(x), _PI), (jnp.signbit(y), -0.0)):
+        base, t = jnp.where(flipped, middle - base, base), jnp.where(flipped, -t, t)
+    return base + (t * (1 + _polynomial(_ARCTAN, t * t)) + base * (_PI_LOW / _PI))
 
 
-@arctan.defjvp
-def _arctan_jvp(primals: Any, tangents: Any) -> Any:
-    (x,), (dx,) = primals, tangents
-    return arctan(x), dx / (1 + x * x)
+@arctan2.defjvp
+def _arctan2_jvp(primals: Any, tangents: Any) -> Any:
+    (y, x), (dy, dx) = primals, tangents
+    square = x * x + y * y
+    return arctan2(y, x), (x * dy - y * dx) / jnp.where(square == 0, 1, square)
+
+
+def divide(x: jax.Array, y: jax.Array) -> jax.Array:
+    """x / y in multiplications, 0 for y = 0; within one unit in the last place.
+
+    XLA ends a kernel behind a division whose result is used more than once, and evaluates in the next one
+    anew what both need. Plain where the numbers are not float64.
+
+    Args:
+        x: in size below 1e150.
+        y: zero, or from 1e-150 to 1e150.
+    """
+    if y.dtype != jnp.float64:
+        return jnp.where(y == 0, 0, x / jnp.where(y == 0, 1, y))
+    bits = jax.lax.bitcast_convert_type(y, jnp.int64)
+    inverse = jax.lax.bitcast_convert_type(_INVERSE - bits, jnp.float64)  # minus the exponent: within 5.1 %
+    inverse = jnp.where(y == 0, 0, inverse)
+    for _ in range(3):  # Newton's step squares the error
+        inverse = inverse + inverse * (1 - y * inverse)
+    quotient = x * inverse
+    return quotient + inverse * (x - quotient * y)  # and so does this
 
 
 def _polynomial(coefficients: list[float], x: jax.Array) -> jax.Array:

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax import roots
+from rvjax.fastmath import LARGEST_ANGLE, arctan2, sin_cos
 from rvjax.status import SolveInfo, Status
 
 
@@ -26,10 +27,10 @@ class Crank(NamedTuple):
 
 
 def crank_direction(angle: jax.Array) -> Crank:
-    """The direction of `angle`; a non-finite angle is marked and replaced by zero."""
-    finite = jnp.isfinite(angle)
-    angle = jnp.where(finite, angle, 0)
-    return Crank(jnp.cos(angle), jnp.sin(angle), finite)
+    """The direction of `angle`; an angle not finite, or too large to have one, is marked and replaced by zero."""
+    finite = jnp.abs(angle) < LARGEST_ANGLE
+    sine, cosine = sin_cos(jnp.where(finite, angle, 0))
+    return Crank(cosine, sine, finite)
 
 
 class Links(NamedTuple):
@@ -114,7 +115,7 @@ def free(links: Links, seen: View, *, closure: str, branch: str) -> Resting:
         angle = _free_first_order(links, flags["change_point"])
         return Resting(angle, jnp.zeros_like(angle), at_once(angle), **flags)
     x, info = _free_root(a, b, c, d, flags["fold"], closure=closure, branch=branch)
-    angle = jnp.arctan2(links.dy, links.l + links.dx) + x
+    angle = arctan2(links.dy, links.l + links.dx) + x
     return Resting(angle, jnp.zeros_like(angle), info, **flags)
 
 
@@ -132,14 +133,14 @@ def _free_root(a: Any, b: Any, c: Any, d: Any, fold: Any, *, closure: str, branc
     if closure == "closed_form":
         root = _root(jnp.where(fold, 0, d))
         if branch == "open":
-            return 2 * jnp.arctan2(-s * c, _nonzero(jnp.abs(b) + root)), at_once(a)
-        return 2 * jnp.arctan2(-(b + s * root), 4 * a + c), at_once(a)
+            return 2 * arctan2(-s * c, _nonzero(jnp.abs(b) + root)), at_once(a)
+        return 2 * arctan2(-(b + s * root), 4 * a + c), at_once(a)
     sum_ = b + s * _root(b**2 - 4 * a * c)
     quadratic = -2 * c / _nonzero(sum_) if branch == "open" else -sum_ / (2 * a)  # (S2)
     if closure == "quadratic":
         return quadratic, at_once(a)
     # F falls and rises monotonically between the fold angle and its opposite points.
-    middle = -jnp.arctan2(b, 2 * a)
+    middle = -arctan2(b, 2 * a)
     side = s if branch == "open" else -s
     start = jax.lax.stop_gradient(quadratic)
     found = roots.bracketed(_free_residual, (a, b, c), middle, middle + side * jnp.pi, start=start)
@@ -149,7 +150,8 @@ def _free_root(a: Any, b: Any, c: Any, d: Any, fold: Any, *, closure: str, branc
 
 def _free_residual(x: Any, params: Any) -> jax.Array:
     a, b, c = params
-    return 4 * a * jnp.sin(x / 2) ** 2 + b * jnp.sin(x) + c  # (S1)
+    half_sine, half_cosine = sin_cos(x / 2)
+    return 2 * half_sine * (2 * a * half_sine + b * half_cosine) + c  # (S1)
 
 
 def _root(x: jax.Array) -> jax.Array:
@@ -169,13 +171,13 @@ def locked(links: Links, *, closure: str) -> Resting:
     if closure == "first_order":
         angle = _locked_first_order(links, links.psi)
         return Resting(angle, misfit, at_once(angle))
-    angle, info = direction_angle(1 + x / links.l, y / links.l, closure=closure)
+    angle, info = direction_angle(links.l + x, y, links.l, closure=closure)
     return Resting(angle, misfit, info)
 
 
 def _offset(links: Links, psi: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Vector from pin 1 to pin 3 less (l, 0)."""
-    half_sine, half_cosine = jnp.sin(psi / 2), jnp.cos(psi / 2)
+    half_sine, half_cosine = sin_cos(psi / 2)
     w, difference = 2 * (links.e + links.d3) * half_sine, links.d3 - links.d1
     x = links.dx + difference * links.cosine - w * (links.sine * half_cosine + links.cosine * half_sine)
     y = links.dy + difference * links.sine + w * (links.cosine * half_cosine - links.sine * half_sine)
@@ -192,10 +194,14 @@ def _locked_first_order(links: Links, psi: jax.Array) -> jax.Array:
     return links.b4 + turned / links.l
 
 
-def direction_angle(x: jax.Array, y: jax.Array, *, closure: str) -> tuple[jax.Array, SolveInfo]:
-    """Angle of the vector (x, y): by atan2, or as the root of x sin b = y cos b in its quadrant pair."""
+def direction_angle(x: jax.Array, y: jax.Array, size: jax.Array, *, closure: str) -> tuple[jax.Array, SolveInfo]:
+    """Angle of the vector (x, y): by atan2, or as the root of x sin b = y cos b in its quadrant pair.
+
+    The residual of the root counts in units of `size`, the nominal length.
+    """
     if closure == "closed_form":
-        return jnp.arctan2(y, x), at_once(x)
+        return arctan2(y, x), at_once(x)
+    x, y = x / size, y / size
     centre = jnp.where(x > 0, 0, jnp.where(y < 0, -jnp.pi / 2, jnp.pi / 2)).astype(x.dtype)
     quarter = jnp.asarray(jnp.pi / 2, x.dtype)
     start = jax.lax.stop_gradient(jnp.where(x > 0, y / jnp.where(x > 0, x, 1), centre))
@@ -205,7 +211,8 @@ def direction_angle(x: jax.Array, y: jax.Array, *, closure: str) -> tuple[jax.Ar
 
 def _direction_residual(b: Any, params: Any) -> jax.Array:
     x, y = params
-    return x * jnp.sin(b) - y * jnp.cos(b)
+    sine, cosine = sin_cos(b)
+    return x * sine - y * cosine
 
 
 def geared(links: Links, ratio: jax.Array, *, closure: str) -> Resting:
@@ -226,7 +233,7 @@ def geared(links: Links, ratio: jax.Array, *, closure: str) -> Resting:
     misfit = stretch(links.l, x, y) - links.d2
     if closure == "first_order":
         return Resting(_locked_first_order(links, links.psi + slip), misfit, info)
-    return Resting(jnp.arctan2(y, links.l + x), misfit, info)
+    return Resting(arctan2(y, links.l + x), misfit, info)
 
 
 def _misfit(links: Links, slip: jax.Array) -> jax.Array:

@@ -1,7 +1,8 @@
 """Extremes over a crank turn whose derivative is that at the place where they occur.
 
-The values alone are searched, which is all that a forward pass needs. A derivative searches the places and is
-then taken at one angle instead of at all of them.
+A forward pass searches values alone, of a score that rises with what is wanted but costs less. Its result is one
+complex number: XLA evaluates for each result anew all that leads to it. A derivative searches the places and is
+taken there, of what is wanted itself.
 """
 
 from collections.abc import Callable
@@ -9,82 +10,87 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
+from rvjax.fastmath import sin_cos
 from rvjax.four_bar.closures import Crank
 
-_UNROLL = 4  # angles per step: so many evaluations share one pass through memory
 
-
-def largest_over_turn(
-    scores: Callable[[Any, Crank], tuple[Any, ...]], parts: Any, crank_angle: jax.Array
-) -> tuple[jax.Array, ...]:
-    """Largest value of each score over the angles.
+def extremes_over_turn(
+    value: Callable[[Any, Crank], jax.Array],
+    parts: Any,
+    angles: int,
+    *,
+    score: Callable[[Any], Callable[[Crank], jax.Array]],
+    back: Callable[[jax.Array], jax.Array],
+    together: int,
+) -> tuple[jax.Array, jax.Array]:
+    """Largest and smallest value over uniform angles from zero.
 
     Args:
-        scores: (parts, crank) -> one score or two.
+        value: (parts, crank) -> number.
         parts: pytree; leaves that are not arrays stay constants, so that XLA can fold them.
-        crank_angle: angles (angles,), without derivative.
+        angles: how many.
+        score: parts -> (crank -> number), rising with the value.
+        back: score -> value.
+        together: angles in one pass through memory; the program grows with them.
     """
     leaves, tree = jax.tree.flatten(parts)
     is_array = [isinstance(leaf, jax.Array) for leaf in leaves]
+    index = np.arange(angles)
+    turn = (np.cos(2 * np.pi * index / angles), np.sin(2 * np.pi * index / angles), index)
 
     def whole(arrays: list[jax.Array]) -> Any:
         rest = iter(arrays)
         return jax.tree.unflatten(tree, [next(rest) if varies else leaf for leaf, varies in zip(leaves, is_array)])
 
-    @jax.custom_jvp
-    def largest(arrays: list[jax.Array]) -> tuple[jax.Array, ...]:
-        return _values(lambda crank: scores(whole(arrays), crank), crank_angle)
+    def over_turn(arrays: list[jax.Array], start: Any, step: Callable[..., Any], pair: Callable[..., Any]) -> Any:
+        along = score(whole(arrays))
+        first = along(Crank(1, 0))
+        places = [jnp.asarray(x[1:], first.dtype) for x in turn]
 
-    @largest.defjvp
+        def one(found: Any, place: Any) -> Any:
+            cosine, sine, index = place
+            return step(found, along(Crank(cosine, sine)), index), None
+
+        found, _ = jax.lax.scan(one, start(first), places, unroll=together)
+        both = settle(jax.lax.complex(*pair(found)))
+        return jnp.real(both), jnp.imag(both)
+
+    @jax.custom_jvp
+    def extremes(arrays: list[jax.Array]) -> tuple[jax.Array, jax.Array]:
+        def step(best: Any, now: jax.Array, index: Any) -> Any:
+            return jnp.maximum(best[0], now), jnp.minimum(best[1], now)
+
+        most, least = over_turn(arrays, lambda first: (first, first), step, lambda best: best)
+        return back(most), back(least)
+
+    @extremes.defjvp
     def _rule(primals: Any, tangents: Any) -> Any:
         (arrays,), (changes,) = primals, tangents
-        places = _places(lambda crank: scores(whole(arrays), crank), crank_angle)
 
-        def at_places(arrays: list[jax.Array]) -> tuple[Any, ...]:
-            return tuple(scores(whole(arrays), place)[number] for number, place in enumerate(places))
+        def step(best: Any, now: jax.Array, index: Any) -> Any:
+            most, least, where_most, where_least = best
+            up, down = now > most, now < least
+            return (
+                jnp.where(up, now, most),
+                jnp.where(down, now, least),
+                jnp.where(up, index, where_most),
+                jnp.where(down, index, where_least),
+            )
 
-        return jax.jvp(at_places, (arrays,), (changes,))
+        def start(first: jax.Array) -> Any:
+            return first, first, jnp.zeros_like(first), jnp.zeros_like(first)
 
-    return largest([leaf for leaf, varies in zip(leaves, is_array) if varies])
+        places = []
+        for index in over_turn(arrays, start, step, lambda best: best[2:]):
+            sine, cosine = sin_cos(index * (2 * np.pi / angles))
+            places.append(Crank(cosine, sine))
+        return jax.jvp(lambda arrays: tuple(value(whole(arrays), at) for at in places), (arrays,), (changes,))
 
-
-def _values(scores: Callable[[Crank], tuple[Any, ...]], crank_angle: jax.Array) -> tuple[jax.Array, ...]:
-    """Two scores travel as one complex number: with a single result XLA evaluates what they share once."""
-    turn = (jnp.cos(crank_angle), jnp.sin(crank_angle))
-    first = _pair(scores(Crank(turn[0][0], turn[1][0])))
-
-    def step(best: jax.Array, place: Any) -> Any:
-        now = _pair(scores(Crank(*place)))
-        if not jnp.iscomplexobj(now):
-            return jnp.maximum(best, now), None
-        return jax.lax.complex(
-            jnp.maximum(jnp.real(best), jnp.real(now)), jnp.maximum(jnp.imag(best), jnp.imag(now))
-        ), None
-
-    best, _ = jax.lax.scan(step, first, jax.tree.map(lambda x: x[1:], turn), unroll=_UNROLL)
-    return (jnp.real(best), jnp.imag(best)) if jnp.iscomplexobj(best) else (best,)
+    return extremes([leaf for leaf, varies in zip(leaves, is_array) if varies])
 
 
-def _pair(values: tuple[Any, ...]) -> jax.Array:
-    return values[0] if len(values) == 1 else jax.lax.complex(*values)
-
-
-def _places(scores: Callable[[Crank], tuple[Any, ...]], crank_angle: jax.Array) -> list[Crank]:
-    """Where each score is largest. Score and index travel as one complex number, see `_values`."""
-    turn = (jnp.cos(crank_angle), jnp.sin(crank_angle))
-    first = scores(Crank(turn[0][0], turn[1][0]))
-
-    def step(best: list[jax.Array], place: Any) -> Any:
-        cosine, sine, index = place
-        after = []
-        for old, now in zip(best, scores(Crank(cosine, sine))):
-            up = now > jnp.real(old)
-            after.append(jax.lax.complex(jnp.where(up, now, jnp.real(old)), jnp.where(up, index, jnp.imag(old))))
-        return after, None
-
-    rest = (turn[0][1:], turn[1][1:], jnp.arange(1, len(crank_angle), dtype=crank_angle.dtype))
-    start = [jax.lax.complex(score, jnp.zeros_like(score)) for score in first]
-    best, _ = jax.lax.scan(step, start, rest, unroll=_UNROLL)
-    index = [jnp.imag(pair).astype(jnp.int32) for pair in best]
-    return [Crank(turn[0][i], turn[1][i]) for i in index]
+def settle(x: jax.Array) -> jax.Array:
+    """x, stored: what follows reads it instead of evaluating it anew. XLA looks through all but a loop."""
+    return jax.lax.fori_loop(0, 2, lambda _, x: -x, x)

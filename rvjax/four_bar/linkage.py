@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax.fastmath import LARGEST_ANGLE, sin_cos
 from rvjax.four_bar import closures
 from rvjax.records import Record, concrete, field, promote, quantity, record
 from rvjax.status import SolveInfo, Status, first_failure
@@ -142,8 +143,11 @@ def close(
     d1, d2, d3, d4 = deviations.crank_1, deviations.coupler, deviations.crank_3, deviations.frame
     psi, b4, gx, gy = deviations.crank_phase, deviations.frame_angle, deviations.joint[0], deviations.joint[1]
     ratio = jnp.ones_like(e) if ratio is None else ratio
-    lengths = sum(jnp.abs(x) for x in (e, d1, d2, d3, d4, gx, gy)) / jnp.where(spacing > 0, spacing, 1)
-    finite = jnp.isfinite(lengths**4 + ratio + psi + b4 + spacing**2) & crank.finite  # powers that the closures form
+    # Fourth powers of the lengths over the spacing are formed on the way: they must not overflow, nor squares vanish.
+    largest, smallest = (float(x) ** 0.25 for x in (jnp.finfo(e.dtype).max, jnp.finfo(e.dtype).tiny))
+    finite = sum(jnp.abs(x) for x in (e, d1, d2, d3, d4, gx, gy)) < largest * jnp.where(spacing > 0, spacing, 1)
+    finite &= (jnp.abs(spacing) < largest) & ((spacing > smallest) | (spacing <= 0)) & jnp.isfinite(ratio)
+    finite &= (jnp.abs(psi) < LARGEST_ANGLE) & (jnp.abs(b4) < LARGEST_ANGLE) & crank.finite
     possible = (spacing > 0) & (spacing + d2 > 0) & (spacing + d4 > 0)
     if cranks == "free":
         possible &= (e + d1 > 0) & (e + d3 > 0)
@@ -153,7 +157,7 @@ def close(
     good = finite & possible
     d1, d2, d3, d4, psi, b4, gx, gy = (jnp.where(good, x, 0) for x in (d1, d2, d3, d4, psi, b4, gx, gy))
     e, l, ratio = jnp.where(good, e, 0.02), jnp.where(good, spacing, 1), jnp.where(good, ratio, 1)  # noqa: E741
-    half_sine, half_cosine = jnp.sin(b4 / 2), jnp.cos(b4 / 2)
+    half_sine, half_cosine = sin_cos(b4 / 2)
     dx = d4 + gx - 2 * (l + d4) * half_sine**2
     dy = 2 * (l + d4) * half_sine * half_cosine + gy
     links = closures.Links(e, l, d1, d2, d3, psi, b4, gy, crank.cosine, crank.sine, dx, dy, axial=d4 + gx)

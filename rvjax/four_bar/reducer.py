@@ -7,6 +7,7 @@ import jax.numpy as jnp
 
 from rvjax.designs import RVReducer
 from rvjax.errors import RVErrors
+from rvjax.fastmath import arctan2, sin_cos
 from rvjax.four_bar import closures, fit
 from rvjax.four_bar.closures import Crank, crank_direction
 from rvjax.four_bar.linkage import LinkDeviations, check_methods, close
@@ -109,7 +110,7 @@ def _fitted_disc(unit: Unit, k: int, crank: Crank, *, closure: str) -> Placed:
         return Placed(angle, misfit, closures.at_once(angle))
     cosine, sine = fit.vector(unit, prepared, crank)
     size = len(unit.axes) * unit.radius**2
-    angle, info = closures.direction_angle(cosine / size, sine / size, closure=closure)
+    angle, info = closures.direction_angle(cosine, sine, size, closure=closure)
     return Placed(angle, misfit, info)
 
 
@@ -133,6 +134,7 @@ def _linked_disc(unit: Unit, k: int, crank: Crank, ratio: Any, **methods: str) -
             ]
         ),
     )
-    turned = crank.turned(jnp.cos(unit.psi[0]), jnp.sin(unit.psi[0]))
+    sine, cosine = sin_cos(unit.psi[0])
+    turned = crank.turned(cosine, sine)
     closed = close(unit.eccentricity, spacing, deviations, turned, ratio, **methods)
-    return Placed(closed.coupler_angle - jnp.arctan2(bore_y, spacing + bore_x), closed.misfit, closed.info)
+    return Placed(closed.coupler_angle - arctan2(bore_y, spacing + bore_x), closed.misfit, closed.info)

@@ -1,5 +1,7 @@
 """A whole crank turn: the transmission error curve and its figures."""
 
+import functools
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -8,9 +10,9 @@ import numpy as np
 
 from rvjax.designs import RVReducer
 from rvjax.errors import RVErrors
-from rvjax.fastmath import arctan
+from rvjax.fastmath import arctan2, divide
 from rvjax.four_bar.closures import Crank, at_once
-from rvjax.four_bar.extremes import largest_over_turn
+from rvjax.four_bar.extremes import extremes_over_turn
 from rvjax.four_bar.fit import fit, misfit, vector
 from rvjax.four_bar.linkage import check_methods
 from rvjax.four_bar.reducer import check_crank_count, transmission_error
@@ -87,7 +89,7 @@ def revolution(
 
     curve = jax.vmap(at)(crank_angle)
     if cranks == "phase_locked" and closure == "closed_form":
-        maximum, minimum, largest_misfit = _extremes(unit, crank_angle)
+        maximum, minimum, largest_misfit = _extremes(unit, angles)
         status = jnp.where(jnp.isfinite(maximum - minimum), unit.status, int(Status.NONFINITE))
         status = jnp.where(unit.status == Status.INVALID_GEOMETRY, unit.status, status)
         info = at_once(maximum).replace(status=status)
@@ -110,44 +112,83 @@ def revolution(
     )
 
 
-def _extremes(unit: Unit, crank_angle: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Largest and smallest error and largest |misfit| of phase-locked cranks, without the curve.
-
-    The search needs no angle of any disc: their vectors (C + i S) are turned one after the other by
-    multiplication, and a quotient that rises with the angle stands for it (discs together within half a turn).
-    """
+def _extremes(unit: Unit, angles: int) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Largest and smallest error and largest |misfit| of phase-locked cranks, without the curve."""
     discs = range(len(unit.disc))
 
-    def quotients(parts: Any, first: Crank) -> tuple[Any, Any]:
+    def error(parts: Any, first: Crank) -> jax.Array:
         unit, fits = parts
-        cosine, sine = jnp.ones_like(unit.radius), jnp.zeros_like(unit.radius)
-        for k in discs:
-            c, s = vector(unit, fits[k], unit.disc_crank(k, first))
-            cosine, sine = cosine * c - sine * s, sine * c + cosine * s
-        quotient = sine / (jnp.abs(cosine) + jnp.abs(sine))  # -1 to 1 up to a right angle, to +-2 beyond
-        quotient = jnp.where(cosine >= 0, quotient, jnp.where(sine >= 0, 2.0, -2.0) - quotient)
-        return quotient, -quotient
+        vectors = [vector(unit, fits[k], unit.disc_crank(k, first)) for k in discs]
+        return -jnp.mean(jnp.stack([arctan2(sine, cosine) for cosine, sine in vectors]))
 
-    def misfits(parts: Any, first: Crank) -> tuple[Any, ...]:
+    def most_misfit(parts: Any, first: Crank) -> jax.Array:
         unit, fits = parts
-        return (jnp.max(jnp.stack([jnp.abs(misfit(unit, fits[k], unit.disc_crank(k, first))) for k in discs])),)
+        return jnp.max(jnp.stack([jnp.abs(misfit(unit, fits[k], unit.disc_crank(k, first))) for k in discs]))
 
     parts = (unit, [fit(unit, k) for k in discs])
-    most, least = largest_over_turn(quotients, parts, crank_angle)
-    (largest,) = largest_over_turn(misfits, parts, crank_angle)
+    most, least = extremes_over_turn(
+        error,
+        parts,
+        angles,
+        score=_quotient,
+        back=lambda quotient: _angle(quotient) / len(discs),
+        together=64 if unit.load is None and len(discs) <= 2 else 4,  # one kernel, where the program stays small
+    )
+    largest, _ = extremes_over_turn(
+        most_misfit,
+        parts,
+        angles,
+        score=lambda parts: functools.partial(most_misfit, parts),
+        back=lambda largest: largest,
+        together=4,
+    )
     good = unit.finite & unit.possible
     return (
-        jnp.where(good, _angle(least) / len(discs), jnp.nan),
-        jnp.where(good, -_angle(most) / len(discs), jnp.nan),
+        jnp.where(good, most, jnp.nan),
+        jnp.where(good, least, jnp.nan),
         jnp.where(good, largest, jnp.nan),
     )
 
 
+def _quotient(parts: Any) -> Callable[[Crank], jax.Array]:
+    """A number that falls as the discs turn: -1 to 1 up to a right angle of all together, to +-2 beyond.
+
+    Their vectors C + i S are turned one after the other by multiplication, so no angle is needed. Without a load
+    each is still + turning u with the crank's direction u, and their product a polynomial in u.
+    """
+    unit, fits = parts
+    discs = range(len(unit.disc))
+    product = [(jnp.ones_like(unit.radius), jnp.zeros_like(unit.radius))]
+    if unit.load is None:
+        for k in discs:
+            still = (len(fits[k].seats) * unit.radius**2 + jnp.real(fits[k].still), jnp.imag(fits[k].still))
+            turning = unit.disc_crank(k, Crank(jnp.real(fits[k].turning), jnp.imag(fits[k].turning)))
+            risen = [(0, 0), *(_times(z, turning) for z in product)]
+            product = [(x + u, y + v) for (x, y), (u, v) in zip([*(_times(z, still) for z in product), (0, 0)], risen)]
+
+    def quotient(first: Crank) -> jax.Array:
+        cosine, sine = product[-1]
+        for x, y in product[-2::-1]:  # Horner
+            u, v = _times((cosine, sine), first)
+            cosine, sine = x + u, y + v
+        if unit.load is not None:
+            for k in discs:
+                cosine, sine = _times((cosine, sine), vector(unit, fits[k], unit.disc_crank(k, first)))
+        size = jnp.abs(cosine) + jnp.abs(sine)
+        beyond = jnp.where(sine >= 0, 2, -2) * size - sine
+        return -divide(jnp.where(cosine >= 0, sine, beyond), size)
+
+    return quotient
+
+
+def _times(first: Any, second: Any) -> tuple[Any, Any]:
+    """Product of two complex numbers as pairs."""
+    return first[0] * second[0] - first[1] * second[1], first[1] * second[0] + first[0] * second[1]
+
+
 def _angle(quotient: jax.Array) -> jax.Array:
-    """The angle that a quotient of `_extremes` stands for."""
+    """The angle that a quotient stands for."""
     beyond = jnp.abs(quotient) > 1
     half_turn = jnp.where(beyond, jnp.sign(quotient), 0)
     within = jnp.where(beyond, quotient - 2 * half_turn, quotient)  # beyond a right angle: of the opposite direction
-    right = jnp.abs(within) == 1
-    tangent = within / jnp.where(right, 1, 1 - jnp.abs(within))
-    return jnp.where(right, within * (np.pi / 2), arctan(tangent)) + np.pi * half_turn
+    return arctan2(within, 1 - jnp.abs(within)) + np.pi * half_turn
