@@ -14,6 +14,7 @@ os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.2")
 import jax
 import matplotlib
 import pytest
+from hypothesis import settings
 
 import rvjax
 
@@ -21,6 +22,11 @@ rvjax.enable_x64()
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")
 matplotlib.use("Agg")
+
+# `HYPOTHESIS_PROFILE=long pytest ...` draws many times more examples in every property test.
+settings.register_profile("default", max_examples=60, deadline=None)
+settings.register_profile("long", max_examples=2000, deadline=None)
+settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "default"))
 
 REFERENCE = Path(__file__).parent / "reference"
 

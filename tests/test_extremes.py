@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import rvjax
@@ -60,12 +60,12 @@ def test_figures_of_a_turn_beyond_a_right_angle(dtype):
     np.testing.assert_allclose(np.asarray(most)[good], curve.max(1), tolerance, 1e-3 * tolerance)
     np.testing.assert_allclose(np.asarray(found.minimum)[good], curve.min(1), tolerance, 1e-3 * tolerance)
     assert np.isfinite(slope).all()
-    # alone a unit is what it is in the batch
-    (alone, _), _ = turn(7, dtype)(bore[:1], torque[:1])
-    np.testing.assert_allclose(alone[0], most[0], 1e-5 if dtype == np.float32 else 1e-12)
+    # beside other units a unit is what it was
+    (again, _), _ = turn(7, dtype)(np.roll(bore, 17, 0), np.roll(torque, 17))
+    np.testing.assert_allclose(np.roll(again, -17), most, 1e-5 if dtype == np.float32 else 1e-12)
 
 
-@pytest.mark.parametrize("angles", [1, 2, 3, 5, 8])
+@pytest.mark.parametrize("angles", [1, 2, 5])
 def test_any_number_of_angles_and_any_batch_axis(angles):
     rng = np.random.default_rng(angles)
     bore = rng.uniform(-1e-5, 1e-5, (2, 2, 4))
@@ -213,7 +213,6 @@ def signed_decades(draw, low, high):
 
 
 @given(signed_decades(-9, -0.5))
-@settings(max_examples=5, deadline=None)
 def test_free_linkages_close(drawn):
     """Whatever converges closes; whatever cannot close says so; nothing else is finite."""
     seed, decade = drawn
@@ -248,7 +247,6 @@ def closing():
 
 
 @given(signed_decades(-9, 0))
-@settings(max_examples=5, deadline=None)
 def test_rollers_are_in_equilibrium(drawn):
     """Virtual work of the cage, sum s Fs = n T, and no force that pulls, for every load and interference."""
     seed, decade = drawn

@@ -10,10 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from linear_pair import COSTS, PAIR, WIDE, linear
 from rvjax.study import StudyError
 from rvjax.study.read import EMBEDDED, parse_study
-from rvjax.tolerances import Requirement, Tolerance, checkpoint, monte_carlo, save
-from rvjax.tolerances.atomic import write_atomically
+from rvjax.tolerances import Requirement, Tolerance, allocate, checkpoint, monte_carlo, save
+from rvjax.tolerances.atomic import PARTIAL, write_atomically
+from rvjax.units import um
 
 GOOD = (EMBEDDED / "rv-40e.toml").read_text()
 ONE = {"a": Tolerance(-3.0, 3.0)}
@@ -113,3 +115,59 @@ def test_hostile_studies_are_one_short_line(old, new, words):
     message = str(caught.value)
     assert "\n" not in message and len(message) < 500
     assert all(word in message for word in words), message
+
+
+def test_a_folder_that_cannot_be_written(tmp_path, monkeypatch):
+    """Read-only from the start: refused before any work. Read-only later: the study ends, the old state stays."""
+
+    def read_only(path, content):
+        raise OSError(30, "Read-only file system", str(path))
+
+    options = dict(samples=3000, seed=1, chunk=1000)
+    with monkeypatch.context() as patch:
+        patch.setattr(checkpoint, "write_atomically", read_only)
+        with pytest.raises(OSError, match="Read-only"):
+            monte_carlo(lambda e: e["a"], ONE, checkpoint=tmp_path / "c", **options)
+    assert not list(tmp_path.iterdir())
+    expected = monte_carlo(lambda e: e["a"], ONE, checkpoint=tmp_path / "c", **options)
+    before = (tmp_path / "c").read_bytes()
+    monkeypatch.setattr(checkpoint, "write_atomically", read_only)
+    monkeypatch.setattr(checkpoint, "EVERY", 0)
+    with pytest.warns(RuntimeWarning, match="cannot be written"):
+        found = monte_carlo(lambda e: e["a"], ONE, checkpoint=tmp_path / "c", **(options | {"samples": 6000}))
+    assert found.samples == 6000 and (tmp_path / "c").read_bytes() == before
+    assert expected.samples == 3000
+
+
+def test_a_write_that_was_cut_off_is_not_read(tmp_path):
+    """What a killed process leaves beside a checkpoint is a part of a file: the whole one counts."""
+    options = dict(samples=3000, seed=1, chunk=1000)
+    expected = monte_carlo(lambda e: e["a"], ONE, **options)
+    monte_carlo(lambda e: e["a"], ONE, checkpoint=tmp_path / "c", **(options | {"samples": 1000}))
+    (tmp_path / ("c" + PARTIAL)).write_bytes((tmp_path / "c").read_bytes()[:100])
+    found = monte_carlo(lambda e: e["a"], ONE, checkpoint=tmp_path / "c", **options)
+    assert found.mean == expected.mean and found.sd == expected.sd
+
+
+def test_requirements_that_contradict_each_other():
+    """Limits the wrong way round are named; two that no unit can meet end as INFEASIBLE, with how far off."""
+    with pytest.raises(ValueError, match=r"Requirement.lower = 2: lies above upper = 1"):
+        Requirement(lower=2, upper=1)
+    apart = {"low": Requirement(upper=-5 * um), "high": Requirement(lower=5 * um)}
+    found = allocate(lambda e: {"low": linear(e), "high": linear(e)}, PAIR, apart, costs=COSTS, samples=512,
+                     certificate_samples=2048)  # fmt: skip
+    assert (found.feasible, found.status) == (False, "INFEASIBLE")
+    finest = 3 * WIDE.finest / 3 * 5**0.5  # 3 sigma of a + 2 b at the finest
+    for name in apart:
+        assert found.shortfall[name] == pytest.approx(5 * um + finest, rel=0.1)
+    assert found.tolerances["a"].upper == pytest.approx(WIDE.finest)
+
+
+def test_tolerances_of_width_zero():
+    """Every unit is the nominal one: certain where it meets the limit, impossible where it does not."""
+    exact = {"a": Tolerance(2.0, 2.0), "b": Tolerance(-1.0, -1.0)}
+    for upper, share in ((1.0, 1.0), (-1.0, 0.0)):
+        found = monte_carlo(linear, exact, samples=100, seed=0, requirements=Requirement(upper=upper))
+        assert (found.mean.value, found.sd.value, found.yield_.value) == (0, 0, share)
+    single = monte_carlo(linear, exact, samples=1, seed=0, requirements=Requirement(upper=1.0))
+    assert single.yield_.value == 1 and single.yield_.lower < 0.5

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import optimistix
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from jax.test_util import check_grads
 
@@ -181,7 +181,6 @@ def test_ends_in_either_order_and_a_root_at_an_end(ends):
     assert float(roots.bracketed(lambda x, p: p - x, 4.0, *ends).value) == 4.0
 
 
-@settings(max_examples=60, deadline=None)
 @given(
     root=st.floats(-50, 50).filter(lambda x: abs(x) > 1e-6),
     steepness=st.floats(1e-3, 1e3),
