@@ -13,7 +13,11 @@ Result = TypeVar("Result")
 
 
 class Status(enum.IntEnum):
-    """Outcome of one solved lane. `PRECEDENCE` orders them from worst to best."""
+    """Outcome of one solved lane. `PRECEDENCE` orders them from worst to best.
+
+    NONFINITE stands for NaN and infinity among the inputs, and as well for finite inputs that are too large or too
+    small for the arithmetic: a power or product of them on the way overflows or vanishes.
+    """
 
     CONVERGED = 0
     NO_BRACKET = 1
@@ -50,7 +54,7 @@ PRECEDENCE = (
 SUCCESS = (Status.UNLOADED, Status.CONVERGED)
 
 MEANING = {
-    Status.NONFINITE: "an input, or a number on the way, is not finite",
+    Status.NONFINITE: "an input is not finite, or too large or too small for the arithmetic",
     Status.INVALID_GEOMETRY: "lengths or angles that no such part can have",
     Status.UNDERCUT: "the tooth flank cuts into itself",
     Status.CONTACT_OVERLOAD: "a contact is wider than its theory holds",
