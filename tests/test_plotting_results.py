@@ -132,8 +132,13 @@ def test_verdicts_count_every_figure():
 
 
 def test_the_style_stays_only_where_it_is_asked_to():
-    before = dict(plt.rcParams)
     with plt.rc_context():
+        plt.rcdefaults()
+        plt.ioff()
+        before = dict(plt.rcParams)
+        with plotting.style():
+            assert plt.rcParams["axes.grid"]
+            plt.ion()  # as the first figure of a notebook does
+        assert dict(plt.rcParams) == before | {"interactive": True}
         plotting.use_style()
         assert plt.rcParams["axes.grid"] and plt.rcParams["figure.dpi"] == 100
-    assert dict(plt.rcParams) == before

@@ -28,8 +28,13 @@ _STYLE: Any = {
 @contextmanager
 def style() -> Iterator[None]:
     """The one style of all pictures."""
-    with plt.rc_context(_STYLE):
+    # Not rc_context: the first figure of a notebook, drawn inside, makes pyplot interactive, and that has to stay.
+    before = {key: plt.rcParams[key] for key in _STYLE}
+    plt.rcParams.update(_STYLE)
+    try:
         yield
+    finally:
+        plt.rcParams.update(before)
 
 
 def use_style() -> None:
