@@ -20,6 +20,7 @@ class Model(NamedTuple):
     step: Callable[[str, Any], Any]  # size of a change of an input that matters
     ordinary: Callable[[Case], Any]  # where derivatives are compared and float32 is promised a bound
     judged: float = 1.0  # share of the inputs that the independent computation sees
+    faint: float = 0.0  # values below this share of the scale are too small for differences of what is beside them
     sound: Callable[[Case], Any] = lambda case: moderate(case)  # where the residual has a bound
 
 

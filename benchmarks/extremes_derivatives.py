@@ -81,6 +81,7 @@ def derivatives(model: Model, run: Any, lanes: Case, rng: Any, chunk: int) -> tu
             best = np.where(settled & (low <= slope) & (slope <= high), 0, best)
         before = sides
     usable = np.isin(status, (Status.CONVERGED, Status.UNLOADED)) & model.ordinary(lanes) & inside
+    best = np.where((np.abs(base) < model.faint * scale[:, None]) & (base != 0), 0, best)
     off = np.where(np.isfinite(slope), best, np.inf).max(1)
     return np.where(usable, off, 0), usable
 

@@ -61,10 +61,15 @@ def linkage(cranks: str, branch: str, closure: str) -> Model:
 
 
 def ordinary(case: Case) -> np.ndarray:
-    """Off the dead points, deviations below a third of the cranks."""
+    """Off the dead points, cranks shorter than the coupler, deviations below a third of them."""
     largest = np.max([np.abs(case[name]) for name in ("crank_1", "coupler", "crank_3", "frame")], axis=0)
     largest = np.maximum(largest, np.abs(case["joint"]).max(1)) + np.abs(case["frame_angle"]) * case["l"]
-    fit = (case["e"] > 1e-6 * case["l"]) & (largest < 0.3 * case["e"]) & (np.abs(case["crank_phase"]) < 0.3)
+    fit = (
+        (case["e"] > 1e-6 * case["l"])
+        & (case["e"] < 0.9 * case["l"])
+        & (largest < 0.3 * case["e"])
+        & (np.abs(case["crank_phase"]) < 0.3)
+    )
     return fit & moderate(case, 1e6) & (np.abs(np.sin(case["crank_angle"])) > 0.3)
 
 

@@ -23,6 +23,7 @@ def mesh(contact: str, teeth: int) -> Model:
         relative_step,
         ordinary=functools.partial(ordinary, teeth),
         judged=min(1.0, 13 / (teeth + 1)),
+        faint=1e-6 if contact == "palmgren" else 0.0,  # its stiffness goes to zero with the ninth root of the depth
     )
 
 
@@ -230,4 +231,5 @@ def ordinary(teeth: int, case: Case) -> np.ndarray:
     stiff = case["young_modulus"] * case["roller_length"]
     elastic = np.abs(case["torque"]) / (case["eccentricity"] * stiff * teeth)
     gap = np.abs(case["error_cam"]) + np.abs(case["error_throw"]) + np.abs(case["error_rollers"]).max(1) * teeth
-    return (gap <= 10 * elastic) & (np.abs(teeth * case["angle"]) <= 150)
+    fit = case["eccentricity"] < 0.9 * (case["cam_radius"] + case["roller_radius"])
+    return fit & (gap <= 10 * elastic) & (np.abs(teeth * case["angle"]) <= 150)

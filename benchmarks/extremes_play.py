@@ -54,9 +54,9 @@ def play(profile: str, teeth: int) -> Model:
 
 
 def ordinary(teeth: int, case: Case) -> np.ndarray:
-    """K1 below 0.99 and deviations below a tenth of the eccentricity."""
+    """K1 below 0.9 and deviations below a tenth of the eccentricity."""
     e = case["e"]
-    fit = (e * (teeth + 1) < 0.99 * case["rp"]) & moderate(case) & (e > 1e-9) & (np.abs(case["tilt"]) < 1.5)
+    fit = (e * (teeth + 1) < 0.9 * case["rp"]) & moderate(case) & (e > 1e-9) & (np.abs(case["tilt"]) < 1.5)
     for name in (*PLAY, "equidistant", "shift"):
         fit &= np.abs(case[name]) < 0.1 * e
     return fit

@@ -123,7 +123,8 @@ def _in_range(design: CamRollerReducer, errors: CamRollerErrors, torque: jax.Arr
     for ratio in ratios:
         sound &= ratio * ratio < root
     fits = (load < root) & (unit * (1 + load) < root)
-    return sound & fits & (unit * e > 1 / root), sound & ~fits & jnp.isfinite(torque)
+    large_enough = (unit * e > 1 / root) & ((load > 1 / root) | (torque == 0) | (design.cam_share == 0))
+    return sound & fits & large_enough, sound & ~fits & jnp.isfinite(torque)
 
 
 def _harmless(teeth: int, dtype: Any) -> CamRollerReducer:
