@@ -163,3 +163,28 @@ def test_a_cam_lost_in_the_rounding_of_the_link():
     )
     np.testing.assert_array_equal(status, [Status.CONVERGED, *[Status.NONFINITE] * 3])
     assert all(np.isfinite(leaf).all() for leaf in slope)
+
+
+def test_geared_cranks_too_soft_for_an_angle_leave_their_neighbours_alone():
+    """A slip of 1e30 rad has no angle: NONFINITE, and a gradient that is finite."""
+    cases = [dict(), dict(crank_3=-1e30), dict(joint=(-1e30, 1e-4)), dict(eccentricity=1e-300), dict(ratio=1e-30)]
+    full = [dict(crank_3=1e-5, joint=(0.0, 0.0), eccentricity=1.3e-3, ratio=67.0) | case for case in cases]
+    lanes = {name: np.array([case[name] for case in full]) for name in full[0]}
+
+    def closed(case):
+        deviations = LinkDeviations(crank_3=case["crank_3"], joint=case["joint"])
+        found = four_bar.solve_closure(
+            case["eccentricity"],
+            72e-3,
+            deviations,
+            crank_angle=2.4,
+            cranks="geared",
+            gear_stiffness_ratio=case["ratio"],
+        )
+        return jnp.where(found.info.status == Status.CONVERGED, found.coupler_angle, 0), found
+
+    (_, found), slope = jax.jit(jax.vmap(jax.value_and_grad(closed, has_aux=True)))(lanes)
+    np.testing.assert_array_equal(found.info.status, [Status.CONVERGED] + [Status.NONFINITE] * 4)
+    np.testing.assert_array_equal(np.isnan(found.coupler_angle), [False] + [True] * 4)
+    assert all(np.isfinite(leaf).all() for leaf in slope.values())
+    assert abs(slope["crank_3"][0]) > 1

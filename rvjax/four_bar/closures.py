@@ -228,7 +228,8 @@ def geared(links: Links, ratio: jax.Array, *, closure: str) -> Resting:
         widest = jnp.abs(_misfit(links, jnp.zeros_like(slip))) + 2 * l3
         bound = jax.lax.stop_gradient(1.01 * widest * l3 / stiff) + jnp.abs(jax.lax.stop_gradient(slip))
         found = roots.bracketed(_slip_residual, (links, ratio), -bound, bound, start=jax.lax.stop_gradient(slip))
-        slip, info = found.value, found.info
+        solved, info = found.info.status == Status.CONVERGED, found.info
+        slip = jnp.where(solved, found.value, slip)  # what follows keeps finite derivatives; the status tells
     x, y = _offset(links, links.psi + slip)
     misfit = stretch(links.l, x, y) - links.d2
     if closure == "first_order":

@@ -145,7 +145,8 @@ def close(
     ratio = jnp.ones_like(e) if ratio is None else ratio
     # Fourth powers of the lengths over the spacing are formed on the way: they must not overflow, nor squares vanish.
     largest, smallest = (float(x) ** 0.25 for x in (jnp.finfo(e.dtype).max, jnp.finfo(e.dtype).tiny))
-    finite = sum(jnp.abs(x) for x in (e, d1, d2, d3, d4, gx, gy)) < largest * jnp.where(spacing > 0, spacing, 1)
+    lengths = sum(jnp.abs(x) for x in (e, d1, d2, d3, d4, gx, gy))
+    finite = lengths < largest * jnp.where(spacing > 0, spacing, 1)
     finite &= (jnp.abs(spacing) < largest) & ((spacing > smallest) | (spacing <= 0)) & jnp.isfinite(ratio)
     finite &= (jnp.abs(psi) < LARGEST_ANGLE) & (jnp.abs(b4) < LARGEST_ANGLE) & crank.finite
     possible = (spacing > 0) & (spacing + d2 > 0) & (spacing + d4 > 0)
@@ -153,6 +154,8 @@ def close(
         possible &= (e + d1 > 0) & (e + d3 > 0)
     if cranks == "geared":
         possible &= (e > 0) & (ratio > 0)
+        # A slip without an angle: see the bound of the slip in `geared`.
+        finite &= ~possible | (4 * lengths * (lengths + 2 * spacing) < 0.25 * LARGEST_ANGLE * ratio * e**2)
     # A lane outside the model is solved as a nominal linkage of unit size, so its derivatives stay finite.
     good = finite & possible
     d1, d2, d3, d4, psi, b4, gx, gy = (jnp.where(good, x, 0) for x in (d1, d2, d3, d4, psi, b4, gx, gy))
@@ -169,9 +172,10 @@ def close(
     else:
         resting = closures.locked(links, closure=closure)
 
-    unsolved = resting.info.status == Status.MAX_STEPS
+    unsolved, failed = resting.info.status == Status.MAX_STEPS, resting.info.status != Status.CONVERGED
     nowhere = resting.change_point if closure == "first_order" else False
-    missing = ~(jnp.isfinite(resting.angle) | nowhere | resting.open_chain | unsolved)
+    known = jnp.isfinite(resting.angle) & ~failed
+    missing = ~(known | nowhere | resting.open_chain | unsolved)
     status = first_failure(
         (~finite | (good & missing), Status.NONFINITE),
         (~possible, Status.INVALID_GEOMETRY),
@@ -180,10 +184,10 @@ def close(
         (resting.change_point, Status.CHANGE_POINT),
         (resting.fold, Status.SINGULAR),
     )
-    known = good if closure == "first_order" else good & ~resting.open_chain
+    shown = good & ~failed & (True if closure == "first_order" else ~resting.open_chain)
     return Closure(
-        coupler_angle=jnp.where(known, resting.angle, jnp.nan),
-        misfit=jnp.where(known, resting.misfit, jnp.nan),
+        coupler_angle=jnp.where(shown, resting.angle, jnp.nan),
+        misfit=jnp.where(shown, resting.misfit, jnp.nan),
         gap=jnp.where(good, closures.gap(links, seen), jnp.nan),
         info=SolveInfo(status, resting.info.steps, resting.info.residual),
     )
