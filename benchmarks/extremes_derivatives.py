@@ -46,7 +46,8 @@ def derivatives(model: Model, run: Any, lanes: Case, rng: Any, chunk: int) -> tu
     """Distance of the derivative along a random direction from differences, over its size, and where it counts.
 
     Differences of several widths, each extrapolated twice (Richardson). Where the two sides differ, as at a kink or
-    where several angles share the largest value, the derivative must be that of one side or lie between them.
+    where several angles share the largest value, the derivative must be that of one side or lie between them. What
+    differences of two widths disagree by is their rounding; a lane off by less than ten times that does not count.
     """
     change = {
         k: model.step(k, v) * rng.choice([-1.0, 1.0], v.shape) * rng.uniform(0.3, 1, v.shape) for k, v in lanes.items()
@@ -59,14 +60,17 @@ def derivatives(model: Model, run: Any, lanes: Case, rng: Any, chunk: int) -> tu
     status, scale, base = evaluate(run, [lanes], chunk)[0]
     size = np.maximum(np.abs(slope).max(1), 1e-9 * scale)[:, None]
     best = np.full(slope.shape, np.inf)
-    before, inside = None, np.zeros(len(slope), bool)
+    before, inside, noise, last = None, np.zeros(len(slope), bool), np.full(len(slope), np.inf), np.nan
     for width in WIDTHS:
         places = (-1, -0.5, -0.25, 0.25, 0.5, 1)
         moved = [{k: v + t * width * change[k] for k, v in lanes.items()} for t in places]
         value = {t: row for t, (_, _, row) in zip(places, evaluate(run, moved, chunk))}
         first = [(value[t] - value[-t]) / (2 * t * width) for t in (1, 0.5, 0.25)]
         central = (64 * first[2] - 20 * first[1] + first[0]) / 45
-        sides = []
+        noise = np.fmin(
+            noise, (np.abs(central - last) / np.maximum(size, np.abs(central).max(1, keepdims=True))).max(1)
+        )
+        last, sides = central, []
         for sign in (1, -1):
             first = [(value[sign * t] - base) / (sign * t * width) for t in (1, 0.5, 0.25)]
             sides.append((32 * first[2] - 12 * first[1] + first[0]) / 21)
@@ -83,6 +87,7 @@ def derivatives(model: Model, run: Any, lanes: Case, rng: Any, chunk: int) -> tu
     usable = np.isin(status, (Status.CONVERGED, Status.UNLOADED)) & model.ordinary(lanes) & inside
     best = np.where((np.abs(base) < model.faint * scale[:, None]) & (base != 0), 0, best)
     off = np.where(np.isfinite(slope), best, np.inf).max(1)
+    usable &= (off <= 1e-6) | (off > 10 * noise) | ~np.isfinite(slope).all(1)
     return np.where(usable, off, 0), usable
 
 

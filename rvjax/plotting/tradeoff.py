@@ -5,6 +5,7 @@ import math
 import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullFormatter
 
 from rvjax.accuracy import Level, Model, Table
 from rvjax.plotting.style import PALETTE, new_axes, style, words
@@ -36,17 +37,28 @@ def pareto(model: Model, *, axes: Axes | None = None) -> Axes:
         face = colour if level.precision == "float64" else "white"
         marker = "*" if level.name == model.reference else "o"
         axes.scatter(*place(level), s=90 if marker == "*" else 36, marker=marker, facecolors=face, edgecolors=colour)
+    slowest, fastest = (pick(level.ns for level in shown) for pick in (max, min))
     named: list[Level] = []
     for level in front:
         if named and model.relative(level) > 0.6 * model.relative(named[-1]):
             continue  # hardly better than its neighbour: the names would cover each other
         named.append(level)
-        below = -12 if len(named) % 2 == 0 else 6
-        label = level.name.rsplit(", float", 1)[0]
-        axes.annotate(label, place(level), xytext=(4, below), textcoords="offset points", fontsize=7, color="0.25")
+        # The front falls to the right: above it there is room on the right, below it on the left.
+        right = (level.ns / fastest) ** 2 < slowest / fastest
+        axes.annotate(
+            level.name.rsplit(", float", 1)[0],
+            place(level),
+            xytext=(6, 5) if right else (-7, -9),
+            textcoords="offset points",
+            ha="left" if right else "right",
+            fontsize=8,
+            color="0.2",
+            bbox=dict(facecolor="white", edgecolor="none", alpha=0.7, pad=0.5),
+        )
     axes.set(xscale="log", yscale="log", xlabel="time per case (ns)", ylabel="largest error / rms of the output")
     axes.set_title(words(model.name), fontsize=10)
-    axes.margins(x=0.25, y=0.12)
+    axes.xaxis.set_minor_formatter(NullFormatter())
+    axes.margins(x=0.12, y=0.15)
     return axes
 
 
@@ -59,7 +71,7 @@ def tradeoff(table: Table) -> Figure:
     models = list(table.models.values())
     rows = math.ceil(len(models) / 2)
     with style():
-        figure, axes = plt.subplots(rows, 2, figsize=(11, 3.4 * rows), squeeze=False)
+        figure, axes = plt.subplots(rows, 2, figsize=(10, 3.1 * rows), squeeze=False)
         for model, place in zip(models, axes.flat):
             pareto(model, axes=place)
         for place in axes.flat[len(models) :]:

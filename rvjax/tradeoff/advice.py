@@ -19,16 +19,46 @@ def advice(model: Model) -> str:
     Args:
         model: measured.
     """
+    *mentioned, exact = worth_a_mention(model)
+    if not mentioned:
+        return f"Only {exact.name} ({_time(exact.ns)}) is of use: no cheaper level comes within its own size of it."
+    parts = [f"for an error below {_error(model, level)} {level.name} ({_time(level.ns)})" for level in mentioned]
+    return "Take " + "; ".join([*parts, f"for less {exact.name} ({_time(exact.ns)})"]) + "."
+
+
+def worth_a_mention(model: Model) -> list[Level]:
+    """Levels of the front, each several times as accurate as the one before, and the exact one.
+
+    Args:
+        model: measured.
+    """
     mentioned: list[Level] = []
     exact = model.level(model.reference)
     for level in model.front():
         last = model.relative(mentioned[-1]) if mentioned else float("inf")
         if level is not exact and model.relative(level) < 1 and model.relative(level) * STEP <= last:
             mentioned.append(level)
-    if not mentioned:
-        return f"Only {exact.name} ({_time(exact.ns)}) is of use: no cheaper level comes within its own size of it."
-    parts = [f"for an error below {_error(model, level)} {level.name} ({_time(level.ns)})" for level in mentioned]
-    return "Take " + "; ".join([*parts, f"for less {exact.name} ({_time(exact.ns)})"]) + "."
+    return [*mentioned, exact]
+
+
+def markdown(table: Table) -> str:
+    """The levels that the advice names, as the table of the README.
+
+    Args:
+        table: measured.
+    """
+    lines = ["| model, one case | level | largest error | of its rms | time |", "|---|---|---:|---:|---:|"]
+    for model in table.models.values():
+        first = next(iter(model.outputs))
+        name = f"{model.name.replace('_', ' ')}: {model.case}"
+        at = model.sizes.index(min(model.sizes, key=lambda size: abs(size - 1)))
+        for level in worth_a_mention(model):
+            error, relative = level.largest[first][at] / _unit_size(model.outputs[first]), model.relative(level)
+            exact = level.name == model.reference
+            shown = ("exact", "") if exact else (f"{error:.2g} {_unit(model.outputs[first])}", f"{100 * relative:.2g} %")
+            lines.append(f"| {name} | {level.name} | {shown[0]} | {shown[1]} | {_time(level.ns)} |")
+            name = ""
+    return "\n".join(lines)
 
 
 def _model(model: Model) -> str:
