@@ -207,7 +207,7 @@ def test_scenes_keep_their_accuracy(lost_motion):
 def test_the_command_prints_writes_and_draws(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(tradeoff, "measure", lambda **_: Table({"cores": 2}, 0, {"m": model(ROUGH, FINE)}))
     files = tmp_path / "t.json", tmp_path / "t.png"
-    assert cli.main(["tradeoff", "--quick", "--json", str(files[0]), "--picture", str(files[1])]) == 0
+    assert cli.main(["tradeoff", "--full", "--json", str(files[0]), "--picture", str(files[1])]) == 0
     assert Table.load(files[0]).models["m"].level("rough") == ROUGH and files[1].stat().st_size > 1000
     assert "Take for an error below" in capsys.readouterr().out
     assert cli.main(["tradeoff", "--json", str(tmp_path / "t.txt")]) == 2

@@ -49,6 +49,7 @@ class Links(NamedTuple):
     dx: jax.Array  # frame vector d4, b4 and joint included: (l + dx, dy)
     dy: jax.Array
     axial: jax.Array  # d4 + gx, of which dx consists to first order
+    size: jax.Array  # of all lengths whose sums and differences are formed, spacing excepted
 
 
 class Resting(NamedTuple):
@@ -106,10 +107,11 @@ def free(links: Links, seen: View, *, closure: str, branch: str) -> Resting:
     # Lengths are known to a rounding of l2' and L, which on the scale of the cranks is a wider band.
     eps = float(jnp.finfo(d.dtype).eps)
     band = 8 * eps * (seen.length + l2) / (l1 + l3) * (b**2 + jnp.abs(4 * a * c) + c**2)
+    too_short = gap(links, seen) > 32 * eps * links.size  # knows better where the cranks are next to nothing
     flags = dict(
-        open_chain=d < -band,
+        open_chain=(d < -band) | too_short,
         change_point=jnp.abs(seen.sine) < (1e-6 if eps < 1e-10 else 1e-3),
-        fold=jnp.abs(d) <= band,
+        fold=(jnp.abs(d) <= band) & ~too_short,
     )
     if closure == "first_order":
         angle = _free_first_order(links, flags["change_point"])

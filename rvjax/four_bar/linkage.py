@@ -163,7 +163,8 @@ def close(
     half_sine, half_cosine = sin_cos(b4 / 2)
     dx = d4 + gx - 2 * (l + d4) * half_sine**2
     dy = 2 * (l + d4) * half_sine * half_cosine + gy
-    links = closures.Links(e, l, d1, d2, d3, psi, b4, gy, crank.cosine, crank.sine, dx, dy, axial=d4 + gx)
+    size = jnp.where(good, lengths, 0.02) + jnp.abs(dx) + jnp.abs(dy)
+    links = closures.Links(e, l, d1, d2, d3, psi, b4, gy, crank.cosine, crank.sine, dx, dy, axial=d4 + gx, size=size)
     seen = closures.view(links)
     if cranks == "free":
         resting = closures.free(links, seen, closure=closure, branch=branch)
