@@ -149,9 +149,13 @@ def _bracketed_iteration(
     def running(state: Any) -> jax.Array:
         return state[-2] == _RUNNING
 
+    def at(x: jax.Array) -> Any:
+        return jax.jvp(lambda y: residual(y, params), (x,), (jnp.ones_like(x),))
+
     def body(state: Any) -> Any:
-        x, below, above, last, stride, status, steps = state
-        value, slope = jax.jvp(lambda y: residual(y, params), (x,), (jnp.ones_like(x),))
+        # The residual comes with the state: computed here it might be rounded differently for each result, and one
+        # would take x for the root while another moves on.
+        x, value, slope, below, above, last, stride, status, steps = state
         below, above = jnp.where(value <= 0, x, below), jnp.where(value >= 0, x, above)
         target = x - value / jnp.where(slope == 0, 1, slope)
         inside = (slope != 0) & ((target - below) * (target - above) <= 0)
@@ -168,11 +172,11 @@ def _bracketed_iteration(
         done = jnp.abs(target - x) <= tolerance * jnp.abs(target)
         status = jnp.where(done, int(Status.CONVERGED), jnp.where(steps >= max_steps, int(Status.MAX_STEPS), _RUNNING))
         status = jnp.where(jnp.isfinite(value), status, int(Status.NONFINITE))
-        return target, below, above, last, stride, status, steps
+        return target, *at(target), below, above, last, stride, status, steps
 
-    first = (x, below, above, jnp.full_like(x, jnp.inf), jnp.abs(upper - lower), status, jnp.zeros_like(status))
-    x, _, _, _, _, status, steps = jax.lax.while_loop(running, body, first)
-    info = SolveInfo(status.astype(jnp.int32), steps.astype(jnp.int32), jnp.abs(residual(x, params)))
+    first = (x, *at(x), below, above, jnp.full_like(x, jnp.inf), jnp.abs(upper - lower), status, jnp.zeros_like(status))
+    x, value, _, _, _, _, _, status, steps = jax.lax.while_loop(running, body, first)
+    info = SolveInfo(status.astype(jnp.int32), steps.astype(jnp.int32), jnp.abs(value))
     return x, info
 
 
