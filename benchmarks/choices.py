@@ -63,7 +63,7 @@ def finer(settings):
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--json", type=Path, help="write the figures to this file")
-    parser.add_argument("--scenes", type=int, default=2000)
+    parser.add_argument("--scenes", type=int, default=2400)
     parser.add_argument("--seed", type=int, default=12345)
     parser.add_argument("--only", help="models whose name begins so")
     options = parser.parse_args()

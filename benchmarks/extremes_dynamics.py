@@ -76,7 +76,9 @@ def vibration(stage: str, cranks: int, discs: int, method: str) -> Model:
         positive = [case[name] > 0 for name in (*SPRINGS[2:8], *MASSES, "e", "radius", "sun_base", "planet_base")]
         whole = np.all(positive, axis=0) & moderate(case, 1e15) & (np.min([case[n] for n in MASSES], axis=0) > 1e-12)
         whole &= np.all([case[name] >= 0 for name in SPRINGS], axis=0) & np.isin(status, (0, Status.SINGULAR))
-        for lane in np.flatnonzero(whole & (np.abs(case["force_angle"]) < 1.5) & (case["e"] > 1e-9))[:JUDGED]:
+        whole &= np.all([(case[name] >= 0) & (case[name] < 1) for name in (*SWINGS, "loss")], axis=0)
+        whole &= (np.abs(case["force_angle"]) < 1.5) & (case["alpha"] > 0) & (case["alpha"] < 1.5)
+        for lane in np.flatnonzero(whole & (case["e"] > 1e-9))[:JUDGED]:
             expected[lane], error[lane] = compare(case, out, lane)
         return expected, error
 

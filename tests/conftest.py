@@ -1,7 +1,8 @@
 """Test configuration: float64, no silent promotion of dtype or rank, headless pictures, programs compiled once.
 
 Three quarters of the time of the tests is compilation. What one worker or process compiled, all others and
-every later run take from `.pytest_cache`; delete it to compile afresh.
+every later run take from `.pytest_cache`; delete it to compile afresh. LLVM optimises a little only (-O1), which saves
+a sixth of it; benchmarks and the census run as users do, and compare results first.
 """
 
 import json
@@ -9,6 +10,9 @@ import os
 from pathlib import Path
 
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path(__file__).parents[1] / ".pytest_cache" / "jax"))
+os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")  # XLA logs two lines for every kept program it loads
+if "xla_backend_optimization_level" not in os.environ.get("XLA_FLAGS", ""):
+    os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} --xla_backend_optimization_level=1".strip()
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.2")
 
 import jax

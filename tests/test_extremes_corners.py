@@ -188,3 +188,25 @@ def test_geared_cranks_too_soft_for_an_angle_leave_their_neighbours_alone():
     np.testing.assert_array_equal(np.isnan(found.coupler_angle), [False] + [True] * 4)
     assert all(np.isfinite(leaf).all() for leaf in slope.values())
     assert abs(slope["crank_3"][0]) > 1
+
+
+def test_a_torque_too_small_for_its_square_has_a_status():
+    """It was taken for no torque at all: the clearance, which any load takes up whole, was left out."""
+    errors = RVErrors(bearing_clearance=1e-5)
+
+    def error(torque):
+        return four_bar.transmission_error(catalogue.RV_40E, errors, crank_angle=1.0, output_torque=torque)
+
+    found = jax.jit(jax.vmap(error))(np.array([1e-300, 1e-140, 1e-20, 0.0]))
+    np.testing.assert_array_equal(found.info.status, [Status.NONFINITE] + [Status.CONVERGED] * 3)
+    assert np.isnan(found.error[0]) and abs(found.error[1]) > 1e-5 and found.error[3] == 0
+    np.testing.assert_allclose(found.error[1], found.error[2], rtol=1e-9)
+
+
+def test_a_disc_turned_by_half_a_turn_has_a_misfit():
+    """A carrier bore of -1e30 m turns the disc over: 1 - cos from s^2 / (1 + cos) was 0 / 0 there."""
+    bore = np.zeros((3, 2))
+    bore[0, 0] = -1e30
+    design = catalogue.RV_40E.replace(cranks=CrankStage(3, 36e-3))
+    found = jax.jit(lambda e: four_bar.transmission_error(design, e, crank_angle=0.6))(RVErrors(carrier_bore=bore))
+    assert found.info.status == Status.CONVERGED and np.isfinite(found.misfit).all()

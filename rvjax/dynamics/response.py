@@ -144,8 +144,7 @@ def _response(
     amplitude = jnp.where(w < 0, solved.amplitude.conj(), solved.amplitude)  # time reversed
     good = status == Status.CONVERGED
     overflow = ~(jnp.all(jnp.isfinite(amplitude)) & jnp.all(jnp.isfinite(solved.mean)))
-    own = first_failure((solved.singular, Status.SINGULAR), (overflow, Status.NONFINITE))
-    own = jnp.where(solved.singular & overflow, int(Status.SINGULAR), own)
+    own = first_failure((overflow, Status.NONFINITE), (solved.singular, Status.SINGULAR))
     status = jnp.where(good, own, status)
     good &= ~overflow
     order = jnp.arange(1, harmonics + 1, dtype=w.dtype)

@@ -85,7 +85,9 @@ def misfit(unit: Unit, fit: Fit, crank: Crank) -> Any:
         return stretch(2 * unit.radius, pins[1][0] - pins[0][0], pins[1][1] - pins[0][1]) - fit.bore_excess
     c, s = vector(unit, fit, crank)
     length = jnp.sqrt(c**2 + s**2)
-    sine, versine = s / length, s**2 / (length * (length + c))  # sin, 1 - cos of the disc's angle
+    ahead = c > 0  # within a right angle; beyond, 1 - cos loses no digits
+    versine = jnp.where(ahead, s**2 / (length * (length + jnp.where(ahead, c, 0))), 1 - c / length)  # 1 - cos
+    sine = s / length  # of the disc's angle
     offsets = [(x - u, y - v) for (x, y), (u, v) in zip(pins, fit.bores)]
     mean = _mean(offsets)
     square = 2 * sum(

@@ -89,7 +89,9 @@ def take_apart(design: RVReducer, errors: RVErrors, output_torque: Any, *others:
     force = torque / jnp.where(possible & (e > 0), jnp.minimum(e, size), 1) if loaded else 0
     ratio = (jnp.abs(e) + jnp.abs(force) / jnp.where(possible, stiffness, 1)) / size
     finite = jnp.isfinite(ratio**4 + force * force + radius**4 + shortening + stiffness + torque)
-    finite &= size > float(jnp.finfo(size.dtype).tiny) ** 0.25  # nor vanish
+    tiny = float(jnp.finfo(size.dtype).tiny)
+    finite &= size > tiny**0.25  # nor vanish; as squares of forces must not, which tell their direction
+    finite &= (torque == 0) | (jnp.abs(torque) > 1e6 * tiny**0.5 * jnp.maximum(size, 1))
     good = finite & possible
     nominal = ((e, 0.02), (radius, 1), (shortening, 0.5), (stiffness, 1), (torque, 0))
     e, radius, shortening, stiffness, torque = (jnp.where(good, x, safe) for x, safe in nominal)
