@@ -35,6 +35,11 @@ def build(case: Case, cranks: int, discs: int) -> tuple[RVReducer, RVErrors]:
     return design.replace(cycloid=cycloid, cranks=stage), RVErrors(**{name: case[name] for name in READ})
 
 
+def vanishing(case: Case) -> np.ndarray:
+    """A torque whose square, which tells the direction of a force, is below the smallest number."""
+    return (case["torque"] != 0) & (np.abs(case["torque"]) < 1e-200)
+
+
 def ordinary(case: Case) -> np.ndarray:
     """Deflections below the eccentricity and errors below a third of it."""
     fit = np.abs(case["torque"]) < case["stiffness"] * case["e"] * case["e"]
@@ -64,7 +69,7 @@ def reducer(cranks: int, discs: int) -> Model:
         error = np.abs(np.angle(np.exp(1j * (found + turned)))) * sure
         error = np.maximum(error, np.abs(out["values"][1] / case["radius"][:, None] - misfit)).max(1)
         expected = np.where(possible, Status.CONVERGED, Status.INVALID_GEOMETRY)
-        expected = np.where(nonfinite(case), Status.NONFINITE, expected)
+        expected = np.where(nonfinite(case) | vanishing(case), Status.NONFINITE, expected)
         far = ~moderate(case) | (np.abs(case["crank_angle"]) > 1e4) | (np.abs(case["crank_phase"]).max(1) > 1e4)
         far |= (case["e"] < 1e-12) | (case["stiffness"] < 1e-2) | (case["radius"] < 1e-12)
         return np.where(far & (expected != Status.NONFINITE), -1, expected), np.where(far, 0, error / widest)
@@ -155,7 +160,7 @@ def turn(cranks: int, discs: int, angles: int) -> Model:
         possible = plain_discs(case, cranks, discs, 0 * case["e"])[2]
         expected = np.where(possible, Status.CONVERGED, Status.INVALID_GEOMETRY)
         del case["crank_angle"]
-        expected = np.where(nonfinite(case), Status.NONFINITE, expected)
+        expected = np.where(nonfinite(case) | vanishing(case), Status.NONFINITE, expected)
         case["crank_angle"] = 0 * case["e"]
         sound = moderate(case) & (np.abs(case["crank_phase"]).max(1) < 1e4) & (case["e"] > 1e-12)
         sound &= (case["stiffness"] > 1e-2) & (case["radius"] > 1e-12)

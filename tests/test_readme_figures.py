@@ -2,7 +2,8 @@
 
 Oracle: benchmarks/results.json, written by `python benchmarks/run.py`. A figure in the README is followed by a comment
 with the script and the name of its figure, such as `44 <!-- four_bar: numpy_over_library -->`, and by a factor where
-the units differ: `1.9 <!-- dynamics: seconds * 1e3 -->`. It must be the measured one, rounded to the digits shown.
+the units differ: `1.9 <!-- dynamics: seconds * 1e3 -->`. It must be the measured one, rounded to the digits shown. The
+table of levels is that of the measured table which ships with rvjax (`python docs/readme.py levels` writes it).
 """
 
 import json
@@ -11,6 +12,8 @@ import re
 from pathlib import Path
 
 import pytest
+
+from rvjax import accuracy, tradeoff
 
 ROOT = Path(__file__).parent.parent
 RESULTS = ROOT / "benchmarks" / "results.json"
@@ -56,3 +59,11 @@ def test_the_readme_prints_what_was_measured():
     marks, wrong = differences(text, json.loads(RESULTS.read_text("utf-8")))
     assert not wrong, "\n".join(wrong)
     assert marks, "the README marks no figure"
+
+
+def test_the_table_of_levels_is_the_measured_one():
+    text = (ROOT / "README.md").read_text("utf-8")
+    shown = text[text.index("<!-- tradeoff begins -->") : text.index("<!-- tradeoff ends -->")]
+    assert shown.split("\n", 1)[1].strip() == tradeoff.markdown(accuracy.stored())
+    for picture in re.findall(r"\]\((docs/pictures/[^)]+)\)", text):
+        assert (ROOT / picture).stat().st_size > 10_000, picture
