@@ -159,6 +159,10 @@ def judge(contact: str, teeth: int, case: Case, out: Any) -> tuple[np.ndarray, n
     )
     tiny = np.any([np.abs(case[name]) < 1e-20 for name in DESIGN[:5]], axis=0)
     tiny |= (torque != 0) & (np.abs(torque) < 1e-100)  # squares of the loads underflow
+    # A torque below what the rounding of the gaps carries may or may not be found: MAX_STEPS is a reason then.
+    stiff = case["young_modulus"] * case["roller_length"] * case["eccentricity"]
+    drowned = (torque != 0) & (np.abs(torque) < 1e-15 * np.abs(g["gap"]).max(1) * stiff)
+    expected = np.where(drowned & (status == Status.MAX_STEPS), -1, expected)
     trusted = moderate(case) & ~tiny
     expected = np.where(trusted | (expected == Status.NONFINITE) | (expected == Status.INVALID_GEOMETRY), expected, -1)
     return expected, np.where(trusted, error, 0).astype(float)

@@ -13,6 +13,7 @@ import rvjax
 from rvjax import CamRollerErrors, LinkDeviations, RVErrors, Status, catalogue, four_bar, lost_motion, roots
 from rvjax.designs import CrankStage
 from rvjax.lost_motion.flank import Flank, free_rotation
+from rvjax.mesh_force import laws
 
 
 def test_a_preloaded_roller_at_dead_centre_has_no_arm():
@@ -210,3 +211,15 @@ def test_a_disc_turned_by_half_a_turn_has_a_misfit():
     design = catalogue.RV_40E.replace(cranks=CrankStage(3, 36e-3))
     found = jax.jit(lambda e: four_bar.transmission_error(design, e, crank_angle=0.6))(RVErrors(carrier_bore=bore))
     assert found.info.status == Status.CONVERGED and np.isfinite(found.misfit).all()
+
+
+def test_the_cage_limits_a_load_only_by_its_own_share():
+    """A cage that carries a seventieth of the cam force was taken to carry all of it: overload at 0.96 of the limit."""
+    cage, gear, cam_radius, gear_radius = 0.0147, 1.0001, 0.718, 0.961
+    roller = laws.Compliance(*(jnp.asarray(x) for x in (cage, gear, cam_radius, gear_radius, 1.0)))
+    limit = float(laws.load_limit("hertz", roller))
+    assert limit == min(1 / 0.718, 1 / 0.961 / 1.0001)
+    assert float(laws.load_limit("hertz", roller._replace(cage=jnp.asarray(2.0)))) == 0.5
+    # A cam contact alone: the half-width reaches the radius of the roller or of the cam.
+    shares = np.linspace(1e-3, 1 - 1e-3, 999)
+    assert (1 / np.maximum(shares, (1 - shares) ** 2 / shares)).max() < 2.7

@@ -127,7 +127,12 @@ def admit(lumped: Lumped, *conditions: Any) -> tuple[Lumped, tuple[Any, ...], ja
     lumped, conditions = promote(lumped, conditions)
     numbers = _flat(jax.tree.leaves(lumped))
     largest = float(jnp.finfo(numbers.dtype).max) ** 0.4  # products of two numbers, and their quotients, are formed
-    finite = jnp.all(jnp.abs(numbers) < largest)
+    least = float(jnp.finfo(numbers.dtype).tiny) ** 0.5  # squares are formed, and quotients in derivatives
+
+    def fits(x: jax.Array) -> jax.Array:
+        return (jnp.abs(x) < largest) & ((x == 0) | (jnp.abs(x) > least))
+
+    finite = jnp.all(fits(numbers))
     radii = (lumped.sun_base_radius, lumped.planet_base_radius, lumped.eccentricity, lumped.circle_radius)
     smallest = jnp.min(_flat([*radii, *jax.tree.leaves(lumped.inertia)]))
     positive = smallest > 0
@@ -138,8 +143,8 @@ def admit(lumped: Lumped, *conditions: Any) -> tuple[Lumped, tuple[Any, ...], ja
     lumped = jax.tree.map(lambda leaf, spare: jnp.where(good, leaf, spare), lumped, _spare(lumped))
     possible = jnp.asarray(True)
     for condition in jax.tree.leaves(conditions):
-        possible &= jnp.abs(condition) < largest
-    conditions = jax.tree.map(lambda c: jnp.where(jnp.abs(c) < largest, c, 1), conditions)
+        possible &= fits(condition)
+    conditions = jax.tree.map(lambda c: jnp.where(fits(c), c, 1), conditions)
     invalid = ~(positive & loaded)
     return (
         lumped,

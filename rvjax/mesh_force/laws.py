@@ -86,7 +86,8 @@ def load_limit(law: str, roller: Compliance) -> jax.Array:
     if law != "hertz":
         return jnp.full_like(roller.gear, jnp.inf)
     gear = contact.load_limit(roller.gear_radius) / roller.gear
-    return jnp.minimum(jnp.minimum(contact.load_limit(roller.cam_radius), gear), 1 / jnp.maximum(roller.cage, 1))
+    cage = 1 / jnp.maximum(roller.cage, 0.1)  # no limit of a cam contact is above 2.7
+    return jnp.minimum(jnp.minimum(contact.load_limit(roller.cam_radius), gear), cage)
 
 
 def inverse(law: str, depth: jax.Array, roller: Compliance) -> tuple[jax.Array, jax.Array, jax.Array]:

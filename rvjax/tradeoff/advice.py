@@ -55,7 +55,9 @@ def markdown(table: Table) -> str:
         for level in worth_a_mention(model):
             error, relative = level.largest[first][at] / _unit_size(model.outputs[first]), model.relative(level)
             exact = level.name == model.reference
-            shown = ("exact", "") if exact else (f"{error:.2g} {_unit(model.outputs[first])}", f"{100 * relative:.2g} %")
+            shown = (
+                ("exact", "") if exact else (f"{error:.2g} {_unit(model.outputs[first])}", f"{100 * relative:.2g} %")
+            )
             lines.append(f"| {name} | {level.name} | {shown[0]} | {shown[1]} | {_time(level.ns)} |")
             name = ""
     return "\n".join(lines)
