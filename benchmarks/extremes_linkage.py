@@ -46,7 +46,12 @@ def linkage(cranks: str, branch: str, closure: str) -> Model:
             closure=closure,
             gear_stiffness_ratio=case.get("ratio"),
         )
-        return dict(values=got.coupler_angle, status=got.info.status, residual=got.info.residual, scale=jnp.ones(()))
+        out = dict(values=got.coupler_angle, status=got.info.status, residual=got.info.residual, scale=jnp.ones(()))
+        if cranks == "geared":  # what the lengths would pull, of which the residual is a difference
+            pull = sum(jnp.abs(case[name]) for name in ("crank_1", "coupler", "crank_3", "frame"))
+            pull = (pull + jnp.sum(jnp.abs(case["joint"]))) * jnp.abs(case["e"] + case["crank_3"]) / case["e"] ** 2
+            out["residual_scale"] = 1 + jnp.where(jnp.isfinite(pull), pull, 0)
+        return out
 
     return Model(
         "four_bar closures",

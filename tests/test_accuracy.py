@@ -201,7 +201,7 @@ def test_scenes_keep_their_accuracy(lost_motion):
         good = succeeded(status)
         assert jnp.all(succeeded(own)[good])
         assert jnp.all(jnp.abs(found - true)[good] <= (accuracy if choice.bound is None else choice.bound))
-    assert len(names) >= 3
+    assert len(names) >= 2  # the front: first order takes as long as the closed form
 
 
 def test_the_command_prints_writes_and_draws(tmp_path, monkeypatch, capsys):
