@@ -23,6 +23,13 @@ JUDGED = 20  # of a chunk; the oracle takes milliseconds
 SWINGS = ("planetary_swing", "planetary_duty", "cycloid_swing", "cycloid_duty")
 
 
+def ordinary(case: Case) -> np.ndarray:
+    """Damped, held against rotation, and no number of next to nothing: float32 would drop its square."""
+    sizes = [np.abs(value) for value in case.values()]
+    held = case["sun_torsion"] + case["output_torsion"] > 0
+    return (case["loss"] > 0.02) & held & moderate(case, 1e15) & np.all([(x == 0) | (x > 1e-8) for x in sizes], axis=0)
+
+
 def vibration(stage: str, cranks: int, discs: int, method: str) -> Model:
     base = catalogue.RV_320E
 
@@ -123,5 +130,5 @@ def vibration(stage: str, cranks: int, discs: int, method: str) -> Model:
         run,
         judge,
         relative_step,
-        ordinary=lambda c: (c["loss"] > 0.02) & (c["sun_torsion"] + c["output_torsion"] > 0) & moderate(c, 1e15),
+        ordinary=ordinary,
     )

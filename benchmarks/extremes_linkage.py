@@ -50,7 +50,8 @@ def linkage(cranks: str, branch: str, closure: str) -> Model:
         if cranks == "geared":  # what the lengths would pull, of which the residual is a difference
             pull = sum(jnp.abs(case[name]) for name in ("crank_1", "coupler", "crank_3", "frame"))
             pull = (pull + jnp.sum(jnp.abs(case["joint"]))) * jnp.abs(case["e"] + case["crank_3"]) / case["e"] ** 2
-            out["residual_scale"] = 1 + jnp.where(jnp.isfinite(pull), pull, 0)
+            pull = jnp.where(jnp.isfinite(pull), pull, 0)
+            out["residual_scale"] = 1 + pull * (1 + pull / case["ratio"])  # a slip of many turns is rounded as such
         return out
 
     return Model(
