@@ -223,3 +223,19 @@ def test_the_cage_limits_a_load_only_by_its_own_share():
     # A cam contact alone: the half-width reaches the radius of the roller or of the cam.
     shares = np.linspace(1e-3, 1 - 1e-3, 999)
     assert (1 / np.maximum(shares, (1 - shares) ** 2 / shares)).max() < 2.7
+
+
+def test_the_turn_of_many_discs_of_any_size():
+    """Lengths 1e-60 times as long leave all angles; the product of eight vectors vanished, and with it the error."""
+    design = catalogue.RV_40E
+    design = design.replace(cycloid=design.cycloid.replace(disc_count=8))
+    small = design.replace(
+        cycloid=design.cycloid.replace(eccentricity=1.3e-63, pin_circle_radius=64e-63),
+        cranks=design.cranks.replace(circle_radius=36e-63),
+    )
+    delta = 1e-6 * np.random.default_rng(0).normal(size=(8, 2))
+    figure = jax.jit(
+        lambda design, delta: four_bar.revolution(design, RVErrors(crank_eccentricity=delta), angles=16).maximum
+    )
+    np.testing.assert_allclose(figure(small, 1e-60 * delta), figure(design, delta), rtol=1e-9)
+    assert figure(design, delta) > 1e-6

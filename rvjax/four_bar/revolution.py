@@ -158,11 +158,13 @@ def _quotient(parts: Any) -> Callable[[Crank], jax.Array]:
     """
     unit, fits = parts
     discs = range(len(unit.disc))
+    scale = 1 / (len(fits[0].seats) * unit.radius**2)  # vectors near 1, however many are multiplied
     product = [(jnp.ones_like(unit.radius), jnp.zeros_like(unit.radius))]
     if unit.load is None:
         for k in discs:
-            still = (len(fits[k].seats) * unit.radius**2 + jnp.real(fits[k].still), jnp.imag(fits[k].still))
-            turning = unit.disc_crank(k, Crank(jnp.real(fits[k].turning), jnp.imag(fits[k].turning)))
+            still = (1 + scale * jnp.real(fits[k].still), scale * jnp.imag(fits[k].still))
+            turning = Crank(scale * jnp.real(fits[k].turning), scale * jnp.imag(fits[k].turning))
+            turning = unit.disc_crank(k, turning)
             risen = [(0, 0), *(_times(z, turning) for z in product)]
             product = [(x + u, y + v) for (x, y), (u, v) in zip([*(_times(z, still) for z in product), (0, 0)], risen)]
 
@@ -173,7 +175,8 @@ def _quotient(parts: Any) -> Callable[[Crank], jax.Array]:
             cosine, sine = x + u, y + v
         if unit.load is not None:
             for k in discs:
-                cosine, sine = _times((cosine, sine), vector(unit, fits[k], unit.disc_crank(k, first)))
+                c, s = vector(unit, fits[k], unit.disc_crank(k, first))
+                cosine, sine = _times((cosine, sine), (scale * c, scale * s))
         size = jnp.abs(cosine) + jnp.abs(sine)
         beyond = jnp.where(sine >= 0, 2, -2) * size - sine
         return -divide(jnp.where(cosine >= 0, sine, beyond), size)
