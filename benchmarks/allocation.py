@@ -14,17 +14,16 @@ import time
 
 import numpy as np
 from scipy import optimize, stats
-
 from timing import arguments, publish, settings
 
 settings()
 
 from rvjax.study import load  # noqa: E402  (after the flags)
 from rvjax.tolerances import ReciprocalPower, Requirement, Tolerance, allocate  # noqa: E402
-from rvjax.tolerances.layout import layout  # noqa: E402
-from rvjax.tolerances.responses import PLAIN  # noqa: E402
-from rvjax.tolerances.search import Search  # noqa: E402
-from rvjax.tolerances.training import Training  # noqa: E402
+from rvjax.tolerances.allocation.search import Search  # noqa: E402
+from rvjax.tolerances.allocation.training import Training  # noqa: E402
+from rvjax.tolerances.population.layout import layout  # noqa: E402
+from rvjax.tolerances.propagation.responses import PLAIN  # noqa: E402
 from rvjax.units import um  # noqa: E402
 
 GRADIENT, VIOLATION, NEAR = 3, 2e-3, 1.01

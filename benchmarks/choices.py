@@ -18,16 +18,17 @@ import jax  # noqa: E402
 import jax.numpy as jnp  # noqa: E402
 import numpy as np  # noqa: E402
 
-from rvjax import scene, tradeoff  # noqa: E402
-from rvjax.accuracy import stored  # noqa: E402
+from rvjax.levels import subjects  # noqa: E402
+from rvjax.levels.table import stored  # noqa: E402
 from rvjax.status import succeeded  # noqa: E402
+from rvjax.study import response as scene  # noqa: E402
 from rvjax.tolerances import sample  # noqa: E402
 
 UNITS, BLOCK = 32, 512  # units of a scene; at once
 
 
 def draw(subject, rng, number):
-    """Design, tolerances, conditions, output and accuracy of one scene."""
+    """Design, tolerances, conditions, output and accuracy of one response."""
     model = stored().models[subject.name]
     spread = model.spread
     design = jax.tree.map(lambda x: float(x * (1 + rng.uniform(-spread, spread))), subject.design)
@@ -67,14 +68,14 @@ def main():
     parser.add_argument("--seed", type=int, default=12345)
     parser.add_argument("--only", help="models whose name begins so")
     options = parser.parse_args()
-    measured = [s for s in tradeoff.subjects() if s.tolerances is not None and s.name in stored().models]
-    subjects = [s for s in measured if s.name.startswith(options.only or "")]
+    measured = [s for s in subjects() if s.tolerances is not None and s.name in stored().models]
+    asked = [s for s in measured if s.name.startswith(options.only or "")]
     figures, broken, exact, worst, total, saved = {}, 0, 0, 0.0, 0, []
     unit = jax.jit(jax.vmap(lambda tolerances, index: sample(tolerances, index, seed=99), in_axes=(None, 0)))
-    for subject in subjects:
+    for subject in asked:
         rng = np.random.default_rng([options.seed, len(subject.name)])
         model, levels, scenes = stored().models[subject.name], collections.defaultdict(list), []
-        for number in range(options.scenes // len(subjects)):
+        for number in range(options.scenes // len(asked)):
             design, tolerances, conditions, output, accuracy, torque = draw(subject, rng, number)
             choice = scene.choose(design, (output,), conditions, tolerances=tolerances, accuracy={output: accuracy})[
                 output

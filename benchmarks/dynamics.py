@@ -23,7 +23,7 @@ from rvjax.catalogue import RV_320E  # noqa: E402
 from rvjax.units import rpm  # noqa: E402
 
 sys.path.append(str(Path(__file__).parent.parent / "tests"))
-from dynamics_oracle import Oracle  # noqa: E402
+from oracles.dynamics import Oracle  # noqa: E402
 
 TORQUE, RATED = -3136.0, 1000 * rpm
 SPEEDS = np.linspace(200, 4000, 2000) * rpm

@@ -13,7 +13,6 @@ import resource
 import time
 
 import numpy as np
-
 from timing import alternate, arguments, c_library, compiled, publish, settings
 
 settings()

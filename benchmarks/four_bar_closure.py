@@ -8,7 +8,6 @@ one core (`taskset -c 0`) for the ratio to C.
 import ctypes
 
 import numpy as np
-
 from timing import alternate, arguments, c_library, compiled, publish, settings
 
 settings()
@@ -17,7 +16,7 @@ import jax  # noqa: E402
 import jax.numpy as jnp  # noqa: E402
 
 from rvjax import LinkDeviations, four_bar  # noqa: E402
-from rvjax.fastmath import _ARCTAN, _COSINE, _SINE  # noqa: E402
+from rvjax.elementary import _ARCTAN, _COSINE, _SINE  # noqa: E402
 
 CASES = 65_536
 E, L = 1.3e-3, 72e-3

@@ -9,7 +9,6 @@ import ctypes
 import jax
 import jax.numpy as jnp
 import numpy as np
-
 from timing import alternate, arguments, c_library, compiled, publish, settings
 
 settings()

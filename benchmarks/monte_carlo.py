@@ -24,10 +24,11 @@ settings()
 
 import jax.numpy as jnp  # noqa: E402
 
-from rvjax import scene, study  # noqa: E402
+from rvjax import study  # noqa: E402
+from rvjax.study import response as scene  # noqa: E402
 from rvjax.tolerances import monte_carlo  # noqa: E402
-from rvjax.tolerances.layout import drawn, layout, root_key  # noqa: E402
-from rvjax.tolerances.responses import respond  # noqa: E402
+from rvjax.tolerances.population.layout import drawn, layout, root_key  # noqa: E402
+from rvjax.tolerances.propagation.responses import respond  # noqa: E402
 from rvjax.units import arcmin  # noqa: E402
 
 FIELDS = ("crank_eccentricity", "crank_phase", "disc_bore", "carrier_bore", "bearing_clearance")

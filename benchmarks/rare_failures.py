@@ -10,16 +10,15 @@ import time
 from pathlib import Path
 
 import numpy as np
-
 from timing import publish, settings
 
 settings()
 
-from rvjax import scene  # noqa: E402  (after the flags)
 from rvjax.study import load  # noqa: E402
+from rvjax.study import response as scene  # noqa: E402  (after the flags)
 from rvjax.tolerances import Requirement, failure_probability  # noqa: E402
-from rvjax.tolerances.layout import root_key  # noqa: E402
-from rvjax.tolerances.responses import BLOCK, respond_units  # noqa: E402
+from rvjax.tolerances.population.layout import root_key  # noqa: E402
+from rvjax.tolerances.propagation.responses import BLOCK, respond_units  # noqa: E402
 from rvjax.units import um  # noqa: E402
 
 OUTPUT, LIMITS, SAMPLES = "misfit", (24 * um, 25 * um, 27 * um), 65_536

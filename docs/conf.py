@@ -12,6 +12,7 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(HERE.parent / ".pytest_cache" / "jax"))
 
 import made  # noqa: E402
+
 import rvjax  # noqa: E402
 
 project, author, copyright = "rvjax", "rvjax authors", "rvjax authors, Apache-2.0"

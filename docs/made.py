@@ -8,13 +8,15 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import rvjax
-from rvjax import accuracy, catalogue, dynamics, four_bar, lost_motion, plotting, published, scene, tradeoff, units
+from rvjax import catalogue, dynamics, four_bar, levels, lost_motion, plotting, published, units
 from rvjax.errors import CamRollerErrors, RVErrors
+from rvjax.levels import table
 from rvjax.plotting import drawings
 from rvjax.plotting import dynamics as dynamic_pictures
 from rvjax.plotting import mesh_force as mesh_pictures
 from rvjax.plotting.style import AFTER, BEFORE
 from rvjax.status import MEANING, PRECEDENCE, SUCCESS
+from rvjax.study import response as scene
 from rvjax.units import arcmin, arcsec, readable, rpm, um
 
 
@@ -85,7 +87,7 @@ def _shape(f):
 
 def _levels():
     blocks = []
-    for model in accuracy.stored().models.values():
+    for model in table.stored().models.values():
         first = next(iter(model.outputs))
         unit, size = ("arcsec", arcsec) if model.outputs[first] == "rad" else readable(model.outputs[first])
         front, at = model.front(), model.sizes.index(min(model.sizes, key=lambda s: abs(s - 1)))
@@ -98,12 +100,12 @@ def _levels():
             )
         blocks += [
             f"## {model.name}: {first.replace('_', ' ')}\n",
-            f"One case is a {model.case}.\n\n{tradeoff.advice(model)}\n",
+            f"One case is a {model.case}.\n\n{levels.advice(model)}\n",
             _table(
                 ["level (bold: on the front)", "time, us", f"largest error, {unit}", "over rms of the output"], rows
             ),
         ]
-    stored = accuracy.stored()
+    stored = table.stored()
     machine = ", ".join(
         f"{key} {value}" for key, value in stored.machine.items() if key in ("processor", "cores", "jax")
     )
@@ -204,5 +206,5 @@ PICTURES = {
     ),
     "tooth": (lambda axes: mesh_pictures.tooth(catalogue.CORR, axes=axes), (7, 4.6)),
     "campbell": (_campbell, (7, 4.6)),
-    "tradeoff": (lambda axes: plotting.tradeoff(accuracy.stored()), None),
+    "tradeoff": (lambda axes: plotting.tradeoff(table.stored()), None),
 }

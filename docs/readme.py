@@ -14,7 +14,8 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
 import rvjax
-from rvjax import accuracy, plotting, study, tradeoff
+from rvjax import plotting, study
+from rvjax.levels import markdown, table
 
 README = Path(__file__).parents[1] / "README.md"
 PICTURES = Path(__file__).parent / "pictures"
@@ -25,13 +26,13 @@ def levels() -> None:
     """The measured levels, as the table and the picture."""
     text = README.read_text("utf-8")
     before, after = text[: text.index(BEGIN) + len(BEGIN)], text[text.index(END) :]
-    README.write_text(f"{before}\n{tradeoff.markdown(accuracy.stored())}\n\n{after}", "utf-8")
-    plotting.tradeoff(accuracy.stored()).savefig(PICTURES / "tradeoff.png", dpi=80)
+    README.write_text(f"{before}\n{markdown(table.stored())}\n\n{after}", "utf-8")
+    plotting.tradeoff(table.stored()).savefig(PICTURES / "tradeoff.png", dpi=80)
 
 
 def answer() -> None:
     """What the embedded study answers: two requirements before and after, and what the tolerances cost."""
-    from rvjax.answer import answer
+    from rvjax.study.answer import answer
 
     found = answer(study.load("rv-40e"), progress=False)
     with plotting.style():

@@ -243,41 +243,44 @@ def _has_avx512() -> bool:
 
 
 def _allocate(options: argparse.Namespace) -> int:
-    from rvjax import report, study
-    from rvjax.answer import answer
+    from rvjax import study
+    from rvjax.report import text
+    from rvjax.study.answer import answer
     from rvjax.tolerances.atomic import check_writable
 
     question = study.load(options.study)
-    folder = report.results_folder(options.results, question.name)
+    folder = text.results_folder(options.results, question.name)
     check_writable(folder)
     found = answer(question, progress=not options.quiet)
-    print(report.summary(found))
-    report.write(found, folder)
+    print(text.summary(found))
+    text.write(found, folder)
     print(f"\nResults: {folder}")
     return EXIT_OK if found.allocation.status == "OPTIMAL" else EXIT_NO_ANSWER
 
 
 def _report(options: argparse.Namespace) -> int:
-    from rvjax import page, report, study
-    from rvjax.answer import answer
+    from rvjax import study
+    from rvjax.report import page, text
+    from rvjax.study.answer import answer
     from rvjax.tolerances.atomic import check_writable, write_atomically
 
     _check_files(options, output=".html")
     question = study.load(options.study)
     given = options.output is not None
-    path = Path(options.output) if given else report.results_folder(None, question.name) / "report.html"
+    path = Path(options.output) if given else text.results_folder(None, question.name) / "report.html"
     check_writable(path)
     found = answer(question, progress=not options.quiet)
     content = page.page(found, options.study).encode("utf-8")
     path.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(path, content)
-    print(report.headline(found))
+    print(text.headline(found))
     print(f"Report: {path}")
     return EXIT_OK if found.allocation.status == "OPTIMAL" else EXIT_NO_ANSWER
 
 
 def _montecarlo(options: argparse.Namespace) -> int:
-    from rvjax import batch
+    from rvjax.report import batch as written
+    from rvjax.study import batch
 
     _check_files(options, json=".json", save=".npz")
     wanted = batch.Batch(
@@ -297,8 +300,8 @@ def _montecarlo(options: argparse.Namespace) -> int:
     started = time.perf_counter()
     found = batch.run(wanted) if options.processes == 1 else batch.run_in_processes(options.command, options.processes)
     seconds = time.perf_counter() - started
-    batch.write(found, options.study, figures=options.json, samples=options.save)
-    print(batch.summary(found, options.study))
+    written.write(found, options.study, figures=options.json, samples=options.save)
+    print(written.summary(found, options.study))
     print(f"\n{seconds:.1f} s, start and compilation included")
     return EXIT_OK
 
@@ -314,27 +317,28 @@ def _check_files(options: argparse.Namespace, **endings: str) -> None:
 
 
 def _reproduce(options: argparse.Namespace) -> int:
-    from rvjax import published, report
+    from rvjax import published
+    from rvjax.report import text
 
     rows = published.reproduce()
     if options.json:
         print(json.dumps([row.as_json() for row in rows], indent=1, allow_nan=False))
     else:
-        print(report.comparison_table(rows, notes=options.notes))
+        print(text.comparison_table(rows, notes=options.notes))
     return EXIT_OK
 
 
 def _tradeoff(options: argparse.Namespace) -> int:
-    from rvjax import plotting, tradeoff
+    from rvjax import levels, plotting
 
     _check_files(options, json=".json", picture=".png")
     started = time.perf_counter()
-    table = tradeoff.measure(
+    table = levels.measure(
         quick=not options.full,
         seed=options.seed,
         say=lambda name: print(f"measuring {name}", file=sys.stderr, flush=True),
     )
-    print(tradeoff.report(table))
+    print(levels.report(table))
     if options.json:
         table.save(options.json)
     if options.picture:

@@ -13,13 +13,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rvjax import cli, scene, study, tradeoff
-from rvjax.accuracy import SAFETY, Level, Model, Table, stored
+from rvjax import cli, levels, study
 from rvjax.catalogue import RV_40E
+from rvjax.levels import subjects
+from rvjax.levels.table import SAFETY, Level, Model, Table, stored
 from rvjax.plotting import tradeoff as picture
 from rvjax.status import succeeded
+from rvjax.study import response as scene
 from rvjax.tolerances import Tolerance, for_design, sample
-from rvjax.tradeoff import subjects
 from rvjax.units import arcsec, um
 
 
@@ -69,7 +70,7 @@ def test_the_front_and_the_sentence():
     worse = level("worse", [1.0, 0.02, 1.0], 5.0)
     made = model(ROUGH, worse, FINE)
     assert [x.name for x in made.front()] == ["rough", "fine", "exact"]
-    sentence = tradeoff.advice(made)
+    sentence = levels.advice(made)
     assert "rough (1 ns)" in sentence and "fine (10 ns)" in sentence and "worse" not in sentence
 
 
@@ -77,7 +78,7 @@ def test_a_table_comes_back_from_its_file(tmp_path):
     table = Table({"cores": 2}, 0, {"m": model(ROUGH, BROKEN)})
     table.save(tmp_path / "t.json")
     assert Table.load(tmp_path / "t.json") == table
-    assert "broken" in tradeoff.report(table)
+    assert "broken" in levels.report(table)
 
 
 def test_every_model_of_the_stored_table_can_be_shown():
@@ -86,7 +87,7 @@ def test_every_model_of_the_stored_table_can_be_shown():
     figure = picture(table)
     assert sum(axes.get_visible() for axes in figure.axes) == len(table.models)
     for one in table.models.values():
-        assert tradeoff.advice(one).startswith(("Take ", "Only ")) and len(one.front()) >= 2
+        assert levels.advice(one).startswith(("Take ", "Only ")) and len(one.front()) >= 2
 
 
 LINKS = dict(crank_eccentricity=Tolerance.symmetric(6.5 * um), disc_bore=Tolerance.symmetric(6.5 * um))
@@ -158,7 +159,7 @@ def lost_motion():
 def test_measuring_a_model(lost_motion):
     ways = tuple(way for way in lost_motion.ways if way.name != "contact")
     small = dataclasses.replace(lost_motion, ways=ways, batch=64, calls=1)
-    made = tradeoff.measure_model(small, seed=0, seconds=0.01)
+    made = levels.measure_model(small, seed=0, seconds=0.01)
     exact = made.level(made.reference)
     assert exact.largest == {"lost_motion": [0.0, 0.0, 0.0]} and all(x.ns > 0 for x in made.levels)
     single = made.level("closed form, float32")
@@ -205,7 +206,7 @@ def test_scenes_keep_their_accuracy(lost_motion):
 
 
 def test_the_command_prints_writes_and_draws(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(tradeoff, "measure", lambda **_: Table({"cores": 2}, 0, {"m": model(ROUGH, FINE)}))
+    monkeypatch.setattr(levels, "measure", lambda **_: Table({"cores": 2}, 0, {"m": model(ROUGH, FINE)}))
     files = tmp_path / "t.json", tmp_path / "t.png"
     assert cli.main(["tradeoff", "--full", "--json", str(files[0]), "--picture", str(files[1])]) == 0
     assert Table.load(files[0]).models["m"].level("rough") == ROUGH and files[1].stat().st_size > 1000

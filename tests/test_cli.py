@@ -20,9 +20,10 @@ import numpy as np
 import pytest
 
 import rvjax
-import rvjax.answer
-import rvjax.worst_units
-from rvjax import cli, page, report
+import rvjax.report.worst_units
+import rvjax.study.answer
+from rvjax import cli
+from rvjax.report import page, text
 
 GOOD = (resources.files("rvjax.study") / "embedded" / "rv-40e.toml").read_text("utf-8")
 SMALL = GOOD.replace("angles = 64 ", "angles = 12 ").replace("samples = 16384", "samples = 1024")
@@ -40,7 +41,7 @@ def here(tmp_path, monkeypatch):
 @pytest.fixture(scope="module", autouse=True)
 def answers():
     """Every study is answered once, whichever command asks."""
-    found, real = {}, rvjax.answer.answer
+    found, real = {}, rvjax.study.answer.answer
 
     def once(question, *, progress=False):
         key = question.text
@@ -212,7 +213,7 @@ def test_the_page_holds_the_answer_and_needs_nothing_else(written, answered):
 
 def test_the_worst_units_are_the_worst_and_can_be_replayed(answers, answered):
     answer = answers[SMALL]
-    found = rvjax.worst_units.worst_units(answer)
+    found = rvjax.report.worst_units.worst_units(answer)
     assert [unit.requirement for unit in found] == [n for n in answer.study.requirements for _ in range(2)]
     side = answer.after
     for name in answer.study.requirements:
@@ -262,8 +263,8 @@ def test_a_failure_while_writing_leaves_nothing(answered, here, monkeypatch):
     def fail(*_):
         raise OSError("disk full")
 
-    monkeypatch.setattr(report, "summary", lambda answer: "text")
-    monkeypatch.setattr(report, "as_json", fail)
+    monkeypatch.setattr(text, "summary", lambda answer: "text")
+    monkeypatch.setattr(text, "as_json", fail)
 
     class Study:
         text = "x"
@@ -272,15 +273,15 @@ def test_a_failure_while_writing_leaves_nothing(answered, here, monkeypatch):
         study = Study
 
     with pytest.raises(OSError, match="disk full"):
-        report.write(Answer, here / "results" / "x")
+        text.write(Answer, here / "results" / "x")
     assert list((here / "results").iterdir()) == []
 
 
 def test_results_folders_are_never_overwritten(here):
-    assert str(report.results_folder(None, "x")) == "results/x"
+    assert str(text.results_folder(None, "x")) == "results/x"
     (here / "results" / "x").mkdir(parents=True)
     (here / "results" / "x-2").mkdir()
-    assert str(report.results_folder(None, "x")) == "results/x-3"
+    assert str(text.results_folder(None, "x")) == "results/x-3"
 
 
 def test_version_and_module_entry():

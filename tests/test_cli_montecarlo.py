@@ -12,7 +12,8 @@ from importlib import resources
 import numpy as np
 import pytest
 
-from rvjax import batch, cli, study
+from rvjax import cli, study
+from rvjax.study import batch
 from rvjax.tolerances import load, monte_carlo, origin
 
 GOOD = (resources.files("rvjax.study") / "embedded" / "rv-40e.toml").read_text("utf-8")

@@ -9,8 +9,9 @@ import jax
 import numpy as np
 import pytest
 
-from rvjax import mesh_force, scene, study
+from rvjax import mesh_force, study
 from rvjax.catalogue import CORR
+from rvjax.study import response as scene
 from rvjax.tolerances import Tolerance, allocate, for_design, monte_carlo, sample
 from rvjax.units import um
 

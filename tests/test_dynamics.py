@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import rvjax
-from dynamics_oracle import Oracle, layout
+from oracles.dynamics import Oracle, layout
 from rvjax import Status, dynamics
 from rvjax.catalogue import RV_20E, RV_320E
 from rvjax.plotting import dynamics as plotting

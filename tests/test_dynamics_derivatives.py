@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dynamics_oracle import Oracle, layout
+from oracles.dynamics import Oracle, layout
 from rvjax import Damping, dynamics
 from rvjax.catalogue import RV_320E
 from rvjax.units import rpm

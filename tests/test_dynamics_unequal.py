@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dynamics_oracle import Oracle, layout
+from oracles.dynamics import Oracle, layout
 from rvjax import Damping, Status, dynamics
 from rvjax.catalogue import RV_320E
 from rvjax.dynamics import with_deviations

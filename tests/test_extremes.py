@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 import rvjax
 from rvjax import CamRollerErrors, LinkDeviations, RVErrors, Status, catalogue, four_bar, lost_motion
-from rvjax.fastmath import LARGEST_ANGLE
+from rvjax.elementary import LARGEST_ANGLE
 
 KEPT = (Status.CONVERGED, Status.UNLOADED, Status.CHANGE_POINT, Status.SINGULAR)
 

@@ -8,7 +8,6 @@ in mpmath over random linkages (1e-11 relative: rounding of the inputs, amplifie
 import mpmath
 import numpy as np
 import pytest
-
 from four_bar_cases import EXACT, METHODS, MM, at, batch, columns, linkages, names, random_linkages, solver
 
 READINGS = {

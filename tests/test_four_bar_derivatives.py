@@ -8,8 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-
 from four_bar_cases import METHODS, MM, SPACING, E, at, batch, columns, one, padded, random_linkages, slopes, solver
+
 from rvjax import LinkDeviations, Status
 
 

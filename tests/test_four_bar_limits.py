@@ -5,8 +5,8 @@ Oracles: the geometry of each case, worked out beside it; statuses by their defi
 
 import numpy as np
 import pytest
-
 from four_bar_cases import METHODS, MM, SPACING, E, at, batch, names, random_linkages, solver
+
 from rvjax import LinkDeviations, check, four_bar
 
 FREE = [methods for methods in METHODS if methods[0] == "free"]

@@ -11,8 +11,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-
 from four_bar_reducers import READ, drawn, reducer, referenced, revolution, transmission_error
+
 from rvjax import RVErrors, Status, catalogue, four_bar
 from rvjax.four_bar.forces import pin_load_ratio
 from rvjax.units import mm, um

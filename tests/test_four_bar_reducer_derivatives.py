@@ -7,8 +7,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-
 from four_bar_reducers import READ, cast, changed, drawn, reducer, transmission_error
+
 from rvjax import CrankStage, RVErrors, Status, catalogue, four_bar
 from rvjax.units import mm, um
 

@@ -8,9 +8,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from lost_motion_cases import TRUE_K1, cycloid, solve
 
 import rvjax
-from lost_motion_cases import TRUE_K1, cycloid, solve
 from rvjax import RVErrors, Status
 from rvjax.catalogue import RV_20E, RV_20E_ERRORS
 from rvjax.lost_motion import empirical_normal_force, geometric, shaft_tilt

@@ -10,8 +10,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-
 from lost_motion_cases import TRUE_K1, cycloid, solve
+
 from rvjax import RVErrors
 from rvjax.catalogue import RV_20E, RV_20E_ERRORS
 from rvjax.lost_motion import geometric

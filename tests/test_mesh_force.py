@@ -9,9 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-import cam_roller
 import rvjax
-from cam_roller import corr, solve
+from oracles import cam_roller
+from oracles.cam_roller import corr, solve
 from rvjax import CamRollerErrors, CamRollerReducer, Status, mesh_force
 
 CORR = rvjax.catalogue.CORR

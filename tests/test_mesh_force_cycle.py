@@ -8,9 +8,9 @@ import jax
 import numpy as np
 import pytest
 
-import cam_roller
 import rvjax
-from cam_roller import corr, geometry, half_widths
+from oracles import cam_roller
+from oracles.cam_roller import corr, geometry, half_widths
 from rvjax import CamRollerErrors, Status, mesh_force
 
 CORR = rvjax.catalogue.CORR

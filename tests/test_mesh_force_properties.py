@@ -11,8 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-import cam_roller
-from cam_roller import approach, corr, geometry, half_widths, random_units, solve
+from oracles import cam_roller
+from oracles.cam_roller import approach, corr, geometry, half_widths, random_units, solve
 from rvjax import Status
 
 TEETH = (2, 5, 25)  # the census of benchmarks/extremes.py draws a million, up to 200 teeth

@@ -11,10 +11,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rvjax import dynamics, scene, study
+from rvjax import dynamics, study
 from rvjax.catalogue import RV_320E
+from rvjax.study import response as scene
 from rvjax.tolerances import Tolerance, for_design, sample
-from rvjax.tolerances.layout import layout
+from rvjax.tolerances.population.layout import layout
 from rvjax.units import um
 
 UNITS = 64

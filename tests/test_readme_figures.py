@@ -13,7 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from rvjax import accuracy, tradeoff
+from rvjax import levels
+from rvjax.levels import table
 
 ROOT = Path(__file__).parent.parent
 RESULTS = ROOT / "benchmarks" / "results.json"
@@ -64,6 +65,6 @@ def test_the_readme_prints_what_was_measured():
 def test_the_table_of_levels_is_the_measured_one():
     text = (ROOT / "README.md").read_text("utf-8")
     shown = text[text.index("<!-- tradeoff begins -->") : text.index("<!-- tradeoff ends -->")]
-    assert shown.split("\n", 1)[1].strip() == tradeoff.markdown(accuracy.stored())
+    assert shown.split("\n", 1)[1].strip() == levels.markdown(table.stored())
     for picture in re.findall(r"\]\((docs/pictures/[^)]+)\)", text):
         assert (ROOT / picture).stat().st_size > 10_000, picture

@@ -11,8 +11,8 @@ import math
 import jax.numpy as jnp
 import numpy as np
 import pytest
-
 from linear_pair import COSTS, LIMIT, PAIR, WIDE, linear, radius
+
 from rvjax import plotting
 from rvjax.tolerances import (
     Exponential,
@@ -27,7 +27,7 @@ from rvjax.tolerances import (
     training,
     worst_case,
 )
-from rvjax.tolerances.responses import respond
+from rvjax.tolerances.propagation.responses import respond
 from rvjax.units import mm, um
 
 

@@ -16,8 +16,8 @@ from scipy import stats
 
 import rvjax
 from rvjax.tolerances import Tolerance, it_width
-from rvjax.tolerances.distributions import central_moments, deviate
-from rvjax.tolerances.grades import GRADES
+from rvjax.tolerances.distribution.grades import GRADES
+from rvjax.tolerances.distribution.tolerance import central_moments, deviate
 from rvjax.units import mm, um
 
 Z = np.linspace(-6, 6, 241)

@@ -14,8 +14,8 @@ import pytest
 from scipy import integrate, special, stats
 
 import rvjax
-from rvjax import scene
 from rvjax.status import Status
+from rvjax.study import response as scene
 from rvjax.tolerances import Outcome, Requirement, Tolerance, failure_probability, for_design, monte_carlo
 from rvjax.units import um
 

@@ -17,9 +17,9 @@ from scipy import stats
 import rvjax
 from rvjax.status import Status
 from rvjax.tolerances import Outcome, Requirement, Tolerance, for_design, monte_carlo, sample
-from rvjax.tolerances.estimates import Moments4, wilson
-from rvjax.tolerances.order import ExactOrder, Order, quantile_estimate
-from rvjax.tolerances.responses import respond
+from rvjax.tolerances.propagation.estimates import Moments4, wilson
+from rvjax.tolerances.propagation.order import ExactOrder, Order, quantile_estimate
+from rvjax.tolerances.propagation.responses import respond
 from rvjax.units import mm, um
 
 STACK = dict(a=Tolerance.symmetric(12 * um), b=Tolerance.symmetric(9 * um), c=Tolerance.symmetric(6 * um))

@@ -25,10 +25,10 @@ from scipy.stats import qmc
 
 from rvjax.status import Status
 from rvjax.tolerances import Outcome, Requirement, Tolerance, checkpoint, monte_carlo, sample, tally
-from rvjax.tolerances.checkpoint import response_hash
-from rvjax.tolerances.estimates import Moments4, Pairwise
-from rvjax.tolerances.order import Order
-from rvjax.tolerances.sobol import SCRAMBLES, SobolPoints
+from rvjax.tolerances.population.sobol import SCRAMBLES, SobolPoints
+from rvjax.tolerances.propagation.checkpoint import response_hash
+from rvjax.tolerances.propagation.estimates import Moments4, Pairwise
+from rvjax.tolerances.propagation.order import Order
 
 STACK = {name: Tolerance.symmetric(size) for name, size in dict(a=3.0, b=2.0, c=1.0).items()}
 LIMITS = {"y": Requirement(upper=3.0), "z": Requirement(lower=-2.0, upper=2.0)}

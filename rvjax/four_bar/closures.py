@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax import roots
-from rvjax.fastmath import LARGEST_ANGLE, arctan2, sin_cos
+from rvjax.elementary import LARGEST_ANGLE, arctan2, sin_cos
 from rvjax.status import SolveInfo, Status
 
 

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax.fastmath import sin_cos
+from rvjax.elementary import sin_cos
 from rvjax.four_bar.closures import Crank
 
 

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax.fastmath import LARGEST_ANGLE, sin_cos
+from rvjax.elementary import LARGEST_ANGLE, sin_cos
 from rvjax.four_bar import closures
 from rvjax.records import Record, concrete, field, promote, quantity, record
 from rvjax.status import SolveInfo, Status, first_failure

@@ -6,8 +6,8 @@ import jax
 import jax.numpy as jnp
 
 from rvjax.designs import RVReducer
+from rvjax.elementary import arctan2, sin_cos
 from rvjax.errors import RVErrors
-from rvjax.fastmath import arctan2, sin_cos
 from rvjax.four_bar import closures, fit
 from rvjax.four_bar.closures import Crank, crank_direction
 from rvjax.four_bar.linkage import LinkDeviations, check_methods, close

@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax.designs import RVReducer
+from rvjax.elementary import arctan2, divide
 from rvjax.errors import RVErrors
-from rvjax.fastmath import arctan2, divide
 from rvjax.four_bar.closures import Crank, at_once
 from rvjax.four_bar.extremes import extremes_over_turn
 from rvjax.four_bar.fit import fit, misfit, vector

@@ -12,8 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax.designs import RVReducer
+from rvjax.elementary import LARGEST_ANGLE
 from rvjax.errors import RVErrors
-from rvjax.fastmath import LARGEST_ANGLE
 from rvjax.four_bar import forces
 from rvjax.four_bar.closures import Crank
 from rvjax.records import broadcast_fields, is_concrete, promote

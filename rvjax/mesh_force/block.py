@@ -25,7 +25,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rvjax.fastmath import power
+from rvjax.elementary import power
 from rvjax.mesh_force import laws, safe
 from rvjax.mesh_force.case import Case, Roller, lever, roller
 from rvjax.mesh_force.geometry import roller_directions

@@ -9,10 +9,9 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rvjax import contact
 from rvjax.designs import CamRollerReducer
 from rvjax.errors import CamRollerErrors
-from rvjax.mesh_force import geometry
+from rvjax.mesh_force import geometry, line_contact
 from rvjax.mesh_force.laws import Compliance
 
 
@@ -49,7 +48,7 @@ def take_apart(design: CamRollerReducer, errors: CamRollerErrors, torque: Any, a
         angle: of the output, rad.
     """
     r, e, link = design.roller_radius, design.eccentricity, design.cam_radius + design.roller_radius
-    unit = contact.load_unit(design.young_modulus, design.poisson_ratio, design.roller_length, r)
+    unit = line_contact.load_unit(design.young_modulus, design.poisson_ratio, design.roller_length, r)
     case = Case(
         eccentricity=e / link,
         roller_radius=r / link,

@@ -7,10 +7,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax import contact as contact_mechanics
 from rvjax.designs import CamRollerReducer
 from rvjax.errors import CamRollerErrors
-from rvjax.mesh_force import geometry, laws
+from rvjax.mesh_force import geometry, laws, line_contact
 from rvjax.mesh_force.balance import attach, balance
 from rvjax.mesh_force.case import all_rollers, take_apart
 from rvjax.records import Record, field, promote, record
@@ -114,7 +113,7 @@ def _in_range(design: CamRollerReducer, errors: CamRollerErrors, torque: jax.Arr
     """Whether no product on the way overflows, and whether only the load does; squares of the ratios are formed."""
     r, e, link = design.roller_radius, design.eccentricity, design.cam_radius + design.roller_radius
     root = float(jnp.finfo(torque.dtype).max) ** 0.5
-    unit = contact_mechanics.load_unit(design.young_modulus, design.poisson_ratio, design.roller_length, r)
+    unit = line_contact.load_unit(design.young_modulus, design.poisson_ratio, design.roller_length, r)
     interference = jnp.max(jnp.abs(errors.cam_radius) + jnp.abs(errors.eccentricity) + jnp.abs(errors.roller_radius))
     ratios = (link / r, link / e, link / design.cam_radius, interference / r, design.roller_length / r)
     load = jnp.abs(design.cam_share * torque) / (unit * e)

@@ -13,8 +13,8 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rvjax import contact
-from rvjax.fastmath import power
+from rvjax.elementary import power
+from rvjax.mesh_force import line_contact
 
 CONTACTS = ("hertz", "linear", "palmgren")
 
@@ -49,9 +49,9 @@ def approach(law: str, load: jax.Array, roller: Compliance) -> jax.Array:
     if law == "palmgren":
         return roller.palmgren * _palmgren_weight(roller) * power(load, 0.9)
     return (
-        contact.approach(load, roller.cam_radius)
-        + roller.cage * contact.sagitta(roller.cage * load)
-        + roller.gear * contact.approach(roller.gear * load, roller.gear_radius)
+        line_contact.approach(load, roller.cam_radius)
+        + roller.cage * line_contact.sagitta(roller.cage * load)
+        + roller.gear * line_contact.approach(roller.gear * load, roller.gear_radius)
     )
 
 
@@ -70,9 +70,9 @@ def slope(law: str, load: jax.Array, roller: Compliance) -> jax.Array:
         some = jnp.where(loaded, load, 1)
         return jnp.where(loaded, 0.9 * roller.palmgren * _palmgren_weight(roller) * power(some, -0.1), 1)
     return (
-        contact.approach_slope(load, roller.cam_radius)
-        + roller.cage**2 * contact.sagitta_slope(roller.cage * load)
-        + roller.gear**2 * contact.approach_slope(roller.gear * load, roller.gear_radius)
+        line_contact.approach_slope(load, roller.cam_radius)
+        + roller.cage**2 * line_contact.sagitta_slope(roller.cage * load)
+        + roller.gear**2 * line_contact.approach_slope(roller.gear * load, roller.gear_radius)
     )
 
 
@@ -85,9 +85,9 @@ def load_limit(law: str, roller: Compliance) -> jax.Array:
     """
     if law != "hertz":
         return jnp.full_like(roller.gear, jnp.inf)
-    gear = contact.load_limit(roller.gear_radius) / roller.gear
+    gear = line_contact.load_limit(roller.gear_radius) / roller.gear
     cage = 1 / jnp.maximum(roller.cage, 0.1)  # no limit of a cam contact is above 2.7
-    return jnp.minimum(jnp.minimum(contact.load_limit(roller.cam_radius), gear), cage)
+    return jnp.minimum(jnp.minimum(line_contact.load_limit(roller.cam_radius), gear), cage)
 
 
 def inverse(law: str, depth: jax.Array, roller: Compliance) -> tuple[jax.Array, jax.Array, jax.Array]:
@@ -142,8 +142,8 @@ def series(depth: jax.Array, roller: Compliance) -> tuple[jax.Array, jax.Array]:
     """
     stiffness = 2 / roller.weight
     y = stiffness * depth
-    gear = contact.approach_series(roller.gear_radius)
-    cam, flat = contact.approach_series(roller.cam_radius), contact.approach_series(1.0)
+    gear = line_contact.approach_series(roller.gear_radius)
+    cam, flat = line_contact.approach_series(roller.cam_radius), line_contact.approach_series(1.0)
     a2, a3 = (
         stiffness * (cam[k] + roller.cage ** (k + 3) * flat[k] + roller.gear ** (k + 3) * gear[k]) for k in (0, 1)
     )

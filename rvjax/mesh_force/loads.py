@@ -6,10 +6,9 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from rvjax import contact as line_contact
 from rvjax.designs import CamRollerReducer
 from rvjax.errors import CamRollerErrors
-from rvjax.mesh_force import geometry
+from rvjax.mesh_force import geometry, line_contact
 from rvjax.mesh_force.equilibrium import MeshForces, solve
 from rvjax.records import Record, field, promote, record
 

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from rvjax import scene
+from rvjax.study import response as scene
 from rvjax.tolerances import Requirement
 
 

@@ -8,7 +8,8 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from rvjax import catalogue, scene
+from rvjax import catalogue
+from rvjax.study import response as scene
 from rvjax.study.question import Study, StudyError
 from rvjax.tolerances import Exponential, ReciprocalPower, Requirement, Tolerance, for_design
 from rvjax.units import parse

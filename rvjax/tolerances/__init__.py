@@ -5,21 +5,21 @@
 Nothing here knows a gear: a response is any pure function of the errors of one unit.
 """
 
-from rvjax.tolerances.allocation import Allocation, allocate
-from rvjax.tolerances.cost import Exponential, ReciprocalPower, Table
-from rvjax.tolerances.cost_curve import CostCurve, cost_curve
-from rvjax.tolerances.distributions import Tolerance
-from rvjax.tolerances.estimates import Estimate
-from rvjax.tolerances.failure import FailureProbability, failure_probability
-from rvjax.tolerances.grades import it_width
-from rvjax.tolerances.monte_carlo import Statistics, monte_carlo
-from rvjax.tolerances.requirements import Requirement
-from rvjax.tolerances.responses import Outcome
-from rvjax.tolerances.rss import Moments, rss
-from rvjax.tolerances.sampling import for_design, sample
+from rvjax.tolerances.allocation.allocation import Allocation, allocate
+from rvjax.tolerances.allocation.cost import Exponential, ReciprocalPower, Table
+from rvjax.tolerances.allocation.cost_curve import CostCurve, cost_curve
+from rvjax.tolerances.distribution.grades import it_width
+from rvjax.tolerances.distribution.tolerance import Tolerance
+from rvjax.tolerances.population.sampling import for_design, sample
+from rvjax.tolerances.propagation.estimates import Estimate
+from rvjax.tolerances.propagation.failure import FailureProbability, failure_probability
+from rvjax.tolerances.propagation.monte_carlo import Statistics, monte_carlo
+from rvjax.tolerances.propagation.requirements import Requirement
+from rvjax.tolerances.propagation.responses import Outcome
+from rvjax.tolerances.propagation.rss import Moments, rss
+from rvjax.tolerances.propagation.sobol_indices import SobolIndices, sobol_indices
+from rvjax.tolerances.propagation.worst_case import WorstCase, worst_case
 from rvjax.tolerances.saving import Origin, load, origin, save
-from rvjax.tolerances.sobol_indices import SobolIndices, sobol_indices
-from rvjax.tolerances.worst_case import WorstCase, worst_case
 
 __all__ = [
     "Allocation",

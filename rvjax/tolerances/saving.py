@@ -18,7 +18,7 @@ import numpy as np
 
 from rvjax.records import Record
 from rvjax.tolerances.atomic import write_atomically
-from rvjax.tolerances.checkpoint import packed, unpacked, versions
+from rvjax.tolerances.propagation.checkpoint import packed, unpacked, versions
 
 _FORMAT = 1
 _ABOUT = "about"

@@ -1,0 +1,45 @@
+"""All models of the census, in groups that share the inputs asked for."""
+
+from collections.abc import Iterator
+
+from extremes_cases import Model
+from extremes_dynamics import vibration
+from extremes_linkage import linkage
+from extremes_mesh import mesh
+from extremes_play import play
+from extremes_reducer import reducer, turn
+
+from rvjax.lost_motion.reducer import PROFILES
+
+
+def models() -> Iterator[Model]:
+    """All of them."""
+    for cranks, branch, closure in (
+        ("free", "open", "newton"),
+        ("free", "open", "closed_form"),
+        ("free", "crossed", "newton"),
+        ("free", "crossed", "closed_form"),
+        ("phase_locked", "open", "newton"),
+        ("phase_locked", "open", "closed_form"),
+        ("geared", "open", "newton"),
+    ):
+        yield linkage(cranks, branch, closure)
+    for cranks, discs in ((2, 1), (2, 2), (3, 1), (8, 1)):
+        yield reducer(cranks, discs)
+    for cranks, discs, angles in ((2, 2, 64), (3, 1, 7)):
+        yield turn(cranks, discs, angles)
+    for profile in PROFILES:
+        for teeth in (2, 39, 200):
+            yield play(profile, teeth)
+    for contact in ("hertz", "linear", "palmgren"):
+        for teeth in (2, 25, 200) if contact == "hertz" else (2, 25):
+            yield mesh(contact, teeth)
+    for stage, cranks, discs, method in (
+        ("planetary", 4, 3, "first_order"),
+        ("cycloid", 3, 2, "first_order"),
+        ("planetary", 2, 1, "first_order"),
+        ("cycloid", 8, 8, "first_order"),
+        ("planetary", 3, 3, "harmonic_balance"),
+        ("planetary", 2, 2, "harmonic_balance"),
+    ):
+        yield vibration(stage, cranks, discs, method)

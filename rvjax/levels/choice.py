@@ -1,0 +1,188 @@
+"""Which level of a model a question takes: the cheapest that is measured to be accurate enough."""
+
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from rvjax.levels.table import Model, Table, stored
+from rvjax.records import is_concrete
+from rvjax.tolerances.distribution.tolerance import Tolerance, central_moments
+
+
+@dataclass(frozen=True)
+class Choice:
+    """How one output is computed.
+
+    Attributes:
+        output: name.
+        level: name of the level.
+        settings: conditions that select it, as (name, value).
+        precision: "float64" or "float32".
+        bound: its error stays below this, SI; None for the exact level, from which errors are measured.
+        ns: measured nanoseconds per case; for comparison, they belong to the machine of the table.
+        why: one line.
+    """
+
+    output: str
+    level: str
+    settings: tuple[tuple[str, Any], ...]
+    precision: str
+    bound: float | None
+    ns: float
+    why: str
+
+
+def choose(
+    design: Any,
+    outputs: Sequence[str],
+    conditions: Any,
+    *,
+    tolerances: Any,
+    accuracy: Mapping[str, float],
+    table: Table | None = None,
+) -> dict[str, Choice]:
+    """The cheapest level of each output whose error stays below the accuracy asked for.
+
+    The largest measured error, interpolated in the size of the errors, must meet it with a factor of two. A design,
+    an error or a torque that was not measured takes the exact level. `accuracy` decides over the conditions that
+    select a level (angles, closure, profile), whatever `conditions` say of them.
+
+    Args:
+        design: the reducer.
+        outputs: that are asked for; those without an accuracy are computed as `conditions` say, and are left out here.
+        conditions: how the reducer runs.
+        tolerances: of the units that are to come, the widest if they change; record with a `Tolerance` or None.
+        accuracy: largest error allowed of each output, SI.
+        table: measured levels; by default those that come with rvjax.
+
+    Raises:
+        ValueError: an accuracy that is not positive, of an output that is not asked for or was never measured.
+    """
+    for name, value in accuracy.items():
+        if name not in outputs:
+            raise ValueError(f"accuracy of {name!r}: it is not asked for; asked are {', '.join(outputs)}")
+        if not (is_concrete(value) and value > 0):
+            raise ValueError(f"accuracy of {name!r} = {value!r}: must be a positive number")
+    models = (table or stored()).models.values()
+    asked: dict[str, tuple[Model, str, list[str]]] = {}
+    for name in accuracy:
+        model, reason = _model(models, name, design, conditions)
+        asked.setdefault(model.name, (model, reason, []))[2].append(name)
+    found = {}
+    for model, reason, names in asked.values():  # outputs of one model share a level: one solution serves them all
+        size, problem = _size(model, tolerances)
+        reason = reason or problem
+        wanted = {name: accuracy[name] for name in names}
+        level = model.level(model.reference) if reason else model.cheapest(wanted, size)
+        exact = level.name == model.reference
+        own = _differs(model, conditions)
+        settings = tuple((key, value) for key, value in level.settings.items() if not (own and key in model.conditions))
+        for name in names:
+            bound = None if exact else model.bound(level, name, size)
+            if reason:
+                why = f"outside what was measured ({reason}): the exact level"
+            elif exact:
+                why = "no cheaper level is accurate enough"
+            else:
+                why = f"cheapest of {len(model.levels)} levels with twice its measured error below {wanted[name]:.3g}"
+            found[name] = Choice(name, level.name, settings, level.precision, bound, level.ns, why)
+    return {name: found[name] for name in outputs if name in found}
+
+
+def as_given(design: Any, outputs: Sequence[str], conditions: Any, *, tolerances: Any) -> dict[str, Choice]:
+    """The level that the conditions themselves select for each output, and what is measured of it.
+
+    Args:
+        design: the reducer.
+        outputs: that are asked for; one of which no such level was measured is left out.
+        conditions: how the reducer runs.
+        tolerances: of the units; record with a `Tolerance` or None.
+    """
+    found = {}
+    for name in outputs:
+        model, reason = _model(stored().models.values(), name, design, conditions)
+        size, problem = _size(model, tolerances)
+        reason = reason or problem
+        for level in model.levels:
+            settings = tuple(level.settings.items())
+            if level.precision != "float64" or any(getattr(conditions, key) != value for key, value in settings):
+                continue
+            bound = None if reason or level.name == model.reference else model.bound(level, name, size)
+            why = f"the study says so; its error here was not measured ({reason})" if reason else "the study says so"
+            found[name] = Choice(name, level.name, settings, level.precision, bound, level.ns, why)
+    return found
+
+
+def _differs(model: Model, conditions: Any) -> list[str]:
+    return [name for name, value in model.conditions.items() if getattr(conditions, name) != value]
+
+
+def _model(models: Any, output: str, design: Any, conditions: Any) -> tuple[Model, str]:
+    """The model that fits the conditions, else any with this output; and why its measurements do not hold."""
+    known = [model for model in models if output in model.outputs]
+    if not known:
+        raise ValueError(f"accuracy of {output!r}: no level of it was measured")
+    model = min(known, key=lambda model: len(_differs(model, conditions)))
+    if different := _differs(model, conditions):
+        return model, f"{different[0]} = {getattr(conditions, different[0])!r}"
+    numbers = design_numbers(design)
+    for name in model.design:  # those that the model reads
+        value = numbers.get(name, math.nan)
+        if not abs(value - model.design[name]) <= model.spread * abs(model.design[name]) * (1 + 1e-9):  # also NaN
+            return model, f"{name} = {value:.4g}"
+    if model.torque is not None:
+        torque = next(
+            getattr(conditions, f.name) for f in dataclasses.fields(conditions) if f.metadata.get("unit") == "N m"
+        )
+        if not (is_concrete(torque) and model.torque[0] <= torque <= model.torque[1]):
+            return model, f"torque = {torque} N m" if is_concrete(torque) else "a torque that is traced"
+    return model, ""
+
+
+def _size(model: Model, tolerances: Any) -> tuple[float, str]:
+    """Size of the errors in units of those measured, the largest of all fields; and why it was not measured."""
+    # A field that is not in the table is one that the model does not read.
+    shares = {name: value / model.errors[name] for name, value in reach(tolerances).items() if name in model.errors}
+    name, size = max(shares.items(), key=lambda item: item[1], default=("errors", 0.0))
+    if not model.sizes[0] <= size <= model.sizes[-1]:
+        return size, f"{name} of {size:.3g} times those measured"
+    return size, ""
+
+
+def reach(tolerances: Any) -> dict[str, float]:
+    """How far each error reaches: |mean| + 3 standard deviations of every active field, SI.
+
+    Args:
+        tolerances: record with a `Tolerance`, a constant or None in each field.
+    """
+    found = {}
+    for f in dataclasses.fields(tolerances):
+        value = getattr(tolerances, f.name)
+        if isinstance(value, Tolerance):
+            mean, variance, _, _ = central_moments(value)
+            found[f.name] = abs(mean) + 3 * math.sqrt(variance)
+        elif value is not None and np.any(value != 0):
+            found[f.name] = float(np.max(np.abs(value)))
+    return found
+
+
+def design_numbers(design: Any, prefix: str = "") -> dict[str, float]:
+    """Every number of a design by path, counts included; an array is not a design that was measured: NaN.
+
+    Args:
+        design: record, nested records included.
+        prefix: of the paths.
+    """
+    found: dict[str, float] = {}
+    for f in dataclasses.fields(design):
+        value = getattr(design, f.name)
+        if dataclasses.is_dataclass(value):
+            found |= design_numbers(value, f"{prefix}{f.name}.")
+        elif value is not None:
+            single = is_concrete(value) and np.ndim(value) == 0
+            found[prefix + f.name] = float(value) if single else math.nan
+    return found

@@ -1,0 +1,94 @@
+"""What an estimate over many units costs and how far it is off: bias of the method plus sampling error."""
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from rvjax.catalogue import RV_40E
+from rvjax.levels.choice import design_numbers, reach
+from rvjax.levels.subjects import LINKS
+from rvjax.levels.table import Level, Model
+from rvjax.study import response as scene
+from rvjax.tolerances import for_design, monte_carlo, rss
+
+CONDITIONS = scene.RVConditions(output_torque=412.0, angles=16)
+
+
+def measure_statistics(*, quick: bool, seed: int) -> Model:
+    """Mean and standard deviation of the transmission error of a batch of RV-40E units, by every method.
+
+    Args:
+        quick: fewer units.
+        seed: of the first repetition.
+    """
+    tolerances = for_design(RV_40E, **LINKS)
+    whole = scene.response(RV_40E, ("transmission_error",), CONDITIONS)
+
+    def value(errors: Any) -> Any:
+        return whole(errors).value["transmission_error"]
+
+    def drawn(method: str, units: int) -> Callable[[int], tuple[float, float]]:
+        def run(number: int) -> tuple[float, float]:
+            found = monte_carlo(value, tolerances, samples=units, seed=number, method=method, chunk=min(units, 16384))
+            return float(found.mean.value), float(found.sd.value)
+
+        return run
+
+    def propagated(order: int) -> Callable[[int], tuple[float, float]]:
+        def run(number: int) -> tuple[float, float]:
+            found = rss(value, tolerances, order=order)
+            return float(found.mean), float(found.sd)
+
+        return run
+
+    ways: dict[str, Callable[[int], tuple[float, float]]] = {f"rss, order {order}": propagated(order) for order in (1,)}
+    for units in (1024, 16384, 262_144)[: 2 if quick else 3]:
+        ways |= {f"{method}, {units} units": drawn(method, units) for method in ("random", "sobol")}
+    exact_name, exact_units = "sobol, reference", 2**18 if quick else 2**21
+    truth = drawn("sobol", exact_units)(seed + 999)
+    ways[exact_name] = drawn("sobol", exact_units)
+    levels = []
+    for name, run in ways.items():
+        repeats = 1 if name == exact_name or name.startswith("rss") else 8
+        started = time.perf_counter()
+        run(seed)
+        first = time.perf_counter() - started
+        off, seconds = [], []
+        for k in range(repeats):
+            started = time.perf_counter()
+            found = run(seed + k)
+            seconds.append(time.perf_counter() - started)
+            off.append(np.abs(np.subtract(found, truth)))
+        largest, rms = np.max(off, axis=0), np.sqrt(np.mean(np.square(off), axis=0))
+        if name == exact_name:
+            largest, rms = np.zeros(2), np.zeros(2)
+        levels.append(
+            Level(
+                name=name,
+                settings={},
+                precision="float64",
+                largest={"mean": [float(largest[0])], "sd": [float(largest[1])]},
+                rms={"mean": [float(rms[0])], "sd": [float(rms[1])]},
+                ns=1e9 * min(seconds),
+                compile_s=max(0.0, first - min(seconds)),
+                memory_MB=0.0,
+                cases=1,
+            )
+        )
+    return Model(
+        name="statistics",
+        outputs={"mean": "rad", "sd": "rad"},
+        case="mean and standard deviation of the transmission error of all units (16 angles)",
+        design=design_numbers(RV_40E),
+        spread=0.0,
+        errors=reach(tolerances),
+        sizes=[1.0],
+        torque=None,
+        conditions={},
+        typical={"mean": [truth[0]], "sd": [truth[1]]},
+        failed=(0, 0),
+        reference=exact_name,
+        levels=tuple(levels),
+    )

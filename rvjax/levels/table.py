@@ -1,0 +1,199 @@
+"""What a level of a model costs and how far it is off: the measured table, and the cheapest level for an accuracy.
+
+A level is one way to compute the same outputs: an approximation, a number of angles, a precision. Nothing here
+knows a gear; `rvjax tradeoff` measures and writes such a table, a study asks it.
+"""
+
+import dataclasses
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+
+SAFETY = 2.0  # times the largest error that was measured
+
+
+@dataclass(frozen=True)
+class Level:
+    """One measured level of a model.
+
+    Attributes:
+        name: for a person.
+        settings: conditions that select it.
+        precision: "float64" or "float32".
+        largest: largest error of each output at each error size, SI.
+        rms: root mean square error, likewise.
+        ns: nanoseconds per case.
+        compile_s: seconds to compile.
+        memory_MB: temporary memory of the program.
+        cases: in one call, when it was timed.
+    """
+
+    name: str
+    settings: dict[str, Any]
+    precision: str
+    largest: dict[str, list[float]]
+    rms: dict[str, list[float]]
+    ns: float
+    compile_s: float
+    memory_MB: float
+    cases: int
+
+    def error(self, sizes: Sequence[float], output: str, size: float) -> float:
+        """Largest measured error of an output at an error size within the measured ones.
+
+        A straight line between logarithms. A level is never credited with a smaller error than at a smaller size.
+
+        Args:
+            sizes: measured error sizes, ascending.
+            output: name.
+            size: where.
+        """
+        values = np.maximum.accumulate(self.largest[output])
+        if not np.all(np.isfinite(values)):
+            return math.inf if size > sizes[int(np.argmin(np.isfinite(values))) - 1] else float(values[0])
+        logs = np.log(np.maximum(values, 1e-300))
+        return float(np.exp(np.interp(math.log(size), np.log(sizes), logs))) if values[-1] > 0 else 0.0
+
+
+@dataclass(frozen=True)
+class Model:
+    """The levels of one model, and the cases they were measured on: outside their range nothing is known.
+
+    Attributes:
+        name: of the model.
+        outputs: units of its outputs, by name.
+        case: what one case is, for a person.
+        design: numbers of the design that the model reads, about which cases were drawn, by path; counts too.
+        spread: every such number was drawn within this share of its value.
+        errors: reach of each error that was drawn, |mean| + 3 standard deviations at size 1, by field.
+        sizes: factors on the errors, ascending.
+        torque: smallest and largest, N m; None where it does not matter.
+        conditions: that every case had, by name.
+        typical: root mean square of each output at each size, SI.
+        failed: cases without a reference value, left out, of how many.
+        reference: name of the level that the errors are measured from.
+        levels: measured, the reference among them.
+    """
+
+    name: str
+    outputs: dict[str, str]
+    case: str
+    design: dict[str, float]
+    spread: float
+    errors: dict[str, float]
+    sizes: list[float]
+    torque: tuple[float, float] | None
+    conditions: dict[str, Any]
+    typical: dict[str, list[float]]
+    failed: tuple[int, int]
+    reference: str
+    levels: tuple[Level, ...]
+
+    def level(self, name: str) -> Level:
+        """The level of this name."""
+        return next(level for level in self.levels if level.name == name)
+
+    def bound(self, level: Level, output: str, size: float) -> float:
+        """What the error of an output stays below: the largest measured one, interpolated in size, times `SAFETY`.
+
+        Args:
+            level: of this model.
+            output: name.
+            size: of the errors; at most the largest measured one.
+        """
+        return SAFETY * level.error(self.sizes, output, size)
+
+    def cheapest(self, wanted: Mapping[str, float], size: float) -> Level:
+        """The cheapest level whose bound meets every accuracy wanted; the reference where none does.
+
+        Args:
+            wanted: largest error allowed of each output, SI.
+            size: of the errors.
+        """
+        if not self.sizes[0] <= size <= self.sizes[-1]:
+            return self.level(self.reference)
+        fits = [
+            level
+            for level in self.levels
+            if level.name == self.reference or all(self.bound(level, o, size) <= a for o, a in wanted.items())
+        ]
+        return min(fits, key=lambda level: level.ns)
+
+    def front(self) -> list[Level]:
+        """Levels that no other beats in both cost and error (first output, error size nearest 1), cheapest first."""
+        kept: list[Level] = []
+        for level in sorted(self.levels, key=lambda level: level.ns):
+            if not kept or self.relative(level) < self.relative(kept[-1]):
+                kept.append(level)
+        return kept
+
+    def relative(self, level: Level, kind: str = "largest") -> float:
+        """Error of the first output at the error size nearest 1, over the root mean square of that output.
+
+        Args:
+            level: of this model.
+            kind: "largest" or "rms".
+        """
+        output, k = next(iter(self.outputs)), int(np.argmin(np.abs(np.log(self.sizes))))
+        return getattr(level, kind)[output][k] / self.typical[output][k]
+
+
+@dataclass(frozen=True)
+class Table:
+    """Everything measured in one run.
+
+    Attributes:
+        machine: processor, cores, versions, flags.
+        seed: of the cases.
+        models: measured, by name.
+    """
+
+    machine: dict[str, Any]
+    seed: int
+    models: dict[str, Model]
+
+    def save(self, path: str | Path) -> None:
+        """Write as JSON."""
+        Path(path).write_text(json.dumps(_plain(dataclasses.asdict(self)), indent=1, allow_nan=False) + "\n", "utf-8")
+
+    @classmethod
+    def load(cls, path: Any) -> Self:
+        """Read what `save` wrote."""
+        data = json.loads(path.read_text("utf-8") if hasattr(path, "read_text") else Path(path).read_text("utf-8"))
+        models = {}
+        for name, model in data["models"].items():
+            levels = tuple(
+                Level(**(level | {kind: _lists(level[kind]) for kind in ("largest", "rms")}))
+                for level in model.pop("levels")
+            )
+            model |= {"torque": model["torque"] and tuple(model["torque"]), "failed": tuple(model["failed"])}
+            models[name] = Model(**model, levels=levels)
+        return cls(data["machine"], data["seed"], models)
+
+
+@cache
+def stored() -> Table:
+    """The table that comes with rvjax; `rvjax tradeoff --json FILE` measures another on your machine."""
+    return Table.load(resources.files("rvjax.levels") / "table.json")
+
+
+def _plain(value: Any) -> Any:
+    """JSON knows no infinity: a level that fails has null for its error."""
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if isinstance(value, float):
+        return float(f"{value:.6g}") if math.isfinite(value) else None
+    return value
+
+
+def _lists(errors: dict[str, list[float | None]]) -> dict[str, list[float]]:
+    return {name: [math.inf if value is None else value for value in values] for name, values in errors.items()}

@@ -1,0 +1,1 @@
+"""What a person reads: tables with units, results folders, pages, pictures."""

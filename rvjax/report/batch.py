@@ -1,0 +1,53 @@
+"""A batch of units as text and files."""
+
+import dataclasses
+
+from rvjax import study, tolerances
+from rvjax.report import text
+from rvjax.tolerances import Statistics
+from rvjax.units import readable
+
+
+def write(found: Statistics, source: str, *, figures: str | None, samples: str | None) -> None:
+    """Write the figures, and the figures with the responses of every unit, each with the study's text.
+
+    Args:
+        found: statistics.
+        source: file, or name of an embedded study.
+        figures: path that ends with .json, or None.
+        samples: path that ends with .npz, or None.
+    """
+    about = found.study | {"name": source, "toml": study.load(source).text}
+    if figures is not None:
+        tolerances.save(dataclasses.replace(found, values=None), figures, study=about)
+    if samples is not None:
+        tolerances.save(found, samples, study=about)
+
+
+def summary(found: Statistics, source: str) -> str:
+    """The figures as text, in the units in which a person reads them."""
+    question = study.load(source)
+    percentiles = list(found.quantiles)
+    headers = ["response", "unit", "mean", "+-", "sd", "least", "most", *(f"{100 * p:g} %" for p in percentiles), "cpk"]
+    rows, yields = [], []
+    for name in found.mean:
+        unit, size = readable(question.output(name).unit)
+        numbers = [found.mean[name].value, found.mean[name].error, found.sd[name].value]
+        numbers += [found.minimum[name], found.maximum[name], *(found.quantiles[p][name].value for p in percentiles)]
+        rows.append([name, unit, *(f"{number / size:.5g}" for number in numbers), f"{found.cpk[name]:.3f}"])
+        ppm = found.ppm[name]
+        yields.append(
+            [name, text.yield_text(found.yield_[name]), f"{ppm.value:.4g} [{ppm.lower:.4g}, {ppm.upper:.4g}]"]
+        )
+    failures = "".join(f", {count:,} {name} (unit {found.examples[name]})" for name, count in found.failures.items())
+    lines = [
+        f"Study {question.name}: {found.samples:,} units, method {found.method}, seed {found.seed}",
+        f"{found.failed:,} failed{failures}; standard errors from {found.standard_errors}",
+        "",
+        text.table(headers, rows),
+        "",
+        text.table(["requirement", "yield [interval]", "rejects in a million [interval]"], yields),
+    ]
+    if found.joint_yield is not None:
+        lines.append(f"all requirements at once {text.yield_text(found.joint_yield)}")
+    return "\n".join(lines)

@@ -1,0 +1,313 @@
+"""The answer to a study as one HTML page: pictures inside, no script, nothing fetched; for screen, phone and paper."""
+
+import base64
+import re
+import shlex
+import sys
+from collections.abc import Iterable, Sequence
+from html import escape
+from importlib import resources
+
+import jax
+import numpy as np
+
+import rvjax
+from rvjax.plotting.style import words
+from rvjax.report import text as tables
+from rvjax.report.pictures import Picture, pictures
+from rvjax.report.worst_units import WorstUnit, worst_units
+from rvjax.status import MEANING, Status
+from rvjax.study import response as scene
+from rvjax.study.answer import SHOWN_VALUES, Answer
+from rvjax.units import readable
+
+SHARE_SHOWN = 0.01  # of the variance: errors below it are not listed for a worst unit
+ZERO = '<span class="none">0</span>'
+EMPTY, NIL = ("", "-", ZERO), ' class="nil"'  # cells that a narrow screen leaves out
+
+
+def page(answer: Answer, source: str) -> str:
+    """The whole page.
+
+    Args:
+        answer: what to show.
+        source: study file or name, as given on the command line.
+    """
+    drawn = {picture.name: picture for picture in pictures(answer, "svg")}
+    style = (resources.files("rvjax.report") / "report.css").read_text("utf-8")
+    name = escape(answer.study.name)
+    body = "\n".join(
+        [
+            _head(answer),
+            _requirements(answer, drawn),
+            _tolerances(answer, drawn),
+            _influence(answer, drawn),
+            _worst(answer, drawn),
+            _levels(answer),
+            _origin(answer, source),
+        ]
+    )
+    return (
+        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        f'<meta name="generator" content="rvjax {rvjax.__version__}">\n'
+        f"<title>{name}: tolerances</title>\n<style>\n{style}</style>\n</head>\n<body>\n{body}\n</body>\n</html>\n"
+    )
+
+
+def _head(answer: Answer) -> str:
+    study, allocation = answer.study, answer.allocation
+    certificate = allocation.certificate
+    certified = allocation.status == "OPTIMAL"
+    if certified:
+        verdict = "✔ The requirements can be met, and these are the cheapest tolerances."
+    elif allocation.feasible:
+        verdict = f"✘ Tolerances were found, but not with certainty: {escape(allocation.status)}."
+    else:
+        verdict = "✘ No tolerances within the process ranges meet the requirements."
+    more = []
+    for response, shortfall in allocation.shortfall.items():
+        unit, size = readable(study.output(response).unit)
+        if shortfall > 0:
+            more.append(f"The limit of {words(response)} would have to move by {shortfall / size:.4g} {unit}.")
+    if not allocation.feasible:
+        more.append("All columns “after” show the finest tolerances of the processes.")
+    change = 100 * (allocation.cost / allocation.start_cost - 1)
+    figures = [
+        ("cost before", f"{allocation.start_cost:.3f}", "tolerances of the study"),
+        ("cost after", f"{allocation.cost:.3f}", f"{change:+.1f} %"),
+    ]
+    if graded := allocation.graded:
+        sure = "certified" if graded.status == "OPTIMAL" else graded.status
+        figures.append(("cost with ISO 286 grades", f"{graded.cost:.3f}", sure))
+    if (joint := certificate.joint_yield) is not None:
+        figures.append(("all requirements at once", f"{100 * joint.value:.3f} %", _interval(joint)))
+    figures.append(("units certified", f"{certificate.samples:,}", f"{certificate.failed:,} failed"))
+    boxes = "".join(
+        f"<div><dt>{escape(a)}</dt><dd>{escape(b)}<small>{escape(c)}</small></dd></div>" for a, b, c in figures
+    )
+    return (
+        f"<header>\n<h1>{escape(study.name)}</h1>\n"
+        f'<p class="note">{escape(_note(study.text))}</p>\n'
+        f'<div class="verdict{"" if certified else " missed"}"><strong>{verdict}</strong> '
+        f"<code>{escape(allocation.status)}</code> {' '.join(map(escape, more))}</div>\n"
+        f'<dl class="key">{boxes}</dl>\n</header>'
+    )
+
+
+def _requirements(answer: Answer, drawn: dict[str, Picture]) -> str:
+    study, allocation = answer.study, answer.allocation
+    headers, rows = tables.requirement_rows(answer)
+    headers = [*headers, *(["yield graded [interval]"] if allocation.graded else []), "verdict"]
+    cells = []
+    for row, (name, requirement) in zip(rows, study.requirements.items()):
+        graded = [tables.yield_text(allocation.graded.certificate.yield_[name])] if allocation.graded else []
+        met = allocation.certificate.yield_[name].lower >= requirement.target
+        mark = '<span class="met">✔ met</span>' if met else '<span class="missed-mark">✘ not met</span>'
+        title = f"{escape(words(name))}<small>{escape(study.output(name).meaning)}</small>"
+        cells.append([title, *map(_typeset, [*row[1:], *graded]), mark])
+    certificate = allocation.certificate
+    failures = [
+        f"{count:,} {status} ({escape(MEANING[Status[status]])}; the first is unit {certificate.examples[status]:,})"
+        for status, count in certificate.failures.items()
+    ]
+    certified = (
+        f"Certificate: {certificate.samples:,} fresh units with seed {certificate.seed}, {certificate.failed:,} failed"
+        + (f": {', '.join(failures)}" if failures else "")
+        + f". Intervals hold with {100 * certificate.confidence:g} % confidence; a requirement is met when the lower "
+        "end of its yield reaches the target. A shadow price is the change of the cost when the limit moves outwards."
+    )
+    histograms = "".join(_figure(drawn[f"histogram_{name}"]) for name in study.requirements)
+    return _section("Requirements", f"{_table(headers, cells)}<p>{certified}</p><div class='pair'>{histograms}</div>")
+
+
+def _tolerances(answer: Answer, drawn: dict[str, Picture]) -> str:
+    study = answer.study
+    headers, rows = tables.tolerance_rows(answer)
+    shapes = {field: getattr(study.tolerances, field).shape for field in study.fields}
+    cells = []
+    for row in rows:
+        elements = int(np.prod(shapes.get(row[0], ())))
+        note = f"<small>{elements} elements, each its own</small>" if elements > 1 else ""
+        cells.append([escape(words(row[0])) + note, *map(_typeset, row[1:])])
+    text = (
+        "<p>An error without a cost keeps the tolerance of the study. The cost of an error is that of all its elements "
+        "together.</p>"
+    )
+    curve = _figure(drawn["cost_against_yield"]) if "cost_against_yield" in drawn else ""
+    return _section("Tolerances and cost", _table(headers, cells, total=True) + text + curve)
+
+
+def _influence(answer: Answer, drawn: dict[str, Picture]) -> str:
+    headers, rows = tables.influence_rows(answer)
+    headers = [words(header) for header in headers]
+    cells = [[escape(words(row[0])), *map(_typeset, row[1:])] for row in rows]
+    text = (
+        "<p>With the tolerances after: the derivative of each response to one element of an error (root mean square "
+        "over its elements), and the share of the error in the variance of the response.</p>"
+    )
+    return _section("Which error matters", text + _table(headers, cells) + _figure(drawn["variance_shares"]))
+
+
+def _worst(answer: Answer, drawn: dict[str, Picture]) -> str:
+    side = answer.after
+    text = (
+        f"<p>Of {SHOWN_VALUES:,} sample units with the tolerances after (seed {side.seed}). The bar is the tolerance, "
+        "the tick its middle, every dot one element of the error. Errors that explain less than "
+        f"{100 * SHARE_SHOWN:g} % of the variance are left out.</p>"
+    )
+    units = "".join(_unit(answer, unit) for unit in worst_units(answer))
+    return _section("Worst units", f"{text}<div class='units'>{units}</div>" + _figure(drawn["curves"]))
+
+
+def _unit(answer: Answer, unit: WorstUnit) -> str:
+    study, side = answer.study, answer.after
+    if unit.requirement:
+        shares = side.shares[unit.requirement]
+        fields = sorted((f for f in study.fields if shares[f] >= SHARE_SHOWN), key=lambda f: -shares[f])
+        name, size = readable(study.output(unit.requirement).unit)
+        margin = study.requirements[unit.requirement].margin(unit.values[unit.requirement]) / size
+        place = f"{abs(margin):.3g} {name} {'beyond' if margin > 0 else 'within'} the limit"
+        title = f"Unit {unit.index:,}: {words(unit.requirement)}, {place}"
+        reason = f"status {unit.status}"
+    else:
+        fields, title = study.fields, f"Unit {unit.index:,} failed"
+        reason = f"status {unit.status}: {MEANING[Status[unit.status]]}"
+    responses = "; ".join(
+        f"{words(name)} {value / size:.4g} {shown}" if np.isfinite(value) else f"{words(name)} -"
+        for name, value in unit.values.items()
+        for shown, size in [readable(study.output(name).unit)]
+    )
+    rows = []
+    for field in fields:
+        tolerance, values = getattr(side.tolerances, field), unit.errors[field]
+        middle, half = float(tolerance.middle), float(tolerance.half_width)
+        shown, size = readable(study.unit(field))
+        places = (values - middle) / half if half > 0 else np.zeros_like(values)
+        largest = int(np.argmax(np.abs(places)))
+        count = f"<small>largest of {len(values)}</small>" if len(values) > 1 else ""
+        rows.append([escape(words(field)), _strip(places), _typeset(f"{values[largest] / size:+.2f} {shown}") + count])
+    return (
+        f'<section class="unit"><h3>{_micro(escape(title))}</h3>'
+        f'<p class="small">{_micro(escape(responses))}; {escape(reason)}</p>'
+        f"{_table(['error', 'in its tolerance', 'value'], rows, cards=False)}</section>"
+    )
+
+
+def _strip(places: np.ndarray) -> str:
+    """A tolerance as a bar from -1 to 1 with a dot at each place; places beyond 1.5 stand at the edge."""
+    dots = "".join(
+        f'<circle cx="{100 * float(np.clip(x, -1.48, 1.48)):.1f}" cy="0" r="6" '
+        f'fill="{"#0072b2" if abs(x) <= 1 else "#d55e00"}" fill-opacity=".75"/>'
+        for x in places
+    )
+    return (
+        '<svg viewBox="-156 -10 312 20" preserveAspectRatio="xMidYMid meet" role="img" '
+        f'aria-label="{", ".join(f"{100 * float(x):.0f} %" for x in places)} of the half-width">'
+        '<rect x="-100" y="-4" width="200" height="8" fill="#d0d7de"/>'
+        f'<path d="M0 -8V8" stroke="#57606a" stroke-width="1.5"/>{dots}</svg>'
+    )
+
+
+def _levels(answer: Answer) -> str:
+    study = answer.study
+    given = scene.as_given(study.design, tuple(study.requirements), study.conditions, tolerances=study.tolerances)
+    choices = given | study.choices()
+    rows = []
+    for name in study.requirements:
+        title = f"{escape(words(name))}<small>{escape(study.output(name).meaning)}</small>"
+        unit, size = readable(study.output(name).unit)
+        wanted = f"{study.accuracy[name] / size:.3g} {unit}" if name in study.accuracy else "-"
+        if name not in choices:
+            rows.append([title, "as in the conditions below", wanted, "-", "-", "no such level was measured"])
+            continue
+        choice = choices[name]
+        bound = "-" if choice.bound is None else f"< {float(f'{choice.bound / size:.2g}'):g} {unit}"
+        rows.append(
+            [
+                title,
+                escape(choice.level),
+                *map(_typeset, [wanted, bound, f"{choice.ns / 1e3:.3g} us"]),
+                escape(choice.why),
+            ]
+        )
+    headers = ["response", "level", "accuracy asked", "its error", "time of a unit", "why"]
+    conditions = ", ".join(
+        f"{words(key)} = {value}" for key, value in vars(study.conditions).items() if value is not None
+    )
+    text = (
+        "<p>A level is one way to compute a response. Errors and times are measured ones, from the table that comes "
+        f"with rvjax; times belong to its machine and serve for comparison.</p>"
+        f"<p>Conditions, SI: {escape(conditions)}.</p>"
+    )
+    return _section("How exactly it was computed", _table(headers, rows) + text)
+
+
+def _origin(answer: Answer, source: str) -> str:
+    study = answer.study
+    facts = [
+        ("command", f"rvjax report {shlex.quote(source)}"),
+        ("seed", f"{study.seed} (certificate {answer.allocation.certificate.seed}, sample units {answer.after.seed})"),
+        ("units", f"{study.samples:,} for the optimiser, {study.certificate_samples:,} for each certificate"),
+        ("versions", f"rvjax {rvjax.__version__}, JAX {jax.__version__}, Python {sys.version.split()[0]}"),
+    ]
+    rows = [[escape(name), f"<code>{escape(value)}</code>"] for name, value in facts]
+    table = "".join(f'<tr><th scope="row">{name}</th><td class="text">{value}</td></tr>' for name, value in rows)
+    return _section(
+        "How to get this page again",
+        f"<table><tbody>{table}</tbody></table><p>The study:</p><pre>{escape(study.text)}</pre>",
+    )
+
+
+def _typeset(cell: str) -> str:
+    """A cell of the text tables for the page: numbers stay with their units, an interval has a line of its own."""
+    cell, _, interval = cell.partition(" [")
+    cell = _micro(escape(cell.replace("+-", "±").replace("<=", "≤").replace(">=", "≥"))).replace(" and ", "<br>")
+    if cell.startswith("0.0000 ") or cell == "0.0 %":
+        return ZERO
+    if cell == "-":
+        return cell
+    return f'<span class="whole">{cell}</span>' + (f"<small>[{escape(interval)}</small>" if interval else "")
+
+
+def _micro(text: str) -> str:
+    return re.sub(r"(?<![A-Za-z])u(?=[ms]\b)", "µ", text)
+
+
+def _note(text: str) -> str:
+    """What the author wrote above the study: its leading comment."""
+    lines = []
+    for line in text.splitlines():
+        if not line.startswith("#"):
+            break
+        lines.append(line.lstrip("# "))
+    return " ".join(lines)
+
+
+def _interval(estimate: tables.Estimate) -> str:
+    return f"[{100 * estimate.lower:.3f}, {100 * estimate.upper:.3f}]"
+
+
+def _section(title: str, content: str) -> str:
+    return f"<section>\n<h2>{escape(title)}</h2>\n{content}\n</section>"
+
+
+def _table(headers: Sequence[str], rows: Iterable[Sequence[str]], *, total: bool = False, cards: bool = True) -> str:
+    """A table of cells that are HTML already; each knows its column, for narrow screens."""
+    head = "".join(f'<th scope="col">{escape(header)}</th>' for header in headers)
+    body, rows = [], list(rows)
+    for k, row in enumerate(rows):
+        cells = "".join(
+            f'<td data-label="{escape(label)}"{NIL if cell in EMPTY else ""}>{cell}</td>'
+            for label, cell in zip(headers[1:], row[1:])
+        )
+        last = ' class="sum"' if total and k == len(rows) - 1 else ""
+        body.append(f'<tr{last}><th scope="row">{row[0]}</th>{cells}</tr>')
+    kind = ' class="cards"' if cards else ""
+    return f'<div class="wide"><table{kind}><thead><tr>{head}</tr></thead><tbody>{"".join(body)}</tbody></table></div>'
+
+
+def _figure(picture: Picture) -> str:
+    data = base64.b64encode(picture.content).decode("ascii")
+    caption = escape(picture.caption)
+    return f'<figure><img alt="{caption}" src="data:image/svg+xml;base64,{data}"></figure>'

@@ -1,0 +1,74 @@
+"""The pictures of an answer, as files: PNG for the results folder, SVG for the page."""
+
+import io
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from rvjax.study import response as scene
+from rvjax.study.answer import Answer
+
+
+@dataclass(frozen=True)
+class Picture:
+    """One picture.
+
+    Attributes:
+        name: of a file, without ending.
+        caption: what it shows, for a person who may not see it.
+        content: bytes of the file.
+    """
+
+    name: str
+    caption: str
+    content: bytes
+
+
+def pictures(answer: Answer, form: str = "png") -> Iterator[Picture]:
+    """Draw an answer: curves of sample units, a histogram for each requirement, variance shares, cost against yield.
+
+    Args:
+        answer: what to draw.
+        form: "png" or "svg".
+    """
+    import matplotlib.pyplot as plt
+
+    from rvjax import plotting
+    from rvjax.plotting.style import words
+
+    def picture(axes: Any, name: str, caption: str) -> Picture:
+        file = io.BytesIO()
+        # No date: the same answer gives the same file.
+        axes.figure.savefig(file, format=form, dpi=150, metadata={"Date": None} if form == "svg" else None)
+        plt.close(axes.figure)
+        return Picture(name, caption, file.getvalue())
+
+    study = answer.study
+    with plotting.style(), plt.rc_context({"svg.hashsalt": study.name}):
+        curve = scene.kind(study.design).curve
+        axes = plotting.unit_curves(answer.angle, answer.before.curves, answer.after.curves, curve.title, curve.unit)
+        yield picture(axes, "curves", f"{curve.title} of sample units, before and after")
+        for name, requirement in study.requirements.items():
+            axes = plotting.response_histogram(
+                answer.before.values[name],
+                answer.after.values[name],
+                unit=study.output(name).unit,
+                name=name,
+                upper=requirement.upper,
+                lower=requirement.lower,
+            )
+            caption = f"Distribution of {words(name)} before and after, with its limit"
+            yield picture(axes, f"histogram_{name}", caption)
+        axes = plotting.variance_shares(answer.after.shares, title="Who causes the variance, after")
+        yield picture(axes, "variance_shares", "Share of each error in the variance of each response, after")
+        if answer.cost_curve:
+            axes = plotting.cost_against_yield(
+                *zip(*answer.cost_curve),
+                chosen=(_least_yield(answer.allocation.certificate), answer.allocation.cost),
+                start=(_least_yield(answer.certificate_before), answer.allocation.start_cost),
+            )
+            yield picture(axes, "cost_against_yield", "Cheapest cost for each yield, with this study and the start")
+
+
+def _least_yield(statistics: Any) -> float:
+    return min(estimate.value for estimate in statistics.yield_.values())

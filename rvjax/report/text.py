@@ -1,0 +1,287 @@
+"""What a person reads: tables with units, and the results folder of an allocation."""
+
+import csv
+import dataclasses
+import io
+import json
+import math
+import shutil
+import sys
+import tempfile
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import rvjax
+from rvjax.published import Comparison, show
+from rvjax.report.pictures import pictures
+from rvjax.study.answer import Answer
+from rvjax.tolerances import Estimate
+from rvjax.units import readable
+
+
+def table(headers: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Plain text table: first column left, the others right aligned."""
+    cells = [list(headers), *(list(row) for row in rows)]
+    widths = [max(len(row[k]) for row in cells) for k in range(len(headers))]
+    lines = [
+        "  ".join(
+            cell.ljust(width) if k == 0 else cell.rjust(width) for k, (cell, width) in enumerate(zip(row, widths))
+        )
+        for row in cells
+    ]
+    return "\n".join([lines[0], "-" * len(lines[0]), *lines[1:]])
+
+
+def comparison_table(rows: Sequence[Comparison], *, notes: bool = False) -> str:
+    """Published figures beside computed ones, and how many there are of each verdict.
+
+    Args:
+        rows: comparisons.
+        notes: print the reading or the reason under each figure.
+    """
+    headers = ["figure", "published", "computed", "unit", "physically right", "verdict"]
+    cells = [[row.id, show(row.published), show(row.computed), row.unit, show(row.right), row.status] for row in rows]
+    text = table(headers, cells).split("\n")
+    lines = text[:2]
+    for line, row in zip(text[2:], rows):
+        lines.append(line)
+        if notes:
+            lines.append(f"    {row.claim}" + (f" -- {row.note}" if row.note else ""))
+    verdicts = sorted({row.status for row in rows})
+    counts = ", ".join(f"{sum(row.status == verdict for row in rows)} {verdict}" for verdict in verdicts)
+    return "\n".join([*lines, "", f"{len(rows)} figures: {counts}"])
+
+
+def tolerance_text(tolerance: Any, unit: str) -> str:
+    """Limits in the unit in which a person reads them, such as "+-6.50 um" or "8.00 +-4.00 um"."""
+    name, size = readable(unit)
+    middle, half = float(tolerance.middle) / size, float(tolerance.half_width) / size
+    about = "" if abs(middle) < 1e-9 * abs(half) else f"{middle:.2f} "
+    return f"{about}+-{half:.2f} {name}"
+
+
+def yield_text(estimate: Estimate) -> str:
+    """A yield with its confidence interval, in percent."""
+    return f"{100 * estimate.value:.3f} % [{100 * estimate.lower:.3f}, {100 * estimate.upper:.3f}]"
+
+
+def tolerance_rows(answer: Answer) -> tuple[list[str], list[list[str]]]:
+    """Headers and rows of the table of tolerances: before, after, snapped to grades, and their cost."""
+    study, allocation = answer.study, answer.allocation
+    graded = allocation.graded
+    headers = ["error", "before", "after", "cost before", "cost after"]
+    if graded:
+        headers += ["graded", "grade", "cost graded"]
+    rows = []
+    for field in study.fields:
+        unit = study.unit(field)
+        row = [field, *(tolerance_text(getattr(t, field), unit) for t in (study.tolerances, allocation.tolerances))]
+        row += [_cost_text(side.cost, field) for side in (answer.before, answer.after)]
+        if graded:
+            row.append(tolerance_text(getattr(graded.tolerances, field), unit))
+            row += [(graded.grades or {}).get(field, "-"), _cost_text(graded.costs, field)]
+        rows.append(row)
+    total = ["sum", "", "", f"{allocation.start_cost:.3f}", f"{allocation.cost:.3f}"]
+    rows.append(total + (["", "", f"{graded.cost:.3f}"] if graded else []))
+    return headers, rows
+
+
+def _cost_text(costs: dict[str, float], field: str) -> str:
+    return f"{costs[field]:.3f}" if field in costs else "-"
+
+
+def influence_rows(answer: Answer) -> tuple[list[str], list[list[str]]]:
+    """Headers and rows of the table of influence: sensitivity and share of variance for each response, after.
+
+    A sensitivity is the derivative to one element of the error, root mean square over its elements.
+    """
+    study, side = answer.study, answer.after
+    headers = ["error"]
+    for name in study.requirements:
+        headers += [f"d {name} / d error", "share"]
+    rows = []
+    for field in study.fields:
+        error_unit, error_size = readable(study.unit(field))
+        row = [field]
+        for name in study.requirements:
+            unit, size = readable(study.output(name).unit)
+            row.append(f"{side.sensitivities[name][field] * error_size / size:.4f} {unit}/{error_unit}")
+            row.append(f"{100 * side.shares[name][field]:.1f} %")
+        rows.append(row)
+    return headers, rows
+
+
+def requirement_rows(answer: Answer) -> tuple[list[str], list[list[str]]]:
+    """Headers and rows of the table of requirements: limit, yields, shadow price."""
+    allocation = answer.allocation
+    headers = ["requirement", "limit", "target", "yield before [interval]", "yield after [interval]", "shadow price"]
+    rows = []
+    for name, requirement in answer.study.requirements.items():
+        unit, size = readable(answer.study.output(name).unit)
+        limits = [
+            f"{sign} {limit / size:.4g} {unit}"
+            for sign, limit in ((">=", requirement.lower), ("<=", requirement.upper))
+            if math.isfinite(limit)
+        ]
+        price = allocation.multipliers[name] * size
+        rows.append(
+            [
+                name,
+                " and ".join(limits),
+                f"{100 * requirement.target:.4g} %",
+                yield_text(answer.certificate_before.yield_[name]),
+                yield_text(allocation.certificate.yield_[name]),
+                f"{price:.4g} /{unit}" if price else "not binding",
+            ]
+        )
+    return headers, rows
+
+
+def headline(answer: Answer) -> str:
+    """Verdict and cost, or why there is no answer."""
+    study, allocation = answer.study, answer.allocation
+    lines = [f"Study {study.name}: {allocation.status}", ""]
+    if allocation.feasible:
+        change = 100 * (allocation.cost / allocation.start_cost - 1)
+        lines.append(f"cost {allocation.start_cost:.3f} -> {allocation.cost:.3f} ({change:+.1f} %)")
+        if allocation.graded:
+            graded = allocation.graded
+            lines.append(f"with ISO 286 grades: cost {graded.cost:.3f} ({graded.status})")
+    else:
+        lines.append("No tolerances within the process ranges meet the requirements; at the finest ones")
+        for name, shortfall in allocation.shortfall.items():
+            unit, size = readable(study.output(name).unit)
+            if shortfall > 0:
+                lines.append(f"  the limit of {name} would have to move by {shortfall / size:.4g} {unit}")
+    return "\n".join(lines)
+
+
+def summary(answer: Answer) -> str:
+    """The whole answer as text."""
+    certificate = answer.allocation.certificate
+    lines = [headline(answer)]
+    for rows in (tolerance_rows, influence_rows, requirement_rows):
+        lines += ["", table(*rows(answer))]
+    lines.append("")
+    joint = certificate.joint_yield
+    lines.append(
+        f"Certificate: {certificate.samples:,} fresh units, {certificate.failed:,} failed"
+        + (f"; all requirements at once {yield_text(joint)}" if joint is not None else "")
+    )
+    return "\n".join(lines)
+
+
+def results_folder(option: str | None, name: str) -> Path:
+    """The folder that the results will go to; it must not exist yet, so that nothing is overwritten.
+
+    Raises:
+        OSError: it cannot be made.
+        ValueError: the folder asked for exists.
+    """
+    if option is not None:
+        folder = Path(option)
+        if folder.exists():
+            raise ValueError(f"--results {option}: exists already; name a new folder")
+        return folder
+    base = Path("results") / name
+    numbered = [base, *(base.with_name(f"{name}-{k}") for k in range(2, 10_000))]
+    return next(folder for folder in numbered if not folder.exists())
+
+
+def write(answer: Answer, folder: Path) -> None:
+    """Write study, tables, JSON and pictures into a new folder: all of them, or nothing.
+
+    Args:
+        answer: what to write.
+        folder: must not exist.
+    """
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    scratch = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
+    try:
+        (scratch / "study.toml").write_text(answer.study.text, "utf-8")
+        (scratch / "summary.txt").write_text(summary(answer) + "\n", "utf-8")
+        (scratch / "result.json").write_text(json.dumps(as_json(answer), indent=1, allow_nan=False), "utf-8")
+        for name, rows in (
+            ("tolerances", tolerance_rows),
+            ("influence", influence_rows),
+            ("requirements", requirement_rows),
+        ):
+            (scratch / f"{name}.csv").write_text(_csv(*rows(answer)), "utf-8")
+        for picture in pictures(answer):
+            (scratch / f"{picture.name}.png").write_bytes(picture.content)
+        scratch.chmod(0o755)  # mkdtemp makes it private
+        scratch.rename(folder)
+    except BaseException:
+        shutil.rmtree(scratch, ignore_errors=True)
+        raise
+
+
+def as_json(answer: Answer) -> dict[str, Any]:
+    """Everything about an answer except single units, with seed and versions; SI."""
+    import jax
+
+    study, allocation = answer.study, answer.allocation
+    graded = allocation.graded
+    return {
+        "study": study.name,
+        "status": allocation.status,
+        "feasible": allocation.feasible,
+        "seed": study.seed,
+        "samples": study.samples,
+        "versions": {"rvjax": rvjax.__version__, "jax": jax.__version__, "python": sys.version.split()[0]},
+        "conditions": dataclasses.asdict(study.conditions),
+        "cost": {"before": allocation.start_cost, "after": allocation.cost},
+        "tolerances": {
+            field: {
+                "unit": study.unit(field),
+                "before": _limits(getattr(study.tolerances, field)),
+                "after": _limits(getattr(allocation.tolerances, field)),
+                "graded": _limits(getattr(graded.tolerances, field)) if graded else None,
+            }
+            for field in study.fields
+        },
+        "shares": {"before": answer.before.shares, "after": answer.after.shares},
+        "sensitivities": answer.after.sensitivities,
+        "multipliers": allocation.multipliers,
+        "shortfall": allocation.shortfall,
+        "certificate": plain(allocation.certificate),
+        "certificate_before": plain(answer.certificate_before),
+        "graded": plain({"status": allocation.graded.status, "cost": allocation.graded.cost})
+        if allocation.graded
+        else None,
+        "cost_curve": answer.cost_curve,
+    }
+
+
+def plain(value: Any) -> Any:
+    """Results as JSON values; numbers that JSON cannot hold (inf, nan) become null."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        value = {f.name: getattr(value, f.name) for f in dataclasses.fields(value)}
+    if isinstance(value, dict):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(item) for item in value]
+    if isinstance(value, (np.generic, np.ndarray)) or hasattr(value, "tolist"):
+        return plain(value.tolist())
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _limits(tolerance: Any) -> dict[str, Any]:
+    return {
+        "lower": float(tolerance.lower),
+        "upper": float(tolerance.upper),
+        "distribution": tolerance.distribution,
+        "cp": float(tolerance.cp),
+        "shift": float(tolerance.shift),
+    }
+
+
+def _csv(headers: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(headers)
+    writer.writerows(rows)
+    return text.getvalue()

@@ -1,0 +1,160 @@
+"""The answer to a study: the allocation, and what a person wants to see beside it."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import numpy as np
+
+from rvjax.study import Study
+from rvjax.study import response as scene
+from rvjax.tolerances import Allocation, Statistics, allocate, cost_curve, monte_carlo, rss, sample
+from rvjax.tolerances.propagation.responses import BLOCK  # chunks of the certificate's size: the response compiles once
+
+SHOWN_UNITS = 24  # units whose curve is drawn
+SHOWN_VALUES = 65_536  # units behind a histogram
+YIELD_SWEEP = (0.9, 0.95, 0.99, 0.995, 0.999)
+
+
+@dataclass(frozen=True)
+class Side:
+    """One set of tolerances and what it gives.
+
+    Attributes:
+        tolerances: record with a Tolerance or None in each field.
+        cost: of each field that has a cost.
+        shares: {response: {field: share of variance}}.
+        sensitivities: {response: {field: derivative per element, root mean square over the elements}}.
+        values: {response: values of sample units}, for histograms.
+        curves: the curve of the kind of design for sample units, SI (units, angles).
+        failed: {status name: index of the first sample unit that failed so}.
+        seed: of the sample units.
+    """
+
+    tolerances: Any
+    cost: dict[str, float]
+    shares: Mapping[str, Mapping[str, float]]
+    sensitivities: Mapping[str, Mapping[str, float]]
+    values: Mapping[str, np.ndarray]
+    curves: np.ndarray
+    failed: dict[str, int]
+    seed: int
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What `rvjax allocate` and `rvjax report` found.
+
+    Attributes:
+        study: the question.
+        allocation: the cheapest tolerances and their certificate.
+        certificate_before: statistics of the study's own tolerances, on the certificate's random numbers.
+        before: the study's own tolerances.
+        after: the allocated tolerances.
+        cost_curve: (yield, cheapest cost) pairs; empty where the study is infeasible.
+        angle: of the curves, rad (angles,).
+    """
+
+    study: Study
+    allocation: Allocation
+    certificate_before: Statistics
+    before: Side
+    after: Side
+    cost_curve: list[tuple[float, float]]
+    angle: np.ndarray
+
+
+def answer(study: Study, *, progress: bool = False) -> Answer:
+    """Allocate the tolerances of a study and collect what the report shows.
+
+    Args:
+        study: the question.
+        progress: show progress bars.
+    """
+    response = study.response()
+    allocation = allocate(
+        response,
+        study.tolerances,
+        study.requirements,
+        costs=study.costs,
+        samples=study.samples,
+        seed=study.seed,
+        certificate_samples=study.certificate_samples,
+        grades=any(tolerance.size is not None for tolerance in _given(study)),
+        progress=progress,
+    )
+    certificate = allocation.certificate
+    before = monte_carlo(
+        response,
+        study.tolerances,
+        samples=certificate.samples,
+        seed=study.seed + 1,
+        chunk=BLOCK,
+        requirements=study.requirements,
+        progress=progress,
+    )
+    return Answer(
+        study=study,
+        allocation=allocation,
+        certificate_before=before,
+        before=_side(study, response, study.tolerances),
+        after=_side(study, response, allocation.tolerances),
+        cost_curve=_cost_curve(study, response, allocation.tolerances) if allocation.feasible else [],
+        angle=np.asarray(_nominal_angle(study)),
+    )
+
+
+def _nominal_angle(study: Study) -> Any:
+    curve = scene.kind(study.design).curve
+    nominal = jax.jit(lambda errors: curve.evaluate(study.design, errors, study.conditions)[0])
+    return nominal(study.design.error_record())
+
+
+def _given(study: Study) -> list[Any]:
+    return [getattr(study.tolerances, name) for name in study.fields]
+
+
+def _side(study: Study, response: Callable[[Any], Any], tolerances: Any) -> Side:
+    moments = rss(response, tolerances)
+    seed = study.seed + 2
+    kept = monte_carlo(response, tolerances, samples=SHOWN_VALUES, seed=seed, chunk=BLOCK, keep=True)
+    return Side(
+        tolerances=tolerances,
+        cost={name: float(cost(getattr(tolerances, name).half_width)) for name, cost in study.costs.items()},
+        shares=moments.contributions,
+        sensitivities={
+            name: {field: float(np.sqrt(np.mean(np.square(derivative)))) for field, derivative in fields.items()}
+            for name, fields in moments.sensitivities.items()
+        },
+        values=kept.values,
+        curves=_curves(study, tolerances, seed),
+        failed=kept.examples,
+        seed=seed,
+    )
+
+
+def _curves(study: Study, tolerances: Any, seed: int) -> np.ndarray:
+    curve = scene.kind(study.design).curve
+
+    def of_unit(index: jax.Array) -> jax.Array:
+        errors = sample(tolerances, index, seed=seed)
+        return curve.evaluate(study.design, errors, study.conditions)[1]
+
+    return np.asarray(jax.jit(jax.vmap(of_unit))(np.arange(SHOWN_UNITS)))
+
+
+def _cost_curve(study: Study, response: Callable[[Any], Any], start: Any) -> list[tuple[float, float]]:
+    curve = cost_curve(
+        response,
+        start,
+        study.requirements,
+        costs=study.costs,
+        values=YIELD_SWEEP,
+        against="target",
+        samples=study.samples,
+        seed=study.seed,
+        certificate_samples=SHOWN_VALUES,
+    )
+    # Before certification: smooth, a little below.
+    return [(target, cost) for target, cost in zip(curve.values, curve.learned) if np.isfinite(cost)]

@@ -1,0 +1,138 @@
+"""A batch of units of a study: what `rvjax montecarlo` runs, in one process or several, and prints."""
+
+import contextlib
+import dataclasses
+import os
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from rvjax import study, tolerances
+from rvjax.tolerances import Statistics
+
+CHUNK = 32768  # keeps the temporaries of a turn of 64 angles near the cache
+
+
+@dataclasses.dataclass(frozen=True)
+class Batch:
+    """What to run.
+
+    Attributes:
+        study: file, or name of an embedded study.
+        samples: units; None: as many as the study certifies with.
+        seed: None: that of the study.
+        sobol: Sobol points instead of random numbers.
+        chunk: units at once.
+        checkpoint: file to continue from, or None.
+        keep: keep the responses of every unit.
+        progress: show a progress bar.
+    """
+
+    study: str
+    samples: int | None = None
+    seed: int | None = None
+    sobol: bool = False
+    chunk: int = CHUNK
+    checkpoint: str | None = None
+    keep: bool = False
+    progress: bool = False
+
+
+def run(batch: Batch) -> Statistics:
+    """The statistics, in this process or, where JAX's distributed runtime is on, with the others."""
+    question = study.load(batch.study)
+    return tolerances.monte_carlo(
+        question.response(),
+        question.tolerances,
+        samples=question.certificate_samples if batch.samples is None else batch.samples,
+        seed=question.seed if batch.seed is None else batch.seed,
+        method="sobol" if batch.sobol else "random",
+        chunk=batch.chunk,
+        requirements=question.requirements,
+        checkpoint=batch.checkpoint,
+        keep=batch.keep,
+        progress=batch.progress,
+    )
+
+
+def run_in_processes(command: Sequence[str], processes: int) -> Statistics:
+    """Start `processes` of this command line, each with `--worker`, and take the result of the first.
+
+    Args:
+        command: arguments of `rvjax` that all processes get.
+        processes: their number.
+
+    Raises:
+        ValueError: a process ended without a result; the others are ended too.
+    """
+    with tempfile.TemporaryDirectory(prefix="rvjax-") as folder:
+        # The first one's progress and complaints are for everybody; its result comes as a file, since the
+        # libraries below print to standard output.
+        logs = [Path(folder) / f"{number}.txt" for number in range(processes)]
+        workers, address = [], f"127.0.0.1:{_free_port()}"
+        try:
+            for number, log in enumerate(logs):
+                here = [address, str(number), str(processes), f"{folder}/result.npz"]
+                arguments = [sys.executable, "-m", "rvjax", *command, "--worker", *here]
+                with log.open("w") as file:
+                    shown = None if number == 0 else file
+                    workers.append(subprocess.Popen(arguments, stdout=subprocess.DEVNULL, stderr=shown))
+            _wait(workers, logs)
+        finally:
+            for worker in workers:
+                with contextlib.suppress(OSError):
+                    worker.kill()
+                worker.wait()
+        return tolerances.load(f"{folder}/result.npz")
+
+
+def _wait(workers: Sequence[subprocess.Popen[bytes]], logs: Sequence[Path]) -> None:
+    while any(worker.poll() is None for worker in workers):
+        if any(worker.poll() for worker in workers):  # not 0: the others would wait for it for ever
+            break
+        time.sleep(0.05)
+    for number, (worker, log) in enumerate(zip(workers, logs)):
+        if code := worker.poll():
+            said = log.read_text(errors="replace").strip().splitlines()
+            raise ValueError(f"process {number + 1} of {len(workers)} ended with {code} {said[-1] if said else ''}")
+
+
+def work(batch: Batch, address: str, number: int, processes: int, target: str) -> None:
+    """One of several processes; the first writes the result.
+
+    Args:
+        batch: what to run.
+        address: of the first process.
+        number: of this process.
+        processes: their number.
+        target: file for the result.
+    """
+    import jax
+
+    threading.Thread(target=_end_with, args=(os.getppid(),), daemon=True).start()
+    jax.distributed.initialize(address, num_processes=processes, process_id=number)
+    try:
+        found = run(dataclasses.replace(batch, progress=batch.progress and number == 0))
+        if number == 0:
+            tolerances.save(found, target)
+    except (ValueError, OSError) as error:
+        print(f"rvjax: error: {' '.join(str(error).split())}", file=sys.stderr, flush=True)
+        os._exit(2)  # an orderly exit would wait for the others, who wait for this one
+
+
+def _end_with(parent: int) -> None:
+    """End this process when its parent is gone: nobody waits for it, and the next run needs its checkpoint."""
+    while os.getppid() == parent:
+        time.sleep(0.2)
+    os._exit(1)
+
+
+def _free_port() -> int:
+    with socket.socket() as server:
+        server.bind(("127.0.0.1", 0))
+        return server.getsockname()[1]

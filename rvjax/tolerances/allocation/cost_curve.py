@@ -1,0 +1,129 @@
+"""Requirement curves: what a tighter limit or a higher yield costs."""
+
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from rvjax.tolerances.allocation.allocation import Allocation, allocate
+from rvjax.tolerances.propagation.requirements import Requirement
+
+
+@dataclasses.dataclass(frozen=True)
+class CostCurve:
+    """The cheapest cost along a requirement.
+
+    Attributes:
+        against: "limit" or "target".
+        of: name of the requirement that moves; None for the only one, or for all (targets).
+        values: limits (unit of the response; half the width of a two-sided requirement) or targets.
+        costs: cheapest certified cost of each, nan where the requirements cannot be met.
+        learned: the same before certification: smoother along the curve, a little lower.
+        multipliers: d cost / d limit of the moving requirement (of a target curve: nan).
+        evaluations: sets of half-widths that each search looked at.
+        allocations: the `Allocation` of each value.
+    """
+
+    against: str
+    of: str | None
+    values: tuple[float, ...]
+    costs: tuple[float, ...]
+    learned: tuple[float, ...]
+    multipliers: tuple[float, ...]
+    evaluations: tuple[int, ...]
+    allocations: tuple[Allocation, ...]
+
+
+def cost_curve(
+    response: Any,
+    tolerances: Any,
+    requirements: Any,
+    *,
+    costs: Any,
+    values: Sequence[float],
+    against: str = "limit",
+    of: str | None = None,
+    **options: Any,
+) -> CostCurve:
+    """The cheapest cost for each of several limits, or targets, of a requirement.
+
+    Every search starts from the last solution and uses the same units and the same compiled programs.
+
+    Args:
+        response: pure function of the errors of one unit; a scalar, a dict or record of scalars, or `Outcome`.
+        tolerances: record or dict with a `Tolerance` or None in each field; where the first search starts.
+        requirements: `Requirement`, or a dict of them by name of the response.
+        costs: record or dict with a cost or None by field.
+        values: of the limit (a one-sided limit itself; half-widths about the middle of two limits) or of the
+            target, in the order to go through; neighbours should be near each other.
+        against: "limit" or "target".
+        of: name of the requirement that moves; None moves the only one, or the targets of all.
+        **options: of `allocate`, such as `samples`, `seed`, `certificate_samples`.
+
+    Returns:
+        `CostCurve`.
+
+    Raises:
+        ValueError: no values, an unknown `against` or `of`, or several limits and no `of`.
+    """
+    if against not in ("limit", "target"):
+        raise ValueError(f"against = {against!r}: must be 'limit' or 'target'")
+    if not len(values):
+        raise ValueError("values: needs at least one")
+    _check_of(requirements, against, of)
+    allocations: list[Allocation] = []
+    start = tolerances
+    for value in values:
+        required = _moved(requirements, against, of, float(value))
+        allocations.append(allocate(response, start, required, costs=costs, **options))
+        if allocations[-1].feasible:
+            start = allocations[-1].tolerances
+    return CostCurve(
+        against=against,
+        of=of,
+        values=tuple(map(float, values)),
+        costs=tuple(a.cost if a.feasible else math.nan for a in allocations),
+        learned=tuple(float(a.history[-1]["cost"]) if a.feasible else math.nan for a in allocations),
+        multipliers=tuple(_price(a, of) if against == "limit" and a.feasible else math.nan for a in allocations),
+        evaluations=tuple(len(a.history) for a in allocations),
+        allocations=tuple(allocations),
+    )
+
+
+def _check_of(requirements: Any, against: str, of: str | None) -> None:
+    if isinstance(requirements, Mapping):
+        names = ", ".join(requirements)
+        if of is not None and of not in requirements:
+            raise ValueError(f"of = {of!r}: no requirement has this name; these exist: {names}")
+        if of is None and against == "limit" and len(requirements) > 1:
+            raise ValueError(f"of: name the requirement whose limit moves, one of {names}")
+    elif of is not None:
+        raise ValueError(f"of = {of!r}: there is only one requirement, without a name")
+
+
+def _moved(requirements: Any, against: str, of: str | None, value: float) -> Any:
+    """The requirements with one limit, or the targets, at a value."""
+    if isinstance(requirements, Mapping):
+        return {
+            name: item if of not in (None, name) else _moved(item, against, None, value)
+            for name, item in requirements.items()
+        }
+    if against == "target":
+        return dataclasses.replace(requirements, target=value)
+    return _limited(requirements, value)
+
+
+def _limited(requirement: Requirement, value: float) -> Requirement:
+    if math.isinf(requirement.lower):
+        return dataclasses.replace(requirement, upper=value)
+    if math.isinf(requirement.upper):
+        return dataclasses.replace(requirement, lower=value)
+    middle = (requirement.lower + requirement.upper) / 2
+    return dataclasses.replace(requirement, lower=middle - value, upper=middle + value)
+
+
+def _price(allocation: Allocation, of: str | None) -> float:
+    if isinstance(allocation.multipliers, Mapping):
+        name = next(iter(allocation.certificate.yield_)) if of is None else of
+        return float(allocation.multipliers[name])
+    return float(allocation.multipliers)

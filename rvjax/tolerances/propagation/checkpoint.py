@@ -1,0 +1,146 @@
+"""Checkpoints of a Monte Carlo study, and the fingerprint that keeps two studies apart."""
+
+import hashlib
+import io
+import json
+import time
+import warnings
+import zipfile
+import zlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import scipy
+
+from rvjax.tolerances.atomic import write_atomically
+from rvjax.tolerances.population.layout import Layout, layout
+from rvjax.tolerances.propagation.requirements import Requirement
+from rvjax.tolerances.propagation.responses import Response, respond
+
+EVERY = 1.0  # s, at most one file in this time
+_SHARE = 10  # and ten times as long computing as writing
+_FORMAT = 1
+
+Arrays = Mapping[str, np.ndarray]
+
+
+def versions() -> dict[str, str]:
+    """Versions that a result belongs to."""
+    import rvjax
+
+    return {"rvjax": rvjax.__version__, "jax": jax.__version__, "scipy": scipy.__version__}
+
+
+def describe(tolerances: Any, requirements: Mapping[str, Requirement]) -> dict[str, str]:
+    """Tolerances, correlation and requirements as text, exact to the last bit."""
+    parts = layout(tolerances)
+    about = {f"tolerances.{name}": _leaf(leaf) for name, leaf in zip(parts.names, parts.leaves) if leaf is not None}
+    if parts.mixing is not None:
+        about["correlation"] = hashlib.sha256(np.ascontiguousarray(parts.mixing, float).tobytes()).hexdigest()
+    about |= {f"requirements.{name}": repr(item) for name, item in requirements.items()}
+    return about
+
+
+def _leaf(leaf: Any) -> str:
+    if not hasattr(leaf, "distribution"):
+        return repr(np.asarray(leaf).tolist())
+    text = f"{leaf.distribution} {float(leaf.lower)!r} .. {float(leaf.upper)!r}, cp {float(leaf.cp)!r}"
+    options = dict(shift=float(leaf.shift), beta=leaf.beta, batch=float(leaf.batch), shape=leaf.shape)
+    text += "".join(f", {name} {value!r}" for name, value in options.items() if value)
+    return text + (", vectors" if leaf.is_vector else "")
+
+
+def response_hash(response: Response, tolerances: Any) -> str:
+    """Hash of the program that the response compiles to, constants included; limits of tolerances do not enter."""
+    parts: Layout = layout(tolerances)
+    z = jax.ShapeDtypeStruct((parts.numbers, 1), jnp.result_type(float))
+    text = respond.lower(response, tolerances, z).as_text()
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+class Checkpoint:
+    """The file of one study (and process): read once, then written now and again."""
+
+    def __init__(self, path: str | Path, fingerprint: Mapping[str, str]) -> None:
+        self._path, self._fingerprint = Path(path), dict(fingerprint)
+        self._next, self._warned = 0.0, False
+
+    def load(self) -> tuple[int, dict[str, np.ndarray]]:
+        """Number of the next chunk and the state before it, which is empty at the beginning.
+
+        Raises:
+            ValueError: the file is damaged, or belongs to another study (names what differs).
+            OSError: it cannot be read, or nothing can be written there.
+        """
+        try:
+            arrays = unpacked(self._path.read_bytes())
+            about = json.loads(arrays.pop("about").tobytes())
+            written, chunk = dict(about["fingerprint"]), int(about["next"])
+            if about["format"] != _FORMAT:
+                raise ValueError(f"format {about['format']!r}, this version reads {_FORMAT}")
+        except FileNotFoundError:
+            self._write(0, {})  # a place that cannot be written is refused before anything is computed
+            return 0, {}
+        except (ValueError, KeyError, TypeError, AttributeError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+            raise ValueError(
+                f"checkpoint = {str(self._path)!r}: damaged, or no checkpoint ({error}); delete it to begin anew"
+            ) from None
+        self._compare(written)
+        return chunk, arrays
+
+    def _compare(self, written: dict[str, str]) -> None:
+        here = self._fingerprint
+        different = [
+            f"{key} is {written.get(key, 'absent')} in the file and {here.get(key, 'absent')} here"
+            for key in sorted(written.keys() | here.keys())
+            if written.get(key) != here.get(key)
+        ]
+        if different:
+            raise ValueError(
+                f"checkpoint = {str(self._path)!r}: belongs to another study: {'; '.join(different)}; "
+                "name another file, or delete it to begin anew"
+            )
+
+    def save(self, chunk: int, state: Any, *, now: bool = False) -> None:
+        """Write the state before chunk number `chunk`, if it is time; a failure is a warning and nothing is lost.
+
+        Args:
+            chunk: number of the next chunk.
+            state: function that gives the arrays to write.
+            now: whether or not it is time.
+        """
+        start = time.monotonic()
+        if start < self._next and not now:
+            return
+        try:
+            self._write(chunk, state())
+        except OSError as error:
+            if not self._warned:
+                message = f"checkpoint = {str(self._path)!r}: cannot be written ({error}); the study goes on without"
+                with warnings.catch_warnings():  # where warnings are errors, this one must not end the study
+                    warnings.simplefilter("always", RuntimeWarning)
+                    warnings.warn(message, RuntimeWarning, stacklevel=3)
+            self._warned = True
+        end = time.monotonic()
+        self._next = end + max(EVERY, _SHARE * (end - start))
+
+    def _write(self, chunk: int, arrays: Arrays) -> None:
+        about = {"format": _FORMAT, "fingerprint": self._fingerprint, "next": chunk}
+        write_atomically(self._path, packed({**arrays, "about": np.frombuffer(json.dumps(about).encode(), np.uint8)}))
+
+
+def packed(arrays: Arrays) -> bytes:
+    """Arrays as the bytes of an NPZ file."""
+    buffer = io.BytesIO()
+    np.savez(buffer, **arrays)  # type: ignore[arg-type]
+    return buffer.getvalue()
+
+
+def unpacked(content: bytes) -> dict[str, np.ndarray]:
+    """Arrays of `packed` bytes."""
+    with np.load(io.BytesIO(content), allow_pickle=False) as file:
+        return {name: file[name] for name in file.files}

@@ -1,0 +1,203 @@
+"""Monte Carlo: the distribution of a response over units with random errors, in constant memory."""
+
+import contextlib
+import functools
+import glob
+import itertools
+import operator
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rvjax.tolerances.atomic import PARTIAL
+from rvjax.tolerances.population.correlation import Correlation, correlated
+from rvjax.tolerances.population.sampling import check_method
+from rvjax.tolerances.population.sobol import SCRAMBLES
+from rvjax.tolerances.propagation.checkpoint import Checkpoint, describe, response_hash, versions
+from rvjax.tolerances.propagation.devices import Evaluator
+from rvjax.tolerances.propagation.estimates import deviate_of
+from rvjax.tolerances.propagation.processes import gathered, place
+from rvjax.tolerances.propagation.requirements import Requirement
+from rvjax.tolerances.propagation.responses import Response, by_response, response_names
+from rvjax.tolerances.propagation.statistics import Statistics, statistics
+from rvjax.tolerances.propagation.tally import Tally
+
+__all__ = ["Statistics", "monte_carlo", "progress_bar"]
+
+
+def monte_carlo(
+    response: Response,
+    tolerances: Any,
+    *,
+    samples: int,
+    seed: int,
+    method: str = "random",
+    chunk: int = 65536,
+    requirements: Any = None,
+    quantiles: tuple[float, ...] = (0.00135, 0.5, 0.99865),
+    correlation: Correlation = None,
+    confidence: float = 0.95,
+    checkpoint: str | Path | None = None,
+    keep: bool = False,
+    progress: bool = False,
+) -> Statistics:
+    """Statistics of a response over random units, chunk by chunk.
+
+    Unit i depends on the seed, i, the method and the active fields only. Another chunk size, or another
+    number of devices, gives equal counts and values equal to round-off; the same chunk gives the same
+    bits, also after an interruption and in any number of processes. Device memory holds two chunks,
+    whatever `samples`.
+
+    All local devices share every chunk. Where `jax.distributed.initialize` was called, every process
+    must call this function alike: each takes every n-th chunk, and all return the same result.
+
+    Method "sobol" takes unit i as point i // 16 of scramble i mod 16 of Sobol points. The mean then comes
+    nearer with the same number of units, extreme quantiles hardly; all standard errors and intervals
+    come from the spread of the 16 scrambles (a yield or quantile with fewer than 160 units beyond it
+    counts as no better than one of independent units).
+
+    Args:
+        response: pure function of the errors of one unit; a scalar, a dict or record of scalars, or `Outcome`.
+        tolerances: record or dict with a `Tolerance` or None in each field.
+        samples: units, at least 1.
+        seed: of the random numbers.
+        method: "random" or "sobol".
+        chunk: units evaluated at once.
+        requirements: `Requirement`, or a dict of them by name of the response.
+        quantiles: shares whose quantiles are wanted.
+        correlation: {(field or element, field or element): correlation of their z}.
+        confidence: of every interval.
+        checkpoint: file to which the state goes at most once a second, and from which the same study goes on
+            after an interruption, to identical bits; a larger `samples` continues a finished one. Several
+            processes write one file each, with the number of the process behind the name.
+        keep: keep the response of every unit (host memory, and the checkpoint, grow with `samples`).
+        progress: show a progress bar.
+
+    Returns:
+        `Statistics`.
+
+    Raises:
+        ValueError: bad arguments, or a checkpoint that is damaged or belongs to another study.
+        OSError: the checkpoint cannot be written at the start (later that is a warning: nothing is lost).
+    """
+    check_method(method)
+    deviate_of(confidence)
+    samples, chunk = _positive("samples", samples), _positive("chunk", chunk)
+    if samples > 2**32:
+        raise ValueError(f"samples = {samples}: units are numbered with 32 bits")
+    for p in quantiles:
+        if not 0 < p < 1:
+            raise ValueError(f"quantiles: {p!r} must lie between 0 and 1")
+    tolerances = correlated(tolerances, correlation)
+    names = response_names(response, tolerances)
+    required = by_response(requirements, names, Requirement, "requirements")
+    if keep:
+        _check_memory(samples, len(names))
+    study = describe(tolerances, required) | {"seed": str(seed), "method": method, "chunk": str(chunk)}
+    process, processes = place()
+
+    def empty() -> Tally:
+        return Tally(names, required, SCRAMBLES if method == "sobol" else 1, samples if keep else 0)
+
+    tally, file, done = empty(), None, 0
+    if checkpoint is not None:
+        study["response"] = response_hash(response, tolerances)
+        mine = {"process": f"{process} of {processes}", "values": "kept" if keep else "not kept"}
+        file = Checkpoint(_of_process(checkpoint, process, processes), study | mine | versions())
+        done, state = file.load()
+        if done * chunk > samples:
+            raise ValueError(f"samples = {samples}: checkpoint = {str(checkpoint)!r} holds {done * chunk} already")
+        if state:
+            tally.merge(state)
+    evaluator = Evaluator(response, tolerances, seed, method, min(chunk, samples))
+    label = "Monte Carlo" if processes == 1 else f"Monte Carlo, process {process + 1} of {processes}"
+    reached = done * chunk
+    with progress_bar(progress, samples, label, "unit", initial=reached) as advance:
+        for number, values, status in _chunks(evaluator, tally, range(done, -(-samples // chunk)), chunk, samples):
+            own = number % processes == process
+            tally.add(number, number * chunk, values, status, own=own)
+            if file is not None and own and len(status) == chunk:  # a larger study evaluates a shorter last chunk whole
+                last = (number + 1 + processes) * chunk > samples
+                file.save(number + 1, functools.partial(tally.state, (number + 1) * chunk), now=last)
+            advance(min((number + 1) * chunk, samples) - reached)
+            reached = min((number + 1) * chunk, samples)
+        advance(samples - reached)  # the last chunks may be other processes'
+    if processes > 1:
+        states, tally = gathered(tally.state(samples)), empty()
+        for part in states:
+            tally.merge(part)
+    return statistics(tally, quantiles=tuple(quantiles), confidence=confidence, seed=seed, method=method, study=study)
+
+
+def _check_memory(samples: int, responses: int) -> None:
+    """Refuse to keep more numbers than half the memory of this machine holds: what is kept is also sorted and saved."""
+    if not hasattr(os, "sysconf"):  # Windows does not say
+        return
+    memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    if 8 * samples * responses > memory / 2:
+        raise ValueError(
+            f"keep = True: {samples} units need {8 * samples * responses / 2**30:.3g} GiB, more than half of this "
+            f"machine's {memory / 2**30:.3g} GiB; without keep memory does not grow with samples"
+        )
+
+
+def _of_process(path: str | Path, process: int, processes: int) -> Path:
+    """The checkpoint of one process; refuses those of another number of processes, which would begin anew."""
+    whole = Path(path)
+    all_of = [whole.with_name(f"{whole.name}.{number}-of-{processes}") for number in range(processes)]
+    all_of = [whole] if processes == 1 else all_of
+    for found in (whole, *whole.parent.glob(f"{glob.escape(whole.name)}.*-of-*")):
+        if found.suffix != PARTIAL and found not in all_of and found.is_file():
+            raise ValueError(
+                f"checkpoint = {str(path)!r}: {found.name} is of another number of processes than {processes}; "
+                "name another file, or delete it to begin anew"
+            )
+    return all_of[process]
+
+
+def _chunks(
+    evaluator: Evaluator, tally: Tally, numbers: range, chunk: int, samples: int
+) -> Iterator[tuple[int, dict[str, np.ndarray], np.ndarray]]:
+    """Evaluated chunks of this process in order; the device works on the next one while the host reads this one.
+
+    Until the range of the histograms is known, those of other processes too.
+    """
+    process, processes = place()
+    ready = None
+    for number in itertools.chain(numbers, [None]):
+        after = None
+        if number is not None:
+            if number % processes != process and tally.settled:
+                continue
+            after = number, evaluator.start(number * chunk)
+        if ready is not None:
+            done, (values, status) = ready
+            # The last chunk is evaluated as long as the others, and cut here: nothing is compiled twice.
+            count = min(chunk, samples - done * chunk)
+            yield done, {name: np.asarray(v)[:count] for name, v in values.items()}, np.asarray(status)[:count]
+        ready = after
+
+
+def _positive(name: str, value: Any) -> int:
+    try:
+        number = operator.index(value)
+    except TypeError:
+        raise ValueError(f"{name} = {value!r}: must be an integer") from None
+    if number < 1:
+        raise ValueError(f"{name} = {number}: must be at least 1")
+    return number
+
+
+@contextlib.contextmanager
+def progress_bar(shown: bool, total: int | None, description: str, unit: str, *, initial: int = 0) -> Iterator[Any]:
+    """A function that advances a tqdm bar, or does nothing."""
+    if not shown:
+        yield lambda count: None
+        return
+    from tqdm import tqdm
+
+    with tqdm(total=total, unit=unit, unit_scale=True, desc=description, initial=initial) as bar:
+        yield bar.update
