@@ -25,7 +25,7 @@ settings()
 import jax.numpy as jnp  # noqa: E402
 
 from rvjax import study  # noqa: E402
-from rvjax.study import response as scene  # noqa: E402
+from rvjax.study.response import Response  # noqa: E402
 from rvjax.tolerances import monte_carlo  # noqa: E402
 from rvjax.tolerances.population.layout import drawn, layout, root_key  # noqa: E402
 from rvjax.tolerances.propagation.responses import respond  # noqa: E402
@@ -39,7 +39,7 @@ def question():
     """Response, tolerances and requirement of the four-bar part of the study."""
     asked = study.load("rv-40e")
     others = {name: None for name in asked.fields if name not in FIELDS}
-    respond_with = scene.response(asked.design, (OUTPUT,), asked.conditions)
+    respond_with = Response.of(asked.design, (OUTPUT,), asked.conditions)
     return respond_with, asked.tolerances.replace(**others), {OUTPUT: asked.requirements[OUTPUT]}
 
 

@@ -15,7 +15,7 @@ from timing import publish, settings
 settings()
 
 from rvjax.study import load  # noqa: E402
-from rvjax.study import response as scene  # noqa: E402  (after the flags)
+from rvjax.study.response import Response  # noqa: E402  (after the flags)
 from rvjax.tolerances import Requirement, failure_probability  # noqa: E402
 from rvjax.tolerances.population.layout import root_key  # noqa: E402
 from rvjax.tolerances.propagation.responses import BLOCK, respond_units  # noqa: E402
@@ -42,7 +42,7 @@ def main():
     parser.add_argument("--units", type=int, default=100_000_000, help="of plain Monte Carlo")
     options = parser.parse_args()
     study = load("rv-40e")
-    response = scene.response(study.design, (OUTPUT,), study.conditions)
+    response = Response.of(study.design, (OUTPUT,), study.conditions)
     figures = {}
     for limit in LIMITS:
         start = time.perf_counter()

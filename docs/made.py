@@ -8,7 +8,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import rvjax
-from rvjax import catalogue, dynamics, four_bar, levels, lost_motion, plotting, published, units
+from rvjax import catalogue, dynamics, four_bar, levels, lost_motion, models, plotting, published, units
 from rvjax.errors import CamRollerErrors, RVErrors
 from rvjax.levels import table
 from rvjax.plotting import drawings
@@ -16,7 +16,6 @@ from rvjax.plotting import dynamics as dynamic_pictures
 from rvjax.plotting import mesh_force as mesh_pictures
 from rvjax.plotting.style import AFTER, BEFORE
 from rvjax.status import MEANING, PRECEDENCE, SUCCESS
-from rvjax.study import response as scene
 from rvjax.units import arcmin, arcsec, readable, rpm, um
 
 
@@ -56,23 +55,22 @@ def _units():
 
 def _outputs():
     rows = [
-        (design.__name__, f"`{name}`", output.unit, output.meaning)
-        for design, kind in scene.KINDS.items()
-        for name, output in kind.outputs.items()
+        (f"`{kind}`", f"`{name}`", output.unit, output.meaning)
+        for kind, design in models.kinds().items()
+        for name, output in models.kind_of(design).outputs.items()
     ]
     return _table(["kind of design", "response", "unit", "meaning"], rows)
 
 
 def _conditions():
     blocks = []
-    for design, kind in scene.KINDS.items():
-        about = dict(line.strip().split(": ", 1) for line in kind.conditions.__doc__.splitlines() if ": " in line)
+    for name, design in models.kinds().items():
         rows = []
-        for f in dataclasses.fields(kind.conditions):
-            choices = ", ".join(f"`{choice}`" for choice in f.metadata.get("choices", ()))
-            what = f.metadata.get("unit") or choices or f"count, at least {f.metadata['minimum']}"
-            rows.append((f"`{f.name}`", what, "-" if f.default is None else f"`{f.default}`", about[f.name]))
-        blocks += [f"For `{design.__name__}`:\n", _table(["key", "unit or choices", "default", "meaning"], rows)]
+        for f in dataclasses.fields(models.kind_of(design).conditions):
+            choices = ", ".join(f"`{choice}`" for choice in f.metadata["choices"] or ())
+            what = choices or f.metadata["unit"] or f"count, {f.metadata['minimum']} to {f.metadata['maximum']}"
+            rows.append((f"`{f.name}`", what, "-" if f.default is None else f"`{f.default}`", f.metadata["meaning"]))
+        blocks += [f"For designs of kind `{name}`:\n", _table(["key", "unit or choices", "default", "meaning"], rows)]
     return "\n".join(blocks)
 
 

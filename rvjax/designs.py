@@ -7,7 +7,7 @@ an inner gear; the cage is the output.
 """
 
 import math
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -67,7 +67,7 @@ class CycloidStage(Record):
 
     disc_teeth: int = count("teeth of a disc, zc")
     pin_count: int = count("pins of the ring, zp")
-    disc_count: int = count("discs, nd")
+    disc_count: int = count("discs, nd", maximum=64)
     eccentricity: Any = field("m", "nominal eccentricity of cranks and discs, e", sign="positive")
     pin_circle_radius: Any = field("m", "radius of the pin circle, rp", sign="positive")
     pin_radius: Any = field("m", "radius of a pin, rrp", sign="positive")
@@ -99,7 +99,7 @@ class CycloidStage(Record):
 class CrankStage(Record):
     """Crankshafts, equally spaced on a circle; two cranks are 2 * circle_radius apart."""
 
-    count: int = count("crankshafts, each with its planet", minimum=2)
+    count: int = count("crankshafts, each with its planet", minimum=2, maximum=64)
     circle_radius: Any = field("m", "radius of the circle of crank axes, R", sign="positive")
     bearing_stiffness: Any = field("N/m", "crank arm and bearings in series", default=None, sign="positive")
 
@@ -165,6 +165,8 @@ class Damping(Record):
 class RVReducer(Record):
     """An RV reducer. The last four parts are needed by the dynamic model only."""
 
+    kind: ClassVar[str] = "rv"  # in study files
+
     involute: InvoluteStage = field("-", "first stage", kind="record")
     cycloid: CycloidStage = field("-", "second stage", kind="record")
     cranks: CrankStage = field("-", "crankshafts", kind="record")
@@ -172,6 +174,12 @@ class RVReducer(Record):
     stiffness: Stiffness | None = field("-", "stiffnesses", kind="record", default=None)
     mesh_variation: MeshVariation | None = field("-", "periodic mesh stiffness", kind="record", default=None)
     damping: Damping | None = field("-", "damping", kind="record", default=None)
+
+    @property
+    def ratio(self) -> float:
+        """Turns of the sun for one of the carrier, ring of pins at rest: i = 1 + z2 zp / ((zp - zc) z1)."""
+        ring, disc = self.cycloid.pin_count, self.cycloid.disc_teeth
+        return 1 + self.involute.planet_teeth * ring / ((ring - disc) * self.involute.sun_teeth)
 
     @property
     def counts(self) -> dict[str, int]:
@@ -190,7 +198,9 @@ class RVReducer(Record):
 class CamRollerReducer(Record):
     """Oscillatory roller stage: eccentric disc cam, one roller more than gear teeth, fixed inner gear."""
 
-    gear_teeth: int = count("teeth of the fixed inner gear, z; there are z + 1 rollers", minimum=2)
+    kind: ClassVar[str] = "oscillatory-roller"  # in study files
+
+    gear_teeth: int = count("teeth of the fixed inner gear, z; there are z + 1 rollers", minimum=2, maximum=2000)
     cam_radius: Any = field("m", "radius of the disc cam, Rj", sign="positive")
     roller_radius: Any = field("m", "radius of a roller, r", sign="positive")
     roller_length: Any = field("m", "length of a roller, lH", sign="positive")

@@ -36,6 +36,23 @@ class RVErrors(Record):
     shift_modification: Any = field("m", "deviation of the shift modification", default=0.0)
     base_tangent_upper: Any = field("m", "upper deviation of the base tangent length; < 0 thins the tooth", default=0.0)
     base_tangent_lower: Any = field("m", "lower deviation of the base tangent length; < 0 thins the tooth", default=0.0)
+    sun_planet_stiffness: Any = field("-", "share by which all meshes of sun and planets are stiffer", default=0.0)
+    disc_pin_stiffness: Any = field("-", "share by which all meshes of discs and pins are stiffer", default=0.0)
+    turning_arm_stiffness: Any = field("-", "share by which all bearings in the discs are stiffer", default=0.0)
+    support_stiffness: Any = field("-", "share by which all bearings in the carrier are stiffer", default=0.0)
+
+    def stiffened(self, design: RVReducer) -> RVReducer:
+        """The design with the stiffness of this unit, for the models that read it."""
+        if design.stiffness is None:
+            return design
+        shares = {
+            "sun_planet_mesh": self.sun_planet_stiffness,
+            "disc_pin_mesh": self.disc_pin_stiffness,
+            "turning_arm_bearing": self.turning_arm_stiffness,
+            "support_bearing": self.support_stiffness,
+        }
+        own = {name: getattr(design.stiffness, name) * (1 + share) for name, share in shares.items()}
+        return design.replace(stiffness=design.stiffness.replace(**own))
 
     @classmethod
     def for_design(cls, design: RVReducer, **errors: Any) -> Self:

@@ -43,9 +43,15 @@ def field(
     return dataclasses.field(default=default, metadata=metadata)
 
 
-def count(meaning: str, *, minimum: int = 1) -> Any:
-    """Declare a static count (teeth, pins, cranks ...), an integer of at least `minimum`."""
-    return dataclasses.field(metadata=dict(unit="-", meaning=meaning, minimum=minimum, kind="count"))
+def count(meaning: str, *, minimum: int = 1, maximum: int = 1_000_000) -> Any:
+    """Declare a static count (teeth, pins, cranks ...), an integer of at least `minimum`.
+
+    Args:
+        meaning: one line.
+        minimum: least.
+        maximum: beyond which a program neither compiles in time nor fits into memory; study files refuse it.
+    """
+    return dataclasses.field(metadata=dict(unit="-", meaning=meaning, minimum=minimum, maximum=maximum, kind="count"))
 
 
 def text(meaning: str, *, default: Any = dataclasses.MISSING) -> Any:

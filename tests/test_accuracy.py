@@ -13,13 +13,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rvjax import cli, levels, study
+from rvjax import cli, levels, models, study
 from rvjax.catalogue import RV_40E
-from rvjax.levels import subjects
+from rvjax.levels import measured
+from rvjax.levels.measure import evaluate, limits
 from rvjax.levels.table import SAFETY, Level, Model, Table, stored
 from rvjax.plotting import tradeoff as picture
 from rvjax.status import succeeded
-from rvjax.study import response as scene
 from rvjax.tolerances import Tolerance, for_design, sample
 from rvjax.units import arcsec, um
 
@@ -91,12 +91,12 @@ def test_every_model_of_the_stored_table_can_be_shown():
 
 
 LINKS = dict(crank_eccentricity=Tolerance.symmetric(6.5 * um), disc_bore=Tolerance.symmetric(6.5 * um))
-LOADED = scene.RVConditions(output_torque=412.0)
+LOADED = models.kind(RV_40E).conditions(output_torque=412.0)
 
 
 def chosen(accuracy, design=RV_40E, conditions=LOADED, tolerances=None, output="transmission_error"):
     tolerances = tolerances or for_design(design, **LINKS)
-    return scene.choose(design, (output,), conditions, tolerances=tolerances, accuracy={output: accuracy})[output]
+    return levels.choose(design, (output,), conditions, tolerances=tolerances, accuracy={output: accuracy})[output]
 
 
 def test_more_accuracy_costs_more():
@@ -132,7 +132,7 @@ def test_an_accuracy_must_make_sense():
     with pytest.raises(ValueError, match="positive"):
         chosen(0.0)
     with pytest.raises(ValueError, match="not asked for"):
-        scene.choose(RV_40E, ("misfit",), LOADED, tolerances=for_design(RV_40E), accuracy={"lost_motion": 1.0})
+        levels.choose(RV_40E, ("misfit",), LOADED, tolerances=for_design(RV_40E), accuracy={"lost_motion": 1.0})
 
 
 def test_a_study_states_its_accuracy():
@@ -153,7 +153,7 @@ def test_a_study_states_its_accuracy():
 
 @pytest.fixture(scope="module")
 def lost_motion():
-    return next(s for s in subjects() if s.name == "lost_motion")
+    return next(s for s in measured() if s.name == "lost_motion")
 
 
 def test_measuring_a_model(lost_motion):
@@ -177,22 +177,23 @@ def test_scenes_keep_their_accuracy(lost_motion):
     @partial(jax.jit, static_argnums=(0, 1))
     def run(settings, precision, design, errors):
         case = jax.tree.map(lambda x: jnp.asarray(x, precision), (design, errors, jnp.zeros(units)))
-        values, status = jax.vmap(lambda *c: kept.evaluate(dict(settings), *c))(*case)
+        values, status = jax.vmap(lambda *c: evaluate(kept, dict(settings), *c))(*case)
         return values["lost_motion"].astype(float), status
 
     draw = jax.jit(jax.vmap(lambda t, k: sample(t, k, seed=5), in_axes=(None, 0)))
     names, exact = set(), (("lost_motion_profile", "contact"),)
+    measured_errors = limits(kept.errors, kept.design)
     for number in range(40):
         design = jax.tree.map(lambda x: float(x * rng.uniform(0.95, 1.05)), kept.design)
         factor, accuracy = np.exp(rng.uniform(np.log(0.3), np.log(3))), typical * 10 ** rng.uniform(-4, 0)
-        tolerances = kept.tolerances.replace(
+        tolerances = measured_errors.replace(
             **{
                 name: t.replace(lower=t.lower * factor, upper=t.upper * factor)
-                for name, t in vars(kept.tolerances).items()
+                for name, t in vars(measured_errors).items()
                 if t is not None
             }
         )
-        choice = chosen(accuracy, design, scene.RVConditions(), tolerances, "lost_motion")
+        choice = chosen(accuracy, design, models.kind(RV_40E).conditions(), tolerances, "lost_motion")
         names.add(choice.level)
         errors = draw(tolerances, jnp.arange(number * units, (number + 1) * units))
         designs = jax.tree.map(lambda x: np.full(units, x), design)
@@ -218,11 +219,11 @@ def test_the_command_prints_writes_and_draws(tmp_path, monkeypatch, capsys):
 def test_the_level_that_the_conditions_select_is_named_with_its_measured_error():
     question = study.load("rv-40e")
     outputs = tuple(question.requirements)
-    found = scene.as_given(question.design, outputs, question.conditions, tolerances=question.tolerances)
+    found = levels.as_given(question.design, outputs, question.conditions, tolerances=question.tolerances)
     assert found["transmission_error"].level == "closed form, 64 angles, float64"
     largest = stored().models["transmission_error"].level(found["transmission_error"].level).largest
     bounds = SAFETY * np.array(largest["transmission_error"])
     assert bounds.min() <= found["transmission_error"].bound <= bounds.max()
     assert found["lost_motion"].bound is None and "not measured" in found["lost_motion"].why
     other = dataclasses.replace(question.conditions, angles=17)
-    assert "transmission_error" not in scene.as_given(question.design, outputs, other, tolerances=question.tolerances)
+    assert "transmission_error" not in levels.as_given(question.design, outputs, other, tolerances=question.tolerances)

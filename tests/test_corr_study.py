@@ -9,18 +9,18 @@ import jax
 import numpy as np
 import pytest
 
-from rvjax import mesh_force, study
+from rvjax import mesh_force, models, study
 from rvjax.catalogue import CORR
-from rvjax.study import response as scene
+from rvjax.study.response import Response
 from rvjax.tolerances import Tolerance, allocate, for_design, monte_carlo, sample
 from rvjax.units import um
 
-CONDITIONS = scene.CamRollerConditions(input_torque=109.56, contact="linear")
+CONDITIONS = models.kind(CORR).conditions(input_torque=109.56, contact="linear")
 
 
 @pytest.fixture(scope="module")
 def response():
-    return scene.response(CORR, ("cam_force", "contact_pressure"), CONDITIONS)
+    return Response.of(CORR, ("cam_force", "contact_pressure"), CONDITIONS)
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +60,7 @@ def test_the_embedded_study_finds_cheaper_tolerances():
     assert whole.tolerances.roller_radius.shape == (26,)
     question = dataclasses.replace(whole, conditions=dataclasses.replace(whole.conditions, contact="linear"))
     limit = {"cam_force": dataclasses.replace(whole.requirements["cam_force"], upper=8000.0, target=0.95)}
-    response = scene.response(question.design, ("cam_force",), question.conditions)
+    response = Response.of(question.design, ("cam_force",), question.conditions)
     found = allocate(
         response, question.tolerances, limit, costs=question.costs, samples=1024, seed=0, certificate_samples=8192
     )

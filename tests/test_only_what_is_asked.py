@@ -13,7 +13,7 @@ import pytest
 
 from rvjax import dynamics, study
 from rvjax.catalogue import RV_320E
-from rvjax.study import response as scene
+from rvjax.study.response import Response
 from rvjax.tolerances import Tolerance, for_design, sample
 from rvjax.tolerances.population.layout import layout
 from rvjax.units import um
@@ -36,7 +36,7 @@ def full(errors):
 
 
 def cost_of(outputs, errors):
-    response = scene.response(STUDY.design, outputs, CONDITIONS)
+    response = Response.of(STUDY.design, outputs, CONDITIONS)
     return operations(lambda e: jax.vmap(lambda unit: response(unit).value)(e), errors)
 
 
@@ -71,7 +71,7 @@ def test_rotation_of_the_output_costs_a_tenth_of_all_coordinates():
 @pytest.fixture(scope="module")
 def sampled():
     """Operations to draw units with some fields active and to differentiate the mean to their half-widths."""
-    response = scene.response(STUDY.design, ("transmission_error",), CONDITIONS)
+    response = Response.of(STUDY.design, ("transmission_error",), CONDITIONS)
 
     def program(half_widths):
         tolerances = for_design(STUDY.design, **{n: Tolerance.symmetric(h) for n, h in half_widths.items()})

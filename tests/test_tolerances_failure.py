@@ -15,7 +15,7 @@ from scipy import integrate, special, stats
 
 import rvjax
 from rvjax.status import Status
-from rvjax.study import response as scene
+from rvjax.study.response import Response
 from rvjax.tolerances import Outcome, Requirement, Tolerance, failure_probability, for_design, monte_carlo
 from rvjax.units import um
 
@@ -205,8 +205,8 @@ def test_responses_of_several_values():
 
 def test_misfit_of_a_reducer():
     """The largest misfit over two discs and 16 angles: kinks everywhere, several ways to fail."""
-    conditions = scene.RVConditions(angles=16)
-    response = scene.response(rvjax.catalogue.RV_40E, ("misfit",), conditions)
+    conditions = rvjax.models.kind(rvjax.catalogue.RV_40E).conditions(angles=16)
+    response = Response.of(rvjax.catalogue.RV_40E, ("misfit",), conditions)
     fine = Tolerance.grade("IT6", 0.025)
     tolerances = for_design(rvjax.catalogue.RV_40E, crank_eccentricity=fine, disc_bore=fine, carrier_bore=fine)
     usual, rare = ({"misfit": Requirement(upper=limit)} for limit in (19 * um, 27 * um))

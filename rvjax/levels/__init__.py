@@ -1,7 +1,19 @@
-"""Speed against accuracy, measured: every level of every model against its exact one, side by side in one run."""
+"""Speed against accuracy, measured: every level of every model against its exact one, and the cheapest that holds."""
 
 from rvjax.levels.advice import advice, markdown, report
-from rvjax.levels.measure import measure, measure_model
-from rvjax.levels.subjects import Subject, Way, subjects
+from rvjax.levels.choice import Choice, as_given, choose
+from rvjax.levels.measure import measure, measure_model, measured
+from rvjax.levels.table import stored
 
-__all__ = ["Subject", "Way", "advice", "markdown", "measure", "measure_model", "report", "subjects"]
+__all__ = [
+    "Choice",
+    "advice",
+    "as_given",
+    "choose",
+    "markdown",
+    "measure",
+    "measure_model",
+    "measured",
+    "report",
+    "stored",
+]

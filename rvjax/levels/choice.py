@@ -2,7 +2,7 @@
 
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,8 +22,8 @@ class Choice:
         level: name of the level.
         settings: conditions that select it, as (name, value).
         precision: "float64" or "float32".
-        bound: its error stays below this, SI; None for the exact level, from which errors are measured.
-        ns: measured nanoseconds per case; for comparison, they belong to the machine of the table.
+        bound: its error stays below this, SI; None for the exact level, and where nothing was measured.
+        ns: measured nanoseconds per case, for comparison: they belong to the machine of the table; None likewise.
         why: one line.
     """
 
@@ -32,7 +32,7 @@ class Choice:
     settings: tuple[tuple[str, Any], ...]
     precision: str
     bound: float | None
-    ns: float
+    ns: float | None
     why: str
 
 
@@ -60,7 +60,7 @@ def choose(
         table: measured levels; by default those that come with rvjax.
 
     Raises:
-        ValueError: an accuracy that is not positive, of an output that is not asked for or was never measured.
+        ValueError: an accuracy that is not positive, or of an output that is not asked for.
     """
     for name, value in accuracy.items():
         if name not in outputs:
@@ -69,10 +69,13 @@ def choose(
             raise ValueError(f"accuracy of {name!r} = {value!r}: must be a positive number")
     models = (table or stored()).models.values()
     asked: dict[str, tuple[Model, str, list[str]]] = {}
+    found = {}
     for name in accuracy:
+        if not any(name in model.outputs for model in models):
+            found[name] = _unmeasured(name)
+            continue
         model, reason = _model(models, name, design, conditions)
         asked.setdefault(model.name, (model, reason, []))[2].append(name)
-    found = {}
     for model, reason, names in asked.values():  # outputs of one model share a level: one solution serves them all
         size, problem = _size(model, tolerances)
         reason = reason or problem
@@ -98,13 +101,17 @@ def as_given(design: Any, outputs: Sequence[str], conditions: Any, *, tolerances
 
     Args:
         design: the reducer.
-        outputs: that are asked for; one of which no such level was measured is left out.
+        outputs: that are asked for.
         conditions: how the reducer runs.
         tolerances: of the units; record with a `Tolerance` or None.
     """
     found = {}
+    models = stored().models.values()
     for name in outputs:
-        model, reason = _model(stored().models.values(), name, design, conditions)
+        found[name] = _unmeasured(name)
+        if not any(name in model.outputs for model in models):
+            continue
+        model, reason = _model(models, name, design, conditions)
         size, problem = _size(model, tolerances)
         reason = reason or problem
         for level in model.levels:
@@ -117,15 +124,18 @@ def as_given(design: Any, outputs: Sequence[str], conditions: Any, *, tolerances
     return found
 
 
+def _unmeasured(output: str) -> Choice:
+    why = "no level of it like this was measured: it is computed as the conditions say, whatever the accuracy"
+    return Choice(output, "as in the conditions", (), "float64", None, None, why)
+
+
 def _differs(model: Model, conditions: Any) -> list[str]:
     return [name for name, value in model.conditions.items() if getattr(conditions, name) != value]
 
 
-def _model(models: Any, output: str, design: Any, conditions: Any) -> tuple[Model, str]:
+def _model(models: Iterable[Model], output: str, design: Any, conditions: Any) -> tuple[Model, str]:
     """The model that fits the conditions, else any with this output; and why its measurements do not hold."""
     known = [model for model in models if output in model.outputs]
-    if not known:
-        raise ValueError(f"accuracy of {output!r}: no level of it was measured")
     model = min(known, key=lambda model: len(_differs(model, conditions)))
     if different := _differs(model, conditions):
         return model, f"{different[0]} = {getattr(conditions, different[0])!r}"
@@ -135,9 +145,7 @@ def _model(models: Any, output: str, design: Any, conditions: Any) -> tuple[Mode
         if not abs(value - model.design[name]) <= model.spread * abs(model.design[name]) * (1 + 1e-9):  # also NaN
             return model, f"{name} = {value:.4g}"
     if model.torque is not None:
-        torque = next(
-            getattr(conditions, f.name) for f in dataclasses.fields(conditions) if f.metadata.get("unit") == "N m"
-        )
+        torque = next(getattr(conditions, f.name) for f in dataclasses.fields(conditions) if f.metadata["torque"])
         if not (is_concrete(torque) and model.torque[0] <= torque <= model.torque[1]):
             return model, f"torque = {torque} N m" if is_concrete(torque) else "a torque that is traced"
     return model, ""

@@ -6,14 +6,12 @@ from typing import Any
 
 import numpy as np
 
+from rvjax import models
 from rvjax.catalogue import RV_40E
+from rvjax.four_bar.outputs import LINKS
 from rvjax.levels.choice import design_numbers, reach
-from rvjax.levels.subjects import LINKS
 from rvjax.levels.table import Level, Model
-from rvjax.study import response as scene
-from rvjax.tolerances import for_design, monte_carlo, rss
-
-CONDITIONS = scene.RVConditions(output_torque=412.0, angles=16)
+from rvjax.tolerances import Outcome, Tolerance, for_design, monte_carlo, rss
 
 
 def measure_statistics(*, quick: bool, seed: int) -> Model:
@@ -23,11 +21,12 @@ def measure_statistics(*, quick: bool, seed: int) -> Model:
         quick: fewer units.
         seed: of the first repetition.
     """
-    tolerances = for_design(RV_40E, **LINKS)
-    whole = scene.response(RV_40E, ("transmission_error",), CONDITIONS)
+    tolerances = for_design(RV_40E, **{name: Tolerance(*ends) for name, ends in LINKS.items()})
+    kind = models.kind(RV_40E)
+    given = kind.conditions(output_torque=412.0, angles=16)
 
     def value(errors: Any) -> Any:
-        return whole(errors).value["transmission_error"]
+        return Outcome(*kind.outputs["transmission_error"].evaluate(RV_40E, errors, given))
 
     def drawn(method: str, units: int) -> Callable[[int], tuple[float, float]]:
         def run(number: int) -> tuple[float, float]:

@@ -1,7 +1,8 @@
-"""Error and cost of every level of a subject, side by side in one run."""
+"""Error and cost of every level that a model describes, side by side in one run."""
 
+import dataclasses
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -9,13 +10,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax import models
 from rvjax.levels.choice import design_numbers, reach
 from rvjax.levels.estimators import measure_statistics
-from rvjax.levels.subjects import SPREAD, Subject, Way, subjects
 from rvjax.levels.table import Level, Model, Table
 from rvjax.levels.timing import alternate, compiled, machine
-from rvjax.status import succeeded
+from rvjax.outputs import Cases, Way
+from rvjax.status import succeeded, worst
+from rvjax.tolerances import Tolerance, for_design, sample
 
+SPREAD = 0.05  # of every number of the design
 Program = Callable[..., Any]
 
 
@@ -27,31 +31,96 @@ def measure(*, quick: bool = False, seed: int = 0, say: Callable[[str], None] = 
         seed: of the cases.
         say: told what is measured next.
     """
-    models = {}
-    for subject in subjects(quick=quick):
-        say(subject.name)
-        models[subject.name] = measure_model(subject, seed=seed, seconds=0.1 if quick else 0.3)
+    found = {}
+    for cases in measured(quick=quick):
+        say(cases.name)
+        found[cases.name] = measure_model(cases, seed=seed, seconds=0.1 if quick else 0.3)
     say("statistics")
-    models["statistics"] = measure_statistics(quick=quick, seed=seed)
-    return Table({**machine(), "load": _load()}, seed, models)
+    found["statistics"] = measure_statistics(quick=quick, seed=seed)
+    return Table({**machine(), "load": _load()}, seed, found)
 
 
-def measure_model(subject: Subject, *, seed: int, seconds: float = 0.3) -> Model:
+def measured(*, quick: bool = False) -> list[Cases]:
+    """The cases that every model describes.
+
+    Args:
+        quick: fewer levels and cases.
+    """
+    return [cases for description in models.descriptions() for cases in description.cases(quick)]
+
+
+def limits(errors: Mapping[str, tuple[float, float]], design: Any) -> Any:
+    """Tolerances from the limits of described cases.
+
+    Args:
+        errors: (lower, upper) by field.
+        design: whose errors they are.
+    """
+    return for_design(design, **{name: Tolerance(*ends) for name, ends in errors.items()})
+
+
+def draw(cases: Cases, call: int, size: float, seed: int) -> tuple[Any, Any, Any]:
+    """Designs, errors and the rest of a batch of cases, float64, the same at every error size but for the scale.
+
+    Args:
+        cases: what to draw.
+        call: number of the batch.
+        size: factor on the errors.
+        seed: of the random numbers.
+    """
+    rng = np.random.default_rng([seed, call])
+    design = jax.tree.map(lambda x: x * (1 + rng.uniform(-SPREAD, SPREAD, cases.batch)), cases.design)
+    if cases.extra is not None:
+        extra = cases.extra(rng, cases.batch, size)
+    else:
+        extra = rng.uniform(*(cases.torque or (0.0, 0.0)), cases.batch)
+    if cases.errors is None:
+        return design, None, extra
+    units = jnp.arange(call * cases.batch, (call + 1) * cases.batch)
+    errors = _units(limits(cases.errors, cases.design), units, seed)
+    return design, jax.tree.map(lambda x: jnp.broadcast_to(size * x, (cases.batch, *jnp.shape(x)[1:])), errors), extra
+
+
+def _units(tolerances: Any, units: jax.Array, seed: int) -> Any:
+    return jax.jit(jax.vmap(lambda unit: sample(tolerances, unit, seed=seed)))(units)
+
+
+def evaluate(cases: Cases, settings: Mapping[str, Any], design: Any, errors: Any, extra: Any) -> Any:
+    """Values of all outputs of one case and their worst status, under the conditions of the cases and a level.
+
+    Args:
+        cases: to which it belongs.
+        settings: conditions that select a level.
+        design: of the case.
+        errors: of the case.
+        extra: its torque, unless the cases say otherwise.
+    """
+    if cases.evaluate is not None:
+        return cases.evaluate(settings, design, errors, extra)
+    kind = models.kind(cases.design)
+    fields = dataclasses.fields(kind.conditions)
+    torque = {f.name: extra for f in fields if f.metadata["torque"]} if cases.torque else {}
+    given = kind.conditions(**{**cases.conditions, **settings, **torque})
+    found = [kind.outputs[name].evaluate(design, errors, given) for name in cases.outputs]
+    return {name: value for name, (value, _) in zip(cases.outputs, found)}, worst(jnp.stack([s for _, s in found]))
+
+
+def measure_model(cases: Cases, *, seed: int, seconds: float = 0.3) -> Model:
     """Every level of one model against its reference.
 
     Args:
-        subject: what to measure.
+        cases: what to measure.
         seed: of the cases.
         seconds: of timing for each level.
     """
-    plan = [(way, precision) for way in subject.ways for precision in way.precisions]
-    first = subject.draw(0, 1.0, seed)
+    plan = [(way, precision) for way in cases.ways for precision in way.precisions]
+    first = draw(cases, 0, 1.0, seed)
     inputs = {precision: _cast(first, precision) for precision in ("float64", "float32")}
     with ThreadPoolExecutor(2) as pool:  # the compiler leaves the interpreter alone
-        made = list(pool.map(lambda item: compiled(_batch(subject, item[0]), *inputs[item[1]]), plan))
+        made = list(pool.map(lambda item: compiled(_batch(cases, item[0]), *inputs[item[1]]), plan))
     names = [f"{way.name}, {precision}" for way, precision in plan]
-    reference = names.index(f"{subject.ways[-1].name}, float64")
-    errors, typical, failed = _errors(subject, [program for program, _ in made], [p for _, p in plan], reference, seed)
+    reference = names.index(f"{cases.ways[-1].name}, float64")
+    errors, typical, failed = _errors(cases, [program for program, _ in made], [p for _, p in plan], reference, seed)
     runs = {
         name: (lambda program=program, given=inputs[precision]: program(*given))
         for name, (program, _), (_, precision) in zip(names, made, plan)
@@ -60,27 +129,27 @@ def measure_model(subject: Subject, *, seed: int, seconds: float = 0.3) -> Model
     levels = tuple(
         Level(
             name=name,
-            settings=way.settings,
+            settings=dict(way.settings),
             precision=precision,
-            largest={o: list(errors[o][0][k]) for o in subject.outputs},
-            rms={o: list(errors[o][1][k]) for o in subject.outputs},
-            ns=1e9 * best[name] / subject.batch,
+            largest={o: list(errors[o][0][k]) for o in cases.outputs},
+            rms={o: list(errors[o][1][k]) for o in cases.outputs},
+            ns=1e9 * best[name] / cases.batch,
             compile_s=facts["compile_s"],
             memory_MB=facts["temporary_MB"],
-            cases=subject.batch,
+            cases=cases.batch,
         )
         for k, (name, (_, facts), (way, precision)) in enumerate(zip(names, made, plan))
     )
     return Model(
-        name=subject.name,
-        outputs=subject.outputs,
-        case=subject.case,
-        design=_read(subject, made[0][0], inputs[plan[0][1]]),
+        name=cases.name,
+        outputs=dict(cases.outputs),
+        case=cases.case,
+        design=_read(cases, made[0][0], inputs[plan[0][1]]),
         spread=SPREAD,
-        errors={} if subject.tolerances is None else reach(subject.tolerances),
-        sizes=list(subject.sizes),
-        torque=subject.torque,
-        conditions=subject.conditions,
+        errors={} if cases.errors is None else reach(limits(cases.errors, cases.design)),
+        sizes=list(cases.sizes),
+        torque=cases.torque,
+        conditions=dict(cases.conditions),
         typical=typical,
         failed=failed,
         reference=names[reference],
@@ -96,7 +165,7 @@ def _cast(tree: Any, precision: str) -> Any:
     return jax.tree.map(lambda x: jnp.asarray(x, precision), tree)
 
 
-def _read(subject: Subject, program: Program, case: Any) -> dict[str, float]:
+def _read(cases: Cases, program: Program, case: Any) -> dict[str, float]:
     """Numbers of the design that matter: those whose change changes an output, and all counts."""
     design, *rest = case
     before = jax.device_get(program(*case)[0])
@@ -108,39 +177,39 @@ def _read(subject: Subject, program: Program, case: Any) -> dict[str, float]:
         after = jax.device_get(program(jax.tree.unflatten(tree, changed), *rest)[0])
         if all(np.array_equal(before[o], after[o], equal_nan=True) for o in before):
             unread.add(".".join(key.name for key in path))
-    return {name: value for name, value in design_numbers(subject.design).items() if name not in unread}
+    return {name: value for name, value in design_numbers(cases.design).items() if name not in unread}
 
 
-def _batch(subject: Subject, way: Way) -> Program:
-    return jax.vmap(lambda *case: subject.evaluate(way.settings, *case))
+def _batch(cases: Cases, way: Way) -> Program:
+    return jax.vmap(lambda *case: evaluate(cases, way.settings, *case))
 
 
 def _errors(
-    subject: Subject, programs: Sequence[Program], precisions: Sequence[str], reference: int, seed: int
+    cases: Cases, programs: Sequence[Program], precisions: Sequence[str], reference: int, seed: int
 ) -> tuple[dict[str, Any], dict[str, list[float]], tuple[int, int]]:
     """{output: (largest, rms), each (levels, sizes)}, rms of the reference, cases without reference."""
-    shape = (len(programs), len(subject.sizes))
-    largest = {o: np.zeros(shape) for o in subject.outputs}
-    squares = {o: np.zeros(shape) for o in subject.outputs}
-    typical, counted = {o: np.zeros(shape[1]) for o in subject.outputs}, np.zeros(shape[1])
-    for s, size in enumerate(subject.sizes):
-        for call in range(subject.calls):
-            case = subject.draw(call, size, seed)
+    shape = (len(programs), len(cases.sizes))
+    largest = {o: np.zeros(shape) for o in cases.outputs}
+    squares = {o: np.zeros(shape) for o in cases.outputs}
+    typical, counted = {o: np.zeros(shape[1]) for o in cases.outputs}, np.zeros(shape[1])
+    for s, size in enumerate(cases.sizes):
+        for call in range(cases.calls):
+            case = draw(cases, call, size, seed)
             given = {precision: _cast(case, precision) for precision in set(precisions)}
             values, status = jax.device_get(programs[reference](*given["float64"]))
             good = np.asarray(succeeded(status))
             counted[s] += good.sum()
-            for o in subject.outputs:
+            for o in cases.outputs:
                 typical[o][s] += np.sum(np.mean(values[o][good].reshape(good.sum(), -1) ** 2, axis=1))
             for k, program in enumerate(programs):
                 found, own = jax.device_get(program(*given[precisions[k]]))
                 fine = np.asarray(succeeded(own))[good]
-                for o in subject.outputs:
+                for o in cases.outputs:
                     off = np.abs(found[o].astype(float) - values[o])[good].reshape(good.sum(), -1)
                     off[~fine] = np.inf  # no value where the reference has one
                     largest[o][k, s] = max(largest[o][k, s], off.max(initial=0.0))
                     squares[o][k, s] += np.sum(np.mean(off**2, axis=1))
-    errors = {o: (largest[o].tolist(), np.sqrt(squares[o] / counted).tolist()) for o in subject.outputs}
-    total = subject.calls * subject.batch * shape[1]
-    rms = {o: np.sqrt(typical[o] / counted).tolist() for o in subject.outputs}
+    errors = {o: (largest[o].tolist(), np.sqrt(squares[o] / counted).tolist()) for o in cases.outputs}
+    total = cases.calls * cases.batch * shape[1]
+    rms = {o: np.sqrt(typical[o] / counted).tolist() for o in cases.outputs}
     return errors, rms, (int(total - counted.sum()), total)

@@ -5,7 +5,6 @@ import dataclasses
 from rvjax import study, tolerances
 from rvjax.report import text
 from rvjax.tolerances import Statistics
-from rvjax.units import readable
 
 
 def write(found: Statistics, source: str, *, figures: str | None, samples: str | None) -> None:
@@ -31,7 +30,7 @@ def summary(found: Statistics, source: str) -> str:
     headers = ["response", "unit", "mean", "+-", "sd", "least", "most", *(f"{100 * p:g} %" for p in percentiles), "cpk"]
     rows, yields = [], []
     for name in found.mean:
-        unit, size = readable(question.output(name).unit)
+        unit, size = question.output(name).shown
         numbers = [found.mean[name].value, found.mean[name].error, found.sd[name].value]
         numbers += [found.minimum[name], found.maximum[name], *(found.quantiles[p][name].value for p in percentiles)]
         rows.append([name, unit, *(f"{number / size:.5g}" for number in numbers), f"{found.cpk[name]:.3f}"])

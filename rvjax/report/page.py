@@ -12,12 +12,12 @@ import jax
 import numpy as np
 
 import rvjax
+from rvjax import levels, models
 from rvjax.plotting.style import words
 from rvjax.report import text as tables
 from rvjax.report.pictures import Picture, pictures
 from rvjax.report.worst_units import WorstUnit, worst_units
 from rvjax.status import MEANING, Status
-from rvjax.study import response as scene
 from rvjax.study.answer import SHOWN_VALUES, Answer
 from rvjax.units import readable
 
@@ -67,7 +67,7 @@ def _head(answer: Answer) -> str:
         verdict = "✘ No tolerances within the process ranges meet the requirements."
     more = []
     for response, shortfall in allocation.shortfall.items():
-        unit, size = readable(study.output(response).unit)
+        unit, size = study.output(response).shown
         if shortfall > 0:
             more.append(f"The limit of {words(response)} would have to move by {shortfall / size:.4g} {unit}.")
     if not allocation.feasible:
@@ -156,8 +156,12 @@ def _worst(answer: Answer, drawn: dict[str, Picture]) -> str:
         "the tick its middle, every dot one element of the error. Errors that explain less than "
         f"{100 * SHARE_SHOWN:g} % of the variance are left out.</p>"
     )
+    curves = _figure(drawn["curves"]) if "curves" in drawn else ""
     units = "".join(_unit(answer, unit) for unit in worst_units(answer))
-    return _section("Worst units", f"{text}<div class='units'>{units}</div>" + _figure(drawn["curves"]))
+    return _section(
+        "Worst units",
+        f"{text}<div class='units'>{units}</div>{curves}",
+    )
 
 
 def _unit(answer: Answer, unit: WorstUnit) -> str:
@@ -165,7 +169,7 @@ def _unit(answer: Answer, unit: WorstUnit) -> str:
     if unit.requirement:
         shares = side.shares[unit.requirement]
         fields = sorted((f for f in study.fields if shares[f] >= SHARE_SHOWN), key=lambda f: -shares[f])
-        name, size = readable(study.output(unit.requirement).unit)
+        name, size = study.output(unit.requirement).shown
         margin = study.requirements[unit.requirement].margin(unit.values[unit.requirement]) / size
         place = f"{abs(margin):.3g} {name} {'beyond' if margin > 0 else 'within'} the limit"
         title = f"Unit {unit.index:,}: {words(unit.requirement)}, {place}"
@@ -176,7 +180,7 @@ def _unit(answer: Answer, unit: WorstUnit) -> str:
     responses = "; ".join(
         f"{words(name)} {value / size:.4g} {shown}" if np.isfinite(value) else f"{words(name)} -"
         for name, value in unit.values.items()
-        for shown, size in [readable(study.output(name).unit)]
+        for shown, size in [study.output(name).shown]
     )
     rows = []
     for field in fields:
@@ -211,34 +215,29 @@ def _strip(places: np.ndarray) -> str:
 
 def _levels(answer: Answer) -> str:
     study = answer.study
-    given = scene.as_given(study.design, tuple(study.requirements), study.conditions, tolerances=study.tolerances)
-    choices = given | study.choices()
+    outputs = tuple(study.requirements)
+    given = levels.as_given(study.design, outputs, study.conditions, tolerances=study.tolerances)
     rows = []
-    for name in study.requirements:
-        title = f"{escape(words(name))}<small>{escape(study.output(name).meaning)}</small>"
-        unit, size = readable(study.output(name).unit)
+    for name, choice in (given | study.choices()).items():
+        unit, size = study.output(name).shown
         wanted = f"{study.accuracy[name] / size:.3g} {unit}" if name in study.accuracy else "-"
-        if name not in choices:
-            rows.append([title, "as in the conditions below", wanted, "-", "-", "no such level was measured"])
-            continue
-        choice = choices[name]
         bound = "-" if choice.bound is None else f"< {float(f'{choice.bound / size:.2g}'):g} {unit}"
-        rows.append(
-            [
-                title,
-                escape(choice.level),
-                *map(_typeset, [wanted, bound, f"{choice.ns / 1e3:.3g} us"]),
-                escape(choice.why),
-            ]
-        )
+        time = "-" if choice.ns is None else f"{choice.ns / 1e3:.3g} us"
+        title = f"{escape(words(name))}<small>{escape(study.output(name).meaning)}</small>"
+        rows.append([title, escape(choice.level), *map(_typeset, [wanted, bound, time]), escape(choice.why)])
     headers = ["response", "level", "accuracy asked", "its error", "time of a unit", "why"]
+    kind = models.kind(study.design)
     conditions = ", ".join(
-        f"{words(key)} = {value}" for key, value in vars(study.conditions).items() if value is not None
+        f"{words(key)} = {value}"
+        for key in kind.conditions_of(outputs)
+        if (value := getattr(study.conditions, key)) is not None
     )
+    left_out = dict.fromkeys(kind.described[name].unknown for name in outputs)
+    unknown = "".join(f"<p>Left out: {escape(line)}.</p>" for line in left_out if line)
     text = (
         "<p>A level is one way to compute a response. Errors and times are measured ones, from the table that comes "
         f"with rvjax; times belong to its machine and serve for comparison.</p>"
-        f"<p>Conditions, SI: {escape(conditions)}.</p>"
+        f"<p>Conditions, SI: {escape(conditions)}.</p>{unknown}"
     )
     return _section("How exactly it was computed", _table(headers, rows) + text)
 

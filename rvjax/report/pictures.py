@@ -5,7 +5,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from rvjax.study import response as scene
 from rvjax.study.answer import Answer
 
 
@@ -45,9 +44,11 @@ def pictures(answer: Answer, form: str = "png") -> Iterator[Picture]:
 
     study = answer.study
     with plotting.style(), plt.rc_context({"svg.hashsalt": study.name}):
-        curve = scene.kind(study.design).curve
-        axes = plotting.unit_curves(answer.angle, answer.before.curves, answer.after.curves, curve.title, curve.unit)
-        yield picture(axes, "curves", f"{curve.title} of sample units, before and after")
+        if (curve := study.curve) is not None:
+            axes = plotting.unit_curves(
+                answer.after.angle, answer.before.curves, answer.after.curves, curve.title, curve.unit
+            )
+            yield picture(axes, "curves", f"{curve.title} of sample units, before and after")
         for name, requirement in study.requirements.items():
             axes = plotting.response_histogram(
                 answer.before.values[name],

@@ -107,7 +107,7 @@ def influence_rows(answer: Answer) -> tuple[list[str], list[list[str]]]:
         error_unit, error_size = readable(study.unit(field))
         row = [field]
         for name in study.requirements:
-            unit, size = readable(study.output(name).unit)
+            unit, size = study.output(name).shown
             row.append(f"{side.sensitivities[name][field] * error_size / size:.4f} {unit}/{error_unit}")
             row.append(f"{100 * side.shares[name][field]:.1f} %")
         rows.append(row)
@@ -120,7 +120,7 @@ def requirement_rows(answer: Answer) -> tuple[list[str], list[list[str]]]:
     headers = ["requirement", "limit", "target", "yield before [interval]", "yield after [interval]", "shadow price"]
     rows = []
     for name, requirement in answer.study.requirements.items():
-        unit, size = readable(answer.study.output(name).unit)
+        unit, size = answer.study.output(name).shown
         limits = [
             f"{sign} {limit / size:.4g} {unit}"
             for sign, limit in ((">=", requirement.lower), ("<=", requirement.upper))
@@ -153,7 +153,7 @@ def headline(answer: Answer) -> str:
     else:
         lines.append("No tolerances within the process ranges meet the requirements; at the finest ones")
         for name, shortfall in allocation.shortfall.items():
-            unit, size = readable(study.output(name).unit)
+            unit, size = study.output(name).shown
             if shortfall > 0:
                 lines.append(f"  the limit of {name} would have to move by {shortfall / size:.4g} {unit}")
     return "\n".join(lines)

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
-from rvjax.study import Study
-from rvjax.study import response as scene
+from rvjax.study.question import Study
 from rvjax.tolerances import Allocation, Statistics, allocate, cost_curve, monte_carlo, rss, sample
 from rvjax.tolerances.propagation.responses import BLOCK  # chunks of the certificate's size: the response compiles once
 
@@ -27,7 +27,8 @@ class Side:
         shares: {response: {field: share of variance}}.
         sensitivities: {response: {field: derivative per element, root mean square over the elements}}.
         values: {response: values of sample units}, for histograms.
-        curves: the curve of the kind of design for sample units, SI (units, angles).
+        angle: of the curves, rad (angles,).
+        curves: what a person looks at, for sample units, SI (units, angles); empty without such a curve.
         failed: {status name: index of the first sample unit that failed so}.
         seed: of the sample units.
     """
@@ -37,6 +38,7 @@ class Side:
     shares: Mapping[str, Mapping[str, float]]
     sensitivities: Mapping[str, Mapping[str, float]]
     values: Mapping[str, np.ndarray]
+    angle: np.ndarray
     curves: np.ndarray
     failed: dict[str, int]
     seed: int
@@ -53,7 +55,6 @@ class Answer:
         before: the study's own tolerances.
         after: the allocated tolerances.
         cost_curve: (yield, cheapest cost) pairs; empty where the study is infeasible.
-        angle: of the curves, rad (angles,).
     """
 
     study: Study
@@ -62,7 +63,6 @@ class Answer:
     before: Side
     after: Side
     cost_curve: list[tuple[float, float]]
-    angle: np.ndarray
 
 
 def answer(study: Study, *, progress: bool = False) -> Answer:
@@ -101,14 +101,7 @@ def answer(study: Study, *, progress: bool = False) -> Answer:
         before=_side(study, response, study.tolerances),
         after=_side(study, response, allocation.tolerances),
         cost_curve=_cost_curve(study, response, allocation.tolerances) if allocation.feasible else [],
-        angle=np.asarray(_nominal_angle(study)),
     )
-
-
-def _nominal_angle(study: Study) -> Any:
-    curve = scene.kind(study.design).curve
-    nominal = jax.jit(lambda errors: curve.evaluate(study.design, errors, study.conditions)[0])
-    return nominal(study.design.error_record())
 
 
 def _given(study: Study) -> list[Any]:
@@ -118,6 +111,7 @@ def _given(study: Study) -> list[Any]:
 def _side(study: Study, response: Callable[[Any], Any], tolerances: Any) -> Side:
     moments = rss(response, tolerances)
     seed = study.seed + 2
+    angle, curves = _curves(study, tolerances, seed)
     kept = monte_carlo(response, tolerances, samples=SHOWN_VALUES, seed=seed, chunk=BLOCK, keep=True)
     return Side(
         tolerances=tolerances,
@@ -128,20 +122,26 @@ def _side(study: Study, response: Callable[[Any], Any], tolerances: Any) -> Side
             for name, fields in moments.sensitivities.items()
         },
         values=kept.values,
-        curves=_curves(study, tolerances, seed),
+        angle=angle,
+        curves=curves,
         failed=kept.examples,
         seed=seed,
     )
 
 
-def _curves(study: Study, tolerances: Any, seed: int) -> np.ndarray:
-    curve = scene.kind(study.design).curve
+def _curves(study: Study, tolerances: Any, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Angles (n,), and the curves of sample units (units, n); empty where no model draws one."""
+    curve = study.curve
+    if curve is None:
+        return np.empty(0), np.empty((0, 0))
 
-    def of_unit(index: jax.Array) -> jax.Array:
+    def of_unit(index: jax.Array) -> tuple[jax.Array, jax.Array]:
         errors = sample(tolerances, index, seed=seed)
-        return curve.evaluate(study.design, errors, study.conditions)[1]
+        angle, values = curve.evaluate(study.design, errors, study.conditions)
+        return jnp.asarray(angle), values
 
-    return np.asarray(jax.jit(jax.vmap(of_unit))(np.arange(SHOWN_UNITS)))
+    angles, values = jax.jit(jax.vmap(of_unit))(np.arange(SHOWN_UNITS))
+    return np.asarray(angles)[0], np.asarray(values)
 
 
 def _cost_curve(study: Study, response: Callable[[Any], Any], start: Any) -> list[tuple[float, float]]:

@@ -1,11 +1,13 @@
 """A study: design, conditions, tolerances, costs and requirements."""
 
 import dataclasses
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from rvjax.study import response as scene
+from rvjax import models
+from rvjax.levels.choice import Choice, choose
+from rvjax.outputs import Curve, Output
+from rvjax.study.response import Response
 from rvjax.tolerances import Requirement
 
 
@@ -39,11 +41,11 @@ class Study:
     certificate_samples: int = 1_000_000
     accuracy: dict[str, float] = dataclasses.field(default_factory=dict)
 
-    def response(self) -> Callable[[Any], Any]:
+    def response(self) -> Response:
         """errors -> Outcome of the responses that the requirements name."""
-        return scene.response(self.design, tuple(self.requirements), self.conditions, self.choices())
+        return Response.of(self.design, tuple(self.requirements), self.conditions, self.choices())
 
-    def choices(self) -> dict[str, scene.Choice]:
+    def choices(self) -> dict[str, Choice]:
         """The level of each response with an accuracy, for tolerances as wide as the costs let them become."""
         if not self.accuracy:
             return {}
@@ -53,7 +55,7 @@ class Study:
             )
             for name, cost in self.costs.items()
         }
-        return scene.choose(
+        return choose(
             self.design,
             tuple(self.requirements),
             self.conditions,
@@ -72,9 +74,14 @@ class Study:
         fields = dataclasses.fields(self.tolerances)
         return next(f.metadata["unit"] for f in fields if f.name == field)
 
-    def output(self, name: str) -> scene.Output:
+    @property
+    def curve(self) -> Curve | None:
+        """What a person looks at, or None."""
+        return models.kind(self.design).curve(tuple(self.requirements))
+
+    def output(self, name: str) -> Output:
         """What a response of this study is."""
-        return scene.kind(self.design).outputs[name]
+        return models.kind(self.design).outputs[name]
 
 
 class StudyError(ValueError):

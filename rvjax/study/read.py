@@ -2,22 +2,20 @@
 
 import dataclasses
 import tomllib
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from rvjax import catalogue
-from rvjax.study import response as scene
+from rvjax import models
+from rvjax.outputs import Output
+from rvjax.study.design import parse_design
 from rvjax.study.question import Study, StudyError
+from rvjax.study.response import check_nominal
+from rvjax.study.values import choice, integer, known, naming, naming_field, quantity, subtable
 from rvjax.tolerances import Exponential, ReciprocalPower, Requirement, Tolerance, for_design
-from rvjax.units import parse
 
-DESIGNS = {"corr": catalogue.CORR, "rv-20e": catalogue.RV_20E, "rv-40e": catalogue.RV_40E}
 COSTS: dict[str, Any] = {"reciprocal_power": ReciprocalPower, "exponential": Exponential}
-# Beyond these a program neither compiles in time nor fits into memory.
-_MOST = {"angles": 100_000, "count": 64, "disc_count": 64, "gear_teeth": 2000, "teeth": 1_000_000}
 EMBEDDED = resources.files("rvjax.study") / "embedded"
 
 
@@ -58,165 +56,89 @@ def parse_study(text: str, *, name: str) -> Study:
     Raises:
         StudyError: one line that names the key, its value and the unit.
     """
-    with _naming(name):
+    with naming(name):
         try:
             tables = tomllib.loads(text)
         except (tomllib.TOMLDecodeError, RecursionError) as error:
             raise ValueError(f"not valid TOML: {error}") from None
-        _known(tables, {"accuracy", "conditions", "cost", "design", "requirement", "run", "tolerances"}, "")
+        known(tables, {"accuracy", "conditions", "cost", "design", "requirement", "run", "tolerances"}, "")
         for key in ("design", "tolerances", "requirement"):
-            if not _table(tables, key):
+            if not subtable(tables, key):
                 raise ValueError(f"[{key}] is missing or empty")
-        design = _design(_table(tables, "design"))
+        design = parse_design(subtable(tables, "design"))
         error_record = design.error_record
-        tolerances = _tolerances(design, _table(tables, "tolerances"))
-        costs = _costs(error_record, tolerances, _table(tables, "cost"))
-        run = _table(tables, "run")
-        _known(run, {"seed", "samples", "certificate_samples"}, "run")
-        requirements = _requirements(scene.kind(design).outputs, _table(tables, "requirement"))
+        tolerances = _tolerances(design, subtable(tables, "tolerances"))
+        costs = _costs(error_record, tolerances, subtable(tables, "cost"))
+        run = subtable(tables, "run")
+        known(run, {"seed", "samples", "certificate_samples"}, "run")
+        kind = models.kind(design)
+        requirements = _requirements(kind.outputs, subtable(tables, "requirement"))
         study = Study(
             name=name,
             text=text,
             design=design,
-            conditions=_conditions(scene.kind(design).conditions, _table(tables, "conditions")),
+            conditions=_conditions(kind.conditions, subtable(tables, "conditions")),
             tolerances=tolerances,
             costs=costs,
             requirements=requirements,
-            accuracy=_accuracy(scene.kind(design).outputs, requirements, _table(tables, "accuracy")),
-            seed=_integer(run.get("seed", 0), "run.seed", 0, 2**32 - 1),
-            samples=_integer(run.get("samples", 16384), "run.samples", 16, 2**32),
-            certificate_samples=_integer(
+            accuracy=_accuracy(kind.outputs, requirements, subtable(tables, "accuracy")),
+            seed=integer(run.get("seed", 0), "run.seed", 0, 2**32 - 1),
+            samples=integer(run.get("samples", 16384), "run.samples", 16, 2**32),
+            certificate_samples=integer(
                 run.get("certificate_samples", 1_000_000), "run.certificate_samples", 16, 2**32
             ),
         )
-        scene.check_nominal(study.response(), error_record())
+        check_nominal(study.response(), error_record())
         return study
-
-
-@contextmanager
-def _naming(where: str) -> Iterator[None]:
-    """Prefix the messages of errors with where they happened, and keep them to one line."""
-    try:
-        yield
-    except (ValueError, TypeError) as error:
-        message = " ".join(str(error).split())
-        if len(message) > 400:  # a hostile value is not repeated at length
-            message = f"{message[:200]} ... {message[-150:]}"
-        raise StudyError(f"{where}: {message}") from None
-
-
-def _known(table: dict[str, Any], keys: set[str], where: str) -> None:
-    for key in table:
-        if key not in keys:
-            name = f"{where}.{key}" if where else f"[{key}]"
-            raise ValueError(f"unknown key {name}; known here: {', '.join(sorted(keys))}")
-
-
-def _table(parent: dict[str, Any], key: str) -> dict[str, Any]:
-    value = parent.get(key, {})
-    if not isinstance(value, dict):
-        raise ValueError(f"{key} = {value!r}: must be a table")
-    return value
-
-
-def _integer(value: Any, where: str, minimum: int, maximum: int) -> int:
-    if isinstance(value, bool) or not isinstance(value, int) or value < minimum:
-        raise ValueError(f"{where} = {value!r}: must be an integer of at least {minimum}")
-    if value > maximum:
-        raise ValueError(f"{where} = {value}: must be at most {maximum}")
-    return value
-
-
-def _quantity(value: Any, unit: str, where: str) -> float:
-    try:
-        return parse(value, unit)
-    except ValueError as error:
-        raise ValueError(f"{where} = {error}") from None
-
-
-def _count(value: Any, key: str, where: str) -> Any:
-    if isinstance(value, int) and value > _MOST.get(key, _MOST["teeth"]):
-        raise ValueError(f"{where} = {value}: must be at most {_MOST.get(key, _MOST['teeth'])}")
-    return value  # the record judges the rest
 
 
 def _metadata(record: Any, field: str) -> Any:
     return next(f.metadata for f in dataclasses.fields(record) if f.name == field)
 
 
-def _design(table: dict[str, Any]) -> Any:
-    design: Any = DESIGNS[_choice(table.get("base"), DESIGNS, "design.base")]
-    return _override(design, {key: value for key, value in table.items() if key != "base"}, "design")
+def _conditions(kind: Any, given: dict[str, Any]) -> Any:
+    fields = {f.name: f.metadata for f in dataclasses.fields(kind)}
+    known(given, set(fields), "conditions")
+    return kind(**{key: _condition(value, fields[key], f"conditions.{key}") for key, value in given.items()})
 
 
-def _override(record: Any, changes: Any, where: str) -> Any:
-    """A record with some fields changed; a field that is a record takes a table."""
-    if record is None or not isinstance(changes, dict):
-        raise ValueError(f"{where} = {changes!r}: must be a table of changes to a part that the base design has")
-    _known(changes, {f.name for f in dataclasses.fields(record)} | ({"base"} if where == "design" else set()), where)
-    values = {}
-    for key, value in changes.items():
-        metadata, name = _metadata(type(record), key), f"{where}.{key}"
-        if metadata["kind"] == "record":
-            values[key] = _override(getattr(record, key), value, name)
-        else:
-            is_count = metadata["kind"] == "count"
-            values[key] = _count(value, key, name) if is_count else _quantity(value, metadata["unit"], name)
-    return record.replace(**values)
-
-
-def _conditions(kind: Any, table: dict[str, Any]) -> Any:
-    fields = {f.name: f for f in dataclasses.fields(kind)}
-    _known(table, set(fields), "conditions")
-    values: dict[str, Any] = {}
-    for key, value in table.items():
-        metadata, where = fields[key].metadata, f"conditions.{key}"
-        if "unit" in metadata:
-            values[key] = _quantity(value, metadata["unit"], where)
-        elif "minimum" in metadata:
-            values[key] = _integer(value, where, metadata["minimum"], _MOST[key])
-        else:
-            values[key] = _choice(value, metadata["choices"], where)
-    return kind(**values)
-
-
-def _choice(value: Any, choices: Iterable[str], where: str) -> str:
-    if not isinstance(value, str) or value not in choices:
-        raise ValueError(f"{where} = {value!r}: must be one of {', '.join(choices)}")
-    return value
+def _condition(value: Any, about: Mapping[str, Any], where: str) -> Any:
+    """A condition as it is declared by `outputs.condition`."""
+    if about["choices"] is not None:
+        return choice(value, about["choices"], where)
+    if about["unit"] is None:
+        return integer(value, where, about["minimum"], about["maximum"])
+    found = quantity(value, about["unit"], where)
+    if about["minimum"] is not None and found < about["minimum"]:
+        raise ValueError(f"{where} = {value!r}: must be at least {about['minimum']:g} {about['unit']}")
+    if about["maximum"] is not None and found > about["maximum"]:
+        raise ValueError(f"{where} = {value!r}: must be at most {about['maximum']:g} {about['unit']}")
+    return found
 
 
 def _tolerances(design: Any, table: dict[str, Any]) -> Any:
     fields = {f.name for f in dataclasses.fields(design.error_record)}
-    _known(table, fields, "tolerances")
+    known(table, fields, "tolerances")
     made = {}
     for field in table:
         where = f"tolerances.{field}"
-        with _naming_field(where):
-            made[field] = _tolerance(_table(table, field), _metadata(design.error_record, field)["unit"], where)
+        with naming_field(where):
+            made[field] = _tolerance(subtable(table, field), _metadata(design.error_record, field)["unit"], where)
     return for_design(design, **made)
-
-
-@contextmanager
-def _naming_field(where: str) -> Iterator[None]:
-    try:
-        yield
-    except ValueError as error:
-        raise error if where in str(error) else ValueError(f"{where}: {error}") from None
 
 
 _PLAIN = ("distribution", "cp", "shift", "batch", "beta")
 
 
 def _tolerance(table: dict[str, Any], unit: str, where: str) -> Tolerance:
-    _known(table, {"lower", "upper", "half_width", "grade", "size", *_PLAIN}, where)
+    known(table, {"lower", "upper", "half_width", "grade", "size", *_PLAIN}, where)
     options: dict[str, Any] = {key: table[key] for key in _PLAIN if key in table}
     for key in ("cp", "shift", "batch"):
         if key in options:
-            options[key] = _quantity(options[key], "-", f"{where}.{key}")
+            options[key] = quantity(options[key], "-", f"{where}.{key}")
     if "beta" in options:
         options["beta"] = tuple(options["beta"])
-    size = _quantity(table["size"], "m", f"{where}.size") if "size" in table else None
+    size = quantity(table["size"], "m", f"{where}.size") if "size" in table else None
     ways = [{"lower", "upper"}, {"half_width"}, {"grade", "size"}]
     given = set(table) & {"lower", "upper", "half_width", "grade"}
     chosen = next((way for way in ways if given and given == way - {"size"}), None)
@@ -226,7 +148,7 @@ def _tolerance(table: dict[str, Any], unit: str, where: str) -> Tolerance:
         if unit != "m":
             raise ValueError(f"{where}.grade = {table['grade']!r}: grades are for lengths, this error is in {unit}")
         return Tolerance.grade(table["grade"], size, **options)
-    limits = {key: _quantity(table[key], unit, f"{where}.{key}") for key in sorted(given)}
+    limits = {key: quantity(table[key], unit, f"{where}.{key}") for key in sorted(given)}
     if chosen == ways[1]:
         return Tolerance.symmetric(limits["half_width"], size=size, **options)
     return Tolerance(limits["lower"], limits["upper"], size=size, **options)
@@ -235,55 +157,55 @@ def _tolerance(table: dict[str, Any], unit: str, where: str) -> Tolerance:
 def _costs(error_record: Any, tolerances: Any, table: dict[str, Any]) -> dict[str, Any]:
     costs = {}
     for field in table:
-        where, entry = f"cost.{field}", dict(_table(table, field))
+        where, entry = f"cost.{field}", dict(subtable(table, field))
         if field not in {f.name for f in dataclasses.fields(error_record)} or getattr(tolerances, field) is None:
             raise ValueError(f"{where}: there is no [tolerances.{field}] for it")
         unit = _metadata(error_record, field)["unit"]
         model = entry.pop("model", "reciprocal_power")
-        _choice(model, COSTS, f"{where}.model")
+        choice(model, COSTS, f"{where}.model")
         units = {"fixed": "-", "scale": "-", "finest": unit, "coarsest": unit}
         units |= {"reference": unit, "power": "-"} if model == "reciprocal_power" else {"decay": unit}
-        _known(entry, set(units), where)
+        known(entry, set(units), where)
         for key in ("finest", "coarsest"):
             if key not in entry:
                 raise ValueError(f"{where}.{key} is missing: the range of the process in {unit}")
-        with _naming_field(where):
+        with naming_field(where):
             costs[field] = COSTS[model](
-                **{key: _quantity(value, units[key], f"{where}.{key}") for key, value in entry.items()}
+                **{key: quantity(value, units[key], f"{where}.{key}") for key, value in entry.items()}
             )
     return costs
 
 
 def _accuracy(
-    outputs: Mapping[str, scene.Output], requirements: Mapping[str, Requirement], table: dict[str, Any]
+    outputs: Mapping[str, Output], requirements: Mapping[str, Requirement], table: dict[str, Any]
 ) -> dict[str, float]:
     found = {}
     for name, value in table.items():
         where = f"accuracy.{name}"
-        _choice(name, requirements, f"{where}: response")
-        found[name] = _quantity(value, outputs[name].unit, where)
+        choice(name, requirements, f"{where}: response")
+        found[name] = quantity(value, outputs[name].unit, where)
         if found[name] <= 0:
             raise ValueError(f"{where} = {value!r}: must be positive")
     return found
 
 
-def _requirements(outputs: Mapping[str, scene.Output], table: dict[str, Any]) -> dict[str, Requirement]:
+def _requirements(outputs: Mapping[str, Output], table: dict[str, Any]) -> dict[str, Requirement]:
     requirements = {}
     for name in table:
-        where, entry = f"requirement.{name}", _table(table, name)
-        _known(entry, {"response", "lower", "upper", "target"}, where)
-        response = _choice(entry.get("response", name), outputs, f"{where}.response")
+        where, entry = f"requirement.{name}", subtable(table, name)
+        known(entry, {"response", "lower", "upper", "target"}, where)
+        response = choice(entry.get("response", name), outputs, f"{where}.response")
         if response in requirements:
             raise ValueError(f"{where}.response = {response!r}: already has a requirement")
         limits: dict[str, float] = {
-            key: _quantity(entry[key], outputs[response].unit, f"{where}.{key}")
+            key: quantity(entry[key], outputs[response].unit, f"{where}.{key}")
             for key in ("lower", "upper")
             if key in entry
         }
         if not limits:
             raise ValueError(f"{where}: give upper or lower in {outputs[response].unit}")
         if "target" in entry:
-            limits["target"] = _quantity(entry["target"], "-", f"{where}.target")
-        with _naming_field(where):
+            limits["target"] = quantity(entry["target"], "-", f"{where}.target")
+        with naming_field(where):
             requirements[response] = Requirement(**limits)
     return requirements

@@ -1,0 +1,135 @@
+"""What studies may ask of the dynamic model."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from rvjax.catalogue import RV_320E
+from rvjax.designs import Damping, RVReducer
+from rvjax.dynamics.assembly import lump
+from rvjax.dynamics.excitation import STAGES, mesh_frequency
+from rvjax.dynamics.modes import modes
+from rvjax.dynamics.periodic import periodic
+from rvjax.dynamics.response import METHODS, response
+from rvjax.dynamics.symmetry import KINDS
+from rvjax.outputs import Cases, Description, Output, Solved, Way, condition
+from rvjax.units import rpm
+
+ROTATION = "output.rotation"
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """At which speeds and under which load an RV reducer vibrates."""
+
+    output_torque: float = condition(0.0, "torque of the discs on the carrier", unit="N m", torque=True)
+    sun_speed: float | None = condition(None, "speed at which the vibration is judged", unit="rad/s")
+    slowest_sun_speed: float | None = condition(None, "lower end of the range without resonance", unit="rad/s")
+    fastest_sun_speed: float | None = condition(None, "upper end of the range without resonance", unit="rad/s")
+    stage: str = condition("planetary", "whose mesh stiffness varies", choices=STAGES)
+    harmonics: int = condition(9, "of the mesh frequency", minimum=1, maximum=1000)
+    method: str = condition("first_order", "of the vibration", choices=METHODS)
+
+
+def _vibration(design: RVReducer, errors: Any, given: Any) -> Solved:
+    """Root mean square of the output's rotation about its mean; the load on the output is the carrier's reversed."""
+    found = response(
+        errors.stiffened(design),
+        sun_speed=given.sun_speed,
+        output_torque=-given.output_torque,
+        stage=given.stage,
+        harmonics=given.harmonics,
+        method=given.method,
+        outputs=(ROTATION,),
+    )
+    square = jnp.sum(jnp.square(found.amplitude.real) + jnp.square(found.amplitude.imag)) / 2
+    return jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1)), square), found.info.status
+
+
+def _resonance_margin(design: RVReducer, errors: Any, given: Any) -> Solved:
+    """How far the mesh frequency stays from every torsional mode, over the mode; < 0: a mode lies within the range."""
+    stiffened = errors.stiffened(design)
+    lumped = lump(stiffened)
+    found = modes(lumped)
+    ends = [mesh_frequency(lumped, v, given.stage) for v in (given.slowest_sun_speed, given.fastest_sun_speed)]
+    low, high = (abs(end) / (2 * np.pi) for end in ends)
+    torsional = (found.kind_index == KINDS.index("rotational")) | (found.kind_index == KINDS.index("coupled"))
+    elastic = torsional & (found.frequency > 0)
+    frequency = jnp.where(elastic, found.frequency, 1)
+    distance = jnp.maximum(low / frequency - 1, 1 - high / frequency)
+    margin = jnp.min(jnp.where(elastic, distance, jnp.inf))
+    return jnp.where(jnp.isfinite(found.frequency[0]), margin, jnp.nan), found.info.status
+
+
+POINTS = 64  # of the compared vibration in a mesh period
+SWING, SPEEDS = 0.3, (200 * rpm, 4000 * rpm)
+
+
+def _over_a_period(settings: Any, design: Any, errors: Any, extra: Any) -> Any:
+    """Rotation of the output wheel about its mean over one mesh period."""
+    swing, speed, torque = extra
+    design = design.replace(mesh_variation=design.mesh_variation.replace(planetary_swing=swing))
+    asked = dict(sun_speed=speed, output_torque=torque, outputs=(ROTATION,))
+    if settings["method"] == "periodic":
+        exact = periodic(design, samples=POINTS, **asked)
+        curve, status = exact.deflection[:, 0], exact.info.status
+    else:
+        found = response(design, **settings, **asked)
+        turn = 2 * np.pi * np.outer(np.arange(POINTS), 1 + np.arange(settings["harmonics"])) / POINTS
+        amplitude = found.amplitude[:, 0]
+        curve = jnp.cos(turn).astype(speed.dtype) @ amplitude.real - jnp.sin(turn).astype(speed.dtype) @ amplitude.imag
+        status = found.info.status
+    return {"output_rotation": curve - jnp.mean(curve)}, status
+
+
+def _cases(quick: bool) -> Sequence[Cases]:
+    orders = (30,) if quick else (9, 30, 60)
+    double, both = ("float64",), ("float64", "float32")
+    ways = [
+        Way(f"{words}, H = {h}", dict(method=method, harmonics=h), both if h == 30 and not quick else double)
+        for words, method in (("first order", "first_order"), ("balance", "harmonic_balance"))
+        for h in orders[: 2 if method == "first_order" else 3]
+    ]
+
+    def extra(rng: Any, cases: int, size: float) -> Any:
+        return size * SWING * np.ones(cases), rng.uniform(*SPEEDS, cases), rng.uniform(-3136.0, -313.6, cases)
+
+    return [
+        Cases(
+            name="dynamics",
+            case="speed of the RV-320E, vibration of the output over a mesh period; size 1 is a stiffness swing of 0.3",
+            outputs={"output_rotation": "rad"},
+            design=RV_320E.replace(damping=Damping(modal_ratio=0.02)),
+            errors=None,
+            conditions={},
+            torque=(313.6, 3136.0),
+            ways=(*ways, Way("exact periodic", dict(method="periodic"), double)),
+            batch=8,
+            calls=2 if quick else 10,
+            sizes=(0.1, 0.3, 1.0),
+            evaluate=_over_a_period,
+            extra=extra,
+        )
+    ]
+
+
+DESCRIPTION = Description(
+    design=RVReducer,
+    conditions=Conditions,
+    outputs={
+        "vibration": Output(
+            "rad", "root mean square rotation of the output about its mean", _vibration, ("sun_speed",), "arcsec"
+        ),
+        "resonance_margin": Output(
+            "-",
+            "mesh frequency to the nearest torsional mode over the mode, < 0: a resonance within the speeds",
+            _resonance_margin,
+            ("slowest_sun_speed", "fastest_sun_speed"),
+        ),
+    },
+    cases=_cases,
+    unknown="manufacturing errors as excitation: only the varying mesh stiffness excites",
+)

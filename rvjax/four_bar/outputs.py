@@ -1,0 +1,111 @@
+"""What studies may ask of the four-bar model."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from rvjax.catalogue import RV_40E
+from rvjax.designs import RVReducer
+from rvjax.four_bar.revolution import Revolution, revolution
+from rvjax.outputs import Cases, Curve, Description, Output, Solved, Way, condition
+from rvjax.units import arcmin, um
+
+CLOSURES = ("first_order", "quadratic", "closed_form", "newton")
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """How an RV reducer runs while its second stage is judged."""
+
+    output_torque: float = condition(0.0, "torque of the discs on the carrier", unit="N m", torque=True)
+    angles: int = condition(64, "uniform crank angles over one crank turn", minimum=8, maximum=100_000)
+    cranks: str = condition(
+        "phase_locked", "how the cranks are held together", choices=("phase_locked", "geared", "free")
+    )
+    gear_stiffness_ratio: float | None = condition(None, "of the gears between geared cranks", unit="-")
+    closure: str | None = condition(None, "of the crank linkages; the exact one by default", choices=CLOSURES)
+
+
+def _turn(design: RVReducer, errors: Any, given: Any, *, loaded: bool = True) -> Revolution:
+    return revolution(
+        design,
+        errors,
+        angles=given.angles,
+        output_torque=given.output_torque if loaded else 0.0,
+        cranks=given.cranks,
+        gear_stiffness_ratio=given.gear_stiffness_ratio,
+        closure=given.closure,
+    )
+
+
+def _transmission_error(design: RVReducer, errors: Any, given: Any) -> Solved:
+    found = _turn(design, errors, given)
+    return found.peak_to_peak, found.info.status
+
+
+def _misfit(design: RVReducer, errors: Any, given: Any) -> Solved:
+    found = _turn(design, errors, given, loaded=False)
+    return found.largest_misfit, found.info.status
+
+
+def _curve(design: RVReducer, errors: Any, given: Any) -> tuple[Any, Any]:
+    found = _turn(design, errors, given)
+    return found.crank_angle, found.error
+
+
+IT6 = (-6.5 * um, 6.5 * um)
+LINKS = dict(  # errors of the links, as good manufacturing makes them
+    crank_eccentricity=IT6,
+    crank_phase=(-5 * arcmin, 5 * arcmin),
+    disc_bore=IT6,
+    carrier_bore=IT6,
+    bearing_clearance=(4 * um, 12 * um),
+    eccentricity=(-5 * um, 5 * um),
+)
+
+
+def _turns(closure: str, angles: tuple[int, ...], precisions: tuple[str, ...]) -> list[Way]:
+    settings = None if closure == "closed_form" else closure  # None is exact for every kind of cranks
+    words = closure.replace("_", " ")
+    return [Way(f"{words}, {n} angles", dict(closure=settings, angles=n), precisions) for n in angles]
+
+
+def _cases(quick: bool) -> Sequence[Cases]:
+    return [_cases_of("transmission_error", "rad", quick), _cases_of("misfit", "m", quick)]
+
+
+def _cases_of(output: str, unit: str, quick: bool) -> Cases:
+    loaded = output == "transmission_error"
+    both, reference = ("float64", "float32"), ("float64",)
+    ways = [] if quick or not loaded else _turns("newton", (64,), reference)
+    ways += _turns("first_order", (64,), reference) if loaded else []
+    ways += _turns("closed_form", (16, 64) if quick else (8, 16, 32, 64, 256), both)
+    # The load changes sides in the joints at once, so that a sampled peak comes near the true one only as 1 / angles:
+    # the reference needs many, and float32 is measured against it with fewer only.
+    ways += _turns("closed_form", (2048,), reference)
+    return Cases(
+        name=output,
+        case="unit of the RV-40E, a whole crank turn" + (" under load" if loaded else ""),
+        outputs={output: unit},
+        design=RV_40E,
+        errors=LINKS,
+        conditions=dict(cranks="phase_locked"),
+        torque=(41.2, 412.0) if loaded else None,
+        ways=tuple(ways),
+        batch=4096,
+        calls=2 if quick else 7,
+        sizes=(0.3, 1.0, 3.0, 10.0),  # allocation may widen tolerances several times
+    )
+
+
+DESCRIPTION = Description(
+    design=RVReducer,
+    conditions=Conditions,
+    outputs={
+        "transmission_error": Output("rad", "peak to peak over a crank turn under load", _transmission_error),
+        "misfit": Output("m", "largest misfit of a disc on the cranks without load (assembly)", _misfit),
+    },
+    curve=Curve("Transmission error over one crank turn", "rad", _curve),
+    cases=_cases,
+    unknown="pins, flanks and the first stage: discs are rigid, averaged, and held by their crank bearings alone",
+)

@@ -1,0 +1,106 @@
+"""The models that studies know. A new one is a package with an `outputs.py`, and a line here."""
+
+import dataclasses
+import importlib
+from collections.abc import Mapping
+from functools import lru_cache
+from typing import Any
+
+from rvjax.outputs import Curve, Description, Output
+
+MODELS = (
+    "rvjax.four_bar",
+    "rvjax.lost_motion",
+    "rvjax.mesh_force",
+    "rvjax.dynamics",
+)
+"""Packages, each with `outputs.DESCRIPTION`; the first with a curve draws it."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Kind:
+    """What can be asked of one kind of design.
+
+    Attributes:
+        design: its class.
+        conditions: class of all conditions of its models, as one.
+        outputs: by name.
+        described: description of the model that has an output, by its name.
+    """
+
+    design: type
+    conditions: Any
+    outputs: Mapping[str, Output]
+    described: Mapping[str, Description]
+
+    def curve(self, outputs: tuple[str, ...]) -> Curve | None:
+        """The curve of the first model that is asked, else of the first that has one.
+
+        Args:
+            outputs: that are asked for.
+        """
+        asked = [self.described[name].curve for name in self.outputs if name in outputs]
+        return next((c for c in [*asked, *(d.curve for d in self.described.values())] if c is not None), None)
+
+    def conditions_of(self, outputs: tuple[str, ...]) -> list[str]:
+        """Names of the conditions that the models of some outputs read.
+
+        Args:
+            outputs: that are asked for.
+        """
+        read = {f.name for name in outputs for f in dataclasses.fields(self.described[name].conditions)}
+        return [f.name for f in dataclasses.fields(self.conditions) if f.name in read]
+
+
+def descriptions() -> tuple[Description, ...]:
+    """Of all models."""
+    return tuple(importlib.import_module(f"{name}.outputs").DESCRIPTION for name in MODELS)
+
+
+def kinds() -> dict[str, type]:
+    """Classes of designs by the name that study files give them."""
+    return {description.design.kind: description.design for description in descriptions()}  # type: ignore[attr-defined]
+
+
+def kind(design: Any) -> Kind:
+    """What can be asked of a design.
+
+    Raises:
+        ValueError: no model takes it.
+    """
+    return kind_of(type(design))
+
+
+def kind_of(design: type) -> Kind:
+    """What can be asked of a class of designs.
+
+    Raises:
+        ValueError: no model takes it.
+    """
+    return _kind(design, descriptions())
+
+
+@lru_cache(maxsize=16)
+def _kind(design: Any, known: tuple[Description, ...]) -> Kind:
+    mine = [description for description in known if issubclass(design, description.design)]
+    if not mine:
+        raise ValueError(f"no model takes a {design.__name__}")
+    described: dict[str, Description] = {}
+    for description in mine:
+        for name in description.outputs:
+            if name in described:
+                raise ValueError(f"output {name!r} is described twice")
+            described[name] = description
+    outputs = {name: description.outputs[name] for name, description in described.items()}
+    return Kind(design, _joined(mine), outputs, described)
+
+
+def _joined(known: list[Description]) -> Any:
+    """One class of all conditions; a condition that two models read is declared alike by both."""
+    fields: dict[str, dataclasses.Field[Any]] = {}
+    for f in (f for description in known for f in dataclasses.fields(description.conditions)):
+        first = fields.setdefault(f.name, f)
+        if (first.default, first.metadata) != (f.default, f.metadata):
+            raise ValueError(f"condition {f.name!r} is declared in two ways")
+    items: Any = [(name, Any, dataclasses.field(default=f.default, metadata=f.metadata)) for name, f in fields.items()]
+    return dataclasses.make_dataclass("Conditions", items, frozen=True)

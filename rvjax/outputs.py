@@ -1,0 +1,158 @@
+"""What a model says of itself in its `outputs.py`: a `Description`, so that studies and reports need to know no model.
+
+A model lists its conditions, its outputs (one number of one unit each), the curve a person looks at, and the cases and
+ways by which its levels are measured. `rvjax.models` collects what there is for one kind of design.
+"""
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from rvjax.units import KNOWN, readable
+
+Solved = tuple[Any, Any]  # value and status
+
+
+def condition(
+    default: Any,
+    meaning: str,
+    *,
+    unit: str | None = None,
+    choices: Sequence[str] | None = None,
+    minimum: float | None = None,
+    maximum: float | None = None,
+    torque: bool = False,
+) -> Any:
+    """Declare a condition under which a unit is judged: a quantity, one of several words, or a count.
+
+    Args:
+        default: None for one that only some outputs need.
+        meaning: one line.
+        unit: SI unit of a quantity, "-" for none.
+        choices: words, of which one is given.
+        minimum: least value; a condition with neither unit nor choices is a count and needs it.
+        maximum: largest value; of a count too, beyond which a program neither compiles in time nor fits into memory.
+        torque: the load whose measured range decides whether a measured level holds.
+
+    Raises:
+        ValueError: a condition that no study file could give.
+    """
+    if unit is not None and unit != "-" and unit not in KNOWN:
+        raise ValueError(f"condition {meaning!r}: unit {unit!r} is none of {', '.join(KNOWN)}")
+    if unit is None and choices is None and (minimum is None or maximum is None):
+        raise ValueError(f"condition {meaning!r}: needs a unit, choices, or a minimum and a maximum for a count")
+    about = dict(meaning=meaning, unit=unit, choices=choices, minimum=minimum, maximum=maximum, torque=torque)
+    return dataclasses.field(default=default, metadata=about)
+
+
+@dataclass(frozen=True)
+class Output:
+    """One scalar of one unit.
+
+    Attributes:
+        unit: SI unit.
+        meaning: one line.
+        evaluate: (design, errors, conditions) -> (value, status).
+        needs: conditions without a default that it needs, by name.
+        read_in: unit in which a person reads it; by default that of `rvjax.units`.
+    """
+
+    unit: str
+    meaning: str
+    evaluate: Callable[[Any, Any, Any], Solved]
+    needs: tuple[str, ...] = ()
+    read_in: str | None = None
+
+    @property
+    def shown(self) -> tuple[str, float]:
+        """Name and SI size of the unit in which a person reads it."""
+        return readable(self.unit) if self.read_in is None else (self.read_in, KNOWN[self.unit][self.read_in])
+
+
+@dataclass(frozen=True)
+class Curve:
+    """What a person looks at over one cycle of one unit.
+
+    Attributes:
+        title: of a picture.
+        unit: SI unit of the values.
+        evaluate: (design, errors, conditions) -> (angle in rad (n,), values (n,)).
+    """
+
+    title: str
+    unit: str
+    evaluate: Callable[[Any, Any, Any], tuple[Any, Any]]
+
+
+@dataclass(frozen=True)
+class Way:
+    """One level before it is measured.
+
+    Attributes:
+        name: for a person; its precision is added.
+        settings: conditions that select it.
+        precisions: in which it is measured.
+    """
+
+    name: str
+    settings: Mapping[str, Any]
+    precisions: tuple[str, ...] = ("float64", "float32")
+
+
+@dataclass(frozen=True)
+class Cases:
+    """Random units on which the levels of some outputs are measured.
+
+    Attributes:
+        name: in the table of levels.
+        case: what one case is, for a person.
+        outputs: units by name; those of the model where `evaluate` is None.
+        design: about which designs are drawn.
+        errors: (lower, upper) limits of the errors that are drawn, by field, normal with 3 sigma at the limits; None
+            where the outputs have none.
+        conditions: of every case, by name.
+        torque: smallest and largest, N m; None where it does not matter.
+        ways: the levels; the last one, in float64, is the reference.
+        batch: cases in one call.
+        calls: of each error size.
+        sizes: factors on the errors, ascending.
+        evaluate: (settings, design, errors, extra) -> (values of all outputs, status), where a level is no output of
+            the model.
+        extra: (rng, cases, size) -> what a case has besides design and errors, for `evaluate`.
+    """
+
+    name: str
+    case: str
+    outputs: Mapping[str, str]
+    design: Any
+    errors: Mapping[str, tuple[float, float]] | None
+    conditions: Mapping[str, Any]
+    torque: tuple[float, float] | None
+    ways: tuple[Way, ...]
+    batch: int
+    calls: int
+    sizes: tuple[float, ...] = (0.3, 1.0, 3.0)
+    evaluate: Callable[..., Any] | None = None
+    extra: Callable[..., Any] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Description:
+    """A model as studies see it.
+
+    Attributes:
+        design: class of the designs that it takes.
+        conditions: frozen dataclass whose fields are made by `condition`.
+        outputs: by name.
+        curve: to look at, or None.
+        cases: quick -> cases by which levels are measured; a quick run measures fewer.
+        unknown: what the model leaves out, one line for a person who reads its results.
+    """
+
+    design: type
+    conditions: type
+    outputs: Mapping[str, Output]
+    curve: Curve | None = None
+    cases: Callable[[bool], Sequence[Cases]] = lambda quick: ()
+    unknown: str = ""

@@ -1,0 +1,99 @@
+"""Values of a study file, checked: whatever is wrong is one line that names key, value and unit."""
+
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from rvjax.study.question import StudyError
+from rvjax.units import parse
+
+
+@contextmanager
+def naming(where: str) -> Iterator[None]:
+    """Prefix the messages of errors with where they happened, and keep them to one line."""
+    try:
+        yield
+    except (ValueError, TypeError) as error:
+        message = " ".join(str(error).split())
+        if len(message) > 400:  # a hostile value is not repeated at length
+            message = f"{message[:200]} ... {message[-150:]}"
+        raise StudyError(f"{where}: {message}") from None
+
+
+@contextmanager
+def naming_field(where: str) -> Iterator[None]:
+    """Prefix messages that do not name the key yet."""
+    try:
+        yield
+    except ValueError as error:
+        raise error if where in str(error) else ValueError(f"{where}: {error}") from None
+
+
+def known(table: dict[str, Any], keys: Iterable[str], where: str) -> None:
+    """Refuse keys that nobody reads.
+
+    Args:
+        table: as read.
+        keys: that may stand there.
+        where: its name, "" for the file.
+    """
+    for key in table:
+        if key not in keys:
+            name = f"{where}.{key}" if where else f"[{key}]"
+            raise ValueError(f"unknown key {name}; known here: {', '.join(sorted(keys))}")
+
+
+def subtable(parent: dict[str, Any], key: str) -> dict[str, Any]:
+    """A table, empty where it is missing.
+
+    Args:
+        parent: that holds it.
+        key: its name.
+    """
+    value = parent.get(key, {})
+    if not isinstance(value, dict):
+        raise ValueError(f"{key} = {value!r}: must be a table")
+    return value
+
+
+def integer(value: Any, where: str, minimum: float, maximum: float) -> int:
+    """A whole number within limits.
+
+    Args:
+        value: as read.
+        where: its key.
+        minimum: least.
+        maximum: most.
+    """
+    if isinstance(value, bool) or not isinstance(value, int) or value < minimum:
+        raise ValueError(f"{where} = {value!r}: must be an integer of at least {minimum}")
+    if value > maximum:
+        raise ValueError(f"{where} = {value}: must be at most {maximum}")
+    return value
+
+
+def quantity(value: Any, unit: str, where: str) -> float:
+    """A number in SI.
+
+    Args:
+        value: as read.
+        unit: SI unit that it must be in, "-" for none.
+        where: its key.
+    """
+    try:
+        return parse(value, unit)
+    except ValueError as error:
+        raise ValueError(f"{where} = {error}") from None
+
+
+def choice(value: Any, choices: Iterable[str], where: str) -> str:
+    """One of several words.
+
+    Args:
+        value: as read.
+        choices: words.
+        where: its key.
+    """
+    if not isinstance(value, str) or value not in choices:
+        raise ValueError(f"{where} = {value!r}: must be one of {', '.join(choices)}")
+    return value
