@@ -10,7 +10,7 @@ import collections
 from functools import partial
 from pathlib import Path
 
-from timing import publish, settings
+from benchmarks.timing import publish, settings
 
 settings()
 

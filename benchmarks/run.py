@@ -1,8 +1,8 @@
 """All benchmarks with one command: each script in a process of its own, one JSON file and one table.
 
-    python benchmarks/run.py                       everything, about half an hour
-    python benchmarks/run.py --budget 300          what fits into five minutes, the quick ones first
-    python benchmarks/run.py --only four_bar lost_motion
+    python -m benchmarks.run                       everything, about half an hour
+    python -m benchmarks.run --budget 300          what fits into five minutes, the quick ones first
+    python -m benchmarks.run --only four_bar lost_motion
 
 What is not run keeps its figures of last time in the file; every entry carries the machine and the day it belongs to.
 """

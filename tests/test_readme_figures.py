@@ -1,6 +1,6 @@
 """The figures of the README are those of the benchmarks.
 
-Oracle: benchmarks/results.json, written by `python benchmarks/run.py`. A figure in the README is followed by a comment
+Oracle: benchmarks/results.json, written by `python -m benchmarks.run`. A figure in the README is followed by a comment
 with the script and the name of its figure, such as `44 <!-- four_bar: numpy_over_library -->`, and by a factor where
 the units differ: `1.9 <!-- dynamics: seconds * 1e3 -->`. It must be the measured one, rounded to the digits shown. The
 table of levels is that of the measured table which ships with rvjax (`python docs/readme.py levels` writes it).
@@ -55,7 +55,7 @@ def test_the_comparison_finds_what_is_wrong():
 
 def test_the_readme_prints_what_was_measured():
     if not RESULTS.exists():
-        pytest.skip("benchmarks/results.json is missing: python benchmarks/run.py writes it")
+        pytest.skip("benchmarks/results.json is missing: python -m benchmarks.run writes it")
     text = (ROOT / "README.md").read_text("utf-8")
     marks, wrong = differences(text, json.loads(RESULTS.read_text("utf-8")))
     assert not wrong, "\n".join(wrong)

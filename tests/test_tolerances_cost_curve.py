@@ -11,8 +11,8 @@ import math
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from linear_pair import COSTS, LIMIT, PAIR, WIDE, linear, radius
 
+from oracles.linear_pair import COSTS, LIMIT, PAIR, WIDE, linear, radius
 from rvjax import plotting
 from rvjax.tolerances import (
     Exponential,
