@@ -1,9 +1,10 @@
 """The figures of the README are those of the benchmarks.
 
 Oracle: the newest of benchmarks/history, written by `python -m benchmarks.run`. A figure in the README is followed by a
-comment with the script and the name of its figure, such as `44 <!-- four_bar: numpy_over_library -->`, and by a factor where
-the units differ: `1.9 <!-- dynamics: seconds * 1e3 -->`. It must be the measured one, rounded to the digits shown. The
-table of levels is that of the measured table which ships with rvjax (`python docs/readme.py levels` writes it).
+comment with the script and the name of its figure, such as `44 <!-- four_bar: numpy_over_library -->`, and by a factor
+where the units differ: `1.9 <!-- dynamics: seconds * 1e3 -->`. It must be the measured one, rounded to the digits
+shown. The table of levels is that of the measured table which ships with rvjax (`python docs/readme.py levels` writes
+it).
 """
 
 import math
