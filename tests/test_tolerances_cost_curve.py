@@ -23,10 +23,9 @@ from rvjax.tolerances import (
     cost_curve,
     it_width,
     rss,
-    separable,
-    training,
     worst_case,
 )
+from rvjax.tolerances.allocation import separable, training
 from rvjax.tolerances.propagation.responses import respond
 from rvjax.units import mm, um
 

@@ -24,8 +24,9 @@ from scipy import special
 from scipy.stats import qmc
 
 from rvjax.status import Status
-from rvjax.tolerances import Outcome, Requirement, Tolerance, checkpoint, monte_carlo, sample, tally
+from rvjax.tolerances import Outcome, Requirement, Tolerance, monte_carlo, sample
 from rvjax.tolerances.population.sobol import SCRAMBLES, SobolPoints
+from rvjax.tolerances.propagation import checkpoint, tally
 from rvjax.tolerances.propagation.checkpoint import response_hash
 from rvjax.tolerances.propagation.estimates import Moments4, Pairwise
 from rvjax.tolerances.propagation.order import Order
