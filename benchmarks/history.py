@@ -20,8 +20,9 @@ OTHERS = re.compile(
     r"|COBY\w+|Nelder-Mead|Powell|differential evolution)\b",
     re.IGNORECASE,
 )
-# A script that ran once does not know its own scatter; one that ran several times (`--repeat`) brings it along.
-NOISE = {"ratio": 1.15, "time": 1.3, "memory": 1.1}
+# Largest over smallest of a figure when a script runs again on an idle machine: assumed, and replaced where several
+# runs (`--repeat`) scattered more. Of two entries the factors multiply, for each may lie at either end of its own.
+SCATTER = {"ratio": 1.1, "time": 1.2, "memory": 1.05}
 
 
 class Change(NamedTuple):
@@ -107,7 +108,7 @@ def changes(before: dict[str, Any], after: dict[str, Any]) -> Iterator[Change]:
             if not all(isinstance(value, int | float) and 0 < value < math.inf for value in values):
                 continue
             slower = values[1] / values[0] if what[1] else values[0] / values[1]
-            noise = max(e.get("scatter", {}).get(figure, NOISE[what[0]]) for e in (old, new))
+            noise = math.prod(max(SCATTER[what[0]], e.get("scatter", {}).get(figure, 1)) for e in (old, new))
             found.append(Change(name, figure, *values, slower, noise))
     yield from sorted(found, key=lambda change: -abs(math.log(change.slower)))
 

@@ -86,8 +86,9 @@ def test_entries_are_kept_by_day_machine_and_label(tmp_path):
     second = history.keep("one", script(seconds=2.0), "", tmp_path)
     assert first.stem == f"{second.stem}-before" and "some-cpu" in second.stem
     assert set(history.entries(tmp_path)[first.stem]["scripts"]) == {"one", "two"}
-    quick = history.keep("two", script(small=True), "quick", tmp_path)
-    quick.write_text(quick.read_text().replace('"date": "2', '"date": "9'))  # the last of all, whatever the clock
+    quick = history.keep("two", script(small=True), "again", tmp_path)
+    quick.write_text(quick.read_text().replace('"date": "2', '"date": "9'))  # the last of all, whatever its name
+    assert list(history.entries(tmp_path))[-1] == quick.stem
     newest = history.newest(tmp_path)
     assert set(newest) == {"one", "two"} and not newest["two"]["small"]  # a quick run never stands in the README
 
