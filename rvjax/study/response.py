@@ -262,6 +262,10 @@ def _in_precision(errors: Any, precision: str) -> Any:
 def check_nominal(response: Callable[[Any], Outcome], errors: Any) -> None:
     """Refuse a question whose error-free unit already fails.
 
+    Args:
+        response: of one unit.
+        errors: the record of zeros.
+
     Raises:
         ValueError: names the status.
     """
