@@ -159,9 +159,10 @@ def axis_sizes(shape: Shape, counts: Mapping[str, int]) -> tuple[int, ...]:
 
 
 def broadcast_fields(cls: Any, counts: Mapping[str, int], values: Mapping[str, Any]) -> dict[str, Any]:
-    """Fill every traced field of `cls` to its full shape: scalars are broadcast, absent fields take the default.
+    """Fill every traced field of a record to its full shape: scalars are broadcast, absent fields take the default.
 
     Args:
+        cls: class of the record.
         counts: sizes of the named axes.
         values: given fields, by name.
 
