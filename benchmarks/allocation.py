@@ -14,7 +14,8 @@ import time
 
 import numpy as np
 from scipy import optimize, stats
-from timing import arguments, publish, settings
+
+from benchmarks.timing import arguments, publish, settings
 
 settings()
 

@@ -11,7 +11,7 @@ import dataclasses
 from functools import partial
 from pathlib import Path
 
-from timing import publish, settings
+from benchmarks.timing import publish, settings
 
 settings()
 

@@ -4,7 +4,8 @@ Each is used as in the models: its result feeds arithmetic that uses it twice. R
 """
 
 import numpy as np
-from timing import alternate, arguments, compiled, publish, settings
+
+from benchmarks.timing import alternate, arguments, compiled, publish, settings
 
 settings()
 
@@ -46,7 +47,7 @@ def main():
         best = alternate({"ours": lambda f=fast, x=x: f(*x), "jax": lambda f=plain, x=x: f(*x)})
         figures[f"{name}_ns"] = 1e9 * best["ours"] / NUMBERS
         figures[f"{name}_jax_over_ours"] = best["jax"] / best["ours"]
-    publish("fastmath", figures, path)
+    publish("elementary", figures, path)
 
 
 if __name__ == "__main__":

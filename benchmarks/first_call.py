@@ -10,7 +10,7 @@ import sys
 import tempfile
 import time
 
-from timing import arguments, publish
+from benchmarks.timing import arguments, publish
 
 CALLS = {
     "mesh_force": """

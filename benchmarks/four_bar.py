@@ -13,7 +13,8 @@ import resource
 import time
 
 import numpy as np
-from timing import alternate, arguments, c_library, compiled, publish, settings
+
+from benchmarks.timing import alternate, arguments, c_library, compiled, publish, settings
 
 settings()
 

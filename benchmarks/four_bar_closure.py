@@ -8,7 +8,8 @@ one core (`taskset -c 0`) for the ratio to C.
 import ctypes
 
 import numpy as np
-from timing import alternate, arguments, c_library, compiled, publish, settings
+
+from benchmarks.timing import alternate, arguments, c_library, compiled, publish, settings
 
 settings()
 

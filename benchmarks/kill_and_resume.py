@@ -3,7 +3,7 @@
 `rvjax montecarlo rv-40e --checkpoint FILE` is started again after every kill; in the end its figures are compared, as
 text with all digits, with those of an uninterrupted run.
 
-    python benchmarks/kill_and_resume.py [--units 1.5e7] [--processes 2]
+    python -m benchmarks.kill_and_resume [--units 1.5e7] [--processes 2]
 """
 
 import argparse

@@ -1,7 +1,7 @@
 """Lost motion: ten million units of the consistent sum beside NumPy and C, and what the three levels cost.
 
 Every contender reads twelve errors of every unit and returns one angle; the mean over all units stands for the use
-in statistics. Results are compared before anything is timed. One core: `taskset -c 0 python benchmarks/lost_motion.py`.
+in statistics. Results are compared before anything is timed. One core: `taskset -c 0 python -m benchmarks.lost_motion`.
 """
 
 import ctypes
@@ -9,7 +9,8 @@ import ctypes
 import jax
 import jax.numpy as jnp
 import numpy as np
-from timing import alternate, arguments, c_library, compiled, publish, settings
+
+from benchmarks.timing import alternate, arguments, c_library, compiled, publish, settings
 
 settings()
 

@@ -8,14 +8,15 @@ gradient is that of the mean peak gear force to three shared tolerances. `taskse
 import ctypes
 
 import numpy as np
-from timing import alternate, arguments, c_library, compiled, publish, settings
+
+from benchmarks.timing import alternate, arguments, c_library, compiled, publish, settings
 
 settings()
 
 import jax  # noqa: E402  (after the flags)
 import jax.numpy as jnp  # noqa: E402
-from mesh_force_others import in_numba, in_numpy, source, with_scipy  # noqa: E402
 
+from benchmarks.mesh_force_others import in_numba, in_numpy, source, with_scipy  # noqa: E402
 from rvjax import CamRollerErrors, catalogue, mesh_force  # noqa: E402
 
 CASES, CHUNK, LOOP_CASES = 65_536, 1024, 3

@@ -6,8 +6,8 @@ angles under load, with the study's tolerances and requirement. The bare kernel 
 few hundred thousand units, so that a busy machine slows both alike. Memory is the largest resident set in every tenth
 of the run.
 
-    python benchmarks/monte_carlo.py --units 1e8 [--method sobol] [--checkpoint FILE] [--json FILE]
-    python benchmarks/monte_carlo.py --seeds 200
+    python -m benchmarks.monte_carlo --units 1e8 [--method sobol] [--checkpoint FILE] [--json FILE]
+    python -m benchmarks.monte_carlo --seeds 200
 """
 
 import argparse
@@ -18,7 +18,7 @@ import threading
 import time
 from pathlib import Path
 
-from timing import alternate, publish, settings
+from benchmarks.timing import alternate, publish, settings
 
 settings()
 

@@ -10,7 +10,8 @@ import time
 from pathlib import Path
 
 import numpy as np
-from timing import publish, settings
+
+from benchmarks.timing import publish, settings
 
 settings()
 

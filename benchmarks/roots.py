@@ -7,7 +7,8 @@ Target: gradient of the batch mean <= 2 x the batch mean.
 import jax
 import jax.numpy as jnp
 import numpy as np
-from timing import alternate, arguments, publish, settings
+
+from benchmarks.timing import alternate, arguments, publish, settings
 
 settings()
 

@@ -1,14 +1,16 @@
 """All benchmarks with one command: each script in a process of its own, one JSON file and one table.
 
-    python benchmarks/run.py                       everything, about half an hour
-    python benchmarks/run.py --budget 300          what fits into five minutes, the quick ones first
-    python benchmarks/run.py --only four_bar lost_motion
+    python -m benchmarks.run                       everything, about half an hour
+    python -m benchmarks.run --budget 300          what fits into five minutes, the quick ones first
+    python -m benchmarks.run --only four_bar lost_motion --repeat 3
+    python -m benchmarks.run --compare             the last two entries of the history: what got slower or faster
+    python -m benchmarks.run --compare A B         two entries by name
 
-What is not run keeps its figures of last time in the file; every entry carries the machine and the day it belongs to.
+The figures go into `benchmarks/history`, one file a day and machine; `--label` keeps two states of one day apart. The
+newest figures of every script are those of the README. A script that ran several times knows its own scatter.
 """
 
 import argparse
-import datetime
 import json
 import subprocess
 import sys
@@ -16,8 +18,10 @@ import tempfile
 import time
 from pathlib import Path
 
+import rvjax
+from benchmarks import history
+
 HERE = Path(__file__).parent
-RESULTS = HERE / "results.json"
 # Arguments of scripts whose usual size takes minutes, used within a budget.
 SMALL = {"monte_carlo": ["--units", "1e6"], "rare_failures": ["--units", "1000000"], "choices": ["--scenes", "200"]}
 LAST = ("allocation", "choices", "dynamics", "monte_carlo", "rare_failures")  # the slow ones
@@ -25,9 +29,8 @@ LAST = ("allocation", "choices", "dynamics", "monte_carlo", "rare_failures")  # 
 
 def scripts() -> list[str]:
     """Names of the scripts that publish figures, quick ones first."""
-    names = [
-        p.stem for p in HERE.glob("*.py") if p.stem not in ("run", "timing") and "publish(" in p.read_text("utf-8")
-    ]
+    others = ("run", "timing")
+    names = [p.stem for p in HERE.glob("*.py") if p.stem not in others and "publish(" in p.read_text("utf-8")]
     return sorted(names, key=lambda name: (name in LAST, name))
 
 
@@ -37,10 +40,11 @@ def run(name: str, limit: float | None, small: bool) -> dict:
         path = Path(folder) / "figures.json"
         command = [
             sys.executable,
-            str(HERE / f"{name}.py"),
+            "-m",
+            f"benchmarks.{name}",
             "--json",
             str(path),
-            *(SMALL.get(name, []) if small else []),
+            *(SMALL[name] if small else []),
         ]
         started = time.perf_counter()
         try:
@@ -50,15 +54,17 @@ def run(name: str, limit: float | None, small: bool) -> dict:
         if done.returncode or not path.exists():
             return {"missing": f"exit code {done.returncode}: {done.stderr.strip().splitlines()[-1:]}"}
         entry = json.loads(path.read_text("utf-8"))
-    day = datetime.date.today().isoformat()
-    return {"seconds": round(time.perf_counter() - started, 1), "day": day, "small": small, **entry}
+    machine = entry["machine"]
+    versions = {"rvjax": rvjax.__version__, "jax": machine.pop("jax"), "python": machine.pop("python")}
+    seconds = round(time.perf_counter() - started, 1)
+    return {"seconds": seconds, "small": small, "machine": machine, "versions": versions, "figures": entry["figures"]}
 
 
 def table(results: dict) -> str:
     """Every figure of every script."""
     lines = []
     for name, entry in results.items():
-        lines.append(f"{name}: {entry.get('missing') or str(entry['seconds']) + ' s, ' + entry['day']}")
+        lines.append(f"{name}: {entry['seconds']} s")
         for key, value in entry.get("figures", {}).items():
             lines.append(f"    {key:52s} {value:.4g}" if isinstance(value, float) else f"    {key:52s} {value}")
     return "\n".join(lines)
@@ -68,23 +74,45 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--only", nargs="+", choices=scripts(), metavar="NAME", help="these scripts")
     parser.add_argument("--budget", type=float, metavar="SECONDS", help="start nothing after it; smaller sizes")
-    parser.add_argument("--json", type=Path, default=RESULTS, help=f"file to update (default {RESULTS.name})")
+    parser.add_argument("--repeat", type=int, default=1, metavar="N", help="runs of every script (default 1)")
+    parser.add_argument("--label", default="", help="ends the name of the entry")
+    parser.add_argument("--history", type=Path, default=history.HISTORY, metavar="FOLDER", help="where the entries are")
+    parser.add_argument(
+        "--compare", nargs="*", metavar="ENTRY", help="compare two entries instead; exit code 1: slower"
+    )
     options = parser.parse_args()
-    results = json.loads(options.json.read_text("utf-8")) if options.json.exists() else {}
+    if options.compare is not None:
+        sys.exit(compare(options.compare, options.history))
     end = time.monotonic() + options.budget if options.budget else None
     for name in options.only or scripts():
-        left = None if end is None else end - time.monotonic()
-        if left is not None and left <= 0:
-            print(f"{name}: no time left", file=sys.stderr)
-            continue
-        print(f"{name} ...", file=sys.stderr, flush=True)
-        entry = run(name, left, small=end is not None)
-        if "missing" not in entry or name not in results:
-            results[name] = entry
-        else:
-            print(f"{name}: {entry['missing']}; its old figures stay", file=sys.stderr)
-        options.json.write_text(json.dumps(results, indent=1) + "\n", "utf-8")
-    print(table(results))
+        runs: list[dict] = []
+        for number in range(options.repeat):
+            left = None if end is None else end - time.monotonic()
+            print(f"{name}, run {number + 1} of {options.repeat} ...", file=sys.stderr, flush=True)
+            entry = (
+                {"missing": "no time left"}
+                if left is not None and left <= 0
+                else run(name, left, end is not None and name in SMALL)
+            )
+            if "missing" in entry:
+                print(f"{name}: {entry['missing']}", file=sys.stderr)
+                break
+            runs.append(entry)
+        if runs:
+            history.keep(name, history.together(runs), options.label, options.history)
+    print(table(history.newest(options.history)))
+
+
+def compare(names: list[str], folder: Path) -> int:
+    """Print what changed between two entries; 1 if something got slower beyond noise, 2 if there are no two."""
+    there = history.entries(folder)
+    asked = names or list(there)[-2:]
+    if len(asked) != 2 or not all(name in there for name in asked):
+        print(f"two of these entries are needed: {', '.join(there) or 'there is none'}", file=sys.stderr)
+        return 2
+    before, after = (there[name] for name in asked)
+    print(history.report(before, after))
+    return int(any(change.beyond and change.slower > 1 for change in history.changes(before, after)))
 
 
 if __name__ == "__main__":

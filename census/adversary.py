@@ -1,7 +1,7 @@
 """Search for inputs on which the models err most: evolution on their own errors, within the domain.
 
-    python benchmarks/adversary.py                                   all models, a few minutes each
-    python benchmarks/adversary.py --model "mesh_force hertz" --figure float32 --generations 200
+    python -m census.adversary                                   all models, a few minutes each
+    python -m census.adversary --model "mesh_force hertz" --figure float32 --generations 200
 
 From random inputs the best are kept and changed again, by steps that shrink where nothing better comes. Climbed are,
 one after the other: float32 against float64, the residual, the error that an independent computation sees, the
@@ -11,14 +11,13 @@ becomes a test.
 
 import argparse
 import json
-import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import timing
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))  # the oracle of the dynamic model
+from benchmarks.timing import settings
+
 POPULATION = 1024
 PARENTS = 32
 FIGURES = ("float32", "residual", "value", "derivative")
@@ -34,10 +33,11 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
-    timing.settings()
+    settings()
     np.seterr(all="ignore")
     import jax
-    from extremes_models import models
+
+    from census.models import models
 
     found = []
     for model in models():
@@ -81,8 +81,8 @@ def climb(model: Any, run: Any, name: str, rng: Any, generations: int) -> tuple[
 
 def measure(model: Any, run: Any, name: str, case: dict[str, Any], rng: Any) -> np.ndarray:
     """The figure to climb, 0 outside the domain and where a status explains it."""
-    from extremes_census import GOOD
-    from extremes_derivatives import derivatives, evaluate, flat
+    from census.derivatives import derivatives, evaluate, flat
+    from census.one_model import GOOD
 
     if name == "derivative":
         return np.nan_to_num(derivatives(model, run, case, rng, POPULATION)[0], posinf=1e30)

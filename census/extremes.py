@@ -1,9 +1,9 @@
 """Census of the extremes: random inputs over the domain of every model and beyond it, each judged.
 
-    python benchmarks/extremes.py --inputs 1e6          one million inputs for each group of models
-    python benchmarks/extremes.py --budget 5            what fits into five minutes
-    python benchmarks/extremes.py --model mesh_force    groups or models whose name begins so
-    python benchmarks/extremes.py --page                only write the table of docs/stability.md
+    python -m census.extremes --inputs 1e6          one million inputs for each group of models
+    python -m census.extremes --budget 5            what fits into five minutes
+    python -m census.extremes --model mesh_force    groups or models whose name begins so
+    python -m census.extremes --page                only write the table of docs/stability.md
 
 Printed and kept in census.json, per model: how many inputs ended with which status; silent NaN or infinity, and
 finite values where NaN is due; statuses and values against an independent computation; the largest residual;
@@ -14,19 +14,15 @@ by model; `--fresh` begins anew. The worst inputs are kept so that they can be r
 import argparse
 import datetime
 import json
-import sys
 import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import timing
 import tqdm
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))  # the oracle of the dynamic model
-CENSUS = Path(__file__).parent / "census.json"
-PAGE = Path(__file__).parents[1] / "docs" / "stability.md"
-BEGIN, END = "<!-- census begins -->\n", "<!-- census ends -->\n"
+from benchmarks.timing import settings
+from census.table import CENSUS, PAGE, stored, write_page
 
 
 def main() -> None:
@@ -42,15 +38,15 @@ def main() -> None:
     if not options.page:
         take_census(options)
     if options.json == CENSUS and PAGE.exists():
-        write_page(json.loads(CENSUS.read_text()), PAGE)
+        write_page(stored(), PAGE)
 
 
 def take_census(options: argparse.Namespace) -> None:
     """Run what the file does not hold yet; write it after every model."""
-    timing.settings()
+    settings()
     np.seterr(all="ignore")
-    from extremes_census import census, show
-    from extremes_models import models
+    from census.models import models
+    from census.one_model import census, show
 
     everything = list(models())
     shared = {m.group: sum(other.group == m.group for other in everything) for m in everything}
@@ -79,48 +75,6 @@ def take_census(options: argparse.Namespace) -> None:
         with bar.external_write_mode():
             show(entry)
     bar.close()
-
-
-def tables(file: dict[str, Any]) -> str:
-    """The census in two tables of Markdown: outcomes, and how far off."""
-    entries = file["census"]
-    groups = list(dict.fromkeys(e["group"] for e in entries))
-    rows = [
-        "| models | inputs | silent NaN or inf | wrong statuses of judged | poisoned gradients | statuses |",
-        "|---|---:|---:|---:|---:|---|",
-    ]
-    for group in groups:
-        own = [e for e in entries if e["group"] == group]
-        counts: dict[str, int] = {}
-        for entry in own:
-            for name, many in entry["statuses"].items():
-                counts[name] = counts.get(name, 0) + many
-        total = {key: sum(e[key] for e in own) for key in own[0] if isinstance(own[0][key], int)}
-        silent = total["silent"] + total["finite where NaN is due"] + total["float32 silent"]
-        statuses = ", ".join(f"{name} {many:,}" for name, many in sorted(counts.items(), key=lambda item: -item[1]))
-        rows.append(
-            f"| {group} | {total['inputs']:,} | {silent} | {total['wrong status']} of {total['judged']:,} "
-            f"| {total['poisoned gradients']} | {statuses} |"
-        )
-    rows += [
-        "",
-        "| model | largest residual | value off | derivatives above 1e-6 | worst derivative | float32 off |",
-        "|---|---:|---:|---:|---:|---:|",
-    ]
-    for entry in entries:
-        figures = [entry["worst"].get(name, {"figure": 0.0})["figure"] for name in
-                   ("residual", "value", "derivative", "float32")]  # fmt: skip
-        residual, value, derivative, single = (f"{figure:.1e}" if figure else "0" for figure in figures)
-        many = f"{entry['derivatives above 1e-6']} of {entry['derivatives']:,}"
-        rows.append(f"| {entry['model']} | {residual} | {value} | {many} | {derivative} | {single} |")
-    return "\n".join(rows) + "\n"
-
-
-def write_page(file: dict[str, Any], page: Path) -> None:
-    """Put the tables between the marks of the page."""
-    text = page.read_text()
-    before, rest = text.split(BEGIN)
-    page.write_text(before + BEGIN + "\n" + tables(file) + "\n" + END + rest.split(END)[1])
 
 
 if __name__ == "__main__":

@@ -56,7 +56,11 @@ class RVErrors(Record):
 
     @classmethod
     def for_design(cls, design: RVReducer, **errors: Any) -> Self:
-        """Errors with full array shapes for `design`; a scalar for an array field is broadcast.
+        """Errors with full array shapes; a scalar for an array field is broadcast.
+
+        Args:
+            design: tells the counts of the shapes.
+            **errors: fields by name; absent ones are zero.
 
         Raises:
             ValueError: unknown field, or a shape that does not fit the design.
@@ -76,7 +80,11 @@ class CamRollerErrors(Record):
 
     @classmethod
     def for_design(cls, design: CamRollerReducer, **errors: Any) -> Self:
-        """Errors with full array shapes for `design`; a scalar for an array field is broadcast.
+        """Errors with full array shapes; a scalar for an array field is broadcast.
+
+        Args:
+            design: tells the counts of the shapes.
+            **errors: fields by name; absent ones are zero.
 
         Raises:
             ValueError: unknown field, or a shape that does not fit the design.

@@ -89,7 +89,12 @@ class SolveError(RuntimeError):
 
 
 def worst(status: jax.Array, axis: int | tuple[int, ...] | None = None) -> jax.Array:
-    """The status that speaks for several, by `PRECEDENCE`; integer array reduced over `axis`."""
+    """The status that speaks for several, by `PRECEDENCE`.
+
+    Args:
+        status: integer array.
+        axis: reduced; None reduces all.
+    """
     rank = jnp.asarray(_RANK)[status]
     return jnp.asarray(_ORDER)[jnp.min(rank, axis=axis)]
 

@@ -50,7 +50,7 @@ def answers():
         return dataclasses.replace(found[key], study=question)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(rvjax.answer, "answer", once)
+        patch.setattr(rvjax.study.answer, "answer", once)
         yield found
 
 

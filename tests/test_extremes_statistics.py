@@ -9,12 +9,13 @@ import warnings
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from linear_pair import COSTS, PAIR, WIDE, linear
 
+from oracles.linear_pair import COSTS, PAIR, WIDE, linear
 from rvjax.study import StudyError
 from rvjax.study.read import EMBEDDED, parse_study
-from rvjax.tolerances import Requirement, Tolerance, allocate, checkpoint, monte_carlo, save
+from rvjax.tolerances import Requirement, Tolerance, allocate, monte_carlo, save
 from rvjax.tolerances.atomic import PARTIAL, write_atomically
+from rvjax.tolerances.propagation import checkpoint
 from rvjax.units import um
 
 GOOD = (EMBEDDED / "rv-40e.toml").read_text()

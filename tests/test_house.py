@@ -96,6 +96,12 @@ def public_functions():
 PUBLIC = dict(public_functions())
 
 
+def parameters(function):
+    """Names of what a caller gives; the first one of a method is the object itself."""
+    bound = ("self", "cls") if "." in function.__qualname__ else ()
+    return [p for p in inspect.signature(function).parameters if p not in bound]
+
+
 @pytest.mark.parametrize("name", PUBLIC)
 def test_docstring_tells_the_parameters_of_the_signature(name):
     """Every public name has a docstring; where it lists arguments, they are those of the signature."""
@@ -109,8 +115,32 @@ def test_docstring_tells_the_parameters_of_the_signature(name):
         assert dataclasses.is_dataclass(thing), name
         expected = [f.name for f in dataclasses.fields(thing)]
     else:
-        expected = [p for p in inspect.signature(thing).parameters if p not in ("self", "cls")]
+        expected = parameters(thing)
     assert documented == expected, name
+
+
+def exported():
+    """Functions in the `__all__` of a package or module, or in a module without one that the pages of the API show."""
+    pages = "".join(path.read_text() for path in (ROOT / "docs" / "api").glob("*.md"))
+    shown = re.findall(r"automodule:: (\S+)\n +:members:", pages)
+    for path in [PACKAGE / "__init__.py", *rooms()]:
+        name = ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+        module = None if path.name == "__main__.py" else importlib.import_module(name)
+        for attribute in getattr(module, "__all__", vars(module) if name in shown else ()):
+            value = inspect.unwrap(getattr(module, attribute))
+            full = f"{getattr(value, '__module__', '')}.{getattr(value, '__name__', '')}"
+            yield from (public for public in PUBLIC if public == full or public.startswith(f"{full}."))
+
+
+EXPORTED = sorted({name for name in exported() if not inspect.isclass(PUBLIC[name])})
+
+
+def test_every_exported_function_of_two_parameters_tells_each():
+    """The test above holds that the section names them all, in their order."""
+    assert {"rvjax.four_bar.revolution.revolution", "rvjax.records.field", "rvjax.status.worst"} <= set(EXPORTED)
+    assert "rvjax.errors.RVErrors.for_design" in EXPORTED  # a method of an exported record
+    several = [name for name in EXPORTED if len(parameters(PUBLIC[name])) > 1]
+    assert [name for name in several if "\nArgs:\n" not in inspect.cleandoc(PUBLIC[name].__doc__)] == []
 
 
 def test_every_record_declares_unit_and_meaning():

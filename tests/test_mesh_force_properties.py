@@ -15,7 +15,7 @@ from oracles import cam_roller
 from oracles.cam_roller import approach, corr, geometry, half_widths, random_units, solve
 from rvjax import Status
 
-TEETH = (2, 5, 25)  # the census of benchmarks/extremes.py draws a million, up to 200 teeth
+TEETH = (2, 5, 25)  # the census of census/extremes.py draws a million, up to 200 teeth
 UNITS = 3000  # of each
 
 

@@ -1,23 +1,21 @@
 """The figures of the README are those of the benchmarks.
 
-Oracle: benchmarks/results.json, written by `python benchmarks/run.py`. A figure in the README is followed by a comment
-with the script and the name of its figure, such as `44 <!-- four_bar: numpy_over_library -->`, and by a factor where
-the units differ: `1.9 <!-- dynamics: seconds * 1e3 -->`. It must be the measured one, rounded to the digits shown. The
-table of levels is that of the measured table which ships with rvjax (`python docs/readme.py levels` writes it).
+Oracle: the newest of benchmarks/history, written by `python -m benchmarks.run`. A figure in the README is followed by a
+comment with the script and the name of its figure, such as `44 <!-- four_bar: numpy_over_library -->`, and by a factor
+where the units differ: `1.9 <!-- dynamics: seconds * 1e3 -->`. It must be the measured one, rounded to the digits
+shown. The table of levels is that of the measured table which ships with rvjax (`python docs/readme.py levels` writes
+it).
 """
 
-import json
 import math
 import re
 from pathlib import Path
 
-import pytest
-
+from benchmarks import history
 from rvjax import levels
 from rvjax.levels import table
 
 ROOT = Path(__file__).parent.parent
-RESULTS = ROOT / "benchmarks" / "results.json"
 MARK = re.compile(
     r"(?P<text>[\d.,]+(?:e-?\d+)?)[^\d|\n<]*<!-- (?P<script>\w+): (?P<figure>.+?)(?: \* (?P<factor>[\d.e+-]+))? -->"
 )
@@ -54,10 +52,8 @@ def test_the_comparison_finds_what_is_wrong():
 
 
 def test_the_readme_prints_what_was_measured():
-    if not RESULTS.exists():
-        pytest.skip("benchmarks/results.json is missing: python benchmarks/run.py writes it")
     text = (ROOT / "README.md").read_text("utf-8")
-    marks, wrong = differences(text, json.loads(RESULTS.read_text("utf-8")))
+    marks, wrong = differences(text, history.newest())
     assert not wrong, "\n".join(wrong)
     assert marks, "the README marks no figure"
 

@@ -1,45 +1,34 @@
 """The page on stability: its census is that of the file, its bounds of single precision hold.
 
-Oracle: benchmarks/census.json, and the models in float64 on inputs that float32 holds exactly. The bounds are read
+Oracle: census/census.json, and the models in float64 on inputs that float32 holds exactly. The bounds are read
 from the page, so that they are stated once.
 """
 
-import json
 import re
-import sys
 from pathlib import Path
 
 import jax
 import numpy as np
 import pytest
 
+from census import table
+from census.models import models
+
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "stability.md").read_text()
 BOUNDS = {name: float(bound) for name, bound in re.findall(r"^\| (\w+ \w+) \| (\d+e-\d+) \|", PAGE, re.MULTILINE)}
 
 
-@pytest.fixture(scope="module", autouse=True)
-def benchmarks():
-    """The census draws its inputs in a folder that is no package."""
-    sys.path.insert(0, str(ROOT / "benchmarks"))
-    yield
-    sys.path.remove(str(ROOT / "benchmarks"))
-
-
 def test_the_page_shows_the_census_of_the_file():
-    import extremes
-
-    file = json.loads(extremes.CENSUS.read_text())
-    shown = PAGE.split(extremes.BEGIN)[1].split(extremes.END)[0].strip()
-    assert shown == extremes.tables(file).strip()
+    file = table.stored()
+    shown = PAGE.split(table.BEGIN)[1].split(table.END)[0].strip()
+    assert shown == table.tables(file).strip()
     groups = {entry["group"] for entry in file["census"]}
     assert {group for group in groups if not group.startswith("dynamics")} == set(BOUNDS)  # the page says why
 
 
 def test_the_census_is_clean():
-    import extremes
-
-    for entry in json.loads(extremes.CENSUS.read_text())["census"]:
+    for entry in table.stored()["census"]:
         for figure in ("silent", "finite where NaN is due", "wrong status", "float32 silent"):
             assert entry[figure] == 0, (entry["model"], figure)
         assert entry["worst"].get("residual", {"figure": 0})["figure"] <= 1e-10, entry["model"]
@@ -59,11 +48,9 @@ MODELS = (
 
 @pytest.mark.parametrize("name", MODELS)
 def test_single_precision_keeps_its_bound(name):
-    import extremes_models
-
     # The census's own arithmetic beside the models promotes as NumPy does.
     with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
-        model = next(m for m in extremes_models.models() if m.name == name)
+        model = next(m for m in models() if m.name == name)
         case = model.draw(np.random.default_rng(0), 2000)
         few = {k: v.astype(np.float32) for k, v in case.items()}
         run = jax.jit(jax.vmap(model.run))

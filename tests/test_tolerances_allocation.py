@@ -11,9 +11,9 @@ import math
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from linear_pair import COSTS, LIMIT, PAIR, WIDE, linear, radius
 from scipy import stats
 
+from oracles.linear_pair import COSTS, LIMIT, PAIR, WIDE, linear, radius
 from rvjax.status import Status
 from rvjax.tolerances import (
     Exponential,

@@ -11,8 +11,8 @@ import math
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from linear_pair import COSTS, LIMIT, PAIR, WIDE, linear, radius
 
+from oracles.linear_pair import COSTS, LIMIT, PAIR, WIDE, linear, radius
 from rvjax import plotting
 from rvjax.tolerances import (
     Exponential,
@@ -23,10 +23,9 @@ from rvjax.tolerances import (
     cost_curve,
     it_width,
     rss,
-    separable,
-    training,
     worst_case,
 )
+from rvjax.tolerances.allocation import separable, training
 from rvjax.tolerances.propagation.responses import respond
 from rvjax.units import mm, um
 

@@ -24,8 +24,9 @@ from scipy import special
 from scipy.stats import qmc
 
 from rvjax.status import Status
-from rvjax.tolerances import Outcome, Requirement, Tolerance, checkpoint, monte_carlo, sample, tally
+from rvjax.tolerances import Outcome, Requirement, Tolerance, monte_carlo, sample
 from rvjax.tolerances.population.sobol import SCRAMBLES, SobolPoints
+from rvjax.tolerances.propagation import checkpoint, tally
 from rvjax.tolerances.propagation.checkpoint import response_hash
 from rvjax.tolerances.propagation.estimates import Moments4, Pairwise
 from rvjax.tolerances.propagation.order import Order
@@ -358,8 +359,6 @@ def test_killed_at_ten_random_moments_and_resumed(tmp_path):
 # Devices and processes
 
 CHILD = """
-import sys
-sys.path.insert(0, {tests!r})
 import jax
 jax.config.update("jax_enable_x64", True)
 if {address!r}:
@@ -375,11 +374,9 @@ save({{"found": found, "devices": len(jax.local_devices()), "processes": jax.pro
 
 
 def child(path, *, devices=1, address="", process=0, options=None):
-    code = CHILD.format(
-        tests=str(Path(__file__).parent), address=address, process=process, options=options or {}, path=str(path)
-    )
+    code = CHILD.format(address=address, process=process, options=options or {}, path=str(path))
     flags = f"--xla_force_host_platform_device_count={devices}"
-    environment = os.environ | {"XLA_FLAGS": flags, "JAX_PLATFORMS": "cpu"}
+    environment = os.environ | {"XLA_FLAGS": flags, "JAX_PLATFORMS": "cpu", "PYTHONPATH": str(Path(__file__).parent)}
     return subprocess.Popen([sys.executable, "-c", code], env=environment, cwd=Path(__file__).parent.parent)
 
 

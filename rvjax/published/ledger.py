@@ -78,7 +78,13 @@ def reproduce(sources: tuple[str, ...] = SOURCES) -> list[Comparison]:
 
 
 def compare(figure: dict[str, Any], computed: Any, right: Any = None) -> Comparison:
-    """Judge one figure; `computed` is None where the source does not allow a value."""
+    """Judge one figure.
+
+    Args:
+        figure: of the ledger.
+        computed: our value; None where the source does not allow one.
+        right: the physically right value, where another reading was asked for.
+    """
     unit = figure.get("our_unit", figure["unit"])
     notes = [figure[key] for key in ("contradicted_by", "missing", "reading", "calibrated", "note") if key in figure]
     if right is not None:

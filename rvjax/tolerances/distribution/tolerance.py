@@ -59,12 +59,23 @@ class Tolerance(Record):
 
     @classmethod
     def symmetric(cls, half_width: Any, **options: Any) -> Self:
-        """Limits +-half_width; options as in `Tolerance`."""
+        """Limits on both sides alike.
+
+        Args:
+            half_width: of the limits, unit of the error.
+            **options: as in `Tolerance`.
+        """
         return cls(-half_width, half_width, **options)
 
     @classmethod
     def grade(cls, grade: str, size: Any, **options: Any) -> Self:
-        """Limits +-IT/2 of an ISO 286 grade such as "IT6" for a nominal size in m; options as in `Tolerance`."""
+        """Limits +-IT/2 of an ISO 286 grade.
+
+        Args:
+            grade: such as "IT6".
+            size: nominal, m.
+            **options: as in `Tolerance`.
+        """
         return cls.symmetric(it_width(grade, size) / 2, size=size, **options)
 
     @property

@@ -193,7 +193,15 @@ def _positive(name: str, value: Any) -> int:
 
 @contextlib.contextmanager
 def progress_bar(shown: bool, total: int | None, description: str, unit: str, *, initial: int = 0) -> Iterator[Any]:
-    """A function that advances a tqdm bar, or does nothing."""
+    """A function that advances a tqdm bar, or does nothing.
+
+    Args:
+        shown: whether there is a bar.
+        total: units of work; None where it is not known.
+        description: before the bar.
+        unit: of the work.
+        initial: done already.
+    """
     if not shown:
         yield lambda count: None
         return

@@ -51,7 +51,12 @@ class Requirement:
         return np.where(value < (self.lower + self.upper) / 2, -1.0, 1.0)
 
     def capability(self, mean: float, sd: float) -> tuple[float, float]:
-        """Cp and Cpk of a mean and standard deviation; a one-sided requirement has no Cp (nan)."""
+        """Cp and Cpk; a one-sided requirement has no Cp (nan).
+
+        Args:
+            mean: of the response, its unit.
+            sd: standard deviation, its unit.
+        """
         room = -self.margin(mean)
         if sd == 0:
             cp, cpk = math.inf, math.inf if room >= 0 else -math.inf

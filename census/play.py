@@ -6,8 +6,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from extremes_cases import REAL, Case, Model, decades, moderate, nonfinite, relative_step
 
+from census.cases import REAL, Case, Model, decades, moderate, nonfinite, relative_step
 from rvjax import RVErrors, RVReducer, lost_motion
 from rvjax.designs import CrankStage, CycloidStage, InvoluteStage
 from rvjax.lost_motion.reducer import ERRORS_READ as PLAY

@@ -1,14 +1,16 @@
-"""All models of the census, in groups that share the inputs asked for."""
+"""All models of the census, in groups that share the inputs asked for.
+
+The one place where a family joins: its own module makes a `cases.Model`, a loop here says which cases are drawn.
+"""
 
 from collections.abc import Iterator
 
-from extremes_cases import Model
-from extremes_dynamics import vibration
-from extremes_linkage import linkage
-from extremes_mesh import mesh
-from extremes_play import play
-from extremes_reducer import reducer, turn
-
+from census.cases import Model
+from census.dynamics import vibration
+from census.linkage import linkage
+from census.mesh import mesh
+from census.play import play
+from census.reducer import reducer, turn
 from rvjax.lost_motion.reducer import PROFILES
 
 

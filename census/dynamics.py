@@ -4,9 +4,9 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from extremes_cases import Case, Model, decades, moderate, nonfinite, relative_step
 
 import rvjax
+from census.cases import Case, Model, decades, moderate, nonfinite, relative_step
 from oracles.dynamics import Oracle
 from rvjax import catalogue
 from rvjax.designs import CrankStage

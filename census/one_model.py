@@ -7,9 +7,9 @@ from typing import Any
 
 import jax
 import numpy as np
-from extremes_cases import Case, Model, spoiled
-from extremes_derivatives import derivatives, evaluate, flat, poisoned
 
+from census.cases import Case, Model, spoiled
+from census.derivatives import derivatives, evaluate, flat, poisoned
 from rvjax.status import Status
 
 KEPT = (

@@ -4,8 +4,8 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from extremes_cases import REAL, Case, Model, decades, deviations, moderate, nonfinite
 
+from census.cases import REAL, Case, Model, decades, deviations, moderate, nonfinite
 from rvjax import RVErrors, RVReducer, catalogue, four_bar
 from rvjax.designs import CrankStage
 from rvjax.status import Status

@@ -5,9 +5,9 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from extremes_cases import Case, Model, relative_step
 
 import rvjax
+from census.cases import Case, Model, relative_step
 from rvjax.status import Status
 
 DESIGN = ("cam_radius", "roller_radius", "roller_length", "eccentricity", "young_modulus", "poisson_ratio", "cam_share")

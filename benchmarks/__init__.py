@@ -1,0 +1,1 @@
+"""Speed, measured beside references in one process: `python -m benchmarks.run`."""

@@ -1,0 +1,1 @@
+"""Random inputs over the domain of every model and beyond it, each judged: `python -m census.extremes`."""
