@@ -102,6 +102,15 @@ def worst(status: jax.Array, axis: int | tuple[int, ...] | None = None) -> jax.A
     return jnp.asarray(_ORDER)[jnp.min(rank, axis=axis)]
 
 
+def at_once(like: jax.Array) -> SolveInfo:
+    """The info of a closed form: CONVERGED, no steps, nothing left.
+
+    Args:
+        like: any number of the result, for its shape and dtype.
+    """
+    return SolveInfo(jnp.zeros_like(like, jnp.int32), jnp.zeros_like(like, jnp.int32), jnp.zeros_like(like))
+
+
 def worst_of(infos: SolveInfo) -> SolveInfo:
     """The info that speaks for several: worst status, most steps, largest residual.
 

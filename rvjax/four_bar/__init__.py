@@ -2,7 +2,8 @@
 
 Two crankshafts, a cycloid disc (coupler) and the carrier (frame) form a parallelogram. Whatever spoils
 it turns the disc against the carrier: the transmission error. `solve_closure` treats one linkage,
-`transmission_error` a reducer with any number of cranks and discs, `revolution` a whole crank turn, `figures` what is read off it.
+`transmission_error` a reducer with any number of cranks and discs, `revolution` a whole crank turn and
+`figures` what is read off it.
 
 Source: "original error" analysis of an RV-40E as a four-bar linkage (anonymous web article). Its
 equations are unnumbered; here (S1) is the closure, (S2) its quadratic, (S4) the loaded crank length.

@@ -11,7 +11,7 @@ import numpy as np
 
 from rvjax import roots
 from rvjax.elementary import LARGEST_ANGLE, arctan2, sin_cos
-from rvjax.status import Check, SolveInfo, Status, first_failure
+from rvjax.status import Check, SolveInfo, Status, at_once, first_failure
 
 
 class Crank(NamedTuple):
@@ -60,12 +60,9 @@ class Resting(NamedTuple):
     info: SolveInfo
 
 
-def at_once(like: jax.Array) -> SolveInfo:
-    """The info of a closed form."""
-    return SolveInfo(jnp.zeros_like(like, jnp.int32), jnp.zeros_like(like, jnp.int32), jnp.zeros_like(like))
-
-
-def _at_rest(angle: Any, misfit: Any, info: SolveInfo, *checks: Check, nowhere: Any = np.False_, shown: Any = True) -> Resting:
+def _at_rest(
+    angle: Any, misfit: Any, info: SolveInfo, *checks: Check, nowhere: Any = np.False_, shown: Any = True
+) -> Resting:
     """What a solve found, under its status: NONFINITE where no root was found or numbers overflow.
 
     `nowhere` says where the geometry itself leaves no angle, `shown` where numbers are shown all the same.

@@ -14,7 +14,7 @@ from rvjax.four_bar.closures import Crank, crank_direction
 from rvjax.four_bar.linkage import LinkDeviations, check_methods, close
 from rvjax.four_bar.unit import Unit, is_loaded, take_apart
 from rvjax.records import Record, field, record
-from rvjax.status import SolveInfo, Status, admit, worst_of
+from rvjax.status import SolveInfo, Status, admit, at_once, worst_of
 
 
 @record
@@ -94,7 +94,9 @@ def error_at(unit: Unit, angle: jax.Array, ratio: Any, *, cranks: str, closure: 
     worst_disc = worst_of(jax.tree.map(lambda *leaves: jnp.stack(leaves), *infos))
     overflow = (worst_disc.status == Status.CONVERGED) & ~jnp.isfinite(error)
     _, gate = admit((), 0, (~first.finite, Status.NONFINITE), after=unit.gate)
-    shown, info = gate.close((error, jnp.stack(per_disc), jnp.stack(misfits)), (overflow, Status.NONFINITE), info=worst_disc)
+    shown, info = gate.close(
+        (error, jnp.stack(per_disc), jnp.stack(misfits)), (overflow, Status.NONFINITE), info=worst_disc
+    )
     return TransmissionError(*shown, info)
 
 
@@ -104,7 +106,7 @@ def _fitted_disc(unit: Unit, k: int, crank: Crank, *, closure: str) -> Placed:
     misfit = fit.misfit(unit, prepared, crank)
     if closure == "first_order":
         angle = fit.first_order_angle(unit, k, crank)
-        return Placed(angle, misfit, closures.at_once(angle))
+        return Placed(angle, misfit, at_once(angle))
     cosine, sine = fit.vector(unit, prepared, crank)
     size = len(unit.axes) * unit.radius**2
     angle, info = closures.direction_angle(cosine, sine, size, closure=closure)

@@ -11,14 +11,14 @@ import numpy as np
 from rvjax.designs import RVReducer
 from rvjax.elementary import arctan2, divide
 from rvjax.errors import RVErrors
-from rvjax.four_bar.closures import Crank, at_once
+from rvjax.four_bar.closures import Crank
 from rvjax.four_bar.fit import fit, misfit, vector
 from rvjax.four_bar.linkage import check_methods
 from rvjax.four_bar.reducer import TransmissionError, error_at
 from rvjax.four_bar.turn import Score, largest_and_smallest
 from rvjax.four_bar.unit import Unit, Vector, is_loaded, take_apart
 from rvjax.records import Record, field, record
-from rvjax.status import SolveInfo, Status, worst_of
+from rvjax.status import SolveInfo, Status, at_once, worst_of
 
 
 @record

@@ -82,9 +82,7 @@ def is_loaded(design: RVReducer, output_torque: Any) -> bool:
     return loaded
 
 
-def take_apart(
-    design: RVReducer, errors: RVErrors, output_torque: Any, *others: Any, loaded: bool
-) -> tuple[Any, ...]:
+def take_apart(design: RVReducer, errors: RVErrors, output_torque: Any, *others: Any, loaded: bool) -> tuple[Any, ...]:
     """The unit, and `others` in its dtype. An impossible lane becomes a nominal unit.
 
     Raises:
