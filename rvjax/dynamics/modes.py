@@ -101,9 +101,7 @@ def _modes(lumped: Lumped) -> Modes:
     rigid = square <= jnp.finfo(square.dtype).eps * jnp.max(square)
     frequency = jnp.where(rigid, 0, jnp.sqrt(jnp.where(rigid, 1, square)) / (2 * jnp.pi))
     overflow = (~jnp.all(jnp.isfinite(frequency)), Status.NONFINITE)
-    (frequency, shape), info = gate.close(
-        (frequency, shape), overflow, info=SolveInfo(Status.CONVERGED, 0, 0 * square[0])
-    )
+    (frequency, shape), info = gate.close((frequency, shape), overflow, info=at_once(square[0]))
     return Modes(frequency, shape, kind_index=jnp.asarray(codes, jnp.int32)[order], info=info)
 
 
