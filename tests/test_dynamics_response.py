@@ -135,7 +135,7 @@ def test_the_cyclic_and_the_mesh_form_agree():
     arguments = (numbers, w, torques, "cycloid", 6, np.array([0, 2, 27, 36, 38]))
     cyclic, mesh = (
         jax.jit(lambda n, w, t, solve=solve: solve(n, w, t, *arguments[3:]))(*arguments[:3])
-        for solve in (dynamics.balance.solve_cyclic, dynamics.balance.solve_mesh)
+        for solve in (dynamics.harmonic_balance.solve_cyclic, dynamics.harmonic_balance.solve_mesh)
     )
     scale = np.abs(np.asarray(cyclic.amplitude)).max(axis=0)
     np.testing.assert_allclose(np.asarray(mesh.amplitude) / scale, np.asarray(cyclic.amplitude) / scale, atol=1e-10)

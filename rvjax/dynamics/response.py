@@ -9,9 +9,9 @@ import jax.numpy as jnp
 
 from rvjax.designs import RVReducer
 from rvjax.dynamics.assembly import Lumped, admitted, lump
-from rvjax.dynamics.balance import solve_cyclic, solve_mesh
 from rvjax.dynamics.excitation import check_stage, mesh_frequency
 from rvjax.dynamics.first_order import solve_first_order
+from rvjax.dynamics.harmonic_balance import solve_cyclic, solve_mesh
 from rvjax.dynamics.harmonics import OUTPUTS, output_indices
 from rvjax.dynamics.static import Torques, balancing_torque
 from rvjax.dynamics.symmetry import is_symmetric

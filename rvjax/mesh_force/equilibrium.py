@@ -11,7 +11,7 @@ import numpy as np
 from rvjax.designs import CamRollerReducer
 from rvjax.errors import CamRollerErrors
 from rvjax.mesh_force import geometry, laws, line_contact
-from rvjax.mesh_force.balance import attach, balance
+from rvjax.mesh_force.batch import attach, equilibrium
 from rvjax.mesh_force.case import all_rollers, take_apart
 from rvjax.records import Record, field, promote, record, signs_hold
 from rvjax.status import SolveInfo, Status, admit
@@ -81,7 +81,7 @@ def solve(
     (errors, torque, angle), gate = admit((errors, torque, angle), 0, after=gate)
 
     case, unit = take_apart(design, errors, torque, angle)
-    found = balance(contact, z, case)
+    found = equilibrium(contact, z, case)
     rollers = all_rollers(z, case)
     windup, load = attach(contact, rollers.arm, rollers.gap, rollers.compliance, case.torque, found.windup, found.load)
     windup *= design.roller_radius / design.eccentricity
