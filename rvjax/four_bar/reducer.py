@@ -91,13 +91,12 @@ def error_at(unit: Unit, angle: jax.Array, ratio: Any, *, cranks: str, closure: 
     angles, misfits, infos = ([disc[part] for disc in placed] for part in range(3))
     per_disc = [-angle for angle in angles]
     error = sum(per_disc) / len(per_disc)
-    worst_disc = worst_of(jax.tree.map(lambda *leaves: jnp.stack(leaves), *infos))
-    overflow = (worst_disc.status == Status.CONVERGED) & ~jnp.isfinite(error)
+    info = worst_of(jax.tree.map(lambda *leaves: jnp.stack(leaves), *infos))
+    overflow = (info.status == Status.CONVERGED) & ~jnp.isfinite(error)
+    info = info.replace(status=jnp.where(overflow, int(Status.NONFINITE), info.status))
     _, gate = admit((), 0, (~first.finite, Status.NONFINITE), after=unit.gate)
-    shown, info = gate.close(
-        (error, jnp.stack(per_disc), jnp.stack(misfits)), (overflow, Status.NONFINITE), info=worst_disc
-    )
-    return TransmissionError(*shown, info)
+    values, info = gate.close((error, jnp.stack(per_disc), jnp.stack(misfits)), info=info)
+    return TransmissionError(*values, info)
 
 
 def _fitted_disc(unit: Unit, k: int, crank: Crank, *, closure: str) -> Placed:
