@@ -109,6 +109,21 @@ def record(cls: Class) -> Class:
     return made
 
 
+def signs_hold(item: Record) -> jax.Array:
+    """Whether every number of a record, and of those in it, has the sign its field declares; () bool.
+
+    A constructor judges concrete numbers only; this judges traced ones. NaN passes, as there.
+    """
+    sound = jnp.asarray(True)
+    for f in dataclasses.fields(item):  # type: ignore[arg-type]
+        value, sign = getattr(item, f.name), f.metadata.get("sign", "any")
+        if isinstance(value, Record):
+            sound &= signs_hold(value)
+        elif sign != "any" and value is not None:
+            sound &= ~jnp.any(value <= 0 if sign == "positive" else value < 0)
+    return sound
+
+
 def is_concrete(value: Any) -> bool:
     """True for a number or an array whose value can be looked at now."""
     return isinstance(value, (float, int, np.ndarray, np.generic)) or (

@@ -22,6 +22,8 @@ import jax.numpy as jnp
 from rvjax.records import Record, field, promote, record
 from rvjax.status import SolveInfo, Status, succeeded
 
+__all__ = ["Root", "bracketed", "newton"]
+
 Residual = Callable[[Any, Any], jax.Array]
 
 _RUNNING = -1  # not a Status: the loop goes on
@@ -51,7 +53,8 @@ def bracketed(
     residual, else the bracket is halved, so a continuous function always converges.
 
     Args:
-        residual: residual(x, params) -> scalar, differentiable, of opposite signs at the two ends.
+        residual: residual(x, params) -> scalar, differentiable, of opposite signs at the two ends. A function that
+            outlives the call is compiled once, one made for the call (a lambda) at each.
         params: pytree of floats the residual depends on.
         lower: one finite end of the bracket.
         upper: the other end, above or below it.
@@ -62,6 +65,13 @@ def bracketed(
     Returns:
         Root with status CONVERGED, NO_BRACKET, MAX_STEPS or NONFINITE.
     """
+    return _bracketed(residual, params, lower, upper, start, max_steps=max_steps, tolerance=tolerance)
+
+
+@partial(jax.jit, inline=True, static_argnums=0, static_argnames=("max_steps", "tolerance"))
+def _bracketed(
+    residual: Residual, params: Any, lower: Any, upper: Any, start: Any, *, max_steps: int, tolerance: float | None
+) -> Root:
     params, lower, upper, start = promote(params, lower, upper, 0.5 * (lower + upper) if start is None else start)
     iterate = partial(_bracketed_iteration, max_steps=max_steps, tolerance=_tolerance(tolerance, lower.dtype))
     return _masked(*_implicit(residual, iterate, params, (lower, upper, start)))
@@ -81,7 +91,7 @@ def newton(
     A step that does not reduce the norm of the residual is taken back and shortened.
 
     Args:
-        residual: residual(x, params) -> (n,), differentiable; scale its entries alike.
+        residual: residual(x, params) -> (n,), differentiable; scale its entries alike. As in `bracketed`.
         params: pytree of floats the residual depends on.
         start: first iterate (n,).
         scale: size of x below which it need not be resolved; set it where the root may be zero.
@@ -91,6 +101,13 @@ def newton(
     Returns:
         Root with status CONVERGED, SINGULAR, MAX_STEPS or NONFINITE.
     """
+    return _newton(residual, params, start, scale=scale, max_steps=max_steps, tolerance=tolerance)
+
+
+@partial(jax.jit, inline=True, static_argnums=0, static_argnames=("scale", "max_steps", "tolerance"))
+def _newton(
+    residual: Residual, params: Any, start: Any, *, scale: float, max_steps: int, tolerance: float | None
+) -> Root:
     params, start = promote(params, start)
     step = _tolerance(None if tolerance is None else tolerance / 8, start.dtype) * 8
     iterate = partial(_newton_iteration, scale=scale, max_steps=max_steps, tolerance=step)

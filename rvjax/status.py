@@ -1,7 +1,9 @@
 """Why a solved value is, or is not, to be trusted: `Status`, `SolveInfo`, `check`."""
 
 import enum
-from typing import Any, TypeVar
+import functools
+import operator
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -53,6 +55,9 @@ PRECEDENCE = (
 
 SUCCESS = (Status.UNLOADED, Status.CONVERGED)
 
+WITHOUT_VALUE = PRECEDENCE[: PRECEDENCE.index(Status.NOT_ASSEMBLABLE) + 1]
+"""Where one of these is found the value is NaN; the others describe a value that stands."""
+
 MEANING = {
     Status.NONFINITE: "an input is not finite, or too large or too small for the arithmetic",
     Status.INVALID_GEOMETRY: "lengths or angles that no such part can have",
@@ -73,6 +78,9 @@ MEANING = {
 _RANK = np.zeros(len(PRECEDENCE), np.int32)
 _RANK[[int(status) for status in PRECEDENCE]] = np.arange(len(PRECEDENCE))
 _ORDER = np.array([int(status) for status in PRECEDENCE], np.int32)
+
+
+Check = tuple[Any, Status]  # a condition, and what it is called where it holds
 
 
 @record
@@ -99,17 +107,82 @@ def worst(status: jax.Array, axis: int | tuple[int, ...] | None = None) -> jax.A
     return jnp.asarray(_ORDER)[jnp.min(rank, axis=axis)]
 
 
-def first_failure(*checks: tuple[jax.Array, Status]) -> jax.Array:
-    """The first status whose condition holds, CONVERGED where none does; elementwise.
+def at_once(like: jax.Array) -> SolveInfo:
+    """The info of a closed form: CONVERGED, no steps, nothing left.
+
+    Args:
+        like: any number of the result, for its shape and dtype.
+    """
+    return SolveInfo(jnp.zeros_like(like, jnp.int32), jnp.zeros_like(like, jnp.int32), jnp.zeros_like(like))
+
+
+def worst_of(infos: SolveInfo) -> SolveInfo:
+    """The info that speaks for several: worst status, most steps, largest residual.
+
+    Args:
+        infos: with arrays.
+    """
+    return SolveInfo(worst(infos.status), jnp.max(infos.steps), jnp.max(infos.residual))
+
+
+def first_failure(*checks: Check, otherwise: Any = Status.CONVERGED) -> jax.Array:
+    """The first status whose condition holds; elementwise.
 
     Args:
         *checks: (failed, status) pairs, given in any order; `PRECEDENCE` decides.
+        otherwise: the status where no condition holds.
     """
-    ordered = sorted(checks, key=lambda pair: PRECEDENCE.index(pair[1]), reverse=True)
-    status = jnp.asarray(int(Status.CONVERGED), jnp.int32)
-    for failed, name in ordered:
+    status = jnp.asarray(otherwise, jnp.int32)
+    for failed, name in sorted(checks, key=lambda pair: PRECEDENCE.index(pair[1]), reverse=True):
         status = jnp.where(failed, jnp.int32(int(name)), status)
     return status
+
+
+class Gate(NamedTuple):
+    """What refused a lane at the entry of a model; `close` puts status and NaN on what comes out.
+
+    A refused lane runs on harmless numbers, so that no derivative of it meets 0 * inf, and keeps the status with
+    which it was refused, whatever becomes of those numbers.
+    """
+
+    refused: tuple[Check, ...]
+
+    @property
+    def good(self) -> Any:
+        """True for a lane that was admitted."""
+        return ~functools.reduce(operator.or_, [failed for failed, _ in self.refused])
+
+    def close(self, values: Any, *checks: Check, info: SolveInfo | None = None) -> tuple[Any, SolveInfo]:
+        """The values as a user sees them, NaN where a status says so, and how the solve ended.
+
+        Args:
+            values: pytree of what the model found.
+            *checks: (failed, status) pairs of what the model found wrong on its way, in any order.
+            info: of the solver inside; its status stands where no check fails, and does not touch the values.
+        """
+        info = SolveInfo(Status.CONVERGED) if info is None else info
+        known = self.good
+        for failed, status in checks:
+            known = known & ~failed if status in WITHOUT_VALUE else known
+        status = first_failure(*self.refused, otherwise=first_failure(*checks, otherwise=info.status))
+        values = jax.tree.map(lambda value: jnp.where(known, value, jnp.nan), values)
+        return values, SolveInfo(status, jnp.asarray(info.steps, jnp.int32), info.residual)
+
+
+def admit(inputs: Any, harmless: Any, *checks: Check, after: Gate | None = None) -> tuple[Any, Gate]:
+    """The inputs with harmless numbers in the place of every lane outside a model's domain, and its gate.
+
+    Args:
+        inputs: pytree of numbers.
+        harmless: pytree of the same structure, or one number for all.
+        *checks: (failed, status) pairs, each () or of the shape of a lane.
+        after: gate of inputs that were admitted before; a lane that it refused is refused here.
+    """
+    gate = Gate((*(after.refused if after else ()), *checks))
+    good = gate.good
+    if jax.tree.structure(harmless) == jax.tree.structure(0):
+        harmless = jax.tree.map(lambda _: harmless, inputs)
+    return jax.tree.map(lambda value, spare: jnp.where(good, value, spare), inputs, harmless), gate
 
 
 def succeeded(status: jax.Array) -> jax.Array:

@@ -129,13 +129,13 @@ def test_both_methods_equal_dense_solves(cranks, discs, stage):
 def test_the_cyclic_and_the_mesh_form_agree():
     """The mesh form holds everywhere; where the cyclic form is chosen both must give the same."""
     lumped = dynamics.lump(RV_320E.replace(damping=DAMPING))
-    numbers, (speed, torque), _ = dynamics.assembly.admit(lumped, RATED, TORQUE)
+    numbers, (speed, torque), _ = dynamics.assembly.admitted(lumped, RATED, TORQUE)
     w = dynamics.excitation.mesh_frequency(numbers, speed, "cycloid")
     torques = Torques(balancing_torque(numbers, torque), torque)
     arguments = (numbers, w, torques, "cycloid", 6, np.array([0, 2, 27, 36, 38]))
     cyclic, mesh = (
         jax.jit(lambda n, w, t, solve=solve: solve(n, w, t, *arguments[3:]))(*arguments[:3])
-        for solve in (dynamics.balance.solve_cyclic, dynamics.balance.solve_mesh)
+        for solve in (dynamics.harmonic_balance.solve_cyclic, dynamics.harmonic_balance.solve_mesh)
     )
     scale = np.abs(np.asarray(cyclic.amplitude)).max(axis=0)
     np.testing.assert_allclose(np.asarray(mesh.amplitude) / scale, np.asarray(cyclic.amplitude) / scale, atol=1e-10)

@@ -9,9 +9,10 @@ v, K = sum k v v^T and their derivatives are products with constant arrays.
 Source: Yang, Chen, Wang, Chin. J. Mech. Eng. 31:49 (2018), doi 10.1186/s10033-018-0249-y, Eq. 1 and Appendix.
 """
 
+import functools
+import operator
 from collections.abc import Sequence
 from dataclasses import fields
-from functools import lru_cache
 from typing import Any, NamedTuple
 
 import jax
@@ -20,8 +21,8 @@ import numpy as np
 
 from rvjax.catalogue import RV_320E
 from rvjax.designs import Damping, Inertia, MeshVariation, RVReducer, Stiffness
-from rvjax.records import Record, axis_sizes, concrete, count, field, promote, record, text
-from rvjax.status import Status, first_failure
+from rvjax.records import Record, axis_sizes, concrete, count, field, promote, record, signs_hold, text
+from rvjax.status import Gate, Status, admit
 
 
 @record
@@ -118,8 +119,8 @@ def _check_members(part: Inertia | Stiffness, counts: dict[str, int]) -> None:
             raise ValueError(f"{type(part).__name__}.{f.name}: shape {shape}, expected {expected} a scalar")
 
 
-def admit(lumped: Lumped, *conditions: Any) -> tuple[Lumped, tuple[Any, ...], jax.Array]:
-    """Everything in one dtype, a lane outside the model's domain replaced by a harmless one, and its status.
+def admitted(lumped: Lumped, *conditions: Any) -> tuple[Lumped, tuple[Any, ...], Gate]:
+    """Everything in one dtype, a lane outside the model's domain replaced by a harmless one, and its gate.
 
     Design and conditions are judged apart, so that a sweep of conditions leaves the design, and with it the
     eigenproblem, one.
@@ -132,25 +133,16 @@ def admit(lumped: Lumped, *conditions: Any) -> tuple[Lumped, tuple[Any, ...], ja
     def fits(x: jax.Array) -> jax.Array:
         return (jnp.abs(x) < largest) & ((x == 0) | (jnp.abs(x) > least))
 
-    finite = jnp.all(fits(numbers))
     radii = (lumped.sun_base_radius, lumped.planet_base_radius, lumped.eccentricity, lumped.circle_radius)
     smallest = jnp.min(_flat([*radii, *jax.tree.leaves(lumped.inertia)]))
-    positive = smallest > 0
-    finite &= ~positive | (smallest > 1 / largest)
-    positive &= jnp.min(_flat(jax.tree.leaves(lumped.stiffness))) >= 0
-    loaded = jnp.abs(jnp.cos(lumped.force_angle)) >= 1e-9  # else the pins carry no torque
-    good = finite & positive & loaded
-    lumped = jax.tree.map(lambda leaf, spare: jnp.where(good, leaf, spare), lumped, _spare(lumped))
-    possible = jnp.asarray(True)
-    for condition in jax.tree.leaves(conditions):
-        possible &= fits(condition)
+    finite = jnp.all(fits(numbers)) & (~(smallest > 0) | (smallest > 1 / largest))
+    possible = (smallest > 0) & signs_hold(lumped.stiffness)
+    possible &= jnp.abs(jnp.cos(lumped.force_angle)) >= 1e-9  # else the pins carry no torque
+    refusals = ((~finite, Status.NONFINITE), (~possible, Status.INVALID_GEOMETRY))
+    lumped, gate = admit(lumped, _spare(lumped), *refusals)
+    for_any = functools.reduce(operator.or_, [~fits(c) for c in jax.tree.leaves(conditions)], jnp.asarray(False))
     conditions = jax.tree.map(lambda c: jnp.where(fits(c), c, 1), conditions)
-    invalid = ~(positive & loaded)
-    return (
-        lumped,
-        conditions,
-        first_failure((~(finite & possible), Status.NONFINITE), (invalid, Status.INVALID_GEOMETRY)),
-    )
+    return lumped, conditions, Gate((*gate.refused, (for_any, Status.NONFINITE)))
 
 
 def _flat(leaves: list[Any]) -> jax.Array:
@@ -174,7 +166,12 @@ def assemble(design: RVReducer | Lumped) -> System:
     Raises:
         ValueError: as `lump`.
     """
-    lumped = promote(lump(design))
+    return _assemble(lump(design))
+
+
+@jax.jit
+def _assemble(lumped: Lumped) -> System:
+    lumped = promote(lumped)
     table = spring_table(lumped.cranks, lumped.discs)
     rows = deflections(lumped, table.rows)
     stiffness = rows.T @ (spring_stiffness(lumped)[:, None] * rows)
@@ -265,7 +262,7 @@ def first_index(cranks: int, discs: int) -> dict[str, int]:
     return dict(zip(PARTS, np.cumsum([0, 3, 3 * cranks, 3 * cranks, 3 * discs]).tolist()))
 
 
-@lru_cache
+@functools.lru_cache
 def spring_table(cranks: int, discs: int) -> SpringTable:
     """Springs of a layout: support, shafts, bearings and meshes as in Section 2 of the source."""
     start = first_index(cranks, discs)

@@ -11,7 +11,7 @@ from rvjax.dynamics.assembly import (
     PARTS,
     SPRINGS,
     Lumped,
-    admit,
+    admitted,
     deflections,
     lump,
     mass_vector,
@@ -29,7 +29,7 @@ from rvjax.dynamics.symmetry import (
     sector_stiffness,
 )
 from rvjax.records import Record, field, record, text
-from rvjax.status import SolveInfo, Status, first_failure
+from rvjax.status import SolveInfo, Status, at_once
 
 
 @record
@@ -80,7 +80,7 @@ def modes(design: RVReducer | Lumped) -> Modes:
 
 @jax.jit
 def _modes(lumped: Lumped) -> Modes:
-    lumped, _, status = admit(lumped)
+    lumped, _, gate = admitted(lumped)
     keys = [(kind, WHOLE) for kind in kinds(lumped)]
     scaled, roots = [], []
     for key in keys:
@@ -100,14 +100,9 @@ def _modes(lumped: Lumped) -> Modes:
     square, shape = square[order], shape[:, order]
     rigid = square <= jnp.finfo(square.dtype).eps * jnp.max(square)
     frequency = jnp.where(rigid, 0, jnp.sqrt(jnp.where(rigid, 1, square)) / (2 * jnp.pi))
-    good = status == Status.CONVERGED
-    own_status = first_failure((~jnp.all(jnp.isfinite(frequency)), Status.NONFINITE))
-    return Modes(
-        frequency=jnp.where(good, frequency, jnp.nan),
-        shape=jnp.where(good, shape, jnp.nan),
-        kind_index=jnp.asarray(codes, jnp.int32)[order],
-        info=SolveInfo(jnp.where(good, own_status, status), jnp.int32(0), jnp.zeros_like(square[0])),
-    )
+    overflow = (~jnp.all(jnp.isfinite(frequency)), Status.NONFINITE)
+    (frequency, shape), info = gate.close((frequency, shape), overflow, info=at_once(square[0]))
+    return Modes(frequency, shape, kind_index=jnp.asarray(codes, jnp.int32)[order], info=info)
 
 
 def energy_shares(design: RVReducer | Lumped, found: Modes) -> EnergyShares:
@@ -122,7 +117,7 @@ def energy_shares(design: RVReducer | Lumped, found: Modes) -> EnergyShares:
 
 @jax.jit
 def _energy_shares(lumped: Lumped, shape: jax.Array) -> EnergyShares:
-    lumped, _, _ = admit(lumped)
+    lumped, _, _ = admitted(lumped)
     table = spring_table(lumped.cranks, lumped.discs)
     shape = shape.astype(lumped.eccentricity.dtype)
     strain = spring_stiffness(lumped)[:, None] * (deflections(lumped, table.rows) @ shape) ** 2

@@ -13,14 +13,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax.designs import RVReducer
-from rvjax.dynamics.assembly import Lumped, admit, lump, spring_table
+from rvjax.dynamics.assembly import Lumped, admitted, lump, spring_table
 from rvjax.dynamics.excitation import MESH, check_stage, mesh_frequency, mesh_phases
 from rvjax.dynamics.harmonics import OUTPUTS, output_indices
 from rvjax.dynamics.linear import solve
 from rvjax.dynamics.modal import ModalSector, matrix_root, modal_sectors
 from rvjax.dynamics.static import linear_ratio, mesh_stiffness
 from rvjax.records import Record, concrete, field, record, text
-from rvjax.status import SolveInfo, Status, first_failure
+from rvjax.status import Gate, SolveInfo, Status, at_once
 
 TAYLOR_DEGREE = 13  # of the exponential at norm 1/2: truncated below 1e-15
 MAX_SQUARINGS = 24
@@ -114,7 +114,7 @@ def _check(lumped: Lumped, stage: str) -> Lumped:
 def _periodic(
     lumped: Lumped, sun_speed: Any, output_torque: Any, stage: str, samples: int, outputs: tuple[str, ...]
 ) -> Periodic:
-    lumped, (sun_speed, output_torque), status = _admit(lumped, stage, sun_speed, output_torque)
+    lumped, (sun_speed, output_torque), gate = _admitted(lumped, stage, sun_speed, output_torque)
     path = _path(lumped, sun_speed, output_torque, stage, samples)
     size = len(path.modal.square)
     whole = _product(path.steps)
@@ -135,43 +135,34 @@ def _periodic(
     motion = motion - shift * rigid[None, :-1]
     multiplier = _largest(whole, path)
     miss = jnp.max(jnp.abs(whole @ start - start)) / jnp.max(jnp.abs(start))
-    good = status == Status.CONVERGED
-    own = first_failure(
+    period = 2 * jnp.pi / jnp.abs(path.w)
+    time = jnp.arange(samples, dtype=period.dtype) / samples * period
+    (time, motion, multiplier), info = gate.close(
+        (time, motion, multiplier),
         (~(pivot > 16 * jnp.finfo(pivot.dtype).eps), Status.SINGULAR),
         (path.too_slow, Status.MAX_STEPS),
         (_unstable(multiplier), Status.UNSTABLE),
+        info=SolveInfo(Status.CONVERGED, 0, miss),
     )
-    kept = good & ~path.too_slow
-    period = 2 * jnp.pi / jnp.abs(path.w)
-    return Periodic(
-        time=jnp.where(good, jnp.arange(samples, dtype=period.dtype) / samples * period, jnp.nan),
-        deflection=jnp.where(kept, motion, jnp.nan),
-        multiplier=jnp.where(kept, multiplier, jnp.nan),
-        outputs=outputs,
-        info=SolveInfo(jnp.where(good, own, status), jnp.int32(0), miss),
-    )
+    return Periodic(time, motion, multiplier, outputs, info)
 
 
 @partial(jax.jit, static_argnums=2)
 def _floquet(lumped: Lumped, sun_speed: Any, stage: str) -> Floquet:
-    lumped, (sun_speed,), status = _admit(lumped, stage, sun_speed)
+    lumped, (sun_speed,), gate = _admitted(lumped, stage, sun_speed)
     path = _path(lumped, sun_speed, jnp.zeros_like(sun_speed), stage, 1)
     multiplier = _largest(_product(path.steps), path)
-    good = status == Status.CONVERGED
-    own = first_failure((path.too_slow, Status.MAX_STEPS), (_unstable(multiplier), Status.UNSTABLE))
-    return Floquet(
-        multiplier=jnp.where(good & ~path.too_slow, multiplier, jnp.nan),
-        info=SolveInfo(jnp.where(good, own, status), jnp.int32(0), jnp.zeros_like(multiplier)),
-    )
+    checks = ((path.too_slow, Status.MAX_STEPS), (_unstable(multiplier), Status.UNSTABLE))
+    found, info = gate.close(multiplier, *checks, info=at_once(multiplier))
+    return Floquet(found, info)
 
 
-def _admit(lumped: Lumped, stage: str, *conditions: Any) -> tuple[Lumped, tuple[Any, ...], jax.Array]:
-    lumped, conditions, status = admit(lumped, *conditions)
+def _admitted(lumped: Lumped, stage: str, *conditions: Any) -> tuple[Lumped, tuple[Any, ...], Gate]:
+    lumped, conditions, gate = admitted(lumped, *conditions)
     ramp = getattr(lumped.mesh_variation, f"{stage}_ramp")
     outside = (ramp != 0) | (lumped.damping.loss_factor != 0) | (conditions[0] == 0)
-    status = jnp.where((status == Status.CONVERGED) & outside, int(Status.INVALID_GEOMETRY), status)
     speed = jnp.where(conditions[0] == 0, 100, conditions[0])
-    return lumped, (speed, *conditions[1:]), status
+    return lumped, (speed, *conditions[1:]), Gate((*gate.refused, (outside, Status.INVALID_GEOMETRY)))
 
 
 class _Path(NamedTuple):

@@ -8,15 +8,15 @@ import jax
 import jax.numpy as jnp
 
 from rvjax.designs import RVReducer
-from rvjax.dynamics.assembly import Lumped, admit, lump
-from rvjax.dynamics.balance import solve_cyclic, solve_mesh
+from rvjax.dynamics.assembly import Lumped, admitted, lump
 from rvjax.dynamics.excitation import check_stage, mesh_frequency
 from rvjax.dynamics.first_order import solve_first_order
+from rvjax.dynamics.harmonic_balance import solve_cyclic, solve_mesh
 from rvjax.dynamics.harmonics import OUTPUTS, output_indices
 from rvjax.dynamics.static import Torques, balancing_torque
 from rvjax.dynamics.symmetry import is_symmetric
 from rvjax.records import Record, field, record, text
-from rvjax.status import SolveInfo, Status, first_failure
+from rvjax.status import SolveInfo, Status
 
 METHODS = ("first_order", "harmonic_balance")
 
@@ -75,14 +75,11 @@ def response(
     Raises:
         ValueError: unknown stage, method or output, harmonics below 1, or as `rvjax.dynamics.lump`.
     """
-    lumped = lump(design)
-    check_stage(stage)
+    lumped, outputs = _checked(design, stage, outputs)
     if method not in METHODS:
         raise ValueError(f"method = {method!r}: must be one of {', '.join(METHODS)}")
     if harmonics < 1:
         raise ValueError(f"harmonics = {harmonics}: must be at least 1")
-    outputs = OUTPUTS if outputs is None else tuple(outputs)
-    output_indices(lumped, outputs)
     return _response(lumped, sun_speed, output_torque, sun_torque, stage, harmonics, method, outputs, False)
 
 
@@ -108,11 +105,15 @@ def constant_forcing(
         harmonics: as in `response`.
         outputs: as in `response`.
     """
-    lumped = lump(design)
-    check_stage(stage)
-    outputs = OUTPUTS if outputs is None else tuple(outputs)
-    output_indices(lumped, outputs)
+    lumped, outputs = _checked(design, stage, outputs)
     return _response(lumped, sun_speed, output_torque, None, stage, harmonics, "first_order", outputs, True)
+
+
+def _checked(design: RVReducer | Lumped, stage: str, outputs: Sequence[str] | None) -> tuple[Lumped, tuple[str, ...]]:
+    lumped, outputs = lump(design), OUTPUTS if outputs is None else tuple(outputs)
+    check_stage(stage)
+    output_indices(lumped, outputs)
+    return lumped, outputs
 
 
 @partial(jax.jit, static_argnums=(4, 5, 6, 7, 8))
@@ -127,7 +128,7 @@ def _response(
     outputs: tuple[str, ...],
     freeze_forcing: bool,
 ) -> Response:
-    lumped, (sun_speed, output_torque, sun_torque), status = admit(lumped, sun_speed, output_torque, sun_torque)
+    lumped, (sun_speed, output_torque, sun_torque), gate = admitted(lumped, sun_speed, output_torque, sun_torque)
     sun_torque = balancing_torque(lumped, output_torque) if sun_torque is None else sun_torque
     torques = Torques(sun_torque, output_torque)
     indices = output_indices(lumped, outputs)
@@ -142,18 +143,12 @@ def _response(
         form = "mesh"
         solved = solve_mesh(lumped, w, torques, stage, harmonics, indices)
     amplitude = jnp.where(w < 0, solved.amplitude.conj(), solved.amplitude)  # time reversed
-    good = status == Status.CONVERGED
     overflow = ~(jnp.all(jnp.isfinite(amplitude)) & jnp.all(jnp.isfinite(solved.mean)))
-    own = first_failure((overflow, Status.NONFINITE), (solved.singular, Status.SINGULAR))
-    status = jnp.where(good, own, status)
-    good &= ~overflow
-    order = jnp.arange(1, harmonics + 1, dtype=w.dtype)
-    return Response(
-        frequency=jnp.where(good, order * jnp.abs(w) / (2 * jnp.pi), jnp.nan),
-        amplitude=jnp.where(good, amplitude, jnp.nan),
-        mean=jnp.where(good, solved.mean, jnp.nan),
-        resonance_distance=jnp.where(good, solved.distance, jnp.nan),
-        outputs=outputs,
-        form=form,
-        info=SolveInfo(status, jnp.int32(0), solved.residual),
+    frequency = jnp.arange(1, harmonics + 1, dtype=w.dtype) * jnp.abs(w) / (2 * jnp.pi)
+    values, info = gate.close(
+        (frequency, amplitude, solved.mean, solved.distance),
+        (overflow, Status.NONFINITE),
+        (solved.singular, Status.SINGULAR),
+        info=SolveInfo(Status.CONVERGED, 0, solved.residual),
     )
+    return Response(*values, outputs=outputs, form=form, info=info)

@@ -7,11 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax.designs import RVReducer
-from rvjax.dynamics.assembly import Lumped, admit, deflections, lump, spring_stiffness, spring_table
+from rvjax.dynamics.assembly import Lumped, admitted, deflections, lump, spring_stiffness, spring_table
 from rvjax.dynamics.linear import solve
 from rvjax.dynamics.symmetry import is_symmetric, sector, sector_rows, sector_stiffness
 from rvjax.records import Record, field, record
-from rvjax.status import SolveInfo, Status, first_failure
+from rvjax.status import SolveInfo, Status
 
 
 @record
@@ -118,7 +118,7 @@ def static(design: RVReducer | Lumped, *, output_torque: Any, sun_torque: Any = 
 
 @jax.jit
 def _static(lumped: Lumped, output_torque: Any, sun_torque: Any) -> Static:
-    lumped, (output_torque, sun_torque), status = admit(lumped, output_torque, sun_torque)
+    lumped, (output_torque, sun_torque), gate = admitted(lumped, output_torque, sun_torque)
     sun_torque = balancing_torque(lumped, output_torque) if sun_torque is None else sun_torque
     kind = torque_kind(lumped)
     state = mean_state(lumped, kind, sun_torque, output_torque)
@@ -129,11 +129,10 @@ def _static(lumped: Lumped, output_torque: Any, sun_torque: Any) -> Static:
         mesh_stiffness(lumped, mesh) * (mesh_rows(lumped, mesh, kind) @ mean)
         for mesh in ("sun_planet_mesh", "disc_pin_mesh")
     ]
-    good = status == Status.CONVERGED
-    own = first_failure((state.singular, Status.SINGULAR), (~jnp.all(jnp.isfinite(deflection)), Status.NONFINITE))
-    return Static(
-        deflection=jnp.where(good, deflection, jnp.nan),
-        planetary_force=jnp.where(good, forces[0], jnp.nan),
-        cycloid_force=jnp.where(good, forces[1], jnp.nan),
-        info=SolveInfo(jnp.where(good, own, status), jnp.int32(0), state.residual),
+    (deflection, *forces), info = gate.close(
+        (deflection, *forces),
+        (state.singular, Status.SINGULAR),
+        (~jnp.all(jnp.isfinite(deflection)), Status.NONFINITE),
+        info=SolveInfo(Status.CONVERGED, 0, state.residual),
     )
+    return Static(deflection, *forces, info)

@@ -180,12 +180,18 @@ def blocks(design: RVReducer | Lumped) -> Blocks:
     Raises:
         ValueError: fewer than three cranks or discs, members given one by one, or as `lump`.
     """
-    lumped = promote(lump(design))
+    lumped = lump(design)
     cranks, discs = lumped.cranks, lumped.discs
     if not is_split(cranks, discs):
         raise ValueError(f"blocks need three or more cranks and discs, got {cranks} cranks and {discs} discs")
     if not lumped.alike:
         raise ValueError("blocks need members alike: one number for each field of Inertia and Stiffness, not an array")
+    return _blocks(lumped)
+
+
+@jax.jit
+def _blocks(lumped: Lumped) -> Blocks:
+    lumped = promote(lumped)
 
     def block(kind: str, copies: int) -> Block | None:
         if copies == 0:
@@ -196,6 +202,6 @@ def blocks(design: RVReducer | Lumped) -> Blocks:
     return Blocks(
         rotational=Block(sector_mass(lumped, "rotational"), sector_stiffness(lumped, "rotational"), 1),
         translational=Block(sector_mass(lumped, "translational"), sector_stiffness(lumped, "translational"), 2),
-        planetary=block("planetary", cranks - 3),
-        disc=block("disc", discs - 3),
+        planetary=block("planetary", lumped.cranks - 3),
+        disc=block("disc", lumped.discs - 3),
     )

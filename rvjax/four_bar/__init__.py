@@ -2,7 +2,8 @@
 
 Two crankshafts, a cycloid disc (coupler) and the carrier (frame) form a parallelogram. Whatever spoils
 it turns the disc against the carrier: the transmission error. `solve_closure` treats one linkage,
-`transmission_error` a reducer with any number of cranks and discs, `revolution` a whole crank turn.
+`transmission_error` a reducer with any number of cranks and discs, `revolution` a whole crank turn and
+`figures` what is read off it.
 
 Source: "original error" analysis of an RV-40E as a four-bar linkage (anonymous web article). Its
 equations are unnumbered; here (S1) is the closure, (S2) its quadratic, (S4) the loaded crank length.
@@ -10,13 +11,15 @@ equations are unnumbered; here (S1) is the closure, (S2) its quadratic, (S4) the
 
 from rvjax.four_bar.linkage import Closure, LinkDeviations, solve_closure
 from rvjax.four_bar.reducer import TransmissionError, transmission_error
-from rvjax.four_bar.revolution import Revolution, revolution
+from rvjax.four_bar.revolution import Figures, Revolution, figures, revolution
 
 __all__ = [
     "Closure",
+    "Figures",
     "LinkDeviations",
     "Revolution",
     "TransmissionError",
+    "figures",
     "revolution",
     "solve_closure",
     "transmission_error",

@@ -11,7 +11,7 @@ import numpy as np
 
 from rvjax import roots
 from rvjax.elementary import LARGEST_ANGLE, arctan2, sin_cos
-from rvjax.status import SolveInfo, Status
+from rvjax.status import Check, SolveInfo, Status, at_once, first_failure
 
 
 class Crank(NamedTuple):
@@ -53,19 +53,25 @@ class Links(NamedTuple):
 
 
 class Resting(NamedTuple):
-    """Coupler at rest; the flags say why an angle may be missing or have no derivative."""
+    """Coupler at rest, NaN where there is none; the status in `info` says why."""
 
     angle: jax.Array
     misfit: jax.Array
     info: SolveInfo
-    open_chain: Any = np.False_  # the links are too short to meet
-    change_point: Any = np.False_  # crank 1 in line with the frame
-    fold: Any = np.False_  # the two branches meet
 
 
-def at_once(like: jax.Array) -> SolveInfo:
-    """The info of a closed form."""
-    return SolveInfo(jnp.zeros_like(like, jnp.int32), jnp.zeros_like(like, jnp.int32), jnp.zeros_like(like))
+def _at_rest(
+    angle: Any, misfit: Any, info: SolveInfo, *checks: Check, nowhere: Any = np.False_, shown: Any = True
+) -> Resting:
+    """What a solve found, under its status: NONFINITE where no root was found or numbers overflow.
+
+    `nowhere` says where the geometry itself leaves no angle, `shown` where numbers are shown all the same.
+    """
+    unsolved, failed = info.status == Status.MAX_STEPS, info.status != Status.CONVERGED
+    missing = ~(jnp.isfinite(angle) & ~failed | unsolved)
+    status = first_failure((missing & ~nowhere, Status.NONFINITE), (unsolved & ~nowhere, Status.MAX_STEPS), *checks)
+    angle, misfit = (jnp.where(~failed & shown, value, jnp.nan) for value in (angle, misfit))
+    return Resting(angle, misfit, info.replace(status=status))
 
 
 class View(NamedTuple):
@@ -108,17 +114,21 @@ def free(links: Links, seen: View, *, closure: str, branch: str) -> Resting:
     eps = float(jnp.finfo(d.dtype).eps)
     band = 8 * eps * (seen.length + l2) / (l1 + l3) * (b**2 + jnp.abs(4 * a * c) + c**2)
     too_short = gap(links, seen) > 32 * eps * links.size  # knows better where the cranks are next to nothing
-    flags = dict(
-        open_chain=(d < -band) | too_short,
-        change_point=jnp.abs(seen.sine) < (1e-6 if eps < 1e-10 else 1e-3),
-        fold=(jnp.abs(d) <= band) & ~too_short,
+    open_chain = (d < -band) | too_short  # the links are too short to meet
+    change_point = jnp.abs(seen.sine) < (1e-6 if eps < 1e-10 else 1e-3)  # crank 1 in line with the frame
+    fold = (jnp.abs(d) <= band) & ~too_short  # the two branches meet
+    found_wrong = (
+        (open_chain, Status.NOT_ASSEMBLABLE),
+        (change_point, Status.CHANGE_POINT),
+        (fold, Status.SINGULAR),
     )
+    misfit = jnp.zeros_like(a)
     if closure == "first_order":
-        angle = _free_first_order(links, flags["change_point"])
-        return Resting(angle, jnp.zeros_like(angle), at_once(angle), **flags)
-    x, info = _free_root(a, b, c, d, flags["fold"], closure=closure, branch=branch)
+        angle = _free_first_order(links, change_point)
+        return _at_rest(angle, misfit, at_once(angle), *found_wrong, nowhere=open_chain | change_point)
+    x, info = _free_root(a, b, c, d, fold, closure=closure, branch=branch)
     angle = arctan2(links.dy, links.l + links.dx) + x
-    return Resting(angle, jnp.zeros_like(angle), info, **flags)
+    return _at_rest(angle, misfit, info, *found_wrong, nowhere=open_chain, shown=~open_chain)
 
 
 def _free_first_order(links: Links, change_point: jax.Array) -> jax.Array:
@@ -172,9 +182,9 @@ def locked(links: Links, *, closure: str) -> Resting:
     misfit = stretch(links.l, x, y) - links.d2
     if closure == "first_order":
         angle = _locked_first_order(links, links.psi)
-        return Resting(angle, misfit, at_once(angle))
+        return _at_rest(angle, misfit, at_once(angle))
     angle, info = direction_angle(links.l + x, y, links.l, closure=closure)
-    return Resting(angle, misfit, info)
+    return _at_rest(angle, misfit, info)
 
 
 def _offset(links: Links, psi: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -235,8 +245,8 @@ def geared(links: Links, ratio: jax.Array, *, closure: str) -> Resting:
     x, y = _offset(links, links.psi + slip)
     misfit = stretch(links.l, x, y) - links.d2
     if closure == "first_order":
-        return Resting(_locked_first_order(links, links.psi + slip), misfit, info)
-    return Resting(arctan2(y, links.l + x), misfit, info)
+        return _at_rest(_locked_first_order(links, links.psi + slip), misfit, info)
+    return _at_rest(arctan2(y, links.l + x), misfit, info)
 
 
 def _misfit(links: Links, slip: jax.Array) -> jax.Array:

@@ -31,13 +31,13 @@ class Fit(NamedTuple):
 
 def fit(unit: Unit, k: int) -> Fit:
     """Prepare disc k."""
-    radius, disc = unit.radius, unit.disc[k]
+    radius, disc = unit.radius, unit.parts.disc[k]
     bores = [_cartesian(axis, polar) for axis, polar in zip(unit.axes, disc)]
-    carrier = [_cartesian(axis, polar) for axis, polar in zip(unit.axes, unit.carrier)]
+    carrier = [_cartesian(axis, polar) for axis, polar in zip(unit.axes, unit.parts.carrier)]
     mean = _mean(bores)
     seats = [(radius * u + (x - mean[0]), radius * v + (y - mean[1])) for (u, v), (x, y) in zip(unit.axes, bores)]
     along, across = [], []
-    for delta, psi in zip(unit.delta[k], unit.psi):  # (e + delta) exp(i psi) - e, without its cancellation
+    for delta, psi in zip(unit.parts.delta[k], unit.parts.psi):  # (e + delta) exp(i psi) - e, without its cancellation
         half_sine, half_cosine = sin_cos(psi / 2)
         along.append(delta * (1 - 2 * half_sine**2) - unit.eccentricity * (2 * half_sine**2))
         across.append((unit.eccentricity + delta) * (2 * half_sine * half_cosine))
@@ -99,11 +99,11 @@ def misfit(unit: Unit, fit: Fit, crank: Crank) -> Any:
 
 def first_order_angle(unit: Unit, k: int, crank: Crank) -> Any:
     """Tangential displacement of the pins against the bores, mean over the cranks, divided by R."""
-    turned = 0
+    turned, parts = 0, unit.parts
     for i, ((x, y), shift) in enumerate(zip(unit.axes, unit.joint_shifts(crank))):
-        turned += unit.delta[k][i] * (crank.sine * x - crank.cosine * y)
-        turned += unit.eccentricity * unit.psi[i] * (crank.cosine * x + crank.sine * y)
-        turned += unit.carrier[i][1] - unit.disc[k][i][1] + (shift[1] * x - shift[0] * y)
+        turned += parts.delta[k][i] * (crank.sine * x - crank.cosine * y)
+        turned += unit.eccentricity * parts.psi[i] * (crank.cosine * x + crank.sine * y)
+        turned += parts.carrier[i][1] - parts.disc[k][i][1] + (shift[1] * x - shift[0] * y)
     return turned / (len(unit.axes) * unit.radius)
 
 

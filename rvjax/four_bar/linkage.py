@@ -5,6 +5,7 @@ take deviations from nominal, never the difference of two lengths, so that micro
 their digits in float32.
 """
 
+from functools import partial
 from typing import Any
 
 import jax
@@ -14,7 +15,7 @@ import numpy as np
 from rvjax.elementary import LARGEST_ANGLE, sin_cos
 from rvjax.four_bar import closures
 from rvjax.records import Record, concrete, field, promote, quantity, record
-from rvjax.status import SolveInfo, Status, first_failure
+from rvjax.status import SolveInfo, Status, admit
 
 ALLOWED = {  # (cranks, branch): closures
     ("phase_locked", "open"): ("newton", "closed_form", "first_order"),
@@ -84,17 +85,27 @@ def solve_closure(
         ValueError: a combination of methods that does not exist, or, where every number is concrete, an
             impossible length.
     """
-    check_methods(cranks, gear_stiffness_ratio, closure, branch)
+    methods = check_methods(cranks, gear_stiffness_ratio, closure, branch)
     _check_lengths(cranks, eccentricity, spacing, deviations)
-    numbers = promote(eccentricity, spacing, deviations, crank_angle, gear_stiffness_ratio)
-    e, spacing, deviations, angle, ratio = numbers
-    return close(
-        e, spacing, deviations, closures.crank_direction(angle), ratio, cranks=cranks, closure=closure, branch=branch
-    )
+    return _solve_closure((eccentricity, spacing, deviations, crank_angle, gear_stiffness_ratio), **methods)
 
 
-def check_methods(cranks: str, gear_stiffness_ratio: Any, closure: str, branch: str) -> None:
-    """Raise ValueError unless the methods fit together."""
+@partial(jax.jit, inline=True, static_argnames=("cranks", "closure", "branch"))
+def _solve_closure(numbers: Any, **methods: str) -> Closure:
+    e, spacing, deviations, angle, ratio = promote(numbers)
+    return close(e, spacing, deviations, closures.crank_direction(angle), ratio, **methods)
+
+
+def check_methods(
+    cranks: str, gear_stiffness_ratio: Any, closure: str, branch: str, *, count: int = 2
+) -> dict[str, str]:
+    """The methods by name.
+
+    Raises:
+        ValueError: they do not fit together, or not `count` cranks.
+    """
+    if count > 2 and cranks != "phase_locked":
+        raise ValueError(f"cranks = {cranks!r}: {count} cranks can only be 'phase_locked'")
     if (cranks, "open") not in ALLOWED:
         raise ValueError(f"cranks = {cranks!r}: must be 'phase_locked', 'free' or 'geared'")
     if branch not in ("open", "crossed"):
@@ -109,6 +120,7 @@ def check_methods(cranks: str, gear_stiffness_ratio: Any, closure: str, branch: 
         raise ValueError("gear_stiffness_ratio: needed for cranks = 'geared'")
     if gear_stiffness_ratio is not None and concrete(gear_stiffness_ratio) and np.any(gear_stiffness_ratio <= 0):
         raise ValueError(f"gear_stiffness_ratio = {quantity(gear_stiffness_ratio, '-')}: must be positive")
+    return dict(cranks=cranks, closure=closure, branch=branch)
 
 
 def _check_lengths(cranks: str, eccentricity: Any, spacing: Any, deviations: LinkDeviations) -> None:
@@ -156,14 +168,15 @@ def close(
         possible &= (e > 0) & (ratio > 0)
         # A slip without an angle: see the bound of the slip in `geared`.
         finite &= ~possible | (4 * lengths * (lengths + 2 * spacing) < 0.25 * LARGEST_ANGLE * ratio * e**2)
-    # A lane outside the model is solved as a nominal linkage of unit size, so its derivatives stay finite.
-    good = finite & possible
-    d1, d2, d3, d4, psi, b4, gx, gy = (jnp.where(good, x, 0) for x in (d1, d2, d3, d4, psi, b4, gx, gy))
-    e, l, ratio = jnp.where(good, e, 0.02), jnp.where(good, spacing, 1), jnp.where(good, ratio, 1)  # noqa: E741
+    # A lane outside the model is solved as a nominal linkage of unit size.
+    refusals = ((~finite, Status.NONFINITE), (~possible, Status.INVALID_GEOMETRY))
+    numbers = (d1, d2, d3, d4, psi, b4, gx, gy, e, spacing, ratio, lengths)
+    numbers, gate = admit(numbers, (0, 0, 0, 0, 0, 0, 0, 0, 0.02, 1, 1, 0.02), *refusals)
+    d1, d2, d3, d4, psi, b4, gx, gy, e, l, ratio, lengths = numbers  # noqa: E741
     half_sine, half_cosine = sin_cos(b4 / 2)
     dx = d4 + gx - 2 * (l + d4) * half_sine**2
     dy = 2 * (l + d4) * half_sine * half_cosine + gy
-    size = jnp.where(good, lengths, 0.02) + jnp.abs(dx) + jnp.abs(dy)
+    size = lengths + jnp.abs(dx) + jnp.abs(dy)
     links = closures.Links(e, l, d1, d2, d3, psi, b4, gy, crank.cosine, crank.sine, dx, dy, axial=d4 + gx, size=size)
     seen = closures.view(links)
     if cranks == "free":
@@ -172,23 +185,6 @@ def close(
         resting = closures.geared(links, ratio, closure=closure)
     else:
         resting = closures.locked(links, closure=closure)
-
-    unsolved, failed = resting.info.status == Status.MAX_STEPS, resting.info.status != Status.CONVERGED
-    nowhere = resting.change_point if closure == "first_order" else False
-    known = jnp.isfinite(resting.angle) & ~failed
-    missing = ~(known | nowhere | resting.open_chain | unsolved)
-    status = first_failure(
-        (~finite | (good & missing), Status.NONFINITE),
-        (~possible, Status.INVALID_GEOMETRY),
-        (resting.open_chain, Status.NOT_ASSEMBLABLE),
-        (unsolved & ~resting.open_chain, Status.MAX_STEPS),
-        (resting.change_point, Status.CHANGE_POINT),
-        (resting.fold, Status.SINGULAR),
-    )
-    shown = good & ~failed & (True if closure == "first_order" else ~resting.open_chain)
-    return Closure(
-        coupler_angle=jnp.where(shown, resting.angle, jnp.nan),
-        misfit=jnp.where(shown, resting.misfit, jnp.nan),
-        gap=jnp.where(good, closures.gap(links, seen), jnp.nan),
-        info=SolveInfo(status, resting.info.steps, resting.info.residual),
-    )
+    shown = (resting.angle, resting.misfit, closures.gap(links, seen))
+    (angle, misfit, gap), info = gate.close(shown, info=resting.info)
+    return Closure(coupler_angle=angle, misfit=misfit, gap=gap, info=info)

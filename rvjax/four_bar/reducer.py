@@ -1,5 +1,6 @@
 """Transmission error of a reducer: every disc on all its cranks, the mean over the discs."""
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -11,9 +12,9 @@ from rvjax.errors import RVErrors
 from rvjax.four_bar import closures, fit
 from rvjax.four_bar.closures import Crank, crank_direction
 from rvjax.four_bar.linkage import LinkDeviations, check_methods, close
-from rvjax.four_bar.unit import Unit, take_apart
+from rvjax.four_bar.unit import Unit, is_loaded, take_apart
 from rvjax.records import Record, field, record
-from rvjax.status import SolveInfo, Status, worst
+from rvjax.status import SolveInfo, Status, admit, at_once, worst_of
 
 
 @record
@@ -64,41 +65,38 @@ def transmission_error(
         ValueError: a combination of methods that does not exist, errors whose shapes do not fit the design, or
             a load (non-zero or traced) without bearing stiffness.
     """
-    check_crank_count(design, cranks)
-    check_methods(cranks, gear_stiffness_ratio, closure, branch)
-    unit, angle, ratio = take_apart(design, errors, output_torque, crank_angle, gear_stiffness_ratio)
+    methods = check_methods(cranks, gear_stiffness_ratio, closure, branch, count=design.cranks.count)
+    numbers = (design, errors, output_torque, crank_angle, gear_stiffness_ratio)
+    return _transmission_error(*numbers, loaded=is_loaded(design, output_torque), **methods)
+
+
+@partial(jax.jit, inline=True, static_argnames=("loaded", "cranks", "closure", "branch"))
+def _transmission_error(
+    design: RVReducer, errors: RVErrors, torque: Any, angle: Any, ratio: Any, *, loaded: bool, **methods: str
+) -> TransmissionError:
+    unit, angle, ratio = take_apart(design, errors, torque, angle, ratio, loaded=loaded)
+    return error_at(unit, angle, ratio, **methods)
+
+
+def error_at(unit: Unit, angle: jax.Array, ratio: Any, *, cranks: str, closure: str, branch: str) -> TransmissionError:
+    """Transmission error of a unit at one crank angle; methods were checked."""
     first = crank_direction(angle)
     placed = []
-    for k in range(design.cycloid.disc_count):
+    for k in range(len(unit.parts.disc)):
         crank = unit.disc_crank(k, first)
-        if cranks == "phase_locked" and (closure != "first_order" or design.cranks.count > 2):
+        if cranks == "phase_locked" and (closure != "first_order" or len(unit.axes) > 2):
             placed.append(_fitted_disc(unit, k, crank, closure=closure))
         else:
             placed.append(_linked_disc(unit, k, crank, ratio, cranks=cranks, closure=closure, branch=branch))
-
-    good = unit.finite & unit.possible & first.finite
-    per_disc = [jnp.where(good, -disc.angle, jnp.nan) for disc in placed]
+    angles, misfits, infos = ([disc[part] for disc in placed] for part in range(3))
+    per_disc = [-angle for angle in angles]
     error = sum(per_disc) / len(per_disc)
-    infos = jax.tree.map(lambda *leaves: jnp.stack(leaves), *[disc.info for disc in placed])
-    status = worst(infos.status)
-    overflow = (status == Status.CONVERGED) & ~jnp.isfinite(error)  # or an angle that is not finite
-    status = jnp.where(overflow, int(Status.NONFINITE), status)
-    return TransmissionError(
-        error=error,
-        per_disc=jnp.stack(per_disc),
-        misfit=jnp.stack([jnp.where(good, disc.misfit, jnp.nan) for disc in placed]),
-        info=SolveInfo(
-            jnp.where(unit.status == Status.CONVERGED, status, unit.status),
-            jnp.max(infos.steps),
-            jnp.max(infos.residual),
-        ),
-    )
-
-
-def check_crank_count(design: RVReducer, cranks: str) -> None:
-    """Raise ValueError for three or more cranks that are not phase-locked."""
-    if design.cranks.count > 2 and cranks != "phase_locked":
-        raise ValueError(f"cranks = {cranks!r}: {design.cranks.count} cranks can only be 'phase_locked'")
+    info = worst_of(jax.tree.map(lambda *leaves: jnp.stack(leaves), *infos))
+    overflow = (info.status == Status.CONVERGED) & ~jnp.isfinite(error)
+    info = info.replace(status=jnp.where(overflow, int(Status.NONFINITE), info.status))
+    _, gate = admit((), 0, (~first.finite, Status.NONFINITE), after=unit.gate)
+    values, info = gate.close((error, jnp.stack(per_disc), jnp.stack(misfits)), info=info)
+    return TransmissionError(*values, info)
 
 
 def _fitted_disc(unit: Unit, k: int, crank: Crank, *, closure: str) -> Placed:
@@ -107,7 +105,7 @@ def _fitted_disc(unit: Unit, k: int, crank: Crank, *, closure: str) -> Placed:
     misfit = fit.misfit(unit, prepared, crank)
     if closure == "first_order":
         angle = fit.first_order_angle(unit, k, crank)
-        return Placed(angle, misfit, closures.at_once(angle))
+        return Placed(angle, misfit, at_once(angle))
     cosine, sine = fit.vector(unit, prepared, crank)
     size = len(unit.axes) * unit.radius**2
     angle, info = closures.direction_angle(cosine, sine, size, closure=closure)
@@ -117,24 +115,25 @@ def _fitted_disc(unit: Unit, k: int, crank: Crank, *, closure: str) -> Placed:
 def _linked_disc(unit: Unit, k: int, crank: Crank, ratio: Any, **methods: str) -> Placed:
     """Disc k on two cranks as a four-bar linkage."""
     spacing = 2 * unit.radius
-    (radial_0, tangential_0), (radial_1, tangential_1) = unit.disc[k]
+    parts = unit.parts
+    (radial_0, tangential_0), (radial_1, tangential_1) = parts.disc[k]
     bore_x, bore_y = radial_0 + radial_1, tangential_0 + tangential_1
     (shift_0x, shift_0y), (shift_1x, shift_1y) = unit.joint_shifts(crank)
     deviations = LinkDeviations(
-        crank_1=unit.delta[k][0],
-        crank_3=unit.delta[k][1],
+        crank_1=parts.delta[k][0],
+        crank_3=parts.delta[k][1],
         coupler=closures.stretch(spacing, bore_x, bore_y),
-        frame=unit.carrier[0][0] + unit.carrier[1][0],
-        crank_phase=unit.psi[1] - unit.psi[0],
+        frame=parts.carrier[0][0] + parts.carrier[1][0],
+        crank_phase=parts.psi[1] - parts.psi[0],
         frame_angle=jnp.zeros_like(spacing),
         joint=jnp.stack(
             [
                 jnp.zeros_like(spacing) + (shift_1x - shift_0x),
-                unit.carrier[0][1] + unit.carrier[1][1] + (shift_1y - shift_0y),
+                parts.carrier[0][1] + parts.carrier[1][1] + (shift_1y - shift_0y),
             ]
         ),
     )
-    sine, cosine = sin_cos(unit.psi[0])
+    sine, cosine = sin_cos(parts.psi[0])
     turned = crank.turned(cosine, sine)
     closed = close(unit.eccentricity, spacing, deviations, turned, ratio, **methods)
     return Placed(closed.coupler_angle - arctan2(bore_y, spacing + bore_x), closed.misfit, closed.info)

@@ -2,7 +2,7 @@
 
 import functools
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -11,14 +11,25 @@ import numpy as np
 from rvjax.designs import RVReducer
 from rvjax.elementary import arctan2, divide
 from rvjax.errors import RVErrors
-from rvjax.four_bar.closures import Crank, at_once
-from rvjax.four_bar.extremes import extremes_over_turn
+from rvjax.four_bar.closures import Crank
 from rvjax.four_bar.fit import fit, misfit, vector
 from rvjax.four_bar.linkage import check_methods
-from rvjax.four_bar.reducer import check_crank_count, transmission_error
-from rvjax.four_bar.unit import Unit, take_apart
+from rvjax.four_bar.reducer import TransmissionError, error_at
+from rvjax.four_bar.turn import Score, largest_and_smallest
+from rvjax.four_bar.unit import Unit, Vector, is_loaded, take_apart
 from rvjax.records import Record, field, record
-from rvjax.status import SolveInfo, Status, worst
+from rvjax.status import SolveInfo, Status, at_once, worst_of
+
+
+@record
+class Figures(Record):
+    """Figures of the transmission error over one crank turn."""
+
+    maximum: Any = field("rad", "largest error")
+    minimum: Any = field("rad", "smallest error")
+    peak_to_peak: Any = field("rad", "maximum less minimum")
+    largest_misfit: Any = field("m", "largest |misfit| over angles and discs")
+    info: SolveInfo = field("-", "of the worst angle", kind="record")
 
 
 @record
@@ -68,53 +79,97 @@ def revolution(
     Raises:
         ValueError: as in `transmission_error`.
     """
+    ways = _ways(design, output_torque, cranks, gear_stiffness_ratio, closure, branch, angles)
+    return _revolution((design, errors, output_torque, gear_stiffness_ratio), **ways)
+
+
+def figures(
+    design: RVReducer,
+    errors: RVErrors,
+    *,
+    angles: int = 64,
+    output_torque: Any = 0.0,
+    cranks: str = "phase_locked",
+    gear_stiffness_ratio: Any = None,
+    closure: str | None = None,
+    branch: str = "open",
+) -> Figures:
+    """What `revolution` says of a crank turn, without the curve: no spectrum, and by default no angle, is traced.
+
+    Args:
+        design: as in `revolution`.
+        errors: as in `revolution`.
+        angles: as in `revolution`.
+        output_torque: as in `revolution`.
+        cranks: as in `revolution`.
+        gear_stiffness_ratio: as in `revolution`.
+        closure: as in `revolution`.
+        branch: as in `revolution`.
+
+    Raises:
+        ValueError: as in `revolution`.
+    """
+    ways = _ways(design, output_torque, cranks, gear_stiffness_ratio, closure, branch, angles)
+    return _figures((design, errors, output_torque, gear_stiffness_ratio), **ways)
+
+
+def _ways(
+    design: RVReducer, output_torque: Any, cranks: str, ratio: Any, closure: str | None, branch: str, angles: int
+) -> dict[str, Any]:
+    """What is decided before the program runs."""
     if closure is None:
         closure = "newton" if cranks == "geared" else "closed_form"
-    check_crank_count(design, cranks)
-    check_methods(cranks, gear_stiffness_ratio, closure, branch)
-    (unit,) = take_apart(design, errors, output_torque)
-    crank_angle = jnp.asarray(2 * np.pi / angles * np.arange(angles), unit.radius.dtype)
+    methods = check_methods(cranks, ratio, closure, branch, count=design.cranks.count)
+    return dict(methods, angles=angles, loaded=is_loaded(design, output_torque))
 
-    def at(angle: jax.Array) -> Any:
-        return transmission_error(
-            design,
-            errors,
-            crank_angle=angle,
-            output_torque=output_torque,
-            cranks=cranks,
-            gear_stiffness_ratio=gear_stiffness_ratio,
-            closure=closure,
-            branch=branch,
-        )
 
-    curve = jax.vmap(at)(crank_angle)
-    if cranks == "phase_locked" and closure == "closed_form":
-        maximum, minimum, largest_misfit = _extremes(unit, angles)
-        status = jnp.where(jnp.isfinite(maximum - minimum), unit.status, int(Status.NONFINITE))
-        status = jnp.where(unit.status == Status.INVALID_GEOMETRY, unit.status, status)
-        info = at_once(maximum).replace(status=status)
-    else:
-        maximum, minimum = jnp.max(curve.error), jnp.min(curve.error)
-        largest_misfit = jnp.max(jnp.abs(curve.misfit))
-        info = SolveInfo(worst(curve.info.status), jnp.max(curve.info.steps), jnp.max(curve.info.residual))
+STATIC = ("angles", "loaded", "cranks", "closure", "branch")
+Numbers = tuple[RVReducer, RVErrors, Any, Any]  # design, errors, torque, ratio of the gears
+
+
+@functools.partial(jax.jit, inline=True, static_argnames=STATIC)
+def _revolution(numbers: Numbers, *, angles: int, loaded: bool, **methods: str) -> Revolution:
+    unit, ratio = take_apart(*numbers, loaded=loaded)
+    curve = _curve(unit, ratio, angles, methods)
+    found = _on_the_way(unit, angles) if _is_direct(**methods) else _of_curve(curve)
     spectrum = jnp.fft.rfft(curve.error)[: (angles + 1) // 2]  # orders below half the sampling rate
     return Revolution(
-        crank_angle=crank_angle,
+        crank_angle=_crank_angles(unit, angles),
         error=curve.error,
         misfit=curve.misfit,
-        maximum=maximum,
-        minimum=minimum,
-        peak_to_peak=maximum - minimum,
         mean=jnp.mean(curve.error),
-        largest_misfit=largest_misfit,
         harmonics=spectrum * np.where(np.arange(len(spectrum)) == 0, 1, 2).astype(spectrum.dtype) / angles,
-        info=info,
+        **vars(found),
     )
 
 
-def _extremes(unit: Unit, angles: int) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Largest and smallest error and largest |misfit| of phase-locked cranks, without the curve."""
-    discs = range(len(unit.disc))
+@functools.partial(jax.jit, inline=True, static_argnames=STATIC)
+def _figures(numbers: Numbers, *, angles: int, loaded: bool, **methods: str) -> Figures:
+    unit, ratio = take_apart(*numbers, loaded=loaded)
+    return _on_the_way(unit, angles) if _is_direct(**methods) else _of_curve(_curve(unit, ratio, angles, methods))
+
+
+def _is_direct(*, cranks: str, closure: str, branch: str) -> bool:
+    """Whether the extremes can be had without the curve."""
+    return cranks == "phase_locked" and closure == "closed_form"
+
+
+def _crank_angles(unit: Unit, angles: int) -> jax.Array:
+    return jnp.asarray(2 * np.pi / angles * np.arange(angles), unit.radius.dtype)
+
+
+def _curve(unit: Unit, ratio: Any, angles: int, methods: dict[str, str]) -> TransmissionError:
+    return jax.vmap(lambda angle: error_at(unit, angle, ratio, **methods))(_crank_angles(unit, angles))
+
+
+def _of_curve(curve: TransmissionError) -> Figures:
+    maximum, minimum = jnp.max(curve.error), jnp.min(curve.error)
+    return Figures(maximum, minimum, maximum - minimum, jnp.max(jnp.abs(curve.misfit)), worst_of(curve.info))
+
+
+def _on_the_way(unit: Unit, angles: int) -> Figures:
+    """Figures of phase-locked cranks from the extremes alone."""
+    discs = range(len(unit.parts.disc))
 
     def error(parts: Any, first: Crank) -> jax.Array:
         unit, fits = parts
@@ -126,72 +181,74 @@ def _extremes(unit: Unit, angles: int) -> tuple[jax.Array, jax.Array, jax.Array]
         return jnp.max(jnp.stack([jnp.abs(misfit(unit, fits[k], unit.disc_crank(k, first))) for k in discs]))
 
     parts = (unit, [fit(unit, k) for k in discs])
-    most, least = extremes_over_turn(
+    most, least = largest_and_smallest(
         error,
         parts,
         angles,
-        score=_quotient,
-        back=lambda quotient: _angle(quotient) / len(discs),
+        score=Score(of=monotone_angle, back=lambda score: _angle(score) / len(discs)),
         together=64 if unit.load is None and len(discs) <= 2 else 4,  # one kernel, where the program stays small
     )
-    largest, _ = extremes_over_turn(
-        most_misfit,
-        parts,
-        angles,
-        score=lambda parts: functools.partial(most_misfit, parts),
-        back=lambda largest: largest,
-        together=4,
-    )
-    good = unit.finite & unit.possible
-    return (
-        jnp.where(good, most, jnp.nan),
-        jnp.where(good, least, jnp.nan),
-        jnp.where(good, largest, jnp.nan),
-    )
+    largest, _ = largest_and_smallest(most_misfit, parts, angles, together=4)
+    values = (most, least, most - least, largest)
+    values, info = unit.gate.close(values, (~jnp.isfinite(most - least), Status.NONFINITE), info=at_once(most))
+    return Figures(*values, info)
 
 
-def _quotient(parts: Any) -> Callable[[Crank], jax.Array]:
+def monotone_angle(parts: Any) -> Callable[[Crank], jax.Array]:
     """A number that falls as the discs turn: -1 to 1 up to a right angle of all together, to +-2 beyond.
 
     Their vectors C + i S are turned one after the other by multiplication, so no angle is needed. Without a load
     each is still + turning u with the crank's direction u, and their product a polynomial in u.
     """
     unit, fits = parts
-    discs = range(len(unit.disc))
-    scale = 1 / (len(fits[0].seats) * unit.radius**2)  # vectors near 1, however many are multiplied
-    product = [(jnp.ones_like(unit.radius), jnp.zeros_like(unit.radius))]
+    scale = 1 / (len(unit.axes) * unit.radius**2)  # vectors near 1, however many are multiplied
+    together = Polynomial([(jnp.ones_like(unit.radius), jnp.zeros_like(unit.radius))])
     if unit.load is None:
-        for k in discs:
-            still = (1 + scale * jnp.real(fits[k].still), scale * jnp.imag(fits[k].still))
-            turning = Crank(scale * jnp.real(fits[k].turning), scale * jnp.imag(fits[k].turning))
-            turning = unit.disc_crank(k, turning)
-            risen = [(0, 0), *(_times(z, turning) for z in product)]
-            product = [(x + u, y + v) for (x, y), (u, v) in zip([*(_times(z, still) for z in product), (0, 0)], risen)]
+        for k, disc in enumerate(fits):
+            still = (1 + scale * jnp.real(disc.still), scale * jnp.imag(disc.still))
+            turning = unit.disc_crank(k, Crank(scale * jnp.real(disc.turning), scale * jnp.imag(disc.turning)))
+            together = together.times(still, (turning.cosine, turning.sine))
 
-    def quotient(first: Crank) -> jax.Array:
-        cosine, sine = product[-1]
-        for x, y in product[-2::-1]:  # Horner
-            u, v = _times((cosine, sine), first)
-            cosine, sine = x + u, y + v
+    def at(first: Crank) -> jax.Array:
+        cosine, sine = together.at((first.cosine, first.sine))
         if unit.load is not None:
-            for k in discs:
-                c, s = vector(unit, fits[k], unit.disc_crank(k, first))
+            for k, disc in enumerate(fits):
+                c, s = vector(unit, disc, unit.disc_crank(k, first))
                 cosine, sine = _times((cosine, sine), (scale * c, scale * s))
         size = jnp.abs(cosine) + jnp.abs(sine)
         beyond = jnp.where(sine >= 0, 2, -2) * size - sine
         return -divide(jnp.where(cosine >= 0, sine, beyond), size)
 
-    return quotient
+    return at
 
 
-def _times(first: Any, second: Any) -> tuple[Any, Any]:
-    """Product of two complex numbers as pairs."""
+class Polynomial(NamedTuple):
+    """In a complex variable; numbers are pairs, real and imaginary, which run in vectors."""
+
+    coefficients: list[Vector]  # of ascending powers
+
+    def times(self, still: Vector, turning: Vector) -> "Polynomial":
+        """Multiplied by still + turning u."""
+        same = [*(_times(z, still) for z in self.coefficients), (0, 0)]
+        risen = [(0, 0), *(_times(z, turning) for z in self.coefficients)]
+        return Polynomial([(x + u, y + v) for (x, y), (u, v) in zip(same, risen)])
+
+    def at(self, u: Vector) -> Vector:
+        """Value by Horner's rule."""
+        x, y = self.coefficients[-1]
+        for real, imaginary in self.coefficients[-2::-1]:
+            x, y = _times((x, y), u)
+            x, y = real + x, imaginary + y
+        return x, y
+
+
+def _times(first: Vector, second: Vector) -> Vector:
     return first[0] * second[0] - first[1] * second[1], first[1] * second[0] + first[0] * second[1]
 
 
-def _angle(quotient: jax.Array) -> jax.Array:
-    """The angle that a quotient stands for."""
-    beyond = jnp.abs(quotient) > 1
-    half_turn = jnp.where(beyond, jnp.sign(quotient), 0)
-    within = jnp.where(beyond, quotient - 2 * half_turn, quotient)  # beyond a right angle: of the opposite direction
+def _angle(score: jax.Array) -> jax.Array:
+    """The angle that a value of `monotone_angle` stands for."""
+    beyond = jnp.abs(score) > 1
+    half_turn = jnp.where(beyond, jnp.sign(score), 0)
+    within = jnp.where(beyond, score - 2 * half_turn, score)  # beyond a right angle: of the opposite direction
     return arctan2(within, 1 - jnp.abs(within)) + np.pi * half_turn

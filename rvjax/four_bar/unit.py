@@ -17,35 +17,49 @@ from rvjax.errors import RVErrors
 from rvjax.four_bar import forces
 from rvjax.four_bar.closures import Crank
 from rvjax.records import broadcast_fields, is_concrete, promote
-from rvjax.status import Status, first_failure
+from rvjax.status import Check, Gate, Status, admit
 
 Vector = tuple[Any, Any]
 
 
-class Unit(NamedTuple):
-    """Numbers of one reducer, finite and possible; lists run over discs [k] and cranks [i]."""
+class Stage(NamedTuple):
+    """What is read of design and load."""
 
-    eccentricity: Any  # nominal plus error
+    eccentricity: Any
     radius: Any  # of the circle of crank axes
-    axes: list[Vector]  # [i] radial unit vectors
-    delta: list[list[Any]]  # [k][i] crank eccentricity errors
+    shortening: Any
+    stiffness: Any  # of a crank bearing; 1 where there is no load
+    torque: Any
+
+
+HARMLESS = Stage(eccentricity=0.02, radius=1, shortening=0.5, stiffness=1, torque=0)
+
+
+class Parts(NamedTuple):
+    """Errors that place the discs; lists run over discs [k] and cranks [i]."""
+
+    delta: list[list[Any]]  # [k][i] crank eccentricity
     psi: list[Any]  # [i] crank phases
     disc: list[list[Vector]]  # [k][i] bores, (radial, tangential)
     carrier: list[Vector]  # [i] bores, (radial, tangential)
     clearance: Any
+    eccentricity: Any
+
+
+class Unit(NamedTuple):
+    """Numbers of one reducer, finite and possible; lists as in `Parts`."""
+
+    eccentricity: Any  # nominal plus error
+    radius: Any
+    axes: list[Vector]  # [i] radial unit vectors
+    parts: Parts
     load: forces.DiscLoad | None  # None: unloaded
     stiffness: Any
-    finite: Any
-    possible: Any
-
-    @property
-    def status(self) -> jax.Array:
-        """What is wrong with the numbers themselves."""
-        return first_failure((~self.finite, Status.NONFINITE), (~self.possible, Status.INVALID_GEOMETRY))
+    gate: Gate
 
     def disc_crank(self, k: int, first: Crank) -> Crank:
         """Eccentric direction of disc k, the first disc's given."""
-        return first.turned(*exact_direction(2 * k, len(self.disc)))
+        return first.turned(*exact_direction(2 * k, len(self.parts.disc)))
 
     def joint_shifts(self, crank: Crank) -> list[Vector]:
         """Bores against pins of a disc, per crank."""
@@ -53,34 +67,56 @@ class Unit(NamedTuple):
             return [(0, 0)] * len(self.axes)
         tangents = [(-y, x) for x, y in self.axes]
         pins = [forces.pin_force(self.load, crank, tangent, len(self.axes), self.radius) for tangent in tangents]
-        return [forces.joint_shift(force, self.clearance, self.stiffness) for force in pins]
+        return [forces.joint_shift(force, self.parts.clearance, self.stiffness) for force in pins]
 
 
-def take_apart(design: RVReducer, errors: RVErrors, output_torque: Any, *others: Any) -> tuple[Any, ...]:
-    """The unit, and `others` in its dtype. An impossible lane becomes a nominal unit: its derivatives stay finite.
+def is_loaded(design: RVReducer, output_torque: Any) -> bool:
+    """False for a torque known to be zero: what a load does is then left out of the program.
 
     Raises:
-        ValueError: errors whose shapes do not fit the design, or a load without bearing stiffness.
+        ValueError: a load without bearing stiffness.
     """
     loaded = not (is_concrete(output_torque) and np.all(np.asarray(output_torque) == 0))
     if loaded and design.cranks.bearing_stiffness is None:
         raise ValueError("CrankStage.bearing_stiffness = None: a load (output_torque) needs it, in N/m")
+    return loaded
+
+
+def take_apart(design: RVReducer, errors: RVErrors, output_torque: Any, *others: Any, loaded: bool) -> tuple[Any, ...]:
+    """The unit, and `others` in its dtype. An impossible lane becomes a nominal unit.
+
+    Raises:
+        ValueError: errors whose shapes do not fit the design.
+    """
     numbers = promote(design.cycloid, design.cranks, errors, output_torque, others)
-    cycloid, stage, errors, torque, others = numbers
+    cycloid, cranks, errors, torque, others = numbers
+    stiffness = cranks.bearing_stiffness if loaded else jnp.ones_like(cycloid.eccentricity)
+    stage = Stage(cycloid.eccentricity, cranks.circle_radius, cycloid.shortening_coefficient, stiffness, torque)
+    # Design and load are judged apart from the errors: a batch over errors then leaves them unbatched.
+    stage, gate = admit(stage, HARMLESS, *_judge_stage(stage, loaded))
+    parts = _unroll(design, errors)
+    parts, gate = admit(parts, 0, *_judge_parts(parts, stage.radius), after=gate)
+    count = cranks.count
+    unit = Unit(
+        eccentricity=stage.eccentricity + parts.eccentricity,
+        radius=stage.radius,
+        axes=[exact_direction(count + 2 * i, count) for i in range(count)],  # pi + 2 pi i / c
+        parts=parts,
+        load=forces.disc_load(design, stage.eccentricity, stage.shortening, stage.torque) if loaded else None,
+        stiffness=stage.stiffness,
+        gate=gate,
+    )
+    return unit, *others
+
+
+def _unroll(design: RVReducer, errors: RVErrors) -> Parts:
     names = ("crank_eccentricity", "crank_phase", "disc_bore", "carrier_bore")
     full = broadcast_fields(RVErrors, design.counts, {name: getattr(errors, name) for name in names})
-    deviations = (
-        _unstack(full["crank_eccentricity"]),
-        _unstack(full["crank_phase"]),
-        _unstack(full["disc_bore"]),
-        _unstack(full["carrier_bore"]),
-        errors.bearing_clearance,
-        errors.eccentricity,
-    )
+    return Parts(*(_unstack(full[name]) for name in names), errors.bearing_clearance, errors.eccentricity)
 
-    # Design and load are judged apart from the errors: a batch over errors then leaves them unbatched.
-    e, radius, shortening = cycloid.eccentricity, stage.circle_radius, cycloid.shortening_coefficient
-    stiffness = stage.bearing_stiffness if loaded else jnp.ones_like(e)
+
+def _judge_stage(stage: Stage, loaded: bool) -> tuple[Check, Check]:
+    e, radius, shortening, stiffness, torque = stage
     possible = (radius > 0) & (shortening < 1)
     if loaded:
         possible &= (e > 0) & (shortening > 0) & (stiffness > 0)
@@ -92,32 +128,18 @@ def take_apart(design: RVReducer, errors: RVErrors, output_torque: Any, *others:
     tiny = float(jnp.finfo(size.dtype).tiny)
     finite &= size > tiny**0.25  # nor vanish; as squares of forces must not, which tell their direction
     finite &= (torque == 0) | (jnp.abs(torque) > 1e6 * tiny**0.5 * jnp.maximum(size, 1))
-    good = finite & possible
-    nominal = ((e, 0.02), (radius, 1), (shortening, 0.5), (stiffness, 1), (torque, 0))
-    e, radius, shortening, stiffness, torque = (jnp.where(good, x, safe) for x, safe in nominal)
+    return (~finite, Status.NONFINITE), (~possible, Status.INVALID_GEOMETRY)
 
-    finite &= jnp.isfinite((sum(jnp.abs(x) for x in jax.tree.leaves(deviations)) / radius) ** 4)
-    for phase in deviations[1]:
+
+def _judge_parts(parts: Parts, radius: jax.Array) -> list[Check]:
+    finite = jnp.isfinite((sum(jnp.abs(x) for x in jax.tree.leaves(parts)) / radius) ** 4)
+    for phase in parts.psi:
         finite &= jnp.abs(phase) < LARGEST_ANGLE
-    if stage.count == 2:
-        possible &= 2 * radius + sum(radial for radial, _ in deviations[3]) > 0  # l4'
-    good = finite & possible
-    delta, psi, disc, carrier, clearance, eccentricity = jax.tree.map(lambda x: jnp.where(good, x, 0), deviations)
-    unit = Unit(
-        eccentricity=e + eccentricity,
-        radius=radius,
-        axes=[exact_direction(stage.count + 2 * i, stage.count) for i in range(stage.count)],  # pi + 2 pi i / c
-        delta=delta,
-        psi=psi,
-        disc=disc,
-        carrier=carrier,
-        clearance=clearance,
-        load=forces.disc_load(design, e, shortening, torque) if loaded else None,
-        stiffness=stiffness,
-        finite=finite,
-        possible=possible,
-    )
-    return unit, *others
+    checks = [(~finite, Status.NONFINITE)]
+    if len(parts.carrier) == 2:
+        frame = 2 * radius + sum(radial for radial, _ in parts.carrier)  # l4'
+        checks.append((~(frame > 0), Status.INVALID_GEOMETRY))
+    return checks
 
 
 def exact_direction(halves: int, count: int) -> Vector:

@@ -42,7 +42,12 @@ def hysteresis_loop(torque: Any, *, play: Any, stiffness: Any, friction: Any, sm
     _check(play=play, stiffness=stiffness, friction=friction, smoothing=smoothing)
     if jnp.ndim(torque) != 1:
         raise ValueError(f"torque: shape {jnp.shape(torque)}, expected (N,); sweep with jax.vmap")
-    torque, play, stiffness, friction, smoothing = promote(torque, play, stiffness, friction, smoothing)
+    return _hysteresis_loop(torque, play, stiffness, friction, smoothing)
+
+
+@jax.jit
+def _hysteresis_loop(*numbers: Any) -> jax.Array:
+    torque, play, stiffness, friction, smoothing = promote(*numbers)
 
     def play_operator(before: jax.Array, now: jax.Array) -> tuple[jax.Array, jax.Array]:
         after = jnp.maximum(now - friction, jnp.minimum(now + friction, before))
@@ -82,9 +87,12 @@ def loop_figures(
             f"torque_max = {quantity(torque_max, 'N m')}: must be at least torque_threshold + 2 friction = "
             f"{quantity(torque_threshold + 2 * friction, 'N m')}"
         )
-    x, limit, play, stiffness, friction, smoothing = promote(
-        torque_threshold, torque_max, play, stiffness, friction, smoothing
-    )
+    return _loop_figures(torque_threshold, torque_max, play, stiffness, friction, smoothing)
+
+
+@jax.jit
+def _loop_figures(*numbers: Any) -> LoopFigures:
+    x, limit, play, stiffness, friction, smoothing = promote(*numbers)
 
     def angle(torque: jax.Array) -> jax.Array:
         return _angle(torque, play, stiffness, smoothing)

@@ -1,5 +1,6 @@
 """Free angle of the output, input locked, when the load reverses: what is read, what is valid, what comes out."""
 
+from functools import partial
 from typing import Any
 
 import jax
@@ -10,7 +11,7 @@ from rvjax.errors import RVErrors
 from rvjax.lost_motion import flank as flanks
 from rvjax.lost_motion.terms import FLANK_TERMS, LostMotionTerms, Teeth, Unit, contributions, harmless
 from rvjax.records import Record, field, promote, record
-from rvjax.status import SolveInfo, Status, first_failure
+from rvjax.status import SolveInfo, Status, admit
 
 READINGS = ("consistent", "as_printed")
 PROFILES = ("first_order", "closed_form", "contact")
@@ -80,9 +81,13 @@ def geometric(
             with "consistent"; a flank profile for other than one tooth of difference; no more pins than teeth.
     """
     _check_methods(design, reading, profile, normal_force)
-    involute, cycloid, parts, tilt, shift, force = promote(
-        design.involute, design.cycloid, errors, tilt, centre_shift, normal_force
-    )
+    numbers = (design.involute, design.cycloid, errors, tilt, centre_shift, normal_force)
+    return _geometric(numbers, reading=reading, profile=profile)
+
+
+@partial(jax.jit, inline=True, static_argnames=("reading", "profile"))
+def _geometric(numbers: Any, *, reading: str, profile: str) -> LostMotion:
+    involute, cycloid, parts, tilt, shift, force = promote(numbers)
     counts = (involute.sun_teeth, involute.planet_teeth, cycloid.disc_teeth, cycloid.pin_count)
     teeth = Teeth(*map(float, counts))
     unit = Unit(
@@ -106,43 +111,36 @@ def geometric(
     smallest = jnp.minimum(jnp.minimum(unit.e, unit.rp), jnp.minimum(unit.r1, unit.a0 + unit.a1))
     read = jax.lax.stop_gradient(read / jnp.where(smallest > 0, smallest, 1))
     finite = jnp.sqrt(read) < float(jnp.finfo(read.dtype).max) ** 0.25
-    # Where the model does not apply it runs on harmless numbers, so that no derivative meets 0 * inf.
-    good = finite & possible
-    unit = Unit(*(None if x is None else jnp.where(good, x, h) for x, h in zip(unit, harmless(teeth))))
-    parts = jax.tree.map(lambda x: jnp.where(good, x, 0), parts)
+    refusals = ((~finite, Status.NONFINITE), (~possible, Status.INVALID_GEOMETRY))
+    unit, gate = admit(unit, harmless(teeth, unit), *refusals)
+    parts, gate = admit(parts, 0, after=gate)
 
     terms, cosine = contributions(unit, parts, teeth, reading)
     values = vars(terms)
     total = sum(values.values())
-    assembles = converged = jnp.ones_like(good)
+    found_wrong = [(cosine > 1, Status.PRESSURE_ANGLE)]
     steps, residual = 0, jnp.zeros_like(total)
     if profile != "first_order":
         flank = _flank(unit, parts, teeth, profile)
         assembles = flank.d <= flank.D  # else tooth tips or roots interfere whatever the rotation
+        found_wrong += [(~assembles, Status.NOT_ASSEMBLABLE)]
         flank = flank._replace(D=jnp.where(assembles, flank.D, 0), d=jnp.where(assembles, flank.d, 0))
         if profile == "contact":
             found = flanks.minimum(flank)
-            of_flank, converged, steps, residual = found.play, found.converged, flanks.STEPS, found.slope
-            possible &= found.reaches
+            of_flank, steps, residual = found.play, flanks.STEPS, found.slope
+            found_wrong += [(~found.reaches, Status.INVALID_GEOMETRY), (~found.converged, Status.MAX_STEPS)]
         else:
             of_flank = flanks.first_order_minimum(flank)
         replaced = sum(values[name] for name in FLANK_TERMS)
         total = of_flank + sum(value for name, value in values.items() if name not in FLANK_TERMS)
         terms = terms.replace(contact_remainder=of_flank - replaced)
 
-    status = first_failure(
-        (~finite, Status.NONFINITE),
-        (~possible, Status.INVALID_GEOMETRY),
-        (~converged, Status.MAX_STEPS),
-        (~assembles, Status.NOT_ASSEMBLABLE),
-        (cosine > 1, Status.PRESSURE_ANGLE),
-    )
-    kept = (status == Status.CONVERGED) | (status == Status.PRESSURE_ANGLE)
-    total, terms = jax.tree.map(lambda value: jnp.where(kept, value, jnp.nan), (total, terms))
-    info = SolveInfo(status, jnp.full_like(status, steps), jnp.where(kept, residual, jnp.nan))
-    return LostMotion(total, jnp.maximum(total, 0), terms, status == Status.CONVERGED, info)
+    of_search = SolveInfo(Status.CONVERGED, steps, residual)
+    (total, terms), info = gate.close((total, terms), *found_wrong, info=of_search)
+    return LostMotion(total, jnp.maximum(total, 0), terms, info.status == Status.CONVERGED, info)
 
 
+@jax.jit
 def shaft_tilt(deflection: Any, length: Any) -> jax.Array:
     """Tilt of a shaft from its radial deflection over a length: arcsin(Y / L), Liu et al. 2022, Eq. 1.
 
@@ -159,6 +157,7 @@ def shaft_tilt(deflection: Any, length: Any) -> jax.Array:
     return jnp.where(possible, tilt, jnp.nan)
 
 
+@jax.jit
 def empirical_normal_force(output_torque: Any) -> jax.Array:
     """Normal force that makes "as_printed" return the tilted rows of Table 10 of Liu et al. 2022: a fit.
 

@@ -89,12 +89,13 @@ class Unit(NamedTuple):
         return self.e * teeth.zp / self.rp if self.given_k1 is None else self.given_k1
 
 
-def harmless(teeth: Teeth) -> Unit:
-    """Numbers on which every formula is finite: K1 = 1/2, nothing modified."""
-    return Unit(
+def harmless(teeth: Teeth, like: Unit) -> Unit:
+    """Numbers on which every formula is finite: K1 = 1/2, nothing modified; None where `like` has it."""
+    safe = Unit(
         alpha=0.0, force=1.0, a0=1.0, a1=0.0, r1=1.0, e=1.0, rp=2 * teeth.zp, given_k1=0.5,
         equidistant=0.0, shift=0.0, tilt=0.0,
     )  # fmt: skip
+    return Unit(*(None if given is None else value for given, value in zip(like, safe)))
 
 
 def contributions(unit: Unit, parts: RVErrors, teeth: Teeth, reading: str) -> tuple[LostMotionTerms, jax.Array]:

@@ -38,7 +38,7 @@ _CHUNK = 256  # cases that `safe.solve` gets at a time
 Inverse = Callable[[Any, jax.Array], jax.Array]
 
 
-class Balance(NamedTuple):
+class Found(NamedTuple):
     """The equilibrium and how it was found."""
 
     windup: jax.Array  # tau
@@ -57,7 +57,7 @@ class _Rows(NamedTuple):
     stiffness: jax.Array  # load over approach, for Palmgren's law at a typical load
 
 
-def solve_block(law: str, teeth: int, case: Case, size: int) -> Balance:
+def solve_block(law: str, teeth: int, case: Case, size: int) -> Found:
     """Equilibrium of `size` cases; leaves of the result (size, ...).
 
     Args:
@@ -93,7 +93,7 @@ def solve_block(law: str, teeth: int, case: Case, size: int) -> Balance:
     windup = jnp.where(fine & ~exact, found["windup"], windup)
     found = _left_open(law, teeth, case, torque, ~(fine & exact), windup, found)
     residual = _missing(rows, found["load"], torque)
-    return Balance(found["windup"], found["load"].T, found["steps"], residual, found["overload"], found["finite"])
+    return Found(found["windup"], found["load"].T, found["steps"], residual, found["overload"], found["finite"])
 
 
 def _missing(rows: _Rows, load: jax.Array, torque: jax.Array) -> jax.Array:
@@ -273,14 +273,15 @@ def _newton_step(
         loads, worst = state
         shift = change[i] + rate[i] * rows.arm[i] * x
         after, moved = load[i] + shift, jnp.abs(shift)
-        # A Newton step leaves its square times the relative change of the stiffness up to this load, and the error
-        # of that stiffness, a third power of the same. A roller that changes sides spoils the step.
+        # A Newton step of relative size m leaves m^2 times the relative change of the stiffness up to this load, which
+        # is `bend`, and m times the relative error of the stiffness it used.
+        part = moved / jnp.where(load[i] > 0, load[i], 1)
         if law == "palmgren":  # load ~ depth^(10/9); the stiffness is exact
-            left = 0.1 * moved**2
+            left = 0.1 * moved * part
         else:
             bend = jnp.abs(rate[i] / rows.stiffness[i] - 1)
-            left = moved * (moved + 27 * load[i] * bend**2) * bend
-        left = jnp.where(moved > 0, left / jnp.where(load[i] > 0, load[i], 1), 0)
+            left = moved * (part * bend + laws.series_error(bend))
+        left = jnp.where(moved > 0, left, 0)  # and a roller that changes sides spoils the step:
         left = jnp.where(after >= 0, left, jnp.inf)
         left = jnp.where(depth[i] > 0, left, jnp.where(depth[i] + x * rows.arm[i] <= 0, 0, jnp.inf))
         worst = jax.lax.complex(jnp.maximum(jnp.real(worst), left), jnp.maximum(jnp.imag(worst), load[i]))

@@ -23,7 +23,7 @@ from rvjax.mesh_force import geometry
 from rvjax.mesh_force.equilibrium import MeshForces, solve
 from rvjax.mesh_force.loads import contact_pressure
 from rvjax.records import Record, field, promote, record
-from rvjax.status import SolveInfo, worst
+from rvjax.status import SolveInfo, worst_of
 from rvjax.units import mm, um
 
 CALIBRATED_TORQUE = 109.56418376586802
@@ -107,7 +107,6 @@ def cycle_statistics(
     def mean(force: jax.Array) -> jax.Array:
         return jnp.sum(jnp.where(working, force, 0)) / jnp.sum(working, dtype=force.dtype)
 
-    info = forces.info
     return CycleStatistics(
         cam_mean=mean(forces.cam),
         cam_peak=jnp.max(forces.cam),
@@ -118,7 +117,7 @@ def cycle_statistics(
         pressure_peak=jnp.max(pressure),
         windup_mean=jnp.mean(forces.windup),
         windup_peak_to_peak=jnp.max(forces.windup) - jnp.min(forces.windup),
-        info=SolveInfo(worst(info.status), jnp.max(info.steps), jnp.max(info.residual)),
+        info=worst_of(forces.info),
     )
 
 

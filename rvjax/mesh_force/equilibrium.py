@@ -1,6 +1,7 @@
 """Forces on the rollers of one unit at one output angle."""
 
-from functools import partial
+import functools
+import operator
 from typing import Any
 
 import jax
@@ -10,10 +11,10 @@ import numpy as np
 from rvjax.designs import CamRollerReducer
 from rvjax.errors import CamRollerErrors
 from rvjax.mesh_force import geometry, laws, line_contact
-from rvjax.mesh_force.balance import attach, balance
+from rvjax.mesh_force.batch import attach, equilibrium
 from rvjax.mesh_force.case import all_rollers, take_apart
-from rvjax.records import Record, field, promote, record
-from rvjax.status import SolveInfo, Status, first_failure, succeeded
+from rvjax.records import Record, field, promote, record, signs_hold
+from rvjax.status import SolveInfo, Status, admit
 
 
 @record
@@ -27,7 +28,7 @@ class MeshForces(Record):
     info: SolveInfo = field("-", "residual: moment missing, relative", kind="record")
 
 
-@partial(jax.jit, static_argnames="contact")
+@functools.partial(jax.jit, static_argnames="contact")
 def solve(
     design: CamRollerReducer,
     errors: CamRollerErrors,
@@ -64,49 +65,38 @@ def solve(
             f"CamRollerErrors.roller_radius: shape {np.shape(errors.roller_radius)}, expected () or ({z + 1},)"
         )
     design, errors, torque, angle = promote(design, errors, input_torque, output_angle)
-    finite = jnp.asarray(True)
-    for leaf in jax.tree.leaves((design, errors, torque, angle)):
-        finite &= jnp.all(jnp.isfinite(leaf))
-    valid, undercut = _possible(design), geometry.undercut_margin(design) <= 0
+    leaves = jax.tree.leaves((design, errors, torque, angle))
+    finite = functools.reduce(operator.and_, [jnp.all(jnp.isfinite(leaf)) for leaf in leaves])
+    possible = signs_hold(design) & (jnp.abs(design.poisson_ratio) < 1)
+    possible &= design.eccentricity < design.cam_radius + design.roller_radius
     in_range, crushing = _in_range(design, errors, torque)
     crushing &= contact == "hertz"
-    finite &= ~valid | in_range | crushing
-    good = finite & valid & ~undercut & ~crushing
-
-    # A lane outside the domain computes a harmless case instead, so that no derivative of it is NaN.
-    design = jax.tree.map(lambda value, safe: jnp.where(good, value, safe), design, _harmless(z, torque.dtype))
-    errors, torque, angle = jax.tree.map(lambda value: jnp.where(good, value, 0), (errors, torque, angle))
+    refusals = (
+        (~(finite & (~possible | in_range | crushing)), Status.NONFINITE),
+        (~possible, Status.INVALID_GEOMETRY),
+        (geometry.undercut_margin(design) <= 0, Status.UNDERCUT),
+        (crushing, Status.CONTACT_OVERLOAD),
+    )
+    design, gate = admit(design, _harmless(z, torque.dtype), *refusals)
+    (errors, torque, angle), gate = admit((errors, torque, angle), 0, after=gate)
 
     case, unit = take_apart(design, errors, torque, angle)
-    found = balance(contact, z, case)
+    found = equilibrium(contact, z, case)
     rollers = all_rollers(z, case)
     windup, load = attach(contact, rollers.arm, rollers.gap, rollers.compliance, case.torque, found.windup, found.load)
     windup *= design.roller_radius / design.eccentricity
     cam = unit * load
 
     tolerance = 1e-12 if torque.dtype == jnp.float64 else 64 * float(jnp.finfo(torque.dtype).eps)
-    status = first_failure(
-        (~finite | ~found.finite, Status.NONFINITE),
-        (~valid, Status.INVALID_GEOMETRY),
-        (undercut, Status.UNDERCUT),
-        (found.overload | crushing, Status.CONTACT_OVERLOAD),
+    values, info = gate.close(
+        (cam, cam * rollers.cage_ratio, cam * rollers.compliance.gear, windup),
+        (~found.finite, Status.NONFINITE),
+        (found.overload, Status.CONTACT_OVERLOAD),
         (~(found.residual <= tolerance), Status.MAX_STEPS),
         ((case.torque == 0) & ~jnp.any(load > 0), Status.UNLOADED),
+        info=SolveInfo(Status.CONVERGED, found.steps, found.residual),
     )
-    fine = succeeded(status)
-    cam, cage, gear, windup = (
-        jnp.where(fine, value, jnp.nan)
-        for value in (cam, cam * rollers.cage_ratio, cam * rollers.compliance.gear, windup)
-    )
-    return MeshForces(cam, cage, gear, windup, SolveInfo(status, found.steps, found.residual))
-
-
-def _possible(design: CamRollerReducer) -> jax.Array:
-    lengths = (design.cam_radius, design.roller_radius, design.roller_length, design.eccentricity)
-    possible = (design.young_modulus > 0) & (jnp.abs(design.poisson_ratio) < 1)
-    for length in lengths:
-        possible &= length > 0
-    return possible & (design.eccentricity < design.cam_radius + design.roller_radius)
+    return MeshForces(*values, info)
 
 
 def _in_range(design: CamRollerReducer, errors: CamRollerErrors, torque: jax.Array) -> tuple[jax.Array, jax.Array]:

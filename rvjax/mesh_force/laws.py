@@ -151,6 +151,19 @@ def series(depth: jax.Array, roller: Compliance) -> tuple[jax.Array, jax.Array]:
     return y * jnp.clip(1 + y * (b2 + y * b3), 0.2, 1), stiffness * jnp.clip(1 + y * (2 * b2 + 3 * y * b3), 0.05, 1)
 
 
+def series_error(bend: jax.Array) -> jax.Array:
+    """Bound of the relative error of the stiffness of `series`.
+
+    The first term left out is 4 b4 y^3 with b4 = 5 a2 a3 - 5 a2^3 - a4 (reversion), and bend = 2 a2 y: their ratio
+    to bend^3 is at most 3.7 for all rollers with a gear contact of relative radius 0.1 to 5. The factor 27 leaves
+    room for the terms behind it.
+
+    Args:
+        bend: |stiffness at this load over that of small loads - 1|.
+    """
+    return 27 * bend**3
+
+
 def _hertz_load(depth: jax.Array, roller: Compliance, limit: jax.Array) -> jax.Array:
     """Newton from above: the approach is convex, so every step stays above the root and none overshoots."""
     tolerance = 4 * float(jnp.finfo(depth.dtype).eps)

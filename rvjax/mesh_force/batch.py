@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 
 from rvjax.mesh_force import laws
-from rvjax.mesh_force.block import Balance, solve_block
+from rvjax.mesh_force.block import Found, solve_block
 from rvjax.mesh_force.case import Case, lever
 from rvjax.mesh_force.laws import Compliance
 
@@ -67,7 +67,7 @@ def _attach_jvp(law: str, primals: Any, tangents: Any) -> Any:
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0, 1))
-def balance(law: str, teeth: int, case: Case) -> Balance:
+def equilibrium(law: str, teeth: int, case: Case) -> Found:
     """The equilibrium of a case, (n,) loads; carries no derivative.
 
     Args:
@@ -79,19 +79,19 @@ def balance(law: str, teeth: int, case: Case) -> Balance:
     return jax.tree.map(lambda leaf: leaf[0], found)
 
 
-@balance.defjvp
-def _balance_jvp(law: str, teeth: int, primals: Any, tangents: Any) -> Any:
-    found = balance(law, teeth, *primals)
+@equilibrium.defjvp
+def _equilibrium_jvp(law: str, teeth: int, primals: Any, tangents: Any) -> Any:
+    found = equilibrium(law, teeth, *primals)
     return found, jax.custom_derivatives.zero_from_primal(found)
 
 
 @functools.cache
-def _batched(law: str, teeth: int) -> Callable[[Case], Balance]:
-    """Batch (cases, ...) -> Balance (cases, ...); vmap makes a larger batch of it."""
+def _batched(law: str, teeth: int) -> Callable[[Case], Found]:
+    """Batch (cases, ...) -> Found (cases, ...); vmap makes a larger batch of it."""
     solve = jax.custom_batching.custom_vmap(functools.partial(_in_blocks, law, teeth))
 
     @solve.def_vmap
-    def _rule(size: int, batched: list[Case], case: Case) -> tuple[Balance, Balance]:
+    def _rule(size: int, batched: list[Case], case: Case) -> tuple[Found, Found]:
         (is_batched,) = batched
         inner = max(leaf.shape[1 if of_batch else 0] for leaf, of_batch in zip(case, is_batched))
 
@@ -109,7 +109,7 @@ def _batched(law: str, teeth: int) -> Callable[[Case], Balance]:
     return solve
 
 
-def _in_blocks(law: str, teeth: int, case: Case) -> Balance:
+def _in_blocks(law: str, teeth: int, case: Case) -> Found:
     size = max(len(leaf) for leaf in case)
     if size <= _BLOCK:
         return solve_block(law, teeth, case, size)
@@ -121,7 +121,7 @@ def _in_blocks(law: str, teeth: int, case: Case) -> Balance:
 
     shared = [len(leaf) == 1 for leaf in case]
 
-    def block(parts: list[jax.Array]) -> Balance:
+    def block(parts: list[jax.Array]) -> Found:
         rest = iter(parts)
         whole = Case(*(leaf if is_shared else next(rest) for leaf, is_shared in zip(case, shared)))
         return solve_block(law, teeth, whole, _BLOCK)

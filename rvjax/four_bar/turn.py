@@ -1,4 +1,4 @@
-"""Extremes over a crank turn whose derivative is that at the place where they occur.
+"""Largest and smallest value over a crank turn; its derivative is that at the place where they occur.
 
 A forward pass searches values alone, of a score that rises with what is wanted but costs less. Its result is one
 complex number: XLA evaluates for each result anew all that leads to it. A derivative searches the places and is
@@ -6,7 +6,7 @@ taken there, of what is wanted itself.
 """
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -16,14 +16,15 @@ from rvjax.elementary import sin_cos
 from rvjax.four_bar.closures import Crank
 
 
-def extremes_over_turn(
-    value: Callable[[Any, Crank], jax.Array],
-    parts: Any,
-    angles: int,
-    *,
-    score: Callable[[Any], Callable[[Crank], jax.Array]],
-    back: Callable[[jax.Array], jax.Array],
-    together: int,
+class Score(NamedTuple):
+    """A number that rises with the value sought and costs less."""
+
+    of: Callable[[Any], Callable[[Crank], jax.Array]]  # parts -> (crank -> score)
+    back: Callable[[jax.Array], jax.Array]  # score -> value
+
+
+def largest_and_smallest(
+    value: Callable[[Any, Crank], jax.Array], parts: Any, angles: int, *, score: Score | None = None, together: int
 ) -> tuple[jax.Array, jax.Array]:
     """Largest and smallest value over uniform angles from zero.
 
@@ -31,10 +32,11 @@ def extremes_over_turn(
         value: (parts, crank) -> number.
         parts: pytree; leaves that are not arrays stay constants, so that XLA can fold them.
         angles: how many.
-        score: parts -> (crank -> number), rising with the value.
-        back: score -> value.
+        score: of the value; by default the value itself.
         together: angles in one pass through memory; the program grows with them.
     """
+    if score is None:
+        score = Score(lambda parts: lambda crank: value(parts, crank), lambda value: value)
     leaves, tree = jax.tree.flatten(parts)
     is_array = [isinstance(leaf, jax.Array) for leaf in leaves]
     index = np.arange(angles)
@@ -45,7 +47,7 @@ def extremes_over_turn(
         return jax.tree.unflatten(tree, [next(rest) if varies else leaf for leaf, varies in zip(leaves, is_array)])
 
     def over_turn(arrays: list[jax.Array], start: Any, step: Callable[..., Any], pair: Callable[..., Any]) -> Any:
-        along = score(whole(arrays))
+        along = score.of(whole(arrays))
         first = along(Crank(1, 0))
         places = [jnp.asarray(x[1:], first.dtype) for x in turn]
 
@@ -58,14 +60,14 @@ def extremes_over_turn(
         return jnp.real(both), jnp.imag(both)
 
     @jax.custom_jvp
-    def extremes(arrays: list[jax.Array]) -> tuple[jax.Array, jax.Array]:
+    def search(arrays: list[jax.Array]) -> tuple[jax.Array, jax.Array]:
         def step(best: Any, now: jax.Array, index: Any) -> Any:
             return jnp.maximum(best[0], now), jnp.minimum(best[1], now)
 
         most, least = over_turn(arrays, lambda first: (first, first), step, lambda best: best)
-        return back(most), back(least)
+        return score.back(most), score.back(least)
 
-    @extremes.defjvp
+    @search.defjvp
     def _rule(primals: Any, tangents: Any) -> Any:
         (arrays,), (changes,) = primals, tangents
 
@@ -88,7 +90,7 @@ def extremes_over_turn(
             places.append(Crank(cosine, sine))
         return jax.jvp(lambda arrays: tuple(value(whole(arrays), at) for at in places), (arrays,), (changes,))
 
-    return extremes([leaf for leaf, varies in zip(leaves, is_array) if varies])
+    return search([leaf for leaf, varies in zip(leaves, is_array) if varies])
 
 
 def settle(x: jax.Array) -> jax.Array:

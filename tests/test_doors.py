@@ -1,0 +1,166 @@
+"""Every public door of the models and of `roots` is compiled once: other numbers of the same shapes compile nothing.
+
+Oracle: JAX's own events. A program traced or compiled anew reports its duration to `jax.monitoring`, whether or not it
+was found in a cache on disk; a second call with other numbers must report nothing, so it costs what the program costs.
+"""
+
+import inspect
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from rvjax import CamRollerErrors, LinkDeviations, RVErrors, dynamics, four_bar, lost_motion, mesh_force, roots
+from rvjax.catalogue import CORR, RV_20E, RV_40E, RV_320E
+from rvjax.units import deg, mm, rpm, um
+
+ROOMS = (four_bar, lost_motion, mesh_force, dynamics, roots)
+NEWS = []
+jax.monitoring.register_event_duration_secs_listener(lambda event, *_, **__: NEWS.append(event))
+
+
+def residual(x, p):
+    return x**3 - p
+
+
+def units(x):
+    return RVErrors.for_design(RV_40E, crank_eccentricity=x * um, carrier_bore=-x * um, bearing_clearance=x * um)
+
+
+def rollers(x):
+    return CamRollerErrors(cam_radius=x * um, eccentricity=0.0, roller_radius=np.full(CORR.gear_teeth + 1, x * um))
+
+
+def links(x):
+    return LinkDeviations(crank_1=x * um, coupler=-x * um)
+
+
+def sounder(x):
+    """A reducer of other masses."""
+    return RV_320E.replace(inertia=RV_320E.inertia.replace(sun_mass=RV_320E.inertia.sun_mass * (1 + x)))
+
+
+SPIN = dict(sun_speed=1000 * rpm, output_torque=-500.0)
+CALLS = {  # name: one call of the door for each way that is decided before the program runs; x is what differs
+    "four_bar.solve_closure": [
+        lambda x: four_bar.solve_closure(1.3 * mm, 72 * mm, links(x), crank_angle=x),
+        lambda x: four_bar.solve_closure(1.3 * mm, 72 * mm, links(x), crank_angle=x, cranks="free"),
+        lambda x: four_bar.solve_closure(
+            1.3 * mm, 72 * mm, links(x), crank_angle=x, cranks="geared", gear_stiffness_ratio=x
+        ),
+    ],
+    "four_bar.transmission_error": [
+        lambda x: four_bar.transmission_error(RV_40E, units(x), crank_angle=x),
+        lambda x: four_bar.transmission_error(RV_40E, units(x), crank_angle=x, output_torque=100 * x),
+    ],
+    "four_bar.revolution": [
+        lambda x: four_bar.revolution(RV_40E, units(x)),
+        lambda x: four_bar.revolution(RV_40E, units(x), angles=8, output_torque=100 * x),
+        lambda x: four_bar.revolution(RV_40E, units(x), angles=8, cranks="free"),
+    ],
+    "four_bar.figures": [
+        lambda x: four_bar.figures(RV_40E, units(x)),
+        lambda x: four_bar.figures(RV_40E, units(x), angles=8, cranks="geared", gear_stiffness_ratio=x),
+    ],
+    "lost_motion.geometric": [
+        lambda x, profile=profile: lost_motion.geometric(RV_20E, RVErrors(pin_radius=x * um), profile=profile)
+        for profile in ("first_order", "closed_form", "contact")
+    ]
+    + [lambda x: lost_motion.geometric(RV_20E, RVErrors(), reading="as_printed", normal_force=x)],
+    "lost_motion.empirical_normal_force": [lambda x: lost_motion.empirical_normal_force(100 + x)],
+    "lost_motion.shaft_tilt": [lambda x: lost_motion.shaft_tilt(x * mm, 10 * mm)],
+    "lost_motion.hysteresis_loop": [
+        lambda x: lost_motion.hysteresis_loop(
+            jnp.array([x, 0.0, -x]), play=x, stiffness=1.0, friction=0.1, smoothing=0.1
+        ),
+    ],
+    "lost_motion.loop_figures": [
+        lambda x: lost_motion.loop_figures(
+            torque_threshold=x, torque_max=10.0, play=x, stiffness=1.0, friction=0.1, smoothing=0.1
+        ),
+    ],
+    "mesh_force.solve": [
+        lambda x, law=law: mesh_force.solve(CORR, rollers(x), input_torque=100 * x, output_angle=x, contact=law)
+        for law in ("linear",)
+    ],
+    "mesh_force.contact_pressure": [lambda x: mesh_force.contact_pressure(CORR, forces(x), output_angle=x)],
+    "mesh_force.load_sharing": [lambda x: mesh_force.load_sharing(CORR, forces(x), output_angle=x)],
+    "mesh_force.mesh_stiffness": [
+        lambda x: mesh_force.mesh_stiffness(CORR, rollers(x), input_torque=100 * x, output_angle=x)
+    ],
+    "mesh_force.cycle_statistics": [
+        lambda x: mesh_force.cycle_statistics(
+            CORR, CamRollerErrors(x * um, 0.0, 0.0), input_torque=100 * x, contact="linear", samples=2
+        )
+    ],
+    "mesh_force.sweep": [
+        lambda x: mesh_force.sweep(
+            CORR,
+            rollers(x),
+            "cam_radius",
+            np.array([149.0, 150.0 + x]) * mm,
+            input_torque=100.0,
+            samples=1,
+            contact="linear",
+        )
+    ],
+    "mesh_force.cycle_angles": [lambda x: mesh_force.cycle_angles(25, samples=round(10 * x))],
+    "mesh_force.largest_roller_radius": [lambda x: mesh_force.largest_roller_radius(CORR.replace(cam_radius=x))],
+    "mesh_force.undercut_margin": [lambda x: mesh_force.undercut_margin(CORR.replace(cam_radius=x))],
+    "mesh_force.tooth_profile": [lambda x: mesh_force.tooth_profile(CORR, x * deg)],
+    "dynamics.assemble": [lambda x: dynamics.assemble(sounder(x))],
+    "dynamics.blocks": [lambda x: dynamics.blocks(sounder(x))],
+    "dynamics.lump": [lambda x: dynamics.lump(sounder(x))],
+    "dynamics.with_deviations": [lambda x: dynamics.with_deviations(RV_320E, {"inertia.sun_mass": x})],
+    "dynamics.modes": [lambda x: dynamics.modes(sounder(x))],
+    "dynamics.energy_shares": [lambda x: dynamics.energy_shares(sounder(x), dynamics.modes(sounder(x)))],
+    "dynamics.static": [lambda x: dynamics.static(sounder(x), output_torque=x)],
+    "dynamics.response": [lambda x: dynamics.response(sounder(x), harmonics=1, **SPIN)],
+    "dynamics.constant_forcing": [lambda x: dynamics.constant_forcing(sounder(x), harmonics=1, **SPIN)],
+    "dynamics.log_sensitivities": [lambda x: dynamics.log_sensitivities(sounder(x), harmonics=1, **SPIN)],
+    "dynamics.periodic": [lambda x: dynamics.periodic(rectangular(x), samples=4, **SPIN)],
+    "dynamics.floquet": [lambda x: dynamics.floquet(rectangular(x), sun_speed=100 * x)],
+    "roots.bracketed": [lambda x: roots.bracketed(residual, x, 0.0, 2.0)],
+    "roots.newton": [lambda x: roots.newton(residual, jnp.array([x]), jnp.array([1.0]))],
+}
+
+
+def forces(x):
+    return mesh_force.solve(CORR, rollers(0.0), input_torque=100.0, output_angle=x)
+
+
+def rectangular(x):
+    """Meshes that switch between two levels, no loss factor: what the exact periodic solution asks for."""
+    variation = dict(planetary_ramp=0.0, cycloid_ramp=0.0)
+    return sounder(x).replace(
+        mesh_variation=RV_320E.mesh_variation.replace(**variation),
+        damping=dynamics.lump(RV_320E).damping.replace(loss_factor=0.0, rayleigh_mass=10.0),
+    )
+
+
+def test_every_exported_function_has_its_calls():
+    exported = {
+        f"{room.__name__.removeprefix('rvjax.')}.{name}"
+        for room in ROOMS
+        for name in room.__all__
+        if callable(getattr(room, name)) and not inspect.isclass(getattr(room, name))
+    }
+    assert set(CALLS) == exported
+
+
+@pytest.mark.parametrize("name", CALLS)
+def test_a_second_call_compiles_nothing(name):
+    for number, call in enumerate(CALLS[name]):
+        call(0.3)
+        NEWS.clear()
+        call(0.7)
+        assert not NEWS, f"{name}, way {number}"
+
+
+def test_a_program_that_is_compiled_reports_it():
+    """The oracle of this page sees what it is to see: a closure made in the call is compiled anew."""
+    for x in (0.3, 0.7):
+        NEWS.clear()
+        jax.jit(lambda p, x=x: p * x)(1.0)
+        assert any("compile" in event for event in NEWS)
