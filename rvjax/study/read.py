@@ -11,7 +11,9 @@ from typing import Any
 from rvjax import catalogue
 from rvjax.study import response as scene
 from rvjax.study.question import Study, StudyError
-from rvjax.tolerances import Exponential, ReciprocalPower, Requirement, Tolerance, for_design
+from rvjax.tolerances import Exponential, ReciprocalPower, Tolerance, for_design
+from rvjax.tolerances.distribution.tolerance import COMMON, LAWS
+from rvjax.tolerances.propagation.requirements import KINDS, Limits
 from rvjax.units import parse
 
 DESIGNS = {"corr": catalogue.CORR, "rv-20e": catalogue.RV_20E, "rv-40e": catalogue.RV_40E}
@@ -205,17 +207,12 @@ def _naming_field(where: str) -> Iterator[None]:
         raise error if where in str(error) else ValueError(f"{where}: {error}") from None
 
 
-_PLAIN = ("distribution", "cp", "shift", "batch", "beta")
-
-
 def _tolerance(table: dict[str, Any], unit: str, where: str) -> Tolerance:
-    _known(table, {"lower", "upper", "half_width", "grade", "size", *_PLAIN}, where)
-    options: dict[str, Any] = {key: table[key] for key in _PLAIN if key in table}
-    for key in ("cp", "shift", "batch"):
-        if key in options:
-            options[key] = _quantity(options[key], "-", f"{where}.{key}")
-    if "beta" in options:
-        options["beta"] = tuple(options["beta"])
+    law = LAWS[_choice(table.get("distribution", "normal"), LAWS, f"{where}.distribution")]
+    _known(table, {"lower", "upper", "half_width", "grade", "size", "distribution", *COMMON, *law.parameters()}, where)
+    options: dict[str, Any] = {"distribution": law}
+    options |= {key: _quantity(table[key], "-", f"{where}.{key}") for key in COMMON if key in table}
+    options |= {key: law.parsed(key, table[key], unit) for key in law.parameters() if key in table}
     size = _quantity(table["size"], "m", f"{where}.size") if "size" in table else None
     ways = [{"lower", "upper"}, {"half_width"}, {"grade", "size"}]
     given = set(table) & {"lower", "upper", "half_width", "grade"}
@@ -255,7 +252,7 @@ def _costs(error_record: Any, tolerances: Any, table: dict[str, Any]) -> dict[st
 
 
 def _accuracy(
-    outputs: Mapping[str, scene.Output], requirements: Mapping[str, Requirement], table: dict[str, Any]
+    outputs: Mapping[str, scene.Output], requirements: Mapping[str, Limits], table: dict[str, Any]
 ) -> dict[str, float]:
     found = {}
     for name, value in table.items():
@@ -267,23 +264,25 @@ def _accuracy(
     return found
 
 
-def _requirements(outputs: Mapping[str, scene.Output], table: dict[str, Any]) -> dict[str, Requirement]:
+def _requirements(outputs: Mapping[str, scene.Output], table: dict[str, Any]) -> dict[str, Limits]:
     requirements = {}
     for name in table:
         where, entry = f"requirement.{name}", _table(table, name)
-        _known(entry, {"response", "lower", "upper", "target"}, where)
+        _known(entry, {"response", *(key for kind in KINDS for key in kind.keys())}, where)
         response = _choice(entry.get("response", name), outputs, f"{where}.response")
         if response in requirements:
             raise ValueError(f"{where}.response = {response!r}: already has a requirement")
-        limits: dict[str, float] = {
-            key: _quantity(entry[key], outputs[response].unit, f"{where}.{key}")
-            for key in ("lower", "upper")
-            if key in entry
+        given = {key: value for key, value in entry.items() if key != "response"}
+        unit = outputs[response].unit
+        kinds = [kind for kind in KINDS if set(given) <= set(kind.keys()) and set(given) & set(kind.limits())]
+        if not kinds:
+            ways = "; or ".join(", ".join(kind.keys()) for kind in KINDS)
+            raise ValueError(f"{where}: give upper or lower in {unit} (of these keys: {ways})")
+        values = {
+            field: _quantity(given[key], unit if key in kinds[0].limits() else "-", f"{where}.{key}")
+            for key, field in kinds[0].keys().items()
+            if key in given
         }
-        if not limits:
-            raise ValueError(f"{where}: give upper or lower in {outputs[response].unit}")
-        if "target" in entry:
-            limits["target"] = _quantity(entry["target"], "-", f"{where}.target")
         with _naming_field(where):
-            requirements[response] = Requirement(**limits)
+            requirements[response] = kinds[0](**values)
     return requirements

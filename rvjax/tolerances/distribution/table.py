@@ -16,8 +16,8 @@ def interpolate(z: jax.Array, values: np.ndarray, slopes: np.ndarray) -> jax.Arr
         values: at `NODES`.
         slopes: derivatives to z there.
     """
-    step = NODES[1] - NODES[0]
-    position = (jnp.clip(z, NODES[0], NODES[-1]) - float(NODES[0])) / float(step)
+    first, last, step = float(NODES[0]), float(NODES[-1]), float(NODES[1] - NODES[0])
+    position = (jnp.clip(z, first, last) - first) / step
     left = jnp.clip(position.astype(int), 0, len(NODES) - 2)
     s = position - left.astype(position.dtype)
     v, d = jnp.asarray(values, position.dtype), jnp.asarray(slopes * step, position.dtype)

@@ -64,6 +64,7 @@ class Limits:
 
     of_units: ClassVar[bool] = True  # a unit beyond the limits is a reject
     goal: ClassVar[str | None] = None  # the field that says how much is enough
+    prefix: ClassVar[str] = ""  # of the limits in study files
 
     lower: float = -math.inf
     upper: float = math.inf
@@ -121,6 +122,16 @@ class Limits:
         if self.goal is None:
             raise ValueError(f"against = 'target': {type(self).__name__} has limits only")
         return dataclasses.replace(self, **{self.goal: value})
+
+    @classmethod
+    def keys(cls) -> dict[str, str]:
+        """Keys in a study file and the fields they stand for; the kind of a table is the first that knows its keys."""
+        return {cls.prefix + f.name if f.name in ("lower", "upper") else f.name: f.name for f in dataclasses.fields(cls)}
+
+    @classmethod
+    def limits(cls) -> tuple[str, str]:
+        """Keys of the limits, in the unit of the response; all others are plain numbers."""
+        return cls.prefix + "lower", cls.prefix + "upper"
 
     # What a kind must know.
 
@@ -233,6 +244,7 @@ class MeanWithin(Limits):
     """
 
     of_units: ClassVar[bool] = False
+    prefix: ClassVar[str] = "mean_"
 
     def learned(self, values: np.ndarray, distance: float) -> float:
         """Margin of the mean."""
