@@ -224,5 +224,5 @@ def test_study_files_read_every_parameter(tmp_path):
             _tolerance(limits | dict(values=column | change), "m", where)
     with pytest.raises(ValueError, match="values = '3 um': must be a list"):
         _tolerance(limits | dict(values="3 um"), "m", where)
-    with pytest.raises(ValueError, match="unknown key tolerances.x.log_sd"):
+    with pytest.raises(ValueError, match=r"unknown key tolerances.x.log_sd"):
         _tolerance(limits | dict(values=["3 um"], log_sd=1.0), "m", where)

@@ -268,19 +268,19 @@ def _requirements(outputs: Mapping[str, scene.Output], table: dict[str, Any]) ->
     requirements = {}
     for name in table:
         where, entry = f"requirement.{name}", _table(table, name)
-        _known(entry, {"response", *(key for kind in KINDS for key in kind.keys())}, where)
+        _known(entry, {"response", *(key for kind in KINDS for key in kind.file_keys())}, where)
         response = _choice(entry.get("response", name), outputs, f"{where}.response")
         if response in requirements:
             raise ValueError(f"{where}.response = {response!r}: already has a requirement")
         given = {key: value for key, value in entry.items() if key != "response"}
         unit = outputs[response].unit
-        kinds = [kind for kind in KINDS if set(given) <= set(kind.keys()) and set(given) & set(kind.limits())]
+        kinds = [kind for kind in KINDS if set(given) <= set(kind.file_keys()) and set(given) & set(kind.limit_keys())]
         if not kinds:
-            ways = "; or ".join(", ".join(kind.keys()) for kind in KINDS)
+            ways = "; or ".join(", ".join(kind.file_keys()) for kind in KINDS)
             raise ValueError(f"{where}: give upper or lower in {unit} (of these keys: {ways})")
         values = {
-            field: _quantity(given[key], unit if key in kinds[0].limits() else "-", f"{where}.{key}")
-            for key, field in kinds[0].keys().items()
+            field: _quantity(given[key], unit if key in kinds[0].limit_keys() else "-", f"{where}.{key}")
+            for key, field in kinds[0].file_keys().items()
             if key in given
         }
         with _naming_field(where):

@@ -124,12 +124,13 @@ class Limits:
         return dataclasses.replace(self, **{self.goal: value})
 
     @classmethod
-    def keys(cls) -> dict[str, str]:
+    def file_keys(cls) -> dict[str, str]:
         """Keys in a study file and the fields they stand for; the kind of a table is the first that knows its keys."""
-        return {cls.prefix + f.name if f.name in ("lower", "upper") else f.name: f.name for f in dataclasses.fields(cls)}
+        limits = dict(zip(cls.limit_keys(), ("lower", "upper")))
+        return limits | {f.name: f.name for f in dataclasses.fields(cls) if f.name not in limits.values()}
 
     @classmethod
-    def limits(cls) -> tuple[str, str]:
+    def limit_keys(cls) -> tuple[str, str]:
         """Keys of the limits, in the unit of the response; all others are plain numbers."""
         return cls.prefix + "lower", cls.prefix + "upper"
 
