@@ -23,7 +23,7 @@ from rvjax.study import load  # noqa: E402  (after the flags)
 from rvjax.tolerances import ReciprocalPower, Requirement, Tolerance, allocate  # noqa: E402
 from rvjax.tolerances.allocation.search import Search  # noqa: E402
 from rvjax.tolerances.allocation.training import Training  # noqa: E402
-from rvjax.tolerances.population.layout import layout  # noqa: E402
+from rvjax.tolerances.population.population import Population  # noqa: E402
 from rvjax.tolerances.propagation.responses import PLAIN  # noqa: E402
 from rvjax.units import um  # noqa: E402
 
@@ -36,23 +36,23 @@ class Counted(Training):
 
     units = 0
 
-    def _own(self, half_widths):
+    def _values(self, half_widths):
         self.units += self.samples
-        return super()._own(half_widths)
+        return super()._values(half_widths)
 
-    def _gradients(self, half_widths, lanes, cotangents):
-        self.units += GRADIENT * len(lanes)
-        return super()._gradients(half_widths, lanes, cotangents)
+    def _slope(self, half_widths, pull, of):
+        self.units += GRADIENT * len(pull.units)
+        return super()._slope(half_widths, pull, of)
 
 
 class Race:
     """The common problem, with a record of (units, cost, violation) of everything an optimiser looked at."""
 
     def __init__(self, response, tolerances, requirements, costs, samples=16384):
-        self.parts = layout(tolerances)
-        self.priced = {name: costs[name] for name in self.parts.active if name in costs}
-        self.start = np.array([float(self.parts.active[name].half_width) for name in self.priced])
-        self.sample = lambda: Counted(response, self.parts, tuple(self.priced), requirements, None, samples, 0)
+        self.population = Population.of(tolerances)
+        self.priced = {name: costs[name] for name in self.population.active if name in costs}
+        self.start = np.array([float(self.population.active[name].half_width) for name in self.priced])
+        self.sample = lambda: Counted(response, self.population, tuple(self.priced), requirements, None, samples, 0)
 
     def begin(self):
         """Forget everything: each optimiser pays for all it sees."""

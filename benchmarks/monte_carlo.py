@@ -27,7 +27,7 @@ import jax.numpy as jnp  # noqa: E402
 from rvjax import study  # noqa: E402
 from rvjax.study.response import Response  # noqa: E402
 from rvjax.tolerances import monte_carlo  # noqa: E402
-from rvjax.tolerances.population.layout import drawn, layout, root_key  # noqa: E402
+from rvjax.tolerances.population.population import Population, drawn, root_key  # noqa: E402
 from rvjax.tolerances.propagation.responses import respond  # noqa: E402
 from rvjax.units import arcmin  # noqa: E402
 
@@ -76,7 +76,8 @@ class Memory:
 def race(response, tolerances, required, chunk, method, chunks=12):
     """Smallest ns a unit of the statistics, of the bare programs, and of the response alone, in turn."""
     key = root_key(0)
-    z = drawn(tolerances, key, jnp.uint32(0), count=chunk)
+    population = Population.of(tolerances)
+    z = drawn(population, key, jnp.uint32(0), count=chunk)
 
     def whole():
         units = chunks * chunk
@@ -84,12 +85,12 @@ def race(response, tolerances, required, chunk, method, chunks=12):
 
     def kernel():  # chunk after chunk without waiting between them
         for number in range(chunks):
-            out = respond(response, tolerances, drawn(tolerances, key, jnp.uint32(number * chunk), count=chunk))
+            out = respond(response, population, drawn(population, key, jnp.uint32(number * chunk), count=chunk))
         return out
 
     def response_alone():
         for _ in range(chunks):
-            out = respond(response, tolerances, z)
+            out = respond(response, population, z)
         return out
 
     best = alternate({"monte_carlo": whole, "kernel": kernel, "response_alone": response_alone}, seconds=5, rounds=15)
@@ -158,7 +159,7 @@ def main():
         {
             "units": units,
             "chunk": chunk,
-            "random_numbers_per_unit": layout(tolerances).numbers,
+            "random_numbers_per_unit": Population.of(tolerances).numbers,
             "seconds": seconds,
             "ns_per_unit_of_the_run": 1e9 * seconds / units,
             **{f"ns_per_unit_{name}": value for name, value in ns.items()},
@@ -178,7 +179,7 @@ def main():
 
 def watched_run(response, tolerances, required, units, options, curve, memory, began):
     """The long run, with a point of the memory curve at every tenth."""
-    from rvjax.tolerances import tally
+    from rvjax.tolerances.propagation import tally
 
     add, tenth = tally.Tally.add, max(units // 10, options.chunk)
 

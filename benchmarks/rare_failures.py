@@ -18,7 +18,7 @@ settings()
 from rvjax.study import load  # noqa: E402
 from rvjax.study.response import Response  # noqa: E402  (after the flags)
 from rvjax.tolerances import Requirement, failure_probability  # noqa: E402
-from rvjax.tolerances.population.layout import root_key  # noqa: E402
+from rvjax.tolerances.population.population import Population, root_key  # noqa: E402
 from rvjax.tolerances.propagation.responses import BLOCK, respond_units  # noqa: E402
 from rvjax.units import um  # noqa: E402
 
@@ -29,7 +29,7 @@ def counted(response, tolerances, units):
     """Units beyond each limit among the first `units` (whole blocks), failed ones included; and how many were drawn."""
     beyond, drawn, key = np.zeros(len(LIMITS), int), 0, root_key(2026)
     while drawn < units:
-        values, status = respond_units(response, tolerances, key, drawn, count=BLOCK)
+        values, status = respond_units(response, Population.of(tolerances), key, drawn, count=BLOCK)
         value = np.where(np.asarray(status) == 0, np.asarray(values[OUTPUT]), np.inf)
         beyond += [(value > limit).sum() for limit in LIMITS]
         drawn += BLOCK

@@ -90,7 +90,8 @@ def record(cls: Class) -> Class:
     fields = dataclasses.fields(made)
     static = tuple(f.name for f in fields if f.metadata["kind"] in ("count", "text"))
     traced = tuple(f.name for f in fields if f.name not in static)
-    made.__doc__ = f"{inspect.cleandoc(cls.__doc__ or '')}\n\n{_field_table(fields)}"
+    if fields:
+        made.__doc__ = f"{inspect.cleandoc(cls.__doc__ or '')}\n\n{_field_table(fields)}"
 
     def flatten(item: Any) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
         return tuple(getattr(item, n) for n in traced), tuple(getattr(item, n) for n in static)

@@ -15,7 +15,7 @@ from rvjax import dynamics, study
 from rvjax.catalogue import RV_320E
 from rvjax.study.response import Response
 from rvjax.tolerances import Tolerance, for_design, sample
-from rvjax.tolerances.population.layout import layout
+from rvjax.tolerances.population.population import Population
 from rvjax.units import um
 
 UNITS = 64
@@ -91,4 +91,4 @@ def test_an_error_without_tolerance_costs_neither_draw_nor_derivative(sampled):
 def test_an_error_without_tolerance_draws_no_numbers():
     for fields, numbers in ((("crank_phase",), 2), (("crank_phase", "carrier_bore"), 6)):
         tolerances = for_design(STUDY.design, **dict.fromkeys(fields, Tolerance.symmetric(um)))
-        assert layout(tolerances).numbers == numbers
+        assert Population.of(tolerances).numbers == numbers

@@ -17,7 +17,6 @@ from scipy import stats
 import rvjax
 from rvjax.tolerances import Tolerance, it_width
 from rvjax.tolerances.distribution.grades import GRADES
-from rvjax.tolerances.distribution.tolerance import central_moments, deviate
 from rvjax.units import mm, um
 
 Z = np.linspace(-6, 6, 241)
@@ -51,9 +50,9 @@ def test_quantile_map_and_moments_equal_scipy(name):
     tolerance, law = CASES[name]
     expected = np.where(Z < 0, law.ppf(stats.norm.cdf(Z)), law.isf(stats.norm.sf(Z)))
     accuracy = 1e-8 if "beta" in name else 1e-9
-    np.testing.assert_allclose(deviate(tolerance, jnp.asarray(Z)), expected, atol=accuracy * tolerance.half_width)
+    np.testing.assert_allclose(tolerance.deviate(jnp.asarray(Z)), expected, atol=accuracy * tolerance.half_width)
 
-    mean, variance, third, fourth = central_moments(tolerance)
+    mean, variance, third, fourth = tolerance.moments()
     m, v, skew, kurtosis = law.stats("mvsk")
     np.testing.assert_allclose([mean, variance], [m, v], rtol=1e-10)
     np.testing.assert_allclose(third, skew * v**1.5, rtol=1e-8, atol=1e-10 * v**1.5)
@@ -64,7 +63,7 @@ def test_quantile_map_and_moments_equal_scipy(name):
 def test_errors_are_differentiable_in_the_half_width(name):
     tolerance, _ = CASES[name]
     z = jnp.linspace(-8.5, 8.5, 35)
-    total = lambda t: jnp.sum(deviate(tolerance.with_half_width(t), z))  # noqa: E731
+    total = lambda t: jnp.sum(tolerance.with_half_width(t).deviate(z))  # noqa: E731
     slope = jax.grad(total)(5.0)
     step = 1e-5
     np.testing.assert_allclose(slope, (total(5 + step) - total(5 - step)) / (2 * step), rtol=1e-6, atol=1e-6)
@@ -72,16 +71,16 @@ def test_errors_are_differentiable_in_the_half_width(name):
 
 def test_shift_and_capability_place_mean_and_spread():
     shifted = Tolerance(0.0, 2.0, cp=1.5, shift=0.5)
-    mean, variance, *_ = central_moments(shifted)
+    mean, variance, *_ = shifted.moments()
     assert mean == pytest.approx(1.5)  # m + h/2
     assert (2.0 - mean) / (3 * math.sqrt(variance)) == pytest.approx(0.75)  # Cpk = cp (1 - |shift|)
     rayleigh = Tolerance(0.0, 9 * um, distribution="rayleigh")
-    assert central_moments(rayleigh)[0] == pytest.approx(3 * um * math.sqrt(math.pi / 2))
+    assert rayleigh.moments()[0] == pytest.approx(3 * um * math.sqrt(math.pi / 2))
 
 
 def test_constant_error():
     for distribution in ("normal", "truncated_normal", "uniform", "triangular"):
-        np.testing.assert_array_equal(deviate(Tolerance(2.0, 2.0, distribution=distribution), jnp.asarray(Z)), 2.0)
+        np.testing.assert_array_equal(Tolerance(2.0, 2.0, distribution=distribution).deviate(jnp.asarray(Z)), 2.0)
 
 
 def test_scaling_keeps_middle_shift_and_capability():
@@ -97,7 +96,7 @@ def test_a_tolerance_is_a_tree_of_its_numbers():
     again = jax.tree.map(lambda x: x, tolerance)
     assert (again.distribution, again.shape, again.upper) == ("uniform", (3,), 1.0)
     assert isinstance(tolerance.upper, float)
-    np.testing.assert_allclose(jax.jit(lambda t: deviate(t, jnp.zeros(3)))(tolerance), 0.0)
+    np.testing.assert_allclose(jax.jit(lambda t: t.deviate(jnp.zeros(3)))(tolerance), 0.0)
 
 
 @pytest.mark.parametrize(

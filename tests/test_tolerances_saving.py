@@ -140,8 +140,8 @@ def test_what_cannot_be_read_or_written_is_named(saved, tmp_path, monkeypatch):
     path = tmp_path / "a.json"
     save(saved["one unit"], path)
     whole = path.read_text()
-    path.write_text(whole.replace('"format": 1', '"format": 99'))
-    with pytest.raises(ValueError, match="has format 99, this version of rvjax reads 1"):
+    path.write_text(whole.replace('"format": 2', '"format": 1'))
+    with pytest.raises(ValueError, match="has format 1, this version of rvjax reads 2"):
         load(path)
     path.write_text(whole.replace('"$": "Statistics"', '"$": "Oracle"'))
     with pytest.raises(ValueError, match="this version of rvjax has no result 'Oracle'"):

@@ -25,6 +25,7 @@ from scipy.stats import qmc
 
 from rvjax.status import Status
 from rvjax.tolerances import Outcome, Requirement, Tolerance, monte_carlo, sample
+from rvjax.tolerances.population.population import Population
 from rvjax.tolerances.population.sobol import SCRAMBLES, SobolPoints
 from rvjax.tolerances.propagation import checkpoint, tally
 from rvjax.tolerances.propagation.checkpoint import response_hash
@@ -278,10 +279,10 @@ def test_the_hash_of_a_response_sees_every_constant():
     table = np.linspace(0.0, 1.0, 20_000)
     changed = table.copy()
     changed[12_345] += 1e-12
-    of = lambda constants: response_hash(lambda e: jnp.sum(e["a"] * constants), STACK)  # noqa: E731
+    of = lambda constants: response_hash(lambda e: jnp.sum(e["a"] * constants), Population.of(STACK))  # noqa: E731
     assert of(table) == of(table.copy()) != of(changed)
     wider = {name: t.with_half_width(7.0) for name, t in STACK.items()}
-    assert response_hash(smooth, STACK) == response_hash(smooth, wider)
+    assert response_hash(smooth, Population.of(STACK)) == response_hash(smooth, Population.of(wider))
 
 
 @pytest.mark.parametrize("damage", ["cut", "empty", "text", "bit"])

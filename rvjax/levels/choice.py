@@ -10,7 +10,7 @@ import numpy as np
 
 from rvjax.levels.table import Model, Table, stored
 from rvjax.records import is_concrete
-from rvjax.tolerances.distribution.tolerance import Tolerance, central_moments
+from rvjax.tolerances.distribution.tolerance import Tolerance
 
 
 @dataclass(frozen=True)
@@ -171,8 +171,8 @@ def reach(tolerances: Any) -> dict[str, float]:
     for f in dataclasses.fields(tolerances):
         value = getattr(tolerances, f.name)
         if isinstance(value, Tolerance):
-            mean, variance, _, _ = central_moments(value)
-            found[f.name] = abs(mean) + 3 * math.sqrt(variance)
+            mean, variance, _, _ = value.moments()
+            found[f.name] = float(np.max(np.abs(mean) + 3 * np.sqrt(variance)))
         elif value is not None and np.any(value != 0):
             found[f.name] = float(np.max(np.abs(value)))
     return found

@@ -8,7 +8,7 @@ from rvjax import models
 from rvjax.levels.choice import Choice, choose
 from rvjax.outputs import Curve, Output
 from rvjax.study.response import Response
-from rvjax.tolerances import Requirement
+from rvjax.tolerances.propagation.requirements import Limits
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Study:
     conditions: Any
     tolerances: Any
     costs: dict[str, Any]
-    requirements: dict[str, Requirement]
+    requirements: dict[str, Limits]
     seed: int = 0
     samples: int = 16384
     certificate_samples: int = 1_000_000

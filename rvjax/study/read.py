@@ -13,7 +13,9 @@ from rvjax.study.design import parse_design
 from rvjax.study.question import Study, StudyError
 from rvjax.study.response import check_nominal
 from rvjax.study.values import choice, integer, known, naming, naming_field, quantity, subtable
-from rvjax.tolerances import Exponential, ReciprocalPower, Requirement, Tolerance, for_design
+from rvjax.tolerances import Exponential, ReciprocalPower, Tolerance, for_design
+from rvjax.tolerances.distribution.tolerance import COMMON, LAWS
+from rvjax.tolerances.propagation.requirements import KINDS, Limits
 
 COSTS: dict[str, Any] = {"reciprocal_power": ReciprocalPower, "exponential": Exponential}
 EMBEDDED = resources.files("rvjax.study") / "embedded"
@@ -127,17 +129,12 @@ def _tolerances(design: Any, table: dict[str, Any]) -> Any:
     return for_design(design, **made)
 
 
-_PLAIN = ("distribution", "cp", "shift", "batch", "beta")
-
-
 def _tolerance(table: dict[str, Any], unit: str, where: str) -> Tolerance:
-    known(table, {"lower", "upper", "half_width", "grade", "size", *_PLAIN}, where)
-    options: dict[str, Any] = {key: table[key] for key in _PLAIN if key in table}
-    for key in ("cp", "shift", "batch"):
-        if key in options:
-            options[key] = quantity(options[key], "-", f"{where}.{key}")
-    if "beta" in options:
-        options["beta"] = tuple(options["beta"])
+    law = LAWS[choice(table.get("distribution", "normal"), LAWS, f"{where}.distribution")]
+    known(table, {"lower", "upper", "half_width", "grade", "size", "distribution", *COMMON, *law.parameters()}, where)
+    options: dict[str, Any] = {"distribution": law}
+    options |= {key: quantity(table[key], "-", f"{where}.{key}") for key in COMMON if key in table}
+    options |= {key: law.parsed(key, table[key], unit) for key in law.parameters() if key in table}
     size = quantity(table["size"], "m", f"{where}.size") if "size" in table else None
     ways = [{"lower", "upper"}, {"half_width"}, {"grade", "size"}]
     given = set(table) & {"lower", "upper", "half_width", "grade"}
@@ -177,7 +174,7 @@ def _costs(error_record: Any, tolerances: Any, table: dict[str, Any]) -> dict[st
 
 
 def _accuracy(
-    outputs: Mapping[str, Output], requirements: Mapping[str, Requirement], table: dict[str, Any]
+    outputs: Mapping[str, Output], requirements: Mapping[str, Limits], table: dict[str, Any]
 ) -> dict[str, float]:
     found = {}
     for name, value in table.items():
@@ -189,23 +186,25 @@ def _accuracy(
     return found
 
 
-def _requirements(outputs: Mapping[str, Output], table: dict[str, Any]) -> dict[str, Requirement]:
+def _requirements(outputs: Mapping[str, Output], table: dict[str, Any]) -> dict[str, Limits]:
     requirements = {}
     for name in table:
         where, entry = f"requirement.{name}", subtable(table, name)
-        known(entry, {"response", "lower", "upper", "target"}, where)
+        known(entry, {"response", *(key for kind in KINDS for key in kind.file_keys())}, where)
         response = choice(entry.get("response", name), outputs, f"{where}.response")
         if response in requirements:
             raise ValueError(f"{where}.response = {response!r}: already has a requirement")
-        limits: dict[str, float] = {
-            key: quantity(entry[key], outputs[response].unit, f"{where}.{key}")
-            for key in ("lower", "upper")
-            if key in entry
+        given = {key: value for key, value in entry.items() if key != "response"}
+        unit = outputs[response].unit
+        kinds = [kind for kind in KINDS if set(given) <= set(kind.file_keys()) and set(given) & set(kind.limit_keys())]
+        if not kinds:
+            ways = "; or ".join(", ".join(kind.file_keys()) for kind in KINDS)
+            raise ValueError(f"{where}: give upper or lower in {unit} (of these keys: {ways})")
+        values = {
+            field: quantity(given[key], unit if key in kinds[0].limit_keys() else "-", f"{where}.{key}")
+            for key, field in kinds[0].file_keys().items()
+            if key in given
         }
-        if not limits:
-            raise ValueError(f"{where}: give upper or lower in {outputs[response].unit}")
-        if "target" in entry:
-            limits["target"] = quantity(entry["target"], "-", f"{where}.target")
         with naming_field(where):
-            requirements[response] = Requirement(**limits)
+            requirements[response] = kinds[0](**values)
     return requirements

@@ -14,7 +14,7 @@ from rvjax.tolerances.population.sampling import for_design, sample
 from rvjax.tolerances.propagation.estimates import Estimate
 from rvjax.tolerances.propagation.failure import FailureProbability, failure_probability
 from rvjax.tolerances.propagation.monte_carlo import Statistics, monte_carlo
-from rvjax.tolerances.propagation.requirements import Requirement
+from rvjax.tolerances.propagation.requirements import CpkAtLeast, MeanWithin, Requirement, Verdict
 from rvjax.tolerances.propagation.responses import Outcome
 from rvjax.tolerances.propagation.rss import Moments, rss
 from rvjax.tolerances.propagation.sobol_indices import SobolIndices, sobol_indices
@@ -24,9 +24,11 @@ from rvjax.tolerances.saving import Origin, load, origin, save
 __all__ = [
     "Allocation",
     "CostCurve",
+    "CpkAtLeast",
     "Estimate",
     "Exponential",
     "FailureProbability",
+    "MeanWithin",
     "Moments",
     "Origin",
     "Outcome",
@@ -36,6 +38,7 @@ __all__ = [
     "Statistics",
     "Table",
     "Tolerance",
+    "Verdict",
     "WorstCase",
     "allocate",
     "cost_curve",

@@ -20,7 +20,7 @@ from rvjax.records import Record
 from rvjax.tolerances.atomic import write_atomically
 from rvjax.tolerances.propagation.checkpoint import packed, unpacked, versions
 
-_FORMAT = 1
+_FORMAT = 2
 _ABOUT = "about"
 
 

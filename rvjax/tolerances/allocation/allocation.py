@@ -14,11 +14,12 @@ from rvjax.tolerances.allocation.cost import Cost
 from rvjax.tolerances.allocation.search import Search
 from rvjax.tolerances.allocation.snapping import Snapping
 from rvjax.tolerances.allocation.training import Training
-from rvjax.tolerances.population.correlation import Correlation, correlated
-from rvjax.tolerances.population.layout import Layout, layout
-from rvjax.tolerances.propagation.monte_carlo import Statistics, progress_bar
-from rvjax.tolerances.propagation.requirements import Requirement
-from rvjax.tolerances.propagation.responses import Response, by_response, like_response, response_names
+from rvjax.tolerances.distribution.tolerance import Tolerance
+from rvjax.tolerances.population.correlation import Correlation
+from rvjax.tolerances.population.population import Population
+from rvjax.tolerances.propagation.monte_carlo import Run, Statistics, progress_bar
+from rvjax.tolerances.propagation.requirements import Limits
+from rvjax.tolerances.propagation.responses import BLOCK, Response, by_response, response_names, unwrapped
 
 _FEWEST = 100  # units a quantile can be learned from
 
@@ -76,13 +77,14 @@ def allocate(
     max_steps: int = 300,
     progress: bool = False,
 ) -> Allocation:
-    """The cheapest half-widths with P(response within its limits) >= target for every requirement.
+    """The cheapest half-widths with every requirement met: shares of units, means, capabilities.
 
     Changing a half-width scales the limits about their middle; shift and cp stay. One sample of units
     serves all steps. Each step models every constraint as a root sum of squares with the sampled
     margins and slopes, solves that model by an augmented Lagrangian, and is accepted if the sampled
-    cost and violation fall. A larger sample corrects the quantiles once. Fresh units then certify the
-    result: a yield counts by its lower confidence bound, and all half-widths shrink together until it holds.
+    cost and violation fall. A larger sample corrects the figures once. Fresh units then certify the
+    result: a figure counts by the worse end of its confidence interval, and all half-widths shrink together
+    until it holds.
 
     Args:
         response: pure function of the errors of one unit; a scalar, a dict or record of scalars, or `Outcome`.
@@ -106,71 +108,110 @@ def allocate(
     Raises:
         ValueError: no requirement, no cost, or names that do not fit.
     """
-    parts = layout(correlated(tolerances, correlation))
-    names = response_names(response, parts.replace({}))
-    required = by_response(requirements, names, Requirement, "requirements")
+    population = Population.of(tolerances, correlation)
+    names = response_names(response, population)
+    required = by_response(requirements, names, Limits, "requirements")
+    _check(required, joint_target, samples=samples, certificate_samples=certificate_samples, max_steps=max_steps)
+    priced = _costs_by_field(costs, population.active)
+    run = Run(
+        response,
+        population,
+        names,
+        required,
+        certificate_samples,
+        seed,
+        BLOCK,
+        confidence=confidence,
+        progress=progress,
+    )
+    certifier = Certifier(run, joint_target)
+    training = Training(response, population, tuple(priced), required, joint_target, samples, seed)
+    search = Search(training, priced, max_steps)
+    start = np.array([float(population.active[name].half_width) for name in priced])
+    if (training.margins(search.low) <= 0).all():
+        with progress_bar(progress, None, "allocation", "step") as search.advance:
+            found = _cheapest(search, certifier, start)
+    else:
+        found = _finest(search, certifier)
+    result = _result(search, found, names, start)
+    if not grades or not result.feasible:
+        return unwrapped(result)
+    t, chosen, certificate = Snapping(training, certifier, priced, max_steps).snap(found.half_widths, found.certificate)
+    status = "OPTIMAL" if certifier.holds(certificate) else "NOT_CERTIFIED"
+    snapped = dataclasses.replace(found, status=status, half_widths=t, certificate=certificate)
+    graded = dataclasses.replace(_result(search, snapped, names, start), grades=chosen)
+    return unwrapped(dataclasses.replace(result, graded=graded))
+
+
+def _check(required: dict[str, Limits], joint_target: float | None, **counts: int) -> None:
     if not required:
         raise ValueError("requirements: needs at least one")
     if joint_target is not None and not 0 < joint_target < 1:
         raise ValueError(f"joint_target = {joint_target!r}: must lie between 0 and 1")
-    for name, value, least in (
-        ("samples", samples, _FEWEST),
-        ("certificate_samples", certificate_samples, 1),
-        ("max_steps", max_steps, 1),
-    ):
+    if joint_target is not None and not any(item.of_units for item in required.values()):
+        raise ValueError(f"joint_target = {joint_target!r}: no requirement judges single units")
+    for name, value in counts.items():
+        least = _FEWEST if name == "samples" else 1
         if value < least:
             raise ValueError(f"{name} = {value!r}: must be at least {least}")
-    priced = _costs_by_field(costs, parts)
-    training = Training(response, parts, tuple(priced), required, joint_target, samples, seed)
-    certifier = Certifier(response, required, joint_target, certificate_samples, confidence, seed, progress)
-    search = Search(training, priced, max_steps)
-    start, low = np.array([float(parts.active[name].half_width) for name in priced]), search.low
-    shortfall, prices = dict.fromkeys(required, 0.0), np.zeros(len(required))
-    if (training.margins(low) <= 0).all():
-        with progress_bar(progress, None, "allocation", "step") as search.advance:
-            point, settled = search.run(search.begin(start))
-            if certificate_samples > samples:  # a larger sample knows the quantiles better: tell the smaller one
-                seen = certifier.draw(training.tolerances(point.half_widths))
-                point, settled = search.run(training.correct(point, certifier.factors(seen)))
-        prices = search.multipliers(point) @ point.weights
-        half_widths, certificate = certifier.settle(training, point.half_widths, low)
-        status = "OPTIMAL" if settled else "MAX_STEPS"
-        if not certifier.holds(certificate):
-            status = "NOT_CERTIFIED"
-    else:
-        half_widths = low
-        certificate, shortfall = certifier.shortfall(training.tolerances(low))
-        refused = joint_target is not None or any(missing > 0 for missing in shortfall.values())
-        status = "INFEASIBLE" if refused else "NOT_CERTIFIED"  # the larger sample may see the limits just met
-        if certifier.holds(certificate):
-            status = "OPTIMAL"
-
-    def result(status: str, t: np.ndarray, certificate: Statistics, **more: Any) -> Allocation:
-        return Allocation(
-            feasible=status != "INFEASIBLE",
-            status=status,
-            tolerances=parts.bare(training.tolerances(t)),
-            cost=search.cost(t),
-            start_cost=search.cost(start),
-            costs={name: float(cost(jnp.asarray(t[j]))) for j, (name, cost) in enumerate(priced.items())},
-            half_widths=dict(zip(priced, map(float, t))),
-            multipliers=like_response({**dict.fromkeys(names, 0.0), **dict(zip(required, map(float, -prices)))}),
-            shortfall=like_response({**dict.fromkeys(names, 0.0), **shortfall}),
-            certificate=certificate,
-            history=search.history,
-            **more,
-        )
-
-    graded = None
-    if grades and status != "INFEASIBLE":
-        t, found, snapped = Snapping(training, certifier, priced, max_steps).snap(half_widths, certificate)
-        graded = result(
-            "OPTIMAL" if certifier.holds(snapped) else "NOT_CERTIFIED", t, snapped, grades=found, graded=None
-        )
-    return result(status, half_widths, certificate, grades=None, graded=graded)
 
 
-def _costs_by_field(costs: Any, parts: Layout) -> dict[str, Cost]:
+@dataclasses.dataclass(frozen=True)
+class _Found:
+    """Where a search ended: `prices` and `shortfall` by requirement."""
+
+    status: str
+    half_widths: np.ndarray
+    certificate: Statistics
+    prices: np.ndarray
+    shortfall: dict[str, float]
+
+
+def _cheapest(search: Search, certifier: Certifier, start: np.ndarray) -> _Found:
+    training, run = search.training, certifier.run
+    point, settled = search.run(search.begin(start))
+    if run.samples > training.samples:  # a larger sample knows the figures better: tell the smaller one
+        seen = certifier.draw(training.with_half_widths(point.half_widths))
+        point, settled = search.run(training.correct(point, certifier.factors(seen, training.distance)))
+    prices = search.multipliers(point) @ point.weights
+    half_widths, certificate = certifier.settle(training, point.half_widths, search.low)
+    status = "OPTIMAL" if settled else "MAX_STEPS"
+    if not certifier.holds(certificate):
+        status = "NOT_CERTIFIED"
+    return _Found(status, half_widths, certificate, prices, dict.fromkeys(run.requirements, 0.0))
+
+
+def _finest(search: Search, certifier: Certifier) -> _Found:
+    """The learning sample refuses even the finest half-widths: by how much, says a fresh one."""
+    certificate, shortfall = certifier.shortfall(search.training.with_half_widths(search.low))
+    refused = certifier.joint_target is not None or any(missing > 0 for missing in shortfall.values())
+    status = "INFEASIBLE" if refused else "NOT_CERTIFIED"  # the larger sample may see the limits just met
+    if certifier.holds(certificate):
+        status = "OPTIMAL"
+    return _Found(status, search.low, certificate, np.zeros(len(shortfall)), shortfall)
+
+
+def _result(search: Search, found: _Found, names: tuple[str, ...], start: np.ndarray) -> Allocation:
+    t, training, nothing = found.half_widths, search.training, dict.fromkeys(names, 0.0)
+    costs = zip(training.fields, search.costs, t)
+    return Allocation(
+        feasible=found.status != "INFEASIBLE",
+        status=found.status,
+        tolerances=training.with_half_widths(t).tolerances,
+        cost=search.cost(t),
+        start_cost=search.cost(start),
+        costs={name: float(cost(jnp.asarray(half_width))) for name, cost, half_width in costs},
+        half_widths=dict(zip(training.fields, map(float, t))),
+        multipliers=nothing | dict(zip(training.requirements, map(float, -found.prices))),
+        shortfall=nothing | found.shortfall,
+        certificate=found.certificate,
+        grades=None,
+        graded=None,
+        history=search.history,
+    )
+
+
+def _costs_by_field(costs: Any, active: Mapping[str, Tolerance]) -> dict[str, Cost]:
     """Costs of the active fields, in their order."""
     if not isinstance(costs, (Mapping, Record)) or isinstance(costs, Cost):
         raise ValueError(f"costs: must be a record or a dict of costs by field, got {type(costs).__name__}")
@@ -181,9 +222,9 @@ def _costs_by_field(costs: Any, parts: Layout) -> dict[str, Cost]:
             continue
         if not isinstance(cost, Cost):
             raise ValueError(f"costs: {name} = {cost!r} must be a ReciprocalPower, Exponential or Table")
-        if name not in parts.active:
-            raise ValueError(f"costs: {name!r} has no tolerance; these have: {', '.join(parts.active)}")
-    priced = {name: given[name] for name in parts.active if isinstance(given.get(name), Cost)}
+        if name not in active:
+            raise ValueError(f"costs: {name!r} has no tolerance; these have: {', '.join(active)}")
+    priced = {name: given[name] for name in active if isinstance(given.get(name), Cost)}
     if not priced:
         raise ValueError("costs: no field has a cost, so there is nothing to allocate")
     return priced

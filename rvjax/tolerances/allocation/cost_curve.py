@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from rvjax.tolerances.allocation.allocation import Allocation, allocate
-from rvjax.tolerances.propagation.requirements import Requirement
+from rvjax.tolerances.propagation.requirements import Limits
 
 
 @dataclasses.dataclass(frozen=True)
@@ -109,11 +109,11 @@ def _moved(requirements: Any, against: str, of: str | None, value: float) -> Any
             for name, item in requirements.items()
         }
     if against == "target":
-        return dataclasses.replace(requirements, target=value)
+        return requirements.aimed(value)
     return _limited(requirements, value)
 
 
-def _limited(requirement: Requirement, value: float) -> Requirement:
+def _limited(requirement: Limits, value: float) -> Limits:
     if math.isinf(requirement.lower):
         return dataclasses.replace(requirement, upper=value)
     if math.isinf(requirement.upper):
@@ -124,6 +124,6 @@ def _limited(requirement: Requirement, value: float) -> Requirement:
 
 def _price(allocation: Allocation, of: str | None) -> float:
     if isinstance(allocation.multipliers, Mapping):
-        name = next(iter(allocation.certificate.yield_)) if of is None else of
+        name = next(iter(allocation.certificate.verdicts)) if of is None else of
         return float(allocation.multipliers[name])
     return float(allocation.multipliers)

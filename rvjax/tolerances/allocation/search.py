@@ -35,7 +35,9 @@ class Search:
         """Evaluate the sample and note it."""
         point = self.training.point(half_widths)
         self.advance(1)
-        names = [name or "response" for name in self.training.requirements] + ["joint"] * self.training.joint
+        names = [name or "response" for name in self.training.requirements] + ["joint"] * (
+            self.training.joint_target is not None
+        )
         self.history.append(
             dict(
                 cost=self.cost(half_widths),

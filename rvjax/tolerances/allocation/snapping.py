@@ -22,7 +22,7 @@ class Snapping:
 
     def __init__(self, training: Training, certifier: Certifier, priced: dict[str, Cost], max_steps: int) -> None:
         self.training, self.certifier, self.priced, self.max_steps = training, certifier, priced, max_steps
-        active = training.parts.active
+        active = training.population.active
         self.ladders = {j: _ladder(active[name].size, cost) for j, (name, cost) in enumerate(priced.items())}
 
     def snap(self, half_widths: np.ndarray, certificate: Statistics) -> tuple[np.ndarray, dict[str, str], Statistics]:
@@ -43,7 +43,7 @@ class Snapping:
         if not places:
             return half_widths, {}, certificate
         best = self.at(places, half_widths)
-        certificate = self.certifier.draw(self.training.tolerances(best))
+        certificate = self.certifier.draw(self.training.with_half_widths(best))
         open_ = set(places)
         # The grades as they are come first where free fields may take up what they leave.
         trial = dict(places) if len(places) < len(self.priced) else None
@@ -76,7 +76,7 @@ class Snapping:
             return t, None
         if free:
             return self.certifier.settle(self.training, t, search.low, draws=_DRAWS)
-        return t, self.certifier.draw(self.training.tolerances(t))
+        return t, self.certifier.draw(self.training.with_half_widths(t))
 
     def promising(self, half_widths: np.ndarray) -> bool:
         """Not beyond a limit by more than the learning sample may err (5 % of the way there)."""

@@ -5,20 +5,17 @@ the half-widths. It certifies nothing: the optimum is fitted to these very units
 """
 
 import dataclasses
-import functools
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy import special
 
 from rvjax.status import succeeded
-from rvjax.tolerances.population.layout import Layout, deviations, drawn, layout, root_key
-from rvjax.tolerances.propagation.requirements import Requirement
-from rvjax.tolerances.propagation.responses import BLOCK, Response, evaluate, respond
+from rvjax.tolerances.population.population import Population, drawn, root_key
+from rvjax.tolerances.propagation.requirements import Limits, Pull, along_reach
+from rvjax.tolerances.propagation.responses import BLOCK, Response, evaluate, per_response, respond
+from rvjax.tolerances.propagation.tails import nearest, tail_quantile
 
-_BEYOND = 8  # units that must lie beyond a sampled quantile; further out the tail is extended as a normal one
 # Slopes come from the units nearest the quantile: few enough to stand near it, where the response bends; cheap, too.
 _FEWEST_LANES, _LANES_PART = 256, 32
 
@@ -46,25 +43,23 @@ class Training:
     def __init__(
         self,
         response: Response,
-        parts: Layout,
+        population: Population,
         fields: tuple[str, ...],
-        requirements: dict[str, Requirement],
+        requirements: dict[str, Limits],
         joint_target: float | None,
         samples: int,
         seed: int,
     ) -> None:
-        self.response, self.parts, self.fields, self.requirements = response, parts, fields, requirements
-        self.samples, self.joint = samples, joint_target is not None
-        self.targets = [r.target for r in requirements.values()] + ([] if joint_target is None else [joint_target])
+        self.response, self.population, self.fields, self.requirements = response, population, fields, requirements
+        self.samples, self.joint_target = samples, joint_target
         self.lanes = min(samples, max(_FEWEST_LANES, samples // _LANES_PART))
         key, block = root_key(seed), min(samples, BLOCK)
-        starts = range(0, samples, block)
-        self.blocks = [drawn(parts.replace({}), key, jnp.uint32(start), count=block) for start in starts]
+        self.blocks = [drawn(population, key, jnp.uint32(start), count=block) for start in range(0, samples, block)]
         # How far the nominal response stays from each limit; margins are measured from there.
-        own, _ = self._own(np.zeros(len(fields)))
+        own = self._unit_margins(self._values(np.zeros(len(fields))))
         nominal = -np.median(own, axis=1)
         self.scales = np.where(np.isfinite(nominal) & (nominal > 0), nominal, self._spread(own))
-        self.distance = np.append(self.scales, 1.0) if self.joint else self.scales
+        self.distance = self.scales if joint_target is None else np.append(self.scales, 1.0)
         self.correction = np.ones(len(self.distance))
 
     @staticmethod
@@ -73,34 +68,33 @@ class Training:
         finite = np.where(np.isfinite(margins), np.abs(margins), 0.0).max(axis=1)
         return np.where(finite > 0, finite, 1.0)
 
-    def tolerances(self, half_widths: np.ndarray) -> Any:
-        """The tolerances with these half-widths in the fields that have a cost."""
-        active = self.parts.active
-        return self.parts.replace({n: active[n].with_half_width(float(t)) for n, t in zip(self.fields, half_widths)})
+    def with_half_widths(self, half_widths: np.ndarray) -> Population:
+        """The population with these half-widths in the fields that have a cost."""
+        return self.population.with_half_widths(dict(zip(self.fields, map(float, half_widths))))
 
     def margins(self, half_widths: np.ndarray) -> np.ndarray:
-        """Margins of the constraints at their target yields (c,)."""
-        return self._at_targets(self._with_joint(self._own(half_widths)[0]))
+        """Margins of the constraints (c,)."""
+        return self._corrected(self._margins(self._values(half_widths)))
 
     def point(self, half_widths: np.ndarray) -> Point:
         """Margins and slopes."""
-        own, signs = self._own(half_widths)
-        margins = self._with_joint(own)
-        at_target = self._at_targets(margins)
-        chosen = [self._nearest(row, target) for row, target in zip(margins, self.targets)]
-        cotangents = [self._cotangents(k, own, signs, lanes) for k, lanes in enumerate(chosen)]
-        gradients = self._gradients(half_widths, np.concatenate(chosen), np.concatenate(cotangents))
-        slopes = np.zeros((len(margins), len(self.fields)))
-        for k, rows in enumerate(np.split(gradients, len(margins))):
-            # Seen from the nominal response, slopes of a linear response grow like the margin itself;
-            # least squares along that line brings the neighbouring units to the quantile.
-            reach = margins[k, chosen[k]] + self.distance[k]
-            used = np.isfinite(rows).all(axis=1) & np.isfinite(reach) & (reach > 0)
-            if used.any() and np.isfinite(at_target[k]):
-                fit = reach[used] @ rows[used] / (reach[used] ** 2).sum()
-                slopes[k] = fit * (at_target[k] + self.distance[k]) * half_widths
-        weights = np.stack([np.abs(rows).mean(axis=0) for rows in cotangents])
-        return Point(half_widths, at_target, slopes, weights)
+        values = self._values(half_widths)
+        margins = self._margins(values)
+        weights = np.eye(len(margins), len(values))
+        slopes = [
+            self._slope(half_widths, item.pull(row, margins[k], self.distance[k], self.lanes), np.full(self.samples, k))
+            for k, (row, item) in enumerate(zip(values, self.requirements.values()))
+        ]
+        if self.joint_target is not None:
+            joint, leading = self._joint(values)
+            units = nearest(joint, self.joint_target, self.lanes)
+            outward = np.stack([item.outward(row) for row, item in zip(values, self.requirements.values())])
+            signs = (outward / self.scales[:, None])[leading[units], units]
+            slopes.append(
+                self._slope(half_widths, along_reach(units, joint[units] + 1, signs, margins[-1] + 1), leading)
+            )
+            weights[-1] = (np.eye(len(values))[leading[units]] / self.scales).mean(axis=0)
+        return Point(half_widths, self._corrected(margins), self.correction[:, None] * np.stack(slopes), weights)
 
     def correct(self, point: Point, factors: np.ndarray) -> Point:
         """Learn from a larger sample that half-widths times `factors` would just meet each target.
@@ -116,85 +110,79 @@ class Training:
         margins = ratio * (point.margins + self.distance) - self.distance
         return dataclasses.replace(point, margins=margins, slopes=ratio[:, None] * point.slopes)
 
-    def _own(self, half_widths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Margin of each requirement and unit, inf where the unit failed; sign of its derivative to the response."""
-        tolerances, rows, good = self.tolerances(half_widths), [], []
+    def _values(self, half_widths: np.ndarray) -> np.ndarray:
+        """Required responses of every unit (k, n), nan where a unit failed."""
+        population, rows = self.with_half_widths(half_widths), []
         for z in self.blocks:
-            values, status = respond(self.response, tolerances, z)
-            rows.append(np.stack([np.asarray(values[name], float) for name in self.requirements]))
-            good.append(np.asarray(succeeded(status)))
-        values, valid = np.concatenate(rows, axis=1)[:, : self.samples], np.concatenate(good)[: self.samples]
-        margins, signs = np.full(values.shape, np.inf), np.zeros(values.shape)
-        for k, requirement in enumerate(self.requirements.values()):
-            margins[k, valid] = requirement.margin(values[k, valid])
-            signs[k, valid] = requirement.outward(values[k, valid])
-        return margins, signs
+            values, status = respond(self.response, population, z)
+            found = np.stack([np.asarray(values[name], float) for name in self.requirements])
+            rows.append(np.where(np.asarray(succeeded(status)), found, np.nan))
+        return np.concatenate(rows, axis=1)[:, : self.samples]
 
-    def _with_joint(self, own: np.ndarray) -> np.ndarray:
-        if not self.joint:
-            return own
-        return np.concatenate([own, (own / self.scales[:, None]).max(axis=0, keepdims=True)])
+    def _unit_margins(self, values: np.ndarray) -> np.ndarray:
+        """Margin of every unit to every limit (k, n), inf where it failed."""
+        rows = [item.margin(row) for row, item in zip(values, self.requirements.values())]
+        return np.where(np.isnan(values), np.inf, np.stack(rows))
 
-    def _cotangents(self, constraint: int, own: np.ndarray, signs: np.ndarray, lanes: np.ndarray) -> np.ndarray:
-        """Derivative of a constraint's margin to the responses (lanes, k)."""
-        found = np.zeros((len(lanes), len(own)))
-        if constraint < len(own):
-            found[:, constraint] = signs[constraint, lanes]
-            return found
-        leading = (own[:, lanes] / self.scales[:, None]).argmax(axis=0)
-        found[np.arange(len(lanes)), leading] = (signs / self.scales[:, None])[leading, lanes]
-        return found
+    def _joint(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Margin of every unit to the limit it comes nearest to (n,), in parts of the way there; and which that is."""
+        scaled = self._unit_margins(values) / self.scales[:, None]
+        scaled[[not item.of_units for item in self.requirements.values()]] = -np.inf
+        return scaled.max(axis=0), scaled.argmax(axis=0)
 
-    def _reachable(self, target: float) -> float:
-        return min(target, 1 - _BEYOND / self.samples)
+    def _margins(self, values: np.ndarray) -> np.ndarray:
+        found = [
+            item.learned(row, float(distance))
+            for item, row, distance in zip(self.requirements.values(), values, self.distance)
+        ]
+        if self.joint_target is not None:
+            found.append(tail_quantile(self._joint(values)[0], self.joint_target, 1.0))
+        return np.array(found)
 
-    def _at_targets(self, margins: np.ndarray) -> np.ndarray:
-        """Quantile of each margin at its target, failed units above all others."""
-        found = np.empty(len(margins))
-        for k, (row, target) in enumerate(zip(margins, self.targets)):
-            level = self._reachable(target)
-            rank = (self.samples - 1) * level
-            low = int(rank)
-            ordered = np.partition(row, [low, min(low + 1, self.samples - 1)])
-            a, b = ordered[low], ordered[min(low + 1, self.samples - 1)]
-            quantile = a + (rank - low) * (b - a) if np.isfinite(b) else b
-            further = special.ndtri((1 + target) / 2) / special.ndtri((1 + level) / 2)
-            found[k] = (quantile + self.distance[k]) * further * self.correction[k] - self.distance[k]
-        return found
+    def _corrected(self, margins: np.ndarray) -> np.ndarray:
+        return (margins + self.distance) * self.correction - self.distance
 
-    def _nearest(self, margins: np.ndarray, target: float) -> np.ndarray:
-        """The units whose margins stand nearest the quantile, by rank among those that did not fail."""
-        order = np.argsort(margins)
-        valid = int(np.isfinite(margins).sum())
-        start = round(self.samples * self._reachable(target)) - self.lanes // 2
-        start = max(0, min(start, valid - self.lanes))
-        return order[start : start + self.lanes]
-
-    def _gradients(self, half_widths: np.ndarray, lanes: np.ndarray, cotangents: np.ndarray) -> np.ndarray:
-        """Derivatives of the weighted responses of some units to the half-widths (lanes, j)."""
-        z = np.concatenate([np.asarray(block) for block in self.blocks], axis=1)[:, lanes]
-        arguments = (self.parts.replace({}), jnp.asarray(half_widths, z.dtype), z, jnp.asarray(cotangents.T, z.dtype))
-        return np.asarray(_unit_gradients(self.response, tuple(self.requirements), self.fields, *arguments), float)
+    def _slope(self, half_widths: np.ndarray, pull: Pull, of: np.ndarray) -> np.ndarray:
+        """Derivative of a margin to the logarithms of the half-widths (j,); `of`: each unit's requirement."""
+        total, norm = np.zeros(len(self.fields)), 0.0
+        z = np.concatenate([np.asarray(block) for block in self.blocks], axis=1)
+        for start in range(0, len(pull.units), self.lanes):
+            part = slice(start, start + self.lanes)
+            units, count = pull.units[part], len(pull.units[part])
+            lanes = np.resize(units, self.lanes)  # one program, however many units
+            cotangents = np.eye(len(self.requirements))[of[lanes]].T * np.resize(pull.cotangents[part], self.lanes)
+            rows = _unit_gradients(
+                self.response,
+                self.population,
+                jnp.asarray(half_widths, z.dtype),
+                jnp.asarray(z[:, lanes]),
+                jnp.asarray(cotangents, z.dtype),
+                names=tuple(self.requirements),
+                fields=self.fields,
+            )
+            rows = np.asarray(rows, float)[:count]
+            used = np.isfinite(rows).all(axis=1)
+            total, norm = total + rows[used].sum(axis=0), norm + pull.norms[part][used].sum()
+        return total / norm * half_widths if norm > 0 else np.zeros(len(self.fields))
 
 
-@functools.partial(jax.jit, static_argnums=(0, 1, 2))
+@per_response(static=("names", "fields"))
 def _unit_gradients(
     response: Response,
-    names: tuple[str, ...],
-    fields: tuple[str, ...],
-    tolerances: Any,
+    population: Population,
     half_widths: jax.Array,
     z: jax.Array,
     cotangents: jax.Array,
+    *,
+    names: tuple[str, ...],
+    fields: tuple[str, ...],
 ) -> jax.Array:
     """Gradient of sum_k cotangent_k y_k to the half-widths, unit by unit: one reverse pass for all fields."""
-    parts = layout(tolerances)
 
     def weighted(t: jax.Array, z: jax.Array, cotangent: jax.Array) -> jax.Array:
         widths = jnp.split(t, len(fields))  # the transpose of a split is one concatenation
-        scaled = parts.replace({n: parts.active[n].with_half_width(w[0]) for n, w in zip(fields, widths)})
-        errors = deviations(layout(scaled), z)
-        values, _ = evaluate(response, parts.errors(errors))
+        scaled = population.with_half_widths({name: width[0] for name, width in zip(fields, widths)})
+        values, _ = evaluate(response, scaled.errors(z))
         return jnp.stack([values[name] for name in names]) @ cotangent
 
     return jax.vmap(jax.grad(weighted), in_axes=(None, -1, -1))(half_widths, z, cotangents)

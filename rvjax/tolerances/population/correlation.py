@@ -8,28 +8,26 @@ from typing import Any
 
 import numpy as np
 
-from rvjax.tolerances.population.layout import Correlated, Layout, layout
+from rvjax.tolerances.distribution.tolerance import Tolerance
 
 Correlation = Mapping[tuple[str, str], float] | None
+Active = Mapping[str, Tolerance]
 
 
-def correlated(tolerances: Any, correlation: Correlation) -> Any:
-    """Tolerances that carry a correlation; unchanged where there is none.
+def mixing_matrix(active: Active, correlation: Mapping[tuple[str, str], float]) -> np.ndarray:
+    """Cholesky factor of the correlation of all elements' z, batches included.
 
     Raises:
         ValueError: an unknown field or element, a value outside -1 .. 1, or a matrix that is not
             positive definite (named by its smallest eigenvalue).
     """
-    parts = layout(tolerances)
-    if not correlation:
-        return parts.replace({})
-    matrix = _batches(parts)
+    matrix = batch_correlation(active)
     for pair, value in correlation.items():
         if not (isinstance(pair, tuple) and len(pair) == 2):
             raise ValueError(f"correlation: {pair!r} must be a pair of names")
         if not -1 < value < 1:
             raise ValueError(f"correlation[{pair!r}] = {value!r}: must lie between -1 and 1")
-        first, second = (_elements(parts, name) for name in pair)
+        first, second = (_elements(active, name) for name in pair)
         if set(first) & set(second):
             raise ValueError(f"correlation[{pair!r}]: shares an element with itself; within a field use `batch`")
         for i, j in itertools.product(first, second):
@@ -37,18 +35,15 @@ def correlated(tolerances: Any, correlation: Correlation) -> Any:
     smallest = float(np.linalg.eigvalsh(matrix)[0])
     if smallest <= 1e-12 * len(matrix):
         raise ValueError(f"correlation: not positive definite, its smallest eigenvalue is {smallest:.3g}")
-    return Correlated(parts.replace({}), np.linalg.cholesky(matrix))
+    return np.linalg.cholesky(matrix)
 
 
-def z_correlation(parts: Layout) -> np.ndarray:
-    """Correlation matrix of the elements' z, batches included."""
-    return _batches(parts) if parts.mixing is None else np.asarray(parts.mixing @ parts.mixing.T)
-
-
-def _batches(parts: Layout) -> np.ndarray:
-    sizes = [math.prod(t.shape) for t in parts.active.values()]
-    matrix, start = np.eye(sum(sizes)), 0
-    for tolerance, size in zip(parts.active.values(), sizes):
+def batch_correlation(active: Active) -> np.ndarray:
+    """Correlation matrix of the elements' z that comes from batches alone."""
+    matrix = np.eye(sum(math.prod(t.shape) for t in active.values()))
+    start = 0
+    for tolerance in active.values():
+        size = math.prod(tolerance.shape)
         block = np.full((size, size), float(tolerance.batch))
         if tolerance.is_vector:  # each component has a shared factor of its own
             block *= np.tile(np.eye(2), (size // 2, size // 2))
@@ -58,21 +53,17 @@ def _batches(parts: Layout) -> np.ndarray:
     return matrix
 
 
-def _elements(parts: Layout, name: Any) -> list[int]:
+def _elements(active: Active, name: Any) -> list[int]:
     """Places of a field "pin_radius" or of one of its elements "disc_bore[0,1,0]" in z."""
     match = re.fullmatch(r"([^\[\]]+)(?:\[([\d,\s]+)\])?", str(name))
     field, index = match.groups() if match else (name, None)
-    if field not in parts.active:
-        raise ValueError(f"correlation: {name!r} has no tolerance; these have: {', '.join(parts.active)}")
-    start = 0
-    for other, tolerance in parts.active.items():
-        size = math.prod(tolerance.shape)
-        if other == field:
-            break
-        start += size
+    if field not in active:
+        raise ValueError(f"correlation: {name!r} has no tolerance; these have: {', '.join(active)}")
+    before = itertools.takewhile(lambda other: other != field, active)
+    start, shape = sum(math.prod(active[other].shape) for other in before), active[field].shape
     if index is None:
-        return list(range(start, start + size))
+        return list(range(start, start + math.prod(shape)))
     try:
-        return [start + int(np.ravel_multi_index(tuple(int(i) for i in index.split(",")), tolerance.shape))]
+        return [start + int(np.ravel_multi_index(tuple(int(i) for i in index.split(",")), shape))]
     except ValueError:
-        raise ValueError(f"correlation: {name!r} is no element of shape {tolerance.shape}") from None
+        raise ValueError(f"correlation: {name!r} is no element of shape {shape}") from None

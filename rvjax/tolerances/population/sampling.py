@@ -7,8 +7,8 @@ import jax.numpy as jnp
 
 from rvjax.records import axis_sizes, is_concrete
 from rvjax.tolerances.distribution.tolerance import Tolerance
-from rvjax.tolerances.population.correlation import Correlation, correlated
-from rvjax.tolerances.population.layout import deviations, layout, normals, root_key
+from rvjax.tolerances.population.correlation import Correlation
+from rvjax.tolerances.population.population import Population, root_key
 from rvjax.tolerances.population.sobol import SobolPoints
 
 
@@ -72,11 +72,11 @@ def sample(tolerances: Any, index: Any, *, seed: int, method: str = "random", co
     check_method(method)
     if is_concrete(index) and (int(index) != index or index < 0):
         raise ValueError(f"index = {index!r}: must be an integer of at least 0")
-    parts = layout(correlated(tolerances, correlation))
+    population = Population.of(tolerances, correlation)
     if method == "random":
-        z = normals(parts, root_key(seed), jnp.asarray(index, jnp.uint32)[None])[:, 0]
+        z = population.draw(root_key(seed), jnp.asarray(index, jnp.uint32)[None])[:, 0]
     elif is_concrete(index):
-        z = jnp.asarray(SobolPoints(parts.numbers, seed).z(int(index), 1)[:, 0], jnp.result_type(float))
+        z = jnp.asarray(SobolPoints(population.numbers, seed).z(int(index), 1)[:, 0], jnp.result_type(float))
     else:
         raise ValueError("index: must be a number for method 'sobol', whose points are drawn on the host")
-    return parts.errors(deviations(parts, z))
+    return population.errors(z)

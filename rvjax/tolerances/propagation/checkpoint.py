@@ -16,9 +16,10 @@ import jax.numpy as jnp
 import numpy as np
 import scipy
 
+from rvjax.records import Record
 from rvjax.tolerances.atomic import write_atomically
-from rvjax.tolerances.population.layout import Layout, layout
-from rvjax.tolerances.propagation.requirements import Requirement
+from rvjax.tolerances.population.population import Population
+from rvjax.tolerances.propagation.requirements import Limits
 from rvjax.tolerances.propagation.responses import Response, respond
 
 EVERY = 1.0  # s, at most one file in this time
@@ -35,31 +36,27 @@ def versions() -> dict[str, str]:
     return {"rvjax": rvjax.__version__, "jax": jax.__version__, "scipy": scipy.__version__}
 
 
-def describe(tolerances: Any, requirements: Mapping[str, Requirement]) -> dict[str, str]:
+def describe(population: Population, requirements: Mapping[str, Limits]) -> dict[str, str]:
     """Tolerances, correlation and requirements as text, exact to the last bit."""
-    parts = layout(tolerances)
-    about = {f"tolerances.{name}": _leaf(leaf) for name, leaf in zip(parts.names, parts.leaves) if leaf is not None}
-    if parts.mixing is not None:
-        about["correlation"] = hashlib.sha256(np.ascontiguousarray(parts.mixing, float).tobytes()).hexdigest()
+    about = {f"tolerances.{name}": tolerance.described() for name, tolerance in population.active.items()}
+    about |= {f"tolerances.{n}": repr(np.asarray(value).tolist()) for n, value in population.constants.items()}
+    if population.mixing is not None:
+        about["correlation"] = hashlib.sha256(np.ascontiguousarray(population.mixing, float).tobytes()).hexdigest()
     about |= {f"requirements.{name}": repr(item) for name, item in requirements.items()}
     return about
 
 
-def _leaf(leaf: Any) -> str:
-    if not hasattr(leaf, "distribution"):
-        return repr(np.asarray(leaf).tolist())
-    text = f"{leaf.distribution} {float(leaf.lower)!r} .. {float(leaf.upper)!r}, cp {float(leaf.cp)!r}"
-    options = dict(shift=float(leaf.shift), beta=leaf.beta, batch=float(leaf.batch), shape=leaf.shape)
-    text += "".join(f", {name} {value!r}" for name, value in options.items() if value)
-    return text + (", vectors" if leaf.is_vector else "")
+def response_hash(response: Response, population: Population) -> str:
+    """Hash of the program that the response compiles to, constants and a record's numbers included.
 
-
-def response_hash(response: Response, tolerances: Any) -> str:
-    """Hash of the program that the response compiles to, constants included; limits of tolerances do not enter."""
-    parts: Layout = layout(tolerances)
-    z = jax.ShapeDtypeStruct((parts.numbers, 1), jnp.result_type(float))
-    text = respond.lower(response, tolerances, z).as_text()
-    return hashlib.sha256(text.encode()).hexdigest()
+    Limits of tolerances do not enter.
+    """
+    z = jax.ShapeDtypeStruct((population.numbers, 1), jnp.result_type(float))
+    found = hashlib.sha256(respond.lowered(response, population, z).encode())
+    for leaf in jax.tree.leaves(response) if isinstance(response, Record) else ():
+        array = np.asarray(leaf)
+        found.update(f"{array.dtype} {array.shape}".encode() + np.ascontiguousarray(array).tobytes())
+    return found.hexdigest()
 
 
 class Checkpoint:

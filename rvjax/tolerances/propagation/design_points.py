@@ -5,16 +5,14 @@ standard normal numbers z, where the density falls with |z| alone.
 """
 
 import dataclasses
-import functools
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from rvjax.status import succeeded
-from rvjax.tolerances.population.layout import deviations, layout
-from rvjax.tolerances.propagation.responses import Response, evaluate, respond
+from rvjax.tolerances.population.population import Population
+from rvjax.tolerances.propagation.responses import Response, evaluate, per_response, respond
 
 LANES = 32
 """Searches at once."""
@@ -34,7 +32,7 @@ class Units:
     """One value of a response as a function of the random numbers of units; counts what it evaluates."""
 
     response: Response
-    tolerances: Any
+    population: Population
     name: str
     evaluations: int = 0
 
@@ -45,7 +43,7 @@ class Units:
         for start in range(0, z.shape[1], BATCH):
             part = z[:, start : start + BATCH]
             padded = np.pad(part, ((0, 0), (0, BATCH - part.shape[1])))
-            values, status = respond(self.response, self.tolerances, jnp.asarray(padded, jnp.result_type(float)))
+            values, status = respond(self.response, self.population, jnp.asarray(padded, jnp.result_type(float)))
             valid = np.where(np.asarray(succeeded(status)), np.asarray(values[self.name], float), np.nan)
             found[start : start + BATCH] = valid[: part.shape[1]]
         return found
@@ -53,16 +51,15 @@ class Units:
     def slopes(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Values (n,) and gradients (numbers, n), nan where a unit has no value."""
         self.evaluations += _GRADIENT_COST * z.shape[1]
-        value, gradient = _slopes(self.response, self.name, self.tolerances, jnp.asarray(z, jnp.result_type(float)))
+        given = jnp.asarray(z, jnp.result_type(float))
+        value, gradient = _slopes(self.response, self.population, given, name=self.name)
         return np.asarray(value, float), np.asarray(gradient, float)
 
 
-@functools.partial(jax.jit, static_argnums=(0, 1))
-def _slopes(response: Response, name: str, tolerances: Any, z: jax.Array) -> tuple[jax.Array, jax.Array]:
-    parts = layout(tolerances)
-
+@per_response(static=("name",))
+def _slopes(response: Response, population: Population, z: jax.Array, *, name: str) -> tuple[jax.Array, jax.Array]:
     def value(z: jax.Array) -> tuple[jax.Array, jax.Array]:
-        values, status = evaluate(response, parts.errors(deviations(parts, z)))
+        values, status = evaluate(response, population.errors(z))
         return values[name], status
 
     (found, status), gradient = jax.vmap(jax.value_and_grad(value, has_aux=True), in_axes=-1, out_axes=-1)(z)

@@ -1,15 +1,15 @@
 """Chunks of units on all local devices: each draws and evaluates its own part, none waits for another."""
 
 import functools
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax.tolerances.population.layout import drawn, layout, normals, root_key
+from rvjax.records import Record
+from rvjax.tolerances.population.population import Population, drawn, root_key
 from rvjax.tolerances.population.sobol import SobolPoints
-from rvjax.tolerances.propagation.responses import Response, respond
+from rvjax.tolerances.propagation.responses import Response, Values, per_response, respond
 
 _UNITS = jax.sharding.PartitionSpec("units")
 _NUMBERS = jax.sharding.PartitionSpec(None, "units")
@@ -19,21 +19,21 @@ _EVERYWHERE = jax.sharding.PartitionSpec()
 class Evaluator:
     """Evaluates chunks of one study; devices compute while the host goes on."""
 
-    def __init__(self, response: Response, tolerances: Any, seed: int, method: str, chunk: int) -> None:
-        """What to evaluate, as in `monte_carlo`; `chunk` units at once."""
-        self._response, self._tolerances, self._key = response, tolerances, root_key(seed)
-        self._points = SobolPoints(layout(tolerances).numbers, seed) if method == "sobol" else None
+    def __init__(self, response: Response, population: Population, seed: int, method: str, chunk: int) -> None:
+        """What to evaluate, as in `monte_carlo`, checked; `chunk` units at once."""
+        self._response, self._population, self._key = response, population, root_key(seed)
+        self._points = SobolPoints(population.numbers, seed) if method == "sobol" else None
         devices = jax.local_devices()
         self._mesh = jax.sharding.Mesh(np.array(devices), ("units",)) if len(devices) > 1 else None
         # Every device gets the same number of units; those past the end of the chunk are never looked at.
         self._count = -(-chunk // len(devices)) * len(devices)
 
-    def start(self, first: int) -> tuple[dict[str, jax.Array], jax.Array]:
+    def start(self, first: int) -> tuple[Values, jax.Array]:
         """Values and status of the chunk that begins with unit `first`, still being computed."""
         z = self._z(first)
         if self._mesh is None:
-            return respond(self._response, self._tolerances, z)
-        return _respond_on(self._response, self._mesh, self._tolerances, z)
+            return respond(self._response, self._population, z)
+        return _respond_on(self._response, self._population, z, mesh=self._mesh)
 
     def _z(self, first: int) -> jax.Array:
         if self._points is not None:
@@ -42,26 +42,31 @@ class Evaluator:
                 return jnp.asarray(z)
             return jax.device_put(z, jax.sharding.NamedSharding(self._mesh, _NUMBERS))
         if self._mesh is None:
-            return drawn(self._tolerances, self._key, jnp.uint32(first), count=self._count)
-        return _drawn_on(self._mesh, self._count, self._tolerances, self._key, jnp.uint32(first))
+            return drawn(self._population, self._key, jnp.uint32(first), count=self._count)
+        return _drawn_on(self._mesh, self._count, self._population, self._key, jnp.uint32(first))
 
 
 @functools.partial(jax.jit, static_argnums=(0, 1))
-def _drawn_on(mesh: jax.sharding.Mesh, count: int, tolerances: Any, key: jax.Array, first: jax.Array) -> jax.Array:
-    def part(tolerances: Any, key: jax.Array, first: jax.Array) -> jax.Array:
+def _drawn_on(
+    mesh: jax.sharding.Mesh, count: int, population: Population, key: jax.Array, first: jax.Array
+) -> jax.Array:
+    def part(population: Population, key: jax.Array, first: jax.Array) -> jax.Array:
         own = count // mesh.size
         begin = first + jax.lax.axis_index("units").astype(jnp.uint32) * jnp.uint32(own)
-        return normals(layout(tolerances), key, begin + jnp.arange(own, dtype=jnp.uint32))
+        return population.draw(key, begin + jnp.arange(own, dtype=jnp.uint32))
 
     specs = (_EVERYWHERE, _EVERYWHERE, _EVERYWHERE)
-    return jax.shard_map(part, mesh=mesh, in_specs=specs, out_specs=_NUMBERS, check_vma=False)(tolerances, key, first)
+    return jax.shard_map(part, mesh=mesh, in_specs=specs, out_specs=_NUMBERS, check_vma=False)(population, key, first)
 
 
-@functools.partial(jax.jit, static_argnums=(0, 1))
+@per_response(static=("mesh",))
 def _respond_on(
-    response: Response, mesh: jax.sharding.Mesh, tolerances: Any, z: jax.Array
-) -> tuple[dict[str, jax.Array], jax.Array]:
-    part = functools.partial(respond, response)
+    response: Response, population: Population, z: jax.Array, *, mesh: jax.sharding.Mesh
+) -> tuple[Values, jax.Array]:
+    # A plain function is no array and stays outside; the numbers of a record go in like those of the population.
+    given, part = ((response, population), lambda both, z: respond(*both, z))
+    if not isinstance(response, Record):
+        given, part = population, functools.partial(respond, response)
     return jax.shard_map(
         part, mesh=mesh, in_specs=(_EVERYWHERE, _NUMBERS), out_specs=(_UNITS, _UNITS), check_vma=False
-    )(tolerances, z)
+    )(given, z)

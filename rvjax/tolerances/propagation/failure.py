@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import special
 
-from rvjax.tolerances.population.correlation import Correlation, correlated
-from rvjax.tolerances.population.layout import Layout, deviations, layout
+from rvjax.tolerances.population.correlation import Correlation
+from rvjax.tolerances.population.population import Population
 from rvjax.tolerances.propagation.design_points import (
     BATCH,
     LANES,
@@ -20,8 +20,8 @@ from rvjax.tolerances.propagation.design_points import (
     without_slope,
 )
 from rvjax.tolerances.propagation.estimates import Estimate, deviate_of, wilson
-from rvjax.tolerances.propagation.requirements import Requirement
-from rvjax.tolerances.propagation.responses import Response, by_response, like_response, response_names
+from rvjax.tolerances.propagation.requirements import Limits
+from rvjax.tolerances.propagation.responses import Response, by_response, response_names, unwrapped
 
 _PILOT = BATCH // 2  # plain units that show where to start; as many are spread wider
 _WIDE = (2.0, 3.0)  # spreads that reach failures which plain units do not foretell
@@ -95,24 +95,26 @@ def failure_probability(
     """
     if samples < 2:
         raise ValueError(f"samples = {samples!r}: must be at least 2")
-    parts = layout(correlated(tolerances, correlation))
-    names = response_names(response, parts.replace({}))
-    required = by_response(requirement, names, Requirement, "requirement")
+    population = Population.of(tolerances, correlation)
+    names = response_names(response, population)
+    required = by_response(requirement, names, Limits, "requirement")
     if not required:
         raise ValueError("requirement: needs at least one")
-    found = {name: _probability(response, parts, name, item, samples, seed) for name, item in required.items()}
+    for name, item in required.items():
+        if not item.of_units:
+            raise ValueError(f"requirement[{name!r}] = {item!r}: says nothing of one unit")
+    found = {name: _probability(response, population, name, item, samples, seed) for name, item in required.items()}
     columns = {
-        f.name: like_response({n: getattr(item, f.name) for n, item in found.items()})
-        for f in dataclasses.fields(FailureProbability)
+        f.name: {n: getattr(item, f.name) for n, item in found.items()} for f in dataclasses.fields(FailureProbability)
     }
-    return FailureProbability(**columns)
+    return unwrapped(FailureProbability(**columns))
 
 
 def _probability(
-    response: Response, parts: Layout, name: str, requirement: Requirement, samples: int, seed: int
+    response: Response, population: Population, name: str, requirement: Limits, samples: int, seed: int
 ) -> FailureProbability:
-    units, random = Units(response, parts.replace({}), name), np.random.default_rng(seed)
-    points = _Points(units, requirement, parts.numbers)
+    units, random = Units(response, population, name), np.random.default_rng(seed)
+    points = _Points(units, requirement, population.numbers)
     points.explore(random)
     total, squares, hits = points.draw(random, samples)
     effective = total**2 / squares if squares > 0 else 0.0
@@ -129,7 +131,7 @@ def _probability(
     return FailureProbability(
         probability=estimate,
         reliability_index=points.index,
-        point=None if points.nearest is None else parts.errors(deviations(parts, jnp.asarray(points.nearest))),
+        point=None if points.nearest is None else population.errors(jnp.asarray(points.nearest)),
         evaluations=units.evaluations,
         effective_samples=effective,
         points=points.centres.shape[1],
@@ -140,7 +142,7 @@ def _probability(
 class _Points:
     """The points of failure of all limits of one requirement, and the mixture of normals about them."""
 
-    def __init__(self, units: Units, requirement: Requirement, numbers: int) -> None:
+    def __init__(self, units: Units, requirement: Limits, numbers: int) -> None:
         self.units, self.requirement = units, requirement
         sides = [(requirement.upper, 1.0), (requirement.lower, -1.0)]
         self.states = [LimitState(units, limit, sign) for limit, sign in sides if math.isfinite(limit)]

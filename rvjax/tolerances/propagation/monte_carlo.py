@@ -1,6 +1,7 @@
 """Monte Carlo: the distribution of a response over units with random errors, in constant memory."""
 
 import contextlib
+import dataclasses
 import functools
 import glob
 import itertools
@@ -13,19 +14,20 @@ from typing import Any
 import numpy as np
 
 from rvjax.tolerances.atomic import PARTIAL
-from rvjax.tolerances.population.correlation import Correlation, correlated
+from rvjax.tolerances.population.correlation import Correlation
+from rvjax.tolerances.population.population import Population
 from rvjax.tolerances.population.sampling import check_method
 from rvjax.tolerances.population.sobol import SCRAMBLES
 from rvjax.tolerances.propagation.checkpoint import Checkpoint, describe, response_hash, versions
 from rvjax.tolerances.propagation.devices import Evaluator
 from rvjax.tolerances.propagation.estimates import deviate_of
+from rvjax.tolerances.propagation.figures import Statistics, statistics
 from rvjax.tolerances.propagation.processes import gathered, place
-from rvjax.tolerances.propagation.requirements import Requirement
-from rvjax.tolerances.propagation.responses import Response, by_response, response_names
-from rvjax.tolerances.propagation.statistics import Statistics, statistics
+from rvjax.tolerances.propagation.requirements import Limits
+from rvjax.tolerances.propagation.responses import Response, by_response, response_names, unwrapped
 from rvjax.tolerances.propagation.tally import Tally
 
-__all__ = ["Statistics", "monte_carlo", "progress_bar"]
+__all__ = ["Run", "Statistics", "monte_carlo", "progress_bar"]
 
 
 def monte_carlo(
@@ -91,45 +93,94 @@ def monte_carlo(
     for p in quantiles:
         if not 0 < p < 1:
             raise ValueError(f"quantiles: {p!r} must lie between 0 and 1")
-    tolerances = correlated(tolerances, correlation)
-    names = response_names(response, tolerances)
-    required = by_response(requirements, names, Requirement, "requirements")
+    population = Population.of(tolerances, correlation)
+    names = response_names(response, population)
+    required = by_response(requirements, names, Limits, "requirements")
     if keep:
         _check_memory(samples, len(names))
-    study = describe(tolerances, required) | {"seed": str(seed), "method": method, "chunk": str(chunk)}
-    process, processes = place()
+    run = Run(
+        response, population, names, required, samples, seed, chunk, method, tuple(quantiles), confidence, checkpoint,
+        keep, progress,
+    )  # fmt: skip
+    return unwrapped(run.statistics())
 
-    def empty() -> Tally:
-        return Tally(names, required, SCRAMBLES if method == "sobol" else 1, samples if keep else 0)
 
-    tally, file, done = empty(), None, 0
-    if checkpoint is not None:
-        study["response"] = response_hash(response, tolerances)
-        mine = {"process": f"{process} of {processes}", "values": "kept" if keep else "not kept"}
-        file = Checkpoint(_of_process(checkpoint, process, processes), study | mine | versions())
+@dataclasses.dataclass(frozen=True)
+class Run:
+    """A study whose arguments, those of `monte_carlo`, are checked; its statistics are dicts by name."""
+
+    response: Response
+    population: Population
+    names: tuple[str, ...]
+    requirements: dict[str, Limits]
+    samples: int
+    seed: int
+    chunk: int
+    method: str = "random"
+    quantiles: tuple[float, ...] = (0.00135, 0.5, 0.99865)
+    confidence: float = 0.95
+    checkpoint: str | Path | None = None
+    keep: bool = False
+    progress: bool = False
+
+    def statistics(self) -> Statistics:
+        """Draw, evaluate and count all units."""
+        study = describe(self.population, self.requirements)
+        study |= {"seed": str(self.seed), "method": self.method, "chunk": str(self.chunk)}
+        tally, file, done = self._begun(study)
+        self._count(tally, file, done)
+        if place()[1] > 1:
+            states, tally = gathered(tally.state(self.samples)), self._empty()
+            for part in states:
+                tally.merge(part)
+        return statistics(
+            tally,
+            self.requirements,
+            quantiles=self.quantiles,
+            confidence=self.confidence,
+            seed=self.seed,
+            method=self.method,
+            study=study,
+        )
+
+    def _empty(self) -> Tally:
+        streams, kept = SCRAMBLES if self.method == "sobol" else 1, self.samples if self.keep else 0
+        return Tally(self.names, self.requirements, streams, kept)
+
+    def _begun(self, study: dict[str, str]) -> tuple[Tally, Checkpoint | None, int]:
+        """What is counted already, the checkpoint it goes to, and the number of the next chunk."""
+        tally = self._empty()
+        if self.checkpoint is None:
+            return tally, None, 0
+        process, processes = place()
+        study["response"] = response_hash(self.response, self.population)
+        mine = {"process": f"{process} of {processes}", "values": "kept" if self.keep else "not kept"}
+        file = Checkpoint(_of_process(self.checkpoint, process, processes), study | mine | versions())
         done, state = file.load()
-        if done * chunk > samples:
-            raise ValueError(f"samples = {samples}: checkpoint = {str(checkpoint)!r} holds {done * chunk} already")
+        if done * self.chunk > self.samples:
+            where = f"checkpoint = {str(self.checkpoint)!r} holds {done * self.chunk} already"
+            raise ValueError(f"samples = {self.samples}: {where}")
         if state:
             tally.merge(state)
-    evaluator = Evaluator(response, tolerances, seed, method, min(chunk, samples))
-    label = "Monte Carlo" if processes == 1 else f"Monte Carlo, process {process + 1} of {processes}"
-    reached = done * chunk
-    with progress_bar(progress, samples, label, "unit", initial=reached) as advance:
-        for number, values, status in _chunks(evaluator, tally, range(done, -(-samples // chunk)), chunk, samples):
-            own = number % processes == process
-            tally.add(number, number * chunk, values, status, own=own)
-            if file is not None and own and len(status) == chunk:  # a larger study evaluates a shorter last chunk whole
-                last = (number + 1 + processes) * chunk > samples
-                file.save(number + 1, functools.partial(tally.state, (number + 1) * chunk), now=last)
-            advance(min((number + 1) * chunk, samples) - reached)
-            reached = min((number + 1) * chunk, samples)
-        advance(samples - reached)  # the last chunks may be other processes'
-    if processes > 1:
-        states, tally = gathered(tally.state(samples)), empty()
-        for part in states:
-            tally.merge(part)
-    return statistics(tally, quantiles=tuple(quantiles), confidence=confidence, seed=seed, method=method, study=study)
+        return tally, file, done
+
+    def _count(self, tally: Tally, file: Checkpoint | None, done: int) -> None:
+        samples, chunk = self.samples, self.chunk
+        process, processes = place()
+        evaluator = Evaluator(self.response, self.population, self.seed, self.method, min(chunk, samples))
+        label = "Monte Carlo" if processes == 1 else f"Monte Carlo, process {process + 1} of {processes}"
+        reached = done * chunk
+        with progress_bar(self.progress, samples, label, "unit", initial=reached) as advance:
+            for number, values, status in _chunks(evaluator, tally, range(done, -(-samples // chunk)), chunk, samples):
+                own = number % processes == process
+                tally.add(number, number * chunk, values, status, own=own)
+                # A larger study evaluates a shorter last chunk whole.
+                if file is not None and own and len(status) == chunk:
+                    last = (number + 1 + processes) * chunk > samples
+                    file.save(number + 1, functools.partial(tally.state, (number + 1) * chunk), now=last)
+                advance(min((number + 1) * chunk, samples) - reached)
+                reached = min((number + 1) * chunk, samples)
+            advance(samples - reached)  # the last chunks may be other processes'
 
 
 def _check_memory(samples: int, responses: int) -> None:

@@ -1,8 +1,10 @@
 """A response is a pure function of the errors of one unit; here it meets a batch of units.
 
-It returns a scalar, a dict or record of scalars, or an `Outcome` that names why a unit failed.
+It returns a scalar, a dict or record of scalars, or an `Outcome` that names why a unit failed. Inside this
+package its values are always a dict; a plain scalar is wrapped in `evaluate` and unwrapped in `unwrapped`.
 """
 
+import dataclasses
 import functools
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -12,7 +14,7 @@ import jax.numpy as jnp
 
 from rvjax.records import Record, field, record
 from rvjax.status import Status, succeeded, worst
-from rvjax.tolerances.population.layout import deviations, drawn, layout
+from rvjax.tolerances.population.population import Population, drawn
 
 BLOCK = 16384
 """Units at once where nobody chose: the same everywhere, so that a response is compiled for it once; temporaries of
@@ -21,7 +23,50 @@ a response over many angles then stay near the cache."""
 PLAIN = ""
 """Name of the only scalar of a response that returns no dict."""
 
+PROGRAMS = 32
+"""Plain functions whose programs are kept, the latest ones."""
+
 Response = Callable[[Any], Any]
+Values = dict[str, jax.Array]
+
+
+class Compiled:
+    """A function of a response and arrays, compiled.
+
+    A response that is a record is an argument like the others: its numbers are traced, so that ten thousand
+    designs share one program and none of them is kept alive. A plain function is a constant of a program of
+    its own; of these the last `PROGRAMS` are kept.
+    """
+
+    def __init__(self, function: Callable[..., Any], static: tuple[str, ...] = ()) -> None:
+        functools.update_wrapper(self, function)
+
+        def own(response: Response) -> Any:
+            return jax.jit(functools.partial(function, response), static_argnames=static)
+
+        self._shared, self._own = jax.jit(function, static_argnames=static), functools.lru_cache(PROGRAMS)(own)
+
+    def __call__(self, response: Response, *arguments: Any, **static: Any) -> Any:
+        """The function's value."""
+        if isinstance(response, Record):
+            return self._shared(response, *arguments, **static)
+        return self._own(response)(*arguments, **static)
+
+    def lowered(self, response: Response, *arguments: Any, **static: Any) -> str:
+        """Text of the program."""
+        if isinstance(response, Record):
+            return str(self._shared.lower(response, *arguments, **static).as_text())
+        return str(self._own(response).lower(*arguments, **static).as_text())
+
+    def programs(self, response: Response) -> int:
+        """Programs compiled for a plain function; for records, for all of them together."""
+        jitted: Any = self._shared if isinstance(response, Record) else self._own(response)
+        return int(jitted._cache_size())
+
+
+def per_response(*, static: tuple[str, ...] = ()) -> Callable[[Callable[..., Any]], Compiled]:
+    """Compile a function whose first argument is a response; `static` names arguments given by keyword."""
+    return lambda function: Compiled(function, static)
 
 
 @record
@@ -36,7 +81,7 @@ class Outcome(Record):
     status: Any = field("-", "`Status` values, any shape (angles, discs)", kind="integer")
 
 
-def evaluate(response: Response, errors: Any) -> tuple[dict[str, jax.Array], jax.Array]:
+def evaluate(response: Response, errors: Any) -> tuple[Values, jax.Array]:
     """Values by name and the status of one unit.
 
     Raises:
@@ -67,9 +112,17 @@ def _named(result: Any) -> dict[str, Any]:
     return dict(result)
 
 
-def like_response(by_name: Mapping[str, Any]) -> Any:
-    """Results by name in the response's structure: plain for a scalar response, else a dict."""
-    return by_name[PLAIN] if set(by_name) == {PLAIN} else dict(by_name)
+def unwrapped(result: Any) -> Any:
+    """A result whose figures are dicts by name of the response, with plain ones where it is a plain scalar."""
+    if dataclasses.is_dataclass(result) and not isinstance(result, (type, Record)):
+        fields = {f.name: unwrapped(getattr(result, f.name)) for f in dataclasses.fields(result)}
+        return dataclasses.replace(result, **fields)
+    if not isinstance(result, dict):
+        return result
+    if set(result) == {PLAIN}:
+        return result[PLAIN]
+    by_number = all(isinstance(key, float) for key in result)  # quantiles: {p: {name: ...}}
+    return {key: unwrapped(item) for key, item in result.items()} if by_number else result
 
 
 def by_response(given: Any, names: tuple[str, ...], kind: type, argument: str) -> dict[str, Any]:
@@ -93,27 +146,24 @@ def by_response(given: Any, names: tuple[str, ...], kind: type, argument: str) -
     return {name: item for name, item in given.items() if item is not None}
 
 
-@functools.partial(jax.jit, static_argnums=0)
-def respond(response: Response, tolerances: Any, z: jax.Array) -> tuple[dict[str, jax.Array], jax.Array]:
+@per_response()
+def respond(response: Response, population: Population, z: jax.Array) -> tuple[Values, jax.Array]:
     """Values (n,) by name and status (n,) of the units whose random numbers are z (numbers, n)."""
-    parts = layout(tolerances)
-    errors = deviations(parts, z)
-    one = lambda active: evaluate(response, parts.errors(active))  # noqa: E731
-    return jax.vmap(one, in_axes=-1, axis_size=z.shape[-1])(errors)
+    one = lambda active: evaluate(response, population.fill(active))  # noqa: E731
+    return jax.vmap(one, in_axes=-1, axis_size=z.shape[-1])(population.deviations(z))
 
 
 def respond_units(
-    response: Response, tolerances: Any, key: jax.Array, start: int, *, count: int
-) -> tuple[dict[str, jax.Array], jax.Array]:
+    response: Response, population: Population, key: jax.Array, start: int, *, count: int
+) -> tuple[Values, jax.Array]:
     """Values and status of units start .. start + count - 1; one compilation whatever the start.
 
     Drawing is a program of its own, so that the response is compiled once for one number of units, whoever asks.
     """
-    return respond(response, tolerances, drawn(tolerances, key, jnp.uint32(start), count=count))
+    return respond(response, population, drawn(population, key, jnp.uint32(start), count=count))
 
 
-def response_names(response: Response, tolerances: Any) -> tuple[str, ...]:
+def response_names(response: Response, population: Population) -> tuple[str, ...]:
     """Names of the response's values, found without computing any."""
-    parts = layout(tolerances)
-    z = jax.ShapeDtypeStruct((parts.numbers, 1), jnp.result_type(float))
-    return tuple(jax.eval_shape(functools.partial(respond, response), parts.replace({}), z)[0])
+    z = jax.ShapeDtypeStruct((population.numbers, 1), jnp.result_type(float))
+    return tuple(jax.eval_shape(functools.partial(respond, response), population, z)[0])

@@ -1,7 +1,6 @@
 """Root sum of squares: the moments of a response from its derivatives at the mean errors."""
 
 import dataclasses
-import functools
 import math
 from collections.abc import Callable
 from typing import Any
@@ -9,21 +8,20 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy import special
 
 from rvjax.status import succeeded
-from rvjax.tolerances.distribution.tolerance import central_moments, deviate
-from rvjax.tolerances.population.correlation import Correlation, correlated, z_correlation
-from rvjax.tolerances.population.layout import Layout, deviations, layout, normals, root_key
-from rvjax.tolerances.propagation.requirements import Requirement
+from rvjax.tolerances.population.correlation import Correlation, batch_correlation
+from rvjax.tolerances.population.population import Population, root_key
+from rvjax.tolerances.propagation.requirements import Limits
 from rvjax.tolerances.propagation.responses import (
     BLOCK,
     Response,
     by_response,
     evaluate,
-    like_response,
+    per_response,
     respond_units,
     response_names,
+    unwrapped,
 )
 
 _TERMS = 23  # of Hermite series
@@ -86,45 +84,48 @@ def rss(
     """
     if order not in (1, 2):
         raise ValueError(f"order = {order!r}: must be 1 or 2")
-    parts = layout(correlated(tolerances, correlation))
-    names = response_names(response, parts.replace({}))
-    required = by_response(requirements, names, Requirement, "requirements")
-    law = _Law(parts)
-    mean = _mean_errors(parts)
-    value, gradients, near, far = _derivatives(response, parts.replace({}), names, mean, root_key(0))
+    population = Population.of(tolerances, correlation)
+    names = response_names(response, population)
+    required = by_response(requirements, names, Limits, "requirements")
+    law = _Spread(population)
+    mean = jnp.asarray(law.mean, jnp.result_type(float))
+    value, gradients, near, far = _derivatives(response, population, mean, root_key(0), names=names)
     found = {}
     for k, name in enumerate(names):
         gradient = np.asarray(gradients[k], float)
         if _kink(gradient, np.asarray(near[k]), np.asarray(far[k]), law.sd):
-            found[name] = _sampled(response, parts, name, np.asarray(far[k], float), law)
+            found[name] = _sampled(response, population, name, np.asarray(far[k], float), law)
         elif order == 1:
             found[name] = _Propagated(float(value[k]), law.shares(gradient), gradient, "first order")
         else:
-            hessian = np.asarray(_hessian(response, parts.replace({}), (name,), mean), float)
+            hessian = np.asarray(_hessian(response, population, mean, names=(name,)), float)
             found[name] = _second_order(float(value[k]), gradient, hessian, law)
     results = {name: _figures(item, required.get(name), law) for name, item in found.items()}
-    columns = {f.name: like_response({n: r[f.name] for n, r in results.items()}) for f in dataclasses.fields(Moments)}
-    if not required:
+    columns = {f.name: {n: r[f.name] for n, r in results.items()} for f in dataclasses.fields(Moments)}
+    if not any(item.of_units for item in required.values()):
         columns |= dict(cpk=None, yield_=None)
-    return Moments(**columns)
+    return unwrapped(Moments(**columns))
 
 
-class _Law:
+class _Spread:
     """Moments of all active elements in one vector, field after field."""
 
-    def __init__(self, parts: Layout) -> None:
-        self.fields = parts.active
-        self.slices, start, moments = {}, 0, []
+    def __init__(self, population: Population) -> None:
+        self.fields = population.active
+        self.slices, start, rows = {}, 0, [np.zeros((0, 4))]
         for name, tolerance in self.fields.items():
             size = math.prod(tolerance.shape)
             self.slices[name] = slice(start, start + size)
             start += size
-            moments += [central_moments(tolerance)] * size
-        table = np.array(moments).reshape(start, 4)
-        self.variance, self.third, self.fourth = table[:, 1], table[:, 2], table[:, 3]
+            columns = [np.broadcast_to(moment, tolerance.shape).reshape(size) for moment in tolerance.moments()]
+            rows.append(np.stack(columns, axis=1))
+        self.mean, self.variance, self.third, self.fourth = np.concatenate(rows).T
         self.sd = np.sqrt(self.variance)
-        self.correlation = _of_errors(z_correlation(parts), parts)
-        self.independent = bool((self.correlation == np.eye(start)).all())
+        mixing = population.mixing
+        z_matrix = batch_correlation(self.fields) if mixing is None else np.asarray(mixing @ mixing.T)
+        self.correlation = _of_errors(z_matrix, population)
+        coupled = any(t.law.couples for t in self.fields.values())
+        self.independent = not coupled and bool((self.correlation == np.eye(start)).all())
 
     @property
     def covariance(self) -> np.ndarray:
@@ -142,30 +143,41 @@ class _Law:
         return {n: values[s].reshape(shapes[n]) if shapes[n] else float(values[s][0]) for n, s in self.slices.items()}
 
 
-def _of_errors(z_matrix: np.ndarray, parts: Layout) -> np.ndarray:
+def _of_errors(z_matrix: np.ndarray, population: Population) -> np.ndarray:
     """Correlation of the errors from that of their z, through the maps q(Phi(z)).
 
     By the Hermite series of the maps, corr(q_i, q_j) = sum_k rho^k a_ik a_jk with a_k = E[q He_k]/sqrt(k!),
     normalised to sum a_k^2 = 1; for normal errors it is rho itself.
     """
-    if (z_matrix == np.eye(len(z_matrix))).all():
-        return z_matrix
+    found, start = z_matrix.copy(), 0
+    if not (z_matrix == np.eye(len(z_matrix))).all():
+        a = _hermite_series(population)
+        found = sum(z_matrix**k * np.outer(a[:, k - 1], a[:, k - 1]) for k in range(1, _TERMS + 1))
+        np.fill_diagonal(found, 1.0)
+    for name, tolerance in population.active.items():
+        stop = start + math.prod(tolerance.shape)
+        if tolerance.law.couples:
+            if np.delete(z_matrix[start:stop], np.arange(start, stop), axis=1).any() or tolerance.batch:
+                raise ValueError(f"{name}: rss knows no correlated {tolerance.distribution} vectors; use monte_carlo")
+            pair = np.arange(start, stop, 2)
+            found[pair, pair + 1] = found[pair + 1, pair] = tolerance.law.coupling(tolerance)
+        start = stop
+    return found
+
+
+def _hermite_series(population: Population) -> np.ndarray:
     nodes, weights = np.polynomial.hermite_e.hermegauss(64)
     basis = np.polynomial.hermite_e.hermevander(nodes, _TERMS)[:, 1:] * weights[:, None]
     scale = np.array([math.sqrt(math.factorial(k)) for k in range(1, _TERMS + 1)])
     rows = []
-    for tolerance in parts.active.values():
-        series = np.asarray(deviate(tolerance, jnp.asarray(nodes)), float) @ basis / scale
-        size = float(np.linalg.norm(series))
-        if tolerance.distribution == "normal" or tolerance.is_vector or size == 0:
-            series, size = np.eye(_TERMS)[0], 1.0
+    for tolerance in population.active.values():
+        series, size = np.eye(_TERMS)[0], 1.0
+        if not (tolerance.law.is_normal(tolerance) or tolerance.law.couples):
+            mapped = np.asarray(tolerance.deviate(jnp.asarray(nodes)), float) @ basis / scale
+            length = float(np.linalg.norm(mapped))
+            series, size = (mapped, length) if length else (series, size)
         rows += [series / size] * math.prod(tolerance.shape)
-    a = np.array(rows).reshape(len(z_matrix), _TERMS)
-    found = np.zeros_like(z_matrix)
-    for k in range(1, _TERMS + 1):
-        found += z_matrix**k * np.outer(a[:, k - 1], a[:, k - 1])
-    np.fill_diagonal(found, 1.0)
-    return found
+    return np.array(rows).reshape(-1, _TERMS)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -177,13 +189,13 @@ class _Propagated:
     total: float | None = None  # variance where it is not the sum of the shares
 
 
-def _figures(item: _Propagated, requirement: Requirement | None, law: _Law) -> dict[str, Any]:
+def _figures(item: _Propagated, requirement: Limits | None, law: _Spread) -> dict[str, Any]:
     shared = sum(item.variances.values())
     sd = math.sqrt(max(0.0, shared if item.total is None else item.total))
     cpk = share_good = None
-    if requirement is not None:
+    if requirement is not None and requirement.of_units:
         _, cpk = requirement.capability(item.mean, sd)
-        share_good = _normal_yield(item.mean, sd, requirement)
+        share_good = requirement.normal_yield(item.mean, sd)
     return dict(
         mean=item.mean,
         sd=sd,
@@ -195,19 +207,11 @@ def _figures(item: _Propagated, requirement: Requirement | None, law: _Law) -> d
     )
 
 
-def _normal_yield(mean: float, sd: float, requirement: Requirement) -> float:
-    if math.isnan(mean) or math.isnan(sd):
-        return math.nan
-    if sd == 0:
-        return float(requirement.margin(mean) <= 0)
-    return float(special.ndtr((requirement.upper - mean) / sd) - special.ndtr((requirement.lower - mean) / sd))
-
-
-def _second_order(value: float, g: np.ndarray, h: np.ndarray, law: _Law) -> _Propagated:
+def _second_order(value: float, g: np.ndarray, h: np.ndarray, law: _Spread) -> _Propagated:
     """Moments of f + g'd + d'Hd/2; exact second moments of the quadratic form."""
     covariance, curvature = law.covariance, np.diag(h)
     mean = value + 0.5 * float((h * covariance).sum())
-    normal = all(t.distribution == "normal" or t.is_vector for t in law.fields.values())
+    normal = all(t.law.is_normal(t) for t in law.fields.values())
     if not (law.independent or normal):
         raise ValueError("order = 2: correlated errors must be normal; use order = 1 or monte_carlo")
     rows = 0.5 * ((h @ covariance) * (h @ covariance).T).sum(axis=1)  # tr(H Sigma H Sigma)/2, by element
@@ -227,9 +231,9 @@ def _kink(gradient: np.ndarray, near: np.ndarray, far: np.ndarray, sd: np.ndarra
     return bool(seen.any() and jump[seen].mean() > 0.01 * size[seen].mean())
 
 
-def _sampled(response: Response, parts: Layout, name: str, gradients: np.ndarray, law: _Law) -> _Propagated:
+def _sampled(response: Response, population: Population, name: str, gradients: np.ndarray, law: _Spread) -> _Propagated:
     gradients = gradients[np.isfinite(gradients).all(axis=1)]
-    values, status = respond_units(response, parts.replace({}), root_key(0), 0, count=BLOCK)
+    values, status = respond_units(response, population, root_key(0), 0, count=BLOCK)
     valid = np.asarray(values[name], float)[np.asarray(succeeded(status))]
     shares = {n: 0.0 for n in law.slices}
     for gradient in gradients:
@@ -239,36 +243,23 @@ def _sampled(response: Response, parts: Layout, name: str, gradients: np.ndarray
     return _Propagated(float(valid.mean()), shares, mean_square, "sampled", float(valid.var(ddof=1)))
 
 
-def _mean_errors(parts: Layout) -> jax.Array:
-    """E e of all active elements; host numbers, since a traced tolerance has no moments here."""
-    means = [np.full(math.prod(t.shape), central_moments(t)[0]) for t in parts.active.values()]
-    return jnp.asarray(np.concatenate([np.zeros(0), *means]), jnp.result_type(float))
-
-
-def _flat(response: Response, parts: Layout, names: tuple[str, ...]) -> Callable[[jax.Array], jax.Array]:
+def _flat(response: Response, population: Population, names: tuple[str, ...]) -> Callable[[jax.Array], jax.Array]:
     """The named values, stacked, as a function of all active elements in one vector."""
-    shapes = {n: t.shape for n, t in parts.active.items()}
-
-    ends = np.cumsum([math.prod(shape) for shape in shapes.values()])
 
     def function(vector: jax.Array) -> jax.Array:
-        # Split, not sliced: its transpose is one concatenation, which compiles for hundreds of fields too.
-        own = jnp.split(vector, ends[:-1]) if shapes else []
-        active = {n: part.reshape(shape) for part, (n, shape) in zip(own, shapes.items())}
-        values, _ = evaluate(response, parts.errors(active))
+        values, _ = evaluate(response, population.fill(population.by_field(vector)))
         return jnp.stack([values[n] for n in names])
 
     return function
 
 
-@functools.partial(jax.jit, static_argnums=(0, 2))
+@per_response(static=("names",))
 def _derivatives(
-    response: Response, tolerances: Any, names: tuple[str, ...], mean: jax.Array, key: jax.Array
+    response: Response, population: Population, mean: jax.Array, key: jax.Array, *, names: tuple[str, ...]
 ) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
     """Values (k,) and gradients (k, n) at the mean; gradients (k, units, n) near it and at whole units."""
-    parts = layout(tolerances)
-    function = _flat(response, parts, names)
-    errors = deviations(parts, normals(parts, key, jnp.arange(_PROBES, dtype=jnp.uint32)))
+    function = _flat(response, population, names)
+    errors = population.deviations(population.draw(key, jnp.arange(_PROBES, dtype=jnp.uint32)))
     rows = [jnp.zeros((0, _PROBES), mean.dtype), *(v.reshape(-1, _PROBES) for v in errors.values())]
     units = jnp.concatenate(rows) - mean[:, None]
     points = jnp.concatenate([mean[:, None], mean[:, None] + _STEP * units, mean[:, None] + units], axis=1)
@@ -285,7 +276,7 @@ def _derivatives(
     return values[:, 0], gradients[:, 0], gradients[:, 1 : 1 + _PROBES], gradients[:, 1 + _PROBES :]
 
 
-@functools.partial(jax.jit, static_argnums=(0, 2))
-def _hessian(response: Response, tolerances: Any, names: tuple[str, ...], mean: jax.Array) -> jax.Array:
-    function = _flat(response, layout(tolerances), names)
+@per_response(static=("names",))
+def _hessian(response: Response, population: Population, mean: jax.Array, *, names: tuple[str, ...]) -> jax.Array:
+    function = _flat(response, population, names)
     return jax.hessian(lambda vector: function(vector)[0])(mean)

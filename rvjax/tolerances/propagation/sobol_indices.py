@@ -11,10 +11,10 @@ from scipy import special
 
 from rvjax.status import succeeded
 from rvjax.tolerances.population.correlation import Correlation
-from rvjax.tolerances.population.layout import Layout, layout, numbers_of
+from rvjax.tolerances.population.population import Population
 from rvjax.tolerances.population.sobol import SCRAMBLES, SobolPoints
 from rvjax.tolerances.propagation.estimates import Estimate
-from rvjax.tolerances.propagation.responses import Response, like_response, respond, response_names
+from rvjax.tolerances.propagation.responses import Response, respond, response_names, unwrapped
 
 _FEWEST = 2 * SCRAMBLES
 
@@ -74,21 +74,21 @@ def sobol_indices(
     Raises:
         ValueError: correlated fields, or too few samples.
     """
-    parts = layout(tolerances)
-    if correlation or parts.mixing is not None:
+    population = Population.of(tolerances)
+    if correlation or population.mixing is not None:
         raise ValueError("correlation: Sobol indices are defined for independent fields only; see rss for shares")
     if samples < _FEWEST:
         raise ValueError(f"samples = {samples!r}: must be at least {_FEWEST}, two for each of {SCRAMBLES} scrambles")
     if chunk < 1:
         raise ValueError(f"chunk = {chunk!r}: must be at least 1")
-    names, fields = response_names(response, tolerances), tuple(parts.active)
+    names, fields = response_names(response, population), tuple(population.active)
     sums = {name: _Sums(len(fields)) for name in names}
     used = failed = 0
-    points, block = SobolPoints(2 * parts.numbers, seed), min(chunk, samples)
+    points, block = SobolPoints(2 * population.numbers, seed), min(chunk, samples)
     for start in range(0, samples, block):
         count = min(block, samples - start)
         z = np.pad(points.z(start, count), ((0, 0), (0, block - count)))  # one program for chunks of one length
-        rows = [_evaluated(response, parts, mixed, count) for mixed in _mixtures(parts, *np.split(z, 2))]
+        rows = [_evaluated(response, population, mixed, count) for mixed in _mixtures(population, *np.split(z, 2))]
         good = np.all([valid for _, valid in rows], axis=0)
         used += int(good.sum())
         failed += sum(int((~valid).sum()) for _, valid in rows)
@@ -96,24 +96,25 @@ def sobol_indices(
         for name in names:
             sums[name].add([values[name][good] for values, _ in rows], scramble)
     shares = {name: item.shares(fields) for name, item in sums.items()}
-    return SobolIndices(
-        first=like_response({name: first for name, (first, _) in shares.items()}),
-        total=like_response({name: total for name, (_, total) in shares.items()}),
+    found = SobolIndices(
+        first={name: first for name, (first, _) in shares.items()},
+        total={name: total for name, (_, total) in shares.items()},
         samples=samples,
         used=used,
         failed=failed,
         evaluations=samples * (len(fields) + 2),
         seed=seed,
     )
+    return unwrapped(found)
 
 
-def _mixtures(parts: Layout, a: np.ndarray, b: np.ndarray) -> Iterator[np.ndarray]:
+def _mixtures(population: Population, a: np.ndarray, b: np.ndarray) -> Iterator[np.ndarray]:
     """The z (numbers, rows) of A, B and every AB_i."""
     yield a
     yield b
     start = 0
-    for tolerance in parts.active.values():
-        stop = start + numbers_of(tolerance)
+    for numbers in population.numbers_by_field.values():
+        stop = start + numbers
         mixed = a.copy()
         mixed[start:stop] = b[start:stop]
         start = stop
@@ -121,10 +122,10 @@ def _mixtures(parts: Layout, a: np.ndarray, b: np.ndarray) -> Iterator[np.ndarra
 
 
 def _evaluated(
-    response: Response, parts: Layout, z: np.ndarray, count: int
+    response: Response, population: Population, z: np.ndarray, count: int
 ) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Values and validity of the first `count` units."""
-    values, status = respond(response, parts.replace({}), jnp.asarray(z, jnp.result_type(float)))
+    values, status = respond(response, population, jnp.asarray(z, jnp.result_type(float)))
     return {n: np.asarray(v, float)[:count] for n, v in values.items()}, np.asarray(succeeded(status))[:count]
 
 

@@ -9,7 +9,7 @@ from rvjax.status import SUCCESS
 from rvjax.tolerances.propagation.checkpoint import Arrays
 from rvjax.tolerances.propagation.estimates import Moments4, Pairwise
 from rvjax.tolerances.propagation.order import ExactOrder, Order
-from rvjax.tolerances.propagation.requirements import Requirement
+from rvjax.tolerances.propagation.requirements import Limits
 
 _GOOD = [int(status) for status in SUCCESS]
 
@@ -21,14 +21,15 @@ class Tally:
     so that the sums have the same bits after an interruption and in any number of processes.
     """
 
-    def __init__(self, names: tuple[str, ...], requirements: dict[str, Requirement], streams: int, kept: int) -> None:
-        self.names, self.requirements, self.streams = names, requirements, streams
+    def __init__(self, names: tuple[str, ...], requirements: dict[str, Limits], streams: int, kept: int) -> None:
+        self.names, self.streams = names, streams
+        self.requirements = {name: item for name, item in requirements.items() if item.of_units}
         self.moments = {name: [Pairwise() for _ in range(streams)] for name in names}
         self._orders = {} if kept else {name: Order(streams) for name in names}
         self.values = {name: np.full(kept, math.nan) for name in names} if kept else {}
         # Units of each stream: seen, within all limits, within the limits of each requirement.
         self.seen, self.joint = np.zeros((2, streams), np.int64)
-        self.passed = {name: np.zeros(streams, np.int64) for name in requirements}
+        self.passed = {name: np.zeros(streams, np.int64) for name in self.requirements}
         self.failures: dict[int, int] = {}
         self.examples: dict[int, int] = {}
 

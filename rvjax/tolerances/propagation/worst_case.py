@@ -1,7 +1,6 @@
 """Worst case: the range of a response over the box of all limits."""
 
 import dataclasses
-import functools
 import itertools
 import math
 from typing import Any
@@ -11,8 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax.status import succeeded
-from rvjax.tolerances.population.layout import Layout, layout
-from rvjax.tolerances.propagation.responses import Response, evaluate, like_response, response_names
+from rvjax.tolerances.population.population import Population
+from rvjax.tolerances.propagation.responses import Response, evaluate, per_response, response_names, unwrapped
 
 _ALL_CORNERS = 12  # up to so many coordinates every corner is looked at
 _STARTS = 16  # else: corners of gradient signs at the middle and at random points
@@ -56,35 +55,36 @@ def worst_case(response: Response, tolerances: Any, *, refine: bool = True) -> W
     Returns:
         `WorstCase`.
     """
-    parts = layout(layout(tolerances).replace({}))
-    names = response_names(response, tolerances)
-    search = _Search(response, parts, names)
+    population = Population.of(tolerances)
+    names = response_names(response, population)
+    search = _Search(response, population, names)
     found = {name: (search.extreme(k, -1.0, refine), search.extreme(k, 1.0, refine)) for k, name in enumerate(names)}
 
     def column(pick: Any) -> Any:
-        return like_response({name: pick(*pair) for name, pair in found.items()})
+        return {name: pick(*pair) for name, pair in found.items()}
 
-    return WorstCase(
+    whole = WorstCase(
         lower=column(lambda low, high: -low[0]),
         upper=column(lambda low, high: high[0]),
         at_lower=column(lambda low, high: search.errors(low[1])),
         at_upper=column(lambda low, high: search.errors(high[1])),
         failed=column(lambda low, high: low[2] + high[2]),
     )
+    return unwrapped(whole)
 
 
 class _Search:
     """Ascent in unit coordinates u: box coordinates in [-1, 1], pairs of a vector in the unit disc."""
 
-    def __init__(self, response: Response, parts: Layout, names: tuple[str, ...]) -> None:
-        self.response, self.parts, self.names = response, parts, names
-        pairs = [np.full(math.prod(t.shape), t.is_vector) for t in parts.active.values()]
+    def __init__(self, response: Response, population: Population, names: tuple[str, ...]) -> None:
+        self.response, self.population, self.names = response, population, names
+        pairs = [np.full(math.prod(t.shape), t.is_vector) for t in population.active.values()]
         self.in_disc = np.concatenate([np.zeros(0, bool), *pairs])
         self.failed = 0
 
     def errors(self, u: np.ndarray) -> Any:
         """Errors of unit coordinates."""
-        return self.parts.errors(_unit_errors(self.parts, jnp.asarray(u)))
+        return self.population.fill(_unit_errors(self.population, jnp.asarray(u)))
 
     def look(self, points: np.ndarray, k: int, sign: float) -> tuple[np.ndarray, np.ndarray]:
         """Values (nan where failed) and gradients of sign * response k at points (m, n)."""
@@ -92,7 +92,7 @@ class _Search:
         for start in range(0, len(points), _BLOCK):
             part = points[start : start + _BLOCK]
             padded = np.concatenate([part, np.repeat(part[:1], _BLOCK - len(part), axis=0)])
-            v, g = _values_and_gradients(self.response, self.names, self.parts.replace({}), jnp.asarray(padded), k)
+            v, g = _values_and_gradients(self.response, self.population, jnp.asarray(padded), k, names=self.names)
             values.append(np.asarray(v)[: len(part)])
             gradients.append(np.asarray(g)[: len(part)])
         value = sign * np.concatenate(values)
@@ -188,26 +188,23 @@ class _Search:
         return inside
 
 
-def _unit_errors(parts: Layout, u: jax.Array) -> dict[str, jax.Array]:
+def _unit_errors(population: Population, u: jax.Array) -> dict[str, jax.Array]:
     """Errors of the active fields from unit coordinates (n,)."""
-    errors = {}
-    ends = np.cumsum([math.prod(t.shape) for t in parts.active.values()])
-    pieces = jnp.split(u, ends[:-1]) if parts.active else []  # the transpose of a split is one concatenation
-    for (name, tolerance), piece in zip(parts.active.items(), pieces):
-        own = piece.reshape(tolerance.shape)
-        errors[name] = tolerance.upper * own if tolerance.is_vector else tolerance.middle + tolerance.half_width * own
-    return errors
+    placed = {}
+    for name, own in population.by_field(u).items():
+        tolerance = population.active[name]
+        placed[name] = tolerance.upper * own if tolerance.is_vector else tolerance.middle + tolerance.half_width * own
+    return placed
 
 
-@functools.partial(jax.jit, static_argnums=(0, 1))
+@per_response(static=("names",))
 def _values_and_gradients(
-    response: Response, names: tuple[str, ...], tolerances: Any, points: jax.Array, k: int
+    response: Response, population: Population, points: jax.Array, k: int, *, names: tuple[str, ...]
 ) -> tuple[jax.Array, jax.Array]:
     """Value k (nan where the unit failed) and its gradient in unit coordinates at points (m, n)."""
-    parts = layout(tolerances)
 
     def value(u: jax.Array) -> tuple[jax.Array, jax.Array]:
-        values, status = evaluate(response, parts.errors(_unit_errors(parts, u)))
+        values, status = evaluate(response, population.fill(_unit_errors(population, u)))
         return jnp.stack([values[name] for name in names])[k], status
 
     (found, status), gradients = jax.vmap(jax.value_and_grad(value, has_aux=True), in_axes=-1)(points.T)

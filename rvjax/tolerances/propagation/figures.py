@@ -4,14 +4,12 @@ import dataclasses
 import math
 from typing import Any
 
-import numpy as np
-
 from rvjax.status import PRECEDENCE
 from rvjax.tolerances.propagation.checkpoint import versions
-from rvjax.tolerances.propagation.estimates import Estimate, wilson
+from rvjax.tolerances.propagation.estimates import Estimate
 from rvjax.tolerances.propagation.order import quantile_estimate
-from rvjax.tolerances.propagation.responses import like_response
-from rvjax.tolerances.propagation.scrambles import mean_of, share_estimate
+from rvjax.tolerances.propagation.requirements import Limits, Verdict
+from rvjax.tolerances.propagation.sampled import Sampled
 from rvjax.tolerances.propagation.tally import Tally
 
 
@@ -40,11 +38,12 @@ class Statistics:
             else within one histogram bin. Intervals are binomial for independent units.
         minimum: smallest value.
         maximum: largest value.
-        yield_: `Estimate` of the share of units within the limits, Wilson interval; None without requirement.
+        yield_: `Estimate` of the share of units within the limits, Wilson interval; None without limits of units.
         ppm: `Estimate` of the rejects per million units.
         cp: (U - L)/(6 sd); nan for a one-sided requirement.
         cpk: min(U - mean, mean - L)/(3 sd).
         joint_yield: `Estimate` of the share of units that meet all requirements.
+        verdicts: `Verdict` on each requirement; None without.
         values: response of every unit, nan for failed ones, if `keep`; else None.
         study: what was asked, as text: tolerances, requirements, response (its hash, with a checkpoint) ...
         versions: of rvjax and what the numbers come from.
@@ -69,18 +68,27 @@ class Statistics:
     cp: Any
     cpk: Any
     joint_yield: Estimate | None
+    verdicts: Any
     values: Any
     study: dict[str, str]
     versions: dict[str, str]
 
 
 def statistics(
-    tally: Tally, *, quantiles: tuple[float, ...], confidence: float, seed: int, method: str, study: dict[str, str]
+    tally: Tally,
+    requirements: dict[str, Limits],
+    *,
+    quantiles: tuple[float, ...],
+    confidence: float,
+    seed: int,
+    method: str,
+    study: dict[str, str],
 ) -> Statistics:
-    """The figures of what a tally has counted.
+    """The figures of what a tally has counted, as dicts by name of the response.
 
     Args:
         tally: of all units.
+        requirements: by name.
         quantiles: shares whose quantiles are wanted.
         confidence: of every interval.
         seed: of the random numbers.
@@ -88,32 +96,13 @@ def statistics(
         study: what was asked, as text.
     """
     named = [status for status in PRECEDENCE if int(status) in tally.failures]
-    streams = {name: [tree.total() for tree in trees] for name, trees in tally.moments.items()}
-    whole = {name: parts[0] for name, parts in streams.items()}
-    for name, parts in streams.items():
-        for part in parts[1:]:
-            whole[name] = whole[name].merge(part)
-    if tally.streams == 1:
-        means = {name: m.mean_estimate(confidence) for name, m in whole.items()}
-        sds = {name: m.sd_estimate(confidence) for name, m in whole.items()}
-    else:
-        means = {
-            name: mean_of([m.mean_or_nan for m in parts], whole[name].mean_or_nan, confidence)
-            for name, parts in streams.items()
-        }
-        sds = {name: mean_of([m.sd for m in parts], whole[name].sd, confidence) for name, parts in streams.items()}
-
-    def share(hits: np.ndarray) -> Estimate:
-        if tally.streams == 1:
-            return wilson(int(hits[0]), int(tally.seen[0]), confidence)
-        return share_estimate(hits, tally.seen, confidence)
-
-    orders, required = tally.orders(), tally.requirements
-    yields = {name: share(tally.passed[name]) if name in required else None for name in tally.names}
-    capability = {
-        name: required[name].capability(m.mean, m.sd) if name in required and m.n else (math.nan, math.nan)
-        for name, m in whole.items()
+    seen = {
+        name: Sampled([tree.total() for tree in trees], tally.passed.get(name), tally.seen, confidence)
+        for name, trees in tally.moments.items()
     }
+    orders, any_units = tally.orders(), bool(tally.requirements)
+    yields = {name: None if item.passed is None else item.share() for name, item in seen.items()}
+    figures = {name: item.figure(seen[name]) for name, item in requirements.items()}
     return Statistics(
         samples=int(tally.seen.sum()),
         seed=seed,
@@ -124,23 +113,28 @@ def statistics(
         failures={status.name: tally.failures[int(status)] for status in named},
         examples={status.name: tally.examples[int(status)] for status in named},
         worst_index=tally.examples[int(named[0])] if named else None,
-        mean=like_response(means),
-        sd=like_response(sds),
-        quantiles={
-            p: like_response({name: quantile_estimate(order, p, confidence) for name, order in orders.items()})
-            for p in quantiles
-        },
-        minimum=like_response({name: m.minimum for name, m in whole.items()}),
-        maximum=like_response({name: m.maximum for name, m in whole.items()}),
-        yield_=like_response(yields) if required else None,
-        ppm=like_response({name: _ppm(share) for name, share in yields.items()}) if required else None,
-        cp=like_response({name: cp for name, (cp, _) in capability.items()}) if required else None,
-        cpk=like_response({name: cpk for name, (_, cpk) in capability.items()}) if required else None,
-        joint_yield=share(tally.joint) if required else None,
-        values=like_response(tally.values) if tally.values else None,
+        mean={name: item.mean() for name, item in seen.items()},
+        sd={name: item.sd() for name, item in seen.items()},
+        quantiles={p: {n: quantile_estimate(order, p, confidence) for n, order in orders.items()} for p in quantiles},
+        minimum={name: item.whole.minimum for name, item in seen.items()},
+        maximum={name: item.whole.maximum for name, item in seen.items()},
+        yield_=yields if any_units else None,
+        ppm={name: _ppm(share) for name, share in yields.items()} if any_units else None,
+        cp={name: _capability(tally, name, item)[0] for name, item in seen.items()} if any_units else None,
+        cpk={name: _capability(tally, name, item)[1] for name, item in seen.items()} if any_units else None,
+        joint_yield=next(iter(seen.values())).share(tally.joint) if any_units else None,
+        verdicts={n: Verdict(r.text(), figures[n], r.holds(figures[n])) for n, r in requirements.items()} or None,
+        values=tally.values or None,
         study=study,
         versions=versions(),
     )
+
+
+def _capability(tally: Tally, name: str, sampled: Sampled) -> tuple[float, float]:
+    moments = sampled.whole
+    if name not in tally.requirements or not moments.n:
+        return math.nan, math.nan
+    return tally.requirements[name].capability(moments.mean, moments.sd)
 
 
 def _ppm(share: Estimate | None) -> Estimate | None:

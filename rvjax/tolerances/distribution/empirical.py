@@ -1,0 +1,96 @@
+"""Measured parts: an error that follows the values someone has measured."""
+
+import csv
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.scipy.special import ndtr
+
+from rvjax.records import concrete, field, is_concrete, record
+from rvjax.tolerances.distribution.law import IN_ERROR_UNIT, Law, Moments, bad
+from rvjax.units import KNOWN
+
+
+@record
+class Empirical(Law):
+    """Measured values: the k-th of n stands for the share (k - 1/2)/n, linear between them (Hazen 1914).
+
+    The values need not keep within the limits. Another half-width scales them about the middle of the limits.
+    In a study file, `values` is a list of texts with units, or {file = "...", column = "...", unit = "..."}.
+    """
+
+    name = "empirical"
+    values: Any = field(IN_ERROR_UNIT, "the measured values", shape=("parts",))
+
+    def deviate(self, tolerance: Any, z: jax.Array) -> jax.Array:
+        """Order statistics at n Phi(z) + 1/2."""
+        values = jnp.asarray(self.values, jnp.result_type(z))
+        n = len(values)
+        position = jnp.clip(n * ndtr(z) - 0.5, 0.0, n - 1.0)
+        left = jnp.clip(position.astype(int), 0, max(n - 2, 0))
+        low, high = values[left], values[jnp.minimum(left + 1, n - 1)]
+        return low + (position - left.astype(position.dtype)) * (high - low)
+
+    def moments(self, tolerance: Any) -> Moments:
+        """Exact moments of the law as it is drawn: the mean is that of the data.
+
+        A piece from a to b holds 1/n of the parts with the central moments sum_i a^i b^(k-i)/(k+1), the ends 1/(2n).
+        """
+        values = np.asarray(self.values, float)
+        mean = float(values.mean())
+        x = values - mean
+        a, b, n = x[:-1], x[1:], len(x)
+        found = [mean]
+        for k in (2, 3, 4):
+            pieces = sum(a**i * b ** (k - i) for i in range(k + 1)) / (k + 1)
+            found.append(float(np.sum(pieces) + (x[0] ** k + x[-1] ** k) / 2) / n)
+        first, second, third, fourth = found
+        return first, second, third, fourth
+
+    def scaled(self, tolerance: Any, half_width: Any) -> dict[str, Any]:
+        """Limits and values about the middle of the limits."""
+        old = tolerance.half_width
+        if is_concrete(old) and old == 0:
+            raise bad("half_width", 0.0, "measured values with limits of no width cannot be scaled")
+        values = tolerance.middle + (self.values - tolerance.middle) * (half_width / old)
+        return super().scaled(tolerance, half_width) | dict(values=values)
+
+    def _check(self) -> None:
+        if not concrete(self.values):
+            return
+        values = np.asarray(self.values)
+        if values.ndim != 1 or not values.size or not np.isfinite(values).all():
+            raise bad("values", self.values, "must be one row of finite numbers")
+        object.__setattr__(self, "values", np.sort(values))
+
+    @classmethod
+    def parsed(cls, key: str, value: Any, unit: str) -> Any:
+        """Values from a list, or from a column of a CSV file."""
+        if not isinstance(value, dict):
+            if not isinstance(value, list):
+                raise ValueError(f"{key} = {value!r}: must be a list, or a table of file, column and unit")
+            return super().parsed(key, value, unit)
+        if set(value) != {"file", "column", "unit"} or not all(isinstance(item, str) for item in value.values()):
+            raise ValueError(f"{key}: give file, column and unit as texts, not {', '.join(value)}")
+        if value["unit"] not in KNOWN[unit]:
+            raise ValueError(f"{key}.unit = {value['unit']!r}: is not one of {', '.join(KNOWN[unit])}")
+        return _column(Path(value["file"]), value["column"]) * KNOWN[unit][value["unit"]]
+
+
+def _column(path: Path, column: str) -> np.ndarray:
+    """Numbers of a column of a CSV file with a line of names."""
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            rows = list(csv.DictReader(file))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise ValueError(f"values.file = {str(path)!r}: cannot be read ({error})") from None
+    if not rows or column not in rows[0]:
+        have = ", ".join(map(str, rows[0])) if rows else "no rows"
+        raise ValueError(f"values.column = {column!r}: {path} has {have}")
+    try:
+        return np.array([float(row[column]) for row in rows])
+    except (TypeError, ValueError):
+        raise ValueError(f"values.column = {column!r}: {path} has something there that is no number") from None

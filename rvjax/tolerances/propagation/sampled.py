@@ -1,0 +1,77 @@
+"""What a run has seen of one response, as figures with their errors, whatever the units depend on."""
+
+import dataclasses
+import functools
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from rvjax.tolerances.propagation.estimates import Estimate, Moments4, deviate_of, wilson
+from rvjax.tolerances.propagation.scrambles import mean_of, share_estimate
+
+
+@dataclasses.dataclass(frozen=True)
+class Sampled:
+    """Moments and counts by stream: one stream of independent units, or several scrambles.
+
+    Attributes:
+        streams: moments of each.
+        passed: (streams,) units within the limits; None without any.
+        seen: (streams,) units.
+        confidence: of every interval.
+    """
+
+    streams: list[Moments4]
+    passed: np.ndarray | None
+    seen: np.ndarray
+    confidence: float
+
+    @functools.cached_property
+    def whole(self) -> Moments4:
+        """Moments of all units."""
+        return functools.reduce(Moments4.merge, self.streams)
+
+    def _figure(self, of: Callable[[Moments4], float], alone: Callable[[Moments4], Estimate]) -> Estimate:
+        if len(self.streams) == 1:
+            return alone(self.whole)
+        return mean_of([of(part) for part in self.streams], of(self.whole), self.confidence)
+
+    def mean(self) -> Estimate:
+        """The mean."""
+        return self._figure(lambda m: m.mean_or_nan, lambda m: m.mean_estimate(self.confidence))
+
+    def sd(self) -> Estimate:
+        """The standard deviation."""
+        return self._figure(lambda m: m.sd, lambda m: m.sd_estimate(self.confidence))
+
+    def cpk(
+        self, capability: Callable[[float, float], tuple[float, float]], outward: Callable[[float], Any]
+    ) -> Estimate:
+        """Cpk = room/(3 sd) of limits; `outward` is -1 where room grows with the mean, +1 where it falls."""
+
+        def of(m: Moments4) -> float:
+            return capability(m.mean, m.sd)[1] if m.n > 1 else math.nan
+
+        def alone(m: Moments4) -> Estimate:
+            value = of(m)
+            if not math.isfinite(value):  # no spread, or no two units
+                return Estimate(value, 0.0 if math.isinf(value) else math.nan, value, value)
+            # d Cpk = (-o dm - 3 Cpk ds)/(3 s), with var m = m2/n, var s of any law, cov(m, s) = m3/(2 s n).
+            s, spread = m.sd, m.sd_estimate(self.confidence).error
+            o = float(outward(m.mean))
+            variance = s**2 / m.n + (3 * value * spread) ** 2 + 2 * o * 3 * value * m.s3 / m.n / (2 * s * m.n)
+            error = math.sqrt(max(0.0, variance)) / (3 * s)
+            half = deviate_of(self.confidence) * error
+            return Estimate(value, error, value - half, value + half)
+
+        return self._figure(of, alone)
+
+    def share(self, passed: np.ndarray | None = None) -> Estimate:
+        """The share of units within the limits, or of others that are counted."""
+        hits = self.passed if passed is None else passed
+        assert hits is not None
+        if len(self.seen) == 1:
+            return wilson(int(hits[0]), int(self.seen[0]), self.confidence)
+        return share_estimate(hits, self.seen, self.confidence)

@@ -1,0 +1,145 @@
+"""Requirements beside a share of units: the mean within limits, and Cpk of at least a value.
+
+Oracle: linear responses of normal errors, whose mean, sd and Cpk are closed forms, and whose cheapest half-widths
+follow by Lagrange. Tolerances: 4 standard errors where one figure is drawn; an allocation learns from 16384 units
+(sd to 0.6 %, corrected by 100 000 to 0.22 %) and keeps 2.7 standard errors in hand for its certificate.
+"""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from linear_pair import COSTS, PAIR, linear
+
+from rvjax.tolerances import (
+    CpkAtLeast,
+    MeanWithin,
+    Requirement,
+    Tolerance,
+    allocate,
+    cost_curve,
+    failure_probability,
+    monte_carlo,
+    rss,
+)
+from rvjax.tolerances.propagation.estimates import Moments4
+from rvjax.tolerances.propagation.sampled import Sampled
+from rvjax.units import um
+
+LIMIT = 30 * um
+CPK = CpkAtLeast(cpk=1.33, lower=-LIMIT, upper=LIMIT)
+OFF = {"a": Tolerance(-10 * um, 10 * um, shift=0.3), "b": Tolerance(-10 * um, 10 * um, shift=0.2)}
+FEW = dict(costs=COSTS, samples=16384, certificate_samples=100_000)
+
+
+def test_figures_are_those_of_the_closed_form():
+    sd, mean = math.sqrt(5) * 10 * um / 3, 3 * um + 2 * 2 * um
+    for requirement, exact in [(CPK, (LIMIT - mean) / (3 * sd)), (MeanWithin(upper=8 * um), mean)]:
+        for method in ("random", "sobol"):
+            found = monte_carlo(linear, OFF, samples=100_000, seed=3, requirements=requirement, method=method)
+            verdict = found.verdicts
+            assert abs(verdict.estimate.value - exact) < 4 * verdict.estimate.error
+            assert verdict.estimate.lower < exact < verdict.estimate.upper
+            assert verdict.met == (requirement is not CPK)
+    assert verdict.wanted == "mean" and found.yield_ is None and found.joint_yield is None and found.cpk is None
+    both = monte_carlo(linear, OFF, samples=100_000, seed=3, requirements=CPK)
+    assert both.yield_.value > 0.99 and both.cpk == both.verdicts.estimate.value
+    assert rss(linear, OFF, requirements=CPK).cpk == pytest.approx((LIMIT - mean) / (3 * sd))
+    assert rss(linear, OFF, requirements=MeanWithin(upper=1.0)).cpk is None
+
+
+@pytest.mark.parametrize("law", ["normal", "exponential"])
+def test_the_error_of_cpk_is_honest(law):
+    rng, limits = np.random.default_rng(0), CpkAtLeast(cpk=1.0, lower=-2.0, upper=4.0)
+    true = {"normal": 2 / 3, "exponential": 1.0}[law]  # min(4 - m, m + 2)/(3 s) at mean 0 or 1, sd 1
+    found = []
+    for _ in range(400):
+        x = rng.normal(size=2000) if law == "normal" else rng.exponential(size=2000)
+        found.append(limits.figure(Sampled([Moments4.of(x)], None, np.array([2000]), 0.95)))
+    # Of 400 intervals of 95 %, 4 standard errors are 4.4 %; the spread of 400 figures is known to 3.5 %.
+    hits = np.mean([e.lower <= true <= e.upper for e in found])
+    assert abs(hits - 0.95) < 0.045
+    assert np.mean([e.error for e in found]) == pytest.approx(np.std([e.value for e in found]), rel=0.15)
+
+
+def test_margins_and_their_slopes():
+    values = np.random.default_rng(1).normal(3 * um, 5 * um, 500)
+    values[7] = math.nan
+    for requirement in (CPK, MeanWithin(lower=-1 * um), Requirement(upper=9 * um, target=0.9)):
+        margin = requirement.learned(values, LIMIT)
+        pull = requirement.pull(values, margin, LIMIT, 500)
+        assert 7 not in pull.units[pull.norms > 0]
+        if isinstance(requirement, Requirement):
+            continue  # its slopes are regressed about the quantile; the allocations test them
+        direction = np.random.default_rng(2).normal(size=500)
+        slope = (pull.cotangents * direction[pull.units]).sum() / pull.norms.sum()
+        step = 1e-4 * um
+        moved = [requirement.learned(values + s * step * direction, LIMIT) for s in (1, -1)]
+        assert slope == pytest.approx((moved[0] - moved[1]) / (2 * step), rel=1e-6)
+    empty = np.full(5, math.nan)
+    assert [item.learned(empty, 1.0) for item in (CPK, MeanWithin(upper=1.0))] == [math.inf, math.inf]
+
+
+def test_cheapest_half_widths_for_a_capability():
+    found = allocate(linear, PAIR, CPK, **FEW)
+    a, b = found.half_widths.values()
+    # Lagrange: 1/t_j^2 = lambda a_j^2 t_j, so t_a = 4^(1/3) t_b; Cpk = L/sqrt(t_a^2 + 4 t_b^2) as sigma = t/3.
+    exact_b = LIMIT / 1.33 / math.sqrt(4 ** (2 / 3) + 4)
+    exact = 10 * um * (1 / (4 ** (1 / 3) * exact_b) + 1 / exact_b)
+    assert found.status == "OPTIMAL" and found.certificate.verdicts.met
+    assert a / b == pytest.approx(4 ** (1 / 3), rel=0.02)  # slopes of 16384 units: products to 1.1 %
+    assert found.cost == pytest.approx(exact, rel=0.012) and found.cost > exact
+    # cost = c/L, so d cost/d L = -cost/L.
+    assert found.multipliers == pytest.approx(-found.cost / LIMIT, rel=0.02)
+    assert found.shortfall == 0.0
+    curve = cost_curve(linear, found.tolerances, CPK, values=(1.0,), against="target", **FEW)
+    assert curve.costs[0] == pytest.approx(exact / 1.33, rel=0.012)
+
+
+def test_cheapest_half_widths_for_a_mean():
+    found = allocate(linear, OFF, MeanWithin(upper=5 * um), **FEW)
+    a, b = found.half_widths.values()
+    # Mean 0.3 t_a + 2 0.2 t_b <= 5 um; Lagrange: t_a^2 0.3 = t_b^2 0.4.
+    exact_b = 5 * um / (0.3 * math.sqrt(4 / 3) + 0.4)
+    exact = 10 * um * (1 / (exact_b * math.sqrt(4 / 3)) + 1 / exact_b)
+    assert found.status == "OPTIMAL" and found.certificate.verdicts.estimate.upper <= 5 * um
+    assert a / b == pytest.approx(math.sqrt(4 / 3), rel=0.02)
+    assert found.cost == pytest.approx(exact, rel=0.02) and found.cost > exact
+    assert found.multipliers == pytest.approx(-found.cost / (5 * um), rel=0.03)
+
+
+def test_kinds_stand_beside_each_other_and_a_joint_target():
+    both = lambda e: {"y": linear(e), "x": e["a"] - e["b"]}  # noqa: E731
+    asked = {"y": Requirement(lower=-LIMIT, upper=LIMIT, target=0.99), "x": CpkAtLeast(cpk=0.8, upper=LIMIT)}
+    found = allocate(both, PAIR, asked, joint_target=0.985, **FEW)
+    assert found.status == "OPTIMAL" and all(v.met for v in found.certificate.verdicts.values())
+    assert found.certificate.joint_yield.lower >= 0.985
+    with pytest.raises(ValueError, match=r"joint_target = 0.9: no requirement judges single units"):
+        allocate(linear, PAIR, MeanWithin(upper=1.0), joint_target=0.9, **FEW)
+
+
+def test_refusals_say_by_how_much():
+    tight = dataclasses.replace(CPK, lower=-2 * um, upper=2 * um)
+    found = allocate(linear, PAIR, tight, **FEW)
+    # At the finest, +-1 um each, sd = sqrt(5)/3 um: the limits lack 3 1.33 sd - 2 um.
+    assert found.status == "INFEASIBLE"
+    assert found.shortfall == pytest.approx((1.33 * math.sqrt(5) - 2) * um, rel=0.03)  # a difference of 3 to 2
+    with pytest.raises(ValueError, match=r"requirement\[''\] = MeanWithin.*: says nothing of one unit"):
+        failure_probability(linear, PAIR, MeanWithin(upper=1.0), samples=10, seed=0)
+    with pytest.raises(ValueError, match="against = 'target': MeanWithin has limits only"):
+        cost_curve(linear, PAIR, MeanWithin(upper=1.0), values=(0.9,), against="target", **FEW)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: CpkAtLeast(cpk=-1.0, upper=1.0), "CpkAtLeast.cpk = -1: must be positive"),
+        (lambda: CpkAtLeast(cpk=1.0), "CpkAtLeast: needs a lower or an upper limit"),
+        (lambda: MeanWithin(lower=2.0, upper=1.0), "MeanWithin.lower = 2: lies above upper = 1"),
+        (lambda: MeanWithin(upper="x"), "MeanWithin.upper = 'x': must be a number"),
+    ],
+)
+def test_bad_requirements_are_named(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()

@@ -1,0 +1,131 @@
+"""A response that is a record is an argument of its programs; a plain function is held for a while only.
+
+Oracles: counts of compilations, weak references, and the memory of the process. A program of its own costs some
+0.5 to 1.5 MB, so that 10 000 of them would be gigabytes; 64 MB of growth leaves room for the allocator alone.
+"""
+
+import gc
+import weakref
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from rvjax.records import Record, count, field, record
+from rvjax.tolerances import (
+    ReciprocalPower,
+    Requirement,
+    Tolerance,
+    allocate,
+    failure_probability,
+    monte_carlo,
+    rss,
+    worst_case,
+)
+from rvjax.tolerances.allocation.training import _unit_gradients
+from rvjax.tolerances.population.population import Population, drawn, root_key
+from rvjax.tolerances.propagation.checkpoint import response_hash
+from rvjax.tolerances.propagation.responses import PROGRAMS, respond
+from rvjax.tolerances.propagation.rss import _derivatives
+
+PAIR = {"a": Tolerance(-1.0, 1.0), "b": Tolerance(-1.0, 2.0)}
+POPULATION = Population.of(PAIR)
+
+
+@record
+class Lever(Record):
+    """A cheap design that is its own response."""
+
+    arm: Any = field("m", "length")
+    table: Any = field("-", "weights", shape=("n",))
+    power: int = count("of the second error")
+
+    def __call__(self, e: Any) -> Any:
+        """Arm times one error, and a power of the other."""
+        return self.arm * e["a"] + jnp.sum(self.table) * e["b"] ** self.power
+
+
+def lever(arm, power=1):
+    return Lever(arm, np.array([arm / 2, arm / 2]), power)
+
+
+def resident():
+    """Memory of this process, MB."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * 4096 / 2**20
+
+
+def test_a_record_computes_what_a_closure_does():
+    inner = lever(3.0)
+    plain = lambda e: inner(e)  # noqa: E731
+    z = drawn(POPULATION, root_key(0), jnp.uint32(0), count=64)
+    # Constants are folded into a program, arguments are not: a rounding or two.
+    np.testing.assert_allclose(respond(inner, POPULATION, z)[0][""], respond(plain, POPULATION, z)[0][""], rtol=1e-14)
+
+
+def test_ten_thousand_designs_share_one_program_and_none_is_kept():
+    z = drawn(POPULATION, root_key(0), jnp.uint32(0), count=4)
+    respond(lever(1.0), POPULATION, z)
+    gc.collect()
+    programs, before, alive = respond.programs(lever(1.0)), resident(), []
+    for k in range(10_000):
+        design = lever(1.0 + k)
+        values, _ = respond(design, POPULATION, z)
+        if k % 100 == 0:
+            alive += [weakref.ref(design), weakref.ref(design.table)]
+    assert float(values[""][0]) == pytest.approx(float(design({k: v[0] for k, v in POPULATION.errors(z).items()})))
+    del design, values
+    gc.collect()
+    assert respond.programs(lever(1.0)) == programs
+    assert not any(reference() is not None for reference in alive)
+    assert resident() - before < 64
+    respond(lever(1.0, power=2), POPULATION, z)  # a count is part of the program
+    assert respond.programs(lever(1.0)) == programs + 1
+
+
+def test_plain_functions_are_let_go():
+    z = drawn(POPULATION, root_key(0), jnp.uint32(0), count=4)
+    alive = []
+    for k in range(3 * PROGRAMS):
+        table = np.full(1000, float(k))
+        alive.append(weakref.ref(table))
+        respond(lambda e, table=table: e["a"] * jnp.sum(jnp.asarray(table)), POPULATION, z)
+    del table
+    gc.collect()
+    assert sum(reference() is not None for reference in alive) <= PROGRAMS
+    last = lambda e: e["a"]  # noqa: E731
+    respond(last, POPULATION, z)
+    respond(last, POPULATION, z)
+    assert respond.programs(last) == 1
+
+
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="memory is read from /proc")
+def test_every_question_serves_the_next_design_with_the_same_programs():
+    limits, cost = Requirement(upper=40.0, target=0.99), ReciprocalPower(finest=0.1, coarsest=9.0, reference=1.0)
+    priced = dict(costs={"a": cost, "b": cost}, samples=512, certificate_samples=1000)
+
+    def ask(design):
+        monte_carlo(design, PAIR, samples=100, seed=0, requirements=limits)
+        rss(design, PAIR)
+        worst_case(design, PAIR)
+        failure_probability(design, PAIR, Requirement(upper=9.0 * design.arm), samples=100, seed=0)
+        return allocate(design, PAIR, limits, **priced)
+
+    ask(lever(3.0))
+    programs = [item.programs(lever(1.0)) for item in (respond, _derivatives, _unit_gradients)]
+    compiled = []
+    jax.monitoring.register_event_duration_secs_listener(lambda name, *_, **__: compiled.append(name))
+    try:
+        ask(lever(4.0))
+    finally:
+        jax.monitoring.clear_event_listeners()
+    assert "/jax/core/compile/backend_compile_duration" not in compiled
+    assert [item.programs(lever(1.0)) for item in (respond, _derivatives, _unit_gradients)] == programs
+
+
+def test_the_fingerprint_sees_the_numbers_of_a_record():
+    of = lambda design: response_hash(design, POPULATION)  # noqa: E731
+    assert of(lever(1.0)) == of(lever(1.0))
+    assert len({of(lever(1.0)), of(lever(1.0 + 2e-16)), of(lever(1.0, 2)), of(lever(1.0).replace(arm=2.0))}) == 4
