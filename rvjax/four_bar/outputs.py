@@ -6,7 +6,7 @@ from typing import Any
 
 from rvjax.catalogue import RV_40E
 from rvjax.designs import RVReducer
-from rvjax.four_bar.revolution import Revolution, revolution
+from rvjax.four_bar.revolution import figures, revolution
 from rvjax.outputs import Cases, Curve, Description, Output, Solved, Way, condition
 from rvjax.units import arcmin, um
 
@@ -26,30 +26,24 @@ class Conditions:
     closure: str | None = condition(None, "of the crank linkages; the exact one by default", choices=CLOSURES)
 
 
-def _turn(design: RVReducer, errors: Any, given: Any, *, loaded: bool = True) -> Revolution:
-    return revolution(
-        design,
-        errors,
-        angles=given.angles,
-        output_torque=given.output_torque if loaded else 0.0,
-        cranks=given.cranks,
-        gear_stiffness_ratio=given.gear_stiffness_ratio,
-        closure=given.closure,
-    )
+def _turn(given: Any, *, loaded: bool = True) -> dict[str, Any]:
+    torque = given.output_torque if loaded else 0.0
+    ways = dict(cranks=given.cranks, gear_stiffness_ratio=given.gear_stiffness_ratio, closure=given.closure)
+    return dict(ways, angles=given.angles, output_torque=torque)
 
 
 def _transmission_error(design: RVReducer, errors: Any, given: Any) -> Solved:
-    found = _turn(design, errors, given)
+    found = figures(design, errors, **_turn(given))
     return found.peak_to_peak, found.info.status
 
 
 def _misfit(design: RVReducer, errors: Any, given: Any) -> Solved:
-    found = _turn(design, errors, given, loaded=False)
+    found = figures(design, errors, **_turn(given, loaded=False))
     return found.largest_misfit, found.info.status
 
 
 def _curve(design: RVReducer, errors: Any, given: Any) -> tuple[Any, Any]:
-    found = _turn(design, errors, given)
+    found = revolution(design, errors, **_turn(given))
     return found.crank_angle, found.error
 
 
