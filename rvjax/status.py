@@ -155,7 +155,7 @@ class Gate(NamedTuple):
     @property
     def good(self) -> PyTree:
         """True for a lane that was admitted."""
-        return ~functools.reduce(operator.or_, [failed for failed, _ in self.refused])
+        return functools.reduce(operator.and_, [~failed for failed, _ in self.refused])
 
     def close(self, values: PyTree, *checks: Check, info: SolveInfo | None = None) -> tuple[PyTree, SolveInfo]:
         """The values as a user sees them, NaN where a status says so, and how the solve ended.
@@ -169,7 +169,8 @@ class Gate(NamedTuple):
         known = self.good
         for failed, name in checks:
             known = known & ~failed if name in WITHOUT_VALUE else known
-        status = first_failure(*self.refused, otherwise=first_failure(*checks, otherwise=info.status))
+        # Selected by `good`, which the values need as well: by the conditions of the refusals XLA would store each of them.
+        status = jnp.where(self.good, first_failure(*checks, otherwise=info.status), first_failure(*self.refused))
         values = jax.tree.map(lambda value: jnp.where(known, value, jnp.nan), values)
         return values, SolveInfo(status, info.steps, info.residual)
 
