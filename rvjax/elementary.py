@@ -5,11 +5,12 @@ kept only where a benchmark shows a gain.
 """
 
 import math
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+
+from rvjax.records import PyTree
 
 # ln 2 = high + low; high has so few bits that its multiples by an exponent are exact.
 _LN2_HIGH, _LN2_LOW = float.fromhex("0x1.62e42ffp-1"), float.fromhex("-0x1.718432a1b0e26p-35")
@@ -35,7 +36,7 @@ def log(x: jax.Array) -> jax.Array:
 
 
 @log.defjvp
-def _log_jvp(primals: Any, tangents: Any) -> Any:
+def _log_jvp(primals: PyTree, tangents: PyTree) -> PyTree:
     (x,), (dx,) = primals, tangents
     return log(x), dx / x
 
@@ -84,7 +85,7 @@ def sin_cos(x: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 
 @sin_cos.defjvp
-def _sin_cos_jvp(primals: Any, tangents: Any) -> Any:
+def _sin_cos_jvp(primals: PyTree, tangents: PyTree) -> PyTree:
     sine, cosine = sin_cos(*primals)
     (dx,) = tangents
     return (sine, cosine), (cosine * dx, -sine * dx)
@@ -98,7 +99,7 @@ _PI, _PI_LOW = 2 * _HALF_PI[0], 2 * (_HALF_PI[1] + _HALF_PI[2])
 def _arctan_coefficients() -> list[float]:
     """Of t^3, t^5 .. up to tan(pi/8): the series, cut by interpolation in Chebyshev points instead of at its end."""
 
-    def tail(z: Any) -> Any:  # (arctan t - t) / t^3 at z = t^2
+    def tail(z: PyTree) -> PyTree:  # (arctan t - t) / t^3 at z = t^2
         return sum((-1) ** (n + 1) * z**n / (2 * n + 3) for n in range(30))
 
     cut = np.polynomial.Chebyshev.interpolate(tail, 11, domain=[0, _EIGHTH**2])
@@ -129,7 +130,7 @@ def arctan2(y: jax.Array, x: jax.Array) -> jax.Array:
 
 
 @arctan2.defjvp
-def _arctan2_jvp(primals: Any, tangents: Any) -> Any:
+def _arctan2_jvp(primals: PyTree, tangents: PyTree) -> PyTree:
     (y, x), (dy, dx) = primals, tangents
     square = x * x + y * y
     return arctan2(y, x), (x * dy - y * dx) / jnp.where(square == 0, 1, square)

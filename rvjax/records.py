@@ -15,6 +15,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+Array = jax.Array
+Scalar = float | Array | np.ndarray  # one number; under `jax.vmap` and in a stack of records one for each case
+PyTree = Any  # numbers nested in a way that types cannot say
 Class = TypeVar("Class", bound=type)
 Shape = tuple[str | int, ...]
 

@@ -18,8 +18,9 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+from jax.typing import DTypeLike
 
-from rvjax.records import Record, field, promote, record
+from rvjax.records import Array, PyTree, Record, Scalar, field, promote, record
 from rvjax.status import SolveInfo, Status, succeeded
 
 __all__ = ["Root", "bracketed", "newton"]
@@ -33,17 +34,17 @@ _RUNNING = -1  # not a Status: the loop goes on
 class Root(Record):
     """A root and how it was found."""
 
-    value: Any = field("as the unknown", "the root, () or (n,); NaN where the solve failed", shape=("n",))
+    value: Array = field("as the unknown", "the root, () or (n,); NaN where the solve failed", shape=("n",))
     info: SolveInfo = field("-", "residual is |residual(value)|, for vectors its Euclidean norm", kind="record")
 
 
 def bracketed(
     residual: Residual,
-    params: Any,
-    lower: Any,
-    upper: Any,
+    params: PyTree,
+    lower: Scalar,
+    upper: Scalar,
     *,
-    start: Any = None,
+    start: Scalar | None = None,
     max_steps: int = 128,
     tolerance: float | None = None,
 ) -> Root:
@@ -70,7 +71,14 @@ def bracketed(
 
 @partial(jax.jit, inline=True, static_argnums=0, static_argnames=("max_steps", "tolerance"))
 def _bracketed(
-    residual: Residual, params: Any, lower: Any, upper: Any, start: Any, *, max_steps: int, tolerance: float | None
+    residual: Residual,
+    params: PyTree,
+    lower: Array,
+    upper: Array,
+    start: Array | None,
+    *,
+    max_steps: int,
+    tolerance: float | None,
 ) -> Root:
     params, lower, upper, start = promote(params, lower, upper, 0.5 * (lower + upper) if start is None else start)
     iterate = partial(_bracketed_iteration, max_steps=max_steps, tolerance=_tolerance(tolerance, lower.dtype))
@@ -79,8 +87,8 @@ def _bracketed(
 
 def newton(
     residual: Residual,
-    params: Any,
-    start: Any,
+    params: PyTree,
+    start: Scalar | None,
     *,
     scale: float = 0.0,
     max_steps: int = 50,
@@ -106,7 +114,7 @@ def newton(
 
 @partial(jax.jit, inline=True, static_argnums=0, static_argnames=("scale", "max_steps", "tolerance"))
 def _newton(
-    residual: Residual, params: Any, start: Any, *, scale: float, max_steps: int, tolerance: float | None
+    residual: Residual, params: PyTree, start: Array | None, *, scale: float, max_steps: int, tolerance: float | None
 ) -> Root:
     params, start = promote(params, start)
     step = _tolerance(None if tolerance is None else tolerance / 8, start.dtype) * 8
@@ -114,7 +122,7 @@ def _newton(
     return _masked(*_implicit(residual, iterate, params, (start,)))
 
 
-def _tolerance(given: float | None, dtype: Any) -> float:
+def _tolerance(given: float | None, dtype: DTypeLike) -> float:
     return 8 * float(jnp.finfo(dtype).eps) if given is None else given
 
 
@@ -123,19 +131,21 @@ def _masked(value: jax.Array, info: SolveInfo) -> Root:
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0, 1))
-def _implicit(residual: Residual, iterate: Callable[..., Any], params: Any, guess: Any) -> tuple[Any, SolveInfo]:
+def _implicit(
+    residual: Residual, iterate: Callable[..., PyTree], params: PyTree, guess: PyTree
+) -> tuple[PyTree, SolveInfo]:
     return iterate(residual, params, guess)
 
 
 @_implicit.defjvp
-def _implicit_jvp(residual: Residual, iterate: Callable[..., Any], primals: Any, tangents: Any) -> Any:
+def _implicit_jvp(residual: Residual, iterate: Callable[..., PyTree], primals: PyTree, tangents: PyTree) -> PyTree:
     (params, guess), (dparams, _) = primals, tangents
     value, info = _implicit(residual, iterate, params, guess)
     good = succeeded(info.status)
 
     # A failed lane may hold NaN. Selecting before and after the linear map keeps both its tangent and,
     # transposed, its cotangent exactly zero, here and in second derivatives.
-    def keep(tree: Any) -> Any:
+    def keep(tree: PyTree) -> PyTree:
         return jax.tree.map(lambda leaf: jnp.where(good, leaf, jax.lax.stop_gradient(leaf)), tree)
 
     value, params = keep(value), keep(params)
@@ -152,7 +162,7 @@ def _implicit_jvp(residual: Residual, iterate: Callable[..., Any], primals: Any,
 
 
 def _bracketed_iteration(
-    residual: Residual, params: Any, guess: Any, *, max_steps: int, tolerance: float
+    residual: Residual, params: PyTree, guess: PyTree, *, max_steps: int, tolerance: float
 ) -> tuple[jax.Array, SolveInfo]:
     lower, upper, start = guess
     at_lower, at_upper = residual(lower, params), residual(upper, params)
@@ -163,13 +173,13 @@ def _bracketed_iteration(
     x = jnp.clip(start, jnp.minimum(lower, upper), jnp.maximum(lower, upper))
     x = jnp.where(at_lower == 0, lower, jnp.where(at_upper == 0, upper, x))  # an end that is a root
 
-    def running(state: Any) -> jax.Array:
+    def running(state: PyTree) -> jax.Array:
         return state[-2] == _RUNNING
 
-    def at(x: jax.Array) -> Any:
+    def at(x: jax.Array) -> PyTree:
         return jax.jvp(lambda y: residual(y, params), (x,), (jnp.ones_like(x),))
 
-    def body(state: Any) -> Any:
+    def body(state: PyTree) -> PyTree:
         # The residual comes with the state: computed here it might be rounded differently for each result, and one
         # would take x for the root while another moves on.
         x, value, slope, below, above, last, stride, status, steps = state
@@ -198,17 +208,17 @@ def _bracketed_iteration(
 
 
 def _newton_iteration(
-    residual: Residual, params: Any, guess: Any, *, scale: float, max_steps: int, tolerance: float
+    residual: Residual, params: PyTree, guess: PyTree, *, scale: float, max_steps: int, tolerance: float
 ) -> tuple[jax.Array, SolveInfo]:
     (start,) = guess
 
-    def running(state: Any) -> jax.Array:
+    def running(state: PyTree) -> jax.Array:
         return state[-2] == _RUNNING
 
     def norm(vector: jax.Array) -> jax.Array:
         return jnp.sqrt(jnp.sum(vector * vector))
 
-    def body(state: Any) -> Any:
+    def body(state: PyTree) -> PyTree:
         x, value, damping, status, steps = state
         step = -jnp.linalg.solve(jax.jacfwd(residual)(x, params), value)
         regular = jnp.all(jnp.isfinite(step))

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax.records import Record, field, record
+from rvjax.records import Array, PyTree, Record, field, record
 
 Result = TypeVar("Result")
 
@@ -87,16 +87,16 @@ Check = tuple[Any, Status]  # a condition, and what it is called where it holds
 class SolveInfo(Record):
     """How a solve ended; vmaps like any record."""
 
-    status: Any = field("-", "a Status value", kind="integer")
-    steps: Any = field("-", "iterations taken (0 for closed forms)", default=0, kind="integer")
-    residual: Any = field("-", "size of what the solver drives to zero, at the result", default=0.0)
+    status: Array = field("-", "a Status value", kind="integer")
+    steps: Array = field("-", "iterations taken (0 for closed forms)", default=0, kind="integer")
+    residual: Array = field("-", "size of what the solver drives to zero, at the result", default=0.0)
 
 
 class SolveError(RuntimeError):
     """Raised by `check`: more lanes failed than allowed."""
 
 
-def worst(status: jax.Array, axis: int | tuple[int, ...] | None = None) -> jax.Array:
+def worst(status: Array, axis: int | tuple[int, ...] | None = None) -> jax.Array:
     """The status that speaks for several, by `PRECEDENCE`.
 
     Args:
@@ -107,13 +107,23 @@ def worst(status: jax.Array, axis: int | tuple[int, ...] | None = None) -> jax.A
     return jnp.asarray(_ORDER)[jnp.min(rank, axis=axis)]
 
 
-def at_once(like: jax.Array) -> SolveInfo:
-    """The info of a closed form: CONVERGED, no steps, nothing left.
+def converged(residual: Array, steps: Array | int = 0) -> SolveInfo:
+    """The info of a solve that went well.
+
+    Args:
+        residual: as in `SolveInfo`.
+        steps: as in `SolveInfo`.
+    """
+    return SolveInfo(jnp.zeros_like(residual, jnp.int32), jnp.full_like(residual, steps, jnp.int32), residual)
+
+
+def at_once(like: Array) -> SolveInfo:
+    """The info of a closed form: nothing left.
 
     Args:
         like: any number of the result, for its shape and dtype.
     """
-    return SolveInfo(jnp.zeros_like(like, jnp.int32), jnp.zeros_like(like, jnp.int32), jnp.zeros_like(like))
+    return converged(jnp.zeros_like(like))
 
 
 def worst_of(infos: SolveInfo) -> SolveInfo:
@@ -125,7 +135,7 @@ def worst_of(infos: SolveInfo) -> SolveInfo:
     return SolveInfo(worst(infos.status), jnp.max(infos.steps), jnp.max(infos.residual))
 
 
-def first_failure(*checks: Check, otherwise: Any = Status.CONVERGED) -> jax.Array:
+def first_failure(*checks: Check, otherwise: Array | Status = Status.CONVERGED) -> jax.Array:
     """The first status whose condition holds; elementwise.
 
     Args:
@@ -148,11 +158,11 @@ class Gate(NamedTuple):
     refused: tuple[Check, ...]
 
     @property
-    def good(self) -> Any:
+    def good(self) -> PyTree:
         """True for a lane that was admitted."""
-        return ~functools.reduce(operator.or_, [failed for failed, _ in self.refused])
+        return functools.reduce(operator.and_, [~failed for failed, _ in self.refused])
 
-    def close(self, values: Any, *checks: Check, info: SolveInfo | None = None) -> tuple[Any, SolveInfo]:
+    def close(self, values: PyTree, *checks: Check, info: SolveInfo | None = None) -> tuple[PyTree, SolveInfo]:
         """The values as a user sees them, NaN where a status says so, and how the solve ended.
 
         Args:
@@ -160,16 +170,17 @@ class Gate(NamedTuple):
             *checks: (failed, status) pairs of what the model found wrong on its way, in any order.
             info: of the solver inside; its status stands where no check fails, and does not touch the values.
         """
-        info = SolveInfo(Status.CONVERGED) if info is None else info
+        info = converged(jnp.zeros(())) if info is None else info
         known = self.good
-        for failed, status in checks:
-            known = known & ~failed if status in WITHOUT_VALUE else known
-        status = first_failure(*self.refused, otherwise=first_failure(*checks, otherwise=info.status))
+        for failed, name in checks:
+            known = known & ~failed if name in WITHOUT_VALUE else known
+        # Selected by `good`, which the values need as well: by the conditions of the refusals XLA would store each of them.
+        status = jnp.where(self.good, first_failure(*checks, otherwise=info.status), first_failure(*self.refused))
         values = jax.tree.map(lambda value: jnp.where(known, value, jnp.nan), values)
-        return values, SolveInfo(status, jnp.asarray(info.steps, jnp.int32), info.residual)
+        return values, SolveInfo(status, info.steps, info.residual)
 
 
-def admit(inputs: Any, harmless: Any, *checks: Check, after: Gate | None = None) -> tuple[Any, Gate]:
+def admit(inputs: PyTree, harmless: PyTree, *checks: Check, after: Gate | None = None) -> tuple[PyTree, Gate]:
     """The inputs with harmless numbers in the place of every lane outside a model's domain, and its gate.
 
     Args:
@@ -180,12 +191,12 @@ def admit(inputs: Any, harmless: Any, *checks: Check, after: Gate | None = None)
     """
     gate = Gate((*(after.refused if after else ()), *checks))
     good = gate.good
-    if jax.tree.structure(harmless) == jax.tree.structure(0):
+    if jax.tree_util.all_leaves([harmless]):
         harmless = jax.tree.map(lambda _: harmless, inputs)
     return jax.tree.map(lambda value, spare: jnp.where(good, value, spare), inputs, harmless), gate
 
 
-def succeeded(status: jax.Array) -> jax.Array:
+def succeeded(status: Array) -> jax.Array:
     """True where a status counts as success: CONVERGED and UNLOADED."""
     return (status == Status.CONVERGED) | (status == Status.UNLOADED)
 

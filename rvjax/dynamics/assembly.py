@@ -21,7 +21,20 @@ import numpy as np
 
 from rvjax.catalogue import RV_320E
 from rvjax.designs import Damping, Inertia, MeshVariation, RVReducer, Stiffness
-from rvjax.records import Record, axis_sizes, concrete, count, field, promote, record, signs_hold, text
+from rvjax.records import (
+    Array,
+    PyTree,
+    Record,
+    Scalar,
+    axis_sizes,
+    concrete,
+    count,
+    field,
+    promote,
+    record,
+    signs_hold,
+    text,
+)
 from rvjax.status import Gate, Status, admit
 
 
@@ -34,14 +47,14 @@ class Lumped(Record):
     sun_teeth: int = count("teeth of the sun")
     planet_teeth: int = count("teeth of a planet")
     disc_teeth: int = count("teeth of a disc; the ring has one pin more")
-    sun_base_radius: Any = field("m", "base radius of the sun, rs", sign="positive")
-    planet_base_radius: Any = field("m", "base radius of a planet, rp", sign="positive")
-    eccentricity: Any = field("m", "eccentricity of the cranks, e", sign="positive")
-    force_arm: Any = field("m", "rolling radius of a disc, rc = e disc_teeth unless set", sign="positive")
-    circle_radius: Any = field("m", "radius of the circle of crank axes, rH", sign="positive")
-    pressure_angle: Any = field("rad", "of the sun-planet mesh, alpha")
-    force_angle: Any = field("rad", "of the disc-pin mesh, beta")
-    disc_phase: Any = field("rad", "eccentric direction of disc 1")
+    sun_base_radius: Scalar = field("m", "base radius of the sun, rs", sign="positive")
+    planet_base_radius: Scalar = field("m", "base radius of a planet, rp", sign="positive")
+    eccentricity: Scalar = field("m", "eccentricity of the cranks, e", sign="positive")
+    force_arm: Scalar = field("m", "rolling radius of a disc, rc = e disc_teeth unless set", sign="positive")
+    circle_radius: Scalar = field("m", "radius of the circle of crank axes, rH", sign="positive")
+    pressure_angle: Scalar = field("rad", "of the sun-planet mesh, alpha")
+    force_angle: Scalar = field("rad", "of the disc-pin mesh, beta")
+    disc_phase: Scalar = field("rad", "eccentric direction of disc 1")
     inertia: Inertia = field("-", "masses and moments of inertia", kind="record")
     stiffness: Stiffness = field("-", "stiffnesses", kind="record")
     mesh_variation: MeshVariation = field("-", "periodic mesh stiffness", kind="record")
@@ -57,8 +70,8 @@ class Lumped(Record):
 class System(Record):
     """Mass and mean stiffness of the whole reducer in physical coordinates."""
 
-    mass: Any = field("kg, kg m2", "diagonal of the mass matrix", shape=("n",))
-    stiffness: Any = field("N/m, N, N m", "mean stiffness matrix", shape=("n", "n"))
+    mass: Array = field("kg, kg m2", "diagonal of the mass matrix", shape=("n",))
+    stiffness: Array = field("N/m, N, N m", "mean stiffness matrix", shape=("n", "n"))
     labels: tuple[str, ...] = text("names of the coordinates")
 
 
@@ -119,7 +132,7 @@ def _check_members(part: Inertia | Stiffness, counts: dict[str, int]) -> None:
             raise ValueError(f"{type(part).__name__}.{f.name}: shape {shape}, expected {expected} a scalar")
 
 
-def admitted(lumped: Lumped, *conditions: Any) -> tuple[Lumped, tuple[Any, ...], Gate]:
+def admitted(lumped: Lumped, *conditions: PyTree) -> tuple[Lumped, tuple[PyTree, ...], Gate]:
     """Everything in one dtype, a lane outside the model's domain replaced by a harmless one, and its gate.
 
     Design and conditions are judged apart, so that a sweep of conditions leaves the design, and with it the
@@ -145,7 +158,7 @@ def admitted(lumped: Lumped, *conditions: Any) -> tuple[Lumped, tuple[Any, ...],
     return lumped, conditions, Gate((*gate.refused, (for_any, Status.NONFINITE)))
 
 
-def _flat(leaves: list[Any]) -> jax.Array:
+def _flat(leaves: list[PyTree]) -> jax.Array:
     return jnp.concatenate([jnp.ravel(leaf) for leaf in leaves])
 
 
@@ -250,7 +263,7 @@ def circle(count: int) -> tuple[np.ndarray, np.ndarray]:
     return clean_direction(2 * np.pi * np.arange(count) / count)
 
 
-def clean_direction(angle: Any) -> tuple[np.ndarray, np.ndarray]:
+def clean_direction(angle: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Cosine and sine, with exact zeros at multiples of a right angle."""
     direction = np.stack([np.cos(angle), np.sin(angle)])
     direction[np.abs(direction) < 1e-15] = 0
@@ -270,7 +283,7 @@ def spring_table(cranks: int, discs: int) -> SpringTable:
     size = output + 3
     rows: list[tuple[str, int, list[tuple[int, int, Any]]]] = []
 
-    def spring(kind: str, member: int, *terms: tuple[int, int, Any]) -> None:
+    def spring(kind: str, member: int, *terms: tuple[int, int, PyTree]) -> None:
         rows.append((kind, member, list(terms)))  # terms: (coordinate, geometry number, factor)
 
     for x, name in ((sun, "sun"), (output, "output")):

@@ -1,17 +1,16 @@
 """Deviations of stiffness, mass and other numbers of a design, for tolerances and what-if questions."""
 
 from collections.abc import Mapping
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 
 from rvjax.designs import RVReducer
 from rvjax.dynamics.assembly import Lumped
-from rvjax.records import Record
+from rvjax.records import PyTree, Record, Scalar
 
 
-def with_deviations(design: RVReducer | Lumped, deviations: Mapping[str, Any]) -> Any:
+def with_deviations(design: RVReducer | Lumped, deviations: Mapping[str, PyTree]) -> PyTree:
     """A design some of whose numbers deviate by a share of themselves: x (1 + deviation).
 
     The names serve as names of tolerances: `monte_carlo(lambda d: f(with_deviations(design, d)),
@@ -30,7 +29,7 @@ def with_deviations(design: RVReducer | Lumped, deviations: Mapping[str, Any]) -
     return design
 
 
-def _replaced(part: Any, path: list[str], name: str, deviation: Any) -> Any:
+def _replaced(part: PyTree, path: list[str], name: str, deviation: Scalar) -> PyTree:
     value = getattr(part, path[0], None) if isinstance(part, Record) else None
     if len(path) > 1 and isinstance(value, Record):
         return part.replace(**{path[0]: _replaced(value, path[1:], name, deviation)})

@@ -1,12 +1,11 @@
 """What excites the reducer: mesh frequencies, mesh phases and the Fourier series of the mesh stiffness."""
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from rvjax.dynamics.assembly import Lumped, circle
+from rvjax.records import Array, PyTree
 
 STAGES = ("planetary", "cycloid")
 MESH = {"planetary": "sun_planet_mesh", "cycloid": "disc_pin_mesh"}
@@ -32,7 +31,7 @@ def mesh_teeth(lumped: Lumped, stage: str) -> int:
     return lumped.sun_teeth if stage == "planetary" else lumped.disc_teeth + 1
 
 
-def mesh_frequency(lumped: Lumped, sun_speed: Any, stage: str) -> Any:
+def mesh_frequency(lumped: Lumped, sun_speed: Array, stage: str) -> PyTree:
     """Angular mesh frequency with the sign of the speed, rad/s: pin ring fixed, carrier out, sun at `sun_speed`."""
     pins = lumped.disc_teeth + 1
     ratio = 1 + lumped.planet_teeth * pins / lumped.sun_teeth  # sun speed over output speed

@@ -1,7 +1,5 @@
 """First-order response: the stiffness variation acts on the mean deflection only (Eqs. 5 to 9)."""
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,10 +10,11 @@ from rvjax.dynamics.harmonics import Solved, constants, in_order, resonance_dist
 from rvjax.dynamics.modal import dynamic_stiffness, modal_sectors, modal_solve, on_resonance, residual
 from rvjax.dynamics.static import Torques, mean_state, mesh_rows, mesh_stiffness, torque_kind
 from rvjax.dynamics.symmetry import sector
+from rvjax.records import Array
 
 
 def solve_first_order(
-    lumped: Lumped, w: Any, torques: Torques, stage: str, harmonics: int, indices: np.ndarray, freeze_forcing: bool
+    lumped: Lumped, w: Array, torques: Torques, stage: str, harmonics: int, indices: np.ndarray, freeze_forcing: bool
 ) -> Solved:
     """Amplitudes of the coordinates `indices` at signed mesh frequency `w`, rad/s.
 
@@ -36,7 +35,7 @@ def solve_first_order(
     rows, distances, singular, misses = [], [], [state.singular], [state.residual]
     for key, orders in used:
         modal = sectors[key]
-        frequency = orders.astype(w.dtype) * w
+        frequency = jnp.asarray(orders, w.dtype) * w
         z = dynamic_stiffness(lumped, frequency)
         # Eqs. 6 and 7: Z_l B_l = -a_l sum_i e^{i l ph_i} f_i v_i
         weights = -coefficients[np.abs(orders) - 1][:, None] * force[None, :]

@@ -11,8 +11,6 @@ Mesh form: one unknown per mesh and harmonic, for any layout. Cyclic form: where
 a symmetry of the mean system all delta_il are equal, and one unknown per harmonic remains.
 """
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -24,9 +22,10 @@ from rvjax.dynamics.linear import solve
 from rvjax.dynamics.modal import dynamic_stiffness, modal_sectors, modal_solve, on_resonance, residual
 from rvjax.dynamics.static import Torques, mean_state, mesh_rows, mesh_stiffness, torque_kind
 from rvjax.dynamics.symmetry import sector
+from rvjax.records import Array
 
 
-def solve_cyclic(lumped: Lumped, w: Any, torques: Torques, stage: str, harmonics: int, indices: np.ndarray) -> Solved:
+def solve_cyclic(lumped: Lumped, w: Array, torques: Torques, stage: str, harmonics: int, indices: np.ndarray) -> Solved:
     """Cyclic form at signed mesh frequency `w`, rad/s: one small solve and one scalar unknown per harmonic."""
     mesh, kind = MESH[stage], torque_kind(lumped)
     members = spring_table(lumped.cranks, lumped.discs).of(mesh)
@@ -39,7 +38,7 @@ def solve_cyclic(lumped: Lumped, w: Any, torques: Torques, stage: str, harmonics
     own, shown, distances, singular, misses = [], [], [], [state.singular], [state.residual]
     for key, orders in parts:
         modal = sectors[key]
-        frequency = orders.astype(w.dtype) * w
+        frequency = jnp.asarray(orders, w.dtype) * w
         z = dynamic_stiffness(lumped, frequency)
         waves = constants(phases(lumped, stage, orders), w)
         rhs = (waves @ modal.springs[members].conj().astype(waves.dtype))[:, :, None]
@@ -68,7 +67,7 @@ def solve_cyclic(lumped: Lumped, w: Any, torques: Torques, stage: str, harmonics
     )
 
 
-def solve_mesh(lumped: Lumped, w: Any, torques: Torques, stage: str, harmonics: int, indices: np.ndarray) -> Solved:
+def solve_mesh(lumped: Lumped, w: Array, torques: Torques, stage: str, harmonics: int, indices: np.ndarray) -> Solved:
     """Mesh form at signed mesh frequency `w`, rad/s, on the whole model: any layout."""
     mesh, key = MESH[stage], ("coupled", 0)
     members = spring_table(lumped.cranks, lumped.discs).of(mesh)
@@ -78,7 +77,7 @@ def solve_mesh(lumped: Lumped, w: Any, torques: Torques, stage: str, harmonics: 
 
     modal = modal_sectors(lumped, [key])[key]
     orders = np.arange(1, harmonics + 1)
-    frequency = orders.astype(w.dtype) * w
+    frequency = jnp.asarray(orders, w.dtype) * w
     z = dynamic_stiffness(lumped, frequency)
     waves = constants(phases(lumped, stage, orders), w)
     springs = modal.springs[members].astype(waves.dtype)

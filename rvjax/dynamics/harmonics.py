@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -12,6 +12,7 @@ from rvjax.dynamics.assembly import Lumped, spring_table
 from rvjax.dynamics.excitation import mesh_teeth
 from rvjax.dynamics.modal import Key, ModalSector
 from rvjax.dynamics.symmetry import is_split, is_symmetric
+from rvjax.records import PyTree
 
 OUTPUTS = ("output.x", "output.y", "output.rotation")
 
@@ -93,6 +94,6 @@ def resonance_distance(modal: ModalSector, frequency: jax.Array) -> jax.Array:
     return jnp.min(jnp.where(moving, jnp.abs(ratio - 1), jnp.inf), axis=1)
 
 
-def constants(values: Any, like: jax.Array) -> jax.Array:
+def constants(values: PyTree, like: jax.Array) -> jax.Array:
     """A constant array as complex numbers of the precision of `like`."""
     return jnp.asarray(values, np.result_type(like.dtype, np.complex64))

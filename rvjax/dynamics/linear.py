@@ -5,10 +5,10 @@ versions of jaxlib. The dynamic model keeps one such call in flight, its eigenpr
 through the elimination here.
 """
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
+
+from rvjax.records import PyTree, Scalar
 
 
 def solve(matrix: jax.Array, rhs: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -20,10 +20,10 @@ def solve(matrix: jax.Array, rhs: jax.Array) -> tuple[jax.Array, jax.Array]:
     """
     frozen = jax.lax.stop_gradient(matrix)
 
-    def forward(multiply: Any, b: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def forward(multiply: PyTree, b: jax.Array) -> tuple[jax.Array, jax.Array]:
         return eliminate(frozen, b)
 
-    def transposed(multiply: Any, b: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def transposed(multiply: PyTree, b: jax.Array) -> tuple[jax.Array, jax.Array]:
         return eliminate(frozen.T, b)
 
     return jax.lax.custom_linear_solve(lambda x: matrix @ x, rhs, forward, transposed, has_aux=True)
@@ -37,7 +37,7 @@ def eliminate(matrix: jax.Array, rhs: jax.Array) -> tuple[jax.Array, jax.Array]:
     size = matrix.shape[0]
     rows = jnp.arange(size)
 
-    def step(k: Any, carry: Any) -> Any:
+    def step(k: Scalar, carry: PyTree) -> PyTree:
         work, free, order, smallest = carry
         column = jax.lax.dynamic_index_in_dim(work, k, 1, keepdims=False)
         chosen = jnp.argmax(jnp.where(free, jnp.abs(column), -1))

@@ -7,7 +7,7 @@ no harm.
 """
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -15,6 +15,7 @@ import numpy as np
 
 from rvjax.dynamics.assembly import Lumped, deflections, spring_stiffness
 from rvjax.dynamics.symmetry import sector, sector_mass, sector_rows, sector_stiffness
+from rvjax.records import PyTree
 
 Key = tuple[str, int]  # kind of sector and label
 REFINEMENTS = {"float32": 2, "float64": 0}  # steps that bring a single precision solve back to its rounding error
@@ -29,7 +30,7 @@ class ModalSector(NamedTuple):
     stiffness: jax.Array  # (r, r): diagonal in value, not in its derivatives
     square: jax.Array  # (r,): angular frequencies squared
 
-    def rows(self, indices: Any) -> jax.Array:
+    def rows(self, indices: Sequence[int] | np.ndarray) -> jax.Array:
         """Physical coordinates in modal ones (k, r)."""
         return jnp.asarray(self.basis[indices], self.transform.dtype) @ self.transform
 
@@ -103,7 +104,7 @@ def modal_solve(modal: ModalSector, z: DynamicStiffness, rhs: jax.Array) -> jax.
         stiff, rooted = jnp.einsum("ij,ljm->lim", matrix, x), jnp.einsum("ij,ljm->lim", root, x)
         return z.stiffness[:, None, None] * stiff + z.root[:, None, None] * rooted + z.scalar[:, None, None] * x
 
-    def divide(multiplied: Any, b: jax.Array) -> jax.Array:
+    def divide(multiplied: PyTree, b: jax.Array) -> jax.Array:
         x = b * inverse
         for _ in range(REFINEMENTS[str(modal.square.dtype)]):
             x = x + (b - multiplied(x)) * inverse
@@ -159,13 +160,13 @@ def matrix_root(matrix: jax.Array, square: jax.Array) -> jax.Array:
 
 
 @matrix_root.defjvp
-def _matrix_root_jvp(primals: Any, tangents: Any) -> Any:
+def _matrix_root_jvp(primals: PyTree, tangents: PyTree) -> PyTree:
     matrix, square = primals
     root = matrix_root(matrix, square)
     pair = jnp.sqrt(square)[:, None] + jnp.sqrt(square)[None, :]
     pair = jnp.where(pair > 0, pair, 1).astype(matrix.dtype)
 
-    def divide(_: Any, b: jax.Array) -> jax.Array:
+    def divide(_: PyTree, b: jax.Array) -> jax.Array:
         return b / pair
 
     # S S = A gives S dS + dS S = dA.

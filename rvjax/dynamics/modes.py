@@ -1,7 +1,5 @@
 """Natural frequencies, mode shapes, their kinds, and where their energy sits."""
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -28,7 +26,7 @@ from rvjax.dynamics.symmetry import (
     sector_rows,
     sector_stiffness,
 )
-from rvjax.records import Record, field, record, text
+from rvjax.records import Array, PyTree, Record, field, record, text
 from rvjax.status import SolveInfo, Status, at_once
 
 
@@ -36,9 +34,9 @@ from rvjax.status import SolveInfo, Status, at_once
 class Modes(Record):
     """Undamped modes of the mean system, ascending."""
 
-    frequency: Any = field("Hz", "natural frequencies; rigid motions have exactly 0", shape=("modes",))
-    shape: Any = field("1/sqrt(kg)", "columns: mass-normalised shapes, rows as System.labels", shape=("n", "modes"))
-    kind_index: Any = field("-", "kind of each mode, an index into KINDS", shape=("modes",), kind="integer")
+    frequency: Array = field("Hz", "natural frequencies; rigid motions have exactly 0", shape=("modes",))
+    shape: Array = field("1/sqrt(kg)", "columns: mass-normalised shapes, rows as System.labels", shape=("n", "modes"))
+    kind_index: Array = field("-", "kind of each mode, an index into KINDS", shape=("modes",), kind="integer")
     info: SolveInfo = field("-", "CONVERGED, INVALID_GEOMETRY or NONFINITE", kind="record")
 
     @property
@@ -51,8 +49,8 @@ class Modes(Record):
 class EnergyShares(Record):
     """Where the energy of each mode sits; each row sums to one (strain of a rigid motion: zero)."""
 
-    strain: Any = field("-", "share of each kind of spring", shape=("modes", "springs"))
-    kinetic: Any = field("-", "share of each kind of part", shape=("modes", "parts"))
+    strain: Array = field("-", "share of each kind of spring", shape=("modes", "springs"))
+    kinetic: Array = field("-", "share of each kind of part", shape=("modes", "parts"))
     springs: tuple[str, ...] = text("kinds of springs, fields of Stiffness", default=SPRINGS)
     parts: tuple[str, ...] = text("kinds of parts", default=PARTS)
 
@@ -119,7 +117,7 @@ def energy_shares(design: RVReducer | Lumped, found: Modes) -> EnergyShares:
 def _energy_shares(lumped: Lumped, shape: jax.Array) -> EnergyShares:
     lumped, _, _ = admitted(lumped)
     table = spring_table(lumped.cranks, lumped.discs)
-    shape = shape.astype(lumped.eccentricity.dtype)
+    shape = shape.astype(jnp.result_type(lumped.eccentricity))
     strain = spring_stiffness(lumped)[:, None] * (deflections(lumped, table.rows) @ shape) ** 2
     kinetic = mass_vector(lumped)[:, None] * shape**2
 
@@ -141,7 +139,7 @@ def _eigh(matrix: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 
 @_eigh.defjvp
-def _eigh_jvp(primals: Any, tangents: Any) -> Any:
+def _eigh_jvp(primals: PyTree, tangents: PyTree) -> PyTree:
     # A change of the design keeps the symmetry, hence every repeated pair: inside a pair nothing turns.
     values, vectors = _eigh(primals[0])
     change = jnp.swapaxes(vectors, -1, -2) @ tangents[0] @ vectors

@@ -6,7 +6,7 @@ highest angular frequency, advances by one matrix exponential; the steady state 
 
 from collections.abc import Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -19,8 +19,8 @@ from rvjax.dynamics.harmonics import OUTPUTS, output_indices
 from rvjax.dynamics.linear import solve
 from rvjax.dynamics.modal import ModalSector, matrix_root, modal_sectors
 from rvjax.dynamics.static import linear_ratio, mesh_stiffness
-from rvjax.records import Record, concrete, field, record, text
-from rvjax.status import Gate, SolveInfo, Status, at_once
+from rvjax.records import Array, PyTree, Record, Scalar, concrete, field, record, text
+from rvjax.status import Gate, SolveInfo, Status, at_once, converged
 
 TAYLOR_DEGREE = 13  # of the exponential at norm 1/2: truncated below 1e-15
 MAX_SQUARINGS = 24
@@ -30,9 +30,9 @@ MAX_SQUARINGS = 24
 class Periodic(Record):
     """Steady state over one mesh period, without truncation of harmonics."""
 
-    time: Any = field("s", "uniform over one mesh period, from 0", shape=("samples",))
-    deflection: Any = field("m, rad", "each output at each time", shape=("samples", "outputs"))
-    multiplier: Any = field("-", "largest magnitude of a Floquet multiplier")
+    time: Array = field("s", "uniform over one mesh period, from 0", shape=("samples",))
+    deflection: Array = field("m, rad", "each output at each time", shape=("samples", "outputs"))
+    multiplier: Array = field("-", "largest magnitude of a Floquet multiplier")
     outputs: tuple[str, ...] = text("names of the outputs, from System.labels")
     info: SolveInfo = field("-", "CONVERGED, UNSTABLE, SINGULAR, MAX_STEPS, ...", kind="record")
 
@@ -41,15 +41,15 @@ class Periodic(Record):
 class Floquet(Record):
     """Stability of the vibration under the periodic stiffness."""
 
-    multiplier: Any = field("-", "largest magnitude of a Floquet multiplier")
+    multiplier: Array = field("-", "largest magnitude of a Floquet multiplier")
     info: SolveInfo = field("-", "UNSTABLE above 1 + 1e-9", kind="record")
 
 
 def periodic(
     design: RVReducer | Lumped,
     *,
-    sun_speed: Any,
-    output_torque: Any,
+    sun_speed: Scalar,
+    output_torque: Scalar,
     stage: str = "planetary",
     samples: int = 64,
     outputs: Sequence[str] | None = None,
@@ -79,7 +79,7 @@ def periodic(
     return _periodic(lumped, sun_speed, output_torque, stage, samples, outputs)
 
 
-def floquet(design: RVReducer | Lumped, *, sun_speed: Any, stage: str = "planetary") -> Floquet:
+def floquet(design: RVReducer | Lumped, *, sun_speed: Scalar, stage: str = "planetary") -> Floquet:
     """Largest Floquet multiplier of the vibration under the periodic mesh stiffness of one stage.
 
     Harmonic balance returns a periodic solution also where it repels; this tells.
@@ -112,7 +112,7 @@ def _check(lumped: Lumped, stage: str) -> Lumped:
 
 @partial(jax.jit, static_argnums=(3, 4, 5))
 def _periodic(
-    lumped: Lumped, sun_speed: Any, output_torque: Any, stage: str, samples: int, outputs: tuple[str, ...]
+    lumped: Lumped, sun_speed: Array, output_torque: Array, stage: str, samples: int, outputs: tuple[str, ...]
 ) -> Periodic:
     lumped, (sun_speed, output_torque), gate = _admitted(lumped, stage, sun_speed, output_torque)
     path = _path(lumped, sun_speed, output_torque, stage, samples)
@@ -142,13 +142,13 @@ def _periodic(
         (~(pivot > 16 * jnp.finfo(pivot.dtype).eps), Status.SINGULAR),
         (path.too_slow, Status.MAX_STEPS),
         (_unstable(multiplier), Status.UNSTABLE),
-        info=SolveInfo(Status.CONVERGED, 0, miss),
+        info=converged(miss),
     )
     return Periodic(time, motion, multiplier, outputs, info)
 
 
 @partial(jax.jit, static_argnums=2)
-def _floquet(lumped: Lumped, sun_speed: Any, stage: str) -> Floquet:
+def _floquet(lumped: Lumped, sun_speed: Array, stage: str) -> Floquet:
     lumped, (sun_speed,), gate = _admitted(lumped, stage, sun_speed)
     path = _path(lumped, sun_speed, jnp.zeros_like(sun_speed), stage, 1)
     multiplier = _largest(_product(path.steps), path)
@@ -157,7 +157,7 @@ def _floquet(lumped: Lumped, sun_speed: Any, stage: str) -> Floquet:
     return Floquet(found, info)
 
 
-def _admitted(lumped: Lumped, stage: str, *conditions: Any) -> tuple[Lumped, tuple[Any, ...], Gate]:
+def _admitted(lumped: Lumped, stage: str, *conditions: PyTree) -> tuple[Lumped, tuple[PyTree, ...], Gate]:
     lumped, conditions, gate = admitted(lumped, *conditions)
     ramp = getattr(lumped.mesh_variation, f"{stage}_ramp")
     outside = (ramp != 0) | (lumped.damping.loss_factor != 0) | (conditions[0] == 0)
@@ -177,7 +177,7 @@ class _Path(NamedTuple):
     too_slow: jax.Array  # () bool
 
 
-def _path(lumped: Lumped, sun_speed: Any, output_torque: Any, stage: str, samples: int) -> _Path:
+def _path(lumped: Lumped, sun_speed: Array, output_torque: Array, stage: str, samples: int) -> _Path:
     variation = lumped.mesh_variation
     swing, duty = getattr(variation, f"{stage}_swing"), getattr(variation, f"{stage}_duty")
     modal = modal_sectors(lumped, [("coupled", 0)])["coupled", 0]

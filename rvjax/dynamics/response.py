@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from functools import partial
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -15,8 +14,8 @@ from rvjax.dynamics.harmonic_balance import solve_cyclic, solve_mesh
 from rvjax.dynamics.harmonics import OUTPUTS, output_indices
 from rvjax.dynamics.static import Torques, balancing_torque
 from rvjax.dynamics.symmetry import is_symmetric
-from rvjax.records import Record, field, record, text
-from rvjax.status import SolveInfo, Status
+from rvjax.records import Array, Record, Scalar, field, record, text
+from rvjax.status import SolveInfo, Status, converged
 
 METHODS = ("first_order", "harmonic_balance")
 
@@ -25,10 +24,10 @@ METHODS = ("first_order", "harmonic_balance")
 class Response(Record):
     """Periodic response q(t) = mean + Re sum_l amplitude_l e^{i l w t}, w the angular mesh frequency."""
 
-    frequency: Any = field("Hz", "of each harmonic", shape=("harmonics",))
-    amplitude: Any = field("m, rad", "complex amplitude of each harmonic and output", shape=("harmonics", "outputs"))
-    mean: Any = field("m, rad", "mean deflection of each output", shape=("outputs",))
-    resonance_distance: Any = field(
+    frequency: Array = field("Hz", "of each harmonic", shape=("harmonics",))
+    amplitude: Array = field("m, rad", "complex amplitude of each harmonic and output", shape=("harmonics", "outputs"))
+    mean: Array = field("m, rad", "mean deflection of each output", shape=("outputs",))
+    resonance_distance: Array = field(
         "-",
         "of each harmonic: min |l w / w_r - 1| over the modes that it excites and the outputs show; inf without any",
         shape=("harmonics",),
@@ -43,13 +42,13 @@ class Response(Record):
 def response(
     design: RVReducer | Lumped,
     *,
-    sun_speed: Any,
-    output_torque: Any,
+    sun_speed: Scalar,
+    output_torque: Scalar,
     stage: str = "planetary",
     harmonics: int = 9,
     method: str = "first_order",
     outputs: Sequence[str] | None = None,
-    sun_torque: Any = None,
+    sun_torque: Scalar | None = None,
 ) -> Response:
     """Steady response to the mesh stiffness variation of one stage under constant load.
 
@@ -86,8 +85,8 @@ def response(
 def constant_forcing(
     design: RVReducer | Lumped,
     *,
-    sun_speed: Any,
-    output_torque: Any,
+    sun_speed: Scalar,
+    output_torque: Scalar,
     stage: str = "planetary",
     harmonics: int = 9,
     outputs: Sequence[str] | None = None,
@@ -119,9 +118,9 @@ def _checked(design: RVReducer | Lumped, stage: str, outputs: Sequence[str] | No
 @partial(jax.jit, static_argnums=(4, 5, 6, 7, 8))
 def _response(
     lumped: Lumped,
-    sun_speed: Any,
-    output_torque: Any,
-    sun_torque: Any,
+    sun_speed: Array,
+    output_torque: Array,
+    sun_torque: Array | None,
     stage: str,
     harmonics: int,
     method: str,
@@ -145,10 +144,10 @@ def _response(
     amplitude = jnp.where(w < 0, solved.amplitude.conj(), solved.amplitude)  # time reversed
     overflow = ~(jnp.all(jnp.isfinite(amplitude)) & jnp.all(jnp.isfinite(solved.mean)))
     frequency = jnp.arange(1, harmonics + 1, dtype=w.dtype) * jnp.abs(w) / (2 * jnp.pi)
-    values, info = gate.close(
+    (frequency, amplitude, mean, distance), info = gate.close(
         (frequency, amplitude, solved.mean, solved.distance),
         (overflow, Status.NONFINITE),
         (solved.singular, Status.SINGULAR),
-        info=SolveInfo(Status.CONVERGED, 0, solved.residual),
+        info=converged(solved.residual),
     )
-    return Response(*values, outputs=outputs, form=form, info=info)
+    return Response(frequency, amplitude, mean, distance, outputs, form, info)

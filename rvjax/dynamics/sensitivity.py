@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from functools import partial
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -11,7 +10,7 @@ from rvjax.designs import RVReducer
 from rvjax.dynamics.assembly import Lumped
 from rvjax.dynamics.harmonics import OUTPUTS
 from rvjax.dynamics.response import constant_forcing, response
-from rvjax.records import promote
+from rvjax.records import Array, PyTree, Scalar, promote
 
 FORMULAS = {"total": response, "constant_forcing": constant_forcing}
 
@@ -19,8 +18,8 @@ FORMULAS = {"total": response, "constant_forcing": constant_forcing}
 def log_sensitivities(
     design: RVReducer | Lumped,
     *,
-    sun_speed: Any,
-    output_torque: Any,
+    sun_speed: Scalar,
+    output_torque: Scalar,
     stage: str = "planetary",
     harmonics: int = 9,
     outputs: Sequence[str] = OUTPUTS,
@@ -52,12 +51,18 @@ def log_sensitivities(
 
 @partial(jax.jit, static_argnums=(3, 4, 5, 6))
 def _log_sensitivities(
-    design: Any, sun_speed: Any, output_torque: Any, stage: str, harmonics: int, outputs: tuple[str, ...], formula: str
+    design: PyTree,
+    sun_speed: Array,
+    output_torque: Array,
+    stage: str,
+    harmonics: int,
+    outputs: tuple[str, ...],
+    formula: str,
 ) -> dict[str, jax.Array]:
     design = promote(design)
     conditions = dict(sun_speed=sun_speed, output_torque=output_torque)
 
-    def amplitude(changed: Any) -> tuple[jax.Array, jax.Array]:
+    def amplitude(changed: PyTree) -> tuple[jax.Array, jax.Array]:
         found = FORMULAS[formula](changed, **conditions, stage=stage, harmonics=harmonics, outputs=outputs).amplitude
         return found, found
 

@@ -1,6 +1,6 @@
 """Mean deflection under the load torque and the mesh forces that carry it."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -10,25 +10,25 @@ from rvjax.designs import RVReducer
 from rvjax.dynamics.assembly import Lumped, admitted, deflections, lump, spring_stiffness, spring_table
 from rvjax.dynamics.linear import solve
 from rvjax.dynamics.symmetry import is_symmetric, sector, sector_rows, sector_stiffness
-from rvjax.records import Record, field, record
-from rvjax.status import SolveInfo, Status
+from rvjax.records import Array, PyTree, Record, Scalar, field, record
+from rvjax.status import SolveInfo, Status, converged
 
 
 @record
 class Static(Record):
     """Mean state under a constant load torque."""
 
-    deflection: Any = field("m, rad", "mean deflection, in the order of System.labels", shape=("n",))
-    planetary_force: Any = field("N", "force of each sun-planet mesh", shape=("planets",))
-    cycloid_force: Any = field("N", "force of each disc-pin mesh", shape=("discs",))
+    deflection: Array = field("m, rad", "mean deflection, in the order of System.labels", shape=("n",))
+    planetary_force: Array = field("N", "force of each sun-planet mesh", shape=("planets",))
+    cycloid_force: Array = field("N", "force of each disc-pin mesh", shape=("discs",))
     info: SolveInfo = field("-", "CONVERGED, SINGULAR, INVALID_GEOMETRY or NONFINITE", kind="record")
 
 
 class Torques(NamedTuple):
     """External torques, () N m."""
 
-    sun: Any
-    output: Any
+    sun: Array
+    output: Array
 
 
 class MeanState(NamedTuple):
@@ -42,7 +42,7 @@ class MeanState(NamedTuple):
 def linear_ratio(lumped: Lumped) -> jax.Array:
     """Sun rotation over output rotation in the rigid mode of the linear model."""
     planet = lumped.disc_teeth * lumped.planet_base_radius
-    return (planet + jnp.cos(lumped.pressure_angle) * lumped.circle_radius) / lumped.sun_base_radius
+    return jnp.divide(planet + jnp.cos(lumped.pressure_angle) * lumped.circle_radius, lumped.sun_base_radius)
 
 
 def torque_kind(lumped: Lumped) -> str:
@@ -50,12 +50,14 @@ def torque_kind(lumped: Lumped) -> str:
     return "rotational" if is_symmetric(lumped) else "coupled"
 
 
-def balancing_torque(lumped: Lumped, output_torque: Any) -> Any:
+def balancing_torque(lumped: Lumped, output_torque: Array) -> PyTree:
     """Sun torque that leaves the rigid mode without load."""
     return -output_torque / linear_ratio(lumped)
 
 
-def mean_state(lumped: Lumped, kind: str, sun_torque: Any, output_torque: Any, loads: Any = None) -> MeanState:
+def mean_state(
+    lumped: Lumped, kind: str, sun_torque: Array, output_torque: Array, loads: Array | None = None
+) -> MeanState:
     """Solve Kbar q = F in the sector `kind`, for the two torques and for further `loads` (r, m).
 
     Where neither sun nor output is held against rotation, the sun is held at zero: balanced loads leave that
@@ -67,7 +69,7 @@ def mean_state(lumped: Lumped, kind: str, sun_torque: Any, output_torque: Any, l
     free = (lumped.stiffness.sun_torsion == 0) & (lumped.stiffness.output_torsion == 0)
     ground = jnp.where(free, mesh_stiffness(lumped, "sun_planet_mesh")[0] * lumped.sun_base_radius**2, 0)
     stiffness = stiffness + jnp.diag(jnp.where(sun, ground, 0))
-    rhs = jnp.where(sun, sun_torque, jnp.where(output, output_torque, 0))[:, None]
+    rhs = jnp.where(sun, sun_torque, jnp.where(output, output_torque, 0)).reshape(-1, 1)
     rhs = rhs if loads is None else jnp.concatenate([rhs, loads], axis=1)
 
     diagonal = jnp.diag(stiffness)
@@ -97,7 +99,7 @@ def mesh_stiffness(lumped: Lumped, mesh: str) -> jax.Array:
     return spring_stiffness(lumped)[spring_table(lumped.cranks, lumped.discs).of(mesh)]
 
 
-def static(design: RVReducer | Lumped, *, output_torque: Any, sun_torque: Any = None) -> Static:
+def static(design: RVReducer | Lumped, *, output_torque: Scalar, sun_torque: Scalar | None = None) -> Static:
     """Mean deflection under a load torque on the output.
 
     Args:
@@ -117,7 +119,7 @@ def static(design: RVReducer | Lumped, *, output_torque: Any, sun_torque: Any = 
 
 
 @jax.jit
-def _static(lumped: Lumped, output_torque: Any, sun_torque: Any) -> Static:
+def _static(lumped: Lumped, output_torque: Array, sun_torque: Array | None) -> Static:
     lumped, (output_torque, sun_torque), gate = admitted(lumped, output_torque, sun_torque)
     sun_torque = balancing_torque(lumped, output_torque) if sun_torque is None else sun_torque
     kind = torque_kind(lumped)
@@ -129,10 +131,10 @@ def _static(lumped: Lumped, output_torque: Any, sun_torque: Any) -> Static:
         mesh_stiffness(lumped, mesh) * (mesh_rows(lumped, mesh, kind) @ mean)
         for mesh in ("sun_planet_mesh", "disc_pin_mesh")
     ]
-    (deflection, *forces), info = gate.close(
+    (deflection, planetary, cycloid), info = gate.close(
         (deflection, *forces),
         (state.singular, Status.SINGULAR),
         (~jnp.all(jnp.isfinite(deflection)), Status.NONFINITE),
-        info=SolveInfo(Status.CONVERGED, 0, state.residual),
+        info=converged(state.residual),
     )
-    return Static(deflection, *forces, info)
+    return Static(deflection, planetary, cycloid, info)

@@ -14,7 +14,7 @@ system.
 """
 
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -30,7 +30,7 @@ from rvjax.dynamics.assembly import (
     spring_stiffness,
     spring_table,
 )
-from rvjax.records import Record, count, field, promote, record
+from rvjax.records import Array, Record, count, field, promote, record
 
 WHOLE = -1
 KINDS = ("rotational", "translational", "planetary", "disc", "coupled")
@@ -40,8 +40,8 @@ KINDS = ("rotational", "translational", "planetary", "disc", "coupled")
 class Block(Record):
     """One symmetry-reduced system."""
 
-    mass: Any = field("kg, kg m2", "diagonal of its mass matrix", shape=("r",))
-    stiffness: Any = field("N/m, N, N m", "its stiffness matrix, symmetric or Hermitian", shape=("r", "r"))
+    mass: Array = field("kg, kg m2", "diagonal of its mass matrix", shape=("r",))
+    stiffness: Array = field("N/m, N, N m", "its stiffness matrix, symmetric or Hermitian", shape=("r", "r"))
     copies: int = count("how often its spectrum occurs in the whole")
 
 

@@ -3,7 +3,7 @@
 Every function takes finite numbers of a possible geometry; `linkage` sees to that.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -11,17 +11,18 @@ import numpy as np
 
 from rvjax import roots
 from rvjax.elementary import LARGEST_ANGLE, arctan2, sin_cos
+from rvjax.records import Array, PyTree, Scalar
 from rvjax.status import Check, SolveInfo, Status, at_once, first_failure
 
 
 class Crank(NamedTuple):
     """Direction of a crank; kept as cosine and sine so that a batch shares them."""
 
-    cosine: Any
-    sine: Any
-    finite: Any = True
+    cosine: PyTree
+    sine: PyTree
+    finite: Array | np.bool = np.True_
 
-    def turned(self, cosine: Any, sine: Any) -> "Crank":
+    def turned(self, cosine: Scalar, sine: Scalar) -> "Crank":
         """Turned counter-clockwise by an angle given by its cosine and sine."""
         return Crank(self.cosine * cosine - self.sine * sine, self.sine * cosine + self.cosine * sine, self.finite)
 
@@ -61,7 +62,12 @@ class Resting(NamedTuple):
 
 
 def _at_rest(
-    angle: Any, misfit: Any, info: SolveInfo, *checks: Check, nowhere: Any = np.False_, shown: Any = True
+    angle: Array,
+    misfit: Array,
+    info: SolveInfo,
+    *checks: Check,
+    nowhere: Array | np.bool = np.False_,
+    shown: Array | bool = True,
 ) -> Resting:
     """What a solve found, under its status: NONFINITE where no root was found or numbers overflow.
 
@@ -139,7 +145,9 @@ def _free_first_order(links: Links, change_point: jax.Array) -> jax.Array:
     return jnp.where(change_point, jnp.where(numerator == 0, links.b4, jnp.nan), angle)
 
 
-def _free_root(a: Any, b: Any, c: Any, d: Any, fold: Any, *, closure: str, branch: str) -> tuple[jax.Array, SolveInfo]:
+def _free_root(
+    a: Array, b: Array, c: Array, d: Array, fold: Array, *, closure: str, branch: str
+) -> tuple[jax.Array, SolveInfo]:
     """Root x of the open or crossed branch; at a fold both branches meet at -atan2(b, 2 a)."""
     s = jnp.where(b < 0, -1, 1).astype(b.dtype)
     if closure == "closed_form":
@@ -160,7 +168,7 @@ def _free_root(a: Any, b: Any, c: Any, d: Any, fold: Any, *, closure: str, branc
     return jnp.where(fold, middle, found.value), SolveInfo(status, found.info.steps, found.info.residual)
 
 
-def _free_residual(x: Any, params: Any) -> jax.Array:
+def _free_residual(x: Array, params: PyTree) -> jax.Array:
     a, b, c = params
     half_sine, half_cosine = sin_cos(x / 2)
     return 2 * half_sine * (2 * a * half_sine + b * half_cosine) + c  # (S1)
@@ -221,7 +229,7 @@ def direction_angle(x: jax.Array, y: jax.Array, size: jax.Array, *, closure: str
     return found.value, found.info
 
 
-def _direction_residual(b: Any, params: Any) -> jax.Array:
+def _direction_residual(b: Array, params: PyTree) -> jax.Array:
     x, y = params
     sine, cosine = sin_cos(b)
     return x * sine - y * cosine
@@ -253,7 +261,7 @@ def _misfit(links: Links, slip: jax.Array) -> jax.Array:
     return stretch(links.l, *_offset(links, links.psi + slip)) - links.d2
 
 
-def _slip_residual(slip: Any, params: Any) -> jax.Array:
+def _slip_residual(slip: Array, params: PyTree) -> jax.Array:
     """Derivative of the energy with respect to the slip, divided by e^2."""
     links, ratio = params
     m, slope = jax.jvp(lambda s: _misfit(links, s), (slip,), (jnp.ones_like(slip),))

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 from rvjax.elementary import sin_cos
 from rvjax.four_bar.closures import Crank, stretch
 from rvjax.four_bar.unit import Unit, Vector
+from rvjax.records import Array, PyTree
 
 
 class Fit(NamedTuple):
@@ -24,9 +25,9 @@ class Fit(NamedTuple):
     carrier: list[Vector]  # K
     along: list[Any]  # A
     across: list[Any]  # B
-    still: Any  # C + i S: part of the bores, less the nominal C = c R^2; complex, see `fit`
-    turning: Any  # part of the crank errors, times u
-    bore_excess: Any  # two cranks: bore distance in the disc less l
+    still: Array  # C + i S: part of the bores, less the nominal C = c R^2; complex, see `fit`
+    turning: Array  # part of the crank errors, times u
+    bore_excess: Array  # two cranks: bore distance in the disc less l
 
 
 def fit(unit: Unit, k: int) -> Fit:
@@ -74,7 +75,7 @@ def vector(unit: Unit, fit: Fit, crank: Crank) -> Vector:
     return len(fit.seats) * unit.radius**2 + cosine, sine
 
 
-def misfit(unit: Unit, fit: Fit, crank: Crank) -> Any:
+def misfit(unit: Unit, fit: Fit, crank: Crank) -> PyTree:
     """Two cranks: distance of the pins less that of the bores. More: sqrt(2 sum |residual|^2)."""
     shifts = unit.joint_shifts(crank)
     pins = [  # D
@@ -97,7 +98,7 @@ def misfit(unit: Unit, fit: Fit, crank: Crank) -> Any:
     return jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1)), 0)
 
 
-def first_order_angle(unit: Unit, k: int, crank: Crank) -> Any:
+def first_order_angle(unit: Unit, k: int, crank: Crank) -> PyTree:
     """Tangential displacement of the pins against the bores, mean over the cranks, divided by R."""
     turned, parts = 0, unit.parts
     for i, ((x, y), shift) in enumerate(zip(unit.axes, unit.joint_shifts(crank))):
@@ -112,7 +113,7 @@ def _cartesian(axis: Vector, polar: Vector) -> Vector:
     return polar[0] * axis[0] - polar[1] * axis[1], polar[0] * axis[1] + polar[1] * axis[0]
 
 
-def _complex(real: Any, imaginary: Any) -> jax.Array:
+def _complex(real: Array, imaginary: Array) -> jax.Array:
     return jax.lax.complex(*jnp.broadcast_arrays(real, imaginary))
 
 
@@ -120,9 +121,9 @@ def _mean(points: list[Vector]) -> Vector:
     return sum(x for x, _ in points) / len(points), sum(y for _, y in points) / len(points)
 
 
-def _sum_dot(first: list[Vector], second: list[Vector]) -> Any:
+def _sum_dot(first: list[Vector], second: list[Vector]) -> PyTree:
     return sum(x * u + y * v for (x, y), (u, v) in zip(first, second))
 
 
-def _sum_cross(first: list[Vector], second: list[Vector]) -> Any:
+def _sum_cross(first: list[Vector], second: list[Vector]) -> PyTree:
     return sum(x * v - y * u for (x, y), (u, v) in zip(first, second))

@@ -1,12 +1,13 @@
 """Load on the crank pins of a loaded reducer, and how far clearance and bearings let them move."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from rvjax.designs import RVReducer
 from rvjax.four_bar.closures import Crank
+from rvjax.records import Array, PyTree
 
 Vector = tuple[jax.Array, jax.Array]
 
@@ -35,7 +36,7 @@ def pin_load_ratio(shortening: jax.Array) -> jax.Array:
     return jnp.where(small, 4 / jnp.pi * k * series, 2 / jnp.pi * closed)
 
 
-def disc_load(design: RVReducer, eccentricity: Any, shortening: Any, torque: jax.Array) -> DiscLoad:
+def disc_load(design: RVReducer, eccentricity: Array, shortening: Array, torque: jax.Array) -> DiscLoad:
     """Share of one disc in the torque that all discs exert on the carrier; only counts are read from `design`."""
     cycloid, ratio = design.cycloid, design.involute.sun_teeth / design.involute.planet_teeth
     tangential = torque / (cycloid.disc_count * eccentricity * (cycloid.pin_count + ratio))  # ratio: the sun reacts
@@ -46,7 +47,7 @@ def disc_load(design: RVReducer, eccentricity: Any, shortening: Any, torque: jax
     )
 
 
-def pin_force(load: DiscLoad, crank: Crank, tangent: tuple[Any, Any], count: int, radius: Any) -> Vector:
+def pin_force(load: DiscLoad, crank: Crank, tangent: tuple[PyTree, PyTree], count: int, radius: Array) -> Vector:
     """Force of a disc on one of `count` crank pins; `crank` is the disc's eccentric direction."""
     couple = load.torque / (count * radius)
     return (

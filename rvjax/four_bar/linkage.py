@@ -6,7 +6,6 @@ their digits in float32.
 """
 
 from functools import partial
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -14,7 +13,7 @@ import numpy as np
 
 from rvjax.elementary import LARGEST_ANGLE, sin_cos
 from rvjax.four_bar import closures
-from rvjax.records import Record, concrete, field, promote, quantity, record
+from rvjax.records import Array, PyTree, Record, Scalar, concrete, field, promote, quantity, record
 from rvjax.status import SolveInfo, Status, admit
 
 ALLOWED = {  # (cranks, branch): closures
@@ -29,13 +28,13 @@ ALLOWED = {  # (cranks, branch): closures
 class LinkDeviations(Record):
     """Deviations of one linkage from the parallelogram."""
 
-    crank_1: Any = field("m", "length of crank 1, d1", default=0.0)
-    coupler: Any = field("m", "bore distance in the disc, d2", default=0.0)
-    crank_3: Any = field("m", "length of crank 3, d3", default=0.0)
-    frame: Any = field("m", "bore distance in the carrier, d4", default=0.0)
-    crank_phase: Any = field("rad", "angle of crank 3 minus crank 1, psi; ignored by free cranks", default=0.0)
-    frame_angle: Any = field("rad", "direction of the carrier bores, b4", default=0.0)
-    joint: Any = field(
+    crank_1: Scalar = field("m", "length of crank 1, d1", default=0.0)
+    coupler: Scalar = field("m", "bore distance in the disc, d2", default=0.0)
+    crank_3: Scalar = field("m", "length of crank 3, d3", default=0.0)
+    frame: Scalar = field("m", "bore distance in the carrier, d4", default=0.0)
+    crank_phase: Scalar = field("rad", "angle of crank 3 minus crank 1, psi; ignored by free cranks", default=0.0)
+    frame_angle: Scalar = field("rad", "direction of the carrier bores, b4", default=0.0)
+    joint: Array | tuple[Scalar, Scalar] = field(
         "m", "bore centre minus pin centre, crank 3 minus crank 1, (x, y)", shape=(2,), kind="pair", default=(0.0, 0.0)
     )
 
@@ -44,20 +43,20 @@ class LinkDeviations(Record):
 class Closure(Record):
     """Position of the coupler."""
 
-    coupler_angle: Any = field("rad", "direction of the coupler, b2, from the x axis")
-    misfit: Any = field("m", "what the bearings must stretch: bore distance offered minus the disc's")
-    gap: Any = field("m", "> 0: length a linkage with free cranks lacks to be assembled")
+    coupler_angle: Array = field("rad", "direction of the coupler, b2, from the x axis")
+    misfit: Array = field("m", "what the bearings must stretch: bore distance offered minus the disc's")
+    gap: Array = field("m", "> 0: length a linkage with free cranks lacks to be assembled")
     info: SolveInfo = field("-", "how the solve ended", kind="record")
 
 
 def solve_closure(
-    eccentricity: Any,
-    spacing: Any,
+    eccentricity: Scalar,
+    spacing: Scalar,
     deviations: LinkDeviations,
     *,
-    crank_angle: Any,
+    crank_angle: Scalar,
     cranks: str = "phase_locked",
-    gear_stiffness_ratio: Any = None,
+    gear_stiffness_ratio: Scalar | None = None,
     closure: str = "newton",
     branch: str = "open",
 ) -> Closure:
@@ -91,13 +90,13 @@ def solve_closure(
 
 
 @partial(jax.jit, inline=True, static_argnames=("cranks", "closure", "branch"))
-def _solve_closure(numbers: Any, **methods: str) -> Closure:
+def _solve_closure(numbers: PyTree, **methods: str) -> Closure:
     e, spacing, deviations, angle, ratio = promote(numbers)
     return close(e, spacing, deviations, closures.crank_direction(angle), ratio, **methods)
 
 
 def check_methods(
-    cranks: str, gear_stiffness_ratio: Any, closure: str, branch: str, *, count: int = 2
+    cranks: str, gear_stiffness_ratio: Scalar | None, closure: str, branch: str, *, count: int = 2
 ) -> dict[str, str]:
     """The methods by name.
 
@@ -123,7 +122,7 @@ def check_methods(
     return dict(cranks=cranks, closure=closure, branch=branch)
 
 
-def _check_lengths(cranks: str, eccentricity: Any, spacing: Any, deviations: LinkDeviations) -> None:
+def _check_lengths(cranks: str, eccentricity: Scalar, spacing: Scalar, deviations: LinkDeviations) -> None:
     """Judge concrete lengths; a zero crank is a limit that a status describes."""
     lengths = {
         "spacing": (spacing,),

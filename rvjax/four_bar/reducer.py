@@ -1,7 +1,7 @@
 """Transmission error of a reducer: every disc on all its cranks, the mean over the discs."""
 
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -13,7 +13,7 @@ from rvjax.four_bar import closures, fit
 from rvjax.four_bar.closures import Crank, crank_direction
 from rvjax.four_bar.linkage import LinkDeviations, check_methods, close
 from rvjax.four_bar.unit import Unit, is_loaded, take_apart
-from rvjax.records import Record, field, record
+from rvjax.records import Array, Record, Scalar, field, record
 from rvjax.status import SolveInfo, Status, admit, at_once, worst_of
 
 
@@ -21,17 +21,17 @@ from rvjax.status import SolveInfo, Status, admit, at_once, worst_of
 class TransmissionError(Record):
     """Deviation of the output from the ideal ratio at one crank angle."""
 
-    error: Any = field("rad", "output angle, > 0: carrier ahead; mean over the discs")
-    per_disc: Any = field("rad", "the same for each disc alone", shape=("discs",))
-    misfit: Any = field("m", "what the bearings must stretch: signed for two cranks, else >= 0", shape=("discs",))
+    error: Array = field("rad", "output angle, > 0: carrier ahead; mean over the discs")
+    per_disc: Array = field("rad", "the same for each disc alone", shape=("discs",))
+    misfit: Array = field("m", "what the bearings must stretch: signed for two cranks, else >= 0", shape=("discs",))
     info: SolveInfo = field("-", "of the worst disc", kind="record")
 
 
 class Placed(NamedTuple):
     """One disc in the carrier frame."""
 
-    angle: Any
-    misfit: Any
+    angle: Array
+    misfit: Array
     info: SolveInfo
 
 
@@ -39,10 +39,10 @@ def transmission_error(
     design: RVReducer,
     errors: RVErrors,
     *,
-    crank_angle: Any,
-    output_torque: Any = 0.0,
+    crank_angle: Scalar,
+    output_torque: Scalar = 0.0,
     cranks: str = "phase_locked",
-    gear_stiffness_ratio: Any = None,
+    gear_stiffness_ratio: Scalar | None = None,
     closure: str = "newton",
     branch: str = "open",
 ) -> TransmissionError:
@@ -72,13 +72,22 @@ def transmission_error(
 
 @partial(jax.jit, inline=True, static_argnames=("loaded", "cranks", "closure", "branch"))
 def _transmission_error(
-    design: RVReducer, errors: RVErrors, torque: Any, angle: Any, ratio: Any, *, loaded: bool, **methods: str
+    design: RVReducer,
+    errors: RVErrors,
+    torque: Array,
+    angle: Array,
+    ratio: Array | None,
+    *,
+    loaded: bool,
+    **methods: str,
 ) -> TransmissionError:
     unit, angle, ratio = take_apart(design, errors, torque, angle, ratio, loaded=loaded)
     return error_at(unit, angle, ratio, **methods)
 
 
-def error_at(unit: Unit, angle: jax.Array, ratio: Any, *, cranks: str, closure: str, branch: str) -> TransmissionError:
+def error_at(
+    unit: Unit, angle: jax.Array, ratio: Array | None, *, cranks: str, closure: str, branch: str
+) -> TransmissionError:
     """Transmission error of a unit at one crank angle; methods were checked."""
     first = crank_direction(angle)
     placed = []
@@ -88,15 +97,14 @@ def error_at(unit: Unit, angle: jax.Array, ratio: Any, *, cranks: str, closure: 
             placed.append(_fitted_disc(unit, k, crank, closure=closure))
         else:
             placed.append(_linked_disc(unit, k, crank, ratio, cranks=cranks, closure=closure, branch=branch))
-    angles, misfits, infos = ([disc[part] for disc in placed] for part in range(3))
-    per_disc = [-angle for angle in angles]
+    per_disc, misfits = [-disc.angle for disc in placed], [disc.misfit for disc in placed]
     error = sum(per_disc) / len(per_disc)
-    info = worst_of(jax.tree.map(lambda *leaves: jnp.stack(leaves), *infos))
+    info = worst_of(jax.tree.map(lambda *leaves: jnp.stack(leaves), *[disc.info for disc in placed]))
     overflow = (info.status == Status.CONVERGED) & ~jnp.isfinite(error)
     info = info.replace(status=jnp.where(overflow, int(Status.NONFINITE), info.status))
     _, gate = admit((), 0, (~first.finite, Status.NONFINITE), after=unit.gate)
-    values, info = gate.close((error, jnp.stack(per_disc), jnp.stack(misfits)), info=info)
-    return TransmissionError(*values, info)
+    (error, each, misfit), info = gate.close((error, jnp.stack(per_disc), jnp.stack(misfits)), info=info)
+    return TransmissionError(error, each, misfit, info)
 
 
 def _fitted_disc(unit: Unit, k: int, crank: Crank, *, closure: str) -> Placed:
@@ -112,7 +120,7 @@ def _fitted_disc(unit: Unit, k: int, crank: Crank, *, closure: str) -> Placed:
     return Placed(angle, misfit, info)
 
 
-def _linked_disc(unit: Unit, k: int, crank: Crank, ratio: Any, **methods: str) -> Placed:
+def _linked_disc(unit: Unit, k: int, crank: Crank, ratio: Array | None, **methods: str) -> Placed:
     """Disc k on two cranks as a four-bar linkage."""
     spacing = 2 * unit.radius
     parts = unit.parts

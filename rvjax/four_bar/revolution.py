@@ -17,7 +17,7 @@ from rvjax.four_bar.linkage import check_methods
 from rvjax.four_bar.reducer import TransmissionError, error_at
 from rvjax.four_bar.turn import Score, largest_and_smallest
 from rvjax.four_bar.unit import Unit, Vector, is_loaded, take_apart
-from rvjax.records import Record, field, record
+from rvjax.records import Array, PyTree, Record, Scalar, field, record
 from rvjax.status import SolveInfo, Status, at_once, worst_of
 
 
@@ -25,10 +25,10 @@ from rvjax.status import SolveInfo, Status, at_once, worst_of
 class Figures(Record):
     """Figures of the transmission error over one crank turn."""
 
-    maximum: Any = field("rad", "largest error")
-    minimum: Any = field("rad", "smallest error")
-    peak_to_peak: Any = field("rad", "maximum less minimum")
-    largest_misfit: Any = field("m", "largest |misfit| over angles and discs")
+    maximum: Array = field("rad", "largest error")
+    minimum: Array = field("rad", "smallest error")
+    peak_to_peak: Array = field("rad", "maximum less minimum")
+    largest_misfit: Array = field("m", "largest |misfit| over angles and discs")
     info: SolveInfo = field("-", "of the worst angle", kind="record")
 
 
@@ -36,15 +36,15 @@ class Figures(Record):
 class Revolution(Record):
     """Transmission error over one crank turn; the output makes `pin_count` of them in a carrier turn."""
 
-    crank_angle: Any = field("rad", "uniform, from zero", shape=("angles",))
-    error: Any = field("rad", "output angle, > 0: carrier ahead", shape=("angles",))
-    misfit: Any = field("m", "of each disc", shape=("angles", "discs"))
-    maximum: Any = field("rad", "largest error")
-    minimum: Any = field("rad", "smallest error")
-    peak_to_peak: Any = field("rad", "maximum less minimum")
-    mean: Any = field("rad", "mean error")
-    largest_misfit: Any = field("m", "largest |misfit| over angles and discs")
-    harmonics: Any = field("rad", "X[h], complex: error = Re sum X[h] exp(i h crank_angle)", shape=("orders",))
+    crank_angle: Array = field("rad", "uniform, from zero", shape=("angles",))
+    error: Array = field("rad", "output angle, > 0: carrier ahead", shape=("angles",))
+    misfit: Array = field("m", "of each disc", shape=("angles", "discs"))
+    maximum: Array = field("rad", "largest error")
+    minimum: Array = field("rad", "smallest error")
+    peak_to_peak: Array = field("rad", "maximum less minimum")
+    mean: Array = field("rad", "mean error")
+    largest_misfit: Array = field("m", "largest |misfit| over angles and discs")
+    harmonics: Array = field("rad", "X[h], complex: error = Re sum X[h] exp(i h crank_angle)", shape=("orders",))
     info: SolveInfo = field("-", "of the worst angle", kind="record")
 
 
@@ -53,9 +53,9 @@ def revolution(
     errors: RVErrors,
     *,
     angles: int = 64,
-    output_torque: Any = 0.0,
+    output_torque: Scalar = 0.0,
     cranks: str = "phase_locked",
-    gear_stiffness_ratio: Any = None,
+    gear_stiffness_ratio: Scalar | None = None,
     closure: str | None = None,
     branch: str = "open",
 ) -> Revolution:
@@ -88,9 +88,9 @@ def figures(
     errors: RVErrors,
     *,
     angles: int = 64,
-    output_torque: Any = 0.0,
+    output_torque: Scalar = 0.0,
     cranks: str = "phase_locked",
-    gear_stiffness_ratio: Any = None,
+    gear_stiffness_ratio: Scalar | None = None,
     closure: str | None = None,
     branch: str = "open",
 ) -> Figures:
@@ -114,8 +114,14 @@ def figures(
 
 
 def _ways(
-    design: RVReducer, output_torque: Any, cranks: str, ratio: Any, closure: str | None, branch: str, angles: int
-) -> dict[str, Any]:
+    design: RVReducer,
+    output_torque: Scalar,
+    cranks: str,
+    ratio: Scalar | None,
+    closure: str | None,
+    branch: str,
+    angles: int,
+) -> dict[str, PyTree]:
     """What is decided before the program runs."""
     if closure is None:
         closure = "newton" if cranks == "geared" else "closed_form"
@@ -158,7 +164,7 @@ def _crank_angles(unit: Unit, angles: int) -> jax.Array:
     return jnp.asarray(2 * np.pi / angles * np.arange(angles), unit.radius.dtype)
 
 
-def _curve(unit: Unit, ratio: Any, angles: int, methods: dict[str, str]) -> TransmissionError:
+def _curve(unit: Unit, ratio: Array | None, angles: int, methods: dict[str, str]) -> TransmissionError:
     return jax.vmap(lambda angle: error_at(unit, angle, ratio, **methods))(_crank_angles(unit, angles))
 
 
@@ -171,12 +177,12 @@ def _on_the_way(unit: Unit, angles: int) -> Figures:
     """Figures of phase-locked cranks from the extremes alone."""
     discs = range(len(unit.parts.disc))
 
-    def error(parts: Any, first: Crank) -> jax.Array:
+    def error(parts: PyTree, first: Crank) -> jax.Array:
         unit, fits = parts
         vectors = [vector(unit, fits[k], unit.disc_crank(k, first)) for k in discs]
         return -jnp.mean(jnp.stack([arctan2(sine, cosine) for cosine, sine in vectors]))
 
-    def most_misfit(parts: Any, first: Crank) -> jax.Array:
+    def most_misfit(parts: PyTree, first: Crank) -> jax.Array:
         unit, fits = parts
         return jnp.max(jnp.stack([jnp.abs(misfit(unit, fits[k], unit.disc_crank(k, first))) for k in discs]))
 
@@ -189,12 +195,13 @@ def _on_the_way(unit: Unit, angles: int) -> Figures:
         together=64 if unit.load is None and len(discs) <= 2 else 4,  # one kernel, where the program stays small
     )
     largest, _ = largest_and_smallest(most_misfit, parts, angles, together=4)
-    values = (most, least, most - least, largest)
-    values, info = unit.gate.close(values, (~jnp.isfinite(most - least), Status.NONFINITE), info=at_once(most))
-    return Figures(*values, info)
+    (most, least, swing, largest), info = unit.gate.close(
+        (most, least, most - least, largest), (~jnp.isfinite(most - least), Status.NONFINITE), info=at_once(most)
+    )
+    return Figures(most, least, swing, largest, info)
 
 
-def monotone_angle(parts: Any) -> Callable[[Crank], jax.Array]:
+def monotone_angle(parts: PyTree) -> Callable[[Crank], jax.Array]:
     """A number that falls as the discs turn: -1 to 1 up to a right angle of all together, to +-2 beyond.
 
     Their vectors C + i S are turned one after the other by multiplication, so no angle is needed. Without a load

@@ -14,6 +14,7 @@ import numpy as np
 
 from rvjax.elementary import sin_cos
 from rvjax.four_bar.closures import Crank
+from rvjax.records import PyTree, Scalar
 
 
 class Score(NamedTuple):
@@ -24,7 +25,12 @@ class Score(NamedTuple):
 
 
 def largest_and_smallest(
-    value: Callable[[Any, Crank], jax.Array], parts: Any, angles: int, *, score: Score | None = None, together: int
+    value: Callable[[PyTree, Crank], jax.Array],
+    parts: PyTree,
+    angles: int,
+    *,
+    score: Score | None = None,
+    together: int,
 ) -> tuple[jax.Array, jax.Array]:
     """Largest and smallest value over uniform angles from zero.
 
@@ -42,16 +48,18 @@ def largest_and_smallest(
     index = np.arange(angles)
     turn = (np.cos(2 * np.pi * index / angles), np.sin(2 * np.pi * index / angles), index)
 
-    def whole(arrays: list[jax.Array]) -> Any:
+    def whole(arrays: list[jax.Array]) -> PyTree:
         rest = iter(arrays)
         return jax.tree.unflatten(tree, [next(rest) if varies else leaf for leaf, varies in zip(leaves, is_array)])
 
-    def over_turn(arrays: list[jax.Array], start: Any, step: Callable[..., Any], pair: Callable[..., Any]) -> Any:
+    def over_turn(
+        arrays: list[jax.Array], start: PyTree, step: Callable[..., PyTree], pair: Callable[..., PyTree]
+    ) -> PyTree:
         along = score.of(whole(arrays))
         first = along(Crank(1, 0))
         places = [jnp.asarray(x[1:], first.dtype) for x in turn]
 
-        def one(found: Any, place: Any) -> Any:
+        def one(found: PyTree, place: PyTree) -> PyTree:
             cosine, sine, index = place
             return step(found, along(Crank(cosine, sine)), index), None
 
@@ -61,17 +69,17 @@ def largest_and_smallest(
 
     @jax.custom_jvp
     def search(arrays: list[jax.Array]) -> tuple[jax.Array, jax.Array]:
-        def step(best: Any, now: jax.Array, index: Any) -> Any:
+        def step(best: PyTree, now: jax.Array, index: Scalar) -> PyTree:
             return jnp.maximum(best[0], now), jnp.minimum(best[1], now)
 
         most, least = over_turn(arrays, lambda first: (first, first), step, lambda best: best)
         return score.back(most), score.back(least)
 
     @search.defjvp
-    def _rule(primals: Any, tangents: Any) -> Any:
+    def _rule(primals: PyTree, tangents: PyTree) -> PyTree:
         (arrays,), (changes,) = primals, tangents
 
-        def step(best: Any, now: jax.Array, index: Any) -> Any:
+        def step(best: PyTree, now: jax.Array, index: Scalar) -> PyTree:
             most, least, where_most, where_least = best
             up, down = now > most, now < least
             return (
@@ -81,7 +89,7 @@ def largest_and_smallest(
                 jnp.where(down, index, where_least),
             )
 
-        def start(first: jax.Array) -> Any:
+        def start(first: jax.Array) -> PyTree:
             return first, first, jnp.zeros_like(first), jnp.zeros_like(first)
 
         places = []

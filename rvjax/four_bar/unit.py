@@ -16,7 +16,7 @@ from rvjax.elementary import LARGEST_ANGLE
 from rvjax.errors import RVErrors
 from rvjax.four_bar import forces
 from rvjax.four_bar.closures import Crank
-from rvjax.records import broadcast_fields, is_concrete, promote
+from rvjax.records import Array, PyTree, Scalar, broadcast_fields, is_concrete, promote
 from rvjax.status import Check, Gate, Status, admit
 
 Vector = tuple[Any, Any]
@@ -25,11 +25,11 @@ Vector = tuple[Any, Any]
 class Stage(NamedTuple):
     """What is read of design and load."""
 
-    eccentricity: Any
-    radius: Any  # of the circle of crank axes
-    shortening: Any
-    stiffness: Any  # of a crank bearing; 1 where there is no load
-    torque: Any
+    eccentricity: Scalar
+    radius: Scalar  # of the circle of crank axes
+    shortening: Scalar
+    stiffness: Scalar  # of a crank bearing; 1 where there is no load
+    torque: Scalar
 
 
 HARMLESS = Stage(eccentricity=0.02, radius=1, shortening=0.5, stiffness=1, torque=0)
@@ -42,19 +42,19 @@ class Parts(NamedTuple):
     psi: list[Any]  # [i] crank phases
     disc: list[list[Vector]]  # [k][i] bores, (radial, tangential)
     carrier: list[Vector]  # [i] bores, (radial, tangential)
-    clearance: Any
-    eccentricity: Any
+    clearance: Array
+    eccentricity: Array
 
 
 class Unit(NamedTuple):
     """Numbers of one reducer, finite and possible; lists as in `Parts`."""
 
-    eccentricity: Any  # nominal plus error
-    radius: Any
+    eccentricity: Array  # nominal plus error
+    radius: Array
     axes: list[Vector]  # [i] radial unit vectors
     parts: Parts
     load: forces.DiscLoad | None  # None: unloaded
-    stiffness: Any
+    stiffness: Array
     gate: Gate
 
     def disc_crank(self, k: int, first: Crank) -> Crank:
@@ -70,7 +70,7 @@ class Unit(NamedTuple):
         return [forces.joint_shift(force, self.parts.clearance, self.stiffness) for force in pins]
 
 
-def is_loaded(design: RVReducer, output_torque: Any) -> bool:
+def is_loaded(design: RVReducer, output_torque: Scalar) -> bool:
     """False for a torque known to be zero: what a load does is then left out of the program.
 
     Raises:
@@ -82,7 +82,9 @@ def is_loaded(design: RVReducer, output_torque: Any) -> bool:
     return loaded
 
 
-def take_apart(design: RVReducer, errors: RVErrors, output_torque: Any, *others: Any, loaded: bool) -> tuple[Any, ...]:
+def take_apart(
+    design: RVReducer, errors: RVErrors, output_torque: Array, *others: PyTree, loaded: bool
+) -> tuple[PyTree, ...]:
     """The unit, and `others` in its dtype. An impossible lane becomes a nominal unit.
 
     Raises:
@@ -112,7 +114,8 @@ def take_apart(design: RVReducer, errors: RVErrors, output_torque: Any, *others:
 def _unroll(design: RVReducer, errors: RVErrors) -> Parts:
     names = ("crank_eccentricity", "crank_phase", "disc_bore", "carrier_bore")
     full = broadcast_fields(RVErrors, design.counts, {name: getattr(errors, name) for name in names})
-    return Parts(*(_unstack(full[name]) for name in names), errors.bearing_clearance, errors.eccentricity)
+    delta, psi, disc, carrier = (_unstack(full[name]) for name in names)
+    return Parts(delta, psi, disc, carrier, errors.bearing_clearance, errors.eccentricity)
 
 
 def _judge_stage(stage: Stage, loaded: bool) -> tuple[Check, Check]:
@@ -149,7 +152,7 @@ def exact_direction(halves: int, count: int) -> Vector:
     return math.cos(math.pi * halves / count), math.sin(math.pi * halves / count)
 
 
-def _unstack(array: jax.Array) -> Any:
+def _unstack(array: jax.Array) -> PyTree:
     """Nested lists of scalars. A split, unlike indexing, is transposed into one concatenation."""
     items: list[Any] = [part.reshape(()) for part in jax.lax.split(array.reshape(-1), (1,) * array.size)]
     for size in array.shape[:0:-1]:

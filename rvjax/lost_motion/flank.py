@@ -7,10 +7,12 @@ angle) at which it touches its pin nominally; `b(phi)` is the rotation of the di
 contact, and the play of both flanks together is twice its minimum.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+
+from rvjax.records import PyTree
 
 _WIDEST, _POINTS = 20.0, 256  # search over the whole flank, where the first-order minima are out of reach
 STEPS = 11  # near d = s D, where b is flat, they leave 1e-10 of b; elsewhere five reach rounding
@@ -24,7 +26,7 @@ class Flank(NamedTuple):
     k: jax.Array  # shortening coefficient of the disc as ground, K
     D: jax.Array  # pin radius that the disc is ground for, less the pin radius
     d: jax.Array  # pin circle radius that the disc is ground for, less the pin circle radius
-    teeth: Any  # of the disc, z_c
+    teeth: float  # of the disc, z_c
 
 
 def first_order_minimum(flank: Flank) -> jax.Array:
@@ -110,7 +112,7 @@ def _lowest(flank: Flank, position: jax.Array) -> jax.Array:
 
 
 @_lowest.defjvp
-def _lowest_jvp(primals: Any, tangents: Any) -> Any:
+def _lowest_jvp(primals: PyTree, tangents: PyTree) -> PyTree:
     (flank, position), (dflank, _) = primals, tangents
     return jax.jvp(lambda f: free_rotation(position, f), (flank,), (dflank,))
 
@@ -132,7 +134,7 @@ def _place(flank: Flank) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
 
 
 @_place.defjvp
-def _place_jvp(primals: Any, tangents: Any) -> Any:
+def _place_jvp(primals: PyTree, tangents: PyTree) -> PyTree:
     """Second derivatives of the play need dposition = -db' / b'', from b' = 0."""
     (flank,), (dflank,) = primals, tangents
     position, slope, converged, reaches = _place(flank)
@@ -211,7 +213,7 @@ def _descend(flank: Flank, starts: tuple[jax.Array, jax.Array]) -> tuple[_Point,
         best = _Point(*(jnp.where(lower, new, old) for new, old in zip(trial, best)))
         return best, jnp.where(lower, jnp.minimum(2 * damping, 1), damping / 4)
 
-    def body(_: Any, states: Any) -> Any:
+    def body(_: PyTree, states: PyTree) -> PyTree:
         return tuple(step(state) for state in states)
 
     # The first step stands still and evaluates the start.

@@ -4,25 +4,25 @@ Rate independent. A play operator of half-width `friction` turns the torque T at
 torque w that reaches the springs; the angle is g(w) = w / stiffness + (play / 2) tanh(w / smoothing).
 """
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax.records import Record, concrete, field, promote, quantity, record
+from rvjax.records import Array, PyTree, Record, Scalar, concrete, field, promote, quantity, record
 
 
 @record
 class LoopFigures(Record):
     """What a test bench reads off the loop of a torque cycled between two equal limits."""
 
-    lost_motion: Any = field("rad", "mid-line of the loop at +threshold less that at -threshold")
-    zero_torque_width: Any = field("rad", "width of the loop at zero torque")
-    energy: Any = field("N m", "dissipated in one cycle, the area of the loop (N m rad)")
+    lost_motion: Array = field("rad", "mid-line of the loop at +threshold less that at -threshold")
+    zero_torque_width: Array = field("rad", "width of the loop at zero torque")
+    energy: Array = field("N m", "dissipated in one cycle, the area of the loop (N m rad)")
 
 
-def hysteresis_loop(torque: Any, *, play: Any, stiffness: Any, friction: Any, smoothing: Any) -> jax.Array:
+def hysteresis_loop(
+    torque: Scalar, *, play: Scalar, stiffness: Scalar, friction: Scalar, smoothing: Scalar
+) -> jax.Array:
     """Angle of the output as the torque on it runs through a sequence; no torque before the first sample.
 
     Args:
@@ -46,7 +46,7 @@ def hysteresis_loop(torque: Any, *, play: Any, stiffness: Any, friction: Any, sm
 
 
 @jax.jit
-def _hysteresis_loop(*numbers: Any) -> jax.Array:
+def _hysteresis_loop(*numbers: PyTree) -> jax.Array:
     torque, play, stiffness, friction, smoothing = promote(*numbers)
 
     def play_operator(before: jax.Array, now: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -58,7 +58,13 @@ def _hysteresis_loop(*numbers: Any) -> jax.Array:
 
 
 def loop_figures(
-    *, torque_threshold: Any, torque_max: Any, play: Any, stiffness: Any, friction: Any, smoothing: Any
+    *,
+    torque_threshold: Scalar,
+    torque_max: Scalar,
+    play: Scalar,
+    stiffness: Scalar,
+    friction: Scalar,
+    smoothing: Scalar,
 ) -> LoopFigures:
     """Lost motion, zero-torque width and energy of the closed loop, in closed form.
 
@@ -91,7 +97,7 @@ def loop_figures(
 
 
 @jax.jit
-def _loop_figures(*numbers: Any) -> LoopFigures:
+def _loop_figures(*numbers: PyTree) -> LoopFigures:
     x, limit, play, stiffness, friction, smoothing = promote(*numbers)
 
     def angle(torque: jax.Array) -> jax.Array:
@@ -112,7 +118,7 @@ def _angle(passed: jax.Array, play: jax.Array, stiffness: jax.Array, smoothing: 
     return passed / stiffness + play / 2 * jnp.where(taken_up, jnp.sign(passed), jnp.tanh(ratio))
 
 
-def _check(*, stiffness: Any, **others: Any) -> None:
+def _check(*, stiffness: Scalar, **others: PyTree) -> None:
     if concrete(stiffness) and np.any(np.asarray(stiffness) <= 0):
         raise ValueError(f"stiffness = {quantity(stiffness, 'N m/rad')}: must be positive")
     for name, value in others.items():

@@ -1,7 +1,6 @@
 """Free angle of the output, input locked, when the load reverses: what is read, what is valid, what comes out."""
 
 from functools import partial
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -10,8 +9,8 @@ from rvjax.designs import RVReducer
 from rvjax.errors import RVErrors
 from rvjax.lost_motion import flank as flanks
 from rvjax.lost_motion.terms import FLANK_TERMS, LostMotionTerms, Teeth, Unit, contributions, harmless
-from rvjax.records import Record, field, promote, record
-from rvjax.status import SolveInfo, Status, admit
+from rvjax.records import Array, PyTree, Record, Scalar, field, promote, record
+from rvjax.status import SolveInfo, Status, admit, converged
 
 READINGS = ("consistent", "as_printed")
 PROFILES = ("first_order", "closed_form", "contact")
@@ -36,10 +35,10 @@ ERRORS_READ = (
 class LostMotion(Record):
     """Lost motion of one unit at its output."""
 
-    total: Any = field("rad", "free angle; < 0 is interference (preload)")
-    play: Any = field("rad", "max(0, total)")
+    total: Array = field("rad", "free angle; < 0 is interference (preload)")
+    play: Array = field("rad", "max(0, total)")
     terms: LostMotionTerms = field("-", "every contribution", kind="record")
-    valid: Any = field("-", "true where the status is CONVERGED", kind="integer")
+    valid: Array = field("-", "true where the status is CONVERGED", kind="integer")
     info: SolveInfo = field("-", "steps and slope left are those of the contact search", kind="record")
 
 
@@ -49,9 +48,9 @@ def geometric(
     *,
     reading: str = "consistent",
     profile: str = "first_order",
-    tilt: Any = 0.0,
-    centre_shift: Any = 0.0,
-    normal_force: Any = None,
+    tilt: Scalar = 0.0,
+    centre_shift: Scalar = 0.0,
+    normal_force: Scalar | None = None,
 ) -> LostMotion:
     """Lost motion from involute stage, cycloid stage and crank bearings (Liu et al. 2022, Eq. 21).
 
@@ -86,7 +85,7 @@ def geometric(
 
 
 @partial(jax.jit, inline=True, static_argnames=("reading", "profile"))
-def _geometric(numbers: Any, *, reading: str, profile: str) -> LostMotion:
+def _geometric(numbers: PyTree, *, reading: str, profile: str) -> LostMotion:
     involute, cycloid, parts, tilt, shift, force = promote(numbers)
     counts = (involute.sun_teeth, involute.planet_teeth, cycloid.disc_teeth, cycloid.pin_count)
     teeth = Teeth(*map(float, counts))
@@ -135,13 +134,13 @@ def _geometric(numbers: Any, *, reading: str, profile: str) -> LostMotion:
         total = of_flank + sum(value for name, value in values.items() if name not in FLANK_TERMS)
         terms = terms.replace(contact_remainder=of_flank - replaced)
 
-    of_search = SolveInfo(Status.CONVERGED, steps, residual)
+    of_search = converged(residual, steps)
     (total, terms), info = gate.close((total, terms), *found_wrong, info=of_search)
     return LostMotion(total, jnp.maximum(total, 0), terms, info.status == Status.CONVERGED, info)
 
 
 @jax.jit
-def shaft_tilt(deflection: Any, length: Any) -> jax.Array:
+def shaft_tilt(deflection: Scalar, length: Scalar) -> jax.Array:
     """Tilt of a shaft from its radial deflection over a length: arcsin(Y / L), Liu et al. 2022, Eq. 1.
 
     Args:
@@ -158,7 +157,7 @@ def shaft_tilt(deflection: Any, length: Any) -> jax.Array:
 
 
 @jax.jit
-def empirical_normal_force(output_torque: Any) -> jax.Array:
+def empirical_normal_force(output_torque: Scalar) -> jax.Array:
     """Normal force that makes "as_printed" return the tilted rows of Table 10 of Liu et al. 2022: a fit.
 
     Not a prediction: each printed total implies its own force through Eq. 11, and a straight line goes through
@@ -176,7 +175,7 @@ def empirical_normal_force(output_torque: Any) -> jax.Array:
     return jnp.where(inside, 1.5081 + 0.2373 * torque / 200, jnp.nan)
 
 
-def _check_methods(design: RVReducer, reading: str, profile: str, normal_force: Any) -> None:
+def _check_methods(design: RVReducer, reading: str, profile: str, normal_force: Scalar | None) -> None:
     if reading not in READINGS:
         raise ValueError(f"reading = {reading!r}: must be one of {', '.join(READINGS)}")
     if profile not in PROFILES:

@@ -4,13 +4,13 @@ Rigid parts; positive is free play, negative interference. Where print and units
 paper disagree, the reading "consistent" follows units and derivation, each place marked "mended".
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from rvjax.errors import RVErrors
-from rvjax.records import Record, field, record
+from rvjax.records import Array, PyTree, Record, field, record
 from rvjax.units import arcmin, mm
 
 # Eq. 11 needs planet mass times planet speed squared, which nobody printed. This value, kg/s^2, makes a
@@ -22,20 +22,20 @@ CALIBRATED_INERTIA = 24.1786361758745
 class LostMotionTerms(Record):
     """Contributions to the lost motion; they sum to its total. Equations of Liu et al. 2022."""
 
-    base_tangent: Any = field("rad", "backlash of the involute stage, Eq. 5 and 12")
-    nominal_equidistant: Any = field("rad", "equidistant modification of the design, Eq. 14")
-    nominal_shift: Any = field("rad", "shift modification of the design, Eq. 15")
-    pin_circle_radius: Any = field("rad", "error of the pin circle radius, Eq. 16")
-    pin_radius: Any = field("rad", "error of the pin radius, Eq. 16")
-    pin_hole_clearance: Any = field("rad", "fit of the pins in their holes, Eq. 16")
-    disc_runout: Any = field("rad", "radial runout of the disc, Eq. 16")
-    pin_position: Any = field("rad", "circumferential position of the pins, Eq. 16")
-    disc_cumulative_pitch: Any = field("rad", "cumulative pitch error of the disc, Eq. 16")
-    equidistant_modification: Any = field("rad", "error of the equidistant modification, Eq. 16")
-    shift_modification: Any = field("rad", "error of the shift modification, Eq. 16")
-    eccentricity: Any = field("rad", "eccentricity error times modification, Eq. 16 and 17")
-    bearing_clearance: Any = field("rad", "crank bearings, Eq. 20")
-    contact_remainder: Any = field("rad", "what the flank profile adds to the sum of the paper; 0 in first order")
+    base_tangent: Array = field("rad", "backlash of the involute stage, Eq. 5 and 12")
+    nominal_equidistant: Array = field("rad", "equidistant modification of the design, Eq. 14")
+    nominal_shift: Array = field("rad", "shift modification of the design, Eq. 15")
+    pin_circle_radius: Array = field("rad", "error of the pin circle radius, Eq. 16")
+    pin_radius: Array = field("rad", "error of the pin radius, Eq. 16")
+    pin_hole_clearance: Array = field("rad", "fit of the pins in their holes, Eq. 16")
+    disc_runout: Array = field("rad", "radial runout of the disc, Eq. 16")
+    pin_position: Array = field("rad", "circumferential position of the pins, Eq. 16")
+    disc_cumulative_pitch: Array = field("rad", "cumulative pitch error of the disc, Eq. 16")
+    equidistant_modification: Array = field("rad", "error of the equidistant modification, Eq. 16")
+    shift_modification: Array = field("rad", "error of the shift modification, Eq. 16")
+    eccentricity: Array = field("rad", "eccentricity error times modification, Eq. 16 and 17")
+    bearing_clearance: Array = field("rad", "crank bearings, Eq. 20")
+    contact_remainder: Array = field("rad", "what the flank profile adds to the sum of the paper; 0 in first order")
 
 
 # The part of the sum that a flank profile replaces.
@@ -68,19 +68,19 @@ class Teeth(NamedTuple):
 class Unit(NamedTuple):
     """What is read of a design and of the conditions, in m, rad, N; None where something is not read."""
 
-    alpha: Any  # pressure angle of the involute stage
-    force: Any  # normal force, in place of the pressure angle
-    a0: Any
-    a1: Any  # centre shift
-    r1: Any
-    e: Any
-    rp: Any
-    given_k1: Any  # None: it follows from e and rp
-    equidistant: Any  # modifications of the design
-    shift: Any
-    tilt: Any
+    alpha: PyTree  # pressure angle of the involute stage
+    force: PyTree  # normal force, in place of the pressure angle
+    a0: PyTree
+    a1: PyTree  # centre shift
+    r1: PyTree
+    e: PyTree
+    rp: PyTree
+    given_k1: PyTree  # None: it follows from e and rp
+    equidistant: PyTree  # modifications of the design
+    shift: PyTree
+    tilt: PyTree
 
-    def k1(self, teeth: Teeth) -> Any:
+    def k1(self, teeth: Teeth) -> PyTree:
         """Shortening coefficient: as given, else e z_p / r_p.
 
         Args:

@@ -7,7 +7,6 @@ over two dozen rollers cost several times as much; the rule in `_batched` choose
 
 import functools
 from collections.abc import Callable
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -16,6 +15,7 @@ from rvjax.mesh_force import laws
 from rvjax.mesh_force.block import Found, solve_block
 from rvjax.mesh_force.case import Case, lever
 from rvjax.mesh_force.laws import Compliance
+from rvjax.records import PyTree
 
 _BLOCK = 512  # cases; a block's arrays (26, 512) stay in the cache of one core
 
@@ -48,7 +48,7 @@ def attach(
 
 
 @attach.defjvp
-def _attach_jvp(law: str, primals: Any, tangents: Any) -> Any:
+def _attach_jvp(law: str, primals: PyTree, tangents: PyTree) -> PyTree:
     arm, gap, compliance, _, _, _ = primals
     darm, dgap, dcompliance, dtorque, _, _ = tangents
     windup, load = attach(law, *primals)
@@ -80,7 +80,7 @@ def equilibrium(law: str, teeth: int, case: Case) -> Found:
 
 
 @equilibrium.defjvp
-def _equilibrium_jvp(law: str, teeth: int, primals: Any, tangents: Any) -> Any:
+def _equilibrium_jvp(law: str, teeth: int, primals: PyTree, tangents: PyTree) -> PyTree:
     found = equilibrium(law, teeth, *primals)
     return found, jax.custom_derivatives.zero_from_primal(found)
 

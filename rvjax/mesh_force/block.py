@@ -20,7 +20,7 @@ would compute or store twice what two results share.
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -29,13 +29,14 @@ from rvjax.elementary import power
 from rvjax.mesh_force import laws, safe
 from rvjax.mesh_force.case import Case, Roller, lever, roller
 from rvjax.mesh_force.geometry import roller_directions
+from rvjax.records import PyTree, Scalar
 
 _LINEAR_STEPS = 8  # at most; 3 to 5 are usual
 _GUESS_STEPS = 8  # at most; 1 or 2 are usual, 4 for Palmgren's law
 _NEWTON_STEPS = 4  # at most; 1 is usual
 _CHUNK = 256  # cases that `safe.solve` gets at a time
 
-Inverse = Callable[[Any, jax.Array], jax.Array]
+Inverse = Callable[[Scalar, jax.Array], jax.Array]
 
 
 class Found(NamedTuple):
@@ -71,7 +72,7 @@ def solve_block(law: str, teeth: int, case: Case, size: int) -> Found:
     torque = jnp.broadcast_to(case.torque, (size,))
     sines, cosines = (jnp.asarray(x) for x in roller_directions(teeth, torque.dtype))
 
-    def roller_at(i: Any) -> Roller:
+    def roller_at(i: Scalar) -> Roller:
         error = case.radius_error
         return roller(teeth, case, sines[i], cosines[i], error[i] if error.ndim == 2 else error)
 
@@ -104,28 +105,28 @@ def _missing(rows: _Rows, load: jax.Array, torque: jax.Array) -> jax.Array:
     return jnp.where(scale > 0, missing / jnp.where(scale > 0, scale, 1), 0)
 
 
-def _put(rows: jax.Array, row: jax.Array, i: Any) -> jax.Array:
+def _put(rows: jax.Array, row: jax.Array, i: Scalar) -> jax.Array:
     return jax.lax.dynamic_update_index_in_dim(rows, row, i, 0)  # in place; .at[i].set is a scatter
 
 
-def _per_roller(term: Callable[[Any], jax.Array], like: jax.Array) -> jax.Array:
+def _per_roller(term: Callable[[Scalar], jax.Array], like: jax.Array) -> jax.Array:
     """Rows `term(i)` of all rollers, of the shape and type of `like` (n, cases)."""
 
-    def put(i: Any, rows: jax.Array) -> jax.Array:
+    def put(i: Scalar, rows: jax.Array) -> jax.Array:
         return _put(rows, term(i), i)
 
     return jax.lax.fori_loop(0, len(like), put, jnp.zeros_like(like))
 
 
-def _sums(term: Callable[[Any], jax.Array], like: jax.Array) -> jax.Array:
+def _sums(term: Callable[[Scalar], jax.Array], like: jax.Array) -> jax.Array:
     """Sum of the complex `term(i)` over the rollers, (cases,); `like` (n, cases)."""
     count, size = like.shape
     zero = jnp.zeros(size, like.dtype)
     return jax.lax.fori_loop(0, count, lambda i, total: total + term(i), jax.lax.complex(zero, zero))
 
 
-def _rows(law: str, roller_at: Callable[[Any], Roller], typical: jax.Array, count: int) -> _Rows:
-    def put(i: Any, rows: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+def _rows(law: str, roller_at: Callable[[Scalar], Roller], typical: jax.Array, count: int) -> _Rows:
+    def put(i: Scalar, rows: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         r = roller_at(i)
         place = jnp.broadcast_to(jax.lax.complex(lever(r.arm), jnp.broadcast_to(r.gap, r.arm.shape)), typical.shape)
         stiffness = jnp.broadcast_to(laws.secant_stiffness(law, typical, r.compliance), typical.shape)
@@ -140,7 +141,7 @@ def _linear(rows: _Rows, torque: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Windup of linear contacts, and the steps taken."""
     forward = torque >= 0
 
-    def working(i: Any) -> jax.Array:
+    def working(i: Scalar) -> jax.Array:
         arm = rows.arm[i]
         stiff_arm = jnp.where((arm > 0) == forward, arm * rows.stiffness[i], 0)
         return jax.lax.complex(stiff_arm * rows.gap[i], stiff_arm * arm)
@@ -151,14 +152,14 @@ def _linear(rows: _Rows, torque: jax.Array) -> tuple[jax.Array, jax.Array]:
     windup = (torque - preload) / jnp.where(slope > 0, slope, 1)
     least = jnp.where(slope > 0, slope, 1) / 20  # of the slope, where few rollers touch
 
-    def running(state: Any) -> jax.Array:
+    def running(state: PyTree) -> jax.Array:
         windup, change, steps = state
         return jnp.any(jnp.abs(change) > 1e-6 * jnp.abs(windup)) & (steps < _LINEAR_STEPS)
 
-    def step(state: Any) -> Any:
+    def step(state: PyTree) -> PyTree:
         windup, change, steps = state
 
-        def loaded(i: Any) -> jax.Array:
+        def loaded(i: Scalar) -> jax.Array:
             depth = windup * rows.arm[i] + rows.gap[i]
             stiff_arm = jnp.where(depth > 0, rows.arm[i] * rows.stiffness[i], 0)
             return jax.lax.complex(stiff_arm * depth, stiff_arm * rows.arm[i])
@@ -175,10 +176,10 @@ def _linear(rows: _Rows, torque: jax.Array) -> tuple[jax.Array, jax.Array]:
     return windup, steps
 
 
-def _inverse(law: str, roller_at: Callable[[Any], Roller], typical: jax.Array, rows: _Rows) -> Inverse:
+def _inverse(law: str, roller_at: Callable[[Scalar], Roller], typical: jax.Array, rows: _Rows) -> Inverse:
     """(i, depth) -> load + i stiffness of roller i, for "hertz" approximate."""
 
-    def inverse(i: Any, depth: jax.Array) -> jax.Array:
+    def inverse(i: Scalar, depth: jax.Array) -> jax.Array:
         loaded, depth = depth > 0, jnp.maximum(depth, 0)
         if law == "hertz":
             load, rate = laws.series(depth, roller_at(i).compliance)
@@ -199,14 +200,14 @@ def _guess(
     # `_newton` squares what is left. For "hertz" one step leaves little; for Palmgren's law the inverse is exact.
     at_most = {"linear": 0, "hertz": 1, "palmgren": _GUESS_STEPS}[law]
 
-    def running(state: Any) -> jax.Array:
+    def running(state: PyTree) -> jax.Array:
         _, open_, steps = state
         return jnp.any(open_) & (steps < at_most)
 
-    def step(state: Any) -> Any:
+    def step(state: PyTree) -> PyTree:
         windup, open_, steps = state
 
-        def moment(i: Any) -> jax.Array:
+        def moment(i: Scalar) -> jax.Array:
             load = inverse(i, windup * rows.arm[i] + rows.gap[i])
             return jax.lax.complex(rows.arm[i] * jnp.real(load), rows.arm[i] ** 2 * jnp.imag(load))
 
@@ -221,7 +222,7 @@ def _guess(
 
 def _newton(
     law: str,
-    roller_at: Callable[[Any], Roller],
+    roller_at: Callable[[Scalar], Roller],
     inverse: Inverse,
     rows: _Rows,
     torque: jax.Array,
@@ -229,11 +230,11 @@ def _newton(
 ) -> tuple[jax.Array, ...]:
     """Start, shift from there, loads, whether they are the solution, steps: `_newton_step` while it may help."""
 
-    def running(state: Any) -> jax.Array:
+    def running(state: PyTree) -> jax.Array:
         *_, fine, steps = state
         return jnp.any(~fine) & (steps < _NEWTON_STEPS)
 
-    def step(state: Any) -> Any:
+    def step(state: PyTree) -> PyTree:
         *before, fine, steps = state
         start = before[0] + before[1]
         after = (start, *_newton_step(law, roller_at, inverse, rows, torque, start))
@@ -248,7 +249,7 @@ def _newton(
 
 def _newton_step(
     law: str,
-    roller_at: Callable[[Any], Roller],
+    roller_at: Callable[[Scalar], Roller],
     inverse: Inverse,
     rows: _Rows,
     torque: jax.Array,
@@ -261,7 +262,7 @@ def _newton_step(
     change = jnp.zeros_like(load)
     if law == "hertz":  # else the guess is exact
 
-        def correction(i: Any) -> jax.Array:
+        def correction(i: Scalar) -> jax.Array:
             return rate[i] * (depth[i] - laws.approach(law, load[i], roller_at(i).compliance))
 
         change = _per_roller(correction, depth)
@@ -269,7 +270,7 @@ def _newton_step(
     missing, slope = jnp.real(total) - torque, jnp.imag(total)
     x = -missing / jnp.where(slope > 0, slope, 1)
 
-    def verdict(i: Any, state: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+    def verdict(i: Scalar, state: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         loads, worst = state
         shift = change[i] + rate[i] * rows.arm[i] * x
         after, moved = load[i] + shift, jnp.abs(shift)
@@ -305,7 +306,7 @@ def _left_open(
     """`found` with the cases `todo` solved the safe way, a chunk of them at a time."""
     size = len(todo)
 
-    def some(state: Any) -> Any:
+    def some(state: PyTree) -> PyTree:
         todo, found = state
         (lanes,) = jnp.nonzero(todo, size=min(_CHUNK, size), fill_value=size)
         taken = jax.tree.map(lambda leaf: leaf if leaf.shape[-1] == 1 else leaf[..., lanes], case)

@@ -4,7 +4,7 @@ Lengths are in roller radii, the geometry in lengths of the link Rj + r, loads i
 windup tau stands for windup times eccentricity over roller radius, so that tau * arm + gap is an approach.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -13,6 +13,7 @@ from rvjax.designs import CamRollerReducer
 from rvjax.errors import CamRollerErrors
 from rvjax.mesh_force import geometry, line_contact
 from rvjax.mesh_force.laws import Compliance
+from rvjax.records import Array, Scalar
 
 
 class Case(NamedTuple):
@@ -38,7 +39,9 @@ class Roller(NamedTuple):
     cage_ratio: jax.Array  # signed
 
 
-def take_apart(design: CamRollerReducer, errors: CamRollerErrors, torque: Any, angle: Any) -> tuple[Case, jax.Array]:
+def take_apart(
+    design: CamRollerReducer, errors: CamRollerErrors, torque: Array, angle: Array
+) -> tuple[Case, jax.Array]:
     """The case, and the unit of its loads in N.
 
     Args:
@@ -63,7 +66,7 @@ def take_apart(design: CamRollerReducer, errors: CamRollerErrors, torque: Any, a
     return case, unit
 
 
-def roller(teeth: int, case: Case, sine: Any, cosine: Any, radius_error: jax.Array) -> Roller:
+def roller(teeth: int, case: Case, sine: Scalar, cosine: Scalar, radius_error: jax.Array) -> Roller:
     """A roller whose ray stands at an angle of given sine and cosine over the first one.
 
     Args:

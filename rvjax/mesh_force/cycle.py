@@ -11,7 +11,6 @@ import math
 from collections.abc import Mapping
 from functools import partial
 from types import MappingProxyType
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -22,7 +21,7 @@ from rvjax.errors import CamRollerErrors
 from rvjax.mesh_force import geometry
 from rvjax.mesh_force.equilibrium import MeshForces, solve
 from rvjax.mesh_force.loads import contact_pressure
-from rvjax.records import Record, field, promote, record
+from rvjax.records import Array, PyTree, Record, Scalar, field, promote, record
 from rvjax.status import SolveInfo, worst_of
 from rvjax.units import mm, um
 
@@ -46,15 +45,15 @@ PUBLISHED_STUDIES: Mapping[str, tuple[str, float, float]] = MappingProxyType(
 class CycleStatistics(Record):
     """Statistics over one work cycle. Means: rollers of the working half, unloaded ones count as zero."""
 
-    cam_mean: Any = field("N", "mean cam force")
-    cam_peak: Any = field("N", "largest cam force")
-    gear_mean: Any = field("N", "mean gear force")
-    gear_peak: Any = field("N", "largest gear force")
-    cage_mean: Any = field("N", "mean signed cage force")
-    cage_peak_to_peak: Any = field("N", "largest less smallest signed cage force")
-    pressure_peak: Any = field("Pa", "largest contact pressure of cam, cage and gear")
-    windup_mean: Any = field("rad", "mean windup")
-    windup_peak_to_peak: Any = field("rad", "largest less smallest windup")
+    cam_mean: Array = field("N", "mean cam force")
+    cam_peak: Array = field("N", "largest cam force")
+    gear_mean: Array = field("N", "mean gear force")
+    gear_peak: Array = field("N", "largest gear force")
+    cage_mean: Array = field("N", "mean signed cage force")
+    cage_peak_to_peak: Array = field("N", "largest less smallest signed cage force")
+    pressure_peak: Array = field("Pa", "largest contact pressure of cam, cage and gear")
+    windup_mean: Array = field("rad", "mean windup")
+    windup_peak_to_peak: Array = field("rad", "largest less smallest windup")
     info: SolveInfo = field("-", "of the worst angle", kind="record")
 
 
@@ -75,7 +74,7 @@ def cycle_statistics(
     design: CamRollerReducer,
     errors: CamRollerErrors,
     *,
-    input_torque: Any,
+    input_torque: Scalar,
     contact: str = "hertz",
     samples: int = 8,
 ) -> CycleStatistics:
@@ -126,9 +125,9 @@ def sweep(
     design: CamRollerReducer,
     errors: CamRollerErrors,
     parameter: str,
-    values: Any,
+    values: PyTree,
     *,
-    input_torque: Any,
+    input_torque: Scalar,
     contact: str = "hertz",
     samples: int = 8,
 ) -> CycleStatistics:

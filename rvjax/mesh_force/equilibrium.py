@@ -2,29 +2,29 @@
 
 import functools
 import operator
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import DTypeLike
 
 from rvjax.designs import CamRollerReducer
 from rvjax.errors import CamRollerErrors
 from rvjax.mesh_force import geometry, laws, line_contact
 from rvjax.mesh_force.batch import attach, equilibrium
 from rvjax.mesh_force.case import all_rollers, take_apart
-from rvjax.records import Record, field, promote, record, signs_hold
-from rvjax.status import SolveInfo, Status, admit
+from rvjax.records import Array, Record, Scalar, field, promote, record, signs_hold
+from rvjax.status import SolveInfo, Status, admit, converged
 
 
 @record
 class MeshForces(Record):
     """Forces on rollers i = 0 .. z, which stand at output_angle + 2 pi i / (z + 1)."""
 
-    cam: Any = field("N", "force of the cam, >= 0", shape=("rollers",))
-    cage: Any = field("N", "force of the cage, signed like sin psi", shape=("rollers",))
-    gear: Any = field("N", "force of the inner gear, >= 0", shape=("rollers",))
-    windup: Any = field("rad", "crank rotation against the fixed output")
+    cam: Array = field("N", "force of the cam, >= 0", shape=("rollers",))
+    cage: Array = field("N", "force of the cage, signed like sin psi", shape=("rollers",))
+    gear: Array = field("N", "force of the inner gear, >= 0", shape=("rollers",))
+    windup: Array = field("rad", "crank rotation against the fixed output")
     info: SolveInfo = field("-", "residual: moment missing, relative", kind="record")
 
 
@@ -33,8 +33,8 @@ def solve(
     design: CamRollerReducer,
     errors: CamRollerErrors,
     *,
-    input_torque: Any,
-    output_angle: Any,
+    input_torque: Scalar,
+    output_angle: Scalar,
     contact: str = "hertz",
 ) -> MeshForces:
     """Forces of cam, cage and gear on every roller, and the elastic windup of the crank.
@@ -88,15 +88,15 @@ def solve(
     cam = unit * load
 
     tolerance = 1e-12 if torque.dtype == jnp.float64 else 64 * float(jnp.finfo(torque.dtype).eps)
-    values, info = gate.close(
+    (cam, cage, gear, windup), info = gate.close(
         (cam, cam * rollers.cage_ratio, cam * rollers.compliance.gear, windup),
         (~found.finite, Status.NONFINITE),
         (found.overload, Status.CONTACT_OVERLOAD),
         (~(found.residual <= tolerance), Status.MAX_STEPS),
         ((case.torque == 0) & ~jnp.any(load > 0), Status.UNLOADED),
-        info=SolveInfo(Status.CONVERGED, found.steps, found.residual),
+        info=converged(found.residual, found.steps),
     )
-    return MeshForces(*values, info)
+    return MeshForces(cam, cage, gear, windup, info)
 
 
 def _in_range(design: CamRollerReducer, errors: CamRollerErrors, torque: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -116,7 +116,7 @@ def _in_range(design: CamRollerReducer, errors: CamRollerErrors, torque: jax.Arr
     return sound & fits & large_enough, sound & ~fits & jnp.isfinite(torque)
 
 
-def _harmless(teeth: int, dtype: Any) -> CamRollerReducer:
+def _harmless(teeth: int, dtype: DTypeLike) -> CamRollerReducer:
     safe = CamRollerReducer(
         gear_teeth=teeth,
         cam_radius=1.0,

@@ -9,14 +9,15 @@ and follow from the envelope construction it describes; in Eqs. 6 and 7 the link
 section 2 defines (with Rj, as printed, the roller radius could not change the cage force).
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import DTypeLike
 
 from rvjax.designs import CamRollerReducer
-from rvjax.records import Record, field, promote, record
+from rvjax.records import Array, Record, Scalar, field, promote, record
 
 
 class Rollers(NamedTuple):
@@ -36,16 +37,16 @@ class Rollers(NamedTuple):
 class ToothProfile(Record):
     """A point of the inner gear; x = s sin(angle), y = s cos(angle), curvature > 0 is hollow."""
 
-    centre: Any = field("m", "roller centre, point of the centre curve", shape=(2,))
-    flank: Any = field("m", "point of the working profile", shape=(2,))
-    normal_angle: Any = field("rad", "profile normal from the y axis, alpha")
-    pressure_angle: Any = field("rad", "profile normal from the roller's ray, signed")
-    centre_curvature: Any = field("1/m", "curvature of the centre curve")
-    flank_curvature: Any = field("1/m", "curvature of the working profile")
-    undercut: Any = field("-", "True where the design has no complete working profile", kind="integer")
+    centre: Array = field("m", "roller centre, point of the centre curve", shape=(2,))
+    flank: Array = field("m", "point of the working profile", shape=(2,))
+    normal_angle: Array = field("rad", "profile normal from the y axis, alpha")
+    pressure_angle: Array = field("rad", "profile normal from the roller's ray, signed")
+    centre_curvature: Array = field("1/m", "curvature of the centre curve")
+    flank_curvature: Array = field("1/m", "curvature of the working profile")
+    undercut: Array = field("-", "True where the design has no complete working profile", kind="integer")
 
 
-def rollers(eccentricity: jax.Array, link: Any, teeth: int, sin_psi: jax.Array, cos_psi: jax.Array) -> Rollers:
+def rollers(eccentricity: jax.Array, link: Scalar, teeth: int, sin_psi: jax.Array, cos_psi: jax.Array) -> Rollers:
     """Geometry of rollers from the cam lead psi over their rays; elementwise in any shape.
 
     Args:
@@ -72,7 +73,7 @@ def rollers(eccentricity: jax.Array, link: Any, teeth: int, sin_psi: jax.Array, 
     )
 
 
-def roller_directions(teeth: int, dtype: Any) -> tuple[np.ndarray, np.ndarray]:
+def roller_directions(teeth: int, dtype: DTypeLike) -> tuple[np.ndarray, np.ndarray]:
     """Sine and cosine of 2 pi i / n, i = 0 .. z, each (n,).
 
     Args:
@@ -133,7 +134,7 @@ def largest_roller_radius(design: CamRollerReducer) -> jax.Array:
 
 
 @jax.jit
-def tooth_profile(design: CamRollerReducer, angle: Any) -> ToothProfile:
+def tooth_profile(design: CamRollerReducer, angle: Scalar) -> ToothProfile:
     """Point of the inner gear where a roller stands at `angle`.
 
     Args:
@@ -149,7 +150,7 @@ def tooth_profile(design: CamRollerReducer, angle: Any) -> ToothProfile:
     r, link = design.roller_radius, design.cam_radius + design.roller_radius
     place = rollers(design.eccentricity, link, z, jnp.sin(z * angle), jnp.cos(z * angle))
     pressure_angle = jnp.arctan2(z * place.sin_g, place.cos_g)
-    normal_angle = angle + pressure_angle  # (3)
+    normal_angle = jnp.add(angle, pressure_angle)  # (3)
     centre = place.distance * _direction(angle)  # (1)
     return ToothProfile(
         centre=centre,
@@ -162,5 +163,5 @@ def tooth_profile(design: CamRollerReducer, angle: Any) -> ToothProfile:
     )
 
 
-def _direction(angle: jax.Array) -> jax.Array:
+def _direction(angle: Scalar) -> jax.Array:
     return jnp.stack([jnp.sin(angle), jnp.cos(angle)])

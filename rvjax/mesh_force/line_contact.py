@@ -10,13 +10,13 @@ the flat of half-width b. Written with 1 - sqrt(1 - x) = x / (1 + sqrt(1 - x)) n
 in float32, and m holds for convex, flat and hollow bodies alike.
 """
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 
+from rvjax.records import PyTree, Scalar
 
-def compliance(young_modulus: Any, poisson_ratio: Any) -> Any:
+
+def compliance(young_modulus: Scalar, poisson_ratio: Scalar) -> PyTree:
     """C of two bodies of one material, 1/Pa (Eq. 9).
 
     Args:
@@ -26,7 +26,7 @@ def compliance(young_modulus: Any, poisson_ratio: Any) -> Any:
     return 2 * (1 - poisson_ratio**2) / young_modulus
 
 
-def load_unit(young_modulus: Any, poisson_ratio: Any, length: Any, radius: Any) -> Any:
+def load_unit(young_modulus: Scalar, poisson_ratio: Scalar, length: Scalar, radius: Scalar) -> PyTree:
     """Load that would make the half-width equal to the roller radius on a plane, N.
 
     Args:
@@ -88,7 +88,7 @@ def load_limit(relative_radius: jax.Array) -> jax.Array:
     return 1 / jnp.maximum(m, (1 - m) ** 2 / m)
 
 
-def approach_series(relative_radius: Any) -> tuple[Any, Any]:
+def approach_series(relative_radius: Scalar) -> tuple[PyTree, PyTree]:
     """Coefficients of v^2 and v^3 in the power series of `approach`.
 
     Args:
@@ -99,7 +99,9 @@ def approach_series(relative_radius: Any) -> tuple[Any, Any]:
     return (m**2 + hollow) / 8, (m**3 + hollow * (1 - m) ** 2 / m) / 16
 
 
-def pressure(force: jax.Array, young_modulus: Any, poisson_ratio: Any, length: Any, relative_radius: Any) -> jax.Array:
+def pressure(
+    force: jax.Array, young_modulus: Scalar, poisson_ratio: Scalar, length: Scalar, relative_radius: Scalar
+) -> jax.Array:
     """Largest contact pressure of a Hertzian line contact, Pa; its derivative at zero force is set to zero.
 
     Args:

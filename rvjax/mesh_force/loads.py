@@ -1,7 +1,6 @@
 """What the forces on the rollers mean: contact pressure, load sharing, mesh stiffness."""
 
 from functools import partial
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -10,20 +9,20 @@ from rvjax.designs import CamRollerReducer
 from rvjax.errors import CamRollerErrors
 from rvjax.mesh_force import geometry, line_contact
 from rvjax.mesh_force.equilibrium import MeshForces, solve
-from rvjax.records import Record, field, promote, record
+from rvjax.records import Array, Record, Scalar, field, promote, record
 
 
 @record
 class ContactPressure(Record):
     """Largest Hertzian pressure in the contacts of every roller; 0 where nothing is loaded."""
 
-    cam: Any = field("Pa", "at the cam", shape=("rollers",))
-    cage: Any = field("Pa", "at the cage", shape=("rollers",))
-    gear: Any = field("Pa", "at the inner gear", shape=("rollers",))
+    cam: Array = field("Pa", "at the cam", shape=("rollers",))
+    cage: Array = field("Pa", "at the cage", shape=("rollers",))
+    gear: Array = field("Pa", "at the inner gear", shape=("rollers",))
 
 
 @jax.jit
-def contact_pressure(design: CamRollerReducer, forces: MeshForces, *, output_angle: Any) -> ContactPressure:
+def contact_pressure(design: CamRollerReducer, forces: MeshForces, *, output_angle: Scalar) -> ContactPressure:
     """Hertzian line-contact pressure of the forces that `solve` returned.
 
     Args:
@@ -46,7 +45,7 @@ def contact_pressure(design: CamRollerReducer, forces: MeshForces, *, output_ang
 
 
 @jax.jit
-def load_sharing(design: CamRollerReducer, forces: MeshForces, *, output_angle: Any) -> jax.Array:
+def load_sharing(design: CamRollerReducer, forces: MeshForces, *, output_angle: Scalar) -> jax.Array:
     """Part of the cam torque that every roller carries, (z + 1,), sum 1; 0 where there is no torque.
 
     Rollers preloaded on the return flank carry negative parts.
@@ -69,8 +68,8 @@ def mesh_stiffness(
     design: CamRollerReducer,
     errors: CamRollerErrors,
     *,
-    input_torque: Any,
-    output_angle: Any,
+    input_torque: Scalar,
+    output_angle: Scalar,
     contact: str = "hertz",
 ) -> jax.Array:
     """Tangent stiffness of the crank against the fixed output, d input_torque / d windup, N m/rad.

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 
 from rvjax.mesh_force import laws
 from rvjax.mesh_force.case import Case, Roller, all_rollers, lever
+from rvjax.records import PyTree
 
 _STEPS = 100
 
@@ -42,10 +43,10 @@ def _bracketed(law: str, rollers: Roller, torque: jax.Array, start: jax.Array) -
     tolerance = 4 * float(jnp.finfo(torque.dtype).eps)
     depth_rounding = tolerance / 4 * (jnp.abs(start * arm) + jnp.abs(rollers.gap))
 
-    def running(state: dict[str, Any]) -> jax.Array:
+    def running(state: dict[str, PyTree]) -> jax.Array:
         return jnp.any(state["running"])
 
-    def step(state: dict[str, Any]) -> dict[str, Any]:
+    def step(state: dict[str, PyTree]) -> dict[str, PyTree]:
         x = state["x"]
         load, rate, beyond = laws.inverse(law, x * arm + from_start, compliance)
         missing = jnp.sum(arm * load, axis=0, keepdims=True) - torque

@@ -142,7 +142,7 @@ def _moment_arm() -> bool:
 
 
 def _loaded() -> np.ndarray:
-    return _cycle()[1].cam > 0
+    return np.asarray(_cycle()[1].cam) > 0
 
 
 def _fixed_index_set() -> bool:

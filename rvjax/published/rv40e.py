@@ -150,7 +150,7 @@ def _equal_cranks_help() -> bool:
 def _derivative(name: str, **options: str) -> float:
     def angle(value: jax.Array) -> jax.Array:
         deviations = LinkDeviations(**{name: value})
-        choice = dict(cranks="free", closure="closed_form") | options
+        choice: dict[str, Any] = dict(cranks="free", closure="closed_form") | options
         return solve_closure(ECCENTRICITY, SPACING, deviations, crank_angle=RIGHT_ANGLE, **choice).coupler_angle
 
     return float(jax.jit(jax.grad(angle))(0.0))
@@ -186,7 +186,7 @@ def _not_additive() -> bool:
 def _saddle() -> bool:
     def angle(links: jax.Array) -> jax.Array:
         deviations = LinkDeviations(coupler=links[0], frame=links[1])
-        choice = dict(cranks="free", closure="quadratic", branch="crossed")
+        choice: dict[str, Any] = dict(cranks="free", closure="quadratic", branch="crossed")
         return -solve_closure(ECCENTRICITY, SPACING, deviations, crank_angle=RIGHT_ANGLE, **choice).coupler_angle
 
     return bool(np.linalg.det(jax.jit(jax.hessian(angle))(jnp.zeros(2))) < 0)
