@@ -15,6 +15,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+Scalar = float | jax.Array
+Array = np.ndarray | jax.Array
+
 Class = TypeVar("Class", bound=type)
 Shape = tuple[str | int, ...]
 

@@ -13,7 +13,7 @@ from rvjax.study import response as scene
 from rvjax.study.question import Study, StudyError
 from rvjax.tolerances import Exponential, ReciprocalPower, Tolerance, for_design
 from rvjax.tolerances.distribution.tolerance import COMMON, LAWS
-from rvjax.tolerances.propagation.requirements import KINDS, Limits
+from rvjax.tolerances.propagation.requirements import KINDS
 from rvjax.units import parse
 
 DESIGNS = {"corr": catalogue.CORR, "rv-20e": catalogue.RV_20E, "rv-40e": catalogue.RV_40E}
@@ -219,7 +219,7 @@ def _tolerance(table: dict[str, Any], unit: str, where: str) -> Tolerance:
     chosen = next((way for way in ways if given and given == way - {"size"}), None)
     if chosen is None or (chosen == ways[2] and size is None):
         raise ValueError(f"{where}: give lower and upper, or half_width, or grade and size")
-    if chosen == ways[2]:
+    if chosen == ways[2] and size is not None:
         if unit != "m":
             raise ValueError(f"{where}.grade = {table['grade']!r}: grades are for lengths, this error is in {unit}")
         return Tolerance.grade(table["grade"], size, **options)
@@ -252,7 +252,7 @@ def _costs(error_record: Any, tolerances: Any, table: dict[str, Any]) -> dict[st
 
 
 def _accuracy(
-    outputs: Mapping[str, scene.Output], requirements: Mapping[str, Limits], table: dict[str, Any]
+    outputs: Mapping[str, scene.Output], requirements: Mapping[str, Any], table: dict[str, Any]
 ) -> dict[str, float]:
     found = {}
     for name, value in table.items():
@@ -264,7 +264,7 @@ def _accuracy(
     return found
 
 
-def _requirements(outputs: Mapping[str, scene.Output], table: dict[str, Any]) -> dict[str, Limits]:
+def _requirements(outputs: Mapping[str, scene.Output], table: dict[str, Any]) -> dict[str, Any]:
     requirements = {}
     for name in table:
         where, entry = f"requirement.{name}", _table(table, name)
