@@ -174,7 +174,7 @@ class Gate(NamedTuple):
         known = self.good
         for failed, name in checks:
             known = known & ~failed if name in WITHOUT_VALUE else known
-        # Selected by `good`, which the values need as well: by the conditions of the refusals XLA would store each of them.
+        # By `good`, which the values need as well: selected by the refusals XLA would store each of those conditions.
         status = jnp.where(self.good, first_failure(*checks, otherwise=info.status), first_failure(*self.refused))
         values = jax.tree.map(lambda value: jnp.where(known, value, jnp.nan), values)
         return values, SolveInfo(status, info.steps, info.residual)

@@ -222,6 +222,8 @@ def test_study_files_read_every_parameter(tmp_path):
     ]:
         with pytest.raises(ValueError, match=message):
             _tolerance(limits | dict(values=column | change), "m", where)
+    with pytest.raises(ValueError, match="log_sd = 'much': must be a plain finite number"):
+        _tolerance(dict(half_width="2 um", distribution="lognormal", log_sd="much"), "m", where)
     with pytest.raises(ValueError, match="values = '3 um': must be a list"):
         _tolerance(limits | dict(values="3 um"), "m", where)
     with pytest.raises(ValueError, match=r"unknown key tolerances.x.log_sd"):

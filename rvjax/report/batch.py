@@ -26,6 +26,7 @@ def write(found: Statistics, source: str, *, figures: str | None, samples: str |
 def summary(found: Statistics, source: str) -> str:
     """The figures as text, in the units in which a person reads them."""
     question = study.load(source)
+    units = {name for name, share in (found.yield_ or {}).items() if share is not None}
     percentiles = list(found.quantiles)
     headers = ["response", "unit", "mean", "+-", "sd", "least", "most", *(f"{100 * p:g} %" for p in percentiles), "cpk"]
     rows, yields = [], []
@@ -33,20 +34,32 @@ def summary(found: Statistics, source: str) -> str:
         unit, size = question.output(name).shown
         numbers = [found.mean[name].value, found.mean[name].error, found.sd[name].value]
         numbers += [found.minimum[name], found.maximum[name], *(found.quantiles[p][name].value for p in percentiles)]
-        rows.append([name, unit, *(f"{number / size:.5g}" for number in numbers), f"{found.cpk[name]:.3f}"])
-        ppm = found.ppm[name]
-        yields.append(
-            [name, text.yield_text(found.yield_[name]), f"{ppm.value:.4g} [{ppm.lower:.4g}, {ppm.upper:.4g}]"]
+        rows.append(
+            [
+                name,
+                unit,
+                *(f"{number / size:.5g}" for number in numbers),
+                f"{found.cpk[name]:.3f}" if name in units else "-",
+            ]
         )
+        if name in units:
+            ppm = found.ppm[name]
+            rejects = f"{ppm.value:.4g} [{ppm.lower:.4g}, {ppm.upper:.4g}]"
+            yields.append([name, text.yield_text(found.yield_[name]), rejects])
     failures = "".join(f", {count:,} {name} (unit {found.examples[name]})" for name, count in found.failures.items())
     lines = [
         f"Study {question.name}: {found.samples:,} units, method {found.method}, seed {found.seed}",
         f"{found.failed:,} failed{failures}; standard errors from {found.standard_errors}",
         "",
         text.table(headers, rows),
-        "",
-        text.table(["requirement", "yield [interval]", "rejects in a million [interval]"], yields),
     ]
+    if yields:
+        lines += ["", text.table(["requirement", "yield [interval]", "rejects in a million [interval]"], yields)]
+    others = {n: r for n, r in question.requirements.items() if found.verdicts[n].kind != "share"}
+    for name, requirement in others.items():
+        figure = text.figure_text(found.verdicts[name], *question.output(name).shown)
+        met = "met" if found.verdicts[name].met else "not met"
+        lines.append(f"{name}: {requirement.text()}: {figure}, {met}")
     if found.joint_yield is not None:
         lines.append(f"all requirements at once {text.yield_text(found.joint_yield)}")
     return "\n".join(lines)

@@ -100,9 +100,12 @@ def _requirements(answer: Answer, drawn: dict[str, Picture]) -> str:
     headers, rows = tables.requirement_rows(answer)
     headers = [*headers, *(["yield graded [interval]"] if allocation.graded else []), "verdict"]
     cells = []
-    for row, (name, requirement) in zip(rows, study.requirements.items()):
-        graded = [tables.yield_text(allocation.graded.certificate.yield_[name])] if allocation.graded else []
-        met = allocation.certificate.yield_[name].lower >= requirement.target
+    for row, name in zip(rows, study.requirements):
+        unit, size = readable(study.output(name).unit)
+        graded = []
+        if allocation.graded:
+            graded = [tables.figure_text(allocation.graded.certificate.verdicts[name], unit, size)]
+        met = allocation.certificate.verdicts[name].met
         mark = '<span class="met">✔ met</span>' if met else '<span class="missed-mark">✘ not met</span>'
         title = f"{escape(words(name))}<small>{escape(study.output(name).meaning)}</small>"
         cells.append([title, *map(_typeset, [*row[1:], *graded]), mark])

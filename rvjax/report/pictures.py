@@ -72,4 +72,4 @@ def pictures(answer: Answer, form: str = "png") -> Iterator[Picture]:
 
 
 def _least_yield(statistics: Any) -> float:
-    return min(estimate.value for estimate in statistics.yield_.values())
+    return min(share.value for share in (statistics.yield_ or {}).values() if share is not None)

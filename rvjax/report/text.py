@@ -18,7 +18,7 @@ import rvjax
 from rvjax.published import Comparison, show
 from rvjax.report.pictures import pictures
 from rvjax.study.answer import Answer
-from rvjax.tolerances import Estimate
+from rvjax.tolerances import Estimate, Verdict
 from rvjax.units import readable
 
 
@@ -114,6 +114,15 @@ def influence_rows(answer: Answer) -> tuple[list[str], list[list[str]]]:
     return headers, rows
 
 
+def figure_text(verdict: Verdict, unit: str, size: float) -> str:
+    """The figure that a requirement judges, with its interval; `unit` of `size` is the one a response is read in."""
+    found = verdict.estimate
+    if verdict.kind == "share":
+        return yield_text(found)
+    scale, name = (size, f" {unit}") if verdict.kind == "response" else (1.0, "")
+    return f"{found.value / scale:.4g}{name} [{found.lower / scale:.4g}, {found.upper / scale:.4g}]"
+
+
 def requirement_rows(answer: Answer) -> tuple[list[str], list[list[str]]]:
     """Headers and rows of the table of requirements: limit, yields, shadow price."""
     allocation = answer.allocation
@@ -131,9 +140,9 @@ def requirement_rows(answer: Answer) -> tuple[list[str], list[list[str]]]:
             [
                 name,
                 " and ".join(limits),
-                f"{100 * requirement.target:.4g} %",
-                yield_text(answer.certificate_before.yield_[name]),
-                yield_text(allocation.certificate.yield_[name]),
+                requirement.text(),
+                figure_text(answer.certificate_before.verdicts[name], unit, size),
+                figure_text(allocation.certificate.verdicts[name], unit, size),
                 f"{price:.4g} /{unit}" if price else "not binding",
             ]
         )

@@ -40,6 +40,8 @@ def worst_units(answer: Answer) -> list[WorstUnit]:
     study, side = answer.study, answer.after
     found = [(index, "", status) for status, index in side.failed.items()]
     for name, requirement in study.requirements.items():
+        if not requirement.of_units:
+            continue
         margin = np.asarray(requirement.margin(side.values[name]))
         order = np.argsort(np.where(np.isfinite(margin), margin, -np.inf))[::-1]
         found += [(int(index), name, "CONVERGED") for index in order[:EACH] if np.isfinite(margin[index])]

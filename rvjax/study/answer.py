@@ -145,6 +145,8 @@ def _curves(study: Study, tolerances: Any, seed: int) -> tuple[np.ndarray, np.nd
 
 
 def _cost_curve(study: Study, response: Callable[[Any], Any], start: Any) -> list[tuple[float, float]]:
+    if not any(requirement.goal == "target" for requirement in study.requirements.values()):
+        return []  # no share of units to move
     curve = cost_curve(
         response,
         start,

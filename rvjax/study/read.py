@@ -15,7 +15,7 @@ from rvjax.study.response import check_nominal
 from rvjax.study.values import choice, integer, known, naming, naming_field, quantity, subtable
 from rvjax.tolerances import Exponential, ReciprocalPower, Tolerance, for_design
 from rvjax.tolerances.distribution.tolerance import COMMON, LAWS
-from rvjax.tolerances.propagation.requirements import KINDS, Limits
+from rvjax.tolerances.propagation.requirements import KINDS
 
 COSTS: dict[str, Any] = {"reciprocal_power": ReciprocalPower, "exponential": Exponential}
 EMBEDDED = resources.files("rvjax.study") / "embedded"
@@ -141,7 +141,7 @@ def _tolerance(table: dict[str, Any], unit: str, where: str) -> Tolerance:
     chosen = next((way for way in ways if given and given == way - {"size"}), None)
     if chosen is None or (chosen == ways[2] and size is None):
         raise ValueError(f"{where}: give lower and upper, or half_width, or grade and size")
-    if chosen == ways[2]:
+    if chosen == ways[2] and size is not None:
         if unit != "m":
             raise ValueError(f"{where}.grade = {table['grade']!r}: grades are for lengths, this error is in {unit}")
         return Tolerance.grade(table["grade"], size, **options)
@@ -174,7 +174,7 @@ def _costs(error_record: Any, tolerances: Any, table: dict[str, Any]) -> dict[st
 
 
 def _accuracy(
-    outputs: Mapping[str, Output], requirements: Mapping[str, Limits], table: dict[str, Any]
+    outputs: Mapping[str, Output], requirements: Mapping[str, Any], table: dict[str, Any]
 ) -> dict[str, float]:
     found = {}
     for name, value in table.items():
@@ -186,7 +186,7 @@ def _accuracy(
     return found
 
 
-def _requirements(outputs: Mapping[str, Output], table: dict[str, Any]) -> dict[str, Limits]:
+def _requirements(outputs: Mapping[str, Output], table: dict[str, Any]) -> dict[str, Any]:
     requirements = {}
     for name in table:
         where, entry = f"requirement.{name}", subtable(table, name)

@@ -29,7 +29,8 @@ class Certifier:
     def holds(self, statistics: Statistics) -> bool:
         """True if every requirement is met for certain, and the joint target if there is one."""
         met = all(verdict.met for verdict in (statistics.verdicts or {}).values())
-        return met and (self.joint_target is None or statistics.joint_yield.lower >= self.joint_target)
+        joint = statistics.joint_yield
+        return met and (self.joint_target is None or (joint is not None and joint.lower >= self.joint_target))
 
     def hopeless(self) -> bool:
         """True if not even a sample without rejects could certify every target."""
@@ -44,7 +45,7 @@ class Certifier:
             item.factor(statistics.verdicts[name].estimate, n, z, float(d))
             for (name, item), d in zip(self.run.requirements.items(), distance)
         ]
-        if self.joint_target is not None:
+        if self.joint_target is not None and statistics.joint_yield is not None:
             found.append(share_factor(statistics.joint_yield, self.joint_target, n, z))
         return np.array(found)
 

@@ -57,7 +57,7 @@ def cost_curve(
         values: of the limit (a one-sided limit itself; half-widths about the middle of two limits) or of the
             target, in the order to go through; neighbours should be near each other.
         against: "limit" or "target".
-        of: name of the requirement that moves; None moves the only one, or the targets of all.
+        of: name of the requirement that moves; None moves the only one, or all shares of units (targets).
         **options: of `allocate`, such as `samples`, `seed`, `certificate_samples`.
 
     Returns:
@@ -104,9 +104,10 @@ def _check_of(requirements: Any, against: str, of: str | None) -> None:
 def _moved(requirements: Any, against: str, of: str | None, value: float) -> Any:
     """The requirements with one limit, or the targets, at a value."""
     if isinstance(requirements, Mapping):
+        moving = {n for n, item in requirements.items() if against == "limit" or item.goal == "target"}
+        moving = moving if of is None else {of}
         return {
-            name: item if of not in (None, name) else _moved(item, against, None, value)
-            for name, item in requirements.items()
+            name: _moved(item, against, None, value) if name in moving else item for name, item in requirements.items()
         }
     if against == "target":
         return requirements.aimed(value)

@@ -10,7 +10,7 @@ import numpy as np
 from jax.scipy.special import erf, log_ndtr, ndtr, ndtri
 from scipy import special
 
-from rvjax.records import concrete, record, text
+from rvjax.records import Scalar, concrete, record, text
 from rvjax.tolerances.distribution.law import Law, Moments, bad, central, raw_rayleigh, stretched
 from rvjax.tolerances.distribution.table import NODES, interpolate
 
@@ -159,7 +159,7 @@ class Rayleigh(Law):
         """The components of a vector are."""
         return tolerance.is_vector
 
-    def scaled(self, tolerance: Any, half_width: Any) -> dict[str, Any]:
+    def scaled(self, tolerance: Any, half_width: Scalar) -> dict[str, Any]:
         """About 0."""
         return dict(upper=2 * half_width)
 

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import ndtr
 
-from rvjax.records import concrete, field, is_concrete, record
+from rvjax.records import Scalar, concrete, field, is_concrete, record
 from rvjax.tolerances.distribution.law import IN_ERROR_UNIT, Law, Moments, bad
 from rvjax.units import KNOWN
 
@@ -50,7 +50,7 @@ class Empirical(Law):
         first, second, third, fourth = found
         return first, second, third, fourth
 
-    def scaled(self, tolerance: Any, half_width: Any) -> dict[str, Any]:
+    def scaled(self, tolerance: Any, half_width: Scalar) -> dict[str, Any]:
         """Limits and values about the middle of the limits."""
         old = tolerance.half_width
         if is_concrete(old) and old == 0:

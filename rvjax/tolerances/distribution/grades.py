@@ -1,9 +1,8 @@
 """Standard tolerance grades of ISO 286-1: the width of a tolerance zone by grade and nominal size."""
 
 import math
-from typing import Any
 
-from rvjax.records import quantity
+from rvjax.records import Scalar, quantity
 from rvjax.units import mm, um
 
 GRADES = tuple(f"IT{number}" for number in ("01", "0", *range(1, 12)))
@@ -27,7 +26,7 @@ _WIDTHS = {  # sizes up to and including, in mm
 }
 
 
-def it_width(grade: str, size: Any) -> float:
+def it_width(grade: str, size: Scalar) -> float:
     """Width of the tolerance zone, m; the limits of a centred zone are +- half of it.
 
     ISO 286-1, Table 1.

@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 import jax
 import numpy as np
 
-from rvjax.records import Record
+from rvjax.records import Record, Scalar
 from rvjax.units import parse
 
 Moments = tuple[Any, Any, Any, Any]
@@ -53,7 +53,7 @@ class Law(Record):
         """True where the errors are linear in z."""
         return False
 
-    def scaled(self, tolerance: Any, half_width: Any) -> dict[str, Any]:
+    def scaled(self, tolerance: Any, half_width: Scalar) -> dict[str, Any]:
         """What changes in a tolerance that gets another half-width; here its limits, about their middle."""
         return dict(lower=tolerance.middle - half_width, upper=tolerance.middle + half_width)
 
@@ -70,7 +70,7 @@ class Law(Record):
     @classmethod
     def parameters(cls) -> tuple[str, ...]:
         """Names of the parameters that belong to this law alone."""
-        return tuple(f.name for f in dataclasses.fields(cls))
+        return tuple(f.name for f in _fields(cls))
 
     @classmethod
     def parsed(cls, key: str, value: Any, unit: str) -> Any:
@@ -84,12 +84,15 @@ class Law(Record):
         Raises:
             ValueError: not of the declared unit.
         """
-        about = next(f.metadata for f in dataclasses.fields(cls) if f.name == key)
+        about = next(f.metadata for f in _fields(cls) if f.name == key)
         wanted = unit if about["unit"] == IN_ERROR_UNIT else about["unit"]
-        if isinstance(value, list):
-            numbers = [parse(item, wanted) for item in value]
-            return tuple(numbers) if about["kind"] == "text" else np.array(numbers)
-        return parse(value, wanted)
+        try:
+            if isinstance(value, list):
+                numbers = [parse(item, wanted) for item in value]
+                return tuple(numbers) if about["kind"] == "text" else np.array(numbers)
+            return parse(value, wanted)
+        except ValueError as error:
+            raise ValueError(f"{key} = {error}") from None
 
     def described(self) -> dict[str, Any]:
         """Parameters as plain values, exact to the last bit."""
@@ -110,7 +113,7 @@ def law_of(distribution: Any, parameters: Mapping[str, Any]) -> Law:
         return distribution.replace(**given) if given else distribution
     if not (isinstance(distribution, type) and issubclass(distribution, Law)):
         raise bad("distribution", distribution, f"unknown, choose from {', '.join(LAWS)}")
-    for f in dataclasses.fields(distribution):
+    for f in _fields(distribution):
         if f.default is dataclasses.MISSING and f.name not in given:
             raise bad(f.name, None, f"give {f.metadata['meaning']} with distribution={distribution.name!r}")
     for name, value in given.items():
@@ -118,9 +121,13 @@ def law_of(distribution: Any, parameters: Mapping[str, Any]) -> Law:
             owners = [law for law, cls in LAWS.items() if name in cls.parameters()]
             if not owners:
                 raise TypeError(f"Tolerance got an unexpected argument {name!r}")
-            known = next(f.metadata["meaning"] for f in dataclasses.fields(LAWS[owners[0]]) if f.name == name)
+            known = next(f.metadata["meaning"] for f in _fields(LAWS[owners[0]]) if f.name == name)
             raise bad(name, value, f"give {known} with distribution={owners[0]!r}, and only there")
     return distribution(**given)
+
+
+def _fields(law: type[Law]) -> tuple[dataclasses.Field[Any], ...]:
+    return dataclasses.fields(law)  # type: ignore[arg-type]  # the base alone is no dataclass
 
 
 def bad(name: str, value: Any, reason: str) -> ValueError:

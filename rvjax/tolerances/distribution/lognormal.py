@@ -6,7 +6,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from rvjax.records import field, record
+from rvjax.records import Scalar, field, record
 from rvjax.tolerances.distribution.law import Law, Moments, stretched
 
 
@@ -15,7 +15,7 @@ class Lognormal(Law):
     """lower + 2 h exp(log_sd (z - 3 cp)), so that P(e > upper) = Phi(-3 cp) as for a centred normal law."""
 
     name = "lognormal"
-    log_sd: Any = field("-", "the standard deviation of the logarithm of the error above `lower`", sign="positive")
+    log_sd: Scalar = field("-", "the standard deviation of the logarithm of the error above `lower`", sign="positive")
 
     def deviate(self, tolerance: Any, z: jax.Array) -> jax.Array:
         """The upper limit lies at z = 3 cp."""
@@ -32,6 +32,6 @@ class Lognormal(Law):
         scale = 2 * float(tolerance.half_width) * math.exp(-3 * cp * s)
         return stretched((mean, mean**2 * w, third, fourth), float(tolerance.lower), scale)
 
-    def scaled(self, tolerance: Any, half_width: Any) -> dict[str, Any]:
+    def scaled(self, tolerance: Any, half_width: Scalar) -> dict[str, Any]:
         """About the lower limit, which is a bound of nature."""
         return dict(upper=tolerance.lower + 2 * half_width)

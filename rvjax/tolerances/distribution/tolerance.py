@@ -13,7 +13,7 @@ from typing import Any, Self
 import jax
 import numpy as np
 
-from rvjax.records import Record, concrete, field, record, text
+from rvjax.records import Record, Scalar, concrete, field, record, text
 from rvjax.tolerances.distribution import classic, empirical, lognormal, von_mises
 from rvjax.tolerances.distribution.grades import it_width
 from rvjax.tolerances.distribution.law import LAWS, Law, Moments, bad, law_of
@@ -49,26 +49,26 @@ class Tolerance(Record):
     factor of its own, so that its direction stays random.
     """
 
-    lower: Any = field("-", "lower limit, unit of the error")
-    upper: Any = field("-", "upper limit, unit of the error")
+    lower: Scalar = field("-", "lower limit, unit of the error")
+    upper: Scalar = field("-", "upper limit, unit of the error")
     law: Law = field("-", "law between the limits, with the parameters of its own", kind="record")
-    cp: Any = field("-", "process capability", sign="positive")
-    shift: Any = field("-", "mean or mode off the middle, in half-widths")
+    cp: Scalar = field("-", "process capability", sign="positive")
+    shift: Scalar = field("-", "mean or mode off the middle, in half-widths")
     batch: float = text("correlation of the elements of one field, 0 to below 1")
-    size: Any = field("m", "nominal size of the part, for grades", sign="positive")
+    size: Scalar | None = field("m", "nominal size of the part, for grades", sign="positive")
     shape: tuple[int, ...] = text("shape of the error, () is a scalar")
     vector: bool | None = text("last axis is [radial, tangential]; None: if its length is 2")
 
     def __init__(
         self,
-        lower: Any,
-        upper: Any,
+        lower: Scalar,
+        upper: Scalar,
         *,
-        distribution: Any = "normal",
-        cp: Any = 1.0,
-        shift: Any = 0.0,
+        distribution: str | Law | type[Law] = "normal",
+        cp: Scalar = 1.0,
+        shift: Scalar = 0.0,
         batch: float = 0.0,
-        size: Any = None,
+        size: Scalar | None = None,
         shape: tuple[int, ...] = (),
         vector: bool | None = None,
         **parameters: Any,
@@ -97,7 +97,7 @@ class Tolerance(Record):
         self.__post_init__()
 
     @classmethod
-    def symmetric(cls, half_width: Any, **options: Any) -> Self:
+    def symmetric(cls, half_width: Scalar, **options: Any) -> Self:
         """Limits on both sides alike.
 
         Args:
@@ -107,7 +107,7 @@ class Tolerance(Record):
         return cls(-half_width, half_width, **options)
 
     @classmethod
-    def grade(cls, grade: str, size: Any, **options: Any) -> Self:
+    def grade(cls, grade: str, size: Scalar, **options: Any) -> Self:
         """Limits +-IT/2 of an ISO 286 grade.
 
         Args:
@@ -134,12 +134,12 @@ class Tolerance(Record):
         return getattr(self.law, "beta", None)
 
     @property
-    def middle(self) -> Any:
+    def middle(self) -> Scalar:
         """Middle of the limits, unit of the error."""
         return (self.lower + self.upper) / 2
 
     @property
-    def half_width(self) -> Any:
+    def half_width(self) -> Scalar:
         """Half the distance of the limits, unit of the error."""
         return (self.upper - self.lower) / 2
 
@@ -149,7 +149,7 @@ class Tolerance(Record):
         last_is_pair = bool(self.shape) and self.shape[-1] == 2
         return self.law.of_vectors and (last_is_pair if self.vector is None else self.vector)
 
-    def with_half_width(self, half_width: Any) -> Self:
+    def with_half_width(self, half_width: Scalar) -> Self:
         """The same law scaled about the middle of its limits, or about where it begins; shift and cp stay."""
         return self.replace(**self.law.scaled(self, half_width))
 
@@ -197,7 +197,7 @@ class Tolerance(Record):
             raise bad("lower", self.lower, f"lies above upper = {self.upper:.6g}")
 
     def _check_shift(self) -> None:
-        if not abs(self.shift) < 1:
+        if not -1 < self.shift < 1:
             raise bad("shift", self.shift, "must lie between -1 and 1, within the limits")
         if self.shift != 0 and not self.law.shifts:
             raise bad("shift", self.shift, f"must be 0 for {self.distribution}")

@@ -12,7 +12,7 @@ from scipy import special
 
 from rvjax.records import field, record, text
 from rvjax.tolerances.distribution.classic import Rayleigh
-from rvjax.tolerances.distribution.law import Moments, bad, raw_rayleigh
+from rvjax.tolerances.distribution.law import Moments, bad, central, raw_rayleigh
 from rvjax.tolerances.distribution.table import NODES, interpolate
 
 
@@ -42,13 +42,10 @@ class VonMises(Rayleigh):
         powers = [1.0, *raw_rayleigh(float(tolerance.upper) / (3 * float(tolerance.cp)))]
         pairs = []
         for toward in (0.0, math.pi / 2):  # cos(a - 0) and cos(a - pi/2) = sin a
-            raw = [p * self._cosine_power(k, float(self.direction) - toward) for k, p in enumerate(powers)]
-            mean = raw[1]
-            moved = [sum(math.comb(k, j) * raw[j] * (-mean) ** (k - j) for j in range(k + 1)) for k in (2, 3, 4)]
-            pairs.append([mean, *moved])
-        shaped = (np.broadcast_to(np.array(values), tolerance.shape) for values in zip(*pairs))
-        mean, variance, third, fourth = shaped
-        return mean, variance, third, fourth
+            raw = [power * self._cosine_power(k, float(self.direction) - toward) for k, power in enumerate(powers)]
+            pairs.append(central(*raw[1:]))
+        first, second, third, fourth = (np.broadcast_to(np.array(both), tolerance.shape) for both in zip(*pairs))
+        return first, second, third, fourth
 
     def is_normal(self, tolerance: Any) -> bool:
         """Never, for a concentration of 0 either: the numbers of a pair are mapped together."""
@@ -79,9 +76,9 @@ class VonMises(Rayleigh):
 
     def _cosine_power(self, power: int, direction: float) -> float:
         """E cos^k(b) of b about `direction`: cos^k b as a sum of cos(n b)."""
-        terms = [math.comb(power, j) * self._ratio(abs(power - 2 * j)) * math.cos((power - 2 * j) * direction)
-                 for j in range(power + 1)]  # fmt: skip
-        return sum(terms) / 2**power
+        orders = range(-power, power + 1, 2)
+        terms = [math.cos(n * direction) * self._ratio(abs(n)) for n in orders]
+        return sum(math.comb(power, j) * term for j, term in enumerate(terms)) / 2**power
 
 
 @functools.lru_cache(maxsize=32)

@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax.records import Record, field, is_concrete, record
+from rvjax.records import Array, Record, Scalar, field, is_concrete, record
 from rvjax.tolerances.distribution.tolerance import Tolerance
 from rvjax.tolerances.population.correlation import Correlation, mixing_matrix
 
@@ -115,7 +115,7 @@ class Population(Record):
         """The error structure with `values` in the active fields."""
         return self._with(values, absent=0.0)
 
-    def with_half_widths(self, half_widths: Mapping[str, Any]) -> Self:
+    def with_half_widths(self, half_widths: Mapping[str, Scalar]) -> Self:
         """The same population with some half-widths changed, by name of the field."""
         changed = {name: self.active[name].with_half_width(t) for name, t in half_widths.items()}
         return self.replace(tolerances=self._with(changed, absent=None))
@@ -125,7 +125,7 @@ class Population(Record):
             [values.get(name, absent if leaf is None else leaf) for name, leaf in self._leaves.items()]
         )
 
-    def by_field(self, values: Any) -> dict[str, Any]:
+    def by_field(self, values: Array) -> dict[str, Any]:
         """A vector over all active elements (n,) as arrays by field."""
         # Split, not sliced: its transpose is one concatenation, which compiles for hundreds of fields too.
         ends = np.cumsum([math.prod(t.shape) for t in self.active.values()])

@@ -53,8 +53,8 @@ def response_hash(response: Response, population: Population) -> str:
     """
     z = jax.ShapeDtypeStruct((population.numbers, 1), jnp.result_type(float))
     found = hashlib.sha256(respond.lowered(response, population, z).encode())
-    for leaf in jax.tree.leaves(response) if isinstance(response, Record) else ():
-        array = np.asarray(leaf)
+    leaves: list[Any] = jax.tree.leaves(response) if isinstance(response, Record) else []
+    for array in map(np.asarray, leaves):
         found.update(f"{array.dtype} {array.shape}".encode() + np.ascontiguousarray(array).tobytes())
     return found.hexdigest()
 

@@ -1,6 +1,7 @@
 """Chunks of units on all local devices: each draws and evaluates its own part, none waits for another."""
 
 import functools
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -63,9 +64,10 @@ def _drawn_on(
 def _respond_on(
     response: Response, population: Population, z: jax.Array, *, mesh: jax.sharding.Mesh
 ) -> tuple[Values, jax.Array]:
-    # A plain function is no array and stays outside; the numbers of a record go in like those of the population.
-    given, part = ((response, population), lambda both, z: respond(*both, z))
-    if not isinstance(response, Record):
+    if isinstance(response, Record):  # its numbers go in like those of the population; a plain function is none
+        given: Any = response, population
+        part: Any = lambda both, z: respond(*both, z)  # noqa: E731
+    else:
         given, part = population, functools.partial(respond, response)
     return jax.shard_map(
         part, mesh=mesh, in_specs=(_EVERYWHERE, _NUMBERS), out_specs=(_UNITS, _UNITS), check_vma=False

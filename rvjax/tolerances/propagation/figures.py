@@ -102,7 +102,10 @@ def statistics(
     }
     orders, any_units = tally.orders(), bool(tally.requirements)
     yields = {name: None if item.passed is None else item.share() for name, item in seen.items()}
-    figures = {name: item.figure(seen[name]) for name, item in requirements.items()}
+    verdicts = {}
+    for name, item in requirements.items():
+        figure = item.figure(seen[name])
+        verdicts[name] = Verdict(item.text(), item.judges, figure, item.holds(figure))
     return Statistics(
         samples=int(tally.seen.sum()),
         seed=seed,
@@ -123,7 +126,7 @@ def statistics(
         cp={name: _capability(tally, name, item)[0] for name, item in seen.items()} if any_units else None,
         cpk={name: _capability(tally, name, item)[1] for name, item in seen.items()} if any_units else None,
         joint_yield=next(iter(seen.values())).share(tally.joint) if any_units else None,
-        verdicts={n: Verdict(r.text(), figures[n], r.holds(figures[n])) for n, r in requirements.items()} or None,
+        verdicts=verdicts or None,
         values=tally.values or None,
         study=study,
         versions=versions(),

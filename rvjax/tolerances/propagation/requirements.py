@@ -44,11 +44,13 @@ class Verdict:
 
     Attributes:
         wanted: the requirement as text.
+        kind: what the figure is: "share" of units, "response" (in its unit) or "number".
         estimate: the figure it judges.
         met: True if the whole confidence interval meets it, or the end of it that counts.
     """
 
     wanted: str
+    kind: str
     estimate: Estimate
     met: bool
 
@@ -64,6 +66,7 @@ class Limits:
 
     of_units: ClassVar[bool] = True  # a unit beyond the limits is a reject
     goal: ClassVar[str | None] = None  # the field that says how much is enough
+    judges: ClassVar[str] = "number"  # "share" of units, "response" in its unit, or a plain number
     prefix: ClassVar[str] = ""  # of the limits in study files
 
     lower: float = -math.inf
@@ -190,6 +193,7 @@ class Requirement(Limits):
     """
 
     goal: ClassVar[str | None] = "target"
+    judges: ClassVar[str] = "share"
     target: float = 0.9973
 
     def __post_init__(self) -> None:
@@ -250,6 +254,7 @@ class MeanWithin(Limits):
     """
 
     of_units: ClassVar[bool] = False
+    judges: ClassVar[str] = "response"
     prefix: ClassVar[str] = "mean_"
 
     def learned(self, values: np.ndarray, distance: float) -> float:

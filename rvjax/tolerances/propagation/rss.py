@@ -101,7 +101,7 @@ def rss(
             hessian = np.asarray(_hessian(response, population, mean, names=(name,)), float)
             found[name] = _second_order(float(value[k]), gradient, hessian, law)
     results = {name: _figures(item, required.get(name), law) for name, item in found.items()}
-    columns = {f.name: {n: r[f.name] for n, r in results.items()} for f in dataclasses.fields(Moments)}
+    columns: dict[str, Any] = {f.name: {n: r[f.name] for n, r in results.items()} for f in dataclasses.fields(Moments)}
     if not any(item.of_units for item in required.values()):
         columns |= dict(cpk=None, yield_=None)
     return unwrapped(Moments(**columns))
@@ -152,7 +152,7 @@ def _of_errors(z_matrix: np.ndarray, population: Population) -> np.ndarray:
     found, start = z_matrix.copy(), 0
     if not (z_matrix == np.eye(len(z_matrix))).all():
         a = _hermite_series(population)
-        found = sum(z_matrix**k * np.outer(a[:, k - 1], a[:, k - 1]) for k in range(1, _TERMS + 1))
+        found = np.sum([z_matrix**k * np.outer(a[:, k - 1], a[:, k - 1]) for k in range(1, _TERMS + 1)], axis=0)
         np.fill_diagonal(found, 1.0)
     for name, tolerance in population.active.items():
         stop = start + math.prod(tolerance.shape)
