@@ -146,7 +146,7 @@ class Description:
         conditions: frozen dataclass whose fields are made by `condition`.
         outputs: by name.
         curve: to look at, or None.
-        cases: quick -> cases by which levels are measured; a quick run measures fewer.
+        cases: quick -> cases by which levels are measured, fewer in a quick run; None where none are.
         unknown: what the model leaves out, one line for a person who reads its results.
     """
 
@@ -154,5 +154,5 @@ class Description:
     conditions: type
     outputs: Mapping[str, Output]
     curve: Curve | None = None
-    cases: Callable[[bool], Sequence[Cases]] = lambda quick: ()
+    cases: Callable[[bool], Sequence[Cases]] | None = None
     unknown: str = ""

@@ -46,7 +46,7 @@ def measured(*, quick: bool = False) -> list[Cases]:
     Args:
         quick: fewer levels and cases.
     """
-    return [cases for description in models.descriptions() for cases in description.cases(quick)]
+    return [cases for d in models.descriptions() if d.cases for cases in d.cases(quick)]
 
 
 def limits(errors: Mapping[str, tuple[float, float]], design: Any) -> Any:
