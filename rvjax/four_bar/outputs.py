@@ -6,11 +6,13 @@ from typing import Any
 
 from rvjax.catalogue import RV_40E
 from rvjax.designs import RVReducer
+from rvjax.four_bar.linkage import ALLOWED
 from rvjax.four_bar.revolution import figures, revolution
 from rvjax.outputs import Cases, Curve, Description, Output, Solved, Way, condition
 from rvjax.units import arcmin, um
 
-CLOSURES = ("first_order", "quadratic", "closed_form", "newton")
+CLOSURES = tuple(dict.fromkeys(closure for allowed in ALLOWED.values() for closure in allowed))
+CRANKS = tuple(dict.fromkeys(cranks for cranks, _ in ALLOWED))
 
 
 @dataclass(frozen=True)
@@ -19,9 +21,7 @@ class Conditions:
 
     output_torque: float = condition(0.0, "torque of the discs on the carrier", unit="N m", torque=True)
     angles: int = condition(64, "uniform crank angles over one crank turn", minimum=8, maximum=100_000)
-    cranks: str = condition(
-        "phase_locked", "how the cranks are held together", choices=("phase_locked", "geared", "free")
-    )
+    cranks: str = condition("phase_locked", "how the cranks are held together", choices=CRANKS)
     gear_stiffness_ratio: float | None = condition(None, "of the gears between geared cranks", unit="-")
     closure: str | None = condition(None, "of the crank linkages; the exact one by default", choices=CLOSURES)
 
