@@ -2,11 +2,17 @@
 
 Three quarters of the time of the tests is compilation. What one worker or process compiled, all others and
 every later run take from `.pytest_cache`; delete it to compile afresh. LLVM optimises a little only (-O1), which saves
-a sixth of it; benchmarks and the census run as users do, and compare results first.
+a sixth of it; benchmarks and the census run as users do, and compare results first. `machines.py` runs the tests under
+what stands in for other machines.
+
+A worker forgets its programs after each module, else it grows by a gigabyte every few minutes; the last lines of a run
+say how far each one came.
 """
 
 import json
 import os
+import resource
+import sys
 from pathlib import Path
 
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path(__file__).parents[1] / ".pytest_cache" / "jax"))
@@ -39,3 +45,34 @@ REFERENCE = Path(__file__).parent / "reference"
 def reference():
     """Independent high-precision cases: reference("four_bar") is the parsed file of that model."""
     return lambda model: json.loads((REFERENCE / f"{model}.json").read_text())
+
+
+@pytest.fixture(scope="module", autouse=True)
+def forgotten():
+    """Traces and programs of a module are dropped after it; the disk keeps the programs that cost most."""
+    yield
+    jax.clear_caches()
+
+
+PEAKS: dict[str, float] = {}
+
+
+def peak_memory():
+    """Largest resident size of this process so far, GB."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1e9 if sys.platform == "darwin" else 1e6)
+
+
+def pytest_sessionfinish(session):
+    if hasattr(session.config, "workeroutput"):
+        session.config.workeroutput["peak_memory"] = peak_memory()
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodedown(node, error):
+    PEAKS[node.gateway.id] = getattr(node, "workeroutput", {}).get("peak_memory", float("nan"))
+
+
+def pytest_terminal_summary(terminalreporter):
+    peaks = PEAKS or {"main": peak_memory()}
+    shown = ", ".join(f"{name} {peak:.1f} GB" for name, peak in sorted(peaks.items()))
+    terminalreporter.write_line(f"peak memory: {shown}")

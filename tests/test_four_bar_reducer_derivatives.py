@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from four_bar_reducers import READ, cast, changed, drawn, reducer, transmission_error
+from four_bar_reducers import READ, cast, changed, disc_couple, drawn, reducer, transmission_error
 
 from rvjax import CrankStage, RVErrors, Status, catalogue, four_bar
 from rvjax.units import mm, um
@@ -26,7 +26,7 @@ def test_torque_through_zero():
     value, slopes = jax.value_and_grad(error, argnums=(0, 1))(0.0, 5 * um)
     assert value == 0
     assert slopes[1] == 0
-    np.testing.assert_allclose(slopes[0], -2 * 198.937142857143 / 412 / (6e8 * (72 * mm) ** 2), rtol=1e-9)
+    np.testing.assert_allclose(slopes[0], -2 * disc_couple(design, 1.0) / (6e8 * (72 * mm) ** 2), rtol=1e-9)
     np.testing.assert_allclose(error(1e-9, 5 * um), -error(-1e-9, 5 * um), rtol=1e-2)
     assert abs(error(1e-9, 5 * um)) > 1e-4
     clearance_slope = jax.grad(error, argnums=1)(412.0, 5 * um)
