@@ -19,7 +19,7 @@ os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path(__file__).parents[1]
 os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")  # XLA logs two lines for every kept program it loads
 if "xla_backend_optimization_level" not in os.environ.get("XLA_FLAGS", ""):
     os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} --xla_backend_optimization_level=1".strip()
-os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.2")
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")  # hundreds of small ones cost a quarter
 
 import jax
 import matplotlib
@@ -33,10 +33,11 @@ jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")
 matplotlib.use("Agg")
 
-# `HYPOTHESIS_PROFILE=long pytest ...` draws many times more examples in every property test.
+# `HYPOTHESIS_PROFILE=long pytest ...` draws many times more examples in every property test and runs tests marked long.
 settings.register_profile("default", max_examples=60, deadline=None)
 settings.register_profile("long", max_examples=2000, deadline=None)
-settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "default"))
+PROFILE = os.environ.get("HYPOTHESIS_PROFILE", "default")
+settings.load_profile(PROFILE)
 
 REFERENCE = Path(__file__).parent / "reference"
 
@@ -45,6 +46,13 @@ REFERENCE = Path(__file__).parent / "reference"
 def reference():
     """Independent high-precision cases: reference("four_bar") is the parsed file of that model."""
     return lambda model: json.loads((REFERENCE / f"{model}.json").read_text())
+
+
+def pytest_collection_modifyitems(config, items):
+    """Further methods of a model whose first one stays, for the long profile."""
+    left = [item for item in items if PROFILE != "long" and item.get_closest_marker("long")]
+    config.hook.pytest_deselected(items=left)
+    items[:] = [item for item in items if item not in left]
 
 
 @pytest.fixture(scope="module", autouse=True)

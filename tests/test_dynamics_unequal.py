@@ -76,15 +76,15 @@ def test_unequal_members_are_solved_on_the_whole_model(stage):
 
 def test_equal_members_given_one_by_one_are_equal():
     """The same reducer through its symmetry and, as arrays, through the whole model."""
-    design = layout(DAMPED, 4, 3)
+    design = layout(DAMPED, 3, 3)
     arrays = design.replace(stiffness=design.stiffness.replace(disc_pin_mesh=np.full(3, 8.35e8)))
-    options = RATED_CASE | dict(harmonics=4, outputs=("output.x", "output.rotation", "planet2.y"))
+    options = RATED_CASE | dict(harmonics=3, outputs=("output.x", "output.rotation", "planet2.y"))
 
     def first_order(stiffness, eccentricity, design):
         cycloid = design.cycloid.replace(eccentricity=eccentricity)
         design = design.replace(cycloid=cycloid, stiffness=design.stiffness.replace(disc_pin_mesh=stiffness))
         found = dynamics.response(design, **options)
-        return jnp.abs(found.amplitude[3, 1]), found
+        return jnp.abs(found.amplitude[2, 1]), found
 
     run = jax.jit(jax.value_and_grad(first_order, argnums=(0, 1), has_aux=True))
     e = design.cycloid.eccentricity
@@ -188,17 +188,17 @@ def test_monte_carlo_of_stiffness_and_mass_meets_first_order():
     found = monte_carlo(figures, tolerances, samples=2000, seed=1, chunk=1000)
     assert found.failed == 0
 
-    @jax.jit
-    def first_order_of(deviations):
-        return jax.jacfwd(lambda d: figures(d).value)(deviations), figures(deviations).value
-
-    slopes, nominal = first_order_of(dict.fromkeys(bands, 0.0))
-    for figure in nominal:
-        first_order = np.sqrt(sum((float(slopes[figure][name]) * band / 3) ** 2 for name, band in bands.items()))
+    # Central differences over a tenth of a band: the response is smooth, derivatives have tests of their own.
+    steps = 0.1 * np.diag(list(bands.values()))
+    ends = np.concatenate([steps, -steps, np.zeros((1, len(bands)))])
+    values = jax.jit(jax.vmap(lambda row: figures(dict(zip(bands, row))).value))(ends)
+    for figure, value in values.items():
+        nominal, spread = value[-1], (value[:5] - value[5:10]) / 0.2  # of each error over its whole band
+        first_order = np.linalg.norm(spread) / 3
         assert first_order > 0
         # Sampling error of the spread of 2000 units: 1.6 %; curvature adds a fraction of a percent.
         assert found.sd[figure].value == pytest.approx(first_order, rel=0.05), figure
-        assert found.mean[figure].value == pytest.approx(float(nominal[figure]), abs=0.1 * first_order)
+        assert found.mean[figure].value == pytest.approx(float(nominal), abs=0.1 * first_order)
 
 
 def test_members_that_vary_one_by_one_average_out():
