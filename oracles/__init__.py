@@ -1,0 +1,1 @@
+"""Independent implementations of the models, which tests, census and benchmarks share."""
