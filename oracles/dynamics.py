@@ -87,6 +87,15 @@ class Oracle:
     def mean(self, output_torque):
         return self.solve(self.K, self.load(output_torque))
 
+    def mesh_rounding(self, name, mean):
+        """Deflection of each mesh at `mean` that one relative rounding of every product in K and v.q can make.
+
+        |v K^-1| |K| |q| + |v| |q|, |K| the sum of sizes: the componentwise bound of a linear solve, seen by a mesh.
+        """
+        rows, size = np.array(self.meshes[name]), sum(k * np.outer(np.abs(v), np.abs(v)) for k, v in self.springs)
+        reach = np.abs([self.solve(self.K, row) for row in rows])
+        return (reach @ size + np.abs(rows)) @ np.abs(mean)
+
     def solve(self, matrix, rhs):
         """Dense solve, scaled by the diagonal of K: condition 1e6 in SI, 1e2 so."""
         scale = np.tile(1 / np.sqrt(np.diag(self.K)), len(matrix) // self.n)
@@ -113,11 +122,17 @@ class Oracle:
         crank = output - (sun_speed - output) * d.involute.sun_teeth / d.involute.planet_teeth
         return d.cycloid.pin_count * abs(crank)
 
+    def modes(self):
+        """Squares of the angular frequencies, ascending, and mass-normalised shapes as columns."""
+        root = np.sqrt(self.m)
+        squares, vectors = np.linalg.eigh(self.K / np.outer(root, root))
+        return squares, vectors / root[:, None]
+
     def impedance(self, w, order):
         d = self.design.damping
-        root = np.sqrt(self.m)
-        values, vectors = np.linalg.eigh(self.K / np.outer(root, root))
-        c = 2 * d.modal_ratio * (vectors * np.sqrt(np.maximum(values, 0))) @ vectors.T * np.outer(root, root)
+        squares, shapes = self.modes()
+        inner = self.m[:, None] * shapes
+        c = 2 * d.modal_ratio * (inner * np.sqrt(np.maximum(squares, 0))) @ inner.T
         c = c + d.rayleigh_mass * np.diag(self.m) + d.rayleigh_stiffness * self.K
         return (
             self.K * (1 + 1j * d.loss_factor * np.sign(order)) + 1j * order * w * c - (order * w) ** 2 * np.diag(self.m)

@@ -2,18 +2,24 @@
 
 Three quarters of the time of the tests is compilation. What one worker or process compiled, all others and
 every later run take from `.pytest_cache`; delete it to compile afresh. LLVM optimises a little only (-O1), which saves
-a sixth of it; benchmarks and the census run as users do, and compare results first.
+a sixth of it; benchmarks and the census run as users do, and compare results first. `machines.py` runs the tests under
+what stands in for other machines.
+
+A worker forgets its programs after each module, else it grows by a gigabyte every few minutes; the last lines of a run
+say how far each one came.
 """
 
 import json
 import os
+import resource
+import sys
 from pathlib import Path
 
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path(__file__).parents[1] / ".pytest_cache" / "jax"))
 os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")  # XLA logs two lines for every kept program it loads
 if "xla_backend_optimization_level" not in os.environ.get("XLA_FLAGS", ""):
     os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} --xla_backend_optimization_level=1".strip()
-os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.2")
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")  # hundreds of small ones cost a quarter
 
 import jax
 import matplotlib
@@ -27,10 +33,11 @@ jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")
 matplotlib.use("Agg")
 
-# `HYPOTHESIS_PROFILE=long pytest ...` draws many times more examples in every property test.
+# `HYPOTHESIS_PROFILE=long pytest ...` draws many times more examples in every property test and runs tests marked long.
 settings.register_profile("default", max_examples=60, deadline=None)
 settings.register_profile("long", max_examples=2000, deadline=None)
-settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "default"))
+PROFILE = os.environ.get("HYPOTHESIS_PROFILE", "default")
+settings.load_profile(PROFILE)
 
 REFERENCE = Path(__file__).parent / "reference"
 
@@ -39,3 +46,41 @@ REFERENCE = Path(__file__).parent / "reference"
 def reference():
     """Independent high-precision cases: reference("four_bar") is the parsed file of that model."""
     return lambda model: json.loads((REFERENCE / f"{model}.json").read_text())
+
+
+def pytest_collection_modifyitems(config, items):
+    """Further methods of a model whose first one stays, for the long profile."""
+    left = [item for item in items if PROFILE != "long" and item.get_closest_marker("long")]
+    config.hook.pytest_deselected(items=left)
+    items[:] = [item for item in items if item not in left]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def forgotten():
+    """Traces and programs of a module are dropped after it; the disk keeps the programs that cost most."""
+    yield
+    jax.clear_caches()
+
+
+PEAKS: dict[str, float] = {}
+
+
+def peak_memory():
+    """Largest resident size of this process so far, GB."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1e9 if sys.platform == "darwin" else 1e6)
+
+
+def pytest_sessionfinish(session):
+    if hasattr(session.config, "workeroutput"):
+        session.config.workeroutput["peak_memory"] = peak_memory()
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodedown(node, error):
+    PEAKS[node.gateway.id] = getattr(node, "workeroutput", {}).get("peak_memory", float("nan"))
+
+
+def pytest_terminal_summary(terminalreporter):
+    peaks = PEAKS or {"main": peak_memory()}
+    shown = ", ".join(f"{name} {peak:.1f} GB" for name, peak in sorted(peaks.items()))
+    terminalreporter.write_line(f"peak memory: {shown}")

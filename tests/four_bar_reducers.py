@@ -43,6 +43,15 @@ def cast(errors, dtype):
     return jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), errors)
 
 
+def disc_couple(design, torque):
+    """Couple of one disc on its crank pins: its share of the torque without what pins and sun do by the arm e.
+
+    The carrier's turn works against pins, at the pitch radius e zp, and against the sun, through z1/z2 of it.
+    """
+    disc, sun = design.cycloid, design.involute.sun_teeth / design.involute.planet_teeth
+    return torque / disc.disc_count * (1 - (1 + sun) / (disc.pin_count + sun))
+
+
 def drawn(design, seed, size=10 * um, units=None):
     """Random errors of one unit, or of many along the last axis."""
     rng, counts = np.random.default_rng(seed), design.counts

@@ -3,11 +3,13 @@
 Oracles: finite differences; one-sided limits and slopes in closed form; statuses by their definition.
 """
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from four_bar_reducers import READ, cast, changed, drawn, reducer, transmission_error
+from four_bar_reducers import READ, cast, changed, disc_couple, drawn, reducer, transmission_error
 
 from rvjax import CrankStage, RVErrors, Status, catalogue, four_bar
 from rvjax.units import mm, um
@@ -26,7 +28,7 @@ def test_torque_through_zero():
     value, slopes = jax.value_and_grad(error, argnums=(0, 1))(0.0, 5 * um)
     assert value == 0
     assert slopes[1] == 0
-    np.testing.assert_allclose(slopes[0], -2 * 198.937142857143 / 412 / (6e8 * (72 * mm) ** 2), rtol=1e-9)
+    np.testing.assert_allclose(slopes[0], -2 * disc_couple(design, 1.0) / (6e8 * (72 * mm) ** 2), rtol=1e-9)
     np.testing.assert_allclose(error(1e-9, 5 * um), -error(-1e-9, 5 * um), rtol=1e-2)
     assert abs(error(1e-9, 5 * um)) > 1e-4
     clearance_slope = jax.grad(error, argnums=1)(412.0, 5 * um)
@@ -34,30 +36,44 @@ def test_torque_through_zero():
     np.testing.assert_allclose(clearance_slope, difference, rtol=1e-5)
 
 
-def test_derivatives_equal_differences():
-    """Reverse and forward mode against differences, for a random sum of figures along a random direction."""
-    design, rng = catalogue.RV_40E, np.random.default_rng(1)
-    errors, weights = drawn(design, 9), rng.normal(size=5)
+@functools.cache
+def turns():
+    """Figures of a loaded turn of a batch of units, and the derivatives of a weighted sum of them, compiled once."""
 
-    def figure(errors):
+    def figures(design, errors):
         result = four_bar.revolution(design, errors, output_torque=412.0)
-        parts = jnp.stack([result.maximum, result.minimum, result.largest_misfit, result.mean, result.error[5]])
-        return jnp.dot(parts, weights)
+        parts = [result.maximum, result.minimum, result.largest_misfit, result.mean, result.error[5]]
+        return jnp.stack([*parts, result.peak_to_peak]), result.info.status
 
-    gradient = jax.jit(jax.grad(figure))(errors)
-    both = jax.jit(lambda e, d: jax.jvp(figure, (e,), (d,)))
-    blank = jax.tree.map(jnp.zeros_like, errors)
+    plain = jax.vmap(figures, in_axes=(None, -1))
+
+    def total(design, units, weights):
+        values, status = plain(design, units)
+        return jnp.sum(weights * jnp.where((status == 0)[:, None], values, 0)), (values, status)
+
+    return jax.jit(plain), jax.jit(jax.grad(total, argnums=(0, 1), has_aux=True))
+
+
+def test_derivatives_equal_differences():
+    """Reverse mode, which is forward mode transposed, for random sums of figures along random directions."""
+    design, rng = catalogue.RV_40E, np.random.default_rng(1)
+    plain, gradient = turns()
+    units, weights = drawn(design, 9, units=6), rng.normal(size=(6, 6))
+    (_, by_error), (values, status) = gradient(design, units, weights)
+    assert set(np.asarray(status)) == {0}
+    np.testing.assert_allclose(values, plain(design, units)[0], rtol=1e-12)
+    blank = jax.tree.map(jnp.zeros_like, units)
     for name in RVErrors.__dataclass_fields__:
-        found = np.asarray(getattr(gradient, name))
+        found = np.asarray(getattr(by_error, name))
         if name not in READ:
             assert np.all(found == 0)
             continue
         direction = changed(blank, **{name: rng.normal(size=found.shape)})
-        ends = [jax.tree.map(lambda x, d, s=s: x + s * 1e-9 * d, errors, direction) for s in (1, -1)]
-        above, below = (both(end, direction)[0] for end in ends)
-        expected = (above - below) / 2e-9
-        np.testing.assert_allclose(np.sum(found * getattr(direction, name)), expected, rtol=1e-5, atol=1e-5)
-        np.testing.assert_allclose(both(errors, direction)[1], expected, rtol=1e-5, atol=1e-5)
+        ends = [jax.tree.map(lambda x, d, s=s: x + s * 1e-9 * d, units, direction) for s in (1, -1)]
+        above, below = (np.asarray(plain(design, end)[0]) for end in ends)
+        expected = np.sum(weights * (above - below), axis=1) / 2e-9  # of each unit
+        slope = np.sum((found * getattr(direction, name)).reshape(-1, 6), axis=0)
+        np.testing.assert_allclose(slope, expected, rtol=1e-5, atol=1e-5 * np.abs(weights).max())
 
 
 def test_zero_errors_are_exactly_zero_with_finite_derivatives():
@@ -105,16 +121,9 @@ def test_lost_units_leave_their_neighbours_alone():
     design = catalogue.RV_40E
     units = drawn(design, 11, units=6)
 
-    def total(design, units):
-        def one(errors):
-            result = four_bar.revolution(design, errors)
-            return jnp.stack([result.peak_to_peak, result.largest_misfit]), result.info.status
-
-        values, status = jax.vmap(one, in_axes=-1)(units)
-        return jnp.sum(jnp.where((status == 0)[:, None], values, 0)[:3]), (values, status)
-
-    gradient = jax.jit(jax.grad(total, argnums=(0, 1), has_aux=True))
-    (shared, each), (values, status) = gradient(design, units)
+    weights = np.repeat([1.0, 0.0], 3)[:, None] * np.ones(6)
+    _, gradient = turns()
+    (shared, each), (values, status) = gradient(design, units, weights)
     assert set(np.asarray(status)) == {0}
     carrier = np.array(units.carrier_bore)
     carrier[0, 0, 3] = -80 * mm  # the carrier bores change places
@@ -123,7 +132,7 @@ def test_lost_units_leave_their_neighbours_alone():
     clearance = np.array(units.bearing_clearance)
     clearance[5] = np.inf
     lost = changed(units, carrier_bore=carrier, crank_phase=phase, bearing_clearance=clearance)
-    (lost_shared, lost_each), (lost_values, lost_status) = gradient(design, lost)
+    (lost_shared, lost_each), (lost_values, lost_status) = gradient(design, lost, weights)
     assert [Status(int(s)).name for s in lost_status[3:]] == ["INVALID_GEOMETRY", "NONFINITE", "NONFINITE"]
     assert np.all(np.isnan(lost_values[3:]))
     assert np.array_equal(lost_values[:3], values[:3])
