@@ -18,7 +18,8 @@ import jax  # noqa: E402
 import jax.numpy as jnp  # noqa: E402
 import numpy as np  # noqa: E402
 
-from rvjax.levels import subjects  # noqa: E402
+from rvjax import levels  # noqa: E402
+from rvjax.levels.measure import evaluate, limits  # noqa: E402
 from rvjax.levels.table import stored  # noqa: E402
 from rvjax.status import succeeded  # noqa: E402
 from rvjax.study import response as scene  # noqa: E402
@@ -34,12 +35,12 @@ def draw(subject, rng, number):
     design = jax.tree.map(lambda x: float(x * (1 + rng.uniform(-spread, spread))), subject.design)
     low, high = model.sizes[0], model.sizes[-1]
     top = np.exp(rng.uniform(np.log(low), np.log(high)))
-    fields = {}
-    for name, tolerance in vars(subject.tolerances).items():
+    fields, given = {}, limits(subject.errors, subject.design)
+    for name, tolerance in vars(given).items():
         if tolerance is not None:
             factor = top * rng.uniform(0.1, 1) if rng.random() < 0.5 else top
             fields[name] = tolerance.replace(lower=tolerance.lower * factor, upper=tolerance.upper * factor)
-    tolerances = subject.tolerances.replace(**fields)
+    tolerances = given.replace(**fields)
     torque = float(rng.uniform(*subject.torque)) if subject.torque else 0.0
     kind = scene.kind(design)
     name = "output_torque" if kind.conditions is scene.RVConditions else "input_torque"
@@ -68,13 +69,13 @@ def main():
     parser.add_argument("--seed", type=int, default=12345)
     parser.add_argument("--only", help="models whose name begins so")
     options = parser.parse_args()
-    measured = [s for s in subjects() if s.tolerances is not None and s.name in stored().models]
-    asked = [s for s in measured if s.name.startswith(options.only or "")]
+    known = [s for s in levels.measured() if s.errors is not None and s.name in stored().models]
+    asked = [s for s in known if s.name.startswith(options.only or "")]
     figures, broken, exact, worst, total, saved = {}, 0, 0, 0.0, 0, []
     unit = jax.jit(jax.vmap(lambda tolerances, index: sample(tolerances, index, seed=99), in_axes=(None, 0)))
     for subject in asked:
         rng = np.random.default_rng([options.seed, len(subject.name)])
-        model, levels, scenes = stored().models[subject.name], collections.defaultdict(list), []
+        model, by_level, scenes = stored().models[subject.name], collections.defaultdict(list), []
         for number in range(options.scenes // len(asked)):
             design, tolerances, conditions, output, accuracy, torque = draw(subject, rng, number)
             choice = scene.choose(design, (output,), conditions, tolerances=tolerances, accuracy={output: accuracy})[
@@ -83,10 +84,10 @@ def main():
             errors = unit(tolerances, jnp.arange(number * UNITS, (number + 1) * UNITS))
             wide = jax.tree.map(lambda x: np.broadcast_to(x, (UNITS, *np.shape(x)[1:])), (errors))
             design, torque = jax.tree.map(lambda x: np.full(UNITS, x), (design, torque))
-            levels[choice.settings, choice.precision].append(len(scenes))
+            by_level[choice.settings, choice.precision].append(len(scenes))
             scenes.append((design, wide, torque, output, accuracy, choice))
         subject_worst = 0.0
-        for (settings_, precision), chosen in levels.items():
+        for (settings_, precision), chosen in by_level.items():
             if scenes[chosen[0]][5].bound is None:
                 exact += len(chosen)
                 total += len(chosen)
@@ -96,7 +97,7 @@ def main():
                 part = chosen[first : first + BLOCK // UNITS]
                 padded = (part * (BLOCK // UNITS))[: BLOCK // UNITS] if len(part) < BLOCK // UNITS else part
                 block = jax.tree.map(lambda *x: np.concatenate(x), *[scenes[k][:3] for k in padded])
-                run = partial(values, *block, evaluate=subject.evaluate)
+                run = partial(values, *block, evaluate=partial(evaluate, subject))
                 true, status = run(settings=finer(dict(model.level(model.reference).settings)), precision="float64")
                 found, own = run(settings=settings_, precision=precision)
                 good = np.asarray(succeeded(status)).reshape(-1, UNITS)
