@@ -169,7 +169,9 @@ def weighted(rows: jax.Array, load: jax.Array) -> jax.Array:
     return jnp.sum(rows * load[None], axis=2)
 
 
-def hessian(layout: Layout, s: System, q: jax.Array, at: Contacts, pin_slope: Any = None) -> Hessian:
+def hessian(
+    layout: Layout, s: System, q: jax.Array, at: Contacts, pin_slope: Any = None, pressed: Any = None
+) -> Hessian:
     """Second derivatives of the energy at q.
 
     Args:
@@ -178,6 +180,7 @@ def hessian(layout: Layout, s: System, q: jax.Array, at: Contacts, pin_slope: An
         q: (n, l).
         at: contacts at q.
         pin_slope: (d, p, l), by default that of the law.
+        pressed: which flanks (c, 2, l) touch, by default those of positive depth.
     """
     cranks, lanes, tail = layout.cranks, q.shape[-1], layout.tail
     if pin_slope is None:
@@ -210,7 +213,8 @@ def hessian(layout: Layout, s: System, q: jax.Array, at: Contacts, pin_slope: An
     disc_crank = -jnp.stack([jnp.stack(row, axis=2) for row in between])  # (3, d, c, 3, l)
 
     # Gears: rows (-flank_x, -flank_y, +-1) on the crank, (flank_x, flank_y, +-1) on the sun.
-    stiff = jnp.where(at.gear_depth > 0, s.mesh_stiffness[:, None], 0)  # (c, 2, l)
+    pressed = at.gear_depth > 0 if pressed is None else pressed
+    stiff = jnp.where(pressed, s.mesh_stiffness[:, None], 0)  # (c, 2, l)
     spin = jnp.broadcast_to(jnp.asarray([1.0, -1.0], q.dtype)[None, :, None], stiff.shape)
     normal = [jnp.broadcast_to(s.flank[:, :, a], stiff.shape) for a in range(2)]
     crank_row, sun_row = [-normal[0], -normal[1], spin], [normal[0], normal[1], spin]

@@ -43,7 +43,7 @@ def solve(layout: Layout, hessian: Hessian, rhs: jax.Array) -> jax.Array:
     factor = _factor([[hessian.disc[a, b] for b in range(3)] for a in range(3)])
     right = jnp.concatenate([hessian.disc_crank.reshape(3, discs, 3 * cranks, lanes), inner[:, :, None]], axis=2)
     forward = _forward(factor, right)  # (3, d, 3c + 1, l)
-    scaled = forward * jnp.stack(factor.inverse)[:, :, None]
+    forward, scaled = jax.lax.optimization_barrier((forward, forward * jnp.stack(factor.inverse)[:, :, None]))
 
     # What the discs leave of the cranks, right side in the last column.
     own = jnp.asarray(np.eye(cranks), rhs.dtype)[:, None, :, None, None]
@@ -56,7 +56,7 @@ def solve(layout: Layout, hessian: Hessian, rhs: jax.Array) -> jax.Array:
     bridge = hessian.crank_tail.reshape(3 * cranks, layout.tail, lanes)
     above = jnp.concatenate([dense[:, :-1], bridge, dense[:, -1:]], axis=1)
     below = jnp.concatenate([bridge.transpose(1, 0, 2), hessian.tail, rhs[layout.carried :, None]], axis=1)
-    border = _border(layout, jnp.concatenate([above, below]))
+    border = _border(layout, jax.lax.optimization_barrier(jnp.concatenate([above, below])))
 
     left = scaled[:, :, -1] - jnp.sum(scaled[:, :, :-1] * border[None, None, : 3 * cranks], axis=2)
     return jnp.concatenate([_backward(factor, left).transpose(1, 0, 2).reshape(layout.inner, lanes), border])
@@ -69,15 +69,16 @@ def _border(layout: Layout, matrix: jax.Array) -> jax.Array:
     for size in sizes:
         factor = _factor([[matrix[a, b] for b in range(size)] for a in range(size)])
         forward = _forward(factor, matrix[:size, size:])
-        scaled = forward * jnp.stack(factor.inverse)[:, None]
+        forward, scaled = jax.lax.optimization_barrier((forward, forward * jnp.stack(factor.inverse)[:, None]))
         steps.append((factor, scaled))
         matrix = matrix[size:, size:]
         for a in range(size):
             matrix = matrix - forward[a, :-1, None] * scaled[a, None]
+        matrix = jax.lax.optimization_barrier(matrix)
     found = jnp.zeros((0, matrix.shape[-1]), matrix.dtype)
     for factor, scaled in reversed(steps):
         left = scaled[:, -1] - jnp.sum(scaled[:, :-1] * found[None], axis=1)
-        found = jnp.concatenate([_backward(factor, left), found])
+        found = jax.lax.optimization_barrier(jnp.concatenate([_backward(factor, left), found]))
     return found
 
 
@@ -92,7 +93,7 @@ def _factor(block: list[list[jax.Array]]) -> _Factor:
                 row[b] = row[b] - row[s] * (lower[b][s] if b < a else row[s] * inverse[s])
         inverse.append(1 / jnp.maximum(row[a], least * block[a][a]))
         lower.append([row[b] * inverse[b] for b in range(a)])
-    return _Factor(lower, inverse)
+    return jax.lax.optimization_barrier(_Factor(lower, inverse))
 
 
 def _forward(factor: _Factor, right: jax.Array) -> jax.Array:

@@ -147,7 +147,8 @@ def prepare(layout: Layout, read: Read, input_angle: jax.Array) -> Case:
         load=1 / cranks.circle_radius,
     )
     # rr^2 / R* is `rounding`, so that 1 / R* = rounding / rr^2.
-    return Case(system, at.lever, jnp.sqrt(squeeze * rounding) / cycloid.pin_radius)
+    case = Case(system, at.lever, jnp.sqrt(squeeze * rounding) / cycloid.pin_radius)
+    return jax.lax.optimization_barrier(case)  # else XLA computes parts of it anew in every loop that reads them
 
 
 def judge(layout: Layout, read: Read, case: Case, found: Found) -> jax.Array:

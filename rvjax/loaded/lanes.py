@@ -24,7 +24,7 @@ def in_lanes(kernel: Kernel, layout: Layout) -> Callable[..., Any]:
     """The function (system, *arrays) of one case that `kernel` computes for many.
 
     Args:
-        kernel: (layout, system, *arrays) -> arrays, all with lanes last.
+        kernel: (layout, system, *arrays) -> arrays, cases first; leaves of one case are shared by all.
         layout: counts and methods.
     """
     grouped = jax.custom_batching.custom_vmap(functools.partial(_over_groups, kernel, layout))
@@ -66,57 +66,24 @@ def in_lanes(kernel: Kernel, layout: Layout) -> Callable[..., Any]:
 
 def _over_groups(kernel: Kernel, layout: Layout, system: System, *arrays: Any) -> Any:
     """Arguments (groups or 1, lanes or 1, ...) -> results (groups, lanes, ...)."""
-    arguments = (system, *arrays)
-    leaves, tree = jax.tree.flatten(arguments)
+    leaves, tree = jax.tree.flatten((system, *arrays))
     groups, lanes = (max(leaf.shape[axis] for leaf in leaves) for axis in (0, 1))
-
-    def last(leaf: jax.Array) -> jax.Array:
-        return jnp.moveaxis(leaf, 0, -1)
-
-    def first(leaf: jax.Array) -> jax.Array:
-        return jnp.moveaxis(jnp.broadcast_to(leaf, (*leaf.shape[:-1], lanes)), -1, 0)
-
     if groups > 1 and lanes < _FEW:
         flat = [jnp.broadcast_to(leaf, (groups, lanes, *leaf.shape[2:])) for leaf in leaves]
-        flat = [last(leaf.reshape(groups * lanes, *leaf.shape[2:])) for leaf in flat]
+        flat = [leaf.reshape(groups * lanes, *leaf.shape[2:]) for leaf in flat]
         found = kernel(layout, *jax.tree.unflatten(tree, flat))
-        return jax.tree.map(lambda leaf: jnp.moveaxis(leaf, -1, 0).reshape(groups, lanes, *leaf.shape[:-1]), found)
-
+        return jax.tree.map(lambda leaf: leaf.reshape(groups, lanes, *leaf.shape[1:]), found)
     own = [len(leaf) > 1 for leaf in leaves]
 
     def group(given: list[jax.Array]) -> Any:
         rest = iter(given)
-        whole = [last(next(rest) if is_own else leaf[0]) for leaf, is_own in zip(leaves, own)]
-        return jax.tree.map(first, kernel(layout, *jax.tree.unflatten(tree, whole)))
+        return kernel(layout, *jax.tree.unflatten(tree, [next(rest) if o else x[0] for x, o in zip(leaves, own)]))
 
     if groups == 1:
         return jax.tree.map(lambda leaf: leaf[None], group([]))
     return jax.lax.map(group, [leaf for leaf, is_own in zip(leaves, own) if is_own])
 
 
-def in_blocks(of_block: Callable[..., Any], lanes: int, size: int, arguments: Any) -> Any:
-    """Results (..., lanes) of `of_block`, which gets `size` lanes at a time.
-
-    Args:
-        of_block: arguments, lanes last -> results, lanes last.
-        lanes: how many there are.
-        size: of a block.
-        arguments: lanes last; leaves with one lane are shared.
-    """
-    if lanes <= size:
-        return of_block(arguments)
-    blocks = -(-lanes // size)
-    leaves, tree = jax.tree.flatten(arguments)
-    own = [leaf.shape[-1] > 1 for leaf in leaves]
-
-    def cut(leaf: jax.Array) -> jax.Array:
-        fill = jnp.broadcast_to(leaf[..., -1:], (*leaf.shape[:-1], blocks * size - lanes))
-        whole = jnp.concatenate([leaf, fill], axis=-1)
-        return jnp.moveaxis(whole.reshape(*leaf.shape[:-1], blocks, size), -2, 0)
-
-    def block(given: list[jax.Array]) -> Any:
-        rest = iter(given)
-        return of_block(jax.tree.unflatten(tree, [next(rest) if is_own else leaf for leaf, is_own in zip(leaves, own)]))
-
-    found = jax.lax.map(block, [cut(leaf) for leaf, is_own in zip(leaves, own) if is_own])
-    return jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, -2).reshape(*leaf.shape[1:-1], -1)[..., :lanes], found)
+def take(tree: Any, index: jax.Array) -> Any:
+    """The cases `index` of leaves (cases or 1, ...), lanes last; what all share stays one lane."""
+    return jax.tree.map(lambda leaf: jnp.moveaxis(leaf if len(leaf) == 1 else leaf[index], 0, -1), tree)

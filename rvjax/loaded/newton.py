@@ -1,8 +1,12 @@
-"""The minimum of the energy for a block of cases: Newton's method, lanes last.
+"""The minimum of the energy: Newton's method for many cases at once, lanes last.
 
-Full steps; only after four without a new lowest energy a lane returns to its best point and searches the line from there
-(its slope is monotone, because the energy is convex). An immediate search fails where a journal slides round its
-clearance: it leaves the circle by the second order, so that the energy of good steps rises for a while.
+It begins with the contacts that a torque of this sign closes, linear and without clearance. Then full steps; only after
+four without a new lowest energy a lane returns to its best point and searches the line from there (its slope is
+monotone, because the energy is convex). An immediate search fails where a journal slides round its clearance: it leaves
+the circle by the second order, so that the energy of good steps rises for a while.
+
+A block has a fixed number of lanes. Once half of them are done, cases that wait take their places, so that slow cases
+do not hold up the others.
 """
 
 from typing import Any, NamedTuple
@@ -11,25 +15,36 @@ import jax
 import jax.numpy as jnp
 
 from rvjax.loaded import laws
-from rvjax.loaded.contacts import Contacts, contacts, energy, gradient, hessian
+from rvjax.loaded.contacts import contacts, energy, gradient, hessian
 from rvjax.loaded.elimination import solve
+from rvjax.loaded.lanes import take
 from rvjax.loaded.system import Layout, System
 
 MAX_STEPS = 200
 _PATIENCE = 4  # full steps without a new lowest energy
 _SEARCHES = 30  # points on a line at most
+_BLOCK = 128  # lanes; a block's arrays stay in the cache of one core
 
 
 class Found(NamedTuple):
-    """Where the iteration ended, lanes last."""
+    """Where the iteration ended; in this module lanes last."""
 
     q: jax.Array  # (n, l)
     steps: jax.Array  # (l,)
     residual: jax.Array  # (l,) gradient over the largest force
     converged: jax.Array  # (l,)
-    overload: jax.Array  # (l,) a pin beyond its law at the start, or in the way to the minimum
+    overload: jax.Array  # (l,) a pin beyond its law, at the start or on the way
     finite: jax.Array  # (l,)
-    open: jax.Array  # (l,) unfinished, q is the best point so far
+
+
+class _Line(NamedTuple):
+    """Bracket on the line from the best point: shares of the step and slopes, < 0 at the lower end."""
+
+    lower: jax.Array
+    lower_slope: jax.Array
+    upper: jax.Array
+    upper_slope: jax.Array
+    share: jax.Array  # of the step, now
 
 
 class _State(NamedTuple):
@@ -41,147 +56,196 @@ class _State(NamedTuple):
     first: jax.Array  # slope after the full step
     stall: jax.Array  # points since the best
     searching: jax.Array
-    lower: jax.Array  # the line: share of the step, slope
-    lower_slope: jax.Array
-    upper: jax.Array
-    upper_slope: jax.Array
-    share: jax.Array
+    line: _Line
+    cold: jax.Array  # before the linear step
+    open: jax.Array
     found: Found
 
 
-def linear_start(layout: Layout, s: System) -> jax.Array:
-    """Displacements (n, l) with the contacts that a torque of this sign closes, linear and without clearance."""
-    size = s.gap.shape[-1]
-    lanes = max(leaf.shape[-1] for leaf in jax.tree.leaves(s)) if size == 1 else size
-    zero = jnp.zeros((layout.unknowns, lanes), s.gap.dtype)
-    load = jnp.broadcast_to(s.load, (lanes,))
-    # Mean force of the working pins: half of them, lever R rows[2] on average, each disc with its share.
-    lever = jnp.sum(jnp.abs(s.rows[2]), axis=(0, 1)) / 2
-    slope = laws.typical_slope(
-        layout.law, (jnp.abs(load) / lever)[None, None], s.compliance[None, None], s.level
-    )  # (., ., l)
-    forward = load > 0
-    working = (s.rows[2] < 0) == forward[None, None]
-    pin_slope = jnp.where(working, slope, 0) * jnp.ones((layout.discs, layout.pins, lanes), zero.dtype)
-    s = s._replace(arm_clearance=jnp.zeros_like(s.arm_clearance), seat_clearance=jnp.zeros_like(s.seat_clearance))
-    at = contacts(layout, s, zero)
-    drives = jnp.stack([forward, ~forward])[None]  # (1, 2, l)
-    shape = (layout.cranks, 2, lanes)
-    at = at._replace(
-        pins=pin_slope * at.depth,
-        gear=jnp.where(drives, s.mesh_stiffness[:, None] * jnp.broadcast_to(at.gear_depth, shape), 0),
-    )
-    g = gradient(layout, s, zero, at)
-    at = at._replace(gear_depth=jnp.broadcast_to(jnp.where(drives, 1.0, -1.0).astype(zero.dtype), shape))
-    q = solve(layout, hessian(layout, s, zero, at, pin_slope), -g)
-    return jnp.where((load == 0)[None], 0, q)
-
-
-def minimise(layout: Layout, s: System, start: jax.Array, leave: int = 0) -> Found:
-    """The minimum of the energy.
+def minimise(layout: Layout, system: System, start: jax.Array) -> Found:
+    """The minimum of the energy of every case; leaves of the result have the cases first.
 
     Args:
         layout: counts and methods.
-        s: the system, lanes last.
-        start: (n, l).
-        leave: the loop ends early when no more lanes than this are unfinished.
+        system: leaves (cases or 1, ...).
+        start: (cases or 1, n); NaN for the linear start.
     """
-    lanes = start.shape[-1]
-    limit = laws.largest_depth(s.compliance[None, None], s.level) if layout.law == "hertz" else None
-    eps = float(jnp.finfo(start.dtype).eps)
-    stiffest = _largest(*(jnp.max(k, axis=tuple(range(k.ndim - 1))) for k in (s.arm_stiffness, s.mesh_stiffness)))
-    stiffest = _largest(stiffest, jnp.max(s.seat_stiffness, axis=0))
-    widest = _largest(*(jnp.max(jnp.abs(g), axis=tuple(range(g.ndim - 1))) for g in (s.gap, s.gear_gap, s.arm, s.seat)))
+    cases = max(len(leaf) for leaf in jax.tree.leaves((system, start)))
+    width = min(cases, _BLOCK)
 
-    def running(state: _State) -> jax.Array:
-        return jnp.sum(state.found.open) > leave
+    def seated(index: jax.Array) -> tuple[System, _State]:
+        part, begin = take((system, start), jnp.minimum(index, cases - 1))
+        part = part._replace(gap=jnp.broadcast_to(part.gap, (*part.gap.shape[:-1], width)))
+        return part, _begin(layout, part, begin, index < cases)
 
-    def body(state: _State) -> _State:
-        q = state.q
-        at = contacts(layout, s, q)
-        g = gradient(layout, s, q, at)
-        newton = -solve(layout, hessian(layout, s, q, at), g)
-        value = energy(layout, s, q, at)
-        over = jnp.zeros((lanes,), bool) if limit is None else jnp.any(at.depth >= limit, axis=(0, 1))
-        fine = jnp.isfinite(value) & jnp.all(jnp.isfinite(newton), axis=0)
-        size = _largest_force(s, at, g)
-        miss = jnp.max(jnp.abs(g), axis=0)
-        rounding = stiffest * jnp.maximum(widest, jnp.max(jnp.abs(q), axis=0))
-        done = fine & ~over & (miss <= jnp.maximum(450 * eps * size, 2 * eps * rounding))
+    index = jnp.arange(width, dtype=jnp.int32)
+    part, state = seated(index)
+    if cases == width:
+        return jax.tree.map(lambda leaf: jnp.moveaxis(leaf, -1, 0), _iterate(layout, part, state, jnp.int32(0)).found)
 
-        begins = jnp.isinf(state.lowest)
-        lower_energy = fine & ~over & (value < state.lowest)
-        slope = jnp.where(over | ~fine, jnp.inf, jnp.sum(state.step * g, axis=0))
-        flat = jnp.abs(slope) <= 0.5 * jnp.abs(state.descent)
-        exhausted = state.stall >= _PATIENCE + _SEARCHES
-        take = jnp.where(state.searching, (flat & (lower_energy | (slope <= 0))) | exhausted, lower_energy)
-        first = jnp.where(state.stall == 0, slope, state.first)
-        stall = jnp.where(take, 0, state.stall + 1)
-        enters = ~take & ~state.searching & ((stall >= _PATIENCE) | over | ~fine)
-        searching = ~take & (state.searching | enters)
+    def unfinished(loop: Any) -> jax.Array:
+        _, state, _, cursor, _ = loop
+        return jnp.any(state.open) | (cursor < cases)
 
-        best, step = jnp.where(take[None], q, state.best), jnp.where(take[None], newton, state.step)
-        # The line: shares with negative slope below, with positive slope above.
-        down = slope < 0
-        lower = jnp.where(enters, 0, jnp.where(down, state.share, state.lower))
-        lower_slope = jnp.where(enters, state.descent, jnp.where(down, slope, state.lower_slope))
-        upper = jnp.where(enters, 1, jnp.where(down, state.upper, state.share))
-        upper_slope = jnp.where(enters, first, jnp.where(down, state.upper_slope, slope))
-        secant = lower_slope / (lower_slope - upper_slope)
-        secant = jnp.where(jnp.isfinite(upper_slope) & (upper_slope > 0), jnp.clip(secant, 0.05, 0.95), 0.25)
-        share = lower + (upper - lower) * secant
-        onward = jnp.where(searching[None], best + share[None] * step, q + newton)
-
-        failed = begins & (over | ~fine)
-        steps = state.found.steps + 1
-        live = state.found.open
-        goes_on = live & ~done & ~failed & (steps < MAX_STEPS)
-        found = Found(
-            q=jnp.where(live[None], jnp.where(done[None], q + newton, jnp.where(failed[None], 0, best)), state.found.q),
-            steps=jnp.where(live & ~done, steps, state.found.steps),
-            residual=jnp.where(live, miss / jnp.where(size > 0, size, 1), state.found.residual),
-            converged=jnp.where(live, done, state.found.converged),
-            overload=jnp.where(live, (state.found.overload | over) & ~done, state.found.overload),
-            finite=jnp.where(live, fine | over | ~begins, state.found.finite),
-            open=goes_on,
+    def refill(loop: Any) -> Any:
+        index, state, part, cursor, results = loop
+        state = _iterate(layout, part, state, jnp.where(cursor < cases, width // 2, 0).astype(jnp.int32))
+        results = jax.tree.map(
+            lambda all_, new: all_.at[index].set(jnp.moveaxis(new, -1, 0), mode="drop"), results, state.found
         )
-        new = _State(
-            q=onward,
-            best=best,
-            step=step,
-            lowest=jnp.where(take, value, state.lowest),
-            descent=jnp.where(take, jnp.sum(newton * g, axis=0), state.descent),
-            first=first,
-            stall=stall,
-            searching=searching,
-            lower=lower,
-            lower_slope=lower_slope,
-            upper=upper,
-            upper_slope=upper_slope,
-            share=share,
-            found=found,
-        )
-        kept = [jnp.where(goes_on[None] if a.ndim == 2 else goes_on, a, b) for a, b in zip(new[:-1], state[:-1])]
-        return _State(*kept, found)
+        free = ~state.open
+        index = jnp.where(free, cursor + jnp.cumsum(free, dtype=index.dtype) - 1, index)
+        part, fresh = seated(index)
+        state = jax.tree.map(lambda new, old: jnp.where(free[None] if new.ndim == 2 else free, new, old), fresh, state)
+        return index, state, part, cursor + jnp.sum(free, dtype=index.dtype), results
 
+    results = jax.tree.map(lambda leaf: jnp.zeros((cases, *leaf.shape[:-1]), leaf.dtype), state.found)
+    return jax.lax.while_loop(unfinished, refill, (index, state, part, jnp.full((), width, index.dtype), results))[-1]
+
+
+def _begin(layout: Layout, s: System, start: jax.Array, seated: jax.Array) -> _State:
+    """A start that is NaN, or beyond the law of a pin, is replaced by the linear one."""
+    lanes = seated.shape[0]
+    start = jnp.broadcast_to(start, (layout.unknowns, lanes))
+    warm = jnp.all(jnp.isfinite(start), axis=0)
+    q = jnp.where(warm[None], start, 0)
+    if layout.law == "hertz":
+        warm &= ~_overloaded(s, contacts(layout, s, q).depth)
+        q = jnp.where(warm[None], q, 0)
     zero = jnp.zeros((lanes,), start.dtype)
     no, none = jnp.zeros((lanes,), bool), jnp.zeros((lanes,), jnp.int32)
-    found = Found(start, none, zero, no, no, no, ~no)
-    state = _State(
-        start, start, jnp.zeros_like(start), zero + jnp.inf, zero, zero, none, no, zero, zero, zero, zero, zero, found
+    return _State(
+        q=q,
+        best=q,
+        step=jnp.zeros_like(q),
+        lowest=zero + jnp.inf,
+        descent=zero,
+        first=zero,
+        stall=none,
+        searching=no,
+        line=_Line(zero, zero, zero, zero, zero),
+        cold=~warm & (s.load != 0),
+        open=seated,
+        found=Found(q, none, zero, no, no, no),
     )
-    return jax.lax.while_loop(running, body, state).found
 
 
-def _largest(*values: jax.Array) -> jax.Array:
-    largest = values[0]
-    for value in values[1:]:
-        largest = jnp.maximum(largest, value)
-    return largest
+def _overloaded(s: System, depth: jax.Array) -> jax.Array:
+    return jnp.any(depth >= laws.largest_depth(s.compliance[None, None], s.level), axis=(0, 1))
 
 
-def _largest_force(s: System, at: Contacts, g: jax.Array) -> jax.Array:
-    def most(force: Any) -> jax.Array:
-        return jnp.max(jnp.abs(force), axis=tuple(range(force.ndim - 1)))
+def _iterate(layout: Layout, s: System, state: _State, leave: jax.Array) -> _State:
+    """Steps of all open lanes until no more than `leave` are open."""
+    lanes = state.q.shape[-1]
+    eps = float(jnp.finfo(state.q.dtype).eps)
+    stiffest = _most(s.arm_stiffness, s.mesh_stiffness, s.seat_stiffness)
+    widest = _most(s.gap, s.gear_gap, s.arm, s.seat)
+    # The linear start: a slope for the mean force of the working pins, half of all, with the mean of their levers.
+    lever = jnp.sum(jnp.abs(s.rows[2]), axis=(0, 1)) / 2
+    typical = laws.typical_slope(layout.law, (jnp.abs(s.load) / lever)[None, None], s.compliance[None, None], s.level)
+    working = jnp.where((s.rows[2] < 0) == (s.load > 0)[None, None], typical, 0)
+    driving = jnp.broadcast_to(jnp.stack([s.load > 0, s.load <= 0])[None], (layout.cranks, 2, s.load.shape[-1]))
 
-    return _largest(most(at.pins), most(at.gear), most(at.arm.force), most(at.seat.force))
+    def body(state: _State) -> _State:
+        q, cold = state.q, state.cold
+        slack = [jnp.where(cold, 0, clearance) for clearance in (s.arm_clearance, s.seat_clearance)]
+        at = contacts(layout, s._replace(arm_clearance=slack[0], seat_clearance=slack[1]), q)
+        over = _overloaded(s, at.depth) if layout.law == "hertz" else jnp.zeros((lanes,), bool)
+        slope = laws.slope(layout.law, at.depth, at.pins, s.compliance[None, None])
+        started = cold[None, None]
+        at = at._replace(
+            pins=jnp.where(started, working * at.depth, at.pins),
+            gear=jnp.where(started, jnp.where(driving, s.mesh_stiffness[:, None] * at.gear_depth, 0), at.gear),
+        )
+        # Barriers: without them XLA computes what two results share anew for each.
+        at, slope = jax.lax.optimization_barrier((at, jnp.where(started, working, slope)))
+        pressed = jnp.where(started, driving, at.gear_depth > 0)
+        g, square = jax.lax.optimization_barrier(
+            (gradient(layout, s, q, at), hessian(layout, s, q, at, slope, pressed))
+        )
+        newton = jax.lax.optimization_barrier(-solve(layout, square, g))
+        value = energy(layout, s, q, at)
+        fine = jnp.isfinite(value) & jnp.all(jnp.isfinite(newton), axis=0)
+        size = _most(at.pins, at.gear, at.arm.force, at.seat.force)
+        miss = _most(g)
+        rounding = stiffest * jnp.maximum(widest, _most(q))
+        small = miss <= jnp.maximum(450 * eps * size, 2 * eps * rounding)
+        return _advance(state, newton, g, value, miss, size, small, fine, over & ~cold)
+
+    return jax.lax.while_loop(lambda state: jnp.sum(state.open, dtype=leave.dtype) > leave, body, state)
+
+
+def _advance(
+    state: _State,
+    newton: jax.Array,
+    g: jax.Array,
+    value: jax.Array,
+    miss: jax.Array,
+    size: jax.Array,
+    small: jax.Array,
+    fine: jax.Array,
+    over: jax.Array,
+) -> _State:
+    """The next point of every open lane, from what was found at the last one."""
+    live, q, cold, line = state.open, state.q, state.cold, state.line
+    usable = fine & ~over
+    done = usable & small & ~cold
+    lower = usable & (value < state.lowest)
+    slope = jnp.where(usable, jnp.sum(state.step * g, axis=0), jnp.inf)
+    flat = jnp.abs(slope) <= 0.5 * jnp.abs(state.descent)
+    exhausted = state.stall >= _PATIENCE + _SEARCHES
+    better = ~cold & jnp.where(state.searching, (flat & (lower | (slope <= 0))) | exhausted, lower)
+    first = jnp.where(state.stall == 0, slope, state.first)
+    stall = jnp.where(better | cold, 0, state.stall + 1)
+    enters = ~better & ~state.searching & ((stall >= _PATIENCE) | (~usable & ~cold))
+    searching = ~better & (state.searching | enters)
+    best, step = jnp.where(better[None], q, state.best), jnp.where(better[None], newton, state.step)
+
+    down = slope < 0
+    line = _Line(
+        lower=jnp.where(enters, 0, jnp.where(down, line.share, line.lower)),
+        lower_slope=jnp.where(enters, state.descent, jnp.where(down, slope, line.lower_slope)),
+        upper=jnp.where(enters, 1, jnp.where(down, line.upper, line.share)),
+        upper_slope=jnp.where(enters, first, jnp.where(down, line.upper_slope, slope)),
+        share=line.share,
+    )
+    bracketed = jnp.isfinite(line.upper_slope) & (line.upper_slope > 0)
+    rise = jnp.where(bracketed, line.upper_slope - line.lower_slope, 1)
+    secant = jnp.where(bracketed, jnp.clip(-line.lower_slope / rise, 0.05, 0.95), 0.25)
+    line = line._replace(share=line.lower + (line.upper - line.lower) * secant)
+
+    failed = jnp.isinf(state.lowest) & ~usable & ~cold
+    steps = state.found.steps + (~(done | cold)).astype(jnp.int32)
+    goes_on = live & ~done & ~failed & (steps < MAX_STEPS)
+    ended = jnp.where(done[None], q + newton, jnp.where(failed[None], 0, best))
+    found = Found(
+        q=jnp.where(live[None], ended, state.found.q),
+        steps=jnp.where(live, steps, state.found.steps),
+        residual=jnp.where(live, miss / jnp.where(size > 0, size, 1), state.found.residual),
+        converged=jnp.where(live, done, state.found.converged),
+        overload=jnp.where(live, (state.found.overload | over) & ~done, state.found.overload),
+        finite=jnp.where(live, fine | over | ~failed, state.found.finite),
+    )
+    return _State(
+        q=jnp.where(goes_on[None], jnp.where(searching[None], best + line.share[None] * step, q + newton), q),
+        best=best,
+        step=step,
+        lowest=jnp.where(better, value, state.lowest),
+        descent=jnp.where(better, jnp.sum(newton * g, axis=0), state.descent),
+        first=first,
+        stall=stall,
+        searching=searching,
+        line=line,
+        cold=jnp.zeros_like(cold),
+        open=goes_on,
+        found=found,
+    )
+
+
+def _most(*values: Any) -> jax.Array:
+    """Largest absolute value of each lane."""
+    largest = [jnp.max(jnp.abs(value), axis=tuple(range(value.ndim - 1))) for value in values]
+    total = largest[0]
+    for value in largest[1:]:
+        total = jnp.maximum(total, value)
+    return total

@@ -83,16 +83,16 @@ def check_input(design: RVReducer, errors: RVErrors, contact: str, carrier: str,
 
 def _check_shapes(part: Any, counts: dict[str, int]) -> None:
     for f in dataclasses.fields(part):
-        shape, declared = (
-            np.shape(getattr(part, f.name) if f.metadata["kind"] == "real" else 0.0),
-            f.metadata.get("shape"),
-        )
-        if shape and shape != (sizes := axis_sizes(declared or (), counts)):
-            names = ", ".join(map(str, declared or ())) + ("," if len(sizes) == 1 else "")
-            expected = (
-                f"expected ({names}) = {sizes} or a scalar" if sizes else "expected a scalar; sweep with jax.vmap"
+        if f.metadata["kind"] != "real":
+            continue
+        shape, axes = np.shape(getattr(part, f.name)), f.metadata["shape"]
+        sizes = axis_sizes(axes, counts)
+        if shape and shape != sizes:
+            names = ", ".join(map(str, axes)) + ("," if len(axes) == 1 else "")
+            expected = f"({names}) = {sizes} or a scalar" if sizes else "a scalar; sweep with jax.vmap"
+            raise ValueError(
+                f"{type(part).__name__}.{f.name}: shape {shape} does not fit this design, expected {expected}"
             )
-            raise ValueError(f"{type(part).__name__}.{f.name}: shape {shape} does not fit this design, {expected}")
 
 
 def admit(layout: Layout, design: RVReducer, errors: RVErrors, torque: Any, angle: Any) -> Read:
