@@ -147,8 +147,15 @@ def prepare(layout: Layout, read: Read, input_angle: jax.Array) -> Case:
         load=1 / cranks.circle_radius,
     )
     # rr^2 / R* is `rounding`, so that 1 / R* = rounding / rr^2.
-    case = Case(system, at.lever, jnp.sqrt(squeeze * rounding) / cycloid.pin_radius)
-    return jax.lax.optimization_barrier(case)  # else XLA computes parts of it anew in every loop that reads them
+    # XLA computes cheap operations anew for every reader, but a division once. Half of the program was such copies.
+    one, one_of_errors = jnp.where(e > 0, 1.0, 2.0).astype(dtype), jnp.where(read.finite, 1.0, 2.0).astype(dtype)
+    of_angle = {"rows", "level", "swing", "flank"}
+    kept = {
+        name: None if value is None else value / (one if name in of_angle else one_of_errors)
+        for name, value in system._asdict().items()
+        if name in of_angle | {"gap", "gear_gap", "arm", "seat"}
+    }
+    return Case(system._replace(**kept), at.lever / one, jnp.sqrt(squeeze * rounding) / cycloid.pin_radius)
 
 
 def judge(layout: Layout, read: Read, case: Case, found: Found) -> jax.Array:

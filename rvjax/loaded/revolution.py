@@ -92,7 +92,8 @@ def _revolution(
     fine = succeeded(whole)
     error = jnp.where(fine, error, jnp.nan)
     wave = jnp.fft.fft(jnp.where(fine, error, 0))[:HARMONICS] / samples
-    wave = jnp.pad(wave, (0, HARMONICS - len(wave))) * jnp.asarray([1.0] + [2.0] * (HARMONICS - 1), error.dtype)
+    wave = jnp.pad(wave, (0, HARMONICS - len(wave)))
+    wave = wave + wave.at[0].set(0)  # X_0 once, all others twice
     last = info(Found(*(jnp.max(leaf) if leaf.ndim == 1 else leaf for leaf in found)), whole)
     return Revolution(
         error=error,
