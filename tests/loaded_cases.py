@@ -45,7 +45,7 @@ def design_of(case, **changes):
 
 
 def errors_of(case, design, **changes):
-    """The errors of a case in full shapes; a negative clearance, which the constructor refuses, as a sampler gives it."""
+    """The errors of a case in full shapes. A negative clearance, refused by the constructor, as a sampler gives it."""
     given = {name: number(value) for name, value in case["errors"].items()} | changes
     negative = {name: value for name, value in given.items() if np.ndim(value) == 0 and value < 0}
     full = dict.fromkeys(PLACED, 0.0) | {name: value for name, value in given.items() if name not in negative}
