@@ -33,7 +33,7 @@ def unit(errors, n):
 def solve_units(errors, torque):
     errors = errors.replace(**dict.fromkeys(FIXED, 0.0))
     solve = lambda e: loaded.equilibrium(DESIGN, e, input_angle=ANGLE, output_torque=torque)  # noqa: E731
-    found = jax.vmap(solve, in_axes=(errors.replace(**{n: None if n in FIXED else 0 for n in vars(errors)}),))(errors)
+    found = jax.vmap(solve, in_axes=(jax.tree.map(lambda leaf: 0 if np.ndim(leaf) else None, errors),))(errors)
     return found.error, found.pins, found.info
 
 

@@ -84,16 +84,17 @@ def _border(layout: Layout, matrix: jax.Array) -> jax.Array:
 
 def _factor(block: list[list[jax.Array]]) -> _Factor:
     """L D L' of a small symmetric block; a pivot lost to rounding is raised to it."""
-    size, lower, inverse = len(block), [], []
+    lower: list[list[jax.Array]] = []
+    inverse: list[jax.Array] = []
     least = 8 * float(jnp.finfo(block[0][0].dtype).eps)
-    for a in range(size):
+    for a in range(len(block)):
         row = list(block[a][: a + 1])  # row[b] becomes L[a][b] D[b]
         for b in range(1, a + 1):
             for s in range(b):
                 row[b] = row[b] - row[s] * (lower[b][s] if b < a else row[s] * inverse[s])
         inverse.append(1 / jnp.maximum(row[a], least * block[a][a]))
         lower.append([row[b] * inverse[b] for b in range(a)])
-    return jax.lax.optimization_barrier(_Factor(lower, inverse))
+    return _Factor(lower, inverse)
 
 
 def _forward(factor: _Factor, right: jax.Array) -> jax.Array:

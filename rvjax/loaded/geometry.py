@@ -94,7 +94,7 @@ def geometry(design: RVReducer, eccentricity: jax.Array, input_angle: jax.Array)
         size=size,
         shortening=k1,
         lever=eccentricity * zc * lobe.sine / size,  # Eq. 5
-        normal=tuple(  # type: ignore[arg-type]
+        normal=tuple(
             (k1 * b[:, None] - g[None]) / size for b, g in ((eccentric.cosine, pin.cosine), (eccentric.sine, pin.sine))
         ),
         tooth=jnp.mod(jnp.arange(zp, dtype=jnp.int32)[None] - laps.astype(jnp.int32), zc),  # Eq. 6
