@@ -1,0 +1,85 @@
+"""What the loaded model refuses, and how it says so."""
+
+import jax
+import numpy as np
+import pytest
+from loaded_cases import NAMED, design_of, errors_of
+
+from rvjax import RVErrors, Status, catalogue, loaded
+
+CASE = NAMED["rv40: all errors, rated, hertz"]
+DESIGN = design_of(CASE)
+AT = dict(input_angle=1.0, output_torque=412.0)
+
+
+@pytest.mark.parametrize("name", ["stiffness", "contact"])
+def test_missing_parts_are_named(name):
+    with pytest.raises(ValueError, match=f"RVReducer.{name} = None"):
+        loaded.equilibrium(DESIGN.replace(**{name: None}), RVErrors(), **AT)
+
+
+@pytest.mark.parametrize("method", [dict(contact="hard"), dict(carrier="loose"), dict(sun="loose")])
+def test_unknown_methods_are_named(method):
+    (name,) = method
+    for call in (loaded.equilibrium, loaded.torsion, loaded.revolution):
+        with pytest.raises(ValueError, match=f"{name} = '.*must be one of"):
+            call(DESIGN, RVErrors(), **method, **_conditions(call))
+
+
+def _conditions(call):
+    return {
+        loaded.equilibrium: AT,
+        loaded.torsion: dict(input_angle=0.0, rated_torque=1.0),
+        loaded.revolution: dict(output_torque=1.0),
+    }[call]
+
+
+def test_other_tooth_differences_are_refused():
+    cycloid = DESIGN.cycloid.replace(pin_count=41)
+    with pytest.raises(ValueError, match=r"pin_count = 41: must be disc_teeth \+ 1 = 40"):
+        loaded.equilibrium(DESIGN.replace(cycloid=cycloid), RVErrors(), **AT)
+
+
+@pytest.mark.parametrize(
+    ("field", "shape", "expected"),
+    [
+        ("pin_offset", (39, 2), r"\(pins, 2\) = \(40, 2\)"),
+        ("pin_radii", (41,), r"\(pins,\) = \(40,\)"),
+        ("disc_pitch", (2, 40), r"\(discs, teeth\) = \(2, 39\)"),
+        ("disc_profile", (3, 5, 2), r"\(discs, 5, 2\) = \(2, 5, 2\)"),
+        ("planet_runout", (3, 2), r"\(cranks, 2\) = \(2, 2\)"),
+    ],
+)
+def test_wrong_shapes_name_the_one_expected(field, shape, expected):
+    with pytest.raises(ValueError, match=rf"RVErrors.{field}: shape .*expected {expected}"):
+        loaded.equilibrium(DESIGN, RVErrors(**{field: np.zeros(shape)}), **AT)
+    with pytest.raises(ValueError, match=rf"RVErrors.{field}: shape .*expected {expected}"):
+        RVErrors.for_design(DESIGN, **{field: np.zeros(shape)})
+
+
+def test_samples_must_be_positive():
+    with pytest.raises(ValueError, match="samples = 0"):
+        loaded.revolution(DESIGN, RVErrors(), output_torque=1.0, samples=0)
+
+
+def test_negative_stiffness_of_a_sampled_design_is_a_status():
+    """Of a tree that no constructor judged, as a batch is; same program as the reference cases."""
+    for path in ("support_bearing", "planet_crank_torsion"):
+        springs = jax.tree.map(lambda k: k, DESIGN.stiffness)
+        object.__setattr__(springs, path, -1.0)
+        design = jax.tree.map(lambda k: k, DESIGN)
+        object.__setattr__(design, "stiffness", springs)
+        found = loaded.equilibrium(design, errors_of(CASE, DESIGN), **AT)
+        assert Status(int(found.info.status)) == Status.INVALID_GEOMETRY and np.isnan(found.error)
+
+
+@pytest.mark.parametrize("condition", ["input_angle", "output_torque"])
+def test_conditions_that_are_not_finite_are_a_status(condition):
+    found = loaded.equilibrium(DESIGN, errors_of(CASE, DESIGN), **{**AT, condition: np.inf})
+    assert Status(int(found.info.status)) == Status.NONFINITE and np.isnan(found.error)
+
+
+def test_errors_with_a_place_stay_plain_zeros_where_not_given():
+    errors = RVErrors.for_design(catalogue.RV_40E)
+    assert errors.pin_offset == 0.0 and np.ndim(errors.disc_profile) == 0
+    assert np.shape(RVErrors.for_design(catalogue.RV_40E, pin_offset=1e-6).pin_offset) == (40, 2)
