@@ -9,6 +9,7 @@ from extremes_mesh import mesh
 from extremes_play import play
 from extremes_reducer import reducer, turn
 
+from census.loaded import machine
 from rvjax.lost_motion.reducer import PROFILES
 
 
@@ -43,3 +44,14 @@ def models() -> Iterator[Model]:
         ("planetary", 2, 2, "harmonic_balance"),
     ):
         yield vibration(stage, cranks, discs, method)
+    for layout in (
+        ("hertz", 2, 2, 39),
+        ("hertz", 3, 2, 24, "floating"),
+        ("hertz", 2, 1, 99, "fixed", "floating"),
+        ("hertz", 4, 3, 5, "fixed", "fixed", True),
+        ("linear", 2, 2, 39),
+        ("linear", 4, 3, 24, "floating", "floating", True),
+        ("palmgren", 2, 2, 39),
+        ("palmgren", 3, 1, 5, "floating", "floating"),
+    ):
+        yield machine(*layout)

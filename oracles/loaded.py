@@ -139,7 +139,7 @@ class Machine:
             length[:, i + 2] = r_b
         if self.sun_at is not None:
             length[:, self.sun_at + 2] = r_s
-        self.length = length
+        self.length, self.sun_radius, self.pin_radius = length, r_s, rr
 
         # --- directions in the frame of the ideal carrier
         a = PI + 2 * PI * np.arange(c, dtype=REAL) / c
@@ -353,6 +353,8 @@ def newton_step(s: SimpleNamespace) -> Any:
     """H^-1 g, with H scaled to a diagonal of ones."""
     scale = 1 / np.sqrt(np.einsum("lnn->ln", s.hessian))
     H = s.hessian * scale[:, :, None] * scale[:, None, :]
+    H = np.where(np.isfinite(H).all((1, 2))[:, None, None], H, np.eye(H.shape[1]))
+    H += 1e-15 * np.eye(H.shape[1])  # stiffnesses of 1e16 to 1 leave nothing of a pivot
     return scale * np.linalg.solve(H, (scale * s.gradient.astype(float))[..., None])[..., 0]
 
 
@@ -392,7 +394,7 @@ def minimise(machine: Machine, q: Any = None, steps: int = 400) -> tuple[Any, An
 
 
 def line_minimum(machine: Machine, q: Any, direction: Any) -> Any:
-    """Where the slope along a direction changes sign; it is monotone, so bisection finds it."""
+    """Nearly where the slope along a direction changes sign; it is monotone, so bisection finds it."""
     low, high = np.zeros(len(q), REAL), np.ones(len(q), REAL)
 
     def slope(t: Any) -> Any:
@@ -402,12 +404,18 @@ def line_minimum(machine: Machine, q: Any, direction: Any) -> Any:
         falling = slope(high) < 0
         if not falling.any():
             break
-        low, high = np.where(falling, high, low), np.where(falling, 2 * high, high)
-    for _ in range(25):
+        low, high = np.where(falling, high, low), np.where(falling, 8 * high, high)
+    for _ in range(30):  # what is left to find may be far below a full step
+        falling = (low > 0) | (slope(high / 8) < 0)
+        if falling.all():
+            break
+        high = np.where(falling, high, high / 8)
+    low = np.maximum(low, high / 8)
+    for _ in range(8):
         middle = (low + high) / 2
         falling = slope(middle) < 0
         low, high = np.where(falling, middle, low), np.where(falling, high, middle)
-    return q + np.where(low > 0, low, high)[:, None] * direction
+    return q + low[:, None] * direction
 
 
 def trust_exact(machine: Machine, start: Any = None) -> Any:
@@ -440,7 +448,7 @@ def trust_exact(machine: Machine, start: Any = None) -> Any:
 def positive(case: Case) -> Any:
     """Lanes whose lengths, moduli and stiffnesses can be those of a reducer."""
     e = case.cycloid.eccentricity + case.errors.eccentricity
-    parts = [e, case.cycloid.eccentricity, case.cycloid.pin_circle_radius, case.cycloid.pin_radius]
+    parts = [e, case.cycloid.pin_circle_radius, case.cycloid.pin_radius]
     parts += [case.cranks.circle_radius, case.involute.sun_base_radius, case.involute.planet_base_radius]
     parts += [np.cos(case.involute.pressure_angle), case.contact.young_modulus, case.contact.face_width]
     names = (
@@ -487,9 +495,10 @@ def results(machine: Machine, q: Any, steps: Any) -> dict[str, Any]:
     step = newton_step(s)
     diagonal = 1 / np.sqrt(np.einsum("lnn->ln", s.hessian))
     scaled = s.hessian * diagonal[:, :, None] * diagonal[:, None, :]
-    inverse = np.linalg.inv(scaled) * diagonal[:, :, None] * diagonal[:, None, :]  # m/N
+    scaled = np.where(np.isfinite(scaled).all((1, 2))[:, None, None], scaled, np.eye(machine.n))
+    inverse = np.linalg.inv(scaled + 1e-15 * np.eye(machine.n)) * diagonal[:, :, None] * diagonal[:, None, :]  # m/N
     stop = 1e-13 * s.largest + 4e-16 * machine.stiffest * machine.size(q)
-    R = case.cranks.circle_radius
+    R = machine.length[:, 0]
     gear = s.flanks[:, :c] - s.flanks[:, c:]
     pins = s.pins.reshape(lanes, nd, zp)
     return {
@@ -499,7 +508,7 @@ def results(machine: Machine, q: Any, steps: Any) -> dict[str, Any]:
         "disc_bearing": -s.bearings[:, : nd * c].reshape(lanes, nd, c, 2).astype(float),
         "support_bearing": s.bearings[:, nd * c :].astype(float),
         "gear": gear.astype(float),
-        "input_torque": (case.involute.sun_base_radius * gear.sum(1)).astype(float),
+        "input_torque": (machine.sun_radius * gear.sum(1)).astype(float),
         "disc_torque": -(machine.lever * pins).sum(2).astype(float),
         "stiffness": (R**2 / inverse[:, 0, 0]).astype(float),
         "residual": (np.abs(s.gradient).max(1) / np.where(s.largest > 0, s.largest, 1)).astype(float),
@@ -508,7 +517,7 @@ def results(machine: Machine, q: Any, steps: Any) -> dict[str, Any]:
         "force_allowed": (stop * machine.stiffest * np.abs(inverse).sum(2).max(1)).astype(float),
         "bend": s.y.min(1).astype(float),
         "largest": s.largest.astype(float),
-        "loaded": (s.pins.max(1) > machine.k0 * case.cycloid.pin_radius),
+        "loaded": (s.pins.max(1) > machine.k0 * machine.pin_radius),
         "steps": steps,
     }
 
@@ -532,14 +541,14 @@ def equilibrium(design: Any, errors: Any, **options: Any) -> dict[str, Any]:
     return found
 
 
-def equilibria(design: Any, errors: Any, lanes: int, **options: Any) -> dict[str, Any]:
+def equilibria(design: Any, errors: Any, lanes: int, steps: int = 400, **options: Any) -> dict[str, Any]:
     """A batch, whose numbers carry the lanes first; lanes that no reducer can have are not to be used (`usable`)."""
     case = read(design, errors, lanes=lanes, **options)
     with np.errstate(all="ignore"):
         usable = finite(case) & positive(case)
         usable &= np.where(usable, undercut(case), 1) < 1
         machine = Machine(case).lanes(usable)
-        found = results(machine, *minimise(machine))
+        found = results(machine, *minimise(machine, steps=steps))
     whole = {name: np.full((lanes, *value.shape[1:]), np.nan) for name, value in found.items()}
     for name, value in found.items():
         whole[name][usable] = value

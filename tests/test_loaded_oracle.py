@@ -82,7 +82,7 @@ def test_agrees_with_the_oracle(law, supports):
 
 
 def test_oracle_judges_positions():
-    """Gradients in 80-bit numbers are differences of the energy; they vanish at the oracle's answer and nowhere near."""
+    """Gradients in 80-bit numbers are differences of the energy; they vanish at the answer and nowhere near."""
     design = reducer(2, 2, 39)
     errors = drawn(design, np.random.default_rng(5), 1.0)
     options = dict(input_angle=102.0, output_torque=412.0, carrier="floating", sun="floating")
