@@ -2,9 +2,9 @@
 
 A batch of units with errors of every part at one angle under rated torque, at 3 % of it with all clearances, and over
 a crank turn of 48 angles, each from the one before. Beside the library run C (gcc -O3 -march=native -ffast-math, lanes
-are units), Numba, NumPy over all units and SciPy's trust region unit by unit; all are compared with the oracle of 80-bit
-numbers before anything is timed. The gradient is that of the mean error to one shared tolerance a field. Stiffnesses
-and face width are assumed. `taskset -c 0` for the ratio on one core.
+are units), Numba, NumPy over all units and SciPy's trust region unit by unit; all are compared with the oracle of
+80-bit numbers before anything is timed. The gradient is that of the mean error to one shared tolerance a field.
+Stiffnesses and face width are assumed. `taskset -c 0` for the ratio on one core.
 """
 
 import ctypes

@@ -1,8 +1,8 @@
 """The loaded RV-40E in C, Numba and NumPy, each written as well as its language allows; one algorithm for all.
 
-C: lanes are units, one vector of them at a time; pins enter by nine sums a disc, discs are eliminated before carrier and
-cranks; three logarithms a Hertz pin, by polynomial, one of them rough. Units that twelve Newton steps leave are packed
-anew and go on with best points and line searches. Numba: one unit at a time, the same steps. NumPy: all units together,
+C: lanes are units, one vector of them at a time; pins enter by nine sums a disc, discs are eliminated before carrier
+and cranks; three logarithms a Hertz pin, by polynomial, one of them rough. Units that twelve Newton steps leave are
+packed anew and go on with best points and line searches. Numba: one unit at a time, the same steps. NumPy: all units together,
 the Hessian of the pins as one matrix product.
 """
 
@@ -601,9 +601,8 @@ def in_numpy(design, theta, x, contact, steps=60):
 def numba_units(design, normal, lever, a_law, gaps, arm_x, arm_y, seat_x, seat_y, loose, gear, eb, hertz, error, pins):
     """Units in parallel, Newton from the linear start; a unit that 30 steps leave is NaN (none at rated torque).
 
-    Args:
-        design: as in the C program; normal (2, 40, 2), lever and a_law (2, 40) of the angle; eb (2, 2) is e u(b) / r_b.
-        gaps: (units, 2, 40); arm_x, arm_y (units, 2, 2), seat_x, seat_y (units, 2), loose (units, 2), gear (units,).
+    Design as in the C program; normal (2, 40, 2), lever and a_law (2, 40) of the angle; eb (2, 2) is e u(b) / r_b. The
+    units come first: gaps (units, 2, 40), arm_x and arm_y (units, 2, 2), seat_x, seat_y and loose (units, 2).
     """
     R, sine, cosine, ka, kh, km, k0 = design[3], design[6], design[7], design[8], design[9], design[10], design[11]
     k_pin, c_pin, torque, start = design[15], design[16], design[17], design[18]
