@@ -2,8 +2,8 @@
 
 C: lanes are units, one vector of them at a time; pins enter by nine sums a disc, discs are eliminated before carrier
 and cranks; three logarithms a Hertz pin, by polynomial, one of them rough. Units that twelve Newton steps leave are
-packed anew and go on with best points and line searches. Numba: one unit at a time, the same steps. NumPy: all units together,
-the Hessian of the pins as one matrix product.
+packed anew and go on with best points and line searches. Numba: one unit at a time, the same steps. NumPy: all units
+together, the Hessian of the pins as one matrix product.
 """
 
 import math
