@@ -63,6 +63,7 @@ def one(contact, torque, errors, angle=ANGLE):
 
 
 def units_at(contact, torque, errors):
+    """Error, pin forces and status of all units under one torque."""
     return jax.vmap(functools.partial(one, contact, torque), in_axes=-1)(errors)
 
 
@@ -132,7 +133,8 @@ def figures_of(contact, library):
     x = draw(UNITS)
     errors = jax.device_put(fields(x))
     light, design = 0.03 * RATED, numbers(plain(), RATED, contact)
-    programs = {torque: compiled(functools.partial(units_at, contact, torque), errors) for torque in (RATED, light)}
+    program, notes = compiled(functools.partial(units_at, contact), jnp.asarray(RATED), errors)
+    torques = {torque: jnp.asarray(torque) for torque in (RATED, light)}  # one program for both
     around, around_notes = compiled(functools.partial(turn, contact), errors)
     cold, _ = compiled(functools.partial(turn_cold, contact), errors)
     ones = {name: jnp.ones(()) for name in FIELDS}
@@ -140,8 +142,8 @@ def figures_of(contact, library):
     gradient, gradient_notes = compiled(jax.value_and_grad(functools.partial(mean, contact)), ones, errors)
 
     failed = {}
-    for torque, (run, _) in programs.items():
-        error, pins, status = run(errors)
+    for torque, given in torques.items():
+        error, pins, status = program(given, errors)
         failed[f"not converged at {torque:.4g} N m"] = int(np.count_nonzero(status))
         judged(x, contact, torque, np.asarray(error), pins)
     for other in (in_numpy, in_numba):
@@ -149,8 +151,8 @@ def figures_of(contact, library):
     along, each = around(errors)[0], cold(errors)[0]
     np.testing.assert_allclose(along, each, rtol=0, atol=1e-9 * float(jnp.abs(each).max()))
     candidates = {
-        "rvjax": lambda: programs[RATED][0](errors),
-        "rvjax, 3 %": lambda: programs[light][0](errors),
+        "rvjax": lambda: program(torques[RATED], errors),
+        "rvjax, 3 %": lambda: program(torques[light], errors),
         "mean": lambda: primal(ones, errors),
         "gradient": lambda: gradient(ones, errors),
         "numba": lambda: in_numba(design, ANGLE, x, contact),
@@ -198,8 +200,8 @@ def figures_of(contact, library):
     figures["3 % / rated"] = best["rvjax, 3 %"] / best["rvjax"]
     figures["turn / cold turn"] = best["rvjax, turn"] / best["rvjax, turn cold"]
     figures["gradient / mean"] = best["gradient"] / best["mean"]
-    notes = {"": programs[RATED][1], "gradient, ": gradient_notes, "turn, ": around_notes}
-    figures |= {f"{name}{key}": value for name, own in notes.items() for key, value in own.items()}
+    parts = {"": notes, "gradient, ": gradient_notes, "turn, ": around_notes}
+    figures |= {f"{name}{key}": value for name, own in parts.items() for key, value in own.items()}
     return {f"{contact}: {name}": value for name, value in (figures | failed).items()}
 
 
