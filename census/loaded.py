@@ -142,8 +142,12 @@ def run(
     force = jnp.mean(case["turning_arm_bearing"]) * case["circle_radius"]
     largest = jnp.max(jnp.stack([jnp.max(jnp.abs(getattr(got, name))) for name in RESULTS]))
     largest = jnp.maximum(largest, jnp.abs(case["torque"]) / case["circle_radius"])
+    known = jnp.isfinite(got.error)  # a NaN times the force would be the slope of the force
     return dict(
-        values=(got.error * force, *(getattr(got, name) for name in RESULTS)),
+        values=(
+            jnp.where(known, jnp.where(known, got.error, 0) * force, jnp.nan),
+            *(getattr(got, name) for name in RESULTS),
+        ),
         status=got.info.status,
         residual=got.info.residual,
         scale=jnp.where(largest > 0, largest, 1),
