@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from census.cases import Model
 from census.dynamics import vibration
 from census.linkage import linkage
+from census.loaded import machine
 from census.mesh import mesh
 from census.play import play
 from census.reducer import reducer, turn
@@ -45,3 +46,14 @@ def models() -> Iterator[Model]:
         ("planetary", 2, 2, "harmonic_balance"),
     ):
         yield vibration(stage, cranks, discs, method)
+    for layout in (
+        ("hertz", 2, 2, 39),
+        ("hertz", 3, 2, 24, "floating"),
+        ("hertz", 2, 1, 99, "fixed", "floating"),
+        ("hertz", 4, 3, 5, "fixed", "fixed", True),
+        ("linear", 2, 2, 39),
+        ("linear", 4, 3, 24, "floating", "floating", True),
+        ("palmgren", 2, 2, 39),
+        ("palmgren", 3, 1, 5, "floating", "floating"),
+    ):
+        yield machine(*layout)

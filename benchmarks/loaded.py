@@ -1,0 +1,218 @@
+"""Loaded equilibrium of RV-40E units, 2 x 40 pins, Hertz and linear: error and all pin forces of every unit and angle.
+
+A batch of units with errors of every part at one angle under rated torque, at 3 % of it with all clearances, and over
+a crank turn of 48 angles, each from the one before. Beside the library run C (gcc -O3 -march=native -ffast-math, lanes
+are units), Numba, NumPy over all units and SciPy's trust region unit by unit; all are compared with the oracle of
+80-bit numbers before anything is timed. The gradient is that of the mean error to one shared tolerance a field.
+Stiffnesses and face width are assumed. `taskset -c 0` for the ratio on one core.
+"""
+
+import ctypes
+import functools
+
+import numpy as np
+
+from benchmarks.timing import alternate, arguments, c_library, compiled, publish, settings
+
+settings()
+
+import jax  # noqa: E402  (after the flags)
+import jax.numpy as jnp  # noqa: E402
+
+from benchmarks.loaded_others import COLUMNS, FIELDS, OFFSETS, in_numba, in_numpy, numbers, source  # noqa: E402
+from oracles import loaded as oracle  # noqa: E402
+from rvjax import RVErrors, catalogue, loaded  # noqa: E402
+from rvjax.designs import Contact, Stiffness  # noqa: E402
+
+UNITS, CHECKED, LOOP_UNITS = 1024, 8, 2
+RATED, ANGLE, SAMPLES = 412.0, 102.856, 48
+TURN = 2 * np.pi * 105 / 40 * np.arange(SAMPLES) / SAMPLES  # of the sun: one crank turn
+DESIGN = catalogue.RV_40E.replace(
+    stiffness=Stiffness(
+        sun_support=4e7, sun_torsion=1e4, planet_crank_bending=2e8, planet_crank_torsion=5e4, support_bearing=9e8,
+        turning_arm_bearing=6e8, sun_planet_mesh=2e8, disc_pin_mesh=6e8, output_support=2e9,
+    ),
+    contact=Contact(young_modulus=206e9, poisson_ratio=0.3, face_width=0.012),
+)  # fmt: skip
+
+
+def draw(units, seed=0):
+    """Columns (rows, units): errors of 2 um, play everywhere."""
+    rng = np.random.default_rng(seed)
+    x = rng.normal(size=(COLUMNS, units)) * 2e-6
+    rows = {name: slice(first, first + int(np.prod(FIELDS[name]))) for name, first in OFFSETS.items()}
+    x[rows["crank_phase"]] *= 25
+    x[rows["pin_radii"]] *= 0.25
+    for name, value in (("bearing_clearance", 2e-6), ("support_clearance", 0.5e-6), ("base_tangent_upper", -8e-6),
+                        ("equidistant_modification", 3e-6)):  # fmt: skip
+        x[rows[name]] = value * rng.uniform(0.5, 1.5, units)
+    return x
+
+
+def fields(x):
+    """Columns by field, the units last."""
+    return {n: x[first : first + int(np.prod(FIELDS[n]))].reshape(*FIELDS[n], -1) for n, first in OFFSETS.items()}
+
+
+def one(contact, torque, errors, angle=ANGLE):
+    """Error, pin forces and status of one unit."""
+    found = loaded.equilibrium(
+        DESIGN, RVErrors.for_design(DESIGN, **errors), input_angle=angle, output_torque=torque, contact=contact
+    )
+    return found.error, found.pins, found.info.status
+
+
+def units_at(contact, torque, errors):
+    """Error, pin forces and status of all units under one torque."""
+    return jax.vmap(functools.partial(one, contact, torque), in_axes=-1)(errors)
+
+
+def mean(contact, tolerances, errors):
+    """Mean error over the batch; each tolerance scales the errors of its field."""
+    return jnp.mean(units_at(contact, RATED, {name: tolerances[name] * errors[name] for name in errors})[0])
+
+
+def turn(contact, errors):
+    """Every unit over a crank turn, each angle from the one before."""
+
+    def unit(errors):
+        found = loaded.revolution(
+            DESIGN, RVErrors.for_design(DESIGN, **errors), output_torque=RATED, samples=SAMPLES, contact=contact
+        )
+        return found.error, found.info.status
+
+    return jax.vmap(unit, in_axes=-1)(errors)
+
+
+def turn_cold(contact, errors):
+    """The same, every angle for itself."""
+
+    def unit(errors):
+        found = jax.vmap(lambda angle: one(contact, RATED, errors, angle))(jnp.asarray(TURN))
+        return found[0], found[2]
+
+    return jax.vmap(unit, in_axes=-1)(errors)
+
+
+def in_c(library, x, angles, torque, contact, warm=False):
+    """A function that runs the C program, and its outputs: error (angles, units), pins, steps."""
+    units, design = x.shape[1], numbers(plain(), torque, contact)
+    angles = np.ascontiguousarray(angles, float)
+    outputs = (
+        np.empty((len(angles), units)),
+        np.empty((len(angles), 80, units)),
+        np.empty((len(angles), units), np.int64),
+    )
+    at = [ctypes.c_void_p(array.ctypes.data) for array in (angles, x, design, *outputs)]
+    flags = [ctypes.c_long(int(flag)) for flag in (contact == "hertz", warm, 12)]
+
+    def run(held=(angles, x, design)):  # whose addresses are given
+        library.solve(ctypes.c_long(units), ctypes.c_long(len(angles)), *at[:3], *flags, *at[3:])
+
+    return run, outputs
+
+
+def plain():
+    """The design as numbers, for the others."""
+    return {stage: {n: getattr(getattr(DESIGN, stage), n) for n in names} for stage, names in oracle.STAGES.items()}
+
+
+def judged(x, contact, torque, error, pins):
+    """Compare the first units with the oracle: what its rule to stop leaves of each, times ten."""
+    part = {name: np.moveaxis(value, -1, 0) for name, value in fields(x[:, :CHECKED]).items()}
+    due = oracle.equilibria(DESIGN, part, CHECKED, input_angle=ANGLE, output_torque=torque, contact=contact)
+    assert (due["residual"] < 1e-14).all()
+    off = np.abs(error[:CHECKED] - due["error"]) - 10 * due["error_allowed"]
+    assert (off < 1e-11 * np.abs(due["error"])).all(), off
+    force = np.abs(np.asarray(pins)[:CHECKED].reshape(CHECKED, 80) - due["pins"].reshape(CHECKED, 80)).max(1)
+    assert (force < 10 * due["force_allowed"] + 1e-9 * due["largest"]).all(), force
+
+
+def figures_of(contact, library):
+    """Everything of one law."""
+    x = draw(UNITS)
+    errors = jax.device_put(fields(x))
+    light, design = 0.03 * RATED, numbers(plain(), RATED, contact)
+    program, notes = compiled(functools.partial(units_at, contact), jnp.asarray(RATED), errors)
+    torques = {torque: jnp.asarray(torque) for torque in (RATED, light)}  # one program for both
+    around, around_notes = compiled(functools.partial(turn, contact), errors)
+    cold, _ = compiled(functools.partial(turn_cold, contact), errors)
+    ones = {name: jnp.ones(()) for name in FIELDS}
+    primal, _ = compiled(functools.partial(mean, contact), ones, errors)
+    gradient, gradient_notes = compiled(jax.value_and_grad(functools.partial(mean, contact)), ones, errors)
+
+    failed = {}
+    for torque, given in torques.items():
+        error, pins, status = program(given, errors)
+        failed[f"not converged at {torque:.4g} N m"] = int(np.count_nonzero(status))
+        judged(x, contact, torque, np.asarray(error), pins)
+    for other in (in_numpy, in_numba):
+        judged(x, contact, RATED, *other(design, ANGLE, x, contact))
+    along, each = around(errors)[0], cold(errors)[0]
+    np.testing.assert_allclose(along, each, rtol=0, atol=1e-9 * float(jnp.abs(each).max()))
+    candidates = {
+        "rvjax": lambda: program(torques[RATED], errors),
+        "rvjax, 3 %": lambda: program(torques[light], errors),
+        "mean": lambda: primal(ones, errors),
+        "gradient": lambda: gradient(ones, errors),
+        "numba": lambda: in_numba(design, ANGLE, x, contact),
+    }
+    slow = {
+        "rvjax, turn": lambda: around(errors),
+        "rvjax, turn cold": lambda: cold(errors),
+        "numpy": lambda: in_numpy(design, ANGLE, x, contact),
+    }
+    if library is not None:
+        runs = {
+            "C": in_c(library, x, [ANGLE], RATED, contact),
+            "C, 3 %": in_c(library, x, [ANGLE], light, contact),
+            "C, turn": in_c(library, x, TURN, RATED, contact, warm=True),
+            "C, turn cold": in_c(library, x, TURN, RATED, contact),
+        }
+        for name, (run, outputs) in runs.items():
+            run()
+            if "turn" in name:
+                np.testing.assert_allclose(outputs[0].T, each, rtol=0, atol=1e-9 * float(jnp.abs(each).max()))
+            else:
+                judged(x, contact, light if "%" in name else RATED, outputs[0][0], outputs[1][0].T)
+                failed[f"{name}: not converged"] = int(np.isnan(outputs[0]).sum())
+            failed[f"{name}: steps, mean"] = float(outputs[2].mean())
+            (slow if "turn" in name else candidates)[name] = run
+    best = alternate(candidates, seconds=0.5) | alternate(slow, rounds=3, seconds=0.5)
+
+    part = {name: value[..., 0] for name, value in fields(x).items()}
+    machine = oracle.Machine(
+        oracle.read(DESIGN, part, input_angle=ANGLE, output_torque=RATED, contact=contact)
+    )  # fmt: skip
+    best |= alternate(
+        {"scipy": lambda: [oracle.trust_exact(machine) for _ in range(LOOP_UNITS)]}, rounds=2, seconds=0.1
+    )
+    many = (
+        dict.fromkeys(best, UNITS) | {name: UNITS * SAMPLES for name in best if "turn" in name} | {"scipy": LOOP_UNITS}
+    )
+    each_us = {name: 1e6 * seconds / many[name] for name, seconds in best.items()}
+    figures = {f"{name}, us per unit and angle": value for name, value in each_us.items()}
+    for name in ("", ", 3 %", ", turn", ", turn cold"):
+        if f"C{name}" in best:
+            figures[f"rvjax{name} / C{name}"] = best[f"rvjax{name}"] / best[f"C{name}"]
+    figures["rvjax / numba"] = each_us["rvjax"] / each_us["numba"]
+    figures |= {f"{name} / rvjax": each_us[name] / each_us["rvjax"] for name in ("numpy", "scipy")}
+    figures["3 % / rated"] = best["rvjax, 3 %"] / best["rvjax"]
+    figures["turn / cold turn"] = best["rvjax, turn"] / best["rvjax, turn cold"]
+    figures["gradient / mean"] = best["gradient"] / best["mean"]
+    parts = {"": notes, "gradient, ": gradient_notes, "turn, ": around_notes}
+    figures |= {f"{name}{key}": value for name, own in parts.items() for key, value in own.items()}
+    return {f"{contact}: {name}": value for name, value in (figures | failed).items()}
+
+
+def main():
+    path = arguments(__doc__.splitlines()[0]).json
+    library = c_library(source())
+    figures = {"units": UNITS, "angles of a turn": SAMPLES}
+    for contact in ("hertz", "linear"):
+        figures |= figures_of(contact, library)
+    publish("loaded", figures, path)
+
+
+if __name__ == "__main__":
+    main()
