@@ -13,6 +13,7 @@ MODELS = (
     "rvjax.lost_motion",
     "rvjax.mesh_force",
     "rvjax.dynamics",
+    "rvjax.loaded",
 )
 """Packages, each with `outputs.DESCRIPTION`; the first with a curve draws it."""
 

@@ -19,7 +19,7 @@ Kernel = Callable[..., Any]
 _FEW = 8  # lanes of a group; with fewer all cases are lanes, each with its own geometry
 
 
-@functools.cache
+@functools.lru_cache(maxsize=64)
 def in_lanes(kernel: Kernel, layout: Layout) -> Callable[..., Any]:
     """The function (system, *arrays) of one case that `kernel` computes for many.
 

@@ -85,7 +85,7 @@ def _equilibrium_jvp(law: str, teeth: int, primals: PyTree, tangents: PyTree) ->
     return found, jax.custom_derivatives.zero_from_primal(found)
 
 
-@functools.cache
+@functools.lru_cache(maxsize=64)
 def _batched(law: str, teeth: int) -> Callable[[Case], Found]:
     """Batch (cases, ...) -> Found (cases, ...); vmap makes a larger batch of it."""
     solve = jax.custom_batching.custom_vmap(functools.partial(_in_blocks, law, teeth))
