@@ -248,7 +248,12 @@ COMPUTED: dict[str, Callable[[], Any]] = {
 }
 
 # `compute` of a figure: one of these, what varies, and of which statistic.
-_FORMS = {"change": _change, "ends": _ends, "first": partial(_at_end, 0), "last": partial(_at_end, 1)}
+_FORMS: dict[str, Callable[..., Any]] = {
+    "change": _change,
+    "ends": _ends,
+    "first": partial(_at_end, 0),
+    "last": partial(_at_end, 1),
+}
 COMPUTED |= {
     figure["id"]: partial(_FORMS[figure["compute"][0]], *figure["compute"][1:])
     for figure in figures("corr")
