@@ -154,19 +154,10 @@ def _moment_arm() -> bool:
     return bool(np.allclose(E * np.sin(psi + gamma), s * np.sin(gamma), atol=1e-15))
 
 
-def _loaded() -> np.ndarray:
-    return _cycle()[1].cam > 0
-
-
 def _fixed_index_set() -> bool:
     """The rollers loaded at an angle are those loaded half a tooth later."""
     solve = partial(mesh_force.solve, CORR, CamRollerErrors(), input_torque=TORQUE, contact="linear")
     return bool(((solve(output_angle=0.001).cam > 0) == (solve(output_angle=0.001 + np.pi / Z).cam > 0)).all())
-
-
-def _printed_approach() -> bool:
-    """Eq. 11 with the roller length in the radical of the half-width vanishes without force."""
-    return bool(abs(R - np.sqrt(R**2 - (CORR.roller_length / 2) ** 2)) < 1e-9)
 
 
 def _printed_cage_projection() -> bool:
@@ -207,8 +198,8 @@ _eccentricity, _cam = partial(_change, "eccentricity"), partial(_change, "cam_ra
 COMPUTED: dict[str, Callable[[], Any]] = {
     "corr.abstract.roller_radius_change": _centre_circle_change,
     "corr.abstract.errors_fluctuate": _errors_fluctuate,
-    "corr.intro.half_of_teeth": lambda: float(np.median(_loaded().sum(1))),
-    "corr.sec2.at_most_half_loaded": lambda: bool((_loaded().sum(1) <= N // 2).all()),
+    "corr.intro.half_of_teeth": lambda: float(np.median((_cycle()[1].cam > 0).sum(1))),
+    "corr.sec2.at_most_half_loaded": lambda: bool(((_cycle()[1].cam > 0).sum(1) <= N // 2).all()),
     "corr.sec2.constant_ratio": _flank_repeats,
     "corr.table1.ratio": lambda: float(N),
     "corr.eq3.profile_normal": _profile_normal,
@@ -216,7 +207,8 @@ COMPUTED: dict[str, Callable[[], Any]] = {
     "corr.eq6_eq7.centre_circle": _centre_circle,
     "corr.eq8.moment_arm": _moment_arm,
     "corr.eq8.index_set": _fixed_index_set,
-    "corr.eq11.approach": _printed_approach,
+    # Eq. 11 with the roller length in the radical of the half-width vanishes without force?
+    "corr.eq11.approach": lambda: abs(R - np.sqrt(R**2 - (CORR.roller_length / 2) ** 2)) < 1e-9,
     "corr.eq14.cage_projection": _printed_cage_projection,
     "corr.eq15.gear_projection": _gear_projection,
     "corr.eq16.windup": _printed_windup,

@@ -121,16 +121,6 @@ def _quadratic_is_the_closure() -> bool:
     return bool(np.all(np.abs(a * angle**2 + b * angle + c - exact) <= SPACING**2 * (np.abs(angle) ** 3 + rounding)))
 
 
-def _parallelogram() -> bool:
-    angles = np.arange(5, 360, 7.0) * deg  # off the dead points
-    return all(float(right(crank_angle=angle)[0]) == 0.0 for angle in angles)
-
-
-def _small_angle_error() -> float:
-    exact, quadratic = right(crank_1=BAND), right(crank_1=BAND, closure="quadratic")
-    return float(abs(quadratic / exact - 1)[0])
-
-
 def _largest_at_right_angle() -> bool:
     def locked(crank_angle: jax.Array) -> jax.Array:
         return _coupler_angle(LinkDeviations(crank_3=10 * um), crank_angle=crank_angle, cranks="phase_locked")
@@ -190,11 +180,6 @@ def _frame_maximum_inside() -> bool:
     return bool(values[-1] < values[0] < values.max() and -0.05 * mm < SWEEP[np.argmax(values)] < -0.04 * mm)
 
 
-def _misalignment_percent() -> float:
-    aligned, turned = printed()[0], printed(crank_angle=RIGHT_ANGLE + 0.01)[0]
-    return 100 * abs(turned / aligned - 1)
-
-
 COMPUTED: dict[str, Callable[[], Any]] = {
     **{f"rv40e.{part}.rigid_range": partial(_part_range, part) for part in PARTS},
     **{f"rv40e.{part}.elastic_range": partial(_part_range, part, True) for part in PARTS},
@@ -204,10 +189,15 @@ COMPUTED: dict[str, Callable[[], Any]] = {
     "rv40e.table2.elastic_margin": partial(_margin, "table2"),
     "rv40e.table3.elastic_margin": partial(_margin, "table3"),
     "rv40e.zero_error.rigid": lambda: printed()[0],
-    "rv40e.model.parallelogram": _parallelogram,
+    "rv40e.model.parallelogram": lambda: all(
+        right(crank_angle=angle)[0] == 0.0
+        for angle in np.arange(5, 360, 7.0) * deg  # off the dead points
+    ),
     "rv40e.intro.one_arcmin": lambda: 0.0361 * deg / arcmin,
     "rv40e.model.coefficients": _quadratic_is_the_closure,
-    "rv40e.model.small_angle": lambda: _small_angle_error() < 1e-6,
+    "rv40e.model.small_angle": lambda: (
+        abs(right(crank_1=BAND, closure="quadratic") / right(crank_1=BAND) - 1)[0] < 1e-6
+    ),
     "rv40e.model.critical_angle": _largest_at_right_angle,
     "rv40e.crank.elastic_larger": lambda: np.all(_swept("crank", True) > _swept("crank")),
     "rv40e.crank.minimum_negative": lambda: SWEEP[np.argmin(_swept("crank"))] < 0,
@@ -225,7 +215,7 @@ COMPUTED: dict[str, Callable[[], Any]] = {
     "rv40e.clearance.amplifies": _loaded_clearance,
     "rv40e.sensitivity.ranking": _ranking,
     "rv40e.sensitivity.clearance": _clearance_matters,
-    "rv40e.assembly.misalignment": _misalignment_percent,
+    "rv40e.assembly.misalignment": lambda: 100 * abs(printed(crank_angle=RIGHT_ANGLE + 0.01)[0] / printed()[0] - 1),
 }
 
 RIGHT: dict[str, Callable[[], Any]] = {
