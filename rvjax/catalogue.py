@@ -12,7 +12,12 @@ from rvjax.units import parse
 
 
 def part_class(cls: type, name: str) -> Any:
-    """The class of a field that is a record, optional or not."""
+    """The class of a field that is a record, optional or not.
+
+    Args:
+        cls: of the record that has it.
+        name: of the field.
+    """
     hint = typing.get_type_hints(cls)[name]
     return next(item for item in (*typing.get_args(hint), hint) if item is not type(None))
 
