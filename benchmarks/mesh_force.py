@@ -18,6 +18,7 @@ import jax.numpy as jnp  # noqa: E402
 
 from benchmarks.mesh_force_others import in_numba, in_numpy, source, with_scipy  # noqa: E402
 from rvjax import CamRollerErrors, catalogue, mesh_force  # noqa: E402
+from rvjax.published.corr import CALIBRATED_TORQUE  # noqa: E402
 
 CASES, CHUNK, LOOP_CASES = 65_536, 1024, 3
 CORR, ROLLERS = catalogue.CORR, 26
@@ -31,7 +32,7 @@ def draw(cases):
         rng.normal(size=cases) * 2e-6,
         rng.normal(size=cases) * 2e-6,
         rng.normal(size=(cases, ROLLERS)) * 1e-6,
-        rng.uniform(0.1, 1, cases) * mesh_force.CALIBRATED_TORQUE,
+        rng.uniform(0.1, 1, cases) * CALIBRATED_TORQUE,
         rng.uniform(0, 2 * np.pi, cases),
     )
 

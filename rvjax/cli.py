@@ -8,9 +8,10 @@ import argparse
 import json
 import os
 import sys
-import textwrap
 import time
-from collections.abc import Callable, Sequence
+import tomllib
+from collections.abc import Sequence
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -39,178 +40,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
+    """All commands, their options and their help, as `cli.toml` lists them."""
     import rvjax
 
-    parser = argparse.ArgumentParser(
-        prog="rvjax",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        description="What microns of manufacturing error do to the accuracy of a precision reducer,\n"
-        "and which tolerances are the cheapest that still meet the requirement.",
-        epilog="""examples:
-  rvjax allocate                       the cheapest tolerances of an RV-40E, about 40 s
-  rvjax report my-study.toml           the same of your own reducer, as one HTML page
-  rvjax montecarlo corr --samples 1e5  what a batch of an oscillatory roller stage does
-  rvjax reproduce --notes              the literature's figures beside computed ones
-  rvjax COMMAND --help                 options, defaults and examples of a command
-
-A study file asks one question of one reducer, in TOML with units in strings ("3.5 um"). Copy one that
-comes with rvjax (rv-40e, corr; every results folder holds its study) and change it.
-
-exit codes: 0 done; 1 no tolerances meet the requirements, or not with certainty; 2 bad input, one line on
-standard error says what; 130 interrupted.
-""",
-    )
+    about = tomllib.loads((resources.files("rvjax") / "cli.toml").read_text("utf-8"))
+    as_written = argparse.RawDescriptionHelpFormatter
+    parser = argparse.ArgumentParser("rvjax", None, about["description"], about["epilog"], formatter_class=as_written)
     parser.add_argument("--version", action="version", version=f"rvjax {rvjax.__version__}")
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
-
-    allocate = _command(
-        commands,
-        "allocate",
-        _allocate,
-        "the cheapest tolerances that still meet the requirements",
-        "Find the cheapest tolerances with which the required share of units meets every requirement, "
-        "certify them on fresh random units, and write tables and pictures to a results folder.",
-        """examples:
-  rvjax allocate
-  rvjax allocate my-study.toml --results results/first-try
-
-The folder holds summary.txt, CSV tables, result.json (SI, with seed and versions), study.toml and pictures;
-nothing is ever overwritten. exit code 1: no tolerances within the process ranges meet the requirements (the
-summary says by how much the limits would have to move), or they could not be certified.
-""",
-    )
-    _add_study(allocate)
-    allocate.add_argument(
-        "--results", metavar="DIR", help="new folder for the results (default: results/STUDY, numbered if it exists)"
-    )
-    allocate.add_argument("--quiet", action="store_true", help="no progress bars")
-
-    report = _command(
-        commands,
-        "report",
-        _report,
-        "the same answer as one HTML page, for screen, phone and paper",
-        "Find the cheapest tolerances as `allocate` does and write one self-contained HTML page: verdict, "
-        "tolerances and cost, influence of each error, worst units, levels of computation, seed and versions.",
-        """examples:
-  rvjax report
-  rvjax report my-study.toml --output page.html
-
-The page holds its pictures, needs no network and no script. exit code 1: the page says that no tolerances meet
-the requirements, or that they could not be certified.
-""",
-    )
-    _add_study(report)
-    report.add_argument(
-        "--output",
-        metavar="FILE.html",
-        help="the page, replaced if it exists (default: report.html in a new folder results/STUDY)",
-    )
-    report.add_argument("--quiet", action="store_true", help="no progress bars")
-
-    _add_montecarlo(commands)
-
-    reproduce = _command(
-        commands,
-        "reproduce",
-        _reproduce,
-        "published figures beside computed ones, with a verdict",
-        "Compute the published figures of the literature now and print them beside the printed ones. "
-        "Takes about a minute, most of it compilation.",
-        """examples:
-  rvjax reproduce --notes
-  rvjax reproduce --json > figures.json
-
-verdicts: reproduced (within the printed rounding), reproduced_with_reading (under an interpretation that the
-note names), close (within 10 %), contradicted (the figure cannot stand beside what the note names),
-not_computable (the source leaves an input out). exit code 0 whatever the verdicts.
-""",
-    )
-    reproduce.add_argument("--json", action="store_true", help="only a JSON list on standard output, for machines")
-    reproduce.add_argument("--notes", action="store_true", help="print the reading or the reason under each figure")
-
-    tradeoff = _command(
-        commands,
-        "tradeoff",
-        _tradeoff,
-        "speed against accuracy of every model, measured on this machine",
-        "Measure time and error of the levels of every model side by side, and say which to use when. "
-        "Takes less than two minutes on two idle cores, most of it compilation; all levels take about five.",
-        """examples:
-  rvjax tradeoff
-  rvjax tradeoff --full --json here.json --picture here.png
-
-Studies with an [accuracy] table take their levels from the measured table that comes with rvjax.
-""",
-    )
-    tradeoff.add_argument("--json", metavar="FILE.json", help="write the table (default: only print it)")
-    tradeoff.add_argument("--picture", metavar="FILE.png", help="draw error against time (default: no picture)")
-    tradeoff.add_argument("--full", action="store_true", help="all levels, and more cases (default: the main ones)")
-    tradeoff.add_argument("--seed", type=int, default=0, help="of the random cases (default: 0)")
+    run = dict(allocate=_allocate, report=_report, montecarlo=_montecarlo, reproduce=_reproduce, tradeoff=_tradeoff)
+    types: dict[str, Any] = {"count": _count, "int": int}
+    for name, command in about["command"].items():
+        options = command.pop("options")
+        subparser = commands.add_parser(name, formatter_class=as_written, **command)
+        subparser.set_defaults(run=run[name])
+        for flag, option in options.items():
+            subparser.add_argument(flag, **option | ({"type": types[option["type"]]} if "type" in option else {}))
+    # One of several processes of a batch: see `study.batch.work`.
+    commands.choices["montecarlo"].add_argument("--worker", nargs=4, help=argparse.SUPPRESS)
     return parser
-
-
-def _command(
-    commands: Any, name: str, run: Callable[[argparse.Namespace], int], line: str, description: str, epilog: str
-) -> argparse.ArgumentParser:
-    command = commands.add_parser(
-        name,
-        help=line,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        description=textwrap.fill(description, 110),
-        epilog=epilog,
-    )
-    command.set_defaults(run=run)
-    return command
-
-
-def _add_study(command: argparse.ArgumentParser) -> None:
-    command.add_argument(
-        "study",
-        nargs="?",
-        default="rv-40e",
-        metavar="STUDY",
-        help="a study file (.toml), or one that comes with rvjax: rv-40e (default), corr",
-    )
-
-
-def _add_montecarlo(commands: Any) -> None:
-    montecarlo = _command(
-        commands,
-        "montecarlo",
-        _montecarlo,
-        "what a batch of units does, however large",
-        "Draw units of a study with random errors and print the statistics of their responses. Memory "
-        "stays the same however many units; all local devices share the work.",
-        """examples:
-  rvjax montecarlo my-study.toml
-  rvjax montecarlo my-study.toml --samples 1e8 --checkpoint run.ckpt --json figures.json
-  rvjax montecarlo rv-40e --sobol --samples 65536
-
-Killed with a --checkpoint, the same command goes on and ends with the same bits; more --samples continue a
-finished batch. A unit that fails counts as a reject, by reason. exit code 0 whatever the yield.
-""",
-    )
-    _add_study(montecarlo)
-    montecarlo.add_argument(
-        "--samples",
-        type=_count,
-        metavar="N",
-        help="units, such as 250000 or 1e8 (default: the study's certificate_samples)",
-    )
-    montecarlo.add_argument("--seed", type=int, help="of the random numbers (default: the study's)")
-    montecarlo.add_argument("--sobol", action="store_true", help="scrambled Sobol points (default: random numbers)")
-    montecarlo.add_argument("--chunk", type=_count, metavar="N", help="units at once (default: 32768)")
-    montecarlo.add_argument(
-        "--processes", type=_count, default=1, metavar="N", help="processes on this machine (default: 1)"
-    )
-    montecarlo.add_argument(
-        "--checkpoint", metavar="FILE", help="go on from this file after an interruption; written once a second"
-    )
-    montecarlo.add_argument("--json", metavar="FILE.json", help="write the figures (default: only print)")
-    montecarlo.add_argument("--save", metavar="FILE.npz", help="write the figures and the responses of every unit")
-    montecarlo.add_argument("--quiet", action="store_true", help="no progress bar")
-    montecarlo.add_argument("--worker", nargs=4, help=argparse.SUPPRESS)  # one of several processes: see `batch.work`
 
 
 def _count(text: str) -> int:

@@ -68,7 +68,6 @@ CALLS = {  # name: one call of the door for each way that is decided before the 
         for profile in ("first_order", "closed_form", "contact")
     ]
     + [lambda x: lost_motion.geometric(RV_20E, RVErrors(), reading="as_printed", normal_force=x)],
-    "lost_motion.empirical_normal_force": [lambda x: lost_motion.empirical_normal_force(100 + x)],
     "lost_motion.shaft_tilt": [lambda x: lost_motion.shaft_tilt(x * mm, 10 * mm)],
     "lost_motion.hysteresis_loop": [
         lambda x: lost_motion.hysteresis_loop(

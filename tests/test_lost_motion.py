@@ -13,8 +13,9 @@ from lost_motion_cases import TRUE_K1, cycloid, solve
 import rvjax
 from rvjax import RVErrors, Status
 from rvjax.catalogue import RV_20E, RV_20E_ERRORS
-from rvjax.lost_motion import empirical_normal_force, geometric, shaft_tilt
+from rvjax.lost_motion import geometric, shaft_tilt
 from rvjax.lost_motion.reducer import PROFILES
+from rvjax.published.rv20e import empirical_normal_force
 from rvjax.units import arcmin, deg, mm, um
 
 

@@ -12,15 +12,16 @@ import rvjax
 from oracles import cam_roller
 from oracles.cam_roller import corr, geometry, half_widths
 from rvjax import CamRollerErrors, Status, mesh_force
+from rvjax.published.corr import CALIBRATED_TORQUE as TORQUE
+from rvjax.published.corr import PUBLISHED_STUDIES
 
 CORR = rvjax.catalogue.CORR
-TORQUE = mesh_force.CALIBRATED_TORQUE
 
 
 @pytest.mark.parametrize(("figure", "contact"), [("11", "hertz"), ("12", "hertz"), ("14", "hertz"), ("14", "palmgren")])
 def test_reference_studies(reference, figure, contact):
     studies = [s for s in reference("mesh_force")["studies"] if (s["figure"], s["contact"]) == (figure, contact)]
-    parameter = mesh_force.PUBLISHED_STUDIES[figure][0]
+    parameter = PUBLISHED_STUDIES[figure][0]
     values = np.array([s["value"] for s in studies])
     found = mesh_force.sweep(CORR, CamRollerErrors(), parameter, values, input_torque=TORQUE, contact=contact)
     for k, study in enumerate(studies):

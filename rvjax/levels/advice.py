@@ -50,33 +50,32 @@ def markdown(table: Table) -> str:
     lines = ["| model, one case | level | largest error | of its rms | time |", "|---|---|---:|---:|---:|"]
     for model in table.models.values():
         first = next(iter(model.outputs))
+        unit, size = _shown(model.outputs[first])
         name = f"{model.name.replace('_', ' ')}: {model.case}"
-        at = model.sizes.index(min(model.sizes, key=lambda size: abs(size - 1)))
+        at = model.sizes.index(min(model.sizes, key=lambda s: abs(s - 1)))
         for level in worth_a_mention(model):
-            error, relative = level.largest[first][at] / _unit_size(model.outputs[first]), model.relative(level)
-            exact = level.name == model.reference
-            shown = (
-                ("exact", "") if exact else (f"{error:.2g} {_unit(model.outputs[first])}", f"{100 * relative:.2g} %")
-            )
-            lines.append(f"| {name} | {level.name} | {shown[0]} | {shown[1]} | {_time(level.ns)} |")
+            error, share = f"{level.largest[first][at] / size:.2g} {unit}", f"{100 * model.relative(level):.2g} %"
+            if level.name == model.reference:
+                error, share = "exact", ""
+            lines.append(f"| {name} | {level.name} | {error} | {share} | {_time(level.ns)} |")
             name = ""
     return "\n".join(lines)
 
 
 def _model(model: Model) -> str:
     first = next(iter(model.outputs))
-    unit = model.outputs[first]
+    unit, unit_size = _shown(model.outputs[first])
     failed = f"; {model.failed[0]} of {model.failed[1]} cases without a reference left out" if model.failed[0] else ""
     size = min(model.sizes, key=lambda s: abs(s - 1))
     lines = [
         f"{model.name}: {first} per {model.case}",
         f"error against {model.reference}, at {size:g} x the errors, relative to the rms of the output{failed}",
-        f"{'level':44s} {'largest':>9s} {'rms':>9s} {_unit(unit):>10s} {'time':>9s} {'compile s':>10s} {'MB':>7s}",
+        f"{'level':44s} {'largest':>9s} {'rms':>9s} {unit:>10s} {'time':>9s} {'compile s':>10s} {'MB':>7s}",
     ]
     front = model.front()
     for level in sorted(model.levels, key=lambda level: level.ns):
         k = model.sizes.index(size)
-        shown = level.largest[first][k] / _unit_size(unit)
+        shown = level.largest[first][k] / unit_size
         lines.append(
             f"{'*' if level in front else ' '} {level.name:42s} {model.relative(level):9.2g} "
             f"{model.relative(level, 'rms'):9.2g} {shown:10.2g} {_time(level.ns):>9s} {level.compile_s:10.1f} "
@@ -88,15 +87,12 @@ def _model(model: Model) -> str:
 def _error(model: Model, level: Level) -> str:
     first = next(iter(model.outputs))
     bound = SAFETY * level.largest[first][min(range(len(model.sizes)), key=lambda k: abs(model.sizes[k] - 1))]
-    return f"{bound / _unit_size(model.outputs[first]):.2g} {_unit(model.outputs[first])}"
+    unit, size = _shown(model.outputs[first])
+    return f"{bound / size:.2g} {unit}"
 
 
-def _unit(unit: str) -> str:
-    return "arcsec" if unit == "rad" else readable(unit)[0]
-
-
-def _unit_size(unit: str) -> float:
-    return arcsec if unit == "rad" else readable(unit)[1]
+def _shown(unit: str) -> tuple[str, float]:
+    return ("arcsec", arcsec) if unit == "rad" else readable(unit)
 
 
 def _time(ns: float) -> str:

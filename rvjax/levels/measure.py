@@ -37,7 +37,8 @@ def measure(*, quick: bool = False, seed: int = 0, say: Callable[[str], None] = 
         found[cases.name] = measure_model(cases, seed=seed, seconds=0.1 if quick else 0.3)
     say("statistics")
     found["statistics"] = measure_statistics(quick=quick, seed=seed)
-    return Table({**machine(), "load": _load()}, seed, found)
+    load = list(os.getloadavg()) if hasattr(os, "getloadavg") else []
+    return Table({**machine(), "load": load}, seed, found)
 
 
 def measured(*, quick: bool = False) -> list[Cases]:
@@ -77,12 +78,9 @@ def draw(cases: Cases, call: int, size: float, seed: int) -> tuple[Any, Any, Any
     if cases.errors is None:
         return design, None, extra
     units = jnp.arange(call * cases.batch, (call + 1) * cases.batch)
-    errors = _units(limits(cases.errors, cases.design), units, seed)
+    drawn = limits(cases.errors, cases.design)
+    errors = jax.jit(jax.vmap(lambda unit: sample(drawn, unit, seed=seed)))(units)
     return design, jax.tree.map(lambda x: jnp.broadcast_to(size * x, (cases.batch, *jnp.shape(x)[1:])), errors), extra
-
-
-def _units(tolerances: Any, units: jax.Array, seed: int) -> Any:
-    return jax.jit(jax.vmap(lambda unit: sample(tolerances, unit, seed=seed)))(units)
 
 
 def evaluate(cases: Cases, settings: Mapping[str, Any], design: Any, errors: Any, extra: Any) -> Any:
@@ -155,10 +153,6 @@ def measure_model(cases: Cases, *, seed: int, seconds: float = 0.3) -> Model:
         reference=names[reference],
         levels=levels,
     )
-
-
-def _load() -> list[float]:
-    return list(os.getloadavg()) if hasattr(os, "getloadavg") else []
 
 
 def _cast(tree: Any, precision: str) -> Any:

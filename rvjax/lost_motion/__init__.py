@@ -9,7 +9,7 @@ Source: Liu et al. 2022, Mech. Sci. 13, 855, doi 10.5194/ms-13-855-2022 (RV-20E)
 give 1.757 arcmin. `reading="as_printed"` keeps the slips and returns 0.5487 arcmin; 0.5467 itself comes
 back only with a `normal_force` through an inertia calibrated to that end, and then needs a pressure angle
 of cosine 1.019. The rise with tilt in its Table 10 is explained by none of its equations: at a given force
-tilt and centre shift move the total by less than 6e-5 arcmin. `empirical_normal_force` is a fit to that table.
+tilt and centre shift move the total by less than 6e-5 arcmin. `published.rv20e` has a fit to that table.
 
 Three levels of flank play. Measured on 100,000 units of the RV-20E, errors uniform in the bands of Table 9,
 K1 derived from eccentricity, pins and pin circle; one busy core, float64:
@@ -32,14 +32,13 @@ Not modelled: elasticity, carrier bearings, centre-distance play of the involute
 """
 
 from rvjax.lost_motion.loop import LoopFigures, hysteresis_loop, loop_figures
-from rvjax.lost_motion.reducer import LostMotion, empirical_normal_force, geometric, shaft_tilt
+from rvjax.lost_motion.reducer import LostMotion, geometric, shaft_tilt
 from rvjax.lost_motion.terms import LostMotionTerms
 
 __all__ = [
     "LoopFigures",
     "LostMotion",
     "LostMotionTerms",
-    "empirical_normal_force",
     "geometric",
     "hysteresis_loop",
     "loop_figures",

@@ -156,25 +156,6 @@ def shaft_tilt(deflection: Scalar, length: Scalar) -> jax.Array:
     return jnp.where(possible, tilt, jnp.nan)
 
 
-@jax.jit
-def empirical_normal_force(output_torque: Scalar) -> jax.Array:
-    """Normal force that makes "as_printed" return the tilted rows of Table 10 of Liu et al. 2022: a fit.
-
-    Not a prediction: each printed total implies its own force through Eq. 11, and a straight line goes through
-    these six. Totals come back within 0.001 arcmin (0.0015 arcmin for a row left out of the fit). The row without
-    torque does not lie on the line (0.048 arcmin off). For the RV-20E with the errors of Table 9 only.
-
-    Args:
-        output_torque: at the output, () N m, 50 to 200.
-
-    Returns:
-        Force, () N; NaN outside the range of the fit.
-    """
-    torque = promote(output_torque)
-    inside = (torque >= 50) & (torque <= 200)
-    return jnp.where(inside, 1.5081 + 0.2373 * torque / 200, jnp.nan)
-
-
 def _check_methods(design: RVReducer, reading: str, profile: str, normal_force: Scalar | None) -> None:
     if reading not in READINGS:
         raise ValueError(f"reading = {reading!r}: must be one of {', '.join(READINGS)}")

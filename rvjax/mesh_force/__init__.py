@@ -7,24 +7,15 @@ roller and the windup for one unit at one angle.
 Source: Wei et al. 2021, Chin. J. Mech. Eng. 34:84.
 """
 
-from rvjax.mesh_force.cycle import (
-    CALIBRATED_TORQUE,
-    PUBLISHED_STUDIES,
-    CycleStatistics,
-    cycle_angles,
-    cycle_statistics,
-    sweep,
-)
+from rvjax.mesh_force.cycle import CycleStatistics, cycle_angles, cycle_statistics, sweep
 from rvjax.mesh_force.equilibrium import MeshForces, solve
 from rvjax.mesh_force.geometry import ToothProfile, largest_roller_radius, tooth_profile, undercut_margin
 from rvjax.mesh_force.loads import ContactPressure, contact_pressure, load_sharing, mesh_stiffness
 
 __all__ = [
-    "CALIBRATED_TORQUE",
     "ContactPressure",
     "CycleStatistics",
     "MeshForces",
-    "PUBLISHED_STUDIES",
     "ToothProfile",
     "contact_pressure",
     "cycle_angles",

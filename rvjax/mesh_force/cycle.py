@@ -8,9 +8,7 @@ Source: Wei et al. 2021, Chin. J. Mech. Eng. 34:84, section 4, Figs. 11-16.
 """
 
 import math
-from collections.abc import Mapping
 from functools import partial
-from types import MappingProxyType
 
 import jax
 import jax.numpy as jnp
@@ -23,22 +21,6 @@ from rvjax.mesh_force.equilibrium import MeshForces, solve
 from rvjax.mesh_force.loads import contact_pressure
 from rvjax.records import Array, PyTree, Record, Scalar, field, promote, record
 from rvjax.status import SolveInfo, worst_of
-from rvjax.units import mm, um
-
-CALIBRATED_TORQUE = 109.56418376586802
-"""Crank torque in N m at which the mean cam force of the CORR is the published 1735 N; itself not published."""
-
-PUBLISHED_STUDIES: Mapping[str, tuple[str, float, float]] = MappingProxyType(
-    {
-        "11": ("eccentricity", 2.5 * mm, 4.0 * mm),
-        "12": ("roller_radius", 7.0 * mm, 20.0 * mm),
-        "13": ("cam_radius", 125.0 * mm, 170.0 * mm),
-        "14": ("errors.cam_radius", -20.0 * um, 20.0 * um),
-        "15": ("errors.eccentricity", -10.0 * um, 50.0 * um),
-        "16": ("errors.roller_radius", -20.0 * um, 20.0 * um),
-    }
-)
-"""Figure of Wei et al. 2021: what it varies, from where to where; beyond 10.05 mm Fig. 12 has no tooth flank."""
 
 
 @record

@@ -24,14 +24,12 @@ def reducer(design: RVReducer, *, crank_angle: float = np.pi / 4, axes: Axes | N
     pitch = 2 * np.pi / cycloid.pin_count
     angle = pitch * round(crank_angle / pitch)  # where the disc meshes as it does at zero
     for pin in pitch * np.arange(cycloid.pin_count):
-        axes.add_patch(
-            Circle(
-                tuple(cycloid.pin_circle_radius / mm * _unit(pin)), cycloid.pin_radius / mm, fc="0.85", ec=GREY, lw=0.8
-            )
-        )
+        middle = tuple(cycloid.pin_circle_radius / mm * _unit(pin))
+        axes.add_patch(Circle(middle, cycloid.pin_radius / mm, fc="0.85", ec=GREY, lw=0.8))
     centre = cycloid.eccentricity * _unit(angle)
     axes.plot(*(_turn(_disc(design), angle).T + centre[:, None]) / mm, color=AFTER, lw=1.6, label="disc 0")
-    for k, place in enumerate(_places(design)):
+    for k in range(cranks.count):  # crank 0 on the negative x axis, the others counter-clockwise
+        place = cranks.circle_radius * _unit(np.pi + 2 * np.pi * k / cranks.count)
         axes.add_patch(Circle(tuple(place / mm), 0.14 * cranks.circle_radius / mm, fc="white", ec=GREY, lw=1.2))
         bore = place + centre
         axes.add_patch(Circle(tuple(bore / mm), 0.2 * cranks.circle_radius / mm, fill=False, ec=AFTER, lw=1.2))
@@ -43,7 +41,8 @@ def reducer(design: RVReducer, *, crank_angle: float = np.pi / 4, axes: Axes | N
     for text, end, shift in (("x", (reach, 0), (2, -10)), ("y", (0, reach), (-12, 0))):
         axes.annotate("", end, (0, 0), arrowprops=dict(arrowstyle="-|>", color="black", lw=1.2))
         axes.annotate(text, end, xytext=shift, textcoords="offset points", va="center")
-    _sense(axes, 0.3 * cycloid.pin_circle_radius / mm, 20, 115)
+    arc = np.array([_unit(a) for a in np.radians(np.linspace(20, 115, 40))])
+    _sense(axes, 0.3 * cycloid.pin_circle_radius / mm * arc, 1.2)
     axes.annotate("+", 0.34 * cycloid.pin_circle_radius / mm * _unit(np.radians(70)), fontsize=14, ha="center")
     axes.set_aspect("equal")
     axes.set(xlabel="x (mm)", ylabel="y (mm)", title="Second stage along its axis; angles counter-clockwise")
@@ -96,8 +95,7 @@ def linkage(design: RVReducer, *, crank_angle: float = np.pi / 3, axes: Axes | N
         side = "right" if shift[0] < 0 else "left"
         axes.annotate(text, place, xytext=shift, textcoords="offset points", ha=side, fontsize=9)
     turn = 0.28 * half * np.array([_unit(a) for a in np.linspace(0, crank_angle, 30)]) + ends[0]
-    axes.plot(*turn.T, color="black", lw=1.0)
-    axes.annotate("", turn[-1], turn[-3], arrowprops=dict(arrowstyle="-|>", color="black", lw=1.0))
+    _sense(axes, turn, 1.0)
     title = "A disc on two cranks (eccentricity far too long)\n"
     title += "transmission error > 0: carrier counter-clockwise against the disc"
     axes.set_aspect("equal")
@@ -118,12 +116,6 @@ def _turn(points: np.ndarray, angle: float) -> np.ndarray:
     return points @ np.array([[c, s], [-s, c]])
 
 
-def _places(design: RVReducer) -> list[np.ndarray]:
-    """Axes of the cranks in the carrier: crank 0 on the negative x axis, the others counter-clockwise."""
-    count = design.cranks.count
-    return [design.cranks.circle_radius * _unit(np.pi + 2 * np.pi * k / count) for k in range(count)]
-
-
 def _disc(design: RVReducer) -> np.ndarray:
     """Flank of a disc about its own centre, m (n, 2): parallel curve of a shortened epitrochoid."""
     c, t = design.cycloid, np.linspace(0, 2 * np.pi, 60 * design.cycloid.pin_count)
@@ -135,7 +127,6 @@ def _disc(design: RVReducer) -> np.ndarray:
     return (path + c.pin_radius * np.stack([-slope[1], slope[0]]) / np.hypot(*slope)).T
 
 
-def _sense(axes: Axes, radius: float, start: float, end: float) -> None:
-    arc = radius * np.array([_unit(a) for a in np.radians(np.linspace(start, end, 40))])
-    axes.plot(*arc.T, color="black", lw=1.2)
-    axes.annotate("", arc[-1], arc[-3], arrowprops=dict(arrowstyle="-|>", color="black", lw=1.2))
+def _sense(axes: Axes, arc: np.ndarray, width: float) -> None:
+    axes.plot(*arc.T, color="black", lw=width)
+    axes.annotate("", arc[-1], arc[-3], arrowprops=dict(arrowstyle="-|>", color="black", lw=width))

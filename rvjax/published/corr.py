@@ -4,8 +4,9 @@ The crank torque is not published; it is set so that the mean cam force of Table
 forces are weak evidence and changes are the stronger one. Linear contacts: the exact ones differ by 2e-5.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import cache, partial
+from types import MappingProxyType
 from typing import Any
 
 import jax
@@ -15,35 +16,47 @@ import numpy as np
 from rvjax import mesh_force
 from rvjax.catalogue import CORR
 from rvjax.errors import CamRollerErrors
+from rvjax.published.ledger import figures
 from rvjax.units import mm, um
 
-TORQUE = 109.56  # N m, [method.corr_cycle] of the ledger, as the next one
+CALIBRATED_TORQUE = 109.56418376586802
+"""Crank torque in N m at which the mean cam force of the CORR is the published 1735 N; itself not published."""
+
+PUBLISHED_STUDIES: Mapping[str, tuple[str, float, float]] = MappingProxyType(
+    {
+        "11": ("eccentricity", 2.5 * mm, 4.0 * mm),
+        "12": ("roller_radius", 7.0 * mm, 20.0 * mm),
+        "13": ("cam_radius", 125.0 * mm, 170.0 * mm),
+        "14": ("errors.cam_radius", -20.0 * um, 20.0 * um),
+        "15": ("errors.eccentricity", -10.0 * um, 50.0 * um),
+        "16": ("errors.roller_radius", -20.0 * um, 20.0 * um),
+    }
+)
+"""Figure of Wei et al. 2021: what it varies, from where to where; beyond 10.05 mm Fig. 12 has no tooth flank."""
+
+TORQUE = round(CALIBRATED_TORQUE, 2)  # [method.corr_cycle] of the ledger, as the next one
 SAMPLES = 40
 Z, N, E, R, LINK = CORR.gear_teeth, CORR.gear_teeth + 1, CORR.eccentricity, CORR.roller_radius, 0.143
 
 # What is varied and the values at which a figure asks for forces; the first two are the ends of its range.
-VALUES = {
-    "eccentricity": (2.5 * mm, 4.0 * mm),  # Fig. 11
-    "roller_radius": (7.0 * mm, 10.0 * mm),  # Fig. 12, which goes on to 20 mm: no flank beyond 10.05 mm
-    "cam_radius": (125.0 * mm, 170.0 * mm),  # Fig. 13
-    "errors.cam_radius": (-20 * um, 20 * um, 0.0, 2 * um),  # Fig. 14
-    "errors.eccentricity": (-10 * um, 50 * um, 0.0, 10 * um, 20 * um),  # Fig. 15
-    "errors.roller_radius": (-20 * um, 20 * um, 0.0),  # Fig. 16
-}
+VALUES: dict[str, tuple[float, ...]] = {name: (first, last) for name, first, last in PUBLISHED_STUDIES.values()}
+VALUES["roller_radius"] = (7.0 * mm, 10.0 * mm)  # no flank beyond 10.05 mm
+VALUES["errors.cam_radius"] += (0.0, 2 * um)
+VALUES["errors.eccentricity"] += (0.0, 10 * um, 20 * um)
+VALUES["errors.roller_radius"] += (0.0,)
 UNITS = [(parameter, value) for parameter, values in VALUES.items() for value in values]
-
-
-def _unit(parameter: str, value: float) -> tuple[Any, CamRollerErrors]:
-    name = parameter.removeprefix("errors.")
-    if name == parameter:
-        return CORR.replace(**{name: value}), CamRollerErrors()
-    return CORR, CamRollerErrors().replace(**{name: value})
 
 
 @cache
 def _cycles() -> mesh_force.CycleStatistics:
     """Statistics of all units of the figures, in one program."""
-    stacked = jax.tree.map(lambda *leaves: jnp.asarray(leaves), *(_unit(*unit) for unit in UNITS))
+    units = []
+    for parameter, value in UNITS:
+        name = parameter.removeprefix("errors.")
+        of_errors = name != parameter
+        design = CORR if of_errors else CORR.replace(**{name: value})
+        units.append((design, CamRollerErrors(**{name: value} if of_errors else {})))
+    stacked = jax.tree.map(lambda *leaves: jnp.asarray(leaves), *units)
     run = partial(mesh_force.cycle_statistics, input_torque=TORQUE, contact="linear", samples=SAMPLES)
     return jax.device_get(jax.jit(jax.vmap(lambda unit: run(*unit)))(stacked))
 
@@ -52,13 +65,13 @@ def _at(name: str, parameter: str, value: float) -> float:
     return float(getattr(_cycles(), name)[UNITS.index((parameter, value))])
 
 
-def _ends(parameter: str, *names: str) -> list[float]:
-    """Each statistic at the first end of the range, then at the second."""
-    return [_at(name, parameter, value) for value in VALUES[parameter][:2] for name in names]
+def _ends(parameter: str, name: str) -> list[float]:
+    return [_at(name, parameter, value) for value in VALUES[parameter][:2]]
 
 
-def _end(end: int, parameter: str, *names: str) -> list[float]:
-    return [_at(name, parameter, VALUES[parameter][end]) for name in names]
+def _at_end(end: int, parameter: str, *names: str) -> float | list[float]:
+    found = [_at(name, parameter, VALUES[parameter][end]) for name in names]
+    return found if len(names) > 1 else found[0]
 
 
 def _change(parameter: str, name: str) -> float:
@@ -141,19 +154,10 @@ def _moment_arm() -> bool:
     return bool(np.allclose(E * np.sin(psi + gamma), s * np.sin(gamma), atol=1e-15))
 
 
-def _loaded() -> np.ndarray:
-    return np.asarray(_cycle()[1].cam) > 0
-
-
 def _fixed_index_set() -> bool:
     """The rollers loaded at an angle are those loaded half a tooth later."""
     solve = partial(mesh_force.solve, CORR, CamRollerErrors(), input_torque=TORQUE, contact="linear")
     return bool(((solve(output_angle=0.001).cam > 0) == (solve(output_angle=0.001 + np.pi / Z).cam > 0)).all())
-
-
-def _printed_approach() -> bool:
-    """Eq. 11 with the roller length in the radical of the half-width vanishes without force."""
-    return bool(abs(R - np.sqrt(R**2 - (CORR.roller_length / 2) ** 2)) < 1e-9)
 
 
 def _printed_cage_projection() -> bool:
@@ -190,16 +194,12 @@ def _centre_circle_change() -> float:
 
 
 _eccentricity, _cam = partial(_change, "eccentricity"), partial(_change, "cam_radius")
-_cam_error, _throw_error = partial(_change, "errors.cam_radius"), partial(_change, "errors.eccentricity")
-_roller_error = partial(_change, "errors.roller_radius")
 
 COMPUTED: dict[str, Callable[[], Any]] = {
-    "corr.abstract.eccentricity_change": lambda: _eccentricity("cam_mean"),
     "corr.abstract.roller_radius_change": _centre_circle_change,
-    "corr.abstract.cam_radius_change": lambda: _cam("cage_mean"),
     "corr.abstract.errors_fluctuate": _errors_fluctuate,
-    "corr.intro.half_of_teeth": lambda: float(np.median(_loaded().sum(1))),
-    "corr.sec2.at_most_half_loaded": lambda: bool((_loaded().sum(1) <= N // 2).all()),
+    "corr.intro.half_of_teeth": lambda: float(np.median((_cycle()[1].cam > 0).sum(1))),
+    "corr.sec2.at_most_half_loaded": lambda: bool(((_cycle()[1].cam > 0).sum(1) <= N // 2).all()),
     "corr.sec2.constant_ratio": _flank_repeats,
     "corr.table1.ratio": lambda: float(N),
     "corr.eq3.profile_normal": _profile_normal,
@@ -207,7 +207,8 @@ COMPUTED: dict[str, Callable[[], Any]] = {
     "corr.eq6_eq7.centre_circle": _centre_circle,
     "corr.eq8.moment_arm": _moment_arm,
     "corr.eq8.index_set": _fixed_index_set,
-    "corr.eq11.approach": _printed_approach,
+    # Eq. 11 with the roller length in the radical of the half-width vanishes without force?
+    "corr.eq11.approach": lambda: abs(R - np.sqrt(R**2 - (CORR.roller_length / 2) ** 2)) < 1e-9,
     "corr.eq14.cage_projection": _printed_cage_projection,
     "corr.eq15.gear_projection": _gear_projection,
     "corr.eq16.windup": _printed_windup,
@@ -215,24 +216,13 @@ COMPUTED: dict[str, Callable[[], Any]] = {
         _at("cam_mean", "errors.cam_radius", 2 * um) < _at("cam_mean", "errors.cam_radius", 0.0)
     ),
     "corr.fig11.eccentricity_strong": lambda: abs(_eccentricity("cam_mean")) > 10,
-    "corr.fig11.peak_start": partial(_end, 0, "eccentricity", "cam_peak", "gear_peak"),
-    "corr.fig11.peak_end": partial(_end, 1, "eccentricity", "cam_peak", "gear_peak"),
-    "corr.fig11.peak_change": lambda: _eccentricity("cam_peak"),
-    "corr.fig11.mean_start": lambda: _end(0, "eccentricity", "cam_mean")[0],
-    "corr.fig11.mean_end": lambda: _end(1, "eccentricity", "cam_mean")[0],
-    "corr.fig11.mean_change": lambda: _eccentricity("cam_mean"),
     "corr.fig11.cage_mean_unchanged": lambda: abs(_eccentricity("cage_mean")) < 1,
     "corr.fig11.cage_p2p_unchanged": lambda: abs(_eccentricity("cage_peak_to_peak")) < 1,
     "corr.fig12.little_effect": lambda: all(
         abs(_change("roller_radius", name)) < 2 for name in ("cam_mean", "gear_mean")
     ),
     "corr.fig12.range": lambda: float(mesh_force.largest_roller_radius(CORR)) / mm,
-    "corr.fig12.cam_mean_start": lambda: _end(0, "roller_radius", "cam_mean")[0],
-    "corr.fig12.gear_mean_start": lambda: _end(0, "roller_radius", "gear_mean")[0],
-    "corr.fig12.cage_mean_start": lambda: _end(0, "roller_radius", "cage_mean")[0],
     "corr.fig12.cage_mean_change": _centre_circle_change,
-    "corr.fig12.peak_start": partial(_end, 0, "roller_radius", "cam_peak", "gear_peak"),
-    "corr.fig12.cage_p2p_start": lambda: _end(0, "roller_radius", "cage_peak_to_peak")[0],
     "corr.fig13.smaller_than_eccentricity": lambda: abs(_cam("cam_mean")) < abs(_eccentricity("cam_mean")),
     "corr.fig15.huge_effect": lambda: (
         _at("cam_peak", "errors.eccentricity", 50 * um) > 2 * _at("cam_peak", "errors.eccentricity", 0.0)
@@ -242,36 +232,22 @@ COMPUTED: dict[str, Callable[[], Any]] = {
         _at("cam_peak", "errors.eccentricity", -10 * um) <= _at("cam_peak", "errors.eccentricity", 0.0)
     ),
     "corr.fig16.strongest": _strongest,
-    "corr.fig16.peak": partial(_ends, "errors.roller_radius", "cam_peak"),
-    "corr.fig16.peak_change": lambda: _roller_error("cam_peak"),
     "corr.fig16.cage_p2p_small": partial(_changes_little, "errors.roller_radius", 0.5, "cage_peak_to_peak"),
-    "corr.conclusion.eccentricity_mean": lambda: _eccentricity("cam_mean"),
-    "corr.conclusion.eccentricity_peak": lambda: _eccentricity("cam_peak"),
     "corr.conclusion.eccentricity_cage_little": lambda: abs(_eccentricity("cage_mean")) < 1,
     "corr.conclusion.radii_small_on_cam_gear": lambda: abs(_cam("cam_mean")) < 2 and abs(_cam("cage_mean")) > 20,
     "corr.conclusion.roller_cage_mean": _centre_circle_change,
-    "corr.conclusion.cam_cage_mean": lambda: _cam("cage_mean"),
-    "corr.conclusion.cam_cage_p2p": lambda: _cam("cage_peak_to_peak"),
     "corr.conclusion.smoother_less_force": lambda: _cam("cam_peak") < 0,
-    "corr.conclusion.cam_error_means": lambda: _cam_error("cam_mean"),
-    "corr.conclusion.cam_error_peaks": lambda: _cam_error("cam_peak"),
-    "corr.conclusion.installation_cage_mean": lambda: _throw_error("cage_mean"),
-    "corr.conclusion.installation_cage_p2p": lambda: _throw_error("cage_peak_to_peak"),
-    "corr.conclusion.roller_error_cam_mean": lambda: _roller_error("cam_mean"),
-    "corr.conclusion.roller_error_gear_mean": lambda: _roller_error("gear_mean"),
-    "corr.conclusion.roller_error_cage_mean": lambda: _roller_error("cage_mean"),
-    "corr.conclusion.roller_error_peak": lambda: _roller_error("cam_peak"),
 }
 
-# Figures 13 to 16 print a pair of values and their change of each of these statistics.
-_ALL = ("cam_mean", "cam_peak", "gear_mean", "gear_peak", "cage_mean", "cage_peak_to_peak")
-for _figure, _parameter, _names in (
-    ("fig13", "cam_radius", _ALL),
-    ("fig14", "errors.cam_radius", _ALL),
-    ("fig15", "errors.eccentricity", ("cage_mean", "cage_peak_to_peak")),
-    ("fig16", "errors.roller_radius", ("cam_mean", "gear_mean", "cage_mean")),
-):
-    for _name in _names:
-        _id = f"corr.{_figure}.{_name.replace('peak_to_peak', 'p2p')}"
-        COMPUTED[_id] = partial(_ends, _parameter, _name)
-        COMPUTED[f"{_id}_change"] = partial(_change, _parameter, _name)
+# `compute` of a figure: one of these, what varies, and of which statistic.
+_FORMS: dict[str, Callable[..., Any]] = {
+    "change": _change,
+    "ends": _ends,
+    "first": partial(_at_end, 0),
+    "last": partial(_at_end, 1),
+}
+COMPUTED |= {
+    figure["id"]: partial(_FORMS[figure["compute"][0]], *figure["compute"][1:])
+    for figure in figures("corr")
+    if "compute" in figure
+}

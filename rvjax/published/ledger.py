@@ -6,6 +6,7 @@ One TOML file per source. Fields of a `[[figure]]`:
     where, claim     place in the source, the figure or statement in own words
     value, unit      as printed; true for a statement that is either right or wrong (unit "bool")
     inputs           what to set to obtain our_value
+    compute          where several figures are formed alike: how, and of what, as the module of the source says
     our_value        what the right model gives, in `our_unit` where present, else `unit`
     tolerance        absolute tolerance on our_value, element by element
     rounding         half the last printed digit

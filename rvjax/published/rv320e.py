@@ -6,7 +6,7 @@ force arm of the discs held.
 """
 
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import jax
@@ -24,14 +24,14 @@ RATED = 1000 * rpm
 LUMPED = dynamics.lump(RV_320E)
 STAGES = ("planetary", "cycloid")
 MEASURED, CALCULATED = (148.95, 387.88, 681.47), (154.56, 396.09, 697.16)  # Table 3, Hz
+ERRORS = [100 * (c / m - 1) for c, m in zip(CALCULATED, MEASURED)]
+FROM_TEETH = InvoluteStage.from_teeth(15, 69, module=1.5 * mm, pressure_angle=20 * deg)
 TOO_SMALL = 1e-9  # a relative derivative that is zero to rounding
 
 
-def _with(name: str, value: Any, design: Any = LUMPED) -> Any:
+def _with(name: str, value: Any) -> Any:
     part, _, field = name.rpartition(".")
-    if not part:
-        return design.replace(**{field: value})
-    return design.replace(**{part: getattr(design, part).replace(**{field: value})})
+    return LUMPED.replace(**{part: getattr(LUMPED, part).replace(**{field: value})} if part else {field: value})
 
 
 @cache
@@ -46,25 +46,24 @@ def _distinct(kind: str | None = None) -> np.ndarray:
     return frequency[np.append(True, np.diff(frequency) > 1e-6 * frequency[1:])]
 
 
-MOVED = (
-    "eccentricity",
-    "stiffness.sun_support",
-    "stiffness.sun_torsion",
-    "inertia.sun_mass",
-    "inertia.sun_inertia",
-)
+SUN = {  # field: harmonic and output whose sensitivity is plotted over its values
+    "stiffness.sun_support": (1, "output.x", np.geomspace(0.5e7, 1e9, 200)),
+    "stiffness.sun_torsion": (4, "output.rotation", np.geomspace(2e3, 1e6, 200)),
+    "inertia.sun_mass": (1, "output.x", np.linspace(0.3, 3.0, 200)),
+    "inertia.sun_inertia": (4, "output.rotation", np.linspace(1e-4, 1.2e-3, 200)),
+}
 
 
 @cache
 def _slopes() -> dict[str, np.ndarray]:
-    """Change of all natural frequencies for a relative change of each field of MOVED."""
+    """Change of all natural frequencies for a relative change of the eccentricity and of each field of SUN."""
     slopes = jax.jit(jax.jacfwd(lambda d: dynamics.modes(dynamics.with_deviations(LUMPED, d)).frequency))
-    return {name: np.asarray(slope) for name, slope in slopes(dict.fromkeys(MOVED, 0.0)).items()}
+    return {name: np.asarray(slope) for name, slope in slopes(dict.fromkeys(("eccentricity", *SUN), 0.0)).items()}
 
 
-def _slope_signs(name: str, kind: str, below: float = 2500.0) -> np.ndarray:
+def _slope_signs(name: str, kind: str) -> np.ndarray:
     found = _modes()
-    return np.sign(_slopes()[name][(found.kind == kind) & (np.asarray(found.frequency) < below)])
+    return np.sign(_slopes()[name][(found.kind == kind) & (np.asarray(found.frequency) < 2500)])
 
 
 @cache
@@ -75,17 +74,15 @@ def _row(label: str) -> np.ndarray:
 
 
 def _still(kind: str, *labels: str) -> bool:
-    return bool(max(np.abs(_row(label)[_modes().kind == kind]).max() for label in labels) < 1e-9)
+    return max(np.abs(_row(label)[_modes().kind == kind]).max() for label in labels) < 1e-9
 
 
 def _alike(kind: str, part: str, count: int) -> bool:
     own = _modes().kind == kind
-    return bool(
-        all(
-            np.allclose(_row(f"{part}{i}.{axis}")[own], _row(f"{part}1.{axis}")[own], atol=1e-9)
-            for i in range(2, count + 1)
-            for axis in ("x", "y", "rotation")
-        )
+    return all(
+        np.allclose(_row(f"{part}{i}.{axis}")[own], _row(f"{part}1.{axis}")[own], atol=1e-9)
+        for i in range(2, count + 1)
+        for axis in ("x", "y", "rotation")
     )
 
 
@@ -100,28 +97,30 @@ def _amplitude(stage: str) -> np.ndarray:
 
 
 @cache
-def _logs(stage: str, formula: str = "total") -> dict[str, np.ndarray]:
+def _logs(formula: str = "total") -> dict[str, np.ndarray]:
+    """Of the harmonics of the planetary stage."""
     found = dynamics.log_sensitivities(
-        LUMPED, sun_speed=RATED, output_torque=TORQUE, stage=stage, outputs=OUTPUTS, formula=formula
+        LUMPED, sun_speed=RATED, output_torque=TORQUE, stage="planetary", outputs=OUTPUTS, formula=formula
     )
     return {name: np.asarray(value) for name, value in found.items()}
 
 
+def _slope(name: str, value: Any, speed: Any, output: str, size: Callable[[jax.Array], jax.Array]) -> jax.Array:
+    """|d size(|B|)/dxi| of nine harmonics of an output by one field, planetary stage, total derivative."""
+
+    def amplitude(v: Any) -> jax.Array:
+        found = dynamics.response(_with(name, v), sun_speed=speed, output_torque=TORQUE, outputs=(output,))
+        return size(jnp.abs(found.amplitude[:, 0]))
+
+    return jnp.abs(jax.jvp(amplitude, (value,), (jnp.ones_like(value),))[1])
+
+
 @cache
-def _curve(name: str, harmonic: int, output: str) -> Callable[..., np.ndarray]:
-    """|d|B|/dxi| over values of a field and speeds, planetary stage."""
-
-    def slope(value: Any, speed: Any) -> Any:
-        def amplitude(v: Any) -> Any:
-            found = dynamics.response(
-                _with(name, v), sun_speed=speed, output_torque=TORQUE, harmonics=harmonic, outputs=(output,)
-            )
-            return jnp.abs(found.amplitude[harmonic - 1, 0])
-
-        return jnp.abs(jax.jvp(amplitude, (value,), (jnp.ones_like(value),))[1])
-
-    run = jax.jit(jax.vmap(slope))
-    return lambda values, speed: np.asarray(run(jnp.asarray(values), jnp.full(len(values), speed * rpm)))
+def _sun(name: str, speed: float = 1000.0) -> np.ndarray:
+    """Sensitivity of one harmonic over the values of a field of the sun, at a speed in r/min."""
+    harmonic, output, values = SUN[name]
+    run = jax.jit(jax.vmap(lambda v, w: _slope(name, v, w, output, lambda b: b[harmonic - 1])))
+    return np.asarray(run(jnp.asarray(values), jnp.full(len(values), speed * rpm)))
 
 
 def _falls(values: np.ndarray) -> bool:
@@ -132,27 +131,11 @@ def _rises(values: np.ndarray) -> bool:
     return bool(np.all(np.diff(values) > 0))
 
 
-def _sun_support(speed: float) -> np.ndarray:
-    return _curve("stiffness.sun_support", 1, "output.x")(np.geomspace(0.5e7, 1e9, 200), speed)
-
-
-def _sun_torsion() -> np.ndarray:
-    return _curve("stiffness.sun_torsion", 4, "output.rotation")(np.geomspace(2e3, 1e6, 200), 1000)
-
-
-def _sun_mass(speed: float) -> np.ndarray:
-    return _curve("inertia.sun_mass", 1, "output.x")(np.linspace(0.3, 3.0, 200), speed)
-
-
-def _sun_inertia() -> np.ndarray:
-    return _curve("inertia.sun_inertia", 4, "output.rotation")(np.linspace(1e-4, 1.2e-3, 200), 1000)
-
-
-def _raw(stage: str, name: str, harmonic: int, column: int) -> float:
-    """|d|B|/dxi| at rated speed."""
+def _raw(name: str, harmonic: int, column: int) -> float:
+    """|d|B|/dxi| at rated speed, planetary stage."""
     part, _, field = name.rpartition(".")
     value = getattr(getattr(LUMPED, part), field)
-    return abs(_logs(stage)[name][harmonic - 1, column].real) * _amplitude(stage)[harmonic - 1, column] / value
+    return abs(_logs()[name][harmonic - 1, column].real) * _amplitude("planetary")[harmonic - 1, column] / value
 
 
 SPEEDS = np.arange(500, 2501, 250)
@@ -161,17 +144,8 @@ ECCENTRICITIES = np.linspace(1e-3, 4e-3, 121)
 
 @cache
 def _eccentricity_curves(output: str) -> np.ndarray:
-    """|d(norm of nine harmonics)/de| (speeds, eccentricities), planetary stage, total derivative, force arm held."""
-
-    def slope(e: Any, speed: Any) -> Any:
-        def size(v: Any) -> Any:
-            found = dynamics.response(
-                _with("eccentricity", v), sun_speed=speed, output_torque=TORQUE, outputs=(output,)
-            )
-            return jnp.sqrt(jnp.sum(jnp.abs(found.amplitude) ** 2))
-
-        return jnp.abs(jax.jvp(size, (e,), (jnp.ones_like(e),))[1])
-
+    """|d(norm of nine harmonics)/de| (speeds, eccentricities), force arm held."""
+    slope = lambda e, speed: _slope("eccentricity", e, speed, output, lambda b: jnp.sqrt(jnp.sum(b**2)))  # noqa: E731
     run = jax.jit(jax.vmap(jax.vmap(slope, in_axes=(0, None)), in_axes=(None, 0)))
     return np.asarray(run(jnp.asarray(ECCENTRICITIES), jnp.asarray(SPEEDS * rpm)))
 
@@ -221,52 +195,32 @@ def _planetary_with_mesh() -> float:
     return float(np.sum(np.abs(along[own]) > 1e-6))
 
 
-def _diagonal(design: RVReducer, first: int) -> list[float]:
-    return np.diag(np.asarray(dynamics.assemble(design).stiffness))[first : first + 3].tolist()
+def _stiffness(design: RVReducer = RV_320E) -> np.ndarray:
+    return np.asarray(dynamics.assemble(design).stiffness)
 
 
 def _held_output() -> bool:
     stiffness: Any = RV_320E.stiffness
     held = RV_320E.replace(stiffness=stiffness.replace(output_support=1e8))
-    ours = np.asarray(dynamics.assemble(held).stiffness)[-3:, -3:]
-    return bool(np.allclose(ours, printed_stiffness(held)[-3:, -3:], rtol=1e-9))
-
-
-def _crank_disc_sign() -> bool:
-    """Entry (1, 2) of a crank-disc block with sin(psi) != 0: crank 2, disc 1."""
-    ours = np.asarray(dynamics.assemble(RV_320E).stiffness)[18, 28]
-    return bool(np.isclose(ours, printed_stiffness(RV_320E)[18, 28]))
-
-
-def _frames() -> bool:
-    """True if the block of a planet depended on its angle."""
-    matrix = np.asarray(dynamics.assemble(RV_320E).stiffness)
-    return not np.allclose(matrix[3:6, 3:6], matrix[6:9, 6:9], rtol=1e-9, atol=1.0)
-
-
-def _from_teeth() -> InvoluteStage:
-    return InvoluteStage.from_teeth(15, 69, module=1.5 * mm, pressure_angle=20 * deg)
-
-
-def _errors() -> list[float]:
-    return [100 * (c / m - 1) for c, m in zip(CALCULATED, MEASURED)]
+    return np.allclose(_stiffness(held)[-3:, -3:], printed_stiffness(held)[-3:, -3:], rtol=1e-9)
 
 
 def _zero(name: str, harmonics: tuple[int, ...], column: int) -> bool:
     """No sensitivity of the planetary stage's harmonics to a field."""
-    return bool(np.abs(_logs("planetary")[name][np.array(harmonics) - 1, column]).max() < TOO_SMALL)
+    return np.abs(_logs()[name][np.array(harmonics) - 1, column]).max() < TOO_SMALL
 
 
 COMPUTED: dict[str, Callable[[], Any]] = {
     "rv320e.sec2.dof": lambda: float(len(dynamics.assemble(RV_320E).labels)),
-    "rv320e.sec2.frames": _frames,
+    # Would a planet's block depend on its angle?
+    "rv320e.sec2.frames": lambda: not np.allclose(_stiffness()[3:6, 3:6], _stiffness()[6:9, 6:9], rtol=1e-9, atol=1.0),
     "rv320e.table1.base_radii": lambda: [
-        _from_teeth().sun_base_radius / mm,
-        _from_teeth().planet_base_radius / mm,
+        FROM_TEETH.sun_base_radius / mm,
+        FROM_TEETH.planet_base_radius / mm,
         RV_320E.cycloid.eccentricity * 39 / mm,
     ],
     "rv320e.table1.crank_radius": lambda: RV_320E.cycloid.eccentricity / mm,
-    "rv320e.table1.carrier_radius": lambda: _from_teeth().centre_distance / mm,
+    "rv320e.table1.carrier_radius": lambda: FROM_TEETH.centre_distance / mm,
     "rv320e.sec3_2.three_types": lambda: (
         _kinds(4, 3) == {"rotational": 11, "translational": 22, "planetary": 6}
         and np.allclose(np.diff(np.asarray(_modes().frequency)[_modes().kind == "translational"])[::2], 0, atol=1e-6)
@@ -281,23 +235,19 @@ COMPUTED: dict[str, Callable[[], Any]] = {
     "rv320e.eq11.translational_form": lambda: _still("translational", "sun.rotation", "output.rotation"),
     "rv320e.eq12.planetary_form": lambda: _alike("planetary", "planet", 4),
     "rv320e.conclusion.harmonics_suppressed": _suppressed,
-    "rv320e.fig3.translation_source": lambda: bool(
-        _amplitude("planetary")[:, 0].max() > _amplitude("cycloid")[:, 0].max()
-    ),
+    "rv320e.fig3.translation_source": lambda: _amplitude("planetary")[:, 0].max() > _amplitude("cycloid")[:, 0].max(),
     "rv320e.fig3.rotation_source": lambda: all(_amplitude(stage)[:, 2].max() > 1e-9 for stage in STAGES),
     "rv320e.fig4a.translational_peaks": lambda: float(np.sum(_distinct("translational") < 2500)),
     "rv320e.fig4a.odd_harmonics": lambda: np.array_equal(
         _amplitude("planetary")[:5, 0] > 0, [True, False, True, False, True]
     ),
     "rv320e.fig4a.others_absent": lambda: bool(np.all(_amplitude("planetary")[1::2, :2] == 0)),
-    "rv320e.fig4b.rotational_only": lambda: bool(
+    "rv320e.fig4b.rotational_only": lambda: (
         np.all(_amplitude("planetary")[:3, 2] == 0) and np.all(_amplitude("cycloid")[:2, 2] == 0)
     ),
     "rv320e.fig4c.planetary_peaks": _planetary_with_mesh,
-    "rv320e.eq14.constant_forcing": lambda: bool(
-        np.isclose(
-            _logs("planetary")["eccentricity"][0, 0], _logs("planetary", "constant_forcing")["eccentricity"][0, 0]
-        )
+    "rv320e.eq14.constant_forcing": lambda: np.isclose(
+        _logs()["eccentricity"][0, 0], _logs("constant_forcing")["eccentricity"][0, 0]
     ),
     "rv320e.sec4_1.rotational_support": lambda: _zero("stiffness.sun_support", (4, 8), 2),
     "rv320e.sec4_2.translational_torsion": lambda: _zero("stiffness.sun_torsion", (1, 3, 5, 7, 9), 0),
@@ -307,55 +257,51 @@ COMPUTED: dict[str, Callable[[], Any]] = {
     "rv320e.fig5a.support": lambda: bool(np.all(_slope_signs("stiffness.sun_support", "translational")[:4] > 0)),
     "rv320e.fig5a.two_curves": lambda: float(np.sum(_distinct("translational") < 2500)),
     "rv320e.fig5b.torsion": lambda: bool(np.all(_slope_signs("stiffness.sun_torsion", "rotational") > 0)),
-    "rv320e.fig6a.decreasing_1000": lambda: _falls(_sun_support(1000)),
-    "rv320e.fig6a.decreasing_2000": lambda: _falls(_sun_support(2000)),
-    "rv320e.fig6b.decreasing": lambda: _falls(_sun_torsion()),
-    "rv320e.fig7.resonances_fall": lambda: bool(
+    "rv320e.fig6a.decreasing_1000": lambda: _falls(_sun("stiffness.sun_support")),
+    "rv320e.fig6a.decreasing_2000": lambda: _falls(_sun("stiffness.sun_support", 2000.0)),
+    "rv320e.fig6b.decreasing": lambda: _falls(_sun("stiffness.sun_torsion")),
+    "rv320e.fig7.resonances_fall": lambda: (
         np.all(_slope_signs("inertia.sun_mass", "translational") < 0)
         and np.all(_slope_signs("inertia.sun_inertia", "rotational") < 0)
     ),
-    "rv320e.fig7a.mass_over_stiffness": lambda: bool(
-        _raw("planetary", "inertia.sun_mass", 1, 0) > _raw("planetary", "stiffness.sun_support", 1, 0)
+    "rv320e.fig7a.mass_over_stiffness": lambda: _raw("inertia.sun_mass", 1, 0) > _raw("stiffness.sun_support", 1, 0),
+    "rv320e.fig7b.torsion_over_inertia": lambda: (
+        _raw("stiffness.sun_torsion", 4, 2) > _raw("inertia.sun_inertia", 4, 2)
     ),
-    "rv320e.fig7b.torsion_over_inertia": lambda: bool(
-        _raw("planetary", "stiffness.sun_torsion", 4, 2) > _raw("planetary", "inertia.sun_inertia", 4, 2)
+    "rv320e.fig8a.mass_rises": lambda: all(_rises(_sun("inertia.sun_mass", speed)) for speed in (1000.0, 1250.0)),
+    "rv320e.fig8a.speed_influence": lambda: (
+        np.diff((_sun("inertia.sun_mass", 1250.0) - _sun("inertia.sun_mass"))[[0, -1]])[0] > 0
     ),
-    "rv320e.fig8a.mass_rises": lambda: _rises(_sun_mass(1000)) and _rises(_sun_mass(1250)),
-    "rv320e.fig8a.speed_influence": lambda: bool(
-        (_sun_mass(1250) - _sun_mass(1000))[-1] > (_sun_mass(1250) - _sun_mass(1000))[0]
+    "rv320e.fig8b.inertia_rises": lambda: _rises(_sun("inertia.sun_inertia")),
+    "rv320e.fig9.both_affected": lambda: (
+        abs(_logs()["eccentricity"][0, 0]) > TOO_SMALL and abs(_logs()["eccentricity"][3, 2]) > TOO_SMALL
     ),
-    "rv320e.fig8b.inertia_rises": lambda: _rises(_sun_inertia()),
-    "rv320e.fig9.both_affected": lambda: bool(
-        abs(_logs("planetary")["eccentricity"][0, 0]) > TOO_SMALL
-        and abs(_logs("planetary")["eccentricity"][3, 2]) > TOO_SMALL
-    ),
-    "rv320e.fig9.resonances_rise": lambda: bool(
-        all(np.all(_slope_signs("eccentricity", kind) > 0) for kind in ("rotational", "translational"))
+    "rv320e.fig9.resonances_rise": lambda: all(
+        np.all(_slope_signs("eccentricity", kind) > 0) for kind in ("rotational", "translational")
     ),
     "rv320e.fig10a.translation": lambda: _always(_falls_then_rises, "output.x"),
     "rv320e.fig10b.rotation": lambda: _always(_rises, "output.rotation"),
     "rv320e.fig10b.speed": lambda: _faster_at_higher_speed("output.rotation"),
-    "rv320e.abstract.output_sensitive": lambda: bool(abs(_logs("planetary")["eccentricity"][0, 0].real) > 1),
+    "rv320e.abstract.output_sensitive": lambda: bool(abs(_logs()["eccentricity"][0, 0].real) > 1),
     "rv320e.abstract.translation": lambda: _always(_falls_then_rises, "output.x"),
     "rv320e.abstract.rotation": lambda: _always(_rises, "output.rotation"),
-    "rv320e.sec5.stiffness_low": lambda: bool(_sun_support(1000)[0] > _sun_support(1000)[-1]),
-    "rv320e.sec5.inertia_large": lambda: bool(_sun_mass(1000)[-1] > _sun_mass(1000)[0]),
+    "rv320e.sec5.stiffness_low": lambda: _sun("stiffness.sun_support")[0] > _sun("stiffness.sun_support")[-1],
+    "rv320e.sec5.inertia_large": lambda: _sun("inertia.sun_mass")[-1] > _sun("inertia.sun_mass")[0],
     "rv320e.conclusion.eccentricity_both": lambda: (
         _always(_falls_then_rises, "output.x") and _always(_rises, "output.rotation")
     ),
     "rv320e.conclusion.higher_speed": lambda: (
         _faster_at_higher_speed("output.rotation") and _faster_at_higher_speed("output.x")
     ),
-    "rv320e.table3.row1_model": lambda: float(_distinct()[0]),
-    "rv320e.table3.row2_model": lambda: float(_distinct()[1]),
-    "rv320e.table3.row3_model": lambda: float(_distinct()[2]),
-    "rv320e.table3.row1_error": lambda: _errors()[0],
-    "rv320e.table3.row2_error": lambda: _errors()[1],
-    "rv320e.table3.row3_error": lambda: _errors()[2],
-    "rv320e.table3.within_four_percent": lambda: max(_errors()) < 4,
-    "rv320e.appendix.crank_block": lambda: _diagonal(RV_320E, 15),
-    "rv320e.appendix.disc_block": lambda: _diagonal(RV_320E, 27),
-    "rv320e.appendix.output_block": lambda: _diagonal(RV_320E, 36),
+    "rv320e.table3.row1_model": lambda: _distinct()[0],
+    "rv320e.table3.row2_model": lambda: _distinct()[1],
+    "rv320e.table3.row3_model": lambda: _distinct()[2],
+    **{f"rv320e.table3.row{row}_error": partial(float, error) for row, error in enumerate(ERRORS, 1)},
+    "rv320e.table3.within_four_percent": lambda: max(ERRORS) < 4,
+    "rv320e.appendix.crank_block": lambda: np.diag(_stiffness())[15:18],
+    "rv320e.appendix.disc_block": lambda: np.diag(_stiffness())[27:30],
+    "rv320e.appendix.output_block": lambda: np.diag(_stiffness())[36:39],
     "rv320e.appendix.output_support": _held_output,
-    "rv320e.appendix.crank_disc_sign": _crank_disc_sign,
+    # Entry (1, 2) of a crank-disc block with sin(psi) != 0: crank 2, disc 1.
+    "rv320e.appendix.crank_disc_sign": lambda: np.isclose(_stiffness()[18, 28], printed_stiffness(RV_320E)[18, 28]),
 }

@@ -30,20 +30,17 @@ ELASTIC_TABLE_2_3 = 0.029 * mm
 ELASTIC_OUTPUT = 0.0929 * mm
 
 
+def _coupler_angle(deviations: LinkDeviations, **options: Any) -> jax.Array:
+    """Without options: of free cranks at a right angle."""
+    chosen: dict[str, Any] = dict(crank_angle=RIGHT_ANGLE, cranks="free") | options
+    return solve_closure(ECCENTRICITY, SPACING, deviations, **chosen).coupler_angle
+
+
 @cache
 def _kernel(closure: str, branch: str) -> Callable[..., jax.Array]:
     def angle(links: jax.Array, crank_angle: jax.Array) -> jax.Array:
         deviations = LinkDeviations(crank_1=links[0], coupler=links[1], crank_3=links[2], frame=links[3])
-        solved = solve_closure(
-            ECCENTRICITY,
-            SPACING,
-            deviations,
-            crank_angle=crank_angle,
-            cranks="free",
-            closure=closure,
-            branch=branch,
-        )
-        return jnp.abs(solved.coupler_angle)
+        return jnp.abs(_coupler_angle(deviations, crank_angle=crank_angle, closure=closure, branch=branch))
 
     return jax.jit(jax.vmap(angle, in_axes=(0, None)))
 
@@ -65,16 +62,25 @@ def _range(values: np.ndarray) -> list[float]:
 SWEEP = np.linspace(-BAND, BAND, 2001)
 
 
-def _both_cranks(solve: Callable[..., np.ndarray], elastic: float = 0.0) -> np.ndarray:
-    return solve(crank_1=SWEEP + elastic, crank_3=SWEEP + elastic)
+# Links that one error changes, and the elastic lengthening.
+PARTS: dict[str, tuple[tuple[str, ...], float]] = {
+    "crank": (("crank_1", "crank_3"), ELASTIC_CRANK),
+    "cycloid_bore": (("coupler",), ELASTIC_CRANK),
+    "output_bore": (("frame",), ELASTIC_OUTPUT),
+}
 
 
-def _coupler(solve: Callable[..., np.ndarray], elastic: float = 0.0) -> np.ndarray:
-    return solve(crank_1=elastic, coupler=SWEEP, crank_3=elastic)
+def _lengthened(elastic: float, solve: Callable[..., np.ndarray], **errors: Any) -> np.ndarray:
+    return solve(**errors | {crank: errors.get(crank, 0.0) + elastic for crank in ("crank_1", "crank_3")})
 
 
-def _frame(solve: Callable[..., np.ndarray], elastic: float = 0.0) -> np.ndarray:
-    return solve(crank_1=elastic, crank_3=elastic, frame=SWEEP)
+def _swept(part: str, elastic: bool = False, solve: Callable[..., np.ndarray] = printed) -> np.ndarray:
+    links, lengthening = PARTS[part]
+    return _lengthened(lengthening if elastic else 0.0, solve, **dict.fromkeys(links, SWEEP))
+
+
+def _part_range(part: str, elastic: bool = False, solve: Callable[..., np.ndarray] = printed) -> list[float]:
+    return _range(_swept(part, elastic, solve))
 
 
 # Tables 2 to 4: two errors, each -0.1, 0, +0.1 mm, the first one slowest; and the elastic lengthening.
@@ -88,10 +94,8 @@ TABLES: dict[str, tuple[str, str, float]] = {
 def _grid(table: str, points: int, elastic: bool, solve: Callable[..., np.ndarray] = printed) -> np.ndarray:
     first, second, lengthening = TABLES[table]
     steps = np.linspace(-BAND, BAND, points)
-    errors: dict[str, Any] = {first: np.repeat(steps, points), second: np.tile(steps, points)}
-    for crank in ("crank_1", "crank_3"):
-        errors[crank] = errors.get(crank, 0.0) + (lengthening if elastic else 0.0)
-    return solve(**errors)
+    errors = {first: np.repeat(steps, points), second: np.tile(steps, points)}
+    return _lengthened(lengthening if elastic else 0.0, solve, **errors)
 
 
 def _row(table: str, row: int, solve: Callable[..., np.ndarray] = printed) -> list[float]:
@@ -117,41 +121,22 @@ def _quadratic_is_the_closure() -> bool:
     return bool(np.all(np.abs(a * angle**2 + b * angle + c - exact) <= SPACING**2 * (np.abs(angle) ** 3 + rounding)))
 
 
-def _parallelogram() -> bool:
-    angles = np.arange(5, 360, 7.0) * deg  # off the dead points
-    return all(float(right(crank_angle=angle)[0]) == 0.0 for angle in angles)
-
-
-def _small_angle_error() -> float:
-    exact, quadratic = right(crank_1=BAND), right(crank_1=BAND, closure="quadratic")
-    return float(abs(quadratic / exact - 1)[0])
-
-
-def _locked(crank_angle: Any) -> jax.Array:
-    return solve_closure(ECCENTRICITY, SPACING, LinkDeviations(crank_3=10 * um), crank_angle=crank_angle).coupler_angle
-
-
 def _largest_at_right_angle() -> bool:
-    angles = np.arange(0, 181, 15) * deg
-    return int(np.argmax(np.abs(jax.jit(jax.vmap(_locked))(angles)))) == 6
+    def locked(crank_angle: jax.Array) -> jax.Array:
+        return _coupler_angle(LinkDeviations(crank_3=10 * um), crank_angle=crank_angle, cranks="phase_locked")
+
+    return int(np.argmax(np.abs(jax.jit(jax.vmap(locked))(np.arange(0, 181, 15) * deg)))) == 6
 
 
 def _equal_cranks_help() -> bool:
-    def error(cranks: str) -> float:
-        deviations = LinkDeviations(crank_1=-20 * um, crank_3=-20 * um)
-        solved = solve_closure(
-            ECCENTRICITY, SPACING, deviations, crank_angle=RIGHT_ANGLE, cranks=cranks, closure="closed_form"
-        )
-        return abs(float(solved.coupler_angle))
-
-    return error("free") < 0 or error("phase_locked") < 0  # the error-free linkage gives exactly 0
+    equal = LinkDeviations(crank_1=-20 * um, crank_3=-20 * um)
+    angles = (_coupler_angle(equal, cranks=cranks, closure="closed_form") for cranks in ("free", "phase_locked"))
+    return any(abs(angle) < 0 for angle in angles)  # the error-free linkage gives exactly 0
 
 
 def _derivative(name: str, **options: str) -> float:
     def angle(value: jax.Array) -> jax.Array:
-        deviations = LinkDeviations(**{name: value})
-        choice: dict[str, Any] = dict(cranks="free", closure="closed_form") | options
-        return solve_closure(ECCENTRICITY, SPACING, deviations, crank_angle=RIGHT_ANGLE, **choice).coupler_angle
+        return _coupler_angle(LinkDeviations(**{name: value}), **dict(closure="closed_form") | options)
 
     return float(jax.jit(jax.grad(angle))(0.0))
 
@@ -165,8 +150,7 @@ def _ranking() -> bool:
 
 def _clearance_matters() -> bool:
     def pair(shift: jax.Array) -> jax.Array:  # both joints move across the frame, in opposite senses
-        deviations = LinkDeviations(joint=(0.0, 2 * shift))
-        return solve_closure(ECCENTRICITY, SPACING, deviations, crank_angle=RIGHT_ANGLE, cranks="free").coupler_angle
+        return _coupler_angle(LinkDeviations(joint=(0.0, 2 * shift)))
 
     return abs(float(jax.jit(jax.grad(pair))(0.0))) > abs(_derivative("crank_1"))
 
@@ -186,48 +170,39 @@ def _not_additive() -> bool:
 def _saddle() -> bool:
     def angle(links: jax.Array) -> jax.Array:
         deviations = LinkDeviations(coupler=links[0], frame=links[1])
-        choice: dict[str, Any] = dict(cranks="free", closure="quadratic", branch="crossed")
-        return -solve_closure(ECCENTRICITY, SPACING, deviations, crank_angle=RIGHT_ANGLE, **choice).coupler_angle
+        return -_coupler_angle(deviations, closure="quadratic", branch="crossed")
 
     return bool(np.linalg.det(jax.jit(jax.hessian(angle))(jnp.zeros(2))) < 0)
 
 
 def _frame_maximum_inside() -> bool:
-    values = _frame(printed)
+    values = _swept("output_bore")
     return bool(values[-1] < values[0] < values.max() and -0.05 * mm < SWEEP[np.argmax(values)] < -0.04 * mm)
 
 
-def _misalignment_percent() -> float:
-    aligned, turned = printed()[0], printed(crank_angle=RIGHT_ANGLE + 0.01)[0]
-    return 100 * abs(turned / aligned - 1)
-
-
 COMPUTED: dict[str, Callable[[], Any]] = {
-    "rv40e.crank.rigid_range": lambda: _range(_both_cranks(printed)),
-    "rv40e.crank.elastic_range": lambda: _range(_both_cranks(printed, ELASTIC_CRANK)),
-    "rv40e.cycloid_bore.rigid_range": lambda: _range(_coupler(printed)),
-    "rv40e.cycloid_bore.elastic_range": lambda: _range(_coupler(printed, ELASTIC_CRANK)),
-    "rv40e.output_bore.rigid_range": lambda: _range(_frame(printed)),
-    "rv40e.output_bore.elastic_range": lambda: _range(_frame(printed, ELASTIC_OUTPUT)),
+    **{f"rv40e.{part}.rigid_range": partial(_part_range, part) for part in PARTS},
+    **{f"rv40e.{part}.elastic_range": partial(_part_range, part, True) for part in PARTS},
     **{f"rv40e.{table}.row{row}": partial(_row, table, row) for table in TABLES for row in range(1, 10)},
     "rv40e.table4.rigid_range": lambda: _range(_grid("table4", 11, False)),
     "rv40e.table4.elastic_range": lambda: _range(_grid("table4", 11, True)),
     "rv40e.table2.elastic_margin": partial(_margin, "table2"),
     "rv40e.table3.elastic_margin": partial(_margin, "table3"),
     "rv40e.zero_error.rigid": lambda: printed()[0],
-    "rv40e.model.parallelogram": _parallelogram,
+    "rv40e.model.parallelogram": lambda: all(
+        right(crank_angle=angle)[0] == 0.0
+        for angle in np.arange(5, 360, 7.0) * deg  # off the dead points
+    ),
     "rv40e.intro.one_arcmin": lambda: 0.0361 * deg / arcmin,
     "rv40e.model.coefficients": _quadratic_is_the_closure,
-    "rv40e.model.small_angle": lambda: _small_angle_error() < 1e-6,
+    "rv40e.model.small_angle": lambda: (
+        abs(right(crank_1=BAND, closure="quadratic") / right(crank_1=BAND) - 1)[0] < 1e-6
+    ),
     "rv40e.model.critical_angle": _largest_at_right_angle,
-    "rv40e.crank.elastic_larger": lambda: bool(
-        np.all(_both_cranks(printed, ELASTIC_CRANK) > _both_cranks(printed)),
-    ),
-    "rv40e.crank.minimum_negative": lambda: bool(SWEEP[np.argmin(_both_cranks(printed))] < 0),
+    "rv40e.crank.elastic_larger": lambda: np.all(_swept("crank", True) > _swept("crank")),
+    "rv40e.crank.minimum_negative": lambda: SWEEP[np.argmin(_swept("crank"))] < 0,
     "rv40e.crank.guideline": _equal_cranks_help,
-    "rv40e.cycloid_bore.falls_both_sides": lambda: bool(
-        max(printed(coupler=np.array([-BAND, BAND]))) < printed()[0],
-    ),
+    "rv40e.cycloid_bore.falls_both_sides": lambda: max(printed(coupler=np.array([-BAND, BAND]))) < printed()[0],
     "rv40e.cycloid_bore.tolerance_loose": lambda: abs(_derivative("coupler")) < 1e-12 * abs(_derivative("crank_1")),
     "rv40e.output_bore.positive_better": _frame_maximum_inside,
     "rv40e.output_bore.guideline": lambda: bool(right(frame=20 * um)[0] < right()[0]),
@@ -240,13 +215,11 @@ COMPUTED: dict[str, Callable[[], Any]] = {
     "rv40e.clearance.amplifies": _loaded_clearance,
     "rv40e.sensitivity.ranking": _ranking,
     "rv40e.sensitivity.clearance": _clearance_matters,
-    "rv40e.assembly.misalignment": _misalignment_percent,
+    "rv40e.assembly.misalignment": lambda: 100 * abs(printed(crank_angle=RIGHT_ANGLE + 0.01)[0] / printed()[0] - 1),
 }
 
 RIGHT: dict[str, Callable[[], Any]] = {
-    "rv40e.crank.rigid_range": lambda: _range(_both_cranks(right)),
-    "rv40e.cycloid_bore.rigid_range": lambda: _range(_coupler(right)),
-    "rv40e.output_bore.rigid_range": lambda: _range(_frame(right)),
+    **{f"rv40e.{part}.rigid_range": partial(_part_range, part, solve=right) for part in PARTS},
     **{f"rv40e.{table}.row{row}": partial(_row, table, row, right) for table in TABLES for row in range(1, 10)},
     "rv40e.table4.rigid_range": lambda: _range(_grid("table4", 11, False, right)),
     "rv40e.zero_error.rigid": lambda: right()[0],

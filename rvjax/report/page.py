@@ -36,17 +36,8 @@ def page(answer: Answer, source: str) -> str:
     drawn = {picture.name: picture for picture in pictures(answer, "svg")}
     style = (resources.files("rvjax.report") / "report.css").read_text("utf-8")
     name = escape(answer.study.name)
-    body = "\n".join(
-        [
-            _head(answer),
-            _requirements(answer, drawn),
-            _tolerances(answer, drawn),
-            _influence(answer, drawn),
-            _worst(answer, drawn),
-            _levels(answer),
-            _origin(answer, source),
-        ]
-    )
+    illustrated = (section(answer, drawn) for section in (_requirements, _tolerances, _influence, _worst))
+    body = "\n".join([_head(answer), *illustrated, _levels(answer), _origin(answer, source)])
     return (
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
@@ -81,7 +72,8 @@ def _head(answer: Answer) -> str:
         sure = "certified" if graded.status == "OPTIMAL" else graded.status
         figures.append(("cost with ISO 286 grades", f"{graded.cost:.3f}", sure))
     if (joint := certificate.joint_yield) is not None:
-        figures.append(("all requirements at once", f"{100 * joint.value:.3f} %", _interval(joint)))
+        interval = f"[{100 * joint.lower:.3f}, {100 * joint.upper:.3f}]"
+        figures.append(("all requirements at once", f"{100 * joint.value:.3f} %", interval))
     figures.append(("units certified", f"{certificate.samples:,}", f"{certificate.failed:,} failed"))
     boxes = "".join(
         f"<div><dt>{escape(a)}</dt><dd>{escape(b)}<small>{escape(c)}</small></dd></div>" for a, b, c in figures
@@ -161,10 +153,7 @@ def _worst(answer: Answer, drawn: dict[str, Picture]) -> str:
     )
     curves = _figure(drawn["curves"]) if "curves" in drawn else ""
     units = "".join(_unit(answer, unit) for unit in worst_units(answer))
-    return _section(
-        "Worst units",
-        f"{text}<div class='units'>{units}</div>{curves}",
-    )
+    return _section("Worst units", f"{text}<div class='units'>{units}</div>{curves}")
 
 
 def _unit(answer: Answer, unit: WorstUnit) -> str:
@@ -284,10 +273,6 @@ def _note(text: str) -> str:
             break
         lines.append(line.lstrip("# "))
     return " ".join(lines)
-
-
-def _interval(estimate: tables.Estimate) -> str:
-    return f"[{100 * estimate.lower:.3f}, {100 * estimate.upper:.3f}]"
 
 
 def _section(title: str, content: str) -> str:

@@ -2,7 +2,6 @@
 
 import csv
 import dataclasses
-import io
 import json
 import math
 import shutil
@@ -218,7 +217,9 @@ def write(answer: Answer, folder: Path) -> None:
             ("influence", influence_rows),
             ("requirements", requirement_rows),
         ):
-            (scratch / f"{name}.csv").write_text(_csv(*rows(answer)), "utf-8")
+            headers, cells = rows(answer)
+            with (scratch / f"{name}.csv").open("w", encoding="utf-8", newline="") as file:
+                csv.writer(file, lineterminator="\n").writerows([headers, *cells])
         for picture in pictures(answer):
             (scratch / f"{picture.name}.png").write_bytes(picture.content)
         scratch.chmod(0o755)  # mkdtemp makes it private
@@ -258,9 +259,7 @@ def as_json(answer: Answer) -> dict[str, Any]:
         "shortfall": allocation.shortfall,
         "certificate": plain(allocation.certificate),
         "certificate_before": plain(answer.certificate_before),
-        "graded": plain({"status": allocation.graded.status, "cost": allocation.graded.cost})
-        if allocation.graded
-        else None,
+        "graded": plain({"status": graded.status, "cost": graded.cost}) if graded else None,
         "cost_curve": answer.cost_curve,
     }
 
@@ -279,18 +278,5 @@ def plain(value: Any) -> Any:
 
 
 def _limits(tolerance: Any) -> dict[str, Any]:
-    return {
-        "lower": float(tolerance.lower),
-        "upper": float(tolerance.upper),
-        "distribution": tolerance.distribution,
-        "cp": float(tolerance.cp),
-        "shift": float(tolerance.shift),
-    }
-
-
-def _csv(headers: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(headers)
-    writer.writerows(rows)
-    return text.getvalue()
+    lower, upper, cp, shift = (float(getattr(tolerance, name)) for name in ("lower", "upper", "cp", "shift"))
+    return {"lower": lower, "upper": upper, "distribution": tolerance.distribution, "cp": cp, "shift": shift}

@@ -1,7 +1,6 @@
 """The worst units of a sample: which they are, what they do, and the errors that make them so."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import jax
 import numpy as np
@@ -55,11 +54,7 @@ def worst_units(answer: Answer) -> list[WorstUnit]:
             requirement=name,
             status=status,
             values={other: float(side.values[other][index]) for other in study.requirements},
-            errors={field: _elements(drawn, field, k) for field in study.fields},
+            errors={f: np.atleast_1d(np.asarray(getattr(drawn, f))[k]).ravel() for f in study.fields},
         )
         for k, (index, name, status) in enumerate(found)
     ]
-
-
-def _elements(drawn: Any, field: str, unit: int) -> np.ndarray:
-    return np.atleast_1d(np.asarray(getattr(drawn, field))[unit]).ravel()

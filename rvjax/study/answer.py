@@ -81,7 +81,7 @@ def answer(study: Study, *, progress: bool = False) -> Answer:
         samples=study.samples,
         seed=study.seed,
         certificate_samples=study.certificate_samples,
-        grades=any(tolerance.size is not None for tolerance in _given(study)),
+        grades=any(getattr(study.tolerances, name).size is not None for name in study.fields),
         progress=progress,
     )
     certificate = allocation.certificate
@@ -102,10 +102,6 @@ def answer(study: Study, *, progress: bool = False) -> Answer:
         after=_side(study, response, allocation.tolerances),
         cost_curve=_cost_curve(study, response, allocation.tolerances) if allocation.feasible else [],
     )
-
-
-def _given(study: Study) -> list[Any]:
-    return [getattr(study.tolerances, name) for name in study.fields]
 
 
 def _side(study: Study, response: Callable[[Any], Any], tolerances: Any) -> Side:

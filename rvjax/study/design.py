@@ -1,10 +1,10 @@
 """The design of a study: a published one with changes, or every number of a kind of design."""
 
 import dataclasses
-import typing
 from typing import Any
 
 from rvjax import catalogue, models
+from rvjax.catalogue import part_class
 from rvjax.designs import InvoluteStage
 from rvjax.study.values import choice, known, naming_field, quantity
 
@@ -64,7 +64,7 @@ def _values(cls: Any, table: Any, where: str, base: Any) -> dict[str, Any]:
         metadata, name = fields[key].metadata, f"{where}.{key}"
         own = getattr(base, key, None)
         if metadata["kind"] == "record":
-            values[key] = _made(_part(cls, key), value, name) if own is None else _changed(own, value, name)
+            values[key] = _made(part_class(cls, key), value, name) if own is None else _changed(own, value, name)
         elif metadata["kind"] == "count":
             if isinstance(value, int) and value > metadata["maximum"]:
                 raise ValueError(f"{name} = {value}: must be at most {metadata['maximum']}")
@@ -78,9 +78,3 @@ def _values(cls: Any, table: Any, where: str, base: Any) -> dict[str, Any]:
 
 def _number(value: Any, unit: str, where: str) -> Any:
     return [_number(item, unit, where) for item in value] if isinstance(value, list) else quantity(value, unit, where)
-
-
-def _part(cls: Any, name: str) -> Any:
-    """The class of a field that is a record."""
-    hint = typing.get_type_hints(cls)[name]
-    return next(item for item in (*typing.get_args(hint), hint) if item is not type(None))
