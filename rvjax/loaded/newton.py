@@ -192,7 +192,7 @@ def _advance(
     done = usable & small & ~cold
     lower = usable & (value < state.lowest)
     slope = jnp.where(usable, jnp.sum(state.step * g, axis=0), jnp.inf)
-    flat = jnp.abs(slope) <= 0.5 * jnp.abs(state.descent)
+    flat = jnp.abs(slope) <= 0.1 * jnp.abs(state.descent)
     exhausted = state.stall >= _PATIENCE + _SEARCHES
     better = ~cold & jnp.where(state.searching, (flat & (lower | (slope <= 0))) | exhausted, lower)
     first = jnp.where(state.stall == 0, slope, state.first)
@@ -215,7 +215,7 @@ def _advance(
     line = line._replace(share=line.lower + (line.upper - line.lower) * secant)
 
     failed = jnp.isinf(state.lowest) & ~usable & ~cold
-    steps = state.found.steps + (~(done | cold)).astype(jnp.int32)
+    steps = state.found.steps + (~(done | cold | state.searching)).astype(jnp.int32)
     goes_on = live & ~done & ~failed & (steps < MAX_STEPS)
     ended = jnp.where(done[None], q + newton, jnp.where(failed[None], 0, best))
     found = Found(
