@@ -138,6 +138,7 @@ def _iterate(layout: Layout, s: System, state: _State, leave: jax.Array) -> _Sta
     """Steps of all open lanes until no more than `leave` are open."""
     lanes = state.q.shape[-1]
     eps = float(jnp.finfo(state.q.dtype).eps)
+    tolerance = max(1e-13, 32 * eps)  # of the largest force
     stiffest = _most(s.arm_stiffness, s.mesh_stiffness, s.seat_stiffness)
     widest = _most(s.gap, s.gear_gap, s.arm, s.seat)
     # The linear start: a slope for the mean force of the working pins, half of all, with the mean of their levers.
@@ -169,7 +170,7 @@ def _iterate(layout: Layout, s: System, state: _State, leave: jax.Array) -> _Sta
         size = _most(at.pins, at.gear, at.arm.force, at.seat.force)
         miss = _most(g)
         rounding = stiffest * jnp.maximum(widest, _most(q))
-        small = miss <= jnp.maximum(450 * eps * size, 2 * eps * rounding)
+        small = miss <= jnp.maximum(tolerance * size, 2 * eps * rounding)
         return _advance(state, newton, g, value, miss, size, small, fine, over & ~cold)
 
     return jax.lax.while_loop(lambda state: jnp.sum(state.open, dtype=leave.dtype) > leave, body, state)
