@@ -78,8 +78,8 @@ def test_a_failed_lane_disturbs_no_neighbour():
 
 
 def test_single_precision():
-    """The aim for loaded cases: error 1e-4 relative + 1e-8 rad, forces 1e-3 of the largest. A few ill-conditioned units of
-    a hundred miss it, by up to the rounding of their gaps times a condition of 1e4: 5e-4."""
+    """The aim for loaded cases: error 1e-4 relative + 1e-8 rad, forces 1e-3 of the largest. A few ill-conditioned units
+    of a hundred miss it, by up to the rounding of their gaps times a condition of 1e4: 5e-4."""
     errors = sampled(300)
     double = solve_units(errors, RATED)
     single = solve_units(jax.tree.map(lambda leaf: leaf.astype(jnp.float32), errors), jnp.float32(RATED))
