@@ -138,6 +138,7 @@ def _iterate(layout: Layout, s: System, state: _State, leave: jax.Array) -> _Sta
     """Steps of all open lanes until no more than `leave` are open."""
     lanes = state.q.shape[-1]
     eps = float(jnp.finfo(state.q.dtype).eps)
+    tolerance = max(1e-13, 32 * eps)  # of the largest force
     stiffest = _most(s.arm_stiffness, s.mesh_stiffness, s.seat_stiffness)
     widest = _most(s.gap, s.gear_gap, s.arm, s.seat)
     # The linear start: a slope for the mean force of the working pins, half of all, with the mean of their levers.
@@ -169,7 +170,7 @@ def _iterate(layout: Layout, s: System, state: _State, leave: jax.Array) -> _Sta
         size = _most(at.pins, at.gear, at.arm.force, at.seat.force)
         miss = _most(g)
         rounding = stiffest * jnp.maximum(widest, _most(q))
-        small = miss <= jnp.maximum(450 * eps * size, 2 * eps * rounding)
+        small = miss <= jnp.maximum(tolerance * size, 2 * eps * rounding)
         return _advance(state, newton, g, value, miss, size, small, fine, over & ~cold)
 
     return jax.lax.while_loop(lambda state: jnp.sum(state.open, dtype=leave.dtype) > leave, body, state)
@@ -192,7 +193,7 @@ def _advance(
     done = usable & small & ~cold
     lower = usable & (value < state.lowest)
     slope = jnp.where(usable, jnp.sum(state.step * g, axis=0), jnp.inf)
-    flat = jnp.abs(slope) <= 0.5 * jnp.abs(state.descent)
+    flat = jnp.abs(slope) <= 0.1 * jnp.abs(state.descent)
     exhausted = state.stall >= _PATIENCE + _SEARCHES
     better = ~cold & jnp.where(state.searching, (flat & (lower | (slope <= 0))) | exhausted, lower)
     first = jnp.where(state.stall == 0, slope, state.first)
@@ -215,7 +216,7 @@ def _advance(
     line = line._replace(share=line.lower + (line.upper - line.lower) * secant)
 
     failed = jnp.isinf(state.lowest) & ~usable & ~cold
-    steps = state.found.steps + (~(done | cold)).astype(jnp.int32)
+    steps = state.found.steps + (~(done | cold | state.searching)).astype(jnp.int32)
     goes_on = live & ~done & ~failed & (steps < MAX_STEPS)
     ended = jnp.where(done[None], q + newton, jnp.where(failed[None], 0, best))
     found = Found(
