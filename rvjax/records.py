@@ -58,7 +58,12 @@ def count(meaning: str, *, minimum: int = 1, maximum: int = 1_000_000) -> Any:
 
 
 def text(meaning: str, *, default: Any = dataclasses.MISSING) -> Any:
-    """Declare a static text field, such as the names of a result's columns."""
+    """Declare a static text field, such as the names of a result's columns.
+
+    Args:
+        meaning: one line.
+        default: as in dataclasses.
+    """
     return dataclasses.field(default=default, metadata=dict(unit="-", meaning=meaning, kind="text"))
 
 
@@ -141,7 +146,12 @@ def concrete(*values: Any) -> bool:
 
 
 def quantity(value: Any, unit: str) -> str:
-    """A value with its unit, for messages."""
+    """A value with its unit, for messages.
+
+    Args:
+        value: number or array.
+        unit: as text, "-" for none.
+    """
     number = f"{float(value):.6g}" if np.ndim(value) == 0 else np.array2string(np.asarray(value), precision=6)
     return number if unit == "-" else f"{number} {unit}"
 
@@ -159,12 +169,22 @@ def promote(*trees: Any) -> Any:
 
 
 def axis_sizes(shape: Shape, counts: Mapping[str, int]) -> tuple[int, ...]:
-    """Sizes of a declared shape, named axes looked up in `counts`."""
+    """Sizes of a declared shape.
+
+    Args:
+        shape: names or numbers of axes.
+        counts: sizes of the named axes.
+    """
     return tuple(axis if isinstance(axis, int) else counts[axis] for axis in shape)
 
 
 def broadcast_fields(cls: Any, counts: Mapping[str, int], values: Mapping[str, Any]) -> dict[str, Any]:
-    """Fill every traced field of `cls` to its full shape: scalars are broadcast, absent fields take the default.
+    """Fill every traced field of a record to its full shape: scalars are broadcast, absent fields take the default.
+
+    Args:
+        cls: class of the record.
+        counts: sizes of the named axes.
+        values: given fields, by name.
 
     Raises:
         ValueError: unknown field, or a shape that is neither a scalar nor the field's.

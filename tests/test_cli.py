@@ -201,7 +201,7 @@ def test_the_page_holds_the_answer_and_needs_nothing_else(written, answered):
     result = json.loads((answered[1] / "result.json").read_text())
     shown = [f"{result['cost']['after']:.3f}", "✔ met", "IT6", "±6.50 µm", "60,000", "seed", rvjax.__version__]
     shown += [
-        "no such level was measured",
+        "no level of it like this was measured",
         "first order, float64",
         "rvjax report ",
         "certificate_samples = 60_000",

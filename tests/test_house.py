@@ -135,11 +135,18 @@ def exported():
 EXPORTED = sorted({name for name in exported() if not inspect.isclass(PUBLIC[name])})
 
 
+def overrides(name):
+    """A method that a class above it describes."""
+    home, _, attribute = name.rpartition(".")
+    above = PUBLIC[home].__mro__[1:] if inspect.isclass(PUBLIC.get(home)) else ()
+    return any(attribute in vars(cls) for cls in above)
+
+
 def test_every_exported_function_of_two_parameters_tells_each():
     """The test above holds that the section names them all, in their order."""
     assert {"rvjax.four_bar.revolution.revolution", "rvjax.records.field", "rvjax.status.worst"} <= set(EXPORTED)
     assert "rvjax.errors.RVErrors.for_design" in EXPORTED  # a method of an exported record
-    several = [name for name in EXPORTED if len(parameters(PUBLIC[name])) > 1]
+    several = [name for name in EXPORTED if len(parameters(PUBLIC[name])) > 1 and not overrides(name)]
     assert [name for name in several if "\nArgs:\n" not in inspect.cleandoc(PUBLIC[name].__doc__)] == []
 
 
@@ -151,7 +158,7 @@ def test_every_record_declares_unit_and_meaning():
 
     seen = 0
     for cls in below(Record):
-        for f in dataclasses.fields(cls):
+        for f in dataclasses.fields(cls) if dataclasses.is_dataclass(cls) else ():  # an abstract base has none
             assert f.metadata["meaning"] and f.metadata["unit"], f"{cls.__name__}.{f.name}"
             seen += 1
     assert seen > 50

@@ -42,7 +42,12 @@ class Law(Record):
         LAWS[cls.name] = cls
 
     def deviate(self, tolerance: Any, z: jax.Array) -> jax.Array:
-        """Errors q(Phi(z)) from standard normal z (*shape, *batch) or, outside vectors, any shape."""
+        """Errors q(Phi(z)).
+
+        Args:
+            tolerance: whose law this is.
+            z: standard normal (*shape, *batch) or, outside vectors, any shape.
+        """
         raise NotImplementedError
 
     def moments(self, tolerance: Any) -> Moments:
@@ -54,7 +59,12 @@ class Law(Record):
         return False
 
     def scaled(self, tolerance: Any, half_width: Scalar) -> dict[str, Any]:
-        """What changes in a tolerance that gets another half-width; here its limits, about their middle."""
+        """What changes in a tolerance that gets another half-width; here its limits, about their middle.
+
+        Args:
+            tolerance: whose law this is.
+            half_width: the new one, unit of the error.
+        """
         return dict(lower=tolerance.middle - half_width, upper=tolerance.middle + half_width)
 
     def coupling(self, tolerance: Any) -> float:
@@ -65,7 +75,12 @@ class Law(Record):
         """Refuse limits or parameters that do not fit, with a ValueError; numbers may be tracers."""
 
     def check_field(self, name: str, tolerance: Any) -> None:
-        """Refuse a field that this law does not fit, once its shape is known."""
+        """Refuse a field that this law does not fit, once its shape is known.
+
+        Args:
+            name: of the field.
+            tolerance: whose law this is.
+        """
 
     @classmethod
     def parameters(cls) -> tuple[str, ...]:
