@@ -8,7 +8,7 @@ from rvjax.status import PRECEDENCE
 from rvjax.tolerances.propagation.checkpoint import versions
 from rvjax.tolerances.propagation.estimates import Estimate
 from rvjax.tolerances.propagation.order import quantile_estimate
-from rvjax.tolerances.propagation.requirements import Limits, Verdict
+from rvjax.tolerances.propagation.requirements import Limits
 from rvjax.tolerances.propagation.sampled import Sampled
 from rvjax.tolerances.propagation.tally import Tally
 
@@ -102,10 +102,7 @@ def statistics(
     }
     orders, any_units = tally.orders(), bool(tally.requirements)
     yields = {name: None if item.passed is None else item.share() for name, item in seen.items()}
-    verdicts = {}
-    for name, item in requirements.items():
-        figure = item.figure(seen[name])
-        verdicts[name] = Verdict(item.text(), item.judges, figure, item.holds(figure))
+    verdicts = {name: item.verdict(seen[name]) for name, item in requirements.items()}
     return Statistics(
         samples=int(tally.seen.sum()),
         seed=seed,

@@ -68,6 +68,10 @@ class Sampled:
 
         return self._figure(of, alone)
 
+    def failed(self) -> Estimate:
+        """The share of failed units."""
+        return self.share(self.seen - np.array([part.n for part in self.streams]))
+
     def share(self, passed: np.ndarray | None = None) -> Estimate:
         """The share of units within the limits, or of others that are counted."""
         hits = self.passed if passed is None else passed
