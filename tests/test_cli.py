@@ -127,11 +127,12 @@ def test_a_study_of_means_and_capabilities_has_a_page(here, capsys):
     run = "\n[run]\nsamples = 1024\ncertificate_samples = 20_000\n"
     key = "[tolerances.pin_radius]\n"
     text = SMALL[: SMALL.index("[requirement.")].replace(key, key + measured)
+    text = text.replace('grade = "IT6"', 'half_width = "6.5 um"').replace('size = "25 mm"\n', "")  # no grades: sooner
     (folder / "able.toml").write_text(text + asked + run)
     assert cli.main(["report", "elsewhere/able.toml", "--quiet", "--output", "able.html"]) == 0
     assert "able: OPTIMAL" in capsys.readouterr().out
     found = (here / "able.html").read_text("utf-8")
-    assert "Cpk &gt;= 1.33, &lt; 0.27 % failed" in found and "mean, &lt; 0.27 % failed" in found
+    assert "Cpk ≥ 1.33, &lt; 0.27 % failed" in found and "mean, &lt; 0.27 % failed" in found
     assert found.count("✔ met") == 2 and "Cheapest cost for each yield" not in found
 
 

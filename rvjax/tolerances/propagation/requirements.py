@@ -342,7 +342,7 @@ class CpkAtLeast(Limits):
 
     def figure(self, sampled: Sampled) -> Estimate:
         """Cpk; its error by the delta method from the covariance of mean and sd, for any law."""
-        return sampled.cpk(self.capability, self.outward)
+        return sampled.cpk(self)
 
     def holds(self, estimate: Estimate) -> bool:
         """The lower end of the interval of Cpk reaches it."""
