@@ -125,7 +125,7 @@ class Population(Record):
             [values.get(name, absent if leaf is None else leaf) for name, leaf in self._leaves.items()]
         )
 
-    def by_field(self, values: Array) -> dict[str, Any]:
+    def by_field(self, values: Array | np.ndarray) -> dict[str, Any]:
         """A vector over all active elements (n,) as arrays by field."""
         # Split, not sliced: its transpose is one concatenation, which compiles for hundreds of fields too.
         ends = np.cumsum([math.prod(t.shape) for t in self.active.values()])

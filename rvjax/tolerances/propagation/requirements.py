@@ -110,12 +110,7 @@ class Limits:
         return np.where(value < (self.lower + self.upper) / 2, -1.0, 1.0)
 
     def capability(self, mean: float, sd: float) -> tuple[float, float]:
-        """Cp and Cpk; a one-sided requirement has no Cp (nan).
-
-        Args:
-            mean: of the response, its unit.
-            sd: standard deviation, its unit.
-        """
+        """Cp and Cpk of a response with this mean and standard deviation; without two limits Cp is nan."""
         room = -self.margin(mean)
         if sd == 0:
             cp, cpk = math.inf, math.inf if room >= 0 else -math.inf
@@ -130,6 +125,15 @@ class Limits:
         if sd == 0:
             return float(self.margin(mean) <= 0)
         return float(special.ndtr((self.upper - mean) / sd) - special.ndtr((self.lower - mean) / sd))
+
+    def limited(self, value: float) -> "Limits":
+        """The same requirement with its one limit elsewhere, or two limits this far from their middle."""
+        if math.isinf(self.lower):
+            return dataclasses.replace(self, upper=value)
+        if math.isinf(self.upper):
+            return dataclasses.replace(self, lower=value)
+        middle = (self.lower + self.upper) / 2
+        return dataclasses.replace(self, lower=middle - value, upper=middle + value)
 
     def aimed(self, value: float) -> "Limits":
         """The same requirement with another goal."""

@@ -16,12 +16,12 @@ from rvjax.tolerances.propagation.requirements import Limits
 from rvjax.tolerances.propagation.responses import (
     BLOCK,
     Response,
+    by_name,
     by_response,
     evaluate,
     per_response,
     respond_units,
     response_names,
-    unwrapped,
 )
 
 _TERMS = 23  # of Hermite series
@@ -101,10 +101,10 @@ def rss(
             hessian = np.asarray(_hessian(response, population, mean, names=(name,)), float)
             found[name] = _second_order(float(value[k]), gradient, hessian, law)
     results = {name: _figures(item, required.get(name), law) for name, item in found.items()}
-    columns: dict[str, Any] = {f.name: {n: r[f.name] for n, r in results.items()} for f in dataclasses.fields(Moments)}
+    moments = by_name(Moments, results)
     if not any(item.of_units for item in required.values()):
-        columns |= dict(cpk=None, yield_=None)
-    return unwrapped(Moments(**columns))
+        moments = dataclasses.replace(moments, cpk=None, yield_=None)
+    return moments
 
 
 class _Spread:
