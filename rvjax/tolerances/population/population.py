@@ -73,10 +73,8 @@ class Population(Record):
     @functools.cached_property
     def numbers_by_field(self) -> dict[str, int]:
         """Random numbers of each active field, shared factors included where no correlation mixes the fields."""
-        shared = {
-            n: (2 if t.is_vector else 1) if t.batch and self.mixing is None else 0 for n, t in self.active.items()
-        }
-        return {name: math.prod(t.shape) + shared[name] for name, t in self.active.items()}
+        shared = lambda t: 1 + t.is_vector if t.batch and self.mixing is None else 0  # noqa: E731
+        return {name: math.prod(t.shape) + shared(t) for name, t in self.active.items()}
 
     @property
     def numbers(self) -> int:

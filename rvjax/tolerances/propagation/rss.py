@@ -186,15 +186,12 @@ class _Propagated:
 def _figures(item: _Propagated, requirement: Limits | None, law: _Spread) -> dict[str, Any]:
     shared = sum(item.variances.values())
     sd = math.sqrt(max(0.0, shared if item.total is None else item.total))
-    cpk = share_good = None
-    if requirement is not None and requirement.of_units:
-        _, cpk = requirement.capability(item.mean, sd)
-        share_good = requirement.normal_yield(item.mean, sd)
+    limits = requirement if requirement is not None and requirement.of_units else None
     return dict(
         mean=item.mean,
         sd=sd,
-        cpk=cpk,
-        yield_=share_good,
+        cpk=limits.capability(item.mean, sd)[1] if limits else None,
+        yield_=limits.normal_yield(item.mean, sd) if limits else None,
         contributions={n: v / shared if shared > 0 else 0.0 for n, v in item.variances.items()},
         sensitivities={n: v if v.shape else float(v) for n, v in law.population.by_field(item.gradient).items()},
         method=item.method,
