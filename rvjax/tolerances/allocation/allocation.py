@@ -103,7 +103,7 @@ def allocate(
         progress: show progress bars.
 
     Returns:
-        `Allocation`. A unit that fails is a reject.
+        `Allocation`. A unit that fails is a reject; beside a mean or a Cpk fewer than 0.27 % may fail, for certain.
 
     Raises:
         ValueError: no requirement, no cost, or names that do not fit.
