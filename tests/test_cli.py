@@ -24,6 +24,8 @@ import rvjax.report.worst_units
 import rvjax.study.answer
 from rvjax import cli
 from rvjax.report import page, text
+from rvjax.tolerances.propagation.estimates import Moments4
+from rvjax.tolerances.propagation.sampled import Sampled
 
 GOOD = (resources.files("rvjax.study") / "embedded" / "rv-40e.toml").read_text("utf-8")
 SMALL = GOOD.replace("angles = 64 ", "angles = 12 ").replace("samples = 16384", "samples = 1024")
@@ -116,6 +118,34 @@ def test_infeasible_requirements_are_refused_with_the_shortfall(here, capsys):
     assert "✘ No tolerances within the process ranges" in text and "✘ not met" in text
     assert re.search(r"limit of transmission error would have to move by 0\.\d+ arcmin", text)
     assert Path("results/hard").is_dir() and not Path("results/hard-2").exists()
+
+
+def test_a_study_that_asks_for_no_share_of_units_has_a_page(answers, answered, here):
+    """The small study with the means of its sample units in place of its yields; `pins.csv` lies beside the study."""
+    folder, key = here / "elsewhere", "[tolerances.pin_radius]\n"
+    folder.mkdir()
+    (folder / "pins.csv").write_text("deviation\n-1.5\n0.5\n1\n")
+    measured = 'distribution = "empirical"\nvalues = {file = "pins.csv", column = "deviation", unit = "um"}\n'
+    start = SMALL.index("[requirement.")
+    asked = SMALL[start:].replace("\nupper", "\nmean_upper").replace("target = 0.9973\n", "")
+    (folder / "able.toml").write_text(SMALL[:start].replace(key, key + measured) + asked)
+    question, old = rvjax.study.load("elsewhere/able.toml"), answers[SMALL]
+    np.testing.assert_allclose(question.tolerances.pin_radius.law.values, [-1.5e-6, 0.5e-6, 1e-6])
+
+    def judged(statistics, values):
+        seen = {n: Sampled([Moments4.of(v[~np.isnan(v)])], None, np.array([v.size]), 0.95) for n, v in values.items()}
+        verdicts = {name: item.verdict(seen[name]) for name, item in question.requirements.items()}
+        nothing = dict.fromkeys(("yield_", "ppm", "cp", "cpk", "joint_yield"))
+        return dataclasses.replace(statistics, verdicts=verdicts, **nothing)
+
+    certificate = judged(old.allocation.certificate, old.after.values)
+    allocation = dataclasses.replace(old.allocation, certificate=certificate, graded=None)
+    curve = rvjax.study.answer._cost_curve(question, question.response(), allocation)
+    before = judged(old.certificate_before, old.before.values)
+    new = dataclasses.replace(old, study=question, allocation=allocation, certificate_before=before, cost_curve=curve)
+    found = page.page(new, "elsewhere/able.toml")
+    assert curve == [] and "Cheapest cost for each yield" not in found and "✔ met" in found
+    assert found.count("mean, &lt; 0.27 % failed") == 3 == text.summary(new).count("mean, < 0.27 % failed")
 
 
 @pytest.mark.parametrize(

@@ -8,13 +8,17 @@ follow by Lagrange. Tolerances: 4 standard errors where one figure is drawn; an 
 import dataclasses
 import math
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
-from linear_pair import COSTS, PAIR, linear
+from scipy import stats
 
+from oracles.linear_pair import COSTS, PAIR, linear
+from rvjax.status import Status
 from rvjax.tolerances import (
     CpkAtLeast,
     MeanWithin,
+    Outcome,
     Requirement,
     Tolerance,
     allocate,
@@ -29,6 +33,7 @@ from rvjax.units import um
 
 LIMIT = 30 * um
 CPK = CpkAtLeast(cpk=1.33, lower=-LIMIT, upper=LIMIT)
+AT_99 = Requirement(lower=-LIMIT, upper=LIMIT, target=0.99)
 OFF = {"a": Tolerance(-10 * um, 10 * um, shift=0.3), "b": Tolerance(-10 * um, 10 * um, shift=0.2)}
 FEW = dict(costs=COSTS, samples=16384, certificate_samples=100_000)
 
@@ -42,7 +47,12 @@ def test_figures_are_those_of_the_closed_form():
             assert abs(verdict.estimate.value - exact) < 4 * verdict.estimate.error
             assert verdict.estimate.lower < exact < verdict.estimate.upper
             assert verdict.met == (requirement is not CPK)
-    assert verdict.wanted == "mean" and found.yield_ is None and found.joint_yield is None and found.cpk is None
+    assert (
+        verdict.wanted == "mean, < 0.27 % failed"
+        and found.yield_ is None
+        and found.joint_yield is None
+        and found.cpk is None
+    )
     both = monte_carlo(linear, OFF, samples=100_000, seed=3, requirements=CPK)
     assert both.yield_.value > 0.99 and both.cpk == both.verdicts.estimate.value
     assert rss(linear, OFF, requirements=CPK).cpk == pytest.approx((LIMIT - mean) / (3 * sd))
@@ -129,6 +139,42 @@ def test_refusals_say_by_how_much():
         failure_probability(linear, PAIR, MeanWithin(upper=1.0), samples=10, seed=0)
     with pytest.raises(ValueError, match="against = 'target': MeanWithin has limits only"):
         cost_curve(linear, PAIR, MeanWithin(upper=1.0), values=(0.9,), against="target", **FEW)
+
+
+def failing(share):
+    """The linear response, failed where |a| lies beyond what this share of PAIR's units exceeds."""
+    edge = -10 * um / 3 * stats.norm.ppf(share / 2)
+
+    def response(e):
+        status = jnp.where(jnp.abs(e["a"]) > edge, int(Status.NO_BRACKET), int(Status.CONVERGED))
+        return Outcome(linear(e), status)
+
+    return response, edge
+
+
+@pytest.mark.parametrize("requirement", [CpkAtLeast(cpk=0.5, upper=LIMIT), MeanWithin(upper=LIMIT)])
+def test_failed_units_are_no_way_to_meet_a_mean_or_a_capability(requirement):
+    # 0.27 % is the rule. Shares of 100 000 units have standard errors of 0.016 %: 0.2 % is below for certain, 0.35 %
+    # above; of 1000 units without any failure up to 0.38 % may fail.
+    for share, samples, met in [(0.002, 100_000, True), (0.0035, 100_000, False), (1e-9, 1000, False)]:
+        found = monte_carlo(failing(share)[0], PAIR, samples=samples, seed=5, requirements=requirement)
+        assert requirement.holds(found.verdicts.estimate) and found.verdicts.met == met
+    assert monte_carlo(failing(0.0035)[0], PAIR, samples=100_000, seed=5, requirements=AT_99).verdicts.met
+    values = np.zeros(10_000)
+    values[:27] = math.nan
+    assert requirement.learned(values, LIMIT) < 0
+    values[27] = math.nan
+    assert requirement.learned(values, LIMIT) == requirement.shortfall(values, 0.0) == math.inf
+    assert requirement.pull(values, math.inf, LIMIT, 9).units.size == 0
+    # Failures alone bound t_a: 0.27 % of the units fail at t_a = edge, and 1.96 standard errors of 100 000 less at
+    # 0.99 edge. The search feels its way to that cliff by ever smaller steps, so it may stop before.
+    response, edge = failing(0.0035)
+    found = allocate(response, PAIR, requirement, **FEW)
+    assert found.status == "OPTIMAL" and found.certificate.verdicts.met and found.certificate.failed > 0
+    assert 0.8 < found.half_widths["a"] / edge < 1.0
+    always = lambda e: Outcome(linear(e), jnp.where(e["a"] > 0, int(Status.NO_BRACKET), 0))  # noqa: E731
+    refused = allocate(always, PAIR, requirement, **FEW)
+    assert refused.status == "INFEASIBLE" and refused.shortfall == math.inf and not refused.certificate.verdicts.met
 
 
 @pytest.mark.parametrize(

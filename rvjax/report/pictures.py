@@ -72,4 +72,5 @@ def pictures(answer: Answer, form: str = "png") -> Iterator[Picture]:
 
 
 def _least_yield(statistics: Any) -> float:
-    return min(share.value for share in (statistics.yield_ or {}).values() if share is not None)
+    """Of the shares that the curve moves: a study without any has no curve."""
+    return min(verdict.estimate.value for verdict in statistics.verdicts.values() if verdict.kind == "share")

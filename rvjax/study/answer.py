@@ -54,7 +54,7 @@ class Answer:
         certificate_before: statistics of the study's own tolerances, on the certificate's random numbers.
         before: the study's own tolerances.
         after: the allocated tolerances.
-        cost_curve: (yield, cheapest cost) pairs; empty where the study is infeasible.
+        cost_curve: (yield, cheapest cost) pairs; empty where the study is infeasible or asks for no share of units.
     """
 
     study: Study
@@ -100,7 +100,7 @@ def answer(study: Study, *, progress: bool = False) -> Answer:
         certificate_before=before,
         before=_side(study, response, study.tolerances),
         after=_side(study, response, allocation.tolerances),
-        cost_curve=_cost_curve(study, response, allocation.tolerances) if allocation.feasible else [],
+        cost_curve=_cost_curve(study, response, allocation),
     )
 
 
@@ -140,12 +140,12 @@ def _curves(study: Study, tolerances: Any, seed: int) -> tuple[np.ndarray, np.nd
     return np.asarray(angles)[0], np.asarray(values)
 
 
-def _cost_curve(study: Study, response: Callable[[Any], Any], start: Any) -> list[tuple[float, float]]:
-    if not any(requirement.goal == "target" for requirement in study.requirements.values()):
-        return []  # no share of units to move
+def _cost_curve(study: Study, response: Callable[[Any], Any], found: Allocation) -> list[tuple[float, float]]:
+    if not found.feasible or all(requirement.goal != "target" for requirement in study.requirements.values()):
+        return []  # no place to start from, or no share of units to move
     curve = cost_curve(
         response,
-        start,
+        found.tolerances,
         study.requirements,
         costs=study.costs,
         values=YIELD_SWEEP,

@@ -36,7 +36,7 @@ def load(source: str) -> Study:
             raise FileNotFoundError(f"{source}: no such study file") from None
         except (OSError, UnicodeDecodeError) as error:
             raise StudyError(f"{source}: cannot be read as text ({error})") from None
-        return parse_study(text, name=path.stem)
+        return parse_study(text, name=path.stem, folder=path.parent)
     embedded = EMBEDDED / f"{source}.toml"
     if not embedded.is_file():
         raise FileNotFoundError(f"{source}: neither a .toml file nor an embedded study ({', '.join(embedded_names())})")
@@ -48,12 +48,13 @@ def embedded_names() -> list[str]:
     return sorted(Path(file.name).stem for file in EMBEDDED.iterdir() if file.name.endswith(".toml"))
 
 
-def parse_study(text: str, *, name: str) -> Study:
+def parse_study(text: str, *, name: str, folder: Path = Path()) -> Study:
     """A study from TOML text.
 
     Args:
         text: TOML.
         name: short name for messages and result folders.
+        folder: that files named in the study are relative to.
 
     Raises:
         StudyError: one line that names the key, its value and the unit.
@@ -69,7 +70,7 @@ def parse_study(text: str, *, name: str) -> Study:
                 raise ValueError(f"[{key}] is missing or empty")
         design = parse_design(subtable(tables, "design"))
         error_record = design.error_record
-        tolerances = _tolerances(design, subtable(tables, "tolerances"))
+        tolerances = _tolerances(design, subtable(tables, "tolerances"), folder)
         costs = _costs(error_record, tolerances, subtable(tables, "cost"))
         run = subtable(tables, "run")
         known(run, {"seed", "samples", "certificate_samples"}, "run")
@@ -118,23 +119,29 @@ def _condition(value: Any, about: Mapping[str, Any], where: str) -> Any:
     return found
 
 
-def _tolerances(design: Any, table: dict[str, Any]) -> Any:
+def _tolerances(design: Any, table: dict[str, Any], folder: Path) -> Any:
     fields = {f.name for f in dataclasses.fields(design.error_record)}
     known(table, fields, "tolerances")
     made = {}
     for field in table:
         where = f"tolerances.{field}"
         with naming_field(where):
-            made[field] = _tolerance(subtable(table, field), _metadata(design.error_record, field)["unit"], where)
+            unit = _metadata(design.error_record, field)["unit"]
+            made[field] = _tolerance(subtable(table, field), unit, where, folder)
     return for_design(design, **made)
 
 
-def _tolerance(table: dict[str, Any], unit: str, where: str) -> Tolerance:
+def _tolerance(table: dict[str, Any], unit: str, where: str, folder: Path = Path()) -> Tolerance:
     law = LAWS[choice(table.get("distribution", "normal"), LAWS, f"{where}.distribution")]
     known(table, {"lower", "upper", "half_width", "grade", "size", "distribution", *COMMON, *law.parameters()}, where)
     options: dict[str, Any] = {"distribution": law}
     options |= {key: quantity(table[key], "-", f"{where}.{key}") for key in COMMON if key in table}
-    options |= {key: law.parsed(key, table[key], unit) for key in law.parameters() if key in table}
+    for key in law.parameters():
+        if key in table:
+            value = table[key]
+            if isinstance(value, dict) and isinstance(value.get("file"), str):
+                value = value | {"file": str(folder / value["file"])}
+            options[key] = law.parsed(key, value, unit)
     size = quantity(table["size"], "m", f"{where}.size") if "size" in table else None
     ways = [{"lower", "upper"}, {"half_width"}, {"grade", "size"}]
     given = set(table) & {"lower", "upper", "half_width", "grade"}

@@ -49,13 +49,20 @@ class Certifier:
             found.append(share_factor(statistics.joint_yield, self.joint_target, n, z))
         return np.array(found)
 
+    def of_failures(self, statistics: Statistics) -> float:
+        """The common factor after which few enough units should fail for figures of the valid ones to count."""
+        n, most = statistics.samples, min(item.most_failed for item in self.run.requirements.values())
+        valid = wilson(n - statistics.failed, n, self.run.confidence)
+        return share_factor(valid, 1 - most, n, deviate_of(self.run.confidence)) if most < 1 else 1.0
+
     def settle(
         self, training: Training, start: np.ndarray, low: np.ndarray, *, draws: int = _DRAWS
     ) -> tuple[np.ndarray, Statistics]:
         """Shrink all half-widths by common factors until a certificate holds; the last one drawn otherwise."""
         half_widths, statistics = start, self.draw(training.with_half_widths(start))
         for _ in range(draws - 1):
-            factor = max(0.5, min(self.factors(statistics, training.distance).min(), 1 - _LEAST))
+            factors = [*self.factors(statistics, training.distance), self.of_failures(statistics), 1 - _LEAST]
+            factor = max(0.5, min(factors))
             after = np.maximum(half_widths * factor, np.minimum(low, half_widths))
             if self.holds(statistics) or self.hopeless() or np.array_equal(after, half_widths):
                 break

@@ -12,14 +12,27 @@ from rvjax.records import Record, concrete, field, record
 
 
 @record
-class ReciprocalPower(Record):
-    """Cost fixed + scale (reference/t)^power of a half-width t, within the process range."""
+class _Process(Record):
+    """Costs within the range of a process."""
 
     _: dataclasses.KW_ONLY
     finest: Any = field("-", "smallest half-width the process can hold, unit of the error", sign="positive")
     coarsest: Any = field("-", "largest half-width it offers", sign="positive")
     fixed: Any = field("-", "cost that no tolerance saves", default=0.0)
-    scale: Any = field("-", "cost at the reference, above fixed", default=1.0, sign="positive")
+    scale: Any = field("-", "cost above fixed, at the reference or at half-width 0", default=1.0, sign="positive")
+
+    def _check(self) -> None:
+        finest, coarsest = self.finest, self.coarsest
+        if concrete(finest, coarsest) and not (finest <= coarsest and math.isfinite(coarsest)):
+            owner = type(self).__name__
+            raise ValueError(f"{owner}.finest = {finest:.6g}: must not exceed coarsest = {coarsest:.6g}")
+
+
+@record
+class ReciprocalPower(_Process):
+    """Cost fixed + scale (reference/t)^power of a half-width t, within the process range."""
+
+    _: dataclasses.KW_ONLY
     reference: Any = field("-", "half-width that scale belongs to; give it for angles", default=10e-6, sign="positive")
     power: Any = field("-", "exponent", default=1.0, sign="positive")
 
@@ -27,27 +40,17 @@ class ReciprocalPower(Record):
         """Cost of a half-width."""
         return self.fixed + self.scale * (self.reference / half_width) ** self.power
 
-    def _check(self) -> None:
-        _check_range(self)
-
 
 @record
-class Exponential(Record):
+class Exponential(_Process):
     """Cost fixed + scale exp(-t/decay) of a half-width t, within the process range."""
 
     _: dataclasses.KW_ONLY
     decay: Any = field("-", "half-width over which the cost falls by e, unit of the error", sign="positive")
-    finest: Any = field("-", "smallest half-width the process can hold", sign="positive")
-    coarsest: Any = field("-", "largest half-width it offers", sign="positive")
-    fixed: Any = field("-", "cost that no tolerance saves", default=0.0)
-    scale: Any = field("-", "cost at half-width 0, above fixed", default=1.0, sign="positive")
 
     def __call__(self, half_width: jax.Array) -> jax.Array:
         """Cost of a half-width."""
         return self.fixed + self.scale * jnp.exp(-half_width / self.decay)
-
-    def _check(self) -> None:
-        _check_range(self)
 
 
 @record
@@ -85,12 +88,3 @@ class Table(Record):
 
 
 Cost = ReciprocalPower | Exponential | Table
-
-
-def _check_range(cost: Any) -> None:
-    if not concrete(cost.finest, cost.coarsest):
-        return
-    if not cost.finest <= cost.coarsest or math.isinf(cost.coarsest):
-        raise ValueError(
-            f"{type(cost).__name__}.finest = {cost.finest:.6g}: must not exceed coarsest = {cost.coarsest:.6g}"
-        )

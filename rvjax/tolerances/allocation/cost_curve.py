@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from rvjax.tolerances.allocation.allocation import Allocation, allocate
-from rvjax.tolerances.propagation.requirements import Limits
 
 
 @dataclasses.dataclass(frozen=True)
@@ -109,18 +108,7 @@ def _moved(requirements: Any, against: str, of: str | None, value: float) -> Any
         return {
             name: _moved(item, against, None, value) if name in moving else item for name, item in requirements.items()
         }
-    if against == "target":
-        return requirements.aimed(value)
-    return _limited(requirements, value)
-
-
-def _limited(requirement: Limits, value: float) -> Limits:
-    if math.isinf(requirement.lower):
-        return dataclasses.replace(requirement, upper=value)
-    if math.isinf(requirement.upper):
-        return dataclasses.replace(requirement, lower=value)
-    middle = (requirement.lower + requirement.upper) / 2
-    return dataclasses.replace(requirement, lower=middle - value, upper=middle + value)
+    return requirements.aimed(value) if against == "target" else requirements.limited(value)
 
 
 def _price(allocation: Allocation, of: str | None) -> float:

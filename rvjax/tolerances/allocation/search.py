@@ -35,16 +35,10 @@ class Search:
         """Evaluate the sample and note it."""
         point = self.training.point(half_widths)
         self.advance(1)
-        names = [name or "response" for name in self.training.requirements] + ["joint"] * (
-            self.training.joint_target is not None
-        )
-        self.history.append(
-            dict(
-                cost=self.cost(half_widths),
-                margins=dict(zip(names, map(float, point.margins))),
-                half_widths=dict(zip(self.training.fields, map(float, half_widths))),
-            )
-        )
+        names = [*(name or "response" for name in self.training.requirements), "joint"]
+        margins = dict(zip(names, map(float, point.margins)))  # the joint one is last, if there is one
+        named = dict(zip(self.training.fields, map(float, half_widths)))
+        self.history.append(dict(cost=self.cost(half_widths), margins=margins, half_widths=named))
         return point
 
     def begin(self, start: np.ndarray) -> Point:

@@ -24,20 +24,11 @@ _RATES = optax.cosine_decay_schedule(0.05, _STEPS, alpha=0.002)
 
 
 def cheapest(
-    costs: tuple[Any, ...],
-    point: Point,
-    distance: np.ndarray,
-    low: np.ndarray,
-    high: np.ndarray,
+    costs: tuple[Any, ...], point: Point, distance: np.ndarray, low: np.ndarray, high: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Half-widths of least cost under the model around `point`, and its multipliers, cost per unit of each margin.
+    """Half-widths (j,) of least cost under the model around `point`, and its multipliers, cost per unit of each margin.
 
-    Args:
-        costs: of the fields.
-        point: margins and slopes the model is built on.
-        distance: (c,) of the nominal response from each limit.
-        low: (j,) least half-widths.
-        high: (j,) largest half-widths.
+    `distance` (c,) is that of the nominal response from each limit; `low` and `high` (j,) bound the half-widths.
     """
     reach = np.maximum(point.margins + distance, 1e-3 * distance)
     constant = (reach / distance) ** 2

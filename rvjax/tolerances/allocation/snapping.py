@@ -8,6 +8,7 @@ import numpy as np
 from rvjax.tolerances.allocation.certificate import Certifier
 from rvjax.tolerances.allocation.cost import Cost
 from rvjax.tolerances.allocation.search import Search
+from rvjax.tolerances.allocation.separable import total_cost
 from rvjax.tolerances.allocation.training import Training
 from rvjax.tolerances.distribution.grades import GRADES, it_width
 from rvjax.tolerances.propagation.monte_carlo import Statistics
@@ -23,6 +24,7 @@ class Snapping:
     def __init__(self, training: Training, certifier: Certifier, priced: dict[str, Cost], max_steps: int) -> None:
         self.training, self.certifier, self.priced, self.max_steps = training, certifier, priced, max_steps
         active = training.population.active
+        self.costs = tuple(priced.values())
         self.ladders = {j: _ladder(active[name].size, cost) for j, (name, cost) in enumerate(priced.items())}
 
     def snap(self, half_widths: np.ndarray, certificate: Statistics) -> tuple[np.ndarray, dict[str, str], Statistics]:
@@ -37,9 +39,9 @@ class Snapping:
         """
         places: Places = {}
         for j, ladder in self.ladders.items():
-            fitting = [place for place, (_, t) in enumerate(ladder) if t <= half_widths[j] * (1 + 1e-9)]
+            fitting = sum(t <= half_widths[j] * (1 + 1e-9) for _, t in ladder)
             if fitting:
-                places[j] = fitting[-1]
+                places[j] = fitting - 1
         if not places:
             return half_widths, {}, certificate
         best = self.at(places, half_widths)
@@ -91,12 +93,11 @@ class Snapping:
 
     def cost(self, half_widths: np.ndarray) -> float:
         """Total cost."""
-        return sum(float(cost(jnp.asarray(t))) for cost, t in zip(self.priced.values(), half_widths))
+        return float(total_cost(self.costs, jnp.asarray(half_widths)))
 
     def saving(self, j: int, place: int) -> float:
         """What the next coarser grade of a field saves."""
-        cost = list(self.priced.values())[j]
-        now, then = (float(cost(jnp.asarray(self.ladders[j][k][1]))) for k in (place, place + 1))
+        now, then = (float(self.costs[j](jnp.asarray(self.ladders[j][k][1]))) for k in (place, place + 1))
         return now - then
 
 

@@ -58,15 +58,11 @@ class Training:
         # How far the nominal response stays from each limit; margins are measured from there.
         own = self._unit_margins(self._values(np.zeros(len(fields))))
         nominal = -np.median(own, axis=1)
-        self.scales = np.where(np.isfinite(nominal) & (nominal > 0), nominal, self._spread(own))
+        finite = np.where(np.isfinite(own), np.abs(own), 0.0).max(axis=1)
+        spread = np.where(finite > 0, finite, 1.0)  # a positive size where the nominal value touches the limit
+        self.scales = np.where(np.isfinite(nominal) & (nominal > 0), nominal, spread)
         self.distance = self.scales if joint_target is None else np.append(self.scales, 1.0)
         self.correction = np.ones(len(self.distance))
-
-    @staticmethod
-    def _spread(margins: np.ndarray) -> np.ndarray:
-        """A positive size for margins whose nominal value already touches the limit."""
-        finite = np.where(np.isfinite(margins), np.abs(margins), 0.0).max(axis=1)
-        return np.where(finite > 0, finite, 1.0)
 
     def with_half_widths(self, half_widths: np.ndarray) -> Population:
         """The population with these half-widths in the fields that have a cost."""
@@ -131,10 +127,8 @@ class Training:
         return scaled.max(axis=0), scaled.argmax(axis=0)
 
     def _margins(self, values: np.ndarray) -> np.ndarray:
-        found = [
-            item.learned(row, float(distance))
-            for item, row, distance in zip(self.requirements.values(), values, self.distance)
-        ]
+        triples = zip(self.requirements.values(), values, map(float, self.distance))
+        found = [item.learned(row, distance) for item, row, distance in triples]
         if self.joint_target is not None:
             found.append(tail_quantile(self._joint(values)[0], self.joint_target, 1.0))
         return np.array(found)

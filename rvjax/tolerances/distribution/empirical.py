@@ -47,8 +47,7 @@ class Empirical(Law):
         for k in (2, 3, 4):
             pieces = sum(a**i * b ** (k - i) for i in range(k + 1)) / (k + 1)
             found.append(float(np.sum(pieces) + (x[0] ** k + x[-1] ** k) / 2) / n)
-        first, second, third, fourth = found
-        return first, second, third, fourth
+        return found[0], found[1], found[2], found[3]
 
     def scaled(self, tolerance: Any, half_width: Scalar) -> dict[str, Any]:
         """Limits and values about the middle of the limits."""

@@ -89,16 +89,7 @@ class Law(Record):
 
     @classmethod
     def parsed(cls, key: str, value: Any, unit: str) -> Any:
-        """A parameter from a study file.
-
-        Args:
-            key: its name.
-            value: what stands in the file.
-            unit: of the error.
-
-        Raises:
-            ValueError: not of the declared unit.
-        """
+        """A parameter from what stands in a study file; a ValueError if not in its unit (`unit`: the error's)."""
         about = next(f.metadata for f in _fields(cls) if f.name == key)
         wanted = unit if about["unit"] == IN_ERROR_UNIT else about["unit"]
         try:
@@ -116,11 +107,7 @@ class Law(Record):
 
 
 def law_of(distribution: Any, parameters: Mapping[str, Any]) -> Law:
-    """A law from its name, class or an instance, with its own parameters.
-
-    Raises:
-        ValueError: an unknown law, or a parameter that belongs to another one.
-    """
+    """A law from its name, class or an instance; a ValueError names a parameter that belongs to another one."""
     if isinstance(distribution, str) and distribution in LAWS:
         distribution = LAWS[distribution]
     given = {name: value for name, value in parameters.items() if value is not None}

@@ -9,13 +9,7 @@ NODES = np.linspace(-9.0, 9.0, 8193)
 
 
 def interpolate(z: jax.Array, values: np.ndarray, slopes: np.ndarray) -> jax.Array:
-    """The tabulated function at z, constant beyond the nodes.
-
-    Args:
-        z: standard normal numbers, any shape.
-        values: at `NODES`.
-        slopes: derivatives to z there.
-    """
+    """The function with these values and derivatives to z at `NODES`, at z of any shape; constant beyond them."""
     first, last, step = float(NODES[0]), float(NODES[-1]), float(NODES[1] - NODES[0])
     position = (jnp.clip(z, first, last) - first) / step
     left = jnp.clip(position.astype(int), 0, len(NODES) - 2)

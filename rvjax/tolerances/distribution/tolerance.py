@@ -14,11 +14,11 @@ import jax
 import numpy as np
 
 from rvjax.records import Record, Scalar, concrete, field, record, text
-from rvjax.tolerances.distribution import classic, empirical, lognormal, von_mises
+from rvjax.tolerances.distribution import classic, empirical, von_mises
 from rvjax.tolerances.distribution.grades import it_width
 from rvjax.tolerances.distribution.law import LAWS, Law, Moments, bad, law_of
 
-__all__ = ["LAWS", "Law", "Tolerance", "classic", "empirical", "lognormal", "von_mises"]
+__all__ = ["LAWS", "Law", "Tolerance", "classic", "empirical", "von_mises"]
 
 COMMON = ("cp", "shift", "batch")
 """Plain numbers that every law may be given."""
@@ -164,7 +164,8 @@ class Tolerance(Record):
     def described(self) -> str:
         """As text, exact to the last bit."""
         shown = f"{self.distribution} {float(self.lower)!r} .. {float(self.upper)!r}, cp {float(self.cp)!r}"
-        own = {name: _short(value) for name, value in self.law.described().items()}
+        own = self.law.described()
+        own |= {n: hashlib.sha256(repr(v).encode()).hexdigest() for n, v in own.items() if isinstance(v, list)}
         options = dict(shift=float(self.shift), **own, batch=float(self.batch), shape=self.shape)
         shown += "".join(f", {name} {value!r}" for name, value in options.items() if value)
         return shown + (", vectors" if self.is_vector else "")
@@ -180,31 +181,18 @@ class Tolerance(Record):
         if not isinstance(self.batch, (int, float)) or not 0 <= self.batch < 1:
             raise bad("batch", self.batch, "must be a number from 0 to below 1")
         if concrete(self.lower, self.upper):
-            self._check_limits()
+            for name in ("lower", "upper"):
+                if np.ndim(getattr(self, name)) or not math.isfinite(getattr(self, name)):
+                    raise bad(name, getattr(self, name), "must be one finite number")
+            if self.lower > self.upper:
+                raise bad("lower", self.lower, f"lies above upper = {self.upper:.6g}")
         if concrete(self.shift):
-            self._check_shift()
+            if not -1 < self.shift < 1:
+                raise bad("shift", self.shift, "must lie between -1 and 1, within the limits")
+            if self.shift != 0 and not self.law.shifts:
+                raise bad("shift", self.shift, f"must be 0 for {self.distribution}")
         if concrete(self.cp) and not math.isfinite(self.cp):
             raise bad("cp", self.cp, "must be finite")
         if self.size is not None and concrete(self.size):
             it_width("IT6", self.size)
         self.law.check(self)
-
-    def _check_limits(self) -> None:
-        for name in ("lower", "upper"):
-            if np.ndim(getattr(self, name)) or not math.isfinite(getattr(self, name)):
-                raise bad(name, getattr(self, name), "must be one finite number")
-        if self.lower > self.upper:
-            raise bad("lower", self.lower, f"lies above upper = {self.upper:.6g}")
-
-    def _check_shift(self) -> None:
-        if not -1 < self.shift < 1:
-            raise bad("shift", self.shift, "must lie between -1 and 1, within the limits")
-        if self.shift != 0 and not self.law.shifts:
-            raise bad("shift", self.shift, f"must be 0 for {self.distribution}")
-
-
-def _short(value: Any) -> Any:
-    """A long row by its hash."""
-    if isinstance(value, list):
-        return hashlib.sha256(repr(value).encode()).hexdigest()
-    return value

@@ -15,12 +15,7 @@ Active = Mapping[str, Tolerance]
 
 
 def mixing_matrix(active: Active, correlation: Mapping[tuple[str, str], float]) -> np.ndarray:
-    """Cholesky factor of the correlation of all elements' z, batches included.
-
-    Raises:
-        ValueError: an unknown field or element, a value outside -1 .. 1, or a matrix that is not
-            positive definite (named by its smallest eigenvalue).
-    """
+    """Cholesky factor of the correlation of all elements' z, batches included; a ValueError says what is wrong."""
     matrix = batch_correlation(active)
     for pair, value in correlation.items():
         if not (isinstance(pair, tuple) and len(pair) == 2):
@@ -40,16 +35,15 @@ def mixing_matrix(active: Active, correlation: Mapping[tuple[str, str], float]) 
 
 def batch_correlation(active: Active) -> np.ndarray:
     """Correlation matrix of the elements' z that comes from batches alone."""
-    matrix = np.eye(sum(math.prod(t.shape) for t in active.values()))
-    start = 0
+    matrix, stop = np.eye(sum(math.prod(t.shape) for t in active.values())), 0
     for tolerance in active.values():
         size = math.prod(tolerance.shape)
+        start, stop = stop, stop + size
         block = np.full((size, size), float(tolerance.batch))
         if tolerance.is_vector:  # each component has a shared factor of its own
             block *= np.tile(np.eye(2), (size // 2, size // 2))
         np.fill_diagonal(block, 1.0)
-        matrix[start : start + size, start : start + size] = block
-        start += size
+        matrix[start:stop, start:stop] = block
     return matrix
 
 

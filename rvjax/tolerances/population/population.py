@@ -73,10 +73,8 @@ class Population(Record):
     @functools.cached_property
     def numbers_by_field(self) -> dict[str, int]:
         """Random numbers of each active field, shared factors included where no correlation mixes the fields."""
-        shared = {
-            n: (2 if t.is_vector else 1) if t.batch and self.mixing is None else 0 for n, t in self.active.items()
-        }
-        return {name: math.prod(t.shape) + shared[name] for name, t in self.active.items()}
+        shared = lambda t: 1 + t.is_vector if t.batch and self.mixing is None else 0  # noqa: E731
+        return {name: math.prod(t.shape) + shared(t) for name, t in self.active.items()}
 
     @property
     def numbers(self) -> int:
@@ -125,7 +123,7 @@ class Population(Record):
             [values.get(name, absent if leaf is None else leaf) for name, leaf in self._leaves.items()]
         )
 
-    def by_field(self, values: Array) -> dict[str, Any]:
+    def by_field(self, values: Array | np.ndarray) -> dict[str, Any]:
         """A vector over all active elements (n,) as arrays by field."""
         # Split, not sliced: its transpose is one concatenation, which compiles for hundreds of fields too.
         ends = np.cumsum([math.prod(t.shape) for t in self.active.values()])

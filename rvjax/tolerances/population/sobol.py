@@ -19,12 +19,7 @@ class SobolPoints:
     """The z of any range of units of one study."""
 
     def __init__(self, numbers: int, seed: int) -> None:
-        """Start at unit 0.
-
-        Args:
-            numbers: random numbers per unit.
-            seed: of the study.
-        """
+        """With this many random numbers per unit."""
         self._numbers, self._seed = numbers, operator.index(seed) % 2**64
         self._engines: dict[int, qmc.Sobol] = {}
 

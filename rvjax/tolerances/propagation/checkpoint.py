@@ -69,9 +69,7 @@ class Checkpoint:
     def load(self) -> tuple[int, dict[str, np.ndarray]]:
         """Number of the next chunk and the state before it, which is empty at the beginning.
 
-        Raises:
-            ValueError: the file is damaged, or belongs to another study (names what differs).
-            OSError: it cannot be read, or nothing can be written there.
+        Raises a ValueError where the file is damaged or belongs to another study, an OSError where it is out of reach.
         """
         try:
             arrays = unpacked(self._path.read_bytes())
@@ -86,10 +84,6 @@ class Checkpoint:
             raise ValueError(
                 f"checkpoint = {str(self._path)!r}: damaged, or no checkpoint ({error}); delete it to begin anew"
             ) from None
-        self._compare(written)
-        return chunk, arrays
-
-    def _compare(self, written: dict[str, str]) -> None:
         here = self._fingerprint
         different = [
             f"{key} is {written.get(key, 'absent')} in the file and {here.get(key, 'absent')} here"
@@ -101,15 +95,10 @@ class Checkpoint:
                 f"checkpoint = {str(self._path)!r}: belongs to another study: {'; '.join(different)}; "
                 "name another file, or delete it to begin anew"
             )
+        return chunk, arrays
 
     def save(self, chunk: int, state: Any, *, now: bool = False) -> None:
-        """Write the state before chunk number `chunk`, if it is time; a failure is a warning and nothing is lost.
-
-        Args:
-            chunk: number of the next chunk.
-            state: function that gives the arrays to write.
-            now: whether or not it is time.
-        """
+        """Write what `state()` gives before chunk number `chunk`, if it is time or `now`; a failure only warns."""
         start = time.monotonic()
         if start < self._next and not now:
             return

@@ -1,4 +1,7 @@
-"""Chunks of units on all local devices: each draws and evaluates its own part, none waits for another."""
+"""Chunks of units on all local devices: each draws and evaluates its own part, none waits for another.
+
+Several processes, or hosts, share a study chunk by chunk; JAX's distributed runtime joins what each has counted.
+"""
 
 import functools
 from typing import Any
@@ -10,6 +13,7 @@ import numpy as np
 from rvjax.records import Record
 from rvjax.tolerances.population.population import Population, drawn, root_key
 from rvjax.tolerances.population.sobol import SobolPoints
+from rvjax.tolerances.propagation.checkpoint import Arrays, packed, unpacked
 from rvjax.tolerances.propagation.responses import Response, Values, per_response, respond
 
 _UNITS = jax.sharding.PartitionSpec("units")
@@ -72,3 +76,20 @@ def _respond_on(
     return jax.shard_map(
         part, mesh=mesh, in_specs=(_EVERYWHERE, _NUMBERS), out_specs=(_UNITS, _UNITS), check_vma=False
     )(given, z)
+
+
+def place() -> tuple[int, int]:
+    """Number of this process, and of all; (0, 1) unless `jax.distributed.initialize` was called."""
+    return jax.process_index(), jax.process_count()
+
+
+def gathered(state: Arrays) -> list[dict[str, np.ndarray]]:
+    """The states of all processes, in their order, in every process; waits until all have come here."""
+    from jax.experimental import multihost_utils
+
+    content = np.frombuffer(packed(state), np.uint8)
+    lengths = np.ravel(multihost_utils.process_allgather(np.array([content.size], np.int32)))
+    padded = np.zeros(int(lengths.max()), np.uint8)
+    padded[: content.size] = content
+    rows = np.asarray(multihost_utils.process_allgather(padded)).reshape(len(lengths), -1)
+    return [unpacked(row[:length].tobytes()) for row, length in zip(rows, lengths)]

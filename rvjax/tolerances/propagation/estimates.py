@@ -1,10 +1,18 @@
-"""Figures with their uncertainty: estimates and intervals, moments that can be merged."""
+"""Figures with their uncertainty: estimates and intervals, moments that can be merged.
+
+The units of one scramble of Sobol points depend on each other, which is the point of them; the scrambles do not, so the
+spread between the figures of the scrambles tells the error of their mean (Owen 1997).
+"""
 
 import dataclasses
 import math
 
 import numpy as np
 from scipy import special
+
+FEW = 160
+"""With fewer hits or misses than this a share counts as no better than one of independent units: ten per
+scramble are too few to show by their spread that it is."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -22,6 +30,11 @@ class Estimate:
     error: float
     lower: float
     upper: float
+
+    @classmethod
+    def about(cls, value: float, error: float, deviate: float) -> "Estimate":
+        """A figure whose interval is `deviate` errors to each side."""
+        return cls(value, error, value - deviate * error, value + deviate * error)
 
 
 def deviate_of(confidence: float) -> float:
@@ -44,6 +57,41 @@ def wilson(successes: int, samples: int, confidence: float) -> Estimate:
     share = successes / samples
     lower, upper = score_interval(share, samples, deviate_of(confidence))
     return Estimate(share, math.sqrt(share * (1 - share) / samples), lower, upper)
+
+
+def student(confidence: float, scrambles: int) -> float:
+    """Deviate of a two-sided confidence where the error comes from the spread between scrambles."""
+    deviate_of(confidence)
+    return float(special.stdtrit(scrambles - 1, (1 + confidence) / 2)) if scrambles > 1 else math.inf
+
+
+def mean_of(figures: list[float], value: float, confidence: float) -> Estimate:
+    """The figure of all units with its error from those of the scrambles; those without units are nan."""
+    known = np.array([figure for figure in figures if not math.isnan(figure)])
+    if known.size < 2:
+        return Estimate.about(value, math.nan, 0.0)
+    return Estimate.about(value, float(known.std(ddof=1)) / math.sqrt(known.size), student(confidence, known.size))
+
+
+def share_error(hits: np.ndarray, totals: np.ndarray) -> tuple[float, int]:
+    """Standard error of a share from hits and units of each scramble, and the number of scrambles behind it."""
+    n, filled = totals.sum(), totals > 0
+    share = hits.sum() / n
+    binomial = math.sqrt(max(0.0, share * (1 - share)) / n)
+    scrambles = int(filled.sum())
+    if scrambles < 2:
+        return binomial, len(totals)
+    spread = float(np.std(hits[filled] / totals[filled], ddof=1)) / math.sqrt(scrambles)
+    return (max(spread, binomial) if min(hits.sum(), n - hits.sum()) < FEW else spread), scrambles
+
+
+def share_estimate(hits: np.ndarray, totals: np.ndarray, confidence: float) -> Estimate:
+    """A share with the score interval of as many independent units as would have its standard error."""
+    n, share = int(totals.sum()), float(hits.sum() / totals.sum())
+    error, scrambles = share_error(hits, totals)
+    effective = share * (1 - share) / error**2 if error > 0 else n
+    lower, upper = score_interval(share, effective, student(confidence, scrambles))
+    return Estimate(share, error, lower, upper)
 
 
 @dataclasses.dataclass
@@ -96,17 +144,14 @@ class Moments4:
 
     def mean_estimate(self, confidence: float) -> Estimate:
         """The mean; its error sd/sqrt(n)."""
-        if not self.n:
-            return Estimate(math.nan, math.nan, math.nan, math.nan)
-        error = self.sd / math.sqrt(self.n)
-        half = deviate_of(confidence) * error
-        return Estimate(self.mean, error, self.mean - half, self.mean + half)
+        error = self.sd / math.sqrt(self.n) if self.n else math.nan
+        return Estimate.about(self.mean_or_nan, error, deviate_of(confidence))
 
     def sd_estimate(self, confidence: float) -> Estimate:
         """The standard deviation; its error holds for any law, from the fourth moment."""
         sd, n = self.sd, self.n
         if n < 2:
-            return Estimate(math.nan, math.nan, math.nan, math.nan)
+            return Estimate.about(math.nan, math.nan, 0.0)
         m2, m4 = self.s2 / n, self.s4 / n
         spread = math.sqrt(max(0.0, m4 - m2**2 * (n - 3) / (n - 1)) / n)
         error = spread / (2 * sd) if sd > 0 else 0.0

@@ -21,7 +21,7 @@ from rvjax.tolerances.propagation.design_points import (
 )
 from rvjax.tolerances.propagation.estimates import Estimate, deviate_of, wilson
 from rvjax.tolerances.propagation.requirements import Limits
-from rvjax.tolerances.propagation.responses import Response, by_response, response_names, unwrapped
+from rvjax.tolerances.propagation.responses import Response, by_name, by_response, response_names
 
 _PILOT = BATCH // 2  # plain units that show where to start; as many are spread wider
 _WIDE = (2.0, 3.0)  # spreads that reach failures which plain units do not foretell
@@ -104,15 +104,12 @@ def failure_probability(
         if not item.of_units:
             raise ValueError(f"requirement[{name!r}] = {item!r}: says nothing of one unit")
     found = {name: _probability(response, population, name, item, samples, seed) for name, item in required.items()}
-    columns = {
-        f.name: {n: getattr(item, f.name) for n, item in found.items()} for f in dataclasses.fields(FailureProbability)
-    }
-    return unwrapped(FailureProbability(**columns))
+    return by_name(FailureProbability, found)
 
 
 def _probability(
     response: Response, population: Population, name: str, requirement: Limits, samples: int, seed: int
-) -> FailureProbability:
+) -> dict[str, Any]:
     units, random = Units(response, population, name), np.random.default_rng(seed)
     points = _Points(units, requirement, population.numbers)
     points.explore(random)
@@ -128,7 +125,7 @@ def _probability(
     reasons = points.reasons()
     if effective < _FEWEST_EFFECTIVE:
         reasons.insert(0, "FEW_EFFECTIVE_SAMPLES")
-    return FailureProbability(
+    return dict(
         probability=estimate,
         reliability_index=points.index,
         point=None if points.nearest is None else population.errors(jnp.asarray(points.nearest)),

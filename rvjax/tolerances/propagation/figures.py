@@ -1,16 +1,9 @@
 """The figures of a Monte Carlo run, each with its standard error and confidence interval."""
 
 import dataclasses
-import math
 from typing import Any
 
-from rvjax.status import PRECEDENCE
-from rvjax.tolerances.propagation.checkpoint import versions
 from rvjax.tolerances.propagation.estimates import Estimate
-from rvjax.tolerances.propagation.order import quantile_estimate
-from rvjax.tolerances.propagation.requirements import Limits, Verdict
-from rvjax.tolerances.propagation.sampled import Sampled
-from rvjax.tolerances.propagation.tally import Tally
 
 
 @dataclasses.dataclass(frozen=True)
@@ -74,73 +67,8 @@ class Statistics:
     versions: dict[str, str]
 
 
-def statistics(
-    tally: Tally,
-    requirements: dict[str, Limits],
-    *,
-    quantiles: tuple[float, ...],
-    confidence: float,
-    seed: int,
-    method: str,
-    study: dict[str, str],
-) -> Statistics:
-    """The figures of what a tally has counted, as dicts by name of the response.
-
-    Args:
-        tally: of all units.
-        requirements: by name.
-        quantiles: shares whose quantiles are wanted.
-        confidence: of every interval.
-        seed: of the random numbers.
-        method: of the random numbers.
-        study: what was asked, as text.
-    """
-    named = [status for status in PRECEDENCE if int(status) in tally.failures]
-    seen = {
-        name: Sampled([tree.total() for tree in trees], tally.passed.get(name), tally.seen, confidence)
-        for name, trees in tally.moments.items()
-    }
-    orders, any_units = tally.orders(), bool(tally.requirements)
-    yields = {name: None if item.passed is None else item.share() for name, item in seen.items()}
-    verdicts = {}
-    for name, item in requirements.items():
-        figure = item.figure(seen[name])
-        verdicts[name] = Verdict(item.text(), item.judges, figure, item.holds(figure))
-    return Statistics(
-        samples=int(tally.seen.sum()),
-        seed=seed,
-        method=method,
-        standard_errors="independent units" if tally.streams == 1 else f"{tally.streams} independent scrambles",
-        confidence=confidence,
-        failed=sum(tally.failures.values()),
-        failures={status.name: tally.failures[int(status)] for status in named},
-        examples={status.name: tally.examples[int(status)] for status in named},
-        worst_index=tally.examples[int(named[0])] if named else None,
-        mean={name: item.mean() for name, item in seen.items()},
-        sd={name: item.sd() for name, item in seen.items()},
-        quantiles={p: {n: quantile_estimate(order, p, confidence) for n, order in orders.items()} for p in quantiles},
-        minimum={name: item.whole.minimum for name, item in seen.items()},
-        maximum={name: item.whole.maximum for name, item in seen.items()},
-        yield_=yields if any_units else None,
-        ppm={name: _ppm(share) for name, share in yields.items()} if any_units else None,
-        cp={name: _capability(tally, name, item)[0] for name, item in seen.items()} if any_units else None,
-        cpk={name: _capability(tally, name, item)[1] for name, item in seen.items()} if any_units else None,
-        joint_yield=next(iter(seen.values())).share(tally.joint) if any_units else None,
-        verdicts=verdicts or None,
-        values=tally.values or None,
-        study=study,
-        versions=versions(),
-    )
-
-
-def _capability(tally: Tally, name: str, sampled: Sampled) -> tuple[float, float]:
-    moments = sampled.whole
-    if name not in tally.requirements or not moments.n:
-        return math.nan, math.nan
-    return tally.requirements[name].capability(moments.mean, moments.sd)
-
-
-def _ppm(share: Estimate | None) -> Estimate | None:
+def rejects(share: Estimate | None) -> Estimate | None:
+    """Rejects per million of a share of good units."""
     if share is None:
         return None
     return Estimate(1e6 * (1 - share.value), 1e6 * share.error, 1e6 * (1 - share.upper), 1e6 * (1 - share.lower))

@@ -5,6 +5,7 @@ import dataclasses
 import functools
 import glob
 import itertools
+import math
 import operator
 import os
 from collections.abc import Iterator
@@ -13,18 +14,20 @@ from typing import Any
 
 import numpy as np
 
+from rvjax.status import PRECEDENCE
 from rvjax.tolerances.atomic import PARTIAL
 from rvjax.tolerances.population.correlation import Correlation
 from rvjax.tolerances.population.population import Population
 from rvjax.tolerances.population.sampling import check_method
 from rvjax.tolerances.population.sobol import SCRAMBLES
 from rvjax.tolerances.propagation.checkpoint import Checkpoint, describe, response_hash, versions
-from rvjax.tolerances.propagation.devices import Evaluator
+from rvjax.tolerances.propagation.devices import Evaluator, gathered, place
 from rvjax.tolerances.propagation.estimates import deviate_of
-from rvjax.tolerances.propagation.figures import Statistics, statistics
-from rvjax.tolerances.propagation.processes import gathered, place
+from rvjax.tolerances.propagation.figures import Statistics, rejects
+from rvjax.tolerances.propagation.order import quantile_estimate
 from rvjax.tolerances.propagation.requirements import Limits
 from rvjax.tolerances.propagation.responses import Response, by_response, response_names, unwrapped
+from rvjax.tolerances.propagation.sampled import Sampled
 from rvjax.tolerances.propagation.tally import Tally
 
 __all__ = ["Run", "Statistics", "monte_carlo", "progress_bar"]
@@ -133,14 +136,47 @@ class Run:
             states, tally = gathered(tally.state(self.samples)), self._empty()
             for part in states:
                 tally.merge(part)
-        return statistics(
-            tally,
-            self.requirements,
-            quantiles=self.quantiles,
-            confidence=self.confidence,
+        return self._figures(tally, study)
+
+    def _figures(self, tally: Tally, study: dict[str, str]) -> Statistics:
+        """What the tally of all units says, as dicts by name of the response."""
+        named = [status for status in PRECEDENCE if int(status) in tally.failures]
+        seen = {
+            name: Sampled([tree.total() for tree in trees], tally.passed.get(name), tally.seen, self.confidence)
+            for name, trees in tally.moments.items()
+        }
+        orders, any_units = tally.orders().items(), bool(tally.requirements)
+        yields = {name: None if item.passed is None else item.share() for name, item in seen.items()}
+        capabilities = {
+            name: tally.requirements[name].capability(item.whole.mean, item.whole.sd)
+            if name in tally.requirements and item.whole.n
+            else (math.nan, math.nan)
+            for name, item in seen.items()
+        }
+        return Statistics(
+            samples=int(tally.seen.sum()),
             seed=self.seed,
             method=self.method,
+            standard_errors="independent units" if tally.streams == 1 else f"{tally.streams} independent scrambles",
+            confidence=self.confidence,
+            failed=sum(tally.failures.values()),
+            failures={status.name: tally.failures[int(status)] for status in named},
+            examples={status.name: tally.examples[int(status)] for status in named},
+            worst_index=tally.examples[int(named[0])] if named else None,
+            mean={name: item.mean() for name, item in seen.items()},
+            sd={name: item.sd() for name, item in seen.items()},
+            quantiles={p: {n: quantile_estimate(o, p, self.confidence) for n, o in orders} for p in self.quantiles},
+            minimum={name: item.whole.minimum for name, item in seen.items()},
+            maximum={name: item.whole.maximum for name, item in seen.items()},
+            yield_=yields if any_units else None,
+            ppm={name: rejects(share) for name, share in yields.items()} if any_units else None,
+            cp={name: cp for name, (cp, _) in capabilities.items()} if any_units else None,
+            cpk={name: cpk for name, (_, cpk) in capabilities.items()} if any_units else None,
+            joint_yield=next(iter(seen.values())).share(tally.joint) if any_units else None,
+            verdicts={name: item.verdict(seen[name]) for name, item in self.requirements.items()} or None,
+            values=tally.values or None,
             study=study,
+            versions=versions(),
         )
 
     def _empty(self) -> Tally:

@@ -2,13 +2,11 @@
 
 import math
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 from scipy import special
 
-from rvjax.tolerances.propagation.estimates import Estimate, deviate_of
-from rvjax.tolerances.propagation.scrambles import share_error, student
+from rvjax.tolerances.propagation.estimates import Estimate, deviate_of, share_error, student
 
 PILOT = 4096
 BINS = 2**16
@@ -40,12 +38,9 @@ class Order:
         return not math.isnan(self._low)
 
     def add(self, values: np.ndarray, streams: np.ndarray | None = None, *, own: bool = True) -> None:
-        """Take in one block of finite values.
+        """Take in one block of finite values in the order of the units, with their streams where there are several.
 
-        Args:
-            values: in the order of the units.
-            streams: number of the stream of each value, where there are several.
-            own: False for values that another process counts: they only help to find the range.
+        Values that are not `own` are counted by another process: they only help to find the range.
         """
         if not values.size:
             return
@@ -88,10 +83,13 @@ class Order:
     def at(self, rank: float) -> float:
         """The value of a (fractional) rank, 1 .. n."""
         if not self.settled:
-            return _interpolated(np.sort(self._waiting), rank)
+            return self._exact().at(rank)
         k = min(max(int(rank), 1), self.n)
         low = self._at(k)
         return low + (self._at(min(k + 1, self.n)) - low) * min(max(rank - k, 0.0), 1.0)
+
+    def _exact(self) -> "ExactOrder":
+        return ExactOrder(self._waiting, self._waiting_streams, count=self.streams)
 
     def _at(self, k: int) -> float:
         """Order statistic k, 1 .. n; spread evenly over the bin or tail it falls into."""
@@ -107,7 +105,7 @@ class Order:
     def below(self, value: float) -> tuple[np.ndarray, np.ndarray]:
         """Values of every stream up to `value` (interpolated within a bin), and all of them (streams,)."""
         if not self.settled:
-            return _below(self._waiting, self._waiting_streams, self.streams, value)
+            return self._exact().below(value)
         high = self._low + BINS * self._width
         inner = np.linspace(self._low, high, BINS // COARSE + 1)
         edges = np.concatenate([[min(self.minimum, self._low)], inner, [max(self.maximum, high)]])
@@ -128,11 +126,7 @@ class Order:
         }
 
     def merge(self, state: Mapping[str, np.ndarray]) -> None:
-        """Take in the `state` of the order statistics of other units of the same study.
-
-        Raises:
-            ValueError: the ranges differ, so that the processes did not compute the same values.
-        """
+        """Take in the `state` of other units of the same study; a ValueError where the ranges differ."""
         low, width, minimum, maximum = (float(v) for v in state["scalars"])
         below, above, n = (int(v) for v in state["numbers"])
         if not self.n and not self.settled:  # nothing here yet: the other's range, or its search for one, goes on
@@ -152,27 +146,19 @@ class ExactOrder:
 
     def __init__(self, values: np.ndarray, streams: np.ndarray | None = None, *, count: int = 1) -> None:
         self._sorted = np.sort(values)
-        self._values, self._streams, self.streams = values, streams, count
-        self.n = values.size
+        self._values, self.streams, self.n = values, count, values.size
+        self._streams = np.zeros(self.n, np.int64) if streams is None or count == 1 else streams
 
     def at(self, rank: float) -> float:
         """The value of a (fractional) rank, 1 .. n."""
-        return _interpolated(self._sorted, rank)
+        k = min(max(int(rank), 1), self.n)
+        low, high = float(self._sorted[k - 1]), float(self._sorted[min(k, self.n - 1)])
+        return low + (high - low) * min(max(rank - k, 0.0), 1.0)
 
     def below(self, value: float) -> tuple[np.ndarray, np.ndarray]:
         """Values of every stream up to `value`, and all of them (streams,)."""
-        return _below(self._values, self._streams, self.streams, value)
-
-
-def _below(values: np.ndarray, streams: Any, count: int, value: float) -> tuple[np.ndarray, np.ndarray]:
-    ids = np.zeros(values.size, np.int64) if count == 1 else streams
-    return np.bincount(ids[values <= value], minlength=count), np.bincount(ids, minlength=count)
-
-
-def _interpolated(ordered: np.ndarray, rank: float) -> float:
-    k = min(max(int(rank), 1), ordered.size)
-    low, high = float(ordered[k - 1]), float(ordered[min(k, ordered.size - 1)])
-    return low + (high - low) * min(max(rank - k, 0.0), 1.0)
+        inside, count = self._values <= value, self.streams
+        return np.bincount(self._streams[inside], minlength=count), np.bincount(self._streams, minlength=count)
 
 
 def quantile_estimate(order: Order | ExactOrder, p: float, confidence: float) -> Estimate:
@@ -184,7 +170,7 @@ def quantile_estimate(order: Order | ExactOrder, p: float, confidence: float) ->
     """
     n = order.n
     if not n:
-        return Estimate(math.nan, math.nan, math.nan, math.nan)
+        return Estimate.about(math.nan, math.nan, 0.0)
     value = order.at(1 + (n - 1) * p)
     if order.streams == 1:
         deviate = deviate_of(confidence)

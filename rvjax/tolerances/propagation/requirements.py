@@ -19,8 +19,12 @@ from rvjax.tolerances.propagation.tails import nearest, tail_quantile
 KINDS: list[type["Limits"]] = []
 """Every kind of requirement."""
 
+MOST_FAILED = 0.0027
+"""Share of failed units that a figure of the valid ones may leave out: what lies beyond 3 sd of a capable process."""
+
 _CUSHION = 0.7  # standard errors of a figure kept in hand, so that the next draw passes too
 _MOST_FACTOR = 1e3
+_FEW_FAILED = f"< {100 * MOST_FAILED:g} % failed"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -46,7 +50,8 @@ class Verdict:
         wanted: the requirement as text.
         kind: what the figure is: "share" of units, "response" (in its unit) or "number".
         estimate: the figure it judges.
-        met: True if the whole confidence interval meets it, or the end of it that counts.
+        met: True if the whole confidence interval meets it, or the end of it that counts; and, for a figure of the
+            valid units alone (a mean, Cpk), the upper end of the share of failed units lies below 0.27 %.
     """
 
     wanted: str
@@ -65,6 +70,7 @@ class Limits:
     """
 
     of_units: ClassVar[bool] = True  # a unit beyond the limits is a reject
+    most_failed: ClassVar[float] = MOST_FAILED  # share of failed units that its figure leaves out
     goal: ClassVar[str | None] = None  # the field that says how much is enough
     judges: ClassVar[str] = "number"  # "share" of units, "response" in its unit, or a plain number
     prefix: ClassVar[str] = ""  # of the limits in study files
@@ -104,12 +110,7 @@ class Limits:
         return np.where(value < (self.lower + self.upper) / 2, -1.0, 1.0)
 
     def capability(self, mean: float, sd: float) -> tuple[float, float]:
-        """Cp and Cpk; a one-sided requirement has no Cp (nan).
-
-        Args:
-            mean: of the response, its unit.
-            sd: standard deviation, its unit.
-        """
+        """Cp and Cpk of a response with this mean and standard deviation; without two limits Cp is nan."""
         room = -self.margin(mean)
         if sd == 0:
             cp, cpk = math.inf, math.inf if room >= 0 else -math.inf
@@ -124,6 +125,15 @@ class Limits:
         if sd == 0:
             return float(self.margin(mean) <= 0)
         return float(special.ndtr((self.upper - mean) / sd) - special.ndtr((self.lower - mean) / sd))
+
+    def limited(self, value: float) -> "Limits":
+        """The same requirement with its one limit elsewhere, or two limits this far from their middle."""
+        if math.isinf(self.lower):
+            return dataclasses.replace(self, upper=value)
+        if math.isinf(self.upper):
+            return dataclasses.replace(self, lower=value)
+        middle = (self.lower + self.upper) / 2
+        return dataclasses.replace(self, lower=middle - value, upper=middle + value)
 
     def aimed(self, value: float) -> "Limits":
         """The same requirement with another goal."""
@@ -169,9 +179,15 @@ class Limits:
         """Common factor on all half-widths after which a draw of `samples` units should just hold."""
         raise NotImplementedError
 
+    def verdict(self, sampled: Sampled) -> Verdict:
+        """Its figure, and whether that meets it with few enough failed units."""
+        figure = self.figure(sampled)
+        met = self.holds(figure) and sampled.failed().upper < self.most_failed
+        return Verdict(self.text(), self.judges, figure, met)
+
     def hopeless(self, samples: int, confidence: float) -> bool:
         """True if not even the best sample of this size could certify it."""
-        return False
+        return wilson(0, samples, confidence).upper >= self.most_failed
 
     def shortfall(self, values: np.ndarray, joint_target: float) -> float:
         """How far the limits would have to move outwards for these units, 0 if met; as for `learned`."""
@@ -194,6 +210,7 @@ class Requirement(Limits):
 
     goal: ClassVar[str | None] = "target"
     judges: ClassVar[str] = "share"
+    most_failed: ClassVar[float] = math.inf  # they are rejects
     target: float = 0.9973
 
     def __post_init__(self) -> None:
@@ -248,6 +265,8 @@ class Requirement(Limits):
 class MeanWithin(Limits):
     """Limits of the mean of a response over all valid units: how far a batch may be off as a whole.
 
+    Met only if also, for certain, less than 0.27 % of the units fail.
+
     Attributes:
         lower: lower limit of the mean, unit of the response; -inf for none.
         upper: upper limit of the mean; inf for none.
@@ -259,12 +278,12 @@ class MeanWithin(Limits):
 
     def learned(self, values: np.ndarray, distance: float) -> float:
         """Margin of the mean."""
-        valid = values[~np.isnan(values)]
+        valid = values[_valid(values)]
         return float(self.margin(valid.mean())) if valid.size else math.inf
 
     def pull(self, values: np.ndarray, margin: float, distance: float, lanes: int) -> Pull:
         """Every unit moves the mean alike."""
-        units = np.flatnonzero(~np.isnan(values))
+        units = _valid(values)
         sign = float(self.outward(values[units].mean())) if units.size else 0.0
         return Pull(units, np.full(units.size, sign), np.ones(units.size))
 
@@ -284,7 +303,7 @@ class MeanWithin(Limits):
 
     def text(self) -> str:
         """Which figure keeps the limits."""
-        return "mean"
+        return f"mean, {_FEW_FAILED}"
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -292,6 +311,7 @@ class CpkAtLeast(Limits):
     """Limits of a response and the capability of the batch: Cpk = min(U - mean, mean - L)/(3 sd) >= cpk.
 
     Moments are those of the valid units; a unit beyond a limit, or failed, is a reject in the yield as ever.
+    Met only if also, for certain, less than 0.27 % of the units fail.
 
     Attributes:
         lower: lower limit, unit of the response; -inf for none.
@@ -309,14 +329,14 @@ class CpkAtLeast(Limits):
 
     def learned(self, values: np.ndarray, distance: float) -> float:
         """3 cpk sd - min(U - mean, mean - L): the same statement in the response's unit."""
-        valid = values[~np.isnan(values)]
+        valid = values[_valid(values)]
         if valid.size < 2:
             return math.inf
         return float(self.margin(valid.mean()) + 3 * self.cpk * valid.std(ddof=1))
 
     def pull(self, values: np.ndarray, margin: float, distance: float, lanes: int) -> Pull:
         """d mean = sum dy/n, d sd = sum (y - mean) dy/((n - 1) sd)."""
-        units = np.flatnonzero(~np.isnan(values))
+        units = _valid(values)
         if units.size < 2:
             return Pull(units, np.zeros(units.size), np.ones(units.size))
         valid = values[units]
@@ -326,7 +346,7 @@ class CpkAtLeast(Limits):
 
     def figure(self, sampled: Sampled) -> Estimate:
         """Cpk; its error by the delta method from the covariance of mean and sd, for any law."""
-        return sampled.cpk(self.capability, self.outward)
+        return sampled.cpk(self)
 
     def holds(self, estimate: Estimate) -> bool:
         """The lower end of the interval of Cpk reaches it."""
@@ -338,7 +358,13 @@ class CpkAtLeast(Limits):
 
     def text(self) -> str:
         """The least Cpk."""
-        return f"Cpk >= {self.cpk:.4g}"
+        return f"Cpk >= {self.cpk:.4g}, {_FEW_FAILED}"
+
+
+def _valid(values: np.ndarray) -> np.ndarray:
+    """Numbers of the valid units; none where so many failed that a figure of the others says nothing."""
+    units = np.flatnonzero(~np.isnan(values))
+    return units if values.size - units.size <= MOST_FAILED * values.size else units[:0]
 
 
 def along_reach(units: np.ndarray, reach: np.ndarray, signs: np.ndarray, wanted: float) -> Pull:

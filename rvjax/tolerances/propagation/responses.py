@@ -46,22 +46,23 @@ class Compiled:
 
         self._shared, self._own = jax.jit(function, static_argnames=static), functools.lru_cache(PROGRAMS)(own)
 
+    def _program(self, response: Response) -> tuple[Any, tuple[Any, ...]]:
+        """The compiled function and its first arguments."""
+        return (self._shared, (response,)) if isinstance(response, Record) else (self._own(response), ())
+
     def __call__(self, response: Response, *arguments: Any, **static: Any) -> Any:
         """The function's value."""
-        if isinstance(response, Record):
-            return self._shared(response, *arguments, **static)
-        return self._own(response)(*arguments, **static)
+        jitted, first = self._program(response)
+        return jitted(*first, *arguments, **static)
 
     def lowered(self, response: Response, *arguments: Any, **static: Any) -> str:
         """Text of the program."""
-        if isinstance(response, Record):
-            return str(self._shared.lower(response, *arguments, **static).as_text())
-        return str(self._own(response).lower(*arguments, **static).as_text())
+        jitted, first = self._program(response)
+        return str(jitted.lower(*first, *arguments, **static).as_text())
 
     def programs(self, response: Response) -> int:
         """Programs compiled for a plain function; for records, for all of them together."""
-        jitted: Any = self._shared if isinstance(response, Record) else self._own(response)
-        return int(jitted._cache_size())
+        return int(self._program(response)[0]._cache_size())
 
 
 def per_response(*, static: tuple[str, ...] = ()) -> Callable[[Callable[..., Any]], Compiled]:
@@ -125,12 +126,14 @@ def unwrapped(result: Any) -> Any:
     return {key: unwrapped(item) for key, item in result.items()} if by_number else result
 
 
-def by_response(given: Any, names: tuple[str, ...], kind: type, argument: str) -> dict[str, Any]:
-    """Bring requirements (one, a dict, or None) to a dict by response name.
+def by_name(kind: type, found: Mapping[str, Mapping[str, Any]]) -> Any:
+    """A result of this kind, every field a dict by name, from what was found of each response; unwrapped."""
+    columns = {f.name: {n: each[f.name] for n, each in found.items()} for f in dataclasses.fields(kind)}
+    return unwrapped(kind(**columns))
 
-    Raises:
-        ValueError: a name the response does not have, or something of another type.
-    """
+
+def by_response(given: Any, names: tuple[str, ...], kind: type, argument: str) -> dict[str, Any]:
+    """Requirements (one, a dict, or None) as a dict by response; a ValueError names another type or an unknown name."""
     if given is None:
         return {}
     if not isinstance(given, Mapping):

@@ -16,12 +16,12 @@ from rvjax.tolerances.propagation.requirements import Limits
 from rvjax.tolerances.propagation.responses import (
     BLOCK,
     Response,
+    by_name,
     by_response,
     evaluate,
     per_response,
     respond_units,
     response_names,
-    unwrapped,
 )
 
 _TERMS = 23  # of Hermite series
@@ -101,23 +101,19 @@ def rss(
             hessian = np.asarray(_hessian(response, population, mean, names=(name,)), float)
             found[name] = _second_order(float(value[k]), gradient, hessian, law)
     results = {name: _figures(item, required.get(name), law) for name, item in found.items()}
-    columns: dict[str, Any] = {f.name: {n: r[f.name] for n, r in results.items()} for f in dataclasses.fields(Moments)}
+    moments = by_name(Moments, results)
     if not any(item.of_units for item in required.values()):
-        columns |= dict(cpk=None, yield_=None)
-    return unwrapped(Moments(**columns))
+        moments = dataclasses.replace(moments, cpk=None, yield_=None)
+    return moments
 
 
 class _Spread:
     """Moments of all active elements in one vector, field after field."""
 
     def __init__(self, population: Population) -> None:
-        self.fields = population.active
-        self.slices, start, rows = {}, 0, [np.zeros((0, 4))]
-        for name, tolerance in self.fields.items():
-            size = math.prod(tolerance.shape)
-            self.slices[name] = slice(start, start + size)
-            start += size
-            columns = [np.broadcast_to(moment, tolerance.shape).reshape(size) for moment in tolerance.moments()]
+        self.population, self.fields, rows = population, population.active, [np.zeros((0, 4))]
+        for tolerance in self.fields.values():
+            columns = [np.broadcast_to(moment, tolerance.shape).reshape(-1) for moment in tolerance.moments()]
             rows.append(np.stack(columns, axis=1))
         self.mean, self.variance, self.third, self.fourth = np.concatenate(rows).T
         self.sd = np.sqrt(self.variance)
@@ -125,7 +121,7 @@ class _Spread:
         z_matrix = batch_correlation(self.fields) if mixing is None else np.asarray(mixing @ mixing.T)
         self.correlation = _of_errors(z_matrix, population)
         coupled = any(t.law.couples for t in self.fields.values())
-        self.independent = not coupled and bool((self.correlation == np.eye(start)).all())
+        self.independent = not coupled and bool((self.correlation == np.eye(len(self.mean))).all())
 
     @property
     def covariance(self) -> np.ndarray:
@@ -134,13 +130,11 @@ class _Spread:
     def shares(self, gradient: np.ndarray) -> dict[str, float]:
         """Parts of g' Sigma g by field."""
         scaled = gradient * self.sd
-        rows = scaled * (self.correlation @ scaled)
-        return {n: float(rows[s].sum()) for n, s in self.slices.items()}
+        return self.sums(scaled * (self.correlation @ scaled))
 
-    def by_field(self, values: np.ndarray) -> dict[str, Any]:
-        """A vector over all elements as arrays by field."""
-        shapes = {n: t.shape for n, t in self.fields.items()}
-        return {n: values[s].reshape(shapes[n]) if shapes[n] else float(values[s][0]) for n, s in self.slices.items()}
+    def sums(self, values: np.ndarray) -> dict[str, float]:
+        """Sums of a vector over all elements, by field."""
+        return {n: float(part.sum()) for n, part in self.population.by_field(values).items()}
 
 
 def _of_errors(z_matrix: np.ndarray, population: Population) -> np.ndarray:
@@ -192,17 +186,14 @@ class _Propagated:
 def _figures(item: _Propagated, requirement: Limits | None, law: _Spread) -> dict[str, Any]:
     shared = sum(item.variances.values())
     sd = math.sqrt(max(0.0, shared if item.total is None else item.total))
-    cpk = share_good = None
-    if requirement is not None and requirement.of_units:
-        _, cpk = requirement.capability(item.mean, sd)
-        share_good = requirement.normal_yield(item.mean, sd)
+    limits = requirement if requirement is not None and requirement.of_units else None
     return dict(
         mean=item.mean,
         sd=sd,
-        cpk=cpk,
-        yield_=share_good,
+        cpk=limits.capability(item.mean, sd)[1] if limits else None,
+        yield_=limits.normal_yield(item.mean, sd) if limits else None,
         contributions={n: v / shared if shared > 0 else 0.0 for n, v in item.variances.items()},
-        sensitivities=law.by_field(item.gradient),
+        sensitivities={n: v if v.shape else float(v) for n, v in law.population.by_field(item.gradient).items()},
         method=item.method,
     )
 
@@ -217,8 +208,8 @@ def _second_order(value: float, g: np.ndarray, h: np.ndarray, law: _Spread) -> _
     rows = 0.5 * ((h @ covariance) * (h @ covariance).T).sum(axis=1)  # tr(H Sigma H Sigma)/2, by element
     # What the third and fourth moments add to the normal law, for independent elements.
     rows += g * curvature * law.third + 0.25 * curvature**2 * (law.fourth - 3 * law.variance**2) * law.independent
-    linear = law.shares(g)
-    variances = {n: linear[n] + float(rows[s].sum()) for n, s in law.slices.items()}
+    bent = law.sums(rows)
+    variances = {n: share + bent[n] for n, share in law.shares(g).items()}
     return _Propagated(mean, variances, g, "second order")
 
 
@@ -235,10 +226,8 @@ def _sampled(response: Response, population: Population, name: str, gradients: n
     gradients = gradients[np.isfinite(gradients).all(axis=1)]
     values, status = respond_units(response, population, root_key(0), 0, count=BLOCK)
     valid = np.asarray(values[name], float)[np.asarray(succeeded(status))]
-    shares = {n: 0.0 for n in law.slices}
-    for gradient in gradients:
-        for n, v in law.shares(gradient).items():
-            shares[n] += v / len(gradients)
+    of_units = [law.shares(gradient) for gradient in gradients]
+    shares = {n: sum(unit[n] for unit in of_units) / max(1, len(of_units)) for n in law.fields}
     mean_square = np.sqrt((gradients**2).mean(axis=0))
     return _Propagated(float(valid.mean()), shares, mean_square, "sampled", float(valid.var(ddof=1)))
 

@@ -8,8 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from rvjax.tolerances.propagation.estimates import Estimate, Moments4, deviate_of, wilson
-from rvjax.tolerances.propagation.scrambles import mean_of, share_estimate
+from rvjax.tolerances.propagation.estimates import (
+    Estimate,
+    Moments4,
+    deviate_of,
+    mean_of,
+    share_estimate,
+    wilson,
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -46,13 +52,11 @@ class Sampled:
         """The standard deviation."""
         return self._figure(lambda m: m.sd, lambda m: m.sd_estimate(self.confidence))
 
-    def cpk(
-        self, capability: Callable[[float, float], tuple[float, float]], outward: Callable[[float], Any]
-    ) -> Estimate:
-        """Cpk = room/(3 sd) of limits; `outward` is -1 where room grows with the mean, +1 where it falls."""
+    def cpk(self, limits: Any) -> Estimate:
+        """Cpk = room/(3 sd) of limits."""
 
         def of(m: Moments4) -> float:
-            return capability(m.mean, m.sd)[1] if m.n > 1 else math.nan
+            return limits.capability(m.mean, m.sd)[1] if m.n > 1 else math.nan
 
         def alone(m: Moments4) -> Estimate:
             value = of(m)
@@ -60,13 +64,16 @@ class Sampled:
                 return Estimate(value, 0.0 if math.isinf(value) else math.nan, value, value)
             # d Cpk = (-o dm - 3 Cpk ds)/(3 s), with var m = m2/n, var s of any law, cov(m, s) = m3/(2 s n).
             s, spread = m.sd, m.sd_estimate(self.confidence).error
-            o = float(outward(m.mean))
+            o = float(limits.outward(m.mean))  # +1 where room falls with the mean, -1 where it grows
             variance = s**2 / m.n + (3 * value * spread) ** 2 + 2 * o * 3 * value * m.s3 / m.n / (2 * s * m.n)
             error = math.sqrt(max(0.0, variance)) / (3 * s)
-            half = deviate_of(self.confidence) * error
-            return Estimate(value, error, value - half, value + half)
+            return Estimate.about(value, error, deviate_of(self.confidence))
 
         return self._figure(of, alone)
+
+    def failed(self) -> Estimate:
+        """The share of failed units."""
+        return self.share(self.seen - np.array([part.n for part in self.streams]))
 
     def share(self, passed: np.ndarray | None = None) -> Estimate:
         """The share of units within the limits, or of others that are counted."""

@@ -7,13 +7,12 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from scipy import special
 
 from rvjax.status import succeeded
 from rvjax.tolerances.population.correlation import Correlation
 from rvjax.tolerances.population.population import Population
 from rvjax.tolerances.population.sobol import SCRAMBLES, SobolPoints
-from rvjax.tolerances.propagation.estimates import Estimate
+from rvjax.tolerances.propagation.estimates import Estimate, student
 from rvjax.tolerances.propagation.responses import Response, respond, response_names, unwrapped
 
 _FEWEST = 2 * SCRAMBLES
@@ -112,12 +111,10 @@ def _mixtures(population: Population, a: np.ndarray, b: np.ndarray) -> Iterator[
     """The z (numbers, rows) of A, B and every AB_i."""
     yield a
     yield b
-    start = 0
+    stop = 0
     for numbers in population.numbers_by_field.values():
-        stop = start + numbers
-        mixed = a.copy()
+        start, stop, mixed = stop, stop + numbers, a.copy()
         mixed[start:stop] = b[start:stop]
-        start = stop
         yield mixed
 
 
@@ -145,10 +142,7 @@ class _Sums:
         if self.origin is None:
             self.origin = float(a[0])
         a, b = a - self.origin, b - self.origin
-
-        def summed(values: np.ndarray) -> np.ndarray:
-            return np.bincount(scramble, values, SCRAMBLES)
-
+        summed = lambda values: np.bincount(scramble, values, SCRAMBLES)  # noqa: E731
         self.own += [summed(v) for v in (np.ones(len(a)), a, b, a * a, b * b)]
         for i, row in enumerate(mixed):
             step = row - self.origin - a
@@ -159,8 +153,8 @@ class _Sums:
         rows, a, b, aa, bb = self.own
         n = rows.sum()
         if not n:
-            nothing = Estimate(math.nan, math.nan, math.nan, math.nan)
-            return dict.fromkeys(fields, nothing), dict.fromkeys(fields, nothing)
+            nothing = dict.fromkeys(fields, Estimate.about(math.nan, math.nan, 0.0))
+            return nothing, dict(nothing)
         mean = (a + b).sum() / (2 * n)
         variance = (aa + bb - 2 * mean * (a + b)) / 2 + rows * mean**2  # times rows, by scramble
         crossed, steps, squares = self.crossed
@@ -178,5 +172,4 @@ def _share(parts: np.ndarray, variances: np.ndarray) -> Estimate:
     ratio = float(parts.sum() / whole)
     scatter = (parts - ratio * variances) / whole  # sums to 0
     error = math.sqrt(float((scatter**2).sum()) * SCRAMBLES / (SCRAMBLES - 1))
-    half = float(special.stdtrit(SCRAMBLES - 1, 0.975)) * error
-    return Estimate(ratio, error, ratio - half, ratio + half)
+    return Estimate.about(ratio, error, student(0.95, SCRAMBLES))

@@ -7,12 +7,9 @@ _BEYOND = 8  # units that must lie beyond a sampled quantile; further out the ta
 
 
 def tail_quantile(margins: np.ndarray, target: float, distance: float) -> float:
-    """Quantile at a target, failed units (inf) above all others.
+    """Quantile of the units' margins (n,) at a target, failed ones (inf) above all others.
 
-    Args:
-        margins: (n,) of the units.
-        target: level.
-        distance: of the nominal response from the limit; a far tail is extended from there.
+    A far tail is extended from the nominal response, which stands `distance` from the limit.
     """
     level = _reachable(target, len(margins))
     rank = (len(margins) - 1) * level

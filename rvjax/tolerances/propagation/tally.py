@@ -39,14 +39,9 @@ class Tally:
         return all(order.settled for order in self._orders.values())
 
     def add(self, number: int, start: int, values: Arrays, status: np.ndarray, *, own: bool = True) -> None:
-        """Take in a chunk.
+        """Take in chunk `number`, from unit `start`: values by name (n,) and status (n,).
 
-        Args:
-            number: of the chunk.
-            start: its first unit.
-            values: by name (n,).
-            status: (n,).
-            own: False for a chunk that another process counts.
+        Another process counts one that is not `own`.
         """
         good = np.isin(status, _GOOD)
         complete = bool(good.all())
@@ -55,13 +50,16 @@ class Tally:
                 order.add(_finite(values[name], good, complete), own=False)
             return
         if not complete:
-            self._add_failures(start, status, good)
+            for code in np.unique(status[~good]):
+                lanes = status == code
+                self._fail(int(code), int(lanes.sum()), start + int(np.argmax(lanes)))
         streams = (start + np.arange(len(status))) % self.streams if self.streams > 1 else None
         good_streams = None if streams is None else streams[good]
         joint = None
         for name in self.names:
             finite = _finite(values[name], good, complete)
-            self._add_moments(number, name, finite, good_streams)
+            for stream, tree in enumerate(self.moments[name]):
+                tree.add(number, Moments4.of(finite if good_streams is None else finite[good_streams == stream]))
             if self.values:
                 self.values[name][start : start + len(status)][good] = finite
             else:
@@ -78,15 +76,6 @@ class Tally:
         if streams is None:
             return np.count_nonzero(hits)
         return np.bincount(streams[hits], minlength=self.streams)
-
-    def _add_moments(self, number: int, name: str, finite: np.ndarray, streams: np.ndarray | None) -> None:
-        for stream, tree in enumerate(self.moments[name]):
-            tree.add(number, Moments4.of(finite if streams is None else finite[streams == stream]))
-
-    def _add_failures(self, start: int, status: np.ndarray, good: np.ndarray) -> None:
-        for code in np.unique(status[~good]):
-            lanes = status == code
-            self._fail(int(code), int(lanes.sum()), start + int(np.argmax(lanes)))
 
     def _fail(self, code: int, units: int, example: int) -> None:
         self.failures[code] = self.failures.get(code, 0) + units
@@ -106,11 +95,7 @@ class Tally:
     def state(self, stop: int) -> dict[str, np.ndarray]:
         """Everything counted, as arrays; `stop` is the number of the unit after the last one seen."""
         failures = [[code, count, self.examples[code]] for code, count in self.failures.items()]
-        state = {
-            "seen": self.seen,
-            "joint": self.joint,
-            "failures": np.array(failures, np.int64).reshape(-1, 3),
-        }
+        state = {"seen": self.seen, "joint": self.joint, "failures": np.array(failures, np.int64).reshape(-1, 3)}
         for number, name in enumerate(self.names):
             state |= {f"{number}/moments/{s}": tree.state() for s, tree in enumerate(self.moments[name])}
             if name in self.passed:

@@ -11,7 +11,7 @@ import numpy as np
 
 from rvjax.status import succeeded
 from rvjax.tolerances.population.population import Population
-from rvjax.tolerances.propagation.responses import Response, evaluate, per_response, response_names, unwrapped
+from rvjax.tolerances.propagation.responses import Response, by_name, evaluate, per_response, response_names
 
 _ALL_CORNERS = 12  # up to so many coordinates every corner is looked at
 _STARTS = 16  # else: corners of gradient signs at the middle and at random points
@@ -58,19 +58,12 @@ def worst_case(response: Response, tolerances: Any, *, refine: bool = True) -> W
     population = Population.of(tolerances)
     names = response_names(response, population)
     search = _Search(response, population, names)
-    found = {name: (search.extreme(k, -1.0, refine), search.extreme(k, 1.0, refine)) for k, name in enumerate(names)}
-
-    def column(pick: Any) -> Any:
-        return {name: pick(*pair) for name, pair in found.items()}
-
-    whole = WorstCase(
-        lower=column(lambda low, high: -low[0]),
-        upper=column(lambda low, high: high[0]),
-        at_lower=column(lambda low, high: search.errors(low[1])),
-        at_upper=column(lambda low, high: search.errors(high[1])),
-        failed=column(lambda low, high: low[2] + high[2]),
-    )
-    return unwrapped(whole)
+    found = {}
+    for k, name in enumerate(names):
+        (low, at_low, failed), (high, at_high, also) = (search.extreme(k, sign, refine) for sign in (-1.0, 1.0))
+        places = dict(at_lower=search.errors(at_low), at_upper=search.errors(at_high))
+        found[name] = dict(lower=-low, upper=high, failed=failed + also, **places)
+    return by_name(WorstCase, found)
 
 
 class _Search:
@@ -155,13 +148,13 @@ class _Search:
         """Move single coordinates (or the vector pair they belong to) across until none improves."""
         n = len(place)
         for _ in range(2 * n):
-            flipped = np.where(np.eye(n, dtype=bool), -place, place)
+            flipped, before = np.where(np.eye(n, dtype=bool), -place, place), top
             values, gradients = self.look(flipped, k, sign)
-            candidates = np.concatenate([flipped, self.corner(gradients)])
-            values = np.concatenate([values, self.look(candidates[n:], k, sign)[0]])
-            if np.isnan(values).all() or np.nanmax(values) <= top:
+            corners = self.corner(gradients)
+            values = np.concatenate([values, self.look(corners, k, sign)[0]])
+            place, top = _better(place, top, np.concatenate([flipped, corners]), values)
+            if top == before:
                 break
-            place, top = candidates[int(np.nanargmax(values))], float(np.nanmax(values))
         return place, top
 
     def inside(self, place: np.ndarray, top: float, k: int, sign: float) -> tuple[np.ndarray, float]:
@@ -171,12 +164,11 @@ class _Search:
             size = float(np.abs(gradient).max())
             if size == 0:
                 break
-            steps = 2.0 ** -np.arange(20)[:, None] * gradient / size
+            steps, before = 2.0 ** -np.arange(20)[:, None] * gradient / size, top
             candidates = self.project(place[None] + steps)
-            values, _ = self.look(candidates, k, sign)
-            if np.isnan(values).all() or np.nanmax(values) <= top:
+            place, top = _better(place, top, candidates, self.look(candidates, k, sign)[0])
+            if top == before:
                 break
-            place, top = candidates[int(np.nanargmax(values))], float(np.nanmax(values))
         return place, top
 
     def project(self, points: np.ndarray) -> np.ndarray:
@@ -186,6 +178,12 @@ class _Search:
         norms = np.maximum(np.linalg.norm(discs, axis=2, keepdims=True), 1.0)
         inside[:, self.in_disc] = (discs / norms).reshape(len(points), -1)
         return inside
+
+
+def _better(place: np.ndarray, top: float, candidates: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, float]:
+    """The best candidate, or the old place where none is better."""
+    best = int(np.argmax(np.nan_to_num(values, nan=-np.inf)))
+    return (candidates[best], float(values[best])) if values[best] > top else (place, top)
 
 
 def _unit_errors(population: Population, u: jax.Array) -> dict[str, jax.Array]:
