@@ -10,6 +10,7 @@ from typing import Any
 from rvjax import catalogue, units
 from rvjax.designs import (
     CamRollerReducer,
+    Contact,
     CrankStage,
     CycloidStage,
     Damping,
@@ -35,6 +36,7 @@ _LAZY = {
     "EnergyShares": "dynamics",
     "Floquet": "dynamics",
     "LinkDeviations": "four_bar",
+    "Loaded": "loaded",
     "LoopFigures": "lost_motion",
     "LostMotion": "lost_motion",
     "LostMotionTerms": "lost_motion",
@@ -48,10 +50,12 @@ _LAZY = {
     "Static": "dynamics",
     "System": "dynamics",
     "ToothProfile": "mesh_force",
+    "Torsion": "loaded",
     "TransmissionError": "four_bar",
     "dynamics": None,
     "four_bar": None,
     "levels": None,
+    "loaded": None,
     "lost_motion": None,
     "mesh_force": None,
     "models": None,
@@ -65,6 +69,7 @@ _LAZY = {
 __all__ = [
     "CamRollerErrors",
     "CamRollerReducer",
+    "Contact",
     "CrankStage",
     "CycloidStage",
     "Damping",

@@ -162,8 +162,27 @@ class Damping(Record):
 
 
 @record
+class Contact(Record):
+    """Contact of a disc with the pins (loaded equilibrium). Discs and pins are of one material."""
+
+    young_modulus: Any = field("Pa", "Young's modulus, E", sign="positive")
+    poisson_ratio: Any = field("-", "Poisson's ratio, nu")
+    face_width: Any = field("m", "width of a disc, L", sign="positive")
+    pin_stiffness: Any = field(
+        "N/m", "one pin, linear law; None: 4 cos^2(force_angle) disc_pin_mesh / pins", default=None, sign="positive"
+    )
+    pin_support: Any = field(
+        "N/m", "a pin in its groove and bending, in series, hertz law; None: rigid", default=None, sign="positive"
+    )
+
+    def _check(self) -> None:
+        if concrete(self.poisson_ratio) and np.any(np.abs(np.asarray(self.poisson_ratio)) >= 1):
+            raise ValueError(f"Contact.poisson_ratio = {quantity(self.poisson_ratio, '-')}: must lie between -1 and 1")
+
+
+@record
 class RVReducer(Record):
-    """An RV reducer. The last four parts are needed by the dynamic model only."""
+    """An RV reducer. Stiffness is read by the dynamic and the loaded model, contact by the loaded model only."""
 
     kind: ClassVar[str] = "rv"  # in study files
 
@@ -174,6 +193,7 @@ class RVReducer(Record):
     stiffness: Stiffness | None = field("-", "stiffnesses", kind="record", default=None)
     mesh_variation: MeshVariation | None = field("-", "periodic mesh stiffness", kind="record", default=None)
     damping: Damping | None = field("-", "damping", kind="record", default=None)
+    contact: Contact | None = field("-", "contact of discs and pins", kind="record", default=None)
 
     @property
     def ratio(self) -> float:
@@ -184,7 +204,13 @@ class RVReducer(Record):
     @property
     def counts(self) -> dict[str, int]:
         """Sizes of the named axes in the shapes of this design's errors."""
-        return {"discs": self.cycloid.disc_count, "cranks": self.cranks.count}
+        cycloid = self.cycloid
+        return {
+            "discs": cycloid.disc_count,
+            "cranks": self.cranks.count,
+            "pins": cycloid.pin_count,
+            "teeth": cycloid.disc_teeth,
+        }
 
     @property
     def error_record(self) -> Any:

@@ -14,8 +14,10 @@ from rvjax.records import Record, broadcast_fields, field, record
 class RVErrors(Record):
     """Manufacturing errors of the parts of an RV reducer.
 
-    Bore positions are [radial, tangential] in the frame of their crank: radial away from the axis,
-    tangential counter-clockwise.
+    Bore positions are [radial, tangential] in the frame of their crank, pin offsets in the frame of their pin, planet
+    runouts in the frame of their planet at input angle 0: radial away from the main axis, tangential counter-clockwise.
+    Pin 0 and eccentric 0 lie on the x axis at input angle 0. The errors from `support_clearance` on have a place; only
+    `rvjax.loaded` reads them. `pin_position`, `disc_runout` and `disc_cumulative_pitch` are bounds without a place.
     """
 
     crank_eccentricity: Any = field("m", "eccentricity of each crank journal", shape=("discs", "cranks"), default=0.0)
@@ -36,6 +38,24 @@ class RVErrors(Record):
     shift_modification: Any = field("m", "deviation of the shift modification", default=0.0)
     base_tangent_upper: Any = field("m", "upper deviation of the base tangent length; < 0 thins the tooth", default=0.0)
     base_tangent_lower: Any = field("m", "lower deviation of the base tangent length; < 0 thins the tooth", default=0.0)
+    support_clearance: Any = field(
+        "m", "radial clearance of the cranks in the carrier", default=0.0, sign="nonnegative"
+    )
+    pin_offset: Any = field("m", "position of each pin in the housing", shape=("pins", 2), default=0.0)
+    pin_radii: Any = field("m", "radius of each pin, beside the common one", shape=("pins",), default=0.0)
+    ring_centre: Any = field("m", "pin circle against the main bearings, housing x, y", shape=(2,), default=0.0)
+    disc_centre: Any = field("m", "teeth against bores, x, y at input angle 0", shape=("discs", 2), default=0.0)
+    disc_pitch: Any = field(
+        "m", "position of each tooth on its circle, counter-clockwise", shape=("discs", "teeth"), default=0.0
+    )
+    disc_profile: Any = field(
+        "m",
+        "material normal to the flank, [cosine, sine] of 0 to 4 times the angle of a lobe",
+        shape=("discs", 5, 2),
+        default=0.0,
+    )
+    sun_runout: Any = field("m", "eccentricity of the sun teeth, x, y at input angle 0", shape=(2,), default=0.0)
+    planet_runout: Any = field("m", "eccentricity of the planet teeth", shape=("cranks", 2), default=0.0)
     sun_planet_stiffness: Any = field("-", "share by which all meshes of sun and planets are stiffer", default=0.0)
     disc_pin_stiffness: Any = field("-", "share by which all meshes of discs and pins are stiffer", default=0.0)
     turning_arm_stiffness: Any = field("-", "share by which all bearings in the discs are stiffer", default=0.0)
@@ -60,12 +80,27 @@ class RVErrors(Record):
 
         Args:
             design: tells the counts of the shapes.
-            **errors: fields by name; absent ones are zero.
+            **errors: fields by name; absent ones are zero, those with a place as a plain number.
 
         Raises:
             ValueError: unknown field, or a shape that does not fit the design.
         """
-        return cls(**broadcast_fields(cls, design.counts, errors))
+        full = broadcast_fields(cls, design.counts, errors)
+        return cls(**full | {name: 0.0 for name in PLACED if name not in errors})
+
+
+PLACED = (
+    "support_clearance",
+    "pin_offset",
+    "pin_radii",
+    "ring_centre",
+    "disc_centre",
+    "disc_pitch",
+    "disc_profile",
+    "sun_runout",
+    "planet_runout",
+)
+"""Errors with a place, which `rvjax.loaded` alone reads."""
 
 
 @record

@@ -14,7 +14,7 @@ from rvjax.records import Record
 
 ROOT = Path(__file__).parent.parent
 PACKAGE = ROOT / "rvjax"
-MODELS = ("four_bar", "lost_motion", "mesh_force", "dynamics")
+MODELS = ("four_bar", "lost_motion", "mesh_force", "dynamics", "loaded")
 
 # From the ground up; a module may import modules of lower floors and of its own package only.
 FLOORS = (

@@ -1,0 +1,11 @@
+"""Quasi-static equilibrium of a whole RV reducer: sun to carrier, every pin and every bearing, all errors at once.
+
+One convex energy; its minimum gives transmission error, torque-angle curve, backlash, stiffness and every force.
+Derived in this project: docs/models/loaded.md.
+"""
+
+from rvjax.loaded.equilibrium import Loaded, equilibrium
+from rvjax.loaded.revolution import Revolution, revolution
+from rvjax.loaded.torsion import Torsion, torsion
+
+__all__ = ["Loaded", "Revolution", "Torsion", "equilibrium", "revolution", "torsion"]

@@ -1,0 +1,203 @@
+"""One equilibrium of a whole reducer: what is read, what is valid, what comes out."""
+
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rvjax.designs import RVReducer
+from rvjax.errors import RVErrors
+from rvjax.loaded.balance import attach, balance, compliance
+from rvjax.loaded.contacts import contacts
+from rvjax.loaded.gaps import gaps
+from rvjax.loaded.geometry import curvature, geometry
+from rvjax.loaded.newton import Found
+from rvjax.loaded.reading import Read, admit, check_input, mesh_stiffness, pin_compliance
+from rvjax.loaded.system import Layout, System, directions
+from rvjax.records import Record, field, record
+from rvjax.status import SolveInfo, Status, first_failure, succeeded
+
+
+@record
+class Loaded(Record):
+    """Equilibrium of a whole reducer. Bearing forces in the frame of the ideal carrier; for c = 2 its x axis runs from
+    crank 0 to crank 1."""
+
+    error: Any = field("rad", "rotation of the carrier against the ideal motion, > 0 ahead")
+    pins: Any = field("N", "force of each pin on each disc, >= 0", shape=("discs", "pins"))
+    pressure: Any = field("Pa", "largest Hertzian pressure of each pin", shape=("discs", "pins"))
+    disc_bearing: Any = field("N", "crank on disc, x, y", shape=("discs", "cranks", 2))
+    support_bearing: Any = field("N", "crank on carrier, x, y", shape=("cranks", 2))
+    gear: Any = field("N", "sun on each planet, driving flank less coasting flank", shape=("cranks",))
+    input_torque: Any = field("N m", "torque on the sun")
+    disc_torque: Any = field("N m", "moment of the pins about the centre of each disc", shape=("discs",))
+    stiffness: Any = field("N m/rad", "tangent stiffness at the carrier, input held")
+    info: SolveInfo = field("-", "residual: largest unbalanced force over the largest force", kind="record")
+
+
+def equilibrium(
+    design: RVReducer,
+    errors: RVErrors,
+    *,
+    input_angle: Any,
+    output_torque: Any,
+    contact: str = "hertz",
+    carrier: str = "fixed",
+    sun: str = "fixed",
+) -> Loaded:
+    """Quasi-static equilibrium of every part that carries torque, both stages in one.
+
+    Contacts are elastic and unilateral, without friction; geometry is linear in the displacements, which are deviations
+    from the ideal motion at `input_angle`. Derived in this project: docs/models/loaded.md, Eqs. 1-23.
+
+    Args:
+        design: with stiffness and contact; one pin more than disc teeth. `shortening` is not read.
+        errors: of its parts; the bounds without a place (`pin_position`, `disc_runout`, `disc_cumulative_pitch`) are
+            not read, negative clearances count as 0.
+        input_angle: of the sun, () rad, ring fixed; forward is counter-clockwise, and so is the output.
+        output_torque: that the discs exert on the carrier, () N m; the external load is its opposite.
+        contact: law of the pins, "hertz", "linear" or "palmgren".
+        carrier: "fixed" centre, or "floating" on `stiffness.output_support`.
+        sun: "fixed", or "floating" on `stiffness.sun_support` and `sun_torsion`.
+
+    Returns:
+        Loaded. Status CONVERGED, UNLOADED (no torque and no pin pressed), or with NaN values NONFINITE,
+        INVALID_GEOMETRY, UNDERCUT, CONTACT_OVERLOAD (hertz: a pin as deep as its law ends), MAX_STEPS.
+
+    Raises:
+        ValueError: unknown methods, a design without stiffness or contact or with another tooth difference than one,
+            or an array whose shape does not fit the design.
+    """
+    layout = check_input(design, errors, contact, carrier, sun)
+    return _equilibrium(layout, design, errors, input_angle, output_torque)
+
+
+@partial(jax.jit, static_argnums=0)
+def _equilibrium(layout: Layout, design: RVReducer, errors: RVErrors, input_angle: Any, output_torque: Any) -> Loaded:
+    read = admit(layout, design, errors, output_torque, input_angle)
+    case = prepare(layout, read, read.angle).loaded(read.torque)
+    found = balance(layout, case.system, jnp.full((layout.unknowns,), jnp.nan, read.torque.dtype))
+    status = judge(layout, read, case, found)
+    return outcome(layout, read, case, found, status)
+
+
+class Case(NamedTuple):
+    """One system, and what its results are derived with."""
+
+    system: System
+    lever: jax.Array  # (d, p) m
+    pressure: jax.Array  # (d, p) Pa / sqrt(N)
+
+    def loaded(self, torque: jax.Array) -> "Case":
+        """The same parts, whose load is that of 1 N m, under `torque`, () N m."""
+        return self._replace(system=self.system._replace(load=torque * self.system.load))
+
+
+def prepare(layout: Layout, read: Read, input_angle: jax.Array) -> Case:
+    """Geometry, springs and gaps of one input angle; `load` is that of 1 N m.
+
+    Args:
+        layout: counts and methods.
+        read: finite and possible numbers.
+        input_angle: () rad.
+    """
+    design, errors, e = read.design, read.errors, read.eccentricity
+    involute, cycloid, cranks = design.involute, design.cycloid, design.cranks
+    contact, springs = design.contact, design.stiffness
+    assert contact is not None and springs is not None
+    at = geometry(design, e, input_angle)
+    dtype = at.size.dtype
+    radial, tangential = (jnp.asarray(x, dtype)[:, None] for x in directions(cranks.count))
+    side = jnp.asarray([1.0, -1.0], dtype)[None, :, None]
+    flank = jnp.sin(involute.pressure_angle) * radial + jnp.cos(involute.pressure_angle) * side * tangential
+    gap = gaps(design, errors, at, e, flank)
+    swing = e / involute.planet_base_radius * jnp.stack([-at.eccentric.sine, at.eccentric.cosine], axis=-1)
+    yielding = pin_compliance(layout, design)
+    plane = contact.young_modulus * contact.face_width / (1 - contact.poisson_ratio**2)
+    rounding = cycloid.pin_radius / (1 - cycloid.pin_radius * curvature(design, at.shortening, at.lobe.cosine))
+    level = None
+    if layout.law == "hertz":  # Eq. 17
+        level = jnp.log(2 * jnp.pi * plane * rounding) - 1 / (2 * (1 - contact.poisson_ratio))
+        if contact.pin_support is not None:
+            level = level + 1 / (yielding * contact.pin_support)
+    squeeze = plane / (2 * jnp.pi * contact.face_width**2)  # Eq. 24: p^2 = F E / (2 pi L (1 - nu^2) R*)
+    arm_stiffness = jnp.broadcast_to(springs.turning_arm_bearing, (layout.discs, layout.cranks))
+    floating, free = layout.carrier == "floating", layout.sun == "floating"
+    system = System(
+        rows=jnp.stack([-at.normal[0], -at.normal[1], at.lever / cranks.circle_radius]),
+        level=level,
+        compliance=yielding,
+        swing=swing,
+        flank=flank,
+        arm_stiffness=arm_stiffness,
+        seat_stiffness=jnp.broadcast_to(springs.support_bearing, (layout.cranks,)),
+        mesh_stiffness=jnp.broadcast_to(mesh_stiffness(design), (layout.cranks,)),
+        centring=1e-8 * jnp.mean(arm_stiffness),
+        carrier_support=springs.output_support if floating else None,
+        sun_support=springs.sun_support if free else None,
+        sun_torsion=springs.sun_torsion / involute.sun_base_radius**2 if free else None,
+        gap=gap.pins,
+        gear_gap=gap.gear,
+        arm=gap.arm,
+        seat=gap.seat,
+        arm_clearance=jnp.maximum(errors.bearing_clearance, 0),
+        seat_clearance=jnp.maximum(errors.support_clearance, 0),
+        load=1 / cranks.circle_radius,
+    )
+    # rr^2 / R* is `rounding`, so that 1 / R* = rounding / rr^2.
+    case = Case(system, at.lever, jnp.sqrt(squeeze * rounding) / cycloid.pin_radius)
+    return jax.lax.optimization_barrier(case)  # else XLA computes parts of it anew in every loop that reads them
+
+
+def judge(layout: Layout, read: Read, case: Case, found: Found) -> jax.Array:
+    """Status of a solved case."""
+    lanes = jax.tree.map(lambda leaf: leaf[..., None], case.system)
+    largest = jnp.max(contacts(layout, lanes, found.q[:, None]).pins)
+    idle = (case.system.load == 0) & (largest <= case.system.centring * read.design.cycloid.pin_radius)
+    return first_failure(
+        (~read.finite | ~found.finite, Status.NONFINITE),
+        (~read.possible, Status.INVALID_GEOMETRY),
+        (read.undercut, Status.UNDERCUT),
+        (found.overload & ~found.converged, Status.CONTACT_OVERLOAD),
+        (~found.converged, Status.MAX_STEPS),
+        (idle, Status.UNLOADED),
+    )
+
+
+def placed(layout: Layout, case: Case, found: Found, status: jax.Array) -> jax.Array:
+    """Displacements (n,) with the derivatives of the equilibrium; zero where it failed."""
+    return attach(layout, case.system, jnp.where(succeeded(status), found.q, 0))
+
+
+def info(found: Found, status: jax.Array) -> SolveInfo:
+    """How the solve ended; a lane that was refused counts no steps."""
+    refused = (status == Status.NONFINITE) | (status == Status.INVALID_GEOMETRY) | (status == Status.UNDERCUT)
+    return SolveInfo(status, jnp.where(refused, 0, found.steps), jnp.where(refused, jnp.nan, found.residual))
+
+
+def outcome(layout: Layout, read: Read, case: Case, found: Found, status: jax.Array) -> Loaded:
+    """Everything that follows from the displacements."""
+    design, system = read.design, case.system
+    q = placed(layout, case, found, status)
+    at = contacts(layout, jax.tree.map(lambda leaf: leaf[..., None], system), q[:, None])
+    radius = design.cranks.circle_radius
+    pins, gear = at.pins[..., 0], (at.gear[:, 0] - at.gear[:, 1])[..., 0]
+    unit = jnp.asarray(np.eye(layout.unknowns)[layout.carried], q.dtype)
+    pressed = pins > 0
+    values = Loaded(
+        error=q[layout.carried] / radius,
+        pins=pins,
+        pressure=jnp.where(pressed, case.pressure * jnp.sqrt(jnp.where(pressed, pins, 1)), 0),
+        disc_bearing=-jnp.moveaxis(at.arm.force[..., 0], 0, -1),
+        support_bearing=jnp.moveaxis(at.seat.force[..., 0], 0, -1),
+        gear=gear,
+        input_torque=design.involute.sun_base_radius * jnp.sum(gear),
+        disc_torque=-jnp.sum(case.lever * pins, axis=1),
+        stiffness=radius**2 / compliance(layout, system, q, unit)[layout.carried],
+        info=None,  # type: ignore[arg-type]
+    )
+    fine = succeeded(status)
+    values = jax.tree.map(lambda value: jnp.where(fine, value, jnp.nan), values)
+    return values.replace(info=info(found, status))

@@ -1,0 +1,128 @@
+"""Geometry of one input angle, in the frame of the ideal carrier: no displacement, no error but the eccentricity.
+
+Forward is counter-clockwise, and so is the output. Pin 0 and eccentric 0 lie on the x axis at input angle 0.
+Derivation and equation numbers: docs/models/loaded.md.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rvjax.designs import RVReducer
+from rvjax.elementary import sin_cos
+
+
+class Turn(NamedTuple):
+    """Cosine and sine of an angle."""
+
+    cosine: Any
+    sine: Any
+
+    def plus(self, angle: np.ndarray) -> "Turn":
+        """The angle and a constant one."""
+        c, s = (jnp.asarray(x, self.cosine.dtype) for x in (np.cos(angle), np.sin(angle)))
+        return Turn(self.cosine * c - self.sine * s, self.sine * c + self.cosine * s)
+
+    def of(self, x: Any, y: Any) -> tuple[Any, Any]:
+        """The vector (x, y) turned by the angle."""
+        return self.cosine * x - self.sine * y, self.sine * x + self.cosine * y
+
+    @property
+    def back(self) -> "Turn":
+        """The opposite angle."""
+        return Turn(self.cosine, -self.sine)
+
+
+def turn(angle: jax.Array) -> Turn:
+    """Cosine and sine of `angle`, () rad."""
+    sine, cosine = sin_cos(angle)
+    return Turn(cosine, sine)
+
+
+class Geometry(NamedTuple):
+    """Directions of one input angle; d discs, p pins."""
+
+    carrier: Turn  # th, (): from the housing to the ideal carrier
+    sun: Turn  # theta_s - th, ()
+    crank: Turn  # -zp th, ()
+    eccentric: Turn  # b_k, (d,)
+    pin: Turn  # g_j, (p,)
+    lobe: Turn  # psi_kj, (d, p)
+    size: jax.Array  # S, (d, p)
+    shortening: jax.Array  # K1, ()
+    lever: jax.Array  # e zc sin(psi) / S, (d, p) m
+    normal: tuple[jax.Array, jax.Array]  # n, x and y (d, p): from the pin centre into the disc
+    tooth: jax.Array  # tooth of disc k that pin j meets, (d, p) integer
+
+
+def ratio(design: RVReducer) -> float:
+    """Sun turns per carrier turn, ring fixed. Eq. 1."""
+    involute = design.involute
+    return 1 + involute.planet_teeth * design.cycloid.pin_count / involute.sun_teeth
+
+
+def geometry(design: RVReducer, eccentricity: jax.Array, input_angle: jax.Array) -> Geometry:
+    """Directions and levers at an input angle.
+
+    Args:
+        design: counts and pin circle radius are read.
+        eccentricity: e, nominal and error, () m.
+        input_angle: theta_s, () rad.
+    """
+    cycloid = design.cycloid
+    zc, zp, discs = cycloid.disc_teeth, cycloid.pin_count, cycloid.disc_count
+    th = input_angle / ratio(design)
+    crank = turn(-zp * th)
+    places, pins = np.arange(discs) / discs, np.arange(zp) / zp
+    eccentric = crank.plus(2 * np.pi * places)  # Eq. 2
+    pin = turn(-th).plus(2 * np.pi * pins)
+    # psi / 2 = (2 pi j / zp + zc th - 2 pi k / nd) / 2: its sine keeps what is near a tooth space exact
+    half = turn(zc * th / 2).plus(np.pi * (pins[None] - places[:, None]))
+    lobe = Turn(1 - 2 * half.sine * half.sine, 2 * half.sine * half.cosine)
+    k1 = eccentricity * zp / cycloid.pin_circle_radius
+    size = jnp.sqrt((1 - k1) ** 2 + 4 * k1 * half.sine * half.sine)  # Eq. 4
+    laps = jnp.floor(jax.lax.stop_gradient(zc * th / (2 * np.pi)) + jnp.asarray(pins[None] - places[:, None], th.dtype))
+    return Geometry(
+        carrier=turn(th),
+        sun=turn(input_angle - th),
+        crank=crank,
+        eccentric=eccentric,
+        pin=pin,
+        lobe=lobe,
+        size=size,
+        shortening=k1,
+        lever=eccentricity * zc * lobe.sine / size,  # Eq. 5
+        normal=tuple(  # type: ignore[arg-type]
+            (k1 * b[:, None] - g[None]) / size for b, g in ((eccentric.cosine, pin.cosine), (eccentric.sine, pin.sine))
+        ),
+        tooth=jnp.mod(jnp.arange(zp, dtype=jnp.int32)[None] - laps.astype(jnp.int32), zc),  # Eq. 6
+    )
+
+
+def curvature(design: RVReducer, k1: Any, cosine: Any) -> Any:
+    """Curvature of the line of pin centres at a lobe angle, > 0 convex, 1/m. Eq. 7.
+
+    Args:
+        design: pin count and pin circle radius are read.
+        k1: shortening K1.
+        cosine: of the lobe angle psi.
+    """
+    zp = design.cycloid.pin_count
+    size = jnp.sqrt(1 + k1 * k1 - 2 * k1 * cosine)
+    return (1 + zp * k1 * k1 - k1 * (1 + zp) * cosine) / (design.cycloid.pin_circle_radius * size**3)
+
+
+def largest_curvature(design: RVReducer, k1: Any) -> Any:
+    """Of the whole flank, 1/m: at its inflection or at one of its ends.
+
+    Args:
+        design: pin count and pin circle radius are read.
+        k1: shortening K1, between 0 and 1.
+    """
+    zp = design.cycloid.pin_count
+    a, b = 1 + zp * k1 * k1, k1 * (1 + zp)
+    inside = jnp.clip((3 * k1 * a - b * (1 + k1 * k1)) / (k1 * b), -1, 1)
+    ends = [curvature(design, k1, jnp.asarray(x, k1.dtype)) for x in (-1.0, 1.0)]
+    return jnp.maximum(jnp.maximum(*ends), curvature(design, k1, inside))

@@ -1,0 +1,89 @@
+"""How batches of cases are laid out: groups that share a geometry, lanes within a group, lanes last.
+
+`jax.vmap` alone would put the cases first, where sums over eighty pins cost several times as much, and would copy the
+geometry of an angle for every unit. The rule of `in_lanes` lets it be shared: an axis over which the geometry does not
+vary becomes lanes, any other becomes groups.
+"""
+
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from rvjax.loaded.system import Layout, System
+
+Kernel = Callable[..., Any]
+
+_FEW = 8  # lanes of a group; with fewer all cases are lanes, each with its own geometry
+
+
+@functools.cache
+def in_lanes(kernel: Kernel, layout: Layout) -> Callable[..., Any]:
+    """The function (system, *arrays) of one case that `kernel` computes for many.
+
+    Args:
+        kernel: (layout, system, *arrays) -> arrays, cases first; leaves of one case are shared by all.
+        layout: counts and methods.
+    """
+    grouped = jax.custom_batching.custom_vmap(functools.partial(_over_groups, kernel, layout))
+
+    @grouped.def_vmap
+    def _rule(size: int, batched: list[Any], *arguments: Any) -> tuple[Any, Any]:
+        leaves, tree = jax.tree.flatten(arguments)
+        flags = jax.tree.leaves(batched)
+        groups = max(leaf.shape[flag] for leaf, flag in zip(leaves, flags))
+        lanes = max(leaf.shape[1 + flag] for leaf, flag in zip(leaves, flags))
+        by_group = batched[0].rows
+
+        def merge(leaf: jax.Array, of_batch: bool) -> jax.Array:
+            if not of_batch and leaf.shape[0 if by_group else 1] == 1:
+                return leaf  # shared by all
+            leaf = leaf if of_batch else jnp.broadcast_to(leaf, (size, *leaf.shape))
+            _, g, count, *rest = leaf.shape
+            if by_group:
+                return jnp.broadcast_to(leaf, (size, groups, count, *rest)).reshape(size * groups, count, *rest)
+            leaf = jnp.broadcast_to(leaf, (size, g, lanes, *rest))
+            return jnp.swapaxes(leaf, 0, 1).reshape(g, size * lanes, *rest)
+
+        found = grouped(*jax.tree.unflatten(tree, [merge(leaf, flag) for leaf, flag in zip(leaves, flags)]))
+
+        def split(leaf: jax.Array) -> jax.Array:
+            if by_group:
+                return leaf.reshape(size, groups, *leaf.shape[1:])
+            return jnp.swapaxes(leaf.reshape(groups, size, lanes, *leaf.shape[2:]), 0, 1)
+
+        found = jax.tree.map(split, found)
+        return found, jax.tree.map(lambda _: True, found)
+
+    def of_one(*arguments: Any) -> Any:
+        found = grouped(*jax.tree.map(lambda leaf: leaf[None, None], arguments))
+        return jax.tree.map(lambda leaf: leaf[0, 0], found)
+
+    return of_one
+
+
+def _over_groups(kernel: Kernel, layout: Layout, system: System, *arrays: Any) -> Any:
+    """Arguments (groups or 1, lanes or 1, ...) -> results (groups, lanes, ...)."""
+    leaves, tree = jax.tree.flatten((system, *arrays))
+    groups, lanes = (max(leaf.shape[axis] for leaf in leaves) for axis in (0, 1))
+    if groups > 1 and lanes < _FEW:
+        flat = [jnp.broadcast_to(leaf, (groups, lanes, *leaf.shape[2:])) for leaf in leaves]
+        flat = [leaf.reshape(groups * lanes, *leaf.shape[2:]) for leaf in flat]
+        found = kernel(layout, *jax.tree.unflatten(tree, flat))
+        return jax.tree.map(lambda leaf: leaf.reshape(groups, lanes, *leaf.shape[1:]), found)
+    own = [len(leaf) > 1 for leaf in leaves]
+
+    def group(given: list[jax.Array]) -> Any:
+        rest = iter(given)
+        return kernel(layout, *jax.tree.unflatten(tree, [next(rest) if o else x[0] for x, o in zip(leaves, own)]))
+
+    if groups == 1:
+        return jax.tree.map(lambda leaf: leaf[None], group([]))
+    return jax.lax.map(group, [leaf for leaf, is_own in zip(leaves, own) if is_own])
+
+
+def take(tree: Any, index: jax.Array) -> Any:
+    """The cases `index` of leaves (cases or 1, ...), lanes last; what all share stays one lane."""
+    return jax.tree.map(lambda leaf: jnp.moveaxis(leaf if len(leaf) == 1 else leaf[index], 0, -1), tree)

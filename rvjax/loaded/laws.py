@@ -1,0 +1,111 @@
+"""How a pin and a disc yield: force at a depth d > 0, its slope and its energy (docs/models/loaded.md, Eqs. 17-20).
+
+    hertz     d = c F (A - ln F), c = 2 (1 - nu^2) / (pi E L): line contact of a cylinder and a disc
+    linear    F = k d
+    palmgren  d = C F^0.9
+
+`compliance` is c, k or C by law; `level` is A of every pin, hertz only. All functions are elementwise, force and energy
+are 0 where d <= 0.
+"""
+
+import math
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from rvjax.elementary import log, power
+
+CONTACTS = ("hertz", "linear", "palmgren")
+
+# y(t) with y - ln y = t: y = 1 + sqrt(2) v + v^2 r(v), v = sqrt(t - 1), r from 2/3 to 1; r fitted to 1.4e-5 of y.
+_UPPER = (2 / 3, 0.5897162643963102, 0.14032115613249033)
+_LOWER = (1.0, 0.7672946271135289, 0.14082055400282797)
+_LEAST = 1e-3  # least y - 1: steeper than that is beyond any contact, but finite
+
+
+def force(law: str, depth: jax.Array, compliance: jax.Array, level: jax.Array | None) -> jax.Array:
+    """Force of a pin on the disc, N."""
+    pressed = depth > 0
+    if law == "linear":
+        return jnp.where(pressed, compliance * depth, 0)
+    inside = jnp.where(pressed, depth, 1)
+    if law == "palmgren":
+        return jnp.where(pressed, power(inside / compliance, 10 / 9), 0)
+    assert level is not None
+    return jnp.where(pressed, _hertz(inside, compliance, level), 0)
+
+
+def slope(law: str, depth: jax.Array, load: jax.Array, compliance: jax.Array) -> jax.Array:
+    """Rise of the force with the depth, N/m; `load` is the force at this depth."""
+    pressed = depth > 0
+    if law == "linear":
+        return jnp.where(pressed, compliance, 0)
+    inside = jnp.where(pressed, depth, 1)
+    if law == "palmgren":
+        return jnp.where(pressed, 10 / 9 * load / inside, 0)
+    reserve = jnp.where(pressed, jnp.maximum(inside - compliance * load, _LEAST * inside), 1)  # c F (y - 1)
+    return load / reserve
+
+
+def energy(law: str, depth: jax.Array, load: jax.Array, compliance: jax.Array) -> jax.Array:
+    """Energy stored at a depth, J; `load` is the force at this depth."""
+    if law == "linear":
+        return load * depth / 2
+    if law == "palmgren":
+        return 9 / 19 * load * depth
+    return load * (2 * depth - compliance * load) / 4  # c F^2 (2 y - 1) / 4
+
+
+def typical_slope(law: str, load: jax.Array, compliance: jax.Array, level: jax.Array | None) -> jax.Array:
+    """Slope at a force, N/m."""
+    if law == "linear":
+        return compliance
+    if law == "palmgren":
+        return power(load, 0.1) / (0.9 * compliance)
+    assert level is not None
+    return 1 / (compliance * jnp.maximum(level - 1 - jnp.log(jnp.where(load > 0, load, 1)), 1))
+
+
+def largest_depth(compliance: jax.Array, level: jax.Array) -> jax.Array:
+    """Depth at which the force of the hertz law has no finite slope any more, m."""
+    return compliance * jnp.exp(level - 1)
+
+
+@jax.custom_jvp
+def _hertz(depth: jax.Array, compliance: jax.Array, level: jax.Array) -> jax.Array:
+    """F of d = c F (A - ln F) = c F y: y - ln y = A - ln(d / c), with one logarithm.
+
+    A rough start y0, then y = y0 (1 + s) with s (y0 - 1) + s^2/2 - s^3/3 + s^4/4 = A - y0 - ln(d / (c y0)).
+    """
+    ratio = depth / compliance
+    v = jnp.sqrt(jnp.maximum(level - _rough_log(ratio) - 1, 0))
+    r = (_UPPER[0] + v * (_UPPER[1] + v * _UPPER[2])) / (_LOWER[0] + v * (_LOWER[1] + v * _LOWER[2]))
+    start = 1 + jnp.maximum(v * (math.sqrt(2) + v * r), _LEAST)
+    rough = ratio / start
+    part = 1 / (start - 1)
+    first = (level - start - log(rough)) * part
+    s = first
+    for _ in range(3):
+        s = first - part * s * s * (0.5 - s * (1 / 3 - s / 4))
+    return rough / (1 + s)
+
+
+@_hertz.defjvp
+def _hertz_jvp(primals: Any, tangents: Any) -> Any:
+    (depth, compliance, level), (ddepth, dcompliance, dlevel) = primals, tangents
+    load = _hertz(depth, compliance, level)
+    reserve = jnp.maximum(depth - compliance * load, _LEAST * depth)  # c F (y - 1)
+    change = ddepth - depth / compliance * dcompliance - compliance * load * dlevel
+    return load, load / reserve * change
+
+
+def _rough_log(x: jax.Array) -> jax.Array:
+    """Logarithm to 1e-3 from the bits of a float64."""
+    if x.dtype != jnp.float64:
+        return jnp.log(x)
+    bits = jax.lax.bitcast_convert_type(x, jnp.int64)
+    power_of_two = bits.astype(jnp.float64) * 2.0**-52 - 1023
+    whole = jnp.floor(power_of_two)
+    m = power_of_two - whole
+    return math.log(2) * (whole + m + m * (1 - m) * (0.4237 - m * 0.1552))

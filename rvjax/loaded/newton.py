@@ -1,0 +1,251 @@
+"""The minimum of the energy: Newton's method for many cases at once, lanes last.
+
+It begins with the contacts that a torque of this sign closes, linear and without clearance. Then full steps; only after
+four without a new lowest energy a lane returns to its best point and searches the line from there (its slope is
+monotone, because the energy is convex). An immediate search fails where a journal slides round its clearance: it leaves
+the circle by the second order, so that the energy of good steps rises for a while.
+
+A block has a fixed number of lanes. Once half of them are done, cases that wait take their places, so that slow cases
+do not hold up the others.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from rvjax.loaded import laws
+from rvjax.loaded.contacts import contacts, energy, gradient, hessian
+from rvjax.loaded.elimination import solve
+from rvjax.loaded.lanes import take
+from rvjax.loaded.system import Layout, System
+
+MAX_STEPS = 200
+_PATIENCE = 4  # full steps without a new lowest energy
+_SEARCHES = 30  # points on a line at most
+_BLOCK = 128  # lanes; a block's arrays stay in the cache of one core
+
+
+class Found(NamedTuple):
+    """Where the iteration ended; in this module lanes last."""
+
+    q: jax.Array  # (n, l)
+    steps: jax.Array  # (l,)
+    residual: jax.Array  # (l,) gradient over the largest force
+    converged: jax.Array  # (l,)
+    overload: jax.Array  # (l,) a pin beyond its law, at the start or on the way
+    finite: jax.Array  # (l,)
+
+
+class _Line(NamedTuple):
+    """Bracket on the line from the best point: shares of the step and slopes, < 0 at the lower end."""
+
+    lower: jax.Array
+    lower_slope: jax.Array
+    upper: jax.Array
+    upper_slope: jax.Array
+    share: jax.Array  # of the step, now
+
+
+class _State(NamedTuple):
+    q: jax.Array
+    best: jax.Array
+    step: jax.Array  # Newton's step from the best point
+    lowest: jax.Array  # energy there
+    descent: jax.Array  # slope there along the step, < 0
+    first: jax.Array  # slope after the full step
+    stall: jax.Array  # points since the best
+    searching: jax.Array
+    line: _Line
+    cold: jax.Array  # before the linear step
+    open: jax.Array
+    found: Found
+
+
+def minimise(layout: Layout, system: System, start: jax.Array) -> Found:
+    """The minimum of the energy of every case; leaves of the result have the cases first.
+
+    Args:
+        layout: counts and methods.
+        system: leaves (cases or 1, ...).
+        start: (cases or 1, n); NaN for the linear start.
+    """
+    cases = max(len(leaf) for leaf in jax.tree.leaves((system, start)))
+    width = min(cases, _BLOCK)
+
+    def seated(index: jax.Array) -> tuple[System, _State]:
+        part, begin = take((system, start), jnp.minimum(index, cases - 1))
+        part = part._replace(gap=jnp.broadcast_to(part.gap, (*part.gap.shape[:-1], width)))
+        return part, _begin(layout, part, begin, index < cases)
+
+    index = jnp.arange(width, dtype=jnp.int32)
+    part, state = seated(index)
+    if cases == width:
+        return jax.tree.map(lambda leaf: jnp.moveaxis(leaf, -1, 0), _iterate(layout, part, state, jnp.int32(0)).found)
+
+    def unfinished(loop: Any) -> jax.Array:
+        _, state, _, cursor, _ = loop
+        return jnp.any(state.open) | (cursor < cases)
+
+    def refill(loop: Any) -> Any:
+        index, state, part, cursor, results = loop
+        state = _iterate(layout, part, state, jnp.where(cursor < cases, width // 2, 0).astype(jnp.int32))
+        results = jax.tree.map(
+            lambda all_, new: all_.at[index].set(jnp.moveaxis(new, -1, 0), mode="drop"), results, state.found
+        )
+        free = ~state.open
+        index = jnp.where(free, cursor + jnp.cumsum(free, dtype=index.dtype) - 1, index)
+        part, fresh = seated(index)
+        state = jax.tree.map(lambda new, old: jnp.where(free[None] if new.ndim == 2 else free, new, old), fresh, state)
+        return index, state, part, cursor + jnp.sum(free, dtype=index.dtype), results
+
+    results = jax.tree.map(lambda leaf: jnp.zeros((cases, *leaf.shape[:-1]), leaf.dtype), state.found)
+    return jax.lax.while_loop(unfinished, refill, (index, state, part, jnp.full((), width, index.dtype), results))[-1]
+
+
+def _begin(layout: Layout, s: System, start: jax.Array, seated: jax.Array) -> _State:
+    """A start that is NaN, or beyond the law of a pin, is replaced by the linear one."""
+    lanes = seated.shape[0]
+    start = jnp.broadcast_to(start, (layout.unknowns, lanes))
+    warm = jnp.all(jnp.isfinite(start), axis=0)
+    q = jnp.where(warm[None], start, 0)
+    if layout.law == "hertz":
+        warm &= ~_overloaded(s, contacts(layout, s, q).depth)
+        q = jnp.where(warm[None], q, 0)
+    zero = jnp.zeros((lanes,), start.dtype)
+    no, none = jnp.zeros((lanes,), bool), jnp.zeros((lanes,), jnp.int32)
+    return _State(
+        q=q,
+        best=q,
+        step=jnp.zeros_like(q),
+        lowest=zero + jnp.inf,
+        descent=zero,
+        first=zero,
+        stall=none,
+        searching=no,
+        line=_Line(zero, zero, zero, zero, zero),
+        cold=~warm & (s.load != 0),
+        open=seated,
+        found=Found(q, none, zero, no, no, no),
+    )
+
+
+def _overloaded(s: System, depth: jax.Array) -> jax.Array:
+    return jnp.any(depth >= laws.largest_depth(s.compliance[None, None], s.level), axis=(0, 1))
+
+
+def _iterate(layout: Layout, s: System, state: _State, leave: jax.Array) -> _State:
+    """Steps of all open lanes until no more than `leave` are open."""
+    lanes = state.q.shape[-1]
+    eps = float(jnp.finfo(state.q.dtype).eps)
+    stiffest = _most(s.arm_stiffness, s.mesh_stiffness, s.seat_stiffness)
+    widest = _most(s.gap, s.gear_gap, s.arm, s.seat)
+    # The linear start: a slope for the mean force of the working pins, half of all, with the mean of their levers.
+    lever = jnp.sum(jnp.abs(s.rows[2]), axis=(0, 1)) / 2
+    typical = laws.typical_slope(layout.law, (jnp.abs(s.load) / lever)[None, None], s.compliance[None, None], s.level)
+    working = jnp.where((s.rows[2] < 0) == (s.load > 0)[None, None], typical, 0)
+    driving = jnp.broadcast_to(jnp.stack([s.load > 0, s.load <= 0])[None], (layout.cranks, 2, s.load.shape[-1]))
+
+    def body(state: _State) -> _State:
+        q, cold = state.q, state.cold
+        slack = [jnp.where(cold, 0, clearance) for clearance in (s.arm_clearance, s.seat_clearance)]
+        at = contacts(layout, s._replace(arm_clearance=slack[0], seat_clearance=slack[1]), q)
+        over = _overloaded(s, at.depth) if layout.law == "hertz" else jnp.zeros((lanes,), bool)
+        slope = laws.slope(layout.law, at.depth, at.pins, s.compliance[None, None])
+        started = cold[None, None]
+        at = at._replace(
+            pins=jnp.where(started, working * at.depth, at.pins),
+            gear=jnp.where(started, jnp.where(driving, s.mesh_stiffness[:, None] * at.gear_depth, 0), at.gear),
+        )
+        # Barriers: without them XLA computes what two results share anew for each.
+        at, slope = jax.lax.optimization_barrier((at, jnp.where(started, working, slope)))
+        pressed = jnp.where(started, driving, at.gear_depth > 0)
+        g, square = jax.lax.optimization_barrier(
+            (gradient(layout, s, q, at), hessian(layout, s, q, at, slope, pressed))
+        )
+        newton = jax.lax.optimization_barrier(-solve(layout, square, g))
+        value = energy(layout, s, q, at)
+        fine = jnp.isfinite(value) & jnp.all(jnp.isfinite(newton), axis=0)
+        size = _most(at.pins, at.gear, at.arm.force, at.seat.force)
+        miss = _most(g)
+        rounding = stiffest * jnp.maximum(widest, _most(q))
+        small = miss <= jnp.maximum(450 * eps * size, 2 * eps * rounding)
+        return _advance(state, newton, g, value, miss, size, small, fine, over & ~cold)
+
+    return jax.lax.while_loop(lambda state: jnp.sum(state.open, dtype=leave.dtype) > leave, body, state)
+
+
+def _advance(
+    state: _State,
+    newton: jax.Array,
+    g: jax.Array,
+    value: jax.Array,
+    miss: jax.Array,
+    size: jax.Array,
+    small: jax.Array,
+    fine: jax.Array,
+    over: jax.Array,
+) -> _State:
+    """The next point of every open lane, from what was found at the last one."""
+    live, q, cold, line = state.open, state.q, state.cold, state.line
+    usable = fine & ~over
+    done = usable & small & ~cold
+    lower = usable & (value < state.lowest)
+    slope = jnp.where(usable, jnp.sum(state.step * g, axis=0), jnp.inf)
+    flat = jnp.abs(slope) <= 0.5 * jnp.abs(state.descent)
+    exhausted = state.stall >= _PATIENCE + _SEARCHES
+    better = ~cold & jnp.where(state.searching, (flat & (lower | (slope <= 0))) | exhausted, lower)
+    first = jnp.where(state.stall == 0, slope, state.first)
+    stall = jnp.where(better | cold, 0, state.stall + 1)
+    enters = ~better & ~state.searching & ((stall >= _PATIENCE) | (~usable & ~cold))
+    searching = ~better & (state.searching | enters)
+    best, step = jnp.where(better[None], q, state.best), jnp.where(better[None], newton, state.step)
+
+    down = slope < 0
+    line = _Line(
+        lower=jnp.where(enters, 0, jnp.where(down, line.share, line.lower)),
+        lower_slope=jnp.where(enters, state.descent, jnp.where(down, slope, line.lower_slope)),
+        upper=jnp.where(enters, 1, jnp.where(down, line.upper, line.share)),
+        upper_slope=jnp.where(enters, first, jnp.where(down, line.upper_slope, slope)),
+        share=line.share,
+    )
+    bracketed = jnp.isfinite(line.upper_slope) & (line.upper_slope > 0)
+    rise = jnp.where(bracketed, line.upper_slope - line.lower_slope, 1)
+    secant = jnp.where(bracketed, jnp.clip(-line.lower_slope / rise, 0.05, 0.95), 0.25)
+    line = line._replace(share=line.lower + (line.upper - line.lower) * secant)
+
+    failed = jnp.isinf(state.lowest) & ~usable & ~cold
+    steps = state.found.steps + (~(done | cold)).astype(jnp.int32)
+    goes_on = live & ~done & ~failed & (steps < MAX_STEPS)
+    ended = jnp.where(done[None], q + newton, jnp.where(failed[None], 0, best))
+    found = Found(
+        q=jnp.where(live[None], ended, state.found.q),
+        steps=jnp.where(live, steps, state.found.steps),
+        residual=jnp.where(live, miss / jnp.where(size > 0, size, 1), state.found.residual),
+        converged=jnp.where(live, done, state.found.converged),
+        overload=jnp.where(live, (state.found.overload | over) & ~done, state.found.overload),
+        finite=jnp.where(live, fine | over | ~failed, state.found.finite),
+    )
+    return _State(
+        q=jnp.where(goes_on[None], jnp.where(searching[None], best + line.share[None] * step, q + newton), q),
+        best=best,
+        step=step,
+        lowest=jnp.where(better, value, state.lowest),
+        descent=jnp.where(better, jnp.sum(newton * g, axis=0), state.descent),
+        first=first,
+        stall=stall,
+        searching=searching,
+        line=line,
+        cold=jnp.zeros_like(cold),
+        open=goes_on,
+        found=found,
+    )
+
+
+def _most(*values: Any) -> jax.Array:
+    """Largest absolute value of each lane."""
+    largest = [jnp.max(jnp.abs(value), axis=tuple(range(value.ndim - 1))) for value in values]
+    total = largest[0]
+    for value in largest[1:]:
+        total = jnp.maximum(total, value)
+    return total

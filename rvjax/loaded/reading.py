@@ -1,0 +1,243 @@
+"""What the model reads of a design and its errors, and whether such a reducer can exist."""
+
+import dataclasses
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rvjax.designs import RVReducer
+from rvjax.errors import RVErrors
+from rvjax.loaded import laws
+from rvjax.loaded.geometry import largest_curvature
+from rvjax.loaded.system import Layout
+from rvjax.records import axis_sizes, promote
+
+SUPPORTS = ("fixed", "floating")
+
+ERRORS_READ = (
+    "crank_eccentricity",
+    "crank_phase",
+    "disc_bore",
+    "carrier_bore",
+    "bearing_clearance",
+    "eccentricity",
+    "pin_circle_radius",
+    "pin_radius",
+    "pin_hole_clearance",
+    "equidistant_modification",
+    "shift_modification",
+    "base_tangent_upper",
+    "base_tangent_lower",
+    "support_clearance",
+    "pin_offset",
+    "pin_radii",
+    "ring_centre",
+    "disc_centre",
+    "disc_pitch",
+    "disc_profile",
+    "sun_runout",
+    "planet_runout",
+)
+
+
+class Read(NamedTuple):
+    """Numbers that the model reads; harmless ones where they were not finite or not possible."""
+
+    design: RVReducer
+    errors: RVErrors
+    eccentricity: Any  # nominal and error
+    torque: Any
+    angle: Any
+    finite: Any
+    possible: Any
+    undercut: Any
+
+
+def check_input(design: RVReducer, errors: RVErrors, contact: str, carrier: str, sun: str) -> Layout:
+    """The layout of this call.
+
+    Raises:
+        ValueError: see `equilibrium`.
+    """
+    for name, value, known in (
+        ("contact", contact, laws.CONTACTS),
+        ("carrier", carrier, SUPPORTS),
+        ("sun", sun, SUPPORTS),
+    ):
+        if value not in known:
+            raise ValueError(f"{name} = {value!r}: must be one of {', '.join(known)}")
+    for name in ("stiffness", "contact"):
+        if getattr(design, name) is None:
+            raise ValueError(f"RVReducer.{name} = None: the loaded equilibrium needs it")
+    cycloid = design.cycloid
+    if cycloid.pin_count != cycloid.disc_teeth + 1:
+        raise ValueError(
+            f"CycloidStage.pin_count = {cycloid.pin_count}: must be disc_teeth + 1 = {cycloid.disc_teeth + 1}"
+        )
+    for part in (design.involute, cycloid, design.cranks, design.stiffness, design.contact, errors):
+        _check_shapes(part, design.counts)
+    return Layout(cycloid.disc_count, design.cranks.count, cycloid.pin_count, contact, carrier, sun)
+
+
+def _check_shapes(part: Any, counts: dict[str, int]) -> None:
+    for f in dataclasses.fields(part):
+        if f.metadata["kind"] != "real":
+            continue
+        shape, axes = np.shape(getattr(part, f.name)), f.metadata["shape"]
+        sizes = axis_sizes(axes, counts)
+        if shape and shape != sizes:
+            names = ", ".join(map(str, axes)) + ("," if len(axes) == 1 else "")
+            expected = f"({names}) = {sizes} or a scalar" if sizes else "a scalar; sweep with jax.vmap"
+            raise ValueError(
+                f"{type(part).__name__}.{f.name}: shape {shape} does not fit this design, expected {expected}"
+            )
+
+
+def admit(layout: Layout, design: RVReducer, errors: RVErrors, torque: Any, angle: Any) -> Read:
+    """The numbers that are read, judged. Design, eccentricity, errors, torque and angle are judged and replaced apart:
+    in a batch over errors the geometry stays that of all units.
+
+    Args:
+        layout: counts and methods.
+        design: the reducer.
+        errors: of its parts.
+        torque: () N m.
+        angle: () rad.
+    """
+    unread = {f.name: 0.0 for f in dataclasses.fields(errors) if f.name not in ERRORS_READ}
+    used, parts, torque, angle = promote(_only_read(layout, design), errors.replace(**unread), torque, angle)
+    e, added = used.cycloid.eccentricity, parts.eccentricity
+    parts = parts.replace(eccentricity=jnp.zeros_like(added))
+
+    sound, positive = _finite(used), _possible(layout, used)
+    good = sound & positive
+
+    def safe(path: Any, x: jax.Array) -> jax.Array:
+        return jnp.where(good, x, _HARMLESS.get(path[-1].name, 1.0))
+
+    used = jax.tree_util.tree_map_with_path(safe, used)
+    sound_parts, sound_torque, sound_angle, sound_e = map(_finite, (parts, torque, angle, (e, added)))
+    parts = jax.tree.map(lambda x: jnp.where(sound_parts, x, 0), parts)
+    torque, angle = jnp.where(sound_torque, torque, 0), jnp.where(sound_angle, angle, 0)
+
+    cycloid = used.cycloid
+    e = jnp.where(sound_e, e, 0) + jnp.where(sound_e, added, 0)
+    largest = cycloid.pin_circle_radius / cycloid.pin_count  # K1 = 1
+    proper = (e > 0) & (e < largest)
+    e = jnp.where(good & proper, e, 0.6 * largest)
+    sharpest = largest_curvature(used, e / largest)
+    undercut = good & (cycloid.pin_radius * sharpest >= 1)
+    cycloid = cycloid.replace(pin_radius=jnp.where(undercut, 0.1 / sharpest, cycloid.pin_radius))
+    return Read(
+        design=used.replace(cycloid=cycloid),
+        errors=parts,
+        eccentricity=e,
+        torque=torque,
+        angle=angle,
+        finite=sound & sound_parts & sound_torque & sound_angle & sound_e,
+        possible=positive & proper,
+        undercut=undercut,
+    )
+
+
+_HARMLESS = {
+    "pressure_angle": 0.35,
+    "poisson_ratio": 0.3,
+    "pin_radius": 1e-6,
+    "equidistant_modification": 0.0,
+    "shift_modification": 0.0,
+}
+"""What a number of a design becomes that cannot be computed with; any other becomes 1."""
+
+
+def _only_read(layout: Layout, design: RVReducer) -> RVReducer:
+    """The design, with constants in place of what this model does not read."""
+    springs, contact = design.stiffness, design.contact
+    assert springs is not None and contact is not None
+    unread = {"output_torsion"}
+    if layout.carrier == "fixed":
+        unread |= {"output_support"}
+    if layout.sun == "fixed":
+        unread |= {"sun_support", "sun_torsion"}
+    if layout.law != "linear" or contact.pin_stiffness is not None:
+        unread |= {"disc_pin_mesh"}
+    contact = contact.replace(
+        pin_stiffness=contact.pin_stiffness if layout.law == "linear" else None,
+        pin_support=contact.pin_support if layout.law == "hertz" else None,
+    )
+    return design.replace(
+        involute=design.involute.replace(module=1.0, centre_distance=1.0, sun_radius=1.0),
+        cycloid=_unchecked(design.cycloid, disc_phase=0.0, shortening=None),
+        cranks=design.cranks.replace(bearing_stiffness=None),
+        inertia=None,
+        mesh_variation=None,
+        damping=None,
+        stiffness=springs.replace(**dict.fromkeys(unread, 1.0)),
+        contact=contact,
+    )
+
+
+def _unchecked(part: Any, **changes: Any) -> Any:
+    """A copy that is not judged: whether its numbers fit together is a status here."""
+    copy = jax.tree.map(lambda leaf: leaf, part)
+    for name, value in changes.items():
+        object.__setattr__(copy, name, value)
+    return copy
+
+
+def pin_compliance(layout: Layout, design: RVReducer) -> jax.Array:
+    """c of the hertz law, k of the linear, C of Palmgren's (Eqs. 17-19).
+
+    Args:
+        layout: counts and methods.
+        design: the reducer.
+    """
+    contact, springs = design.contact, design.stiffness
+    assert contact is not None and springs is not None
+    if layout.law == "linear":
+        if contact.pin_stiffness is not None:
+            return contact.pin_stiffness
+        cosine = jnp.cos(design.cycloid.force_angle)
+        return 4 * cosine * cosine * jnp.mean(springs.disc_pin_mesh) / layout.pins
+    plane = 2 * (1 - contact.poisson_ratio**2) / (jnp.pi * contact.young_modulus)
+    if layout.law == "palmgren":
+        return 3.81 * plane**0.9 / contact.face_width**0.8
+    return plane / contact.face_width
+
+
+def mesh_stiffness(design: RVReducer) -> jax.Array:
+    """Of gear, planet seat and its torsion in series at the line of action, () or (c,) N/m. Eq. 8."""
+    springs, base = design.stiffness, design.involute.planet_base_radius
+    assert springs is not None
+    torsion = base * base / springs.planet_crank_torsion
+    return 1 / (1 / springs.sun_planet_mesh + 1 / springs.planet_crank_bending + torsion)
+
+
+def _finite(tree: Any) -> jax.Array:
+    finite = jnp.asarray(True)
+    for leaf in jax.tree.leaves(tree):
+        finite &= jnp.all(jnp.isfinite(leaf))
+    return finite
+
+
+def _possible(layout: Layout, design: RVReducer) -> jax.Array:
+    """False where a length or stiffness that must be positive is not; the eccentricity is judged apart."""
+    involute, cycloid, springs, contact = design.involute, design.cycloid, design.stiffness, design.contact
+    assert springs is not None and contact is not None
+    positive = [
+        *(cycloid.pin_circle_radius, cycloid.pin_radius, design.cranks.circle_radius),
+        *(involute.sun_base_radius, involute.planet_base_radius, jnp.cos(involute.pressure_angle)),
+        *(springs.turning_arm_bearing, springs.support_bearing, springs.sun_planet_mesh),
+        *(springs.planet_crank_bending, springs.planet_crank_torsion),
+        *(contact.young_modulus, contact.face_width, 1 - contact.poisson_ratio**2),
+    ]
+    if layout.law == "linear":
+        positive.append(pin_compliance(layout, design))
+    if contact.pin_support is not None:
+        positive.append(contact.pin_support)
+    possible = jnp.asarray(True)
+    for value in positive:
+        possible &= jnp.all(value > 0)
+    return possible

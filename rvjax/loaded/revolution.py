@@ -1,0 +1,114 @@
+"""Transmission error of a whole reducer along its turn, under load."""
+
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from rvjax.designs import RVReducer
+from rvjax.errors import RVErrors
+from rvjax.loaded.balance import balance
+from rvjax.loaded.contacts import contacts
+from rvjax.loaded.equilibrium import Case, info, judge, placed, prepare
+from rvjax.loaded.geometry import ratio
+from rvjax.loaded.newton import Found
+from rvjax.loaded.reading import Read, admit, check_input
+from rvjax.loaded.system import Layout
+from rvjax.records import Record, field, record
+from rvjax.status import SolveInfo, succeeded, worst
+
+HARMONICS = 5
+
+
+@record
+class Revolution(Record):
+    """Transmission error at n input angles, equally spaced from 0 on."""
+
+    error: Any = field("rad", "rotation of the carrier against the ideal motion", shape=("n",))
+    peak_to_peak: Any = field("rad", "of the error")
+    mean: Any = field("rad", "of the error")
+    harmonics: Any = field(
+        "rad", "complex amplitudes X_k of order k / turns, error = Re sum X_k e^(2 pi i k j / n)", shape=(HARMONICS,)
+    )
+    largest_pin: Any = field("N", "largest force of any pin at any angle")
+    info: SolveInfo = field("-", "the worst of the angles; steps: all", kind="record")
+
+
+def revolution(
+    design: RVReducer,
+    errors: RVErrors,
+    *,
+    output_torque: Any,
+    turns: float | None = None,
+    samples: int = 48,
+    contact: str = "hertz",
+    carrier: str = "fixed",
+    sun: str = "fixed",
+) -> Revolution:
+    """Equilibria along the turn of the output, each from the one before.
+
+    Args:
+        design: as in `equilibrium`.
+        errors: as in `equilibrium`.
+        output_torque: as in `equilibrium`, () N m.
+        turns: of the output, by default one crank turn, 1 / pin_count.
+        samples: n, angle j at input angle 2 pi ratio turns j / n.
+        contact: as in `equilibrium`.
+        carrier: as in `equilibrium`.
+        sun: as in `equilibrium`.
+
+    Returns:
+        Revolution; all values NaN where one of the equilibria has none.
+
+    Raises:
+        ValueError: as `equilibrium`; samples < 1.
+    """
+    layout = check_input(design, errors, contact, carrier, sun)
+    if samples < 1:
+        raise ValueError(f"samples = {samples}: must be at least 1")
+    return _revolution(layout, samples, design, errors, output_torque, 1 / layout.pins if turns is None else turns)
+
+
+@partial(jax.jit, static_argnums=(0, 1))
+def _revolution(
+    layout: Layout, samples: int, design: RVReducer, errors: RVErrors, output_torque: Any, turns: Any
+) -> Revolution:
+    read = admit(layout, design, errors, output_torque, turns)
+    step = 2 * jnp.pi * ratio(design) * read.angle / samples  # `admit` judged the turns in the place of the angle
+
+    def onward(start: jax.Array, j: jax.Array) -> Any:
+        case = prepare(layout, read, jax.lax.stop_gradient(step * j)).loaded(read.torque)
+        case = jax.lax.stop_gradient(case)
+        found = balance(layout, case.system, start)
+        status = judge(layout, read, case, found)
+        return jnp.where(succeeded(status), found.q, jnp.nan), (found, status)
+
+    order = jnp.arange(samples, dtype=read.torque.dtype)
+    _, (found, status) = jax.lax.scan(onward, jnp.full((layout.unknowns,), jnp.nan, order.dtype), order)
+    measure = jax.checkpoint(partial(_measure, layout), static_argnums=())
+    error, largest = jax.lax.map(lambda x: measure(read, step, *x), (order, found, status))
+    whole = worst(status)
+    fine = succeeded(whole)
+    error = jnp.where(fine, error, jnp.nan)
+    wave = jnp.fft.fft(jnp.where(fine, error, 0))[:HARMONICS] / samples
+    wave = jnp.pad(wave, (0, HARMONICS - len(wave))) * jnp.asarray([1.0] + [2.0] * (HARMONICS - 1), error.dtype)
+    last = info(Found(*(jnp.max(leaf) if leaf.ndim == 1 else leaf for leaf in found)), whole)
+    return Revolution(
+        error=error,
+        peak_to_peak=jnp.max(error) - jnp.min(error),
+        mean=jnp.mean(error),
+        harmonics=jnp.where(fine, wave, jnp.nan),
+        largest_pin=jnp.where(fine, jnp.max(largest), jnp.nan),
+        info=last.replace(steps=jnp.sum(found.steps)),
+    )
+
+
+def _measure(
+    layout: Layout, read: Read, step: jax.Array, j: jax.Array, found: Found, status: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """Error and largest pin force of angle j, with their derivatives."""
+    case: Case = prepare(layout, read, step * j).loaded(read.torque)
+    q = placed(layout, case, found, status)
+    at = contacts(layout, jax.tree.map(lambda leaf: leaf[..., None], case.system), q[:, None])
+    return q[layout.carried] / read.design.cranks.circle_radius, jnp.max(at.pins)

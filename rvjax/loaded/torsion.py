@@ -1,0 +1,111 @@
+"""Torque-angle curve of a whole reducer, with backlash and lost motion as makers measure them."""
+
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from rvjax.designs import RVReducer
+from rvjax.errors import RVErrors
+from rvjax.loaded.balance import balance
+from rvjax.loaded.equilibrium import Case, info, judge, placed, prepare
+from rvjax.loaded.newton import Found
+from rvjax.loaded.reading import Read, admit, check_input
+from rvjax.loaded.system import Layout
+from rvjax.records import Record, field, record
+from rvjax.status import SolveInfo, succeeded, worst
+
+SHARES = (1.0, 0.5, 0.03, 1e-3)
+"""Of the rated torque, at either sign. The least is the probe torque: the limit of no torque."""
+
+
+@record
+class Torsion(Record):
+    """Torque-angle curve at one input angle."""
+
+    torque: Any = field("N m", "torque of the discs on the carrier, ascending", shape=(8,))
+    angle: Any = field("rad", "rotation of the carrier against the ideal motion", shape=(8,))
+    backlash: Any = field("rad", "error(-probe) - error(+probe), probe = 1e-3 of rated")
+    lost_motion: Any = field("rad", "error(-3 %) - error(+3 %)")
+    stiffness: Any = field("N m/rad", "secant between half and full rated torque")
+    info: SolveInfo = field("-", "the worst of the eight; steps: all", kind="record")
+
+
+def torsion(
+    design: RVReducer,
+    errors: RVErrors,
+    *,
+    input_angle: Any,
+    rated_torque: Any,
+    contact: str = "hertz",
+    carrier: str = "fixed",
+    sun: str = "fixed",
+) -> Torsion:
+    """Equilibria at +-(0.1, 3, 50, 100 %) of the rated torque, and the figures of a test bench.
+
+    Args:
+        design: as in `equilibrium`.
+        errors: as in `equilibrium`.
+        input_angle: at which the sun is held, () rad.
+        rated_torque: () N m, > 0.
+        contact: as in `equilibrium`.
+        carrier: as in `equilibrium`.
+        sun: as in `equilibrium`.
+
+    Returns:
+        Torsion; all values NaN where one of the eight equilibria has none.
+
+    Raises:
+        ValueError: as `equilibrium`.
+    """
+    layout = check_input(design, errors, contact, carrier, sun)
+    return _torsion(layout, design, errors, input_angle, rated_torque)
+
+
+@partial(jax.jit, static_argnums=0)
+def _torsion(layout: Layout, design: RVReducer, errors: RVErrors, input_angle: Any, rated_torque: Any) -> Torsion:
+    read = admit(layout, design, errors, rated_torque, input_angle)
+    case = prepare(layout, read, read.angle)
+    sides = read.torque * jnp.asarray([-1.0, 1.0], read.torque.dtype)
+    shares = jnp.asarray(SHARES, read.torque.dtype)
+
+    def lower(start: jax.Array, share: jax.Array) -> Any:
+        """Both signs at one size of the torque, from the solutions at the one before."""
+        found, status = jax.vmap(partial(_solved, layout, read, case))(sides * share, start)
+        return jnp.where(succeeded(status)[:, None], found.q, jnp.nan), (found, status)
+
+    cold = jnp.full((2, layout.unknowns), jnp.nan, sides.dtype)
+    _, (found, status) = jax.lax.scan(lower, cold, shares)
+    torque = shares[:, None] * sides[None]
+    of_one = partial(_angle, layout, read, case)
+    error = jax.vmap(jax.vmap(of_one))(torque, found, status)  # (4, 2)
+    fine = succeeded(worst(status, axis=(0, 1)))
+    error = jnp.where(fine, error, jnp.nan)
+    gone = error[:, 0] - error[:, 1]
+    slack = (error[1] - error[0]) * jnp.asarray([-1.0, 1.0], error.dtype)
+    whole = info(Found(*(jnp.max(leaf) if leaf.ndim == 2 else leaf for leaf in found)), worst(status, axis=(0, 1)))
+    return Torsion(
+        torque=_ascending(torque),
+        angle=_ascending(error),
+        backlash=gone[3],
+        lost_motion=gone[2],
+        stiffness=0.5 * read.torque / slack[1],
+        info=whole.replace(steps=jnp.sum(found.steps)),
+    )
+
+
+def _ascending(pairs: jax.Array) -> jax.Array:
+    """(4, 2) [size falling, sign] in ascending order of the torque, (8,)."""
+    return jnp.concatenate([pairs[:, 0], pairs[::-1, 1]])
+
+
+def _solved(layout: Layout, read: Read, case: Case, torque: jax.Array, start: jax.Array) -> tuple[Found, jax.Array]:
+    loaded = case.loaded(torque)
+    found = balance(layout, loaded.system, start)
+    return found, judge(layout, read, loaded, found)
+
+
+def _angle(layout: Layout, read: Read, case: Case, torque: jax.Array, found: Found, status: jax.Array) -> jax.Array:
+    q = placed(layout, case.loaded(torque), found, status)
+    return q[layout.carried] / read.design.cranks.circle_radius
