@@ -26,12 +26,12 @@ def reducer(design: RVReducer, *, crank_angle: float = np.pi / 4, axes: Axes | N
     for pin in pitch * np.arange(cycloid.pin_count):
         axes.add_patch(
             Circle(
-                tuple(cycloid.pin_circle_radius / mm * _unit(pin)), cycloid.pin_radius / mm, fc="0.85", ec=GREY, lw=0.8
+                tuple(cycloid.pin_circle_radius / mm * unit_vector(pin)), cycloid.pin_radius / mm, fc="0.85", ec=GREY, lw=0.8
             )
         )
-    centre = cycloid.eccentricity * _unit(angle)
-    axes.plot(*(_turn(_disc(design), angle).T + centre[:, None]) / mm, color=AFTER, lw=1.6, label="disc 0")
-    for k, place in enumerate(_places(design)):
+    centre = cycloid.eccentricity * unit_vector(angle)
+    axes.plot(*(turned(flank(design), angle).T + centre[:, None]) / mm, color=AFTER, lw=1.6, label="disc 0")
+    for k, place in enumerate(crank_axes(design)):
         axes.add_patch(Circle(tuple(place / mm), 0.14 * cranks.circle_radius / mm, fc="white", ec=GREY, lw=1.2))
         bore = place + centre
         axes.add_patch(Circle(tuple(bore / mm), 0.2 * cranks.circle_radius / mm, fill=False, ec=AFTER, lw=1.2))
@@ -44,7 +44,7 @@ def reducer(design: RVReducer, *, crank_angle: float = np.pi / 4, axes: Axes | N
         axes.annotate("", end, (0, 0), arrowprops=dict(arrowstyle="-|>", color="black", lw=1.2))
         axes.annotate(text, end, xytext=shift, textcoords="offset points", va="center")
     _sense(axes, 0.3 * cycloid.pin_circle_radius / mm, 20, 115)
-    axes.annotate("+", 0.34 * cycloid.pin_circle_radius / mm * _unit(np.radians(70)), fontsize=14, ha="center")
+    axes.annotate("+", 0.34 * cycloid.pin_circle_radius / mm * unit_vector(np.radians(70)), fontsize=14, ha="center")
     axes.set_aspect("equal")
     axes.set(xlabel="x (mm)", ylabel="y (mm)", title="Second stage along its axis; angles counter-clockwise")
     axes.grid(visible=False)
@@ -64,7 +64,7 @@ def linkage(design: RVReducer, *, crank_angle: float = np.pi / 3, axes: Axes | N
     half = design.cranks.circle_radius / mm
     arm = 0.55 * half
     ends = np.array([[-half, 0.0], [half, 0.0]])
-    pins = ends + arm * _unit(crank_angle)
+    pins = ends + arm * unit_vector(crank_angle)
     axes.plot(*ends.T, color="0.6", lw=6, solid_capstyle="round", zorder=1, label="carrier (frame)")
     axes.plot(*pins.T, color=AFTER, lw=6, solid_capstyle="round", zorder=1, label="disc (coupler)")
     for k in range(2):
@@ -91,11 +91,11 @@ def linkage(design: RVReducer, *, crank_angle: float = np.pi / 3, axes: Axes | N
     middle = (ends[0] + pins[0]) / 2
     for text, place, shift in (
         ("eccentricity +\ncrank_eccentricity", middle, (-8, 0)),
-        ("crank_angle +\ncrank_phase", ends[0] + 0.3 * half * _unit(crank_angle / 2), (8, 8)),
+        ("crank_angle +\ncrank_phase", ends[0] + 0.3 * half * unit_vector(crank_angle / 2), (8, 8)),
     ):
         side = "right" if shift[0] < 0 else "left"
         axes.annotate(text, place, xytext=shift, textcoords="offset points", ha=side, fontsize=9)
-    turn = 0.28 * half * np.array([_unit(a) for a in np.linspace(0, crank_angle, 30)]) + ends[0]
+    turn = 0.28 * half * np.array([unit_vector(a) for a in np.linspace(0, crank_angle, 30)]) + ends[0]
     axes.plot(*turn.T, color="black", lw=1.0)
     axes.annotate("", turn[-1], turn[-3], arrowprops=dict(arrowstyle="-|>", color="black", lw=1.0))
     title = "A disc on two cranks (eccentricity far too long)\n"
@@ -109,22 +109,22 @@ def linkage(design: RVReducer, *, crank_angle: float = np.pi / 3, axes: Axes | N
     return axes
 
 
-def _unit(angle: float) -> np.ndarray:
+def unit_vector(angle: float) -> np.ndarray:
     return np.array([np.cos(angle), np.sin(angle)])
 
 
-def _turn(points: np.ndarray, angle: float) -> np.ndarray:
+def turned(points: np.ndarray, angle: float) -> np.ndarray:
     c, s = np.cos(angle), np.sin(angle)
     return points @ np.array([[c, s], [-s, c]])
 
 
-def _places(design: RVReducer) -> list[np.ndarray]:
+def crank_axes(design: RVReducer) -> list[np.ndarray]:
     """Axes of the cranks in the carrier: crank 0 on the negative x axis, the others counter-clockwise."""
     count = design.cranks.count
-    return [design.cranks.circle_radius * _unit(np.pi + 2 * np.pi * k / count) for k in range(count)]
+    return [design.cranks.circle_radius * unit_vector(np.pi + 2 * np.pi * k / count) for k in range(count)]
 
 
-def _disc(design: RVReducer) -> np.ndarray:
+def flank(design: RVReducer) -> np.ndarray:
     """Flank of a disc about its own centre, m (n, 2): parallel curve of a shortened epitrochoid."""
     c, t = design.cycloid, np.linspace(0, 2 * np.pi, 60 * design.cycloid.pin_count)
     # Path of a pin's centre in the frame of the disc, and its normal towards the disc.
@@ -136,6 +136,6 @@ def _disc(design: RVReducer) -> np.ndarray:
 
 
 def _sense(axes: Axes, radius: float, start: float, end: float) -> None:
-    arc = radius * np.array([_unit(a) for a in np.radians(np.linspace(start, end, 40))])
+    arc = radius * np.array([unit_vector(a) for a in np.radians(np.linspace(start, end, 40))])
     axes.plot(*arc.T, color="black", lw=1.2)
     axes.annotate("", arc[-1], arc[-3], arrowprops=dict(arrowstyle="-|>", color="black", lw=1.2))
