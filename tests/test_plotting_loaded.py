@@ -1,6 +1,6 @@
 """Pictures of the loaded reducer: what is drawn is what was computed, in the units on the axes.
 
-Oracle: the numbers given to the picture, converted by hand, and the geometry of the note (force through the pitch point).
+Oracle: the numbers given to the picture, converted by hand, and the law of gearing (force through the pitch point).
 """
 
 import jax
@@ -80,7 +80,12 @@ def test_torsion_is_drawn_as_a_bench_turns_it():
     torque = np.array([-400, -200, -12, -0.4, 0.4, 12, 200, 400.0])
     angle = (1.0 - 0.002 * torque - 0.1 * np.sign(torque)) * arcmin
     found = loaded.Torsion(
-        torque=torque, angle=angle, backlash=0.2008 * arcmin, lost_motion=0.248 * arcmin, stiffness=500 / arcmin, info=INFO
+        torque=torque,
+        angle=angle,
+        backlash=0.2008 * arcmin,
+        lost_motion=0.248 * arcmin,
+        stiffness=500 / arcmin,
+        info=INFO,
     )
     axes = plotting.loaded.torsion_curve(found)
     load, twist = axes.lines[0].get_data()
@@ -111,3 +116,5 @@ def test_the_measured_curve_says_how_far_the_unseen_points_lie():
     axes = plotting.loaded.measured_curve(torque, torque * arcmin, fitted, {"model": 1.1 * torque * arcmin})
     assert legend(axes)[-1] == "model: predicted within 0.100 arcmin"
     np.testing.assert_array_equal(axes.lines[1].get_xydata(), [[1, 1]])
+    axes = plotting.loaded.measured_curve(torque, torque * arcmin, fitted, {}, stiffness=2 / arcmin)
+    np.testing.assert_allclose(axes.lines[0].get_ydata(), [0, 1])  # 2 N m wind up 2 arcmin, of which 1 is straight

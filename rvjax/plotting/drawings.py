@@ -26,7 +26,11 @@ def reducer(design: RVReducer, *, crank_angle: float = np.pi / 4, axes: Axes | N
     for pin in pitch * np.arange(cycloid.pin_count):
         axes.add_patch(
             Circle(
-                tuple(cycloid.pin_circle_radius / mm * unit_vector(pin)), cycloid.pin_radius / mm, fc="0.85", ec=GREY, lw=0.8
+                tuple(cycloid.pin_circle_radius / mm * unit_vector(pin)),
+                cycloid.pin_radius / mm,
+                fc="0.85",
+                ec=GREY,
+                lw=0.8,
             )
         )
     centre = cycloid.eccentricity * unit_vector(angle)

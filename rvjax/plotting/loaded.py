@@ -1,4 +1,4 @@
-"""Pictures of the loaded reducer: forces on discs, load sharing, torque-angle curve, transmission error with its orders."""
+"""Pictures of the loaded reducer: forces on discs, load sharing, torque-angle curve, transmission error and orders."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -51,7 +51,14 @@ def pin_forces(
     tips = normal * force[:, None] * length
     label = f"{int(np.sum(pressed))} of {cycloid.pin_count} pins, at most {force.max() / 1e3:.3g} kN"
     axes.quiver(
-        *touch[pressed].T, *tips[pressed].T, angles="xy", scale_units="xy", scale=1, color=AFTER, width=0.004, label=label
+        *touch[pressed].T,
+        *tips[pressed].T,
+        angles="xy",
+        scale_units="xy",
+        scale=1,
+        color=AFTER,
+        width=0.005,
+        label=label,
     )
 
     bearing = np.asarray(result.disc_bearing)[disc]
@@ -67,7 +74,9 @@ def pin_forces(
     axes.plot(*(centre / mm), "o", color="black", ms=3)
     axes.set_aspect("equal")
     reach = 1.12 * (radius + cycloid.pin_radius) / mm
-    axes.set(xlabel="x (mm)", ylabel="y (mm)", xlim=(-reach, reach), ylim=(-reach, reach), title=f"Forces on disc {disc}")
+    axes.set(
+        xlabel="x (mm)", ylabel="y (mm)", xlim=(-reach, reach), ylim=(-reach, reach), title=f"Forces on disc {disc}"
+    )
     axes.grid(visible=False)
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), fontsize=9)
     return axes
@@ -92,7 +101,7 @@ def load_sharing(crank_turn: Any, result: Loaded, *, axes: Axes | None = None) -
             axes.plot(turn, share[:, k], lines, color=colour, label=f"{name} {k}: {span}")
     axes.axhline(1, color="0.3", lw=0.8)
     axes.set(xlabel="crank angle (turns)", ylabel="load over an equal share (-)", xlim=(turn[0], turn[-1]))
-    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3, fontsize=9)
+    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, fontsize=9)
     return axes
 
 
@@ -108,7 +117,11 @@ def pin_map(crank_turn: Any, result: Loaded, *, disc: int = 0, axes: Axes | None
     axes = new_axes(axes)
     force = np.asarray(result.pins)[:, disc] / 1e3
     picture = axes.pcolormesh(
-        np.asarray(crank_turn), np.arange(force.shape[1]), np.where(force > 0, force, np.nan).T, cmap="viridis_r", vmin=0
+        np.asarray(crank_turn),
+        np.arange(force.shape[1]),
+        np.where(force > 0, force, np.nan).T,
+        cmap="viridis_r",
+        vmin=0,
     )
     axes.figure.colorbar(picture, ax=axes, label="force (kN)")
     axes.set(xlabel="crank angle (turns)", ylabel="pin", title=f"Pins on disc {disc}; white: without load")
@@ -211,7 +224,13 @@ def output_orders(
 
 
 def measured_curve(
-    torque: Any, measured: Any, fitted: Any, curves: Mapping[str, Any], *, axes: Axes | None = None
+    torque: Any,
+    measured: Any,
+    fitted: Any,
+    curves: Mapping[str, Any],
+    *,
+    stiffness: float | None = None,
+    axes: Axes | None = None,
 ) -> Axes:
     """Measured wind-up against torque beside curves of a model, and which points these were fitted to.
 
@@ -220,16 +239,25 @@ def measured_curve(
         measured: rad (n,).
         fitted: bool (n,).
         curves: {name: angle of the model at the same torques, rad (n,)}.
+        stiffness: N m/rad; the torque over it is taken off all angles, which leaves play and soft start.
         axes: where to draw; a new figure by default.
     """
     axes = new_axes(axes)
     torque, shown, used = np.asarray(torque), np.asarray(measured) / arcmin, np.asarray(fitted)
-    axes.plot(torque[used], shown[used], "o", color="black", ms=6, label="measured, fitted to")
-    axes.plot(torque[~used], shown[~used], "o", color="black", mfc="white", ms=6, label="measured, predicted")
+    straight = 0 * torque if stiffness is None else torque / (stiffness * arcmin)
+    axes.plot(torque[used], (shown - straight)[used], "o", color="black", ms=6, label="measured, fitted to")
+    axes.plot(
+        torque[~used], (shown - straight)[~used], "o", color="black", mfc="white", ms=6, label="measured, predicted"
+    )
     for k, (name, angle) in enumerate(curves.items()):
         miss = (np.asarray(angle) / arcmin - shown)[~used]
         label = f"{name}: predicted within {np.abs(miss).max():.3f} arcmin"
-        axes.plot(torque, np.asarray(angle) / arcmin, _DASHES[k % 4], color=PALETTE[(0, 1, 2)[k % 3]], label=label)
-    axes.set(xlabel="torque at the output (N m)", ylabel="half of backward less forward error (arcmin)")
-    axes.legend(loc="upper left", fontsize=9)
+        axes.plot(
+            torque, np.asarray(angle) / arcmin - straight, _DASHES[k % 4], color=PALETTE[(0, 1, 2)[k % 3]], label=label
+        )
+    label = "half of backward less forward error (arcmin)"
+    if stiffness is not None:
+        label = f"the same less torque over\n{stiffness * arcmin:.0f} N m/arcmin (arcmin)"
+    axes.set(xlabel="torque at the output (N m)", ylabel=label)
+    axes.legend(loc="upper left" if stiffness is None else "lower right", fontsize=9)
     return axes

@@ -1,8 +1,8 @@
 """A measured RV reducer of ratio 81 beside the loaded equilibrium of a machine of its teeth.
 
-Only teeth, cranks and ratio of the measured reducer are known (22, 44, 39, 40; three cranks; a comment in the source calls
-it an RV-160N). Everything else of `MACHINE` is assumed: lengths are those of the RV-320E, times the cube root of the
-ratio of the rated torques (1/2), rounded; springs are its printed ones times the same.
+Only teeth, cranks and ratio of the measured reducer are known (22, 44, 39, 40; three cranks; a comment in the source
+calls it an RV-160N). Everything else of `MACHINE` is assumed: lengths are those of the RV-320E, times the cube root of
+the ratio of the rated torques (1/2), rounded; springs are its printed ones times the same, torsional ones the cube.
 """
 
 from collections.abc import Callable, Sequence
@@ -16,7 +16,7 @@ import numpy as np
 from rvjax import loaded
 from rvjax.designs import Contact, CrankStage, CycloidStage, InvoluteStage, RVReducer, Stiffness
 from rvjax.errors import RVErrors
-from rvjax.units import arcmin, arcsec, mm, um
+from rvjax.units import arcmin, mm, um
 
 RATED = 1600.0  # assumed: torque of an RV-160, N m
 MACHINE = RVReducer(
@@ -135,7 +135,9 @@ def _rms(x: np.ndarray) -> float:
 START = dict(factor=0.5, gears=1.0, clearance=3.0, play=1e-3, scatter=2.0)
 
 
-def fit(free: Sequence[str] = ("factor", "clearance", "scatter"), seed: int = 0, steps: int = 20, **fixed: float) -> Fit:
+def fit(
+    free: Sequence[str] = ("factor", "clearance", "scatter"), seed: int = 0, steps: int = 20, **fixed: float
+) -> Fit:
     """Damped Gauss-Newton on the logarithms, so that every value stays positive; held against half of the torques.
 
     Args:
@@ -223,3 +225,33 @@ def spectra(units: dict[str, RVErrors], torque: Any, factor: float) -> dict[str,
     batch = jax.tree.map(lambda *leaf: jnp.stack([jnp.asarray(x, float) for x in leaf]), *units.values())
     error = np.asarray(_turns(factor, batch, jnp.asarray(torque, float)))
     return dict(zip(units, 2 / SAMPLES * np.abs(np.fft.rfft(error))[..., : SAMPLES // 2]))
+
+
+@cache
+def _fit() -> Fit:
+    return fit()
+
+
+@cache
+def _spectra() -> dict[str, np.ndarray]:
+    chosen = classes(clearance=3 * um)
+    return spectra({name: chosen[name] for name in ("pin_offset", "ring_centre", "disc_centre")}, [100.0, 1400.0], 0.5)
+
+
+def _stiffness() -> float:
+    """Secant of the fit between 900 and 1400 N m, N m/arcmin."""
+    angle = np.interp([900.0, 1400.0], TORQUE, _fit().angle) / arcmin
+    return float(500.0 / (angle[1] - angle[0]))
+
+
+def _unmoved() -> bool:
+    low, high = _spectra()["disc_centre"][:, 40]
+    return bool(abs(high / low - 1) < 0.05)
+
+
+COMPUTED: dict[str, Callable[[], Any]] = {
+    "rv160.windup.fitted": lambda: (_fit().angle / arcmin)[FITTED],
+    "rv160.windup.predicted": lambda: (_fit().angle / arcmin)[~FITTED],
+    "rv160.windup.stiffness": _stiffness,
+    "rv160.orders.40_stays": _unmoved,
+}
