@@ -156,7 +156,7 @@ def torsion_curve(result: Torsion, *, torque: Any = None, angle: Any = None, axe
         label = f"stiffness {stiffness:.4g} N m/arcmin" if side > 0 else None
         axes.plot(secant, twist[end] + (secant - side * rated) / stiffness, "--", color=BEFORE, lw=1.2, label=label)
     window = 0.06 * rated
-    near = np.interp([-window, window], *(x[::-1] for x in (load, twist)))
+    near = np.interp([-window, window], load[::-1], twist[::-1])
     inset.set(xlim=(-window, window), ylim=tuple(1.15 * near))
     for at, value, colour, name in (
         (-0.6 * window, float(result.backlash) / arcmin, PALETTE[2], "backlash"),
