@@ -114,10 +114,17 @@ def linkage(design: RVReducer, *, crank_angle: float = np.pi / 3, axes: Axes | N
 
 
 def unit_vector(angle: float) -> np.ndarray:
+    """Direction of an angle, (2,)."""
     return np.array([np.cos(angle), np.sin(angle)])
 
 
 def turned(points: np.ndarray, angle: float) -> np.ndarray:
+    """Points (n, 2) turned counter-clockwise about the origin.
+
+    Args:
+        points: of any length unit.
+        angle: rad.
+    """
     c, s = np.cos(angle), np.sin(angle)
     return points @ np.array([[c, s], [-s, c]])
 
