@@ -1,6 +1,7 @@
 """What the docs show of rvjax itself, made while they are built: drawings, and tables that never go stale."""
 
 import dataclasses
+from functools import cache
 from pathlib import Path
 
 import jax
@@ -8,15 +9,17 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import rvjax
-from rvjax import catalogue, dynamics, four_bar, levels, lost_motion, models, plotting, published, units
+from rvjax import catalogue, dynamics, four_bar, levels, loaded, lost_motion, models, plotting, published, units
+from rvjax.designs import Contact, Stiffness
 from rvjax.errors import CamRollerErrors, RVErrors
 from rvjax.levels import table
 from rvjax.plotting import drawings
 from rvjax.plotting import dynamics as dynamic_pictures
 from rvjax.plotting import mesh_force as mesh_pictures
 from rvjax.plotting.style import AFTER, BEFORE
+from rvjax.published import rv160
 from rvjax.status import MEANING, PRECEDENCE, SUCCESS
-from rvjax.units import arcmin, arcsec, readable, rpm, um
+from rvjax.units import MPa, arcmin, arcsec, mm, readable, rpm, um
 
 
 def everything(folder: Path) -> None:
@@ -170,6 +173,82 @@ def _ratio(design):
     return 1 + design.cycloid.pin_count * design.involute.planet_teeth / design.involute.sun_teeth
 
 
+@cache
+def _loaded_unit():
+    """An RV-40E of assumed stiffness with a micron of scatter, and its equilibria over a crank turn and over torque."""
+    design = catalogue.RV_40E.replace(
+        stiffness=Stiffness(
+            sun_support=4e7,
+            sun_torsion=1e4,
+            planet_crank_bending=2e8,
+            planet_crank_torsion=5e4,
+            support_bearing=9e8,
+            turning_arm_bearing=6e8,
+            sun_planet_mesh=2e8,
+            disc_pin_mesh=6e8,
+        ),
+        contact=Contact(young_modulus=2.06e5 * MPa, poisson_ratio=0.3, face_width=12 * mm),
+    )
+    draw = np.random.default_rng(3).normal
+    errors = RVErrors(
+        crank_eccentricity=1 * um * draw(size=(2, 2)),
+        pin_offset=1 * um * draw(size=(40, 2)),
+        disc_pitch=1 * um * draw(size=(2, 39)),
+        bearing_clearance=3 * um,
+        equidistant_modification=2 * um,
+    )
+    return design, errors
+
+
+@cache
+def _loaded_cases():
+    design, errors = _loaded_unit()
+    turn = np.linspace(0, 1, 61)
+    half = np.geomspace(1e-3, 1, 30) * 412.0
+    torque = np.concatenate([-half[::-1], half])
+    solve = jax.vmap(lambda angle, load: loaded.equilibrium(design, errors, input_angle=angle, output_torque=load))
+    angle = np.append(2 * np.pi * design.ratio / design.cycloid.pin_count * turn, np.zeros(60))
+    found = jax.jit(solve)(angle, np.append(np.full(61, 412.0), torque))
+    return turn, torque, found
+
+
+def _loaded_pins(_):
+    _, _, found = _loaded_cases()
+    figure, axes = plt.subplots(1, 2, figsize=(9.6, 5.6))
+    one = jax.tree.map(lambda x: x[0], found)
+    for k in range(2):
+        plotting.loaded.pin_forces(_loaded_unit()[0], one, input_angle=0.0, disc=k, axes=axes[k])
+    return figure
+
+
+def _loaded_sharing(axes):
+    turn, _, found = _loaded_cases()
+    return plotting.loaded.load_sharing(turn, jax.tree.map(lambda x: x[:61], found), axes=axes)
+
+
+def _loaded_torsion(axes):
+    _, torque, found = _loaded_cases()
+    bench = loaded.torsion(*_loaded_unit(), input_angle=0.0, rated_torque=412.0)
+    return plotting.loaded.torsion_curve(bench, torque=torque, angle=found.error[61:], axes=axes)
+
+
+def _loaded_orders(_):
+    turns = {"412 N m": loaded.revolution(*_loaded_unit(), output_torque=412.0, turns=1.0, samples=512)}
+    figure, axes = plt.subplots(2, 1, figsize=(8, 6.4))
+    plotting.loaded.output_turn(turns, axes=axes[0])
+    plotting.loaded.output_orders(turns, highest=250, axes=axes[1])
+    return figure
+
+
+def _loaded_measured(axes):
+    rows = {figure["id"]: figure for figure in published.figures("rv160")}
+    model = np.empty(len(rv160.TORQUE))
+    model[rv160.FITTED] = rows["rv160.windup.fitted"]["our_value"]
+    model[~rv160.FITTED] = rows["rv160.windup.predicted"]["our_value"]
+    curves = {"model, fitted to every second torque": model * arcmin}
+    return plotting.loaded.measured_curve(rv160.TORQUE, rv160.MEASURED, rv160.FITTED, curves, axes=axes)
+
+
 TEXTS = {
     "conditions": _conditions,
     "errors_cam_roller": lambda: _errors(CamRollerErrors),
@@ -204,5 +283,10 @@ PICTURES = {
     ),
     "tooth": (lambda axes: mesh_pictures.tooth(catalogue.CORR, axes=axes), (7, 4.6)),
     "campbell": (_campbell, (7, 4.6)),
+    "loaded_pins": (_loaded_pins, None),
+    "loaded_sharing": (_loaded_sharing, (7, 4.2)),
+    "loaded_torsion": (_loaded_torsion, (7, 4.6)),
+    "loaded_orders": (_loaded_orders, None),
+    "loaded_measured": (_loaded_measured, (7, 4.4)),
     "tradeoff": (lambda axes: plotting.tradeoff(table.stored()), None),
 }

@@ -8,7 +8,8 @@ import json
 import pytest
 
 from rvjax import catalogue, cli, published
-from rvjax.units import mm, parse
+from rvjax.published import rv160
+from rvjax.units import arcmin, mm, parse
 
 VERDICTS = {"reproduced", "reproduced_with_reading", "close", "contradicted", "not_computable"}
 
@@ -90,6 +91,25 @@ def test_catalogue_holds_the_corr_table():
         assert getattr(design, name) == pytest.approx(parse(table[name], "m")), name
     assert design.young_modulus == pytest.approx(parse(table["young_modulus"], "Pa"))
     assert (design.poisson_ratio, design.cam_share) == (table["poisson_ratio"], table["cam_share"])
+
+
+def test_the_measured_reducer_has_the_teeth_of_its_source():
+    table, design = published.parse("rv160")["inputs"]["rv160"]["source"], rv160.MACHINE
+    assert (design.involute.sun_teeth, design.involute.planet_teeth) == (table["sun_teeth"], table["planet_teeth"])
+    assert (design.cycloid.disc_teeth, design.cycloid.pin_count) == (table["disc_teeth"], table["pin_count"])
+    assert design.cranks.count == table["cranks"] and design.ratio == 81
+    rows = {figure["id"]: figure["value"] for figure in published.figures("rv160")}
+    for name, part in (("fitted", rv160.FITTED), ("predicted", ~rv160.FITTED)):
+        assert rows[f"rv160.windup.{name}"] == pytest.approx(rv160.MEASURED[part] / arcmin)
+    assert rows["rv160.orders.amplitudes"] == list(rv160.AMPLITUDE.values())
+
+
+def test_the_fit_never_sees_what_it_predicts(monkeypatch):
+    fit = rv160.fit()
+    monkeypatch.setattr(rv160, "MEASURED", rv160.MEASURED + ~rv160.FITTED * arcmin)
+    assert (rv160.fit().values == fit.values).all()
+    monkeypatch.setattr(rv160, "MEASURED", rv160.MEASURED + rv160.FITTED * arcmin)
+    assert abs(rv160.fit(steps=3).values / fit.values - 1).max() > 0.1
 
 
 def test_catalogue_holds_the_rv20e_tables():

@@ -24,12 +24,11 @@ def reducer(design: RVReducer, *, crank_angle: float = np.pi / 4, axes: Axes | N
     pitch = 2 * np.pi / cycloid.pin_count
     angle = pitch * round(crank_angle / pitch)  # where the disc meshes as it does at zero
     for pin in pitch * np.arange(cycloid.pin_count):
-        middle = tuple(cycloid.pin_circle_radius / mm * _unit(pin))
+        middle = tuple(cycloid.pin_circle_radius / mm * unit_vector(pin))
         axes.add_patch(Circle(middle, cycloid.pin_radius / mm, fc="0.85", ec=GREY, lw=0.8))
-    centre = cycloid.eccentricity * _unit(angle)
-    axes.plot(*(_turn(_disc(design), angle).T + centre[:, None]) / mm, color=AFTER, lw=1.6, label="disc 0")
-    for k in range(cranks.count):  # crank 0 on the negative x axis, the others counter-clockwise
-        place = cranks.circle_radius * _unit(np.pi + 2 * np.pi * k / cranks.count)
+    centre = cycloid.eccentricity * unit_vector(angle)
+    axes.plot(*(turned(flank(design), angle).T + centre[:, None]) / mm, color=AFTER, lw=1.6, label="disc 0")
+    for k, place in enumerate(crank_axes(design)):
         axes.add_patch(Circle(tuple(place / mm), 0.14 * cranks.circle_radius / mm, fc="white", ec=GREY, lw=1.2))
         bore = place + centre
         axes.add_patch(Circle(tuple(bore / mm), 0.2 * cranks.circle_radius / mm, fill=False, ec=AFTER, lw=1.2))
@@ -41,9 +40,9 @@ def reducer(design: RVReducer, *, crank_angle: float = np.pi / 4, axes: Axes | N
     for text, end, shift in (("x", (reach, 0), (2, -10)), ("y", (0, reach), (-12, 0))):
         axes.annotate("", end, (0, 0), arrowprops=dict(arrowstyle="-|>", color="black", lw=1.2))
         axes.annotate(text, end, xytext=shift, textcoords="offset points", va="center")
-    arc = np.array([_unit(a) for a in np.radians(np.linspace(20, 115, 40))])
+    arc = np.array([unit_vector(a) for a in np.radians(np.linspace(20, 115, 40))])
     _sense(axes, 0.3 * cycloid.pin_circle_radius / mm * arc, 1.2)
-    axes.annotate("+", 0.34 * cycloid.pin_circle_radius / mm * _unit(np.radians(70)), fontsize=14, ha="center")
+    axes.annotate("+", 0.34 * cycloid.pin_circle_radius / mm * unit_vector(np.radians(70)), fontsize=14, ha="center")
     axes.set_aspect("equal")
     axes.set(xlabel="x (mm)", ylabel="y (mm)", title="Second stage along its axis; angles counter-clockwise")
     axes.grid(visible=False)
@@ -63,7 +62,7 @@ def linkage(design: RVReducer, *, crank_angle: float = np.pi / 3, axes: Axes | N
     half = design.cranks.circle_radius / mm
     arm = 0.55 * half
     ends = np.array([[-half, 0.0], [half, 0.0]])
-    pins = ends + arm * _unit(crank_angle)
+    pins = ends + arm * unit_vector(crank_angle)
     axes.plot(*ends.T, color="0.6", lw=6, solid_capstyle="round", zorder=1, label="carrier (frame)")
     axes.plot(*pins.T, color=AFTER, lw=6, solid_capstyle="round", zorder=1, label="disc (coupler)")
     for k in range(2):
@@ -90,11 +89,11 @@ def linkage(design: RVReducer, *, crank_angle: float = np.pi / 3, axes: Axes | N
     middle = (ends[0] + pins[0]) / 2
     for text, place, shift in (
         ("eccentricity +\ncrank_eccentricity", middle, (-8, 0)),
-        ("crank_angle +\ncrank_phase", ends[0] + 0.3 * half * _unit(crank_angle / 2), (8, 8)),
+        ("crank_angle +\ncrank_phase", ends[0] + 0.3 * half * unit_vector(crank_angle / 2), (8, 8)),
     ):
         side = "right" if shift[0] < 0 else "left"
         axes.annotate(text, place, xytext=shift, textcoords="offset points", ha=side, fontsize=9)
-    turn = 0.28 * half * np.array([_unit(a) for a in np.linspace(0, crank_angle, 30)]) + ends[0]
+    turn = 0.28 * half * np.array([unit_vector(a) for a in np.linspace(0, crank_angle, 30)]) + ends[0]
     _sense(axes, turn, 1.0)
     title = "A disc on two cranks (eccentricity far too long)\n"
     title += "transmission error > 0: carrier counter-clockwise against the disc"
@@ -107,16 +106,29 @@ def linkage(design: RVReducer, *, crank_angle: float = np.pi / 3, axes: Axes | N
     return axes
 
 
-def _unit(angle: float) -> np.ndarray:
+def unit_vector(angle: float) -> np.ndarray:
+    """Direction of an angle, (2,)."""
     return np.array([np.cos(angle), np.sin(angle)])
 
 
-def _turn(points: np.ndarray, angle: float) -> np.ndarray:
+def turned(points: np.ndarray, angle: float) -> np.ndarray:
+    """Points (n, 2) turned counter-clockwise about the origin.
+
+    Args:
+        points: of any length unit.
+        angle: rad.
+    """
     c, s = np.cos(angle), np.sin(angle)
     return points @ np.array([[c, s], [-s, c]])
 
 
-def _disc(design: RVReducer) -> np.ndarray:
+def crank_axes(design: RVReducer) -> list[np.ndarray]:
+    """Axes of the cranks in the carrier: crank 0 on the negative x axis, the others counter-clockwise."""
+    count = design.cranks.count
+    return [design.cranks.circle_radius * unit_vector(np.pi + 2 * np.pi * k / count) for k in range(count)]
+
+
+def flank(design: RVReducer) -> np.ndarray:
     """Flank of a disc about its own centre, m (n, 2): parallel curve of a shortened epitrochoid."""
     c, t = design.cycloid, np.linspace(0, 2 * np.pi, 60 * design.cycloid.pin_count)
     # Path of a pin's centre in the frame of the disc, and its normal towards the disc.

@@ -28,7 +28,7 @@ from dataclasses import dataclass
 from importlib import resources
 from typing import Any
 
-SOURCES = ("corr", "rv20e", "rv320e", "rv40e")
+SOURCES = ("corr", "rv20e", "rv320e", "rv40e", "rv160")
 """Sources in the ledger; each has a TOML file and a module of the same name with a dict `COMPUTED`."""
 
 CLOSE = 0.10

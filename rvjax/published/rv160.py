@@ -1,0 +1,257 @@
+"""A measured RV reducer of ratio 81 beside the loaded equilibrium of a machine of its teeth.
+
+Only teeth, cranks and ratio of the measured reducer are known (22, 44, 39, 40; three cranks; a comment in the source
+calls it an RV-160N). Everything else of `MACHINE` is assumed: lengths are those of the RV-320E, times the cube root of
+the ratio of the rated torques (1/2), rounded; springs are its printed ones times the same, torsional ones the cube.
+"""
+
+from collections.abc import Callable, Sequence
+from functools import cache
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rvjax import loaded
+from rvjax.designs import Contact, CrankStage, CycloidStage, InvoluteStage, RVReducer, Stiffness
+from rvjax.errors import RVErrors
+from rvjax.units import arcmin, mm, um
+
+RATED = 1600.0  # assumed: torque of an RV-160, N m
+MACHINE = RVReducer(
+    involute=InvoluteStage.from_teeth(22, 44, module=1.5 * mm),  # teeth: source; module assumed, that of the RV-320E
+    cycloid=CycloidStage(
+        disc_teeth=39,  # source
+        pin_count=40,  # source
+        disc_count=2,  # assumed: usual layout
+        eccentricity=1.75 * mm,  # assumed: 2.2 mm * 0.794
+        pin_circle_radius=90.0 * mm,  # assumed: 114 mm * 0.794
+        pin_radius=4.0 * mm,  # assumed: 5 mm * 0.794
+    ),
+    cranks=CrankStage(count=3, circle_radius=49.5 * mm),  # count: source; circle assumed: 1.5 mm (22 + 44) / 2
+    stiffness=Stiffness(  # assumed: RV-320E, Table 2, lengths * 0.794; a fit scales all of them
+        sun_support=3.3e7,
+        sun_torsion=5.8e3,
+        planet_crank_bending=1.85e8,
+        planet_crank_torsion=3.5e4,
+        support_bearing=7.8e8,
+        turning_arm_bearing=7.7e8,
+        sun_planet_mesh=2.1e8,
+        disc_pin_mesh=6.6e8,
+    ),
+    contact=Contact(young_modulus=2.06e11, poisson_ratio=0.3, face_width=18 * mm),  # assumed: steel, a fifth of rp
+)
+
+# Half of backward less forward transmission error at 100 r/min and 25 C.
+TORQUE = np.array([0.0, 100, 200, 300, 400, 500, 700, 900, 1000, 1200, 1300, 1400])
+MEASURED = np.array([0.182, 0.599, 0.879, 1.132, 1.368, 1.513, 1.990, 2.436, 2.688, 3.143, 3.371, 3.560]) * arcmin
+FITTED = np.arange(len(TORQUE)) % 2 == 0
+# Median amplitudes over all torques, orders of the output turn.
+AMPLITUDE = {2: 0.98, 3: 2.84, 39: 3.81, 40: 3.02, 78: 3.38, 80: 0.74, 81: 1.08, 120: 0.61, 159: 1.03}
+
+ANGLES = 8
+"""Input angles over an output turn whose mean stands for the turn."""
+
+
+FREE = ("factor", "gears", "clearance", "play", "scatter")
+"""What a fit may move: factor on all springs, factor on the gears beside it, radial clearance of the arm bearings, play
+of the pins, standard deviation of `pattern`; lengths in um."""
+
+
+def pattern(seed: int = 0) -> RVErrors:
+    """Scatter of pins, teeth and crank journals of a unit that nobody measured, standard deviation 1 um.
+
+    Args:
+        seed: of the draw.
+    """
+    draw = np.random.default_rng(seed).normal
+    counts = MACHINE.counts
+    return RVErrors(
+        pin_offset=um * draw(size=(counts["pins"], 2)),
+        disc_pitch=um * draw(size=(counts["discs"], counts["teeth"])),
+        crank_eccentricity=um * draw(size=(counts["discs"], counts["cranks"])),
+    )
+
+
+def _error(log: jax.Array, errors: RVErrors, angle: Any, torque: Any) -> jax.Array:
+    """Transmission error for the logarithms of `FREE`."""
+    factor, gears, clearance, play, scatter = jnp.exp(log)
+    springs = jax.tree.map(lambda k: k * factor, MACHINE.stiffness)
+    assert springs is not None
+    springs = springs.replace(sun_planet_mesh=springs.sun_planet_mesh * gears)
+    errors = jax.tree.map(lambda x: x * scatter, errors)
+    errors = errors.replace(bearing_clearance=clearance * um, equidistant_modification=play * um)
+    design = MACHINE.replace(stiffness=springs)
+    return loaded.equilibrium(design, errors, input_angle=angle, output_torque=torque).error
+
+
+_with_slopes = jax.jit(jax.vmap(jax.value_and_grad(_error), (None, None, 0, 0)))
+
+
+def half_difference(values: Any, errors: RVErrors, torque: Any = TORQUE) -> tuple[np.ndarray, np.ndarray]:
+    """Half of backward less forward transmission error, (n,) rad, and its slopes to the logarithms, (n, 5).
+
+    Args:
+        values: of `FREE`, all > 0.
+        errors: `pattern`.
+        torque: N m (n,); none counts as the probe torque, a thousandth of the rated one.
+    """
+    turn = 2 * np.pi * MACHINE.ratio
+    load = np.maximum(np.asarray(torque, float), 1e-3 * RATED)
+    angle, signed = np.meshgrid(turn * np.arange(ANGLES) / ANGLES, np.concatenate([-load, load]))
+    error, slope = _with_slopes(jnp.log(jnp.asarray(values)), errors, angle.ravel(), signed.ravel())
+
+    def half(x: Any) -> np.ndarray:
+        backward, forward = np.asarray(x).reshape(2, len(load), ANGLES, -1).mean(axis=2)
+        return (backward - forward) / 2
+
+    return half(error)[:, 0], half(slope)
+
+
+class Fit(NamedTuple):
+    """A fit to every second torque."""
+
+    values: np.ndarray  # of `FREE`
+    sd: np.ndarray  # relative, of the free ones, from the scatter of the residuals
+    correlation: np.ndarray  # of the free ones
+    angle: np.ndarray  # at TORQUE, rad
+
+    @property
+    def fitted(self) -> float:
+        """Root mean square of the residuals at the torques fitted to, rad."""
+        return _rms((self.angle - MEASURED)[FITTED])
+
+    @property
+    def predicted(self) -> float:
+        """Root mean square of the residuals at the other torques, rad."""
+        return _rms((self.angle - MEASURED)[~FITTED])
+
+
+def _rms(x: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(x**2)))
+
+
+START = dict(factor=0.5, gears=1.0, clearance=3.0, play=1e-3, scatter=2.0)
+
+
+def fit(
+    free: Sequence[str] = ("factor", "clearance", "scatter"), seed: int = 0, steps: int = 20, **fixed: float
+) -> Fit:
+    """Damped Gauss-Newton on the logarithms, so that every value stays positive; held against half of the torques.
+
+    Args:
+        free: names of `FREE` that move.
+        seed: of `pattern`.
+        steps: at most.
+        **fixed: values of others, or where the free ones start; by default those of `START`.
+    """
+    errors, moves = pattern(seed), np.array([name in free for name in FREE])
+    log, damping = np.log([(START | fixed)[name] for name in FREE]), 1e-3
+    angle, slope = half_difference(np.exp(log), errors)
+    for _ in range(steps):
+        miss, rows = (angle - MEASURED)[FITTED] / arcmin, slope[FITTED][:, moves] / arcmin
+        square = rows.T @ rows
+        step = np.clip(np.linalg.solve(square + damping * np.diag(np.diag(square)), -rows.T @ miss), -1, 1)
+        trial = log.copy()
+        trial[moves] += step
+        found = half_difference(np.exp(trial), errors)
+        better = np.sum(((found[0] - MEASURED)[FITTED] / arcmin) ** 2) < np.sum(miss**2)
+        if better:
+            log, (angle, slope) = trial, found
+        damping *= 0.1 if better else 10
+        if np.max(np.abs(step)) < 1e-5:
+            break
+    rows = slope[FITTED][:, moves]
+    freedom = FITTED.sum() - moves.sum()
+    covariance = np.sum((angle - MEASURED)[FITTED] ** 2) / freedom * np.linalg.inv(rows.T @ rows)
+    sd = np.sqrt(np.diag(covariance))
+    return Fit(np.exp(log), sd, covariance / np.outer(sd, sd), angle)
+
+
+SAMPLES = 512
+"""Angles of an output turn: orders up to 255."""
+
+
+def classes(size: float = 3 * um, seed: int = 1, clearance: float = 0.0) -> dict[str, RVErrors]:
+    """One class of errors at a time, each number of standard deviation `size`, and all of them.
+
+    Args:
+        size: m; a phase gets the angle that moves a journal by it.
+        seed: of the draw.
+        clearance: radial, of the arm bearings, m; in every unit.
+    """
+    draw, counts = np.random.default_rng(seed).normal, MACHINE.counts
+    discs, cranks, pins, teeth = (counts[name] for name in ("discs", "cranks", "pins", "teeth"))
+    shapes = {
+        "pin_offset": (pins, 2),
+        "pin_radii": (pins,),
+        "ring_centre": (2,),
+        "disc_pitch": (discs, teeth),
+        "disc_centre": (discs, 2),
+        "crank_eccentricity": (discs, cranks),
+        "crank_phase": (cranks,),
+        "disc_bore": (discs, cranks, 2),
+        "carrier_bore": (cranks, 2),
+        "sun_runout": (2,),
+        "planet_runout": (cranks, 2),
+        "disc_profile": (discs, 5, 2),
+    }
+    none = RVErrors(**{name: np.zeros(shape) for name, shape in shapes.items()}, bearing_clearance=clearance)
+    scale = {"crank_phase": size / MACHINE.cycloid.eccentricity}
+    parts = {name: scale.get(name, size) * draw(size=shape) for name, shape in shapes.items()}
+    alone = {name: none.replace(**{name: value}) for name, value in parts.items()}
+    return {"none": none} | alone | {"all": none.replace(**parts)}
+
+
+@jax.jit
+def _turns(factor: Any, errors: RVErrors, torque: Any) -> Any:
+    design = MACHINE.replace(stiffness=jax.tree.map(lambda k: k * factor, MACHINE.stiffness))
+
+    def turn(errors: RVErrors, torque: Any) -> jax.Array:
+        return loaded.revolution(design, errors, output_torque=torque, turns=1.0, samples=SAMPLES).error
+
+    return jax.vmap(jax.vmap(turn, (None, 0)), (0, None))(errors, torque)
+
+
+def spectra(units: dict[str, RVErrors], torque: Any, factor: float) -> dict[str, np.ndarray]:
+    """Amplitudes (torques, SAMPLES / 2) of the orders of an output turn, rad.
+
+    Args:
+        units: {name: errors}, all of the same shapes.
+        torque: N m (n,).
+        factor: on every spring.
+    """
+    batch = jax.tree.map(lambda *leaf: jnp.stack([jnp.asarray(x, float) for x in leaf]), *units.values())
+    error = np.asarray(_turns(factor, batch, jnp.asarray(torque, float)))
+    return dict(zip(units, 2 / SAMPLES * np.abs(np.fft.rfft(error))[..., : SAMPLES // 2]))
+
+
+@cache
+def _fit() -> Fit:
+    return fit()
+
+
+@cache
+def _spectra() -> dict[str, np.ndarray]:
+    chosen = classes(clearance=3 * um)
+    return spectra({name: chosen[name] for name in ("pin_offset", "ring_centre", "disc_centre")}, [100.0, 1400.0], 0.5)
+
+
+def _stiffness() -> float:
+    """Secant of the fit between 900 and 1400 N m, N m/arcmin."""
+    angle = np.interp([900.0, 1400.0], TORQUE, _fit().angle) / arcmin
+    return float(500.0 / (angle[1] - angle[0]))
+
+
+def _unmoved() -> bool:
+    low, high = _spectra()["disc_centre"][:, 40]
+    return bool(abs(high / low - 1) < 0.05)
+
+
+COMPUTED: dict[str, Callable[[], Any]] = {
+    "rv160.windup.fitted": lambda: (_fit().angle / arcmin)[FITTED],
+    "rv160.windup.predicted": lambda: (_fit().angle / arcmin)[~FITTED],
+    "rv160.windup.stiffness": _stiffness,
+    "rv160.orders.40_stays": _unmoved,
+}
