@@ -164,7 +164,14 @@ class Limits:
         raise NotImplementedError
 
     def pull(self, values: np.ndarray, margin: float, distance: float, lanes: int) -> Pull:
-        """How `margin`, as `learned`, moves with the units; `lanes` are enough where only some matter."""
+        """How the margin moves with the units.
+
+        Args:
+            values: as for `learned`.
+            margin: as `learned` gave it.
+            distance: as for `learned`.
+            lanes: units that are enough where only some matter.
+        """
         raise NotImplementedError
 
     def figure(self, sampled: Sampled) -> Estimate:
@@ -176,7 +183,14 @@ class Limits:
         raise NotImplementedError
 
     def factor(self, estimate: Estimate, samples: int, deviate: float, distance: float) -> float:
-        """Common factor on all half-widths after which a draw of `samples` units should just hold."""
+        """Common factor on all half-widths after which a draw should just hold.
+
+        Args:
+            estimate: of the figure, now.
+            samples: units of the draw.
+            deviate: standard normal one of its confidence.
+            distance: as for `learned`.
+        """
         raise NotImplementedError
 
     def verdict(self, sampled: Sampled) -> Verdict:
@@ -186,11 +200,21 @@ class Limits:
         return Verdict(self.text(), self.judges, figure, met)
 
     def hopeless(self, samples: int, confidence: float) -> bool:
-        """True if not even the best sample of this size could certify it."""
+        """True if not even the best sample could certify it.
+
+        Args:
+            samples: its size.
+            confidence: of the certificate.
+        """
         return wilson(0, samples, confidence).upper >= self.most_failed
 
     def shortfall(self, values: np.ndarray, joint_target: float) -> float:
-        """How far the limits would have to move outwards for these units, 0 if met; as for `learned`."""
+        """How far the limits would have to move outwards, 0 if met.
+
+        Args:
+            values: as for `learned`.
+            joint_target: share of units that must meet all requirements, 0 for none.
+        """
         return max(0.0, self.learned(values, 1.0))
 
     def text(self) -> str:
