@@ -33,7 +33,10 @@ napoleon_use_ivar = True
 napoleon_numpy_docstring = False
 napoleon_use_rtype = False
 # Types of other libraries, and words before a colon in a line of prose, are no targets.
-nitpick_ignore_regex = [("py:.*", r"(?!rvjax\b).*")]
+nitpick_ignore_regex = [
+    ("py:.*", r"(?!rvjax\b).*"),
+    ("py:class", r"rvjax\.tolerances\.propagation\.requirements\.Limits"),  # what all kinds of requirements share
+]
 
 
 def as_rest(app, what, name, obj, options, lines):

@@ -39,7 +39,12 @@ def test_equilibrium_agrees_with_the_independent_one(name):
     )
     np.testing.assert_allclose(found.stiffness, expect["stiffness"], rtol=1e-6)
     np.testing.assert_allclose(np.max(found.pressure), expect["largest_pressure"], rtol=1e-6)
-    assert found.info.residual < 1e-11  # unbalanced force, relative
+    # Unbalanced force: 450 roundings of the largest, or that of a gap or displacement (a tenth of a millimetre at most)
+    # times the stiffest spring, which decides where forces are small beside the play.
+    stiffest = max(
+        np.max(np.asarray(k)) for k in (design.stiffness.turning_arm_bearing, design.stiffness.support_bearing)
+    )
+    assert found.info.residual * largest < 1e-11 * largest + 4 * np.finfo(float).eps * stiffest * 1e-4
 
 
 @pytest.mark.parametrize("name", [case["name"] for case in CASES if case["kind"] == "torsion"])

@@ -54,9 +54,11 @@ def kernel(tmp_path_factory):
 def run_in(kernel, notebook):
     client = NotebookClient(notebook, km=kernel, timeout=300)
     with client.setup_kernel(cleanup_kc=False):  # which would take the kernel along
-        for index, cell in enumerate(notebook.cells):
-            client.execute_cell(cell, index)
-    client.kc.stop_channels()
+        try:
+            for index, cell in enumerate(notebook.cells):
+                client.execute_cell(cell, index)
+        finally:
+            client.kc.stop_channels()
 
 
 def test_runs_shrunk(path, tmp_path, kernel):

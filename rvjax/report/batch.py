@@ -55,11 +55,10 @@ def summary(found: Statistics, source: str) -> str:
     ]
     if yields:
         lines += ["", text.table(["requirement", "yield [interval]", "rejects in a million [interval]"], yields)]
-    others = {n: r for n, r in question.requirements.items() if found.verdicts[n].kind != "share"}
-    for name, requirement in others.items():
-        figure = text.figure_text(found.verdicts[name], *question.output(name).shown)
-        met = "met" if found.verdicts[name].met else "not met"
-        lines.append(f"{name}: {requirement.text()}: {figure}, {met}")
+    for name, verdict in (found.verdicts or {}).items():
+        if verdict.kind != "share":
+            figure = text.figure_text(verdict, *question.output(name).shown)
+            lines.append(f"{name}: {verdict.wanted}: {figure}, {'met' if verdict.met else 'not met'}")
     if found.joint_yield is not None:
         lines.append(f"all requirements at once {text.yield_text(found.joint_yield)}")
     return "\n".join(lines)
