@@ -89,7 +89,13 @@ class Law(Record):
 
     @classmethod
     def parsed(cls, key: str, value: Any, unit: str) -> Any:
-        """A parameter from what stands in a study file; a ValueError if not in its unit (`unit`: the error's)."""
+        """A parameter from what stands in a study file; a ValueError if it is not in its unit.
+
+        Args:
+            key: its name.
+            value: as read.
+            unit: of the error.
+        """
         about = next(f.metadata for f in _fields(cls) if f.name == key)
         wanted = unit if about["unit"] == IN_ERROR_UNIT else about["unit"]
         try:

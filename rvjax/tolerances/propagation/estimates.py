@@ -33,7 +33,13 @@ class Estimate:
 
     @classmethod
     def about(cls, value: float, error: float, deviate: float) -> "Estimate":
-        """A figure whose interval is `deviate` errors to each side."""
+        """A figure with an interval of equal sides.
+
+        Args:
+            value: of the figure.
+            error: its standard error.
+            deviate: errors to each side.
+        """
         return cls(value, error, value - deviate * error, value + deviate * error)
 
 
