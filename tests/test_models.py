@@ -211,6 +211,10 @@ def test_dynamics_is_an_output_of_studies():
     moved = [response(errors.replace(disc_pin_stiffness=0.07 + s)).value for s in (-step, step)]
     plain = [float(value["resonance_margin"]) for value in moved]
     assert float(slope.disc_pin_stiffness) == pytest.approx((plain[1] - plain[0]) / (2 * step), rel=1e-5)
+    through_rest = dict(slowest_sun_speed=1600 * rpm, fastest_sun_speed=-1400 * rpm)  # in either order
+    conditions = dataclasses.replace(asked.conditions, **through_rest)
+    margin = jax.jit(Response.of(asked.design, ("resonance_margin",), conditions))(errors).value["resonance_margin"]
+    assert float(margin) == pytest.approx(min(1 - mesh[1] / f for f in frequency), rel=1e-9)
     with pytest.raises(study.StudyError, match=r"conditions\.sun_speed is missing: vibration needs it"):
         study.parse_study(DYNAMIC.replace('sun_speed = "1500 rpm"\n', "", 1), name="x")
     nothing = RV_40E.error_record(disc_pin_stiffness=0.1).stiffened(RV_40E)

@@ -54,8 +54,9 @@ def _resonance_margin(design: RVReducer, errors: Any, given: Any) -> Solved:
     stiffened = errors.stiffened(design)
     lumped = lump(stiffened)
     found = modes(lumped)
-    ends = [mesh_frequency(lumped, v, given.stage) for v in (given.slowest_sun_speed, given.fastest_sun_speed)]
-    low, high = (abs(end) / (2 * np.pi) for end in ends)
+    speeds = sorted((given.slowest_sun_speed, given.fastest_sun_speed))
+    low, high = sorted(abs(mesh_frequency(lumped, speed, given.stage)) / (2 * np.pi) for speed in speeds)
+    low = 0.0 if speeds[0] < 0 < speeds[1] else low  # both senses of rotation: through rest
     torsional = (found.kind_index == KINDS.index("rotational")) | (found.kind_index == KINDS.index("coupled"))
     elastic = torsional & (found.frequency > 0)
     frequency = jnp.where(elastic, found.frequency, 1)

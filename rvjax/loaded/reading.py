@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax.designs import RVReducer
-from rvjax.errors import RVErrors
+from rvjax.errors import PLACED, RVErrors
 from rvjax.loaded import laws
 from rvjax.loaded.geometry import largest_curvature
 from rvjax.loaded.system import Layout
@@ -30,15 +30,7 @@ ERRORS_READ = (
     "shift_modification",
     "base_tangent_upper",
     "base_tangent_lower",
-    "support_clearance",
-    "pin_offset",
-    "pin_radii",
-    "ring_centre",
-    "disc_centre",
-    "disc_pitch",
-    "disc_profile",
-    "sun_runout",
-    "planet_runout",
+    *PLACED,
 )
 
 
