@@ -27,8 +27,8 @@ STAND_INS = {
         "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1",
         "OPENBLAS_NUM_THREADS": "1",
     },
-    "unoptimised": {"XLA_FLAGS": "--xla_backend_optimization_level=0"},
-    "optimised": {"XLA_FLAGS": "--xla_backend_optimization_level=3"},  # as users run; the tests take level 1
+    "unoptimised": {"XLA_FLAGS": "--xla_backend_optimization_level=0"},  # by the code generator that users have
+    "optimised": {"XLA_FLAGS": "--xla_backend_optimization_level=3"},  # as users run
 }
 
 

@@ -38,8 +38,6 @@ def kernel(tmp_path_factory):
     """A running kernel of this environment, whatever kernels the user has installed."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("RVJAX_SMALL", "1")
-        # Nearly all of the time is compilation of programs that run for milliseconds.
-        patch.setenv("XLA_FLAGS", f"{os.environ.get('XLA_FLAGS', '')} --xla_backend_optimization_level=0".strip())
         patch.setenv("PYTHONPATH", str(FOLDER.parent))
         patch.setenv("IPYTHONDIR", str(tmp_path_factory.mktemp("ipython")))
         patch.setenv("TF_CPP_MIN_LOG_LEVEL", "3")  # XLA notes every program that it takes from the cache

@@ -376,7 +376,7 @@ save({{"found": found, "devices": len(jax.local_devices()), "processes": jax.pro
 
 def child(path, *, devices=1, address="", process=0, options=None):
     code = CHILD.format(address=address, process=process, options=options or {}, path=str(path))
-    flags = f"--xla_force_host_platform_device_count={devices}"
+    flags = f"{os.environ['XLA_FLAGS']} --xla_force_host_platform_device_count={devices}"  # the same arithmetic
     environment = os.environ | {"XLA_FLAGS": flags, "JAX_PLATFORMS": "cpu", "PYTHONPATH": str(Path(__file__).parent)}
     return subprocess.Popen([sys.executable, "-c", code], env=environment, cwd=Path(__file__).parent.parent)
 

@@ -1,19 +1,15 @@
 """Equilibrium of a case: found by Newton's method for many at once, differentiated by the implicit function theorem."""
 
 import functools
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 
 from rvjax.loaded.contacts import contacts, gradient, hessian
 from rvjax.loaded.elimination import solve
-from rvjax.loaded.lanes import in_lanes, take
+from rvjax.loaded.lanes import in_blocks, in_lanes
 from rvjax.loaded.newton import Found, minimise
 from rvjax.loaded.system import Layout, System
-
-_BLOCK = 128  # lanes; a block's arrays stay in the cache of one core
-
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
 def balance(layout: Layout, system: System, start: jax.Array) -> Found:
@@ -31,6 +27,44 @@ def balance(layout: Layout, system: System, start: jax.Array) -> Found:
 def _balance_jvp(layout: Layout, primals: Any, tangents: Any) -> Any:
     found = balance(layout, *primals)
     return found, jax.custom_derivatives.zero_from_primal(found)
+
+
+class Forces(NamedTuple):
+    """What the contacts of one case carry, N."""
+
+    pins: jax.Array  # (d, p)
+    gear: jax.Array  # (c, 2)
+    arm: jax.Array  # (2, d, c), on the disc with the sign of grad E
+    seat: jax.Array  # (2, c)
+
+
+@functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
+def forces(layout: Layout, system: System, q: jax.Array) -> Forces:
+    """Forces of one case at q (n,), for many at once: computed with the lanes last.
+
+    Args:
+        layout: counts and methods.
+        system: the case.
+        q: its equilibrium (n,).
+    """
+    return in_lanes(_forces, layout)(system, q)
+
+
+@forces.defjvp
+def _forces_jvp(layout: Layout, primals: Any, tangents: Any) -> Any:
+    def of_one(system: System, q: jax.Array) -> Forces:
+        at = contacts(layout, jax.tree.map(lambda leaf: leaf[..., None], system), q[:, None])
+        return jax.tree.map(lambda x: x[..., 0], Forces(at.pins, at.gear, at.arm.force, at.seat.force))
+
+    return forces(layout, *primals), jax.jvp(of_one, primals, tangents)[1]
+
+
+def _forces(layout: Layout, system: System, q: jax.Array) -> Forces:
+    def block(part: System, q: jax.Array) -> Forces:
+        at = contacts(layout, part, q)
+        return Forces(at.pins, at.gear, at.arm.force, at.seat.force)
+
+    return in_blocks(block, (system, q))
 
 
 def residual(layout: Layout, system: System, q: jax.Array) -> jax.Array:
@@ -58,21 +92,11 @@ def compliance(layout: Layout, system: System, q: jax.Array, load: jax.Array) ->
 
 
 def _compliance(layout: Layout, system: System, q: jax.Array, load: jax.Array) -> jax.Array:
-    cases = max(len(leaf) for leaf in jax.tree.leaves((system, q, load)))
-    width = min(cases, _BLOCK)
+    def block(part: System, q: jax.Array, right: jax.Array) -> jax.Array:
+        at = jax.lax.optimization_barrier(contacts(layout, part, q))
+        return solve(layout, jax.lax.optimization_barrier(hessian(layout, part, q, at)), right)
 
-    def block(first: jax.Array) -> jax.Array:
-        index = jnp.minimum(first + jnp.arange(width, dtype=jnp.int32), cases - 1)
-        part, at, right = take((system, q, load), index)
-        at, right = (jnp.broadcast_to(x, (len(x), width)) for x in (at, right))
-        pressed = jax.lax.optimization_barrier(contacts(layout, part, at))
-        square = jax.lax.optimization_barrier(hessian(layout, part, at, pressed))
-        return solve(layout, square, right).T
-
-    if cases == width:
-        return block(jnp.zeros((), jnp.int32))
-    found = jax.lax.map(block, jnp.arange(-(-cases // width), dtype=jnp.int32) * width)
-    return found.reshape(-1, layout.unknowns)[:cases]
+    return in_blocks(block, (system, q, load))
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))

@@ -9,8 +9,7 @@ import numpy as np
 
 from rvjax.designs import RVReducer
 from rvjax.errors import RVErrors
-from rvjax.loaded.balance import attach, balance, compliance
-from rvjax.loaded.contacts import contacts
+from rvjax.loaded.balance import attach, balance, compliance, forces
 from rvjax.loaded.gaps import gaps
 from rvjax.loaded.geometry import curvature, geometry
 from rvjax.loaded.newton import Found
@@ -79,7 +78,7 @@ def _equilibrium(layout: Layout, design: RVReducer, errors: RVErrors, input_angl
     read = admit(layout, design, errors, output_torque, input_angle)
     case = prepare(layout, read, read.angle).loaded(read.torque)
     found = balance(layout, case.system, jnp.full((layout.unknowns,), jnp.nan, read.torque.dtype))
-    status = judge(layout, read, case, found)
+    status = judge(read, case, found)
     return outcome(layout, read, case, found, status)
 
 
@@ -158,11 +157,9 @@ def prepare(layout: Layout, read: Read, input_angle: jax.Array) -> Case:
     return Case(system._replace(**kept), at.lever / one, jnp.sqrt(squeeze * rounding) / cycloid.pin_radius)
 
 
-def judge(layout: Layout, read: Read, case: Case, found: Found) -> jax.Array:
+def judge(read: Read, case: Case, found: Found) -> jax.Array:
     """Status of a solved case."""
-    lanes = jax.tree.map(lambda leaf: leaf[..., None], case.system)
-    largest = jnp.max(contacts(layout, lanes, found.q[:, None]).pins)
-    idle = (case.system.load == 0) & (largest <= case.system.centring * read.design.cycloid.pin_radius)
+    idle = (case.system.load == 0) & (found.largest <= case.system.centring * read.design.cycloid.pin_radius)
     return first_failure(
         (~read.finite | ~found.finite, Status.NONFINITE),
         (~read.possible, Status.INVALID_GEOMETRY),
@@ -188,17 +185,17 @@ def outcome(layout: Layout, read: Read, case: Case, found: Found, status: jax.Ar
     """Everything that follows from the displacements."""
     design, system = read.design, case.system
     q = placed(layout, case, found, status)
-    at = contacts(layout, jax.tree.map(lambda leaf: leaf[..., None], system), q[:, None])
+    pins, flanks, arm, seat = forces(layout, system, q)
     radius = design.cranks.circle_radius
-    pins, gear = at.pins[..., 0], (at.gear[:, 0] - at.gear[:, 1])[..., 0]
+    gear = flanks[:, 0] - flanks[:, 1]
     unit = jnp.asarray(np.eye(layout.unknowns)[layout.carried], q.dtype)
     pressed = pins > 0
     values = Loaded(
         error=q[layout.carried] / radius,
         pins=pins,
         pressure=jnp.where(pressed, case.pressure * jnp.sqrt(jnp.where(pressed, pins, 1)), 0),
-        disc_bearing=-jnp.moveaxis(at.arm.force[..., 0], 0, -1),
-        support_bearing=jnp.moveaxis(at.seat.force[..., 0], 0, -1),
+        disc_bearing=-jnp.moveaxis(arm, 0, -1),
+        support_bearing=jnp.moveaxis(seat, 0, -1),
         gear=gear,
         input_torque=design.involute.sun_base_radius * jnp.sum(gear),
         disc_torque=-jnp.sum(case.lever * pins, axis=1),

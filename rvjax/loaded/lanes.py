@@ -16,6 +16,7 @@ from rvjax.loaded.system import Layout, System
 
 Kernel = Callable[..., Any]
 
+BLOCK = 64  # lanes; a block's arrays stay in the cache of one core
 _FEW = 8  # lanes of a group; with fewer all cases are lanes, each with its own geometry
 
 
@@ -87,3 +88,25 @@ def _over_groups(kernel: Kernel, layout: Layout, system: System, *arrays: Any) -
 def take(tree: Any, index: jax.Array) -> Any:
     """The cases `index` of leaves (cases or 1, ...), lanes last; what all share stays one lane."""
     return jax.tree.map(lambda leaf: jnp.moveaxis(leaf if len(leaf) == 1 else leaf[index], 0, -1), tree)
+
+
+def in_blocks(kernel: Kernel, arguments: tuple[Any, ...]) -> Any:
+    """`kernel` of arguments with leaves (cases or 1, ...), a block of lanes at a time; results have the cases first.
+
+    Args:
+        kernel: takes the arguments lanes last, all but the first (the system) in as many lanes as the block has.
+        arguments: system and arrays.
+    """
+    cases = max(len(leaf) for leaf in jax.tree.leaves(arguments))
+    width = min(cases, BLOCK)
+
+    def block(first: jax.Array) -> Any:
+        index = jnp.minimum(first + jnp.arange(width, dtype=jnp.int32), cases - 1)
+        system, *arrays = take(arguments, index)
+        found = kernel(system, *(jnp.broadcast_to(x, (*x.shape[:-1], width)) for x in arrays))
+        return jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0), found)
+
+    if cases == width:
+        return block(jnp.zeros((), jnp.int32))
+    found = jax.lax.map(block, jnp.arange(-(-cases // width), dtype=jnp.int32) * width)
+    return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:])[:cases], found)

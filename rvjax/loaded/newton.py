@@ -5,7 +5,7 @@ four without a new lowest energy a lane returns to its best point and searches t
 monotone, because the energy is convex). An immediate search fails where a journal slides round its clearance: it leaves
 the circle by the second order, so that the energy of good steps rises for a while.
 
-A block has a fixed number of lanes. Once half of them are done, cases that wait take their places, so that slow cases
+A block has a fixed number of lanes. Once a quarter of them is done, cases that wait take their places, so that slow cases
 do not hold up the others.
 """
 
@@ -17,13 +17,12 @@ import jax.numpy as jnp
 from rvjax.loaded import laws
 from rvjax.loaded.contacts import contacts, energy, gradient, hessian
 from rvjax.loaded.elimination import solve
-from rvjax.loaded.lanes import take
+from rvjax.loaded.lanes import BLOCK, take
 from rvjax.loaded.system import Layout, System
 
 MAX_STEPS = 200
 _PATIENCE = 4  # full steps without a new lowest energy
 _SEARCHES = 30  # points on a line at most
-_BLOCK = 128  # lanes; a block's arrays stay in the cache of one core
 
 
 class Found(NamedTuple):
@@ -32,6 +31,7 @@ class Found(NamedTuple):
     q: jax.Array  # (n, l)
     steps: jax.Array  # (l,)
     residual: jax.Array  # (l,) gradient over the largest force
+    largest: jax.Array  # (l,) force of any pin, N
     converged: jax.Array  # (l,)
     overload: jax.Array  # (l,) a pin beyond its law, at the start or on the way
     finite: jax.Array  # (l,)
@@ -71,7 +71,7 @@ def minimise(layout: Layout, system: System, start: jax.Array) -> Found:
         start: (cases or 1, n); NaN for the linear start.
     """
     cases = max(len(leaf) for leaf in jax.tree.leaves((system, start)))
-    width = min(cases, _BLOCK)
+    width = min(cases, BLOCK)
 
     def seated(index: jax.Array) -> tuple[System, _State]:
         part, begin = take((system, start), jnp.minimum(index, cases - 1))
@@ -89,7 +89,7 @@ def minimise(layout: Layout, system: System, start: jax.Array) -> Found:
 
     def refill(loop: Any) -> Any:
         index, state, part, cursor, results = loop
-        state = _iterate(layout, part, state, jnp.where(cursor < cases, width // 2, 0).astype(jnp.int32))
+        state = _iterate(layout, part, state, jnp.where(cursor < cases, 3 * width // 4, 0).astype(jnp.int32))
         results = jax.tree.map(
             lambda all_, new: all_.at[index].set(jnp.moveaxis(new, -1, 0), mode="drop"), results, state.found
         )
@@ -126,7 +126,7 @@ def _begin(layout: Layout, s: System, start: jax.Array, seated: jax.Array) -> _S
         line=_Line(zero, zero, zero, zero, zero),
         cold=~warm & (s.load != 0),
         open=seated,
-        found=Found(q, none, zero, no, no, no),
+        found=Found(q, none, zero, zero, no, no, no),
     )
 
 
@@ -171,7 +171,7 @@ def _iterate(layout: Layout, s: System, state: _State, leave: jax.Array) -> _Sta
         miss = _most(g)
         rounding = stiffest * jnp.maximum(widest, _most(q))
         small = miss <= jnp.maximum(tolerance * size, 2 * eps * rounding)
-        return _advance(state, newton, g, value, miss, size, small, fine, over & ~cold)
+        return _advance(state, newton, g, value, miss, size, jnp.max(at.pins, axis=(0, 1)), small, fine, over & ~cold)
 
     return jax.lax.while_loop(lambda state: jnp.sum(state.open, dtype=leave.dtype) > leave, body, state)
 
@@ -183,6 +183,7 @@ def _advance(
     value: jax.Array,
     miss: jax.Array,
     size: jax.Array,
+    largest: jax.Array,
     small: jax.Array,
     fine: jax.Array,
     over: jax.Array,
@@ -223,6 +224,7 @@ def _advance(
         q=jnp.where(live[None], ended, state.found.q),
         steps=jnp.where(live, steps, state.found.steps),
         residual=jnp.where(live, miss / jnp.where(size > 0, size, 1), state.found.residual),
+        largest=jnp.where(live, largest, state.found.largest),
         converged=jnp.where(live, done, state.found.converged),
         overload=jnp.where(live, (state.found.overload | over) & ~done, state.found.overload),
         finite=jnp.where(live, fine | over | ~failed, state.found.finite),

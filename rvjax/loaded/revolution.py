@@ -8,8 +8,7 @@ import jax.numpy as jnp
 
 from rvjax.designs import RVReducer
 from rvjax.errors import RVErrors
-from rvjax.loaded.balance import balance
-from rvjax.loaded.contacts import contacts
+from rvjax.loaded.balance import balance, forces
 from rvjax.loaded.equilibrium import Case, info, judge, placed, prepare
 from rvjax.loaded.geometry import ratio
 from rvjax.loaded.newton import Found
@@ -81,7 +80,7 @@ def _revolution(
         case = prepare(layout, read, jax.lax.stop_gradient(step * j)).loaded(read.torque)
         case = jax.lax.stop_gradient(case)
         found = balance(layout, case.system, start)
-        status = judge(layout, read, case, found)
+        status = judge(read, case, found)
         return jnp.where(succeeded(status), found.q, jnp.nan), (found, status)
 
     order = jnp.arange(samples, dtype=read.torque.dtype)
@@ -111,5 +110,4 @@ def _measure(
     """Error and largest pin force of angle j, with their derivatives."""
     case: Case = prepare(layout, read, step * j).loaded(read.torque)
     q = placed(layout, case, found, status)
-    at = contacts(layout, jax.tree.map(lambda leaf: leaf[..., None], case.system), q[:, None])
-    return q[layout.carried] / read.design.cranks.circle_radius, jnp.max(at.pins)
+    return q[layout.carried] / read.design.cranks.circle_radius, jnp.max(forces(layout, case.system, q).pins)

@@ -103,7 +103,7 @@ def _ascending(pairs: jax.Array) -> jax.Array:
 def _solved(layout: Layout, read: Read, case: Case, torque: jax.Array, start: jax.Array) -> tuple[Found, jax.Array]:
     loaded = case.loaded(torque)
     found = balance(layout, loaded.system, start)
-    return found, judge(layout, read, loaded, found)
+    return found, judge(read, loaded, found)
 
 
 def _angle(layout: Layout, read: Read, case: Case, torque: jax.Array, found: Found, status: jax.Array) -> jax.Array:
