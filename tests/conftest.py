@@ -1,9 +1,9 @@
 """Test configuration: float64, no silent promotion of dtype or rank, headless pictures, programs compiled once.
 
-Three quarters of the time of the tests was compilation. What one worker or process compiled, all others and every later
-run take from `.pytest_cache`; delete it to compile afresh. Programs are compiled for one short run (`QUICK`), in a fifth
-of the time. Benchmarks and the census compile as users do, and compare results first; `machines.py` runs the tests so
-too ("optimised"), and under what stands in for other machines.
+What one worker or process compiled, all others and every later run take from `.pytest_cache`; delete it to compile
+afresh. Programs are compiled for one short run, in a fifth of the time, for compilation was three quarters of it.
+Benchmarks and the census compile as users do, and compare results first; `machines.py` runs the tests so too
+("optimised"), and under what stands in for other machines.
 
 A worker forgets its programs after each module, else it grows by a gigabyte every few minutes; the last lines of a run
 say how far each one came.
@@ -17,13 +17,13 @@ from pathlib import Path
 
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path(__file__).parents[1] / ".pytest_cache" / "jax"))
 os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")  # XLA logs two lines for every kept program it loads
-# XLA's older code generator, in one piece, and LLVM without optimisation: compilation 15 s -> 3 s in a mix of four models.
-QUICK = (
-    "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true "
-    "--xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1"
-)
 if "xla_backend_optimization_level" not in os.environ.get("XLA_FLAGS", ""):
-    os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {QUICK}".strip()
+    # XLA's older code generator, in one piece, and no optimisation: 15 s of compilation -> 3 s in a mix of four models.
+    quick = (
+        "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true "
+        "--xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1"
+    )
+    os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {quick}".strip()
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")  # hundreds of small ones cost a quarter
 
 import jax

@@ -5,7 +5,6 @@ forgets every name and goes back to single precision, and what one notebook comp
 reader gets, inline pictures and output streams included.
 """
 
-import os
 import re
 import sys
 from pathlib import Path

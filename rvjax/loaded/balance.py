@@ -11,6 +11,7 @@ from rvjax.loaded.lanes import in_blocks, in_lanes
 from rvjax.loaded.newton import Found, minimise
 from rvjax.loaded.system import Layout, System
 
+
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
 def balance(layout: Layout, system: System, start: jax.Array) -> Found:
     """The minimum of the energy; carries no derivative.
@@ -34,8 +35,7 @@ class Forces(NamedTuple):
 
     pins: jax.Array  # (d, p)
     gear: jax.Array  # (c, 2)
-    arm: jax.Array  # (2, d, c), on the disc with the sign of grad E
-    seat: jax.Array  # (2, c)
+    bearing: jax.Array  # (b, 2), sign of grad E
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
@@ -54,7 +54,7 @@ def forces(layout: Layout, system: System, q: jax.Array) -> Forces:
 def _forces_jvp(layout: Layout, primals: Any, tangents: Any) -> Any:
     def of_one(system: System, q: jax.Array) -> Forces:
         at = contacts(layout, jax.tree.map(lambda leaf: leaf[..., None], system), q[:, None])
-        return jax.tree.map(lambda x: x[..., 0], Forces(at.pins, at.gear, at.arm.force, at.seat.force))
+        return jax.tree.map(lambda x: x[..., 0], Forces(at.pins, at.gear, at.bearing.force))
 
     return forces(layout, *primals), jax.jvp(of_one, primals, tangents)[1]
 
@@ -62,7 +62,7 @@ def _forces_jvp(layout: Layout, primals: Any, tangents: Any) -> Any:
 def _forces(layout: Layout, system: System, q: jax.Array) -> Forces:
     def block(part: System, q: jax.Array) -> Forces:
         at = contacts(layout, part, q)
-        return Forces(at.pins, at.gear, at.arm.force, at.seat.force)
+        return Forces(at.pins, at.gear, at.bearing.force)
 
     return in_blocks(block, (system, q))
 
@@ -93,8 +93,7 @@ def compliance(layout: Layout, system: System, q: jax.Array, load: jax.Array) ->
 
 def _compliance(layout: Layout, system: System, q: jax.Array, load: jax.Array) -> jax.Array:
     def block(part: System, q: jax.Array, right: jax.Array) -> jax.Array:
-        at = jax.lax.optimization_barrier(contacts(layout, part, q))
-        return solve(layout, jax.lax.optimization_barrier(hessian(layout, part, q, at)), right)
+        return solve(layout, hessian(layout, part, contacts(layout, part, q)), right)
 
     return in_blocks(block, (system, q, load))
 

@@ -14,7 +14,7 @@ from rvjax.loaded.gaps import gaps
 from rvjax.loaded.geometry import curvature, geometry
 from rvjax.loaded.newton import Found
 from rvjax.loaded.reading import Read, admit, check_input, mesh_stiffness, pin_compliance
-from rvjax.loaded.system import Layout, System, directions
+from rvjax.loaded.system import Layout, System, bearing_rows, directions, gear_rows
 from rvjax.records import Record, field, record
 from rvjax.status import SolveInfo, Status, first_failure, succeeded
 
@@ -122,39 +122,45 @@ def prepare(layout: Layout, read: Read, input_angle: jax.Array) -> Case:
         if contact.pin_support is not None:
             level = level + 1 / (yielding * contact.pin_support)
     squeeze = plane / (2 * jnp.pi * contact.face_width**2)  # Eq. 24: p^2 = F E / (2 pi L (1 - nu^2) R*)
-    arm_stiffness = jnp.broadcast_to(springs.turning_arm_bearing, (layout.discs, layout.cranks))
-    floating, free = layout.carrier == "floating", layout.sun == "floating"
+    arms = jnp.broadcast_to(springs.turning_arm_bearing, (layout.discs, layout.cranks))
+    centring = 1e-8 * jnp.mean(arms)
+    held = [0.0] * (layout.carried + 1)
+    if layout.carrier == "floating":
+        held += [springs.output_support] * 2
+    if layout.sun == "floating":
+        held += [springs.sun_support] * 2 + [springs.sun_torsion / involute.sun_base_radius**2]
+    play = [jnp.maximum(x, 0) for x in (errors.bearing_clearance, errors.support_clearance)]
     system = System(
         rows=jnp.stack([-at.normal[0], -at.normal[1], at.lever / cranks.circle_radius]),
         level=level,
         compliance=yielding,
-        swing=swing,
-        flank=flank,
-        arm_stiffness=arm_stiffness,
-        seat_stiffness=jnp.broadcast_to(springs.support_bearing, (layout.cranks,)),
-        mesh_stiffness=jnp.broadcast_to(mesh_stiffness(design), (layout.cranks,)),
-        centring=1e-8 * jnp.mean(arm_stiffness),
-        carrier_support=springs.output_support if floating else None,
-        sun_support=springs.sun_support if free else None,
-        sun_torsion=springs.sun_torsion / involute.sun_base_radius**2 if free else None,
+        gear_rows=gear_rows(layout, flank),
+        bearing_rows=bearing_rows(layout, swing),
+        gear_stiffness=jnp.broadcast_to(mesh_stiffness(design), (layout.cranks,)),
+        bearing_stiffness=_bearings(arms.reshape(-1), jnp.broadcast_to(springs.support_bearing, (layout.cranks,))),
+        centring=centring,
+        support=centring + jnp.stack([jnp.asarray(x, dtype) for x in held]),
         gap=gap.pins,
         gear_gap=gap.gear,
-        arm=gap.arm,
-        seat=gap.seat,
-        arm_clearance=jnp.maximum(errors.bearing_clearance, 0),
-        seat_clearance=jnp.maximum(errors.support_clearance, 0),
+        bearing_gap=_bearings(gap.arm.reshape(-1, 2), gap.seat),
+        clearance=_bearings(*(jnp.full((count,), x) for count, x in zip((arms.size, layout.cranks), play))),
         load=1 / cranks.circle_radius,
     )
     # rr^2 / R* is `rounding`, so that 1 / R* = rounding / rr^2.
     # XLA computes cheap operations anew for every reader, but a division once. Half of the program was such copies.
     one, one_of_errors = jnp.where(e > 0, 1.0, 2.0).astype(dtype), jnp.where(read.finite, 1.0, 2.0).astype(dtype)
-    of_angle = {"rows", "level", "swing", "flank"}
+    of_angle = {"rows", "level", "gear_rows", "bearing_rows"}
     kept = {
         name: None if value is None else value / (one if name in of_angle else one_of_errors)
         for name, value in system._asdict().items()
-        if name in of_angle | {"gap", "gear_gap", "arm", "seat"}
+        if name in of_angle | {"gap", "gear_gap", "bearing_gap"}
     }
     return Case(system._replace(**kept), at.lever / one, jnp.sqrt(squeeze * rounding) / cycloid.pin_radius)
+
+
+def _bearings(arm: jax.Array, seat: jax.Array) -> jax.Array:
+    """Values of all bearings, in the order of the system."""
+    return jnp.concatenate([arm, seat])
 
 
 def judge(read: Read, case: Case, found: Found) -> jax.Array:
@@ -185,7 +191,8 @@ def outcome(layout: Layout, read: Read, case: Case, found: Found, status: jax.Ar
     """Everything that follows from the displacements."""
     design, system = read.design, case.system
     q = placed(layout, case, found, status)
-    pins, flanks, arm, seat = forces(layout, system, q)
+    pins, flanks, bearing = forces(layout, system, q)
+    arm, seat = bearing[: -layout.cranks], bearing[-layout.cranks :]
     radius = design.cranks.circle_radius
     gear = flanks[:, 0] - flanks[:, 1]
     unit = jnp.asarray(np.eye(layout.unknowns)[layout.carried], q.dtype)
@@ -194,8 +201,8 @@ def outcome(layout: Layout, read: Read, case: Case, found: Found, status: jax.Ar
         error=q[layout.carried] / radius,
         pins=pins,
         pressure=jnp.where(pressed, case.pressure * jnp.sqrt(jnp.where(pressed, pins, 1)), 0),
-        disc_bearing=-jnp.moveaxis(arm, 0, -1),
-        support_bearing=jnp.moveaxis(seat, 0, -1),
+        disc_bearing=-arm.reshape(layout.discs, layout.cranks, 2),
+        support_bearing=seat,
         gear=gear,
         input_torque=design.involute.sun_base_radius * jnp.sum(gear),
         disc_torque=-jnp.sum(case.lever * pins, axis=1),

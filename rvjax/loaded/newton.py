@@ -5,8 +5,8 @@ four without a new lowest energy a lane returns to its best point and searches t
 monotone, because the energy is convex). An immediate search fails where a journal slides round its clearance: it leaves
 the circle by the second order, so that the energy of good steps rises for a while.
 
-A block has a fixed number of lanes. Once a quarter of them is done, cases that wait take their places, so that slow cases
-do not hold up the others.
+A block has a fixed number of lanes. Once a quarter of them is done, cases that wait take their places, so that slow
+cases do not hold up the others.
 """
 
 from typing import Any, NamedTuple
@@ -139,8 +139,8 @@ def _iterate(layout: Layout, s: System, state: _State, leave: jax.Array) -> _Sta
     lanes = state.q.shape[-1]
     eps = float(jnp.finfo(state.q.dtype).eps)
     tolerance = max(1e-13, 32 * eps)  # of the largest force
-    stiffest = _most(s.arm_stiffness, s.mesh_stiffness, s.seat_stiffness)
-    widest = _most(s.gap, s.gear_gap, s.arm, s.seat)
+    stiffest = _most(s.bearing_stiffness, s.gear_stiffness)
+    widest = _most(s.gap, s.gear_gap, s.bearing_gap)
     # The linear start: a slope for the mean force of the working pins, half of all, with the mean of their levers.
     lever = jnp.sum(jnp.abs(s.rows[2]), axis=(0, 1)) / 2
     typical = laws.typical_slope(layout.law, (jnp.abs(s.load) / lever)[None, None], s.compliance[None, None], s.level)
@@ -149,25 +149,21 @@ def _iterate(layout: Layout, s: System, state: _State, leave: jax.Array) -> _Sta
 
     def body(state: _State) -> _State:
         q, cold = state.q, state.cold
-        slack = [jnp.where(cold, 0, clearance) for clearance in (s.arm_clearance, s.seat_clearance)]
-        at = contacts(layout, s._replace(arm_clearance=slack[0], seat_clearance=slack[1]), q)
+        at = contacts(layout, s._replace(clearance=jnp.where(cold, 0, s.clearance)), q)
         over = _overloaded(s, at.depth) if layout.law == "hertz" else jnp.zeros((lanes,), bool)
         slope = laws.slope(layout.law, at.depth, at.pins, s.compliance[None, None])
         started = cold[None, None]
         at = at._replace(
             pins=jnp.where(started, working * at.depth, at.pins),
-            gear=jnp.where(started, jnp.where(driving, s.mesh_stiffness[:, None] * at.gear_depth, 0), at.gear),
+            gear=jnp.where(started, jnp.where(driving, s.gear_stiffness[:, None] * at.gear_depth, 0), at.gear),
         )
-        # Barriers: without them XLA computes what two results share anew for each.
-        at, slope = jax.lax.optimization_barrier((at, jnp.where(started, working, slope)))
+        slope = jnp.where(started, working, slope)
         pressed = jnp.where(started, driving, at.gear_depth > 0)
-        g, square = jax.lax.optimization_barrier(
-            (gradient(layout, s, q, at), hessian(layout, s, q, at, slope, pressed))
-        )
-        newton = jax.lax.optimization_barrier(-solve(layout, square, g))
+        g = gradient(layout, s, q, at)
+        newton = -solve(layout, hessian(layout, s, at, slope, pressed), g)
         value = energy(layout, s, q, at)
         fine = jnp.isfinite(value) & jnp.all(jnp.isfinite(newton), axis=0)
-        size = _most(at.pins, at.gear, at.arm.force, at.seat.force)
+        size = _most(at.pins, at.gear, at.bearing.force)
         miss = _most(g)
         rounding = stiffest * jnp.maximum(widest, _most(q))
         small = miss <= jnp.maximum(tolerance * size, 2 * eps * rounding)
