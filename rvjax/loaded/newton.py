@@ -157,10 +157,11 @@ def _iterate(layout: Layout, s: System, state: _State, leave: jax.Array) -> _Sta
             pins=jnp.where(started, working * at.depth, at.pins),
             gear=jnp.where(started, jnp.where(driving, s.gear_stiffness[:, None] * at.gear_depth, 0), at.gear),
         )
-        slope = jnp.where(started, working, slope)
+        # Barriers: without them XLA computes what two results share anew for each.
+        at, slope = jax.lax.optimization_barrier((at, jnp.where(started, working, slope)))
         pressed = jnp.where(started, driving, at.gear_depth > 0)
-        g = gradient(layout, s, q, at)
-        newton = -solve(layout, hessian(layout, s, at, slope, pressed), g)
+        g, square = jax.lax.optimization_barrier((gradient(layout, s, q, at), hessian(layout, s, at, slope, pressed)))
+        newton = jax.lax.optimization_barrier(-solve(layout, square, g))
         value = energy(layout, s, q, at)
         fine = jnp.isfinite(value) & jnp.all(jnp.isfinite(newton), axis=0)
         size = _most(at.pins, at.gear, at.bearing.force)
