@@ -83,7 +83,7 @@ def test_any_number_of_angles_and_any_batch_axis(angles):
     assert np.isnan(last[0][2]) and np.isfinite(np.delete(np.asarray(last[0]), 2)).all()
 
 
-@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+@pytest.mark.parametrize("dtype", [np.float64, pytest.param(np.float32, marks=pytest.mark.long)])
 @pytest.mark.parametrize(
     ("cranks", "closure"), [("free", "closed_form"), ("free", "newton"), ("phase_locked", "newton")]
 )
@@ -170,7 +170,7 @@ def test_rollers_too_large_for_the_arithmetic(contact):
     assert all(np.isfinite(leaf).all() for leaf in slope.values())
 
 
-@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+@pytest.mark.parametrize("dtype", [np.float64, pytest.param(np.float32, marks=pytest.mark.long)])
 def test_one_preloaded_roller_near_dead_centre_against_a_small_torque(dtype):
     """Steps below the rounding of the depths never end by themselves: these lanes ran out of steps."""
     rng = np.random.default_rng(0)

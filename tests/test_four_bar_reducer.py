@@ -46,7 +46,7 @@ def test_reference_reducers(reference, dtype):
             assert int(result.info.status) == Status.CONVERGED
 
 
-@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+@pytest.mark.parametrize("dtype", [np.float64, pytest.param(np.float32, marks=pytest.mark.long)])
 def test_reference_curve(reference, dtype):
     for case in reference("four_bar")["curve"]:
         design, errors = referenced(case, dtype)

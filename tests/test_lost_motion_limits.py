@@ -143,7 +143,10 @@ def test_constructors_judge_numbers_given_eagerly():
         RV_20E_ERRORS.replace(bearing_clearance=-1 * um)
 
 
-@pytest.mark.parametrize(("profile", "absolute", "relative"), [("first_order", 6e-6, 3e-6), ("contact", 2e-5, 1e-5)])
+@pytest.mark.parametrize(
+    ("profile", "absolute", "relative"),
+    [pytest.param("first_order", 6e-6, 3e-6, marks=pytest.mark.long), ("contact", 2e-5, 1e-5)],
+)
 def test_float32_within_its_bounds(profile, absolute, relative):
     bands = dict(
         pin_circle_radius=10,
