@@ -16,7 +16,7 @@ from rvjax.loaded.newton import Found
 from rvjax.loaded.reading import Read, admit, check_input, mesh_stiffness, pin_compliance
 from rvjax.loaded.system import Layout, System, bearing_rows, directions, gear_rows
 from rvjax.records import Record, field, record
-from rvjax.status import SolveInfo, Status, first_failure, succeeded
+from rvjax.status import SolveInfo, Status, succeeded
 
 
 @record
@@ -78,8 +78,7 @@ def _equilibrium(layout: Layout, design: RVReducer, errors: RVErrors, input_angl
     read = admit(layout, design, errors, output_torque, input_angle)
     case = prepare(layout, read, read.angle).loaded(read.torque)
     found = balance(layout, case.system, jnp.full((layout.unknowns,), jnp.nan, read.torque.dtype))
-    status = judge(read, case, found)
-    return outcome(layout, read, case, found, status)
+    return outcome(layout, read, case, found, judge(read, case, found))
 
 
 class Case(NamedTuple):
@@ -148,7 +147,7 @@ def prepare(layout: Layout, read: Read, input_angle: jax.Array) -> Case:
     )
     # rr^2 / R* is `rounding`, so that 1 / R* = rounding / rr^2.
     # XLA computes cheap operations anew for every reader, but a division once. Half of the program was such copies.
-    one, one_of_errors = jnp.where(e > 0, 1.0, 2.0).astype(dtype), jnp.where(read.finite, 1.0, 2.0).astype(dtype)
+    one, one_of_errors = jnp.where(e > 0, 1.0, 2.0).astype(dtype), jnp.where(read.gate.good, 1.0, 2.0).astype(dtype)
     of_angle = {"rows", "level", "gear_rows", "bearing_rows"}
     kept = {
         name: None if value is None else value / (one if name in of_angle else one_of_errors)
@@ -163,17 +162,17 @@ def _bearings(arm: jax.Array, seat: jax.Array) -> jax.Array:
     return jnp.concatenate([arm, seat])
 
 
-def judge(read: Read, case: Case, found: Found) -> jax.Array:
-    """Status of a solved case."""
+def judge(read: Read, case: Case, found: Found) -> SolveInfo:
+    """How the solve of a case ended."""
     idle = (case.system.load == 0) & (found.largest <= case.system.centring * read.design.cycloid.pin_radius)
-    return first_failure(
-        (~read.finite | ~found.finite, Status.NONFINITE),
-        (~read.possible, Status.INVALID_GEOMETRY),
-        (read.undercut, Status.UNDERCUT),
+    ended = SolveInfo(jnp.where(idle, jnp.int32(int(Status.UNLOADED)), 0), found.steps, found.residual)
+    return read.gate.close(
+        (),
+        (~found.finite, Status.NONFINITE),
         (found.overload & ~found.converged, Status.CONTACT_OVERLOAD),
         (~found.converged, Status.MAX_STEPS),
-        (idle, Status.UNLOADED),
-    )
+        info=ended,
+    )[1]
 
 
 def placed(layout: Layout, case: Case, found: Found, status: jax.Array) -> jax.Array:
@@ -181,16 +180,10 @@ def placed(layout: Layout, case: Case, found: Found, status: jax.Array) -> jax.A
     return attach(layout, case.system, jnp.where(succeeded(status), found.q, 0))
 
 
-def info(found: Found, status: jax.Array) -> SolveInfo:
-    """How the solve ended; a lane that was refused counts no steps."""
-    refused = (status == Status.NONFINITE) | (status == Status.INVALID_GEOMETRY) | (status == Status.UNDERCUT)
-    return SolveInfo(status, jnp.where(refused, 0, found.steps), jnp.where(refused, jnp.nan, found.residual))
-
-
-def outcome(layout: Layout, read: Read, case: Case, found: Found, status: jax.Array) -> Loaded:
+def outcome(layout: Layout, read: Read, case: Case, found: Found, info: SolveInfo) -> Loaded:
     """Everything that follows from the displacements."""
     design, system = read.design, case.system
-    q = placed(layout, case, found, status)
+    q = placed(layout, case, found, info.status)
     pins, flanks, bearing = forces(layout, system, q)
     arm, seat = bearing[: -layout.cranks], bearing[-layout.cranks :]
     radius = design.cranks.circle_radius
@@ -209,6 +202,5 @@ def outcome(layout: Layout, read: Read, case: Case, found: Found, status: jax.Ar
         stiffness=radius**2 / compliance(layout, system, q, unit)[layout.carried],
         info=None,  # type: ignore[arg-type]
     )
-    fine = succeeded(status)
-    values = jax.tree.map(lambda value: jnp.where(fine, value, jnp.nan), values)
-    return values.replace(info=info(found, status))
+    fine = succeeded(info.status)
+    return jax.tree.map(lambda value: jnp.where(fine, value, jnp.nan), values).replace(info=info)

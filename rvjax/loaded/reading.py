@@ -7,12 +7,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax import status
 from rvjax.designs import RVReducer
 from rvjax.errors import PLACED, RVErrors
 from rvjax.loaded import laws
 from rvjax.loaded.geometry import largest_curvature
 from rvjax.loaded.system import Layout
 from rvjax.records import axis_sizes, promote
+from rvjax.status import Gate, Status
 
 SUPPORTS = ("fixed", "floating")
 
@@ -42,9 +44,7 @@ class Read(NamedTuple):
     eccentricity: Any  # nominal and error
     torque: Any
     angle: Any
-    finite: Any
-    possible: Any
-    undercut: Any
+    gate: Gate
 
 
 def check_input(design: RVReducer, errors: RVErrors, contact: str, carrier: str, sun: str) -> Layout:
@@ -103,35 +103,28 @@ def admit(layout: Layout, design: RVReducer, errors: RVErrors, torque: Any, angl
     e, added = used.cycloid.eccentricity, parts.eccentricity
     parts = parts.replace(eccentricity=jnp.zeros_like(added))
 
-    sound, positive = _finite(used), _possible(layout, used)
-    good = sound & positive
-
-    def safe(path: Any, x: jax.Array) -> jax.Array:
-        return jnp.where(good, x, _HARMLESS.get(path[-1].name, 1.0))
-
-    used = jax.tree_util.tree_map_with_path(safe, used)
-    sound_parts, sound_torque, sound_angle, sound_e = map(_finite, (parts, torque, angle, (e, added)))
-    parts = jax.tree.map(lambda x: jnp.where(sound_parts, x, 0), parts)
-    torque, angle = jnp.where(sound_torque, torque, 0), jnp.where(sound_angle, angle, 0)
+    spare = jax.tree_util.tree_map_with_path(lambda path, _: _HARMLESS.get(path[-1].name, 1.0), used)
+    used, of_design = status.admit(
+        used, spare, (~_finite(used), Status.NONFINITE), (~_possible(layout, used), Status.INVALID_GEOMETRY)
+    )
+    refused = [*of_design.refused]
+    admitted = []
+    for number in (parts, torque, angle, (e, added)):
+        number, gate = status.admit(number, 0, (~_finite(number), Status.NONFINITE))
+        admitted.append(number)
+        refused += gate.refused
+    parts, torque, angle, (e, added) = admitted
 
     cycloid = used.cycloid
-    e = jnp.where(sound_e, e, 0) + jnp.where(sound_e, added, 0)
+    e = e + added
     largest = cycloid.pin_circle_radius / cycloid.pin_count  # K1 = 1
     proper = (e > 0) & (e < largest)
-    e = jnp.where(good & proper, e, 0.6 * largest)
+    e = jnp.where(of_design.good & proper, e, 0.6 * largest)
     sharpest = largest_curvature(used, e / largest)
-    undercut = good & (cycloid.pin_radius * sharpest >= 1)
+    undercut = of_design.good & (cycloid.pin_radius * sharpest >= 1)
     cycloid = cycloid.replace(pin_radius=jnp.where(undercut, 0.1 / sharpest, cycloid.pin_radius))
-    return Read(
-        design=used.replace(cycloid=cycloid),
-        errors=parts,
-        eccentricity=e,
-        torque=torque,
-        angle=angle,
-        finite=sound & sound_parts & sound_torque & sound_angle & sound_e,
-        possible=positive & proper,
-        undercut=undercut,
-    )
+    gate = Gate((*refused, (~proper, Status.INVALID_GEOMETRY), (undercut, Status.UNDERCUT)))
+    return Read(used.replace(cycloid=cycloid), parts, e, torque, angle, gate)
 
 
 _HARMLESS = {

@@ -9,13 +9,13 @@ import jax.numpy as jnp
 from rvjax.designs import RVReducer
 from rvjax.errors import RVErrors
 from rvjax.loaded.balance import balance, forces
-from rvjax.loaded.equilibrium import Case, info, judge, placed, prepare
+from rvjax.loaded.equilibrium import Case, judge, placed, prepare
 from rvjax.loaded.geometry import ratio
 from rvjax.loaded.newton import Found
 from rvjax.loaded.reading import Read, admit, check_input
 from rvjax.loaded.system import Layout
 from rvjax.records import Record, field, record
-from rvjax.status import SolveInfo, succeeded, worst
+from rvjax.status import SolveInfo, succeeded, worst_of
 
 HARMONICS = 5
 
@@ -80,27 +80,26 @@ def _revolution(
         case = prepare(layout, read, jax.lax.stop_gradient(step * j)).loaded(read.torque)
         case = jax.lax.stop_gradient(case)
         found = balance(layout, case.system, start)
-        status = judge(read, case, found)
-        return jnp.where(succeeded(status), found.q, jnp.nan), (found, status)
+        info = judge(read, case, found)
+        return jnp.where(succeeded(info.status), found.q, jnp.nan), (found, info)
 
     order = jnp.arange(samples, dtype=read.torque.dtype)
-    _, (found, status) = jax.lax.scan(onward, jnp.full((layout.unknowns,), jnp.nan, order.dtype), order)
+    _, (found, infos) = jax.lax.scan(onward, jnp.full((layout.unknowns,), jnp.nan, order.dtype), order)
     measure = jax.checkpoint(partial(_measure, layout), static_argnums=())
-    error, largest = jax.lax.map(lambda x: measure(read, step, *x), (order, found, status))
-    whole = worst(status)
-    fine = succeeded(whole)
+    error, largest = jax.lax.map(lambda x: measure(read, step, *x), (order, found, infos.status))
+    whole = worst_of(infos)
+    fine = succeeded(whole.status)
     error = jnp.where(fine, error, jnp.nan)
     wave = jnp.fft.fft(jnp.where(fine, error, 0))[:HARMONICS] / samples
     wave = jnp.pad(wave, (0, HARMONICS - len(wave)))
     wave = wave + wave.at[0].set(0)  # X_0 once, all others twice
-    last = info(Found(*(jnp.max(leaf) if leaf.ndim == 1 else leaf for leaf in found)), whole)
     return Revolution(
         error=error,
         peak_to_peak=jnp.max(error) - jnp.min(error),
         mean=jnp.mean(error),
         harmonics=jnp.where(fine, wave, jnp.nan),
         largest_pin=jnp.where(fine, jnp.max(largest), jnp.nan),
-        info=last.replace(steps=jnp.sum(found.steps)),
+        info=whole.replace(steps=jnp.sum(infos.steps)),
     )
 
 

@@ -9,12 +9,12 @@ import jax.numpy as jnp
 from rvjax.designs import RVReducer
 from rvjax.errors import RVErrors
 from rvjax.loaded.balance import balance
-from rvjax.loaded.equilibrium import Case, info, judge, placed, prepare
+from rvjax.loaded.equilibrium import Case, judge, placed, prepare
 from rvjax.loaded.newton import Found
 from rvjax.loaded.reading import Read, admit, check_input
 from rvjax.loaded.system import Layout
 from rvjax.records import Record, field, record
-from rvjax.status import SolveInfo, succeeded, worst
+from rvjax.status import SolveInfo, succeeded, worst_of
 
 SHARES = (1.0, 0.5, 0.03, 1e-3)
 """Of the rated torque, at either sign. The least is the probe torque: the limit of no torque."""
@@ -72,26 +72,26 @@ def _torsion(layout: Layout, design: RVReducer, errors: RVErrors, input_angle: A
 
     def lower(start: jax.Array, share: jax.Array) -> Any:
         """Both signs at one size of the torque, from the solutions at the one before."""
-        found, status = jax.vmap(partial(_solved, layout, read, case))(sides * share, start)
-        return jnp.where(succeeded(status)[:, None], found.q, jnp.nan), (found, status)
+        found, info = jax.vmap(partial(_solved, layout, read, case))(sides * share, start)
+        return jnp.where(succeeded(info.status)[:, None], found.q, jnp.nan), (found, info)
 
     cold = jnp.full((2, layout.unknowns), jnp.nan, sides.dtype)
-    _, (found, status) = jax.lax.scan(lower, cold, shares)
+    _, (found, infos) = jax.lax.scan(lower, cold, shares)
     torque = shares[:, None] * sides[None]
     of_one = partial(_angle, layout, read, case)
-    error = jax.vmap(jax.vmap(of_one))(torque, found, status)  # (4, 2)
-    fine = succeeded(worst(status, axis=(0, 1)))
+    error = jax.vmap(jax.vmap(of_one))(torque, found, infos.status)  # (4, 2)
+    whole = worst_of(infos)
+    fine = succeeded(whole.status)
     error = jnp.where(fine, error, jnp.nan)
     gone = error[:, 0] - error[:, 1]
     slack = (error[1] - error[0]) * jnp.asarray([-1.0, 1.0], error.dtype)
-    whole = info(Found(*(jnp.max(leaf) if leaf.ndim == 2 else leaf for leaf in found)), worst(status, axis=(0, 1)))
     return Torsion(
         torque=_ascending(torque),
         angle=_ascending(error),
         backlash=gone[3],
         lost_motion=gone[2],
         stiffness=0.5 * read.torque / slack[1],
-        info=whole.replace(steps=jnp.sum(found.steps)),
+        info=whole.replace(steps=jnp.sum(infos.steps)),
     )
 
 
@@ -100,7 +100,7 @@ def _ascending(pairs: jax.Array) -> jax.Array:
     return jnp.concatenate([pairs[:, 0], pairs[::-1, 1]])
 
 
-def _solved(layout: Layout, read: Read, case: Case, torque: jax.Array, start: jax.Array) -> tuple[Found, jax.Array]:
+def _solved(layout: Layout, read: Read, case: Case, torque: jax.Array, start: jax.Array) -> tuple[Found, SolveInfo]:
     loaded = case.loaded(torque)
     found = balance(layout, loaded.system, start)
     return found, judge(read, loaded, found)
