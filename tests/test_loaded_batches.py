@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from loaded_cases import NAMED, design_of, errors_of
 
 from rvjax import Status, loaded
@@ -75,6 +76,81 @@ def test_a_failed_lane_disturbs_no_neighbour():
         assert int(bad[2].status[lane]) == status and np.isnan(bad[0][lane])
     rest = np.setdiff1d(np.arange(300), list(expected))
     np.testing.assert_allclose(bad[0][rest], good[0][rest], rtol=1e-12)
+
+
+def stacked(*alike):
+    """Records as one, its numbers stacked where they differ."""
+    return jax.tree.map(lambda *x: x[0] if all(np.array_equal(x[0], y) for y in x) else jnp.stack(x), *alike)
+
+
+def solve_case(design, errors, torque, angle):
+    return loaded.equilibrium(design, errors, input_angle=angle, output_torque=torque)
+
+
+def agree_with_each_alone(axes, *lists):
+    """All cases of design, errors, torque and angle under one vmap for each axis, the outermost first, and one by one.
+
+    `axes` tells which of the arguments run along each axis, `lists` what they are there. Accuracy at loads near rated:
+    rounding, 1e-15, times a condition of 1e3, with a margin of a thousand. The stiffness jumps where a contact closes
+    and moves with every force, a thousand times as far."""
+    lists = [[jax.tree.map(lambda x: jnp.asarray(x, float), one) for one in ones] for ones in lists]
+    batch = [stacked(*ones) for ones in lists]
+    many = [jax.tree.map(lambda x, one: np.ndim(x) > np.ndim(one), x, ones[0]) for x, ones in zip(batch, lists)]
+    found, sizes = solve_case, [len(lists[axis[0]]) for axis in axes]
+    for axis in reversed(axes):
+        mapped = [
+            jax.tree.map(lambda varies, on=n in axis: 0 if varies and on else None, x) for n, x in enumerate(many)
+        ]
+        found = jax.vmap(found, mapped)
+    found = jax.tree.map(np.asarray, jax.jit(found)(*batch))
+    for place in np.ndindex(*sizes):
+        at = {n: index for axis, index in zip(axes, place) for n in axis}
+        due = solve_case(*(ones[at.get(n, 0)] for n, ones in enumerate(lists)))
+        case = jax.tree.map(lambda x, place=place: x[place], found)
+        assert int(case.info.status) == int(due.info.status) == Status.CONVERGED
+        np.testing.assert_allclose(case.error, due.error, rtol=1e-9, err_msg=str(place))
+        largest = np.max(due.pins)
+        for name in ("pins", "disc_bearing", "support_bearing", "gear"):
+            np.testing.assert_allclose(getattr(case, name), getattr(due, name), rtol=0, atol=1e-9 * largest)
+        np.testing.assert_allclose(case.stiffness, due.stiffness, rtol=1e-6, err_msg=str(place))
+
+
+D, E, T, A = range(4)  # design, errors, torque, angle
+
+
+@pytest.mark.parametrize("axes", [(A, T), (A, T, E), (E, T, A)], ids=["angle torque", "angle torque unit", "reversed"])
+def test_nested_batches_are_their_cases(axes):
+    """Two angles, eight torques, three units of one geometry: no two axes can be exchanged unseen."""
+    units = [unit(sampled(3), n) for n in range(3)]
+    torques = RATED * np.linspace(-1, 1, 8)  # lanes enough that every angle is a group of its own
+    agree_with_each_alone([(n,) for n in axes], [DESIGN], units if E in axes else units[:1], torques, [0.3, 140.0])
+
+
+def test_designs_of_other_springs_in_a_batch_are_their_cases():
+    """One geometry, other contacts and bearings: the pin radius tells the flank only how it yields."""
+
+    def made(share):
+        return DESIGN.replace(
+            cycloid=DESIGN.cycloid.replace(pin_radius=3e-3 * share),
+            stiffness=DESIGN.stiffness.replace(support_bearing=9e8 / share, planet_crank_torsion=5e4 * share),
+            contact=DESIGN.contact.replace(young_modulus=2e11 * share),
+        )
+
+    agree_with_each_alone(
+        [(D,)], [made(share) for share in (0.8, 1.0, 1.3)], [errors_of(CASE, DESIGN)], [RATED], [ANGLE]
+    )
+
+
+def test_units_of_their_own_geometry_in_a_batch_are_their_cases():
+    """Eccentricities of parts and designs, and crank circles, which no two units share, at two torques and angles."""
+
+    def made(share, radius):
+        cycloid = DESIGN.cycloid.replace(eccentricity=1.3e-3 * share)
+        return DESIGN.replace(cycloid=cycloid, cranks=DESIGN.cranks.replace(circle_radius=radius))
+
+    designs = [made(0.97, 0.036), made(1.0, 0.035), made(1.04, 0.038)]
+    errors = [errors_of(CASE, DESIGN, eccentricity=size) for size in (4e-6, -6e-6, 2e-6)]
+    agree_with_each_alone([(D, E), (T,), (A,)], designs, errors, [RATED, -RATED], [0.3, 140.0])
 
 
 def test_single_precision():

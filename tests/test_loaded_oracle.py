@@ -22,7 +22,7 @@ CASES = list(itertools.product(LAWS, zip(SUPPORTS * 2, ("fixed", "fixed", "float
 
 
 def reducer(cranks, discs, teeth):
-    """An RV-40E with other counts, every stiffness given."""
+    """An RV-40E with other counts, every stiffness given, that of a pin too, which no reference case gives."""
     base, like = catalogue.RV_40E, catalogue.RV_320E.stiffness
     cycloid = base.cycloid.replace(
         disc_teeth=teeth, pin_count=teeth + 1, disc_count=discs, eccentricity=0.8 * 64e-3 / (teeth + 1),
@@ -32,7 +32,7 @@ def reducer(cranks, discs, teeth):
         cycloid=cycloid,
         cranks=base.cranks.replace(count=cranks),
         stiffness=like.replace(output_support=2e9),
-        contact=Contact(young_modulus=206e9, poisson_ratio=0.3, face_width=0.012),
+        contact=Contact(young_modulus=206e9, poisson_ratio=0.3, face_width=0.012, pin_stiffness=2.5e7, pin_support=4e8),
     )
 
 

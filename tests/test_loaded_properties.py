@@ -5,6 +5,8 @@ Unless said otherwise, 1e-9 is the accuracy of the equilibrium (residual 1e-13 o
 load) with a margin of ten thousand.
 """
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,7 +14,7 @@ import pytest
 from loaded_cases import NAMED, design_of, errors_of
 
 import rvjax
-from rvjax import Status, loaded
+from rvjax import RVErrors, Status, loaded
 
 ALL_ERRORS = NAMED["rv40: all errors, rated, hertz"]
 RATED = 412.0
@@ -146,3 +148,93 @@ def test_revolution_and_torsion_are_their_equilibria():
     alone = [solve(errors, 2 * np.pi * 105 / 40 * j / 24, RATED).error for j in (0, 5, 23)]
     np.testing.assert_allclose(np.asarray(turn.error)[[0, 5, 23]], alone, rtol=1e-10)
     rvjax.check(turn)
+
+
+def in_other_units(record, length, force):
+    """The record with its numbers as they read where metre and newton are smaller by these factors."""
+    scale = {"m": length, "N": force, "N/m": force / length, "Pa": force / length**2}
+    scale |= {"N m": force * length, "N m/rad": force * length, "rad": 1.0, "-": 1.0}
+    changes = {}
+    for f in dataclasses.fields(record):
+        value, kind = getattr(record, f.name), f.metadata["kind"]
+        if value is not None and kind == "record" and f.name != "info":
+            changes[f.name] = in_other_units(value, length, force)
+        elif value is not None and kind == "real":
+            changes[f.name] = value * scale[f.metadata["unit"]]
+    return record.replace(**changes)
+
+
+def same_in_other_units(design, errors, torque, law, length, force):
+    before = solve(errors, 0.7, torque, design=design, contact=law)
+    design, errors = (in_other_units(part, length, force) for part in (design, errors))
+    after = rvjax.check(solve(errors, 0.7, torque * force * length, design=design, contact=law))
+    np.testing.assert_allclose(after.error, before.error, rtol=1e-9)
+    due = in_other_units(before, length, force)
+    for name in ("pins", "pressure", "disc_bearing", "support_bearing", "gear", "input_torque", "disc_torque"):
+        largest = np.max(np.abs(getattr(due, name)))
+        np.testing.assert_allclose(getattr(after, name), getattr(due, name), rtol=0, atol=1e-8 * largest, err_msg=name)
+    np.testing.assert_allclose(after.stiffness, due.stiffness, rtol=1e-7)
+
+
+@pytest.mark.parametrize("law", ["hertz", "linear", "palmgren"])
+def test_forces_and_moduli_together_move_nothing(law):
+    """All errors, a pin support too; forces three times as large. Then lengths as well, every number by its unit."""
+    design = design_of(ALL_ERRORS)
+    design = design.replace(contact=design.contact.replace(pin_support=4e8, pin_stiffness=3e7))
+    errors = errors_of(ALL_ERRORS, design)
+    for length, force in ((1.0, 3.0), (0.3, 5.0)):
+        same_in_other_units(design, errors, RATED, law, length, force)
+
+
+def test_lengths_together_turn_nothing():
+    """Linear springs, the same in N/m: angles stay and forces grow as lengths, loaded and with parts forced together.
+
+    The ring of thicker pins is preloaded, so that the error without load is definite."""
+    design = design_of(ALL_ERRORS)
+    errors = errors_of(ALL_ERRORS, design)
+    tight = errors.replace(pin_radius=20e-6, bearing_clearance=0.0, support_clearance=0.0)
+    assert np.max(solve(tight, 0.7, 0.0, contact="linear").pins) > 10.0
+    for given, torque in ((errors, RATED), (tight, 0.0)):
+        same_in_other_units(design, given, torque, "linear", 2.5, 2.5)
+
+
+@pytest.mark.parametrize("law", ["hertz", "linear"])
+def test_a_turned_ring_turns_the_output_with_the_sun_held(law):
+    """All pins t tangential: every force as before, the error t / rp zp / (zp + z1/z2) larger. All teeth t behind on
+    their circle do the same, so that both together do nothing.
+
+    The centring springs, 6 N/m on seven rotations at radii up to 36 mm against 1e6 N m/rad: 1e-7 of the shift."""
+    design = design_of(ALL_ERRORS)
+    errors = errors_of(ALL_ERRORS, design)
+    t = 20e-6 * np.array([0.0, 1.0])
+    ring = errors.replace(pin_offset=errors.pin_offset + t)
+    teeth = errors.replace(disc_pitch=errors.disc_pitch - t[1])
+    both = ring.replace(disc_pitch=errors.disc_pitch + t[1])
+    plain, turned, behind, together = (solve(e, 0.4, RATED, contact=law) for e in (errors, ring, teeth, both))
+    expected = t[1] / 0.064 * 40 / (40 + 10 / 26)
+    np.testing.assert_allclose([turned.error - plain.error, behind.error - plain.error], expected, rtol=1e-6)
+    np.testing.assert_allclose(turned.pins, plain.pins, rtol=0, atol=1e-6 * np.max(plain.pins))
+    np.testing.assert_allclose(together.error, plain.error, rtol=1e-9)
+
+
+def test_equidistant_play_gives_its_backlash_as_pins_become_many():
+    """2 D / (e zc) zc / (zp + z1/z2), where a pin stood at the longest lever, e zc, on both flanks.
+
+    lever / (e zc) = sin(psi)/S falls from 1 with the curvature 1 whatever K1, and the nearest pin is off by half a
+    pitch at most: the backlash is larger by up to (pi/zp)^2/2. The parts yield 2e-8 rad to 1e-3 N m at 5e4 N m/rad, of
+    1e-3 rad of play: 4e-5 for both sides; the centring springs take less."""
+    play, torque, base, worst = 30e-6, 1e-3, design_of(ALL_ERRORS), []
+    errors, rp = RVErrors(equidistant_modification=play), base.cycloid.pin_circle_radius
+    for zp in (12, 24, 48):
+        k1, e = 0.8125, 0.8125 * rp / zp
+        cycloid = base.cycloid.replace(disc_teeth=zp - 1, pin_count=zp, eccentricity=e, pin_radius=0.1 / zp)
+        design = base.replace(cycloid=cycloid)
+        th = np.arange(5) / 5 * 2 * np.pi / (zp * (zp - 1))  # of the carrier, until the next pin stands so
+        each = jax.vmap(lambda angle, t, d=design: solve(errors, angle, t, design=d, contact="linear"), (0, None))
+        backlash = each(th * design.ratio, -torque).error - each(th * design.ratio, torque).error
+        psi = 2 * np.pi * np.arange(zp) / zp + (zp - 1) * th[:, None]  # the second disc has the same, zp being even
+        share = np.sin(psi) / np.sqrt(1 + k1**2 - 2 * k1 * np.cos(psi))
+        excess = backlash / (2 * play / e / (zp + 10 / 26)) - 1
+        np.testing.assert_allclose(excess, (1 / share.max(1) - 1 / share.min(1)) / 2 - 1, rtol=0, atol=1e-4)
+        worst.append(np.max(excess))
+    assert worst[1] < worst[0] / 2 and worst[2] < worst[1] / 2 and worst[2] < (np.pi / 48) ** 2 / 2
