@@ -24,7 +24,7 @@ from oracles import loaded as oracle  # noqa: E402
 from rvjax import RVErrors, catalogue, loaded  # noqa: E402
 from rvjax.designs import Contact, Stiffness  # noqa: E402
 
-UNITS, CHECKED, LOOP_UNITS = 1024, 8, 2
+UNITS, TURNED, CHECKED, LOOP_UNITS = 4096, 512, 8, 2  # at one angle; along a turn; by the oracle; by SciPy
 RATED, ANGLE, SAMPLES = 412.0, 102.856, 48
 TURN = 2 * np.pi * 105 / 40 * np.arange(SAMPLES) / SAMPLES  # of the sun: one crank turn
 DESIGN = catalogue.RV_40E.replace(
@@ -96,7 +96,7 @@ def turn_cold(contact, errors):
 
 def in_c(library, x, angles, torque, contact, warm=False):
     """A function that runs the C program, and its outputs: error (angles, units), pins, steps."""
-    units, design = x.shape[1], numbers(plain(), torque, contact)
+    x, units, design = np.ascontiguousarray(x), x.shape[1], numbers(plain(), torque, contact)
     angles = np.ascontiguousarray(angles, float)
     outputs = (
         np.empty((len(angles), units)),
@@ -135,8 +135,9 @@ def figures_of(contact, library):
     light, design = 0.03 * RATED, numbers(plain(), RATED, contact)
     program, notes = compiled(functools.partial(units_at, contact), jnp.asarray(RATED), errors)
     torques = {torque: jnp.asarray(torque) for torque in (RATED, light)}  # one program for both
-    around, around_notes = compiled(functools.partial(turn, contact), errors)
-    cold, _ = compiled(functools.partial(turn_cold, contact), errors)
+    few = jax.device_put(fields(x[:, :TURNED]))
+    around, around_notes = compiled(functools.partial(turn, contact), few)
+    cold, _ = compiled(functools.partial(turn_cold, contact), few)
     ones = {name: jnp.ones(()) for name in FIELDS}
     primal, _ = compiled(functools.partial(mean, contact), ones, errors)
     gradient, gradient_notes = compiled(jax.value_and_grad(functools.partial(mean, contact)), ones, errors)
@@ -148,7 +149,7 @@ def figures_of(contact, library):
         judged(x, contact, torque, np.asarray(error), pins)
     for other in (in_numpy, in_numba):
         judged(x, contact, RATED, *other(design, ANGLE, x, contact))
-    along, each = around(errors)[0], cold(errors)[0]
+    along, each = around(few)[0], cold(few)[0]
     np.testing.assert_allclose(along, each, rtol=0, atol=1e-9 * float(jnp.abs(each).max()))
     candidates = {
         "rvjax": lambda: program(torques[RATED], errors),
@@ -158,16 +159,16 @@ def figures_of(contact, library):
         "numba": lambda: in_numba(design, ANGLE, x, contact),
     }
     slow = {
-        "rvjax, turn": lambda: around(errors),
-        "rvjax, turn cold": lambda: cold(errors),
+        "rvjax, turn": lambda: around(few),
+        "rvjax, turn cold": lambda: cold(few),
         "numpy": lambda: in_numpy(design, ANGLE, x, contact),
     }
     if library is not None:
         runs = {
             "C": in_c(library, x, [ANGLE], RATED, contact),
             "C, 3 %": in_c(library, x, [ANGLE], light, contact),
-            "C, turn": in_c(library, x, TURN, RATED, contact, warm=True),
-            "C, turn cold": in_c(library, x, TURN, RATED, contact),
+            "C, turn": in_c(library, x[:, :TURNED], TURN, RATED, contact, warm=True),
+            "C, turn cold": in_c(library, x[:, :TURNED], TURN, RATED, contact),
         }
         for name, (run, outputs) in runs.items():
             run()
@@ -188,7 +189,7 @@ def figures_of(contact, library):
         {"scipy": lambda: [oracle.trust_exact(machine) for _ in range(LOOP_UNITS)]}, rounds=2, seconds=0.1
     )
     many = (
-        dict.fromkeys(best, UNITS) | {name: UNITS * SAMPLES for name in best if "turn" in name} | {"scipy": LOOP_UNITS}
+        dict.fromkeys(best, UNITS) | {name: TURNED * SAMPLES for name in best if "turn" in name} | {"scipy": LOOP_UNITS}
     )
     each_us = {name: 1e6 * seconds / many[name] for name, seconds in best.items()}
     figures = {f"{name}, us per unit and angle": value for name, value in each_us.items()}
@@ -208,7 +209,7 @@ def figures_of(contact, library):
 def main():
     path = arguments(__doc__.splitlines()[0]).json
     library = c_library(source())
-    figures = {"units": UNITS, "angles of a turn": SAMPLES}
+    figures = {"units": UNITS, "units along a turn": TURNED, "angles of a turn": SAMPLES}
     for contact in ("hertz", "linear"):
         figures |= figures_of(contact, library)
     publish("loaded", figures, path)
