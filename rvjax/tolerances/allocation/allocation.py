@@ -129,7 +129,7 @@ def allocate(
     result = _result(search, found, names, start)
     if not grades or not result.feasible:
         return unwrapped(result)
-    t, chosen, certificate = Snapping(training, certifier, priced, max_steps).snap(found.half_widths, found.certificate)
+    t, chosen, certificate = Snapping(search, certifier, priced).snap(found.half_widths, found.certificate)
     status = "OPTIMAL" if certifier.holds(certificate) else "NOT_CERTIFIED"
     snapped = dataclasses.replace(found, status=status, half_widths=t, certificate=certificate)
     graded = dataclasses.replace(_result(search, snapped, names, start), grades=chosen)
