@@ -217,7 +217,7 @@ def write(answer: Answer, folder: Path) -> None:
     try:
         (scratch / "study.toml").write_text(answer.study.text, "utf-8")
         (scratch / "summary.txt").write_text(summary(answer) + "\n", "utf-8")
-        (scratch / "result.json").write_text(json.dumps(plain(as_json(answer)), indent=1, allow_nan=False), "utf-8")
+        (scratch / "result.json").write_text(json.dumps(as_json(answer), indent=1, allow_nan=False), "utf-8")
         for name, rows in (
             ("tolerances", tolerance_rows),
             ("influence", influence_rows),
@@ -236,12 +236,12 @@ def write(answer: Answer, folder: Path) -> None:
 
 
 def as_json(answer: Answer) -> dict[str, Any]:
-    """Everything about an answer except single units, with seed and versions, for `plain`; SI."""
+    """Everything about an answer except single units, with seed and versions, as JSON values; SI."""
     import jax
 
     study, allocation = answer.study, answer.allocation
     graded = allocation.graded
-    return {
+    found = {
         "study": study.name,
         "status": allocation.status,
         "feasible": allocation.feasible,
@@ -268,6 +268,7 @@ def as_json(answer: Answer) -> dict[str, Any]:
         "graded": {"status": graded.status, "cost": graded.cost} if graded else None,
         "cost_curve": answer.cost_curve,
     }
+    return plain(found)
 
 
 def plain(value: Any) -> Any:
