@@ -127,6 +127,7 @@ def _report(options: argparse.Namespace) -> int:
 
 
 def _montecarlo(options: argparse.Namespace) -> int:
+    from rvjax import study
     from rvjax.report import batch as written
     from rvjax.study import batch
 
@@ -148,8 +149,9 @@ def _montecarlo(options: argparse.Namespace) -> int:
     started = time.perf_counter()
     found = batch.run(wanted) if options.processes == 1 else batch.run_in_processes(options.command, options.processes)
     seconds = time.perf_counter() - started
-    written.write(found, options.study, figures=options.json, samples=options.save)
-    print(written.summary(found, options.study))
+    question = study.load(options.study)
+    written.write(found, question, options.study, figures=options.json, samples=options.save)
+    print(written.summary(found, question))
     print(f"\n{seconds:.1f} s, start and compilation included")
     return EXIT_OK
 

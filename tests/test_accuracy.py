@@ -61,6 +61,12 @@ def test_a_level_that_fails_is_not_taken_beyond_the_size_where_it_works():
     assert made.cheapest({"out": 1.0}, 1.01).name == "rough"
 
 
+def test_a_level_that_fails_at_a_larger_size_keeps_its_errors_below_it():
+    failing = level("failing", [1e-6, 1e-4, math.inf], 1.0)
+    errors = [failing.error([0.3, 1.0, 3.0], "out", size) for size in (0.3, 0.3**0.5, 1.0, 1.01)]
+    assert errors == pytest.approx([1e-6, 1e-5, 1e-4, math.inf])
+
+
 def test_errors_never_shrink_with_size():
     odd = level("odd", [1e-2, 1e-4, 1e-3], 1.0)
     assert model(odd).bound(odd, "out", 1.0) == pytest.approx(2e-2)

@@ -7,6 +7,7 @@ import csv
 import dataclasses
 import html.parser
 import json
+import math
 import os
 import re
 import shutil
@@ -73,6 +74,7 @@ def test_allocate_answers(answered):
     assert result["cost"]["after"] < 0.7 * result["cost"]["before"]
     certificate = result["certificate"]
     assert certificate["samples"] == 60_000 and certificate["failed"] == 0
+    assert result["certificate_before"]["seed"] == certificate["seed"] > 1
     for estimate in certificate["yield_"].values():
         assert 0.9973 <= estimate["lower"] <= estimate["value"] <= estimate["upper"] < 0.9999
     assert all(price < 0 for price in result["multipliers"].values())  # both requirements bind
@@ -118,6 +120,22 @@ def test_infeasible_requirements_are_refused_with_the_shortfall(here, capsys):
     assert "✘ No tolerances within the process ranges" in text and "✘ not met" in text
     assert re.search(r"limit of transmission error would have to move by 0\.\d+ arcmin", text)
     assert Path("results/hard").is_dir() and not Path("results/hard-2").exists()
+
+
+def test_an_answer_whose_units_all_fail_is_written_and_says_so(answers, answered, here):
+    """The small study, with no valid unit at the finest tolerances."""
+    old = answers[SMALL]
+    refused = dict(feasible=False, status="INFEASIBLE", shortfall=dict.fromkeys(old.allocation.shortfall, math.inf))
+    allocation = dataclasses.replace(old.allocation, **refused, graded=None)
+    failed = {name: np.full_like(values, np.nan) for name, values in old.after.values.items()}
+    unknown = {name: dict.fromkeys(of_field, math.nan) for name, of_field in old.after.shares.items()}
+    after = dataclasses.replace(old.after, values=failed, shares=unknown, sensitivities=unknown)
+    new = dataclasses.replace(old, allocation=allocation, after=after, cost_curve=[])
+    text.write(new, here / "failed")
+    result = json.loads((here / "failed" / "result.json").read_text())
+    assert set(result["shortfall"].values()) == {None} == set(result["shares"]["after"]["misfit"].values())
+    assert "limit of misfit would do at no value: too many units fail" in (here / "failed" / "summary.txt").read_text()
+    assert "The limit of misfit would do at no value: too many units fail." in page.page(new, "small.toml")
 
 
 def test_a_study_that_asks_for_no_share_of_units_has_a_page(answers, answered, here):

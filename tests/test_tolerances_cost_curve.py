@@ -188,3 +188,26 @@ def test_free_fields_take_up_what_the_grades_leave():
     halves = [t for t in halves if 1 * um <= t and t < radius(0.9973)]
     total = [10 * um / t + 20 * um / math.sqrt(radius(0.9973) ** 2 - t**2) for t in halves]
     assert graded.cost == pytest.approx(min(total), rel=0.025)
+
+
+def test_the_learned_cost_is_that_of_the_accepted_set_not_of_the_last_trial():
+    three, slopes = {k: Tolerance.symmetric(1.0) for k in "abc"}, dict(a=1.0, b=3.0, c=0.2)
+    costs = {k: ReciprocalPower(finest=0.1, coarsest=3.0, reference=1.0, scale=scale) for k, scale in slopes.items()}
+    steps = lambda e: jnp.floor(8 * jnp.abs(e["a"] + e["b"])) / 8 + 0.3 * jnp.abs(e["c"])  # noqa: E731
+    required = Requirement(upper=0.6, target=0.95)
+    options = dict(costs=costs, samples=1000, certificate_samples=4000)
+    curve = cost_curve(steps, three, required, values=(0.6,), **options)
+    assert curve.learned[0] in [tried["cost"] for tried in curve.allocations[0].history]
+    assert curve.learned[0] != curve.allocations[0].history[-1]["cost"]
+
+
+def test_a_curve_whose_search_tried_nothing():
+    """The small sample refuses the finest half-widths, the certificate does not: each costs 1/0.5."""
+    half = {k: Tolerance.symmetric(1.0) for k in "ab"}
+    costs = dict.fromkeys("ab", ReciprocalPower(finest=0.5, coarsest=2.0, reference=1.0))
+    limit = 0.5 / 3 * math.sqrt(2) * 1.959964  # of 95 % at the finest
+    required = Requirement(lower=-limit, upper=limit, target=0.95)
+    options = dict(costs=costs, samples=1000, seed=1, certificate_samples=20_000)
+    curve = cost_curve(lambda e: e["a"] + e["b"], half, required, values=(0.95,), against="target", **options)
+    assert not curve.allocations[0].history
+    assert curve.learned == pytest.approx((4.0,))

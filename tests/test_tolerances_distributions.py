@@ -7,6 +7,8 @@ from a table, 1e-8); moments are closed forms and agree to round-off, 1e-10.
 
 import itertools
 import math
+import operator
+from fractions import Fraction
 
 import jax
 import jax.numpy as jnp
@@ -76,6 +78,16 @@ def test_shift_and_capability_place_mean_and_spread():
     assert (2.0 - mean) / (3 * math.sqrt(variance)) == pytest.approx(0.75)  # Cpk = cp (1 - |shift|)
     rayleigh = Tolerance(0.0, 9 * um, distribution="rayleigh")
     assert rayleigh.moments()[0] == pytest.approx(3 * um * math.sqrt(math.pi / 2))
+
+
+@pytest.mark.parametrize("beta", [(0.5, 0.75), (2.0, 5.0), (1000.0, 1.0), (1.0, 1e4), (1e6, 1e6 + 1)])
+def test_moments_of_narrow_beta_laws_keep_their_digits(beta):
+    """Oracle: the raw moments in rational numbers."""
+    p, q = map(Fraction, beta)
+    m1, m2, m3, m4 = itertools.accumulate(((p + k) / (p + q + k) for k in range(4)), operator.mul)
+    exact = m1, m2 - m1**2, m3 - 3 * m1 * m2 + 2 * m1**3, m4 - 4 * m1 * m3 + 6 * m1**2 * m2 - 3 * m1**4
+    found = Tolerance(0.0, 1.0, distribution="beta", beta=beta).moments()
+    np.testing.assert_allclose(found, [float(moment) for moment in exact], rtol=1e-13)
 
 
 def test_constant_error():

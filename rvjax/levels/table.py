@@ -56,10 +56,13 @@ class Level:
             size: where.
         """
         values = np.maximum.accumulate(self.largest[output])
-        if not np.all(np.isfinite(values)):
-            return math.inf if size > sizes[int(np.argmin(np.isfinite(values))) - 1] else float(values[0])
+        values = values[np.isfinite(values)]  # it fails from the first size on where it was seen to
+        if not values.size or size > sizes[values.size - 1]:
+            return math.inf
+        if values[-1] == 0:
+            return 0.0
         logs = np.log(np.maximum(values, 1e-300))
-        return float(np.exp(np.interp(math.log(size), np.log(sizes), logs))) if values[-1] > 0 else 0.0
+        return float(np.exp(np.interp(math.log(size), np.log(sizes[: values.size]), logs)))
 
 
 @dataclass(frozen=True)

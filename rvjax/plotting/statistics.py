@@ -61,10 +61,12 @@ def response_histogram(
     axes = new_axes(axes)
     shown, size = readable(unit)
     values = [np.asarray(v)[np.isfinite(v)] / size for v in (before, after)]
-    low, high = min(v.min() for v in values), max(v.max() for v in values)
-    bins: Any = np.linspace(low, high, 81) if high > low else 10
-    axes.hist(values[1], bins, density=True, color=AFTER, alpha=0.75, label="after")
-    axes.hist(values[0], bins, density=True, histtype="step", color=BEFORE, lw=1.6, ls="--", label="before")
+    drawn = np.concatenate(values)
+    bins: Any = np.linspace(drawn.min(), drawn.max(), 81) if np.unique(drawn).size > 1 else 10
+    if values[1].size:  # every unit may have failed
+        axes.hist(values[1], bins, density=True, color=AFTER, alpha=0.75, label="after")
+    if values[0].size:
+        axes.hist(values[0], bins, density=True, histtype="step", color=BEFORE, lw=1.6, ls="--", label="before")
     for limit in (lower, upper):
         if np.isfinite(limit):
             axes.axvline(limit / size, color=LIMIT, lw=1.5, label=f"limit {limit / size:.4g} {shown}")

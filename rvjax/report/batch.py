@@ -2,30 +2,31 @@
 
 import dataclasses
 
-from rvjax import study, tolerances
+from rvjax import tolerances
 from rvjax.report import text
+from rvjax.study import Study
 from rvjax.tolerances import Statistics
 
 
-def write(found: Statistics, source: str, *, figures: str | None, samples: str | None) -> None:
+def write(found: Statistics, question: Study, source: str, *, figures: str | None, samples: str | None) -> None:
     """Write the figures, and the figures with the responses of every unit, each with the study's text.
 
     Args:
         found: statistics.
-        source: file, or name of an embedded study.
+        question: the study.
+        source: its file, or name of an embedded study.
         figures: path that ends with .json, or None.
         samples: path that ends with .npz, or None.
     """
-    about = found.study | {"name": source, "toml": study.load(source).text}
+    about = found.study | {"name": source, "toml": question.text}
     if figures is not None:
         tolerances.save(dataclasses.replace(found, values=None), figures, study=about)
     if samples is not None:
         tolerances.save(found, samples, study=about)
 
 
-def summary(found: Statistics, source: str) -> str:
+def summary(found: Statistics, question: Study) -> str:
     """The figures as text, in the units in which a person reads them."""
-    question = study.load(source)
     units = {name for name, share in (found.yield_ or {}).items() if share is not None}
     percentiles = list(found.quantiles)
     headers = ["response", "unit", "mean", "+-", "sd", "least", "most", *(f"{100 * p:g} %" for p in percentiles), "cpk"]

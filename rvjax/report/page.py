@@ -58,9 +58,9 @@ def _head(answer: Answer) -> str:
         verdict = "✘ No tolerances within the process ranges meet the requirements."
     more = []
     for response, shortfall in allocation.shortfall.items():
-        unit, size = study.output(response).shown
         if shortfall > 0:
-            more.append(f"The limit of {words(response)} would have to move by {shortfall / size:.4g} {unit}.")
+            wanted = tables.shortfall_text(shortfall, *study.output(response).shown)
+            more.append(f"The limit of {words(response)} {wanted}.")
     if not allocation.feasible:
         more.append("All columns “after” show the finest tolerances of the processes.")
     change = 100 * (allocation.cost / allocation.start_cost - 1)

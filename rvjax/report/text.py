@@ -161,10 +161,16 @@ def headline(answer: Answer) -> str:
     else:
         lines.append("No tolerances within the process ranges meet the requirements; at the finest ones")
         for name, shortfall in allocation.shortfall.items():
-            unit, size = study.output(name).shown
             if shortfall > 0:
-                lines.append(f"  the limit of {name} would have to move by {shortfall / size:.4g} {unit}")
+                lines.append(f"  the limit of {name} {shortfall_text(shortfall, *study.output(name).shown)}")
     return "\n".join(lines)
+
+
+def shortfall_text(shortfall: float, unit: str, size: float) -> str:
+    """What a limit that cannot be met would have to do; `unit` of `size` is the one a response is read in."""
+    if math.isinf(shortfall):
+        return "would do at no value: too many units fail"
+    return f"would have to move by {shortfall / size:.4g} {unit}"
 
 
 def summary(answer: Answer) -> str:
@@ -230,12 +236,12 @@ def write(answer: Answer, folder: Path) -> None:
 
 
 def as_json(answer: Answer) -> dict[str, Any]:
-    """Everything about an answer except single units, with seed and versions; SI."""
+    """Everything about an answer except single units, with seed and versions, as JSON values; SI."""
     import jax
 
     study, allocation = answer.study, answer.allocation
     graded = allocation.graded
-    return {
+    found = {
         "study": study.name,
         "status": allocation.status,
         "feasible": allocation.feasible,
@@ -257,11 +263,12 @@ def as_json(answer: Answer) -> dict[str, Any]:
         "sensitivities": answer.after.sensitivities,
         "multipliers": allocation.multipliers,
         "shortfall": allocation.shortfall,
-        "certificate": plain(allocation.certificate),
-        "certificate_before": plain(answer.certificate_before),
-        "graded": plain({"status": graded.status, "cost": graded.cost}) if graded else None,
+        "certificate": allocation.certificate,
+        "certificate_before": answer.certificate_before,
+        "graded": {"status": graded.status, "cost": graded.cost} if graded else None,
         "cost_curve": answer.cost_curve,
     }
+    return plain(found)
 
 
 def plain(value: Any) -> Any:

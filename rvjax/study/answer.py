@@ -89,7 +89,7 @@ def answer(study: Study, *, progress: bool = False) -> Answer:
         response,
         study.tolerances,
         samples=certificate.samples,
-        seed=study.seed + 1,
+        seed=certificate.seed,  # each certificate of a search has another one
         chunk=BLOCK,
         requirements=study.requirements,
         progress=progress,

@@ -35,6 +35,7 @@ class Allocation:
         tolerances: structure of the given ones.
         cost: of all fields that have one.
         start_cost: the same of the given tolerances.
+        learned: the same of the half-widths that the search accepted, before certification shrank them.
         costs: {field: cost}.
         half_widths: {field: half-width} of the fields that have a cost.
         multipliers: structure of the response: d cost / d limit when its limits move outwards, <= 0.
@@ -51,6 +52,7 @@ class Allocation:
     tolerances: Any
     cost: float
     start_cost: float
+    learned: float
     costs: dict[str, float]
     half_widths: dict[str, float]
     multipliers: Any
@@ -127,7 +129,7 @@ def allocate(
     result = _result(search, found, names, start)
     if not grades or not result.feasible:
         return unwrapped(result)
-    t, chosen, certificate = Snapping(training, certifier, priced, max_steps).snap(found.half_widths, found.certificate)
+    t, chosen, certificate = Snapping(search, certifier, priced).snap(found.half_widths, found.certificate)
     status = "OPTIMAL" if certifier.holds(certificate) else "NOT_CERTIFIED"
     snapped = dataclasses.replace(found, status=status, half_widths=t, certificate=certificate)
     graded = dataclasses.replace(_result(search, snapped, names, start), grades=chosen)
@@ -149,9 +151,10 @@ def _check(required: dict[str, Limits], joint_target: float | None, **counts: in
 
 @dataclasses.dataclass(frozen=True)
 class _Found:
-    """Where a search ended: `prices` and `shortfall` by requirement."""
+    """Where a search ended: `prices` and `shortfall` by requirement; `learned`: cost before certification."""
 
     status: str
+    learned: float
     half_widths: np.ndarray
     certificate: Statistics
     prices: np.ndarray
@@ -169,7 +172,8 @@ def _cheapest(search: Search, certifier: Certifier, start: np.ndarray) -> _Found
     status = "OPTIMAL" if settled else "MAX_STEPS"
     if not certifier.holds(certificate):
         status = "NOT_CERTIFIED"
-    return _Found(status, half_widths, certificate, prices, dict.fromkeys(run.requirements, 0.0))
+    learned, nothing = search.cost(point.half_widths), dict.fromkeys(run.requirements, 0.0)
+    return _Found(status, learned, half_widths, certificate, prices, nothing)
 
 
 def _finest(search: Search, certifier: Certifier) -> _Found:
@@ -179,7 +183,7 @@ def _finest(search: Search, certifier: Certifier) -> _Found:
     status = "INFEASIBLE" if refused else "NOT_CERTIFIED"  # the larger sample may see the limits just met
     if certifier.holds(certificate):
         status = "OPTIMAL"
-    return _Found(status, search.low, certificate, np.zeros(len(shortfall)), shortfall)
+    return _Found(status, search.cost(search.low), search.low, certificate, np.zeros(len(shortfall)), shortfall)
 
 
 def _result(search: Search, found: _Found, names: tuple[str, ...], start: np.ndarray) -> Allocation:
@@ -191,6 +195,7 @@ def _result(search: Search, found: _Found, names: tuple[str, ...], start: np.nda
         tolerances=training.with_half_widths(t).tolerances,
         cost=search.cost(t),
         start_cost=search.cost(start),
+        learned=found.learned,
         costs={name: float(cost(jnp.asarray(half_width))) for name, cost, half_width in costs},
         half_widths=dict(zip(training.fields, map(float, t))),
         multipliers=nothing | dict(zip(training.requirements, map(float, -found.prices))),

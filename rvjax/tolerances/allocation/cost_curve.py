@@ -82,7 +82,7 @@ def cost_curve(
         of=of,
         values=tuple(map(float, values)),
         costs=tuple(a.cost if a.feasible else math.nan for a in allocations),
-        learned=tuple(float(a.history[-1]["cost"]) if a.feasible else math.nan for a in allocations),
+        learned=tuple(a.learned if a.feasible else math.nan for a in allocations),
         multipliers=tuple(_price(a, of) if against == "limit" and a.feasible else math.nan for a in allocations),
         evaluations=tuple(len(a.history) for a in allocations),
         allocations=tuple(allocations),

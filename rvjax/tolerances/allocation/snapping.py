@@ -8,8 +8,6 @@ import numpy as np
 from rvjax.tolerances.allocation.certificate import Certifier
 from rvjax.tolerances.allocation.cost import Cost
 from rvjax.tolerances.allocation.search import Search
-from rvjax.tolerances.allocation.separable import total_cost
-from rvjax.tolerances.allocation.training import Training
 from rvjax.tolerances.distribution.grades import GRADES, it_width
 from rvjax.tolerances.propagation.monte_carlo import Statistics
 
@@ -21,10 +19,10 @@ Places = dict[int, int]  # of graded fields on their ladders
 class Snapping:
     """Chooses grades for the fields with a size, and fits the half-widths of the other fields to them."""
 
-    def __init__(self, training: Training, certifier: Certifier, priced: dict[str, Cost], max_steps: int) -> None:
-        self.training, self.certifier, self.priced, self.max_steps = training, certifier, priced, max_steps
-        active = training.population.active
-        self.costs = tuple(priced.values())
+    def __init__(self, search: Search, certifier: Certifier, priced: dict[str, Cost]) -> None:
+        self.training, self.certifier, self.priced = search.training, certifier, priced
+        self.costs, self.cost, self.max_steps = search.costs, search.cost, search.max_steps
+        active = search.training.population.active
         self.ladders = {j: _ladder(active[name].size, cost) for j, (name, cost) in enumerate(priced.items())}
 
     def snap(self, half_widths: np.ndarray, certificate: Statistics) -> tuple[np.ndarray, dict[str, str], Statistics]:
@@ -90,10 +88,6 @@ class Snapping:
         for j, place in places.items():
             t[j] = self.ladders[j][place][1]
         return t
-
-    def cost(self, half_widths: np.ndarray) -> float:
-        """Total cost."""
-        return float(total_cost(self.costs, jnp.asarray(half_widths)))
 
     def saving(self, j: int, place: int) -> float:
         """What the next coarser grade of a field saves."""

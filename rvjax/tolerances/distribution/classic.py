@@ -138,10 +138,15 @@ class Beta(Law):
         return tolerance.lower + 2 * tolerance.half_width * interpolate(z, *_beta_table(*self.beta))
 
     def moments(self, tolerance: Any) -> Moments:
-        """Raw moments of B(p, q): products of (p + k)/(p + q + k)."""
+        """Central moments of B(p, q) in closed form: differences of raw ones lose all digits of a narrow law."""
         p, q = self.beta
-        raw = np.cumprod([(p + k) / (p + q + k) for k in range(4)]).tolist()
-        return stretched(central(*raw), float(tolerance.lower), 2 * float(tolerance.half_width))
+        total = p + q
+        mean, below, skew = p / total, q / total, (q - p) / total
+        variance = mean * below / (total + 1)
+        third = 2 * variance * skew / (total + 2)
+        fourth = 3 * variance * (2 + mean * below * (total - 6)) / ((total + 2) * (total + 3))
+        moments = mean, variance, third, fourth
+        return stretched(moments, float(tolerance.lower), 2 * float(tolerance.half_width))
 
     def _check(self) -> None:
         try:
