@@ -83,6 +83,8 @@ def test_overrides_units_and_cost_models():
         ('base = "rv-40e"', 'base = "rv-40e"\ncycloid.disc_teeth = 3.5', ["disc_teeth", "3.5", "integer"]),
         ("angles = 64", "angles = 64\ncranks = 'free'", ["without errors", "NOT_ASSEMBLABLE"]),
         ("angles = 64", "angles = 6", ["conditions.angles", "6", "8"]),
+        ("angles = 64", "samples = 256", ["conditions.samples = 256", "loaded_transmission_error"]),
+        ("angles = 64", 'sun_speed = "150 rpm"', ["conditions.sun_speed = '150 rpm'", "vibration"]),
         ("angles = 64", "angels = 64", ["conditions.angels", "angles"]),
         ('output_torque = "412 N m"', 'output_torque = "412 N/m"', ["output_torque", "N/m", "N m"]),
         ("scale = 6", "scale = -6", ["cost.crank_eccentricity", "scale"]),

@@ -80,7 +80,7 @@ def parse_study(text: str, *, name: str, folder: Path = Path()) -> Study:
             name=name,
             text=text,
             design=design,
-            conditions=_conditions(kind.conditions, subtable(tables, "conditions")),
+            conditions=_conditions(kind, requirements, subtable(tables, "conditions")),
             tolerances=tolerances,
             costs=costs,
             requirements=requirements,
@@ -99,10 +99,13 @@ def _metadata(record: Any, field: str) -> Any:
     return next(f.metadata for f in dataclasses.fields(record) if f.name == field)
 
 
-def _conditions(kind: Any, given: dict[str, Any]) -> Any:
-    fields = {f.name: f.metadata for f in dataclasses.fields(kind)}
+def _conditions(kind: models.Kind, requirements: Mapping[str, Any], given: dict[str, Any]) -> Any:
+    fields = {f.name: f.metadata for f in dataclasses.fields(kind.conditions)}
     known(given, set(fields), "conditions")
-    return kind(**{key: _condition(value, fields[key], f"conditions.{key}") for key, value in given.items()})
+    for key in sorted(given.keys() - kind.conditions_of(tuple(requirements))):
+        readers = ", ".join(name for name in kind.outputs if key in kind.conditions_of((name,)))
+        raise ValueError(f"conditions.{key} = {given[key]!r}: no response required here reads it, only {readers}")
+    return kind.conditions(**{key: _condition(value, fields[key], f"conditions.{key}") for key, value in given.items()})
 
 
 def _condition(value: Any, about: Mapping[str, Any], where: str) -> Any:
