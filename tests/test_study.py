@@ -58,6 +58,11 @@ def test_overrides_units_and_cost_models():
     [
         ("[tolerances.crank_phase]", "[tolerances.crank_phases]", ["tolerances.crank_phases", "crank_phase"]),
         ('"5 arcmin"\n\n[tolerances.disc', '"5 um"\n\n[tolerances.disc', ["crank_phase.half_width", "5 um", "arcmin"]),
+        (
+            'half_width = "5 arcmin"',
+            'half_width = "5 arcmin"\nsize = "25 mm"',
+            ["tolerances.crank_phase.size = '25 mm'", "for lengths", "in rad"],
+        ),
         ('half_width = "5 arcmin"', "half_width = 5", ["crank_phase.half_width", "5", "needs a unit"]),
         ('half_width = "5 arcmin"', 'half_width = "-5 arcmin"', ["crank_phase"]),
         ('lower = "4 um"', 'lower = "14 um"', ["bearing_clearance", "lower", "upper"]),

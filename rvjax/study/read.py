@@ -155,6 +155,8 @@ def _tolerance(table: dict[str, Any], unit: str, where: str, folder: Path = Path
         if unit != "m":
             raise ValueError(f"{where}.grade = {table['grade']!r}: grades are for lengths, this error is in {unit}")
         return Tolerance.grade(table["grade"], size, **options)
+    if size is not None and unit != "m":
+        raise ValueError(f"{where}.size = {table['size']!r}: sizes are for lengths, this error is in {unit}")
     limits = {key: quantity(table[key], unit, f"{where}.{key}") for key in sorted(given)}
     if chosen == ways[1]:
         return Tolerance.symmetric(limits["half_width"], size=size, **options)
