@@ -64,7 +64,7 @@ def test_overrides_units_and_cost_models():
             ["tolerances.crank_phase.size = '25 mm'", "for lengths", "in rad"],
         ),
         ('half_width = "5 arcmin"', "half_width = 5", ["crank_phase.half_width", "5", "needs a unit"]),
-        ('half_width = "5 arcmin"', 'half_width = "-5 arcmin"', ["crank_phase"]),
+        ('half_width = "5 arcmin"', 'half_width = "-5 arcmin"', ["crank_phase.half_width = '-5 arcmin'", "negative"]),
         ('lower = "4 um"', 'lower = "14 um"', ["bearing_clearance", "lower", "upper"]),
         ('grade = "IT6" # +-6.5 um', 'grade = "IT66"', ["crank_eccentricity", "IT66"]),
         (

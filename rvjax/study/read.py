@@ -159,6 +159,8 @@ def _tolerance(table: dict[str, Any], unit: str, where: str, folder: Path = Path
         raise ValueError(f"{where}.size = {table['size']!r}: sizes are for lengths, this error is in {unit}")
     limits = {key: quantity(table[key], unit, f"{where}.{key}") for key in sorted(given)}
     if chosen == ways[1]:
+        if limits["half_width"] < 0:
+            raise ValueError(f"{where}.half_width = {table['half_width']!r}: must not be negative")
         return Tolerance.symmetric(limits["half_width"], size=size, **options)
     return Tolerance(limits["lower"], limits["upper"], size=size, **options)
 
