@@ -102,6 +102,12 @@ def test_overrides_units_and_cost_models():
         ('upper = "30 um"\n', "", ["requirement.misfit", "upper or lower"]),
         ('upper = "30 um"\ntarget = 0.9973', 'upper = "30 um"\ntarget = 99.73', ["target", "99.73"]),
         ("seed = 0", "seed = -1", ["run.seed", "-1"]),
+        ("samples = 16384", "samples = 64", ["run.samples = 64", "at least 100"]),
+        (
+            'half_width = "5 arcmin"',
+            'lower = "0 deg"\nupper = "5 arcmin"\ndistribution = "von_mises"\nconcentration = 2',
+            ["crank_phase: von_mises is for vectors"],
+        ),
         ("seed = 0", "sead = 0", ["run.sead"]),
         ("[run]", "[runs]", ["[runs]"]),
         ("[design]", "[design", ["TOML", "line"]),

@@ -14,6 +14,7 @@ from rvjax.study.question import Study, StudyError
 from rvjax.study.response import check_nominal
 from rvjax.study.values import choice, integer, known, naming, naming_field, quantity, subtable
 from rvjax.tolerances import Exponential, ReciprocalPower, Tolerance, for_design
+from rvjax.tolerances.allocation.allocation import FEWEST
 from rvjax.tolerances.distribution.tolerance import COMMON, LAWS
 from rvjax.tolerances.propagation.requirements import KINDS
 
@@ -86,7 +87,7 @@ def parse_study(text: str, *, name: str, folder: Path = Path()) -> Study:
             requirements=requirements,
             accuracy=_accuracy(kind.outputs, requirements, subtable(tables, "accuracy")),
             seed=integer(run.get("seed", 0), "run.seed", 0, 2**32 - 1),
-            samples=integer(run.get("samples", 16384), "run.samples", 16, 2**32),
+            samples=integer(run.get("samples", 16384), "run.samples", FEWEST, 2**32),
             certificate_samples=integer(
                 run.get("certificate_samples", 1_000_000), "run.certificate_samples", 16, 2**32
             ),
