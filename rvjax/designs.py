@@ -80,8 +80,11 @@ class CycloidStage(Record):
     @property
     def shortening_coefficient(self) -> Any:
         """K1, dimensionless; a proper cycloid needs 0 < K1 < 1."""
-        if self.shortening is not None:
-            return self.shortening
+        return self.derived_shortening if self.shortening is None else self.shortening
+
+    @property
+    def derived_shortening(self) -> Any:
+        """K1 where none is given."""
         return self.eccentricity * self.pin_count / self.pin_circle_radius
 
     def _check(self) -> None:

@@ -15,7 +15,7 @@ MODELS = (
     "rvjax.dynamics",
     "rvjax.loaded",
 )
-"""Packages, each with `outputs.DESCRIPTION`; the first with a curve draws it."""
+"""Packages, each with `outputs.DESCRIPTION`; of those asked, the first with a curve draws it."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -35,13 +35,13 @@ class Kind:
     described: Mapping[str, Description]
 
     def curve(self, outputs: tuple[str, ...]) -> Curve | None:
-        """The curve of the first model that is asked, else of the first that has one.
+        """The curve of the first model that is asked and has one; another may need what the design lacks.
 
         Args:
             outputs: that are asked for.
         """
         asked = [self.described[name].curve for name in self.outputs if name in outputs]
-        return next((c for c in [*asked, *(d.curve for d in self.described.values())] if c is not None), None)
+        return next((c for c in asked if c is not None), None)
 
     def conditions_of(self, outputs: tuple[str, ...]) -> list[str]:
         """Names of the conditions that the models of some outputs read.

@@ -47,9 +47,12 @@ def parse(value: Any, unit: str) -> float:
         ValueError: says what is wrong with `value`; the caller adds the name of the field.
     """
     if unit == "-":
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-            raise ValueError(f"{value!r}: must be a plain finite number")
-        return float(value)
+        try:
+            if isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value):
+                return float(value)
+        except OverflowError:  # an integer beyond every float
+            pass
+        raise ValueError(f"{value!r}: must be a plain finite number")
     units = KNOWN[unit]
     example = ", ".join(units)
     if not isinstance(value, str):
@@ -62,8 +65,8 @@ def parse(value: Any, unit: str) -> float:
     name = name.strip()
     if name not in units:
         raise ValueError(f"{value!r}: unit {name!r} is not one of {example}")
-    if not math.isfinite(result):
-        raise ValueError(f"{value!r}: must be finite")
+    if not math.isfinite(result * units[name]):
+        raise ValueError(f"{value!r}: must be finite, in {unit} too")
     return result * units[name]
 
 

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from rvjax import cli, levels, models, study
-from rvjax.catalogue import RV_40E
+from rvjax.catalogue import RV_20E, RV_40E
 from rvjax.levels import measured
 from rvjax.levels.measure import evaluate, limits
 from rvjax.levels.table import SAFETY, Level, Model, Table, stored
@@ -132,6 +132,16 @@ def test_what_an_output_does_not_read_does_not_matter():
     design = RV_40E.replace(cycloid=RV_40E.cycloid.replace(equidistant_modification=-20 * um, pin_radius=4e-3))
     tolerances = for_design(design, **LINKS, disc_runout=Tolerance(0.0, 500 * um))
     assert chosen(30 * arcsec, design, tolerances=tolerances).bound is not None
+
+
+def test_a_number_given_in_place_of_the_derived_one_was_not_measured():
+    """All levels were measured with K1 = e z_p / r_p; the printed 0.72 of the RV-20E is another reducer."""
+    derived = RV_20E.cycloid.eccentricity * RV_20E.cycloid.pin_count / RV_20E.cycloid.pin_circle_radius
+    tolerances = for_design(RV_20E, pin_radius=Tolerance.symmetric(4 * um))
+    for k1, approximate in ((None, True), (derived * (1 + 1e-15), True), (0.72, False)):
+        design = RV_20E.replace(cycloid=RV_20E.cycloid.replace(shortening=k1))
+        choice = chosen(3 * arcsec, design, models.kind(design).conditions(), tolerances, "lost_motion")
+        assert (choice.bound is not None) == approximate and ("cycloid.shortening = 0.72" in choice.why) != approximate
 
 
 def test_an_accuracy_must_make_sense():

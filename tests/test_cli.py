@@ -166,6 +166,35 @@ def test_a_study_that_asks_for_no_share_of_units_has_a_page(answers, answered, h
     assert found.count("mean, &lt; 0.27 % failed") == 3 == text.summary(new).count("mean, < 0.27 % failed")
 
 
+def test_a_model_that_is_not_asked_draws_nothing(here, capsys):
+    """The RV-20E has no bearing stiffness, which the transmission error under a torque needs."""
+    text = """
+[design]
+base = "rv-20e"
+[tolerances.disc_runout]
+lower = "0 um"
+upper = "15 um"
+[tolerances.pin_radius]
+half_width = "4 um"
+[cost.pin_radius]
+scale = 1
+reference = "4 um"
+finest = "1 um"
+coarsest = "20 um"
+[requirement.lost_motion]
+upper = "2 arcmin"
+[run]
+samples = 1024
+certificate_samples = 16384
+"""
+    (here / "play.toml").write_text(text)
+    assert cli.main(["allocate", "play.toml", "--results", "out", "--quiet"]) == 0, capsys.readouterr()
+    assert sorted(p.stem for p in Path("out").glob("*.png")) == [
+        "cost_against_yield", "histogram_lost_motion", "variance_shares",
+    ]  # fmt: skip
+    assert cli.main(["report", "play.toml", "--output", "page.html", "--quiet"]) == 0
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

@@ -3,6 +3,7 @@
 The drawings are held against the numbers that they show.
 """
 
+import dataclasses
 import os
 import re
 import subprocess
@@ -15,6 +16,7 @@ import numpy as np
 import pytest
 
 from rvjax import catalogue, cli, published, study
+from rvjax.designs import RVReducer
 from rvjax.plotting import drawings
 from rvjax.units import mm
 
@@ -34,6 +36,12 @@ def test_the_python_of_a_page_runs(page):
     namespace = {"__name__": "docs"}
     for code in blocks(page, "python"):
         exec(compile(code, str(page), "exec"), namespace)
+
+
+def test_the_page_of_studies_names_every_part():
+    page = (DOCS / "study.md").read_text("utf-8")
+    parts = [f.name for f in dataclasses.fields(RVReducer) if f.metadata["kind"] == "record"]
+    assert "contact" in parts and not [part for part in parts if f"`{part}`" not in page]
 
 
 def test_the_study_of_the_docs_is_a_study():

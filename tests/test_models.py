@@ -15,7 +15,7 @@ from scipy import stats
 
 from oracles.dynamics import Oracle
 from rvjax import cli, levels, models, study
-from rvjax.catalogue import CORR, RV_40E, RV_320E
+from rvjax.catalogue import CORR, RV_20E, RV_40E, RV_320E
 from rvjax.designs import RVReducer
 from rvjax.dynamics import assemble
 from rvjax.errors import RVErrors
@@ -82,6 +82,14 @@ def test_a_model_costs_one_package_and_one_line(key_joint, tmp_path, capsys):
     result = __import__("json").loads((folder / "result.json").read_text())
     assert cheapest <= result["cost"]["after"] <= 1.02 * cheapest
     assert found.output("twist").shown == ("arcsec", arcsec)
+
+
+def test_a_curve_needs_no_more_of_the_design_than_what_is_asked():
+    """The misfit is one without load; the RV-20E lacks the bearing stiffness that a load needs."""
+    kind = models.kind(RV_20E)
+    assert kind.curve(("lost_motion",)) is None
+    _, values = kind.curve(("misfit",)).evaluate(RV_20E, RV_20E.error_record(), kind.conditions(output_torque=100.0))
+    assert np.isfinite(values).all()
 
 
 def test_a_design_from_nothing_names_what_is_missing(key_joint):

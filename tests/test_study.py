@@ -58,8 +58,13 @@ def test_overrides_units_and_cost_models():
     [
         ("[tolerances.crank_phase]", "[tolerances.crank_phases]", ["tolerances.crank_phases", "crank_phase"]),
         ('"5 arcmin"\n\n[tolerances.disc', '"5 um"\n\n[tolerances.disc', ["crank_phase.half_width", "5 um", "arcmin"]),
+        (
+            'half_width = "5 arcmin"',
+            'half_width = "5 arcmin"\nsize = "25 mm"',
+            ["tolerances.crank_phase.size = '25 mm'", "for lengths", "in rad"],
+        ),
         ('half_width = "5 arcmin"', "half_width = 5", ["crank_phase.half_width", "5", "needs a unit"]),
-        ('half_width = "5 arcmin"', 'half_width = "-5 arcmin"', ["crank_phase"]),
+        ('half_width = "5 arcmin"', 'half_width = "-5 arcmin"', ["crank_phase.half_width = '-5 arcmin'", "negative"]),
         ('lower = "4 um"', 'lower = "14 um"', ["bearing_clearance", "lower", "upper"]),
         ('grade = "IT6" # +-6.5 um', 'grade = "IT66"', ["crank_eccentricity", "IT66"]),
         (
@@ -83,6 +88,8 @@ def test_overrides_units_and_cost_models():
         ('base = "rv-40e"', 'base = "rv-40e"\ncycloid.disc_teeth = 3.5', ["disc_teeth", "3.5", "integer"]),
         ("angles = 64", "angles = 64\ncranks = 'free'", ["without errors", "NOT_ASSEMBLABLE"]),
         ("angles = 64", "angles = 6", ["conditions.angles", "6", "8"]),
+        ("angles = 64", "samples = 256", ["conditions.samples = 256", "loaded_transmission_error"]),
+        ("angles = 64", 'sun_speed = "150 rpm"', ["conditions.sun_speed = '150 rpm'", "vibration"]),
         ("angles = 64", "angels = 64", ["conditions.angels", "angles"]),
         ('output_torque = "412 N m"', 'output_torque = "412 N/m"', ["output_torque", "N/m", "N m"]),
         ("scale = 6", "scale = -6", ["cost.crank_eccentricity", "scale"]),
@@ -95,6 +102,12 @@ def test_overrides_units_and_cost_models():
         ('upper = "30 um"\n', "", ["requirement.misfit", "upper or lower"]),
         ('upper = "30 um"\ntarget = 0.9973', 'upper = "30 um"\ntarget = 99.73', ["target", "99.73"]),
         ("seed = 0", "seed = -1", ["run.seed", "-1"]),
+        ("samples = 16384", "samples = 64", ["run.samples = 64", "at least 100"]),
+        (
+            'half_width = "5 arcmin"',
+            'lower = "0 deg"\nupper = "5 arcmin"\ndistribution = "von_mises"\nconcentration = 2',
+            ["crank_phase: von_mises is for vectors"],
+        ),
         ("seed = 0", "sead = 0", ["run.sead"]),
         ("[run]", "[runs]", ["[runs]"]),
         ("[design]", "[design", ["TOML", "line"]),

@@ -183,6 +183,7 @@ def test_correlated_laws_are_known_to_rss_or_refused():
     [
         (dict(distribution="lognormal"), r"Tolerance.log_sd = None: give the standard deviation of the logarithm"),
         (dict(distribution="lognormal", log_sd=-1.0), r"Lognormal.log_sd = -1: must be positive"),
+        (dict(distribution="lognormal", log_sd=20.0), r"Tolerance.log_sd = 20: must be at most 9"),
         (dict(distribution="lognormal", log_sd=1.0, shift=0.1), r"Tolerance.shift = 0.1: must be 0 for lognormal"),
         (dict(log_sd=1.0), r"Tolerance.log_sd = 1: give .* with distribution='lognormal', and only there"),
         (dict(distribution="empirical", values=[]), r"Tolerance.values = .*: must be one row of finite numbers"),
@@ -193,6 +194,10 @@ def test_correlated_laws_are_known_to_rss_or_refused():
 def test_bad_parameters_are_named(arguments, message):
     with pytest.raises(ValueError, match=message):
         Tolerance(0.0, 1.0, **arguments)
+
+
+def test_the_widest_lognormal_law_has_moments():
+    assert np.isfinite(Tolerance(0.0, 1.0, distribution="lognormal", log_sd=9.0).moments()).all()
 
 
 def test_a_direction_needs_a_vector_and_no_argument_is_forgotten():
@@ -214,6 +219,11 @@ def test_study_files_read_every_parameter(tmp_path):
     file.write_text("part,deviation\nA,2.5\nB,-1\n")
     column = dict(file=str(file), column="deviation", unit="um")
     np.testing.assert_allclose(_tolerance(limits | dict(values=column), "m", where).law.values, [-1e-6, 2.5e-6])
+    file.write_text("deviation\n2.5\n-1\n", "utf-8-sig")  # as Excel begins a file
+    np.testing.assert_allclose(_tolerance(limits | dict(values=column), "m", where).law.values, [-1e-6, 2.5e-6])
+    plain = dict(half_width=3, distribution="empirical", values=column | dict(unit="-"))
+    np.testing.assert_allclose(_tolerance(plain, "-", where).law.values, [-1.0, 2.5])
+    file.write_text("part,deviation\nA,2.5\nB,-1\n")
     for change, message in [
         (dict(column="x"), r"values.column = 'x': .* has part, deviation"),
         (dict(column="part"), "something there that is no number"),

@@ -144,11 +144,28 @@ def _model(models: Iterable[Model], output: str, design: Any, conditions: Any) -
         value = numbers.get(name, math.nan)
         if not abs(value - model.design[name]) <= model.spread * abs(model.design[name]) * (1 + 1e-9):  # also NaN
             return model, f"{name} = {value:.4g}"
+    for name, value in _overridden(design).items():
+        if name not in model.design:  # it was measured as derived
+            return model, f"{name} = {value}"
     if model.torque is not None:
         torque = next(getattr(conditions, f.name) for f in dataclasses.fields(conditions) if f.metadata["torque"])
         if not (is_concrete(torque) and model.torque[0] <= torque <= model.torque[1]):
             return model, f"torque = {torque} N m" if is_concrete(torque) else "a torque that is traced"
     return model, ""
+
+
+def _overridden(design: Any, prefix: str = "") -> dict[str, Any]:
+    """Numbers by path that differ beyond rounding from what the design would derive for them (`derived_NAME`)."""
+    found: dict[str, Any] = {}
+    for f in dataclasses.fields(design):
+        value, derived = getattr(design, f.name), getattr(design, f"derived_{f.name}", None)
+        if dataclasses.is_dataclass(value):
+            found |= _overridden(value, f"{prefix}{f.name}.")
+        elif value is None or derived is None:
+            continue
+        elif not (is_concrete(value) and is_concrete(derived) and np.allclose(value, derived, rtol=1e-9, atol=0)):
+            found[prefix + f.name] = value
+    return found
 
 
 def _size(model: Model, tolerances: Any) -> tuple[float, str]:

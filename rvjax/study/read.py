@@ -14,6 +14,7 @@ from rvjax.study.question import Study, StudyError
 from rvjax.study.response import check_nominal
 from rvjax.study.values import choice, integer, known, naming, naming_field, quantity, subtable
 from rvjax.tolerances import Exponential, ReciprocalPower, Tolerance, for_design
+from rvjax.tolerances.allocation.allocation import FEWEST
 from rvjax.tolerances.distribution.tolerance import COMMON, LAWS
 from rvjax.tolerances.propagation.requirements import KINDS
 
@@ -80,13 +81,13 @@ def parse_study(text: str, *, name: str, folder: Path = Path()) -> Study:
             name=name,
             text=text,
             design=design,
-            conditions=_conditions(kind.conditions, subtable(tables, "conditions")),
+            conditions=_conditions(kind, requirements, subtable(tables, "conditions")),
             tolerances=tolerances,
             costs=costs,
             requirements=requirements,
             accuracy=_accuracy(kind.outputs, requirements, subtable(tables, "accuracy")),
             seed=integer(run.get("seed", 0), "run.seed", 0, 2**32 - 1),
-            samples=integer(run.get("samples", 16384), "run.samples", 16, 2**32),
+            samples=integer(run.get("samples", 16384), "run.samples", FEWEST, 2**32),
             certificate_samples=integer(
                 run.get("certificate_samples", 1_000_000), "run.certificate_samples", 16, 2**32
             ),
@@ -99,10 +100,13 @@ def _metadata(record: Any, field: str) -> Any:
     return next(f.metadata for f in dataclasses.fields(record) if f.name == field)
 
 
-def _conditions(kind: Any, given: dict[str, Any]) -> Any:
-    fields = {f.name: f.metadata for f in dataclasses.fields(kind)}
+def _conditions(kind: models.Kind, requirements: Mapping[str, Any], given: dict[str, Any]) -> Any:
+    fields = {f.name: f.metadata for f in dataclasses.fields(kind.conditions)}
     known(given, set(fields), "conditions")
-    return kind(**{key: _condition(value, fields[key], f"conditions.{key}") for key, value in given.items()})
+    for key in sorted(given.keys() - kind.conditions_of(tuple(requirements))):
+        readers = ", ".join(name for name in kind.outputs if key in kind.conditions_of((name,)))
+        raise ValueError(f"conditions.{key} = {given[key]!r}: no response required here reads it, only {readers}")
+    return kind.conditions(**{key: _condition(value, fields[key], f"conditions.{key}") for key, value in given.items()})
 
 
 def _condition(value: Any, about: Mapping[str, Any], where: str) -> Any:
@@ -152,8 +156,12 @@ def _tolerance(table: dict[str, Any], unit: str, where: str, folder: Path = Path
         if unit != "m":
             raise ValueError(f"{where}.grade = {table['grade']!r}: grades are for lengths, this error is in {unit}")
         return Tolerance.grade(table["grade"], size, **options)
+    if size is not None and unit != "m":
+        raise ValueError(f"{where}.size = {table['size']!r}: sizes are for lengths, this error is in {unit}")
     limits = {key: quantity(table[key], unit, f"{where}.{key}") for key in sorted(given)}
     if chosen == ways[1]:
+        if limits["half_width"] < 0:
+            raise ValueError(f"{where}.half_width = {table['half_width']!r}: must not be negative")
         return Tolerance.symmetric(limits["half_width"], size=size, **options)
     return Tolerance(limits["lower"], limits["upper"], size=size, **options)
 

@@ -21,7 +21,7 @@ from rvjax.tolerances.propagation.monte_carlo import Run, Statistics, progress_b
 from rvjax.tolerances.propagation.requirements import Limits
 from rvjax.tolerances.propagation.responses import BLOCK, Response, by_response, response_names, unwrapped
 
-_FEWEST = 100  # units a quantile can be learned from
+FEWEST = 100  # units a quantile can be learned from
 
 
 @dataclasses.dataclass(frozen=True)
@@ -144,7 +144,7 @@ def _check(required: dict[str, Limits], joint_target: float | None, **counts: in
     if joint_target is not None and not any(item.of_units for item in required.values()):
         raise ValueError(f"joint_target = {joint_target!r}: no requirement judges single units")
     for name, value in counts.items():
-        least = _FEWEST if name == "samples" else 1
+        least = FEWEST if name == "samples" else 1
         if value < least:
             raise ValueError(f"{name} = {value!r}: must be at least {least}")
 

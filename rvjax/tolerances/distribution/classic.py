@@ -71,6 +71,10 @@ class Lognormal(Law):
     name = "lognormal"
     log_sd: Scalar = field("-", "the standard deviation of the logarithm of the error above `lower`", sign="positive")
 
+    def _check(self) -> None:
+        if concrete(self.log_sd) and np.any(np.greater(self.log_sd, 9)):  # fourth moment: exp(8 log_sd^2)
+            raise bad("log_sd", self.log_sd, "must be at most 9: beyond, its moments exceed every float")
+
     def deviate(self, tolerance: Any, z: jax.Array) -> jax.Array:
         """The upper limit lies at z = 3 cp."""
         return tolerance.lower + 2 * tolerance.half_width * jnp.exp(self.log_sd * (z - 3 * tolerance.cp))

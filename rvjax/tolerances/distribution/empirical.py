@@ -74,15 +74,16 @@ class Empirical(Law):
             return super().parsed(key, value, unit)
         if set(value) != {"file", "column", "unit"} or not all(isinstance(item, str) for item in value.values()):
             raise ValueError(f"{key}: give file, column and unit as texts, not {', '.join(value)}")
-        if value["unit"] not in KNOWN[unit]:
-            raise ValueError(f"{key}.unit = {value['unit']!r}: is not one of {', '.join(KNOWN[unit])}")
-        return _column(Path(value["file"]), value["column"]) * KNOWN[unit][value["unit"]]
+        units = {"-": 1.0} if unit == "-" else KNOWN[unit]
+        if value["unit"] not in units:
+            raise ValueError(f"{key}.unit = {value['unit']!r}: is not one of {', '.join(units)}")
+        return _column(Path(value["file"]), value["column"]) * units[value["unit"]]
 
 
 def _column(path: Path, column: str) -> np.ndarray:
     """Numbers of a column of a CSV file with a line of names."""
     try:
-        with path.open(encoding="utf-8", newline="") as file:
+        with path.open(encoding="utf-8-sig", newline="") as file:
             rows = list(csv.DictReader(file))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise ValueError(f"values.file = {str(path)!r}: cannot be read ({error})") from None

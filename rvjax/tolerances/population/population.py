@@ -142,5 +142,7 @@ def root_key(seed: int) -> jax.Array:
     """The key of a study."""
     try:
         return jax.random.key(operator.index(seed))
-    except (TypeError, OverflowError):
+    except TypeError:
         raise ValueError(f"seed = {seed!r}: must be an integer") from None
+    except OverflowError:
+        raise ValueError(f"seed = {seed!r}: must be an integer of at most 64 bits, from -2**63 to 2**63 - 1") from None

@@ -20,7 +20,7 @@ def for_design(design: Any, **tolerances: Tolerance | None) -> Any:
         **tolerances: a `Tolerance` or None per field of that record; absent fields are exactly nominal.
 
     Raises:
-        ValueError: unknown field, not a tolerance, or a shape that does not fit the design.
+        ValueError: unknown field, not a tolerance, or a shape or a law that does not fit the design.
     """
     cls, filled = design.error_record, {}
     declared = {f.name: f.metadata["shape"] for f in dataclasses.fields(cls)}
@@ -39,6 +39,7 @@ def for_design(design: Any, **tolerances: Tolerance | None) -> Any:
             # An axis of two cranks is no vector; only a literal 2 in the record is [radial, tangential].
             vector = bool(axes) and axes[-1] == 2
             tolerance = tolerance.replace(shape=sizes, vector=vector)
+            tolerance.law.check_field(name, tolerance)
         filled[name] = tolerance
     return cls(**filled)
 

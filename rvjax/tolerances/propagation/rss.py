@@ -69,7 +69,7 @@ def rss(
 
     A peak-to-peak value has a kink where its errors vanish: the gradient there says nothing about its
     neighbourhood. Where gradients of random units close to the mean show such a jump, mean and sd come
-    from 4096 units and the shares from mean squared gradients; `method` then says "sampled".
+    from 16384 units and the shares from mean squared gradients; `method` then says "sampled".
 
     Args:
         response: pure function of the errors of one unit; a scalar, a dict or record of scalars, or `Outcome`.
