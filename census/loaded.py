@@ -139,10 +139,12 @@ def run(
         sun=sun,
     )  # fmt: skip
     # The error as the force of a bearing that it would bend, beside the forces; all over the largest of them.
-    force = jnp.mean(case["turning_arm_bearing"]) * case["circle_radius"]
+    stiff, radius = (jnp.where(jnp.isfinite(case[n]), case[n], 1) for n in ("turning_arm_bearing", "circle_radius"))
+    force = jnp.mean(stiff) * radius
     largest = jnp.max(jnp.stack([jnp.max(jnp.abs(getattr(got, name))) for name in RESULTS]))
     largest = jnp.maximum(largest, jnp.abs(case["torque"]) / case["circle_radius"])
     known = jnp.isfinite(got.error)  # a NaN times the force would be the slope of the force
+    force = jnp.where(known, force, 1)
     return dict(
         values=(
             jnp.where(known, jnp.where(known, got.error, 0) * force, jnp.nan),

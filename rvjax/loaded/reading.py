@@ -9,6 +9,7 @@ import numpy as np
 
 from rvjax import status
 from rvjax.designs import RVReducer
+from rvjax.elementary import LARGEST_ANGLE
 from rvjax.errors import PLACED, RVErrors
 from rvjax.loaded import laws
 from rvjax.loaded.geometry import largest_curvature
@@ -103,13 +104,18 @@ def admit(layout: Layout, design: RVReducer, errors: RVErrors, torque: Any, angl
     e, added = used.cycloid.eccentricity, parts.eccentricity
     parts = parts.replace(eccentricity=jnp.zeros_like(added))
 
+    positive = _positive(layout, used)
     spare = jax.tree_util.tree_map_with_path(lambda path, _: _HARMLESS.get(path[-1].name, 1.0), used)
     used, of_design = status.admit(
-        used, spare, (~_finite(used), Status.NONFINITE), (~_possible(layout, used), Status.INVALID_GEOMETRY)
+        used,
+        spare,
+        (~_finite(used) | jnp.any((positive > 0) & (positive < 1 / _top(positive))), Status.NONFINITE),
+        (jnp.any(~(positive > 0)), Status.INVALID_GEOMETRY),
     )
     refused = [*of_design.refused]
     admitted = []
-    for number in (parts, torque, angle, (e, added)):
+    turns = jnp.where(jnp.abs(angle) < LARGEST_ANGLE, angle, jnp.nan)
+    for number in (parts, torque, turns, (e, added)):
         number, gate = status.admit(number, 0, (~_finite(number), Status.NONFINITE))
         admitted.append(number)
         refused += gate.refused
@@ -120,7 +126,7 @@ def admit(layout: Layout, design: RVReducer, errors: RVErrors, torque: Any, angl
     largest = cycloid.pin_circle_radius / cycloid.pin_count  # K1 = 1
     proper = (e > 0) & (e < largest)
     e = jnp.where(of_design.good & proper, e, 0.6 * largest)
-    sharpest = largest_curvature(used, e / largest)
+    sharpest = jax.lax.stop_gradient(largest_curvature(used, e / largest))  # a judge, no part of the answer
     undercut = of_design.good & (cycloid.pin_radius * sharpest >= 1)
     cycloid = cycloid.replace(pin_radius=jnp.where(undercut, 0.1 / sharpest, cycloid.pin_radius))
     gate = Gate((*refused, (~proper, Status.INVALID_GEOMETRY), (undercut, Status.UNDERCUT)))
@@ -200,15 +206,20 @@ def mesh_stiffness(design: RVReducer) -> jax.Array:
     return 1 / (1 / springs.sun_planet_mesh + 1 / springs.planet_crank_bending + torsion)
 
 
+def _top(number: jax.Array) -> float:
+    """Beyond it, or nearer to zero than one over it, squares and products leave the arithmetic."""
+    return float(jnp.finfo(number.dtype).max) ** (1 / 3)
+
+
 def _finite(tree: Any) -> jax.Array:
     finite = jnp.asarray(True)
     for leaf in jax.tree.leaves(tree):
-        finite &= jnp.all(jnp.isfinite(leaf))
+        finite &= jnp.all(jnp.abs(leaf) < _top(leaf))  # false for NaN
     return finite
 
 
-def _possible(layout: Layout, design: RVReducer) -> jax.Array:
-    """False where a length or stiffness that must be positive is not; the eccentricity is judged apart."""
+def _positive(layout: Layout, design: RVReducer) -> jax.Array:
+    """Lengths and stiffnesses that must be positive; the eccentricity is judged apart."""
     involute, cycloid, springs, contact = design.involute, design.cycloid, design.stiffness, design.contact
     assert springs is not None and contact is not None
     positive = [
@@ -222,7 +233,4 @@ def _possible(layout: Layout, design: RVReducer) -> jax.Array:
         positive.append(pin_compliance(layout, design))
     if contact.pin_support is not None:
         positive.append(contact.pin_support)
-    possible = jnp.asarray(True)
-    for value in positive:
-        possible &= jnp.all(value > 0)
-    return possible
+    return jnp.concatenate([jnp.ravel(value) for value in positive])
