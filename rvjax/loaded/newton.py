@@ -58,6 +58,7 @@ class _State(NamedTuple):
     searching: jax.Array
     line: _Line
     cold: jax.Array  # before the linear step
+    given: jax.Array  # at a start that was given
     open: jax.Array
     found: Found
 
@@ -104,14 +105,11 @@ def minimise(layout: Layout, system: System, start: jax.Array) -> Found:
 
 
 def _begin(layout: Layout, s: System, start: jax.Array, seated: jax.Array) -> _State:
-    """A start that is NaN, or beyond the law of a pin, is replaced by the linear one."""
+    """At the start that is given; where that is NaN at zero, before the linear step."""
     lanes = seated.shape[0]
     start = jnp.broadcast_to(start, (layout.unknowns, lanes))
     warm = jnp.all(jnp.isfinite(start), axis=0)
     q = jnp.where(warm[None], start, 0)
-    if layout.law == "hertz":
-        warm &= ~_overloaded(s, contacts(layout, s, q).depth)
-        q = jnp.where(warm[None], q, 0)
     zero = jnp.zeros((lanes,), start.dtype)
     no, none = jnp.zeros((lanes,), bool), jnp.zeros((lanes,), jnp.int32)
     return _State(
@@ -125,6 +123,7 @@ def _begin(layout: Layout, s: System, start: jax.Array, seated: jax.Array) -> _S
         searching=no,
         line=_Line(zero, zero, zero, zero, zero),
         cold=~warm & (s.load != 0),
+        given=warm,
         open=seated,
         found=Found(q, none, zero, zero, no, no, no),
     )
@@ -188,6 +187,7 @@ def _advance(
     """The next point of every open lane, from what was found at the last one."""
     live, q, cold, line = state.open, state.q, state.cold, state.line
     usable = fine & ~over
+    again = state.given & ~usable  # a given start beyond the law of a pin: the linear one instead
     done = usable & small & ~cold
     lower = usable & (value < state.lowest)
     slope = jnp.where(usable, jnp.sum(state.step * g, axis=0), jnp.inf)
@@ -195,8 +195,8 @@ def _advance(
     exhausted = state.stall >= _PATIENCE + _SEARCHES
     better = ~cold & jnp.where(state.searching, (flat & (lower | (slope <= 0))) | exhausted, lower)
     first = jnp.where(state.stall == 0, slope, state.first)
-    stall = jnp.where(better | cold, 0, state.stall + 1)
-    enters = ~better & ~state.searching & ((stall >= _PATIENCE) | (~usable & ~cold))
+    stall = jnp.where(better | cold | again, 0, state.stall + 1)
+    enters = ~better & ~again & ~state.searching & ((stall >= _PATIENCE) | (~usable & ~cold))
     searching = ~better & (state.searching | enters)
     best, step = jnp.where(better[None], q, state.best), jnp.where(better[None], newton, state.step)
 
@@ -213,7 +213,7 @@ def _advance(
     secant = jnp.where(bracketed, jnp.clip(-line.lower_slope / rise, 0.05, 0.95), 0.25)
     line = line._replace(share=line.lower + (line.upper - line.lower) * secant)
 
-    failed = jnp.isinf(state.lowest) & ~usable & ~cold
+    failed = jnp.isinf(state.lowest) & ~usable & ~cold & ~again
     steps = state.found.steps + (~(done | cold | state.searching)).astype(jnp.int32)
     goes_on = live & ~done & ~failed & (steps < MAX_STEPS)
     ended = jnp.where(done[None], q + newton, jnp.where(failed[None], 0, best))
@@ -223,11 +223,12 @@ def _advance(
         residual=jnp.where(live, miss / jnp.where(size > 0, size, 1), state.found.residual),
         largest=jnp.where(live, largest, state.found.largest),
         converged=jnp.where(live, done, state.found.converged),
-        overload=jnp.where(live, (state.found.overload | over) & ~done, state.found.overload),
+        overload=jnp.where(live, (state.found.overload | over) & ~done & ~again, state.found.overload),
         finite=jnp.where(live, fine | over | ~failed, state.found.finite),
     )
+    onward = jnp.where(searching[None], best + line.share[None] * step, q + newton)
     return _State(
-        q=jnp.where(goes_on[None], jnp.where(searching[None], best + line.share[None] * step, q + newton), q),
+        q=jnp.where(goes_on[None], jnp.where(again[None], 0, onward), q),
         best=best,
         step=step,
         lowest=jnp.where(better, value, state.lowest),
@@ -236,7 +237,8 @@ def _advance(
         stall=stall,
         searching=searching,
         line=line,
-        cold=jnp.zeros_like(cold),
+        cold=again,
+        given=jnp.zeros_like(again),
         open=goes_on,
         found=found,
     )
