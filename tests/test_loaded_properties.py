@@ -170,7 +170,7 @@ def same_in_other_units(design, errors, torque, law, length, force):
     after = rvjax.check(solve(errors, 0.7, torque * force * length, design=design, contact=law))
     np.testing.assert_allclose(after.error, before.error, rtol=1e-9)
     due = in_other_units(before, length, force)
-    # Without load a gear carries what the centring springs leave: sums of pin forces, right to the solver's 1e-13 of them.
+    # Without load a gear carries what the centring springs leave of sums of pin forces, which are right to 1e-13.
     left = 1e-12 * np.max(due.pins)
     radii = dict(input_torque=design.involute.sun_base_radius, disc_torque=design.cycloid.pin_circle_radius)
     for name in ("pins", "pressure", "disc_bearing", "support_bearing", "gear", "input_torque", "disc_torque"):
