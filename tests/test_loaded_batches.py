@@ -7,6 +7,9 @@ import pytest
 from loaded_cases import NAMED, design_of, errors_of
 
 from rvjax import Status, loaded
+from rvjax.loaded.balance import balance
+from rvjax.loaded.equilibrium import prepare
+from rvjax.loaded.reading import admit, check_input
 
 CASE = NAMED["rv40: all errors, rated, hertz"]
 DESIGN = design_of(CASE)
@@ -180,3 +183,21 @@ def _programs():
     from rvjax.loaded.equilibrium import _equilibrium
 
     return _equilibrium._cache_size()
+
+
+def test_a_start_beyond_the_law_of_a_pin_is_replaced():
+    """By the linear one: metres of approach find the equilibrium too, with and without load."""
+    errors = errors_of(CASE, DESIGN)
+    layout = check_input(DESIGN, errors, "hertz", "fixed", "fixed")
+
+    @jax.jit
+    def solve(torque, start):
+        read = admit(layout, DESIGN, errors, torque, jnp.asarray(0.7))
+        return balance(layout, prepare(layout, read, read.angle).loaded(read.torque).system, start)
+
+    for torque in (412.0, 0.0):
+        cold = solve(torque, jnp.full(layout.unknowns, jnp.nan))
+        for start in (1e-3, -1.0, 1e30):
+            found = solve(torque, jnp.full(layout.unknowns, start))
+            assert found.converged and not found.overload
+            np.testing.assert_allclose(found.q, cold.q, rtol=0, atol=1e-12 * np.max(np.abs(cold.q)))

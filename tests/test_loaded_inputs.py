@@ -79,6 +79,30 @@ def test_conditions_that_are_not_finite_are_a_status(condition):
     assert Status(int(found.info.status)) == Status.NONFINITE and np.isnan(found.error)
 
 
+@pytest.mark.parametrize("path", ["input_angle", "circle_radius", "face_width", "pin_radius"])
+def test_numbers_that_leave_the_arithmetic_are_a_status_and_spoil_no_gradient(path):
+    """Squares of 1e300 m overflow, those of 1e-300 m vanish; angles beyond 2^50 rad have no direction."""
+    errors = errors_of(CASE, DESIGN)
+
+    def error(x, size):
+        parts = {name: jax.tree.map(lambda k: k, getattr(DESIGN, name)) for name in ("cranks", "contact", "cycloid")}
+        for part in parts.values():
+            if hasattr(part, path):
+                object.__setattr__(part, path, x)
+        design = jax.tree.map(lambda k: k, DESIGN)
+        for name, part in parts.items():
+            object.__setattr__(design, name, part)
+        at = AT | ({"input_angle": x} if path == "input_angle" else {})
+        found = loaded.equilibrium(design, errors.replace(eccentricity=size), **at)
+        return jax.numpy.where(jax.numpy.isfinite(found.error), found.error, 0), found.info.status
+
+    solve = jax.jit(jax.value_and_grad(error, argnums=(0, 1), has_aux=True))
+    for x in (1e30,) if path == "input_angle" else (1e300, 1e-300):
+        (value, status), slope = solve(x, 0.0)
+        assert Status(int(status)) == Status.NONFINITE and value == 0
+        assert np.all(np.isfinite(slope))
+
+
 def test_errors_with_a_place_stay_plain_zeros_where_not_given():
     errors = RVErrors.for_design(catalogue.RV_40E)
     assert errors.pin_offset == 0.0 and np.ndim(errors.disc_profile) == 0

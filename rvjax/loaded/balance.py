@@ -19,7 +19,7 @@ def balance(layout: Layout, system: System, start: jax.Array) -> Found:
     Args:
         layout: counts and methods.
         system: the case.
-        start: (n,), or NaN: the linear solution of `linear_start`.
+        start: (n,), or NaN: the linear step of `newton`.
     """
     return in_lanes(minimise, layout)(system, start)
 

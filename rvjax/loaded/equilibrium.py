@@ -136,13 +136,13 @@ def prepare(layout: Layout, read: Read, input_angle: jax.Array) -> Case:
         gear_rows=gear_rows(layout, flank),
         bearing_rows=bearing_rows(layout, swing),
         gear_stiffness=jnp.broadcast_to(mesh_stiffness(design), (layout.cranks,)),
-        bearing_stiffness=_bearings(arms.reshape(-1), jnp.broadcast_to(springs.support_bearing, (layout.cranks,))),
+        bearing_stiffness=jnp.append(arms, jnp.broadcast_to(springs.support_bearing, (layout.cranks,))),
         centring=centring,
         support=centring + jnp.stack([jnp.asarray(x, dtype) for x in held]),
         gap=gap.pins,
         gear_gap=gap.gear,
-        bearing_gap=_bearings(gap.arm.reshape(-1, 2), gap.seat),
-        clearance=_bearings(*(jnp.full((count,), x) for count, x in zip((arms.size, layout.cranks), play))),
+        bearing_gap=jnp.concatenate([gap.arm.reshape(-1, 2), gap.seat]),
+        clearance=jnp.concatenate([jnp.full((n,), x) for n, x in zip((arms.size, layout.cranks), play)]),
         load=1 / cranks.circle_radius,
     )
     # rr^2 / R* is `rounding`, so that 1 / R* = rounding / rr^2.
@@ -155,11 +155,6 @@ def prepare(layout: Layout, read: Read, input_angle: jax.Array) -> Case:
         if name in of_angle | {"gap", "gear_gap", "bearing_gap"}
     }
     return Case(system._replace(**kept), at.lever / one, jnp.sqrt(squeeze * rounding) / cycloid.pin_radius)
-
-
-def _bearings(arm: jax.Array, seat: jax.Array) -> jax.Array:
-    """Values of all bearings, in the order of the system."""
-    return jnp.concatenate([arm, seat])
 
 
 def judge(read: Read, case: Case, found: Found) -> SolveInfo:
