@@ -103,6 +103,20 @@ def test_numbers_that_leave_the_arithmetic_are_a_status_and_spoil_no_gradient(pa
         assert np.all(np.isfinite(slope))
 
 
+def test_a_flank_whose_curvature_has_no_slope_spoils_no_gradient():
+    """K1 within 1e-9 of 1: the sharpest point is nearly a cusp, which judges undercut and is no part of the answer."""
+    errors, largest = errors_of(CASE, DESIGN), DESIGN.cycloid.pin_circle_radius / DESIGN.cycloid.pin_count
+    missing = (1 - 1e-9) * largest - DESIGN.cycloid.eccentricity - errors.eccentricity
+
+    @jax.jit
+    @jax.grad
+    def slope(added):
+        found = loaded.equilibrium(DESIGN, errors.replace(eccentricity=errors.eccentricity + added), **AT)
+        return jax.numpy.where(jax.numpy.isfinite(found.error), found.error, 0)
+
+    assert np.isfinite(slope(missing))
+
+
 def test_errors_with_a_place_stay_plain_zeros_where_not_given():
     errors = RVErrors.for_design(catalogue.RV_40E)
     assert errors.pin_offset == 0.0 and np.ndim(errors.disc_profile) == 0
