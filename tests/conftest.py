@@ -18,7 +18,7 @@ from pathlib import Path
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path(__file__).parents[1] / ".pytest_cache" / "jax"))
 os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")  # XLA logs two lines for every kept program it loads
 if "xla_backend_optimization_level" not in os.environ.get("XLA_FLAGS", ""):
-    # XLA's older code generator, in one piece, and no optimisation: 15 s of compilation -> 3 s in a mix of four models.
+    # XLA's older code generator, in one piece, no optimisation: 15 s of compilation -> 3 s in a mix of three models.
     quick = (
         "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true "
         "--xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1"
