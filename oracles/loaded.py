@@ -461,7 +461,8 @@ def positive(case: Case) -> Any:
     parts += [getattr(case.stiffness, name).reshape(len(e), -1).min(1) for name in names]
     parts += [1 - e * case.zp / case.cycloid.pin_circle_radius, 1 - case.contact.poisson_ratio**2]
     parts += [x for x in (case.contact.pin_stiffness, case.contact.pin_support) if x is not None]
-    return np.all([part > 0 for part in parts], axis=0)
+    held = [getattr(case.stiffness, name) for name in ("output_support", "sun_support", "sun_torsion")]
+    return np.all([part > 0 for part in parts], axis=0) & np.all([spring >= 0 for spring in held], axis=0)
 
 
 def undercut(case: Case) -> Any:

@@ -62,15 +62,29 @@ def test_samples_must_be_positive():
         loaded.revolution(DESIGN, RVErrors(), output_torque=1.0, samples=0)
 
 
+def with_spring(name, stiffness):
+    """A tree that no constructor judged, as a sampled batch is."""
+    springs, design = (jax.tree.map(lambda k: k, part) for part in (DESIGN.stiffness, DESIGN))
+    object.__setattr__(springs, name, stiffness)
+    object.__setattr__(design, "stiffness", springs)
+    return design
+
+
 def test_negative_stiffness_of_a_sampled_design_is_a_status():
-    """Of a tree that no constructor judged, as a batch is; same program as the reference cases."""
+    """Same program as the reference cases."""
     for path in ("support_bearing", "planet_crank_torsion"):
-        springs = jax.tree.map(lambda k: k, DESIGN.stiffness)
-        object.__setattr__(springs, path, -1.0)
-        design = jax.tree.map(lambda k: k, DESIGN)
-        object.__setattr__(design, "stiffness", springs)
-        found = loaded.equilibrium(design, errors_of(CASE, DESIGN), **AT)
+        found = loaded.equilibrium(with_spring(path, -1.0), errors_of(CASE, DESIGN), **AT)
         assert Status(int(found.info.status)) == Status.INVALID_GEOMETRY and np.isnan(found.error)
+
+
+def test_a_floating_part_may_lack_its_support_but_none_pushes_it_away():
+    """An energy that falls for ever has no minimum; one that neighbours hold needs no spring of its own."""
+    afloat = AT | {"carrier": "floating", "sun": "floating"}
+    for path in ("output_support", "sun_support", "sun_torsion"):
+        found = loaded.equilibrium(with_spring(path, -1e-3), errors_of(CASE, DESIGN), **afloat)
+        assert Status(int(found.info.status)) == Status.INVALID_GEOMETRY and np.isnan(found.error)
+    free = loaded.equilibrium(with_spring("output_support", 0.0), errors_of(CASE, DESIGN), **afloat)
+    assert Status(int(free.info.status)) == Status.CONVERGED and np.isfinite(free.error)
 
 
 @pytest.mark.parametrize("condition", ["input_angle", "output_torque"])

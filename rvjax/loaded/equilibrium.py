@@ -59,7 +59,7 @@ def equilibrium(
         output_torque: that the discs exert on the carrier, () N m; the external load is its opposite.
         contact: law of the pins, "hertz", "linear" or "palmgren".
         carrier: "fixed" centre, or "floating" on `stiffness.output_support`.
-        sun: "fixed", or "floating" on `stiffness.sun_support` and `sun_torsion`.
+        sun: "fixed", or "floating" on `stiffness.sun_support` and `sun_torsion`; below zero these are INVALID_GEOMETRY.
 
     Returns:
         Loaded. Status CONVERGED, UNLOADED (no torque and no pin pressed), or with NaN values NONFINITE,

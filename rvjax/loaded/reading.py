@@ -110,7 +110,7 @@ def admit(layout: Layout, design: RVReducer, errors: RVErrors, torque: Any, angl
         used,
         spare,
         (~_finite(used) | jnp.any((positive > 0) & (positive < 1 / _top(positive))), Status.NONFINITE),
-        (jnp.any(~(positive > 0)), Status.INVALID_GEOMETRY),
+        (jnp.any(~(positive > 0)) | _pushes_away(layout, used), Status.INVALID_GEOMETRY),
     )
     refused = [*of_design.refused]
     admitted = []
@@ -216,6 +216,18 @@ def _finite(tree: Any) -> jax.Array:
     for leaf in jax.tree.leaves(tree):
         finite &= jnp.all(jnp.abs(leaf) < _top(leaf))  # false for NaN
     return finite
+
+
+def _pushes_away(layout: Layout, design: RVReducer) -> jax.Array:
+    """Whether a floating part is held by a spring of negative stiffness; nothing need hold it but its neighbours."""
+    springs = design.stiffness
+    assert springs is not None
+    held = [jnp.zeros_like(springs.output_support)]
+    if layout.carrier == "floating":
+        held.append(springs.output_support)
+    if layout.sun == "floating":
+        held += [springs.sun_support, springs.sun_torsion]
+    return jnp.any(jnp.stack(held) < 0)
 
 
 def _positive(layout: Layout, design: RVReducer) -> jax.Array:
