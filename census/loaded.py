@@ -35,7 +35,7 @@ def machine(
         functools.partial(judge, **layout),
         step,
         ordinary=functools.partial(ordinary, teeth=teeth),
-        judged=0.25,
+        judged=0.1,
         faint=1e-6,  # a contact that has just closed: its slope jumps, or begins at zero
         sound=functools.partial(sound, teeth=teeth),
     )

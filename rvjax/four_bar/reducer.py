@@ -93,7 +93,7 @@ def error_at(
     placed = []
     for k in range(len(unit.parts.disc)):
         crank = unit.disc_crank(k, first)
-        if cranks == "phase_locked" and (closure != "first_order" or len(unit.axes) > 2):
+        if cranks == "phase_locked":
             placed.append(_fitted_disc(unit, k, crank, closure=closure))
         else:
             placed.append(_linked_disc(unit, k, crank, ratio, cranks=cranks, closure=closure, branch=branch))
