@@ -18,6 +18,7 @@ from rvjax.status import Status
 
 LANES = 1024  # that the judge holds at once
 RATED = 7e-5  # of E L rr a pin carries at rated torque: 500 N in an RV-40E
+RESIDUAL = 1e-10  # bound of the page, where rounding allows it
 RESULTS = ("pins", "disc_bearing", "support_bearing", "gear")
 
 
@@ -152,9 +153,18 @@ def run(
         ),
         status=got.info.status,
         residual=got.info.residual,
+        residual_scale=jnp.maximum(1, jnp.where(largest > 0, rounding(case) / largest / RESIDUAL, jnp.inf)),
         scale=jnp.where(largest > 0, largest, 1),
         windup=(got.error, got.pressure, got.stiffness, got.disc_torque, got.input_torque),
     )
+
+
+def rounding(case: Case) -> Any:
+    """Force that the rounding of the gaps alone makes in the stiffest spring: no equilibrium is known better."""
+    stiffest = [jnp.max(jnp.abs(case[n])) for n in ("turning_arm_bearing", "support_bearing", "sun_planet_mesh")]
+    gaps = {name: jnp.max(jnp.abs(case[name])) for name in oracle.ERRORS}
+    gaps["crank_phase"] = gaps["crank_phase"] * jnp.abs(case["eccentricity_of_design"])
+    return 2 * np.finfo(float).eps * jnp.max(jnp.stack(stiffest)) * sum(gaps.values())
 
 
 def judge(
@@ -215,17 +225,24 @@ def statuses(part: Case, found: dict[str, Any], design: Any, errors: Any, read: 
     due = np.where(possible, due, Status.INVALID_GEOMETRY)
     due = np.where(tame(part) | (due == Status.INVALID_GEOMETRY), due, -1)
     # Finite numbers too large or too small for the arithmetic may be named NONFINITE before the geometry is judged.
-    due = np.where(~moderate(part) & (due == Status.INVALID_GEOMETRY), -1, due)
+    due = np.where((~moderate(part) | vanishing(part)) & (due == Status.INVALID_GEOMETRY), -1, due)
     return np.where(nonfinite(part), Status.NONFINITE, due), certain
 
 
 def tame(case: Case) -> np.ndarray:
-    """Numbers far from overflow, and stiffnesses that 80-bit numbers can tell apart."""
-    good = moderate(case, 1e15)
+    """Numbers far from overflow and underflow, and stiffnesses that 80-bit numbers can tell apart."""
+    good = moderate(case, 1e15) & ~vanishing(case)
     stiff = [case[n].reshape(len(good), -1) for n in ("turning_arm_bearing", "support_bearing", "sun_planet_mesh")]
     together = np.abs(np.concatenate(stiff, 1))
     good &= together.max(1) < 1e8 * together.min(1)
     return good & (np.abs(case["angle"]) < 1e4) & (np.abs(case["crank_phase"]).max(1) < 1e4)
+
+
+def vanishing(case: Case) -> np.ndarray:
+    """A number of the design so small that products of it vanish."""
+    design = set(case) - set(oracle.ERRORS) - {"torque", "angle"}
+    sizes = [np.abs(case[name].reshape(len(case["torque"]), -1)) for name in sorted(design)]
+    return np.any([((size < 1e-100) & (size > 0)).any(1) for size in sizes], axis=0)
 
 
 def sound(case: Case, teeth: int) -> np.ndarray:

@@ -214,8 +214,11 @@ def output_orders(
         axes.vlines(orders + (k - (len(turns) - 1) / 2) * width * 3, 0, size, color=PALETTE[k % len(PALETTE)], lw=1.6)
         axes.plot([], [], color=PALETTE[k % len(PALETTE)], lw=1.6, label=name)
         if k == 0:
-            for order in np.argsort(-size)[:named]:
-                axes.annotate(f"{orders[order]}", (orders[order], size[order]), ha="center", va="bottom", fontsize=9)
+            told = orders[np.argsort(-size)[:named]]
+            for order in told:
+                near = [other - order for other in told if 0 < abs(other - order) < 0.03 * last]  # names would overlap
+                side = "center" if not near else "right" if max(near) > 0 else "left"
+                axes.annotate(f"{order}", (order, size[order - 1]), ha=side, va="bottom", fontsize=9)
     axes.set(xlabel="order of the output turn", ylabel="amplitude (arcsec)", xlim=(0, last + 1))
     axes.set_ylim(0, None)
     axes.margins(y=0.12)
