@@ -28,7 +28,6 @@ if "xla_backend_optimization_level" not in os.environ.get("XLA_FLAGS", ""):
     os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {quick}".strip()
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")  # hundreds of small ones cost a quarter
 os.environ.setdefault("JAX_TRACEBACK_IN_LOCATIONS_LIMIT", "0")  # no line of source beside every operation
-gc.set_threshold(200_000, 20, 100)  # tracing makes millions of objects; looking through them all cost a tenth
 
 import jax
 import matplotlib
@@ -37,6 +36,7 @@ from hypothesis import settings
 
 import rvjax
 
+gc.set_threshold(200_000, 20, 100)  # tracing makes millions of objects; looking through them all cost a tenth
 rvjax.enable_x64()
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")

@@ -1,11 +1,14 @@
 """Study files: what a good one means, and one clear line for every kind of bad one."""
 
+import dataclasses
 from importlib import resources
 
 import numpy as np
 import pytest
 
 from rvjax import catalogue, study
+from rvjax.catalogue import RV_20E, RV_40E
+from rvjax.designs import InvoluteStage
 from rvjax.study import StudyError, parse_study
 from rvjax.tolerances import Exponential, ReciprocalPower
 from rvjax.units import arcmin, um
@@ -53,9 +56,49 @@ def test_overrides_units_and_cost_models():
     assert float(s.costs["crank_phase"](5 * arcmin)) == pytest.approx(2 / np.e)
 
 
+def test_what_follows_from_changed_teeth_follows():
+    """An RV-80E on the base of an RV-40E: every radius of its gears, and its cranks on the axes of the planets."""
+    changes = """
+involute.sun_teeth = 10
+involute.planet_teeth = 38
+involute.module = "1.75 mm"
+cycloid.eccentricity = "1.5 mm"
+cycloid.pin_circle_radius = "76 mm"
+cranks.count = 3
+"""
+    design = parse_study(GOOD.replace('base = "rv-40e"', f'base = "rv-40e"{changes}'), name="x").design
+    due = InvoluteStage.from_teeth(10, 38, module=1.75e-3, pressure_angle=RV_40E.involute.pressure_angle)
+    for field in dataclasses.fields(InvoluteStage):
+        assert getattr(design.involute, field.name) == pytest.approx(getattr(due, field.name)), field.name
+    assert design.cranks.circle_radius == pytest.approx(42e-3)  # 1.75 mm * 48 / 2
+    assert design.cycloid.shortening_coefficient == pytest.approx(1.5 * 40 / 76)
+
+
+def test_a_published_design_keeps_its_numbers_until_they_are_changed():
+    """The printed K1 of the RV-20E is not e zp / rp, nor are its radii those of its teeth."""
+    study = GOOD.replace('base = "rv-40e"', 'base = "rv-20e"\ncranks.bearing_stiffness = "600 N/um"')
+    as_printed = parse_study(study, name="x").design
+    assert as_printed.involute == RV_20E.involute and as_printed.cycloid.shortening == 0.72
+    changed = parse_study(study.replace('"rv-20e"', '"rv-20e"\ncycloid.eccentricity = "1 mm"'), name="x").design
+    assert changed.involute == RV_20E.involute
+    assert changed.cycloid.shortening_coefficient == pytest.approx(
+        1e-3 * RV_20E.cycloid.pin_count / RV_20E.cycloid.pin_circle_radius
+    )
+
+
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
+        (
+            'base = "rv-40e"',
+            'base = "rv-40e"\ncranks.circle_radius = "42 mm"',
+            ["cranks.circle_radius = 42 mm", "centre_distance", "36 mm", "planet"],
+        ),
+        (
+            'base = "rv-40e"',
+            'base = "rv-40e"\ninvolute = {module = "1.75 mm", sun_base_radius = "9.4 mm"}',
+            ["involute.sun_base_radius = 9.4 mm", "teeth and module make it"],
+        ),
         ("[tolerances.crank_phase]", "[tolerances.crank_phases]", ["tolerances.crank_phases", "crank_phase"]),
         ('"5 arcmin"\n\n[tolerances.disc', '"5 um"\n\n[tolerances.disc', ["crank_phase.half_width", "5 um", "arcmin"]),
         (

@@ -6,6 +6,7 @@ from typing import Any
 from rvjax import catalogue, models
 from rvjax.catalogue import part_class
 from rvjax.designs import InvoluteStage
+from rvjax.study.following import followed
 from rvjax.study.values import choice, known, naming_field, quantity
 
 BASES = {
@@ -27,11 +28,12 @@ def parse_design(table: dict[str, Any]) -> Any:
     """
     numbers = {key: value for key, value in table.items() if key not in ("base", "kind")}
     if "kind" not in table:
-        return _changed(BASES[choice(table.get("base"), BASES, "design.base")], numbers, "design")
+        changed = _changed(BASES[choice(table.get("base"), BASES, "design.base")], numbers, "design")
+        return followed(changed, numbers)
     if "base" in table:
         raise ValueError("design.base and design.kind: give one of them")
     kinds = models.kinds()
-    return _made(kinds[choice(table["kind"], kinds, "design.kind")], numbers, "design")
+    return followed(_made(kinds[choice(table["kind"], kinds, "design.kind")], numbers, "design"), numbers)
 
 
 def _changed(record: Any, changes: Any, where: str) -> Any:
