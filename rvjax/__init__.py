@@ -4,37 +4,47 @@ Models (`four_bar` ...) turn a design and its manufacturing errors into a respon
 part tolerances into the distribution of a response and a required yield into the cheapest tolerances.
 """
 
+# ruff: noqa: F401  (type checkers read the imports below; all others get these names when they ask)
 import importlib
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from rvjax import catalogue, units
-from rvjax.designs import (
-    CamRollerReducer,
-    Contact,
-    CrankStage,
-    CycloidStage,
-    Damping,
-    Inertia,
-    InvoluteStage,
-    MeshVariation,
-    RVReducer,
-    Stiffness,
-)
-from rvjax.errors import CamRollerErrors, RVErrors
-from rvjax.records import Record
-from rvjax.status import SolveError, SolveInfo, Status, check
+if TYPE_CHECKING:
+    from rvjax import catalogue, units
+    from rvjax.designs import (
+        CamRollerReducer,
+        Contact,
+        CrankStage,
+        CycloidStage,
+        Damping,
+        Inertia,
+        InvoluteStage,
+        MeshVariation,
+        RVReducer,
+        Stiffness,
+    )
+    from rvjax.errors import CamRollerErrors, RVErrors
+    from rvjax.records import Record
+    from rvjax.status import SolveError, SolveInfo, Status, check
 
 __version__ = "0.1.0"
 
-# Where a name lives that is loaded when first asked for; None: the name is a submodule.
+# Where a name lives that is loaded when first asked for, for JAX takes a second; None: the name is a submodule.
 _LAZY = {
     "Block": "dynamics",
     "Blocks": "dynamics",
+    "CamRollerErrors": "errors",
+    "CamRollerReducer": "designs",
     "Closure": "four_bar",
+    "Contact": "designs",
     "ContactPressure": "mesh_force",
+    "CrankStage": "designs",
     "CycleStatistics": "mesh_force",
+    "CycloidStage": "designs",
+    "Damping": "designs",
     "EnergyShares": "dynamics",
     "Floquet": "dynamics",
+    "Inertia": "designs",
+    "InvoluteStage": "designs",
     "LinkDeviations": "four_bar",
     "Loaded": "loaded",
     "LoopFigures": "lost_motion",
@@ -42,16 +52,26 @@ _LAZY = {
     "LostMotionTerms": "lost_motion",
     "Lumped": "dynamics",
     "MeshForces": "mesh_force",
+    "MeshVariation": "designs",
     "Modes": "dynamics",
     "Periodic": "dynamics",
+    "RVErrors": "errors",
+    "RVReducer": "designs",
+    "Record": "records",
     "Response": "dynamics",
     "Revolution": "four_bar",
     "Root": "roots",
+    "SolveError": "status",
+    "SolveInfo": "status",
     "Static": "dynamics",
+    "Status": "status",
+    "Stiffness": "designs",
     "System": "dynamics",
     "ToothProfile": "mesh_force",
     "Torsion": "loaded",
     "TransmissionError": "four_bar",
+    "check": "status",
+    "catalogue": None,
     "dynamics": None,
     "four_bar": None,
     "levels": None,
@@ -64,31 +84,12 @@ _LAZY = {
     "roots": None,
     "study": None,
     "tolerances": None,
+    "units": None,
 }
 
-__all__ = [
-    "CamRollerErrors",
-    "CamRollerReducer",
-    "Contact",
-    "CrankStage",
-    "CycloidStage",
-    "Damping",
-    "Inertia",
-    "InvoluteStage",
-    "MeshVariation",
-    "RVErrors",
-    "RVReducer",
-    "Record",
-    "SolveError",
-    "SolveInfo",
-    "Status",
-    "Stiffness",
-    "catalogue",
-    "check",
-    "enable_x64",
-    "units",
-    *sorted(_LAZY),
-]
+_GROUND = ("designs", "errors", "records", "status")  # submodules whose names are all above
+
+__all__ = ["enable_x64", *sorted(_LAZY)]
 
 
 def enable_x64() -> None:
@@ -99,9 +100,9 @@ def enable_x64() -> None:
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _LAZY:
+    if name not in _LAZY and name not in _GROUND:
         raise AttributeError(f"module 'rvjax' has no attribute {name!r}")
-    home = _LAZY[name]
+    home = _LAZY.get(name)
     if home is None:
         return importlib.import_module(f"rvjax.{name}")
     return getattr(importlib.import_module(f"rvjax.{home}"), name)

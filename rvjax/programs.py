@@ -1,0 +1,79 @@
+"""Compiled programs that the command line keeps for its next run, in the cache folder of the user.
+
+A kept program is found by what it computes, by the versions of JAX and XLA and by their flags; the folder is that of
+one version of rvjax on one kind of processor. One that another run is just writing is compiled again.
+"""
+
+import hashlib
+import os
+import platform
+import sys
+import warnings
+from pathlib import Path
+
+import jax
+
+OFF = "RVJAX_KEEP_PROGRAMS"  # "0": nothing is kept
+LARGEST = 1_000_000_000  # bytes; beyond, the programs that were used longest ago go
+
+
+def keep(version: str) -> Path | None:
+    """Keep programs from now on; the folder, or None where nothing is kept.
+
+    `RVJAX_KEEP_PROGRAMS=0` switches it off; `JAX_COMPILATION_CACHE_DIR` names another folder and is left alone.
+
+    Args:
+        version: of rvjax.
+    """
+    if os.environ.get(OFF) == "0" or jax.config.values["jax_compilation_cache_dir"]:
+        return None
+    folder = _caches() / "rvjax" / f"programs-{version}-{_processor()}"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        prune(folder, LARGEST)
+    except OSError:  # a home that cannot be written: compile as before
+        return None
+    warnings.filterwarnings("ignore", message="Error .*persistent compilation cache")
+    jax.config.update("jax_compilation_cache_dir", str(folder))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
+    return folder
+
+
+def prune(folder: Path, largest: int) -> None:
+    """Remove the files that were used longest ago until the rest fit.
+
+    Args:
+        folder: of programs.
+        largest: bytes of all together.
+    """
+    found = []
+    for path in folder.iterdir():
+        try:
+            stat = path.stat()
+        except FileNotFoundError:  # another run was quicker
+            continue
+        found.append((max(stat.st_atime, stat.st_mtime), stat.st_size, path))
+    total = sum(size for _, size, _ in found)
+    for _, size, path in sorted(found, key=lambda item: item[0]):
+        if total <= largest:
+            break
+        path.unlink(missing_ok=True)
+        total -= size
+
+
+def _caches() -> Path:
+    if sys.platform == "win32":
+        return Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
+    if sys.platform == "darwin":
+        return Path.home() / "Library" / "Caches"
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+
+
+def _processor() -> str:
+    """Digest of what the processor can do: a folder may be shared by machines of several kinds."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        able = next((line for line in lines if line.startswith(("flags", "Features"))), "")
+    except OSError:
+        able = platform.processor()
+    return hashlib.sha256(f"{platform.machine()} {able}".encode()).hexdigest()[:12]
