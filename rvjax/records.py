@@ -193,6 +193,9 @@ def broadcast_fields(cls: Any, counts: Mapping[str, int], values: Mapping[str, A
     for name in values:
         if name not in fields:
             raise ValueError(f"{cls.__name__} has no field {name!r}; it has {', '.join(sorted(fields))}")
+    given = {np.dtype(value.dtype) for value in values.values() if hasattr(value, "dtype")}
+    floats = [dtype for dtype in given if jnp.issubdtype(dtype, jnp.floating)]
+    own = np.result_type(*floats) if floats else np.float64  # plain numbers become what they stand beside
     filled = {}
     for name, f in fields.items():
         value, sizes = values.get(name, f.default), axis_sizes(f.metadata["shape"], counts)
@@ -205,7 +208,8 @@ def broadcast_fields(cls: Any, counts: Mapping[str, int], values: Mapping[str, A
                 f"{cls.__name__}.{name}: shape {np.shape(value)} does not fit this design, "
                 f"expected {_shape_text(f.metadata['shape'])} = {sizes} or a scalar"
             )
-        library: Any = np if isinstance(value, (float, np.ndarray)) else jnp
+        value = np.asarray(value, own) if isinstance(value, float) else value
+        library: Any = np if isinstance(value, np.ndarray) else jnp
         filled[name] = library.broadcast_to(value, sizes)
     return filled
 

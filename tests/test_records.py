@@ -82,6 +82,14 @@ def test_tracers_and_stacked_records_pass_untouched():
     assert float(slope) == pytest.approx(40 / (64 * mm))
 
 
+def test_for_design_fills_up_in_the_dtype_that_is_given():
+    """float32 errors give float32 results: no default beside them is wider."""
+    errors = RVErrors.for_design(RV_40E, disc_bore=np.zeros((2, 2, 2), np.float32), crank_phase=1e-3)
+    arrays = [leaf for leaf in jax.tree.leaves(errors) if hasattr(leaf, "dtype")]
+    assert len(arrays) > 3 and {leaf.dtype for leaf in arrays} == {np.dtype(np.float32)}
+    assert RVErrors.for_design(RV_40E, crank_phase=1e-3).disc_bore.dtype == np.float64
+
+
 def test_for_design_broadcasts_scalars_to_the_design():
     errors = RVErrors.for_design(RV_40E, crank_phase=1e-3, disc_bore=[[[1, 2], [3, 4]], [[5, 6], [7, 8]]])
     np.testing.assert_array_equal(errors.crank_phase, [1e-3, 1e-3])
