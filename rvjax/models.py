@@ -23,13 +23,11 @@ class Kind:
     """What can be asked of one kind of design.
 
     Attributes:
-        design: its class.
         conditions: class of all conditions of its models, as one.
         outputs: by name.
         described: description of the model that has an output, by its name.
     """
 
-    design: type
     conditions: Any
     outputs: Mapping[str, Output]
     described: Mapping[str, Description]
@@ -93,7 +91,7 @@ def _kind(design: Any, known: tuple[Description, ...]) -> Kind:
                 raise ValueError(f"output {name!r} is described twice")
             described[name] = description
     outputs = {name: description.outputs[name] for name, description in described.items()}
-    return Kind(design, _joined(mine), outputs, described)
+    return Kind(_joined(mine), outputs, described)
 
 
 def _joined(known: list[Description]) -> Any:
