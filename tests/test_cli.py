@@ -98,6 +98,8 @@ def test_allocate_writes_tables_and_pictures(answered):
         "8.00 +-4.00 um",
         "shadow price",
         "60,000 fresh units, 0 failed",
+        "all requirements at once: 99.",
+        "no joint_target asks for it",
     ):
         assert words in text
     for name in PICTURES:

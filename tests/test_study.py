@@ -44,6 +44,11 @@ def test_the_response_gives_what_the_requirements_name_and_nothing_else():
     assert set(s.response()(s.design.error_record()).value) == {"transmission_error"}
 
 
+def test_a_target_for_all_requirements_at_once():
+    assert parse_study(GOOD, name="x").joint_target is None
+    assert parse_study(GOOD.replace("seed = 0", "joint_target = 0.9973"), name="x").joint_target == 0.9973
+
+
 def test_overrides_units_and_cost_models():
     changes = 'cycloid.eccentricity = "1.25 mm"\ncranks.bearing_stiffness = "500 N/um"'
     text = GOOD.replace('base = "rv-40e"', f'base = "rv-40e"\n{changes}')
@@ -145,6 +150,7 @@ def test_a_published_design_keeps_its_numbers_until_they_are_changed():
         ('upper = "30 um"\n', "", ["requirement.misfit", "upper or lower"]),
         ('upper = "30 um"\ntarget = 0.9973', 'upper = "30 um"\ntarget = 99.73', ["target", "99.73"]),
         ("seed = 0", "seed = -1", ["run.seed", "-1"]),
+        ("seed = 0", "joint_target = 99.73", ["run.joint_target = 99.73", "between 0 and 1"]),
         ("samples = 16384", "samples = 64", ["run.samples = 64", "at least 100"]),
         (
             'half_width = "5 arcmin"',

@@ -149,9 +149,13 @@ def requirement_rows(answer: Answer) -> tuple[list[str], list[list[str]]]:
 
 
 def headline(answer: Answer) -> str:
-    """Verdict and cost, or why there is no answer."""
+    """Verdict with the yield of all requirements at once, and cost, or why there is no answer."""
     study, allocation = answer.study, answer.allocation
-    lines = [f"Study {study.name}: {allocation.status}", ""]
+    lines = [f"Study {study.name}: {allocation.status}"]
+    if (joint := allocation.certificate.joint_yield) is not None:
+        asked = "no joint_target asks for it" if study.joint_target is None else f"asked {100 * study.joint_target:g} %"
+        lines.append(f"all requirements at once: {yield_text(joint)}, {asked}")
+    lines.append("")
     if allocation.feasible:
         change = 100 * (allocation.cost / allocation.start_cost - 1)
         lines.append(f"cost {allocation.start_cost:.3f} -> {allocation.cost:.3f} ({change:+.1f} %)")
@@ -180,11 +184,7 @@ def summary(answer: Answer) -> str:
     for rows in (tolerance_rows, influence_rows, requirement_rows):
         lines += ["", table(*rows(answer))]
     lines.append("")
-    joint = certificate.joint_yield
-    lines.append(
-        f"Certificate: {certificate.samples:,} fresh units, {certificate.failed:,} failed"
-        + (f"; all requirements at once {yield_text(joint)}" if joint is not None else "")
-    )
+    lines.append(f"Certificate: {certificate.samples:,} fresh units, {certificate.failed:,} failed")
     return "\n".join(lines)
 
 

@@ -81,6 +81,7 @@ def answer(study: Study, *, progress: bool = False) -> Answer:
         samples=study.samples,
         seed=study.seed,
         certificate_samples=study.certificate_samples,
+        joint_target=study.joint_target,
         grades=any(getattr(study.tolerances, name).size is not None for name in study.fields),
         progress=progress,
     )

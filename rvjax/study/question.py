@@ -26,6 +26,7 @@ class Study:
         seed: of all random numbers.
         samples: units that the optimiser sees.
         certificate_samples: fresh units on which the result is certified.
+        joint_target: share of units that must meet all requirements at once; None: each has a target of its own.
         accuracy: largest error of computation allowed, by response name; without one the conditions decide.
     """
 
@@ -39,6 +40,7 @@ class Study:
     seed: int = 0
     samples: int = 16384
     certificate_samples: int = 1_000_000
+    joint_target: float | None = None
     accuracy: dict[str, float] = dataclasses.field(default_factory=dict)
 
     def response(self) -> Response:

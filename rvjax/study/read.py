@@ -12,7 +12,7 @@ from rvjax.outputs import Output
 from rvjax.study.design import parse_design
 from rvjax.study.question import Study, StudyError
 from rvjax.study.response import check_nominal
-from rvjax.study.values import choice, integer, known, naming, naming_field, quantity, subtable
+from rvjax.study.values import choice, integer, known, naming, naming_field, quantity, share, subtable
 from rvjax.tolerances import Exponential, ReciprocalPower, Tolerance, for_design
 from rvjax.tolerances.allocation.allocation import FEWEST
 from rvjax.tolerances.distribution.tolerance import COMMON, LAWS
@@ -74,7 +74,7 @@ def parse_study(text: str, *, name: str, folder: Path = Path()) -> Study:
         tolerances = _tolerances(design, subtable(tables, "tolerances"), folder)
         costs = _costs(error_record, tolerances, subtable(tables, "cost"))
         run = subtable(tables, "run")
-        known(run, {"seed", "samples", "certificate_samples"}, "run")
+        known(run, {"seed", "samples", "certificate_samples", "joint_target"}, "run")
         kind = models.kind(design)
         requirements = _requirements(kind.outputs, subtable(tables, "requirement"))
         study = Study(
@@ -91,6 +91,7 @@ def parse_study(text: str, *, name: str, folder: Path = Path()) -> Study:
             certificate_samples=integer(
                 run.get("certificate_samples", 1_000_000), "run.certificate_samples", 16, 2**32
             ),
+            joint_target=None if "joint_target" not in run else share(run["joint_target"], "run.joint_target"),
         )
         check_nominal(study.response(), error_record())
         return study

@@ -56,6 +56,18 @@ def subtable(parent: dict[str, Any], key: str) -> dict[str, Any]:
     return value
 
 
+def share(value: Any, where: str) -> float:
+    """A share of units, between 0 and 1.
+
+    Args:
+        value: as read.
+        where: its key.
+    """
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < 1:
+        raise ValueError(f"{where} = {value!r}: must lie between 0 and 1, such as 0.9973")
+    return float(value)
+
+
 def integer(value: Any, where: str, minimum: float, maximum: float) -> int:
     """A whole number within limits.
 
