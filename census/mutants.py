@@ -4,9 +4,9 @@
 
 Each mutant of `mutants.toml` is one change that a person could make by mistake: a sign, a factor, a missing term, a
 bound. It goes into a copy of the tree, and only the tests named beside it run, up to the first failure; before, the
-same tests must pass on the tree as it is. General tools (mutmut, cosmic-ray) change every operator and run every test; with
-programs that compile for seconds that is days for what these do in less than an hour. Not part of continuous
-integration, but a cheap test holds the table to the tree.
+same tests must pass on the tree as it is. General tools (mutmut, cosmic-ray) change every operator and run every test;
+with programs that compile for seconds that takes days, and these take an hour. Not part of continuous integration, but
+a cheap test holds the table to the tree.
 """
 
 import argparse

@@ -214,6 +214,14 @@ def test_worst_case_needs_refinement():
     assert worst_case(response, tolerances).upper == pytest.approx(best)
 
 
+def test_worst_case_beyond_a_place_that_every_gradient_calls_the_best():
+    """Two peaks along each of 14 errors, at both limits: only a move across, one error at a time, leaves the lower."""
+    tolerances = {"x": Tolerance.symmetric(1.0, shape=(14,))}
+    found = worst_case(lambda e: jnp.sum((e["x"] + 0.2) ** 2), tolerances)
+    assert found.upper == pytest.approx(14 * 1.2**2)
+    assert found.lower == pytest.approx(0.0, abs=1e-4)
+
+
 def test_worst_case_inside_the_box():
     tolerances = {"x": Tolerance(-1.0, 2.0), "y": Tolerance.symmetric(1.0)}
     response = lambda e: (e["x"] - 0.3) ** 2 + 0.5 * (e["x"] + e["y"]) ** 2  # noqa: E731
