@@ -5,7 +5,8 @@ alike, is seen. Each field of the errors is moved along a random direction of th
 share h of it, to both sides and by twice as much. Differences of fourth order leave less than they differ by from those
 of second order, and the rounding of a value over h: values are good to 1e-12, for they grow from errors without
 cancellation or are solved to that. h is 1e-3, and 1e-4 where forty contacts may open within a step. Where the two sides
-differ, at a kink, the gradient lies between them.
+differ, at a kink, the gradient lies between them. The same program tells what NaN and infinity in a field do: a
+status, or nothing at all.
 """
 
 import dataclasses
@@ -18,6 +19,7 @@ from loaded_cases import NAMED, design_of
 
 from rvjax import CrankStage, Damping, models
 from rvjax.catalogue import CORR, RV_320E
+from rvjax.status import succeeded
 from rvjax.study.response import Response
 from rvjax.units import rpm
 
@@ -85,18 +87,28 @@ def test_gradients_are_slopes_of_the_plain_value(case):
     response = Response.of(design, outputs, models.kind(design).conditions(**given))
 
     def values(errors):
-        value = response(errors).value
-        return jnp.stack([value[name] for name in outputs])
+        found = response(errors)
+        return jnp.stack([found.value[name] for name in outputs]), found.status
 
     def with_value(errors):
-        value = values(errors)
+        value, _ = values(errors)
         return value, value
 
     errors, moves, names = drawn(design, np.random.default_rng(12))
     along = np.repeat([-2, -1, 0, 1, 2], len(names)) * h
-    lanes = jax.tree.map(lambda x, d: x + along.reshape(-1, *(1,) * x.ndim) * np.concatenate([d] * 5), errors, moves)
-    plain = np.asarray(jax.jit(jax.vmap(values))(lanes)).reshape(5, len(names), len(outputs))
-    assert np.isfinite(plain).all()
+
+    def laid_out(x, d):  # five places along each field, then each field with numbers that are none
+        lost = [np.where(d != 0, no_number, x) for no_number in (np.nan, np.inf)]
+        return np.concatenate([x + along.reshape(-1, *(1,) * x.ndim) * np.concatenate([d] * 5), *lost])
+
+    plain, status = map(np.asarray, jax.jit(jax.vmap(values))(jax.tree.map(laid_out, errors, moves)))
+    plain, lost = (part.reshape(-1, len(names), len(outputs)) for part in np.split(plain, [5 * len(names)]))
+    good = np.asarray(succeeded(status))
+    assert np.isfinite(plain).all() and good[: 5 * len(names)].all()
+    # A number that is none has a status, or nobody reads it.
+    good = good[5 * len(names) :].reshape(2, len(names))
+    assert np.array_equal(good, (lost == plain[2]).all(axis=2)), [names[f] for _, f in np.argwhere(good)]
+    assert np.isnan(lost[~good]).any(axis=1).all()
     gradient, value = jax.jit(jax.jacrev(with_value, has_aux=True))(errors)
     np.testing.assert_allclose(value, plain[2, 0], rtol=10 * ROUNDING)
     slope = sum(

@@ -118,7 +118,7 @@ def test_locked_reducer_against_plain_vectors(cranks, discs):
 
 @pytest.mark.parametrize("turned", [2.0, -3.1])
 def test_a_disc_turned_beyond_a_right_angle_keeps_its_misfit(turned):
-    """Carrier bores turned about the axis, beside ordinary errors; lengths of 36 mm are rounded in a misfit of 10 um."""
+    """Carrier bores turned about the axis beside ordinary errors: lengths of 36 mm are rounded in a misfit of 10 um."""
     design = reducer(3, 2)
     radius, errors = design.cranks.circle_radius, drawn(design, 4)
     away = np.array([radius * (np.cos(turned) - 1), radius * np.sin(turned)])
