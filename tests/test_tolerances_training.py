@@ -1,0 +1,33 @@
+"""The sample that an allocation learns from: what failed units do to its margins.
+
+Oracle: the share of units that fail, Phi(-1.5) = 6.7 %, and the quantiles of the normal law among the others.
+"""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import stats
+
+from rvjax.tolerances import Requirement, Tolerance
+from rvjax.tolerances.allocation.training import Training
+from rvjax.tolerances.population.population import Population
+
+SAMPLES = 4096
+
+
+def margins(target, joint_target):
+    """Of the units of N(0, 1/3), those above 1/2 without value, to an upper limit of 2: its own and the joint one."""
+    response = lambda e: {"y": jnp.where(e["x"] > 0.5, jnp.nan, e["x"])}  # noqa: E731
+    required = {"y": Requirement(upper=2.0, target=target)}
+    given = Population.of({"x": Tolerance.symmetric(1.0)})
+    return Training(response, given, ("x",), required, joint_target, SAMPLES, 0).margins(np.ones(1))
+
+
+def test_failed_units_are_beyond_every_limit():
+    """More of them than a target leaves out, and there is no quantile; fewer, and they are the last units of all."""
+    assert np.array_equal(margins(0.95, 0.95), [np.inf, np.inf])
+    own, joint = margins(0.9, 0.9)
+    # A share p of 4096 units is off by sqrt(p (1 - p) / n) = 0.005, their quantile by that over the density: 0.01.
+    quantile = stats.norm.ppf(0.9) / 3
+    assert own == pytest.approx(quantile - 2.0, abs=0.03)
+    assert joint == pytest.approx((quantile - 2.0) / 2.0, abs=0.015)  # in parts of the way to the limit
