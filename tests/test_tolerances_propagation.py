@@ -110,6 +110,13 @@ def test_batch_factor():
         rss(square, uniform, order=2)
 
 
+def test_components_of_vectors_in_a_batch_have_factors_of_their_own():
+    """var(sum_j x_j + 2 y_j) = (1 + 4) s^2 (3 + 6 b) of three vectors: x and y share nothing."""
+    tolerances = {"v": Tolerance(0.0, 3.0, distribution="rayleigh", shape=(3, 2), batch=0.3)}  # s = 1
+    found = rss(lambda e: jnp.sum(e["v"][:, 0] + 2 * e["v"][:, 1]), tolerances)
+    assert found.sd == pytest.approx(math.sqrt(5 * (3 + 6 * 0.3)), rel=1e-12)
+
+
 def test_correlated_errors():
     """sd of linear sums from the correlation matrix; the share of a field is its part of the variance."""
     tolerances = {"a": Tolerance.symmetric(3.0), "b": Tolerance.symmetric(6.0, shape=(2,), batch=0.2)}
