@@ -120,6 +120,7 @@ def test_more_accuracy_costs_more():
         (dict(design=RV_40E.replace(cranks=RV_40E.cranks.replace(circle_radius=50e-3))), "circle_radius"),
         (dict(design=RV_40E.replace(cycloid=RV_40E.cycloid.replace(disc_count=3))), "disc_count"),
         (dict(conditions=dataclasses.replace(LOADED, output_torque=600.0)), "torque"),
+        (dict(conditions=dataclasses.replace(LOADED, output_torque=30.0)), "torque"),
         (dict(conditions=dataclasses.replace(LOADED, cranks="free")), "cranks"),
         (dict(tolerances=for_design(RV_40E, disc_bore=Tolerance.symmetric(90 * um))), "disc_bore"),
         (dict(tolerances=for_design(RV_40E, disc_bore=Tolerance.symmetric(0.1 * um))), "disc_bore"),
