@@ -7,7 +7,7 @@ import pytest
 import rvjax
 from rvjax import SolveError, SolveInfo, Status, check
 from rvjax.records import Record, field, record
-from rvjax.status import PRECEDENCE, admit, first_failure, succeeded, worst
+from rvjax.status import PRECEDENCE, WITHOUT_VALUE, admit, first_failure, succeeded, worst
 
 
 @record
@@ -24,6 +24,9 @@ def result(*statuses):
 def test_every_status_has_its_place():
     assert set(PRECEDENCE) == set(Status) and len(PRECEDENCE) == len(Status)
     assert Status.CONVERGED == 0 and PRECEDENCE[-1] is Status.CONVERGED and PRECEDENCE[0] is Status.NONFINITE
+    # A value that was refused or never reached is none; what comes behind describes one.
+    refused = {Status.NONFINITE, Status.INVALID_GEOMETRY, Status.UNDERCUT, Status.CONTACT_OVERLOAD}
+    assert set(WITHOUT_VALUE) == refused | {Status.NO_BRACKET, Status.MAX_STEPS, Status.NOT_ASSEMBLABLE}
 
 
 def test_the_worst_of_several_is_the_first_by_precedence():
