@@ -1,7 +1,9 @@
-"""The sample that an allocation learns from: what failed units do to its margins.
+"""The sample that an allocation learns from: what failed units do to its margins; and what a certificate holds for.
 
 Oracle: the share of units that fail, Phi(-1.5) = 6.7 %, and the quantiles of the normal law among the others.
 """
+
+from types import SimpleNamespace
 
 import jax.numpy as jnp
 import numpy as np
@@ -9,8 +11,10 @@ import pytest
 from scipy import stats
 
 from rvjax.tolerances import Requirement, Tolerance
+from rvjax.tolerances.allocation.certificate import Certifier
 from rvjax.tolerances.allocation.training import Training
 from rvjax.tolerances.population.population import Population
+from rvjax.tolerances.propagation.estimates import Estimate
 
 SAMPLES = 4096
 
@@ -31,3 +35,14 @@ def test_failed_units_are_beyond_every_limit():
     quantile = stats.norm.ppf(0.9) / 3
     assert own == pytest.approx(quantile - 2.0, abs=0.03)
     assert joint == pytest.approx((quantile - 2.0) / 2.0, abs=0.015)  # in parts of the way to the limit
+
+
+@pytest.mark.parametrize(("lower", "holds"), [(0.9899, False), (0.99, True)])
+def test_a_certificate_counts_a_joint_yield_by_its_worse_end(lower, holds):
+    met = {"y": SimpleNamespace(met=True)}
+    statistics = SimpleNamespace(verdicts=met, joint_yield=Estimate(0.992, 0.001, lower, 0.994))
+    assert Certifier(None, 0.99).holds(statistics) is holds
+    assert Certifier(None, None).holds(statistics)
+    assert not Certifier(None, None).holds(
+        SimpleNamespace(verdicts={"y": SimpleNamespace(met=False)}, joint_yield=None)
+    )
