@@ -251,6 +251,16 @@ def test_mesh_frequencies_and_wave(cases):
     np.testing.assert_allclose(wave, cases[18]["out"]["a"], rtol=1e-10)
 
 
+def test_torques_that_nothing_balances_have_no_mean_state():
+    """Neither sun nor output is held: only the sun torque that leaves the rigid motion without load has an answer."""
+    free = stiffness(sun_torsion=0.0)
+    balanced = dynamics.static(free, output_torque=TORQUE)
+    assert int(balanced.info.status) == Status.CONVERGED
+    for sun_torque in (0.0, 10.0):
+        found = dynamics.static(free, output_torque=TORQUE, sun_torque=sun_torque)
+        assert int(found.info.status) == Status.SINGULAR
+
+
 def test_the_wave_of_a_mesh_is_a_trapezoid():
     """Its Fourier integral by the midpoint rule, whose kinks leave 1e-9 of the swing with 2^16 points."""
     variation = MeshVariation(0.3, 0.6, 0.1, 0.2, 0.45, 0.3)

@@ -3,6 +3,7 @@
 Oracle: the share of units that fail, Phi(-1.5) = 6.7 %, and the quantiles of the normal law among the others.
 """
 
+import dataclasses
 from types import SimpleNamespace
 
 import jax.numpy as jnp
@@ -46,3 +47,19 @@ def test_a_certificate_counts_a_joint_yield_by_its_worse_end(lower, holds):
     assert not Certifier(None, None).holds(
         SimpleNamespace(verdicts={"y": SimpleNamespace(met=False)}, joint_yield=None)
     )
+
+
+def test_every_certificate_has_units_of_its_own():
+    """A run that tells its seed: no certificate sees the units of the search, or of another certificate."""
+
+    @dataclasses.dataclass(frozen=True)
+    class Told:
+        seed: int
+        population: object = None
+        keep: bool = False
+
+        def statistics(self):
+            return self.seed
+
+    certifier = Certifier(Told(3), None)
+    assert [certifier.draw(None) for _ in range(3)] == [4, 5, 6]
