@@ -119,7 +119,7 @@ def _reproduce():
     for source in published.SOURCES:
         rows = []
         for figure in published.figures(source):
-            row = published.compare(figure, figure.get("our_value"))
+            row = published.compare(figure, published.ours(figure))
             counts[row.status] = counts.get(row.status, 0) + 1
             parts = [f"`{row.id}`", _plain(row.claim), *([f"*{_plain(row.note)}*"] if row.note else [])]
             shown = [published.show(value) for value in (row.published, row.computed)]

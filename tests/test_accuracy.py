@@ -18,8 +18,10 @@ from rvjax.catalogue import RV_20E, RV_40E
 from rvjax.levels import measured
 from rvjax.levels.measure import evaluate, limits
 from rvjax.levels.table import SAFETY, Level, Model, Table, stored
+from rvjax.lost_motion import geometric
 from rvjax.plotting import tradeoff as picture
-from rvjax.status import succeeded
+from rvjax.status import Status, succeeded
+from rvjax.study.response import Response
 from rvjax.tolerances import Tolerance, for_design, sample
 from rvjax.units import arcsec, um
 
@@ -118,6 +120,7 @@ def test_more_accuracy_costs_more():
         (dict(design=RV_40E.replace(cranks=RV_40E.cranks.replace(circle_radius=50e-3))), "circle_radius"),
         (dict(design=RV_40E.replace(cycloid=RV_40E.cycloid.replace(disc_count=3))), "disc_count"),
         (dict(conditions=dataclasses.replace(LOADED, output_torque=600.0)), "torque"),
+        (dict(conditions=dataclasses.replace(LOADED, output_torque=30.0)), "torque"),
         (dict(conditions=dataclasses.replace(LOADED, cranks="free")), "cranks"),
         (dict(tolerances=for_design(RV_40E, disc_bore=Tolerance.symmetric(90 * um))), "disc_bore"),
         (dict(tolerances=for_design(RV_40E, disc_bore=Tolerance.symmetric(0.1 * um))), "disc_bore"),
@@ -165,6 +168,30 @@ def test_a_study_states_its_accuracy():
     for bad in ('noise = "1 um"', 'misfit = "1 arcsec"', 'misfit = "-1 um"', "misfit = 1"):
         with pytest.raises(study.StudyError, match="accuracy"):
             study.parse_study(f"{text}\n[accuracy]\n{bad}\n", name="x")
+
+
+def test_a_chosen_level_is_the_one_that_is_computed():
+    """Its settings decide over the conditions, its precision over the inputs."""
+    errors = RV_20E.error_record(pin_circle_radius=9 * um, pin_radius=-3 * um, eccentricity=4 * um)
+    conditions = models.kind(RV_20E).conditions()
+    level = (("lost_motion_profile", "closed_form"),)
+    wanted = geometric(RV_20E, errors, profile="closed_form").total
+    assert abs(float(geometric(RV_20E, errors).total / wanted - 1)) > 1e-4
+    for precision, bound in (("float64", 1e-14), ("float32", 1e-5)):  # of the page on stability
+        chosen = {"lost_motion": levels.Choice("lost_motion", "closed form", level, precision, None, None, "asked")}
+        found = Response.of(RV_20E, ("lost_motion",), conditions, chosen)(errors).value["lost_motion"]
+        off = abs(float(found / wanted - 1))
+        assert found.dtype == jnp.float64 and off < bound and (precision == "float64" or off > 1e-12)
+
+
+def test_a_response_has_the_worst_status_of_its_outputs():
+    """Whichever is asked for first: lost motion does not read the phase, the misfit does."""
+    errors = RV_40E.error_record(crank_phase=np.array([0.0, np.nan]))
+    conditions = models.kind(RV_40E).conditions(angles=8)
+    for outputs in (("lost_motion", "misfit"), ("misfit", "lost_motion")):
+        found = Response.of(RV_40E, outputs, conditions)(errors)
+        assert Status(int(found.status)) == Status.NONFINITE
+        assert np.isfinite(found.value["lost_motion"]) and np.isnan(found.value["misfit"])
 
 
 @pytest.fixture(scope="module")

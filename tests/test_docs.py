@@ -84,7 +84,7 @@ def test_the_build_has_no_warning(tmp_path):
         for figure in published.figures(source):
             assert figure["id"] in reproduce
             # The page shows the ledger's values: `test_published` holds these against computed ones.
-            shown = published.compare(figure, figure.get("our_value"))
+            shown = published.compare(figure, published.ours(figure))
             assert shown.status == figure["expected_status"], figure["id"]
     levels = (tmp_path / "html" / "levels.html").read_text("utf-8")
     assert "closed form, 64 angles, float64" in levels and "_images/tradeoff.png" in levels

@@ -12,7 +12,7 @@ import pytest
 
 import rvjax
 from oracles.dynamics import Oracle, layout
-from rvjax import Status, dynamics
+from rvjax import MeshVariation, Status, dynamics
 from rvjax.catalogue import RV_20E, RV_320E
 from rvjax.plotting import dynamics as plotting
 from rvjax.published.rv320e_appendix import printed_stiffness
@@ -249,6 +249,29 @@ def test_mesh_frequencies_and_wave(cases):
         np.testing.assert_allclose(np.abs(w) / (2 * np.pi), speed[name], rtol=1e-10)
     wave = dynamics.excitation.wave_coefficients(lumped, "planetary", 9)
     np.testing.assert_allclose(wave, cases[18]["out"]["a"], rtol=1e-10)
+
+
+def test_torques_that_nothing_balances_have_no_mean_state():
+    """Neither sun nor output is held: only the sun torque that leaves the rigid motion without load has an answer."""
+    free = stiffness(sun_torsion=0.0)
+    balanced = dynamics.static(free, output_torque=TORQUE)
+    assert int(balanced.info.status) == Status.CONVERGED
+    for sun_torque in (0.0, 10.0):
+        found = dynamics.static(free, output_torque=TORQUE, sun_torque=sun_torque)
+        assert int(found.info.status) == Status.SINGULAR
+
+
+def test_the_wave_of_a_mesh_is_a_trapezoid():
+    """Its Fourier integral by the midpoint rule, whose kinks leave 1e-9 of the swing with 2^16 points."""
+    variation = MeshVariation(0.3, 0.6, 0.1, 0.2, 0.45, 0.3)
+    lumped = jax.tree.map(jnp.asarray, dynamics.lump(RV_320E.replace(mesh_variation=variation)))
+    t = (np.arange(2**16) + 0.5) / 2**16 - 0.5
+    for stage in ("planetary", "cycloid"):
+        swing, duty, ramp = (getattr(variation, f"{stage}_{name}") for name in ("swing", "duty", "ramp"))
+        wave = swing * np.clip((duty / 2 - np.abs(t)) / ramp + 0.5, 0, 1)  # half high a share `duty` of the period
+        exact = 2 * np.mean(wave * np.cos(2 * np.pi * np.arange(1, 10)[:, None] * t), axis=1)
+        found = dynamics.excitation.wave_coefficients(lumped, stage, 9)
+        np.testing.assert_allclose(found, exact, rtol=0, atol=1e-8 * swing)
 
 
 def test_what_is_refused():

@@ -16,6 +16,8 @@ import pytest
 from oracles.dynamics import Oracle, layout
 from rvjax import Damping, dynamics
 from rvjax.catalogue import RV_320E
+from rvjax.dynamics.modal import DynamicStiffness, ModalSector, on_resonance
+from rvjax.dynamics.symmetry import KINDS
 from rvjax.units import rpm
 
 TORQUE, RATED = -3136.0, 1000 * rpm
@@ -101,9 +103,9 @@ def test_second_derivatives():
         return jnp.sum(function(values)[:, :, 1] ** 2) * 1e16
 
     direction = point * jnp.linspace(0.5, 1.5, len(point))
-    both = jax.jit(jax.value_and_grad(jax.grad(lambda s: power(point + s * direction))))
-    slope = sixth_order(lambda s: both(s)[0], 0.0, 1e-3)
-    assert float(both(0.0)[1]) == pytest.approx(float(slope), rel=1e-6)
+    first = jax.grad(lambda s: power(point + s * direction))
+    slope = sixth_order(jax.jit(first), 0.0, 1e-3)
+    assert float(jax.jit(jax.grad(first))(0.0)) == pytest.approx(float(slope), rel=1e-6)
 
 
 OUTPUTS = ("output.x", "output.y", "output.rotation", "planet1.y")
@@ -272,3 +274,27 @@ def test_a_failed_lane_leaves_the_gradients_of_its_neighbours_alone():
     lanes, sound = (gradient(jnp.array([4.19e7, k, 5e7])) for k in (jnp.nan, 4.5e7))
     np.testing.assert_allclose(lanes[jnp.array([0, 2])], sound[jnp.array([0, 2])], rtol=1e-12)
     assert sound[1] != 0
+
+
+def test_shapes_turn_as_differences_say():
+    """Of simple rotational modes, in size, for a shape has no sign; sixth order leaves rounding over the step."""
+
+    @jax.jit
+    def motion(share):
+        springs = RV_320E.stiffness.replace(disc_pin_mesh=RV_320E.stiffness.disc_pin_mesh * (1 + share))
+        found = dynamics.modes(RV_320E.replace(stiffness=springs))
+        order = jnp.argsort(jnp.where(found.kind_index == KINDS.index("rotational"), found.frequency, jnp.inf))[1:6]
+        return jnp.abs(found.shape[2, order])  # rotation of the sun
+
+    slope = jax.jit(jax.jacfwd(motion))(0.0)
+    assert np.abs(slope / motion(0.0)).max() > 1e-2
+    np.testing.assert_allclose(slope, sixth_order(motion, 0.0, 1e-3), rtol=1e-6, atol=1e-8 * np.abs(slope).max())
+
+
+def test_a_frequency_that_meets_a_mode_is_told():
+    """Undamped, w^2 equal to a square or one rounding beside; damped never."""
+    modal = ModalSector(None, None, None, None, jnp.asarray([4.0, 9.0]))
+    for square, met in ((9.0, True), (9.0 * (1 + 2e-16), True), (9.0 * (1 + 1e-12), False), (6.0, False)):
+        z = [jnp.asarray([complex(x)]) for x in (1.0, 0.0, -square)]
+        assert bool(on_resonance(modal, DynamicStiffness(*z))) == met
+        assert not on_resonance(modal, DynamicStiffness(z[0] * (1 + 1e-6j), *z[1:]))

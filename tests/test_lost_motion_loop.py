@@ -8,6 +8,7 @@ from itertools import pairwise
 
 import jax
 import jax.numpy as jnp
+import mpmath
 import numpy as np
 import pytest
 
@@ -47,6 +48,19 @@ def test_reference_cases(reference):
             )
             np.testing.assert_allclose(figures.energy / arcmin, expected["energy_N_m_arcmin"], rtol=1e-12)
     assert sorted(kinds) == ["hysteresis_loop", "loop_figures"]
+
+
+def test_the_play_is_taken_up_along_its_whole_curve():
+    """tanh by mpmath, from nothing to where it is 1 to rounding, and its slope 1 - tanh^2 to the last digit it has."""
+    ratios = [0.0, 1e-9, 0.3, 2.0, 4.5, 9.0, 17.0, 19.0, 25.0, 39.9, 40.1, 400.0]
+    torque = jnp.asarray([sign * ratio * 0.7 for ratio in ratios for sign in (1, -1)])
+    options = dict(stiffness=1e9, friction=0.0)
+    angle = hysteresis_loop(torque, play=2.0, smoothing=0.7, **options)
+    exact = [float(mpmath.tanh(mpmath.mpf(float(t)) / mpmath.mpf(0.7))) + float(t) / 1e9 for t in torque]
+    np.testing.assert_allclose(angle, exact, rtol=4e-16 * 4, atol=0)  # four roundings
+    slope = jax.vmap(jax.grad(lambda t: hysteresis_loop(t[None], play=2.0, smoothing=0.7, **options)[0]))(torque)
+    sharp = [float((1 - mpmath.tanh(mpmath.mpf(float(t)) / mpmath.mpf(0.7)) ** 2) / mpmath.mpf(0.7)) for t in torque]
+    np.testing.assert_allclose(slope - 1e-9, sharp, rtol=1e-9, atol=1e-15)  # 1 - tanh^2 is known to a rounding of 1
 
 
 @pytest.mark.parametrize("change", [{}, {"smoothing": 0.0}, {"friction": 0.0}, {"friction": 9.0}, {"play": 0.0}])

@@ -1,9 +1,12 @@
-"""The power series of the line contact against the exact law, and the bound of what the series leaves."""
+"""The line contact: its power series against the exact law, and Hertz's pressure with the radii of both bodies."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax.mesh_force import laws
+from rvjax.catalogue import CORR
+from rvjax.mesh_force import MeshForces, contact_pressure, laws, tooth_profile
+from rvjax.status import at_once
 
 
 def test_the_stiffness_of_the_series_is_as_good_as_it_says():
@@ -27,3 +30,16 @@ def test_the_stiffness_of_the_series_is_as_good_as_it_says():
     assert (miss <= laws.series_error(bend) + 32 * np.finfo(float).eps).all()
     large = np.asarray(bend) > 1e-3  # where the bound is above rounding it is not idle either: within a factor 1000
     assert (miss[large] > laws.series_error(bend)[large] / 1000).mean() > 0.5
+
+
+def test_the_pressure_at_the_gear_is_that_of_a_cylinder_in_the_hollow_of_the_profile():
+    """Hertz: p^2 = F / (pi l rho C), 1 / rho = 1 / r - curvature of the flank, which the profile gives."""
+    design, theta, gear = CORR, 0.0013, np.linspace(100.0, 900.0, CORR.gear_teeth + 1)
+    none = jnp.zeros(CORR.gear_teeth + 1)
+    forces = MeshForces(none, none, jnp.asarray(gear), jnp.zeros(()), at_once(jnp.zeros(())))
+    found = contact_pressure(design, forces, output_angle=theta).gear
+    lead = design.gear_teeth * theta - 2 * np.pi * np.arange(len(gear)) / len(gear)
+    profile = jax.vmap(lambda angle: tooth_profile(design, angle))(jnp.asarray(lead / design.gear_teeth))
+    radius = 1 / (1 / design.roller_radius - np.asarray(profile.flank_curvature))
+    compliance = 2 * (1 - design.poisson_ratio**2) / design.young_modulus
+    np.testing.assert_allclose(found, np.sqrt(gear / (np.pi * design.roller_length * radius * compliance)), rtol=1e-11)

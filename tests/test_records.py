@@ -99,6 +99,17 @@ def test_for_design_broadcasts_scalars_to_the_design():
     np.testing.assert_array_equal(traced, np.full((2, 2), 2e-6))
 
 
+def test_a_stiffened_design_has_each_share_in_its_own_springs():
+    shares = dict(sun_planet=0.1, disc_pin=-0.2, turning_arm=0.3, support=0.04)
+    errors = RVErrors(**{f"{name}_stiffness": share for name, share in shares.items()})
+    springs = {"sun_planet": "sun_planet_mesh", "disc_pin": "disc_pin_mesh"}
+    springs |= {"turning_arm": "turning_arm_bearing", "support": "support_bearing"}
+    nominal, found = vars(catalogue.RV_320E.stiffness), vars(errors.stiffened(catalogue.RV_320E).stiffness)
+    own = {spring: 1 + shares[name] for name, spring in springs.items()}
+    for name, value in nominal.items():
+        assert found[name] == value * own.get(name, 1.0), name
+
+
 def test_catalogue_holds_together():
     """Table values of the RV-40E against each other: gear geometry and crank spacing."""
     stage = InvoluteStage.from_teeth(10, 26, module=2 * mm, pressure_angle=20 * deg)

@@ -1,12 +1,13 @@
 """Statuses, their precedence, and `check`."""
 
 import jax.numpy as jnp
+import numpy as np
 import pytest
 
 import rvjax
 from rvjax import SolveError, SolveInfo, Status, check
 from rvjax.records import Record, field, record
-from rvjax.status import PRECEDENCE, first_failure, succeeded, worst
+from rvjax.status import PRECEDENCE, WITHOUT_VALUE, admit, first_failure, succeeded, worst
 
 
 @record
@@ -23,6 +24,9 @@ def result(*statuses):
 def test_every_status_has_its_place():
     assert set(PRECEDENCE) == set(Status) and len(PRECEDENCE) == len(Status)
     assert Status.CONVERGED == 0 and PRECEDENCE[-1] is Status.CONVERGED and PRECEDENCE[0] is Status.NONFINITE
+    # A value that was refused or never reached is none; what comes behind describes one.
+    refused = {Status.NONFINITE, Status.INVALID_GEOMETRY, Status.UNDERCUT, Status.CONTACT_OVERLOAD}
+    assert set(WITHOUT_VALUE) == refused | {Status.NO_BRACKET, Status.MAX_STEPS, Status.NOT_ASSEMBLABLE}
 
 
 def test_the_worst_of_several_is_the_first_by_precedence():
@@ -36,6 +40,22 @@ def test_first_failure_does_not_depend_on_the_order_of_its_checks():
     checks = [(jnp.array([True, True, False]), Status.SINGULAR), (jnp.array([True, False, False]), Status.NONFINITE)]
     expected = [Status.NONFINITE, Status.SINGULAR, Status.CONVERGED]
     assert list(first_failure(*checks)) == list(first_failure(*checks[::-1])) == expected
+
+
+def test_a_gate_lets_values_stand_that_their_status_only_describes():
+    """Lanes: sound, at a change point, without a root, refused (and then whatever its harmless numbers gave)."""
+    refused, here = jnp.array([False, False, False, True]), jnp.arange(4)
+    inputs, gate = admit(jnp.array([1.0, 2.0, 3.0, jnp.nan]), 0.5, (refused, Status.INVALID_GEOMETRY))
+    assert list(inputs) == [1.0, 2.0, 3.0, 0.5]
+    found_wrong = ((here == 1, Status.CHANGE_POINT), (here == 2, Status.NO_BRACKET), (here == 3, Status.SINGULAR))
+    values, info = gate.close(2 * inputs, *found_wrong)
+    assert list(info.status) == [
+        Status.CONVERGED,
+        Status.CHANGE_POINT,
+        Status.NO_BRACKET,
+        Status.INVALID_GEOMETRY,
+    ]
+    np.testing.assert_array_equal(values, [2.0, 4.0, np.nan, np.nan])
 
 
 def test_check_passes_success_and_returns_the_result():

@@ -181,6 +181,16 @@ def failing(e):
     return Outcome({"y": value, "z": e["b"]}, jnp.stack([jnp.full_like(status, int(Status.CONVERGED)), status]))
 
 
+def test_the_joint_yield_counts_units_within_all_limits():
+    """Of two independent normal responses within one and two sd: the product of both shares."""
+    given = {"a": Tolerance.symmetric(3.0), "b": Tolerance.symmetric(3.0)}  # sd 1
+    limits = {"a": Requirement(upper=1.0), "b": Requirement(lower=-2.0)}
+    found = monte_carlo(lambda e: dict(e), given, samples=4096, seed=5, requirements=limits)
+    both = stats.norm.cdf(1.0) * stats.norm.cdf(2.0)
+    assert abs(found.joint_yield.value - both) < 4 * np.sqrt(both * (1 - both) / 4096)
+    assert found.joint_yield.value < found.yield_["a"].value < found.yield_["b"].value
+
+
 def test_failed_units_are_rejects_with_a_reason():
     found = monte_carlo(
         failing, STACK, samples=20_000, seed=1, chunk=3000, keep=True, requirements={"y": Requirement(upper=1.0)}

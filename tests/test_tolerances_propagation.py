@@ -110,6 +110,13 @@ def test_batch_factor():
         rss(square, uniform, order=2)
 
 
+def test_components_of_vectors_in_a_batch_have_factors_of_their_own():
+    """var(sum_j x_j + 2 y_j) = (1 + 4) s^2 (3 + 6 b) of three vectors: x and y share nothing."""
+    tolerances = {"v": Tolerance(0.0, 3.0, distribution="rayleigh", shape=(3, 2), batch=0.3)}  # s = 1
+    found = rss(lambda e: jnp.sum(e["v"][:, 0] + 2 * e["v"][:, 1]), tolerances)
+    assert found.sd == pytest.approx(math.sqrt(5 * (3 + 6 * 0.3)), rel=1e-12)
+
+
 def test_correlated_errors():
     """sd of linear sums from the correlation matrix; the share of a field is its part of the variance."""
     tolerances = {"a": Tolerance.symmetric(3.0), "b": Tolerance.symmetric(6.0, shape=(2,), batch=0.2)}
@@ -212,6 +219,17 @@ def test_worst_case_needs_refinement():
     corners = itertools.product((-1.0, 1.0), repeat=4)
     best = max(0.1 * y + 3 * y * x0 - 0.2 * x1 + x0 * x2 for y, x0, x1, x2 in corners)
     assert worst_case(response, tolerances).upper == pytest.approx(best)
+
+
+def test_worst_case_beyond_a_place_that_every_gradient_calls_the_best():
+    """Two peaks along each of 14 errors, 0.8 and 1.2 high at the limits, and in the middle a slope to the lower one.
+
+    Only moves across, one error at a time, leave the lower peaks; less than half of any start lies on the others.
+    """
+    tolerances = {"x": Tolerance.symmetric(1.0, shape=(14,))}
+    found = worst_case(lambda e: jnp.sum(0.5 * e["x"] ** 3 + e["x"] ** 2 - 0.3 * e["x"]), tolerances)
+    assert found.upper == pytest.approx(14 * 1.2)
+    np.testing.assert_array_equal(found.at_upper["x"], 1.0)
 
 
 def test_worst_case_inside_the_box():

@@ -28,7 +28,7 @@ from rvjax.tolerances import Outcome, Requirement, Tolerance, monte_carlo, sampl
 from rvjax.tolerances.population.population import Population
 from rvjax.tolerances.population.sobol import SCRAMBLES, SobolPoints
 from rvjax.tolerances.propagation import checkpoint, tally
-from rvjax.tolerances.propagation.checkpoint import response_hash
+from rvjax.tolerances.propagation.checkpoint import describe, response_hash
 from rvjax.tolerances.propagation.estimates import Moments4, Pairwise
 from rvjax.tolerances.propagation.order import Order
 
@@ -273,6 +273,27 @@ def test_another_study_is_refused_by_name(tmp_path, monkeypatch):
     monkeypatch.setattr("rvjax.__version__", "9.9")
     with pytest.raises(ValueError, match=r"rvjax is \S+ in the file and 9.9 here"):
         run(2000, checkpoint=path)
+
+
+def test_the_fingerprint_of_a_study_sees_everything_that_shapes_its_errors():
+    """Every option of every law, the correlation, each alone and all apart from each other."""
+    plain, magnitude = dict(lower=-1.0, upper=1.5), dict(lower=0.0, upper=1.5, distribution="rayleigh")
+    beta, lognormal = dict(distribution="beta", beta=(2.0, 3.0)), dict(distribution="lognormal", log_sd=0.3)
+    measured = dict(distribution="empirical", values=[-0.5, 0.1, 0.4])
+    turned = dict(lower=0.0, distribution="von_mises", concentration=2.0, direction=0.1, shape=(2,))
+    given = [
+        *(plain | change for change in ({}, dict(lower=-1.1), dict(upper=1.6), dict(cp=1.1), dict(shift=0.1))),
+        *(plain | change for change in (dict(distribution="uniform"), dict(shape=(4,)), dict(shape=(4,), batch=0.2))),
+        *(magnitude | change for change in ({}, dict(shape=(2,), vector=False), dict(shape=(2,), vector=True))),
+        *(plain | change for change in (beta, beta | dict(beta=(2.0, 3.1)), lognormal, lognormal | dict(log_sd=0.31))),
+        *(plain | change for change in (measured, measured | dict(values=[-0.5, 0.1, np.nextafter(0.4, 1)]))),
+        *(plain | turned | change for change in ({}, dict(concentration=2.1), dict(direction=0.2))),
+    ]
+    told = [describe(Population.of({"a": Tolerance(**options)}), {}) for options in given]
+    told += [describe(Population.of({"a": 0.1}), {}), describe(Population.of({"a": 0.2}), {})]
+    pair = {"a": Tolerance.symmetric(1.0), "b": Tolerance.symmetric(1.0)}
+    told += [describe(Population.of(pair, {("a", "b"): rho} if rho else None), {}) for rho in (0.0, 0.5, 0.5 + 1e-15)]
+    assert len({tuple(sorted(text.items())) for text in told}) == len(told)
 
 
 def test_the_hash_of_a_response_sees_every_constant():

@@ -50,7 +50,9 @@ def _hysteresis_loop(*numbers: PyTree) -> jax.Array:
     torque, play, stiffness, friction, smoothing = promote(*numbers)
 
     def play_operator(before: jax.Array, now: jax.Array) -> tuple[jax.Array, jax.Array]:
-        after = jnp.maximum(now - friction, jnp.minimum(now + friction, before))
+        # Selected, for where both meet `maximum` shares its derivative: without friction the torque passes whole.
+        after = jnp.where(before >= now + friction, now + friction, before)
+        after = jnp.where(before <= now - friction, now - friction, after)
         return after, after
 
     _, passed = jax.lax.scan(play_operator, jnp.zeros_like(friction), torque)

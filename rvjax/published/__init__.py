@@ -1,5 +1,5 @@
 """Comparison with the literature: the ledger of published figures and their computation."""
 
-from rvjax.published.ledger import SOURCES, Comparison, compare, figures, parse, reproduce, show
+from rvjax.published.ledger import SOURCES, Comparison, compare, figures, ours, parse, reproduce, show
 
-__all__ = ["SOURCES", "Comparison", "compare", "figures", "parse", "reproduce", "show"]
+__all__ = ["SOURCES", "Comparison", "compare", "figures", "ours", "parse", "reproduce", "show"]

@@ -193,6 +193,11 @@ def _centre_circle_change() -> float:
     return 100 * ((135 + 7) / (135 + 20) - 1)
 
 
+def _largest_roller() -> float:
+    """Without undercut, mm: what a roller of 20 mm would have to stay below."""
+    return float(mesh_force.largest_roller_radius(CORR)) / mm
+
+
 _eccentricity, _cam = partial(_change, "eccentricity"), partial(_change, "cam_radius")
 
 COMPUTED: dict[str, Callable[[], Any]] = {
@@ -221,7 +226,7 @@ COMPUTED: dict[str, Callable[[], Any]] = {
     "corr.fig12.little_effect": lambda: all(
         abs(_change("roller_radius", name)) < 2 for name in ("cam_mean", "gear_mean")
     ),
-    "corr.fig12.range": lambda: float(mesh_force.largest_roller_radius(CORR)) / mm,
+    "corr.fig12.range": _largest_roller,
     "corr.fig12.cage_mean_change": _centre_circle_change,
     "corr.fig13.smaller_than_eccentricity": lambda: abs(_cam("cam_mean")) < abs(_eccentricity("cam_mean")),
     "corr.fig15.huge_effect": lambda: (
@@ -251,3 +256,4 @@ COMPUTED |= {
     for figure in figures("corr")
     if "compute" in figure
 }
+COMPUTED |= {figure["id"]: _largest_roller for figure in figures("corr") if "presupposes" in figure}

@@ -12,13 +12,19 @@ One TOML file per source. Fields of a `[[figure]]`:
     rounding         half the last printed digit
     expected_status  the verdict the tests hold the computed one against
     reading          the interpretation under which the figure comes out; not evidence for it
-    contradicted_by  what the figure cannot stand beside
+    contradicted_by  what the figure cannot stand beside, where our value lies outside the band about it
+    judging_value    our number that judges a figure which has no counterpart of its own; in the note, not beside it
+    judging_unit     its unit where it is another one
+    presupposes      what it is held against instead of the figure, in that unit
     missing          what the source leaves out
     calibrated       an input was chosen so that the figure comes out: close at best, never reproduced
     note             anything else a reader should know
 
-Status words: reproduced (within rounding), reproduced_with_reading, close (within 10 %), contradicted,
-not_computable; not_reproduced would be a defect of rvjax, and a test forbids it.
+Status words: reproduced (within rounding), reproduced_with_reading, close (within 10 %), not_computable; contradicted
+(our value is further from the figure than rounding and tolerance together, and `contradicted_by` says why the figure
+is at fault); not_reproduced (further than 10 % and nothing says why). The last one is a defect of rvjax or a reading
+that was never found: the ledger holds no such figure, and a test forbids it. Every verdict but not_computable follows
+from the computed number, `contradicted` too: a model that moves into the band ends it, and the test turns red.
 """
 
 import importlib
@@ -73,9 +79,14 @@ def reproduce(sources: tuple[str, ...] = SOURCES) -> list[Comparison]:
         module = importlib.import_module(f"rvjax.published.{source}")
         right = getattr(module, "RIGHT", {})
         for figure in figures(source):
-            computed = _call(module.COMPUTED[figure["id"]]) if "our_value" in figure else None
+            computed = None if ours(figure) is None else _call(module.COMPUTED[figure["id"]])
             rows.append(compare(figure, computed, _call(right.get(figure["id"]))))
     return rows
+
+
+def ours(figure: dict[str, Any]) -> Any:
+    """The number that the ledger holds a computed one against; None where the source does not allow one."""
+    return figure.get("our_value", figure.get("judging_value"))
 
 
 def compare(figure: dict[str, Any], computed: Any, right: Any = None) -> Comparison:
@@ -88,15 +99,18 @@ def compare(figure: dict[str, Any], computed: Any, right: Any = None) -> Compari
     """
     unit = figure.get("our_unit", figure["unit"])
     notes = [figure[key] for key in ("contradicted_by", "missing", "reading", "calibrated", "note") if key in figure]
+    status = _status(figure, computed)
+    if status == "contradicted":
+        notes.append(_where(figure, computed))
     if right is not None:
         notes.append(f"physically right: {show(right)} {unit}")
     return Comparison(
         id=figure["id"],
         claim=figure["claim"],
         published=figure["value"],
-        computed=computed,
+        computed=None if "judging_value" in figure else computed,
         unit=unit,
-        status=_status(figure, computed),
+        status=status,
         note="; ".join(notes),
         right=right,
     )
@@ -126,20 +140,37 @@ def _plain(value: Any) -> Any:
 
 
 def _status(figure: dict[str, Any], computed: Any) -> str:
-    if "contradicted_by" in figure:  # the verdict of an argument, not of a number
-        return "contradicted"
     if computed is None:
         return "not_computable"
-    published = _list(figure["value"])
-    ours, rounding = _list(computed), _list(figure.get("rounding", 0.0))
-    rounding = rounding * len(published) if len(rounding) == 1 else rounding
-    if all(abs(a - b) <= r * (1 + 1e-9) for a, b, r in zip(ours, published, rounding, strict=True)):
+    bands = _bands(figure, computed)
+    if "contradicted_by" in figure and any(abs(a - b) > r + t for a, b, r, t in bands):
+        return "contradicted"
+    if all(abs(a - b) <= r * (1 + 1e-9) for a, b, r, _ in bands):
         if "calibrated" in figure:
             return "close"
         return "reproduced_with_reading" if "reading" in figure else "reproduced"
-    if all(abs(a - b) <= CLOSE * abs(b) for a, b in zip(ours, published)):
+    if all(abs(a - b) <= CLOSE * abs(b) for a, b, _, _ in bands):
         return "close"
     return "not_reproduced"
+
+
+def _bands(figure: dict[str, Any], computed: Any) -> list[tuple[Any, Any, Any, Any]]:
+    """Of every element: computed, published, half the last printed digit, tolerance of the computed one."""
+    published = _list(figure.get("presupposes", figure["value"]))
+    ours, rounding, tolerance = _list(computed), _list(figure.get("rounding", 0.0)), _list(figure.get("tolerance", 0.0))
+    rounding, tolerance = (x * len(published) if len(x) == 1 else x for x in (rounding, tolerance))
+    return list(zip(ours, published, rounding, tolerance, strict=True))
+
+
+def _where(figure: dict[str, Any], computed: Any) -> str:
+    """The numbers that make a contradiction."""
+    if isinstance(figure.get("presupposes", figure["value"]), bool):
+        return f"computed: {show(computed)}"
+    unit = figure.get("judging_unit", figure.get("our_unit", figure["unit"]))
+    outside = [x for x in _bands(figure, computed) if abs(x[0] - x[1]) > x[2] + x[3]]
+    where = ", ".join(f"{show(a)} is outside {show(b)} +- {r + t:.2g} {unit}" for a, b, r, t in outside[:3])
+    more = f" and {len(outside) - 3} more" if len(outside) > 3 else ""
+    return f"computed: {where}{more}"
 
 
 def _list(value: Any) -> list[Any]:

@@ -189,6 +189,7 @@ COMPUTED: dict[str, Callable[[], Any]] = {
     "rv40e.table2.elastic_margin": partial(_margin, "table2"),
     "rv40e.table3.elastic_margin": partial(_margin, "table3"),
     "rv40e.zero_error.rigid": lambda: printed()[0],
+    "rv40e.zero_error.elastic": lambda: 3 * list(_lengthened(ELASTIC_TABLE_2_3, printed)),
     "rv40e.model.parallelogram": lambda: all(
         right(crank_angle=angle)[0] == 0.0
         for angle in np.arange(5, 360, 7.0) * deg  # off the dead points

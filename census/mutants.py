@@ -1,0 +1,135 @@
+"""Do the tests notice? Semantic mutants of every room, one at a time, against the tests that must fail.
+
+    python -m census.mutants [--room loaded] [--only "place of the smallest"] [--keep census/mutants.json]
+
+Each mutant of `mutants.toml` is one change that a person could make by mistake: a sign, a factor, a missing term, a
+bound. It goes into a copy of the tree, and only the tests named beside it run, up to the first failure; before, the
+same tests must pass on the tree as it is. General tools (mutmut, cosmic-ray) change every operator and run every test;
+with programs that compile for seconds that takes days, and these take an hour. Not part of continuous integration, but
+a cheap test holds the table to the tree.
+"""
+
+import argparse
+import json
+import os
+import shlex
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+import tomllib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+TABLE = ROOT / "census" / "mutants.toml"
+LIMIT = 600  # s for the tests of one mutant; one that hangs is noticed, too
+COPIED = ("rvjax", "tests", "oracles", "census", "benchmarks", "docs", "notebooks", "pyproject.toml")
+
+
+@dataclass(frozen=True)
+class Mutant:
+    """One change: `old` becomes `new` in `file`, and of `tests` (arguments of pytest) at least one must fail."""
+
+    room: str
+    breaks: str
+    file: str
+    old: str
+    new: str
+    tests: str
+    survives: str = ""  # why no test can notice, for one that is known to live
+
+    def places(self, root: Path = ROOT) -> int:
+        """How often the old text stands in its file."""
+        return (root / self.file).read_text("utf-8").count(self.old)
+
+
+def table() -> list[Mutant]:
+    """All mutants, in the order of the file."""
+    return [Mutant(**row) for row in tomllib.loads(TABLE.read_text("utf-8"))["mutant"]]
+
+
+def copied(folder: Path) -> None:
+    """The tree as the tests need it, without what they made."""
+    left = shutil.ignore_patterns("__pycache__", ".pytest_cache", "_build")
+    for name in (*COPIED, *(path.name for path in ROOT.glob("*.md"))):
+        source = ROOT / name
+        (shutil.copytree if source.is_dir() else shutil.copy)(
+            source, folder / name, **({"ignore": left} if source.is_dir() else {})
+        )
+
+
+def run(folder: Path, tests: str) -> str:
+    """ "passed", "failed", "hangs", or what kept pytest from running them."""
+    command = [sys.executable, "-m", "pytest", "-n", "0", "-p", "no:cacheprovider", "-x", *shlex.split(tests)]
+    kept = os.environ.get("JAX_COMPILATION_CACHE_DIR", str(ROOT / ".pytest_cache" / "jax"))
+    here = {**os.environ, "PYTHONPATH": str(folder), "JAX_COMPILATION_CACHE_DIR": kept}
+    try:
+        found = subprocess.run(command, cwd=folder, env=here, capture_output=True, text=True, timeout=LIMIT)
+    except subprocess.TimeoutExpired:
+        return "hangs"
+    if found.returncode in (0, 1):
+        return ("passed", "failed")[found.returncode]
+    return f"pytest ended with {found.returncode}: {(found.stdout + found.stderr).strip()[-300:]}"
+
+
+def judged(folder: Path, mutant: Mutant) -> str:
+    """ "killed", "survived", or what is wrong with the row of the table."""
+    path = folder / mutant.file
+    whole = path.read_text("utf-8")
+    if (places := mutant.places(folder)) != 1:
+        return f"the old text stands {places} times in {mutant.file}"
+    path.write_text(whole.replace(mutant.old, mutant.new), "utf-8")
+    try:
+        found = run(folder, mutant.tests)
+    finally:
+        path.write_text(whole, "utf-8")
+    return {"failed": "killed", "hangs": "killed", "passed": "survived"}.get(found, found)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command."""
+    parser = argparse.ArgumentParser(prog="python -m census.mutants", description=__doc__.split("\n")[0])
+    parser.add_argument("--room", help="this room alone")
+    parser.add_argument("--only", help="mutants whose `breaks` holds this text")
+    parser.add_argument("--keep", help="JSON file for the score")
+    parser.add_argument("--trust", action="store_true", help="the tests are known to pass on the tree as it is")
+    options = parser.parse_args(arguments)
+    mutants = [m for m in table() if options.room in (None, m.room) and (options.only or "") in m.breaks]
+    started, score = time.perf_counter(), dict[str, list[int]]()
+    survivors, wrong = [], []
+    with tempfile.TemporaryDirectory(prefix="rvjax-mutants-") as name:
+        folder = Path(name)
+        copied(folder)
+        sound: dict[str, str] = {}
+        for mutant in mutants:
+            if not options.trust and mutant.tests not in sound:
+                sound[mutant.tests] = run(folder, mutant.tests)
+            begun = time.perf_counter()
+            before = sound.get(mutant.tests, "passed")
+            found = judged(folder, mutant) if before == "passed" else f"without the mutant: {before}"
+            print(f"{mutant.room:12} {found:9.200} {time.perf_counter() - begun:4.0f} s  {mutant.breaks}", flush=True)
+            if found not in ("killed", "survived"):
+                wrong.append(mutant)
+                continue
+            count = score.setdefault(mutant.room, [0, 0])
+            count[0] += found == "killed"
+            count[1] += 1
+            survivors += [mutant] if found == "survived" else []
+    minutes = (time.perf_counter() - started) / 60
+    for room, (killed, count) in score.items():
+        print(f"{room:12} {killed:3} of {count:3}")
+    killed, count = (sum(column) for column in zip(*score.values())) if score else (0, 0)
+    print(f"all          {killed:3} of {count:3}, {minutes:.0f} min")
+    for mutant in survivors:
+        print(f"survived: {mutant.room}: {mutant.breaks}: {mutant.survives or 'no reason known'}")
+    if options.keep:
+        kept = {"rooms": score, "survivors": [m.breaks for m in survivors], "minutes": round(minutes)}
+        Path(options.keep).write_text(json.dumps(kept, indent=1) + "\n", "utf-8")
+    return int(bool(wrong) or any(not m.survives for m in survivors))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

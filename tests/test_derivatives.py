@@ -1,0 +1,130 @@
+"""Every output of every model: its gradient to every error against differences of the plain value.
+
+The oracle is the value function alone, compiled by itself: a rule of a derivative that computes its own value, wrong
+alike, is seen. Each field of the errors is moved along a random direction of the size at which parts deviate, by a
+share h of it, to both sides and by twice as much. Differences of fourth order leave less than they differ by from those
+of second order, and the rounding of a value over h: values are good to 1e-12, for they grow from errors without
+cancellation or are solved to that. h is 1e-3, and 1e-4 where forty contacts may open within a step. Where the two sides
+differ, at a kink, the gradient lies between them. The same program tells what NaN and infinity in a field do: a
+status, or nothing at all.
+"""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from loaded_cases import NAMED, design_of
+
+from rvjax import CrankStage, Damping, models
+from rvjax.catalogue import CORR, RV_320E
+from rvjax.status import succeeded
+from rvjax.study.response import Response
+from rvjax.units import rpm
+
+ROUNDING, CLOSE = 1e-12, 1e-6
+SIZES = {"m": 2e-6, "rad": 1e-4, "-": 2e-2}
+PLAY = {"pin_circle_radius": 8e-6, "pin_radius": -8e-6}  # the disc fits between the pins
+WHOLE = design_of(NAMED["rv40: all errors, rated, hertz"]).replace(  # what all models of an RV reducer read
+    cranks=CrankStage(2, 0.036, 6e8),
+    inertia=RV_320E.inertia,
+    mesh_variation=RV_320E.mesh_variation,
+    damping=Damping(modal_ratio=0.02),
+)
+RUN = dict(
+    output_torque=412.0,
+    rated_torque=412.0,
+    angles=16,
+    samples=4,
+    sun_speed=1500 * rpm,
+    slowest_sun_speed=1400 * rpm,
+    fastest_sun_speed=1600 * rpm,
+)
+LOADED = ("loaded_transmission_error", "pin_force")
+BENCH = ("pin_pressure", "backlash", "bench_lost_motion", "torsional_stiffness")
+CASES = {  # design, outputs, conditions
+    "four bar": (WHOLE, ("transmission_error", "misfit"), RUN),
+    "four bar, curve": (WHOLE, ("transmission_error",), RUN | dict(closure="newton")),
+    "lost motion": (WHOLE, ("lost_motion",), RUN),
+    "lost motion, contact": (WHOLE, ("lost_motion",), RUN | dict(lost_motion_profile="contact")),
+    "dynamics": (WHOLE, ("vibration", "resonance_margin"), RUN),
+    "balance": (WHOLE, ("vibration",), RUN | dict(method="harmonic_balance", harmonics=3)),
+    "mesh force": (CORR.replace(gear_teeth=8), ("cam_force", "contact_pressure"), dict(input_torque=110.0, angles=2)),
+    "loaded": (WHOLE, LOADED, RUN),
+    "bench": (WHOLE, BENCH, RUN),
+}
+# These compile long; a quicker way through most of the same model runs by default.
+LONG = ("four bar, curve", "lost motion, contact", "balance", "loaded", "bench")
+
+
+def test_no_output_is_left_out():
+    for kind in (models.kind(WHOLE), models.kind(CORR)):
+        for name in kind.outputs:
+            assert any(name in outputs for _, outputs, _ in CASES.values()), name
+
+
+def drawn(design, random):
+    """Errors of a random unit, for each field a move along a random direction, and the names of the fields."""
+    blank = design.error_record()
+    errors, moves, names = {}, {}, [f.name for f in dataclasses.fields(blank)]
+    for number, f in enumerate(dataclasses.fields(blank)):
+        size, shape = SIZES[f.metadata["unit"]], tuple(design.counts.get(n, n) for n in f.metadata["shape"])
+        errors[f.name] = size * random.standard_normal(shape) + PLAY.get(f.name, 0.0)
+        if f.metadata["sign"] == "nonnegative":
+            errors[f.name] = np.abs(errors[f.name])
+        moves[f.name] = np.zeros((len(names), *shape))
+        moves[f.name][number] = size * random.standard_normal(shape)
+    tree = jax.tree.structure(blank)
+    order = [path[0].name for path, _ in jax.tree_util.tree_leaves_with_path(blank)]
+    return (*(tree.unflatten([np.asarray(v[n]) for n in order]) for v in (errors, moves)), names)
+
+
+@pytest.mark.parametrize("case", [pytest.param(c, marks=pytest.mark.long) if c in LONG else c for c in CASES])
+def test_gradients_are_slopes_of_the_plain_value(case):
+    design, outputs, given = CASES[case]
+    h = 1e-4 if case in ("loaded", "bench") else 1e-3
+    response = Response.of(design, outputs, models.kind(design).conditions(**given))
+
+    def values(errors):
+        found = response(errors)
+        return jnp.stack([found.value[name] for name in outputs]), found.status
+
+    def with_value(errors):
+        value, _ = values(errors)
+        return value, value
+
+    errors, moves, names = drawn(design, np.random.default_rng(12))
+    along = np.repeat([-2, -1, 0, 1, 2], len(names)) * h
+
+    def laid_out(x, d):  # five places along each field, then each field with numbers that are none
+        lost = [np.where(d != 0, no_number, x) for no_number in (np.nan, np.inf)]
+        return np.concatenate([x + along.reshape(-1, *(1,) * x.ndim) * np.concatenate([d] * 5), *lost])
+
+    plain, status = map(np.asarray, jax.jit(jax.vmap(values))(jax.tree.map(laid_out, errors, moves)))
+    plain, lost = (part.reshape(-1, len(names), len(outputs)) for part in np.split(plain, [5 * len(names)]))
+    good = np.asarray(succeeded(status))
+    assert np.isfinite(plain).all() and good[: 5 * len(names)].all()
+    # A number that is none has a status, or nobody reads it.
+    good = good[5 * len(names) :].reshape(2, len(names))
+    assert np.array_equal(good, (lost == plain[2]).all(axis=2)), [names[f] for _, f in np.argwhere(good)]
+    assert np.isnan(lost[~good]).any(axis=1).all()
+    gradient, value = jax.jit(jax.jacrev(with_value, has_aux=True))(errors)
+    np.testing.assert_allclose(value, plain[2, 0], rtol=10 * ROUNDING)
+    slope = sum(
+        np.reshape(d, (len(names), -1)) @ np.reshape(g, (len(outputs), -1)).T
+        for g, d in zip(jax.tree.leaves(gradient), jax.tree.leaves(moves))
+    )
+    far_left, left, middle, right, far_right = plain
+    central = (8 * (right - left) - (far_right - far_left)) / (12 * h)
+    sides = np.sort([4 * right - far_right - 3 * middle, 3 * middle - 4 * left + far_left], axis=0) / (2 * h)
+    largest = np.abs(slope).max(0)
+    left_over = np.abs(central - (right - left) / (2 * h))
+    bound = CLOSE * np.abs(slope) + left_over + ROUNDING / h * np.abs(middle)
+    kink = sides[1] - sides[0] > 1e-3 * largest
+    outside = (slope < sides[0] - 1e-2 * largest) | (slope > sides[1] + 1e-2 * largest)
+    wrong = np.where(kink, outside, np.abs(slope - central) > bound)
+    worst = [(names[f], outputs[o], slope[f, o], central[f, o], bound[f, o]) for f, o in np.argwhere(wrong)]
+    assert not worst, worst
+    assert kink.mean() < 0.02 and (bound < 1e-4 * largest).mean() > 0.9
+    assert (np.abs(central) > bound).any(axis=0).all()  # every output depends on something

@@ -1,0 +1,50 @@
+"""The figures of a report as text: every number in the unit that stands beside it.
+
+Oracle: the same numbers converted by hand.
+"""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from rvjax.report import text
+from rvjax.tolerances.propagation.estimates import Estimate
+from rvjax.units import arcmin
+
+
+def allocation(**changes):
+    found = dict(status="OPTIMAL", feasible=True, start_cost=10.0, cost=8.0, graded=None, shortfall={})
+    return SimpleNamespace(**found | changes)
+
+
+def headline(**changes):
+    study = SimpleNamespace(name="s", output=lambda name: SimpleNamespace(shown=("arcmin", arcmin)))
+    return text.headline(SimpleNamespace(study=study, allocation=allocation(**changes))).split("\n")
+
+
+def test_a_yield_has_both_ends_of_its_interval():
+    assert text.yield_text(Estimate(0.99, 0.002, 0.985, 0.9951)) == "99.000 % [98.500, 99.510]"
+
+
+def test_a_saving_is_a_negative_change():
+    assert headline()[2] == "cost 10.000 -> 8.000 (-20.0 %)"
+    graded = SimpleNamespace(cost=9.0, status="NOT_CERTIFIED")
+    assert headline(graded=graded)[3] == "with ISO 286 grades: cost 9.000 (NOT_CERTIFIED)"
+
+
+def test_a_shortfall_is_told_in_the_unit_of_its_limit():
+    missing = {"error": 0.3 * arcmin, "met": 0.0, "lost": np.inf}
+    lines = headline(feasible=False, status="INFEASIBLE", shortfall=missing)
+    assert lines[0] == "Study s: INFEASIBLE" and len(lines) == 5
+    assert lines[3] == "  the limit of error would have to move by 0.3 arcmin"
+    assert lines[4] == "  the limit of lost would do at no value: too many units fail"
+
+
+@pytest.mark.parametrize(
+    ("kind", "shown"),
+    [("share", "90.000 % [80.000, 95.000]"), ("response", "3094 arcmin [2750, 3266]"), ("number", "0.9 [0.8, 0.95]")],
+)
+def test_a_figure_is_told_in_its_own_unit(kind, shown):
+    verdict = SimpleNamespace(kind=kind, estimate=Estimate(0.9, 0.05, 0.8, 0.95))
+    assert text.figure_text(verdict, "arcmin", arcmin) == shown
