@@ -223,3 +223,25 @@ def test_misfit_of_a_reducer():
     assert first.evaluations["misfit"] <= 100_000
     at_point = response(first.point["misfit"]).value["misfit"]
     assert float(at_point) == pytest.approx(27 * um, rel=1e-3)
+
+
+# Parts that fail each in its own direction, all alike: what a maximum over pins or rollers is. (response, fields, limit,
+# exact probability, direction of one failure.)
+ALIKE = {
+    "maximum of 33": (lambda e: jnp.max(e["v"]), 33, 4.5, 33),
+    "maximum of 64": (lambda e: jnp.max(e["v"]), 64, 4.5, 64),
+    "largest of 50, either sign": (lambda e: jnp.max(jnp.abs(e["v"])), 50, 4.5, 100),
+    # No slope anywhere, and no value that tells near from far.
+    "plateau": (lambda e: jnp.where(jnp.max(e["v"]) > 4.5, 1.0, 0.0), 10, 0.5, 10),
+}
+
+
+@pytest.mark.parametrize("case", ALIKE)
+def test_every_part_has_its_own_failure(case):
+    response, fields, limit, ways = ALIKE[case]
+    exact = -math.expm1(ways * stats.norm.logcdf(4.5))
+    found = failure_probability(
+        response, {"v": Tolerance.symmetric(3.0, shape=(fields,))}, Requirement(upper=limit), samples=10_000, seed=1
+    )
+    agrees(found, exact, 0.1)
+    assert found.points == ways
