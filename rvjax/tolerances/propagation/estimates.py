@@ -65,6 +65,12 @@ def wilson(successes: int, samples: int, confidence: float) -> Estimate:
     return Estimate(share, math.sqrt(share * (1 - share) / samples), lower, upper)
 
 
+def rare(share: float, error: float, deviate: float) -> Estimate:
+    """A small share with an interval of equal factors: a sample that misses what is rare and heavy has a low error too."""
+    factor = math.exp(min(deviate * error / share, 700.0)) if share > 0 else 1.0
+    return Estimate(share, error, share / factor, min(1.0, share * factor))
+
+
 def student(confidence: float, scrambles: int) -> float:
     """Deviate of a two-sided confidence where the error comes from the spread between scrambles."""
     deviate_of(confidence)
