@@ -225,8 +225,8 @@ def test_misfit_of_a_reducer():
     assert float(at_point) == pytest.approx(27 * um, rel=1e-3)
 
 
-# Parts that fail each in its own direction, all alike: what a maximum over pins or rollers is. (response, fields, limit,
-# exact probability, direction of one failure.)
+# Parts that fail each in its own direction, all alike: a maximum over pins or rollers. (Response, fields, limit,
+# ways to fail beyond 4.5 sigma.)
 ALIKE = {
     "maximum of 33": (lambda e: jnp.max(e["v"]), 33, 4.5, 33),
     "maximum of 64": (lambda e: jnp.max(e["v"]), 64, 4.5, 64),

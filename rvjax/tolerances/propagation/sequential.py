@@ -1,9 +1,9 @@
 """The probability of failure from failing units alone: spread until they fail, then drawn together step by step.
 
 Subset simulation (Au and Beck 2001) over the sets F(s) = {z: s z fails}, from a spread s at which failures are common
-down to 1. It asks of a unit only whether it fails: no slope, no point, no value that tells near from far; and its scatter
-does not grow with the number of random numbers. What it ends with are units of the failing region itself, each way to
-fail in proportion to its probability.
+down to 1. It asks of a unit only whether it fails: no slope, no point, no value that tells near from far; and its
+scatter does not grow with the number of random numbers. What it ends with are units of the failing region itself, each
+way to fail in proportion to its probability.
 """
 
 import dataclasses
