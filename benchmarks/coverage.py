@@ -5,6 +5,7 @@ whose figures replace the kept ones.
 """
 
 import argparse
+import itertools
 import json
 import math
 from pathlib import Path
@@ -16,6 +17,7 @@ from benchmarks.timing import settings
 settings()
 
 from benchmarks.coverage_cases import PIN, RARE  # noqa: E402  (after the flags)
+from benchmarks.coverage_intervals import LAWS, held  # noqa: E402
 from rvjax.tolerances import Requirement, failure_probability  # noqa: E402
 from rvjax.tolerances.population.population import Population, root_key  # noqa: E402
 from rvjax.tolerances.propagation.responses import respond_units  # noqa: E402
@@ -71,6 +73,10 @@ def main():
             exact, units = plain(case, options.units) if name == PIN else (case.exact, None)
             found = rare(case, exact, options.seeds) | ({"plain units": units} if units else {})
             keep("rare", name, found)
+    for law, method in itertools.product(LAWS, ("random", "sobol")):
+        name = f"{law}, {method}"
+        if options.only is None or name in options.only:
+            keep("intervals", name, held(law, method, options.seeds))
 
 
 def keep(part, name, found):

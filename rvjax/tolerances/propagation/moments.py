@@ -50,8 +50,9 @@ class CentralMoments:
         n, d = self.n + b.n, b.mean - self.mean
         mean = self.mean + d * b.n / n
         ours, theirs = -d * b.n / n, d * self.n / n  # of the blocks' own means from the common one
+        x, y = self.sums, b.sums
         s2, s3, s4, s5, s6 = (
-            sum(math.comb(p, k) * (ours**k * self.sums[p - k] + theirs**k * b.sums[p - k]) for k in range(p + 1))
+            sum(math.comb(p, k) * (ours**k * x[p - k] + theirs**k * y[p - k]) for k in range(p + 1))
             for p in range(2, 7)
         )
         least, most = min(self.minimum, b.minimum), max(self.maximum, b.maximum)

@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import itertools
 import math
 from collections.abc import Callable
 from typing import Any
@@ -39,7 +40,9 @@ class Sampled:
         # What each scramble adds to the figure (jackknife), so that one which is no mean has no bias of small groups.
         filled, value = [part for part in self.streams if part.n], of(self.whole)
         count, none = len(filled), CentralMoments()
-        others = [functools.reduce(CentralMoments.merge, filled[:k] + filled[k + 1 :], none) for k in range(count)]
+        before = itertools.accumulate(filled, CentralMoments.merge, initial=none)
+        after = [*itertools.accumulate(filled[:0:-1], CentralMoments.merge, initial=none)][::-1]
+        others = [head.merge(tail) for head, tail in zip(before, after)]
         figures = np.array([count * value - (count - 1) * of(rest) for rest in others])
         return of_groups(figures, value, self.confidence)
 
