@@ -17,6 +17,9 @@ import rvjax
 from rvjax.status import Status
 from rvjax.study.response import Response
 from rvjax.tolerances import Outcome, Requirement, Tolerance, failure_probability, for_design, monte_carlo
+from rvjax.tolerances.propagation import failure
+from rvjax.tolerances.propagation.design_points import Found, slopes
+from rvjax.tolerances.propagation.responses import respond
 from rvjax.units import um
 
 UNIT = Tolerance.symmetric(3.0)  # standard normal
@@ -47,8 +50,12 @@ def test_flat_limit():
     )
     assert (found.points, found.status) == (1, "OK")
     assert 20_000 < found.evaluations < 70_000
+    programs = respond.programs(flat), slopes.programs(flat)
     again = failure_probability(flat, THREE, Requirement(upper=4.0), samples=20_000, seed=1)
     assert again.probability == found.probability
+    other = failure_probability(flat, THREE, Requirement(upper=3.9), samples=5000, seed=2)
+    assert other.probability.value != found.probability.value
+    assert (respond.programs(flat), slopes.programs(flat)) == programs == (1, 1)
 
 
 def test_errors_are_honest():
@@ -188,6 +195,30 @@ def test_unreachable_limits_and_no_spread():
     fixed = dict.fromkeys("abc", Tolerance(1.0, 1.0))
     assert failure_probability(flat, fixed, Requirement(upper=1.0), samples=100, seed=0).probability.value == 0.0
     assert failure_probability(flat, fixed, Requirement(upper=0.5), samples=100, seed=0).probability.value == 1.0
+
+
+def test_what_the_first_estimate_misses_shows(monkeypatch):
+    """With all searches blind to one of two ways to fail, the second estimate tells, and its interval is taken in."""
+    take = failure._Search._take
+
+    def blind(self, state, found):
+        seen = found.points[0] > 2
+        return take(self, state, Found(found.points[:, seen], found.converged[seen]))
+
+    monkeypatch.setattr(failure._Search, "_take", blind)
+    monkeypatch.setattr(failure, "orbit", lambda state, point, converged: Found(point[:, None], np.array([converged])))
+    response = lambda e: jnp.maximum(e["v"][0], e["v"][1])  # noqa: E731
+    found = failure_probability(response, THIRTY, Requirement(upper=4.5), samples=10_000, seed=1)
+    assert found.points == 1
+    assert found.probability.value < 0.6 * 2 * stats.norm.sf(4.5)
+    assert "ESTIMATES_DISAGREE" in found.status
+    assert found.probability.lower <= 2 * stats.norm.sf(4.5) <= found.probability.upper
+
+
+def test_a_unit_without_random_numbers():
+    for limit, share in ((-1.0, 1.0), (1.0, 0.0)):
+        found = failure_probability(lambda e: 0.0 * e["a"], {"a": None}, Requirement(upper=limit), samples=100, seed=0)
+        assert (found.probability.value, found.points) == (share, 0)
 
 
 def test_responses_of_several_values():

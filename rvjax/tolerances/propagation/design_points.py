@@ -54,12 +54,12 @@ class Units:
         """Values (n,) and gradients (numbers, n), nan where a unit has no value."""
         self.evaluations += _GRADIENT_COST * z.shape[1]
         given = jnp.asarray(z, jnp.result_type(float))
-        value, gradient = _slopes(self.response, self.population, given, name=self.name)
+        value, gradient = slopes(self.response, self.population, given, name=self.name)
         return np.asarray(value, float), np.asarray(gradient, float)
 
 
 @per_response(static=("name",))
-def _slopes(response: Response, population: Population, z: jax.Array, *, name: str) -> tuple[jax.Array, jax.Array]:
+def slopes(response: Response, population: Population, z: jax.Array, *, name: str) -> tuple[jax.Array, jax.Array]:
     def value(z: jax.Array) -> tuple[jax.Array, jax.Array]:
         values, status = evaluate(response, population.errors(z))
         return values[name], status

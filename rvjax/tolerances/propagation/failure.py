@@ -65,19 +65,21 @@ def failure_probability(
 ) -> FailureProbability:
     """Probability that a unit violates a requirement, by importance sampling about its design points.
 
-    First the points of the failing region nearest to the middle of the random numbers are searched
-    from units with a high response (the first-order reliability method; every limit has points of its
-    own). Then units are drawn from unit normals centred there, each weighted by the ratio of the
-    densities (Melchers 1989). Failures drawn far from every known point start further searches before
-    the final draw: where all phases are equally bad, the points become a ring. A tenth of the units is
-    drawn about the middle, so that no failure carries more than ten times its own share.
+    A second estimate comes first: subset simulation, which asks of a unit only whether it fails, and ends
+    with units of the failing region, every way to fail in proportion. From these, and from units near a
+    limit, the points of the failing region nearest to the middle of the random numbers are searched (the
+    first-order reliability method; every limit has points of its own), until a batch of searches finds
+    nothing new, 12 batches at most. Images of a point by exchange of like parts are points too where the
+    response fails there. Then units are drawn from unit normals centred there, each weighted by the ratio
+    of the densities (Melchers 1989); a tenth is drawn about the middle, so that no weight exceeds 20.
+    Where the two estimates disagree, the status says so and the interval holds both.
 
     Args:
         response: pure function of the errors of one unit; a scalar, a dict or record of scalars, or `Outcome`.
         tolerances: record or dict with a `Tolerance` or None in each field.
         requirement: `Requirement`, or a dict of them by name of the response, each judged alone; its target
             plays no part.
-        samples: units of the final draw; the searches add some 10 000 to 40 000 evaluations.
+        samples: units of the final draw; the second estimate and the searches add some 20 000 to 80 000 evaluations.
         seed: of the random numbers.
         correlation: {(field or element, field or element): correlation of their z}.
 

@@ -18,6 +18,7 @@ from rvjax.tolerances.propagation.estimates import Estimate, rare, student
 ISLANDS = 8
 """Populations that know nothing of each other: the spread of their estimates is the error of the mean."""
 EACH = 128  # units of an island
+UNITS = ISLANDS * EACH
 _SPREADS = (1.25, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0)  # tried in turn
 _ENOUGH = 0.1  # share of failing units that ends the spreading
 _KEPT = 0.2  # share of the units that should fail at the next spread too
@@ -56,7 +57,7 @@ def sequential(fails: Fails, numbers: int, random: np.random.Generator, confiden
     """
 
     def fail(z: np.ndarray, spread: float) -> np.ndarray:
-        return fails(spread * z.reshape(numbers, -1)).reshape(z.shape[1:])
+        return fails(spread * z.reshape(numbers, UNITS)).reshape(ISLANDS, EACH)
 
     z = random.standard_normal((numbers, ISLANDS, EACH))
     shares, noise, reach = np.ones(ISLANDS), 0.0, 0.5
@@ -80,7 +81,7 @@ def sequential(fails: Fails, numbers: int, random: np.random.Generator, confiden
             z = np.where(taken, trial, z)
             reach = min(1.0, 1.4 * reach) if taken.mean() > _HIGH else reach / 1.4 if taken.mean() < _LOW else reach
         if spread == 1:
-            return Sequential(_estimate(shares, noise, confidence), z[:, alive].reshape(numbers, -1))
+            return Sequential(_estimate(shares, noise, confidence), z[:, alive].reshape(numbers, EACH * alive.sum()))
         before, spread = spread, _next(float(shares.mean()), spread)
         failed = fail(z, spread) & alive[:, None]
         while failed.mean() < _LEAST and before - spread > _CLOSE:
