@@ -81,7 +81,7 @@ RARE = {
         lambda e: jnp.floor(4 * jnp.sum(e["v"]) / math.sqrt(10)) / 4, _fields(10), 3.9, SF(4.0)
     ),
     "saturated by tanh": Rare(
-        lambda e: jnp.tanh(5 * jnp.sum(e["v"]) / math.sqrt(10)), _fields(10), math.tanh(5 * 3.5), SF(3.5)
+        lambda e: jnp.tanh(2 * jnp.sum(e["v"]) / math.sqrt(10)), _fields(10), math.tanh(2 * 3.5), SF(3.5)
     ),
     "hidden corner": Rare(
         lambda e: jnp.where(jnp.min(e["v"][:2]) > 3.2, 2.0, jnp.tanh(e["v"][2])), _fields(10), 1.5, SF(3.2) ** 2
