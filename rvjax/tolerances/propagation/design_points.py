@@ -60,6 +60,8 @@ class Units:
 
 @per_response(static=("name",))
 def slopes(response: Response, population: Population, z: jax.Array, *, name: str) -> tuple[jax.Array, jax.Array]:
+    """Values (n,) of one name and their gradients (numbers, n) at z (numbers, n), nan where a unit has no value."""
+
     def value(z: jax.Array) -> tuple[jax.Array, jax.Array]:
         values, status = evaluate(response, population.errors(z))
         return values[name], status
