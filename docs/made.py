@@ -1,12 +1,14 @@
 """What the docs show of rvjax itself, made while they are built: drawings, and tables that never go stale."""
 
 import dataclasses
+import json
 from functools import cache
 from pathlib import Path
 
 import jax
 import matplotlib.pyplot as plt
 import numpy as np
+from scipy import special
 
 import rvjax
 from rvjax import catalogue, dynamics, four_bar, levels, loaded, lost_motion, models, plotting, published, units
@@ -249,8 +251,51 @@ def _loaded_measured(axes):
     return plotting.loaded.measured_curve(rv160.TORQUE, rv160.MEASURED, rv160.FITTED, curves, axes=axes)
 
 
+def _coverage():
+    return json.loads((Path(__file__).parents[1] / "benchmarks" / "coverage.json").read_text())
+
+
+def _percent(share, seeds, due=0.95):
+    """A share of seeds; bold where what is due would be so far off in fewer than one case in a hundred."""
+    hits = round(share * seeds)
+    chance = min(special.bdtr(hits, seeds, due), special.bdtrc(hits - 1, seeds, due))
+    return f"**{100 * share:.1f}**" if chance < 0.005 else f"{100 * share:.1f}"
+
+
+def _coverage_rare():
+    rows = [
+        (
+            name,
+            f"{f['exact']:.2g}",
+            f["seeds"],
+            *(_percent(f[key], f["seeds"]) for key in ("held", "second held")),
+            f"{f['mean over exact']:.3f}",
+            f"{f['worst over exact']:.2f}",
+            f"{100 * f['relative error']:.0f}",
+            f"{100 * f['disagree']:.1f}",
+            f"{f['evaluations'] - f['samples']:,}",
+        )
+        for name, f in _coverage()["rare"].items()
+    ]
+    heads = ["failures", "probability", "seeds", "held, %", "second held, %", "mean / exact", "worst / exact"]
+    return _table([*heads, "error, %", "disagree, %", "units beside `samples`"], rows)
+
+
+def _coverage_intervals():
+    kept = _coverage()["intervals"]
+    due = {"yield, lower end": 0.975}
+    names = list(dict.fromkeys(name for found in kept.values() for name in found if name != "seeds"))
+    rows = [
+        (law, *(_percent(found[n], found["seeds"], due.get(n, 0.95)) if n in found else "-" for n in names))
+        for law, found in kept.items()
+    ]
+    return _table(["law, method", *names], rows)
+
+
 TEXTS = {
     "conditions": _conditions,
+    "coverage_intervals": _coverage_intervals,
+    "coverage_rare": _coverage_rare,
     "errors_cam_roller": lambda: _errors(CamRollerErrors),
     "errors_rv": lambda: _errors(RVErrors),
     "levels": _levels,

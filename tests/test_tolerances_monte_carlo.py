@@ -17,7 +17,8 @@ from scipy import stats
 import rvjax
 from rvjax.status import Status
 from rvjax.tolerances import Outcome, Requirement, Tolerance, for_design, monte_carlo, sample
-from rvjax.tolerances.propagation.estimates import Moments4, wilson
+from rvjax.tolerances.propagation.estimates import wilson
+from rvjax.tolerances.propagation.moments import CentralMoments
 from rvjax.tolerances.propagation.order import ExactOrder, Order, quantile_estimate
 from rvjax.tolerances.propagation.responses import respond
 from rvjax.units import mm, um
@@ -267,11 +268,11 @@ def test_quantile_interval_is_the_binomial_one():
 
 def test_moments_merge_like_one_block():
     values = np.random.default_rng(0).gamma(2.0, size=5000) + 1e3
-    merged = Moments4()
+    merged = CentralMoments()
     for block in np.split(values, [1, 17, 3000, 3000]):
-        merged = merged.merge(Moments4.of(block))
-    whole = Moments4.of(values)
-    for f in dataclasses.fields(Moments4):
+        merged = merged.merge(CentralMoments.of(block))
+    whole = CentralMoments.of(values)
+    for f in dataclasses.fields(CentralMoments):
         assert getattr(merged, f.name) == pytest.approx(getattr(whole, f.name), rel=1e-9)
     assert whole.s4 / 5000 == pytest.approx(stats.moment(values, 4))
     assert whole.s3 / 5000 == pytest.approx(stats.moment(values, 3))

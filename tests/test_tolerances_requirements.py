@@ -27,7 +27,7 @@ from rvjax.tolerances import (
     monte_carlo,
     rss,
 )
-from rvjax.tolerances.propagation.estimates import Moments4
+from rvjax.tolerances.propagation.moments import CentralMoments
 from rvjax.tolerances.propagation.sampled import Sampled
 from rvjax.units import um
 
@@ -66,7 +66,7 @@ def test_the_error_of_cpk_is_honest(law):
     found = []
     for _ in range(400):
         x = rng.normal(size=2000) if law == "normal" else rng.exponential(size=2000)
-        found.append(limits.figure(Sampled([Moments4.of(x)], None, np.array([2000]), 0.95)))
+        found.append(limits.figure(Sampled([CentralMoments.of(x)], None, np.array([2000]), 0.95)))
     # Of 400 intervals of 95 %, 4 standard errors are 4.4 %; the spread of 400 figures is known to 3.5 %.
     hits = np.mean([e.lower <= true <= e.upper for e in found])
     assert abs(hits - 0.95) < 0.045

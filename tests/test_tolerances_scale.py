@@ -29,7 +29,7 @@ from rvjax.tolerances.population.population import Population
 from rvjax.tolerances.population.sobol import SCRAMBLES, SobolPoints
 from rvjax.tolerances.propagation import checkpoint, tally
 from rvjax.tolerances.propagation.checkpoint import describe, response_hash
-from rvjax.tolerances.propagation.estimates import Moments4, Pairwise
+from rvjax.tolerances.propagation.moments import CentralMoments, Pairwise
 from rvjax.tolerances.propagation.order import Order
 
 STACK = {name: Tolerance.symmetric(size) for name, size in dict(a=3.0, b=2.0, c=1.0).items()}
@@ -164,7 +164,7 @@ def test_fewer_sobol_units_than_scrambles(samples):
 
 
 def test_moments_of_chunks_have_the_same_bits_in_any_order():
-    blocks = [Moments4.of(v) for v in np.split(np.random.default_rng(0).normal(size=2300), range(100, 2300, 100))]
+    blocks = [CentralMoments.of(v) for v in np.split(np.random.default_rng(0).normal(size=2300), range(100, 2300, 100))]
     expected = None
     for order in (range(23), reversed(range(23)), np.random.default_rng(1).permutation(23)):
         trees = [Pairwise() for _ in range(3)]

@@ -24,7 +24,7 @@ from rvjax.tolerances.propagation.responses import Response, respond
 
 EVERY = 1.0  # s, at most one file in this time
 _SHARE = 10  # and ten times as long computing as writing
-_FORMAT = 1
+_FORMAT = 2
 
 Arrays = Mapping[str, np.ndarray]
 

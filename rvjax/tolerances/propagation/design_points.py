@@ -9,6 +9,7 @@ import dataclasses
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy import special
 
 from rvjax.status import succeeded
 from rvjax.tolerances.population.population import Population
@@ -16,7 +17,7 @@ from rvjax.tolerances.propagation.responses import Response, evaluate, per_respo
 
 LANES = 32
 """Searches at once."""
-BATCH = 4096
+BATCH = 1024
 """Units at once: one program for every question without gradients."""
 _GRADIENT_COST = 3  # evaluations that a value with its gradient counts for
 _STEPS = 40  # trials of a search, backtracking included
@@ -24,7 +25,8 @@ _SHORTEST = 2.0**-8  # of a backtracked step; a kink lets no search come closer
 _ON_LIMIT = 1e-5  # distance from the limit of a converged search, relative to 1 + |z|
 _ALIGNED = 1e-3  # angle between z and the slope there; the distance is wrong by its square
 _BISECTIONS = 20
-_SHRUNK = 8  # failed units (without value, hence without slope) that are walked to the edge of failure
+_SHRUNK = 8  # failed units without slope that are walked to the edge of failure
+_TURNS = 3  # of assigning known failures to points and points to their means
 
 
 @dataclasses.dataclass
@@ -52,12 +54,14 @@ class Units:
         """Values (n,) and gradients (numbers, n), nan where a unit has no value."""
         self.evaluations += _GRADIENT_COST * z.shape[1]
         given = jnp.asarray(z, jnp.result_type(float))
-        value, gradient = _slopes(self.response, self.population, given, name=self.name)
+        value, gradient = slopes(self.response, self.population, given, name=self.name)
         return np.asarray(value, float), np.asarray(gradient, float)
 
 
 @per_response(static=("name",))
-def _slopes(response: Response, population: Population, z: jax.Array, *, name: str) -> tuple[jax.Array, jax.Array]:
+def slopes(response: Response, population: Population, z: jax.Array, *, name: str) -> tuple[jax.Array, jax.Array]:
+    """Values (n,) of one name and their gradients (numbers, n) at z (numbers, n), nan where a unit has no value."""
+
     def value(z: jax.Array) -> tuple[jax.Array, jax.Array]:
         values, status = evaluate(response, population.errors(z))
         return values[name], status
@@ -97,32 +101,48 @@ class Found:
     converged: np.ndarray
 
 
-def design_points(state: LimitState, starts: np.ndarray) -> Found:
+def design_points(state: LimitState, starts: np.ndarray, failing: np.ndarray) -> Found:
     """The limit's nearest points to 0, found from starts (numbers, n <= LANES), with points near the starts.
 
-    Where a search ends at a kink or among units without value, the edge of failure on its ray stands in for it.
+    Where a search ends at a kink, the edge of failure on its ray stands in for it. Starts without a slope (plateaus,
+    units without value) lose the numbers that do not matter, and known failures (numbers, m) near them say where the
+    middle of their region is.
     """
     if not starts.shape[1]:
         return Found(starts, np.zeros(0, bool))
     points, converged, first = _search(state, starts)
     middle_fails = state.fails(np.zeros((len(starts), 1)))[0]
-    ends = np.where(np.isfinite(points).all(axis=0), 1.2 * points, starts)[:, ~converged]
+    sloped = np.isfinite(first).all(axis=0)
+    ends = np.where(np.isfinite(points).all(axis=0), 1.2 * points, starts)[:, ~converged & sloped]
     # The first steps stay near their starts: they follow a limit that bends away from its design point.
-    ends = np.concatenate([ends, 1.2 * first[:, np.isfinite(first).all(axis=0)]], axis=1)
+    ends = np.concatenate([ends, 1.2 * first[:, sloped]], axis=1)
+    flat = starts[:, ~sloped]
+    if flat.shape[1] and not middle_fails:
+        flat = _shrunk(state, flat[:, state.fails(flat)][:, :_SHRUNK])
+        ends = np.concatenate([ends, flat, 1.2 * _middles(flat, failing)], axis=1)
     edges = _edges(state, ends, middle_fails)
     kept = np.concatenate([points[:, converged], edges], axis=1)
     return Found(kept, np.arange(kept.shape[1]) < converged.sum())
 
 
-def without_slope(state: LimitState, failed: np.ndarray) -> Found:
-    """Edges of failure near failed units (numbers, n): numbers that do not matter are set to 0, the rest shrinks."""
-    z = failed[:, np.argsort(np.linalg.norm(failed, axis=0))[:_SHRUNK]]
+def _shrunk(state: LimitState, failed: np.ndarray) -> np.ndarray:
+    """Failed units (numbers, n) whose numbers that do not matter are 0."""
+    z = failed
     for j in range(len(z)):
         trial = z.copy()
         trial[j] = 0.0
         z = np.where(state.fails(trial), trial, z)
-    edges = _edges(state, z, False)
-    return Found(edges, np.zeros(edges.shape[1], bool))
+    return z
+
+
+def _middles(centres: np.ndarray, failing: np.ndarray) -> np.ndarray:
+    """Means of the known failures (numbers, m) that belong to each centre (numbers, n), found in turns."""
+    for _ in range(_TURNS if failing.shape[1] and centres.shape[1] else 0):
+        logs = centres.T @ failing - 0.5 * np.sum(centres**2, axis=0)[:, None]
+        belong = special.softmax(logs, axis=0)
+        whole = belong.sum(axis=1)
+        centres = np.where(whole > 1, failing @ belong.T / np.maximum(whole, 1), centres)
+    return centres
 
 
 def _edges(state: LimitState, ends: np.ndarray, middle_fails: bool) -> np.ndarray:

@@ -6,31 +6,20 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from scipy import special
 
 from rvjax.tolerances.population.correlation import Correlation
 from rvjax.tolerances.population.population import Population
-from rvjax.tolerances.propagation.design_points import (
-    BATCH,
-    LANES,
-    Found,
-    LimitState,
-    Units,
-    design_points,
-    without_slope,
-)
-from rvjax.tolerances.propagation.estimates import Estimate, deviate_of, wilson
+from rvjax.tolerances.propagation.design_points import BATCH, LANES, Found, LimitState, Units, design_points
+from rvjax.tolerances.propagation.estimates import Estimate, deviate_of, rare, student, wilson
+from rvjax.tolerances.propagation.mixture import Mixture, apart
+from rvjax.tolerances.propagation.orbits import orbit
 from rvjax.tolerances.propagation.requirements import Limits
 from rvjax.tolerances.propagation.responses import Response, by_name, by_response, response_names
+from rvjax.tolerances.propagation.sequential import ISLANDS, Sequential, sequential
 
-_PILOT = BATCH // 2  # plain units that show where to start; as many are spread wider
-_WIDE = (2.0, 3.0)  # spreads that reach failures which plain units do not foretell
-_ROUNDS = 4  # of looking for failures that no point stands for yet
-_APART = 0.8  # least distance of two points that both stand for themselves
-_MOST_POINTS = 192
-_FAR = 1e-4  # points less likely than this, beside the nearest, are left to their neighbours
-_DEFENSIVE = 0.1  # share drawn about the middle: no weight exceeds its reciprocal
-_SIMILAR = 0.5  # difference of reliability index
+_ROUNDS = 12  # most batches of searches
+_ORBITS = 4  # new points of a batch whose images are tried
+_HEAVY = 3.0  # mean weight of failed units of the second estimate, over that of the first, which makes them disagree
 _FEWEST_EFFECTIVE = 100
 
 
@@ -44,9 +33,13 @@ class FailureProbability:
             numbers; -Phi^-1(P) if the limit is flat. Negative if the middle itself fails, inf without a point.
         point: errors of that point, the most likely failure; None if none was found.
         evaluations: units evaluated in all; a value with its gradient counts as three.
-        effective_samples: (sum w)^2 / sum w^2 of the weights of the failed units.
+        effective_samples: (sum w)^2 / sum w^2 of the weights of the failed units; of the good ones if the middle fails.
         points: points of failure that the sampling is centred at.
+        second: `Estimate` of the same probability by another way, subset simulation, which needs neither points nor
+            slopes; its standard error is mostly 15 to 30 %.
         status: "OK", or reasons to look twice, joined by ", ": "FEW_EFFECTIVE_SAMPLES" (below 100),
+            "ESTIMATES_DISAGREE" (the second stands apart, or its failures lie where the first hardly draws; with
+            either of these two, the interval of the probability holds both intervals),
             "SEVERAL_POINTS" (of similar distance: the flat-limit figure Phi(-index) misses the others),
             "KINKED_POINT" (no slope at the nearest point: the index may be a little too large), "NO_POINT".
     """
@@ -57,6 +50,7 @@ class FailureProbability:
     evaluations: Any
     effective_samples: Any
     points: Any
+    second: Any
     status: Any
 
 
@@ -71,19 +65,21 @@ def failure_probability(
 ) -> FailureProbability:
     """Probability that a unit violates a requirement, by importance sampling about its design points.
 
-    First the points of the failing region nearest to the middle of the random numbers are searched
-    from units with a high response (the first-order reliability method; every limit has points of its
-    own). Then units are drawn from unit normals centred there, each weighted by the ratio of the
-    densities (Melchers 1989). Failures drawn far from every known point start further searches before
-    the final draw: where all phases are equally bad, the points become a ring. A tenth of the units is
-    drawn about the middle, so that no failure carries more than ten times its own share.
+    A second estimate comes first: subset simulation, which asks of a unit only whether it fails, and ends
+    with units of the failing region, every way to fail in proportion. From these, and from units near a
+    limit, the points of the failing region nearest to the middle of the random numbers are searched (the
+    first-order reliability method; every limit has points of its own), until a batch of searches finds
+    nothing new, 12 batches at most. Images of a point by exchange of like parts are points too where the
+    response fails there. Then units are drawn from unit normals centred there, each weighted by the ratio
+    of the densities (Melchers 1989); a tenth is drawn about the middle, so that no weight exceeds 20.
+    Where the two estimates disagree, the status says so and the interval holds both.
 
     Args:
         response: pure function of the errors of one unit; a scalar, a dict or record of scalars, or `Outcome`.
         tolerances: record or dict with a `Tolerance` or None in each field.
         requirement: `Requirement`, or a dict of them by name of the response, each judged alone; its target
             plays no part.
-        samples: units of the final draw; the searches add some 10 000 to 40 000 evaluations.
+        samples: units of the final draw; the second estimate and the searches add some 20 000 to 80 000 evaluations.
         seed: of the random numbers.
         correlation: {(field or element, field or element): correlation of their z}.
 
@@ -111,129 +107,122 @@ def _probability(
     response: Response, population: Population, name: str, requirement: Limits, samples: int, seed: int
 ) -> dict[str, Any]:
     units, random = Units(response, population, name), np.random.default_rng(seed)
-    points = _Points(units, requirement, population.numbers)
-    points.explore(random)
-    total, squares, hits = points.draw(random, samples)
-    effective = total**2 / squares if squares > 0 else 0.0
-    share = total / samples
-    if not hits:
-        estimate = dataclasses.replace(wilson(0, max(1, int(_DEFENSIVE * samples)), 0.95), error=0.0)
-    else:
-        error = math.sqrt(max(0.0, squares / samples - share**2) / (samples - 1))
-        half = deviate_of(0.95) * error
-        estimate = Estimate(share, error, max(0.0, share - half), min(1.0, share + half))
-    reasons = points.reasons()
+    search = _Search(units, requirement, population.numbers)
+    mixture = search.mixture
+    second = sequential(search.differ, population.numbers, random)
+    search.explore(random, second.failing)
+    first, effective, typical = search.draw(random, samples)
+    reasons = mixture.reasons()
+    if _disagree(first, second, mixture, typical):
+        reasons.insert(0, "ESTIMATES_DISAGREE")
     if effective < _FEWEST_EFFECTIVE:
         reasons.insert(0, "FEW_EFFECTIVE_SAMPLES")
+    doubtful = first.value > 0 and bool({"ESTIMATES_DISAGREE", "FEW_EFFECTIVE_SAMPLES"} & set(reasons))
+    shown = _both(first, second.probability) if doubtful else first
+    distance = float(mixture.distances.min()) if mixture.count else math.inf
     return dict(
-        probability=estimate,
-        reliability_index=points.index,
-        point=None if points.nearest is None else population.errors(jnp.asarray(points.nearest)),
+        probability=_complement(shown) if search.middle_fails else shown,
+        reliability_index=-distance if search.middle_fails else distance,
+        point=population.errors(jnp.asarray(mixture.centres[:, mixture.nearest])) if mixture.count else None,
         evaluations=units.evaluations,
         effective_samples=effective,
-        points=points.centres.shape[1],
+        points=mixture.count,
+        second=_complement(second.probability) if search.middle_fails else second.probability,
         status=", ".join(reasons) or "OK",
     )
 
 
-class _Points:
-    """The points of failure of all limits of one requirement, and the mixture of normals about them."""
+def _complement(share: Estimate) -> Estimate:
+    return Estimate(1 - share.value, share.error, 1 - share.upper, 1 - share.lower)
+
+
+def _disagree(first: Estimate, second: Sequential, mixture: Mixture, typical: float) -> bool:
+    """Whether the second estimate stands apart, or failed units of its own are rare among the draws of the first."""
+    if not (first.value and second.probability.value):
+        return first.value != second.probability.value
+    # By ratios: a low estimate has a low error.
+    apart = abs(math.log(first.value / second.probability.value))
+    errors = math.hypot(first.error / first.value, second.probability.error / second.probability.value)
+    if apart > student(0.99, ISLANDS) * errors:
+        return True
+    return float(mixture.weights(second.failing).mean()) > _HEAVY * typical
+
+
+def _both(first: Estimate, second: Estimate) -> Estimate:
+    """The first figure with an interval that holds both intervals."""
+    lower, upper = min(first.lower, second.lower), max(first.upper, second.upper)
+    return Estimate(first.value, max(first.error, (upper - lower) / (2 * deviate_of(0.95))), lower, upper)
+
+
+class _Search:
+    """The points of failure of all limits of one requirement, and the draws about them.
+
+    Where the middle itself fails, good units are the rare ones, and everything here is about them.
+    """
 
     def __init__(self, units: Units, requirement: Limits, numbers: int) -> None:
         self.units, self.requirement = units, requirement
         sides = [(requirement.upper, 1.0), (requirement.lower, -1.0)]
         self.states = [LimitState(units, limit, sign) for limit, sign in sides if math.isfinite(limit)]
-        self.centres = np.zeros((numbers, 0))
-        self.converged = np.zeros(0, bool)
-        self.middle_fails = bool(self.fails(units.values(np.zeros((numbers, 1))))[0])
+        self.mixture = Mixture(numbers)
+        self.middle_fails = False
+        self.middle_fails = bool(self.differ(np.zeros((numbers, 1)))[0])
 
-    def fails(self, values: np.ndarray) -> np.ndarray:
-        """Which values (nan for none) violate a limit."""
-        return ~(self.requirement.margin(values) <= 0)
+    def differ(self, z: np.ndarray) -> np.ndarray:
+        """Which units (numbers, n) fail, for want of a value too, unlike the middle; or do not, unlike the middle."""
+        good = self.requirement.margin(self.units.values(z)) <= 0
+        return good if self.middle_fails else ~good
 
-    @property
-    def distances(self) -> np.ndarray:
-        return np.linalg.norm(self.centres, axis=0)
+    def explore(self, random: np.random.Generator, differing: np.ndarray) -> None:
+        """Find the points: from plain units near a limit, then from failures that no point stands near.
 
-    @property
-    def nearest(self) -> np.ndarray | None:
-        return self.centres[:, np.argmin(self.distances)] if self.centres.shape[1] else None
-
-    @property
-    def index(self) -> float:
-        """Reliability index."""
-        if not self.centres.shape[1]:
-            return -math.inf if self.middle_fails else math.inf
-        return float(self.distances.min()) * (-1.0 if self.middle_fails else 1.0)
-
-    def reasons(self) -> list[str]:
-        """What a reader should know about the points."""
-        if not self.centres.shape[1]:
-            return ["NO_POINT"]
-        nearest = int(np.argmin(self.distances))
-        alike = self.distances < self.distances[nearest] + _SIMILAR
-        if self.converged[nearest]:  # then the others that no search ended at merely follow a bent limit
-            alike &= self.converged
-        found = ["SEVERAL_POINTS"] if alike.sum() > 1 else []
-        if not self.converged[nearest]:
-            found.append("KINKED_POINT")
-        return found
-
-    def explore(self, random: np.random.Generator) -> None:
-        """Find the points: from plain units and from widely spread ones, then from failures far from all points."""
-        pilot = random.standard_normal((len(self.centres), 2 * _PILOT))
-        pilot[:, _PILOT::2] *= _WIDE[0]
-        pilot[:, _PILOT + 1 :: 2] *= _WIDE[1]
-        values = self.units.values(pilot)
+        Failures are those of the second estimate and those that the mixture draws as it stands; each starts a search
+        as often as its weight says. Ends when a batch of searches finds nothing new.
+        """
+        plain = random.standard_normal((len(differing), BATCH))
+        values = self.units.values(plain)
         for state in self.states:
-            # Nearest to the limit from the side of the middle; failing units, where only few do.
-            order = np.argsort(np.nan_to_num(-state.g(values[:_PILOT]), nan=math.inf))
-            self.add(design_points(state, pilot[:, order[:LANES]]))
-            far = _PILOT + np.flatnonzero(state.g(values[_PILOT:]) > 0)
-            self.add(design_points(state, pilot[:, far[:LANES]]))
-        if np.isnan(values).any() and not self.middle_fails:
-            self.add(without_slope(self.states[0], pilot[:, np.isnan(values)]))
+            order = np.argsort(np.nan_to_num(np.abs(state.g(values)), nan=math.inf))
+            self._take(state, design_points(state, plain[:, order[:LANES]], differing))
         for _ in range(_ROUNDS):
-            known = self.centres
-            z, weights = self.sample(random, _PILOT)
-            values = self.units.values(z)
+            drawn = self.mixture.sample(random, BATCH)
+            pool = np.concatenate([differing, drawn[:, self.differ(drawn)]], axis=1)
+            if not pool.shape[1]:
+                break
+            weights = self.mixture.weights(pool)
+            count = min(LANES, pool.shape[1])
+            starts = pool[:, random.choice(pool.shape[1], count, replace=False, p=weights / weights.sum())]
+            values, new = self.units.values(starts), False
             for state in self.states:
-                # The heaviest failures are those that no point stands near.
-                seen = np.flatnonzero(state.g(values) > 0)
-                self.add(design_points(state, z[:, seen[np.argsort(-weights[seen])[:LANES]]]))
-            if np.array_equal(self.centres, known):
+                # A unit without a value fails whichever limit one asks.
+                lost = np.isnan(values) if state is self.states[0] else False
+                own = np.full(count, True) if self.middle_fails else (state.g(values) > 0) | lost
+                new |= self._take(state, design_points(state, starts[:, own], pool))
+            if not new:
                 break
 
-    def add(self, found: Found) -> None:
-        """Keep points that stand apart, nearest first."""
-        points = np.concatenate([self.centres, found.points], axis=1)
-        converged = np.concatenate([self.converged, found.converged])
-        distances = np.linalg.norm(points, axis=0)
-        kept: list[int] = []
-        for k in np.argsort(distances):
-            likely = not kept or distances[k] ** 2 - distances[kept[0]] ** 2 < -2 * math.log(_FAR)
-            if likely and len(kept) < _MOST_POINTS:
-                gaps = np.linalg.norm(points[:, kept] - points[:, [k]], axis=0)
-                if (gaps > _APART).all():
-                    kept.append(int(k))
-        self.centres, self.converged = points[:, kept], converged[kept]
+    def _take(self, state: LimitState, found: Found) -> bool:
+        """Add points and what their exchange of like parts leads to; whether anything was new."""
+        new = self.mixture.add(found)
+        images = np.zeros((len(new), 0))
+        for point in new[:, np.argsort(np.linalg.norm(new, axis=0))][:, :_ORBITS].T:
+            if apart(point, images):
+                place = np.argmin(np.linalg.norm(self.mixture.centres - point[:, None], axis=0))
+                of_point = orbit(state, point, bool(self.mixture.converged[place]))
+                self.mixture.add(of_point)
+                images = np.concatenate([images, of_point.points], axis=1)
+        return new.shape[1] > 0
 
-    def sample(self, random: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarray]:
-        """Units (numbers, count) of the mixture and their weights, the ratio of the densities."""
-        numbers, k = self.centres.shape
-        centres = np.concatenate([np.zeros((numbers, 1)), self.centres], axis=1)
-        likely = special.ndtr(-self.distances)
-        shares = np.concatenate([[_DEFENSIVE], (1 - _DEFENSIVE) * likely / likely.sum()]) if k else np.ones(1)
-        z = centres[:, random.choice(k + 1, count, p=shares)] + random.standard_normal((numbers, count))
-        # log of the ratio phi(z - c)/phi(z) = c . z - |c|^2/2
-        ratios = centres.T @ z - 0.5 * np.sum(centres**2, axis=0)[:, None]
-        return z, np.exp(-special.logsumexp(ratios, b=shares[:, None], axis=0))
-
-    def draw(self, random: np.random.Generator, samples: int) -> tuple[float, float, int]:
-        """Sum of the weights of failed units, of their squares, and the number of these units."""
+    def draw(self, random: np.random.Generator, samples: int) -> tuple[Estimate, float, float]:
+        """The share of units unlike the middle, its effective samples and the mean weight of these units."""
         total, squares, hits = 0.0, 0.0, 0
         for start in range(0, samples, BATCH):
-            z, weights = self.sample(random, min(BATCH, samples - start))
-            lost = weights[self.fails(self.units.values(z))]
-            total, squares, hits = total + float(lost.sum()), squares + float((lost**2).sum()), hits + len(lost)
-        return total, squares, hits
+            z = self.mixture.sample(random, min(BATCH, samples - start))
+            seen = self.mixture.weights(z[:, self.differ(z)])
+            total, squares, hits = total + float(seen.sum()), squares + float((seen**2).sum()), hits + len(seen)
+        if not hits:
+            plain = max(1, int(samples * self.mixture.plain))
+            return dataclasses.replace(wilson(0, plain, 0.95), error=0.0), 0.0, math.inf
+        share = total / samples
+        error = math.sqrt(max(0.0, squares / samples - share**2) / (samples - 1))
+        return rare(share, error, deviate_of(0.95)), total**2 / squares, squares / total

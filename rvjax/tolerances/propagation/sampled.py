@@ -2,20 +2,15 @@
 
 import dataclasses
 import functools
+import itertools
 import math
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
-from rvjax.tolerances.propagation.estimates import (
-    Estimate,
-    Moments4,
-    deviate_of,
-    mean_of,
-    share_estimate,
-    wilson,
-)
+from rvjax.tolerances.propagation.estimates import Estimate, deviate_of, of_groups, share_estimate, wilson
+from rvjax.tolerances.propagation.moments import CentralMoments
 
 
 @dataclasses.dataclass(frozen=True)
@@ -29,20 +24,27 @@ class Sampled:
         confidence: of every interval.
     """
 
-    streams: list[Moments4]
+    streams: list[CentralMoments]
     passed: np.ndarray | None
     seen: np.ndarray
     confidence: float
 
     @functools.cached_property
-    def whole(self) -> Moments4:
+    def whole(self) -> CentralMoments:
         """Moments of all units."""
-        return functools.reduce(Moments4.merge, self.streams)
+        return functools.reduce(CentralMoments.merge, self.streams)
 
-    def _figure(self, of: Callable[[Moments4], float], alone: Callable[[Moments4], Estimate]) -> Estimate:
+    def _figure(self, of: Callable[[CentralMoments], float], alone: Callable[[CentralMoments], Estimate]) -> Estimate:
         if len(self.streams) == 1:
             return alone(self.whole)
-        return mean_of([of(part) for part in self.streams], of(self.whole), self.confidence)
+        # What each scramble adds to the figure (jackknife), so that one which is no mean has no bias of small groups.
+        filled, value = [part for part in self.streams if part.n], of(self.whole)
+        count, none = len(filled), CentralMoments()
+        before = itertools.accumulate(filled, CentralMoments.merge, initial=none)
+        after = [*itertools.accumulate(filled[:0:-1], CentralMoments.merge, initial=none)][::-1]
+        others = [head.merge(tail) for head, tail in zip(before, after)]
+        figures = np.array([count * value - (count - 1) * of(rest) for rest in others])
+        return of_groups(figures, value, self.confidence)
 
     def mean(self) -> Estimate:
         """The mean."""
@@ -55,10 +57,10 @@ class Sampled:
     def cpk(self, limits: Any) -> Estimate:
         """Cpk = room/(3 sd) of limits."""
 
-        def of(m: Moments4) -> float:
+        def of(m: CentralMoments) -> float:
             return limits.capability(m.mean, m.sd)[1] if m.n > 1 else math.nan
 
-        def alone(m: Moments4) -> Estimate:
+        def alone(m: CentralMoments) -> Estimate:
             value = of(m)
             if not math.isfinite(value):  # no spread, or no two units
                 return Estimate(value, 0.0 if math.isinf(value) else math.nan, value, value)

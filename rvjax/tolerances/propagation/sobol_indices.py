@@ -12,7 +12,7 @@ from rvjax.status import succeeded
 from rvjax.tolerances.population.correlation import Correlation
 from rvjax.tolerances.population.population import Population
 from rvjax.tolerances.population.sobol import SCRAMBLES, SobolPoints
-from rvjax.tolerances.propagation.estimates import Estimate, student
+from rvjax.tolerances.propagation.estimates import Estimate, of_groups
 from rvjax.tolerances.propagation.responses import Response, respond, response_names, unwrapped
 
 _FEWEST = 2 * SCRAMBLES
@@ -170,6 +170,5 @@ def _share(parts: np.ndarray, variances: np.ndarray) -> Estimate:
     if whole <= 0:
         return Estimate(0.0, 0.0, 0.0, 0.0)
     ratio = float(parts.sum() / whole)
-    scatter = (parts - ratio * variances) / whole  # sums to 0
-    error = math.sqrt(float((scatter**2).sum()) * SCRAMBLES / (SCRAMBLES - 1))
-    return Estimate.about(ratio, error, student(0.95, SCRAMBLES))
+    scatter = (parts - ratio * variances) / whole * SCRAMBLES  # of the linearised ratio; its mean is 0
+    return of_groups(ratio + scatter, ratio, 0.95)

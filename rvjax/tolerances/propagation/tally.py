@@ -7,7 +7,7 @@ import numpy as np
 
 from rvjax.status import SUCCESS
 from rvjax.tolerances.propagation.checkpoint import Arrays
-from rvjax.tolerances.propagation.estimates import Moments4, Pairwise
+from rvjax.tolerances.propagation.moments import CentralMoments, Pairwise
 from rvjax.tolerances.propagation.order import ExactOrder, Order
 from rvjax.tolerances.propagation.requirements import Limits
 
@@ -59,7 +59,7 @@ class Tally:
         for name in self.names:
             finite = _finite(values[name], good, complete)
             for stream, tree in enumerate(self.moments[name]):
-                tree.add(number, Moments4.of(finite if good_streams is None else finite[good_streams == stream]))
+                tree.add(number, CentralMoments.of(finite if good_streams is None else finite[good_streams == stream]))
             if self.values:
                 self.values[name][start : start + len(status)][good] = finite
             else:
