@@ -1,6 +1,7 @@
 """The certificate: fresh random units decide whether a set of tolerances meets its requirements."""
 
 import dataclasses
+import math
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from rvjax.tolerances.propagation.requirements import share_factor
 
 _DRAWS = 8  # certificates in one search; every one is a new chance to pass by luck
 _LEAST = 1e-3  # least step of a shrinking half-width, relative
+_WORTH, _ROOM = 2e-3, 0.1  # room in half-widths that is worth another certificate, and the most of it to go for
 
 
 @dataclasses.dataclass
@@ -68,6 +70,20 @@ class Certifier:
                 break
             half_widths, statistics = after, self.draw(training.with_half_widths(after))
         return half_widths, statistics
+
+    def polished(
+        self, training: Training, half_widths: np.ndarray, statistics: Statistics, high: np.ndarray
+    ) -> tuple[np.ndarray, Statistics]:
+        """Looser half-widths where a certificate held with room to spare, if theirs holds too.
+
+        Tried once, by half of the room: the other half, as draws go, was luck.
+        """
+        room = min(*self.factors(statistics, training.distance), self.of_failures(statistics), 1 + _ROOM)
+        wider = np.minimum(half_widths * math.sqrt(max(1.0, room)), np.maximum(high, half_widths))
+        if not self.holds(statistics) or room < 1 + _WORTH or np.array_equal(wider, half_widths):
+            return half_widths, statistics
+        drawn = self.draw(training.with_half_widths(wider))
+        return (wider, drawn) if self.holds(drawn) else (half_widths, statistics)
 
     def shortfall(self, population: Population) -> tuple[Statistics, dict[str, float]]:
         """How far each limit would have to move outwards for these tolerances; 0 where it is met."""

@@ -70,7 +70,11 @@ class Training:
 
     def margins(self, half_widths: np.ndarray) -> np.ndarray:
         """Margins of the constraints (c,)."""
-        return self._corrected(self._margins(self._values(half_widths)))
+        return self._corrected(self.uncorrected(half_widths))
+
+    def uncorrected(self, half_widths: np.ndarray) -> np.ndarray:
+        """Margins (c,) of this sample, whatever a larger one said."""
+        return self._margins(self._values(half_widths))
 
     def point(self, half_widths: np.ndarray) -> Point:
         """Margins and slopes."""

@@ -135,6 +135,10 @@ class Limits:
         middle = (self.lower + self.upper) / 2
         return dataclasses.replace(self, lower=middle - value, upper=middle + value)
 
+    def widened(self, by: float) -> "Limits":
+        """The same requirement with every limit moved outwards."""
+        return dataclasses.replace(self, lower=self.lower - by, upper=self.upper + by)
+
     def aimed(self, value: float) -> "Limits":
         """The same requirement with another goal."""
         if self.goal is None:

@@ -1,0 +1,91 @@
+"""An optimum that is called one: units that fail, responses in steps, starts far away.
+
+Oracles: closed forms and scans of the normal law. A sample of 4096 units knows the 99 % quantile of a margin to
+sqrt(0.01/4096)/(2.6 * 2 phi(2.6)) = 2.2 % and fits to itself; certificates of 10^6 units are 0.3 % off at 99 %
+(two errors of 1e-4 beside a density of 2 phi(2.576) = 0.029, divided by 2.576). Costs go like 1/t.
+"""
+
+import math
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import stats
+
+from oracles.linear_pair import COSTS, LIMIT, PAIR, linear, radius
+from rvjax.status import Status
+from rvjax.tolerances import CpkAtLeast, Outcome, Requirement, Tolerance, allocate
+from rvjax.units import um
+
+EDGE = 15 * um  # units with a larger b fail
+OPTIONS = dict(costs=COSTS, samples=4096)
+
+
+def fragile(e):
+    """The value is a; a unit with a large b has none."""
+    failed = jnp.abs(e["b"]) > EDGE
+    return Outcome(e["a"], jnp.where(failed, int(Status.NOT_ASSEMBLABLE), int(Status.CONVERGED)))
+
+
+def cheapest_of_shares(limit, target):
+    """Cost and half-widths where P(|a| <= limit) P(|b| <= EDGE) = target, by a fine scan of the share left to a."""
+    share = target + (1 - target) * np.linspace(0.001, 0.999, 100_000)
+    a = 3 * limit / stats.norm.ppf((1 + share) / 2)
+    b = 3 * EDGE / stats.norm.ppf((1 + target / share) / 2)
+    k = np.argmin(1 / a + 1 / b)
+    return 10 * um * (1 / a[k] + 1 / b[k]), {"a": a[k], "b": b[k]}
+
+
+def stepped(size):
+    """|a + 2 b| rounded up to whole steps."""
+    return lambda e: jnp.ceil(jnp.abs(linear(e)) / size) * size
+
+
+def closed_cost(target, limit=LIMIT):
+    b = radius(target, limit) / math.sqrt(4 ** (2 / 3) + 4)
+    return 10 * um * (1 / (4 ** (1 / 3) * b) + 1 / b)
+
+
+def test_units_that_fail_bind_a_field():
+    cost, _ = cheapest_of_shares(LIMIT, 0.99)
+    found = allocate(fragile, PAIR, Requirement(lower=-LIMIT, upper=LIMIT, target=0.99), **OPTIONS)
+    assert found.status == "OPTIMAL"
+    assert found.cost == pytest.approx(cost, rel=0.02)
+    assert found.residual < 0.2
+
+
+@pytest.mark.parametrize("size", [2.0, 5.0])
+def test_a_response_in_steps(size):
+    """The limit stands in the middle of a step: the last whole step below it counts."""
+    limit = 20 * um + size / 2 * um
+    found = allocate(stepped(size * um), PAIR, Requirement(upper=limit, target=0.99), **OPTIONS)
+    assert found.status == "OPTIMAL"
+    assert found.cost == pytest.approx(closed_cost(0.99, 20 * um), rel=0.02)
+
+
+def test_a_limit_that_binds_has_a_price():
+    """Of a response in steps of a tenth of its limit the cost falls by one step where the limit moves by one."""
+    found = allocate(stepped(2 * um), PAIR, Requirement(upper=20.1 * um, target=0.99), **OPTIONS)
+    step = (closed_cost(0.99, 22 * um) - closed_cost(0.99, 20 * um)) / (2 * um)
+    assert 3 * step < found.multipliers < step / 3 < 0
+
+
+@pytest.mark.parametrize("start", [0.01, 1.0, 1e4])
+def test_wide_and_narrow_starts(start):
+    """Far beyond its limits the response saturates: no slope leads back."""
+    response = lambda e: 50 * um * jnp.tanh(linear(e) / (50 * um))  # noqa: E731
+    limit = 50 * um * math.tanh(20 / 50)
+    tolerances = {name: Tolerance.symmetric(10 * um * start) for name in PAIR}
+    wide = {name: cost.replace(finest=0.1 * um, coarsest=1.0) for name, cost in COSTS.items()}
+    required = Requirement(lower=-limit, upper=limit, target=0.99)
+    found = allocate(response, tolerances, required, costs=wide, samples=4096, certificate_samples=200_000)
+    assert found.status == "OPTIMAL"
+    assert found.cost == pytest.approx(closed_cost(0.99), rel=0.02)
+
+
+def test_failures_beside_a_capability():
+    """Cpk of the valid units is generous; fewer than 0.27 % may fail, and that alone binds b."""
+    found = allocate(fragile, PAIR, CpkAtLeast(lower=-LIMIT, upper=LIMIT, cpk=1.0), **OPTIONS)
+    assert found.status == "OPTIMAL"
+    assert found.half_widths["a"] == pytest.approx(20 * um, rel=0.02)
+    assert found.half_widths["b"] == pytest.approx(3 * EDGE / stats.norm.ppf(1 - 0.0027 / 2), rel=0.04)
