@@ -71,14 +71,13 @@ def test_two_hundred_fields():
         tolerances,
         Requirement(lower=-LIMIT, upper=LIMIT),
         costs=costs,
-        samples=4096,
-        certificate_samples=50_000,
+        certificate_samples=65536,  # four blocks of the learning sample: the response compiles once
     )
     shape = np.array([(scale[n] / slope[n] ** 2) ** (1 / 3) for n in names])
     t = shape * radius(0.9973) / math.sqrt(sum((slope[n] * s) ** 2 for n, s in zip(names, shape)))
     best = sum(scale[n] * 10 * um / tj for n, tj in zip(names, t))
     assert found.status == "OPTIMAL"
-    assert best * 0.99 < found.cost < best * 1.08  # the certificate of 50 000 units costs 4 %
+    assert best < found.cost < best * 1.05  # the certificate costs 2.6 % where 0.7 errors are kept in hand
 
 
 @pytest.fixture(scope="module")
@@ -190,15 +189,16 @@ def test_free_fields_take_up_what_the_grades_leave():
     assert graded.cost == pytest.approx(min(total), rel=0.025)
 
 
-def test_the_learned_cost_is_that_of_the_accepted_set_not_of_the_last_trial():
+def test_the_learned_cost_is_that_of_an_accepted_set():
     three, slopes = {k: Tolerance.symmetric(1.0) for k in "abc"}, dict(a=1.0, b=3.0, c=0.2)
     costs = {k: ReciprocalPower(finest=0.1, coarsest=3.0, reference=1.0, scale=scale) for k, scale in slopes.items()}
     steps = lambda e: jnp.floor(8 * jnp.abs(e["a"] + e["b"])) / 8 + 0.3 * jnp.abs(e["c"])  # noqa: E731
     required = Requirement(upper=0.6, target=0.95)
     options = dict(costs=costs, samples=1000, certificate_samples=4000)
     curve = cost_curve(steps, three, required, values=(0.6,), **options)
-    assert curve.learned[0] in [tried["cost"] for tried in curve.allocations[0].history]
-    assert curve.learned[0] != curve.allocations[0].history[-1]["cost"]
+    tried = {trial["cost"]: trial["margins"]["response"] for trial in curve.allocations[0].history}
+    assert tried[curve.learned[0]] <= 0.0
+    assert min(tried) < curve.learned[0]  # others were cheaper, and refused
 
 
 def test_a_curve_whose_search_tried_nothing():

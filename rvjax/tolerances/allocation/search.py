@@ -17,11 +17,11 @@ from rvjax.tolerances.allocation.training import Point, Training
 _RADIUS = 1.5  # first step, at most, in logarithms of the half-widths
 _SETTLED = 2e-3  # steps and violations (as parts of the way to the limit) smaller than this end the search
 _NOISE = 0.02  # violation that the sample itself may err by; the certificate takes care of it
-_GAIN = 5e-4  # and so does a step that saves less of the cost
+_GAIN = 1e-4  # and so does a step that saves less of the cost
 
 _PROBE = 0.1  # of the audit, logarithm of a half-width
 _ASTRAY = 0.4  # part of a probe by which a margin may move otherwise than its slopes say: few units cross
-_STATIONARY = 0.05  # residual of an optimum by derivatives: costs less than its square
+_STATIONARY = 0.1  # residual of an optimum by derivatives: costs less than half its square
 _STATIONARY_APART = 0.2  # the same where slopes are differences of a sample
 _TELLING = 0.005  # change of the least cost that is none of the search's own
 _MOVES = (0.05, 0.2)  # of a limit, parts of the way to it; the second where the first changes nothing
@@ -39,6 +39,7 @@ class Search:
         self.high = np.array([float(cost.coarsest) for cost in self.costs])
         self.history: list[dict[str, Any]] = []
         self.rays: Rays | None = None  # once derivatives have misled
+        self.audited = False  # they have not
 
     def cost(self, half_widths: np.ndarray) -> float:
         """Total cost."""
@@ -67,7 +68,8 @@ class Search:
         """
         if self.rays is None:
             point, settled = self.run(point)
-            if len(self.history) >= self.max_steps or (settled and self.stands(point)):
+            self.audited = self.audited or (settled and self.stands(point))
+            if len(self.history) >= self.max_steps or (settled and self.audited):
                 return point, settled
             self.rays = Rays(self.training)
             corners = [self.inside(self.rays.scaled(t)) for t in (point.half_widths, start, self.low)]

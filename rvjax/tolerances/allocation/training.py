@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax.status import succeeded
+from rvjax.tolerances.distribution.tolerance import Tolerance
 from rvjax.tolerances.population.population import Population, drawn, root_key
 from rvjax.tolerances.propagation.requirements import Limits, Pull, along_reach
 from rvjax.tolerances.propagation.responses import BLOCK, Response, evaluate, per_response, respond
@@ -52,6 +53,7 @@ class Training:
     ) -> None:
         self.response, self.population, self.fields, self.requirements = response, population, fields, requirements
         self.samples, self.joint_target = samples, joint_target
+        self._made: dict[str, tuple[float, Tolerance]] = {}  # the latest tolerance of each field, by its half-width
         self.lanes = min(samples, max(_FEWEST_LANES, samples // _LANES_PART))
         key, block = root_key(seed), min(samples, BLOCK)
         self.blocks = [drawn(population, key, jnp.uint32(start), count=block) for start in range(0, samples, block)]
@@ -66,7 +68,10 @@ class Training:
 
     def with_half_widths(self, half_widths: np.ndarray) -> Population:
         """The population with these half-widths in the fields that have a cost."""
-        return self.population.with_half_widths(dict(zip(self.fields, map(float, half_widths))))
+        for name, t in zip(self.fields, map(float, half_widths)):
+            if name not in self._made or self._made[name][0] != t:  # of hundreds of fields often one alone has moved
+                self._made[name] = t, self.population.active[name].with_half_width(t)
+        return self.population.with_tolerances({name: made for name, (_, made) in self._made.items()})
 
     def margins(self, half_widths: np.ndarray) -> np.ndarray:
         """Margins of the constraints (c,)."""
