@@ -14,7 +14,16 @@ from scipy import stats
 
 from oracles.linear_pair import COSTS, LIMIT, PAIR, linear, radius
 from rvjax.status import Status
-from rvjax.tolerances import CpkAtLeast, Outcome, Requirement, Tolerance, allocate
+from rvjax.tolerances import (
+    CpkAtLeast,
+    Outcome,
+    Requirement,
+    SdAtMost,
+    Tolerance,
+    WorstCaseWithin,
+    allocate,
+    monte_carlo,
+)
 from rvjax.units import um
 
 EDGE = 15 * um  # units with a larger b fail
@@ -89,3 +98,39 @@ def test_failures_beside_a_capability():
     assert found.status == "OPTIMAL"
     assert found.half_widths["a"] == pytest.approx(20 * um, rel=0.02)
     assert found.half_widths["b"] == pytest.approx(3 * EDGE / stats.norm.ppf(1 - 0.0027 / 2), rel=0.04)
+
+
+def test_a_bound_on_the_standard_deviation():
+    """t_j ~ (1/a_j^2)^(1/3), with sd = sqrt(t_a^2 + 4 t_b^2)/3 at the bound; the mean may be anywhere."""
+    required = SdAtMost(upper=LIMIT / 3)
+    moved = {"a": Tolerance(90 * um, 110 * um), "b": PAIR["b"]}
+    found = allocate(linear, moved, required, costs=COSTS, samples=4096, certificate_samples=400_000)
+    b = LIMIT / math.sqrt(4 ** (2 / 3) + 4)
+    assert found.status == "OPTIMAL"
+    assert found.certificate.verdicts.estimate.upper <= LIMIT / 3
+    assert found.cost == pytest.approx(10 * um * (1 / (4 ** (1 / 3) * b) + 1 / b), rel=0.005)  # 2.7 errors of 0.11 %
+    assert found.multipliers == pytest.approx(-found.cost / (LIMIT / 3), rel=0.04)
+
+
+def test_arithmetic_limits():
+    """t_a + 2 t_b = limit about a middle of 5 um, costs 1/t: t_b = t_a/sqrt 2, exactly; no sample plays a part."""
+    moved = {"a": Tolerance(-5 * um, 15 * um), "b": PAIR["b"]}
+    required = WorstCaseWithin(lower=-LIMIT, upper=LIMIT + 5 * um)
+    found = allocate(linear, moved, required, costs=COSTS, samples=128, certificate_samples=1000)
+    a = LIMIT / (1 + math.sqrt(2))
+    assert found.status == "OPTIMAL"
+    assert found.half_widths == pytest.approx({"a": a, "b": a / math.sqrt(2)}, rel=0.02)
+    assert found.half_widths["a"] + 2 * found.half_widths["b"] == pytest.approx(LIMIT, rel=2e-3)
+    assert found.cost == pytest.approx(10 * um / a * (1 + math.sqrt(2)), rel=2e-3)
+    assert found.multipliers == pytest.approx(-found.cost / LIMIT, rel=0.02)
+    assert found.certificate.verdicts.estimate.value <= LIMIT + 5 * um
+
+
+def test_a_worst_case_is_judged_by_limits_not_by_units():
+    """Units of a wide normal law lie beyond +-60 um now and then; limits of 3 sd do not."""
+    wide = {name: tolerance.replace(cp=0.5) for name, tolerance in PAIR.items()}
+    seen = monte_carlo(linear, wide, samples=2000, seed=0, requirements=WorstCaseWithin(upper=30 * um), keep=True)
+    assert seen.maximum > 30 * um
+    assert seen.verdicts.met and seen.verdicts.estimate.value == pytest.approx(30 * um)
+    failing = lambda e: jnp.where(e["a"] > 9 * um, jnp.nan, linear(e))  # noqa: E731
+    assert not monte_carlo(failing, wide, samples=16, seed=0, requirements=WorstCaseWithin(upper=1.0)).verdicts.met

@@ -185,7 +185,7 @@ def _cheapest(search: Search, certifier: Certifier, start: np.ndarray) -> _Found
 def _certified(
     search: Search, certifier: Certifier, found: np.ndarray, start: np.ndarray
 ) -> tuple[np.ndarray, Statistics]:
-    """The cheapest set with a certificate that holds: what was found, shrunk where need be, or the start, or the finest."""
+    """The cheapest certified set: what was found, shrunk where need be, or the start, or the finest."""
     training, start = search.training, search.inside(start)
     best, certificate = certifier.settle(training, found, search.low)
     best, certificate = certifier.polished(training, best, certificate, search.high)

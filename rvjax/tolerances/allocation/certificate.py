@@ -8,10 +8,15 @@ import numpy as np
 from rvjax.tolerances.allocation.training import Training
 from rvjax.tolerances.population.population import Population
 from rvjax.tolerances.propagation.estimates import deviate_of, wilson
+from rvjax.tolerances.propagation.factors import share_factor
+from rvjax.tolerances.propagation.failure import failure_probability
+from rvjax.tolerances.propagation.limits import Verdict
 from rvjax.tolerances.propagation.monte_carlo import Run, Statistics
-from rvjax.tolerances.propagation.requirements import share_factor
+from rvjax.tolerances.propagation.responses import PLAIN
 
 _DRAWS = 8  # certificates in one search; every one is a new chance to pass by luck
+_RARE = 20_000, 200_000  # units behind a probability of failure
+_TRUSTED = {"OK", "SEVERAL_POINTS", "KINKED_POINT"}  # the latter two concern the reliability index alone
 _LEAST = 1e-3  # least step of a shrinking half-width, relative
 _WORTH, _ROOM = 2e-3, 0.1  # room in half-widths that is worth another certificate, and the most of it to go for
 
@@ -24,9 +29,28 @@ class Certifier:
     joint_target: float | None
 
     def draw(self, population: Population, *, keep: bool = False) -> Statistics:
-        """Statistics of fresh units."""
+        """Statistics of fresh units; a target beyond what they can show is judged by a probability of failure."""
         self.run = dataclasses.replace(self.run, seed=self.run.seed + 1)
-        return dataclasses.replace(self.run, population=population, keep=keep).statistics()
+        found = dataclasses.replace(self.run, population=population, keep=keep).statistics()
+        return dataclasses.replace(found, verdicts=found.verdicts | self.rare(population)) if found.verdicts else found
+
+    def rare(self, population: Population) -> dict[str, Verdict]:
+        """Verdicts on the targets that the units of a certificate are too few for."""
+        n, confidence = self.run.samples, self.run.confidence
+        beyond = {name: item for name, item in self.run.requirements.items() if item.beyond(n, confidence)}
+        verdicts = {}
+        for name, item in beyond.items():
+            count = min(max(n, _RARE[0]), _RARE[1])
+            found = failure_probability(self.run.response, population, {name: item}, samples=count, seed=self.run.seed)
+            of = lambda figure: figure if name == PLAIN else figure[name]  # noqa: B023, E731
+            failing, reasons = of(found.probability), set(of(found.status).split(", "))
+            if failing.value > 0:  # its interval is one of 95 %
+                wider = (failing.upper / failing.value) ** (deviate_of(confidence) / deviate_of(0.95))
+                failing = dataclasses.replace(
+                    failing, lower=failing.value / wider, upper=min(1.0, failing.value * wider)
+                )
+            verdicts[name] = item.rarely(failing, reasons <= _TRUSTED)
+        return verdicts
 
     def holds(self, statistics: Statistics) -> bool:
         """True if every requirement is met for certain, and the joint target if there is one."""

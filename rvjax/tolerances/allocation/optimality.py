@@ -13,9 +13,7 @@ _STEP = 1e-4  # of the differences of a cost, logarithm of a half-width
 _BINDING = 0.05  # nearer to its limit than this part of the way a constraint may bind
 
 
-def residual(
-    costs: tuple[Cost, ...], point: Point, distance: np.ndarray, low: np.ndarray, high: np.ndarray
-) -> float:
+def residual(costs: tuple[Cost, ...], point: Point, distance: np.ndarray, low: np.ndarray, high: np.ndarray) -> float:
     """Largest saving of a single field that no price of the constraints accounts for, as a part of all savings.
 
     Savings are derivatives of the cost to the logarithms of the half-widths; the prices (not negative) are those

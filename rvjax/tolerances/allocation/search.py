@@ -1,4 +1,4 @@
-"""The search for the cheapest half-widths: steps of a separable model, kept to a trust region, and an audit of its end."""
+"""The search for the cheapest half-widths: steps of a separable model in a trust region, and an audit of its end."""
 
 import copy
 import math
@@ -115,7 +115,9 @@ class Search:
             if probe[j] > self.high[j]:
                 continue
             seen = self.training.margins(probe) / self.training.distance + 1
-            told = np.sqrt(np.maximum(way**2 + way * slopes * math.expm1(2 * _PROBE), 0.0))
+            powers = self.training.powers
+            grown = way**powers + way ** (powers - 1) * slopes * np.expm1(powers * _PROBE)
+            told = np.maximum(grown, 0.0) ** (1 / powers)
             astray = (np.abs(seen - told) > _ASTRAY * _PROBE) & (np.maximum(seen, told) > 1 - _NOISE)
             if astray.any():
                 return False
@@ -151,7 +153,7 @@ class Search:
     def model_optimum(self, point: Point, radius: float) -> tuple[np.ndarray, np.ndarray]:
         """Cheapest half-widths within a factor exp(radius) under the model around a point, and its multipliers."""
         low, high = (np.clip(point.half_widths * math.exp(r), self.low, self.high) for r in (-radius, radius))
-        return cheapest(self.costs, point, self.training.distance, low, high)
+        return cheapest(self.costs, point, self.training.distance, self.training.powers, low, high)
 
     def prices(self, point: Point) -> np.ndarray:
         """What the cost changes by, downwards, where the limit of each requirement moves outwards."""

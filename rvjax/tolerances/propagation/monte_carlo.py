@@ -29,6 +29,7 @@ from rvjax.tolerances.propagation.requirements import Limits
 from rvjax.tolerances.propagation.responses import Response, by_response, response_names, unwrapped
 from rvjax.tolerances.propagation.sampled import Sampled
 from rvjax.tolerances.propagation.tally import Tally
+from rvjax.tolerances.propagation.worst_case import extremes
 
 __all__ = ["Run", "Statistics", "monte_carlo", "progress_bar"]
 
@@ -142,7 +143,13 @@ class Run:
         """What the tally of all units says, as dicts by name of the response."""
         named = [status for status in PRECEDENCE if int(status) in tally.failures]
         seen = {
-            name: Sampled([tree.total() for tree in trees], tally.passed.get(name), tally.seen, self.confidence)
+            name: Sampled(
+                [tree.total() for tree in trees],
+                tally.passed.get(name),
+                tally.seen,
+                self.confidence,
+                self._extremes(name),
+            )
             for name, trees in tally.moments.items()
         }
         orders, any_units = tally.orders().items(), bool(tally.requirements)
@@ -178,6 +185,13 @@ class Run:
             study=study,
             versions=versions(),
         )
+
+    def _extremes(self, name: str) -> tuple[float, float]:
+        """The range of a response over the limits of all errors, where its requirement judges that."""
+        if name not in self.requirements or not self.requirements[name].of_extremes:
+            return math.nan, math.nan
+        low, high = extremes(self.response, self.population, self.names, name).values
+        return float(low), float(high)
 
     def _empty(self) -> Tally:
         streams, kept = SCRAMBLES if self.method == "sobol" else 1, self.samples if self.keep else 0
