@@ -65,12 +65,14 @@ class Certifier:
         return alone or wilson(n, n, confidence).lower < (self.joint_target or 0.0)
 
     def factors(self, statistics: Statistics, distance: np.ndarray) -> np.ndarray:
-        """Of each constraint: the common factor on all half-widths after which a draw should just hold (normal law)."""
+        """Of each constraint: the common factor on all half-widths after which a draw should just hold."""
         n, z = self.run.samples, deviate_of(self.run.confidence)
         found = [
             item.factor(statistics.verdicts[name].estimate, n, z, float(d))
             for (name, item), d in zip(self.run.requirements.items(), distance)
         ]
+        if any(item.most_failed < 1 for item in self.run.requirements.values()):
+            found.append(self.of_failures(statistics))
         if self.joint_target is not None and statistics.joint_yield is not None:
             found.append(share_factor(statistics.joint_yield, self.joint_target, n, z))
         return np.array(found)
@@ -79,7 +81,7 @@ class Certifier:
         """The common factor after which few enough units should fail for figures of the valid ones to count."""
         n, most = statistics.samples, min(item.most_failed for item in self.run.requirements.values())
         valid = wilson(n - statistics.failed, n, self.run.confidence)
-        return share_factor(valid, 1 - most, n, deviate_of(self.run.confidence)) if most < 1 else 1.0
+        return share_factor(valid, 1 - most, n, deviate_of(self.run.confidence))
 
     def settle(
         self, training: Training, start: np.ndarray, low: np.ndarray, *, draws: int = _DRAWS
@@ -87,8 +89,7 @@ class Certifier:
         """Shrink all half-widths by common factors until a certificate holds; the last one drawn otherwise."""
         half_widths, statistics = start, self.draw(training.with_half_widths(start))
         for _ in range(draws - 1):
-            factors = [*self.factors(statistics, training.distance), self.of_failures(statistics), 1 - _LEAST]
-            factor = max(0.5, min(factors))
+            factor = max(0.5, min(*self.factors(statistics, training.distance), 1 - _LEAST))
             after = np.maximum(half_widths * factor, np.minimum(low, half_widths))
             if self.holds(statistics) or self.hopeless() or np.array_equal(after, half_widths):
                 break
@@ -102,7 +103,7 @@ class Certifier:
 
         Tried once, by half of the room: the other half, as draws go, was luck.
         """
-        room = min(*self.factors(statistics, training.distance), self.of_failures(statistics), 1 + _ROOM)
+        room = min(*self.factors(statistics, training.distance), 1 + _ROOM)
         wider = np.minimum(half_widths * math.sqrt(max(1.0, room)), np.maximum(high, half_widths))
         if not self.holds(statistics) or room < 1 + _WORTH or np.array_equal(wider, half_widths):
             return half_widths, statistics

@@ -49,8 +49,9 @@ class Search:
         """Evaluate the sample and note it."""
         point = (self.rays or self.training).point(half_widths)
         self.advance(1)
-        names = [*(name or "response" for name in self.training.requirements), "joint"]
-        margins = dict(zip(names, map(float, point.margins)))  # the joint one is last, if there is one
+        names = [name or "response" for name in self.training.requirements]
+        names += ["failed"] if self.training.most_failed is not None else []
+        margins = dict(zip([*names, "joint"], map(float, point.margins)))  # the joint one is last, if there is one
         named = dict(zip(self.training.fields, map(float, half_widths)))
         self.history.append(dict(cost=self.cost(half_widths), margins=margins, half_widths=named))
         return point

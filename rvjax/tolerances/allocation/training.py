@@ -13,7 +13,7 @@ import numpy as np
 from rvjax.status import succeeded
 from rvjax.tolerances.distribution.tolerance import Tolerance
 from rvjax.tolerances.population.population import Population, drawn, root_key
-from rvjax.tolerances.propagation.requirements import Limits, Pull, along_reach
+from rvjax.tolerances.propagation.limits import Limits, Pull, along_reach
 from rvjax.tolerances.propagation.responses import BLOCK, Response, evaluate, per_response, respond, response_names
 from rvjax.tolerances.propagation.tails import nearest, tail_quantile
 from rvjax.tolerances.propagation.worst_case import Extremes, extremes
@@ -24,7 +24,10 @@ _FEWEST_LANES, _LANES_PART = 256, 32
 
 @dataclasses.dataclass(frozen=True)
 class Point:
-    """What the sample says at one set of half-widths; constraints are the requirements, then the joint one.
+    """What the sample says at one set of half-widths.
+
+    Constraints are the requirements, then the share of failed units where any of them is a figure of the valid ones,
+    then the joint one.
 
     Attributes:
         half_widths: (j,) of the fields that have a cost.
@@ -67,7 +70,10 @@ class Training:
         finite = np.where(np.isfinite(own), np.abs(own), 0.0).max(axis=1)
         spread = np.where(finite > 0, finite, 1.0)  # a positive size where the nominal value touches the limit
         self.scales = np.where(np.isfinite(nominal) & (nominal > 0), nominal, spread)
-        self.distance = self.scales if joint_target is None else np.append(self.scales, 1.0)
+        most = [item.most_failed for item in requirements.values() if item.most_failed < 1]
+        self.most_failed = min(most, default=None)  # beside figures of the valid units failures are a constraint too
+        others = (self.most_failed is not None) + (joint_target is not None)
+        self.distance = np.append(self.scales, np.ones(others))
         self.correction = np.ones(len(self.distance))
         self.powers = np.full(len(self.distance), 2.0)  # by which the half-widths of each constraint add up
         self.powers[: len(requirements)] = [item.power for item in requirements.values()]
@@ -100,6 +106,8 @@ class Training:
             else:
                 pull = item.pull(row, margins[k], self.distance[k], self.lanes)
                 slopes.append(self._slope(half_widths, pull, np.full(self.samples, k)))
+        if self.most_failed is not None:
+            slopes.append(np.zeros(len(self.fields)))
         if self.joint_target is not None:
             joint, leading = self._joint(values)
             units = nearest(joint, self.joint_target, self.lanes)
@@ -154,7 +162,12 @@ class Training:
     def _margins(self, values: np.ndarray, ranges: dict[str, Extremes]) -> np.ndarray:
         rows = [ranges[name].values if name in ranges else row for name, row in zip(self.requirements, values)]
         triples = zip(self.requirements.values(), rows, map(float, self.distance))
-        found = [item.learned(row, distance) for item, row, distance in triples]
+        found = [
+            item.learned(row if item.most_failed >= 1 else row[~np.isnan(row)], distance)
+            for item, row, distance in triples
+        ]
+        if self.most_failed is not None:
+            found.append(float(np.isnan(values).any(axis=0).mean()) / self.most_failed - 1)
         if self.joint_target is not None:
             found.append(tail_quantile(self._joint(values)[0], self.joint_target, 1.0))
         return np.array(found)

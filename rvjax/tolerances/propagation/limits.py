@@ -107,7 +107,12 @@ class Limits:
         return np.where(value < (self.lower + self.upper) / 2, -1.0, 1.0)
 
     def capability(self, mean: float, sd: float) -> tuple[float, float]:
-        """Cp and Cpk of a response with this mean and standard deviation; without two limits Cp is nan."""
+        """Cp and Cpk of a response; without two limits Cp is nan.
+
+        Args:
+            mean: of the response.
+            sd: its standard deviation.
+        """
         room = -self.margin(mean)
         if sd == 0:
             cp, cpk = math.inf, math.inf if room >= 0 else -math.inf
@@ -116,7 +121,12 @@ class Limits:
         return (cp if math.isfinite(self.lower) and math.isfinite(self.upper) else math.nan), cpk
 
     def normal_yield(self, mean: float, sd: float) -> float:
-        """Share within the limits of a normal response."""
+        """Share within the limits of a normal response.
+
+        Args:
+            mean: of the response.
+            sd: its standard deviation.
+        """
         if math.isnan(mean) or math.isnan(sd):
             return math.nan
         if sd == 0:
@@ -214,7 +224,12 @@ class Limits:
         return wilson(0, samples, confidence).upper >= self.most_failed
 
     def beyond(self, samples: int, confidence: float) -> bool:
-        """True if no sample of this size could show it, but a probability of failure could; see `rarely`."""
+        """True if no sample could show it, but a probability of failure could; see `rarely`.
+
+        Args:
+            samples: its size.
+            confidence: of the certificate.
+        """
         return False
 
     def rarely(self, failing: Estimate, trusted: bool) -> Verdict:
@@ -238,3 +253,10 @@ class Limits:
     def text(self) -> str:
         """What is wanted, without the limits' numbers."""
         raise NotImplementedError
+
+
+def along_reach(units: np.ndarray, reach: np.ndarray, signs: np.ndarray, wanted: float) -> Pull:
+    """Slopes of units brought from their own distance `reach` from the nominal response to `wanted`."""
+    used = np.isfinite(reach) & (reach > 0) & np.isfinite(wanted)
+    reach = np.where(used, reach, 0.0)
+    return Pull(units, np.where(used, signs * reach * (wanted if np.isfinite(wanted) else 0.0), 0.0), reach**2)

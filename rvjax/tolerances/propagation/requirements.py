@@ -8,7 +8,7 @@ import numpy as np
 
 from rvjax.tolerances.propagation.estimates import Estimate, wilson
 from rvjax.tolerances.propagation.factors import CUSHION, MOST_FACTOR, bounded, rare_factor, share_factor
-from rvjax.tolerances.propagation.limits import KINDS, MOST_FAILED, Limits, Pull, Verdict
+from rvjax.tolerances.propagation.limits import KINDS, MOST_FAILED, Limits, Pull, Verdict, along_reach
 from rvjax.tolerances.propagation.sampled import Sampled
 from rvjax.tolerances.propagation.tails import nearest, tail_quantile
 
@@ -17,12 +17,10 @@ __all__ = [
     "CpkAtLeast",
     "Limits",
     "MeanWithin",
-    "Pull",
     "Requirement",
     "SdAtMost",
     "Verdict",
     "WorstCaseWithin",
-    "along_reach",
 ]
 
 _FEW_FAILED = f"< {100 * MOST_FAILED:g} % failed"
@@ -326,10 +324,3 @@ def _spread_pull(valid: np.ndarray) -> np.ndarray:
     """n d sd/dy_i of valid units."""
     sd = valid.std(ddof=1) if valid.size > 1 else 0.0
     return (valid - valid.mean()) / sd * (valid.size / (valid.size - 1)) if sd > 0 else np.zeros(valid.size)
-
-
-def along_reach(units: np.ndarray, reach: np.ndarray, signs: np.ndarray, wanted: float) -> Pull:
-    """Slopes of units brought from their own distance `reach` from the nominal response to `wanted`."""
-    used = np.isfinite(reach) & (reach > 0) & np.isfinite(wanted)
-    reach = np.where(used, reach, 0.0)
-    return Pull(units, np.where(used, signs * reach * (wanted if np.isfinite(wanted) else 0.0), 0.0), reach**2)
