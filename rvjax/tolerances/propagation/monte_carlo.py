@@ -20,7 +20,14 @@ from rvjax.tolerances.population.correlation import Correlation
 from rvjax.tolerances.population.population import Population
 from rvjax.tolerances.population.sampling import check_method
 from rvjax.tolerances.population.sobol import SCRAMBLES
-from rvjax.tolerances.propagation.checkpoint import Checkpoint, describe, response_hash, versions
+from rvjax.tolerances.propagation.checkpoint import (
+    DAMAGE,
+    LARGEST,
+    Checkpoint,
+    describe,
+    response_hash,
+    versions,
+)
 from rvjax.tolerances.propagation.devices import Evaluator, gathered, place
 from rvjax.tolerances.propagation.estimates import deviate_of
 from rvjax.tolerances.propagation.figures import Statistics, rejects
@@ -206,12 +213,17 @@ class Run:
         study["response"] = response_hash(self.response, self.population)
         mine = {"process": f"{process} of {processes}", "values": "kept" if self.keep else "not kept"}
         file = Checkpoint(_of_process(self.checkpoint, process, processes), study | mine | versions())
-        done, state = file.load()
+        kept = 16 * self.samples * len(self.names) if self.keep else 0
+        done, state = file.load(LARGEST * (1 + len(self.names)) + kept)
         if done * self.chunk > self.samples:
             where = f"checkpoint = {str(self.checkpoint)!r} holds {done * self.chunk} already"
             raise ValueError(f"samples = {self.samples}: {where}")
-        if state:
-            tally.merge(state)
+        if done or state:
+            try:
+                tally.check(state, len(range(process, done, processes)) * self.chunk)
+                tally.merge(state)
+            except DAMAGE as error:
+                raise file.damaged(error) from None
         return tally, file, done
 
     def _count(self, tally: Tally, file: Checkpoint | None, done: int) -> None:
