@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from oracles.linear_pair import COSTS, LIMIT, PAIR, WIDE, linear, radius
+from oracles.programs import programs
 from rvjax import plotting
 from rvjax.tolerances import (
     Exponential,
@@ -108,7 +109,7 @@ def test_each_point_starts_from_the_last(of_bent):
 
 
 def test_a_curve_compiles_nothing_anew(of_bent):
-    count = lambda: [respond.programs(bent), _unit_gradients.programs(bent), separable._solve._cache_size()]  # noqa: E731
+    count = lambda: [programs(respond, bent), programs(_unit_gradients, bent), separable._solve._cache_size()]  # noqa: E731
     before = count()
     first = of_bent.allocations[0]
     costs = {"a": WIDE, "b": Exponential(decay=9 * um, finest=1 * um, coarsest=90 * um, scale=3.0)}
