@@ -51,7 +51,7 @@ def least(costs: dict[str, Any], constraints: list[Callable[[np.ndarray], float]
     bounds = [(math.log(model.finest), math.log(model.coarsest)) for model in models]
     met = [{"type": "ineq", "fun": lambda x, g=g: g(np.exp(x))} for g in constraints]
     x0 = np.full(len(models), math.log(start))
-    options = dict(maxiter=1000, ftol=1e-14)
+    options = dict(maxiter=1000, ftol=1e-12)
     found = optimize.minimize(total, x0, bounds=bounds, constraints=met, method="SLSQP", options=options)
     assert found.success, found.message
     return float(found.fun)

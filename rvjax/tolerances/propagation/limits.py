@@ -65,6 +65,7 @@ class Limits:
     """
 
     of_units: ClassVar[bool] = True  # a unit beyond the limits is a reject
+    limits_values: ClassVar[bool] = True  # its limits are values of the response: a histogram shows them
     of_extremes: ClassVar[bool] = False  # it judges the worst case; units play no part
     power: ClassVar[float] = 2.0  # of half-widths that add up: 2 as squares, 1 as they are
     most_failed: ClassVar[float] = MOST_FAILED  # share of failed units that its figure leaves out

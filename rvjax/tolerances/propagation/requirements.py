@@ -158,6 +158,7 @@ class SdAtMost(Limits):
     """
 
     of_units: ClassVar[bool] = False
+    limits_values: ClassVar[bool] = False
     judges: ClassVar[str] = "response"
     prefix: ClassVar[str] = "sd_"
 
