@@ -2,8 +2,8 @@
 
 Oracles: closed forms and scans of the normal law. A sample of 4096 units knows the 99 % quantile of a margin to
 sqrt(0.01/4096)/(2.6 * 2 phi(2.6)) = 2.2 % and fits to itself, until a certificate corrects it; one of 200 000 units
-takes 0.8 % of the half-widths (2.7 errors of 2.2e-4 beside a density of 2 phi(2.576) = 0.029, divided by 2.576). Costs go
-like 1/t.
+takes 0.8 % of the half-widths (2.7 errors of 2.2e-4 beside a density of 2 phi(2.576) = 0.029, divided by 2.576). Costs
+go like 1/t.
 """
 
 import math

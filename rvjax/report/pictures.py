@@ -1,7 +1,7 @@
 """The pictures of an answer, as files: PNG for the results folder, SVG for the page."""
 
-import math
 import io
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
