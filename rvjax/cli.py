@@ -162,21 +162,25 @@ def _montecarlo(options: argparse.Namespace) -> int:
     from rvjax.study import batch
 
     _check_files(options, json=".json", save=".npz")
-    question = batch.question(options.study, options.worker)  # once, before the run: the file may change meanwhile
-    wanted = batch.Batch(
-        study=question,
-        samples=options.samples,
-        seed=options.seed,
-        sobol=options.sobol,
-        chunk=options.chunk or batch.CHUNK,
-        checkpoint=options.checkpoint,
-        keep=options.save is not None,
-        progress=not options.quiet,
-    )
+
+    def asked() -> batch.Batch:
+        return batch.Batch(
+            study=batch.question(options.study, options.worker),
+            samples=options.samples,
+            seed=options.seed,
+            sobol=options.sobol,
+            chunk=options.chunk or batch.CHUNK,
+            checkpoint=options.checkpoint,
+            keep=options.save is not None,
+            progress=not options.quiet,
+        )
+
     if options.worker:
         address, number, processes, target = options.worker
-        batch.work(wanted, address, int(number), int(processes), target)
+        batch.work(asked, address, int(number), int(processes), target)
         return EXIT_OK
+    wanted = asked()
+    question = wanted.study  # as it was read before the run: the file may change meanwhile
     started = time.perf_counter()
     if options.processes == 1:
         found = batch.run(wanted)

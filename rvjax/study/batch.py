@@ -9,7 +9,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from rvjax import study, tolerances
@@ -122,11 +122,11 @@ def _wait(workers: Sequence[subprocess.Popen[bytes]], logs: Sequence[Path]) -> N
             raise ValueError(f"process {number + 1} of {len(workers)} ended with {code} {said[-1] if said else ''}")
 
 
-def work(batch: Batch, address: str, number: int, processes: int, target: str) -> None:
+def work(asked: Callable[[], Batch], address: str, number: int, processes: int, target: str) -> None:
     """One of several processes; the first writes the result.
 
     Args:
-        batch: what to run.
+        asked: makes what to run, which may compute and so comes after the processes have found each other.
         address: of the first process.
         number: of this process.
         processes: their number.
@@ -137,6 +137,7 @@ def work(batch: Batch, address: str, number: int, processes: int, target: str) -
     threading.Thread(target=_end_with, args=(os.getppid(),), daemon=True).start()
     jax.distributed.initialize(address, num_processes=processes, process_id=number)
     try:
+        batch = asked()
         found = run(dataclasses.replace(batch, progress=batch.progress and number == 0))
         if number == 0:
             tolerances.save(found, target)
