@@ -6,6 +6,7 @@ half-widths to 2 % and the certificate of 10^6 units costs up to 1 % of half-wid
 lies two standard errors inside), so costs agree to 1.5 %, half-widths to 3 %.
 """
 
+import dataclasses
 import math
 
 import jax.numpy as jnp
@@ -26,6 +27,9 @@ from rvjax.tolerances import (
     it_width,
     monte_carlo,
 )
+from rvjax.tolerances.allocation import certificate
+from rvjax.tolerances.population.population import Population
+from rvjax.tolerances.propagation.monte_carlo import Run
 from rvjax.units import mm, um
 
 
@@ -175,6 +179,20 @@ def test_a_target_that_no_sample_can_show(target):
     reached = 2 * stats.norm.sf(3 * LIMIT / math.hypot(found.half_widths["a"], 2 * found.half_widths["b"]))
     assert 1 - verdict.estimate.value == pytest.approx(reached, rel=0.05)
     assert "importance sampling" in verdict.wanted
+
+
+def test_a_doubtful_probability_certifies_nothing(monkeypatch):
+    """The same probability of failure, said with doubts."""
+    sure = certificate.failure_probability
+    doubt = lambda *args, **options: dataclasses.replace(sure(*args, **options), status="FEW_EFFECTIVE_SAMPLES")  # noqa: E731
+    required = Requirement(lower=-LIMIT, upper=LIMIT, target=1 - 1e-6)
+    run = Run(linear, Population.of(PAIR), ("",), {"": required}, 20_000, 0, 20_000)
+    narrow = Population.of({name: Tolerance.symmetric(5 * um) for name in PAIR})
+    certifier = certificate.Certifier(run, None)
+    assert certifier.holds(certifier.draw(narrow))
+    monkeypatch.setattr(certificate, "failure_probability", doubt)
+    refused = certifier.draw(narrow)
+    assert not certifier.holds(refused) and "not to be trusted" in refused.verdicts[""].wanted
 
 
 def test_other_costs_and_kept_fields():

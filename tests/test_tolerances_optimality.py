@@ -26,6 +26,8 @@ from rvjax.tolerances import (
     allocate,
     monte_carlo,
 )
+from rvjax.tolerances.population.population import Population
+from rvjax.tolerances.propagation.worst_case import extremes
 from rvjax.units import um
 
 EDGE = 15 * um  # units with a larger b fail
@@ -145,3 +147,16 @@ def test_an_optimum_in_print(name):
     found = allocate(case.response, case.tolerances, case.requirements, costs=case.costs, **options)
     assert found.status == "OPTIMAL"
     assert 1.0 <= found.cost / case.optimum < 1.003
+
+
+def test_the_ends_of_a_range_grow_with_the_half_widths():
+    """Against differences of the ends themselves, which are linear in every half-width; also where a law has one side."""
+    response = lambda e: e["a"] - 2 * e["b"]  # noqa: E731
+    skew = Tolerance(2 * um, 10 * um, distribution="lognormal", log_sd=0.3)
+    population = Population.of({"a": skew, "b": PAIR["b"]})
+    found = extremes(response, population, ("",), "")
+    assert found.values == pytest.approx([-18 * um, 30 * um])
+    for j, (name, tolerance) in enumerate(population.active.items()):
+        wider = population.with_half_widths({name: 1.5 * tolerance.half_width})
+        grown = extremes(response, wider, ("",), "").values - found.values
+        np.testing.assert_allclose(found.slopes[:, j], grown / 0.5, atol=1e-12)
