@@ -150,7 +150,7 @@ def test_an_optimum_in_print(name):
 
 
 def test_the_ends_of_a_range_grow_with_the_half_widths():
-    """Against differences of the ends themselves, which are linear in every half-width; also where a law has one side."""
+    """Against differences of the ends, which are linear in every half-width; also where a law has one side."""
     response = lambda e: e["a"] - 2 * e["b"]  # noqa: E731
     skew = Tolerance(2 * um, 10 * um, distribution="lognormal", log_sd=0.3)
     population = Population.of({"a": skew, "b": PAIR["b"]})
