@@ -21,6 +21,7 @@ _GAIN = 1e-4  # and so does a step that saves less of the cost
 
 _PROBE = 0.1  # of the audit, logarithm of a half-width
 _ASTRAY = 0.4  # part of a probe by which a margin may move otherwise than its slopes say: few units cross
+_MANY, _FEWEST = 40, 8  # units beyond a limit that these bounds are for, and the least that a quantile leaves
 _STATIONARY = 0.1  # residual of an optimum by derivatives: costs less than half its square
 _STATIONARY_APART = 0.2  # the same where slopes are differences of a sample
 _TELLING = 0.005  # change of the least cost that is none of the search's own
@@ -40,6 +41,8 @@ class Search:
         self.history: list[dict[str, Any]] = []
         self.rays: Rays | None = None  # once derivatives have misled
         self.audited = False  # they have not
+        beyond = min((training.samples * (1 - getattr(r, "target", 0.0)) for r in training.requirements.values()))
+        self.doubt = math.sqrt(max(1.0, _MANY / max(beyond, _FEWEST)))  # few units beyond a limit know a slope badly
 
     def cost(self, half_widths: np.ndarray) -> float:
         """Total cost."""
@@ -80,7 +83,7 @@ class Search:
             starts = [self.inside(self.rays.scaled(point.half_widths))]
         ends = [self.loosened(self.run(self.look(t))[0].half_widths) for t in starts]
         best = self.look(min(ends, key=self.cost))
-        return best, len(self.history) < self.max_steps and self.residual(best) <= _STATIONARY_APART
+        return best, len(self.history) < self.max_steps and self.residual(best) <= _STATIONARY_APART * self.doubt
 
     def run(self, best: Point) -> tuple[Point, bool]:
         """From a point to the cheapest, and whether the steps settled there."""
@@ -119,7 +122,7 @@ class Search:
             powers = self.training.powers
             grown = way**powers + way ** (powers - 1) * slopes * np.expm1(powers * _PROBE)
             told = np.maximum(grown, 0.0) ** (1 / powers)
-            astray = (np.abs(seen - told) > _ASTRAY * _PROBE) & (np.maximum(seen, told) > 1 - _NOISE)
+            astray = (np.abs(seen - told) > _ASTRAY * self.doubt * _PROBE) & (np.maximum(seen, told) > 1 - _NOISE)
             if astray.any():
                 return False
         return True
