@@ -41,7 +41,7 @@ class Search:
         self.history: list[dict[str, Any]] = []
         self.rays: Rays | None = None  # once derivatives have misled
         self.audited = False  # they have not
-        beyond = min((training.samples * (1 - getattr(r, "target", 0.0)) for r in training.requirements.values()))
+        beyond = min(training.samples * (1 - getattr(r, "target", 0.0)) for r in training.requirements.values())
         self.doubt = math.sqrt(max(1.0, _MANY / max(beyond, _FEWEST)))  # few units beyond a limit know a slope badly
 
     def cost(self, half_widths: np.ndarray) -> float:
