@@ -7,7 +7,9 @@ Bad input ends with one line on standard error and exit code 2; a question that 
 import argparse
 import json
 import os
+import signal
 import sys
+import threading
 import time
 import tomllib
 from collections.abc import Sequence
@@ -27,16 +29,44 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except SystemExit as stop:  # argparse has printed what is wrong, or the help
         return int(stop.code or 0)
     _prepare()
+    before = _on_terminate()
     try:
         return options.run(options)
     except (ValueError, OSError) as error:
-        print(f"rvjax: error: {' '.join(str(error).split())}", file=sys.stderr)
+        _say(f"rvjax: error: {' '.join(str(error).split())}", file=sys.stderr)
         return EXIT_BAD_INPUT
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as stop:
         file = getattr(options, "checkpoint", None)
         rest = f"the same command goes on from {file}" if file else "nothing was written"
-        print(f"rvjax: interrupted, {rest}", file=sys.stderr)
-        return 130
+        _say(f"rvjax: interrupted, {rest}", file=sys.stderr)
+        return 143 if isinstance(stop, _Terminated) else 130
+    finally:
+        if before is not None:
+            signal.signal(signal.SIGTERM, before)
+
+
+class _Terminated(KeyboardInterrupt):
+    """SIGTERM ends a command as Ctrl-C does: what it has begun is cleared away."""
+
+
+def _on_terminate() -> Any:
+    """Let SIGTERM raise; returns the handler before, or None outside the main thread."""
+    if threading.current_thread() is not threading.main_thread():
+        return None
+
+    def stop(*_: Any) -> None:
+        raise _Terminated
+
+    return signal.signal(signal.SIGTERM, stop)
+
+
+def _say(text: str, file: Any = None) -> None:
+    """Print; what would speak to the terminal rather than to a person (escape sequences in a key) is spelled out."""
+    lines = (
+        "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)
+        for line in text.split("\n")
+    )
+    print("\n".join(lines), file=file)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -103,9 +133,9 @@ def _allocate(options: argparse.Namespace) -> int:
     folder = text.results_folder(options.results, question.name)
     check_writable(folder)
     found = answer(question, progress=not options.quiet)
-    print(text.summary(found))
-    text.write(found, folder)
-    print(f"\nResults: {folder}")
+    _say(text.summary(found))
+    folder = text.write(found, folder)
+    _say(f"\nResults: {folder}")
     return EXIT_OK if found.allocation.status == "OPTIMAL" else EXIT_NO_ANSWER
 
 
@@ -122,39 +152,46 @@ def _report(options: argparse.Namespace) -> int:
     check_writable(path)
     found = answer(question, progress=not options.quiet)
     content = page.page(found, options.study).encode("utf-8")
-    path.parent.mkdir(parents=True, exist_ok=True)
+    if not given:
+        path = text.new_folder(path.parent) / path.name
     write_atomically(path, content)
-    print(text.headline(found))
-    print(f"Report: {path}")
+    _say(text.headline(found))
+    _say(f"Report: {path}")
     return EXIT_OK if found.allocation.status == "OPTIMAL" else EXIT_NO_ANSWER
 
 
 def _montecarlo(options: argparse.Namespace) -> int:
-    from rvjax import study
     from rvjax.report import batch as written
     from rvjax.study import batch
 
     _check_files(options, json=".json", save=".npz")
-    wanted = batch.Batch(
-        study=options.study,
-        samples=options.samples,
-        seed=options.seed,
-        sobol=options.sobol,
-        chunk=options.chunk or batch.CHUNK,
-        checkpoint=options.checkpoint,
-        keep=options.save is not None,
-        progress=not options.quiet,
-    )
+
+    def asked() -> batch.Batch:
+        return batch.Batch(
+            study=batch.question(options.study, options.worker),
+            samples=options.samples,
+            seed=options.seed,
+            sobol=options.sobol,
+            chunk=options.chunk or batch.CHUNK,
+            checkpoint=options.checkpoint,
+            keep=options.save is not None,
+            progress=not options.quiet,
+        )
+
     if options.worker:
         address, number, processes, target = options.worker
-        batch.work(wanted, address, int(number), int(processes), target)
+        batch.work(asked, address, int(number), int(processes), target)
         return EXIT_OK
+    wanted = asked()
+    question = wanted.study  # as it was read before the run: the file may change meanwhile
     started = time.perf_counter()
-    found = batch.run(wanted) if options.processes == 1 else batch.run_in_processes(options.command, options.processes)
+    if options.processes == 1:
+        found = batch.run(wanted)
+    else:
+        found = batch.run_in_processes(options.command, options.processes, text=question.text)
     seconds = time.perf_counter() - started
-    question = study.load(options.study)
     written.write(found, question, options.study, figures=options.json, samples=options.save)
-    print(written.summary(found, question))
+    _say(written.summary(found, question))
     print(f"\n{seconds:.1f} s, start and compilation included")
     return EXIT_OK
 

@@ -25,7 +25,7 @@ import rvjax.report.worst_units
 import rvjax.study.answer
 from rvjax import cli
 from rvjax.report import page, text
-from rvjax.tolerances.propagation.estimates import Moments4
+from rvjax.tolerances.propagation.moments import CentralMoments
 from rvjax.tolerances.propagation.sampled import Sampled
 
 GOOD = (resources.files("rvjax.study") / "embedded" / "rv-40e.toml").read_text("utf-8")
@@ -153,7 +153,9 @@ def test_a_study_that_asks_for_no_share_of_units_has_a_page(answers, answered, h
     np.testing.assert_allclose(question.tolerances.pin_radius.law.values, [-1.5e-6, 0.5e-6, 1e-6])
 
     def judged(statistics, values):
-        seen = {n: Sampled([Moments4.of(v[~np.isnan(v)])], None, np.array([v.size]), 0.95) for n, v in values.items()}
+        seen = {
+            n: Sampled([CentralMoments.of(v[~np.isnan(v)])], None, np.array([v.size]), 0.95) for n, v in values.items()
+        }
         verdicts = {name: item.verdict(seen[name]) for name, item in question.requirements.items()}
         nothing = dict.fromkeys(("yield_", "ppm", "cp", "cpk", "joint_yield"))
         return dataclasses.replace(statistics, verdicts=verdicts, **nothing)

@@ -6,6 +6,7 @@ half-widths to 2 % and the certificate of 10^6 units costs up to 1 % of half-wid
 lies two standard errors inside), so costs agree to 1.5 %, half-widths to 3 %.
 """
 
+import dataclasses
 import math
 
 import jax.numpy as jnp
@@ -26,6 +27,9 @@ from rvjax.tolerances import (
     it_width,
     monte_carlo,
 )
+from rvjax.tolerances.allocation import certificate
+from rvjax.tolerances.population.population import Population
+from rvjax.tolerances.propagation.monte_carlo import Run
 from rvjax.units import mm, um
 
 
@@ -160,10 +164,35 @@ def test_extreme_targets():
         a, b = closed_form(target)
         assert found.status == "OPTIMAL"
         assert found.cost == pytest.approx(10 * um / a + 10 * um / b, rel=0.05)
-    beyond = Requirement(lower=-LIMIT, upper=LIMIT, target=1 - 1e-6)  # a million units cannot certify one in a million
-    found = allocate(linear, PAIR, beyond, costs=COSTS)
-    assert found.status == "NOT_CERTIFIED"
-    assert math.hypot(found.half_widths["a"], 2 * found.half_widths["b"]) == pytest.approx(radius(1 - 1e-6), rel=0.08)
+
+
+@pytest.mark.parametrize("target", [1 - 1e-6, 1 - 1e-9])
+def test_a_target_that_no_sample_can_show(target):
+    """A probability of failure certifies it: known to 1 %, that is 1 % / z^2 of a half-width; the shape is to 1 %."""
+    required = Requirement(lower=-LIMIT, upper=LIMIT, target=target)
+    found = allocate(linear, PAIR, required, costs=COSTS, certificate_samples=50_000)
+    a, b = closed_form(target)
+    assert found.status == "OPTIMAL"
+    assert 1.0 <= found.cost / (10 * um / a + 10 * um / b) < 1.01
+    verdict = found.certificate.verdicts
+    assert verdict.met and verdict.estimate.lower >= target
+    reached = 2 * stats.norm.sf(3 * LIMIT / math.hypot(found.half_widths["a"], 2 * found.half_widths["b"]))
+    assert 1 - verdict.estimate.value == pytest.approx(reached, rel=0.05)
+    assert "importance sampling" in verdict.wanted
+
+
+def test_a_doubtful_probability_certifies_nothing(monkeypatch):
+    """The same probability of failure, said with doubts."""
+    sure = certificate.failure_probability
+    doubt = lambda *args, **options: dataclasses.replace(sure(*args, **options), status="FEW_EFFECTIVE_SAMPLES")  # noqa: E731
+    required = Requirement(lower=-LIMIT, upper=LIMIT, target=1 - 1e-6)
+    run = Run(linear, Population.of(PAIR), ("",), {"": required}, 20_000, 0, 20_000)
+    narrow = Population.of({name: Tolerance.symmetric(5 * um) for name in PAIR})
+    certifier = certificate.Certifier(run, None)
+    assert certifier.holds(certifier.draw(narrow))
+    monkeypatch.setattr(certificate, "failure_probability", doubt)
+    refused = certifier.draw(narrow)
+    assert not certifier.holds(refused) and "not to be trusted" in refused.verdicts[""].wanted
 
 
 def test_other_costs_and_kept_fields():
@@ -238,7 +267,8 @@ def test_few_steps_and_few_certificate_units():
     found = allocate(linear, PAIR, requirement, costs=COSTS, max_steps=1, certificate_samples=100_000)
     assert found.status == "MAX_STEPS"
     assert found.certificate.yield_.lower >= 0.9973
-    found = allocate(linear, PAIR, requirement, costs=COSTS, certificate_samples=1000)  # 1000/1003.84 < 0.9973
+    joint = dict(joint_target=0.9973, certificate_samples=1000)  # 1000/1003.84 < 0.9973
+    found = allocate(linear, PAIR, requirement, costs=COSTS, **joint)
     assert found.status == "NOT_CERTIFIED"
     assert found.feasible
 

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from oracles.linear_pair import COSTS, LIMIT, PAIR, WIDE, linear, radius
+from oracles.programs import programs
 from rvjax import plotting
 from rvjax.tolerances import (
     Exponential,
@@ -72,13 +73,13 @@ def test_two_hundred_fields():
         Requirement(lower=-LIMIT, upper=LIMIT),
         costs=costs,
         samples=4096,
-        certificate_samples=50_000,
+        certificate_samples=49_152,
     )
     shape = np.array([(scale[n] / slope[n] ** 2) ** (1 / 3) for n in names])
     t = shape * radius(0.9973) / math.sqrt(sum((slope[n] * s) ** 2 for n, s in zip(names, shape)))
     best = sum(scale[n] * 10 * um / tj for n, tj in zip(names, t))
     assert found.status == "OPTIMAL"
-    assert best * 0.99 < found.cost < best * 1.08  # the certificate of 50 000 units costs 4 %
+    assert best * 0.99 < found.cost < best * 1.08  # the certificate of 49 152 units costs 4 %
 
 
 @pytest.fixture(scope="module")
@@ -108,7 +109,7 @@ def test_each_point_starts_from_the_last(of_bent):
 
 
 def test_a_curve_compiles_nothing_anew(of_bent):
-    count = lambda: [respond.programs(bent), _unit_gradients.programs(bent), separable._solve._cache_size()]  # noqa: E731
+    count = lambda: [programs(respond, bent), programs(_unit_gradients, bent), separable._solve._cache_size()]  # noqa: E731
     before = count()
     first = of_bent.allocations[0]
     costs = {"a": WIDE, "b": Exponential(decay=9 * um, finest=1 * um, coarsest=90 * um, scale=3.0)}
@@ -190,15 +191,16 @@ def test_free_fields_take_up_what_the_grades_leave():
     assert graded.cost == pytest.approx(min(total), rel=0.025)
 
 
-def test_the_learned_cost_is_that_of_the_accepted_set_not_of_the_last_trial():
+def test_the_learned_cost_is_that_of_an_accepted_set():
     three, slopes = {k: Tolerance.symmetric(1.0) for k in "abc"}, dict(a=1.0, b=3.0, c=0.2)
     costs = {k: ReciprocalPower(finest=0.1, coarsest=3.0, reference=1.0, scale=scale) for k, scale in slopes.items()}
     steps = lambda e: jnp.floor(8 * jnp.abs(e["a"] + e["b"])) / 8 + 0.3 * jnp.abs(e["c"])  # noqa: E731
     required = Requirement(upper=0.6, target=0.95)
     options = dict(costs=costs, samples=1000, certificate_samples=4000)
     curve = cost_curve(steps, three, required, values=(0.6,), **options)
-    assert curve.learned[0] in [tried["cost"] for tried in curve.allocations[0].history]
-    assert curve.learned[0] != curve.allocations[0].history[-1]["cost"]
+    tried = {trial["cost"]: trial["margins"]["response"] for trial in curve.allocations[0].history}
+    assert tried[curve.learned[0]] <= 0.0
+    assert min(tried) < curve.learned[0]  # others were cheaper, and refused
 
 
 def test_a_curve_whose_search_tried_nothing():

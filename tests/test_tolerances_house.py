@@ -27,7 +27,7 @@ from rvjax.tolerances import (
     worst_case,
 )
 from rvjax.tolerances.distribution.law import LAWS, Law
-from rvjax.tolerances.propagation.requirements import KINDS, Limits, Pull
+from rvjax.tolerances.propagation.limits import KINDS, Limits, Pull
 from rvjax.units import um
 
 

@@ -15,6 +15,7 @@ import pytest
 from scipy import stats
 
 import rvjax
+from oracles.programs import programs
 from rvjax.status import Status
 from rvjax.tolerances import Outcome, Requirement, Tolerance, for_design, monte_carlo, sample
 from rvjax.tolerances.propagation.estimates import wilson
@@ -159,10 +160,10 @@ def test_chunks_change_neither_counts_nor_figures():
 
 def test_one_compilation_serves_every_tolerance_and_every_chunk():
     monte_carlo(pair, STACK, samples=2500, seed=0, chunk=1000)
-    compiled = respond.programs(pair)
+    compiled = programs(respond, pair)
     wider = {name: t.with_half_width(2 * t.half_width) for name, t in STACK.items()}
     monte_carlo(pair, wider, samples=7200, seed=1, chunk=1000, requirements={"sum": LIMITS})
-    assert respond.programs(pair) == compiled
+    assert programs(respond, pair) == compiled
 
 
 def test_histogram_quantiles_equal_kept_ones_within_a_bin():

@@ -1,6 +1,7 @@
 """The pictures of an answer, as files: PNG for the results folder, SVG for the page."""
 
 import io
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -50,13 +51,14 @@ def pictures(answer: Answer, form: str = "png") -> Iterator[Picture]:
             )
             yield picture(axes, "curves", f"{curve.title} of sample units, before and after")
         for name, requirement in study.requirements.items():
+            of_values = requirement.limits_values
             axes = plotting.response_histogram(
                 answer.before.values[name],
                 answer.after.values[name],
                 unit=study.output(name).unit,
                 name=name,
-                upper=requirement.upper,
-                lower=requirement.lower,
+                upper=requirement.upper if of_values else math.inf,
+                lower=requirement.lower if of_values else -math.inf,
             )
             caption = f"Distribution of {words(name)} before and after, with its limit"
             yield picture(axes, f"histogram_{name}", caption)

@@ -1,5 +1,6 @@
 """What a person reads: tables with units, and the results folder of an allocation."""
 
+import contextlib
 import csv
 import dataclasses
 import json
@@ -7,7 +8,7 @@ import math
 import shutil
 import sys
 import tempfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -189,7 +190,11 @@ def summary(answer: Answer) -> str:
 
 
 def results_folder(option: str | None, name: str) -> Path:
-    """The folder that the results will go to; it must not exist yet, so that nothing is overwritten.
+    """The folder that the results should go to; it must not exist yet, so that nothing is overwritten.
+
+    Args:
+        option: what was asked for; None for the next free number under `results`.
+        name: of the study.
 
     Raises:
         OSError: it cannot be made.
@@ -200,17 +205,34 @@ def results_folder(option: str | None, name: str) -> Path:
         if folder.exists():
             raise ValueError(f"--results {option}: exists already; name a new folder")
         return folder
-    base = Path("results") / name
-    numbered = [base, *(base.with_name(f"{name}-{k}") for k in range(2, 10_000))]
-    return next(folder for folder in numbered if not folder.exists())
+    return next(folder for folder in _numbered(Path("results") / name) if not folder.exists())
 
 
-def write(answer: Answer, folder: Path) -> None:
+def _numbered(folder: Path) -> Iterator[Path]:
+    """A folder, and those that stand in for it where it is taken."""
+    yield folder
+    yield from (folder.with_name(f"{folder.name}-{k}") for k in range(2, 10_000))
+
+
+def new_folder(folder: Path) -> Path:
+    """Make a folder, or the next free one where another run made it first."""
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    for free in _numbered(folder):
+        with contextlib.suppress(FileExistsError):
+            free.mkdir()
+            return free
+    raise FileExistsError(f"{folder}: exists, and so do all numbered ones")
+
+
+def write(answer: Answer, folder: Path) -> Path:
     """Write study, tables, JSON and pictures into a new folder: all of them, or nothing.
 
     Args:
         answer: what to write.
-        folder: must not exist.
+        folder: that is wanted; where another run has taken it meanwhile, the next free number.
+
+    Returns:
+        The folder.
     """
     folder.parent.mkdir(parents=True, exist_ok=True)
     scratch = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
@@ -229,7 +251,9 @@ def write(answer: Answer, folder: Path) -> None:
         for picture in pictures(answer):
             (scratch / f"{picture.name}.png").write_bytes(picture.content)
         scratch.chmod(0o755)  # mkdtemp makes it private
-        scratch.rename(folder)
+        made = new_folder(folder)
+        scratch.rename(made)  # onto an empty folder of its own
+        return made
     except BaseException:
         shutil.rmtree(scratch, ignore_errors=True)
         raise

@@ -9,12 +9,13 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from rvjax import study, tolerances
 from rvjax.tolerances import Statistics
 
+_STUDY = "study.toml"
 CHUNK = 32768  # keeps the temporaries of a turn of 64 angles near the cache
 
 
@@ -23,7 +24,7 @@ class Batch:
     """What to run.
 
     Attributes:
-        study: file, or name of an embedded study.
+        study: the question.
         samples: units; None: as many as the study certifies with.
         seed: None: that of the study.
         sobol: Sobol points instead of random numbers.
@@ -33,7 +34,7 @@ class Batch:
         progress: show a progress bar.
     """
 
-    study: str
+    study: study.Study
     samples: int | None = None
     seed: int | None = None
     sobol: bool = False
@@ -45,7 +46,7 @@ class Batch:
 
 def run(batch: Batch) -> Statistics:
     """The statistics, in this process or, where JAX's distributed runtime is on, with the others."""
-    question = study.load(batch.study)
+    question = batch.study
     return tolerances.monte_carlo(
         question.response(),
         question.tolerances,
@@ -60,12 +61,29 @@ def run(batch: Batch) -> Statistics:
     )
 
 
-def run_in_processes(command: Sequence[str], processes: int) -> Statistics:
+def question(source: str, worker: Sequence[str] | None = None) -> study.Study:
+    """The study of a command line, read once.
+
+    Args:
+        source: file, or name of an embedded study.
+        worker: of one of several processes: the text that the first process has read stands beside its target.
+    """
+    if worker is None or not (copy := Path(worker[-1]).with_name(_STUDY)).is_file():
+        return study.load(source)
+    path = Path(source)
+    own = path.suffix == ".toml"
+    return study.parse_study(
+        copy.read_text("utf-8"), name=path.stem if own else source, folder=path.parent if own else Path()
+    )
+
+
+def run_in_processes(command: Sequence[str], processes: int, *, text: str | None = None) -> Statistics:
     """Start `processes` of this command line, each with `--worker`, and take the result of the first.
 
     Args:
         command: arguments of `rvjax` that all processes get.
         processes: their number.
+        text: of the study, for all processes alike; None: each reads it.
 
     Raises:
         ValueError: a process ended without a result; the others are ended too.
@@ -74,6 +92,8 @@ def run_in_processes(command: Sequence[str], processes: int) -> Statistics:
         # The first one's progress and complaints are for everybody; its result comes as a file, since the
         # libraries below print to standard output.
         logs = [Path(folder) / f"{number}.txt" for number in range(processes)]
+        if text is not None:
+            (Path(folder) / _STUDY).write_text(text, "utf-8")
         workers, address = [], f"127.0.0.1:{_free_port()}"
         try:
             for number, log in enumerate(logs):
@@ -102,11 +122,11 @@ def _wait(workers: Sequence[subprocess.Popen[bytes]], logs: Sequence[Path]) -> N
             raise ValueError(f"process {number + 1} of {len(workers)} ended with {code} {said[-1] if said else ''}")
 
 
-def work(batch: Batch, address: str, number: int, processes: int, target: str) -> None:
+def work(asked: Callable[[], Batch], address: str, number: int, processes: int, target: str) -> None:
     """One of several processes; the first writes the result.
 
     Args:
-        batch: what to run.
+        asked: makes what to run, which may compute and so comes after the processes have found each other.
         address: of the first process.
         number: of this process.
         processes: their number.
@@ -117,6 +137,7 @@ def work(batch: Batch, address: str, number: int, processes: int, target: str) -
     threading.Thread(target=_end_with, args=(os.getppid(),), daemon=True).start()
     jax.distributed.initialize(address, num_processes=processes, process_id=number)
     try:
+        batch = asked()
         found = run(dataclasses.replace(batch, progress=batch.progress and number == 0))
         if number == 0:
             tolerances.save(found, target)

@@ -14,7 +14,14 @@ from rvjax.tolerances.population.sampling import for_design, sample
 from rvjax.tolerances.propagation.estimates import Estimate
 from rvjax.tolerances.propagation.failure import FailureProbability, failure_probability
 from rvjax.tolerances.propagation.monte_carlo import Statistics, monte_carlo
-from rvjax.tolerances.propagation.requirements import CpkAtLeast, MeanWithin, Requirement, Verdict
+from rvjax.tolerances.propagation.requirements import (
+    CpkAtLeast,
+    MeanWithin,
+    Requirement,
+    SdAtMost,
+    Verdict,
+    WorstCaseWithin,
+)
 from rvjax.tolerances.propagation.responses import Outcome
 from rvjax.tolerances.propagation.rss import Moments, rss
 from rvjax.tolerances.propagation.sobol_indices import SobolIndices, sobol_indices
@@ -34,12 +41,14 @@ __all__ = [
     "Outcome",
     "ReciprocalPower",
     "Requirement",
+    "SdAtMost",
     "SobolIndices",
     "Statistics",
     "Table",
     "Tolerance",
     "Verdict",
     "WorstCase",
+    "WorstCaseWithin",
     "allocate",
     "cost_curve",
     "failure_probability",

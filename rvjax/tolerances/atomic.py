@@ -31,13 +31,13 @@ def write_atomically(path: Path, content: bytes) -> None:
     """Write a file so that a reader, or the next run after a crash, finds the old or the new content, never a part.
 
     Args:
-        path: of the file; beside it a `.partial` file exists while writing.
+        path: of the file; beside it a `.partial` file, with the number of the process, exists while writing.
         content: bytes.
 
     Raises:
         OSError: it cannot be written; the old content stays.
     """
-    partial = path.with_name(path.name + PARTIAL)
+    partial = path.with_name(f"{path.name}.{os.getpid()}{PARTIAL}")  # two processes never share one
     try:
         with partial.open("wb") as file:
             file.write(content)

@@ -7,8 +7,6 @@ Floats keep their bits.
 import dataclasses
 import json
 import math
-import zipfile
-import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -18,7 +16,7 @@ import numpy as np
 
 from rvjax.records import Record
 from rvjax.tolerances.atomic import write_atomically
-from rvjax.tolerances.propagation.checkpoint import packed, unpacked, versions
+from rvjax.tolerances.propagation.checkpoint import DAMAGE, packed, unpacked, versions
 
 _FORMAT = 2
 _ABOUT = "about"
@@ -78,7 +76,7 @@ def load(path: str | Path) -> Any:
     content, arrays = _read(path)
     try:
         return _decoded(content["result"], arrays)
-    except (KeyError, TypeError, AttributeError, IndexError) as error:
+    except (KeyError, TypeError, AttributeError, IndexError, OverflowError, RecursionError) as error:
         raise ValueError(f"{path}: damaged ({type(error).__name__}: {error})") from None
 
 
@@ -108,7 +106,7 @@ def _read(path: str | Path) -> tuple[Any, dict[str, np.ndarray]]:
             raw = arrays.pop(_ABOUT).tobytes()
         content = json.loads(raw)
         written = content["rvjax"]["format"]
-    except (ValueError, KeyError, TypeError, AttributeError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+    except DAMAGE as error:
         raise ValueError(f"{path}: damaged, or no result of rvjax ({error})") from None
     if written != _FORMAT:
         raise ValueError(f"{path}: has format {written!r}, this version of rvjax reads {_FORMAT}")

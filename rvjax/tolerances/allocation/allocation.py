@@ -1,6 +1,7 @@
 """Allocation: the cheapest tolerances that still meet every requirement, with a certificate or a refusal."""
 
 import dataclasses
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -41,6 +42,9 @@ class Allocation:
         multipliers: structure of the response: d cost / d limit when its limits move outwards, <= 0.
         shortfall: structure of the response: how far the limits would have to move outwards, 0 if met; with a
             joint target, the least each needs by itself.
+        residual: how far the accepted set is from the conditions of an optimum (Karush, Kuhn and Tucker): the largest
+            saving of a single field that no price of a requirement accounts for, as a part of all savings; nan where
+            nothing was searched. Sampled slopes know it to a few percent; the cost is off by about its square.
         certificate: `Statistics` of fresh units at `tolerances`.
         grades: {field: grade} of a snapped allocation, else None.
         graded: the allocation snapped to grades, if asked for.
@@ -57,6 +61,7 @@ class Allocation:
     half_widths: dict[str, float]
     multipliers: Any
     shortfall: Any
+    residual: float
     certificate: Statistics
     grades: dict[str, str] | None
     graded: "Allocation | None"
@@ -159,21 +164,39 @@ class _Found:
     certificate: Statistics
     prices: np.ndarray
     shortfall: dict[str, float]
+    residual: float = math.nan
 
 
 def _cheapest(search: Search, certifier: Certifier, start: np.ndarray) -> _Found:
     training, run = search.training, certifier.run
-    point, settled = search.run(search.begin(start))
+    point, settled = search.find(search.begin(start), start)
     if run.samples > training.samples:  # a larger sample knows the figures better: tell the smaller one
         seen = certifier.draw(training.with_half_widths(point.half_widths))
-        point, settled = search.run(training.correct(point, certifier.factors(seen, training.distance)))
-    prices = search.multipliers(point) @ point.weights
-    half_widths, certificate = certifier.settle(training, point.half_widths, search.low)
+        point, settled = search.find(training.correct(point, certifier.factors(seen, training.distance)), start)
+    prices = search.prices(point)
+    half_widths, certificate = _certified(search, certifier, point.half_widths, start)
     status = "OPTIMAL" if settled else "MAX_STEPS"
     if not certifier.holds(certificate):
         status = "NOT_CERTIFIED"
     learned, nothing = search.cost(point.half_widths), dict.fromkeys(run.requirements, 0.0)
-    return _Found(status, learned, half_widths, certificate, prices, nothing)
+    return _Found(status, learned, half_widths, certificate, prices, nothing, search.residual(point))
+
+
+def _certified(
+    search: Search, certifier: Certifier, found: np.ndarray, start: np.ndarray
+) -> tuple[np.ndarray, Statistics]:
+    """The cheapest certified set: what was found, shrunk where need be, or the start, or the finest."""
+    training, start = search.training, search.inside(start)
+    best, certificate = certifier.settle(training, found, search.low)
+    best, certificate = certifier.polished(training, best, certificate, search.high)
+    others = [t for t in (start, search.low) if not certifier.holds(certificate) or search.cost(t) < search.cost(best)]
+    for other in sorted(others, key=search.cost):
+        if certifier.hopeless():
+            break
+        drawn = certifier.draw(training.with_half_widths(other))
+        if certifier.holds(drawn):
+            return other, drawn
+    return best, certificate
 
 
 def _finest(search: Search, certifier: Certifier) -> _Found:
@@ -200,6 +223,7 @@ def _result(search: Search, found: _Found, names: tuple[str, ...], start: np.nda
         half_widths=dict(zip(training.fields, map(float, t))),
         multipliers=nothing | dict(zip(training.requirements, map(float, -found.prices))),
         shortfall=nothing | found.shortfall,
+        residual=found.residual,
         certificate=found.certificate,
         grades=None,
         graded=None,

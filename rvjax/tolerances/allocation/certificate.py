@@ -1,17 +1,24 @@
 """The certificate: fresh random units decide whether a set of tolerances meets its requirements."""
 
 import dataclasses
+import math
 
 import numpy as np
 
 from rvjax.tolerances.allocation.training import Training
 from rvjax.tolerances.population.population import Population
 from rvjax.tolerances.propagation.estimates import deviate_of, wilson
+from rvjax.tolerances.propagation.factors import share_factor
+from rvjax.tolerances.propagation.failure import failure_probability
+from rvjax.tolerances.propagation.limits import Verdict
 from rvjax.tolerances.propagation.monte_carlo import Run, Statistics
-from rvjax.tolerances.propagation.requirements import share_factor
+from rvjax.tolerances.propagation.responses import PLAIN
 
 _DRAWS = 8  # certificates in one search; every one is a new chance to pass by luck
+_RARE = 20_000, 200_000  # units behind a probability of failure
+_TRUSTED = {"OK", "SEVERAL_POINTS", "KINKED_POINT"}  # the latter two concern the reliability index alone
 _LEAST = 1e-3  # least step of a shrinking half-width, relative
+_WORTH, _ROOM = 2e-3, 0.1  # room in half-widths that is worth another certificate, and the most of it to go for
 
 
 @dataclasses.dataclass
@@ -22,9 +29,28 @@ class Certifier:
     joint_target: float | None
 
     def draw(self, population: Population, *, keep: bool = False) -> Statistics:
-        """Statistics of fresh units."""
+        """Statistics of fresh units; a target beyond what they can show is judged by a probability of failure."""
         self.run = dataclasses.replace(self.run, seed=self.run.seed + 1)
-        return dataclasses.replace(self.run, population=population, keep=keep).statistics()
+        found = dataclasses.replace(self.run, population=population, keep=keep).statistics()
+        return dataclasses.replace(found, verdicts=found.verdicts | self.rare(population)) if found.verdicts else found
+
+    def rare(self, population: Population) -> dict[str, Verdict]:
+        """Verdicts on the targets that the units of a certificate are too few for."""
+        n, confidence = self.run.samples, self.run.confidence
+        beyond = {name: item for name, item in self.run.requirements.items() if item.beyond(n, confidence)}
+        verdicts = {}
+        for name, item in beyond.items():
+            count = min(max(n, _RARE[0]), _RARE[1])
+            found = failure_probability(self.run.response, population, {name: item}, samples=count, seed=self.run.seed)
+            of = lambda figure: figure if name == PLAIN else figure[name]  # noqa: B023, E731
+            failing, reasons = of(found.probability), set(of(found.status).split(", "))
+            if failing.value > 0:  # its interval is one of 95 %
+                wider = (failing.upper / failing.value) ** (deviate_of(confidence) / deviate_of(0.95))
+                failing = dataclasses.replace(
+                    failing, lower=failing.value / wider, upper=min(1.0, failing.value * wider)
+                )
+            verdicts[name] = item.rarely(failing, reasons <= _TRUSTED)
+        return verdicts
 
     def holds(self, statistics: Statistics) -> bool:
         """True if every requirement is met for certain, and the joint target if there is one."""
@@ -39,12 +65,14 @@ class Certifier:
         return alone or wilson(n, n, confidence).lower < (self.joint_target or 0.0)
 
     def factors(self, statistics: Statistics, distance: np.ndarray) -> np.ndarray:
-        """Of each constraint: the common factor on all half-widths after which a draw should just hold (normal law)."""
+        """Of each constraint: the common factor on all half-widths after which a draw should just hold."""
         n, z = self.run.samples, deviate_of(self.run.confidence)
         found = [
             item.factor(statistics.verdicts[name].estimate, n, z, float(d))
             for (name, item), d in zip(self.run.requirements.items(), distance)
         ]
+        if any(item.most_failed < 1 for item in self.run.requirements.values()):
+            found.append(self.of_failures(statistics))
         if self.joint_target is not None and statistics.joint_yield is not None:
             found.append(share_factor(statistics.joint_yield, self.joint_target, n, z))
         return np.array(found)
@@ -53,7 +81,7 @@ class Certifier:
         """The common factor after which few enough units should fail for figures of the valid ones to count."""
         n, most = statistics.samples, min(item.most_failed for item in self.run.requirements.values())
         valid = wilson(n - statistics.failed, n, self.run.confidence)
-        return share_factor(valid, 1 - most, n, deviate_of(self.run.confidence)) if most < 1 else 1.0
+        return share_factor(valid, 1 - most, n, deviate_of(self.run.confidence))
 
     def settle(
         self, training: Training, start: np.ndarray, low: np.ndarray, *, draws: int = _DRAWS
@@ -61,13 +89,26 @@ class Certifier:
         """Shrink all half-widths by common factors until a certificate holds; the last one drawn otherwise."""
         half_widths, statistics = start, self.draw(training.with_half_widths(start))
         for _ in range(draws - 1):
-            factors = [*self.factors(statistics, training.distance), self.of_failures(statistics), 1 - _LEAST]
-            factor = max(0.5, min(factors))
+            factor = max(0.5, min(*self.factors(statistics, training.distance), 1 - _LEAST))
             after = np.maximum(half_widths * factor, np.minimum(low, half_widths))
             if self.holds(statistics) or self.hopeless() or np.array_equal(after, half_widths):
                 break
             half_widths, statistics = after, self.draw(training.with_half_widths(after))
         return half_widths, statistics
+
+    def polished(
+        self, training: Training, half_widths: np.ndarray, statistics: Statistics, high: np.ndarray
+    ) -> tuple[np.ndarray, Statistics]:
+        """Looser half-widths where a certificate held with room to spare, if theirs holds too.
+
+        Tried once, by half of the room: the other half, as draws go, was luck.
+        """
+        room = min(*self.factors(statistics, training.distance), 1 + _ROOM)
+        wider = np.minimum(half_widths * math.sqrt(max(1.0, room)), np.maximum(high, half_widths))
+        if not self.holds(statistics) or room < 1 + _WORTH or np.array_equal(wider, half_widths):
+            return half_widths, statistics
+        drawn = self.draw(training.with_half_widths(wider))
+        return (wider, drawn) if self.holds(drawn) else (half_widths, statistics)
 
     def shortfall(self, population: Population) -> tuple[Statistics, dict[str, float]]:
         """How far each limit would have to move outwards for these tolerances; 0 where it is met."""

@@ -1,5 +1,6 @@
-"""The search for the cheapest half-widths: steps of a separable model, kept to a trust region."""
+"""The search for the cheapest half-widths: steps of a separable model in a trust region, and an audit of its end."""
 
+import copy
 import math
 from collections.abc import Callable
 from typing import Any
@@ -8,13 +9,25 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax.tolerances.allocation.cost import Cost
+from rvjax.tolerances.allocation.optimality import residual
+from rvjax.tolerances.allocation.rays import Rays
 from rvjax.tolerances.allocation.separable import cheapest, total_cost
 from rvjax.tolerances.allocation.training import Point, Training
 
 _RADIUS = 1.5  # first step, at most, in logarithms of the half-widths
 _SETTLED = 2e-3  # steps and violations (as parts of the way to the limit) smaller than this end the search
 _NOISE = 0.02  # violation that the sample itself may err by; the certificate takes care of it
-_GAIN = 5e-4  # and so does a step that saves less of the cost
+_GAIN = 1e-4  # and so does a step that saves less of the cost
+
+_PROBE = 0.1  # of the audit, logarithm of a half-width
+_ASTRAY = 0.4  # part of a probe by which a margin may move otherwise than its slopes say: few units cross
+_MANY, _FEWEST = 40, 8  # units beyond a limit that these bounds are for, and the least that a quantile leaves
+_STATIONARY = 0.1  # residual of an optimum by derivatives: costs less than half its square
+_STATIONARY_APART = 0.2  # the same where slopes are differences of a sample
+_TELLING = 0.005  # change of the least cost that is none of the search's own
+_MOVES = (0.05, 0.2)  # of a limit, parts of the way to it; the second where the first changes nothing
+_INWARD = 0.99  # of a set that is not quite within the constraints
+_LOOSER = (0.3, 0.1, 0.03, 0.01)  # a single field, logarithms of the half-width
 
 
 class Search:
@@ -26,6 +39,10 @@ class Search:
         self.low = np.array([float(cost.finest) for cost in self.costs])
         self.high = np.array([float(cost.coarsest) for cost in self.costs])
         self.history: list[dict[str, Any]] = []
+        self.rays: Rays | None = None  # once derivatives have misled
+        self.audited = False  # they have not
+        beyond = min(training.samples * (1 - getattr(r, "target", 0.0)) for r in training.requirements.values())
+        self.doubt = math.sqrt(max(1.0, _MANY / max(beyond, _FEWEST)))  # few units beyond a limit know a slope badly
 
     def cost(self, half_widths: np.ndarray) -> float:
         """Total cost."""
@@ -33,10 +50,11 @@ class Search:
 
     def look(self, half_widths: np.ndarray) -> Point:
         """Evaluate the sample and note it."""
-        point = self.training.point(half_widths)
+        point = (self.rays or self.training).point(half_widths)
         self.advance(1)
-        names = [*(name or "response" for name in self.training.requirements), "joint"]
-        margins = dict(zip(names, map(float, point.margins)))  # the joint one is last, if there is one
+        names = [name or "response" for name in self.training.requirements]
+        names += ["failed"] if self.training.most_failed is not None else []
+        margins = dict(zip([*names, "joint"], map(float, point.margins)))  # the joint one is last, if there is one
         named = dict(zip(self.training.fields, map(float, half_widths)))
         self.history.append(dict(cost=self.cost(half_widths), margins=margins, half_widths=named))
         return point
@@ -45,6 +63,27 @@ class Search:
         """The given half-widths, or the finest where so many units fail that no quantile is left."""
         point = self.look(np.clip(start, self.low, self.high))
         return point if np.isfinite(point.margins).all() else self.look(self.low)
+
+    def find(self, point: Point, start: np.ndarray) -> tuple[Point, bool]:
+        """The cheapest half-widths from a point on, and whether they are an optimum as far as the sample tells.
+
+        By derivatives first. Where an audit finds that these mislead, by differences along rays from what was
+        found, from the start and from the finest half-widths.
+        """
+        if self.rays is None:
+            point, settled = self.run(point)
+            self.audited = self.audited or (settled and self.stands(point))
+            if len(self.history) >= self.max_steps or (settled and self.audited):
+                return point, settled
+            self.rays = Rays(self.training)
+            corners = [self.inside(self.rays.scaled(t)) for t in (point.half_widths, start, self.low)]
+            corners = sorted((t for t in corners if self.rays.met(t)), key=self.cost)
+            starts = [*corners[:1], self.low]
+        else:
+            starts = [self.inside(self.rays.scaled(point.half_widths))]
+        ends = [self.loosened(self.run(self.look(t))[0].half_widths) for t in starts]
+        best = self.look(min(ends, key=self.cost))
+        return best, len(self.history) < self.max_steps and self.residual(best) <= _STATIONARY_APART * self.doubt
 
     def run(self, best: Point) -> tuple[Point, bool]:
         """From a point to the cheapest, and whether the steps settled there."""
@@ -66,14 +105,80 @@ class Search:
                 return best, True
         return best, False
 
+    def stands(self, point: Point) -> bool:
+        """The audit of an end: no price explains away a saving, and the sample moves as the slopes say it does.
+
+        Every field is loosened alone. Units that fail, or a response in steps, show by margins that jump or stay.
+        """
+        if self.residual(point) > _STATIONARY:
+            return False
+        way = (point.margins + self.training.distance) / self.training.distance
+        for j, slopes in enumerate((point.slopes / self.training.distance[:, None]).T):
+            probe = point.half_widths.copy()
+            probe[j] *= math.exp(_PROBE)
+            if probe[j] > self.high[j]:
+                continue
+            seen = self.training.margins(probe) / self.training.distance + 1
+            powers = self.training.powers
+            grown = way**powers + way ** (powers - 1) * slopes * np.expm1(powers * _PROBE)
+            told = np.maximum(grown, 0.0) ** (1 / powers)
+            astray = (np.abs(seen - told) > _ASTRAY * self.doubt * _PROBE) & (np.maximum(seen, told) > 1 - _NOISE)
+            if astray.any():
+                return False
+        return True
+
+    def residual(self, point: Point) -> float:
+        """How far a point is from the conditions of an optimum, as a part of what looser half-widths save."""
+        return residual(self.costs, point, self.training.distance, self.low, self.high)
+
+    def loosened(self, half_widths: np.ndarray) -> np.ndarray:
+        """Brought within the constraints, then every field loosened alone while they hold."""
+        rays = self.rays or Rays(self.training)
+        t = half_widths if rays.met(half_widths) else self.inside(rays.scaled(half_widths))
+        while not rays.met(t):  # the ray may leave and enter again
+            if np.array_equal(t, self.low):
+                return t
+            t = np.maximum(_INWARD * t, self.low)
+        for step in _LOOSER:
+            again = True
+            while again:
+                again = False
+                for j in range(len(t)):
+                    wider = t.copy()
+                    wider[j] = min(t[j] * math.exp(step), self.high[j])
+                    if self.cost(wider) < self.cost(t) and rays.met(wider):
+                        t, again = wider, True
+        return t
+
+    def inside(self, half_widths: np.ndarray) -> np.ndarray:
+        """Clipped to the process ranges."""
+        return np.clip(half_widths, self.low, self.high)
+
     def model_optimum(self, point: Point, radius: float) -> tuple[np.ndarray, np.ndarray]:
         """Cheapest half-widths within a factor exp(radius) under the model around a point, and its multipliers."""
         low, high = (np.clip(point.half_widths * math.exp(r), self.low, self.high) for r in (-radius, radius))
-        return cheapest(self.costs, point, self.training.distance, low, high)
+        return cheapest(self.costs, point, self.training.distance, self.training.powers, low, high)
 
-    def multipliers(self, point: Point) -> np.ndarray:
-        """Cost that one unit of each margin is worth at a point."""
-        return self.model_optimum(point, _RADIUS)[1]
+    def prices(self, point: Point) -> np.ndarray:
+        """What the cost changes by, downwards, where the limit of each requirement moves outwards."""
+        if self.rays is None:
+            return self.model_optimum(point, _RADIUS)[1] @ point.weights
+        return np.array([self.price(self.rays, point, k) for k in range(len(self.training.requirements))])
+
+    def price(self, rays: Rays, point: Point, k: int) -> float:
+        """The same of one requirement, by differences of the least cost: a limit is moved and the search goes on."""
+        name, scale = list(self.training.requirements)[k], float(self.training.scales[k])
+        for move in _MOVES:
+            ends = []
+            for outward in (-move * scale, move * scale):
+                there = copy.copy(self)
+                there.rays, there.history, there.advance = rays.moved(name, outward), [], lambda count: None
+                start = there.inside(there.rays.scaled(point.half_widths))
+                ends.append(there.cost(there.loosened(there.run(there.look(start))[0].half_widths)))
+            saved = ends[0] - ends[1]
+            if saved > _TELLING * ends[1]:
+                return saved / (2 * move * scale)
+        return 0.0
 
     def _merit(self, point: Point, penalty: np.ndarray) -> float:
         """Cost plus an exact penalty on violated constraints."""

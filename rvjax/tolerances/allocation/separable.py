@@ -2,9 +2,10 @@
 
 Around a known point each constraint is modelled as a root sum of squares, s^2 = s0^2 + sum_j b_j
 (t_j^2 - t0_j^2), s = margin + distance of the nominal response from the limit: exact for linear
-responses without mean shift, and right to first order for all. With reciprocal costs its optimum is the
-closed form t_j ~ (c_j k_j / b_j)^(1/(k_j+2)). The model costs nothing to evaluate, so an augmented Lagrangian
-with Adam (Hestenes 1969, Powell 1969; optax) solves it for any number of constraints and any cost.
+responses without mean shift, and right to first order for all; worst cases as a sum, with power 1 for 2.
+With reciprocal costs its optimum is the closed form t_j ~ (c_j k_j / b_j)^(1/(k_j+2)). The model costs
+nothing to evaluate, so an augmented Lagrangian with Adam (Hestenes 1969, Powell 1969; optax) solves it
+for any number of constraints and any cost.
 """
 
 from collections.abc import Callable
@@ -24,17 +25,23 @@ _RATES = optax.cosine_decay_schedule(0.05, _STEPS, alpha=0.002)
 
 
 def cheapest(
-    costs: tuple[Any, ...], point: Point, distance: np.ndarray, low: np.ndarray, high: np.ndarray
+    costs: tuple[Any, ...],
+    point: Point,
+    distance: np.ndarray,
+    powers: np.ndarray,
+    low: np.ndarray,
+    high: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Half-widths (j,) of least cost under the model around `point`, and its multipliers, cost per unit of each margin.
 
-    `distance` (c,) is that of the nominal response from each limit; `low` and `high` (j,) bound the half-widths.
+    `distance` (c,) is that of the nominal response from each limit, `powers` (c,) those by which half-widths add up;
+    `low` and `high` (j,) bound the half-widths.
     """
     reach = np.maximum(point.margins + distance, 1e-3 * distance)
-    constant = (reach / distance) ** 2
-    weights = reach[:, None] * point.slopes / distance[:, None] ** 2  # b_j t0_j^2 / distance^2
+    constant = (reach / distance) ** powers
+    weights = (constant / reach)[:, None] * point.slopes  # b_j t0_j^2 / distance^2
     total = float(total_cost(costs, jnp.asarray(point.half_widths)))
-    arrays = [jnp.asarray(a) for a in (np.log(point.half_widths), np.log(low), np.log(high), constant, weights)]
+    arrays = [jnp.asarray(a) for a in (np.log(point.half_widths), np.log(low), np.log(high), constant, weights, powers)]
     with jax.numpy_dtype_promotion("standard"):  # optax raises floats to integer powers
         found, prices = _solve(costs, total, *arrays)
     return np.clip(np.exp(np.asarray(found)), low, high), np.asarray(prices) * total / distance
@@ -66,14 +73,14 @@ def _summed(costs: tuple[Any, ...]) -> Callable[[jax.Array], jax.Array]:
 
 
 @jax.jit
-def _solve(costs: Any, total: Any, start: Any, low: Any, high: Any, constant: Any, weights: Any) -> Any:
+def _solve(costs: Any, total: Any, start: Any, low: Any, high: Any, constant: Any, weights: Any, powers: Any) -> Any:
     """Augmented Lagrangian in logarithms of the half-widths, projected to the bounds."""
     cost = _summed(costs)
     optimiser = optax.adam(_RATES, b1=0.8, b2=0.95)
 
     def constraints(x: jax.Array) -> jax.Array:
-        square = constant + weights @ jnp.expm1(2 * (x - start))
-        return 0.5 * jnp.log(jnp.maximum(square, 1e-6))  # log(s/distance), gentle where far violated
+        grown = jnp.sum(weights * jnp.expm1(jnp.outer(powers, x - start)), axis=1)
+        return jnp.log(jnp.maximum(constant + grown, 1e-6)) / powers  # log(s/distance), gentle where far violated
 
     def lagrangian(x: jax.Array, prices: jax.Array) -> jax.Array:
         pressed = jnp.maximum(0.0, prices + _PENALTY * constraints(x))

@@ -11,10 +11,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax.status import succeeded
+from rvjax.tolerances.distribution.tolerance import Tolerance
 from rvjax.tolerances.population.population import Population, drawn, root_key
-from rvjax.tolerances.propagation.requirements import Limits, Pull, along_reach
-from rvjax.tolerances.propagation.responses import BLOCK, Response, evaluate, per_response, respond
+from rvjax.tolerances.propagation.limits import Limits, Pull, along_reach
+from rvjax.tolerances.propagation.responses import BLOCK, Response, evaluate, per_response, respond, response_names
 from rvjax.tolerances.propagation.tails import nearest, tail_quantile
+from rvjax.tolerances.propagation.worst_case import Extremes, extremes
 
 # Slopes come from the units nearest the quantile: few enough to stand near it, where the response bends; cheap, too.
 _FEWEST_LANES, _LANES_PART = 256, 32
@@ -22,7 +24,10 @@ _FEWEST_LANES, _LANES_PART = 256, 32
 
 @dataclasses.dataclass(frozen=True)
 class Point:
-    """What the sample says at one set of half-widths; constraints are the requirements, then the joint one.
+    """What the sample says at one set of half-widths.
+
+    Constraints are the requirements, then the share of failed units where any of them is a figure of the valid ones,
+    then the joint one.
 
     Attributes:
         half_widths: (j,) of the fields that have a cost.
@@ -51,36 +56,58 @@ class Training:
         seed: int,
     ) -> None:
         self.response, self.population, self.fields, self.requirements = response, population, fields, requirements
+        self.names = response_names(response, population)
+        self._priced = [list(population.active).index(name) for name in fields]
         self.samples, self.joint_target = samples, joint_target
+        self._made: dict[str, tuple[float, Tolerance]] = {}  # the latest tolerance of each field, by its half-width
         self.lanes = min(samples, max(_FEWEST_LANES, samples // _LANES_PART))
         key, block = root_key(seed), min(samples, BLOCK)
         self.blocks = [drawn(population, key, jnp.uint32(start), count=block) for start in range(0, samples, block)]
         # How far the nominal response stays from each limit; margins are measured from there.
-        own = self._unit_margins(self._values(np.zeros(len(fields))))
-        nominal = -np.median(own, axis=1)
+        values = self._values(np.zeros(len(fields)))
+        own = self._unit_margins(values)
+        nominal = np.array([item.distance(row) for row, item in zip(values, requirements.values())])
         finite = np.where(np.isfinite(own), np.abs(own), 0.0).max(axis=1)
         spread = np.where(finite > 0, finite, 1.0)  # a positive size where the nominal value touches the limit
         self.scales = np.where(np.isfinite(nominal) & (nominal > 0), nominal, spread)
-        self.distance = self.scales if joint_target is None else np.append(self.scales, 1.0)
+        most = [item.most_failed for item in requirements.values() if item.most_failed < 1]
+        self.most_failed = min(most, default=None)  # beside figures of the valid units failures are a constraint too
+        others = (self.most_failed is not None) + (joint_target is not None)
+        self.distance = np.append(self.scales, np.ones(others))
         self.correction = np.ones(len(self.distance))
+        self.powers = np.full(len(self.distance), 2.0)  # by which the half-widths of each constraint add up
+        self.powers[: len(requirements)] = [item.power for item in requirements.values()]
 
     def with_half_widths(self, half_widths: np.ndarray) -> Population:
         """The population with these half-widths in the fields that have a cost."""
-        return self.population.with_half_widths(dict(zip(self.fields, map(float, half_widths))))
+        for name, t in zip(self.fields, map(float, half_widths)):
+            if name not in self._made or self._made[name][0] != t:  # of hundreds of fields often one alone has moved
+                self._made[name] = t, self.population.active[name].with_half_width(t)
+        return self.population.with_tolerances({name: made for name, (_, made) in self._made.items()})
 
     def margins(self, half_widths: np.ndarray) -> np.ndarray:
         """Margins of the constraints (c,)."""
-        return self._corrected(self._margins(self._values(half_widths)))
+        return self._corrected(self.uncorrected(half_widths))
+
+    def uncorrected(self, half_widths: np.ndarray) -> np.ndarray:
+        """Margins (c,) of this sample, whatever a larger one said."""
+        return self._margins(self._values(half_widths), self._ranges(half_widths))
 
     def point(self, half_widths: np.ndarray) -> Point:
         """Margins and slopes."""
-        values = self._values(half_widths)
-        margins = self._margins(values)
+        values, ranges = self._values(half_widths), self._ranges(half_widths)
+        margins = self._margins(values, ranges)
         weights = np.eye(len(margins), len(values))
-        slopes = [
-            self._slope(half_widths, item.pull(row, margins[k], self.distance[k], self.lanes), np.full(self.samples, k))
-            for k, (row, item) in enumerate(zip(values, self.requirements.values()))
-        ]
+        slopes = []
+        for k, ((name, item), row) in enumerate(zip(self.requirements.items(), values)):
+            if item.of_extremes:
+                pull = item.pull(ranges[name].values, margins[k], self.distance[k], self.lanes)
+                slopes.append(pull.cotangents @ ranges[name].slopes[pull.units][:, self._priced])
+            else:
+                pull = item.pull(row, margins[k], self.distance[k], self.lanes)
+                slopes.append(self._slope(half_widths, pull, np.full(self.samples, k)))
+        if self.most_failed is not None:
+            slopes.append(np.zeros(len(self.fields)))
         if self.joint_target is not None:
             joint, leading = self._joint(values)
             units = nearest(joint, self.joint_target, self.lanes)
@@ -115,6 +142,12 @@ class Training:
             rows.append(np.where(np.asarray(succeeded(status)), found, np.nan))
         return np.concatenate(rows, axis=1)[:, : self.samples]
 
+    def _ranges(self, half_widths: np.ndarray) -> dict[str, Extremes]:
+        """Ranges of the responses whose worst case is judged."""
+        judged = [name for name, item in self.requirements.items() if item.of_extremes]
+        population = self.with_half_widths(half_widths) if judged else self.population
+        return {name: extremes(self.response, population, self.names, name) for name in judged}
+
     def _unit_margins(self, values: np.ndarray) -> np.ndarray:
         """Margin of every unit to every limit (k, n), inf where it failed."""
         rows = [item.margin(row) for row, item in zip(values, self.requirements.values())]
@@ -126,9 +159,15 @@ class Training:
         scaled[[not item.of_units for item in self.requirements.values()]] = -np.inf
         return scaled.max(axis=0), scaled.argmax(axis=0)
 
-    def _margins(self, values: np.ndarray) -> np.ndarray:
-        triples = zip(self.requirements.values(), values, map(float, self.distance))
-        found = [item.learned(row, distance) for item, row, distance in triples]
+    def _margins(self, values: np.ndarray, ranges: dict[str, Extremes]) -> np.ndarray:
+        rows = [ranges[name].values if name in ranges else row for name, row in zip(self.requirements, values)]
+        triples = zip(self.requirements.values(), rows, map(float, self.distance))
+        found = [
+            item.learned(row if item.most_failed >= 1 else row[~np.isnan(row)], distance)
+            for item, row, distance in triples
+        ]
+        if self.most_failed is not None:
+            found.append(float(np.isnan(values).any(axis=0).mean()) / self.most_failed - 1)
         if self.joint_target is not None:
             found.append(tail_quantile(self._joint(values)[0], self.joint_target, 1.0))
         return np.array(found)

@@ -115,7 +115,10 @@ class Population(Record):
 
     def with_half_widths(self, half_widths: Mapping[str, Scalar]) -> Self:
         """The same population with some half-widths changed, by name of the field."""
-        changed = {name: self.active[name].with_half_width(t) for name, t in half_widths.items()}
+        return self.with_tolerances({name: self.active[name].with_half_width(t) for name, t in half_widths.items()})
+
+    def with_tolerances(self, changed: Mapping[str, Tolerance]) -> Self:
+        """The same population with other tolerances in some of its active fields."""
         return self.replace(tolerances=self._with(changed, absent=None))
 
     def _with(self, values: Mapping[str, Any], *, absent: Any) -> Any:

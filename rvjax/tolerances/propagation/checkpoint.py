@@ -3,6 +3,8 @@
 import hashlib
 import io
 import json
+import math
+import operator
 import time
 import warnings
 import zipfile
@@ -25,6 +27,12 @@ from rvjax.tolerances.propagation.responses import Response, respond
 EVERY = 1.0  # s, at most one file in this time
 _SHARE = 10  # and ten times as long computing as writing
 _FORMAT = 2
+LARGEST = 2**26
+"""Bytes of a state for each response, at most: 16 histograms and what waits for one are 16 MiB."""
+
+DAMAGE = (ValueError, KeyError, TypeError, AttributeError, IndexError, EOFError, OverflowError, RecursionError,
+          NotImplementedError, zipfile.BadZipFile, zlib.error)  # fmt: skip
+"""What reading a malformed file may end in."""
 
 Arrays = Mapping[str, np.ndarray]
 
@@ -66,24 +74,27 @@ class Checkpoint:
         self._path, self._fingerprint = Path(path), dict(fingerprint)
         self._next, self._warned = 0.0, False
 
-    def load(self) -> tuple[int, dict[str, np.ndarray]]:
+    def load(self, largest: int) -> tuple[int, dict[str, np.ndarray]]:
         """Number of the next chunk and the state before it, which is empty at the beginning.
 
-        Raises a ValueError where the file is damaged or belongs to another study, an OSError where it is out of reach.
+        Raises a ValueError where the file is damaged, larger than `largest` bytes or of another study, an OSError where
+        it is out of reach.
         """
         try:
+            if (size := self._path.stat().st_size) > largest:
+                raise ValueError(f"{size} bytes, a checkpoint of this study has {largest} at most")
             arrays = unpacked(self._path.read_bytes())
             about = json.loads(arrays.pop("about").tobytes())
-            written, chunk = dict(about["fingerprint"]), int(about["next"])
             if about["format"] != _FORMAT:
                 raise ValueError(f"format {about['format']!r}, this version reads {_FORMAT}")
+            written, chunk = dict(about["fingerprint"]), operator.index(about["next"])
+            if chunk < 0 or about["digest"] != digest(arrays):
+                raise ValueError("its contents are not those that were written")
         except FileNotFoundError:
             self._write(0, {})  # a place that cannot be written is refused before anything is computed
             return 0, {}
-        except (ValueError, KeyError, TypeError, AttributeError, EOFError, zipfile.BadZipFile, zlib.error) as error:
-            raise ValueError(
-                f"checkpoint = {str(self._path)!r}: damaged, or no checkpoint ({error}); delete it to begin anew"
-            ) from None
+        except DAMAGE as error:
+            raise self.damaged(error) from None
         here = self._fingerprint
         different = [
             f"{key} is {written.get(key, 'absent')} in the file and {here.get(key, 'absent')} here"
@@ -96,6 +107,11 @@ class Checkpoint:
                 "name another file, or delete it to begin anew"
             )
         return chunk, arrays
+
+    def damaged(self, error: Exception) -> ValueError:
+        """The error of a file that cannot be gone on from."""
+        where = f"checkpoint = {str(self._path)!r}"
+        return ValueError(f"{where}: damaged, or no checkpoint ({error}); delete it to begin anew")
 
     def save(self, chunk: int, state: Any, *, now: bool = False) -> None:
         """Write what `state()` gives before chunk number `chunk`, if it is time or `now`; a failure only warns."""
@@ -115,7 +131,7 @@ class Checkpoint:
         self._next = end + max(EVERY, _SHARE * (end - start))
 
     def _write(self, chunk: int, arrays: Arrays) -> None:
-        about = {"format": _FORMAT, "fingerprint": self._fingerprint, "next": chunk}
+        about = {"format": _FORMAT, "fingerprint": self._fingerprint, "next": chunk, "digest": digest(arrays)}
         write_atomically(self._path, packed({**arrays, "about": np.frombuffer(json.dumps(about).encode(), np.uint8)}))
 
 
@@ -127,6 +143,27 @@ def packed(arrays: Arrays) -> bytes:
 
 
 def unpacked(content: bytes) -> dict[str, np.ndarray]:
-    """Arrays of `packed` bytes."""
-    with np.load(io.BytesIO(content), allow_pickle=False) as file:
-        return {name: file[name] for name in file.files}
+    """Arrays of `packed` bytes; nothing that would take more memory than the bytes themselves is begun."""
+    with zipfile.ZipFile(io.BytesIO(content)) as file:
+        if sum(member.file_size for member in file.infolist()) > len(content):
+            raise ValueError("its parts are larger than the file")
+        for member in file.infolist():
+            if member.compress_type != zipfile.ZIP_STORED:
+                raise ValueError(f"{member.filename!r} is compressed, which no file of rvjax is")
+            with file.open(member) as stream:
+                version = np.lib.format.read_magic(stream)
+                read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+                shape, _, dtype = read(stream)
+            if min(shape, default=0) < 0 or math.prod(shape) * dtype.itemsize > member.file_size:
+                raise ValueError(f"{member.filename!r} is shorter than its shape {shape} says")
+    with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
+        return {name: arrays[name] for name in arrays.files}
+
+
+def digest(arrays: Arrays) -> str:
+    """Hash of names, types, shapes and values."""
+    found = hashlib.sha256()
+    for name, array in sorted(arrays.items()):
+        found.update(f"{name} {array.dtype.str} {array.shape}".encode())
+        found.update(np.ascontiguousarray(array).data)
+    return found.hexdigest()

@@ -20,7 +20,14 @@ from rvjax.tolerances.population.correlation import Correlation
 from rvjax.tolerances.population.population import Population
 from rvjax.tolerances.population.sampling import check_method
 from rvjax.tolerances.population.sobol import SCRAMBLES
-from rvjax.tolerances.propagation.checkpoint import Checkpoint, describe, response_hash, versions
+from rvjax.tolerances.propagation.checkpoint import (
+    DAMAGE,
+    LARGEST,
+    Checkpoint,
+    describe,
+    response_hash,
+    versions,
+)
 from rvjax.tolerances.propagation.devices import Evaluator, gathered, place
 from rvjax.tolerances.propagation.estimates import deviate_of
 from rvjax.tolerances.propagation.figures import Statistics, rejects
@@ -29,6 +36,7 @@ from rvjax.tolerances.propagation.requirements import Limits
 from rvjax.tolerances.propagation.responses import Response, by_response, response_names, unwrapped
 from rvjax.tolerances.propagation.sampled import Sampled
 from rvjax.tolerances.propagation.tally import Tally
+from rvjax.tolerances.propagation.worst_case import extremes
 
 __all__ = ["Run", "Statistics", "monte_carlo", "progress_bar"]
 
@@ -142,7 +150,13 @@ class Run:
         """What the tally of all units says, as dicts by name of the response."""
         named = [status for status in PRECEDENCE if int(status) in tally.failures]
         seen = {
-            name: Sampled([tree.total() for tree in trees], tally.passed.get(name), tally.seen, self.confidence)
+            name: Sampled(
+                [tree.total() for tree in trees],
+                tally.passed.get(name),
+                tally.seen,
+                self.confidence,
+                self._extremes(name),
+            )
             for name, trees in tally.moments.items()
         }
         orders, any_units = tally.orders().items(), bool(tally.requirements)
@@ -179,6 +193,13 @@ class Run:
             versions=versions(),
         )
 
+    def _extremes(self, name: str) -> tuple[float, float]:
+        """The range of a response over the limits of all errors, where its requirement judges that."""
+        if name not in self.requirements or not self.requirements[name].of_extremes:
+            return math.nan, math.nan
+        low, high = extremes(self.response, self.population, self.names, name).values
+        return float(low), float(high)
+
     def _empty(self) -> Tally:
         streams, kept = SCRAMBLES if self.method == "sobol" else 1, self.samples if self.keep else 0
         return Tally(self.names, self.requirements, streams, kept)
@@ -192,12 +213,17 @@ class Run:
         study["response"] = response_hash(self.response, self.population)
         mine = {"process": f"{process} of {processes}", "values": "kept" if self.keep else "not kept"}
         file = Checkpoint(_of_process(self.checkpoint, process, processes), study | mine | versions())
-        done, state = file.load()
+        kept = 16 * self.samples * len(self.names) if self.keep else 0
+        done, state = file.load(LARGEST * (1 + len(self.names)) + kept)
         if done * self.chunk > self.samples:
             where = f"checkpoint = {str(self.checkpoint)!r} holds {done * self.chunk} already"
             raise ValueError(f"samples = {self.samples}: {where}")
-        if state:
-            tally.merge(state)
+        if done or state:
+            try:
+                tally.check(state, len(range(process, done, processes)) * self.chunk)
+                tally.merge(state)
+            except DAMAGE as error:
+                raise file.damaged(error) from None
         return tally, file, done
 
     def _count(self, tally: Tally, file: Checkpoint | None, done: int) -> None:

@@ -60,10 +60,6 @@ class Compiled:
         jitted, first = self._program(response)
         return str(jitted.lower(*first, *arguments, **static).as_text())
 
-    def programs(self, response: Response) -> int:
-        """Programs compiled for a plain function; for records, for all of them together."""
-        return int(self._program(response)[0]._cache_size())
-
 
 def per_response(*, static: tuple[str, ...] = ()) -> Callable[[Callable[..., Any]], Compiled]:
     """Compile a function whose first argument is a response; `static` names arguments given by keyword."""

@@ -22,12 +22,15 @@ class Sampled:
         passed: (streams,) units within the limits; None without any.
         seen: (streams,) units.
         confidence: of every interval.
+        extremes: smallest and largest response within the limits of all errors, nan where it fails there; not sampled,
+            and computed only where a requirement judges it.
     """
 
     streams: list[CentralMoments]
     passed: np.ndarray | None
     seen: np.ndarray
     confidence: float
+    extremes: tuple[float, float] = (math.nan, math.nan)
 
     @functools.cached_property
     def whole(self) -> CentralMoments:

@@ -66,6 +66,49 @@ def worst_case(response: Response, tolerances: Any, *, refine: bool = True) -> W
     return by_name(WorstCase, found)
 
 
+@dataclasses.dataclass(frozen=True)
+class Extremes:
+    """Both ends of the range of one response over the limits.
+
+    Attributes:
+        values: (2,) smallest and largest; nan where the response failed at any point that was looked at.
+        slopes: (2, fields) their derivatives to the logarithms of the half-widths of all active fields.
+    """
+
+    values: np.ndarray
+    slopes: np.ndarray
+
+
+def extremes(response: Response, population: Population, names: tuple[str, ...], name: str) -> Extremes:
+    """The range of one of the responses, and how it grows with the half-widths.
+
+    At an end of the range the place within the limits is the best already: the end moves as the errors there do while
+    the limits scale (envelope theorem).
+    """
+    search, k = _Search(response, population, names), names.index(name)
+    values, slopes = [], []
+    for sign in (-1.0, 1.0):
+        top, place, failed = search.extreme(k, sign, True)
+        _, gradient = search.look(place[None], k, sign)
+        values.append(math.nan if failed else sign * top)
+        slopes.append(sign * _scaling(population, place, gradient[0]))
+    return Extremes(np.array(values), np.array(slopes))
+
+
+def _scaling(population: Population, place: np.ndarray, gradient: np.ndarray) -> np.ndarray:
+    """Derivatives (fields,) of a response to the logarithms of the half-widths where unit coordinates stay in place."""
+    here = _unit_errors(population, jnp.asarray(place))
+    twice = population.with_half_widths({name: 2 * float(t.half_width) for name, t in population.active.items()})
+    there = _unit_errors(twice, jnp.asarray(place))
+    slopes = []
+    for name, to_unit in population.by_field(gradient).items():
+        tolerance = population.active[name]
+        unit = float(tolerance.upper if tolerance.is_vector else tolerance.half_width)  # d error/d coordinate
+        moved = np.asarray(there[name] - here[name])  # errors are linear in the half-width
+        slopes.append(float(np.sum(to_unit * moved)) / unit if unit > 0 else 0.0)
+    return np.array(slopes)
+
+
 class _Search:
     """Ascent in unit coordinates u: box coordinates in [-1, 1], pairs of a vector in the unit disc."""
 

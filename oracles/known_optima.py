@@ -1,0 +1,188 @@
+"""Allocations whose optimum is known without sampling: from the literature, or by Lagrange's conditions.
+
+Normal laws with limits of 3 standard deviations throughout. For a linear response y = sum a_j e_j within +-L the share
+within the limits is the target where sum (a_j t_j)^2 = (3 L / z)^2, z = Phi^-1((1 + target)/2); for limits of the
+worst case sum |a_j| t_j = L. The least cost under such constraints, which are explicit in the half-widths, is found by
+SLSQP in logarithms, and by the closed form t_j ~ (k_j b_j / a_j^2)^(1/(k_j + 2)) where one is published.
+"""
+
+import dataclasses
+import math
+from collections.abc import Callable
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from scipy import optimize, stats
+
+from rvjax.tolerances import Exponential, ReciprocalPower, Requirement, Tolerance, WorstCaseWithin
+
+INCH, MM = 0.0254, 1e-3
+THREE_SIGMA = 2 * stats.norm.cdf(3.0) - 1  # z = 3: limits of the chain at 3 standard deviations, as in root sum squares
+
+
+@dataclasses.dataclass(frozen=True)
+class Case:
+    """One allocation with its least cost.
+
+    Attributes:
+        source: of the inputs.
+        response: of the errors.
+        tolerances: where the search starts.
+        requirements: of the response.
+        costs: by field.
+        optimum: least cost.
+        published: least cost in print, as printed; None where there is none.
+    """
+
+    source: str
+    response: Callable[[Any], Any]
+    tolerances: dict[str, Tolerance]
+    requirements: Any
+    costs: dict[str, Any]
+    optimum: float
+    published: float | None = None
+
+
+def least(costs: dict[str, Any], constraints: list[Callable[[np.ndarray], float]], start: float) -> float:
+    """Least cost where every constraint of the half-widths is >= 0, by SLSQP in logarithms of them."""
+    models = list(costs.values())
+    total = lambda x: float(sum(model(t) for model, t in zip(models, np.exp(x))))  # noqa: E731
+    bounds = [(math.log(model.finest), math.log(model.coarsest)) for model in models]
+    met = [{"type": "ineq", "fun": lambda x, g=g: g(np.exp(x))} for g in constraints]
+    x0 = np.full(len(models), math.log(start))
+    options = dict(maxiter=1000, ftol=1e-12)
+    found = optimize.minimize(total, x0, bounds=bounds, constraints=met, method="SLSQP", options=options)
+    assert found.success, found.message
+    return float(found.fun)
+
+
+def squares(slopes: dict[str, float], costs: dict[str, Any], radius: float) -> Callable[[np.ndarray], float]:
+    """1 - sum (a_j t_j)^2 / radius^2 over the fields with a cost."""
+    a = np.array([slopes.get(name, 0.0) for name in costs])
+    return lambda t: 1 - float(np.sum((a * t) ** 2)) / radius**2
+
+
+def shaft_and_housing(arithmetic: bool) -> Case:
+    """The clearance -A + B - C + D - E + F - G = 0.020 +- 0.015 in; A, C and G are bought parts."""
+    fitted = {"B": (0.15997, 0.43899), "D": (0.07202, 0.46823), "E": (0.12576, 0.46537), "F": (0.07202, 0.46823)}
+    start = dict(A=0.0015, B=0.008, C=0.0025, D=0.002, E=0.006, F=0.002, G=0.0025)
+    slopes = dict(A=-1.0, B=1.0, C=-1.0, D=1.0, E=-1.0, F=1.0, G=-1.0)
+    bought, limit = [start[name] for name in "ACG"], 0.015
+    b, k = np.array(list(fitted.values())).T
+    power = 1 if arithmetic else 2
+    left = limit**power - sum(t**power for t in bought)
+    t = lambda price: (k * b / price) ** (1 / (k + power))  # noqa: E731
+    price = optimize.brentq(lambda log: np.sum(t(math.exp(log)) ** power) - left, -30, 30, xtol=1e-14)
+    optimum = len(b) + float(np.sum(b * t(math.exp(price)) ** -k))
+    limits = dict(lower=-limit * INCH, upper=limit * INCH)
+    process = dict(finest=1e-4 * INCH, coarsest=0.05 * INCH, fixed=1.0, reference=INCH)
+    return Case(
+        "Chase (1999), Tolerance allocation methods for designers, ADCATS 99-6: shaft and housing, "
+        + ("worst case" if arithmetic else "root sum squares"),
+        lambda e: sum(slope * e[name] for name, slope in slopes.items()),
+        {name: Tolerance.symmetric(size * INCH) for name, size in start.items()},
+        WorstCaseWithin(**limits) if arithmetic else Requirement(target=THREE_SIGMA, **limits),
+        {name: ReciprocalPower(scale=scale, power=power, **process) for name, (scale, power) in fitted.items()},
+        optimum,
+        11.07 if arithmetic else 8.06,
+    )
+
+
+def overrunning_clutch() -> Case:
+    """Contact angle arccos((hub + roller)/(cage - roller)) within 7 +- 2 degrees, 99.73 % of the units.
+
+    Both limits are linear in the dimensions: hub + (1 + cos) roller - cos cage has one sign, so that the shares beyond
+    them are exact. Costs assumed here.
+    """
+    nominal = dict(hub=55.29 * MM, roller=22.86 * MM, cage=101.60 * MM)
+    costs = {
+        name: ReciprocalPower(scale=scale, reference=50e-6, finest=1e-6, coarsest=1e-3)
+        for name, scale in dict(hub=2.0, roller=1.0, cage=3.0).items()
+    }
+
+    def beyond(t: np.ndarray) -> float:
+        share = 0.0
+        for degrees, sign in ((5.0, 1.0), (9.0, -1.0)):
+            cos = math.cos(math.radians(degrees))
+            slopes = np.array([1.0, 1.0 + cos, -cos])
+            middle = slopes @ np.array(list(nominal.values()))
+            share += stats.norm.cdf(sign * middle / np.linalg.norm(slopes * t / 3))
+        return share
+
+    def angle(e: Any) -> Any:
+        hub, roller, cage = (nominal[name] + e[name] for name in nominal)
+        return jnp.arccos(jnp.minimum((hub + roller) / (cage - roller), 1.0))
+
+    return Case(
+        "one-way clutch of Greenwood and Chase (1990), costs assumed",
+        angle,
+        {name: Tolerance.symmetric(50e-6) for name in nominal},
+        Requirement(lower=math.radians(5.0), upper=math.radians(9.0), target=0.9973),
+        costs,
+        least(costs, [lambda t: 1 - beyond(t) / 0.0027], 30e-6),
+    )
+
+
+def shared_chains() -> Case:
+    """Two chains with two dimensions in common, each 99.73 %."""
+    slopes = {"y": dict(a=1.0, b=-1.0, c=2.0), "z": dict(b=1.0, c=1.0, d=-1.0)}
+    limits = {"y": 60e-6, "z": 30e-6}
+    scales = dict(a=1.0, b=2.0, c=3.0, d=1.0)
+    costs = {n: ReciprocalPower(scale=s, power=1.5, finest=1e-6, coarsest=5e-4) for n, s in scales.items()}
+    radius = {name: 3 * limit / stats.norm.ppf(1 - 0.0027 / 2) for name, limit in limits.items()}
+    return Case(
+        "two chains that share two dimensions",
+        lambda e: {name: sum(slope * e[n] for n, slope in own.items()) for name, own in slopes.items()},
+        {name: Tolerance.symmetric(10e-6) for name in scales},
+        {name: Requirement(lower=-limit, upper=limit, target=0.9973) for name, limit in limits.items()},
+        costs,
+        least(costs, [squares(slopes[name], costs, radius[name]) for name in slopes], 5e-6),
+    )
+
+
+def exponential_costs() -> Case:
+    """Costs b exp(-t/d) (Speckhart 1972), 99 %."""
+    slopes = dict(a=1.0, b=2.0, c=0.5)
+    costs = {
+        name: Exponential(scale=scale, decay=decay, finest=1e-6, coarsest=1e-3)
+        for name, (scale, decay) in dict(a=(3.0, 20e-6), b=(5.0, 8e-6), c=(2.0, 40e-6)).items()
+    }
+    radius = 3 * 40e-6 / stats.norm.ppf(0.995)
+    return Case(
+        "exponential costs (Speckhart 1972)",
+        lambda e: sum(slope * e[name] for name, slope in slopes.items()),
+        {name: Tolerance.symmetric(10e-6) for name in slopes},
+        Requirement(lower=-40e-6, upper=40e-6, target=0.99),
+        costs,
+        least(costs, [squares(slopes, costs, radius)], 5e-6),
+    )
+
+
+def many_fields(count: int = 200) -> Case:
+    """Slopes from 0.2 to 3, costs c_j/t: t_j ~ (c_j/a_j^2)^(1/3)."""
+    slopes = np.linspace(0.2, 3.0, count)
+    scales = 1.0 + np.arange(count) % 7
+    limit, names = 20e-6, [f"e{j:03d}" for j in range(count)]
+    shape = (scales / slopes**2) ** (1 / 3)
+    t = shape * 3 * limit / stats.norm.ppf(1 - 0.0027 / 2) / np.linalg.norm(slopes * shape)
+    process = dict(finest=1e-7, coarsest=1e-3)
+    return Case(
+        f"{count} fields, closed form",
+        lambda e: jnp.sum(jnp.stack([slope * e[name] for name, slope in zip(names, slopes)])),
+        {name: Tolerance.symmetric(5e-6) for name in names},
+        Requirement(lower=-limit, upper=limit, target=0.9973),
+        {name: ReciprocalPower(scale=float(scale), **process) for name, scale in zip(names, scales)},
+        float(np.sum(scales * 10e-6 / t)),
+    )
+
+
+CASES = {
+    "shaft and housing, worst case": lambda: shaft_and_housing(arithmetic=True),
+    "shaft and housing, root sum squares": lambda: shaft_and_housing(arithmetic=False),
+    "overrunning clutch": overrunning_clutch,
+    "shared chains": shared_chains,
+    "exponential costs": exponential_costs,
+    "200 fields": many_fields,
+}
+"""Each makes its case."""

@@ -1,0 +1,11 @@
+"""How many programs JAX has compiled for a response, for the tests that count them."""
+
+from typing import Any
+
+from rvjax.tolerances.propagation.responses import Compiled, Response
+
+
+def programs(compiled: Compiled, response: Response) -> int:
+    """Programs compiled for a plain function; for records, for all of them together."""
+    jitted: Any = compiled._program(response)[0]
+    return int(jitted._cache_size())

@@ -1,0 +1,162 @@
+"""An optimum that is called one: units that fail, responses in steps, starts far away.
+
+Oracles: closed forms and scans of the normal law. A sample of 4096 units knows the 99 % quantile of a margin to
+sqrt(0.01/4096)/(2.6 * 2 phi(2.6)) = 2.2 % and fits to itself, until a certificate corrects it; one of 200 000 units
+takes 0.8 % of the half-widths (2.7 errors of 2.2e-4 beside a density of 2 phi(2.576) = 0.029, divided by 2.576). Costs
+go like 1/t.
+"""
+
+import math
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import stats
+
+from oracles.known_optima import CASES
+from oracles.linear_pair import COSTS, LIMIT, PAIR, linear, radius
+from rvjax.status import Status
+from rvjax.tolerances import (
+    CpkAtLeast,
+    Outcome,
+    Requirement,
+    SdAtMost,
+    Tolerance,
+    WorstCaseWithin,
+    allocate,
+    monte_carlo,
+)
+from rvjax.tolerances.population.population import Population
+from rvjax.tolerances.propagation.worst_case import extremes
+from rvjax.units import um
+
+EDGE = 15 * um  # units with a larger b fail
+OPTIONS = dict(costs=COSTS, samples=4096, certificate_samples=200_000)
+
+
+def fragile(e):
+    """The value is a; a unit with a large b has none."""
+    failed = jnp.abs(e["b"]) > EDGE
+    return Outcome(e["a"], jnp.where(failed, int(Status.NOT_ASSEMBLABLE), int(Status.CONVERGED)))
+
+
+def cheapest_of_shares(limit, target):
+    """Cost and half-widths where P(|a| <= limit) P(|b| <= EDGE) = target, by a fine scan of the share left to a."""
+    share = target + (1 - target) * np.linspace(0.001, 0.999, 100_000)
+    a = 3 * limit / stats.norm.ppf((1 + share) / 2)
+    b = 3 * EDGE / stats.norm.ppf((1 + target / share) / 2)
+    k = np.argmin(1 / a + 1 / b)
+    return 10 * um * (1 / a[k] + 1 / b[k]), {"a": a[k], "b": b[k]}
+
+
+def stepped(size):
+    """|a + 2 b| rounded up to whole steps."""
+    return lambda e: jnp.ceil(jnp.abs(linear(e)) / size) * size
+
+
+def closed_cost(target, limit=LIMIT):
+    b = radius(target, limit) / math.sqrt(4 ** (2 / 3) + 4)
+    return 10 * um * (1 / (4 ** (1 / 3) * b) + 1 / b)
+
+
+def test_units_that_fail_bind_a_field():
+    cost, _ = cheapest_of_shares(LIMIT, 0.99)
+    found = allocate(fragile, PAIR, Requirement(lower=-LIMIT, upper=LIMIT, target=0.99), **OPTIONS)
+    assert found.status == "OPTIMAL"
+    assert found.cost == pytest.approx(cost, rel=0.02)
+    assert found.residual < 0.2
+
+
+@pytest.mark.parametrize("size", [2.0, pytest.param(5.0, marks=pytest.mark.long)])
+def test_a_response_in_steps_whose_limit_has_a_price(size):
+    """The limit stands within a step: the last whole step below it counts, and the cost falls step by step."""
+    limit = 20 * um + size / 20 * um
+    found = allocate(stepped(size * um), PAIR, Requirement(upper=limit, target=0.99), **OPTIONS)
+    assert found.status == "OPTIMAL"
+    assert found.cost == pytest.approx(closed_cost(0.99, 20 * um), rel=0.02)
+    step = (closed_cost(0.99, (20 + size) * um) - closed_cost(0.99, 20 * um)) / (size * um)
+    assert 3 * step < found.multipliers < step / 3 < 0
+
+
+@pytest.mark.parametrize("start", [0.01, 1e4])
+def test_wide_and_narrow_starts(start):
+    """Far beyond its limits the response saturates: no slope leads back."""
+    response = lambda e: 50 * um * jnp.tanh(linear(e) / (50 * um))  # noqa: E731
+    limit = 50 * um * math.tanh(20 / 50)
+    tolerances = {name: Tolerance.symmetric(10 * um * start) for name in PAIR}
+    wide = {name: cost.replace(finest=0.1 * um, coarsest=1.0) for name, cost in COSTS.items()}
+    required = Requirement(lower=-limit, upper=limit, target=0.99)
+    found = allocate(response, tolerances, required, costs=wide, samples=4096, certificate_samples=200_000)
+    assert found.status == "OPTIMAL"
+    assert found.cost == pytest.approx(closed_cost(0.99), rel=0.02)
+
+
+def test_failures_beside_a_capability():
+    """Cpk of the valid units is generous; fewer than 0.27 % may fail, and that alone binds b."""
+    found = allocate(fragile, PAIR, CpkAtLeast(lower=-LIMIT, upper=LIMIT, cpk=1.0), **OPTIONS)
+    assert found.status == "OPTIMAL"
+    assert found.half_widths["a"] == pytest.approx(20 * um, rel=0.02)
+    assert found.half_widths["b"] == pytest.approx(3 * EDGE / stats.norm.ppf(1 - 0.0027 / 2), rel=0.04)
+
+
+def test_a_bound_on_the_standard_deviation():
+    """t_j ~ (1/a_j^2)^(1/3), with sd = sqrt(t_a^2 + 4 t_b^2)/3 at the bound; the mean may be anywhere."""
+    required = SdAtMost(upper=LIMIT / 3)
+    moved = {"a": Tolerance(90 * um, 110 * um), "b": PAIR["b"]}
+    found = allocate(linear, moved, required, costs=COSTS, samples=4096, certificate_samples=400_000)
+    b = LIMIT / math.sqrt(4 ** (2 / 3) + 4)
+    assert found.status == "OPTIMAL"
+    assert found.certificate.verdicts.estimate.upper <= LIMIT / 3
+    assert found.cost == pytest.approx(10 * um * (1 / (4 ** (1 / 3) * b) + 1 / b), rel=0.005)  # 2.7 errors of 0.11 %
+    assert found.multipliers == pytest.approx(-found.cost / (LIMIT / 3), rel=0.04)
+
+
+def test_arithmetic_limits():
+    """t_a + 2 t_b = limit about a middle of 5 um, costs 1/t: t_b = t_a/sqrt 2, exactly; no sample plays a part."""
+    moved = {"a": Tolerance(-5 * um, 15 * um), "b": PAIR["b"]}
+    required = WorstCaseWithin(lower=-LIMIT, upper=LIMIT + 5 * um)
+    found = allocate(linear, moved, required, costs=COSTS, samples=128, certificate_samples=1000)
+    a = LIMIT / (1 + math.sqrt(2))
+    assert found.status == "OPTIMAL"
+    assert found.half_widths == pytest.approx({"a": a, "b": a / math.sqrt(2)}, rel=0.02)
+    assert found.half_widths["a"] + 2 * found.half_widths["b"] == pytest.approx(LIMIT, rel=2e-3)
+    assert found.cost == pytest.approx(10 * um / a * (1 + math.sqrt(2)), rel=2e-3)
+    assert found.multipliers == pytest.approx(-found.cost / LIMIT, rel=0.02)
+    assert found.certificate.verdicts.estimate.value <= LIMIT + 5 * um
+
+
+def test_a_worst_case_is_judged_by_limits_not_by_units():
+    """Units of a wide normal law lie beyond +-60 um now and then; limits of 3 sd do not."""
+    wide = {name: tolerance.replace(cp=0.5) for name, tolerance in PAIR.items()}
+    seen = monte_carlo(linear, wide, samples=2000, seed=0, requirements=WorstCaseWithin(upper=30 * um), keep=True)
+    assert seen.maximum > 30 * um
+    assert seen.verdicts.met and seen.verdicts.estimate.value == pytest.approx(30 * um)
+    failing = lambda e: jnp.where(e["a"] > 9 * um, jnp.nan, linear(e))  # noqa: E731
+    assert not monte_carlo(failing, wide, samples=16, seed=0, requirements=WorstCaseWithin(upper=1.0)).verdicts.met
+
+
+@pytest.mark.parametrize("name", ["shaft and housing, worst case", "shaft and housing, root sum squares"])
+def test_an_optimum_in_print(name):
+    """Printed to a cent, from tolerances rounded to 1e-5 in; a certificate of 10^6 units costs 0.38 % of half-widths.
+
+    Half of the cost does not depend on them, the other half with an exponent of 0.45: 0.09 %.
+    """
+    case = CASES[name]()
+    assert case.optimum == pytest.approx(case.published, rel=1.5e-3)
+    options = dict(samples=128, certificate_samples=1000) if "worst" in name else dict(samples=16384)
+    found = allocate(case.response, case.tolerances, case.requirements, costs=case.costs, **options)
+    assert found.status == "OPTIMAL"
+    assert 1.0 <= found.cost / case.optimum < 1.003
+
+
+def test_the_ends_of_a_range_grow_with_the_half_widths():
+    """Against differences of the ends, which are linear in every half-width; also where a law has one side."""
+    response = lambda e: e["a"] - 2 * e["b"]  # noqa: E731
+    skew = Tolerance(2 * um, 10 * um, distribution="lognormal", log_sd=0.3)
+    population = Population.of({"a": skew, "b": PAIR["b"]})
+    found = extremes(response, population, ("",), "")
+    assert found.values == pytest.approx([-18 * um, 30 * um])
+    for j, (name, tolerance) in enumerate(population.active.items()):
+        wider = population.with_half_widths({name: 1.5 * tolerance.half_width})
+        grown = extremes(response, wider, ("",), "").values - found.values
+        np.testing.assert_allclose(found.slopes[:, j], grown / 0.5, atol=1e-12)
