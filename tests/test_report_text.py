@@ -15,11 +15,15 @@ from rvjax.units import arcmin
 
 def allocation(**changes):
     found = dict(status="OPTIMAL", feasible=True, start_cost=10.0, cost=8.0, graded=None, shortfall={})
-    return SimpleNamespace(**found | changes)
+    certificate = SimpleNamespace(joint_yield=changes.pop("joint", None))
+    return SimpleNamespace(certificate=certificate, **found | changes)
 
 
 def headline(**changes):
-    study = SimpleNamespace(name="s", output=lambda name: SimpleNamespace(shown=("arcmin", arcmin)))
+    target = changes.pop("target", None)
+    study = SimpleNamespace(
+        name="s", joint_target=target, output=lambda name: SimpleNamespace(shown=("arcmin", arcmin))
+    )
     return text.headline(SimpleNamespace(study=study, allocation=allocation(**changes))).split("\n")
 
 
@@ -31,6 +35,13 @@ def test_a_saving_is_a_negative_change():
     assert headline()[2] == "cost 10.000 -> 8.000 (-20.0 %)"
     graded = SimpleNamespace(cost=9.0, status="NOT_CERTIFIED")
     assert headline(graded=graded)[3] == "with ISO 286 grades: cost 9.000 (NOT_CERTIFIED)"
+
+
+def test_the_verdict_says_the_yield_of_all_requirements_at_once():
+    joint = Estimate(0.99, 0.002, 0.985, 0.9951)
+    words = "all requirements at once: 99.000 % [98.500, 99.510], "
+    assert headline(joint=joint)[:2] == ["Study s: OPTIMAL", words + "no joint_target asks for it"]
+    assert headline(joint=joint, target=0.9973)[1] == words + "asked 99.73 %"
 
 
 def test_a_shortfall_is_told_in_the_unit_of_its_limit():

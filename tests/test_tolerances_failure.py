@@ -14,6 +14,7 @@ import pytest
 from scipy import integrate, special, stats
 
 import rvjax
+from oracles.programs import programs
 from rvjax.status import Status
 from rvjax.study.response import Response
 from rvjax.tolerances import Outcome, Requirement, Tolerance, failure_probability, for_design, monte_carlo
@@ -50,12 +51,12 @@ def test_flat_limit():
     )
     assert (found.points, found.status) == (1, "OK")
     assert 20_000 < found.evaluations < 70_000
-    programs = respond.programs(flat), slopes.programs(flat)
+    compiled = programs(respond, flat), programs(slopes, flat)
     again = failure_probability(flat, THREE, Requirement(upper=4.0), samples=20_000, seed=1)
     assert again.probability == found.probability
     other = failure_probability(flat, THREE, Requirement(upper=3.9), samples=5000, seed=2)
     assert other.probability.value != found.probability.value
-    assert (respond.programs(flat), slopes.programs(flat)) == programs == (1, 1)
+    assert (programs(respond, flat), programs(slopes, flat)) == compiled == (1, 1)
 
 
 def test_errors_are_honest():
