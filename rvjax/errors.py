@@ -20,10 +20,10 @@ class RVErrors(Record):
     `rvjax.loaded` and, as excitation, `rvjax.dynamics` read them. `pin_position`, `disc_runout` and
     `disc_cumulative_pitch` are bounds without a place.
 
-    A flank series holds [a, b] of a cos(h chi) + b sin(h chi), h = 1, 2, ..: excess material on the loaded flank. chi is
-    the angle in the part at which it meets: of the planet in the sun, of the sun in a planet, of the eccentric in disc and
-    ring; it counts from crank 0 (in a planet: from its own crank outwards) at input angle 0. The series brings its own
-    length; 0.0 is none. `rvjax.dynamics` alone reads it.
+    A flank series holds [a, b] of a cos(h chi) + b sin(h chi), h = 1, 2, ..: excess material on the loaded flank. chi
+    is the angle in the part at which it meets: of the planet in the sun, of the sun in a planet, of the eccentric in
+    disc and ring; it counts from crank 0 (in a planet: from its own crank outwards) at input angle 0. The series brings
+    its own length; 0.0 is none. `rvjax.dynamics` alone reads it.
     """
 
     crank_eccentricity: Any = field("m", "eccentricity of each crank journal", shape=("discs", "cranks"), default=0.0)
@@ -66,14 +66,12 @@ class RVErrors(Record):
     disc_pin_stiffness: Any = field("-", "share by which all meshes of discs and pins are stiffer", default=0.0)
     turning_arm_stiffness: Any = field("-", "share by which all bearings in the discs are stiffer", default=0.0)
     support_stiffness: Any = field("-", "share by which all bearings in the carrier are stiffer", default=0.0)
-    sun_flank: Any = field("m", "series of the sun's flanks; > 0 is excess material", shape=("sun_orders", 2), default=0.0)
+    sun_flank: Any = field("m", "flanks of the sun; > 0 is material", shape=("sun_orders", 2), default=0.0)
     planet_flank: Any = field(
-        "m", "series of each planet's flanks; > 0 is excess material", shape=("cranks", "planet_orders", 2), default=0.0
+        "m", "flanks of each planet; > 0 is material", shape=("cranks", "planet_orders", 2), default=0.0
     )
-    disc_flank: Any = field(
-        "m", "series of each disc's flank; > 0 is excess material", shape=("discs", "disc_orders", 2), default=0.0
-    )
-    ring_flank: Any = field("m", "series of the pin ring; > 0 is excess material", shape=("ring_orders", 2), default=0.0)
+    disc_flank: Any = field("m", "flank of each disc; > 0 is material", shape=("discs", "disc_orders", 2), default=0.0)
+    ring_flank: Any = field("m", "pins of the ring; > 0 is material", shape=("ring_orders", 2), default=0.0)
 
     def stiffened(self, design: RVReducer) -> RVReducer:
         """The design with the stiffness of this unit, for the models that read it."""

@@ -7,9 +7,9 @@ deflections d_il = v_i.Q_l - delta_il of the varying meshes (mesh form, as in ha
     d_il - sum_m G_l[i, m] u_ml = v_i.Q0_l - delta_il,   u_il = -k sum_{j != l} a_|l-j|/2 e^{i (l - j) ph_i} d_ij,
     Q_l = Q0_l + Z_l^-1 sum_i v_i u_il,
 
-Q0 the linear response to load and errors. Sun and output turn counter-clockwise, so that a later planet, or disc, meets a
-tooth later: ph_i = -2 pi zs (i-1) / M, -2 pi Zp (j-1) / N, for either sense of rotation, because the phase goes with theta
-and not with time.
+Q0 the linear response to load and errors. Sun and output turn counter-clockwise, so that a later planet, or disc, meets
+a tooth later: ph_i = -2 pi zs (i-1) / M, -2 pi Zp (j-1) / N, for either sense of rotation, because the phase goes with
+theta and not with time.
 """
 
 from collections.abc import Iterator
@@ -265,7 +265,7 @@ def _coupling(
     k = mesh_stiffness(lumped, MESH[stage])
     size = len(order) * mesh_count(lumped, stage)
 
-    def one(apart: np.ndarray, gamma: jax.Array, deflection: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def one(apart: jax.Array, gamma: jax.Array, deflection: jax.Array) -> tuple[jax.Array, jax.Array]:
         kept = jnp.where(apart[:, None] | apart[None, :], 0, t)
         turned_gamma = wave.conj()[:, :, None] * gamma * wave[:, None, :]
         block = jnp.einsum("lim,lj->lijm", turned_gamma * k.astype(wave.dtype)[None, None, :], kept.astype(wave.dtype))

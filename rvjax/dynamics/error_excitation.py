@@ -35,8 +35,8 @@ SPRINGS = (
     "arm_across",
     "disc_pin_mesh",
 )
-"""Signals of the errors: planets on the sun; cranks in the carrier; journals in the discs, as a mean seen from the crank
-and seen from the eccentric; discs on the pins."""
+"""Signals of the errors: planets on the sun; cranks in the carrier; journals in the discs, as a mean seen from the
+crank and seen from the eccentric; discs on the pins."""
 
 ERRORS_READ = (
     "crank_eccentricity",
@@ -123,7 +123,9 @@ def checked(design: RVReducer, errors: RVErrors, pin_harmonics: int = 0) -> Lump
         shape, axes = np.shape(getattr(errors, f.name)), f.metadata["shape"]
         if f.name in ERRORS_READ and shape and shape != axis_sizes(axes, design.counts, shape):
             names = ", ".join(map(str, axes))
-            raise ValueError(f"RVErrors.{f.name}: shape {shape} does not fit this design, expected ({names}) or a scalar")
+            raise ValueError(
+                f"RVErrors.{f.name}: shape {shape} does not fit this design, expected ({names}) or a scalar"
+            )
     for name in ("sun_flank", "planet_flank", "disc_flank", "ring_flank"):
         value = getattr(errors, name)
         if np.ndim(value) == 0 and not isinstance(value, jax.core.Tracer) and value != 0:
@@ -223,7 +225,7 @@ def generators(unit: Unit, orders: Orders, pin_harmonics: int) -> tuple[jax.Arra
         pin_harmonics: as in `error_excitation`.
     """
     lumped, errors = unit.lumped, unit.errors
-    pins, teeth, phase = lumped.disc_teeth + 1, lumped.disc_teeth, lumped.disc_phase
+    pins, teeth, phase = lumped.disc_teeth + 1, lumped.disc_teeth, jnp.asarray(lumped.disc_phase)
     planets, discs = np.ones(lumped.cranks), waves(lumped.discs, 1)
     like = _complex(phase, phase)
     amplitude = jnp.zeros((len(orders), len(SPRINGS)), like.dtype)
@@ -259,18 +261,18 @@ def generators(unit: Unit, orders: Orders, pin_harmonics: int) -> tuple[jax.Arra
     centre = 1j * turned(lumped.force_angle) * mean_of(-vector(errors["disc_centre"]), discs.conj()) * turned(-phase)
     amplitude = add(amplitude, [pins], "disc_pin_mesh", centre)
     if many := length(errors["disc_flank"], -2):
-        h = np.arange(1, many + 1)
+        h = list(range(1, many + 1))
         met = jnp.stack([_constant(waves(lumped.discs, -n), like) for n in h], axis=1)
         values = jnp.mean(vector(errors["disc_flank"]) * met, axis=0) * turned(-jnp.asarray(h, phase.dtype) * phase)
         amplitude = add(amplitude, [n * pins for n in h], "disc_pin_mesh", values)
     # Eq. 9: the ring, which all discs meet at once
     if together := in_phase(length(errors["ring_flank"], -2), lumped.discs):
-        h = np.array(together)
-        values = vector(errors["ring_flank"])[h - 1] * turned(-jnp.asarray(h, phase.dtype) * phase)
-        amplitude = add(amplitude, h * teeth, "disc_pin_mesh", values)
-    harmonics = np.array([0, *pin_orders(unit, pin_harmonics)])
-    ring = series(lumped, unit.shortening, harmonics, errors["pin_offset"], errors["pin_radii"])
-    amplitude = add(amplitude, [m * teeth for m in harmonics[1:]], "disc_pin_mesh", ring[1:])
+        around = turned(-jnp.asarray(together, phase.dtype) * phase)
+        values = vector(errors["ring_flank"])[np.array(together) - 1] * around
+        amplitude = add(amplitude, [m * teeth for m in together], "disc_pin_mesh", values)
+    harmonics = pin_orders(unit, pin_harmonics)
+    ring = series(lumped, unit.shortening, np.array([0, *harmonics]), errors["pin_offset"], errors["pin_radii"])
+    amplitude = add(amplitude, [m * teeth for m in harmonics], "disc_pin_mesh", ring[1:])
 
     support = mean_of(vector(errors["carrier_bore"]), planets)
     arm = mean_of(bore, np.ones((lumped.discs, lumped.cranks)))
@@ -307,7 +309,7 @@ def waves(members: int, steps: int) -> np.ndarray:
     return cosine[places] + 1j * sine[places]
 
 
-def turned(angle: jax.Array) -> jax.Array:
+def turned(angle: Scalar) -> jax.Array:
     """e^{i angle}."""
     return _complex(jnp.cos(angle), jnp.sin(angle))
 

@@ -1,7 +1,7 @@
 """Dynamic transmission error: the errors of one unit carried to speed, resonance and load inertia.
 
-First order holds the errors alone, springs at their mean stiffness: B_n = T(n Om) g_n, linear in the errors, with T free
-of them. Harmonic balance (error_balance.py) keeps the product with the varying mesh stiffness.
+First order holds the errors alone, springs at their mean stiffness: B_n = T(n Om) g_n, linear in the errors, with T
+free of them. Harmonic balance (error_balance.py) keeps the product with the varying mesh stiffness.
 """
 
 from collections.abc import Sequence
@@ -89,8 +89,8 @@ def transmission_error(
         for INVALID_GEOMETRY (radii or masses not positive, no proper cycloid) and NONFINITE.
 
     Raises:
-        ValueError: unknown output, method or stage, harmonics below 1 or below those of an error, one disc, members that
-            differ, errors that do not fit the design, or as `rvjax.dynamics.lump`.
+        ValueError: unknown output, method or stage, harmonics below 1 or below those of an error, one disc, members
+            that differ, errors that do not fit the design, or as `rvjax.dynamics.lump`.
     """
     lumped, outputs = checked(design, errors, pin_harmonics), check_outputs(outputs)
     check_stage(stage)
@@ -126,13 +126,13 @@ def _first_order(
     static = excitation @ (rows @ static_deflection(unit.lumped)[0]).T.astype(excitation.dtype)
     frequency = n * jnp.abs(speed) / (2 * jnp.pi)
     values = (n, frequency, amplitude, static, _peak_to_peak(orders, amplitude))
-    values, info = unit.gate.close(
+    (n, frequency, amplitude, static, whole), info = unit.gate.close(
         values,
         (~jnp.all(jnp.isfinite(amplitude)), Status.NONFINITE),
         (found.singular, Status.SINGULAR),
         info=converged(found.residual),
     )
-    return DynamicError(*values, outputs, info)
+    return DynamicError(n, frequency, amplitude, static, whole, outputs, info)
 
 
 @partial(jax.jit, static_argnums=(6, 7, 8, 9))
@@ -156,13 +156,13 @@ def _balanced(
     n = jnp.asarray([float(order) for order in found.orders], speed.dtype)
     frequency = n * jnp.abs(speed) / (2 * jnp.pi)
     values = (n, frequency, found.amplitude, found.static, _peak_to_peak(found.orders, found.amplitude))
-    values, info = unit.gate.close(
+    (n, frequency, amplitude, static, whole), info = unit.gate.close(
         values,
         (~jnp.all(jnp.isfinite(found.amplitude)), Status.NONFINITE),
         (found.singular, Status.SINGULAR),
         info=converged(found.residual),
     )
-    return DynamicError(*values, outputs, info)
+    return DynamicError(n, frequency, amplitude, static, whole, outputs, info)
 
 
 def _peak_to_peak(orders: Orders, amplitude: jax.Array) -> jax.Array:

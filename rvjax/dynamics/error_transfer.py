@@ -164,7 +164,7 @@ def transfer(lumped: Lumped, frequency: jax.Array, rows: jax.Array) -> Transfer:
 def static_deflection(lumped: Lumped) -> tuple[jax.Array, MeanState]:
     """Rotational coordinates at standstill for unit displacement of each spring (11, springs).
 
-    Where neither sun nor output is held against rotation the sun is, without force: errors exert none on the rigid mode.
+    Where neither sun nor output is held against rotation the sun is, without force: errors leave the rigid mode alone.
     """
     zero = jnp.zeros_like(lumped.eccentricity)
     state = mean_state(lumped, KEY[0], zero, zero, forcing(lumped))

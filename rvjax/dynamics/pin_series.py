@@ -4,11 +4,10 @@ With chi the angle of a pin before the eccentric, the pins with sin chi < 0 carr
 normal n = (K1 - cos chi, -sin chi) / S gives the share of each, and the displacement of its contact.
 """
 
-import numpy as np
-from numpy.polynomial.legendre import leggauss
-
 import jax
 import jax.numpy as jnp
+import numpy as np
+from numpy.polynomial.legendre import leggauss
 
 from rvjax.dynamics.assembly import Lumped, circle
 
@@ -51,7 +50,7 @@ def series(
     sign = np.where(harmonics % 2, -1.0, 1.0)  # pin 0 lies at pi
     waves = sign[:, None] * (c[places] + 1j * s[places])
     sums = jnp.stack([_sum(x, waves) for x in (*_components(offset), radii)])
-    phase = jnp.asarray(-harmonics, lumped.disc_phase.dtype) * lumped.disc_phase
+    phase = jnp.asarray(-harmonics, share.dtype) * lumped.disc_phase
     factor = jnp.asarray(np.where(harmonics == 0, 1.0, 2.0), phase.dtype)
     turned = jax.lax.complex(factor * jnp.cos(phase), factor * jnp.sin(phase))
     return turned * jnp.sum(jax.lax.complex(real, imaginary) * sums, axis=0)  # Eq. 11
