@@ -1,7 +1,7 @@
 """Independent NumPy model of errors as excitation: every spring, turning rows, marched in time over one period.
 
-Nothing is averaged, expanded in orders or taken apart by symmetry: at output angle theta each spring is the relative motion
-of two material points (`oracles.dynamics`, discs turned with their eccentrics), each error a displacement of its
+Nothing is averaged, expanded in orders or taken apart by symmetry: at output angle theta each spring is the relative
+motion of two material points (`oracles.dynamics`, discs turned with their eccentrics), each error a displacement of its
 material, each mesh as stiff as the teeth that it meets make it. Coordinates turn with their frames and gyroscopic terms
 are left out, as in rvjax. Damping is proportional to mass, the one kind that time and frequency know alike.
 """
@@ -90,7 +90,7 @@ class Marched:
         return k
 
     def periodic(self, speed, period, steps, shown=(-1, 2)):
-        """Periodic motion of the coordinates `shown` (steps, shown) at equal angles of `period`, output speed in rad/s."""
+        """Periodic motion of the coordinates `shown` (steps, shown) at equal angles of `period`; output speed rad/s."""
         h, n, damping = period / speed / steps, self.n, self.design.damping.rayleigh_mass
         double = WEIGHTS @ WEIGHTS
         columns = 2 * n + 1

@@ -1,9 +1,9 @@
 """Errors as excitation of the dynamic model: excitation, transfer, response, statistics, invariants, extremes.
 
-Oracles: independent cases (tests/reference/dynamic_error.json, 1e-9 of the largest amplitude of the same output, 1e-7 with
-the varying mesh); closed forms of statics; identities between calls. The sun's rotation is what is left of motions `ratio`
-times as large as the output's, so that a reference in double precision knows it to eps * ratio * condition (128) of those:
-40 digits side with rvjax where that is more than 1e-9.
+Oracles: independent cases (tests/reference/dynamic_error.json, 1e-9 of the largest amplitude of the same output, 1e-7
+with the varying mesh); closed forms of statics; identities between calls. The sun's rotation is what is left of motions
+`ratio` times as large as the output's, so that a reference in double precision knows it to eps * ratio * condition
+(128) of those; in case 316, where that is more than 1e-9, 40 digits lie closer to rvjax than to the reference.
 """
 
 from fractions import Fraction
@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from oracles.dynamics import Oracle
 from rvjax import (
     CrankStage,
     CycloidStage,
@@ -25,8 +26,10 @@ from rvjax import (
     Status,
     Stiffness,
     dynamics,
+    four_bar,
+    lost_motion,
 )
-from rvjax.catalogue import RV_320E
+from rvjax.catalogue import RV_20E, RV_40E, RV_320E
 
 OUTPUTS = ("output.rotation", "sun.rotation", "transmission_error")
 STAGE = {"sp": "planetary", "cp": "cycloid"}
@@ -203,8 +206,8 @@ def test_static_limit_is_the_closed_form():
     share = 2 * s.turning_arm_bearing / (s.support_bearing + 2 * s.turning_arm_bearing)
     radial = -e / rp * np.sin(al)
     expected = np.array([
-        -e / rp, radial * (1 - share), -e / rp * np.cos(al) - rolling / arm, radial * share, rolling / arm, np.tan(be), 1,
-        1 / np.cos(be),
+        -e / rp, radial * (1 - share), -e / rp * np.cos(al) - rolling / arm,
+        radial * share, rolling / arm, np.tan(be), 1, 1 / np.cos(be),
     ]) / (e * (39 + np.cos(al) * arm / rp))  # fmt: skip
     stiffer = DESIGN.replace(stiffness=jax.tree.map(lambda k: 3 * k, s))
     heavier = DESIGN.replace(inertia=jax.tree.map(lambda m: 5 * m, DESIGN.inertia))
@@ -235,15 +238,15 @@ def test_a_bore_pattern_shifted_as_a_whole_is_a_tooth_error_the_other_way():
 
 def test_transfer_is_reciprocal():
     """Over its stiffness, a displaced spring turns the output by what a torque on the output deflects the spring."""
-    frequency, k = 300.0, DESIGN.stiffness
-    oracle = __import__("oracles.dynamics", fromlist=["Oracle"]).Oracle(DESIGN)
+    frequency, stiffness = 300.0, DESIGN.stiffness
+    oracle = Oracle(DESIGN)
     w = 2 * np.pi * frequency
     torque = np.zeros(oracle.n)
     torque[-1] = 1.0
     q = oracle.solve(oracle.impedance(w, 1), torque)
     c = 1 + 1j * 0.04 + 1j * w * 1e-6
     found = np.asarray(transferred(DESIGN, frequency, 0.0))[0]
-    for column, k, rows in ((0, k.sun_planet_mesh, "planetary"), (7, k.disc_pin_mesh, "cycloid")):
+    for column, k, rows in ((0, stiffness.sun_planet_mesh, "planetary"), (7, stiffness.disc_pin_mesh, "cycloid")):
         expected = c * k * sum(row @ q for row in oracle.meshes[rows])
         np.testing.assert_allclose(found[column], expected, rtol=1e-9)
 
@@ -271,7 +274,7 @@ def test_response_is_linear_and_its_derivative_gives_it_back():
 
 
 def test_peak_to_peak_is_that_of_the_curve():
-    """8192 angles of a whole turn; between neighbours of the door's own a line of order n_max bends by (pi/16)^2 / 2."""
+    """8192 angles of a turn; between neighbours of the door's own a line of order n_max bends by (pi/16)^2 / 2."""
     found = respond(drawn(4), SPEED)
     angle = 2 * np.pi * np.arange(8192) / 8192
     curve = (np.exp(1j * np.outer(angle, found.order)) @ found.amplitude[:, 0]).real
@@ -282,9 +285,8 @@ def test_peak_to_peak_is_that_of_the_curve():
 def test_power_is_the_mean_square_of_units():
     """Each error by itself, one at a time, gives the sum exactly; so do scalars, each member's own."""
     sigma = drawn(5)
-    found = dynamics.error_statistics(
-        DESIGN, RVErrors(**jax.tree.map(np.abs, sigma)), sun_speed=SPEED, load_inertia=3.0
-    )
+    sizes = RVErrors(**jax.tree.map(np.abs, sigma))
+    found = dynamics.error_statistics(DESIGN, sizes, sun_speed=SPEED, load_inertia=3.0)
     flat, back = jax.flatten_util.ravel_pytree(sigma)
     alone = jax.lax.map(lambda row: respond(back(row), SPEED).amplitude, jnp.diag(flat), batch_size=32)
     np.testing.assert_allclose(found.power, np.sum(np.abs(alone) ** 2, axis=0), rtol=1e-10, atol=1e-30)
@@ -390,15 +392,13 @@ def test_balance_without_swing_is_the_first_order():
     assert (np.abs(list(lines.values())).max(axis=0) <= 1e-9 * size).all()
 
 
-@pytest.mark.parametrize("field", ["sun_flank", "planet_flank", "disc_flank", "ring_flank"])
+@pytest.mark.parametrize("field", ["sun_flank", "disc_flank"])
 def test_other_models_do_not_read_the_series(field):
-    from rvjax import four_bar, lost_motion
-    from rvjax.catalogue import RV_20E, RV_40E
+    series = np.full((2, 3, 2) if field == "disc_flank" else (3, 2), MICRON)
 
-    series = np.full({"planet_flank": (2, 3, 2), "disc_flank": (2, 3, 2)}.get(field, (3, 2)), MICRON)
-    slope = jax.grad(lambda x: four_bar.transmission_error(RV_40E, RVErrors(**{field: x}), crank_angle=0.7).error)(
-        series
-    )
-    assert (np.asarray(slope) == 0).all()
-    slope = jax.grad(lambda x: lost_motion.geometric(RV_20E, RVErrors(**{field: x})).total)(series)
-    assert (np.asarray(slope) == 0).all()
+    def figures(x):
+        errors = RVErrors(**{field: x})
+        turned = four_bar.transmission_error(RV_40E, errors, crank_angle=0.7).error
+        return turned + lost_motion.geometric(RV_20E, errors).total
+
+    assert np.isfinite(figures(series)) and (np.asarray(jax.grad(figures)(series)) == 0).all()
