@@ -152,7 +152,7 @@ def test_standstill_is_that_of_the_loaded_reducer():
     def excited(unit):
         g = dynamics.error_excitation(design, RVErrors(**unit), pin_harmonics=16)
         t = dynamics.error_transfer(design, frequency=0.0)[0]
-        turn = jnp.exp(1j * angles[:, None] * g.order[None, :])
+        turn = jnp.exp(1j * (angles[:, None] * g.order[None, :]))
         return (turn @ (g.amplitude @ t)).real + g.mean @ t.real
 
     lanes = jax.tree.map(lambda x: np.repeat(x, len(angles), axis=0), units)
