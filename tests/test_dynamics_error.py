@@ -238,6 +238,36 @@ def test_a_bore_pattern_shifted_as_a_whole_is_a_tooth_error_the_other_way():
     assert (np.asarray(exact.amplitude) == 0).all()  # one number for all members: by integers
 
 
+def test_pins_count_by_their_share_of_the_load():
+    """Every loaded pin on every one of three discs, angle by angle, and the Fourier series of that: odd harmonics too.
+
+    The sum over pins bends where a pin takes up load: 4096 angles know its harmonics to (9 / 4096)^2 of the largest.
+    """
+    design = DESIGN.replace(cycloid=DESIGN.cycloid.replace(disc_count=3))
+    draw = np.random.default_rng(13).normal
+    offset, radius = MICRON * draw(size=(40, 2)), MICRON * draw(size=40)
+    found = dynamics.error_excitation(design, RVErrors(pin_offset=offset, pin_radii=radius), pin_harmonics=9)
+    turn = 2 * np.pi * np.arange(4096) / 4096  # 39 theta
+    pin = np.pi + 2 * np.pi * np.arange(40) / 40  # pin 0 opposite to crank 0
+    eccentric = 0.4 + 2 * np.pi * np.arange(3)[:, None] / 3 - turn
+    chi = pin[:, None, None] - eccentric
+    k1 = design.cycloid.derived_shortening
+    size = np.sqrt(1 + k1 * k1 - 2 * k1 * np.cos(chi))
+    across, away = -np.sin(chi) / size, (k1 * np.cos(chi) - 1) / size
+    share = np.where(across > 0, across, 0)
+    even = np.linspace(np.pi, 2 * np.pi, 4001)
+    mean = np.trapezoid(np.sin(even) ** 2 / (1 + k1 * k1 - 2 * k1 * np.cos(even)), even) / (2 * np.pi)
+    share *= np.cos(design.cycloid.force_angle) / (40 * mean)
+    moved = away * offset[:, 0, None, None] + k1 * across * offset[:, 1, None, None] + radius[:, None, None]
+    wave = np.fft.rfft((share * moved).sum(axis=0).mean(axis=0)) / 4096
+    np.testing.assert_array_equal(found.order, [40, 117, 234, 351])
+    expected = np.array([0, *2 * wave[[3, 6, 9]]])
+    limit = 10 * (9 / 4096) ** 2 * np.abs(wave).max()
+    np.testing.assert_allclose(found.amplitude[:, 7], expected, rtol=0, atol=limit)
+    np.testing.assert_allclose(found.mean[7], wave[0].real, rtol=0, atol=limit)
+    assert np.abs(expected[1:]).min() > 10 * limit
+
+
 def test_transfer_is_reciprocal():
     """Over its stiffness, a displaced spring turns the output by what a torque on the output deflects the spring."""
     frequency, stiffness = 300.0, DESIGN.stiffness
