@@ -16,8 +16,14 @@ class RVErrors(Record):
 
     Bore positions are [radial, tangential] in the frame of their crank, pin offsets in the frame of their pin, planet
     runouts in the frame of their planet at input angle 0: radial away from the main axis, tangential counter-clockwise.
-    Pin 0 and eccentric 0 lie on the x axis at input angle 0. The errors from `support_clearance` on have a place; only
-    `rvjax.loaded` reads them. `pin_position`, `disc_runout` and `disc_cumulative_pitch` are bounds without a place.
+    Pin 0 and eccentric 0 lie on the x axis at input angle 0. The errors from `support_clearance` on have a place;
+    `rvjax.loaded` and, as excitation, `rvjax.dynamics` read them. `pin_position`, `disc_runout` and
+    `disc_cumulative_pitch` are bounds without a place.
+
+    A flank series holds [a, b] of a cos(h chi) + b sin(h chi), h = 1, 2, ..: excess material on the loaded flank. chi
+    is the angle in the part at which it meets: of the planet in the sun, of the sun in a planet, of the eccentric in
+    disc and ring; it counts from crank 0 (in a planet: from its own crank outwards) at input angle 0. The series brings
+    its own length; 0.0 is none. `rvjax.dynamics` alone reads it.
     """
 
     crank_eccentricity: Any = field("m", "eccentricity of each crank journal", shape=("discs", "cranks"), default=0.0)
@@ -60,6 +66,12 @@ class RVErrors(Record):
     disc_pin_stiffness: Any = field("-", "share by which all meshes of discs and pins are stiffer", default=0.0)
     turning_arm_stiffness: Any = field("-", "share by which all bearings in the discs are stiffer", default=0.0)
     support_stiffness: Any = field("-", "share by which all bearings in the carrier are stiffer", default=0.0)
+    sun_flank: Any = field("m", "flanks of the sun; > 0 is material", shape=("sun_orders", 2), default=0.0)
+    planet_flank: Any = field(
+        "m", "flanks of each planet; > 0 is material", shape=("cranks", "planet_orders", 2), default=0.0
+    )
+    disc_flank: Any = field("m", "flank of each disc; > 0 is material", shape=("discs", "disc_orders", 2), default=0.0)
+    ring_flank: Any = field("m", "pins of the ring; > 0 is material", shape=("ring_orders", 2), default=0.0)
 
     def stiffened(self, design: RVReducer) -> RVReducer:
         """The design with the stiffness of this unit, for the models that read it."""
@@ -100,7 +112,7 @@ PLACED = (
     "sun_runout",
     "planet_runout",
 )
-"""Errors with a place, which `rvjax.loaded` alone reads."""
+"""Errors with a place, which `rvjax.loaded` reads."""
 
 
 @record

@@ -168,14 +168,19 @@ def promote(*trees: Any) -> Any:
     return cast[0] if len(trees) == 1 else cast
 
 
-def axis_sizes(shape: Shape, counts: Mapping[str, int]) -> tuple[int, ...]:
+def axis_sizes(shape: Shape, counts: Mapping[str, int], given: tuple[int, ...] = ()) -> tuple[int, ...]:
     """Sizes of a declared shape.
 
     Args:
         shape: names or numbers of axes.
-        counts: sizes of the named axes.
+        counts: sizes of the named axes; one that is not named here, the length of a series, is as long as `given` is.
+        given: shape of the value; () for a scalar, which has no series.
     """
-    return tuple(axis if isinstance(axis, int) else counts[axis] for axis in shape)
+    if len(given) != len(shape):
+        if not all(isinstance(axis, int) or axis in counts for axis in shape):
+            return ()
+        given = (0,) * len(shape)
+    return tuple(axis if isinstance(axis, int) else counts.get(axis, own) for axis, own in zip(shape, given))
 
 
 def broadcast_fields(cls: Any, counts: Mapping[str, int], values: Mapping[str, Any]) -> dict[str, Any]:
@@ -198,19 +203,22 @@ def broadcast_fields(cls: Any, counts: Mapping[str, int], values: Mapping[str, A
     own = np.result_type(*floats) if floats else np.float64  # plain numbers become what they stand beside
     filled = {}
     for name, f in fields.items():
-        value, sizes = values.get(name, f.default), axis_sizes(f.metadata["shape"], counts)
-        if not sizes:
+        value = values.get(name, f.default)
+        if not f.metadata["shape"]:
             filled[name] = value
             continue
         value = _number(cls.__name__, f, value)
+        sizes = axis_sizes(f.metadata["shape"], counts, np.shape(value))
         if np.ndim(value) and np.shape(value) != sizes:
             raise ValueError(
                 f"{cls.__name__}.{name}: shape {np.shape(value)} does not fit this design, "
                 f"expected {_shape_text(f.metadata['shape'])} = {sizes} or a scalar"
             )
-        value = np.asarray(value, own) if isinstance(value, float) else value
-        library: Any = np if isinstance(value, np.ndarray) else jnp
-        filled[name] = library.broadcast_to(value, sizes)
+        if sizes:  # a series that is not there stays 0.0
+            value = np.asarray(value, own) if isinstance(value, float) else value
+            library: Any = np if isinstance(value, np.ndarray) else jnp
+            value = library.broadcast_to(value, sizes)
+        filled[name] = value
     return filled
 
 

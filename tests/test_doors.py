@@ -28,6 +28,10 @@ def units(x):
     return RVErrors.for_design(RV_40E, crank_eccentricity=x * um, carrier_bore=-x * um, bearing_clearance=x * um)
 
 
+def placed(x):
+    return RVErrors(planet_runout=x * um, disc_bore=np.full((3, 4, 2), x * um), sun_flank=np.full((4, 2), x * um))
+
+
 def rollers(x):
     return CamRollerErrors(cam_radius=x * um, eccentricity=0.0, roller_radius=np.full(CORR.gear_teeth + 1, x * um))
 
@@ -120,6 +124,20 @@ CALLS = {  # name: one call of the door for each way that is decided before the 
     "dynamics.log_sensitivities": [lambda x: dynamics.log_sensitivities(sounder(x), harmonics=1, **SPIN)],
     "dynamics.periodic": [lambda x: dynamics.periodic(rectangular(x), samples=4, **SPIN)],
     "dynamics.floquet": [lambda x: dynamics.floquet(rectangular(x), sun_speed=100 * x)],
+    "dynamics.error_excitation": [lambda x: dynamics.error_excitation(sounder(x), placed(x))],
+    "dynamics.error_transfer": [lambda x: dynamics.error_transfer(sounder(x), frequency=100 * x)],
+    "dynamics.transmission_error": [
+        lambda x: dynamics.transmission_error(sounder(x), placed(x), sun_speed=100 * x, load_inertia=x),
+        lambda x: dynamics.transmission_error(
+            sounder(x), placed(x), sun_speed=100 * x, method="harmonic_balance", harmonics=1, output_torque=-x
+        ),
+    ],
+    "dynamics.speed_sweep": [
+        lambda x: dynamics.speed_sweep(sounder(x), placed(x), sun_speeds=np.array([100.0, 200.0 * x]))
+    ],
+    "dynamics.error_statistics": [
+        lambda x: dynamics.error_statistics(sounder(x), placed(x), sun_speed=100 * x, load_inertia=x)
+    ],
     "roots.bracketed": [lambda x: roots.bracketed(residual, x, 0.0, 2.0)],
     "roots.newton": [lambda x: roots.newton(residual, jnp.array([x]), jnp.array([1.0]))],
 }

@@ -1,7 +1,8 @@
 """Plane vibration of an RV reducer as a lumped model: modes, forced response, stability, sensitivities.
 
 Rigid sun, planets, cranks, discs and output wheel on linear springs; the mesh stiffness of one stage varies
-periodically under a constant load torque. Left out: gyroscopic terms, clearance, loss of contact, the pin ring.
+periodically under a constant load torque; every manufacturing error displaces the spring that it sits in. Left out:
+gyroscopic terms, clearance, loss of contact, the pin ring.
 
 Source: Yang, Chen, Wang, "Response Sensitivity to Design Parameters of RV Reducer", Chin. J. Mech. Eng. 31:49
 (2018), doi 10.1186/s10033-018-0249-y. Harmonic balance, periodic solution and derivatives are our own.
@@ -9,6 +10,10 @@ Source: Yang, Chen, Wang, "Response Sensitivity to Design Parameters of RV Reduc
 
 from rvjax.dynamics.assembly import Lumped, System, assemble, lump
 from rvjax.dynamics.deviations import with_deviations
+from rvjax.dynamics.error_excitation import ErrorExcitation, error_excitation
+from rvjax.dynamics.error_response import DynamicError, SpeedSweep, speed_sweep, transmission_error
+from rvjax.dynamics.error_statistics import ErrorStatistics, error_statistics
+from rvjax.dynamics.error_transfer import error_transfer
 from rvjax.dynamics.modes import EnergyShares, Modes, energy_shares, modes
 from rvjax.dynamics.periodic import Floquet, Periodic, floquet, periodic
 from rvjax.dynamics.response import Response, constant_forcing, response
@@ -19,24 +24,33 @@ from rvjax.dynamics.symmetry import Block, Blocks, blocks
 __all__ = [
     "Block",
     "Blocks",
+    "DynamicError",
     "EnergyShares",
+    "ErrorExcitation",
+    "ErrorStatistics",
     "Floquet",
     "Lumped",
     "Modes",
     "Periodic",
     "Response",
+    "SpeedSweep",
     "Static",
     "System",
     "assemble",
     "blocks",
     "constant_forcing",
     "energy_shares",
+    "error_excitation",
+    "error_statistics",
+    "error_transfer",
     "floquet",
     "log_sensitivities",
     "lump",
     "modes",
     "periodic",
     "response",
+    "speed_sweep",
     "static",
+    "transmission_error",
     "with_deviations",
 ]

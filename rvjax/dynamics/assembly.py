@@ -153,7 +153,8 @@ def admitted(lumped: Lumped, *conditions: PyTree) -> tuple[Lumped, tuple[PyTree,
     possible &= jnp.abs(jnp.cos(lumped.force_angle)) >= 1e-9  # else the pins carry no torque
     refusals = ((~finite, Status.NONFINITE), (~possible, Status.INVALID_GEOMETRY))
     lumped, gate = admit(lumped, _spare(lumped), *refusals)
-    for_any = functools.reduce(operator.or_, [~fits(c) for c in jax.tree.leaves(conditions)], jnp.asarray(False))
+    judged = [jnp.any(~fits(c)) for c in jax.tree.leaves(conditions)]
+    for_any = functools.reduce(operator.or_, judged, jnp.asarray(False))
     conditions = jax.tree.map(lambda c: jnp.where(fits(c), c, 1), conditions)
     return lumped, conditions, Gate((*gate.refused, (for_any, Status.NONFINITE)))
 

@@ -132,5 +132,5 @@ DESCRIPTION = Description(
         ),
     },
     cases=_cases,
-    unknown="manufacturing errors as excitation: only the varying mesh stiffness excites",
+    unknown="manufacturing errors as excitation: in studies only the varying mesh stiffness excites",
 )

@@ -79,7 +79,7 @@ def _check_shapes(part: Any, counts: dict[str, int]) -> None:
         if f.metadata["kind"] != "real":
             continue
         shape, axes = np.shape(getattr(part, f.name)), f.metadata["shape"]
-        sizes = axis_sizes(axes, counts)
+        sizes = axis_sizes(axes, counts, shape)
         if shape and shape != sizes:
             names = ", ".join(map(str, axes)) + ("," if len(axes) == 1 else "")
             expected = f"({names}) = {sizes} or a scalar" if sizes else "a scalar; sweep with jax.vmap"

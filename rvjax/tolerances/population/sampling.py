@@ -28,10 +28,13 @@ def for_design(design: Any, **tolerances: Tolerance | None) -> Any:
         if name not in declared:
             raise ValueError(f"{cls.__name__} has no field {name!r}; it has {', '.join(sorted(declared))}")
     for name, axes in declared.items():
-        tolerance, sizes = tolerances.get(name), axis_sizes(axes, design.counts)
+        tolerance = tolerances.get(name)
         if tolerance is not None:
             if not isinstance(tolerance, Tolerance):
                 raise ValueError(f"{name} = {tolerance!r}: must be a Tolerance or None")
+            sizes = axis_sizes(axes, design.counts, tolerance.shape)
+            if axes and not sizes:
+                raise ValueError(f"{name}: Tolerance.shape = {tolerance.shape}: a series needs its length, {axes}")
             if tolerance.shape not in ((), sizes):
                 raise ValueError(
                     f"{name}: Tolerance.shape = {tolerance.shape} does not fit this design, expected {sizes}"

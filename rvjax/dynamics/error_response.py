@@ -1,0 +1,239 @@
+"""Dynamic transmission error: the errors of one unit carried to speed, resonance and load inertia.
+
+First order holds the errors alone, springs at their mean stiffness: B_n = T(n Om) g_n, linear in the errors, with T
+free of them. Harmonic balance (error_balance.py) keeps the product with the varying mesh stiffness.
+"""
+
+from collections.abc import Sequence
+from functools import partial
+from math import gcd, lcm
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rvjax.designs import RVReducer
+from rvjax.dynamics.assembly import Lumped
+from rvjax.dynamics.error_balance import balance
+from rvjax.dynamics.error_excitation import Orders, checked, error_orders, generators, read
+from rvjax.dynamics.error_transfer import (
+    check_outputs,
+    loaded,
+    output_rows,
+    output_speed,
+    static_deflection,
+    transfer,
+)
+from rvjax.dynamics.excitation import check_stage
+from rvjax.dynamics.response import METHODS
+from rvjax.errors import RVErrors
+from rvjax.records import Array, Record, Scalar, field, record, text
+from rvjax.status import SolveInfo, Status, converged
+
+
+@record
+class DynamicError(Record):
+    """Vibration of the rotations of one unit, q(theta) = Re sum_n amplitude_n e^{i n theta}, theta the output angle."""
+
+    order: Array = field("-", "n of each line, per output turn", shape=("orders",))
+    frequency: Array = field("Hz", "of each line", shape=("orders",))
+    amplitude: Array = field("rad", "complex amplitude of each line and output", shape=("orders", "outputs"))
+    static: Array = field("rad", "what the errors alone make of it at standstill", shape=("orders", "outputs"))
+    peak_to_peak: Array = field("rad", "of all lines together, each output", shape=("outputs",))
+    outputs: tuple[str, ...] = text("names of the outputs")
+    info: SolveInfo = field("-", "residual of the solves; CONVERGED, SINGULAR, ...", kind="record")
+
+
+@record
+class SpeedSweep(Record):
+    """Lines of one unit over a range of speeds."""
+
+    order: Array = field("-", "n of each line, per output turn", shape=("orders",))
+    amplitude: Array = field("rad", "complex amplitude", shape=("speeds", "orders", "outputs"))
+    peak: Array = field("rad", "largest size of each line over the speeds", shape=("orders", "outputs"))
+    peak_speed: Array = field("rad/s", "speed of the sun at which it occurs", shape=("orders", "outputs"))
+    outputs: tuple[str, ...] = text("names of the outputs")
+    info: SolveInfo = field("-", "residual of the solves; CONVERGED, SINGULAR, ...", kind="record")
+
+
+def transmission_error(
+    design: RVReducer,
+    errors: RVErrors,
+    *,
+    sun_speed: Scalar,
+    load_inertia: Scalar = 0.0,
+    outputs: Sequence[str] = ("output.rotation",),
+    pin_harmonics: int = 8,
+    method: str = "first_order",
+    stage: str = "planetary",
+    harmonics: int = 8,
+    output_torque: Scalar = 0.0,
+) -> DynamicError:
+    """Dynamic transmission error of one unit at one speed.
+
+    Args:
+        design: a reducer with inertia and stiffness, two or more discs, members alike.
+        errors: of its parts; those of `error_excitation` are read, by harmonic balance sun_runout as well.
+        sun_speed: () rad/s, of either sign; 0 is the static limit.
+        load_inertia: of what the output drives, () kg m2.
+        outputs: of "output.rotation", "sun.rotation" and "transmission_error" (output less sun over the ratio).
+        pin_harmonics: as in `error_excitation`.
+        method: "first_order": the errors alone. "harmonic_balance": errors, load and the varying mesh stiffness of one
+            stage together; its products reach further orders.
+        stage: whose meshes vary (harmonic balance): "planetary" or "cycloid".
+        harmonics: of the mesh frequency that are kept on either side of an order (harmonic balance).
+        output_torque: external torque on the output, () N m; negative opposes (harmonic balance).
+
+    Returns:
+        DynamicError. SINGULAR where an undamped mode is met to rounding, or at standstill without a torsion spring; NaN
+        for INVALID_GEOMETRY (radii or masses not positive, no proper cycloid) and NONFINITE.
+
+    Raises:
+        ValueError: unknown output, method or stage, harmonics below 1 or below those of an error, one disc, members
+            that differ, errors that do not fit the design, or as `rvjax.dynamics.lump`.
+    """
+    lumped, outputs = checked(design, errors, pin_harmonics), check_outputs(outputs)
+    check_stage(stage)
+    if method not in METHODS:
+        raise ValueError(f"method = {method!r}: must be one of {', '.join(METHODS)}")
+    if harmonics < 1:
+        raise ValueError(f"harmonics = {harmonics}: must be at least 1")
+    circle = design.cycloid.pin_circle_radius
+    if method == "first_order":
+        return _first_order(lumped, circle, errors, sun_speed, load_inertia, outputs, pin_harmonics)
+    conditions = (sun_speed, load_inertia, output_torque)
+    return _balanced(lumped, circle, errors, *conditions, outputs, pin_harmonics, stage, harmonics)
+
+
+@partial(jax.jit, static_argnums=(5, 6))
+def _first_order(
+    lumped: Lumped,
+    pin_circle: Array,
+    errors: RVErrors,
+    sun_speed: Array,
+    load_inertia: Array,
+    outputs: tuple[str, ...],
+    pin_harmonics: int,
+) -> DynamicError:
+    unit, (sun_speed,) = read(loaded(lumped, load_inertia), pin_circle, errors, sun_speed)
+    orders = error_orders(unit, pin_harmonics)
+    n = jnp.asarray([float(order) for order in orders], sun_speed.dtype)
+    excitation, _ = generators(unit, orders, pin_harmonics)
+    rows = output_rows(unit.lumped, outputs)
+    speed = output_speed(unit.lumped, sun_speed)
+    found = transfer(unit.lumped, n * speed, rows)
+    amplitude = jnp.einsum("kos,ks->ko", found.value, excitation)
+    static = excitation @ (rows @ static_deflection(unit.lumped)[0]).T.astype(excitation.dtype)
+    frequency = n * jnp.abs(speed) / (2 * jnp.pi)
+    values = (n, frequency, amplitude, static, _peak_to_peak(orders, amplitude))
+    (n, frequency, amplitude, static, whole), info = unit.gate.close(
+        values,
+        (~jnp.all(jnp.isfinite(amplitude)), Status.NONFINITE),
+        (found.singular, Status.SINGULAR),
+        info=converged(found.residual),
+    )
+    return DynamicError(n, frequency, amplitude, static, whole, outputs, info)
+
+
+@partial(jax.jit, static_argnums=(6, 7, 8, 9))
+def _balanced(
+    lumped: Lumped,
+    pin_circle: Array,
+    errors: RVErrors,
+    sun_speed: Array,
+    load_inertia: Array,
+    output_torque: Array,
+    outputs: tuple[str, ...],
+    pin_harmonics: int,
+    stage: str,
+    harmonics: int,
+) -> DynamicError:
+    conditions = (sun_speed, output_torque)
+    unit, conditions = read(loaded(lumped, load_inertia), pin_circle, errors, *conditions)
+    sun_speed, output_torque = conditions
+    speed = output_speed(unit.lumped, sun_speed)
+    found = balance(unit, speed, output_torque, outputs, pin_harmonics, stage, harmonics)
+    n = jnp.asarray([float(order) for order in found.orders], speed.dtype)
+    frequency = n * jnp.abs(speed) / (2 * jnp.pi)
+    values = (n, frequency, found.amplitude, found.static, _peak_to_peak(found.orders, found.amplitude))
+    (n, frequency, amplitude, static, whole), info = unit.gate.close(
+        values,
+        (~jnp.all(jnp.isfinite(found.amplitude)), Status.NONFINITE),
+        (found.singular, Status.SINGULAR),
+        info=converged(found.residual),
+    )
+    return DynamicError(n, frequency, amplitude, static, whole, outputs, info)
+
+
+def _peak_to_peak(orders: Orders, amplitude: jax.Array) -> jax.Array:
+    """Of the sum of all lines (outputs,), on 2^k >= max(256, 16 n_max / g) angles of their common period 2 pi / g."""
+    whole = lcm(*(n.denominator for n in orders))
+    numbers = [int(n * whole) for n in orders]
+    places = np.array(numbers) // gcd(*numbers)
+    samples = 1 << (max(256, 16 * int(places.max())) - 1).bit_length()
+    spectrum = jnp.zeros((samples // 2 + 1, amplitude.shape[1]), amplitude.dtype)
+    curve = jnp.fft.irfft(spectrum.at[places].set(amplitude * (samples / 2)), samples, axis=0)
+    return jnp.max(curve, axis=0) - jnp.min(curve, axis=0)
+
+
+def speed_sweep(
+    design: RVReducer,
+    errors: RVErrors,
+    *,
+    sun_speeds: Array | np.ndarray,
+    load_inertia: Scalar = 0.0,
+    outputs: Sequence[str] = ("output.rotation",),
+    pin_harmonics: int = 8,
+) -> SpeedSweep:
+    """Every line of one unit over a range of speeds, and where it is largest; first order, one eigenproblem.
+
+    Args:
+        design: as in `transmission_error`.
+        errors: as in `transmission_error`.
+        sun_speeds: (speeds,) rad/s. A peak is found among these; at damping eta it is eta of its speed wide.
+        load_inertia: as in `transmission_error`.
+        outputs: as in `transmission_error`.
+        pin_harmonics: as in `error_excitation`.
+
+    Returns:
+        SpeedSweep; a status holds for all speeds together.
+
+    Raises:
+        ValueError: sun_speeds that are no row of numbers, or as `transmission_error`.
+    """
+    lumped, outputs = checked(design, errors, pin_harmonics), check_outputs(outputs)
+    if np.ndim(sun_speeds) != 1 or np.shape(sun_speeds)[0] == 0:
+        raise ValueError(f"sun_speeds: shape {np.shape(sun_speeds)}, expected (speeds,), at least one")
+    circle = design.cycloid.pin_circle_radius
+    return _sweep(lumped, circle, errors, sun_speeds, load_inertia, outputs, pin_harmonics)
+
+
+@partial(jax.jit, static_argnums=(5, 6))
+def _sweep(
+    lumped: Lumped,
+    pin_circle: Array,
+    errors: RVErrors,
+    sun_speeds: Array,
+    load_inertia: Array,
+    outputs: tuple[str, ...],
+    pin_harmonics: int,
+) -> SpeedSweep:
+    unit, (speeds,) = read(loaded(lumped, load_inertia), pin_circle, errors, sun_speeds)
+    orders = error_orders(unit, pin_harmonics)
+    n = jnp.asarray([float(order) for order in orders], speeds.dtype)
+    excitation, _ = generators(unit, orders, pin_harmonics)
+    frequency = output_speed(unit.lumped, speeds)[:, None] * n[None, :]
+    found = transfer(unit.lumped, frequency.ravel(), output_rows(unit.lumped, outputs))
+    value = found.value.reshape(*frequency.shape, *found.value.shape[1:])
+    amplitude = jnp.einsum("qkos,ks->qko", value, excitation)
+    square = jnp.square(amplitude.real) + jnp.square(amplitude.imag)
+    place = jnp.argmax(square, axis=0)
+    largest = jnp.take_along_axis(square, place[None], axis=0)[0]
+    peak = jnp.where(largest > 0, jnp.sqrt(jnp.where(largest > 0, largest, 1)), 0)  # no error, no infinite slope
+    (n, amplitude, peak, peak_speed), info = unit.gate.close(
+        (n, amplitude, peak, speeds[place]),
+        (~jnp.all(jnp.isfinite(amplitude)), Status.NONFINITE),
+        (found.singular, Status.SINGULAR),
+        info=converged(found.residual),
+    )
+    return SpeedSweep(n, amplitude, peak, peak_speed, outputs, info)

@@ -1,0 +1,435 @@
+"""Errors as excitation of the dynamic model: excitation, transfer, response, statistics, invariants, extremes.
+
+Oracles: independent cases (tests/reference/dynamic_error.json, 1e-9 of the largest amplitude of the same output, 1e-7
+with the varying mesh); closed forms of statics; identities between calls. The sun's rotation is what is left of motions
+`ratio` times as large as the output's, so that a reference in double precision knows it to eps * ratio * condition
+(128) of those; in case 316, where that is more than 1e-9, 40 digits lie closer to rvjax than to the reference.
+"""
+
+from fractions import Fraction
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.flatten_util import ravel_pytree
+
+from oracles.dynamics import Oracle
+from rvjax import (
+    CrankStage,
+    CycloidStage,
+    Damping,
+    Inertia,
+    InvoluteStage,
+    MeshVariation,
+    RVErrors,
+    RVReducer,
+    Status,
+    Stiffness,
+    dynamics,
+    four_bar,
+    lost_motion,
+)
+from rvjax.catalogue import RV_20E, RV_40E, RV_320E
+
+OUTPUTS = ("output.rotation", "sun.rotation", "transmission_error")
+FURTHER = [pytest.param(number, marks=pytest.mark.long) for number in (313, 315, 317)]
+STAGE = {"sp": "planetary", "cp": "cycloid"}
+SPEED = 200.0
+MICRON = 1e-6
+
+
+def numbers(record, t, names):
+    return record(*[t[name] for name in names.split()])
+
+
+def reducer(table, changes):
+    t = {**table, **changes}
+    return RVReducer(
+        InvoluteStage(t["zs"], t["zp"], 1e-3, t["alpha"], 1.0, 1.0, t["rs"], t["rp"]),
+        CycloidStage(
+            *(t["Zpin"] - 1, t["Zpin"], t["N"], t["e"], t["Rpin"], 1e-3), force_angle=t["beta"], disc_phase=t["psi_c0"]
+        ),
+        CrankStage(t["M"], t["rH"]),
+        inertia=numbers(Inertia, t, "ms Js mp Jp mH JH mc Jc mo Jo"),
+        stiffness=numbers(Stiffness, t, "ks kst ka kH kHb kcb ksp kcr ko kot"),
+        mesh_variation=numbers(MeshVariation, t, "sw_sp duty_sp ramp_sp sw_cp duty_cp ramp_cp"),
+        damping=Damping(t["eta"], t["ray_a"], t["ray_b"]),
+    )
+
+
+def unit(errors):
+    return RVErrors(**{name: np.asarray(value) for name, value in errors.items()})
+
+
+def phasors(values):
+    values = np.asarray(values, float)
+    return values[..., 0] + 1j * values[..., 1]
+
+
+@pytest.fixture(scope="module")
+def cases(reference):
+    file = reference("dynamic_error")
+    return {case["id"]: {**case, "design": reducer(file["table"], case["changes"])} for case in file["cases"]}
+
+
+def assert_lines(found, expected, rtol, ratio):
+    """Lines (orders, outputs) in the order of OUTPUTS."""
+    largest = np.abs(expected).max(axis=0)
+    allowed = rtol * largest
+    allowed[1] = max(allowed[1], 128 * np.finfo(float).eps * ratio * largest[0])
+    assert (np.abs(np.asarray(found) - expected).max(axis=0) <= allowed).all()
+
+
+@pytest.mark.parametrize("number", [301, 302, 303, 304, 305, 306, 307])
+def test_transfer_is_that_of_the_reference(cases, number):
+    case = cases[number]
+    frequency, load = case.get("frequency", 0.0), case.get("load_inertia", 0.0)
+    found = dynamics.error_transfer(case["design"], frequency=frequency, load_inertia=load, outputs=OUTPUTS)
+    if case["kind"] == "static":
+        np.testing.assert_allclose(found[0], case["out"], rtol=1e-9)
+        assert np.abs(found[1]).max() < 1e-12 * np.abs(found[0]).max() * case["design"].ratio
+    else:
+        assert_lines(found.T, phasors(case["out"]).T, 1e-9, case["design"].ratio)
+
+
+@pytest.mark.parametrize("number", [308, 309, 310])
+def test_excitation_is_that_of_the_reference(cases, number):
+    case = cases[number]
+    found = dynamics.error_excitation(case["design"], unit(case["errors"]), pin_harmonics=case["pin_harmonics"])
+    expected = {float(Fraction(order)): phasors(values) for order, values in case["out"].items()}
+    constant = expected.pop(0.0)
+    np.testing.assert_array_equal(found.order, sorted(expected))
+    rows = np.array([expected[n] for n in sorted(expected)])
+    np.testing.assert_allclose(found.amplitude, rows, rtol=0, atol=1e-9 * np.abs(rows).max())
+    np.testing.assert_allclose(found.mean, constant.real, rtol=0, atol=1e-9 * np.abs(constant).max())
+    cancelled = (rows == 0).all(axis=0)
+    assert cancelled.any() and (np.asarray(found.amplitude)[:, cancelled] == 0).all()
+
+
+@pytest.mark.parametrize("number", [311, 312, 314, 316, *FURTHER])
+def test_response_is_that_of_the_reference(cases, number):
+    case = cases[number]
+    options = {name: case[name] for name in ("sun_speed", "load_inertia", "pin_harmonics")}
+    found = dynamics.transmission_error(case["design"], unit(case["errors"]), outputs=OUTPUTS, **options)
+    expected = {float(Fraction(order)): phasors(values) for order, values in case["out"]["amplitude"].items()}
+    np.testing.assert_array_equal(found.order, sorted(expected))
+    assert found.info.status == Status.CONVERGED and found.info.residual < 1e-13
+    assert_lines(found.amplitude, np.array([expected[n] for n in sorted(expected)]), 1e-9, case["design"].ratio)
+    np.testing.assert_allclose(found.peak_to_peak, case["out"]["peak_to_peak"], rtol=2e-8)
+    turns = case["sun_speed"] / case["design"].ratio / (2 * np.pi)
+    np.testing.assert_allclose(found.frequency, np.abs(turns) * np.array(sorted(expected)), rtol=1e-12)
+
+
+def test_sweep_is_that_of_the_reference(cases):
+    case = cases[318]
+    options = {name: case[name] for name in ("load_inertia", "pin_harmonics")}
+    found = dynamics.speed_sweep(
+        case["design"], unit(case["errors"]), sun_speeds=np.array(case["sun_speeds"]), **options
+    )
+    np.testing.assert_array_equal(found.order, [40.0])
+    np.testing.assert_allclose(found.peak[:, 0], case["out"]["peak"], rtol=1e-9)
+    np.testing.assert_allclose(found.peak_speed[:, 0], case["out"]["peak_speed"])
+    for end, place in (("first", 0), ("last", -1)):
+        np.testing.assert_allclose(np.abs(found.amplitude[place, :, 0]), case["out"][end], rtol=1e-9)
+
+
+def test_statistics_are_those_of_the_reference(cases):
+    case = cases[319]
+    options = {name: case[name] for name in ("sun_speed", "load_inertia")}
+    found = dynamics.error_statistics(case["design"], unit(case["sigma"]), **options)
+    power, pseudo = case["out"]["40"]
+    np.testing.assert_allclose(found.power[:, 0], [power], rtol=1e-9)
+    np.testing.assert_allclose(found.pseudo_power[:, 0], [complex(*pseudo)], rtol=1e-9)
+
+
+@pytest.mark.parametrize("number", [320, pytest.param(321, marks=pytest.mark.long)])
+def test_errors_and_mesh_together_are_those_of_the_reference(cases, number):
+    case = cases[number]
+    found = dynamics.transmission_error(
+        *(case["design"], unit(case["errors"])),
+        sun_speed=case["sun_speed"],
+        outputs=OUTPUTS,
+        pin_harmonics=0,
+        method="harmonic_balance",
+        stage=STAGE[case["stage"]],
+        harmonics=case["harmonics"],
+        output_torque=-3136.0,
+    )
+    expected = {float(Fraction(order)): phasors(values) for order, values in case["out"].items()}
+    largest = np.argsort(-np.abs(np.asarray(found.amplitude)[:, 0]))[: len(expected)]
+    assert set(np.asarray(found.order)[largest]) == set(expected)
+    rows = np.array([expected[float(found.order[n])] for n in largest])
+    assert_lines(found.amplitude[largest], rows, 1e-7, case["design"].ratio)
+
+
+DESIGN = RV_320E.replace(
+    cranks=RV_320E.cranks.replace(count=3),
+    cycloid=RV_320E.cycloid.replace(disc_count=2, disc_phase=0.4, pin_circle_radius=0.114),
+    damping=Damping(loss_factor=0.04, rayleigh_mass=3.0, rayleigh_stiffness=1e-6, modal_ratio=0.01),
+)
+SHAPES = {
+    "crank_eccentricity": (2, 3), "crank_phase": (3,), "disc_bore": (2, 3, 2), "carrier_bore": (3, 2),
+    "pin_offset": (40, 2), "pin_radii": (40,), "ring_centre": (2,), "disc_centre": (2, 2), "sun_runout": (2,),
+    "planet_runout": (3, 2), "sun_flank": (3, 2), "planet_flank": (3, 2, 2), "disc_flank": (2, 2, 2),
+    "ring_flank": (4, 2),
+}  # fmt: skip
+
+
+def drawn(seed):
+    draw = np.random.default_rng(seed).normal
+    return {name: MICRON * draw(size=shape) for name, shape in SHAPES.items()}
+
+
+def none():
+    return {name: np.zeros(shape) for name, shape in SHAPES.items()}
+
+
+@jax.jit
+def respond(errors, speed):
+    return dynamics.transmission_error(DESIGN, RVErrors(**errors), sun_speed=speed, load_inertia=3.0)
+
+
+@jax.jit
+def excite(errors):
+    return dynamics.error_excitation(DESIGN, RVErrors(**errors))
+
+
+@jax.jit
+def transferred(design, frequency, load):
+    return dynamics.error_transfer(design, frequency=frequency, load_inertia=load, outputs=OUTPUTS)
+
+
+def test_static_limit_is_the_closed_form():
+    """Rolling of the parts on each other; stiffness leaves it but for the share of the two bearings of a crank."""
+    g, s, e = DESIGN.involute, DESIGN.stiffness, DESIGN.cycloid.eccentricity
+    al, be, arm, rp = g.pressure_angle, DESIGN.cycloid.force_angle, DESIGN.cranks.circle_radius, g.planet_base_radius
+    rolling = 39 * e
+    share = 2 * s.turning_arm_bearing / (s.support_bearing + 2 * s.turning_arm_bearing)
+    radial = -e / rp * np.sin(al)
+    expected = np.array([
+        -e / rp, radial * (1 - share), -e / rp * np.cos(al) - rolling / arm,
+        radial * share, rolling / arm, np.tan(be), 1, 1 / np.cos(be),
+    ]) / (e * (39 + np.cos(al) * arm / rp))  # fmt: skip
+    stiffer = DESIGN.replace(stiffness=jax.tree.map(lambda k: 3 * k, s))
+    heavier = DESIGN.replace(inertia=jax.tree.map(lambda m: 5 * m, DESIGN.inertia))
+    for design in (DESIGN, stiffer, heavier):
+        found = transferred(design, 0.0, 0.0)
+        np.testing.assert_allclose(found[0], expected, rtol=1e-12)
+        np.testing.assert_allclose(found[2], expected, rtol=1e-12)
+
+
+def test_a_bore_pattern_shifted_as_a_whole_is_a_tooth_error_the_other_way():
+    """At standstill; and bores all moved alike along the carrier's turn are a constant angle."""
+    angles = np.pi + 2 * np.pi * np.arange(3) / 3  # crank 0 at pi, the frame of RVErrors
+    shift = MICRON * np.array([2 - 1j, 0.3 + 1.5j])
+    bores = shift[:, None] * np.exp(-1j * angles)
+    as_bores = none() | {"disc_bore": np.stack([bores.real, bores.imag], -1)}
+    as_teeth = none() | {"disc_centre": -np.stack([shift.real, shift.imag], -1)}
+    first, second = respond(as_bores, 0.0), respond(as_teeth, 0.0)
+    size = np.abs(first.amplitude).max()
+    assert size > 1e-6
+    np.testing.assert_allclose(first.amplitude, second.amplitude, rtol=0, atol=1e-12 * size)
+    alike = none() | {"disc_bore": np.broadcast_to([0.0, MICRON], (2, 3, 2))}
+    found = excite(alike)
+    assert np.abs(found.amplitude).max() < 1e-6 * MICRON  # sums of exponentials cancel to rounding
+    np.testing.assert_allclose(found.mean, MICRON * np.array([0, 0, 0, 0, 1, 0, 0, 0]), rtol=1e-12, atol=1e-20)
+    exact = dynamics.error_excitation(DESIGN, RVErrors(disc_bore=MICRON, crank_eccentricity=MICRON, planet_runout=0.0))
+    assert (np.asarray(exact.amplitude) == 0).all()  # one number for all members: by integers
+
+
+def test_pins_count_by_their_share_of_the_load():
+    """Every loaded pin on every one of three discs, angle by angle, and the Fourier series of that: odd harmonics too.
+
+    The sum over pins bends where a pin takes up load: 4096 angles know its harmonics to (9 / 4096)^2 of the largest.
+    """
+    design = DESIGN.replace(cycloid=DESIGN.cycloid.replace(disc_count=3))
+    draw = np.random.default_rng(13).normal
+    offset, radius = MICRON * draw(size=(40, 2)), MICRON * draw(size=40)
+    found = dynamics.error_excitation(design, RVErrors(pin_offset=offset, pin_radii=radius), pin_harmonics=9)
+    turn = 2 * np.pi * np.arange(4096) / 4096  # 39 theta
+    pin = np.pi + 2 * np.pi * np.arange(40) / 40  # pin 0 opposite to crank 0
+    eccentric = 0.4 + 2 * np.pi * np.arange(3)[:, None] / 3 - turn
+    chi = pin[:, None, None] - eccentric
+    k1 = design.cycloid.derived_shortening
+    size = np.sqrt(1 + k1 * k1 - 2 * k1 * np.cos(chi))
+    across, away = -np.sin(chi) / size, (k1 * np.cos(chi) - 1) / size
+    share = np.where(across > 0, across, 0)
+    even = np.linspace(np.pi, 2 * np.pi, 4001)
+    mean = np.trapezoid(np.sin(even) ** 2 / (1 + k1 * k1 - 2 * k1 * np.cos(even)), even) / (2 * np.pi)
+    share *= np.cos(design.cycloid.force_angle) / (40 * mean)
+    moved = away * offset[:, 0, None, None] + k1 * across * offset[:, 1, None, None] + radius[:, None, None]
+    wave = np.fft.rfft((share * moved).sum(axis=0).mean(axis=0)) / 4096
+    np.testing.assert_array_equal(found.order, [40, 117, 234, 351])
+    expected = np.array([0, *2 * wave[[3, 6, 9]]])
+    limit = 10 * (9 / 4096) ** 2 * np.abs(wave).max()
+    np.testing.assert_allclose(found.amplitude[:, 7], expected, rtol=0, atol=limit)
+    np.testing.assert_allclose(found.mean[7], wave[0].real, rtol=0, atol=limit)
+    assert np.abs(expected[1:]).min() > 10 * limit
+
+
+def test_transfer_is_reciprocal():
+    """Over its stiffness, a displaced spring turns the output by what a torque on the output deflects the spring."""
+    frequency, stiffness = 300.0, DESIGN.stiffness
+    oracle = Oracle(DESIGN)
+    w = 2 * np.pi * frequency
+    torque = np.zeros(oracle.n)
+    torque[-1] = 1.0
+    q = oracle.solve(oracle.impedance(w, 1), torque)
+    c = 1 + 1j * 0.04 + 1j * w * 1e-6
+    found = np.asarray(transferred(DESIGN, frequency, 0.0))[0]
+    for column, k, rows in ((0, stiffness.sun_planet_mesh, "planetary"), (7, stiffness.disc_pin_mesh, "cycloid")):
+        expected = c * k * sum(row @ q for row in oracle.meshes[rows])
+        np.testing.assert_allclose(found[column], expected, rtol=1e-9)
+
+
+def test_reversed_speed_conjugates_the_transfer_alone():
+    there, back = transferred(DESIGN, 250.0, 2.0), transferred(DESIGN, -250.0, 2.0)
+    np.testing.assert_allclose(back, np.conj(there), rtol=1e-11)
+    errors = drawn(1)
+    g = np.asarray(excite(errors).amplitude)
+    for speed in (SPEED, -SPEED):
+        found = respond(errors, speed)
+        f = np.asarray(found.order) * speed / DESIGN.ratio / (2 * np.pi)
+        rows = [np.asarray(transferred(DESIGN, x, 3.0))[0] @ line for x, line in zip(f, g)]
+        np.testing.assert_allclose(found.amplitude[:, 0], rows, rtol=1e-10, atol=1e-20)
+
+
+def test_response_is_linear_and_its_derivative_gives_it_back():
+    a, b = drawn(2), drawn(3)
+    mixed = jax.tree.map(lambda x, y: 2 * x - 3 * y, a, b)
+    first, second, both = (respond(x, SPEED).amplitude for x in (a, b, mixed))
+    size = np.abs(both).max()
+    np.testing.assert_allclose(both, 2 * first - 3 * second, rtol=0, atol=1e-12 * size)
+    _, along = jax.jvp(lambda x: respond(x, SPEED).amplitude, (none(),), (a,))
+    np.testing.assert_allclose(along, first, rtol=0, atol=1e-12 * np.abs(first).max())
+
+
+def test_peak_to_peak_is_that_of_the_curve():
+    """8192 angles of a turn; between neighbours of the door's own a line of order n_max bends by (pi/16)^2 / 2."""
+    found = respond(drawn(4), SPEED)
+    angle = 2 * np.pi * np.arange(8192) / 8192
+    curve = (np.exp(1j * np.outer(angle, found.order)) @ found.amplitude[:, 0]).real
+    np.testing.assert_allclose(found.peak_to_peak[0], np.ptp(curve), rtol=(np.pi / 16) ** 2 / 2)
+    assert found.peak_to_peak[0] <= 2 * np.abs(found.amplitude).sum()
+
+
+def test_power_is_the_mean_square_of_units():
+    """Each error by itself, one at a time, gives the sum exactly; so do scalars, each member's own."""
+    sigma = drawn(5)
+    sizes = RVErrors(**jax.tree.map(np.abs, sigma))
+    found = dynamics.error_statistics(DESIGN, sizes, sun_speed=SPEED, load_inertia=3.0)
+    flat, back = ravel_pytree(sigma)
+    alone = jax.lax.map(lambda row: respond(back(row), SPEED).amplitude, jnp.diag(flat), batch_size=32)
+    np.testing.assert_allclose(found.power, np.sum(np.abs(alone) ** 2, axis=0), rtol=1e-10, atol=1e-30)
+    np.testing.assert_allclose(found.pseudo_power, np.sum(np.asarray(alone) ** 2, axis=0), rtol=1e-9, atol=1e-22)
+    assert (found.power >= np.abs(found.pseudo_power) * (1 - 1e-12)).all() and found.power[0, 0] > 0
+    one, many = (
+        dynamics.error_statistics(DESIGN, RVErrors(planet_runout=value), sun_speed=SPEED)
+        for value in (MICRON, np.full((3, 2), MICRON))
+    )
+    np.testing.assert_allclose(one.power, many.power, rtol=1e-12)
+
+
+def test_what_the_mean_cancels_is_exactly_zero_with_finite_gradients():
+    harmless = {name: drawn(6)[name] for name in ("sun_runout", "ring_centre", "crank_phase", "carrier_bore")}
+    found = respond(none() | harmless, SPEED)
+    assert (np.asarray(found.amplitude) == 0).all() and found.peak_to_peak[0] == 0
+
+    def figures(errors):
+        found = respond(errors, SPEED)
+        return found.peak_to_peak[0] + jnp.sum(jnp.abs(found.amplitude.real))
+
+    slopes = jax.grad(figures)(none())
+    assert all(np.isfinite(slope).all() for slope in slopes.values())
+    assert (np.asarray(slopes["sun_runout"]) == 0).all() and (np.asarray(slopes["ring_centre"]) == 0).all()
+    assert np.abs(jax.grad(figures)(drawn(7))["disc_bore"]).min() > 0
+
+
+def test_a_batch_leaves_neighbours_alone():
+    lanes = [drawn(8), drawn(9), none()]
+    lanes[1]["disc_bore"][0, 0, 0] = np.nan
+    speeds = np.array([SPEED, SPEED, 0.0])
+    found = jax.vmap(respond)(jax.tree.map(lambda *x: np.stack(x), *lanes), speeds)
+    np.testing.assert_array_equal(found.info.status, [Status.CONVERGED, Status.NONFINITE, Status.CONVERGED])
+    assert np.isnan(found.amplitude[1]).all() and not np.isnan(found.amplitude[2]).any()
+    np.testing.assert_allclose(found.amplitude[0], respond(lanes[0], SPEED).amplitude, rtol=1e-12, atol=1e-22)
+
+
+def test_hostile_designs_have_a_status():
+    free = DESIGN.replace(stiffness=DESIGN.stiffness.replace(sun_torsion=0.0))
+
+    @jax.jit
+    def status(speed, torsion, angle, e, load):
+        design = DESIGN.replace(
+            stiffness=DESIGN.stiffness.replace(sun_torsion=torsion),
+            cycloid=DESIGN.cycloid.replace(force_angle=angle, eccentricity=e),
+        )
+        found = dynamics.transmission_error(design, RVErrors(disc_centre=MICRON), sun_speed=speed, load_inertia=load)
+        return found.info.status, found.amplitude, found.static
+
+    def ask(speed=SPEED, torsion=1e4, angle=0.5, e=0.0022, load=0.0):
+        return status(speed, torsion, angle, e, load)
+
+    assert ask()[0] == Status.CONVERGED
+    assert ask(torsion=0.0)[0] == Status.CONVERGED and not np.isnan(ask(torsion=0.0)[2]).any()
+    assert ask(speed=0.0, torsion=0.0)[0] == Status.SINGULAR
+    assert ask(speed=np.inf)[0] == Status.NONFINITE
+    for impossible in (dict(angle=np.pi / 2), dict(e=-1e-3), dict(e=0.1), dict(load=-1.0)):
+        state, amplitude, _ = ask(**impossible)
+        assert state == Status.INVALID_GEOMETRY and np.isnan(amplitude).all(), impossible
+    assert np.isnan(transferred(free, 0.0, 0.0)).all() and not np.isnan(transferred(free, 1.0, 0.0)).any()
+
+
+def test_what_cannot_be_asked_is_refused_by_name():
+    errors, spin = RVErrors(), dict(sun_speed=SPEED)
+    one = DESIGN.replace(cycloid=DESIGN.cycloid.replace(disc_count=1))
+    unequal = DESIGN.replace(inertia=DESIGN.inertia.replace(planet_mass=np.array([1.0, 1.0, 1.1])))
+    refused = {
+        "disc_count": lambda: dynamics.transmission_error(one, errors, **spin),
+        "members alike": lambda: dynamics.error_transfer(unequal, frequency=1.0),
+        "output.x": lambda: dynamics.transmission_error(DESIGN, errors, outputs=("output.x",), **spin),
+        "method": lambda: dynamics.transmission_error(DESIGN, errors, method="exact", **spin),
+        "stage": lambda: dynamics.transmission_error(DESIGN, errors, stage="third", **spin),
+        "harmonics": lambda: dynamics.transmission_error(DESIGN, errors, harmonics=0, **spin),
+        "pin_harmonics": lambda: dynamics.error_excitation(DESIGN, errors, pin_harmonics=-1),
+        "disc_bore": lambda: dynamics.error_excitation(DESIGN, RVErrors(disc_bore=np.zeros((3, 3, 2)))),
+        "planet_flank": lambda: dynamics.error_excitation(DESIGN, RVErrors(planet_flank=np.zeros((2, 1, 2)))),
+        "sun_flank": lambda: dynamics.error_excitation(DESIGN, RVErrors(sun_flank=MICRON)),
+        "sun_speeds": lambda: dynamics.speed_sweep(DESIGN, errors, sun_speeds=SPEED),
+        "standard deviation": lambda: dynamics.error_statistics(DESIGN, RVErrors(pin_radii=-MICRON), **spin),
+        "of order": lambda: dynamics.transmission_error(
+            DESIGN, RVErrors(planet_flank=np.zeros((3, 180, 2))), method="harmonic_balance", harmonics=1, **spin
+        ),
+    }
+    for words, call in refused.items():
+        with pytest.raises(ValueError, match=words):
+            call()
+
+
+def test_balance_without_swing_is_the_first_order():
+    """Errors and load no longer multiply: the error lines stand, the mesh lines vanish; half a period's residue too."""
+    still = DESIGN.replace(mesh_variation=MeshVariation(0.0, 0.5, 0.0, 0.0, 0.5, 0.0))
+    still = still.replace(involute=still.involute.replace(sun_teeth=16, planet_teeth=4))
+    errors = {name: value for name, value in drawn(10).items() if not name.startswith("pin")}
+    asked = dict(sun_speed=SPEED, outputs=OUTPUTS)
+    linear = dynamics.transmission_error(still, RVErrors(**errors), **asked)
+    full = dynamics.transmission_error(
+        still, RVErrors(**errors), method="harmonic_balance", harmonics=3, output_torque=-3136.0, **asked
+    )
+    lines = dict(zip(np.asarray(full.order).tolist(), np.asarray(full.amplitude)))
+    own = np.array([lines.pop(n) for n in np.asarray(linear.order).tolist()])
+    size = np.abs(linear.amplitude).max(axis=0)
+    assert (np.abs(own - linear.amplitude) <= 1e-9 * size).all()
+    assert (np.abs(list(lines.values())).max(axis=0) <= 1e-9 * size).all()
+
+
+def test_other_models_do_not_read_the_series():
+    series = np.full((3, 2), MICRON)
+
+    def figures(x):
+        errors = RVErrors(sun_flank=x, ring_flank=2 * x)
+        turned = four_bar.transmission_error(RV_40E, errors, crank_angle=0.7).error
+        return turned + lost_motion.geometric(RV_20E, errors).total
+
+    assert np.isfinite(figures(series)) and (np.asarray(jax.grad(figures)(series)) == 0).all()
