@@ -115,7 +115,7 @@ def overrunning_clutch() -> Case:
         return jnp.arccos(jnp.minimum((hub + roller) / (cage - roller), 1.0))
 
     return Case(
-        "one-way clutch of Greenwood and Chase (1990), costs assumed",
+        "one-way clutch of the tolerance literature, costs assumed",
         angle,
         {name: Tolerance.symmetric(50e-6) for name in nominal},
         Requirement(lower=math.radians(5.0), upper=math.radians(9.0), target=0.9973),
@@ -142,7 +142,7 @@ def shared_chains() -> Case:
 
 
 def exponential_costs() -> Case:
-    """Costs b exp(-t/d) (Speckhart 1972), 99 %."""
+    """Costs b exp(-t/d), 99 %."""
     slopes = dict(a=1.0, b=2.0, c=0.5)
     costs = {
         name: Exponential(scale=scale, decay=decay, finest=1e-6, coarsest=1e-3)
@@ -150,7 +150,7 @@ def exponential_costs() -> Case:
     }
     radius = 3 * 40e-6 / stats.norm.ppf(0.995)
     return Case(
-        "exponential costs (Speckhart 1972)",
+        "exponential costs",
         lambda e: sum(slope * e[name] for name, slope in slopes.items()),
         {name: Tolerance.symmetric(10e-6) for name in slopes},
         Requirement(lower=-40e-6, upper=40e-6, target=0.99),
