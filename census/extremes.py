@@ -70,11 +70,17 @@ def take_census(options: argparse.Namespace) -> None:
         kept = sorted([*kept, entry], key=lambda e: order.index(e["model"]))
         file = {"seed": options.seed, "day": datetime.date.today().isoformat(), "census": kept}
         temporary = options.json.with_suffix(".part")
-        temporary.write_text(json.dumps(file, indent=1))
+        temporary.write_text(written(file))
         temporary.replace(options.json)
         with bar.external_write_mode():
             show(entry)
     bar.close()
+
+
+def written(file: dict[str, Any]) -> str:
+    """As JSON, a model a line."""
+    head = json.dumps({name: value for name, value in file.items() if name != "census"})
+    return head[:-1] + ', "census": [\n' + ",\n".join(map(json.dumps, file["census"])) + "\n]}\n"
 
 
 if __name__ == "__main__":
