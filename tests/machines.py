@@ -24,7 +24,7 @@ STAND_INS = {
     "zen": {"OPENBLAS_CORETYPE": "Zen"},
     "nehalem": {"OPENBLAS_CORETYPE": "Nehalem"},
     "one-thread": {
-        "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1",
+        "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false",
         "OPENBLAS_NUM_THREADS": "1",
     },
     "unoptimised": {"XLA_FLAGS": "--xla_backend_optimization_level=0"},  # by the code generator that users have
