@@ -51,6 +51,17 @@ settings.load_profile(PROFILE)
 REFERENCE = Path(__file__).parent / "reference"
 
 
+EVENTS: list[str] = []  # what JAX traced, lowered and compiled; one listener for all, that nobody takes away
+jax.monitoring.register_event_duration_secs_listener(lambda event, *_, **__: EVENTS.append(event))
+
+
+@pytest.fixture
+def compiled():
+    """JAX's own news of tracing, lowering and compiling since the list was cleared."""
+    EVENTS.clear()
+    return EVENTS
+
+
 @pytest.fixture(scope="session")
 def reference():
     """Independent high-precision cases: reference("four_bar") is the parsed file of that model."""

@@ -24,6 +24,7 @@ from rvjax.study.response import Response
 from rvjax.units import rpm
 
 ROUNDING, CLOSE = 1e-12, 1e-6
+SERIES = dict.fromkeys(("sun_orders", "planet_orders", "disc_orders", "ring_orders"), 2)  # series bring their own
 SIZES = {"m": 2e-6, "rad": 1e-4, "-": 2e-2}
 PLAY = {"pin_circle_radius": 8e-6, "pin_radius": -8e-6}  # the disc fits between the pins
 WHOLE = design_of(NAMED["rv40: all errors, rated, hertz"]).replace(  # what all models of an RV reducer read
@@ -69,7 +70,7 @@ def drawn(design, random):
     blank = design.error_record()
     errors, moves, names = {}, {}, [f.name for f in dataclasses.fields(blank)]
     for number, f in enumerate(dataclasses.fields(blank)):
-        size, shape = SIZES[f.metadata["unit"]], tuple(design.counts.get(n, n) for n in f.metadata["shape"])
+        size, shape = SIZES[f.metadata["unit"]], tuple((design.counts | SERIES).get(n, n) for n in f.metadata["shape"])
         errors[f.name] = size * random.standard_normal(shape) + PLAY.get(f.name, 0.0)
         if f.metadata["sign"] == "nonnegative":
             errors[f.name] = np.abs(errors[f.name])

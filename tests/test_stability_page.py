@@ -46,12 +46,12 @@ SMALL = [  # one of every model, and in the long profile one of every group
 
 @pytest.mark.parametrize("name", SMALL)
 def test_a_small_census_is_clean(name, monkeypatch):
-    """Two thousand fresh inputs (five hundred of a whole reducer), other ones than those of the file: statuses,
+    """Two thousand fresh inputs (three hundred of a whole reducer), other ones than those of the file: statuses,
     finiteness, float32, derivatives."""
-    inputs = 512 if name.startswith("loaded") else 2048
+    inputs = 320 if name.startswith("loaded") else 2048
     for size in ("CHUNK", "SINGLE"):
         monkeypatch.setattr(one_model, size, inputs)
-    monkeypatch.setattr(one_model, "SAMPLE", inputs // 8)
+    monkeypatch.setattr(one_model, "SAMPLE", max(64, inputs // 8))
     # The census's own arithmetic beside the models promotes as NumPy does.
     with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"), np.errstate(all="ignore"):
         model = next(m for m in models() if m.name == name)
