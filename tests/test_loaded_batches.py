@@ -7,7 +7,6 @@ import pytest
 from loaded_cases import NAMED, design_of, errors_of
 
 from rvjax import Status, loaded
-from rvjax.loaded import laws
 from rvjax.loaded.balance import balance
 from rvjax.loaded.equilibrium import prepare
 from rvjax.loaded.reading import admit, check_input
@@ -184,28 +183,6 @@ def _programs():
     from rvjax.loaded.equilibrium import _equilibrium
 
     return _equilibrium._cache_size()
-
-
-def test_a_linear_start_beyond_the_law_of_a_pin_is_halved(monkeypatch):
-    """The mean slope of the start is a guess: one that is a ten-thousandth of it presses pins millimetres deep."""
-    errors = errors_of(CASE, DESIGN)
-    layout = check_input(DESIGN, errors, "hertz", "fixed", "fixed")
-
-    def solve():  # compiled anew
-        def of(torque):
-            read = admit(layout, DESIGN, errors, torque, jnp.asarray(0.7))
-            return balance(layout, prepare(layout, read, read.angle).loaded(read.torque).system, start)
-
-        start = jnp.full(layout.unknowns, jnp.nan)
-        return jax.jit(of)(412.0)
-
-    usual, guess = solve(), laws.typical_slope
-    monkeypatch.setattr(laws, "typical_slope", lambda *arguments: 1e-4 * guess(*arguments))
-    jax.clear_caches()
-    found = solve()
-    jax.clear_caches()  # nobody else begins so
-    assert found.converged and not found.overload and found.steps > usual.steps
-    np.testing.assert_allclose(found.q, usual.q, rtol=0, atol=1e-12 * np.max(np.abs(usual.q)))
 
 
 def test_a_start_beyond_the_law_of_a_pin_is_replaced():

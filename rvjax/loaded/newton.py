@@ -23,7 +23,6 @@ from rvjax.loaded.system import Layout, System
 MAX_STEPS = 200
 _PATIENCE = 4  # full steps without a new lowest energy
 _SEARCHES = 30  # points on a line at most
-_HALVINGS = 12  # of a linear start beyond the law of a pin
 
 
 class Found(NamedTuple):
@@ -189,8 +188,6 @@ def _advance(
     live, q, cold, line = state.open, state.q, state.cold, state.line
     usable = fine & ~over
     again = state.given & ~usable  # a given start beyond the law of a pin: the linear one instead
-    lost = jnp.isinf(state.lowest) & ~usable & ~cold & ~again
-    halved = lost & over & (state.stall < _HALVINGS)  # the linear one beyond it: nearer to zero
     done = usable & small & ~cold
     lower = usable & (value < state.lowest)
     slope = jnp.where(usable, jnp.sum(state.step * g, axis=0), jnp.inf)
@@ -199,7 +196,7 @@ def _advance(
     better = ~cold & jnp.where(state.searching, (flat & (lower | (slope <= 0))) | exhausted, lower)
     first = jnp.where(state.stall == 0, slope, state.first)
     stall = jnp.where(better | cold | again, 0, state.stall + 1)
-    enters = ~better & ~again & ~halved & ~state.searching & ((stall >= _PATIENCE) | (~usable & ~cold))
+    enters = ~better & ~again & ~state.searching & ((stall >= _PATIENCE) | (~usable & ~cold))
     searching = ~better & (state.searching | enters)
     best, step = jnp.where(better[None], q, state.best), jnp.where(better[None], newton, state.step)
 
@@ -216,7 +213,7 @@ def _advance(
     secant = jnp.where(bracketed, jnp.clip(-line.lower_slope / rise, 0.05, 0.95), 0.25)
     line = line._replace(share=line.lower + (line.upper - line.lower) * secant)
 
-    failed = lost & ~halved
+    failed = jnp.isinf(state.lowest) & ~usable & ~cold & ~again
     steps = state.found.steps + (~(done | cold | state.searching)).astype(jnp.int32)
     goes_on = live & ~done & ~failed & (steps < MAX_STEPS)
     ended = jnp.where(done[None], q + newton, jnp.where(failed[None], 0, best))
@@ -226,11 +223,10 @@ def _advance(
         residual=jnp.where(live, miss / jnp.where(size > 0, size, 1), state.found.residual),
         largest=jnp.where(live, largest, state.found.largest),
         converged=jnp.where(live, done, state.found.converged),
-        overload=jnp.where(live, (state.found.overload | over) & ~done & ~again & ~halved, state.found.overload),
+        overload=jnp.where(live, (state.found.overload | over) & ~done & ~again, state.found.overload),
         finite=jnp.where(live, fine | over | ~failed, state.found.finite),
     )
     onward = jnp.where(searching[None], best + line.share[None] * step, q + newton)
-    onward = jnp.where(halved[None], q / 2, onward)
     return _State(
         q=jnp.where(goes_on[None], jnp.where(again[None], 0, onward), q),
         best=best,
