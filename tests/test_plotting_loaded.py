@@ -109,6 +109,10 @@ def test_turn_and_orders_tell_a_known_wave():
     assert len(drawn) == 257 and drawn[0] == drawn[-1] == pytest.approx(2)
     axes = plotting.loaded.output_orders({"unit": wave}, named=2)
     assert {text.get_text(): round(text.xy[1], 9) for text in axes.texts} == {"40": 2.0, "78": 0.5}
+    assert {text.get_ha() for text in axes.texts} == {"center"}
+    near = wave.replace(error=error + 0.4 * np.cos(79 * angle) * arcsec)
+    axes = plotting.loaded.output_orders({"unit": near}, named=3)  # names of neighbours lean away from each other
+    assert {text.get_text(): text.get_ha() for text in axes.texts} == {"40": "center", "78": "right", "79": "left"}
 
 
 def test_the_measured_curve_says_how_far_the_unseen_points_lie():
