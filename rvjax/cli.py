@@ -1,4 +1,4 @@
-"""The command line: `rvjax allocate`, `rvjax report`, `rvjax montecarlo`, `rvjax reproduce`, `rvjax tradeoff`.
+"""The command line: `rvjax init`, `check`, `allocate`, `report`, `montecarlo`, `reproduce` and `tradeoff`.
 
 Bad input ends with one line on standard error and exit code 2; a question that has no answer
 (infeasible requirements) with exit code 1.
@@ -78,7 +78,8 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser("rvjax", None, about["description"], about["epilog"], formatter_class=as_written)
     parser.add_argument("--version", action="version", version=f"rvjax {rvjax.__version__}")
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
-    run = dict(allocate=_allocate, report=_report, montecarlo=_montecarlo, reproduce=_reproduce, tradeoff=_tradeoff)
+    run: dict[str, Any] = dict(init=_init, check=_check, allocate=_allocate, report=_report, montecarlo=_montecarlo)
+    run |= dict(reproduce=_reproduce, tradeoff=_tradeoff)
     types: dict[str, Any] = {"count": _count, "int": int}
     for name, command in about["command"].items():
         options = command.pop("options")
@@ -123,6 +124,43 @@ def _has_avx512() -> bool:
         return False
 
 
+def _init(options: argparse.Namespace) -> int:
+    from rvjax.study import template
+    from rvjax.tolerances.atomic import check_writable, write_atomically
+
+    _check_files(options, file=".toml")
+    path = Path(options.file)
+    if path.exists():
+        raise ValueError(f"{options.file}: exists already; name a new file")
+    check_writable(path)
+    write_atomically(path, template.written(options.base).encode("utf-8"))
+    _say(f"{options.file}: a study of the {options.base} to change. Next: rvjax check {options.file}")
+    return EXIT_OK
+
+
+def _check(options: argparse.Namespace) -> int:
+    from rvjax import study
+    from rvjax.report import check
+
+    _check_files(options, picture=".png")
+    question = study.load(options.study, solve=False)
+    _say(check.checked(question))
+    if options.picture:
+        check.drawn(question, options.picture)
+    return EXIT_OK
+
+
+def _forewarn(question: Any) -> None:
+    """Before any work: numbers that look like a slip, and how each response with an accuracy will be computed."""
+    from rvjax.report import check
+
+    for line in question.doubts:
+        _say(f"rvjax: warning: {line}", file=sys.stderr)
+    if question.accuracy:
+        for line in [*check.level_lines(question), check.expected(question)]:
+            _say(f"rvjax: {line}", file=sys.stderr)
+
+
 def _allocate(options: argparse.Namespace) -> int:
     from rvjax import study
     from rvjax.report import text
@@ -132,6 +170,7 @@ def _allocate(options: argparse.Namespace) -> int:
     question = study.load(options.study)
     folder = text.results_folder(options.results, question.name)
     check_writable(folder)
+    _forewarn(question)
     found = answer(question, progress=not options.quiet)
     _say(text.summary(found))
     folder = text.write(found, folder)
@@ -150,6 +189,7 @@ def _report(options: argparse.Namespace) -> int:
     given = options.output is not None
     path = Path(options.output) if given else text.results_folder(None, question.name) / "report.html"
     check_writable(path)
+    _forewarn(question)
     found = answer(question, progress=not options.quiet)
     content = page.page(found, options.study).encode("utf-8")
     if not given:
@@ -184,6 +224,7 @@ def _montecarlo(options: argparse.Namespace) -> int:
         return EXIT_OK
     wanted = asked()
     question = wanted.study  # as it was read before the run: the file may change meanwhile
+    _forewarn(question)
     started = time.perf_counter()
     if options.processes == 1:
         found = batch.run(wanted)
@@ -200,10 +241,11 @@ def _check_files(options: argparse.Namespace, **endings: str) -> None:
     """Refuse a file that could not be written, before any work is done."""
     for option, ending in endings.items():
         path = getattr(options, option)
+        name = path if option == "file" else f"--{option} {path}"
         if path is not None and not path.endswith(ending):
-            raise ValueError(f"--{option} {path}: must end with {ending}")
+            raise ValueError(f"{name}: must end with {ending}")
         if path is not None and not Path(path).absolute().parent.is_dir():
-            raise ValueError(f"--{option} {path}: there is no such folder")
+            raise ValueError(f"{name}: there is no such folder")
 
 
 def _reproduce(options: argparse.Namespace) -> int:

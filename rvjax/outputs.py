@@ -56,6 +56,7 @@ class Output:
         evaluate: (design, errors, conditions) -> (value, status).
         needs: conditions without a default that it needs, by name.
         read_in: unit in which a person reads it; by default that of `rvjax.units`.
+        below_zero: what a negative value of a real unit means, where it is no ordinary one.
     """
 
     unit: str
@@ -63,6 +64,7 @@ class Output:
     evaluate: Callable[[Any, Any, Any], Solved]
     needs: tuple[str, ...] = ()
     read_in: str | None = None
+    below_zero: str = ""
 
     @property
     def shown(self) -> tuple[str, float]:

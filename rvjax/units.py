@@ -5,6 +5,7 @@ N m, kg, s, Pa); text with units ("3.5 mm") is for study files and reports only.
 """
 
 import math
+import re
 from typing import Any
 
 mm = 1e-3
@@ -36,6 +37,15 @@ KNOWN: dict[str, dict[str, float]] = {
 READ_IN = {"m": "um", "rad": "arcmin", "Pa": "MPa"}
 
 
+_NUMBER_AND_UNIT = re.compile(r"([-+]?(?:\d[\d_]*\.?\d*|\.\d+|\d*inf|nan)(?:[eE][-+]?\d+)?)\s*([^\W\d_].*|)")
+
+
+def _spelled(name: str) -> str:
+    """A unit as this module spells it: "µm" is "um", "Nm" and "N·m" are "N m", "arcsec" stays."""
+    name = name.strip().replace("\u00b5", "u").replace("\u03bc", "u").replace("\u00b2", "2")
+    return re.sub(r"N\s*[·*.]?\s*m(?!m)\b", "N m", name)
+
+
 def parse(value: Any, unit: str) -> float:
     """A number in SI from text such as "3.5 mm"; `unit` is the SI unit that is expected.
 
@@ -54,17 +64,17 @@ def parse(value: Any, unit: str) -> float:
             pass
         raise ValueError(f"{value!r}: must be a plain finite number")
     units = KNOWN[unit]
-    example = ", ".join(units)
     if not isinstance(value, str):
-        raise ValueError(f"{value!r}: needs a unit in quotes ({example})")
-    number, _, name = value.strip().partition(" ")
-    try:
-        result = float(number)
-    except ValueError:
-        raise ValueError(f'{value!r}: must be a number, a space and a unit, like "3.5 {next(iter(units))}"') from None
-    name = name.strip()
+        raise ValueError(f"{value!r}: needs a unit in quotes ({', '.join(units)})")
+    split = _NUMBER_AND_UNIT.fullmatch(value.strip())
+    if split is None:
+        comma = _NUMBER_AND_UNIT.fullmatch(value.strip().replace(",", ".", 1))
+        hint = "; decimals are written with a point" if comma and "," in value else ""
+        example = f'must be a number, a space and a unit, like "3.5 {next(iter(units))}"'
+        raise ValueError(f"{value!r}: {example}{hint}")
+    result, name = float(split[1]), _spelled(split[2])
     if name not in units:
-        raise ValueError(f"{value!r}: unit {name!r} is not one of {example}")
+        raise ValueError(f"{value!r}: unit {name!r} is not one of {', '.join(units)}")
     if not math.isfinite(result * units[name]):
         raise ValueError(f"{value!r}: must be finite, in {unit} too")
     return result * units[name]

@@ -17,7 +17,20 @@ def test_multipliers():
 
 @pytest.mark.parametrize(
     ("text", "unit", "value"),
-    [("3.5 mm", "m", 0.0035), ("-2 arcmin", "rad", -2 * units.arcmin), ("6e8 N/m", "N/m", 6e8), (0.3, "-", 0.3)],
+    [
+        ("3.5 mm", "m", 0.0035),
+        ("-2 arcmin", "rad", -2 * units.arcmin),
+        ("6e8 N/m", "N/m", 6e8),
+        (0.3, "-", 0.3),
+        ("3.5mm", "m", 0.0035),
+        ("4 \u00b5m", "m", 4e-6),  # micro sign
+        ("4 \u03bcm", "m", 4e-6),  # Greek letter
+        ("412 Nm", "N m", 412.0),
+        ("1 N·m/arcmin", "N m/rad", 1 / units.arcmin),
+        ("600 N/µm", "N/m", 6e8),
+        ("5 N/mm", "N/m", 5e3),
+        ("1 kg m²", "kg m2", 1.0),
+    ],
 )
 def test_parse(text, unit, value):
     assert units.parse(text, unit) == pytest.approx(value)
@@ -27,7 +40,10 @@ def test_parse(text, unit, value):
     ("value", "unit", "words"),
     [
         ("3.5 kg", "m", "unit 'kg' is not one of m, mm, um"),
-        ("3.5mm", "m", "a number, a space and a unit"),
+        ("mm 3.5", "m", "a number, a space and a unit"),
+        ("3,5 mm", "m", "decimals are written with a point"),
+        ("1 000 mm", "m", "a number, a space and a unit"),
+        ("3.5", "m", "unit '' is not one of"),
         (3.5, "m", "needs a unit"),
         ("inf m", "m", "finite"),
         ("1e307 kN m", "N m", "'1e307 kN m': must be finite, in N m"),

@@ -59,7 +59,14 @@ def _cases(quick: bool) -> Sequence[Cases]:
 DESCRIPTION = Description(
     design=RVReducer,
     conditions=Conditions,
-    outputs={"lost_motion": Output("rad", "free angle of the output, < 0: interference", _lost_motion)},
+    outputs={
+        "lost_motion": Output(
+            "rad",
+            "free angle of the output, < 0: interference",
+            _lost_motion,
+            below_zero="interference: no play at all, teeth and bearings are pressed together by this angle",
+        )
+    },
     cases=_cases,
     unknown="the order in which parts touch: contributions are summed with their signs; load and deformation",
 )

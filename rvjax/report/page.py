@@ -23,7 +23,8 @@ from rvjax.units import readable
 
 SHARE_SHOWN = 0.01  # of the variance: errors below it are not listed for a worst unit
 ZERO = '<span class="none">0</span>'
-EMPTY, NIL = ("", "-", ZERO), ' class="nil"'  # cells that a narrow screen leaves out
+NOT_SEEN = f'<span class="none">{tables.UNMOVED}</span>'
+EMPTY, NIL = ("", "-", ZERO, NOT_SEEN), ' class="nil"'  # cells that a narrow screen leaves out
 
 
 def page(answer: Answer, source: str) -> str:
@@ -78,12 +79,13 @@ def _head(answer: Answer) -> str:
     boxes = "".join(
         f"<div><dt>{escape(a)}</dt><dd>{escape(b)}<small>{escape(c)}</small></dd></div>" for a, b, c in figures
     )
+    caveats = "".join(f"<li>{escape(line)}</li>" for line in tables.limits_of_the_answer(answer))
     return (
         f"<header>\n<h1>{escape(study.name)}</h1>\n"
         f'<p class="note">{escape(_note(study.text))}</p>\n'
         f'<div class="verdict{"" if certified else " missed"}"><strong>{verdict}</strong> '
         f"<code>{escape(allocation.status)}</code> {' '.join(map(escape, more))}</div>\n"
-        f'<dl class="key">{boxes}</dl>\n</header>'
+        f'<dl class="key">{boxes}</dl>\n<ul class="caveats">{caveats}</ul>\n</header>'
     )
 
 
@@ -140,6 +142,7 @@ def _influence(answer: Answer, drawn: dict[str, Picture]) -> str:
     text = (
         "<p>With the tolerances after: the derivative of each response to one element of an error (root mean square "
         "over its elements), and the share of the error in the variance of the response.</p>"
+        f"<p>{escape(tables.UNMOVED)}: {escape(tables.UNMOVED_MEANS)}.</p>"
     )
     return _section("Which error matters", text + _table(headers, cells) + _figure(drawn["variance_shares"]))
 
@@ -224,12 +227,10 @@ def _levels(answer: Answer) -> str:
         for key in kind.conditions_of(outputs)
         if (value := getattr(study.conditions, key)) is not None
     )
-    left_out = dict.fromkeys(kind.described[name].unknown for name in outputs)
-    unknown = "".join(f"<p>Left out: {escape(line)}.</p>" for line in left_out if line)
     text = (
         "<p>A level is one way to compute a response. Errors and times are measured ones, from the table that comes "
         f"with rvjax; times belong to its machine and serve for comparison.</p>"
-        f"<p>Conditions, SI: {escape(conditions)}.</p>{unknown}"
+        f"<p>Conditions, SI: {escape(conditions)}.</p>"
     )
     return _section("How exactly it was computed", _table(headers, rows) + text)
 
@@ -256,6 +257,8 @@ def _typeset(cell: str) -> str:
     cell = _micro(escape(cell.replace("+-", "±").replace("<=", "≤").replace(">=", "≥"))).replace(" and ", "<br>")
     if cell.startswith("0.0000 ") or cell == "0.0 %":
         return ZERO
+    if cell == tables.UNMOVED:
+        return NOT_SEEN
     if cell == "-":
         return cell
     return f'<span class="whole">{cell}</span>' + (f"<small>[{escape(interval)}</small>" if interval else "")

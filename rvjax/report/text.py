@@ -21,6 +21,9 @@ from rvjax.study.answer import Answer
 from rvjax.tolerances import Estimate, Verdict
 from rvjax.units import readable
 
+UNMOVED = "not seen"
+UNMOVED_MEANS = "the model asked does not read this error, or not to first order; it may matter all the same"
+
 
 def table(headers: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """Plain text table: first column left, the others right aligned."""
@@ -108,8 +111,11 @@ def influence_rows(answer: Answer) -> tuple[list[str], list[list[str]]]:
         row = [field]
         for name in study.requirements:
             unit, size = study.output(name).shown
-            row.append(f"{side.sensitivities[name][field] * error_size / size:.4f} {unit}/{error_unit}")
-            row.append(f"{100 * side.shares[name][field]:.1f} %")
+            slope, share = side.sensitivities[name][field], side.shares[name][field]
+            if slope == 0 and share == 0:
+                row += [UNMOVED, "-"]
+            else:
+                row += [f"{slope * error_size / size:.4f} {unit}/{error_unit}", f"{100 * share:.1f} %"]
         rows.append(row)
     return headers, rows
 
@@ -184,9 +190,22 @@ def summary(answer: Answer) -> str:
     lines = [headline(answer)]
     for rows in (tolerance_rows, influence_rows, requirement_rows):
         lines += ["", table(*rows(answer))]
+        if rows is influence_rows:
+            lines.append(f"{UNMOVED}: {UNMOVED_MEANS}")
     lines.append("")
     lines.append(f"Certificate: {certificate.samples:,} fresh units, {certificate.failed:,} failed")
-    return "\n".join(lines)
+    return "\n".join(lines + limits_of_the_answer(answer))
+
+
+def limits_of_the_answer(answer: Answer) -> list[str]:
+    """What a reader must know beside the figures, a line each: doubtful numbers, negative values, what is left out."""
+    study = answer.study
+    lines = [f"Doubtful: {line}" for line in study.doubts]
+    for name, values in answer.after.values.items():
+        below = float(np.mean(np.asarray(values) < 0))
+        if (meaning := study.output(name).below_zero) and below > 0:
+            lines.append(f"Below zero: {name} of {100 * below:.3g} % of the units, {meaning}")
+    return lines + [f"Left out: {line}" for line in study.left_out]
 
 
 def results_folder(option: str | None, name: str) -> Path:

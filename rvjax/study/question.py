@@ -7,6 +7,7 @@ from typing import Any
 from rvjax import models
 from rvjax.levels.choice import Choice, choose
 from rvjax.outputs import Curve, Output
+from rvjax.study.plausible import doubts
 from rvjax.study.response import Response
 from rvjax.tolerances.propagation.requirements import Limits
 
@@ -75,6 +76,17 @@ class Study:
         """SI unit of an error."""
         fields = dataclasses.fields(self.tolerances)
         return next(f.metadata["unit"] for f in fields if f.name == field)
+
+    @property
+    def doubts(self) -> list[str]:
+        """Numbers far from those of every known reducer, a line each."""
+        return doubts(self.design, self.conditions, self.tolerances)
+
+    @property
+    def left_out(self) -> list[str]:
+        """What the models asked do not know, a line each."""
+        described = models.kind(self.design).described
+        return [line for line in dict.fromkeys(described[name].unknown for name in self.requirements) if line]
 
     @property
     def curve(self) -> Curve | None:

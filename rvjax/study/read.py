@@ -10,6 +10,7 @@ from typing import Any
 from rvjax import models
 from rvjax.outputs import Output
 from rvjax.study.design import parse_design
+from rvjax.study.plausible import refuse_impossible
 from rvjax.study.question import Study, StudyError
 from rvjax.study.response import check_nominal
 from rvjax.study.values import choice, integer, known, naming, naming_field, quantity, share, subtable
@@ -22,8 +23,12 @@ COSTS: dict[str, Any] = {"reciprocal_power": ReciprocalPower, "exponential": Exp
 EMBEDDED = resources.files("rvjax.study") / "embedded"
 
 
-def load(source: str) -> Study:
+def load(source: str, *, solve: bool = True) -> Study:
     """A study from a TOML file, or an embedded one by name ("rv-40e").
+
+    Args:
+        source: path, or name.
+        solve: also see that the unit without errors can be solved, which compiles the response.
 
     Raises:
         StudyError: one line that names the key, its value and the unit.
@@ -37,11 +42,11 @@ def load(source: str) -> Study:
             raise FileNotFoundError(f"{source}: no such study file") from None
         except (OSError, UnicodeDecodeError) as error:
             raise StudyError(f"{source}: cannot be read as text ({error})") from None
-        return parse_study(text, name=path.stem, folder=path.parent)
+        return parse_study(text, name=path.stem, folder=path.parent, solve=solve)
     embedded = EMBEDDED / f"{source}.toml"
     if not embedded.is_file():
         raise FileNotFoundError(f"{source}: neither a .toml file nor an embedded study ({', '.join(embedded_names())})")
-    return parse_study(embedded.read_text("utf-8"), name=source)
+    return parse_study(embedded.read_text("utf-8"), name=source, solve=solve)
 
 
 def embedded_names() -> list[str]:
@@ -49,13 +54,14 @@ def embedded_names() -> list[str]:
     return sorted(Path(file.name).stem for file in EMBEDDED.iterdir() if file.name.endswith(".toml"))
 
 
-def parse_study(text: str, *, name: str, folder: Path = Path()) -> Study:
+def parse_study(text: str, *, name: str, folder: Path = Path(), solve: bool = True) -> Study:
     """A study from TOML text.
 
     Args:
         text: TOML.
         name: short name for messages and result folders.
         folder: that files named in the study are relative to.
+        solve: also see that the unit without errors can be solved, which compiles the response.
 
     Raises:
         StudyError: one line that names the key, its value and the unit.
@@ -93,7 +99,9 @@ def parse_study(text: str, *, name: str, folder: Path = Path()) -> Study:
             ),
             joint_target=None if "joint_target" not in run else share(run["joint_target"], "run.joint_target"),
         )
-        check_nominal(study.response(), error_record())
+        refuse_impossible(design, tolerances, costs)
+        if solve:
+            check_nominal(study.response(), error_record())
         return study
 
 

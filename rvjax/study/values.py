@@ -1,5 +1,6 @@
 """Values of a study file, checked: whatever is wrong is one line that names key, value and unit."""
 
+import difflib
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -40,7 +41,13 @@ def known(table: dict[str, Any], keys: Iterable[str], where: str) -> None:
     for key in table:
         if key not in keys:
             name = f"{where}.{key}" if where else f"[{key}]"
-            raise ValueError(f"unknown key {name}; known here: {', '.join(sorted(keys))}")
+            raise ValueError(f"unknown key {name}{_meant(key, keys)}; known here: {', '.join(sorted(keys))}")
+
+
+def _meant(word: Any, words: Iterable[str]) -> str:
+    """The nearest of the words, where one is near."""
+    near = difflib.get_close_matches(str(word), list(words), 1)
+    return f" (did you mean {near[0]}?)" if near else ""
 
 
 def subtable(parent: dict[str, Any], key: str) -> dict[str, Any]:
@@ -107,5 +114,5 @@ def choice(value: Any, choices: Iterable[str], where: str) -> str:
         where: its key.
     """
     if not isinstance(value, str) or value not in choices:
-        raise ValueError(f"{where} = {value!r}: must be one of {', '.join(choices)}")
+        raise ValueError(f"{where} = {value!r}{_meant(value, choices)}: must be one of {', '.join(choices)}")
     return value

@@ -1,0 +1,165 @@
+"""What can be said of a study before anything is computed: is it the reducer that was meant, how long will it take?"""
+
+import dataclasses
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from rvjax import levels, models
+from rvjax.designs import CamRollerReducer, InvoluteStage, RVReducer
+from rvjax.levels.choice import Choice
+from rvjax.plotting import drawings
+from rvjax.report.text import table, tolerance_text
+from rvjax.study.plausible import KNOWN_DESIGNS, TORQUE, numbers, shown
+from rvjax.study.question import Study
+
+SEARCH = 40  # sets of half-widths that a search looks at, with slopes three evaluations of a response each
+CERTIFICATES = 3  # of an allocation, and one of the tolerances before
+CHUNK = 32_768  # units at once
+
+
+def choices(question: Study) -> dict[str, Choice]:
+    """How each response will be computed: as the accuracy asks, else as the conditions say."""
+    outputs = tuple(question.requirements)
+    given = levels.as_given(question.design, outputs, question.conditions, tolerances=question.tolerances)
+    return given | question.choices()
+
+
+def level_lines(question: Study) -> list[str]:
+    """One line for each response: its level, that level's error, and why."""
+    lines = []
+    for name, choice in choices(question).items():
+        unit, size = question.output(name).shown
+        error = "" if choice.bound is None else f"error < {choice.bound / size:.2g} {unit}; "
+        lines.append(f"{name}: {choice.level} ({error}{choice.why})")
+    return lines
+
+
+def checked(question: Study) -> str:
+    """Facts of the design, magnitudes beside known reducers, play, levels, and the time it will take, as text.
+
+    Args:
+        question: the study; nothing of it is computed.
+    """
+    lines = [f"Study {question.name}: {type(question.design).__name__}", ""]
+    lines += [f"{name:32} {value}" for name, value in facts(question.design)]
+    lines += ["", table(["number", "this study", "known reducers"], _magnitudes(question))]
+    lines += ["", table(["error", "limits", "law"], _tolerances(question)), "", "How it will be computed:"]
+    lines += [f"  {line}" for line in [*level_lines(question), expected(question)]]
+    lines += ["", "Not in the models asked:", *(f"  {line}" for line in question.left_out)]
+    doubts = question.doubts
+    return "\n".join([*lines, "", *(f"doubtful: {line}" for line in doubts), *([] if doubts else ["No doubts."])])
+
+
+def facts(design: RVReducer | CamRollerReducer) -> Iterator[tuple[str, str]]:
+    """(name, value) of what follows from the numbers of a design."""
+    if isinstance(design, CamRollerReducer):
+        yield "rollers", str(design.gear_teeth + 1)
+        return
+    cycloid, stage = design.cycloid, design.involute
+    gap = 2 * (cycloid.pin_circle_radius * math.sin(math.pi / cycloid.pin_count) - cycloid.pin_radius)
+    least = least_curvature_radius(cycloid.shortening_coefficient, cycloid.pin_count) * cycloid.pin_circle_radius
+    yield "ratio", f"{design.ratio:.6g}"
+    yield "K1", f"{float(cycloid.shortening_coefficient):.4g}"
+    yield "gap between pins", shown(gap, "m")
+    sharp = "undercut" if cycloid.pin_radius >= least else "no undercut"
+    yield (
+        "largest pin without undercut",
+        f"{shown(least, 'm')} radius; the pins have {shown(cycloid.pin_radius, 'm')}: {sharp}",
+    )
+    yield "contact ratio of the gears", f"{contact_ratio(stage):.3g} (teeth without shift)"
+
+
+def least_curvature_radius(shortening: float, pins: int) -> float:
+    """Least radius of convex curvature of the pins' path around a disc, in pin circle radii.
+
+    The path is an epitrochoid of curvature (K1 (zp + 1) c - 1 - zp K1^2)/(1 + K1^2 - 2 K1 c)^(3/2), c the cosine of the
+    pin's angle from the eccentric; a disc is the path offset by the pin radius, so that its flank has a cusp where the
+    pin is larger than the radius of the path on the side of the disc.
+
+    Args:
+        shortening: K1.
+        pins: zp.
+    """
+    c = np.linspace(-1.0, 1.0, 4001)
+    bend = 1 + pins * shortening**2 - shortening * (pins + 1) * c  # > 0: convex, seen from the disc
+    radius = (1 + shortening**2 - 2 * shortening * c) ** 1.5 / np.where(bend > 0, bend, np.nan)
+    return float(np.nanmin(radius))
+
+
+def contact_ratio(stage: InvoluteStage) -> float:
+    """Transverse contact ratio of sun and planet at their centre distance, with tips of standard height.
+
+    Args:
+        stage: the gears.
+    """
+    bases = float(stage.sun_base_radius), float(stage.planet_base_radius)
+    working = math.acos(min(1.0, sum(bases) / float(stage.centre_distance)))
+    tips = (float(stage.module) * (teeth + 2) / 2 for teeth in (stage.sun_teeth, stage.planet_teeth))
+    path = sum(math.sqrt(max(0.0, tip**2 - base**2)) for tip, base in zip(tips, bases))
+    pitch = float(stage.module) * math.pi * math.cos(float(stage.pressure_angle))
+    return (path - float(stage.centre_distance) * math.sin(working)) / pitch
+
+
+def expected(question: Study) -> str:
+    """Time and memory of an allocation, from the measured time of a unit, in words."""
+    found = choices(question).values()
+    if any(choice.ns is None for choice in found):
+        return "time: unknown, for nobody has measured these levels"
+    unit = sum(choice.ns or 0.0 for choice in found) * 1e-9
+    seconds = unit * (question.certificate_samples * (CERTIFICATES + 1) + 3 * SEARCH * question.samples)
+    return (
+        f"time: about {seconds:.2g} s of computation on the two cores of the measured table, besides compilation "
+        f"(20 s at the first run); chunks of {CHUNK:,} units, memory does not grow with their number"
+    )
+
+
+def drawn(question: Study, path: str) -> None:
+    """Draw the reducer to scale.
+
+    Args:
+        question: the study.
+        path: of a picture.
+
+    Raises:
+        ValueError: nothing draws this kind of reducer.
+    """
+    from matplotlib.figure import Figure
+
+    if not isinstance(question.design, RVReducer):
+        raise ValueError(f"--picture {path}: only RV reducers are drawn, not a {type(question.design).__name__}")
+    figure = Figure(figsize=(7, 7), layout="constrained")
+    drawings.reducer(question.design, axes=figure.add_subplot())
+    figure.savefig(path, dpi=120)
+
+
+def _magnitudes(question: Study) -> list[list[str]]:
+    known = [dict(numbers(one)) for one in KNOWN_DESIGNS if type(one) is type(question.design)]
+    rows = []
+    for name, (value, unit) in numbers(question.design):
+        seen = [one[name][0] for one in known if name in one]
+        rows.append(
+            [name, shown(value, unit), f"{shown(min(seen), unit)} to {shown(max(seen), unit)}" if seen else "-"]
+        )
+    kind = models.kind(question.design)
+    for f in dataclasses.fields(kind.conditions):
+        value = getattr(question.conditions, f.name)
+        if f.name in kind.conditions_of(tuple(question.requirements)) and value is not None:
+            number = shown(value, f.metadata["unit"]) if isinstance(value, float) else str(value)
+            rows.append(
+                [f"conditions.{f.name}", number, f"up to {shown(TORQUE[1], 'N m')}" if _rated(question, f) else "-"]
+            )
+    return rows
+
+
+def _rated(question: Study, condition: dataclasses.Field[object]) -> bool:
+    return bool(condition.metadata["torque"]) and isinstance(question.design, RVReducer)
+
+
+def _tolerances(question: Study) -> list[list[str]]:
+    rows = []
+    for field in question.fields:
+        tolerance = getattr(question.tolerances, field)
+        rows.append([field, tolerance_text(tolerance, question.unit(field)), tolerance.distribution])
+    return rows

@@ -1,0 +1,90 @@
+"""A study file to begin with: every number of a known reducer with its unit and meaning, and a question to change."""
+
+import dataclasses
+import re
+from collections.abc import Iterator
+from typing import Any
+
+from rvjax.designs import InvoluteStage, RVReducer
+from rvjax.study.design import BASES
+from rvjax.study.plausible import RATED, shown
+from rvjax.study.question import StudyError
+from rvjax.study.read import EMBEDDED, load, parse_study
+from rvjax.study.values import choice
+from rvjax.units import KNOWN
+
+FOLLOWS = ("centre_distance", "sun_radius", "sun_base_radius", "planet_base_radius")  # of standard gears
+QUESTIONS = {"rv": "rv-40e", "oscillatory-roller": "corr"}
+
+
+def written(base: str) -> str:
+    """Text of a study of a known reducer whose numbers all stand in the file.
+
+    Args:
+        base: name of the reducer.
+
+    Raises:
+        ValueError: an unknown name.
+    """
+    known: Any = BASES[choice(base, BASES, "--base")]
+    design = _completed(known) if isinstance(known, RVReducer) else known
+    question = (EMBEDDED / f"{QUESTIONS[design.kind]}.toml").read_text("utf-8")
+    asked = question[question.index("[conditions]") :]
+    if base in RATED:
+        asked = re.sub(r'output_torque = "[^"]*"', f'output_torque = "{shown(RATED[base], "N m")}"', asked)
+    named = f'kind = "{design.kind}"\n' + "\n".join(_lines(design, known))
+    head = (
+        f"# A study to change, with the numbers of the {base}: replace them by those of your drawing, then run\n"
+        "# rvjax check on this file. Tolerances, costs and limits are assumed.\n\n[design]\n"
+    )
+    try:
+        parse_study(head + named + "\n\n" + asked, name=base, solve=False)
+    except StudyError as contradiction:  # published so: possible by name alone
+        own = "\n".join(_lines(design.cranks, known.cranks, "cranks."))
+        named = f'base = "{base}" # its printed numbers contradict each other: {contradiction}\n{own}'
+    return head + named + "\n\n" + asked
+
+
+def _completed(design: RVReducer) -> RVReducer:
+    """With what the question needs and nobody printed, assumed as in the study of the RV-40E."""
+    example = load("rv-40e", solve=False).design
+    cycloid, cranks = design.cycloid, design.cranks
+    if not cycloid.equidistant_modification and not cycloid.shift_modification:
+        names = ("equidistant_modification", "shift_modification")
+        cycloid = cycloid.replace(**{name: getattr(example.cycloid, name) for name in names})
+    if cranks.bearing_stiffness is None:
+        cranks = cranks.replace(bearing_stiffness=example.cranks.bearing_stiffness)
+    return design.replace(cycloid=cycloid, cranks=cranks)
+
+
+def _lines(record: Any, known: Any, prefix: str = "") -> Iterator[str]:
+    """`key = value # meaning` of every number that is given, with a word where nobody printed it."""
+    standard = _standard(record)
+    for f in dataclasses.fields(record):
+        value, about, name = getattr(record, f.name), f.metadata, prefix + f.name
+        if about["kind"] == "record":
+            if value is not None and f.name not in ("inertia", "stiffness", "mesh_variation", "damping", "contact"):
+                yield ""
+                yield from _lines(value, getattr(known, f.name), f"{name}.")
+        elif value is not None and not (standard and f.name in FOLLOWS):
+            text = (
+                str(value) if about["kind"] == "count" or about["unit"] == "-" else f'"{_exact(value, about["unit"])}"'
+            )
+            assumed = "" if value == getattr(known, f.name) else "; assumed"
+            yield f"{name} = {text} # {about['meaning']}{assumed}"
+
+
+def _standard(record: Any) -> bool:
+    """Whether the radii of these gears follow from teeth and module."""
+    if not isinstance(record, InvoluteStage):
+        return False
+    due = InvoluteStage.from_teeth(
+        record.sun_teeth, record.planet_teeth, module=record.module, pressure_angle=record.pressure_angle
+    )
+    return all(abs(getattr(record, name) / getattr(due, name) - 1) < 1e-3 for name in FOLLOWS)
+
+
+def _exact(value: float, unit: str) -> str:
+    """In the unit in which it is at least one, with all digits that matter."""
+    _, name = shown(value, unit).split(" ", 1)
+    return f"{value / KNOWN.get(unit, {}).get(name, 1.0):.12g} {name}"

@@ -1,0 +1,137 @@
+"""Before anything is computed: what cannot be is refused, what is far from known reducers is said, the rest told."""
+
+import tomllib
+from importlib import resources
+
+import numpy as np
+import pytest
+
+from rvjax import catalogue, cli, designs, study
+from rvjax.report import check
+from rvjax.study import plausible, template
+from rvjax.study.design import BASES
+from rvjax.units import mm
+
+GOOD = (resources.files("rvjax.study") / "embedded" / "rv-40e.toml").read_text("utf-8")
+DESIGN = 'base = "rv-40e"'
+
+
+def asked(old, new, text=GOOD):
+    assert old in text
+    return study.parse_study(text.replace(old, new, 1), name="x", solve=False)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('lower = "4 um"', 'lower = "-4 um"', "tolerances.bearing_clearance: limits of -4 um and 12 um"),
+        ('coarsest = "7.9 um"', 'coarsest = "20 um"', "cost.bearing_clearance.coarsest = 20 um: limits of -12 um"),
+        (DESIGN, DESIGN + '\ncycloid.pin_radius = "6 mm"', "pin_radius = 6 mm: the pins overlap from 5.021 mm on"),
+        (DESIGN, DESIGN + "\ninvolute.planet_teeth = 50", "circle_radius = 60 mm: the cranks lie outside the discs"),
+        ('half_width = "5 um"', 'half_width = "70 mm"', "as large as the part itself, 64 mm"),
+    ],
+)
+def test_what_cannot_be_is_refused(old, new, words):
+    with pytest.raises(study.StudyError, match=words):
+        asked(old, new)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        (
+            'half_width = "5 um"',
+            'half_width = "4 mm"',
+            "pin_circle_radius: half-width = 4 mm: known reducers have 0.5 um",
+        ),
+        ('"412 N m"', '"784 kN m"', "output_torque = 784 kN m: known reducers have up to 3.136 kN m"),
+        (DESIGN, DESIGN + '\ncranks.bearing_stiffness = "6e8 N/mm"', "bearing_stiffness = 6e+05 N/um: known reducers"),
+        (DESIGN, DESIGN + "\ninvolute.planet_teeth = 46", "the planets overlap: tip radius 48 mm"),
+    ],
+)
+def test_what_is_far_from_every_known_reducer_is_said(old, new, words):
+    changed = asked(old, new)
+    if "planet_teeth" in new:
+        changed = asked(new, new + "\ncranks.count = 4", GOOD.replace(old, new, 1))
+    assert len(changed.doubts) == 1 and words in changed.doubts[0]
+
+
+def test_known_reducers_and_the_studies_raise_no_doubt():
+    for name in ("rv-40e", "corr"):
+        assert study.load(name, solve=False).doubts == []
+    question = study.load("rv-40e", solve=False)
+    for design in (d for d in plausible.KNOWN_DESIGNS if isinstance(d, designs.RVReducer)):
+        assert plausible.doubts(design, question.conditions, question.tolerances) == []
+
+
+@pytest.mark.parametrize("pins", [12, 40])
+@pytest.mark.parametrize("shortening", [0.3, 0.6923, 0.95])
+def test_least_curvature_radius_is_where_the_offset_flank_gets_its_cusp(pins, shortening):
+    """Along the offset curve the way forward is (1 - rrp curvature) of that along the path: it turns back at a cusp."""
+    t = np.linspace(0, 2 * np.pi / (pins - 1), 20001)
+    path = np.exp(1j * t) - shortening / pins * np.exp(1j * pins * t)
+    along = 1j * (np.exp(1j * t) - shortening * np.exp(1j * pins * t))
+    least = check.least_curvature_radius(shortening, pins)
+    for factor, turns in ((0.999, False), (1.001, True)):
+        flank = path + 1j * along / np.abs(along) * factor * least
+        forward = np.real(np.diff(flank) * np.conj(along[:-1] + along[1:]))
+        assert (forward.min() < 0) == turns
+
+
+def test_contact_ratio_of_standard_gears():
+    """20 and 40 teeth, 20 deg: by hand, lengths in modules: tips 11 and 21, bases 9.3969 and 18.7939, centres 30."""
+    stage = designs.InvoluteStage.from_teeth(20, 40, module=2 * mm)
+    by_hand = (np.sqrt(11**2 - 9.396926**2) + np.sqrt(21**2 - 18.793852**2) - 30 * np.sin(np.pi / 9)) / 2.952131
+    assert check.contact_ratio(stage) == pytest.approx(by_hand, rel=1e-6)
+
+
+@pytest.mark.parametrize("base", sorted(BASES))
+def test_a_written_study_is_the_known_reducer(base):
+    text = template.written(base)
+    made = study.parse_study(text, name=base, solve=False)
+    due, given = dict(plausible.numbers(BASES[base])), dict(plausible.numbers(made.design))
+    for name, (value, _) in due.items():
+        if (
+            name.split(".")[0] in ("involute", "cycloid", "cranks", "cam_radius", "eccentricity")
+            and "modification" not in name
+        ):
+            assert given[name][0] == pytest.approx(value, rel=1e-3), name
+    stiff = next((line for line in text.splitlines() if line.startswith("cranks.bearing_stiffness")), "")
+    assert stiff.endswith("; assumed") == (base in ("rv-20e", "rv-320e"))  # nobody printed it
+    assert made.doubts == [] and ("kind" in tomllib.loads(text)["design"]) == (base != "rv-20e")
+
+
+def test_commands(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["init", "mine.toml", "--base", "rv-80e"]) == 0
+    assert cli.main(["init", "mine.toml"]) == 2 and "exists already" in capsys.readouterr().err
+    assert (
+        cli.main(["init", "other.toml", "--base", "rv-81e"]) == 2 and "did you mean rv-80e" in capsys.readouterr().err
+    )
+    assert cli.main(["check", "mine.toml", "--picture", "mine.png"]) == 0
+    said = capsys.readouterr().out
+    for words in ("ratio                            153", "gap between pins                 5.24 mm", "No doubts",
+                  "no undercut", "closed form, 64 angles", "Not in the models asked", "784 N m"):  # fmt: skip
+        assert words in said
+    assert (tmp_path / "mine.png").stat().st_size > 10_000
+    assert cli.main(["check", "corr", "--picture", "mine.png"]) == 2
+
+
+def test_a_doubt_and_the_levels_are_said_before_the_run(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    text = (
+        GOOD.replace('half_width = "5 um"', 'half_width = "2 mm"') + '\n[accuracy]\ntransmission_error = "2 arcsec"\n'
+    )
+    (tmp_path / "mine.toml").write_text(text)
+    cli._forewarn(study.load("mine.toml", solve=False))
+    said = capsys.readouterr().err
+    assert "rvjax: warning: tolerances.pin_circle_radius: half-width = 2 mm" in said
+    assert "rvjax: transmission_error: closed form" in said and "rvjax: time: about" in said
+
+
+def test_the_rv_80e_is_sound():
+    stage = catalogue.RV_80E.involute
+    due = designs.InvoluteStage.from_teeth(10, 38, module=1.75 * mm)
+    assert all(
+        getattr(stage, n) == pytest.approx(getattr(due, n), rel=1e-12) for n in ("sun_base_radius", "centre_distance")
+    )
