@@ -26,17 +26,27 @@ class RVErrors(Record):
     its own length; 0.0 is none. `rvjax.dynamics` alone reads it.
     """
 
-    crank_eccentricity: Any = field("m", "eccentricity of each crank journal", shape=("discs", "cranks"), default=0.0)
+    crank_eccentricity: Any = field(
+        "m", "eccentricity of each crank journal", shape=("discs", "cranks"), default=0.0, of="cycloid.eccentricity"
+    )
     crank_phase: Any = field("rad", "angle of each crankshaft", shape=("cranks",), default=0.0)
-    disc_bore: Any = field("m", "position of the bores in the discs", shape=("discs", "cranks", 2), default=0.0)
-    carrier_bore: Any = field("m", "position of the bores in the carrier", shape=("cranks", 2), default=0.0)
+    disc_bore: Any = field(
+        "m", "position of the bores in the discs", shape=("discs", "cranks", 2), default=0.0, of="cranks.circle_radius"
+    )
+    carrier_bore: Any = field(
+        "m", "position of the bores in the carrier", shape=("cranks", 2), default=0.0, of="cranks.circle_radius"
+    )
     bearing_clearance: Any = field(
         "m", "radial clearance of the crank bearings, half the play", default=0.0, sign="nonnegative"
     )
-    eccentricity: Any = field("m", "eccentricity of discs and cranks alike", default=0.0)
-    pin_circle_radius: Any = field("m", "radius of the pin circle; > 0 is play", default=0.0)
-    pin_radius: Any = field("m", "radius of the pins; < 0 is play", default=0.0)
-    pin_hole_clearance: Any = field("m", "diametral clearance of the pins", default=0.0, sign="nonnegative")
+    eccentricity: Any = field("m", "eccentricity of discs and cranks alike", default=0.0, of="cycloid.eccentricity")
+    pin_circle_radius: Any = field(
+        "m", "radius of the pin circle; > 0 is play", default=0.0, of="cycloid.pin_circle_radius"
+    )
+    pin_radius: Any = field("m", "radius of the pins; < 0 is play", default=0.0, of="cycloid.pin_radius")
+    pin_hole_clearance: Any = field(
+        "m", "diametral clearance of the pins", default=0.0, sign="nonnegative", of="cycloid.pin_radius"
+    )
     pin_position: Any = field("m", "circumferential position of the pins", default=0.0)
     disc_runout: Any = field("m", "radial runout of the disc teeth", default=0.0)
     disc_cumulative_pitch: Any = field("m", "cumulative pitch error of the disc", default=0.0)
@@ -48,7 +58,9 @@ class RVErrors(Record):
         "m", "radial clearance of the cranks in the carrier", default=0.0, sign="nonnegative"
     )
     pin_offset: Any = field("m", "position of each pin in the housing", shape=("pins", 2), default=0.0)
-    pin_radii: Any = field("m", "radius of each pin, beside the common one", shape=("pins",), default=0.0)
+    pin_radii: Any = field(
+        "m", "radius of each pin, beside the common one", shape=("pins",), default=0.0, of="cycloid.pin_radius"
+    )
     ring_centre: Any = field("m", "pin circle against the main bearings, housing x, y", shape=(2,), default=0.0)
     disc_centre: Any = field("m", "teeth against bores, x, y at input angle 0", shape=("discs", 2), default=0.0)
     disc_pitch: Any = field(
@@ -119,10 +131,10 @@ PLACED = (
 class CamRollerErrors(Record):
     """Manufacturing errors of an oscillatory roller stage; > 0 is extra material or throw, that is interference."""
 
-    cam_radius: Any = field("m", "radius of the disc cam", default=0.0)
-    eccentricity: Any = field("m", "eccentricity of the cam (installation)", default=0.0)
+    cam_radius: Any = field("m", "radius of the disc cam", default=0.0, of="cam_radius")
+    eccentricity: Any = field("m", "eccentricity of the cam (installation)", default=0.0, of="eccentricity")
     roller_radius: Any = field(
-        "m", "radius of the rollers, one number or one per roller", shape=("rollers",), default=0.0
+        "m", "radius of the rollers, one number or one per roller", shape=("rollers",), default=0.0, of="roller_radius"
     )
 
     @classmethod

@@ -30,6 +30,7 @@ def field(
     default: Any = dataclasses.MISSING,
     sign: str = "any",
     kind: str = "real",
+    of: str = "",
 ) -> Any:
     """Declare a traced field of a record.
 
@@ -41,8 +42,9 @@ def field(
         sign: "positive", "nonnegative" or "any"; checked on concrete numbers.
         kind: "real", "pair" (two numbers, given as a tuple or an array), "integer" (result fields),
             or "record" (a nested record).
+        of: what a deviation deviates from, by its path in the design; "" where that is no number of it.
     """
-    metadata = dict(unit=unit, meaning=meaning, shape=shape, sign=sign, kind=kind)
+    metadata = dict(unit=unit, meaning=meaning, shape=shape, sign=sign, kind=kind, of=of)
     return dataclasses.field(default=default, metadata=metadata)
 
 

@@ -71,7 +71,7 @@ def test_allocate_answers(answered):
     assert code == 0
     result = json.loads((out / "result.json").read_text())
     assert result["status"] == "OPTIMAL"
-    assert result["cost"]["after"] < 0.7 * result["cost"]["before"]
+    assert result["cost"]["after"] < 0.8 * result["cost"]["before"]
     certificate = result["certificate"]
     assert certificate["samples"] == 60_000 and certificate["failed"] == 0
     assert result["certificate_before"]["seed"] == certificate["seed"] > 1
@@ -151,7 +151,12 @@ def test_a_study_that_asks_for_no_share_of_units_has_a_page(answers, answered, h
     (folder / "pins.csv").write_text("deviation\n-1.5\n0.5\n1\n")
     measured = 'distribution = "empirical"\nvalues = {file = "pins.csv", column = "deviation", unit = "um"}\n'
     start = SMALL.index("[requirement.")
-    asked = SMALL[start:].replace("\nupper", "\nmean_upper").replace("target = 0.9973\n", "")
+    asked = (
+        SMALL[start:]
+        .replace("\nupper", "\nmean_upper")
+        .replace("\nlower", "\nmean_lower")
+        .replace("target = 0.9973\n", "")
+    )
     (folder / "able.toml").write_text(SMALL[:start].replace(key, key + measured) + asked)
     question, old = rvjax.study.load("elsewhere/able.toml"), answers[SMALL]
     np.testing.assert_allclose(question.tolerances.pin_radius.law.values, [-1.5e-6, 0.5e-6, 1e-6])
@@ -240,7 +245,7 @@ def test_bad_input_is_one_line_and_exit_code_2(here, capsys, arguments, words):
 class Tags(html.parser.HTMLParser):
     """Counts elements and refuses one that is closed in the wrong order."""
 
-    VOID = ("meta", "img", "rect", "path", "circle")
+    VOID = ("br", "meta", "img", "rect", "path", "circle")
 
     def __init__(self, text):
         super().__init__()

@@ -14,6 +14,7 @@ from rvjax.tolerances.propagation.responses import BLOCK  # chunks of the certif
 
 SHOWN_UNITS = 24  # units whose curve is drawn
 SHOWN_VALUES = 65_536  # units behind a histogram
+FEWEST_BEYOND = 8  # units of the learning sample beyond a limit, below which a point of the cost curve is left out
 YIELD_SWEEP = (0.9, 0.95, 0.99, 0.995, 0.999)
 
 
@@ -82,6 +83,7 @@ def answer(study: Study, *, progress: bool = False) -> Answer:
         seed=study.seed,
         certificate_samples=study.certificate_samples,
         joint_target=study.joint_target,
+        middles=study.middles,
         grades=any(getattr(study.tolerances, name).size is not None for name in study.fields),
         progress=progress,
     )
@@ -144,12 +146,15 @@ def _curves(study: Study, tolerances: Any, seed: int) -> tuple[np.ndarray, np.nd
 def _cost_curve(study: Study, response: Callable[[Any], Any], found: Allocation) -> list[tuple[float, float]]:
     if not found.feasible or all(requirement.goal != "target" for requirement in study.requirements.values()):
         return []  # no place to start from, or no share of units to move
+    targets = [target for target in YIELD_SWEEP if study.samples * (1 - target) >= FEWEST_BEYOND]
+    if not targets:
+        return []
     curve = cost_curve(
         response,
         found.tolerances,
         study.requirements,
         costs=study.costs,
-        values=YIELD_SWEEP,
+        values=targets,
         against="target",
         samples=study.samples,
         seed=study.seed,

@@ -12,7 +12,7 @@ import numpy as np
 
 from rvjax import catalogue
 from rvjax.designs import RVReducer
-from rvjax.tolerances import Tolerance
+from rvjax.tolerances import Middle, Tolerance
 from rvjax.units import KNOWN
 
 FAR = 30.0  # factor from every known reducer beyond which a number is doubted
@@ -23,13 +23,14 @@ TORQUE = min(RATED.values()), max(RATED.values())
 HALF_WIDTH = {"m": (0.5e-6, 40e-6), "rad": (1e-4, 9e-3), "-": (0.01, 0.3)}  # of the studies and sources in this package
 
 
-def refuse_impossible(design: Any, tolerances: Any, costs: dict[str, Any]) -> None:
+def refuse_impossible(design: Any, tolerances: Any, costs: dict[str, Any], middles: dict[str, Middle]) -> None:
     """Refuse parts that do not fit into each other, and errors as large as the part.
 
     Args:
         design: the reducer.
         tolerances: record of its errors with a Tolerance or None in each field.
         costs: cost model of each error that is allocated, by name.
+        middles: where limits may move to, by name.
 
     Raises:
         ValueError: names the key, its value and what it collides with.
@@ -37,11 +38,14 @@ def refuse_impossible(design: Any, tolerances: Any, costs: dict[str, Any]) -> No
     if isinstance(design, RVReducer):
         _fits_together(design)
     for field, tolerance, about in _toleranced(tolerances):
-        part = _part(design, field)
+        part = _part(design, about["of"])
         widest = {f"tolerances.{field}": tolerance}
         if field in costs:
             coarsest = max(costs[field].coarsest, float(tolerance.half_width))
             widest[f"cost.{field}.coarsest = {shown(coarsest, about['unit'])}"] = tolerance.with_half_width(coarsest)
+        if field in middles:
+            half, lowest = max(float(t.half_width) for t in widest.values()), middles[field].lower
+            widest[f"middle.{field}.lower = {shown(lowest, about['unit'])}"] = Tolerance(lowest - half, lowest + half)
         for name, limits in widest.items():
             unit, lower, upper = about["unit"], float(limits.lower), float(limits.upper)
             span = f"limits of {shown(lower, unit)} and {shown(upper, unit)}"
@@ -116,22 +120,13 @@ def _collisions(design: RVReducer) -> list[str]:
     ]
 
 
-def _part(design: Any, field: str) -> float | None:
-    """The length that an error of this name deviates from, m."""
-    if not isinstance(design, RVReducer):
-        return float(getattr(design, field))
-    cycloid, cranks = design.cycloid, design.cranks
-    lengths = {
-        "crank_eccentricity": cycloid.eccentricity,
-        "eccentricity": cycloid.eccentricity,
-        "pin_circle_radius": cycloid.pin_circle_radius,
-        "pin_radius": cycloid.pin_radius,
-        "pin_radii": cycloid.pin_radius,
-        "pin_hole_clearance": cycloid.pin_radius,
-        "disc_bore": cranks.circle_radius,
-        "carrier_bore": cranks.circle_radius,
-    }
-    return None if field not in lengths else float(lengths[field])
+def _part(design: Any, path: str) -> float | None:
+    """The size of what an error deviates from, or None."""
+    if not path:
+        return None
+    for name in path.split("."):
+        design = getattr(design, name)
+    return abs(float(np.max(np.asarray(design))))
 
 
 def _toleranced(tolerances: Any) -> Iterator[tuple[str, Tolerance, Any]]:

@@ -9,6 +9,7 @@ from rvjax.levels.choice import Choice, choose
 from rvjax.outputs import Curve, Output
 from rvjax.study.plausible import doubts
 from rvjax.study.response import Response
+from rvjax.tolerances import Middle
 from rvjax.tolerances.propagation.requirements import Limits
 
 
@@ -29,6 +30,7 @@ class Study:
         certificate_samples: fresh units on which the result is certified.
         joint_target: share of units that must meet all requirements at once; None: each has a target of its own.
         accuracy: largest error of computation allowed, by response name; without one the conditions decide.
+        middles: ranges in which the limits of an error may move as a whole, by name.
     """
 
     name: str
@@ -43,6 +45,7 @@ class Study:
     certificate_samples: int = 1_000_000
     joint_target: float | None = None
     accuracy: dict[str, float] = dataclasses.field(default_factory=dict)
+    middles: dict[str, Middle] = dataclasses.field(default_factory=dict)
 
     def response(self) -> Response:
         """errors -> Outcome of the responses that the requirements name."""

@@ -14,8 +14,9 @@ from rvjax.study.plausible import refuse_impossible
 from rvjax.study.question import Study, StudyError
 from rvjax.study.response import check_nominal
 from rvjax.study.values import choice, integer, known, naming, naming_field, quantity, share, subtable
-from rvjax.tolerances import Exponential, ReciprocalPower, Tolerance, for_design
+from rvjax.tolerances import Exponential, Middle, ReciprocalPower, Tolerance, for_design
 from rvjax.tolerances.allocation.allocation import FEWEST
+from rvjax.tolerances.allocation.middles import check_middles
 from rvjax.tolerances.distribution.tolerance import COMMON, LAWS
 from rvjax.tolerances.propagation.requirements import KINDS
 
@@ -71,7 +72,7 @@ def parse_study(text: str, *, name: str, folder: Path = Path(), solve: bool = Tr
             tables = tomllib.loads(text)
         except (tomllib.TOMLDecodeError, RecursionError) as error:
             raise ValueError(f"not valid TOML: {error}") from None
-        known(tables, {"accuracy", "conditions", "cost", "design", "requirement", "run", "tolerances"}, "")
+        known(tables, {"accuracy", "conditions", "cost", "design", "middle", "requirement", "run", "tolerances"}, "")
         for key in ("design", "tolerances", "requirement"):
             if not subtable(tables, key):
                 raise ValueError(f"[{key}] is missing or empty")
@@ -92,6 +93,7 @@ def parse_study(text: str, *, name: str, folder: Path = Path(), solve: bool = Tr
             costs=costs,
             requirements=requirements,
             accuracy=_accuracy(kind.outputs, requirements, subtable(tables, "accuracy")),
+            middles=_middles(error_record, tolerances, subtable(tables, "middle")),
             seed=integer(run.get("seed", 0), "run.seed", 0, 2**32 - 1),
             samples=integer(run.get("samples", 16384), "run.samples", FEWEST, 2**32),
             certificate_samples=integer(
@@ -99,7 +101,7 @@ def parse_study(text: str, *, name: str, folder: Path = Path(), solve: bool = Tr
             ),
             joint_target=None if "joint_target" not in run else share(run["joint_target"], "run.joint_target"),
         )
-        refuse_impossible(design, tolerances, costs)
+        refuse_impossible(design, tolerances, costs, study.middles)
         if solve:
             check_nominal(study.response(), error_record())
         return study
@@ -195,6 +197,28 @@ def _costs(error_record: Any, tolerances: Any, table: dict[str, Any]) -> dict[st
                 **{key: quantity(value, units[key], f"{where}.{key}") for key, value in entry.items()}
             )
     return costs
+
+
+def _middles(error_record: Any, tolerances: Any, table: dict[str, Any]) -> dict[str, Middle]:
+    found = {}
+    active = {f.name: t for f in dataclasses.fields(error_record) if (t := getattr(tolerances, f.name)) is not None}
+    for name in table:
+        where, entry = f"middle.{name}", subtable(table, name)
+        if name not in active:
+            raise ValueError(f"{where}: there is no [tolerances.{name}] for it")
+        known(entry, {"lower", "upper", "cost", "per"}, where)
+        unit = _metadata(error_record, name)["unit"]
+        for key in ("lower", "upper", *(("per",) if "cost" in entry else ())):
+            if key not in entry:
+                raise ValueError(f"{where}.{key} is missing: a middle lies between lower and upper, in {unit}")
+        given = {key: quantity(entry[key], "-" if key == "cost" else unit, f"{where}.{key}") for key in entry}
+        per = given.get("per", 1.0)
+        if per <= 0:
+            raise ValueError(f"{where}.per = {entry['per']!r}: must be positive")
+        with naming_field(where):
+            found[name] = Middle(given["lower"], given["upper"], given.get("cost", 0.0) / per)
+            check_middles({name: found[name]}, active)
+    return found
 
 
 def _accuracy(

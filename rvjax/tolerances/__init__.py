@@ -8,6 +8,7 @@ Nothing here knows a gear: a response is any pure function of the errors of one 
 from rvjax.tolerances.allocation.allocation import Allocation, allocate
 from rvjax.tolerances.allocation.cost import Exponential, ReciprocalPower, Table
 from rvjax.tolerances.allocation.cost_curve import CostCurve, cost_curve
+from rvjax.tolerances.allocation.middles import Middle
 from rvjax.tolerances.distribution.grades import it_width
 from rvjax.tolerances.distribution.tolerance import Tolerance
 from rvjax.tolerances.population.sampling import for_design, sample
@@ -36,6 +37,7 @@ __all__ = [
     "Exponential",
     "FailureProbability",
     "MeanWithin",
+    "Middle",
     "Moments",
     "Origin",
     "Outcome",

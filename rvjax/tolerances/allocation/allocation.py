@@ -12,6 +12,7 @@ import numpy as np
 from rvjax.records import Record
 from rvjax.tolerances.allocation.certificate import Certifier
 from rvjax.tolerances.allocation.cost import Cost
+from rvjax.tolerances.allocation.middles import Middle, centred, check_middles
 from rvjax.tolerances.allocation.search import Search
 from rvjax.tolerances.allocation.snapping import Snapping
 from rvjax.tolerances.allocation.training import Training
@@ -34,7 +35,7 @@ class Allocation:
         status: "OPTIMAL" (certified), "INFEASIBLE", "MAX_STEPS" (certified, maybe not the cheapest) or
             "NOT_CERTIFIED".
         tolerances: structure of the given ones.
-        cost: of all fields that have one.
+        cost: of all half-widths that have one, and of the middles that were moved.
         start_cost: the same of the given tolerances.
         learned: the same of the half-widths that the search accepted, before certification shrank them.
         costs: {field: cost}.
@@ -82,6 +83,7 @@ def allocate(
     confidence: float = 0.95,
     grades: bool = False,
     max_steps: int = 300,
+    middles: Mapping[str, Middle] | None = None,
     progress: bool = False,
 ) -> Allocation:
     """The cheapest half-widths with every requirement met: shares of units, means, capabilities.
@@ -106,7 +108,8 @@ def allocate(
         certificate_samples: fresh units per certificate.
         confidence: of the certificate's intervals.
         grades: also snap fields with a `size` to ISO 286 grades and fit the other fields to them.
-        max_steps: sets of half-widths tried, at most.
+        max_steps: sets of half-widths tried, at most, for one set of middles.
+        middles: {field: Middle} of errors whose limits may also move as a whole; the others keep their middle.
         progress: show progress bars.
 
     Returns:
@@ -120,24 +123,28 @@ def allocate(
     required = by_response(requirements, names, Limits, "requirements")
     _check(required, joint_target, samples=samples, certificate_samples=certificate_samples, max_steps=max_steps)
     priced = _costs_by_field(costs, population.active)
-    drawn = certificate_samples, seed, BLOCK
-    run = Run(response, population, names, required, *drawn, confidence=confidence, progress=progress)
-    certifier = Certifier(run, joint_target)
-    training = Training(response, population, tuple(priced), required, joint_target, samples, seed)
-    search = Search(training, priced, max_steps)
+    check_middles(middles or {}, population.active)
     start = np.array([float(population.active[name].half_width) for name in priced])
+    training = Training(response, population, tuple(priced), required, joint_target, samples, seed)
+    moving = 0.0
+    if middles:
+        training, moving = centred(training, priced, max_steps, start, middles)
+    drawn = certificate_samples, seed, BLOCK
+    run = Run(response, training.population, names, required, *drawn, confidence=confidence, progress=progress)
+    certifier = Certifier(run, joint_target)
+    search = Search(training, priced, max_steps)
     if (training.margins(search.low) <= 0).all():
         with progress_bar(progress, None, "allocation", "step") as search.advance:
             found = _cheapest(search, certifier, start)
     else:
         found = _finest(search, certifier)
-    result = _result(search, found, names, start)
+    result = _result(search, found, names, start, moving)
     if not grades or not result.feasible:
         return unwrapped(result)
     t, chosen, certificate = Snapping(search, certifier, priced).snap(found.half_widths, found.certificate)
     status = "OPTIMAL" if certifier.holds(certificate) else "NOT_CERTIFIED"
     snapped = dataclasses.replace(found, status=status, half_widths=t, certificate=certificate)
-    graded = dataclasses.replace(_result(search, snapped, names, start), grades=chosen)
+    graded = dataclasses.replace(_result(search, snapped, names, start, moving), grades=chosen)
     return unwrapped(dataclasses.replace(result, graded=graded))
 
 
@@ -209,16 +216,16 @@ def _finest(search: Search, certifier: Certifier) -> _Found:
     return _Found(status, search.cost(search.low), search.low, certificate, np.zeros(len(shortfall)), shortfall)
 
 
-def _result(search: Search, found: _Found, names: tuple[str, ...], start: np.ndarray) -> Allocation:
+def _result(search: Search, found: _Found, names: tuple[str, ...], start: np.ndarray, moving: float) -> Allocation:
     t, training, nothing = found.half_widths, search.training, dict.fromkeys(names, 0.0)
     costs = zip(training.fields, search.costs, t)
     return Allocation(
         feasible=found.status != "INFEASIBLE",
         status=found.status,
         tolerances=training.with_half_widths(t).tolerances,
-        cost=search.cost(t),
+        cost=search.cost(t) + moving,
         start_cost=search.cost(start),
-        learned=found.learned,
+        learned=found.learned + moving,
         costs={name: float(cost(jnp.asarray(half_width))) for name, cost, half_width in costs},
         half_widths=dict(zip(training.fields, map(float, t))),
         multipliers=nothing | dict(zip(training.requirements, map(float, -found.prices))),

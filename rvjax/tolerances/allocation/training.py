@@ -4,7 +4,9 @@ The random numbers are drawn once and serve every set of tolerances, so that mar
 the half-widths. It certifies nothing: the optimum is fitted to these very units.
 """
 
+import copy
 import dataclasses
+from typing import Self
 
 import jax
 import jax.numpy as jnp
@@ -63,8 +65,12 @@ class Training:
         self.lanes = min(samples, max(_FEWEST_LANES, samples // _LANES_PART))
         key, block = root_key(seed), min(samples, BLOCK)
         self.blocks = [drawn(population, key, jnp.uint32(start), count=block) for start in range(0, samples, block)]
-        # How far the nominal response stays from each limit; margins are measured from there.
-        values = self._values(np.zeros(len(fields)))
+        self._measure()
+
+    def _measure(self) -> None:
+        """How far the nominal response stays from each limit; margins are measured from there."""
+        requirements, joint_target = self.requirements, self.joint_target
+        values = self._values(np.zeros(len(self.fields)))
         own = self._unit_margins(values)
         nominal = np.array([item.distance(row) for row, item in zip(values, requirements.values())])
         finite = np.where(np.isfinite(own), np.abs(own), 0.0).max(axis=1)
@@ -77,6 +83,18 @@ class Training:
         self.correction = np.ones(len(self.distance))
         self.powers = np.full(len(self.distance), 2.0)  # by which the half-widths of each constraint add up
         self.powers[: len(requirements)] = [item.power for item in requirements.values()]
+
+    def with_tolerances(self, changed: dict[str, Tolerance]) -> Self:
+        """The same units where some fields have other tolerances, with margins measured as here."""
+        other = copy.copy(self)
+        other.population, other._made = self.population.with_tolerances(changed), {}
+        return other
+
+    def measured(self) -> Self:
+        """The same with margins measured from its own nominal response."""
+        other = copy.copy(self)
+        other._measure()
+        return other
 
     def with_half_widths(self, half_widths: np.ndarray) -> Population:
         """The population with these half-widths in the fields that have a cost."""
