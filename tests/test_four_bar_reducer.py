@@ -207,14 +207,18 @@ def test_opposite_discs_cancel_equal_crank_errors():
     np.testing.assert_allclose(opposite, 2 * 14 * um / (72 * mm), rtol=3e-3)
 
 
-def test_revolution_equals_its_curve():
+TURNS = (
+    (catalogue.RV_40E, dict(angles=48)),
+    (reducer(3, 3), dict(output_torque=-100.0)),
+    (catalogue.RV_40E, dict(output_torque=412.0)),
+    (catalogue.RV_40E, dict(closure="first_order", angles=8)),
+)
+
+
+@pytest.mark.parametrize("turns", [TURNS[:2], pytest.param(TURNS[2:], marks=pytest.mark.long)])
+def test_revolution_equals_its_curve(turns):
     """The searched extremes are those of the curve, with and without load."""
-    for design, arguments in (
-        (catalogue.RV_40E, dict(angles=48)),
-        (catalogue.RV_40E, dict(output_torque=412.0)),
-        (catalogue.RV_40E, dict(closure="first_order", angles=8)),
-        (reducer(3, 3), dict(output_torque=-100.0)),
-    ):
+    for design, arguments in turns:
         units = drawn(design, 8, units=20)
         turn = jax.jit(jax.vmap(lambda e, d=design, a=arguments: four_bar.revolution(d, e, **a), in_axes=-1))
         result = turn(units)

@@ -54,6 +54,7 @@ def turns():
     return jax.jit(plain), jax.jit(jax.grad(total, argnums=(0, 1), has_aux=True))
 
 
+@pytest.mark.long  # test_derivatives.py has every output of studies by default
 def test_derivatives_equal_differences():
     """Reverse mode, which is forward mode transposed, for random sums of figures along random directions."""
     design, rng = catalogue.RV_40E, np.random.default_rng(1)

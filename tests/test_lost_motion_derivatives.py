@@ -111,7 +111,15 @@ def test_numbers_that_are_not_read_have_no_derivative(profile):
     assert solve(RV_20E, nan, profile=profile).valid
 
 
-@pytest.mark.parametrize("options", [{}, {"profile": "closed_form"}, {"profile": "contact"}, {"reading": "as_printed"}])
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"profile": "closed_form"},
+        pytest.param({"profile": "contact"}, marks=pytest.mark.long),
+        {"reading": "as_printed"},
+    ],
+)
 def test_derivatives_equal_finite_differences(options):
     errors = RV_20E_ERRORS.replace(pin_radius=-0.008 * mm)
     names = ("pin_circle_radius", "pin_radius", "eccentricity", "equidistant_modification", "bearing_clearance")

@@ -150,7 +150,9 @@ def test_reciprocity_and_the_balance_of_derivatives():
     assert np.abs(balance)[ok].max() < 1e-11
 
 
-@pytest.mark.parametrize("contact", ["hertz", "linear", "palmgren"])
+@pytest.mark.parametrize(
+    "contact", ["hertz", *(pytest.param(law, marks=pytest.mark.long) for law in ("linear", "palmgren"))]
+)
 def test_derivatives_equal_central_differences(contact):
     """Every input of 32 random units, where no roller gains or loses contact within the step; both modes agree."""
     teeth, count = 8, 32
@@ -224,7 +226,7 @@ def test_derivatives_at_a_contact_change_are_one_sided(contact):
     assert np.abs(sides[0]).max() < 1e-2 * size  # a roller without contact changes nothing
 
 
-@pytest.mark.parametrize("contact", ["hertz", "palmgren"])
+@pytest.mark.parametrize("contact", ["hertz", pytest.param("palmgren", marks=pytest.mark.long)])
 def test_second_derivatives(contact):
     cases = corr(1, errors_roller_radius=np.linspace(-2e-6, 2e-6, 9), teeth=8)
     case = {n: jnp.asarray(v[0]) for n, v in cases.items()}

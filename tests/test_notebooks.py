@@ -27,9 +27,8 @@ def pictures(notebook):
     return sum("image/png" in output.get("data", {}) for output in outputs(notebook))
 
 
-@pytest.fixture(params=NOTEBOOKS, ids=lambda path: path.stem)
-def path(request):
-    return request.param
+LONG = ("05_dynamics", "09_loaded_reducer")  # half of the time; what they show, ledger and tests of the models have too
+RUN = [pytest.param(p, marks=pytest.mark.long) if p.stem in LONG else p for p in NOTEBOOKS]
 
 
 @pytest.fixture(scope="module")
@@ -58,6 +57,7 @@ def run_in(kernel, notebook):
             client.kc.stop_channels()
 
 
+@pytest.mark.parametrize("path", RUN, ids=lambda path: path.stem)
 def test_runs_shrunk(path, tmp_path, kernel):
     notebook = nbformat.read(path, as_version=4)
     drawn = pictures(notebook)
@@ -72,6 +72,7 @@ def test_runs_shrunk(path, tmp_path, kernel):
     assert list(work.iterdir()) == []  # nothing is left behind
 
 
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_is_stored_small_clean_and_with_its_pictures(path):
     assert path.stat().st_size < LARGEST
     notebook = nbformat.read(path, as_version=4)

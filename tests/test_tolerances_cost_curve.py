@@ -42,6 +42,7 @@ def closed_cost(target, limit=LIMIT):
     return 10 * um * (1 / (4 ** (1 / 3) * b) + 1 / b)
 
 
+@pytest.mark.long  # the optima in print of test_tolerances_optimality.py run by default
 def test_closed_form_within_one_percent():
     found = allocate(
         linear,
@@ -55,14 +56,15 @@ def test_closed_form_within_one_percent():
     assert found.cost == pytest.approx(closed_cost(0.9973), rel=0.01)
 
 
-def test_two_hundred_fields():
+@pytest.mark.parametrize("count", [60, pytest.param(200, marks=pytest.mark.long)])
+def test_many_fields(count):
     """Costs c_j/t and slopes a_j: t_j ~ (c_j/a_j^2)^(1/3)."""
-    names = [f"e{k:03d}" for k in range(200)]
-    slope = dict(zip(names, np.linspace(0.2, 3.0, 200)))
-    scale = dict(zip(names, 1 + np.arange(200) % 7))
+    names = [f"e{k:03d}" for k in range(count)]
+    slope = dict(zip(names, np.linspace(0.2, 3.0, count)))
+    scale = dict(zip(names, 1 + np.arange(count) % 7))
     tolerances = {n: Tolerance.symmetric(5 * um) for n in names}
     response = lambda e: sum(slope[n] * e[n] for n in names)  # noqa: E731
-    row = {"e": Tolerance.symmetric(5 * um, shape=(200,))}
+    row = {"e": Tolerance.symmetric(5 * um, shape=(count,))}
     summed = lambda e: jnp.sum(np.array(list(slope.values())) * e["e"])  # noqa: E731
     assert rss(summed, row).sd == pytest.approx(5 / 3 * um * math.sqrt(sum(a**2 for a in slope.values())), rel=1e-12)
     assert worst_case(summed, row).upper == pytest.approx(5 * um * sum(slope.values()), rel=1e-12)
