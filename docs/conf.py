@@ -17,7 +17,8 @@ import rvjax  # noqa: E402
 
 project, author, copyright = "rvjax", "rvjax authors", "rvjax authors, Apache-2.0"
 release = version = rvjax.__version__
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.mathjax", "sphinx.ext.napoleon"]
+extensions = ["myst_parser", "mathml", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+html_math_renderer = "mathml"
 myst_enable_extensions = ["amsmath", "colon_fence", "dollarmath"]
 myst_heading_anchors = 3
 exclude_patterns = ["_build", "_made"]

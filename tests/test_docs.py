@@ -51,11 +51,17 @@ def test_the_study_of_the_docs_is_a_study():
     assert list(question.costs) == ["crank_eccentricity"] and list(question.requirements) == ["transmission_error"]
 
 
+def test_the_first_study_of_the_first_page_can_be_asked():
+    (text,) = blocks("index.md", "toml")
+    question = study.parse_study(text, name="docs")
+    assert question.doubts == [] and list(question.costs) == ["crank_eccentricity"]
+
+
 def test_every_key_of_a_study_is_explained():
     text = (DOCS / "study.md").read_text("utf-8")
     keys = ["lower", "upper", "half_width", "grade", "size", "distribution", "cp", "shift", "batch", "beta", "model"]
     keys += ["fixed", "scale", "finest", "coarsest", "reference", "power", "decay", "response", "target", "base"]
-    keys += ["seed", "samples", "certificate_samples"]
+    keys += ["cost", "per", "seed", "samples", "certificate_samples"]
     for key in keys:
         assert f"`{key}`" in text, key
     for table in ("accuracy", "conditions", "cost", "design", "requirement", "run", "tolerances"):
@@ -73,12 +79,15 @@ def test_the_build_has_no_warning(tmp_path):
     pytest.importorskip("sphinx")
     pytest.importorskip("myst_parser")
     pytest.importorskip("furo")
+    pytest.importorskip("latex2mathml")
     command = [sys.executable, "-m", "sphinx", "-W", "-n", "-q", "--keep-going", "-d", tmp_path / "doctrees"]
     quiet = os.environ | {"TF_CPP_MIN_LOG_LEVEL": "3"}
     done = subprocess.run([*command, DOCS, tmp_path / "html"], capture_output=True, text=True, check=False, env=quiet)
     assert done.returncode == 0, done.stderr
     for page in PAGES:
-        assert (tmp_path / "html" / page.with_suffix(".html")).is_file()
+        html = (tmp_path / "html" / page.with_suffix(".html")).read_text("utf-8")
+        assert not re.search(r'src="(https?:)?//', html)  # equations and all else without a network
+    assert "<math" in (tmp_path / "html" / "models" / "four_bar.html").read_text("utf-8")
     reproduce = (tmp_path / "html" / "reproduce.html").read_text("utf-8")
     for source in published.SOURCES:
         for figure in published.figures(source):
