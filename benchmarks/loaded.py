@@ -19,8 +19,10 @@ settings()
 import jax  # noqa: E402  (after the flags)
 import jax.numpy as jnp  # noqa: E402
 
-from benchmarks.loaded_others import COLUMNS, FIELDS, OFFSETS, in_numba, in_numpy, numbers, source  # noqa: E402
+from benchmarks.loaded_numba import in_numba  # noqa: E402
+from benchmarks.loaded_others import COLUMNS, FIELDS, OFFSETS, in_numpy, numbers, source  # noqa: E402
 from oracles import loaded as oracle  # noqa: E402
+from oracles.loaded_machine import STAGES  # noqa: E402
 from rvjax import RVErrors, catalogue, loaded  # noqa: E402
 from rvjax.designs import Contact, Stiffness  # noqa: E402
 
@@ -114,7 +116,7 @@ def in_c(library, x, angles, torque, contact, warm=False):
 
 def plain():
     """The design as numbers, for the others."""
-    return {stage: {n: getattr(getattr(DESIGN, stage), n) for n in names} for stage, names in oracle.STAGES.items()}
+    return {stage: {n: getattr(getattr(DESIGN, stage), n) for n in names} for stage, names in STAGES.items()}
 
 
 def judged(x, contact, torque, error, pins):

@@ -22,6 +22,7 @@ import jax  # noqa: E402  (after the flags)
 import jax.numpy as jnp  # noqa: E402
 
 from oracles import loaded as oracle  # noqa: E402
+from oracles.loaded_machine import ERRORS  # noqa: E402
 from rvjax import RVErrors, catalogue, dynamics, four_bar, lost_motion  # noqa: E402
 from rvjax.designs import Contact, Stiffness  # noqa: E402
 from rvjax.units import arcmin, arcsec, mm, um  # noqa: E402
@@ -70,7 +71,7 @@ def with_oracle(design, errors, angles, torque, contact="hertz", sun="fixed"):
     """The same from the independent model."""
     angles = np.atleast_1d(np.asarray(angles, float))
     shape = {"d": design.cycloid.disc_count, "c": design.cranks.count}
-    whole = {n: np.broadcast_to(v, tuple(shape.get(axis, 2) for axis in oracle.ERRORS[n])) for n, v in errors.items()}
+    whole = {n: np.broadcast_to(v, tuple(shape.get(axis, 2) for axis in ERRORS[n])) for n, v in errors.items()}
     one = {name: np.array(np.broadcast_to(value, (len(angles), *np.shape(value)))) for name, value in whole.items()}
     return oracle.equilibria(
         design, one, len(angles), input_angle=angles, output_torque=torque, contact=contact, sun=sun

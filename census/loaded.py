@@ -12,6 +12,7 @@ import numpy as np
 
 from census.cases import Case, Model, decades, deviations, moderate, nonfinite
 from oracles import loaded as oracle
+from oracles.loaded_machine import ERRORS, STAGES
 from rvjax import RVErrors, RVReducer, catalogue, loaded
 from rvjax.designs import Contact
 from rvjax.status import Status
@@ -44,7 +45,7 @@ def machine(
 
 def error_shapes(cranks: int, discs: int, teeth: int) -> dict[str, tuple[int, ...]]:
     sizes = {"d": discs, "c": cranks, "p": teeth + 1, "t": teeth, "2": 2, "5": 5}
-    return {name: tuple(sizes[axis] for axis in axes) for name, axes in oracle.ERRORS.items()}
+    return {name: tuple(sizes[axis] for axis in axes) for name, axes in ERRORS.items()}
 
 
 def draw(
@@ -105,13 +106,13 @@ def rated(case: Case, teeth: int, discs: int) -> Any:
 
 def parts(case: Case) -> dict[str, dict[str, Any]]:
     """Numbers by the record that holds them."""
-    names = {name: name for stage in oracle.STAGES.values() for name in stage}
+    names = {name: name for stage in STAGES.values() for name in stage}
     names |= {name: f"{name}_of_design" for name in ("eccentricity", "pin_circle_radius", "pin_radius")}
     stages = {
         stage: {name: case[names[name]] for name in fields if names[name] in case and name not in SHARED}
-        for stage, fields in oracle.STAGES.items()
+        for stage, fields in STAGES.items()
     }
-    return stages | {"errors": {name: case[name] for name in oracle.ERRORS}}
+    return stages | {"errors": {name: case[name] for name in ERRORS}}
 
 
 # Names that designs and errors share and the designs of the census leave at their default.
@@ -162,7 +163,7 @@ def run(
 def rounding(case: Case) -> Any:
     """Force that the rounding of the gaps alone makes in the stiffest spring: no equilibrium is known better."""
     stiffest = [jnp.max(jnp.abs(case[n])) for n in ("turning_arm_bearing", "support_bearing", "sun_planet_mesh")]
-    gaps = {name: jnp.max(jnp.abs(case[name])) for name in oracle.ERRORS}
+    gaps = {name: jnp.max(jnp.abs(case[name])) for name in ERRORS}
     gaps["crank_phase"] = gaps["crank_phase"] * jnp.abs(case["eccentricity_of_design"])
     return 2 * np.finfo(float).eps * jnp.max(jnp.stack(stiffest)) * sum(gaps.values())
 
@@ -240,7 +241,7 @@ def tame(case: Case) -> np.ndarray:
 
 def vanishing(case: Case) -> np.ndarray:
     """A number of the design so small that products of it vanish."""
-    design = set(case) - set(oracle.ERRORS) - {"torque", "angle"}
+    design = set(case) - set(ERRORS) - {"torque", "angle"}
     sizes = [np.abs(case[name].reshape(len(case["torque"]), -1)) for name in sorted(design)]
     return np.any([((size < 1e-100) & (size > 0)).any(1) for size in sizes], axis=0)
 
@@ -248,7 +249,7 @@ def vanishing(case: Case) -> np.ndarray:
 def sound(case: Case, teeth: int) -> np.ndarray:
     """What machines may have: errors up to a fiftieth of a pin, stiffnesses within 1e4 of each other."""
     good = tame(case) & ~nonfinite(case)
-    for name in oracle.ERRORS:
+    for name in ERRORS:
         size = 0.02 if name == "crank_phase" else 0.02 * np.minimum(
             case["pin_radius_of_design"], case["eccentricity_of_design"])  # fmt: skip
         good &= np.abs(case[name]).reshape(len(good), -1).max(1) <= size
@@ -263,7 +264,7 @@ def ordinary(case: Case, teeth: int) -> np.ndarray:
     discs = case["turning_arm_bearing"].shape[1]
     part = np.abs(case["torque"]) / np.where(rated(case, teeth, discs) > 0, rated(case, teeth, discs), np.inf)
     good = sound(case, teeth) & (part > 0.1) & (part < 3)
-    for name in oracle.ERRORS:
+    for name in ERRORS:
         size = 0.002 if name == "crank_phase" else 0.002 * np.minimum(
             case["pin_radius_of_design"], case["eccentricity_of_design"])  # fmt: skip
         good &= np.abs(case[name]).reshape(len(good), -1).max(1) <= size
