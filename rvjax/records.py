@@ -8,6 +8,7 @@ so that records can be stacked, vmapped and differentiated.
 import dataclasses
 import inspect
 import operator
+import warnings
 from collections.abc import Iterable, Mapping
 from typing import Any, Self, TypeVar, dataclass_transform
 
@@ -185,6 +186,19 @@ def axis_sizes(shape: Shape, counts: Mapping[str, int], given: tuple[int, ...] =
     return tuple(axis if isinstance(axis, int) else counts.get(axis, own) for axis, own in zip(shape, given))
 
 
+_reminded: list[bool] = []
+
+
+def remind_of_precision() -> None:
+    """Warn once, where plain numbers of microns are about to become float32 because nobody has enabled float64."""
+    if jax.config.jax_enable_x64 or _reminded:
+        return
+    _reminded.append(True)
+    warnings.warn(
+        "rvjax computes in float32: call rvjax.enable_x64() first, or give arrays of float32 on purpose", stacklevel=4
+    )
+
+
 def broadcast_fields(cls: Any, counts: Mapping[str, int], values: Mapping[str, Any]) -> dict[str, Any]:
     """Fill every traced field of a record to its full shape: scalars are broadcast, absent fields take the default.
 
@@ -203,6 +217,8 @@ def broadcast_fields(cls: Any, counts: Mapping[str, int], values: Mapping[str, A
     given = {np.dtype(value.dtype) for value in values.values() if hasattr(value, "dtype")}
     floats = [dtype for dtype in given if jnp.issubdtype(dtype, jnp.floating)]
     own = np.result_type(*floats) if floats else np.float64  # plain numbers become what they stand beside
+    if not floats:
+        remind_of_precision()
     filled = {}
     for name, f in fields.items():
         value = values.get(name, f.default)

@@ -1,6 +1,8 @@
 """Records: pytrees that know unit, shape and sign; what constructors refuse and what passes untouched."""
 
 import dataclasses
+import subprocess
+import sys
 
 import jax
 import jax.numpy as jnp
@@ -138,3 +140,20 @@ def test_import_changes_no_setting_and_touches_no_device():
         "assert not jax.config.jax_enable_x64 and not xla_bridge._backends\n"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_forgotten_float64_is_said_once():
+    """In a process of its own; float32 on purpose is silent."""
+    code = """if True:
+    import warnings, numpy, rvjax
+    from rvjax import RVErrors, catalogue
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        RVErrors.for_design(catalogue.RV_40E, crank_phase=numpy.float32(1e-4))
+        assert not caught
+        for _ in range(2):
+            RVErrors.for_design(catalogue.RV_40E, crank_phase=1e-4)
+    (one,) = caught
+    assert "rvjax.enable_x64()" in str(one.message) and one.filename == "<string>", one.filename
+    """
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=120)

@@ -9,6 +9,7 @@ from typing import Any
 
 from rvjax import models
 from rvjax.outputs import Output
+from rvjax.records import remind_of_precision
 from rvjax.study.design import parse_design
 from rvjax.study.plausible import refuse_impossible
 from rvjax.study.question import Study, StudyError
@@ -67,6 +68,7 @@ def parse_study(text: str, *, name: str, folder: Path = Path(), solve: bool = Tr
     Raises:
         StudyError: one line that names the key, its value and the unit.
     """
+    remind_of_precision()
     with naming(name):
         try:
             tables = tomllib.loads(text)
