@@ -1,6 +1,7 @@
 """Published reducers, with the source of every number beside it in `catalogue.toml`."""
 
 import dataclasses
+import re
 import tomllib
 import typing
 from importlib import resources
@@ -32,7 +33,26 @@ def _record(cls: Any, table: dict[str, Any]) -> Any:
     return cls(**values)
 
 
-_PUBLISHED = tomllib.loads((resources.files("rvjax") / "catalogue.toml").read_text("utf-8"))
+_TEXT = (resources.files("rvjax") / "catalogue.toml").read_text("utf-8")
+_PUBLISHED = tomllib.loads(_TEXT)
+
+
+def assumed(reducer: str) -> list[str]:
+    """Numbers of a published reducer that nobody printed, by their path in the design.
+
+    Args:
+        reducer: as this module names it, such as "RV_40E".
+    """
+    found, section = [], ""
+    for line in _TEXT.splitlines():
+        if header := re.fullmatch(r"\[(.*)\].*", line):
+            section = header[1]
+        owner, _, part = section.partition(".")
+        key, _, rest = line.partition(" = ")
+        if owner == reducer and "# assumed" in rest:
+            found.append(f"{part}.{key}" if part else key)
+    return found
+
 
 CORR: CamRollerReducer = _record(CamRollerReducer, _PUBLISHED["CORR"])
 RV_40E: RVReducer = _record(RVReducer, _PUBLISHED["RV_40E"])

@@ -191,7 +191,7 @@ _reminded: list[bool] = []
 
 def remind_of_precision() -> None:
     """Warn once, where plain numbers of microns are about to become float32 because nobody has enabled float64."""
-    if jax.config.jax_enable_x64 or _reminded:
+    if jnp.result_type(float) == jnp.float64 or _reminded:
         return
     _reminded.append(True)
     warnings.warn(

@@ -129,6 +129,16 @@ def test_a_doubt_and_the_levels_are_said_before_the_run(tmp_path, monkeypatch, c
     assert "rvjax: transmission_error: closed form" in said and "rvjax: time: about" in said
 
 
+def test_what_is_assumed_is_named_until_it_is_given():
+    assert "cranks.bearing_stiffness" in asked(DESIGN, DESIGN).assumed
+    assert "cycloid.disc_count" in asked(DESIGN, DESIGN).assumed
+    given = asked(DESIGN, DESIGN + '\ncranks.bearing_stiffness = "5e8 N/m"').assumed
+    assert "cranks.bearing_stiffness" not in given and "cycloid.disc_count" in given
+    assert study.parse_study(template.written("rv-80e"), name="x", solve=False).assumed == []  # the file marks them
+    text = check.checked(asked(DESIGN, DESIGN))
+    assert "Assumed, for nobody printed them: involute.pressure_angle, cycloid.disc_count, cranks.bearing" in text
+
+
 def test_the_rv_80e_is_sound():
     stage = catalogue.RV_80E.involute
     due = designs.InvoluteStage.from_teeth(10, 38, module=1.75 * mm)

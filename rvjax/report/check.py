@@ -47,6 +47,7 @@ def checked(question: Study) -> str:
     lines += ["", table(["number", "this study", "known reducers"], _magnitudes(question))]
     lines += ["", table(["error", "limits", "law"], _tolerances(question)), "", "How it will be computed:"]
     lines += [f"  {line}" for line in [*level_lines(question), expected(question)]]
+    lines += ["", f"Assumed, for nobody printed them: {', '.join(question.assumed)}"] if question.assumed else []
     lines += ["", "Not in the models asked:", *(f"  {line}" for line in question.left_out)]
     doubts = question.doubts
     return "\n".join([*lines, "", *(f"doubtful: {line}" for line in doubts), *([] if doubts else ["No doubts."])])

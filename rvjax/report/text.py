@@ -204,6 +204,7 @@ def limits_of_the_answer(answer: Answer) -> list[str]:
     """What a reader must know beside the figures, a line each: doubtful numbers, negative values, what is left out."""
     study = answer.study
     lines = [f"Doubtful: {line}" for line in study.doubts]
+    lines += [f"Assumed, for nobody printed them: {', '.join(study.assumed)}"] if study.assumed else []
     for name, values in answer.after.values.items():
         below = float(np.mean(np.asarray(values) < 0))
         if (meaning := study.output(name).below_zero) and below > 0:

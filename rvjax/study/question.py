@@ -1,10 +1,11 @@
 """A study: design, conditions, tolerances, costs and requirements."""
 
 import dataclasses
+import tomllib
 from dataclasses import dataclass
 from typing import Any
 
-from rvjax import models
+from rvjax import catalogue, models
 from rvjax.levels.choice import Choice, choose
 from rvjax.outputs import Curve, Output
 from rvjax.study.plausible import doubts
@@ -86,6 +87,13 @@ class Study:
         return doubts(self.design, self.conditions, self.tolerances)
 
     @property
+    def assumed(self) -> list[str]:
+        """Numbers of the base that nobody printed and the study does not give, by their path in the design."""
+        given = tomllib.loads(self.text)["design"]
+        base = str(given.get("base", "")).upper().replace("-", "_")
+        return [path for path in catalogue.assumed(base) if not _given(given, path)]
+
+    @property
     def left_out(self) -> list[str]:
         """What the models asked do not know, a line each."""
         described = models.kind(self.design).described
@@ -99,6 +107,14 @@ class Study:
     def output(self, name: str) -> Output:
         """What a response of this study is."""
         return models.kind(self.design).outputs[name]
+
+
+def _given(table: Any, path: str) -> bool:
+    for name in path.split("."):
+        if not isinstance(table, dict) or name not in table:
+            return False
+        table = table[name]
+    return True
 
 
 class StudyError(ValueError):
