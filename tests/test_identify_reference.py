@@ -120,3 +120,26 @@ def test_orders_case(cases):
         close(found.value.imag, expected["imag"])
         close(found.sd, expected["sd"])
         close([found.mean, found.residual_sd], [expected["mean"], expected["residual_sd"]])
+
+
+def test_shared_case(cases):
+    """Every unit has slopes of its own: the model gives the rows of all, and a unit measured only its own."""
+    for _, given, expected in of_kind(cases, "shared"):
+        prior, fields = prior_of(given["prior"]), tuple(sorted(given["prior"]))
+        matrix, data = np.array(given["G"]), np.array(given["data"])
+        rows = np.where(np.eye(len(data), dtype=bool)[..., None], data[:, None], np.nan)
+        found = identify.solve_many(
+            linear(matrix, np.zeros(data.shape), fields),
+            prior,
+            rows,
+            noise=identify.Noise(given["sd"]),
+            shared=given["shared"],
+            chunk=4,
+        )
+        assert list(found.names) == expected["own"] and list(found.shared_names) == expected["shared"]
+        close(found.shared_u, expected["shared_u"])
+        close(found.shared_u_sd, expected["shared_sd"])
+        close(found.u, expected["unit_u"])
+        close(found.u_sd, expected["unit_sd"])
+        assert found.value["ecc"].shape == (6, 2) and found.value["stiff"].shape == (6, 2)
+        assert set(found.status) == {"CONVERGED"}

@@ -7,6 +7,7 @@ exactly so in the linear normal case. What nuisances can do is projected out fir
 """
 
 import dataclasses
+from typing import NamedTuple
 
 import numpy as np
 from scipy import special
@@ -50,6 +51,18 @@ class Fit:
     p_total: float | np.ndarray
     weights: np.ndarray
     worst: tuple[str, ...] | tuple[tuple[str, ...], ...]
+
+
+class Judged(NamedTuple):
+    """The figures of `Fit` as arrays (...)."""
+
+    chi2_model: np.ndarray
+    dof_model: np.ndarray
+    p_model: np.ndarray
+    chi2_prior: np.ndarray
+    dof_prior: np.ndarray
+    p_prior: np.ndarray
+    p_total: np.ndarray
 
 
 @dataclasses.dataclass(frozen=True)
@@ -123,8 +136,8 @@ def _along(columns: np.ndarray, vectors: np.ndarray) -> np.ndarray:
 
 def judged(
     slopes: np.ndarray, mixing: np.ndarray, nuisance: np.ndarray, data: np.ndarray, seen: np.ndarray, dof: float
-) -> dict[str, np.ndarray]:
-    """The figures of `Fit` but weights and worst, of units with linearised data d (..., m)."""
+) -> Judged:
+    """The figures of units with linearised data d (..., m)."""
     components = Components.of(slopes, mixing, nuisance, seen)
     model, prior = components.sums(data)
     dof_model, dof_prior = components.dof
@@ -134,15 +147,7 @@ def judged(
         )
     else:
         p_model, p_prior, p_total = _simulated_chances(components, model, prior, dof)
-    return dict(
-        chi2_model=model,
-        dof_model=dof_model,
-        p_model=p_model,
-        chi2_prior=prior,
-        dof_prior=dof_prior,
-        p_prior=p_prior,
-        p_total=p_total,
-    )
+    return Judged(model, dof_model, p_model, prior, dof_prior, p_prior, p_total)
 
 
 def _chance(chi2: np.ndarray, dof: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""The observation of a model as one vector of real numbers: leaves in the order of `jax.tree`, complex ones as pairs."""
+"""The observation of a model as a vector of real numbers, leaves in the order of `jax.tree`, complex ones as pairs."""
 
 import dataclasses
 import math

@@ -14,6 +14,9 @@ from rvjax.status import SolveInfo, Status
 APART = 1.0
 """Mahalanobis distance from which on two modes are two."""
 
+FAINT = 0.01
+"""Least weight of a mode that counts."""
+
 STEP_ASIDE = 0.1
 """Posterior standard deviations to each side at which a mode must be lower, or it is a saddle."""
 

@@ -16,15 +16,12 @@ from rvjax.identify.limits import broken, limits_of
 from rvjax.identify.noise import Noise
 from rvjax.identify.posterior import Mode, Outcome, Posterior, outcome
 from rvjax.identify.problem import Model, Problem, counted, integer
-from rvjax.identify.search import Peak, phi_at, search
+from rvjax.identify.search import FAINT, Peak, phi_at, search
 from rvjax.identify.shares import shares
 from rvjax.records import PyTree
 from rvjax.status import SolveInfo, Status
 from rvjax.tolerances.population.correlation import Correlation
 from rvjax.tolerances.propagation.estimates import deviate_of
-
-FAINT = 0.01
-"""Least weight of a mode that counts."""
 
 
 def solve(
@@ -98,7 +95,7 @@ def _found(
     rows = [u, u - deviate * about.u_sd, u + deviate * about.u_sd, *(mixing @ item.z for item in peaks)]
     rows += [u] * (-len(peaks) % padding)  # one program however many modes there are
     values = mapped_values(elements, np.stack(rows))
-    fit = fitted(problem, y, peak.residual, peak.slopes, u)
+    fit = _fitted(problem, y, peak.residual, peak.slopes, u)
     adequate = bool(fit.p_model >= ADEQUATE)
     return Posterior(
         **{field.name: getattr(about, field.name) for field in dataclasses.fields(about)},
@@ -161,11 +158,18 @@ def _lost(problem: Problem, y: np.ndarray, info: SolveInfo) -> Posterior:
     )
 
 
-def fitted(problem: Problem, y: np.ndarray, residual: np.ndarray, slopes: np.ndarray, u: np.ndarray) -> Fit:
+def _fitted(problem: Problem, y: np.ndarray, residual: np.ndarray, slopes: np.ndarray, u: np.ndarray) -> Fit:
     """How well model and prior explain one unit."""
     mixing, seen = problem.elements.mixing, ~np.isnan(y)
-    whole = fits.judged(slopes, mixing, problem.nuisance, slopes @ u - residual, seen, problem.dof)
-    weights = fits.weights(residual, seen, problem.dof)
-    fit = Fit(**whole, weights=weights, worst=fits.largest(residual, problem.layout.names))
-    plain = {name: int(item) if name.startswith("dof") else float(item) for name, item in whole.items()}
-    return dataclasses.replace(fit, **plain)
+    found = fits.judged(slopes, mixing, problem.nuisance, slopes @ u - residual, seen, problem.dof)
+    return Fit(
+        chi2_model=float(found.chi2_model),
+        dof_model=int(found.dof_model),
+        p_model=float(found.p_model),
+        chi2_prior=float(found.chi2_prior),
+        dof_prior=int(found.dof_prior),
+        p_prior=float(found.p_prior),
+        p_total=float(found.p_total),
+        weights=fits.weights(residual, seen, problem.dof),
+        worst=fits.largest(residual, problem.layout.names),
+    )
