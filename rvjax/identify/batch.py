@@ -140,10 +140,16 @@ def solve_many(
             worst=tuple(names for part in parts for names in part["worst"]),
         ),
         status=whole["outcome"],
-        info=SolveInfo(*(jnp.asarray(whole[name]) for name in ("status", "steps", "away"))),
+        info=_stacked(whole["status"], whole["steps"], whole["away"]),
         problem=problem,
         factors=whole["factors"],
     )
+
+
+def _stacked(status: np.ndarray, steps: np.ndarray, away: np.ndarray) -> SolveInfo:
+    """One info for many units; a constructor takes one case."""
+    one = SolveInfo(jnp.int32(0))
+    return jax.tree.unflatten(jax.tree.structure(one), [jnp.asarray(item) for item in (status, steps, away)])
 
 
 def _separate(problem: Problem, y: np.ndarray, points: np.ndarray, max_steps: int, together: int) -> Units:
