@@ -1,6 +1,8 @@
 """`rvjax.identify`: closed forms, verdicts, extremes and bad input."""
 
+import json
 import math
+import sys
 
 import jax
 import jax.numpy as jnp
@@ -8,12 +10,15 @@ import numpy as np
 import pytest
 
 import rvjax
+from benchmarks import identify_coverage
 from rvjax import identify
 from rvjax.identify.elements import Elements
 from rvjax.identify.laplace import pareto_shape
 from rvjax.identify.problem import slopes
+from rvjax.identify.sampler import diagnosed
 from rvjax.tolerances import Requirement, Tolerance
 from rvjax.tolerances.population.population import Population
+from rvjax.units import arcsec
 
 Noise, unit = identify.Noise, Tolerance.symmetric
 THREE = {"a": unit(3.0), "b": unit(3.0), "c": unit(3.0)}
@@ -458,3 +463,85 @@ def test_batch_equals_its_units():
     assert single.fit.p_model == pytest.approx(whole.fit.p_model[2])
     assert single.lower["a"] == pytest.approx(whole.lower["a"][2])
     assert rvjax.check(whole) is whole and whole.shared_names == ()
+
+
+def test_diagnostics_of_chains():
+    """Independent draws, chains with memory 0.9 whose effective number is (1 - 0.9)/(1 + 0.9), chains in two modes."""
+    rng = np.random.default_rng(9)
+    normal = rng.standard_normal((4, 2000, 1))
+    slow = np.zeros_like(normal)
+    for k in range(1, 2000):
+        slow[:, k] = 0.9 * slow[:, k - 1] + normal[:, k]
+    apart = normal + np.array([3.0, 3.0, -3.0, -3.0])[:, None, None]
+    wide = normal * np.array([1.0, 1.0, 3.0, 3.0])[:, None, None]
+    r_hat, ess = diagnosed(np.concatenate([normal, slow, apart, wide], axis=-1))
+    assert r_hat[0] < 1.005 and r_hat[2] > 1.5 and r_hat[3] > 1.1
+    assert ess[0] == pytest.approx(8000, rel=0.15) and ess[1] == pytest.approx(8000 / 19, rel=0.3) and ess[2] < 20
+
+
+def test_sample_names_what_it_needs(monkeypatch):
+    monkeypatch.setitem(sys.modules, "blackjax", None)
+    with pytest.raises(ImportError, match=r"rvjax\[sampler\]"):
+        identify.sample(solved(np.array([1.0, 0.4, 0.3, -0.6])))
+
+
+def test_virtual_units_are_covered():
+    """150 units: coverage within four binomial deviations, ranks and p-values uniform; the bars of the kept 1000."""
+    found = identify_coverage.figures(150, seed=11)
+    assert found["coverage"] == pytest.approx(0.95, abs=4 * math.sqrt(0.05 * 0.95 / 150))
+    kept = json.loads(identify_coverage.KEPT.read_text())
+    assert kept["units"] == 1000 and 0.93 < kept["coverage"] < 0.97
+    for name in kept:
+        if name.startswith("coverage of"):
+            assert 0.92 < kept[name] < 0.98, name
+        if name.startswith("uniform"):
+            assert min(kept[name], found[name]) > 1e-4, name
+    for figures, least in ((kept, 0.97), (found, 0.97 - 4 * math.sqrt(0.03 * 0.97 / 150))):
+        assert figures["wrong reducer: p_model < 0.001"] >= least
+        assert figures["tripled spread: p_prior < 0.001"] >= least
+        assert figures["tripled spread: p_model < 0.001"] < 0.03
+
+
+def test_a_torque_angle_row_predicts_its_other_half():
+    """Mean of backward less forward TE of a harmonic drive, 100 rpm, 25 C, over two; points of
+    github.com/XiLab-Robotics/Physics-Informed-Neural-Networks. Fitted on every second one, the rest within 0.06 arcmin."""
+    torque = np.array([0, 100, 200, 300, 400, 500, 700, 900, 1000, 1200, 1300, 1400.0])
+    angle = np.array([0.182, 0.599, 0.879, 1.132, 1.368, 1.513, 1.990, 2.436, 2.688, 3.143, 3.371, 3.560])
+
+    def row(values):
+        bent = 1 - jnp.exp(-jnp.asarray(torque) / values["bend"])
+        return values["start"] + values["slope"] * jnp.asarray(torque) + values["step"] * bent
+
+    prior = {
+        "start": Tolerance(0.0, 0.6),
+        "slope": Tolerance(0.0, 5e-3),
+        "step": Tolerance(0.0, 2.0),
+        "bend": Tolerance(20.0, 600.0, distribution="lognormal", log_sd=0.6),
+    }
+    odd = np.arange(12) % 2 == 1
+    found = identify.solve(row, prior, np.where(odd, np.nan, angle), noise=Noise(0.03))
+    assert found.adequate and np.abs(found.prediction - angle)[odd].max() < 0.06
+
+
+def test_rv40e_shows_one_combination_of_its_cranks():
+    """lambda = 4 (sigma/(4R))^2/noise^2 of e00 - e01 - e10 + e11, beside the offset of the mounting."""
+    design, sigma, noise = rvjax.catalogue.RV_40E, 7e-6 / 3, 1.0 * arcsec
+    angles = np.linspace(0, 2 * np.pi, 16, endpoint=False)
+
+    def curve(values):
+        errors = rvjax.RVErrors.for_design(design, crank_eccentricity=values["ecc"])
+        solve = lambda angle: rvjax.four_bar.transmission_error(design, errors, crank_angle=angle).error  # noqa: E731
+        error = jax.vmap(solve)(jnp.asarray(angles))
+        first = 2 * jnp.mean(error.astype(complex) * jnp.asarray(np.exp(-1j * angles)))
+        return {"mean": values["offset"] + jnp.mean(error), "first": first}
+
+    prior = {"ecc": unit(7e-6, shape=(2, 2)), "offset": unit(3000 * arcsec)}
+    found = identify.identifiability(curve, prior, noise=Noise(noise), nuisance="offset")
+    offset, cranks = found.directions
+    assert offset.loadings["offset"] == pytest.approx(1.0)
+    assert cranks.information == pytest.approx(
+        4 * (sigma / (4 * design.cranks.circle_radius)) ** 2 / noise**2, rel=0.01
+    )
+    loadings = [cranks.loadings[f"ecc[{d},{c}]"] for d in range(2) for c in range(2)]
+    assert np.abs(loadings) == pytest.approx(0.5, rel=0.01) and np.sign(loadings) @ [1, -1, -1, 1] in (-4, 4)
+    assert set(found.verdict.values()) == {"identified", "combination"}
