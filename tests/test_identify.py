@@ -124,7 +124,7 @@ def test_wide_nuisance_keeps_the_digits_of_the_rest():
     assert found.value["x"] == pytest.approx(mean, rel=1e-10)
     assert found.fit.dof_model + found.fit.dof_prior == 4  # one component less: what the offset can do judges nothing
     shifted = identify.solve(model, prior, y + 5.0, noise=Noise(noise), nuisance="offset", starts=2, draws=128)
-    assert shifted.fit.p_total == pytest.approx(found.fit.p_total, rel=1e-6)
+    assert shifted.fit.p_total == pytest.approx(found.fit.p_total, rel=1e-6) and found.fit.p_total > 0.5
 
 
 def test_saddle_between_two_modes_is_left():
@@ -523,6 +523,30 @@ def test_a_torque_angle_row_predicts_its_other_half():
     odd = np.arange(12) % 2 == 1
     found = identify.solve(row, prior, np.where(odd, np.nan, angle), noise=Noise(0.02))
     assert found.adequate and np.abs(found.prediction - angle)[odd].max() < 0.06
+
+
+def test_a_unit_at_the_end_of_its_model_stops_no_other():
+    """One unit's data lie where the model has no value; another sits at a kink. The rest end at their own modes."""
+
+    def model(values):
+        x = values["x"] + values["common"]
+        return jnp.stack([jnp.log(x + 2.0), x, 3.0 * jnp.maximum(x, 0.5), values["common"] * 0.1])
+
+    prior = {"x": unit(3.0), "common": unit(1.0)}
+    x = np.array([0.9, -1.0, -6.0, 0.5, 1.2])
+    data = np.stack([np.log(np.maximum(x, -1.9) + 2.0), x, 3.0 * np.maximum(x, 0.5), 0.0 * x], axis=1)
+    kink = data + np.outer(np.arange(5) == 3, [0.0, 0.2, -0.9, 0.0])  # pulled down by one row, up by the other
+    noise = Noise(0.1)
+    for shared in ((), "common"):
+        whole = identify.solve_many(model, prior, data if shared else kink, noise=noise, shared=shared)
+        assert [whole.status[k] for k in (0, 1, 4)] == ["CONVERGED"] * 3
+        x, common = (jnp.asarray(whole.value[name][[0, 1, 4]]) for name in ("x", "common"))
+
+        def phi(x, common=common):  # of the three; x is its own standard number
+            found = jax.vmap(lambda x, c: model({"x": x, "common": c}))(x, common)
+            return jnp.sum(x**2) / 2 + jnp.sum((found - data[[0, 1, 4]]) ** 2) / 2 / 0.1**2
+
+        np.testing.assert_allclose(jax.grad(phi)(x), 0.0, atol=1e-5)
 
 
 def test_rv40e_shows_one_combination_of_its_cranks():
