@@ -236,7 +236,7 @@ def test_other_parsers_read_the_same_numbers(tmp_path):
     assert head == ["angle [rad]", "correction [rad]"]
     assert (np.array(lines, float) == pairs).all()
     given = json.loads((tmp_path / "t.json").read_text())
-    assert (np.array([given["angle"], given["correction"]]).T == pairs).all()
+    assert (pairs == np.array([given["angle"], given["correction"]]).T).all()
     assert given["unit"] == "rad" and given["seed"] == 7 and given["orders"] == [3, 40, 81] and given["versions"]
     text = (tmp_path / "t.txt").read_text().splitlines()
     assert text[:2] == ["#1", "double te_correction(201,2)"]
