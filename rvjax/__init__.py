@@ -85,6 +85,7 @@ _LAZY = {
     "lost_motion": None,
     "mesh_force": None,
     "models": None,
+    "mounting": None,
     "plotting": None,
     "published": None,
     "roots": None,

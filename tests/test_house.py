@@ -24,7 +24,7 @@ FLOORS = (
     ("roots", "elementary"),
     ("designs",),
     ("errors",),
-    ("catalogue", "outputs"),
+    ("catalogue", "mounting", "outputs"),
     (*MODELS, "tolerances"),
     ("assembly", "compensation"),
     ("models",),
