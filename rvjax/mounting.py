@@ -6,8 +6,8 @@ space (docs/models/loaded.md, Eqs. 2 and 6). So a disc made for slot k0, turned 
 
     i zc/c + (k -+ k0)/nd   is a whole number of teeth (- as it is, + turned over),
 
-and its tooth t becomes t + i zc/c + (k - k0)/nd, or 1 - t + i zc/c + (k + k0)/nd turned over. A carrier and a crankshaft
-know no teeth: a carrier may be turned by any number of crank spacings.
+and its tooth t becomes t + i zc/c + (k - k0)/nd, or 1 - t + i zc/c + (k + k0)/nd turned over. A carrier knows no teeth:
+it may be turned by any number of crank spacings.
 """
 
 from collections.abc import Mapping
@@ -110,7 +110,8 @@ def unit_errors(design: RVReducer, parts: Mapping[str, Mapping[str, Any]], index
         index: position of each part; of discs as in `disc_mountings`, of a carrier in crank spacings.
 
     Raises:
-        ValueError: an error that such a part does not have, one that stands in two slots, or a slot that the design lacks.
+        ValueError: an error that such a part does not have, one that stands in two slots, or a slot that the design
+            lacks.
     """
     discs, cranks = design.cycloid.disc_count, design.cranks.count
     fields: dict[str, Any] = {}

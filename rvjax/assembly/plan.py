@@ -176,6 +176,18 @@ def chosen(
         starts: of the alternation.
         rng: of its random plans.
     """
+    single = [slot for slot, size in enumerate(supply.shape) if size == 1]
+    kept = [slot for slot in range(len(supply.shape)) if slot not in single]
+    if single and len(kept) >= 2:  # what is the same in every unit is no choice, and two slots are exact
+        lean = dataclasses.replace(
+            found,
+            mean=found.mean.squeeze(tuple(single)),
+            outside=None if found.outside is None else found.outside.squeeze(tuple(single)),
+        )
+        fewer = Supply(tuple(supply.pieces[k] for k in kept), tuple(supply.group[k] for k in kept), supply.units)
+        build, bound, reached, proved = chosen(lean, fewer, objective, starts, rng)
+        full = [tuple(dict(zip(kept, unit)).get(k, 0) for k in range(len(supply.shape))) for unit in build]
+        return full, bound, reached, proved
     failing = ~np.isfinite(found.mean)
     finite = found.mean[~failing]
     mean = np.where(failing, finite.max(initial=0.0), found.mean)

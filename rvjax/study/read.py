@@ -9,6 +9,7 @@ from typing import Any
 
 from rvjax import models
 from rvjax.outputs import Output
+from rvjax.study.assembly import parse_assembly
 from rvjax.study.design import parse_design
 from rvjax.study.question import Study, StudyError
 from rvjax.study.response import check_nominal
@@ -65,7 +66,7 @@ def parse_study(text: str, *, name: str, folder: Path = Path()) -> Study:
             tables = tomllib.loads(text)
         except (tomllib.TOMLDecodeError, RecursionError) as error:
             raise ValueError(f"not valid TOML: {error}") from None
-        known(tables, {"accuracy", "conditions", "cost", "design", "requirement", "run", "tolerances"}, "")
+        known(tables, {"accuracy", "assembly", "conditions", "cost", "design", "requirement", "run", "tolerances"}, "")
         for key in ("design", "tolerances", "requirement"):
             if not subtable(tables, key):
                 raise ValueError(f"[{key}] is missing or empty")
@@ -86,6 +87,7 @@ def parse_study(text: str, *, name: str, folder: Path = Path()) -> Study:
             costs=costs,
             requirements=requirements,
             accuracy=_accuracy(kind.outputs, requirements, subtable(tables, "accuracy")),
+            assembly=parse_assembly(subtable(tables, "assembly"), design, requirements),
             seed=integer(run.get("seed", 0), "run.seed", 0, 2**32 - 1),
             samples=integer(run.get("samples", 16384), "run.samples", FEWEST, 2**32),
             certificate_samples=integer(
