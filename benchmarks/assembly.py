@@ -87,7 +87,7 @@ def gauge():
     for share in (0.0, 0.25, 0.5, 1.0, 2.0):
         promised, true, naive = [], [], []
         for number in range(SETS):
-            rng = np.random.default_rng(number)
+            rng = np.random.default_rng([number, round(100 * share)])
             errors, noise = spread * rng.standard_normal((2, count, 2))
             measured = kinds(errors, share * noise, share * spread, True)
             plan = assembly.plan(unloaded, measured, draws=32, certificate_draws=128)

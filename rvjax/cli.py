@@ -243,6 +243,7 @@ def _assemble(options: argparse.Namespace) -> int:
     from rvjax.report import assembly as written
     from rvjax.report import text
     from rvjax.study.assembly import bench
+    from rvjax.study.prices import prices
     from rvjax.tolerances.atomic import check_writable
 
     question = study.load(options.study)
@@ -260,7 +261,9 @@ def _assemble(options: argparse.Namespace) -> int:
         seed=question.seed,
     )
     _say(written.summary(found, parts, question))
-    folder = written.write(found, parts, question, options.parts, folder)
+    costs = prices(question, parts) if options.prices else []
+    _say(written.price_text(costs))
+    folder = written.write(found, parts, question, options.parts, folder, costs)
     _say(f"\nResults: {folder}")
     return EXIT_OK if found.status != "INFEASIBLE" else EXIT_NO_ANSWER
 

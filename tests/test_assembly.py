@@ -356,10 +356,10 @@ def test_the_ends_of_knowledge():
 
 
 def test_opening():
-    """One part has no choice: factor 1 but for the chance of 40 sets. More parts open the tolerances, none beyond."""
+    """One part has no choice: factor 1 but for the chance of 20 sets. More parts open the tolerances, none beyond."""
     requirement = Requirement(upper=1.0)
-    alone = opening(square, {"a": kind([0.0]), "b": kind([0.0])}, {"x": UNIT}, requirement=requirement, sets=40)
-    assert alone.factor < 1.15 and (alone.curve[:, 1] == alone.curve[:, 2]).all()
+    alone = opening(square, {"a": kind([0.0]), "b": kind([0.0])}, {"x": UNIT}, requirement=requirement, sets=20)
+    assert alone.factor < 1.3 and (alone.curve[:, 1] == alone.curve[:, 2]).all()
     kinds = {"a": kind([0.0] * 8), "b": kind([0.0] * 8)}
     found = opening(square, kinds, {"a": {"x": UNIT}, "b": {"x": UNIT}}, requirement=requirement, sets=8)
     factors, matched, random = found.curve.T

@@ -81,13 +81,16 @@ def test_curves_of_the_reference(case):
         assert rows.error_bound == pytest.approx(factor * expected["interpolation"], rel=1e-12)
 
 
-def test_an_exact_correction_turned_leaves_the_phase_residual():
+def test_a_turned_table_leaves_the_phase_residual():
     order, value = unit({39: 5.0, 78: 3.0})
     found, shift = correction(order, value, ratio=RATIO), 0.01
     left = residual(found, order, value, shift=shift)
     np.testing.assert_allclose(np.abs(left.value), np.abs(value) * phase_residual(order, shift), rtol=1e-12)
     turned = curve(order, value, TURN) + found.output(TURN + shift)
     assert rms(turned) == pytest.approx(left.rms, rel=1e-12)  # a table turned by `shift` reads its row there
+    other = value * np.exp(1j * np.array([0.7, -1.1]))  # of another phase, so that the sense of the turn counts
+    left = residual(found, order, other, shift=shift)
+    assert rms(curve(order, other, TURN) + found.output(TURN + shift)) == pytest.approx(left.rms, rel=1e-12)
     assert phase_residual(60, math.radians(1)) == pytest.approx(1) and phase_residual(61, math.radians(1)) > 1
 
 
@@ -192,10 +195,10 @@ def test_a_schedule_follows_the_load_where_one_table_does_not():
 def test_prediction_holds_at_another_temperature():
     """Repeated curves, amplitudes and zero drawn anew: 95 % intervals of rms and peak to peak hold 95 % of them.
 
-    200 curves: 0.95 +- 4 sqrt(0.95 0.05/200) = 0.062; 256 draws move a quantile by 0.013 more.
+    150 curves: 0.95 +- 4 sqrt(0.95 0.05/150) = 0.071; 256 draws move a quantile by 0.013 more.
     """
     order, truth = unit({3: 2.0, 39: 5.0, 40: 6.0, 78: 3.0})
-    sd, angle_sd, n = 0.3 * arcsec, 0.002, 200
+    sd, angle_sd, n = 0.3 * arcsec, 0.002, 150
     rng = np.random.default_rng(3)
     noise = rng.standard_normal((2, n, 4)) + 1j * rng.standard_normal((2, n, 4))
     hits = np.zeros(2)
@@ -207,7 +210,7 @@ def test_prediction_holds_at_another_temperature():
         swing = np.ptp((left.value @ grid).real)
         pairs = ((left.rms, expected.rms), (swing, expected.peak_to_peak))
         hits += [interval.lower <= seen <= interval.upper for seen, interval in pairs]
-    assert (np.abs(hits / n - 0.95) < 0.075).all(), hits / n
+    assert (np.abs(hits / n - 0.95) < 0.085).all(), hits / n
 
 
 CURVE = correction(*unit({3: 2.0, 40: 4.0, 81: 3.0}), ratio=RATIO)

@@ -18,8 +18,8 @@ from rvjax.tolerances.propagation.responses import evaluate, per_response
 UnitResponse = Callable[[dict[str, Any], dict[str, Any]], Any]
 """(parts {slot: errors}, index {slot: int}) -> scalar or Outcome."""
 
-BLOCK = 4096
-"""Units at once, at most."""
+BLOCKS = 64, 4096
+"""Units at once: few or many, so that a response is compiled twice at most."""
 
 MOST = 2**24
 """Combinations whose costs are kept side by side: beyond, sort some slot first."""
@@ -117,7 +117,7 @@ class Machine:
             draw: number of the draw (lanes,).
         """
         lanes = len(place)
-        block = min(BLOCK, 1 << max(0, lanes - 1).bit_length())
+        block = BLOCKS[lanes > BLOCKS[0]]
         found = np.empty(lanes)
         for start in range(0, lanes, block):
             chosen = np.minimum(np.arange(start, start + block), lanes - 1)

@@ -215,6 +215,8 @@ def known(kind: Kind, slot: str) -> Known:
             ]
         except ValueError:
             raise ValueError(f"{slot}: {name} has other shapes in other parts") from None
+        if tolerance is None and np.isinf(spread).any():
+            raise ValueError(f"{slot}: {name} was not measured (sd = inf), and no population says what it may be")
         values.append(stacked if np.iscomplexobj(stacked) else stacked.astype(float))
         spreads.append(np.stack(spread))
         tolerances.append(tolerance)

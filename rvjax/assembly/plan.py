@@ -247,8 +247,12 @@ def _certified(
     turn = machine.indices[found.index[tuple(place.T)]]
     drawn = draw(slots, seed, 1, fresh, alike=False)
     units = len(build)
-    lanes = np.repeat(np.arange(units), fresh), np.tile(np.arange(fresh), units)
-    values = machine.values(drawn, place[lanes[0]], turn[lanes[0]], lanes[1]).reshape(units, fresh)
+    if fresh == 1:  # all is known: the costs that chose are the values
+        own = found.mean[tuple(place.T)]
+        values = np.where(np.isinf(own), np.nan, own)[:, None]
+    else:
+        lanes = np.repeat(np.arange(units), fresh), np.tile(np.arange(fresh), units)
+        values = machine.values(drawn, place[lanes[0]], turn[lanes[0]], lanes[1]).reshape(units, fresh)
     random, random_good = _random(machine, supply, found, drawn, requirement, seed, fresh)
     failed = np.isnan(values).any(axis=1)
     expected = np.where(failed, np.inf, values.mean(axis=1))
@@ -285,7 +289,7 @@ def _random(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Mean response and share of good units of random assembly, for every fresh draw."""
     weight = supply.weight()
-    if fresh == 1:  # all is known: the costs that chose are the values
+    if fresh == 1:
         every = np.nan_to_num(found.every_mean)
         succeeds = weight * np.isfinite(found.every_mean)
         mean = (succeeds * every).sum() / succeeds.sum() if succeeds.any() else np.nan

@@ -5,16 +5,19 @@ import io
 import json
 import math
 import shutil
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from rvjax import plotting
 from rvjax.assembly import Plan
 from rvjax.mounting import disc_mountings, drawing
 from rvjax.report.text import filled, plain, table, versions, write_table
 from rvjax.study import Study
 from rvjax.study.assembly import REST, Bench, unit_values
+from rvjax.study.prices import Price
 from rvjax.tolerances import Estimate
 
 
@@ -101,7 +104,20 @@ def position(design: Any, slot: str, index: int) -> str:
     return ", ".join(words) or "as drawn"
 
 
-def write(plan: Plan, bench: Bench, study: Study, source: str, folder: Path) -> Path:
+def price_text(prices: Sequence[Price]) -> str:
+    """Tighter tolerances or matching, as text; empty without prices.
+
+    Args:
+        prices: by yield.
+    """
+    if not prices:
+        return ""
+    headers = ["yield", "cost, random", "opened by", "cost, matched", "allocation"]
+    rows = [[f"{100 * p.share:g} %", f"{p.alone:.3f}", f"{p.factor:.2f}", f"{p.matched:.3f}", p.status] for p in prices]
+    return "\n" + table(headers, rows)
+
+
+def write(plan: Plan, bench: Bench, study: Study, source: str, folder: Path, prices: Sequence[Price] = ()) -> Path:
     """Write list, summary, JSON, study, parts and pictures into a new folder.
 
     Args:
@@ -110,25 +126,33 @@ def write(plan: Plan, bench: Bench, study: Study, source: str, folder: Path) -> 
         study: question.
         source: file of the parts.
         folder: that is wanted.
+        prices: of tolerances alone and with matching.
     """
 
     def fill(scratch: Path) -> None:
         (scratch / "study.toml").write_text(study.text, "utf-8")
         shutil.copyfile(source, scratch / "parts.csv")
-        (scratch / "summary.txt").write_text(summary(plan, bench, study) + "\n", "utf-8")
+        (scratch / "summary.txt").write_text(summary(plan, bench, study) + "\n" + price_text(prices), "utf-8")
         write_table(scratch / "build.csv", *build_rows(plan, bench, study))
         found = {f.name: getattr(plan, f.name) for f in dataclasses.fields(plan)}
-        about = {"study": study.name, "response": bench.name, "seed": study.seed, "versions": versions()}
-        text = json.dumps(plain(about | {"requirement": bench.requirement} | found), indent=1, allow_nan=False)
+        about: dict[str, Any] = {"study": study.name, "response": bench.name, "seed": study.seed}
+        about["versions"] = versions()
+        text = json.dumps(
+            plain(about | {"requirement": bench.requirement, "prices": prices} | found), indent=1, allow_nan=False
+        )
         (scratch / "result.json").write_text(text, "utf-8")
         (scratch / "units.png").write_bytes(_picture(plan, bench, study))
+        if prices:
+            with plotting.style():
+                axes = plotting.assembly.price_of_accuracy(
+                    [p.share for p in prices], [p.alone for p in prices], [p.matched for p in prices]
+                )
+                (scratch / "prices.png").write_bytes(png(axes))
 
     return filled(folder, fill)
 
 
 def _picture(plan: Plan, bench: Bench, study: Study) -> bytes:
-    from rvjax import plotting
-
     with plotting.style():
         return png(
             plotting.assembly.units(

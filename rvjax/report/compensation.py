@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from rvjax import plotting
 from rvjax.compensation import Correction, Table, export, predicted, residual
 from rvjax.compensation import table as table_of
 from rvjax.compensation.files import FORMS
@@ -143,7 +144,6 @@ def write(found: Corrections, tables: Sequence[Table], study: Study, source: str
         source: file of the curves.
         folder: that is wanted.
     """
-    from rvjax import plotting
 
     def fill(scratch: Path) -> None:
         (scratch / "study.toml").write_text(study.text, "utf-8")
