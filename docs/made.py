@@ -11,7 +11,19 @@ import numpy as np
 from scipy import special
 
 import rvjax
-from rvjax import catalogue, dynamics, four_bar, levels, loaded, lost_motion, models, plotting, published, units
+from rvjax import (
+    catalogue,
+    compensation,
+    dynamics,
+    four_bar,
+    levels,
+    loaded,
+    lost_motion,
+    models,
+    plotting,
+    published,
+    units,
+)
 from rvjax.designs import Contact, Stiffness
 from rvjax.errors import CamRollerErrors, RVErrors
 from rvjax.levels import table
@@ -292,7 +304,59 @@ def _coverage_intervals():
     return _table(["law, method", *names], rows)
 
 
+@cache
+def _assembly():
+    return json.loads((Path(__file__).parent.parent / "benchmarks" / "assembly.json").read_text())
+
+
+def _assembly_gauge():
+    kept = _assembly()["gauge"]
+    names = ["promised", "came true", "error of the difference", "unshrunk promise"]
+    rows = [[f"{sd:g}", *(f"{100 * kept[name][k]:.1f} %" for name in names)] for k, sd in enumerate(kept["sd"])]
+    headers = [
+        "measurement sd",
+        "promised",
+        "came true",
+        "standard error of the difference",
+        "promised without population",
+    ]
+    return _table(headers, rows)
+
+
+def _assembly_levers():
+    kept = _assembly()["levers"]
+    rows = [
+        [
+            name,
+            f"{100 * share:.0f} % ± {100 * kept['standard error'][name]:.0f}",
+            f"{kept['mean, arcsec'][name]:.2f} arcsec",
+        ]
+        for name, share in kept["good units"].items()
+    ]
+    return _table(["chosen", f"units within {kept['limit, arcsec']:.1f} arcsec", "mean peak to peak"], rows)
+
+
+def _gauge_picture(axes):
+    kept = _assembly()["gauge"]
+    return plotting.assembly.gain_against_gauge(
+        kept["sd"], kept["promised"], kept["came true"], chance=1.0, known=kept["came true"][0], axes=axes
+    )
+
+
+def _correction_picture(axes):
+    """A curve after the measured amplitudes of an RV reducer at 1.2 kN m, its correction from a noisy measurement."""
+    order, rng = np.array([3, 39, 40, 78, 81]), np.random.default_rng(0)
+    value = np.array([3.14, 4.83, 2.74, 4.56, 1.25]) * arcsec * np.exp(1j * np.arange(5))
+    angle = np.linspace(0, 2 * np.pi, 1440)
+    error = np.real(np.exp(1j * np.outer(angle, order)) @ value) + 0.3 * arcsec * rng.standard_normal(angle.size)
+    seen = value + 0.3 * arcsec * (rng.standard_normal(5) + 1j * rng.standard_normal(5))
+    found = compensation.correction(order, seen, ratio=81, sd=0.3 * arcsec, angle_sd=60 * arcsec)
+    return plotting.compensation.before_and_after(angle, error, found, axes=axes)
+
+
 TEXTS = {
+    "assembly_gauge": _assembly_gauge,
+    "assembly_levers": _assembly_levers,
     "conditions": _conditions,
     "coverage_intervals": _coverage_intervals,
     "coverage_rare": _coverage_rare,
@@ -305,6 +369,8 @@ TEXTS = {
     "units": _units,
 }
 PICTURES = {
+    "assembly_gauge": (_gauge_picture, (7, 4.2)),
+    "correction": (_correction_picture, (7, 4.2)),
     "reducer": (lambda axes: drawings.reducer(catalogue.RV_40E, axes=axes), (7, 7.4)),
     "linkage": (lambda axes: drawings.linkage(catalogue.RV_40E, axes=axes), (7, 5.2)),
     "turn": (_turn, (7, 4.2)),

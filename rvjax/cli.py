@@ -80,6 +80,7 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
     run: dict[str, Any] = dict(init=_init, check=_check, allocate=_allocate, report=_report, montecarlo=_montecarlo)
     run |= dict(reproduce=_reproduce, tradeoff=_tradeoff)
+    run |= dict(assemble=_assemble, compensate=_compensate)
     types: dict[str, Any] = {"count": _count, "int": int}
     for name, command in about["command"].items():
         options = command.pop("options")
@@ -276,4 +277,64 @@ def _tradeoff(options: argparse.Namespace) -> int:
     if options.picture:
         plotting.tradeoff(table).savefig(options.picture)
     print(f"\n{time.perf_counter() - started:.1f} s, compilation included")
+    return EXIT_OK
+
+
+def _assemble(options: argparse.Namespace) -> int:
+    from rvjax import assembly, study
+    from rvjax.report import assembly as written
+    from rvjax.report import text
+    from rvjax.study.assembly import bench
+    from rvjax.study.prices import prices
+    from rvjax.tolerances.atomic import check_writable
+
+    question = study.load(options.study)
+    folder = text.results_folder(options.results, f"{question.name}-assembly")
+    check_writable(folder)
+    parts = bench(question, options.parts)
+    asked = question.assembly
+    found = assembly.plan(
+        parts.response,
+        parts.kinds,
+        objective=asked.objective,
+        requirement=parts.requirement,
+        draws=asked.draws,
+        certificate_draws=asked.certificate_draws,
+        seed=question.seed,
+    )
+    _say(written.summary(found, parts, question))
+    costs = prices(question, parts) if options.prices else []
+    _say(written.price_text(costs))
+    folder = written.write(found, parts, question, options.parts, folder, costs)
+    _say(f"\nResults: {folder}")
+    return EXIT_OK if found.status != "INFEASIBLE" else EXIT_NO_ANSWER
+
+
+def _compensate(options: argparse.Namespace) -> int:
+    from rvjax import study
+    from rvjax.report import compensation as written
+    from rvjax.report import text
+    from rvjax.study.compensation import corrections
+    from rvjax.study.values import quantity
+    from rvjax.tolerances.atomic import check_writable
+
+    if options.export is not None:
+        written.check_export(options.export)
+    question = study.load(options.study)
+    folder = text.results_folder(options.results, f"{question.name}-compensation")
+    check_writable(folder)
+    found = corrections(
+        question,
+        options.data,
+        angle_sd=quantity(options.angle_sd, "rad", "--angle-sd"),
+        count=options.count,
+        first_order=options.first_order,
+    )
+    points = options.points or written.POINTS
+    _say(written.summary(found, question, seed=question.seed))
+    tables = written.tables(found, points, options.side)
+    folder = written.write(found, tables, question, options.data, folder)
+    for path in written.export_all(found, tables, options.export, question.seed) if options.export else ():
+        _say(f"Table: {path}")
+    _say(f"\nResults: {folder}")
     return EXIT_OK

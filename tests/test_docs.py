@@ -64,13 +64,15 @@ def test_every_key_of_a_study_is_explained():
     keys += ["cost", "per", "seed", "samples", "certificate_samples"]
     for key in keys:
         assert f"`{key}`" in text, key
-    for table in ("accuracy", "conditions", "cost", "design", "requirement", "run", "tolerances"):
+    for table in ("accuracy", "assembly", "conditions", "cost", "design", "requirement", "run", "tolerances"):
         assert f"## `[{table}" in text, table
 
 
 def test_the_commands_of_the_docs_exist(capsys):
     text = "".join((DOCS / page).read_text("utf-8") for page in PAGES)
-    for command in sorted(set(re.findall(r"rvjax (allocate|report|montecarlo|reproduce|tradeoff|[a-z]+ --)", text))):
+    for command in sorted(
+        set(re.findall(r"rvjax (allocate|report|montecarlo|reproduce|tradeoff|assemble|compensate|[a-z]+ --)", text))
+    ):
         assert cli.main([command, "--help"]) == 0
     assert "examples:" in capsys.readouterr().out
 

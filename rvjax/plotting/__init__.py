@@ -1,6 +1,6 @@
 """Pictures: functions that take numbers and results in SI and return Axes. The models never import this package."""
 
-from rvjax.plotting import dynamics, four_bar, loaded, mesh_force
+from rvjax.plotting import assembly, compensation, dynamics, four_bar, loaded, mesh_force
 from rvjax.plotting.allocation import cost_bars
 from rvjax.plotting.batches import batch_histograms, rejects_against_limit
 from rvjax.plotting.lost_motion import contributions, torque_angle_loop
@@ -16,7 +16,9 @@ from rvjax.plotting.style import new_axes, style, use_style, words
 from rvjax.plotting.tradeoff import pareto, tradeoff
 
 __all__ = [
+    "assembly",
     "batch_histograms",
+    "compensation",
     "contributions",
     "cost_against_limit",
     "cost_against_yield",

@@ -8,7 +8,7 @@ import math
 import shutil
 import sys
 import tempfile
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -257,9 +257,8 @@ def write(answer: Answer, folder: Path) -> Path:
     Returns:
         The folder.
     """
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    scratch = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
-    try:
+
+    def fill(scratch: Path) -> None:
         (scratch / "study.toml").write_text(answer.study.text, "utf-8")
         (scratch / "summary.txt").write_text(summary(answer) + "\n", "utf-8")
         (scratch / "result.json").write_text(json.dumps(as_json(answer), indent=1, allow_nan=False), "utf-8")
@@ -268,11 +267,39 @@ def write(answer: Answer, folder: Path) -> Path:
             ("influence", influence_rows),
             ("requirements", requirement_rows),
         ):
-            headers, cells = rows(answer)
-            with (scratch / f"{name}.csv").open("w", encoding="utf-8", newline="") as file:
-                csv.writer(file, lineterminator="\n").writerows([headers, *cells])
+            write_table(scratch / f"{name}.csv", *rows(answer))
         for picture in pictures(answer):
             (scratch / f"{picture.name}.png").write_bytes(picture.content)
+
+    return filled(folder, fill)
+
+
+def write_table(path: Path, headers: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
+    """Write a table as CSV.
+
+    Args:
+        path: of the file.
+        headers: of the columns.
+        rows: cells.
+    """
+    with path.open("w", encoding="utf-8", newline="") as file:
+        csv.writer(file, lineterminator="\n").writerows([headers, *rows])
+
+
+def filled(folder: Path, fill: Callable[[Path], None]) -> Path:
+    """Make a folder with all its files, or nothing.
+
+    Args:
+        folder: that is wanted; where another run has taken it meanwhile, the next free number.
+        fill: writes the files into a folder beside it.
+
+    Returns:
+        The folder.
+    """
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    scratch = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
+    try:
+        fill(scratch)
         scratch.chmod(0o755)  # mkdtemp makes it private
         made = new_folder(folder)
         scratch.rename(made)  # onto an empty folder of its own
@@ -284,8 +311,6 @@ def write(answer: Answer, folder: Path) -> Path:
 
 def as_json(answer: Answer) -> dict[str, Any]:
     """Everything about an answer except single units, with seed and versions, as JSON values; SI."""
-    import jax
-
     study, allocation = answer.study, answer.allocation
     graded = allocation.graded
     found = {
@@ -294,7 +319,7 @@ def as_json(answer: Answer) -> dict[str, Any]:
         "feasible": allocation.feasible,
         "seed": study.seed,
         "samples": study.samples,
-        "versions": {"rvjax": rvjax.__version__, "jax": jax.__version__, "python": sys.version.split()[0]},
+        "versions": versions(),
         "conditions": dataclasses.asdict(study.conditions),
         "cost": {"before": allocation.start_cost, "after": allocation.cost},
         "tolerances": {
@@ -316,6 +341,13 @@ def as_json(answer: Answer) -> dict[str, Any]:
         "cost_curve": answer.cost_curve,
     }
     return plain(found)
+
+
+def versions() -> dict[str, str]:
+    """Versions that made a result."""
+    import jax
+
+    return {"rvjax": rvjax.__version__, "jax": jax.__version__, "python": sys.version.split()[0]}
 
 
 def plain(value: Any) -> Any:

@@ -8,6 +8,7 @@ from typing import Any
 from rvjax import catalogue, models
 from rvjax.levels.choice import Choice, choose
 from rvjax.outputs import Curve, Output
+from rvjax.study.matching import Assembly
 from rvjax.study.plausible import doubts
 from rvjax.study.response import Response
 from rvjax.tolerances import Middle
@@ -32,6 +33,7 @@ class Study:
         joint_target: share of units that must meet all requirements at once; None: each has a target of its own.
         accuracy: largest error of computation allowed, by response name; without one the conditions decide.
         middles: ranges in which the limits of an error may move as a whole, by name.
+        assembly: how measured parts are matched.
     """
 
     name: str
@@ -47,10 +49,17 @@ class Study:
     joint_target: float | None = None
     accuracy: dict[str, float] = dataclasses.field(default_factory=dict)
     middles: dict[str, Middle] = dataclasses.field(default_factory=dict)
+    assembly: Assembly = dataclasses.field(default_factory=lambda: Assembly())
 
     def response(self) -> Response:
         """errors -> Outcome of the responses that the requirements name."""
         return Response.of(self.design, tuple(self.requirements), self.conditions, self.choices())
+
+    def response_of(self, name: str) -> Response:
+        """errors -> Outcome of one response that the requirements name."""
+        return Response.of(
+            self.design, (name,), self.conditions, {k: c for k, c in self.choices().items() if k == name}
+        )
 
     def choices(self) -> dict[str, Choice]:
         """The level of each response with an accuracy, for tolerances as wide as the costs let them become."""

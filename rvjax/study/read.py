@@ -10,6 +10,7 @@ from typing import Any
 from rvjax import models
 from rvjax.outputs import Output
 from rvjax.records import remind_of_precision
+from rvjax.study.assembly import parse_assembly
 from rvjax.study.design import parse_design
 from rvjax.study.plausible import refuse_impossible
 from rvjax.study.question import Study, StudyError
@@ -21,6 +22,7 @@ from rvjax.tolerances.allocation.middles import check_middles
 from rvjax.tolerances.distribution.tolerance import COMMON, LAWS
 from rvjax.tolerances.propagation.requirements import KINDS
 
+TABLES = ("accuracy", "assembly", "conditions", "cost", "design", "middle", "requirement", "run", "tolerances")
 COSTS: dict[str, Any] = {"reciprocal_power": ReciprocalPower, "exponential": Exponential}
 EMBEDDED = resources.files("rvjax.study") / "embedded"
 
@@ -74,7 +76,7 @@ def parse_study(text: str, *, name: str, folder: Path = Path(), solve: bool = Tr
             tables = tomllib.loads(text)
         except (tomllib.TOMLDecodeError, RecursionError) as error:
             raise ValueError(f"not valid TOML: {error}") from None
-        known(tables, {"accuracy", "conditions", "cost", "design", "middle", "requirement", "run", "tolerances"}, "")
+        known(tables, TABLES, "")
         for key in ("design", "tolerances", "requirement"):
             if not subtable(tables, key):
                 raise ValueError(f"[{key}] is missing or empty")
@@ -96,6 +98,7 @@ def parse_study(text: str, *, name: str, folder: Path = Path(), solve: bool = Tr
             requirements=requirements,
             accuracy=_accuracy(kind.outputs, requirements, subtable(tables, "accuracy")),
             middles=_middles(error_record, tolerances, subtable(tables, "middle")),
+            assembly=parse_assembly(subtable(tables, "assembly"), design, requirements),
             seed=integer(run.get("seed", 0), "run.seed", 0, 2**32 - 1),
             samples=integer(run.get("samples", 16384), "run.samples", FEWEST, 2**32),
             certificate_samples=integer(

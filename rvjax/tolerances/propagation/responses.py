@@ -26,7 +26,7 @@ PLAIN = ""
 PROGRAMS = 32
 """Plain functions whose programs are kept, the latest ones."""
 
-Response = Callable[[Any], Any]
+Response = Callable[..., Any]
 Values = dict[str, jax.Array]
 
 

@@ -1,0 +1,11 @@
+"""Assembly: which measured part goes with which, and in which angular position. Knows no gears.
+
+Parts + measurement uncertainty --believed--> what is known --plan--> build list --fresh draws--> what it gains
+"""
+
+from rvjax.assembly.belief import believed
+from rvjax.assembly.opening import Opening, opening
+from rvjax.assembly.parts import Kind, Part
+from rvjax.assembly.plan import Plan, plan
+
+__all__ = ["Kind", "Opening", "Part", "Plan", "believed", "opening", "plan"]

@@ -1,0 +1,235 @@
+"""The response of many combinations of parts: one compiled program, blocks of one size, whoever asks."""
+
+import dataclasses
+import itertools
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rvjax.assembly.parts import Known
+from rvjax.status import succeeded
+from rvjax.tolerances import Requirement
+from rvjax.tolerances.propagation.responses import evaluate, per_response
+
+UnitResponse = Callable[[dict[str, Any], dict[str, Any]], Any]
+"""(parts {slot: errors}, index {slot: int}) -> scalar or Outcome."""
+
+BLOCKS = 64, 4096
+"""Units at once: few or many, so that a response is compiled twice at most."""
+
+MOST = 2**24
+"""Combinations whose costs are kept side by side: beyond, sort some slot first."""
+
+
+@per_response(static=("counts", "at"))
+def respond(
+    response: UnitResponse,
+    leaves: Mapping[str, Sequence[jax.Array]],
+    index: Mapping[str, jax.Array],
+    structures: "Structures",
+    *,
+    counts: tuple[int, ...],
+    at: tuple[int, ...] | None,
+) -> jax.Array:
+    """Responses (lanes,), nan where a unit failed.
+
+    Args:
+        response: (parts {slot: errors}, index {slot: int}) -> scalar or Outcome.
+        leaves: moving errors of each slot (lanes, *shape).
+        index: angular positions of each slot (lanes,).
+        structures: of the errors of each slot.
+        counts: angular positions that each slot has.
+        at: the same plain indices in all lanes, for a response that cannot take traced ones; None: those in `index`.
+    """
+
+    def one(leaves: Mapping[str, Sequence[jax.Array]], index: Mapping[str, jax.Array]) -> jax.Array:
+        parts = {slot: known.assembled(leaves[slot]) for slot, known in structures.of.items()}
+        if at is not None:
+            turned: dict[str, Any] = dict(zip(structures.of, at))
+        else:
+            turned = {s: _weak(index[s], count) for s, count in zip(structures.of, counts)}
+        values, status = evaluate(lambda _: response(parts, turned), None)
+        if len(values) != 1:
+            raise ValueError(f"response: must be one number, it has {', '.join(values)}")
+        (value,) = values.values()
+        return jnp.where(succeeded(status), value, jnp.nan)
+
+    return jax.vmap(one)(leaves, index)
+
+
+def _weak(index: jax.Array, count: int) -> Any:
+    """An index that is as good as a plain integer: beside a number of any kind it takes that kind."""
+    return sum(jnp.where(index == k, k, 0) for k in range(1, count)) if count > 1 else 0
+
+
+@jax.tree_util.register_static
+@dataclasses.dataclass(frozen=True)
+class Shape:
+    """Structure of the errors of one part, without numbers."""
+
+    structure: Any
+    still: frozenset[int]
+
+    def assembled(self, leaves: Sequence[Any]) -> Any:
+        """Errors of one part from its moving leaves."""
+        moving = iter(leaves)
+        count = len(leaves) + len(self.still)
+        return self.structure.unflatten([0.0 if k in self.still else next(moving) for k in range(count)])
+
+
+@jax.tree_util.register_static
+@dataclasses.dataclass(frozen=True)
+class Structures:
+    """Shapes of all slots, in order; hashable, part of the program's key."""
+
+    pairs: tuple[tuple[str, Shape], ...]
+
+    @property
+    def of(self) -> dict[str, Shape]:
+        """By slot."""
+        return dict(self.pairs)
+
+
+class Machine:
+    """A response and the parts of its slots, ready to value any units."""
+
+    def __init__(self, response: UnitResponse, slots: Mapping[str, Known]) -> None:
+        """Slots in the order in which combinations name their parts."""
+        self.response, self.slots = response, dict(slots)
+        self.counts = tuple(known.kind.indices for known in slots.values())
+        self.indices = np.array(list(itertools.product(*map(range, self.counts))), np.int32)
+        self._structures = Structures(tuple((s, Shape(k.structure, k.still)) for s, k in slots.items()))
+        self._traced: bool | None = None
+
+    def values(
+        self, drawn: Mapping[str, list[np.ndarray]], place: np.ndarray, index: np.ndarray, draw: np.ndarray
+    ) -> np.ndarray:
+        """Responses (lanes,), nan where a unit failed.
+
+        Args:
+            drawn: errors of each slot by leaf (parts, draws, *shape).
+            place: part of each slot (lanes, slots).
+            index: angular position of each slot (lanes, slots).
+            draw: number of the draw (lanes,).
+        """
+        lanes = len(place)
+        block = BLOCKS[lanes > BLOCKS[0]]
+        found = np.empty(lanes)
+        for start in range(0, lanes, block):
+            chosen = np.minimum(np.arange(start, start + block), lanes - 1)
+            leaves = {
+                slot: [leaf[place[chosen, k], draw[chosen]] for leaf in drawn[slot]]
+                for k, slot in enumerate(self.slots)
+            }
+            found[start : start + block] = self._block(leaves, index[chosen])[: lanes - start]
+        return found
+
+    def _block(self, leaves: dict[str, list[np.ndarray]], index: np.ndarray) -> np.ndarray:
+        by_slot = {slot: index[:, k] for k, slot in enumerate(self.slots)}
+
+        def run(at: tuple[int, ...] | None) -> np.ndarray:
+            return np.asarray(respond(self.response, leaves, by_slot, self._structures, counts=self.counts, at=at))
+
+        if len(self.indices) == 1:
+            return run(tuple(0 for _ in self.counts))
+        if self._traced is not False:
+            try:
+                found = run(None)
+            except TypeError:  # an index that has to be a plain integer: one program for each
+                if self._traced:
+                    raise
+                self._traced = False
+            else:
+                self._traced = True
+                return found
+        found = np.empty(len(index))
+        for at in np.unique(index, axis=0):
+            here = (index == at).all(axis=1)
+            found[here] = run(tuple(at.tolist()))[here]
+        return found
+
+
+@dataclasses.dataclass(frozen=True)
+class Costs:
+    """What every combination of parts costs in its best angular position.
+
+    Attributes:
+        mean: expected response, inf where it fails (parts of slot 0, parts of slot 1, ...).
+        outside: share of draws in which the unit is no good, of the same shape; None without a requirement.
+        index: number of the best position, of the same shape.
+        every_mean: expected response over all positions, failed ones left out, nan where all fail.
+        every_good: share of good units over all positions; None without a requirement.
+        level: all combinations cost the same in all positions.
+    """
+
+    mean: np.ndarray
+    outside: np.ndarray | None
+    index: np.ndarray
+    every_mean: np.ndarray
+    every_good: np.ndarray | None
+    level: bool
+
+
+def costs(
+    machine: Machine, drawn: Mapping[str, list[np.ndarray]], draws: int, requirement: Requirement | None, by_yield: bool
+) -> Costs:
+    """Value all combinations of parts in all positions on the same draws.
+
+    Args:
+        machine: response and parts.
+        drawn: errors of each slot.
+        draws: their count.
+        requirement: limits of a good unit, or None.
+        by_yield: the best position is that of the most good units, else that of the least mean.
+
+    Raises:
+        ValueError: more combinations than fit side by side.
+    """
+    shape = tuple(len(known.order) for known in machine.slots.values())
+    total = math.prod(shape)
+    if total > MOST:
+        raise ValueError(
+            f"kinds: {' x '.join(map(str, shape))} combinations are more than {MOST}; plan fewer slots at once"
+        )
+    turns = len(machine.indices)
+    mean, outside = np.empty((total, turns)), np.empty((total, turns))
+    at_once = max(1, (1 << 20) // (turns * draws))
+    for start in range(0, total, at_once):
+        cells = np.arange(start, min(start + at_once, total))
+        cell, turn, draw = (x.ravel() for x in np.meshgrid(cells, np.arange(turns), np.arange(draws), indexing="ij"))
+        place = np.stack(np.unravel_index(cell, shape), axis=1)
+        values = machine.values(drawn, place, machine.indices[turn], draw).reshape(len(cells), turns, draws)
+        mean[cells] = np.where(np.isnan(values).any(axis=2), np.inf, values.mean(axis=2))
+        outside[cells] = 1 - good(values, requirement).mean(axis=2)
+    finite = np.isfinite(mean)
+    # by yield: the fewest bad draws first, then the least mean
+    best = np.lexsort((mean, outside), axis=1)[:, 0] if by_yield else mean.argmin(axis=1)
+    rows = np.arange(total)
+    with np.errstate(invalid="ignore"):
+        every = np.where(finite, mean, 0).sum(axis=1) / finite.sum(axis=1)
+    size = np.abs(mean[finite]).max(initial=0.0)
+    level = bool(finite.all() and np.ptp(mean) <= 1e-12 * size and np.ptp(outside) == 0)
+    return Costs(
+        mean=mean[rows, best].reshape(shape),
+        outside=None if requirement is None else outside[rows, best].reshape(shape),
+        index=best.reshape(shape),
+        every_mean=every.reshape(shape),
+        every_good=None if requirement is None else (1 - outside.mean(axis=1)).reshape(shape),
+        level=level,
+    )
+
+
+def good(values: np.ndarray, requirement: Requirement | None) -> np.ndarray:
+    """Whether units keep the limits; failed ones do not.
+
+    Args:
+        values: responses, nan where a unit failed.
+        requirement: limits, None for none.
+    """
+    if requirement is None:
+        return np.isfinite(values)
+    return (values >= requirement.lower) & (values <= requirement.upper)

@@ -1,0 +1,178 @@
+"""How far tolerances could be opened if parts were matched: the yield of random assembly, from cheaper parts."""
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rvjax.assembly.costs import Machine, UnitResponse, costs, good
+from rvjax.assembly.parts import Kind, Part, at_path, known
+from rvjax.assembly.plan import chosen, draw, supply_of
+from rvjax.tolerances import Requirement, Tolerance
+
+WIDEST = 64.0
+"""Factor at which the search ends."""
+
+DRAWS = 16  # of what is not known of a part
+STEPS = 8  # bisections of the factor
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Opening:
+    """How far tolerances could be opened.
+
+    Attributes:
+        factor: on all half-widths, at least 1; `WIDEST` where matching still keeps the yield there.
+        curve: factors tried, ascending, with the yield of plans and of random assembly (tried, 3).
+        target: yield of random assembly at factor 1, which plans keep up to `factor`.
+    """
+
+    factor: float
+    curve: np.ndarray
+    target: float
+
+    def opened(self, tolerances: Any) -> Any:
+        """The same structure with every half-width times the factor, as `allocate` takes it."""
+        return _widened(tolerances, self.factor)
+
+
+def opening(
+    response: UnitResponse,
+    kinds: Mapping[str, Kind],
+    tolerances: Any,
+    *,
+    requirement: Requirement,
+    sets: int = 64,
+    seed: int = 0,
+) -> Opening:
+    """The largest factor on all half-widths at which plans keep the yield of random assembly.
+
+    Sets of virtual parts as many as there are, drawn with the same random numbers at every factor, measured with the
+    standard deviations of the parts, planned for the most good units, and valued with their true errors. Errors
+    without a tolerance stay as they are.
+
+    Args:
+        response: as for `plan`.
+        kinds: numbers of parts, their indices, stocks and measurement uncertainties.
+        tolerances: at factor 1: {slot: structure}, or one structure for all slots.
+        requirement: limits of a good unit.
+        sets: of virtual parts.
+        seed: of the random numbers.
+
+    Raises:
+        ValueError: no tolerance for any error, fewer than one set, or as for `plan`.
+    """
+    if sets < 1:
+        raise ValueError(f"sets = {sets!r}: must be at least 1")
+    if not isinstance(requirement, Requirement):
+        raise ValueError(f"requirement = {requirement!r}: must be a Requirement")
+    if len(kinds) < 2:
+        raise ValueError(f"kinds: {len(kinds)} slots, must be at least 2")
+    by_slot = isinstance(tolerances, dict) and set(kinds) <= set(tolerances)
+    stocks = {
+        id(kind): _Virtual(kind, tolerances[slot] if by_slot else tolerances, sets, seed, number)
+        for number, (slot, kind) in enumerate(kinds.items())
+    }
+    if not any(stock.moving for stock in stocks.values()):
+        raise ValueError("tolerances: none of the parts' errors has one")
+    tried: dict[float, tuple[float, float]] = {}
+
+    def yields(factor: float) -> float:
+        found = [_yields(response, kinds, stocks, requirement, factor, number, seed) for number in range(sets)]
+        matched, random = np.mean(found, axis=0)
+        tried[factor] = (float(matched), float(random))
+        return tried[factor][0]
+
+    best, worst = 1.0, 2.0
+    yields(best)
+    target = tried[best][1]
+    if tried[best][0] >= target:
+        while worst <= WIDEST and yields(worst) >= target:
+            best, worst = worst, 2 * worst
+        for _ in range(STEPS if worst <= WIDEST else 0):
+            middle = float(np.sqrt(best * worst))
+            best, worst = (middle, worst) if yields(middle) >= target else (best, middle)
+    return Opening(best, np.array([(k, *tried[k]) for k in sorted(tried)]), target)
+
+
+class _Virtual:
+    """Virtual parts of one stock: the random numbers are drawn once."""
+
+    def __init__(self, kind: Kind, tolerances: Any, sets: int, seed: int, number: int) -> None:
+        self.kind, self.tolerances = kind, getattr(tolerances, "tolerances", tolerances)
+        self.structure: Any
+        leaves, self.structure = jax.tree_util.tree_flatten_with_path(kind.parts[0].errors)
+        self.given = [[np.asarray(leaf) for leaf in jax.tree.leaves(part.errors)] for part in kind.parts]
+        self.sd = [[np.asarray(at_path(part.sd, path, 0.0), float) for path, _ in leaves] for part in kind.parts]
+        self.moving = {
+            place: found.replace(shape=self.given[0][place].shape)
+            for place, (path, _) in enumerate(leaves)
+            if isinstance(found := at_path(self.tolerances, path, None), Tolerance)
+        }
+        rng = np.random.default_rng([seed % 2**64, 4, number])
+        size = lambda place: (sets, 2, *self.given[0][place].shape, len(kind.parts))  # noqa: E731
+        self.z = {place: rng.standard_normal(size(place)) for place in self.moving}
+
+    def parts(self, factor: float, number: int) -> tuple[Kind, list[list[Any]]]:
+        """A set as it is measured, and its true errors by part and leaf."""
+        truth: list[list[Any]] = [list(own) for own in self.given]
+        seen: list[list[Any]] = [list(own) for own in self.given]
+        for place, tolerance in self.moving.items():
+            z, noise = self.z[place][number]
+            errors = np.moveaxis(np.asarray(_drawn(_widened(tolerance, factor), jnp.asarray(z)), float), -1, 0)
+            for k, error in enumerate(errors):
+                sd = np.where(np.isfinite(self.sd[k][place]), self.sd[k][place], 0.0)
+                truth[k][place], seen[k][place] = error, error + sd * noise[..., k]
+        parts = [Part(p.id, self.structure.unflatten(own), p.sd) for p, own in zip(self.kind.parts, seen)]
+        population = _widened(self.tolerances, factor)
+        return Kind(parts, indices=self.kind.indices, stock=self.kind.stock, population=population), truth
+
+
+@jax.jit
+def _drawn(tolerance: Tolerance, z: jax.Array) -> jax.Array:
+    return tolerance.deviate(z)
+
+
+def _widened(tolerances: Any, factor: float) -> Any:
+    """Every tolerance of a structure with its half-width times a factor."""
+
+    def wider(leaf: Any) -> Any:
+        return leaf.with_half_width(factor * float(leaf.half_width)) if isinstance(leaf, Tolerance) else leaf
+
+    return jax.tree.map(wider, tolerances, is_leaf=lambda leaf: leaf is None or isinstance(leaf, Tolerance))
+
+
+def _yields(
+    response: UnitResponse,
+    kinds: Mapping[str, Kind],
+    stocks: Mapping[int, _Virtual],
+    requirement: Requirement,
+    factor: float,
+    number: int,
+    seed: int,
+) -> tuple[float, float]:
+    """Share of good units of the plan, and of all combinations, of one set of true parts."""
+    made = {key: stock.parts(factor, number) for key, stock in stocks.items()}
+    by_kind = {key: known(kind, "kinds") for key, (kind, _) in made.items()}
+    slots = {slot: by_kind[id(kind)] for slot, kind in kinds.items()}
+    machine, supply = Machine(response, slots), supply_of(slots)
+    true = {}
+    for slot, kind in kinds.items():
+        one, truth = slots[slot], made[id(kind)][1]
+        moving = [place for place in range(len(truth[0])) if place not in one.still]
+        true[slot] = [np.stack([truth[k][place] for k in one.order])[:, None] for place in moving]
+    known_at = costs(machine, true, 1, requirement, True)
+    weight = supply.weight()
+    assert known_at.every_good is not None
+    random = float((weight * known_at.every_good).sum() / weight.sum())
+    draws = 1 if all(one.certain for one in slots.values()) else DRAWS
+    seen = known_at
+    if draws > 1:
+        seen = costs(machine, draw(slots, seed, 0, draws, alike=True), draws, requirement, True)
+    build = np.array(chosen(seen, supply, "yield", 4, np.random.default_rng([seed % 2**64, 5, number]))[0])
+    turn = machine.indices[seen.index[tuple(build.T)]]
+    values = machine.values(true, build, turn, np.zeros(len(build), int))
+    return float(good(values, requirement).mean()), random

@@ -1,0 +1,335 @@
+"""A plan: what to build from measured parts, what it gains on draws that did not choose it, what none can beat."""
+
+import dataclasses
+import zlib
+from collections.abc import Hashable, Mapping
+
+import numpy as np
+
+from rvjax.assembly.choice import CLOSE, Build, Supply, least_largest, least_sum
+from rvjax.assembly.costs import Costs, Machine, UnitResponse, costs, good
+from rvjax.assembly.parts import Kind, Known, known
+from rvjax.tolerances import Estimate, Requirement
+
+OBJECTIVES = ("mean", "bottleneck", "yield")
+
+MOST_FRESH = 2**21
+"""Units of random assembly on fresh draws: all combinations where they are no more, else a random part of them."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Plan:
+    """What to build and what it gains.
+
+    `values`, `objective`, `random`, `gain` and both yields come from fresh draws of what is not known of the parts;
+    `lower_bound` and `gap` judge the choice, on the draws that chose.
+
+    Attributes:
+        build: the part of each slot, for every unit: ({slot: id}, ...).
+        index: angular position of each part, for every unit: ({slot: int}, ...).
+        values: expected response of each unit (n,), inf where it fails.
+        objective: their mean or the largest of them; for "yield" the expected share of good units.
+        lower_bound: no plan has a lower objective; for "yield" none has a higher share.
+        gap: (objective - bound)/|objective| of the choice, 0 where it is proved optimal.
+        status: "OPTIMAL", "BOUNDED" or "INFEASIBLE".
+        left_over: pieces that no unit takes: {slot: (id, ...)}.
+        random: mean response of all combinations in all positions; those that fail are left out.
+        gain: random less the mean response of the plan.
+        yield_: share of good units; None without a requirement.
+        random_yield: of all combinations in all positions; None without a requirement.
+        failing: units that fail; more than none only where every complete plan has as many.
+    """
+
+    build: tuple[dict[str, Hashable], ...]
+    index: tuple[dict[str, int], ...]
+    values: np.ndarray
+    objective: float
+    lower_bound: float
+    gap: float
+    status: str
+    left_over: dict[str, tuple[Hashable, ...]]
+    random: Estimate
+    gain: Estimate
+    yield_: Estimate | None
+    random_yield: Estimate | None
+    failing: tuple[int, ...]
+
+
+def plan(
+    response: UnitResponse,
+    kinds: Mapping[str, Kind],
+    *,
+    objective: str = "mean",
+    requirement: Requirement | None = None,
+    draws: int = 64,
+    certificate_draws: int = 1024,
+    seed: int = 0,
+    starts: int = 32,
+    confidence: float = 0.95,
+) -> Plan:
+    """Choose the part and the position of every slot of every unit.
+
+    Two slots are assigned exactly; more, and two slots fed by one stock, by HiGHS up to 20,000 combinations; beyond by
+    alternation, with a Lagrangian bound.
+
+    Args:
+        response: (parts {slot: errors}, index {slot: int}) -> scalar or `Outcome` of one unit, a pure JAX function;
+            small is good. The index is traced, or a plain integer where the response needs one.
+        kinds: what may stand in each slot. One `Kind` given for several slots is one stock.
+        objective: "mean" response, "bottleneck" (the worst unit) or "yield" (good units).
+        requirement: limits of a good unit.
+        draws: of what is not known of the parts, to choose by; one where all is known.
+        certificate_draws: fresh ones, to value by.
+        seed: of both.
+        starts: random plans from which the alternation begins.
+        confidence: of the intervals.
+
+    Raises:
+        ValueError: fewer than two slots, an unknown objective, "yield" without a requirement, counts below 1, parts
+            that do not fit each other, or more than 2**24 combinations.
+    """
+    _check(kinds, objective, requirement, confidence, draws=draws, certificate_draws=certificate_draws, starts=starts)
+    by_kind = {id(kind): known(kind, slot) for slot, kind in kinds.items()}
+    slots = {slot: by_kind[id(kind)] for slot, kind in kinds.items()}
+    machine, supply = Machine(response, slots), supply_of(slots)
+    certain = all(one.certain for one in slots.values())
+    draws, fresh = (1, 1) if certain else (draws, certificate_draws)
+    found = costs(machine, draw(slots, seed, 0, draws, alike=True), draws, requirement, objective == "yield")
+    build, bound, reached, proved = chosen(found, supply, objective, starts, np.random.default_rng([seed % 2**64, 2]))
+    if found.level:  # nothing to choose by: as they lie
+        build = _as_they_lie(slots, supply)
+    build = _in_order(build, slots)
+    return _certified(
+        machine, supply, found, build, bound, reached, proved, objective, requirement, seed, fresh, confidence
+    )
+
+
+def _check(
+    kinds: Mapping[str, Kind], objective: str, requirement: Requirement | None, confidence: float, **counts: int
+) -> None:
+    if len(kinds) < 2:
+        raise ValueError(f"kinds: {len(kinds)} slots, must be at least 2")
+    for slot, kind in kinds.items():
+        if not isinstance(kind, Kind):
+            raise ValueError(f"kinds[{slot!r}] = {kind!r}: must be a Kind")
+    if objective not in OBJECTIVES:
+        raise ValueError(f"objective = {objective!r}: must be one of {', '.join(OBJECTIVES)}")
+    if requirement is not None and not isinstance(requirement, Requirement):
+        raise ValueError(f"requirement = {requirement!r}: must be a Requirement")
+    if objective == "yield" and requirement is None:
+        raise ValueError("requirement = None: objective 'yield' needs the limits of a good unit")
+    for name, count in counts.items():
+        if isinstance(count, bool) or not isinstance(count, int) or count < 1:
+            raise ValueError(f"{name} = {count!r}: must be a whole number of at least 1")
+    if not 0 < confidence < 1:
+        raise ValueError(f"confidence = {confidence!r}: must lie between 0 and 1")
+
+
+def supply_of(slots: Mapping[str, Known]) -> Supply:
+    """Stocks of the slots, and the units that they allow.
+
+    Raises:
+        ValueError: not even one unit.
+    """
+    kinds = list(dict.fromkeys(id(one) for one in slots.values()))
+    group = tuple(kinds.index(id(one)) for one in slots.values())
+    pieces = tuple(one.pieces for one in slots.values())
+    units = min(int(own.sum()) // group.count(number) for own, number in zip(pieces, group))
+    if units < 1:
+        raise ValueError("kinds: the parts are too few for one unit")
+    return Supply(pieces, group, units)
+
+
+def draw(
+    slots: Mapping[str, Known], seed: int, purpose: int, draws: int, *, alike: bool
+) -> dict[str, list[np.ndarray]]:
+    """Errors of all parts by slot; the draws of a slot hang on its name, not on its place.
+
+    Args:
+        slots: what is known of the parts.
+        seed: of the study.
+        purpose: 0 to choose, 1 to value; draws for one never serve the other.
+        draws: their count.
+        alike: common to all parts of a slot.
+    """
+    found: dict[str, list[np.ndarray]] = {}
+    by_stock: dict[int, str] = {}
+    for slot, one in slots.items():
+        if not alike and id(one) in by_stock:
+            found[slot] = found[by_stock[id(one)]]  # the same piece, whichever slot it stands in
+            continue
+        by_stock.setdefault(id(one), slot)
+        rng = np.random.default_rng([seed % 2**64, purpose, zlib.crc32(slot.encode())])
+        found[slot] = one.drawn(rng, draws, alike=alike)
+    return found
+
+
+def chosen(
+    found: Costs, supply: Supply, objective: str, starts: int, rng: np.random.Generator
+) -> tuple[Build, float, float, bool]:
+    """Build, bound and objective on the draws that chose, and whether it is proved; the objective is inf if it fails.
+
+    Args:
+        found: costs of all combinations.
+        supply: stocks.
+        objective: of the plan.
+        starts: of the alternation.
+        rng: of its random plans.
+    """
+    single = [slot for slot, size in enumerate(supply.shape) if size == 1]
+    kept = [slot for slot in range(len(supply.shape)) if slot not in single]
+    if single and len(kept) >= 2:  # what is the same in every unit is no choice, and two slots are exact
+        lean = dataclasses.replace(
+            found,
+            mean=found.mean.squeeze(tuple(single)),
+            outside=None if found.outside is None else found.outside.squeeze(tuple(single)),
+        )
+        fewer = Supply(tuple(supply.pieces[k] for k in kept), tuple(supply.group[k] for k in kept), supply.units)
+        build, bound, reached, proved = chosen(lean, fewer, objective, starts, rng)
+        full = [tuple(dict(zip(kept, unit)).get(k, 0) for k in range(len(supply.shape))) for unit in build]
+        return full, bound, reached, proved
+    failing = ~np.isfinite(found.mean)
+    finite = found.mean[~failing]
+    mean = np.where(failing, finite.max(initial=0.0), found.mean)
+    units = supply.units
+    if failing.any():
+        fewest = least_sum([failing, mean], supply, starts, rng, asked=0)
+        if any(failing[unit] for unit in fewest.build):
+            return fewest.build, np.inf, np.inf, fewest.exact
+    if objective == "bottleneck":
+        worst = np.where(failing, finite.max() + 1 + np.ptp(finite), found.mean)
+        choice = least_largest(worst, supply, starts, rng)
+        return choice.build, choice.bound, max(found.mean[unit] for unit in choice.build), choice.exact
+    if objective == "yield":
+        assert found.outside is not None
+        choice = least_sum([failing, found.outside, mean], supply, starts, rng, asked=1)
+        share = 1 - sum(found.outside[unit] for unit in choice.build) / units
+        return choice.build, 1 - max(choice.bound, 0.0) / units, share, choice.exact
+    choice = least_sum([failing, mean], supply, starts, rng)
+    return choice.build, choice.bound / units, sum(mean[unit] for unit in choice.build) / units, choice.exact
+
+
+def _as_they_lie(slots: Mapping[str, Known], supply: Supply) -> Build:
+    """The first pieces of every stock with each other; of a shared one the first go into the first slot."""
+    rows: list[np.ndarray] = [np.empty(0)] * len(slots)
+    for group in set(supply.group):
+        own = supply.slots(group)
+        one = list(slots.values())[own[0]]
+        place = np.argsort(one.order)  # of each part as given
+        pool = np.repeat(place, one.kind.pieces)
+        for number, slot in enumerate(own):
+            rows[slot] = pool[number : supply.units * len(own) : len(own)]
+    return [tuple(map(int, unit)) for unit in zip(*rows)]
+
+
+def _in_order(build: Build, slots: Mapping[str, Known]) -> Build:
+    """Units in the order in which the parts of the first slot lie there, then those of the second."""
+    orders = [one.order for one in slots.values()]
+    return sorted(build, key=lambda unit: tuple(int(order[place]) for order, place in zip(orders, unit)))
+
+
+def _certified(
+    machine: Machine,
+    supply: Supply,
+    found: Costs,
+    build: Build,
+    bound: float,
+    reached: float,
+    proved: bool,
+    objective: str,
+    requirement: Requirement | None,
+    seed: int,
+    fresh: int,
+    confidence: float,
+) -> Plan:
+    """Value a build on fresh draws, beside random assembly on the same ones."""
+    slots, place = machine.slots, np.array(build)
+    turn = machine.indices[found.index[tuple(place.T)]]
+    drawn = draw(slots, seed, 1, fresh, alike=False)
+    units = len(build)
+    if fresh == 1:  # all is known: the costs that chose are the values
+        own = found.mean[tuple(place.T)]
+        values = np.where(np.isinf(own), np.nan, own)[:, None]
+    else:
+        lanes = np.repeat(np.arange(units), fresh), np.tile(np.arange(fresh), units)
+        values = machine.values(drawn, place[lanes[0]], turn[lanes[0]], lanes[1]).reshape(units, fresh)
+    random, random_good = _random(machine, supply, found, drawn, requirement, seed, fresh)
+    failed = np.isnan(values).any(axis=1)
+    expected = np.where(failed, np.inf, values.mean(axis=1))
+    share = good(values, requirement).mean(axis=0)
+    worst = {"mean": expected.mean(), "bottleneck": expected.max(), "yield": share.mean()}[objective]
+    infeasible = not np.isfinite(reached)
+    gap = 0.0 if proved or reached == bound or infeasible else abs(reached - bound) / max(abs(reached), 1e-300)
+    own = np.where(np.isnan(values).any(axis=0), np.nan, values.mean(axis=0))
+    return Plan(
+        build=tuple({s: one.id_of(k) for (s, one), k in zip(slots.items(), unit)} for unit in build),
+        index=tuple(dict(zip(slots, map(int, at))) for at in turn),
+        values=expected,
+        objective=float(worst),
+        lower_bound=float(bound),
+        gap=float(gap),
+        status="INFEASIBLE" if infeasible else "OPTIMAL" if gap <= CLOSE else "BOUNDED",
+        left_over=_left_over(slots, supply, place),
+        random=_estimate(random, confidence),
+        gain=_estimate(random - own, confidence),
+        yield_=None if requirement is None else _estimate(share, confidence),
+        random_yield=None if requirement is None else _estimate(random_good, confidence),
+        failing=tuple(map(int, np.flatnonzero(failed))) if infeasible else (),
+    )
+
+
+def _random(
+    machine: Machine,
+    supply: Supply,
+    found: Costs,
+    drawn: Mapping[str, list[np.ndarray]],
+    requirement: Requirement | None,
+    seed: int,
+    fresh: int,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Mean response and share of good units of random assembly, for every fresh draw."""
+    weight = supply.weight()
+    if fresh == 1:
+        every = np.nan_to_num(found.every_mean)
+        succeeds = weight * np.isfinite(found.every_mean)
+        mean = (succeeds * every).sum() / succeeds.sum() if succeeds.any() else np.nan
+        share = np.nan if found.every_good is None else (weight * found.every_good).sum() / weight.sum()
+        return np.array([mean]), np.array([share])
+    cells, turns = np.argwhere(weight > 0), len(machine.indices)
+    likely = weight[weight > 0] / weight.sum()
+    most = max(1, MOST_FRESH // fresh)
+    rng, results = np.random.default_rng([seed % 2**64, 3]), []
+    for k in range(fresh):
+        if len(cells) * turns <= most:
+            cell, turn = (x.ravel() for x in np.meshgrid(np.arange(len(cells)), np.arange(turns), indexing="ij"))
+            share = likely[cell] / turns
+        else:
+            cell, turn = rng.choice(len(cells), most, p=likely), rng.integers(turns, size=most)
+            share = np.full(most, 1 / most)
+        values = machine.values(drawn, cells[cell], machine.indices[turn], np.full(len(cell), k))
+        right = ~np.isnan(values)
+        mean = (share[right] * values[right]).sum() / share[right].sum() if right.any() else np.nan
+        results.append((mean, (share * good(values, requirement)).sum()))
+    mean, share = np.array(results).T
+    return mean, share
+
+
+def _estimate(values: np.ndarray, confidence: float) -> Estimate:
+    """Mean over the draws, their spread, and the quantiles as the interval."""
+    seen = values[~np.isnan(values)]
+    if not len(seen):
+        return Estimate(np.nan, np.nan, np.nan, np.nan)
+    lower, upper = np.quantile(seen, [(1 - confidence) / 2, (1 + confidence) / 2])
+    return Estimate(float(seen.mean()), float(seen.std()), float(lower), float(upper))
+
+
+def _left_over(slots: Mapping[str, Known], supply: Supply, place: np.ndarray) -> dict[str, tuple[Hashable, ...]]:
+    """Ids of unused pieces in the order given, each as often as there are pieces."""
+    found = {}
+    for number, (slot, one) in enumerate(slots.items()):
+        left = one.pieces.copy()
+        for other in supply.slots(supply.group[number]):
+            np.subtract.at(left, place[:, other], 1)
+        in_order = np.argsort(one.order)
+        found[slot] = tuple(one.id_of(k) for k in in_order for _ in range(left[k]))
+    return found

@@ -1,0 +1,26 @@
+"""Compensation: what a controller takes off the transmission error of one measured unit. Knows no gears.
+
+An error is a curve over one output turn, given by its orders: d(theta) = Re sum v_k exp(i k theta), and the output
+stands at theta_in/ratio + d.
+"""
+
+from rvjax.compensation.correction import Correction, Left, Residual, correction, phase_residual, predicted, residual
+from rvjax.compensation.files import export, read
+from rvjax.compensation.schedule import Schedule, schedule
+from rvjax.compensation.table import Table, table
+
+__all__ = [
+    "Correction",
+    "Left",
+    "Residual",
+    "Schedule",
+    "Table",
+    "correction",
+    "export",
+    "phase_residual",
+    "predicted",
+    "read",
+    "residual",
+    "schedule",
+    "table",
+]

@@ -1,0 +1,163 @@
+"""From measured parts to the errors of one unit: where a part can be mounted, and what it carries there.
+
+A disc may be turned by crank spacings, and turned over about the x axis, as far as its teeth then stand where the slot
+wants them. Teeth: the tooth spaces of disc k stand at (t - k/nd) 2 pi/zc at input angle 0, and tooth t lies before its
+space (docs/models/loaded.md, Eqs. 2 and 6). So a disc made for slot k0, turned by i crank spacings, fits slot k where
+
+    i zc/c + (k -+ k0)/nd   is a whole number of teeth (- as it is, + turned over),
+
+and its tooth t becomes t + i zc/c + (k - k0)/nd, or 1 - t + i zc/c + (k + k0)/nd turned over. A carrier knows no teeth:
+it may be turned by any number of crank spacings.
+"""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from rvjax.designs import RVReducer
+from rvjax.errors import RVErrors
+
+DISC = ("disc_bore", "disc_centre", "disc_pitch", "disc_profile")
+"""Errors of one disc, without the axis of discs: (c, 2), (2,), (zc,), (5, 2), as it lies in the slot it is made for."""
+
+CRANK = ("crank_eccentricity", "crank_phase", "planet_runout")
+"""Errors of one crankshaft with its planet, without the axis of cranks: (d,), (), (2,)."""
+
+
+class Mounting(NamedTuple):
+    """A position of a disc in its slot."""
+
+    turn: int  # crank spacings, counter-clockwise
+    over: bool  # turned over about the x axis first
+
+
+def disc_mountings(design: RVReducer, slot: int, *, made_for: int = 0) -> tuple[Mounting, ...]:
+    """Positions in which a disc fits a slot, by index; empty where the slot needs another disc.
+
+    Args:
+        design: counts are read.
+        slot: k, counted from 0.
+        made_for: slot k0 of the drawing.
+    """
+    zc, discs, cranks = design.cycloid.disc_teeth, design.cycloid.disc_count, design.cranks.count
+    found = []
+    for over in (False, True):
+        start = made_for if over else -made_for
+        for turn in range(cranks):
+            if (turn * zc * discs + (slot + start) * cranks) % (cranks * discs) == 0:
+                found.append(Mounting(turn, over))
+    return tuple(found)
+
+
+def mounted_disc(
+    design: RVReducer, errors: Mapping[str, Any], slot: int, index: Any, *, made_for: int = 0
+) -> dict[str, Any]:
+    """Errors of a disc as they stand in a slot.
+
+    Args:
+        design: counts are read.
+        errors: of the disc, fields of `DISC`.
+        slot: k, counted from 0.
+        index: of `disc_mountings`; may be traced.
+        made_for: slot k0 of the drawing.
+
+    Raises:
+        ValueError: the disc does not fit the slot, or an error that no disc has.
+    """
+    mountings = disc_mountings(design, slot, made_for=made_for)
+    if not mountings:
+        raise ValueError(f"disc_{slot}: a disc made for slot {made_for} does not fit there")
+    for name in errors:
+        if name not in DISC:
+            raise ValueError(f"disc_{slot}: {name} is no error of one disc; there are {', '.join(DISC)}")
+    zc, discs, cranks = design.cycloid.disc_teeth, design.cycloid.disc_count, design.cranks.count
+    hand = np.array([-1 if m.over else 1 for m in mountings])
+    turn = np.array([m.turn for m in mountings])
+    # The crank, and the tooth, that stood where number q stands now.
+    crank = (hand[:, None] * (np.arange(cranks) - turn[:, None])) % cranks
+    start = np.where(hand > 0, -made_for, made_for)
+    moved = (turn * zc * discs + (slot + start) * cranks) // (cranks * discs) + (hand < 0)
+    tooth = (hand[:, None] * (np.arange(zc) - moved[:, None])) % zc
+    angle = 2 * np.pi * turn / cranks
+    turned = np.stack([np.cos(angle), -hand * np.sin(angle), np.sin(angle), hand * np.cos(angle)], 1).reshape(-1, 2, 2)
+    found: dict[str, Any] = {}
+    for name, value in errors.items():
+        given = jnp.asarray(value)
+        own = jnp.asarray(hand, given.dtype)[index]
+        both = jnp.stack([jnp.ones_like(own), own])[None]  # [radial, tangential], [cosine, sine]
+        if name == "disc_bore":
+            found[name] = jnp.broadcast_to(given, (cranks, 2))[jnp.asarray(crank)[index]] * both
+        elif name == "disc_centre":
+            found[name] = jnp.asarray(turned, given.dtype)[index] @ jnp.broadcast_to(given, (2,))
+        elif name == "disc_pitch":
+            found[name] = jnp.broadcast_to(given, (zc,))[jnp.asarray(tooth)[index]] * own
+        else:
+            found[name] = jnp.broadcast_to(given, (5, 2)) * both
+    return found
+
+
+def unit_errors(design: RVReducer, parts: Mapping[str, Mapping[str, Any]], index: Mapping[str, Any]) -> RVErrors:
+    """Errors of a unit from its parts.
+
+    Slots: "disc_0", "disc_1" .. (made for slot 0 where such a disc fits, else for their own), "crank_0" .., "carrier",
+    and any other name for parts that hold whole fields of `RVErrors` (bearings, pins, ring, sun).
+
+    Args:
+        design: counts are read.
+        parts: errors of the part in each slot.
+        index: position of each part; of discs as in `disc_mountings`, of a carrier in crank spacings.
+
+    Raises:
+        ValueError: an error that such a part does not have, one that stands in two slots, or a slot that the design
+            lacks.
+    """
+    discs, cranks = design.cycloid.disc_count, design.cranks.count
+    fields: dict[str, Any] = {}
+    by_disc: dict[str, dict[int, Any]] = {}
+    by_crank: dict[str, dict[int, Any]] = {}
+    for slot, errors in parts.items():
+        kind, _, number = slot.rpartition("_")
+        if kind == "disc" and number.isdigit():
+            place = _place(slot, number, discs)
+            own = mounted_disc(design, errors, place, index[slot], made_for=drawing(design, place))
+            for name, value in own.items():
+                by_disc.setdefault(name, {})[place] = value
+        elif kind == "crank" and number.isdigit():
+            place = _place(slot, number, cranks)
+            for name, value in errors.items():
+                if name not in CRANK:
+                    raise ValueError(f"{slot}: {name} is no error of one crank; there are {', '.join(CRANK)}")
+                shape = {"crank_eccentricity": (discs,), "crank_phase": (), "planet_runout": (2,)}[name]
+                by_crank.setdefault(name, {})[place] = jnp.broadcast_to(jnp.asarray(value), shape)
+        else:
+            for name, value in errors.items():
+                if name in fields:
+                    raise ValueError(f"{slot}: {name} stands in another slot already")
+                if slot == "carrier" and name == "carrier_bore":
+                    places = (jnp.arange(cranks) - index[slot]) % cranks
+                    value = jnp.broadcast_to(jnp.asarray(value), (cranks, 2))[places]
+                fields[name] = value
+    for groups, count in ((by_disc, discs), (by_crank, cranks)):
+        for name, values in groups.items():
+            absent = jnp.zeros_like(next(iter(values.values())))
+            axis = 1 if name == "crank_eccentricity" else 0
+            fields[name] = jnp.stack([values.get(place, absent) for place in range(count)], axis)
+    return RVErrors(**fields)
+
+
+def drawing(design: RVReducer, slot: int) -> int:
+    """The slot that a disc is drawn for: 0 where such a disc fits, else its own.
+
+    Args:
+        design: counts are read.
+        slot: k, counted from 0.
+    """
+    return 0 if disc_mountings(design, slot) else slot
+
+
+def _place(slot: str, number: str, count: int) -> int:
+    if int(number) >= count:
+        raise ValueError(f"{slot}: this design has {count} of them, counted from 0")
+    return int(number)

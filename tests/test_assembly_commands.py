@@ -1,0 +1,210 @@
+"""`rvjax assemble` and `rvjax compensate`: from parts or points to a results folder; bad files in one line.
+
+Oracles: the plan from the same parts in Python; the orders that made the curve.
+"""
+
+import csv
+import json
+import math
+
+import numpy as np
+import pytest
+
+from rvjax import cli, compensation, study
+from rvjax.assembly import plan
+from rvjax.study.assembly import bench
+from rvjax.study.compensation import corrections
+from rvjax.units import arcsec, um
+
+STUDY = """
+[design]
+base = "rv-40e"
+[conditions]
+output_torque = "412 N m"
+angles = 8
+closure = "first_order"
+[tolerances.crank_eccentricity]
+half_width = "6.5 um"
+[tolerances.disc_bore]
+half_width = "6.5 um"
+[tolerances.bearing_clearance]
+lower = "4 um"
+upper = "12 um"
+[requirement.transmission_error]
+upper = "0.25 arcmin"
+[assembly]
+objective = "yield"
+draws = 2
+certificate_draws = 4
+sd.crank_eccentricity = "0.5 um"
+"""
+PARTS = """kind,id,stock,crank_eccentricity[0] [um],crank_eccentricity[1] [um],bearing_clearance [um]
+crank,C1,,3,-1,
+crank,C2,,-2,1,
+crank,C3,,,4,
+crank,C4,,1,3,
+bearings,narrow,1,,,5
+bearings,wide,3,,,0.009e3
+"""
+
+
+@pytest.fixture
+def files(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "my.toml").write_text(STUDY)
+    (tmp_path / "parts.csv").write_text(PARTS)
+    return tmp_path
+
+
+def refused(capsys, *arguments):
+    """The one line of an error."""
+    assert cli.main(list(arguments)) == 2
+    line = capsys.readouterr().err.strip()
+    assert "\n" not in line and line.startswith("rvjax: error: ")
+    return line.removeprefix("rvjax: error: ")
+
+
+def test_a_list_of_parts_becomes_a_list_for_the_bench(files, capsys):
+    assert cli.main(["assemble", "my.toml", "parts.csv"]) == 0
+    said = capsys.readouterr().out
+    folder = files / "results" / "my-assembly"
+    names = {path.name for path in folder.iterdir()}
+    assert names == {"build.csv", "parts.csv", "result.json", "study.toml", "summary.txt", "units.png"}
+    assert (folder / "summary.txt").read_text().strip() in said
+    question = study.load("my.toml")
+    found = bench(question, "parts.csv")
+    assert list(found.kinds) == ["crank_0", "crank_1", "bearings", "rest"]
+    assert found.kinds["crank_0"] is found.kinds["crank_1"]
+    third = found.kinds["crank_0"].parts[2]  # its first journal was not measured
+    np.testing.assert_array_equal(third.errors["crank_eccentricity"], [0, 4 * um])
+    assert third.sd["crank_eccentricity"].tolist() == [math.inf, 0.5 * um]
+    assert found.kinds["rest"].population.keys() == {"disc_bore"}
+    expected = plan(
+        found.response, found.kinds, objective="yield", requirement=found.requirement, draws=2, certificate_draws=4
+    )
+    with (folder / "build.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["crank_0"] for row in rows] == [unit["crank_0"] for unit in expected.build]
+    assert [row["bearings"] for row in rows] == [unit["bearings"] for unit in expected.build]
+    result = json.loads((folder / "result.json").read_text())
+    assert result["status"] == "OPTIMAL" and result["seed"] == 0
+    assert result["values"] == pytest.approx(expected.values.tolist(), rel=1e-12)
+
+
+BAD_PARTS = [
+    ("", "has no column 'kind'; it has none"),
+    ("kind,id\n", "lists no part"),
+    ("kind,id,pin_radius [um]\npins,a,x\n", "pins 'a': pin_radius [um] = 'x': must be a finite number"),
+    ("kind,id,pin_radius\npins,a,1\n", "column 'pin_radius': must be like 'bearing_clearance [um]'"),
+    ("kind,id,pin_radius [s]\npins,a,1\n", "column 'pin_radius [s]': unit 's' is not one of m, mm, um"),
+    ("kind,id,gear [um]\npins,a,1\n", "column 'gear [um]': parts of kind 'pins' have "),
+    ("kind,id,crank_eccentricity[2] [um]\ncrank,a,1\n", "crank_eccentricity of this part has the shape (2,)"),
+    ("kind,id,stock,pin_radius [um]\npins,a,-1,1\n", "pins 'a': stock = '-1': must be a whole number, 0 or more"),
+    ("kind,id,pin_radius [um]\npins,a,1\npins,a,2\n", "pins: part 'a': this id stands there twice"),
+    ("kind,id,pin_radius [um]\npins,,1\n", "a part of kind 'pins' has no id"),
+    ("kind,id,pin_radius [um]\npins,a,1\n", "parts of pins alone; at least two slots are matched"),
+    ("kind,id,pin_radius [um]\npins,a,1,2\n", "line 2: has more cells than columns"),
+    ("kind,id,pin_radius [um]\npins,a,\n", "parts of kind 'pins' have no error"),
+    ("kind,id,disc_bore[0][0] [um]\ndisc_4,a,1\n", "kind = 'disc_4': this design has 2 discs, counted from 0"),
+    ("kind,id,disc_pitch[0] [um]\ndisc,a,1\n", "disc_pitch is not measured in full, and no tolerance says"),
+]
+
+
+@pytest.mark.parametrize(("text", "message"), BAD_PARTS, ids=[message for _, message in BAD_PARTS])
+def test_a_bad_list_of_parts_is_one_line(files, capsys, text, message):
+    (files / "bad.csv").write_text(text)
+    assert message in refused(capsys, "assemble", "my.toml", "bad.csv")
+    assert not (files / "results").exists()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (('objective = "yield"', 'objective = "best"'), "assembly.objective = 'best': must be one of mean, bottle"),
+        (("draws = 2\n", "draws = 0\n"), "assembly.draws = 0: must be an integer of at least 1"),
+        (('"0.5 um"', '"-0.5 um"'), "assembly.sd.crank_eccentricity = '-0.5 um': must be zero or positive"),
+        (('"0.5 um"', '"0.5"'), "assembly.sd.crank_eccentricity = '0.5'"),
+        (("draws = 2\n", "turned = 1\n"), "assembly.turned = 1: must be true or false"),
+        (("draws = 2\n", 'response = "misfit"\n'), "assembly.response = 'misfit': must be one of transmission_error"),
+    ],
+)
+def test_a_bad_table_is_one_line(files, capsys, change, message):
+    (files / "bad.toml").write_text(STUDY.replace(*change))
+    assert message in refused(capsys, "assemble", "bad.toml", "parts.csv")
+
+
+RATIO = 105.0
+ORDERS = {1: 20.0, 3: 2.0, 39: 4.0, 78: 3.0}
+
+
+def points(noise=0.5, count=1500, way=1.0, seed=0):
+    rng = np.random.default_rng(seed)
+    angle = np.sort(rng.uniform(0, 360, count))
+    error = sum(a * np.cos(np.radians(k * angle) + way * k) for k, a in ORDERS.items())
+    return angle, error + 7.0 + noise * rng.standard_normal(count)
+
+
+def written(path, *curves):
+    lines = ["angle [deg],error [arcsec],torque [N m],direction"]
+    for angle, error, *rest in curves:
+        lines += [",".join(map(repr, map(float, pair))) + "," + ",".join(rest) for pair in zip(angle, error)]
+    path.write_text("\n".join(lines) + "\n")
+
+
+def test_a_measured_curve_becomes_a_table(files, capsys):
+    angle, error = points()
+    written(files / "curve.csv", (angle, error, "", ""))
+    assert cli.main(["compensate", "my.toml", "curve.csv", "--export", "drive.st"]) == 0
+    said = capsys.readouterr().out
+    rows = compensation.read("drive.st")
+    (curve,) = corrections(study.load("my.toml"), "curve.csv").curves
+    assert curve.correction.ratio == pytest.approx(RATIO)
+    assert curve.correction.order.tolist() == [3, 39, 78]  # order 1 is the mounting of the encoder
+    for order, value, sd in zip(curve.correction.order.tolist(), curve.correction.value, curve.correction.sd):
+        assert abs(value - ORDERS[order] * arcsec * np.exp(1j * order)) < 5 * sd < 0.2 * arcsec
+    # sd of a coefficient from n points: noise sqrt(2/n); 241 of 1500 numbers are fitted
+    assert curve.correction.sd == pytest.approx(0.5 * arcsec * math.sqrt(2 / 1500), rel=0.25)
+    left = error + np.interp(np.radians(angle), rows.angle, rows.correction) / RATIO / arcsec
+    first = 20 * np.cos(np.radians(angle) + 1)
+    assert np.std(left - first) == pytest.approx(0.5, rel=0.1)
+    assert "3 39 78" in said and (files / "results" / "my-compensation" / "curve.png").is_file()
+    with_first = corrections(study.load("my.toml"), "curve.csv", first_order=True, count=1).curves[0]
+    assert with_first.correction.order.tolist() == [1]
+
+
+def test_every_load_and_direction_has_a_table(files, capsys):
+    forth, back = points(count=400), points(count=400, way=-1.0, seed=1)
+    written(files / "curves.csv", (*forth, "100", "forward"), (*back, "100", "backward"))
+    assert cli.main(["compensate", "my.toml", "curves.csv", "--export", "t.csv", "--angle-sd", "10 arcsec"]) == 0
+    tables = [compensation.read(f"t-100_N_m_{way}.csv") for way in ("forward", "backward")]
+    assert np.abs(tables[0].correction - tables[1].correction).max() > 100 * arcsec
+    assert "rms left by the table of one curve at another" in capsys.readouterr().out
+
+
+BAD_CURVES = [
+    ("", "has no column 'angle [deg]'; it has none"),
+    ("angle [deg],error [arcsec]\n", "holds no point"),
+    ("angle [deg],error [um]\n", "has no column 'error [arcsec]'; it has angle [deg], error [um]"),
+    ("angle [deg],error [arcsec]\n1,x\n", "line 2: error [arcsec] = 'x': must be a finite number"),
+    ("angle [deg],error [arcsec]\n1,nan\n", "line 2: error [arcsec] = 'nan': must be a finite number"),
+    ("angle [deg],error [arcsec]\n1,2,3\n", "line 2: has more cells than columns"),
+    ("angle [deg],error [arcsec]\n1,2\n", "1 points are too few for 0 orders, which need 2"),
+    ("angle [deg],error [arcsec]\n" + "5,1\n" * 40, "the points do not tell 4 orders apart"),
+]
+
+
+@pytest.mark.parametrize(("text", "message"), BAD_CURVES, ids=[message for _, message in BAD_CURVES])
+def test_bad_curves_are_one_line(files, capsys, text, message):
+    (files / "bad.csv").write_text(text)
+    assert message in refused(capsys, "compensate", "my.toml", "bad.csv")
+
+
+def test_bad_options_are_one_line(files, capsys):
+    written(files / "curve.csv", (*points(count=100), "", ""))
+    assert "--export t.dat: must end with one of .csv" in refused(
+        capsys, "compensate", "my.toml", "curve.csv", "--export", "t.dat"
+    )
+    assert "--angle-sd = '5': " in refused(capsys, "compensate", "my.toml", "curve.csv", "--angle-sd", "5")
+    assert "no such file of curves" in refused(capsys, "compensate", "my.toml", "none.csv")
+    assert "no such list of parts" in refused(capsys, "assemble", "my.toml", "none.csv")
+    assert "parts are matched for RV reducers only" in refused(capsys, "assemble", "corr", "parts.csv")

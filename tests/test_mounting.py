@@ -1,0 +1,144 @@
+"""Parts in their slots: which positions keep the toothing, and what a part carries there.
+
+Oracle: rigid motion of points. Bores, tooth spaces and points of the flanks of a disc are placed in the plane, turned
+and turned over there, and looked up again among the points of the slot.
+"""
+
+import itertools
+import math
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from rvjax import four_bar, mounting
+from rvjax.catalogue import RV_40E
+from rvjax.mounting import Mounting, disc_mountings, mounted_disc, unit_errors
+
+
+def design_of(teeth, discs, cranks):
+    cycloid = RV_40E.cycloid.replace(disc_teeth=teeth, pin_count=teeth + 1, disc_count=discs, eccentricity=5e-4)
+    return RV_40E.replace(cycloid=cycloid, cranks=RV_40E.cranks.replace(count=cranks))
+
+
+def spaces(teeth, discs, slot):
+    """Directions of the tooth spaces of the disc of a slot, rad: where the lobe angle of a pin in it is 0."""
+    return (np.arange(teeth) - slot / discs) * 2 * math.pi / teeth
+
+
+def same(angles, others):
+    """Whether two sets of directions are one."""
+    distance = np.abs(np.exp(1j * angles)[:, None] - np.exp(1j * others)[None])
+    return distance.min(axis=1).max() < 1e-9
+
+
+def moved(points, position, cranks):
+    """Complex points turned over about the x axis, then turned."""
+    return (points.conj() if position.over else points) * np.exp(2j * math.pi * position.turn / cranks)
+
+
+COUNTS = [(39, 2, 2), (40, 2, 2), (39, 2, 3), (39, 3, 4), (40, 2, 4), (59, 1, 3)]
+
+
+@pytest.mark.parametrize(("teeth", "discs", "cranks"), COUNTS)
+def test_positions_that_keep_the_toothing(teeth, discs, cranks):
+    design = design_of(teeth, discs, cranks)
+    for slot, made_for in itertools.product(range(discs), repeat=2):
+        every = [Mounting(turn, over) for over in (False, True) for turn in range(cranks)]
+        old = np.exp(1j * spaces(teeth, discs, made_for))
+        fit = [p for p in every if same(np.angle(moved(old, p, cranks)), spaces(teeth, discs, slot))]
+        assert list(disc_mountings(design, slot, made_for=made_for)) == fit
+
+
+def test_the_discs_of_the_catalogue():
+    """39 teeth on two cranks: one drawing for both discs, each as it is or turned over; never half a turn alone."""
+    assert disc_mountings(RV_40E, 0) == (Mounting(0, False), Mounting(0, True))
+    assert disc_mountings(RV_40E, 1) == (Mounting(1, False), Mounting(1, True))
+    assert len(disc_mountings(design_of(40, 2, 2), 0)) == 4
+    assert disc_mountings(design_of(39, 2, 3), 1) == () and mounting.drawing(design_of(39, 2, 3), 1) == 1
+
+
+@pytest.mark.parametrize(("teeth", "discs", "cranks"), COUNTS)
+def test_errors_move_with_the_metal(teeth, discs, cranks):
+    design, rng = design_of(teeth, discs, cranks), np.random.default_rng(teeth + cranks)
+    bore, pitch, wave = rng.standard_normal((cranks, 2)), rng.standard_normal(teeth), rng.standard_normal((5, 2))
+    errors = {"disc_bore": bore, "disc_centre": np.array([0.3, -0.7]), "disc_pitch": pitch, "disc_profile": wave}
+    axes = np.exp(1j * (math.pi + 2 * math.pi * np.arange(cranks) / cranks))
+    lobe = np.array([0.4, 2.9, 5.0])
+
+    def flank(waves):
+        return np.cos(np.outer(lobe, np.arange(5))) @ waves[:, 0] + np.sin(np.outer(lobe, np.arange(5))) @ waves[:, 1]
+
+    def tips(slot):  # middle of tooth t: half a pitch before its space
+        return spaces(teeth, discs, slot) - math.pi / teeth
+
+    for slot, made_for in itertools.product(range(discs), repeat=2):
+        for number, position in enumerate(disc_mountings(design, slot, made_for=made_for)):
+            found = mounted_disc(design, errors, slot, number, made_for=made_for)
+            seat = moved(axes, position, cranks)
+            vectors = moved((bore[:, 0] + 1j * bore[:, 1]) * axes, position, cranks)
+            back = np.asarray(found["disc_bore"])
+            for q, axis in enumerate(axes):
+                own = np.argmin(np.abs(seat - axis))
+                np.testing.assert_allclose((back[q, 0] + 1j * back[q, 1]) * axis, vectors[own], atol=1e-12)
+            centre = moved(np.array(0.3 - 0.7j), position, cranks)
+            np.testing.assert_allclose(found["disc_centre"], [centre.real, centre.imag], atol=1e-12)
+            teeth_now = moved(np.exp(1j * tips(made_for)), position, cranks)
+            for t, tip in enumerate(np.exp(1j * tips(slot))):
+                own = np.argmin(np.abs(teeth_now - tip))
+                assert abs(teeth_now[own] - tip) < 1e-9
+                assert found["disc_pitch"][t] == pytest.approx((-1 if position.over else 1) * pitch[own])
+            # Lobe angle 0 and 2 pi are spaces; turned over, a tooth is run through from the other side.
+            waves = np.asarray(found["disc_profile"])
+            mirrored = wave * [1, -1]
+            np.testing.assert_allclose(flank(waves), flank(mirrored if position.over else wave), atol=1e-12)
+
+
+def test_a_traced_index_is_the_plain_one():
+    bore = np.arange(4.0).reshape(2, 2)
+    plain = [mounted_disc(RV_40E, {"disc_bore": bore}, 1, i)["disc_bore"] for i in range(2)]
+    traced = [mounted_disc(RV_40E, {"disc_bore": bore}, 1, jnp.int32(i))["disc_bore"] for i in range(2)]
+    np.testing.assert_array_equal(plain, traced)
+
+
+def test_positions_of_perfect_parts_change_nothing():
+    """A disc and a carrier without errors, among cranks with some: the same unit in every position."""
+    cranks = {"crank_eccentricity": np.array([3e-6, -2e-6]), "crank_phase": 1e-4}
+    parts = {
+        "disc_0": {"disc_bore": np.zeros((2, 2))},
+        "disc_1": {},
+        "carrier": {"carrier_bore": 0.0},
+        "crank_1": cranks,
+    }
+    for at in itertools.product(range(2), repeat=3):
+        errors = unit_errors(RV_40E, parts, dict(zip(("disc_0", "disc_1", "carrier"), at)) | {"crank_1": 0})
+        np.testing.assert_array_equal(errors.crank_eccentricity, [[0, 3e-6], [0, -2e-6]])
+        np.testing.assert_array_equal(errors.crank_phase, [0, 1e-4])
+        assert not np.any(errors.disc_bore) and not np.any(errors.carrier_bore)
+
+
+def test_bores_turned_with_the_carrier_are_one_machine():
+    """Discs and carrier half a turn on two cranks without errors: the same misfit."""
+    rng = np.random.default_rng(0)
+    bores, carrier = 1e-6 * rng.standard_normal((2, 2, 2)), 1e-6 * rng.standard_normal((2, 2))
+    given = {"disc_0": {"disc_bore": bores[0]}, "disc_1": {"disc_bore": bores[1]}, "carrier": {"carrier_bore": carrier}}
+    there = unit_errors(RV_40E, given, {"disc_0": 0, "disc_1": 0, "carrier": 0})
+    alone = unit_errors(RV_40E, given, {"disc_0": 0, "disc_1": 0, "carrier": 1})
+    both = alone.replace(disc_bore=there.disc_bore[:, ::-1])
+    np.testing.assert_array_equal(there.disc_bore, [bores[0], bores[1][::-1]])  # a disc made for slot 0, half a turn
+    np.testing.assert_array_equal(alone.carrier_bore, carrier[::-1])
+    misfits = [float(four_bar.figures(RV_40E, e, angles=8).largest_misfit) for e in (there, both)]
+    assert misfits[0] == pytest.approx(misfits[1], rel=1e-9) and misfits[0] > 1e-7
+
+
+def test_what_no_such_part_has_is_refused():
+    with pytest.raises(ValueError, match="disc_0: carrier_bore is no error of one disc; there are disc_bore"):
+        unit_errors(RV_40E, {"disc_0": {"carrier_bore": 0.0}}, {"disc_0": 0})
+    with pytest.raises(ValueError, match="crank_1: disc_bore is no error of one crank"):
+        unit_errors(RV_40E, {"crank_1": {"disc_bore": 0.0}}, {"crank_1": 0})
+    with pytest.raises(ValueError, match="disc_2: this design has 2 of them, counted from 0"):
+        unit_errors(RV_40E, {"disc_2": {}}, {"disc_2": 0})
+    with pytest.raises(ValueError, match="pins: pin_radius stands in another slot already"):
+        unit_errors(RV_40E, {"ring": {"pin_radius": 0.0}, "pins": {"pin_radius": 0.0}}, {"ring": 0, "pins": 0})
+    with pytest.raises(ValueError, match="disc_1: a disc made for slot 0 does not fit there"):
+        mounted_disc(design_of(39, 2, 3), {}, 1, 0)
