@@ -188,8 +188,8 @@ BAD_CURVES = [
     ("angle [deg],error [arcsec]\n1,x\n", "line 2: error [arcsec] = 'x': must be a finite number"),
     ("angle [deg],error [arcsec]\n1,nan\n", "line 2: error [arcsec] = 'nan': must be a finite number"),
     ("angle [deg],error [arcsec]\n1,2,3\n", "line 2: has more cells than columns"),
-    ("angle [deg],error [arcsec]\n1,2\n", "1 points are too few for 0 orders, which need 2"),
-    ("angle [deg],error [arcsec]\n" + "5,1\n" * 40, "the points do not tell 4 orders apart"),
+    ("angle [deg],error [arcsec]\n1,2\n", "1 samples cannot tell 1 numbers apart"),
+    ("angle [deg],error [arcsec]\n" + "5,1\n" * 40, "40 samples cannot tell 9 numbers apart"),
 ]
 
 
