@@ -2,7 +2,7 @@
 
 An order n meets the rotational mode r at the output speed w_r / n, in a peak as wide as the damping of the mode. To an
 even grid over the range come the speeds of those crossings and their neighbours at a quarter of that width, so that
-no peak is missed however sharp it is. The speeds follow the design but carry no derivative: at a peak none is due.
+no peak is missed however sharp it is. The speeds move with the modes, and their derivatives with them.
 """
 
 from functools import partial
@@ -62,8 +62,8 @@ def speed_range(
         pin_harmonics: as in `error_excitation`.
 
     Returns:
-        SpeedRange, differentiable: at a peak the speed itself carries no derivative. SINGULAR where an order meets an
-        undamped mode within the range; other statuses as `transmission_error`.
+        SpeedRange, differentiable. SINGULAR where an order meets an undamped mode within the range; other statuses as
+        `transmission_error`.
 
     Raises:
         ValueError: fewer than two speeds, or as `transmission_error`.
@@ -129,7 +129,7 @@ def refined(
     even = low + (high - low) * jnp.asarray(np.linspace(0, 1, count), low.dtype)
     turns = output_speed(lumped, jnp.ones_like(low))
     n = jnp.asarray([float(order) for order in orders], low.dtype)[:, None] * turns  # excited, for one of the sun
-    mode = jnp.sqrt(modal_sectors(lumped, [KEY])[KEY].square)[None, :]
+    mode = _modes(lumped)[None, :]
     fastest = jnp.maximum(jnp.abs(low), jnp.abs(high))
     slowest = jnp.where(low * high > 0, jnp.minimum(jnp.abs(low), jnp.abs(high)), 0)
     within = (n * slowest <= mode) & (mode <= n * fastest)
@@ -138,8 +138,16 @@ def refined(
     damping, known = lumped.damping, jnp.where(mode > 0, mode, 1)
     width = damping.loss_factor + damping.rayleigh_stiffness * mode + damping.rayleigh_mass / known
     width = width + 2 * damping.modal_ratio
-    beside = mode[:, :, None] * (1 + width[:, :, None] * jnp.asarray(BESIDE, mode.dtype))
-    crossing = (beside / n[:, :, None]).ravel()
+    beside = 1 + width[:, :, None] * jnp.asarray(BESIDE, mode.dtype)[None, None, :]
+    crossing = (mode[:, :, None] * beside / n[:, :, None]).ravel()
     crossing = jnp.where(low + high < 0, -crossing, crossing)
     both = crossing if one_sense else jnp.concatenate([crossing, -crossing])
-    return jax.lax.stop_gradient(jnp.sort(jnp.concatenate([even, jnp.clip(both, low, high)])))
+    return jnp.sort(jnp.concatenate([even, jnp.clip(both, low, high)]))
+
+
+def _modes(lumped: Lumped) -> jax.Array:
+    """Angular frequencies of the rotational modes (11,), with the derivatives of simple eigenvalues."""
+    modal = modal_sectors(lumped, [KEY])[KEY]
+    square = jnp.diagonal(modal.stiffness)  # in a fixed basis: its derivative is that of the eigenvalue
+    square = modal.square + (square - jax.lax.stop_gradient(square))
+    return jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1)), 0)

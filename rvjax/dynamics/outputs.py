@@ -36,7 +36,7 @@ class Conditions:
     slowest_sun_speed: float | None = condition(None, "lower end of the range of speeds", unit="rad/s")
     fastest_sun_speed: float | None = condition(None, "upper end of the range of speeds", unit="rad/s")
     speeds: int = condition(
-        40, "even grid over the range, beside the resonances within it, for what errors excite", minimum=2, maximum=10_000
+        40, "of the range that errors excite at, beside the resonances within it", minimum=2, maximum=10_000
     )
     load_inertia: float | None = condition(
         None, "of what the output drives; it decides where the joint resonates", unit="kg m2", minimum=0.0
@@ -102,8 +102,9 @@ def _at_worst(at_speed: Callable[[DynamicError], Scalar], over_range: Callable[[
 
 def _acceleration(found: DynamicError) -> jax.Array:
     """Root mean square over time, Eq. 15."""
-    line = found.amplitude[:, 0] * jnp.square(2 * jnp.pi * found.frequency)
-    square = jnp.sum(jnp.square(line.real) + jnp.square(line.imag)) / 2
+    line = found.amplitude[:, 0]
+    square = jnp.square(line.real) + jnp.square(line.imag)
+    square = jnp.sum(square * (2 * jnp.pi * found.frequency) ** 4) / 2
     return jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1)), square)
 
 
