@@ -178,9 +178,7 @@ DESCRIPTION = Description(
             _resonance_margin,
             ("slowest_sun_speed", "fastest_sun_speed"),
         ),
-        "static_transmission_error": Output(
-            "rad", "peak to peak at standstill, errors as excitation", _standing
-        ),
+        "static_transmission_error": Output("rad", "peak to peak at standstill, errors as excitation", _standing),
         "dynamic_transmission_error": Output(
             "rad",
             "peak to peak of the output, largest over the speeds, errors as excitation",
