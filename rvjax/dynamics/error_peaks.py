@@ -89,9 +89,9 @@ def _range(
     pin_harmonics: int,
     one_sense: bool,
 ) -> SpeedRange:
-    unit, ends = read(loaded(lumped, load_inertia), pin_circle, errors, slowest, fastest)
+    unit, (slowest, fastest) = read(loaded(lumped, load_inertia), pin_circle, errors, slowest, fastest)
     orders = error_orders(unit, pin_harmonics)
-    sun_speeds = refined(unit.lumped, orders, *ends, count, one_sense)
+    sun_speeds = refined(unit.lumped, orders, slowest, fastest, count, one_sense)
     n = jnp.asarray([float(order) for order in orders], sun_speeds.dtype)
     frequency = output_speed(unit.lumped, sun_speeds)[:, None] * n[None, :]
     found = transfer(unit.lumped, frequency.ravel(), output_rows(unit.lumped, ("output.rotation",)))
@@ -109,13 +109,13 @@ def _range(
     largest = power[loudest]
     rms = jnp.where(largest > 0, jnp.sqrt(jnp.where(largest > 0, largest, 1)), largest)  # no error, no infinite slope
     values = (whole[worst], sun_speeds[places[worst]], rms, sun_speeds[loudest], sun_speeds)
-    values, info = unit.gate.close(
+    (peak_to_peak, at_peak, rms, at_loudest, sun_speeds), info = unit.gate.close(
         values,
         (~jnp.all(jnp.isfinite(amplitude)), Status.NONFINITE),
         (found.singular, Status.SINGULAR),
         info=converged(found.residual),
     )
-    return SpeedRange(*values, info)
+    return SpeedRange(peak_to_peak, at_peak, rms, at_loudest, sun_speeds, info)
 
 
 def refined(

@@ -40,15 +40,16 @@ def campbell_amplitudes(
     axes = new_axes(axes)
     turns, order, height, shown = _lines(sweep, sun_speeds, ratio, output)
     largest = height.max(initial=0) or 1.0
-    norm, top = LogNorm(largest / 10**DECADES, largest), highest or _highest(turns, order)
+    lowest, top = largest / 10**DECADES, highest or _highest(turns, order)
+    norm = LogNorm(lowest, largest)
     drawn: Any = None
     ends: dict[tuple[float, float], list[str]] = {}  # of lines side by side, one label
     for k, n in enumerate(order):
         if not height[:, k].any():
             continue
         points = np.stack([turns / rpm, np.abs(n * turns) / (2 * np.pi)], axis=1)
-        value = np.maximum((height[1:, k] + height[:-1, k]) / 2, norm.vmin)
-        drawn = LineCollection(np.stack([points[:-1], points[1:]], axis=1), cmap="viridis_r", norm=norm)
+        value = np.maximum((height[1:, k] + height[:-1, k]) / 2, lowest)
+        drawn = LineCollection(list(np.stack([points[:-1], points[1:]], axis=1)), cmap="viridis_r", norm=norm)
         drawn.set(array=value, linewidth=1 + 6 * np.asarray(norm(value)), capstyle="round")
         axes.add_collection(drawn)
         x, y = points[points[:, 1] <= top][-1] if points[0, 1] <= top else points[0]
