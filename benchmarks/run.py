@@ -23,7 +23,12 @@ from benchmarks import history
 
 HERE = Path(__file__).parent
 # Arguments of scripts whose usual size takes minutes, used within a budget.
-SMALL = {"monte_carlo": ["--units", "1e6"], "rare_failures": ["--units", "1000000"], "choices": ["--scenes", "200"]}
+SMALL = {
+    "dynamic_error": ["--units", "1e5"],
+    "monte_carlo": ["--units", "1e6"],
+    "rare_failures": ["--units", "1000000"],
+    "choices": ["--scenes", "200"],
+}
 LAST = ("allocation", "choices", "dynamics", "monte_carlo", "rare_failures")  # the slow ones
 
 

@@ -19,6 +19,7 @@ MASSES = ("sun_mass", "sun_inertia", "planet_mass", "planet_inertia", "crank_mas
 OUTPUTS = ("output.x", "output.y", "output.rotation", "sun.rotation", "disc1.rotation")
 ARMS = (1.0, 1.0, 0.06, 0.01, 0.06)  # m, that rotations compare with translations
 HARMONICS = 3
+BASE = catalogue.RV_320E
 JUDGED = 20  # of a chunk; the oracle takes milliseconds
 SWINGS = ("planetary_swing", "planetary_duty", "cycloid_swing", "cycloid_duty")
 
@@ -30,40 +31,43 @@ def ordinary(case: Case) -> np.ndarray:
     return (case["loss"] > 0.02) & held & moderate(case, 1e15) & np.all([(x == 0) | (x > 1e-8) for x in sizes], axis=0)
 
 
+def draw_reducer(rng: Any, size: int) -> Case:
+    def around(value: float, spread: float = 1.0) -> np.ndarray:
+        return value * decades(rng, size, -spread, spread)
+
+    case = {name: around(getattr(BASE.stiffness, name) or 1e7) for name in SPRINGS}
+    for name in ("sun_support", "sun_torsion", "output_support", "output_torsion"):
+        case[name] *= rng.uniform(size=size) > 0.3
+    case |= {name: around(getattr(BASE.inertia, name)) for name in MASSES}
+    case |= {name: rng.uniform(0, 0.9, size) * (rng.uniform(size=size) > 0.05) for name in SWINGS}
+    speed = decades(rng, size, -3, 4) * rng.choice([-1, 1], size) * (rng.uniform(size=size) > 0.02)
+    torque = decades(rng, size, -4, 5) * rng.choice([-1, 0, 1], size)
+    case |= dict(e=around(2.2e-3), radius=around(0.0635), sun_base=around(0.01), planet_base=around(0.05))
+    case |= dict(force_angle=rng.uniform(-1.4, 1.4, size), alpha=rng.uniform(0.1, 0.6, size))
+    return case | dict(loss=decades(rng, size, -4, -0.5), speed=speed, torque=torque)
+
+
+def build_reducer(case: Case, cranks: int, discs: int) -> rvjax.RVReducer:
+    involute = BASE.involute.replace(
+        sun_base_radius=case["sun_base"], planet_base_radius=case["planet_base"], pressure_angle=case["alpha"]
+    )
+    cycloid = BASE.cycloid.replace(  # the pin circle is not read; a large one leaves any eccentricity possible
+        disc_count=discs, eccentricity=case["e"], force_angle=case["force_angle"], pin_circle_radius=100.0
+    )
+    return BASE.replace(
+        involute=involute,
+        cycloid=cycloid,
+        cranks=CrankStage(cranks, case["radius"]),
+        stiffness=BASE.stiffness.replace(**{name: case[name] for name in SPRINGS}),
+        inertia=BASE.inertia.replace(**{name: case[name] for name in MASSES}),
+        mesh_variation=BASE.mesh_variation.replace(**{name: case[name] for name in SWINGS}),
+        damping=rvjax.Damping(loss_factor=case["loss"]),
+    )
+
+
 def vibration(stage: str, cranks: int, discs: int, method: str) -> Model:
-    base = catalogue.RV_320E
-
-    def draw(rng: Any, size: int) -> Case:
-        def around(value: float, spread: float = 1.0) -> np.ndarray:
-            return value * decades(rng, size, -spread, spread)
-
-        case = {name: around(getattr(base.stiffness, name) or 1e7) for name in SPRINGS}
-        for name in ("sun_support", "sun_torsion", "output_support", "output_torsion"):
-            case[name] *= rng.uniform(size=size) > 0.3
-        case |= {name: around(getattr(base.inertia, name)) for name in MASSES}
-        case |= {name: rng.uniform(0, 0.9, size) * (rng.uniform(size=size) > 0.05) for name in SWINGS}
-        speed = decades(rng, size, -3, 4) * rng.choice([-1, 1], size) * (rng.uniform(size=size) > 0.02)
-        torque = decades(rng, size, -4, 5) * rng.choice([-1, 0, 1], size)
-        case |= dict(e=around(2.2e-3), radius=around(0.0635), sun_base=around(0.01), planet_base=around(0.05))
-        case |= dict(force_angle=rng.uniform(-1.4, 1.4, size), alpha=rng.uniform(0.1, 0.6, size))
-        return case | dict(loss=decades(rng, size, -4, -0.5), speed=speed, torque=torque)
-
     def build(case: Case) -> rvjax.RVReducer:
-        involute = base.involute.replace(
-            sun_base_radius=case["sun_base"], planet_base_radius=case["planet_base"], pressure_angle=case["alpha"]
-        )
-        cycloid = base.cycloid.replace(  # the pin circle is not read; a large one leaves any eccentricity possible
-            disc_count=discs, eccentricity=case["e"], force_angle=case["force_angle"], pin_circle_radius=100.0
-        )
-        return base.replace(
-            involute=involute,
-            cycloid=cycloid,
-            cranks=CrankStage(cranks, case["radius"]),
-            stiffness=base.stiffness.replace(**{name: case[name] for name in SPRINGS}),
-            inertia=base.inertia.replace(**{name: case[name] for name in MASSES}),
-            mesh_variation=base.mesh_variation.replace(**{name: case[name] for name in SWINGS}),
-            damping=rvjax.Damping(loss_factor=case["loss"]),
-        )
+        return build_reducer(case, cranks, discs)
 
     def run(case: Case) -> dict[str, Any]:
         got = rvjax.dynamics.response(
@@ -126,7 +130,7 @@ def vibration(stage: str, cranks: int, discs: int, method: str) -> Model:
     return Model(
         f"dynamics {method}",
         f"dynamics {method} {stage} {cranks} cranks {discs} discs",
-        draw,
+        draw_reducer,
         run,
         judge,
         relative_step,

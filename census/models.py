@@ -6,6 +6,7 @@ The one place where a family joins: its own module makes a `cases.Model`, a loop
 from collections.abc import Iterator
 
 from census.cases import Model
+from census.dynamic_error import displaced
 from census.dynamics import vibration
 from census.linkage import linkage
 from census.loaded import machine
@@ -46,6 +47,8 @@ def models() -> Iterator[Model]:
         ("planetary", 2, 2, "harmonic_balance"),
     ):
         yield vibration(stage, cranks, discs, method)
+    for cranks, discs in ((2, 2), (3, 3)):
+        yield displaced(cranks, discs)
     for layout in (
         ("hertz", 2, 2, 39),
         ("hertz", 3, 2, 24, "floating"),

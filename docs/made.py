@@ -22,12 +22,14 @@ from rvjax import (
     models,
     plotting,
     published,
+    study,
+    tolerances,
     units,
 )
 from rvjax.designs import Contact, Stiffness
 from rvjax.errors import CamRollerErrors, RVErrors
 from rvjax.levels import table
-from rvjax.plotting import drawings
+from rvjax.plotting import drawings, dynamic_error
 from rvjax.plotting import dynamics as dynamic_pictures
 from rvjax.plotting import mesh_force as mesh_pictures
 from rvjax.plotting.style import AFTER, BEFORE
@@ -181,6 +183,42 @@ def _campbell(axes):
         dynamics.modes(design), speed, per_turn * speed / (2 * np.pi),
         harmonics={1: "translational", 2: "planetary", 4: "rotational"}, axes=axes,
     )  # fmt: skip
+
+
+@cache
+def _joint():
+    """The embedded joint, the speeds of its sun, and lines of 1000 random units at each."""
+    question = study.load("rv-40e-joint")
+    given = question.conditions
+    speeds = np.linspace(given.slowest_sun_speed, given.fastest_sun_speed, 240)
+
+    @jax.jit
+    @jax.vmap
+    def swept(unit):
+        errors = tolerances.sample(question.tolerances, unit, seed=0)
+        return dynamics.speed_sweep(question.design, errors, sun_speeds=speeds, load_inertia=given.load_inertia)
+
+    return question, speeds, swept(np.arange(1000))
+
+
+def _joint_orders(axes):
+    question, speeds, units = _joint()
+    inertia = question.design.inertia
+    heavy = inertia.replace(output_inertia=inertia.output_inertia + question.conditions.load_inertia)
+    found = dynamics.modes(question.design.replace(inertia=heavy))
+    modes = [float(f) for f, kind in zip(found.frequency, found.kind) if kind == "rotational" and f < 80]
+    return dynamic_error.campbell_amplitudes(
+        jax.tree.map(lambda x: x[1], units), speeds, ratio=question.design.ratio, modes=modes, highest=80, axes=axes
+    )
+
+
+def _joint_batch(axes):
+    question, speeds, units = _joint()
+    turns = speeds / question.design.ratio
+    frequency = turns[:, None] * np.asarray(units.order[0])
+    rms = np.sqrt(np.sum(np.abs(units.amplitude[..., 0] * frequency**2) ** 2, axis=2) / 2)
+    limit = question.requirements["dynamic_vibration"].upper
+    return dynamic_error.batch_over_speed(turns, rms, unit="rad/s2", name="vibration", limit=limit, axes=axes)
 
 
 def _ratio(design):
@@ -394,6 +432,8 @@ PICTURES = {
     ),
     "tooth": (lambda axes: mesh_pictures.tooth(catalogue.CORR, axes=axes), (7, 4.6)),
     "campbell": (_campbell, (7, 4.6)),
+    "joint_orders": (_joint_orders, (7, 4.2)),
+    "joint_batch": (_joint_batch, (7, 4.2)),
     "loaded_pins": (_loaded_pins, None),
     "loaded_sharing": (_loaded_sharing, (7, 4.2)),
     "loaded_torsion": (_loaded_torsion, (7, 4.6)),

@@ -22,6 +22,7 @@ KNOWN: dict[str, dict[str, float]] = {
     "m": {"m": 1.0, "mm": mm, "um": um},
     "rad": {"rad": 1.0, "deg": deg, "arcmin": arcmin, "arcsec": arcsec},
     "rad/s": {"rad/s": 1.0, "rpm": rpm},
+    "rad/s2": {"rad/s2": 1.0},
     "N": {"N": 1.0, "kN": 1e3},
     "N m": {"N m": 1.0, "kN m": 1e3},
     "N/m": {"N/m": 1.0, "N/mm": 1e3, "N/um": 1e6},

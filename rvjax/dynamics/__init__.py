@@ -11,6 +11,7 @@ Source: Yang, Chen, Wang, "Response Sensitivity to Design Parameters of RV Reduc
 from rvjax.dynamics.assembly import Lumped, System, assemble, lump
 from rvjax.dynamics.deviations import with_deviations
 from rvjax.dynamics.error_excitation import ErrorExcitation, error_excitation
+from rvjax.dynamics.error_peaks import SpeedRange, speed_range
 from rvjax.dynamics.error_response import DynamicError, SpeedSweep, speed_sweep, transmission_error
 from rvjax.dynamics.error_statistics import ErrorStatistics, error_statistics
 from rvjax.dynamics.error_transfer import error_transfer
@@ -33,6 +34,7 @@ __all__ = [
     "Modes",
     "Periodic",
     "Response",
+    "SpeedRange",
     "SpeedSweep",
     "Static",
     "System",
@@ -49,6 +51,7 @@ __all__ = [
     "modes",
     "periodic",
     "response",
+    "speed_range",
     "speed_sweep",
     "static",
     "transmission_error",

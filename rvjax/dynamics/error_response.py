@@ -125,7 +125,7 @@ def _first_order(
     amplitude = jnp.einsum("kos,ks->ko", found.value, excitation)
     static = excitation @ (rows @ static_deflection(unit.lumped)[0]).T.astype(excitation.dtype)
     frequency = n * jnp.abs(speed) / (2 * jnp.pi)
-    values = (n, frequency, amplitude, static, _peak_to_peak(orders, amplitude))
+    values = (n, frequency, amplitude, static, curve_range(orders, amplitude))
     (n, frequency, amplitude, static, whole), info = unit.gate.close(
         values,
         (~jnp.all(jnp.isfinite(amplitude)), Status.NONFINITE),
@@ -155,7 +155,7 @@ def _balanced(
     found = balance(unit, speed, output_torque, outputs, pin_harmonics, stage, harmonics)
     n = jnp.asarray([float(order) for order in found.orders], speed.dtype)
     frequency = n * jnp.abs(speed) / (2 * jnp.pi)
-    values = (n, frequency, found.amplitude, found.static, _peak_to_peak(found.orders, found.amplitude))
+    values = (n, frequency, found.amplitude, found.static, curve_range(found.orders, found.amplitude))
     (n, frequency, amplitude, static, whole), info = unit.gate.close(
         values,
         (~jnp.all(jnp.isfinite(found.amplitude)), Status.NONFINITE),
@@ -165,7 +165,7 @@ def _balanced(
     return DynamicError(n, frequency, amplitude, static, whole, outputs, info)
 
 
-def _peak_to_peak(orders: Orders, amplitude: jax.Array) -> jax.Array:
+def curve_range(orders: Orders, amplitude: jax.Array) -> jax.Array:
     """Of the sum of all lines (outputs,), on 2^k >= max(256, 16 n_max / g) angles of their common period 2 pi / g."""
     whole = lcm(*(n.denominator for n in orders))
     numbers = [int(n * whole) for n in orders]

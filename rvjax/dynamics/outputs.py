@@ -1,24 +1,30 @@
 """What studies may ask of the dynamic model."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 from rvjax.catalogue import RV_320E
 from rvjax.designs import Damping, RVReducer
-from rvjax.dynamics.assembly import lump
+from rvjax.dynamics.assembly import Lumped, lump
+from rvjax.dynamics.error_peaks import SpeedRange, speed_range
+from rvjax.dynamics.error_response import DynamicError, transmission_error
+from rvjax.dynamics.error_transfer import loaded
 from rvjax.dynamics.excitation import STAGES, mesh_frequency
 from rvjax.dynamics.modes import modes
 from rvjax.dynamics.periodic import periodic
 from rvjax.dynamics.response import METHODS, response
 from rvjax.dynamics.symmetry import KINDS
 from rvjax.outputs import Cases, Description, Output, Solved, Way, condition
+from rvjax.records import Scalar
 from rvjax.units import rpm
 
 ROTATION = "output.rotation"
+Evaluate = Callable[[RVReducer, Any, Any], Solved]
 
 
 @dataclass(frozen=True)
@@ -27,8 +33,15 @@ class Conditions:
 
     output_torque: float = condition(0.0, "torque of the discs on the carrier", unit="N m", torque=True)
     sun_speed: float | None = condition(None, "speed at which the vibration is judged", unit="rad/s")
-    slowest_sun_speed: float | None = condition(None, "lower end of the range without resonance", unit="rad/s")
-    fastest_sun_speed: float | None = condition(None, "upper end of the range without resonance", unit="rad/s")
+    slowest_sun_speed: float | None = condition(None, "lower end of the range of speeds", unit="rad/s")
+    fastest_sun_speed: float | None = condition(None, "upper end of the range of speeds", unit="rad/s")
+    speeds: int = condition(
+        40, "of the range that errors excite at, beside the resonances within it", minimum=2, maximum=10_000
+    )
+    load_inertia: float | None = condition(
+        None, "of what the output drives; it decides where the joint resonates", unit="kg m2", minimum=0.0
+    )
+    pin_harmonics: int = condition(8, "of errors of single pins", minimum=0, maximum=1000)
     stage: str = condition("planetary", "whose mesh stiffness varies", choices=STAGES)
     harmonics: int = condition(9, "of the mesh frequency", minimum=1, maximum=1000)
     method: str = condition("first_order", "of the vibration", choices=METHODS)
@@ -37,7 +50,7 @@ class Conditions:
 def _vibration(design: RVReducer, errors: Any, given: Any) -> Solved:
     """Root mean square of the output's rotation about its mean; the load on the output is the carrier's reversed."""
     found = response(
-        errors.stiffened(design),
+        _with_load(lump(errors.stiffened(design)), given),
         sun_speed=given.sun_speed,
         output_torque=-given.output_torque,
         stage=given.stage,
@@ -51,8 +64,7 @@ def _vibration(design: RVReducer, errors: Any, given: Any) -> Solved:
 
 def _resonance_margin(design: RVReducer, errors: Any, given: Any) -> Solved:
     """How far the mesh frequency stays from every torsional mode, over the mode; < 0: a mode lies within the range."""
-    stiffened = errors.stiffened(design)
-    lumped = lump(stiffened)
+    lumped = _with_load(lump(errors.stiffened(design)), given)
     found = modes(lumped)
     speeds = sorted((given.slowest_sun_speed, given.fastest_sun_speed))
     low, high = sorted(abs(mesh_frequency(lumped, speed, given.stage)) / (2 * np.pi) for speed in speeds)
@@ -63,6 +75,42 @@ def _resonance_margin(design: RVReducer, errors: Any, given: Any) -> Solved:
     distance = jnp.maximum(low / frequency - 1, 1 - high / frequency)
     margin = jnp.min(jnp.where(elastic, distance, jnp.inf))
     return jnp.where(jnp.isfinite(found.frequency[0]), margin, jnp.nan), found.info.status
+
+
+def _with_load(lumped: Lumped, given: Any) -> Lumped:
+    return lumped if given.load_inertia is None else loaded(lumped, given.load_inertia)
+
+
+def _at_worst(at_speed: Callable[[DynamicError], Scalar], over_range: Callable[[SpeedRange], Scalar]) -> Evaluate:
+    """What errors excite at `sun_speed`, or at the worst of the range of speeds where one is given."""
+
+    def evaluate(design: RVReducer, errors: Any, given: Any) -> Solved:
+        options = dict(load_inertia=given.load_inertia, pin_harmonics=given.pin_harmonics)
+        ends = dict(slowest_sun_speed=given.slowest_sun_speed, fastest_sun_speed=given.fastest_sun_speed)
+        missing = [name for name, end in ends.items() if end is None]
+        stiffened = errors.stiffened(design)
+        if not missing:
+            worst = speed_range(stiffened, errors, **ends, speeds=given.speeds, **options)
+            return over_range(worst), worst.info.status
+        if len(missing) == 1 or given.sun_speed is None:
+            raise ValueError(f"conditions.{missing[0]} is missing: errors excite at a range of speeds or at sun_speed")
+        found = transmission_error(stiffened, errors, sun_speed=given.sun_speed, **options)
+        return at_speed(found), found.info.status
+
+    return evaluate
+
+
+def _acceleration(found: DynamicError) -> jax.Array:
+    """Root mean square over time, Eq. 15."""
+    line = found.amplitude[:, 0]
+    square = jnp.square(line.real) + jnp.square(line.imag)
+    square = jnp.sum(square * (2 * jnp.pi * found.frequency) ** 4) / 2
+    return jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1)), square)
+
+
+def _standing(design: RVReducer, errors: Any, given: Any) -> Solved:
+    found = transmission_error(errors.stiffened(design), errors, sun_speed=0.0, pin_harmonics=given.pin_harmonics)
+    return found.peak_to_peak[0], found.info.status
 
 
 POINTS = 64  # of the compared vibration in a mesh period
@@ -130,7 +178,20 @@ DESCRIPTION = Description(
             _resonance_margin,
             ("slowest_sun_speed", "fastest_sun_speed"),
         ),
+        "static_transmission_error": Output("rad", "peak to peak at standstill, errors as excitation", _standing),
+        "dynamic_transmission_error": Output(
+            "rad",
+            "peak to peak of the output, largest over the speeds, errors as excitation",
+            _at_worst(lambda found: found.peak_to_peak[0], lambda found: found.peak_to_peak),
+            ("load_inertia",),
+        ),
+        "dynamic_vibration": Output(
+            "rad/s2",
+            "root mean square acceleration of the output, largest over the speeds, errors as excitation",
+            _at_worst(_acceleration, lambda found: found.acceleration),
+            ("load_inertia",),
+        ),
     },
     cases=_cases,
-    unknown="manufacturing errors as excitation: in studies only the varying mesh stiffness excites",
+    unknown="clearance, loss of contact, friction; products of errors and varying mesh stiffness",
 )

@@ -1,6 +1,6 @@
 """Pictures: functions that take numbers and results in SI and return Axes. The models never import this package."""
 
-from rvjax.plotting import assembly, compensation, dynamics, four_bar, loaded, mesh_force
+from rvjax.plotting import assembly, compensation, dynamic_error, dynamics, four_bar, loaded, mesh_force
 from rvjax.plotting.allocation import cost_bars
 from rvjax.plotting.batches import batch_histograms, rejects_against_limit
 from rvjax.plotting.lost_motion import contributions, torque_angle_loop
@@ -23,6 +23,7 @@ __all__ = [
     "cost_against_limit",
     "cost_against_yield",
     "cost_bars",
+    "dynamic_error",
     "dynamics",
     "four_bar",
     "loaded",

@@ -9,7 +9,7 @@ from typing import Any
 
 from rvjax import models
 from rvjax.outputs import Output
-from rvjax.records import remind_of_precision
+from rvjax.records import Shape, axis_sizes, remind_of_precision
 from rvjax.study.assembly import parse_assembly
 from rvjax.study.design import parse_design
 from rvjax.study.plausible import refuse_impossible
@@ -146,15 +146,29 @@ def _tolerances(design: Any, table: dict[str, Any], folder: Path) -> Any:
     for field in table:
         where = f"tolerances.{field}"
         with naming_field(where):
-            unit = _metadata(design.error_record, field)["unit"]
-            made[field] = _tolerance(subtable(table, field), unit, where, folder)
+            about, own = _metadata(design.error_record, field), dict(subtable(table, field))
+            shape = _series(about["shape"], design.counts, own, where)
+            made[field] = _tolerance(own, about["unit"], where, folder, shape)
     return for_design(design, **made)
 
 
-def _tolerance(table: dict[str, Any], unit: str, where: str, folder: Path = Path()) -> Tolerance:
+def _series(axes: Shape, counts: Mapping[str, int], table: dict[str, Any], where: str) -> tuple[int, ...]:
+    """Shape of a series, whose number of harmonics is taken out of its table; () where the design tells all sizes."""
+    own = [axis for axis in axes if isinstance(axis, str) and axis not in counts]
+    if not own:
+        return ()
+    if "harmonics" not in table:
+        raise ValueError(f"{where}.harmonics is missing: an integer, the number of terms of the series")
+    harmonics = integer(table.pop("harmonics"), f"{where}.harmonics", 1, 1000)
+    return axis_sizes(axes, {**counts, **dict.fromkeys(own, harmonics)}, (0,) * len(axes))
+
+
+def _tolerance(
+    table: dict[str, Any], unit: str, where: str, folder: Path = Path(), shape: tuple[int, ...] = ()
+) -> Tolerance:
     law = LAWS[choice(table.get("distribution", "normal"), LAWS, f"{where}.distribution")]
     known(table, {"lower", "upper", "half_width", "grade", "size", "distribution", *COMMON, *law.parameters()}, where)
-    options: dict[str, Any] = {"distribution": law}
+    options: dict[str, Any] = {"distribution": law, "shape": shape}
     options |= {key: quantity(table[key], "-", f"{where}.{key}") for key in COMMON if key in table}
     for key in law.parameters():
         if key in table:

@@ -1,0 +1,73 @@
+"""Pictures of the dynamic transmission error: the data that is drawn is the data that was given, axes carry units."""
+
+import jax.numpy as jnp
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+
+from rvjax import plotting
+from rvjax.dynamics import SpeedSweep
+from rvjax.plotting import dynamic_error
+from rvjax.status import SolveInfo
+from rvjax.units import arcmin, rpm
+
+RATIO = 105.0
+SPEEDS = np.linspace(5, 60, 45) * RATIO * rpm
+ORDER = np.array([40.0, 78.0, 80.0, 208.0])
+HEIGHT = arcmin * np.stack([np.linspace(2, 1, 45), np.linspace(0.2, 0.1, 45), np.zeros(45), np.full(45, 2e-4)], 1)
+LINES = jnp.asarray(HEIGHT[:, :, None] * 1j)
+SWEEP = SpeedSweep(ORDER, LINES, HEIGHT.max(0)[:, None], None, ("output.rotation",), SolveInfo(0))
+
+
+@pytest.fixture(autouse=True)
+def styled():
+    with plotting.style():
+        yield
+    plt.close("all")
+
+
+def test_orders_rise_with_speed_and_carry_their_amplitudes():
+    axes = dynamic_error.campbell_amplitudes(SWEEP, SPEEDS, ratio=RATIO, modes=[10.5], highest=80.0)
+    lines = axes.collections
+    assert len(lines) == 3  # order 80 has no errors
+    for line, n, height in zip(lines, ORDER[[0, 1, 3]], HEIGHT.T[[0, 1, 3]]):
+        ends = np.array([line.get_segments()[0][0], line.get_segments()[-1][1]])
+        np.testing.assert_allclose(ends, [[5, n * 5 / 60], [60, n]])
+        floor = 2e-3  # three decades below the largest
+        np.testing.assert_allclose(line.get_array()[0], max(height[:2].mean() / arcmin, floor))
+    assert [text.get_text().strip() for text in axes.texts] == ["40", "78", "208"]
+    assert axes.get_ylim() == (0, 80) and axes.lines[0].get_ydata()[0] == 10.5 and "(Hz)" in axes.get_ylabel()
+    nothing = SWEEP.replace(amplitude=jnp.zeros_like(LINES))
+    assert not dynamic_error.campbell_amplitudes(nothing, SPEEDS, ratio=RATIO).collections
+
+
+def test_spectra_stand_on_their_speeds():
+    """Three decades below the largest line are no height, the largest is four steps: here 4 x 5 r/min."""
+    axes = dynamic_error.waterfall(SWEEP, SPEEDS, ratio=RATIO, spectra=12)
+    found = {round(line.get_xdata()[0], 6): line for line in axes.lines if line.get_xdata()[0] == line.get_xdata()[1]}
+    first = found[round(40 * 5 / 60, 6)].get_ydata()
+    np.testing.assert_allclose(first, [5, 5 + 20])
+    second = found[round(78 * 5 / 60, 6)].get_ydata()
+    np.testing.assert_allclose(second, [5, 5 + 20 * 2 / 3])
+    assert np.ptp(found[round(208 * 5 / 60, 6)].get_ydata()) == 0
+    assert "2 arcmin" in axes.get_title() and "(r/min)" in axes.get_ylabel()
+
+
+def test_a_batch_is_drawn_by_its_quantiles():
+    values = np.outer(np.arange(1, 1001) / 100, np.ones(45))
+    values[3] = np.nan
+    axes = dynamic_error.batch_over_speed(SPEEDS / RATIO, values, unit="rad/s2", name="dynamic_vibration", limit=8.0)
+    lines = {line.get_label(): line.get_ydata()[0] for line in axes.lines}
+    assert lines["median"] == pytest.approx(5, rel=5e-3) and lines["99.73 % lie below"] == pytest.approx(9.97, rel=1e-3)
+    assert lines["worst of 999"] == 10 and lines["limit"] == 8
+    assert axes.get_ylabel() == "dynamic vibration (rad/s2)"
+
+
+def test_contributions_of_errors_add_to_one():
+    power = {"disc_bore": [6.0, 0.0, 0.0, 0.0], "disc_flank": [1.0, 0.0, 0.5, 0.0], "ring_flank": [0.0, 0.5, 0.0, 0.0]}
+    axes = dynamic_error.error_contributions(ORDER, power, unit="rad/s2", title="at 15 r/min")
+    widths = np.array([bar.get_width() for bar in axes.patches])
+    assert widths.sum() == pytest.approx(1) and widths.max() == pytest.approx(0.75)
+    assert [label.get_text() for label in axes.get_yticklabels()] == ["ring flank", "disc flank", "disc bore"]
+    assert "2 rad/s2 rms" in axes.get_xlabel()
+    assert [text.get_text() for text in axes.get_legend().get_texts()] == ["40", "78", "80"]
