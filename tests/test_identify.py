@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy import optimize
 
 import rvjax
 from benchmarks import identify_coverage
@@ -141,6 +142,20 @@ def test_saddle_between_two_modes_is_left():
     assert both["x"].lower < -0.7 < 0.7 < both["x"].upper and both["square"].error < 0.4
     kept = identify.predict(found, lambda values: values["x"], requirement=Requirement(lower=0.0))
     assert kept.lower < 0.5 < kept.upper and kept.upper - kept.lower < 0.06
+
+
+def test_steps_that_go_too_far_are_damped():
+    """A residual of 2 sd on a model that bends: the true curvature is five times that of Gauss and Newton."""
+    found = identify.solve(bent, {"x": unit(3.0)}, np.array([-2.0]), noise=Noise(1.0), starts=1, draws=64)
+    phi = lambda x: x**2 / 2 + (0.3 * x + x**2 + 2.0) ** 2 / 2  # noqa: E731
+    exact = optimize.minimize_scalar(phi, bounds=(-1, 1), method="bounded", options={"xatol": 1e-12}).x
+    assert found.info.status == 0
+    assert found.u[0] == pytest.approx(exact, abs=1e-7)  # the oracle sees phi to 1e-16, its place to the root of that
+
+
+def bent(values):
+    """Slope 0.3 in the middle, and a bend."""
+    return jnp.stack([0.3 * values["x"] + values["x"] ** 2])
 
 
 def square(values):
