@@ -2,13 +2,16 @@
 
 import dataclasses
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rvjax import models
 from rvjax.levels.choice import Choice, choose
 from rvjax.outputs import Curve, Output
 from rvjax.study.response import Response
 from rvjax.tolerances.propagation.requirements import Limits
+
+if TYPE_CHECKING:  # it reads values, whose errors are those of studies
+    from rvjax.study.identification import Identification
 
 
 @dataclass(frozen=True)
@@ -28,6 +31,7 @@ class Study:
         certificate_samples: fresh units on which the result is certified.
         joint_target: share of units that must meet all requirements at once; None: each has a target of its own.
         accuracy: largest error of computation allowed, by response name; without one the conditions decide.
+        identification: what [identify] asks of measured units, or None.
     """
 
     name: str
@@ -42,9 +46,16 @@ class Study:
     certificate_samples: int = 1_000_000
     joint_target: float | None = None
     accuracy: dict[str, float] = dataclasses.field(default_factory=dict)
+    identification: "Identification | None" = None
 
     def response(self) -> Response:
-        """errors -> Outcome of the responses that the requirements name."""
+        """errors -> Outcome of the responses that the requirements name.
+
+        Raises:
+            StudyError: there are none, as in a study that only identifies.
+        """
+        if not self.requirements:
+            raise StudyError(f"{self.name}: [requirement] is missing or empty")
         return Response.of(self.design, tuple(self.requirements), self.conditions, self.choices())
 
     def choices(self) -> dict[str, Choice]:

@@ -10,6 +10,7 @@ from typing import Any
 from rvjax import models
 from rvjax.outputs import Output
 from rvjax.study.design import parse_design
+from rvjax.study.identification import Identification, parse_identification
 from rvjax.study.question import Study, StudyError
 from rvjax.study.response import check_nominal
 from rvjax.study.values import choice, integer, known, naming, naming_field, quantity, share, subtable
@@ -65,8 +66,20 @@ def parse_study(text: str, *, name: str, folder: Path = Path()) -> Study:
             tables = tomllib.loads(text)
         except (tomllib.TOMLDecodeError, RecursionError) as error:
             raise ValueError(f"not valid TOML: {error}") from None
-        known(tables, {"accuracy", "conditions", "cost", "design", "requirement", "run", "tolerances"}, "")
-        for key in ("design", "tolerances", "requirement"):
+        sections = {
+            "accuracy",
+            "columns",
+            "conditions",
+            "cost",
+            "design",
+            "identify",
+            "requirement",
+            "run",
+            "tolerances",
+        }
+        known(tables, sections, "")
+        asked = () if "identify" in tables else ("requirement",)
+        for key in ("design", "tolerances", *asked):
             if not subtable(tables, key):
                 raise ValueError(f"[{key}] is missing or empty")
         design = parse_design(subtable(tables, "design"))
@@ -77,11 +90,19 @@ def parse_study(text: str, *, name: str, folder: Path = Path()) -> Study:
         known(run, {"seed", "samples", "certificate_samples", "joint_target"}, "run")
         kind = models.kind(design)
         requirements = _requirements(kind.outputs, subtable(tables, "requirement"))
+        identification = None
+        if "identify" in tables:
+            identification = parse_identification(
+                subtable(tables, "identify"), subtable(tables, "columns"), design, tolerances,
+                lambda table, unit, where: _tolerance(table, unit, where, folder),
+            )  # fmt: skip
+        elif "columns" in tables:
+            raise ValueError("[columns]: names columns of measured data, but there is no [identify]")
         study = Study(
             name=name,
             text=text,
             design=design,
-            conditions=_conditions(kind, requirements, subtable(tables, "conditions")),
+            conditions=_conditions(kind, requirements, identification, subtable(tables, "conditions")),
             tolerances=tolerances,
             costs=costs,
             requirements=requirements,
@@ -92,8 +113,10 @@ def parse_study(text: str, *, name: str, folder: Path = Path()) -> Study:
                 run.get("certificate_samples", 1_000_000), "run.certificate_samples", 16, 2**32
             ),
             joint_target=None if "joint_target" not in run else share(run["joint_target"], "run.joint_target"),
+            identification=identification,
         )
-        check_nominal(study.response(), error_record())
+        if requirements:
+            check_nominal(study.response(), error_record())
         return study
 
 
@@ -101,10 +124,15 @@ def _metadata(record: Any, field: str) -> Any:
     return next(f.metadata for f in dataclasses.fields(record) if f.name == field)
 
 
-def _conditions(kind: models.Kind, requirements: Mapping[str, Any], given: dict[str, Any]) -> Any:
+def _conditions(
+    kind: models.Kind, requirements: Mapping[str, Any], identification: Identification | None, given: dict[str, Any]
+) -> Any:
     fields = {f.name: f.metadata for f in dataclasses.fields(kind.conditions)}
     known(given, set(fields), "conditions")
-    for key in sorted(given.keys() - kind.conditions_of(tuple(requirements))):
+    read = set(kind.conditions_of(tuple(requirements)))
+    if identification:
+        read |= set(models.conditions_of_model(identification.model))
+    for key in sorted(given.keys() - read):
         readers = ", ".join(name for name in kind.outputs if key in kind.conditions_of((name,)))
         raise ValueError(f"conditions.{key} = {given[key]!r}: no response required here reads it, only {readers}")
     return kind.conditions(**{key: _condition(value, fields[key], f"conditions.{key}") for key, value in given.items()})
