@@ -3,6 +3,7 @@
 import contextlib
 import csv
 import dataclasses
+import io
 import json
 import math
 import shutil
@@ -234,22 +235,47 @@ def write(answer: Answer, folder: Path) -> Path:
     Returns:
         The folder.
     """
+    return write_files(_files(answer), folder)
+
+
+def _files(answer: Answer) -> Iterator[tuple[str, bytes]]:
+    yield "study.toml", answer.study.text.encode()
+    yield "summary.txt", (summary(answer) + "\n").encode()
+    yield "result.json", json.dumps(as_json(answer), indent=1, allow_nan=False).encode()
+    yield "tolerances.csv", as_csv(*tolerance_rows(answer))
+    yield "influence.csv", as_csv(*influence_rows(answer))
+    yield "requirements.csv", as_csv(*requirement_rows(answer))
+    for picture in pictures(answer):
+        yield f"{picture.name}.png", picture.content
+
+
+def as_csv(headers: Sequence[str], rows: Iterable[Sequence[str]]) -> bytes:
+    """A table as the content of a CSV file.
+
+    Args:
+        headers: of the columns.
+        rows: cells.
+    """
+    file = io.StringIO(newline="")
+    csv.writer(file, lineterminator="\n").writerows([headers, *rows])
+    return file.getvalue().encode()
+
+
+def write_files(files: Iterable[tuple[str, bytes]], folder: Path) -> Path:
+    """Write files into a new folder: all of them, or nothing.
+
+    Args:
+        files: name and content, made one after the other.
+        folder: that is wanted; where another run has taken it meanwhile, the next free number.
+
+    Returns:
+        The folder.
+    """
     folder.parent.mkdir(parents=True, exist_ok=True)
     scratch = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
     try:
-        (scratch / "study.toml").write_text(answer.study.text, "utf-8")
-        (scratch / "summary.txt").write_text(summary(answer) + "\n", "utf-8")
-        (scratch / "result.json").write_text(json.dumps(as_json(answer), indent=1, allow_nan=False), "utf-8")
-        for name, rows in (
-            ("tolerances", tolerance_rows),
-            ("influence", influence_rows),
-            ("requirements", requirement_rows),
-        ):
-            headers, cells = rows(answer)
-            with (scratch / f"{name}.csv").open("w", encoding="utf-8", newline="") as file:
-                csv.writer(file, lineterminator="\n").writerows([headers, *cells])
-        for picture in pictures(answer):
-            (scratch / f"{picture.name}.png").write_bytes(picture.content)
+        for name, content in files:
+            (scratch / name).write_bytes(content)
         scratch.chmod(0o755)  # mkdtemp makes it private
         made = new_folder(folder)
         scratch.rename(made)  # onto an empty folder of its own
