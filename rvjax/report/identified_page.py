@@ -14,7 +14,7 @@ import numpy as np
 import rvjax
 from rvjax.plotting.style import words
 from rvjax.report import identified as told
-from rvjax.report.page import _figure, _micro, _note, _section, _table
+from rvjax.report.page import figure, micro, note, section, table
 from rvjax.report.pictures import Picture
 from rvjax.study.identified import Identified
 from rvjax.study.measured import Loop
@@ -137,7 +137,7 @@ def _head(answer: Identified) -> str:
     said = " ".join(map(escape, [*more, told.verdict_line(answer) + "."]))
     return (
         f"<header>\n<h1>{escape(answer.study.name)}: what made this curve?</h1>\n"
-        f'<p class="note">{escape(_note(answer.study.text))}</p>\n'
+        f'<p class="note">{escape(note(answer.study.text))}</p>\n'
         f'<div class="verdict{missed}"><strong>{mark}{escape(title)}</strong> {said}</div>\n'
         f'<dl class="key">{boxes}</dl>\n</header>'
     )
@@ -152,8 +152,8 @@ def _curves(answer: Identified, drawn: dict[str, Picture]) -> str:
         "<p>Points: what was measured, without order 1 and, where no offset is asked for, without its mean. "
         "The band holds what the identified unit does, not the noise of a reading.</p>"
     )
-    orders = _figure(drawn["orders"]) if "orders" in drawn else ""
-    return _section("Measured and identified", text + "".join(map(_figure, chosen)) + left + orders)
+    orders = figure(drawn["orders"]) if "orders" in drawn else ""
+    return section("Measured and identified", text + "".join(map(figure, chosen)) + left + orders)
 
 
 def _seen(answer: Identified) -> str:
@@ -168,19 +168,19 @@ def _seen(answer: Identified) -> str:
     pairs = [f"{escape(a)} and {escape(b)} ({r:+.3f})" for a, b, r in answer.check.inseparable[:8]]
     if pairs:
         text += f"<p>Cannot be told apart (posterior correlation): {', '.join(pairs)}.</p>"
-    return _section("What the data can tell apart", text)
+    return section("What the data can tell apart", text)
 
 
 def _elements(answer: Identified, drawn: dict[str, Picture]) -> str:
     headers, rows = told.element_rows(answer)
-    cells = [[_broken(row[0]), *(_micro(escape(cell)) for cell in row[1:])] for row in rows[:MOST]]
+    cells = [[_broken(row[0]), *(micro(escape(cell)) for cell in row[1:])] for row in rows[:MOST]]
     left = (
         f"<p>{len(rows) - MOST} elements of which the data say less are in elements.csv.</p>"
         if len(rows) > MOST
         else ""
     )
-    picture = _figure(drawn["elements"]) if "elements" in drawn else ""
-    return _section("Every element", picture + _table(headers, cells) + left)
+    picture = figure(drawn["elements"]) if "elements" in drawn else ""
+    return section("Every element", picture + table(headers, cells) + left)
 
 
 def _broken(element: str) -> str:
@@ -191,11 +191,11 @@ def _units(answer: Identified) -> str:
     if answer.batch is None:
         return ""
     headers, rows = told.unit_rows(answer)
-    return _section("Units", _table(headers, [[_micro(escape(cell)) for cell in row] for row in rows]))
+    return section("Units", table(headers, [[micro(escape(cell)) for cell in row] for row in rows]))
 
 
 def _shares(drawn: dict[str, Picture]) -> str:
-    return _section("Who makes the curve", _figure(drawn["shares"])) if "shares" in drawn else ""
+    return section("Who makes the curve", figure(drawn["shares"])) if "shares" in drawn else ""
 
 
 def _coming(answer: Identified) -> str:
@@ -203,7 +203,7 @@ def _coming(answer: Identified) -> str:
     if not lines:
         return ""
     text = "<p>One more run, and how much it would tell about the parts (a nat: some uncertainty divided by 2.7):</p>"
-    return _section("What to measure next", f"{text}<ol>{lines}</ol>")
+    return section("What to measure next", f"{text}<ol>{lines}</ol>")
 
 
 def _origin(answer: Identified, study: str, data: Sequence[str]) -> str:
@@ -217,4 +217,4 @@ def _origin(answer: Identified, study: str, data: Sequence[str]) -> str:
         for name, value in facts
     )
     text = f"<table><tbody>{rows}</tbody></table><p>The study:</p><pre>{escape(answer.study.text)}</pre>"
-    return _section("How to get this page again", text)
+    return section("How to get this page again", text)

@@ -182,16 +182,15 @@ def _four_bar_orders(
             raise ValueError(
                 f"identify.orders: order {order} is crank order {order // pins}; conditions.angles is too few"
             )
-    ways = dict(cranks=conditions.cranks, gear_stiffness_ratio=conditions.gear_stiffness_ratio)
+    none_loaded = not any(torques)
 
     def spectrum(design: Any, errors: Any) -> tuple[jax.Array, jax.Array]:
-        turns = [
-            four_bar.revolution(
-                design, errors, angles=conditions.angles, output_torque=t, closure=conditions.closure, **ways
-            ).harmonics
-            for t in torques
-        ]
-        waves = jnp.stack(turns)
+        def turn(torque: Any) -> jax.Array:
+            ways = dict(cranks=conditions.cranks, gear_stiffness_ratio=conditions.gear_stiffness_ratio)
+            ways |= dict(closure=conditions.closure, angles=conditions.angles)
+            return four_bar.revolution(design, errors, output_torque=torque, **ways).harmonics
+
+        waves = turn(0.0)[None] if none_loaded else jax.vmap(turn)(jnp.asarray(torques))
         # The cranks turn against the output: X e^(i h crank) is conj(X) e^(i h pins output).
         none = jnp.zeros(len(torques), waves.dtype) * jnp.real(waves[:, 0])  # a failed turn stays NaN
         found = [jnp.conj(waves[:, k // pins]) if k % pins == 0 else none for k in orders]
