@@ -78,6 +78,7 @@ _LAZY = {
     "catalogue": None,
     "dynamics": None,
     "four_bar": None,
+    "identify": None,
     "levels": None,
     "loaded": None,
     "lost_motion": None,

@@ -26,6 +26,7 @@ FLOORS = (
     ("errors",),
     ("catalogue", "outputs"),
     (*MODELS, "tolerances"),
+    ("identify",),
     ("models",),
     ("levels",),
     ("study",),

@@ -1,0 +1,28 @@
+"""What made this curve? From measured observations back to the errors of the parts, with what the data cannot tell.
+
+Knows no gear: a model is any pure function of values to an observation, a prior a record or dict of tolerances.
+"""
+
+from rvjax.identify.batch import Batch, solve_many
+from rvjax.identify.check import identifiability
+from rvjax.identify.information import Direction, Identifiability
+from rvjax.identify.noise import Noise
+from rvjax.identify.orders import Orders, orders
+from rvjax.identify.population import Process
+from rvjax.identify.posterior import Mode, Posterior
+from rvjax.identify.unit import solve
+
+__all__ = [
+    "Batch",
+    "Direction",
+    "Identifiability",
+    "Mode",
+    "Noise",
+    "Orders",
+    "Posterior",
+    "Process",
+    "identifiability",
+    "orders",
+    "solve",
+    "solve_many",
+]

@@ -1,0 +1,236 @@
+"""`solve_many`: the measurements of many units at once, each by itself or with elements that all of them share."""
+
+import dataclasses
+from collections.abc import Iterable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rvjax.identify import fit as fits
+from rvjax.identify.elements import mapped_values
+from rvjax.identify.fit import ADEQUATE, Fit, Judged
+from rvjax.identify.information import Spectrum
+from rvjax.identify.noise import Noise
+from rvjax.identify.population import Process, process
+from rvjax.identify.posterior import outcome
+from rvjax.identify.problem import Model, Problem, counted, integer, modes
+from rvjax.identify.search import APART, FAINT, evidence_of
+from rvjax.identify.shared import Split, Units, joint_mode, triangular
+from rvjax.records import PyTree
+from rvjax.status import SolveInfo, Status
+from rvjax.tolerances.population.correlation import Correlation
+from rvjax.tolerances.propagation.estimates import deviate_of
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Batch:
+    """What the measurements of n units say; the numbers of a unit are NaN where its `info` says that no mode was found.
+
+    Attributes:
+        names: of the elements that each unit has for itself (p,).
+        u: their most probable standard numbers (n, p).
+        u_sd: posterior standard deviations (n, p), in those of the prior.
+        value: most probable values, structure of the prior with the units on axis 0 of every leaf, SI.
+        lower: lower ends of their intervals.
+        upper: upper ends.
+        shared_names: of the elements common to all units (q,).
+        shared_u: their most probable standard numbers (q,).
+        shared_u_sd: posterior standard deviations (q,).
+        fit: how well model and prior explain each unit, arrays (n,).
+        status: NONFINITE, MAX_STEPS, REJECTED, MULTIMODAL (with starts > 1) or CONVERGED of each unit (n,).
+        info: of the solver alone, arrays (n,); `rvjax.check` takes the result.
+        problem: what was asked.
+        factors: triangular factors of [slopes over the own u, linearised data] of each unit (n, p + 1, p + 1).
+    """
+
+    names: tuple[str, ...]
+    u: np.ndarray
+    u_sd: np.ndarray
+    value: PyTree
+    lower: PyTree
+    upper: PyTree
+    shared_names: tuple[str, ...]
+    shared_u: np.ndarray
+    shared_u_sd: np.ndarray
+    fit: Fit
+    status: np.ndarray
+    info: SolveInfo
+    problem: Problem = dataclasses.field(repr=False)
+    factors: np.ndarray = dataclasses.field(repr=False)
+
+    def population(self) -> Process:
+        """Mean and spread of every own element over the units: what the process really does, with its Cp and Cpk.
+
+        The most probable values of the units would show too little spread, for each is drawn towards the prior.
+        Units without a mode are left out. What was shared stays at its most probable value.
+        """
+        return process(self.problem.elements, self.names, self.factors[np.isfinite(self.u).all(axis=1)])
+
+
+def solve_many(
+    model: Model,
+    prior: PyTree,
+    data: PyTree,
+    *,
+    noise: Noise,
+    shared: str | Iterable[str] = (),
+    nuisance: str | Iterable[str] = (),
+    correlation: Correlation = None,
+    starts: int = 1,
+    seed: int = 0,
+    max_steps: int = 50,
+    chunk: int = 256,
+    confidence: float = 0.95,
+) -> Batch:
+    """The errors that made the measurements of many units.
+
+    Args:
+        model: pure function, values of the prior's structure -> observation of one unit.
+        prior: record or dict (nested ones too) with a `Tolerance`, a constant or None in each field.
+        data: measured observations, the units on axis 0 of every leaf, NaN where missing.
+        noise: of the observation of one unit.
+        shared: names of fields that all units have in common, such as the stiffness of one test stand.
+        nuisance: names of fields or elements nobody asks about; what they can do does not judge the model.
+        correlation: {(field or element, field or element): correlation of their u}.
+        starts: the middle of the prior, and units drawn from it; take several where a model may have several modes.
+        seed: of the starts.
+        max_steps: most steps of the solver.
+        chunk: units (starts of units) that are in memory at once.
+        confidence: of the intervals.
+
+    Raises:
+        ValueError: an argument that does not fit, or a correlation between shared and own elements.
+    """
+    problem = Problem.of(model, prior, noise=noise, nuisance=nuisance, correlation=correlation)
+    deviate = deviate_of(confidence)
+    for name, value in (("starts", starts), ("max_steps", max_steps), ("chunk", chunk)):
+        counted(name, value, 1)
+    y = problem.layout.data(data, batched=True)
+    rng = np.random.default_rng(integer("seed", seed) % 2**64)
+    points = rng.standard_normal((starts, problem.elements.mixing.shape[1]))
+    points[0] = 0.0
+    split = Split.of(problem.elements, shared)
+    together = min(len(y), max(1, chunk // starts))
+    rows = [slice(start, min(start + together, len(y))) for start in range(0, len(y), together)]
+    if split.shared.size:
+        joint = joint_mode(problem, split, y, points, max_steps, rows)
+        found = (joint.units(part) for part in rows)
+        shared_u, shared_sd = joint.shared_u, joint.shared_sd
+    else:
+        found = (_separate(problem, y[part], points, max_steps, together) for part in rows)
+        shared_u = shared_sd = np.zeros(0)
+    parts = [_figures(problem, split, y[part], units, deviate) for part, units in zip(rows, found)]
+    whole = {name: np.concatenate([part[name] for part in parts]) for name in parts[0] if name != "worst"}
+    elements = problem.elements
+    return Batch(
+        names=tuple(elements.names[i] for i in split.own),
+        u=whole["u"][:, split.own],
+        u_sd=whole["u_sd"][:, split.own],
+        value=elements.structure(whole["value"]),
+        lower=elements.structure(whole["lower"]),
+        upper=elements.structure(whole["upper"]),
+        shared_names=tuple(elements.names[i] for i in split.shared),
+        shared_u=shared_u,
+        shared_u_sd=shared_sd,
+        fit=Fit(
+            **{name: whole[name] for name in Judged._fields},
+            weights=whole["weights"],
+            worst=tuple(names for part in parts for names in part["worst"]),
+        ),
+        status=whole["outcome"],
+        info=_stacked(whole["status"], whole["steps"], whole["away"]),
+        problem=problem,
+        factors=whole["factors"],
+    )
+
+
+def _stacked(status: np.ndarray, steps: np.ndarray, away: np.ndarray) -> SolveInfo:
+    """One info for many units; a constructor takes one case."""
+    one = SolveInfo(jnp.int32(0))
+    return jax.tree.unflatten(jax.tree.structure(one), [jnp.asarray(item) for item in (status, steps, away)])
+
+
+def _separate(problem: Problem, y: np.ndarray, points: np.ndarray, max_steps: int, together: int) -> Units:
+    """The heaviest modes of units y (k, m) that share nothing; one program however many units the last chunk has."""
+    population, mixing, sd = problem.device
+    padded = np.concatenate([y, np.repeat(y[:1], together - len(y), axis=0)])
+    starts = len(points)
+    found = modes(
+        problem.model,
+        population,
+        mixing,
+        sd,
+        jnp.asarray(np.repeat(padded, starts, axis=0)),
+        jnp.asarray(np.tile(points, (together, 1))),
+        problem.student,
+        jnp.int32(max_steps),
+    )
+    lanes = jax.tree.map(lambda leaf: np.asarray(leaf).reshape(together, starts, *leaf.shape[1:])[: len(y)], found)
+    good = lanes.info.status == Status.CONVERGED
+    slopes = np.where(good[..., None, None], lanes.slopes, 0.0)
+    spectrum = Spectrum.of(np.sqrt(problem.discount) * slopes @ problem.elements.mixing)
+    evidence = evidence_of(problem, lanes.z, lanes.residual, spectrum.nats, ~np.isnan(y)[:, None])
+    # Without any mode the lowest finite point speaks, and one that is not finite only where all are not.
+    rank = np.where(good, evidence, np.where(np.isfinite(lanes.phi), -1e300, -np.inf))
+    best = np.argmax(rank, axis=1)
+    own = np.arange(len(y))
+    apart = lanes.z - lanes.z[own, best][:, None]
+    across = np.einsum("ksji,ksj->ksi", spectrum.right, apart) ** 2 * (1 + spectrum.eigenvalues)
+    lighter = np.exp(np.minimum(rank - rank[own, best][:, None], 0.0))
+    several = (good & (across.sum(axis=-1) >= APART**2) & (lighter > FAINT)).any(axis=1)
+    chosen = jax.tree.map(lambda leaf: leaf[own, best], (lanes, slopes, spectrum))
+    mode, slopes, spectrum = chosen
+    root = problem.elements.mixing @ spectrum.root
+    info = mode.info
+    return Units(
+        mode.z @ problem.elements.mixing.T,
+        np.linalg.norm(root, axis=-1),
+        np.where(good.any(axis=1)[:, None], mode.residual, 0.0),
+        slopes,
+        several,
+        info.status,
+        info.steps,
+        info.residual,
+    )
+
+
+def _figures(problem: Problem, split: Split, y: np.ndarray, units: Units, deviate: float) -> dict[str, Any]:
+    """Everything a batch says of some of its units."""
+    elements, seen, good = problem.elements, ~np.isnan(y), units.status == Status.CONVERGED
+    u = np.where(good[:, None], units.u, 0.0)
+    linear = np.einsum("kmp,kp->km", units.slopes, u) - units.residual
+    judged = fits.judged(units.slopes, elements.mixing, problem.nuisance, linear, seen, problem.dof)
+    weights = fits.weights(units.residual, seen, problem.dof)
+    middle, one, other = (
+        mapped_values(elements, u + sign * deviate * np.where(good[:, None], units.u_sd, 1.0)) for sign in (0, -1, 1)
+    )
+    own = units.slopes[..., split.own]
+    datum = np.einsum("kmp,kp->km", own, u[:, split.own]) - units.residual
+    pair = np.sqrt(weights)[..., None] * np.concatenate([own, datum[..., None]], axis=-1)
+    height = max(pair.shape[-1] - pair.shape[-2], 0)
+    factors = triangular(np.pad(pair, ((0, 0), (0, height), (0, 0))))
+    adequate = judged.p_model >= ADEQUATE
+
+    def known(numbers: np.ndarray) -> np.ndarray:
+        return np.where(good.reshape(-1, *[1] * (np.ndim(numbers) - 1)), numbers, np.nan)
+
+    figures = {name: known(item) if item.dtype.kind == "f" else item for name, item in judged._asdict().items()}
+    names = problem.layout.names
+    return figures | dict(
+        u=known(u),
+        u_sd=known(units.u_sd),
+        value=known(middle),
+        lower=known(np.minimum(one, other)),
+        upper=known(np.maximum(one, other)),
+        weights=known(weights),
+        worst=[fits.largest(residual, names) for residual in units.residual],
+        outcome=np.array(
+            [str(outcome(int(s), bool(a), 1 + bool(h), True)) for s, a, h in zip(units.status, adequate, units.several)]
+        ),
+        status=units.status,
+        steps=units.steps,
+        away=units.away,
+        factors=factors,
+    )

@@ -1,0 +1,54 @@
+"""`identifiability`: what a measurement would tell, before anything is measured."""
+
+from collections.abc import Iterable
+
+import jax.numpy as jnp
+import numpy as np
+
+from rvjax.identify.elements import mapped
+from rvjax.identify.information import Identifiability, Spectrum, findings
+from rvjax.identify.noise import Noise
+from rvjax.identify.problem import Model, Problem, linearise
+from rvjax.records import PyTree
+from rvjax.tolerances.population.correlation import Correlation
+
+
+def identifiability(
+    model: Model,
+    prior: PyTree,
+    *,
+    noise: Noise,
+    at: PyTree = None,
+    nuisance: str | Iterable[str] = (),
+    correlation: Correlation = None,
+) -> Identifiability:
+    """What a measurement would tell about each element; needs no data.
+
+    Args:
+        model: pure function, values of the prior's structure -> observation.
+        prior: record or dict (nested ones too) with a `Tolerance`, a constant or None in each field.
+        noise: of the observation.
+        at: values at which the model is linearised, structure of the prior; None: the middle of the prior.
+        nuisance: names of fields or elements nobody asks about; they are elements like the others here.
+        correlation: {(field or element, field or element): correlation of their u}.
+
+    Raises:
+        ValueError: an argument that does not fit, or a model that is not finite there.
+    """
+    problem = Problem.of(model, prior, noise=noise, nuisance=nuisance, correlation=correlation)
+    u = np.zeros(problem.elements.count) if at is None else problem.elements.at("at", at)
+    slopes = slopes_at(problem, u)
+    mixing = problem.elements.mixing
+    spectrum = Spectrum.of(np.sqrt(problem.discount) * slopes @ mixing)
+    return findings(problem.elements.names, mixing, spectrum)
+
+
+def slopes_at(problem: Problem, u: np.ndarray) -> np.ndarray:
+    """Whitened slopes over u (m, p) at u; a ValueError where the model is not finite."""
+    population, _, sd = problem.device
+    observation, slopes = linearise(problem.model, population, sd, jnp.asarray(u))
+    found = np.asarray(slopes, float)
+    if not (np.isfinite(found).all() and np.isfinite(np.asarray(observation)).all()):
+        values = problem.elements.structure(np.asarray(mapped(population, jnp.asarray(u)[None])[0])[0])
+        raise ValueError(f"model: its observation or its slope is not finite at {values}, in SI".replace("\n", " "))
+    return found

@@ -1,0 +1,184 @@
+"""Is the model right? Two independent p-values from one linearised datum.
+
+d = J z^ - r is what the data would be if the model were linear at the mode. Along the left singular vectors of J its
+components are independent N(0, 1 + lambda) if model, prior and noise are right. Those with lambda >= 0.01 answer "could
+a part of this drawing do that?" (chi2_prior), the rest "could any part?" (chi2_model). Both p-values are uniform,
+exactly so in the linear normal case. What nuisances can do is projected out first.
+"""
+
+import dataclasses
+from typing import NamedTuple
+
+import numpy as np
+from scipy import special
+
+from rvjax.identify.information import Spectrum
+
+REACHED = 0.01
+"""Least lambda of a component that parts within the prior can move."""
+
+ADEQUATE = 0.001
+"""Least p_model of a model that may be right."""
+
+SIMULATED = 20_000
+"""Linearised units behind the p-values of Student noise; an eighth of them for each unit of a batch."""
+
+WORST = 5
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Fit:
+    """How well model and prior explain the data; of a batch, arrays over the units.
+
+    Attributes:
+        chi2_model: sum of squares of what no part can do.
+        dof_model: its number of components.
+        p_model: chance of as much or more if the model is right.
+        chi2_prior: sum of squares, each over its variance, of what parts of the prior can do.
+        dof_prior: its number of components.
+        p_prior: chance of as much or more for parts of this prior.
+        p_total: of both sums together.
+        weights: of Student noise for each real number (m,), 1 for normal noise, 0 where missing.
+        worst: names of the largest residuals, largest first.
+    """
+
+    chi2_model: float | np.ndarray
+    dof_model: int | np.ndarray
+    p_model: float | np.ndarray
+    chi2_prior: float | np.ndarray
+    dof_prior: int | np.ndarray
+    p_prior: float | np.ndarray
+    p_total: float | np.ndarray
+    weights: np.ndarray
+    worst: tuple[str, ...] | tuple[tuple[str, ...], ...]
+
+
+class Judged(NamedTuple):
+    """The figures of `Fit` as arrays (...)."""
+
+    chi2_model: np.ndarray
+    dof_model: np.ndarray
+    p_model: np.ndarray
+    chi2_prior: np.ndarray
+    dof_prior: np.ndarray
+    p_prior: np.ndarray
+    p_total: np.ndarray
+
+
+@dataclasses.dataclass(frozen=True)
+class Components:
+    """Sums of squares of linearised data (..., m), and how to find those of simulated ones."""
+
+    left: np.ndarray  # (..., m, k)
+    eigenvalues: np.ndarray  # (..., k)
+    nuisances: np.ndarray  # (..., m, q) orthonormal columns, zero where the rank is lower
+    seen: np.ndarray  # (..., m)
+
+    @classmethod
+    def of(cls, slopes: np.ndarray, mixing: np.ndarray, nuisance: np.ndarray, seen: np.ndarray) -> "Components":
+        """Of slopes over u (..., m, p) whose columns `nuisance` are projected out."""
+        columns = _orthonormal(slopes[..., nuisance])
+        slopes = slopes - columns @ (np.swapaxes(columns, -1, -2) @ slopes)
+        slopes[..., nuisance] = 0.0
+        spectrum = Spectrum.of(slopes @ mixing)
+        left = spectrum.left
+        return cls(left, spectrum.eigenvalues[..., : left.shape[-1]], columns, seen)
+
+    @property
+    def reached(self) -> np.ndarray:
+        """True for components that parts of the prior can move."""
+        return self.eigenvalues >= REACHED
+
+    @property
+    def dof(self) -> tuple[np.ndarray, np.ndarray]:
+        """Components of the model's and of the prior's sum."""
+        prior = self.reached.sum(axis=-1)
+        nuisances = np.rint((self.nuisances**2).sum(axis=(-2, -1))).astype(int)
+        return np.maximum(self.seen.sum(axis=-1) - nuisances - prior, 0), prior
+
+    def sums(self, data: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """chi2_model and chi2_prior of data d (..., m)."""
+        return self._sums(data, 0.0)
+
+    def simulated(self, noise: np.ndarray, parts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The same of one unit's simulated data: whitened noise (s, m) and standard numbers (s, k) of the parts."""
+        return self._sums(noise * self.seen, parts[:, : self.eigenvalues.size] * np.sqrt(self.eigenvalues))
+
+    def _sums(self, data: np.ndarray, moved: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
+        data = data - _along(self.nuisances, data)
+        along = _dot(self.left, data)
+        rest = ((data - _back(self.left, along)) ** 2).sum(axis=-1)
+        squares = (along + moved) ** 2 / (1 + self.eigenvalues)
+        model = rest + np.where(self.reached, 0.0, squares).sum(axis=-1)
+        return model * (self.dof[0] > 0), np.where(self.reached, squares, 0.0).sum(axis=-1)
+
+
+def _orthonormal(columns: np.ndarray) -> np.ndarray:
+    """Orthonormal columns of the same span, zero where the rank is lower."""
+    if not columns.size:
+        return columns
+    left, singular, _ = np.linalg.svd(columns, full_matrices=False)
+    least = max(columns.shape[-2:]) * np.finfo(float).eps * singular.max(axis=-1, keepdims=True)
+    return np.asarray(left * (singular > least)[..., None, :])
+
+
+def _dot(columns: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+    return np.asarray(np.einsum("...mk,...m->...k", columns, vectors, optimize=True))
+
+
+def _back(columns: np.ndarray, numbers: np.ndarray) -> np.ndarray:
+    return np.asarray(np.einsum("...mk,...k->...m", columns, numbers, optimize=True))
+
+
+def _along(columns: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+    return _back(columns, _dot(columns, vectors))
+
+
+def judged(
+    slopes: np.ndarray, mixing: np.ndarray, nuisance: np.ndarray, data: np.ndarray, seen: np.ndarray, dof: float
+) -> Judged:
+    """The figures of units with linearised data d (..., m)."""
+    components = Components.of(slopes, mixing, nuisance, seen)
+    model, prior = components.sums(data)
+    dof_model, dof_prior = components.dof
+    if np.isinf(dof):
+        p_model, p_prior, p_total = (
+            _chance(*pair) for pair in ((model, dof_model), (prior, dof_prior), (model + prior, dof_model + dof_prior))
+        )
+    else:
+        p_model, p_prior, p_total = _simulated_chances(components, model, prior, dof)
+    return Judged(model, dof_model, p_model, prior, dof_prior, p_prior, p_total)
+
+
+def _chance(chi2: np.ndarray, dof: np.ndarray) -> np.ndarray:
+    return np.where(dof > 0, special.chdtrc(np.maximum(dof, 1), chi2), 1.0)
+
+
+def _simulated_chances(components: Components, model: np.ndarray, prior: np.ndarray, dof: float) -> np.ndarray:
+    """p-values (3, ...) by simulation of the linearised model, the same random numbers for every unit."""
+    lead = model.shape
+    count = SIMULATED // 8 if lead else SIMULATED
+    rng = np.random.default_rng(0)
+    noise = rng.standard_t(dof, (count, components.left.shape[-2]))
+    parts = rng.standard_normal((count, components.eigenvalues.shape[-1]))
+    found = np.empty((3, *lead))
+    for unit in np.ndindex(lead):
+        one = Components(*(getattr(components, f.name)[unit] for f in dataclasses.fields(components)))
+        sums = one.simulated(noise, parts)
+        for k, (simulated, own) in enumerate(
+            [(sums[0], model[unit]), (sums[1], prior[unit]), (sums[0] + sums[1], model[unit] + prior[unit])]
+        ):
+            # A sum without components is 0 in every draw, and so its own: p = 1.
+            found[(k, *unit)] = (1 + np.sum(simulated >= own)) / (1 + count)
+    return found
+
+
+def largest(residual: np.ndarray, names: list[str]) -> tuple[str, ...]:
+    """Names of the largest residuals (m,), largest first."""
+    order = np.argsort(-np.abs(residual), kind="stable")[:WORST]
+    return tuple(names[i] for i in order if residual[i] != 0)
+
+
+def weights(residual: np.ndarray, seen: np.ndarray, dof: float) -> np.ndarray:
+    """(dof + 1)/(dof + r^2) of whitened residuals, 1 for normal noise, 0 where missing."""
+    return seen * (np.ones_like(residual) if np.isinf(dof) else (dof + 1) / (dof + residual**2))

@@ -1,0 +1,154 @@
+"""The mode of a posterior: damped Gauss-Newton steps on standard normal numbers z.
+
+Phi(z) = |z|^2/2 + sum r_i^2/2 with whitened residuals r(z); for Student noise the second term is
+(dof + 1)/2 sum ln(1 + r_i^2/dof), whose weights are (dof + 1)/(dof + r_i^2). A step solves
+(I + J'WJ + mu I) step = -(z + J'W r) through the QR factors of [sqrt(W) J; sqrt(1 + mu) I]: squaring J would lose
+the prior beside a wide nuisance. Its length is measured in posterior standard deviations, sqrt(-g'step).
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from rvjax.records import Array
+from rvjax.status import SolveInfo, Status, first_failure
+
+TOLERANCE = 1e-9
+"""Posterior standard deviations that the last step may be away."""
+
+LONGEST = 2.0
+"""Largest change of one number in a step: beyond, the linear model of a law says little."""
+
+ROUNDINGS = 8.0
+"""Units in the last place of the whitened observation that a residual may be off."""
+
+Linearise = Callable[[jax.Array], tuple[jax.Array, jax.Array, tuple[jax.Array, jax.Array]]]
+"""u (p,) -> residuals r (m,), slopes dr/du (m, p), the observation (m,) and the size of the numbers behind r."""
+
+
+class Mode(NamedTuple):
+    """Where the steps ended."""
+
+    z: Array  # (n,)
+    residual: Array  # (m,)
+    slopes: Array  # over u (m, p)
+    observation: Array  # (m,)
+    phi: Array
+    info: SolveInfo
+
+
+class _State(NamedTuple):
+    z: jax.Array
+    residual: jax.Array
+    slopes: jax.Array
+    observation: jax.Array
+    phi: jax.Array
+    slack: jax.Array  # what rounding may add to phi
+    step: jax.Array
+    away: jax.Array  # length of the step in posterior standard deviations
+    enough: jax.Array  # the same, at which it ends
+    damping: jax.Array
+    growth: jax.Array
+    steps: jax.Array
+
+
+def half_square(residual: jax.Array, dof: jax.Array | None) -> jax.Array:
+    """What the data add to Phi: minus the logarithm of their density, up to a constant."""
+    if dof is None:
+        return jnp.sum(residual**2) / 2
+    return (dof + 1) / 2 * jnp.sum(jnp.log1p(residual**2 / dof))
+
+
+def roots_of_weights(residual: jax.Array, dof: jax.Array | None) -> jax.Array:
+    """sqrt(W) of each residual."""
+    if dof is None:
+        return jnp.ones_like(residual)
+    return jnp.sqrt((dof + 1) / (dof + residual**2))
+
+
+def damped_step(
+    z: jax.Array, residual: jax.Array, slopes: jax.Array, damping: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """The step (n,) of weighted residuals and slopes, and its length in posterior standard deviations."""
+    n, root = z.shape[0], jnp.sqrt(1 + damping)
+    above = jnp.concatenate([slopes, -residual[:, None]], axis=1)
+    below = jnp.concatenate([root * jnp.eye(n, dtype=z.dtype), -(z / root)[:, None]], axis=1)
+    factor = jnp.linalg.qr(jnp.concatenate([above, below]), mode="r")
+    step = jax.scipy.linalg.solve_triangular(factor[:n, :n], factor[:n, n])
+    return step, jnp.linalg.norm(factor[:n, n])
+
+
+def mixed(mixing: jax.Array, z: jax.Array) -> jax.Array:
+    """u = M z."""
+    return jnp.matmul(mixing, z, precision="highest")
+
+
+def mode(
+    linearise: Linearise, mixing: jax.Array, start: jax.Array, dof: jax.Array | None, max_steps: jax.Array
+) -> Mode:
+    """The mode reached from one start; under `vmap` every lane freezes by itself.
+
+    Args:
+        linearise: residuals and slopes.
+        mixing: M (p, n), u = M z.
+        start: z (n,).
+        dof: of Student noise; None is normal noise.
+        max_steps: most evaluations of `linearise` behind the first one.
+    """
+    first = jax.eval_shape(linearise, mixing[:, 0])
+    dtype = start.dtype
+    least = ROUNDINGS * jnp.finfo(dtype).eps
+
+    def number(value: float) -> jax.Array:
+        return jnp.asarray(value, dtype)
+
+    def going(state: _State) -> jax.Array:
+        lost = (state.steps > 0) & jnp.isinf(state.phi)
+        return (state.away > state.enough) & (state.steps <= max_steps) & ~lost
+
+    def advance(state: _State) -> _State:
+        trial = state.z + state.step
+        residual, slopes, (observation, size) = linearise(mixed(mixing, trial))
+        phi = jnp.sum(trial**2) / 2 + half_square(residual, dof)
+        sound = jnp.isfinite(phi) & jnp.all(jnp.isfinite(slopes))
+        better = sound & (phi <= state.phi + state.slack)
+        rounding = least * (size + jnp.linalg.norm(trial))
+        slack = rounding * jnp.linalg.norm(residual) + rounding**2 + least * phi
+        tried = (trial, residual, slopes, observation, phi, slack)
+        z, residual, slopes, observation, phi, slack = (
+            jnp.where(better, new, old) for new, old in zip(tried, state[: len(tried)], strict=True)
+        )
+        growth = jnp.where(better, number(2.0), 2 * state.growth)
+        damping = jnp.where(better, state.damping / 9, jnp.maximum(state.damping, 1e-3) * state.growth)
+        root = roots_of_weights(residual, dof)
+        step, away = damped_step(z, root * residual, root[:, None] * mixed(slopes, mixing), damping)
+        step = step * jnp.minimum(1.0, LONGEST / jnp.maximum(jnp.max(jnp.abs(step)), LONGEST / 2))
+        enough = jnp.where(better, TOLERANCE + rounding, state.enough)
+        return _State(
+            z, residual, slopes, observation, phi, slack, step, away, enough, damping, growth, state.steps + 1
+        )
+
+    state = jax.lax.while_loop(
+        going,
+        advance,
+        _State(
+            start,
+            jnp.zeros(first[0].shape, dtype),
+            jnp.zeros(first[1].shape, dtype),
+            jnp.zeros(first[0].shape, dtype),
+            number(jnp.inf),
+            number(0.0),
+            jnp.zeros_like(start),
+            number(jnp.inf),
+            number(TOLERANCE),
+            number(0.0),
+            number(2.0),
+            jnp.int32(0),
+        ),
+    )
+    status = first_failure(
+        (~jnp.isfinite(state.phi), Status.NONFINITE), (~(state.away <= state.enough), Status.MAX_STEPS)
+    )
+    return Mode(*state[:5], SolveInfo(status, jnp.maximum(state.steps - 1, 0), state.away))

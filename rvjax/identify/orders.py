@@ -1,0 +1,82 @@
+"""`orders`: the harmonics of a measured curve, by least squares at the angles that were really measured."""
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from rvjax.records import Array
+
+DEPENDENT = 1e-8
+"""Least ratio of singular values at which the samples tell all orders apart."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Orders:
+    """Harmonics of a curve, value(angle) = mean + Re sum_k value_k exp(i order_k angle).
+
+    Attributes:
+        order: as asked for (k,).
+        value: complex amplitudes (k,), unit of the curve.
+        sd: standard deviation of their real and imaginary part (k,), from the residual.
+        mean: of the curve.
+        residual_sd: standard deviation of what no order explains, unit of the curve.
+    """
+
+    order: np.ndarray
+    value: np.ndarray
+    sd: np.ndarray
+    mean: float
+    residual_sd: float
+
+
+def orders(
+    angle: Array | np.ndarray,
+    value: Array | np.ndarray,
+    orders: Sequence[float] | np.ndarray,
+    *,
+    drift: bool = False,
+) -> Orders:
+    """Harmonics of a curve that may be sampled unevenly, over any number of turns.
+
+    Args:
+        angle: rad (n,).
+        value: of the curve (n,), NaN where missing.
+        orders: per turn, positive and distinct (k,).
+        drift: whether the curve may also creep in proportion to the angle; that part is fitted and left out.
+
+    Raises:
+        ValueError: shapes that do not fit, numbers that are not finite, or more orders than the samples can tell.
+    """
+    asked = np.asarray(orders, float)
+    if asked.ndim != 1 or not (asked > 0).all() or np.unique(asked).size != asked.size or np.isinf(asked).any():
+        raise ValueError(f"orders = {orders!r}: must be positive and distinct, per turn")
+    x, y = np.asarray(angle, float), np.asarray(value, float)
+    if x.ndim != 1 or x.shape != y.shape:
+        raise ValueError(f"value: shape {y.shape}, angle has {x.shape} rad; both must be (n,)")
+    seen = ~np.isnan(y)
+    x, y = x[seen], y[seen]
+    for name, item, unit in (("angle", x, "rad"), ("value", y, "unit of the curve")):
+        if not np.isfinite(item).all():
+            raise ValueError(f"{name} = {item[~np.isfinite(item)][0]}: must be finite, {unit}")
+    # Columns of one length, about the middle of the angles: the condition of the matrix is that of the question.
+    centred = (x - x.mean()) / max(float(np.ptp(x)), 1e-300) if x.size else x
+    extra = [centred] if drift else []
+    phase = x[:, None] * asked
+    matrix = np.concatenate([np.ones((x.size, 1)), *(c[:, None] for c in extra), np.cos(phase), -np.sin(phase)], axis=1)
+    numbers = matrix.shape[1]
+    left, singular, right = np.linalg.svd(matrix, full_matrices=False)
+    if x.size <= numbers or singular[-1] < DEPENDENT * singular[0]:
+        raise ValueError(f"orders = {asked.tolist()}: {x.size} samples cannot tell {numbers} numbers apart, per turn")
+    found = right.T @ ((left.T @ y) / singular)
+    residual_sd = float(np.sqrt(((y - matrix @ found) ** 2).sum() / (x.size - numbers)))
+    variance = ((right.T / singular) ** 2).sum(axis=1)
+    first = 1 + len(extra)
+    real, imaginary = slice(first, first + asked.size), slice(first + asked.size, None)
+    return Orders(
+        order=asked,
+        value=found[real] + 1j * found[imaginary],
+        sd=residual_sd * np.sqrt((variance[real] + variance[imaginary]) / 2),
+        mean=float(found[0]),
+        residual_sd=residual_sd,
+    )

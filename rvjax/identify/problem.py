@@ -1,0 +1,192 @@
+"""What is asked: a model, its prior, the noise of its observation; and the compiled programs that evaluate it."""
+
+import dataclasses
+import math
+import operator
+from collections.abc import Callable, Iterable
+from functools import cached_property, partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rvjax.identify.elements import Elements, values_of
+from rvjax.identify.gauss_newton import Mode, half_square, mixed, mode
+from rvjax.identify.noise import Noise
+from rvjax.identify.observation import Layout, flatten
+from rvjax.records import PyTree
+from rvjax.tolerances.population.correlation import Correlation
+from rvjax.tolerances.population.population import Population
+from rvjax.tolerances.propagation.responses import per_response
+
+Model = Callable[[PyTree], PyTree]
+
+LANES = 64
+"""Points that are evaluated at once where only the density is asked."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Problem:
+    """A model with its prior and noise, checked.
+
+    Attributes:
+        model: values of the prior's structure -> observation.
+        elements: of the prior.
+        layout: of the observation.
+        sd: noise of each real number (m,), unit of the observation.
+        dof: of Student noise; inf is normal.
+        nuisance: places of elements that nobody asks about.
+    """
+
+    model: Model
+    elements: Elements
+    layout: Layout
+    sd: np.ndarray
+    dof: float
+    nuisance: np.ndarray
+
+    @classmethod
+    def of(
+        cls,
+        model: Model,
+        prior: PyTree,
+        *,
+        noise: Noise,
+        nuisance: str | Iterable[str] = (),
+        correlation: Correlation = None,
+    ) -> "Problem":
+        """The problem of what users give.
+
+        Raises:
+            ValueError: as the parts of it.
+        """
+        if not isinstance(noise, Noise):
+            raise ValueError(f"noise = {noise!r}: must be a Noise(sd), unit of the observation")
+        elements = Elements.of(prior, correlation)
+        u = jax.ShapeDtypeStruct((elements.count,), jnp.result_type(float))
+        layout = Layout.of(jax.eval_shape(partial(observed, model), elements.population, u))
+        places = elements.places("nuisance", nuisance)
+        return cls(model, elements, layout, layout.sd(noise.sd), float(noise.dof), places)
+
+    @property
+    def student(self) -> jax.Array | None:
+        """Degrees of freedom as the programs take them, None for normal noise."""
+        return None if math.isinf(self.dof) else jnp.asarray(self.dof)
+
+    @property
+    def discount(self) -> float:
+        """What the expected information of Student noise is of that of normal noise, (dof + 1)/(dof + 3)."""
+        return 1.0 if math.isinf(self.dof) else (self.dof + 1) / (self.dof + 3)
+
+    @cached_property
+    def device(self) -> tuple[Population, jax.Array, jax.Array]:
+        """Prior, M and noise as the programs take them."""
+        return self.elements.population, jnp.asarray(self.elements.mixing), jnp.asarray(self.sd)
+
+
+@per_response()
+def observed(model: Model, population: Population, u: jax.Array) -> PyTree:
+    """The observation of a unit u (p,)."""
+    return model(values_of(population, u))
+
+
+def residuals(
+    model: Model, population: Population, sd: jax.Array, y: jax.Array, u: jax.Array
+) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
+    """Whitened residuals (f - y)/sd (m,), 0 where y is NaN; the observation f, and the norm of what is subtracted."""
+    seen, observation = ~jnp.isnan(y), flatten(model(values_of(population, u))).astype(y.dtype)
+    found, y = (jnp.where(seen, item, 0) / sd for item in (observation, y))
+    return found - y, (observation, jnp.linalg.norm(jnp.abs(found) + jnp.abs(y)))
+
+
+def slopes(function: Callable[[jax.Array], Any], u: jax.Array, size: int) -> tuple[jax.Array, jax.Array, Any]:
+    """Value (m,), Jacobian (m, p) and what else a function gives, by the cheaper of forward and reverse mode.
+
+    A tangent costs about half of a cotangent. A model that knows only one of the two ways gets that one.
+    """
+    ways = [_forward, _reverse] if u.shape[0] <= 2 * size else [_reverse, _forward]
+    try:
+        return ways[0](function, u)
+    except (TypeError, ValueError, NotImplementedError):
+        return ways[1](function, u)
+
+
+def _forward(function: Callable[[jax.Array], Any], u: jax.Array) -> tuple[jax.Array, jax.Array, Any]:
+    push = lambda tangent: jax.jvp(function, (u,), (tangent,), has_aux=True)  # noqa: E731
+    value, jacobian, aux = jax.vmap(push, out_axes=(None, -1, None))(jnp.eye(u.shape[0], dtype=u.dtype))
+    return value, jacobian, aux
+
+
+def _reverse(function: Callable[[jax.Array], Any], u: jax.Array) -> tuple[jax.Array, jax.Array, Any]:
+    value, pull, aux = jax.vjp(function, u, has_aux=True)
+    return value, jax.vmap(lambda cotangent: pull(cotangent)[0])(jnp.eye(value.shape[0], dtype=value.dtype)), aux
+
+
+def linearised(
+    model: Model, population: Population, sd: jax.Array, y: jax.Array, u: jax.Array
+) -> tuple[jax.Array, jax.Array, tuple[jax.Array, jax.Array]]:
+    """Residuals (m,), slopes over u (m, p), the observation (m,) and the size of the numbers behind the residuals."""
+    return slopes(lambda u: residuals(model, population, sd, y, u), u, y.shape[0])
+
+
+@per_response()
+def linearise(model: Model, population: Population, sd: jax.Array, u: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """The whitened observation (m,) and its slopes over u (m, p) at one u."""
+    observation, jacobian, _ = linearised(model, population, sd, jnp.zeros_like(sd), u)
+    return observation, jacobian
+
+
+@per_response()
+def modes(
+    model: Model,
+    population: Population,
+    mixing: jax.Array,
+    sd: jax.Array,
+    y: jax.Array,
+    starts: jax.Array,
+    dof: jax.Array | None,
+    max_steps: jax.Array,
+) -> Mode:
+    """The modes of units y (k, m) from starts (k, n)."""
+
+    def one(y: jax.Array, start: jax.Array) -> Mode:
+        return mode(partial(linearised, model, population, sd, y), mixing, start, dof, max_steps)
+
+    return jax.vmap(one)(y, starts)
+
+
+@per_response()
+def densities(
+    model: Model,
+    population: Population,
+    mixing: jax.Array,
+    sd: jax.Array,
+    y: jax.Array,
+    z: jax.Array,
+    dof: jax.Array | None,
+) -> jax.Array:
+    """Phi (k,) at points z (k, n) for one unit y (m,); inf where the model is not finite."""
+
+    def phi(z: jax.Array) -> jax.Array:
+        residual, _ = residuals(model, population, sd, y, mixed(mixing, z))
+        value = jnp.sum(z**2) / 2 + half_square(residual, dof)
+        return jnp.where(jnp.isfinite(value), value, jnp.inf)
+
+    return jax.lax.map(phi, z, batch_size=LANES)
+
+
+def counted(name: str, value: int, least: int) -> None:
+    """Refuse what is no count; a ValueError names it."""
+    if integer(name, value) < least:
+        raise ValueError(f"{name} = {value!r}: must be at least {least}, unit -")
+
+
+def integer(name: str, value: int) -> int:
+    """An integer; a ValueError names what is none."""
+    try:
+        if isinstance(value, bool):
+            raise TypeError
+        return operator.index(value)
+    except TypeError:
+        raise ValueError(f"{name} = {value!r}: must be an integer, unit -") from None

@@ -1,0 +1,138 @@
+"""The modes of one unit's posterior: from the middle of the prior and from units drawn from it."""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy import special
+
+from rvjax.identify.information import Spectrum
+from rvjax.identify.problem import Problem, densities, modes
+from rvjax.status import SolveInfo, Status
+
+APART = 1.0
+"""Mahalanobis distance from which on two modes are two."""
+
+FAINT = 0.01
+"""Least weight of a mode that counts."""
+
+STEP_ASIDE = 0.1
+"""Posterior standard deviations to each side at which a mode must be lower, or it is a saddle."""
+
+ROUNDS = 4
+"""Times that a saddle is left for what lies beside it."""
+
+
+class Peak(NamedTuple):
+    """A maximum on the host: z, its residuals, slopes and spectrum."""
+
+    z: np.ndarray
+    residual: np.ndarray
+    slopes: np.ndarray  # over u (m, p)
+    observation: np.ndarray
+    phi: float
+    spectrum: Spectrum
+    evidence: float
+
+
+def evidence_of(
+    problem: Problem, z: np.ndarray, residual: np.ndarray, nats: np.ndarray, seen: np.ndarray
+) -> np.ndarray:
+    """Logarithm of the density of data (..., m) by Laplace's method, at modes z (..., n)."""
+    dof = problem.dof
+    if np.isinf(dof):
+        each = -(residual**2) / 2 - np.log(2 * np.pi) / 2
+    else:
+        constant = special.gammaln((dof + 1) / 2) - special.gammaln(dof / 2) - np.log(dof * np.pi) / 2
+        each = constant - (dof + 1) / 2 * np.log1p(residual**2 / dof)
+    data = np.where(seen, each - np.log(problem.sd), 0.0).sum(axis=-1)
+    return np.asarray(data - (z**2).sum(axis=-1) / 2 - nats)
+
+
+def search(
+    problem: Problem, y: np.ndarray, rng: np.random.Generator, starts: int, max_steps: int, draws: int
+) -> tuple[tuple[Peak, ...], SolveInfo]:
+    """The distinct modes, heaviest first, and how the solver ended at the first; none where it found none."""
+    population, mixing, sd = problem.device
+    points = rng.standard_normal((starts, mixing.shape[1]))
+    points[0] = 0.0
+    rows = jnp.broadcast_to(jnp.asarray(y), (starts, y.size))
+    peaks: list[Peak] = []
+    ended = []
+    for _ in range(ROUNDS):
+        found = modes(
+            problem.model, population, mixing, sd, rows, jnp.asarray(points), problem.student, jnp.int32(max_steps)
+        )
+        found = jax.tree.map(np.asarray, found)
+        ended.append(found)
+        beside = []
+        for lane in np.argsort(found.phi):
+            if found.info.status[lane] != Status.CONVERGED:
+                continue
+            peak = _peak(problem, y, *(item[lane] for item in found[:5]))
+            if not any(_near(peak, other) for other in peaks):
+                lower = _lower_beside(problem, y, peak, draws)
+                if lower is None:
+                    peaks.append(peak)
+                else:
+                    beside += lower
+        if not beside:
+            break
+        points = np.array([beside[k % len(beside)] for k in range(starts)])
+    return tuple(sorted(peaks, key=lambda peak: -peak.evidence)), _ended(ended, bool(peaks))
+
+
+def _ended(ended: list[Any], found: bool) -> SolveInfo:
+    """How the solver ended: at the lowest point of those that speak."""
+    phi = np.concatenate([item.phi for item in ended])
+    status = np.concatenate([item.info.status for item in ended])
+    usable = status == Status.CONVERGED if found else np.isfinite(phi)
+    lane = int(np.argmin(np.where(usable, phi, np.inf)))
+    steps, residual = (np.concatenate([getattr(item.info, name) for item in ended]) for name in ("steps", "residual"))
+    # Saddles alone are no mode: the steps ended, but not at one.
+    named = status[lane] if found or status[lane] != Status.CONVERGED else np.int32(Status.MAX_STEPS)
+    return SolveInfo(jnp.int32(named), steps[lane], residual[lane])
+
+
+def _peak(
+    problem: Problem,
+    y: np.ndarray,
+    z: np.ndarray,
+    residual: np.ndarray,
+    slopes: np.ndarray,
+    observation: np.ndarray,
+    phi: np.ndarray,
+) -> Peak:
+    spectrum = Spectrum.of(np.sqrt(problem.discount) * slopes @ problem.elements.mixing)
+    evidence = evidence_of(problem, z, residual, spectrum.nats, ~np.isnan(y))
+    return Peak(z, residual, slopes, observation, float(phi), spectrum, float(evidence))
+
+
+def _near(one: Peak, other: Peak) -> bool:
+    """Closer than 1 in standard deviations of the wider of the two."""
+    apart = one.z - other.z
+    squares = (np.sum((peak.spectrum.right.T @ apart) ** 2 * (1 + peak.spectrum.eigenvalues)) for peak in (one, other))
+    return bool(min(squares) < APART**2)
+
+
+def _lower_beside(problem: Problem, y: np.ndarray, peak: Peak, draws: int) -> list[np.ndarray] | None:
+    """Two points beside a saddle, where slopes vanish by symmetry but Phi is lower to the side; None for a minimum."""
+    weakest = peak.spectrum.root[:, ::-1][:, : draws // 2]
+    step = STEP_ASIDE * weakest
+    points = np.concatenate([peak.z + step.T, peak.z - step.T])
+    phi = phi_at(problem, y, np.concatenate([points, np.tile(peak.z, (draws - len(points), 1))]))[: len(points)]
+    # At a minimum Phi rises by step^2/2; rounding of Phi is far below that.
+    lower = phi < peak.phi - 1e-3 * STEP_ASIDE**2 / 2 - 1e-12 * abs(peak.phi)
+    if not lower.any():
+        return None
+    half = len(step.T)
+    k = int(np.argmin(phi)) % half
+    return [points[k], points[k + half]]
+
+
+def phi_at(problem: Problem, y: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Phi (k,) of points z (k, n), inf where the model is not finite."""
+    population, mixing, sd = problem.device
+    found = densities(problem.model, population, mixing, sd, jnp.asarray(y), jnp.asarray(points), problem.student)
+    return np.asarray(found, float)

@@ -1,0 +1,267 @@
+"""Units with elements of their own and elements that all share: one joint mode, by elimination of the own ones.
+
+Unit i with slopes J_i over its own z_i and K_i over the shared w adds rows [J_i, K_i | -r_i] to one least squares
+problem. The triangular factor of these rows, with the prior of z_i below them, has z_i above and leaves a few rows for
+w alone; those of all units together give the step of w, then each unit its own. So cov w = S^-1 and
+cov z_i = A_i^-1 + A_i^-1 B_i S^-1 B_i' A_i^-1 with A = I + J'J, B = J'K and S = I + sum (K'K - B'A^-1 B), without a
+square of J. Only the factors of all units are kept; slopes are in memory for one chunk.
+"""
+
+import dataclasses
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rvjax.identify.elements import Elements
+from rvjax.identify.gauss_newton import LONGEST, ROUNDINGS, TOLERANCE, half_square, mixed, roots_of_weights
+from rvjax.identify.problem import Model, Problem, linearised
+from rvjax.status import Status
+from rvjax.tolerances.population.population import Population
+from rvjax.tolerances.propagation.responses import per_response
+
+
+class Units(NamedTuple):
+    """Units at their modes, on the host."""
+
+    u: np.ndarray  # all elements (k, p)
+    u_sd: np.ndarray  # (k, p)
+    residual: np.ndarray  # (k, m)
+    slopes: np.ndarray  # (k, m, p)
+    several: np.ndarray  # more than one mode that counts (k,)
+    status: np.ndarray  # (k,)
+    steps: np.ndarray  # (k,)
+    away: np.ndarray  # (k,)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Split:
+    """Which elements and which columns of M belong to the units, and which to all of them."""
+
+    own: np.ndarray
+    shared: np.ndarray
+    own_columns: np.ndarray
+    shared_columns: np.ndarray
+
+    @classmethod
+    def of(cls, elements: Elements, shared: str | Iterable[str]) -> "Split":
+        """The split of what users name.
+
+        Raises:
+            ValueError: an unknown name, or a correlation between shared and own elements.
+        """
+        common = elements.places("shared", shared)
+        own = np.setdiff1d(np.arange(elements.count), common)
+        touched = elements.mixing != 0
+        of_common, of_own = touched[common].any(axis=0), touched[own].any(axis=0)
+        both = of_common & of_own
+        if both.any():
+            column = int(np.argmax(both))
+            names = (elements.names[places[touched[places, column]][0]] for places in (common, own))
+            raise ValueError("correlation: shared {} and own {} are correlated, unit -".format(*names))
+        return cls(own, common, np.flatnonzero(~of_common), np.flatnonzero(of_common))
+
+
+@per_response()
+def compressed(
+    model: Model,
+    population: Population,
+    mixing: jax.Array,
+    sd: jax.Array,
+    y: jax.Array,
+    z: jax.Array,
+    order: jax.Array,
+    dof: jax.Array | None,
+) -> tuple[jax.Array, ...]:
+    """Of units y (k, m) at z (k, n): triangular factors (k, n + 1, n + 1) of the weighted rows [J, -r] with the columns
+    in this order, what the data add to Phi (k,), residuals, slopes over u, and the size of the numbers behind them."""
+
+    def one(y: jax.Array, z: jax.Array) -> tuple[jax.Array, ...]:
+        residual, slopes, (_, size) = linearised(model, population, sd, y, mixed(mixing, z))
+        root = roots_of_weights(residual, dof)
+        rows = root[:, None] * jnp.concatenate([mixed(slopes, mixing)[:, order], -residual[:, None]], axis=1)
+        short = max(rows.shape[1] - rows.shape[0], 0)
+        factor = jnp.linalg.qr(jnp.pad(rows, ((0, short), (0, 0))), mode="r")
+        return factor, half_square(residual, dof), residual, slopes, size
+
+    return jax.vmap(one)(y, z)
+
+
+def triangular(rows: np.ndarray) -> np.ndarray:
+    """The factor R of rows (..., m, n), at least n of them."""
+    return np.asarray(np.linalg.qr(rows, mode="r"))
+
+
+class _Step(NamedTuple):
+    """One damped step of all units, and the factors it came from."""
+
+    own: np.ndarray  # (units, no)
+    common: np.ndarray  # (ns,)
+    away: float
+    upper: np.ndarray  # R_J (units, no, no)
+    across: np.ndarray  # T (units, no, ns)
+    shared: np.ndarray  # R_S (ns, ns)
+
+
+def _step(factors: np.ndarray, z: np.ndarray, w: np.ndarray, damping: float) -> _Step:
+    units, no = z.shape
+    ns, root = w.size, np.sqrt(1 + damping)
+    prior = np.zeros((units, no, no + ns + 1))
+    prior[:, np.arange(no), np.arange(no)] = root
+    prior[:, :, -1] = -z / root
+    triangle = triangular(np.concatenate([factors, prior], axis=1))
+    upper, across, right = triangle[:, :no, :no], triangle[:, :no, no:-1], triangle[:, :no, -1]
+    common = np.concatenate([root * np.eye(ns), -(w / root)[:, None]], axis=1)
+    rest = triangular(np.concatenate([triangle[:, no:, no:].reshape(-1, ns + 1), common]))
+    shared, below = rest[:ns, :ns], rest[:ns, -1]
+    dw = _limited(np.linalg.solve(shared, below)[None])[0]
+    dz = _limited(np.linalg.solve(upper, (right - across @ dw)[..., None])[..., 0])
+    return _Step(dz, dw, float(np.sqrt((right**2).sum() + below @ below)), upper, across, shared)
+
+
+def _limited(steps: np.ndarray) -> np.ndarray:
+    """Steps (units, n) none of whose numbers exceeds `LONGEST`."""
+    if not steps.size:
+        return steps
+    return steps * np.minimum(1.0, LONGEST / np.maximum(np.abs(steps).max(axis=1, keepdims=True), LONGEST / 2))
+
+
+class Joint:
+    """All units at one point, evaluated chunk by chunk."""
+
+    def __init__(self, problem: Problem, split: Split, y: np.ndarray, rows: list[slice]) -> None:
+        """Of units y (units, m) in these chunks."""
+        self.problem, self.split, self.y, self.rows = problem, split, y, rows
+        self.mixing = problem.elements.mixing
+        self.order = np.concatenate([split.own_columns, split.shared_columns])
+        self.active = np.ones(len(y), bool)
+        self.z, self.w = np.zeros((len(y), split.own_columns.size)), np.zeros(split.shared_columns.size)
+        self.phi, self.steps, self.away, self.status = np.inf, 0, np.inf, Status.NONFINITE
+        self.u_sd, self.shared_u, self.shared_sd = np.zeros((len(y), len(self.mixing))), self.w, self.w
+
+    def evaluate(self, part: slice, z: np.ndarray, w: np.ndarray) -> list[np.ndarray]:
+        """What `compressed` says of a chunk."""
+        together = self.rows[0].stop
+        numbers = np.zeros((together, self.mixing.shape[1]))
+        own = z[part]
+        numbers[: len(own), self.split.own_columns] = own
+        numbers[:, self.split.shared_columns] = w
+        y = np.concatenate([self.y[part], np.repeat(self.y[:1], together - len(own), axis=0)])
+        population, mixing, sd = self.problem.device
+        found = compressed(
+            self.problem.model,
+            population,
+            mixing,
+            sd,
+            jnp.asarray(y),
+            jnp.asarray(numbers),
+            jnp.asarray(self.order),
+            self.problem.student,
+        )
+        return [np.asarray(item)[: len(own)] for item in found]
+
+    def all(self, z: np.ndarray, w: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Factors of all units, what their data add to Phi, and the size of the numbers."""
+        parts = [self.evaluate(part, z, w) for part in self.rows]
+        return tuple(np.concatenate([part[k] for part in parts]) for k in (0, 1, 4))  # type: ignore[return-value]
+
+    def solve(self, start: np.ndarray, max_steps: int) -> None:
+        """Go to the joint mode from a start z (n,), the same for every unit."""
+        z, w = np.tile(start[self.split.own_columns], (len(self.y), 1)), start[self.split.shared_columns]
+        factors, data, size = self.all(z, w)
+        self.active = np.isfinite(data) & np.isfinite(factors).all(axis=(1, 2))
+        live = self.active[:, None]
+        damping, growth, trial = 0.0, 2.0, (z, w, factors, data, size)
+        least = ROUNDINGS * np.finfo(factors.dtype).eps
+        phi, slack, enough = np.inf, 0.0, TOLERANCE
+        for steps in range(max_steps + 1):
+            new_z, new_w, new_factors, new_data, new_size = trial
+            sound = np.isfinite(new_factors[self.active]).all() and np.isfinite(new_data[self.active]).all()
+            new_phi = ((new_z[self.active] ** 2).sum() + new_w @ new_w) / 2 + new_data[self.active].sum()
+            if sound and new_phi <= phi + slack:
+                z, w, phi, damping, growth = np.where(live, new_z, 0.0), new_w, new_phi, damping / 9, 2.0
+                factors = np.where(live[..., None], new_factors, 0.0)
+                rounding = least * np.linalg.norm(new_size[self.active])
+                slack = rounding * np.sqrt(2 * phi) + rounding**2 + least * phi
+                # Every unit may be as far off as a single one.
+                enough = TOLERANCE * np.sqrt(len(self.y)) + rounding
+            else:
+                damping, growth = max(damping, 1e-3) * growth, 2 * growth
+            step = _step(factors, z, w, damping)
+            if step.away <= enough or steps == max_steps:
+                break
+            trial = (z + step.own, w + step.common, *self.all(z + step.own, w + step.common))
+        self.z, self.w, self.phi, self.steps, self.away = z, w, float(phi), steps, step.away
+        self.status = Status.CONVERGED if step.away <= enough else Status.MAX_STEPS
+        if not self.active.any():
+            self.phi, self.status = np.inf, Status.NONFINITE
+
+    def finish(self) -> None:
+        """The covariances at the mode."""
+        factors = self.all(self.z, self.w)[0] if self.problem.student is None else self._expected()
+        step = _step(np.where(self.active[:, None, None], factors, 0.0), self.z, self.w, 0.0)
+        own, common = self.split.own, self.split.shared
+        of_own = self.mixing[np.ix_(own, self.split.own_columns)]
+        of_common = self.mixing[np.ix_(common, self.split.shared_columns)]
+        root = np.linalg.inv(step.shared)
+        inverse = np.linalg.inv(step.upper)
+        # The uncertainty of what is shared comes on top of that of each unit with it known.
+        parts = np.concatenate([of_own @ inverse, of_own @ inverse @ step.across @ root], axis=-1)
+        self.shared_u, self.shared_sd = of_common @ self.w, np.linalg.norm(of_common @ root, axis=1)
+        self.u_sd[:, own], self.u_sd[:, common] = np.linalg.norm(parts, axis=-1), self.shared_sd
+        if self.status != Status.CONVERGED:
+            self.shared_u, self.shared_sd = (np.full(common.size, np.nan) for _ in range(2))
+
+    def _expected(self) -> np.ndarray:
+        """Factors with the expected information of Student noise."""
+        found = []
+        for part in self.rows:
+            slopes = self.evaluate(part, self.z, self.w)[3] @ self.mixing[:, self.order]
+            rows = np.sqrt(self.problem.discount) * np.pad(slopes, ((0, 0), (0, slopes.shape[-1] + 1), (0, 1)))
+            found.append(triangular(rows))
+        return np.concatenate(found)
+
+    def units(self, part: slice) -> Units:
+        """Some of the units at the mode."""
+        _, _, residual, slopes, _ = self.evaluate(part, self.z, self.w)
+        good = self.active[part] & (self.status == Status.CONVERGED)
+        numbers = np.zeros((len(good), self.mixing.shape[1]))
+        numbers[:, self.split.own_columns], numbers[:, self.split.shared_columns] = self.z[part], self.w
+        status = np.where(self.active[part], int(self.status), int(Status.NONFINITE)).astype(np.int32)
+        return Units(
+            numbers @ self.mixing.T,
+            self.u_sd[part],
+            np.where(good[:, None], residual, 0.0),
+            np.where(good[:, None, None], slopes, 0.0),
+            np.zeros(len(good), bool),
+            status,
+            np.full(len(good), self.steps, np.int32),
+            np.full(len(good), self.away),
+        )
+
+
+def joint_mode(
+    problem: Problem, split: Split, y: np.ndarray, points: np.ndarray, max_steps: int, rows: list[slice]
+) -> Joint:
+    """The lowest joint mode from starts (k, n).
+
+    Args:
+        problem: of one unit.
+        split: into own and shared elements.
+        y: data of all units (units, m).
+        points: starts.
+        max_steps: most steps from each.
+        rows: the chunks.
+    """
+    best = None
+    for point in points:
+        joint = Joint(problem, split, y, rows)
+        joint.solve(point, max_steps)
+        rank = (joint.status != Status.CONVERGED, joint.phi)
+        if best is None or rank < (best.status != Status.CONVERGED, best.phi):
+            best = joint
+    assert best is not None
+    best.finish()
+    return best

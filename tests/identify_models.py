@@ -1,0 +1,44 @@
+"""Models and priors of the tests of `rvjax.identify`."""
+
+import jax
+import jax.numpy as jnp
+
+from rvjax.tolerances import Tolerance
+
+
+def prior_of(given):
+    """A dict of tolerances from a reference case."""
+    return {
+        name: Tolerance(
+            options["lower"],
+            options["upper"],
+            **{
+                key: tuple(value) if key == "shape" else value
+                for key, value in options.items()
+                if key not in ("lower", "upper")
+            },
+        )
+        for name, options in given.items()
+    }
+
+
+def linear(matrix, constant, fields):
+    """values -> constant + G e, with arrays or dicts of them by group; e holds the fields one after the other."""
+
+    def model(values):
+        e = jnp.concatenate([jnp.ravel(jnp.asarray(values[name])) for name in fields])
+        return jax.tree.map(lambda g, c: c + jnp.asarray(g) @ e, matrix, constant)
+
+    return model
+
+
+def model_of(name, a):
+    """The curved models of the reference cases, of fields a and b."""
+    models = {
+        "square": lambda x, y: jnp.stack([a[0] * x**2]),
+        "fold": lambda x, y: jnp.stack([a[0] * jnp.abs(x + a[1] * y)]),
+        "play": lambda x, y: jnp.stack([a[0] * jnp.maximum(0.0, x - a[1] * y), a[0] * a[2] * y]),
+        "bend": lambda x, y: jnp.stack([a[0] * x + a[1] * x**2, a[0] * y + a[2] * x * y]),
+        "soft": lambda x, y: jnp.stack([a[0] * x + a[1] * (jnp.sqrt(x**2 + a[2] ** 2) - a[2])]),
+    }
+    return lambda values: models[name](values["a"], values.get("b", 0.0))
