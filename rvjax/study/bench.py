@@ -143,12 +143,14 @@ def curve_model(
         mean, found = spectrum(*_taken(design, values))
         seen: Observation = {}
         for k, order in enumerate(orders):
-            turned = jnp.exp(-1j * order * values["phase"]) if "phase" in nuisances else 1.0
-            seen[order_name(order)] = found[place, k] * turned
+            seen[order_name(order)] = found[place, k]
+            if "phase" in nuisances:
+                turn = order * values["phase"]
+                seen[order_name(order)] *= jax.lax.complex(jnp.cos(turn), -jnp.sin(turn))
         if "mounting" in nuisances:
             cosine, sine = values["mounting"]
-            one = jnp.broadcast_to(cosine - 1j * sine, (len(runs),))
-            seen[order_name(1)] = one + seen.get(order_name(1), 0.0)
+            one = jnp.broadcast_to(jax.lax.complex(cosine, -sine), (len(runs),))
+            seen[order_name(1)] = one + seen[order_name(1)] if order_name(1) in seen else one
         if "offset" in nuisances:
             seen["mean"] = mean[place] + values["offset"]
         return seen
@@ -192,7 +194,7 @@ def _four_bar_orders(
 
         waves = turn(0.0)[None] if none_loaded else jax.vmap(turn)(jnp.asarray(torques))
         # The cranks turn against the output: X e^(i h crank) is conj(X) e^(i h pins output).
-        none = jnp.zeros(len(torques), waves.dtype) * jnp.real(waves[:, 0])  # a failed turn stays NaN
+        none = 0 * waves[:, 0]  # a failed turn stays NaN
         found = [jnp.conj(waves[:, k // pins]) if k % pins == 0 else none for k in orders]
         return jnp.real(waves[:, 0]), jnp.stack(found, axis=1)
 
@@ -224,7 +226,7 @@ def _loaded_orders(
 
         error = jax.vmap(turn)(load)
         waves = 2 / samples * jnp.fft.rfft(error)
-        none = jnp.zeros(len(torques), waves.dtype) * jnp.mean(error, axis=1)
+        none = 0 * waves[:, 0]
         found = [waves[:, k // step] if k % step == 0 else none for k in orders]
         return jnp.mean(error, axis=1), jnp.stack(found, axis=1)
 
