@@ -143,3 +143,50 @@ def test_shared_case(cases):
         close(found.u_sd, expected["unit_sd"])
         assert found.value["ecc"].shape == (6, 2) and found.value["stiff"].shape == (6, 2)
         assert set(found.status) == {"CONVERGED"}
+
+
+def test_next_case(cases):
+    for _, given, expected in of_kind(cases, "next"):
+        prior = prior_of(given["prior"])
+        candidates = {
+            name: linear(np.array(matrix), np.zeros(3), tuple(sorted(prior)))
+            for name, matrix in given["candidates"].items()
+        }
+        asked = dict(noise=identify.Noise(given["sd"]), nuisance=given["nuisance"], count=given["count"])
+        found = identify.rank_measurements(prior, candidates, **asked)
+        for name, gain in expected["gains"].items():
+            assert found.gains[name] == pytest.approx(gain, rel=1e-8)
+        assert sorted(found.chosen) == sorted(expected["best_set"]) and found.proved
+        assert found.total == pytest.approx(expected["best_total"], rel=1e-8)
+        greedy = identify.rank_measurements(prior, candidates, exhaustive=1, **asked)
+        assert sorted(greedy.chosen) == sorted(expected["best_set"]) and not greedy.proved
+
+
+def test_sampler_beside_quadrature(cases):
+    pytest.importorskip("blackjax")
+    for _, given, expected in of_kind(cases, "quadrature"):
+        found = identify.solve(
+            model_of(given["model"], given["a"]),
+            prior_of(given["prior"]),
+            given["data"],
+            noise=identify.Noise(given["sd"]),
+        )
+        drawn = identify.sample(found, chains=4, draws=1000, warmup=400)
+        for k, name in enumerate(sorted(given["prior"])):
+            values, sd = drawn.value[name].ravel(), expected["sd"][k]
+            assert drawn.value[name].shape == (4, 1000)
+            print(
+                given["model"],
+                name,
+                drawn.r_hat,
+                drawn.ess,
+                drawn.divergences,
+                (values.mean() - expected["mean"][k]) / sd,
+                values.std() / sd,
+                (np.quantile(values, [0.025, 0.5, 0.975]) - expected["quantiles"][k]) / sd,
+            )
+            if not drawn.trusted:
+                continue
+            assert abs(values.mean() - expected["mean"][k]) < 0.12 * sd
+            assert values.std() == pytest.approx(sd, rel=0.1)
+            assert np.abs(np.quantile(values, [0.025, 0.5, 0.975]) - expected["quantiles"][k]).max() < 0.25 * sd

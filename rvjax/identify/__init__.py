@@ -10,19 +10,27 @@ from rvjax.identify.noise import Noise
 from rvjax.identify.orders import Orders, orders
 from rvjax.identify.population import Process
 from rvjax.identify.posterior import Mode, Posterior
+from rvjax.identify.prediction import predict
+from rvjax.identify.ranking import Ranking, rank_measurements
+from rvjax.identify.sampler import Draws, sample
 from rvjax.identify.unit import solve
 
 __all__ = [
     "Batch",
     "Direction",
+    "Draws",
     "Identifiability",
     "Mode",
     "Noise",
     "Orders",
     "Posterior",
     "Process",
+    "Ranking",
     "identifiability",
     "orders",
+    "predict",
+    "rank_measurements",
+    "sample",
     "solve",
     "solve_many",
 ]

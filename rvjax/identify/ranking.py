@@ -1,0 +1,212 @@
+"""`rank_measurements`: which measurement to make next.
+
+The gain of measurements about the elements asked for, I, is the expected fall of the entropy of u_I, in nats:
+(ln det C_II - ln det C'_II)/2. It is computed as the information about all numbers less that about what u_I leaves
+open, [ln det(1 + J'J) - ln det(1 + Z'J'J Z)]/2 with Z the directions that leave u_I as it is: two sums of logarithms of
+numbers above 1, which keep their digits beside a wide nuisance. With nuisances gains are not submodular, two torques
+cancel an offset that one cannot, so that choosing the best one after the other may miss the best set.
+"""
+
+import dataclasses
+import itertools
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping
+
+import numpy as np
+
+from rvjax.identify.check import slopes_at
+from rvjax.identify.noise import Noise
+from rvjax.identify.posterior import Posterior
+from rvjax.identify.problem import Model, Problem, counted
+from rvjax.records import PyTree
+from rvjax.tolerances.population.correlation import Correlation
+
+BLOCK = 256
+"""Sets that are computed at once."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Ranking:
+    """Which measurements tell most.
+
+    Attributes:
+        gains: {candidate: nats about the elements asked for, if it alone is made}.
+        chosen: names of the best set found, the largest gain first.
+        total: nats of that set.
+        proved: whether all sets were tried.
+    """
+
+    gains: dict[str, float]
+    chosen: tuple[str, ...]
+    total: float
+    proved: bool
+
+
+def rank_measurements(
+    prior: PyTree,
+    candidates: Mapping[str, Model],
+    *,
+    noise: Noise | Mapping[str, Noise],
+    nuisance: str | Iterable[str] = (),
+    given: Posterior | None = None,
+    count: float = 1,
+    costs: Mapping[str, float] | None = None,
+    correlation: Correlation = None,
+    exhaustive: int = 5000,
+) -> Ranking:
+    """The measurements that tell most about all elements but the nuisances.
+
+    Args:
+        prior: record or dict with a `Tolerance`, a constant or None in each field.
+        candidates: {name: model of what would be observed}.
+        noise: of every candidate, or {name: Noise}.
+        nuisance: names of fields or elements nobody asks about.
+        given: what was measured before; None: nothing.
+        count: how many to choose; with `costs` and not 1, the budget that the costs of the set may not exceed.
+        costs: {name: cost}; with a count of 1 the choice is the largest gain per cost.
+        correlation: {(field or element, field or element): correlation of their u}.
+        exhaustive: most sets that are all tried; beyond, the best is searched one by one and by exchanges.
+
+    Raises:
+        ValueError: an unknown name, or an argument that does not fit.
+    """
+    if not isinstance(candidates, Mapping) or not candidates:
+        raise ValueError(f"candidates = {candidates!r}: must be a dict of models by name, unit -")
+    counted("exhaustive", exhaustive, 1)
+    gain = _Gain.of(prior, candidates, noise, nuisance, given, correlation)
+    names = list(candidates)
+    gains = gain.of_sets([(k,) for k in range(len(names))])
+    if costs is None:
+        counted("count", count, 1)  # type: ignore[arg-type]
+        if count > len(names):
+            raise ValueError(f"count = {count!r}: there are only {len(names)} candidates, unit -")
+        number = int(count)
+        sets: Iterable[tuple[int, ...]] = itertools.combinations(range(len(names)), number)
+        chosen, total, proved = _chosen(
+            gain, sets, math.comb(len(names), number), exhaustive, np.ones(len(names)), float(number)
+        )
+    else:
+        prices = _prices(costs, names)
+        if not count > 0:
+            raise ValueError(f"count = {count!r}: must be positive, unit of the costs")
+        if count == 1:
+            best = int(np.argmax(gains / prices))
+            chosen, total, proved = (best,), float(gains[best]), True
+        else:
+            sets = _affordable(prices, float(count))
+            chosen, total, proved = _chosen(gain, sets, 2 ** len(names) - 1, exhaustive, prices, float(count))
+    order = sorted(chosen, key=lambda k: -gains[k])
+    return Ranking(dict(zip(names, map(float, gains))), tuple(names[k] for k in order), total, proved)
+
+
+def _prices(costs: Mapping[str, float], names: list[str]) -> np.ndarray:
+    for name in costs:
+        if name not in names:
+            raise ValueError(f"costs: {name!r} is no candidate; these are: {', '.join(names)}")
+    for name in names:
+        if name not in costs:
+            raise ValueError(f"costs: candidate {name!r} has none, unit of the costs")
+        if not (costs[name] > 0 and math.isfinite(costs[name])):
+            raise ValueError(f"costs[{name!r}] = {costs[name]!r}: must be positive and finite, unit of the costs")
+    return np.array([float(costs[name]) for name in names])
+
+
+def _affordable(prices: np.ndarray, budget: float) -> Iterator[tuple[int, ...]]:
+    for size in range(1, len(prices) + 1):
+        for places in itertools.combinations(range(len(prices)), size):
+            if prices[list(places)].sum() <= budget:
+                yield places
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Gain:
+    """Gains of sets of candidates, from the triangular factors of their slopes."""
+
+    factors: np.ndarray  # (candidates, rows, n): of slopes over v, where z = z^ + L v
+    open: np.ndarray  # Z (n, k)
+
+    @classmethod
+    def of(
+        cls,
+        prior: PyTree,
+        candidates: Mapping[str, Model],
+        noise: Noise | Mapping[str, Noise],
+        nuisance: str | Iterable[str],
+        given: Posterior | None,
+        correlation: Correlation,
+    ) -> "_Gain":
+        if isinstance(noise, Mapping):
+            for name in (*noise, *candidates):
+                if name not in candidates or name not in noise:
+                    raise ValueError(f"noise: {name!r} must be both a candidate and have a Noise, unit -")
+        problems = [
+            Problem.of(
+                model,
+                prior,
+                noise=noise[name] if isinstance(noise, Mapping) else noise,
+                nuisance=nuisance,
+                correlation=correlation,
+            )
+            for name, model in candidates.items()
+        ]
+        elements, places = problems[0].elements, problems[0].nuisance
+        asked = np.setdiff1d(np.arange(elements.count), places)
+        if not asked.size:
+            raise ValueError(f"nuisance = {nuisance!r}: no element is left to ask about")
+        u, root = np.zeros(elements.count), np.eye(elements.mixing.shape[1])
+        if given is not None:
+            if given.names != elements.names:
+                raise ValueError(f"given: has the elements {', '.join(given.names)}, prior {', '.join(elements.names)}")
+            if not given.peaks:
+                raise ValueError(f"given: status {given.status}, there is no mode to start from")
+            u, root = given.u, given.peaks[0].spectrum.root
+        mixing = elements.mixing @ root
+        slopes = [np.sqrt(each.discount) * slopes_at(each, u) @ mixing for each in problems]
+        factors = [np.linalg.qr(item, mode="r") if len(item) > item.shape[1] else item for item in slopes]
+        rows = max(len(item) for item in factors)
+        stacked = np.stack([np.pad(item, ((0, rows - len(item)), (0, 0))) for item in factors])
+        return cls(stacked, np.linalg.svd(mixing[asked])[2][asked.size :].T)
+
+    def of_sets(self, sets: list[tuple[int, ...]]) -> np.ndarray:
+        """Gain of each set, all of one size."""
+        rows = self.factors[np.array(sets, int)].reshape(len(sets), -1, self.factors.shape[-1])
+        return _nats(rows) - (_nats(rows @ self.open) if self.open.size else 0.0)
+
+    def best(self, sets: Iterable[tuple[int, ...]]) -> tuple[tuple[int, ...], float]:
+        """The set of largest gain; the empty one where there is none."""
+        found: tuple[tuple[int, ...], float] = ((), 0.0)
+        for _, same in itertools.groupby(sets, len):
+            while block := list(itertools.islice(same, BLOCK)):
+                gains = self.of_sets(block)
+                if gains.max() > found[1] or not found[0]:
+                    found = block[int(np.argmax(gains))], float(gains.max())
+        return found
+
+
+def _nats(rows: np.ndarray) -> np.ndarray:
+    return np.asarray(np.log1p(np.linalg.svd(rows, compute_uv=False) ** 2).sum(axis=-1) / 2)
+
+
+def _chosen(
+    gain: _Gain, sets: Iterable[tuple[int, ...]], number: int, exhaustive: int, prices: np.ndarray, budget: float
+) -> tuple[tuple[int, ...], float, bool]:
+    """The best set within a budget, its gain, and whether all were tried."""
+    if number <= exhaustive:
+        return *gain.best(sets), True
+    fits: Callable[[Iterable[int]], bool] = lambda places: prices[list(places)].sum() <= budget * (1 + 1e-12)  # noqa: E731
+    chosen: tuple[int, ...] = ()
+    total = 0.0
+    while True:  # the largest gain per cost that is still affordable
+        added = [(*chosen, k) for k in range(len(prices)) if k not in chosen and fits((*chosen, k))]
+        if not added:
+            break
+        gains = gain.of_sets(added)
+        best = int(np.argmax((gains - total) / prices[[item[-1] for item in added]]))
+        chosen, total = added[best], float(gains[best])
+    while True:  # exchanges of one for another
+        outside = [k for k in range(len(prices)) if k not in chosen]
+        swaps = [(*(i for i in chosen if i != out), k) for out in chosen for k in outside]
+        found = gain.best(item for item in swaps if fits(item))
+        if not found[1] > total * (1 + 1e-12):
+            return chosen, total, False
+        chosen, total = found
