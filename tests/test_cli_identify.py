@@ -210,7 +210,7 @@ def test_several_units_share_a_question(here, capsys):
     [
         (("[40, 80]", "[40, 40]"), "identify.orders = [40, 40]: names an order twice"),
         (("[40, 80]", "[0]"), "identify.orders = 0: must be an integer of at least 1"),
-        (("[40, 80]", "[400]"), "identify.orders: order 400 is crank order 10; conditions.angles is too few"),
+        (("[40, 80]", "[400]"), "identify.orders: order 400 is crank order 10, too fine for conditions.angles = 16"),
         (("[40, 80]", "40"), "identify.orders = 40: must be a list"),
         (("orders = [40, 80]\n", ""), "identify.orders is missing"),
         (('"floor"', '"3 um"'), "identify.noise = '3 um': unit 'um' is not one of rad, deg, arcmin, arcsec"),
@@ -305,7 +305,11 @@ def test_orders_of_the_output_agree_between_the_models():
         cells = jax.jit(jax.vmap(lambda e, model=model: model({"crank_eccentricity": e})))(np.stack([THROW, 0 * THROW]))
         assert np.all(np.asarray(cells["order 041"]) == 0)  # no pin differs: a turn of the cranks is like the next
         found.append(np.diff(np.asarray(cells["order 040"])[::-1, 0])[0])
-    assert found[1] / found[0] == pytest.approx(39 / (40 + 10 / 26), abs=2e-3)
+    # Elastic parts turn it a little.
+    factor, turned = abs(found[1] / found[0]), np.angle(found[1] / found[0])
+    assert (
+        factor == pytest.approx(39 / (40 + 10 / 26), abs=2e-3) and abs(turned) < 0.02
+    )
 
 
 def test_missing_index_mark_and_floor_orders():

@@ -1,4 +1,4 @@
-"""The measured reducer of `rvjax.published.rv160`, calibrated: half of its torques in, the others predicted with a band.
+"""The measured reducer of `rvjax.published.rv160`, calibrated: half of its torques in, a band for the others out.
 
 What is unknown is a prior, not a guess: a factor on all springs, the clearance of the crank bearings, the modification
 of the flanks, and the scatter of pins, teeth and journals, each known to a factor only.

@@ -14,6 +14,7 @@ import numpy as np
 
 from rvjax import dynamics, four_bar, loaded
 from rvjax.designs import RVReducer
+from rvjax.records import Array, Record, field, record, text
 from rvjax.study.measured import Conditions
 from rvjax.tolerances import Tolerance
 from rvjax.units import arcsec
@@ -114,6 +115,72 @@ def _stiffer(design: RVReducer, factor: Any) -> RVReducer:
     return design
 
 
+@record
+class Curves(Record):
+    """The orders of runs of transmission error: `values -> {"order 040": (runs,) complex, .., "mean": (runs,)}`.
+
+    Means count with the nuisance "offset", order 1 with "mounting". Its numbers are those of the design and the
+    torques: one program serves every design of a kind.
+    """
+
+    design: Any = field("-", "the reducer", kind="record")
+    torques: Array = field("N m", "of the discs on the carrier, one for each distinct run", shape=("torques",))
+    place: tuple[int, ...] = text("which torque each run has")
+    model: str = text("four_bar or loaded")
+    conditions: Any = text("how the models are computed")
+    orders: tuple[int, ...] = text("of the output turn")
+    nuisances: tuple[str, ...] = text("of NUISANCES that the prior has")
+    alike: bool = text("one turn of the cranks is like the next")
+    idle: bool = text("no run has a torque")
+
+    def __call__(self, values: Values) -> Observation:
+        """What the bench would see of one unit.
+
+        Args:
+            values: of the prior.
+        """
+        spectrum = self._four_bar if self.model == "four_bar" else self._loaded
+        mean, found = spectrum(*_taken(self.design, values))
+        place = np.array(self.place)
+        seen: Observation = {}
+        for k, order in enumerate(self.orders):
+            seen[order_name(order)] = found[place, k]
+            if "phase" in self.nuisances:
+                turn = order * values["phase"]
+                seen[order_name(order)] *= jax.lax.complex(jnp.cos(turn), -jnp.sin(turn))
+        if "mounting" in self.nuisances:
+            cosine, sine = values["mounting"]
+            one = jnp.broadcast_to(jax.lax.complex(cosine, -sine), (len(place),))
+            seen[order_name(1)] = one + seen[order_name(1)] if order_name(1) in seen else one
+        if "offset" in self.nuisances:
+            seen["mean"] = mean[place] + values["offset"]
+        return seen
+
+    def _four_bar(self, design: Any, errors: Any) -> tuple[jax.Array, jax.Array]:
+        """(mean (torques,), orders (torques, k)) of a unit."""
+        pins, given = self.design.cycloid.pin_count, self.conditions
+
+        def turn(torque: Any) -> jax.Array:
+            ways = dict(cranks=given.cranks, gear_stiffness_ratio=given.gear_stiffness_ratio, closure=given.closure)
+            return four_bar.revolution(design, errors, output_torque=torque, angles=given.angles, **ways).harmonics
+
+        waves = turn(0.0)[None] if self.idle else jax.vmap(turn)(self.torques)
+        # The cranks turn against the output: X e^(i h crank) is conj(X) e^(i h pins output). A failed turn stays NaN.
+        found = [jnp.conj(waves[:, k // pins]) if k % pins == 0 else 0 * waves[:, 0] for k in self.orders]
+        return jnp.real(waves[:, 0]), jnp.stack(found, axis=1)
+
+    def _loaded(self, design: Any, errors: Any) -> tuple[jax.Array, jax.Array]:
+        """As `_four_bar`, of the whole reducer; one turn of the cranks where all are alike."""
+        step, given = (self.design.cycloid.pin_count if self.alike else 1), self.conditions
+        samples = loaded_samples(self.orders, self.alike, given)
+        ways = dict(contact=given.pin_contact, carrier=given.carrier, sun=given.sun, turns=1 / step, samples=samples)
+        stiff = errors.stiffened(design)
+        error = jax.vmap(lambda t: loaded.revolution(stiff, errors, output_torque=t, **ways).error)(self.torques)
+        waves = 2 / samples * jnp.fft.rfft(error)
+        found = [waves[:, k // step] if k % step == 0 else 0 * waves[:, 0] for k in self.orders]
+        return jnp.mean(error, axis=1), jnp.stack(found, axis=1)
+
+
 def curve_model(
     model: str,
     design: RVReducer,
@@ -122,8 +189,8 @@ def curve_model(
     orders: Sequence[int],
     nuisances: Sequence[str],
     active: Sequence[str],
-) -> Model:
-    """The orders of runs of transmission error, as `values -> {"order 40": (runs,) complex, .., "mean": (runs,)}`.
+) -> Curves:
+    """The model of some runs.
 
     Args:
         model: "four_bar" or "loaded".
@@ -131,31 +198,47 @@ def curve_model(
         conditions: of the study: how the models are computed.
         runs: torque and direction of each.
         orders: of the output turn.
-        nuisances: of `NUISANCES` that the prior has: means count with "offset", order 1 with "mounting".
+        nuisances: of `NUISANCES` that the prior has, and others.
         active: errors that vary, by field; some make a turn of the cranks unlike the next.
+
+    Raises:
+        ValueError: an order too fine for the angles of the conditions.
     """
-    torques = signed_torques(runs, conditions)
-    distinct, place = np.unique(torques, return_inverse=True)
-    of_runs = _four_bar_orders if model == "four_bar" else _loaded_orders
-    spectrum = of_runs(design, conditions, tuple(float(t) for t in distinct), tuple(orders), tuple(active))
+    distinct, place = np.unique(signed_torques(runs, conditions), return_inverse=True)
+    alike = model == "four_bar" or not set(active) & set(BREAKS_PITCH)
+    finest = max(orders) // design.cycloid.pin_count
+    key = "angles" if model == "four_bar" else "samples"
+    if alike and finest >= (count := getattr(conditions, key)) / 2:
+        raise ValueError(
+            f"identify.orders: order {max(orders)} is crank order {finest}, too fine for conditions.{key} = {count}"
+        )
+    if model == "loaded":  # without any torque the play has two sides, and the direction says which
+        least = PROBE * max(np.max(np.abs(distinct)), conditions.rated_torque or 0.0)
+        load = np.maximum(np.abs(signed := signed_torques(runs, conditions)), least)
+        negative = np.where(signed == 0, np.array([run.sign for run in runs]) < 0, signed < 0)
+        distinct, place = np.unique(np.where(negative, -load, load), return_inverse=True)
+    return Curves(
+        design=design,
+        torques=np.asarray(distinct, float),
+        place=tuple(int(k) for k in place),
+        model=model,
+        conditions=conditions,
+        orders=tuple(orders),
+        nuisances=tuple(name for name in nuisances if name in NUISANCES),
+        alike=alike,
+        idle=not np.any(distinct),
+    )
 
-    def observe(values: Values) -> Observation:
-        mean, found = spectrum(*_taken(design, values))
-        seen: Observation = {}
-        for k, order in enumerate(orders):
-            seen[order_name(order)] = found[place, k]
-            if "phase" in nuisances:
-                turn = order * values["phase"]
-                seen[order_name(order)] *= jax.lax.complex(jnp.cos(turn), -jnp.sin(turn))
-        if "mounting" in nuisances:
-            cosine, sine = values["mounting"]
-            one = jnp.broadcast_to(jax.lax.complex(cosine, -sine), (len(runs),))
-            seen[order_name(1)] = one + seen[order_name(1)] if order_name(1) in seen else one
-        if "offset" in nuisances:
-            seen["mean"] = mean[place] + values["offset"]
-        return seen
 
-    return observe
+def loaded_samples(orders: Sequence[int], alike: bool, conditions: Any) -> int:
+    """Input angles of a turn of the cranks, or of the output, from which its orders are told.
+
+    Args:
+        orders: of the output turn.
+        alike: one turn of the cranks is like the next.
+        conditions: of the study.
+    """
+    return conditions.samples if alike else max(conditions.samples, 4 * max(orders))
 
 
 def order_name(order: int) -> str:
@@ -174,93 +257,49 @@ def signed_torques(runs: Sequence[Conditions], conditions: Any) -> np.ndarray:
     return np.array([run.sign for run in runs]) * given
 
 
-def _four_bar_orders(
-    design: RVReducer, conditions: Any, torques: Sequence[float], orders: Sequence[int], active: Sequence[str]
-) -> Callable[[Any, Any], tuple[jax.Array, jax.Array]]:
-    """(mean (torques,), orders (torques, k)) of a unit."""
-    pins, most = design.cycloid.pin_count, (conditions.angles + 1) // 2
-    for order in orders:
-        if order // pins >= most:
-            raise ValueError(
-                f"identify.orders: order {order} is crank order {order // pins}; conditions.angles is too few"
-            )
-    none_loaded = not any(torques)
+@record
+class Midline(Record):
+    """The midline of a torque-angle loop, input held: `values -> {"angle": (n,)}`."""
 
-    def spectrum(design: Any, errors: Any) -> tuple[jax.Array, jax.Array]:
-        def turn(torque: Any) -> jax.Array:
-            ways = dict(cranks=conditions.cranks, gear_stiffness_ratio=conditions.gear_stiffness_ratio)
-            ways |= dict(closure=conditions.closure, angles=conditions.angles)
-            return four_bar.revolution(design, errors, output_torque=torque, **ways).harmonics
+    design: Any = field("-", "the reducer, with stiffness and contact", kind="record")
+    load: Array = field("N m", "of the discs on the carrier, against the torque of the bench", shape=("torques",))
+    conditions: Any = text("how the model is computed")
+    offset: bool = text("the prior has one")
 
-        waves = turn(0.0)[None] if none_loaded else jax.vmap(turn)(jnp.asarray(torques))
-        # The cranks turn against the output: X e^(i h crank) is conj(X) e^(i h pins output).
-        none = 0 * waves[:, 0]  # a failed turn stays NaN
-        found = [jnp.conj(waves[:, k // pins]) if k % pins == 0 else none for k in orders]
-        return jnp.real(waves[:, 0]), jnp.stack(found, axis=1)
+    def __call__(self, values: Values) -> Observation:
+        """What the bench would see of one unit.
 
-    return spectrum
+        Args:
+            values: of the prior.
+        """
+        unit, errors = _taken(self.design, values)
+        stiff, given = errors.stiffened(unit), self.conditions
+        ways = dict(contact=given.pin_contact, carrier=given.carrier, sun=given.sun, input_angle=given.input_angle)
+        angle = jax.vmap(lambda t: loaded.equilibrium(stiff, errors, output_torque=t, **ways).error)(self.load)
+        return {"angle": angle + values["offset"] if self.offset else angle}
 
 
-def _loaded_orders(
-    design: RVReducer, conditions: Any, torques: Sequence[float], orders: Sequence[int], active: Sequence[str]
-) -> Callable[[Any, Any], tuple[jax.Array, jax.Array]]:
-    """As `_four_bar_orders`, of the whole reducer; one turn of the cranks where all are alike."""
-    pins = design.cycloid.pin_count
-    like = not set(active) & set(BREAKS_PITCH)
-    turns = 1 / pins if like else 1.0
-    finest = max(orders)
-    samples = conditions.samples if like else max(conditions.samples, 4 * finest)
-    step = pins if like else 1
-    if like and finest // pins >= samples / 2:
-        raise ValueError(f"identify.orders: order {finest} is too fine for conditions.samples = {samples}")
-    least = PROBE * max(np.max(np.abs(torques)), conditions.rated_torque or 0.0)
-    signs = np.where(np.signbit(torques), -1.0, 1.0)
-    load = jnp.asarray(np.where(np.abs(torques) < least, signs * least, torques))
+@record
+class Frequencies(Record):
+    """Natural frequencies of modes that are followed by their shape: `values -> {"frequency": (n,)}`."""
 
-    def spectrum(design: Any, errors: Any) -> tuple[jax.Array, jax.Array]:
-        ways = dict(contact=conditions.pin_contact, carrier=conditions.carrier, sun=conditions.sun)
+    design: Any = field("-", "the reducer, with inertia and stiffness", kind="record")
+    test: Array = field("sqrt(kg)", "rows that are 1 for the own mode and 0 for the others", shape=("tones", "n"))
 
-        def turn(torque: jax.Array) -> jax.Array:
-            stiff = errors.stiffened(design)
-            return loaded.revolution(stiff, errors, output_torque=torque, turns=turns, samples=samples, **ways).error
+    def __call__(self, values: Values) -> Observation:
+        """What the bench would see of one unit.
 
-        error = jax.vmap(turn)(load)
-        waves = 2 / samples * jnp.fft.rfft(error)
-        none = 0 * waves[:, 0]
-        found = [waves[:, k // step] if k % step == 0 else none for k in orders]
-        return jnp.mean(error, axis=1), jnp.stack(found, axis=1)
-
-    return spectrum
+        Args:
+            values: of the prior.
+        """
+        found = _modes(self.design, values)
+        alike = jnp.abs(jnp.asarray(self.test) @ found.shape)
+        place = jax.lax.stop_gradient(jnp.argmax(jnp.where(jnp.isfinite(alike), alike, 0.0), axis=1))
+        return {"frequency": found.frequency[place]}
 
 
-def loop_model(design: RVReducer, conditions: Any, torque: np.ndarray, nuisances: Sequence[str]) -> Model:
-    """The midline of a torque-angle loop, as `values -> {"angle": (n,)}`.
-
-    Args:
-        design: the reducer, with stiffness and contact.
-        conditions: of the study; the input is held at `input_angle`.
-        torque: of the bench on the output, N m (n,): against that of the discs.
-        nuisances: "offset" is the only one that a loop has.
-    """
-    load = -jnp.asarray(torque)
-
-    def observe(values: Values) -> Observation:
-        unit, errors = _taken(design, values)
-        stiff = errors.stiffened(unit)
-
-        def angle(torque: jax.Array) -> jax.Array:
-            ways = dict(contact=conditions.pin_contact, carrier=conditions.carrier, sun=conditions.sun)
-            at = conditions.input_angle
-            return loaded.equilibrium(stiff, errors, input_angle=at, output_torque=torque, **ways).error
-
-        zero = values["offset"] if "offset" in nuisances else 0.0
-        return {"angle": jax.vmap(angle)(load) + zero}
-
-    return observe
-
-
-def frequency_model(design: RVReducer, measured: np.ndarray, start: Values) -> Model:
-    """Natural frequencies of the modes that were measured, as `values -> {"frequency": (n,)}`.
+def frequency_model(design: RVReducer, measured: np.ndarray, start: Values) -> Frequencies:
+    """Natural frequencies of the modes that were measured.
 
     Each is matched to the nearest mode of the unit `start`, no two to the same, and followed by its shape: a mode that
     passes another one keeps its name.
@@ -282,16 +321,7 @@ def frequency_model(design: RVReducer, measured: np.ndarray, start: Values) -> M
         raise ValueError(f"{len(measured)} frequencies, but the design has {len(elastic)} elastic modes")
     apart = np.abs(np.log(np.asarray(measured)[:, None] / frequency[None, elastic]))
     chosen = elastic[linear_sum_assignment(apart)[1]]
-    # Shapes are mass-normalised: S' M S = I, so the inverse of the shapes is S' M.
-    test = jnp.asarray(np.linalg.inv(shape)[chosen])
-
-    def observe(values: Values) -> Observation:
-        found = _modes(design, values)
-        alike = jnp.abs(test @ found.shape)
-        place = jax.lax.stop_gradient(jnp.argmax(jnp.where(jnp.isfinite(alike), alike, 0.0), axis=1))
-        return {"frequency": found.frequency[place]}
-
-    return observe
+    return Frequencies(design, np.linalg.inv(shape)[chosen])  # S' M S = I: the inverse of the shapes is S' M
 
 
 def _modes(design: RVReducer, values: Values) -> dynamics.Modes:

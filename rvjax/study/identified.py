@@ -4,20 +4,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
 from rvjax import identify
 from rvjax.study.bench import order_name
-from rvjax.study.measured import Conditions, Measured, Run
-from rvjax.study.problem import Problem, candidates, problem
+from rvjax.study.measured import Measured, Run
+from rvjax.study.problem import Problem, Wide, problem, wide
 from rvjax.study.question import Study
 
 REJECTED = ("REJECTED", "MAX_STEPS", "NONFINITE")
 """Statuses that are no answer."""
 POINTS = 181  # of the drawn curve
 PITCHES = 3  # of the ring that a curve is drawn over
-BAND_DRAWS = 512
 WITHOUT = 1e-4
 """Resolution below which the data say nothing of an element."""
 
@@ -95,7 +93,8 @@ def check(study: Study, measured: Measured | None = None) -> Identified:
         ValueError: as `problem`.
     """
     asked = problem(study, measured)
-    return Identified(asked, _seen(asked), gains=_gains(asked, None))
+    everything = wide(asked)
+    return Identified(asked, _seen(asked, everything), gains=_gains(asked, everything, None))
 
 
 def answer(study: Study, measured: Measured, *, draws: bool = False) -> Identified:
@@ -110,13 +109,14 @@ def answer(study: Study, measured: Measured, *, draws: bool = False) -> Identifi
         ValueError: as `problem`; draws of a batch.
     """
     asked = problem(study, measured)
-    seen = _seen(asked)
+    everything = wide(asked)
+    seen = _seen(asked, everything)
     options: dict[str, Any] = dict(noise=asked.noise, nuisance=asked.nuisance, seed=study.seed)
     if len(asked.units) > 1 or asked.asked.shared:
         if draws:
             raise ValueError(f"--sample: {len(asked.units)} units; sample one at a time")
         batch = identify.solve_many(asked.model, asked.prior, asked.stacked(), shared=asked.asked.shared, **options)
-        return Identified(asked, seen, batch=batch, gains=_gains(asked, None))
+        return Identified(asked, seen, batch=batch, gains=_gains(asked, everything, None))
     starts = 16 if "phase" in asked.nuisance else 8
     found = identify.solve(asked.model, asked.prior, asked.data[0], starts=starts, **options)
     return Identified(
@@ -124,57 +124,54 @@ def answer(study: Study, measured: Measured, *, draws: bool = False) -> Identifi
         seen,
         posterior=found,
         draws=identify.sample(found, seed=study.seed) if draws else None,
-        gains=_gains(asked, found),
+        gains=_gains(asked, everything, found),
         bands=_bands(asked, found) if asked.kind == "curve" and found.status not in ("NONFINITE", "MAX_STEPS") else (),
     )
 
 
-def _seen(asked: Problem) -> identify.Identifiability:
-    return identify.identifiability(asked.model, asked.prior, noise=asked.noise, nuisance=asked.nuisance)
+def _seen(asked: Problem, everything: Wide) -> identify.Identifiability:
+    return identify.identifiability(
+        everything.model, asked.prior, noise=everything.noise, nuisance=asked.nuisance
+    )  # fmt: skip
 
 
-def _gains(asked: Problem, given: identify.Posterior | None) -> dict[str, float]:
+def _gains(asked: Problem, everything: Wide, given: identify.Posterior | None) -> dict[str, float]:
     """What each candidate would add, best first: to the posterior, or to the runs that stand in the question."""
-    runs = candidates(asked)
-    if not runs or (given is not None and given.status == "NONFINITE"):
+    if not everything.added or (given is not None and not given.modes):
         return {}
-    options: dict[str, Any] = dict(noise=identify.Noise(asked.sd), nuisance=asked.nuisance, given=given)
-    if given is not None:
-        found = identify.rank_measurements(asked.prior, {n: asked.curves([r]) for n, r in runs.items()}, **options)
-        gains = dict(found.gains)
-    else:
-        both = {name: asked.curves([*asked.runs, run]) for name, run in runs.items()}
-        found = identify.rank_measurements(asked.prior, both | {"": asked.curves(asked.runs)}, **options)
-        gains = {name: found.gains[name] - found.gains[""] for name in runs}
-    return {name: float(gains[name]) for name in sorted(gains, key=lambda name: -gains[name])}
+    noise = everything.again if given is not None else everything.added | {"": everything.noise}
+    models = dict.fromkeys(noise, everything.model)
+    found = identify.rank_measurements(asked.prior, models, noise=noise, nuisance=asked.nuisance, given=given).gains
+    gains = {name: float(found[name] - found.get("", 0.0)) for name in everything.added}
+    return {name: gains[name] for name in sorted(gains, key=lambda name: -gains[name])}
 
 
 def _bands(asked: Problem, found: identify.Posterior) -> tuple[Band, ...]:
-    """The measured runs beside the identified unit, over a few pitches of the ring."""
+    """The measured runs beside the identified unit, over a few pitches of the ring.
+
+    The band is that of Laplace's method: an observation is linear in u about the mode, a curve in its observation.
+    """
     study, orders = asked.study, asked.asked.orders
+    peak, layout = found.peaks[0], found.problem.layout
+    mean = layout.tree(peak.observation)
+    # One row for each independent number behind u, as changes of the observation.
+    slopes = found.problem.sd[:, None] * peak.slopes @ found.problem.elements.mixing @ peak.spectrum.root
+    changes = layout.tree(np.ascontiguousarray(slopes.T))
     angle = np.linspace(0, 2 * np.pi * PITCHES / study.design.cycloid.pin_count, POINTS)
-    bands = []
-    wave = jnp.exp(1j * np.outer(orders, angle))
+    wave = np.exp(1j * np.outer(orders, angle))
     offset = "offset" in asked.nuisance
 
-    def curves(values: Any) -> dict[str, Any]:
-        seen = asked.model(values)
-        found = {}
-        for r in range(len(asked.runs)):
-            rows = jnp.stack([seen[order_name(k)][r] for k in orders])
-            curve = jnp.real(jnp.sum(rows[:, None] * wave, axis=0)) + (seen["mean"][r] if offset else 0.0)
-            found |= {f"{r}:{k}": curve[k] for k in range(POINTS)}
-        return found
+    def curve(seen: Any, r: int) -> np.ndarray:
+        rows = np.stack([np.asarray(seen[order_name(k)])[..., r] for k in orders], axis=-1)
+        return np.real(rows @ wave) + (np.asarray(seen["mean"])[..., r, None] if offset else 0.0)
 
-    band = identify.predict(found, curves, draws=BAND_DRAWS, seed=study.seed)
-    for r, (at, run) in enumerate(zip(asked.runs, asked.items[0])):
-        assert isinstance(run, Run) and isinstance(at, Conditions)
-        points = [band[f"{r}:{k}"] for k in range(POINTS)]
-        value, lower, upper = (
-            np.array([getattr(p, name) for p in points], float) for name in ("value", "lower", "upper")
-        )
+    bands = []
+    for r, run in enumerate(asked.items[0]):
+        assert isinstance(run, Run)
+        value, half = curve(mean, r), 1.96 * np.sqrt(np.sum(curve(changes, r) ** 2, axis=0))
         fitted = identify.orders(run.angle, run.error, sorted({1, *orders}))
         one = complex(np.asarray(fitted.value)[0])
         taken = (0.0 if offset else float(fitted.mean), one.real, -one.imag)
-        bands.append(Band(run, angle, value, lower, upper, taken if 1 not in orders else (taken[0], 0.0, 0.0)))
+        taken = (taken[0], 0.0, 0.0) if 1 in orders else taken
+        bands.append(Band(run, angle, value, value - half, value + half, taken))
     return tuple(bands)

@@ -11,11 +11,11 @@ from rvjax import identify
 from rvjax.designs import RVReducer
 from rvjax.study.bench import (
     KINDS,
+    Midline,
     Model,
     Observation,
     curve_model,
     frequency_model,
-    loop_model,
     order_name,
     signed_torques,
 )
@@ -26,6 +26,7 @@ from rvjax.tolerances import Tolerance
 
 BESIDE = 20  # orders that no model names, for the floor
 MEDIAN = np.sqrt(2 * np.log(2))  # of a Rayleigh law: of the amplitude of noise with sd 1 in real and imaginary part
+UNMEASURED = 1e6  # rad: noise of a run that nobody makes
 LEVELS = (0.1, 0.5, 1.0, 2.0)  # torques of candidates, of the largest one of the data, where the study names none
 
 
@@ -68,17 +69,10 @@ class Problem:
         """The data with units on axis 0."""
         return {key: np.stack([data[key] for data in self.data]) for key in self.data[0]}
 
-    def curves(self, runs: Sequence[Conditions], orders: Sequence[int] | None = None) -> Model:
-        """The same model for other runs or orders.
 
-        Args:
-            runs: torque and direction of each.
-            orders: of the output turn; those of the study by default.
-        """
-        asked, study = self.asked, self.study
-        return curve_model(
-            asked.model, study.design, study.conditions, runs, orders or asked.orders, asked.nuisance, tuple(self.prior)
-        )  # fmt: skip
+def _model(study: Study, asked: Identification, runs: Sequence[Conditions]) -> Model:
+    active = tuple(asked.prior(study.tolerances))
+    return curve_model(asked.model, study.design, study.conditions, runs, asked.orders, asked.nuisance, active)
 
 
 def asked_of(study: Study) -> Identification:
@@ -128,16 +122,19 @@ def _curves(study: Study, asked: Identification, measured: Measured | None) -> P
     prior = asked.prior(study.tolerances)
     wanted = sorted({*asked.orders, *([1] if "mounting" in asked.nuisance else [])})
     groups = [order_name(k) for k in wanted] + (["mean"] if "offset" in asked.nuisance else [])
+    data: list[Observation] = []
+    sds: dict[str, np.ndarray] = {}
     if measured is None:
         runs, units, items = planned(study), (), ()
-        data, sds = [], {}
+        model = _model(study, asked, runs)
     else:
         beside = floor_orders(study.design, asked.orders)
         units = tuple(measured.units)
         own = [_by_place([run for run in measured.runs if run.at.unit == unit]) for unit in units]
         places = list(dict.fromkeys(place for runs in own for place in runs))
         runs, items = tuple(place[0] for place in places), tuple(tuple(runs.values()) for runs in own)
-        data, sds = [], {key: np.full((len(units), len(runs)), np.nan) for key in groups}
+        model = _model(study, asked, runs)  # refuses orders that it cannot compute before data that do not fit them
+        sds = {key: np.full((len(units), len(runs)), np.nan) for key in groups}
         for u, found in enumerate(own):
             seen: Observation = {key: np.full(len(runs), np.nan, float if key == "mean" else complex) for key in groups}
             for place, run in found.items():
@@ -154,8 +151,6 @@ def _curves(study: Study, asked: Identification, measured: Measured | None) -> P
         sd: Any = asked.noise
     else:  # of each run; of several units the mean square, since one noise serves all
         sd = {key: np.sqrt(np.nanmean(values**2, axis=0)) for key, values in sds.items()}
-    active = tuple(prior)
-    model = curve_model(asked.model, study.design, study.conditions, runs, asked.orders, asked.nuisance, active)
     return Problem(
         study=study,
         kind="curve",
@@ -231,20 +226,68 @@ def planned(study: Study) -> tuple[Conditions, ...]:
     return tuple(Conditions(torque=t, direction=d) for t in asked.torques for d in asked.directions)
 
 
-def candidates(problem: Problem) -> dict[str, Conditions]:
-    """Runs that could be measured next, by name.
+def candidates(problem: Problem) -> list[Conditions]:
+    """Runs that could be measured next.
 
     Args:
         problem: of curves; others have none.
     """
     asked = problem.asked
     if problem.kind != "curve":
-        return {}
+        return []
     largest = np.max(np.abs(signed_torques(problem.runs, problem.study.conditions)), initial=0.0)
     largest = largest or problem.study.conditions.rated_torque or 0.0
     torques = asked.torques or tuple(float(f"{share * largest:.3g}") for share in LEVELS)
-    runs = (Conditions(torque=t, direction=d) for t in torques for d in asked.directions)
-    return {run.text(): run for run in dict.fromkeys(runs)}
+    return list(dict.fromkeys(Conditions(torque=t, direction=d) for t in torques for d in asked.directions))
+
+
+@dataclass(frozen=True)
+class Wide:
+    """The runs of a problem and those that could come next, as one model: one program answers for all of them.
+
+    Attributes:
+        model: of all runs.
+        noise: when only those of the problem are measured.
+        again: {candidate: noise when it alone is measured}.
+        added: {candidate: noise when it is measured beside those of the problem}.
+    """
+
+    model: Model
+    noise: identify.Noise
+    again: dict[str, identify.Noise]
+    added: dict[str, identify.Noise]
+
+
+def wide(problem: Problem) -> Wide:
+    """The problem with its candidates.
+
+    Args:
+        problem: of any kind; only curves have candidates.
+    """
+    if problem.kind != "curve":
+        return Wide(problem.model, problem.noise, {}, {})
+    chosen = candidates(problem)
+    count = len(problem.runs)
+    given = problem.noise.sd
+    groups = [order_name(k) for k in problem.asked.orders]
+    groups += [key for key, name in ((order_name(1), "mounting"), ("mean", "offset")) if name in problem.nuisance]
+    own = {key: np.broadcast_to(given[key] if isinstance(given, dict) else given, count) for key in groups}
+    never = np.full(len(chosen), UNMEASURED)
+
+    def made(first: float, k: int | None) -> identify.Noise:
+        """Noise where the runs of the problem have `first` times their own and candidate k is measured."""
+        then = never.copy()
+        if k is not None:
+            then[k] = problem.sd
+        return identify.Noise({key: np.append(first * sd, then) for key, sd in own.items()})
+
+    names = [run.text() for run in chosen]
+    return Wide(
+        _model(problem.study, problem.asked, [*problem.runs, *chosen]),
+        made(1.0, None),
+        {name: made(UNMEASURED / problem.sd, k) for k, name in enumerate(names)},
+        {name: made(1.0, k) for k, name in enumerate(names)},
+    )
 
 
 def _loops(study: Study, asked: Identification, measured: Measured | None) -> Problem:
@@ -270,7 +313,7 @@ def _loops(study: Study, asked: Identification, measured: Measured | None) -> Pr
         data = [{"angle": np.interp(torque, loop.torque, loop.midline)} for loop in loops]
         floor = np.sqrt(np.mean([np.interp(torque, loop.torque, loop.sd) ** 2 for loop in loops], axis=0))
         sd = asked.noise or {"angle": floor}
-    model = loop_model(study.design, study.conditions, torque, asked.nuisance)
+    model = Midline(study.design, -torque, study.conditions, "offset" in asked.nuisance)
     middle = float(asked.noise or np.median(sd["angle"]))
     return Problem(
         study, "loop", prior, model, identify.Noise(sd), middle, asked.nuisance, (), units, tuple(data), items
