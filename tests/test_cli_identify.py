@@ -48,8 +48,7 @@ def turn(rng, sign, extra=0.0, throw=THROW, samples=1800):
     errors = RVErrors.for_design(catalogue.RV_40E, crank_eccentricity=throw, bearing_clearance=PLAY)
     found = four_bar.revolution(catalogue.RV_40E, errors, output_torque=sign * 412.0, angles=16)
     waves = np.asarray(found.harmonics) / arcsec
-    angle = np.sort(rng.uniform(0, 360, samples))
-    angle[0], angle[-1] = 0.0, 360.0
+    angle = (np.arange(samples) + rng.uniform(-0.4, 0.4, samples)) * 360 / samples
     crank = -40 * angle * deg  # the cranks turn against the output, one turn for each pin
     error = np.real(np.exp(1j * np.outer(crank, np.arange(len(waves)))) @ waves)
     error += 50 + 30 * np.cos(angle * deg - 1) + extra * np.cos(40 * angle * deg)

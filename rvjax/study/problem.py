@@ -184,7 +184,7 @@ class _Fitted:
 
 def _fitted(run: Run, wanted: Sequence[int], beside: Sequence[int]) -> _Fitted:
     """Orders of a run by least squares on its real angles; mean and order 1 are always fitted."""
-    run = checked(run, max([*wanted, *beside]))
+    run = checked(run, max(wanted))
     every = sorted({1, *wanted, *beside})
     try:
         found = identify.orders(run.angle, run.error, every)
