@@ -63,9 +63,9 @@ def residual_orders(residual: Mapping[str, np.ndarray], sd: float, *, axes: Axes
         axes.bar(places, sizes, 0.9 * width, color=PALETTE[r % len(PALETTE)], label=f"run {r + 1}")
     # The amplitude of noise with sd in real and imaginary part stays below this in 95 % of the cases.
     axes.axhline(np.sqrt(-2 * np.log(0.05)) * sd / arcsec, color=LIMIT, ls="--", label="noise, 95 %")
-    axes.set_xticks(range(len(residual)), [name.replace("order 0", "").replace("order ", "") for name in residual])
+    axes.set_xticks(range(len(residual)), [name.removeprefix("order ").lstrip("0") for name in residual])
     axes.set(xlabel="order of the output turn", ylabel="left over (arcsec)")
-    axes.legend(loc="upper right", ncols=min(runs + 1, 4))
+    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=min(runs + 1, 5), fontsize=8)
     return axes
 
 
@@ -128,7 +128,7 @@ def elements(
         axes.axvline(side, color=LIMIT, ls="--", lw=1.2, label="limit" if side == 1 else None)
     for kind in dict.fromkeys(verdict[name] for name in names):
         axes.barh(0, 0, color=colours[kind], label=kind)
-    axes.set_yticks(range(len(names)), [words(name) for name in reversed(names)], fontsize=8)
+    axes.set_yticks(range(len(names)), [words(name).replace("[", " [") for name in reversed(names)], fontsize=8)
     axes.set(xlabel="half-widths of the tolerance about its middle", ylim=(-0.7, len(names) - 0.3))
     axes.grid(axis="y", visible=False)
     axes.legend(loc="lower center", bbox_to_anchor=(0.4, 1.0), ncols=5, fontsize=8)
@@ -152,7 +152,7 @@ def shares(groups: Mapping[str, Mapping[str, float]], *, least: float = 0.01, ax
         start = np.where(sizes >= 0, right, left)
         axes.barh(places, sizes, 0.6, left=start, color=PALETTE[k % len(PALETTE)], edgecolor="white", label=words(name))
         right, left = right + np.maximum(sizes, 0), left + np.minimum(sizes, 0)
-    axes.set_yticks(places, list(groups))
+    axes.set_yticks(places, [name.replace("order 0", "order ").replace("order 0", "order ") for name in groups])
     axes.axvline(0, color=BEFORE, lw=1)
     axes.set(xlabel="share of the curve (%)")
     axes.grid(axis="y", visible=False)

@@ -139,6 +139,7 @@ def calibrated(*, seed: int = 0, angles: int = ANGLES, draws: int = 512, starts:
         return {f"{k:02d}": angle[k] for k in range(len(TORQUE))}
 
     band = identify.predict(found, named, draws=draws, seed=seed)
+    assert isinstance(band, dict)
     at = [band[f"{k:02d}"] for k in range(len(TORQUE))]
     angle, lower, upper = (np.array([float(getattr(x, name)) for x in at]) for name in ("value", "lower", "upper"))
     return Calibrated(found, angle, lower, upper, sd)

@@ -18,6 +18,7 @@ from rvjax.units import KNOWN, arcsec, readable
 SHOWN = 0.3  # loadings below this share of the largest are not part of a combination in words
 EQUAL = 0.1  # loadings that differ less count as one
 MOST_ROWS = 60
+SEEN = 1e-3  # resolution of the elements that a table of text lists
 
 
 def field_of(element: str) -> str:
@@ -41,7 +42,8 @@ def in_words(loadings: Mapping[str, float]) -> str:
     lead = 1.0 if next(iter(terms.values())) > 0 else -1.0
     said, field = "", ""
     for name, size in terms.items():
-        own, place = field_of(name), name[len(field_of(name)) :]
+        own = field_of(name)
+        place = name[len(own) :]
         factor = "" if alike else f"{abs(size) / largest:.2g} "
         shown = place if own == field and place else " ".join([own.replace("_", " "), place]).strip()
         sign = "-" if lead * size < 0 else "+"
@@ -134,14 +136,17 @@ def element_rows(answer: Identified) -> tuple[list[str], list[list[str]]]:
     check, found = answer.check, answer.posterior
     names = sorted(check.names, key=lambda name: -check.resolution[name])
     headers = ["element", "verdict", "known better by"]
-    rows = [[name, check.verdict[name], f"{100 * max(check.resolution[name], 0.0):.1f} %"] for name in names]
+    rows = [[name, str(check.verdict[name]), f"{100 * max(check.resolution[name], 0.0):.1f} %"] for name in names]
     if found is not None:
         headers += ["value", "95 % interval", "beyond limit"]
         value, lower, upper = (elements(x) for x in (found.value, found.lower, found.upper))
         for name, row in zip(names, rows):
             unit, size = shown_unit(answer, field_of(name))
             out = found.broken.get(name, 0.0)
-            row += [f"{value[name] / size:.4g} {unit}", f"{lower[name] / size:.4g} .. {upper[name] / size:.4g}"]
+            low, high = lower[name] / size, upper[name] / size
+            least = 1e-4 * (high - low)  # a value that is 0 but for rounding
+            shown = [f"{0.0 if abs(x) < least else x:.4g}" for x in (value[name] / size, low, high)]
+            row += [f"{shown[0]} {unit}", f"{shown[1]} .. {shown[2]}"]
             row.append(f"{100 * out:.3g} %" if out >= 1e-4 else "-")
     return headers, rows
 
@@ -154,18 +159,16 @@ def unit_rows(answer: Identified) -> tuple[list[str], list[list[str]]]:
     own = [n for n in answer.check.names if answer.check.verdict[n] == "identified"]
     own = [n for n in own if field_of(n) not in answer.problem.nuisance][:6]
     headers = ["unit", "status", "p model", "p prior", *own]
+    chances = [np.asarray(p) for p in (batch.fit.p_model, batch.fit.p_prior)]
     rows = []
     for k, unit in enumerate(answer.problem.units):
-        row = [unit or "-", str(batch.status[k]), f"{batch.fit.p_model[k]:.3g}", f"{batch.fit.p_prior[k]:.3g}"]
+        row = [unit or "-", str(batch.status[k]), *(f"{p[k]:.3g}" for p in chances)]
         for name in own:
             field = field_of(name)
             shown, size = shown_unit(answer, field)
             at = tuple(int(i) for i in name[len(field) :].strip("[]").split(",") if i)
-            places = [
-                x[field][at] if field in answer.problem.asked.shared else x[field][(k, *at)]
-                for x in (value, lower, upper)
-            ]
-            row.append("{:.4g} [{:.4g}, {:.4g}] {}".format(*(p / size for p in places), shown))
+            middle, low, high = (float(x[field][(k, *at)]) / size for x in (value, lower, upper))
+            row.append(f"{middle:.4g} [{low:.4g}, {high:.4g}] {shown}")
         rows.append(row)
     return headers, rows
 
@@ -194,14 +197,17 @@ def summary(answer: Identified) -> str:
         shown = [f"{a} and {b} ({r:+.3f})" for a, b, r in pairs[:5]]
         lines.append(f"Cannot be told apart: {', '.join(shown)}{', ..' if len(pairs) > 5 else ''}")
     headers, rows = element_rows(answer)
-    lines += ["", table(headers, rows[:MOST_ROWS])]
+    seen = [row for row in rows if answer.check.resolution[row[0]] >= SEEN]
+    lines += ["", table(headers, seen[:MOST_ROWS])]
+    if len(rows) > len(seen[:MOST_ROWS]):
+        lines.append(f"{len(rows) - len(seen[:MOST_ROWS])} more elements: as the drawing has them")
     if answer.batch is not None:
         lines += ["", table(*unit_rows(answer))]
     if answer.posterior is not None:
         found = answer.posterior
         lines += ["", "Who makes the curve (shares; negative: cancels others):"]
         lines += [f"  {group}: {_shares_text(fields)}" for group, fields in found.shares.items()]
-        lines += ["", f"Largest residuals: {', '.join(found.fit.worst[:3])}"]
+        lines += ["", f"Largest residuals: {', '.join(map(str, found.fit.worst[:3]))}"]
         if found.status == "LAPLACE_DOUBTFUL":
             lines.append("The intervals are doubtful (a kink or a bound is near): run again with --sample.")
     if answer.draws is not None:
@@ -272,12 +278,12 @@ def _fit(fit: Any, k: int | None = None) -> dict[str, Any]:
 
 
 def _unit(answer: Identified, k: int) -> dict[str, Any]:
-    batch, shared = answer.batch, answer.problem.asked.shared
+    batch = answer.batch
     assert batch is not None
     said: dict[str, Any] = {"status": str(batch.status[k]), "fit": _fit(batch.fit, k)}
     for key in ("value", "lower", "upper"):
         fields = getattr(batch, key)
-        said[key] = elements({f: fields[f] if f in shared else np.asarray(fields[f])[k] for f in fields})
+        said[key] = elements({f: np.asarray(fields[f])[k] for f in fields})
     return said
 
 

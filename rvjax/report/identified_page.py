@@ -9,6 +9,7 @@ from importlib import resources
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 import rvjax
@@ -74,7 +75,7 @@ def _drawn(answer: Identified) -> Iterator[tuple[str, str, Any]]:
     prior = {name: tolerance for name, tolerance in asked.prior.items() if name not in asked.nuisance}
     ends = [_at(prior, side) for side in SIDES]
     value, lower, upper = (told.elements({f: x[f] for f in prior}) for x in (found.value, found.lower, found.upper))
-    limits = {f: tuple(float(x) for x in (t.lower, t.upper)) for f, t in prior.items()}
+    limits = {f: (float(t.lower), float(t.upper)) for f, t in prior.items()}
     names = sorted(value, key=lambda name: -answer.check.resolution[name])
     axes = draw.elements(
         names,
@@ -89,7 +90,7 @@ def _drawn(answer: Identified) -> Iterator[tuple[str, str, Any]]:
 
 def _at(prior: dict[str, Tolerance], side: float) -> dict[str, float]:
     """{element: value} of every element at a quantile of its law."""
-    return told.elements({f: t.deviate(side * np.ones(t.shape)) for f, t in prior.items()})
+    return told.elements({f: t.deviate(jnp.full(t.shape, side)) for f, t in prior.items()})
 
 
 def page(answer: Identified, study: str, data: Sequence[str]) -> str:

@@ -262,6 +262,7 @@ def _typeset(cell: str) -> str:
 
 
 def micro(text: str) -> str:
+    """HTML text with the sign of a micrometre and a microsecond."""
     return re.sub(r"(?<![A-Za-z])u(?=[ms]\b)", "µ", text)
 
 
@@ -276,6 +277,12 @@ def note(text: str) -> str:
 
 
 def section(title: str, content: str) -> str:
+    """A section of the page.
+
+    Args:
+        title: plain text.
+        content: HTML.
+    """
     return f"<section>\n<h2>{escape(title)}</h2>\n{content}\n</section>"
 
 
@@ -295,6 +302,7 @@ def table(headers: Sequence[str], rows: Iterable[Sequence[str]], *, total: bool 
 
 
 def figure(picture: Picture) -> str:
+    """A picture (SVG) inside the page, with its caption."""
     data = base64.b64encode(picture.content).decode("ascii")
     caption = escape(picture.caption)
     return f'<figure><img alt="{caption}" src="data:image/svg+xml;base64,{data}"></figure>'

@@ -124,7 +124,9 @@ class Curves(Record):
     """
 
     design: Any = field("-", "the reducer", kind="record")
-    torques: Array = field("N m", "of the discs on the carrier, one for each distinct run", shape=("torques",))
+    torques: Array | np.ndarray = field(
+        "N m", "of the discs on the carrier, one for each distinct run", shape=("torques",)
+    )
     place: tuple[int, ...] = text("which torque each run has")
     model: str = text("four_bar or loaded")
     conditions: Any = text("how the models are computed")
@@ -262,7 +264,9 @@ class Midline(Record):
     """The midline of a torque-angle loop, input held: `values -> {"angle": (n,)}`."""
 
     design: Any = field("-", "the reducer, with stiffness and contact", kind="record")
-    load: Array = field("N m", "of the discs on the carrier, against the torque of the bench", shape=("torques",))
+    load: Array | np.ndarray = field(
+        "N m", "of the discs on the carrier, against the torque of the bench", shape=("torques",)
+    )
     conditions: Any = text("how the model is computed")
     offset: bool = text("the prior has one")
 
@@ -284,7 +288,9 @@ class Frequencies(Record):
     """Natural frequencies of modes that are followed by their shape: `values -> {"frequency": (n,)}`."""
 
     design: Any = field("-", "the reducer, with inertia and stiffness", kind="record")
-    test: Array = field("sqrt(kg)", "rows that are 1 for the own mode and 0 for the others", shape=("tones", "n"))
+    test: Array | np.ndarray = field(
+        "sqrt(kg)", "rows that are 1 for the own mode and 0 for the others", shape=("tones", "n")
+    )
 
     def __call__(self, values: Values) -> Observation:
         """What the bench would see of one unit.

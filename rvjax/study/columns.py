@@ -98,7 +98,7 @@ def read_table(path: str | Path, columns: Mapping[str, object] | None = None) ->
 def _places(source: str, header: Sequence[str], columns: Mapping[str, object]) -> dict[str, tuple[int, str]]:
     """{quantity: (column, unit)}."""
     found: dict[str, tuple[int, str]] = {}
-    foreign = {}
+    foreign: dict[int, tuple[str, str | None]] = {}
     for name, about in columns.items():
         if name not in UNITS and name not in WORDS:
             raise ValueError(f"unknown key columns.{name}; known here: {', '.join(sorted([*UNITS, *WORDS]))}")
@@ -111,7 +111,8 @@ def _places(source: str, header: Sequence[str], columns: Mapping[str, object]) -
         if len(matches) != 1:
             why = "no column of the file" if not matches else f"the header of {len(matches)} columns"
             raise ValueError(f"{source}: columns.{name} = {given['column']!r}: {why}; it has {', '.join(header)}")
-        foreign[matches[0]] = (name, given.get("unit"))
+        unit = given.get("unit")
+        foreign[matches[0]] = (name, None if unit is None else str(unit))
     for k, text in enumerate(header):
         name, unit = _split(text)
         name, unit = (foreign[k][0], foreign[k][1] or unit) if k in foreign else (name.lower(), unit)

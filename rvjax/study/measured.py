@@ -3,7 +3,7 @@
 Rows of equal unit, torque, direction and temperature are a run.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -149,7 +149,7 @@ def read(paths: Sequence[str | Path], columns: Mapping[str, object] | None = Non
             (first, one), (second, other) = kinds.items()
             raise ValueError(f"{other}: holds {second}, {one} holds {first}; identify them one after the other")
         for at, rows in _groups(table):
-            items.append({"curve": _run, "loop": _loop, "frequencies": _tones}[kind](table, at, rows))
+            items.append(_READERS[kind](table, at, rows))
     return Measured(next(iter(kinds)), tuple(items))
 
 
@@ -251,7 +251,7 @@ def _branches(source: str, at: Conditions, torque: np.ndarray, angle: np.ndarray
     ahead = np.clip(np.arange(len(torque)) + window, 0, len(torque) - 1)
     behind = np.clip(np.arange(len(torque)) - window, 0, len(torque) - 1)
     rising = torque[ahead] - torque[behind] > 0
-    inside, clipped = np.ones(len(torque), bool), False
+    inside, clipped = np.isfinite(torque), False
     for extreme in (torque.max(), torque.min()):
         at_end = np.abs(torque - extreme) <= 1e-3 * span
         if at_end.mean() >= CLIPPED:
@@ -281,7 +281,7 @@ def _local(where: str, torque: np.ndarray, angle: np.ndarray, at: float, half: f
     near = np.abs(torque - at) <= half
     if np.sum(near) < 4:
         raise ValueError(f"{where}: {np.sum(near)} samples within {half:.4g} N m of {at:.4g} N m on a branch, needs 4")
-    rows = np.stack([np.ones(np.sum(near)), (torque[near] - at) / half], axis=1)
+    rows = np.stack([np.ones(int(np.sum(near))), (torque[near] - at) / half], axis=1)
     solution, *_ = np.linalg.lstsq(rows, angle[near], rcond=None)
     freedom = len(rows) - 2
     spread = np.sqrt(np.sum((angle[near] - rows @ solution) ** 2) / freedom)
@@ -301,3 +301,10 @@ def _tones(table: Table, at: Conditions, rows: np.ndarray) -> Tones:
             )
     order = np.argsort(frequency, kind="stable")
     return Tones(table.source, at, frequency[order], sd[order])
+
+
+_READERS: dict[str, Callable[[Table, Conditions, np.ndarray], Run | Loop | Tones]] = {
+    "curve": _run,
+    "loop": _loop,
+    "frequencies": _tones,
+}

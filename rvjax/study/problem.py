@@ -124,13 +124,15 @@ def _curves(study: Study, asked: Identification, measured: Measured | None) -> P
     groups = [order_name(k) for k in wanted] + (["mean"] if "offset" in asked.nuisance else [])
     data: list[Observation] = []
     sds: dict[str, np.ndarray] = {}
+    units: tuple[str, ...] = ()
+    items: tuple[tuple[Run, ...], ...] = ()
     if measured is None:
-        runs, units, items = planned(study), (), ()
+        runs = planned(study)
         model = _model(study, asked, runs)
     else:
         beside = floor_orders(study.design, asked.orders)
         units = tuple(measured.units)
-        own = [_by_place([run for run in measured.runs if run.at.unit == unit]) for unit in units]
+        own = [_by_place([run for run in measured.runs if run.at.unit == name]) for name in units]
         places = list(dict.fromkeys(place for runs in own for place in runs))
         runs, items = tuple(place[0] for place in places), tuple(tuple(runs.values()) for runs in own)
         model = _model(study, asked, runs)  # refuses orders that it cannot compute before data that do not fit them
@@ -292,13 +294,16 @@ def wide(problem: Problem) -> Wide:
 
 def _loops(study: Study, asked: Identification, measured: Measured | None) -> Problem:
     prior = asked.prior(study.tolerances)
+    units: tuple[str, ...] = ()
+    items: tuple[tuple[Loop, ...], ...] = ()
+    data: list[Observation] = []
     if measured is None:
         most = max([*asked.torques, abs(study.conditions.output_torque), study.conditions.rated_torque or 0.0])
         if not most > 0:
             raise ValueError(
                 f"{study.name}: identify.torques is missing: the torque to which a loop goes, such as 412 N m"
             )
-        torque, units, items, data = np.linspace(-most, most, GRID), (), (), []
+        torque = np.linspace(-most, most, GRID)
         sd: Any = asked.noise
     else:
         loops = [item for item in measured.items if isinstance(item, Loop)]
@@ -323,11 +328,14 @@ def _loops(study: Study, asked: Identification, measured: Measured | None) -> Pr
 def _frequencies(study: Study, asked: Identification, measured: Measured | None) -> Problem:
     prior = asked.prior(study.tolerances)
     start = {name: np.broadcast_to(float(t.middle), t.shape) for name, t in prior.items()}
+    units: tuple[str, ...] = ()
+    items: tuple[tuple[Tones, ...], ...] = ()
+    data: list[Observation] = []
     if measured is None:
         from rvjax import dynamics
 
         found = np.asarray(dynamics.modes(study.design).frequency)
-        frequency, units, items, data = found[found > 0], (), (), []
+        frequency = found[found > 0]
         sd: Any = asked.noise
     else:
         tones = [item for item in measured.items if isinstance(item, Tones)]
