@@ -17,7 +17,7 @@ from rvjax.identify.population import Process, process
 from rvjax.identify.posterior import outcome
 from rvjax.identify.problem import Model, Problem, counted, integer, modes
 from rvjax.identify.search import APART, FAINT, evidence_of
-from rvjax.identify.shared import Split, Units, joint_mode, triangular
+from rvjax.identify.shared import Split, Units, joint_mode, linear_rows, triangular
 from rvjax.records import PyTree
 from rvjax.status import SolveInfo, Status
 from rvjax.tolerances.population.correlation import Correlation
@@ -154,13 +154,13 @@ def _stacked(status: np.ndarray, steps: np.ndarray, away: np.ndarray) -> SolveIn
 
 def _separate(problem: Problem, y: np.ndarray, points: np.ndarray, max_steps: int, together: int) -> Units:
     """The heaviest modes of units y (k, m) that share nothing; one program however many units the last chunk has."""
-    population, mixing, sd = problem.device
+    population, _, sd = problem.device
     padded = np.concatenate([y, np.repeat(y[:1], together - len(y), axis=0)])
     starts = len(points)
     found = modes(
         problem.model,
         population,
-        mixing,
+        problem.device[1],
         sd,
         jnp.asarray(np.repeat(padded, starts, axis=0)),
         jnp.asarray(np.tile(points, (together, 1))),
@@ -169,48 +169,43 @@ def _separate(problem: Problem, y: np.ndarray, points: np.ndarray, max_steps: in
     )
     lanes = jax.tree.map(lambda leaf: np.asarray(leaf).reshape(together, starts, *leaf.shape[1:])[: len(y)], found)
     good = lanes.info.status == Status.CONVERGED
+    z = np.where(good[..., None], lanes.z, 0.0)
     slopes = np.where(good[..., None, None], lanes.slopes, 0.0)
-    spectrum = Spectrum.of(np.sqrt(problem.discount) * slopes @ problem.elements.mixing)
-    evidence = evidence_of(problem, lanes.z, lanes.residual, spectrum.nats, ~np.isnan(y)[:, None])
+    residual = np.where(good[..., None], lanes.residual, 0.0)
+    rows = linear_rows(problem, slopes, z @ problem.elements.mixing.T, residual)
+    spectrum = Spectrum.of(np.sqrt(problem.discount) * rows[..., :-1] @ problem.elements.mixing)
+    evidence = evidence_of(problem, z, residual, spectrum.nats, ~np.isnan(y)[:, None])
     # Without any mode the lowest finite point speaks, and one that is not finite only where all are not.
-    rank = np.where(good, evidence, np.where(np.isfinite(lanes.phi), -1e300, -np.inf))
+    rank = np.where(good, evidence, np.where(np.isfinite(lanes.phi), -1e300, -2e300))
     best = np.argmax(rank, axis=1)
     own = np.arange(len(y))
-    apart = lanes.z - lanes.z[own, best][:, None]
+    apart = z - z[own, best][:, None]
     across = np.einsum("ksji,ksj->ksi", spectrum.right, apart) ** 2 * (1 + spectrum.eigenvalues)
     lighter = np.exp(np.minimum(rank - rank[own, best][:, None], 0.0))
     several = (good & (across.sum(axis=-1) >= APART**2) & (lighter > FAINT)).any(axis=1)
-    chosen = jax.tree.map(lambda leaf: leaf[own, best], (lanes, slopes, spectrum))
-    mode, slopes, spectrum = chosen
-    root = problem.elements.mixing @ spectrum.root
-    info = mode.info
-    return Units(
-        mode.z @ problem.elements.mixing.T,
-        np.linalg.norm(root, axis=-1),
-        np.where(good.any(axis=1)[:, None], mode.residual, 0.0),
-        slopes,
-        several,
-        info.status,
-        info.steps,
-        info.residual,
+    info, z, residual, rows, spectrum = jax.tree.map(
+        lambda leaf: leaf[own, best], (lanes.info, z, residual, rows, spectrum)
     )
+    mixing = problem.elements.mixing
+    u_sd = np.linalg.norm(mixing @ spectrum.root, axis=-1)
+    return Units(z @ mixing.T, u_sd, residual, rows, several, info.status, info.steps, info.residual)
 
 
 def _figures(problem: Problem, split: Split, y: np.ndarray, units: Units, deviate: float) -> dict[str, Any]:
     """Everything a batch says of some of its units."""
     elements, seen, good = problem.elements, ~np.isnan(y), units.status == Status.CONVERGED
     u = np.where(good[:, None], units.u, 0.0)
-    linear = np.einsum("kmp,kp->km", units.slopes, u) - units.residual
-    judged = fits.judged(units.slopes, elements.mixing, problem.nuisance, linear, seen, problem.dof)
+    slopes, datum = units.rows[..., :-1], units.rows[..., -1]
+    judged = fits.judged(slopes, elements.mixing, problem.nuisance, datum, seen, problem.dof)
     weights = fits.weights(units.residual, seen, problem.dof)
     middle, one, other = (
         mapped_values(elements, u + sign * deviate * np.where(good[:, None], units.u_sd, 1.0)) for sign in (0, -1, 1)
     )
-    own = units.slopes[..., split.own]
-    datum = np.einsum("kmp,kp->km", own, u[:, split.own]) - units.residual
-    pair = np.sqrt(weights)[..., None] * np.concatenate([own, datum[..., None]], axis=-1)
-    height = max(pair.shape[-1] - pair.shape[-2], 0)
-    factors = triangular(np.pad(pair, ((0, 0), (0, height), (0, 0))))
+    common = np.einsum("kmp,kp->km", slopes[..., split.shared], u[:, split.shared])
+    own = np.concatenate([slopes[..., split.own], (datum - common)[..., None]], axis=-1)
+    if problem.student is not None:
+        own = np.sqrt(weights)[..., None] * own
+    factors = triangular(np.pad(own, ((0, 0), (0, max(own.shape[-1] - own.shape[-2], 0)), (0, 0))))
     adequate = judged.p_model >= ADEQUATE
 
     def known(numbers: np.ndarray) -> np.ndarray:

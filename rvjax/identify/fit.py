@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import special
 
-from rvjax.identify.information import Spectrum
+from rvjax.identify.information import compressed
 
 REACHED = 0.01
 """Least lambda of a component that parts within the prior can move."""
@@ -80,9 +80,8 @@ class Components:
         columns = _orthonormal(slopes[..., nuisance])
         slopes = slopes - columns @ (np.swapaxes(columns, -1, -2) @ slopes)
         slopes[..., nuisance] = 0.0
-        spectrum = Spectrum.of(slopes @ mixing)
-        left = spectrum.left
-        return cls(left, spectrum.eigenvalues[..., : left.shape[-1]], columns, seen)
+        left, singular, _ = np.linalg.svd(slopes @ mixing, full_matrices=False)
+        return cls(left, singular**2, columns, seen)
 
     @property
     def reached(self) -> np.ndarray:
@@ -138,6 +137,9 @@ def judged(
     slopes: np.ndarray, mixing: np.ndarray, nuisance: np.ndarray, data: np.ndarray, seen: np.ndarray, dof: float
 ) -> Judged:
     """The figures of units with linearised data d (..., m)."""
+    if np.isinf(dof):  # normal noise stays what it is when rows are turned
+        rows = compressed(np.concatenate([slopes, data[..., None]], axis=-1))
+        slopes, data = rows[..., :-1], rows[..., -1]
     components = Components.of(slopes, mixing, nuisance, seen)
     model, prior = components.sums(data)
     dof_model, dof_prior = components.dof

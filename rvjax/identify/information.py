@@ -23,21 +23,25 @@ INSEPARABLE = 0.95
 """Least posterior correlation, by size, of two elements that cannot be told apart."""
 
 
-class Spectrum(NamedTuple):
-    """Singular values and vectors of slopes J (..., m, n)."""
+def compressed(rows: np.ndarray) -> np.ndarray:
+    """Rows (..., m, n) turned into at most n of the same lengths and angles between columns: their factor R."""
+    return np.asarray(np.linalg.qr(rows, mode="r")) if rows.shape[-2] > rows.shape[-1] else rows
 
-    left: np.ndarray  # (..., m, min(m, n))
+
+class Spectrum(NamedTuple):
+    """Singular values and right vectors of slopes J (..., m, n)."""
+
     eigenvalues: np.ndarray  # (..., n) lambda, largest first
     right: np.ndarray  # (..., n, n), columns
 
     @classmethod
     def of(cls, slopes: np.ndarray) -> "Spectrum":
         """The spectrum of finite slopes."""
-        m, n = slopes.shape[-2:]
-        left, singular, right = np.linalg.svd(slopes, full_matrices=m < n)
+        n = slopes.shape[-1]
+        _, singular, right = np.linalg.svd(compressed(slopes), full_matrices=True)
         missing = np.zeros((*singular.shape[:-1], n - singular.shape[-1]))
         eigenvalues = np.concatenate([singular, missing], axis=-1) ** 2
-        return cls(left[..., : min(m, n)], eigenvalues, np.swapaxes(right, -1, -2))
+        return cls(eigenvalues, np.swapaxes(right, -1, -2))
 
     @property
     def root(self) -> np.ndarray:

@@ -17,6 +17,7 @@ import numpy as np
 
 from rvjax.identify.elements import Elements
 from rvjax.identify.gauss_newton import LONGEST, ROUNDINGS, TOLERANCE, half_square, mixed, roots_of_weights
+from rvjax.identify.information import compressed
 from rvjax.identify.problem import Model, Problem, linearised
 from rvjax.status import Status
 from rvjax.tolerances.population.population import Population
@@ -29,7 +30,7 @@ class Units(NamedTuple):
     u: np.ndarray  # all elements (k, p)
     u_sd: np.ndarray  # (k, p)
     residual: np.ndarray  # (k, m)
-    slopes: np.ndarray  # (k, m, p)
+    rows: np.ndarray  # of `linear_rows` (k, rows, p + 1)
     several: np.ndarray  # more than one mode that counts (k,)
     status: np.ndarray  # (k,)
     steps: np.ndarray  # (k,)
@@ -65,7 +66,7 @@ class Split:
 
 
 @per_response()
-def compressed(
+def factored(
     model: Model,
     population: Population,
     mixing: jax.Array,
@@ -87,6 +88,13 @@ def compressed(
         return factor, half_square(residual, dof), residual, slopes, size
 
     return jax.vmap(one)(y, z)
+
+
+def linear_rows(problem: Problem, slopes: np.ndarray, u: np.ndarray, residual: np.ndarray) -> np.ndarray:
+    """Slopes (..., m, p) beside linearised data J u - r (..., m, p + 1); of normal noise turned into fewer rows."""
+    datum = (slopes @ u[..., None])[..., 0] - residual
+    rows = np.concatenate([slopes, datum[..., None]], axis=-1)
+    return rows if problem.student is not None else compressed(rows)
 
 
 def triangular(rows: np.ndarray) -> np.ndarray:
@@ -142,7 +150,7 @@ class Joint:
         self.u_sd, self.shared_u, self.shared_sd = np.zeros((len(y), len(self.mixing))), self.w, self.w
 
     def evaluate(self, part: slice, z: np.ndarray, w: np.ndarray) -> list[np.ndarray]:
-        """What `compressed` says of a chunk."""
+        """What `factored` says of a chunk."""
         together = self.rows[0].stop
         numbers = np.zeros((together, self.mixing.shape[1]))
         own = z[part]
@@ -150,7 +158,7 @@ class Joint:
         numbers[:, self.split.shared_columns] = w
         y = np.concatenate([self.y[part], np.repeat(self.y[:1], together - len(own), axis=0)])
         population, mixing, sd = self.problem.device
-        found = compressed(
+        found = factored(
             self.problem.model,
             population,
             mixing,
@@ -230,11 +238,13 @@ class Joint:
         numbers = np.zeros((len(good), self.mixing.shape[1]))
         numbers[:, self.split.own_columns], numbers[:, self.split.shared_columns] = self.z[part], self.w
         status = np.where(self.active[part], int(self.status), int(Status.NONFINITE)).astype(np.int32)
+        residual, slopes = np.where(good[:, None], residual, 0.0), np.where(good[:, None, None], slopes, 0.0)
+        u = numbers @ self.mixing.T
         return Units(
-            numbers @ self.mixing.T,
+            u,
             self.u_sd[part],
-            np.where(good[:, None], residual, 0.0),
-            np.where(good[:, None, None], slopes, 0.0),
+            residual,
+            linear_rows(self.problem, slopes, u, residual),
             np.zeros(len(good), bool),
             status,
             np.full(len(good), self.steps, np.int32),
