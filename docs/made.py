@@ -11,12 +11,14 @@ import numpy as np
 from scipy import special
 
 import rvjax
+from benchmarks import bench_table
 from rvjax import catalogue, dynamics, four_bar, levels, loaded, lost_motion, models, plotting, published, units
 from rvjax.designs import Contact, Stiffness
 from rvjax.errors import CamRollerErrors, RVErrors
 from rvjax.levels import table
 from rvjax.plotting import drawings
 from rvjax.plotting import dynamics as dynamic_pictures
+from rvjax.plotting import identified as identified_pictures
 from rvjax.plotting import mesh_force as mesh_pictures
 from rvjax.plotting.style import AFTER, BEFORE
 from rvjax.published import rv160
@@ -292,7 +294,40 @@ def _coverage_intervals():
     return _table(["law, method", *names], rows)
 
 
+def _kept(name):
+    return json.loads((Path(__file__).parents[1] / "benchmarks" / f"{name}.json").read_text())
+
+
+def _bench_table():
+    rows = bench_table.table(_kept("bench_table"))
+    return _table(rows[0], [[row[0].replace("_", " "), *row[1:]] for row in rows[1:]])
+
+
+def _bench_picture(axes):
+    kept = _kept("bench_table")
+    benches = {bench: found["known"] for bench, found in kept["benches"].items()}
+    return identified_pictures.known_numbers(kept["numbers"], benches, axes=axes)
+
+
+def _end_of_line():
+    kept = _kept("end_of_line")
+    held = [(name.replace("_", " "), f"{100 * share:.1f} %") for name, share in kept["held"].items()]
+    held.append(("all", f"{100 * kept['held in all']:.1f} %"))
+    found = [
+        (f"{size} sigma" if size != "0" else "none", f"{100 * share:.1f} %", f"{100 * kept['due'][size]:.1f} %")
+        for size, share in kept["alarms"].items()
+    ]
+    return "\n".join(
+        [
+            _table(["intervals of 95 % that hold the truth", f"of {kept['units']:,} units"], held),
+            _table(["one journal off by", "called broken", "due"], found),
+        ]
+    )
+
+
 TEXTS = {
+    "bench_table": _bench_table,
+    "end_of_line": _end_of_line,
     "conditions": _conditions,
     "coverage_intervals": _coverage_intervals,
     "coverage_rare": _coverage_rare,
@@ -305,6 +340,7 @@ TEXTS = {
     "units": _units,
 }
 PICTURES = {
+    "bench_table": (_bench_picture, (7, 7.2)),
     "reducer": (lambda axes: drawings.reducer(catalogue.RV_40E, axes=axes), (7, 7.4)),
     "linkage": (lambda axes: drawings.linkage(catalogue.RV_40E, axes=axes), (7, 5.2)),
     "turn": (_turn, (7, 4.2)),

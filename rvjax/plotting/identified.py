@@ -158,3 +158,27 @@ def shares(groups: Mapping[str, Mapping[str, float]], *, least: float = 0.01, ax
     axes.grid(axis="y", visible=False)
     axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3, fontsize=8)
     return axes
+
+
+def known_numbers(
+    numbers: Mapping[str, int], benches: Mapping[str, Mapping[str, float]], *, axes: Axes | None = None
+) -> Axes:
+    """Which share of the numbers of each error some benches know.
+
+    Args:
+        numbers: {field: how many numbers it has}.
+        benches: {bench: {field: how many of them it knows}}.
+        axes: where to draw; a new figure by default.
+    """
+    axes = new_axes(axes)
+    rows = np.arange(len(numbers))[::-1]
+    height = 0.8 / len(benches)
+    for k, (bench, known) in enumerate(benches.items()):
+        sizes = [100 * known[name] / count for name, count in numbers.items()]
+        places = rows + (len(benches) / 2 - 0.5 - k) * height
+        axes.barh(places, sizes, 0.9 * height, color=PALETTE[k % len(PALETTE)], label=bench)
+    axes.set_yticks(rows, [f"{words(name)} ({count})" for name, count in numbers.items()], fontsize=8)
+    axes.set(xlabel="of its numbers, known (%)", xlim=(0, 100))
+    axes.grid(axis="y", visible=False)
+    axes.legend(loc="lower right", fontsize=8)
+    return axes

@@ -131,7 +131,7 @@ def calibrated(*, seed: int = 0, angles: int = ANGLES, draws: int = 512, starts:
     sd = noise()
     model = windup(TORQUE[FITTED], seed=seed, angles=angles)
     data = {"windup": MEASURED[FITTED]}
-    found = identify.solve(model, prior(), data, noise=identify.Noise(sd), starts=starts, seed=seed)
+    found = identify.solve(model, prior(), data, noise=identify.Noise(sd), starts=starts, seed=seed, max_steps=200)
     everywhere = windup(TORQUE, seed=seed, angles=angles)
 
     def named(values: Mapping[str, Any]) -> dict[str, Any]:
