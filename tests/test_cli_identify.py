@@ -306,9 +306,7 @@ def test_orders_of_the_output_agree_between_the_models():
         found.append(np.diff(np.asarray(cells["order 040"])[::-1, 0])[0])
     # Elastic parts turn it a little.
     factor, turned = abs(found[1] / found[0]), np.angle(found[1] / found[0])
-    assert (
-        factor == pytest.approx(39 / (40 + 10 / 26), abs=2e-3) and abs(turned) < 0.02
-    )
+    assert factor == pytest.approx(39 / (40 + 10 / 26), abs=2e-3) and abs(turned) < 0.02
 
 
 def test_missing_index_mark_and_floor_orders():
@@ -319,3 +317,34 @@ def test_missing_index_mark_and_floor_orders():
     assert not [k for k in beside if min(k % 40, 40 - k % 40) <= 1 or min(k % 39, 39 - k % 39) <= 1]
     run = measured.Run("a.csv", Conditions(), np.arange(0, 2 * np.pi, 1e-3), np.zeros(6284))
     assert measured.checked(run, 80).at.sign == 1
+
+
+TONES = """
+[design]
+base = "rv-320e"
+[tolerances.sun_planet_stiffness]
+lower = -0.2
+upper = 0.2
+[identify]
+model = "dynamics"
+noise = "floor"
+unknown.disc_pin_mesh = { lower = "5e8 N/m", upper = "2.5e9 N/m" }
+"""
+
+
+def test_frequencies_tell_a_stiffness(here, capsys):
+    """Three modes of an RV-320E that lean on the meshes, stiffer than nominal; no two modes change places."""
+    design, sd = catalogue.RV_320E, 0.5
+    (here / "tones.toml").write_text(TONES)
+    stiffer = design.replace(
+        stiffness=design.stiffness.replace(disc_pin_mesh=1.3e9, sun_planet_mesh=1.05 * design.stiffness.sun_planet_mesh)
+    )
+    frequency = np.asarray(rvjax.dynamics.modes(stiffer).frequency)
+    chosen = np.unique(np.round(frequency[frequency > 0], 3))[[0, 4, 6]]
+    (here / "tones.csv").write_text("frequency [Hz],sd [Hz]\n" + "".join(f"{f},{sd}\n" for f in chosen))
+    code, out, _ = run(capsys, "tones.toml", "tones.csv", "--json", "--results", "tones")
+    found = json.loads(out)
+    assert code == 0 and found["adequate"] and found["next"] is None
+    assert found["lower"]["disc_pin_mesh"] <= 1.3e9 <= found["upper"]["disc_pin_mesh"]
+    assert found["unit"] == {"disc_pin_mesh": "N/m", "sun_planet_stiffness": "-"}
+    assert found["resolution"]["disc_pin_mesh"] > 0.9
