@@ -70,8 +70,9 @@ def test_imports_run_downwards():
 
 def test_statistics_know_no_gears():
     allowed = {"tolerances", "records", "status", "units"}
-    for path in (PACKAGE / "tolerances").glob("*.py"):
-        assert set(imports(path)) <= allowed, path.name
+    for room in ("tolerances", "identify"):
+        for path in (PACKAGE / room).rglob("*.py"):
+            assert set(imports(path)) <= {*allowed, room}, path.name
 
 
 def public_functions():

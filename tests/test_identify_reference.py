@@ -28,8 +28,9 @@ def by_name(dictionary, names):
     return [dictionary[name] for name in names]
 
 
-def test_linear_cases(cases):
-    for _, given, expected in of_kind(cases, "linear"):
+@pytest.mark.parametrize("number", range(3))
+def test_linear_cases(cases, number):
+    for _, given, expected in of_kind(cases, "linear")[number : number + 1]:
         prior, groups = prior_of(given["prior"]), {name: np.array(rows) for name, rows in given["groups"].items()}
         split = lambda vector: {n: np.array(vector, float)[rows] for n, rows in groups.items()}  # noqa: B023, E731
         correlation = {(a, b): value for a, b, value in given["correlation"]}
@@ -69,8 +70,9 @@ def test_linear_cases(cases):
         assert found.resolution[names[0]] == pytest.approx(1 - expected["u_sd"][0])
 
 
-def test_law_cases(cases):
-    for _, given, expected in of_kind(cases, "law"):
+@pytest.mark.parametrize("number", range(2))
+def test_law_cases(cases, number):
+    for _, given, expected in of_kind(cases, "law")[number : number + 1]:
         found = identify.solve(
             linear(np.array(given["G"]), np.zeros(len(given["data"])), ("x",)),
             prior_of(given["prior"]),
@@ -96,8 +98,9 @@ def test_student_case(cases):
         close(found.fit.weights, expected["weights"])
 
 
-def test_quadrature_cases_tell_modes_and_trust(cases):
-    for _, given, expected in of_kind(cases, "quadrature"):
+@pytest.mark.parametrize("number", range(3))
+def test_quadrature_cases_tell_modes_and_trust(cases, number):
+    for _, given, expected in of_kind(cases, "quadrature")[number : number + 1]:
         found = identify.solve(
             model_of(given["model"], given["a"]),
             prior_of(given["prior"]),
@@ -162,9 +165,12 @@ def test_next_case(cases):
         assert sorted(greedy.chosen) == sorted(expected["best_set"]) and not greedy.proved
 
 
-def test_sampler_beside_quadrature(cases):
+@pytest.mark.long
+@pytest.mark.parametrize("number", range(3))
+def test_sampler_beside_quadrature(cases, number):
+    """Chains that stay in their modes say so by r_hat; started in turn, they still hold both halves."""
     pytest.importorskip("blackjax")
-    for _, given, expected in of_kind(cases, "quadrature"):
+    for _, given, expected in of_kind(cases, "quadrature")[number : number + 1]:
         found = identify.solve(
             model_of(given["model"], given["a"]),
             prior_of(given["prior"]),
@@ -172,21 +178,12 @@ def test_sampler_beside_quadrature(cases):
             noise=identify.Noise(given["sd"]),
         )
         drawn = identify.sample(found, chains=4, draws=1000, warmup=400)
+        assert drawn.trusted == (expected["modes"] == 1)
         for k, name in enumerate(sorted(given["prior"])):
             values, sd = drawn.value[name].ravel(), expected["sd"][k]
             assert drawn.value[name].shape == (4, 1000)
-            print(
-                given["model"],
-                name,
-                drawn.r_hat,
-                drawn.ess,
-                drawn.divergences,
-                (values.mean() - expected["mean"][k]) / sd,
-                values.std() / sd,
-                (np.quantile(values, [0.025, 0.5, 0.975]) - expected["quantiles"][k]) / sd,
-            )
-            if not drawn.trusted:
-                continue
+            # With 1300 effective draws the error of a mean is 0.028 sd, of a sd 2 %, of an outer quantile 0.075 sd.
             assert abs(values.mean() - expected["mean"][k]) < 0.12 * sd
             assert values.std() == pytest.approx(sd, rel=0.1)
             assert np.abs(np.quantile(values, [0.025, 0.5, 0.975]) - expected["quantiles"][k]).max() < 0.25 * sd
+        assert (drawn.r_hat.max() > 1.1) == (expected["modes"] > 1)

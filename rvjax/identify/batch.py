@@ -63,7 +63,7 @@ class Batch:
     def population(self) -> Process:
         """Mean and spread of every own element over the units: what the process really does, with its Cp and Cpk.
 
-        The most probable values of the units would show too little spread, for each is drawn towards the prior.
+        The most probable values of the units themselves lean towards the prior, each by as much as its data leave open.
         Units without a mode are left out. What was shared stays at its most probable value.
         """
         return process(self.problem.elements, self.names, self.factors[np.isfinite(self.u).all(axis=1)])

@@ -1,5 +1,8 @@
 """Which limit is broken: the chance that each element lies outside its drawing."""
 
+import itertools
+import math
+
 import jax.numpy as jnp
 import numpy as np
 from scipy import special
@@ -9,7 +12,11 @@ from rvjax.records import PyTree
 from rvjax.tolerances.distribution.tolerance import Tolerance
 
 DRAWS = 20_000
-"""Of vectors, whose length follows no law that is known."""
+"""Of vectors of a law whose two elements depend on each other."""
+
+NODES = 96
+REACH = 12.0
+"""Of the integral over a vector's wider axis: nodes for each piece, and standard deviations to each side."""
 
 
 def limits_of(elements: Elements, limits: PyTree) -> np.ndarray:
@@ -49,10 +56,42 @@ def broken(
     below = np.where(reach[0] < ends[0] - margin, (places[0] - u) / sd, -np.inf)
     above = np.where(reach[1] > ends[1] + margin, (u - places[1]) / sd, -np.inf)
     chance = special.ndtr(below) + special.ndtr(above)
-    vectors = np.array([active[field].is_vector for field in elements.fields])
-    if vectors.any():
-        values = mapped_values(elements, u + rng.standard_normal((DRAWS, root.shape[1])) @ root.T)
-        pairs = np.flatnonzero(vectors)[::2]
-        outside = np.hypot(values[:, pairs], values[:, pairs + 1]) > ends[1, pairs]
-        chance[pairs] = chance[pairs + 1] = outside.mean(axis=0)
+    start = 0
+    for tolerance in active.values():
+        places = start + np.arange(math.prod(tolerance.shape))
+        start += places.size
+        for pair in places.reshape(-1, 2) if tolerance.is_vector else ():
+            chance[pair] = _beyond(elements, tolerance, ends[1, pair[0]], u, root, pair, rng)
     return {name: float(number) for name, number in zip(elements.names, chance)}
+
+
+def _beyond(
+    elements: Elements,
+    tolerance: Tolerance,
+    limit: float,
+    u: np.ndarray,
+    root: np.ndarray,
+    pair: np.ndarray,
+    rng: np.random.Generator,
+) -> float:
+    """Chance that the vector of two elements is longer than its limit."""
+    if tolerance.law.couples:
+        values = mapped_values(elements, u + rng.standard_normal((DRAWS, root.shape[1])) @ root.T)
+        return float((np.hypot(*values[:, pair].T) > limit).mean())
+    scale = float(mapped_values(elements, np.ones((1, u.size)))[0, pair[0]])  # components are independent N(0, scale^2)
+    spread, turn = np.linalg.eigh(scale**2 * root[pair] @ root[pair].T)
+    along, across = turn.T @ (scale * u[pair])
+    first, second = np.sqrt(np.maximum(spread, 0.0))
+    # Over the wider axis; of the other one the two tails beyond the circle.
+    nodes, weights = np.polynomial.legendre.leggauss(NODES)
+    edges = np.unique(np.clip([across - REACH * second, -limit, limit, across + REACH * second], -np.inf, np.inf))
+    total = 0.0
+    for low, high in itertools.pairwise(edges):
+        angle = np.pi / 2 * nodes  # a sine, for the circle ends upright
+        x = (low + high) / 2 + (high - low) / 2 * np.sin(angle)
+        density = np.exp(-(((x - across) / second) ** 2) / 2) / (second * math.sqrt(2 * math.pi))
+        rest = np.sqrt(np.maximum(limit**2 - x**2, 0.0))
+        tails = special.ndtr((-rest - along) / first) + special.ndtr((along - rest) / first)
+        outside = np.where(np.abs(x) >= limit, 1.0, tails)
+        total += float((weights * np.cos(angle) * outside * density).sum() * np.pi / 2 * (high - low) / 2)
+    return total

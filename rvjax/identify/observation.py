@@ -101,7 +101,7 @@ class Layout:
             if np.isinf(number).any():
                 where = tuple(int(i) for i in np.argwhere(np.isinf(number))[0])
                 raise ValueError(f"data{name}{list(where)} = {number[where]}: must be finite, or NaN where missing")
-            rows.append(number.reshape(*lead, -1))
+            rows.append(number.reshape(*lead, math.prod(shape) * (1 + pairs)))
         if len(set(counts.values())) > 1:
             raise ValueError(
                 f"data: unequal counts of units, {', '.join(f'{n} has {c[0]}' for n, c in counts.items())}"
@@ -136,7 +136,7 @@ class Layout:
         """The observation of a vector (..., m), leaves (..., *shape)."""
         leaves = []
         for shape, pairs, part in zip(self.shapes, self.complex, self._split(vector)):
-            part = part.reshape(*vector.shape[:-1], *shape, *([2] if pairs else []))
+            part = part.reshape((*vector.shape[:-1], *shape, *([2] if pairs else [])))
             leaves.append(part[..., 0] + 1j * part[..., 1] if pairs else part)
         return self.treedef.unflatten([leaf if leaf.ndim else leaf[()] for leaf in leaves])
 

@@ -12,8 +12,8 @@ import numpy as np
 
 from rvjax.identify.elements import FAR, Elements, mapped_values, standard
 
-ROUNDS = 2000
-SETTLED = 1e-7
+ROUNDS = 1000
+SETTLED = 1e-6
 """Largest change of a mean or spread, in standard deviations of the prior, at which they stand."""
 
 
@@ -93,7 +93,7 @@ def _maximised(slopes: np.ndarray, data: np.ndarray, mixing: np.ndarray) -> tupl
         expected = covariance @ (turned @ (data - slopes @ mean)[..., None])
         root = spread[:, None] * mixing
         shift = (root @ expected)[..., 0]
-        variance = np.einsum("ij,kjl,il->ki", root, covariance, root, optimize=True)
+        variance = ((root @ covariance) * root).sum(axis=-1)
         step = shift.mean(axis=0)
         new = np.sqrt(((shift - step) ** 2 + variance).mean(axis=0))
         change = max(np.abs(step).max(), np.abs(new - spread).max())

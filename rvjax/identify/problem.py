@@ -4,7 +4,7 @@ import dataclasses
 import math
 import operator
 from collections.abc import Callable, Iterable
-from functools import cached_property, partial
+from functools import cached_property, lru_cache, partial
 from typing import Any
 
 import jax
@@ -18,7 +18,7 @@ from rvjax.identify.observation import Layout, flatten
 from rvjax.records import PyTree
 from rvjax.tolerances.population.correlation import Correlation
 from rvjax.tolerances.population.population import Population
-from rvjax.tolerances.propagation.responses import per_response
+from rvjax.tolerances.propagation.responses import PROGRAMS, per_response
 
 Model = Callable[[PyTree], PyTree]
 
@@ -64,8 +64,7 @@ class Problem:
         if not isinstance(noise, Noise):
             raise ValueError(f"noise = {noise!r}: must be a Noise(sd), unit of the observation")
         elements = Elements.of(prior, correlation)
-        u = jax.ShapeDtypeStruct((elements.count,), jnp.result_type(float))
-        layout = Layout.of(jax.eval_shape(partial(observed, model), elements.population, u))
+        layout = _layout(model, elements)
         places = elements.places("nuisance", nuisance)
         return cls(model, elements, layout, layout.sd(noise.sd), float(noise.dof), places)
 
@@ -85,10 +84,18 @@ class Problem:
         return self.elements.population, jnp.asarray(self.elements.mixing), jnp.asarray(self.sd)
 
 
-@per_response()
-def observed(model: Model, population: Population, u: jax.Array) -> PyTree:
-    """The observation of a unit u (p,)."""
-    return model(values_of(population, u))
+@lru_cache(PROGRAMS)
+def _layouts(model: Model) -> dict[Any, Layout]:
+    """Layouts of a model's observation by structure of its prior; a model is traced once for each."""
+    return {}
+
+
+def _layout(model: Model, elements: Elements) -> Layout:
+    u = jax.ShapeDtypeStruct((elements.count,), jnp.result_type(float))
+    known, key = _layouts(model), (jax.tree.structure(elements.population), u.dtype)
+    if key not in known:
+        known[key] = Layout.of(jax.eval_shape(lambda p, u: model(values_of(p, u)), elements.population, u))
+    return known[key]
 
 
 def residuals(

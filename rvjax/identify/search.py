@@ -14,14 +14,17 @@ from rvjax.status import SolveInfo, Status
 APART = 1.0
 """Mahalanobis distance from which on two modes are two."""
 
+SAME = 1e-2
+"""The same between two points of one saddle: its modes may be close by."""
+
 FAINT = 0.01
 """Least weight of a mode that counts."""
 
 STEP_ASIDE = 0.1
 """Posterior standard deviations to each side at which a mode must be lower, or it is a saddle."""
 
-ROUNDS = 4
-"""Times that a saddle is left for what lies beside it."""
+ROUNDS = 8
+"""Most times that starts are followed, those beside saddles included."""
 
 
 class Peak(NamedTuple):
@@ -57,29 +60,26 @@ def search(
     population, mixing, sd = problem.device
     points = rng.standard_normal((starts, mixing.shape[1]))
     points[0] = 0.0
-    rows = jnp.broadcast_to(jnp.asarray(y), (starts, y.size))
+    rows = jnp.asarray(np.tile(y, (starts, 1)))
+    pending = list(points)
+    ended: list[Any] = []
     peaks: list[Peak] = []
-    ended = []
-    for _ in range(ROUNDS):
-        found = modes(
-            problem.model, population, mixing, sd, rows, jnp.asarray(points), problem.student, jnp.int32(max_steps)
-        )
+    saddles: list[Peak] = []
+    while pending and len(ended) < ROUNDS:
+        block, pending = pending[:starts], pending[starts:]
+        at = jnp.asarray(np.stack(block + block[-1:] * (starts - len(block))))
+        found = modes(problem.model, population, mixing, sd, rows, at, problem.student, jnp.int32(max_steps))
         found = jax.tree.map(np.asarray, found)
         ended.append(found)
-        beside = []
         for lane in np.argsort(found.phi):
             if found.info.status[lane] != Status.CONVERGED:
                 continue
             peak = _peak(problem, y, *(item[lane] for item in found[:5]))
-            if not any(_near(peak, other) for other in peaks):
-                lower = _lower_beside(problem, y, peak, draws)
-                if lower is None:
-                    peaks.append(peak)
-                else:
-                    beside += lower
-        if not beside:
-            break
-        points = np.array([beside[k % len(beside)] for k in range(starts)])
+            if any(_near(peak, other, APART) for other in peaks) or any(_near(peak, s, SAME) for s in saddles):
+                continue
+            beside = _lower_beside(problem, y, peak, draws)
+            (saddles if beside else peaks).append(peak)
+            pending += beside
     return tuple(sorted(peaks, key=lambda peak: -peak.evidence)), _ended(ended, bool(peaks))
 
 
@@ -109,15 +109,15 @@ def _peak(
     return Peak(z, residual, slopes, observation, float(phi), spectrum, float(evidence))
 
 
-def _near(one: Peak, other: Peak) -> bool:
-    """Closer than 1 in standard deviations of the wider of the two."""
+def _near(one: Peak, other: Peak, distance: float) -> bool:
+    """Closer than this in standard deviations of the wider of the two."""
     apart = one.z - other.z
     squares = (np.sum((peak.spectrum.right.T @ apart) ** 2 * (1 + peak.spectrum.eigenvalues)) for peak in (one, other))
-    return bool(min(squares) < APART**2)
+    return bool(min(squares) < distance**2)
 
 
-def _lower_beside(problem: Problem, y: np.ndarray, peak: Peak, draws: int) -> list[np.ndarray] | None:
-    """Two points beside a saddle, where slopes vanish by symmetry but Phi is lower to the side; None for a minimum."""
+def _lower_beside(problem: Problem, y: np.ndarray, peak: Peak, draws: int) -> list[np.ndarray]:
+    """Two points beside a saddle, where slopes vanish by symmetry but Phi is lower to the side; none of a minimum."""
     weakest = peak.spectrum.root[:, ::-1][:, : draws // 2]
     step = STEP_ASIDE * weakest
     points = np.concatenate([peak.z + step.T, peak.z - step.T])
@@ -125,7 +125,7 @@ def _lower_beside(problem: Problem, y: np.ndarray, peak: Peak, draws: int) -> li
     # At a minimum Phi rises by step^2/2; rounding of Phi is far below that.
     lower = phi < peak.phi - 1e-3 * STEP_ASIDE**2 / 2 - 1e-12 * abs(peak.phi)
     if not lower.any():
-        return None
+        return []
     half = len(step.T)
     k = int(np.argmin(phi)) % half
     return [points[k], points[k + half]]

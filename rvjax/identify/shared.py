@@ -23,6 +23,9 @@ from rvjax.status import Status
 from rvjax.tolerances.population.population import Population
 from rvjax.tolerances.propagation.responses import per_response
 
+HOPELESS = 12
+"""Trials in a row that are not finite, after which a unit is left out: its steps are below 1e-9 by then."""
+
 
 class Units(NamedTuple):
     """Units at their modes, on the host."""
@@ -113,12 +116,13 @@ class _Step(NamedTuple):
     shared: np.ndarray  # R_S (ns, ns)
 
 
-def _step(factors: np.ndarray, z: np.ndarray, w: np.ndarray, damping: float) -> _Step:
+def _step(factors: np.ndarray, z: np.ndarray, w: np.ndarray, damping: np.ndarray) -> _Step:
+    """The step with a damping of each unit, and of what is shared (units + 1,)."""
     units, no = z.shape
-    ns, root = w.size, np.sqrt(1 + damping)
+    ns, root, own = w.size, np.sqrt(1 + damping[-1]), np.sqrt(1 + damping[:-1, None])
     prior = np.zeros((units, no, no + ns + 1))
-    prior[:, np.arange(no), np.arange(no)] = root
-    prior[:, :, -1] = -z / root
+    prior[:, np.arange(no), np.arange(no)] = own
+    prior[:, :, -1] = -z / own
     triangle = triangular(np.concatenate([factors, prior], axis=1))
     upper, across, right = triangle[:, :no, :no], triangle[:, :no, no:-1], triangle[:, :no, -1]
     common = np.concatenate([root * np.eye(ns), -(w / root)[:, None]], axis=1)
@@ -176,40 +180,56 @@ class Joint:
         return tuple(np.concatenate([part[k] for part in parts]) for k in (0, 1, 4))  # type: ignore[return-value]
 
     def solve(self, start: np.ndarray, max_steps: int) -> None:
-        """Go to the joint mode from a start z (n,), the same for every unit."""
-        z, w = np.tile(start[self.split.own_columns], (len(self.y), 1)), start[self.split.shared_columns]
+        """Go to the joint mode from a start z (n,), the same for every unit.
+
+        Each unit is damped by itself, so that one beside values where the model is not finite makes none of the others
+        stop short. A kink that moves with what is shared ends as MAX_STEPS: no step along it lowers every side.
+        """
+        units = len(self.y)
+        z, w = np.tile(start[self.split.own_columns], (units, 1)), start[self.split.shared_columns]
         factors, data, size = self.all(z, w)
         self.active = np.isfinite(data) & np.isfinite(factors).all(axis=(1, 2))
-        live = self.active[:, None]
-        damping, growth, trial = 0.0, 2.0, (z, w, factors, data, size)
+        damping, growth, failures = np.zeros(units + 1), np.full(units + 1, 2.0), np.zeros(units, int)
+        phi, slack, whole, enough = np.full(units, np.inf), np.zeros(units), np.inf, TOLERANCE
         least = ROUNDINGS * np.finfo(factors.dtype).eps
-        phi, slack, enough = np.inf, 0.0, TOLERANCE
+        trial = z, w
         for steps in range(max_steps + 1):
-            new_z, new_w, new_factors, new_data, new_size = trial
-            sound = np.isfinite(new_factors[self.active]).all() and np.isfinite(new_data[self.active]).all()
-            new_phi = ((new_z[self.active] ** 2).sum() + new_w @ new_w) / 2 + new_data[self.active].sum()
-            if sound and new_phi <= phi + slack:
-                z, w, phi, damping, growth = np.where(live, new_z, 0.0), new_w, new_phi, damping / 9, 2.0
-                factors = np.where(live[..., None], new_factors, 0.0)
-                rounding = least * np.linalg.norm(new_size[self.active])
+            finite = np.isfinite(data) & np.isfinite(factors).all(axis=(1, 2))
+            failures = np.where(finite, 0, failures + 1)
+            self.active &= failures < HOPELESS
+            live = self.active
+            new_phi = np.where(live, (trial[0] ** 2).sum(axis=1) / 2 + data, 0.0)
+            total = new_phi.sum() + trial[1] @ trial[1] / 2
+            better = new_phi <= phi + slack
+            if finite[live].all() and total <= whole + slack.sum():
+                (z, w), phi, whole = (np.where(live[:, None], trial[0], 0.0), trial[1]), new_phi, total
+                at = np.where(live[:, None, None], factors, 0.0)
+                rounding = np.where(live, least * size, 0.0)
                 slack = rounding * np.sqrt(2 * phi) + rounding**2 + least * phi
                 # Every unit may be as far off as a single one.
-                enough = TOLERANCE * np.sqrt(len(self.y)) + rounding
+                enough = TOLERANCE * np.sqrt(units) + np.linalg.norm(rounding)
+                damping, growth = damping / 9, np.full(units + 1, 2.0)
             else:
-                damping, growth = max(damping, 1e-3) * growth, 2 * growth
-            step = _step(factors, z, w, damping)
+                worse = np.append(~(better & finite), True)
+                damping = np.where(worse, np.maximum(damping, 1e-3) * growth, damping)
+                growth = np.where(worse, 2 * growth, growth)
+            if not live.any():
+                break
+            step = _step(at, z, w, damping)
+            self.away, self.steps = step.away, steps
             if step.away <= enough or steps == max_steps:
                 break
-            trial = (z + step.own, w + step.common, *self.all(z + step.own, w + step.common))
-        self.z, self.w, self.phi, self.steps, self.away = z, w, float(phi), steps, step.away
-        self.status = Status.CONVERGED if step.away <= enough else Status.MAX_STEPS
+            trial = z + step.own, w + step.common
+            factors, data, size = self.all(*trial)
+        self.z, self.w, self.phi = z, w, float(whole)
+        self.status = Status.CONVERGED if self.away <= enough else Status.MAX_STEPS
         if not self.active.any():
             self.phi, self.status = np.inf, Status.NONFINITE
 
     def finish(self) -> None:
         """The covariances at the mode."""
         factors = self.all(self.z, self.w)[0] if self.problem.student is None else self._expected()
-        step = _step(np.where(self.active[:, None, None], factors, 0.0), self.z, self.w, 0.0)
+        step = _step(np.where(self.active[:, None, None], factors, 0.0), self.z, self.w, np.zeros(len(self.y) + 1))
         own, common = self.split.own, self.split.shared
         of_own = self.mixing[np.ix_(own, self.split.own_columns)]
         of_common = self.mixing[np.ix_(common, self.split.shared_columns)]
