@@ -24,6 +24,7 @@ base = "rv-40e"
 [conditions]
 output_torque = "412 N m"
 angles = 16
+closure = "first_order"
 [tolerances.crank_eccentricity]
 half_width = "6.5 um"
 [tolerances.bearing_clearance]
