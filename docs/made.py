@@ -11,6 +11,7 @@ import numpy as np
 from scipy import special
 
 import rvjax
+from benchmarks import bench_table
 from rvjax import (
     catalogue,
     compensation,
@@ -31,6 +32,7 @@ from rvjax.errors import CamRollerErrors, RVErrors
 from rvjax.levels import table
 from rvjax.plotting import drawings, dynamic_error
 from rvjax.plotting import dynamics as dynamic_pictures
+from rvjax.plotting import identified as identified_pictures
 from rvjax.plotting import mesh_force as mesh_pictures
 from rvjax.plotting.style import AFTER, BEFORE
 from rvjax.published import rv160
@@ -342,13 +344,12 @@ def _coverage_intervals():
     return _table(["law, method", *names], rows)
 
 
-@cache
-def _assembly():
-    return json.loads((Path(__file__).parent.parent / "benchmarks" / "assembly.json").read_text())
+def _kept(name):
+    return json.loads((Path(__file__).parents[1] / "benchmarks" / f"{name}.json").read_text())
 
 
 def _assembly_gauge():
-    kept = _assembly()["gauge"]
+    kept = _kept("assembly")["gauge"]
     names = ["promised", "came true", "error of the difference", "unshrunk promise"]
     rows = [[f"{sd:g}", *(f"{100 * kept[name][k]:.1f} %" for name in names)] for k, sd in enumerate(kept["sd"])]
     headers = [
@@ -362,7 +363,7 @@ def _assembly_gauge():
 
 
 def _assembly_levers():
-    kept = _assembly()["levers"]
+    kept = _kept("assembly")["levers"]
     rows = [
         [
             name,
@@ -375,7 +376,7 @@ def _assembly_levers():
 
 
 def _gauge_picture(axes):
-    kept = _assembly()["gauge"]
+    kept = _kept("assembly")["gauge"]
     return plotting.assembly.gain_against_gauge(
         kept["sd"], kept["promised"], kept["came true"], chance=1.0, known=kept["came true"][0], axes=axes
     )
@@ -392,9 +393,38 @@ def _correction_picture(axes):
     return plotting.compensation.before_and_after(angle, error, found, axes=axes)
 
 
+def _bench_table():
+    rows = bench_table.table(_kept("bench_table"))
+    return _table(rows[0], [[row[0].replace("_", " "), *row[1:]] for row in rows[1:]])
+
+
+def _bench_picture(axes):
+    kept = _kept("bench_table")
+    benches = {bench: found["known"] for bench, found in kept["benches"].items()}
+    return identified_pictures.known_numbers(kept["numbers"], benches, axes=axes)
+
+
+def _end_of_line():
+    kept = _kept("end_of_line")
+    held = [(name.replace("_", " "), f"{100 * share:.1f} %") for name, share in kept["held"].items()]
+    held.append(("all", f"{100 * kept['held in all']:.1f} %"))
+    found = [
+        (f"{size} sigma" if size != "0" else "none", f"{100 * share:.1f} %", f"{100 * kept['due'][size]:.1f} %")
+        for size, share in kept["alarms"].items()
+    ]
+    return "\n".join(
+        [
+            _table(["intervals of 95 % that hold the truth", f"of {kept['units']:,} units"], held),
+            _table(["one journal off by", "called broken", "due"], found),
+        ]
+    )
+
+
 TEXTS = {
     "assembly_gauge": _assembly_gauge,
     "assembly_levers": _assembly_levers,
+    "bench_table": _bench_table,
+    "end_of_line": _end_of_line,
     "conditions": _conditions,
     "coverage_intervals": _coverage_intervals,
     "coverage_rare": _coverage_rare,
@@ -409,6 +439,7 @@ TEXTS = {
 PICTURES = {
     "assembly_gauge": (_gauge_picture, (7, 4.2)),
     "correction": (_correction_picture, (7, 4.2)),
+    "bench_table": (_bench_picture, (7, 7.2)),
     "reducer": (lambda axes: drawings.reducer(catalogue.RV_40E, axes=axes), (7, 7.4)),
     "linkage": (lambda axes: drawings.linkage(catalogue.RV_40E, axes=axes), (7, 5.2)),
     "turn": (_turn, (7, 4.2)),

@@ -1,4 +1,4 @@
-"""The command line: `rvjax init`, `check`, `allocate`, `report`, `montecarlo`, `reproduce` and `tradeoff`.
+"""The command line: one function a command; `cli.toml` has their options and help.
 
 Bad input ends with one line on standard error and exit code 2; a question that has no answer
 (infeasible requirements) with exit code 1.
@@ -80,7 +80,7 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
     run: dict[str, Any] = dict(init=_init, check=_check, allocate=_allocate, report=_report, montecarlo=_montecarlo)
     run |= dict(reproduce=_reproduce, tradeoff=_tradeoff)
-    run |= dict(assemble=_assemble, compensate=_compensate)
+    run |= dict(identify=_identify, assemble=_assemble, compensate=_compensate)
     types: dict[str, Any] = {"count": _count, "int": int}
     for name, command in about["command"].items():
         options = command.pop("options")
@@ -236,6 +236,36 @@ def _montecarlo(options: argparse.Namespace) -> int:
     _say(written.summary(found, question))
     print(f"\n{seconds:.1f} s, start and compilation included")
     return EXIT_OK
+
+
+def _identify(options: argparse.Namespace) -> int:
+    from rvjax import study
+    from rvjax.report import identified as told
+    from rvjax.report import identified_page, text
+    from rvjax.study import identified, measured, problem
+    from rvjax.tolerances.atomic import check_writable
+
+    question = study.load(options.study)
+    asked = problem.asked_of(question)
+    data = measured.read(options.data, asked.columns) if options.data else None
+    if options.check:
+        found = identified.check(question, data)
+    elif data is None:
+        raise ValueError("no data: name at least one CSV file, or ask with --check what a bench could tell apart")
+    else:
+        folder = text.results_folder(options.results, question.name)
+        check_writable(folder)
+        found = identified.answer(question, data, draws=options.sample)
+        pictures = ((f"{picture.name}.png", picture.content) for picture in identified_page.pictures(found))
+        page = ("report.html", identified_page.page(found, options.study, options.data).encode())
+        folder = text.write_files(told.files(found, options.data, (page, *pictures)), folder)
+    if options.json:
+        print(json.dumps(told.as_json(found), indent=1, allow_nan=False))
+    else:
+        _say(told.summary(found))
+        if not options.check:
+            _say(f"\nResults: {folder}")
+    return EXIT_NO_ANSWER if found.adequate is False else EXIT_OK
 
 
 def _check_files(options: argparse.Namespace, **endings: str) -> None:

@@ -56,6 +56,16 @@ def descriptions() -> tuple[Description, ...]:
     return tuple(importlib.import_module(f"{name}.outputs").DESCRIPTION for name in MODELS)
 
 
+def conditions_of_model(name: str) -> list[str]:
+    """Names of the conditions that one model reads.
+
+    Args:
+        name: of its package within rvjax, such as "four_bar".
+    """
+    described = importlib.import_module(f"rvjax.{name}.outputs").DESCRIPTION
+    return [f.name for f in dataclasses.fields(described.conditions)]
+
+
 def kinds() -> dict[str, type]:
     """Classes of designs by the name that study files give them."""
     return {description.design.kind: description.design for description in descriptions()}  # type: ignore[attr-defined]

@@ -32,6 +32,7 @@ KNOWN: dict[str, dict[str, float]] = {
     "kg m2": {"kg m2": 1.0},
     "s": {"s": 1.0},
     "1/s": {"1/s": 1.0},
+    "Hz": {"Hz": 1.0, "kHz": 1e3},
 }
 
 # The unit in which a person reads a manufacturing error or a response.

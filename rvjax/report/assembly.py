@@ -14,7 +14,7 @@ import numpy as np
 from rvjax import plotting
 from rvjax.assembly import Plan
 from rvjax.mounting import disc_mountings, drawing
-from rvjax.report.text import filled, plain, table, versions, write_table
+from rvjax.report.text import as_csv, filled, plain, table, versions
 from rvjax.study import Study
 from rvjax.study.assembly import REST, Bench, unit_values
 from rvjax.study.prices import Price
@@ -133,7 +133,7 @@ def write(plan: Plan, bench: Bench, study: Study, source: str, folder: Path, pri
         (scratch / "study.toml").write_text(study.text, "utf-8")
         shutil.copyfile(source, scratch / "parts.csv")
         (scratch / "summary.txt").write_text(summary(plan, bench, study) + "\n" + price_text(prices), "utf-8")
-        write_table(scratch / "build.csv", *build_rows(plan, bench, study))
+        (scratch / "build.csv").write_bytes(as_csv(*build_rows(plan, bench, study)))
         found = {f.name: getattr(plan, f.name) for f in dataclasses.fields(plan)}
         about: dict[str, Any] = {"study": study.name, "response": bench.name, "seed": study.seed}
         about["versions"] = versions()

@@ -14,7 +14,7 @@ from rvjax.compensation import Correction, Table, export, predicted, residual
 from rvjax.compensation import table as table_of
 from rvjax.compensation.files import FORMS
 from rvjax.report.assembly import png
-from rvjax.report.text import filled, plain, table, versions, write_table
+from rvjax.report.text import as_csv, filled, plain, table, versions
 from rvjax.study import Study
 from rvjax.study.compensation import Corrections, Curve
 from rvjax.tolerances import Estimate
@@ -157,7 +157,7 @@ def write(found: Corrections, tables: Sequence[Table], study: Study, source: str
             for order, value, sd in zip(given.given_order.tolist(), given.given_value, given.sd):
                 numbers = [abs(value) / arcsec, math.degrees(np.angle(value)), sd / arcsec, gains.get(order, 0.0)]
                 cells.append([curve.label, str(order), *(f"{number:.4g}" for number in numbers)])
-        write_table(scratch / "orders.csv", headers, cells)
+        (scratch / "orders.csv").write_bytes(as_csv(headers, cells))
         about = {"study": study.name, "seed": study.seed, "versions": versions()}
         curves = [
             {

@@ -82,7 +82,7 @@ def _head(answer: Answer) -> str:
     caveats = "".join(f"<li>{escape(line)}</li>" for line in tables.limits_of_the_answer(answer))
     return (
         f"<header>\n<h1>{escape(study.name)}</h1>\n"
-        f'<p class="note">{escape(_note(study.text))}</p>\n'
+        f'<p class="note">{escape(note(study.text))}</p>\n'
         f'<div class="verdict{"" if certified else " missed"}"><strong>{verdict}</strong> '
         f"<code>{escape(allocation.status)}</code> {' '.join(map(escape, more))}</div>\n"
         f'<dl class="key">{boxes}</dl>\n<ul class="caveats">{caveats}</ul>\n</header>'
@@ -114,8 +114,8 @@ def _requirements(answer: Answer, drawn: dict[str, Picture]) -> str:
         + f". Intervals hold with {100 * certificate.confidence:g} % confidence; a requirement is met when the lower "
         "end of its yield reaches the target. A shadow price is the change of the cost when the limit moves outwards."
     )
-    histograms = "".join(_figure(drawn[f"histogram_{name}"]) for name in study.requirements)
-    return _section("Requirements", f"{_table(headers, cells)}<p>{certified}</p><div class='pair'>{histograms}</div>")
+    histograms = "".join(figure(drawn[f"histogram_{name}"]) for name in study.requirements)
+    return section("Requirements", f"{table(headers, cells)}<p>{certified}</p><div class='pair'>{histograms}</div>")
 
 
 def _tolerances(answer: Answer, drawn: dict[str, Picture]) -> str:
@@ -131,8 +131,8 @@ def _tolerances(answer: Answer, drawn: dict[str, Picture]) -> str:
         "<p>An error without a cost keeps the tolerance of the study. The cost of an error is that of all its elements "
         "together.</p>"
     )
-    curve = _figure(drawn["cost_against_yield"]) if "cost_against_yield" in drawn else ""
-    return _section("Tolerances and cost", _table(headers, cells, total=True) + text + curve)
+    curve = figure(drawn["cost_against_yield"]) if "cost_against_yield" in drawn else ""
+    return section("Tolerances and cost", table(headers, cells, total=True) + text + curve)
 
 
 def _influence(answer: Answer, drawn: dict[str, Picture]) -> str:
@@ -144,7 +144,7 @@ def _influence(answer: Answer, drawn: dict[str, Picture]) -> str:
         "over its elements), and the share of the error in the variance of the response.</p>"
         f"<p>{escape(tables.UNMOVED)}: {escape(tables.UNMOVED_MEANS)}.</p>"
     )
-    return _section("Which error matters", text + _table(headers, cells) + _figure(drawn["variance_shares"]))
+    return section("Which error matters", text + table(headers, cells) + figure(drawn["variance_shares"]))
 
 
 def _worst(answer: Answer, drawn: dict[str, Picture]) -> str:
@@ -154,9 +154,9 @@ def _worst(answer: Answer, drawn: dict[str, Picture]) -> str:
         "the tick its middle, every dot one element of the error. Errors that explain less than "
         f"{100 * SHARE_SHOWN:g} % of the variance are left out.</p>"
     )
-    curves = _figure(drawn["curves"]) if "curves" in drawn else ""
+    curves = figure(drawn["curves"]) if "curves" in drawn else ""
     units = "".join(_unit(answer, unit) for unit in worst_units(answer))
-    return _section("Worst units", f"{text}<div class='units'>{units}</div>{curves}")
+    return section("Worst units", f"{text}<div class='units'>{units}</div>{curves}")
 
 
 def _unit(answer: Answer, unit: WorstUnit) -> str:
@@ -187,9 +187,9 @@ def _unit(answer: Answer, unit: WorstUnit) -> str:
         count = f"<small>largest of {len(values)}</small>" if len(values) > 1 else ""
         rows.append([escape(words(field)), _strip(places), _typeset(f"{values[largest] / size:+.2f} {shown}") + count])
     return (
-        f'<section class="unit"><h3>{_micro(escape(title))}</h3>'
-        f'<p class="small">{_micro(escape(responses))}; {escape(reason)}</p>'
-        f"{_table(['error', 'in its tolerance', 'value'], rows, cards=False)}</section>"
+        f'<section class="unit"><h3>{micro(escape(title))}</h3>'
+        f'<p class="small">{micro(escape(responses))}; {escape(reason)}</p>'
+        f"{table(['error', 'in its tolerance', 'value'], rows, cards=False)}</section>"
     )
 
 
@@ -232,7 +232,7 @@ def _levels(answer: Answer) -> str:
         f"with rvjax; times belong to its machine and serve for comparison.</p>"
         f"<p>Conditions, SI: {escape(conditions)}.</p>"
     )
-    return _section("How exactly it was computed", _table(headers, rows) + text)
+    return section("How exactly it was computed", table(headers, rows) + text)
 
 
 def _origin(answer: Answer, source: str) -> str:
@@ -245,7 +245,7 @@ def _origin(answer: Answer, source: str) -> str:
     ]
     rows = [[escape(name), f"<code>{escape(value)}</code>"] for name, value in facts]
     table = "".join(f'<tr><th scope="row">{name}</th><td class="text">{value}</td></tr>' for name, value in rows)
-    return _section(
+    return section(
         "How to get this page again",
         f"<table><tbody>{table}</tbody></table><p>The study:</p><pre>{escape(study.text)}</pre>",
     )
@@ -254,7 +254,7 @@ def _origin(answer: Answer, source: str) -> str:
 def _typeset(cell: str) -> str:
     """A cell of the text tables for the page: numbers stay with their units, an interval has a line of its own."""
     cell, _, interval = cell.partition(" [")
-    cell = _micro(escape(cell.replace("+-", "±").replace("<=", "≤").replace(">=", "≥"))).replace(" and ", "<br>")
+    cell = micro(escape(cell.replace("+-", "±").replace("<=", "≤").replace(">=", "≥"))).replace(" and ", "<br>")
     if cell.startswith("0.0000 ") or cell == "0.0 %":
         return ZERO
     if cell == tables.UNMOVED:
@@ -264,11 +264,12 @@ def _typeset(cell: str) -> str:
     return f'<span class="whole">{cell}</span>' + (f"<small>[{escape(interval)}</small>" if interval else "")
 
 
-def _micro(text: str) -> str:
+def micro(text: str) -> str:
+    """HTML text with the sign of a micrometre and a microsecond."""
     return re.sub(r"(?<![A-Za-z])u(?=[ms]\b)", "µ", text)
 
 
-def _note(text: str) -> str:
+def note(text: str) -> str:
     """What the author wrote above the study: its leading comment."""
     lines = []
     for line in text.splitlines():
@@ -278,11 +279,17 @@ def _note(text: str) -> str:
     return " ".join(lines)
 
 
-def _section(title: str, content: str) -> str:
+def section(title: str, content: str) -> str:
+    """A section of the page.
+
+    Args:
+        title: plain text.
+        content: HTML.
+    """
     return f"<section>\n<h2>{escape(title)}</h2>\n{content}\n</section>"
 
 
-def _table(headers: Sequence[str], rows: Iterable[Sequence[str]], *, total: bool = False, cards: bool = True) -> str:
+def table(headers: Sequence[str], rows: Iterable[Sequence[str]], *, total: bool = False, cards: bool = True) -> str:
     """A table of cells that are HTML already; each knows its column, for narrow screens."""
     head = "".join(f'<th scope="col">{escape(header)}</th>' for header in headers)
     body, rows = [], list(rows)
@@ -297,7 +304,8 @@ def _table(headers: Sequence[str], rows: Iterable[Sequence[str]], *, total: bool
     return f'<div class="wide"><table{kind}><thead><tr>{head}</tr></thead><tbody>{"".join(body)}</tbody></table></div>'
 
 
-def _figure(picture: Picture) -> str:
+def figure(picture: Picture) -> str:
+    """A picture (SVG) inside the page, with its caption."""
     data = base64.b64encode(picture.content).decode("ascii")
     caption = escape(picture.caption)
     return f'<figure><img alt="{caption}" src="data:image/svg+xml;base64,{data}"></figure>'

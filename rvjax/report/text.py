@@ -3,6 +3,7 @@
 import contextlib
 import csv
 import dataclasses
+import io
 import json
 import math
 import shutil
@@ -257,33 +258,48 @@ def write(answer: Answer, folder: Path) -> Path:
     Returns:
         The folder.
     """
-
-    def fill(scratch: Path) -> None:
-        (scratch / "study.toml").write_text(answer.study.text, "utf-8")
-        (scratch / "summary.txt").write_text(summary(answer) + "\n", "utf-8")
-        (scratch / "result.json").write_text(json.dumps(as_json(answer), indent=1, allow_nan=False), "utf-8")
-        for name, rows in (
-            ("tolerances", tolerance_rows),
-            ("influence", influence_rows),
-            ("requirements", requirement_rows),
-        ):
-            write_table(scratch / f"{name}.csv", *rows(answer))
-        for picture in pictures(answer):
-            (scratch / f"{picture.name}.png").write_bytes(picture.content)
-
-    return filled(folder, fill)
+    return write_files(_files(answer), folder)
 
 
-def write_table(path: Path, headers: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
-    """Write a table as CSV.
+def _files(answer: Answer) -> Iterator[tuple[str, bytes]]:
+    yield "study.toml", answer.study.text.encode()
+    yield "summary.txt", (summary(answer) + "\n").encode()
+    yield "result.json", json.dumps(as_json(answer), indent=1, allow_nan=False).encode()
+    yield "tolerances.csv", as_csv(*tolerance_rows(answer))
+    yield "influence.csv", as_csv(*influence_rows(answer))
+    yield "requirements.csv", as_csv(*requirement_rows(answer))
+    for picture in pictures(answer):
+        yield f"{picture.name}.png", picture.content
+
+
+def as_csv(headers: Sequence[str], rows: Iterable[Sequence[str]]) -> bytes:
+    """A table as the content of a CSV file.
 
     Args:
-        path: of the file.
         headers: of the columns.
         rows: cells.
     """
-    with path.open("w", encoding="utf-8", newline="") as file:
-        csv.writer(file, lineterminator="\n").writerows([headers, *rows])
+    file = io.StringIO(newline="")
+    csv.writer(file, lineterminator="\n").writerows([headers, *rows])
+    return file.getvalue().encode()
+
+
+def write_files(files: Iterable[tuple[str, bytes]], folder: Path) -> Path:
+    """Write files into a new folder: all of them, or nothing.
+
+    Args:
+        files: name and content, made one after the other.
+        folder: that is wanted; where another run has taken it meanwhile, the next free number.
+
+    Returns:
+        The folder.
+    """
+
+    def fill(scratch: Path) -> None:
+        for name, content in files:
+            (scratch / name).write_bytes(content)
+
+    return filled(folder, fill)
 
 
 def filled(folder: Path, fill: Callable[[Path], None]) -> Path:

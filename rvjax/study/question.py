@@ -3,7 +3,7 @@
 import dataclasses
 import tomllib
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rvjax import catalogue, models
 from rvjax.levels.choice import Choice, choose
@@ -13,6 +13,9 @@ from rvjax.study.plausible import doubts
 from rvjax.study.response import Response
 from rvjax.tolerances import Middle
 from rvjax.tolerances.propagation.requirements import Limits
+
+if TYPE_CHECKING:  # it reads values, whose errors are those of studies
+    from rvjax.study.identification import Identification
 
 
 @dataclass(frozen=True)
@@ -34,6 +37,7 @@ class Study:
         accuracy: largest error of computation allowed, by response name; without one the conditions decide.
         middles: ranges in which the limits of an error may move as a whole, by name.
         assembly: how measured parts are matched.
+        identification: what [identify] asks of measured units, or None.
     """
 
     name: str
@@ -50,9 +54,16 @@ class Study:
     accuracy: dict[str, float] = dataclasses.field(default_factory=dict)
     middles: dict[str, Middle] = dataclasses.field(default_factory=dict)
     assembly: Assembly = dataclasses.field(default_factory=lambda: Assembly())
+    identification: "Identification | None" = None
 
     def response(self) -> Response:
-        """errors -> Outcome of the responses that the requirements name."""
+        """errors -> Outcome of the responses that the requirements name.
+
+        Raises:
+            StudyError: there are none, as in a study that only identifies.
+        """
+        if not self.requirements:
+            raise StudyError(f"{self.name}: [requirement] is missing or empty")
         return Response.of(self.design, tuple(self.requirements), self.conditions, self.choices())
 
     def response_of(self, name: str) -> Response:

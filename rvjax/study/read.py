@@ -12,6 +12,7 @@ from rvjax.outputs import Output
 from rvjax.records import Shape, axis_sizes, remind_of_precision
 from rvjax.study.assembly import parse_assembly
 from rvjax.study.design import parse_design
+from rvjax.study.identification import Identification, parse_identification
 from rvjax.study.plausible import refuse_impossible
 from rvjax.study.question import Study, StudyError
 from rvjax.study.response import check_nominal
@@ -22,7 +23,7 @@ from rvjax.tolerances.allocation.middles import check_middles
 from rvjax.tolerances.distribution.tolerance import COMMON, LAWS
 from rvjax.tolerances.propagation.requirements import KINDS
 
-TABLES = ("accuracy", "assembly", "conditions", "cost", "design", "middle", "requirement", "run", "tolerances")
+TABLES = "accuracy assembly columns conditions cost design identify middle requirement run tolerances".split()
 COSTS: dict[str, Any] = {"reciprocal_power": ReciprocalPower, "exponential": Exponential}
 EMBEDDED = resources.files("rvjax.study") / "embedded"
 
@@ -77,7 +78,8 @@ def parse_study(text: str, *, name: str, folder: Path = Path(), solve: bool = Tr
         except (tomllib.TOMLDecodeError, RecursionError) as error:
             raise ValueError(f"not valid TOML: {error}") from None
         known(tables, TABLES, "")
-        for key in ("design", "tolerances", "requirement"):
+        asked = () if "identify" in tables else ("requirement",)
+        for key in ("design", "tolerances", *asked):
             if not subtable(tables, key):
                 raise ValueError(f"[{key}] is missing or empty")
         design = parse_design(subtable(tables, "design"))
@@ -88,11 +90,19 @@ def parse_study(text: str, *, name: str, folder: Path = Path(), solve: bool = Tr
         known(run, {"seed", "samples", "certificate_samples", "joint_target"}, "run")
         kind = models.kind(design)
         requirements = _requirements(kind.outputs, subtable(tables, "requirement"))
+        identification = None
+        if "identify" in tables:
+            identification = parse_identification(
+                subtable(tables, "identify"), subtable(tables, "columns"), design, tolerances,
+                lambda table, unit, where: _tolerance(table, unit, where, folder),
+            )  # fmt: skip
+        elif "columns" in tables:
+            raise ValueError("[columns]: names columns of measured data, but there is no [identify]")
         study = Study(
             name=name,
             text=text,
             design=design,
-            conditions=_conditions(kind, requirements, subtable(tables, "conditions")),
+            conditions=_conditions(kind, requirements, identification, subtable(tables, "conditions")),
             tolerances=tolerances,
             costs=costs,
             requirements=requirements,
@@ -105,9 +115,10 @@ def parse_study(text: str, *, name: str, folder: Path = Path(), solve: bool = Tr
                 run.get("certificate_samples", 1_000_000), "run.certificate_samples", 16, 2**32
             ),
             joint_target=None if "joint_target" not in run else share(run["joint_target"], "run.joint_target"),
+            identification=identification,
         )
         refuse_impossible(design, tolerances, costs, study.middles)
-        if solve:
+        if solve and requirements:
             check_nominal(study.response(), error_record())
         return study
 
@@ -116,10 +127,15 @@ def _metadata(record: Any, field: str) -> Any:
     return next(f.metadata for f in dataclasses.fields(record) if f.name == field)
 
 
-def _conditions(kind: models.Kind, requirements: Mapping[str, Any], given: dict[str, Any]) -> Any:
+def _conditions(
+    kind: models.Kind, requirements: Mapping[str, Any], identification: Identification | None, given: dict[str, Any]
+) -> Any:
     fields = {f.name: f.metadata for f in dataclasses.fields(kind.conditions)}
     known(given, set(fields), "conditions")
-    for key in sorted(given.keys() - kind.conditions_of(tuple(requirements))):
+    read = set(kind.conditions_of(tuple(requirements)))
+    if identification:
+        read |= set(models.conditions_of_model(identification.model))
+    for key in sorted(given.keys() - read):
         readers = ", ".join(name for name in kind.outputs if key in kind.conditions_of((name,)))
         raise ValueError(f"conditions.{key} = {given[key]!r}: no response required here reads it, only {readers}")
     return kind.conditions(**{key: _condition(value, fields[key], f"conditions.{key}") for key, value in given.items()})

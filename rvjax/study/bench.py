@@ -1,0 +1,335 @@
+"""What a bench would see of a unit: from the values of a prior to orders of runs, a torque-angle curve or frequencies.
+
+The values are one flat dict: errors of the study by field, unknown numbers of the design, nuisances of the bench.
+"""
+
+import dataclasses
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rvjax import dynamics, four_bar, loaded
+from rvjax.designs import RVReducer
+from rvjax.records import Array, Record, field, record, text
+from rvjax.study.measured import Conditions
+from rvjax.tolerances import Tolerance
+from rvjax.units import arcsec
+
+Values = Mapping[str, Any]
+Observation = dict[str, Any]
+Model = Callable[[Values], Observation]
+
+KINDS = {"four_bar": ("curve",), "loaded": ("curve", "loop"), "dynamics": ("frequencies",)}
+"""What each model can predict of what was measured."""
+WIDE = 3000 * arcsec
+NUISANCES: dict[str, str] = {
+    "offset": "zero of the angle readings, one for all runs; with it the means of the runs count",
+    "mounting": "eccentricity of the encoders, [cosine, sine] of order 1; with it order 1 counts",
+    "phase": "angle of the index mark, where there is none",
+}
+PROBE = 1e-3
+"""Share of the largest torque that stands for none: the side to which the play lies needs a sign."""
+BREAKS_PITCH = ("pin_offset", "pin_radii", "ring_centre", "sun_runout")
+"""Errors with which one turn of the cranks is not like the next."""
+
+
+def nuisance(name: str, orders: Sequence[int]) -> Tolerance:
+    """The prior of a nuisance of the bench.
+
+    Args:
+        name: of `NUISANCES`.
+        orders: of the output turn that are measured; a phase is seen up to their common turn.
+    """
+    if name == "phase":
+        half = math.pi / math.gcd(*orders)
+        return Tolerance(-half, half, distribution="uniform")
+    return Tolerance.symmetric(WIDE, shape=(2,), vector=False) if name == "mounting" else Tolerance.symmetric(WIDE)
+
+
+def number_of_design(design: Any, name: str) -> tuple[str, ...]:
+    """Path of a number of a design.
+
+    Args:
+        design: the reducer.
+        name: of a field of one of its parts; "stiffness" is a factor on all its springs.
+
+    Raises:
+        ValueError: no part has such a number.
+    """
+    if name == "stiffness":
+        return ()
+    found = {}
+    for part in dataclasses.fields(design):
+        record = getattr(design, part.name)
+        for f in dataclasses.fields(record) if dataclasses.is_dataclass(record) else ():
+            if f.metadata["kind"] not in ("count", "text", "record"):
+                found[f.name] = (part.name, f.name)
+    if name not in found:
+        raise ValueError(f"no number of this design; there are stiffness (a factor on all springs), {', '.join(found)}")
+    return found[name]
+
+
+def unit_of_number(design: Any, name: str) -> str:
+    """SI unit of a number of a design, "-" for the factor on all springs.
+
+    Args:
+        design: the reducer.
+        name: as in `number_of_design`.
+    """
+    path = number_of_design(design, name)
+    if not path:
+        return "-"
+    return next(f.metadata["unit"] for f in dataclasses.fields(getattr(design, path[0])) if f.name == path[1])
+
+
+def _taken(design: Any, values: Values) -> tuple[Any, Any]:
+    """Design and errors of one unit."""
+    fields = {f.name for f in dataclasses.fields(design.error_record)}
+    errors = design.error_record.for_design(design, **{n: v for n, v in values.items() if n in fields})
+    for name, value in values.items():
+        if name in fields or name in NUISANCES:
+            continue
+        path = number_of_design(design, name)
+        if path:
+            part = getattr(design, path[0])
+            now = jnp.broadcast_to(
+                value, np.shape(getattr(part, path[1])) if getattr(part, path[1]) is not None else ()
+            )
+            design = design.replace(**{path[0]: part.replace(**{path[1]: now})})
+        else:
+            design = _stiffer(design, value)
+    return design, errors
+
+
+def _stiffer(design: RVReducer, factor: Any) -> RVReducer:
+    """The design with all springs times a factor."""
+    cranks = design.cranks
+    if cranks.bearing_stiffness is not None:
+        design = design.replace(cranks=cranks.replace(bearing_stiffness=factor * cranks.bearing_stiffness))
+    if design.stiffness is not None:
+        design = design.replace(stiffness=jax.tree.map(lambda k: factor * k, design.stiffness))
+    return design
+
+
+@record
+class Curves(Record):
+    """The orders of runs of transmission error: `values -> {"order 040": (runs,) complex, .., "mean": (runs,)}`.
+
+    Means count with the nuisance "offset", order 1 with "mounting". Its numbers are those of the design and the
+    torques: one program serves every design of a kind.
+    """
+
+    design: Any = field("-", "the reducer", kind="record")
+    torques: Array | np.ndarray = field(
+        "N m", "of the discs on the carrier, one for each distinct run", shape=("torques",)
+    )
+    place: tuple[int, ...] = text("which torque each run has")
+    model: str = text("four_bar or loaded")
+    conditions: Any = text("how the models are computed")
+    orders: tuple[int, ...] = text("of the output turn")
+    nuisances: tuple[str, ...] = text("of NUISANCES that the prior has")
+    alike: bool = text("one turn of the cranks is like the next")
+    idle: bool = text("no run has a torque")
+
+    def __call__(self, values: Values) -> Observation:
+        """What the bench would see of one unit.
+
+        Args:
+            values: of the prior.
+        """
+        spectrum = self._four_bar if self.model == "four_bar" else self._loaded
+        mean, found = spectrum(*_taken(self.design, values))
+        place = np.array(self.place)
+        seen: Observation = {}
+        for k, order in enumerate(self.orders):
+            seen[order_name(order)] = found[place, k]
+            if "phase" in self.nuisances:
+                turn = order * values["phase"]
+                seen[order_name(order)] *= jax.lax.complex(jnp.cos(turn), -jnp.sin(turn))
+        if "mounting" in self.nuisances:
+            cosine, sine = values["mounting"]
+            one = jnp.broadcast_to(jax.lax.complex(cosine, -sine), (len(place),))
+            seen[order_name(1)] = one + seen[order_name(1)] if order_name(1) in seen else one
+        if "offset" in self.nuisances:
+            seen["mean"] = mean[place] + values["offset"]
+        return seen
+
+    def _four_bar(self, design: Any, errors: Any) -> tuple[jax.Array, jax.Array]:
+        """(mean (torques,), orders (torques, k)) of a unit."""
+        pins, given = self.design.cycloid.pin_count, self.conditions
+
+        def turn(torque: Any) -> jax.Array:
+            ways = dict(cranks=given.cranks, gear_stiffness_ratio=given.gear_stiffness_ratio, closure=given.closure)
+            return four_bar.revolution(design, errors, output_torque=torque, angles=given.angles, **ways).harmonics
+
+        waves = turn(0.0)[None] if self.idle else jax.vmap(turn)(self.torques)
+        # The cranks turn against the output: X e^(i h crank) is conj(X) e^(i h pins output). A failed turn stays NaN.
+        found = [jnp.conj(waves[:, k // pins]) if k % pins == 0 else 0 * waves[:, 0] for k in self.orders]
+        return jnp.real(waves[:, 0]), jnp.stack(found, axis=1)
+
+    def _loaded(self, design: Any, errors: Any) -> tuple[jax.Array, jax.Array]:
+        """As `_four_bar`, of the whole reducer; one turn of the cranks where all are alike."""
+        step, given = (self.design.cycloid.pin_count if self.alike else 1), self.conditions
+        samples = loaded_samples(self.orders, self.alike, given)
+        ways = dict(contact=given.pin_contact, carrier=given.carrier, sun=given.sun, turns=1 / step, samples=samples)
+        stiff = errors.stiffened(design)
+        error = jax.vmap(lambda t: loaded.revolution(stiff, errors, output_torque=t, **ways).error)(self.torques)
+        waves = 2 / samples * jnp.fft.rfft(error)
+        found = [waves[:, k // step] if k % step == 0 else 0 * waves[:, 0] for k in self.orders]
+        return jnp.mean(error, axis=1), jnp.stack(found, axis=1)
+
+
+def curve_model(
+    model: str,
+    design: RVReducer,
+    conditions: Any,
+    runs: Sequence[Conditions],
+    orders: Sequence[int],
+    nuisances: Sequence[str],
+    active: Sequence[str],
+) -> Curves:
+    """The model of some runs.
+
+    Args:
+        model: "four_bar" or "loaded".
+        design: the reducer.
+        conditions: of the study: how the models are computed.
+        runs: torque and direction of each.
+        orders: of the output turn.
+        nuisances: of `NUISANCES` that the prior has, and others.
+        active: errors that vary, by field; some make a turn of the cranks unlike the next.
+
+    Raises:
+        ValueError: an order too fine for the angles of the conditions.
+    """
+    distinct, place = np.unique(signed_torques(runs, conditions), return_inverse=True)
+    alike = model == "four_bar" or not set(active) & set(BREAKS_PITCH)
+    finest = max(orders) // design.cycloid.pin_count
+    key = "angles" if model == "four_bar" else "samples"
+    if alike and finest >= (count := getattr(conditions, key)) / 2:
+        raise ValueError(
+            f"identify.orders: order {max(orders)} is crank order {finest}, too fine for conditions.{key} = {count}"
+        )
+    if model == "loaded":  # without any torque the play has two sides, and the direction says which
+        least = PROBE * max(np.max(np.abs(distinct)), conditions.rated_torque or 0.0)
+        load = np.maximum(np.abs(signed := signed_torques(runs, conditions)), least)
+        negative = np.where(signed == 0, np.array([run.sign for run in runs]) < 0, signed < 0)
+        distinct, place = np.unique(np.where(negative, -load, load), return_inverse=True)
+    return Curves(
+        design=design,
+        torques=np.asarray(distinct, float),
+        place=tuple(int(k) for k in place),
+        model=model,
+        conditions=conditions,
+        orders=tuple(orders),
+        nuisances=tuple(name for name in nuisances if name in NUISANCES),
+        alike=alike,
+        idle=not np.any(distinct),
+    )
+
+
+def loaded_samples(orders: Sequence[int], alike: bool, conditions: Any) -> int:
+    """Input angles of a turn of the cranks, or of the output, from which its orders are told.
+
+    Args:
+        orders: of the output turn.
+        alike: one turn of the cranks is like the next.
+        conditions: of the study.
+    """
+    return conditions.samples if alike else max(conditions.samples, 4 * max(orders))
+
+
+def order_name(order: int) -> str:
+    """Name of an order in an observation; it sorts as the number does."""
+    return f"order {order:03d}"
+
+
+def signed_torques(runs: Sequence[Conditions], conditions: Any) -> np.ndarray:
+    """Torque of the discs on the carrier in each run, N m: load opposes motion, so its sign is the direction.
+
+    Args:
+        runs: a run whose file says no torque has that of the conditions.
+        conditions: of the study.
+    """
+    given = np.array([conditions.output_torque if run.torque is None else run.torque for run in runs])
+    return np.array([run.sign for run in runs]) * given
+
+
+@record
+class Midline(Record):
+    """The midline of a torque-angle loop, input held: `values -> {"angle": (n,)}`."""
+
+    design: Any = field("-", "the reducer, with stiffness and contact", kind="record")
+    load: Array | np.ndarray = field(
+        "N m", "of the discs on the carrier, against the torque of the bench", shape=("torques",)
+    )
+    conditions: Any = text("how the model is computed")
+    offset: bool = text("the prior has one")
+
+    def __call__(self, values: Values) -> Observation:
+        """What the bench would see of one unit.
+
+        Args:
+            values: of the prior.
+        """
+        unit, errors = _taken(self.design, values)
+        stiff, given = errors.stiffened(unit), self.conditions
+        ways = dict(contact=given.pin_contact, carrier=given.carrier, sun=given.sun, input_angle=given.input_angle)
+        angle = jax.vmap(lambda t: loaded.equilibrium(stiff, errors, output_torque=t, **ways).error)(self.load)
+        return {"angle": angle + values["offset"] if self.offset else angle}
+
+
+@record
+class Frequencies(Record):
+    """Natural frequencies of modes that are followed by their shape: `values -> {"frequency": (n,)}`."""
+
+    design: Any = field("-", "the reducer, with inertia and stiffness", kind="record")
+    test: Array | np.ndarray = field(
+        "sqrt(kg)", "rows that are 1 for the own mode and 0 for the others", shape=("tones", "n")
+    )
+
+    def __call__(self, values: Values) -> Observation:
+        """What the bench would see of one unit.
+
+        Args:
+            values: of the prior.
+        """
+        found = _modes(self.design, values)
+        alike = jnp.abs(jnp.asarray(self.test) @ found.shape)
+        place = jax.lax.stop_gradient(jnp.argmax(jnp.where(jnp.isfinite(alike), alike, 0.0), axis=1))
+        return {"frequency": found.frequency[place]}
+
+
+def frequency_model(design: RVReducer, measured: np.ndarray, start: Values) -> Frequencies:
+    """Natural frequencies of the modes that were measured.
+
+    Each is matched to the nearest mode of the unit `start`, no two to the same, and followed by its shape: a mode that
+    passes another one keeps its name.
+
+    Args:
+        design: the reducer, with inertia and stiffness.
+        measured: ascending, Hz (n,).
+        start: values from which the modes are followed.
+
+    Raises:
+        ValueError: more frequencies than elastic modes.
+    """
+    from scipy.optimize import linear_sum_assignment
+
+    nominal = _modes(design, start)
+    frequency, shape = np.asarray(nominal.frequency), np.asarray(nominal.shape)
+    elastic = np.flatnonzero(frequency > 0)
+    if len(measured) > len(elastic):
+        raise ValueError(f"{len(measured)} frequencies, but the design has {len(elastic)} elastic modes")
+    apart = np.abs(np.log(np.asarray(measured)[:, None] / frequency[None, elastic]))
+    chosen = elastic[linear_sum_assignment(apart)[1]]
+    return Frequencies(design, np.linalg.inv(shape)[chosen])  # S' M S = I: the inverse of the shapes is S' M
+
+
+def _modes(design: RVReducer, values: Values) -> dynamics.Modes:
+    unit, errors = _taken(design, values)
+    return dynamics.modes(errors.stiffened(unit))

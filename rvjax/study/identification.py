@@ -1,0 +1,161 @@
+"""The section [identify] of a study: which model, what is unknown, and how well the bench reads.
+
+The prior is the tolerances of the study; unknown numbers of the design and nuisances of the bench stand beside them.
+"""
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from rvjax.study.bench import KINDS, NUISANCES, nuisance, unit_of_number
+from rvjax.study.measured import DIRECTIONS
+from rvjax.study.values import choice, integer, known, naming_field, quantity, subtable
+from rvjax.tolerances import Tolerance
+
+KEYS = ("model", "orders", "noise", "nuisance", "shared", "unknown", "torques", "directions")
+FINEST = 10_000
+"""Highest order of the output turn that may be asked for."""
+
+
+@dataclass(frozen=True)
+class Identification:
+    """What [identify] asks.
+
+    Attributes:
+        model: "four_bar", "loaded" or "dynamics".
+        orders: of the output turn, ascending; empty for what has none.
+        noise: standard deviation of one real number of the observation, rad or Hz; None: the floor of the data.
+        nuisance: names of fields that nobody wants to know.
+        shared: names of fields that all units have in common.
+        unknown: {number of the design: its prior}.
+        torques: of planned runs and of candidates for the next one, N m.
+        directions: of the same.
+        columns: foreign names of the columns of the data.
+    """
+
+    model: str
+    orders: tuple[int, ...] = ()
+    noise: float | None = None
+    nuisance: tuple[str, ...] = ()
+    shared: tuple[str, ...] = ()
+    unknown: dict[str, Tolerance] = dataclasses.field(default_factory=dict)
+    torques: tuple[float, ...] = ()
+    directions: tuple[str, ...] = tuple(DIRECTIONS)
+    columns: dict[str, Any] = dataclasses.field(default_factory=dict)
+
+    def prior(self, tolerances: Any) -> dict[str, Tolerance]:
+        """All fields of the values of a unit: errors that vary, unknown numbers, nuisances of the bench.
+
+        Args:
+            tolerances: of the study.
+        """
+        names = [f.name for f in dataclasses.fields(tolerances)]
+        errors = {n: getattr(tolerances, n) for n in names if isinstance(getattr(tolerances, n), Tolerance)}
+        bench = {name: nuisance(name, self.orders) for name in self.nuisance if name in NUISANCES}
+        return errors | self.unknown | bench
+
+
+def parse_identification(
+    table: dict[str, Any],
+    columns: dict[str, Any],
+    design: Any,
+    tolerances: Any,
+    tolerance: Callable[[dict[str, Any], str, str], Tolerance],
+) -> Identification:
+    """The section as it is read.
+
+    Args:
+        table: [identify].
+        columns: [columns].
+        design: the reducer.
+        tolerances: of the study.
+        tolerance: (table, unit, key) -> the tolerance that a table says.
+
+    Raises:
+        ValueError: one line that names the key, its value and the unit.
+    """
+    known(table, KEYS, "identify")
+    if getattr(type(design), "kind", None) != "rv":
+        raise ValueError("[identify]: its models take an RV reducer, this design is another")
+    model = choice(table.get("model"), KINDS, "identify.model")
+    _check_parts(model, design)
+    orders = tuple(sorted(integer(k, "identify.orders", 1, FINEST) for k in _list(table, "orders")))
+    if len(set(orders)) < len(orders):
+        raise ValueError(f"identify.orders = {table['orders']!r}: names an order twice")
+    if model == "four_bar" and not orders:
+        raise ValueError("identify.orders is missing: orders of the output turn, such as [40, 80]")
+    unknown = {}
+    for name in subtable(table, "unknown"):
+        where = f"identify.unknown.{name}"
+        with naming_field(where):
+            unit = unit_of_number(design, name)
+            unknown[name] = tolerance(subtable(table["unknown"], name), unit, where)
+        if isinstance(getattr(tolerances, name, None), Tolerance):
+            raise ValueError(f"{where}: [tolerances.{name}] names an error so; only one of them can vary")
+    fields = [f.name for f in dataclasses.fields(tolerances) if isinstance(getattr(tolerances, f.name), Tolerance)]
+    own = [*fields, *unknown]
+    nuisances = tuple(choice(name, [*NUISANCES, *own], "identify.nuisance") for name in _list(table, "nuisance"))
+    bench = [name for name in nuisances if name in NUISANCES]
+    usable = {"dynamics": ()}.get(model, tuple(NUISANCES) if orders else ("offset",))
+    for name in bench:
+        if name not in usable:
+            raise ValueError(f"identify.nuisance = {name!r}: nothing that model {model!r} predicts here has one")
+    shared = tuple(choice(name, own, "identify.shared") for name in _list(table, "shared"))
+    torques = tuple(quantity(t, "N m", "identify.torques") for t in _list(table, "torques"))
+    directions = tuple(choice(d, DIRECTIONS, "identify.directions") for d in _list(table, "directions")) or tuple(
+        DIRECTIONS
+    )
+    return Identification(
+        model=model,
+        orders=orders,
+        noise=_noise(table, model),
+        nuisance=nuisances,
+        shared=shared,
+        unknown=unknown,
+        torques=torques,
+        directions=directions,
+        columns=columns,
+    )
+
+
+def _list(table: Mapping[str, Any], key: str) -> list[Any]:
+    value = table.get(key, [])
+    if not isinstance(value, list):
+        raise ValueError(f"identify.{key} = {value!r}: must be a list")
+    return value
+
+
+def _noise(table: Mapping[str, Any], model: str) -> float | None:
+    unit, example = ("Hz", "1 Hz") if model == "dynamics" else ("rad", "0.2 arcsec")
+    given = table.get("noise")
+    if given is None:
+        raise ValueError(
+            f'identify.noise is missing: "floor", or the standard deviation of a reading, such as "{example}"'
+        )
+    if given == "floor":
+        return None
+    noise = quantity(given, unit, "identify.noise")
+    if noise <= 0:
+        raise ValueError(f"identify.noise = {given!r}: must be positive")
+    return noise
+
+
+def _check_parts(model: str, design: Any) -> None:
+    needs = {"four_bar": (), "loaded": ("stiffness", "contact"), "dynamics": ("inertia", "stiffness")}
+    missing = [part for part in needs[model] if getattr(design, part) is None]
+    if missing:
+        raise ValueError(f"identify.model = {model!r}: the design has no {' and no '.join(missing)}")
+
+
+def field_unit(design: Any, name: str) -> str:
+    """SI unit of a field of the values of a unit: an error, an unknown number or a nuisance.
+
+    Args:
+        design: the reducer.
+        name: of the field.
+    """
+    units = {f.name: f.metadata["unit"] for f in dataclasses.fields(design.error_record)}
+    if name in NUISANCES:
+        return "rad"
+    return units[name] if name in units else unit_of_number(design, name)

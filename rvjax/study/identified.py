@@ -1,0 +1,177 @@
+"""The answer to "what made this curve?": what the data can tell apart, most probable values, what to measure next."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from rvjax import identify
+from rvjax.study.bench import order_name
+from rvjax.study.measured import Measured, Run
+from rvjax.study.problem import Problem, Wide, problem, wide
+from rvjax.study.question import Study
+
+REJECTED = ("REJECTED", "MAX_STEPS", "NONFINITE")
+"""Statuses that are no answer."""
+POINTS = 181  # of the drawn curve
+PITCHES = 3  # of the ring that a curve is drawn over
+WITHOUT = 1e-4
+"""Resolution below which the data say nothing of an element."""
+
+
+@dataclass(frozen=True)
+class Band:
+    """One measured run beside what the identified unit does.
+
+    Attributes:
+        run: as measured.
+        angle: of the output, rad (n,).
+        value: predicted error, rad (n,).
+        lower: of the 95 % band.
+        upper: of the same.
+        taken: of the measurement and not drawn: its mean, without an offset in the prior, and order 1; rad, as a
+            function of the angle through its coefficients [mean, cosine, sine].
+    """
+
+    run: Run
+    angle: np.ndarray
+    value: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+    taken: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Identified:
+    """What `rvjax identify` found.
+
+    Attributes:
+        problem: the question with its data.
+        check: what the data can tell apart, without them.
+        posterior: of one unit, or None.
+        batch: of several units, or None.
+        draws: of the sampler, or None.
+        gains: {candidate: nats that measuring it next would bring}, best first; empty where there are no candidates.
+        bands: of every run of one unit, where it is a curve.
+    """
+
+    problem: Problem
+    check: identify.Identifiability
+    posterior: identify.Posterior | None = None
+    batch: identify.Batch | None = None
+    draws: identify.Draws | None = None
+    gains: Mapping[str, float] | None = None
+    bands: tuple[Band, ...] = ()
+
+    @property
+    def study(self) -> Study:
+        """The question."""
+        return self.problem.study
+
+    @property
+    def adequate(self) -> bool | None:
+        """Whether the model can explain the data and the solver has found how; None for a check."""
+        if self.posterior is not None:
+            return bool(self.posterior.adequate) and self.posterior.status not in REJECTED
+        return None if self.batch is None else not any(status in REJECTED for status in self.batch.status)
+
+    @property
+    def silent(self) -> list[str]:
+        """Elements of which the data say nothing; their values are those of the drawing."""
+        return [name for name in self.check.names if self.check.resolution[name] < WITHOUT]
+
+
+def check(study: Study, measured: Measured | None = None) -> Identified:
+    """What a bench can tell apart, and which run to measure next; needs no values, and no data where noise is known.
+
+    Args:
+        study: with [identify].
+        measured: runs that stand for those that the study plans.
+
+    Raises:
+        ValueError: as `problem`.
+    """
+    asked = problem(study, measured)
+    everything = wide(asked)
+    return Identified(asked, _seen(asked, everything), gains=_gains(asked, everything, None))
+
+
+def answer(study: Study, measured: Measured, *, draws: bool = False) -> Identified:
+    """Most probable values of a unit, or of every unit of a batch, with everything that `check` says.
+
+    Args:
+        study: with [identify].
+        measured: what the bench wrote.
+        draws: sample the posterior of a unit too.
+
+    Raises:
+        ValueError: as `problem`; draws of a batch.
+    """
+    asked = problem(study, measured)
+    everything = wide(asked)
+    seen = _seen(asked, everything)
+    options: dict[str, Any] = dict(noise=asked.noise, nuisance=asked.nuisance, seed=study.seed)
+    if len(asked.units) > 1 or asked.asked.shared:
+        if draws:
+            raise ValueError(f"--sample: {len(asked.units)} units; sample one at a time")
+        batch = identify.solve_many(asked.model, asked.prior, asked.stacked(), shared=asked.asked.shared, **options)
+        return Identified(asked, seen, batch=batch, gains=_gains(asked, everything, None))
+    starts = 16 if "phase" in asked.nuisance else 8
+    found = identify.solve(asked.model, asked.prior, asked.data[0], starts=starts, **options)
+    return Identified(
+        asked,
+        seen,
+        posterior=found,
+        draws=identify.sample(found, seed=study.seed) if draws else None,
+        gains=_gains(asked, everything, found),
+        bands=_bands(asked, found) if asked.kind == "curve" and found.status not in ("NONFINITE", "MAX_STEPS") else (),
+    )
+
+
+def _seen(asked: Problem, everything: Wide) -> identify.Identifiability:
+    return identify.identifiability(
+        everything.model, asked.prior, noise=everything.noise, nuisance=asked.nuisance
+    )  # fmt: skip
+
+
+def _gains(asked: Problem, everything: Wide, given: identify.Posterior | None) -> dict[str, float]:
+    """What each candidate would add, best first: to the posterior, or to the runs that stand in the question."""
+    if not everything.added or (given is not None and not given.modes):
+        return {}
+    noise = everything.again if given is not None else everything.added | {"": everything.noise}
+    models = dict.fromkeys(noise, everything.model)
+    found = identify.rank_measurements(asked.prior, models, noise=noise, nuisance=asked.nuisance, given=given).gains
+    gains = {name: float(found[name] - found.get("", 0.0)) for name in everything.added}
+    return {name: gains[name] for name in sorted(gains, key=lambda name: -gains[name])}
+
+
+def _bands(asked: Problem, found: identify.Posterior) -> tuple[Band, ...]:
+    """The measured runs beside the identified unit, over a few pitches of the ring.
+
+    The band is that of Laplace's method: an observation is linear in u about the mode, a curve in its observation.
+    """
+    study, orders = asked.study, asked.asked.orders
+    peak, layout = found.peaks[0], found.problem.layout
+    mean = layout.tree(peak.observation)
+    # One row for each independent number behind u, as changes of the observation.
+    slopes = found.problem.sd[:, None] * peak.slopes @ found.problem.elements.mixing @ peak.spectrum.root
+    changes = layout.tree(np.ascontiguousarray(slopes.T))
+    angle = np.linspace(0, 2 * np.pi * PITCHES / study.design.cycloid.pin_count, POINTS)
+    wave = np.exp(1j * np.outer(orders, angle))
+    offset = "offset" in asked.nuisance
+
+    def curve(seen: Any, r: int) -> np.ndarray:
+        rows = np.stack([np.asarray(seen[order_name(k)])[..., r] for k in orders], axis=-1)
+        return np.real(rows @ wave) + (np.asarray(seen["mean"])[..., r, None] if offset else 0.0)
+
+    bands = []
+    for r, run in enumerate(asked.items[0]):
+        assert isinstance(run, Run)
+        value, half = curve(mean, r), 1.96 * np.sqrt(np.sum(curve(changes, r) ** 2, axis=0))
+        fitted = identify.orders(run.angle, run.error, sorted({1, *orders}))
+        one = complex(np.asarray(fitted.value)[0])
+        taken = (0.0 if offset else float(fitted.mean), one.real, -one.imag)
+        taken = (taken[0], 0.0, 0.0) if 1 in orders else taken
+        bands.append(Band(run, angle, value, value - half, value + half, taken))
+    return tuple(bands)

@@ -1,0 +1,310 @@
+"""What a bench has measured: runs of transmission error, torque-angle loops, natural frequencies. Knows no statistics.
+
+Rows of equal unit, torque, direction and temperature are a run.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from rvjax.study.columns import Table, read_table
+from rvjax.units import arcmin, deg
+
+DIRECTIONS = {"forward": 1, "backward": -1}
+TURN = 359 * deg  # what a run has to cover; every sample stands for the step before it
+CLIPPED = 0.03  # share of samples at the extreme torque, from which on a sensor has hit its end
+GRID = 21  # torques of the midline of a loop
+NEEDS = {"curve": ("angle", "error"), "loop": ("torque", "angle"), "frequencies": ("frequency",)}
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """Under which something was measured.
+
+    Attributes:
+        unit: name of the unit, "" where the file has no column for it.
+        torque: N m, None where the file does not say.
+        direction: "forward" or "backward".
+        temperature: degC, None where the file does not say.
+    """
+
+    unit: str = ""
+    torque: float | None = None
+    direction: str = "forward"
+    temperature: float | None = None
+
+    @property
+    def sign(self) -> int:
+        """1 forward, -1 backward: load opposes motion, so it is the sign of the torque of the discs on the carrier."""
+        return DIRECTIONS[self.direction]
+
+    def text(self) -> str:
+        """For a person, such as "412 N m forward, 25 degC"."""
+        torque = "" if self.torque is None else f"{self.torque:g} N m "
+        return f"{torque}{self.direction}" + ("" if self.temperature is None else f", {self.temperature:g} degC")
+
+
+@dataclass(frozen=True)
+class Run:
+    """Transmission error along a turn of the output.
+
+    Attributes:
+        source: name of the file.
+        at: under which conditions.
+        angle: of the output, ascending or descending without jumps, rad (n,).
+        error: > 0: output ahead, rad (n,).
+    """
+
+    source: str
+    at: Conditions
+    angle: np.ndarray
+    error: np.ndarray
+
+
+@dataclass(frozen=True)
+class Loop:
+    """Twist of the output under a torque that rises and falls, input held.
+
+    Attributes:
+        source: name of the file.
+        at: under which conditions; torque is None.
+        torque: of the bench on the output, a grid, N m (n,).
+        midline: mean of the rising and the falling branch, rad (n,).
+        width: falling less rising branch, rad (n,): friction and play.
+        sd: of the midline, from the scatter about the branches, rad (n,).
+        clipped: the torque sensor has hit its end; what lies there is cut off.
+    """
+
+    source: str
+    at: Conditions
+    torque: np.ndarray
+    midline: np.ndarray
+    width: np.ndarray
+    sd: np.ndarray
+    clipped: bool
+
+
+@dataclass(frozen=True)
+class Tones:
+    """Natural frequencies of one unit.
+
+    Attributes:
+        source: name of the file.
+        at: under which conditions; torque is None.
+        frequency: ascending, Hz (n,).
+        sd: Hz (n,), NaN where the file does not say.
+    """
+
+    source: str
+    at: Conditions
+    frequency: np.ndarray
+    sd: np.ndarray
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Everything measured, of one kind.
+
+    Attributes:
+        kind: "curve", "loop" or "frequencies".
+        items: in the order of the files and rows.
+    """
+
+    kind: str
+    items: tuple[Run | Loop | Tones, ...]
+
+    @property
+    def units(self) -> list[str]:
+        """Names of the units, in the order in which they appear."""
+        return list(dict.fromkeys(item.at.unit for item in self.items))
+
+    @property
+    def runs(self) -> tuple[Run, ...]:
+        """Those of kind "curve"."""
+        return tuple(item for item in self.items if isinstance(item, Run))
+
+
+def read(paths: Sequence[str | Path], columns: Mapping[str, object] | None = None) -> Measured:
+    """What some CSV files hold.
+
+    Args:
+        paths: files with a header "name [unit]": angle, error, torque, temperature, frequency, sd, direction, unit.
+        columns: foreign names by quantity: the header of the column, or {column, unit} where it says no unit.
+
+    Raises:
+        ValueError: one line that names the file, the column or the row, its value and the unit.
+        FileNotFoundError: there is no such file.
+    """
+    if not paths:
+        raise ValueError("no data: name at least one CSV file")
+    kinds: dict[str, str] = {}
+    items: list[Run | Loop | Tones] = []
+    for path in paths:
+        table = read_table(path, columns)
+        kind = _kind(table)
+        kinds.setdefault(kind, str(path))
+        if len(kinds) > 1:
+            (first, one), (second, other) = kinds.items()
+            raise ValueError(f"{other}: holds {second}, {one} holds {first}; identify them one after the other")
+        for at, rows in _groups(table):
+            items.append(_READERS[kind](table, at, rows))
+    return Measured(next(iter(kinds)), tuple(items))
+
+
+def _kind(table: Table) -> str:
+    """Which kind of measurement a table holds."""
+    has = table.numbers.keys()
+    for kind in ("frequencies", "curve", "loop"):
+        if set(NEEDS[kind]) <= has:
+            return kind
+    lists = "; ".join(f"{kind}: {', '.join(names)}" for kind, names in NEEDS.items())
+    found = ", ".join([*has, *table.words]) or "none of them"
+    raise ValueError(
+        f"{table.source}: columns {found}: what is needed is one of {lists} (name foreign ones in [columns])"
+    )
+
+
+def _groups(table: Table) -> list[tuple[Conditions, np.ndarray]]:
+    """Rows of equal conditions, in the order in which these appear."""
+    n = len(table.rows)
+    unit = table.words.get("unit", [""] * n)
+    direction = [word or "forward" for word in table.words.get("direction", [""] * n)]
+    for row, word in zip(table.rows, direction):
+        if word not in DIRECTIONS:
+            raise ValueError(f"{table.source}: row {row}, direction = {word[:40]!r}: must be forward or backward")
+    empty = np.full(n, np.nan)
+    torque = table.numbers.get("torque", empty) if "error" in table.numbers else empty
+    found: dict[Conditions, list[int]] = {}
+    for k, about in enumerate(zip(unit, torque, direction, table.numbers.get("temperature", empty))):
+        found.setdefault(Conditions(about[0], _or_none(about[1]), about[2], _or_none(about[3])), []).append(k)
+    return [(at, np.array(rows)) for at, rows in found.items()]
+
+
+def _or_none(value: float) -> float | None:
+    return None if np.isnan(value) else float(value)
+
+
+def _where(source: str, at: Conditions) -> str:
+    unit = f"unit {at.unit!r}, " if at.unit else ""
+    return f"{source}: {unit}run {at.text()}"
+
+
+def _run(table: Table, at: Conditions, rows: np.ndarray) -> Run:
+    angle, error = table.numbers["angle"][rows], table.numbers["error"][rows]
+    for row, value in zip(table.rows[rows], angle):
+        if np.isnan(value):
+            raise ValueError(f"{table.source}: row {row}, angle is empty: every sample needs its angle in deg")
+    kept = ~np.isnan(error)  # a missing reading is no sample; the gap that it leaves is judged with the orders
+    return Run(table.source, at, np.unwrap(angle[kept]), error[kept])
+
+
+def checked(run: Run, finest: int) -> Run:
+    """A run from which orders up to `finest` of the output turn can be told.
+
+    Args:
+        run: as read.
+        finest: highest order.
+
+    Raises:
+        ValueError: it covers less than 359 deg, turns back, or has a gap above half the finest order.
+    """
+    where, angle = _where(run.source, run.at), run.angle
+    step = np.median(np.abs(np.diff(angle))) if len(angle) > 1 else 0.0
+    if (covered := (np.ptp(angle) + step if len(angle) else 0.0) / deg) < TURN / deg:
+        hint = "; a run needs one nominal torque" if len(angle) < 2 else ""
+        raise ValueError(f"{where}: covers {covered:.6g} deg in {len(angle)} samples, needs at least 359 deg{hint}")
+    falls = run.at.direction == "backward" and angle[-1] < angle[0]  # recorded in time, or sorted: both are read
+    onward = -angle if falls else angle
+    period = 360 * deg / finest
+    back = np.max(np.maximum.accumulate(onward) - onward)
+    if back > 0.1 * period:  # less is jitter of an encoder
+        raise ValueError(
+            f"{where}: the angle turns back by {back / deg:.4g} deg; a run goes one way, {run.at.direction}"
+        )
+    order = np.argsort(angle, kind="stable")
+    gap = np.max(np.diff(angle[order]))
+    if gap > 0.5 * period:
+        need = f"order {finest} needs at most {0.5 * period / deg:.4g} deg"
+        raise ValueError(f"{where}: a gap of {gap / deg:.4g} deg in the angle; {need}")
+    return replace(run, angle=angle[order], error=run.error[order])
+
+
+def _loop(table: Table, at: Conditions, rows: np.ndarray) -> Loop:
+    torque, angle = table.numbers["torque"][rows], table.numbers["angle"][rows]
+    for name, values in (("torque", torque), ("angle", angle)):
+        if np.any(np.isnan(values)):
+            row = table.rows[rows][np.argmax(np.isnan(values))]
+            raise ValueError(f"{table.source}: row {row}, {name} is empty: every sample of a loop needs both")
+    return _branches(table.source, at, torque, angle)
+
+
+def _branches(source: str, at: Conditions, torque: np.ndarray, angle: np.ndarray) -> Loop:
+    """Midline and width of a loop in the order of time."""
+    unit = f"unit {at.unit!r}, " if at.unit else ""
+    where = f"{source}: {unit}loop"
+    span = np.ptp(torque)
+    if len(torque) < 4 * GRID or span == 0:
+        raise ValueError(f"{where} of {len(torque)} samples over {span:.4g} N m: needs {4 * GRID} samples, both ways")
+    window = max(1, len(torque) // 100)  # the sign of the slope, not of the noise of the sensor
+    ahead = np.clip(np.arange(len(torque)) + window, 0, len(torque) - 1)
+    behind = np.clip(np.arange(len(torque)) - window, 0, len(torque) - 1)
+    rising = torque[ahead] - torque[behind] > 0
+    inside, clipped = np.isfinite(torque), False
+    for extreme in (torque.max(), torque.min()):
+        at_end = np.abs(torque - extreme) <= 1e-3 * span
+        if at_end.mean() >= CLIPPED:
+            inside, clipped = inside & ~at_end, True
+    branches = [inside & rising, inside & ~rising]
+    if min(np.sum(branch) for branch in branches) < 2 * GRID:
+        raise ValueError(f"{where}: only one branch, or too few samples; the torque has to rise and to fall")
+    low = max(np.min(torque[branch]) for branch in branches)
+    high = min(np.max(torque[branch]) for branch in branches)
+    half = (high - low) / (2 * GRID)
+    grid = np.linspace(low + half, high - half, GRID)
+    values = np.array([[_local(where, torque[b], angle[b], t, half) for t in grid] for b in branches])
+    up, down = values[0], values[1]
+    return Loop(
+        source=source,
+        at=at,
+        torque=grid,
+        midline=(up[:, 0] + down[:, 0]) / 2,
+        width=down[:, 0] - up[:, 0],
+        sd=np.hypot(up[:, 1], down[:, 1]) / 2,
+        clipped=clipped,
+    )
+
+
+def _local(where: str, torque: np.ndarray, angle: np.ndarray, at: float, half: float) -> tuple[float, float]:
+    """Value of a branch at one torque from a line through the samples about it, and its standard deviation."""
+    near = np.abs(torque - at) <= half
+    if np.sum(near) < 4:
+        raise ValueError(f"{where}: {np.sum(near)} samples within {half:.4g} N m of {at:.4g} N m on a branch, needs 4")
+    rows = np.stack([np.ones(int(np.sum(near))), (torque[near] - at) / half], axis=1)
+    solution, *_ = np.linalg.lstsq(rows, angle[near], rcond=None)
+    freedom = len(rows) - 2
+    spread = np.sqrt(np.sum((angle[near] - rows @ solution) ** 2) / freedom)
+    covariance = np.linalg.pinv(rows.T @ rows)
+    return float(solution[0]), float(max(spread * np.sqrt(covariance[0, 0]), 1e-6 * arcmin))
+
+
+def _tones(table: Table, at: Conditions, rows: np.ndarray) -> Tones:
+    frequency = table.numbers["frequency"][rows]
+    sd = table.numbers.get("sd", np.full(len(table.rows), np.nan))[rows]
+    for name, values, bad in (("frequency", frequency, ~(frequency > 0)), ("sd", sd, sd <= 0)):
+        if np.any(bad):
+            k = int(np.argmax(bad))
+            shown = table.shown[name]
+            raise ValueError(
+                f"{table.source}: row {table.rows[rows][k]}, {name} = {values[k]:g}: must be positive, in {shown}"
+            )
+    order = np.argsort(frequency, kind="stable")
+    return Tones(table.source, at, frequency[order], sd[order])
+
+
+_READERS: dict[str, Callable[[Table, Conditions, np.ndarray], Run | Loop | Tones]] = {
+    "curve": _run,
+    "loop": _loop,
+    "frequencies": _tones,
+}

@@ -1,0 +1,362 @@
+"""From a study and what was measured to the problem that `rvjax.identify` solves: model, prior, data, noise."""
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from rvjax import identify
+from rvjax.designs import RVReducer
+from rvjax.study.bench import (
+    KINDS,
+    Midline,
+    Model,
+    Observation,
+    curve_model,
+    frequency_model,
+    order_name,
+    signed_torques,
+)
+from rvjax.study.identification import Identification
+from rvjax.study.measured import GRID, Conditions, Loop, Measured, Run, Tones, checked
+from rvjax.study.question import Study, StudyError
+from rvjax.tolerances import Tolerance
+
+BESIDE = 20  # orders that no model names, for the floor
+MEDIAN = np.sqrt(2 * np.log(2))  # of a Rayleigh law: of the amplitude of noise with sd 1 in real and imaginary part
+UNMEASURED = 1e6  # rad: noise of a run that nobody makes
+LEVELS = (0.1, 0.5, 1.0, 2.0)  # torques of candidates, of the largest one of the data, where the study names none
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One question to `rvjax.identify`.
+
+    Attributes:
+        study: the question.
+        kind: "curve", "loop" or "frequencies".
+        prior: flat dict of Tolerance.
+        model: values -> observation.
+        noise: of the observation, per real number.
+        sd: one number of the same size, for what is not measured yet.
+        nuisance: fields that nobody wants to know.
+        runs: torque and direction of each run of a curve.
+        units: names; () without data.
+        data: observation of each unit, in the order of `units`.
+        items: what each unit measured.
+    """
+
+    study: Study
+    kind: str
+    prior: dict[str, Tolerance]
+    model: Model
+    noise: identify.Noise
+    sd: float
+    nuisance: tuple[str, ...]
+    runs: tuple[Conditions, ...] = ()
+    units: tuple[str, ...] = ()
+    data: tuple[Observation, ...] = ()
+    items: tuple[tuple[Run | Loop | Tones, ...], ...] = ()
+
+    @property
+    def asked(self) -> Identification:
+        """The section [identify]."""
+        return asked_of(self.study)
+
+    def stacked(self) -> Observation:
+        """The data with units on axis 0."""
+        return {key: np.stack([data[key] for data in self.data]) for key in self.data[0]}
+
+
+def _model(study: Study, asked: Identification, runs: Sequence[Conditions]) -> Model:
+    active = tuple(asked.prior(study.tolerances))
+    return curve_model(asked.model, study.design, study.conditions, runs, asked.orders, asked.nuisance, active)
+
+
+def asked_of(study: Study) -> Identification:
+    """What a study asks of measured units.
+
+    Args:
+        study: the question.
+
+    Raises:
+        StudyError: it has no [identify].
+    """
+    if study.identification is None:
+        raise StudyError(f'{study.name}: [identify] is missing; it needs at least model = "four_bar", orders and noise')
+    return study.identification
+
+
+def problem(study: Study, measured: Measured | None = None) -> Problem:
+    """The problem of a study and its data; without data, of the runs that the study plans.
+
+    Args:
+        study: with [identify].
+        measured: of one kind.
+
+    Raises:
+        ValueError: data of a kind that the model does not predict, runs from which the orders cannot be told, or
+            a floor that nothing measures.
+    """
+    asked = asked_of(study)
+    kind = measured.kind if measured else _planned_kind(asked)
+    if measured and kind not in KINDS[asked.model]:
+        takes = " or ".join(KINDS[asked.model])
+        raise ValueError(f"{measured.items[0].source}: holds {kind}; identify.model = {asked.model!r} takes {takes}")
+    if measured is None and asked.noise is None:
+        raise ValueError(f"{study.name}: identify.noise = 'floor': is read from data; give a number to check without")
+    if kind == "curve" and not asked.orders:
+        raise ValueError(f"{study.name}: identify.orders is missing: orders of the output turn, such as [40, 80]")
+    if kind == "loop" and set(asked.nuisance) & {"mounting", "phase"}:
+        raise ValueError(f"{study.name}: identify.nuisance: mounting and phase belong to curves, the data holds a loop")
+    return {"curve": _curves, "loop": _loops, "frequencies": _frequencies}[kind](study, asked, measured)
+
+
+def _planned_kind(asked: Identification) -> str:
+    return "curve" if asked.orders else KINDS[asked.model][-1]
+
+
+def _curves(study: Study, asked: Identification, measured: Measured | None) -> Problem:
+    prior = asked.prior(study.tolerances)
+    wanted = sorted({*asked.orders, *([1] if "mounting" in asked.nuisance else [])})
+    groups = [order_name(k) for k in wanted] + (["mean"] if "offset" in asked.nuisance else [])
+    data: list[Observation] = []
+    sds: dict[str, np.ndarray] = {}
+    units: tuple[str, ...] = ()
+    items: tuple[tuple[Run, ...], ...] = ()
+    if measured is None:
+        runs = planned(study)
+        model = _model(study, asked, runs)
+    else:
+        beside = floor_orders(study.design, asked.orders)
+        units = tuple(measured.units)
+        own = [_by_place([run for run in measured.runs if run.at.unit == name]) for name in units]
+        places = list(dict.fromkeys(place for runs in own for place in runs))
+        runs, items = tuple(place[0] for place in places), tuple(tuple(runs.values()) for runs in own)
+        model = _model(study, asked, runs)  # refuses orders that it cannot compute before data that do not fit them
+        sds = {key: np.full((len(units), len(runs)), np.nan) for key in groups}
+        for u, found in enumerate(own):
+            seen: Observation = {key: np.full(len(runs), np.nan, float if key == "mean" else complex) for key in groups}
+            for place, run in found.items():
+                r = places.index(place)
+                fitted = _fitted(run, wanted, beside)
+                for k, order in enumerate(wanted):
+                    seen[order_name(order)][r] = fitted.value[k]
+                if "mean" in seen:
+                    seen["mean"][r] = fitted.mean
+                for key in groups:
+                    sds[key][u, r] = asked.noise or fitted.floor
+            data.append(seen)
+    if asked.noise is not None:
+        sd: Any = asked.noise
+    else:  # of each run; of several units the mean square, since one noise serves all
+        sd = {key: np.sqrt(np.nanmean(values**2, axis=0)) for key, values in sds.items()}
+    return Problem(
+        study=study,
+        kind="curve",
+        prior=prior,
+        model=model,
+        noise=identify.Noise(sd),
+        sd=float(asked.noise or np.median(sd[groups[0]])),
+        nuisance=asked.nuisance,
+        runs=tuple(runs),
+        units=units,
+        data=tuple(data),
+        items=items,
+    )
+
+
+def _by_place(runs: Sequence[Run]) -> dict[tuple[Conditions, int], Run]:
+    """Runs of one unit by conditions without the unit, and how often these came before."""
+    found: dict[tuple[Conditions, int], Run] = {}
+    for run in runs:
+        place = dataclasses.replace(run.at, unit="")
+        found[(place, sum(place == other for other, _ in found))] = run
+    return found
+
+
+@dataclass(frozen=True)
+class _Fitted:
+    value: np.ndarray
+    mean: float
+    floor: float
+
+
+def _fitted(run: Run, wanted: Sequence[int], beside: Sequence[int]) -> _Fitted:
+    """Orders of a run by least squares on its real angles; mean and order 1 are always fitted."""
+    run = checked(run, max(wanted))
+    every = sorted({1, *wanted, *beside})
+    try:
+        found = identify.orders(run.angle, run.error, every)
+    except ValueError as error:
+        raise ValueError(f"{run.source}: run {run.at.text()}: {error}") from None
+    value = dict(zip(every, np.asarray(found.value)))
+    floor = float(np.median(np.abs([value[k] for k in beside])) / MEDIAN)
+    if not floor > 0:
+        raise ValueError(
+            f"{run.source}: run {run.at.text()}: its noise floor is 0 arcsec; give identify.noise a number"
+        )
+    return _Fitted(np.array([value[k] for k in wanted]), float(found.mean), floor)
+
+
+def floor_orders(design: RVReducer, orders: Sequence[int]) -> list[int]:
+    """The orders nearest to those of a study that no part of the reducer causes.
+
+    Args:
+        design: tells pins, teeth and ratio.
+        orders: of the study.
+    """
+    top = max(orders) + 200
+    parts = (design.cycloid.pin_count, design.cycloid.disc_teeth, round(design.ratio))
+    named = {0, 1, 2, 3, 4, *orders}
+    named |= {m + side for part in parts for m in range(part, top, part) for side in (-1, 0, 1)}
+    free = [k for k in range(5, top) if k not in named]
+    return sorted(sorted(free, key=lambda k: (min(abs(k - order) for order in orders), k))[:BESIDE])
+
+
+def planned(study: Study) -> tuple[Conditions, ...]:
+    """The runs that a study plans: its torques in its directions; without torques that of its conditions, forward.
+
+    Args:
+        study: with [identify].
+    """
+    asked = asked_of(study)
+    if not asked.torques:
+        return (Conditions(torque=study.conditions.output_torque),)
+    return tuple(Conditions(torque=t, direction=d) for t in asked.torques for d in asked.directions)
+
+
+def candidates(problem: Problem) -> list[Conditions]:
+    """Runs that could be measured next.
+
+    Args:
+        problem: of curves; others have none.
+    """
+    asked = problem.asked
+    if problem.kind != "curve":
+        return []
+    largest = np.max(np.abs(signed_torques(problem.runs, problem.study.conditions)), initial=0.0)
+    largest = largest or problem.study.conditions.rated_torque or 0.0
+    torques = asked.torques or tuple(float(f"{share * largest:.3g}") for share in LEVELS)
+    return list(dict.fromkeys(Conditions(torque=t, direction=d) for t in torques for d in asked.directions))
+
+
+@dataclass(frozen=True)
+class Wide:
+    """The runs of a problem and those that could come next, as one model: one program answers for all of them.
+
+    Attributes:
+        model: of all runs.
+        noise: when only those of the problem are measured.
+        again: {candidate: noise when it alone is measured}.
+        added: {candidate: noise when it is measured beside those of the problem}.
+    """
+
+    model: Model
+    noise: identify.Noise
+    again: dict[str, identify.Noise]
+    added: dict[str, identify.Noise]
+
+
+def wide(problem: Problem) -> Wide:
+    """The problem with its candidates.
+
+    Args:
+        problem: of any kind; only curves have candidates.
+    """
+    if problem.kind != "curve":
+        return Wide(problem.model, problem.noise, {}, {})
+    chosen = candidates(problem)
+    count = len(problem.runs)
+    given = problem.noise.sd
+    groups = [order_name(k) for k in problem.asked.orders]
+    groups += [key for key, name in ((order_name(1), "mounting"), ("mean", "offset")) if name in problem.nuisance]
+    own = {key: np.broadcast_to(given[key] if isinstance(given, dict) else given, count) for key in groups}
+    never = np.full(len(chosen), UNMEASURED)
+
+    def made(first: float, k: int | None) -> identify.Noise:
+        """Noise where the runs of the problem have `first` times their own and candidate k is measured."""
+        then = never.copy()
+        if k is not None:
+            then[k] = problem.sd
+        return identify.Noise({key: np.append(first * sd, then) for key, sd in own.items()})
+
+    names = [run.text() for run in chosen]
+    return Wide(
+        _model(problem.study, problem.asked, [*problem.runs, *chosen]),
+        made(1.0, None),
+        {name: made(UNMEASURED / problem.sd, k) for k, name in enumerate(names)},
+        {name: made(1.0, k) for k, name in enumerate(names)},
+    )
+
+
+def _loops(study: Study, asked: Identification, measured: Measured | None) -> Problem:
+    prior = asked.prior(study.tolerances)
+    units: tuple[str, ...] = ()
+    items: tuple[tuple[Loop, ...], ...] = ()
+    data: list[Observation] = []
+    if measured is None:
+        most = max([*asked.torques, abs(study.conditions.output_torque), study.conditions.rated_torque or 0.0])
+        if not most > 0:
+            raise ValueError(
+                f"{study.name}: identify.torques is missing: the torque to which a loop goes, such as 412 N m"
+            )
+        torque = np.linspace(-most, most, GRID)
+        sd: Any = asked.noise
+    else:
+        loops = [item for item in measured.items if isinstance(item, Loop)]
+        units = tuple(loop.at.unit for loop in loops)
+        if len(set(units)) < len(units):
+            raise ValueError(
+                f"{loops[-1].source}: unit {units[-1]!r} has several loops; identify them one after the other"
+            )
+        torque, items = loops[0].torque, tuple((loop,) for loop in loops)
+        low, high = max(loop.torque[0] for loop in loops), min(loop.torque[-1] for loop in loops)
+        torque = np.linspace(low, high, GRID) if len(loops) > 1 else torque
+        data = [{"angle": np.interp(torque, loop.torque, loop.midline)} for loop in loops]
+        floor = np.sqrt(np.mean([np.interp(torque, loop.torque, loop.sd) ** 2 for loop in loops], axis=0))
+        sd = asked.noise or {"angle": floor}
+    model = Midline(study.design, -torque, study.conditions, "offset" in asked.nuisance)
+    middle = float(asked.noise or np.median(sd["angle"]))
+    return Problem(
+        study, "loop", prior, model, identify.Noise(sd), middle, asked.nuisance, (), units, tuple(data), items
+    )  # fmt: skip
+
+
+def _frequencies(study: Study, asked: Identification, measured: Measured | None) -> Problem:
+    prior = asked.prior(study.tolerances)
+    start = {name: np.broadcast_to(float(t.middle), t.shape) for name, t in prior.items()}
+    units: tuple[str, ...] = ()
+    items: tuple[tuple[Tones, ...], ...] = ()
+    data: list[Observation] = []
+    if measured is None:
+        from rvjax import dynamics
+
+        found = np.asarray(dynamics.modes(study.design).frequency)
+        frequency = found[found > 0]
+        sd: Any = asked.noise
+    else:
+        tones = [item for item in measured.items if isinstance(item, Tones)]
+        units = tuple(tone.at.unit for tone in tones)
+        counts = {len(tone.frequency) for tone in tones}
+        if len(counts) > 1 or len(set(units)) < len(units):
+            raise ValueError(f"{tones[-1].source}: every unit needs the same number of frequencies, at one temperature")
+        frequency, items = np.mean([tone.frequency for tone in tones], axis=0), tuple((tone,) for tone in tones)
+        data = [{"frequency": tone.frequency} for tone in tones]
+        own = np.sqrt(np.mean([tone.sd**2 for tone in tones], axis=0))
+        if asked.noise is None and np.any(np.isnan(own)):
+            raise ValueError(
+                f"{tones[0].source}: no column 'sd [Hz]' for identify.noise = 'floor'; add it or give a number"
+            )
+        sd = {"frequency": np.where(np.isnan(own), asked.noise, own)} if not np.all(np.isnan(own)) else asked.noise
+    try:
+        model = frequency_model(study.design, frequency, start)
+    except ValueError as error:
+        source = measured.items[0].source if measured else study.name
+        raise ValueError(f"{source}: {error}") from None
+    middle = float(asked.noise or np.median(sd["frequency"]))
+    return Problem(
+        study, "frequencies", prior, model, identify.Noise(sd), middle, asked.nuisance, (), units, tuple(data), items
+    )  # fmt: skip
