@@ -24,7 +24,7 @@ ETA = 0.02
 DESIGN = RV_320E.replace(damping=Damping(loss_factor=ETA))
 SHAPES = {"disc_bore": (3, 4, 2), "disc_flank": (3, 2, 2), "ring_flank": (3, 2), "planet_runout": (4, 2)}
 LOAD = 60.0
-RANGES = [(20.0, 500.0), (-300.0, -40.0), (-90.0, 250.0)]
+RANGES = [(20.0, 700.0), (-600.0, -40.0), (-620.0, 650.0)]
 ENDS = dict(slowest_sun_speed=20.0, fastest_sun_speed=500.0)
 
 
@@ -48,7 +48,9 @@ def test_the_worst_of_a_range_is_that_of_a_fine_sweep(ends):
     size, order = np.abs(np.asarray(sweep.amplitude)[:, :, 0]), np.asarray(sweep.order)
     shaken = np.sqrt(np.sum((size * (order * fine[:, None] / DESIGN.ratio) ** 2) ** 2, axis=1) / 2)
     assert 0.99 * shaken.max() < found.acceleration < 1.01 * shaken.max()
-    np.testing.assert_allclose(found.acceleration_speed, fine[shaken.argmax()], rtol=ETA / 2)
+    np.testing.assert_allclose(np.abs(found.acceleration_speed), np.abs(fine[shaken.argmax()]), rtol=ETA / 2)
+    if ends[0] * ends[1] < 0:  # both senses of rotation have their resonances
+        assert np.isclose(speeds, -found.acceleration_speed, rtol=1e-12).any()
     angle = 2 * np.pi * np.arange(4096) / 4096  # orders are whole numbers here
     waves = np.exp(1j * angle[:, None] * order)
     likely = np.argsort(-size.sum(axis=1))[:40]
