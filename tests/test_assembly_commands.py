@@ -96,14 +96,8 @@ def test_a_list_of_parts_becomes_a_list_for_the_bench(files, capsys):
 
 def test_prices_with_and_without_matching_are_drawn_and_told():
     found = [Price(0.9, 12.0, 2.0, 5.0, "OPTIMAL"), Price(0.99, 18.0, 3.0, 7.0, "OPTIMAL")]
-    assert price_text([]) == "" and price_text(found).splitlines()[-1].split() == [
-        "99",
-        "%",
-        "18.000",
-        "3.00",
-        "7.000",
-        "OPTIMAL",
-    ]
+    assert price_text([]) == ""
+    assert price_text(found).splitlines()[-1].split() == ["99", "%", "18.000", "3.00", "7.000", "OPTIMAL"]
     axes = plotting.assembly.price_of_accuracy(*zip(*((p.share, p.alone, p.matched) for p in found)))
     assert [line.get_ydata()[1] for line in axes.lines] == [18.0, 7.0]
     axes = plotting.assembly.gain_against_gauge([0, 1], [1.0, 3.0], [1.0, 2.0], chance=4.0, known=1.0)
