@@ -241,9 +241,9 @@ def test_a_unit_that_fails_is_avoided_and_what_cannot_be_is_named(objective):
 
 @pytest.mark.parametrize("objective", ["mean", "yield", "bottleneck"])
 def test_beyond_the_exact_size_the_bound_holds(monkeypatch, objective):
-    """Three slots of six: bound <= optimum (HiGHS) <= plan, and the gap is what lies between bound and plan."""
+    """Six units from 6, 8 and 8 parts: bound <= optimum (HiGHS) <= plan, and the gap is what lies between."""
     rng = np.random.default_rng(8)
-    kinds = {slot: kind(rng.standard_normal(6)) for slot in "abc"}
+    kinds = {slot: kind(rng.standard_normal(count)) for slot, count in zip("abc", (6, 8, 8))}
 
     def response(parts, index):
         return (parts["a"]["x"] + parts["b"]["x"] - 1.3 * parts["c"]["x"]) ** 2

@@ -7,13 +7,16 @@ import csv
 import json
 import math
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
-from rvjax import cli, compensation, study
+from rvjax import cli, compensation, plotting, study
 from rvjax.assembly import plan
+from rvjax.report.assembly import price_text
 from rvjax.study.assembly import bench
 from rvjax.study.compensation import corrections
+from rvjax.study.prices import Price, prices
 from rvjax.units import arcsec, um
 
 STUDY = """
@@ -89,6 +92,35 @@ def test_a_list_of_parts_becomes_a_list_for_the_bench(files, capsys):
     result = json.loads((folder / "result.json").read_text())
     assert result["status"] == "OPTIMAL" and result["seed"] == 0
     assert result["values"] == pytest.approx(expected.values.tolist(), rel=1e-12)
+
+
+def test_prices_with_and_without_matching_are_drawn_and_told():
+    found = [Price(0.9, 12.0, 2.0, 5.0, "OPTIMAL"), Price(0.99, 18.0, 3.0, 7.0, "OPTIMAL")]
+    assert price_text([]) == ""
+    assert price_text(found).splitlines()[-1].split() == ["99", "%", "18.000", "3.00", "7.000", "OPTIMAL"]
+    axes = plotting.assembly.price_of_accuracy(*zip(*((p.share, p.alone, p.matched) for p in found)))
+    assert [line.get_ydata()[1] for line in axes.lines] == [18.0, 7.0]
+    axes = plotting.assembly.gain_against_gauge([0, 1], [1.0, 3.0], [1.0, 2.0], chance=4.0, known=1.0)
+    assert axes.lines[2].get_ydata()[1] == 75.0
+    plt.close("all")
+
+
+@pytest.mark.long
+def test_matching_opens_the_tolerances_of_a_study(files):
+    costs = """
+[cost.crank_eccentricity]
+scale = 6
+reference = "10 um"
+finest = "1 um"
+coarsest = "40 um"
+[run]
+samples = 1024
+certificate_samples = 16384
+"""
+    (files / "my.toml").write_text(STUDY + costs)
+    question = study.load("my.toml")
+    for found in prices(question, bench(question, "parts.csv"), sets=2):
+        assert found.factor > 1 and found.matched < found.alone
 
 
 BAD_PARTS = [

@@ -3,6 +3,7 @@
 A cost comes in layers, the first counts most: failing units, then units outside the limits, then the response.
 """
 
+import contextlib
 import dataclasses
 import itertools
 from collections.abc import Iterator, Sequence
@@ -18,10 +19,17 @@ EXACT = 20_000
 CLOSE = 1e-6
 """Gap below which a plan counts as optimal."""
 
+PATIENCE = 120.0
+"""Seconds after which HiGHS leaves a plan to the alternation and its bound."""
+
 SCALE = 1e6  # of the largest cost in HiGHS, whose gap is absolute: 1e-6
 ROUNDS = 150  # of the Lagrangian
 
 Build = list[tuple[int, ...]]
+
+
+class _TooLong(Exception):
+    """HiGHS has found no proof in time."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -99,8 +107,9 @@ def least_sum(
         build = _assigned(cost, supply)
         return Choice(build, _sum(layers[asked], build), True)
     allowed = supply.allowed()
-    if (found := _proved(layers, supply, allowed)) is not None:
-        return Choice(found, _sum(layers[asked], found), True)
+    with contextlib.suppress(_TooLong):
+        if (found := _proved(layers, supply, allowed)) is not None:
+            return Choice(found, _sum(layers[asked], found), True)
     build = _alternated(np.where(allowed, cost, np.inf), supply, starts, rng)
     reached = _sum(layers[asked], build)
     bound = _lagrangian(layers[asked], supply, reached)
@@ -122,17 +131,9 @@ def least_largest(cost: np.ndarray, supply: Supply, starts: int, rng: np.random.
         return Choice(_assigned(weighed([cost > level, cost], supply.units), supply), float(level), True)
     allowed = supply.allowed()
     floor = _pair_level(np.where(allowed, cost, np.inf), supply)
-    if _columns(supply, allowed) <= EXACT:
-        low, high = int(np.searchsorted(levels, floor)), len(levels) - 1
-        best = _proved([cost], supply, allowed)
-        if best is not None:
-            high = int(np.searchsorted(levels, max(cost[unit] for unit in best)))
-            while low < high:
-                middle = (low + high) // 2
-                found = _proved([cost], supply, allowed & (cost <= levels[middle]))
-                low, high, best = (low, middle, found) if found is not None else (middle + 1, high, best)
-            best = _proved([cost], supply, allowed & (cost <= levels[high])) or best
-            return Choice(best, float(levels[high]), True)
+    with contextlib.suppress(_TooLong):
+        if (best := _least_proved(cost, supply, allowed, levels, floor)) is not None:
+            return Choice(best, max(float(cost[unit]) for unit in best), True)
     # Each step forbids what is as bad as the worst unit so far.
     build = _alternated(np.where(allowed, cost, np.inf), supply, starts, rng)
     while True:
@@ -143,6 +144,25 @@ def least_largest(cost: np.ndarray, supply: Supply, starts: int, rng: np.random.
         if max(cost[unit] for unit in trial) >= worst:
             return Choice(build, float(floor), worst - floor <= CLOSE * abs(worst))
         build = trial
+
+
+def _least_proved(
+    cost: np.ndarray, supply: Supply, allowed: np.ndarray, levels: np.ndarray, floor: float
+) -> Build | None:
+    """By bisection over the levels of cost, each step a program; None where it is too large to prove."""
+    best = _proved([cost], supply, allowed)
+    if best is None:
+        return None
+    low, high = int(np.searchsorted(levels, floor)), int(np.searchsorted(levels, max(cost[unit] for unit in best)))
+    while low < high:
+        middle = (low + high) // 2
+        found = _proved([cost], supply, allowed & (cost <= levels[middle]))
+        low, high, best = (low, middle, found) if found is not None else (middle + 1, high, best)
+    return (
+        best
+        if max(cost[unit] for unit in best) <= levels[high]
+        else _proved([cost], supply, allowed & (cost <= levels[high]))
+    )
 
 
 def weighed(layers: Sequence[np.ndarray], units: int) -> np.ndarray:
@@ -216,7 +236,11 @@ def _columns(supply: Supply, allowed: np.ndarray) -> int:
 
 
 def _proved(layers: Sequence[np.ndarray], supply: Supply, allowed: np.ndarray) -> Build | None:
-    """The best plan by HiGHS; None where there is none, or it is too large to prove."""
+    """The best plan by HiGHS; None where there is none, or it is too large to prove.
+
+    Raises:
+        _TooLong: it took more than `PATIENCE`.
+    """
     if _columns(supply, allowed) > EXACT:
         return None
     combos = np.argwhere(allowed)
@@ -255,10 +279,12 @@ def _proved(layers: Sequence[np.ndarray], supply: Supply, allowed: np.ndarray) -
             constraints=limits,
             integrality=np.ones(len(combos)),
             bounds=Bounds(0, most),
-            options={"mip_rel_gap": 0.0},
+            options={"mip_rel_gap": 0.0, "time_limit": PATIENCE},
         )
-        if found.x is None:
+        if found.status == 2:
             return None
+        if found.status != 0:
+            raise _TooLong
         counts = np.round(found.x).astype(int)
         steps = np.diff(np.unique(scaled)).min(initial=1.0)
         limits.append(LinearConstraint(scaled[None], ub=float(scaled @ counts) + 0.25 * steps))

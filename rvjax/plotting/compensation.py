@@ -29,7 +29,8 @@ def before_and_after(
     for values, colour, dash, label in ((y, BEFORE, "--", "before"), (left, AFTER, "-", "after")):
         axes.plot(x, values, color=colour, ls=dash, lw=1.0, label=f"{label}, rms {np.std(values):.3g} arcsec")
     axes.set(
-        xlabel="output angle (deg)", ylabel="transmission error (arcsec)", title="Measured error and its correction"
+        xlabel="output angle (deg)", ylabel="transmission error (arcsec)", title=title or "Error and its correction"
     )
+    axes.set_ylim(top=1.25 * max(1e-12, float(np.max(np.abs(y)))))  # room for the legend
     axes.legend(loc="upper right", ncols=2)
     return axes

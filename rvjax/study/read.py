@@ -23,7 +23,8 @@ from rvjax.tolerances.allocation.middles import check_middles
 from rvjax.tolerances.distribution.tolerance import COMMON, LAWS
 from rvjax.tolerances.propagation.requirements import KINDS
 
-TABLES = "accuracy assembly columns conditions cost design identify middle requirement run tolerances".split()
+TABLES = {"accuracy", "assembly", "columns", "conditions", "cost", "design", "identify", "middle"}
+TABLES |= {"requirement", "run", "tolerances"}
 COSTS: dict[str, Any] = {"reciprocal_power": ReciprocalPower, "exponential": Exponential}
 EMBEDDED = resources.files("rvjax.study") / "embedded"
 
