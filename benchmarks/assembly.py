@@ -6,7 +6,7 @@
 gauge: 24 crankshafts in pairs, 30 measured sets for every measurement uncertainty: what plans promise, and what comes
 true with the true errors of the same parts; and the promise of plans that take the measured values for true.
 levers: the loaded machine with assumed tolerances, exact measurements: good units of random assembly, of discs turned
-over as they come, of discs turned over and paired, and with classes of bearings besides. The limit is the median of
+over as they come, of discs turned over and paired, and with classes of bearings besides. The limit is the mean of
 random assembly of the first set. times: 200 x 200 discs in 4 positions, compilation included; they mean nothing on a
 busy machine. Figures are kept in `benchmarks/assembly.json`.
 """

@@ -353,3 +353,9 @@ def test_single_precision():
     reached = squares < (2 * np.pi * 2240) ** 2
     error = np.abs(coarse - fine).max(axis=0) / np.abs(fine).max(axis=0)
     assert error.max() < gamma * (forces + 2 * kappa[reached].max() / 0.02)
+
+
+def test_an_output_that_no_harmonic_reaches_rests():
+    """The first three harmonics of the mesh of four cranks turn the planets against each other, never the output."""
+    found = dynamics.response(RV_320E, sun_speed=RATED, output_torque=TORQUE, harmonics=3, outputs=("output.rotation",))
+    assert np.all(np.asarray(found.amplitude) == 0) and int(found.info.status) == 0

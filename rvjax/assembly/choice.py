@@ -6,12 +6,15 @@ A cost comes in layers, the first counts most: failing units, then units outside
 import contextlib
 import dataclasses
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
-from scipy.optimize import Bounds, LinearConstraint, linear_sum_assignment, milp
+from scipy.optimize import Bounds, LinearConstraint, milp
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import maximum_bipartite_matching
+
+from rvjax.assembly.alternation import alternated, lagrangian
+from rvjax.assembly.supply import Build, Supply, assigned, copies
 
 EXACT = 20_000
 """Combinations up to which HiGHS proves its plan."""
@@ -23,56 +26,10 @@ PATIENCE = 120.0
 """Seconds after which HiGHS leaves a plan to the alternation and its bound."""
 
 SCALE = 1e6  # of the largest cost in HiGHS, whose gap is absolute: 1e-6
-ROUNDS = 150  # of the Lagrangian
-
-Build = list[tuple[int, ...]]
 
 
 class _TooLong(Exception):
     """HiGHS has found no proof in time."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Supply:
-    """Slots, and the stocks that feed them.
-
-    Attributes:
-        pieces: of each part, by slot; slots of one group share them.
-        group: number of the stock that feeds each slot.
-        units: to be built.
-    """
-
-    pieces: tuple[np.ndarray, ...]
-    group: tuple[int, ...]
-    units: int
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Parts of each slot."""
-        return tuple(map(len, self.pieces))
-
-    @property
-    def shared(self) -> bool:
-        """Two slots are fed by one stock."""
-        return len(set(self.group)) < len(self.group)
-
-    def slots(self, group: int) -> list[int]:
-        """Fed by a stock."""
-        return [slot for slot, own in enumerate(self.group) if own == group]
-
-    def weight(self) -> np.ndarray:
-        """How often random assembly takes each combination, but for a factor: pieces of its parts (parts, ...)."""
-        places = np.meshgrid(*map(np.arange, self.shape), indexing="ij", sparse=True)
-        found = np.ones(self.shape)
-        for slot, pieces in enumerate(self.pieces):
-            before = [other for other in self.slots(self.group[slot]) if other < slot]
-            left = pieces[places[slot]] - sum((places[slot] == places[other]).astype(int) for other in before)
-            found = found * np.maximum(left, 0)
-        return found
-
-    def allowed(self) -> np.ndarray:
-        """Combinations that one unit can be: never more of a part than there are pieces."""
-        return self.weight() > 0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -104,15 +61,15 @@ def least_sum(
     """
     cost = weighed(layers, supply.units)
     if len(supply.shape) == 2 and not supply.shared:
-        build = _assigned(cost, supply)
+        build = assigned(cost, supply)
         return Choice(build, _sum(layers[asked], build), True)
     allowed = supply.allowed()
     with contextlib.suppress(_TooLong):
         if (found := _proved(layers, supply, allowed)) is not None:
             return Choice(found, _sum(layers[asked], found), True)
-    build = _alternated(np.where(allowed, cost, np.inf), supply, starts, rng)
+    build = alternated(np.where(allowed, cost, np.inf), supply, starts, rng)
     reached = _sum(layers[asked], build)
-    bound = _lagrangian(layers[asked], supply, reached)
+    bound = lagrangian(layers[asked], supply, reached)
     return Choice(build, bound, reached - bound <= CLOSE * abs(reached))
 
 
@@ -128,19 +85,17 @@ def least_largest(cost: np.ndarray, supply: Supply, starts: int, rng: np.random.
     levels = np.unique(cost)
     if len(supply.shape) == 2 and not supply.shared:
         level = _least_level(cost, supply, levels)
-        return Choice(_assigned(weighed([cost > level, cost], supply.units), supply), float(level), True)
+        return Choice(assigned(weighed([cost > level, cost], supply.units), supply), float(level), True)
     allowed = supply.allowed()
     floor = _pair_level(np.where(allowed, cost, np.inf), supply)
     with contextlib.suppress(_TooLong):
         if (best := _least_proved(cost, supply, allowed, levels, floor)) is not None:
             return Choice(best, max(float(cost[unit]) for unit in best), True)
     # Each step forbids what is as bad as the worst unit so far.
-    build = _alternated(np.where(allowed, cost, np.inf), supply, starts, rng)
+    build = alternated(np.where(allowed, cost, np.inf), supply, starts, rng)
     while True:
         worst = max(cost[unit] for unit in build)
-        trial = _alternated(
-            np.where(allowed, weighed([cost >= worst, cost], supply.units), np.inf), supply, starts, rng
-        )
+        trial = alternated(np.where(allowed, weighed([cost >= worst, cost], supply.units), np.inf), supply, starts, rng)
         if max(cost[unit] for unit in trial) >= worst:
             return Choice(build, float(floor), worst - floor <= CLOSE * abs(worst))
         build = trial
@@ -187,28 +142,9 @@ def _sum(cost: np.ndarray, build: Build) -> float:
     return float(sum(cost[unit] for unit in build))
 
 
-def _copies(pieces: np.ndarray) -> np.ndarray:
-    """Each part as often as there are pieces."""
-    return np.repeat(np.arange(len(pieces)), pieces)
-
-
-def _assigned(cost: np.ndarray, supply: Supply) -> Build:
-    """Two slots, exactly; where both stocks are larger than the units, pieces left over go to stand-ins at no cost."""
-    rows, columns = map(_copies, supply.pieces)
-    full, units = cost[np.ix_(rows, columns)], supply.units
-    spare = len(rows) - units, len(columns) - units
-    if min(spare) > 0:
-        padded = np.zeros((len(rows) + spare[1], len(columns) + spare[0]))
-        padded[: len(rows), : len(columns)] = full
-        padded[len(rows) :, len(columns) :] = _beyond(np.append(full, 0.0), max(padded.shape))
-        full = padded
-    chosen = linear_sum_assignment(full)
-    return [(int(rows[i]), int(columns[j])) for i, j in zip(*chosen) if i < len(rows) and j < len(columns)]
-
-
 def _least_level(cost: np.ndarray, supply: Supply, levels: np.ndarray) -> float:
     """The least cost below which a plan exists."""
-    rows, columns = map(_copies, supply.pieces)
+    rows, columns = map(copies, supply.pieces)
     full = cost[np.ix_(rows, columns)]
     low, high = 0, len(levels) - 1
     while low < high:
@@ -291,134 +227,3 @@ def _proved(layers: Sequence[np.ndarray], supply: Supply, allowed: np.ndarray) -
     if counts is None:
         return None
     return [tuple(map(int, combos[k])) for k in np.flatnonzero(counts) for _ in range(counts[k])]
-
-
-def _alternated(cost: np.ndarray, supply: Supply, starts: int, rng: np.random.Generator) -> Build:
-    """All slots fixed but one, that one assigned exactly, in turn, until none improves; the best of several starts."""
-    best, least = None, np.inf
-    big = _beyond(cost, supply.units)
-    priced = np.where(np.isfinite(cost), cost, big)
-    for _ in range(starts):
-        places = _random_plan(supply, rng)
-        total, waiting = priced[tuple(places)].sum(), len(places)
-        for slot in itertools.cycle(range(len(places))):
-            left = supply.pieces[slot].copy()
-            for other in supply.slots(supply.group[slot]):
-                if other != slot:
-                    np.subtract.at(left, places[other], 1)
-            pool = _copies(left)
-            at = tuple(row[:, None] if k != slot else pool[None] for k, row in enumerate(places))
-            places[slot] = pool[linear_sum_assignment(priced[at])[1]]
-            now = priced[tuple(places)].sum()
-            waiting, total = (len(places) - 1, now) if now < total - 1e-15 * abs(total) else (waiting - 1, now)
-            if waiting <= 0:
-                break
-        if supply.shared:
-            places, total = _exchanged(priced, supply, places)
-        if total < least:
-            least, best = total, places.copy()
-    assert best is not None  # `starts` is at least 1 and every price is finite
-    return [tuple(map(int, unit)) for unit in best.T]
-
-
-def _beyond(cost: np.ndarray, units: int) -> float:
-    """A price that no plan pays if it need not."""
-    finite = cost[np.isfinite(cost)]
-    return float(finite.max() + (units + 1) * (np.ptp(finite) + 1e-9 * np.abs(finite).max() + 1e-300))
-
-
-def _random_plan(supply: Supply, rng: np.random.Generator) -> np.ndarray:
-    """Parts of each slot (slots, units)."""
-    places = np.empty((len(supply.shape), supply.units), int)
-    for group in set(supply.group):
-        slots = supply.slots(group)
-        pool = rng.permutation(_copies(supply.pieces[slots[0]]))
-        for number, slot in enumerate(slots):
-            places[slot] = pool[number * supply.units : (number + 1) * supply.units]
-    return places
-
-
-def _exchanged(cost: np.ndarray, supply: Supply, places: np.ndarray) -> tuple[np.ndarray, float]:
-    """Exchange parts of one stock between slots of any two units while that lowers the sum."""
-    units = supply.units
-    improved = True
-    while improved:
-        improved = False
-        for group in set(supply.group):
-            for first, second in itertools.combinations(supply.slots(group), 2):
-                for i in range(units):  # the part in `first` of unit i against that in `second` of each unit
-                    mine, theirs = places.copy(), places[:, [i]].repeat(units, axis=1)
-                    mine[second] = places[first, i]
-                    theirs[first] = places[second]
-                    theirs[second, i] = places[first, i]
-                    gain = cost[tuple(places)] + cost[tuple(places[:, i])] - cost[tuple(mine)] - cost[tuple(theirs)]
-                    gain[i] = cost[tuple(places[:, i])] - cost[tuple(theirs[:, i])]
-                    j = int(gain.argmax())
-                    if gain[j] > 1e-12 * abs(cost[tuple(places)]).max():
-                        places[first, i], places[second, j] = places[second, j], places[first, i]
-                        improved = True
-    return places, float(cost[tuple(places)].sum())
-
-
-def _lagrangian(cost: np.ndarray, supply: Supply, upper: float) -> float:
-    """No plan has a lower sum: all stocks but those of two slots are priced, these two assigned exactly.
-
-    Held, 1981: subgradient steps of Polyak's length towards the sum of the plan found.
-    """
-    pairs = list(itertools.combinations(range(len(supply.shape)), 2))
-    started = sorted(pairs, key=lambda pair: -next(_bounds(cost, supply, pair, upper)))
-    return max(max(itertools.islice(_bounds(cost, supply, pair, upper), ROUNDS)) for pair in started[:3])
-
-
-def _bounds(cost: np.ndarray, supply: Supply, pair: tuple[int, int], upper: float) -> Iterator[float]:
-    """Bounds from one pair of slots, round by round."""
-    kept = {supply.group[slot] for slot in pair if len(supply.slots(supply.group[slot])) == 1}
-    priced = [group for group in sorted(set(supply.group)) if group not in kept]
-    prices = {group: np.zeros(len(supply.pieces[supply.slots(group)[0]])) for group in priced}
-    others = tuple(slot for slot in range(len(supply.shape)) if slot not in pair)
-    allowed, best, pace = supply.allowed(), -np.inf, 1.0
-    reduced_cost = np.where(allowed, cost, np.inf)
-    while True:
-        total = reduced_cost.copy()
-        for group in priced:
-            for slot in supply.slots(group):
-                total += prices[group].reshape([-1 if k == slot else 1 for k in range(total.ndim)])
-        flat = np.moveaxis(total, (*pair, *others), range(total.ndim)).reshape(*(total.shape[k] for k in pair), -1)
-        least = flat.min(axis=2)
-        big = _beyond(least, supply.units)
-        two = Supply((supply.pieces[pair[0]], supply.pieces[pair[1]]), (0, 1), supply.units)
-        chosen = np.array(_assigned(np.where(np.isfinite(least), least, big), two))
-        bound = least[chosen[:, 0], chosen[:, 1]].sum()
-        used = {group: np.zeros(len(price)) for group, price in prices.items()}
-        rest = (
-            np.stack(
-                np.unravel_index(flat.argmin(axis=2)[chosen[:, 0], chosen[:, 1]], [total.shape[k] for k in others])
-            )
-            if others
-            else np.empty((0, len(chosen)), int)
-        )
-        for group in priced:
-            for slot in supply.slots(group):
-                places = chosen[:, pair.index(slot)] if slot in pair else rest[others.index(slot)]
-                np.add.at(used[group], places, 1)
-        over = {}
-        for group, price in prices.items():
-            pieces = supply.pieces[supply.slots(group)[0]]
-            bound -= price @ pieces
-            over[group] = used[group] - pieces
-            if pieces.sum() > supply.units * len(supply.slots(group)):  # some may be left over: no price below 0
-                over[group] = np.where((price <= 0) & (over[group] < 0), 0.0, over[group])
-        pace *= 0.97
-        if np.isfinite(bound):
-            best = max(best, bound)
-        yield best
-        norm = sum(float(one @ one) for one in over.values())
-        if norm == 0 or not np.isfinite(bound):
-            while True:
-                yield best
-        step = pace * max(upper - bound, 1e-12 * abs(upper)) / norm
-        for group, price in prices.items():
-            pieces = supply.pieces[supply.slots(group)[0]]
-            moved = price + step * over[group]
-            free = pieces.sum() == supply.units * len(supply.slots(group))
-            prices[group] = moved if free else np.maximum(moved, 0.0)

@@ -83,7 +83,7 @@ def in_order(orders: Sequence[np.ndarray], rows: Sequence[jax.Array], harmonics:
     present = [int(order) for part in orders for order in np.abs(part)]
     missing = [order for order in range(1, harmonics + 1) if order not in present]
     rows = [*rows, jnp.broadcast_to(absent, (len(missing), *absent.shape))]
-    return jnp.concatenate(rows)[np.argsort(present + missing)]
+    return jnp.concatenate(rows)[np.argsort(np.array(present + missing, int))]
 
 
 def resonance_distance(modal: ModalSector, frequency: jax.Array) -> jax.Array:

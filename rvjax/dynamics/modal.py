@@ -37,6 +37,8 @@ class ModalSector(NamedTuple):
 
 def modal_sectors(lumped: Lumped, keys: Sequence[Key]) -> dict[Key, ModalSector]:
     """The sectors of `keys` with their eigenvectors, all from one batched eigenproblem."""
+    if not keys:  # nothing that is excited moves what is asked for
+        return {}
     kinds = list(dict.fromkeys(kind for kind, _ in keys))
     first = [next(key for key in keys if key[0] == kind) for kind in kinds]
     scaled = []

@@ -1,0 +1,136 @@
+"""Plans of many slots: one slot after the other is assigned exactly; a Lagrangian bounds what any plan can reach."""
+
+import itertools
+from collections.abc import Iterator
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from rvjax.assembly.supply import Build, Supply, assigned, beyond, copies
+
+ROUNDS = 150  # of the Lagrangian
+
+
+def alternated(cost: np.ndarray, supply: Supply, starts: int, rng: np.random.Generator) -> Build:
+    """All slots fixed but one, that one assigned exactly, in turn, until none improves; the best of several starts."""
+    best, least = None, np.inf
+    big = beyond(cost, supply.units)
+    priced = np.where(np.isfinite(cost), cost, big)
+    for _ in range(starts):
+        places = _random_plan(supply, rng)
+        total, waiting = priced[tuple(places)].sum(), len(places)
+        for slot in itertools.cycle(range(len(places))):
+            left = supply.pieces[slot].copy()
+            for other in supply.slots(supply.group[slot]):
+                if other != slot:
+                    np.subtract.at(left, places[other], 1)
+            pool = copies(left)
+            at = tuple(row[:, None] if k != slot else pool[None] for k, row in enumerate(places))
+            places[slot] = pool[linear_sum_assignment(priced[at])[1]]
+            now = priced[tuple(places)].sum()
+            waiting, total = (len(places) - 1, now) if now < total - 1e-15 * abs(total) else (waiting - 1, now)
+            if waiting <= 0:
+                break
+        if supply.shared:
+            places, total = _exchanged(priced, supply, places)
+        if total < least:
+            least, best = total, places.copy()
+    assert best is not None  # `starts` is at least 1 and every price is finite
+    return [tuple(map(int, unit)) for unit in best.T]
+
+
+def _random_plan(supply: Supply, rng: np.random.Generator) -> np.ndarray:
+    """Parts of each slot (slots, units)."""
+    places = np.empty((len(supply.shape), supply.units), int)
+    for group in set(supply.group):
+        slots = supply.slots(group)
+        pool = rng.permutation(copies(supply.pieces[slots[0]]))
+        for number, slot in enumerate(slots):
+            places[slot] = pool[number * supply.units : (number + 1) * supply.units]
+    return places
+
+
+def _exchanged(cost: np.ndarray, supply: Supply, places: np.ndarray) -> tuple[np.ndarray, float]:
+    """Exchange parts of one stock between slots of any two units while that lowers the sum."""
+    units = supply.units
+    improved = True
+    while improved:
+        improved = False
+        for group in set(supply.group):
+            for first, second in itertools.combinations(supply.slots(group), 2):
+                for i in range(units):  # the part in `first` of unit i against that in `second` of each unit
+                    mine, theirs = places.copy(), places[:, [i]].repeat(units, axis=1)
+                    mine[second] = places[first, i]
+                    theirs[first] = places[second]
+                    theirs[second, i] = places[first, i]
+                    gain = cost[tuple(places)] + cost[tuple(places[:, i])] - cost[tuple(mine)] - cost[tuple(theirs)]
+                    gain[i] = cost[tuple(places[:, i])] - cost[tuple(theirs[:, i])]
+                    j = int(gain.argmax())
+                    if gain[j] > 1e-12 * abs(cost[tuple(places)]).max():
+                        places[first, i], places[second, j] = places[second, j], places[first, i]
+                        improved = True
+    return places, float(cost[tuple(places)].sum())
+
+
+def lagrangian(cost: np.ndarray, supply: Supply, upper: float) -> float:
+    """No plan has a lower sum: all stocks but those of two slots are priced, these two assigned exactly.
+
+    Held, 1981: subgradient steps of Polyak's length towards the sum of the plan found.
+    """
+    pairs = list(itertools.combinations(range(len(supply.shape)), 2))
+    started = sorted(pairs, key=lambda pair: -next(_bounds(cost, supply, pair, upper)))
+    return max(max(itertools.islice(_bounds(cost, supply, pair, upper), ROUNDS)) for pair in started[:3])
+
+
+def _bounds(cost: np.ndarray, supply: Supply, pair: tuple[int, int], upper: float) -> Iterator[float]:
+    """Bounds from one pair of slots, round by round."""
+    kept = {supply.group[slot] for slot in pair if len(supply.slots(supply.group[slot])) == 1}
+    priced = [group for group in sorted(set(supply.group)) if group not in kept]
+    prices = {group: np.zeros(len(supply.pieces[supply.slots(group)[0]])) for group in priced}
+    others = tuple(slot for slot in range(len(supply.shape)) if slot not in pair)
+    allowed, best, pace = supply.allowed(), -np.inf, 1.0
+    reduced_cost = np.where(allowed, cost, np.inf)
+    while True:
+        total = reduced_cost.copy()
+        for group in priced:
+            for slot in supply.slots(group):
+                total += prices[group].reshape([-1 if k == slot else 1 for k in range(total.ndim)])
+        flat = np.moveaxis(total, (*pair, *others), range(total.ndim)).reshape(*(total.shape[k] for k in pair), -1)
+        least = flat.min(axis=2)
+        big = beyond(least, supply.units)
+        two = Supply((supply.pieces[pair[0]], supply.pieces[pair[1]]), (0, 1), supply.units)
+        chosen = np.array(assigned(np.where(np.isfinite(least), least, big), two))
+        bound = least[chosen[:, 0], chosen[:, 1]].sum()
+        used = {group: np.zeros(len(price)) for group, price in prices.items()}
+        rest = (
+            np.stack(
+                np.unravel_index(flat.argmin(axis=2)[chosen[:, 0], chosen[:, 1]], [total.shape[k] for k in others])
+            )
+            if others
+            else np.empty((0, len(chosen)), int)
+        )
+        for group in priced:
+            for slot in supply.slots(group):
+                places = chosen[:, pair.index(slot)] if slot in pair else rest[others.index(slot)]
+                np.add.at(used[group], places, 1)
+        over = {}
+        for group, price in prices.items():
+            pieces = supply.pieces[supply.slots(group)[0]]
+            bound -= price @ pieces
+            over[group] = used[group] - pieces
+            if pieces.sum() > supply.units * len(supply.slots(group)):  # some may be left over: no price below 0
+                over[group] = np.where((price <= 0) & (over[group] < 0), 0.0, over[group])
+        pace *= 0.97
+        if np.isfinite(bound):
+            best = max(best, bound)
+        yield best
+        norm = sum(float(one @ one) for one in over.values())
+        if norm == 0 or not np.isfinite(bound):
+            while True:
+                yield best
+        step = pace * max(upper - bound, 1e-12 * abs(upper)) / norm
+        for group, price in prices.items():
+            pieces = supply.pieces[supply.slots(group)[0]]
+            moved = price + step * over[group]
+            free = pieces.sum() == supply.units * len(supply.slots(group))
+            prices[group] = moved if free else np.maximum(moved, 0.0)
