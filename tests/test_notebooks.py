@@ -27,7 +27,8 @@ def pictures(notebook):
     return sum("image/png" in output.get("data", {}) for output in outputs(notebook))
 
 
-LONG = ("05_dynamics", "09_loaded_reducer", "10_what_made_this_curve")  # half of the time; what they show, ledger and tests of the models have too
+# More than half of the time; what they show, the ledger and the tests of the models have too.
+LONG = ("05_dynamics", "09_loaded_reducer", "10_what_made_this_curve")
 RUN = [pytest.param(p, marks=pytest.mark.long) if p.stem in LONG else p for p in NOTEBOOKS]
 
 
