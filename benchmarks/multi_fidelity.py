@@ -1,6 +1,6 @@
 """What cheap responses spare, and whether the intervals hold: closed forms over many seeds.
 
-`python -m benchmarks.multi_fidelity` makes the table of the docs (about ten minutes on one core); `--only` a case alone,
+`python -m benchmarks.multi_fidelity` makes the table of the docs, in ten minutes on one core; `--only` a case alone,
 whose figures replace the kept ones.
 """
 

@@ -1,7 +1,7 @@
 """Control variates by regression: the mean of a dear figure from few units, that of its cheap prediction from many.
 
-With a prediction h, E f = E(f - h) + E h: the first mean needs units on which f is known and scatters as little as f - h
-does, the second needs none. h is a regression on the cheap values, fitted without the units that it is subtracted
+With a prediction h, E f = E(f - h) + E h: the first mean needs units on which f is known and scatters as little as
+f - h does, the second needs none. h is a regression on the cheap values, fitted without the units that it is subtracted
 from (in ten parts, each predicted by the other nine), so that no estimate is biased by its fit (Avramidis and Wilson
 1993, Oper. Res. 41, 540).
 """

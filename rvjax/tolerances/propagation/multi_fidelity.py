@@ -12,7 +12,7 @@ import numpy as np
 
 from rvjax.status import succeeded
 from rvjax.tolerances.population.correlation import Correlation
-from rvjax.tolerances.population.population import Population, drawn, root_key
+from rvjax.tolerances.population.population import Population, root_key
 from rvjax.tolerances.propagation.control_variates import Basis, Regressed, regressed
 from rvjax.tolerances.propagation.estimates import Estimate, deviate_of, wilson
 from rvjax.tolerances.propagation.figures import rejects
@@ -41,6 +41,7 @@ WORTH = 1.25
 WORTH_CHOOSING = 2.0
 """The same of a yield, expected: units that are chosen for it are lost to mean and standard deviation."""
 
+_FEWEST_CHOSEN = 10
 _APART = 0.9999  # confidence of a plain interval that a figure must not leave
 
 
@@ -118,8 +119,8 @@ def multi_fidelity(
 
     Args:
         response: pure function of the errors of one unit; a scalar, a dict or record of scalars, or `Outcome`.
-        cheap: a response that costs little, or a dict of them by any name; its value of the same name is used, or all its
-            values where it has none of that name. See `linearised`.
+        cheap: a response that costs little, or a dict of them by any name; its value of the same name is used, or
+            all its values where it has none of that name. See `linearised`.
         tolerances: record or dict with a `Tolerance` or None in each field.
         samples: units of the dear response, at least 20.
         cheap_samples: further units of the cheap responses, at least `samples`; a hundred times as many are well spent.
@@ -153,6 +154,7 @@ def multi_fidelity(
         raise ValueError("cheap: needs at least one response")
     units = _Units(response, levels, population, names, seed)
     near = int(chosen_share * samples) if required else 0
+    near = near if near >= _FEWEST_CHOSEN else 0
     study = _Study(units, required, samples, near, cheap_samples, seed, confidence)
     result = by_name(MultiFidelity, study.results())
     first = result.failed[names[0]] if isinstance(result.failed, dict) else result.failed
@@ -272,7 +274,7 @@ class _Study:
     def _expected_gain(self, passes: np.ndarray, probabilities: np.ndarray) -> float:
         share = float(passes.mean())
         units = share * (1 - share)
-        return (units / self.samples) / (expected_doubt(passes, probabilities) + units / self.cheap_samples)
+        return units / self.samples / (expected_doubt(passes, probabilities) + units / self.cheap_samples)
 
     def _figures(
         self,
@@ -333,7 +335,7 @@ class _Study:
     def _regressions(
         self, dear: np.ndarray, own: np.ndarray, fresh: np.ndarray, basis: Basis
     ) -> tuple[Regressed, Regressed]:
-        """Means of the deviation from the plain mean and of what its square adds to the plain one; 0 for plain units."""
+        """Means of the deviation from the plain mean, and of its square from the plain mean square."""
         good = ~np.isnan(dear)
         off = np.where(good, dear - dear[good].mean(), 0.0) / good.mean()
         square = np.where(good, (dear - dear[good].mean()) ** 2 - dear[good].var(), 0.0) / good.mean()

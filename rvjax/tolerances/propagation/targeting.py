@@ -1,9 +1,9 @@
 """The yield of a dear response from units near its limits: the cheap responses say which.
 
-What a unit far from the limits does, its cheap values tell nearly for certain; so dear units are spent where they are in
-doubt. Of many units with cheap values, each enters with a probability in proportion to the spread of its
-indicator (Neyman 1934), and the difference between indicator and predicted probability is averaged with the inverse
-of that probability (Cassel, Sarndal and Wretman 1976): unbiased whatever the prediction is worth.
+What a unit far from the limits does, its cheap values tell nearly for certain; so dear units are spent where there is
+doubt. Of many units with cheap values, each enters with a probability in proportion to the spread of its indicator
+(Neyman 1934), and the difference between indicator and predicted probability is averaged with the inverse of that
+probability (Cassel, Sarndal and Wretman 1976): unbiased whatever the prediction is worth.
 """
 
 import dataclasses
@@ -105,7 +105,7 @@ def inclusion(passes: list[np.ndarray], count: int) -> np.ndarray:
 
 
 def chosen(probabilities: np.ndarray, count: int, random: np.random.Generator) -> np.ndarray:
-    """`count` units, each with its probability, no unit twice: equal steps along a line in random order (Madow 1949)."""
+    """`count` units, each with its probability, none twice: equal steps along all in random order (Madow 1949)."""
     order = random.permutation(len(probabilities))
     ends = np.cumsum(probabilities[order])
     places = (random.random() + np.arange(count)) * (ends[-1] / count)
