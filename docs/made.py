@@ -292,9 +292,22 @@ def _coverage_intervals():
     return _table(["law, method", *names], rows)
 
 
+def _coverage_multi_fidelity():
+    kept = json.loads((Path(__file__).parents[1] / "benchmarks" / "multi_fidelity.json").read_text())
+    rows = []
+    for name, found in kept.items():
+        for figure in ("mean", "sd", "yield"):
+            of, case = found[figure], name.rpartition(",")[0] if figure == "mean" else ""
+            held = _percent(of["held"], found["seeds"]), _percent(of["lower end held"], found["seeds"], 0.975)
+            spared = f"{of['evaluations of plain for the same width']:.1f}"
+            rows.append((case, figure, *held, f"{of['bias, standard errors']:+.1f}", spared))
+    return _table(["response", "figure", "held, %", "lower end held, %", "off", "evaluations spared, times"], rows)
+
+
 TEXTS = {
     "conditions": _conditions,
     "coverage_intervals": _coverage_intervals,
+    "coverage_multi_fidelity": _coverage_multi_fidelity,
     "coverage_rare": _coverage_rare,
     "errors_cam_roller": lambda: _errors(CamRollerErrors),
     "errors_rv": lambda: _errors(RVErrors),

@@ -42,6 +42,7 @@ WORTH_CHOOSING = 2.0
 """The same of a yield, expected: units that are chosen for it are lost to mean and standard deviation."""
 
 _FEWEST_CHOSEN = 10
+_UNSEEN_SKEWNESS = 2.0  # of squares, times that of the sample
 _APART = 0.9999  # confidence of a plain interval that a figure must not leave
 
 
@@ -345,7 +346,10 @@ class _Study:
     def _sd(self, whole: CentralMoments, mean: Regressed, square: Regressed) -> Estimate:
         """From the mean square about the plain mean: less the square of how far that is off, on the average."""
         level = whole.s2 / whole.n - mean.value**2 + mean.variance
-        found = square.estimate(self.confidence, level + square.value)
+        # What is left of the squares is rare and large where the law is skewed; few units show half of that.
+        found = dataclasses.replace(square, skewness=_UNSEEN_SKEWNESS * square.skewness).estimate(
+            self.confidence, level + square.value
+        )
         sd = math.sqrt(max(0.0, found.value))
         error = found.error / (2 * sd) if sd > 0 else math.nan
         return Estimate(sd, error, math.sqrt(max(0.0, found.lower)), math.sqrt(max(0.0, found.upper)))
