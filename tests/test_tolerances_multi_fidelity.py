@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from rvjax.records import Record, field, record
 from rvjax.status import Status
 from rvjax.tolerances import (
     MeanWithin,
@@ -221,6 +222,18 @@ def test_linearised_is_the_series_at_the_mean_errors():
     assert (first["y"], first["k"]) == pytest.approx((4 + 4 * 0.5 + 0.1, 3.0))
     assert second["y"] == pytest.approx(4 + 2 + 0.25 + 0.1)  # no mixed terms; sin has no curvature at 0
     assert linearised(of, shifted)(sample(shifted, 0, seed=0))["y"].shape == ()
+
+
+def test_a_linearised_response_keeps_the_order_of_a_record():
+    """Fields of a record do not stand in alphabetical order, also not after they went into a program."""
+
+    @record
+    class Pair(Record):
+        z: float = field("m", "first")
+        a: float = field("m", "second")
+
+    of = linearised(lambda e: 3 * e.z - e.a, Pair(Tolerance.symmetric(1.0), Tolerance.symmetric(1.0)))
+    assert float(jax.jit(lambda of, e: of(e))(of, Pair(2.0, 1.0))) == pytest.approx(5.0)
 
 
 def test_the_peak_of_a_linearised_curve_keeps_its_kink():

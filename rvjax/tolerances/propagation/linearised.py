@@ -23,7 +23,8 @@ class Linearised(Record):
     value: Any = field("-", "numbers or arrays at the mean errors, as the response gives them", kind="record")
     slope: Any = field("-", "their derivatives to all active elements, the last axis", kind="record")
     curvature: Any = field("-", "their second derivatives to each element alone, like `slope`; or None", kind="record")
-    mean: Any = field("-", "{field: mean error of each element}", kind="record")
+    mean: Any = field("-", "mean error of each active element", shape=("elements",))
+    fields: tuple[str, ...] = text("names of the active fields, in the order of their elements")
     then: Any = text("function of the values; None for themselves", default=None)
 
     def __call__(self, errors: Any) -> PyTree:
@@ -34,7 +35,7 @@ class Linearised(Record):
         """
         leaves = jax.tree_util.tree_flatten_with_path(errors)[0]
         given = {jax.tree_util.keystr(path, simple=True, separator="."): leaf for path, leaf in leaves}
-        d = jnp.concatenate([jnp.ravel(given[name] - mean) for name, mean in self.mean.items()])
+        d = jnp.concatenate([jnp.ravel(jnp.asarray(given[name])) for name in self.fields]) - self.mean
         found = jax.tree.map(lambda value, slope: value + slope @ d, self.value, self.slope)
         if self.curvature is not None:
             found = jax.tree.map(lambda value, bent: value + bent @ (d * d) / 2, found, self.curvature)
@@ -77,7 +78,7 @@ def linearised(
     for what, tree in (("value", value), ("derivative", slope), ("second derivative", bent)):
         if not all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(tree)):
             raise ValueError(f"response: {what} at the mean errors is not finite, no place to linearise")
-    return Linearised(value, slope, bent, {n: jnp.asarray(m, flat.dtype) for n, m in means.items()}, then)
+    return Linearised(value, slope, bent, flat, tuple(population.active), then)
 
 
 @per_response(static=("curvature",))
