@@ -420,6 +420,18 @@ def _end_of_line():
     )
 
 
+def _coverage_multi_fidelity():
+    kept = _kept("multi_fidelity")
+    rows = []
+    for name, found in kept.items():
+        for figure in ("mean", "sd", "yield"):
+            of, case = found[figure], name.rpartition(",")[0] if figure == "mean" else ""
+            held = _percent(of["held"], found["seeds"]), _percent(of["lower end held"], found["seeds"], 0.975)
+            spared = f"{of['evaluations of plain for the same width']:.1f}"
+            rows.append((case, figure, *held, f"{of['bias, standard errors']:+.1f}", spared))
+    return _table(["response", "figure", "held, %", "lower end held, %", "off", "evaluations spared, times"], rows)
+
+
 TEXTS = {
     "assembly_gauge": _assembly_gauge,
     "assembly_levers": _assembly_levers,
@@ -427,6 +439,7 @@ TEXTS = {
     "end_of_line": _end_of_line,
     "conditions": _conditions,
     "coverage_intervals": _coverage_intervals,
+    "coverage_multi_fidelity": _coverage_multi_fidelity,
     "coverage_rare": _coverage_rare,
     "errors_cam_roller": lambda: _errors(CamRollerErrors),
     "errors_rv": lambda: _errors(RVErrors),

@@ -14,7 +14,9 @@ from rvjax.tolerances.distribution.tolerance import Tolerance
 from rvjax.tolerances.population.sampling import for_design, sample
 from rvjax.tolerances.propagation.estimates import Estimate
 from rvjax.tolerances.propagation.failure import FailureProbability, failure_probability
+from rvjax.tolerances.propagation.linearised import Linearised, linearised
 from rvjax.tolerances.propagation.monte_carlo import Statistics, monte_carlo
+from rvjax.tolerances.propagation.multi_fidelity import MultiFidelity, multi_fidelity
 from rvjax.tolerances.propagation.requirements import (
     CpkAtLeast,
     MeanWithin,
@@ -36,9 +38,11 @@ __all__ = [
     "Estimate",
     "Exponential",
     "FailureProbability",
+    "Linearised",
     "MeanWithin",
     "Middle",
     "Moments",
+    "MultiFidelity",
     "Origin",
     "Outcome",
     "ReciprocalPower",
@@ -56,8 +60,10 @@ __all__ = [
     "failure_probability",
     "for_design",
     "it_width",
+    "linearised",
     "load",
     "monte_carlo",
+    "multi_fidelity",
     "origin",
     "rss",
     "sample",
