@@ -112,6 +112,16 @@ def test_allocate_writes_tables_and_pictures(answered):
     assert sorted(p.name for p in out.parent.iterdir()) == ["out", "small.toml"]  # no scratch folder is left
 
 
+def test_an_answer_is_read_in_the_unit_that_was_asked(answers, answered, here):
+    asked = SMALL.replace('upper = "1 arcmin"', 'upper = "60 arcsec"', 1)
+    old = answers[SMALL]
+    found = dataclasses.replace(old, study=rvjax.study.parse_study(asked, name="x", solve=False))
+    before, after = text.summary(old), text.summary(found)
+    assert "<= 60 arcsec" in after and "/arcsec" in after and "<= 60 arcsec" not in before
+    slopes = [float(re.search(r"crank_phase +([\d.]+) arc", words).group(1)) for words in (before, after)]
+    assert slopes[1] == pytest.approx(60 * slopes[0], abs=0.006)
+
+
 def test_infeasible_requirements_are_refused_with_the_shortfall(here, capsys):
     text = SMALL.replace('upper = "1 arcmin"', 'upper = "0.2 arcmin"')
     (here / "hard.toml").write_text(text)

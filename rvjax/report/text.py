@@ -18,6 +18,7 @@ import rvjax
 from rvjax.published import Comparison, show
 from rvjax.report.pictures import pictures
 from rvjax.study.answer import Answer
+from rvjax.study.question import Study
 from rvjax.tolerances import Estimate, Verdict
 from rvjax.units import readable
 
@@ -118,9 +119,16 @@ def influence_rows(answer: Answer) -> tuple[list[str], list[list[str]]]:
             if slope == 0 and share == 0:
                 row += [UNMOVED, "-"]
             else:
-                row += [f"{slope * error_size / size:.4f} {unit}/{error_unit}", f"{100 * share:.1f} %"]
+                number = f"{slope * error_size / size:.{_decimals(study, name)}f}"
+                row += [f"{number} {unit}/{error_unit}", f"{100 * share:.1f} %"]
         rows.append(row)
     return headers, rows
+
+
+def _decimals(study: Study, name: str) -> int:
+    """Four in the usual unit of a response; in another unit that was asked for, as many as tell the same."""
+    output = study.output(name)
+    return max(2, 4 + round(math.log10(output.shown[1] / readable(output.unit)[1])))
 
 
 def figure_text(verdict: Verdict, unit: str, size: float) -> str:

@@ -31,6 +31,7 @@ class Study:
         joint_target: share of units that must meet all requirements at once; None: each has a target of its own.
         accuracy: largest error of computation allowed, by response name; without one the conditions decide.
         middles: ranges in which the limits of an error may move as a whole, by name.
+        read_in: unit in which a response is reported, by its name: that of its limit; without one the usual one.
     """
 
     name: str
@@ -46,6 +47,7 @@ class Study:
     joint_target: float | None = None
     accuracy: dict[str, float] = dataclasses.field(default_factory=dict)
     middles: dict[str, Middle] = dataclasses.field(default_factory=dict)
+    read_in: dict[str, str] = dataclasses.field(default_factory=dict)
 
     def response(self) -> Response:
         """errors -> Outcome of the responses that the requirements name."""
@@ -97,8 +99,9 @@ class Study:
         return models.kind(self.design).curve(tuple(self.requirements))
 
     def output(self, name: str) -> Output:
-        """What a response of this study is."""
-        return models.kind(self.design).outputs[name]
+        """What a response of this study is, read in the unit that its limit is written in."""
+        output = models.kind(self.design).outputs[name]
+        return dataclasses.replace(output, read_in=self.read_in.get(name, output.read_in))
 
 
 class StudyError(ValueError):

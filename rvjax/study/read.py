@@ -19,6 +19,7 @@ from rvjax.tolerances.allocation.allocation import FEWEST
 from rvjax.tolerances.allocation.middles import check_middles
 from rvjax.tolerances.distribution.tolerance import COMMON, LAWS
 from rvjax.tolerances.propagation.requirements import KINDS
+from rvjax.units import unit_of
 
 COSTS: dict[str, Any] = {"reciprocal_power": ReciprocalPower, "exponential": Exponential}
 EMBEDDED = resources.files("rvjax.study") / "embedded"
@@ -38,7 +39,7 @@ def load(source: str, *, solve: bool = True) -> Study:
     path = Path(source)
     if path.suffix == ".toml":
         try:
-            text = path.read_text("utf-8")
+            text = path.read_text("utf-8-sig")  # Windows puts a byte order mark there
         except FileNotFoundError:
             raise FileNotFoundError(f"{source}: no such study file") from None
         except (OSError, UnicodeDecodeError) as error:
@@ -83,7 +84,8 @@ def parse_study(text: str, *, name: str, folder: Path = Path(), solve: bool = Tr
         run = subtable(tables, "run")
         known(run, {"seed", "samples", "certificate_samples", "joint_target"}, "run")
         kind = models.kind(design)
-        requirements = _requirements(kind.outputs, subtable(tables, "requirement"))
+        asked = subtable(tables, "requirement")
+        requirements = _requirements(kind.outputs, asked)
         study = Study(
             name=name,
             text=text,
@@ -92,6 +94,7 @@ def parse_study(text: str, *, name: str, folder: Path = Path(), solve: bool = Tr
             tolerances=tolerances,
             costs=costs,
             requirements=requirements,
+            read_in=_read_in(kind.outputs, asked),
             accuracy=_accuracy(kind.outputs, requirements, subtable(tables, "accuracy")),
             middles=_middles(error_record, tolerances, subtable(tables, "middle")),
             seed=integer(run.get("seed", 0), "run.seed", 0, 2**32 - 1),
@@ -256,3 +259,14 @@ def _requirements(outputs: Mapping[str, Output], table: dict[str, Any]) -> dict[
         with naming_field(where):
             requirements[response] = kinds[0](**values)
     return requirements
+
+
+def _read_in(outputs: Mapping[str, Output], table: dict[str, Any]) -> dict[str, str]:
+    """The unit of the first limit of each response; limits are texts with units, they have been read before."""
+    asked = {}
+    for name, entry in table.items():
+        response = entry.get("response", name)
+        limits = (entry[key] for key in entry if any(key in kind.limit_keys() for kind in KINDS))
+        if (unit := outputs[response].unit) != "-":
+            asked[response] = unit_of(next(limits), unit)
+    return asked
