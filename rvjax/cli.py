@@ -252,7 +252,7 @@ def _reproduce(options: argparse.Namespace) -> int:
     from rvjax import published
     from rvjax.report import text
 
-    rows = published.reproduce()
+    rows = published.reproduce(say=lambda text: print(text, file=sys.stderr, flush=True))
     if options.json:
         print(json.dumps([row.as_json() for row in rows], indent=1, allow_nan=False))
     else:

@@ -56,7 +56,19 @@ def comparison_table(rows: Sequence[Comparison], *, notes: bool = False) -> str:
             lines.append(f"    {row.claim}" + (f" -- {row.note}" if row.note else ""))
     verdicts = sorted({row.status for row in rows})
     counts = ", ".join(f"{sum(row.status == verdict for row in rows)} {verdict}" for verdict in verdicts)
-    return "\n".join([*lines, "", f"{len(rows)} figures: {counts}"])
+    return "\n".join([*lines, "", f"{len(rows)} figures: {counts}", *_whose_error(rows)])
+
+
+def _whose_error(rows: Sequence[Comparison]) -> list[str]:
+    """Of contradicted figures, for a reader who takes them for errors of this package."""
+    wrong = [row.id.split(".")[0] for row in rows if row.status == "contradicted"]
+    if not wrong:
+        return []
+    sources = ", ".join(f"{wrong.count(source)} in {source}" for source in dict.fromkeys(wrong))
+    return [
+        f"contradicted: the error is the source's ({sources}), not that of rvjax: such a figure cannot stand beside "
+        "the source's own numbers, geometry or equilibrium; --notes names what each of them contradicts"
+    ]
 
 
 def tolerance_text(tolerance: Any, unit: str) -> str:
