@@ -15,6 +15,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax.brief import brief
+
 Array = jax.Array
 Scalar = float | Array | np.ndarray  # one number; under `jax.vmap` and in a stack of records one for each case
 PyTree = Any  # numbers nested in a way that types cannot say
@@ -80,6 +82,9 @@ class Record:
                 raise ValueError(f"{type(self).__name__} has no field {name!r}; it has {', '.join(sorted(known))}")
         return dataclasses.replace(self, **changes)  # type: ignore[type-var]
 
+    def __repr__(self) -> str:
+        return brief(self)
+
     def __post_init__(self) -> None:
         for f in dataclasses.fields(self):  # type: ignore[arg-type]
             object.__setattr__(self, f.name, _checked(type(self).__name__, f, getattr(self, f.name)))
@@ -96,7 +101,7 @@ def record(cls: Class) -> Class:
 
     The table of fields (name, unit, shape, meaning) is appended to the class docstring.
     """
-    made: Any = dataclasses.dataclass(frozen=True, eq=False)(cls)
+    made: Any = dataclasses.dataclass(frozen=True, eq=False, repr=False)(cls)
     fields = dataclasses.fields(made)
     static = tuple(f.name for f in fields if f.metadata["kind"] in ("count", "text"))
     traced = tuple(f.name for f in fields if f.name not in static)

@@ -92,6 +92,17 @@ def unit_of(value: str, unit: str) -> str:
     return _spelled(found[2]) if found else unit
 
 
+def suited(value: float, unit: str) -> tuple[str, float]:
+    """Name and SI size of the largest unit in which a value is at least one, else of the smallest there is.
+
+    Args:
+        value: SI.
+        unit: its SI unit.
+    """
+    sizes = sorted(KNOWN.get(unit, {unit: 1.0}).items(), key=lambda item: -item[1])
+    return next((item for item in sizes if abs(value) >= item[1]), sizes[-1])
+
+
 def readable(unit: str, read_in: str | None = None) -> tuple[str, float]:
     """Name and SI size of the unit in which a person reads errors and responses given in `unit`.
 
