@@ -150,7 +150,7 @@ def test_a_record_reads_as_one_short_line_with_units():
         "TransmissionError(error=12.4 arcsec, per_disc=(2,) -0.5 .. 1.5 arcmin, misfit=(2,) 2 mm, 1 nan, "
         "info=SolveInfo(CONVERGED, steps=3, residual=1e-17))"
     )
-    stacked = jax.vmap(lambda s: rvjax.SolveInfo(s, 0, 0.0 * s))(jnp.array([4, 0, 0, 77]))
+    stacked = jax.vmap(lambda s: rvjax.SolveInfo(s))(jnp.array([4, 0, 0, 77]))
     stacked = stacked.replace(steps=0, residual=0.0)
     assert repr(stacked) == "SolveInfo(2 CONVERGED, 1 SINGULAR, 1 77, steps=0, residual=0)"
     assert repr(catalogue.CORR).startswith("CamRollerReducer(gear_teeth=25, cam_radius=")

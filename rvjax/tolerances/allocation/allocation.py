@@ -127,17 +127,19 @@ def allocate(
     start = np.array([float(population.active[name].half_width) for name in priced])
     training = Training(response, population, tuple(priced), required, joint_target, samples, seed)
     moving = 0.0
-    if middles:
-        training, moving = centred(training, priced, max_steps, start, middles)
-    drawn = certificate_samples, seed, BLOCK
-    run = Run(response, training.population, names, required, *drawn, confidence=confidence, progress=progress)
-    certifier = Certifier(run, joint_target)
-    search = Search(training, priced, max_steps)
-    if (training.margins(search.low) <= 0).all():
-        with progress_bar(progress, None, "allocation", "step") as search.advance:
-            found = _cheapest(search, certifier, start)
-    else:
-        found = _finest(search, certifier)
+    with progress_bar(progress, None, "searching", "step") as advance:
+        if middles:
+            training, moving = centred(training, priced, max_steps, start, middles, advance)
+        drawn = certificate_samples, seed, BLOCK
+        run = Run(
+            response, training.population, names, required, *drawn, confidence=confidence, progress=progress,
+            label="certifying",
+        )  # fmt: skip
+        certifier = Certifier(run, joint_target)
+        search = Search(training, priced, max_steps, advance)
+        possible = (training.margins(search.low) <= 0).all()
+        advance(0)
+        found = _cheapest(search, certifier, start) if possible else _finest(search, certifier)
     result = _result(search, found, names, start, moving)
     if not grades or not result.feasible:
         return unwrapped(result)
