@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax import tables
 from rvjax.records import Record
 from rvjax.tolerances.allocation.certificate import Certifier
 from rvjax.tolerances.allocation.cost import Cost
@@ -67,6 +68,22 @@ class Allocation:
     grades: dict[str, str] | None
     graded: "Allocation | None"
     history: list[dict[str, Any]]
+
+    def to_pandas(self) -> Any:
+        """A `pandas.DataFrame`, SI: limits, half-width, cost and grade of each field that has a cost."""
+        active = Population.of(self.tolerances, None).active
+        rows = [
+            {
+                "field": name,
+                "lower": float(active[name].lower),
+                "upper": float(active[name].upper),
+                "half_width": half_width,
+                "cost": self.costs[name],
+                "grade": (self.grades or {}).get(name),
+            }
+            for name, half_width in self.half_widths.items()
+        ]
+        return tables.tidy(rows, ["field"])
 
 
 def allocate(
