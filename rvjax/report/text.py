@@ -16,6 +16,7 @@ import numpy as np
 
 import rvjax
 from rvjax.published import Comparison, show
+from rvjax.report import numbers
 from rvjax.report.pictures import pictures
 from rvjax.study.answer import Answer
 from rvjax.study.question import Study
@@ -282,12 +283,7 @@ def write(answer: Answer, folder: Path) -> Path:
         (scratch / "study.toml").write_text(answer.study.text, "utf-8")
         (scratch / "summary.txt").write_text(summary(answer) + "\n", "utf-8")
         (scratch / "result.json").write_text(json.dumps(as_json(answer), indent=1, allow_nan=False), "utf-8")
-        for name, rows in (
-            ("tolerances", tolerance_rows),
-            ("influence", influence_rows),
-            ("requirements", requirement_rows),
-        ):
-            headers, cells = rows(answer)
+        for name, (headers, cells) in numbers.tables(answer):
             with (scratch / f"{name}.csv").open("w", encoding="utf-8", newline="") as file:
                 csv.writer(file, lineterminator="\n").writerows([headers, *cells])
         for picture in pictures(answer):
@@ -319,9 +315,9 @@ def as_json(answer: Answer) -> dict[str, Any]:
         "tolerances": {
             field: {
                 "unit": study.unit(field),
-                "before": _limits(getattr(study.tolerances, field)),
-                "after": _limits(getattr(allocation.tolerances, field)),
-                "graded": _limits(getattr(graded.tolerances, field)) if graded else None,
+                "before": limits(getattr(study.tolerances, field)),
+                "after": limits(getattr(allocation.tolerances, field)),
+                "graded": limits(getattr(graded.tolerances, field)) if graded else None,
             }
             for field in study.fields
         },
@@ -350,6 +346,7 @@ def plain(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _limits(tolerance: Any) -> dict[str, Any]:
+def limits(tolerance: Any) -> dict[str, Any]:
+    """Limits and law of a tolerance as JSON values, in the unit of the error."""
     lower, upper, cp, shift = (float(getattr(tolerance, name)) for name in ("lower", "upper", "cp", "shift"))
     return {"lower": lower, "upper": upper, "distribution": tolerance.distribution, "cp": cp, "shift": shift}
