@@ -68,7 +68,8 @@ def frame(record: Any, batch: Sequence[str] = (), along: str | None = None) -> A
         values = np.broadcast_to(values, (*(sizes.get(dim, 1) for dim in rows), *values.shape[len(rows) :]))
         for place in itertools.product(*(range(sizes[dim]) for dim in own)):
             name = f"{column.name}[{','.join(map(str, place))}]" if place else column.name
-            found[name], units[name] = values[(..., *place)].ravel(), column.unit
+            at: Any = (..., *place)
+            found[name], units[name] = values[at].ravel(), column.unit
     index = None
     if rows:
         index = pandas.MultiIndex.from_product([range(sizes.get(dim, 1)) for dim in rows], names=rows)
