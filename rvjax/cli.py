@@ -12,7 +12,7 @@ import sys
 import threading
 import time
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -145,10 +145,18 @@ def _check(options: argparse.Namespace) -> int:
 
     _check_files(options, picture=".png")
     question = study.load(options.study, solve=False)
-    _say(check.checked(question))
+    _tell(options, lambda: check.checked(question), lambda: check.as_json(question))
     if options.picture:
         check.drawn(question, options.picture)
     return EXIT_OK
+
+
+def _tell(options: argparse.Namespace, text: Callable[[], str], data: Callable[[], dict[str, Any]]) -> None:
+    """The result on standard output, as the option asks: for a person, or as one JSON object and nothing else."""
+    if options.format == "json":
+        print(json.dumps(data(), indent=1, allow_nan=False))
+    else:
+        _say(text())
 
 
 def _forewarn(question: Any) -> None:
@@ -173,9 +181,10 @@ def _allocate(options: argparse.Namespace) -> int:
     check_writable(folder)
     _forewarn(question)
     found = answer(question, progress=not options.quiet)
-    _say(text.summary(found))
+    if options.format == "text":  # before the folder is made: whatever fails there, the answer has been told
+        _say(text.summary(found))
     folder = text.write(found, folder)
-    _say(f"\nResults: {folder}")
+    _tell(options, lambda: f"\nResults: {folder}", lambda: text.as_json(found) | {"results": str(folder)})
     return EXIT_OK if found.allocation.status == "OPTIMAL" else EXIT_NO_ANSWER
 
 
@@ -233,8 +242,8 @@ def _montecarlo(options: argparse.Namespace) -> int:
         found = batch.run_in_processes(options.command, options.processes, text=question.text)
     seconds = time.perf_counter() - started
     written.write(found, question, options.study, figures=options.json, samples=options.save)
-    _say(written.summary(found, question))
-    print(f"\n{seconds:.1f} s, start and compilation included")
+    after = f"\n\n{seconds:.1f} s, start and compilation included"
+    _tell(options, lambda: written.summary(found, question) + after, lambda: written.as_json(found, question))
     return EXIT_OK
 
 
@@ -283,7 +292,7 @@ def _reproduce(options: argparse.Namespace) -> int:
     from rvjax import published
     from rvjax.report import text
 
-    rows = published.reproduce()
+    rows = published.reproduce(say=lambda text: print(text, file=sys.stderr, flush=True))
     if options.json:
         print(json.dumps([row.as_json() for row in rows], indent=1, allow_nan=False))
     else:
@@ -301,12 +310,12 @@ def _tradeoff(options: argparse.Namespace) -> int:
         seed=options.seed,
         say=lambda name: print(f"measuring {name}", file=sys.stderr, flush=True),
     )
-    print(levels.report(table))
+    after = f"\n\n{time.perf_counter() - started:.1f} s, compilation included"
+    _tell(options, lambda: levels.report(table) + after, table.as_json)
     if options.json:
         table.save(options.json)
     if options.picture:
         plotting.tradeoff(table).savefig(options.picture)
-    print(f"\n{time.perf_counter() - started:.1f} s, compilation included")
     return EXIT_OK
 
 

@@ -262,3 +262,19 @@ class CamRollerReducer(Record):
             raise ValueError(
                 f"CamRollerReducer.poisson_ratio = {quantity(self.poisson_ratio, '-')}: must lie between -1 and 1"
             )
+
+
+def expect(design: object, where: str, *kinds: type) -> None:
+    """Refuse a design of another kind than a function takes; the class decides, so that a compiled call pays nothing.
+
+    Args:
+        design: as given.
+        where: the function, for the message.
+        *kinds: classes that it takes.
+
+    Raises:
+        ValueError: names both kinds.
+    """
+    if not isinstance(design, kinds):
+        wanted = " or ".join(kind.__name__ for kind in kinds)
+        raise ValueError(f"{where}: takes a design of kind {wanted}, got {type(design).__name__}")

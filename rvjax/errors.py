@@ -6,7 +6,7 @@ model to a field it does not read is exactly zero.
 
 from typing import Any, Self
 
-from rvjax.designs import CamRollerReducer, RVReducer
+from rvjax.designs import CamRollerReducer, RVReducer, expect
 from rvjax.records import Record, broadcast_fields, field, record
 
 
@@ -109,6 +109,7 @@ class RVErrors(Record):
         Raises:
             ValueError: unknown field, or a shape that does not fit the design.
         """
+        expect(design, "RVErrors.for_design", RVReducer)
         full = broadcast_fields(cls, design.counts, errors)
         return cls(**full | {name: 0.0 for name in PLACED if name not in errors})
 
@@ -148,4 +149,5 @@ class CamRollerErrors(Record):
         Raises:
             ValueError: unknown field, or a shape that does not fit the design.
         """
+        expect(design, "CamRollerErrors.for_design", CamRollerReducer)
         return cls(**broadcast_fields(cls, design.counts, errors))

@@ -69,7 +69,7 @@ class Output:
     @property
     def shown(self) -> tuple[str, float]:
         """Name and SI size of the unit in which a person reads it."""
-        return readable(self.unit) if self.read_in is None else (self.read_in, KNOWN[self.unit][self.read_in])
+        return readable(self.unit, self.read_in)
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax import tables
+from rvjax.brief import brief
+
 Array = jax.Array
 Scalar = float | Array | np.ndarray  # one number; under `jax.vmap` and in a stack of records one for each case
 PyTree = Any  # numbers nested in a way that types cannot say
@@ -81,6 +84,34 @@ class Record:
                 raise ValueError(f"{type(self).__name__} has no field {name!r}; it has {', '.join(sorted(known))}")
         return dataclasses.replace(self, **changes)  # type: ignore[type-var]
 
+    def to_pandas(self, batch: tuple[str, ...] = (), *, along: str | None = None) -> Any:
+        """A `pandas.DataFrame`, SI: one row for each unit, one column for each number; units in `attrs["units"]`.
+
+        Args:
+            batch: names of the leading axes that `jax.vmap` made, such as ("unit",); they index the rows.
+            along: an axis of fields, such as "angle": one row for each of its elements, with the fields that have it.
+
+        Raises:
+            ImportError: pandas is not installed.
+            ValueError: axes that are not named, or `along` is none.
+        """
+        return tables.frame(self, batch, along)
+
+    def to_xarray(self, batch: tuple[str, ...] = ()) -> Any:
+        """An `xarray.Dataset`, SI: axes such as unit, angle, disc, crank, pin; unit and meaning in the attributes.
+
+        Args:
+            batch: names of the leading axes that `jax.vmap` made, such as ("unit",).
+
+        Raises:
+            ImportError: xarray is not installed.
+            ValueError: axes that are not named.
+        """
+        return tables.data_set(self, batch)
+
+    def __repr__(self) -> str:
+        return brief(self)
+
     def __post_init__(self) -> None:
         for f in dataclasses.fields(self):  # type: ignore[arg-type]
             object.__setattr__(self, f.name, _checked(type(self).__name__, f, getattr(self, f.name)))
@@ -97,7 +128,7 @@ def record(cls: Class) -> Class:
 
     The table of fields (name, unit, shape, meaning) is appended to the class docstring.
     """
-    made: Any = dataclasses.dataclass(frozen=True, eq=False)(cls)
+    made: Any = dataclasses.dataclass(frozen=True, eq=False, repr=False)(cls)
     fields = dataclasses.fields(made)
     static = tuple(f.name for f in fields if f.metadata["kind"] in ("count", "text"))
     traced = tuple(f.name for f in fields if f.name not in static)

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax.brief import numbers_of, value_text
 from rvjax.records import Array, PyTree, Record, field, record
 
 Result = TypeVar("Result")
@@ -90,6 +91,16 @@ class SolveInfo(Record):
     status: Array = field("-", "a Status value", kind="integer")
     steps: Array = field("-", "iterations taken (0 for closed forms)", default=0, kind="integer")
     residual: Array = field("-", "size of what the solver drives to zero, at the result", default=0.0)
+
+    def __repr__(self) -> str:
+        lanes = numbers_of(self.status)
+        if lanes is None:
+            return super().__repr__()
+        found = [(s, int((lanes == s).sum())) for s in np.unique(lanes)]
+        names = {int(status): status.name for status in Status}
+        status = ", ".join((f"{count} " if lanes.ndim else "") + names.get(s, str(s)) for s, count in found)
+        steps, residual = value_text(self.steps, "-"), value_text(self.residual, "-")
+        return f"SolveInfo({status}, steps={steps}, residual={residual})"
 
 
 class SolveError(RuntimeError):

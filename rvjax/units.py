@@ -82,7 +82,35 @@ def parse(value: Any, unit: str) -> float:
     return result * units[name]
 
 
-def readable(unit: str) -> tuple[str, float]:
-    """Name and SI size of the unit in which a person reads errors and responses given in `unit`."""
-    name = READ_IN.get(unit, unit)
+def unit_of(value: str, unit: str) -> str:
+    """The unit that a text was written in, as this module spells it.
+
+    Args:
+        value: text that `parse` takes.
+        unit: SI unit that is expected, not "-".
+    """
+    parse(value, unit)
+    found = _NUMBER_AND_UNIT.fullmatch(value.strip())
+    return _spelled(found[2]) if found else unit
+
+
+def suited(value: float, unit: str) -> tuple[str, float]:
+    """Name and SI size of the largest unit in which a value is at least one, else of the smallest there is.
+
+    Args:
+        value: SI.
+        unit: its SI unit.
+    """
+    sizes = sorted(KNOWN.get(unit, {unit: 1.0}).items(), key=lambda item: -item[1])
+    return next((item for item in sizes if abs(value) >= item[1]), sizes[-1])
+
+
+def readable(unit: str, read_in: str | None = None) -> tuple[str, float]:
+    """Name and SI size of the unit in which a person reads errors and responses given in `unit`.
+
+    Args:
+        unit: SI.
+        read_in: another unit that was asked for; None: the usual one.
+    """
+    name = READ_IN.get(unit, unit) if read_in is None else read_in
     return name, KNOWN.get(unit, {}).get(name, 1.0)

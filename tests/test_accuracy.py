@@ -5,6 +5,7 @@ units, designs and accuracies that the stored table never saw.
 """
 
 import dataclasses
+import json
 import math
 from functools import partial
 
@@ -255,6 +256,8 @@ def test_the_command_prints_writes_and_draws(tmp_path, monkeypatch, capsys):
     assert cli.main(["tradeoff", "--full", "--json", str(files[0]), "--picture", str(files[1])]) == 0
     assert Table.load(files[0]).models["m"].level("rough") == ROUGH and files[1].stat().st_size > 1000
     assert "Take for an error below" in capsys.readouterr().out
+    assert cli.main(["tradeoff", "--format", "json"]) == 0
+    assert json.loads(capsys.readouterr().out) == json.loads(files[0].read_text())
     assert cli.main(["tradeoff", "--json", str(tmp_path / "t.txt")]) == 2
     assert "must end with .json" in capsys.readouterr().err
 

@@ -1,5 +1,6 @@
 """Before anything is computed: what cannot be is refused, what is far from known reducers is said, the rest told."""
 
+import json
 import tomllib
 from importlib import resources
 
@@ -115,6 +116,13 @@ def test_commands(tmp_path, monkeypatch, capsys):
         assert words in said
     assert (tmp_path / "mine.png").stat().st_size > 10_000
     assert cli.main(["check", "corr", "--picture", "mine.png"]) == 2
+    capsys.readouterr()
+    assert cli.main(["check", "mine.toml", "--format", "json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["facts"]["ratio"] == "153" and told["numbers"]["cycloid.eccentricity"]["unit"] == "m"
+    assert told["conditions"]["output_torque"] == 784.0 and told["doubts"] == []
+    assert told["tolerances"]["crank_phase"]["unit"] == "rad"
+    assert told["levels"]["transmission_error"]["level"].startswith("closed form, 64 angles")
 
 
 def test_a_doubt_and_the_levels_are_said_before_the_run(tmp_path, monkeypatch, capsys):

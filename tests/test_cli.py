@@ -86,11 +86,36 @@ def test_allocate_answers(answered):
 def test_allocate_writes_tables_and_pictures(answered):
     _, out = answered
     assert (out / "study.toml").read_text() == SMALL
-    rows = list(csv.reader((out / "tolerances.csv").read_text().splitlines()))
-    assert rows[1][:2] == ["crank_eccentricity", "+-6.50 um"] and rows[-1][0] == "sum"
-    influence = {row["error"]: row for row in csv.DictReader((out / "influence.csv").read_text().splitlines())}
-    assert influence["disc_runout"]["d transmission_error / d error"] == "not seen"
-    assert float(influence["disc_runout"]["d lost_motion / d error"].split()[0]) > 0
+    result = json.loads((out / "result.json").read_text())
+
+    def table(name, *keys):
+        rows = list(csv.DictReader((out / f"{name}.csv").read_text().splitlines()))
+        return {tuple(row[key] for key in keys): row for row in rows}
+
+    rows = table("tolerances", "error")
+    assert [row["unit"] for row in rows.values()] == [
+        {"m": "um", "rad": "arcmin"}[item["unit"]] for item in result["tolerances"].values()
+    ]
+    row = rows["bearing_clearance",]
+    assert [float(row[key]) for key in ("lower before", "upper before")] == [4, 12]
+    for key in ("lower", "upper"):
+        assert float(row[f"{key} after"]) == pytest.approx(
+            1e6 * result["tolerances"]["bearing_clearance"]["after"][key]
+        )
+    costs = [float(row["cost after"]) for row in rows.values() if row["cost after"]]
+    assert sum(costs) == pytest.approx(result["cost"]["after"]) and row["grade"] == ""
+    influence = table("influence", "error", "response")
+    assert influence["disc_runout", "transmission_error"]["slope"] == ""  # not seen, which is not zero
+    assert float(influence["disc_runout", "lost_motion"]["slope"]) > 0
+    row = influence["crank_phase", "transmission_error"]
+    assert row["unit of the slope"] == "arcmin/arcmin"
+    assert float(row["slope"]) == pytest.approx(result["sensitivities"]["transmission_error"]["crank_phase"])
+    assert sum(float(influence[e, "misfit"]["share of variance"] or 0) for (e,) in rows) == pytest.approx(1)
+    row = table("requirements", "requirement")["lost_motion",]
+    assert [float(row[key]) for key in ("lower limit", "upper limit")] == [-1, 1] and row["unit"] == "arcmin"
+    assert 0.9973 <= float(row["after, lower end"]) < float(row["after"]) < 1 and row["met after"] == "yes"
+    price = result["multipliers"]["lost_motion"]
+    assert float(row["shadow price per unit"]) == pytest.approx(price * 2.908882086657216e-4)
     text = (out / "summary.txt").read_text()
     for words in (
         "OPTIMAL",
@@ -110,6 +135,26 @@ def test_allocate_writes_tables_and_pictures(answered):
         picture = matplotlib.image.imread(out / f"{name}.png")
         assert picture.shape[1] > 800 and picture.std() > 0.02  # something is drawn
     assert sorted(p.name for p in out.parent.iterdir()) == ["out", "small.toml"]  # no scratch folder is left
+
+
+def test_allocate_tells_machines_what_it_wrote(answered, here, monkeypatch, capsys):
+    monkeypatch.setattr(text, "write", lambda answer, folder: folder)  # as written by the test above
+    (here / "small.toml").write_text(SMALL)
+    assert cli.main(["allocate", "small.toml", "--quiet", "--results", "new", "--format", "json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told.pop("results") == "new"
+    written = json.loads((answered[1] / "result.json").read_text())
+    assert told == written
+
+
+def test_an_answer_is_read_in_the_unit_that_was_asked(answers, answered, here):
+    asked = SMALL.replace('upper = "1 arcmin"', 'upper = "60 arcsec"', 1)
+    old = answers[SMALL]
+    found = dataclasses.replace(old, study=rvjax.study.parse_study(asked, name="x", solve=False))
+    before, after = text.summary(old), text.summary(found)
+    assert "<= 60 arcsec" in after and "/arcsec" in after and "<= 60 arcsec" not in before
+    slopes = [float(re.search(r"crank_phase +([\d.]+) arc", words).group(1)) for words in (before, after)]
+    assert slopes[1] == pytest.approx(60 * slopes[0], abs=0.006)
 
 
 def test_infeasible_requirements_are_refused_with_the_shortfall(here, capsys):

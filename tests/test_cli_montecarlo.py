@@ -61,6 +61,10 @@ def test_a_batch_prints_and_writes_its_figures(here, capsys, expected):
     mean = expected.mean["lost_motion"].value
     assert load("a.json").mean["lost_motion"].value == mean
     assert f"{mean / 2.908882086657216e-4:.5g}" in printed.out
+    assert cli.main([*command.split(), "--quiet", "--format", "json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["mean"]["lost_motion"]["value"] == mean and told["units"] == {"lost_motion": "rad"}
+    assert told["values"] is None and told["name"] == "small" and told["yield_"]["lost_motion"]["lower"] > 0
 
 
 def test_two_processes_on_one_machine(here, capsys, expected):

@@ -5,13 +5,24 @@ was found in a cache on disk; a second call with other numbers must report nothi
 """
 
 import inspect
+import re
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rvjax import CamRollerErrors, LinkDeviations, RVErrors, dynamics, four_bar, lost_motion, mesh_force, roots
+from rvjax import (
+    CamRollerErrors,
+    LinkDeviations,
+    RVErrors,
+    dynamics,
+    four_bar,
+    loaded,
+    lost_motion,
+    mesh_force,
+    roots,
+)
 from rvjax.catalogue import CORR, RV_20E, RV_40E, RV_320E
 from rvjax.units import deg, mm, rpm, um
 
@@ -179,3 +190,45 @@ def test_a_program_that_is_compiled_reports_it(compiled):
         compiled.clear()
         jax.jit(lambda p, x=x: p * x)(1.0)
         assert any("compile" in event for event in compiled)
+
+
+WRONG = {  # doors that take a design, each called with one of another kind
+    "four_bar.transmission_error": lambda d, e: four_bar.transmission_error(d, e, crank_angle=0.0),
+    "four_bar.revolution": lambda d, e: four_bar.revolution(d, e),
+    "four_bar.figures": lambda d, e: four_bar.figures(d, e),
+    "lost_motion.geometric": lambda d, e: lost_motion.geometric(d, e),
+    "loaded.equilibrium": lambda d, e: loaded.equilibrium(d, e, input_angle=0.0, output_torque=1.0),
+    "loaded.revolution": lambda d, e: loaded.revolution(d, e, output_torque=1.0),
+    "loaded.torsion": lambda d, e: loaded.torsion(d, e, input_angle=0.0, rated_torque=1.0),
+    "dynamics.modes": lambda d, e: dynamics.modes(d),
+    "dynamics.response": lambda d, e: dynamics.response(d, **SPIN),
+    "dynamics.periodic": lambda d, e: dynamics.periodic(d, **SPIN),
+    "dynamics.log_sensitivities": lambda d, e: dynamics.log_sensitivities(d, **SPIN),
+    "dynamics.transmission_error": lambda d, e: dynamics.transmission_error(d, e, sun_speed=100.0),
+    "dynamics.error_excitation": lambda d, e: dynamics.error_excitation(d, e),
+    "RVErrors.for_design": lambda d, e: RVErrors.for_design(d),
+    "mesh_force.solve": lambda d, e: mesh_force.solve(d, e, input_torque=1.0, output_angle=0.0),
+    "mesh_force.cycle_statistics": lambda d, e: mesh_force.cycle_statistics(d, e, input_torque=1.0),
+    "mesh_force.sweep": lambda d, e: mesh_force.sweep(d, e, "eccentricity", np.ones(2), input_torque=1.0),
+    "mesh_force.mesh_stiffness": lambda d, e: mesh_force.mesh_stiffness(d, e, input_torque=1.0, output_angle=0.0),
+    "mesh_force.tooth_profile": lambda d, e: mesh_force.tooth_profile(d, 0.0),
+    "mesh_force.undercut_margin": lambda d, e: mesh_force.undercut_margin(d),
+    "mesh_force.largest_roller_radius": lambda d, e: mesh_force.largest_roller_radius(d),
+    "CamRollerErrors.for_design": lambda d, e: CamRollerErrors.for_design(d),
+}
+
+
+@pytest.mark.parametrize("door", WRONG)
+def test_a_design_of_another_kind_is_refused_by_name(door):
+    of_rollers = door.startswith(("mesh_force", "Cam"))
+    wrong, errors = (RV_40E, RVErrors()) if of_rollers else (CORR, CamRollerErrors())
+    takes, got = ("CamRollerReducer", "RVReducer") if of_rollers else ("RVReducer", "CamRollerReducer")
+    with pytest.raises(ValueError, match="takes a design") as refused:
+        WRONG[door](wrong, errors)
+    told = rf"{door.split('.')[0]}\S*: takes a design of kind {takes}( or Lumped)?, got {got}"
+    assert re.fullmatch(told, str(refused.value))
+
+
+def test_errors_in_the_place_of_a_design_are_refused():
+    with pytest.raises(ValueError, match="takes a design of kind RVReducer, got RVErrors"):
+        four_bar.transmission_error(RVErrors(), RV_40E, crank_angle=0.0)

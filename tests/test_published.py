@@ -9,6 +9,7 @@ import pytest
 
 from rvjax import catalogue, cli, published
 from rvjax.published import rv160
+from rvjax.report.text import comparison_table
 from rvjax.units import arcmin, mm, parse
 
 VERDICTS = {"reproduced", "reproduced_with_reading", "close", "contradicted", "not_computable"}
@@ -160,7 +161,7 @@ def test_catalogue_holds_the_rv20e_tables():
 
 
 def test_reproduce_prints_only_json_for_machines(capsys, monkeypatch, rows):
-    monkeypatch.setattr(published, "reproduce", lambda: list(rows.values()))  # computed once
+    monkeypatch.setattr(published, "reproduce", lambda **_: list(rows.values()))  # computed once
     assert cli.main(["reproduce", "--json"]) == 0
     listed = json.loads(capsys.readouterr().out)
     assert [set(entry) for entry in listed] == [{"id", "published", "computed", "unit", "status", "note"}] * len(listed)
@@ -172,9 +173,23 @@ def test_reproduce_prints_only_json_for_machines(capsys, monkeypatch, rows):
 
 
 def test_reproduce_prints_a_table_with_the_right_values(capsys, monkeypatch, rows):
-    monkeypatch.setattr(published, "reproduce", lambda: list(rows.values()))
+    monkeypatch.setattr(published, "reproduce", lambda **_: list(rows.values()))
     assert cli.main(["reproduce", "--notes"]) == 0
     text = capsys.readouterr().out
     line = next(line for line in text.splitlines() if line.startswith("rv40e.cycloid_bore.rigid_range"))
     assert "0.036058 0.036111" in line and "reproduced_with_reading" in line and "5.35726e-05" in line
     assert f"{sum(len(published.figures(source)) for source in published.SOURCES)} figures: " in text
+    wrong = [row.id for row in rows.values() if row.status == "contradicted"]
+    corr = sum(name.startswith("corr.") for name in wrong)
+    assert f"the error is the source's ({corr} in corr, " in text.splitlines()[-1] and corr < len(wrong)
+    fine = [row for row in rows.values() if row.status == "reproduced"]
+    assert "contradicted" not in comparison_table(fine)
+
+
+def test_reproduce_says_which_source_it_computes(capsys, monkeypatch):
+    monkeypatch.setattr(published.ledger, "figures", lambda source: [])
+    assert cli.main(["reproduce", "--json"]) == 0
+    captured = capsys.readouterr()
+    assert json.loads(captured.out) == []
+    said = [line.split(":")[0] for line in captured.err.splitlines()]
+    assert said == [f"computing {source}, {k} of 5" for k, source in enumerate(published.SOURCES, 1)]

@@ -157,3 +157,41 @@ def test_forgotten_float64_is_said_once():
     assert "rvjax.enable_x64()" in str(one.message) and one.filename == "<string>", one.filename
     """
     subprocess.run([sys.executable, "-c", code], check=True, timeout=120)
+
+
+SOLVED = rvjax.SolveInfo(0, 3, 1e-17)
+
+
+def test_a_record_reads_as_one_short_line_with_units():
+    arcsec = deg / 3600
+    found = rvjax.TransmissionError(12.4 * arcsec, jnp.array([-30.0, 90.0]) * arcsec, np.array([0.002, np.nan]), SOLVED)
+    assert repr(found) == (
+        "TransmissionError(error=12.4 arcsec, per_disc=(2,) -0.5 .. 1.5 arcmin, misfit=(2,) 2 mm, 1 nan, "
+        "info=SolveInfo(CONVERGED, steps=3, residual=1e-17))"
+    )
+    stacked = jax.vmap(lambda s: rvjax.SolveInfo(s))(jnp.array([4, 0, 0, 77]))
+    stacked = stacked.replace(steps=0, residual=0.0)
+    assert repr(stacked) == "SolveInfo(2 CONVERGED, 1 SINGULAR, 1 77, steps=0, residual=0)"
+    assert repr(catalogue.CORR).startswith("CamRollerReducer(gear_teeth=25, cam_radius=")
+    assert " mm, " in repr(catalogue.CORR) and " GPa, " in repr(catalogue.CORR)
+    assert "inertia=" not in repr(catalogue.RV_40E)  # what is None is left out, and so is what is 0 by default
+    assert repr(rvjax.RVErrors(pin_radius=-2e-6)) == "RVErrors(pin_radius=-2 um)"
+    assert max(len(repr(d)) for d in (catalogue.RV_40E, catalogue.RV_320E)) < 2000
+
+
+def test_a_record_of_anything_can_be_read():
+    """Tracers as JAX writes them; nothing raises, for a debugger asks at any moment."""
+    seen = []
+
+    def look(angle):
+        seen.append(repr(rvjax.SolveInfo(0, 1, angle)))
+        return angle
+
+    jax.vmap(jax.jit(look))(jnp.arange(2.0))
+    assert "residual=" in seen[0] and "float64[" in seen[0].replace("f64[", "float64[")
+    gone = jnp.ones(3)
+    gone.delete()
+    odd = [jax.random.key(0), gone, object(), None, "x", np.zeros(0), jnp.ones(2, jnp.bfloat16), 1 + 2j, np.array(True)]
+    odd += [jnp.array([1j, np.nan]), np.array([np.inf, -1.0]), jax.ShapeDtypeStruct((2,), float), np.full(2, np.nan)]
+    for value in odd:
+        assert repr(jax.tree.map(lambda _, v=value: v, rvjax.SolveInfo(0, 1, 0.0))).startswith("SolveInfo(")

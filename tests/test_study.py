@@ -44,6 +44,21 @@ def test_the_response_gives_what_the_requirements_name_and_nothing_else():
     assert set(s.response()(s.design.error_record()).value) == {"transmission_error"}
 
 
+def test_a_file_with_a_byte_order_mark_is_read(tmp_path):
+    (tmp_path / "windows.toml").write_text("\ufeff" + GOOD, "utf-8")
+    assert study.load(str(tmp_path / "windows.toml"), solve=False).text == GOOD
+
+
+def test_a_response_is_reported_in_the_unit_of_its_limit():
+    one, two = 'upper = "1 arcmin"', 'lower = "-1 arcmin"'
+    assert GOOD.count(one) == 2 and GOOD.count(two) == 1 and GOOD.index(two) < GOOD.rindex(one)
+    asked = GOOD.replace(one, 'upper = "60 arcsec"').replace(two, 'lower = "-1 deg"').replace('"30 um"', '"30 µm"')
+    found = parse_study(asked, name="x", solve=False)
+    assert found.output("transmission_error").shown == ("arcsec", arcmin / 60)
+    assert found.output("lost_motion").shown == ("deg", 60 * arcmin)  # of two limits the first
+    assert found.output("misfit").shown == ("um", um)  # as rvjax spells it
+
+
 def test_a_target_for_all_requirements_at_once():
     assert parse_study(GOOD, name="x").joint_target is None
     assert parse_study(GOOD.replace("seed = 0", "joint_target = 0.9973"), name="x").joint_target == 0.9973

@@ -83,6 +83,13 @@ def test_the_same_study_gives_the_same_bits(optimum):
     assert again.certificate == optimum.certificate
 
 
+def test_progress_names_its_phases(capsys):
+    limits = Requirement(lower=-LIMIT, upper=LIMIT)
+    allocate(linear, PAIR, limits, costs=COSTS, samples=1000, certificate_samples=20_000, progress=True)
+    said = capsys.readouterr().err
+    assert said.index("compiling") < said.index("searching") < said.index("certifying: 100%")
+
+
 def test_the_start_does_not_matter(optimum):
     start = {"a": Tolerance.symmetric(400 * um), "b": Tolerance.symmetric(1 * um)}
     found = allocate(linear, start, Requirement(lower=-LIMIT, upper=LIMIT), costs=COSTS, certificate_samples=100_000)

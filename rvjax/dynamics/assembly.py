@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax.catalogue import RV_320E
-from rvjax.designs import Damping, Inertia, MeshVariation, RVReducer, Stiffness
+from rvjax.designs import Damping, Inertia, MeshVariation, RVReducer, Stiffness, expect
 from rvjax.records import (
     Array,
     PyTree,
@@ -89,6 +89,7 @@ def lump(design: RVReducer | Lumped) -> Lumped:
     """
     if isinstance(design, Lumped):
         return design
+    expect(design, "dynamics", RVReducer, Lumped)
     if design.inertia is None or design.stiffness is None:
         missing = "inertia" if design.inertia is None else "stiffness"
         raise ValueError(f"RVReducer.{missing} = None: the dynamic model needs it")

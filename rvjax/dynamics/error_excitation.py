@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax.designs import RVReducer
+from rvjax.designs import RVReducer, expect
 from rvjax.dynamics.assembly import Lumped, admitted, circle, lump
 from rvjax.dynamics.pin_series import in_phase, series
 from rvjax.errors import RVErrors
@@ -116,6 +116,7 @@ def checked(design: RVReducer, errors: RVErrors, pin_harmonics: int = 0) -> Lump
     Raises:
         ValueError: see `error_excitation`.
     """
+    expect(design, "dynamics", RVReducer)  # errors have the shapes of a whole design
     lumped = symmetric(design)
     if pin_harmonics < 0:
         raise ValueError(f"pin_harmonics = {pin_harmonics}: must be zero or positive")

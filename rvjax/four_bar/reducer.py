@@ -6,7 +6,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rvjax.designs import RVReducer
+from rvjax.designs import RVReducer, expect
 from rvjax.elementary import arctan2, sin_cos
 from rvjax.errors import RVErrors
 from rvjax.four_bar import closures, fit
@@ -65,6 +65,7 @@ def transmission_error(
         ValueError: a combination of methods that does not exist, errors whose shapes do not fit the design, or
             a load (non-zero or traced) without bearing stiffness.
     """
+    expect(design, "four_bar.transmission_error", RVReducer)
     methods = check_methods(cranks, gear_stiffness_ratio, closure, branch, count=design.cranks.count)
     numbers = (design, errors, output_torque, crank_angle, gear_stiffness_ratio)
     return _transmission_error(*numbers, loaded=is_loaded(design, output_torque), **methods)

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax.designs import RVReducer
+from rvjax.designs import RVReducer, expect
 from rvjax.elementary import arctan2, divide
 from rvjax.errors import RVErrors
 from rvjax.four_bar.closures import Crank
@@ -123,6 +123,7 @@ def _ways(
     angles: int,
 ) -> dict[str, PyTree]:
     """What is decided before the program runs."""
+    expect(design, "four_bar.revolution", RVReducer)
     if closure is None:
         closure = "newton" if cranks == "geared" else "closed_form"
     methods = check_methods(cranks, ratio, closure, branch, count=design.cranks.count)

@@ -164,7 +164,11 @@ class Table:
 
     def save(self, path: str | Path) -> None:
         """Write as JSON."""
-        Path(path).write_text(json.dumps(_plain(dataclasses.asdict(self)), indent=1, allow_nan=False) + "\n", "utf-8")
+        Path(path).write_text(json.dumps(self.as_json(), indent=1, allow_nan=False) + "\n", "utf-8")
+
+    def as_json(self) -> dict[str, Any]:
+        """As JSON values; an error without bound is null."""
+        return _plain(dataclasses.asdict(self))
 
     @classmethod
     def load(cls, path: Any) -> Self:

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax import status
-from rvjax.designs import RVReducer
+from rvjax.designs import RVReducer, expect
 from rvjax.elementary import LARGEST_ANGLE
 from rvjax.errors import PLACED, RVErrors
 from rvjax.loaded import laws
@@ -54,6 +54,7 @@ def check_input(design: RVReducer, errors: RVErrors, contact: str, carrier: str,
     Raises:
         ValueError: see `equilibrium`.
     """
+    expect(design, "loaded", RVReducer)
     for name, value, known in (
         ("contact", contact, laws.CONTACTS),
         ("carrier", carrier, SUPPORTS),

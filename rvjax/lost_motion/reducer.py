@@ -5,7 +5,7 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 
-from rvjax.designs import RVReducer
+from rvjax.designs import RVReducer, expect
 from rvjax.errors import RVErrors
 from rvjax.lost_motion import flank as flanks
 from rvjax.lost_motion.terms import FLANK_TERMS, LostMotionTerms, Teeth, Unit, contributions, harmless
@@ -157,6 +157,7 @@ def shaft_tilt(deflection: Scalar, length: Scalar) -> jax.Array:
 
 
 def _check_methods(design: RVReducer, reading: str, profile: str, normal_force: Scalar | None) -> None:
+    expect(design, "lost_motion.geometric", RVReducer)
     if reading not in READINGS:
         raise ValueError(f"reading = {reading!r}: must be one of {', '.join(READINGS)}")
     if profile not in PROFILES:

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax.designs import CamRollerReducer
+from rvjax.designs import CamRollerReducer, expect
 from rvjax.errors import CamRollerErrors
 from rvjax.mesh_force import geometry
 from rvjax.mesh_force.equilibrium import MeshForces, solve
@@ -72,6 +72,7 @@ def cycle_statistics(
     Returns:
         CycleStatistics; NaN with the worst status where an angle cannot be solved.
     """
+    expect(design, "mesh_force.cycle_statistics", CamRollerReducer)
     z = design.gear_teeth
     design, errors, torque = promote(design, errors, input_torque)
     angles = cycle_angles(z, samples=samples, roller_by_roller=np.ndim(errors.roller_radius) == 1)
@@ -130,6 +131,7 @@ def sweep(
     Raises:
         ValueError: no such field.
     """
+    expect(design, "mesh_force.sweep", CamRollerReducer)
     name = parameter.removeprefix("errors.")
     of_errors = name != parameter
     design, errors, values, torque = promote(design, errors, values, input_torque)

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import DTypeLike
 
-from rvjax.designs import CamRollerReducer
+from rvjax.designs import CamRollerReducer, expect
 from rvjax.errors import CamRollerErrors
 from rvjax.mesh_force import geometry, laws, line_contact
 from rvjax.mesh_force.batch import attach, equilibrium
@@ -57,6 +57,7 @@ def solve(
     Raises:
         ValueError: unknown `contact`, or a shape of `errors.roller_radius` that does not fit the design.
     """
+    expect(design, "mesh_force.solve", CamRollerReducer)
     if contact not in laws.CONTACTS:
         raise ValueError(f"contact = {contact!r}: must be one of {', '.join(laws.CONTACTS)}")
     z = design.gear_teeth

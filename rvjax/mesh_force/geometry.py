@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import DTypeLike
 
-from rvjax.designs import CamRollerReducer
+from rvjax.designs import CamRollerReducer, expect
 from rvjax.records import Array, Record, Scalar, field, promote, record
 
 
@@ -112,6 +112,7 @@ def undercut_margin(design: CamRollerReducer) -> jax.Array:
     Args:
         design: the stage.
     """
+    expect(design, "mesh_force.undercut_margin", CamRollerReducer)
     link = design.cam_radius + design.roller_radius
     curvature = (1 - design.gear_teeth**2 * design.eccentricity / link) / (link - design.eccentricity)
     return 1 + design.roller_radius * curvature
@@ -125,6 +126,7 @@ def largest_roller_radius(design: CamRollerReducer) -> jax.Array:
     Args:
         design: the stage; its roller radius is not read.
     """
+    expect(design, "mesh_force.largest_roller_radius", CamRollerReducer)
     radius, e, z = design.cam_radius, design.eccentricity, design.gear_teeth
     half = (3 * radius - (1 + z**2) * e) / 4  # 2 r^2 + 4 half r + Rj (Rj - e) = 0
     discriminant = half**2 - radius * (radius - e) / 2
@@ -145,6 +147,7 @@ def tooth_profile(design: CamRollerReducer, angle: Scalar) -> ToothProfile:
         ToothProfile. Where `undercut` is true the flank crosses itself near the tooth crest. Wei et al. 2021,
         Eqs. 1-3 (reconstructed).
     """
+    expect(design, "mesh_force.tooth_profile", CamRollerReducer)
     design, angle = promote(design, angle)
     z = design.gear_teeth
     r, link = design.roller_radius, design.cam_radius + design.roller_radius

@@ -5,7 +5,7 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 
-from rvjax.designs import CamRollerReducer
+from rvjax.designs import CamRollerReducer, expect
 from rvjax.errors import CamRollerErrors
 from rvjax.mesh_force import geometry, line_contact
 from rvjax.mesh_force.equilibrium import MeshForces, solve
@@ -30,6 +30,7 @@ def contact_pressure(design: CamRollerReducer, forces: MeshForces, *, output_ang
         forces: of `solve` at the same angle.
         output_angle: angle theta of the cage, () rad.
     """
+    expect(design, "mesh_force.contact_pressure", CamRollerReducer)
     design, angle, cam, cage, gear = promote(design, output_angle, forces.cam, forces.cage, forces.gear)
     r, link = design.roller_radius, design.cam_radius + design.roller_radius
     place = geometry.rollers(design.eccentricity, link, design.gear_teeth, *geometry.cam_lead(design.gear_teeth, angle))
@@ -55,6 +56,7 @@ def load_sharing(design: CamRollerReducer, forces: MeshForces, *, output_angle: 
         forces: of `solve` at the same angle.
         output_angle: angle theta of the cage, () rad.
     """
+    expect(design, "mesh_force.load_sharing", CamRollerReducer)
     design, angle, cam = promote(design, output_angle, forces.cam)
     link = design.cam_radius + design.roller_radius
     place = geometry.rollers(design.eccentricity, link, design.gear_teeth, *geometry.cam_lead(design.gear_teeth, angle))
@@ -84,6 +86,7 @@ def mesh_stiffness(
     Returns:
         () N m/rad; 0 where nothing is loaded, NaN where `solve` fails.
     """
+    expect(design, "mesh_force.mesh_stiffness", CamRollerReducer)
     design, errors, torque, angle = promote(design, errors, input_torque, output_angle)
 
     def windup(torque: jax.Array) -> jax.Array:

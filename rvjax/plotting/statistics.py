@@ -10,7 +10,16 @@ from rvjax.plotting.style import AFTER, BEFORE, HATCHES, LIMIT, PALETTE, new_axe
 from rvjax.units import readable
 
 
-def unit_curves(angle: Any, before: Any, after: Any, title: str, unit: str, *, axes: Axes | None = None) -> Axes:
+def unit_curves(
+    angle: Any,
+    before: Any,
+    after: Any,
+    title: str,
+    unit: str,
+    *,
+    read_in: str | None = None,
+    axes: Axes | None = None,
+) -> Axes:
     """A response of sample units over one cycle, before and after; angles about their own mean.
 
     Args:
@@ -19,10 +28,11 @@ def unit_curves(angle: Any, before: Any, after: Any, title: str, unit: str, *, a
         after: the same with the allocated tolerances.
         title: of the picture.
         unit: SI unit of the values; a mean angle is an offset of assembly and is taken away.
+        read_in: unit of the picture; by default the usual one of responses in `unit`.
         axes: where to draw; a new figure by default.
     """
     axes = new_axes(axes)
-    shown, size = readable(unit)
+    shown, size = readable(unit, read_in)
     end = np.degrees(2 * angle[-1] - angle[-2])
     closed = np.append(np.degrees(angle), end)
     for curves, colour, dash, label in ((after, AFTER, "-", "after"), (before, BEFORE, (0, (4, 2)), "before")):
@@ -45,6 +55,7 @@ def response_histogram(
     name: str,
     upper: float = np.inf,
     lower: float = -np.inf,
+    read_in: str | None = None,
     axes: Axes | None = None,
 ) -> Axes:
     """How a response is distributed before and after, with its limits.
@@ -56,10 +67,11 @@ def response_histogram(
         name: of the response.
         upper: upper limit, SI.
         lower: lower limit, SI.
+        read_in: unit of the picture; by default the usual one of responses in `unit`.
         axes: where to draw; a new figure by default.
     """
     axes = new_axes(axes)
-    shown, size = readable(unit)
+    shown, size = readable(unit, read_in)
     values = [np.asarray(v)[np.isfinite(v)] / size for v in (before, after)]
     drawn = np.concatenate(values)
     bins: Any = np.linspace(drawn.min(), drawn.max(), 81) if np.unique(drawn).size > 1 else 10

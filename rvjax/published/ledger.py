@@ -72,10 +72,18 @@ def parse(source: str) -> dict[str, Any]:
     return tomllib.loads((resources.files("rvjax.published") / f"{source}.toml").read_text("utf-8"))
 
 
-def reproduce(sources: tuple[str, ...] = SOURCES) -> list[Comparison]:
-    """Compute every figure of `sources` now and compare it with the published one; needs float64."""
+def reproduce(
+    sources: tuple[str, ...] = SOURCES, *, say: Callable[[str], object] = lambda text: None
+) -> list[Comparison]:
+    """Compute every figure of `sources` now and compare it with the published one; needs float64.
+
+    Args:
+        sources: names.
+        say: is told which source comes next.
+    """
     rows = []
-    for source in sources:
+    for number, source in enumerate(sources):
+        say(f"computing {source}, {number + 1} of {len(sources)}: {len(figures(source))} figures")
         module = importlib.import_module(f"rvjax.published.{source}")
         right = getattr(module, "RIGHT", {})
         for figure in figures(source):

@@ -1,6 +1,7 @@
 """A batch of units as text and files."""
 
 import dataclasses
+from typing import Any
 
 from rvjax import tolerances
 from rvjax.report import text
@@ -23,6 +24,17 @@ def write(found: Statistics, question: Study, source: str, *, figures: str | Non
         tolerances.save(dataclasses.replace(found, values=None), figures, study=about)
     if samples is not None:
         tolerances.save(found, samples, study=about)
+
+
+def as_json(found: Statistics, question: Study) -> dict[str, Any]:
+    """The figures as JSON values, SI, with the unit of each response.
+
+    Args:
+        found: statistics; values of single units are left out.
+        question: the study.
+    """
+    units = {name: question.output(name).unit for name in found.mean}
+    return {"name": question.name, "units": units} | text.plain(dataclasses.replace(found, values=None))
 
 
 def summary(found: Statistics, question: Study) -> str:

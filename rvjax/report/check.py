@@ -3,6 +3,7 @@
 import dataclasses
 import math
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
@@ -10,7 +11,7 @@ from rvjax import levels, models
 from rvjax.designs import CamRollerReducer, InvoluteStage, RVReducer
 from rvjax.levels.choice import Choice
 from rvjax.plotting import drawings
-from rvjax.report.text import table, tolerance_text
+from rvjax.report.text import limits, plain, table, tolerance_text
 from rvjax.study.plausible import KNOWN_DESIGNS, TORQUE, numbers, shown
 from rvjax.study.question import Study
 
@@ -51,6 +52,32 @@ def checked(question: Study) -> str:
     lines += ["", "Not in the models asked:", *(f"  {line}" for line in question.left_out)]
     doubts = question.doubts
     return "\n".join([*lines, "", *(f"doubtful: {line}" for line in doubts), *([] if doubts else ["No doubts."])])
+
+
+def as_json(question: Study) -> dict[str, Any]:
+    """The same as `checked` as JSON values; numbers are SI with their unit beside them."""
+    stated = {name: {"value": value, "unit": unit} for name, (value, unit) in numbers(question.design)}
+    levels_ = {
+        name: {"level": choice.level, "error": choice.bound, "unit": question.output(name).unit, "why": choice.why}
+        for name, choice in choices(question).items()
+    }
+    return plain(
+        {
+            "study": question.name,
+            "design": type(question.design).__name__,
+            "facts": dict(facts(question.design)),
+            "numbers": stated,
+            "conditions": dataclasses.asdict(question.conditions),
+            "tolerances": {
+                field: {"unit": question.unit(field)} | limits(getattr(question.tolerances, field))
+                for field in question.fields
+            },
+            "levels": levels_,
+            "time": expected(question),
+            "left_out": question.left_out,
+            "doubts": question.doubts,
+        }
+    )
 
 
 def facts(design: RVReducer | CamRollerReducer) -> Iterator[tuple[str, str]]:

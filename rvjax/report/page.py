@@ -95,7 +95,7 @@ def _requirements(answer: Answer, drawn: dict[str, Picture]) -> str:
     headers = [*headers, *(["yield graded [interval]"] if allocation.graded else []), "verdict"]
     cells = []
     for row, name in zip(rows, study.requirements):
-        unit, size = readable(study.output(name).unit)
+        unit, size = study.output(name).shown
         graded = []
         if allocation.graded:
             graded = [tables.figure_text(allocation.graded.certificate.verdicts[name], unit, size)]
@@ -255,7 +255,7 @@ def _typeset(cell: str) -> str:
     """A cell of the text tables for the page: numbers stay with their units, an interval has a line of its own."""
     cell, _, interval = cell.partition(" [")
     cell = micro(escape(cell.replace("+-", "±").replace("<=", "≤").replace(">=", "≥"))).replace(" and ", "<br>")
-    if cell.startswith("0.0000 ") or cell == "0.0 %":
+    if re.match(r"0\.00+ ", cell) or cell == "0.0 %":
         return ZERO
     if cell == tables.UNMOVED:
         return NOT_SEEN

@@ -46,8 +46,10 @@ def pictures(answer: Answer, form: str = "png") -> Iterator[Picture]:
     study = answer.study
     with plotting.style(), plt.rc_context({"svg.hashsalt": study.name}):
         if (curve := study.curve) is not None:
+            alike = (output for name in study.requirements if (output := study.output(name)).unit == curve.unit)
+            read_in = next((output.read_in for output in alike), None)
             axes = plotting.unit_curves(
-                answer.after.angle, answer.before.curves, answer.after.curves, curve.title, curve.unit
+                answer.after.angle, answer.before.curves, answer.after.curves, curve.title, curve.unit, read_in=read_in
             )
             yield picture(axes, "curves", f"{curve.title} of sample units, before and after")
         for name, requirement in study.requirements.items():
@@ -56,6 +58,7 @@ def pictures(answer: Answer, form: str = "png") -> Iterator[Picture]:
                 answer.before.values[name],
                 answer.after.values[name],
                 unit=study.output(name).unit,
+                read_in=study.output(name).read_in,
                 name=name,
                 upper=requirement.upper if of_values else math.inf,
                 lower=requirement.lower if of_values else -math.inf,

@@ -17,8 +17,10 @@ import numpy as np
 
 import rvjax
 from rvjax.published import Comparison, show
+from rvjax.report import numbers
 from rvjax.report.pictures import pictures
 from rvjax.study.answer import Answer
+from rvjax.study.question import Study
 from rvjax.tolerances import Estimate, Verdict
 from rvjax.units import readable
 
@@ -56,7 +58,19 @@ def comparison_table(rows: Sequence[Comparison], *, notes: bool = False) -> str:
             lines.append(f"    {row.claim}" + (f" -- {row.note}" if row.note else ""))
     verdicts = sorted({row.status for row in rows})
     counts = ", ".join(f"{sum(row.status == verdict for row in rows)} {verdict}" for verdict in verdicts)
-    return "\n".join([*lines, "", f"{len(rows)} figures: {counts}"])
+    return "\n".join([*lines, "", f"{len(rows)} figures: {counts}", *_whose_error(rows)])
+
+
+def _whose_error(rows: Sequence[Comparison]) -> list[str]:
+    """Of contradicted figures, for a reader who takes them for errors of this package."""
+    wrong = [row.id.split(".")[0] for row in rows if row.status == "contradicted"]
+    if not wrong:
+        return []
+    sources = ", ".join(f"{wrong.count(source)} in {source}" for source in dict.fromkeys(wrong))
+    return [
+        f"contradicted: the error is the source's ({sources}), not that of rvjax: such a figure cannot stand beside "
+        "the source's own numbers, geometry or equilibrium; --notes names what each of them contradicts"
+    ]
 
 
 def tolerance_text(tolerance: Any, unit: str) -> str:
@@ -119,9 +133,16 @@ def influence_rows(answer: Answer) -> tuple[list[str], list[list[str]]]:
             if slope == 0 and share == 0:
                 row += [UNMOVED, "-"]
             else:
-                row += [f"{slope * error_size / size:.4f} {unit}/{error_unit}", f"{100 * share:.1f} %"]
+                number = f"{slope * error_size / size:.{_decimals(study, name)}f}"
+                row += [f"{number} {unit}/{error_unit}", f"{100 * share:.1f} %"]
         rows.append(row)
     return headers, rows
+
+
+def _decimals(study: Study, name: str) -> int:
+    """Four in the usual unit of a response; in another unit that was asked for, as many as tell the same."""
+    output = study.output(name)
+    return max(2, 4 + round(math.log10(output.shown[1] / readable(output.unit)[1])))
 
 
 def figure_text(verdict: Verdict, unit: str, size: float) -> str:
@@ -265,14 +286,13 @@ def _files(answer: Answer) -> Iterator[tuple[str, bytes]]:
     yield "study.toml", answer.study.text.encode()
     yield "summary.txt", (summary(answer) + "\n").encode()
     yield "result.json", json.dumps(as_json(answer), indent=1, allow_nan=False).encode()
-    yield "tolerances.csv", as_csv(*tolerance_rows(answer))
-    yield "influence.csv", as_csv(*influence_rows(answer))
-    yield "requirements.csv", as_csv(*requirement_rows(answer))
+    for name, (headers, cells) in numbers.tables(answer):
+        yield f"{name}.csv", as_csv(headers, cells)
     for picture in pictures(answer):
         yield f"{picture.name}.png", picture.content
 
 
-def as_csv(headers: Sequence[str], rows: Iterable[Sequence[str]]) -> bytes:
+def as_csv(headers: Sequence[str], rows: Iterable[Sequence[str | float | None]]) -> bytes:
     """A table as the content of a CSV file.
 
     Args:
@@ -341,9 +361,9 @@ def as_json(answer: Answer) -> dict[str, Any]:
         "tolerances": {
             field: {
                 "unit": study.unit(field),
-                "before": _limits(getattr(study.tolerances, field)),
-                "after": _limits(getattr(allocation.tolerances, field)),
-                "graded": _limits(getattr(graded.tolerances, field)) if graded else None,
+                "before": limits(getattr(study.tolerances, field)),
+                "after": limits(getattr(allocation.tolerances, field)),
+                "graded": limits(getattr(graded.tolerances, field)) if graded else None,
             }
             for field in study.fields
         },
@@ -379,6 +399,7 @@ def plain(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _limits(tolerance: Any) -> dict[str, Any]:
+def limits(tolerance: Any) -> dict[str, Any]:
+    """Limits and law of a tolerance as JSON values, in the unit of the error."""
     lower, upper, cp, shift = (float(getattr(tolerance, name)) for name in ("lower", "upper", "cp", "shift"))
     return {"lower": lower, "upper": upper, "distribution": tolerance.distribution, "cp": cp, "shift": shift}

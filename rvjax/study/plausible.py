@@ -13,7 +13,7 @@ import numpy as np
 from rvjax import catalogue
 from rvjax.designs import RVReducer
 from rvjax.tolerances import Middle, Tolerance
-from rvjax.units import KNOWN
+from rvjax.units import suited
 
 FAR = 30.0  # factor from every known reducer beyond which a number is doubted
 FAR_INERTIA = 1000.0  # grows with the fifth power of a length: 50 between the sizes 20 and 320
@@ -158,6 +158,5 @@ def shown(value: Any, unit: str) -> str:
         value: SI.
         unit: its SI unit.
     """
-    sizes = sorted(KNOWN.get(unit, {unit: 1.0}).items(), key=lambda item: -item[1])
-    name, size = next((item for item in sizes if abs(value) >= item[1]), sizes[-1])
+    name, size = suited(value, unit)
     return f"{float(value) / size:.4g} {name}" if unit != "-" else f"{float(value):.4g}"

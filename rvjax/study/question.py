@@ -38,6 +38,7 @@ class Study:
         middles: ranges in which the limits of an error may move as a whole, by name.
         assembly: how measured parts are matched.
         identification: what [identify] asks of measured units, or None.
+        read_in: unit in which a response is reported, by its name: that of its limit; without one the usual one.
     """
 
     name: str
@@ -55,6 +56,7 @@ class Study:
     middles: dict[str, Middle] = dataclasses.field(default_factory=dict)
     assembly: Assembly = dataclasses.field(default_factory=lambda: Assembly())
     identification: "Identification | None" = None
+    read_in: dict[str, str] = dataclasses.field(default_factory=dict)
 
     def response(self) -> Response:
         """errors -> Outcome of the responses that the requirements name.
@@ -125,8 +127,9 @@ class Study:
         return models.kind(self.design).curve(tuple(self.requirements))
 
     def output(self, name: str) -> Output:
-        """What a response of this study is."""
-        return models.kind(self.design).outputs[name]
+        """What a response of this study is, read in the unit that its limit is written in."""
+        output = models.kind(self.design).outputs[name]
+        return dataclasses.replace(output, read_in=self.read_in.get(name, output.read_in))
 
 
 def _given(table: Any, path: str) -> bool:

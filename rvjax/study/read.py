@@ -22,6 +22,7 @@ from rvjax.tolerances.allocation.allocation import FEWEST
 from rvjax.tolerances.allocation.middles import check_middles
 from rvjax.tolerances.distribution.tolerance import COMMON, LAWS
 from rvjax.tolerances.propagation.requirements import KINDS
+from rvjax.units import unit_of
 
 TABLES = {"accuracy", "assembly", "columns", "conditions", "cost", "design", "identify", "middle"}
 TABLES |= {"requirement", "run", "tolerances"}
@@ -43,7 +44,7 @@ def load(source: str, *, solve: bool = True) -> Study:
     path = Path(source)
     if path.suffix == ".toml":
         try:
-            text = path.read_text("utf-8")
+            text = path.read_text("utf-8-sig")  # Windows puts a byte order mark there
         except FileNotFoundError:
             raise FileNotFoundError(f"{source}: no such study file") from None
         except (OSError, UnicodeDecodeError) as error:
@@ -79,8 +80,7 @@ def parse_study(text: str, *, name: str, folder: Path = Path(), solve: bool = Tr
         except (tomllib.TOMLDecodeError, RecursionError) as error:
             raise ValueError(f"not valid TOML: {error}") from None
         known(tables, TABLES, "")
-        asked = () if "identify" in tables else ("requirement",)
-        for key in ("design", "tolerances", *asked):
+        for key in ("design", "tolerances", *(() if "identify" in tables else ("requirement",))):
             if not subtable(tables, key):
                 raise ValueError(f"[{key}] is missing or empty")
         design = parse_design(subtable(tables, "design"))
@@ -90,7 +90,8 @@ def parse_study(text: str, *, name: str, folder: Path = Path(), solve: bool = Tr
         run = subtable(tables, "run")
         known(run, {"seed", "samples", "certificate_samples", "joint_target"}, "run")
         kind = models.kind(design)
-        requirements = _requirements(kind.outputs, subtable(tables, "requirement"))
+        asked = subtable(tables, "requirement")
+        requirements = _requirements(kind.outputs, asked)
         identification = None
         if "identify" in tables:
             identification = parse_identification(
@@ -107,6 +108,7 @@ def parse_study(text: str, *, name: str, folder: Path = Path(), solve: bool = Tr
             tolerances=tolerances,
             costs=costs,
             requirements=requirements,
+            read_in=_read_in(kind.outputs, asked),
             accuracy=_accuracy(kind.outputs, requirements, subtable(tables, "accuracy")),
             middles=_middles(error_record, tolerances, subtable(tables, "middle")),
             assembly=parse_assembly(subtable(tables, "assembly"), design, requirements),
@@ -292,3 +294,14 @@ def _requirements(outputs: Mapping[str, Output], table: dict[str, Any]) -> dict[
         with naming_field(where):
             requirements[response] = kinds[0](**values)
     return requirements
+
+
+def _read_in(outputs: Mapping[str, Output], table: dict[str, Any]) -> dict[str, str]:
+    """The unit of the first limit of each response; limits are texts with units, they have been read before."""
+    asked = {}
+    for name, entry in table.items():
+        response = entry.get("response", name)
+        limits = (entry[key] for key in entry if any(key in kind.limit_keys() for kind in KINDS))
+        if (unit := outputs[response].unit) != "-":
+            asked[response] = unit_of(next(limits), unit)
+    return asked

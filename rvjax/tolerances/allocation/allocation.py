@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax import tables
 from rvjax.records import Record
 from rvjax.tolerances.allocation.certificate import Certifier
 from rvjax.tolerances.allocation.cost import Cost
@@ -67,6 +68,22 @@ class Allocation:
     grades: dict[str, str] | None
     graded: "Allocation | None"
     history: list[dict[str, Any]]
+
+    def to_pandas(self) -> Any:
+        """A `pandas.DataFrame`, SI: limits, half-width, cost and grade of each field that has a cost."""
+        active = Population.of(self.tolerances, None).active
+        rows = [
+            {
+                "field": name,
+                "lower": float(active[name].lower),
+                "upper": float(active[name].upper),
+                "half_width": half_width,
+                "cost": self.costs[name],
+                "grade": (self.grades or {}).get(name),
+            }
+            for name, half_width in self.half_widths.items()
+        ]
+        return tables.tidy(rows, ["field"])
 
 
 def allocate(
@@ -127,17 +144,19 @@ def allocate(
     start = np.array([float(population.active[name].half_width) for name in priced])
     training = Training(response, population, tuple(priced), required, joint_target, samples, seed)
     moving = 0.0
-    if middles:
-        training, moving = centred(training, priced, max_steps, start, middles)
-    drawn = certificate_samples, seed, BLOCK
-    run = Run(response, training.population, names, required, *drawn, confidence=confidence, progress=progress)
-    certifier = Certifier(run, joint_target)
-    search = Search(training, priced, max_steps)
-    if (training.margins(search.low) <= 0).all():
-        with progress_bar(progress, None, "allocation", "step") as search.advance:
-            found = _cheapest(search, certifier, start)
-    else:
-        found = _finest(search, certifier)
+    with progress_bar(progress, None, "searching", "step") as advance:
+        if middles:
+            training, moving = centred(training, priced, max_steps, start, middles, advance)
+        drawn = certificate_samples, seed, BLOCK
+        run = Run(
+            response, training.population, names, required, *drawn, confidence=confidence, progress=progress,
+            label="certifying",
+        )  # fmt: skip
+        certifier = Certifier(run, joint_target)
+        search = Search(training, priced, max_steps, advance)
+        possible = (training.margins(search.low) <= 0).all()
+        advance(0)
+        found = _cheapest(search, certifier, start) if possible else _finest(search, certifier)
     result = _result(search, found, names, start, moving)
     if not grades or not result.feasible:
         return unwrapped(result)

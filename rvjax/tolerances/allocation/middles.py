@@ -67,7 +67,12 @@ def check_middles(middles: Mapping[str, Middle], active: Mapping[str, Tolerance]
 
 
 def centred(
-    training: Training, priced: dict[str, Cost], max_steps: int, start: np.ndarray, middles: Mapping[str, Middle]
+    training: Training,
+    priced: dict[str, Cost],
+    max_steps: int,
+    start: np.ndarray,
+    middles: Mapping[str, Middle],
+    advance: Callable[[int], object],
 ) -> tuple[Training, float]:
     """The sample with its middles where the cheapest half-widths cost least, and the cost of having moved them.
 
@@ -77,6 +82,7 @@ def centred(
         max_steps: of one search.
         start: half-widths to begin with.
         middles: ranges, by field.
+        advance: of a progress bar, for every set of half-widths.
     """
     names, items = list(middles), list(middles.values())
     given = np.array([float(training.population.active[name].middle) for name in names])
@@ -105,10 +111,10 @@ def centred(
         return there, worth(here) - worth(there)
 
     here = np.clip(given, low, high)
-    search = Search(at(here).measured(), priced, max_steps)
+    search = Search(at(here).measured(), priced, max_steps, advance)
     if (search.training.margins(search.low) > 0).any():  # nothing can be made: the middles with the most room first
         here, _ = best(search.low, here, None)
-        search = Search(at(here).measured(), priced, max_steps)
+        search = Search(at(here).measured(), priced, max_steps, advance)
         if (search.training.margins(search.low) > 0).any():
             return search.training, moving(here)
     point, _ = search.find(search.begin(start), start)
@@ -119,7 +125,7 @@ def centred(
         if gain < _GAIN * total:
             break
         for _ in range(_HALVINGS):
-            trial = Search(at(there).measured(), priced, max_steps)
+            trial = Search(at(there).measured(), priced, max_steps, advance)
             end, _ = trial.find(trial.begin(point.half_widths), point.half_widths)
             if trial.cost(end.half_widths) + moving(there) < total:
                 break

@@ -33,9 +33,15 @@ _LOOSER = (0.3, 0.1, 0.03, 0.01)  # a single field, logarithms of the half-width
 class Search:
     """Evaluates sets of half-widths, remembers them, and walks to the cheapest one that meets all constraints."""
 
-    def __init__(self, training: Training, priced: dict[str, Cost], max_steps: int) -> None:
+    def __init__(
+        self,
+        training: Training,
+        priced: dict[str, Cost],
+        max_steps: int,
+        advance: Callable[[int], Any] = lambda count: None,  # of a progress bar
+    ) -> None:
         self.training, self.costs, self.max_steps = training, tuple(priced.values()), max_steps
-        self.advance: Callable[[int], Any] = lambda count: None  # of a progress bar
+        self.advance = advance
         self.low = np.array([float(cost.finest) for cost in self.costs])
         self.high = np.array([float(cost.coarsest) for cost in self.costs])
         self.history: list[dict[str, Any]] = []

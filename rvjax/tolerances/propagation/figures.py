@@ -3,6 +3,7 @@
 import dataclasses
 from typing import Any
 
+from rvjax import tables
 from rvjax.tolerances.propagation.estimates import Estimate
 
 
@@ -65,6 +66,24 @@ class Statistics:
     values: Any
     study: dict[str, str]
     versions: dict[str, str]
+
+    def to_pandas(self) -> Any:
+        """A `pandas.DataFrame`, SI: one row for each response, every estimate with its error and interval."""
+        some = isinstance(self.mean, dict)
+
+        def of(item: Any, name: str) -> Any:
+            return item[name] if some and item is not None else item
+
+        def row(name: str) -> dict[str, Any]:
+            found = {"response": name, **tables.spread("mean", of(self.mean, name))}
+            found |= tables.spread("sd", of(self.sd, name))
+            found |= {"minimum": of(self.minimum, name), "maximum": of(self.maximum, name)}
+            for p, quantile in self.quantiles.items():
+                found |= tables.spread(f"quantile_{p:g}", of(quantile, name))
+            found |= tables.spread("yield", of(self.yield_, name))
+            return found | {"cp": of(self.cp, name), "cpk": of(self.cpk, name)}
+
+        return tables.tidy(map(row, self.mean if some else ["response"]), ["response"])
 
 
 def rejects(share: Estimate | None) -> Estimate | None:

@@ -133,6 +133,7 @@ class Run:
     checkpoint: str | Path | None = None
     keep: bool = False
     progress: bool = False
+    label: str = "Monte Carlo"
 
     def statistics(self) -> Statistics:
         """Draw, evaluate and count all units."""
@@ -230,7 +231,7 @@ class Run:
         samples, chunk = self.samples, self.chunk
         process, processes = place()
         evaluator = Evaluator(self.response, self.population, self.seed, self.method, min(chunk, samples))
-        label = "Monte Carlo" if processes == 1 else f"Monte Carlo, process {process + 1} of {processes}"
+        label = self.label if processes == 1 else f"{self.label}, process {process + 1} of {processes}"
         reached = done * chunk
         with progress_bar(self.progress, samples, label, "unit", initial=reached) as advance:
             for number, values, status in _chunks(evaluator, tally, range(done, -(-samples // chunk)), chunk, samples):
@@ -306,12 +307,12 @@ def _positive(name: str, value: Any) -> int:
 
 @contextlib.contextmanager
 def progress_bar(shown: bool, total: int | None, description: str, unit: str, *, initial: int = 0) -> Iterator[Any]:
-    """A function that advances a tqdm bar, or does nothing.
+    """A function that advances a tqdm bar, or does nothing; the bar says "compiling" until its first call.
 
     Args:
         shown: whether there is a bar.
         total: units of work; None where it is not known.
-        description: before the bar.
+        description: before the bar, once the work goes on: the phase.
         unit: of the work.
         initial: done already.
     """
@@ -320,5 +321,11 @@ def progress_bar(shown: bool, total: int | None, description: str, unit: str, *,
         return
     from tqdm import tqdm
 
-    with tqdm(total=total, unit=unit, unit_scale=True, desc=description, initial=initial) as bar:
-        yield bar.update
+    with tqdm(total=total, unit=unit, unit_scale=True, desc="compiling", initial=initial) as bar:
+
+        def advance(count: int) -> None:
+            if not bar.desc.startswith(description):
+                bar.set_description(description)
+            bar.update(count)
+
+        yield advance

@@ -8,6 +8,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax import tables
 from rvjax.status import succeeded
 from rvjax.tolerances.population.correlation import Correlation
 from rvjax.tolerances.population.population import Population
@@ -39,6 +40,19 @@ class SobolIndices:
     failed: int
     evaluations: int
     seed: int
+
+    def to_pandas(self) -> Any:
+        """A `pandas.DataFrame`: one row for each field and response, both shares with their errors and intervals."""
+        plain = any(isinstance(item, Estimate) for item in self.first.values())
+        first, total = ({"response": shares} if plain else shares for shares in (self.first, self.total))
+        rows = [
+            {"field": field, "response": name}
+            | tables.spread("first", one)
+            | tables.spread("total", total[name][field])
+            for name, shares in first.items()
+            for field, one in shares.items()
+        ]
+        return tables.tidy(rows, ["field", "response"])
 
 
 def sobol_indices(
