@@ -181,6 +181,7 @@ def _allocate(options: argparse.Namespace) -> int:
 def _report(options: argparse.Namespace) -> int:
     from rvjax import study
     from rvjax.report import page, text
+    from rvjax.report.surrogate import surrogate
     from rvjax.study.answer import answer
     from rvjax.tolerances.atomic import check_writable, write_atomically
 
@@ -191,7 +192,7 @@ def _report(options: argparse.Namespace) -> int:
     check_writable(path)
     _forewarn(question)
     found = answer(question, progress=not options.quiet)
-    content = page.page(found, options.study).encode("utf-8")
+    content = page.page(found, options.study, surrogate(found)).encode("utf-8")
     if not given:
         path = text.new_folder(path.parent) / path.name
     write_atomically(path, content)

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from rvjax.study.answer import Answer
+from rvjax.study.answer import Answer, least_yield
 
 
 @dataclass(frozen=True)
@@ -67,12 +67,7 @@ def pictures(answer: Answer, form: str = "png") -> Iterator[Picture]:
         if answer.cost_curve:
             axes = plotting.cost_against_yield(
                 *zip(*answer.cost_curve),
-                chosen=(_least_yield(answer.allocation.certificate), answer.allocation.cost),
-                start=(_least_yield(answer.certificate_before), answer.allocation.start_cost),
+                chosen=(least_yield(answer.allocation.certificate), answer.allocation.cost),
+                start=(least_yield(answer.certificate_before), answer.allocation.start_cost),
             )
             yield picture(axes, "cost_against_yield", "Cheapest cost for each yield, with this study and the start")
-
-
-def _least_yield(statistics: Any) -> float:
-    """Of the shares that the curve moves: a study without any has no curve."""
-    return min(verdict.estimate.value for verdict in statistics.verdicts.values() if verdict.kind == "share")
