@@ -1,4 +1,4 @@
-"""The command line: `rvjax init`, `check`, `allocate`, `report`, `montecarlo`, `reproduce` and `tradeoff`.
+"""The command line: `rvjax init`, `check`, `allocate`, `report`, `montecarlo`, `compare`, `reproduce` and `tradeoff`.
 
 Bad input ends with one line on standard error and exit code 2; a question that has no answer
 (infeasible requirements) with exit code 1.
@@ -79,7 +79,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"rvjax {rvjax.__version__}")
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
     run: dict[str, Any] = dict(init=_init, check=_check, allocate=_allocate, report=_report, montecarlo=_montecarlo)
-    run |= dict(reproduce=_reproduce, tradeoff=_tradeoff)
+    run |= dict(compare=_compare, reproduce=_reproduce, tradeoff=_tradeoff)
     types: dict[str, Any] = {"count": _count, "int": int}
     for name, command in about["command"].items():
         options = command.pop("options")
@@ -163,10 +163,16 @@ def _forewarn(question: Any) -> None:
 
 def _allocate(options: argparse.Namespace) -> int:
     from rvjax import study
-    from rvjax.report import text
+    from rvjax.report import again, text
     from rvjax.study.answer import answer
     from rvjax.tolerances.atomic import check_writable
 
+    if not options.fresh:
+        kept = again.folder(study.load(options.study, solve=False), options.results)
+        if kept is not None:
+            _say((kept / "summary.txt").read_text("utf-8"))
+            _say(f"Unchanged since {kept} was written, which holds this answer; --fresh computes it anew.")
+            return EXIT_OK if again.status(kept) == "OPTIMAL" else EXIT_NO_ANSWER
     question = study.load(options.study)
     folder = text.results_folder(options.results, question.name)
     check_writable(folder)
@@ -235,6 +241,17 @@ def _montecarlo(options: argparse.Namespace) -> int:
     written.write(found, question, options.study, figures=options.json, samples=options.save)
     _say(written.summary(found, question))
     print(f"\n{seconds:.1f} s, start and compilation included")
+    return EXIT_OK
+
+
+def _compare(options: argparse.Namespace) -> int:
+    from rvjax.report import compare
+
+    first, second = compare.result(options.first), compare.result(options.second)
+    if options.format == "json":
+        print(json.dumps(compare.compared(first, second), indent=1, allow_nan=False))
+    else:
+        _say(compare.text(first, second, (options.first, options.second)))
     return EXIT_OK
 
 

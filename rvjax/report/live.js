@@ -11,6 +11,8 @@ const Live = (() => {
 
   function opened(data) {
     data.weights = unpacked(data.weights);
+    const sum = data.weights.reduce((a, b) => a + b, 0); // 1 but for 32 bits
+    data.weights = data.weights.map((weight) => weight / sum);
     for (const response of data.responses) {
       response.base = unpacked(response.base);
       for (const column of response.columns) column.values = unpacked(column);

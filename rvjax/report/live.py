@@ -1,11 +1,9 @@
-"""The live section of the page: sliders over the surrogate of an answer; its numbers, its words and the study it writes."""
+"""The live section of the page: sliders over the surrogate of an answer, its numbers and its words."""
 
 import base64
 import json
 import math
 import re
-import tomllib
-from collections.abc import Mapping
 from html import escape
 from importlib import resources
 from typing import Any
@@ -14,14 +12,13 @@ import numpy as np
 
 from rvjax.plotting.style import words
 from rvjax.report.surrogate import Surrogate, grows_from_lower, placed
-from rvjax.study import Study
 from rvjax.study.answer import Answer
+from rvjax.study.rewrite import template
 from rvjax.tolerances import CpkAtLeast, Exponential, MeanWithin, Requirement, SdAtMost
 from rvjax.tolerances.propagation.limits import Limits
 from rvjax.units import readable
 
 KINDS: dict[type[Limits], str] = {Requirement: "share", CpkAtLeast: "cpk", MeanWithin: "mean", SdAtMost: "sd"}
-_LIMITS = ("half_width", "lower", "upper", "grade")  # keys that say where the limits of an error are
 
 
 def section(found: Surrogate | None, answer: Answer) -> str:
@@ -84,7 +81,7 @@ def data(found: Surrogate, answer: Answer) -> dict[str, Any]:
         "responses": [_response(name, found, answer) for name in study.requirements],
         "priced": bool(study.costs),
         "error": error_text(found),
-        "template": template(study, places),
+        "template": template(study.text, study.requirements, places),
     }
 
 
@@ -192,98 +189,6 @@ def _integers(values: np.ndarray) -> dict[str, Any]:
     return {"scale": scale, "data": base64.b64encode(numbers.tobytes()).decode()}
 
 
-def template(study: Study, fields: list[str]) -> list[str | dict[str, Any]]:
-    """The study's text with gaps for limits: strings, and {"field" or "response": number, "own": its own lines}.
-
-    A file that says its tables in another way than with a header each, or a key over several lines, is written anew.
-
-    Args:
-        study: whose text.
-        fields: names of the errors that may change, in their order.
-    """
-    tables = tomllib.loads(study.text)
-    gaps = {f"tolerances.{name}": ("field", k, _LIMITS) for k, name in enumerate(fields)}
-    responses = list(study.requirements)
-    for key, entry in tables["requirement"].items():
-        name = entry.get("response", key)
-        keys = tuple(study.requirements[name].prefix + end for end in ("lower", "upper"))
-        gaps[f"requirement.{key}"] = ("response", responses.index(name), keys)
-    for text in (study.text, canonical(tables)):
-        parts = _with_gaps(text, gaps)
-        if _fits(parts, tables, gaps):
-            return parts
-    raise ValueError(f"{study.name}: its text cannot be written again")
-
-
-def _with_gaps(text: str, gaps: Mapping[str, tuple[str, int, tuple[str, ...]]]) -> list[str | dict[str, Any]]:
-    parts: list[str | dict[str, Any]] = []
-    kind, number, keys, gap = "", 0, (), None
-    for line in text.splitlines(keepends=True):
-        line = line if line.endswith("\n") else f"{line}\n"
-        header = re.match(r"\s*\[\s*([\w.-]+)\s*\]\s*(#.*)?$", line)
-        if header or re.match(r"\s*\[", line):
-            kind, number, keys = gaps.get(header[1] if header else "", ("", 0, ()))
-            gap = None
-        key = re.match(r"\s*([\w-]+)\s*=", line)
-        if key and key[1] in keys:
-            if gap is None:
-                gap = {kind: number, "own": ""}
-                parts.append(gap)
-            gap["own"] += line
-        elif parts and isinstance(parts[-1], str):
-            parts[-1] += line
-        else:
-            parts.append(line)
-    return parts
-
-
-def _fits(parts: list[str | dict[str, Any]], tables: dict[str, Any], gaps: Mapping[str, Any]) -> bool:
-    """Whether every gap is there once and nothing but the limits goes when it is filled with something else."""
-    if sum(not isinstance(part, str) for part in parts) != len(gaps):
-        return False
-    try:
-        filled = tomllib.loads("".join(p if isinstance(p, str) else 'filled = "gap"\n' for p in parts))
-    except tomllib.TOMLDecodeError:
-        return False
-    for header, (_, _, keys) in gaps.items():
-        table, name = header.split(".")
-        entry = tables[table][name]
-        expected = {key: value for key, value in entry.items() if key not in keys} | {"filled": "gap"}
-        if filled.get(table, {}).get(name) != expected:
-            return False
-        filled[table][name] = entry
-    return filled == tables
-
-
-def canonical(tables: dict[str, Any]) -> str:
-    """Tables of a study as TOML, a header for each table of two names.
-
-    Args:
-        tables: as read.
-    """
-    lines = []
-    for name, table in tables.items():
-        plain = {key: value for key, value in table.items() if name in ("design", "run") or not isinstance(value, dict)}
-        if plain:
-            lines += [f"[{name}]", *(f"{_key(key)} = {_value(value)}" for key, value in plain.items()), ""]
-        for key, entry in table.items():
-            if key not in plain:
-                lines += [f"[{name}.{_key(key)}]", *(f"{_key(k)} = {_value(v)}" for k, v in entry.items()), ""]
-    return "\n".join(lines)
-
-
-def _key(name: str) -> str:
-    return name if re.fullmatch(r"[\w-]+", name, re.ASCII) else json.dumps(name)
-
-
-def _value(value: Any) -> str:
-    if isinstance(value, dict):
-        return "{" + ", ".join(f"{_key(key)} = {_value(item)}" for key, item in value.items()) + "}"
-    if isinstance(value, list):
-        return "[" + ", ".join(map(_value, value)) + "]"
-    return json.dumps(value, ensure_ascii=False) if isinstance(value, (str, bool)) else repr(value)
-
-
 def _checks(found: Surrogate, answer: Answer) -> str:
     rows = []
     for check in found.checks:
@@ -302,8 +207,8 @@ def _checks(found: Surrogate, answer: Answer) -> str:
 _COLUMNS = ("requirement", "figure", "asked", "mean", "sd", "Cpk", "verdict")
 _SECTION = """<section id="live" class="live as-allocated" hidden>
 <h2>What if</h2>
-<p class="live-intro">Move half-widths, middles and limits; the figures follow at once, from {units:,} weighted units. As
-allocated, they are those of the certificate; elsewhere they come near to it, as said here, and certify nothing.</p>
+<p class="live-intro">Move half-widths, middles and limits; the figures follow at once, from {units:,} weighted units.
+As allocated, they are those of the certificate; elsewhere they come near to it, as said here, and certify nothing.</p>
 <p class="live-region" data-live="region"></p>
 <p class="unseen" role="status" data-live="spoken"></p>
 <p class="live-bar" aria-hidden="true" data-live="bar"></p>

@@ -4,14 +4,15 @@ A sample of units keeps its random numbers while half-widths and places of the l
 
     y_i(x) = y_i(0) + sum_k s_ik x_k + sum_{j <= k} b_ijk x_j x_k,   x_k = (p_k - allocated p_k)/reach_k,
 
-with slopes and bends from responses at x_k = +-1, not from derivatives: they hold over the region |x_k| <= 1 and pass over
-the kinks of extremes. A linear response is met exactly. Few units must tell rare rejects, so the sample is thinned
-with a chance that grows towards the tails (Horvitz and Thompson 1952) and weighted so that the figures at x = 0 are those
-of the certificate (Deville and Sarndal 1992). What is left is measured at points of the region with units of their own.
+with slopes and bends from responses at x_k = +-1, not from derivatives: they hold over the region |x_k| <= 1 and pass
+over the kinks of extremes. A linear response is met exactly. Few units must tell rare rejects, so the sample is thinned
+with a chance that grows towards the tails (Horvitz and Thompson 1952) and weighted so that the figures at x = 0 are
+those of the certificate (Deville and Sarndal 1992). What is left is measured at points of the region, with fresh units.
 """
 
 import dataclasses
 import itertools
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -109,7 +110,7 @@ class Surrogate:
         values, w = self.values(name, x), self.weights
         mean = float(w @ values)
         within = float(w @ (np.asarray(limits.margin(values)) <= 0))
-        sd = float(np.sqrt(max(0.0, w @ (values - mean) ** 2)))
+        sd = math.sqrt(max(0.0, float(w @ (values - mean) ** 2)))
         return {"yield": (1 - self.failed) * within, "mean": mean, "sd": sd}
 
     def place(self, tolerances: Any) -> np.ndarray:
@@ -297,8 +298,8 @@ class _Design:
                 y[name] - base[name] - sum(c * np.prod(x[list(key)]) for key, c in own.items())
                 for x, y in zip(probes, seen)
             ]
-            strength = {k: max(np.mean(own[k,] ** 2), np.mean(own[k, k] ** 2)) for k in range(len(width))}
-            felt = [k for k in strength if np.sqrt(strength[k]) > 5 * _FELT * spread[name]]
+            strength = [float(np.sqrt(np.mean(own[k,] ** 2 + own[k, k] ** 2))) for k in range(len(width))]
+            felt = [k for k, size in enumerate(strength) if size > 5 * _FELT * spread[name]]
             strongest = sorted(sorted(felt, key=lambda k: -strength[k])[:_MIXED])
             bent = max(float(np.sqrt(np.nanmean(miss**2))) for miss in misses) > _KNOWN * spread[name]
             found[name] = set(itertools.combinations(strongest, 2)) if bent else set()

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax.study.question import Study
-from rvjax.tolerances import Allocation, Statistics, allocate, cost_curve, monte_carlo, rss, sample
+from rvjax.tolerances import Allocation, Requirement, Statistics, allocate, cost_curve, monte_carlo, rss, sample
 from rvjax.tolerances.propagation.responses import BLOCK  # chunks of the certificate's size: the response compiles once
 
 SHOWN_UNITS = 24  # units whose curve is drawn
@@ -163,7 +163,7 @@ def _cost_curve(study: Study, response: Callable[[Any], Any], found: Allocation)
         certificate_samples=SHOWN_VALUES,
     )
     points = [a for a in curve.allocations if a.feasible]
-    goals = {requirement.target for requirement in study.requirements.values() if requirement.goal == "target"}
+    goals = {item.target for item in study.requirements.values() if isinstance(item, Requirement)}
     if len(goals) == 1 and study.joint_target is None:
         points.append(found)  # an end of the same searches: one of them asks for what this study asks for
     return sorted((least_yield(a.certificate), a.cost) for a in points)
