@@ -69,7 +69,7 @@ const Live = (() => {
   };
 
   function cost(data, at) {
-    let total = 0;
+    let total = data.other_cost;
     for (const field of data.fields) {
       const { half, middle } = limitsOf(field, at), c = field.cost;
       if (c) total += c.fixed + c.scale *

@@ -31,7 +31,8 @@ def section(found: Surrogate | None, answer: Answer) -> str:
     if found is None:
         return ""
     heads = "".join(f'<th scope="col">{name}</th>' for name in _COLUMNS)
-    return _SECTION.format(heads=heads, units=len(found.weights), checks=_checks(found, answer))
+    graded = _GRADED if answer.allocation.graded else ""
+    return _SECTION.format(heads=heads, units=len(found.weights), graded=graded, checks=_checks(found, answer))
 
 
 def script(found: Surrogate | None, answer: Answer) -> str:
@@ -80,6 +81,7 @@ def data(found: Surrogate, answer: Answer) -> dict[str, Any]:
         "fields": fields,
         "responses": [_response(name, found, answer) for name in study.requirements],
         "priced": bool(study.costs),
+        "other_cost": sum(cost for name, cost in answer.after.cost.items() if name not in places),
         "error": error_text(found),
         "template": template(study.text, study.requirements, places),
     }
@@ -205,6 +207,7 @@ def _checks(found: Surrogate, answer: Answer) -> str:
 
 
 _COLUMNS = ("requirement", "figure", "asked", "mean", "sd", "Cpk", "verdict")
+_GRADED = '\n<button type="button" data-begin="graded">with ISO 286 grades</button>'
 _SECTION = """<section id="live" class="live as-allocated" hidden>
 <h2>What if</h2>
 <p class="live-intro">Move half-widths, middles and limits; the figures follow at once, from {units:,} weighted units.
@@ -216,7 +219,7 @@ As allocated, they are those of the certificate; elsewhere they come near to it,
 <div><dt>all requirements at once</dt><dd data-live="joint"></dd></div></dl>
 <div class="wide"><table class="cards"><thead><tr>{heads}</tr></thead><tbody data-live="figures"></tbody></table></div>
 <div class="live-buttons"><button type="button" data-begin="centre">as allocated</button>
-<button type="button" data-begin="own">as in the study</button></div>
+<button type="button" data-begin="own">as in the study</button>{graded}</div>
 <div class="live-sliders">
 <fieldset data-live="half-widths"><legend>Half-widths</legend></fieldset>
 <fieldset data-live="limits"><legend>Limits of the requirements</legend></fieldset>

@@ -6,6 +6,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from rvjax.study.answer import Answer, least_yield
 
 
@@ -61,6 +63,10 @@ def pictures(answer: Answer, form: str = "png") -> Iterator[Picture]:
                 lower=requirement.lower if of_values else -math.inf,
             )
             caption = f"Distribution of {words(name)} before and after, with its limit"
+            values = answer.after.values[name]
+            if (valid := values[np.isfinite(values)]).size:
+                unit, size = study.output(name).shown
+                caption += f"; after: mean {valid.mean() / size:.3g} {unit}, sd {valid.std() / size:.3g} {unit}"
             yield picture(axes, f"histogram_{name}", caption)
         axes = plotting.variance_shares(answer.after.shares, title="Who causes the variance, after")
         yield picture(axes, "variance_shares", "Share of each error in the variance of each response, after")
@@ -70,4 +76,8 @@ def pictures(answer: Answer, form: str = "png") -> Iterator[Picture]:
                 chosen=(least_yield(answer.allocation.certificate), answer.allocation.cost),
                 start=(least_yield(answer.certificate_before), answer.allocation.start_cost),
             )
-            yield picture(axes, "cost_against_yield", "Cheapest cost for each yield, with this study and the start")
+            ends = [
+                f"{cost:.3g} at {100 * share:.5g} %" for share, cost in (answer.cost_curve[0], answer.cost_curve[-1])
+            ]
+            caption = f"Cheapest cost for each yield, from {' to '.join(ends)}, with this study and the start"
+            yield picture(axes, "cost_against_yield", caption)

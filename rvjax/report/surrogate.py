@@ -134,6 +134,7 @@ class Surrogate:
             for each in check.figures.values()
             for ours, true in [each[figure]]
         ]
+        misses = [miss if math.isfinite(miss) else math.inf for miss in misses]  # where every unit fails
         return max(misses, default=0.0)
 
 
@@ -178,9 +179,10 @@ def _parameters(answer: Answer) -> list[Parameter]:
     for field in study.fields:
         tolerance = getattr(answer.after.tolerances, field)
         half = float(tolerance.half_width)
-        if half > 0:
-            found.append(Parameter(field, False, half, REACH * half))
-        if half > 0 and not (tolerance.law.of_vectors or tolerance.law.name == "empirical"):
+        if half == 0 or tolerance.law.name == "empirical":  # constant, or measured: its limits do not say where it is
+            continue
+        found.append(Parameter(field, False, half, REACH * half))
+        if not tolerance.law.of_vectors:
             asked = study.middles.get(field)
             reach = max(SHIFT * half, (asked.upper - asked.lower) / 8 if asked else 0.0)
             found.append(Parameter(field, True, placed(tolerance), reach))
