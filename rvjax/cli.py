@@ -79,7 +79,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"rvjax {rvjax.__version__}")
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
     run: dict[str, Any] = dict(init=_init, check=_check, allocate=_allocate, report=_report, montecarlo=_montecarlo)
-    run |= dict(reproduce=_reproduce, tradeoff=_tradeoff)
+    run |= dict(compare=_compare, reproduce=_reproduce, tradeoff=_tradeoff)
     run |= dict(identify=_identify, assemble=_assemble, compensate=_compensate)
     types: dict[str, Any] = {"count": _count, "int": int}
     for name, command in about["command"].items():
@@ -172,10 +172,19 @@ def _forewarn(question: Any) -> None:
 
 def _allocate(options: argparse.Namespace) -> int:
     from rvjax import study
-    from rvjax.report import text
+    from rvjax.report import again, text
     from rvjax.study.answer import answer
     from rvjax.tolerances.atomic import check_writable
 
+    if not options.fresh:
+        kept = again.folder(study.load(options.study, solve=False), options.results)
+        if kept is not None:
+            said = f"Unchanged since {kept} was written, which holds this answer; --fresh computes it anew."
+            told = (kept / "summary.txt").read_text("utf-8") + said
+            _tell(
+                options, lambda: told, lambda: json.loads((kept / "result.json").read_text()) | {"results": str(kept)}
+            )
+            return EXIT_OK if again.status(kept) == "OPTIMAL" else EXIT_NO_ANSWER
     question = study.load(options.study)
     folder = text.results_folder(options.results, question.name)
     check_writable(folder)
@@ -191,6 +200,7 @@ def _allocate(options: argparse.Namespace) -> int:
 def _report(options: argparse.Namespace) -> int:
     from rvjax import study
     from rvjax.report import page, text
+    from rvjax.report.surrogate import surrogate
     from rvjax.study.answer import answer
     from rvjax.tolerances.atomic import check_writable, write_atomically
 
@@ -201,7 +211,7 @@ def _report(options: argparse.Namespace) -> int:
     check_writable(path)
     _forewarn(question)
     found = answer(question, progress=not options.quiet)
-    content = page.page(found, options.study).encode("utf-8")
+    content = page.page(found, options.study, surrogate(found)).encode("utf-8")
     if not given:
         path = text.new_folder(path.parent) / path.name
     write_atomically(path, content)
@@ -275,6 +285,17 @@ def _identify(options: argparse.Namespace) -> int:
         if not options.check:
             _say(f"\nResults: {folder}")
     return EXIT_NO_ANSWER if found.adequate is False else EXIT_OK
+
+
+def _compare(options: argparse.Namespace) -> int:
+    from rvjax.report import compare
+
+    first, second = compare.result(options.first), compare.result(options.second)
+    if options.format == "json":
+        print(json.dumps(compare.compared(first, second), indent=1, allow_nan=False))
+    else:
+        _say(compare.text(first, second, (options.first, options.second)))
+    return EXIT_OK
 
 
 def _check_files(options: argparse.Namespace, **endings: str) -> None:

@@ -21,10 +21,11 @@ import numpy as np
 import pytest
 
 import rvjax
+import rvjax.report.surrogate
 import rvjax.report.worst_units
 import rvjax.study.answer
 from rvjax import cli
-from rvjax.report import page, text
+from rvjax.report import again, page, text
 from rvjax.tolerances.propagation.moments import CentralMoments
 from rvjax.tolerances.propagation.sampled import Sampled
 
@@ -54,6 +55,7 @@ def answers():
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(rvjax.study.answer, "answer", once)
+        patch.setattr(rvjax.report.surrogate, "_POINTS", 2)  # sooner
         yield found
 
 
@@ -157,6 +159,94 @@ def test_an_answer_is_read_in_the_unit_that_was_asked(answers, answered, here):
     assert slopes[1] == pytest.approx(60 * slopes[0], abs=0.006)
 
 
+def test_an_unchanged_study_is_answered_from_its_folder(answered, here, capsys, monkeypatch):
+    def no_answer(*_, **__):
+        raise ValueError("computed anew")
+
+    (here / "small.toml").write_text(SMALL)
+    assert cli.main(["allocate", "small.toml", "--quiet", "--results", "results/small-2"]) == 0
+    first = capsys.readouterr().out
+    monkeypatch.setattr(rvjax.study.answer, "answer", no_answer)
+    assert cli.main(["allocate", "small.toml", "--results", "results/small-2"]) == 0
+    (here / "results" / "small").mkdir()
+    (here / "results" / "small" / "study.toml").write_text(SMALL)  # half a folder is none
+    assert cli.main(["allocate", "small.toml"]) == 0
+    found = capsys.readouterr()
+    assert "Unchanged since results/small-2 was written" in found.out and "--fresh" in found.out
+    assert found.out.count(first.split("Results: ")[0].strip()) == 2 and found.err == ""
+    result = here / "results" / "small-2" / "result.json"
+    stale = json.loads(result.read_text())
+    for arguments, change in (
+        (["small.toml", "--fresh"], stale),
+        (["other.toml"], stale),
+        (["small.toml"], stale | {"versions": stale["versions"] | {"rvjax": "0.0"}}),
+        (["small.toml"], ["damaged"]),
+    ):
+        (here / "other.toml").write_text(SMALL + "\n")
+        result.write_text(json.dumps(change))
+        assert cli.main(["allocate", *arguments, "--quiet"]) == 2
+        assert "computed anew" in capsys.readouterr().err
+    assert again._names_files({"tolerances": {"x": {"values": [{"file": "a.csv"}]}}})
+    assert not again._names_files({"tolerances": {"x": {"values": [1, "file"]}}})
+
+
+def test_two_answers_side_by_side(answered, answers, here, capsys):
+    _, out = answered
+    other = json.loads((out / "result.json").read_text())
+    tolerance, share = other["tolerances"]["crank_phase"]["after"], other["shares"]["after"]["misfit"]["crank_phase"]
+    tolerance["upper"] *= 1.25
+    tolerance["lower"] *= 1.25
+    del other["tolerances"]["pin_radius"], other["certificate"]["cpk"]
+    other |= {"seed": 7, "status": "NOT_CERTIFIED"}
+    (here / "b.json").write_text(json.dumps(other))
+    assert cli.main(["compare", str(out), "b.json"]) == 0
+    lines = [re.split(r"\s{2,}", line.strip()) for line in capsys.readouterr().out.splitlines()]
+    rows = {line[0]: line[1:] for line in lines}
+    assert rows["verdict"] == ["OPTIMAL", "NOT_CERTIFIED", "differs"]
+    assert rows["seed"] == ["0", "7", "differs"] and rows["study"] == ["small", "small"]
+    assert rows["version of rvjax"] == [rvjax.__version__] * 2
+    assert rows["crank_phase, half-width"][2] == "+25.0 %"
+    assert rows["pin_radius, half-width"] == ["2 um", "-", "differs"]
+    assert rows["bearing_clearance, middle"] == ["8 um", "8 um"]
+    assert rows["misfit, limits"] == ["<= 30 um"] * 2
+    assert rows["misfit, Cpk"][1:] == ["-", "differs"]
+    assert cli.main(["compare", str(out), "b.json", "--format", "json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    half = answers[SMALL].allocation.tolerances.crank_phase.half_width
+    phase = found["tolerances after"]["crank_phase, half-width"]
+    assert phase == {"unit": "rad", "a": pytest.approx(half), "b": pytest.approx(1.25 * half), "same": False}
+    seen = found["variance of misfit, after"]["crank_phase"]
+    assert seen == {"unit": "share", "a": share, "b": share, "same": True}
+    assert found["cost"]["after"]["same"] is True
+
+
+@pytest.mark.parametrize("content", [None, "{", "[]", '{"study": 1}', "\0"])
+def test_what_is_no_result_is_not_compared(answered, here, capsys, content):
+    if content is not None:
+        (here / "result.json").write_text(content)
+    assert cli.main(["compare", str(answered[1]), "."]) == 2
+    message = capsys.readouterr().err.strip()
+    assert message.startswith("rvjax: error: .: ") and "\n" not in message
+
+
+def test_a_result_that_lacks_a_part_is_not_compared(answered, here, capsys):
+    broken = json.loads((answered[1] / "result.json").read_text())
+    broken["tolerances"]["pin_radius"] = "2 um"
+    (here / "b.json").write_text(json.dumps(broken))
+    for form in ("text", "json"):
+        assert cli.main(["compare", "b.json", str(answered[1]), "--format", form]) == 2
+        assert "results of rvjax allocate" in capsys.readouterr().err
+
+
+def test_the_curve_of_costs_passes_through_the_study(answers, answered):
+    """Certified yields and costs of cheapest tolerances, this study's among them, which two targets would set apart."""
+    found = answers[SMALL]
+    star = (min(e.value for e in found.allocation.certificate.yield_.values()), found.allocation.cost)
+    assert star in found.cost_curve and len(found.cost_curve) >= 4
+    yields, costs = zip(*found.cost_curve)
+    assert list(yields) == sorted(yields) and list(costs) == sorted(costs)
+
+
 def test_infeasible_requirements_are_refused_with_the_shortfall(here, capsys):
     text = SMALL.replace('upper = "1 arcmin"', 'upper = "0.2 arcmin"')
     (here / "hard.toml").write_text(text)
@@ -166,6 +256,8 @@ def test_infeasible_requirements_are_refused_with_the_shortfall(here, capsys):
     result = json.loads((here / "results" / "hard" / "result.json").read_text())
     assert not result["feasible"] and 0 < result["shortfall"]["transmission_error"] < 1e-4
     assert result["shortfall"]["misfit"] == 0
+    assert cli.main(["allocate", "hard.toml", "--quiet"]) == 1
+    assert "Unchanged since results/hard" in capsys.readouterr().out
     assert cli.main(["report", "hard.toml", "--quiet", "--output", "hard.html"]) == 1
     text = Path("hard.html").read_text("utf-8")
     assert "✘ No tolerances within the process ranges" in text and "✘ not met" in text
@@ -325,13 +417,16 @@ def written(answered, tmp_path_factory):
 def test_the_page_holds_the_answer_and_needs_nothing_else(written, answered):
     text = written.read_text("utf-8")
     tags = Tags(text)
-    sections = ["Requirements", "Tolerances and cost", "Which error matters", "Worst units"]
+    sections = ["Requirements", "Tolerances and cost", "What if", "Which error matters", "Worst units"]
     sections += ["How exactly it was computed", "How to get this page again"]
     assert tags.headings == ["small", *sections]
     images = [attrs for tag, attrs in tags.seen if tag == "img"]
     assert len(images) == len(PICTURES)
     assert all(image["src"].startswith("data:image/svg+xml;base64,") and image["alt"] for image in images)
-    assert not {tag for tag, _ in tags.seen} & {"script", "link", "iframe", "base", "object"}
+    assert not {tag for tag, _ in tags.seen} & {"link", "iframe", "base", "object"}
+    assert [attrs.get("type") for tag, attrs in tags.seen if tag == "script"] == ["application/json", None]
+    assert len({image["alt"] for image in images}) == len(images)
+    assert not re.search(r"\b(?:fetch|XMLHttpRequest|WebSocket|import)\b", text[text.index("<script") :])
     assert not re.search(r"(?:src|href)=['\"](?!data:)|url\(|@import", text)
     result = json.loads((answered[1] / "result.json").read_text())
     shown = [f"{result['cost']['after']:.3f}", "✔ met", "IT6", "±6.50 µm", "60,000", "seed", rvjax.__version__]
@@ -428,5 +523,5 @@ def test_version_and_module_entry():
 def test_help_names_every_command(capsys):
     assert cli.main(["--help"]) == 0
     text = capsys.readouterr().out
-    for words in ("allocate", "report", "montecarlo", "reproduce", "tradeoff", "exit codes", "examples"):
+    for words in ("allocate", "report", "compare", "montecarlo", "reproduce", "tradeoff", "exit codes", "examples"):
         assert words in text

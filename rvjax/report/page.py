@@ -1,4 +1,7 @@
-"""The answer to a study as one HTML page: pictures inside, no script, nothing fetched; for screen, phone and paper."""
+"""The answer to a study as one HTML page: pictures inside, nothing fetched; for screen, phone and paper.
+
+Scripts only add a section with sliders; without them the page says everything else.
+"""
 
 import base64
 import re
@@ -14,8 +17,10 @@ import numpy as np
 import rvjax
 from rvjax import levels, models
 from rvjax.plotting.style import words
+from rvjax.report import live
 from rvjax.report import text as tables
 from rvjax.report.pictures import Picture, pictures
+from rvjax.report.surrogate import Surrogate
 from rvjax.report.worst_units import WorstUnit, worst_units
 from rvjax.status import MEANING, Status
 from rvjax.study.answer import SHOWN_VALUES, Answer
@@ -27,23 +32,26 @@ NOT_SEEN = f'<span class="none">{tables.UNMOVED}</span>'
 EMPTY, NIL = ("", "-", ZERO, NOT_SEEN), ' class="nil"'  # cells that a narrow screen leaves out
 
 
-def page(answer: Answer, source: str) -> str:
+def page(answer: Answer, source: str, surrogate: Surrogate | None = None) -> str:
     """The whole page.
 
     Args:
         answer: what to show.
         source: study file or name, as given on the command line.
+        surrogate: of the answer, for a section with sliders; None: a page without.
     """
     drawn = {picture.name: picture for picture in pictures(answer, "svg")}
     style = (resources.files("rvjax.report") / "report.css").read_text("utf-8")
     name = escape(answer.study.name)
-    illustrated = (section(answer, drawn) for section in (_requirements, _tolerances, _influence, _worst))
-    body = "\n".join([_head(answer), *illustrated, _levels(answer), _origin(answer, source)])
+    answered = [_requirements(answer, drawn), _tolerances(answer, drawn), live.section(surrogate, answer)]
+    explained = [_influence(answer, drawn), _worst(answer, drawn), _levels(answer), _origin(answer, source)]
+    body = "\n".join([_head(answer), *answered, *explained])
     return (
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         f'<meta name="generator" content="rvjax {rvjax.__version__}">\n'
-        f"<title>{name}: tolerances</title>\n<style>\n{style}</style>\n</head>\n<body>\n{body}\n</body>\n</html>\n"
+        f"<title>{name}: tolerances</title>\n<style>\n{style}</style>\n</head>\n<body>\n{body}\n"
+        f"{live.script(surrogate, answer)}</body>\n</html>\n"
     )
 
 

@@ -6,7 +6,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from rvjax.study.answer import Answer
+import numpy as np
+
+from rvjax.study.answer import Answer, least_yield
 
 
 @dataclass(frozen=True)
@@ -64,18 +66,21 @@ def pictures(answer: Answer, form: str = "png") -> Iterator[Picture]:
                 lower=requirement.lower if of_values else -math.inf,
             )
             caption = f"Distribution of {words(name)} before and after, with its limit"
+            values = answer.after.values[name]
+            if (valid := values[np.isfinite(values)]).size:
+                unit, size = study.output(name).shown
+                caption += f"; after: mean {valid.mean() / size:.3g} {unit}, sd {valid.std() / size:.3g} {unit}"
             yield picture(axes, f"histogram_{name}", caption)
         axes = plotting.variance_shares(answer.after.shares, title="Who causes the variance, after")
         yield picture(axes, "variance_shares", "Share of each error in the variance of each response, after")
         if answer.cost_curve:
             axes = plotting.cost_against_yield(
                 *zip(*answer.cost_curve),
-                chosen=(_least_yield(answer.allocation.certificate), answer.allocation.cost),
-                start=(_least_yield(answer.certificate_before), answer.allocation.start_cost),
+                chosen=(least_yield(answer.allocation.certificate), answer.allocation.cost),
+                start=(least_yield(answer.certificate_before), answer.allocation.start_cost),
             )
-            yield picture(axes, "cost_against_yield", "Cheapest cost for each yield, with this study and the start")
-
-
-def _least_yield(statistics: Any) -> float:
-    """Of the shares that the curve moves: a study without any has no curve."""
-    return min(verdict.estimate.value for verdict in statistics.verdicts.values() if verdict.kind == "share")
+            ends = [
+                f"{cost:.3g} at {100 * share:.5g} %" for share, cost in (answer.cost_curve[0], answer.cost_curve[-1])
+            ]
+            caption = f"Cheapest cost for each yield, from {' to '.join(ends)}, with this study and the start"
+            yield picture(axes, "cost_against_yield", caption)

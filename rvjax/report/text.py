@@ -253,6 +253,15 @@ def results_folder(option: str | None, name: str) -> Path:
     return next(folder for folder in _numbered(Path("results") / name) if not folder.exists())
 
 
+def numbered_folders(name: str) -> list[Path]:
+    """The results folders of a study that are there, in the order of their numbers.
+
+    Args:
+        name: of the study.
+    """
+    return [folder for folder in _numbered(Path("results") / name) if folder.is_dir()]
+
+
 def _numbered(folder: Path) -> Iterator[Path]:
     """A folder, and those that stand in for it where it is taken."""
     yield folder
@@ -369,6 +378,7 @@ def as_json(answer: Answer) -> dict[str, Any]:
         },
         "shares": {"before": answer.before.shares, "after": answer.after.shares},
         "sensitivities": answer.after.sensitivities,
+        "limits": {row[0]: row[1] for row in requirement_rows(answer)[1]},
         "multipliers": allocation.multipliers,
         "shortfall": allocation.shortfall,
         "certificate": allocation.certificate,

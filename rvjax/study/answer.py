@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax.study.question import Study
-from rvjax.tolerances import Allocation, Statistics, allocate, cost_curve, monte_carlo, rss, sample
+from rvjax.tolerances import Allocation, Requirement, Statistics, allocate, cost_curve, monte_carlo, rss, sample
 from rvjax.tolerances.propagation.responses import BLOCK  # chunks of the certificate's size: the response compiles once
 
 SHOWN_UNITS = 24  # units whose curve is drawn
@@ -55,7 +55,9 @@ class Answer:
         certificate_before: statistics of the study's own tolerances, on the certificate's random numbers.
         before: the study's own tolerances.
         after: the allocated tolerances.
-        cost_curve: (yield, cheapest cost) pairs; empty where the study is infeasible or asks for no share of units.
+        cost_curve: (least yield of a requirement, cheapest cost), both certified, in ascending order, the allocation
+            itself among them where all its targets are one; empty where the study is infeasible or asks for no share
+            of units.
     """
 
     study: Study
@@ -160,5 +162,17 @@ def _cost_curve(study: Study, response: Callable[[Any], Any], found: Allocation)
         seed=study.seed,
         certificate_samples=SHOWN_VALUES,
     )
-    # Before certification: smooth, a little below.
-    return [(target, cost) for target, cost in zip(curve.values, curve.learned) if np.isfinite(cost)]
+    points = [a for a in curve.allocations if a.feasible]
+    goals = {item.target for item in study.requirements.values() if isinstance(item, Requirement)}
+    if len(goals) == 1 and study.joint_target is None:
+        points.append(found)  # an end of the same searches: one of them asks for what this study asks for
+    return sorted((least_yield(a.certificate), a.cost) for a in points)
+
+
+def least_yield(statistics: Statistics) -> float:
+    """The least share of units that keeps one requirement; a study without any has no curve.
+
+    Args:
+        statistics: of certified units.
+    """
+    return min(verdict.estimate.value for verdict in statistics.verdicts.values() if verdict.kind == "share")

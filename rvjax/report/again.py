@@ -1,0 +1,52 @@
+"""An answer that a results folder holds already: the same study, answered by the same rvjax."""
+
+import json
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import rvjax
+from rvjax.report.text import numbered_folders
+from rvjax.study import Study
+
+
+def folder(study: Study, option: str | None) -> Path | None:
+    """The latest results folder that holds the answer to a study, or None.
+
+    A study that names other files is never answered so: they may have changed.
+
+    Args:
+        study: the question.
+        option: folder that was asked for; None for those under `results` that bear the name of the study.
+    """
+    if _names_files(tomllib.loads(study.text)):
+        return None
+    known = [Path(option)] if option is not None else numbered_folders(study.name)
+    return next((place for place in reversed(known) if _holds(place, study)), None)
+
+
+def status(place: Path) -> str:
+    """How the allocation in a results folder ended.
+
+    Args:
+        place: from `folder`.
+    """
+    return str(json.loads((place / "result.json").read_text("utf-8"))["status"])
+
+
+def _holds(place: Path, study: Study) -> bool:
+    try:
+        if (place / "study.toml").read_text("utf-8") != study.text or not (place / "summary.txt").is_file():
+            return False
+        found = json.loads((place / "result.json").read_text("utf-8"))
+        return bool(
+            found["versions"]["rvjax"] == rvjax.__version__ and found["study"] == study.name and found["status"]
+        )
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):  # another folder, or a damaged one
+        return False
+
+
+def _names_files(tables: Any) -> bool:
+    if isinstance(tables, dict):
+        return "file" in tables or any(map(_names_files, tables.values()))
+    return isinstance(tables, list) and any(map(_names_files, tables))

@@ -1,0 +1,151 @@
+"""Two results folders side by side: what each found, and what differs."""
+
+import json
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from rvjax.report.text import table
+from rvjax.units import readable
+
+NONE = "-"  # what one of the two does not have
+_DAMAGE = (OSError, ValueError, RecursionError)
+
+
+def result(path: str) -> dict[str, Any]:
+    """What stands in a results folder.
+
+    Args:
+        path: of the folder, or of the result.json in it.
+
+    Raises:
+        ValueError: there is none, or it is no result of `rvjax allocate`.
+    """
+    file = Path(path) / "result.json" if Path(path).is_dir() else Path(path)
+    try:
+        found = json.loads(file.read_text("utf-8"))
+    except FileNotFoundError:
+        raise ValueError(f"{path}: there is no results folder with a result.json") from None
+    except _DAMAGE as error:
+        raise ValueError(f"{path}: cannot be read as a result ({error})") from None
+    needed = {"study", "status", "seed", "versions", "cost", "tolerances", "shares", "certificate"}
+    if not isinstance(found, dict) or not needed <= set(found):
+        raise ValueError(f"{path}: no result of rvjax allocate")
+    return found
+
+
+def compared(first: dict[str, Any], second: dict[str, Any]) -> dict[str, Any]:
+    """Both results by topic: {topic: {name: {"unit", "a", "b"}}}; SI, null for what one does not have.
+
+    Args:
+        first: from `result`.
+        second: the same.
+
+    Raises:
+        ValueError: something in them is not what `rvjax allocate` writes.
+    """
+    found: dict[str, Any] = {}
+    try:
+        for topic, name, unit, a, b in _rows(first, second):
+            found.setdefault(topic, {})[name] = {"unit": unit, "a": a, "b": b, "same": a == b}
+    except (KeyError, TypeError, AttributeError) as error:
+        raise ValueError(f"not both are results of rvjax allocate ({error!r})") from None
+    return found
+
+
+def text(first: dict[str, Any], second: dict[str, Any], names: tuple[str, str]) -> str:
+    """The same as tables for a person.
+
+    Args:
+        first: from `result`.
+        second: the same.
+        names: of the two, as headers.
+    """
+    return "\n\n".join(_table(topic, rows, names) for topic, rows in compared(first, second).items())
+
+
+def _table(topic: str, rows: dict[str, Any], names: tuple[str, str]) -> str:
+    cells = []
+    for name, row in rows.items():
+        texts = [_shown(row[side], row["unit"]) for side in ("a", "b")]
+        cells.append([name, *texts, "" if row["same"] else _change(row["a"], row["b"], row["unit"])])
+    return table([topic, *names, "change"], cells)
+
+
+def _rows(first: dict[str, Any], second: dict[str, Any]) -> Iterator[tuple[str, str, str, Any, Any]]:
+    """(topic, name, unit, a, b) of everything that is compared; units are SI, "share", "number" or "text"."""
+
+    def both(topic: str, name: str, unit: str, *keys: str) -> tuple[str, str, str, Any, Any]:
+        return topic, name, unit, _at(first, *keys), _at(second, *keys)
+
+    yield both("run", "study", "text", "study")
+    yield both("run", "verdict", "text", "status")
+    yield both("run", "seed", "text", "seed")
+    yield both("run", "samples", "text", "samples")
+    yield both("run", "units certified", "text", "certificate", "samples")
+    yield both("run", "seed of the certificate", "text", "certificate", "seed")
+    for name in _names(first, second, "versions"):
+        yield both("run", f"version of {name}", "text", "versions", name)
+    yield both("cost", "before", "number", "cost", "before")
+    yield both("cost", "after", "number", "cost", "after")
+    yield both("cost", "with ISO 286 grades", "number", "graded", "cost")
+    for name in _names(first, second, "tolerances"):
+        unit = (first["tolerances"].get(name) or second["tolerances"][name])["unit"]
+        for when in ("before", "after"):
+            a, b = (_at(side, "tolerances", name, when) for side in (first, second))
+            yield f"tolerances {when}", f"{name}, half-width", unit, _half(a), _half(b)
+            if any(one and abs(_middle(one)) > 1e-9 * abs(_half(one) or 1.0) for one in (a, b)):
+                yield f"tolerances {when}", f"{name}, middle", unit, a and _middle(a), b and _middle(b)
+    for name in _names(first, second, "certificate", "verdicts"):
+        yield both("requirements", f"{name}, limits", "text", "limits", name)
+        yield both("requirements", f"{name}, asked", "text", "certificate", "verdicts", name, "wanted")
+        yield both("requirements", f"{name}, met", "text", "certificate", "verdicts", name, "met")
+        yield both("requirements", f"{name}, yield", "share", "certificate", "yield_", name, "value")
+        yield both("requirements", f"{name}, Cpk", "number", "certificate", "cpk", name)
+    yield both("requirements", "all at once, yield", "share", "certificate", "joint_yield", "value")
+    for name in _names(first, second, "shares", "after"):
+        for field in _names(first, second, "shares", "after", name):
+            yield both(f"variance of {name}, after", field, "share", "shares", "after", name, field)
+
+
+def _at(found: Any, *keys: str) -> Any:
+    for key in keys:
+        found = found.get(key) if isinstance(found, dict) else None
+    return found
+
+
+def _names(first: Any, second: Any, *keys: str) -> list[str]:
+    """Names in either, those of the first in its order."""
+    return list(dict.fromkeys([*(_at(first, *keys) or ()), *(_at(second, *keys) or ())]))
+
+
+def _half(limits: dict[str, float] | None) -> float | None:
+    return (limits["upper"] - limits["lower"]) / 2 if limits else None
+
+
+def _middle(limits: dict[str, float]) -> float:
+    return (limits["upper"] + limits["lower"]) / 2
+
+
+def _shown(value: Any, unit: str) -> str:
+    if value is None:
+        return NONE
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if unit == "text":
+        return str(value)
+    if unit == "share":
+        return f"{100 * value:.4g} %" if value < 0.9 else f"{100 * value:.3f} %"
+    if unit == "number":
+        return f"{value:.4g}"
+    name, size = readable(unit)
+    return f"{value / size:.4g}" if unit == "-" else f"{value / size:.4g} {name}"
+
+
+def _change(a: Any, b: Any, unit: str) -> str:
+    if unit == "text" or a is None or b is None:
+        return "differs"
+    if unit == "share":
+        return f"{100 * (b - a):+.3g}"
+    return f"{100 * (b / a - 1):+.1f} %" if a and math.isfinite(b / a) and a * b > 0 else "differs"

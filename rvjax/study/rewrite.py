@@ -1,0 +1,121 @@
+"""The text of a study with other limits: everything else keeps its own words."""
+
+import json
+import re
+import tomllib
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from rvjax.tolerances.propagation.limits import Limits
+
+_LIMITS = ("half_width", "lower", "upper", "grade")  # keys that say where the limits of an error are
+Parts = list[str | dict[str, Any]]
+_Gaps = dict[tuple[str, ...], tuple[str, int, tuple[str, ...]]]
+"""{names of the header: (kind of gap, its number, keys that go into it)}"""
+_NO_GAP: tuple[str, int, tuple[str, ...]] = ("", 0, ())
+
+
+def template(text: str, requirements: Mapping[str, Limits], fields: Sequence[str]) -> Parts:
+    """A study's text with gaps for limits: strings, and {"field" or "response": number, "own": its own lines}.
+
+    A file that says its tables in another way than with a header each, or a key over several lines, is written anew.
+
+    Args:
+        text: of the study.
+        requirements: by name of the response.
+        fields: names of the errors that may change, in their order.
+    """
+    tables = tomllib.loads(text)
+    gaps: _Gaps = {("tolerances", name): ("field", k, _LIMITS) for k, name in enumerate(fields)}
+    responses = list(requirements)
+    for key, entry in tables["requirement"].items():
+        name = entry.get("response", key)
+        keys = tuple(requirements[name].prefix + end for end in ("lower", "upper"))
+        gaps["requirement", key] = ("response", responses.index(name), keys)
+    for written in (text, canonical(tables)):
+        parts = _with_gaps(written, gaps)
+        if _fits(parts, tables, gaps):
+            return parts
+    raise ValueError("the text of the study cannot be written again")
+
+
+def _with_gaps(text: str, gaps: _Gaps) -> Parts:
+    parts: Parts = []
+    kind, number, keys = _NO_GAP
+    gap: dict[str, Any] | None = None
+    for line in (f"{line}\n" for line in text.removesuffix("\n").split("\n")):
+        if line.lstrip().startswith("["):
+            kind, number, keys = gaps.get(_header(line), _NO_GAP)
+            gap = None
+        key = re.match(r"\s*([\w-]+)\s*=", line)
+        if key and key[1] in keys:
+            if gap is None:
+                gap = {kind: number, "own": ""}
+                parts.append(gap)
+            gap["own"] += line
+        elif parts and isinstance(last := parts[-1], str):
+            parts[-1] = last + line
+        else:
+            parts.append(line)
+    return parts
+
+
+def _header(line: str) -> tuple[str, ...]:
+    """Names of the header of a table; none for another line that begins so."""
+    try:
+        table: Any = tomllib.loads(line)
+    except tomllib.TOMLDecodeError:
+        return ()
+    names = []
+    while isinstance(table, dict) and table:
+        name, table = next(iter(table.items()))
+        names.append(name)
+    return tuple(names)
+
+
+def _fits(parts: Parts, tables: dict[str, Any], gaps: _Gaps) -> bool:
+    """Whether every gap is there once and nothing but the limits goes when it is filled with something else."""
+    if sum(not isinstance(part, str) for part in parts) != len(gaps):
+        return False
+    try:
+        filled = tomllib.loads("".join(p if isinstance(p, str) else 'filled = "gap"\n' for p in parts))
+    except tomllib.TOMLDecodeError:
+        return False
+    for (table, name), (_, _, keys) in gaps.items():
+        entry = tables[table][name]
+        expected = {key: value for key, value in entry.items() if key not in keys} | {"filled": "gap"}
+        if filled.get(table, {}).get(name) != expected:
+            return False
+        filled[table][name] = entry
+    return filled == tables
+
+
+def canonical(tables: dict[str, Any]) -> str:
+    """Tables of a study as TOML, a header for each table of two names.
+
+    Args:
+        tables: as read.
+    """
+    lines = []
+    for name, table in tables.items():
+        plain = {key: value for key, value in table.items() if name in ("design", "run") or not isinstance(value, dict)}
+        if plain:
+            lines += [f"[{name}]", *(f"{_key(key)} = {_value(value)}" for key, value in plain.items()), ""]
+        for key, entry in table.items():
+            if key not in plain:
+                lines += [f"[{name}.{_key(key)}]", *(f"{_key(k)} = {_value(v)}" for k, v in entry.items()), ""]
+    return "\n".join(lines)
+
+
+def _key(name: str) -> str:
+    return name if re.fullmatch(r"[\w-]+", name, re.ASCII) else json.dumps(name)
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{_key(key)} = {_value(item)}" for key, item in value.items()) + "}"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(_value, value)) + "]"
+    if isinstance(value, (str, bool)):  # JSON's escapes are TOML's, but for the one below
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    return repr(value)

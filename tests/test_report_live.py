@@ -1,0 +1,465 @@
+"""Sliders of the page: the surrogate beside the responses themselves, its arithmetic in JavaScript, a browser.
+
+JavaScript runs where node is installed, the page where a browser is.
+"""
+
+import dataclasses
+import html
+import json
+import os
+import re
+import shutil
+import subprocess
+import tomllib
+from importlib import resources
+from types import SimpleNamespace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import rvjax
+from rvjax import study, tolerances
+from rvjax.report import live, page, surrogate
+from rvjax.study import rewrite
+from rvjax.study.answer import SHOWN_VALUES, answer
+from rvjax.tolerances.propagation.responses import BLOCK
+
+PLAY = """# the play of an RV-20E
+[design]
+base = "rv-20e"
+
+[tolerances.disc_runout]
+lower = "0 um"   # a magnitude
+upper = "15 um"
+
+[tolerances.pin_radius]
+half_width = "4 um"
+distribution = "uniform"
+
+[tolerances.shift_modification]
+half_width = "3 um"
+
+[tolerances.pin_hole_clearance]
+lower = "0 um"
+upper = "5 um"
+distribution = "lognormal"
+log_sd = 0.2
+
+[tolerances.bearing_clearance]
+lower = "0 um"
+upper = "5 um"
+
+[cost.pin_radius]
+scale = 1
+reference = "4 um"
+finest = "1 um"
+coarsest = "20 um"
+
+[cost.shift_modification]
+model = "exponential"
+scale = 2
+decay = "3 um"
+finest = "1 um"
+coarsest = "20 um"
+
+[middle.shift_modification]
+lower = "-6 um"
+upper = "6 um"
+cost = 0.01
+per = "1 um"
+
+[requirement.lost_motion]
+lower = "-1.5 arcmin"
+upper = "1 arcmin"
+target = 0.99
+
+[run]
+samples = 1024
+certificate_samples = 32768
+"""
+
+
+@pytest.fixture(scope="module")
+def answered(fewer):
+    """A small study with its answer and surrogate."""
+    found = answer(study.parse_study(PLAY, name="play"))
+    assert found.allocation.feasible
+    return found, surrogate.surrogate(found)
+
+
+UNITS = 2 * BLOCK
+
+
+@pytest.fixture(autouse=True, scope="module")
+def fewer():
+    """Points and fresh units that tell as much, sooner."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(surrogate, "_POINTS", 4)
+        patch.setattr(surrogate, "FRESH", BLOCK)
+        yield
+
+
+def made(response, upper):
+    """What `surrogate` reads of an answer, for a response that knows no gear."""
+    required = {"y": tolerances.Requirement(upper=upper)}
+    options = dict(requirements=required, chunk=BLOCK)
+    certificate = tolerances.monte_carlo(response, FIELDS, samples=4 * BLOCK, seed=1, **options)
+    kept = tolerances.monte_carlo(response, FIELDS, samples=UNITS, seed=2, keep=True, **options)
+    names = ["eccentricity", "pin_radius", "carrier_bore"]
+    return SimpleNamespace(
+        study=SimpleNamespace(
+            requirements=required, response=lambda: response, fields=names, tolerances=FIELDS, seed=0, middles={}
+        ),
+        after=SimpleNamespace(tolerances=FIELDS, values=kept.values, seed=2),
+        allocation=SimpleNamespace(certificate=certificate),
+        certificate_before=certificate,
+    )
+
+
+FIELDS = tolerances.for_design(
+    rvjax.catalogue.RV_40E,
+    eccentricity=tolerances.Tolerance.symmetric(4e-6, distribution="uniform"),
+    pin_radius=tolerances.Tolerance(-1e-6, 3e-6),
+    carrier_bore=tolerances.Tolerance.symmetric(3e-6),
+)
+X = np.array([0.9, -0.7, 0.3, 1.0, -1.0, 0.5])
+
+
+def linear(errors):
+    return {"y": 3 * errors.pin_radius + 2 * errors.eccentricity + jnp.sum(errors.carrier_bore)}
+
+
+def bent(errors):
+    x, y, z = 1e6 * errors.pin_radius, 1e6 * errors.eccentricity, 1e6 * errors.carrier_bore[0, 0]
+    return {"y": x + y + z + 0.2 * x * y + 0.1 * z * z - 0.1 * y * z}
+
+
+@pytest.fixture(scope="module")
+def of_linear(fewer):
+    question = made(linear, 14e-6)
+    return question, surrogate.surrogate(question)
+
+
+def direct(found, response):
+    """Responses of the surrogate's own units at X, computed; the units are found again by their values."""
+    moved = {}
+    for p, step in zip(found.parameters, X):
+        t = moved.get(p.field, getattr(FIELDS, p.field))
+        way = step * p.reach
+        if p.place:
+            moved[p.field] = t.replace(lower=t.lower + way, upper=t.upper + way)
+        else:
+            moved[p.field] = t.with_half_width(t.half_width + way)
+
+    def of(given, units):
+        return np.asarray(jax.jit(jax.vmap(lambda i: response(tolerances.sample(given, i, seed=2))["y"]))(units))
+
+    every = of(FIELDS, np.arange(UNITS))
+    order = np.argsort(every)
+    own = order[np.searchsorted(every[order], found.base["y"] - 1e-13 * np.abs(every).max())]
+    np.testing.assert_allclose(every[own], found.base["y"], rtol=1e-9)
+    return of(FIELDS.replace(**moved), own)
+
+
+def test_a_linear_response_is_met_exactly(of_linear):
+    """Fields of numbers and of elements: every slope is exact, every bend is rounding and left out."""
+    _, found = of_linear
+    assert set(found.columns["y"]) == {(k,) for k in range(6)}
+    values = direct(found, linear)
+    # differences of responses of 1e-5 at both ends: a few roundings of the largest
+    np.testing.assert_allclose(found.values("y", X), values, atol=40 * np.finfo(float).eps * np.abs(values).max())
+
+
+def test_a_quadratic_response_is_met_to_what_is_left_out():
+    """Half-widths and places enter a product of errors bilinearly: bends between all; each column left out moves the
+    response by less than 0.2 % of its spread (root mean square), of the 21 at most."""
+    found = surrogate.surrogate(made(bent, 6.0))
+    assert any(key[0] != key[-1] for key in found.columns["y"])
+    values = direct(found, bent)
+    miss = np.sqrt(np.mean((found.values("y", X) - values) ** 2))
+    assert miss < 21 * surrogate._FELT * values.std()
+    assert miss < 0.1 * np.sqrt(np.mean((found.base["y"] - values) ** 2))  # and the sliders do move it
+
+
+def test_weights_give_the_figures_of_the_certificate(of_linear):
+    question, found = of_linear
+    certificate = question.allocation.certificate
+    here = found.figures("y", np.zeros(6), question.study.requirements["y"])
+    assert here["mean"] == pytest.approx(certificate.mean["y"].value, abs=1e-9 * here["sd"])
+    assert here["sd"] == pytest.approx(certificate.sd["y"].value, rel=1e-9)
+    assert here["yield"] == pytest.approx(certificate.yield_["y"].value, abs=1e-12)
+    assert found.weights.min() > 0
+    # Elsewhere: fresh units and a thinned sample, of which half is drawn evenly: five standard errors of both.
+    for check in found.checks:
+        ours, true = check.figures["y"]["yield"]
+        assert abs(ours - true) < 5 * np.sqrt(true * (1 - true) * (1 / surrogate.FRESH + 2 / surrogate.UNITS)) + 1e-4
+    assert len(found.checks) == surrogate._POINTS + 1
+
+
+def test_the_thinned_sample_keeps_the_tails():
+    """Horvitz and Thompson: the share beyond a point is unbiased, its variance sum (1 - chance)/chance over those."""
+    values = np.random.default_rng(0).normal(size=(2, SHOWN_VALUES))
+    chance = surrogate._chances(values, surrogate.UNITS)
+    assert chance.sum() == pytest.approx(surrogate.UNITS, rel=1e-9)
+    for row in values:
+        assert chance[np.argsort(row)[[*range(20), *range(-20, 0)]]].min() == 1.0
+        beyond = row > np.quantile(row, 0.9973)
+        spread = np.sqrt(np.sum((1 - chance[beyond]) / chance[beyond]))
+        assert spread < 0.5 * np.sqrt(beyond.sum() / surrogate.UNITS * SHOWN_VALUES)  # half of plain thinning's
+        kept = [surrogate._thinned(chance, surrogate.UNITS, np.random.default_rng(seed)) for seed in range(10)]
+        guesses = np.array([np.sum(beyond[k] / chance[k]) for k in kept])
+        assert len(set(kept[0])) == surrogate.UNITS
+        assert abs(guesses.mean() - beyond.sum()) < 5 * spread / np.sqrt(len(guesses))
+        assert np.abs(guesses - beyond.sum()).max() < 5 * spread
+
+
+def test_units_that_fail_at_one_end_go_on_from_the_other():
+    def failing(errors):
+        y = linear(errors)["y"]
+        return {"y": jnp.where(y > 15e-6, jnp.nan, y)}
+
+    question = made(failing, 12e-6)
+    found = surrogate.surrogate(question)
+    assert all(np.isfinite(c).all() for c in found.columns["y"].values())
+    failed = question.allocation.certificate.failed / question.allocation.certificate.samples
+    assert found.failed == failed > 0
+    here = found.figures("y", np.zeros(6), question.study.requirements["y"])
+    assert here["yield"] == pytest.approx(question.allocation.certificate.yield_["y"].value, abs=1e-12)
+    nothing = SimpleNamespace(**vars(question) | {"after": SimpleNamespace(
+        tolerances=question.after.tolerances, values={"y": np.full(UNITS, np.nan)}, seed=2)})  # fmt: skip
+    assert surrogate.surrogate(nothing) is None
+    assert live.section(None, question) == "" == live.script(None, question)
+
+
+def test_the_page_carries_numbers_of_its_own(answered):
+    found, made = answered
+    numbers = live.data(made, found)
+    assert len(json.dumps(numbers)) < 1.5e6
+    columns = sum(len(response["columns"]) for response in numbers["responses"])
+    assert columns * surrogate.UNITS < 1e6  # products for one move of a slider: a millisecond or two
+    fields = {field["name"]: field for field in numbers["fields"]}
+    assert fields["bearing_clearance"]["nonnegative"] and not fields["pin_radius"]["nonnegative"]
+    assert fields["pin_hole_clearance"]["grows"] and fields["pin_hole_clearance"]["stands"] == 0
+    assert fields["shift_modification"]["moving"] == {"given": 0.0, "scale": pytest.approx(0.01)}
+    for p in numbers["parameters"]:
+        assert p["low"] <= min(p["centre"], p["own"]) <= max(p["centre"], p["own"]) <= p["high"]
+    name = "shift_modification"
+    where = numbers["parameters"][fields[name]["place"]]
+    assert (where["low"], where["high"]) == pytest.approx((-6, 6))
+    assert f"{100 * made.error('yield'):.2g} %" in numbers["error"]
+    hostile = dataclasses.replace(found, study=dataclasses.replace(found.study, name="</script><script>alert(1)"))
+    assert live.script(made, hostile).count("<") == live.script(made, found).count("<")
+
+
+def in_node(program, *inputs):
+    node = shutil.which("node")
+    if node is None:
+        pytest.skip("no node on PATH: the arithmetic of the page is not run")
+    code = (resources.files("rvjax.report") / "live.js").read_text("utf-8")
+    run = "const input = JSON.parse(require('fs').readFileSync(0, 'utf-8'));\n"
+    command = [node, "-e", f"{code}\n{run}console.log(JSON.stringify((() => {{{program}}})()));"]
+    done = subprocess.run(command, input=json.dumps(inputs), capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
+
+
+AT = {"pin_radius": (5e-6, 1e-6), "shift_modification": (2e-6, 3e-6), "pin_hole_clearance": (2e-6, 1e-6)}
+MOVE = """
+const [raw, moved, limits] = input, data = Live.opened(raw), at = Live.begin(data, "centre");
+for (const [name, [half, place]] of Object.entries(moved)) {
+  const field = data.fields.find((f) => f.name === name);
+  at.parameters[field.half] = half; at.parameters[field.place] = place;
+}
+Object.assign(at.limits[0], limits);
+const found = Live.all(data, at);
+"""
+
+
+def test_javascript_computes_what_python_does(answered):
+    """16-bit columns: each value within 1/65534 of the largest of its column; weights in 32 bits."""
+    found, made = answered
+    numbers = live.data(made, found)
+    shown = {name: (1e6 * half, 1e6 * place) for name, (half, place) in AT.items()}
+    tell = "return {y: Array.from(found.y[0]), x: found.x, figures: found.figures[0], cost: found.cost, "
+    tell += "shares: found.shares[0], joint: found.joint, outside: found.outside.map((p) => p.label)};"
+    seen = in_node(MOVE + tell, numbers, shown, {"upper": 0.8})
+    x = made.place(found.after.tolerances)
+    for k, p in enumerate(made.parameters):
+        if p.field in AT:
+            x[k] = (AT[p.field][p.place] - p.centre) / p.reach
+    np.testing.assert_allclose(seen["x"], x, atol=1e-9)
+    name, arcmin = "lost_motion", rvjax.units.arcmin
+    rounding = sum(abs(np.prod(x[list(key)])) * np.abs(c).max() / 65534 for key, c in made.columns[name].items())
+    rounding += 6e-8 * np.abs(made.base[name]).max()
+    y = made.values(name, x)
+    np.testing.assert_allclose(np.array(seen["y"]) * arcmin, y, atol=1.01 * rounding)
+    limits = dataclasses.replace(found.study.requirements[name], upper=0.8 * arcmin)
+    expected = made.figures(name, x, limits)
+    near = made.weights[np.abs(limits.margin(y)) <= 2 * rounding].sum()
+    assert abs(seen["figures"]["yield"] - expected["yield"]) <= near + 1e-5
+    assert seen["joint"] == pytest.approx(seen["figures"]["yield"])
+    assert seen["figures"]["mean"] * arcmin == pytest.approx(expected["mean"], abs=2 * rounding)
+    assert seen["figures"]["sd"] * arcmin == pytest.approx(expected["sd"], rel=1e-3)
+    capability = limits.capability(expected["mean"], expected["sd"])[1]
+    assert seen["figures"]["cpk"] == pytest.approx(capability, rel=1e-3)
+    costs = {name: float(cost(AT[name][0])) for name, cost in found.study.costs.items()}
+    assert seen["cost"] == pytest.approx(sum(costs.values()) + 0.01 * 3, rel=1e-9)
+    assert seen["figures"]["met"] == (expected["yield"] >= 0.99)
+    shares = {f: s * (AT[f][0] / float(getattr(found.after.tolerances, f).half_width) if f in AT else 1.0) ** 2
+              for f, s in found.after.shares[name].items()}  # fmt: skip
+    expected_shares = [shares[field["name"]] / sum(shares.values()) for field in numbers["fields"]]
+    np.testing.assert_allclose(seen["shares"], expected_shares, rtol=1e-9)
+    far = [p for p, step in zip(made.parameters, x) if abs(step) > 1]
+    assert len(seen["outside"]) == len(far) > 0
+
+
+def test_as_allocated_the_page_says_what_the_certificate_says(answered):
+    found, made = answered
+    seen = in_node(
+        "const data = Live.opened(input[0]), all = Live.all(data, Live.begin(data, 'centre'));"
+        "return {figures: all.figures[0], cost: all.cost, far: all.outside.length};",
+        live.data(made, found),
+    )
+    allocation = found.allocation
+    assert seen["figures"]["yield"] == pytest.approx(allocation.certificate.yield_["lost_motion"].value, abs=1e-6)
+    assert seen["figures"]["met"] is True
+    assert seen["cost"] == pytest.approx(allocation.cost, rel=1e-6)
+    assert seen["far"] == 0
+
+
+def test_the_study_that_the_page_writes_is_the_one_it_shows(answered):
+    found, made = answered
+    shown = {name: (1e6 * half, 1e6 * place) for name, (half, place) in AT.items()}
+    numbers = live.data(made, found)
+    text = in_node(MOVE + "return Live.study(data, at);", numbers, shown, {"upper": 0.8})
+    again = study.parse_study(text, name="again", solve=False)
+    for name, (half, place) in AT.items():
+        t = getattr(again.tolerances, name)
+        assert float(t.half_width) == pytest.approx(half)
+        assert surrogate.placed(t) == pytest.approx(place)
+    requirement = again.requirements["lost_motion"]
+    assert (requirement.lower, requirement.upper) == pytest.approx(
+        (-1.5 * rvjax.units.arcmin, 0.8 * rvjax.units.arcmin)
+    )
+    assert 'lower = "0 um"   # a magnitude\n' in text  # what has not moved keeps its words
+    own = in_node("const data = Live.opened(input[0]); return Live.study(data, Live.begin(data, 'own'));", numbers)
+    assert own == PLAY
+
+
+SAID_OTHERWISE = """
+design = {base = "rv-20e", cycloid.pin_radius = "2.1 mm"}
+tolerances.pin_radius.half_width = "4 um"
+tolerances.pin_radius.distribution = "empirical"
+tolerances.pin_radius.values = [
+  "1 um",
+  "-1 um", # measured
+]
+run = {samples = 1024}
+[requirement."a \\u2028 \\u007f name"]
+response = "lost_motion"
+upper = '1 arcmin'
+"""
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        PLAY,
+        PLAY.replace("\n", "\r\n"),
+        SAID_OTHERWISE,
+        PLAY.replace('half_width = "3 um"', '"half_width" = "3 um"'),
+        *((study.read.EMBEDDED / f"{name}.toml").read_text("utf-8") for name in study.embedded_names()),
+    ],
+)
+def test_any_way_to_say_a_study_can_be_written_again(text):
+    question = study.parse_study(text, name="x", solve=False)
+    parts = rewrite.template(text, question.requirements, question.fields)
+    own = "".join(part if isinstance(part, str) else part["own"] for part in parts)
+    assert tomllib.loads(own) == tomllib.loads(text)
+    gaps = [part for part in parts if not isinstance(part, str)]
+    assert len(gaps) == len(question.fields) + len(question.requirements)
+    if text is not SAID_OTHERWISE and '"half_width"' not in text:
+        assert own.splitlines() == text.splitlines()  # comments and all
+
+
+def browser():
+    found = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+    if found is None:
+        pytest.skip("no chromium, chromium-browser or google-chrome on PATH: the page is not looked at")
+    return found
+
+
+LOOK = """
+const told = {}, section = document.querySelector("#live");
+const figure = () => section.querySelector("[data-label=figure]").textContent;
+const range = section.querySelector("[aria-label^=pin], #live-0");
+const settled = () => new Promise((done) => setTimeout(done, 60));
+addEventListener("load", async () => {
+  const ranges = [...section.querySelectorAll("input[type=range]")];
+  told.hidden = section.hidden;
+  told.labels = ranges.every((r) => section.querySelector(`label[for=${r.id}]`).textContent.length > 4);
+  told.spoken = ranges.every((r) => /\\d (µm|arcmin)$/.test(r.getAttribute("aria-valuetext")));
+  told.before = figure();
+  const coarse = section.querySelector("[data-live=half-widths] input[type=range]");
+  coarse.focus();
+  told.focus = document.activeElement === coarse;
+  for (const each of section.querySelectorAll("[data-live=half-widths] input[type=number]")) {
+    each.value = 3 * each.valueAsNumber;
+    each.dispatchEvent(new Event("change"));
+  }
+  await settled();
+  told.after = figure();
+  told.region = section.querySelector("[data-live=region]").textContent;
+  told.computed = Number(section.dataset.computed);
+  told.study = section.querySelector("textarea").value;
+  told.bars = section.querySelectorAll("svg .bars[d^=M]").length;
+  section.querySelector("[data-begin=centre]").click();
+  await settled();
+  told.back = figure();
+  told.wide = document.documentElement.scrollWidth - innerWidth;
+  told.outside = performance.getEntriesByType("resource").map((r) => r.name).filter((n) => !n.startsWith("data:"));
+  await new Promise((done) => setTimeout(done, 700));
+  told.status = section.querySelector("[role=status]").textContent;
+  document.title = JSON.stringify(told);
+});
+addEventListener("error", (event) => { document.title = JSON.stringify({ error: event.message }); });
+"""
+
+
+def test_the_sliders_in_a_browser(answered, tmp_path):
+    """At 390 pixels, in a frame, for no window of the browser is that narrow."""
+    program, (found, made) = browser(), answered
+    text = page.page(found, "play.toml", made)
+    assert "<script>" in text and 'id="live-data"' in text
+    (tmp_path / "page.html").write_text(text.replace("</body>", f"<script>{LOOK}</script></body>"), "utf-8")
+    frame = '<iframe src="page.html" width="390" height="800"></iframe><script>setInterval(() => '
+    frame += "{ document.title = frames[0].document.title; }, 50)</script>"
+    (tmp_path / "frame.html").write_text(frame, "utf-8")
+    quiet = "--headless --no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking "
+    quiet += "--disable-component-update --disable-sync --allow-file-access-from-files --virtual-time-budget=8000 "
+    quiet += "--window-size=700,900 --dump-dom"
+    command = [program, *quiet.split(), f"--user-data-dir={tmp_path}/profile", (tmp_path / "frame.html").as_uri()]
+    environment = os.environ | {"HOME": str(tmp_path)}
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, env=environment, check=True)
+    seen = json.loads(html.unescape(re.search(r"<title>(.*?)</title>", done.stdout).group(1)))
+    assert "error" not in seen, seen
+    assert seen["hidden"] is False and seen["labels"] and seen["spoken"] and seen["focus"]
+    certified = found.allocation.certificate.yield_["lost_motion"].value
+    assert seen["before"] == seen["back"] == f"{100 * certified:.3f} %"
+    assert float(seen["after"].split()[0]) < 100 * certified - 1
+    assert seen["region"].startswith("Outside the region in which the error is known: ")
+    assert "shift modification half-width" in seen["region"] and "disc runout half-width" in seen["region"]
+    assert "bearing clearance: below zero, which a study refuses" in seen["region"]
+    assert seen["computed"] > 0 and seen["bars"] == 1
+    assert tomllib.loads(seen["study"])["tolerances"]["pin_radius"] != tomllib.loads(PLAY)["tolerances"]["pin_radius"]
+    assert seen["wide"] <= 0 and seen["outside"] == []
+    assert seen["status"].startswith("Cost ") and "lost motion: 9" in seen["status"]
+
+
+def test_without_scripts_nothing_of_it_is_seen(answered):
+    found, made = answered
+    with_sliders, without = page.page(found, "play.toml", made), page.page(found, "play.toml")
+    assert "<script" not in without and "What if" not in without
+    assert re.search(r'<section id="live"[^>]* hidden>', with_sliders)
