@@ -12,7 +12,7 @@ import jax.numpy as jnp
 
 from rvjax import models
 from rvjax.levels.choice import Choice
-from rvjax.outputs import Solved
+from rvjax.outputs import Reading, Solved, Source
 from rvjax.records import Record, field, record, text
 from rvjax.status import Status, succeeded, worst
 from rvjax.tolerances import Outcome
@@ -45,7 +45,8 @@ class Response(Record):
             choices: levels from `levels.choose`, by output; an output without one is computed as `conditions` say.
 
         Raises:
-            ValueError: an output that does not exist, or that needs a condition which is not given.
+            ValueError: an output that does not exist, that needs a condition which is not given, or that these
+                conditions cannot give.
         """
         known = models.kind(design).outputs
         for name in outputs:
@@ -53,6 +54,8 @@ class Response(Record):
                 raise ValueError(f"unknown response {name!r}; there are {', '.join(known)}")
             for missing in (need for need in known[name].needs if getattr(conditions, need) is None):
                 raise ValueError(f"conditions.{missing} is missing: {name} needs it")
+            if (refuse := known[name].refuse) is not None:
+                refuse(design, conditions)
         chosen = tuple((c.output, c.settings, c.precision) for c in (choices or {}).values())
         return cls(design, tuple(outputs), conditions, chosen)
 
@@ -62,20 +65,26 @@ class Response(Record):
         Args:
             errors: of the design.
         """
-        found = {name: self._one(name, errors) for name in self.outputs}
+        shared: dict[Any, dict[Source, Any]] = {}  # by level; outputs of one level read the same results
+        found = {name: self._one(name, errors, shared) for name in self.outputs}
         statuses = jnp.stack([jnp.asarray(status) for _, status in found.values()])
         return Outcome({name: value for name, (value, _) in found.items()}, worst(statuses))
 
-    def _one(self, name: str, errors: Any) -> Solved:
-        output = models.kind(self.design).outputs[name]
-        level = next((level for level in self.levels if level[0] == name), None)
-        if level is None:
-            return output.evaluate(self.design, errors, self.conditions)
-        _, settings, precision = level
-        own = replace(self.conditions, **dict(settings))
-        design, rough = jax.tree.map(lambda leaf: jnp.asarray(leaf, precision), (self.design, errors))
-        value, status = output.evaluate(design, rough, own)
-        return value.astype(jnp.result_type(float, *jax.tree.leaves(errors))), status
+    def _one(self, name: str, errors: Any, shared: dict[Any, dict[Source, Any]]) -> Solved:
+        evaluate = models.kind(self.design).outputs[name].evaluate
+        level = next((level[1:] for level in self.levels if level[0] == name), None)
+        design, used, given = self.design, errors, self.conditions
+        if level is not None:
+            settings, precision = level
+            given = replace(given, **dict(settings))
+            design, used = jax.tree.map(lambda leaf: jnp.asarray(leaf, precision), (design, errors))
+        if isinstance(evaluate, Reading):
+            value, status = evaluate.within(shared.setdefault(level, {}), design, used, given)
+        else:
+            value, status = evaluate(design, used, given)
+        if level is not None:
+            value = value.astype(jnp.result_type(float, *jax.tree.leaves(errors)))
+        return value, status
 
 
 _status = jax.jit(lambda response, errors: response(errors).status)
