@@ -86,7 +86,7 @@ def _bench(shares: tuple[float, ...]) -> Callable[[RVReducer, Any, Any], tuple[j
         angles = given.input_angle + span * np.arange(given.probe_angles) / given.probe_angles
 
         def at(angle: Any) -> tuple[jax.Array, SolveInfo]:
-            return twisted(layout, shares, design, errors, angle, given.rated_torque)
+            return twisted(layout, design, errors, angle, given.rated_torque, shares)
 
         rotation, infos = jax.vmap(at)(jnp.asarray(angles, jnp.result_type(float, *jax.tree.leaves((design, errors)))))
         return rotation, worst_of(infos)
@@ -162,7 +162,9 @@ def _resolved(design: RVReducer, given: Any) -> None:
         raise ValueError(f'{where}: a crank turn shows multiples of {zp} only; set conditions.span = "output_turn"')
     if 2 * given.order * _turns(design, given) >= given.samples:
         least = round(2 * given.order * _turns(design, given)) + 1
-        raise ValueError(f"{where}: beyond half of conditions.samples = {given.samples} over the span, {least} at least")
+        raise ValueError(
+            f"{where}: beyond half of conditions.samples = {given.samples} over the span, {least} at least"
+        )
 
 
 def _of_turn(unit: str, meaning: str, name: str, refuse: Any = None) -> Output:

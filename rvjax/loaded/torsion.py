@@ -65,7 +65,7 @@ def torsion(
 
 @partial(jax.jit, static_argnums=0)
 def _torsion(layout: Layout, design: RVReducer, errors: RVErrors, input_angle: Any, rated_torque: Any) -> Torsion:
-    error, info = twisted(layout, SHARES, design, errors, input_angle, rated_torque)
+    error, info = twisted(layout, design, errors, input_angle, rated_torque, SHARES)
     rated = jnp.asarray(rated_torque, error.dtype)
     torque = jnp.asarray(SHARES, error.dtype)[:, None] * (rated * jnp.asarray([-1.0, 1.0], error.dtype))
     gone = error[:, 0] - error[:, 1]
@@ -90,24 +90,19 @@ def secant(at_rated: jax.Array, at_half: jax.Array, rated_torque: Any) -> jax.Ar
     return 0.5 * rated_torque / (at_half - at_rated)
 
 
-@partial(jax.jit, static_argnums=(0, 1))
+@partial(jax.jit, static_argnums=0)
 def twisted(
-    layout: Layout,
-    shares: tuple[float, ...],
-    design: RVReducer,
-    errors: RVErrors,
-    input_angle: Any,
-    rated_torque: Any,
+    layout: Layout, design: RVReducer, errors: RVErrors, input_angle: Any, rated_torque: Any, shares: Any
 ) -> tuple[jax.Array, SolveInfo]:
     """Rotation of the carrier at some shares of the rated torque, of either sign, each from the one before.
 
     Args:
         layout: counts and methods.
-        shares: of the rated torque, n, descending.
         design: as in `equilibrium`.
         errors: as in `equilibrium`.
         input_angle: () rad.
         rated_torque: () N m.
+        shares: of the rated torque, (n,) descending.
 
     Returns:
         Rotations (n, 2) rad, under the negative and the positive torque, NaN where one of them has no equilibrium; and

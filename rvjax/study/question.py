@@ -8,7 +8,7 @@ from rvjax import models
 from rvjax.levels.choice import Choice, choose
 from rvjax.outputs import Curve, Output
 from rvjax.study.plausible import doubts
-from rvjax.study.response import Response
+from rvjax.study.response import Response, followed_bounds
 from rvjax.tolerances import Middle
 from rvjax.tolerances.propagation.requirements import Limits
 
@@ -49,7 +49,8 @@ class Study:
 
     def response(self) -> Response:
         """errors -> Outcome of the responses that the requirements name."""
-        return Response.of(self.design, tuple(self.requirements), self.conditions, self.choices())
+        bounds = followed_bounds(self.tolerances)
+        return Response.of(self.design, tuple(self.requirements), self.conditions, self.choices(), bounds)
 
     def choices(self) -> dict[str, Choice]:
         """The level of each response with an accuracy, for tolerances as wide as the costs let them become."""

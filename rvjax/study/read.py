@@ -10,6 +10,7 @@ from typing import Any
 from rvjax import models
 from rvjax.outputs import Output
 from rvjax.study.design import parse_design
+from rvjax.study.placed import refuse_unplaced, spelled
 from rvjax.study.plausible import refuse_impossible
 from rvjax.study.question import Study, StudyError
 from rvjax.study.response import check_nominal
@@ -78,12 +79,13 @@ def parse_study(text: str, *, name: str, folder: Path = Path(), solve: bool = Tr
                 raise ValueError(f"[{key}] is missing or empty")
         design = parse_design(subtable(tables, "design"))
         error_record = design.error_record
-        tolerances = _tolerances(design, subtable(tables, "tolerances"), folder)
+        tolerances = _tolerances(design, spelled(design, subtable(tables, "tolerances")), folder)
         costs = _costs(error_record, tolerances, subtable(tables, "cost"))
         run = subtable(tables, "run")
         known(run, {"seed", "samples", "certificate_samples", "joint_target"}, "run")
         kind = models.kind(design)
         requirements = _requirements(kind.outputs, subtable(tables, "requirement"))
+        refuse_unplaced(kind, tuple(requirements), tolerances)
         study = Study(
             name=name,
             text=text,

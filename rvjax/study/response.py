@@ -3,6 +3,7 @@
 Statistics and allocation see the response `errors -> Outcome` and know nothing of gears; models know no statistics.
 """
 
+import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Self
@@ -11,6 +12,7 @@ import jax
 import jax.numpy as jnp
 
 from rvjax import models
+from rvjax.errors import BOUNDS
 from rvjax.levels.choice import Choice
 from rvjax.outputs import Reading, Solved, Source
 from rvjax.records import Record, field, record, text
@@ -31,10 +33,16 @@ class Response(Record):
     outputs: tuple[str, ...] = text("names")
     conditions: Any = text("how the reducer runs")
     levels: tuple[tuple[str, Settings, str], ...] = text("(output, settings, precision) where a level was chosen")
+    bounds: tuple[str, ...] = text("errors without a place that follow from those with one", default=())
 
     @classmethod
     def of(
-        cls, design: Any, outputs: Sequence[str], conditions: Any, choices: Mapping[str, Choice] | None = None
+        cls,
+        design: Any,
+        outputs: Sequence[str],
+        conditions: Any,
+        choices: Mapping[str, Choice] | None = None,
+        bounds: Sequence[str] = (),
     ) -> Self:
         """The response of a question.
 
@@ -43,6 +51,7 @@ class Response(Record):
             outputs: names of outputs of this kind of design.
             conditions: how the reducer runs.
             choices: levels from `levels.choose`, by output; an output without one is computed as `conditions` say.
+            bounds: errors without a place that follow from those with one, see `RVErrors.bounded`.
 
         Raises:
             ValueError: an output that does not exist, that needs a condition which is not given, or that these
@@ -57,7 +66,7 @@ class Response(Record):
             if (refuse := known[name].refuse) is not None:
                 refuse(design, conditions)
         chosen = tuple((c.output, c.settings, c.precision) for c in (choices or {}).values())
-        return cls(design, tuple(outputs), conditions, chosen)
+        return cls(design, tuple(outputs), conditions, chosen, tuple(bounds))
 
     def __call__(self, errors: Any) -> Outcome:
         """Values and the worst status of one unit.
@@ -65,6 +74,7 @@ class Response(Record):
         Args:
             errors: of the design.
         """
+        errors = errors.bounded(self.bounds) if self.bounds else errors
         shared: dict[Any, dict[Source, Any]] = {}  # by level; outputs of one level read the same results
         found = {name: self._one(name, errors, shared) for name in self.outputs}
         statuses = jnp.stack([jnp.asarray(status) for _, status in found.values()])
@@ -85,6 +95,16 @@ class Response(Record):
         if level is not None:
             value = value.astype(jnp.result_type(float, *jax.tree.leaves(errors)))
         return value, status
+
+
+def followed_bounds(tolerances: Any) -> tuple[str, ...]:
+    """Errors without a place that have no tolerance of their own and follow from an error with one.
+
+    Args:
+        tolerances: record of errors with a Tolerance or None in each field.
+    """
+    given = {f.name for f in dataclasses.fields(tolerances) if getattr(tolerances, f.name) is not None}
+    return tuple(name for name, placed in BOUNDS.items() if placed in given and name not in given)
 
 
 _status = jax.jit(lambda response, errors: response(errors).status)
