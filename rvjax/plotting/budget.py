@@ -43,7 +43,7 @@ def error_budget(budget: Budget, *, orders: int = 8) -> Figure:
     for n, load in enumerate(loads):
         at = np.arange(len(shown)) + (n - (len(loads) - 1) / 2) * thick
         owned = budget.by("part", load)
-        whole = np.maximum(sum(owned.values())[shown], np.finfo(float).tiny)
+        whole = np.maximum(np.sum(list(owned.values()), axis=0)[shown], np.finfo(float).tiny)
         height, bottom = np.sqrt(budget.total[load][shown]) / size, np.zeros(len(shown))
         for part in parts:  # a bar is as high as the order, divided as its mean square is
             piece = height * owned[part][shown] / whole

@@ -56,7 +56,7 @@ def order_rows(budget: Budget, shown: int | None = ORDERS_SHOWN) -> tuple[list[s
         row = [f"{budget.orders[k]:.4g}"]
         for load in loads:
             owned = {name: values[k] for name, values in budget.variance[load].items()}
-            owner = max(owned, key=lambda name, of=owned: of[name]) if owned else ""
+            owner = max(owned, key=owned.__getitem__) if owned else ""
             spread, alike = (np.sqrt(x[load][k]) / size for x in (budget.total, budget.alike))
             row += [f"{spread:.3g}", f"{alike:.3g}", owner if owned and owned[owner] > 0 else "-"]
         rows.append(row)

@@ -67,11 +67,11 @@ class Budget:
         """
         if level not in LEVELS:
             raise ValueError(f"level = {level!r}: must be one of {', '.join(LEVELS)}")
-        owner = {"field": lambda f: f, "part": self.part.get, "stage": lambda f: STAGES.get(self.part[f], "")}[level]
         sums: dict[str, np.ndarray] = {}
         for field, values in self.variance[load].items():
-            name = owner(field) or "other"
-            sums[name] = sums.get(name, 0.0) + values
+            part = self.part[field] or "other"
+            name = {"field": field, "part": part, "stage": STAGES.get(part, "other")}[level]
+            sums[name] = sums.get(name, np.zeros(len(self.orders))) + values
         return dict(sorted(sums.items(), key=lambda item: -item[1][1:].sum()))
 
     def shares(self, level: str, load: str) -> dict[str, float]:
