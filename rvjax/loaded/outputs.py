@@ -80,6 +80,7 @@ def _bench(shares: tuple[float, ...]) -> Callable[[RVReducer, Any, Any], tuple[j
     """Rotations (angles, shares, 2) at the input angles of the bench, and the worst info."""
 
     def twist(design: RVReducer, errors: Any, given: Any) -> tuple[jax.Array, SolveInfo]:
+        """At the shares of the rated torque that this bench takes."""
         design = errors.stiffened(design)
         layout = check_input(design, errors, *_ways(given).values())
         span = 2 * np.pi * design.ratio * _turns(design, given)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rvjax.report.text import table
+from rvjax.report import text
 from rvjax.study.budget import LEVELS, Budget
 from rvjax.tolerances.atomic import write_atomically
 from rvjax.units import KNOWN, arcsec
@@ -87,7 +87,7 @@ def summary(budget: Budget) -> str:
             f"to {100 * together:.0f} % of its square, more than 100 % where errors act together"
             + (f"; {budget.failed[load]} units failed" if budget.failed[load] else "")
         )
-    return "\n".join([*lines, "", table(*share_rows(budget)), "", table(*order_rows(budget))])
+    return "\n".join([*lines, "", text.table(*share_rows(budget)), "", text.table(*order_rows(budget))])
 
 
 def as_csv(budget: Budget) -> str:
