@@ -149,9 +149,9 @@ def _influence(answer: Answer, drawn: dict[str, Picture]) -> str:
 
 def _worst(answer: Answer, drawn: dict[str, Picture]) -> str:
     side = answer.after
-    units = shown_values(answer.study)
+    shown = shown_values(answer.study)
     text = (
-        f"<p>Of {units:,} sample units with the tolerances after (seed {side.seed}). The bar is the tolerance, "
+        f"<p>Of {shown:,} sample units with the tolerances after (seed {side.seed}). The bar is the tolerance, "
         "the tick its middle, every dot one element of the error. Errors that explain less than "
         f"{100 * SHARE_SHOWN:g} % of the variance are left out.</p>"
     )
