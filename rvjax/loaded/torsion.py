@@ -67,7 +67,7 @@ def torsion(
 def _torsion(layout: Layout, design: RVReducer, errors: RVErrors, input_angle: Any, rated_torque: Any) -> Torsion:
     error, info = twisted(layout, design, errors, input_angle, rated_torque, SHARES)
     rated = jnp.asarray(rated_torque, error.dtype)
-    torque = jnp.asarray(SHARES, error.dtype)[:, None] * (rated * jnp.asarray([-1.0, 1.0], error.dtype))
+    torque = rated * jnp.asarray([[-share, share] for share in SHARES], error.dtype)
     gone = error[:, 0] - error[:, 1]
     return Torsion(
         torque=_ascending(torque),
