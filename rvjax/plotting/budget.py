@@ -36,7 +36,7 @@ def error_budget(budget: Budget, *, orders: int = 8) -> Figure:
     above.invert_yaxis()
     above.set(xlabel="share of the variance (%)", xlim=(0, 100), title="Who owns the transmission error")
     above.grid(axis="y", visible=False)
-    above.legend(loc="upper center", bbox_to_anchor=(0.5, -0.32), ncols=len(parts))
+    above.legend(loc="upper center", bbox_to_anchor=(0.5, -0.32), ncols=4)
     largest = np.max([budget.total[load] for load in loads], axis=0)[1:]
     shown = np.sort(1 + np.argsort(-largest, kind="stable")[:orders])
     thick = 0.8 / len(loads)

@@ -85,7 +85,7 @@ def summary(budget: Budget) -> str:
         lines.append(
             f"{load}, {torque:.4g} N m: {spread:.3g} {unit} rms over units and angles; the shares of single errors sum "
             f"to {100 * together:.0f} % of its square, more than 100 % where errors act together"
-            + (f"; {budget.failed[load]} units failed" if budget.failed[load] else "")
+            + (f"; {budget.failed[load]} of {budget.samples} units failed" if budget.failed[load] else "")
         )
     return "\n".join([*lines, "", text.table(*share_rows(budget)), "", text.table(*order_rows(budget))])
 
