@@ -15,7 +15,7 @@ MODELS = (
     "rvjax.dynamics",
     "rvjax.loaded",
 )
-"""Packages, each with `outputs.DESCRIPTION`; of those asked, the first with a curve draws it."""
+"""Packages, each with `outputs.DESCRIPTION`; of the outputs asked, the first whose model has a curve draws it."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,12 +33,12 @@ class Kind:
     described: Mapping[str, Description]
 
     def curve(self, outputs: tuple[str, ...]) -> Curve | None:
-        """The curve of the first model that is asked and has one; another may need what the design lacks.
+        """The curve of the first output that is asked and has one; another may need what the design lacks.
 
         Args:
             outputs: that are asked for.
         """
-        asked = [self.described[name].curve for name in self.outputs if name in outputs]
+        asked = [self.described[name].curve for name in outputs]
         return next((c for c in asked if c is not None), None)
 
     def conditions_of(self, outputs: tuple[str, ...]) -> list[str]:

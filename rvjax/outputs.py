@@ -12,6 +12,7 @@ from typing import Any
 from rvjax.units import KNOWN, readable
 
 Solved = tuple[Any, Any]  # value and status
+Source = Callable[[Any, Any, Any], Any]  # (design, errors, conditions) -> a result
 
 
 def condition(
@@ -47,16 +48,49 @@ def condition(
 
 
 @dataclass(frozen=True)
+class Reading:
+    """An `evaluate` that reads results which other outputs may read too: a question computes each of them once.
+
+    Attributes:
+        sources: what is computed, as named functions: outputs that share a result name the same function.
+        take: (*results, design, conditions) -> (value, status).
+    """
+
+    sources: tuple[Source, ...]
+    take: Callable[..., Solved]
+
+    def __call__(self, design: Any, errors: Any, given: Any) -> Solved:
+        """The output alone."""
+        return self.within({}, design, errors, given)
+
+    def within(self, found: dict[Source, Any], design: Any, errors: Any, given: Any) -> Solved:
+        """The output among others of the same question.
+
+        Args:
+            found: results so far of this design, these errors and conditions; new ones are put here.
+            design: the reducer.
+            errors: of its parts.
+            given: conditions.
+        """
+        for source in self.sources:
+            if source not in found:
+                found[source] = source(design, errors, given)
+        return self.take(*(found[source] for source in self.sources), design, given)
+
+
+@dataclass(frozen=True)
 class Output:
     """One scalar of one unit.
 
     Attributes:
         unit: SI unit.
         meaning: one line.
-        evaluate: (design, errors, conditions) -> (value, status).
+        evaluate: (design, errors, conditions) -> (value, status); a `Reading` shares what it computes.
         needs: conditions without a default that it needs, by name.
         read_in: unit in which a person reads it; by default that of `rvjax.units`.
         below_zero: what a negative value of a real unit means, where it is no ordinary one.
+        refuse: (design, conditions) -> None; raises ValueError, one line that names the key, where these conditions
+            cannot give it.
     """
 
     unit: str
@@ -65,6 +99,7 @@ class Output:
     needs: tuple[str, ...] = ()
     read_in: str | None = None
     below_zero: str = ""
+    refuse: Callable[[Any, Any], None] | None = None
 
     @property
     def shown(self) -> tuple[str, float]:
@@ -80,11 +115,14 @@ class Curve:
         title: of a picture.
         unit: SI unit of the values.
         evaluate: (design, errors, conditions) -> (angle in rad (n,), values (n,)).
+        turns: (design, conditions) -> turns of the output in the cycle, by which its orders are counted; None where
+            they mean nothing.
     """
 
     title: str
     unit: str
     evaluate: Callable[[Any, Any, Any], tuple[Any, Any]]
+    turns: Callable[[Any, Any], float] | None = None
 
 
 @dataclass(frozen=True)
@@ -150,6 +188,7 @@ class Description:
         curve: to look at, or None.
         cases: quick -> cases by which levels are measured, fewer in a quick run; None where none are.
         unknown: what the model leaves out, one line for a person who reads its results.
+        places: errors with a place (`rvjax.errors.PLACED`) that it reads, or knows a bound for; None: not said.
     """
 
     design: type
@@ -158,3 +197,4 @@ class Description:
     curve: Curve | None = None
     cases: Callable[[bool], Sequence[Cases]] | None = None
     unknown: str = ""
+    places: tuple[str, ...] | None = None

@@ -35,6 +35,7 @@ def field(
     sign: str = "any",
     kind: str = "real",
     of: str = "",
+    part: str = "",
 ) -> Any:
     """Declare a traced field of a record.
 
@@ -47,8 +48,9 @@ def field(
         kind: "real", "pair" (two numbers, given as a tuple or an array), "integer" (result fields),
             or "record" (a nested record).
         of: what a deviation deviates from, by its path in the design; "" where that is no number of it.
+        part: of the machine that an error belongs to.
     """
-    metadata = dict(unit=unit, meaning=meaning, shape=shape, sign=sign, kind=kind, of=of)
+    metadata = dict(unit=unit, meaning=meaning, shape=shape, sign=sign, kind=kind, of=of, part=part)
     return dataclasses.field(default=default, metadata=metadata)
 
 

@@ -100,7 +100,10 @@ DESCRIPTION = Description(
         "transmission_error": Output("rad", "peak to peak over a crank turn under load", _transmission_error),
         "misfit": Output("m", "largest misfit of a disc on the cranks without load (assembly)", _misfit),
     },
-    curve=Curve("Transmission error over one crank turn", "rad", _curve),
+    curve=Curve(
+        "Transmission error over one crank turn", "rad", _curve, lambda design, _: 1 / design.cycloid.pin_count
+    ),
     cases=_cases,
+    places=(),
     unknown="pins, flanks and the first stage: discs are rigid, averaged, and held by their crank bearings alone",
 )

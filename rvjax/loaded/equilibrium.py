@@ -175,6 +175,17 @@ def placed(layout: Layout, case: Case, found: Found, status: jax.Array) -> jax.A
     return attach(layout, case.system, jnp.where(succeeded(status), found.q, 0))
 
 
+def pressures(case: Case, pins: jax.Array) -> jax.Array:
+    """Largest Hertzian pressure of each pin under its force, (d, p) Pa. Eq. 24.
+
+    Args:
+        case: of the same angle.
+        pins: forces (d, p) N.
+    """
+    pressed = pins > 0
+    return jnp.where(pressed, case.pressure * jnp.sqrt(jnp.where(pressed, pins, 1)), 0)
+
+
 def outcome(layout: Layout, read: Read, case: Case, found: Found, info: SolveInfo) -> Loaded:
     """Everything that follows from the displacements."""
     design, system = read.design, case.system
@@ -184,11 +195,10 @@ def outcome(layout: Layout, read: Read, case: Case, found: Found, info: SolveInf
     radius = design.cranks.circle_radius
     gear = flanks[:, 0] - flanks[:, 1]
     unit = jnp.asarray(np.eye(layout.unknowns)[layout.carried], q.dtype)
-    pressed = pins > 0
     values = Loaded(
         error=q[layout.carried] / radius,
         pins=pins,
-        pressure=jnp.where(pressed, case.pressure * jnp.sqrt(jnp.where(pressed, pins, 1)), 0),
+        pressure=pressures(case, pins),
         disc_bearing=-arm.reshape(layout.discs, layout.cranks, 2),
         support_bearing=seat,
         gear=gear,

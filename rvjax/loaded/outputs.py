@@ -1,18 +1,29 @@
-"""What studies may ask of the whole reducer under load."""
+"""What studies may ask of the whole reducer under load.
 
+Outputs read a few results, each computed once for all that are asked: a turn under one of three torques, and the twist
+that a test bench measures at some input angles.
+"""
+
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 from rvjax.designs import RVReducer
+from rvjax.errors import PLACED
 from rvjax.loaded.equilibrium import equilibrium
 from rvjax.loaded.laws import CONTACTS
-from rvjax.loaded.reading import SUPPORTS
+from rvjax.loaded.reading import SUPPORTS, check_input
 from rvjax.loaded.revolution import Revolution, revolution
-from rvjax.loaded.torsion import Torsion, torsion
-from rvjax.outputs import Curve, Description, Output, Solved, condition
+from rvjax.loaded.torsion import SHARES, secant, twisted
+from rvjax.outputs import Curve, Description, Output, Reading, Solved, condition
+from rvjax.status import SolveInfo, worst, worst_of
+
+SPANS = ("crank_turn", "output_turn")
+RATED, HALF, SLIGHT, PROBE = SHARES
 
 
 @dataclass(frozen=True)
@@ -20,9 +31,15 @@ class Conditions:
     """How a whole reducer runs, and how a test bench measures it."""
 
     output_torque: float = condition(0.0, "torque of the discs on the carrier", unit="N m", torque=True)
+    second_torque: float | None = condition(None, "of the discs on the carrier, beside the first", unit="N m")
     rated_torque: float | None = condition(None, "of which a test bench takes shares", unit="N m")
     input_angle: float = condition(0.0, "of the sun, at which the bench twists the output", unit="rad")
-    samples: int = condition(48, "input angles over one crank turn", minimum=4, maximum=100_000)
+    probe_angles: int = condition(
+        1, "input angles of the bench, equally spaced over the span from the input angle on", minimum=1, maximum=1000
+    )
+    span: str = condition("crank_turn", "along which the reducer turns", choices=SPANS)
+    samples: int = condition(48, "input angles over the span", minimum=4, maximum=100_000)
+    order: int | None = condition(None, "periods in one turn of the output", minimum=1, maximum=50_000)
     pin_contact: str = condition("hertz", "law of discs and pins", choices=CONTACTS)
     carrier: str = condition("fixed", "centre of the carrier", choices=SUPPORTS)
     sun: str = condition("fixed", "centre of the sun", choices=SUPPORTS)
@@ -32,25 +49,86 @@ def _ways(given: Any) -> dict[str, Any]:
     return dict(contact=given.pin_contact, carrier=given.carrier, sun=given.sun)
 
 
-def _turn(design: RVReducer, errors: Any, given: Any) -> Revolution:
+def _turns(design: RVReducer, given: Any) -> float:
+    """Of the output in the span."""
+    return 1.0 if given.span == "output_turn" else 1 / design.cycloid.pin_count
+
+
+def _along(design: RVReducer, errors: Any, given: Any, torque: Any) -> Revolution:
+    turns = _turns(design, given)
     return revolution(
-        errors.stiffened(design), errors, output_torque=given.output_torque, samples=given.samples, **_ways(given)
+        errors.stiffened(design), errors, output_torque=torque, turns=turns, samples=given.samples, **_ways(given)
     )
 
 
-def _bench(design: RVReducer, errors: Any, given: Any) -> Torsion:
-    torque, angle = given.rated_torque, given.input_angle
-    return torsion(errors.stiffened(design), errors, input_angle=angle, rated_torque=torque, **_ways(given))
+def turn(design: RVReducer, errors: Any, given: Any) -> Revolution:
+    """Along the span under the output torque."""
+    return _along(design, errors, given, given.output_torque)
 
 
-def _error(design: RVReducer, errors: Any, given: Any) -> Solved:
-    found = _turn(design, errors, given)
-    return found.peak_to_peak, found.info.status
+def second_turn(design: RVReducer, errors: Any, given: Any) -> Revolution:
+    """Along the span under the second torque."""
+    return _along(design, errors, given, given.second_torque)
 
 
-def _pin(design: RVReducer, errors: Any, given: Any) -> Solved:
-    found = _turn(design, errors, given)
-    return found.largest_pin, found.info.status
+def unloaded_turn(design: RVReducer, errors: Any, given: Any) -> Revolution:
+    """Along the span at the probe torque: the limit of no load."""
+    return _along(design, errors, given, PROBE * given.rated_torque)
+
+
+def _bench(shares: tuple[float, ...]) -> Callable[[RVReducer, Any, Any], tuple[jax.Array, SolveInfo]]:
+    """Rotations (angles, shares, 2) at the input angles of the bench, and the worst info."""
+
+    def twist(design: RVReducer, errors: Any, given: Any) -> tuple[jax.Array, SolveInfo]:
+        """At the shares of the rated torque that this bench takes."""
+        design = errors.stiffened(design)
+        layout = check_input(design, errors, *_ways(given).values())
+        span = 2 * np.pi * design.ratio * _turns(design, given)
+        angles = given.input_angle + span * np.arange(given.probe_angles) / given.probe_angles
+
+        def at(angle: Any) -> tuple[jax.Array, SolveInfo]:
+            return twisted(layout, design, errors, angle, given.rated_torque, shares)
+
+        rotation, infos = jax.vmap(at)(jnp.asarray(angles, jnp.result_type(float, *jax.tree.leaves((design, errors)))))
+        return rotation, worst_of(infos)
+
+    return twist
+
+
+BACKLASH, LOST_MOTION, STIFFNESS = _bench((PROBE,)), _bench((SLIGHT,)), _bench((RATED, HALF))
+
+
+def _play(twist: tuple[jax.Array, SolveInfo], design: RVReducer, given: Any) -> Solved:
+    rotation, info = twist
+    return jnp.max(rotation[:, 0, 0] - rotation[:, 0, 1]), info.status
+
+
+def _stiffness(twist: tuple[jax.Array, SolveInfo], design: RVReducer, given: Any) -> Solved:
+    rotation, info = twist
+    return jnp.min(secant(rotation[:, 0, 1], rotation[:, 1, 1], given.rated_torque)), info.status
+
+
+def _figure(name: str) -> Callable[..., Solved]:
+    def take(found: Revolution, design: RVReducer, given: Any) -> Solved:
+        return getattr(found, name), found.info.status
+
+    return take
+
+
+def _shift(first: Revolution, second: Revolution, design: RVReducer, given: Any) -> Solved:
+    return second.mean - first.mean, worst(jnp.stack([first.info.status, second.info.status]))
+
+
+def _amplitude(found: Revolution, design: RVReducer, given: Any) -> Solved:
+    """|X_k| of error = Re sum X_k e^(2 pi i k j / n), from its one line of the transform."""
+    k = round(given.order * _turns(design, given))
+    angle = 2 * np.pi * ((k * np.arange(given.samples)) % given.samples) / given.samples
+    parts = [
+        2 / given.samples * jnp.sum(found.error * jnp.asarray(wave(angle), found.error.dtype))
+        for wave in (np.cos, np.sin)
+    ]
+    square = parts[0] ** 2 + parts[1] ** 2
+    return jnp.where(square == 0, 0, jnp.sqrt(jnp.where(square == 0, 1, square))), found.info.status
 
 
 def _pressure(design: RVReducer, errors: Any, given: Any) -> Solved:
@@ -64,33 +142,96 @@ def _pressure(design: RVReducer, errors: Any, given: Any) -> Solved:
     return jnp.max(found.pressure), found.info.status
 
 
-def _of_bench(name: str) -> Any:
-    def evaluate(design: RVReducer, errors: Any, given: Any) -> Solved:
-        found = _bench(design, errors, given)
-        return getattr(found, name), found.info.status
-
-    return evaluate
-
-
 def _curve(design: RVReducer, errors: Any, given: Any) -> tuple[Any, Any]:
-    found = _turn(design, errors, given)
-    return 2 * np.pi * np.arange(given.samples) / given.samples, found.error
+    return 2 * np.pi * np.arange(given.samples) / given.samples, turn(design, errors, given).error
 
 
-RATED = ("rated_torque",)
+def _rated(design: RVReducer, given: Any) -> None:
+    if given.rated_torque <= 0:
+        raise ValueError(f"conditions.rated_torque = {given.rated_torque:g} N m: must be positive")
+
+
+def _loaded(design: RVReducer, given: Any) -> None:
+    if given.output_torque == 0:
+        raise ValueError("conditions.output_torque = 0 N m: without torque there is no load to share")
+
+
+def _resolved(design: RVReducer, given: Any) -> None:
+    """An order that the span holds in full periods and the samples resolve."""
+    where, zp = f"conditions.order = {given.order}", design.cycloid.pin_count
+    if given.span == "crank_turn" and given.order % zp:
+        raise ValueError(f'{where}: a crank turn shows multiples of {zp} only; set conditions.span = "output_turn"')
+    if 2 * given.order * _turns(design, given) >= given.samples:
+        least = round(2 * given.order * _turns(design, given)) + 1
+        raise ValueError(
+            f"{where}: beyond half of conditions.samples = {given.samples} over the span, {least} at least"
+        )
+
+
+def _of_turn(unit: str, meaning: str, name: str, refuse: Any = None) -> Output:
+    return Output(unit, meaning, Reading((turn,), _figure(name)), refuse=refuse)
+
+
+NEEDS = ("rated_torque",)
 DESCRIPTION = Description(
     design=RVReducer,
     conditions=Conditions,
     outputs={
-        "loaded_transmission_error": Output("rad", "peak to peak over a crank turn, every pin under load", _error),
-        "pin_force": Output("N", "largest force of a pin over a crank turn", _pin),
+        "loaded_transmission_error": _of_turn(
+            "rad", "peak to peak over the span, every pin under load", "peak_to_peak"
+        ),
+        "second_transmission_error": Output(
+            "rad",
+            "peak to peak over the span under the second torque",
+            Reading((second_turn,), _figure("peak_to_peak")),
+            ("second_torque",),
+        ),
+        "unloaded_transmission_error": Output(
+            "rad",
+            "peak to peak over the span at the probe torque, 0.1 % of rated",
+            Reading((unloaded_turn,), _figure("peak_to_peak")),
+            NEEDS,
+            refuse=_rated,
+        ),
+        "mean_shift": Output(
+            "rad",
+            "mean rotation over the span under the second torque, less that under the output torque",
+            Reading((turn, second_turn), _shift),
+            ("second_torque",),
+        ),
+        "order_amplitude": Output(
+            "rad", "of one order of the output turn, under the output torque", Reading((turn,), _amplitude),
+            ("order",), "arcsec", refuse=_resolved,
+        ),
+        "pin_force": _of_turn("N", "largest force of a pin over the span", "largest_pin"),
         "pin_pressure": Output("Pa", "largest contact pressure of a pin at the input angle", _pressure),
-        "backlash": Output("rad", "turn of the output between both probe torques", _of_bench("backlash"), RATED),
-        "bench_lost_motion": Output("rad", "at +-3 % of rated torque", _of_bench("lost_motion"), RATED),
+        "turn_pin_pressure": _of_turn("Pa", "largest contact pressure of a pin over the span", "largest_pressure"),
+        "arm_bearing_force": _of_turn(
+            "N", "largest force of a crank bearing in a disc over the span", "largest_arm_bearing"
+        ),
+        "support_bearing_force": _of_turn(
+            "N", "largest force of a crank bearing in the carrier over the span", "largest_support_bearing"
+        ),
+        "crank_sharing": _of_turn(
+            "-", "largest share of a crank in the torque, times their number, over the span", "crank_sharing", _loaded
+        ),
+        "disc_sharing": _of_turn(
+            "-", "largest share of a disc in the torque, times their number, over the span", "disc_sharing", _loaded
+        ),
+        "backlash": Output(
+            "rad", "turn of the output between both probe torques, largest of the probe angles",
+            Reading((BACKLASH,), _play), NEEDS, refuse=_rated,
+        ),
+        "bench_lost_motion": Output(
+            "rad", "at +-3 % of rated torque, largest of the probe angles",
+            Reading((LOST_MOTION,), _play), NEEDS, refuse=_rated,
+        ),
         "torsional_stiffness": Output(
-            "N m/rad", "between half and full rated torque", _of_bench("stiffness"), RATED, "N m/arcmin"
+            "N m/rad", "between half and full rated torque, least of the probe angles",
+            Reading((STIFFNESS,), _stiffness), NEEDS, "N m/arcmin", refuse=_rated,
         ),
     },
-    curve=Curve("Transmission error of the loaded reducer over one crank turn", "rad", _curve),
+    curve=Curve("Transmission error of the loaded reducer over the span", "rad", _curve, _turns),
+    places=PLACED,
     unknown="friction, inertia, tilting; errors without a place (pin position, runout and pitch as bounds)",
-)
+)  # fmt: skip

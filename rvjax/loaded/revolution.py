@@ -1,7 +1,7 @@
 """Transmission error of a whole reducer along its turn, under load."""
 
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from rvjax.designs import RVReducer
 from rvjax.errors import RVErrors
 from rvjax.loaded.balance import balance, forces
-from rvjax.loaded.equilibrium import Case, judge, placed, prepare
+from rvjax.loaded.equilibrium import Case, judge, placed, prepare, pressures
 from rvjax.loaded.geometry import ratio
 from rvjax.loaded.newton import Found
 from rvjax.loaded.reading import Read, admit, check_input
@@ -31,6 +31,11 @@ class Revolution(Record):
         "rad", "complex amplitudes X_k of order k / turns, error = Re sum X_k e^(2 pi i k j / n)", shape=(HARMONICS,)
     )
     largest_pin: Any = field("N", "largest force of any pin at any angle")
+    largest_pressure: Any = field("Pa", "largest Hertzian pressure of any pin at any angle")
+    largest_arm_bearing: Any = field("N", "largest force of a crank on a disc at any angle")
+    largest_support_bearing: Any = field("N", "largest force of a crank on the carrier at any angle")
+    crank_sharing: Any = field("-", "most loaded planet over the mean of all, at the worst angle; 0 without torque")
+    disc_sharing: Any = field("-", "most loaded disc over the mean of all, at the worst angle; 0 without torque")
     info: SolveInfo = field("-", "the worst of the angles; steps: all", kind="record")
 
 
@@ -86,7 +91,7 @@ def _revolution(
     order = jnp.arange(samples, dtype=read.torque.dtype)
     _, (found, infos) = jax.lax.scan(onward, jnp.full((layout.unknowns,), jnp.nan, order.dtype), order)
     measure = jax.checkpoint(partial(_measure, layout), static_argnums=())
-    error, largest = jax.lax.map(lambda x: measure(read, step, *x), (order, found, infos.status))
+    error, loads = jax.lax.map(lambda x: measure(read, step, *x), (order, found, infos.status))
     whole = worst_of(infos)
     fine = succeeded(whole.status)
     error = jnp.where(fine, error, jnp.nan)
@@ -98,15 +103,43 @@ def _revolution(
         peak_to_peak=jnp.max(error) - jnp.min(error),
         mean=jnp.mean(error),
         harmonics=jnp.where(fine, wave, jnp.nan),
-        largest_pin=jnp.where(fine, jnp.max(largest), jnp.nan),
+        **{name: jnp.where(fine, jnp.max(load), jnp.nan) for name, load in loads._asdict().items()},
         info=whole.replace(steps=jnp.sum(infos.steps)),
     )
 
 
+class Loads(NamedTuple):
+    """What the parts of one angle carry; fields as in `Revolution`."""
+
+    largest_pin: jax.Array
+    largest_pressure: jax.Array
+    largest_arm_bearing: jax.Array
+    largest_support_bearing: jax.Array
+    crank_sharing: jax.Array
+    disc_sharing: jax.Array
+
+
 def _measure(
     layout: Layout, read: Read, step: jax.Array, j: jax.Array, found: Found, status: jax.Array
-) -> tuple[jax.Array, jax.Array]:
-    """Error and largest pin force of angle j, with their derivatives."""
+) -> tuple[jax.Array, Loads]:
+    """Error and loads of angle j, with their derivatives."""
     case: Case = prepare(layout, read, step * j).loaded(read.torque)
     q = placed(layout, case, found, status)
-    return q[layout.carried] / read.design.cranks.circle_radius, jnp.max(forces(layout, case.system, q).pins)
+    pins, flanks, bearings = forces(layout, case.system, q)
+    square = jnp.sum(bearings * bearings, axis=-1)
+    carried = jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1)), 0)
+    loads = Loads(
+        largest_pin=jnp.max(pins),
+        largest_pressure=jnp.max(pressures(case, pins)),
+        largest_arm_bearing=jnp.max(carried[: -layout.cranks]),
+        largest_support_bearing=jnp.max(carried[-layout.cranks :]),
+        crank_sharing=_sharing(flanks[:, 0] - flanks[:, 1]),
+        disc_sharing=_sharing(jnp.sum(case.lever * pins, axis=1)),
+    )
+    return q[layout.carried] / read.design.cranks.circle_radius, loads
+
+
+def _sharing(load: jax.Array) -> jax.Array:
+    """Largest of some loads over their mean; 0 where they sum to nothing."""
+    total = jnp.abs(jnp.sum(load))
+    return jnp.where(total > 0, load.size * jnp.max(jnp.abs(load)) / jnp.where(total > 0, total, 1), 0)

@@ -65,10 +65,53 @@ def torsion(
 
 @partial(jax.jit, static_argnums=0)
 def _torsion(layout: Layout, design: RVReducer, errors: RVErrors, input_angle: Any, rated_torque: Any) -> Torsion:
+    error, info = twisted(layout, design, errors, input_angle, rated_torque, SHARES)
+    rated = jnp.asarray(rated_torque, error.dtype)
+    torque = rated * jnp.asarray([[-share, share] for share in SHARES], error.dtype)
+    gone = error[:, 0] - error[:, 1]
+    return Torsion(
+        torque=_ascending(torque),
+        angle=_ascending(error),
+        backlash=gone[3],
+        lost_motion=gone[2],
+        stiffness=secant(error[0, 1], error[1, 1], rated),
+        info=info,
+    )
+
+
+def secant(at_rated: jax.Array, at_half: jax.Array, rated_torque: Any) -> jax.Array:
+    """Stiffness between half and full rated torque, N m/rad.
+
+    Args:
+        at_rated: rotation under the rated torque, rad.
+        at_half: rotation under half of it, rad.
+        rated_torque: N m.
+    """
+    return 0.5 * rated_torque / (at_half - at_rated)
+
+
+@partial(jax.jit, static_argnums=0)
+def twisted(
+    layout: Layout, design: RVReducer, errors: RVErrors, input_angle: Any, rated_torque: Any, shares: Any
+) -> tuple[jax.Array, SolveInfo]:
+    """Rotation of the carrier at some shares of the rated torque, of either sign, each from the one before.
+
+    Args:
+        layout: counts and methods.
+        design: as in `equilibrium`.
+        errors: as in `equilibrium`.
+        input_angle: () rad.
+        rated_torque: () N m.
+        shares: of the rated torque, (n,) descending.
+
+    Returns:
+        Rotations (n, 2) rad, under the negative and the positive torque, NaN where one of them has no equilibrium; and
+        the worst of their infos.
+    """
     read = admit(layout, design, errors, rated_torque, input_angle)
     case = prepare(layout, read, read.angle)
     sides = read.torque * jnp.asarray([-1.0, 1.0], read.torque.dtype)
-    shares = jnp.asarray(SHARES, read.torque.dtype)
+    sizes = jnp.asarray(shares, read.torque.dtype)
 
     def lower(start: jax.Array, share: jax.Array) -> Any:
         """Both signs at one size of the torque, from the solutions at the one before."""
@@ -76,23 +119,12 @@ def _torsion(layout: Layout, design: RVReducer, errors: RVErrors, input_angle: A
         return jnp.where(succeeded(info.status)[:, None], found.q, jnp.nan), (found, info)
 
     cold = jnp.full((2, layout.unknowns), jnp.nan, sides.dtype)
-    _, (found, infos) = jax.lax.scan(lower, cold, shares)
-    torque = shares[:, None] * sides[None]
+    _, (found, infos) = jax.lax.scan(lower, cold, sizes)
+    torque = sizes[:, None] * sides[None]
     of_one = partial(_angle, layout, read, case)
-    error = jax.vmap(jax.vmap(of_one))(torque, found, infos.status)  # (4, 2)
+    error = jax.vmap(jax.vmap(of_one))(torque, found, infos.status)  # (n, 2)
     whole = worst_of(infos)
-    fine = succeeded(whole.status)
-    error = jnp.where(fine, error, jnp.nan)
-    gone = error[:, 0] - error[:, 1]
-    slack = (error[1] - error[0]) * jnp.asarray([-1.0, 1.0], error.dtype)
-    return Torsion(
-        torque=_ascending(torque),
-        angle=_ascending(error),
-        backlash=gone[3],
-        lost_motion=gone[2],
-        stiffness=0.5 * read.torque / slack[1],
-        info=whole.replace(steps=jnp.sum(infos.steps)),
-    )
+    return jnp.where(succeeded(whole.status), error, jnp.nan), whole.replace(steps=jnp.sum(infos.steps))
 
 
 def _ascending(pairs: jax.Array) -> jax.Array:

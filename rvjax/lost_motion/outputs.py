@@ -6,6 +6,7 @@ from typing import Any
 
 from rvjax.catalogue import RV_20E
 from rvjax.designs import RVReducer
+from rvjax.errors import BOUNDS
 from rvjax.lost_motion.reducer import PROFILES, geometric
 from rvjax.outputs import Cases, Description, Output, Solved, Way, condition
 from rvjax.units import um
@@ -68,5 +69,6 @@ DESCRIPTION = Description(
         )
     },
     cases=_cases,
+    places=tuple(BOUNDS.values()),  # by the bounds that follow from them
     unknown="the order in which parts touch: contributions are summed with their signs; load and deformation",
 )

@@ -3,6 +3,7 @@
 from rvjax.plotting import assembly, compensation, dynamic_error, dynamics, four_bar, loaded, mesh_force
 from rvjax.plotting.allocation import cost_bars
 from rvjax.plotting.batches import batch_histograms, rejects_against_limit
+from rvjax.plotting.budget import error_budget
 from rvjax.plotting.lost_motion import contributions, torque_angle_loop
 from rvjax.plotting.published import verdicts
 from rvjax.plotting.statistics import (
@@ -25,6 +26,7 @@ __all__ = [
     "cost_bars",
     "dynamic_error",
     "dynamics",
+    "error_budget",
     "four_bar",
     "loaded",
     "mesh_force",

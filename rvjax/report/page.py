@@ -23,7 +23,7 @@ from rvjax.report.pictures import Picture, pictures
 from rvjax.report.surrogate import Surrogate
 from rvjax.report.worst_units import WorstUnit, worst_units
 from rvjax.status import MEANING, Status
-from rvjax.study.answer import SHOWN_VALUES, Answer
+from rvjax.study.answer import Answer, shown_values
 from rvjax.units import readable
 
 SHARE_SHOWN = 0.01  # of the variance: errors below it are not listed for a worst unit
@@ -157,8 +157,9 @@ def _influence(answer: Answer, drawn: dict[str, Picture]) -> str:
 
 def _worst(answer: Answer, drawn: dict[str, Picture]) -> str:
     side = answer.after
+    shown = shown_values(answer.study)
     text = (
-        f"<p>Of {SHOWN_VALUES:,} sample units with the tolerances after (seed {side.seed}). The bar is the tolerance, "
+        f"<p>Of {shown:,} sample units with the tolerances after (seed {side.seed}). The bar is the tolerance, "
         "the tick its middle, every dot one element of the error. Errors that explain less than "
         f"{100 * SHARE_SHOWN:g} % of the variance are left out.</p>"
     )

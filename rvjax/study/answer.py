@@ -13,7 +13,7 @@ from rvjax.tolerances import Allocation, Requirement, Statistics, allocate, cost
 from rvjax.tolerances.propagation.responses import BLOCK  # chunks of the certificate's size: the response compiles once
 
 SHOWN_UNITS = 24  # units whose curve is drawn
-SHOWN_VALUES = 65_536  # units behind a histogram
+SHOWN_VALUES = 65_536  # units behind a histogram, and no more than behind the certificate
 FEWEST_BEYOND = 8  # units of the learning sample beyond a limit, below which a point of the cost curve is left out
 YIELD_SWEEP = (0.9, 0.95, 0.99, 0.995, 0.999)
 
@@ -113,7 +113,7 @@ def _side(study: Study, response: Callable[[Any], Any], tolerances: Any) -> Side
     moments = rss(response, tolerances)
     seed = study.seed + 2
     angle, curves = _curves(study, tolerances, seed)
-    kept = monte_carlo(response, tolerances, samples=SHOWN_VALUES, seed=seed, chunk=BLOCK, keep=True)
+    kept = monte_carlo(response, tolerances, samples=shown_values(study), seed=seed, chunk=BLOCK, keep=True)
     return Side(
         tolerances=tolerances,
         cost={name: float(cost(getattr(tolerances, name).half_width)) for name, cost in study.costs.items()},
@@ -128,6 +128,11 @@ def _side(study: Study, response: Callable[[Any], Any], tolerances: Any) -> Side
         failed=kept.examples,
         seed=seed,
     )
+
+
+def shown_values(study: Study) -> int:
+    """Units behind a histogram."""
+    return min(SHOWN_VALUES, study.certificate_samples)
 
 
 def _curves(study: Study, tolerances: Any, seed: int) -> tuple[np.ndarray, np.ndarray]:
@@ -160,7 +165,7 @@ def _cost_curve(study: Study, response: Callable[[Any], Any], found: Allocation)
         against="target",
         samples=study.samples,
         seed=study.seed,
-        certificate_samples=SHOWN_VALUES,
+        certificate_samples=shown_values(study),
     )
     points = [a for a in curve.allocations if a.feasible]
     goals = {item.target for item in study.requirements.values() if isinstance(item, Requirement)}

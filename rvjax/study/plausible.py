@@ -12,6 +12,7 @@ import numpy as np
 
 from rvjax import catalogue
 from rvjax.designs import RVReducer
+from rvjax.errors import BOUNDS
 from rvjax.tolerances import Middle, Tolerance
 from rvjax.units import suited
 
@@ -77,6 +78,12 @@ def doubts(design: Any, conditions: Any, tolerances: Any) -> list[str]:
         half, unit = float(tolerance.half_width), about["unit"]
         if half and unit in HALF_WIDTH:
             found += _doubt(f"tolerances.{field}: half-width", half, unit, *HALF_WIDTH[unit])
+    given = {name for name, _, _ in _toleranced(tolerances)}
+    found += [
+        f"tolerances.{name}: {placed} is the same error with its place, and drawn apart; without {name} the one follows"
+        for name, placed in BOUNDS.items()
+        if {name, placed} <= given
+    ]
     return found + (_collisions(design) if isinstance(design, RVReducer) else [])
 
 

@@ -10,7 +10,7 @@ from rvjax.levels.choice import Choice, choose
 from rvjax.outputs import Curve, Output
 from rvjax.study.matching import Assembly
 from rvjax.study.plausible import doubts
-from rvjax.study.response import Response
+from rvjax.study.response import Response, followed_bounds
 from rvjax.tolerances import Middle
 from rvjax.tolerances.propagation.requirements import Limits
 
@@ -66,7 +66,8 @@ class Study:
         """
         if not self.requirements:
             raise StudyError(f"{self.name}: [requirement] is missing or empty")
-        return Response.of(self.design, tuple(self.requirements), self.conditions, self.choices())
+        bounds = followed_bounds(self.tolerances)
+        return Response.of(self.design, tuple(self.requirements), self.conditions, self.choices(), bounds)
 
     def response_of(self, name: str) -> Response:
         """errors -> Outcome of one response that the requirements name."""

@@ -13,6 +13,7 @@ from rvjax.records import Shape, axis_sizes, remind_of_precision
 from rvjax.study.assembly import parse_assembly
 from rvjax.study.design import parse_design
 from rvjax.study.identification import Identification, parse_identification
+from rvjax.study.placed import refuse_unplaced, spelled
 from rvjax.study.plausible import refuse_impossible
 from rvjax.study.question import Study, StudyError
 from rvjax.study.response import check_nominal
@@ -85,7 +86,7 @@ def parse_study(text: str, *, name: str, folder: Path = Path(), solve: bool = Tr
                 raise ValueError(f"[{key}] is missing or empty")
         design = parse_design(subtable(tables, "design"))
         error_record = design.error_record
-        tolerances = _tolerances(design, subtable(tables, "tolerances"), folder)
+        tolerances = _tolerances(design, spelled(design, subtable(tables, "tolerances")), folder)
         costs = _costs(error_record, tolerances, subtable(tables, "cost"))
         run = subtable(tables, "run")
         known(run, {"seed", "samples", "certificate_samples", "joint_target"}, "run")
@@ -100,6 +101,8 @@ def parse_study(text: str, *, name: str, folder: Path = Path(), solve: bool = Tr
             )  # fmt: skip
         elif "columns" in tables:
             raise ValueError("[columns]: names columns of measured data, but there is no [identify]")
+        if requirements:
+            refuse_unplaced(kind, tuple(requirements), tolerances)
         study = Study(
             name=name,
             text=text,

@@ -3,6 +3,7 @@
 Statistics and allocation see the response `errors -> Outcome` and know nothing of gears; models know no statistics.
 """
 
+import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Self
@@ -11,8 +12,9 @@ import jax
 import jax.numpy as jnp
 
 from rvjax import models
+from rvjax.errors import BOUNDS
 from rvjax.levels.choice import Choice
-from rvjax.outputs import Solved
+from rvjax.outputs import Reading, Solved, Source
 from rvjax.records import Record, field, record, text
 from rvjax.status import Status, succeeded, worst
 from rvjax.tolerances import Outcome
@@ -31,10 +33,16 @@ class Response(Record):
     outputs: tuple[str, ...] = text("names")
     conditions: Any = text("how the reducer runs")
     levels: tuple[tuple[str, Settings, str], ...] = text("(output, settings, precision) where a level was chosen")
+    bounds: tuple[str, ...] = text("errors without a place that follow from those with one", default=())
 
     @classmethod
     def of(
-        cls, design: Any, outputs: Sequence[str], conditions: Any, choices: Mapping[str, Choice] | None = None
+        cls,
+        design: Any,
+        outputs: Sequence[str],
+        conditions: Any,
+        choices: Mapping[str, Choice] | None = None,
+        bounds: Sequence[str] = (),
     ) -> Self:
         """The response of a question.
 
@@ -43,9 +51,11 @@ class Response(Record):
             outputs: names of outputs of this kind of design.
             conditions: how the reducer runs.
             choices: levels from `levels.choose`, by output; an output without one is computed as `conditions` say.
+            bounds: errors without a place that follow from those with one, see `RVErrors.bounded`.
 
         Raises:
-            ValueError: an output that does not exist, or that needs a condition which is not given.
+            ValueError: an output that does not exist, that needs a condition which is not given, or that these
+                conditions cannot give.
         """
         known = models.kind(design).outputs
         for name in outputs:
@@ -53,8 +63,10 @@ class Response(Record):
                 raise ValueError(f"unknown response {name!r}; there are {', '.join(known)}")
             for missing in (need for need in known[name].needs if getattr(conditions, need) is None):
                 raise ValueError(f"conditions.{missing} is missing: {name} needs it")
+            if (refuse := known[name].refuse) is not None:
+                refuse(design, conditions)
         chosen = tuple((c.output, c.settings, c.precision) for c in (choices or {}).values())
-        return cls(design, tuple(outputs), conditions, chosen)
+        return cls(design, tuple(outputs), conditions, chosen, tuple(bounds))
 
     def __call__(self, errors: Any) -> Outcome:
         """Values and the worst status of one unit.
@@ -62,20 +74,37 @@ class Response(Record):
         Args:
             errors: of the design.
         """
-        found = {name: self._one(name, errors) for name in self.outputs}
+        errors = errors.bounded(self.bounds) if self.bounds else errors
+        shared: dict[Any, dict[Source, Any]] = {}  # by level; outputs of one level read the same results
+        found = {name: self._one(name, errors, shared) for name in self.outputs}
         statuses = jnp.stack([jnp.asarray(status) for _, status in found.values()])
         return Outcome({name: value for name, (value, _) in found.items()}, worst(statuses))
 
-    def _one(self, name: str, errors: Any) -> Solved:
-        output = models.kind(self.design).outputs[name]
-        level = next((level for level in self.levels if level[0] == name), None)
-        if level is None:
-            return output.evaluate(self.design, errors, self.conditions)
-        _, settings, precision = level
-        own = replace(self.conditions, **dict(settings))
-        design, rough = jax.tree.map(lambda leaf: jnp.asarray(leaf, precision), (self.design, errors))
-        value, status = output.evaluate(design, rough, own)
-        return value.astype(jnp.result_type(float, *jax.tree.leaves(errors))), status
+    def _one(self, name: str, errors: Any, shared: dict[Any, dict[Source, Any]]) -> Solved:
+        evaluate = models.kind(self.design).outputs[name].evaluate
+        level = next((level[1:] for level in self.levels if level[0] == name), None)
+        design, used, given = self.design, errors, self.conditions
+        if level is not None:
+            settings, precision = level
+            given = replace(given, **dict(settings))
+            design, used = jax.tree.map(lambda leaf: jnp.asarray(leaf, precision), (design, errors))
+        if isinstance(evaluate, Reading):
+            value, status = evaluate.within(shared.setdefault(level, {}), design, used, given)
+        else:
+            value, status = evaluate(design, used, given)
+        if level is not None:
+            value = value.astype(jnp.result_type(float, *jax.tree.leaves(errors)))
+        return value, status
+
+
+def followed_bounds(tolerances: Any) -> tuple[str, ...]:
+    """Errors without a place that have no tolerance of their own and follow from an error with one.
+
+    Args:
+        tolerances: record of errors with a Tolerance or None in each field.
+    """
+    given = {f.name for f in dataclasses.fields(tolerances) if getattr(tolerances, f.name) is not None}
+    return tuple(name for name, placed in BOUNDS.items() if placed in given and name not in given)
 
 
 _status = jax.jit(lambda response, errors: response(errors).status)

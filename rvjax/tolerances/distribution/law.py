@@ -29,8 +29,8 @@ class Law(Record):
     """How parts spread between limits; its fields are the parameters that belong to it alone.
 
     A law may hold more in class variables: `shifts` (it honours `Tolerance.shift`), `of_vectors` (a field of
-    pairs [radial, tangential] gets vectors, not numbers of their own) and `couples` (the two components of a
-    vector depend on each other).
+    pairs [radial, tangential] gets vectors, not numbers of their own) and `couples` (the errors along the last
+    axis, as the two components of a vector, depend on each other: `correlation`).
     """
 
     name: ClassVar[str] = ""
@@ -70,6 +70,10 @@ class Law(Record):
     def coupling(self, tolerance: Any) -> float:
         """Correlation of the two components of one vector."""
         return 0.0
+
+    def correlation(self, tolerance: Any) -> np.ndarray:
+        """Correlation of the errors along the last axis, where the law couples them."""
+        return np.array([[1.0, self.coupling(tolerance)], [self.coupling(tolerance), 1.0]])
 
     def check(self, tolerance: Any) -> None:
         """Refuse limits or parameters that do not fit, with a ValueError; numbers may be tracers."""

@@ -14,11 +14,11 @@ import jax
 import numpy as np
 
 from rvjax.records import Record, Scalar, concrete, field, record, text
-from rvjax.tolerances.distribution import classic, empirical, von_mises
+from rvjax.tolerances.distribution import classic, empirical, spectrum, von_mises
 from rvjax.tolerances.distribution.grades import it_width
 from rvjax.tolerances.distribution.law import LAWS, Law, Moments, bad, law_of
 
-__all__ = ["LAWS", "Law", "Tolerance", "classic", "empirical", "von_mises"]
+__all__ = ["LAWS", "Law", "Tolerance", "classic", "empirical", "spectrum", "von_mises"]
 
 COMMON = ("cp", "shift", "batch")
 """Plain numbers that every law may be given."""
@@ -42,6 +42,7 @@ class Tolerance(Record):
       the field holds [radial, tangential], the vector of this magnitude and random direction, which is
       two independent N(0, s^2).
     - "von_mises": such a vector with a preferred `direction`, rad, and the `concentration` about it.
+    - "spectrum": normal errors round a circle (the last axis) with the relative sizes of their waves in `spectrum`.
     - "empirical": measured `values`, unit of the error, with linear interpolation between them.
 
     `batch` correlates the elements of one field by a shared factor, z_j = sqrt(batch) z_0 +
@@ -85,7 +86,8 @@ class Tolerance(Record):
             size: nominal size of the part, m, for grades.
             shape: of the error, () is a scalar.
             vector: whether the last axis is [radial, tangential]; None: if its length is 2.
-            **parameters: that belong to the law alone: `beta`, `log_sd`, `concentration`, `direction`, `values`.
+            **parameters: that belong to the law alone: `beta`, `log_sd`, `concentration`, `direction`, `spectrum`,
+                `values`.
 
         Raises:
             ValueError: limits, law or parameters that do not fit each other.

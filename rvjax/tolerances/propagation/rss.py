@@ -153,8 +153,9 @@ def _of_errors(z_matrix: np.ndarray, population: Population) -> np.ndarray:
         if tolerance.law.couples:
             if np.delete(z_matrix[start:stop], np.arange(start, stop), axis=1).any() or tolerance.batch:
                 raise ValueError(f"{name}: rss knows no correlated {tolerance.distribution} vectors; use monte_carlo")
-            pair = np.arange(start, stop, 2)
-            found[pair, pair + 1] = found[pair + 1, pair] = tolerance.law.coupling(tolerance)
+            block = tolerance.law.correlation(tolerance)
+            for first in range(start, stop, len(block)):
+                found[first : first + len(block), first : first + len(block)] = block
         start = stop
     return found
 

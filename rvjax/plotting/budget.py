@@ -1,0 +1,59 @@
+"""Picture of an error budget: who owns the error, and at which orders of the output turn."""
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.figure import Figure
+
+from rvjax.plotting.style import HATCHES, PALETTE, words
+from rvjax.study.budget import Budget
+from rvjax.units import arcsec
+
+
+def error_budget(budget: Budget, *, orders: int = 8) -> Figure:
+    """Shares of the parts under every load, above; root mean square of the largest orders and their parts, below.
+
+    Args:
+        budget: from `study.error_budget`.
+        orders: how many of the output turn are drawn.
+    """
+    unit, size = ("arcsec", arcsec) if budget.unit == "rad" else (budget.unit, 1.0)
+    loads = list(budget.torque)
+    parts = sorted({*budget.part.values()}, key=lambda part: -sum(budget.shares("part", load)[part] for load in loads))
+    style = {part: (PALETTE[k % len(PALETTE)], HATCHES[k % len(HATCHES)]) for k, part in enumerate(parts)}
+    figure, (above, below) = plt.subplots(2, 1, figsize=(7.6, 6.8), height_ratios=(1, 1.6))
+    rows = np.arange(len(loads), dtype=float)
+    left = np.zeros(len(loads))
+    for part in parts:
+        width = np.array([100 * budget.shares("part", load)[part] for load in loads])
+        colour, hatch = style[part]
+        above.barh(rows, width, left=left, color=colour, hatch=hatch, edgecolor="white", height=0.6, label=words(part))
+        for row, share, start in zip(rows, width, left):
+            if share >= 6:
+                box = dict(facecolor="white", edgecolor="none", pad=1.0, alpha=0.85)
+                above.text(start + share / 2, row, f"{share:.0f}", ha="center", va="center", bbox=box, fontsize=9)
+        left += width
+    above.set_yticks(rows, [f"{words(load)}\n{budget.torque[load]:.4g} N m" for load in loads])
+    above.invert_yaxis()
+    above.set(xlabel="share of the variance (%)", xlim=(0, 100), title="Who owns the transmission error")
+    above.grid(axis="y", visible=False)
+    above.legend(loc="upper center", bbox_to_anchor=(0.5, -0.32), ncols=4)
+    largest = np.max([budget.total[load] for load in loads], axis=0)[1:]
+    shown = np.sort(1 + np.argsort(-largest, kind="stable")[:orders])
+    thick = 0.8 / len(loads)
+    for n, load in enumerate(loads):
+        at = np.arange(len(shown)) + (n - (len(loads) - 1) / 2) * thick
+        owned = budget.by("part", load)
+        whole = np.maximum(np.sum(list(owned.values()), axis=0)[shown], np.finfo(float).tiny)
+        height, bottom = np.sqrt(budget.total[load][shown]) / size, np.zeros(len(shown))
+        for part in parts:  # a bar is as high as the order, divided as its mean square is
+            piece = height * owned[part][shown] / whole
+            colour, hatch = style[part]
+            below.bar(at, piece, 0.92 * thick, bottom=bottom, color=colour, hatch=hatch, edgecolor="white")
+            bottom += piece
+        for x, y in zip(at, height):
+            below.text(x, y, words(load), rotation=90, ha="center", va="bottom", fontsize=7, color="0.35")
+    below.set_xticks(np.arange(len(shown)), [f"{order:.4g}" for order in budget.orders[shown]])
+    below.margins(y=0.22)
+    below.set(xlabel="order of the output turn", ylabel=f"rms over the units ({unit})")
+    below.grid(axis="x", visible=False)
+    return figure

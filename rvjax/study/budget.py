@@ -1,0 +1,188 @@
+"""Who owns the error: the variance of a curve over units, by error, part and stage, and by order of the output turn.
+
+Every share is a total effect (Sobol): half the mean square by which a wave changes when one error is drawn anew and all
+others stay (Jansen, Comput. Phys. Commun. 117, 1999). No slope is taken, so kinks and play do no harm.
+"""
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rvjax import models
+from rvjax.errors import STAGES
+from rvjax.study.question import Study
+from rvjax.tolerances.population.population import Population, drawn, root_key
+
+UNLOADED = 1e-3  # of the torque: the limit of no load, as on a test bench
+FEWEST = 16
+LEVELS = ("field", "part", "stage")
+
+
+@dataclass(frozen=True)
+class Budget:
+    """Shares of the variance of a curve over units, about its mean over the cycle.
+
+    Attributes:
+        title: of the curve.
+        unit: SI unit of the curve.
+        orders: of the waves, in periods a turn of the output, (k,) ascending; the first, 0, is the mean over the cycle
+            and in no sum.
+        torque: {load: N m}.
+        variance: {load: {error: (k,) mean square that is gone from each wave when this error is held}}, unit squared.
+        error: {load: {error: standard error of the sum of its variances}}.
+        total: {load: (k,) variance of each wave over the units}. The shares sum to more where errors act together.
+        alike: {load: (k,) mean square of each wave that all units have in common}, of the design and its load.
+        part: {error: part of the machine}.
+        samples: units, of which `failed` have no curve and are left out.
+        failed: {load: units without a curve, or with a neighbour without one}.
+    """
+
+    title: str
+    unit: str
+    orders: np.ndarray
+    torque: dict[str, float]
+    variance: dict[str, dict[str, np.ndarray]]
+    error: dict[str, dict[str, float]]
+    total: dict[str, np.ndarray]
+    alike: dict[str, np.ndarray]
+    part: dict[str, str]
+    samples: int
+    failed: dict[str, int]
+
+    def by(self, level: str, load: str) -> dict[str, np.ndarray]:
+        """Variances (k,) of the errors, or summed over those of a part or stage, the largest first.
+
+        Args:
+            level: "field", "part" or "stage".
+            load: key of `torque`.
+
+        Raises:
+            ValueError: another level.
+        """
+        if level not in LEVELS:
+            raise ValueError(f"level = {level!r}: must be one of {', '.join(LEVELS)}")
+        sums: dict[str, np.ndarray] = {}
+        for field, values in self.variance[load].items():
+            part = self.part[field] or "other"
+            name = {"field": field, "part": part, "stage": STAGES.get(part, "other")}[level]
+            sums[name] = sums.get(name, np.zeros(len(self.orders))) + values
+        return dict(sorted(sums.items(), key=lambda item: -item[1][1:].sum()))
+
+    def shares(self, level: str, load: str) -> dict[str, float]:
+        """Of the sum of all variances but those of the mean; they sum to 1, or are all 0 where nothing varies.
+
+        Args:
+            level: as in `by`.
+            load: key of `torque`.
+        """
+        sums = {name: float(values[1:].sum()) for name, values in self.by(level, load).items()}
+        total = sum(sums.values())
+        return {name: value / total if total > 0 else 0.0 for name, value in sums.items()}
+
+
+def error_budget(
+    study: Study,
+    *,
+    output: str | None = None,
+    tolerances: Any = None,
+    loads: Mapping[str, float] | None = None,
+    samples: int = 256,
+    seed: int | None = None,
+) -> Budget:
+    """The error budget of the curve that belongs to an output, such as the transmission error along the output.
+
+    Args:
+        study: design, conditions and tolerances. Over one crank turn only multiples of the pin count are seen, and what
+            lies between them falls on its neighbours; the condition `span` of the loaded model shows every order.
+        output: of the study, whose model has a curve along the output; by default the first that has one.
+        tolerances: other than those of the study, such as allocated ones.
+        loads: torques by name, N m; by default "loaded", that of the study, and "unloaded", a thousandth of it.
+        samples: units, each of which is solved once, and once for every error. 256 know a share of 10 % to a tenth.
+        seed: by default that of the study.
+
+    Raises:
+        ValueError: no curve along the output, no torque, or fewer than 16 samples.
+    """
+    if samples < FEWEST:
+        raise ValueError(f"samples = {samples}: must be at least {FEWEST}")
+    curve = _curve(study, output)
+    given = study.conditions
+    name = next(f.name for f in dataclasses.fields(given) if f.metadata["torque"])
+    if loads is None:
+        if not (torque := getattr(given, name)):
+            raise ValueError(f"conditions.{name} = 0 N m: a budget under load needs one")
+        loads = {"loaded": torque, "unloaded": UNLOADED * torque}
+    population = Population.of(study.tolerances if tolerances is None else tolerances)
+    key = root_key(study.seed if seed is None else seed)
+    own, other = (drawn(population, key, first, count=samples) for first in (0, samples))
+    places = _places(population)
+    about = {f.name: f.metadata for f in dataclasses.fields(study.design.error_record)}
+    found: dict[str, dict[str, Any]] = {what: {} for what in ("variance", "error", "total", "alike", "failed")}
+    waves = None
+    for load, torque in loads.items():
+        solve = partial(_waves, curve.evaluate, given, name, study.design, population, torque)
+        base = np.asarray(solve(own))
+        changed = {field: np.asarray(solve(own.at[place].set(other[place]))) for field, place in places.items()}
+        good = np.isfinite(base).all(1)
+        for values in changed.values():
+            good &= np.isfinite(values).all(1)
+        waves = np.where(np.arange(base.shape[1]) > 0, 0.5, 1.0)  # mean square of a wave of amplitude 1
+        square = {f: 0.5 * waves * np.abs(values[good] - base[good]) ** 2 for f, values in changed.items()}
+        count = max(1, int(good.sum()))
+        found["variance"][load] = {f: values.sum(0) / count for f, values in square.items()}
+        found["error"][load] = {f: float(v[:, 1:].sum(1).std() / np.sqrt(count)) for f, v in square.items()}
+        mean = base[good].sum(0) / count
+        found["alike"][load] = waves * np.abs(mean) ** 2
+        found["total"][load] = waves * (np.abs(base[good] - mean) ** 2).sum(0) / max(1, count - 1)
+        found["failed"][load] = int(samples - good.sum())
+    assert curve.turns is not None and waves is not None
+    return Budget(
+        title=curve.title,
+        unit=curve.unit,
+        orders=np.arange(len(waves)) / curve.turns(study.design, given),
+        torque=dict(loads),
+        part={field: about[field]["part"] for field in places},
+        samples=samples,
+        **found,
+    )
+
+
+def _curve(study: Study, output: str | None) -> Any:
+    """The curve along the output of one model."""
+    if output is not None and output not in study.requirements:
+        raise ValueError(f"output = {output!r}: must be one of {', '.join(study.requirements)}")
+    described = models.kind(study.design).described
+    for name in study.requirements if output is None else (output,):
+        curve = described[name].curve
+        if curve is not None and curve.turns is not None:
+            return curve
+    raise ValueError(f"study {study.name}: no response required here has a curve along the output")
+
+
+def _places(population: Population) -> dict[str, slice]:
+    """Where the random numbers of each error stand."""
+    ends = np.cumsum(list(population.numbers_by_field.values()))
+    return {name: slice(end - size, end) for (name, size), end in zip(population.numbers_by_field.items(), ends)}
+
+
+@partial(jax.jit, static_argnums=(0, 1, 2))
+def _waves(
+    evaluate: Any, given: Any, name: str, design: Any, population: Population, torque: Any, z: jax.Array
+) -> jax.Array:
+    """Amplitudes X_k of y = Re sum X_k e^(2 pi i k j / n) below the half of n, (units, k); NaN of a failed unit."""
+
+    def of_unit(z: jax.Array) -> jax.Array:
+        _, values = evaluate(design, population.errors(z), dataclasses.replace(given, **{name: torque}))
+        fine = jnp.isfinite(values)
+        count = (len(values) + 1) // 2
+        wave = jnp.fft.rfft(jnp.where(fine, values, 0))[:count] / len(values)
+        wave = wave + wave.at[0].set(0)  # X_0 once, all others twice
+        return jnp.where(jnp.all(fine), wave, jnp.nan)
+
+    return jax.vmap(of_unit, in_axes=-1)(z)

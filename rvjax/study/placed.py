@@ -1,0 +1,122 @@
+"""Tolerances of errors with a place, in the words of a drawing.
+
+A runout of 15 um is an eccentricity of up to 7.5 um in any direction, a position "diametral 20 um" one of up to 10 um.
+The same table serves the models that know no places: their bounds follow from the placed errors of each unit.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any
+
+from rvjax import models
+from rvjax.designs import RVReducer
+from rvjax.errors import PLACED, VECTORS
+from rvjax.study.values import choice, known, naming_field, quantity, subtable
+
+WORDS = ("runout", "position", "cumulative")
+RING = "pin_ring"  # positions and radii of all pins, as one field
+LIMITS = {"lower", "upper", "half_width", "grade"}
+ROUND = ("rayleigh", "von_mises")
+
+
+def spelled(design: Any, table: dict[str, Any]) -> dict[str, Any]:
+    """The table [tolerances] with the words of drawings as limits and laws.
+
+    Args:
+        design: whose errors these are.
+        table: as read.
+
+    Raises:
+        ValueError: names the key, its value and the unit.
+    """
+    if not isinstance(design, RVReducer):
+        return table
+    fields = {name: entry for name, entry in table.items() if name != RING}
+    if RING in table:
+        for name, entry in _ring(subtable(table, RING)).items():
+            if name in fields:
+                raise ValueError(f"tolerances.{name}: tolerances.{RING} has it too; give one of them")
+            fields[name] = entry
+    return {name: _limits(name, entry) if isinstance(entry, dict) else entry for name, entry in fields.items()}
+
+
+def _ring(table: dict[str, Any]) -> dict[str, Any]:
+    """Every pin of the ring with its own part and the share `batch` that all have in common."""
+    where = f"tolerances.{RING}"
+    known(table, {"position", "radius", "batch", "cp"}, where)
+    if not {"position", "radius"} & set(table):
+        raise ValueError(f"{where}: give position, radius or both")
+    common = {key: table[key] for key in ("batch", "cp") if key in table}
+    made: dict[str, Any] = {}
+    with naming_field(where):
+        if "position" in table:
+            made["pin_offset"] = common | _vector(_length(table["position"], f"{where}.position", "diametral"))
+        if "radius" in table:
+            made["pin_radii"] = common | {"half_width": _text(_length(table["radius"], f"{where}.radius"))}
+    return made
+
+
+def _limits(field: str, table: dict[str, Any]) -> dict[str, Any]:
+    """One tolerance with limits in the place of a word."""
+    where, words = f"tolerances.{field}", [word for word in WORDS if word in table]
+    if "spectrum" in table:
+        table = {"distribution": "spectrum"} | table
+    if not words:
+        return table
+    word = words[0]
+    if other := [key for key in (*words[1:], *sorted(LIMITS & set(table)))]:
+        raise ValueError(f"{where}: give {word} or {other[0]}, not both")
+    if word == "cumulative" and field != "disc_pitch":
+        raise ValueError(f"{where}.cumulative = {table[word]!r}: is of teeth round a disc, of disc_pitch alone")
+    if word != "cumulative" and field not in VECTORS:
+        raise ValueError(f"{where}.{word} = {table[word]!r}: is of an error with a direction, of {', '.join(VECTORS)}")
+    rest = {key: value for key, value in table.items() if key != word}
+    size = _length(table[word], f"{where}.{word}", "diametral" if word == "position" else "")
+    if word == "cumulative":  # from the highest to the lowest tooth
+        return rest | {"half_width": _text(size / 2)}
+    choice(rest.get("distribution", ROUND[0]), ROUND, f"{where}.distribution")
+    return _vector(size) | rest
+
+
+def _length(value: Any, where: str, before: str = "") -> float:
+    """A length, not negative, that may have to begin with a word that says how it is meant."""
+    if before:
+        words = value.split(maxsplit=1) if isinstance(value, str) else []
+        if len(words) != 2 or words[0] != before:
+            raise ValueError(f'{where} = {value!r}: say the diameter of the zone, as in "{before} 20 um"')
+        found = quantity(words[1], "m", where)
+    else:
+        found = quantity(value, "m", where)
+    if found < 0:
+        raise ValueError(f"{where} = {value!r}: must not be negative")
+    return found
+
+
+def _vector(diameter: float) -> dict[str, Any]:
+    """Vectors of any direction, of a length up to half of a runout or of the diameter of a zone."""
+    return {"distribution": "rayleigh", "lower": _text(0.0), "upper": _text(diameter / 2)}
+
+
+def _text(value: float) -> str:
+    return f"{value!r} m"
+
+
+def refuse_unplaced(kind: models.Kind, outputs: Sequence[str], tolerances: Any) -> None:
+    """Refuse a tolerance with a place that no model asked can place.
+
+    Args:
+        kind: of the design.
+        outputs: that are asked for.
+        tolerances: record of its errors with a Tolerance or None in each field.
+
+    Raises:
+        ValueError: names the key, and who could.
+    """
+    asked = [kind.described[name].places for name in outputs]
+    for f in dataclasses.fields(tolerances):
+        if f.name not in PLACED or getattr(tolerances, f.name) is None:
+            continue
+        if all(places is not None and f.name not in places for places in asked):
+            able = [name for name in kind.outputs if f.name in (kind.described[name].places or ())]
+            shown = ", ".join(able[:3]) + (" .." if len(able) > 3 else "")
+            raise ValueError(f"tolerances.{f.name}: no response required here can place it, only {shown}")

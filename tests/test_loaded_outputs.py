@@ -1,0 +1,110 @@
+"""Outputs of the whole reducer in studies.
+
+Oracle: `loaded.equilibrium` angle by angle, whose forces the reference cases hold; `numpy.fft` for orders. The
+reducer is that of the reference cases, whose programs are compiled anyway.
+"""
+
+from dataclasses import replace
+
+import jax
+import numpy as np
+import pytest
+from loaded_cases import NAMED, design_of, errors_of
+
+from rvjax import loaded, models
+from rvjax.study.response import Response
+
+CASE = NAMED["rv40: all errors, rated, hertz"]
+DESIGN = design_of(CASE)
+ERRORS = errors_of(CASE, DESIGN)
+RATED = 412.0
+KIND = models.kind(DESIGN)
+GIVEN = KIND.conditions(
+    output_torque=RATED, second_torque=165.0, rated_torque=RATED, samples=24, probe_angles=3, input_angle=0.4, order=80
+)
+
+
+TURN = 2 * np.pi * DESIGN.ratio / 40
+ALONG = TURN * np.arange(24) / 24
+ALL = tuple(name for name in KIND.outputs if KIND.described[name].conditions is loaded.outputs.Conditions)
+
+
+BENCH = 0.4 + TURN * np.arange(3) / 3
+SHARES = (1.0, 0.5, 0.03, -0.03, 1e-3, -1e-3)
+
+
+def alone(angles, torque):
+    """The equilibria at some input angles, every one for itself."""
+    found = [loaded.equilibrium(DESIGN, ERRORS, input_angle=float(a), output_torque=torque) for a in angles]
+    return jax.tree.map(lambda *values: np.stack(values), *found)
+
+
+def test_every_output_is_what_its_equilibria_show():
+    """1e-9: Newton's end, 1e-13 of the largest force, times a condition of 1e3; at the probe torque, where play
+    decides, 1e-6 (condition 1e7 of rounding, with a margin of ten)."""
+    found = Response.of(DESIGN, ALL, GIVEN)(ERRORS)
+    assert int(found.status) == 0
+    values = {name: float(value) for name, value in found.value.items()}
+    first, second, light = (alone(ALONG, torque) for torque in (RATED, 165.0, 1e-3 * RATED))
+    twist, one = {s: alone(BENCH, s * RATED).error for s in SHARES}, alone(BENCH[:1], RATED)
+    share = lambda loads: np.max(loads.shape[1] * np.abs(loads) / np.abs(loads.sum(1, keepdims=True)))  # noqa: E731
+    due = {
+        "loaded_transmission_error": np.ptp(first.error),
+        "second_transmission_error": np.ptp(second.error),
+        "mean_shift": second.error.mean() - first.error.mean(),
+        "order_amplitude": np.abs(np.fft.fft(first.error))[2] * 2 / 24,  # order 80: twice in a crank turn
+        "pin_force": first.pins.max(),
+        "pin_pressure": one.pressure.max(),
+        "turn_pin_pressure": first.pressure.max(),
+        "arm_bearing_force": np.linalg.norm(first.disc_bearing, axis=-1).max(),
+        "support_bearing_force": np.linalg.norm(first.support_bearing, axis=-1).max(),
+        "crank_sharing": share(first.gear),
+        "disc_sharing": share(first.disc_torque),
+        "bench_lost_motion": (twist[-0.03] - twist[0.03]).max(),
+        "torsional_stiffness": (0.5 * RATED / (twist[0.5] - twist[1.0])).min(),
+    }
+    for name, value in due.items():
+        assert values[name] == pytest.approx(value, rel=1e-9), name
+    loose = {"unloaded_transmission_error": np.ptp(light.error), "backlash": (twist[-1e-3] - twist[1e-3]).max()}
+    for name, value in loose.items():
+        assert values[name] == pytest.approx(value, rel=1e-6), name
+    assert set(due) | set(loose) == set(ALL)
+    assert values["mean_shift"] > 0 and 1 < values["disc_sharing"] < 2 and values["backlash"] > 0
+
+
+def solved(*outputs):
+    """How often a question of these outputs solves a turn, a bench and a single angle: calls in its traced program."""
+    program = jax.make_jaxpr(Response.of(DESIGN, outputs, GIVEN))(ERRORS)
+    names = [equation.params.get("name") for equation in program.jaxpr.eqns]
+    return [names.count(name) for name in ("_revolution", "twisted", "_equilibrium")]
+
+
+def test_outputs_of_the_same_equilibria_share_them():
+    assert solved("loaded_transmission_error", "pin_force", "order_amplitude", "disc_sharing") == [1, 0, 0]
+    assert solved("loaded_transmission_error", "mean_shift", "second_transmission_error") == [2, 0, 0]
+    assert solved("backlash", "bench_lost_motion") == [0, 2, 0] and solved(*ALL) == [3, 3, 1]
+
+
+REFUSED = [
+    (
+        "order_amplitude",
+        dict(order=480),
+        "conditions.order = 480: beyond half of conditions.samples = 24 .* 25 at least",
+    ),
+    ("order_amplitude", dict(order=15), "conditions.order = 15: a crank turn shows multiples of 40 only"),
+    ("order_amplitude", dict(order=12, span="output_turn"), "conditions.order = 12: beyond half .* 25 at least"),
+    ("order_amplitude", dict(order=None), "conditions.order is missing: order_amplitude needs it"),
+    ("torsional_stiffness", dict(rated_torque=0.0), "conditions.rated_torque = 0 N m: must be positive"),
+    ("torsional_stiffness", dict(rated_torque=None), "conditions.rated_torque is missing"),
+    ("backlash", dict(rated_torque=-1.0), "conditions.rated_torque = -1 N m: must be positive"),
+    ("crank_sharing", dict(output_torque=0.0), "conditions.output_torque = 0 N m: without torque"),
+    ("mean_shift", dict(second_torque=None), "conditions.second_torque is missing"),
+]
+
+
+@pytest.mark.parametrize(("output", "changes", "words"), REFUSED)
+def test_conditions_that_cannot_give_an_output_are_refused(output, changes, words):
+    with pytest.raises(ValueError, match=words) as caught:
+        Response.of(DESIGN, (output,), replace(GIVEN, **changes))
+    assert "\n" not in str(caught.value)
+    assert Response.of(DESIGN, ("order_amplitude",), replace(GIVEN, order=3, span="output_turn")).outputs

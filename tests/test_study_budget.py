@@ -1,0 +1,131 @@
+"""Error budgets: who owns the error.
+
+Oracle: the transmission error of the linkage is linear in small errors, so that total effects are sums of squared
+derivatives times the differences of the very errors that were drawn.
+"""
+
+import csv
+import io
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from rvjax import RVErrors, four_bar, plotting
+from rvjax.errors import STAGES
+from rvjax.report import budget as written
+from rvjax.study import error_budget, parse_study
+from rvjax.tolerances.population.population import Population, drawn, root_key
+from rvjax.units import arcsec
+
+TEXT = """
+[design]
+base = "rv-40e"
+[conditions]
+output_torque = "412 N m"
+angles = 16
+[tolerances.crank_eccentricity]
+half_width = "0.06 um"
+[tolerances.disc_bore]
+position = "diametral 0.1 um"
+[tolerances.carrier_bore]
+half_width = "0.03 um"
+[tolerances.pin_radius]
+half_width = "2 um"
+[requirement.misfit]
+upper = "30 um"
+[requirement.lost_motion]
+upper = "1 arcmin"
+"""
+UNITS = 32
+
+
+@pytest.fixture(scope="module")
+def question():
+    return parse_study(TEXT, name="x", solve=False)
+
+
+@pytest.fixture(scope="module")
+def found(question):
+    return error_budget(question, samples=UNITS, seed=7)
+
+
+def test_shares_are_those_of_the_linear_response(question, found):
+    """Errors of 0.1 um leave 1e-4 of curvature in a linkage of 1.3 mm; a square doubles it, a margin of ten: 2e-3."""
+    design = question.design
+
+    def waves(errors, torque):
+        error = four_bar.revolution(design, errors, angles=16, output_torque=torque).error
+        wave = jnp.fft.rfft(error)[:8] / 16
+        return jnp.stack([wave.real, wave.imag]).at[:, 1:].multiply(2.0)
+
+    at = RVErrors.for_design(design, crank_eccentricity=0.0, disc_bore=0.0, carrier_bore=0.0)
+    slopes = jax.jit(jax.jacfwd(waves))(at, 412.0)
+    population = Population.of(question.tolerances)
+    one, other = (population.deviations(drawn(population, root_key(7), k, count=UNITS)) for k in (0, UNITS))
+    np.testing.assert_allclose(found.orders, 40 * np.arange(8))
+    assert found.torque == pytest.approx({"loaded": 412.0, "unloaded": 0.412})
+    assert found.failed == {"loaded": 0, "unloaded": 0}
+    half = np.where(np.arange(8) > 0, 0.5, 1.0)
+    for name in ("crank_eccentricity", "disc_bore", "carrier_bore"):
+        moved = np.tensordot(getattr(slopes, name), np.asarray(other[name] - one[name]), np.ndim(one[name]) - 1)
+        due = half * 0.5 * np.mean(np.sum(moved**2, axis=0), axis=-1)
+        for load in found.torque:  # without clearance the play of the bearings decides nothing
+            np.testing.assert_allclose(found.variance[load][name], due, rtol=2e-3, atol=2e-3 * due.max())
+        whole = half[1:, None] * 0.5 * np.sum(moved**2, axis=0)[1:]
+        assert found.error["loaded"][name] == pytest.approx(whole.sum(0).std() / np.sqrt(UNITS), rel=5e-3)
+    assert not found.variance["loaded"]["pin_radius"].any()  # of the flank, which the linkage does not know
+
+
+def test_fields_add_up_to_parts_and_stages(found):
+    assert found.part == {
+        "crank_eccentricity": "cranks", "disc_bore": "discs", "carrier_bore": "carrier", "pin_radius": "ring"
+    }  # fmt: skip
+    field, part, stage = (found.by(level, "loaded") for level in ("field", "part", "stage"))
+    np.testing.assert_array_equal(stage["cranks"], field["crank_eccentricity"] + field["carrier_bore"])
+    np.testing.assert_array_equal(part["discs"], stage["cycloid"] - part["ring"])
+    assert list(part) == sorted(part, key=lambda name: -part[name][1:].sum())
+    for level in ("field", "part", "stage"):
+        assert sum(found.shares(level, "unloaded").values()) == pytest.approx(1)
+    with pytest.raises(ValueError, match="level = 'pin': must be one of"):
+        found.by("pin", "loaded")
+
+
+def test_every_error_has_a_part_and_every_part_a_stage():
+    metadata = {f.name: f.metadata for f in RVErrors.__dataclass_fields__.values()}
+    assert {about["part"] for about in metadata.values()} <= set(STAGES)
+    assert metadata["pin_offset"]["part"] == "ring" and metadata["planet_runout"]["part"] == "planets"
+
+
+def test_text_csv_and_picture(found, tmp_path):
+    written.write(found, tmp_path)
+    text = (tmp_path / "budget.txt").read_text()
+    share = found.shares("field", "loaded")["crank_eccentricity"]
+    rms = np.sqrt(found.variance["loaded"]["crank_eccentricity"][1:].sum()) / arcsec
+    (line,) = [line.split() for line in text.splitlines() if line.startswith("crank_eccentricity")]
+    assert line[1:4] == ["cranks", f"{rms:.3g}", f"{100 * share:.1f}"]
+    rows = list(csv.DictReader(io.StringIO((tmp_path / "budget.csv").read_text())))
+    assert len(rows) == 2 * 8 * (4 + 2)
+    (row,) = [r for r in rows if (r["load"], r["order"], r["error"]) == ("unloaded", "40", "disc_bore")]
+    assert float(row["mean square (rad)^2"]) == found.variance["unloaded"]["disc_bore"][1] and row["part"] == "discs"
+    figure = plotting.error_budget(found)
+    bars = figure.axes[1].patches
+    tops = sum(bar.get_height() for bar in bars)
+    shown = np.sort(found.total["loaded"][1:])[-8:], np.sort(found.total["unloaded"][1:])[-8:]
+    assert tops == pytest.approx(sum(np.sqrt(x).sum() for x in shown) / arcsec)
+    assert (tmp_path / "budget.png").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "options", "words"),
+    [
+        ('"412 N m"', '"0 N m"', {}, "conditions.output_torque = 0 N m"),
+        ("angles", "angles", dict(samples=3), "samples = 3: must be at least 16"),
+        ("angles", "angles", dict(output="noise"), "output = 'noise': must be one of misfit, lost_motion"),
+        ("angles", "angles", dict(output="lost_motion"), "no response required here has a curve"),
+    ],
+)
+def test_what_cannot_be_budgeted_is_refused(old, new, options, words):
+    with pytest.raises(ValueError, match=words):
+        error_budget(parse_study(TEXT.replace(old, new), name="x", solve=False), **options)
