@@ -144,6 +144,11 @@ CALLS = {  # name: one call of the door for each way that is decided before the 
     "dynamics.speed_sweep": [
         lambda x: dynamics.speed_sweep(sounder(x), placed(x), sun_speeds=np.array([100.0, 200.0 * x]))
     ],
+    "dynamics.speed_range": [
+        lambda x: dynamics.speed_range(
+            sounder(x), placed(x), slowest_sun_speed=50.0, fastest_sun_speed=200 * x, load_inertia=x, speeds=4
+        )
+    ],
     "dynamics.error_statistics": [
         lambda x: dynamics.error_statistics(sounder(x), placed(x), sun_speed=100 * x, load_inertia=x)
     ],
