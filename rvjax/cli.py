@@ -294,7 +294,7 @@ def _compare(options: argparse.Namespace) -> int:
     if options.format == "json":
         print(json.dumps(compare.compared(first, second), indent=1, allow_nan=False))
     else:
-        _say(compare.text(first, second, (options.first, options.second)))
+        _say(f"A: {options.first}\nB: {options.second}\n\n{compare.text(first, second)}")
     return EXIT_OK
 
 

@@ -54,23 +54,22 @@ def compared(first: dict[str, Any], second: dict[str, Any]) -> dict[str, Any]:
     return found
 
 
-def text(first: dict[str, Any], second: dict[str, Any], names: tuple[str, str]) -> str:
+def text(first: dict[str, Any], second: dict[str, Any]) -> str:
     """The same as tables for a person.
 
     Args:
         first: from `result`.
         second: the same.
-        names: of the two, as headers.
     """
-    return "\n\n".join(_table(topic, rows, names) for topic, rows in compared(first, second).items())
+    return "\n\n".join(_table(topic, rows) for topic, rows in compared(first, second).items())
 
 
-def _table(topic: str, rows: dict[str, Any], names: tuple[str, str]) -> str:
+def _table(topic: str, rows: dict[str, Any]) -> str:
     cells = []
     for name, row in rows.items():
         texts = [_shown(row[side], row["unit"]) for side in ("a", "b")]
         cells.append([name, *texts, "" if row["same"] else _change(row["a"], row["b"], row["unit"])])
-    return table([topic, *names, "change"], cells)
+    return table([topic, "A", "B", "change"], cells)
 
 
 def _rows(first: dict[str, Any], second: dict[str, Any]) -> Iterator[tuple[str, str, str, Any, Any]]:
