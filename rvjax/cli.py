@@ -32,6 +32,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     before = _on_terminate()
     try:
         return options.run(options)
+    except BrokenPipeError:  # whoever reads has enough, as `head` has
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is left in the buffer goes nowhere
+        return EXIT_OK
     except (ValueError, OSError) as error:
         _say(f"rvjax: error: {' '.join(str(error).split())}", file=sys.stderr)
         return EXIT_BAD_INPUT

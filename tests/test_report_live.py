@@ -395,7 +395,10 @@ LOOK = """
 const told = {}, section = document.querySelector("#live");
 const figure = () => section.querySelector("[data-label=figure]").textContent;
 const range = section.querySelector("[aria-label^=pin], #live-0");
-const settled = () => new Promise((done) => setTimeout(done, 60));
+const settled = async () => {
+  const was = section.dataset.computed;
+  for (let k = 0; k < 40 && section.dataset.computed === was; k++) await new Promise((done) => setTimeout(done, 50));
+};
 addEventListener("load", async () => {
   const ranges = [...section.querySelectorAll("input[type=range]")];
   told.hidden = section.hidden;
