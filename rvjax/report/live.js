@@ -93,6 +93,7 @@ const Live = (() => {
 
   /* The study with these tolerances and limits; what has not changed keeps its own words. */
   function study(data, at) {
+    if (!data.template) return "# This study says limits in the words of drawings: set them there, this page cannot.\n";
     return data.template.map((part) => {
       if (typeof part === "string") return part;
       if (part.field !== undefined) {

@@ -15,10 +15,11 @@ _Gaps = dict[tuple[str, ...], tuple[str, int, tuple[str, ...]]]
 _NO_GAP: tuple[str, int, tuple[str, ...]] = ("", 0, ())
 
 
-def template(text: str, requirements: Mapping[str, Limits], fields: Sequence[str]) -> Parts:
+def template(text: str, requirements: Mapping[str, Limits], fields: Sequence[str]) -> Parts | None:
     """A study's text with gaps for limits: strings, and {"field" or "response": number, "own": its own lines}.
 
-    A file that says its tables in another way than with a header each, or a key over several lines, is written anew.
+    A file that says its tables in another way than with a header each, or a key over several lines, is written anew;
+    one that says limits in the words of drawings (`runout`, `pin_ring`) is not: None.
 
     Args:
         text: of the study.
@@ -36,7 +37,7 @@ def template(text: str, requirements: Mapping[str, Limits], fields: Sequence[str
         parts = _with_gaps(written, gaps)
         if _fits(parts, tables, gaps):
             return parts
-    raise ValueError("the text of the study cannot be written again")
+    return None
 
 
 def _with_gaps(text: str, gaps: _Gaps) -> Parts:
@@ -82,7 +83,9 @@ def _fits(parts: Parts, tables: dict[str, Any], gaps: _Gaps) -> bool:
     except tomllib.TOMLDecodeError:
         return False
     for (table, name), (_, _, keys) in gaps.items():
-        entry = tables[table][name]
+        entry = tables[table].get(name)
+        if entry is None:
+            return False
         expected = {key: value for key, value in entry.items() if key not in keys} | {"filled": "gap"}
         if filled.get(table, {}).get(name) != expected:
             return False
