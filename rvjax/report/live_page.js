@@ -172,7 +172,7 @@ function startLive(section, data) {
   }
 
   function follow() {
-    if (!waiting) requestAnimationFrame(now);
+    if (!waiting) setTimeout(now); // not with the next frame: a page out of sight draws none, and what it says must hold
     waiting = true;
   }
 
