@@ -44,6 +44,9 @@ RUN = dict(
 )
 LOADED = ("loaded_transmission_error", "pin_force")
 BENCH = ("pin_pressure", "backlash", "bench_lost_motion", "torsional_stiffness")
+TURN = ("second_transmission_error", "unloaded_transmission_error", "mean_shift", "order_amplitude")
+TURN += ("turn_pin_pressure", "arm_bearing_force", "support_bearing_force", "crank_sharing", "disc_sharing")
+SPINNING = ("static_transmission_error", "dynamic_transmission_error", "dynamic_vibration")
 CASES = {  # design, outputs, conditions
     "four bar": (WHOLE, ("transmission_error", "misfit"), RUN),
     "four bar, curve": (WHOLE, ("transmission_error",), RUN | dict(closure="newton")),
@@ -54,9 +57,11 @@ CASES = {  # design, outputs, conditions
     "mesh force": (CORR.replace(gear_teeth=8), ("cam_force", "contact_pressure"), dict(input_torque=110.0, angles=2)),
     "loaded": (WHOLE, LOADED, RUN),
     "bench": (WHOLE, BENCH, RUN),
+    "turn": (WHOLE, TURN, RUN | dict(second_torque=200.0, order=40)),
+    "speed": (WHOLE, SPINNING, RUN | dict(load_inertia=10.0, speeds=4)),
 }
 # These compile long; a quicker way through most of the same model runs by default.
-LONG = ("four bar, curve", "lost motion, contact", "balance", "loaded", "bench")
+LONG = ("four bar, curve", "lost motion, contact", "balance", "loaded", "bench", "turn", "speed")
 
 
 def test_no_output_is_left_out():
@@ -84,7 +89,7 @@ def drawn(design, random):
 @pytest.mark.parametrize("case", [pytest.param(c, marks=pytest.mark.long) if c in LONG else c for c in CASES])
 def test_gradients_are_slopes_of_the_plain_value(case):
     design, outputs, given = CASES[case]
-    h = 1e-4 if case in ("loaded", "bench") else 1e-3
+    h = 1e-4 if case in ("loaded", "bench", "turn", "speed") else 1e-3
     response = Response.of(design, outputs, models.kind(design).conditions(**given))
 
     def values(errors):

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from rvjax import cli
-from rvjax.report import text
+from rvjax.report import numbers, text
 from rvjax.study import batch
 from rvjax.tolerances import Requirement, Tolerance, load, monte_carlo, origin
 from rvjax.tolerances.atomic import write_atomically
@@ -150,8 +150,7 @@ def test_two_runs_of_one_study_keep_both_answers(tmp_path, monkeypatch):
     monkeypatch.setattr(text, "summary", lambda found: found.study.text)
     monkeypatch.setattr(text, "as_json", lambda found: {"study": found.study.text})
     monkeypatch.setattr(text, "pictures", lambda found: [])
-    for rows in ("tolerance_rows", "influence_rows", "requirement_rows"):
-        monkeypatch.setattr(text, rows, lambda found: (["a"], []))
+    monkeypatch.setattr(numbers, "tables", lambda found: [("a", (["b"], []))])
 
     class Found:
         def __init__(self, said):
@@ -203,7 +202,7 @@ def test_a_signal_ends_a_batch_in_order(tmp_path, number, code):
         "import sys, time; from rvjax import cli; from rvjax.study import batch\n"
         "def run(wanted):\n    print('begun', flush=True)\n    time.sleep(60)\n"
         "batch.run = run\n"
-        "batch.question = lambda *_: None\n"
+        "batch.question = lambda *_: type('Question', (), {'doubts': [], 'accuracy': {}})()\n"
         "sys.exit(cli.main(['montecarlo', 's.toml', '--checkpoint', 'c']))"
     )
     started = subprocess.Popen(

@@ -3,6 +3,8 @@
 Oracle: the numbers given to the picture, converted by hand, and the law of gearing (force through the pitch point).
 """
 
+import dataclasses
+
 import jax
 import matplotlib.pyplot as plt
 import numpy as np
@@ -101,9 +103,8 @@ def test_torsion_is_drawn_as_a_bench_turns_it():
 def test_turn_and_orders_tell_a_known_wave():
     angle = 2 * np.pi * np.arange(256) / 256
     error = (2 * np.cos(40 * angle) + 0.5 * np.sin(78 * angle) + 7) * arcsec
-    wave = loaded.Revolution(
-        error=error, peak_to_peak=np.ptp(error), mean=7 * arcsec, harmonics=0.0, largest_pin=0.0, info=INFO
-    )
+    rest = {f.name: 0.0 for f in dataclasses.fields(loaded.Revolution)}  # what these pictures do not show
+    wave = loaded.Revolution(**rest | dict(error=error, peak_to_peak=np.ptp(error), mean=7 * arcsec, info=INFO))
     axes = plotting.loaded.output_turn({"unit": wave})
     drawn = axes.lines[0].get_ydata()
     assert len(drawn) == 257 and drawn[0] == drawn[-1] == pytest.approx(2)
