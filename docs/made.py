@@ -27,7 +27,6 @@ from rvjax import (
     tolerances,
     units,
 )
-from rvjax.designs import Contact, Stiffness
 from rvjax.errors import CamRollerErrors, RVErrors
 from rvjax.levels import table
 from rvjax.plotting import drawings, dynamic_error
@@ -37,7 +36,7 @@ from rvjax.plotting import mesh_force as mesh_pictures
 from rvjax.plotting.style import AFTER, BEFORE
 from rvjax.published import rv160
 from rvjax.status import MEANING, PRECEDENCE, SUCCESS
-from rvjax.units import MPa, arcmin, arcsec, mm, readable, rpm, um
+from rvjax.units import arcmin, arcsec, readable, rpm, um
 
 
 def everything(folder: Path) -> None:
@@ -230,19 +229,7 @@ def _ratio(design):
 @cache
 def _loaded_unit():
     """An RV-40E of assumed stiffness with a micron of scatter, and its equilibria over a crank turn and over torque."""
-    design = catalogue.RV_40E.replace(
-        stiffness=Stiffness(
-            sun_support=4e7,
-            sun_torsion=1e4,
-            planet_crank_bending=2e8,
-            planet_crank_torsion=5e4,
-            support_bearing=9e8,
-            turning_arm_bearing=6e8,
-            sun_planet_mesh=2e8,
-            disc_pin_mesh=6e8,
-        ),
-        contact=Contact(young_modulus=2.06e5 * MPa, poisson_ratio=0.3, face_width=12 * mm),
-    )
+    design = bench_table.DESIGN
     draw = np.random.default_rng(3).normal
     errors = RVErrors(
         crank_eccentricity=1 * um * draw(size=(2, 2)),

@@ -3,13 +3,14 @@
 import json
 import tomllib
 from importlib import resources
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from rvjax import catalogue, cli, designs, study
 from rvjax.report import check
-from rvjax.study import plausible, template
+from rvjax.study import answer, plausible, template
 from rvjax.study.design import BASES
 from rvjax.units import mm
 
@@ -153,3 +154,17 @@ def test_the_rv_80e_is_sound():
     assert all(
         getattr(stage, n) == pytest.approx(getattr(due, n), rel=1e-12) for n in ("sun_base_radius", "centre_distance")
     )
+
+
+def test_the_curve_of_costs_pays_for_moved_middles(monkeypatch):
+    """Its searches begin with middles that have moved already, at a cost of 2 here."""
+
+    def found(cost, share):
+        verdict = SimpleNamespace(kind="share", estimate=SimpleNamespace(value=share))
+        certificate = SimpleNamespace(verdicts={"lost_motion": verdict})
+        return SimpleNamespace(feasible=True, cost=cost, costs={"a": 9.0}, tolerances=None, certificate=certificate)
+
+    curve = SimpleNamespace(allocations=[found(8.0, 0.9), found(10.0, 0.999)])
+    monkeypatch.setattr(answer, "cost_curve", lambda *_, **__: curve)
+    points = answer._cost_curve(study.load("rv-40e", solve=False), None, found(11.0, 0.99))
+    assert points == [(0.9, 10.0), (0.99, 11.0), (0.999, 12.0)]

@@ -167,11 +167,16 @@ def _cost_curve(study: Study, response: Callable[[Any], Any], found: Allocation)
         seed=study.seed,
         certificate_samples=shown_values(study),
     )
-    points = [a for a in curve.allocations if a.feasible]
+    moved = found.cost - sum(
+        found.costs.values()
+    )  # the curve begins with middles that have moved, and must pay for them
+    points = [(least_yield(a.certificate), a.cost + moved) for a in curve.allocations if a.feasible]
     goals = {item.target for item in study.requirements.values() if isinstance(item, Requirement)}
-    if len(goals) == 1 and study.joint_target is None:
-        points.append(found)  # an end of the same searches: one of them asks for what this study asks for
-    return sorted((least_yield(a.certificate), a.cost) for a in points)
+    if (
+        len(goals) == 1 and study.joint_target is None
+    ):  # an end of the same searches: one asks for what this study asks for
+        points.append((least_yield(found.certificate), found.cost))
+    return sorted(points)
 
 
 def least_yield(statistics: Statistics) -> float:

@@ -18,7 +18,7 @@ from rvjax.mounting import CRANK, DISC, disc_mountings, drawing, unit_errors
 from rvjax.records import axis_sizes
 from rvjax.study.matching import Assembly
 from rvjax.study.question import Study, StudyError
-from rvjax.study.values import choice, integer, known, quantity, subtable
+from rvjax.study.values import choice, finite, integer, known, quantity, subtable
 from rvjax.tolerances import Requirement, Tolerance
 from rvjax.units import KNOWN
 
@@ -235,7 +235,7 @@ def _kind(
             value, sd = np.zeros(shapes[field]), np.full(shapes[field], np.inf)
             for element, column in elements.items():
                 if text := row[column].strip():
-                    value[element] = _number(text, f"{where}: {column}") * scales[column]
+                    value[element] = finite(text, f"{where}: {column}") * scales[column]
                     sd[element] = study.assembly.sd.get(field, 0.0)
             if np.isinf(sd).any() and getattr(study.tolerances, field) is None:
                 raise StudyError(f"{where}: {field} is not measured in full, and no tolerance says what it may be")
@@ -278,16 +278,6 @@ def _column(
     if len(element) != len(shape) or any(k >= size for k, size in zip(element, shape)):
         raise StudyError(f"{path}: column {column!r}: {field} of this part has the shape {shape}")
     return field, element, units[match["unit"]]
-
-
-def _number(text: str, where: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise StudyError(f"{where} = {text!r}: must be a finite number")
-    return value
 
 
 def _count(text: str, where: str) -> int:

@@ -2,7 +2,6 @@
 
 import csv
 import dataclasses
-import math
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +11,7 @@ from rvjax.compensation.significant import significant
 from rvjax.designs import RVReducer
 from rvjax.identify import Orders, orders
 from rvjax.study.question import Study, StudyError
+from rvjax.study.values import finite
 from rvjax.units import arcsec, deg
 
 COLUMNS = {"angle [deg]": deg, "error [arcsec]": arcsec}
@@ -117,8 +117,8 @@ def _curves(path: Path) -> dict[tuple[float, str], list[tuple[float, float]]]:
                 where = f"{path}, line {rows.line_num}"
                 if None in row:
                     raise StudyError(f"{where}: has more cells than columns")
-                torque = _number(row.get("torque [N m]") or "0", f"{where}: torque [N m]")
-                point = tuple(_number(row[name], f"{where}: {name}") * size for name, size in COLUMNS.items())
+                torque = finite(row.get("torque [N m]") or "0", f"{where}: torque [N m]")
+                point = tuple(finite(row[name], f"{where}: {name}") * size for name, size in COLUMNS.items())
                 found.setdefault((torque, (row.get("direction") or "").strip()), []).append((point[0], point[1]))
     except FileNotFoundError:
         raise FileNotFoundError(f"{path}: no such file of curves") from None
@@ -127,13 +127,3 @@ def _curves(path: Path) -> dict[tuple[float, str], list[tuple[float, float]]]:
     if not found:
         raise StudyError(f"{path}: holds no point")
     return found
-
-
-def _number(text: str, where: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise StudyError(f"{where} = {text!r}: must be a finite number")
-    return value

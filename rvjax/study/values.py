@@ -1,6 +1,7 @@
 """Values of a study file, checked: whatever is wrong is one line that names key, value and unit."""
 
 import difflib
+import math
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -88,6 +89,25 @@ def integer(value: Any, where: str, minimum: float, maximum: float) -> int:
         raise ValueError(f"{where} = {value!r}: must be an integer of at least {minimum}")
     if value > maximum:
         raise ValueError(f"{where} = {value}: must be at most {maximum}")
+    return value
+
+
+def finite(text: str, where: str) -> float:
+    """A number of a table.
+
+    Args:
+        text: of the cell.
+        where: file, line and column.
+
+    Raises:
+        StudyError: it is none, or not finite.
+    """
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise StudyError(f"{where} = {text!r}: must be a finite number")
     return value
 
 
