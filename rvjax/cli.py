@@ -31,7 +31,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     _prepare()
     before = _on_terminate()
     try:
-        return options.run(options)
+        code = options.run(options)
+        sys.stdout.flush()  # here, and not at the end of the interpreter, which would complain
+        return code
     except BrokenPipeError:  # whoever reads has enough, as `head` has
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is left in the buffer goes nowhere
         return EXIT_OK

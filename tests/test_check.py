@@ -1,6 +1,8 @@
 """Before anything is computed: what cannot be is refused, what is far from known reducers is said, the rest told."""
 
 import json
+import subprocess
+import sys
 import tomllib
 from importlib import resources
 from types import SimpleNamespace
@@ -168,3 +170,12 @@ def test_the_curve_of_costs_pays_for_moved_middles(monkeypatch):
     monkeypatch.setattr(answer, "cost_curve", lambda *_, **__: curve)
     points = answer._cost_curve(study.load("rv-40e", solve=False), None, found(11.0, 0.99))
     assert points == [(0.9, 10.0), (0.99, 11.0), (0.999, 12.0)]
+
+
+def test_a_reader_that_has_enough_ends_a_command_quietly():
+    with subprocess.Popen(
+        [sys.executable, "-m", "rvjax", "check", "corr"], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    ) as started:
+        assert started.stdout is not None and started.stderr is not None
+        started.stdout.close()
+        assert started.stderr.read() == b"" and started.wait() == 0

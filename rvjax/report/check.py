@@ -15,8 +15,9 @@ from rvjax.report.text import limits, plain, table, tolerance_text
 from rvjax.study.plausible import KNOWN_DESIGNS, TORQUE, numbers, shown
 from rvjax.study.question import Study
 
-SEARCH = 40  # sets of half-widths that a search looks at, with slopes three evaluations of a response each
-CERTIFICATES = 3  # of an allocation, and one of the tolerances before
+# Counted in the answer to rv-40e: middles, half-widths, grades and a curve of costs.
+SEARCH = 160  # passes over the learning sample
+CERTIFICATES = 9  # and one of the tolerances before
 CHUNK = 32_768  # units at once
 
 
@@ -136,10 +137,10 @@ def expected(question: Study) -> str:
     if any(choice.ns is None for choice in found):
         return "time: unknown, for nobody has measured these levels"
     unit = sum(choice.ns or 0.0 for choice in found) * 1e-9
-    seconds = unit * (question.certificate_samples * (CERTIFICATES + 1) + 3 * SEARCH * question.samples)
+    seconds = unit * (question.certificate_samples * (CERTIFICATES + 1) + SEARCH * question.samples)
     return (
-        f"time: about {seconds:.2g} s of computation on the two cores of the measured table, besides compilation "
-        f"(20 s at the first run); chunks of {CHUNK:,} units, memory does not grow with their number"
+        f"time: about {seconds:.2g} s of computation on the two cores of the measured table, besides tracing "
+        f"and compilation (50 s for an RV-40E, 80 s at the first run); chunks of {CHUNK:,} units, memory does not grow with their number"
     )
 
 
