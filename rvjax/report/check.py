@@ -139,8 +139,9 @@ def expected(question: Study) -> str:
     unit = sum(choice.ns or 0.0 for choice in found) * 1e-9
     seconds = unit * (question.certificate_samples * (CERTIFICATES + 1) + SEARCH * question.samples)
     return (
-        f"time: about {seconds:.2g} s of computation on the two cores of the measured table, besides "
-        f"tracing and compilation (50 s for an RV-40E, 80 s at the first run); chunks of {CHUNK:,} units, memory does not grow with their number"
+        f"time: about {seconds:.2g} s of computation on the two cores of the measured table, besides tracing and "
+        "compilation (50 s for an RV-40E, 80 s at the first run); "
+        f"chunks of {CHUNK:,} units, memory does not grow with their number"
     )
 
 
