@@ -9,6 +9,7 @@ import pytest
 from scipy import optimize, stats
 
 from rvjax.tolerances import Middle, ReciprocalPower, Requirement, Tolerance, allocate
+from rvjax.tolerances.allocation.search import Search
 
 TARGET, LOWER, UPPER = 0.9973, -1.0, 2.0
 COST = ReciprocalPower(reference=1.0, finest=0.05, coarsest=20.0)
@@ -64,6 +65,14 @@ def test_what_no_half_width_makes_feasible_a_middle_may():
     result = found({"a": Middle(-3.0, 5.0)}, tolerance=far)
     assert result.status == "OPTIMAL" and float(result.tolerances["a"].middle) == pytest.approx(0.5, abs=0.07)
     assert found({"a": Middle(3.0, 5.0)}, tolerance=far).status == "INFEASIBLE"
+
+
+def test_nothing_is_searched_where_no_middle_makes_it_feasible(monkeypatch):
+    def searched(*_):
+        raise AssertionError("searched")
+
+    monkeypatch.setattr(Search, "find", searched)
+    assert found({"a": Middle(3.0, 5.0)}, tolerance=Tolerance(3.5, 4.5)).status == "INFEASIBLE"
 
 
 @pytest.mark.parametrize(
