@@ -84,7 +84,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"rvjax {rvjax.__version__}")
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
     run: dict[str, Any] = dict(init=_init, check=_check, allocate=_allocate, report=_report, montecarlo=_montecarlo)
-    run |= dict(compare=_compare, reproduce=_reproduce, tradeoff=_tradeoff)
+    run |= dict(budget=_budget, compare=_compare, reproduce=_reproduce, tradeoff=_tradeoff)
     run |= dict(identify=_identify, assemble=_assemble, compensate=_compensate)
     types: dict[str, Any] = {"count": _count, "int": int}
     for name, command in about["command"].items():
@@ -223,6 +223,30 @@ def _report(options: argparse.Namespace) -> int:
     _say(text.headline(found))
     _say(f"Report: {path}")
     return EXIT_OK if found.allocation.status == "OPTIMAL" else EXIT_NO_ANSWER
+
+
+def _budget(options: argparse.Namespace) -> int:
+    from rvjax import study
+    from rvjax.report import budget as written
+    from rvjax.report import text
+    from rvjax.study.values import quantity
+    from rvjax.tolerances.atomic import check_writable
+
+    question = study.load(options.study)
+    loads = {torque: quantity(torque, "N m", "--torque") for torque in options.torque or ()}
+    folder = text.results_folder(options.results, f"{question.name}-budget")
+    check_writable(folder)
+    _forewarn(question)
+    found = study.error_budget(
+        question, output=options.output, loads=loads or None, samples=options.samples, seed=options.seed
+    )
+    folder = written.write(found, question, folder)
+    _tell(
+        options,
+        lambda: f"Study {question.name}\n{written.summary(found)}\n\nResults: {folder}",
+        lambda: written.as_json(found, question) | {"results": str(folder)},
+    )
+    return EXIT_OK
 
 
 def _montecarlo(options: argparse.Namespace) -> int:

@@ -98,14 +98,14 @@ def test_every_error_has_a_part_and_every_part_a_stage():
     assert metadata["pin_offset"]["part"] == "ring" and metadata["planet_runout"]["part"] == "planets"
 
 
-def test_text_csv_and_picture(found, tmp_path):
-    written.write(found, tmp_path)
-    text = (tmp_path / "budget.txt").read_text()
+def test_text_csv_and_picture(question, found, tmp_path):
+    folder = written.write(found, question, tmp_path / "results")
+    text = (folder / "summary.txt").read_text()
     share = found.shares("field", "loaded")["crank_eccentricity"]
     rms = np.sqrt(found.variance["loaded"]["crank_eccentricity"][1:].sum()) / arcsec
     (line,) = [line.split() for line in text.splitlines() if line.startswith("crank_eccentricity")]
     assert line[1:4] == ["cranks", f"{rms:.3g}", f"{100 * share:.1f}"]
-    rows = list(csv.DictReader(io.StringIO((tmp_path / "budget.csv").read_text())))
+    rows = list(csv.DictReader(io.StringIO((folder / "budget.csv").read_text())))
     assert len(rows) == 2 * 8 * (4 + 2)
     (row,) = [r for r in rows if (r["load"], r["order"], r["error"]) == ("unloaded", "40", "disc_bore")]
     assert float(row["mean square (rad)^2"]) == found.variance["unloaded"]["disc_bore"][1] and row["part"] == "discs"
@@ -114,7 +114,7 @@ def test_text_csv_and_picture(found, tmp_path):
     tops = sum(bar.get_height() for bar in bars)
     shown = np.sort(found.total["loaded"][1:])[-8:], np.sort(found.total["unloaded"][1:])[-8:]
     assert tops == pytest.approx(sum(np.sqrt(x).sum() for x in shown) / arcsec)
-    assert (tmp_path / "budget.png").stat().st_size > 10_000
+    assert (folder / "budget.png").stat().st_size > 10_000
 
 
 @pytest.mark.parametrize(

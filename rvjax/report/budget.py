@@ -1,14 +1,18 @@
-"""An error budget as text, CSV and one picture."""
+"""An error budget as text, JSON, CSV and one picture."""
 
 import csv
 import io
+import json
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from rvjax.report import text
+from rvjax.report.pictures import Picture
 from rvjax.study.budget import LEVELS, Budget
-from rvjax.tolerances.atomic import write_atomically
+from rvjax.study.question import Study
 from rvjax.units import KNOWN, arcsec
 
 ORDERS_SHOWN = 8  # of the output turn, the largest
@@ -74,20 +78,44 @@ def largest_orders(budget: Budget, shown: int | None) -> list[int]:
     return sorted(1 + np.argsort(-size, kind="stable")[: len(size) if shown is None else shown])
 
 
-def summary(budget: Budget) -> str:
-    """The budget as text."""
+def load_lines(budget: Budget) -> list[str]:
+    """Under each load: how much varies, what errors do together, which no share knows, and units that failed."""
     unit, size = read_in(budget)
-    lines = [f"Error budget: {budget.title}", f"{budget.samples} units"]
+    lines = []
     for load, torque in budget.torque.items():
+        share, error = (100 * figure for figure in budget.together[load])
         spread = np.sqrt(budget.total[load][1:].sum()) / size
         parts = sum(values[1:].sum() for values in budget.variance[load].values())
-        together = parts / budget.total[load][1:].sum() if spread > 0 else 1.0
+        sums = 100 * parts / budget.total[load][1:].sum() if spread > 0 else 100.0
         lines.append(
-            f"{load}, {torque:.4g} N m: {spread:.3g} {unit} rms over units and angles; the shares of single errors sum "
-            f"to {100 * together:.0f} % of its square, more than 100 % where errors act together"
-            + (f"; {budget.failed[load]} of {budget.samples} units failed" if budget.failed[load] else "")
+            f"{load}, {torque:.4g} N m: {spread:.3g} {unit} rms over units and angles; {share:.0f} +- {error:.0f} % of "
+            f"its square are errors together, which linear shares do not know; the shares of single errors, whatever "
+            f"they do with others included, sum to {sums:.0f} %"
+            + (
+                f"; {budget.failed[load]} of {budget.samples} units failed and are left out"
+                if budget.failed[load]
+                else ""
+            )
         )
+    return lines
+
+
+def summary(budget: Budget) -> str:
+    """The budget as text."""
+    lines = [f"Error budget: {budget.title}", f"{budget.samples} units", *load_lines(budget)]
     return "\n".join([*lines, "", text.table(*share_rows(budget)), "", text.table(*order_rows(budget))])
+
+
+def as_json(budget: Budget, study: Study) -> dict[str, Any]:
+    """Everything about a budget with its shares, seed and versions, as JSON values; SI.
+
+    Args:
+        budget: the error budget.
+        study: whose it is.
+    """
+    shares = {level: {load: budget.shares(level, load) for load in budget.torque} for level in LEVELS}
+    about = {"study": study.name, "seed": study.seed, "versions": text.versions(), "shares": shares}
+    return about | text.plain(budget)
 
 
 def as_csv(budget: Budget) -> str:
@@ -104,24 +132,55 @@ def as_csv(budget: Budget) -> str:
     return file.getvalue()
 
 
-def write(budget: Budget, folder: str | Path) -> Path:
-    """Write budget.txt, budget.csv and budget.png.
+def picture(budget: Budget, form: str = "png") -> Picture:
+    """Shares of the parts and the largest orders.
 
     Args:
         budget: the error budget.
-        folder: that exists.
+        form: "png" or "svg".
     """
     import matplotlib.pyplot as plt
 
     from rvjax import plotting
 
-    folder = Path(folder)
-    write_atomically(folder / "budget.txt", (summary(budget) + "\n").encode("utf-8"))
-    write_atomically(folder / "budget.csv", as_csv(budget).encode("utf-8"))
-    with plotting.style():
+    with plotting.style(), plt.rc_context({"svg.hashsalt": budget.title}):
         figure = plotting.error_budget(budget)
         image = io.BytesIO()
-        figure.savefig(image, format="png")
+        figure.savefig(image, format=form, metadata={"Date": None} if form == "svg" else None)
         plt.close(figure)
-    write_atomically(folder / "budget.png", image.getvalue())
-    return folder
+    largest = []
+    for load in budget.torque:
+        part, share = next(iter(budget.shares("part", load).items()), ("nothing", 0.0))
+        largest.append(f"{load} {part} with {100 * share:.0f} %")
+    return Picture(
+        "budget", f"Who owns the error, by part and by order: first of all {', '.join(largest)}", image.getvalue()
+    )
+
+
+def files(budget: Budget, study: Study) -> Iterator[tuple[str, bytes]]:
+    """What a results folder holds: the study, the budget as text, JSON and CSV, and its picture.
+
+    Args:
+        budget: the error budget.
+        study: whose it is.
+    """
+    yield "study.toml", study.text.encode()
+    yield "summary.txt", (summary(budget) + "\n").encode()
+    yield "result.json", json.dumps(as_json(budget, study), indent=1, allow_nan=False).encode()
+    yield "shares.csv", text.as_csv(*share_rows(budget))
+    yield "budget.csv", as_csv(budget).encode()
+    yield "budget.png", picture(budget).content
+
+
+def write(budget: Budget, study: Study, folder: str | Path) -> Path:
+    """Write `files` into a new folder: all of them, or nothing.
+
+    Args:
+        budget: the error budget.
+        study: whose it is.
+        folder: that is wanted; where it is taken, the next free number.
+
+    Returns:
+        The folder.
+    """
+    return text.write_files(files(budget, study), Path(folder))

@@ -1,11 +1,13 @@
 """Who owns the error: the variance of a curve over units, by error, part and stage, and by order of the output turn.
 
 Every share is a total effect (Sobol): half the mean square by which a wave changes when one error is drawn anew and all
-others stay (Jansen, Comput. Phys. Commun. 117, 1999). No slope is taken, so kinks and play do no harm.
+others stay (Jansen, Comput. Phys. Commun. 117, 1999). No slope is taken, so kinks and play do no harm. What errors do
+alone comes from the same units and one batch more (Saltelli et al., Comput. Phys. Commun. 181, 2010); the rest of
+the variance belongs to errors together, and no share of slopes or of single errors knows it.
 """
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -20,8 +22,10 @@ from rvjax.study.question import Study
 from rvjax.tolerances.population.population import Population, drawn, root_key
 
 UNLOADED = 1e-3  # of the torque: the limit of no load, as on a test bench
-FEWEST = 16
+FEWEST, MOST = 16, 2**16
+BLOCK = 256  # units at once: all angles of a turn of each are solved together
 LEVELS = ("field", "part", "stage")
+Solve = Callable[[jax.Array], jax.Array]  # random numbers of units -> their waves
 
 
 @dataclass(frozen=True)
@@ -37,6 +41,7 @@ class Budget:
         variance: {load: {error: (k,) mean square that is gone from each wave when this error is held}}, unit squared.
         error: {load: {error: standard error of the sum of its variances}}.
         total: {load: (k,) variance of each wave over the units}. The shares sum to more where errors act together.
+        together: {load: (share of the variance that no error has alone, its standard error)}.
         alike: {load: (k,) mean square of each wave that all units have in common}, of the design and its load.
         part: {error: part of the machine}.
         samples: units, of which `failed` have no curve and are left out.
@@ -50,6 +55,7 @@ class Budget:
     variance: dict[str, dict[str, np.ndarray]]
     error: dict[str, dict[str, float]]
     total: dict[str, np.ndarray]
+    together: dict[str, tuple[float, float]]
     alike: dict[str, np.ndarray]
     part: dict[str, str]
     samples: int
@@ -103,54 +109,103 @@ def error_budget(
         output: of the study, whose model has a curve along the output; by default the first that has one.
         tolerances: other than those of the study, such as allocated ones.
         loads: torques by name, N m; by default "loaded", that of the study, and "unloaded", a thousandth of it.
-        samples: units, each of which is solved once, and once for every error. 256 know a share of 10 % to a tenth.
+        samples: units, each of which is solved twice, and once for every error. 256 know a share of 10 % to a tenth.
         seed: by default that of the study.
 
     Raises:
-        ValueError: no curve along the output, no torque, or fewer than 16 samples.
+        ValueError: no curve along the output, no torque, fewer than 16 samples or more than 65536.
     """
-    if samples < FEWEST:
-        raise ValueError(f"samples = {samples}: must be at least {FEWEST}")
+    if not FEWEST <= samples <= MOST:
+        raise ValueError(f"samples = {samples}: must be at least {FEWEST} and at most {MOST}")
     curve = _curve(study, output)
     given = study.conditions
-    name = next(f.name for f in dataclasses.fields(given) if f.metadata["torque"])
+    name = torque_condition(given)
     if loads is None:
         if not (torque := getattr(given, name)):
             raise ValueError(f"conditions.{name} = 0 N m: a budget under load needs one")
         loads = {"loaded": torque, "unloaded": UNLOADED * torque}
     population = Population.of(study.tolerances if tolerances is None else tolerances)
-    key = root_key(study.seed if seed is None else seed)
-    own, other = (drawn(population, key, first, count=samples) for first in (0, samples))
+    draw = partial(drawn, population, root_key(study.seed if seed is None else seed))
     places = _places(population)
     about = {f.name: f.metadata for f in dataclasses.fields(study.design.error_record)}
-    found: dict[str, dict[str, Any]] = {what: {} for what in ("variance", "error", "total", "alike", "failed")}
-    waves = None
-    for load, torque in loads.items():
-        solve = partial(_waves, curve.evaluate, given, name, study.design, population, torque)
-        base = np.asarray(solve(own))
-        changed = {field: np.asarray(solve(own.at[place].set(other[place]))) for field, place in places.items()}
-        good = np.isfinite(base).all(1)
-        for values in changed.values():
-            good &= np.isfinite(values).all(1)
-        waves = np.where(np.arange(base.shape[1]) > 0, 0.5, 1.0)  # mean square of a wave of amplitude 1
-        square = {f: 0.5 * waves * np.abs(values[good] - base[good]) ** 2 for f, values in changed.items()}
-        count = max(1, int(good.sum()))
-        found["variance"][load] = {f: values.sum(0) / count for f, values in square.items()}
-        found["error"][load] = {f: float(v[:, 1:].sum(1).std() / np.sqrt(count)) for f, v in square.items()}
-        mean = base[good].sum(0) / count
-        found["alike"][load] = waves * np.abs(mean) ** 2
-        found["total"][load] = waves * (np.abs(base[good] - mean) ** 2).sum(0) / max(1, count - 1)
-        found["failed"][load] = int(samples - good.sum())
-    assert curve.turns is not None and waves is not None
+    solve = partial(_waves, curve.evaluate, given, name, study.design, population)
+    found = {load: _of_load(partial(solve, torque), draw, places, samples) for load, torque in loads.items()}
+    waves = len(next(iter(found.values())).total)
+    assert curve.turns is not None
     return Budget(
         title=curve.title,
         unit=curve.unit,
-        orders=np.arange(len(waves)) / curve.turns(study.design, given),
+        orders=np.arange(waves) / curve.turns(study.design, given),
         torque=dict(loads),
         part={field: about[field]["part"] for field in places},
         samples=samples,
-        **found,
+        **{f.name: {load: getattr(one, f.name) for load, one in found.items()} for f in dataclasses.fields(_Load)},
     )
+
+
+def torque_condition(given: Any) -> str:
+    """Name of the condition that is the torque.
+
+    Args:
+        given: conditions of a kind of design.
+    """
+    return next(f.name for f in dataclasses.fields(given) if f.metadata["torque"])
+
+
+@dataclass(frozen=True)
+class _Load:
+    """What a `Budget` holds of one load."""
+
+    variance: dict[str, np.ndarray]
+    error: dict[str, float]
+    total: np.ndarray
+    together: tuple[float, float]
+    alike: np.ndarray
+    failed: int
+
+
+def _of_load(solve: Solve, draw: Callable[..., jax.Array], places: Mapping[str, slice], samples: int) -> _Load:
+    one, other, changed = _solved(solve, draw, places, samples)
+    good = np.isfinite(one).all(1) & np.isfinite(other).all(1)
+    for values in changed.values():
+        good &= np.isfinite(values).all(1)
+    one, other, count = one[good], other[good], max(1, int(good.sum()))
+    waves = np.where(np.arange(one.shape[1]) > 0, 0.5, 1.0)  # mean square of a wave of amplitude 1
+    moved = {field: values[good] - one for field, values in changed.items()}
+    square = {field: 0.5 * waves * np.abs(values) ** 2 for field, values in moved.items()}
+    mean = one.sum(0) / count
+    total = waves * (np.abs(one - mean) ** 2).sum(0) / max(1, count - 1)
+    # By unit: what errors do alone, and the variance, whose ratio is the additive share.
+    centred = other - other.sum(0) / count
+    alone = (waves * np.real(np.conj(centred) * sum(moved.values())))[:, 1:].sum(1) if moved else np.zeros(count)
+    both = 0.5 * (waves * (np.abs(one - mean) ** 2 + np.abs(centred) ** 2))[:, 1:].sum(1)
+    whole = both.mean() if good.any() else 0.0
+    share = alone.mean() / whole if whole > 0 else 1.0
+    spread = float((alone - share * both).std() / (whole * np.sqrt(count))) if whole > 0 else 0.0
+    return _Load(
+        variance={field: values.sum(0) / count for field, values in square.items()},
+        error={
+            field: float(v[:, 1:].sum(1).std() / np.sqrt(count)) if good.any() else 0.0 for field, v in square.items()
+        },
+        total=total,
+        together=(float(1 - share), spread),
+        alike=waves * np.abs(mean) ** 2,
+        failed=int(samples - good.sum()),
+    )
+
+
+def _solved(
+    solve: Solve, draw: Callable[..., jax.Array], places: Mapping[str, slice], samples: int
+) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
+    """Waves (units, k) of units, of other units, and of the first with one error of the others, by that error."""
+    block = min(BLOCK, samples)
+    parts: list[list[np.ndarray]] = []
+    for first in range(0, samples, block):
+        own, other = (draw(first + start, count=block) for start in (0, samples))
+        batches = [own, other, *(own.at[place].set(other[place]) for place in places.values())]
+        parts.append([np.asarray(solve(batch))[: samples - first] for batch in batches])
+    one, other, *changed = (np.concatenate(values) for values in zip(*parts))
+    return one, other, dict(zip(places, changed))
 
 
 def _curve(study: Study, output: str | None) -> Any:
