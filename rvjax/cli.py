@@ -317,13 +317,28 @@ def _identify(options: argparse.Namespace) -> int:
 
 
 def _compare(options: argparse.Namespace) -> int:
-    from rvjax.report import compare
+    from rvjax import study
+    from rvjax.report import compare, crossed
+    from rvjax.study.crossed import crossed as judge
 
-    first, second = compare.result(options.first), compare.result(options.second)
-    if options.format == "json":
-        print(json.dumps(compare.compared(first, second), indent=1, allow_nan=False))
-    else:
-        _say(f"A: {options.first}\nB: {options.second}\n\n{compare.text(first, second)}")
+    if options.second is None and options.on is None:
+        raise ValueError("B is missing: name two results folders, or one and with --on the study that judges it")
+    if options.samples is not None and options.on is None:
+        raise ValueError(f"--samples {options.samples}: units are drawn for --on STUDY alone")
+    paths = {letter: path for letter, path in zip("AB", (options.first, options.second)) if path is not None}
+    results = [compare.result(path) for path in paths.values()]
+    told = "\n".join(f"{letter}: {path}" for letter, path in paths.items())
+    data: dict[str, Any] = {}
+    if len(results) == 2:
+        told, data = f"{told}\n\n{compare.text(*results)}", compare.compared(*results)
+    if options.on is not None:
+        question = study.load(options.on)
+        answers = {letter: crossed.answered(path) for letter, path in paths.items()}
+        _forewarn(question)
+        found = {letter: judge(question, one, samples=options.samples) for letter, (_, one) in answers.items()}
+        own = {letter: answer for letter, (answer, _) in answers.items()}
+        told, data = f"{told}\n\n{crossed.summary(found, own)}", data | {"on": crossed.as_json(found, own)}
+    _tell(options, lambda: told, lambda: data)
     return EXIT_OK
 
 

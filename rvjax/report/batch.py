@@ -59,10 +59,9 @@ def summary(found: Statistics, question: Study) -> str:
             ppm = found.ppm[name]
             rejects = f"{ppm.value:.4g} [{ppm.lower:.4g}, {ppm.upper:.4g}]"
             yields.append([name, text.yield_text(found.yield_[name]), rejects])
-    failures = "".join(f", {count:,} {name} (unit {found.examples[name]})" for name, count in found.failures.items())
     lines = [
         f"Study {question.name}: {found.samples:,} units, method {found.method}, seed {found.seed}",
-        f"{found.failed:,} failed{failures}; standard errors from {found.standard_errors}",
+        f"{text.failures_text(found)}; standard errors from {found.standard_errors}",
         "",
         text.table(headers, rows),
     ]

@@ -118,7 +118,7 @@ def _requirements(answer: Answer, drawn: dict[str, Picture]) -> str:
     ]
     certified = (
         f"Certificate: {certificate.samples:,} fresh units with seed {certificate.seed}, {certificate.failed:,} failed"
-        + (f": {', '.join(failures)}" if failures else "")
+        + (f", each a reject in every yield: {', '.join(failures)}" if failures else "")
         + f". Intervals hold with {100 * certificate.confidence:g} % confidence; a requirement is met when the lower "
         "end of its yield reaches the target. A shadow price is the change of the cost when the limit moves outwards."
     )

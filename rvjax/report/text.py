@@ -21,7 +21,7 @@ from rvjax.report import numbers
 from rvjax.report.pictures import pictures
 from rvjax.study.answer import Answer
 from rvjax.study.question import Study
-from rvjax.tolerances import Estimate, Verdict
+from rvjax.tolerances import Estimate, Statistics, Verdict
 from rvjax.units import readable
 
 UNMOVED = "not seen"
@@ -84,6 +84,20 @@ def tolerance_text(tolerance: Any, unit: str) -> str:
 def yield_text(estimate: Estimate) -> str:
     """A yield with its confidence interval, in percent."""
     return f"{100 * estimate.value:.3f} % [{100 * estimate.lower:.3f}, {100 * estimate.upper:.3f}]"
+
+
+def failures_text(found: Statistics) -> str:
+    """How many units failed, why, how they count, and one of each kind to replay."""
+    if not found.failed:
+        return "0 failed"
+    kinds = (f"{count:,} {name} (unit {found.examples[name]})" for name, count in found.failures.items())
+    return f"{found.failed:,} failed, each a reject in every yield: {', '.join(kinds)}"
+
+
+def limits_text(requirement: Any, unit: str, size: float) -> str:
+    """Limits as "<= 1 arcmin"; `unit` of `size` is the one the response is read in."""
+    bounds = ((">=", requirement.lower), ("<=", requirement.upper))
+    return " and ".join(f"{sign} {limit / size:.4g} {unit}" for sign, limit in bounds if math.isfinite(limit))
 
 
 def tolerance_rows(answer: Answer) -> tuple[list[str], list[list[str]]]:
@@ -161,16 +175,11 @@ def requirement_rows(answer: Answer) -> tuple[list[str], list[list[str]]]:
     rows = []
     for name, requirement in answer.study.requirements.items():
         unit, size = answer.study.output(name).shown
-        limits = [
-            f"{sign} {limit / size:.4g} {unit}"
-            for sign, limit in ((">=", requirement.lower), ("<=", requirement.upper))
-            if math.isfinite(limit)
-        ]
         price = allocation.multipliers[name] * size
         rows.append(
             [
                 name,
-                " and ".join(limits),
+                limits_text(requirement, unit, size),
                 requirement.text(),
                 figure_text(answer.certificate_before.verdicts[name], unit, size),
                 figure_text(allocation.certificate.verdicts[name], unit, size),
@@ -218,7 +227,7 @@ def summary(answer: Answer) -> str:
         if rows is influence_rows:
             lines.append(f"{UNMOVED}: {UNMOVED_MEANS}")
     lines.append("")
-    lines.append(f"Certificate: {certificate.samples:,} fresh units, {certificate.failed:,} failed")
+    lines.append(f"Certificate: {certificate.samples:,} fresh units, {failures_text(certificate)}")
     return "\n".join(lines + limits_of_the_answer(answer))
 
 

@@ -1,0 +1,136 @@
+"""The four-bar picture and the whole machine, side by side: what tolerances certified in one do in the other.
+
+`python -m benchmarks.two_studies` answers rv-40e and rv-40e-whole, judges both answers on the whole machine, at rated
+torque and at the torque of a test bench, 3 % of it, and keeps what it found in `benchmarks/two_studies.json`, which the
+docs show: ten minutes on an idle core. What is kept stays; `--fresh` begins anew.
+"""
+
+import dataclasses
+import json
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import rvjax
+from rvjax import study
+from rvjax.study.crossed import cost_of, put_into
+from rvjax.study.read import EMBEDDED
+from rvjax.tolerances import allocate, monte_carlo
+from rvjax.tolerances.propagation.estimates import wilson
+from rvjax.tolerances.propagation.responses import BLOCK
+
+KEPT = Path(__file__).parent / "two_studies.json"
+TEST_TORQUE = "12.36 N m"  # 3 % of 412 N m
+UNITS = 4096
+SEED = 77
+MORE = """
+[requirement.test_torque]
+response = "second_transmission_error"
+upper = "1 arcmin"
+target = 0.99
+
+[requirement.four_bar]
+response = "transmission_error"
+upper = "1 arcmin"
+target = 0.99
+
+[requirement.pin_force]
+upper = "100 kN"
+target = 0.99
+
+"""
+OWN = ("loaded_transmission_error", "misfit", "bench_lost_motion")
+"""Responses that rv-40e-whole requires."""
+LINKAGE = ("crank_eccentricity", "crank_phase", "disc_bore", "carrier_bore", "bearing_clearance")
+"""Errors that the four-bar picture knows."""
+
+
+def observed() -> study.Study:
+    """rv-40e-whole with the transmission error at the test torque, that of the four-bar and the largest pin force."""
+    text = (EMBEDDED / "rv-40e-whole.toml").read_text("utf-8")
+    text = text.replace("[requirement.misfit]", f"{MORE}[requirement.misfit]")
+    text = text.replace('rated_torque = "412 N m"', f'rated_torque = "412 N m"\nsecond_torque = "{TEST_TORQUE}"')
+    return study.parse_study(text, name="rv-40e-whole, observed", solve=False)
+
+
+def optimum(name: str) -> dict[str, Any]:
+    """The answer of `rvjax allocate`, without what a report shows beside it."""
+    asked = study.load(name, solve=False)
+    found = allocate(
+        asked.response(), asked.tolerances, asked.requirements, costs=asked.costs, samples=asked.samples,
+        seed=asked.seed, certificate_samples=min(asked.certificate_samples, 262_144), middles=asked.middles,
+        joint_target=asked.joint_target,
+    )  # fmt: skip
+    limits = {f: getattr(found.tolerances, f) for f in asked.costs | asked.middles}
+    return {
+        "status": found.status,
+        "cost": found.cost,
+        "start cost": found.start_cost,
+        "limits": {f: [float(one.lower), float(one.upper)] for f, one in limits.items()},
+    }
+
+
+def with_limits(tolerances: Any, limits: dict[str, list[float]]) -> Any:
+    """Tolerances with the limits of an answer."""
+    return tolerances.replace(
+        **{name: getattr(tolerances, name).replace(lower=low, upper=high) for name, (low, high) in limits.items()}
+    )
+
+
+def judged(asked: study.Study, answer: Any) -> dict[str, Any]:
+    """Yields with intervals, 99 % quantiles, and the correlation of the four-bar with the machine."""
+    whole = put_into(asked, answer)
+    found = monte_carlo(
+        asked.response(), whole, samples=UNITS, seed=SEED, chunk=BLOCK, requirements=asked.requirements, keep=True
+    )  # fmt: skip
+    values = {name: np.asarray(found.values[name]) for name in asked.requirements}
+    good = np.isfinite(values["loaded_transmission_error"])
+    errors = ("transmission_error", "loaded_transmission_error", "second_transmission_error")
+    correlation = np.corrcoef([values[name][good] for name in errors])[0]
+    quantiles = {name: float(np.quantile(value[good], 0.99)) for name, value in values.items()}
+    kept = [asked.requirements[name].margins(values[name]) <= 0 for name in OWN]
+    shares = {name: found.yield_[name] for name in asked.requirements if name != "pin_force"}
+    shares["all of rv-40e-whole"] = wilson(int(np.all(kept, axis=0).sum()), UNITS, found.confidence)
+    return {
+        "yield": {name: [one.value, one.lower, one.upper] for name, one in shares.items()},
+        "99 % quantile": {name: value / asked.output(name).shown[1] for name, value in quantiles.items()},
+        "correlation with the four-bar": {"412 N m": correlation[1], "12.4 N m": correlation[2]},
+        "failures": found.failures,
+        "cost": cost_of(asked, whole),
+    }
+
+
+def main() -> None:
+    """Run, or go on from what is kept."""
+    rvjax.enable_x64()
+    kept = json.loads(KEPT.read_text()) if KEPT.exists() and "--fresh" not in sys.argv else {}
+
+    def keep(name: str, made: Any) -> Any:
+        if name not in kept:
+            started = time.perf_counter()
+            kept[name] = made()
+            KEPT.write_text(json.dumps(kept, indent=1) + "\n")
+            print(f"{name}: {time.perf_counter() - started:.0f} s", flush=True)
+        return kept[name]
+
+    picture = keep("answer to rv-40e", lambda: optimum("rv-40e"))
+    asked, four = observed(), study.load("rv-40e", solve=False)
+    cheap = with_limits(four.tolerances, picture["limits"])
+    alone = asked.tolerances.replace(**dict.fromkeys((f for f in asked.fields if f not in LINKAGE), None))
+    linkage = dataclasses.replace(asked, tolerances=alone, costs={f: asked.costs[f] for f in LINKAGE})
+    keep("optimum of the four-bar, its errors alone", lambda: judged(linkage, cheap))
+    half = cheap.replace(equidistant_modification=four.tolerances.equidistant_modification)
+    keep("optimum of the four-bar", lambda: judged(asked, half))
+    flanks = {n: getattr(four.design.cycloid, n) for n in ("equidistant_modification", "shift_modification")}
+    pressed = dataclasses.replace(asked, design=asked.design.replace(cycloid=asked.design.cycloid.replace(**flanks)))
+    keep("optimum of the four-bar, with its flanks", lambda: judged(pressed, cheap))
+    keep("tolerances of rv-40e-whole", lambda: judged(asked, asked.tolerances))
+    machine = keep("answer to rv-40e-whole", lambda: optimum("rv-40e-whole"))
+    keep("optimum of the machine", lambda: judged(asked, with_limits(asked.tolerances, machine["limits"])))
+
+
+if __name__ == "__main__":
+    main()
