@@ -67,7 +67,8 @@ def parse(value: Any, unit: str) -> float:
         raise ValueError(f"{value!r}: must be a plain finite number")
     units = KNOWN[unit]
     if not isinstance(value, str):
-        raise ValueError(f"{value!r}: needs a unit in quotes ({', '.join(units)})")
+        one = "one number" if isinstance(value, (list, dict, bool)) else "a unit"
+        raise ValueError(f'{value!r}: needs {one} in quotes, like "3.5 {next(iter(units))}" ({", ".join(units)})')
     split = _NUMBER_AND_UNIT.fullmatch(value.strip())
     if split is None:
         comma = _NUMBER_AND_UNIT.fullmatch(value.strip().replace(",", ".", 1))

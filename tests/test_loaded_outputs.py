@@ -99,6 +99,7 @@ REFUSED = [
     ("backlash", dict(rated_torque=-1.0), "conditions.rated_torque = -1 N m: must be positive"),
     ("crank_sharing", dict(output_torque=0.0), "conditions.output_torque = 0 N m: without torque"),
     ("mean_shift", dict(second_torque=None), "conditions.second_torque is missing"),
+    ("mean_shift", dict(second_torque=412.0), "conditions.second_torque = 412 N m: must differ from conditions.output"),
 ]
 
 

@@ -4,15 +4,16 @@ Outputs read a few results, each computed once for all that are asked: a turn un
 that a test bench measures at some input angles.
 """
 
+import dataclasses
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax.designs import RVReducer
+from rvjax.designs import Contact, RVReducer, Stiffness
 from rvjax.errors import PLACED
 from rvjax.loaded.equilibrium import equilibrium
 from rvjax.loaded.laws import CONTACTS
@@ -146,6 +147,30 @@ def _curve(design: RVReducer, errors: Any, given: Any) -> tuple[Any, Any]:
     return 2 * np.pi * np.arange(given.samples) / given.samples, turn(design, errors, given).error
 
 
+def _carrying(outputs: dict[str, Output]) -> dict[str, Output]:
+    """Each refuses a design that lacks a part which carries load, before what it refuses itself."""
+
+    def refusing(own: Callable[[Any, Any], None] | None) -> Callable[[Any, Any], None]:
+        def refuse(design: RVReducer, given: Any) -> None:
+            for part, cls in (("stiffness", Stiffness), ("contact", Contact)):
+                if getattr(design, part) is None:
+                    keys = ", ".join(f.name for f in dataclasses.fields(cls) if f.default is dataclasses.MISSING)
+                    raise ValueError(f"design.{part} is missing: a reducer under load needs it, with {keys}")
+            if own is not None:
+                own(design, given)
+
+        return refuse
+
+    return {name: replace(output, refuse=refusing(output.refuse)) for name, output in outputs.items()}
+
+
+def _apart(design: RVReducer, given: Any) -> None:
+    if given.second_torque == given.output_torque:
+        raise ValueError(
+            f"conditions.second_torque = {given.second_torque:g} N m: must differ from conditions.output_torque"
+        )
+
+
 def _rated(design: RVReducer, given: Any) -> None:
     if given.rated_torque <= 0:
         raise ValueError(f"conditions.rated_torque = {given.rated_torque:g} N m: must be positive")
@@ -176,7 +201,7 @@ NEEDS = ("rated_torque",)
 DESCRIPTION = Description(
     design=RVReducer,
     conditions=Conditions,
-    outputs={
+    outputs=_carrying({
         "loaded_transmission_error": _of_turn(
             "rad", "peak to peak over the span, every pin under load", "peak_to_peak"
         ),
@@ -185,6 +210,7 @@ DESCRIPTION = Description(
             "peak to peak over the span under the second torque",
             Reading((second_turn,), _figure("peak_to_peak")),
             ("second_torque",),
+            refuse=_apart,
         ),
         "unloaded_transmission_error": Output(
             "rad",
@@ -198,6 +224,7 @@ DESCRIPTION = Description(
             "mean rotation over the span under the second torque, less that under the output torque",
             Reading((turn, second_turn), _shift),
             ("second_torque",),
+            refuse=_apart,
         ),
         "order_amplitude": Output(
             "rad", "of one order of the output turn, under the output torque", Reading((turn,), _amplitude),
@@ -230,7 +257,7 @@ DESCRIPTION = Description(
             "N m/rad", "between half and full rated torque, least of the probe angles",
             Reading((STIFFNESS,), _stiffness), NEEDS, "N m/arcmin", refuse=_rated,
         ),
-    },
+    }),
     curve=Curve("Transmission error of the loaded reducer over the span", "rad", _curve, _turns),
     places=PLACED,
     unknown="friction, inertia, tilting; errors without a place (pin position, runout and pitch as bounds)",

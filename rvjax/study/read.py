@@ -124,8 +124,10 @@ def parse_study(text: str, *, name: str, folder: Path = Path(), solve: bool = Tr
             identification=identification,
         )
         refuse_impossible(design, tolerances, costs, study.middles)
-        if solve and requirements:
-            check_nominal(study.response(), error_record())
+        if requirements:
+            response = study.response()  # refuses what these conditions cannot give
+            if solve:
+                check_nominal(response, error_record())
         return study
 
 
