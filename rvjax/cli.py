@@ -228,12 +228,14 @@ def _report(options: argparse.Namespace) -> int:
 def _montecarlo(options: argparse.Namespace) -> int:
     from rvjax.report import batch as written
     from rvjax.study import batch
-    from rvjax.tolerances.propagation.unit_file import ENDINGS
+    from rvjax.tolerances.propagation.unit_file import ENDINGS, UnitFile
 
     _check_files(options, json=".json", save=(".npz", *ENDINGS))
     table = options.save if options.save and options.save.endswith(ENDINGS) else None
     if options.save_errors and table is None:
         raise ValueError(f"--save-errors: needs --save FILE with {' or '.join(ENDINGS)}, not {options.save}")
+    if table is not None:
+        UnitFile(table)  # says before any work that an extra is missing
 
     def asked() -> batch.Batch:
         question = batch.question(options.study, options.worker)

@@ -92,7 +92,7 @@ def origin(path: str | Path) -> Origin:
     Raises:
         ValueError: as `load`.
     """
-    about = parquet_origin(Path(path)) if Path(path).suffix == ".parquet" else _read(path)[0]["rvjax"]
+    about: Any = parquet_origin(Path(path)) if Path(path).suffix == ".parquet" else _read(path)[0]["rvjax"]
     return Origin(*(about.get(name) for name in ("kind", "seed", "study", "versions")))
 
 

@@ -12,11 +12,9 @@ from typing import Any
 import numpy as np
 
 from rvjax import tables
-from rvjax.records import Record
 from rvjax.status import SUCCESS, Status
 from rvjax.tolerances.atomic import check_writable, replacing
 from rvjax.tolerances.population.population import Population
-from rvjax.tolerances.propagation.responses import PLAIN
 
 ENDINGS = (".csv", ".parquet")
 FORMAT = 1
@@ -71,7 +69,7 @@ class UnitFile:
         found = [(name or "response", self.units.get(name, "")) for name in names]
         if self.errors:
             record = population.tolerances
-            own = {f.name: f.metadata["unit"] for f in dataclasses.fields(record)} if isinstance(record, Record) else {}
+            own = {} if isinstance(record, dict) else {f.name: f.metadata["unit"] for f in dataclasses.fields(record)}
             for field, tolerance in population.active.items():
                 unit = own.get(field) or self.units.get(field, "")
                 found += [(element, unit) for element in elements(field, tolerance.shape)]
@@ -108,18 +106,17 @@ def writing(
     columns = target.columns(names, population)
     said = {"format": FORMAT, "kind": "units", **about, "study": dict(about.get("study", {})) | dict(target.about)}
     check_writable(path)
-    with replacing(path) as partial:
-        with _TABLES[Path(target.path).suffix].begun(partial, columns, said) as table:
+    with replacing(path) as partial, _TABLES[Path(target.path).suffix].begun(partial, columns, said) as table:
 
-            def write(first: int, values: Columns, status: np.ndarray, errors: Columns) -> None:
-                good = np.isin(status, _GOOD)
-                numbers = [np.where(good, values[name], np.nan) for name in names]
-                for drawn in errors.values():
-                    numbers += list(np.asarray(drawn).reshape(-1, drawn.shape[-1])[:, : len(status)])
-                rows = zip(columns, (np.asarray(column, np.float64) for column in numbers), strict=True)
-                table.add(first + np.arange(len(status)), [_NAMES[int(code)] for code in status], dict(rows))
+        def write(first: int, values: Columns, status: np.ndarray, errors: Columns) -> None:
+            good = np.isin(status, _GOOD)
+            numbers = [np.where(good, values[name], np.nan) for name in names]
+            for drawn in errors.values():
+                numbers += list(np.asarray(drawn).reshape(-1, drawn.shape[-1])[:, : len(status)])
+            rows = zip(columns, (np.asarray(column, np.float64) for column in numbers), strict=True)
+            table.add(first + np.arange(len(status)), [_NAMES[int(code)] for code in status], dict(rows))
 
-            yield write
+        yield write
 
 
 def joined(parts: Sequence[Path], path: Path, chunk: int) -> None:
