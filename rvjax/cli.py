@@ -37,7 +37,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # whoever reads has enough, as `head` has
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is left in the buffer goes nowhere
         return EXIT_OK
-    except (ValueError, OSError) as error:
+    except (ValueError, OSError, ImportError) as error:  # the last: an extra that is not installed
         _say(f"rvjax: error: {' '.join(str(error).split())}", file=sys.stderr)
         return EXIT_BAD_INPUT
     except KeyboardInterrupt as stop:
@@ -252,18 +252,27 @@ def _budget(options: argparse.Namespace) -> int:
 def _montecarlo(options: argparse.Namespace) -> int:
     from rvjax.report import batch as written
     from rvjax.study import batch
+    from rvjax.tolerances.propagation.unit_file import ENDINGS, UnitFile
 
-    _check_files(options, json=".json", save=".npz")
+    _check_files(options, json=".json", save=(".npz", *ENDINGS))
+    table = options.save if options.save and options.save.endswith(ENDINGS) else None
+    if options.save_errors and table is None:
+        raise ValueError(f"--save-errors: needs --save FILE with {' or '.join(ENDINGS)}, not {options.save}")
+    if table is not None:
+        UnitFile(table)  # says before any work that an extra is missing
 
     def asked() -> batch.Batch:
+        question = batch.question(options.study, options.worker)
         return batch.Batch(
-            study=batch.question(options.study, options.worker),
+            study=question,
             samples=options.samples,
             seed=options.seed,
             sobol=options.sobol,
             chunk=options.chunk or batch.CHUNK,
             checkpoint=options.checkpoint,
-            keep=options.save is not None,
+            keep=options.save is not None and table is None,
+            save=table
+            and batch.table_of(table, question, options.study, errors=options.save_errors, worker=options.worker),
             progress=not options.quiet,
         )
 
@@ -278,9 +287,11 @@ def _montecarlo(options: argparse.Namespace) -> int:
     if options.processes == 1:
         found = batch.run(wanted)
     else:
-        found = batch.run_in_processes(options.command, options.processes, text=question.text)
+        found = batch.run_in_processes(
+            options.command, options.processes, text=question.text, table=table, chunk=wanted.chunk
+        )
     seconds = time.perf_counter() - started
-    written.write(found, question, options.study, figures=options.json, samples=options.save)
+    written.write(found, question, options.study, figures=options.json, samples=options.save if wanted.keep else None)
     after = f"\n\n{seconds:.1f} s, start and compilation included"
     _tell(options, lambda: written.summary(found, question) + after, lambda: written.as_json(found, question))
     return EXIT_OK
@@ -342,13 +353,13 @@ def _compare(options: argparse.Namespace) -> int:
     return EXIT_OK
 
 
-def _check_files(options: argparse.Namespace, **endings: str) -> None:
+def _check_files(options: argparse.Namespace, **endings: str | tuple[str, ...]) -> None:
     """Refuse a file that could not be written, before any work is done."""
     for option, ending in endings.items():
         path = getattr(options, option)
         name = path if option == "file" else f"--{option} {path}"
         if path is not None and not path.endswith(ending):
-            raise ValueError(f"{name}: must end with {ending}")
+            raise ValueError(f"{name}: must end with {ending if isinstance(ending, str) else ' or '.join(ending)}")
         if path is not None and not Path(path).absolute().parent.is_dir():
             raise ValueError(f"{name}: there is no such folder")
 

@@ -30,7 +30,7 @@ def data_set(record: Any, batch: Sequence[str] = ()) -> Any:
         ImportError: xarray is not installed.
         ValueError: a field has other axes than these and its own.
     """
-    xarray = _needed("xarray", "to_xarray")
+    xarray = needed("xarray", "to_xarray")
     columns = list(_columns(record, tuple(batch)))
     made = xarray.Dataset({c.name: (c.dims, c.values, {"units": c.unit, "long_name": c.meaning}) for c in columns})
     texts = {f.name: getattr(record, f.name) for f in dataclasses.fields(record) if f.metadata["kind"] in _STATIC}
@@ -52,7 +52,7 @@ def frame(record: Any, batch: Sequence[str] = (), along: str | None = None) -> A
         ImportError: pandas is not installed.
         ValueError: a field has other axes than these and its own, or none has the axis `along`.
     """
-    pandas = _needed("pandas", "to_pandas")
+    pandas = needed("pandas", "to_pandas")
     rows = (*batch, *((along,) if along else ()))
     columns = [c for c in _columns(record, tuple(batch)) if along is None or along in c.dims]
     if along is not None and not columns:
@@ -86,7 +86,7 @@ def tidy(rows: Iterable[Mapping[str, Any]], index: Sequence[str]) -> Any:
         rows: each of the same names.
         index: names that index the rows.
     """
-    pandas = _needed("pandas", "to_pandas")
+    pandas = needed("pandas", "to_pandas")
     return pandas.DataFrame(list(rows)).set_index(list(index))
 
 
@@ -106,11 +106,22 @@ def spread(name: str, estimate: Any) -> dict[str, float]:
 _STATIC = ("text", "count")
 
 
-def _needed(package: str, method: str) -> Any:
+def needed(package: str, what: str, extra: str = "tables") -> Any:
+    """An optional package.
+
+    Args:
+        package: or module of it.
+        what: needs it.
+        extra: that installs it.
+
+    Raises:
+        ImportError: names the extra.
+    """
     try:
         return importlib.import_module(package)
     except ImportError:
-        raise ImportError(f"{method} needs {package}: pip install 'rvjax[tables]'") from None
+        name = package.partition(".")[0]
+        raise ImportError(f"{what} needs {name}: pip install 'rvjax[{extra}]'") from None
 
 
 def _columns(record: Any, batch: tuple[str, ...], prefix: str = "") -> Iterator[Column]:

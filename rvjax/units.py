@@ -42,8 +42,12 @@ READ_IN = {"m": "um", "rad": "arcmin", "Pa": "MPa"}
 _NUMBER_AND_UNIT = re.compile(r"([-+]?(?:\d[\d_]*\.?\d*|\.\d+|\d*inf|nan)(?:[eE][-+]?\d+)?)\s*([^\W\d_].*|)")
 
 
-def _spelled(name: str) -> str:
-    """A unit as this module spells it: "µm" is "um", "Nm" and "N·m" are "N m", "arcsec" stays."""
+def spelling(name: str) -> str:
+    """A unit as this module spells it: "µm" is "um", "Nm" and "N·m" are "N m", "arcsec" stays.
+
+    Args:
+        name: as a person wrote it.
+    """
     name = name.strip().replace("\u00b5", "u").replace("\u03bc", "u").replace("\u00b2", "2")
     return re.sub(r"N\s*[·*.]?\s*m(?!m)\b", "N m", name)
 
@@ -75,7 +79,7 @@ def parse(value: Any, unit: str) -> float:
         hint = "; decimals are written with a point" if comma and "," in value else ""
         example = f'must be a number, a space and a unit, like "3.5 {next(iter(units))}"'
         raise ValueError(f"{value!r}: {example}{hint}")
-    result, name = float(split[1]), _spelled(split[2])
+    result, name = float(split[1]), spelling(split[2])
     if name not in units:
         raise ValueError(f"{value!r}: unit {name!r} is not one of {', '.join(units)}")
     if not math.isfinite(result * units[name]):
@@ -92,7 +96,7 @@ def unit_of(value: str, unit: str) -> str:
     """
     parse(value, unit)
     found = _NUMBER_AND_UNIT.fullmatch(value.strip())
-    return _spelled(found[2]) if found else unit
+    return spelling(found[2]) if found else unit
 
 
 def suited(value: float, unit: str) -> tuple[str, float]:

@@ -213,13 +213,30 @@ def test_every_load_and_direction_has_a_table(files, capsys):
     assert "rms left by the table of one curve at another" in capsys.readouterr().out
 
 
+def test_a_curve_in_other_units_with_decimal_commas_is_the_same_curve(files):
+    """What a bench in Stuttgart writes: semicolons, decimal commas, a byte order mark, minutes of arc."""
+    angle, error = points(count=400)
+    written(files / "curve.csv", (angle, error, "12.5", "forward"))
+    lines = ["\ufeffDirection;Torque [kN m];Error [arcmin];Angle [rad];note", ";;;1,0;no reading here"]
+    for a, e in zip(angle, error):
+        cells = (f"{x:.17g}".replace(".", ",") for x in (0.0125, float(e) / 60, math.radians(a)))
+        lines.append(f"forward;{';'.join(cells)};")
+    (files / "kurve.csv").write_text("\n".join(lines), "utf-8")
+    (one,), (other,) = (corrections(study.load("my.toml"), name).curves for name in ("curve.csv", "kurve.csv"))
+    assert (other.torque, other.direction) == (12.5, "forward") and other.label == one.label
+    np.testing.assert_allclose(other.angle, one.angle, rtol=1e-15)
+    np.testing.assert_allclose(other.error, one.error, rtol=1e-15)
+
+
 BAD_CURVES = [
-    ("", "has no column 'angle [deg]'; it has none"),
-    ("angle [deg],error [arcsec]\n", "holds no point"),
-    ("angle [deg],error [um]\n", "has no column 'error [arcsec]'; it has angle [deg], error [um]"),
-    ("angle [deg],error [arcsec]\n1,x\n", "line 2: error [arcsec] = 'x': must be a finite number"),
-    ("angle [deg],error [arcsec]\n1,nan\n", "line 2: error [arcsec] = 'nan': must be a finite number"),
-    ("angle [deg],error [arcsec]\n1,2,3\n", "line 2: has more cells than columns"),
+    ("", "no table; the first line must name the columns"),
+    ("angle [deg],error [arcsec]\n", "no rows under the header"),
+    ("angle [deg],error [arcsec]\n1,\n", "holds no point"),
+    ("angle [deg],fault [arcsec]\n1,2\n", 'has no column "error [arcsec]"; it has angle'),
+    ("angle [deg],error [um]\n1,2\n", "column 'error [um]': unit 'um' is not known"),
+    ("angle [deg],error [arcsec]\n1,x\n", "row 2, error = 'x': must be a number in arcsec"),
+    ("angle [deg],error [arcsec]\n,3\n", "row 2, angle is empty"),
+    ("angle [deg],error [arcsec]\n1,2,3\n", "row 2 has 3 cells, the header 2 (decimal commas?"),
     ("angle [deg],error [arcsec]\n1,2\n", "1 samples cannot tell 1 numbers apart"),
     ("angle [deg],error [arcsec]\n" + "5,1\n" * 40, "40 samples cannot tell 9 numbers apart"),
 ]
@@ -237,6 +254,6 @@ def test_bad_options_are_one_line(files, capsys):
         capsys, "compensate", "my.toml", "curve.csv", "--export", "t.dat"
     )
     assert "--angle-sd = '5': " in refused(capsys, "compensate", "my.toml", "curve.csv", "--angle-sd", "5")
-    assert "no such file of curves" in refused(capsys, "compensate", "my.toml", "none.csv")
+    assert "no such data file" in refused(capsys, "compensate", "my.toml", "none.csv")
     assert "no such list of parts" in refused(capsys, "assemble", "my.toml", "none.csv")
     assert "parts are matched for RV reducers only" in refused(capsys, "assemble", "corr", "parts.csv")

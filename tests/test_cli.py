@@ -32,6 +32,8 @@ from rvjax.tolerances.propagation.sampled import Sampled
 GOOD = (resources.files("rvjax.study") / "embedded" / "rv-40e.toml").read_text("utf-8")
 SMALL = GOOD.replace("angles = 64 ", "angles = 12 ").replace("samples = 16384", "samples = 1024")
 SMALL = SMALL.replace("certificate_samples = 1_000_000", "certificate_samples = 60_000")
+MIDDLE = 'lower = "-20 um"\nupper = "20 um"\n'
+SMALL = SMALL.replace(MIDDLE, MIDDLE + 'cost = 0.01\nper = "1 um"\n')  # so that the answer pays for a middle
 HISTOGRAMS = ["histogram_transmission_error", "histogram_misfit", "histogram_lost_motion"]
 PICTURES = ["curves", *HISTOGRAMS, "variance_shares", "cost_against_yield"]
 
@@ -95,6 +97,10 @@ def test_allocate_writes_tables_and_pictures(answered):
         return {tuple(row[key] for key in keys): row for row in rows}
 
     rows = table("tolerances", "error")
+    moved = rows.pop(("middles moved",))
+    assert float(moved["cost after"]) == pytest.approx(result["cost"]["middles"]) and moved["unit"] == ""
+    middle = sum(result["tolerances"]["equidistant_modification"]["after"][end] for end in ("lower", "upper")) / 2
+    assert float(moved["cost after"]) == pytest.approx(0.01 * abs(middle) / 1e-6) and abs(middle) > 1e-6
     assert [row["unit"] for row in rows.values()] == [
         {"m": "um", "rad": "arcmin"}[item["unit"]] for item in result["tolerances"].values()
     ]
@@ -105,7 +111,10 @@ def test_allocate_writes_tables_and_pictures(answered):
             1e6 * result["tolerances"]["bearing_clearance"]["after"][key]
         )
     costs = [float(row["cost after"]) for row in rows.values() if row["cost after"]]
-    assert sum(costs) == pytest.approx(result["cost"]["after"]) and row["grade"] == ""
+    total = sum(costs) + float(moved["cost after"])
+    assert total == pytest.approx(result["cost"]["after"]) and row["grade"] == ""
+    graded = sum(float(row["cost graded"] or 0) for row in (*rows.values(), moved))
+    assert graded == pytest.approx(result["graded"]["cost"])
     influence = table("influence", "error", "response")
     assert influence["disc_runout", "transmission_error"]["slope"] == ""  # not seen, which is not zero
     assert float(influence["disc_runout", "lost_motion"]["slope"]) > 0
@@ -218,6 +227,10 @@ def test_two_answers_side_by_side(answered, answers, here, capsys):
     seen = found["variance of misfit, after"]["crank_phase"]
     assert seen == {"unit": "share", "a": share, "b": share, "same": True}
     assert found["cost"]["after"]["same"] is True
+    written = csv.DictReader((out / "tolerances.csv").read_text().splitlines())
+    total = sum(float(row["cost after"] or 0) for row in written)
+    assert found["cost"]["after"]["a"] == pytest.approx(total, rel=1e-12)
+    assert 0 < found["cost"]["after, of it middles moved"]["a"] < total
 
 
 @pytest.mark.parametrize("content", [None, "{", "[]", '{"study": 1}', "\0"])

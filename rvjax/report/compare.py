@@ -88,6 +88,8 @@ def _rows(first: dict[str, Any], second: dict[str, Any]) -> Iterator[tuple[str, 
         yield both("run", f"version of {name}", "text", "versions", name)
     yield both("cost", "before", "number", "cost", "before")
     yield both("cost", "after", "number", "cost", "after")
+    if _at(first, "cost", "middles") or _at(second, "cost", "middles"):
+        yield both("cost", "after, of it middles moved", "number", "cost", "middles")
     yield both("cost", "with ISO 286 grades", "number", "graded", "cost")
     for name in _names(first, second, "tolerances"):
         unit = (first["tolerances"].get(name) or second["tolerances"][name])["unit"]

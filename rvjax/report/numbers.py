@@ -5,11 +5,25 @@ from collections.abc import Iterator
 from typing import Any
 
 from rvjax.study.answer import Answer
-from rvjax.tolerances import Verdict
+from rvjax.tolerances import Allocation, Verdict
 from rvjax.units import readable
 
 Cell = str | float | None  # None: there is no such number, an empty cell
 Rows = tuple[list[str], list[list[Cell]]]
+
+
+MOVED = "middles moved"
+"""Row of the cost of moving middles, beside that of the half-widths: columns of costs add up to the cost."""
+
+
+def moved(allocation: Allocation) -> float:
+    """Cost of having moved middles; 0 where that is rounding.
+
+    Args:
+        allocation: of which.
+    """
+    found = allocation.cost - sum(allocation.costs.values())
+    return found if found > 1e-9 * allocation.cost else 0.0
 
 
 def tables(answer: Answer) -> Iterator[tuple[str, Rows]]:
@@ -20,7 +34,7 @@ def tables(answer: Answer) -> Iterator[tuple[str, Rows]]:
 
 
 def _tolerances(answer: Answer) -> Rows:
-    """Limits and cost of each error: before, after, and snapped to grades where that was asked."""
+    """Limits and cost of each error, and of moved middles: before, after, and snapped to grades where that was asked."""
     study, allocation = answer.study, answer.allocation
     graded = allocation.graded
     sides = [("before", study.tolerances, answer.before.cost), ("after", allocation.tolerances, answer.after.cost)]
@@ -34,6 +48,9 @@ def _tolerances(answer: Answer) -> Rows:
         row: list[Cell] = [field, unit, *(_number(limit, size) for limit in limits)]
         row += [costs.get(field) for _, _, costs in sides]
         rows.append(row + ([(graded.grades or {}).get(field)] if graded else []))
+    if price := moved(allocation):
+        empty: list[Cell] = [None] * (2 * len(sides))
+        rows.append([MOVED, None, *empty, None, price] + ([price, None] if graded else []))
     return headers, rows
 
 

@@ -116,9 +116,8 @@ def tolerance_rows(answer: Answer) -> tuple[list[str], list[list[str]]]:
             row.append(tolerance_text(getattr(graded.tolerances, field), unit))
             row += [(graded.grades or {}).get(field, "-"), _cost_text(graded.costs, field)]
         rows.append(row)
-    moved = allocation.cost - sum(allocation.costs.values())
-    if moved > 1e-9 * allocation.cost:
-        rows.append(["middles moved", "", "", "", f"{moved:.3f}"] + (["", "", f"{moved:.3f}"] if graded else []))
+    if moved := numbers.moved(allocation):
+        rows.append([numbers.MOVED, "", "", "", f"{moved:.3f}"] + (["", "", f"{moved:.3f}"] if graded else []))
     total = ["sum", "", "", f"{allocation.start_cost:.3f}", f"{allocation.cost:.3f}"]
     rows.append(total + (["", "", f"{graded.cost:.3f}"] if graded else []))
     return headers, rows
@@ -375,7 +374,7 @@ def as_json(answer: Answer) -> dict[str, Any]:
         "samples": study.samples,
         "versions": versions(),
         "conditions": dataclasses.asdict(study.conditions),
-        "cost": {"before": allocation.start_cost, "after": allocation.cost},
+        "cost": {"before": allocation.start_cost, "after": allocation.cost, "middles": numbers.moved(allocation)},
         "tolerances": {
             field: {
                 "unit": study.unit(field),

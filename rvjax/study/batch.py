@@ -13,7 +13,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from rvjax import study, tolerances
-from rvjax.tolerances import Statistics
+from rvjax.tolerances import Statistics, UnitFile
+from rvjax.tolerances.propagation.unit_file import joined
 
 _STUDY = "study.toml"
 CHUNK = 32768  # keeps the temporaries of a turn of 64 angles near the cache
@@ -31,6 +32,7 @@ class Batch:
         chunk: units at once.
         checkpoint: file to continue from, or None.
         keep: keep the responses of every unit.
+        save: table that every unit goes to, or None.
         progress: show a progress bar.
     """
 
@@ -41,6 +43,7 @@ class Batch:
     chunk: int = CHUNK
     checkpoint: str | None = None
     keep: bool = False
+    save: UnitFile | None = None
     progress: bool = False
 
 
@@ -57,6 +60,7 @@ def run(batch: Batch) -> Statistics:
         requirements=question.requirements,
         checkpoint=batch.checkpoint,
         keep=batch.keep,
+        save=batch.save,
         progress=batch.progress,
     )
 
@@ -77,18 +81,40 @@ def question(source: str, worker: Sequence[str] | None = None) -> study.Study:
     )
 
 
-def run_in_processes(command: Sequence[str], processes: int, *, text: str | None = None) -> Statistics:
+def table_of(
+    path: str, question: study.Study, source: str, *, errors: bool, worker: Sequence[str] | None = None
+) -> UnitFile:
+    """The table of units that a command line asks for.
+
+    Args:
+        path: of the table.
+        question: tells the units of the responses.
+        source: of the study, as it was named.
+        errors: the drawn errors too.
+        worker: of one of several processes: its part stands beside its target.
+    """
+    units = {name: question.output(name).unit for name in question.requirements}
+    own = path if worker is None else Path(worker[-1]).with_name(Path(path).name)
+    return UnitFile(own, errors, units, {"name": source, "toml": question.text})
+
+
+def run_in_processes(
+    command: Sequence[str], processes: int, *, text: str | None = None, table: str | None = None, chunk: int = CHUNK
+) -> Statistics:
     """Start `processes` of this command line, each with `--worker`, and take the result of the first.
 
     Args:
         command: arguments of `rvjax` that all processes get.
         processes: their number.
         text: of the study, for all processes alike; None: each reads it.
+        table: of every unit, of which each process writes a part.
+        chunk: units at once.
 
     Raises:
         ValueError: a process ended without a result; the others are ended too.
     """
-    with tempfile.TemporaryDirectory(prefix="rvjax-") as folder:
+    beside = None if table is None else Path(table).absolute().parent  # where there is room for all units
+    with tempfile.TemporaryDirectory(prefix="rvjax-", dir=beside) as folder:
         # The first one's progress and complaints are for everybody; its result comes as a file, since the
         # libraries below print to standard output.
         logs = [Path(folder) / f"{number}.txt" for number in range(processes)]
@@ -108,6 +134,10 @@ def run_in_processes(command: Sequence[str], processes: int, *, text: str | None
                 with contextlib.suppress(OSError):
                     worker.kill()
                 worker.wait()
+        if table is not None:
+            whole = Path(folder) / Path(table).name
+            parts = [whole.with_name(f"{whole.name}.{number}-of-{processes}") for number in range(processes)]
+            joined(parts, Path(table), chunk)
         return tolerances.load(f"{folder}/result.npz")
 
 

@@ -1,15 +1,9 @@
-"""Columns of a measured table: a CSV whose header says "name [unit]", read to SI; knows no reducer."""
+"""What a bench writes: the columns of measured curves, loops and frequencies."""
 
-import csv
-import io
-import math
-import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
 from pathlib import Path
 
-import numpy as np
-
+from rvjax import columns as cells
 from rvjax.units import KNOWN
 
 UNITS: dict[str, dict[str, float]] = {
@@ -22,129 +16,13 @@ UNITS: dict[str, dict[str, float]] = {
 }
 """What a measured quantity may be written in, with its size in SI (temperatures stay in degC)."""
 WORDS = ("direction", "unit")
-DELIMITERS = ";\t,"
 
 
-@dataclass(frozen=True)
-class Table:
-    """A measured table.
-
-    Attributes:
-        source: name of the file, for messages.
-        rows: line of the file that each row stands in, (n,).
-        numbers: {quantity: values in SI (n,)}; NaN where a cell is empty.
-        words: {"direction" or "unit": texts (n,)}.
-        shown: {quantity: unit that the file is written in}.
-    """
-
-    source: str
-    rows: np.ndarray
-    numbers: dict[str, np.ndarray]
-    words: dict[str, list[str]]
-    shown: dict[str, str]
-
-
-def read_table(path: str | Path, columns: Mapping[str, object] | None = None) -> Table:
-    """A table from a CSV file; commas, semicolons or tabs between the cells, decimal commas where no comma separates.
+def read_table(path: str | Path, columns: Mapping[str, object] | None = None) -> cells.Table:
+    """A table that a bench has written; see `rvjax.columns.read_table`.
 
     Args:
-        path: the file; a byte order mark is skipped.
-        columns: foreign names by quantity: the header of the column, or {column, unit} where it says no unit.
-
-    Raises:
-        ValueError: one line that names the file, the column or the row, its value and the unit.
-        FileNotFoundError: there is no such file.
+        path: the file.
+        columns: foreign names by quantity.
     """
-    path = Path(path)
-    try:
-        text = path.read_bytes().decode("utf-8-sig")
-    except FileNotFoundError:
-        raise FileNotFoundError(f"{path}: no such data file") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise ValueError(f"{path}: cannot be read as text ({error}); save it as UTF-8") from None
-    lines = text.splitlines()
-    first = next((k for k, line in enumerate(lines) if line.strip()), None)
-    if first is None or "\0" in text:
-        raise ValueError(
-            f'{path}: no table; the first line must name the columns, such as "angle [deg],error [arcsec]"'
-        )
-    delimiter = max(DELIMITERS, key=lines[first].count)
-    try:
-        reader = csv.reader(io.StringIO(text), delimiter=delimiter, strict=True)
-        cells = [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
-    except csv.Error as error:
-        raise ValueError(f"{path}: not a table of cells between {delimiter!r} ({error})") from None
-    header, body = [name.strip() for name in cells[0][1]], cells[1:]
-    for number, row in body:
-        if len(row) != len(header):
-            hint = " (decimal commas? then separate cells by semicolons)" if delimiter == "," else ""
-            raise ValueError(f"{path}: row {number} has {len(row)} cells, the header {len(header)}{hint}")
-    if not body:
-        raise ValueError(f"{path}: no rows under the header {delimiter.join(header)!r}")
-    places = _places(str(path), header, columns or {})
-    numbers, words, shown = {}, {}, {}
-    for name, (column, unit) in places.items():
-        taken = [(number, row[column].strip()) for number, row in body]
-        if name in WORDS:
-            words[name] = [cell for _, cell in taken]
-        else:
-            comma = delimiter != ","
-            size = UNITS[name][unit]
-            numbers[name] = np.array([_number(str(path), name, unit, *cell, comma) * size for cell in taken])
-            shown[name] = unit
-    return Table(str(path), np.array([number for number, _ in body]), numbers, words, shown)
-
-
-def _places(source: str, header: Sequence[str], columns: Mapping[str, object]) -> dict[str, tuple[int, str]]:
-    """{quantity: (column, unit)}."""
-    found: dict[str, tuple[int, str]] = {}
-    foreign: dict[int, tuple[str, str | None]] = {}
-    for name, about in columns.items():
-        if name not in UNITS and name not in WORDS:
-            raise ValueError(f"unknown key columns.{name}; known here: {', '.join(sorted([*UNITS, *WORDS]))}")
-        given = about if isinstance(about, dict) else {"column": about}
-        if not isinstance(given.get("column"), str) or not set(given) <= {"column", "unit"}:
-            raise ValueError(
-                f'columns.{name} = {about!r}: must be the header of a column, or {{column = "", unit = ""}}'
-            )
-        matches = [k for k, text in enumerate(header) if given["column"] in (text, _split(text)[0])]
-        if len(matches) != 1:
-            why = "no column of the file" if not matches else f"the header of {len(matches)} columns"
-            raise ValueError(f"{source}: columns.{name} = {given['column']!r}: {why}; it has {', '.join(header)}")
-        unit = given.get("unit")
-        foreign[matches[0]] = (name, None if unit is None else str(unit))
-    for k, text in enumerate(header):
-        name, unit = _split(text)
-        name, unit = (foreign[k][0], foreign[k][1] or unit) if k in foreign else (name.lower(), unit)
-        if name not in UNITS and name not in WORDS:
-            continue  # a column that nobody asks for
-        if k not in foreign and name in [taken for taken, _ in foreign.values()]:
-            continue  # [columns] says where this quantity stands
-        if name in found:
-            raise ValueError(f"{source}: column {text!r}: {name} stands in two columns")
-        if name in UNITS and unit not in UNITS[name]:
-            said = "says no unit" if not unit else f"unit {unit!r} is not known"
-            example = next(iter(UNITS[name]))
-            raise ValueError(
-                f'{source}: column {text!r}: {said}; write "{name} [{example}]" ({", ".join(UNITS[name])})'
-            )
-        found[name] = (k, unit or "")
-    return found
-
-
-def _split(header: str) -> tuple[str, str | None]:
-    """Name and unit of "name [unit]"."""
-    match = re.fullmatch(r"(.*?)\s*\[\s*(.*?)\s*\]", header)
-    return (match[1], match[2]) if match else (header, None)
-
-
-def _number(source: str, name: str, unit: str, row: int, cell: str, comma: bool) -> float:
-    if cell == "" or cell.lower() == "nan":
-        return math.nan
-    try:
-        value = float(cell.replace(",", ".") if comma else cell)
-    except ValueError:
-        raise ValueError(f"{source}: row {row}, {name} = {cell[:40]!r}: must be a number in {unit}") from None
-    if not math.isfinite(value):
-        raise ValueError(f"{source}: row {row}, {name} = {cell[:40]!r}: must be finite, in {unit}")
-    return value
+    return cells.read_table(path, columns, units=UNITS, words=WORDS)

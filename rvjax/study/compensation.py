@@ -1,7 +1,7 @@
 """Measured curves of a unit, and their corrections."""
 
-import csv
 import dataclasses
+import math
 from pathlib import Path
 
 import numpy as np
@@ -10,11 +10,11 @@ from rvjax.compensation import Correction, Schedule, correction, schedule
 from rvjax.compensation.significant import significant
 from rvjax.designs import RVReducer
 from rvjax.identify import Orders, orders
+from rvjax.study.columns import read_table
 from rvjax.study.question import Study, StudyError
-from rvjax.study.values import finite
-from rvjax.units import arcsec, deg
 
-COLUMNS = {"angle [deg]": deg, "error [arcsec]": arcsec}
+UNITS = {"angle": "deg", "error": "arcsec"}
+"""Usual units of the columns that must be there; the header says which."""
 SPARE = 4  # points for every number that is fitted
 
 
@@ -68,13 +68,14 @@ def corrections(
 
     Args:
         study: its design tells ratio and pins.
-        path: of the file: "angle [deg]", "error [arcsec]" and, if wanted, "torque [N m]" and "direction".
+        path: of the file: "angle [deg]", "error [arcsec]" and, if wanted, "torque [N m]" and "direction", each in the
+            unit that its header says; cells as `rvjax.columns.read_table` takes them.
         angle_sd: of the table's zero, rad of the output.
         count: orders to store at most.
         first_order: order 1 is the reducer's and not the mounting of the encoder.
 
     Raises:
-        StudyError: names file, line, column and value.
+        ValueError: names file, row, column and value.
     """
     if not isinstance(study.design, RVReducer):
         raise StudyError(f"{study.name}: an RV reducer is needed, whose ratio and pins are read")
@@ -103,27 +104,21 @@ def corrections(
 
 
 def _curves(path: Path) -> dict[tuple[float, str], list[tuple[float, float]]]:
-    """Points in SI by torque and direction."""
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            rows = csv.DictReader(file, restval="", skipinitialspace=True)
-            names = [name.strip() for name in rows.fieldnames or []]
-            rows.fieldnames = names
-            missing = [name for name in COLUMNS if name not in names]
-            if missing:
-                raise StudyError(f"{path}: has no column {missing[0]!r}; it has {', '.join(names) or 'none'}")
-            found: dict[tuple[float, str], list[tuple[float, float]]] = {}
-            for row in rows:
-                where = f"{path}, line {rows.line_num}"
-                if None in row:
-                    raise StudyError(f"{where}: has more cells than columns")
-                torque = finite(row.get("torque [N m]") or "0", f"{where}: torque [N m]")
-                point = tuple(finite(row[name], f"{where}: {name}") * size for name, size in COLUMNS.items())
-                found.setdefault((torque, (row.get("direction") or "").strip()), []).append((point[0], point[1]))
-    except FileNotFoundError:
-        raise FileNotFoundError(f"{path}: no such file of curves") from None
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise StudyError(f"{path}: cannot be read ({error})") from None
+    """Points in SI by torque and direction; a row without an error is no point."""
+    table = read_table(path)
+    for name in ("angle", "error"):
+        if name not in table.numbers:
+            have = ", ".join([*table.numbers, *table.words]) or "no column that is known"
+            raise StudyError(f'{path}: has no column "{name} [{UNITS[name]}]"; it has {have}')
+    nothing = np.full(len(table.rows), math.nan)
+    torque, direction = table.numbers.get("torque", nothing), table.words.get("direction", [""] * len(table.rows))
+    found: dict[tuple[float, str], list[tuple[float, float]]] = {}
+    for row, angle, error, load, way in zip(table.rows, *(table.numbers[n] for n in UNITS), torque, direction):
+        if math.isnan(error):
+            continue
+        if math.isnan(angle):
+            raise StudyError(f"{path}: row {row}, angle is empty")
+        found.setdefault((0.0 if math.isnan(load) else float(load), way), []).append((float(angle), float(error)))
     if not found:
         raise StudyError(f"{path}: holds no point")
     return found

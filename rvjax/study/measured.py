@@ -9,7 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from rvjax.study.columns import Table, read_table
+from rvjax.columns import Table
+from rvjax.study.columns import read_table
 from rvjax.units import arcmin, deg
 
 DIRECTIONS = {"forward": 1, "backward": -1}

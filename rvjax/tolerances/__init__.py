@@ -28,6 +28,7 @@ from rvjax.tolerances.propagation.requirements import (
 from rvjax.tolerances.propagation.responses import Outcome
 from rvjax.tolerances.propagation.rss import Moments, rss
 from rvjax.tolerances.propagation.sobol_indices import SobolIndices, sobol_indices
+from rvjax.tolerances.propagation.unit_file import UnitFile
 from rvjax.tolerances.propagation.worst_case import WorstCase, worst_case
 from rvjax.tolerances.saving import Origin, load, origin, save
 
@@ -52,6 +53,7 @@ __all__ = [
     "Statistics",
     "Table",
     "Tolerance",
+    "UnitFile",
     "Verdict",
     "WorstCase",
     "WorstCaseWithin",

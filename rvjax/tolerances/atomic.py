@@ -1,6 +1,8 @@
 """Files that are there whole or not at all."""
 
+import contextlib
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 PARTIAL = ".partial"
@@ -37,13 +39,26 @@ def write_atomically(path: Path, content: bytes) -> None:
     Raises:
         OSError: it cannot be written; the old content stays.
     """
+    with replacing(path) as partial:
+        partial.write_bytes(content)
+
+
+@contextlib.contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """The name of a file to write, which takes the place of another once the block has ended well.
+
+    Args:
+        path: of the other; the one to write stands beside it, with the number of the process and `.partial`.
+
+    Raises:
+        OSError: it cannot be written; the old content stays.
+    """
     partial = path.with_name(f"{path.name}.{os.getpid()}{PARTIAL}")  # two processes never share one
     try:
-        with partial.open("wb") as file:
-            file.write(content)
-            file.flush()
+        yield partial
+        with partial.open("rb+") as file:
             os.fsync(file.fileno())
         partial.replace(path)
-    except OSError:
+    except BaseException:
         partial.unlink(missing_ok=True)
         raise

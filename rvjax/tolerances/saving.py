@@ -17,6 +17,7 @@ import numpy as np
 from rvjax.records import Record
 from rvjax.tolerances.atomic import write_atomically
 from rvjax.tolerances.propagation.checkpoint import DAMAGE, packed, unpacked, versions
+from rvjax.tolerances.propagation.unit_file import parquet_frame, parquet_origin
 
 _FORMAT = 2
 _ABOUT = "about"
@@ -68,11 +69,16 @@ def save(result: Any, path: str | Path, *, study: Any = None, seed: int | None =
 
 
 def load(path: str | Path) -> Any:
-    """The result that `save` wrote, with arrays as NumPy arrays.
+    """The result that `save` wrote, with arrays as NumPy arrays; of the .parquet that `monte_carlo` wrote a DataFrame.
+
+    The frame has a row for each unit, SI; its `attrs` hold units, seed and versions.
 
     Raises:
         ValueError: no file of `save`, damaged, or from a version that this one cannot read.
+        ImportError: pandas or pyarrow is not installed, which .parquet needs.
     """
+    if Path(path).suffix == ".parquet":
+        return parquet_frame(Path(path))
     content, arrays = _read(path)
     try:
         return _decoded(content["result"], arrays)
@@ -86,14 +92,14 @@ def origin(path: str | Path) -> Origin:
     Raises:
         ValueError: as `load`.
     """
-    about = _read(path)[0]["rvjax"]
+    about: Any = parquet_origin(Path(path)) if Path(path).suffix == ".parquet" else _read(path)[0]["rvjax"]
     return Origin(*(about.get(name) for name in ("kind", "seed", "study", "versions")))
 
 
 def _ending(path: str | Path) -> str:
     ending = Path(path).suffix
     if ending not in (".json", ".npz"):
-        raise ValueError(f"{path}: must end with .json or .npz")
+        raise ValueError(f"{path}: must end with .json or .npz (tables of units: monte_carlo(save=...))")
     return ending
 
 

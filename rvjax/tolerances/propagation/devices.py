@@ -40,6 +40,10 @@ class Evaluator:
             return respond(self._response, self._population, z)
         return _respond_on(self._response, self._population, z, mesh=self._mesh)
 
+    def errors(self, first: int) -> dict[str, np.ndarray]:
+        """Drawn errors of the chunk that begins with unit `first`, by field (*shape, n)."""
+        return {field: np.asarray(drawn) for field, drawn in _deviations(self._population, self._z(first)).items()}
+
     def _z(self, first: int) -> jax.Array:
         if self._points is not None:
             z = self._points.z(first, self._count).astype(jnp.result_type(float))
@@ -49,6 +53,11 @@ class Evaluator:
         if self._mesh is None:
             return drawn(self._population, self._key, jnp.uint32(first), count=self._count)
         return _drawn_on(self._mesh, self._count, self._population, self._key, jnp.uint32(first))
+
+
+@jax.jit
+def _deviations(population: Population, z: jax.Array) -> dict[str, jax.Array]:
+    return population.deviations(z)
 
 
 @functools.partial(jax.jit, static_argnums=(0, 1))

@@ -36,6 +36,7 @@ from rvjax.tolerances.propagation.requirements import Limits
 from rvjax.tolerances.propagation.responses import Response, by_response, response_names, unwrapped
 from rvjax.tolerances.propagation.sampled import Sampled
 from rvjax.tolerances.propagation.tally import Tally
+from rvjax.tolerances.propagation.unit_file import UnitFile, Write, writing
 from rvjax.tolerances.propagation.worst_case import extremes
 
 __all__ = ["Run", "Statistics", "monte_carlo", "progress_bar"]
@@ -55,6 +56,7 @@ def monte_carlo(
     confidence: float = 0.95,
     checkpoint: str | Path | None = None,
     keep: bool = False,
+    save: str | Path | UnitFile | None = None,
     progress: bool = False,
 ) -> Statistics:
     """Statistics of a response over random units, chunk by chunk.
@@ -87,6 +89,9 @@ def monte_carlo(
             after an interruption, to identical bits; a larger `samples` continues a finished one. Several
             processes write one file each, with the number of the process behind the name.
         keep: keep the response of every unit (host memory, and the checkpoint, grow with `samples`).
+        save: table of every unit, .csv or .parquet, or a `UnitFile` that says what stands in it; memory does not grow
+            with `samples`. Units that a checkpoint has counted already are computed again, to the same bits. Several
+            processes write one file each, with the number of the process behind the name.
         progress: show a progress bar.
 
     Returns:
@@ -94,7 +99,9 @@ def monte_carlo(
 
     Raises:
         ValueError: bad arguments, or a checkpoint that is damaged or belongs to another study.
-        OSError: the checkpoint cannot be written at the start (later that is a warning: nothing is lost).
+        OSError: the checkpoint, or the table of units, cannot be written at the start (later the former is a warning:
+            nothing is lost).
+        ImportError: pyarrow is not installed, which .parquet needs.
     """
     check_method(method)
     deviate_of(confidence)
@@ -109,9 +116,10 @@ def monte_carlo(
     required = by_response(requirements, names, Limits, "requirements")
     if keep:
         _check_memory(samples, len(names))
+    table = UnitFile(save) if isinstance(save, (str, Path)) else save
     run = Run(
         response, population, names, required, samples, seed, chunk, method, tuple(quantiles), confidence, checkpoint,
-        keep, progress,
+        keep, table, progress,
     )  # fmt: skip
     return unwrapped(run.statistics())
 
@@ -132,6 +140,7 @@ class Run:
     confidence: float = 0.95
     checkpoint: str | Path | None = None
     keep: bool = False
+    save: UnitFile | None = None
     progress: bool = False
     label: str = "Monte Carlo"
 
@@ -139,10 +148,11 @@ class Run:
         """Draw, evaluate and count all units."""
         study = describe(self.population, self.requirements)
         study |= {"seed": str(self.seed), "method": self.method, "chunk": str(self.chunk)}
-        tally, file, done = self._begun(study)
-        self._count(tally, file, done)
+        with self._saving(study) as write:
+            tally, file, done, kept = self._begun(study)
+            self._count(tally, file, done, 0 if write or (self.keep and not kept) else done, write)
         if place()[1] > 1:
-            states, tally = gathered(tally.state(self.samples)), self._empty()
+            states, tally = gathered(tally.state(self.samples)), self._empty(keeps=bool(tally.values))
             for part in states:
                 tally.merge(part)
         return self._figures(tally, study)
@@ -189,7 +199,7 @@ class Run:
             cpk={name: cpk for name, (_, cpk) in capabilities.items()} if any_units else None,
             joint_yield=next(iter(seen.values())).share(tally.joint) if any_units else None,
             verdicts={name: item.verdict(seen[name]) for name, item in self.requirements.items()} or None,
-            values=tally.values or None,
+            values=(tally.values or None) if self.keep else None,
             study=study,
             versions=versions(),
         )
@@ -201,44 +211,70 @@ class Run:
         low, high = extremes(self.response, self.population, self.names, name).values
         return float(low), float(high)
 
-    def _empty(self) -> Tally:
-        streams, kept = SCRAMBLES if self.method == "sobol" else 1, self.samples if self.keep else 0
+    def _empty(self, *, keeps: bool) -> Tally:
+        streams, kept = SCRAMBLES if self.method == "sobol" else 1, self.samples if keeps else 0
         return Tally(self.names, self.requirements, streams, kept)
 
-    def _begun(self, study: dict[str, str]) -> tuple[Tally, Checkpoint | None, int]:
-        """What is counted already, the checkpoint it goes to, and the number of the next chunk."""
-        tally = self._empty()
+    def _saving(self, study: dict[str, str]) -> contextlib.AbstractContextManager[Write | None]:
+        """What writes every unit, or None."""
+        if self.save is None:
+            return contextlib.nullcontext()
+        path, (process, processes) = Path(self.save.path), place()
+        about = dict(seed=self.seed, samples=self.samples, method=self.method, versions=versions(), study=study)
+        own = path if processes == 1 else _named(path, process, processes)
+        return writing(self.save, own, self.names, self.population, about)
+
+    def _begun(self, study: dict[str, str]) -> tuple[Tally, Checkpoint | None, int, bool]:
+        """What is counted already, the checkpoint it goes to, number of the next chunk; its units need no second look.
+
+        Counts are the same whether a checkpoint keeps the units or not. One that keeps them goes on to do so, asked or
+        not; one that has none gets them.
+        """
         if self.checkpoint is None:
-            return tally, None, 0
+            return self._empty(keeps=self.keep), None, 0, True
         process, processes = place()
         study["response"] = response_hash(self.response, self.population)
-        mine = {"process": f"{process} of {processes}", "values": "kept" if self.keep else "not kept"}
+        mine = {"process": f"{process} of {processes}"}
         file = Checkpoint(_of_process(self.checkpoint, process, processes), study | mine | versions())
-        kept = 16 * self.samples * len(self.names) if self.keep else 0
-        done, state = file.load(LARGEST * (1 + len(self.names)) + kept)
+        done, state = file.load(LARGEST * (1 + len(self.names)) + 16 * self.samples * len(self.names))
         if done * self.chunk > self.samples:
             where = f"checkpoint = {str(self.checkpoint)!r} holds {done * self.chunk} already"
             raise ValueError(f"samples = {self.samples}: {where}")
+        kept = any(key.endswith("/values") for key in state)
+        if kept and not self.keep:
+            if processes > 1:  # of which some may have kept them and some not
+                raise ValueError(f"checkpoint = {str(self.checkpoint)!r}: keeps every unit; go on with keep = True")
+            _check_memory(self.samples, len(self.names))
+        tally = self._empty(keeps=self.keep or kept)
         if done or state:
             try:
-                tally.check(state, len(range(process, done, processes)) * self.chunk)
+                seen = self._empty(keeps=kept)
+                seen.check(state, len(range(process, done, processes)) * self.chunk)
                 tally.merge(state)
             except DAMAGE as error:
                 raise file.damaged(error) from None
-        return tally, file, done
+        return tally, file, done, kept or not done
 
-    def _count(self, tally: Tally, file: Checkpoint | None, done: int) -> None:
+    def _count(self, tally: Tally, file: Checkpoint | None, done: int, first: int, write: Write | None) -> None:
+        """Chunks from `first` on; those before `done` are counted already, and only kept or written."""
         samples, chunk = self.samples, self.chunk
         process, processes = place()
         evaluator = Evaluator(self.response, self.population, self.seed, self.method, min(chunk, samples))
         label = self.label if processes == 1 else f"{self.label}, process {process + 1} of {processes}"
-        reached = done * chunk
+        reached = first * chunk
         with progress_bar(self.progress, samples, label, "unit", initial=reached) as advance:
-            for number, values, status in _chunks(evaluator, tally, range(done, -(-samples // chunk)), chunk, samples):
-                own = number % processes == process
-                tally.add(number, number * chunk, values, status, own=own)
+            for number, values, status in _chunks(evaluator, tally, range(first, -(-samples // chunk)), chunk, samples):
+                own, start = number % processes == process, number * chunk
+                if number >= done:
+                    tally.add(number, start, values, status, own=own)
+                elif own:
+                    tally.keep(start, values, status)
+                    if file is not None and self.keep and number + 1 == done:  # the next run finds them
+                        file.save(done, functools.partial(tally.state, done * chunk), now=True)
+                if write and own:
+                    write(start, values, status, evaluator.errors(start) if self.save and self.save.errors else {})
                 # A larger study evaluates a shorter last chunk whole.
-                if file is not None and own and len(status) == chunk:
+                if file is not None and own and number >= done and len(status) == chunk:
                     last = (number + 1 + processes) * chunk > samples
                     file.save(number + 1, functools.partial(tally.state, (number + 1) * chunk), now=last)
                 advance(min((number + 1) * chunk, samples) - reached)
@@ -261,7 +297,7 @@ def _check_memory(samples: int, responses: int) -> None:
 def _of_process(path: str | Path, process: int, processes: int) -> Path:
     """The checkpoint of one process; refuses those of another number of processes, which would begin anew."""
     whole = Path(path)
-    all_of = [whole.with_name(f"{whole.name}.{number}-of-{processes}") for number in range(processes)]
+    all_of = [_named(whole, number, processes) for number in range(processes)]
     all_of = [whole] if processes == 1 else all_of
     for found in (whole, *whole.parent.glob(f"{glob.escape(whole.name)}.*-of-*")):
         if found.suffix != PARTIAL and found not in all_of and found.is_file():
@@ -270,6 +306,11 @@ def _of_process(path: str | Path, process: int, processes: int) -> Path:
                 "name another file, or delete it to begin anew"
             )
     return all_of[process]
+
+
+def _named(whole: Path, process: int, processes: int) -> Path:
+    """The file of one of several processes."""
+    return whole.with_name(f"{whole.name}.{process}-of-{processes}")
 
 
 def _chunks(

@@ -62,9 +62,7 @@ class Tally:
             finite = _finite(values[name], good, complete)
             for stream, tree in enumerate(self.moments[name]):
                 tree.add(number, CentralMoments.of(finite if good_streams is None else finite[good_streams == stream]))
-            if self.values:
-                self.values[name][start : start + len(status)][good] = finite
-            else:
+            if not self.values:
                 self._orders[name].add(finite, good_streams)
             if name in self.requirements:
                 passed = self.requirements[name].margin(finite) <= 0
@@ -73,6 +71,13 @@ class Tally:
         if joint is not None:
             self.joint += self._count(joint, good_streams)
         self.seen += self._count(np.ones(len(status), bool), streams)
+        self.keep(start, values, status)
+
+    def keep(self, start: int, values: Arrays, status: np.ndarray) -> None:
+        """Keep the responses of units that may be counted already, if any are kept."""
+        good = np.isin(status, _GOOD)
+        for name, kept in self.values.items():
+            kept[start : start + len(status)][good] = values[name][good]
 
     def _count(self, hits: np.ndarray, streams: np.ndarray | None) -> Any:
         if streams is None:
@@ -154,7 +159,7 @@ class Tally:
             if name in self.passed:
                 self.passed[name] += state[f"{number}/passed"]
             if self.values:
-                kept = state[f"{number}/values"]
+                kept = state.get(f"{number}/values", np.empty(0))  # none yet: they are computed again
                 mine = self.values[name][: kept.size]
                 mine[:] = np.where(np.isnan(mine), kept, mine)
                 continue
