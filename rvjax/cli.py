@@ -177,7 +177,7 @@ def _forewarn(question: Any) -> None:
 
 def _allocate(options: argparse.Namespace) -> int:
     from rvjax import study
-    from rvjax.report import again, text
+    from rvjax.report import again, folders, text
     from rvjax.study.answer import answer
     from rvjax.tolerances.atomic import check_writable
 
@@ -191,20 +191,20 @@ def _allocate(options: argparse.Namespace) -> int:
             )
             return EXIT_OK if again.status(kept) == "OPTIMAL" else EXIT_NO_ANSWER
     question = study.load(options.study)
-    folder = text.results_folder(options.results, question.name)
+    folder = folders.results_folder(options.results, question.name)
     check_writable(folder)
     _forewarn(question)
     found = answer(question, progress=not options.quiet)
     if options.format == "text":  # before the folder is made: whatever fails there, the answer has been told
         _say(text.summary(found))
-    folder = text.write(found, folder)
+    folder = folders.write(found, folder)
     _tell(options, lambda: f"\nResults: {folder}", lambda: text.as_json(found) | {"results": str(folder)})
     return EXIT_OK if found.allocation.status == "OPTIMAL" else EXIT_NO_ANSWER
 
 
 def _report(options: argparse.Namespace) -> int:
     from rvjax import study
-    from rvjax.report import page, text
+    from rvjax.report import folders, page, text
     from rvjax.report.surrogate import surrogate
     from rvjax.study.answer import answer
     from rvjax.tolerances.atomic import check_writable, write_atomically
@@ -212,13 +212,13 @@ def _report(options: argparse.Namespace) -> int:
     _check_files(options, output=".html")
     question = study.load(options.study)
     given = options.output is not None
-    path = Path(options.output) if given else text.results_folder(None, question.name) / "report.html"
+    path = Path(options.output) if given else folders.results_folder(None, question.name) / "report.html"
     check_writable(path)
     _forewarn(question)
     found = answer(question, progress=not options.quiet)
     content = page.page(found, options.study, surrogate(found)).encode("utf-8")
     if not given:
-        path = text.new_folder(path.parent) / path.name
+        path = folders.new_folder(path.parent) / path.name
     write_atomically(path, content)
     _say(text.headline(found))
     _say(f"Report: {path}")
@@ -264,8 +264,8 @@ def _montecarlo(options: argparse.Namespace) -> int:
 
 def _identify(options: argparse.Namespace) -> int:
     from rvjax import study
+    from rvjax.report import folders, identified_page
     from rvjax.report import identified as told
-    from rvjax.report import identified_page, text
     from rvjax.study import identified, measured, problem
     from rvjax.tolerances.atomic import check_writable
 
@@ -277,12 +277,12 @@ def _identify(options: argparse.Namespace) -> int:
     elif data is None:
         raise ValueError("no data: name at least one CSV file, or ask with --check what a bench could tell apart")
     else:
-        folder = text.results_folder(options.results, question.name)
+        folder = folders.results_folder(options.results, question.name)
         check_writable(folder)
         found = identified.answer(question, data, draws=options.sample)
         pictures = ((f"{picture.name}.png", picture.content) for picture in identified_page.pictures(found))
         page = ("report.html", identified_page.page(found, options.study, options.data).encode())
-        folder = text.write_files(told.files(found, options.data, (page, *pictures)), folder)
+        folder = folders.write_files(told.files(found, options.data, (page, *pictures)), folder)
     if options.json:
         print(json.dumps(told.as_json(found), indent=1, allow_nan=False))
     else:
@@ -348,13 +348,13 @@ def _tradeoff(options: argparse.Namespace) -> int:
 def _assemble(options: argparse.Namespace) -> int:
     from rvjax import assembly, study
     from rvjax.report import assembly as written
-    from rvjax.report import text
+    from rvjax.report import folders
     from rvjax.study.assembly import bench
     from rvjax.study.prices import prices
     from rvjax.tolerances.atomic import check_writable
 
     question = study.load(options.study)
-    folder = text.results_folder(options.results, f"{question.name}-assembly")
+    folder = folders.results_folder(options.results, f"{question.name}-assembly")
     check_writable(folder)
     parts = bench(question, options.parts)
     asked = question.assembly
@@ -378,7 +378,7 @@ def _assemble(options: argparse.Namespace) -> int:
 def _compensate(options: argparse.Namespace) -> int:
     from rvjax import study
     from rvjax.report import compensation as written
-    from rvjax.report import text
+    from rvjax.report import folders
     from rvjax.study.compensation import corrections
     from rvjax.study.values import quantity
     from rvjax.tolerances.atomic import check_writable
@@ -386,7 +386,7 @@ def _compensate(options: argparse.Namespace) -> int:
     if options.export is not None:
         written.check_export(options.export)
     question = study.load(options.study)
-    folder = text.results_folder(options.results, f"{question.name}-compensation")
+    folder = folders.results_folder(options.results, f"{question.name}-compensation")
     check_writable(folder)
     found = corrections(
         question,

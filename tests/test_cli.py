@@ -25,7 +25,7 @@ import rvjax.report.surrogate
 import rvjax.report.worst_units
 import rvjax.study.answer
 from rvjax import cli
-from rvjax.report import again, page, text
+from rvjax.report import again, folders, page, text
 from rvjax.tolerances.propagation.moments import CentralMoments
 from rvjax.tolerances.propagation.sampled import Sampled
 
@@ -140,7 +140,7 @@ def test_allocate_writes_tables_and_pictures(answered):
 
 
 def test_allocate_tells_machines_what_it_wrote(answered, here, monkeypatch, capsys):
-    monkeypatch.setattr(text, "write", lambda answer, folder: folder)  # as written by the test above
+    monkeypatch.setattr(folders, "write", lambda answer, folder: folder)  # as written by the test above
     (here / "small.toml").write_text(SMALL)
     assert cli.main(["allocate", "small.toml", "--quiet", "--results", "new", "--format", "json"]) == 0
     told = json.loads(capsys.readouterr().out)
@@ -274,7 +274,7 @@ def test_an_answer_whose_units_all_fail_is_written_and_says_so(answers, answered
     unknown = {name: dict.fromkeys(of_field, math.nan) for name, of_field in old.after.shares.items()}
     after = dataclasses.replace(old.after, values=failed, shares=unknown, sensitivities=unknown)
     new = dataclasses.replace(old, allocation=allocation, after=after, cost_curve=[])
-    text.write(new, here / "failed")
+    folders.write(new, here / "failed")
     result = json.loads((here / "failed" / "result.json").read_text())
     assert set(result["shortfall"].values()) == {None} == set(result["shares"]["after"]["misfit"].values())
     assert "limit of misfit would do at no value: too many units fail" in (here / "failed" / "summary.txt").read_text()
@@ -503,15 +503,15 @@ def test_a_failure_while_writing_leaves_nothing(answered, here, monkeypatch):
         study = Study
 
     with pytest.raises(OSError, match="disk full"):
-        text.write(Answer, here / "results" / "x")
+        folders.write(Answer, here / "results" / "x")
     assert list((here / "results").iterdir()) == []
 
 
 def test_results_folders_are_never_overwritten(here):
-    assert str(text.results_folder(None, "x")) == "results/x"
+    assert str(folders.results_folder(None, "x")) == "results/x"
     (here / "results" / "x").mkdir(parents=True)
     (here / "results" / "x-2").mkdir()
-    assert str(text.results_folder(None, "x")) == "results/x-3"
+    assert str(folders.results_folder(None, "x")) == "results/x-3"
 
 
 def test_version_and_module_entry():

@@ -3,11 +3,8 @@
 Scripts only add a section with sliders; without them the page says everything else.
 """
 
-import base64
-import re
 import shlex
 import sys
-from collections.abc import Iterable, Sequence
 from html import escape
 from importlib import resources
 
@@ -19,6 +16,7 @@ from rvjax import levels, models
 from rvjax.plotting.style import words
 from rvjax.report import live
 from rvjax.report import text as tables
+from rvjax.report.html import figure, micro, note, section, table, typeset
 from rvjax.report.pictures import Picture, pictures
 from rvjax.report.surrogate import Surrogate
 from rvjax.report.worst_units import WorstUnit, worst_units
@@ -27,9 +25,6 @@ from rvjax.study.answer import Answer, shown_values
 from rvjax.units import readable
 
 SHARE_SHOWN = 0.01  # of the variance: errors below it are not listed for a worst unit
-ZERO = '<span class="none">0</span>'
-NOT_SEEN = f'<span class="none">{tables.UNMOVED}</span>'
-EMPTY, NIL = ("", "-", ZERO, NOT_SEEN), ' class="nil"'  # cells that a narrow screen leaves out
 
 
 def page(answer: Answer, source: str, surrogate: Surrogate | None = None) -> str:
@@ -110,7 +105,7 @@ def _requirements(answer: Answer, drawn: dict[str, Picture]) -> str:
         met = allocation.certificate.verdicts[name].met
         mark = '<span class="met">✔ met</span>' if met else '<span class="missed-mark">✘ not met</span>'
         title = f"{escape(words(name))}<small>{escape(study.output(name).meaning)}</small>"
-        cells.append([title, *map(_typeset, [*row[1:], *graded]), mark])
+        cells.append([title, *map(typeset, [*row[1:], *graded]), mark])
     certificate = allocation.certificate
     failures = [
         f"{count:,} {status} ({escape(MEANING[Status[status]])}; the first is unit {certificate.examples[status]:,})"
@@ -134,7 +129,7 @@ def _tolerances(answer: Answer, drawn: dict[str, Picture]) -> str:
     for row in rows:
         elements = int(np.prod(shapes.get(row[0], ())))
         note = f"<small>{elements} elements, each its own</small>" if elements > 1 else ""
-        cells.append([escape(words(row[0])) + note, *map(_typeset, row[1:])])
+        cells.append([escape(words(row[0])) + note, *map(typeset, row[1:])])
     text = (
         "<p>An error without a cost keeps the tolerance of the study. The cost of an error is that of all its elements "
         "together.</p>"
@@ -146,7 +141,7 @@ def _tolerances(answer: Answer, drawn: dict[str, Picture]) -> str:
 def _influence(answer: Answer, drawn: dict[str, Picture]) -> str:
     headers, rows = tables.influence_rows(answer)
     headers = [words(header) for header in headers]
-    cells = [[escape(words(row[0])), *map(_typeset, row[1:])] for row in rows]
+    cells = [[escape(words(row[0])), *map(typeset, row[1:])] for row in rows]
     text = (
         "<p>With the tolerances after: the derivative of each response to one element of an error (root mean square "
         "over its elements), and the share of the error in the variance of the response.</p>"
@@ -194,7 +189,7 @@ def _unit(answer: Answer, unit: WorstUnit) -> str:
         places = (values - middle) / half if half > 0 else np.zeros_like(values)
         largest = int(np.argmax(np.abs(places)))
         count = f"<small>largest of {len(values)}</small>" if len(values) > 1 else ""
-        rows.append([escape(words(field)), _strip(places), _typeset(f"{values[largest] / size:+.2f} {shown}") + count])
+        rows.append([escape(words(field)), _strip(places), typeset(f"{values[largest] / size:+.2f} {shown}") + count])
     return (
         f'<section class="unit"><h3>{micro(escape(title))}</h3>'
         f'<p class="small">{micro(escape(responses))}; {escape(reason)}</p>'
@@ -228,7 +223,7 @@ def _levels(answer: Answer) -> str:
         bound = "-" if choice.bound is None else f"< {float(f'{choice.bound / size:.2g}'):g} {unit}"
         time = "-" if choice.ns is None else f"{choice.ns / 1e3:.3g} us"
         title = f"{escape(words(name))}<small>{escape(study.output(name).meaning)}</small>"
-        rows.append([title, escape(choice.level), *map(_typeset, [wanted, bound, time]), escape(choice.why)])
+        rows.append([title, escape(choice.level), *map(typeset, [wanted, bound, time]), escape(choice.why)])
     headers = ["response", "level", "accuracy asked", "its error", "time of a unit", "why"]
     kind = models.kind(study.design)
     conditions = ", ".join(
@@ -258,63 +253,3 @@ def _origin(answer: Answer, source: str) -> str:
         "How to get this page again",
         f"<table><tbody>{table}</tbody></table><p>The study:</p><pre>{escape(study.text)}</pre>",
     )
-
-
-def _typeset(cell: str) -> str:
-    """A cell of the text tables for the page: numbers stay with their units, an interval has a line of its own."""
-    cell, _, interval = cell.partition(" [")
-    cell = micro(escape(cell.replace("+-", "±").replace("<=", "≤").replace(">=", "≥"))).replace(" and ", "<br>")
-    if re.match(r"0\.00+ ", cell) or cell == "0.0 %":
-        return ZERO
-    if cell == tables.UNMOVED:
-        return NOT_SEEN
-    if cell == "-":
-        return cell
-    return f'<span class="whole">{cell}</span>' + (f"<small>[{escape(interval)}</small>" if interval else "")
-
-
-def micro(text: str) -> str:
-    """HTML text with the sign of a micrometre and a microsecond."""
-    return re.sub(r"(?<![A-Za-z])u(?=[ms]\b)", "µ", text)
-
-
-def note(text: str) -> str:
-    """What the author wrote above the study: its leading comment."""
-    lines = []
-    for line in text.splitlines():
-        if not line.startswith("#"):
-            break
-        lines.append(line.lstrip("# "))
-    return " ".join(lines)
-
-
-def section(title: str, content: str) -> str:
-    """A section of the page.
-
-    Args:
-        title: plain text.
-        content: HTML.
-    """
-    return f"<section>\n<h2>{escape(title)}</h2>\n{content}\n</section>"
-
-
-def table(headers: Sequence[str], rows: Iterable[Sequence[str]], *, total: bool = False, cards: bool = True) -> str:
-    """A table of cells that are HTML already; each knows its column, for narrow screens."""
-    head = "".join(f'<th scope="col">{escape(header)}</th>' for header in headers)
-    body, rows = [], list(rows)
-    for k, row in enumerate(rows):
-        cells = "".join(
-            f'<td data-label="{escape(label)}"{NIL if cell in EMPTY else ""}>{cell}</td>'
-            for label, cell in zip(headers[1:], row[1:])
-        )
-        last = ' class="sum"' if total and k == len(rows) - 1 else ""
-        body.append(f'<tr{last}><th scope="row">{row[0]}</th>{cells}</tr>')
-    kind = ' class="cards"' if cards else ""
-    return f'<div class="wide"><table{kind}><thead><tr>{head}</tr></thead><tbody>{"".join(body)}</tbody></table></div>'
-
-
-def figure(picture: Picture) -> str:
-    """A picture (SVG) inside the page, with its caption."""
-    data = base64.b64encode(picture.content).decode("ascii")
-    caption = escape(picture.caption)
-    return f'<figure><img alt="{caption}" src="data:image/svg+xml;base64,{data}"></figure>'
