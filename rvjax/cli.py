@@ -216,7 +216,7 @@ def _report(options: argparse.Namespace) -> int:
     check_writable(path)
     _forewarn(question)
     found = answer(question, progress=not options.quiet)
-    content = page.page(found, options.study, surrogate(found)).encode("utf-8")
+    content = page.page(found, options.study, surrogate(found), date=time.strftime("%Y-%m-%d")).encode("utf-8")
     if not given:
         path = folders.new_folder(path.parent) / path.name
     write_atomically(path, content)

@@ -44,7 +44,7 @@ def checked(question: Study) -> str:
     Args:
         question: the study; nothing of it is computed.
     """
-    lines = [f"Study {question.name}: {type(question.design).__name__}", ""]
+    lines = [f"Study {question.name}: {type(question.design).__name__}", *filter(None, [question.about.line()]), ""]
     lines += [f"{name:32} {value}" for name, value in facts(question.design)]
     lines += ["", table(["number", "this study", "known reducers"], _magnitudes(question))]
     lines += ["", table(["error", "limits", "law"], _tolerances(question)), "", "How it will be computed:"]
@@ -65,6 +65,7 @@ def as_json(question: Study) -> dict[str, Any]:
     return plain(
         {
             "study": question.name,
+            "about": question.about,
             "design": type(question.design).__name__,
             "facts": dict(facts(question.design)),
             "numbers": stated,

@@ -16,41 +16,50 @@ from rvjax import levels, models
 from rvjax.plotting.style import words
 from rvjax.report import live
 from rvjax.report import text as tables
+from rvjax.report.design import design_section
 from rvjax.report.html import figure, micro, note, section, table, typeset
 from rvjax.report.pictures import Picture, pictures
 from rvjax.report.surrogate import Surrogate
 from rvjax.report.worst_units import WorstUnit, worst_units
 from rvjax.status import MEANING, Status
 from rvjax.study.answer import Answer, shown_values
+from rvjax.study.question import Study
 from rvjax.units import readable
 
 SHARE_SHOWN = 0.01  # of the variance: errors below it are not listed for a worst unit
 
 
-def page(answer: Answer, source: str, surrogate: Surrogate | None = None) -> str:
+def page(answer: Answer, source: str, surrogate: Surrogate | None = None, *, date: str = "") -> str:
     """The whole page.
 
     Args:
         answer: what to show.
         source: study file or name, as given on the command line.
         surrogate: of the answer, for a section with sliders; None: a page without.
+        date: on which it was computed; "" leaves it out.
     """
     drawn = {picture.name: picture for picture in pictures(answer, "svg")}
     style = (resources.files("rvjax.report") / "report.css").read_text("utf-8")
-    name = escape(answer.study.name)
+    title = escape(answer.study.about.title or f"{answer.study.name}: tolerances")
     answered = [_requirements(answer, drawn), _tolerances(answer, drawn), live.section(surrogate, answer)]
-    explained = [_influence(answer, drawn), _worst(answer, drawn), _levels(answer), _origin(answer, source)]
-    body = "\n".join([_head(answer), *answered, *explained])
+    explained = [
+        design_section(answer.study),
+        _influence(answer, drawn),
+        _worst(answer, drawn),
+        _levels(answer),
+        _origin(answer, source),
+    ]
+    body = "\n".join([_head(answer, date), *answered, *explained])
     return (
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         f'<meta name="generator" content="rvjax {rvjax.__version__}">\n'
-        f"<title>{name}: tolerances</title>\n<style>\n{style}</style>\n</head>\n<body>\n{body}\n"
+        f"<title>{title}</title>\n<style>\n{style}</style>\n</head>\n<body>\n{body}\n"
         f"{live.script(surrogate, answer)}</body>\n</html>\n"
     )
 
 
-def _head(answer: Answer) -> str:
+def _head(answer: Answer, date: str) -> str:
     study, allocation = answer.study, answer.allocation
     certificate = allocation.certificate
     certified = allocation.status == "OPTIMAL"
@@ -84,12 +93,37 @@ def _head(answer: Answer) -> str:
     )
     caveats = "".join(f"<li>{escape(line)}</li>" for line in tables.limits_of_the_answer(answer))
     return (
-        f"<header>\n<h1>{escape(study.name)}</h1>\n"
+        f"<header>\n<h1>{escape(study.about.title or study.name)}</h1>\n{_origins(study, date)}"
         f'<p class="note">{escape(note(study.text))}</p>\n'
         f'<div class="verdict{"" if certified else " missed"}"><strong>{verdict}</strong> '
         f"<code>{escape(allocation.status)}</code> {' '.join(map(escape, more))}</div>\n"
         f'<dl class="key">{boxes}</dl>\n<ul class="caveats">{caveats}</ul>\n</header>'
     )
+
+
+def _origins(study: Study, date: str) -> str:
+    """Study, author, revision and date, as far as they are known."""
+    stated = dict(study=study.name, author=study.about.author, revision=study.about.revision, computed=date)
+    facts = "".join(f"<div><dt>{name}</dt><dd>{escape(text)}</dd></div>" for name, text in stated.items() if text)
+    return f'<dl class="about">{facts}</dl>\n'
+
+
+def _capability(answer: Answer) -> str:
+    """Mean, spread and capability of each response that has limits for single units."""
+    study, certificate = answer.study, answer.allocation.certificate
+    cells = []
+    for name in study.requirements:
+        unit, size = study.output(name).shown
+        figures = [certificate.mean[name], certificate.sd[name]]
+        row = [tables.estimate_text(figure, unit, size) for figure in figures]
+        for found in (certificate.cp_estimate, certificate.cpk_estimate):
+            row.append(tables.estimate_text(found[name]) if found else "-")
+        cells.append([escape(words(name)), *map(typeset, row)])
+    text = (
+        "<p>Of the certified units. Cp = (upper - lower)/(6 sd) needs two limits; Cpk = distance of the mean from the "
+        "nearer limit/(3 sd). Both speak of rejects only where the distribution is normal; the yield does for any.</p>"
+    )
+    return table(["response", "mean", "sd", "Cp", "Cpk"], cells) + text
 
 
 def _requirements(answer: Answer, drawn: dict[str, Picture]) -> str:
@@ -118,7 +152,10 @@ def _requirements(answer: Answer, drawn: dict[str, Picture]) -> str:
         "end of its yield reaches the target. A shadow price is the change of the cost when the limit moves outwards."
     )
     histograms = "".join(figure(drawn[f"histogram_{name}"]) for name in study.requirements)
-    return section("Requirements", f"{table(headers, cells)}<p>{certified}</p><div class='pair'>{histograms}</div>")
+    return section(
+        "Requirements",
+        f"{table(headers, cells)}<p>{certified}</p>{_capability(answer)}<div class='pair'>{histograms}</div>",
+    )
 
 
 def _tolerances(answer: Answer, drawn: dict[str, Picture]) -> str:

@@ -141,8 +141,21 @@ def figure_text(verdict: Verdict, unit: str, size: float) -> str:
     found = verdict.estimate
     if verdict.kind == "share":
         return yield_text(found)
-    scale, name = (size, f" {unit}") if verdict.kind == "response" else (1.0, "")
-    return f"{found.value / scale:.4g}{name} [{found.lower / scale:.4g}, {found.upper / scale:.4g}]"
+    return estimate_text(found, unit, size) if verdict.kind == "response" else estimate_text(found)
+
+
+def estimate_text(found: Estimate, unit: str = "", size: float = 1.0) -> str:
+    """A figure with its interval, "-" where there is none.
+
+    Args:
+        found: the figure.
+        unit: in which it is read.
+        size: of the unit, SI.
+    """
+    if math.isnan(found.value):
+        return "-"
+    name = f" {unit}" if unit else ""
+    return f"{found.value / size:.4g}{name} [{found.lower / size:.4g}, {found.upper / size:.4g}]"
 
 
 def requirement_rows(answer: Answer) -> tuple[list[str], list[list[str]]]:
@@ -174,7 +187,7 @@ def requirement_rows(answer: Answer) -> tuple[list[str], list[list[str]]]:
 def headline(answer: Answer) -> str:
     """Verdict with the yield of all requirements at once, and cost, or why there is no answer."""
     study, allocation = answer.study, answer.allocation
-    lines = [f"Study {study.name}: {allocation.status}"]
+    lines = [f"Study {study.name}: {allocation.status}", *filter(None, [study.about.line()])]
     if (joint := allocation.certificate.joint_yield) is not None:
         asked = "no joint_target asks for it" if study.joint_target is None else f"asked {100 * study.joint_target:g} %"
         lines.append(f"all requirements at once: {yield_text(joint)}, {asked}")
@@ -231,6 +244,7 @@ def as_json(answer: Answer) -> dict[str, Any]:
     graded = allocation.graded
     found = {
         "study": study.name,
+        "about": study.about,
         "status": allocation.status,
         "feasible": allocation.feasible,
         "seed": study.seed,
