@@ -51,7 +51,7 @@ def sources(base: str) -> dict[str, str]:
         base: as studies name it, such as "rv-40e".
     """
     found, reducer, section, all_of_it = dict[str, str](), _named(base), "", ""
-    for line in _TEXT.splitlines():
+    for line in re.sub(r"\n#   (?=\S)", " ", _TEXT).splitlines():  # a comment may go on in the next line
         if header := re.fullmatch(r"\[(.*)\](?:  # )?(.*)", line):
             section, all_of_it = header.groups()
         owner, _, part = section.partition(".")

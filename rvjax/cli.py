@@ -67,11 +67,14 @@ def _on_terminate() -> Any:
 
 def _say(text: str, file: Any = None) -> None:
     """Print; what would speak to the terminal rather than to a person (escape sequences in a key) is spelled out."""
+    from rvjax import phases
+
     lines = (
         "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)
         for line in text.split("\n")
     )
-    print("\n".join(lines), file=file)
+    with phases.aside():
+        print("\n".join(lines), file=file)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -176,47 +179,54 @@ def _forewarn(question: Any) -> None:
 
 
 def _allocate(options: argparse.Namespace) -> int:
-    from rvjax import study
-    from rvjax.report import again, folders, text
+    from rvjax import phases, study
+    from rvjax.report import again, check, folders, text
     from rvjax.study.answer import answer
     from rvjax.tolerances.atomic import check_writable
 
-    if not options.fresh:
-        kept = again.folder(study.load(options.study, solve=False), options.results)
-        if kept is not None:
-            said = f"Unchanged since {kept} was written, which holds this answer; --fresh computes it anew."
-            told = (kept / "summary.txt").read_text("utf-8") + said
-            _tell(
-                options, lambda: told, lambda: json.loads((kept / "result.json").read_text()) | {"results": str(kept)}
-            )
-            return EXIT_OK if again.status(kept) == "OPTIMAL" else EXIT_NO_ANSWER
-    question = study.load(options.study)
-    folder = folders.results_folder(options.results, question.name)
+    asked = study.load(options.study, solve=False)
+    kept = None if options.fresh else again.folder(asked, options.results)
+    if kept is not None:
+        said = f"Unchanged since {kept} was written, which holds this answer; --fresh computes it anew."
+        told = (kept / "summary.txt").read_text("utf-8") + said
+        _tell(options, lambda: told, lambda: json.loads((kept / "result.json").read_text()) | {"results": str(kept)})
+        return EXIT_OK if again.status(kept) == "OPTIMAL" else EXIT_NO_ANSWER
+    folder = folders.results_folder(options.results, asked.name)
     check_writable(folder)
-    _forewarn(question)
-    found = answer(question, progress=not options.quiet)
-    if options.format == "text":  # before the folder is made: whatever fails there, the answer has been told
-        _say(text.summary(found))
-    folder = folders.write(found, folder)
+    _forewarn(asked)
+    writing = "tables and pictures"
+    with phases.shown(check.phases_of(asked, writing), quiet=options.quiet):
+        phases.begin(check.READING)
+        found = answer(study.load(options.study), progress=not options.quiet)
+        if options.format == "text":  # before the folder is made: whatever fails there, the answer has been told
+            _say(text.summary(found))
+        phases.begin(writing)
+        folder = folders.write(found, folder)
     _tell(options, lambda: f"\nResults: {folder}", lambda: text.as_json(found) | {"results": str(folder)})
     return EXIT_OK if found.allocation.status == "OPTIMAL" else EXIT_NO_ANSWER
 
 
 def _report(options: argparse.Namespace) -> int:
-    from rvjax import study
-    from rvjax.report import folders, page, text
+    from rvjax import phases, study
+    from rvjax.report import check, folders, page, text
     from rvjax.report.surrogate import surrogate
     from rvjax.study.answer import answer
     from rvjax.tolerances.atomic import check_writable, write_atomically
 
     _check_files(options, output=".html")
-    question = study.load(options.study)
+    asked = study.load(options.study, solve=False)
     given = options.output is not None
-    path = Path(options.output) if given else folders.results_folder(None, question.name) / "report.html"
+    path = Path(options.output) if given else folders.results_folder(None, asked.name) / "report.html"
     check_writable(path)
-    _forewarn(question)
-    found = answer(question, progress=not options.quiet)
-    content = page.page(found, options.study, surrogate(found), date=time.strftime("%Y-%m-%d")).encode("utf-8")
+    _forewarn(asked)
+    sliders, writing = "numbers behind the sliders", "the page"
+    with phases.shown(check.phases_of(asked, sliders, writing), quiet=options.quiet):
+        phases.begin(check.READING)
+        found = answer(study.load(options.study), progress=not options.quiet)
+        phases.begin(sliders)
+        moved = surrogate(found)
+        phases.begin(writing)
+        content = page.page(found, options.study, moved, date=time.strftime("%Y-%m-%d")).encode("utf-8")
     if not given:
         path = folders.new_folder(path.parent) / path.name
     write_atomically(path, content)
@@ -226,7 +236,9 @@ def _report(options: argparse.Namespace) -> int:
 
 
 def _montecarlo(options: argparse.Namespace) -> int:
+    from rvjax import phases
     from rvjax.report import batch as written
+    from rvjax.report import check
     from rvjax.study import batch
 
     _check_files(options, json=".json", save=".npz")
@@ -247,14 +259,18 @@ def _montecarlo(options: argparse.Namespace) -> int:
         address, number, processes, target = options.worker
         batch.work(asked, address, int(number), int(processes), target)
         return EXIT_OK
-    wanted = asked()
-    question = wanted.study  # as it was read before the run: the file may change meanwhile
-    _forewarn(question)
-    started = time.perf_counter()
-    if options.processes == 1:
-        found = batch.run(wanted)
-    else:
-        found = batch.run_in_processes(options.command, options.processes, text=question.text)
+    started, drawing = time.perf_counter(), "drawing units"
+    expected = {check.READING: 6.0, drawing: 0.0}  # each process of several has a line of its own
+    with phases.shown(expected, counted=drawing, quiet=options.quiet or options.processes > 1):
+        phases.begin(check.READING)
+        wanted = asked()
+        question = wanted.study  # as it was read before the run: the file may change meanwhile
+        _forewarn(question)
+        phases.begin(drawing)
+        if options.processes == 1:
+            found = batch.run(wanted)
+        else:
+            found = batch.run_in_processes(options.command, options.processes, text=question.text)
     seconds = time.perf_counter() - started
     written.write(found, question, options.study, figures=options.json, samples=options.save)
     after = f"\n\n{seconds:.1f} s, start and compilation included"

@@ -26,6 +26,7 @@ import rvjax.report.worst_units
 import rvjax.study.answer
 from rvjax import cli
 from rvjax.report import again, folders, page, text
+from rvjax.study.about import About
 from rvjax.tolerances.propagation.moments import CentralMoments
 from rvjax.tolerances.propagation.sampled import Sampled
 
@@ -418,10 +419,11 @@ def test_the_page_holds_the_answer_and_needs_nothing_else(written, answered):
     text = written.read_text("utf-8")
     tags = Tags(text)
     sections = ["Requirements", "Tolerances and cost", "What if", "Which error matters", "Worst units"]
+    sections.insert(3, "The reducer")
     sections += ["How exactly it was computed", "How to get this page again"]
     assert tags.headings == ["small", *sections]
     images = [attrs for tag, attrs in tags.seen if tag == "img"]
-    assert len(images) == len(PICTURES)
+    assert len(images) == len(PICTURES) + 1  # and the drawing of the reducer
     assert all(image["src"].startswith("data:image/svg+xml;base64,") and image["alt"] for image in images)
     assert not {tag for tag, _ in tags.seen} & {"link", "iframe", "base", "object"}
     assert [attrs.get("type") for tag, attrs in tags.seen if tag == "script"] == ["application/json", None]
@@ -439,6 +441,11 @@ def test_the_page_holds_the_answer_and_needs_nothing_else(written, answered):
     ]
     for words in shown:
         assert words in text, words
+    assert re.search(r"<dt>computed</dt><dd>20\d\d-\d\d-\d\d</dd>", text) and "<dt>author</dt>" not in text
+    certificate = result["certificate"]
+    for found in (certificate["cp_estimate"]["lost_motion"], certificate["cpk_estimate"]["misfit"]):
+        if found["value"] is not None:
+            assert f"{found['value']:.4g}</span><small>[{found['lower']:.4g}, {found['upper']:.4g}]" in text
 
 
 def test_the_worst_units_are_the_worst_and_can_be_replayed(answers, answered):
@@ -459,12 +466,13 @@ def test_the_worst_units_are_the_worst_and_can_be_replayed(answers, answered):
 
 def test_text_of_the_user_is_escaped(answers, answered):
     answer, hostile = answers[SMALL], """</pre><script>alert("1")</script>&amp;'"""
-    question = dataclasses.replace(answer.study, name=hostile, text=f"# {hostile}\n{SMALL}")
+    about = About(title=hostile, author=hostile, revision=hostile)
+    question = dataclasses.replace(answer.study, name=hostile, text=f"# {hostile}\n{SMALL}", about=about)
     text = page.page(dataclasses.replace(answer, study=question), f"{hostile}.toml")
     tags = Tags(text)
     assert "script" not in {tag for tag, _ in tags.seen}
     assert tags.headings[0] == hostile
-    assert text.count("&lt;/pre&gt;&lt;script&gt;alert(&quot;1&quot;)&lt;/script&gt;&amp;amp;&#x27;") >= 4
+    assert text.count("&lt;/pre&gt;&lt;script&gt;alert(&quot;1&quot;)&lt;/script&gt;&amp;amp;&#x27;") >= 7
 
 
 def test_the_page_in_a_browser(written, tmp_path):

@@ -34,8 +34,8 @@ def design_section(study: Study) -> str:
         else ""
     )
     cited = f"<p>{escape(study.base)} is {escape(catalogue.citation(study.base))}</p>" if study.base else ""
-    listed = table(["number", "value", "from", ""], cells)
-    return section("The reducer", f'{drawn}{assumed}{cited}<div class="design">{listed}</div>')
+    listed = table(["number", "value", "from", "note"], cells)
+    return section("The reducer", f'<div class="reducer">{drawn}{assumed}{cited}{listed}</div>')
 
 
 def _typed(value: str) -> str:

@@ -25,7 +25,7 @@ def typeset(cell: str) -> str:
         return ZERO
     if cell == tables.UNMOVED:
         return NOT_SEEN
-    if cell == "-":
+    if cell in ("", "-"):
         return cell
     return f'<span class="whole">{cell}</span>' + (f"<small>[{escape(interval)}</small>" if interval else "")
 

@@ -226,11 +226,24 @@ def summary(answer: Answer) -> str:
     return "\n".join(lines + limits_of_the_answer(answer))
 
 
+def assumed_text(study: Study) -> str:
+    """The numbers that nobody printed; a part of which that holds for all stands for them.
+
+    Args:
+        study: whose design it is.
+    """
+    stated = [number for number in study.numbers if number.origin != "default"]
+    known = {number.path.rpartition(".")[0] for number in stated if not number.assumed} | {""}
+    paths = (number.path for number in stated if number.assumed)
+    parts = (path if path.rpartition(".")[0] in known else path.rpartition(".")[0] for path in paths)
+    return ", ".join(dict.fromkeys(parts))
+
+
 def limits_of_the_answer(answer: Answer) -> list[str]:
     """What a reader must know beside the figures, a line each: doubtful numbers, negative values, what is left out."""
     study = answer.study
     lines = [f"Doubtful: {line}" for line in study.doubts]
-    lines += [f"Assumed, for nobody printed them: {', '.join(study.assumed)}"] if study.assumed else []
+    lines += [f"Assumed, for nobody printed them: {assumed_text(study)}"] if study.assumed else []
     for name, values in answer.after.values.items():
         below = float(np.mean(np.asarray(values) < 0))
         if (meaning := study.output(name).below_zero) and below > 0:

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from rvjax import phases
 from rvjax.status import PRECEDENCE
 from rvjax.tolerances.atomic import PARTIAL
 from rvjax.tolerances.population.correlation import Correlation
@@ -310,6 +311,8 @@ def _positive(name: str, value: Any) -> int:
 def progress_bar(shown: bool, total: int | None, description: str, unit: str, *, initial: int = 0) -> Iterator[Any]:
     """A function that advances a tqdm bar, or does nothing; the bar says "compiling" until its first call.
 
+    Where a command shows its phases, it becomes a detail of the phase, whether asked for or not.
+
     Args:
         shown: whether there is a bar.
         total: units of work; None where it is not known.
@@ -317,6 +320,19 @@ def progress_bar(shown: bool, total: int | None, description: str, unit: str, *,
         unit: of the work.
         initial: done already.
     """
+    if phases.detail("compiling"):
+        done = initial
+
+        def tell(count: int) -> None:
+            nonlocal done
+            done += count
+            part = 0.0 if total is None else done / max(total, 1)
+            phases.detail(
+                f"{description}, {done} {unit}s" if total is None else f"{description} {100 * part:.0f} %", part
+            )
+
+        yield tell
+        return
     if not shown:
         yield lambda count: None
         return
