@@ -37,21 +37,48 @@ _TEXT = (resources.files("rvjax") / "catalogue.toml").read_text("utf-8")
 _PUBLISHED = tomllib.loads(_TEXT)
 
 
-def assumed(reducer: str) -> list[str]:
+ASSUMED = re.compile(r"\bassumed\b")  # what the comment at a number says where nobody printed it
+
+
+def _named(base: str) -> str:
+    return base.upper().replace("-", "_")
+
+
+def sources(base: str) -> dict[str, str]:
+    """Where each number of a published reducer comes from, by its path in the design.
+
+    Args:
+        base: as studies name it, such as "rv-40e".
+    """
+    found, reducer, section, all_of_it = dict[str, str](), _named(base), "", ""
+    for line in re.sub(r"\n#   (?=\S)", " ", _TEXT).splitlines():  # a comment may go on in the next line
+        if header := re.fullmatch(r"\[(.*)\](?:  # )?(.*)", line):
+            section, all_of_it = header.groups()
+        owner, _, part = section.partition(".")
+        key, equals, rest = line.partition(" = ")
+        if owner == reducer and equals and not key.startswith("#"):
+            found[f"{part}.{key}" if part else key] = rest.partition("# ")[2] or all_of_it
+    return found
+
+
+def assumed(base: str) -> list[str]:
     """Numbers of a published reducer that nobody printed, by their path in the design.
 
     Args:
-        reducer: as this module names it, such as "RV_40E".
+        base: as studies name it, such as "rv-40e".
     """
-    found, section = [], ""
-    for line in _TEXT.splitlines():
-        if header := re.fullmatch(r"\[(.*)\].*", line):
-            section = header[1]
-        owner, _, part = section.partition(".")
-        key, _, rest = line.partition(" = ")
-        if owner == reducer and "# assumed" in rest:
-            found.append(f"{part}.{key}" if part else key)
-    return found
+    return [path for path, said in sources(base).items() if ASSUMED.search(said)]
+
+
+def citation(base: str) -> str:
+    """The source of a published reducer: the comment above its tables.
+
+    Args:
+        base: as studies name it, such as "rv-40e".
+    """
+    before = re.split(rf"^\[{_named(base)}[.\]]", _TEXT, maxsplit=1, flags=re.MULTILINE)[0]
+    above = re.findall(r"(?:^# .*\n)+\Z", before, flags=re.MULTILINE)
+    return " ".join(line.removeprefix("# ") for line in "".join(above).splitlines())
 
 
 CORR: CamRollerReducer = _record(CamRollerReducer, _PUBLISHED["CORR"])

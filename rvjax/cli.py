@@ -67,11 +67,14 @@ def _on_terminate() -> Any:
 
 def _say(text: str, file: Any = None) -> None:
     """Print; what would speak to the terminal rather than to a person (escape sequences in a key) is spelled out."""
+    from rvjax import phases
+
     lines = (
         "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)
         for line in text.split("\n")
     )
-    print("\n".join(lines), file=file)
+    with phases.aside():
+        print("\n".join(lines), file=file)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -176,49 +179,56 @@ def _forewarn(question: Any) -> None:
 
 
 def _allocate(options: argparse.Namespace) -> int:
-    from rvjax import study
-    from rvjax.report import again, text
+    from rvjax import phases, study
+    from rvjax.report import again, check, folders, text
     from rvjax.study.answer import answer
     from rvjax.tolerances.atomic import check_writable
 
-    if not options.fresh:
-        kept = again.folder(study.load(options.study, solve=False), options.results)
-        if kept is not None:
-            said = f"Unchanged since {kept} was written, which holds this answer; --fresh computes it anew."
-            told = (kept / "summary.txt").read_text("utf-8") + said
-            _tell(
-                options, lambda: told, lambda: json.loads((kept / "result.json").read_text()) | {"results": str(kept)}
-            )
-            return EXIT_OK if again.status(kept) == "OPTIMAL" else EXIT_NO_ANSWER
-    question = study.load(options.study)
-    folder = text.results_folder(options.results, question.name)
+    asked = study.load(options.study, solve=False)
+    kept = None if options.fresh else again.folder(asked, options.results)
+    if kept is not None:
+        said = f"Unchanged since {kept} was written, which holds this answer; --fresh computes it anew."
+        told = (kept / "summary.txt").read_text("utf-8") + said
+        _tell(options, lambda: told, lambda: json.loads((kept / "result.json").read_text()) | {"results": str(kept)})
+        return EXIT_OK if again.status(kept) == "OPTIMAL" else EXIT_NO_ANSWER
+    folder = folders.results_folder(options.results, asked.name)
     check_writable(folder)
-    _forewarn(question)
-    found = answer(question, progress=not options.quiet)
-    if options.format == "text":  # before the folder is made: whatever fails there, the answer has been told
-        _say(text.summary(found))
-    folder = text.write(found, folder)
+    _forewarn(asked)
+    writing = "tables and pictures"
+    with phases.shown(check.phases_of(asked, writing), quiet=options.quiet):
+        phases.begin(check.READING)
+        found = answer(study.load(options.study), progress=not options.quiet)
+        if options.format == "text":  # before the folder is made: whatever fails there, the answer has been told
+            _say(text.summary(found))
+        phases.begin(writing)
+        folder = folders.write(found, folder)
     _tell(options, lambda: f"\nResults: {folder}", lambda: text.as_json(found) | {"results": str(folder)})
     return EXIT_OK if found.allocation.status == "OPTIMAL" else EXIT_NO_ANSWER
 
 
 def _report(options: argparse.Namespace) -> int:
-    from rvjax import study
-    from rvjax.report import page, text
+    from rvjax import phases, study
+    from rvjax.report import check, folders, page, text
     from rvjax.report.surrogate import surrogate
     from rvjax.study.answer import answer
     from rvjax.tolerances.atomic import check_writable, write_atomically
 
     _check_files(options, output=".html")
-    question = study.load(options.study)
+    asked = study.load(options.study, solve=False)
     given = options.output is not None
-    path = Path(options.output) if given else text.results_folder(None, question.name) / "report.html"
+    path = Path(options.output) if given else folders.results_folder(None, asked.name) / "report.html"
     check_writable(path)
-    _forewarn(question)
-    found = answer(question, progress=not options.quiet)
-    content = page.page(found, options.study, surrogate(found)).encode("utf-8")
+    _forewarn(asked)
+    sliders, writing = "numbers behind the sliders", "the page"
+    with phases.shown(check.phases_of(asked, sliders, writing), quiet=options.quiet):
+        phases.begin(check.READING)
+        found = answer(study.load(options.study), progress=not options.quiet)
+        phases.begin(sliders)
+        moved = surrogate(found)
+        phases.begin(writing)
+        content = page.page(found, options.study, moved, date=time.strftime("%Y-%m-%d")).encode("utf-8")
     if not given:
-        path = text.new_folder(path.parent) / path.name
+        path = folders.new_folder(path.parent) / path.name
     write_atomically(path, content)
     _say(text.headline(found))
     _say(f"Report: {path}")
@@ -250,7 +260,9 @@ def _budget(options: argparse.Namespace) -> int:
 
 
 def _montecarlo(options: argparse.Namespace) -> int:
+    from rvjax import phases
     from rvjax.report import batch as written
+    from rvjax.report import check
     from rvjax.study import batch
     from rvjax.tolerances.propagation.unit_file import ENDINGS, UnitFile
 
@@ -280,16 +292,20 @@ def _montecarlo(options: argparse.Namespace) -> int:
         address, number, processes, target = options.worker
         batch.work(asked, address, int(number), int(processes), target)
         return EXIT_OK
-    wanted = asked()
-    question = wanted.study  # as it was read before the run: the file may change meanwhile
-    _forewarn(question)
-    started = time.perf_counter()
-    if options.processes == 1:
-        found = batch.run(wanted)
-    else:
-        found = batch.run_in_processes(
-            options.command, options.processes, text=question.text, table=table, chunk=wanted.chunk
-        )
+    started, drawing = time.perf_counter(), "drawing units"
+    expected = {check.READING: 6.0, drawing: 0.0}  # each process of several has a line of its own
+    with phases.shown(expected, counted=drawing, quiet=options.quiet or options.processes > 1):
+        phases.begin(check.READING)
+        wanted = asked()
+        question = wanted.study  # as it was read before the run: the file may change meanwhile
+        _forewarn(question)
+        phases.begin(drawing)
+        if options.processes == 1:
+            found = batch.run(wanted)
+        else:
+            found = batch.run_in_processes(
+                options.command, options.processes, text=question.text, table=table, chunk=wanted.chunk
+            )
     seconds = time.perf_counter() - started
     written.write(found, question, options.study, figures=options.json, samples=options.save if wanted.keep else None)
     after = f"\n\n{seconds:.1f} s, start and compilation included"
@@ -299,8 +315,8 @@ def _montecarlo(options: argparse.Namespace) -> int:
 
 def _identify(options: argparse.Namespace) -> int:
     from rvjax import study
+    from rvjax.report import folders, identified_page
     from rvjax.report import identified as told
-    from rvjax.report import identified_page, text
     from rvjax.study import identified, measured, problem
     from rvjax.tolerances.atomic import check_writable
 
@@ -312,12 +328,12 @@ def _identify(options: argparse.Namespace) -> int:
     elif data is None:
         raise ValueError("no data: name at least one CSV file, or ask with --check what a bench could tell apart")
     else:
-        folder = text.results_folder(options.results, question.name)
+        folder = folders.results_folder(options.results, question.name)
         check_writable(folder)
         found = identified.answer(question, data, draws=options.sample)
         pictures = ((f"{picture.name}.png", picture.content) for picture in identified_page.pictures(found))
         page = ("report.html", identified_page.page(found, options.study, options.data).encode())
-        folder = text.write_files(told.files(found, options.data, (page, *pictures)), folder)
+        folder = folders.write_files(told.files(found, options.data, (page, *pictures)), folder)
     if options.json:
         print(json.dumps(told.as_json(found), indent=1, allow_nan=False))
     else:
@@ -398,13 +414,13 @@ def _tradeoff(options: argparse.Namespace) -> int:
 def _assemble(options: argparse.Namespace) -> int:
     from rvjax import assembly, study
     from rvjax.report import assembly as written
-    from rvjax.report import text
+    from rvjax.report import folders
     from rvjax.study.assembly import bench
     from rvjax.study.prices import prices
     from rvjax.tolerances.atomic import check_writable
 
     question = study.load(options.study)
-    folder = text.results_folder(options.results, f"{question.name}-assembly")
+    folder = folders.results_folder(options.results, f"{question.name}-assembly")
     check_writable(folder)
     parts = bench(question, options.parts)
     asked = question.assembly
@@ -428,7 +444,7 @@ def _assemble(options: argparse.Namespace) -> int:
 def _compensate(options: argparse.Namespace) -> int:
     from rvjax import study
     from rvjax.report import compensation as written
-    from rvjax.report import text
+    from rvjax.report import folders
     from rvjax.study.compensation import corrections
     from rvjax.study.values import quantity
     from rvjax.tolerances.atomic import check_writable
@@ -436,7 +452,7 @@ def _compensate(options: argparse.Namespace) -> int:
     if options.export is not None:
         written.check_export(options.export)
     question = study.load(options.study)
-    folder = text.results_folder(options.results, f"{question.name}-compensation")
+    folder = folders.results_folder(options.results, f"{question.name}-compensation")
     check_writable(folder)
     found = corrections(
         question,

@@ -25,7 +25,8 @@ import rvjax.report.surrogate
 import rvjax.report.worst_units
 import rvjax.study.answer
 from rvjax import cli
-from rvjax.report import again, page, text
+from rvjax.report import again, folders, page, text
+from rvjax.study.about import About
 from rvjax.tolerances.propagation.moments import CentralMoments
 from rvjax.tolerances.propagation.sampled import Sampled
 
@@ -149,7 +150,7 @@ def test_allocate_writes_tables_and_pictures(answered):
 
 
 def test_allocate_tells_machines_what_it_wrote(answered, here, monkeypatch, capsys):
-    monkeypatch.setattr(text, "write", lambda answer, folder: folder)  # as written by the test above
+    monkeypatch.setattr(folders, "write", lambda answer, folder: folder)  # as written by the test above
     (here / "small.toml").write_text(SMALL)
     assert cli.main(["allocate", "small.toml", "--quiet", "--results", "new", "--format", "json"]) == 0
     told = json.loads(capsys.readouterr().out)
@@ -287,7 +288,7 @@ def test_an_answer_whose_units_all_fail_is_written_and_says_so(answers, answered
     unknown = {name: dict.fromkeys(of_field, math.nan) for name, of_field in old.after.shares.items()}
     after = dataclasses.replace(old.after, values=failed, shares=unknown, sensitivities=unknown)
     new = dataclasses.replace(old, allocation=allocation, after=after, cost_curve=[])
-    text.write(new, here / "failed")
+    folders.write(new, here / "failed")
     result = json.loads((here / "failed" / "result.json").read_text())
     assert set(result["shortfall"].values()) == {None} == set(result["shares"]["after"]["misfit"].values())
     assert "limit of misfit would do at no value: too many units fail" in (here / "failed" / "summary.txt").read_text()
@@ -431,10 +432,11 @@ def test_the_page_holds_the_answer_and_needs_nothing_else(written, answered):
     text = written.read_text("utf-8")
     tags = Tags(text)
     sections = ["Requirements", "Tolerances and cost", "What if", "Which error matters", "Worst units"]
+    sections.insert(3, "The reducer")
     sections += ["How exactly it was computed", "How to get this page again"]
     assert tags.headings == ["small", *sections]
     images = [attrs for tag, attrs in tags.seen if tag == "img"]
-    assert len(images) == len(PICTURES)
+    assert len(images) == len(PICTURES) + 1  # and the drawing of the reducer
     assert all(image["src"].startswith("data:image/svg+xml;base64,") and image["alt"] for image in images)
     assert not {tag for tag, _ in tags.seen} & {"link", "iframe", "base", "object"}
     assert [attrs.get("type") for tag, attrs in tags.seen if tag == "script"] == ["application/json", None]
@@ -452,6 +454,11 @@ def test_the_page_holds_the_answer_and_needs_nothing_else(written, answered):
     ]
     for words in shown:
         assert words in text, words
+    assert re.search(r"<dt>computed</dt><dd>20\d\d-\d\d-\d\d</dd>", text) and "<dt>author</dt>" not in text
+    certificate = result["certificate"]
+    for found in (certificate["cp_estimate"]["lost_motion"], certificate["cpk_estimate"]["misfit"]):
+        if found["value"] is not None:
+            assert f"{found['value']:.4g}</span><small>[{found['lower']:.4g}, {found['upper']:.4g}]" in text
 
 
 def test_the_worst_units_are_the_worst_and_can_be_replayed(answers, answered):
@@ -472,12 +479,13 @@ def test_the_worst_units_are_the_worst_and_can_be_replayed(answers, answered):
 
 def test_text_of_the_user_is_escaped(answers, answered):
     answer, hostile = answers[SMALL], """</pre><script>alert("1")</script>&amp;'"""
-    question = dataclasses.replace(answer.study, name=hostile, text=f"# {hostile}\n{SMALL}")
+    about = About(title=hostile, author=hostile, revision=hostile)
+    question = dataclasses.replace(answer.study, name=hostile, text=f"# {hostile}\n{SMALL}", about=about)
     text = page.page(dataclasses.replace(answer, study=question), f"{hostile}.toml")
     tags = Tags(text)
     assert "script" not in {tag for tag, _ in tags.seen}
     assert tags.headings[0] == hostile
-    assert text.count("&lt;/pre&gt;&lt;script&gt;alert(&quot;1&quot;)&lt;/script&gt;&amp;amp;&#x27;") >= 4
+    assert text.count("&lt;/pre&gt;&lt;script&gt;alert(&quot;1&quot;)&lt;/script&gt;&amp;amp;&#x27;") >= 7
 
 
 def test_the_page_in_a_browser(written, tmp_path):
@@ -516,15 +524,15 @@ def test_a_failure_while_writing_leaves_nothing(answered, here, monkeypatch):
         study = Study
 
     with pytest.raises(OSError, match="disk full"):
-        text.write(Answer, here / "results" / "x")
+        folders.write(Answer, here / "results" / "x")
     assert list((here / "results").iterdir()) == []
 
 
 def test_results_folders_are_never_overwritten(here):
-    assert str(text.results_folder(None, "x")) == "results/x"
+    assert str(folders.results_folder(None, "x")) == "results/x"
     (here / "results" / "x").mkdir(parents=True)
     (here / "results" / "x-2").mkdir()
-    assert str(text.results_folder(None, "x")) == "results/x-3"
+    assert str(folders.results_folder(None, "x")) == "results/x-3"
 
 
 def test_version_and_module_entry():

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from rvjax import cli
-from rvjax.report import numbers, text
+from rvjax.report import folders, numbers, text
 from rvjax.study import batch
 from rvjax.tolerances import Requirement, Tolerance, load, monte_carlo, origin
 from rvjax.tolerances.atomic import write_atomically
@@ -149,19 +149,19 @@ def test_two_runs_of_one_study_keep_both_answers(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(text, "summary", lambda found: found.study.text)
     monkeypatch.setattr(text, "as_json", lambda found: {"study": found.study.text})
-    monkeypatch.setattr(text, "pictures", lambda found: [])
+    monkeypatch.setattr(folders, "pictures", lambda found: [])
     monkeypatch.setattr(numbers, "tables", lambda found: [("a", (["b"], []))])
 
     class Found:
         def __init__(self, said):
             self.study = type("S", (), {"text": said})
 
-    wanted = text.results_folder(None, "s")
-    first, second = (text.write(Found(said), wanted) for said in ("one", "two"))
+    wanted = folders.results_folder(None, "s")
+    first, second = (folders.write(Found(said), wanted) for said in ("one", "two"))
     assert (first, second) == (Path("results/s"), Path("results/s-2"))
     assert [(folder / "summary.txt").read_text() for folder in (first, second)] == ["one\n", "two\n"]
     assert sorted(path.name for path in Path("results").iterdir()) == ["s", "s-2"]
-    assert text.new_folder(wanted) == Path("results/s-3")
+    assert folders.new_folder(wanted) == Path("results/s-3")
 
 
 def test_a_study_edited_during_a_run_labels_nothing(tmp_path, monkeypatch):

@@ -18,7 +18,7 @@ MODELS = ("four_bar", "lost_motion", "mesh_force", "dynamics", "loaded")
 
 # From the ground up; a module may import modules of lower floors and of its own package only.
 FLOORS = (
-    ("units", "programs"),
+    ("units", "programs", "phases"),
     ("brief", "columns", "tables"),
     ("records",),
     ("status",),
@@ -72,7 +72,7 @@ def test_imports_run_downwards():
 
 def test_statistics_know_no_gears():
     """The package itself is named for its version alone."""
-    ground = {"__version__", "columns", "records", "status", "tables", "units", "tolerances"}
+    ground = {"__version__", "columns", "phases", "records", "status", "tables", "units", "tolerances"}
     for room in ("tolerances", "identify", "assembly", "compensation"):
         for path in (PACKAGE / room).rglob("*.py"):
             below = {"identify"} if room == "compensation" else set()  # orders of a curve

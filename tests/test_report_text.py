@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from rvjax.report import text
+from rvjax.study.about import About
 from rvjax.tolerances.propagation.estimates import Estimate
 from rvjax.units import arcmin
 
@@ -22,7 +23,7 @@ def allocation(**changes):
 def headline(**changes):
     target = changes.pop("target", None)
     study = SimpleNamespace(
-        name="s", joint_target=target, output=lambda name: SimpleNamespace(shown=("arcmin", arcmin))
+        name="s", about=About(), joint_target=target, output=lambda name: SimpleNamespace(shown=("arcmin", arcmin))
     )
     return text.headline(SimpleNamespace(study=study, allocation=allocation(**changes))).split("\n")
 

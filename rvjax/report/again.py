@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import rvjax
-from rvjax.report.text import numbered_folders
+from rvjax.report.folders import numbered_folders
 from rvjax.study import Study
 
 

@@ -14,7 +14,8 @@ import numpy as np
 from rvjax import plotting
 from rvjax.assembly import Plan
 from rvjax.mounting import disc_mountings, drawing
-from rvjax.report.text import as_csv, filled, plain, table, versions
+from rvjax.report.folders import as_csv, filled
+from rvjax.report.text import plain, table, versions
 from rvjax.study import Study
 from rvjax.study.assembly import REST, Bench, unit_values
 from rvjax.study.prices import Price

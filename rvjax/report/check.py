@@ -11,7 +11,8 @@ from rvjax import levels, models
 from rvjax.designs import CamRollerReducer, InvoluteStage, RVReducer
 from rvjax.levels.choice import Choice
 from rvjax.plotting import drawings
-from rvjax.report.text import limits, plain, table, tolerance_text
+from rvjax.report.text import assumed_text, limits, plain, table, tolerance_text
+from rvjax.study.answer import CERTIFYING, PRICING, SAMPLING, SEARCHING
 from rvjax.study.plausible import KNOWN_DESIGNS, TORQUE, numbers, shown
 from rvjax.study.question import Study
 
@@ -19,6 +20,7 @@ from rvjax.study.question import Study
 SEARCH = 160  # passes over the learning sample
 CERTIFICATES = 9  # and one of the tolerances before
 CHUNK = 32_768  # units at once
+READING = "reading the study"
 
 
 def choices(question: Study) -> dict[str, Choice]:
@@ -44,12 +46,12 @@ def checked(question: Study) -> str:
     Args:
         question: the study; nothing of it is computed.
     """
-    lines = [f"Study {question.name}: {type(question.design).__name__}", ""]
+    lines = [f"Study {question.name}: {type(question.design).__name__}", *filter(None, [question.about.line()]), ""]
     lines += [f"{name:32} {value}" for name, value in facts(question.design)]
     lines += ["", table(["number", "this study", "known reducers"], _magnitudes(question))]
     lines += ["", table(["error", "limits", "law"], _tolerances(question)), "", "How it will be computed:"]
     lines += [f"  {line}" for line in [*level_lines(question), expected(question)]]
-    lines += ["", f"Assumed, for nobody printed them: {', '.join(question.assumed)}"] if question.assumed else []
+    lines += ["", f"Assumed, for nobody printed them: {assumed_text(question)}"] if question.assumed else []
     lines += ["", "Not in the models asked:", *(f"  {line}" for line in question.left_out)]
     doubts = question.doubts
     return "\n".join([*lines, "", *(f"doubtful: {line}" for line in doubts), *([] if doubts else ["No doubts."])])
@@ -65,6 +67,7 @@ def as_json(question: Study) -> dict[str, Any]:
     return plain(
         {
             "study": question.name,
+            "about": question.about,
             "design": type(question.design).__name__,
             "facts": dict(facts(question.design)),
             "numbers": stated,
@@ -133,16 +136,40 @@ def contact_ratio(stage: InvoluteStage) -> float:
 
 def expected(question: Study) -> str:
     """Time and memory of an allocation, from the measured time of a unit, in words."""
-    found = choices(question).values()
-    if any(choice.ns is None for choice in found):
+    unit = _unit_seconds(question)
+    if unit is None:
         return "time: unknown, for nobody has measured these levels"
-    unit = sum(choice.ns or 0.0 for choice in found) * 1e-9
     seconds = unit * (question.certificate_samples * (CERTIFICATES + 1) + SEARCH * question.samples)
     return (
         f"time: about {seconds:.2g} s of computation on the two cores of the measured table, besides tracing and "
         "compilation (50 s for an RV-40E, 80 s at the first run); "
         f"chunks of {CHUNK:,} units, memory does not grow with their number"
     )
+
+
+def phases_of(question: Study, *after: str) -> dict[str, float]:
+    """Seconds of each phase of an answer, on the machine of the measured table, its compilation included.
+
+    Args:
+        question: the study.
+        after: phases that follow the answer.
+    """
+    unit = _unit_seconds(question) or 0.0
+    passes = SEARCH * question.samples
+    expected = {
+        READING: 6.0,
+        SEARCHING: 20.0 + unit * (0.5 * passes + (CERTIFICATES - 1) * question.certificate_samples),
+        CERTIFYING: 1.0 + unit * question.certificate_samples,
+        SAMPLING: 8.0,
+        PRICING: 5.0 + unit * 0.5 * passes,
+    }
+    return expected | dict.fromkeys(after, 5.0)
+
+
+def _unit_seconds(question: Study) -> float | None:
+    """Time of one unit on two cores, or None where a level was never measured."""
+    found = [choice.ns for choice in choices(question).values()]
+    return None if None in found else 1e-9 * sum(ns for ns in found if ns is not None)
 
 
 def drawn(question: Study, path: str) -> None:

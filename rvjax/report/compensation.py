@@ -14,7 +14,8 @@ from rvjax.compensation import Correction, Table, export, predicted, residual
 from rvjax.compensation import table as table_of
 from rvjax.compensation.files import FORMS
 from rvjax.report.assembly import png
-from rvjax.report.text import as_csv, filled, plain, table, versions
+from rvjax.report.folders import as_csv, filled
+from rvjax.report.text import plain, table, versions
 from rvjax.study import Study
 from rvjax.study.compensation import Corrections, Curve
 from rvjax.tolerances import Estimate

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 import rvjax
-from rvjax.report.text import as_csv, plain, table
+from rvjax.report.folders import as_csv
+from rvjax.report.text import plain, table
 from rvjax.study.bench import NUISANCES
 from rvjax.study.identification import field_unit
 from rvjax.study.identified import Identified

@@ -15,7 +15,7 @@ import numpy as np
 import rvjax
 from rvjax.plotting.style import words
 from rvjax.report import identified as told
-from rvjax.report.page import figure, micro, note, section, table
+from rvjax.report.html import figure, micro, note, section, table
 from rvjax.report.pictures import Picture
 from rvjax.study.identified import Identified
 from rvjax.study.measured import Loop

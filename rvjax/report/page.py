@@ -3,11 +3,8 @@
 Scripts only add a section with sliders; without them the page says everything else.
 """
 
-import base64
-import re
 import shlex
 import sys
-from collections.abc import Iterable, Sequence
 from html import escape
 from importlib import resources
 
@@ -19,43 +16,50 @@ from rvjax import levels, models
 from rvjax.plotting.style import words
 from rvjax.report import live
 from rvjax.report import text as tables
+from rvjax.report.design import design_section
+from rvjax.report.html import figure, micro, note, section, table, typeset
 from rvjax.report.pictures import Picture, pictures
 from rvjax.report.surrogate import Surrogate
 from rvjax.report.worst_units import WorstUnit, worst_units
 from rvjax.status import MEANING, Status
 from rvjax.study.answer import Answer, shown_values
+from rvjax.study.question import Study
 from rvjax.units import readable
 
 SHARE_SHOWN = 0.01  # of the variance: errors below it are not listed for a worst unit
-ZERO = '<span class="none">0</span>'
-NOT_SEEN = f'<span class="none">{tables.UNMOVED}</span>'
-EMPTY, NIL = ("", "-", ZERO, NOT_SEEN), ' class="nil"'  # cells that a narrow screen leaves out
 
 
-def page(answer: Answer, source: str, surrogate: Surrogate | None = None) -> str:
+def page(answer: Answer, source: str, surrogate: Surrogate | None = None, *, date: str = "") -> str:
     """The whole page.
 
     Args:
         answer: what to show.
         source: study file or name, as given on the command line.
         surrogate: of the answer, for a section with sliders; None: a page without.
+        date: on which it was computed; "" leaves it out.
     """
     drawn = {picture.name: picture for picture in pictures(answer, "svg")}
     style = (resources.files("rvjax.report") / "report.css").read_text("utf-8")
-    name = escape(answer.study.name)
+    title = escape(answer.study.about.title or f"{answer.study.name}: tolerances")
     answered = [_requirements(answer, drawn), _tolerances(answer, drawn), live.section(surrogate, answer)]
-    explained = [_influence(answer, drawn), _worst(answer, drawn), _levels(answer), _origin(answer, source)]
-    body = "\n".join([_head(answer), *answered, *explained])
+    explained = [
+        design_section(answer.study),
+        _influence(answer, drawn),
+        _worst(answer, drawn),
+        _levels(answer),
+        _origin(answer, source),
+    ]
+    body = "\n".join([_head(answer, date), *answered, *explained])
     return (
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         f'<meta name="generator" content="rvjax {rvjax.__version__}">\n'
-        f"<title>{name}: tolerances</title>\n<style>\n{style}</style>\n</head>\n<body>\n{body}\n"
+        f"<title>{title}</title>\n<style>\n{style}</style>\n</head>\n<body>\n{body}\n"
         f"{live.script(surrogate, answer)}</body>\n</html>\n"
     )
 
 
-def _head(answer: Answer) -> str:
+def _head(answer: Answer, date: str) -> str:
     study, allocation = answer.study, answer.allocation
     certificate = allocation.certificate
     certified = allocation.status == "OPTIMAL"
@@ -89,12 +93,37 @@ def _head(answer: Answer) -> str:
     )
     caveats = "".join(f"<li>{escape(line)}</li>" for line in tables.limits_of_the_answer(answer))
     return (
-        f"<header>\n<h1>{escape(study.name)}</h1>\n"
+        f"<header>\n<h1>{escape(study.about.title or study.name)}</h1>\n{_origins(study, date)}"
         f'<p class="note">{escape(note(study.text))}</p>\n'
         f'<div class="verdict{"" if certified else " missed"}"><strong>{verdict}</strong> '
         f"<code>{escape(allocation.status)}</code> {' '.join(map(escape, more))}</div>\n"
         f'<dl class="key">{boxes}</dl>\n<ul class="caveats">{caveats}</ul>\n</header>'
     )
+
+
+def _origins(study: Study, date: str) -> str:
+    """Study, author, revision and date, as far as they are known."""
+    stated = dict(study=study.name, author=study.about.author, revision=study.about.revision, computed=date)
+    facts = "".join(f"<div><dt>{name}</dt><dd>{escape(text)}</dd></div>" for name, text in stated.items() if text)
+    return f'<dl class="about">{facts}</dl>\n'
+
+
+def _capability(answer: Answer) -> str:
+    """Mean, spread and capability of each response that has limits for single units."""
+    study, certificate = answer.study, answer.allocation.certificate
+    cells = []
+    for name in study.requirements:
+        unit, size = study.output(name).shown
+        figures = [certificate.mean[name], certificate.sd[name]]
+        row = [tables.estimate_text(figure, unit, size) for figure in figures]
+        for found in (certificate.cp_estimate, certificate.cpk_estimate):
+            row.append(tables.estimate_text(found[name]) if found else "-")
+        cells.append([escape(words(name)), *map(typeset, row)])
+    text = (
+        "<p>Of the certified units. Cp = (upper - lower)/(6 sd) needs two limits; Cpk = distance of the mean from the "
+        "nearer limit/(3 sd). Both speak of rejects only where the distribution is normal; the yield does for any.</p>"
+    )
+    return table(["response", "mean", "sd", "Cp", "Cpk"], cells) + text
 
 
 def _requirements(answer: Answer, drawn: dict[str, Picture]) -> str:
@@ -110,7 +139,7 @@ def _requirements(answer: Answer, drawn: dict[str, Picture]) -> str:
         met = allocation.certificate.verdicts[name].met
         mark = '<span class="met">✔ met</span>' if met else '<span class="missed-mark">✘ not met</span>'
         title = f"{escape(words(name))}<small>{escape(study.output(name).meaning)}</small>"
-        cells.append([title, *map(_typeset, [*row[1:], *graded]), mark])
+        cells.append([title, *map(typeset, [*row[1:], *graded]), mark])
     certificate = allocation.certificate
     failures = [
         f"{count:,} {status} ({escape(MEANING[Status[status]])}; the first is unit {certificate.examples[status]:,})"
@@ -123,7 +152,10 @@ def _requirements(answer: Answer, drawn: dict[str, Picture]) -> str:
         "end of its yield reaches the target. A shadow price is the change of the cost when the limit moves outwards."
     )
     histograms = "".join(figure(drawn[f"histogram_{name}"]) for name in study.requirements)
-    return section("Requirements", f"{table(headers, cells)}<p>{certified}</p><div class='pair'>{histograms}</div>")
+    return section(
+        "Requirements",
+        f"{table(headers, cells)}<p>{certified}</p>{_capability(answer)}<div class='pair'>{histograms}</div>",
+    )
 
 
 def _tolerances(answer: Answer, drawn: dict[str, Picture]) -> str:
@@ -134,7 +166,7 @@ def _tolerances(answer: Answer, drawn: dict[str, Picture]) -> str:
     for row in rows:
         elements = int(np.prod(shapes.get(row[0], ())))
         note = f"<small>{elements} elements, each its own</small>" if elements > 1 else ""
-        cells.append([escape(words(row[0])) + note, *map(_typeset, row[1:])])
+        cells.append([escape(words(row[0])) + note, *map(typeset, row[1:])])
     text = (
         "<p>An error without a cost keeps the tolerance of the study. The cost of an error is that of all its elements "
         "together.</p>"
@@ -146,7 +178,7 @@ def _tolerances(answer: Answer, drawn: dict[str, Picture]) -> str:
 def _influence(answer: Answer, drawn: dict[str, Picture]) -> str:
     headers, rows = tables.influence_rows(answer)
     headers = [words(header) for header in headers]
-    cells = [[escape(words(row[0])), *map(_typeset, row[1:])] for row in rows]
+    cells = [[escape(words(row[0])), *map(typeset, row[1:])] for row in rows]
     text = (
         "<p>With the tolerances after: the derivative of each response to one element of an error (root mean square "
         "over its elements), and the share of the error in the variance of the response.</p>"
@@ -194,7 +226,7 @@ def _unit(answer: Answer, unit: WorstUnit) -> str:
         places = (values - middle) / half if half > 0 else np.zeros_like(values)
         largest = int(np.argmax(np.abs(places)))
         count = f"<small>largest of {len(values)}</small>" if len(values) > 1 else ""
-        rows.append([escape(words(field)), _strip(places), _typeset(f"{values[largest] / size:+.2f} {shown}") + count])
+        rows.append([escape(words(field)), _strip(places), typeset(f"{values[largest] / size:+.2f} {shown}") + count])
     return (
         f'<section class="unit"><h3>{micro(escape(title))}</h3>'
         f'<p class="small">{micro(escape(responses))}; {escape(reason)}</p>'
@@ -228,7 +260,7 @@ def _levels(answer: Answer) -> str:
         bound = "-" if choice.bound is None else f"< {float(f'{choice.bound / size:.2g}'):g} {unit}"
         time = "-" if choice.ns is None else f"{choice.ns / 1e3:.3g} us"
         title = f"{escape(words(name))}<small>{escape(study.output(name).meaning)}</small>"
-        rows.append([title, escape(choice.level), *map(_typeset, [wanted, bound, time]), escape(choice.why)])
+        rows.append([title, escape(choice.level), *map(typeset, [wanted, bound, time]), escape(choice.why)])
     headers = ["response", "level", "accuracy asked", "its error", "time of a unit", "why"]
     kind = models.kind(study.design)
     conditions = ", ".join(
@@ -258,63 +290,3 @@ def _origin(answer: Answer, source: str) -> str:
         "How to get this page again",
         f"<table><tbody>{table}</tbody></table><p>The study:</p><pre>{escape(study.text)}</pre>",
     )
-
-
-def _typeset(cell: str) -> str:
-    """A cell of the text tables for the page: numbers stay with their units, an interval has a line of its own."""
-    cell, _, interval = cell.partition(" [")
-    cell = micro(escape(cell.replace("+-", "±").replace("<=", "≤").replace(">=", "≥"))).replace(" and ", "<br>")
-    if re.match(r"0\.00+ ", cell) or cell == "0.0 %":
-        return ZERO
-    if cell == tables.UNMOVED:
-        return NOT_SEEN
-    if cell == "-":
-        return cell
-    return f'<span class="whole">{cell}</span>' + (f"<small>[{escape(interval)}</small>" if interval else "")
-
-
-def micro(text: str) -> str:
-    """HTML text with the sign of a micrometre and a microsecond."""
-    return re.sub(r"(?<![A-Za-z])u(?=[ms]\b)", "µ", text)
-
-
-def note(text: str) -> str:
-    """What the author wrote above the study: its leading comment."""
-    lines = []
-    for line in text.splitlines():
-        if not line.startswith("#"):
-            break
-        lines.append(line.lstrip("# "))
-    return " ".join(lines)
-
-
-def section(title: str, content: str) -> str:
-    """A section of the page.
-
-    Args:
-        title: plain text.
-        content: HTML.
-    """
-    return f"<section>\n<h2>{escape(title)}</h2>\n{content}\n</section>"
-
-
-def table(headers: Sequence[str], rows: Iterable[Sequence[str]], *, total: bool = False, cards: bool = True) -> str:
-    """A table of cells that are HTML already; each knows its column, for narrow screens."""
-    head = "".join(f'<th scope="col">{escape(header)}</th>' for header in headers)
-    body, rows = [], list(rows)
-    for k, row in enumerate(rows):
-        cells = "".join(
-            f'<td data-label="{escape(label)}"{NIL if cell in EMPTY else ""}>{cell}</td>'
-            for label, cell in zip(headers[1:], row[1:])
-        )
-        last = ' class="sum"' if total and k == len(rows) - 1 else ""
-        body.append(f'<tr{last}><th scope="row">{row[0]}</th>{cells}</tr>')
-    kind = ' class="cards"' if cards else ""
-    return f'<div class="wide"><table{kind}><thead><tr>{head}</tr></thead><tbody>{"".join(body)}</tbody></table></div>'
-
-
-def figure(picture: Picture) -> str:
-    """A picture (SVG) inside the page, with its caption."""
-    data = base64.b64encode(picture.content).decode("ascii")
-    caption = escape(picture.caption)
-    return f'<figure><img alt="{caption}" src="data:image/svg+xml;base64,{data}"></figure>'

@@ -45,7 +45,7 @@ def pictures(answer: Answer, form: str = "png") -> Iterator[Picture]:
         plt.close(axes.figure)
         return Picture(name, caption, file.getvalue())
 
-    study = answer.study
+    study, certificate = answer.study, answer.allocation.certificate
     with plotting.style(), plt.rc_context({"svg.hashsalt": study.name}):
         if (curve := study.curve) is not None:
             alike = (output for name in study.requirements if (output := study.output(name)).unit == curve.unit)
@@ -65,11 +65,16 @@ def pictures(answer: Answer, form: str = "png") -> Iterator[Picture]:
                 upper=requirement.upper if of_values else math.inf,
                 lower=requirement.lower if of_values else -math.inf,
             )
-            caption = f"Distribution of {words(name)} before and after, with its limit"
+            caption = f"Distribution of {words(name)} before and after, with its limits"
             values = answer.after.values[name]
             if (valid := values[np.isfinite(values)]).size:
                 unit, size = study.output(name).shown
                 caption += f"; after: mean {valid.mean() / size:.3g} {unit}, sd {valid.std() / size:.3g} {unit}"
+                caption += "".join(
+                    f", {label} {found[name].value:.3g}"
+                    for label, found in (("Cp", certificate.cp_estimate), ("Cpk", certificate.cpk_estimate))
+                    if found and math.isfinite(found[name].value)
+                )
             yield picture(axes, f"histogram_{name}", caption)
         axes = plotting.variance_shares(answer.after.shares, title="Who causes the variance, after")
         yield picture(axes, "variance_shares", "Share of each error in the variance of each response, after")

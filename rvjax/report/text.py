@@ -1,24 +1,15 @@
-"""What a person reads: tables with units, and the results folder of an allocation."""
+"""What a person reads of an allocation: tables with units; and what a program reads, as JSON values."""
 
-import contextlib
-import csv
 import dataclasses
-import io
-import json
 import math
-import shutil
 import sys
-import tempfile
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from pathlib import Path
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
 
 import rvjax
 from rvjax.published import Comparison, show
-from rvjax.report import numbers
-from rvjax.report.pictures import pictures
 from rvjax.study.answer import Answer
 from rvjax.study.question import Study
 from rvjax.tolerances import Estimate, Statistics, Verdict
@@ -163,8 +154,21 @@ def figure_text(verdict: Verdict, unit: str, size: float) -> str:
     found = verdict.estimate
     if verdict.kind == "share":
         return yield_text(found)
-    scale, name = (size, f" {unit}") if verdict.kind == "response" else (1.0, "")
-    return f"{found.value / scale:.4g}{name} [{found.lower / scale:.4g}, {found.upper / scale:.4g}]"
+    return estimate_text(found, unit, size) if verdict.kind == "response" else estimate_text(found)
+
+
+def estimate_text(found: Estimate, unit: str = "", size: float = 1.0) -> str:
+    """A figure with its interval, "-" where there is none.
+
+    Args:
+        found: the figure.
+        unit: in which it is read.
+        size: of the unit, SI.
+    """
+    if math.isnan(found.value):
+        return "-"
+    name = f" {unit}" if unit else ""
+    return f"{found.value / size:.4g}{name} [{found.lower / size:.4g}, {found.upper / size:.4g}]"
 
 
 def requirement_rows(answer: Answer) -> tuple[list[str], list[list[str]]]:
@@ -191,7 +195,7 @@ def requirement_rows(answer: Answer) -> tuple[list[str], list[list[str]]]:
 def headline(answer: Answer) -> str:
     """Verdict with the yield of all requirements at once, and cost, or why there is no answer."""
     study, allocation = answer.study, answer.allocation
-    lines = [f"Study {study.name}: {allocation.status}"]
+    lines = [f"Study {study.name}: {allocation.status}", *filter(None, [study.about.line()])]
     if (joint := allocation.certificate.joint_yield) is not None:
         asked = "no joint_target asks for it" if study.joint_target is None else f"asked {100 * study.joint_target:g} %"
         lines.append(f"all requirements at once: {yield_text(joint)}, {asked}")
@@ -230,136 +234,29 @@ def summary(answer: Answer) -> str:
     return "\n".join(lines + limits_of_the_answer(answer))
 
 
+def assumed_text(study: Study) -> str:
+    """The numbers that nobody printed; a part of which that holds for all stands for them.
+
+    Args:
+        study: whose design it is.
+    """
+    stated = [number for number in study.numbers if number.origin != "default"]
+    known = {number.path.rpartition(".")[0] for number in stated if not number.assumed} | {""}
+    paths = (number.path for number in stated if number.assumed)
+    parts = (path if path.rpartition(".")[0] in known else path.rpartition(".")[0] for path in paths)
+    return ", ".join(dict.fromkeys(parts))
+
+
 def limits_of_the_answer(answer: Answer) -> list[str]:
     """What a reader must know beside the figures, a line each: doubtful numbers, negative values, what is left out."""
     study = answer.study
     lines = [f"Doubtful: {line}" for line in study.doubts]
-    lines += [f"Assumed, for nobody printed them: {', '.join(study.assumed)}"] if study.assumed else []
+    lines += [f"Assumed, for nobody printed them: {assumed_text(study)}"] if study.assumed else []
     for name, values in answer.after.values.items():
         below = float(np.mean(np.asarray(values) < 0))
         if (meaning := study.output(name).below_zero) and below > 0:
             lines.append(f"Below zero: {name} of {100 * below:.3g} % of the units, {meaning}")
     return lines + [f"Left out: {line}" for line in study.left_out]
-
-
-def results_folder(option: str | None, name: str) -> Path:
-    """The folder that the results should go to; it must not exist yet, so that nothing is overwritten.
-
-    Args:
-        option: what was asked for; None for the next free number under `results`.
-        name: of the study.
-
-    Raises:
-        OSError: it cannot be made.
-        ValueError: the folder asked for exists.
-    """
-    if option is not None:
-        folder = Path(option)
-        if folder.exists():
-            raise ValueError(f"--results {option}: exists already; name a new folder")
-        return folder
-    return next(folder for folder in _numbered(Path("results") / name) if not folder.exists())
-
-
-def numbered_folders(name: str) -> list[Path]:
-    """The results folders of a study that are there, in the order of their numbers.
-
-    Args:
-        name: of the study.
-    """
-    return [folder for folder in _numbered(Path("results") / name) if folder.is_dir()]
-
-
-def _numbered(folder: Path) -> Iterator[Path]:
-    """A folder, and those that stand in for it where it is taken."""
-    yield folder
-    yield from (folder.with_name(f"{folder.name}-{k}") for k in range(2, 10_000))
-
-
-def new_folder(folder: Path) -> Path:
-    """Make a folder, or the next free one where another run made it first."""
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    for free in _numbered(folder):
-        with contextlib.suppress(FileExistsError):
-            free.mkdir()
-            return free
-    raise FileExistsError(f"{folder}: exists, and so do all numbered ones")
-
-
-def write(answer: Answer, folder: Path) -> Path:
-    """Write study, tables, JSON and pictures into a new folder: all of them, or nothing.
-
-    Args:
-        answer: what to write.
-        folder: that is wanted; where another run has taken it meanwhile, the next free number.
-
-    Returns:
-        The folder.
-    """
-    return write_files(_files(answer), folder)
-
-
-def _files(answer: Answer) -> Iterator[tuple[str, bytes]]:
-    yield "study.toml", answer.study.text.encode()
-    yield "summary.txt", (summary(answer) + "\n").encode()
-    yield "result.json", json.dumps(as_json(answer), indent=1, allow_nan=False).encode()
-    for name, (headers, cells) in numbers.tables(answer):
-        yield f"{name}.csv", as_csv(headers, cells)
-    for picture in pictures(answer):
-        yield f"{picture.name}.png", picture.content
-
-
-def as_csv(headers: Sequence[str], rows: Iterable[Sequence[str | float | None]]) -> bytes:
-    """A table as the content of a CSV file.
-
-    Args:
-        headers: of the columns.
-        rows: cells.
-    """
-    file = io.StringIO(newline="")
-    csv.writer(file, lineterminator="\n").writerows([headers, *rows])
-    return file.getvalue().encode()
-
-
-def write_files(files: Iterable[tuple[str, bytes]], folder: Path) -> Path:
-    """Write files into a new folder: all of them, or nothing.
-
-    Args:
-        files: name and content, made one after the other.
-        folder: that is wanted; where another run has taken it meanwhile, the next free number.
-
-    Returns:
-        The folder.
-    """
-
-    def fill(scratch: Path) -> None:
-        for name, content in files:
-            (scratch / name).write_bytes(content)
-
-    return filled(folder, fill)
-
-
-def filled(folder: Path, fill: Callable[[Path], None]) -> Path:
-    """Make a folder with all its files, or nothing.
-
-    Args:
-        folder: that is wanted; where another run has taken it meanwhile, the next free number.
-        fill: writes the files into a folder beside it.
-
-    Returns:
-        The folder.
-    """
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    scratch = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
-    try:
-        fill(scratch)
-        scratch.chmod(0o755)  # mkdtemp makes it private
-        made = new_folder(folder)
-        scratch.rename(made)  # onto an empty folder of its own
-        return made
-    except BaseException:
-        shutil.rmtree(scratch, ignore_errors=True)
-        raise
 
 
 def as_json(answer: Answer) -> dict[str, Any]:
@@ -368,6 +265,7 @@ def as_json(answer: Answer) -> dict[str, Any]:
     graded = allocation.graded
     found = {
         "study": study.name,
+        "about": study.about,
         "status": allocation.status,
         "feasible": allocation.feasible,
         "seed": study.seed,

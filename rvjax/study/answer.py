@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax import phases
 from rvjax.study.question import Study
 from rvjax.tolerances import Allocation, Requirement, Statistics, allocate, cost_curve, monte_carlo, rss, sample
 from rvjax.tolerances.propagation.responses import BLOCK  # chunks of the certificate's size: the response compiles once
@@ -15,6 +16,8 @@ from rvjax.tolerances.propagation.responses import BLOCK  # chunks of the certif
 SHOWN_UNITS = 24  # units whose curve is drawn
 SHOWN_VALUES = 65_536  # units behind a histogram, and no more than behind the certificate
 FEWEST_BEYOND = 8  # units of the learning sample beyond a limit, below which a point of the cost curve is left out
+SEARCHING, CERTIFYING = "cheapest tolerances", "yield before"  # phases of a run
+SAMPLING, PRICING = "sample units", "cost against yield"
 YIELD_SWEEP = (0.9, 0.95, 0.99, 0.995, 0.999)
 
 
@@ -76,6 +79,7 @@ def answer(study: Study, *, progress: bool = False) -> Answer:
         progress: show progress bars.
     """
     response = study.response()
+    phases.begin(SEARCHING)
     allocation = allocate(
         response,
         study.tolerances,
@@ -90,6 +94,7 @@ def answer(study: Study, *, progress: bool = False) -> Answer:
         progress=progress,
     )
     certificate = allocation.certificate
+    phases.begin(CERTIFYING)
     before = monte_carlo(
         response,
         study.tolerances,
@@ -99,12 +104,15 @@ def answer(study: Study, *, progress: bool = False) -> Answer:
         requirements=study.requirements,
         progress=progress,
     )
+    phases.begin(SAMPLING)
+    sides = [_side(study, response, tolerances) for tolerances in (study.tolerances, allocation.tolerances)]
+    phases.begin(PRICING)
     return Answer(
         study=study,
         allocation=allocation,
         certificate_before=before,
-        before=_side(study, response, study.tolerances),
-        after=_side(study, response, allocation.tolerances),
+        before=sides[0],
+        after=sides[1],
         cost_curve=_cost_curve(study, response, allocation),
     )
 

@@ -5,12 +5,15 @@ import tomllib
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from rvjax import catalogue, models
+from rvjax import models
 from rvjax.levels.choice import Choice, choose
 from rvjax.outputs import Curve, Output
+from rvjax.study.about import About
 from rvjax.study.matching import Assembly
+from rvjax.study.origin import Number, design_numbers
 from rvjax.study.plausible import doubts
 from rvjax.study.response import Response, followed_bounds
+from rvjax.study.values import StudyError as StudyError  # other modules take it from here
 from rvjax.tolerances import Middle
 from rvjax.tolerances.propagation.requirements import Limits
 
@@ -39,6 +42,7 @@ class Study:
         assembly: how measured parts are matched.
         identification: what [identify] asks of measured units, or None.
         read_in: unit in which a response is reported, by its name: that of its limit; without one the usual one.
+        about: title, author and revision, if the file says them.
     """
 
     name: str
@@ -57,6 +61,7 @@ class Study:
     assembly: Assembly = dataclasses.field(default_factory=lambda: Assembly())
     identification: "Identification | None" = None
     read_in: dict[str, str] = dataclasses.field(default_factory=dict)
+    about: About = dataclasses.field(default_factory=About)
 
     def response(self) -> Response:
         """errors -> Outcome of the responses that the requirements name.
@@ -111,10 +116,18 @@ class Study:
 
     @property
     def assumed(self) -> list[str]:
-        """Numbers of the base that nobody printed and the study does not give, by their path in the design."""
-        given = tomllib.loads(self.text)["design"]
-        base = str(given.get("base", "")).upper().replace("-", "_")
-        return [path for path in catalogue.assumed(base) if not _given(given, path)]
+        """Numbers of the design that nobody printed, as the base or the study itself says, by their path."""
+        return [number.path for number in self.numbers if number.assumed]
+
+    @property
+    def base(self) -> str:
+        """The published reducer that the design begins with, "" without one."""
+        return str(tomllib.loads(self.text)["design"].get("base", ""))
+
+    @property
+    def numbers(self) -> list[Number]:
+        """Every number of the design, with where it comes from."""
+        return design_numbers(self.design, tomllib.loads(self.text)["design"], self.text)
 
     @property
     def left_out(self) -> list[str]:
@@ -131,15 +144,3 @@ class Study:
         """What a response of this study is, read in the unit that its limit is written in."""
         output = models.kind(self.design).outputs[name]
         return dataclasses.replace(output, read_in=self.read_in.get(name, output.read_in))
-
-
-def _given(table: Any, path: str) -> bool:
-    for name in path.split("."):
-        if not isinstance(table, dict) or name not in table:
-            return False
-        table = table[name]
-    return True
-
-
-class StudyError(ValueError):
-    """A study that cannot be used: says the file, the key, its value and why."""

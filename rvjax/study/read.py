@@ -10,6 +10,7 @@ from typing import Any
 from rvjax import models
 from rvjax.outputs import Output
 from rvjax.records import Shape, axis_sizes, remind_of_precision
+from rvjax.study.about import parse_about
 from rvjax.study.assembly import parse_assembly
 from rvjax.study.design import parse_design
 from rvjax.study.identification import Identification, parse_identification
@@ -25,7 +26,7 @@ from rvjax.tolerances.distribution.tolerance import COMMON, LAWS
 from rvjax.tolerances.propagation.requirements import KINDS
 from rvjax.units import unit_of
 
-TABLES = {"accuracy", "assembly", "columns", "conditions", "cost", "design", "identify", "middle"}
+TABLES = {"about", "accuracy", "assembly", "columns", "conditions", "cost", "design", "identify", "middle"}
 TABLES |= {"requirement", "run", "tolerances"}
 COSTS: dict[str, Any] = {"reciprocal_power": ReciprocalPower, "exponential": Exponential}
 EMBEDDED = resources.files("rvjax.study") / "embedded"
@@ -114,6 +115,7 @@ def parse_study(text: str, *, name: str, folder: Path = Path(), solve: bool = Tr
             read_in=_read_in(kind.outputs, asked),
             accuracy=_accuracy(kind.outputs, requirements, subtable(tables, "accuracy")),
             middles=_middles(error_record, tolerances, subtable(tables, "middle")),
+            about=parse_about(subtable(tables, "about")),
             assembly=parse_assembly(subtable(tables, "assembly"), design, requirements),
             seed=integer(run.get("seed", 0), "run.seed", 0, 2**32 - 1),
             samples=integer(run.get("samples", 16384), "run.samples", FEWEST, 2**32),

@@ -5,6 +5,7 @@ import re
 from collections.abc import Iterator
 from typing import Any
 
+from rvjax import catalogue
 from rvjax.designs import InvoluteStage, RVReducer
 from rvjax.study.design import BASES
 from rvjax.study.plausible import RATED, shown
@@ -32,15 +33,18 @@ def written(base: str) -> str:
     asked = question[question.index("[conditions]") :]
     if base in RATED:
         asked = re.sub(r'output_torque = "[^"]*"', f'output_torque = "{shown(RATED[base], "N m")}"', asked)
-    named = f'kind = "{design.kind}"\n' + "\n".join(_lines(design, known))
+    unprinted = frozenset(catalogue.assumed(base))
+    named = f'kind = "{design.kind}"\n' + "\n".join(_lines(design, known, unprinted))
     head = (
         f"# A study to change, with the numbers of the {base}: replace them by those of your drawing, then run\n"
-        "# rvjax check on this file. Tolerances, costs and limits are assumed.\n\n[design]\n"
+        "# rvjax check on this file. Tolerances, costs and limits are assumed.\n\n"
+        '[about] # for the head of reports; every line may go\nrevision = "A"\n'
+        '# title = "..."\n# author = "..."\n\n[design]\n'
     )
     try:
         parse_study(head + named + "\n\n" + asked, name=base, solve=False)
     except StudyError as contradiction:  # published so: possible by name alone
-        own = "\n".join(_lines(design.cranks, known.cranks, "cranks."))
+        own = "\n".join(_lines(design.cranks, known.cranks, unprinted, "cranks."))
         named = f'base = "{base}" # its printed numbers contradict each other: {contradiction}\n{own}'
     return head + named + "\n\n" + asked
 
@@ -57,7 +61,7 @@ def _completed(design: RVReducer) -> RVReducer:
     return design.replace(cycloid=cycloid, cranks=cranks)
 
 
-def _lines(record: Any, known: Any, prefix: str = "") -> Iterator[str]:
+def _lines(record: Any, known: Any, unprinted: frozenset[str], prefix: str = "") -> Iterator[str]:
     """`key = value # meaning` of every number that is given, with a word where nobody printed it."""
     standard = _standard(record)
     for f in dataclasses.fields(record):
@@ -65,12 +69,13 @@ def _lines(record: Any, known: Any, prefix: str = "") -> Iterator[str]:
         if about["kind"] == "record":
             if value is not None and f.name not in ("inertia", "stiffness", "mesh_variation", "damping", "contact"):
                 yield ""
-                yield from _lines(value, getattr(known, f.name), f"{name}.")
+                yield from _lines(value, getattr(known, f.name), unprinted, f"{name}.")
         elif value is not None and not (standard and f.name in FOLLOWS):
             text = (
                 str(value) if about["kind"] == "count" or about["unit"] == "-" else f'"{_exact(value, about["unit"])}"'
             )
-            assumed = "" if value == getattr(known, f.name) else "; assumed"
+            published = value == getattr(known, f.name) and name not in unprinted
+            assumed = "" if published else "; assumed"
             yield f"{name} = {text} # {about['meaning']}{assumed}"
 
 

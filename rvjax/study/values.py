@@ -6,8 +6,11 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from rvjax.study.question import StudyError
 from rvjax.units import parse
+
+
+class StudyError(ValueError):
+    """A study that cannot be used: says the file, the key, its value and why."""
 
 
 @contextmanager

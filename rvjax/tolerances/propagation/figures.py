@@ -36,6 +36,8 @@ class Statistics:
         ppm: `Estimate` of the rejects per million units.
         cp: (U - L)/(6 sd); nan for a one-sided requirement.
         cpk: min(U - mean, mean - L)/(3 sd).
+        cp_estimate: `Estimate` of cp, nan where there is none.
+        cpk_estimate: `Estimate` of cpk, by the delta method for any law.
         joint_yield: `Estimate` of the share of units that meet all requirements.
         verdicts: `Verdict` on each requirement; None without.
         values: response of every unit, nan for failed ones, if `keep`; else None.
@@ -61,6 +63,8 @@ class Statistics:
     ppm: Any
     cp: Any
     cpk: Any
+    cp_estimate: Any
+    cpk_estimate: Any
     joint_yield: Estimate | None
     verdicts: Any
     values: Any

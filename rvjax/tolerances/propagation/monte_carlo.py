@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from rvjax import phases
 from rvjax.status import PRECEDENCE
 from rvjax.tolerances.atomic import PARTIAL
 from rvjax.tolerances.population.correlation import Correlation
@@ -29,7 +30,7 @@ from rvjax.tolerances.propagation.checkpoint import (
     versions,
 )
 from rvjax.tolerances.propagation.devices import Evaluator, gathered, place
-from rvjax.tolerances.propagation.estimates import deviate_of
+from rvjax.tolerances.propagation.estimates import Estimate, deviate_of
 from rvjax.tolerances.propagation.figures import Statistics, rejects
 from rvjax.tolerances.propagation.order import quantile_estimate
 from rvjax.tolerances.propagation.requirements import Limits
@@ -172,12 +173,11 @@ class Run:
         }
         orders, any_units = tally.orders().items(), bool(tally.requirements)
         yields = {name: None if item.passed is None else item.share() for name, item in seen.items()}
-        capabilities = {
-            name: tally.requirements[name].capability(item.whole.mean, item.whole.sd)
-            if name in tally.requirements and item.whole.n
-            else (math.nan, math.nan)
-            for name, item in seen.items()
-        }
+        nothing, judged = Estimate(*[math.nan] * 4), tally.requirements
+        cp, cpk = (
+            {name: of(item, judged[name]) if name in judged else nothing for name, item in seen.items()}
+            for of in (Sampled.cp, Sampled.cpk)
+        )
         return Statistics(
             samples=int(tally.seen.sum()),
             seed=self.seed,
@@ -195,8 +195,10 @@ class Run:
             maximum={name: item.whole.maximum for name, item in seen.items()},
             yield_=yields if any_units else None,
             ppm={name: rejects(share) for name, share in yields.items()} if any_units else None,
-            cp={name: cp for name, (cp, _) in capabilities.items()} if any_units else None,
-            cpk={name: cpk for name, (_, cpk) in capabilities.items()} if any_units else None,
+            cp={name: figure.value for name, figure in cp.items()} if any_units else None,
+            cpk={name: figure.value for name, figure in cpk.items()} if any_units else None,
+            cp_estimate=cp if any_units else None,
+            cpk_estimate=cpk if any_units else None,
             joint_yield=next(iter(seen.values())).share(tally.joint) if any_units else None,
             verdicts={name: item.verdict(seen[name]) for name, item in self.requirements.items()} or None,
             values=(tally.values or None) if self.keep else None,
@@ -350,6 +352,8 @@ def _positive(name: str, value: Any) -> int:
 def progress_bar(shown: bool, total: int | None, description: str, unit: str, *, initial: int = 0) -> Iterator[Any]:
     """A function that advances a tqdm bar, or does nothing; the bar says "compiling" until its first call.
 
+    Where a command shows its phases, it becomes a detail of the phase, whether asked for or not.
+
     Args:
         shown: whether there is a bar.
         total: units of work; None where it is not known.
@@ -357,6 +361,19 @@ def progress_bar(shown: bool, total: int | None, description: str, unit: str, *,
         unit: of the work.
         initial: done already.
     """
+    if phases.detail("compiling"):
+        done = initial
+
+        def tell(count: int) -> None:
+            nonlocal done
+            done += count
+            part = 0.0 if total is None else done / max(total, 1)
+            phases.detail(
+                f"{description}, {done} {unit}s" if total is None else f"{description} {100 * part:.0f} %", part
+            )
+
+        yield tell
+        return
     if not shown:
         yield lambda count: None
         return

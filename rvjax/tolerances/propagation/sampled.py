@@ -57,6 +57,21 @@ class Sampled:
         """The standard deviation."""
         return self._figure(lambda m: m.sd, lambda m: m.sd_estimate(self.confidence))
 
+    def cp(self, limits: Any) -> Estimate:
+        """Cp = (U - L)/(6 sd) of two limits; its ends are those of the sd."""
+
+        def of(m: CentralMoments) -> float:
+            return limits.capability(m.mean, m.sd)[0] if m.n > 1 else math.nan
+
+        def alone(m: CentralMoments) -> Estimate:
+            value, sd = of(m), m.sd_estimate(self.confidence)
+            if not math.isfinite(value):  # one limit, no spread, or no two units
+                return Estimate(value, 0.0 if math.isinf(value) else math.nan, value, value)
+            upper = value * sd.value / sd.lower if sd.lower > 0 else math.inf
+            return Estimate(value, value * sd.error / sd.value, value * sd.value / sd.upper, upper)
+
+        return self._figure(of, alone)
+
     def cpk(self, limits: Any) -> Estimate:
         """Cpk = room/(3 sd) of limits."""
 

@@ -1,0 +1,190 @@
+"""Where a run of the command line stands: one line with its phase, its time so far, and about what is left.
+
+Whoever works calls `begin` and `detail`; without somebody who watches (`shown`) both do nothing.
+"""
+
+import contextlib
+import shutil
+import sys
+import threading
+import time
+from collections.abc import Iterator, Mapping
+from contextvars import ContextVar
+from typing import TextIO
+
+TICK = 0.5  # s between two looks of a terminal
+TRUSTED = 15.0  # s of what is expected: a phase of a second tells nothing of the pace
+STILL = 20.0  # s after which a file or pipe, which has no line to write over, hears of the same phase again
+
+
+class Phases:
+    """The phases of one run and how far it is."""
+
+    def __init__(self, expected: Mapping[str, float], stream: TextIO, counted: str = "") -> None:
+        """Nothing has begun.
+
+        Args:
+            expected: seconds of each phase, in their order, on some machine; their ratios are what counts later.
+            stream: where the line goes.
+            counted: the phase whose details say how much of it is done.
+        """
+        self.expected, self.stream, self.counted = dict(expected), stream, counted
+        self.names = list(expected)
+        self.terminal = stream.isatty()
+        self.spent: dict[str, float] = {}
+        self.name, self.since, self.said, self.note, self.part = "", time.monotonic(), 0.0, "", 0.0
+        self._lock, self._over = threading.Lock(), threading.Event()
+        self._watch = threading.Thread(target=self._tick, daemon=True)
+
+    def begin(self, name: str) -> None:
+        """The phase before ends here.
+
+        Args:
+            name: of the phase; one that is not expected belongs to the phase that it happens in.
+        """
+        if name not in self.expected:
+            return self.detail(name)
+        with self._lock:
+            self._end()
+            self.name, self.since, self.note, self.part = name, time.monotonic(), "", 0.0
+            self._show()
+
+    def detail(self, note: str, part: float = 0.0) -> None:
+        """What the phase does now, for the next look at it.
+
+        Args:
+            note: a few words, such as "certifying 40 %".
+            part: of this detail that is done.
+        """
+        self.note, self.part = note, part
+
+    def left(self) -> float | None:
+        """Seconds until the end: what is expected, at the pace so far; None where nothing was expected."""
+        done = sum(self.expected[name] for name in self.spent)
+        here, now = self.expected.get(self.name, 0.0), time.monotonic() - self.since
+        if self.name == self.counted and self.part > 0.01:
+            return now * (1 / self.part - 1)
+        if not any(self.expected.values()):
+            return None
+        pace = (sum(self.spent.values()) + TRUSTED) / (done + TRUSTED)
+        rest = sum(seconds for name, seconds in self.expected.items() if name not in self.spent and name != self.name)
+        # A phase that takes longer than expected says so about the rest.
+        return max(0.0, pace * here - now) + max(pace, now / here if here else 0.0) * rest
+
+    def line(self) -> str:
+        """The line as it stands now."""
+        number = self.names.index(self.name) + 1
+        note = f", {self.note}" if self.note else ""
+        left, taken = self.left(), spelled(time.monotonic() - self.since)
+        rest = "" if left is None else f"about {spelled(left)} left, "
+        return f"phase {number} of {len(self.names)}, {rest}{taken} in: {self.name}{note}"
+
+    def _end(self) -> None:
+        if self.name:
+            self.spent[self.name] = time.monotonic() - self.since
+
+    @contextlib.contextmanager
+    def aside(self) -> Iterator[None]:
+        """The line makes way for what is printed inside."""
+        with self._lock:
+            self._wipe()
+            yield
+
+    def _show(self) -> None:
+        if not self.name:
+            return
+        self.said = time.monotonic()
+        if self.terminal:
+            width = shutil.get_terminal_size((80, 24)).columns - 1
+            self._write(f"\r{self.line()[:width]:<{width}}")
+        else:
+            self._write(f"rvjax: {self.line()}\n")
+
+    def _wipe(self) -> None:
+        if self.terminal and self.name:
+            self._write("\r" + " " * (shutil.get_terminal_size((80, 24)).columns - 1) + "\r")
+
+    def _write(self, text: str) -> None:
+        with contextlib.suppress(OSError, ValueError):  # nobody reads any more, or the stream is closed
+            self.stream.write(text)
+            self.stream.flush()
+
+    def _tick(self) -> None:
+        while not self._over.wait(TICK):
+            with self._lock:
+                if self.terminal or time.monotonic() - self.said > STILL:
+                    self._show()
+
+    def __enter__(self) -> "Phases":
+        self._watch.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._over.set()
+        self._watch.join()
+        self._end()
+        self._wipe()
+
+
+_WATCHED: ContextVar[Phases | None] = ContextVar("watched", default=None)
+
+
+@contextlib.contextmanager
+def shown(expected: Mapping[str, float], *, counted: str = "", quiet: bool = False) -> Iterator[None]:
+    """Show the phases of what runs inside, on standard error.
+
+    Args:
+        expected: seconds of each phase, in their order; 0 throughout where nobody knows.
+        counted: the phase whose details say how much of it is done.
+        quiet: show nothing.
+    """
+    if quiet:
+        yield
+        return
+    with Phases(expected, sys.stderr, counted) as watched:
+        token = _WATCHED.set(watched)
+        try:
+            yield
+        finally:
+            _WATCHED.reset(token)
+
+
+def begin(name: str) -> None:
+    """A phase begins; its name is one that is expected, or a detail of the one that runs.
+
+    Args:
+        name: of the phase.
+    """
+    if (watched := _WATCHED.get()) is not None:
+        watched.begin(name)
+
+
+def detail(note: str, part: float = 0.0) -> bool:
+    """What the phase does now; False if nobody watches.
+
+    Args:
+        note: a few words.
+        part: of this detail that is done.
+    """
+    watched = _WATCHED.get()
+    if watched is not None:
+        watched.detail(note, part)
+    return watched is not None
+
+
+@contextlib.contextmanager
+def aside() -> Iterator[None]:
+    """What is printed inside has a line of its own."""
+    with contextlib.nullcontext() if (watched := _WATCHED.get()) is None else watched.aside():
+        yield
+
+
+def spelled(seconds: float) -> str:
+    """A time as a person says it: "7 s", "3 min", "1.5 h".
+
+    Args:
+        seconds: to tell.
+    """
+    if seconds < 99.5:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5970 else f"{seconds / 3600:.1f} h"

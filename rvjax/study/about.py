@@ -1,0 +1,50 @@
+"""Who asks a question and which state of it this is, as a study file may say: for the head of reports alone."""
+
+import dataclasses
+from typing import Any
+
+from rvjax.study.values import known
+
+LONGEST = 200  # characters of a line
+
+
+@dataclasses.dataclass(frozen=True)
+class About:
+    """What a study says of itself; "" for what it does not say.
+
+    Attributes:
+        title: of the report; without one the name of the study stands there.
+        author: who answers for the numbers.
+        revision: which state of the study or of the drawing this is.
+    """
+
+    title: str = ""
+    author: str = ""
+    revision: str = ""
+
+    def line(self) -> str:
+        """Everything that is said, in one line; "" without any."""
+        said = [self.title, self.author, f"revision {self.revision}" if self.revision else ""]
+        return "; ".join(filter(None, said))
+
+
+def parse_about(table: dict[str, Any]) -> About:
+    """What stands in [about].
+
+    Args:
+        table: as read; every key may be missing.
+
+    Raises:
+        ValueError: names the key and its value.
+    """
+    names = [f.name for f in dataclasses.fields(About)]
+    known(table, names, "about")
+    return About(**{key: _line(value, f"about.{key}") for key, value in table.items()})
+
+
+def _line(value: Any, where: str) -> str:
+    if isinstance(value, int) and not isinstance(value, bool):  # a revision that is counted
+        value = str(value)
+    if not isinstance(value, str) or not value.strip() or not value.isprintable() or len(value) > LONGEST:
+        raise ValueError(f"{where} = {value!r}: must be a text of one line, at most {LONGEST} characters")
+    return value.strip()

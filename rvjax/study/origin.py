@@ -1,0 +1,105 @@
+"""Where each number of a design comes from: the study, the published reducer it begins with, or other numbers."""
+
+import dataclasses
+import re
+from collections.abc import Iterator
+from typing import Any
+
+from rvjax import catalogue
+from rvjax.designs import RVReducer
+from rvjax.study.design import BASES
+from rvjax.study.following import AGREE
+
+
+@dataclasses.dataclass(frozen=True)
+class Number:
+    """A number of a design.
+
+    Attributes:
+        path: in the design, such as "cycloid.pin_count".
+        value: SI, or a count.
+        unit: SI unit, "-" for none.
+        meaning: of the field.
+        origin: where it comes from, in words.
+        assumed: whether its source, or the study, says that nobody printed it.
+    """
+
+    path: str
+    value: Any
+    unit: str
+    meaning: str
+    origin: str
+    assumed: bool
+
+
+def design_numbers(design: Any, given: dict[str, Any], text: str) -> list[Number]:
+    """Every number of a design, with where it comes from.
+
+    Args:
+        design: the reducer.
+        given: the table [design] of its study.
+        text: of the study, whose comments may say that a number is assumed.
+    """
+    base = given.get("base", "")
+    sources, own = catalogue.sources(base), comments(text)
+    published = BASES.get(base)
+    found = []
+    for path, value, about in _fields(design):
+        # A number that is neither given nor the published one has followed from others.
+        kept = published is not None and path in sources and _same(value, _at(published, path))
+        if _given(given, path):
+            origin, said = "this study", own.get(path, "")
+        elif kept:
+            said = sources[path]
+            origin = f"{base}: {said}" if said else base
+        elif isinstance(design, RVReducer) and path.partition(".")[2] in AGREE:
+            origin, said = "follows from teeth and module", ""
+        elif path == "cranks.circle_radius":
+            origin, said = "follows: the centre distance", ""
+        else:
+            origin, said = "default", ""
+        found.append(Number(path, value, about["unit"], about["meaning"], origin, bool(catalogue.ASSUMED.search(said))))
+    return found
+
+
+def comments(text: str) -> dict[str, str]:
+    """The comment at each number of a design in a study file, by its path; that of its header if it says "assumed".
+
+    Args:
+        text: of the study.
+    """
+    found, section, heading = dict[str, str](), "", ""
+    for line in text.splitlines():
+        if header := re.match(r"\s*\[([^\]]*)\]\s*(?:#\s*(.*))?", line):
+            section, heading = header[1].strip(), header[2] or ""
+        elif section.split(".")[0] == "design" and (key := re.match(r"\s*([\w.-]+)\s*=[^#]*(?:#\s*(.*))?$", line)):
+            path = ".".join([*section.split(".")[1:], key[1]])
+            found[path] = "; ".join(filter(None, [key[2], heading if heading.startswith("assumed") else ""]))
+    return found
+
+
+def _fields(record: Any, prefix: str = "") -> Iterator[tuple[str, Any, Any]]:
+    for f in dataclasses.fields(record):
+        value, about = getattr(record, f.name), f.metadata
+        if about["kind"] == "record":
+            yield from _fields(value, f"{prefix}{f.name}.") if value is not None else ()
+        elif value is not None:
+            yield prefix + f.name, value, about
+
+
+def _same(value: Any, other: Any) -> bool:
+    return other is not None and bool((value == other) if not hasattr(value, "shape") else (value == other).all())
+
+
+def _at(record: Any, path: str) -> Any:
+    for name in path.split("."):
+        record = getattr(record, name, None)
+    return record
+
+
+def _given(table: Any, path: str) -> bool:
+    for name in path.split("."):
+        if not isinstance(table, dict) or name not in table:
+            return False
+        table = table[name]
+    return True

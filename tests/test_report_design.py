@@ -1,0 +1,87 @@
+"""Whose study it is, and where each number of its design comes from. Oracle: the files themselves, by eye."""
+
+import pytest
+
+from rvjax import catalogue, study
+from rvjax.report import design, text
+from rvjax.study.about import About
+
+HEAD = """
+[requirement.lost_motion]
+upper = "1 arcmin"
+[tolerances.pin_radius]
+half_width = "4 um"
+"""
+
+
+def asked(lines):
+    return study.parse_study(f"{lines}\n{HEAD}", name="x", solve=False)
+
+
+CHANGED = """[design]
+base = "rv-40e"
+involute.module = "2.5 mm"
+cycloid.eccentricity = "1.2 mm" # assumed, as in the older one
+[design.damping] # assumed: nobody measured it
+loss_factor = 0.04
+modal_ratio = 0.01 # of a tap test"""
+
+
+def test_a_number_comes_from_the_study_the_base_or_others():
+    found = {number.path: (number.origin, number.assumed) for number in asked(CHANGED).numbers}
+    assert found["involute.module"] == ("this study", False)
+    assert found["involute.sun_radius"] == ("follows from teeth and module", False)
+    assert found["cranks.circle_radius"] == ("follows: the centre distance", False)
+    assert found["cycloid.pin_count"] == ("rv-40e: Table 1", False)
+    assert found["cycloid.disc_count"] == ("rv-40e: assumed: usual layout, opposed discs", True)
+    assert found["cycloid.eccentricity"] == ("this study", True)
+    assert found["cycloid.force_angle"] == ("default", False)
+    assert found["damping.loss_factor"] == found["damping.modal_ratio"] == ("this study", True)
+    assert found["damping.rayleigh_mass"] == ("default", False)
+
+
+def test_a_part_of_which_all_is_assumed_is_named_as_one():
+    said = text.assumed_text(study.load("rv-40e-joint", solve=False))
+    assert said.endswith("cranks.bearing_stiffness, inertia, stiffness, damping")
+    assert "involute.pressure_angle, " in said
+
+
+def test_sources_are_whole_sentences():
+    shortening = catalogue.sources("rv-20e")["cycloid.shortening"]
+    assert shortening.endswith("the printed lost motion needs 0.72")  # goes on in a second line
+    assert catalogue.sources("rv-320e")["inertia.sun_mass"] == "Table 1"  # of the whole part
+    assert catalogue.citation("rv-320e").startswith("RV-320E: Yang, Chen, Wang") and catalogue.citation("x") == ""
+
+
+def test_the_section_shows_numbers_drawing_and_what_follows():
+    question = study.load("rv-40e", solve=False)
+    page = design.design_section(question)
+    for words in ("64 mm", "ratio", "105", "K1", "0.8125", "anonymous web article", "1.3 mm", "from"):
+        assert words in page, words
+    assert page.count("<img") == 1 and page.count("<strong>assumed</strong>") == 1 + len(question.assumed)
+    assert "2 cranks on a circle of 72 mm" in page and "40 pins of 6 mm" in page
+    assert "<img" not in design.design_section(study.load("corr", solve=False))  # nothing draws it
+
+
+def test_about_is_read_and_optional():
+    base = '[design]\nbase = "rv-40e"'
+    assert asked(base).about == About() and About().line() == ""
+    said = asked(f'[about]\ntitle = "Joint 3"\nauthor = " Ä. Muster "\nrevision = 4\n{base}').about
+    assert said == About("Joint 3", "Ä. Muster", "4")
+    assert said.line() == "Joint 3; Ä. Muster; revision 4"
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ('autor = "A"', "unknown key about.autor .did you mean author"),
+        ("revision = 1.2", "about.revision = 1.2: must be a text of one line"),
+        ("revision = true", "about.revision = True: must be a text"),
+        ('author = ""', "about.author = '': must be a text"),
+        (r'title = "a\nb"', "about.title = .*: must be a text of one line"),
+        (f'title = "{201 * "x"}"', "about.title = .*at most 200 characters"),
+    ],
+)
+def test_about_refuses_what_no_head_could_show(line, words):
+    with pytest.raises(study.StudyError, match=words):
+        asked(f'[about]\n{line}\n[design]\nbase = "rv-40e"')
