@@ -238,13 +238,13 @@ def _report(options: argparse.Namespace) -> int:
 def _budget(options: argparse.Namespace) -> int:
     from rvjax import study
     from rvjax.report import budget as written
-    from rvjax.report import text
+    from rvjax.report import folders
     from rvjax.study.values import quantity
     from rvjax.tolerances.atomic import check_writable
 
     question = study.load(options.study)
     loads = {torque: quantity(torque, "N m", "--torque") for torque in options.torque or ()}
-    folder = text.results_folder(options.results, f"{question.name}-budget")
+    folder = folders.results_folder(options.results, f"{question.name}-budget")
     check_writable(folder)
     _forewarn(question)
     found = study.error_budget(

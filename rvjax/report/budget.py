@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from rvjax.report import text
+from rvjax.report import folders, text
 from rvjax.report.pictures import Picture
 from rvjax.study.budget import LEVELS, Budget
 from rvjax.study.question import Study
@@ -167,7 +167,7 @@ def files(budget: Budget, study: Study) -> Iterator[tuple[str, bytes]]:
     yield "study.toml", study.text.encode()
     yield "summary.txt", (summary(budget) + "\n").encode()
     yield "result.json", json.dumps(as_json(budget, study), indent=1, allow_nan=False).encode()
-    yield "shares.csv", text.as_csv(*share_rows(budget))
+    yield "shares.csv", folders.as_csv(*share_rows(budget))
     yield "budget.csv", as_csv(budget).encode()
     yield "budget.png", picture(budget).content
 
@@ -183,4 +183,4 @@ def write(budget: Budget, study: Study, folder: str | Path) -> Path:
     Returns:
         The folder.
     """
-    return text.write_files(files(budget, study), Path(folder))
+    return folders.write_files(files(budget, study), Path(folder))

@@ -34,7 +34,7 @@ def tables(answer: Answer) -> Iterator[tuple[str, Rows]]:
 
 
 def _tolerances(answer: Answer) -> Rows:
-    """Limits and cost of each error, and of moved middles: before, after, and snapped to grades where that was asked."""
+    """Limits and cost of each error, and of moved middles: before, after, and snapped to grades where asked."""
     study, allocation = answer.study, answer.allocation
     graded = allocation.graded
     sides = [("before", study.tolerances, answer.before.cost), ("after", allocation.tolerances, answer.after.cost)]

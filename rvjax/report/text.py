@@ -10,6 +10,7 @@ import numpy as np
 
 import rvjax
 from rvjax.published import Comparison, show
+from rvjax.report import numbers
 from rvjax.study.answer import Answer
 from rvjax.study.question import Study
 from rvjax.tolerances import Estimate, Statistics, Verdict
