@@ -17,6 +17,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
+READING, WRITING = "reading the study", "tables and pictures"  # phases
 EXIT_OK, EXIT_NO_ANSWER, EXIT_BAD_INPUT = 0, 1, 2
 
 
@@ -194,13 +195,12 @@ def _allocate(options: argparse.Namespace) -> int:
     folder = folders.results_folder(options.results, asked.name)
     check_writable(folder)
     _forewarn(asked)
-    writing = "tables and pictures"
-    with phases.shown(check.phases_of(asked, writing), quiet=options.quiet):
-        phases.begin(check.READING)
+    with phases.shown(check.phases_of(asked, READING, WRITING), quiet=options.quiet):
+        phases.begin(READING)
         found = answer(study.load(options.study), progress=not options.quiet)
         if options.format == "text":  # before the folder is made: whatever fails there, the answer has been told
             _say(text.summary(found))
-        phases.begin(writing)
+        phases.begin(WRITING)
         folder = folders.write(found, folder)
     _tell(options, lambda: f"\nResults: {folder}", lambda: text.as_json(found) | {"results": str(folder)})
     return EXIT_OK if found.allocation.status == "OPTIMAL" else EXIT_NO_ANSWER
@@ -220,8 +220,8 @@ def _report(options: argparse.Namespace) -> int:
     check_writable(path)
     _forewarn(asked)
     sliders, writing = "numbers behind the sliders", "the page"
-    with phases.shown(check.phases_of(asked, sliders, writing), quiet=options.quiet):
-        phases.begin(check.READING)
+    with phases.shown(check.phases_of(asked, READING, sliders, writing), quiet=options.quiet):
+        phases.begin(READING)
         found = answer(study.load(options.study), progress=not options.quiet)
         phases.begin(sliders)
         moved = surrogate(found)
@@ -262,7 +262,6 @@ def _budget(options: argparse.Namespace) -> int:
 def _montecarlo(options: argparse.Namespace) -> int:
     from rvjax import phases
     from rvjax.report import batch as written
-    from rvjax.report import check
     from rvjax.study import batch
     from rvjax.tolerances.propagation.unit_file import ENDINGS, UnitFile
 
@@ -293,9 +292,9 @@ def _montecarlo(options: argparse.Namespace) -> int:
         batch.work(asked, address, int(number), int(processes), target)
         return EXIT_OK
     started, drawing = time.perf_counter(), "drawing units"
-    expected = {check.READING: 6.0, drawing: 0.0}  # each process of several has a line of its own
+    expected = {READING: 6.0, drawing: 0.0}  # each process of several has a line of its own
     with phases.shown(expected, counted=drawing, quiet=options.quiet or options.processes > 1):
-        phases.begin(check.READING)
+        phases.begin(READING)
         wanted = asked()
         question = wanted.study  # as it was read before the run: the file may change meanwhile
         _forewarn(question)
@@ -314,26 +313,30 @@ def _montecarlo(options: argparse.Namespace) -> int:
 
 
 def _identify(options: argparse.Namespace) -> int:
-    from rvjax import study
+    from rvjax import phases, study
     from rvjax.report import folders, identified_page
     from rvjax.report import identified as told
     from rvjax.study import identified, measured, problem
     from rvjax.tolerances.atomic import check_writable
 
-    question = study.load(options.study)
-    asked = problem.asked_of(question)
-    data = measured.read(options.data, asked.columns) if options.data else None
-    if options.check:
-        found = identified.check(question, data)
-    elif data is None:
-        raise ValueError("no data: name at least one CSV file, or ask with --check what a bench could tell apart")
-    else:
-        folder = folders.results_folder(options.results, question.name)
-        check_writable(folder)
-        found = identified.answer(question, data, draws=options.sample)
-        pictures = ((f"{picture.name}.png", picture.content) for picture in identified_page.pictures(found))
-        page = ("report.html", identified_page.page(found, options.study, options.data).encode())
-        folder = folders.write_files(told.files(found, options.data, (page, *pictures)), folder)
+    coming = (identified.SEEING, identified.RANKING) if options.check else (*identified.PHASES, WRITING)
+    with phases.shown(dict.fromkeys((READING, *coming), 0.0), quiet=options.quiet):
+        phases.begin(READING)
+        question = study.load(options.study)
+        asked = problem.asked_of(question)
+        data = measured.read(options.data, asked.columns) if options.data else None
+        if options.check:
+            found = identified.check(question, data)
+        elif data is None:
+            raise ValueError("no data: name at least one CSV file, or ask with --check what a bench could tell apart")
+        else:
+            folder = folders.results_folder(options.results, question.name)
+            check_writable(folder)
+            found = identified.answer(question, data, draws=options.sample)
+            phases.begin(WRITING)
+            pictures = ((f"{picture.name}.png", picture.content) for picture in identified_page.pictures(found))
+            page = ("report.html", identified_page.page(found, options.study, options.data).encode())
+            folder = folders.write_files(told.files(found, options.data, (page, *pictures)), folder)
     if options.json:
         print(json.dumps(told.as_json(found), indent=1, allow_nan=False))
     else:
@@ -412,37 +415,44 @@ def _tradeoff(options: argparse.Namespace) -> int:
 
 
 def _assemble(options: argparse.Namespace) -> int:
-    from rvjax import assembly, study
+    from rvjax import assembly, phases, study
     from rvjax.report import assembly as written
     from rvjax.report import folders
     from rvjax.study.assembly import bench
     from rvjax.study.prices import prices
     from rvjax.tolerances.atomic import check_writable
 
-    question = study.load(options.study)
-    folder = folders.results_folder(options.results, f"{question.name}-assembly")
-    check_writable(folder)
-    parts = bench(question, options.parts)
-    asked = question.assembly
-    found = assembly.plan(
-        parts.response,
-        parts.kinds,
-        objective=asked.objective,
-        requirement=parts.requirement,
-        draws=asked.draws,
-        certificate_draws=asked.certificate_draws,
-        seed=question.seed,
-    )
-    _say(written.summary(found, parts, question))
-    costs = prices(question, parts) if options.prices else []
-    _say(written.price_text(costs))
-    folder = written.write(found, parts, question, options.parts, folder, costs)
+    matching, pricing = "which part goes with which", "prices of tolerances"
+    coming = (matching, *([pricing] if options.prices else []), WRITING)
+    with phases.shown(dict.fromkeys((READING, *coming), 0.0), quiet=options.quiet):
+        phases.begin(READING)
+        question = study.load(options.study)
+        folder = folders.results_folder(options.results, f"{question.name}-assembly")
+        check_writable(folder)
+        parts = bench(question, options.parts)
+        asked = question.assembly
+        phases.begin(matching)
+        found = assembly.plan(
+            parts.response,
+            parts.kinds,
+            objective=asked.objective,
+            requirement=parts.requirement,
+            draws=asked.draws,
+            certificate_draws=asked.certificate_draws,
+            seed=question.seed,
+        )
+        _say(written.summary(found, parts, question))
+        phases.begin(pricing)
+        costs = prices(question, parts) if options.prices else []
+        _say(written.price_text(costs))
+        phases.begin(WRITING)
+        folder = written.write(found, parts, question, options.parts, folder, costs)
     _say(f"\nResults: {folder}")
     return EXIT_OK if found.status != "INFEASIBLE" else EXIT_NO_ANSWER
 
 
 def _compensate(options: argparse.Namespace) -> int:
-    from rvjax import study
+    from rvjax import phases, study
     from rvjax.report import compensation as written
     from rvjax.report import folders
     from rvjax.study.compensation import corrections
@@ -451,20 +461,25 @@ def _compensate(options: argparse.Namespace) -> int:
 
     if options.export is not None:
         written.check_export(options.export)
-    question = study.load(options.study)
-    folder = folders.results_folder(options.results, f"{question.name}-compensation")
-    check_writable(folder)
-    found = corrections(
-        question,
-        options.data,
-        angle_sd=quantity(options.angle_sd, "rad", "--angle-sd"),
-        count=options.count,
-        first_order=options.first_order,
-    )
-    points = options.points or written.POINTS
-    _say(written.summary(found, question, seed=question.seed))
-    tables = written.tables(found, points, options.side)
-    folder = written.write(found, tables, question, options.data, folder)
+    correcting = "orders of the curves"
+    with phases.shown(dict.fromkeys((READING, correcting, WRITING), 0.0), quiet=options.quiet):
+        phases.begin(READING)
+        question = study.load(options.study)
+        folder = folders.results_folder(options.results, f"{question.name}-compensation")
+        check_writable(folder)
+        phases.begin(correcting)
+        found = corrections(
+            question,
+            options.data,
+            angle_sd=quantity(options.angle_sd, "rad", "--angle-sd"),
+            count=options.count,
+            first_order=options.first_order,
+        )
+        points = options.points or written.POINTS
+        _say(written.summary(found, question, seed=question.seed))
+        phases.begin(WRITING)
+        tables = written.tables(found, points, options.side)
+        folder = written.write(found, tables, question, options.data, folder)
     for path in written.export_all(found, tables, options.export, question.seed) if options.export else ():
         _say(f"Table: {path}")
     _say(f"\nResults: {folder}")

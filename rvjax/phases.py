@@ -14,7 +14,8 @@ from typing import TextIO
 
 TICK = 0.5  # s between two looks of a terminal
 TRUSTED = 15.0  # s of what is expected: a phase of a second tells nothing of the pace
-STILL = 20.0  # s after which a file or pipe, which has no line to write over, hears of the same phase again
+HEARD = 4.0  # s after which a file or pipe, which has no line to write over, hears of a phase: bad input ends before
+STILL = 20.0  # s after which it hears of the same phase again
 
 
 class Phases:
@@ -47,7 +48,9 @@ class Phases:
         with self._lock:
             self._end()
             self.name, self.since, self.note, self.part = name, time.monotonic(), "", 0.0
-            self._show()
+            self.said = self.since - STILL + HEARD
+            if self.terminal:
+                self._show()
 
     def detail(self, note: str, part: float = 0.0) -> None:
         """What the phase does now, for the next look at it.

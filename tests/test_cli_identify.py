@@ -91,7 +91,7 @@ def answered(here):
 
 
 def run(capsys, *arguments):
-    code = cli.main(["identify", *arguments])
+    code = cli.main(["identify", *arguments, "--quiet"])
     said = capsys.readouterr()
     return code, said.out, said.err
 

@@ -20,7 +20,6 @@ from rvjax.study.question import Study
 SEARCH = 160  # passes over the learning sample
 CERTIFICATES = 9  # and one of the tolerances before
 CHUNK = 32_768  # units at once
-READING = "reading the study"
 
 
 def choices(question: Study) -> dict[str, Choice]:
@@ -147,23 +146,24 @@ def expected(question: Study) -> str:
     )
 
 
-def phases_of(question: Study, *after: str) -> dict[str, float]:
+def phases_of(question: Study, before: str, *after: str) -> dict[str, float]:
     """Seconds of each phase of an answer, on the machine of the measured table, its compilation included.
 
     Args:
         question: the study.
+        before: the phase that reads it.
         after: phases that follow the answer.
     """
     unit = _unit_seconds(question) or 0.0
     passes = SEARCH * question.samples
     expected = {
-        READING: 6.0,
+        before: 6.0,
         SEARCHING: 20.0 + unit * (0.5 * passes + (CERTIFICATES - 1) * question.certificate_samples),
         CERTIFYING: 1.0 + unit * question.certificate_samples,
-        SAMPLING: 8.0,
-        PRICING: 5.0 + unit * 0.5 * passes,
+        SAMPLING: 16.0,
+        PRICING: 12.0 + unit * 0.5 * passes,
     }
-    return expected | dict.fromkeys(after, 5.0)
+    return expected | dict.fromkeys(after, 10.0)
 
 
 def _unit_seconds(question: Study) -> float | None:

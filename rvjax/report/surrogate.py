@@ -216,8 +216,8 @@ def _calibrated(
     certificate: Statistics,
     failed: float,
 ) -> np.ndarray:
-    """Weights nearest to the given ones with which mean, sd and yield of each response are the certificate's."""
-    rows, wanted = [np.ones(len(weights))], [1.0]
+    """Weights nearest to the given ones with which mean, sd and yields, the joint one too, are the certificate's."""
+    rows, wanted, anywhere = [np.ones(len(weights))], [1.0], np.zeros(len(weights), bool)
     for name, values in base.items():
         mean, sd = certificate.mean[name].value, certificate.sd[name].value
         if not sd > 0:
@@ -230,6 +230,11 @@ def _calibrated(
         if isinstance(share, Estimate) and 0 < outside.mean() < 1:
             rows.append(outside.astype(float))
             wanted.append(1 - share.value / (1 - failed))
+            anywhere |= outside
+    joint = certificate.joint_yield
+    if joint is not None and 0 < anywhere.mean() < 1 and all(item.of_units for item in requirements.values()):
+        rows.append(anywhere.astype(float))
+        wanted.append(1 - joint.value / (1 - failed))
     weights, a = weights / weights.sum(), np.stack(rows)
     prices = np.linalg.lstsq((a * weights) @ a.T, np.array(wanted) - a @ weights, rcond=1e-10)[0]
     moved = weights * (1 + prices @ a)

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from rvjax import identify
+from rvjax import identify, phases
 from rvjax.study.bench import order_name
 from rvjax.study.measured import Measured, Run
 from rvjax.study.problem import Problem, Wide, problem, wide
@@ -18,6 +18,8 @@ POINTS = 181  # of the drawn curve
 PITCHES = 3  # of the ring that a curve is drawn over
 WITHOUT = 1e-4
 """Resolution below which the data say nothing of an element."""
+
+PHASES = SEEING, FITTING, RANKING = ("what the data can tell apart", "most probable values", "what to measure next")
 
 
 @dataclass(frozen=True)
@@ -92,6 +94,7 @@ def check(study: Study, measured: Measured | None = None) -> Identified:
     Raises:
         ValueError: as `problem`.
     """
+    phases.begin(SEEING)
     asked = problem(study, measured)
     everything = wide(asked)
     return Identified(asked, _seen(asked, everything), gains=_gains(asked, everything, None))
@@ -108,9 +111,11 @@ def answer(study: Study, measured: Measured, *, draws: bool = False) -> Identifi
     Raises:
         ValueError: as `problem`; draws of a batch.
     """
+    phases.begin(SEEING)
     asked = problem(study, measured)
     everything = wide(asked)
     seen = _seen(asked, everything)
+    phases.begin(FITTING)
     options: dict[str, Any] = dict(noise=asked.noise, nuisance=asked.nuisance, seed=study.seed)
     if len(asked.units) > 1 or asked.asked.shared:
         if draws:
@@ -137,6 +142,7 @@ def _seen(asked: Problem, everything: Wide) -> identify.Identifiability:
 
 def _gains(asked: Problem, everything: Wide, given: identify.Posterior | None) -> dict[str, float]:
     """What each candidate would add, best first: to the posterior, or to the runs that stand in the question."""
+    phases.begin(RANKING)
     if not everything.added or (given is not None and not given.modes):
         return {}
     noise = everything.again if given is not None else everything.added | {"": everything.noise}
