@@ -144,7 +144,8 @@ def _init(options: argparse.Namespace) -> int:
         raise ValueError(f"{options.file}: exists already; name a new file")
     check_writable(path)
     write_atomically(path, template.written(options.base).encode("utf-8"))
-    _say(f"{options.file}: a study of the {options.base} to change. Next: rvjax check {options.file}")
+    said = f"{options.file}: a study of the {options.base} to change. Next: rvjax check {options.file}"
+    _tell(options, lambda: said, lambda: {"study": options.file, "base": options.base})
     return EXIT_OK
 
 
@@ -160,12 +161,17 @@ def _check(options: argparse.Namespace) -> int:
     return EXIT_OK
 
 
-def _tell(options: argparse.Namespace, text: Callable[[], str], data: Callable[[], dict[str, Any]]) -> None:
-    """The result on standard output, as the option asks: for a person, or as one JSON object and nothing else."""
-    if options.format == "json":
+def _tell(options: argparse.Namespace, text: Callable[[], str], data: Callable[[], dict[str, Any] | list[Any]]) -> None:
+    """The result on standard output, as the option asks: for a person, or as one JSON value and nothing else."""
+    if _for_machines(options):
         print(json.dumps(data(), indent=1, allow_nan=False))
     else:
         _say(text())
+
+
+def _for_machines(options: argparse.Namespace) -> bool:
+    """Whether `--format json`, or the older `--json` of a command where it names no file, was given."""
+    return options.format == "json" or getattr(options, "json", None) is True
 
 
 def _forewarn(question: Any) -> None:
@@ -230,8 +236,11 @@ def _report(options: argparse.Namespace) -> int:
     if not given:
         path = folders.new_folder(path.parent) / path.name
     write_atomically(path, content)
-    _say(text.headline(found))
-    _say(f"Report: {path}")
+    _tell(
+        options,
+        lambda: f"{text.headline(found)}\nReport: {path}",
+        lambda: text.as_json(found) | {"report": str(path)},
+    )
     return EXIT_OK if found.allocation.status == "OPTIMAL" else EXIT_NO_ANSWER
 
 
@@ -337,12 +346,8 @@ def _identify(options: argparse.Namespace) -> int:
             pictures = ((f"{picture.name}.png", picture.content) for picture in identified_page.pictures(found))
             page = ("report.html", identified_page.page(found, options.study, options.data).encode())
             folder = folders.write_files(told.files(found, options.data, (page, *pictures)), folder)
-    if options.json:
-        print(json.dumps(told.as_json(found), indent=1, allow_nan=False))
-    else:
-        _say(told.summary(found))
-        if not options.check:
-            _say(f"\nResults: {folder}")
+    after = "" if options.check else f"\n\nResults: {folder}"
+    _tell(options, lambda: told.summary(found) + after, lambda: told.as_json(found))
     return EXIT_NO_ANSWER if found.adequate is False else EXIT_OK
 
 
@@ -388,10 +393,7 @@ def _reproduce(options: argparse.Namespace) -> int:
     from rvjax.report import text
 
     rows = published.reproduce(say=lambda text: print(text, file=sys.stderr, flush=True))
-    if options.json:
-        print(json.dumps([row.as_json() for row in rows], indent=1, allow_nan=False))
-    else:
-        print(text.comparison_table(rows, notes=options.notes))
+    _tell(options, lambda: text.comparison_table(rows, notes=options.notes), lambda: [row.as_json() for row in rows])
     return EXIT_OK
 
 
@@ -441,13 +443,15 @@ def _assemble(options: argparse.Namespace) -> int:
             certificate_draws=asked.certificate_draws,
             seed=question.seed,
         )
-        _say(written.summary(found, parts, question))
+        if options.format == "text":
+            _say(written.summary(found, parts, question))
         phases.begin(pricing)
         costs = prices(question, parts) if options.prices else []
-        _say(written.price_text(costs))
         phases.begin(WRITING)
         folder = written.write(found, parts, question, options.parts, folder, costs)
-    _say(f"\nResults: {folder}")
+    after = f"{written.price_text(costs)}\n\nResults: {folder}"
+    data = written.as_json(found, parts, question, costs) | {"results": str(folder)}
+    _tell(options, lambda: after, lambda: data)
     return EXIT_OK if found.status != "INFEASIBLE" else EXIT_NO_ANSWER
 
 
@@ -476,11 +480,12 @@ def _compensate(options: argparse.Namespace) -> int:
             first_order=options.first_order,
         )
         points = options.points or written.POINTS
-        _say(written.summary(found, question, seed=question.seed))
+        if options.format == "text":
+            _say(written.summary(found, question, seed=question.seed))
         phases.begin(WRITING)
         tables = written.tables(found, points, options.side)
         folder = written.write(found, tables, question, options.data, folder)
-    for path in written.export_all(found, tables, options.export, question.seed) if options.export else ():
-        _say(f"Table: {path}")
-    _say(f"\nResults: {folder}")
+    paths = [str(p) for p in written.export_all(found, tables, options.export, question.seed)] if options.export else []
+    data = written.as_json(found, tables, question) | {"tables": paths, "results": str(folder)}
+    _tell(options, lambda: "\n".join([*(f"Table: {path}" for path in paths), f"\nResults: {folder}"]), lambda: data)
     return EXIT_OK

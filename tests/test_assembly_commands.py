@@ -92,6 +92,12 @@ def test_a_list_of_parts_becomes_a_list_for_the_bench(files, capsys):
     result = json.loads((folder / "result.json").read_text())
     assert result["status"] == "OPTIMAL" and result["seed"] == 0
     assert result["values"] == pytest.approx(expected.values.tolist(), rel=1e-12)
+    output = question.output(found.name).shown
+    told = [float(row[f"expected {found.name} [{output[0]}]"]) * output[1] for row in rows]
+    assert told == pytest.approx(result["values"], rel=1e-9)
+    assert cli.main(["assemble", "my.toml", "parts.csv", "--format", "json"]) == 0
+    again = json.loads(capsys.readouterr().out)
+    assert again.pop("results") == "results/my-assembly-2" and again == result
 
 
 def test_prices_with_and_without_matching_are_drawn_and_told():
@@ -199,6 +205,13 @@ def test_a_measured_curve_becomes_a_table(files, capsys):
     left = error + np.interp(np.radians(angle), rows.angle, rows.correction) / RATIO / arcsec
     first = 20 * np.cos(np.radians(angle) + 1)
     assert np.std(left - first) == pytest.approx(0.5, rel=0.1)
+    assert cli.main(["compensate", "my.toml", "curve.csv", "--export", "t.json", "--format", "json"]) == 0
+    again = json.loads(capsys.readouterr().out)
+    assert again.pop("tables") == ["t.json"] and again.pop("results") == "results/my-compensation-2"
+    assert again == json.loads((files / "results" / "my-compensation" / "result.json").read_text())
+    with (files / "results" / "my-compensation" / "orders.csv").open(newline="") as file:
+        orders = {int(row["order"]): row for row in csv.DictReader(file)}
+    assert float(orders[39]["amplitude [arcsec]"]) == pytest.approx(ORDERS[39], abs=0.2)
     assert "3 39 78" in said and (files / "results" / "my-compensation" / "curve.png").is_file()
     with_first = corrections(study.load("my.toml"), "curve.csv", first_order=True, count=1).curves[0]
     assert with_first.correction.order.tolist() == [1]

@@ -13,6 +13,7 @@ import re
 import shutil
 import subprocess
 import sys
+import tomllib
 from importlib import resources
 from pathlib import Path
 
@@ -24,7 +25,7 @@ import rvjax
 import rvjax.report.surrogate
 import rvjax.report.worst_units
 import rvjax.study.answer
-from rvjax import cli
+from rvjax import cli, published
 from rvjax.report import again, folders, page, text
 from rvjax.study.about import About
 from rvjax.tolerances.propagation.moments import CentralMoments
@@ -539,6 +540,20 @@ def test_version_and_module_entry():
     command = [sys.executable, "-m", "rvjax", "--version"]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     assert done.stdout.strip() == f"rvjax {rvjax.__version__}"
+
+
+def test_every_command_answers_machines(here, capsys, monkeypatch):
+    """`--format json` everywhere; the older `--json` of two commands says the same."""
+    about = tomllib.loads((resources.files("rvjax") / "cli.toml").read_text())["command"]
+    for name, command in about.items():
+        assert command["options"]["--format"]["choices"] == ["text", "json"], name
+    assert cli.main(["init", "new.toml", "--base", "rv-80e", "--format", "json"]) == 0
+    assert json.loads(capsys.readouterr().out) == {"study": "new.toml", "base": "rv-80e"}
+    row = published.Comparison("a.b", "", 2.0, 2.0, "mm", "reproduced", "")
+    monkeypatch.setattr(published, "reproduce", lambda say: [row])
+    for option in (["--json"], ["--format", "json"]):
+        assert cli.main(["reproduce", *option]) == 0
+        assert json.loads(capsys.readouterr().out) == [row.as_json()]
 
 
 def test_help_names_every_command(capsys):

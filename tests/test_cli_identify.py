@@ -3,6 +3,7 @@
 The data are virtual units of `four_bar.revolution` itself, laid out along the turn of the output by hand.
 """
 
+import csv
 import json
 
 import jax
@@ -132,6 +133,19 @@ def test_what_is_seen_is_said_in_words(answered):
     assert "The data say nothing of pin_radius" in text and "Measure next:" in text
 
 
+def test_the_table_of_elements_holds_numbers(answered):
+    _, out, result = answered
+    with (out / "elements.csv").open(newline="") as file:
+        rows = {row["element"]: row for row in csv.DictReader(file)}
+    assert rows.keys() == result["value"].keys()
+    for name, row in rows.items():
+        size = {"um": um, "arcmin": deg / 60, "arcsec": deg / 3600}[row["unit"]]
+        for key in ("value", "lower", "upper"):
+            assert float(row[key]) * size == pytest.approx(result[key][name], rel=1e-9, abs=1e-20)
+        assert float(row["known better by"]) == pytest.approx(max(result["resolution"][name], 0.0), rel=1e-9)
+        assert float(row["chance beyond limit"]) == pytest.approx(result["broken"].get(name, 0.0), rel=1e-9)
+
+
 def test_the_folder_holds_page_tables_and_pictures(answered):
     _, out, _ = answered
     names = {"report.html", "summary.txt", "result.json", "elements.csv", "study.toml"}
@@ -169,7 +183,7 @@ def test_a_curve_that_no_part_can_make_is_rejected(here, capsys):
     (here / "odd.csv").write_text(
         table([(more, "forward"), ((back[0], back[1] + 60 * np.cos(80 * back[0] * deg)), "backward")])
     )
-    code, out, _ = run(capsys, "unit.toml", "odd.csv", "--json", "--results", "odd")
+    code, out, _ = run(capsys, "unit.toml", "odd.csv", "--format", "json", "--results", "odd")
     found = json.loads(out)
     assert code == 1 and found["status"] == "REJECTED" and found["adequate"] is False
     assert found["fit"]["p_model"] < 1e-3 and any("080" in name for name in found["fit"]["worst"])
@@ -199,11 +213,15 @@ def test_several_units_share_a_question(here, capsys):
         cells = [value[f"crank_eccentricity[{i},{j}]"] for i, j in np.ndindex(2, 2)]
         bound = 4 * 4 * catalogue.RV_40E.cranks.circle_radius * NOISE / np.sqrt(4)
         assert abs(cells[0] - cells[1] - cells[2] + cells[3] - scale * KNOWN * um) < bound
-    assert (
-        (here / "lot" / "units.csv")
-        .read_text()
-        .startswith("unit,status,p model,p prior,bearing_clearance\nA,CONVERGED")
-    )
+    with (here / "lot" / "units.csv").open(newline="") as file:
+        rows = {row.pop("unit"): row for row in csv.DictReader(file)}
+    assert [rows[name].pop("status") for name in "ABC"] == ["CONVERGED"] * 3
+    for name, row in rows.items():
+        numbers = {key: float(cell) for key, cell in row.items()}  # every cell is a number, its unit in the header
+        for key, end in (("value", ""), ("lower", " lower"), ("upper", " upper")):
+            expected = found["units"][name][key]["bearing_clearance"] / um
+            assert numbers[f"bearing_clearance{end} [um]"] == pytest.approx(expected, rel=1e-9)
+        assert numbers["p model"] == pytest.approx(found["units"][name]["fit"]["p_model"], rel=1e-9)
 
 
 @pytest.mark.parametrize(

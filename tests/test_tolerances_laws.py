@@ -221,12 +221,16 @@ def test_study_files_read_every_parameter(tmp_path):
     np.testing.assert_allclose(_tolerance(limits | dict(values=column), "m", where).law.values, [-1e-6, 2.5e-6])
     file.write_text("deviation\n2.5\n-1\n", "utf-8-sig")  # as Excel begins a file
     np.testing.assert_allclose(_tolerance(limits | dict(values=column), "m", where).law.values, [-1e-6, 2.5e-6])
+    file.write_text("Teil;Abmaß [µm]\nA;2,5\nB;\nC;-1,0\n", "utf-8-sig")  # a part that was not measured
+    german = dict(file=str(file), column="Abmaß")
+    np.testing.assert_allclose(_tolerance(limits | dict(values=german), "m", where).law.values, [-1e-6, 2.5e-6])
+    file.write_text("deviation\n2.5\n-1\n")
     plain = dict(half_width=3, distribution="empirical", values=column | dict(unit="-"))
     np.testing.assert_allclose(_tolerance(plain, "-", where).law.values, [-1.0, 2.5])
     file.write_text("part,deviation\nA,2.5\nB,-1\n")
     for change, message in [
-        (dict(column="x"), r"values.column = 'x': .* has part, deviation"),
-        (dict(column="part"), "something there that is no number"),
+        (dict(column="x"), r"columns.values = 'x': no column of the file; it has part, deviation"),
+        (dict(column="part"), "row 2, values = 'A': must be a number in um"),
         (dict(unit="furlong"), r"values.unit = 'furlong': is not one of"),
         (dict(file="absent.csv"), r"values.file = 'absent.csv': cannot be read"),
     ]:

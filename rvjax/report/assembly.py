@@ -84,8 +84,8 @@ def build_rows(plan: Plan, bench: Bench, study: Study) -> tuple[list[str], list[
             row.append(str(parts[slot]))
             if bench.kinds[slot].indices > 1:
                 row.append(position(study.design, slot, index[slot]))
-        rows.append([*row, f"{value / size:.4g}"])
-    return [*headers, f"expected {bench.name} ({unit})"], rows
+        rows.append([*row, f"{value / size:.10g}"])
+    return [*headers, f"expected {bench.name} [{unit}]"], rows
 
 
 def position(design: Any, slot: str, index: int) -> str:
@@ -118,6 +118,20 @@ def price_text(prices: Sequence[Price]) -> str:
     return "\n" + table(headers, rows)
 
 
+def as_json(plan: Plan, bench: Bench, study: Study, prices: Sequence[Price] = ()) -> dict[str, Any]:
+    """Everything about a plan as JSON values, SI, with seed and versions.
+
+    Args:
+        plan: found.
+        bench: parts.
+        study: question.
+        prices: of tolerances alone and with matching.
+    """
+    about: dict[str, Any] = {"study": study.name, "response": bench.name, "seed": study.seed, "versions": versions()}
+    found = {f.name: getattr(plan, f.name) for f in dataclasses.fields(plan)}
+    return plain(about | {"requirement": bench.requirement, "prices": prices} | found)
+
+
 def write(plan: Plan, bench: Bench, study: Study, source: str, folder: Path, prices: Sequence[Price] = ()) -> Path:
     """Write list, summary, JSON, study, parts and pictures into a new folder.
 
@@ -135,12 +149,7 @@ def write(plan: Plan, bench: Bench, study: Study, source: str, folder: Path, pri
         shutil.copyfile(source, scratch / "parts.csv")
         (scratch / "summary.txt").write_text(summary(plan, bench, study) + "\n" + price_text(prices), "utf-8")
         (scratch / "build.csv").write_bytes(as_csv(*build_rows(plan, bench, study)))
-        found = {f.name: getattr(plan, f.name) for f in dataclasses.fields(plan)}
-        about: dict[str, Any] = {"study": study.name, "response": bench.name, "seed": study.seed}
-        about["versions"] = versions()
-        text = json.dumps(
-            plain(about | {"requirement": bench.requirement, "prices": prices} | found), indent=1, allow_nan=False
-        )
+        text = json.dumps(as_json(plan, bench, study, prices), indent=1, allow_nan=False)
         (scratch / "result.json").write_text(text, "utf-8")
         (scratch / "units.png").write_bytes(_picture(plan, bench, study))
         if prices:

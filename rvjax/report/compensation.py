@@ -6,6 +6,7 @@ import re
 import shutil
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -135,6 +136,32 @@ def _mounting(curve: Curve) -> tuple[np.ndarray, str]:
     return np.real(first * np.exp(1j * curve.angle)), "Error without order 1, and its correction"
 
 
+def as_json(found: Corrections, tables: Sequence[Table], study: Study) -> dict[str, Any]:
+    """Everything about corrections as JSON values, SI, with seed and versions.
+
+    Args:
+        found: curves and corrections.
+        tables: of each curve.
+        study: question.
+    """
+    curves = [
+        {
+            "torque": curve.torque,
+            "direction": curve.direction,
+            "order": curve.correction.order,
+            "value": [[v.real, v.imag] for v in curve.correction.value.tolist()],
+            "before_rms": curve.correction.before_rms,
+            "residual_rms": curve.correction.residual_rms,
+            "noise_sd": curve.found.residual_sd,
+            "error_bound": rows.error_bound,
+            "predicted": predicted(curve.correction, seed=study.seed),
+        }
+        for curve, rows in zip(found.curves, tables)
+    ]
+    about = {"study": study.name, "seed": study.seed, "versions": versions()}
+    return plain(about | {"ratio": found.curves[0].correction.ratio, "curves": curves})
+
+
 def write(found: Corrections, tables: Sequence[Table], study: Study, source: str, folder: Path) -> Path:
     """Write summary, orders, tables, JSON, data and pictures into a new folder.
 
@@ -150,31 +177,16 @@ def write(found: Corrections, tables: Sequence[Table], study: Study, source: str
         (scratch / "study.toml").write_text(study.text, "utf-8")
         shutil.copyfile(source, scratch / "data.csv")
         (scratch / "summary.txt").write_text(summary(found, study, seed=study.seed) + "\n", "utf-8")
-        headers = ["curve", "order", "amplitude (arcsec)", "phase (deg)", "sd (arcsec)", "gain stored"]
+        headers = ["curve", "order", "amplitude [arcsec]", "phase [deg]", "sd [arcsec]", "gain stored"]
         cells = []
         for curve in found.curves:
             gains = dict(zip(curve.correction.order.tolist(), curve.correction.gain))
             given = curve.correction
             for order, value, sd in zip(given.given_order.tolist(), given.given_value, given.sd):
                 numbers = [abs(value) / arcsec, math.degrees(np.angle(value)), sd / arcsec, gains.get(order, 0.0)]
-                cells.append([curve.label, str(order), *(f"{number:.4g}" for number in numbers)])
+                cells.append([curve.label, str(order), *(f"{number:.10g}" for number in numbers)])
         (scratch / "orders.csv").write_bytes(as_csv(headers, cells))
-        about = {"study": study.name, "seed": study.seed, "versions": versions()}
-        curves = [
-            {
-                "torque": curve.torque,
-                "direction": curve.direction,
-                "order": curve.correction.order,
-                "value": [[v.real, v.imag] for v in curve.correction.value.tolist()],
-                "before_rms": curve.correction.before_rms,
-                "residual_rms": curve.correction.residual_rms,
-                "noise_sd": curve.found.residual_sd,
-                "error_bound": rows.error_bound,
-                "predicted": predicted(curve.correction, seed=study.seed),
-            }
-            for curve, rows in zip(found.curves, tables)
-        ]
-        text = json.dumps(plain(about | {"ratio": found.curves[0].correction.ratio, "curves": curves}), indent=1)
+        text = json.dumps(as_json(found, tables, study), indent=1, allow_nan=False)
         (scratch / "result.json").write_text(text, "utf-8")
         for number, (curve, rows) in enumerate(zip(found.curves, tables), 1):
             end = f"-{number}" if len(found.curves) > 1 else ""

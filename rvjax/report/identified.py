@@ -296,10 +296,12 @@ def files(answer: Identified, data: Sequence[str], more: Iterable[tuple[str, byt
         data: names of the data files.
         more: page and pictures.
     """
+    from rvjax.report import identified_numbers  # reads the units of this module
+
     yield "study.toml", answer.study.text.encode()
     yield "summary.txt", (summary(answer) + "\n").encode()
     yield "result.json", json.dumps(as_json(answer) | {"data": list(data)}, indent=1, allow_nan=False).encode()
-    yield "elements.csv", as_csv(*element_rows(answer))
+    yield "elements.csv", as_csv(*identified_numbers.element_numbers(answer))
     if answer.batch is not None:
-        yield "units.csv", as_csv(*unit_rows(answer))
+        yield "units.csv", as_csv(*identified_numbers.unit_numbers(answer))
     yield from more

@@ -34,7 +34,7 @@ def tables(answer: Answer) -> Iterator[tuple[str, Rows]]:
 
 
 def _tolerances(answer: Answer) -> Rows:
-    """Limits and cost of each error, and of moved middles: before, after, and snapped to grades where asked."""
+    """Limits and cost of each error, and of moved middles: before, after, and snapped to grades if asked."""
     study, allocation = answer.study, answer.allocation
     graded = allocation.graded
     sides = [("before", study.tolerances, answer.before.cost), ("after", allocation.tolerances, answer.after.cost)]
@@ -45,7 +45,7 @@ def _tolerances(answer: Answer) -> Rows:
     for field in study.fields:
         unit, size = readable(study.unit(field))
         limits = (getattr(getattr(found, field), end) for _, found, _ in sides for end in ("lower", "upper"))
-        row: list[Cell] = [field, unit, *(_number(limit, size) for limit in limits)]
+        row: list[Cell] = [field, unit, *(number(limit, size) for limit in limits)]
         row += [costs.get(field) for _, _, costs in sides]
         rows.append(row + ([(graded.grades or {}).get(field)] if graded else []))
     if price := moved(allocation):
@@ -64,7 +64,7 @@ def _influence(answer: Answer) -> Rows:
             unit, size = study.output(name).shown
             slope, share = side.sensitivities[name][field], side.shares[name][field]
             seen = slope != 0 or share != 0
-            found = (_number(slope * error_size, size), _number(share)) if seen else (None, None)
+            found = (number(slope * error_size, size), number(share)) if seen else (None, None)
             rows.append([field, name, found[0], f"{unit}/{error_unit}", found[1]])
     return ["error", "response", "slope", "unit of the slope", "share of variance"], rows
 
@@ -80,19 +80,24 @@ def _requirements(answer: Answer) -> Rows:
         unit, size = answer.study.output(name).shown
         sides = [answer.certificate_before.verdicts[name], allocation.certificate.verdicts[name]]
         of_response = sides[0].kind == "response"
-        row: list[Cell] = [name, unit, _number(requirement.lower, size), _number(requirement.upper, size)]
+        row: list[Cell] = [name, unit, number(requirement.lower, size), number(requirement.upper, size)]
         row += [requirement.text(), unit if of_response else "-"]
         for verdict in sides:
             row += _figure(verdict, size if of_response else 1.0)
-        rows.append([*row, "yes" if sides[1].met else "no", _number(allocation.multipliers[name] * size)])
+        rows.append([*row, "yes" if sides[1].met else "no", number(allocation.multipliers[name] * size)])
     return [*headers, "met after", "shadow price per unit"], rows
 
 
 def _figure(verdict: Verdict, size: float) -> list[Cell]:
-    return [_number(getattr(verdict.estimate, name), size) for name in ("value", "lower", "upper")]
+    return [number(getattr(verdict.estimate, name), size) for name in ("value", "lower", "upper")]
 
 
-def _number(value: Any, size: float = 1.0) -> float | None:
-    """To ten digits, in a unit of this size; None for what is not finite."""
-    number = float(value) / size
-    return float(f"{number:.10g}") if math.isfinite(number) else None
+def number(value: Any, size: float = 1.0) -> float | None:
+    """To ten digits, in a unit of this size; None for what is not finite.
+
+    Args:
+        value: SI.
+        size: of the unit.
+    """
+    found = float(value) / size
+    return float(f"{found:.10g}") if math.isfinite(found) else None

@@ -11,6 +11,7 @@ from rvjax.tolerances.allocation.cost_curve import CostCurve, cost_curve
 from rvjax.tolerances.allocation.middles import Middle
 from rvjax.tolerances.distribution.grades import it_width
 from rvjax.tolerances.distribution.tolerance import Tolerance
+from rvjax.tolerances.population.measured import MeasuredColumn, MeasuredParts, measured
 from rvjax.tolerances.population.sampling import for_design, sample
 from rvjax.tolerances.propagation.estimates import Estimate
 from rvjax.tolerances.propagation.failure import FailureProbability, failure_probability
@@ -41,6 +42,8 @@ __all__ = [
     "FailureProbability",
     "Linearised",
     "MeanWithin",
+    "MeasuredColumn",
+    "MeasuredParts",
     "Middle",
     "Moments",
     "MultiFidelity",
@@ -64,6 +67,7 @@ __all__ = [
     "it_width",
     "linearised",
     "load",
+    "measured",
     "monte_carlo",
     "multi_fidelity",
     "origin",

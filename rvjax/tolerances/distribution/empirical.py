@@ -1,7 +1,5 @@
 """Measured parts: an error that follows the values someone has measured."""
 
-import csv
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -9,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import ndtr
 
+from rvjax.columns import read_table
 from rvjax.records import Scalar, concrete, field, is_concrete, record
 from rvjax.tolerances.distribution.law import IN_ERROR_UNIT, Law, Moments, bad
 from rvjax.units import KNOWN
@@ -19,7 +18,8 @@ class Empirical(Law):
     """Measured values: the k-th of n stands for the share (k - 1/2)/n, linear between them (Hazen 1914).
 
     The values need not keep within the limits. Another half-width scales them about the middle of the limits.
-    In a study file, `values` is a list of texts with units, or {file = "...", column = "...", unit = "..."}.
+    In a study file, `values` is a list of texts with units, or {file = "...", column = "...", unit = "..."}; no unit is
+    needed where the header of the column says it.
     """
 
     name = "empirical"
@@ -67,30 +67,21 @@ class Empirical(Law):
 
     @classmethod
     def parsed(cls, key: str, value: Any, unit: str) -> Any:
-        """Values from a list, or from a column of a CSV file."""
+        """Values from a list, or from a column of a CSV file, whose header may say the unit."""
         if not isinstance(value, dict):
             if not isinstance(value, list):
                 raise ValueError(f"{key} = {value!r}: must be a list, or a table of file, column and unit")
             return super().parsed(key, value, unit)
-        if set(value) != {"file", "column", "unit"} or not all(isinstance(item, str) for item in value.values()):
+        if not {"file", "column"} <= set(value) <= {"file", "column", "unit"} or not all(
+            isinstance(item, str) for item in value.values()
+        ):
             raise ValueError(f"{key}: give file, column and unit as texts, not {', '.join(value)}")
         units = {"-": 1.0} if unit == "-" else KNOWN[unit]
-        if value["unit"] not in units:
+        if "unit" in value and value["unit"] not in units:
             raise ValueError(f"{key}.unit = {value['unit']!r}: is not one of {', '.join(units)}")
-        return _column(Path(value["file"]), value["column"]) * units[value["unit"]]
-
-
-def _column(path: Path, column: str) -> np.ndarray:
-    """Numbers of a column of a CSV file with a line of names."""
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            rows = list(csv.DictReader(file))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise ValueError(f"values.file = {str(path)!r}: cannot be read ({error})") from None
-    if not rows or column not in rows[0]:
-        have = ", ".join(map(str, rows[0])) if rows else "no rows"
-        raise ValueError(f"values.column = {column!r}: {path} has {have}")
-    try:
-        return np.array([float(row[column]) for row in rows])
-    except (TypeError, ValueError):
-        raise ValueError(f"values.column = {column!r}: {path} has something there that is no number") from None
+        column = {name: value[name] for name in ("column", "unit") if name in value}
+        try:
+            read = read_table(value["file"], {key: column}, units={key: units}).numbers[key]
+        except OSError as error:
+            raise ValueError(f"{key}.file = {value['file']!r}: cannot be read ({error})") from None
+        return read[~np.isnan(read)]  # an empty cell is a part that was not measured
