@@ -207,6 +207,7 @@ def _report(options: argparse.Namespace) -> int:
     from rvjax.report import page, text
     from rvjax.report.surrogate import surrogate
     from rvjax.study.answer import answer
+    from rvjax.study.budget import budget_if_any
     from rvjax.tolerances.atomic import check_writable, write_atomically
 
     _check_files(options, output=".html")
@@ -216,7 +217,8 @@ def _report(options: argparse.Namespace) -> int:
     check_writable(path)
     _forewarn(question)
     found = answer(question, progress=not options.quiet)
-    content = page.page(found, options.study, surrogate(found)).encode("utf-8")
+    owners = budget_if_any(question, found.allocation.tolerances)
+    content = page.page(found, options.study, surrogate(found), owners).encode("utf-8")
     if not given:
         path = text.new_folder(path.parent) / path.name
     write_atomically(path, content)
@@ -234,6 +236,8 @@ def _budget(options: argparse.Namespace) -> int:
 
     question = study.load(options.study)
     loads = {torque: quantity(torque, "N m", "--torque") for torque in options.torque or ()}
+    if len(set(loads.values())) < len(options.torque or ()):
+        raise ValueError(f"--torque {', '.join(options.torque)}: each torque once")
     folder = text.results_folder(options.results, f"{question.name}-budget")
     check_writable(folder)
     _forewarn(question)

@@ -15,7 +15,7 @@ import pytest
 from rvjax import RVErrors, four_bar, plotting
 from rvjax.errors import STAGES
 from rvjax.report import budget as written
-from rvjax.study import error_budget, parse_study
+from rvjax.study import budget, error_budget, parse_study
 from rvjax.tolerances.population.population import Population, drawn, root_key
 from rvjax.units import arcsec
 
@@ -67,6 +67,7 @@ def test_shares_are_those_of_the_linear_response(question, found):
     np.testing.assert_allclose(found.orders, 40 * np.arange(8))
     assert found.torque == pytest.approx({"loaded": 412.0, "unloaded": 0.412})
     assert found.failed == {"loaded": 0, "unloaded": 0}
+    assert all(0 < share < 2e-3 for share, _ in found.together.values())  # nearly linear
     half = np.where(np.arange(8) > 0, 0.5, 1.0)
     for name in ("crank_eccentricity", "disc_bore", "carrier_bore"):
         moved = np.tensordot(getattr(slopes, name), np.asarray(other[name] - one[name]), np.ndim(one[name]) - 1)
@@ -76,6 +77,35 @@ def test_shares_are_those_of_the_linear_response(question, found):
         whole = half[1:, None] * 0.5 * np.sum(moved**2, axis=0)[1:]
         assert found.error["loaded"][name] == pytest.approx(whole.sum(0).std() / np.sqrt(UNITS), rel=5e-3)
     assert not found.variance["loaded"]["pin_radius"].any()  # of the flank, which the linkage does not know
+
+
+def test_what_errors_do_together_is_bounded(monkeypatch):
+    """Oracle: f = a x + b y + c x y + d x y z of normal numbers has the variance a^2 + b^2 + c^2 + d^2, of which c^2 +
+    d^2 is together; the bound counts a term of three twice. Five standard errors."""
+    a, b, places = 2.0, 1.0, {name: slice(k, k + 1) for k, name in enumerate("xyz")}
+
+    def share(c, d, count=20_000):
+        def solve(z):
+            x, y, z = np.asarray(z)
+            wave = a * x + b * y + c * x * y + d * x * y * z
+            return np.stack([np.full_like(x, 7.0), 1j * wave], axis=1)
+
+        load = budget._of_load(solve, lambda first, *, count: draws[:, first : first + count], places, count)
+        assert load.total[1] == pytest.approx(0.5 * (a**2 + b**2 + c**2 + d**2), rel=5 * np.sqrt(20 / count))
+        assert load.failed == 0 and load.alike[0] == pytest.approx(49.0)
+        return load.together
+
+    monkeypatch.setattr(budget, "BLOCK", 20_000)
+    draws = jnp.asarray(np.random.default_rng(3).standard_normal((3, 41_000)))
+    assert share(0.0, 0.0)[0] < 1e-28
+    for c, d, due in ((0.5, 0.0, 0.25 / 5.25), (0.0, 0.5, 2 * 0.25 / 5.25)):
+        found, error = share(c, d)
+        assert 0 < error < 0.1 * due and abs(found - due) < 5 * error
+
+
+def test_a_batch_in_which_nothing_can_be_solved_has_no_budget(question):
+    with pytest.raises(ValueError, match="study x, strange, nan N m: none of 32 units can be solved"):
+        error_budget(question, samples=UNITS, seed=7, loads={"strange": float("nan")})
 
 
 def test_fields_add_up_to_parts_and_stages(found):
@@ -126,6 +156,20 @@ def test_text_csv_and_picture(question, found, tmp_path):
         ("angles", "angles", dict(output="lost_motion"), "no response required here has a curve"),
     ],
 )
+def test_blocks_of_units_change_nothing(question, monkeypatch):
+    def solve(z):
+        return np.stack([np.asarray(z).sum(0), np.asarray(z).prod(0) + 1j], axis=1)
+
+    draws = jnp.asarray(np.random.default_rng(0).standard_normal((2, 100)))
+    places = {"x": slice(0, 1), "y": slice(1, 2)}
+    found = []
+    for block in (40, 16):
+        monkeypatch.setattr(budget, "BLOCK", block)
+        found.append(budget._solved(solve, lambda first, *, count: draws[:, first : first + count], places, 40))
+    jax.tree.map(np.testing.assert_array_equal, *found)
+    assert found[0][0].shape == (40, 2)
+
+
 def test_what_cannot_be_budgeted_is_refused(old, new, options, words):
     with pytest.raises(ValueError, match=words):
         error_budget(parse_study(TEXT.replace(old, new), name="x", solve=False), **options)

@@ -17,6 +17,7 @@ import numpy as np
 import rvjax
 from rvjax import levels, models
 from rvjax.plotting.style import words
+from rvjax.report import budget as owned
 from rvjax.report import live
 from rvjax.report import text as tables
 from rvjax.report.pictures import Picture, pictures
@@ -24,6 +25,7 @@ from rvjax.report.surrogate import Surrogate
 from rvjax.report.worst_units import WorstUnit, worst_units
 from rvjax.status import MEANING, Status
 from rvjax.study.answer import Answer, shown_values
+from rvjax.study.budget import Budget
 from rvjax.units import readable
 
 SHARE_SHOWN = 0.01  # of the variance: errors below it are not listed for a worst unit
@@ -32,19 +34,21 @@ NOT_SEEN = f'<span class="none">{tables.UNMOVED}</span>'
 EMPTY, NIL = ("", "-", ZERO, NOT_SEEN), ' class="nil"'  # cells that a narrow screen leaves out
 
 
-def page(answer: Answer, source: str, surrogate: Surrogate | None = None) -> str:
+def page(answer: Answer, source: str, surrogate: Surrogate | None = None, budget: Budget | None = None) -> str:
     """The whole page.
 
     Args:
         answer: what to show.
         source: study file or name, as given on the command line.
         surrogate: of the answer, for a section with sliders; None: a page without.
+        budget: of the allocated tolerances, for a section on who owns the error; None: a page without.
     """
     drawn = {picture.name: picture for picture in pictures(answer, "svg")}
     style = (resources.files("rvjax.report") / "report.css").read_text("utf-8")
     name = escape(answer.study.name)
     answered = [_requirements(answer, drawn), _tolerances(answer, drawn), live.section(surrogate, answer)]
-    explained = [_influence(answer, drawn), _worst(answer, drawn), _levels(answer), _origin(answer, source)]
+    owners = [_owners(budget)] if budget is not None else []
+    explained = [_influence(answer, drawn), *owners, _worst(answer, drawn), _levels(answer), _origin(answer, source)]
     body = "\n".join([_head(answer), *answered, *explained])
     return (
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
@@ -153,6 +157,20 @@ def _influence(answer: Answer, drawn: dict[str, Picture]) -> str:
         f"<p>{escape(tables.UNMOVED)}: {escape(tables.UNMOVED_MEANS)}.</p>"
     )
     return section("Which error matters", text + table(headers, cells) + figure(drawn["variance_shares"]))
+
+
+def _owners(budget: Budget) -> str:
+    headers, rows = owned.share_rows(budget)
+    parts = [[escape(row[0]), *map(_typeset, row[2:])] for row in rows if row[1] == "part"]
+    spread = [k for k, header in enumerate(headers[2:], 1) if not header.endswith("+-")]
+    kept = [[row[0], *(row[k] for k in spread)] for row in parts]
+    lines = "".join(f"<p>{escape(line)}.</p>" for line in owned.load_lines(budget))
+    text = (
+        f"<p>{escape(budget.title)}, with the tolerances after: of {budget.samples:,} units, by how much its waves "
+        "change when one error is drawn anew.</p>"
+    )
+    cells = table(["part", *(headers[k + 1] for k in spread)], kept)
+    return section("Who owns the error", text + figure(owned.picture(budget, "svg")) + lines + cells)
 
 
 def _worst(answer: Answer, drawn: dict[str, Picture]) -> str:
