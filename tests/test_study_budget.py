@@ -103,6 +103,20 @@ def test_what_errors_do_together_is_bounded(monkeypatch):
         assert 0 < error < 0.1 * due and abs(found - due) < 5 * error
 
 
+def test_blocks_of_units_change_nothing(question, monkeypatch):
+    def solve(z):
+        return np.stack([np.asarray(z).sum(0), np.asarray(z).prod(0) + 1j], axis=1)
+
+    draws = jnp.asarray(np.random.default_rng(0).standard_normal((2, 100)))
+    places = {"x": slice(0, 1), "y": slice(1, 2)}
+    found = []
+    for block in (40, 16):
+        monkeypatch.setattr(budget, "BLOCK", block)
+        found.append(budget._solved(solve, lambda first, *, count: draws[:, first : first + count], places, 40))
+    jax.tree.map(np.testing.assert_array_equal, *found)
+    assert found[0][0].shape == (40, 2)
+
+
 def test_a_batch_in_which_nothing_can_be_solved_has_no_budget(question):
     with pytest.raises(ValueError, match="study x, strange, nan N m: none of 32 units can be solved"):
         error_budget(question, samples=UNITS, seed=7, loads={"strange": float("nan")})
@@ -156,20 +170,6 @@ def test_text_csv_and_picture(question, found, tmp_path):
         ("angles", "angles", dict(output="lost_motion"), "no response required here has a curve"),
     ],
 )
-def test_blocks_of_units_change_nothing(question, monkeypatch):
-    def solve(z):
-        return np.stack([np.asarray(z).sum(0), np.asarray(z).prod(0) + 1j], axis=1)
-
-    draws = jnp.asarray(np.random.default_rng(0).standard_normal((2, 100)))
-    places = {"x": slice(0, 1), "y": slice(1, 2)}
-    found = []
-    for block in (40, 16):
-        monkeypatch.setattr(budget, "BLOCK", block)
-        found.append(budget._solved(solve, lambda first, *, count: draws[:, first : first + count], places, 40))
-    jax.tree.map(np.testing.assert_array_equal, *found)
-    assert found[0][0].shape == (40, 2)
-
-
 def test_what_cannot_be_budgeted_is_refused(old, new, options, words):
     with pytest.raises(ValueError, match=words):
         error_budget(parse_study(TEXT.replace(old, new), name="x", solve=False), **options)
