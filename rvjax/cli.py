@@ -336,7 +336,7 @@ def _compare(options: argparse.Namespace) -> int:
     if len(results) == 2:
         told, data = f"{told}\n\n{compare.text(*results)}", compare.compared(*results)
     if options.on is not None:
-        question = study.load(options.on)
+        question = study.load(options.on, solve=False)  # a unit that fails counts among the others
         answers = {letter: crossed.answered(path) for letter, path in paths.items()}
         _forewarn(question)
         found = {letter: judge(question, one, samples=options.samples) for letter, (_, one) in answers.items()}

@@ -6,15 +6,18 @@ derivatives times the differences of the very errors that were drawn.
 
 import csv
 import io
+import json
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rvjax import RVErrors, four_bar, plotting
+from rvjax import RVErrors, cli, four_bar, plotting, study
 from rvjax.errors import STAGES
 from rvjax.report import budget as written
+from rvjax.report import page
 from rvjax.study import budget, error_budget, parse_study
 from rvjax.tolerances.population.population import Population, drawn, root_key
 from rvjax.units import arcsec
@@ -159,6 +162,42 @@ def test_text_csv_and_picture(question, found, tmp_path):
     shown = np.sort(found.total["loaded"][1:])[-8:], np.sort(found.total["unloaded"][1:])[-8:]
     assert tops == pytest.approx(sum(np.sqrt(x).sum() for x in shown) / arcsec)
     assert (folder / "budget.png").stat().st_size > 10_000
+
+
+def test_the_command_writes_a_folder(found, tmp_path, monkeypatch, capsys):
+    """Of the study's own torque, named by hand."""
+    monkeypatch.chdir(tmp_path)
+    Path("x.toml").write_text(TEXT)
+    asked = ["budget", "x.toml", "--samples", str(UNITS), "--seed", "7"]
+    assert cli.main([*asked, "--torque", "412 N m", "--torque", "0.412 N m", "--format", "json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    folder = tmp_path / told.pop("results")
+    assert folder.name == "x-budget" and json.loads((folder / "result.json").read_text()) == told
+    assert {file.name for file in folder.iterdir()} == {
+        "study.toml", "summary.txt", "result.json", "shares.csv", "budget.csv", "budget.png"
+    }  # fmt: skip
+    assert told["torque"] == {"412 N m": 412.0, "0.412 N m": 0.412} and told["unit"] == "rad"
+    due = found.shares("part", "loaded")
+    assert told["shares"]["part"]["412 N m"] == {name: pytest.approx(share) for name, share in due.items()}
+    assert cli.main([*asked, "--torque", "412 N m", "--torque", "0.412 kN m"]) == 2
+    assert "--torque 412 N m, 0.412 kN m: each torque once" in capsys.readouterr().err
+    assert cli.main([*asked, "--torque", "412"]) == 2
+    assert "--torque = '412': unit '' is not one of" in capsys.readouterr().err
+
+
+def test_the_report_says_who_owns_the_error(found):
+    html = page._owners(found)
+    share = found.shares("part", "unloaded")["cranks"]
+    assert f"{100 * share:.1f}" in html and "<svg" not in html and "data:image/svg+xml" in html
+    assert "412 N m" in html and "at most" in html and "Who owns the error" in html
+
+
+def test_which_studies_have_a_budget(question, monkeypatch):
+    monkeypatch.setattr(budget, "error_budget", lambda one, *, tolerances: one.name)
+    asked = [study.load(name, solve=False) for name in ("rv-40e", "rv-40e-whole", "corr")]
+    still = parse_study(TEXT.replace('"412 N m"', '"0 N m"'), name="still", solve=False)
+    found = [budget.budget_if_any(one) for one in (*asked, question, still)]
+    assert found == ["rv-40e", "rv-40e-whole", None, "x", None]
 
 
 @pytest.mark.parametrize(
