@@ -217,6 +217,7 @@ def _report(options: argparse.Namespace) -> int:
     from rvjax.report import check, folders, page, text
     from rvjax.report.surrogate import surrogate
     from rvjax.study.answer import answer
+    from rvjax.study.budget import budget_if_any
     from rvjax.tolerances.atomic import check_writable, write_atomically
 
     _check_files(options, output=".html")
@@ -231,8 +232,9 @@ def _report(options: argparse.Namespace) -> int:
         found = answer(study.load(options.study), progress=not options.quiet)
         phases.begin(sliders)
         moved = surrogate(found)
+        owners = budget_if_any(asked, found.allocation.tolerances)
         phases.begin(writing)
-        content = page.page(found, options.study, moved, date=time.strftime("%Y-%m-%d")).encode("utf-8")
+        content = page.page(found, options.study, moved, owners, date=time.strftime("%Y-%m-%d")).encode("utf-8")
     if not given:
         path = folders.new_folder(path.parent) / path.name
     write_atomically(path, content)
@@ -253,6 +255,8 @@ def _budget(options: argparse.Namespace) -> int:
 
     question = study.load(options.study)
     loads = {torque: quantity(torque, "N m", "--torque") for torque in options.torque or ()}
+    if len(set(loads.values())) < len(options.torque or ()):
+        raise ValueError(f"--torque {', '.join(options.torque)}: each torque once")
     folder = folders.results_folder(options.results, f"{question.name}-budget")
     check_writable(folder)
     _forewarn(question)
@@ -367,7 +371,7 @@ def _compare(options: argparse.Namespace) -> int:
     if len(results) == 2:
         told, data = f"{told}\n\n{compare.text(*results)}", compare.compared(*results)
     if options.on is not None:
-        question = study.load(options.on)
+        question = study.load(options.on, solve=False)  # a unit that fails counts among the others
         answers = {letter: crossed.answered(path) for letter, path in paths.items()}
         _forewarn(question)
         found = {letter: judge(question, one, samples=options.samples) for letter, (_, one) in answers.items()}

@@ -6,16 +6,19 @@ derivatives times the differences of the very errors that were drawn.
 
 import csv
 import io
+import json
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rvjax import RVErrors, four_bar, plotting
+from rvjax import RVErrors, cli, four_bar, plotting, study
 from rvjax.errors import STAGES
 from rvjax.report import budget as written
-from rvjax.study import error_budget, parse_study
+from rvjax.report import page
+from rvjax.study import budget, error_budget, parse_study
 from rvjax.tolerances.population.population import Population, drawn, root_key
 from rvjax.units import arcsec
 
@@ -67,6 +70,7 @@ def test_shares_are_those_of_the_linear_response(question, found):
     np.testing.assert_allclose(found.orders, 40 * np.arange(8))
     assert found.torque == pytest.approx({"loaded": 412.0, "unloaded": 0.412})
     assert found.failed == {"loaded": 0, "unloaded": 0}
+    assert all(0 < share < 2e-3 for share, _ in found.together.values())  # nearly linear
     half = np.where(np.arange(8) > 0, 0.5, 1.0)
     for name in ("crank_eccentricity", "disc_bore", "carrier_bore"):
         moved = np.tensordot(getattr(slopes, name), np.asarray(other[name] - one[name]), np.ndim(one[name]) - 1)
@@ -76,6 +80,49 @@ def test_shares_are_those_of_the_linear_response(question, found):
         whole = half[1:, None] * 0.5 * np.sum(moved**2, axis=0)[1:]
         assert found.error["loaded"][name] == pytest.approx(whole.sum(0).std() / np.sqrt(UNITS), rel=5e-3)
     assert not found.variance["loaded"]["pin_radius"].any()  # of the flank, which the linkage does not know
+
+
+def test_what_errors_do_together_is_bounded(monkeypatch):
+    """Oracle: f = a x + b y + c x y + d x y z of normal numbers has the variance a^2 + b^2 + c^2 + d^2, of which c^2 +
+    d^2 is together; the bound counts a term of three twice. Five standard errors."""
+    a, b, places = 2.0, 1.0, {name: slice(k, k + 1) for k, name in enumerate("xyz")}
+
+    def share(c, d, count=20_000):
+        def solve(z):
+            x, y, z = np.asarray(z)
+            wave = a * x + b * y + c * x * y + d * x * y * z
+            return np.stack([np.full_like(x, 7.0), 1j * wave], axis=1)
+
+        load = budget._of_load(solve, lambda first, *, count: draws[:, first : first + count], places, count)
+        assert load.total[1] == pytest.approx(0.5 * (a**2 + b**2 + c**2 + d**2), rel=5 * np.sqrt(20 / count))
+        assert load.failed == 0 and load.alike[0] == pytest.approx(49.0)
+        return load.together
+
+    monkeypatch.setattr(budget, "BLOCK", 20_000)
+    draws = jnp.asarray(np.random.default_rng(3).standard_normal((3, 41_000)))
+    assert share(0.0, 0.0)[0] < 1e-28
+    for c, d, due in ((0.5, 0.0, 0.25 / 5.25), (0.0, 0.5, 2 * 0.25 / 5.25)):
+        found, error = share(c, d)
+        assert 0 < error < 0.1 * due and abs(found - due) < 5 * error
+
+
+def test_blocks_of_units_change_nothing(question, monkeypatch):
+    def solve(z):
+        return np.stack([np.asarray(z).sum(0), np.asarray(z).prod(0) + 1j], axis=1)
+
+    draws = jnp.asarray(np.random.default_rng(0).standard_normal((2, 100)))
+    places = {"x": slice(0, 1), "y": slice(1, 2)}
+    found = []
+    for block in (40, 16):
+        monkeypatch.setattr(budget, "BLOCK", block)
+        found.append(budget._solved(solve, lambda first, *, count: draws[:, first : first + count], places, 40))
+    jax.tree.map(np.testing.assert_array_equal, *found)
+    assert found[0][0].shape == (40, 2)
+
+
+def test_a_batch_in_which_nothing_can_be_solved_has_no_budget(question):
+    with pytest.raises(ValueError, match="study x, strange, nan N m: none of 32 units can be solved"):
+        error_budget(question, samples=UNITS, seed=7, loads={"strange": float("nan")})
 
 
 def test_fields_add_up_to_parts_and_stages(found):
@@ -115,6 +162,42 @@ def test_text_csv_and_picture(question, found, tmp_path):
     shown = np.sort(found.total["loaded"][1:])[-8:], np.sort(found.total["unloaded"][1:])[-8:]
     assert tops == pytest.approx(sum(np.sqrt(x).sum() for x in shown) / arcsec)
     assert (folder / "budget.png").stat().st_size > 10_000
+
+
+def test_the_command_writes_a_folder(found, tmp_path, monkeypatch, capsys):
+    """Of the study's own torque, named by hand."""
+    monkeypatch.chdir(tmp_path)
+    Path("x.toml").write_text(TEXT)
+    asked = ["budget", "x.toml", "--samples", str(UNITS), "--seed", "7"]
+    assert cli.main([*asked, "--torque", "412 N m", "--torque", "0.412 N m", "--format", "json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    folder = tmp_path / told.pop("results")
+    assert folder.name == "x-budget" and json.loads((folder / "result.json").read_text()) == told
+    assert {file.name for file in folder.iterdir()} == {
+        "study.toml", "summary.txt", "result.json", "shares.csv", "budget.csv", "budget.png"
+    }  # fmt: skip
+    assert told["torque"] == {"412 N m": 412.0, "0.412 N m": 0.412} and told["unit"] == "rad"
+    due = found.shares("part", "loaded")
+    assert told["shares"]["part"]["412 N m"] == {name: pytest.approx(share) for name, share in due.items()}
+    assert cli.main([*asked, "--torque", "412 N m", "--torque", "0.412 kN m"]) == 2
+    assert "--torque 412 N m, 0.412 kN m: each torque once" in capsys.readouterr().err
+    assert cli.main([*asked, "--torque", "412"]) == 2
+    assert "--torque = '412': unit '' is not one of" in capsys.readouterr().err
+
+
+def test_the_report_says_who_owns_the_error(found):
+    html = page._owners(found)
+    share = found.shares("part", "unloaded")["cranks"]
+    assert f"{100 * share:.1f}" in html and "<svg" not in html and "data:image/svg+xml" in html
+    assert "412 N m" in html and "at most" in html and "Who owns the error" in html
+
+
+def test_which_studies_have_a_budget(question, monkeypatch):
+    monkeypatch.setattr(budget, "error_budget", lambda one, *, tolerances: one.name)
+    asked = [study.load(name, solve=False) for name in ("rv-40e", "rv-40e-whole", "corr")]
+    still = parse_study(TEXT.replace('"412 N m"', '"0 N m"'), name="still", solve=False)
+    found = [budget.budget_if_any(one) for one in (*asked, question, still)]
+    assert found == ["rv-40e", "rv-40e-whole", None, "x", None]
 
 
 @pytest.mark.parametrize(

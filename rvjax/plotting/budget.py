@@ -32,9 +32,10 @@ def error_budget(budget: Budget, *, orders: int = 8) -> Figure:
                 box = dict(facecolor="white", edgecolor="none", pad=1.0, alpha=0.85)
                 above.text(start + share / 2, row, f"{share:.0f}", ha="center", va="center", bbox=box, fontsize=9)
         left += width
-    above.set_yticks(rows, [f"{words(load)}\n{budget.torque[load]:.4g} N m" for load in loads])
+    names = {load: f"{budget.torque[load]:.4g} N m" for load in loads}
+    above.set_yticks(rows, [name if load == name else f"{words(load)}\n{name}" for load, name in names.items()])
     above.invert_yaxis()
-    above.set(xlabel="share of the variance (%)", xlim=(0, 100), title="Who owns the transmission error")
+    above.set(xlabel="share of the variance (%)", xlim=(0, 100), title=f"Who owns it: {budget.title}")
     above.grid(axis="y", visible=False)
     above.legend(loc="upper center", bbox_to_anchor=(0.5, -0.32), ncols=4)
     largest = np.max([budget.total[load] for load in loads], axis=0)[1:]

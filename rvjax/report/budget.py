@@ -16,6 +16,7 @@ from rvjax.study.question import Study
 from rvjax.units import KNOWN, arcsec
 
 ORDERS_SHOWN = 8  # of the output turn, the largest
+NOTHING = 1e-20  # of the mean square: rounding
 
 
 def read_in(budget: Budget) -> tuple[str, float]:
@@ -40,7 +41,11 @@ def share_rows(budget: Budget) -> tuple[list[str], list[list[str]]]:
                 whole = sum(float(values[1:].sum()) for values in sums[load].values())
                 rms = np.sqrt(sums[load][name][1:].sum())
                 off = f"{100 * budget.error[load][name] / whole:.1f}" if level == "field" and whole > 0 else ""
-                row += [f"{rms / size:.3g}", f"{100 * shares[load][name]:.1f}", off]
+                row += [
+                    f"{rms / size:.3g}" if rms**2 > NOTHING * whole else "0",
+                    f"{100 * shares[load][name]:.1f}",
+                    off,
+                ]
             rows.append(row)
     return headers, rows
 
@@ -72,25 +77,32 @@ def largest_orders(budget: Budget, shown: int | None) -> list[int]:
 
     Args:
         budget: the error budget.
-        shown: how many; None for all.
+        shown: how many, without those of rounding alone; None for all.
     """
     size = np.max([total for total in budget.total.values()], axis=0)[1:]
-    return sorted(1 + np.argsort(-size, kind="stable")[: len(size) if shown is None else shown])
+    order = 1 + np.argsort(-size, kind="stable")
+    return sorted(order if shown is None else [k for k in order[:shown] if size[k - 1] > NOTHING * size.sum()])
+
+
+def load_names(budget: Budget) -> dict[str, str]:
+    """The loads for a person, with their torque, which may be the name already."""
+    shown = {load: f"{torque:.4g} N m" for load, torque in budget.torque.items()}
+    return {load: name if load == name else f"{load}, {name}" for load, name in shown.items()}
 
 
 def load_lines(budget: Budget) -> list[str]:
     """Under each load: how much varies, what errors do together, which no share knows, and units that failed."""
     unit, size = read_in(budget)
     lines = []
-    for load, torque in budget.torque.items():
+    for load, name in load_names(budget).items():
         share, error = (100 * figure for figure in budget.together[load])
         spread = np.sqrt(budget.total[load][1:].sum()) / size
         parts = sum(values[1:].sum() for values in budget.variance[load].values())
         sums = 100 * parts / budget.total[load][1:].sum() if spread > 0 else 100.0
         lines.append(
-            f"{load}, {torque:.4g} N m: {spread:.3g} {unit} rms over units and angles; {share:.0f} +- {error:.0f} % of "
-            f"its square are errors together, which linear shares do not know; the shares of single errors, whatever "
-            f"they do with others included, sum to {sums:.0f} %"
+            f"{name}: {spread:.3g} {unit} rms over units and angles; at most {share:.2g} +- {error:.1g} % of its "
+            f"square are errors together, which no linear share knows; single errors, each with its part in that, sum "
+            f"to {sums:.0f} %"
             + (
                 f"; {budget.failed[load]} of {budget.samples} units failed and are left out"
                 if budget.failed[load]

@@ -14,6 +14,7 @@ import numpy as np
 import rvjax
 from rvjax import levels, models
 from rvjax.plotting.style import words
+from rvjax.report import budget as owned
 from rvjax.report import live
 from rvjax.report import text as tables
 from rvjax.report.design import design_section
@@ -23,28 +24,39 @@ from rvjax.report.surrogate import Surrogate
 from rvjax.report.worst_units import WorstUnit, worst_units
 from rvjax.status import MEANING, Status
 from rvjax.study.answer import Answer, shown_values
+from rvjax.study.budget import Budget
 from rvjax.study.question import Study
 from rvjax.units import readable
 
 SHARE_SHOWN = 0.01  # of the variance: errors below it are not listed for a worst unit
 
 
-def page(answer: Answer, source: str, surrogate: Surrogate | None = None, *, date: str = "") -> str:
+def page(
+    answer: Answer,
+    source: str,
+    surrogate: Surrogate | None = None,
+    budget: Budget | None = None,
+    *,
+    date: str = "",
+) -> str:
     """The whole page.
 
     Args:
         answer: what to show.
         source: study file or name, as given on the command line.
         surrogate: of the answer, for a section with sliders; None: a page without.
+        budget: of the allocated tolerances, for a section on who owns the error; None: a page without.
         date: on which it was computed; "" leaves it out.
     """
     drawn = {picture.name: picture for picture in pictures(answer, "svg")}
     style = (resources.files("rvjax.report") / "report.css").read_text("utf-8")
     title = escape(answer.study.about.title or f"{answer.study.name}: tolerances")
     answered = [_requirements(answer, drawn), _tolerances(answer, drawn), live.section(surrogate, answer)]
+    owners = [_owners(budget)] if budget is not None else []
     explained = [
         design_section(answer.study),
         _influence(answer, drawn),
+        *owners,
         _worst(answer, drawn),
         _levels(answer),
         _origin(answer, source),
@@ -185,6 +197,20 @@ def _influence(answer: Answer, drawn: dict[str, Picture]) -> str:
         f"<p>{escape(tables.UNMOVED)}: {escape(tables.UNMOVED_MEANS)}.</p>"
     )
     return section("Which error matters", text + table(headers, cells) + figure(drawn["variance_shares"]))
+
+
+def _owners(budget: Budget) -> str:
+    headers, rows = owned.share_rows(budget)
+    parts = [[escape(row[0]), *map(typeset, row[2:])] for row in rows if row[1] == "part"]
+    spread = [k for k, header in enumerate(headers[2:], 1) if not header.endswith("+-")]
+    kept = [[row[0], *(row[k] for k in spread)] for row in parts]
+    lines = "".join(f"<p>{escape(line)}.</p>" for line in owned.load_lines(budget))
+    text = (
+        f"<p>{escape(budget.title)}, with the tolerances after: of {budget.samples:,} units, by how much its waves "
+        "change when one error is drawn anew.</p>"
+    )
+    cells = table(["part", *(headers[k + 1] for k in spread)], kept)
+    return section("Who owns the error", text + figure(owned.picture(budget, "svg")) + lines + cells)
 
 
 def _worst(answer: Answer, drawn: dict[str, Picture]) -> str:

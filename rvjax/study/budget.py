@@ -1,13 +1,16 @@
 """Who owns the error: the variance of a curve over units, by error, part and stage, and by order of the output turn.
 
 Every share is a total effect (Sobol): half the mean square by which a wave changes when one error is drawn anew and all
-others stay (Jansen, Comput. Phys. Commun. 117, 1999). No slope is taken, so kinks and play do no harm. What errors do
-alone comes from the same units and one batch more (Saltelli et al., Comput. Phys. Commun. 181, 2010); the rest of
-the variance belongs to errors together, and no share of slopes or of single errors knows it.
+others stay (Jansen, Comput. Phys. Commun. 117, 1999). No slope is taken, so kinks and play do no harm.
+
+What errors do together, no linear share knows. From a unit a to another one, b, a wave changes by what each error
+changes alone, and a rest R = f(b) - f(a) - sum_i (f(a with b_i) - f(a)), zero for every unit where errors only add up.
+Terms of the variance decomposition (ANOVA) of m errors, of variance V, are orthogonal at these points and leave
+E R^2 = (m^2 - m + 2) V: 4 V of pairs and more of others, so that E R^2 / 4 bounds what is together from above.
 """
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -18,7 +21,9 @@ import numpy as np
 
 from rvjax import models
 from rvjax.errors import STAGES
+from rvjax.outputs import Curve
 from rvjax.study.question import Study
+from rvjax.study.values import naming
 from rvjax.tolerances.population.population import Population, drawn, root_key
 
 UNLOADED = 1e-3  # of the torque: the limit of no load, as on a test bench
@@ -41,7 +46,7 @@ class Budget:
         variance: {load: {error: (k,) mean square that is gone from each wave when this error is held}}, unit squared.
         error: {load: {error: standard error of the sum of its variances}}.
         total: {load: (k,) variance of each wave over the units}. The shares sum to more where errors act together.
-        together: {load: (share of the variance that no error has alone, its standard error)}.
+        together: {load: (share of the variance that errors have together, at most, its standard error)}.
         alike: {load: (k,) mean square of each wave that all units have in common}, of the design and its load.
         part: {error: part of the machine}.
         samples: units, of which `failed` have no curve and are left out.
@@ -129,7 +134,10 @@ def error_budget(
     places = _places(population)
     about = {f.name: f.metadata for f in dataclasses.fields(study.design.error_record)}
     solve = partial(_waves, curve.evaluate, given, name, study.design, population)
-    found = {load: _of_load(partial(solve, torque), draw, places, samples) for load, torque in loads.items()}
+    found = {}
+    for load, torque in loads.items():
+        with naming(f"study {study.name}, {load}, {torque:g} N m"):
+            found[load] = _of_load(partial(solve, torque), draw, places, samples)
     waves = len(next(iter(found.values())).total)
     assert curve.turns is not None
     return Budget(
@@ -141,6 +149,20 @@ def error_budget(
         samples=samples,
         **{f.name: {load: getattr(one, f.name) for load, one in found.items()} for f in dataclasses.fields(_Load)},
     )
+
+
+def budget_if_any(study: Study, tolerances: Any = None) -> Budget | None:
+    """The budget of a study that has one: a torque, and a response with a curve along the output.
+
+    Args:
+        study: as in `error_budget`.
+        tolerances: the same.
+    """
+    if _curve_along(study, tuple(study.requirements)) is None or not getattr(
+        study.conditions, torque_condition(study.conditions)
+    ):
+        return None
+    return error_budget(study, tolerances=tolerances)
 
 
 def torque_condition(given: Any) -> str:
@@ -169,26 +191,22 @@ def _of_load(solve: Solve, draw: Callable[..., jax.Array], places: Mapping[str, 
     good = np.isfinite(one).all(1) & np.isfinite(other).all(1)
     for values in changed.values():
         good &= np.isfinite(values).all(1)
-    one, other, count = one[good], other[good], max(1, int(good.sum()))
+    if not good.any():
+        raise ValueError(f"none of {samples} units can be solved")
+    one, other, count = one[good], other[good], int(good.sum())
     waves = np.where(np.arange(one.shape[1]) > 0, 0.5, 1.0)  # mean square of a wave of amplitude 1
     moved = {field: values[good] - one for field, values in changed.items()}
     square = {field: 0.5 * waves * np.abs(values) ** 2 for field, values in moved.items()}
     mean = one.sum(0) / count
     total = waves * (np.abs(one - mean) ** 2).sum(0) / max(1, count - 1)
-    # By unit: what errors do alone, and the variance, whose ratio is the additive share.
-    centred = other - other.sum(0) / count
-    alone = (waves * np.real(np.conj(centred) * sum(moved.values())))[:, 1:].sum(1) if moved else np.zeros(count)
-    both = 0.5 * (waves * (np.abs(one - mean) ** 2 + np.abs(centred) ** 2))[:, 1:].sum(1)
-    whole = both.mean() if good.any() else 0.0
-    share = alone.mean() / whole if whole > 0 else 1.0
-    spread = float((alone - share * both).std() / (whole * np.sqrt(count))) if whole > 0 else 0.0
+    rest = 0.25 * (waves * np.abs(other - one - sum(moved.values())) ** 2)[:, 1:].sum(1)
+    whole = total[1:].sum()
+    share, spread = (float(x / whole) if whole > 0 else 0.0 for x in (rest.sum() / count, rest.std() / np.sqrt(count)))
     return _Load(
         variance={field: values.sum(0) / count for field, values in square.items()},
-        error={
-            field: float(v[:, 1:].sum(1).std() / np.sqrt(count)) if good.any() else 0.0 for field, v in square.items()
-        },
+        error={field: float(v[:, 1:].sum(1).std() / np.sqrt(count)) for field, v in square.items()},
         total=total,
-        together=(float(1 - share), spread),
+        together=(share, spread),
         alike=waves * np.abs(mean) ** 2,
         failed=int(samples - good.sum()),
     )
@@ -204,20 +222,24 @@ def _solved(
         own, other = (draw(first + start, count=block) for start in (0, samples))
         batches = [own, other, *(own.at[place].set(other[place]) for place in places.values())]
         parts.append([np.asarray(solve(batch))[: samples - first] for batch in batches])
-    one, other, *changed = (np.concatenate(values) for values in zip(*parts))
-    return one, other, dict(zip(places, changed))
+    one, another, *changed = (np.concatenate(values) for values in zip(*parts))
+    return one, another, dict(zip(places, changed))
 
 
-def _curve(study: Study, output: str | None) -> Any:
+def _curve(study: Study, output: str | None) -> Curve:
     """The curve along the output of one model."""
     if output is not None and output not in study.requirements:
         raise ValueError(f"output = {output!r}: must be one of {', '.join(study.requirements)}")
+    curve = _curve_along(study, tuple(study.requirements) if output is None else (output,))
+    if curve is None:
+        raise ValueError(f"study {study.name}: no response required here has a curve along the output")
+    return curve
+
+
+def _curve_along(study: Study, outputs: Sequence[str]) -> Curve | None:
     described = models.kind(study.design).described
-    for name in study.requirements if output is None else (output,):
-        curve = described[name].curve
-        if curve is not None and curve.turns is not None:
-            return curve
-    raise ValueError(f"study {study.name}: no response required here has a curve along the output")
+    curves = (described[name].curve for name in outputs)
+    return next((curve for curve in curves if curve is not None and curve.turns is not None), None)
 
 
 def _places(population: Population) -> dict[str, slice]:

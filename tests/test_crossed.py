@@ -1,0 +1,168 @@
+"""Answers judged by the question of another study: `rvjax compare A --on STUDY`."""
+
+import json
+
+import jax
+import numpy as np
+import pytest
+
+from rvjax import cli, tolerances
+from rvjax.report import crossed as written
+from rvjax.study import load, parse_study
+from rvjax.study.crossed import cost_of, put_into
+from rvjax.tolerances import Tolerance
+from rvjax.units import um
+
+ANSWER = """
+[design]
+base = "rv-40e"
+[conditions]
+angles = 8
+[tolerances.disc_bore]
+half_width = "6 um"
+[tolerances.carrier_bore]
+half_width = "6 um"
+distribution = "uniform"
+[tolerances.pin_radius]
+half_width = "2 um"
+[requirement.misfit]
+upper = "30 um"
+[requirement.lost_motion]
+upper = "5 arcmin"
+"""
+JUDGE = """
+[design]
+base = "rv-40e"
+cycloid.equidistant_modification = "-3 um"
+[conditions]
+angles = 8
+[tolerances.disc_bore]
+half_width = "1 um"
+[tolerances.carrier_bore]
+half_width = "1 um"
+[tolerances.crank_eccentricity]
+half_width = "7 um"
+[cost.disc_bore]
+scale = 3
+reference = "10 um"
+finest = "1 um"
+coarsest = "40 um"
+[requirement.misfit]
+upper = "12 um"
+target = 0.5
+[run]
+certificate_samples = 4096
+"""
+WHOLE = {"lower": -9e-6, "upper": 9e-6}
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """A results folder whose answer moved the limits, and a judging study, beside each other."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "judge.toml").write_text(JUDGE)
+    place = tmp_path / "a"
+    place.mkdir()
+    (place / "study.toml").write_text(ANSWER)
+    limits = {
+        "disc_bore": WHOLE,
+        "carrier_bore": {"lower": -5e-6, "upper": 5e-6},
+        "pin_radius": {"lower": -1e-6, "upper": 1e-6},
+    }
+    result = {key: {} for key in ("status", "seed", "versions", "cost", "shares", "certificate")} | {"study": "answer"}
+    result["tolerances"] = {name: {"unit": "m", "after": one} for name, one in limits.items()}
+    (place / "result.json").write_text(json.dumps(result))
+    return place
+
+
+def test_an_answer_is_judged_by_another_study(folder, capsys):
+    """Oracle: the misfit of units that are drawn one by one from tolerances put together by hand."""
+    question = parse_study(JUDGE, name="judge", solve=False)
+    by_hand = question.tolerances.replace(
+        disc_bore=Tolerance.symmetric(9 * um, shape=(2, 2, 2)),
+        carrier_bore=Tolerance.symmetric(5 * um, distribution="uniform", shape=(2, 2)),
+    )
+    misfit = question.response_of("misfit")
+    draw = jax.jit(jax.vmap(lambda unit: misfit(tolerances.sample(by_hand, unit, seed=1)).value["misfit"]))
+    good = np.mean(np.asarray(draw(np.arange(4096))) <= 12 * um)
+    assert cli.main(["compare", "a", "--on", "judge.toml", "--format", "json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["on"]["study"] == "judge" and list(found) == ["on"]
+    one = found["on"]["answers"]["a"]
+    joint = one["certificate"]["joint_yield"]
+    assert 0.2 < good < 0.95 and joint["value"] == good == one["certificate"]["yield_"]["misfit"]["value"]
+    assert joint["lower"] < good < joint["upper"]
+    assert one["taken"] == ["disc_bore", "carrier_bore"] and one["own"] == ["crank_eccentricity"]
+    assert one["left_out"] == ["pin_radius"] and one["cost"] == pytest.approx(3 * 10 / 9)
+    assert one["tolerances"]["disc_bore"] == WHOLE | {"unit": "m", "distribution": "normal", "cp": 1.0, "shift": 0.0}
+    assert one["tolerances"]["carrier_bore"]["distribution"] == "uniform"
+    assert one["design"] == ["cycloid.equidistant_modification is 0 um in answer and -3 um in judge"]
+    assert cli.main(["compare", "a", "--on", "judge.toml"]) == 0
+    told = capsys.readouterr().out
+    for words in (
+        f"{100 * good:.3f} % [",
+        "+-9.00 um",
+        "A: answer has no tolerance for crank_eccentricity: those of judge are kept",
+        "A: judge has no tolerance for pin_radius: left out",
+        "A: the design is that of judge, and tolerances deviate from it: cycloid.equidistant_modification is",
+        "A: 4,096 fresh units, 0 failed",
+        "all at once",
+    ):
+        assert words in told, words
+
+
+def test_what_cannot_be_judged_is_one_line(folder, capsys):
+    def refused(*arguments):
+        assert cli.main(["compare", *arguments]) == 2
+        message = capsys.readouterr().err.strip()
+        assert "\n" not in message
+        return message
+
+    assert "B is missing: name two results folders" in refused("a")
+    assert "--samples 20: units are drawn for --on STUDY alone" in refused("a", "a", "--samples", "20")
+    assert "study corr: asks after CamRollerErrors, the answer is about RVErrors" in refused("a", "--on", "corr")
+    other = JUDGE.replace("tolerances.disc_bore", "tolerances.crank_phase").replace("1 um", "1 arcmin", 1)
+    other = other.replace('[tolerances.carrier_bore]\nhalf_width = "1 um"\n', "")
+    other = other[: other.index("[cost")] + other[other.index("[requirement") :]
+    (folder.parent / "other.toml").write_text(other)
+    assert "study other: has none of the errors of the answer" in refused("a", "--on", "other.toml")
+    (folder / "study.toml").unlink()
+    assert "a: there is no study.toml beside the result" in refused("a/result.json", "--on", "judge.toml")
+
+
+def test_elements_must_agree():
+    question = parse_study(JUDGE, name="judge", solve=False)
+    with pytest.raises(ValueError, match=r"tolerances.disc_bore: .* elements in the answer, .* in study judge"):
+        put_into(question, question.tolerances.replace(disc_bore=Tolerance.symmetric(1 * um)))
+
+
+def test_one_table_serves_both_studies_of_the_rv_40e():
+    """What the picture and the machine both know has the same limits, laws and costs, but for the closer bearings."""
+    picture, machine = (load(name, solve=False) for name in ("rv-40e", "rv-40e-whole"))
+    both = [name for name in picture.fields if name in machine.fields]
+    assert {*picture.fields} - {*both} == {"disc_runout", "disc_cumulative_pitch"}  # a place in the machine
+    differ = [
+        name
+        for name in both
+        if getattr(picture.tolerances, name).described() != getattr(machine.tolerances, name).described()
+    ]
+    assert differ == ["bearing_clearance"]
+    assert [name for name in picture.costs if vars(picture.costs[name]) != vars(machine.costs[name])] == [
+        "bearing_clearance"
+    ]
+    for study in (picture, machine):
+        cost = study.costs["bearing_clearance"]
+        assert float(cost(2 * um)) == pytest.approx(2 * 5 / 2)
+    limits = [
+        {study.requirements[n].upper for n in names}
+        for study, names in (
+            (picture, ("transmission_error", "lost_motion")),
+            (machine, ("loaded_transmission_error", "bench_lost_motion")),
+        )
+    ]
+    assert limits[0] == limits[1] and picture.requirements["misfit"].upper == machine.requirements["misfit"].upper
+    assert written.differences(picture, machine)[0].startswith(
+        "cycloid.equidistant_modification is -20 um in rv-40e and -2 um"
+    )
+    together = put_into(machine, picture.tolerances)
+    assert cost_of(machine, together) > cost_of(picture, picture.tolerances)  # it also pays for pins, pitch and runout
