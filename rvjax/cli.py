@@ -190,7 +190,7 @@ def _allocate(options: argparse.Namespace) -> int:
                 options, lambda: told, lambda: json.loads((kept / "result.json").read_text()) | {"results": str(kept)}
             )
             return EXIT_OK if again.status(kept) == "OPTIMAL" else EXIT_NO_ANSWER
-    question = study.load(options.study)
+    question = study.load(options.study, solve=False)  # the answer itself refuses a nominal unit without a solution
     folder = text.results_folder(options.results, question.name)
     check_writable(folder)
     _forewarn(question)
@@ -210,7 +210,7 @@ def _report(options: argparse.Namespace) -> int:
     from rvjax.tolerances.atomic import check_writable, write_atomically
 
     _check_files(options, output=".html")
-    question = study.load(options.study)
+    question = study.load(options.study, solve=False)  # the answer itself refuses a nominal unit without a solution
     given = options.output is not None
     path = Path(options.output) if given else text.results_folder(None, question.name) / "report.html"
     check_writable(path)

@@ -9,11 +9,18 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax.study.question import Study
-from rvjax.tolerances import Allocation, Requirement, Statistics, allocate, cost_curve, monte_carlo, rss, sample
+from rvjax.study.response import refuse
+from rvjax.tolerances import Allocation, Requirement, Statistics, allocate, cost_curve, monte_carlo
+from rvjax.tolerances.allocation.allocation import KEPT, block
+from rvjax.tolerances.population.population import Population, drawn, root_key
+from rvjax.tolerances.propagation.gradients import nominal_status
 from rvjax.tolerances.propagation.responses import BLOCK  # chunks of the certificate's size: the response compiles once
+from rvjax.tolerances.propagation.rss import influences
+
+_Curves = Callable[[Any, int], tuple[np.ndarray, np.ndarray]]
 
 SHOWN_UNITS = 24  # units whose curve is drawn
-SHOWN_VALUES = 65_536  # units behind a histogram, and no more than behind the certificate
+SHOWN_VALUES = KEPT  # units behind a histogram: those of the certificate where it has no more
 FEWEST_BEYOND = 8  # units of the learning sample beyond a limit, below which a point of the cost curve is left out
 YIELD_SWEEP = (0.9, 0.95, 0.99, 0.995, 0.999)
 
@@ -76,6 +83,7 @@ def answer(study: Study, *, progress: bool = False) -> Answer:
         progress: show progress bars.
     """
     response = study.response()
+    refuse(nominal_status(response, Population.of(study.tolerances)))
     allocation = allocate(
         response,
         study.tolerances,
@@ -95,38 +103,44 @@ def answer(study: Study, *, progress: bool = False) -> Answer:
         study.tolerances,
         samples=certificate.samples,
         seed=certificate.seed,  # each certificate of a search has another one
-        chunk=BLOCK,
+        chunk=block(study.samples, certificate.samples),
         requirements=study.requirements,
+        keep=certificate.values is not None,
         progress=progress,
     )
+    curves = _curves(study)
     return Answer(
         study=study,
         allocation=allocation,
         certificate_before=before,
-        before=_side(study, response, study.tolerances),
-        after=_side(study, response, allocation.tolerances),
+        before=_side(study, response, study.tolerances, before, curves),
+        after=_side(study, response, allocation.tolerances, certificate, curves),
         cost_curve=_cost_curve(study, response, allocation),
     )
 
 
-def _side(study: Study, response: Callable[[Any], Any], tolerances: Any) -> Side:
-    moments = rss(response, tolerances)
-    seed = study.seed + 2
-    angle, curves = _curves(study, tolerances, seed)
-    kept = monte_carlo(response, tolerances, samples=shown_values(study), seed=seed, chunk=BLOCK, keep=True)
+def _side(
+    study: Study, response: Callable[[Any], Any], tolerances: Any, certificate: Statistics, curves: _Curves
+) -> Side:
+    shares, sensitivities = influences(response, tolerances)
+    kept = certificate
+    if kept.values is None:  # more units than a histogram shows: some of its own
+        count, seed = shown_values(study), study.seed + 2
+        kept = monte_carlo(response, tolerances, samples=count, seed=seed, chunk=BLOCK, keep=True)
+    angle, drawn = curves(tolerances, kept.seed)
     return Side(
         tolerances=tolerances,
         cost={name: float(cost(getattr(tolerances, name).half_width)) for name, cost in study.costs.items()},
-        shares=moments.contributions,
+        shares=shares,
         sensitivities={
             name: {field: float(np.sqrt(np.mean(np.square(derivative)))) for field, derivative in fields.items()}
-            for name, fields in moments.sensitivities.items()
+            for name, fields in sensitivities.items()
         },
         values=kept.values,
         angle=angle,
-        curves=curves,
+        curves=drawn,
         failed=kept.examples,
-        seed=seed,
+        seed=kept.seed,
     )
 
 
@@ -135,19 +149,24 @@ def shown_values(study: Study) -> int:
     return min(SHOWN_VALUES, study.certificate_samples)
 
 
-def _curves(study: Study, tolerances: Any, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Angles (n,), and the curves of sample units (units, n); empty where no model draws one."""
+def _curves(study: Study) -> _Curves:
+    """Angles (n,) and the curves of sample units (units, n) of some tolerances and a seed, by one program for all."""
     curve = study.curve
     if curve is None:
-        return np.empty(0), np.empty((0, 0))
+        return lambda tolerances, seed: (np.empty(0), np.empty((0, 0)))  # no model draws one
 
-    def of_unit(index: jax.Array) -> tuple[jax.Array, jax.Array]:
-        errors = sample(tolerances, index, seed=seed)
-        angle, values = curve.evaluate(study.design, errors, study.conditions)
+    def of_unit(population: Population, z: jax.Array) -> tuple[jax.Array, jax.Array]:
+        angle, values = curve.evaluate(study.design, population.errors(z), study.conditions)
         return jnp.asarray(angle), values
 
-    angles, values = jax.jit(jax.vmap(of_unit))(np.arange(SHOWN_UNITS))
-    return np.asarray(angles)[0], np.asarray(values)
+    units = jax.jit(jax.vmap(of_unit, in_axes=(None, -1)))
+
+    def drawn_units(tolerances: Any, seed: int) -> tuple[np.ndarray, np.ndarray]:
+        population = Population.of(tolerances)
+        angles, values = units(population, drawn(population, root_key(seed), jnp.uint32(0), count=SHOWN_UNITS))
+        return np.asarray(angles)[0], np.asarray(values)
+
+    return drawn_units
 
 
 def _cost_curve(study: Study, response: Callable[[Any], Any], found: Allocation) -> list[tuple[float, float]]:

@@ -120,6 +120,17 @@ def check_nominal(response: Callable[[Any], Outcome], errors: Any) -> None:
     Raises:
         ValueError: names the status.
     """
-    status = _status(response, errors)
+    refuse(int(_status(response, errors)))
+
+
+def refuse(status: int) -> None:
+    """Refuse a question whose error-free unit has a status that is no success.
+
+    Args:
+        status: of that unit.
+
+    Raises:
+        ValueError: names the status.
+    """
     if not succeeded(status):
-        raise ValueError(f"the unit without errors cannot be solved: {Status(int(status)).name}")
+        raise ValueError(f"the unit without errors cannot be solved: {Status(status).name}")

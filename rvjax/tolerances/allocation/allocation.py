@@ -25,6 +25,7 @@ from rvjax.tolerances.propagation.requirements import Limits
 from rvjax.tolerances.propagation.responses import BLOCK, Response, by_response, response_names, unwrapped
 
 FEWEST = 100  # units a quantile can be learned from
+KEPT = 65_536  # units of a certificate whose responses are kept, at most
 
 
 @dataclasses.dataclass(frozen=True)
@@ -47,7 +48,7 @@ class Allocation:
         residual: how far the accepted set is from the conditions of an optimum (Karush, Kuhn and Tucker): the largest
             saving of a single field that no price of a requirement accounts for, as a part of all savings; nan where
             nothing was searched. Sampled slopes know it to a few percent; the cost is off by about its square.
-        certificate: `Statistics` of fresh units at `tolerances`.
+        certificate: `Statistics` of fresh units at `tolerances`; of up to 65536 with their responses.
         grades: {field: grade} of a snapped allocation, else None.
         graded: the allocation snapped to grades, if asked for.
         history: one dict per evaluated set: cost, margins {constraint: value}, half_widths {field: value}.
@@ -147,10 +148,10 @@ def allocate(
     with progress_bar(progress, None, "searching", "step") as advance:
         if middles:
             training, moving = centred(training, priced, max_steps, start, middles, advance)
-        drawn = certificate_samples, seed, BLOCK
+        drawn = certificate_samples, seed, block(samples, certificate_samples)
         run = Run(
             response, training.population, names, required, *drawn, confidence=confidence, progress=progress,
-            label="certifying",
+            keep=certificate_samples <= KEPT, label="certifying",
         )  # fmt: skip
         certifier = Certifier(run, joint_target)
         search = Search(training, priced, max_steps, advance)
@@ -165,6 +166,16 @@ def allocate(
     snapped = dataclasses.replace(found, status=status, half_widths=t, certificate=certificate)
     graded = dataclasses.replace(_result(search, snapped, names, start, moving), grades=chosen)
     return unwrapped(dataclasses.replace(result, graded=graded))
+
+
+def block(samples: int, certificate_samples: int) -> int:
+    """Units of a certificate evaluated at once: as many as the search does where that needs no second program.
+
+    Args:
+        samples: units that the search learns from.
+        certificate_samples: of the certificate.
+    """
+    return min(samples, BLOCK) if certificate_samples < BLOCK else BLOCK
 
 
 def _check(required: dict[str, Limits], joint_target: float | None, **counts: int) -> None:

@@ -28,9 +28,10 @@ class Certifier:
     run: Run
     joint_target: float | None
 
-    def draw(self, population: Population, *, keep: bool = False) -> Statistics:
+    def draw(self, population: Population, *, keep: bool | None = None) -> Statistics:
         """Statistics of fresh units; a target beyond what they can show is judged by a probability of failure."""
         self.run = dataclasses.replace(self.run, seed=self.run.seed + 1)
+        keep = self.run.keep if keep is None else keep
         found = dataclasses.replace(self.run, population=population, keep=keep).statistics()
         return dataclasses.replace(found, verdicts=found.verdicts | self.rare(population)) if found.verdicts else found
 
@@ -117,4 +118,4 @@ class Certifier:
             name: item.shortfall(statistics.values[name], self.joint_target or 0.0)
             for name, item in self.run.requirements.items()
         }
-        return dataclasses.replace(statistics, values=None), missing
+        return statistics if self.run.keep else dataclasses.replace(statistics, values=None), missing

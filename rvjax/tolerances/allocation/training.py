@@ -8,15 +8,15 @@ import copy
 import dataclasses
 from typing import Self
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
 from rvjax.status import succeeded
 from rvjax.tolerances.distribution.tolerance import Tolerance
 from rvjax.tolerances.population.population import Population, drawn, root_key
+from rvjax.tolerances.propagation.gradients import LANES, elements_and_rates, gradients
 from rvjax.tolerances.propagation.limits import Limits, Pull, along_reach
-from rvjax.tolerances.propagation.responses import BLOCK, Response, evaluate, per_response, respond, response_names
+from rvjax.tolerances.propagation.responses import BLOCK, Response, respond, response_names
 from rvjax.tolerances.propagation.tails import nearest, tail_quantile
 from rvjax.tolerances.propagation.worst_case import Extremes, extremes
 
@@ -195,45 +195,17 @@ class Training:
 
     def _slope(self, half_widths: np.ndarray, pull: Pull, of: np.ndarray) -> np.ndarray:
         """Derivative of a margin to the logarithms of the half-widths (j,); `of`: each unit's requirement."""
-        total, norm = np.zeros(len(self.fields)), 0.0
+        if not len(pull.units):
+            return np.zeros(len(self.fields))
         z = np.concatenate([np.asarray(block) for block in self.blocks], axis=1)
-        for start in range(0, len(pull.units), self.lanes):
-            part = slice(start, start + self.lanes)
-            units, count = pull.units[part], len(pull.units[part])
-            lanes = np.resize(units, self.lanes)  # one program, however many units
-            cotangents = np.eye(len(self.requirements))[of[lanes]].T * np.resize(pull.cotangents[part], self.lanes)
-            rows = _unit_gradients(
-                self.response,
-                self.population,
-                jnp.asarray(half_widths, z.dtype),
-                jnp.asarray(z[:, lanes]),
-                jnp.asarray(cotangents, z.dtype),
-                names=tuple(self.requirements),
-                fields=self.fields,
-            )
-            rows = np.asarray(rows, float)[:count]
-            used = np.isfinite(rows).all(axis=1)
-            total, norm = total + rows[used].sum(axis=0), norm + pull.norms[part][used].sum()
+        given = dict(zip(self.fields, jnp.asarray(half_widths, z.dtype)))
+        padded = np.resize(pull.units, -(-len(pull.units) // LANES) * LANES)  # one program, however many units
+        found = (np.asarray(rows) for rows in elements_and_rates(self.population, given, z[:, padded]))
+        errors, rates = (rows[:, : len(pull.units)] for rows in found)
+        rows = np.array([self.names.index(name) for name in self.requirements])
+        cotangents = np.eye(len(self.names))[rows[of[pull.units]]].T * pull.cotangents
+        _, slopes = gradients(self.response, self.population, errors, cotangents, self.names)
+        used = np.isfinite(slopes).all(axis=0)
+        by_field = self.population.by_field((slopes * rates)[:, used].sum(axis=1))
+        total, norm = np.array([by_field[name].sum() for name in self.fields]), pull.norms[used].sum()
         return total / norm * half_widths if norm > 0 else np.zeros(len(self.fields))
-
-
-@per_response(static=("names", "fields"))
-def _unit_gradients(
-    response: Response,
-    population: Population,
-    half_widths: jax.Array,
-    z: jax.Array,
-    cotangents: jax.Array,
-    *,
-    names: tuple[str, ...],
-    fields: tuple[str, ...],
-) -> jax.Array:
-    """Gradient of sum_k cotangent_k y_k to the half-widths, unit by unit: one reverse pass for all fields."""
-
-    def weighted(t: jax.Array, z: jax.Array, cotangent: jax.Array) -> jax.Array:
-        widths = jnp.split(t, len(fields))  # the transpose of a split is one concatenation
-        scaled = population.with_half_widths({name: width[0] for name, width in zip(fields, widths)})
-        values, _ = evaluate(response, scaled.errors(z))
-        return jnp.stack([values[name] for name in names]) @ cotangent
-
-    return jax.vmap(jax.grad(weighted), in_axes=(None, -1, -1))(half_widths, z, cotangents)
