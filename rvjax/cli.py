@@ -42,7 +42,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return EXIT_BAD_INPUT
     except KeyboardInterrupt as stop:
         file = getattr(options, "checkpoint", None)
-        rest = f"the same command goes on from {file}" if file else "nothing was written"
+        rest = f"the same command goes on from {file}" if file and Path(file).exists() else "nothing was written"
         _say(f"rvjax: interrupted, {rest}", file=sys.stderr)
         return 143 if isinstance(stop, _Terminated) else 130
     finally:
@@ -194,10 +194,14 @@ def _allocate(options: argparse.Namespace) -> int:
     folder = text.results_folder(options.results, question.name)
     check_writable(folder)
     _forewarn(question)
-    found = answer(question, progress=not options.quiet)
+    journal = again.journal(question, folder)
+    options.checkpoint = journal and journal.folder
+    found = answer(question, progress=not options.quiet, journal=journal)
     if options.format == "text":  # before the folder is made: whatever fails there, the answer has been told
         _say(text.summary(found))
     folder = text.write(found, folder)
+    if journal:
+        journal.clear()
     _tell(options, lambda: f"\nResults: {folder}", lambda: text.as_json(found) | {"results": str(folder)})
     return EXIT_OK if found.allocation.status == "OPTIMAL" else EXIT_NO_ANSWER
 

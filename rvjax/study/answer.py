@@ -10,11 +10,17 @@ import numpy as np
 
 from rvjax.study.question import Study
 from rvjax.study.response import refuse
-from rvjax.tolerances import Allocation, Requirement, Statistics, allocate, cost_curve, monte_carlo
+from rvjax.tolerances import Allocation, Requirement, Statistics, allocate, monte_carlo
 from rvjax.tolerances.allocation.allocation import KEPT, block
+from rvjax.tolerances.allocation.cost_curve import cost_of_yields, least_yield
 from rvjax.tolerances.population.population import Population, drawn, root_key
 from rvjax.tolerances.propagation.gradients import nominal_status
-from rvjax.tolerances.propagation.responses import BLOCK  # chunks of the certificate's size: the response compiles once
+from rvjax.tolerances.propagation.journal import Journal
+from rvjax.tolerances.propagation.monte_carlo import Run
+from rvjax.tolerances.propagation.responses import (  # chunks of the certificate's size: the response compiles once
+    BLOCK,
+    response_names,
+)
 from rvjax.tolerances.propagation.rss import influences
 
 _Curves = Callable[[Any, int], tuple[np.ndarray, np.ndarray]]
@@ -62,7 +68,7 @@ class Answer:
         certificate_before: statistics of the study's own tolerances, on the certificate's random numbers.
         before: the study's own tolerances.
         after: the allocated tolerances.
-        cost_curve: (least yield of a requirement, cheapest cost), both certified, in ascending order, the allocation
+        cost_curve: (least yield of a requirement among fresh units, cheapest cost), ascending; the certified allocation
             itself among them where all its targets are one; empty where the study is infeasible or asks for no share
             of units.
     """
@@ -75,12 +81,13 @@ class Answer:
     cost_curve: list[tuple[float, float]]
 
 
-def answer(study: Study, *, progress: bool = False) -> Answer:
+def answer(study: Study, *, progress: bool = False, journal: Journal | None = None) -> Answer:
     """Allocate the tolerances of a study and collect what the report shows.
 
     Args:
         study: the question.
         progress: show progress bars.
+        journal: keeps what took long to compute, so that an interrupted answer goes on from there.
     """
     response = study.response()
     refuse(nominal_status(response, Population.of(study.tolerances)))
@@ -95,19 +102,22 @@ def answer(study: Study, *, progress: bool = False) -> Answer:
         joint_target=study.joint_target,
         middles=study.middles,
         grades=any(getattr(study.tolerances, name).size is not None for name in study.fields),
+        journal=journal,
         progress=progress,
     )
     certificate = allocation.certificate
-    before = monte_carlo(
+    before = Run(
         response,
-        study.tolerances,
-        samples=certificate.samples,
-        seed=certificate.seed,  # each certificate of a search has another one
-        chunk=block(study.samples, certificate.samples),
-        requirements=study.requirements,
+        Population.of(study.tolerances),
+        response_names(response, Population.of(study.tolerances)),
+        study.requirements,
+        certificate.samples,
+        certificate.seed,  # each certificate of a search has another one
+        block(study.samples, certificate.samples),
         keep=certificate.values is not None,
         progress=progress,
-    )
+        journal=journal,
+    ).statistics()
     curves = _curves(study)
     return Answer(
         study=study,
@@ -115,7 +125,7 @@ def answer(study: Study, *, progress: bool = False) -> Answer:
         certificate_before=before,
         before=_side(study, response, study.tolerances, before, curves),
         after=_side(study, response, allocation.tolerances, certificate, curves),
-        cost_curve=_cost_curve(study, response, allocation),
+        cost_curve=_cost_curve(study, response, allocation, journal),
     )
 
 
@@ -169,39 +179,30 @@ def _curves(study: Study) -> _Curves:
     return drawn_units
 
 
-def _cost_curve(study: Study, response: Callable[[Any], Any], found: Allocation) -> list[tuple[float, float]]:
+def _cost_curve(
+    study: Study, response: Callable[[Any], Any], found: Allocation, journal: Journal | None
+) -> list[tuple[float, float]]:
     if not found.feasible or all(requirement.goal != "target" for requirement in study.requirements.values()):
         return []  # no place to start from, or no share of units to move
     targets = [target for target in YIELD_SWEEP if study.samples * (1 - target) >= FEWEST_BEYOND]
     if not targets:
         return []
-    curve = cost_curve(
+    moved = found.cost - sum(found.costs.values())  # the curve begins with moved middles, and must pay for them
+    curve = cost_of_yields(
         response,
         found.tolerances,
         study.requirements,
         costs=study.costs,
-        values=targets,
-        against="target",
+        targets=targets,
         samples=study.samples,
         seed=study.seed,
-        certificate_samples=shown_values(study),
+        units=shown_values(study),
+        journal=journal,
     )
-    moved = found.cost - sum(
-        found.costs.values()
-    )  # the curve begins with middles that have moved, and must pay for them
-    points = [(least_yield(a.certificate), a.cost + moved) for a in curve.allocations if a.feasible]
+    points = [(share, cost + moved) for share, cost in curve]
     goals = {item.target for item in study.requirements.values() if isinstance(item, Requirement)}
     if (
         len(goals) == 1 and study.joint_target is None
     ):  # an end of the same searches: one asks for what this study asks for
         points.append((least_yield(found.certificate), found.cost))
     return sorted(points)
-
-
-def least_yield(statistics: Statistics) -> float:
-    """The least share of units that keeps one requirement; a study without any has no curve.
-
-    Args:
-        statistics: of certified units.
-    """
-    return min(verdict.estimate.value for verdict in statistics.verdicts.values() if verdict.kind == "share")

@@ -16,7 +16,7 @@ from rvjax.errors import BOUNDS
 from rvjax.levels.choice import Choice
 from rvjax.outputs import Reading, Solved, Source
 from rvjax.records import Record, field, record, text
-from rvjax.status import Status, succeeded, worst
+from rvjax.status import SUCCESS, Status, worst
 from rvjax.tolerances import Outcome
 
 Settings = tuple[tuple[str, Any], ...]
@@ -132,5 +132,5 @@ def refuse(status: int) -> None:
     Raises:
         ValueError: names the status.
     """
-    if not succeeded(status):
+    if status not in SUCCESS:
         raise ValueError(f"the unit without errors cannot be solved: {Status(status).name}")

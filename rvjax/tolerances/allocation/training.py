@@ -6,15 +6,19 @@ the half-widths. It certifies nothing: the optimum is fitted to these very units
 
 import copy
 import dataclasses
-from typing import Self
+import hashlib
+from typing import Any, Self
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 from rvjax.status import succeeded
 from rvjax.tolerances.distribution.tolerance import Tolerance
 from rvjax.tolerances.population.population import Population, drawn, root_key
+from rvjax.tolerances.propagation.checkpoint import describe
 from rvjax.tolerances.propagation.gradients import LANES, elements_and_rates, gradients
+from rvjax.tolerances.propagation.journal import Journal
 from rvjax.tolerances.propagation.limits import Limits, Pull, along_reach
 from rvjax.tolerances.propagation.responses import BLOCK, Response, respond, response_names
 from rvjax.tolerances.propagation.tails import nearest, tail_quantile
@@ -22,6 +26,7 @@ from rvjax.tolerances.propagation.worst_case import Extremes, extremes
 
 # Slopes come from the units nearest the quantile: few enough to stand near it, where the response bends; cheap, too.
 _FEWEST_LANES, _LANES_PART = 256, 32
+_REMEMBERED = 8  # sets of half-widths whose values are kept: what was asked for is often asked for again
 
 
 @dataclasses.dataclass(frozen=True)
@@ -56,11 +61,15 @@ class Training:
         joint_target: float | None,
         samples: int,
         seed: int,
+        journal: Journal | None = None,
     ) -> None:
         self.response, self.population, self.fields, self.requirements = response, population, fields, requirements
         self.names = response_names(response, population)
         self._priced = [list(population.active).index(name) for name in fields]
         self.samples, self.joint_target = samples, joint_target
+        self._journal, self._drawn = journal, {"seed": str(seed), "method": "random"}
+        self._seen: dict[bytes, np.ndarray] = {}
+        self.evaluated = [0]  # units, with or without a gradient, by this sample and its copies
         self._made: dict[str, tuple[float, Tolerance]] = {}  # the latest tolerance of each field, by its half-width
         self.lanes = min(samples, max(_FEWEST_LANES, samples // _LANES_PART))
         key, block = root_key(seed), min(samples, BLOCK)
@@ -70,7 +79,7 @@ class Training:
     def _measure(self) -> None:
         """How far the nominal response stays from each limit; margins are measured from there."""
         requirements, joint_target = self.requirements, self.joint_target
-        values = self._values(np.zeros(len(self.fields)))
+        values = self.values(np.zeros(len(self.fields)))
         own = self._unit_margins(values)
         nominal = np.array([item.distance(row) for row, item in zip(values, requirements.values())])
         finite = np.where(np.isfinite(own), np.abs(own), 0.0).max(axis=1)
@@ -87,7 +96,7 @@ class Training:
     def with_tolerances(self, changed: dict[str, Tolerance]) -> Self:
         """The same units where some fields have other tolerances, with margins measured as here."""
         other = copy.copy(self)
-        other.population, other._made = self.population.with_tolerances(changed), {}
+        other.population, other._made, other._seen = self.population.with_tolerances(changed), {}, {}
         return other
 
     def measured(self) -> Self:
@@ -109,11 +118,11 @@ class Training:
 
     def uncorrected(self, half_widths: np.ndarray) -> np.ndarray:
         """Margins (c,) of this sample, whatever a larger one said."""
-        return self._margins(self._values(half_widths), self._ranges(half_widths))
+        return self._margins(self.values(half_widths), self._ranges(half_widths))
 
     def point(self, half_widths: np.ndarray) -> Point:
         """Margins and slopes."""
-        values, ranges = self._values(half_widths), self._ranges(half_widths)
+        values, ranges = self.values(half_widths), self._ranges(half_widths)
         margins = self._margins(values, ranges)
         weights = np.eye(len(margins), len(values))
         slopes = []
@@ -151,14 +160,29 @@ class Training:
         margins = ratio * (point.margins + self.distance) - self.distance
         return dataclasses.replace(point, margins=margins, slopes=ratio[:, None] * point.slopes)
 
-    def _values(self, half_widths: np.ndarray) -> np.ndarray:
-        """Required responses of every unit (k, n), nan where a unit failed."""
+    def values(self, half_widths: np.ndarray) -> np.ndarray:
+        """Required responses of every unit (k, n), nan where a unit failed; the latest ones are remembered."""
+        asked = np.asarray(half_widths, float).tobytes()
+        if asked in self._seen:
+            return self._seen[asked]
         population, rows = self.with_half_widths(half_widths), []
-        for z in self.blocks:
-            values, status = respond(self.response, population, z)
+        self.evaluated[0] += self.samples
+        for k, z in enumerate(self.blocks):
+            values, status = self._block(population, k, z)
             found = np.stack([np.asarray(values[name], float) for name in self.requirements])
             rows.append(np.where(np.asarray(succeeded(status)), found, np.nan))
-        return np.concatenate(rows, axis=1)[:, : self.samples]
+        while len(self._seen) >= _REMEMBERED:
+            self._seen.pop(next(iter(self._seen)))
+        self._seen[asked] = np.concatenate(rows, axis=1)[:, : self.samples]
+        return self._seen[asked]
+
+    def _block(self, population: Population, k: int, z: jax.Array) -> tuple[Any, Any]:
+        """Values and status of the units of a block."""
+        if self._journal is None:
+            return respond(self.response, population, z)
+        count = z.shape[1]  # the units of a certificate's block
+        asked = describe(population, {}) | self._drawn | {"first": str(k * count), "count": str(count)}
+        return self._journal.units(self.names, asked, lambda: respond(self.response, population, z))
 
     def _ranges(self, half_widths: np.ndarray) -> dict[str, Extremes]:
         """Ranges of the responses whose worst case is judged."""
@@ -204,8 +228,17 @@ class Training:
         errors, rates = (rows[:, : len(pull.units)] for rows in found)
         rows = np.array([self.names.index(name) for name in self.requirements])
         cotangents = np.eye(len(self.names))[rows[of[pull.units]]].T * pull.cotangents
-        _, slopes = gradients(self.response, self.population, errors, cotangents, self.names)
+        self.evaluated[0] += len(pull.units)
+        slopes = self._gradients(errors, cotangents)
         used = np.isfinite(slopes).all(axis=0)
         by_field = self.population.by_field((slopes * rates)[:, used].sum(axis=1))
         total, norm = np.array([by_field[name].sum() for name in self.fields]), pull.norms[used].sum()
         return total / norm * half_widths if norm > 0 else np.zeros(len(self.fields))
+
+    def _gradients(self, errors: np.ndarray, cotangents: np.ndarray) -> np.ndarray:
+        """Gradients (elements, n) of weighted responses."""
+        compute = lambda: gradients(self.response, self.population, errors, cotangents, self.names)[1]  # noqa: E731
+        if self._journal is None:
+            return compute()
+        weighted = hashlib.sha256(errors.tobytes() + cotangents.tobytes()).hexdigest()
+        return self._journal.recall({"gradients of": weighted}, compute)

@@ -8,7 +8,7 @@ import itertools
 import math
 import operator
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +31,7 @@ from rvjax.tolerances.propagation.checkpoint import (
 from rvjax.tolerances.propagation.devices import Evaluator, gathered, place
 from rvjax.tolerances.propagation.estimates import deviate_of
 from rvjax.tolerances.propagation.figures import Statistics, rejects
+from rvjax.tolerances.propagation.journal import Journal
 from rvjax.tolerances.propagation.order import quantile_estimate
 from rvjax.tolerances.propagation.requirements import Limits
 from rvjax.tolerances.propagation.responses import Response, by_response, response_names, unwrapped
@@ -134,6 +135,7 @@ class Run:
     keep: bool = False
     progress: bool = False
     label: str = "Monte Carlo"
+    journal: Journal | None = None
 
     def statistics(self) -> Statistics:
         """Draw, evaluate and count all units."""
@@ -230,11 +232,16 @@ class Run:
     def _count(self, tally: Tally, file: Checkpoint | None, done: int) -> None:
         samples, chunk = self.samples, self.chunk
         process, processes = place()
-        evaluator = Evaluator(self.response, self.population, self.seed, self.method, min(chunk, samples))
+        count = min(chunk, samples)
+        evaluator = Evaluator(self.response, self.population, self.seed, self.method, count)
+        start = evaluator.start
+        if self.journal is not None:
+            asked = describe(self.population, {}) | {"seed": str(self.seed), "method": self.method, "count": str(count)}
+            start = functools.partial(_recalled, self.journal, self.names, asked, evaluator)
         label = self.label if processes == 1 else f"{self.label}, process {process + 1} of {processes}"
         reached = done * chunk
         with progress_bar(self.progress, samples, label, "unit", initial=reached) as advance:
-            for number, values, status in _chunks(evaluator, tally, range(done, -(-samples // chunk)), chunk, samples):
+            for number, values, status in _chunks(start, tally, range(done, -(-samples // chunk)), chunk, samples):
                 own = number % processes == process
                 tally.add(number, number * chunk, values, status, own=own)
                 # A larger study evaluates a shorter last chunk whole.
@@ -272,8 +279,14 @@ def _of_process(path: str | Path, process: int, processes: int) -> Path:
     return all_of[process]
 
 
+def _recalled(
+    journal: Journal, names: tuple[str, ...], asked: dict[str, str], evaluator: Evaluator, first: int
+) -> tuple[dict[str, Any], Any]:
+    return journal.units(names, asked | {"first": str(first)}, functools.partial(evaluator.start, first))
+
+
 def _chunks(
-    evaluator: Evaluator, tally: Tally, numbers: range, chunk: int, samples: int
+    start: Callable[[int], tuple[dict[str, Any], Any]], tally: Tally, numbers: range, chunk: int, samples: int
 ) -> Iterator[tuple[int, dict[str, np.ndarray], np.ndarray]]:
     """Evaluated chunks of this process in order; the device works on the next one while the host reads this one.
 
@@ -286,7 +299,7 @@ def _chunks(
         if number is not None:
             if number % processes != process and tally.settled:
                 continue
-            after = number, evaluator.start(number * chunk)
+            after = number, start(number * chunk)
         if ready is not None:
             done, (values, status) = ready
             # The last chunk is evaluated as long as the others, and cut here: nothing is compiled twice.

@@ -111,7 +111,8 @@ def influences(response: Response, tolerances: Any) -> tuple[Any, Any]:
     law = _Spread(population)
     found = _by_name(response, population, response_names(response, population), law, 1)
     figures = {name: _figures(item, None, law) for name, item in found.items()}
-    return tuple({name: each[of] for name, each in figures.items()} for of in ("contributions", "sensitivities"))
+    shares, slopes = ({n: each[of] for n, each in figures.items()} for of in ("contributions", "sensitivities"))
+    return shares, slopes
 
 
 def _by_name(
