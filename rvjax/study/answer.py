@@ -16,7 +16,7 @@ from rvjax.tolerances.allocation.cost_curve import cost_of_yields, least_yield
 from rvjax.tolerances.population.population import Population, drawn, root_key
 from rvjax.tolerances.propagation.gradients import nominal_status
 from rvjax.tolerances.propagation.journal import Journal
-from rvjax.tolerances.propagation.monte_carlo import Run
+from rvjax.tolerances.propagation.monte_carlo import Run, progress_bar
 from rvjax.tolerances.propagation.responses import (  # chunks of the certificate's size: the response compiles once
     BLOCK,
     response_names,
@@ -90,7 +90,9 @@ def answer(study: Study, *, progress: bool = False, journal: Journal | None = No
         journal: keeps what took long to compute, so that an interrupted answer goes on from there.
     """
     response = study.response()
-    refuse(nominal_status(response, Population.of(study.tolerances)))
+    with progress_bar(progress, None, "checked", "unit") as advance:  # compiles the gradients: the longest wait
+        refuse(nominal_status(response, Population.of(study.tolerances)))
+        advance(1)
     allocation = allocate(
         response,
         study.tolerances,
