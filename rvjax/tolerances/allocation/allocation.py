@@ -176,10 +176,12 @@ def allocate(
             model = Training(cheap, training.population, *learned_from)
             search = MappedSearch(training, priced, max_steps, advance, model)
         advance(0)
-        point = search.begin(start)
-        if not (training.margins(search.low) <= 0).all():  # finer need not be better: one error may take up another's
+        point, finest = search.begin(start), float((training.margins(search.low) / training.distance).max())
+        possible = finest <= 0
+        if not possible:  # finer need not be better: one error may take up another's
             point, _ = search.run(point)
-        possible = (training.margins(search.low) <= 0).all() or (point.margins <= NOISE * training.distance).all()
+            reached = float((point.margins / training.distance).max())
+            possible = reached <= NOISE and reached < finest / 2
         found = _cheapest(search, certifier, point, start) if possible else _finest(search, certifier)
     given = names, start, moving, certifier
     result = _result(search, found, *given)
