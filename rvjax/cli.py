@@ -43,7 +43,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return EXIT_BAD_INPUT
     except KeyboardInterrupt as stop:
         file = getattr(options, "checkpoint", None)
-        rest = f"the same command goes on from {file}" if file else "nothing was written"
+        rest = f"the same command goes on from {file}" if file and Path(file).exists() else "nothing was written"
         _say(f"rvjax: interrupted, {rest}", file=sys.stderr)
         return 143 if isinstance(stop, _Terminated) else 130
     finally:
@@ -201,13 +201,18 @@ def _allocate(options: argparse.Namespace) -> int:
     folder = folders.results_folder(options.results, asked.name)
     check_writable(folder)
     _forewarn(asked)
+    journal = again.journal(asked, folder)
+    options.checkpoint = journal and journal.folder
     with phases.shown(check.phases_of(asked, READING, WRITING), quiet=options.quiet):
         phases.begin(READING)
-        found = answer(study.load(options.study), progress=not options.quiet)
+        # The answer itself refuses a nominal unit without a solution.
+        found = answer(asked, progress=not options.quiet, journal=journal)
         if options.format == "text":  # before the folder is made: whatever fails there, the answer has been told
             _say(text.summary(found))
         phases.begin(WRITING)
         folder = folders.write(found, folder)
+    if journal:
+        journal.clear()
     _tell(options, lambda: f"\nResults: {folder}", lambda: text.as_json(found) | {"results": str(folder)})
     return EXIT_OK if found.allocation.status == "OPTIMAL" else EXIT_NO_ANSWER
 
@@ -229,7 +234,7 @@ def _report(options: argparse.Namespace) -> int:
     sliders, writing = "numbers behind the sliders", "the page"
     with phases.shown(check.phases_of(asked, READING, sliders, writing), quiet=options.quiet):
         phases.begin(READING)
-        found = answer(study.load(options.study), progress=not options.quiet)
+        found = answer(asked, progress=not options.quiet)
         phases.begin(sliders)
         moved = surrogate(found)
         owners = budget_if_any(asked, found.allocation.tolerances)

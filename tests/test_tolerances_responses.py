@@ -25,11 +25,10 @@ from rvjax.tolerances import (
     rss,
     worst_case,
 )
-from rvjax.tolerances.allocation.training import _unit_gradients
 from rvjax.tolerances.population.population import Population, drawn, root_key
 from rvjax.tolerances.propagation.checkpoint import response_hash
+from rvjax.tolerances.propagation.gradients import pulled
 from rvjax.tolerances.propagation.responses import PROGRAMS, per_response, respond
-from rvjax.tolerances.propagation.rss import _derivatives
 
 PAIR = {"a": Tolerance(-1.0, 1.0), "b": Tolerance(-1.0, 2.0)}
 POPULATION = Population.of(PAIR)
@@ -121,11 +120,11 @@ def test_every_question_serves_the_next_design_with_the_same_programs(compiled):
 
     ask(lever(3.0))
     assert COMPILED in compiled
-    before = [programs(item, lever(1.0)) for item in (respond, _derivatives, _unit_gradients)]
+    before = [programs(item, lever(1.0)) for item in (respond, pulled)]
     compiled.clear()
     ask(lever(4.0))
     assert COMPILED not in compiled
-    assert [programs(item, lever(1.0)) for item in (respond, _derivatives, _unit_gradients)] == before
+    assert [programs(item, lever(1.0)) for item in (respond, pulled)] == before
 
 
 def test_the_fingerprint_sees_the_numbers_of_a_record():

@@ -1,6 +1,7 @@
 """An answer that a results folder holds already: the same study, answered by the same rvjax."""
 
 import json
+import os
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -8,6 +9,8 @@ from typing import Any
 import rvjax
 from rvjax.report.folders import numbered_folders
 from rvjax.study import Study
+from rvjax.tolerances.propagation.checkpoint import versions
+from rvjax.tolerances.propagation.journal import Journal
 
 
 def folder(study: Study, option: str | None) -> Path | None:
@@ -23,6 +26,19 @@ def folder(study: Study, option: str | None) -> Path | None:
         return None
     known = [Path(option)] if option is not None else numbered_folders(study.name)
     return next((place for place in reversed(known) if _holds(place, study)), None)
+
+
+def journal(study: Study, place: Path) -> Journal | None:
+    """Where an allocation keeps what took long until its results folder is there; None if the study names other files.
+
+    Args:
+        study: the question.
+        place: of the results.
+    """
+    if _names_files(tomllib.loads(study.text)):
+        return None
+    about = {"study": study.text, "flags": os.environ.get("XLA_FLAGS", "")}
+    return Journal(place.with_name(place.name + ".part"), about | versions())
 
 
 def status(place: Path) -> str:

@@ -80,7 +80,7 @@ def _head(answer: Answer, date: str) -> str:
     elif allocation.feasible:
         verdict = f"✘ Tolerances were found, but not with certainty: {escape(allocation.status)}."
     else:
-        verdict = "✘ No tolerances within the process ranges meet the requirements."
+        verdict = "✘ No tolerances within the process ranges were found to meet the requirements."
     more = []
     for response, shortfall in allocation.shortfall.items():
         if shortfall > 0:

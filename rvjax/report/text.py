@@ -208,7 +208,7 @@ def headline(answer: Answer) -> str:
             graded = allocation.graded
             lines.append(f"with ISO 286 grades: cost {graded.cost:.3f} ({graded.status})")
     else:
-        lines.append("No tolerances within the process ranges meet the requirements; at the finest ones")
+        lines.append("No tolerances within the process ranges were found to meet the requirements; at the finest ones")
         for name, shortfall in allocation.shortfall.items():
             if shortfall > 0:
                 lines.append(f"  the limit of {name} {shortfall_text(shortfall, *study.output(name).shown)}")

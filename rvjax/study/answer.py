@@ -10,11 +10,24 @@ import numpy as np
 
 from rvjax import phases
 from rvjax.study.question import Study
-from rvjax.tolerances import Allocation, Requirement, Statistics, allocate, cost_curve, monte_carlo, rss, sample
-from rvjax.tolerances.propagation.responses import BLOCK  # chunks of the certificate's size: the response compiles once
+from rvjax.study.response import refuse
+from rvjax.tolerances import Allocation, Requirement, Statistics, allocate, monte_carlo
+from rvjax.tolerances.allocation.allocation import KEPT, block
+from rvjax.tolerances.allocation.cost_curve import cost_of_yields, least_yield
+from rvjax.tolerances.population.population import Population, drawn, root_key
+from rvjax.tolerances.propagation.gradients import nominal_status
+from rvjax.tolerances.propagation.journal import Journal
+from rvjax.tolerances.propagation.monte_carlo import Run, progress_bar
+from rvjax.tolerances.propagation.responses import (  # chunks of the certificate's size: the response compiles once
+    BLOCK,
+    response_names,
+)
+from rvjax.tolerances.propagation.rss import influences
+
+_Curves = Callable[[Any, int], tuple[np.ndarray, np.ndarray]]
 
 SHOWN_UNITS = 24  # units whose curve is drawn
-SHOWN_VALUES = 65_536  # units behind a histogram, and no more than behind the certificate
+SHOWN_VALUES = KEPT  # units behind a histogram: those of the certificate where it has no more
 FEWEST_BEYOND = 8  # units of the learning sample beyond a limit, below which a point of the cost curve is left out
 SEARCHING, CERTIFYING = "cheapest tolerances", "yield before"  # phases of a run
 SAMPLING, PRICING = "sample units", "cost against yield"
@@ -58,7 +71,7 @@ class Answer:
         certificate_before: statistics of the study's own tolerances, on the certificate's random numbers.
         before: the study's own tolerances.
         after: the allocated tolerances.
-        cost_curve: (least yield of a requirement, cheapest cost), both certified, in ascending order, the allocation
+        cost_curve: (least yield of a requirement among fresh units, cheapest cost), ascending; the certified allocation
             itself among them where all its targets are one; empty where the study is infeasible or asks for no share
             of units.
     """
@@ -71,14 +84,18 @@ class Answer:
     cost_curve: list[tuple[float, float]]
 
 
-def answer(study: Study, *, progress: bool = False) -> Answer:
+def answer(study: Study, *, progress: bool = False, journal: Journal | None = None) -> Answer:
     """Allocate the tolerances of a study and collect what the report shows.
 
     Args:
         study: the question.
         progress: show progress bars.
+        journal: keeps what took long to compute, so that an interrupted answer goes on from there.
     """
     response = study.response()
+    with progress_bar(progress, None, "checked", "unit") as advance:  # compiles the gradients: the longest wait
+        refuse(nominal_status(response, Population.of(study.tolerances)))
+        advance(1)
     phases.begin(SEARCHING)
     allocation = allocate(
         response,
@@ -91,21 +108,29 @@ def answer(study: Study, *, progress: bool = False) -> Answer:
         joint_target=study.joint_target,
         middles=study.middles,
         grades=any(getattr(study.tolerances, name).size is not None for name in study.fields),
+        journal=journal,
         progress=progress,
     )
     certificate = allocation.certificate
     phases.begin(CERTIFYING)
-    before = monte_carlo(
+    before = Run(
         response,
-        study.tolerances,
-        samples=certificate.samples,
-        seed=certificate.seed,  # each certificate of a search has another one
-        chunk=BLOCK,
-        requirements=study.requirements,
+        Population.of(study.tolerances),
+        response_names(response, Population.of(study.tolerances)),
+        study.requirements,
+        certificate.samples,
+        certificate.seed,  # each certificate of a search has another one
+        block(study.samples, certificate.samples),
+        keep=certificate.values is not None,
         progress=progress,
-    )
+        journal=journal,
+    ).statistics()
     phases.begin(SAMPLING)
-    sides = [_side(study, response, tolerances) for tolerances in (study.tolerances, allocation.tolerances)]
+    curves = _curves(study)
+    sides = [
+        _side(study, response, study.tolerances, before, curves),
+        _side(study, response, allocation.tolerances, certificate, curves),
+    ]
     phases.begin(PRICING)
     return Answer(
         study=study,
@@ -113,28 +138,32 @@ def answer(study: Study, *, progress: bool = False) -> Answer:
         certificate_before=before,
         before=sides[0],
         after=sides[1],
-        cost_curve=_cost_curve(study, response, allocation),
+        cost_curve=_cost_curve(study, response, allocation, journal),
     )
 
 
-def _side(study: Study, response: Callable[[Any], Any], tolerances: Any) -> Side:
-    moments = rss(response, tolerances)
-    seed = study.seed + 2
-    angle, curves = _curves(study, tolerances, seed)
-    kept = monte_carlo(response, tolerances, samples=shown_values(study), seed=seed, chunk=BLOCK, keep=True)
+def _side(
+    study: Study, response: Callable[[Any], Any], tolerances: Any, certificate: Statistics, curves: _Curves
+) -> Side:
+    shares, sensitivities = influences(response, tolerances)
+    kept = certificate
+    if kept.values is None:  # more units than a histogram shows: some of its own
+        count, seed = shown_values(study), study.seed + 2
+        kept = monte_carlo(response, tolerances, samples=count, seed=seed, chunk=BLOCK, keep=True)
+    angle, drawn = curves(tolerances, kept.seed)
     return Side(
         tolerances=tolerances,
         cost={name: float(cost(getattr(tolerances, name).half_width)) for name, cost in study.costs.items()},
-        shares=moments.contributions,
+        shares=shares,
         sensitivities={
             name: {field: float(np.sqrt(np.mean(np.square(derivative)))) for field, derivative in fields.items()}
-            for name, fields in moments.sensitivities.items()
+            for name, fields in sensitivities.items()
         },
         values=kept.values,
         angle=angle,
-        curves=curves,
+        curves=drawn,
         failed=kept.examples,
-        seed=seed,
+        seed=kept.seed,
     )
 
 
@@ -143,54 +172,50 @@ def shown_values(study: Study) -> int:
     return min(SHOWN_VALUES, study.certificate_samples)
 
 
-def _curves(study: Study, tolerances: Any, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Angles (n,), and the curves of sample units (units, n); empty where no model draws one."""
+def _curves(study: Study) -> _Curves:
+    """Angles (n,) and the curves of sample units (units, n) of some tolerances and a seed, by one program for all."""
     curve = study.curve
     if curve is None:
-        return np.empty(0), np.empty((0, 0))
+        return lambda tolerances, seed: (np.empty(0), np.empty((0, 0)))  # no model draws one
 
-    def of_unit(index: jax.Array) -> tuple[jax.Array, jax.Array]:
-        errors = sample(tolerances, index, seed=seed)
-        angle, values = curve.evaluate(study.design, errors, study.conditions)
+    def of_unit(population: Population, z: jax.Array) -> tuple[jax.Array, jax.Array]:
+        angle, values = curve.evaluate(study.design, population.errors(z), study.conditions)
         return jnp.asarray(angle), values
 
-    angles, values = jax.jit(jax.vmap(of_unit))(np.arange(SHOWN_UNITS))
-    return np.asarray(angles)[0], np.asarray(values)
+    units = jax.jit(jax.vmap(of_unit, in_axes=(None, -1)))
+
+    def drawn_units(tolerances: Any, seed: int) -> tuple[np.ndarray, np.ndarray]:
+        population = Population.of(tolerances)
+        angles, values = units(population, drawn(population, root_key(seed), jnp.uint32(0), count=SHOWN_UNITS))
+        return np.asarray(angles)[0], np.asarray(values)
+
+    return drawn_units
 
 
-def _cost_curve(study: Study, response: Callable[[Any], Any], found: Allocation) -> list[tuple[float, float]]:
+def _cost_curve(
+    study: Study, response: Callable[[Any], Any], found: Allocation, journal: Journal | None
+) -> list[tuple[float, float]]:
     if not found.feasible or all(requirement.goal != "target" for requirement in study.requirements.values()):
         return []  # no place to start from, or no share of units to move
     targets = [target for target in YIELD_SWEEP if study.samples * (1 - target) >= FEWEST_BEYOND]
     if not targets:
         return []
-    curve = cost_curve(
+    moved = found.cost - sum(found.costs.values())  # the curve begins with moved middles, and must pay for them
+    curve = cost_of_yields(
         response,
         found.tolerances,
         study.requirements,
         costs=study.costs,
-        values=targets,
-        against="target",
+        targets=targets,
         samples=study.samples,
         seed=study.seed,
-        certificate_samples=shown_values(study),
+        units=shown_values(study),
+        journal=journal,
     )
-    moved = found.cost - sum(
-        found.costs.values()
-    )  # the curve begins with middles that have moved, and must pay for them
-    points = [(least_yield(a.certificate), a.cost + moved) for a in curve.allocations if a.feasible]
+    points = [(share, cost + moved) for share, cost in curve]
     goals = {item.target for item in study.requirements.values() if isinstance(item, Requirement)}
     if (
         len(goals) == 1 and study.joint_target is None
     ):  # an end of the same searches: one asks for what this study asks for
         points.append((least_yield(found.certificate), found.cost))
     return sorted(points)
-
-
-def least_yield(statistics: Statistics) -> float:
-    """The least share of units that keeps one requirement; a study without any has no curve.
-
-    Args:
-        statistics: of certified units.
-    """
-    return min(verdict.estimate.value for verdict in statistics.verdicts.values() if verdict.kind == "share")

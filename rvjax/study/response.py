@@ -16,7 +16,7 @@ from rvjax.errors import BOUNDS
 from rvjax.levels.choice import Choice
 from rvjax.outputs import Reading, Solved, Source
 from rvjax.records import Record, field, record, text
-from rvjax.status import Status, succeeded, worst
+from rvjax.status import SUCCESS, Status, worst
 from rvjax.tolerances import Outcome
 
 Settings = tuple[tuple[str, Any], ...]
@@ -120,6 +120,17 @@ def check_nominal(response: Callable[[Any], Outcome], errors: Any) -> None:
     Raises:
         ValueError: names the status.
     """
-    status = _status(response, errors)
-    if not succeeded(status):
-        raise ValueError(f"the unit without errors cannot be solved: {Status(int(status)).name}")
+    refuse(int(_status(response, errors)))
+
+
+def refuse(status: int) -> None:
+    """Refuse a question whose error-free unit has a status that is no success.
+
+    Args:
+        status: of that unit.
+
+    Raises:
+        ValueError: names the status.
+    """
+    if status not in SUCCESS:
+        raise ValueError(f"the unit without errors cannot be solved: {Status(status).name}")

@@ -11,20 +11,23 @@ import numpy as np
 
 from rvjax import tables
 from rvjax.records import Record
-from rvjax.tolerances.allocation.certificate import Certifier
+from rvjax.tolerances.allocation.certificate import DRAWS, Certifier
 from rvjax.tolerances.allocation.cost import Cost
+from rvjax.tolerances.allocation.mapped import MappedSearch
 from rvjax.tolerances.allocation.middles import Middle, centred, check_middles
-from rvjax.tolerances.allocation.search import Search
+from rvjax.tolerances.allocation.search import NOISE, Search
 from rvjax.tolerances.allocation.snapping import Snapping
-from rvjax.tolerances.allocation.training import Training
+from rvjax.tolerances.allocation.training import Point, Training
 from rvjax.tolerances.distribution.tolerance import Tolerance
 from rvjax.tolerances.population.correlation import Correlation
 from rvjax.tolerances.population.population import Population
+from rvjax.tolerances.propagation.journal import Journal
 from rvjax.tolerances.propagation.monte_carlo import Run, Statistics, progress_bar
 from rvjax.tolerances.propagation.requirements import Limits
 from rvjax.tolerances.propagation.responses import BLOCK, Response, by_response, response_names, unwrapped
 
 FEWEST = 100  # units a quantile can be learned from
+KEPT = 65_536  # units of a certificate whose responses are kept, at most
 
 
 @dataclasses.dataclass(frozen=True)
@@ -47,10 +50,14 @@ class Allocation:
         residual: how far the accepted set is from the conditions of an optimum (Karush, Kuhn and Tucker): the largest
             saving of a single field that no price of a requirement accounts for, as a part of all savings; nan where
             nothing was searched. Sampled slopes know it to a few percent; the cost is off by about its square.
-        certificate: `Statistics` of fresh units at `tolerances`.
+        certificate: `Statistics` of fresh units at `tolerances`; of up to 65536 with their responses.
         grades: {field: grade} of a snapped allocation, else None.
         graded: the allocation snapped to grades, if asked for.
         history: one dict per evaluated set: cost, margins {constraint: value}, half_widths {field: value}.
+        evaluations: units of the response that were solved by the "search", with a gradient or without, and for
+            "certificates"; and those of the "cheap" one.
+        cheap_refused: why the cheap response was given up, and the search went on with the response itself; None
+            where it led the search, or there was none.
     """
 
     feasible: bool
@@ -68,6 +75,8 @@ class Allocation:
     grades: dict[str, str] | None
     graded: "Allocation | None"
     history: list[dict[str, Any]]
+    evaluations: dict[str, int]
+    cheap_refused: str | None
 
     def to_pandas(self) -> Any:
         """A `pandas.DataFrame`, SI: limits, half-width, cost and grade of each field that has a cost."""
@@ -101,6 +110,8 @@ def allocate(
     grades: bool = False,
     max_steps: int = 300,
     middles: Mapping[str, Middle] | None = None,
+    cheap: Response | None = None,
+    journal: Journal | None = None,
     progress: bool = False,
 ) -> Allocation:
     """The cheapest half-widths with every requirement met: shares of units, means, capabilities.
@@ -127,6 +138,10 @@ def allocate(
         grades: also snap fields with a `size` to ISO 286 grades and fit the other fields to them.
         max_steps: sets of half-widths tried, at most, for one set of middles.
         middles: {field: Middle} of errors whose limits may also move as a whole; the others keep their middle.
+        cheap: the same responses, nearly, at a lower price. The search then walks on them, moved and tilted to agree
+            with the response where it stands, and asks the response itself only where that led. Certificates, and
+            middles, know the response alone. One that does not go with the response is given up.
+        journal: keeps what took long to compute, so that the same allocation, interrupted, goes on from there.
         progress: show progress bars.
 
     Returns:
@@ -142,29 +157,58 @@ def allocate(
     priced = _costs_by_field(costs, population.active)
     check_middles(middles or {}, population.active)
     start = np.array([float(population.active[name].half_width) for name in priced])
-    training = Training(response, population, tuple(priced), required, joint_target, samples, seed)
+    learned_from = tuple(priced), required, joint_target, samples, seed
+    training = Training(response, population, *learned_from, journal)
+    if cheap is not None:
+        _check_cheap(cheap, population, required)
     moving = 0.0
     with progress_bar(progress, None, "searching", "step") as advance:
         if middles:
             training, moving = centred(training, priced, max_steps, start, middles, advance)
-        drawn = certificate_samples, seed, BLOCK
+        drawn = certificate_samples, seed, block(samples, certificate_samples)
         run = Run(
             response, training.population, names, required, *drawn, confidence=confidence, progress=progress,
-            label="certifying",
+            keep=certificate_samples <= KEPT, label="certifying", journal=journal,
         )  # fmt: skip
         certifier = Certifier(run, joint_target)
         search = Search(training, priced, max_steps, advance)
-        possible = (training.margins(search.low) <= 0).all()
+        if cheap is not None:
+            model = Training(cheap, training.population, *learned_from)
+            search = MappedSearch(training, priced, max_steps, advance, model)
         advance(0)
-        found = _cheapest(search, certifier, start) if possible else _finest(search, certifier)
-    result = _result(search, found, names, start, moving)
+        point, finest = search.begin(start), float((training.margins(search.low) / training.distance).max())
+        possible = finest <= 0
+        if not possible:  # finer need not be better: one error may take up another's
+            point, _ = search.run(point)
+            reached = float((point.margins / training.distance).max())
+            possible = reached <= NOISE and reached < finest / 2
+        found = _cheapest(search, certifier, point, start) if possible else _finest(search, certifier)
+    given = names, start, moving, certifier
+    result = _result(search, found, *given)
     if not grades or not result.feasible:
         return unwrapped(result)
     t, chosen, certificate = Snapping(search, certifier, priced).snap(found.half_widths, found.certificate)
     status = "OPTIMAL" if certifier.holds(certificate) else "NOT_CERTIFIED"
     snapped = dataclasses.replace(found, status=status, half_widths=t, certificate=certificate)
-    graded = dataclasses.replace(_result(search, snapped, names, start, moving), grades=chosen)
+    graded = dataclasses.replace(_result(search, snapped, *given), grades=chosen)
     return unwrapped(dataclasses.replace(result, graded=graded))
+
+
+def block(samples: int, certificate_samples: int) -> int:
+    """Units of a certificate evaluated at once: as many as the search does where that needs no second program.
+
+    Args:
+        samples: units that the search learns from.
+        certificate_samples: of the certificate.
+    """
+    return min(samples, BLOCK) if certificate_samples < BLOCK else BLOCK
+
+
+def _check_cheap(cheap: Response, population: Population, required: dict[str, Limits]) -> None:
+    have = response_names(cheap, population)
+    for name in required:
+        if name not in have:
+            raise ValueError(f"cheap: has no {name!r}, which a requirement judges; it has {', '.join(have)}")
 
 
 def _check(required: dict[str, Limits], joint_target: float | None, **counts: int) -> None:
@@ -193,14 +237,17 @@ class _Found:
     residual: float = math.nan
 
 
-def _cheapest(search: Search, certifier: Certifier, start: np.ndarray) -> _Found:
+def _cheapest(search: Search, certifier: Certifier, point: Point, start: np.ndarray) -> _Found:
     training, run = search.training, certifier.run
-    point, settled = search.find(search.begin(start), start)
+    point, settled = search.find(point, start)
     if run.samples > training.samples:  # a larger sample knows the figures better: tell the smaller one
         seen = certifier.draw(training.with_half_widths(point.half_widths))
         point, settled = search.find(training.correct(point, certifier.factors(seen, training.distance)), start)
     prices = search.prices(point)
-    half_widths, certificate = _certified(search, certifier, point.half_widths, start)
+    if search.shrinks(point):
+        half_widths, certificate = _certified(search, certifier, point.half_widths, start)
+    else:
+        half_widths, certificate = _aimed(search, certifier, point, start)
     status = "OPTIMAL" if settled else "MAX_STEPS"
     if not certifier.holds(certificate):
         status = "NOT_CERTIFIED"
@@ -225,6 +272,18 @@ def _certified(
     return best, certificate
 
 
+def _aimed(search: Search, certifier: Certifier, point: Point, start: np.ndarray) -> tuple[np.ndarray, Statistics]:
+    """The same where smaller half-widths would not help: the sample is told what a draw saw, and searched again."""
+    certificate = certifier.draw(search.training.with_half_widths(point.half_widths))
+    for _ in range(DRAWS - 1):
+        if certifier.holds(certificate) or certifier.hopeless():
+            break
+        told = search.training.correct(point, certifier.factors(certificate, search.training.distance))
+        point, _ = search.find(told, start)
+        certificate = certifier.draw(search.training.with_half_widths(point.half_widths))
+    return point.half_widths, certificate
+
+
 def _finest(search: Search, certifier: Certifier) -> _Found:
     """The learning sample refuses even the finest half-widths: by how much, says a fresh one."""
     certificate, shortfall = certifier.shortfall(search.training.with_half_widths(search.low))
@@ -235,7 +294,10 @@ def _finest(search: Search, certifier: Certifier) -> _Found:
     return _Found(status, search.cost(search.low), search.low, certificate, np.zeros(len(shortfall)), shortfall)
 
 
-def _result(search: Search, found: _Found, names: tuple[str, ...], start: np.ndarray, moving: float) -> Allocation:
+def _result(
+    search: Search, found: _Found, names: tuple[str, ...], start: np.ndarray, moving: float, certifier: Certifier
+) -> Allocation:
+    cheap = search if isinstance(search, MappedSearch) else None
     t, training, nothing = found.half_widths, search.training, dict.fromkeys(names, 0.0)
     costs = zip(training.fields, search.costs, t)
     return Allocation(
@@ -254,6 +316,12 @@ def _result(search: Search, found: _Found, names: tuple[str, ...], start: np.nda
         grades=None,
         graded=None,
         history=search.history,
+        evaluations={
+            "search": training.evaluated[0],
+            "certificates": certifier.drawn * certifier.run.samples,
+            "cheap": cheap.cheap.evaluated[0] if cheap else 0,
+        },
+        cheap_refused=cheap.refused if cheap else None,
     )
 
 

@@ -14,7 +14,7 @@ from rvjax.tolerances.propagation.limits import Verdict
 from rvjax.tolerances.propagation.monte_carlo import Run, Statistics
 from rvjax.tolerances.propagation.responses import PLAIN
 
-_DRAWS = 8  # certificates in one search; every one is a new chance to pass by luck
+DRAWS = 8  # certificates in one search; every one is a new chance to pass by luck
 _RARE = 20_000, 200_000  # units behind a probability of failure
 _TRUSTED = {"OK", "SEVERAL_POINTS", "KINKED_POINT"}  # the latter two concern the reliability index alone
 _LEAST = 1e-3  # least step of a shrinking half-width, relative
@@ -27,10 +27,12 @@ class Certifier:
 
     run: Run
     joint_target: float | None
+    drawn: int = 0
 
-    def draw(self, population: Population, *, keep: bool = False) -> Statistics:
+    def draw(self, population: Population, *, keep: bool | None = None) -> Statistics:
         """Statistics of fresh units; a target beyond what they can show is judged by a probability of failure."""
-        self.run = dataclasses.replace(self.run, seed=self.run.seed + 1)
+        self.run, self.drawn = dataclasses.replace(self.run, seed=self.run.seed + 1), self.drawn + 1
+        keep = self.run.keep if keep is None else keep
         found = dataclasses.replace(self.run, population=population, keep=keep).statistics()
         return dataclasses.replace(found, verdicts=found.verdicts | self.rare(population)) if found.verdicts else found
 
@@ -84,7 +86,7 @@ class Certifier:
         return share_factor(valid, 1 - most, n, deviate_of(self.run.confidence))
 
     def settle(
-        self, training: Training, start: np.ndarray, low: np.ndarray, *, draws: int = _DRAWS
+        self, training: Training, start: np.ndarray, low: np.ndarray, *, draws: int = DRAWS
     ) -> tuple[np.ndarray, Statistics]:
         """Shrink all half-widths by common factors until a certificate holds; the last one drawn otherwise."""
         half_widths, statistics = start, self.draw(training.with_half_widths(start))
@@ -117,4 +119,4 @@ class Certifier:
             name: item.shortfall(statistics.values[name], self.joint_target or 0.0)
             for name, item in self.run.requirements.items()
         }
-        return dataclasses.replace(statistics, values=None), missing
+        return statistics if self.run.keep else dataclasses.replace(statistics, values=None), missing

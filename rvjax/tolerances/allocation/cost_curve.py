@@ -5,7 +5,19 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from rvjax.tolerances.allocation.allocation import Allocation, allocate
+import numpy as np
+
+from rvjax.tolerances.allocation.allocation import Allocation, allocate, block
+from rvjax.tolerances.allocation.cost import Cost
+from rvjax.tolerances.allocation.search import NOISE, Search
+from rvjax.tolerances.allocation.training import Training
+from rvjax.tolerances.population.population import Population
+from rvjax.tolerances.propagation.journal import Journal
+from rvjax.tolerances.propagation.limits import Limits
+from rvjax.tolerances.propagation.monte_carlo import Run, Statistics
+from rvjax.tolerances.propagation.responses import Response
+
+_STEPS = 30  # sets of half-widths that a search for one yield looks at, at most
 
 
 @dataclasses.dataclass(frozen=True)
@@ -116,3 +128,56 @@ def _price(allocation: Allocation, of: str | None) -> float:
         name = next(iter(allocation.certificate.verdicts)) if of is None else of
         return float(allocation.multipliers[name])
     return float(allocation.multipliers)
+
+
+def cost_of_yields(
+    response: Response,
+    tolerances: Any,
+    requirements: dict[str, Limits],
+    *,
+    costs: dict[str, Cost],
+    targets: Sequence[float],
+    samples: int,
+    seed: int,
+    units: int,
+    journal: Journal | None = None,
+) -> list[tuple[float, float]]:
+    """What other targets would cost, one search each: (least yield of a requirement, cost) of where it ended.
+
+    Nothing is certified: the yield is that of fresh units, whatever the target was.
+
+    Args:
+        response: pure function of the errors of one unit; a dict of scalars, or an `Outcome` of these.
+        tolerances: record or dict with a `Tolerance` or None in each field; where the first search starts.
+        requirements: by name of the response.
+        costs: by field.
+        targets: of all shares of units, ascending.
+        samples: units to learn from.
+        seed: of these units; the fresh ones have the one after it.
+        units: fresh ones behind each yield.
+        journal: keeps what took long to compute.
+    """
+    population, points = Population.of(tolerances), []
+    priced = {name: costs[name] for name in population.active if name in costs}
+    t = np.array([float(population.active[name].half_width) for name in priced])
+    for target in targets:
+        required = _moved(requirements, "target", None, target)
+        training = Training(response, population, tuple(priced), required, None, samples, seed, journal)
+        search = Search(training, priced, _STEPS)
+        point, _ = search.run(search.begin(t))
+        if not (point.margins <= NOISE * training.distance).all():
+            continue
+        t = point.half_widths
+        drawn = units, seed + 1, block(samples, units)
+        run = Run(response, training.with_half_widths(t), training.names, required, *drawn, journal=journal)
+        points.append((least_yield(run.statistics()), search.cost(t)))
+    return points
+
+
+def least_yield(statistics: Statistics) -> float:
+    """The least share of units that keeps one requirement; a study without any has no curve.
+
+    Args:
+        statistics: of units that requirements have judged.
+    """
+    return min(verdict.estimate.value for verdict in statistics.verdicts.values() if verdict.kind == "share")

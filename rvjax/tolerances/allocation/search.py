@@ -14,15 +14,17 @@ from rvjax.tolerances.allocation.rays import Rays
 from rvjax.tolerances.allocation.separable import cheapest, total_cost
 from rvjax.tolerances.allocation.training import Point, Training
 
-_RADIUS = 1.5  # first step, at most, in logarithms of the half-widths
-_SETTLED = 2e-3  # steps and violations (as parts of the way to the limit) smaller than this end the search
-_NOISE = 0.02  # violation that the sample itself may err by; the certificate takes care of it
-_GAIN = 1e-4  # and so does a step that saves less of the cost
+RADIUS = 1.5  # first step, at most, in logarithms of the half-widths
+SETTLED = 2e-3  # steps and violations (as parts of the way to the limit) smaller than this end the search
+NOISE = 0.02  # violation that the sample itself may err by; the certificate takes care of it
+GAIN = 1e-4  # and so does a step that saves less of the cost
+
+_BINDING = 0.1  # a constraint with more room, in parts of the way to its limit, plays no part
 
 _PROBE = 0.1  # of the audit, logarithm of a half-width
 _ASTRAY = 0.4  # part of a probe by which a margin may move otherwise than its slopes say: few units cross
 _MANY, _FEWEST = 40, 8  # units beyond a limit that these bounds are for, and the least that a quantile leaves
-_STATIONARY = 0.1  # residual of an optimum by derivatives: costs less than half its square
+STATIONARY = 0.1  # residual of an optimum by derivatives: costs less than half its square
 _STATIONARY_APART = 0.2  # the same where slopes are differences of a sample
 _TELLING = 0.005  # change of the least cost that is none of the search's own
 _MOVES = (0.05, 0.2)  # of a limit, parts of the way to it; the second where the first changes nothing
@@ -88,35 +90,40 @@ class Search:
         else:
             starts = [self.inside(self.rays.scaled(point.half_widths))]
         ends = [self.loosened(self.run(self.look(t))[0].half_widths) for t in starts]
-        best = self.look(min(ends, key=self.cost))
+        best = self.look(min([t for t in ends if self.rays.met(t)] or ends, key=self.cost))
         return best, len(self.history) < self.max_steps and self.residual(best) <= _STATIONARY_APART * self.doubt
 
     def run(self, best: Point) -> tuple[Point, bool]:
         """From a point to the cheapest, and whether the steps settled there."""
-        distance, radius = self.training.distance, _RADIUS
+        distance, radius = self.training.distance, RADIUS
         while len(self.history) < self.max_steps:
             wanted, prices = self.model_optimum(best, radius)
             step = float(np.abs(np.log(wanted / best.half_widths)).max())
             excess = float((best.margins / distance).max())
-            met = excess <= _SETTLED
-            if radius < _SETTLED or (met and step < _SETTLED):
-                return best, excess <= _NOISE
+            met = excess <= SETTLED
+            if radius < SETTLED or (met and step < SETTLED):
+                return best, excess <= NOISE
             new, penalty = self.look(wanted), np.maximum(self.cost(best.half_widths) / distance, 2 * prices)
             gain = self._merit(best, penalty) - self._merit(new, penalty)
             if gain <= 0:
                 radius = step / 3
                 continue
             best, radius = new, max(radius, 2 * step)
-            if met and gain < _GAIN * self.cost(best.half_widths):
+            if met and gain < GAIN * self.cost(best.half_widths):
                 return best, True
         return best, False
+
+    def shrinks(self, point: Point) -> bool:
+        """True if every constraint that may bind gains where all half-widths shrink together."""
+        binding = point.margins > -_BINDING * self.training.distance
+        return bool((point.slopes[binding].sum(axis=1) >= 0).all())
 
     def stands(self, point: Point) -> bool:
         """The audit of an end: no price explains away a saving, and the sample moves as the slopes say it does.
 
         Every field is loosened alone. Units that fail, or a response in steps, show by margins that jump or stay.
         """
-        if self.residual(point) > _STATIONARY:
+        if self.residual(point) > STATIONARY:
             return False
         way = (point.margins + self.training.distance) / self.training.distance
         for j, slopes in enumerate((point.slopes / self.training.distance[:, None]).T):
@@ -128,7 +135,7 @@ class Search:
             powers = self.training.powers
             grown = way**powers + way ** (powers - 1) * slopes * np.expm1(powers * _PROBE)
             told = np.maximum(grown, 0.0) ** (1 / powers)
-            astray = (np.abs(seen - told) > _ASTRAY * self.doubt * _PROBE) & (np.maximum(seen, told) > 1 - _NOISE)
+            astray = (np.abs(seen - told) > _ASTRAY * self.doubt * _PROBE) & (np.maximum(seen, told) > 1 - NOISE)
             if astray.any():
                 return False
         return True
@@ -168,7 +175,7 @@ class Search:
     def prices(self, point: Point) -> np.ndarray:
         """What the cost changes by, downwards, where the limit of each requirement moves outwards."""
         if self.rays is None:
-            return self.model_optimum(point, _RADIUS)[1] @ point.weights
+            return self.model_optimum(point, RADIUS)[1] @ point.weights
         return np.array([self.price(self.rays, point, k) for k in range(len(self.training.requirements))])
 
     def price(self, rays: Rays, point: Point, k: int) -> float:

@@ -43,15 +43,15 @@ class Snapping:
         if not places:
             return half_widths, {}, certificate
         best = self.at(places, half_widths)
-        certificate = self.certifier.draw(self.training.with_half_widths(best))
+        proof: Statistics | None = None  # none yet: finer than what is certified, and most often not the last word
         open_ = set(places)
         # The grades as they are come first where free fields may take up what they leave.
         trial = dict(places) if len(places) < len(self.priced) else None
-        while self.certifier.holds(certificate):
+        while proof is None or self.certifier.holds(proof):
             if trial is not None:
                 found, drawn = self.certified(trial, best)
                 if drawn is not None and self.certifier.holds(drawn) and self.cost(found) < self.cost(best):
-                    best, places, certificate = found, trial, drawn
+                    best, places, proof = found, trial, drawn
                 else:
                     open_ -= {j for j in open_ if trial[j] != places[j]}
             open_ = {j for j in open_ if places[j] + 1 < len(self.ladders[j])}
@@ -60,6 +60,7 @@ class Snapping:
             j = max(open_, key=lambda j: self.saving(j, places[j]))
             trial = {**places, j: places[j] + 1}
         fields = list(self.priced)
+        certificate = proof or self.certifier.draw(self.training.with_half_widths(best))
         return best, {fields[j]: self.ladders[j][place][0] for j, place in places.items()}, certificate
 
     def certified(self, places: Places, half_widths: np.ndarray) -> tuple[np.ndarray, Statistics | None]:

@@ -6,7 +6,8 @@ the half-widths. It certifies nothing: the optimum is fitted to these very units
 
 import copy
 import dataclasses
-from typing import Self
+import hashlib
+from typing import Any, Self
 
 import jax
 import jax.numpy as jnp
@@ -15,13 +16,17 @@ import numpy as np
 from rvjax.status import succeeded
 from rvjax.tolerances.distribution.tolerance import Tolerance
 from rvjax.tolerances.population.population import Population, drawn, root_key
+from rvjax.tolerances.propagation.checkpoint import describe
+from rvjax.tolerances.propagation.gradients import LANES, elements_and_rates, gradients
+from rvjax.tolerances.propagation.journal import Journal
 from rvjax.tolerances.propagation.limits import Limits, Pull, along_reach
-from rvjax.tolerances.propagation.responses import BLOCK, Response, evaluate, per_response, respond, response_names
+from rvjax.tolerances.propagation.responses import BLOCK, Response, respond, response_names
 from rvjax.tolerances.propagation.tails import nearest, tail_quantile
 from rvjax.tolerances.propagation.worst_case import Extremes, extremes
 
 # Slopes come from the units nearest the quantile: few enough to stand near it, where the response bends; cheap, too.
 _FEWEST_LANES, _LANES_PART = 256, 32
+_REMEMBERED = 8  # sets of half-widths whose values are kept: what was asked for is often asked for again
 
 
 @dataclasses.dataclass(frozen=True)
@@ -56,11 +61,15 @@ class Training:
         joint_target: float | None,
         samples: int,
         seed: int,
+        journal: Journal | None = None,
     ) -> None:
         self.response, self.population, self.fields, self.requirements = response, population, fields, requirements
         self.names = response_names(response, population)
         self._priced = [list(population.active).index(name) for name in fields]
         self.samples, self.joint_target = samples, joint_target
+        self._journal, self._drawn = journal, {"seed": str(seed), "method": "random"}
+        self._seen: dict[bytes, np.ndarray] = {}
+        self.evaluated = [0]  # units, with or without a gradient, by this sample and its copies
         self._made: dict[str, tuple[float, Tolerance]] = {}  # the latest tolerance of each field, by its half-width
         self.lanes = min(samples, max(_FEWEST_LANES, samples // _LANES_PART))
         key, block = root_key(seed), min(samples, BLOCK)
@@ -70,7 +79,7 @@ class Training:
     def _measure(self) -> None:
         """How far the nominal response stays from each limit; margins are measured from there."""
         requirements, joint_target = self.requirements, self.joint_target
-        values = self._values(np.zeros(len(self.fields)))
+        values = self.values(np.zeros(len(self.fields)))
         own = self._unit_margins(values)
         nominal = np.array([item.distance(row) for row, item in zip(values, requirements.values())])
         finite = np.where(np.isfinite(own), np.abs(own), 0.0).max(axis=1)
@@ -87,7 +96,7 @@ class Training:
     def with_tolerances(self, changed: dict[str, Tolerance]) -> Self:
         """The same units where some fields have other tolerances, with margins measured as here."""
         other = copy.copy(self)
-        other.population, other._made = self.population.with_tolerances(changed), {}
+        other.population, other._made, other._seen = self.population.with_tolerances(changed), {}, {}
         return other
 
     def measured(self) -> Self:
@@ -109,11 +118,11 @@ class Training:
 
     def uncorrected(self, half_widths: np.ndarray) -> np.ndarray:
         """Margins (c,) of this sample, whatever a larger one said."""
-        return self._margins(self._values(half_widths), self._ranges(half_widths))
+        return self._margins(self.values(half_widths), self._ranges(half_widths))
 
     def point(self, half_widths: np.ndarray) -> Point:
         """Margins and slopes."""
-        values, ranges = self._values(half_widths), self._ranges(half_widths)
+        values, ranges = self.values(half_widths), self._ranges(half_widths)
         margins = self._margins(values, ranges)
         weights = np.eye(len(margins), len(values))
         slopes = []
@@ -151,14 +160,29 @@ class Training:
         margins = ratio * (point.margins + self.distance) - self.distance
         return dataclasses.replace(point, margins=margins, slopes=ratio[:, None] * point.slopes)
 
-    def _values(self, half_widths: np.ndarray) -> np.ndarray:
-        """Required responses of every unit (k, n), nan where a unit failed."""
+    def values(self, half_widths: np.ndarray) -> np.ndarray:
+        """Required responses of every unit (k, n), nan where a unit failed; the latest ones are remembered."""
+        asked = np.asarray(half_widths, float).tobytes()
+        if asked in self._seen:
+            return self._seen[asked]
         population, rows = self.with_half_widths(half_widths), []
-        for z in self.blocks:
-            values, status = respond(self.response, population, z)
+        self.evaluated[0] += self.samples
+        for k, z in enumerate(self.blocks):
+            values, status = self._block(population, k, z)
             found = np.stack([np.asarray(values[name], float) for name in self.requirements])
             rows.append(np.where(np.asarray(succeeded(status)), found, np.nan))
-        return np.concatenate(rows, axis=1)[:, : self.samples]
+        while len(self._seen) >= _REMEMBERED:
+            self._seen.pop(next(iter(self._seen)))
+        self._seen[asked] = np.concatenate(rows, axis=1)[:, : self.samples]
+        return self._seen[asked]
+
+    def _block(self, population: Population, k: int, z: jax.Array) -> tuple[Any, Any]:
+        """Values and status of the units of a block."""
+        if self._journal is None:
+            return respond(self.response, population, z)
+        count = z.shape[1]  # the units of a certificate's block
+        asked = describe(population, {}) | self._drawn | {"first": str(k * count), "count": str(count)}
+        return self._journal.units(self.names, asked, lambda: respond(self.response, population, z))
 
     def _ranges(self, half_widths: np.ndarray) -> dict[str, Extremes]:
         """Ranges of the responses whose worst case is judged."""
@@ -195,45 +219,26 @@ class Training:
 
     def _slope(self, half_widths: np.ndarray, pull: Pull, of: np.ndarray) -> np.ndarray:
         """Derivative of a margin to the logarithms of the half-widths (j,); `of`: each unit's requirement."""
-        total, norm = np.zeros(len(self.fields)), 0.0
+        if not len(pull.units):
+            return np.zeros(len(self.fields))
         z = np.concatenate([np.asarray(block) for block in self.blocks], axis=1)
-        for start in range(0, len(pull.units), self.lanes):
-            part = slice(start, start + self.lanes)
-            units, count = pull.units[part], len(pull.units[part])
-            lanes = np.resize(units, self.lanes)  # one program, however many units
-            cotangents = np.eye(len(self.requirements))[of[lanes]].T * np.resize(pull.cotangents[part], self.lanes)
-            rows = _unit_gradients(
-                self.response,
-                self.population,
-                jnp.asarray(half_widths, z.dtype),
-                jnp.asarray(z[:, lanes]),
-                jnp.asarray(cotangents, z.dtype),
-                names=tuple(self.requirements),
-                fields=self.fields,
-            )
-            rows = np.asarray(rows, float)[:count]
-            used = np.isfinite(rows).all(axis=1)
-            total, norm = total + rows[used].sum(axis=0), norm + pull.norms[part][used].sum()
+        given = dict(zip(self.fields, jnp.asarray(half_widths, z.dtype)))
+        padded = np.resize(pull.units, -(-len(pull.units) // LANES) * LANES)  # one program, however many units
+        found = (np.asarray(rows) for rows in elements_and_rates(self.population, given, z[:, padded]))
+        errors, rates = (rows[:, : len(pull.units)] for rows in found)
+        rows = np.array([self.names.index(name) for name in self.requirements])
+        cotangents = np.eye(len(self.names))[rows[of[pull.units]]].T * pull.cotangents
+        self.evaluated[0] += len(pull.units)
+        slopes = self._gradients(errors, cotangents)
+        used = np.isfinite(slopes).all(axis=0)
+        by_field = self.population.by_field((slopes * rates)[:, used].sum(axis=1))
+        total, norm = np.array([by_field[name].sum() for name in self.fields]), pull.norms[used].sum()
         return total / norm * half_widths if norm > 0 else np.zeros(len(self.fields))
 
-
-@per_response(static=("names", "fields"))
-def _unit_gradients(
-    response: Response,
-    population: Population,
-    half_widths: jax.Array,
-    z: jax.Array,
-    cotangents: jax.Array,
-    *,
-    names: tuple[str, ...],
-    fields: tuple[str, ...],
-) -> jax.Array:
-    """Gradient of sum_k cotangent_k y_k to the half-widths, unit by unit: one reverse pass for all fields."""
-
-    def weighted(t: jax.Array, z: jax.Array, cotangent: jax.Array) -> jax.Array:
-        widths = jnp.split(t, len(fields))  # the transpose of a split is one concatenation
-        scaled = population.with_half_widths({name: width[0] for name, width in zip(fields, widths)})
-        values, _ = evaluate(response, scaled.errors(z))
-        return jnp.stack([values[name] for name in names]) @ cotangent
-
-    return jax.vmap(jax.grad(weighted), in_axes=(None, -1, -1))(half_widths, z, cotangents)
+    def _gradients(self, errors: np.ndarray, cotangents: np.ndarray) -> np.ndarray:
+        """Gradients (elements, n) of weighted responses."""
+        compute = lambda: gradients(self.response, self.population, errors, cotangents, self.names)[1]  # noqa: E731
+        if self._journal is None:
+            return compute()
+        weighted = hashlib.sha256(errors.tobytes() + cotangents.tobytes()).hexdigest()
+        return self._journal.recall({"gradients of": weighted}, compute)

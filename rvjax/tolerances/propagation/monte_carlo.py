@@ -8,7 +8,7 @@ import itertools
 import math
 import operator
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +32,7 @@ from rvjax.tolerances.propagation.checkpoint import (
 from rvjax.tolerances.propagation.devices import Evaluator, gathered, place
 from rvjax.tolerances.propagation.estimates import Estimate, deviate_of
 from rvjax.tolerances.propagation.figures import Statistics, rejects
+from rvjax.tolerances.propagation.journal import Journal
 from rvjax.tolerances.propagation.order import quantile_estimate
 from rvjax.tolerances.propagation.requirements import Limits
 from rvjax.tolerances.propagation.responses import Response, by_response, response_names, unwrapped
@@ -144,6 +145,7 @@ class Run:
     save: UnitFile | None = None
     progress: bool = False
     label: str = "Monte Carlo"
+    journal: Journal | None = None
 
     def statistics(self) -> Statistics:
         """Draw, evaluate and count all units."""
@@ -261,20 +263,25 @@ class Run:
         """Chunks from `first` on; those before `done` are counted already, and only kept or written."""
         samples, chunk = self.samples, self.chunk
         process, processes = place()
-        evaluator = Evaluator(self.response, self.population, self.seed, self.method, min(chunk, samples))
+        count = min(chunk, samples)
+        evaluator = Evaluator(self.response, self.population, self.seed, self.method, count)
+        start = evaluator.start
+        if self.journal is not None:
+            asked = describe(self.population, {}) | {"seed": str(self.seed), "method": self.method, "count": str(count)}
+            start = functools.partial(_recalled, self.journal, self.names, asked, evaluator)
         label = self.label if processes == 1 else f"{self.label}, process {process + 1} of {processes}"
         reached = first * chunk
         with progress_bar(self.progress, samples, label, "unit", initial=reached) as advance:
-            for number, values, status in _chunks(evaluator, tally, range(first, -(-samples // chunk)), chunk, samples):
-                own, start = number % processes == process, number * chunk
+            for number, values, status in _chunks(start, tally, range(first, -(-samples // chunk)), chunk, samples):
+                own, unit = number % processes == process, number * chunk
                 if number >= done:
-                    tally.add(number, start, values, status, own=own)
+                    tally.add(number, unit, values, status, own=own)
                 elif own:
-                    tally.keep(start, values, status)
+                    tally.keep(unit, values, status)
                     if file is not None and self.keep and number + 1 == done:  # the next run finds them
                         file.save(done, functools.partial(tally.state, done * chunk), now=True)
                 if write and own:
-                    write(start, values, status, evaluator.errors(start) if self.save and self.save.errors else {})
+                    write(unit, values, status, evaluator.errors(unit) if self.save and self.save.errors else {})
                 # A larger study evaluates a shorter last chunk whole.
                 if file is not None and own and number >= done and len(status) == chunk:
                     last = (number + 1 + processes) * chunk > samples
@@ -315,8 +322,14 @@ def _named(whole: Path, process: int, processes: int) -> Path:
     return whole.with_name(f"{whole.name}.{process}-of-{processes}")
 
 
+def _recalled(
+    journal: Journal, names: tuple[str, ...], asked: dict[str, str], evaluator: Evaluator, first: int
+) -> tuple[dict[str, Any], Any]:
+    return journal.units(names, asked | {"first": str(first)}, functools.partial(evaluator.start, first))
+
+
 def _chunks(
-    evaluator: Evaluator, tally: Tally, numbers: range, chunk: int, samples: int
+    start: Callable[[int], tuple[dict[str, Any], Any]], tally: Tally, numbers: range, chunk: int, samples: int
 ) -> Iterator[tuple[int, dict[str, np.ndarray], np.ndarray]]:
     """Evaluated chunks of this process in order; the device works on the next one while the host reads this one.
 
@@ -329,7 +342,7 @@ def _chunks(
         if number is not None:
             if number % processes != process and tally.settled:
                 continue
-            after = number, evaluator.start(number * chunk)
+            after = number, start(number * chunk)
         if ready is not None:
             done, (values, status) = ready
             # The last chunk is evaluated as long as the others, and cut here: nothing is compiled twice.

@@ -163,6 +163,9 @@ def respond_units(
 
 
 def response_names(response: Response, population: Population) -> tuple[str, ...]:
-    """Names of the response's values, found without computing any."""
-    z = jax.ShapeDtypeStruct((population.numbers, 1), jnp.result_type(float))
+    """Names of the response's values, found without computing any.
+
+    Traced for as many units as will be asked for where nobody chose: JAX remembers, and need not trace it again.
+    """
+    z = jax.ShapeDtypeStruct((population.numbers, BLOCK), jnp.result_type(float))
     return tuple(jax.eval_shape(functools.partial(respond, response), population, z)[0])

@@ -11,7 +11,8 @@ import numpy as np
 
 from rvjax.status import succeeded
 from rvjax.tolerances.population.correlation import Correlation, batch_correlation
-from rvjax.tolerances.population.population import Population, root_key
+from rvjax.tolerances.population.population import Population, drawn, root_key
+from rvjax.tolerances.propagation.gradients import elements, gradients
 from rvjax.tolerances.propagation.requirements import Limits
 from rvjax.tolerances.propagation.responses import (
     BLOCK,
@@ -88,23 +89,49 @@ def rss(
     names = response_names(response, population)
     required = by_response(requirements, names, Limits, "requirements")
     law = _Spread(population)
-    mean = jnp.asarray(law.mean, jnp.result_type(float))
-    value, gradients, near, far = _derivatives(response, population, mean, root_key(0), names=names)
-    found = {}
-    for k, name in enumerate(names):
-        gradient = np.asarray(gradients[k], float)
-        if _kink(gradient, np.asarray(near[k]), np.asarray(far[k]), law.sd):
-            found[name] = _sampled(response, population, name, np.asarray(far[k], float), law)
-        elif order == 1:
-            found[name] = _Propagated(float(value[k]), law.shares(gradient), gradient, "first order")
-        else:
-            hessian = np.asarray(_hessian(response, population, mean, names=(name,)), float)
-            found[name] = _second_order(float(value[k]), gradient, hessian, law)
+    found = _by_name(response, population, names, law, order)
+    for name in (name for name, item in found.items() if item.method == "sampled"):
+        mean, variance = _seen(response, population, name)
+        found[name] = dataclasses.replace(found[name], mean=mean, total=variance)
     results = {name: _figures(item, required.get(name), law) for name, item in found.items()}
     moments = by_name(Moments, results)
     if not any(item.of_units for item in required.values()):
         moments = dataclasses.replace(moments, cpk=None, yield_=None)
     return moments
+
+
+def influences(response: Response, tolerances: Any) -> tuple[Any, Any]:
+    """Contributions and sensitivities as `rss` has them, each by name of the response, at the price of gradients alone.
+
+    Args:
+        response: pure function of the errors of one unit; a dict or record of scalars, or an `Outcome` of these.
+        tolerances: record or dict with a `Tolerance` or None in each field.
+    """
+    population = Population.of(tolerances)
+    law = _Spread(population)
+    found = _by_name(response, population, response_names(response, population), law, 1)
+    figures = {name: _figures(item, None, law) for name, item in found.items()}
+    shares, slopes = ({n: each[of] for n, each in figures.items()} for of in ("contributions", "sensitivities"))
+    return shares, slopes
+
+
+def _by_name(
+    response: Response, population: Population, names: tuple[str, ...], law: "_Spread", order: int
+) -> dict[str, "_Propagated"]:
+    """What the gradients say of each response; mean and sd of one with a kink are left open."""
+    value, at_mean, near, far = _derivatives(response, population, law.mean, names)
+    found = {}
+    for k, name in enumerate(names):
+        gradient = at_mean[k]
+        if _kink(gradient, near[k], far[k], law.sd):
+            found[name] = _sampled(far[k], law)
+        elif order == 1:
+            found[name] = _Propagated(float(value[k]), law.shares(gradient), gradient, "first order")
+        else:
+            mean = jnp.asarray(law.mean, jnp.result_type(float))
+            hessian = np.asarray(_hessian(response, population, mean, names=(name,)), float)
+            found[name] = _second_order(float(value[k]), gradient, hessian, law)
+    return found
 
 
 class _Spread:
@@ -223,14 +250,19 @@ def _kink(gradient: np.ndarray, near: np.ndarray, far: np.ndarray, sd: np.ndarra
     return bool(seen.any() and jump[seen].mean() > 0.01 * size[seen].mean())
 
 
-def _sampled(response: Response, population: Population, name: str, gradients: np.ndarray, law: _Spread) -> _Propagated:
+def _sampled(gradients: np.ndarray, law: _Spread) -> _Propagated:
+    """Shares and mean squares of the gradients of whole units."""
     gradients = gradients[np.isfinite(gradients).all(axis=1)]
-    values, status = respond_units(response, population, root_key(0), 0, count=BLOCK)
-    valid = np.asarray(values[name], float)[np.asarray(succeeded(status))]
     of_units = [law.shares(gradient) for gradient in gradients]
     shares = {n: sum(unit[n] for unit in of_units) / max(1, len(of_units)) for n in law.fields}
-    mean_square = np.sqrt((gradients**2).mean(axis=0))
-    return _Propagated(float(valid.mean()), shares, mean_square, "sampled", float(valid.var(ddof=1)))
+    return _Propagated(math.nan, shares, np.sqrt((gradients**2).mean(axis=0)), "sampled")
+
+
+def _seen(response: Response, population: Population, name: str) -> tuple[float, float]:
+    """Mean and variance of a response over units."""
+    values, status = respond_units(response, population, root_key(0), 0, count=BLOCK)
+    valid = np.asarray(values[name], float)[np.asarray(succeeded(status))]
+    return float(valid.mean()), float(valid.var(ddof=1))
 
 
 def _flat(response: Response, population: Population, names: tuple[str, ...]) -> Callable[[jax.Array], jax.Array]:
@@ -243,27 +275,18 @@ def _flat(response: Response, population: Population, names: tuple[str, ...]) ->
     return function
 
 
-@per_response(static=("names",))
 def _derivatives(
-    response: Response, population: Population, mean: jax.Array, key: jax.Array, *, names: tuple[str, ...]
-) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
+    response: Response, population: Population, mean: np.ndarray, names: tuple[str, ...]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Values (k,) and gradients (k, n) at the mean; gradients (k, units, n) near it and at whole units."""
-    function = _flat(response, population, names)
-    errors = population.deviations(population.draw(key, jnp.arange(_PROBES, dtype=jnp.uint32)))
-    rows = [jnp.zeros((0, _PROBES), mean.dtype), *(v.reshape(-1, _PROBES) for v in errors.values())]
-    units = jnp.concatenate(rows) - mean[:, None]
-    points = jnp.concatenate([mean[:, None], mean[:, None] + _STEP * units, mean[:, None] + units], axis=1)
+    units = np.asarray(elements(population, drawn(population, root_key(0), jnp.uint32(0), count=_PROBES)))
+    away = units - mean[:, None]
+    points = np.concatenate([mean[:, None], mean[:, None] + _STEP * away, units], axis=1)
     # One lane per point and value: one reverse pass, units last, compiles in half the time of a Jacobian per unit.
-    count, lanes = points.shape[1], jnp.tile(points, len(names))
-    cotangents = jnp.repeat(jnp.eye(len(names), dtype=mean.dtype), count, axis=1)
-
-    def pulled(vector: jax.Array, cotangent: jax.Array) -> tuple[jax.Array, jax.Array]:
-        values, pull = jax.vjp(function, vector)
-        return values, pull(cotangent)[0]
-
-    values, gradients = jax.vmap(pulled, in_axes=-1, out_axes=-1)(lanes, cotangents)
-    gradients = gradients.reshape(-1, len(names), count).transpose(1, 2, 0)
-    return values[:, 0], gradients[:, 0], gradients[:, 1 : 1 + _PROBES], gradients[:, 1 + _PROBES :]
+    count, cotangents = points.shape[1], np.repeat(np.eye(len(names)), points.shape[1], axis=1)
+    values, found = gradients(response, population, np.tile(points, len(names)), cotangents, names)
+    found = found.reshape(-1, len(names), count).transpose(1, 2, 0)
+    return values[:, 0], found[:, 0], found[:, 1 : 1 + _PROBES], found[:, 1 + _PROBES :]
 
 
 @per_response(static=("names",))

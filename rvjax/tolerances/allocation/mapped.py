@@ -1,0 +1,125 @@
+"""A search on a cheap response, mapped to the one that counts where it stands: most steps then cost next to nothing.
+
+Margins of the cheap sample are moved and tilted so that value and slope agree with those of the response at one point;
+the cheapest half-widths of that model are looked at with the response itself, and the model is mapped anew from there.
+Agreement to first order is what makes a trust region end where the response alone would (Alexandrov, Lewis, Gumbert,
+Green and Newman 2001), however far the cheap response is from it; how far decides only how often it must be mapped.
+"""
+
+import copy
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from rvjax.tolerances.allocation.cost import Cost
+from rvjax.tolerances.allocation.search import GAIN, NOISE, RADIUS, SETTLED, STATIONARY, Search
+from rvjax.tolerances.allocation.training import Point, Training
+
+_CORRELATED = 0.5  # least correlation of the units' values: below, the cheap response explains a quarter of the spread
+_REFUSED = 3  # steps in a row that the response did not confirm
+_INNER = 40  # sets of half-widths that one model is asked for, at most
+_POOR, _GOOD = 0.25, 0.75  # parts of a promised gain, below which the region shrinks and above which it grows
+
+
+class Mapped:
+    """The cheap sample as a model of the response around one of its points."""
+
+    def __init__(self, cheap: Training, exact: Training, at: Point) -> None:
+        self.cheap, self.at = cheap, at
+        self.fields, self.requirements, self.samples = exact.fields, exact.requirements, exact.samples
+        self.distance, self.powers, self.most_failed = exact.distance, exact.powers, exact.most_failed
+        self._there = cheap.point(at.half_widths)
+        self.holds = bool(np.isfinite(self._there.margins).all())
+
+    def point(self, half_widths: np.ndarray) -> Point:
+        """Margins and slopes of the model."""
+        there = self.cheap.point(half_widths)
+        tilt = self.at.slopes - self._there.slopes
+        away = tilt @ np.log(half_widths / self.at.half_widths)
+        margins = self.at.margins + (there.margins - self._there.margins) + away
+        return Point(half_widths, margins, there.slopes + tilt, self.at.weights)
+
+
+class MappedSearch(Search):
+    """Finds like a search of the response alone, or becomes one where the cheap response is of no use."""
+
+    def __init__(
+        self,
+        training: Training,
+        priced: dict[str, Cost],
+        max_steps: int,
+        advance: Callable[[int], Any],
+        cheap: Training,
+    ) -> None:
+        super().__init__(training, priced, max_steps, advance)
+        self.cheap, self._priced = cheap, priced
+        self.refused: str | None = None
+        """Why the cheap response was given up, if it was."""
+
+    def find(self, point: Point, start: np.ndarray) -> tuple[Point, bool]:
+        """The cheapest half-widths from a point on, and whether they are an optimum as far as the sample tells."""
+        if self.refused is None:
+            self.refused = self._unlike(point)
+        if self.refused is None:
+            point, settled = self._followed(point)
+            if settled:
+                return point, True
+            self.refused = self.refused or "it led to no optimum of the response"
+        return super().find(point, start)
+
+    def _unlike(self, point: Point) -> str | None:
+        """What speaks against the cheap response before any step: units that it sees otherwise."""
+        exact, cheap = (of.values(point.half_widths) for of in (self.training, self.cheap))
+        for name, one, other in zip(self.training.requirements, exact, cheap):
+            both = np.isfinite(one) & np.isfinite(other)
+            spread = both.sum() > 2 and one[both].std() > 0 and other[both].std() > 0
+            seen = float(np.corrcoef(one[both], other[both])[0, 1]) if spread else 0.0
+            if seen < _CORRELATED:
+                named = f"of {name!r} " if name else ""
+                return f"its values {named}correlate by {seen:.2f} with those of the response, less than {_CORRELATED}"
+        return None
+
+    def _followed(self, best: Point) -> tuple[Point, bool]:
+        """From a point of the response along mapped models, and whether the end is an optimum of the response."""
+        distance, radius, refusals = self.training.distance, RADIUS, 0
+        while len(self.history) < self.max_steps and refusals < _REFUSED:
+            model = Mapped(self.cheap, self.training, best)
+            if not (model.holds and np.isfinite(best.margins).all()):
+                self.refused = "its units fail"
+                return best, False
+            wanted = self._cheapest_of(model, best, radius)
+            step = float(np.abs(np.log(wanted.half_widths / best.half_widths)).max())
+            excess = float((best.margins / distance).max())
+            met = excess <= SETTLED
+            if radius < SETTLED or (met and step < SETTLED):
+                return best, excess <= NOISE and self.residual(best) <= STATIONARY
+            _, prices = self.model_optimum(best, radius)
+            penalty = np.maximum(self.cost(best.half_widths) / distance, 2 * prices)
+            here, promised = self._merit(best, penalty), self._merit(wanted, penalty)
+            new = self.look(wanted.half_widths)
+            gain, promise = here - self._merit(new, penalty), here - promised
+            if not gain > 0:
+                radius, refusals = step / 3, refusals + 1
+                continue
+            if gain < _POOR * promise:
+                radius = max(step / 3, SETTLED)
+            elif gain > _GOOD * promise:
+                radius = max(radius, 2 * step)
+            best, refusals = new, 0
+            if met and gain < GAIN * self.cost(best.half_widths) and (best.margins / distance).max() <= SETTLED:
+                return best, self.residual(best) <= STATIONARY
+        if refusals >= _REFUSED:
+            self.refused = f"{_REFUSED} steps in a row that it proposed did the response no good"
+        return best, False
+
+    def _cheapest_of(self, model: Mapped, best: Point, radius: float) -> Point:
+        """The cheapest point of a model within a factor exp(radius)."""
+        inner = copy.copy(self)
+        inner.training, inner.history, inner.rays = model, [], None  # type: ignore[assignment]
+        inner.advance, inner.max_steps = lambda count: None, _INNER
+        inner.low, inner.high = (
+            np.clip(best.half_widths * math.exp(r), self.low, self.high) for r in (-radius, radius)
+        )
+        return inner.run(best)[0]
