@@ -14,6 +14,7 @@ import numpy as np
 
 from rvjax.designs import RVReducer
 from rvjax.errors import PLACED
+from rvjax.loaded.cases import cases
 from rvjax.loaded.equilibrium import equilibrium
 from rvjax.loaded.laws import CONTACTS
 from rvjax.loaded.reading import SUPPORTS, check_input
@@ -232,6 +233,7 @@ DESCRIPTION = Description(
         ),
     },
     curve=Curve("Transmission error of the loaded reducer over the span", "rad", _curve, _turns),
+    cases=cases,
     places=PLACED,
     unknown="friction, inertia, tilting; errors without a place (pin position, runout and pitch as bounds)",
 )  # fmt: skip
