@@ -320,6 +320,24 @@ def _coverage_rare():
     return _table([*heads, "error, %", "disagree, %", "units beside `samples`"], rows)
 
 
+def _coverage_like():
+    rows = [
+        (
+            name,
+            f["seeds"],
+            _percent(f["held"], f["seeds"]),
+            f"{f['mean over exact']:.3f}",
+            f"{f['worst over exact']:.2f}",
+            f"{100 * f['searched anew']:.1f}",
+            f"{f['evaluations']:,}",
+            f"{f['evaluations without']:,}",
+        )
+        for name, f in _coverage()["like"].items()
+    ]
+    heads = ["failures of the cheap response", "seeds", "held, %", "mean / exact", "worst / exact", "searched anew, %"]
+    return _table([*heads, "units", "without a cheap response"], rows)
+
+
 def _coverage_intervals():
     kept = _coverage()["intervals"]
     due = {"yield, lower end": 0.975}
@@ -426,6 +444,7 @@ TEXTS = {
     "end_of_line": _end_of_line,
     "conditions": _conditions,
     "coverage_intervals": _coverage_intervals,
+    "coverage_like": _coverage_like,
     "coverage_multi_fidelity": _coverage_multi_fidelity,
     "coverage_rare": _coverage_rare,
     "errors_cam_roller": lambda: _errors(CamRollerErrors),

@@ -114,8 +114,10 @@ def evaluate(
     found = {}
     for name, source in names.items():
         of = kind.outputs[source].evaluate
-        shared = isinstance(of, Reading)
-        found[name] = of.within(results, design, errors, given) if shared else of(design, errors, given)
+        if isinstance(of, Reading):
+            found[name] = of.within(results, design, errors, given)
+        else:
+            found[name] = of(design, errors, given)
     values = {name: value for name, (value, _) in found.items()}
     nothing = jnp.full_like(next(iter(values.values())), jnp.nan)
     return {o: values.get(o, nothing) for o in cases.outputs}, worst(jnp.stack([s for _, s in found.values()]))
@@ -200,7 +202,7 @@ def _read(cases: Cases, programs: Sequence[Program], case: Any) -> dict[str, flo
 
 
 def _batch(cases: Cases, way: Way) -> Program:
-    return jax.vmap(lambda *case: evaluate(cases, way.settings, *case, instead=way.instead))
+    return jax.vmap(lambda d, e, extra: evaluate(cases, way.settings, d, e, extra, way.instead))
 
 
 def _errors(

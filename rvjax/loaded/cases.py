@@ -4,7 +4,9 @@ The linkage and the lost motion are levels of the whole machine: other models th
 What they leave out decides for which errors and loads they hold; the table says how far.
 """
 
-from collections.abc import Sequence
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 from rvjax.catalogue import RV_40E
 from rvjax.designs import Contact, Stiffness
@@ -25,11 +27,13 @@ MACHINE = RV_40E.replace(
 )  # fmt: skip
 
 
-def _direction(diameter: float, **more: float) -> dict[str, object]:
+def _direction(diameter: float, **more: float) -> dict[str, Any]:
     return dict(lower=0.0, upper=diameter / 2, distribution="rayleigh", **more)
 
 
-LINKAGE = dict(
+Limits = tuple[float, float] | Mapping[str, Any]
+
+LINKAGE: dict[str, Limits] = dict(
     crank_eccentricity=(-6.5 * um, 6.5 * um),
     crank_phase=(-2 * arcmin, 2 * arcmin),
     disc_bore=_direction(13 * um),
@@ -38,7 +42,7 @@ LINKAGE = dict(
 )
 """Errors of the linkage that the four-bar picture knows."""
 
-WHOLE = LINKAGE | dict(
+WHOLE: dict[str, Limits] = LINKAGE | dict(
     sun_runout=_direction(10 * um),
     planet_runout=_direction(15 * um),
     base_tangent_upper=(-31 * um, 3 * um),
@@ -63,15 +67,15 @@ PLAY = "load and deformation: play alone, summed with signs, in whatever order p
 ONLY = ("float64",)
 
 
-def _turn(law: str, samples: int, precisions: tuple[str, ...] = ONLY, **more: str) -> Way:
+def _turn(law: str, samples: int, precisions: tuple[str, ...] = ONLY, held: dict[str, str] | None = None) -> Way:
     without = [LINEAR] if law == "linear" else []
-    without += [RIGID] if more == FIXED else []
-    name = ", ".join([law, f"{samples} angles", *(["all fixed"] if more == FIXED else [])])
-    return Way(name, dict(pin_contact=law, samples=samples, **more), precisions, without=" and ".join(without))
+    without += [RIGID] if held == FIXED else []
+    name = ", ".join([law, f"{samples} angles", *(["all fixed"] if held == FIXED else [])])
+    return Way(name, dict(pin_contact=law, samples=samples, **(held or {})), precisions, without=" and ".join(without))
 
 
-def _linkage(**more: str) -> Way:
-    given = dict(closure=None, angles=64, **more)
+def _linkage() -> Way:
+    given = dict(closure=None, angles=64)
     return Way("four-bar, 64 angles", given, ONLY, {"loaded_transmission_error": "transmission_error"}, FOUR_BAR)
 
 
@@ -92,7 +96,7 @@ def cases(quick: bool) -> Sequence[Cases]:
         _turn("hertz", 96),
     )  # fmt: skip
     alone = (_linkage(), _turn("hertz", 24), _turn("hertz", 96))
-    floating = (_turn("hertz", 24, **FIXED), _turn("hertz", 24, **FLOATING), _turn("hertz", 48, **FLOATING))
+    floating = (_turn("hertz", 24, held=FIXED), _turn("hertz", 24, held=FLOATING), _turn("hertz", 48, held=FLOATING))
     bench = (
         Way("linear", dict(pin_contact="linear"), ONLY, without=LINEAR),
         Way("lost motion, first order", dict(lost_motion_profile="first_order"), ONLY,
@@ -111,17 +115,20 @@ def cases(quick: bool) -> Sequence[Cases]:
     ]  # fmt: skip
 
 
-def _cases(name: str, ways: tuple[Way, ...], batch: int, calls: int, **more: object) -> Cases:
-    of: dict[str, object] = dict(
+def _cases(name: str, ways: tuple[Way, ...], batch: int, calls: int, **changes: Any) -> Cases:
+    turn = Cases(
+        name=name,
         case="unit of the RV-40E, a whole crank turn of the whole machine",
         outputs={"loaded_transmission_error": "rad", "pin_force": "N", "arm_bearing_force": "N"},
+        design=MACHINE,
         errors=WHOLE,
         conditions=FIXED,
         torque=(0.1 * RATED, RATED),
+        ways=ways,
+        batch=batch,
+        calls=calls,
         question=dict(span="crank_turn"),
     )
-    of |= more
-    read = ERRORS_READ + (tuple(BOUNDS) if "bounds" in more else ())
-    others = tuple(field for field in read if field not in (*of["errors"], *more.get("bounds", ())))  # type: ignore[misc, attr-defined]
-    others += ("contact.pin_stiffness", "contact.pin_support")
-    return Cases(name=name, design=MACHINE, ways=ways, batch=batch, calls=calls, others=others, **of)  # type: ignore[arg-type]
+    made = dataclasses.replace(turn, **changes)
+    unknown = [field for field in (*ERRORS_READ, *made.bounds) if field not in (made.errors or ())]
+    return dataclasses.replace(made, others=(*unknown, "contact.pin_stiffness", "contact.pin_support"))

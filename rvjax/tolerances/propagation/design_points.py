@@ -31,12 +31,12 @@ _TURNS = 3  # of assigning known failures to points and points to their means
 
 @dataclasses.dataclass
 class Units:
-    """One value of a response as a function of the random numbers of units, `batch` at once; counts what it evaluates."""
+    """One value of a response as a function of the random numbers of units; counts what it evaluates."""
 
     response: Response
     population: Population
     name: str
-    batch: int = BATCH
+    batch: int = BATCH  # units at once
     evaluations: int = 0
 
     def values(self, z: np.ndarray) -> np.ndarray:

@@ -145,7 +145,8 @@ def _searched(search: "_Search", random: np.random.Generator, samples: int) -> d
 def _guided(search: "_Search", guide: "_Search", random: np.random.Generator, samples: int) -> dict[str, Any]:
     """The same, with points that a search on a cheap response has found; anew where these do not serve."""
     guide.explore(random, sequential(guide.differ, guide.numbers, random).failing)
-    found, sure = {}, False
+    found: dict[str, Any] = {}
+    sure = False
     if guide.middle_fails == search.middle_fails and search.follow(guide.mixture):
         found, sure = _judged(
             search, sequential(search.differ, search.numbers, random, each=_CHECKING), random, samples
