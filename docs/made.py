@@ -437,6 +437,29 @@ def _coverage_multi_fidelity():
     return _table(["response", "figure", "held, %", "lower end held, %", "off", "evaluations spared, times"], rows)
 
 
+def _multi_fidelity_loaded():
+    blocks = []
+    for torque, kept in _kept("multi_fidelity_loaded").items():
+        rows = []
+        sets = [key.removesuffix("status") for key in kept if key.endswith("status")]
+        for prefix in sorted(sets, key=lambda prefix: (prefix == "", prefix.count("+"))):
+            spared = [
+                f"{kept[f'{prefix}{figure}, evaluations of plain for the same width']:.1f}"
+                for figure in ("mean", "sd", "yield")
+            ]
+            correlation = kept[f"{prefix}correlation, all"]
+            cost = kept[f"{prefix}cost of a dear unit, cheap ones together"]
+            shown = prefix.removesuffix(": ") or "all"
+            rows.append((shown, f"{correlation:.3f}", *spared, f"{1 / cost:.4f}", kept[f"{prefix}status"]))
+        heads = ["cheap levels", "correlation", "mean", "sd", "yield", "cost of a cheap unit", "status"]
+        sizes = f"{kept['dear units']} dear units, {kept['cheap units']:,} cheap ones, {kept['seeds']} seeds"
+        limit = (
+            f"limit {kept['limit']:.3f} arcmin, beyond which 1 % fall; reference of {kept['reference units']:,} units"
+        )
+        blocks.append(f"At {torque} N m ({sizes}; {limit}):\n\n{_table(heads, rows)}")
+    return "\n\n".join(blocks)
+
+
 TEXTS = {
     "assembly_gauge": _assembly_gauge,
     "assembly_levers": _assembly_levers,
@@ -450,6 +473,7 @@ TEXTS = {
     "errors_cam_roller": lambda: _errors(CamRollerErrors),
     "errors_rv": lambda: _errors(RVErrors),
     "levels": _levels,
+    "multi_fidelity_loaded": _multi_fidelity_loaded,
     "outputs": _outputs,
     "reproduce": _reproduce,
     "statuses": _statuses,

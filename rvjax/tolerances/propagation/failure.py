@@ -33,7 +33,8 @@ class FailureProbability:
     Attributes:
         probability: `Estimate` of the share of units beyond the limits or without a valid value.
         reliability_index: distance of the nearest point of failure from the middle of the standard normal
-            numbers; -Phi^-1(P) if the limit is flat. Negative if the middle itself fails, inf without a point.
+            numbers; -Phi^-1(P) if the limit is flat. Negative if the middle itself fails, inf without a point. Where a
+            cheap response led, of a point moved along its ray: no less than that of the nearest.
         point: errors of that point, the most likely failure; None if none was found.
         evaluations: units evaluated in all; a value with its gradient counts as three.
         cheap_evaluations: the same of the cheap response; 0 without one.
