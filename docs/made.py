@@ -321,6 +321,24 @@ def _coverage_rare():
     return _table([*heads, "error, %", "disagree, %", "units beside `samples`"], rows)
 
 
+def _coverage_like():
+    rows = [
+        (
+            name,
+            f["seeds"],
+            _percent(f["held"], f["seeds"]),
+            f"{f['mean over exact']:.3f}",
+            f"{f['worst over exact']:.2f}",
+            f"{100 * f['searched anew']:.1f}",
+            f"{f['evaluations']:,}",
+            f"{f['evaluations without']:,}",
+        )
+        for name, f in _coverage()["like"].items()
+    ]
+    heads = ["failures of the cheap response", "seeds", "held, %", "mean / exact", "worst / exact", "searched anew, %"]
+    return _table([*heads, "units", "without a cheap response"], rows)
+
+
 def _coverage_intervals():
     kept = _coverage()["intervals"]
     due = {"yield, lower end": 0.975}
@@ -522,6 +540,29 @@ def _budget_machine(_):
     return plotting.error_budget(study.Budget(**(kept | waves)))
 
 
+def _multi_fidelity_loaded():
+    blocks = []
+    for torque, kept in _kept("multi_fidelity_loaded").items():
+        rows = []
+        sets = [key.removesuffix("status") for key in kept if key.endswith("status")]
+        for prefix in sorted(sets, key=lambda prefix: (prefix == "", prefix.count("+"))):
+            spared = [
+                f"{kept[f'{prefix}{figure}, evaluations of plain for the same width']:.1f}"
+                for figure in ("mean", "sd", "yield")
+            ]
+            correlation = kept[f"{prefix}correlation, all"]
+            cost = kept[f"{prefix}cost of a dear unit, cheap ones together"]
+            shown = prefix.removesuffix(": ") or "all"
+            rows.append((shown, f"{correlation:.3f}", *spared, f"{1 / cost:.4f}", kept[f"{prefix}status"]))
+        heads = ["cheap levels", "correlation", "mean", "sd", "yield", "cost of a cheap unit", "status"]
+        sizes = f"{kept['dear units']} dear units, {kept['cheap units']:,} cheap ones, {kept['seeds']} seeds"
+        limit = (
+            f"limit {kept['limit']:.3f} arcmin, beyond which 1 % fall; reference of {kept['reference units']:,} units"
+        )
+        blocks.append(f"At {torque} N m ({sizes}; {limit}):\n\n{_table(heads, rows)}")
+    return "\n\n".join(blocks)
+
+
 TEXTS = {
     "assembly_gauge": _assembly_gauge,
     "assembly_levers": _assembly_levers,
@@ -529,11 +570,13 @@ TEXTS = {
     "end_of_line": _end_of_line,
     "conditions": _conditions,
     "coverage_intervals": _coverage_intervals,
+    "coverage_like": _coverage_like,
     "coverage_multi_fidelity": _coverage_multi_fidelity,
     "coverage_rare": _coverage_rare,
     "errors_cam_roller": lambda: _errors(CamRollerErrors),
     "errors_rv": lambda: _errors(RVErrors),
     "levels": _levels,
+    "multi_fidelity_loaded": _multi_fidelity_loaded,
     "outputs": _outputs,
     "reproduce": _reproduce,
     "statuses": _statuses,

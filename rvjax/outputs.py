@@ -133,11 +133,15 @@ class Way:
         name: for a person; its precision is added.
         settings: conditions that select it.
         precisions: in which it is measured.
+        instead: output of another model that stands in, by the output that it stands for; others have no value here.
+        without: physics that the reference has and this leaves out, for a person.
     """
 
     name: str
     settings: Mapping[str, Any]
     precisions: tuple[str, ...] = ("float64", "float32")
+    instead: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    without: str = ""
 
 
 @dataclass(frozen=True)
@@ -149,8 +153,8 @@ class Cases:
         case: what one case is, for a person.
         outputs: units by name; those of the model where `evaluate` is None.
         design: about which designs are drawn.
-        errors: (lower, upper) limits of the errors that are drawn, by field, normal with 3 sigma at the limits; None
-            where the outputs have none.
+        errors: of the errors that are drawn, by field: (lower, upper) limits, normal with 3 sigma at the limits, or
+            the arguments of a `Tolerance` by name; None where the outputs have none.
         conditions: of every case, by name.
         torque: smallest and largest, N m; None where it does not matter.
         ways: the levels; the last one, in float64, is the reference.
@@ -160,13 +164,17 @@ class Cases:
         evaluate: (settings, design, errors, extra) -> (values of all outputs, status), where a level is no output of
             the model.
         extra: (rng, cases, size) -> what a case has besides design and errors, for `evaluate`.
+        question: further conditions of every case; with others it is another question, of which nothing is known.
+        others: errors, and paths of numbers of the design, that some level reads and no case has: with one of them
+            nothing is known either.
+        bounds: errors without a place that follow from those with one, see `RVErrors.bounded`.
     """
 
     name: str
     case: str
     outputs: Mapping[str, str]
     design: Any
-    errors: Mapping[str, tuple[float, float]] | None
+    errors: Mapping[str, tuple[float, float] | Mapping[str, Any]] | None
     conditions: Mapping[str, Any]
     torque: tuple[float, float] | None
     ways: tuple[Way, ...]
@@ -175,6 +183,9 @@ class Cases:
     sizes: tuple[float, ...] = (0.3, 1.0, 3.0)
     evaluate: Callable[..., Any] | None = None
     extra: Callable[..., Any] | None = None
+    question: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    others: tuple[str, ...] = ()
+    bounds: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -81,7 +81,9 @@ def _model(model: Model) -> str:
             f"{model.relative(level, 'rms'):9.2g} {shown:10.2g} {_time(level.ns):>9s} {level.compile_s:10.1f} "
             f"{level.memory_MB:7.1f}"
         )
-    return "\n".join([*lines, advice(model)])
+    about = [f"{model.drawn} cases of each error size"] if model.drawn else []
+    about += [f"on {model.machine['processor']}, {model.machine['cores']} cores"] if model.machine else []
+    return "\n".join([*lines, advice(model), *([", ".join(about) + "."] if about else [])])
 
 
 def _error(model: Model, level: Level) -> str:

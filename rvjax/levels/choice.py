@@ -24,7 +24,9 @@ class Choice:
         precision: "float64" or "float32".
         bound: its error stays below this, SI; None for the exact level, and where nothing was measured.
         ns: measured nanoseconds per case, for comparison: they belong to the machine of the table; None likewise.
-        why: one line.
+        why: one line; it says what the level leaves out.
+        instead: output of another model that stands in, or None.
+        without: physics that the exact level has and this one leaves out; "" for none.
     """
 
     output: str
@@ -34,6 +36,8 @@ class Choice:
     bound: float | None
     ns: float | None
     why: str
+    instead: str | None = None
+    without: str = ""
 
 
 def choose(
@@ -49,7 +53,8 @@ def choose(
 
     The largest measured error, interpolated in the size of the errors, must meet it with a factor of two. A design,
     an error or a torque that was not measured takes the exact level. `accuracy` decides over the conditions that
-    select a level (angles, closure, profile), whatever `conditions` say of them.
+    select a level (angles, closure, profile), whatever `conditions` say of them; where nothing was measured, it takes
+    no fewer angles than they say.
 
     Args:
         design: the reducer.
@@ -71,10 +76,10 @@ def choose(
     asked: dict[str, tuple[Model, str, list[str]]] = {}
     found = {}
     for name in accuracy:
-        if not any(name in model.outputs for model in models):
+        if not (known := _known(models, name, conditions)):
             found[name] = _unmeasured(name)
             continue
-        model, reason = _model(models, name, design, conditions)
+        model, reason = _model(known, design, conditions, tolerances)
         asked.setdefault(model.name, (model, reason, []))[2].append(name)
     for model, reason, names in asked.values():  # outputs of one model share a level: one solution serves them all
         size, problem = _size(model, tolerances)
@@ -84,6 +89,8 @@ def choose(
         exact = level.name == model.reference
         own = _differs(model, conditions)
         settings = tuple((key, value) for key, value in level.settings.items() if not (own and key in model.conditions))
+        if reason:
+            settings = tuple((key, _no_fewer(value, getattr(conditions, key))) for key, value in settings)
         for name in names:
             bound = None if exact else model.bound(level, name, size)
             if reason:
@@ -92,7 +99,11 @@ def choose(
                 why = "no cheaper level is accurate enough"
             else:
                 why = f"cheapest of {len(model.levels)} levels with twice its measured error below {wanted[name]:.3g}"
-            found[name] = Choice(name, level.name, settings, level.precision, bound, level.ns, why)
+                why += f"; it leaves out {level.without}" if level.without else ""
+            instead = level.instead.get(name)
+            found[name] = Choice(
+                name, level.name, settings, level.precision, bound, level.ns, why, instead, level.without
+            )
     return {name: found[name] for name in outputs if name in found}
 
 
@@ -109,19 +120,28 @@ def as_given(design: Any, outputs: Sequence[str], conditions: Any, *, tolerances
     models = stored().models.values()
     for name in outputs:
         found[name] = _unmeasured(name)
-        if not any(name in model.outputs for model in models):
+        if not (known := _known(models, name, conditions)):
             continue
-        model, reason = _model(models, name, design, conditions)
+        model, reason = _model(known, design, conditions, tolerances)
         size, problem = _size(model, tolerances)
         reason = reason or problem
         for level in model.levels:
             settings = tuple(level.settings.items())
             if level.precision != "float64" or any(getattr(conditions, key) != value for key, value in settings):
                 continue
+            if level.instead or not math.isfinite(level.largest[name][0]):
+                continue
             bound = None if reason or level.name == model.reference else model.bound(level, name, size)
             why = f"the study says so; its error here was not measured ({reason})" if reason else "the study says so"
-            found[name] = Choice(name, level.name, settings, level.precision, bound, level.ns, why)
+            why += f"; it leaves out {level.without}" if level.without else ""
+            found[name] = Choice(name, level.name, settings, level.precision, bound, level.ns, why, None, level.without)
     return found
+
+
+def _no_fewer(value: Any, asked: Any) -> Any:
+    """A count of the exact level, or that of the conditions where it is larger: more angles are never less exact."""
+    counts = isinstance(value, int) and isinstance(asked, int) and not isinstance(value, bool)
+    return max(value, asked) if counts else value
 
 
 def _unmeasured(output: str) -> Choice:
@@ -133,13 +153,28 @@ def _differs(model: Model, conditions: Any) -> list[str]:
     return [name for name, value in model.conditions.items() if getattr(conditions, name) != value]
 
 
-def _model(models: Iterable[Model], output: str, design: Any, conditions: Any) -> tuple[Model, str]:
-    """The model that fits the conditions, else any with this output; and why its measurements do not hold."""
-    known = [model for model in models if output in model.outputs]
-    model = min(known, key=lambda model: len(_differs(model, conditions)))
+def _known(models: Iterable[Model], output: str, conditions: Any) -> list[Model]:
+    """Models with this output of the very question that the conditions ask."""
+    return [
+        model
+        for model in models
+        if output in model.outputs and all(getattr(conditions, name) == value for name, value in model.question.items())
+    ]
+
+
+def _model(known: Sequence[Model], design: Any, conditions: Any, tolerances: Any) -> tuple[Model, str]:
+    """The model that fits the conditions and, of these, the errors; and why its measurements do not hold."""
+    numbers = design_numbers(design)
+    given = {*reach(tolerances), *numbers}
+
+    def misfit(model: Model) -> tuple[int, int, int]:
+        return len(_differs(model, conditions)), len(given.intersection(model.others)), len(model.errors)
+
+    model = min(known, key=misfit)
     if different := _differs(model, conditions):
         return model, f"{different[0]} = {getattr(conditions, different[0])!r}"
-    numbers = design_numbers(design)
+    if beside := [name for name in model.others if name in given]:
+        return model, f"{beside[0]}, which no case had"
     for name in model.design:  # those that the model reads
         value = numbers.get(name, math.nan)
         if not abs(value - model.design[name]) <= model.spread * abs(model.design[name]) * (1 + 1e-9):  # also NaN

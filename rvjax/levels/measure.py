@@ -15,7 +15,7 @@ from rvjax.levels.choice import design_numbers, reach
 from rvjax.levels.estimators import measure_statistics
 from rvjax.levels.table import Level, Model, Table
 from rvjax.levels.timing import alternate, compiled, machine
-from rvjax.outputs import Cases, Way
+from rvjax.outputs import Cases, Reading, Way
 from rvjax.status import succeeded, worst
 from rvjax.tolerances import Tolerance, for_design, sample
 
@@ -50,14 +50,15 @@ def measured(*, quick: bool = False) -> list[Cases]:
     return [cases for d in models.descriptions() if d.cases for cases in d.cases(quick)]
 
 
-def limits(errors: Mapping[str, tuple[float, float]], design: Any) -> Any:
+def limits(errors: Mapping[str, Any], design: Any) -> Any:
     """Tolerances from the limits of described cases.
 
     Args:
-        errors: (lower, upper) by field.
+        errors: (lower, upper), or the arguments of a `Tolerance`, by field.
         design: whose errors they are.
     """
-    return for_design(design, **{name: Tolerance(*ends) for name, ends in errors.items()})
+    made = {name: Tolerance(**of) if isinstance(of, Mapping) else Tolerance(*of) for name, of in errors.items()}
+    return for_design(design, **made)
 
 
 def draw(cases: Cases, call: int, size: float, seed: int) -> tuple[Any, Any, Any]:
@@ -83,7 +84,14 @@ def draw(cases: Cases, call: int, size: float, seed: int) -> tuple[Any, Any, Any
     return design, jax.tree.map(lambda x: jnp.broadcast_to(size * x, (cases.batch, *jnp.shape(x)[1:])), errors), extra
 
 
-def evaluate(cases: Cases, settings: Mapping[str, Any], design: Any, errors: Any, extra: Any) -> Any:
+def evaluate(
+    cases: Cases,
+    settings: Mapping[str, Any],
+    design: Any,
+    errors: Any,
+    extra: Any,
+    instead: Mapping[str, str] | None = None,
+) -> Any:
     """Values of all outputs of one case and their worst status, under the conditions of the cases and a level.
 
     Args:
@@ -92,15 +100,27 @@ def evaluate(cases: Cases, settings: Mapping[str, Any], design: Any, errors: Any
         design: of the case.
         errors: of the case.
         extra: its torque, unless the cases say otherwise.
+        instead: outputs of other models that stand in; what none stands for is nan.
     """
     if cases.evaluate is not None:
         return cases.evaluate(settings, design, errors, extra)
     kind = models.kind(cases.design)
     fields = dataclasses.fields(kind.conditions)
     torque = {f.name: extra for f in fields if f.metadata["torque"]} if cases.torque else {}
-    given = kind.conditions(**{**cases.conditions, **settings, **torque})
-    found = [kind.outputs[name].evaluate(design, errors, given) for name in cases.outputs]
-    return {name: value for name, (value, _) in zip(cases.outputs, found)}, worst(jnp.stack([s for _, s in found]))
+    given = kind.conditions(**{**cases.question, **cases.conditions, **settings, **torque})
+    errors = errors.bounded(cases.bounds) if cases.bounds else errors
+    names = instead or {name: name for name in cases.outputs}
+    results: dict[Any, Any] = {}  # which outputs may share
+    found = {}
+    for name, source in names.items():
+        of = kind.outputs[source].evaluate
+        if isinstance(of, Reading):
+            found[name] = of.within(results, design, errors, given)
+        else:
+            found[name] = of(design, errors, given)
+    values = {name: value for name, (value, _) in found.items()}
+    nothing = jnp.full_like(next(iter(values.values())), jnp.nan)
+    return {o: values.get(o, nothing) for o in cases.outputs}, worst(jnp.stack([s for _, s in found.values()]))
 
 
 def measure_model(cases: Cases, *, seed: int, seconds: float = 0.3) -> Model:
@@ -135,6 +155,8 @@ def measure_model(cases: Cases, *, seed: int, seconds: float = 0.3) -> Model:
             compile_s=facts["compile_s"],
             memory_MB=facts["temporary_MB"],
             cases=cases.batch,
+            instead=dict(way.instead),
+            without=way.without,
         )
         for k, (name, (_, facts), (way, precision)) in enumerate(zip(names, made, plan))
     )
@@ -142,7 +164,7 @@ def measure_model(cases: Cases, *, seed: int, seconds: float = 0.3) -> Model:
         name=cases.name,
         outputs=dict(cases.outputs),
         case=cases.case,
-        design=_read(cases, made[0][0], inputs[plan[0][1]]),
+        design=_read(cases, [program for (program, _), (_, p) in zip(made, plan) if p == "float64"], inputs["float64"]),
         spread=SPREAD,
         errors={} if cases.errors is None else reach(limits(cases.errors, cases.design)),
         sizes=list(cases.sizes),
@@ -152,6 +174,9 @@ def measure_model(cases: Cases, *, seed: int, seconds: float = 0.3) -> Model:
         failed=failed,
         reference=names[reference],
         levels=levels,
+        question=dict(cases.question),
+        others=cases.others,
+        drawn=cases.batch * cases.calls,
     )
 
 
@@ -159,23 +184,25 @@ def _cast(tree: Any, precision: str) -> Any:
     return jax.tree.map(lambda x: jnp.asarray(x, precision), tree)
 
 
-def _read(cases: Cases, program: Program, case: Any) -> dict[str, float]:
-    """Numbers of the design that matter: those whose change changes an output, and all counts."""
+def _read(cases: Cases, programs: Sequence[Program], case: Any) -> dict[str, float]:
+    """Numbers of the design that matter: those whose change changes an output of some level, and all counts."""
     design, *rest = case
-    before = jax.device_get(program(*case)[0])
     leaves, tree = jax.tree_util.tree_flatten_with_path(design)
-    unread = set()
-    for k, (path, leaf) in enumerate(leaves):
-        changed = [x for _, x in leaves]
-        changed[k] = leaf * 1.01 + jnp.where(leaf == 0, jnp.asarray(1e-5, leaf.dtype), 0)
-        after = jax.device_get(program(jax.tree.unflatten(tree, changed), *rest)[0])
-        if all(np.array_equal(before[o], after[o], equal_nan=True) for o in before):
-            unread.add(".".join(key.name for key in path))
+    unread = {".".join(key.name for key in path): k for k, (path, _) in enumerate(leaves)}
+    for program in programs:
+        before = jax.device_get(program(*case)[0])
+        for name, k in list(unread.items()):
+            changed = [x for _, x in leaves]
+            leaf = changed[k]
+            changed[k] = leaf * 1.01 + jnp.where(leaf == 0, jnp.asarray(1e-5, leaf.dtype), 0)
+            after = jax.device_get(program(jax.tree.unflatten(tree, changed), *rest)[0])
+            if not all(np.array_equal(before[o], after[o], equal_nan=True) for o in before):
+                del unread[name]
     return {name: value for name, value in design_numbers(cases.design).items() if name not in unread}
 
 
 def _batch(cases: Cases, way: Way) -> Program:
-    return jax.vmap(lambda *case: evaluate(cases, way.settings, *case))
+    return jax.vmap(lambda d, e, extra: evaluate(cases, way.settings, d, e, extra, way.instead))
 
 
 def _errors(
@@ -201,6 +228,7 @@ def _errors(
                 for o in cases.outputs:
                     off = np.abs(found[o].astype(float) - values[o])[good].reshape(good.sum(), -1)
                     off[~fine] = np.inf  # no value where the reference has one
+                    off[np.isnan(off)] = np.inf
                     largest[o][k, s] = max(largest[o][k, s], off.max(initial=0.0))
                     squares[o][k, s] += np.sum(np.mean(off**2, axis=1))
     errors = {o: (largest[o].tolist(), np.sqrt(squares[o] / counted).tolist()) for o in cases.outputs}

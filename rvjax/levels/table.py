@@ -33,6 +33,8 @@ class Level:
         compile_s: seconds to compile.
         memory_MB: temporary memory of the program.
         cases: in one call, when it was timed.
+        instead: output of another model that stands in, by the output that it stands for.
+        without: physics of the reference that it leaves out.
     """
 
     name: str
@@ -44,6 +46,8 @@ class Level:
     compile_s: float
     memory_MB: float
     cases: int
+    instead: dict[str, str] = dataclasses.field(default_factory=dict)
+    without: str = ""
 
     def error(self, sizes: Sequence[float], output: str, size: float) -> float:
         """Largest measured error of an output at an error size within the measured ones.
@@ -83,6 +87,10 @@ class Model:
         failed: cases without a reference value, left out, of how many.
         reference: name of the level that the errors are measured from.
         levels: measured, the reference among them.
+        question: further conditions of every case; with others it is another question, of which nothing is known.
+        others: errors, and paths of numbers of the design, that some level reads and that no case had.
+        drawn: cases of each error size; 0 where nobody kept the count.
+        machine: where it was measured, if not on the machine of the table.
     """
 
     name: str
@@ -98,6 +106,10 @@ class Model:
     failed: tuple[int, int]
     reference: str
     levels: tuple[Level, ...]
+    question: dict[str, Any] = dataclasses.field(default_factory=dict)
+    others: tuple[str, ...] = ()
+    drawn: int = 0
+    machine: dict[str, Any] = dataclasses.field(default_factory=dict)
 
     def level(self, name: str) -> Level:
         """The level of this name."""
@@ -181,6 +193,7 @@ class Table:
                 for level in model.pop("levels")
             )
             model |= {"torque": model["torque"] and tuple(model["torque"]), "failed": tuple(model["failed"])}
+            model["others"] = tuple(model.get("others", ()))
             models[name] = Model(**model, levels=levels)
         return cls(data["machine"], data["seed"], models)
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from rvjax.designs import Contact, RVReducer, Stiffness
 from rvjax.errors import PLACED
+from rvjax.loaded.cases import cases
 from rvjax.loaded.equilibrium import equilibrium
 from rvjax.loaded.laws import CONTACTS
 from rvjax.loaded.reading import SUPPORTS, check_input
@@ -259,6 +260,7 @@ DESCRIPTION = Description(
         ),
     }),
     curve=Curve("Transmission error of the loaded reducer over the span", "rad", _curve, _turns),
+    cases=cases,
     places=PLACED,
     unknown="friction, inertia, tilting; errors without a place (pin position, runout and pitch as bounds)",
 )  # fmt: skip

@@ -32,7 +32,9 @@ class Response(Record):
     design: Any = field("-", "the reducer", kind="record")
     outputs: tuple[str, ...] = text("names")
     conditions: Any = text("how the reducer runs")
-    levels: tuple[tuple[str, Settings, str], ...] = text("(output, settings, precision) where a level was chosen")
+    levels: tuple[tuple[str, Settings, str, str | None], ...] = text(
+        "(output, settings, precision, output of another model that stands in) where a level was chosen"
+    )
     bounds: tuple[str, ...] = text("errors without a place that follow from those with one", default=())
 
     @classmethod
@@ -65,7 +67,7 @@ class Response(Record):
                 raise ValueError(f"conditions.{missing} is missing: {name} needs it")
             if (refuse := known[name].refuse) is not None:
                 refuse(design, conditions)
-        chosen = tuple((c.output, c.settings, c.precision) for c in (choices or {}).values())
+        chosen = tuple((c.output, c.settings, c.precision, c.instead) for c in (choices or {}).values())
         return cls(design, tuple(outputs), conditions, chosen, tuple(bounds))
 
     def __call__(self, errors: Any) -> Outcome:
@@ -81,11 +83,12 @@ class Response(Record):
         return Outcome({name: value for name, (value, _) in found.items()}, worst(statuses))
 
     def _one(self, name: str, errors: Any, shared: dict[Any, dict[Source, Any]]) -> Solved:
-        evaluate = models.kind(self.design).outputs[name].evaluate
         level = next((level[1:] for level in self.levels if level[0] == name), None)
+        source = name if level is None or level[2] is None else level[2]
+        evaluate = models.kind(self.design).outputs[source].evaluate
         design, used, given = self.design, errors, self.conditions
         if level is not None:
-            settings, precision = level
+            settings, precision, _ = level
             given = replace(given, **dict(settings))
             design, used = jax.tree.map(lambda leaf: jnp.asarray(leaf, precision), (design, errors))
         if isinstance(evaluate, Reading):

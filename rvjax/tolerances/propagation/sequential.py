@@ -17,8 +17,8 @@ from rvjax.tolerances.propagation.estimates import Estimate, rare, student
 
 ISLANDS = 8
 """Populations that know nothing of each other: the spread of their estimates is the error of the mean."""
-EACH = 128  # units of an island
-UNITS = ISLANDS * EACH
+EACH = 128
+"""Units of an island."""
 _SPREADS = (1.25, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0)  # tried in turn
 _ENOUGH = 0.1  # share of failing units that ends the spreading
 _KEPT = 0.2  # share of the units that should fail at the next spread too
@@ -44,7 +44,9 @@ class Sequential:
     failing: np.ndarray
 
 
-def sequential(fails: Fails, numbers: int, random: np.random.Generator, confidence: float = 0.95) -> Sequential:
+def sequential(
+    fails: Fails, numbers: int, random: np.random.Generator, confidence: float = 0.95, each: int = EACH
+) -> Sequential:
     """Probability of failure by subset simulation over spreads.
 
     A failing region that ends further out, on the ray through its units, is seen only as far as it does not.
@@ -54,12 +56,13 @@ def sequential(fails: Fails, numbers: int, random: np.random.Generator, confiden
         numbers: random numbers of a unit.
         random: where the units come from.
         confidence: of the interval.
+        each: units of an island.
     """
 
     def fail(z: np.ndarray, spread: float) -> np.ndarray:
-        return fails(spread * z.reshape(numbers, UNITS)).reshape(ISLANDS, EACH)
+        return fails(spread * z.reshape(numbers, ISLANDS * each)).reshape(ISLANDS, each)
 
-    z = random.standard_normal((numbers, ISLANDS, EACH))
+    z = random.standard_normal((numbers, ISLANDS, each))
     shares, noise, reach = np.ones(ISLANDS), 0.0, 0.5
     failed, spread = fail(z, 1.0), 1.0
     for wider in _SPREADS:
@@ -81,7 +84,7 @@ def sequential(fails: Fails, numbers: int, random: np.random.Generator, confiden
             z = np.where(taken, trial, z)
             reach = min(1.0, 1.4 * reach) if taken.mean() > _HIGH else reach / 1.4 if taken.mean() < _LOW else reach
         if spread == 1:
-            return Sequential(_estimate(shares, noise, confidence), z[:, alive].reshape(numbers, EACH * alive.sum()))
+            return Sequential(_estimate(shares, noise, confidence), z[:, alive].reshape(numbers, each * alive.sum()))
         before, spread = spread, _next(float(shares.mean()), spread)
         failed = fail(z, spread) & alive[:, None]
         while failed.mean() < _LEAST and before - spread > _CLOSE:
