@@ -117,4 +117,8 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted(__all__)
+    """What a person types: models and tools, and what goes into them; what comes out of them shows itself."""
+    typed = (name for name, home in _LAZY.items() if home in (None, "designs", "errors", "status"))
+    return sorted(
+        {"__version__", "enable_x64", "LinkDeviations", *typed} - {"models", "mounting", "roots", "SolveInfo"}
+    )

@@ -5,6 +5,7 @@ Bad input ends with one line on standard error and exit code 2; a question that 
 """
 
 import argparse
+import io
 import json
 import os
 import signal
@@ -118,6 +119,9 @@ def _prepare() -> None:
     if _has_avx512() and "xla_cpu_prefer_vector_width" not in os.environ.get("XLA_FLAGS", ""):
         # XLA prefers 256-bit vectors; 512-bit ones are up to 1.8 times as fast where they exist.
         os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} --xla_cpu_prefer_vector_width=512".strip()
+    for stream in (sys.stdout, sys.stderr):  # a name with an umlaut is no error where a terminal knows ASCII alone
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     os.environ.setdefault("MPLBACKEND", "Agg")
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")  # XLA logs two lines for every kept program; before JAX loads
     import rvjax

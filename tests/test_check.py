@@ -1,6 +1,7 @@
 """Before anything is computed: what cannot be is refused, what is far from known reducers is said, the rest told."""
 
 import json
+import os
 import subprocess
 import sys
 import tomllib
@@ -138,6 +139,19 @@ def test_a_doubt_and_the_levels_are_said_before_the_run(tmp_path, monkeypatch, c
     said = capsys.readouterr().err
     assert "rvjax: warning: tolerances.pin_circle_radius: half-width = 2 mm" in said
     assert "rvjax: transmission_error: closed form" in said and "rvjax: time: about" in said
+
+
+def test_a_terminal_without_umlauts_gets_the_rest(tmp_path):
+    text = '[about]\nauthor = "Müller"\n[design]\nbase = "corr"\n[requirement.cam_force]\nupper = "3500 N"\n'
+    text += '[tolerances.cam_radius]\nhalf_width = "4 um"\n[conditions]\ninput_torque = "100 N m"\n'
+    (tmp_path / "größe.toml").write_text(text, "utf-8")
+    environment = os.environ | {"PYTHONIOENCODING": "ascii", "LC_ALL": "C", "PYTHONUTF8": "1"}
+    done = subprocess.run(
+        [sys.executable, "-m", "rvjax", "check", "größe.toml"],
+        cwd=tmp_path, env=environment, capture_output=True, timeout=120, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0 and not done.stderr, done.stderr
+    assert rb"Study gr\xf6\xdfe: CamRollerReducer" in done.stdout and rb"M\xfcller" in done.stdout
 
 
 def test_what_is_assumed_is_named_until_it_is_given():

@@ -127,7 +127,9 @@ def test_every_public_name_is_there():
         assert getattr(rvjax, name) is not None, name
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):
         rvjax.nothing  # noqa: B018
-    assert set(rvjax.__all__) <= set(dir(rvjax))
+    assert set(dir(rvjax)) <= {*rvjax.__all__, "__version__"}
+    results = ("SolveInfo", "TransmissionError", "LostMotion", "Block", "Root")
+    assert len(dir(rvjax)) < 40 and not set(results) & set(dir(rvjax)) and set(results) <= set(rvjax.__all__)
 
 
 def test_import_changes_no_setting_and_touches_no_device():

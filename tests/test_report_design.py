@@ -85,3 +85,33 @@ def test_about_is_read_and_optional():
 def test_about_refuses_what_no_head_could_show(line, words):
     with pytest.raises(study.StudyError, match=words):
         asked(f'[about]\n{line}\n[design]\nbase = "rv-40e"')
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ('involute.sun_teeth = "10"', "design.involute.sun_teeth = '10': must be an integer"),
+        ("involute.sun_teeth = 10.0", "design.involute.sun_teeth = 10.0: must be an integer"),
+        ("cranks.count = true", "design.cranks.count = True: must be an integer"),
+        ("cycloid.pin_count = 39", "design.cycloid.pin_count = 39: must exceed disc_teeth = 39"),
+        ('involute.pressure_angle = "20 rad"', "pressure_angle = 20 rad: must lie below 45 deg"),
+    ],
+)
+def test_natural_slips_in_a_design_name_their_key(line, words):
+    with pytest.raises(study.StudyError, match=words):
+        asked(f'[design]\nbase = "rv-40e"\n{line}')
+
+
+def test_other_natural_slips(tmp_path, monkeypatch):
+    two = asked('[design]\nbase = "rv-40e"\ncycloid.pin_count = 41')
+    assert two.doubts == ["design.cycloid.pin_count: 2 more than disc_teeth; known reducers have one more"]
+    with pytest.raises(study.StudyError, match=r"design.base or design.kind is missing"):
+        asked('[design]\ncycloid.eccentricity = "1 mm"')
+    uniform = HEAD.replace('half_width = "4 um"', 'half_width = "4 um"\ndistribution = "uniform"\ncp = 1.33')
+    with pytest.raises(study.StudyError, match=r"tolerances.pin_radius.cp = 1.33: the law uniform ends at the limits"):
+        study.parse_study(f'[design]\nbase = "rv-40e"\n{uniform}', name="x", solve=False)
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine.toml").write_text("", "utf-8")
+    for name, near in (("rv40e", "rv-40e"), ("mine", "mine.toml")):
+        with pytest.raises(FileNotFoundError, match=rf"{name} \(did you mean {near}\?\): neither"):
+            study.load(name)

@@ -29,6 +29,10 @@ def parse_design(table: dict[str, Any]) -> Any:
     """
     numbers = {key: value for key, value in table.items() if key not in ("base", "kind")}
     if "kind" not in table:
+        if "base" not in table:
+            raise ValueError(
+                f"design.base or design.kind is missing: a known reducer ({', '.join(BASES)}), or its kind"
+            )
         changed = _changed(BASES[choice(table.get("base"), BASES, "design.base")], numbers, "design")
         return followed(changed, numbers)
     if "base" in table:
@@ -69,7 +73,9 @@ def _values(cls: Any, table: Any, where: str, base: Any) -> dict[str, Any]:
         if metadata["kind"] == "record":
             values[key] = _made(part_class(cls, key), value, name) if own is None else _changed(own, value, name)
         elif metadata["kind"] == "count":
-            if isinstance(value, int) and value > metadata["maximum"]:
+            if isinstance(value, bool) or not isinstance(value, int):
+                raise ValueError(f"{name} = {value!r}: must be an integer")
+            if value > metadata["maximum"]:
                 raise ValueError(f"{name} = {value}: must be at most {metadata['maximum']}")
             values[key] = value  # the record judges the rest
         elif isinstance(value, list) and metadata.get("shape"):

@@ -16,6 +16,7 @@ from rvjax.errors import BOUNDS
 from rvjax.tolerances import Middle, Tolerance
 from rvjax.units import suited
 
+MOST_PRESSURE = math.radians(45)  # beyond, no tooth has a tip
 FAR = 30.0  # factor from every known reducer beyond which a number is doubted
 FAR_INERTIA = 1000.0  # grows with the fifth power of a length: 50 between the sizes 20 and 320
 KNOWN_DESIGNS = (catalogue.CORR, catalogue.RV_20E, catalogue.RV_40E, catalogue.RV_80E, catalogue.RV_320E)
@@ -84,6 +85,8 @@ def doubts(design: Any, conditions: Any, tolerances: Any) -> list[str]:
         for name, placed in BOUNDS.items()
         if {name, placed} <= given
     ]
+    if isinstance(design, RVReducer) and (odd := design.cycloid.pin_count - design.cycloid.disc_teeth) != 1:
+        found.append(f"design.cycloid.pin_count: {odd} more than disc_teeth; known reducers have one more")
     return found + (_collisions(design) if isinstance(design, RVReducer) else [])
 
 
@@ -97,6 +100,16 @@ def _doubt(name: str, value: float, unit: str, least: float, most: float) -> lis
 
 def _fits_together(design: RVReducer) -> None:
     cycloid, cranks = design.cycloid, design.cranks
+    if cycloid.pin_count <= cycloid.disc_teeth:
+        raise ValueError(
+            f"design.cycloid.pin_count = {cycloid.pin_count}: must exceed disc_teeth = {cycloid.disc_teeth}, by one in "
+            "every known reducer"
+        )
+    if not design.involute.pressure_angle < MOST_PRESSURE:
+        raise ValueError(
+            f"design.involute.pressure_angle = {shown(design.involute.pressure_angle, 'rad')}: must lie below "
+            f"{shown(MOST_PRESSURE, 'rad')}; gears have 14.5 to 30 deg"
+        )
     pitch = cycloid.pin_circle_radius * math.sin(math.pi / cycloid.pin_count)
     if cycloid.pin_radius >= pitch:
         raise ValueError(

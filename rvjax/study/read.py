@@ -18,7 +18,7 @@ from rvjax.study.placed import refuse_unplaced, spelled
 from rvjax.study.plausible import refuse_impossible
 from rvjax.study.question import Study, StudyError
 from rvjax.study.response import check_nominal
-from rvjax.study.values import choice, integer, known, naming, naming_field, quantity, share, subtable
+from rvjax.study.values import choice, integer, known, meant, naming, naming_field, quantity, share, subtable
 from rvjax.tolerances import Exponential, Middle, ReciprocalPower, Tolerance, for_design
 from rvjax.tolerances.allocation.allocation import FEWEST
 from rvjax.tolerances.allocation.middles import check_middles
@@ -50,11 +50,13 @@ def load(source: str, *, solve: bool = True) -> Study:
         except FileNotFoundError:
             raise FileNotFoundError(f"{source}: no such study file") from None
         except (OSError, UnicodeDecodeError) as error:
-            raise StudyError(f"{source}: cannot be read as text ({error})") from None
+            raise StudyError(f"{source}: cannot be read as text in UTF-8 ({error})") from None
         return parse_study(text, name=path.stem, folder=path.parent, solve=solve)
     embedded = EMBEDDED / f"{source}.toml"
     if not embedded.is_file():
-        raise FileNotFoundError(f"{source}: neither a .toml file nor an embedded study ({', '.join(embedded_names())})")
+        names = embedded_names()
+        near = meant(source, [*names, *([f"{source}.toml"] if Path(f"{source}.toml").is_file() else [])])
+        raise FileNotFoundError(f"{source}{near}: neither a .toml file nor an embedded study ({', '.join(names)})")
     return parse_study(embedded.read_text("utf-8"), name=source, solve=solve)
 
 
@@ -194,6 +196,8 @@ def _tolerance(
 ) -> Tolerance:
     law = LAWS[choice(table.get("distribution", "normal"), LAWS, f"{where}.distribution")]
     known(table, {"lower", "upper", "half_width", "grade", "size", "distribution", *COMMON, *law.parameters()}, where)
+    if "cp" in table and not law.capable:
+        raise ValueError(f"{where}.cp = {table['cp']!r}: the law {law.name} ends at the limits and has no capability")
     options: dict[str, Any] = {"distribution": law, "shape": shape}
     options |= {key: quantity(table[key], "-", f"{where}.{key}") for key in COMMON if key in table}
     for key in law.parameters():

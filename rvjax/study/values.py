@@ -45,11 +45,16 @@ def known(table: dict[str, Any], keys: Iterable[str], where: str) -> None:
     for key in table:
         if key not in keys:
             name = f"{where}.{key}" if where else f"[{key}]"
-            raise ValueError(f"unknown key {name}{_meant(key, keys)}; known here: {', '.join(sorted(keys))}")
+            raise ValueError(f"unknown key {name}{meant(key, keys)}; known here: {', '.join(sorted(keys))}")
 
 
-def _meant(word: Any, words: Iterable[str]) -> str:
-    """The nearest of the words, where one is near."""
+def meant(word: Any, words: Iterable[str]) -> str:
+    """The nearest of the words, where one is near.
+
+    Args:
+        word: as written.
+        words: that are known.
+    """
     near = difflib.get_close_matches(str(word), list(words), 1)
     return f" (did you mean {near[0]}?)" if near else ""
 
@@ -137,5 +142,5 @@ def choice(value: Any, choices: Iterable[str], where: str) -> str:
         where: its key.
     """
     if not isinstance(value, str) or value not in choices:
-        raise ValueError(f"{where} = {value!r}{_meant(value, choices)}: must be one of {', '.join(choices)}")
+        raise ValueError(f"{where} = {value!r}{meant(value, choices)}: must be one of {', '.join(choices)}")
     return value

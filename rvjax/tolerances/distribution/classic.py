@@ -100,6 +100,7 @@ class Uniform(Law):
     """Every value between the limits is equally likely."""
 
     name = "uniform"
+    capable = False
 
     def deviate(self, tolerance: Any, z: jax.Array) -> jax.Array:
         """m + h (2 Phi(z) - 1)."""
@@ -115,6 +116,7 @@ class Triangular(Law):
     """A triangle between the limits with its mode at m + shift h."""
 
     name = "triangular"
+    capable = False
     shifts = True
 
     def deviate(self, tolerance: Any, z: jax.Array) -> jax.Array:
@@ -135,6 +137,7 @@ class Beta(Law):
     """lower + 2 h B(p, q)."""
 
     name = "beta"
+    capable = False
     beta: tuple[float, float] = text("(p, q)")
 
     def deviate(self, tolerance: Any, z: jax.Array) -> jax.Array:

@@ -23,6 +23,7 @@ class Empirical(Law):
     """
 
     name = "empirical"
+    capable = False
     values: Any = field(IN_ERROR_UNIT, "the measured values", shape=("parts",))
 
     def deviate(self, tolerance: Any, z: jax.Array) -> jax.Array:

@@ -28,13 +28,14 @@ IN_ERROR_UNIT = "error"
 class Law(Record):
     """How parts spread between limits; its fields are the parameters that belong to it alone.
 
-    A law may hold more in class variables: `shifts` (it honours `Tolerance.shift`), `of_vectors` (a field of
-    pairs [radial, tangential] gets vectors, not numbers of their own) and `couples` (the errors along the last
-    axis, as the two components of a vector, depend on each other: `correlation`).
+    A law may hold more in class variables: `shifts` (it honours `Tolerance.shift`), `capable` (and `Tolerance.cp`),
+    `of_vectors` (a field of pairs [radial, tangential] gets vectors, not numbers of their own) and `couples` (the
+    errors along the last axis, as the two components of a vector, depend on each other: `correlation`).
     """
 
     name: ClassVar[str] = ""
     shifts: ClassVar[bool] = False
+    capable: ClassVar[bool] = True
     of_vectors: ClassVar[bool] = False
     couples: ClassVar[bool] = False
 
