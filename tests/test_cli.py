@@ -478,6 +478,20 @@ def test_the_worst_units_are_the_worst_and_can_be_replayed(answers, answered):
     assert "Unit 7 failed" in text and "cannot be put together" in text
 
 
+def test_an_answer_says_how_many_units_failed_why_and_how_they_count(answers, answered):
+    found = answers[SMALL]
+    failures = dict(
+        failed=5, failures={"CONTACT_OVERLOAD": 2, "MAX_STEPS": 3}, examples={"CONTACT_OVERLOAD": 4, "MAX_STEPS": 612}
+    )
+    certificate = dataclasses.replace(found.allocation.certificate, **failures)
+    found = dataclasses.replace(found, allocation=dataclasses.replace(found.allocation, certificate=certificate))
+    kinds = "2 CONTACT_OVERLOAD (unit 4), 3 MAX_STEPS (unit 612)"
+    assert f"60,000 fresh units, 5 failed, each a reject in every yield: {kinds}" in text.summary(found)
+    assert {key: text.as_json(found)["certificate"][key] for key in failures} == failures
+    html = page.page(found, "x.toml")
+    assert "5 failed, each a reject in every yield: 2 CONTACT_OVERLOAD (" in html and "the first is unit 612)" in html
+
+
 def test_text_of_the_user_is_escaped(answers, answered):
     answer, hostile = answers[SMALL], """</pre><script>alert("1")</script>&amp;'"""
     about = About(title=hostile, author=hostile, revision=hostile)

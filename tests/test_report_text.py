@@ -5,13 +5,17 @@ Oracle: the same numbers converted by hand.
 
 from types import SimpleNamespace
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rvjax.report import text
+from rvjax import Status
+from rvjax.report import batch, text
+from rvjax.study import load
 from rvjax.study.about import About
+from rvjax.tolerances import Outcome, Requirement, monte_carlo
 from rvjax.tolerances.propagation.estimates import Estimate
-from rvjax.units import arcmin
+from rvjax.units import arcmin, um
 
 
 def allocation(**changes):
@@ -30,6 +34,30 @@ def headline(**changes):
 
 def test_a_yield_has_both_ends_of_its_interval():
     assert text.yield_text(Estimate(0.99, 0.002, 0.985, 0.9951)) == "99.000 % [98.500, 99.510]"
+
+
+def test_a_batch_says_how_many_units_failed_why_and_how_they_count():
+    """Every unit below a bore error of 0 fails, those far below for another reason: half of all, and all rejects."""
+    question = load("rv-40e", solve=False)
+
+    def response(errors):
+        x = errors.disc_bore[0, 0, 0]
+        status = jnp.where(x < 0, Status.MAX_STEPS, Status.CONVERGED)
+        return Outcome({"misfit": x}, jnp.where(x < -3 * um, Status.CONTACT_OVERLOAD, status))
+
+    found = monte_carlo(
+        response, question.tolerances, samples=512, seed=0, requirements={"misfit": Requirement(upper=1.0)}
+    )
+    counts = found.failures
+    assert sum(counts.values()) == found.failed and set(counts) == {"MAX_STEPS", "CONTACT_OVERLOAD"}
+    assert abs(found.failed - 256) < 5 * np.sqrt(128) and found.yield_["misfit"].value == 1 - found.failed / 512
+    line = batch.summary(found, question).split("\n")[1]
+    assert line.startswith(f"{found.failed} failed, each a reject in every yield: ") and "; standard errors" in line
+    for status, count in counts.items():
+        assert f"{count} {status} (unit {found.examples[status]})" in line
+    told = batch.as_json(found, question)
+    assert (told["failed"], told["failures"], told["examples"]) == (found.failed, counts, found.examples)
+    assert text.failures_text(SimpleNamespace(failed=0)) == "0 failed"
 
 
 def test_a_saving_is_a_negative_change():

@@ -73,10 +73,10 @@ def summary(found: Mapping[str, Crossed], answers: Mapping[str, Study]) -> str:
             verdict = one.statistics.verdicts[name]
             row += [text.figure_text(verdict, unit, size), "met" if verdict.met else "not met"]
         rows.append(row)
-    joint = [one.statistics.joint_yield for one in found.values()]
-    known = [estimate for estimate in joint if estimate is not None]
-    if len(known) == len(joint):
-        rows.append(["all at once", "", "", *(cell for one in known for cell in (text.yield_text(one), ""))])
+    joint = [one.statistics.joint_yield for one in found.values()]  # None where no requirement judges single units
+    cells = [cell for share in joint if share is not None for cell in (text.yield_text(share), "")]
+    if cells:
+        rows.append(["all at once", "", "", *cells])
     lines.append(
         text.table(["requirement", "limit", "asked", *(c for k in found for c in (f"{k} [interval]", ""))], rows)
     )

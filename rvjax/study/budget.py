@@ -219,8 +219,8 @@ def _solved(
     block = min(BLOCK, samples)
     parts: list[list[np.ndarray]] = []
     for first in range(0, samples, block):
-        own, other = (draw(first + start, count=block) for start in (0, samples))
-        batches = [own, other, *(own.at[place].set(other[place]) for place in places.values())]
+        own, new = (draw(first + start, count=block) for start in (0, samples))
+        batches = [own, new, *(own.at[place].set(new[place]) for place in places.values())]
         parts.append([np.asarray(solve(batch))[: samples - first] for batch in batches])
     one, another, *changed = (np.concatenate(values) for values in zip(*parts))
     return one, another, dict(zip(places, changed))
