@@ -205,7 +205,7 @@ def test_the_learned_cost_is_that_of_an_accepted_set():
     assert min(tried) < curve.learned[0]  # others were cheaper, and refused
 
 
-def test_a_curve_whose_search_tried_nothing():
+def test_a_curve_whose_search_found_nothing():
     """The small sample refuses the finest half-widths, the certificate does not: each costs 1/0.5."""
     half = {k: Tolerance.symmetric(1.0) for k in "ab"}
     costs = dict.fromkeys("ab", ReciprocalPower(finest=0.5, coarsest=2.0, reference=1.0))
@@ -213,5 +213,5 @@ def test_a_curve_whose_search_tried_nothing():
     required = Requirement(lower=-limit, upper=limit, target=0.95)
     options = dict(costs=costs, samples=1000, seed=1, certificate_samples=20_000)
     curve = cost_curve(lambda e: e["a"] + e["b"], half, required, values=(0.95,), against="target", **options)
-    assert not curve.allocations[0].history
+    assert curve.allocations[0].half_widths == {"a": 0.5, "b": 0.5} and curve.allocations[0].feasible
     assert curve.learned == pytest.approx((4.0,))

@@ -14,7 +14,7 @@ import numpy as np
 from rvjax.tolerances.atomic import write_atomically
 from rvjax.tolerances.propagation.responses import Values
 
-_WORTH = 0.5  # s of computing, below which an array is computed anew
+_WORTH = 0.1  # s of computing, below which an array is computed anew
 _DIGITS = 32
 
 
