@@ -20,9 +20,11 @@ __all__ = ["alternate", "arguments", "c_library", "compiled", "machine", "publis
 
 
 def settings() -> None:
-    """What every benchmark runs with: float64 and, where they exist, 512-bit vectors. Call before JAX is used."""
+    """What every benchmark runs with: float64 and the command line's flags of XLA. Call before JAX is used."""
+    flags = ["--xla_disable_hlo_passes=tree_reduction_rewriter"]
     if "avx512f" in (Path("/proc/cpuinfo").read_text() if Path("/proc/cpuinfo").exists() else ""):
-        os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} --xla_cpu_prefer_vector_width=512".strip()
+        flags.append("--xla_cpu_prefer_vector_width=512")
+    os.environ["XLA_FLAGS"] = " ".join([os.environ.get("XLA_FLAGS", ""), *flags]).strip()
     import rvjax
 
     rvjax.enable_x64()

@@ -233,3 +233,25 @@ def test_revolution_equals_its_curve(turns):
             for j in (0, 7, 31):
                 alone = transmission_error(catalogue.RV_40E, unit, crank_angle=result.crank_angle[0, j])
                 np.testing.assert_allclose(alone.error, error[3, j], rtol=1e-12)
+
+
+@pytest.mark.parametrize("angles", [16, 17])
+def test_extremes_where_the_first_harmonic_vanishes(angles):
+    """Extremes beside the first harmonic's, or of all angles where it does not decide: those of the curve.
+
+    Crank errors of both discs, equal but for one by 1 nm to 0.3 mm, leave of the first harmonic what the second exceeds, or not.
+    """
+    units = drawn(catalogue.RV_40E, 5, units=200)
+    delta = np.array(units.crank_eccentricity) * 30
+    delta[1] = delta[0]
+    delta[1, 1] += np.geomspace(1e-3, 300, 200) * um
+    units = changed(units, crank_eccentricity=delta, crank_phase=np.zeros((2, 200)), disc_bore=0 * units.disc_bore)
+    turn = jax.jit(jax.vmap(lambda e: four_bar.revolution(catalogue.RV_40E, e, angles=angles), in_axes=-1))
+    result = turn(units)
+    error = np.asarray(result.error)
+    # Rounding: two angles of a curve whose terms, of the size of delta over R, cancel.
+    rounding = 16 * np.finfo(float).eps * np.abs(delta).max() / (36 * mm)
+    np.testing.assert_allclose(result.maximum, error.max(axis=1), rtol=1e-12, atol=rounding)
+    np.testing.assert_allclose(result.minimum, error.min(axis=1), rtol=1e-12, atol=rounding)
+    second = np.abs(np.fft.rfft(error - error.mean(axis=1, keepdims=True), axis=1)[:, 1:3])
+    assert (second[:, 1] > second[:, 0]).any() and (second[:, 1] < 0.01 * second[:, 0]).any()

@@ -44,7 +44,7 @@ def test_an_output_costs_only_itself():
     errors = full(units(STUDY.tolerances))
     together = cost_of(tuple(STUDY.requirements), errors)
     error, misfit, free = (cost_of((name,), errors) for name in ("transmission_error", "misfit", "lost_motion"))
-    assert together > 1.5 * max(error, misfit)  # each alone leaves out the other's search
+    assert together > 1.25 * max(error, misfit)  # each alone leaves out the other's search; 1 if it did not
     assert together > 15 * free
     # Two models share nothing, and one asked for alone brings nothing of the other.
     assert cost_of(("transmission_error", "lost_motion"), errors) == pytest.approx(error + free, rel=0.01)

@@ -12,10 +12,10 @@ from rvjax.designs import RVReducer, expect
 from rvjax.elementary import arctan2, divide
 from rvjax.errors import RVErrors
 from rvjax.four_bar.closures import Crank
-from rvjax.four_bar.fit import fit, misfit, vector
+from rvjax.four_bar.fit import Fit, fit, misfit, vector
 from rvjax.four_bar.linkage import check_methods
 from rvjax.four_bar.reducer import TransmissionError, error_at
-from rvjax.four_bar.turn import Score, largest_and_smallest
+from rvjax.four_bar.turn import Score, Wave, largest_and_smallest
 from rvjax.four_bar.unit import Unit, Vector, is_loaded, take_apart
 from rvjax.records import Array, PyTree, Record, Scalar, field, record
 from rvjax.status import SolveInfo, Status, at_once, worst_of
@@ -130,6 +130,8 @@ def _ways(
     return dict(methods, angles=angles, loaded=is_loaded(design, output_torque))
 
 
+_SMALL = 1 / 64  # displacements over crank circle radius up to which the bound of `first_wave` holds
+
 STATIC = ("angles", "loaded", "cranks", "closure", "branch")
 Numbers = tuple[RVReducer, RVErrors, Any, Any]  # design, errors, torque, ratio of the gears
 
@@ -192,8 +194,12 @@ def _on_the_way(unit: Unit, angles: int) -> Figures:
         error,
         parts,
         angles,
-        score=Score(of=monotone_angle, back=lambda score: _angle(score) / len(discs)),
-        together=64 if unit.load is None and len(discs) <= 2 else 4,  # one kernel, where the program stays small
+        score=Score(
+            of=monotone_angle,
+            back=lambda score: _angle(score) / len(discs),
+            wave=first_wave if unit.load is None else None,
+        ),
+        together=4,
     )
     largest, _ = largest_and_smallest(most_misfit, parts, angles, together=4)
     (most, least, swing, largest), info = unit.gate.close(
@@ -209,25 +215,55 @@ def monotone_angle(parts: PyTree) -> Callable[[Crank], jax.Array]:
     each is still + turning u with the crank's direction u, and their product a polynomial in u.
     """
     unit, fits = parts
-    scale = 1 / (len(unit.axes) * unit.radius**2)  # vectors near 1, however many are multiplied
-    together = Polynomial([(jnp.ones_like(unit.radius), jnp.zeros_like(unit.radius))])
-    if unit.load is None:
-        for k, disc in enumerate(fits):
-            still = (1 + scale * jnp.real(disc.still), scale * jnp.imag(disc.still))
-            turning = unit.disc_crank(k, Crank(scale * jnp.real(disc.turning), scale * jnp.imag(disc.turning)))
-            together = together.times(still, (turning.cosine, turning.sine))
+    together = _product(unit, fits if unit.load is None else [])
 
     def at(first: Crank) -> jax.Array:
         cosine, sine = together.at((first.cosine, first.sine))
         if unit.load is not None:
             for k, disc in enumerate(fits):
                 c, s = vector(unit, disc, unit.disc_crank(k, first))
+                scale = _scale(unit)
                 cosine, sine = _times((cosine, sine), (scale * c, scale * s))
         size = jnp.abs(cosine) + jnp.abs(sine)
         beyond = jnp.where(sine >= 0, 2, -2) * size - sine
         return -divide(jnp.where(cosine >= 0, sine, beyond), size)
 
     return at
+
+
+def first_wave(parts: PyTree) -> Wave:
+    """First harmonic of minus the sum of the discs' angles without load, and a bound of the others.
+
+    With disc k at still_k + turning_k u_k and w_k = turning_k / still_k the sum is constant plus the imaginary part
+    of sum_k log(1 + w_k u_k): first harmonic sum_k w_k u_k = u a1 / a0 in the coefficients of the product, and
+    sum_m m |m-th| <= sum_k |w_k|^2 / (1 - |w_k|). Both times |a0|^2 here, to spare the division.
+    """
+    unit, fits = parts
+    (x0, y0), (x1, y1) = _product(unit, fits).coefficients[:2]
+    small, squares, scale = np.True_, 0, _scale(unit)
+    for disc in fits:
+        still = scale * (jnp.abs(jnp.real(disc.still)) + jnp.abs(jnp.imag(disc.still)))
+        square = scale**2 * (jnp.real(disc.turning) ** 2 + jnp.imag(disc.turning) ** 2)
+        small &= (still < _SMALL) & (square < _SMALL**2)
+        squares += square
+    of_squares = 1 / (1 - _SMALL) ** 2 / (1 - _SMALL / (1 - _SMALL))  # |still| >= 1 - _SMALL
+    rest = jnp.where(small, of_squares * squares * (x0 * x0 + y0 * y0), jnp.inf)
+    return Wave(y0 * x1 - x0 * y1, -(x0 * x1 + y0 * y1), rest)
+
+
+def _scale(unit: Unit) -> PyTree:
+    return 1 / (len(unit.axes) * unit.radius**2)  # vectors near 1, however many are multiplied
+
+
+def _product(unit: Unit, fits: list[Fit]) -> "Polynomial":
+    """Of the discs' vectors without load, in the direction of the first crank."""
+    scale = _scale(unit)
+    together = Polynomial([(jnp.ones_like(unit.radius), jnp.zeros_like(unit.radius))])
+    for k, disc in enumerate(fits):
+        still = (1 + scale * jnp.real(disc.still), scale * jnp.imag(disc.still))
+        turning = unit.disc_crank(k, Crank(scale * jnp.real(disc.turning), scale * jnp.imag(disc.turning)))
+        together = together.times(still, (turning.cosine, turning.sine))
+    return together
 
 
 class Polynomial(NamedTuple):

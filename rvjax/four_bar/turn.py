@@ -12,9 +12,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax.elementary import sin_cos
+from rvjax.elementary import arctan2, sin_cos
 from rvjax.four_bar.closures import Crank
-from rvjax.records import PyTree, Scalar
+from rvjax.lanes import once_more
+from rvjax.records import PyTree
+
+_BESIDE = 2  # angles on either side of the crest of a first harmonic that are looked at
 
 
 class Score(NamedTuple):
@@ -22,6 +25,21 @@ class Score(NamedTuple):
 
     of: Callable[[Any], Callable[[Crank], jax.Array]]  # parts -> (crank -> score)
     back: Callable[[jax.Array], jax.Array]  # score -> value
+    wave: Callable[[Any], "Wave"] | None = None  # parts -> first harmonic of a number that rises with the score
+
+
+class Wave(NamedTuple):
+    """First harmonic amplitude cos(angle - place) of a periodic number, and a bound of all the others.
+
+    Of uniform angles with distance h the number is largest at one of the `2 k` nearest to the place, k on either side,
+    if the m-th harmonics are of size r_m with sum m r_m < amplitude sin(k h / 2). For of two angles a and b from the
+    place the first harmonic's difference is 2 amplitude sin((a + b) / 2) sin((b - a) / 2), and the others' is at most
+    2 sum m r_m |sin((b - a) / 2)|; with a the nearest angle on one side and b beyond the k-th, |a + b| / 2 >= k h / 2.
+    """
+
+    cosine: jax.Array  # amplitude cos(place)
+    sine: jax.Array
+    rest: jax.Array  # at least sum m r_m
 
 
 def largest_and_smallest(
@@ -45,60 +63,89 @@ def largest_and_smallest(
         score = Score(lambda parts: lambda crank: value(parts, crank), lambda value: value)
     leaves, tree = jax.tree.flatten(parts)
     is_array = [isinstance(leaf, jax.Array) for leaf in leaves]
-    index = np.arange(angles)
-    turn = (np.cos(2 * np.pi * index / angles), np.sin(2 * np.pi * index / angles), index)
 
     def whole(arrays: list[jax.Array]) -> PyTree:
         rest = iter(arrays)
         return jax.tree.unflatten(tree, [next(rest) if varies else leaf for leaf, varies in zip(leaves, is_array)])
 
-    def over_turn(
-        arrays: list[jax.Array], start: PyTree, step: Callable[..., PyTree], pair: Callable[..., PyTree]
-    ) -> PyTree:
-        along = score.of(whole(arrays))
-        first = along(Crank(1, 0))
-        places = [jnp.asarray(x[1:], first.dtype) for x in turn]
-
-        def one(found: PyTree, place: PyTree) -> PyTree:
-            cosine, sine, index = place
-            return step(found, along(Crank(cosine, sine)), index), None
-
-        found, _ = jax.lax.scan(one, start(first), places, unroll=together)
-        both = settle(jax.lax.complex(*pair(found)))
+    def found(arrays: list[jax.Array], places: bool) -> tuple[jax.Array, jax.Array]:
+        """Largest and smallest score, or the numbers of the angles where they occur."""
+        if score.wave is None or angles < 2 * _BESIDE + 2:
+            both = settle(_all(score.of(whole(arrays)), angles, places, together))
+        else:
+            both = settle(_near(score, whole(arrays), angles, places))
+            todo = jnp.isnan(jnp.real(both))
+            both = once_more(lambda arrays: _all(score.of(whole(arrays)), angles, places, 4), arrays, both, todo)
         return jnp.real(both), jnp.imag(both)
 
     @jax.custom_jvp
     def search(arrays: list[jax.Array]) -> tuple[jax.Array, jax.Array]:
-        def step(best: PyTree, now: jax.Array, index: Scalar) -> PyTree:
-            return jnp.maximum(best[0], now), jnp.minimum(best[1], now)
-
-        most, least = over_turn(arrays, lambda first: (first, first), step, lambda best: best)
+        most, least = found(arrays, False)
         return score.back(most), score.back(least)
 
     @search.defjvp
     def _rule(primals: PyTree, tangents: PyTree) -> PyTree:
         (arrays,), (changes,) = primals, tangents
-
-        def step(best: PyTree, now: jax.Array, index: Scalar) -> PyTree:
-            most, least, where_most, where_least = best
-            up, down = now > most, now < least
-            return (
-                jnp.where(up, now, most),
-                jnp.where(down, now, least),
-                jnp.where(up, index, where_most),
-                jnp.where(down, index, where_least),
-            )
-
-        def start(first: jax.Array) -> PyTree:
-            return first, first, jnp.zeros_like(first), jnp.zeros_like(first)
-
         places = []
-        for index in over_turn(arrays, start, step, lambda best: best[2:]):
+        for index in found(arrays, True):
             sine, cosine = sin_cos(index * (2 * np.pi / angles))
             places.append(Crank(cosine, sine))
-        return jax.jvp(lambda arrays: tuple(value(whole(arrays), at) for at in places), (arrays,), (changes,))
+
+        def there(arrays: list[jax.Array]) -> tuple[jax.Array, ...]:
+            # What the discs' vectors are made of is stored, and so are its derivatives on their way back.
+            stored = whole([settle(x) if jnp.iscomplexobj(x) else x for x in arrays])
+            return tuple(value(stored, at) for at in places)
+
+        return jax.jvp(there, (arrays,), (changes,))
 
     return search([leaf for leaf, varies in zip(leaves, is_array) if varies])
+
+
+def _all(along: Callable[[Crank], jax.Array], angles: int, places: bool, together: int) -> jax.Array:
+    """Largest and smallest score of all angles as one complex number, or where they occur."""
+    index = np.arange(angles)
+    turn = (np.cos(2 * np.pi * index / angles), np.sin(2 * np.pi * index / angles), index)
+    first = along(Crank(1, 0))
+
+    def step(best: PyTree, place: PyTree) -> PyTree:
+        cosine, sine, index = place
+        now = along(Crank(cosine, sine))
+        if not places:
+            return (jnp.maximum(best[0], now), jnp.minimum(best[1], now)), None
+        most, least, where_most, where_least = best
+        up, down = now > most, now < least
+        where = jnp.where(up, index, where_most), jnp.where(down, index, where_least)
+        return (jnp.where(up, now, most), jnp.where(down, now, least), *where), None
+
+    start = (first, first, *([jnp.zeros_like(first)] * 2 if places else []))
+    best, _ = jax.lax.scan(step, start, [jnp.asarray(x[1:], first.dtype) for x in turn], unroll=together)
+    return jax.lax.complex(*best[-2:])
+
+
+def _near(score: Score, parts: PyTree, angles: int, places: bool) -> jax.Array:
+    """As `_all`, of the angles beside the crest and the trough of the first harmonic; NaN unless these decide.
+
+    One number, for XLA evaluates for each result anew all that leads to it.
+    """
+    along, wave, step = score.of(parts), score.wave(parts), 2 * np.pi / angles
+    sure = wave.rest**2 < (wave.cosine**2 + wave.sine**2) * np.sin(_BESIDE * step / 2) ** 2  # false for NaN
+
+    below = jnp.floor(arctan2(wave.sine, wave.cosine) / step)
+    sine, cosine = sin_cos(below * step)
+
+    def extreme(sign: int, below: jax.Array, cosine: jax.Array, sine: jax.Array) -> jax.Array:
+        best, where = jnp.full_like(below, -sign * jnp.inf), below
+        for j in range(1 - _BESIDE, 1 + _BESIDE):
+            now = along(Crank(cosine, sine).turned(np.cos(j * step), np.sin(j * step)))
+            better = now > best if sign > 0 else now < best
+            best, where = jnp.where(better, now, best), jnp.where(better, below + j, where)
+        return jnp.mod(where, angles) if places else best
+
+    crest = jnp.where(sure, extreme(1, below, cosine, sine), jnp.nan)
+    # An odd number of angles has none opposite to another; the one before half a turn lies nearer than the one behind.
+    half = angles // 2
+    ahead = Crank(cosine, sine).turned(np.cos(half * step), np.sin(half * step)) if angles % 2 else Crank(-cosine, -sine)
+    return jax.lax.complex(crest, extreme(-1, below + half, ahead.cosine, ahead.sine))
 
 
 def settle(x: jax.Array) -> jax.Array:

@@ -102,17 +102,21 @@ def _geometric(numbers: PyTree, *, reading: str, profile: str) -> LostMotion:
         shift=cycloid.shift_modification,
         tilt=tilt,
     )
-    # A NaN or an infinity survives the sum. The square root is for XLA, which does not repeat a costly operation
-    # in every kernel that needs its result: else each of the twelve sums of a gradient would read all errors.
-    read = sum(jnp.abs(x) for x in jax.tree.leaves(unit)) + sum(jnp.abs(getattr(parts, name)) for name in ERRORS_READ)
-    possible = _possible(unit, parts, teeth, profile)
     # Terms are at most of second order in lengths over the smallest radius: that must not overflow either.
     smallest = jnp.minimum(jnp.minimum(unit.e, unit.rp), jnp.minimum(unit.r1, unit.a0 + unit.a1))
-    read = jax.lax.stop_gradient(read / jnp.where(smallest > 0, smallest, 1))
-    finite = jnp.sqrt(read) < float(jnp.finfo(read.dtype).max) ** 0.25
-    refusals = ((~finite, Status.NONFINITE), (~possible, Status.INVALID_GEOMETRY))
-    unit, gate = admit(unit, harmless(teeth, unit), *refusals)
-    parts, gate = admit(parts, 0, after=gate)
+    smallest = jnp.where(smallest > 0, smallest, 1)
+    of_unit, of_parts = jax.tree.leaves(unit), [getattr(parts, name) for name in ERRORS_READ]
+    # Design and errors are judged apart where only terms are summed: a batch over errors leaves the design unbatched.
+    apart = profile == "first_order"
+    alone = RVErrors() if apart else parts
+    possible = (~_possible(unit, alone, teeth, profile), Status.INVALID_GEOMETRY)
+    if apart:
+        unit, gate = admit(unit, harmless(teeth, unit), (~_finite(of_unit, smallest), Status.NONFINITE), possible)
+        parts, gate = admit(parts, 0, (~_finite(of_parts, smallest), Status.NONFINITE), after=gate)
+    else:
+        refused = (~_finite(of_unit + of_parts, smallest), Status.NONFINITE), possible
+        unit, gate = admit(unit, harmless(teeth, unit), *refused)
+        parts, gate = admit(parts, 0, after=gate)
 
     terms, cosine = contributions(unit, parts, teeth, reading)
     values = vars(terms)
@@ -173,6 +177,28 @@ def _check_methods(design: RVReducer, reading: str, profile: str, normal_force: 
         raise ValueError(
             f"CycloidStage.pin_count = {design.cycloid.pin_count}: must exceed disc_teeth = {design.cycloid.disc_teeth}"
         )
+
+
+def _finite(numbers: list[jax.Array], smallest: jax.Array) -> jax.Array:
+    """Whether all are finite, and their squares over the smallest radius: a NaN or an infinity survives the sum."""
+    read = jax.lax.stop_gradient(_stored(sum(jnp.abs(x) for x in numbers) / smallest))
+    return read < float(jnp.finfo(read.dtype).max) ** 0.5
+
+
+@jax.custom_jvp
+def _stored(x: jax.Array) -> jax.Array:
+    """x >= 0; where there is a derivative, stored.
+
+    XLA does not repeat a costly operation, as the square root, in every kernel that needs its result: else each of
+    the twelve sums of a gradient would read all errors. A value alone is found in one kernel, in one pass.
+    """
+    return x
+
+
+@_stored.defjvp
+def _stored_jvp(primals: PyTree, tangents: PyTree) -> PyTree:
+    (x,), (dx,) = primals, tangents
+    return jnp.square(jnp.sqrt(x)), jnp.zeros_like(dx)
 
 
 def _possible(unit: Unit, parts: RVErrors, teeth: Teeth, profile: str) -> jax.Array:
