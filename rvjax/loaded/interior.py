@@ -1,15 +1,15 @@
 """Near the minimum of the energy from anywhere: a primal-dual interior point method, for cases that Newton leaves.
 
-Newton's method loses its way where a journal slides round its clearance and barely touches: a full step leaves the circle
-by the second order, and contacts open and close in turns. Here no contact opens or closes. Each is a spring compressed by s
-that keeps a gap to what it presses on, z > 0, with a force f of its own, and all gaps close together as f z = mu falls:
+Newton's method loses its way where a journal slides round its clearance and barely touches: a full step leaves the
+circle by the second order, and contacts open and close in turns. Here no contact opens or closes. Each is a spring,
+compressed by s, that keeps a gap z > 0 to what it presses on and has a force f > 0 of its own. All products f z = mu
+fall together, and with them the forces become those of the contacts:
 
     pin, flank    z = s - depth(q) > 0,  f > 0
     journal       Z = (clearance + s, w(q)) in the cone |Z_xy| < Z_0, its force F in the same cone
 
-With mu the forces become those of the contacts. The step of the cones is that of Nesterov and Todd, Mathematics of Operations
-Research 22 (1997), 1-42: each contact enters Newton's linear system as a spring of a finite stiffness, and the
-elimination is that of all other steps. Arrays have their lanes last.
+The step of the cones is that of Nesterov and Todd (Mathematics of Operations Research 22, 1997, 1-42): in Newton's
+linear system each contact is a spring of finite stiffness. Arrays have their lanes last.
 """
 
 from typing import NamedTuple
@@ -82,7 +82,7 @@ def approach(layout: Layout, s: System, wanted: jax.Array) -> tuple[jax.Array, j
         det, det_f = _det(at.reach, x, y), _det(f0, fx, fy)
         root, root_f = jnp.sqrt(det), jnp.sqrt(det_f)
         mean = jnp.sqrt(2 + 2 * inside / (root * root_f))
-        v0, vx, vy = (at.reach / root + f0 / root_f) / mean, (x / root - fx / root_f) / mean, (y / root - fy / root_f) / mean
+        v0, vx, vy = ((a / root + b / root_f) / mean for a, b in ((at.reach, f0), (x, -fx), (y, -fy)))
         eta = root_f / root
         axial = k + eta * (2 * v0 * v0 - 1)
         push = (goal * at.reach / det - k * (at.reach - s.clearance)) / axial

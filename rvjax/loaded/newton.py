@@ -104,28 +104,29 @@ def minimise(layout: Layout, system: System, start: jax.Array) -> Found:
             return index, part, state._replace(found=state.found._replace(steps=jnp.where(again, steps, 0) + more))
 
         def unfinished(loop: Any) -> jax.Array:
-            state, cursor = loop[2], loop[4]
+            _, state, cursor, _ = loop
             return jnp.any(state.open) | (cursor < many)
 
         def refill(loop: Any) -> Any:
-            index, place, state, part, cursor, results = loop
-            limit = jnp.where(again, MAX_STEPS, _DIRECT)
-            state = _iterate(layout, part, state, jnp.where(cursor < many, 3 * width // 4, 0).astype(jnp.int32), limit)
-            results = jax.tree.map(
-                lambda all_, new: all_.at[index].set(jnp.moveaxis(new, -1, 0), mode="drop"), results, state.found
-            )
+            place, state, cursor, results = loop
             free = ~state.open
             place = jnp.where(free, cursor + jnp.cumsum(free, dtype=place.dtype) - 1, place)
+            cursor = cursor + jnp.sum(free, dtype=place.dtype)
             index, part, fresh = seated(place, free)
             state = jax.tree.map(
                 lambda new, old: jnp.where(free[None] if new.ndim == 2 else free, new, old), fresh, state
             )
-            return index, place, state, part, cursor + jnp.sum(free, dtype=place.dtype), results
+            leave = jnp.where(cursor < many, 3 * width // 4, 0).astype(jnp.int32)
+            state = _iterate(layout, part, state, leave, jnp.where(again, MAX_STEPS, _DIRECT))
+            results = jax.tree.map(
+                lambda all_, new: all_.at[index].set(jnp.moveaxis(new, -1, 0), mode="drop"), results, state.found
+            )
+            return place, state, cursor, results
 
-        place = jnp.arange(width, dtype=jnp.int32)
-        index, part, state = seated(place, jnp.ones((width,), bool))
-        loop = (index, place, state, part, jnp.full((), width, place.dtype), tour.found)
-        found = jax.lax.while_loop(unfinished, refill, loop)[-1]
+        place = jnp.zeros((width,), jnp.int32)
+        shapes = jax.eval_shape(lambda: seated(place, place == 0)[2])
+        empty = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)  # every lane is free
+        found = jax.lax.while_loop(unfinished, refill, (place, empty, jnp.int32(0), tour.found))[-1]
         lost = ~found.converged & found.finite & (found.steps >= _DIRECT)
         return _Tour(tour.number + 1, lost, found)
 
@@ -192,8 +193,11 @@ def _iterate(layout: Layout, s: System, state: _State, leave: jax.Array, limit: 
         )
         # Barriers: without them XLA computes what two results share anew for each.
         at, slope = jax.lax.optimization_barrier((at, jnp.where(started, working, slope)))
-        gear_slope = jnp.where(jnp.where(started, driving, at.gear_depth > 0), s.gear_stiffness[:, None], 0)
-        g, square = jax.lax.optimization_barrier((gradient(layout, s, q, at), hessian(layout, s, at, slope, gear_slope)))
+        pressed = jnp.where(started, driving, at.gear_depth > 0)
+        gear_slope = jnp.where(pressed, s.gear_stiffness[:, None], 0)
+        g, square = jax.lax.optimization_barrier(
+            (gradient(layout, s, q, at), hessian(layout, s, at, slope, gear_slope))
+        )
         newton = jax.lax.optimization_barrier(-solve(layout, square, g))
         value = energy(layout, s, q, at)
         fine = jnp.isfinite(value) & jnp.all(jnp.isfinite(newton), axis=0)
@@ -201,7 +205,8 @@ def _iterate(layout: Layout, s: System, state: _State, leave: jax.Array, limit: 
         miss = _most(g)
         rounding = stiffest * jnp.maximum(widest, _most(q))
         small = miss <= jnp.maximum(tolerance * size, 2 * eps * rounding)
-        return _advance(state, newton, g, value, miss, size, jnp.max(at.pins, axis=(0, 1)), small, fine, over & ~cold, limit)
+        largest = jnp.max(at.pins, axis=(0, 1))
+        return _advance(state, newton, g, value, miss, size, largest, small, fine, over & ~cold, limit)
 
     return jax.lax.while_loop(lambda state: jnp.sum(state.open, dtype=leave.dtype) > leave, body, state)
 
