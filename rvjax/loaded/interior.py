@@ -56,7 +56,7 @@ def approach(layout: Layout, s: System, wanted: jax.Array) -> tuple[jax.Array, j
     lanes = wanted.shape[0]
     free = jnp.broadcast_to(s.clearance > 0, (layout.bearings, lanes))  # without clearance a journal is a linear spring
     k, eps = s.bearing_stiffness, float(jnp.finfo(s.gap.dtype).eps)
-    contacts_free = s.gap.shape[0] * s.gap.shape[1] + 2 * layout.cranks + jnp.sum(free, axis=0)
+    contacts_free = s.gap.shape[0] * s.gap.shape[1] + 2 * layout.cranks + jnp.sum(free, axis=0, dtype=s.gap.dtype)
 
     def body(loop: _Loop) -> _Loop:
         at = loop.at
@@ -75,9 +75,9 @@ def approach(layout: Layout, s: System, wanted: jax.Array) -> tuple[jax.Array, j
 
         # Pins and flanks: the force that closes f z = goal along the law, and its slope in the depth.
         room = z + at.f / slope
-        pins, pin_slope = (goal + at.f * law / slope) / room, at.f / room
+        pins, pin_slope = (goal[None, None] + at.f * law / slope) / room, at.f / room
         room = gear_z + at.gear_f / s.gear_stiffness[:, None]
-        gear, gear_slope = (goal + at.gear_f * at.gear) / room, at.gear_f / room
+        gear, gear_slope = (goal[None, None] + at.gear_f * at.gear) / room, at.gear_f / room
         # Journals: the scaling of the two cones, eta (2 v v' - J), with v = (v0, -vx, -vy) and the goal over Z.
         det, det_f = _det(at.reach, x, y), _det(f0, fx, fy)
         root, root_f = jnp.sqrt(det), jnp.sqrt(det_f)
@@ -85,10 +85,10 @@ def approach(layout: Layout, s: System, wanted: jax.Array) -> tuple[jax.Array, j
         v0, vx, vy = ((a / root + b / root_f) / mean for a, b in ((at.reach, f0), (x, -fx), (y, -fy)))
         eta = root_f / root
         axial = k + eta * (2 * v0 * v0 - 1)
-        push = (goal * at.reach / det - k * (at.reach - s.clearance)) / axial
+        push = (goal[None] * at.reach / det - k * (at.reach - s.clearance)) / axial
         along = 2 * eta * (k - eta) / axial
         across = -2 * eta * v0  # of the first row, times vx and vy
-        own = [jnp.where(free, goal / det * u + across * v * push, k * u) for u, v in ((x, vx), (y, vy))]
+        own = [jnp.where(free, goal[None] / det * u + across * v * push, k * u) for u, v in ((x, vx), (y, vy))]
         stiff = tuple(
             jnp.where(free, one + along * product, alone)
             for one, product, alone in ((eta, vx * vx, k), (0.0, vx * vy, 0.0), (eta, vy * vy, k))
@@ -122,7 +122,9 @@ def approach(layout: Layout, s: System, wanted: jax.Array) -> tuple[jax.Array, j
             most.append(_until(laws.largest_depth(s.compliance[None, None], s.level) - at.s, -ds))
         share = jnp.minimum(1, _SHARE * jnp.min(jnp.stack(most), axis=0))
         step = _Point(dq, ds, df, dgear, dgear_f, dreach, dcone)
-        moved_to = jax.tree.map(lambda old, change: jnp.where(going, old + share * change, old), at, step)
+        moved_to = jax.tree.map(
+            lambda old, change: jnp.where(_like(going, old), old + _like(share, old) * change, old), at, step
+        )
         return _Loop(moved_to, share, first, loop.count + going.astype(jnp.int32), going)
 
     zero = jnp.zeros((lanes,), s.gap.dtype)
@@ -142,9 +144,9 @@ def _begin(layout: Layout, s: System, lanes: int) -> _Point:
     wide = jnp.maximum(jnp.maximum(wide, jnp.max(s.clearance, axis=0)), jnp.abs(s.load) / stiffest)
     if layout.law == "hertz":
         wide = jnp.minimum(wide, jnp.min(laws.largest_depth(s.compliance[None, None], s.level), axis=(0, 1)) / 4)
-    pin = jnp.maximum(depth, 0) + wide
-    gear = jnp.maximum(gear_depth, 0) + wide
-    reach = jnp.maximum(jnp.sqrt(w[:, 0] * w[:, 0] + w[:, 1] * w[:, 1]), s.clearance) + wide
+    pin = jnp.maximum(depth, 0) + wide[None, None]
+    gear = jnp.maximum(gear_depth, 0) + wide[None, None]
+    reach = jnp.maximum(jnp.sqrt(w[:, 0] * w[:, 0] + w[:, 1] * w[:, 1]), s.clearance) + wide[None]
     force = s.bearing_stiffness * (reach - s.clearance)
     return _Point(
         q=q,
@@ -184,6 +186,11 @@ def _leaves(z: tuple[jax.Array, ...], dz: tuple[jax.Array, ...]) -> jax.Array:
 def _until(value: jax.Array, change: jax.Array) -> jax.Array:
     """Share of a change at which the first of some positive values vanishes, (l,)."""
     return jnp.min(jnp.where(change < 0, value / jnp.where(change < 0, -change, 1), jnp.inf), axis=(0, 1))
+
+
+def _like(lanes: jax.Array, value: jax.Array) -> jax.Array:
+    """A number of each lane (l,) beside a value (..., l)."""
+    return lanes.reshape((1,) * (value.ndim - 1) + lanes.shape)
 
 
 def _sum(value: jax.Array) -> jax.Array:
