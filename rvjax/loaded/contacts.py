@@ -41,13 +41,13 @@ def contacts(layout: Layout, s: System, q: jax.Array) -> Contacts:
     """
     discs = q[: 3 * layout.discs].reshape(layout.discs, 3, 1, -1)
     depth = s.gap + sum(s.rows[a] * discs[:, a] for a in range(3))
-    gear_depth = s.gear_gap + _moved(s.gear_rows, q)
+    gear_depth = s.gear_gap + moved(s.gear_rows, q)
     return Contacts(
         depth=depth,
         pins=laws.force(layout.law, depth, s.compliance[None, None], s.level),
         gear_depth=gear_depth,
         gear=s.gear_stiffness[:, None] * jnp.maximum(gear_depth, 0),
-        bearing=bearing(s.bearing_gap + _moved(s.bearing_rows, q), s.bearing_stiffness, s.clearance),
+        bearing=bearing(s.bearing_gap + moved(s.bearing_rows, q), s.bearing_stiffness, s.clearance),
     )
 
 
@@ -100,7 +100,7 @@ def energy(layout: Layout, s: System, q: jax.Array, at: Contacts) -> jax.Array:
     return pins + jnp.sum(at.bearing.energy, axis=0) + gear + own
 
 
-def hessian(layout: Layout, s: System, at: Contacts, pin_slope: Any = None, pressed: Any = None) -> Hessian:
+def hessian(layout: Layout, s: System, at: Contacts, pin_slope: Any = None, gear_slope: Any = None) -> Hessian:
     """Second derivatives of the energy, in the blocks of the elimination.
 
     Args:
@@ -108,12 +108,13 @@ def hessian(layout: Layout, s: System, at: Contacts, pin_slope: Any = None, pres
         s: the system, lanes last.
         at: contacts at q.
         pin_slope: (d, p, l), by default that of the law.
-        pressed: which flanks (c, 2, l) touch, by default those of positive depth.
+        gear_slope: (c, 2, l), by default the stiffness of the flanks of positive depth.
     """
     discs, cranks, lanes = layout.discs, layout.cranks, at.depth.shape[-1]
     if pin_slope is None:
         pin_slope = laws.slope(layout.law, at.depth, at.pins, s.compliance[None, None])
-    pressed = at.gear_depth > 0 if pressed is None else pressed
+    if gear_slope is None:
+        gear_slope = jnp.where(at.gear_depth > 0, s.gear_stiffness[:, None], 0)
     split = discs * cranks
     # Rows of an arm on its disc and on its crank, (2, 3, d, c, .), and the same times its stiffness.
     arms = s.bearing_rows[:split].reshape(discs, cranks, 2, layout.unknowns, -1)
@@ -129,14 +130,13 @@ def hessian(layout: Layout, s: System, at: Contacts, pin_slope: Any = None, pres
     # Rows of seat and flanks on their crank, (2, 3, c, .), and on carrier and sun, (2, t, c, .).
     held = []
     seats, seat_stiffness = s.bearing_rows[split:], [k[None, split:] for k in at.bearing.stiffness]
-    touching = jnp.where(pressed, s.gear_stiffness[:, None], 0)
     for rows in (seats, s.gear_rows):
         own = jnp.stack([rows[i, :, layout.crank(i) : layout.crank(i) + 3] for i in range(cranks)])
         held.append([jnp.moveaxis(x, 0, 2) for x in (own, rows[:, :, layout.carried :])])
     (seat, seat_tail), (flank, flank_tail) = held
     sprung_seat, sprung_flank = (
         [_sprung(seat_stiffness, x) for x in (seat, seat_tail)],
-        [jnp.swapaxes(touching, 0, 1)[:, None] * x for x in (flank, flank_tail)],
+        [jnp.swapaxes(gear_slope, 0, 1)[:, None] * x for x in (flank, flank_tail)],
     )
     tail = jnp.sum(_outer(seat_tail, sprung_seat[1]) + _outer(flank_tail, sprung_flank[1]), axis=2)
     corner = jnp.arange(layout.tail)
@@ -163,8 +163,13 @@ def _outer(left: jax.Array, right: jax.Array) -> jax.Array:
     return left[0][:, None] * right[0][None] + left[1][:, None] * right[1][None]
 
 
-def _moved(rows: jax.Array, q: jax.Array) -> jax.Array:
-    """rows (..., n, l) times q (n, l): (..., l)."""
+def moved(rows: jax.Array, q: jax.Array) -> jax.Array:
+    """rows (..., n, l) times q (n, l): (..., l).
+
+    Args:
+        rows: of flanks or bearings.
+        q: displacements.
+    """
     if _shared(rows, q):
         return jnp.tensordot(rows[..., 0], q, 1, precision="highest")
     return jnp.sum(rows * q[(None,) * (rows.ndim - 2)], axis=-2)

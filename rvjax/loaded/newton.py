@@ -17,10 +17,12 @@ import jax.numpy as jnp
 from rvjax.loaded import laws
 from rvjax.loaded.contacts import contacts, energy, gradient, hessian
 from rvjax.loaded.elimination import solve
+from rvjax.loaded.interior import approach
 from rvjax.loaded.lanes import BLOCK, take
 from rvjax.loaded.system import Layout, System
 
-MAX_STEPS = 200
+MAX_STEPS = 300
+_DIRECT = 80  # of them before the interior point method
 _PATIENCE = 4  # full steps without a new lowest energy
 _SEARCHES = 30  # points on a line at most
 
@@ -45,6 +47,14 @@ class _Line(NamedTuple):
     upper: jax.Array
     upper_slope: jax.Array
     share: jax.Array  # of the step, now
+
+
+class _Tour(NamedTuple):
+    """Of all cases: those that wait for the next round, and what is found."""
+
+    number: jax.Array  # of the round
+    queued: jax.Array  # (cases,)
+    found: Found
 
 
 class _State(NamedTuple):
@@ -74,34 +84,59 @@ def minimise(layout: Layout, system: System, start: jax.Array) -> Found:
     cases = max(len(leaf) for leaf in jax.tree.leaves((system, start)))
     width = min(cases, BLOCK)
 
-    def seated(index: jax.Array) -> tuple[System, _State]:
-        part, begin = take((system, start), jnp.minimum(index, cases - 1))
-        part = part._replace(gap=jnp.broadcast_to(part.gap, (*part.gap.shape[:-1], width)))
-        return part, _begin(layout, part, begin, index < cases)
+    def one_round(tour: _Tour) -> _Tour:
+        """Every case of the queue; in the second round each begins near its minimum."""
+        (queue,) = jnp.nonzero(tour.queued, size=cases, fill_value=cases)
+        many, again = jnp.sum(tour.queued, dtype=jnp.int32), tour.number > 0
 
-    index = jnp.arange(width, dtype=jnp.int32)
-    part, state = seated(index)
-    if cases == width:
-        return jax.tree.map(lambda leaf: jnp.moveaxis(leaf, -1, 0), _iterate(layout, part, state, jnp.int32(0)).found)
+        def seated(place: jax.Array, empty: jax.Array) -> tuple[jax.Array, System, _State]:
+            index = queue.at[place].get(mode="fill", fill_value=cases)
+            part, begin, steps = take((system, start, tour.found.steps), jnp.minimum(index, cases - 1))
+            part = part._replace(gap=jnp.broadcast_to(part.gap, (*part.gap.shape[:-1], width)))
+            taken = place < many
+            begin = jnp.broadcast_to(begin, (layout.unknowns, width))
+            begin, more = jax.lax.cond(
+                again,
+                lambda: approach(layout, part, taken & empty),
+                lambda: (begin, jnp.zeros((width,), jnp.int32)),
+            )
+            state = _begin(layout, part, begin, taken)
+            return index, part, state._replace(found=state.found._replace(steps=jnp.where(again, steps, 0) + more))
 
-    def unfinished(loop: Any) -> jax.Array:
-        _, state, _, cursor, _ = loop
-        return jnp.any(state.open) | (cursor < cases)
+        def unfinished(loop: Any) -> jax.Array:
+            _, state, cursor, _ = loop
+            return jnp.any(state.open) | (cursor < many)
 
-    def refill(loop: Any) -> Any:
-        index, state, part, cursor, results = loop
-        state = _iterate(layout, part, state, jnp.where(cursor < cases, 3 * width // 4, 0).astype(jnp.int32))
-        results = jax.tree.map(
-            lambda all_, new: all_.at[index].set(jnp.moveaxis(new, -1, 0), mode="drop"), results, state.found
-        )
-        free = ~state.open
-        index = jnp.where(free, cursor + jnp.cumsum(free, dtype=index.dtype) - 1, index)
-        part, fresh = seated(index)
-        state = jax.tree.map(lambda new, old: jnp.where(free[None] if new.ndim == 2 else free, new, old), fresh, state)
-        return index, state, part, cursor + jnp.sum(free, dtype=index.dtype), results
+        def refill(loop: Any) -> Any:
+            place, state, cursor, results = loop
+            free = ~state.open
+            place = jnp.where(free, cursor + jnp.cumsum(free, dtype=place.dtype) - 1, place)
+            cursor = cursor + jnp.sum(free, dtype=place.dtype)
+            index, part, fresh = seated(place, free)
+            state = jax.tree.map(
+                lambda new, old: jnp.where(free[None] if new.ndim == 2 else free, new, old), fresh, state
+            )
+            leave = jnp.where(cursor < many, 3 * width // 4, 0).astype(jnp.int32)
+            state = _iterate(layout, part, state, leave, again)
+            results = jax.tree.map(
+                lambda all_, new: all_.at[index].set(jnp.moveaxis(new, -1, 0), mode="drop"), results, state.found
+            )
+            return place, state, cursor, results
 
-    results = jax.tree.map(lambda leaf: jnp.zeros((cases, *leaf.shape[:-1]), leaf.dtype), state.found)
-    return jax.lax.while_loop(unfinished, refill, (index, state, part, jnp.full((), width, index.dtype), results))[-1]
+        place = jnp.zeros((width,), jnp.int32)
+        shapes = jax.eval_shape(lambda: seated(place, place == 0)[2])
+        empty = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)  # every lane is free
+        found = jax.lax.while_loop(unfinished, refill, (place, empty, jnp.int32(0), tour.found))[-1]
+        lost = ~found.converged & found.finite & (found.steps >= _DIRECT)
+        return _Tour(tour.number + 1, lost, found)
+
+    def goes_on(tour: _Tour) -> jax.Array:
+        return (tour.number == 0) | ((tour.number == 1) & jnp.any(tour.queued))
+
+    dtype = start.dtype
+    zero, no, none = jnp.zeros((cases,), dtype), jnp.zeros((cases,), bool), jnp.zeros((cases,), jnp.int32)
+    nothing = Found(jnp.zeros((cases, layout.unknowns), dtype), none, zero, zero, no, no, no)
+    return jax.lax.while_loop(goes_on, one_round, _Tour(jnp.int32(0), ~no, nothing)).found
 
 
 def _begin(layout: Layout, s: System, start: jax.Array, seated: jax.Array) -> _State:
@@ -133,8 +168,11 @@ def _overloaded(s: System, depth: jax.Array) -> jax.Array:
     return jnp.any(depth >= laws.largest_depth(s.compliance[None, None], s.level), axis=(0, 1))
 
 
-def _iterate(layout: Layout, s: System, state: _State, leave: jax.Array) -> _State:
-    """Steps of all open lanes until no more than `leave` are open."""
+def _iterate(layout: Layout, s: System, state: _State, leave: jax.Array, again: jax.Array) -> _State:
+    """Steps of all open lanes until no more than `leave` are open; `again`: in the second round."""
+    limit = jnp.where(again, MAX_STEPS, _DIRECT)
+    # A part sums up to some ten contacts, each with its rounding: what does not get below that in 80 steps never will.
+    slack = jnp.where(again, 8.0, 1.0).astype(state.q.dtype)
     lanes = state.q.shape[-1]
     eps = float(jnp.finfo(state.q.dtype).eps)
     tolerance = max(1e-13, 32 * eps)  # of the largest force
@@ -159,15 +197,19 @@ def _iterate(layout: Layout, s: System, state: _State, leave: jax.Array) -> _Sta
         # Barriers: without them XLA computes what two results share anew for each.
         at, slope = jax.lax.optimization_barrier((at, jnp.where(started, working, slope)))
         pressed = jnp.where(started, driving, at.gear_depth > 0)
-        g, square = jax.lax.optimization_barrier((gradient(layout, s, q, at), hessian(layout, s, at, slope, pressed)))
+        gear_slope = jnp.where(pressed, s.gear_stiffness[:, None], 0)
+        g, square = jax.lax.optimization_barrier(
+            (gradient(layout, s, q, at), hessian(layout, s, at, slope, gear_slope))
+        )
         newton = jax.lax.optimization_barrier(-solve(layout, square, g))
         value = energy(layout, s, q, at)
         fine = jnp.isfinite(value) & jnp.all(jnp.isfinite(newton), axis=0)
         size = _most(at.pins, at.gear, at.bearing.force)
         miss = _most(g)
         rounding = stiffest * jnp.maximum(widest, _most(q))
-        small = miss <= jnp.maximum(tolerance * size, 2 * eps * rounding)
-        return _advance(state, newton, g, value, miss, size, jnp.max(at.pins, axis=(0, 1)), small, fine, over & ~cold)
+        small = miss <= slack * jnp.maximum(tolerance * size, 2 * eps * rounding)
+        largest = jnp.max(at.pins, axis=(0, 1))
+        return _advance(state, newton, g, value, miss, size, largest, small, fine, over & ~cold, limit)
 
     return jax.lax.while_loop(lambda state: jnp.sum(state.open, dtype=leave.dtype) > leave, body, state)
 
@@ -183,6 +225,7 @@ def _advance(
     small: jax.Array,
     fine: jax.Array,
     over: jax.Array,
+    limit: jax.Array,
 ) -> _State:
     """The next point of every open lane, from what was found at the last one."""
     live, q, cold, line = state.open, state.q, state.cold, state.line
@@ -215,7 +258,7 @@ def _advance(
 
     failed = jnp.isinf(state.lowest) & ~usable & ~cold & ~again
     steps = state.found.steps + (~(done | cold | state.searching)).astype(jnp.int32)
-    goes_on = live & ~done & ~failed & (steps < MAX_STEPS)
+    goes_on = live & ~done & ~failed & (steps < limit)
     ended = jnp.where(done[None], q + newton, jnp.where(failed[None], 0, best))
     found = Found(
         q=jnp.where(live[None], ended, state.found.q),

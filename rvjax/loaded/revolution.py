@@ -50,7 +50,7 @@ def revolution(
     carrier: str = "fixed",
     sun: str = "fixed",
 ) -> Revolution:
-    """Equilibria along the turn of the output, each from the one before.
+    """Equilibria along the turn of the output, each from the line through the two before.
 
     Args:
         design: as in `equilibrium`.
@@ -81,15 +81,18 @@ def _revolution(
     read = admit(layout, design, errors, output_torque, turns)
     step = 2 * jnp.pi * ratio(design) * read.angle / samples  # `admit` judged the turns in the place of the angle
 
-    def onward(start: jax.Array, j: jax.Array) -> Any:
+    def onward(known: tuple[jax.Array, jax.Array], j: jax.Array) -> Any:
+        last, before = known  # NaN where there is none
+        start = jnp.where(jnp.isfinite(before), 2 * last - before, last)
         case = prepare(layout, read, jax.lax.stop_gradient(step * j)).loaded(read.torque)
         case = jax.lax.stop_gradient(case)
         found = balance(layout, case.system, start)
         info = judge(read, case, found)
-        return jnp.where(succeeded(info.status), found.q, jnp.nan), (found, info)
+        return (jnp.where(succeeded(info.status), found.q, jnp.nan), last), (found, info)
 
     order = jnp.arange(samples, dtype=read.torque.dtype)
-    _, (found, infos) = jax.lax.scan(onward, jnp.full((layout.unknowns,), jnp.nan, order.dtype), order)
+    none = jnp.full((layout.unknowns,), jnp.nan, order.dtype)
+    _, (found, infos) = jax.lax.scan(onward, (none, none), order)
     measure = jax.checkpoint(partial(_measure, layout), static_argnums=())
     error, loads = jax.lax.map(lambda x: measure(read, step, *x), (order, found, infos.status))
     whole = worst_of(infos)
