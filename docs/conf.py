@@ -59,5 +59,5 @@ def as_rest(app, what, name, obj, options, lines):
 
 
 def setup(app):
-    made.everything(HERE / "_made")
+    made.everything(HERE / "_made", draft=bool(os.environ.get("RVJAX_DRAFT")))
     app.connect("autodoc-process-docstring", as_rest, priority=100)  # before napoleon

@@ -68,11 +68,18 @@ def reference():
     return lambda model: json.loads((REFERENCE / f"{model}.json").read_text())
 
 
+@pytest.fixture
+def thorough():
+    """Whether the long profile runs: for the dear half of a test whose other half runs by default."""
+    return PROFILE == "long"
+
+
 def pytest_collection_modifyitems(config, items):
     """Further methods of a model whose first one stays, for the long profile."""
     left = [item for item in items if PROFILE != "long" and item.get_closest_marker("long")]
     config.hook.pytest_deselected(items=left)
     items[:] = [item for item in items if item not in left]
+    items.sort(key=lambda item: FAMILIES.index(scope(item.nodeid)) if scope(item.nodeid) in FAMILIES else len(FAMILIES))
 
 
 PEAKS: dict[str, float] = {}
@@ -92,7 +99,17 @@ def forgotten():
         jax.clear_caches()
 
 
-FAMILIES = ("dynamics", "extremes", "four_bar", "loaded", "lost_motion", "mesh_force", "plotting", "tolerances")
+# Dearest first, so that the end is many small files and no worker waits for the other.
+FAMILIES = (
+    *("tolerances", "dynamics", "loaded", "four_bar", "mesh_force", "cli", "lost_motion"),
+    *("published", "doors", "extremes", "docs", "identify", "models", "derivatives", "plotting"),
+)
+
+
+def scope(nodeid):
+    """Family of a test, or its file."""
+    file = nodeid.split("::")[0]
+    return next((family for family in FAMILIES if f"test_{family}" in file), file)
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -102,9 +119,9 @@ def pytest_xdist_make_scheduler(config, log):
 
     class Families(LoadScopeScheduling):
         def _split_scope(self, nodeid):
-            file = nodeid.split("::")[0]
-            return next((family for family in FAMILIES if f"test_{family}" in file), file)
+            return scope(nodeid)
 
+    config.option.loadscopereorder = False  # by cost, above, and not by the number of tests
     return Families(config, log)
 
 

@@ -281,6 +281,7 @@ def test_refusals_of_the_command(here, capsys):
     assert "unit: [requirement] is missing or empty" in capsys.readouterr().err
 
 
+@pytest.mark.long  # test_the_unit_is_found finds the same combination
 def test_one_direction_of_the_errors_of_a_four_bar_curve():
     """RV-40E: lambda = 4 (sigma / (4 R))^2 / noise^2 of e00 - e01 - e10 + e11, and nothing else but the offset.
 
@@ -307,6 +308,7 @@ def test_one_direction_of_the_errors_of_a_four_bar_curve():
     assert in_words(only.loadings) == "crank eccentricity [0,0] - [0,1] - [1,0] + [1,1]"
 
 
+@pytest.mark.long  # the table of docs/identify_bench.md rests on it
 def test_orders_of_the_output_agree_between_the_models():
     """Crank 0 and index mark at angle 0: the loaded reducer turns its own output, four_bar only its cranks.
 

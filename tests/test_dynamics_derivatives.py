@@ -188,10 +188,11 @@ def test_log_sensitivities_of_a_whole_reducer():
     ("stage", "printed", "total"),
     [
         ("planetary", {(1, "output.x"): 0.7548}, {(1, "output.x"): 1.7243}),
-        (
+        pytest.param(
             "cycloid",
             {(1, "output.x"): 0.2636, (3, "output.rotation"): -2.5294},
             {(1, "output.x"): -1.0298, (3, "output.rotation"): -2.2693},
+            marks=pytest.mark.long,
         ),
     ],
 )

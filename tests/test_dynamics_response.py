@@ -93,8 +93,13 @@ def test_harmonic_balance_is_that_of_the_reference(cases):
 
 
 LAYOUTS = [
-    *((4, 3, "planetary"), (3, 2, "planetary"), (3, 2, "cycloid")),
-    *((2, 3, "cycloid"), (2, 2, "planetary"), (3, 1, "planetary"), (5, 4, "cycloid")),
+    pytest.param(4, 3, "planetary", marks=pytest.mark.long),
+    (3, 2, "planetary"),
+    (3, 2, "cycloid"),
+    pytest.param(2, 3, "cycloid", marks=pytest.mark.long),
+    pytest.param(2, 2, "planetary", marks=pytest.mark.long),
+    (3, 1, "planetary"),
+    pytest.param(5, 4, "cycloid", marks=pytest.mark.long),
 ]
 
 

@@ -164,6 +164,7 @@ def test_sweeps_over_speeds_and_designs_compile_once():
     assert np.all(np.diff(np.abs(amplitude[:, 0, 0, 0])) != 0)
 
 
+@pytest.mark.long  # derivatives of members one by one run in test_dynamics_derivatives.py
 def test_monte_carlo_of_stiffness_and_mass_meets_first_order():
     """Relative bands of 3 sigma, all members alike: an amplitude, a frequency and the distance from resonance."""
     bands = {

@@ -42,7 +42,7 @@ def turn(angles, dtype=np.float64):
     return jax.jit(jax.vmap(jax.value_and_grad(figures, has_aux=True)))
 
 
-@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+@pytest.mark.parametrize("dtype", [np.float64, pytest.param(np.float32, marks=pytest.mark.long)])
 def test_figures_of_a_turn_beyond_a_right_angle(dtype):
     """The tangent of the summed angles wraps there; lanes with small angles share the batch unchanged."""
     rng = np.random.default_rng(3)
@@ -157,7 +157,9 @@ def units(count, teeth=3, **changes):
     return case | {"radius_error": np.zeros((count, teeth + 1))} | changes
 
 
-@pytest.mark.parametrize("contact", ["hertz", "linear", "palmgren"])
+@pytest.mark.parametrize(
+    "contact", ["hertz", *(pytest.param(law, marks=pytest.mark.long) for law in ("linear", "palmgren"))]
+)
 def test_rollers_too_large_for_the_arithmetic(contact):
     torque = np.array([50.0, 1e300, -1e300, 50.0, 50.0, 50.0])
     e = np.array([2e-3, 2e-3, 2e-3, 1e-250, 2e-3, 2e-3])

@@ -67,7 +67,14 @@ def test_derivatives_equal_differences(methods):
         np.testing.assert_allclose(found[i], difference, rtol=1e-6, atol=1e-7 if i in (6, 7) else 1e-6)
 
 
-@pytest.mark.parametrize("methods", [m for m in METHODS if m[1:] == ("newton", "open")])
+@pytest.mark.parametrize(
+    "methods",
+    [
+        pytest.param(m, marks=[pytest.mark.long] if m[0] == "geared" else [])
+        for m in METHODS
+        if m[1:] == ("newton", "open")
+    ],
+)
 def test_second_derivatives(methods):
     def gradient(vector, crank_angle):
         def coupler_angle(vector):
@@ -102,7 +109,9 @@ def test_newton_equals_closed_form():
             np.testing.assert_allclose(first, second, rtol=1e-9, atol=1e-10)
 
 
-@pytest.mark.parametrize("methods", METHODS)
+@pytest.mark.parametrize(
+    "methods", [pytest.param(m, marks=[] if m[2] == "open" else [pytest.mark.long]) for m in METHODS]
+)
 def test_lost_lanes_leave_their_neighbours_alone(methods):
     size = 6
     e, spacing, deviations, angle, _ = random_linkages(2 * size, seed=14, away=0.6)

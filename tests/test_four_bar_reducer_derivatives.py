@@ -77,30 +77,31 @@ def test_derivatives_equal_differences():
         np.testing.assert_allclose(slope, expected, rtol=1e-5, atol=1e-5 * np.abs(weights).max())
 
 
-def test_zero_errors_are_exactly_zero_with_finite_derivatives():
+@pytest.mark.parametrize("cranks", [2, pytest.param(3, marks=pytest.mark.long)])
+def test_zero_errors_are_exactly_zero_with_finite_derivatives(cranks):
     """At every crank angle; a random weight on each makes one lost derivative spoil the sum."""
-    for cranks in (2, 3):
-        design, angles = reducer(cranks), np.linspace(0, 2 * np.pi, 25)
+    design, angles = reducer(cranks), np.linspace(0, 2 * np.pi, 25)
 
-        def figures(errors, design=design, angles=angles):
-            def one(angle):
-                result = four_bar.transmission_error(design, errors, crank_angle=angle, closure="closed_form")
-                return jnp.concatenate([result.per_disc, result.misfit])
+    def figures(errors, design=design, angles=angles):
+        def one(angle):
+            result = four_bar.transmission_error(design, errors, crank_angle=angle, closure="closed_form")
+            return jnp.concatenate([result.per_disc, result.misfit])
 
-            return jax.vmap(one)(jnp.asarray(angles))
+        return jax.vmap(one)(jnp.asarray(angles))
 
-        @jax.jit
-        def pulled(errors, weights, figures=figures):
-            value, pull = jax.vjp(figures, errors)
-            return value, pull(weights)[0]
+    @jax.jit
+    def pulled(errors, weights, figures=figures):
+        value, pull = jax.vjp(figures, errors)
+        return value, pull(weights)[0]
 
-        zero = cast(RVErrors.for_design(design), np.float64)
-        value, gradient = pulled(zero, np.random.default_rng(0).normal(size=(25, 4)))
-        assert np.all(np.asarray(value) == 0)
-        for leaf in jax.tree.leaves(gradient):
-            assert np.all(np.isfinite(leaf))
+    zero = cast(RVErrors.for_design(design), np.float64)
+    value, gradient = pulled(zero, np.random.default_rng(0).normal(size=(25, 4)))
+    assert np.all(np.asarray(value) == 0)
+    for leaf in jax.tree.leaves(gradient):
+        assert np.all(np.isfinite(leaf))
 
 
+@pytest.mark.long  # those of one linkage run by default, test_four_bar_derivatives.py
 def test_second_derivatives_of_a_curve():
     design, errors = catalogue.RV_40E, drawn(catalogue.RV_40E, 10)
 

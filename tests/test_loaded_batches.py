@@ -121,7 +121,13 @@ def agree_with_each_alone(axes, *lists):
 D, E, T, A = range(4)  # design, errors, torque, angle
 
 
-@pytest.mark.parametrize("axes", [(A, T), (A, T, E), (E, T, A)], ids=["angle torque", "angle torque unit", "reversed"])
+AXES = {"angle torque": (A, T), "angle torque unit": (A, T, E), "reversed": (E, T, A)}
+LONG = ("angle torque", "reversed")  # two and the order of three; each combination of axes is a program of its own
+
+
+@pytest.mark.parametrize(
+    "axes", [pytest.param(v, id=k, marks=[pytest.mark.long] if k in LONG else []) for k, v in AXES.items()]
+)
 def test_nested_batches_are_their_cases(axes):
     """Two angles, eight torques, three units of one geometry: no two axes can be exchanged unseen."""
     units = [unit(sampled(3), n) for n in range(3)]

@@ -89,6 +89,6 @@ def test_derivatives_of_failed_and_idle_cases_are_finite():
     """NaN among the errors: its lane has derivative zero. No errors and no torque: finite."""
     design, errors, _, angle = START
     for torque, radius in ((412.0, jnp.nan), (412.0, 0.02), (0.0, 0.0)):
-        spoilt = jax.tree.map(lambda leaf: 0.0 * leaf, errors).replace(pin_radius=jnp.asarray(radius))
+        spoilt = jax.tree.map(lambda leaf: 0.0 * leaf, errors).replace(pin_radius=jnp.asarray(radius, float))
         pulled = backward((design, spoilt, jnp.float64(torque), angle), jnp.ones(8))
         assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(pulled)), (torque, radius)

@@ -11,7 +11,12 @@ from loaded_cases import CASES, design_of, errors_of
 import rvjax
 from rvjax import Status, loaded
 
-EQUILIBRIA = [case["name"] for case in CASES if case["kind"] == "equilibrium"]
+LONG = ("rv20", "rv320", "three: no", "three: all")  # programs of their own; other cases have their laws and parts
+EQUILIBRIA = [
+    pytest.param(case["name"], marks=[pytest.mark.long] if case["name"].startswith(LONG) else [])
+    for case in CASES
+    if case["kind"] == "equilibrium"
+]
 BY_NAME = {case["name"]: case for case in CASES}
 
 
@@ -47,7 +52,9 @@ def test_equilibrium_agrees_with_the_independent_one(name):
     assert found.info.residual * largest < 1e-11 * largest + 4 * np.finfo(float).eps * stiffest * 1e-4
 
 
-@pytest.mark.parametrize("name", [case["name"] for case in CASES if case["kind"] == "torsion"])
+@pytest.mark.parametrize(
+    "name", ["rv40: torsion", pytest.param("rv20: torsion, equidistant play only, linear", marks=pytest.mark.long)]
+)
 def test_torsion_agrees_with_the_independent_one(name):
     """Backlash and lost motion are differences of angles: they inherit 1e-9 of the largest angle."""
     case = BY_NAME[name]

@@ -26,7 +26,7 @@ def gradient(profile):
 
 
 @pytest.mark.parametrize("profile", PROFILES)
-def test_zero_errors_give_exactly_zero_and_finite_gradients(profile):
+def test_zero_errors_give_exactly_zero_and_finite_gradients(profile, thorough):
     # The K1 that follows from the lengths, given as a number.
     design = cycloid(RV_20E, equidistant_modification=0.0, shift_modification=0.0)
     design = cycloid(design, shortening=TRUE_K1.cycloid.shortening_coefficient)
@@ -43,7 +43,8 @@ def test_zero_errors_give_exactly_zero_and_finite_gradients(profile):
         some = RVErrors(eccentricity=x[0], pin_radius=x[1], pin_circle_radius=x[2])
         return geometric(design, some, profile=profile).total
 
-    assert np.all(np.isfinite(jax.jit(jax.hessian(of_some))(jnp.zeros(3))))
+    if profile != "contact" or thorough:  # three quarters of the time
+        assert np.all(np.isfinite(jax.jit(jax.hessian(of_some))(jnp.zeros(3))))
 
 
 def partial_derivatives(design, errors):

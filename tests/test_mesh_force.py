@@ -52,7 +52,7 @@ def test_reference_cases(reference, teeth, contact):
         assert abs(result.windup[k] - expected["windup"]) <= case["rtol"] * case["windup_scale"], case["name"]
 
 
-@pytest.mark.parametrize("contact", ["hertz", "palmgren"])
+@pytest.mark.parametrize("contact", ["hertz", pytest.param("palmgren", marks=pytest.mark.long)])
 def test_reference_derivatives(reference, contact):
     """Forward and reverse against central differences of 40-digit values."""
     cases = [c for c in reference("mesh_force")["cases"] if "derivatives" in c and c["contact"] == contact]
@@ -137,7 +137,7 @@ BAD = (
 )
 
 
-@pytest.mark.parametrize("contact", ["hertz", "linear", "palmgren"])
+@pytest.mark.parametrize("contact", ["hertz", "linear", pytest.param("palmgren", marks=pytest.mark.long)])
 def test_bad_lanes_have_a_status_and_leave_their_neighbours_alone(contact):
     """Every bad lane stands between good ones, whose values and gradients equal those of a clean batch."""
     rng = np.random.default_rng(3)

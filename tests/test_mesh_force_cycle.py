@@ -18,7 +18,14 @@ from rvjax.published.corr import PUBLISHED_STUDIES
 CORR = rvjax.catalogue.CORR
 
 
-@pytest.mark.parametrize(("figure", "contact"), [("11", "hertz"), ("12", "hertz"), ("14", "hertz"), ("14", "palmgren")])
+@pytest.mark.parametrize(
+    ("figure", "contact"),
+    [
+        ("11", "hertz"),
+        *(pytest.param(f, c, marks=pytest.mark.long) for f, c in (("12", "hertz"), ("14", "hertz"))),
+        ("14", "palmgren"),
+    ],
+)
 def test_reference_studies(reference, figure, contact):
     studies = [s for s in reference("mesh_force")["studies"] if (s["figure"], s["contact"]) == (figure, contact)]
     parameter = PUBLISHED_STUDIES[figure][0]

@@ -54,7 +54,7 @@ def test_census_of_random_designs(teeth):
     assert np.where(loaded, 0, depth / size).max() < 1e-9
 
 
-@pytest.mark.parametrize("contact", ["linear", "palmgren"])
+@pytest.mark.parametrize("contact", ["palmgren", pytest.param("linear", marks=pytest.mark.long)])
 def test_census_of_the_other_contacts(contact):
     cases = random_units(13, UNITS, np.random.default_rng(1))
     result, place = solve(13, cases, contact), geometry(13, cases)
@@ -82,7 +82,7 @@ def test_overload_begins_where_a_half_width_reaches_a_radius():
     assert (widest < 1).all() and widest.min() > 0.999
 
 
-@pytest.mark.parametrize("contact", ["hertz", "palmgren"])
+@pytest.mark.parametrize("contact", ["hertz", pytest.param("palmgren", marks=pytest.mark.long)])
 def test_symmetries(contact):
     """Cyclic shifts, mirror image, similarity, and what the torque and the modulus scale."""
     teeth, n = 13, 14
@@ -198,7 +198,7 @@ def test_derivatives_equal_central_differences(contact):
     assert compared > 0.8 * len(cases) * count
 
 
-@pytest.mark.parametrize("contact", ["hertz", "palmgren"])
+@pytest.mark.parametrize("contact", ["hertz", pytest.param("palmgren", marks=pytest.mark.long)])
 def test_derivatives_at_a_contact_change_are_one_sided(contact):
     """A roller set exactly to the point of touching: the derivative lies between those of the two sides."""
     teeth, roller = 8, 7

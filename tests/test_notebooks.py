@@ -27,9 +27,10 @@ def pictures(notebook):
     return sum("image/png" in output.get("data", {}) for output in outputs(notebook))
 
 
-# More than half of the time; what they show, the ledger and the tests of the models have too.
-LONG = ("05_dynamics", "09_loaded_reducer", "10_what_made_this_curve")
-RUN = [pytest.param(p, marks=pytest.mark.long) if p.stem in LONG else p for p in NOTEBOOKS]
+# Most of the time; what the others show, the ledger and the tests of the models have too. A job of the
+# workflow runs them all.
+QUICK = ("04_lost_motion", "06_monte_carlo_and_ppm", "07_speed_against_accuracy")
+RUN = [p if p.stem in QUICK else pytest.param(p, marks=pytest.mark.long) for p in NOTEBOOKS]
 
 
 @pytest.fixture(scope="module")

@@ -56,7 +56,7 @@ def test_closed_form_within_one_percent():
     assert found.cost == pytest.approx(closed_cost(0.9973), rel=0.01)
 
 
-@pytest.mark.parametrize("count", [60, pytest.param(200, marks=pytest.mark.long)])
+@pytest.mark.parametrize("count", [20, *(pytest.param(n, marks=pytest.mark.long) for n in (60, 200))])
 def test_many_fields(count):
     """Costs c_j/t and slopes a_j: t_j ~ (c_j/a_j^2)^(1/3)."""
     names = [f"e{k:03d}" for k in range(count)]

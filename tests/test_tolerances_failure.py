@@ -236,6 +236,7 @@ def test_responses_of_several_values():
         failure_probability(flat, THREE, Requirement(upper=4.0), samples=1, seed=0)
 
 
+@pytest.mark.long  # curved limits with a closed form run by default
 def test_misfit_of_a_reducer():
     """The largest misfit over two discs and 16 angles: kinks everywhere, several ways to fail."""
     conditions = rvjax.models.kind(rvjax.catalogue.RV_40E).conditions(angles=16)

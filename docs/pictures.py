@@ -1,0 +1,234 @@
+"""The drawings of the docs, made from rvjax while they are built."""
+
+from functools import cache
+
+import jax
+import matplotlib.pyplot as plt
+import numpy as np
+import two_studies
+from stored import stored
+
+from benchmarks import bench_table
+from rvjax import (
+    catalogue,
+    compensation,
+    dynamics,
+    four_bar,
+    loaded,
+    lost_motion,
+    plotting,
+    published,
+    study,
+    tolerances,
+)
+from rvjax.errors import RVErrors
+from rvjax.levels import table
+from rvjax.plotting import drawings, dynamic_error
+from rvjax.plotting import dynamics as dynamic_pictures
+from rvjax.plotting import identified as identified_pictures
+from rvjax.plotting import mesh_force as mesh_pictures
+from rvjax.plotting.style import AFTER, BEFORE
+from rvjax.published import rv160
+from rvjax.units import arcmin, arcsec, rpm, um
+
+
+def _turn(axes):
+    design = catalogue.RV_40E
+
+    @jax.jit
+    def turn(clearance, torque):
+        errors = RVErrors.for_design(design, crank_eccentricity=[[5 * um, 0], [0, 0]], bearing_clearance=clearance)
+        return four_bar.revolution(design, errors, angles=180, output_torque=torque)
+
+    for label, clearance, torque, colour, dash in (
+        ("one crank journal +5 um", 0.0, 0.0, AFTER, "-"),
+        ("and 8 um of bearing clearance under 412 N m", 8 * um, 412.0, BEFORE, "--"),
+    ):
+        found = turn(clearance, torque)
+        error = np.asarray(found.error - found.mean) / arcmin
+        axes.plot(np.degrees(found.crank_angle), error, linestyle=dash, color=colour, label=label)
+    axes.set(xlabel="crank angle (deg)", ylabel="transmission error less its mean (arcmin)", xlim=(0, 360))
+    axes.set_title("Transmission error over a crank turn")
+    axes.set_xticks(range(0, 361, 60))
+    axes.legend()
+    return axes
+
+
+def _campbell(axes):
+    design = catalogue.RV_320E
+    speed = np.linspace(100, 2000, 200) * rpm
+    per_turn = design.involute.sun_teeth * (1 - 1 / float(_ratio(design)))
+    return dynamic_pictures.campbell(
+        dynamics.modes(design), speed, per_turn * speed / (2 * np.pi),
+        harmonics={1: "translational", 2: "planetary", 4: "rotational"}, axes=axes,
+    )  # fmt: skip
+
+
+@cache
+def _joint():
+    """The embedded joint, the speeds of its sun, and lines of 1000 random units at each."""
+    question = study.load("rv-40e-joint")
+    given = question.conditions
+    speeds = np.linspace(given.slowest_sun_speed, given.fastest_sun_speed, 240)
+
+    @jax.jit
+    @jax.vmap
+    def swept(unit):
+        errors = tolerances.sample(question.tolerances, unit, seed=0)
+        return dynamics.speed_sweep(question.design, errors, sun_speeds=speeds, load_inertia=given.load_inertia)
+
+    return question, speeds, swept(np.arange(1000))
+
+
+def _joint_orders(axes):
+    question, speeds, units = _joint()
+    inertia = question.design.inertia
+    heavy = inertia.replace(output_inertia=inertia.output_inertia + question.conditions.load_inertia)
+    found = dynamics.modes(question.design.replace(inertia=heavy))
+    modes = [float(f) for f, kind in zip(found.frequency, found.kind) if kind == "rotational" and f < 80]
+    return dynamic_error.campbell_amplitudes(
+        jax.tree.map(lambda x: x[1], units), speeds, ratio=question.design.ratio, modes=modes, highest=80, axes=axes
+    )
+
+
+def _joint_batch(axes):
+    question, speeds, units = _joint()
+    turns = speeds / question.design.ratio
+    frequency = turns[:, None] * np.asarray(units.order[0])
+    rms = np.sqrt(np.sum(np.abs(units.amplitude[..., 0] * frequency**2) ** 2, axis=2) / 2)
+    limit = question.requirements["dynamic_vibration"].upper
+    return dynamic_error.batch_over_speed(turns, rms, unit="rad/s2", name="vibration", limit=limit, axes=axes)
+
+
+def _ratio(design):
+    return 1 + design.cycloid.pin_count * design.involute.planet_teeth / design.involute.sun_teeth
+
+
+@cache
+def _loaded_unit():
+    """An RV-40E of assumed stiffness with a micron of scatter, and its equilibria over a crank turn and over torque."""
+    design = bench_table.DESIGN
+    draw = np.random.default_rng(3).normal
+    errors = RVErrors(
+        crank_eccentricity=1 * um * draw(size=(2, 2)),
+        pin_offset=1 * um * draw(size=(40, 2)),
+        disc_pitch=1 * um * draw(size=(2, 39)),
+        bearing_clearance=3 * um,
+        equidistant_modification=2 * um,
+    )
+    return design, errors
+
+
+@cache
+def _loaded_cases():
+    design, errors = _loaded_unit()
+    turn = np.linspace(0, 1, 61)
+    half = np.geomspace(1e-3, 1, 30) * 412.0
+    torque = np.concatenate([-half[::-1], half])
+    solve = jax.vmap(lambda angle, load: loaded.equilibrium(design, errors, input_angle=angle, output_torque=load))
+    angle = np.append(2 * np.pi * design.ratio / design.cycloid.pin_count * turn, np.zeros(60))
+    found = jax.jit(solve)(angle, np.append(np.full(61, 412.0), torque))
+    return turn, torque, found
+
+
+def _loaded_pins(_):
+    _, _, found = _loaded_cases()
+    figure, axes = plt.subplots(1, 2, figsize=(9.6, 5.6))
+    one = jax.tree.map(lambda x: x[0], found)
+    for k in range(2):
+        plotting.loaded.pin_forces(_loaded_unit()[0], one, input_angle=0.0, disc=k, axes=axes[k])
+    return figure
+
+
+def _loaded_sharing(axes):
+    turn, _, found = _loaded_cases()
+    return plotting.loaded.load_sharing(turn, jax.tree.map(lambda x: x[:61], found), axes=axes)
+
+
+def _loaded_torsion(axes):
+    _, torque, found = _loaded_cases()
+    bench = loaded.torsion(*_loaded_unit(), input_angle=0.0, rated_torque=412.0)
+    return plotting.loaded.torsion_curve(bench, torque=torque, angle=found.error[61:], axes=axes)
+
+
+def _loaded_orders(_):
+    turns = {"412 N m": loaded.revolution(*_loaded_unit(), output_torque=412.0, turns=1.0, samples=512)}
+    figure, axes = plt.subplots(2, 1, figsize=(8, 6.4))
+    plotting.loaded.output_turn(turns, axes=axes[0])
+    plotting.loaded.output_orders(turns, highest=250, axes=axes[1])
+    return figure
+
+
+def _loaded_measured(axes):
+    rows = {figure["id"]: figure for figure in published.figures("rv160")}
+    model = np.empty(len(rv160.TORQUE))
+    model[rv160.FITTED] = rows["rv160.windup.fitted"]["our_value"]
+    model[~rv160.FITTED] = rows["rv160.windup.predicted"]["our_value"]
+    curves = {"model, fitted to every second torque": model * arcmin}
+    return plotting.loaded.measured_curve(rv160.TORQUE, rv160.MEASURED, rv160.FITTED, curves, axes=axes)
+
+
+def _gauge_picture(axes):
+    kept = stored("assembly")["gauge"]
+    return plotting.assembly.gain_against_gauge(
+        kept["sd"], kept["promised"], kept["came true"], chance=1.0, known=kept["came true"][0], axes=axes
+    )
+
+
+def _correction_picture(axes):
+    """A curve after the measured amplitudes of an RV reducer at 1.2 kN m, its correction from a noisy measurement."""
+    order, rng = np.array([3, 39, 40, 78, 81]), np.random.default_rng(0)
+    value = np.array([3.14, 4.83, 2.74, 4.56, 1.25]) * arcsec * np.exp(1j * np.arange(5))
+    angle = np.linspace(0, 2 * np.pi, 1440)
+    error = np.real(np.exp(1j * np.outer(angle, order)) @ value) + 0.3 * arcsec * rng.standard_normal(angle.size)
+    seen = value + 0.3 * arcsec * (rng.standard_normal(5) + 1j * rng.standard_normal(5))
+    found = compensation.correction(order, seen, ratio=81, sd=0.3 * arcsec, angle_sd=60 * arcsec)
+    return plotting.compensation.before_and_after(angle, error, found, axes=axes)
+
+
+def _bench_picture(axes):
+    kept = stored("bench_table")
+    benches = {bench: found["known"] for bench, found in kept["benches"].items()}
+    return identified_pictures.known_numbers(kept["numbers"], benches, axes=axes)
+
+
+PICTURES = {
+    "assembly_gauge": (_gauge_picture, (7, 4.2)),
+    "correction": (_correction_picture, (7, 4.2)),
+    "bench_table": (_bench_picture, (7, 7.2)),
+    "reducer": (lambda axes: drawings.reducer(catalogue.RV_40E, axes=axes), (7, 7.4)),
+    "linkage": (lambda axes: drawings.linkage(catalogue.RV_40E, axes=axes), (7, 5.2)),
+    "turn": (_turn, (7, 4.2)),
+    "contributions": (
+        lambda axes: plotting.contributions(
+            lost_motion.geometric(catalogue.RV_20E, catalogue.RV_20E_ERRORS), axes=axes
+        ),
+        (8.4, 4.4),
+    ),
+    "loop": (
+        lambda axes: plotting.torque_angle_loop(
+            torque_max=167.0,
+            torque_threshold=5.0,
+            play=1 * arcmin,
+            stiffness=50 / arcmin,
+            friction=2.0,
+            smoothing=1.5,
+            axes=axes,
+        ),
+        (7, 4.2),
+    ),
+    "tooth": (lambda axes: mesh_pictures.tooth(catalogue.CORR, axes=axes), (7, 4.6)),
+    "campbell": (_campbell, (7, 4.6)),
+    "joint_orders": (_joint_orders, (7, 4.2)),
+    "joint_batch": (_joint_batch, (7, 4.2)),
+    "loaded_pins": (_loaded_pins, None),
+    "loaded_sharing": (_loaded_sharing, (7, 4.2)),
+    "loaded_torsion": (_loaded_torsion, (7, 4.6)),
+    "loaded_orders": (_loaded_orders, None),
+    "loaded_measured": (_loaded_measured, (7, 4.4)),
+    "budget_machine": (two_studies.budget, None),
+    "two_studies": (two_studies.picture, (7.6, 4.4)),
+    "tradeoff": (lambda axes: plotting.tradeoff(table.stored()), None),
+}
+SOLVED = ("turn", "joint_orders", "joint_batch", "loaded_pins", "loaded_sharing", "loaded_torsion", "loaded_orders")
+"""Drawings for which a model is compiled: half of the time that the docs take, and empty in a draft."""

@@ -1,0 +1,109 @@
+"""The two studies of the RV-40E side by side: tables and pictures of what a script of `benchmarks` stored."""
+
+import numpy as np
+from stored import stored, table
+
+from rvjax import plotting, study
+from rvjax.plotting.style import AFTER, BEFORE
+from rvjax.report.text import tolerance_text
+
+JUDGED = {
+    "optimum of the four-bar, its errors alone": "optimum of rv-40e, the errors of the four-bar alone",
+    "optimum of the four-bar": "optimum of rv-40e, all errors",
+    "optimum of the four-bar, with its flanks": "the same with the flanks of rv-40e",
+    "tolerances of rv-40e-whole": "tolerances of rv-40e-whole",
+    "optimum of the machine": "optimum of rv-40e-whole",
+}
+"""Sets of tolerances judged on the whole machine, and how the docs call them."""
+
+
+def yields():
+    kept = stored("two_studies")
+    shown = ["loaded_transmission_error", "second_transmission_error", "bench_lost_motion", "misfit"]
+    rows = []
+    for name, text in JUDGED.items():
+        found = kept[name]
+        yields = ("{:.1f} [{:.1f}, {:.1f}]".format(*(100 * x for x in found["yield"][n])) for n in shown)
+        joint = "{:.1f}".format(100 * found["yield"]["all of rv-40e-whole"][0])
+        cost = "-" if name.endswith("alone") else f"{found['cost']:.1f}"
+        rows.append((text, *yields, joint, f"{found['99 % quantile']['pin_force']:.1f}", cost))
+    heads = ["tolerances", "412 N m", "12.4 N m", "lost motion", "misfit", "all but 12.4 N m", "pins, kN", "cost"]
+    return table(heads, rows)
+
+
+def models():
+    kept = stored("two_studies")
+    errors = {"412 N m": "loaded_transmission_error", "12.4 N m": "second_transmission_error"}
+    rows = []
+    for name in ("optimum of the four-bar, its errors alone", "optimum of the four-bar"):
+        found = kept[name]
+        quantile, above = found["99 % quantile"], {n: 100 * (1 - y[0]) for n, y in found["yield"].items()}
+        rows.append(
+            (
+                JUDGED[name],
+                "four-bar",
+                f"{above['transmission_error']:.2f}",
+                f"{quantile['transmission_error']:.2f}",
+                "1",
+            )
+        )
+        rows += [
+            ("", load, f"{above[n]:.1f}", f"{quantile[n]:.2f}", f"{found['correlation with the four-bar'][load]:.2f}")
+            for load, n in errors.items()
+        ]
+    heads = ["tolerances", "model", "units above 1 arcmin, %", "99 % quantile, arcmin", "correlation with the four-bar"]
+    return table(heads, rows)
+
+
+def tolerances():
+    kept = stored("two_studies")
+    picture, machine = (kept[f"answer to {name}"]["limits"] for name in ("rv-40e", "rv-40e-whole"))
+    start = study.load("rv-40e-whole", solve=False)
+    four = study.load("rv-40e", solve=False)
+    rows = []
+    for name in dict.fromkeys([*four.costs, *start.costs]):
+        cells = []
+        for asked, limits in ((four, picture), (start, machine)):
+            before = getattr(asked.tolerances, name)
+            after = before and before.replace(**dict(zip(("lower", "upper"), limits[name])))
+            cells += [tolerance_text(one, asked.unit(name)) if one else "-" for one in (before, after)]
+        rows.append((f"`{name}`", *cells))
+    heads = ["error", "rv-40e", "its optimum", "rv-40e-whole", "its optimum"]
+    return table(heads, rows)
+
+
+def picture(axes):
+    kept = stored("two_studies")
+    responses = {
+        "four-bar": "transmission_error",
+        "412 N m": "loaded_transmission_error",
+        "12.4 N m": "second_transmission_error",
+    }
+    names = [name for name in JUDGED if not name.endswith("flanks")]
+    for k, (model, response) in enumerate(responses.items()):
+        at = np.arange(len(names)) + 0.22 * (k - 1)
+        value, lower, upper = np.array([kept[name]["yield"][response] for name in names]).T
+        above = 100 * (1 - value)
+        reach = np.abs(np.array([100 * (1 - upper), 100 * (1 - lower)]) - above)
+        axes.errorbar(above, at, xerr=reach, fmt="osD"[k], color=(AFTER, BEFORE, "0.2")[k], capsize=3, label=model)
+    axes.axvline(0.27, color="0.5", linestyle=":")
+    axes.axvline(1, color="0.5", linestyle="--")
+    axes.set_xscale("log")
+    axes.set_xlim(0.005, 100)
+    axes.set_yticks(range(len(names)), [JUDGED[name].replace(", ", ",\n") for name in names])
+    axes.invert_yaxis()
+    axes.grid(axis="y", visible=False)
+    axes.set_xlabel("units above 1 arcmin (%); dotted: 0.27, dashed: 1")
+    axes.set_title("Transmission error: the picture and the machine")
+    axes.legend(loc="lower left")
+    return axes
+
+
+def budget(_):
+    kept = stored("two_studies")["budget of rv-40e-whole"]
+
+    def arrays(value):
+        return {key: arrays(item) for key, item in value.items()} if isinstance(value, dict) else np.asarray(value)
+
+    waves = {key: arrays(kept[key]) for key in ("orders", "variance", "total", "alike")}
+    return plotting.error_budget(study.Budget(**(kept | waves)))
