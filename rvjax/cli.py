@@ -43,8 +43,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _say(f"rvjax: error: {' '.join(str(error).split())}", file=sys.stderr)
         return EXIT_BAD_INPUT
     except KeyboardInterrupt as stop:
-        file = getattr(options, "checkpoint", None)
-        rest = f"the same command goes on from {file}" if file and Path(file).exists() else "nothing was written"
+        file = getattr(options, "checkpoint", None) or getattr(options, "begun", lambda: None)()
+        rest = f"the same command goes on from {file}" if file else "nothing was written"
         _say(f"rvjax: interrupted, {rest}", file=sys.stderr)
         return 143 if isinstance(stop, _Terminated) else 130
     finally:
@@ -209,7 +209,7 @@ def _allocate(options: argparse.Namespace) -> int:
     check_writable(folder)
     _forewarn(asked)
     journal = again.journal(asked, folder)
-    options.checkpoint = journal and journal.folder
+    options.begun = lambda: journal.folder if journal and journal.folder.exists() else None
     with phases.shown(check.phases_of(asked, READING, WRITING), quiet=options.quiet):
         phases.begin(READING)
         # The answer itself refuses a nominal unit without a solution.

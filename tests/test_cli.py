@@ -51,10 +51,10 @@ def answers():
     """Every study is answered once, whichever command asks."""
     found, real = {}, rvjax.study.answer.answer
 
-    def once(question, *, progress=False):
+    def once(question, *, progress=False, journal=None):
         key = question.text
         if key not in found:
-            found[key] = real(question, progress=progress)
+            found[key] = real(question, progress=progress, journal=journal)
         return dataclasses.replace(found[key], study=question)
 
     with pytest.MonkeyPatch.context() as patch:

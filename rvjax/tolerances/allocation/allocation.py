@@ -178,7 +178,7 @@ def allocate(
         advance(0)
         point, finest = search.begin(start), float((training.margins(search.low) / training.distance).max())
         possible = finest <= 0
-        if not possible and np.isfinite(point.margins).all():  # finer need not be better: one error may take up another's
+        if not possible and np.isfinite(point.margins).all():  # finer need not be better: errors may take up errors
             point, _ = search.run(point)
             reached = float((point.margins / training.distance).max())
             possible = reached <= NOISE and reached < finest / 2
