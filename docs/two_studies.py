@@ -95,7 +95,7 @@ def picture(axes):
     axes.grid(axis="y", visible=False)
     axes.set_xlabel("units above 1 arcmin (%); dotted: 0.27, dashed: 1")
     axes.set_title("Transmission error: the picture and the machine")
-    axes.legend(loc="lower left")
+    axes.legend(loc="upper left")
     return axes
 
 
