@@ -41,7 +41,7 @@ class _Loop(NamedTuple):
     at: _Point
     share: jax.Array  # (l,) of the last step
     first: jax.Array  # (l,) mu at the start
-    count: jax.Array  # (l,) steps
+    steps: jax.Array  # (l,)
     open: jax.Array  # (l,)
 
 
@@ -69,8 +69,8 @@ def approach(layout: Layout, s: System, wanted: jax.Array) -> tuple[jax.Array, j
         inside = at.reach * f0 + x * fx + y * fy
         total = _sum(at.f * z) + _sum(at.gear_f * gear_z) + _sum(jnp.where(free, inside, 0))
         mu = total / contacts_free
-        first = jnp.where(loop.count == 0, mu, loop.first)
-        going = loop.open & (mu > _CLOSED * eps * first) & (loop.count < STEPS)
+        first = jnp.where(loop.steps == 0, mu, loop.first)
+        going = loop.open & (mu > _CLOSED * eps * first) & (loop.steps < STEPS)
         goal = mu * jnp.where(loop.share > 0.9, 0.1, jnp.where(loop.share > 0.5, 0.3, 0.5))
 
         # Pins and flanks: the force that closes f z = goal along the law, and its slope in the depth.
@@ -125,12 +125,12 @@ def approach(layout: Layout, s: System, wanted: jax.Array) -> tuple[jax.Array, j
         moved_to = jax.tree.map(
             lambda old, change: jnp.where(_like(going, old), old + _like(share, old) * change, old), at, step
         )
-        return _Loop(moved_to, share, first, loop.count + going.astype(jnp.int32), going)
+        return _Loop(moved_to, share, first, loop.steps + going.astype(jnp.int32), going)
 
     zero = jnp.zeros((lanes,), s.gap.dtype)
     loop = _Loop(_begin(layout, s, lanes), zero, zero, jnp.zeros((lanes,), jnp.int32), wanted)
     found = jax.lax.while_loop(lambda loop: jnp.any(loop.open), body, loop)
-    return found.at.q, found.count
+    return found.at.q, found.steps
 
 
 def _begin(layout: Layout, s: System, lanes: int) -> _Point:
@@ -164,7 +164,7 @@ def _moved(layout: Layout, s: System, q: jax.Array, gaps: bool = True) -> tuple[
     discs = q[: 3 * layout.discs].reshape(layout.discs, 3, 1, -1)
     depth = sum(s.rows[a] * discs[:, a] for a in range(3))
     parts = (depth, moved(s.gear_rows, q), moved(s.bearing_rows, q))
-    return tuple(a + b for a, b in zip(parts, (s.gap, s.gear_gap, s.bearing_gap))) if gaps else parts  # type: ignore
+    return tuple(a + b for a, b in zip(parts, (s.gap, s.gear_gap, s.bearing_gap))) if gaps else parts
 
 
 def _det(z0: jax.Array, x: jax.Array, y: jax.Array) -> jax.Array:
