@@ -57,7 +57,9 @@ def lanes_last(function: Callable[[jax.Array], jax.Array]) -> Callable[[jax.Arra
     return batched
 
 
-def once_more(function: Callable[[PyTree], jax.Array], arguments: PyTree, found: jax.Array, todo: jax.Array) -> jax.Array:
+def once_more(
+    function: Callable[[PyTree], jax.Array], arguments: PyTree, found: jax.Array, todo: jax.Array
+) -> jax.Array:
     """`found`, or `function(arguments)` in the lanes `todo`: a batch pays for the neighbourhood of those lanes only.
 
     Args:

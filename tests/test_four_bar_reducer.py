@@ -242,7 +242,7 @@ def test_revolution_equals_its_curve(turns):
 def test_extremes_where_the_first_harmonic_vanishes(angles):
     """Extremes beside the first harmonic's, or of all angles where it does not decide: those of the curve.
 
-    Crank errors of both discs, equal but for one by 1 nm to 0.3 mm, leave of the first harmonic what the second exceeds, or not.
+    Crank errors of both discs, equal but for one by 1 nm to 0.3 mm, leave a first harmonic below the second, or above.
     """
     units = drawn(catalogue.RV_40E, 5, units=200)
     delta = np.array(units.crank_eccentricity) * 30

@@ -22,7 +22,7 @@ FLOORS = (
     ("brief", "columns", "tables"),
     ("records",),
     ("status",),
-    ("roots", "elementary"),
+    ("roots", "elementary", "lanes"),
     ("designs",),
     ("errors",),
     ("catalogue", "mounting", "outputs"),

@@ -73,7 +73,8 @@ def largest_and_smallest(
         if score.wave is None or angles < 2 * _BESIDE + 2:
             both = settle(_all(score.of(whole(arrays)), angles, places, together))
         else:
-            both = settle(_near(score, whole(arrays), angles, places))
+            parts = whole(arrays)
+            both = settle(_near(score.of(parts), score.wave(parts), angles, places))
             todo = jnp.isnan(jnp.real(both))
             both = once_more(lambda arrays: _all(score.of(whole(arrays)), angles, places, 4), arrays, both, todo)
         return jnp.real(both), jnp.imag(both)
@@ -122,12 +123,12 @@ def _all(along: Callable[[Crank], jax.Array], angles: int, places: bool, togethe
     return jax.lax.complex(*best[-2:])
 
 
-def _near(score: Score, parts: PyTree, angles: int, places: bool) -> jax.Array:
+def _near(along: Callable[[Crank], jax.Array], wave: Wave, angles: int, places: bool) -> jax.Array:
     """As `_all`, of the angles beside the crest and the trough of the first harmonic; NaN unless these decide.
 
     One number, for XLA evaluates for each result anew all that leads to it.
     """
-    along, wave, step = score.of(parts), score.wave(parts), 2 * np.pi / angles
+    step = 2 * np.pi / angles
     sure = wave.rest**2 < (wave.cosine**2 + wave.sine**2) * np.sin(_BESIDE * step / 2) ** 2  # false for NaN
 
     below = jnp.floor(arctan2(wave.sine, wave.cosine) / step)
@@ -142,9 +143,10 @@ def _near(score: Score, parts: PyTree, angles: int, places: bool) -> jax.Array:
         return jnp.mod(where, angles) if places else best
 
     crest = jnp.where(sure, extreme(1, below, cosine, sine), jnp.nan)
-    # An odd number of angles has none opposite to another; the one before half a turn lies nearer than the one behind.
-    half = angles // 2
-    ahead = Crank(cosine, sine).turned(np.cos(half * step), np.sin(half * step)) if angles % 2 else Crank(-cosine, -sine)
+    # An odd number of angles has none opposite to another: half a step off, which leaves the bound as it is.
+    half, ahead = angles // 2, Crank(-cosine, -sine)
+    if angles % 2:
+        ahead = Crank(cosine, sine).turned(np.cos(half * step), np.sin(half * step))
     return jax.lax.complex(crest, extreme(-1, below + half, ahead.cosine, ahead.sine))
 
 
