@@ -13,6 +13,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
+import rvjax.report.surrogate
+import rvjax.study.answer
 from oracles.dynamics import Oracle
 from rvjax import cli, levels, models, study
 from rvjax.catalogue import CORR, RV_20E, RV_40E, RV_320E
@@ -61,7 +63,21 @@ def key_joint(monkeypatch):
     return importlib.import_module("tests.key_joint.outputs")
 
 
-def test_a_model_costs_one_package_and_one_line(key_joint, tmp_path, capsys):
+@pytest.fixture
+def answered_once(monkeypatch):
+    """Both commands share one answer, whose page has fewer points of its surrogate."""
+    found, real = {}, rvjax.study.answer.answer
+
+    def once(question, *, progress=False):
+        if question.text not in found:
+            found[question.text] = real(question, progress=progress)
+        return dataclasses.replace(found[question.text], study=question)
+
+    monkeypatch.setattr(rvjax.study.answer, "answer", once)
+    monkeypatch.setattr(rvjax.report.surrogate, "_POINTS", 2)
+
+
+def test_a_model_costs_one_package_and_one_line(key_joint, answered_once, tmp_path, capsys):
     """A study, an allocation and a page of it."""
     (tmp_path / "joint.toml").write_text(TEXT)
     page, folder = tmp_path / "joint.html", tmp_path / "joint"

@@ -44,7 +44,6 @@ def test_an_output_costs_only_itself(thorough):
     """Two models share nothing, and one asked for alone brings nothing of the other."""
     errors = full(units(STUDY.tolerances))
     error, free = (cost_of((name,), errors) for name in ("transmission_error", "lost_motion"))
-    assert error > 10 * free
     assert cost_of(("transmission_error", "lost_motion"), errors) == pytest.approx(error + free, rel=0.01)
     if not thorough:  # three programs of the dearest outputs
         return

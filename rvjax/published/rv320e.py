@@ -29,9 +29,9 @@ FROM_TEETH = InvoluteStage.from_teeth(15, 69, module=1.5 * mm, pressure_angle=20
 TOO_SMALL = 1e-9  # a relative derivative that is zero to rounding
 
 
-def _with(name: str, value: Any) -> Any:
+def _with(name: str, value: Any, design: Any = LUMPED) -> Any:
     part, _, field = name.rpartition(".")
-    return LUMPED.replace(**{part: getattr(LUMPED, part).replace(**{field: value})} if part else {field: value})
+    return design.replace(**{part: getattr(design, part).replace(**{field: value})} if part else {field: value})
 
 
 @cache
@@ -105,22 +105,38 @@ def _logs(formula: str = "total") -> dict[str, np.ndarray]:
     return {name: np.asarray(value) for name, value in found.items()}
 
 
-def _slope(name: str, value: Any, speed: Any, output: str, size: Callable[[jax.Array], jax.Array]) -> jax.Array:
-    """|d size(|B|)/dxi| of nine harmonics of an output by one field, planetary stage, total derivative."""
+MOTION = ("output.x", "output.rotation")
 
-    def amplitude(v: Any) -> jax.Array:
-        found = dynamics.response(_with(name, v), sun_speed=speed, output_torque=TORQUE, outputs=(output,))
-        return size(jnp.abs(found.amplitude[:, 0]))
 
-    return jnp.abs(jax.jvp(amplitude, (value,), (jnp.ones_like(value),))[1])
+def _sizes(design: Any, speed: Any) -> jax.Array:
+    """|B| (9, MOTION), planetary stage."""
+    return jnp.abs(dynamics.response(design, sun_speed=speed, output_torque=TORQUE, outputs=MOTION).amplitude)
+
+
+@jax.jit
+@jax.vmap
+def _sun_slopes(values: jax.Array, along: jax.Array, speed: jax.Array) -> jax.Array:
+    """|d|B|/dxi| (9, MOTION) along a direction of the fields of SUN, total derivative; one program for all figures."""
+
+    def sizes(numbers: jax.Array) -> jax.Array:
+        design = LUMPED
+        for name, value in zip(SUN, numbers):
+            design = _with(name, value, design)
+        return _sizes(design, speed)
+
+    return jnp.abs(jax.jvp(sizes, (values,), (along,))[1])
 
 
 @cache
 def _sun(name: str, speed: float = 1000.0) -> np.ndarray:
     """Sensitivity of one harmonic over the values of a field of the sun, at a speed in r/min."""
     harmonic, output, values = SUN[name]
-    run = jax.jit(jax.vmap(lambda v, w: _slope(name, v, w, output, lambda b: b[harmonic - 1])))
-    return np.asarray(run(jnp.asarray(values), jnp.full(len(values), speed * rpm)))
+    nominal = [getattr(getattr(LUMPED, part), field) for part, field in (name.split(".") for name in SUN)]
+    lanes = np.tile(np.asarray(nominal, float), (len(values), 1))
+    lanes[:, list(SUN).index(name)] = values
+    along = np.broadcast_to(np.eye(len(SUN))[list(SUN).index(name)], lanes.shape)
+    found = _sun_slopes(lanes, along, np.full(len(values), speed * rpm))
+    return np.asarray(found)[:, harmonic - 1, MOTION.index(output)]
 
 
 def _falls(values: np.ndarray) -> bool:
@@ -143,11 +159,19 @@ ECCENTRICITIES = np.linspace(1e-3, 4e-3, 121)
 
 
 @cache
-def _eccentricity_curves(output: str) -> np.ndarray:
-    """|d(norm of nine harmonics)/de| (speeds, eccentricities), force arm held."""
-    slope = lambda e, speed: _slope("eccentricity", e, speed, output, lambda b: jnp.sqrt(jnp.sum(b**2)))  # noqa: E731
+def _norm_slopes() -> np.ndarray:
+    """|d(norm of nine harmonics)/de| (speeds, eccentricities, MOTION), force arm held, total derivative."""
+
+    def slope(e: jax.Array, speed: jax.Array) -> jax.Array:
+        norm = lambda x: jnp.sqrt(jnp.sum(_sizes(_with("eccentricity", x), speed) ** 2, axis=0))  # noqa: E731
+        return jnp.abs(jax.jvp(norm, (e,), (jnp.ones_like(e),))[1])
+
     run = jax.jit(jax.vmap(jax.vmap(slope, in_axes=(0, None)), in_axes=(None, 0)))
     return np.asarray(run(jnp.asarray(ECCENTRICITIES), jnp.asarray(SPEEDS * rpm)))
+
+
+def _eccentricity_curves(output: str) -> np.ndarray:
+    return _norm_slopes()[..., MOTION.index(output)]
 
 
 def _falls_then_rises(values: np.ndarray) -> bool:
