@@ -417,11 +417,11 @@ def written(answered, tmp_path_factory):
 def test_the_page_holds_the_answer_and_needs_nothing_else(written, answered):
     text = written.read_text("utf-8")
     tags = Tags(text)
-    sections = ["Requirements", "Tolerances and cost", "What if", "Which error matters", "Worst units"]
-    sections += ["How exactly it was computed", "How to get this page again"]
+    sections = ["Requirements", "Tolerances and cost", "What if", "Which error matters", "Who owns the error"]
+    sections += ["Worst units", "How exactly it was computed", "How to get this page again"]
     assert tags.headings == ["small", *sections]
     images = [attrs for tag, attrs in tags.seen if tag == "img"]
-    assert len(images) == len(PICTURES)
+    assert len(images) == len(PICTURES) + 1  # that of the error budget
     assert all(image["src"].startswith("data:image/svg+xml;base64,") and image["alt"] for image in images)
     assert not {tag for tag, _ in tags.seen} & {"link", "iframe", "base", "object"}
     assert [attrs.get("type") for tag, attrs in tags.seen if tag == "script"] == ["application/json", None]
