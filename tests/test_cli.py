@@ -432,12 +432,11 @@ def written(answered, tmp_path_factory):
 def test_the_page_holds_the_answer_and_needs_nothing_else(written, answered):
     text = written.read_text("utf-8")
     tags = Tags(text)
-    sections = ["Requirements", "Tolerances and cost", "What if", "Which error matters", "Worst units"]
-    sections.insert(3, "The reducer")
-    sections += ["How exactly it was computed", "How to get this page again"]
+    sections = ["Requirements", "Tolerances and cost", "What if", "The reducer", "Which error matters"]
+    sections += ["Who owns the error", "Worst units", "How exactly it was computed", "How to get this page again"]
     assert tags.headings == ["small", *sections]
     images = [attrs for tag, attrs in tags.seen if tag == "img"]
-    assert len(images) == len(PICTURES) + 1  # and the drawing of the reducer
+    assert len(images) == len(PICTURES) + 2  # that of the error budget, and the drawing of the reducer
     assert all(image["src"].startswith("data:image/svg+xml;base64,") and image["alt"] for image in images)
     assert not {tag for tag, _ in tags.seen} & {"link", "iframe", "base", "object"}
     assert [attrs.get("type") for tag, attrs in tags.seen if tag == "script"] == ["application/json", None]

@@ -64,5 +64,5 @@ def _holds(place: Path, study: Study) -> bool:
 
 def _names_files(tables: Any) -> bool:
     if isinstance(tables, dict):
-        return "file" in tables or "measured" in tables or any(map(_names_files, tables.values()))
+        return "file" in tables or any(map(_names_files, tables.values()))
     return isinstance(tables, list) and any(map(_names_files, tables))
