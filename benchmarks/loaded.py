@@ -1,10 +1,19 @@
 """Loaded equilibrium of RV-40E units, 2 x 40 pins, Hertz and linear: error and all pin forces of every unit and angle.
 
 A batch of units with errors of every part at one angle under rated torque, at 3 % of it with all clearances, and over
-a crank turn of 48 angles, each from the one before. Beside the library run C (gcc -O3 -march=native -ffast-math, lanes
+a crank turn of 48 angles, each from those before. Beside the library run C (gcc -O3 -march=native -ffast-math, lanes
 are units), Numba, NumPy over all units and SciPy's trust region unit by unit; all are compared with the oracle of
 80-bit numbers before anything is timed. The gradient is that of the mean error to one shared tolerance a field.
 Stiffnesses and face width are assumed. `taskset -c 0` for the ratio on one core.
+
+Tried for the solver, and what it gave (steps per angle or unit, means; 2 x 40 pins):
+
+    a turn on the line through two angles        linear 3.56 -> 3.14, hertz 4.20 -> 3.96: kept
+    on the parabola through three                hertz 4.12: no better than the line
+    load falling by stages from 30 or 1000 times cycles as before
+    forces of journals as unknowns               3 % torque: more units than before need more than 12 steps
+    dense elimination of the interior steps      18 of 437 kernels less, compiles no faster
+    turn / cold turn of the C program, linear    0.70 beside 0.58 here: steps set it, 3.1 of some 6, not the kernels
 """
 
 import ctypes

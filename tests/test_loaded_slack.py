@@ -15,9 +15,9 @@ from rvjax.tolerances.population.population import Population, root_key
 QUESTION = study.load("rv-40e-whole", solve=False)
 DESIGN, LIGHT = QUESTION.design, 0.03 * 412.0
 QUARTER = 2 * np.pi * 105 / 40 / 4  # of the sun, a quarter of a crank turn: the angles of the bench
-LOST = {  # unit, quarters, sign of the torque
-    "hertz": ((612, 2, 1), (1131, 0, -1), (51, 1, 1), (3984, 1, 1), (3574, 1, -1), (3956, 3, 1)),
-    "linear": ((1585, 0, -1), (562, 3, 1), (786, 3, 1), (2491, 3, 1)),
+LOST = {  # unit, quarters, sign of the torque; unit 0 was never lost and stands beside them
+    "hertz": ((612, 2, 1), (1131, 0, -1), (51, 1, 1), (3984, 1, 1), (3574, 1, -1), (3956, 3, 1), (0, 2, 1)),
+    "linear": ((1585, 0, -1), (562, 3, 1), (786, 3, 1), (2491, 3, 1), (0, 2, 1)),
 }
 
 
