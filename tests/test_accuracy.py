@@ -213,6 +213,7 @@ def test_measuring_a_model(lost_motion):
     assert made.errors["disc_runout"] == pytest.approx(15 * um)
 
 
+@pytest.mark.long  # test_a_study_states_its_accuracy holds one promise by default
 def test_scenes_keep_their_accuracy(lost_motion):
     """40 designs and tolerances that were never measured, 32 units each."""
     kept, rng, units = lost_motion, np.random.default_rng(7), 32

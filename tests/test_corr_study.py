@@ -33,6 +33,7 @@ def tolerances():
     )
 
 
+@pytest.mark.long  # the study below draws every roller on its own
 def test_monte_carlo_of_26_independent_rollers(response, tolerances):
     """Radius errors of single rollers raise the peak force of a unit over that of a unit without errors."""
     found = monte_carlo(response, tolerances, samples=1000, seed=1, chunk=1000, keep=True)

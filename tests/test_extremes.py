@@ -116,7 +116,7 @@ def test_phases_beyond_the_trigonometry_are_named():
     np.testing.assert_array_equal(found, [Status.CONVERGED, Status.NONFINITE, Status.NONFINITE])
 
 
-@pytest.mark.parametrize("profile", ["first_order", "contact"])
+@pytest.mark.parametrize("profile", ["first_order", pytest.param("contact", marks=pytest.mark.long)])
 def test_lost_motion_too_large_or_too_small(profile):
     """Terms that overflow and a search without end: a status, NaN, finite derivatives."""
     design = catalogue.RV_40E

@@ -135,6 +135,7 @@ def test_nested_batches_are_their_cases(axes):
     agree_with_each_alone([(n,) for n in axes], [DESIGN], units if E in axes else units[:1], torques, [0.3, 140.0])
 
 
+@pytest.mark.long  # the next test has designs as a batch axis too
 def test_designs_of_other_springs_in_a_batch_are_their_cases():
     """One geometry, other contacts and bearings: the pin radius tells the flank only how it yields."""
 

@@ -19,7 +19,7 @@ TEETH = (2, 5, 25)  # the census of census/extremes.py draws a million, up to 20
 UNITS = 3000  # of each
 
 
-@pytest.mark.parametrize("teeth", TEETH)
+@pytest.mark.parametrize("teeth", [pytest.param(n, marks=[] if n == 5 else [pytest.mark.long]) for n in TEETH])
 def test_census_of_random_designs(teeth):
     """Every lane converges, or is overloaded and only then; equilibrium and compatibility hold for the rest."""
     cases = random_units(teeth, UNITS, np.random.default_rng(teeth))

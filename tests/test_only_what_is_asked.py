@@ -55,6 +55,7 @@ def test_an_output_costs_only_itself(thorough):
     assert together - (error + free) > 0.35 * misfit
 
 
+@pytest.mark.long  # speed; right or wrong is held elsewhere
 def test_rotation_of_the_output_costs_a_tenth_of_all_coordinates():
     """The symmetry of the reducer leaves the rotational block alone for the rotation of the output wheel."""
 

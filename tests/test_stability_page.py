@@ -67,6 +67,7 @@ def test_a_small_census_is_clean(name, monkeypatch):
     assert 0 < worst["float32"] <= BOUNDS.get(model.group, np.inf)  # zero: nothing was compared
 
 
+@pytest.mark.long  # hostile designs run in test_dynamics_error.py by default
 def test_a_few_dynamic_errors_are_clean():
     """Statuses and finiteness of 512 reducers, and the lines of those that the judge's own sums tell to 1e-6."""
     with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"), np.errstate(all="ignore"):

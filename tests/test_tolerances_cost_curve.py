@@ -121,6 +121,7 @@ def test_a_curve_compiles_nothing_anew(of_bent):
     assert count() == before
 
 
+@pytest.mark.long  # the curves against limits run by default
 def test_curve_against_the_target():
     """The cost grows like z(target); of two requirements only the named one moves."""
     targets = (0.9, 0.99, 0.999)
