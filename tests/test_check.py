@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from rvjax import catalogue, cli, designs, study
+from rvjax.cli import speak
 from rvjax.report import check
 from rvjax.study import answer, plausible, template
 from rvjax.study.design import BASES
@@ -135,7 +136,7 @@ def test_a_doubt_and_the_levels_are_said_before_the_run(tmp_path, monkeypatch, c
         GOOD.replace('half_width = "5 um"', 'half_width = "2 mm"') + '\n[accuracy]\ntransmission_error = "2 arcsec"\n'
     )
     (tmp_path / "mine.toml").write_text(text)
-    cli._forewarn(study.load("mine.toml", solve=False))
+    speak.forewarn(study.load("mine.toml", solve=False))
     said = capsys.readouterr().err
     assert "rvjax: warning: tolerances.pin_circle_radius: half-width = 2 mm" in said
     assert "rvjax: transmission_error: closed form" in said and "rvjax: time: about" in said

@@ -557,7 +557,7 @@ def test_version_and_module_entry():
 
 def test_every_command_answers_machines(here, capsys, monkeypatch):
     """`--format json` everywhere; the older `--json` of two commands says the same."""
-    about = tomllib.loads((resources.files("rvjax") / "cli.toml").read_text())["command"]
+    about = tomllib.loads((resources.files("rvjax.cli") / "cli.toml").read_text())["command"]
     for name, command in about.items():
         assert command["options"]["--format"]["choices"] == ["text", "json"], name
     assert cli.main(["init", "new.toml", "--base", "rv-80e", "--format", "json"]) == 0

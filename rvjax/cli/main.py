@@ -1,0 +1,139 @@
+"""The command line: `cli.toml` lists the commands with their options and help.
+
+Bad input ends with one line on standard error and exit code 2; a question that has no answer
+(infeasible requirements) with exit code 1.
+"""
+
+import argparse
+import io
+import os
+import signal
+import sys
+import threading
+import tomllib
+from collections.abc import Callable, Sequence
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from rvjax.cli import questions, units
+from rvjax.cli.speak import EXIT_BAD_INPUT, EXIT_OK, say
+
+DOORS: dict[str, Callable[[argparse.Namespace], int]] = {
+    "init": questions.init,
+    "check": questions.check_study,
+    "allocate": questions.allocate,
+    "report": questions.report,
+    "budget": questions.budget,
+    "compare": questions.compare,
+    "reproduce": questions.reproduce,
+    "tradeoff": questions.tradeoff,
+    "montecarlo": units.montecarlo,
+    "identify": units.identify,
+    "assemble": units.assemble,
+    "compensate": units.compensate,
+}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit code."""
+    parser = _parser()
+    try:
+        options = parser.parse_args(arguments)
+        options.command = list(sys.argv[1:] if arguments is None else arguments)
+    except SystemExit as stop:  # argparse has printed what is wrong, or the help
+        return int(stop.code or 0)
+    _prepare()
+    before = _on_terminate()
+    try:
+        code = options.run(options)
+        sys.stdout.flush()  # here, and not at the end of the interpreter, which would complain
+        return code
+    except BrokenPipeError:  # whoever reads has enough, as `head` has
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is left in the buffer goes nowhere
+        return EXIT_OK
+    except (ValueError, OSError, ImportError) as error:  # the last: an extra that is not installed
+        say(f"rvjax: error: {' '.join(str(error).split())}", file=sys.stderr)
+        return EXIT_BAD_INPUT
+    except KeyboardInterrupt as stop:
+        file = getattr(options, "checkpoint", None) or getattr(options, "begun", lambda: None)()
+        rest = f"the same command goes on from {file}" if file else "nothing was written"
+        say(f"rvjax: interrupted, {rest}", file=sys.stderr)
+        return 143 if isinstance(stop, _Terminated) else 130
+    finally:
+        if before is not None:
+            signal.signal(signal.SIGTERM, before)
+
+
+class _Terminated(KeyboardInterrupt):
+    """SIGTERM ends a command as Ctrl-C does: what it has begun is cleared away."""
+
+
+def _on_terminate() -> Any:
+    """Let SIGTERM raise; returns the handler before, or None outside the main thread."""
+    if threading.current_thread() is not threading.main_thread():
+        return None
+
+    def stop(*_: Any) -> None:
+        raise _Terminated
+
+    return signal.signal(signal.SIGTERM, stop)
+
+
+def _parser() -> argparse.ArgumentParser:
+    """All commands, their options and their help, as `cli.toml` lists them."""
+    import rvjax
+
+    about = tomllib.loads((resources.files("rvjax.cli") / "cli.toml").read_text("utf-8"))
+    as_written = argparse.RawDescriptionHelpFormatter
+    parser = argparse.ArgumentParser("rvjax", None, about["description"], about["epilog"], formatter_class=as_written)
+    parser.add_argument("--version", action="version", version=f"rvjax {rvjax.__version__}")
+    commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
+    types: dict[str, Any] = {"count": _count, "int": int}
+    for name, command in about["command"].items():
+        options = command.pop("options")
+        subparser = commands.add_parser(name, formatter_class=as_written, **command)
+        subparser.set_defaults(run=DOORS[name])
+        for flag, option in options.items():
+            subparser.add_argument(flag, **option | ({"type": types[option["type"]]} if "type" in option else {}))
+    # One of several processes of a batch: see `study.batch.work`.
+    commands.choices["montecarlo"].add_argument("--worker", nargs=4, help=argparse.SUPPRESS)
+    return parser
+
+
+def _count(text: str) -> int:
+    """A number such as 250000, 1_000_000 or 1e8."""
+    try:
+        number = float(text)
+    except ValueError:
+        number = 0.0
+    if not (1 <= number <= 2**53 and number == int(number)):
+        raise argparse.ArgumentTypeError(f"{text!r}: must be a whole number of at least 1")
+    return int(number)
+
+
+def _prepare() -> None:
+    """Settings that only the command line may make: float64, flags of XLA, headless pictures, kept programs."""
+    # XLA prefers 256-bit vectors; 512-bit ones are up to 1.8 times as fast where they exist. It stores what a long sum
+    # adds up and sums that in stages; in one pass a gradient of means takes two thirds of the time.
+    flags = ["--xla_disable_hlo_passes=tree_reduction_rewriter"]
+    flags += ["--xla_cpu_prefer_vector_width=512"] if _has_avx512() else []
+    given = os.environ.get("XLA_FLAGS", "")
+    os.environ["XLA_FLAGS"] = " ".join([given, *(flag for flag in flags if flag.split("=")[0] not in given)]).strip()
+    for stream in (sys.stdout, sys.stderr):  # a name with an umlaut is no error where a terminal knows ASCII alone
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+    os.environ.setdefault("MPLBACKEND", "Agg")
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")  # XLA logs two lines for every kept program; before JAX loads
+    import rvjax
+    from rvjax import programs
+
+    rvjax.enable_x64()
+    programs.keep(rvjax.__version__)
+
+
+def _has_avx512() -> bool:
+    try:
+        return "avx512f" in Path("/proc/cpuinfo").read_text()
+    except OSError:
+        return False

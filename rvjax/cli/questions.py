@@ -1,0 +1,183 @@
+"""The commands that ask what a study answers, or what rvjax knows: one function a command."""
+
+import argparse
+import json
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+from rvjax.cli.speak import EXIT_NO_ANSWER, EXIT_OK, READING, WRITING, check_files, forewarn, say, tell
+
+
+def init(options: argparse.Namespace) -> int:
+    from rvjax.study import template
+    from rvjax.tolerances.atomic import check_writable, write_atomically
+
+    check_files(options, file=".toml")
+    path = Path(options.file)
+    if path.exists():
+        raise ValueError(f"{options.file}: exists already; name a new file")
+    check_writable(path)
+    write_atomically(path, template.written(options.base).encode("utf-8"))
+    said = f"{options.file}: a study of the {options.base} to change. Next: rvjax check {options.file}"
+    tell(options, lambda: said, lambda: {"study": options.file, "base": options.base})
+    return EXIT_OK
+
+
+def check_study(options: argparse.Namespace) -> int:
+    from rvjax import study
+    from rvjax.report import check
+
+    check_files(options, picture=".png")
+    question = study.load(options.study, solve=False)
+    tell(options, lambda: check.checked(question), lambda: check.as_json(question))
+    if options.picture:
+        check.drawn(question, options.picture)
+    return EXIT_OK
+
+
+def allocate(options: argparse.Namespace) -> int:
+    from rvjax import phases, study
+    from rvjax.report import again, check, folders, text
+    from rvjax.study.answer import answer
+    from rvjax.tolerances.atomic import check_writable
+
+    asked = study.load(options.study, solve=False)
+    kept = None if options.fresh else again.folder(asked, options.results)
+    if kept is not None:
+        said = f"Unchanged since {kept} was written, which holds this answer; --fresh computes it anew."
+        told = (kept / "summary.txt").read_text("utf-8") + said
+        tell(options, lambda: told, lambda: json.loads((kept / "result.json").read_text()) | {"results": str(kept)})
+        return EXIT_OK if again.status(kept) == "OPTIMAL" else EXIT_NO_ANSWER
+    folder = folders.results_folder(options.results, asked.name)
+    check_writable(folder)
+    forewarn(asked)
+    journal = again.journal(asked, folder)
+    options.begun = lambda: journal.folder if journal and journal.folder.exists() else None
+    with phases.shown(check.phases_of(asked, READING, WRITING), quiet=options.quiet):
+        phases.begin(READING)
+        # The answer itself refuses a nominal unit without a solution.
+        found = answer(asked, progress=not options.quiet, journal=journal)
+        if options.format == "text":  # before the folder is made: whatever fails there, the answer has been told
+            say(text.summary(found))
+        phases.begin(WRITING)
+        folder = folders.write(found, folder)
+    if journal:
+        journal.clear()
+    tell(options, lambda: f"\nResults: {folder}", lambda: text.as_json(found) | {"results": str(folder)})
+    return EXIT_OK if found.allocation.status == "OPTIMAL" else EXIT_NO_ANSWER
+
+
+def report(options: argparse.Namespace) -> int:
+    from rvjax import phases, study
+    from rvjax.report import check, folders, page, text
+    from rvjax.report.surrogate import surrogate
+    from rvjax.study.answer import answer
+    from rvjax.study.budget import budget_if_any
+    from rvjax.tolerances.atomic import check_writable, write_atomically
+
+    check_files(options, output=".html")
+    asked = study.load(options.study, solve=False)
+    given = options.output is not None
+    path = Path(options.output) if given else folders.results_folder(None, asked.name) / "report.html"
+    check_writable(path)
+    forewarn(asked)
+    sliders, writing = "numbers behind the sliders", "the page"
+    with phases.shown(check.phases_of(asked, READING, sliders, writing), quiet=options.quiet):
+        phases.begin(READING)
+        found = answer(asked, progress=not options.quiet)
+        phases.begin(sliders)
+        moved = surrogate(found)
+        owners = budget_if_any(asked, found.allocation.tolerances)
+        phases.begin(writing)
+        content = page.page(found, options.study, moved, owners, date=time.strftime("%Y-%m-%d")).encode("utf-8")
+    if not given:
+        path = folders.new_folder(path.parent) / path.name
+    write_atomically(path, content)
+    tell(
+        options,
+        lambda: f"{text.headline(found)}\nReport: {path}",
+        lambda: text.as_json(found) | {"report": str(path)},
+    )
+    return EXIT_OK if found.allocation.status == "OPTIMAL" else EXIT_NO_ANSWER
+
+
+def budget(options: argparse.Namespace) -> int:
+    from rvjax import study
+    from rvjax.report import budget as written
+    from rvjax.report import folders
+    from rvjax.study.values import quantity
+    from rvjax.tolerances.atomic import check_writable
+
+    question = study.load(options.study)
+    loads = {torque: quantity(torque, "N m", "--torque") for torque in options.torque or ()}
+    if len(set(loads.values())) < len(options.torque or ()):
+        raise ValueError(f"--torque {', '.join(options.torque)}: each torque once")
+    folder = folders.results_folder(options.results, f"{question.name}-budget")
+    check_writable(folder)
+    forewarn(question)
+    found = study.error_budget(
+        question, output=options.output, loads=loads or None, samples=options.samples, seed=options.seed
+    )
+    folder = written.write(found, question, folder)
+    tell(
+        options,
+        lambda: f"Study {question.name}\n{written.summary(found)}\n\nResults: {folder}",
+        lambda: written.as_json(found, question) | {"results": str(folder)},
+    )
+    return EXIT_OK
+
+
+def compare(options: argparse.Namespace) -> int:
+    from rvjax import study
+    from rvjax.report import compare, crossed
+    from rvjax.study.crossed import crossed as judge
+
+    if options.second is None and options.on is None:
+        raise ValueError("B is missing: name two results folders, or one and with --on the study that judges it")
+    if options.samples is not None and options.on is None:
+        raise ValueError(f"--samples {options.samples}: units are drawn for --on STUDY alone")
+    paths = {letter: path for letter, path in zip("AB", (options.first, options.second)) if path is not None}
+    results = [compare.result(path) for path in paths.values()]
+    told = "\n".join(f"{letter}: {path}" for letter, path in paths.items())
+    data: dict[str, Any] = {}
+    if len(results) == 2:
+        told, data = f"{told}\n\n{compare.text(*results)}", compare.compared(*results)
+    if options.on is not None:
+        question = study.load(options.on, solve=False)  # a unit that fails counts among the others
+        answers = {letter: crossed.answered(path) for letter, path in paths.items()}
+        forewarn(question)
+        found = {letter: judge(question, one, samples=options.samples) for letter, (_, one) in answers.items()}
+        own = {letter: answer for letter, (answer, _) in answers.items()}
+        told, data = f"{told}\n\n{crossed.summary(found, own)}", data | {"on": crossed.as_json(found, own)}
+    tell(options, lambda: told, lambda: data)
+    return EXIT_OK
+
+
+def reproduce(options: argparse.Namespace) -> int:
+    from rvjax import published
+    from rvjax.report import text
+
+    rows = published.reproduce(say=lambda text: print(text, file=sys.stderr, flush=True))
+    tell(options, lambda: text.comparison_table(rows, notes=options.notes), lambda: [row.as_json() for row in rows])
+    return EXIT_OK
+
+
+def tradeoff(options: argparse.Namespace) -> int:
+    from rvjax import levels, plotting
+
+    check_files(options, json=".json", picture=".png")
+    started = time.perf_counter()
+    table = levels.measure(
+        quick=not options.full,
+        seed=options.seed,
+        say=lambda name: print(f"measuring {name}", file=sys.stderr, flush=True),
+    )
+    after = f"\n\n{time.perf_counter() - started:.1f} s, compilation included"
+    tell(options, lambda: levels.report(table) + after, table.as_json)
+    if options.json:
+        table.save(options.json)
+    if options.picture:
+        plotting.tradeoff(table).savefig(options.picture)
+    return EXIT_OK

@@ -1,0 +1,58 @@
+"""What all commands share: how they speak, what they refuse before any work, how they end."""
+
+import argparse
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+READING, WRITING = "reading the study", "tables and pictures"  # phases
+EXIT_OK, EXIT_NO_ANSWER, EXIT_BAD_INPUT = 0, 1, 2
+
+
+def say(text: str, file: Any = None) -> None:
+    """Print; what would speak to the terminal rather than to a person (escape sequences in a key) is spelled out."""
+    from rvjax import phases
+
+    lines = (
+        "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)
+        for line in text.split("\n")
+    )
+    with phases.aside():
+        print("\n".join(lines), file=file)
+
+
+def tell(options: argparse.Namespace, text: Callable[[], str], data: Callable[[], dict[str, Any] | list[Any]]) -> None:
+    """The result on standard output, as the option asks: for a person, or as one JSON value and nothing else."""
+    if for_machines(options):
+        print(json.dumps(data(), indent=1, allow_nan=False))
+    else:
+        say(text())
+
+
+def for_machines(options: argparse.Namespace) -> bool:
+    """Whether `--format json`, or the older `--json` of a command where it names no file, was given."""
+    return options.format == "json" or getattr(options, "json", None) is True
+
+
+def forewarn(question: Any) -> None:
+    """Before any work: numbers that look like a slip, and how each response with an accuracy will be computed."""
+    from rvjax.report import check
+
+    for line in question.doubts:
+        say(f"rvjax: warning: {line}", file=sys.stderr)
+    if question.accuracy:
+        for line in [*check.level_lines(question), check.expected(question)]:
+            say(f"rvjax: {line}", file=sys.stderr)
+
+
+def check_files(options: argparse.Namespace, **endings: str | tuple[str, ...]) -> None:
+    """Refuse a file that could not be written, before any work is done."""
+    for option, ending in endings.items():
+        path = getattr(options, option)
+        name = path if option == "file" else f"--{option} {path}"
+        if path is not None and not path.endswith(ending):
+            raise ValueError(f"{name}: must end with {ending if isinstance(ending, str) else ' or '.join(ending)}")
+        if path is not None and not Path(path).absolute().parent.is_dir():
+            raise ValueError(f"{name}: there is no such folder")

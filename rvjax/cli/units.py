@@ -1,0 +1,164 @@
+"""The commands about units: drawn, measured, assembled, corrected; one function a command."""
+
+import argparse
+import time
+
+from rvjax.cli.speak import EXIT_NO_ANSWER, EXIT_OK, READING, WRITING, check_files, forewarn, say, tell
+
+
+def montecarlo(options: argparse.Namespace) -> int:
+    from rvjax import phases
+    from rvjax.report import batch as written
+    from rvjax.study import batch
+    from rvjax.tolerances.propagation.unit_file import ENDINGS, UnitFile
+
+    check_files(options, json=".json", save=(".npz", *ENDINGS))
+    table = options.save if options.save and options.save.endswith(ENDINGS) else None
+    if options.save_errors and table is None:
+        raise ValueError(f"--save-errors: needs --save FILE with {' or '.join(ENDINGS)}, not {options.save}")
+    if table is not None:
+        UnitFile(table)  # says before any work that an extra is missing
+
+    def asked() -> batch.Batch:
+        question = batch.question(options.study, options.worker)
+        return batch.Batch(
+            study=question,
+            samples=options.samples,
+            seed=options.seed,
+            sobol=options.sobol,
+            chunk=options.chunk or batch.CHUNK,
+            checkpoint=options.checkpoint,
+            keep=options.save is not None and table is None,
+            save=table
+            and batch.table_of(table, question, options.study, errors=options.save_errors, worker=options.worker),
+            progress=not options.quiet,
+        )
+
+    if options.worker:
+        address, number, processes, target = options.worker
+        batch.work(asked, address, int(number), int(processes), target)
+        return EXIT_OK
+    started, drawing = time.perf_counter(), "drawing units"
+    expected = {READING: 6.0, drawing: 0.0}  # each process of several has a line of its own
+    with phases.shown(expected, counted=drawing, quiet=options.quiet or options.processes > 1):
+        phases.begin(READING)
+        wanted = asked()
+        question = wanted.study  # as it was read before the run: the file may change meanwhile
+        forewarn(question)
+        phases.begin(drawing)
+        if options.processes == 1:
+            found = batch.run(wanted)
+        else:
+            found = batch.run_in_processes(
+                options.command, options.processes, text=question.text, table=table, chunk=wanted.chunk
+            )
+    seconds = time.perf_counter() - started
+    written.write(found, question, options.study, figures=options.json, samples=options.save if wanted.keep else None)
+    after = f"\n\n{seconds:.1f} s, start and compilation included"
+    tell(options, lambda: written.summary(found, question) + after, lambda: written.as_json(found, question))
+    return EXIT_OK
+
+
+def identify(options: argparse.Namespace) -> int:
+    from rvjax import phases, study
+    from rvjax.report import folders, identified_page
+    from rvjax.report import identified as told
+    from rvjax.study import identified, measured, problem
+    from rvjax.tolerances.atomic import check_writable
+
+    coming = (identified.SEEING, identified.RANKING) if options.check else (*identified.PHASES, WRITING)
+    with phases.shown(dict.fromkeys((READING, *coming), 0.0), quiet=options.quiet):
+        phases.begin(READING)
+        question = study.load(options.study)
+        asked = problem.asked_of(question)
+        data = measured.read(options.data, asked.columns) if options.data else None
+        if options.check:
+            found = identified.check(question, data)
+        elif data is None:
+            raise ValueError("no data: name at least one CSV file, or ask with --check what a bench could tell apart")
+        else:
+            folder = folders.results_folder(options.results, question.name)
+            check_writable(folder)
+            found = identified.answer(question, data, draws=options.sample)
+            phases.begin(WRITING)
+            pictures = ((f"{picture.name}.png", picture.content) for picture in identified_page.pictures(found))
+            page = ("report.html", identified_page.page(found, options.study, options.data).encode())
+            folder = folders.write_files(told.files(found, options.data, (page, *pictures)), folder)
+    after = "" if options.check else f"\n\nResults: {folder}"
+    tell(options, lambda: told.summary(found) + after, lambda: told.as_json(found))
+    return EXIT_NO_ANSWER if found.adequate is False else EXIT_OK
+
+
+def assemble(options: argparse.Namespace) -> int:
+    from rvjax import assembly, phases, study
+    from rvjax.report import assembly as written
+    from rvjax.report import folders
+    from rvjax.study.assembly import bench
+    from rvjax.study.prices import prices
+    from rvjax.tolerances.atomic import check_writable
+
+    matching, pricing = "which part goes with which", "prices of tolerances"
+    coming = (matching, *([pricing] if options.prices else []), WRITING)
+    with phases.shown(dict.fromkeys((READING, *coming), 0.0), quiet=options.quiet):
+        phases.begin(READING)
+        question = study.load(options.study)
+        folder = folders.results_folder(options.results, f"{question.name}-assembly")
+        check_writable(folder)
+        parts = bench(question, options.parts)
+        asked = question.assembly
+        phases.begin(matching)
+        found = assembly.plan(
+            parts.response,
+            parts.kinds,
+            objective=asked.objective,
+            requirement=parts.requirement,
+            draws=asked.draws,
+            certificate_draws=asked.certificate_draws,
+            seed=question.seed,
+        )
+        if options.format == "text":
+            say(written.summary(found, parts, question))
+        phases.begin(pricing)
+        costs = prices(question, parts) if options.prices else []
+        phases.begin(WRITING)
+        folder = written.write(found, parts, question, options.parts, folder, costs)
+    after = f"{written.price_text(costs)}\n\nResults: {folder}"
+    data = written.as_json(found, parts, question, costs) | {"results": str(folder)}
+    tell(options, lambda: after, lambda: data)
+    return EXIT_OK if found.status != "INFEASIBLE" else EXIT_NO_ANSWER
+
+
+def compensate(options: argparse.Namespace) -> int:
+    from rvjax import phases, study
+    from rvjax.report import compensation as written
+    from rvjax.report import folders
+    from rvjax.study.compensation import corrections
+    from rvjax.study.values import quantity
+    from rvjax.tolerances.atomic import check_writable
+
+    if options.export is not None:
+        written.check_export(options.export)
+    correcting = "orders of the curves"
+    with phases.shown(dict.fromkeys((READING, correcting, WRITING), 0.0), quiet=options.quiet):
+        phases.begin(READING)
+        question = study.load(options.study)
+        folder = folders.results_folder(options.results, f"{question.name}-compensation")
+        check_writable(folder)
+        phases.begin(correcting)
+        found = corrections(
+            question,
+            options.data,
+            angle_sd=quantity(options.angle_sd, "rad", "--angle-sd"),
+            count=options.count,
+            first_order=options.first_order,
+        )
+        points = options.points or written.POINTS
+        if options.format == "text":
+            say(written.summary(found, question, seed=question.seed))
+        phases.begin(WRITING)
+        tables = written.tables(found, points, options.side)
+        folder = written.write(found, tables, question, options.data, folder)
+    paths = [str(p) for p in written.export_all(found, tables, options.export, question.seed)] if options.export else []
+    data = written.as_json(found, tables, question) | {"tables": paths, "results": str(folder)}
+    tell(options, lambda: "\n".join([*(f"Table: {path}" for path in paths), f"\nResults: {folder}"]), lambda: data)
+    return EXIT_OK
