@@ -11,6 +11,7 @@ from rvjax.cli.speak import EXIT_NO_ANSWER, EXIT_OK, READING, WRITING, check_fil
 
 
 def init(options: argparse.Namespace) -> int:
+    """A commented study file to change."""
     from rvjax.study import template
     from rvjax.tolerances.atomic import check_writable, write_atomically
 
@@ -26,6 +27,7 @@ def init(options: argparse.Namespace) -> int:
 
 
 def check_study(options: argparse.Namespace) -> int:
+    """What follows from a study, before anything is computed."""
     from rvjax import study
     from rvjax.report import check
 
@@ -38,6 +40,7 @@ def check_study(options: argparse.Namespace) -> int:
 
 
 def allocate(options: argparse.Namespace) -> int:
+    """The cheapest tolerances that still meet the requirements."""
     from rvjax import phases, study
     from rvjax.report import again, check, folders, text
     from rvjax.study.answer import answer
@@ -70,6 +73,7 @@ def allocate(options: argparse.Namespace) -> int:
 
 
 def report(options: argparse.Namespace) -> int:
+    """The same answer as one page."""
     from rvjax import phases, study
     from rvjax.report import check, folders, page, text
     from rvjax.report.surrogate import surrogate
@@ -104,6 +108,7 @@ def report(options: argparse.Namespace) -> int:
 
 
 def budget(options: argparse.Namespace) -> int:
+    """Who owns the error."""
     from rvjax import study
     from rvjax.report import budget as written
     from rvjax.report import folders
@@ -130,6 +135,7 @@ def budget(options: argparse.Namespace) -> int:
 
 
 def compare(options: argparse.Namespace) -> int:
+    """Two answers side by side, or under one question."""
     from rvjax import study
     from rvjax.report import compare, crossed
     from rvjax.study.crossed import crossed as judge
@@ -156,6 +162,7 @@ def compare(options: argparse.Namespace) -> int:
 
 
 def reproduce(options: argparse.Namespace) -> int:
+    """Published figures beside computed ones."""
     from rvjax import published
     from rvjax.report import text
 
@@ -165,6 +172,7 @@ def reproduce(options: argparse.Namespace) -> int:
 
 
 def tradeoff(options: argparse.Namespace) -> int:
+    """Speed against accuracy of every model, measured here."""
     from rvjax import levels, plotting
 
     check_files(options, json=".json", picture=".png")

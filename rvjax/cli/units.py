@@ -7,6 +7,7 @@ from rvjax.cli.speak import EXIT_NO_ANSWER, EXIT_OK, READING, WRITING, check_fil
 
 
 def montecarlo(options: argparse.Namespace) -> int:
+    """What a batch of units does."""
     from rvjax import phases
     from rvjax.report import batch as written
     from rvjax.study import batch
@@ -60,6 +61,7 @@ def montecarlo(options: argparse.Namespace) -> int:
 
 
 def identify(options: argparse.Namespace) -> int:
+    """What made this measured curve."""
     from rvjax import phases, study
     from rvjax.report import folders, identified_page
     from rvjax.report import identified as told
@@ -90,6 +92,7 @@ def identify(options: argparse.Namespace) -> int:
 
 
 def assemble(options: argparse.Namespace) -> int:
+    """Which measured part goes with which."""
     from rvjax import assembly, phases, study
     from rvjax.report import assembly as written
     from rvjax.report import folders
@@ -129,6 +132,7 @@ def assemble(options: argparse.Namespace) -> int:
 
 
 def compensate(options: argparse.Namespace) -> int:
+    """A table that takes the measured error off."""
     from rvjax import phases, study
     from rvjax.report import compensation as written
     from rvjax.report import folders
