@@ -13,7 +13,7 @@ Tried for the solver, and what it gave (steps per angle or unit, means; 2 x 40 p
     load falling by stages from 30 or 1000 times cycles as before
     forces of journals as unknowns               3 % torque: more units than before need more than 12 steps
     dense elimination of the interior steps      18 of 437 kernels less, compiles no faster
-    turn / cold turn of the C program, linear    0.70 beside 0.58 here: steps set it, 3.1 of some 6, not the kernels
+    turn / cold turn of the C program, linear    0.70 (last angle as start) beside 0.58 here
 """
 
 import ctypes
