@@ -183,9 +183,8 @@ def test_the_curve_of_costs_pays_for_moved_middles(monkeypatch):
         certificate = SimpleNamespace(verdicts={"lost_motion": verdict})
         return SimpleNamespace(feasible=True, cost=cost, costs={"a": 9.0}, tolerances=None, certificate=certificate)
 
-    curve = SimpleNamespace(allocations=[found(8.0, 0.9), found(10.0, 0.999)])
-    monkeypatch.setattr(answer, "cost_curve", lambda *_, **__: curve)
-    points = answer._cost_curve(study.load("rv-40e", solve=False), None, found(11.0, 0.99))
+    monkeypatch.setattr(answer, "cost_of_yields", lambda *_, **__: [(0.9, 8.0), (0.999, 10.0)])
+    points = answer._cost_curve(study.load("rv-40e", solve=False), None, found(11.0, 0.99), None)
     assert points == [(0.9, 10.0), (0.99, 11.0), (0.999, 12.0)]
 
 

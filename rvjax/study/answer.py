@@ -214,8 +214,6 @@ def _cost_curve(
     )
     points = [(share, cost + moved) for share, cost in curve]
     goals = {item.target for item in study.requirements.values() if isinstance(item, Requirement)}
-    if (
-        len(goals) == 1 and study.joint_target is None
-    ):  # an end of the same searches: one asks for what this study asks for
+    if len(goals) == 1 and study.joint_target is None:  # an end of the same searches: one asks for what the study asks
         points.append((least_yield(found.certificate), found.cost))
     return sorted(points)
