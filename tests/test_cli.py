@@ -323,7 +323,7 @@ def test_a_study_that_asks_for_no_share_of_units_has_a_page(answers, answered, h
 
     certificate = judged(old.allocation.certificate, old.after.values)
     allocation = dataclasses.replace(old.allocation, certificate=certificate, graded=None)
-    curve = rvjax.study.answer._cost_curve(question, question.response(), allocation)
+    curve = rvjax.study.answer._cost_curve(question, question.response(), allocation, None)
     before = judged(old.certificate_before, old.before.values)
     new = dataclasses.replace(old, study=question, allocation=allocation, certificate_before=before, cost_curve=curve)
     found = page.page(new, "elsewhere/able.toml")
