@@ -518,7 +518,7 @@ def test_the_page_in_a_browser(written, tmp_path):
     environment = os.environ | {"HOME": str(tmp_path)}
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, env=environment, check=True)
     seen = json.loads(re.search(r"<title>(.*?)</title>", done.stdout).group(1))
-    assert len(seen["images"]) == len(PICTURES) + 1 and min(seen["images"]) > 300  # every picture was decoded
+    assert len(seen["images"]) == len(PICTURES) + 2 and min(seen["images"]) > 300  # every picture was decoded
     assert seen["wide"] <= 0  # nothing sticks out of a narrow window
     assert seen["tables"] >= 5
     assert "the cheapest tolerances" in done.stdout and "±6.50" in done.stdout
