@@ -259,7 +259,6 @@ def test_another_study_is_refused_by_name(tmp_path, monkeypatch):
         (dict(seed=4), "seed is 3 in the file and 4 here"),
         (dict(method="sobol"), "method is random in the file and sobol here"),
         (dict(chunk=500), "chunk is 1000 in the file and 500 here"),
-        (dict(keep=True), "values is not kept in the file and kept here"),
         (dict(requirements={"y": LIMITS["y"]}), "requirements.z is .* in the file and absent here"),
         (dict(correlation={("a", "b"): 0.5}), "correlation is absent in the file"),
     ]:

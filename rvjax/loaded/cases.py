@@ -18,7 +18,7 @@ from rvjax.units import GPa, arcmin, mm, um
 RATED = 412.0  # N m
 # No maker prints these; they are those of the study rv-40e-whole, which a test compares.
 MACHINE = RV_40E.replace(
-    cycloid=RV_40E.cycloid.replace(equidistant_modification=2 * um),
+    cycloid=RV_40E.cycloid.replace(equidistant_modification=-2 * um),
     stiffness=Stiffness(
         sun_support=4e7, sun_torsion=1e4, planet_crank_bending=2e8, planet_crank_torsion=5e4, support_bearing=9e8,
         turning_arm_bearing=6e8, sun_planet_mesh=2e8, disc_pin_mesh=6e8,
@@ -35,10 +35,10 @@ Limits = tuple[float, float] | Mapping[str, Any]
 
 LINKAGE: dict[str, Limits] = dict(
     crank_eccentricity=(-6.5 * um, 6.5 * um),
-    crank_phase=(-2 * arcmin, 2 * arcmin),
-    disc_bore=_direction(13 * um),
-    carrier_bore=_direction(13 * um),
-    bearing_clearance=(0.0, 4 * um),
+    crank_phase=(-5 * arcmin, 5 * arcmin),
+    disc_bore=(-6.5 * um, 6.5 * um),
+    carrier_bore=(-6.5 * um, 6.5 * um),
+    bearing_clearance=(0.0, 3 * um),
 )
 """Errors of the linkage that the four-bar picture knows."""
 
@@ -54,6 +54,7 @@ WHOLE: dict[str, Limits] = LINKAGE | dict(
     shift_modification=(-3 * um, 3 * um),
     pin_offset=_direction(10 * um, batch=0.3),
     pin_radii=dict(lower=-1 * um, upper=1 * um, batch=0.3),
+    pin_radius=(-2 * um, 2 * um),
     pin_circle_radius=(-5 * um, 5 * um),
     pin_hole_clearance=(0.0, 5 * um),
     ring_centre=_direction(10 * um),

@@ -83,10 +83,11 @@ def as_json(question: Study) -> dict[str, Any]:
     )
 
 
-def facts(design: RVReducer | CamRollerReducer) -> Iterator[tuple[str, str]]:
-    """(name, value) of what follows from the numbers of a design."""
+def facts(design: Any) -> Iterator[tuple[str, str]]:
+    """(name, value) of what follows from the numbers of a design; nothing for a kind that is not in the catalogue."""
     if isinstance(design, CamRollerReducer):
         yield "rollers", str(design.gear_teeth + 1)
+    if not isinstance(design, RVReducer):
         return
     cycloid, stage = design.cycloid, design.involute
     gap = 2 * (cycloid.pin_circle_radius * math.sin(math.pi / cycloid.pin_count) - cycloid.pin_radius)
