@@ -17,8 +17,8 @@ from rvjax.study.plausible import KNOWN_DESIGNS, TORQUE, numbers, shown
 from rvjax.study.question import Study
 
 # Counted in the answer to rv-40e: middles, half-widths, grades and a curve of costs.
-SEARCH = 160  # passes over the learning sample
-CERTIFICATES = 9  # and one of the tolerances before
+SEARCH = 140  # passes over the learning sample
+CERTIFICATES = 6  # and one of the tolerances before
 CHUNK = 32_768  # units at once
 
 
@@ -142,7 +142,7 @@ def expected(question: Study) -> str:
     seconds = unit * (question.certificate_samples * (CERTIFICATES + 1) + SEARCH * question.samples)
     return (
         f"time: about {seconds:.2g} s of computation on the two cores of the measured table, besides tracing and "
-        "compilation (50 s for an RV-40E, 80 s at the first run); "
+        "compilation (20 s for an RV-40E, 45 s at the first run); "
         f"chunks of {CHUNK:,} units, memory does not grow with their number"
     )
 

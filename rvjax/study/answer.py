@@ -93,10 +93,10 @@ def answer(study: Study, *, progress: bool = False, journal: Journal | None = No
         journal: keeps what took long to compute, so that an interrupted answer goes on from there.
     """
     response = study.response()
+    phases.begin(SEARCHING)
     with progress_bar(progress, None, "checked", "unit") as advance:  # compiles the gradients: the longest wait
         refuse(nominal_status(response, Population.of(study.tolerances)))
         advance(1)
-    phases.begin(SEARCHING)
     allocation = allocate(
         response,
         study.tolerances,
