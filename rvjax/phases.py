@@ -10,7 +10,7 @@ import threading
 import time
 from collections.abc import Iterator, Mapping
 from contextvars import ContextVar
-from typing import TextIO
+from typing import Any, TextIO
 
 TICK = 0.5  # s between two looks of a terminal
 TRUSTED = 15.0  # s of what is expected: a phase of a second tells nothing of the pace
@@ -173,6 +173,45 @@ def detail(note: str, part: float = 0.0) -> bool:
     if watched is not None:
         watched.detail(note, part)
     return watched is not None
+
+
+@contextlib.contextmanager
+def progress_bar(shown: bool, total: int | None, description: str, unit: str, *, initial: int = 0) -> Iterator[Any]:
+    """A function that advances a tqdm bar, or does nothing; the bar says "compiling" until its first call.
+
+    Where a command shows its phases, it becomes a detail of the phase, whether asked for or not.
+
+    Args:
+        shown: whether there is a bar.
+        total: units of work; None where it is not known.
+        description: before the bar, once the work goes on: the phase.
+        unit: of the work.
+        initial: done already.
+    """
+    if detail("compiling"):
+        done = initial
+
+        def tell(count: int) -> None:
+            nonlocal done
+            done += count
+            part = 0.0 if total is None else done / max(total, 1)
+            detail(f"{description}, {done} {unit}s" if total is None else f"{description} {100 * part:.0f} %", part)
+
+        yield tell
+        return
+    if not shown:
+        yield lambda count: None
+        return
+    from tqdm import tqdm
+
+    with tqdm(total=total, unit=unit, unit_scale=True, desc="compiling", initial=initial) as bar:
+
+        def advance(count: int) -> None:
+            if not bar.desc.startswith(description):
+                bar.set_description(description)
+            bar.update(count)
+
+        yield advance
 
 
 @contextlib.contextmanager

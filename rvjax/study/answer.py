@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax import phases
+from rvjax.phases import progress_bar
 from rvjax.study.question import Study
 from rvjax.study.response import refuse
 from rvjax.tolerances import Allocation, Requirement, Statistics, allocate, monte_carlo
@@ -17,7 +18,7 @@ from rvjax.tolerances.allocation.cost_curve import cost_of_yields, least_yield
 from rvjax.tolerances.population.population import Population, drawn, root_key
 from rvjax.tolerances.propagation.gradients import nominal_status
 from rvjax.tolerances.propagation.journal import Journal
-from rvjax.tolerances.propagation.monte_carlo import Run, progress_bar
+from rvjax.tolerances.propagation.monte_carlo import Run
 from rvjax.tolerances.propagation.responses import (  # chunks of the certificate's size: the response compiles once
     BLOCK,
     response_names,

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax import tables
+from rvjax.phases import progress_bar
 from rvjax.records import Record
 from rvjax.tolerances.allocation.certificate import DRAWS, Certifier
 from rvjax.tolerances.allocation.cost import Cost
@@ -22,7 +23,7 @@ from rvjax.tolerances.distribution.tolerance import Tolerance
 from rvjax.tolerances.population.correlation import Correlation
 from rvjax.tolerances.population.population import Population
 from rvjax.tolerances.propagation.journal import Journal
-from rvjax.tolerances.propagation.monte_carlo import Run, Statistics, progress_bar
+from rvjax.tolerances.propagation.monte_carlo import Run, Statistics
 from rvjax.tolerances.propagation.requirements import Limits
 from rvjax.tolerances.propagation.responses import BLOCK, Response, by_response, response_names, unwrapped
 

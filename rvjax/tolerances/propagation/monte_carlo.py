@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from rvjax import phases
+from rvjax.phases import progress_bar
 from rvjax.status import PRECEDENCE
 from rvjax.tolerances.atomic import PARTIAL
 from rvjax.tolerances.population.correlation import Correlation
@@ -41,7 +41,7 @@ from rvjax.tolerances.propagation.tally import Tally
 from rvjax.tolerances.propagation.unit_file import UnitFile, Write, writing
 from rvjax.tolerances.propagation.worst_case import extremes
 
-__all__ = ["Run", "Statistics", "monte_carlo", "progress_bar"]
+__all__ = ["Run", "Statistics", "monte_carlo"]
 
 
 def monte_carlo(
@@ -359,44 +359,3 @@ def _positive(name: str, value: Any) -> int:
     if number < 1:
         raise ValueError(f"{name} = {number}: must be at least 1")
     return number
-
-
-@contextlib.contextmanager
-def progress_bar(shown: bool, total: int | None, description: str, unit: str, *, initial: int = 0) -> Iterator[Any]:
-    """A function that advances a tqdm bar, or does nothing; the bar says "compiling" until its first call.
-
-    Where a command shows its phases, it becomes a detail of the phase, whether asked for or not.
-
-    Args:
-        shown: whether there is a bar.
-        total: units of work; None where it is not known.
-        description: before the bar, once the work goes on: the phase.
-        unit: of the work.
-        initial: done already.
-    """
-    if phases.detail("compiling"):
-        done = initial
-
-        def tell(count: int) -> None:
-            nonlocal done
-            done += count
-            part = 0.0 if total is None else done / max(total, 1)
-            phases.detail(
-                f"{description}, {done} {unit}s" if total is None else f"{description} {100 * part:.0f} %", part
-            )
-
-        yield tell
-        return
-    if not shown:
-        yield lambda count: None
-        return
-    from tqdm import tqdm
-
-    with tqdm(total=total, unit=unit, unit_scale=True, desc="compiling", initial=initial) as bar:
-
-        def advance(count: int) -> None:
-            if not bar.desc.startswith(description):
-                bar.set_description(description)
-            bar.update(count)
-
-        yield advance
