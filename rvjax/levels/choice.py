@@ -11,6 +11,7 @@ import numpy as np
 from rvjax.levels.table import Model, Table, stored
 from rvjax.records import is_concrete
 from rvjax.tolerances.distribution.tolerance import Tolerance
+from rvjax.units import readable
 
 
 @dataclass(frozen=True)
@@ -98,7 +99,9 @@ def choose(
             elif exact:
                 why = "no cheaper level is accurate enough"
             else:
-                why = f"cheapest of {len(model.levels)} levels with twice its measured error below {wanted[name]:.3g}"
+                unit, unit_size = readable(model.outputs[name])
+                limit = f"{wanted[name] / unit_size:.3g} {unit}"
+                why = f"cheapest of {len(model.levels)} levels with twice its measured error below {limit}"
                 why += f"; it leaves out {level.without}" if level.without else ""
             instead = level.instead.get(name)
             found[name] = Choice(

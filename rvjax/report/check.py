@@ -16,9 +16,9 @@ from rvjax.study.answer import CERTIFYING, PRICING, SAMPLING, SEARCHING
 from rvjax.study.plausible import KNOWN_DESIGNS, TORQUE, numbers, shown
 from rvjax.study.question import Study
 
-# Counted in the answer to rv-40e: middles, half-widths, grades and a curve of costs.
-SEARCH = 140  # passes over the learning sample
-CERTIFICATES = 6  # and one of the tolerances before
+# Counted in the answers to rv-40e, whose middles move, and rv-40e-whole: half-widths, grades and a curve of costs.
+SEARCH = {True: 140, False: 60}  # passes over the learning sample, with and without middles
+CERTIFICATES = {True: 6, False: 3}  # and one of the tolerances before
 CHUNK = 32_768  # units at once
 
 
@@ -139,7 +139,8 @@ def expected(question: Study) -> str:
     unit = _unit_seconds(question)
     if unit is None:
         return "time: unknown, for nobody has measured these levels"
-    seconds = unit * (question.certificate_samples * (CERTIFICATES + 1) + SEARCH * question.samples)
+    middles = bool(question.middles)
+    seconds = unit * (question.certificate_samples * (CERTIFICATES[middles] + 1) + SEARCH[middles] * question.samples)
     return (
         f"time: about {seconds:.2g} s of computation on the two cores of the measured table, besides tracing and "
         "compilation (20 s for an RV-40E, 45 s at the first run); "
@@ -156,10 +157,11 @@ def phases_of(question: Study, before: str, *after: str) -> dict[str, float]:
         after: phases that follow the answer.
     """
     unit = _unit_seconds(question) or 0.0
-    passes = SEARCH * question.samples
+    middles = bool(question.middles)
+    passes = SEARCH[middles] * question.samples
     expected = {
         before: 6.0,
-        SEARCHING: 20.0 + unit * (0.5 * passes + (CERTIFICATES - 1) * question.certificate_samples),
+        SEARCHING: 20.0 + unit * (0.5 * passes + (CERTIFICATES[middles] - 1) * question.certificate_samples),
         CERTIFYING: 1.0 + unit * question.certificate_samples,
         SAMPLING: 16.0,
         PRICING: 12.0 + unit * 0.5 * passes,
