@@ -167,7 +167,10 @@ def test_a_study_says_what_its_level_leaves_out():
     """Where its costs let no tolerance become wider than what was measured; else the exact level."""
     wide = study.load("rv-40e-whole", solve=False).text + '\n[accuracy]\nloaded_transmission_error = "90 arcsec"\n'
     narrow = re.sub(r'coarsest = "(\d\d) (um|arcmin)"', r'coarsest = "5 \2"', wide)
-    for text, words in ((wide, "outside what was measured (crank_eccentricity of"), (narrow, "error below 1.5 arcmin; it leaves out")):
+    for text, words in (
+        (wide, "outside what was measured (crank_eccentricity of"),
+        (narrow, "error below 1.5 arcmin; it leaves out"),
+    ):
         asked = study.parse_study(text, name="x", solve=False)
         assert words in next(line for line in check.level_lines(asked) if line.startswith(NAME))
 

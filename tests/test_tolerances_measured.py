@@ -9,8 +9,8 @@ import pytest
 
 from rvjax import catalogue, tolerances
 from rvjax.tolerances import Tolerance, UnitFile, for_design, measured, monte_carlo
-from rvjax.tolerances.population.measured import _capability
 from rvjax.tolerances.population.population import Population
+from rvjax.tolerances.propagation.measured import _capability
 from rvjax.units import deg, um
 
 LOT = "Teil;pin_radius [µm];Bohrung;crank_phase [arcmin]\nA;1,0;12;3\nB;2,5;8;-1\nC;-0,5;;2\nD;4,0;10;0\nE;3,0;9;1\n"

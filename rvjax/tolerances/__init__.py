@@ -11,11 +11,11 @@ from rvjax.tolerances.allocation.cost_curve import CostCurve, cost_curve
 from rvjax.tolerances.allocation.middles import Middle
 from rvjax.tolerances.distribution.grades import it_width
 from rvjax.tolerances.distribution.tolerance import Tolerance
-from rvjax.tolerances.population.measured import MeasuredColumn, MeasuredParts, measured
 from rvjax.tolerances.population.sampling import for_design, sample
 from rvjax.tolerances.propagation.estimates import Estimate
 from rvjax.tolerances.propagation.failure import FailureProbability, failure_probability
 from rvjax.tolerances.propagation.linearised import Linearised, linearised
+from rvjax.tolerances.propagation.measured import MeasuredColumn, MeasuredParts, measured
 from rvjax.tolerances.propagation.monte_carlo import Statistics, monte_carlo
 from rvjax.tolerances.propagation.multi_fidelity import MultiFidelity, multi_fidelity
 from rvjax.tolerances.propagation.requirements import (
