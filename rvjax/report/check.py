@@ -10,6 +10,7 @@ import numpy as np
 from rvjax import levels, models
 from rvjax.designs import CamRollerReducer, InvoluteStage, RVReducer
 from rvjax.levels.choice import Choice
+from rvjax.phases import spelled
 from rvjax.plotting import drawings
 from rvjax.report.text import assumed_text, limits, plain, table, tolerance_text
 from rvjax.study.answer import CERTIFYING, PRICING, SAMPLING, SEARCHING
@@ -142,7 +143,7 @@ def expected(question: Study) -> str:
     middles = bool(question.middles)
     seconds = unit * (question.certificate_samples * (CERTIFICATES[middles] + 1) + SEARCH[middles] * question.samples)
     return (
-        f"time: about {seconds:.2g} s of computation on the two cores of the measured table, besides tracing and "
+        f"time: about {spelled(seconds)} of computation on the two cores of the measured table, besides tracing and "
         "compilation (20 s for an RV-40E, 45 s at the first run); "
         f"chunks of {CHUNK:,} units, memory does not grow with their number"
     )
