@@ -106,6 +106,10 @@ def spread(name: str, estimate: Any) -> dict[str, float]:
 _STATIC = ("text", "count")
 
 
+class MissingExtra(ImportError):
+    """An optional package is not installed; the message names the extra that does it."""
+
+
 def needed(package: str, what: str, extra: str = "tables") -> Any:
     """An optional package.
 
@@ -115,13 +119,15 @@ def needed(package: str, what: str, extra: str = "tables") -> Any:
         extra: that installs it.
 
     Raises:
-        ImportError: names the extra.
+        MissingExtra: the package is not there; one that is there and broken says so itself.
     """
+    name = package.partition(".")[0]
     try:
         return importlib.import_module(package)
-    except ImportError:
-        name = package.partition(".")[0]
-        raise ImportError(f"{what} needs {name}: pip install 'rvjax[{extra}]'") from None
+    except ModuleNotFoundError as error:
+        if error.name not in (name, package):
+            raise
+        raise MissingExtra(f"{what} needs {name}: pip install 'rvjax[{extra}]'") from None
 
 
 def _columns(record: Any, batch: tuple[str, ...], prefix: str = "") -> Iterator[Column]:

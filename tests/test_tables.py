@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import rvjax
-from rvjax import four_bar
+from rvjax import cli, four_bar, tables
 from rvjax.catalogue import RV_40E
 from rvjax.tolerances import Allocation, Requirement, Tolerance, monte_carlo, sobol_indices
 
@@ -131,3 +131,18 @@ def test_a_package_that_is_missing_is_named_with_the_extra(monkeypatch, method, 
     monkeypatch.setitem(sys.modules, package, None)
     with pytest.raises(ImportError, match=rf"{method} needs {package}: pip install 'rvjax\[tables\]'"):
         getattr(rvjax.SolveInfo(0), method)()
+
+
+def test_only_a_package_that_is_missing_is_told_as_bad_input(monkeypatch, tmp_path):
+    """An import that fails inside rvjax, or inside a package that is installed, is a defect and says where it is."""
+
+    def broken(*_):
+        raise ImportError("cannot import name 'gone' from 'rvjax.report'")
+
+    monkeypatch.setattr("rvjax.report.check.checked", broken)
+    with pytest.raises(ImportError, match="cannot import name 'gone'"):
+        cli.main(["check", "corr"])
+    (tmp_path / "broken_package.py").write_text("import no_such_package\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(ModuleNotFoundError, match="no_such_package"):
+        tables.needed("broken_package", "to_pandas")

@@ -4,6 +4,7 @@ Bounds: 16384 units leave 44 outside, 22 a side. That is 15 % and 21 % of a tail
 3.3) and 0.023 of the middle, one standard deviation each; certifying with 200,000 units costs another 0.9 %.
 """
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import optimize, stats
@@ -94,3 +95,25 @@ def test_bad_ranges_and_laws_that_do_not_move():
     measured = Tolerance(-1.0, 1.0, distribution="empirical", values=[-0.5, 0.1, 0.4])
     with pytest.raises(ValueError, match="the law empirical does not move with its limits"):
         found({"a": Middle(0.0, 1.0)}, tolerance=measured)
+
+
+def test_a_middle_moves_where_finer_is_not_better():
+    """Error b takes up play as in `test_finer_need_not_be_better`; the limits of the sum lie about 0.3, where a free
+    middle of a puts it: the half-widths, and their bounds, are those of the symmetric case."""
+    taken, limit, middle = 3 * 0.1 / 0.1256613, 1.6448536, 0.3
+    need = {
+        "play": Requirement(upper=0.9, target=0.9),
+        "sum": Requirement(lower=middle - limit, upper=middle + limit, target=0.9),
+    }
+    cost = ReciprocalPower(reference=1.0, finest=0.5, coarsest=10.0)
+    result = allocate(
+        lambda e: {"play": 1 - jnp.abs(e["b"]), "sum": e["a"] + e["b"]},
+        dict.fromkeys("ab", Tolerance.symmetric(1.0)),
+        need,
+        costs=dict.fromkeys("ab", cost),
+        certificate_samples=90_000,
+        middles={"a": Middle(-1.0, 1.0)},
+    )
+    assert result.status == "OPTIMAL" and taken < result.half_widths["b"] < 1.06 * taken
+    assert float(result.tolerances["a"].middle) == pytest.approx(middle, abs=0.05)
+    assert result.half_widths["a"] == pytest.approx(np.sqrt(9 - result.half_widths["b"] ** 2), rel=0.03)

@@ -44,6 +44,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except SystemExit as stop:  # argparse has printed what is wrong, or the help
         return int(stop.code or 0)
     _prepare()
+    from rvjax.tables import MissingExtra
+
     before = _on_terminate()
     try:
         code = options.run(options)
@@ -52,7 +54,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # whoever reads has enough, as `head` has
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is left in the buffer goes nowhere
         return EXIT_OK
-    except (ValueError, OSError, ImportError) as error:  # the last: an extra that is not installed
+    except (ValueError, OSError, MissingExtra) as error:
         say(f"rvjax: error: {' '.join(str(error).split())}", file=sys.stderr)
         return EXIT_BAD_INPUT
     except KeyboardInterrupt as stop:

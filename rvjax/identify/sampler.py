@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import special, stats
 
+from rvjax import tables
 from rvjax.identify.elements import mapped_values
 from rvjax.identify.gauss_newton import half_square, mixed
 from rvjax.identify.posterior import Posterior
@@ -80,10 +81,7 @@ def sample(posterior: Posterior, *, chains: int = 4, warmup: int = 500, draws: i
         counted(name, value, least)
     if not posterior.peaks:
         raise ValueError(f"posterior: status {posterior.status}, there is no mode to start from")
-    try:
-        importlib.import_module("blackjax")
-    except ImportError:
-        raise ImportError("rvjax.identify.sample needs blackjax: pip install 'rvjax[sampler]'") from None
+    tables.needed("blackjax", "rvjax.identify.sample", "sampler")
     problem, peak = posterior.problem, posterior.peaks[0]
     population, mixing, sd = problem.device
     key = root_key(seed)

@@ -16,7 +16,7 @@ from rvjax.tolerances.allocation.certificate import DRAWS, Certifier
 from rvjax.tolerances.allocation.cost import Cost
 from rvjax.tolerances.allocation.mapped import MappedSearch
 from rvjax.tolerances.allocation.middles import Middle, centred, check_middles
-from rvjax.tolerances.allocation.search import NOISE, Search
+from rvjax.tolerances.allocation.search import Search
 from rvjax.tolerances.allocation.snapping import Snapping
 from rvjax.tolerances.allocation.training import Point, Training
 from rvjax.tolerances.distribution.tolerance import Tolerance
@@ -177,12 +177,7 @@ def allocate(
             model = Training(cheap, training.population, *learned_from)
             search = MappedSearch(training, priced, max_steps, advance, model)
         advance(0)
-        point, finest = search.begin(start), float((training.margins(search.low) / training.distance).max())
-        possible = finest <= 0
-        if not possible and np.isfinite(point.margins).all():  # finer need not be better: errors may take up errors
-            point, _ = search.run(point)
-            reached = float((point.margins / training.distance).max())
-            possible = reached <= NOISE and reached < finest / 2
+        point, possible = search.opened(start)
         found = _cheapest(search, certifier, point, start) if possible else _finest(search, certifier)
     given = names, start, moving, certifier
     result = _result(search, found, *given)

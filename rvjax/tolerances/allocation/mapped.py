@@ -91,7 +91,7 @@ class MappedSearch(Search):
                 return best, False
             wanted = self._cheapest_of(model, best, radius)
             step = float(np.abs(np.log(wanted.half_widths / best.half_widths)).max())
-            excess = float((best.margins / distance).max())
+            excess = self.excess(best.margins)
             met = excess <= SETTLED
             if radius < SETTLED or (met and step < SETTLED):
                 return best, excess <= NOISE and self.residual(best) <= STATIONARY
@@ -108,7 +108,7 @@ class MappedSearch(Search):
             elif gain > _GOOD * promise:
                 radius = max(radius, 2 * step)
             best, refusals = new, 0
-            if met and gain < GAIN * self.cost(best.half_widths) and (best.margins / distance).max() <= SETTLED:
+            if met and gain < GAIN * self.cost(best.half_widths) and self.excess(best.margins) <= SETTLED:
                 return best, self.residual(best) <= STATIONARY
         if refusals >= _REFUSED:
             self.refused = f"{_REFUSED} steps in a row that it proposed did the response no good"

@@ -14,7 +14,7 @@ import numpy as np
 from scipy import optimize
 
 from rvjax.tolerances.allocation.cost import Cost
-from rvjax.tolerances.allocation.search import Search
+from rvjax.tolerances.allocation.search import NOISE, Search
 from rvjax.tolerances.allocation.training import Training
 from rvjax.tolerances.distribution.tolerance import Tolerance
 
@@ -112,12 +112,15 @@ def centred(
 
     here = np.clip(given, low, high)
     search = Search(at(here).measured(), priced, max_steps, advance)
-    if (search.training.margins(search.low) > 0).any():  # nothing can be made: the middles with the most room first
-        here, _ = best(search.low, here, None)
+    point, possible = search.opened(start)
+    if not possible:  # nothing can be made: the middles with the most room first, where there is any
+        finest = search.excess(search.training.margins(search.low))
+        here, _ = best(search.low if finest <= search.excess(point.margins) else point.half_widths, here, None)
         search = Search(at(here).measured(), priced, max_steps, advance)
-        if (search.training.margins(search.low) > 0).any():
+        point, possible = search.opened(start)
+        if not possible:
             return search.training, moving(here)
-    point, _ = search.find(search.begin(start), start)
+    point, _ = search.find(point, start)
     for _ in range(_TURNS):
         total = search.cost(point.half_widths) + moving(here)
         _, prices = search.model_optimum(point, _RADIUS)
@@ -127,7 +130,7 @@ def centred(
         for _ in range(_HALVINGS):
             trial = Search(at(there).measured(), priced, max_steps, advance)
             end, _ = trial.find(trial.begin(point.half_widths), point.half_widths)
-            if trial.cost(end.half_widths) + moving(there) < total:
+            if trial.excess(end.margins) <= NOISE and trial.cost(end.half_widths) + moving(there) < total:
                 break
             there = (here + there) / 2
         else:

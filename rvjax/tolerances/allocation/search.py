@@ -72,6 +72,19 @@ class Search:
         point = self.look(np.clip(start, self.low, self.high))
         return point if np.isfinite(point.margins).all() else self.look(self.low)
 
+    def opened(self, start: np.ndarray) -> tuple[Point, bool]:
+        """Where a search begins, and whether the sample knows half-widths that meet every requirement."""
+        point, finest = self.begin(start), self.excess(self.training.margins(self.low))
+        if finest <= 0 or not np.isfinite(point.margins).all():
+            return point, finest <= 0
+        point, _ = self.run(point)  # finer need not be better: errors may take up errors
+        reached = self.excess(point.margins)
+        return point, reached <= NOISE and reached < finest / 2
+
+    def excess(self, margins: np.ndarray) -> float:
+        """The worst margin, in parts of the way to its limit."""
+        return float((margins / self.training.distance).max())
+
     def find(self, point: Point, start: np.ndarray) -> tuple[Point, bool]:
         """The cheapest half-widths from a point on, and whether they are an optimum as far as the sample tells.
 
@@ -99,7 +112,7 @@ class Search:
         while len(self.history) < self.max_steps:
             wanted, prices = self.model_optimum(best, radius)
             step = float(np.abs(np.log(wanted / best.half_widths)).max())
-            excess = float((best.margins / distance).max())
+            excess = self.excess(best.margins)
             met = excess <= SETTLED
             if radius < SETTLED or (met and step < SETTLED):
                 return best, excess <= NOISE
