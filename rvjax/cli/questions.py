@@ -109,23 +109,28 @@ def report(options: argparse.Namespace) -> int:
 
 def budget(options: argparse.Namespace) -> int:
     """Who owns the error."""
-    from rvjax import study
+    from rvjax import phases, study
     from rvjax.report import budget as written
     from rvjax.report import folders
     from rvjax.study.values import quantity
     from rvjax.tolerances.atomic import check_writable
 
-    question = study.load(options.study)
-    loads = {torque: quantity(torque, "N m", "--torque") for torque in options.torque or ()}
-    if len(set(loads.values())) < len(options.torque or ()):
-        raise ValueError(f"--torque {', '.join(options.torque)}: each torque once")
-    folder = folders.results_folder(options.results, f"{question.name}-budget")
-    check_writable(folder)
-    forewarn(question)
-    found = study.error_budget(
-        question, output=options.output, loads=loads or None, samples=options.samples, seed=options.seed
-    )
-    folder = written.write(found, question, folder)
+    owning = "who owns the error"
+    with phases.shown(dict.fromkeys((READING, owning, WRITING), 0.0), counted=owning, quiet=options.quiet):
+        phases.begin(READING)
+        question = study.load(options.study)
+        loads = {torque: quantity(torque, "N m", "--torque") for torque in options.torque or ()}
+        if len(set(loads.values())) < len(options.torque or ()):
+            raise ValueError(f"--torque {', '.join(options.torque)}: each torque once")
+        folder = folders.results_folder(options.results, f"{question.name}-budget")
+        check_writable(folder)
+        forewarn(question)
+        phases.begin(owning)
+        found = study.error_budget(
+            question, output=options.output, loads=loads or None, samples=options.samples, seed=options.seed
+        )
+        phases.begin(WRITING)
+        folder = written.write(found, question, folder)
     tell(
         options,
         lambda: f"Study {question.name}\n{written.summary(found)}\n\nResults: {folder}",
@@ -136,8 +141,8 @@ def budget(options: argparse.Namespace) -> int:
 
 def compare(options: argparse.Namespace) -> int:
     """Two answers side by side, or under one question."""
-    from rvjax import study
-    from rvjax.report import compare, crossed
+    from rvjax import phases, study
+    from rvjax.report import check, compare, crossed
     from rvjax.study.crossed import crossed as judge
 
     if options.second is None and options.on is None:
@@ -154,7 +159,12 @@ def compare(options: argparse.Namespace) -> int:
         question = study.load(options.on, solve=False)  # a unit that fails counts among the others
         answers = {letter: crossed.answered(path) for letter, path in paths.items()}
         forewarn(question)
-        found = {letter: judge(question, one, samples=options.samples) for letter, (_, one) in answers.items()}
+        drawing, found = {letter: f"units of {letter}" for letter in answers}, {}
+        seconds = 5.0 + check.unit_seconds(question) * (options.samples or question.certificate_samples)
+        with phases.shown(dict.fromkeys(drawing.values(), seconds), quiet=options.quiet):
+            for letter, (_, one) in answers.items():
+                phases.begin(drawing[letter])
+                found[letter] = judge(question, one, samples=options.samples)
         own = {letter: answer for letter, (answer, _) in answers.items()}
         told, data = f"{told}\n\n{crossed.summary(found, own)}", data | {"on": crossed.as_json(found, own)}
     tell(options, lambda: told, lambda: data)

@@ -22,6 +22,7 @@ import numpy as np
 from rvjax import models
 from rvjax.errors import STAGES
 from rvjax.outputs import Curve
+from rvjax.phases import progress_bar
 from rvjax.study.question import Study
 from rvjax.study.values import naming
 from rvjax.tolerances.population.population import Population, drawn, root_key
@@ -30,7 +31,7 @@ UNLOADED = 1e-3  # of the torque: the limit of no load, as on a test bench
 FEWEST, MOST = 16, 2**16
 BLOCK = 256  # units at once: all angles of a turn of each are solved together
 LEVELS = ("field", "part", "stage")
-Solve = Callable[[jax.Array], jax.Array]  # random numbers of units -> their waves
+Solve = Callable[[jax.Array], np.ndarray]  # random numbers of units -> their waves
 
 
 @dataclass(frozen=True)
@@ -105,6 +106,7 @@ def error_budget(
     loads: Mapping[str, float] | None = None,
     samples: int = 256,
     seed: int | None = None,
+    progress: bool = False,
 ) -> Budget:
     """The error budget of the curve that belongs to an output, such as the transmission error along the output.
 
@@ -116,6 +118,7 @@ def error_budget(
         loads: torques by name, N m; by default "loaded", that of the study, and "unloaded", a thousandth of it.
         samples: units, each of which is solved twice, and once for every error. 256 know a share of 10 % to a tenth.
         seed: by default that of the study.
+        progress: show a progress bar.
 
     Raises:
         ValueError: no curve along the output, no torque, fewer than 16 samples or more than 65536.
@@ -133,11 +136,18 @@ def error_budget(
     draw = partial(drawn, population, root_key(study.seed if seed is None else seed))
     places = _places(population)
     about = {f.name: f.metadata for f in dataclasses.fields(study.design.error_record)}
-    solve = partial(_waves, curve.evaluate, given, name, study.design, population)
+    blocks = -(-samples // BLOCK)
     found = {}
-    for load, torque in loads.items():
-        with naming(f"study {study.name}, {load}, {torque:g} N m"):
-            found[load] = _of_load(partial(solve, torque), draw, places, samples)
+    with progress_bar(progress, len(loads) * blocks * (2 + len(places)), "solving", "batch") as advance:
+
+        def solve(torque: float, z: jax.Array) -> np.ndarray:
+            waves = np.asarray(_waves(curve.evaluate, given, name, study.design, population, torque, z))
+            advance(1)
+            return waves
+
+        for load, torque in loads.items():
+            with naming(f"study {study.name}, {load}, {torque:g} N m"):
+                found[load] = _of_load(partial(solve, torque), draw, places, samples)
     waves = len(next(iter(found.values())).total)
     assert curve.turns is not None
     return Budget(
@@ -221,7 +231,7 @@ def _solved(
     for first in range(0, samples, block):
         own, new = (draw(first + start, count=block) for start in (0, samples))
         batches = [own, new, *(own.at[place].set(new[place]) for place in places.values())]
-        parts.append([np.asarray(solve(batch))[: samples - first] for batch in batches])
+        parts.append([solve(batch)[: samples - first] for batch in batches])
     one, another, *changed = (np.concatenate(values) for values in zip(*parts))
     return one, another, dict(zip(places, changed))
 
