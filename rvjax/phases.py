@@ -5,6 +5,7 @@ Whoever works calls `begin` and `detail`; without somebody who watches (`shown`)
 
 import contextlib
 import shutil
+import signal
 import sys
 import threading
 import time
@@ -169,10 +170,45 @@ def detail(note: str, part: float = 0.0) -> bool:
         note: a few words.
         part: of this detail that is done.
     """
+    _go_on()
     watched = _WATCHED.get()
     if watched is not None:
         watched.detail(note, part)
     return watched is not None
+
+
+_ASKED: list[BaseException] = []
+
+
+@contextlib.contextmanager
+def ended_by(number: int, error: BaseException) -> Iterator[None]:
+    """What runs inside is ended by a signal: an error is raised there, at the latest where work goes one step on.
+
+    An exception out of a callback of the garbage collector, of which JAX has one, is lost.
+
+    Args:
+        number: of the signal; without effect outside the main thread.
+        error: that it raises.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def stop(*_: object) -> None:
+        _ASKED.append(error)
+        raise error
+
+    before = signal.signal(number, stop)
+    try:
+        yield
+    finally:
+        _ASKED.clear()
+        signal.signal(number, signal.SIG_DFL if before is None else before)
+
+
+def _go_on() -> None:
+    if _ASKED:
+        raise _ASKED[0]
 
 
 @contextlib.contextmanager
@@ -200,7 +236,7 @@ def progress_bar(shown: bool, total: int | None, description: str, unit: str, *,
         yield tell
         return
     if not shown:
-        yield lambda count: None
+        yield lambda count: _go_on()
         return
     from tqdm import tqdm
 
@@ -210,6 +246,7 @@ def progress_bar(shown: bool, total: int | None, description: str, unit: str, *,
             if not bar.desc.startswith(description):
                 bar.set_description(description)
             bar.update(count)
+            _go_on()
 
         yield advance
 

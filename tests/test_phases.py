@@ -1,6 +1,9 @@
 """The line that says where a run stands. Oracle: a clock that the test turns."""
 
+import gc
 import io
+import signal
+import sys
 import time
 
 import pytest
@@ -95,6 +98,30 @@ def test_a_run_of_units_says_how_far_it_is(monkeypatch):
         tolerances.monte_carlo(lambda e: e["x"], one, samples=200, seed=0, chunk=100)
     whole = ("Monte Carlo 100 %", 1.0)
     assert seen == [("compiling", 0.0), ("Monte Carlo 50 %", 0.5), whole, whole]
+
+
+def test_a_signal_whose_exception_is_lost_ends_the_next_step(monkeypatch):
+    """As in the callback by which JAX hears of the garbage collector: what it raises is written off as unraisable."""
+    lost, steps = [], 0
+    monkeypatch.setattr(sys, "unraisablehook", lambda said: lost.append(said.exc_type))
+
+    def callback(*_):
+        gc.callbacks.remove(callback)
+        signal.raise_signal(signal.SIGTERM)
+
+    before = signal.getsignal(signal.SIGTERM)
+    with pytest.raises(TimeoutError), phases.ended_by(signal.SIGTERM, TimeoutError()):
+        with phases.progress_bar(False, None, "searching", "step") as advance:
+            advance(1)
+            gc.callbacks.append(callback)
+            gc.collect()
+            steps = 1
+            advance(1)
+            steps = 2
+    assert lost == [TimeoutError] and steps == 1
+    assert signal.getsignal(signal.SIGTERM) is before
+    with phases.progress_bar(False, None, "searching", "step") as advance:  # the next run is none of its business
+        advance(1)
 
 
 def test_bad_input_stays_one_line_in_a_file():

@@ -9,7 +9,6 @@ import io
 import os
 import signal
 import sys
-import threading
 import tomllib
 from collections.abc import Callable, Sequence
 from importlib import resources
@@ -44,12 +43,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except SystemExit as stop:  # argparse has printed what is wrong, or the help
         return int(stop.code or 0)
     _prepare()
+    from rvjax.phases import ended_by
     from rvjax.tables import MissingExtra
 
-    before = _on_terminate()
     try:
-        code = options.run(options)
-        sys.stdout.flush()  # here, and not at the end of the interpreter, which would complain
+        with ended_by(signal.SIGTERM, _Terminated()):
+            code = options.run(options)
+            sys.stdout.flush()  # here, and not at the end of the interpreter, which would complain
         return code
     except BrokenPipeError:  # whoever reads has enough, as `head` has
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is left in the buffer goes nowhere
@@ -62,24 +62,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         rest = f"the same command goes on from {file}" if file else "nothing was written"
         say(f"rvjax: interrupted, {rest}", file=sys.stderr)
         return 143 if isinstance(stop, _Terminated) else 130
-    finally:
-        if before is not None:
-            signal.signal(signal.SIGTERM, before)
 
 
 class _Terminated(KeyboardInterrupt):
     """SIGTERM ends a command as Ctrl-C does: what it has begun is cleared away."""
-
-
-def _on_terminate() -> Any:
-    """Let SIGTERM raise; returns the handler before, or None outside the main thread."""
-    if threading.current_thread() is not threading.main_thread():
-        return None
-
-    def stop(*_: Any) -> None:
-        raise _Terminated
-
-    return signal.signal(signal.SIGTERM, stop)
 
 
 def _parser() -> argparse.ArgumentParser:
