@@ -28,6 +28,7 @@ import rvjax.study.answer
 from rvjax import cli, published
 from rvjax.report import again, folders, page, text
 from rvjax.study.about import About
+from rvjax.study.answer import CERTIFICATES, CERTIFYING, PASSES, PRICING, SAMPLING, SEARCHING, solved_units
 from rvjax.tolerances.propagation.moments import CentralMoments
 from rvjax.tolerances.propagation.sampled import Sampled
 
@@ -251,6 +252,20 @@ def test_a_result_that_lacks_a_part_is_not_compared(answered, here, capsys):
     for form in ("text", "json"):
         assert cli.main(["compare", "b.json", str(answered[1]), "--format", form]) == 2
         assert "results of rvjax allocate" in capsys.readouterr().err
+
+
+def test_an_answer_solves_about_as_many_units_as_check_tells(answers, answered):
+    """Within a factor of two: passes and certificates are those of the searches before, this one has its own."""
+    study, allocation = answers[SMALL].study, answers[SMALL].allocation
+    counted = (allocation.graded or allocation).evaluations
+    told, middles = solved_units(study), bool(study.middles)
+    passes, certificates = counted["search"] / study.samples, counted["certificates"] / study.certificate_samples
+    assert PASSES[middles] / 2 < passes < 2 * PASSES[middles] and abs(certificates - CERTIFICATES[middles]) <= 3
+    assert told[SEARCHING] / 2 < counted["search"] + counted["certificates"] < 2 * told[SEARCHING]
+    assert told[CERTIFYING] == answers[SMALL].certificate_before.samples
+    fresh = [len(side.values["misfit"]) for side in (answers[SMALL].before, answers[SMALL].after)]
+    assert told[SAMPLING] == sum(count for count in fresh if count != study.certificate_samples)
+    assert told[PRICING] > (len(answers[SMALL].cost_curve) - 1) * study.samples
 
 
 def test_the_curve_of_costs_passes_through_the_study(answers, answered):

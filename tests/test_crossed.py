@@ -6,7 +6,7 @@ import jax
 import numpy as np
 import pytest
 
-from rvjax import cli, tolerances
+from rvjax import cli, phases, tolerances
 from rvjax.report import crossed as written
 from rvjax.study import load, parse_study
 from rvjax.study.crossed import cost_of, put_into
@@ -75,7 +75,7 @@ def folder(tmp_path, monkeypatch):
     return place
 
 
-def test_an_answer_is_judged_by_another_study(folder, capsys):
+def test_an_answer_is_judged_by_another_study(folder, capsys, monkeypatch):
     """Oracle: the misfit of units that are drawn one by one from tolerances put together by hand."""
     question = parse_study(JUDGE, name="judge", solve=False)
     by_hand = question.tolerances.replace(
@@ -85,7 +85,10 @@ def test_an_answer_is_judged_by_another_study(folder, capsys):
     misfit = question.response_of("misfit")
     draw = jax.jit(jax.vmap(lambda unit: misfit(tolerances.sample(by_hand, unit, seed=1)).value["misfit"]))
     good = np.mean(np.asarray(draw(np.arange(4096))) <= 12 * um)
+    seen = []
+    monkeypatch.setattr(phases.Phases, "detail", lambda self, note, part=0.0: seen.append((self.name, note)))
     assert cli.main(["compare", "a", "--on", "judge.toml", "--format", "json"]) == 0
+    assert ("units of A", "Monte Carlo 100 %") in seen
     found = json.loads(capsys.readouterr().out)
     assert found["on"]["study"] == "judge" and list(found) == ["on"]
     one = found["on"]["answers"]["a"]

@@ -102,23 +102,26 @@ def test_a_run_of_units_says_how_far_it_is(monkeypatch):
 
 def test_a_signal_whose_exception_is_lost_ends_the_next_step(monkeypatch):
     """As in the callback by which JAX hears of the garbage collector: what it raises is written off as unraisable."""
-    lost, steps = [], 0
+    lost, steps = [], []
     monkeypatch.setattr(sys, "unraisablehook", lambda said: lost.append(said.exc_type))
 
     def callback(*_):
         gc.callbacks.remove(callback)
         signal.raise_signal(signal.SIGTERM)
 
+    def run():
+        with phases.progress_bar(False, None, "searching", "step") as advance:
+            for step in range(3):
+                steps.append(step)
+                advance(1)
+                if step == 0:
+                    gc.callbacks.append(callback)
+                    gc.collect()
+
     before = signal.getsignal(signal.SIGTERM)
     with pytest.raises(TimeoutError), phases.ended_by(signal.SIGTERM, TimeoutError()):
-        with phases.progress_bar(False, None, "searching", "step") as advance:
-            advance(1)
-            gc.callbacks.append(callback)
-            gc.collect()
-            steps = 1
-            advance(1)
-            steps = 2
-    assert lost == [TimeoutError] and steps == 1
+        run()
+    assert lost == [TimeoutError] and steps == [0, 1]
     assert signal.getsignal(signal.SIGTERM) is before
     with phases.progress_bar(False, None, "searching", "step") as advance:  # the next run is none of its business
         advance(1)

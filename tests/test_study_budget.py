@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rvjax import RVErrors, cli, four_bar, plotting, study
+from rvjax import RVErrors, cli, four_bar, phases, plotting, study
 from rvjax.errors import STAGES
 from rvjax.report import budget as written
 from rvjax.report import page
@@ -168,9 +168,12 @@ def test_the_command_writes_a_folder(found, tmp_path, monkeypatch, capsys):
     """Of the study's own torque, named by hand."""
     monkeypatch.chdir(tmp_path)
     Path("x.toml").write_text(TEXT)
+    seen = []
+    monkeypatch.setattr(phases.Phases, "detail", lambda self, note, part=0.0: seen.append((self.name, note)))
     asked = ["budget", "x.toml", "--samples", str(UNITS), "--seed", "7"]
     assert cli.main([*asked, "--torque", "412 N m", "--torque", "0.412 N m", "--format", "json"]) == 0
     told = json.loads(capsys.readouterr().out)
+    assert ("who owns the error", "solving 50 %") in seen and seen[-1][1] == "solving 100 %"
     folder = tmp_path / told.pop("results")
     assert folder.name == "x-budget" and json.loads((folder / "result.json").read_text()) == told
     assert {file.name for file in folder.iterdir()} == {

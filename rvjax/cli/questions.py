@@ -160,7 +160,7 @@ def compare(options: argparse.Namespace) -> int:
         answers = {letter: crossed.answered(path) for letter, path in paths.items()}
         forewarn(question)
         drawing, found = {letter: f"units of {letter}" for letter in answers}, {}
-        seconds = 5.0 + check.unit_seconds(question) * (options.samples or question.certificate_samples)
+        seconds = 5.0 + (check.unit_seconds(question) or 0.0) * (options.samples or question.certificate_samples)
         with phases.shown(dict.fromkeys(drawing.values(), seconds), quiet=options.quiet):
             for letter, (_, one) in answers.items():
                 phases.begin(drawing[letter])

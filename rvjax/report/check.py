@@ -13,13 +13,10 @@ from rvjax.levels.choice import Choice
 from rvjax.phases import spelled
 from rvjax.plotting import drawings
 from rvjax.report.text import assumed_text, limits, plain, table, tolerance_text
-from rvjax.study.answer import CERTIFYING, PRICING, SAMPLING, SEARCHING
+from rvjax.study.answer import CERTIFYING, PRICING, SAMPLING, SEARCHING, solved_units
 from rvjax.study.plausible import KNOWN_DESIGNS, TORQUE, numbers, shown
 from rvjax.study.question import Study
 
-# Counted in the answers to rv-40e, whose middles move, and rv-40e-whole: half-widths, grades and a curve of costs.
-SEARCH = {True: 140, False: 60}  # passes over the learning sample, with and without middles
-CERTIFICATES = {True: 6, False: 3}  # and one of the tolerances before
 CHUNK = 32_768  # units at once
 
 
@@ -41,11 +38,7 @@ def level_lines(question: Study) -> list[str]:
 
 
 def checked(question: Study) -> str:
-    """Facts of the design, magnitudes beside known reducers, play, levels, and the time it will take, as text.
-
-    Args:
-        question: the study; nothing of it is computed.
-    """
+    """Facts of the design, magnitudes beside known reducers, play, levels, and the time it will take, as text."""
     lines = [f"Study {question.name}: {type(question.design).__name__}", *filter(None, [question.about.line()]), ""]
     lines += [f"{name:32} {value}" for name, value in facts(question.design)]
     lines += ["", table(["number", "this study", "known reducers"], _magnitudes(question))]
@@ -122,11 +115,7 @@ def least_curvature_radius(shortening: float, pins: int) -> float:
 
 
 def contact_ratio(stage: InvoluteStage) -> float:
-    """Transverse contact ratio of sun and planet at their centre distance, with tips of standard height.
-
-    Args:
-        stage: the gears.
-    """
+    """Transverse contact ratio of sun and planet at their centre distance, with tips of standard height."""
     bases = float(stage.sun_base_radius), float(stage.planet_base_radius)
     working = math.acos(min(1.0, sum(bases) / float(stage.centre_distance)))
     tips = (float(stage.module) * (teeth + 2) / 2 for teeth in (stage.sun_teeth, stage.planet_teeth))
@@ -137,40 +126,24 @@ def contact_ratio(stage: InvoluteStage) -> float:
 
 def expected(question: Study) -> str:
     """Time and memory of an allocation, from the measured time of a unit, in words."""
-    unit = _unit_seconds(question)
+    unit = unit_seconds(question)
     if unit is None:
         return "time: unknown, for nobody has measured these levels"
-    middles = bool(question.middles)
-    seconds = unit * (question.certificate_samples * (CERTIFICATES[middles] + 1) + SEARCH[middles] * question.samples)
     return (
-        f"time: about {spelled(seconds)} of computation on the two cores of the measured table, besides tracing and "
-        "compilation (20 s for an RV-40E, 45 s at the first run); "
+        f"time: about {spelled(unit * sum(solved_units(question).values()))} of computation on the two cores of the "
+        "measured table, besides tracing and compilation (20 s for an RV-40E, 45 s at the first run); "
         f"chunks of {CHUNK:,} units, memory does not grow with their number"
     )
 
 
 def phases_of(question: Study, before: str, *after: str) -> dict[str, float]:
-    """Seconds of each phase of an answer, on the machine of the measured table, its compilation included.
-
-    Args:
-        question: the study.
-        before: the phase that reads it.
-        after: phases that follow the answer.
-    """
-    unit = _unit_seconds(question) or 0.0
-    middles = bool(question.middles)
-    passes = SEARCH[middles] * question.samples
-    expected = {
-        before: 6.0,
-        SEARCHING: 20.0 + unit * (0.5 * passes + (CERTIFICATES[middles] - 1) * question.certificate_samples),
-        CERTIFYING: 1.0 + unit * question.certificate_samples,
-        SAMPLING: 16.0,
-        PRICING: 12.0 + unit * 0.5 * passes,
-    }
-    return expected | dict.fromkeys(after, 10.0)
+    """Seconds of each phase of an answer, on the machine of the measured table, its compilation included."""
+    unit, compiling = unit_seconds(question) or 0.0, {SEARCHING: 20.0, CERTIFYING: 1.0, SAMPLING: 16.0, PRICING: 12.0}
+    spent = {phase: compiling[phase] + unit * units for phase, units in solved_units(question).items()}
+    return {before: 6.0} | spent | dict.fromkeys(after, 10.0)
 
 
-def _unit_seconds(question: Study) -> float | None:
+def unit_seconds(question: Study) -> float | None:
     """Time of one unit on two cores, or None where a level was never measured."""
     found = [choice.ns for choice in choices(question).values()]
     return None if None in found else 1e-9 * sum(ns for ns in found if ns is not None)
@@ -178,10 +151,6 @@ def _unit_seconds(question: Study) -> float | None:
 
 def drawn(question: Study, path: str) -> None:
     """Draw the reducer to scale.
-
-    Args:
-        question: the study.
-        path: of a picture.
 
     Raises:
         ValueError: nothing draws this kind of reducer.

@@ -34,6 +34,11 @@ SEARCHING, CERTIFYING = "cheapest tolerances", "yield before"  # phases of a run
 SAMPLING, PRICING = "sample units", "cost against yield"
 YIELD_SWEEP = (0.9, 0.95, 0.99, 0.995, 0.999)
 
+# Counted in the answers to rv-40e, whose middles move and whose half-widths are snapped to grades, and rv-40e-whole.
+PASSES = {True: 108, False: 49}  # of a search over its learning sample, with and without middles
+CERTIFICATES = {True: 6, False: 4}
+PASSES_A_POINT = 6  # of the cost curve
+
 
 @dataclass(frozen=True)
 class Side:
@@ -143,6 +148,17 @@ def answer(study: Study, *, progress: bool = False, journal: Journal | None = No
     )
 
 
+def solved_units(study: Study) -> dict[str, int]:
+    """Units that an answer solves, about, in each of its phases."""
+    middles, drawn = bool(study.middles), study.certificate_samples
+    return {
+        SEARCHING: PASSES[middles] * study.samples + CERTIFICATES[middles] * drawn,
+        CERTIFYING: drawn,
+        SAMPLING: 2 * SHOWN_VALUES if drawn > KEPT else 0,
+        PRICING: len(_targets(study)) * (PASSES_A_POINT * study.samples + shown_values(study)),
+    }
+
+
 def _side(
     study: Study, response: Callable[[Any], Any], tolerances: Any, certificate: Statistics, curves: _Curves
 ) -> Side:
@@ -196,11 +212,9 @@ def _curves(study: Study) -> _Curves:
 def _cost_curve(
     study: Study, response: Callable[[Any], Any], found: Allocation, journal: Journal | None
 ) -> list[tuple[float, float]]:
-    if not found.feasible or all(requirement.goal != "target" for requirement in study.requirements.values()):
-        return []  # no place to start from, or no share of units to move
-    targets = [target for target in YIELD_SWEEP if study.samples * (1 - target) >= FEWEST_BEYOND]
-    if not targets:
-        return []
+    targets = _targets(study)
+    if not found.feasible or not targets:
+        return []  # no place to start from
     moved = found.cost - sum(found.costs.values())  # the curve begins with moved middles, and must pay for them
     curve = cost_of_yields(
         response,
@@ -218,3 +232,10 @@ def _cost_curve(
     if len(goals) == 1 and study.joint_target is None:  # an end of the same searches: one asks for what the study asks
         points.append((least_yield(found.certificate), found.cost))
     return sorted(points)
+
+
+def _targets(study: Study) -> list[float]:
+    """Shares of units that the points of the cost curve ask for; none where no requirement asks for a share."""
+    if all(requirement.goal != "target" for requirement in study.requirements.values()):
+        return []
+    return [target for target in YIELD_SWEEP if study.samples * (1 - target) >= FEWEST_BEYOND]
