@@ -13,12 +13,7 @@ from rvjax.units import parse
 
 
 def part_class(cls: type, name: str) -> Any:
-    """The class of a field that is a record, optional or not.
-
-    Args:
-        cls: of the record that has it.
-        name: of the field.
-    """
+    """The class of a field that is a record, optional or not."""
     hint = typing.get_type_hints(cls)[name]
     return next(item for item in (*typing.get_args(hint), hint) if item is not type(None))
 
@@ -62,20 +57,12 @@ def sources(base: str) -> dict[str, str]:
 
 
 def assumed(base: str) -> list[str]:
-    """Numbers of a published reducer that nobody printed, by their path in the design.
-
-    Args:
-        base: as studies name it, such as "rv-40e".
-    """
+    """Numbers of a published reducer that nobody printed, by their path in the design."""
     return [path for path, said in sources(base).items() if ASSUMED.search(said)]
 
 
 def citation(base: str) -> str:
-    """The source of a published reducer: the comment above its tables.
-
-    Args:
-        base: as studies name it, such as "rv-40e".
-    """
+    """The source of a published reducer: the comment above its tables."""
     before = re.split(rf"^\[{_named(base)}[.\]]", _TEXT, maxsplit=1, flags=re.MULTILINE)[0]
     above = re.findall(r"(?:^# .*\n)+\Z", before, flags=re.MULTILINE)
     return " ".join(line.removeprefix("# ") for line in "".join(above).splitlines())

@@ -69,9 +69,6 @@ def read_table(
 def read_cells(path: str | Path) -> tuple[list[str], list[tuple[int, list[str]]], bool]:
     """Header, rows (line of the file, cells), and whether a decimal comma can stand in a cell.
 
-    Args:
-        path: the file.
-
     Raises:
         ValueError: no table.
         FileNotFoundError: there is no such file.

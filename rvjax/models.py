@@ -33,20 +33,12 @@ class Kind:
     described: Mapping[str, Description]
 
     def curve(self, outputs: tuple[str, ...]) -> Curve | None:
-        """The curve of the first output that is asked and has one; another may need what the design lacks.
-
-        Args:
-            outputs: that are asked for.
-        """
+        """The curve of the first output that is asked and has one; another may need what the design lacks."""
         asked = [self.described[name].curve for name in outputs]
         return next((c for c in asked if c is not None), None)
 
     def conditions_of(self, outputs: tuple[str, ...]) -> list[str]:
-        """Names of the conditions that the models of some outputs read.
-
-        Args:
-            outputs: that are asked for.
-        """
+        """Names of the conditions that the models of some outputs read."""
         read = {f.name for name in outputs for f in dataclasses.fields(self.described[name].conditions)}
         return [f.name for f in dataclasses.fields(self.conditions) if f.name in read]
 

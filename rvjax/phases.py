@@ -154,22 +154,13 @@ def shown(expected: Mapping[str, float], *, counted: str = "", quiet: bool = Fal
 
 
 def begin(name: str) -> None:
-    """A phase begins; its name is one that is expected, or a detail of the one that runs.
-
-    Args:
-        name: of the phase.
-    """
+    """A phase begins; its name is one that is expected, or a detail of the one that runs."""
     if (watched := _WATCHED.get()) is not None:
         watched.begin(name)
 
 
 def detail(note: str, part: float = 0.0) -> bool:
-    """What the phase does now; False if nobody watches.
-
-    Args:
-        note: a few words.
-        part: of this detail that is done.
-    """
+    """What the phase does now; False if nobody watches."""
     _go_on()
     watched = _WATCHED.get()
     if watched is not None:
@@ -259,11 +250,7 @@ def aside() -> Iterator[None]:
 
 
 def spelled(seconds: float) -> str:
-    """A time as a person says it: "7 s", "3 min", "1.5 h".
-
-    Args:
-        seconds: to tell.
-    """
+    """A time as a person says it: "7 s", "3 min", "1.5 h"."""
     if seconds < 99.5:
         return f"{seconds:.0f} s"
     return f"{seconds / 60:.0f} min" if seconds < 5970 else f"{seconds / 3600:.1f} h"

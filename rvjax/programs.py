@@ -21,9 +21,6 @@ def keep(version: str) -> Path | None:
     """Keep programs from now on; the folder, or None where nothing is kept.
 
     `RVJAX_KEEP_PROGRAMS=0` switches it off; `JAX_COMPILATION_CACHE_DIR` names another folder and is left alone.
-
-    Args:
-        version: of rvjax.
     """
     if os.environ.get(OFF) == "0" or jax.config.values["jax_compilation_cache_dir"]:
         return None
@@ -40,12 +37,7 @@ def keep(version: str) -> Path | None:
 
 
 def prune(folder: Path, largest: int) -> None:
-    """Remove the files that were used longest ago until the rest fit.
-
-    Args:
-        folder: of programs.
-        largest: bytes of all together.
-    """
+    """Remove the files that were used longest ago until the rest fit."""
     found = []
     for path in folder.iterdir():
         try:

@@ -138,11 +138,7 @@ def at_once(like: Array) -> SolveInfo:
 
 
 def worst_of(infos: SolveInfo) -> SolveInfo:
-    """The info that speaks for several: worst status, most steps, largest residual.
-
-    Args:
-        infos: with arrays.
-    """
+    """The info that speaks for several: worst status, most steps, largest residual."""
     return SolveInfo(worst(infos.status), jnp.max(infos.steps), jnp.max(infos.residual))
 
 

@@ -80,12 +80,7 @@ def frame(record: Any, batch: Sequence[str] = (), along: str | None = None) -> A
 
 
 def tidy(rows: Iterable[Mapping[str, Any]], index: Sequence[str]) -> Any:
-    """A `pandas.DataFrame` of rows by name.
-
-    Args:
-        rows: each of the same names.
-        index: names that index the rows.
-    """
+    """A `pandas.DataFrame` of rows by name."""
     pandas = needed("pandas", "to_pandas")
     return pandas.DataFrame(list(rows)).set_index(list(index))
 

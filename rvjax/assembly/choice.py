@@ -74,14 +74,7 @@ def least_sum(
 
 
 def least_largest(cost: np.ndarray, supply: Supply, starts: int, rng: np.random.Generator) -> Choice:
-    """The plan whose largest cost is least, and among these the one with the least sum.
-
-    Args:
-        cost: finite, of every combination.
-        supply: stocks.
-        starts: of the alternation.
-        rng: of its random plans.
-    """
+    """The plan whose largest cost is least, and among these the one with the least sum."""
     levels = np.unique(cost)
     if len(supply.shape) == 2 and not supply.shared:
         level = _least_level(cost, supply, levels)

@@ -182,10 +182,6 @@ class Known:
 def known(kind: Kind, slot: str) -> Known:
     """What is known of all parts of a kind.
 
-    Args:
-        kind: as given.
-        slot: its name, for messages.
-
     Raises:
         ValueError: parts whose errors differ in structure or shape.
     """

@@ -167,15 +167,7 @@ def draw(
 def chosen(
     found: Costs, supply: Supply, objective: str, starts: int, rng: np.random.Generator
 ) -> tuple[Build, float, float, bool]:
-    """Build, bound and objective on the draws that chose, and whether it is proved; the objective is inf if it fails.
-
-    Args:
-        found: costs of all combinations.
-        supply: stocks.
-        objective: of the plan.
-        starts: of the alternation.
-        rng: of its random plans.
-    """
+    """Build, bound and objective on the draws that chose (inf if it fails), and whether it is proved."""
     single = [slot for slot, size in enumerate(supply.shape) if size == 1]
     kept = [slot for slot in range(len(supply.shape)) if slot not in single]
     if single and len(kept) >= 2:  # what is the same in every unit is no choice, and two slots are exact

@@ -93,14 +93,7 @@ class Posterior(Identifiability):
 
 
 def outcome(solver: int, adequate: bool, heavy: int, trusted: bool) -> Outcome:
-    """The first of the outcomes that holds.
-
-    Args:
-        solver: status of the solver.
-        adequate: whether the model may be right.
-        heavy: modes that count.
-        trusted: whether Laplace's method holds.
-    """
+    """The first of the outcomes that holds."""
     if solver == Status.NONFINITE:
         return Outcome.NONFINITE
     if solver == Status.MAX_STEPS:

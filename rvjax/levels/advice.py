@@ -14,11 +14,7 @@ def report(table: Table) -> str:
 
 
 def advice(model: Model) -> str:
-    """Which level to use when, from the measured errors at the error size nearest 1 and times.
-
-    Args:
-        model: measured.
-    """
+    """Which level to use when, from the measured errors at the error size nearest 1 and times."""
     *mentioned, exact = worth_a_mention(model)
     if not mentioned:
         return f"Only {exact.name} ({_time(exact.ns)}) is of use: no cheaper level comes within its own size of it."
@@ -27,11 +23,7 @@ def advice(model: Model) -> str:
 
 
 def worth_a_mention(model: Model) -> list[Level]:
-    """Levels of the front, each several times as accurate as the one before, and the exact one.
-
-    Args:
-        model: measured.
-    """
+    """Levels of the front, each several times as accurate as the one before, and the exact one."""
     mentioned: list[Level] = []
     exact = model.level(model.reference)
     for level in model.front():
@@ -42,11 +34,7 @@ def worth_a_mention(model: Model) -> list[Level]:
 
 
 def markdown(table: Table) -> str:
-    """The levels that the advice names, as the table of the README.
-
-    Args:
-        table: measured.
-    """
+    """The levels that the advice names, as the table of the README."""
     lines = ["| model, one case | level | largest error | of its rms | time |", "|---|---|---:|---:|---:|"]
     for model in table.models.values():
         first = next(iter(model.outputs))

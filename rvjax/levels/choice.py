@@ -234,12 +234,7 @@ def reach(tolerances: Any) -> dict[str, float]:
 
 
 def design_numbers(design: Any, prefix: str = "") -> dict[str, float]:
-    """Every number of a design by path, counts included; an array is not a design that was measured: NaN.
-
-    Args:
-        design: record, nested records included.
-        prefix: of the paths.
-    """
+    """Every number of a design by path, counts included; an array is not a design that was measured: NaN."""
     found: dict[str, float] = {}
     for f in dataclasses.fields(design):
         value = getattr(design, f.name)

@@ -16,12 +16,7 @@ from rvjax.tolerances import Outcome, Tolerance, for_design, monte_carlo, rss
 
 
 def measure_statistics(*, quick: bool, seed: int) -> Model:
-    """Mean and standard deviation of the transmission error of a batch of RV-40E units, by every method.
-
-    Args:
-        quick: fewer units.
-        seed: of the first repetition.
-    """
+    """Mean and standard deviation of the transmission error of a batch of RV-40E units, by every method."""
     tolerances = for_design(RV_40E, **{name: Tolerance(*ends) for name, ends in LINKS.items()})
     kind = models.kind(RV_40E)
     given = kind.conditions(output_torque=412.0, angles=16)

@@ -42,11 +42,7 @@ def measure(*, quick: bool = False, seed: int = 0, say: Callable[[str], None] = 
 
 
 def measured(*, quick: bool = False) -> list[Cases]:
-    """The cases that every model describes.
-
-    Args:
-        quick: fewer levels and cases.
-    """
+    """The cases that every model describes."""
     return [cases for d in models.descriptions() if d.cases for cases in d.cases(quick)]
 
 
@@ -62,14 +58,7 @@ def limits(errors: Mapping[str, Any], design: Any) -> Any:
 
 
 def draw(cases: Cases, call: int, size: float, seed: int) -> tuple[Any, Any, Any]:
-    """Designs, errors and the rest of a batch of cases, float64, the same at every error size but for the scale.
-
-    Args:
-        cases: what to draw.
-        call: number of the batch.
-        size: factor on the errors.
-        seed: of the random numbers.
-    """
+    """Designs, errors and the rest of a batch of cases, float64, the same at every error size but for the scale."""
     rng = np.random.default_rng([seed, call])
     design = jax.tree.map(lambda x: x * (1 + rng.uniform(-SPREAD, SPREAD, cases.batch)), cases.design)
     if cases.extra is not None:

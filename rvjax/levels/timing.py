@@ -13,13 +13,7 @@ import jax
 def alternate(
     candidates: Mapping[str, Callable[[], Any]], *, seconds: float = 2.0, rounds: int = 25
 ) -> dict[str, float]:
-    """Minimum seconds of each candidate, run in turn for `rounds` and `seconds` each, or 10 x `seconds` together.
-
-    Args:
-        candidates: by name.
-        seconds: that each runs at least.
-        rounds: that all run at least.
-    """
+    """Minimum seconds of each candidate, run in turn for `rounds` and `seconds` each, or 10 x `seconds` together."""
     for run in candidates.values():
         jax.block_until_ready(run())
     best = dict.fromkeys(candidates, float("inf"))

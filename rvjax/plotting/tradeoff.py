@@ -63,11 +63,7 @@ def pareto(model: Model, *, axes: Axes | None = None) -> Axes:
 
 
 def tradeoff(table: Table) -> Figure:
-    """All models of a table, one picture each.
-
-    Args:
-        table: measured.
-    """
+    """All models of a table, one picture each."""
     models = list(table.models.values())
     rows = math.ceil(len(models) / 2)
     with style():

@@ -60,11 +60,7 @@ of the pins, standard deviation of `pattern`; lengths in um."""
 
 
 def pattern(seed: int = 0) -> RVErrors:
-    """Scatter of pins, teeth and crank journals of a unit that nobody measured, standard deviation 1 um.
-
-    Args:
-        seed: of the draw.
-    """
+    """Scatter of pins, teeth and crank journals of a unit that nobody measured, standard deviation 1 um."""
     draw = np.random.default_rng(seed).normal
     counts = MACHINE.counts
     return RVErrors(

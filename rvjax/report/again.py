@@ -29,12 +29,7 @@ def folder(study: Study, option: str | None) -> Path | None:
 
 
 def journal(study: Study, place: Path) -> Journal | None:
-    """Where an allocation keeps what took long until its results folder is there; None if the study names other files.
-
-    Args:
-        study: the question.
-        place: of the results.
-    """
+    """Where an allocation keeps what took long until its folder is there; None if the study names other files."""
     if _names_files(tomllib.loads(study.text)):
         return None
     about = {"study": study.text, "flags": os.environ.get("XLA_FLAGS", "")}
@@ -42,11 +37,7 @@ def journal(study: Study, place: Path) -> Journal | None:
 
 
 def status(place: Path) -> str:
-    """How the allocation in a results folder ended.
-
-    Args:
-        place: from `folder`.
-    """
+    """How the allocation in a results folder ended."""
     return str(json.loads((place / "result.json").read_text("utf-8"))["status"])
 
 

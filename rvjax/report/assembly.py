@@ -23,13 +23,7 @@ from rvjax.tolerances import Estimate
 
 
 def summary(plan: Plan, bench: Bench, study: Study) -> str:
-    """The plan in a few lines, in the units in which a person reads them.
-
-    Args:
-        plan: found.
-        bench: parts.
-        study: question.
-    """
+    """The plan in a few lines, in the units in which a person reads them."""
     unit, size = study.output(bench.name).shown
 
     def figure(found: Estimate) -> str:
@@ -65,13 +59,7 @@ def _named(unit: dict[str, Any]) -> list[tuple[str, Any]]:
 
 
 def build_rows(plan: Plan, bench: Bench, study: Study) -> tuple[list[str], list[list[str]]]:
-    """Headers and rows of the list for the bench: unit, part and position of each slot, expected response.
-
-    Args:
-        plan: found.
-        bench: parts.
-        study: question.
-    """
+    """Headers and rows of the list for the bench: unit, part and position of each slot, expected response."""
     unit, size = study.output(bench.name).shown
     slots = [slot for slot in plan.build[0] if slot != REST]
     headers = ["unit"]
@@ -89,13 +77,7 @@ def build_rows(plan: Plan, bench: Bench, study: Study) -> tuple[list[str], list[
 
 
 def position(design: Any, slot: str, index: int) -> str:
-    """A position in words.
-
-    Args:
-        design: counts are read.
-        slot: of the part.
-        index: of the position.
-    """
+    """A position in words."""
     over, turn = False, index
     kind, _, number = slot.rpartition("_")
     if kind == "disc":
@@ -106,11 +88,7 @@ def position(design: Any, slot: str, index: int) -> str:
 
 
 def price_text(prices: Sequence[Price]) -> str:
-    """Tighter tolerances or matching, as text; empty without prices.
-
-    Args:
-        prices: by yield.
-    """
+    """Tighter tolerances or matching, as text; empty without prices."""
     if not prices:
         return ""
     headers = ["yield", "cost, random", "opened by", "cost, matched", "allocation"]
@@ -119,30 +97,14 @@ def price_text(prices: Sequence[Price]) -> str:
 
 
 def as_json(plan: Plan, bench: Bench, study: Study, prices: Sequence[Price] = ()) -> dict[str, Any]:
-    """Everything about a plan as JSON values, SI, with seed and versions.
-
-    Args:
-        plan: found.
-        bench: parts.
-        study: question.
-        prices: of tolerances alone and with matching.
-    """
+    """Everything about a plan as JSON values, SI, with seed and versions."""
     about: dict[str, Any] = {"study": study.name, "response": bench.name, "seed": study.seed, "versions": versions()}
     found = {f.name: getattr(plan, f.name) for f in dataclasses.fields(plan)}
     return plain(about | {"requirement": bench.requirement, "prices": prices} | found)
 
 
 def write(plan: Plan, bench: Bench, study: Study, source: str, folder: Path, prices: Sequence[Price] = ()) -> Path:
-    """Write list, summary, JSON, study, parts and pictures into a new folder.
-
-    Args:
-        plan: found.
-        bench: parts.
-        study: question.
-        source: file of the parts.
-        folder: that is wanted.
-        prices: of tolerances alone and with matching.
-    """
+    """Write list, summary, JSON, study, parts and pictures into a new folder."""
 
     def fill(scratch: Path) -> None:
         (scratch / "study.toml").write_text(study.text, "utf-8")
@@ -177,11 +139,7 @@ def _picture(plan: Plan, bench: Bench, study: Study) -> bytes:
 
 
 def png(axes: Any) -> bytes:
-    """A picture as a file, closed.
-
-    Args:
-        axes: of the picture.
-    """
+    """A picture as a file, closed."""
     import matplotlib.pyplot as plt
 
     file = io.BytesIO()

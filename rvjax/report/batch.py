@@ -27,12 +27,7 @@ def write(found: Statistics, question: Study, source: str, *, figures: str | Non
 
 
 def as_json(found: Statistics, question: Study) -> dict[str, Any]:
-    """The figures as JSON values, SI, with the unit of each response.
-
-    Args:
-        found: statistics; values of single units are left out.
-        question: the study.
-    """
+    """The figures as JSON values, SI, with the unit of each response."""
     units = {name: question.output(name).unit for name in found.mean}
     return {"name": question.name, "units": units} | text.plain(dataclasses.replace(found, values=None))
 

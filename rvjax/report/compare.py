@@ -38,10 +38,6 @@ def result(path: str) -> dict[str, Any]:
 def compared(first: dict[str, Any], second: dict[str, Any]) -> dict[str, Any]:
     """Both results by topic: {topic: {name: {"unit", "a", "b"}}}; SI, null for what one does not have.
 
-    Args:
-        first: from `result`.
-        second: the same.
-
     Raises:
         ValueError: something in them is not what `rvjax allocate` writes.
     """
@@ -55,12 +51,7 @@ def compared(first: dict[str, Any], second: dict[str, Any]) -> dict[str, Any]:
 
 
 def text(first: dict[str, Any], second: dict[str, Any]) -> str:
-    """The same as tables for a person.
-
-    Args:
-        first: from `result`.
-        second: the same.
-    """
+    """The same as tables for a person."""
     return "\n\n".join(_table(topic, rows) for topic, rows in compared(first, second).items())
 
 

@@ -43,12 +43,7 @@ def _text(found: Estimate) -> str:
 
 
 def rows(found: Corrections, seed: int) -> tuple[list[str], list[list[str]]]:
-    """Headers and rows: what each curve is, what is stored, and what stays.
-
-    Args:
-        found: curves and corrections.
-        seed: of the intervals.
-    """
+    """Headers and rows: what each curve is, what is stored, and what stays."""
     headers = ["curve", "orders stored", "rms before", "rms after [interval]", "p-p before", "p-p after [interval]"]
     cells = []
     for curve in found.curves:
@@ -61,11 +56,7 @@ def rows(found: Corrections, seed: int) -> tuple[list[str], list[list[str]]]:
 
 
 def cross_rows(found: Corrections) -> tuple[list[str], list[list[str]]]:
-    """Headers and rows: rms that the table of one curve leaves of each other one, arcsec.
-
-    Args:
-        found: curves and corrections.
-    """
+    """Headers and rows: rms that the table of one curve leaves of each other one, arcsec."""
     headers = ["table made at", *(curve.label or "all" for curve in found.curves)]
     cells = []
     for made in found.curves:
@@ -78,13 +69,7 @@ def cross_rows(found: Corrections) -> tuple[list[str], list[list[str]]]:
 
 
 def summary(found: Corrections, study: Study, *, seed: int) -> str:
-    """The corrections as text, arcsec of the output.
-
-    Args:
-        found: curves and corrections.
-        study: question.
-        seed: of the intervals.
-    """
+    """The corrections as text, arcsec of the output."""
     lines = [f"Compensation {study.name}: ratio {found.curves[0].correction.ratio:g}, arcsec at the output", ""]
     lines.append(table(*rows(found, seed)))
     if len(found.curves) > 1:
@@ -95,13 +80,7 @@ def summary(found: Corrections, study: Study, *, seed: int) -> str:
 
 
 def tables(found: Corrections, points: int, side: str) -> list[Table]:
-    """The table of each curve; more steps than asked for where its orders need them.
-
-    Args:
-        found: curves and corrections.
-        points: equal steps of the output angle.
-        side: "input" or "output".
-    """
+    """The table of each curve; more steps than asked for where its orders need them."""
     return [table_of(curve.correction, max(points, _least(curve.correction)), side=side) for curve in found.curves]
 
 
@@ -111,14 +90,7 @@ def _least(correction: Correction) -> int:
 
 
 def export_all(found: Corrections, tables: Sequence[Table], path: str, seed: int) -> list[Path]:
-    """Write the table of every curve; with several of them, the name of each file tells which.
-
-    Args:
-        found: curves and corrections.
-        tables: of each curve.
-        path: of the file.
-        seed: of the study.
-    """
+    """Write the table of every curve; with several of them, the name of each file tells which."""
     target, written = Path(path), []
     for curve, rows in zip(found.curves, tables):
         label = re.sub(r"[^A-Za-z0-9.+-]+", "_", curve.label)
@@ -137,13 +109,7 @@ def _mounting(curve: Curve) -> tuple[np.ndarray, str]:
 
 
 def as_json(found: Corrections, tables: Sequence[Table], study: Study) -> dict[str, Any]:
-    """Everything about corrections as JSON values, SI, with seed and versions.
-
-    Args:
-        found: curves and corrections.
-        tables: of each curve.
-        study: question.
-    """
+    """Everything about corrections as JSON values, SI, with seed and versions."""
     curves = [
         {
             "torque": curve.torque,
@@ -163,15 +129,7 @@ def as_json(found: Corrections, tables: Sequence[Table], study: Study) -> dict[s
 
 
 def write(found: Corrections, tables: Sequence[Table], study: Study, source: str, folder: Path) -> Path:
-    """Write summary, orders, tables, JSON, data and pictures into a new folder.
-
-    Args:
-        found: curves and corrections.
-        tables: of each curve.
-        study: question.
-        source: file of the curves.
-        folder: that is wanted.
-    """
+    """Write summary, orders, tables, JSON, data and pictures into a new folder."""
 
     def fill(scratch: Path) -> None:
         (scratch / "study.toml").write_text(study.text, "utf-8")

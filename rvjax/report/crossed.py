@@ -42,12 +42,7 @@ def answered(path: str) -> tuple[Study, Any]:
 
 
 def differences(answer: Study, study: Study) -> list[str]:
-    """Numbers of the designs that both have and that differ, a line each.
-
-    Args:
-        answer: study of the answer.
-        study: that judges it.
-    """
+    """Numbers of the designs that both have and that differ, a line each."""
     ours, theirs = dict(numbers(study.design)), dict(numbers(answer.design))
     return [
         f"{name} is {shown(theirs[name][0], unit)} in {answer.name} and {shown(value, unit)} in {study.name}"
@@ -57,12 +52,7 @@ def differences(answer: Study, study: Study) -> list[str]:
 
 
 def summary(found: Mapping[str, Crossed], answers: Mapping[str, Study]) -> str:
-    """Yields, tolerances and costs of the answers under one study, as text.
-
-    Args:
-        found: by letter.
-        answers: their own studies, by letter.
-    """
+    """Yields, tolerances and costs of the answers under one study, as text."""
     study = next(iter(found.values())).study
     lines = [f"On {study.name}:", ""]
     rows = []
@@ -95,12 +85,7 @@ def summary(found: Mapping[str, Crossed], answers: Mapping[str, Study]) -> str:
 
 
 def explained(one: Crossed, answer: Study) -> list[str]:
-    """What the answer and the study do not share, a line each.
-
-    Args:
-        one: the answer under the study.
-        answer: its own study.
-    """
+    """What the answer and the study do not share, a line each."""
     lines = []
     if one.own:
         lines.append(f"{answer.name} has no tolerance for {', '.join(one.own)}: those of {one.study.name} are kept")
@@ -112,12 +97,7 @@ def explained(one: Crossed, answer: Study) -> list[str]:
 
 
 def as_json(found: Mapping[str, Crossed], answers: Mapping[str, Study]) -> dict[str, Any]:
-    """The same as JSON values, SI.
-
-    Args:
-        found: by letter.
-        answers: their own studies, by letter.
-    """
+    """The same as JSON values, SI."""
     study = next(iter(found.values())).study
     sides = {}
     for letter, one in found.items():

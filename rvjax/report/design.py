@@ -15,11 +15,7 @@ from rvjax.study.question import Study
 
 
 def design_section(study: Study) -> str:
-    """The section as HTML.
-
-    Args:
-        study: whose design it shows.
-    """
+    """The section as HTML."""
     drawn = figure(drawing(study.design)) if isinstance(study.design, RVReducer) else ""
     cells = []
     for number in study.numbers:
@@ -43,23 +39,14 @@ def _typed(value: str) -> str:
 
 
 def value_text(value: Any, unit: str) -> str:
-    """A number of a design with its unit; of an array the elements.
-
-    Args:
-        value: SI.
-        unit: its SI unit, "-" for none.
-    """
+    """A number of a design with its unit; of an array the elements."""
     if getattr(value, "shape", ()) or isinstance(value, list | tuple):
         return ", ".join(value_text(item, unit) for item in value)
     return shown(value, unit) if unit != "-" else f"{float(value):.6g}"
 
 
 def drawing(design: RVReducer) -> Picture:
-    """The second stage to scale, as SVG.
-
-    Args:
-        design: the reducer.
-    """
+    """The second stage to scale, as SVG."""
     import matplotlib.pyplot as plt
 
     from rvjax import plotting

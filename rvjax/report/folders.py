@@ -34,11 +34,7 @@ def results_folder(option: str | None, name: str) -> Path:
 
 
 def numbered_folders(name: str) -> list[Path]:
-    """The results folders of a study that are there, in the order of their numbers.
-
-    Args:
-        name: of the study.
-    """
+    """The results folders of a study that are there, in the order of their numbers."""
     return [folder for folder in _numbered(Path("results") / name) if folder.is_dir()]
 
 
@@ -61,10 +57,6 @@ def new_folder(folder: Path) -> Path:
 def write(answer: Answer, folder: Path) -> Path:
     """Write study, tables, JSON and pictures into a new folder: all of them, or nothing.
 
-    Args:
-        answer: what to write.
-        folder: that is wanted; where another run has taken it meanwhile, the next free number.
-
     Returns:
         The folder.
     """
@@ -82,12 +74,7 @@ def _files(answer: Answer) -> Iterator[tuple[str, bytes]]:
 
 
 def as_csv(headers: Sequence[str], rows: Iterable[Sequence[str | float | None]]) -> bytes:
-    """A table as the content of a CSV file.
-
-    Args:
-        headers: of the columns.
-        rows: cells.
-    """
+    """A table as the content of a CSV file."""
     file = io.StringIO(newline="")
     csv.writer(file, lineterminator="\n").writerows([headers, *rows])
     return file.getvalue().encode()
@@ -95,10 +82,6 @@ def as_csv(headers: Sequence[str], rows: Iterable[Sequence[str | float | None]])
 
 def write_files(files: Iterable[tuple[str, bytes]], folder: Path) -> Path:
     """Write files into a new folder: all of them, or nothing.
-
-    Args:
-        files: name and content, made one after the other.
-        folder: that is wanted; where another run has taken it meanwhile, the next free number.
 
     Returns:
         The folder.

@@ -14,11 +14,7 @@ EMPTY, NIL = ("", "-", ZERO, NOT_SEEN), ' class="nil"'  # cells that a narrow sc
 
 
 def typeset(cell: str) -> str:
-    """A cell of the text tables for the page: numbers stay with their units, an interval has a line of its own.
-
-    Args:
-        cell: plain text.
-    """
+    """A cell of the text tables for the page: numbers stay with their units, an interval has a line of its own."""
     cell, _, interval = cell.partition(" [")
     cell = micro(escape(cell.replace("+-", "±").replace("<=", "≤").replace(">=", "≥"))).replace(" and ", "<br>")
     if re.match(r"0\.00+ ", cell) or cell == "0.0 %":
@@ -46,12 +42,7 @@ def note(text: str) -> str:
 
 
 def section(title: str, content: str) -> str:
-    """A section of the page.
-
-    Args:
-        title: plain text.
-        content: HTML.
-    """
+    """A section of the page."""
     return f"<section>\n<h2>{escape(title)}</h2>\n{content}\n</section>"
 
 

@@ -23,20 +23,12 @@ SEEN = 1e-3  # resolution of the elements that a table of text lists
 
 
 def field_of(element: str) -> str:
-    """Field of an element: "crank_phase[1]" -> "crank_phase".
-
-    Args:
-        element: its name.
-    """
+    """Field of an element: "crank_phase[1]" -> "crank_phase"."""
     return element.partition("[")[0]
 
 
 def in_words(loadings: Mapping[str, float]) -> str:
-    """A combination as a person writes it: "crank eccentricity [0,0] - [0,1] - [1,0] + [1,1]".
-
-    Args:
-        loadings: {element: correlation with the combination}.
-    """
+    """A combination as a person writes it: "crank eccentricity [0,0] - [0,1] - [1,0] + [1,1]"."""
     largest = max(map(abs, loadings.values()))
     terms = {name: size for name, size in loadings.items() if abs(size) >= SHOWN * largest}
     alike = all(abs(abs(size) - largest) <= EQUAL * largest for size in terms.values())
@@ -54,11 +46,7 @@ def in_words(loadings: Mapping[str, float]) -> str:
 
 
 def elements(structure: Mapping[str, Any]) -> dict[str, float]:
-    """{element: number} of values with the structure of a prior.
-
-    Args:
-        structure: {field: array or number}.
-    """
+    """{element: number} of values with the structure of a prior."""
     found = {}
     for name in sorted(structure):
         values = np.asarray(structure[name], float)
@@ -68,12 +56,7 @@ def elements(structure: Mapping[str, Any]) -> dict[str, float]:
 
 
 def shown_unit(answer: Identified, field: str) -> tuple[str, float]:
-    """Name and SI size of the unit in which a person reads a field.
-
-    Args:
-        answer: whose field.
-        field: its name.
-    """
+    """Name and SI size of the unit in which a person reads a field."""
     if field in NUISANCES:
         return "arcsec", arcsec
     unit = field_unit(answer.study.design, field)
@@ -175,12 +158,7 @@ def unit_rows(answer: Identified) -> tuple[list[str], list[list[str]]]:
 
 
 def next_lines(answer: Identified, most: int = 3) -> list[str]:
-    """What to measure next, best first.
-
-    Args:
-        answer: whose.
-        most: lines.
-    """
+    """What to measure next, best first."""
     return [f"{name}: {gain:.3g} nats" for name, gain in list((answer.gains or {}).items())[:most]]
 
 
@@ -289,13 +267,7 @@ def _unit(answer: Identified, k: int) -> dict[str, Any]:
 
 
 def files(answer: Identified, data: Sequence[str], more: Iterable[tuple[str, bytes]]) -> Iterator[tuple[str, bytes]]:
-    """Everything that goes into a results folder, by name.
-
-    Args:
-        answer: what to write.
-        data: names of the data files.
-        more: page and pictures.
-    """
+    """Everything that goes into a results folder, by name."""
     from rvjax.report import identified_numbers  # reads the units of this module
 
     yield "study.toml", answer.study.text.encode()

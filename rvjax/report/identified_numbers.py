@@ -8,11 +8,7 @@ from rvjax.study.identified import Identified
 
 
 def element_numbers(answer: Identified) -> Rows:
-    """Every element, those that the data move most first: verdict, value and 95 % interval in the unit of its row.
-
-    Args:
-        answer: of which.
-    """
+    """Every element, those that the data move most first: verdict, value and 95 % interval in the unit of its row."""
     check, found = answer.check, answer.posterior
     headers = ["element", "unit", "verdict", "known better by", "value", "lower", "upper", "chance beyond limit"]
     names = sorted(check.names, key=lambda name: -check.resolution[name])
@@ -28,11 +24,7 @@ def element_numbers(answer: Identified) -> Rows:
 
 
 def unit_numbers(answer: Identified) -> Rows:
-    """Every unit of a batch: status, fit, and value and 95 % interval of each element that is identified.
-
-    Args:
-        answer: of a batch.
-    """
+    """Every unit of a batch: status, fit, and value and 95 % interval of each element that is identified."""
     batch = answer.batch
     assert batch is not None
     own = [n for n in answer.check.names if answer.check.verdict[n] == "identified"]

@@ -27,12 +27,7 @@ SIDES = np.array([-1.959964, 1.959964])  # of a 95 % interval
 
 
 def pictures(answer: Identified, form: str = "png") -> Iterator[Picture]:
-    """Draw an answer.
-
-    Args:
-        answer: what to draw.
-        form: "png" or "svg".
-    """
+    """Draw an answer."""
     import matplotlib.pyplot as plt
 
     from rvjax import plotting
@@ -94,13 +89,7 @@ def _at(prior: dict[str, Tolerance], side: float) -> dict[str, float]:
 
 
 def page(answer: Identified, study: str, data: Sequence[str]) -> str:
-    """The whole page.
-
-    Args:
-        answer: what to show.
-        study: study file, as given on the command line.
-        data: data files, as given.
-    """
+    """The whole page."""
     drawn = {picture.name: picture for picture in pictures(answer, "svg")}
     style = (resources.files("rvjax.report") / "report.css").read_text("utf-8")
     parts = [_head(answer), _curves(answer, drawn), _seen(answer), _elements(answer, drawn), _units(answer)]

@@ -36,12 +36,7 @@ def section(found: Surrogate | None, answer: Answer) -> str:
 
 
 def script(found: Surrogate | None, answer: Answer) -> str:
-    """Numbers and script of the section, for the end of the page.
-
-    Args:
-        found: from `surrogate`, or None.
-        answer: that it belongs to.
-    """
+    """Numbers and script of the section, for the end of the page."""
     if found is None:
         return ""
     # Text of the user stands inside: nothing in it may end the element.
@@ -52,12 +47,7 @@ def script(found: Surrogate | None, answer: Answer) -> str:
 
 
 def data(found: Surrogate, answer: Answer) -> dict[str, Any]:
-    """What the script reads; in the units in which a person does.
-
-    Args:
-        found: the surrogate.
-        answer: that it belongs to.
-    """
+    """What the script reads; in the units in which a person does."""
     study, allocation = answer.study, answer.allocation
     graded = found.place(allocation.graded.tolerances) if allocation.graded else None
     own = found.place(study.tolerances)
@@ -88,11 +78,7 @@ def data(found: Surrogate, answer: Answer) -> dict[str, Any]:
 
 
 def error_text(found: Surrogate) -> str:
-    """How far the surrogate was off, in words.
-
-    Args:
-        found: the surrogate.
-    """
+    """How far the surrogate was off, in words."""
     share, mean, sd = (100 * found.error(figure) for figure in ("yield", "mean", "sd"))
     return (
         f"yields were within {share:.2g} % of the units of computed ones at {len(found.checks)} points of it, means "

@@ -17,11 +17,7 @@ MOVED = "middles moved"
 
 
 def moved(allocation: Allocation) -> float:
-    """Cost of having moved middles; 0 where that is rounding.
-
-    Args:
-        allocation: of which.
-    """
+    """Cost of having moved middles; 0 where that is rounding."""
     found = allocation.cost - sum(allocation.costs.values())
     return found if found > 1e-9 * allocation.cost else 0.0
 
@@ -93,11 +89,6 @@ def _figure(verdict: Verdict, size: float) -> list[Cell]:
 
 
 def number(value: Any, size: float = 1.0) -> float | None:
-    """To ten digits, in a unit of this size; None for what is not finite.
-
-    Args:
-        value: SI.
-        size: of the unit.
-    """
+    """To ten digits, in a unit of this size; None for what is not finite."""
     found = float(value) / size
     return float(f"{found:.10g}") if math.isfinite(found) else None

@@ -27,12 +27,7 @@ class Picture:
 
 
 def pictures(answer: Answer, form: str = "png") -> Iterator[Picture]:
-    """Draw an answer: curves of sample units, a histogram for each requirement, variance shares, cost against yield.
-
-    Args:
-        answer: what to draw.
-        form: "png" or "svg".
-    """
+    """Draw an answer: curves of sample units, a histogram for each requirement, variance shares, cost against yield."""
     import matplotlib.pyplot as plt
 
     from rvjax import plotting

@@ -139,11 +139,7 @@ class Surrogate:
 
 
 def surrogate(answer: Answer) -> Surrogate | None:
-    """The surrogate of an answer with its measured error; None where no unit is valid or nothing can move.
-
-    Args:
-        answer: whose allocated tolerances are the middle of the region.
-    """
+    """The surrogate of an answer with its measured error; None where no unit is valid or nothing can move."""
     study, side = answer.study, answer.after
     names, response = tuple(study.requirements), study.response()
     parameters = tuple(_parameters(answer))

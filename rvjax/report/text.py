@@ -34,12 +34,7 @@ def table(headers: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 
 def comparison_table(rows: Sequence[Comparison], *, notes: bool = False) -> str:
-    """Published figures beside computed ones, and how many there are of each verdict.
-
-    Args:
-        rows: comparisons.
-        notes: print the reading or the reason under each figure.
-    """
+    """Published figures beside computed ones, and how many there are of each verdict."""
     headers = ["figure", "published", "computed", "unit", "physically right", "verdict"]
     cells = [[row.id, show(row.published), show(row.computed), row.unit, show(row.right), row.status] for row in rows]
     text = table(headers, cells).split("\n")
@@ -159,13 +154,7 @@ def figure_text(verdict: Verdict, unit: str, size: float) -> str:
 
 
 def estimate_text(found: Estimate, unit: str = "", size: float = 1.0) -> str:
-    """A figure with its interval, "-" where there is none.
-
-    Args:
-        found: the figure.
-        unit: in which it is read.
-        size: of the unit, SI.
-    """
+    """A figure with its interval, "-" where there is none."""
     if math.isnan(found.value):
         return "-"
     name = f" {unit}" if unit else ""
@@ -236,11 +225,7 @@ def summary(answer: Answer) -> str:
 
 
 def assumed_text(study: Study) -> str:
-    """The numbers that nobody printed; a part of which that holds for all stands for them.
-
-    Args:
-        study: whose design it is.
-    """
+    """The numbers that nobody printed; a part of which that holds for all stands for them."""
     stated = [number for number in study.numbers if number.origin != "default"]
     known = {number.path.rpartition(".")[0] for number in stated if not number.assumed} | {""}
     paths = (number.path for number in stated if number.assumed)

@@ -31,11 +31,7 @@ class WorstUnit:
 
 
 def worst_units(answer: Answer) -> list[WorstUnit]:
-    """Of the sample behind the histograms: the first failed unit of each status, then the worst of each requirement.
-
-    Args:
-        answer: whose units.
-    """
+    """Of the sample behind the histograms: the first failed unit of each status, then the worst of each requirement."""
     study, side = answer.study, answer.after
     found = [(index, "", status) for status, index in side.failed.items()]
     for name, requirement in study.requirements.items():

@@ -31,9 +31,6 @@ class About:
 def parse_about(table: dict[str, Any]) -> About:
     """What stands in [about].
 
-    Args:
-        table: as read; every key may be missing.
-
     Raises:
         ValueError: names the key and its value.
     """

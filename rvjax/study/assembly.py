@@ -30,11 +30,6 @@ REST = "rest"
 def parse_assembly(table: dict[str, Any], design: Any, requirements: Mapping[str, Any]) -> Assembly:
     """The table [assembly] of a study.
 
-    Args:
-        table: as read.
-        design: names its errors and their units.
-        requirements: of the study, by response.
-
     Raises:
         ValueError: names the key, its value and the unit.
     """

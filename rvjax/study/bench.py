@@ -74,12 +74,7 @@ def number_of_design(design: Any, name: str) -> tuple[str, ...]:
 
 
 def unit_of_number(design: Any, name: str) -> str:
-    """SI unit of a number of a design, "-" for the factor on all springs.
-
-    Args:
-        design: the reducer.
-        name: as in `number_of_design`.
-    """
+    """SI unit of a number of a design, "-" for the factor on all springs."""
     path = number_of_design(design, name)
     if not path:
         return "-"
@@ -136,11 +131,7 @@ class Curves(Record):
     idle: bool = text("no run has a torque")
 
     def __call__(self, values: Values) -> Observation:
-        """What the bench would see of one unit.
-
-        Args:
-            values: of the prior.
-        """
+        """What the bench would see of one unit."""
         spectrum = self._four_bar if self.model == "four_bar" else self._loaded
         mean, found = spectrum(*_taken(self.design, values))
         place = np.array(self.place)
@@ -271,11 +262,7 @@ class Midline(Record):
     offset: bool = text("the prior has one")
 
     def __call__(self, values: Values) -> Observation:
-        """What the bench would see of one unit.
-
-        Args:
-            values: of the prior.
-        """
+        """What the bench would see of one unit."""
         unit, errors = _taken(self.design, values)
         stiff, given = errors.stiffened(unit), self.conditions
         ways = dict(contact=given.pin_contact, carrier=given.carrier, sun=given.sun, input_angle=given.input_angle)
@@ -293,11 +280,7 @@ class Frequencies(Record):
     )
 
     def __call__(self, values: Values) -> Observation:
-        """What the bench would see of one unit.
-
-        Args:
-            values: of the prior.
-        """
+        """What the bench would see of one unit."""
         found = _modes(self.design, values)
         alike = jnp.abs(jnp.asarray(self.test) @ found.shape)
         place = jax.lax.stop_gradient(jnp.argmax(jnp.where(jnp.isfinite(alike), alike, 0.0), axis=1))

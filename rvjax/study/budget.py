@@ -162,12 +162,7 @@ def error_budget(
 
 
 def budget_if_any(study: Study, tolerances: Any = None) -> Budget | None:
-    """The budget of a study that has one: a torque, and a response with a curve along the output.
-
-    Args:
-        study: as in `error_budget`.
-        tolerances: the same.
-    """
+    """The budget of a study that has one: a torque, and a response with a curve along the output."""
     if _curve_along(study, tuple(study.requirements)) is None or not getattr(
         study.conditions, torque_condition(study.conditions)
     ):
@@ -176,11 +171,7 @@ def budget_if_any(study: Study, tolerances: Any = None) -> Budget | None:
 
 
 def torque_condition(given: Any) -> str:
-    """Name of the condition that is the torque.
-
-    Args:
-        given: conditions of a kind of design.
-    """
+    """Name of the condition that is the torque."""
     return next(f.name for f in dataclasses.fields(given) if f.metadata["torque"])
 
 

@@ -19,10 +19,5 @@ WORDS = ("direction", "unit")
 
 
 def read_table(path: str | Path, columns: Mapping[str, object] | None = None) -> cells.Table:
-    """A table that a bench has written; see `rvjax.columns.read_table`.
-
-    Args:
-        path: the file.
-        columns: foreign names by quantity.
-    """
+    """A table that a bench has written; see `rvjax.columns.read_table`."""
     return cells.read_table(path, columns, units=UNITS, words=WORDS)

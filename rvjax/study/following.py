@@ -21,10 +21,6 @@ AGREE_CIRCLE = 0.02
 def followed(design: Any, given: dict[str, Any]) -> Any:
     """The design, with what follows from the numbers that a study gives.
 
-    Args:
-        design: with these numbers already in place.
-        given: the table [design]; parts are tables.
-
     Raises:
         ValueError: a given number contradicts those it follows from; names both.
     """

@@ -45,11 +45,7 @@ class Identification:
     columns: dict[str, Any] = dataclasses.field(default_factory=dict)
 
     def prior(self, tolerances: Any) -> dict[str, Tolerance]:
-        """All fields of the values of a unit: errors that vary, unknown numbers, nuisances of the bench.
-
-        Args:
-            tolerances: of the study.
-        """
+        """All fields of the values of a unit: errors that vary, unknown numbers, nuisances of the bench."""
         names = [f.name for f in dataclasses.fields(tolerances)]
         errors = {n: getattr(tolerances, n) for n in names if isinstance(getattr(tolerances, n), Tolerance)}
         bench = {name: nuisance(name, self.orders) for name in self.nuisance if name in NUISANCES}
@@ -64,13 +60,6 @@ def parse_identification(
     tolerance: Callable[[dict[str, Any], str, str], Tolerance],
 ) -> Identification:
     """The section as it is read.
-
-    Args:
-        table: [identify].
-        columns: [columns].
-        design: the reducer.
-        tolerances: of the study.
-        tolerance: (table, unit, key) -> the tolerance that a table says.
 
     Raises:
         ValueError: one line that names the key, its value and the unit.
@@ -149,12 +138,7 @@ def _check_parts(model: str, design: Any) -> None:
 
 
 def field_unit(design: Any, name: str) -> str:
-    """SI unit of a field of the values of a unit: an error, an unknown number or a nuisance.
-
-    Args:
-        design: the reducer.
-        name: of the field.
-    """
+    """SI unit of a field of the values of a unit: an error, an unknown number or a nuisance."""
     units = {f.name: f.metadata["unit"] for f in dataclasses.fields(design.error_record)}
     if name in NUISANCES:
         return "rad"

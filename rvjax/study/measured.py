@@ -204,10 +204,6 @@ def _run(table: Table, at: Conditions, rows: np.ndarray) -> Run:
 def checked(run: Run, finest: int) -> Run:
     """A run from which orders up to `finest` of the output turn can be told.
 
-    Args:
-        run: as read.
-        finest: highest order.
-
     Raises:
         ValueError: it covers less than 359 deg, turns back, or has a gap above half the finest order.
     """

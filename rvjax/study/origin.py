@@ -63,11 +63,7 @@ def design_numbers(design: Any, given: dict[str, Any], text: str) -> list[Number
 
 
 def comments(text: str) -> dict[str, str]:
-    """The comment at each number of a design in a study file, by its path; that of its header if it says "assumed".
-
-    Args:
-        text: of the study.
-    """
+    """The comment at each number of a design in a study file, by its path; that of its header if it says "assumed"."""
     found, section, heading = dict[str, str](), "", ""
     for line in text.splitlines():
         if header := re.match(r"\s*\[([^\]]*)\]\s*(?:#\s*(.*))?", line):

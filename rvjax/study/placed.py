@@ -22,10 +22,6 @@ ROUND = ("rayleigh", "von_mises")
 def spelled(design: Any, table: dict[str, Any]) -> dict[str, Any]:
     """The table [tolerances] with the words of drawings as limits and laws.
 
-    Args:
-        design: whose errors these are.
-        table: as read.
-
     Raises:
         ValueError: names the key, its value and the unit.
     """
@@ -103,11 +99,6 @@ def _text(value: float) -> str:
 
 def refuse_unplaced(kind: models.Kind, outputs: Sequence[str], tolerances: Any) -> None:
     """Refuse a tolerance with a place that no model asked can place.
-
-    Args:
-        kind: of the design.
-        outputs: that are asked for.
-        tolerances: record of its errors with a Tolerance or None in each field.
 
     Raises:
         ValueError: names the key, and who could.

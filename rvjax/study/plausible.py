@@ -28,12 +28,6 @@ HALF_WIDTH = {"m": (0.5e-6, 40e-6), "rad": (1e-4, 9e-3), "-": (0.01, 0.3)}  # of
 def refuse_impossible(design: Any, tolerances: Any, costs: dict[str, Any], middles: dict[str, Middle]) -> None:
     """Refuse parts that do not fit into each other, and errors as large as the part.
 
-    Args:
-        design: the reducer.
-        tolerances: record of its errors with a Tolerance or None in each field.
-        costs: cost model of each error that is allocated, by name.
-        middles: where limits may move to, by name.
-
     Raises:
         ValueError: names the key, its value and what it collides with.
     """
@@ -58,13 +52,7 @@ def refuse_impossible(design: Any, tolerances: Any, costs: dict[str, Any], middl
 
 
 def doubts(design: Any, conditions: Any, tolerances: Any) -> list[str]:
-    """Numbers that are far from those of every known reducer, a line each.
-
-    Args:
-        design: the reducer.
-        conditions: how it runs.
-        tolerances: record of its errors with a Tolerance or None in each field.
-    """
+    """Numbers that are far from those of every known reducer, a line each."""
     known = [dict(numbers(one)) for one in KNOWN_DESIGNS if type(one) is type(design)]
     found = []
     for name, (value, unit) in numbers(design):
@@ -156,12 +144,7 @@ def _toleranced(tolerances: Any) -> Iterator[tuple[str, Tolerance, Any]]:
 
 
 def numbers(record: Any, prefix: str = "") -> Iterator[tuple[str, tuple[float, str]]]:
-    """(name, (value of the largest size, SI unit)) of every quantity with a unit in a record of records.
-
-    Args:
-        record: whose numbers are asked for.
-        prefix: of the names.
-    """
+    """(name, (value of the largest size, SI unit)) of every quantity with a unit in a record of records."""
     for f in dataclasses.fields(record):
         value, about = getattr(record, f.name), f.metadata
         if about["kind"] == "record" and value is not None:
@@ -172,11 +155,6 @@ def numbers(record: Any, prefix: str = "") -> Iterator[tuple[str, tuple[float, s
 
 
 def shown(value: Any, unit: str) -> str:
-    """A number with the largest unit in which it is at least one.
-
-    Args:
-        value: SI.
-        unit: its SI unit.
-    """
+    """A number with the largest unit in which it is at least one."""
     name, size = suited(value, unit)
     return f"{float(value) / size:.4g} {name}" if unit != "-" else f"{float(value):.4g}"

@@ -32,11 +32,6 @@ class Price:
 def prices(study: Study, found: Bench, *, sets: int = 8) -> list[Price]:
     """Allocate for several yields of the response that decides, and open the tolerances by matching.
 
-    Args:
-        study: costs, tolerances and samples.
-        found: numbers of parts, stocks, positions and measurement uncertainties.
-        sets: of virtual parts.
-
     Raises:
         StudyError: no costs, or none for an error of the parts.
     """

@@ -78,9 +78,6 @@ def _model(study: Study, asked: Identification, runs: Sequence[Conditions]) -> M
 def asked_of(study: Study) -> Identification:
     """What a study asks of measured units.
 
-    Args:
-        study: the question.
-
     Raises:
         StudyError: it has no [identify].
     """
@@ -91,10 +88,6 @@ def asked_of(study: Study) -> Identification:
 
 def problem(study: Study, measured: Measured | None = None) -> Problem:
     """The problem of a study and its data; without data, of the runs that the study plans.
-
-    Args:
-        study: with [identify].
-        measured: of one kind.
 
     Raises:
         ValueError: data of a kind that the model does not predict, runs from which the orders cannot be told, or
@@ -202,12 +195,7 @@ def _fitted(run: Run, wanted: Sequence[int], beside: Sequence[int]) -> _Fitted:
 
 
 def floor_orders(design: RVReducer, orders: Sequence[int]) -> list[int]:
-    """The orders nearest to those of a study that no part of the reducer causes.
-
-    Args:
-        design: tells pins, teeth and ratio.
-        orders: of the study.
-    """
+    """The orders nearest to those of a study that no part of the reducer causes."""
     top = max(orders) + 200
     parts = (design.cycloid.pin_count, design.cycloid.disc_teeth, round(design.ratio))
     named = {0, 1, 2, 3, 4, *orders}
@@ -217,11 +205,7 @@ def floor_orders(design: RVReducer, orders: Sequence[int]) -> list[int]:
 
 
 def planned(study: Study) -> tuple[Conditions, ...]:
-    """The runs that a study plans: its torques in its directions; without torques that of its conditions, forward.
-
-    Args:
-        study: with [identify].
-    """
+    """The runs that a study plans: its torques in its directions; without torques that of its conditions, forward."""
     asked = asked_of(study)
     if not asked.torques:
         return (Conditions(torque=study.conditions.output_torque),)
@@ -229,11 +213,7 @@ def planned(study: Study) -> tuple[Conditions, ...]:
 
 
 def candidates(problem: Problem) -> list[Conditions]:
-    """Runs that could be measured next.
-
-    Args:
-        problem: of curves; others have none.
-    """
+    """Runs that could be measured next."""
     asked = problem.asked
     if problem.kind != "curve":
         return []
@@ -261,11 +241,7 @@ class Wide:
 
 
 def wide(problem: Problem) -> Wide:
-    """The problem with its candidates.
-
-    Args:
-        problem: of any kind; only curves have candidates.
-    """
+    """The problem with its candidates."""
     if problem.kind != "curve":
         return Wide(problem.model, problem.noise, {}, {})
     chosen = candidates(problem)

@@ -71,11 +71,7 @@ class Response(Record):
         return cls(design, tuple(outputs), conditions, chosen, tuple(bounds))
 
     def __call__(self, errors: Any) -> Outcome:
-        """Values and the worst status of one unit.
-
-        Args:
-            errors: of the design.
-        """
+        """Values and the worst status of one unit."""
         errors = errors.bounded(self.bounds) if self.bounds else errors
         shared: dict[Any, dict[Source, Any]] = {}  # by level; outputs of one level read the same results
         found = {name: self._one(name, errors, shared) for name in self.outputs}
@@ -101,11 +97,7 @@ class Response(Record):
 
 
 def followed_bounds(tolerances: Any) -> tuple[str, ...]:
-    """Errors without a place that have no tolerance of their own and follow from an error with one.
-
-    Args:
-        tolerances: record of errors with a Tolerance or None in each field.
-    """
+    """Errors without a place that have no tolerance of their own and follow from an error with one."""
     given = {f.name for f in dataclasses.fields(tolerances) if getattr(tolerances, f.name) is not None}
     return tuple(name for name, placed in BOUNDS.items() if placed in given and name not in given)
 
@@ -128,9 +120,6 @@ def check_nominal(response: Callable[[Any], Outcome], errors: Any) -> None:
 
 def refuse(status: int) -> None:
     """Refuse a question whose error-free unit has a status that is no success.
-
-    Args:
-        status: of that unit.
 
     Raises:
         ValueError: names the status.

@@ -94,11 +94,7 @@ def _fits(parts: Parts, tables: dict[str, Any], gaps: _Gaps) -> bool:
 
 
 def canonical(tables: dict[str, Any]) -> str:
-    """Tables of a study as TOML, a header for each table of two names.
-
-    Args:
-        tables: as read.
-    """
+    """Tables of a study as TOML, a header for each table of two names."""
     lines = []
     for name, table in tables.items():
         plain = {key: value for key, value in table.items() if name in ("design", "run") or not isinstance(value, dict)}

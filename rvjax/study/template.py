@@ -21,9 +21,6 @@ QUESTIONS = {"rv": "rv-40e", "oscillatory-roller": "corr"}
 def written(base: str) -> str:
     """Text of a study of a known reducer whose numbers all stand in the file.
 
-    Args:
-        base: name of the reducer.
-
     Raises:
         ValueError: an unknown name.
     """

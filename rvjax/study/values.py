@@ -35,13 +35,7 @@ def naming_field(where: str) -> Iterator[None]:
 
 
 def known(table: dict[str, Any], keys: Iterable[str], where: str) -> None:
-    """Refuse keys that nobody reads.
-
-    Args:
-        table: as read.
-        keys: that may stand there.
-        where: its name, "" for the file.
-    """
+    """Refuse keys that nobody reads."""
     for key in table:
         if key not in keys:
             name = f"{where}.{key}" if where else f"[{key}]"
@@ -49,23 +43,13 @@ def known(table: dict[str, Any], keys: Iterable[str], where: str) -> None:
 
 
 def meant(word: Any, words: Iterable[str]) -> str:
-    """The nearest of the words, where one is near.
-
-    Args:
-        word: as written.
-        words: that are known.
-    """
+    """The nearest of the words, where one is near."""
     near = difflib.get_close_matches(str(word), list(words), 1)
     return f" (did you mean {near[0]}?)" if near else ""
 
 
 def subtable(parent: dict[str, Any], key: str) -> dict[str, Any]:
-    """A table, empty where it is missing.
-
-    Args:
-        parent: that holds it.
-        key: its name.
-    """
+    """A table, empty where it is missing."""
     value = parent.get(key, {})
     if not isinstance(value, dict):
         raise ValueError(f"{key} = {value!r}: must be a table")
@@ -73,26 +57,14 @@ def subtable(parent: dict[str, Any], key: str) -> dict[str, Any]:
 
 
 def share(value: Any, where: str) -> float:
-    """A share of units, between 0 and 1.
-
-    Args:
-        value: as read.
-        where: its key.
-    """
+    """A share of units, between 0 and 1."""
     if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < 1:
         raise ValueError(f"{where} = {value!r}: must lie between 0 and 1, such as 0.9973")
     return float(value)
 
 
 def integer(value: Any, where: str, minimum: float, maximum: float) -> int:
-    """A whole number within limits.
-
-    Args:
-        value: as read.
-        where: its key.
-        minimum: least.
-        maximum: most.
-    """
+    """A whole number within limits."""
     if isinstance(value, bool) or not isinstance(value, int) or value < minimum:
         raise ValueError(f"{where} = {value!r}: must be an integer of at least {minimum}")
     if value > maximum:
@@ -102,10 +74,6 @@ def integer(value: Any, where: str, minimum: float, maximum: float) -> int:
 
 def finite(text: str, where: str) -> float:
     """A number of a table.
-
-    Args:
-        text: of the cell.
-        where: file, line and column.
 
     Raises:
         StudyError: it is none, or not finite.
@@ -120,13 +88,7 @@ def finite(text: str, where: str) -> float:
 
 
 def quantity(value: Any, unit: str, where: str) -> float:
-    """A number in SI.
-
-    Args:
-        value: as read.
-        unit: SI unit that it must be in, "-" for none.
-        where: its key.
-    """
+    """A number in SI."""
     try:
         return parse(value, unit)
     except ValueError as error:
@@ -134,13 +96,7 @@ def quantity(value: Any, unit: str, where: str) -> float:
 
 
 def choice(value: Any, choices: Iterable[str], where: str) -> str:
-    """One of several words.
-
-    Args:
-        value: as read.
-        choices: words.
-        where: its key.
-    """
+    """One of several words."""
     if not isinstance(value, str) or value not in choices:
         raise ValueError(f"{where} = {value!r}{meant(value, choices)}: must be one of {', '.join(choices)}")
     return value

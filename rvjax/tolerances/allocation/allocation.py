@@ -191,12 +191,7 @@ def allocate(
 
 
 def block(samples: int, certificate_samples: int) -> int:
-    """Units of a certificate evaluated at once: as many as the search does where that needs no second program.
-
-    Args:
-        samples: units that the search learns from.
-        certificate_samples: of the certificate.
-    """
+    """Units of a certificate evaluated at once: as many as the search does where that needs no second program."""
     return min(samples, BLOCK) if certificate_samples < BLOCK else BLOCK
 
 

@@ -175,9 +175,5 @@ def cost_of_yields(
 
 
 def least_yield(statistics: Statistics) -> float:
-    """The least share of units that keeps one requirement; a study without any has no curve.
-
-    Args:
-        statistics: of units that requirements have judged.
-    """
+    """The least share of units that keeps one requirement; a study without any has no curve."""
     return min(verdict.estimate.value for verdict in statistics.verdicts.values() if verdict.kind == "share")

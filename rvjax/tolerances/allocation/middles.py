@@ -49,10 +49,6 @@ class Middle:
 def check_middles(middles: Mapping[str, Middle], active: Mapping[str, Tolerance]) -> None:
     """Refuse middles of errors that have none to move.
 
-    Args:
-        middles: by field.
-        active: tolerances by field.
-
     Raises:
         ValueError: names the field.
     """
@@ -74,16 +70,7 @@ def centred(
     middles: Mapping[str, Middle],
     advance: Callable[[int], object],
 ) -> tuple[Training, float]:
-    """The sample with its middles where the cheapest half-widths cost least, and the cost of having moved them.
-
-    Args:
-        training: the sample.
-        priced: costs of the half-widths by field.
-        max_steps: of one search.
-        start: half-widths to begin with.
-        middles: ranges, by field.
-        advance: of a progress bar, for every set of half-widths.
-    """
+    """The sample with its middles where the cheapest half-widths cost least, and the cost of having moved them."""
     names, items = list(middles), list(middles.values())
     given = np.array([float(training.population.active[name].middle) for name in names])
     low, high = (np.array([getattr(item, end) for item in items]) for end in ("lower", "upper"))

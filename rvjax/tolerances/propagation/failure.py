@@ -257,11 +257,7 @@ class _Search:
                 break
 
     def follow(self, guide: Mixture) -> int:
-        """Take the points of another response, moved along their rays to where this one changes; how many there are.
-
-        Args:
-            guide: around its points.
-        """
+        """Take the points of another response, moved along their rays to where this one changes; how many there are."""
         order = np.argsort(guide.distances)
         points, converged = guide.centres[:, order], guide.converged[order]
         tried = points[:, :_ON_RAYS]

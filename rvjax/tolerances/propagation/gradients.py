@@ -58,12 +58,7 @@ def gradients(
 
 
 def nominal_status(response: Response, population: Population) -> int:
-    """Status of the unit without errors, by the program of the gradients.
-
-    Args:
-        response: of one unit.
-        population: whose active fields have errors.
-    """
+    """Status of the unit without errors, by the program of the gradients."""
     names, count = response_names(response, population), sum(math.prod(t.shape) for t in population.active.values())
     lanes = (jnp.zeros((rows, LANES), jnp.result_type(float)) for rows in (count, len(names)))
     return int(pulled(response, population, *lanes, names=names)[1][0])

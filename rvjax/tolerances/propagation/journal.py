@@ -32,12 +32,7 @@ class Journal:
         self._about = repr(sorted(fingerprint.items()))
 
     def recall(self, asked: Mapping[str, str], compute: Callable[[], np.ndarray]) -> np.ndarray:
-        """The array, from the folder where a run before has left it there.
-
-        Args:
-            asked: what the array is, exact to the last bit.
-            compute: makes it.
-        """
+        """The array, from the folder where a run before has left it there."""
         name = hashlib.sha256((self._about + repr(sorted(asked.items()))).encode()).hexdigest()[:_DIGITS]
         path = self.folder / f"{name}.npy"
         with contextlib.suppress(ValueError, EOFError, OSError):  # absent or damaged: computed and written
@@ -55,13 +50,7 @@ class Journal:
     def units(
         self, names: tuple[str, ...], asked: Mapping[str, str], compute: Callable[[], tuple[Values, jax.Array]]
     ) -> tuple[dict[str, np.ndarray], np.ndarray]:
-        """Values by name and status of a block of units.
-
-        Args:
-            names: of the responses.
-            asked: what the block is.
-            compute: evaluates it.
-        """
+        """Values by name and status of a block of units."""
 
         def rows() -> np.ndarray:
             values, status = compute()

@@ -28,11 +28,7 @@ class Linearised(Record):
     then: Any = text("function of the values; None for themselves", default=None)
 
     def __call__(self, errors: Any) -> PyTree:
-        """The values of one unit.
-
-        Args:
-            errors: of the unit.
-        """
+        """The values of one unit."""
         leaves = jax.tree_util.tree_flatten_with_path(errors)[0]
         given = {jax.tree_util.keystr(path, simple=True, separator="."): leaf for path, leaf in leaves}
         d = jnp.concatenate([jnp.ravel(jnp.asarray(given[name])) for name in self.fields]) - self.mean

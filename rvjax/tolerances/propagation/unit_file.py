@@ -80,12 +80,7 @@ class UnitFile:
 
 
 def elements(field: str, shape: tuple[int, ...]) -> list[str]:
-    """Names of the elements of an error, in C order, as `correlation` takes them.
-
-    Args:
-        field: name of the error.
-        shape: () is a scalar, called as the field.
-    """
+    """Names of the elements of an error, in C order, as `correlation` takes them."""
     places = itertools.product(*map(range, shape))
     return [f"{field}[{','.join(map(str, place))}]" if place else field for place in places]
 
@@ -94,15 +89,7 @@ def elements(field: str, shape: tuple[int, ...]) -> list[str]:
 def writing(
     target: UnitFile, path: Path, names: Sequence[str], population: Population, about: Mapping[str, Any]
 ) -> Iterator[Write]:
-    """A function that adds a chunk; the file is there once the block has ended well, whole or not at all.
-
-    Args:
-        target: what is asked.
-        path: of the file, that of the target or of this process's part of it.
-        names: of the responses.
-        population: that is drawn from.
-        about: JSON values beside those of the target.
-    """
+    """A function that adds a chunk; the file is there once the block has ended well, whole or not at all."""
     columns = target.columns(names, population)
     said = {"format": FORMAT, "kind": "units", **about, "study": dict(about.get("study", {})) | dict(target.about)}
     check_writable(path)
@@ -214,9 +201,6 @@ _TABLES: dict[str, type[_Csv] | type[_Parquet]] = {".csv": _Csv, ".parquet": _Pa
 def parquet_origin(path: Path) -> dict[str, Any]:
     """What a Parquet file of units says of itself: kind, seed, study, versions.
 
-    Args:
-        path: of the file.
-
     Raises:
         ValueError: no file of units of rvjax, or damaged.
         ImportError: pyarrow is not installed.
@@ -235,9 +219,6 @@ def parquet_origin(path: Path) -> dict[str, Any]:
 
 def parquet_frame(path: Path) -> Any:
     """The units of a Parquet file as a `pandas.DataFrame`, SI, indexed by unit; units in `attrs["units"]`.
-
-    Args:
-        path: of the file.
 
     Raises:
         ValueError: as `parquet_origin`.
