@@ -278,11 +278,10 @@ def _shape_text(shape: Shape) -> str:
 
 
 def _field_table(fields: tuple[dataclasses.Field[Any], ...]) -> str:
-    rows = [
-        (f.name, f.metadata["unit"], _shape_text(f.metadata.get("shape", ())), f.metadata["meaning"]) for f in fields
-    ]
-    widths = [max(len(row[k]) for row in rows) for k in range(3)]
-    lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths)) + "  " + row[3] for row in rows]
+    rows = [(f.name, f.metadata["unit"], _shape_text(f.metadata.get("shape", ()))) for f in fields]
+    widths = [max(map(len, column)) for column in zip(*rows)]
+    cells = [[cell.ljust(width) for cell, width in zip(row, widths)] for row in rows]
+    lines = ["  ".join([*row, f.metadata["meaning"]]) for row, f in zip(cells, fields)]
     return "Fields (name, unit, shape, meaning)::\n\n" + "\n".join("    " + line for line in lines)
 
 
@@ -327,9 +326,8 @@ def _checked(owner: str, f: dataclasses.Field[Any], value: Any) -> Any:
 
 def _check_sign(owner: str, f: dataclasses.Field[Any], value: Any) -> None:
     sign, values = f.metadata["sign"], np.asarray(value)
-    bad = {"positive": values <= 0, "nonnegative": values < 0, "any": np.False_}[sign]  # NaN passes: a status names it
-    if np.asarray(bad).any():
-        rule = {"positive": "positive", "nonnegative": "zero or positive"}[sign]
+    if sign != "any" and np.any(values <= 0 if sign == "positive" else values < 0):  # NaN passes: a status names it
+        rule = "positive" if sign == "positive" else "zero or positive"
         raise ValueError(f"{owner}.{f.name} = {quantity(value, f.metadata['unit'])}: must be {rule}")
 
 
@@ -342,16 +340,11 @@ def _check_axes(item: Any) -> None:
         if f.metadata["kind"] not in ("real", "pair") or not is_concrete(value) or np.ndim(value) == 0:
             continue
         shape = np.shape(value)
-        expected = f"expected {_shape_text(declared)}" + (
-            " or a scalar" if declared else ", a scalar; sweep with jax.vmap"
-        )
-        if len(shape) != len(declared):
-            raise ValueError(f"{owner}.{f.name}: shape {shape}, {expected}")
+        if len(shape) != len(declared) or any(isinstance(axis, int) and axis != n for axis, n in zip(declared, shape)):
+            also = " or a scalar" if declared else ", a scalar; sweep with jax.vmap"
+            raise ValueError(f"{owner}.{f.name}: shape {shape}, expected {_shape_text(declared)}{also}")
         for axis, size in zip(declared, shape):
-            if isinstance(axis, int):
-                if axis != size:
-                    raise ValueError(f"{owner}.{f.name}: shape {shape}, {expected}")
-            elif sizes.setdefault(axis, (size, f.name))[0] != size:
+            if isinstance(axis, str) and sizes.setdefault(axis, (size, f.name))[0] != size:
                 raise ValueError(
                     f"{owner}.{f.name}: shape {shape} has {size} {axis}, {sizes[axis][1]} has {sizes[axis][0]}"
                 )

@@ -1,5 +1,6 @@
 """Checkpoints of a Monte Carlo study, and the fingerprint that keeps two studies apart."""
 
+import glob
 import hashlib
 import io
 import json
@@ -19,7 +20,7 @@ import numpy as np
 import scipy
 
 from rvjax.records import Record
-from rvjax.tolerances.atomic import write_atomically
+from rvjax.tolerances.atomic import PARTIAL, write_atomically
 from rvjax.tolerances.population.population import Population
 from rvjax.tolerances.propagation.requirements import Limits
 from rvjax.tolerances.propagation.responses import Response, respond
@@ -167,3 +168,22 @@ def digest(arrays: Arrays) -> str:
         found.update(f"{name} {array.dtype.str} {array.shape}".encode())
         found.update(np.ascontiguousarray(array).data)
     return found.hexdigest()
+
+
+def of_process(path: str | Path, process: int, processes: int) -> Path:
+    """The checkpoint of one process; refuses those of another number of processes, which would begin anew."""
+    whole = Path(path)
+    all_of = [of_number(whole, number, processes) for number in range(processes)]
+    all_of = [whole] if processes == 1 else all_of
+    for found in (whole, *whole.parent.glob(f"{glob.escape(whole.name)}.*-of-*")):
+        if found.suffix != PARTIAL and found not in all_of and found.is_file():
+            raise ValueError(
+                f"checkpoint = {str(path)!r}: {found.name} is of another number of processes than {processes}; "
+                "name another file, or delete it to begin anew"
+            )
+    return all_of[process]
+
+
+def of_number(whole: Path, process: int, processes: int) -> Path:
+    """The file of one of several processes."""
+    return whole.with_name(f"{whole.name}.{process}-of-{processes}")

@@ -3,7 +3,6 @@
 import contextlib
 import dataclasses
 import functools
-import glob
 import itertools
 import math
 import operator
@@ -16,7 +15,6 @@ import numpy as np
 
 from rvjax.phases import progress_bar
 from rvjax.status import PRECEDENCE
-from rvjax.tolerances.atomic import PARTIAL
 from rvjax.tolerances.population.correlation import Correlation
 from rvjax.tolerances.population.population import Population
 from rvjax.tolerances.population.sampling import check_method
@@ -26,6 +24,8 @@ from rvjax.tolerances.propagation.checkpoint import (
     LARGEST,
     Checkpoint,
     describe,
+    of_number,
+    of_process,
     response_hash,
     versions,
 )
@@ -225,7 +225,7 @@ class Run:
             return contextlib.nullcontext()
         path, (process, processes) = Path(self.save.path), place()
         about = dict(seed=self.seed, samples=self.samples, method=self.method, versions=versions(), study=study)
-        own = path if processes == 1 else _named(path, process, processes)
+        own = path if processes == 1 else of_number(path, process, processes)
         return writing(self.save, own, self.names, self.population, about)
 
     def _begun(self, study: dict[str, str]) -> tuple[Tally, Checkpoint | None, int, bool]:
@@ -239,7 +239,7 @@ class Run:
         process, processes = place()
         study["response"] = response_hash(self.response, self.population)
         mine = {"process": f"{process} of {processes}"}
-        file = Checkpoint(_of_process(self.checkpoint, process, processes), study | mine | versions())
+        file = Checkpoint(of_process(self.checkpoint, process, processes), study | mine | versions())
         done, state = file.load(LARGEST * (1 + len(self.names)) + 16 * self.samples * len(self.names))
         if done * self.chunk > self.samples:
             where = f"checkpoint = {str(self.checkpoint)!r} holds {done * self.chunk} already"
@@ -301,25 +301,6 @@ def _check_memory(samples: int, responses: int) -> None:
             f"keep = True: {samples} units need {8 * samples * responses / 2**30:.3g} GiB, more than half of this "
             f"machine's {memory / 2**30:.3g} GiB; without keep memory does not grow with samples"
         )
-
-
-def _of_process(path: str | Path, process: int, processes: int) -> Path:
-    """The checkpoint of one process; refuses those of another number of processes, which would begin anew."""
-    whole = Path(path)
-    all_of = [_named(whole, number, processes) for number in range(processes)]
-    all_of = [whole] if processes == 1 else all_of
-    for found in (whole, *whole.parent.glob(f"{glob.escape(whole.name)}.*-of-*")):
-        if found.suffix != PARTIAL and found not in all_of and found.is_file():
-            raise ValueError(
-                f"checkpoint = {str(path)!r}: {found.name} is of another number of processes than {processes}; "
-                "name another file, or delete it to begin anew"
-            )
-    return all_of[process]
-
-
-def _named(whole: Path, process: int, processes: int) -> Path:
-    """The file of one of several processes."""
-    return whole.with_name(f"{whole.name}.{process}-of-{processes}")
 
 
 def _recalled(

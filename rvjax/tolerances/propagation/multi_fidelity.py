@@ -2,30 +2,20 @@
 
 import dataclasses
 import math
-import time
 from collections.abc import Mapping
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
-from rvjax.status import succeeded
 from rvjax.tolerances.population.correlation import Correlation
-from rvjax.tolerances.population.population import Population, root_key
+from rvjax.tolerances.population.population import Population
 from rvjax.tolerances.propagation.control_variates import Basis, Regressed, regressed
 from rvjax.tolerances.propagation.estimates import Estimate, deviate_of, wilson
+from rvjax.tolerances.propagation.fidelities import Units
 from rvjax.tolerances.propagation.figures import rejects
 from rvjax.tolerances.propagation.limits import Limits
 from rvjax.tolerances.propagation.moments import CentralMoments
-from rvjax.tolerances.propagation.responses import (
-    BLOCK,
-    Response,
-    by_name,
-    by_response,
-    respond,
-    response_names,
-)
+from rvjax.tolerances.propagation.responses import BLOCK, Response, by_name, by_response, response_names
 from rvjax.tolerances.propagation.targeting import (
     Prediction,
     Targeted,
@@ -153,7 +143,7 @@ def multi_fidelity(
     levels = dict(cheap) if isinstance(cheap, Mapping) else {"cheap": cheap}
     if not levels:
         raise ValueError("cheap: needs at least one response")
-    units = _Units(response, levels, population, names, seed)
+    units = Units(response, levels, population, names, seed)
     near = int(chosen_share * samples) if required else 0
     near = near if near >= _FEWEST_CHOSEN else 0
     study = _Study(units, required, samples, near, cheap_samples, seed, confidence)
@@ -164,61 +154,9 @@ def multi_fidelity(
     return result if required else dataclasses.replace(result, yield_=None, ppm=None)
 
 
-class _Units:
-    """Values of all responses of any units, and the seconds that they took once compiled."""
-
-    def __init__(
-        self, dear: Response, cheap: Mapping[str, Response], population: Population, names: tuple[str, ...], seed: int
-    ) -> None:
-        self.dear, self.cheap, self.population, self.names = dear, cheap, population, names
-        self.key, self.taken = root_key(seed), {"dear": math.nan, "cheap": math.nan}
-        self.cheap_names = {label: response_names(of, population) for label, of in cheap.items()}
-
-    def dear_values(self, index: np.ndarray, block: int) -> dict[str, np.ndarray]:
-        """Values of the dear response by name, nan where one failed."""
-        return {name: v[0] for name, v in self._values({"": self.dear}, index, block, "dear").items()}
-
-    def cheap_values(self, index: np.ndarray, block: int) -> dict[str, np.ndarray]:
-        """Cheap values (n, j) by name of the dear response."""
-        return {name: v.T for name, v in self._values(self.cheap, index, block, "cheap").items()}
-
-    def _values(
-        self, responses: Mapping[str, Response], index: np.ndarray, block: int, kind: str
-    ) -> dict[str, np.ndarray]:
-        rows: dict[str, list[np.ndarray]] = {name: [] for name in self.names}
-        for start in range(0, len(index), block):
-            part = index[start : start + block]
-            z = _picked(self.population, self.key, jnp.asarray(np.resize(part, block).astype(np.uint32)))
-            z.block_until_ready()
-            begun, found = time.perf_counter(), []
-            for of in responses.values():
-                values, status = respond(of, self.population, z)
-                good = np.asarray(succeeded(status))
-                found.append({n: np.where(good, np.asarray(v, float), np.nan) for n, v in values.items()})
-            if start:  # the first block may wait for a compilation
-                self.taken[kind] = (time.perf_counter() - begun) / block
-            for name in self.names:
-                of_name = [row for each in found for row in ([each[name]] if name in each else each.values())]
-                rows[name].append(np.stack(of_name)[:, : len(part)])
-        return {name: np.concatenate(parts, axis=1) for name, parts in rows.items()}
-
-    def first_of(self, name: str) -> dict[str, int]:
-        """Column of the first value of every cheap response."""
-        columns, column = {}, 0
-        for label, own in self.cheap_names.items():
-            columns[label] = column
-            column += 1 if name in own else len(own)
-        return columns
-
-
-@jax.jit
-def _picked(population: Population, key: jax.Array, index: jax.Array) -> jax.Array:
-    return population.draw(key, index)
-
-
 @dataclasses.dataclass(frozen=True)
 class _Study:
-    units: _Units
+    units: Units
     requirements: dict[str, Limits]
     samples: int
     near: int
