@@ -10,8 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 
 import rvjax
-from census.cases import Case, Model, decades, deviations, moderate, nonfinite, relative_step
-from census.dynamics import JUDGED, MASSES, SPRINGS, SWINGS, build_reducer, draw_reducer, ordinary
+from census.cases import Case, Model, decades, deviations, nonfinite, relative_step
+from census.dynamics import JUDGED, SWINGS, build_reducer, draw_reducer, ordinary, physical
 from oracles.dynamic_error import Marched
 from oracles.dynamics import Oracle
 from rvjax import RVErrors
@@ -58,11 +58,7 @@ def displaced(cranks: int, discs: int) -> Model:
         status = np.asarray(out["status"])
         error = np.zeros(len(status))
         expected = np.where(nonfinite(case), Status.NONFINITE, -1)
-        positive = [case[name] > 0 for name in (*SPRINGS[2:8], *MASSES, "e", "radius", "sun_base", "planet_base")]
-        whole = np.all(positive, axis=0) & moderate(case, 1e15) & (np.min([case[n] for n in MASSES], axis=0) > 1e-12)
-        whole &= np.all([case[name] >= 0 for name in SPRINGS], axis=0) & np.isin(status, (0, Status.SINGULAR))
-        whole &= (case["loss"] >= 0) & (case["loss"] < 1) & (case["load"] >= 0) & (case["e"] > 1e-9)
-        whole &= (np.abs(case["force_angle"]) < 1.5) & (case["alpha"] > 0) & (case["alpha"] < 1.5)
+        whole = physical(case, status) & (case["loss"] >= 0) & (case["loss"] < 1) & (case["load"] >= 0)
         for lane in np.flatnonzero(whole)[:JUDGED]:
             expected[lane], error[lane] = compare(case, out, lane)
         return expected, error

@@ -65,6 +65,15 @@ def build_reducer(case: Case, cranks: int, discs: int) -> rvjax.RVReducer:
     )
 
 
+def physical(case: Case, status: np.ndarray) -> np.ndarray:
+    """Lanes that a judge can follow: parts with mass and springs, in sizes that 64 bits resolve, and a solution."""
+    positive = [case[name] > 0 for name in (*SPRINGS[2:8], *MASSES, "e", "radius", "sun_base", "planet_base")]
+    whole = np.all(positive, axis=0) & moderate(case, 1e15) & (np.min([case[n] for n in MASSES], axis=0) > 1e-12)
+    whole &= np.all([case[name] >= 0 for name in SPRINGS], axis=0) & np.isin(status, (0, Status.SINGULAR))
+    whole &= (np.abs(case["force_angle"]) < 1.5) & (case["alpha"] > 0) & (case["alpha"] < 1.5)
+    return whole & (case["e"] > 1e-9)
+
+
 def vibration(stage: str, cranks: int, discs: int, method: str) -> Model:
     def build(case: Case) -> rvjax.RVReducer:
         return build_reducer(case, cranks, discs)
@@ -84,12 +93,9 @@ def vibration(stage: str, cranks: int, discs: int, method: str) -> Model:
         status = np.asarray(out["status"])
         error = np.zeros(len(status))
         expected = np.where(nonfinite(case), Status.NONFINITE, -1)
-        positive = [case[name] > 0 for name in (*SPRINGS[2:8], *MASSES, "e", "radius", "sun_base", "planet_base")]
-        whole = np.all(positive, axis=0) & moderate(case, 1e15) & (np.min([case[n] for n in MASSES], axis=0) > 1e-12)
-        whole &= np.all([case[name] >= 0 for name in SPRINGS], axis=0) & np.isin(status, (0, Status.SINGULAR))
+        whole = physical(case, status)
         whole &= np.all([(case[name] >= 0) & (case[name] < 1) for name in (*SWINGS, "loss")], axis=0)
-        whole &= (np.abs(case["force_angle"]) < 1.5) & (case["alpha"] > 0) & (case["alpha"] < 1.5)
-        for lane in np.flatnonzero(whole & (case["e"] > 1e-9))[:JUDGED]:
+        for lane in np.flatnonzero(whole)[:JUDGED]:
             expected[lane], error[lane] = compare(case, out, lane)
         return expected, error
 
