@@ -115,8 +115,10 @@ def test_gradients_are_slopes_of_the_plain_value(case):
     good = good[5 * len(names) :].reshape(2, len(names))
     assert np.array_equal(good, (lost == plain[2]).all(axis=2)), [names[f] for _, f in np.argwhere(good)]
     assert np.isnan(lost[~good]).any(axis=1).all()
+    unread = [name for name, read in zip(names, ~good.all(axis=0)) if not read]
     gradient, value = jax.jit(jax.jacrev(with_value, has_aux=True))(errors)
     np.testing.assert_allclose(value, plain[2, 0], rtol=10 * ROUNDING)
+    assert all(np.all(np.asarray(getattr(gradient, name)) == 0) for name in unread)
     slope = sum(
         np.reshape(d, (len(names), -1)) @ np.reshape(g, (len(outputs), -1)).T
         for g, d in zip(jax.tree.leaves(gradient), jax.tree.leaves(moves))

@@ -9,14 +9,13 @@ from dataclasses import replace
 import jax
 import numpy as np
 import pytest
-from loaded_cases import NAMED, design_of, errors_of
+from loaded_cases import NAMED, arrays, design_of, errors_of, solve
 
 from rvjax import loaded, models
 from rvjax.study.response import Response
 
 CASE = NAMED["rv40: all errors, rated, hertz"]
-DESIGN = design_of(CASE)
-ERRORS = errors_of(CASE, DESIGN)
+DESIGN, ERRORS = arrays((design_of(CASE), errors_of(CASE, design_of(CASE))))
 RATED = 412.0
 KIND = models.kind(DESIGN)
 GIVEN = KIND.conditions(
@@ -35,7 +34,7 @@ SHARES = (1.0, 0.5, 0.03, -0.03, 1e-3, -1e-3)
 
 def alone(angles, torque):
     """The equilibria at some input angles, every one for itself."""
-    found = [loaded.equilibrium(DESIGN, ERRORS, input_angle=float(a), output_torque=torque) for a in angles]
+    found = [solve(DESIGN, ERRORS, angle, torque) for angle in angles]
     return jax.tree.map(lambda *values: np.stack(values), *found)
 
 
