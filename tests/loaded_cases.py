@@ -26,14 +26,14 @@ def number(value):
 
 
 def arrays(tree):
-    """Every number as an array: one program for numbers and arrays, which JAX types apart."""
+    """Every number as an array: one program for numbers and arrays, whose types JAX tells apart."""
     return jax.tree.map(lambda leaf: np.asarray(leaf, float), tree)
 
 
 def solve(design, errors, angle, torque, **methods):
-    """The equilibrium, by one program for each shape."""
-    design, errors, angle, torque = arrays((design, errors, angle, torque))
-    return loaded.equilibrium(design, errors, input_angle=angle, output_torque=torque, **methods)
+    """The equilibrium, by one program for each shape; conditions as studies give them."""
+    at = dict(input_angle=float(angle), output_torque=float(torque))
+    return loaded.equilibrium(*arrays((design, errors)), **at, **methods)
 
 
 def unchecked(cls, numbers):

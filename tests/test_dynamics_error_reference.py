@@ -133,7 +133,8 @@ def test_statistics_are_those_of_the_reference(cases):
     np.testing.assert_allclose(found.pseudo_power[:, 0], [complex(*pseudo)], rtol=1e-9)
 
 
-@pytest.mark.parametrize("number", [320, pytest.param(321, marks=pytest.mark.long)])
+@pytest.mark.long  # a march in time holds both together by default
+@pytest.mark.parametrize("number", [320, 321])
 def test_errors_and_mesh_together_are_those_of_the_reference(cases, number):
     case = cases[number]
     found = dynamics.transmission_error(

@@ -91,14 +91,14 @@ def test_reverse_derivatives_are_the_transpose():
 
 
 def assert_finite(inputs):
-    assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(backward(inputs, np.ones(8))))
+    assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(backward(arrays(inputs), np.ones(8))))
 
 
 def test_derivatives_of_failed_and_idle_cases_are_finite():
     """NaN among the errors: its lane has derivative zero. No errors and no torque: finite."""
     for torque, radius in ((412.0, np.nan), (412.0, 0.02), (0.0, 0.0)):
-        spoilt = jax.tree.map(lambda leaf: 0.0 * leaf, ERRORS).replace(pin_radius=np.asarray(radius))
-        assert_finite((DESIGN, spoilt, np.asarray(torque), START[3]))
+        spoilt = jax.tree.map(lambda leaf: 0.0 * leaf, ERRORS).replace(pin_radius=radius)
+        assert_finite((DESIGN, spoilt, torque, START[3]))
 
 
 def test_numbers_that_leave_the_arithmetic_are_a_status_and_spoil_no_gradient():
