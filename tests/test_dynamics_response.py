@@ -83,22 +83,23 @@ def test_first_order_is_that_of_the_reference(cases, number):
 def test_harmonic_balance_is_that_of_the_reference(cases):
     case = cases[48]
     design = RV_320E.replace(damping=Damping(loss_factor=0.04))
-    outputs = ["output.x", "output.rotation", "sun.rotation"]
-    found = solve(design, method="harmonic_balance", harmonics=20, outputs=outputs)
+    found = solve(design, method="harmonic_balance", harmonics=20)
     assert found.form == "cyclic"
+    names = ("x_o", "theta_o", "theta_s")
+    columns = np.array([SHOWN.index(NAMES[name]) for name in names])
     for order, values in case["out"].items():
-        expected = np.array([complex(*values[name]) for name in ("x_o", "theta_o", "theta_s")])
+        expected = np.array([complex(*values[name]) for name in names])
         ours = found.mean if order == "0" else found.amplitude[int(order) - 1] / 2
-        np.testing.assert_allclose(ours, expected, rtol=1e-8, atol=1e-16)
+        np.testing.assert_allclose(ours[columns], expected, rtol=1e-8, atol=1e-16)
 
 
-LAYOUTS = [  # the others have every form: first_order and cyclic, first_order_whole and mesh
+LAYOUTS = [  # the whole model and the mesh form: test_dynamics_unequal.py
     pytest.param(4, 3, "planetary", marks=pytest.mark.long),
     pytest.param(3, 2, "planetary", marks=pytest.mark.long),
     (3, 2, "cycloid"),
     pytest.param(2, 3, "cycloid", marks=pytest.mark.long),
     pytest.param(2, 2, "planetary", marks=pytest.mark.long),
-    (3, 1, "planetary"),
+    pytest.param(3, 1, "planetary", marks=pytest.mark.long),
     pytest.param(5, 4, "cycloid", marks=pytest.mark.long),
 ]
 
@@ -158,7 +159,7 @@ def samples(found, count):
     return np.asarray(found.mean) + waves.real
 
 
-def test_the_exact_solution_and_how_harmonics_approach_it(cases):
+def test_the_exact_solution_and_how_harmonics_approach_it(cases, thorough):
     case, outputs = cases[42]["out"], ("output.x", "output.rotation", "sun.rotation")
     design = RV_320E.replace(damping=Damping(modal_ratio=0.02))
     exact = rvjax.check(dynamics.periodic(design, sun_speed=RATED, output_torque=TORQUE, samples=128, outputs=outputs))
@@ -171,13 +172,15 @@ def test_the_exact_solution_and_how_harmonics_approach_it(cases):
 
     moving = np.asarray(exact.deflection) - np.asarray(article.mean)[columns]
     error = {}
-    for method, harmonics in (("first_order", 9), ("harmonic_balance", 9), ("harmonic_balance", 60)):
+    further = [("harmonic_balance", 9)] if thorough else []
+    for method, harmonics in (("first_order", 9), ("harmonic_balance", 60), *further):
         found = solve(design, method=method, harmonics=harmonics)
         miss = samples(found, 128)[:, columns] - np.asarray(exact.deflection)
         error[method, harmonics] = np.sqrt(np.mean(miss**2, axis=0) / np.mean(moving**2, axis=0))
     np.testing.assert_allclose(error["first_order", 9], [0.27, 0.56, 0.38], atol=0.01)
-    np.testing.assert_allclose(error["harmonic_balance", 9], [0.33, 0.49, 0.37], atol=0.01)
     assert np.all(error["harmonic_balance", 60] < [1e-3, 1.2e-3, 4e-3])
+    if thorough:
+        np.testing.assert_allclose(error["harmonic_balance", 9], [0.33, 0.49, 0.37], atol=0.01)
 
 
 @pytest.mark.long  # a further design; the reference and many harmonics hold the exact solution of the RV-320E
@@ -257,12 +260,13 @@ def test_scaling_and_limits():
     gaps = []
     for swing in (1e-3, 1e-4):
         small = varied(base, planetary_swing=swing)
-        first, full = (np.asarray(solve(small, method=m).amplitude) for m in ("first_order", "harmonic_balance"))
-        gaps.append(np.abs(full - first).max())
+        first, full = solve(small), solve(small, method="harmonic_balance", harmonics=20)
+        gaps.append(np.abs(full.amplitude[:9] - first.amplitude).max())
     assert gaps[0] / gaps[1] == pytest.approx(100, rel=0.05)
 
 
-def test_extremes():
+@pytest.mark.parametrize("method", ["first_order", pytest.param("harmonic_balance", marks=pytest.mark.long)])
+def test_extremes(method):
     """Inputs at the edge of the domain give numbers or a status, never silent NaN; lanes do not touch each other."""
     s = RV_320E.stiffness
 
@@ -279,9 +283,8 @@ def test_extremes():
             cycloid=RV_320E.cycloid.replace(force_angle=angle, eccentricity=e),
             mesh_variation=RV_320E.mesh_variation.replace(planetary_swing=swing),
         )
-        first = solve(design, sun_speed=speed)
-        full = solve(design, sun_speed=speed, method="harmonic_balance")
-        return (first.amplitude, first.info.status), (full.amplitude, full.info.status)
+        found = solve(design, sun_speed=speed, method=method)
+        return found.amplitude, found.info.status
 
     nominal = dict(
         kst=1.16e4, ks=4.19e7, kH=6.99e4, ka=2.33e8, beta=np.pi / 6, e=2.2e-3, swing=0.3, kcr=8.35e8, n=RATED
@@ -292,15 +295,14 @@ def test_extremes():
         *(dict(beta=np.pi / 2), dict(e=-1e-3), dict(kcr=0.0), dict(kH=0.0), dict(ks=np.nan), dict(n=np.inf)),
     ]
     rows = np.array([list((nominal | change).values()) for change in changed])
-    run = jax.jit(jax.vmap(lane))
+    amplitude, status = jax.jit(jax.vmap(lane))(jnp.asarray(rows))
     good = [Status.CONVERGED] * 11
     bad = [Status.INVALID_GEOMETRY] * 2 + [Status.SINGULAR] * 2 + [Status.NONFINITE] * 2
-    for amplitude, status in run(jnp.asarray(rows)):
-        assert status.tolist() == good + bad
-        finite = np.isfinite(np.asarray(amplitude)).all(axis=(1, 2))
-        assert finite[:11].all() and not finite[[11, 12, 15, 16]].any()
-        assert np.all(np.asarray(amplitude)[9] == 0)
-    np.testing.assert_allclose(run(jnp.asarray(rows))[0][0][0], solve(RV_320E).amplitude, rtol=1e-9, atol=1e-20)
+    assert status.tolist() == good + bad
+    finite = np.isfinite(np.asarray(amplitude)).all(axis=(1, 2))
+    assert finite[:11].all() and not finite[[11, 12, 15, 16]].any()
+    assert np.all(np.asarray(amplitude)[9] == 0)
+    np.testing.assert_allclose(amplitude[0], solve(RV_320E, method=method).amplitude, rtol=1e-9, atol=1e-20)
 
 
 def test_a_harmonic_on_a_mode():

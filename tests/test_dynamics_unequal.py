@@ -74,7 +74,8 @@ def test_unequal_members_are_solved_on_the_whole_model(stage):
     assert np.sum(static.cycloid_force) == pytest.approx(-3 * 13639.03, rel=1e-6)
 
 
-def test_equal_members_given_one_by_one_are_equal(thorough):
+@pytest.mark.long  # log-sensitivities of discs one by one hold the derivatives, dense solves the values
+def test_equal_members_given_one_by_one_are_equal():
     """The same reducer through its symmetry and, as arrays, through the whole model."""
     design = layout(DAMPED, 3, 3)
     arrays = design.replace(stiffness=design.stiffness.replace(disc_pin_mesh=np.full(3, 8.35e8)))
@@ -89,10 +90,8 @@ def test_equal_members_given_one_by_one_are_equal(thorough):
     run = jax.jit(jax.value_and_grad(first_order, argnums=(0, 1), has_aux=True))
     e = design.cycloid.eccentricity
     ((_, alike), slopes), ((_, each), own) = (run(d.stiffness.disc_pin_mesh, e, d) for d in (design, arrays))
-    pairs = [(alike, each)]
-    if thorough:  # dense solves hold the cyclic and the mesh form by default
-        pairs += [[dynamics.response(d, **options, method="harmonic_balance") for d in (design, arrays)]]
-    for first, second in pairs:
+    balanced = [dynamics.response(d, **options, method="harmonic_balance") for d in (design, arrays)]
+    for first, second in ((alike, each), balanced):
         assert first.form != second.form
         one, other = np.asarray(first.amplitude), np.asarray(second.amplitude)
         assert np.all(np.abs(one - other).max(axis=0) < 1e-9 * np.abs(one).max(axis=0))
@@ -114,7 +113,7 @@ def test_what_is_refused():
             with_deviations(RV_320E, {name: 0.1})
 
 
-def test_a_given_sun_torque(reference):
+def test_a_given_sun_torque(reference, thorough):
     """The input held by its torsion spring alone, as a torsional stiffness is measured; none without any spring."""
     cases = {case["id"]: case for case in reference("dynamics")["cases"]}
     names = {"theta_s": "sun.rotation", "theta_p1": "planet1.rotation", "x_H1": "crank1.x", "y_c1": "disc1.y"}
@@ -137,7 +136,8 @@ def test_a_given_sun_torque(reference):
     @jax.jit
     @jax.vmap
     def run(torque):
-        return [dynamics.response(design, **options, sun_torque=torque, method=m) for m in METHODS]
+        methods = METHODS if thorough else METHODS[:1]
+        return [dynamics.response(design, **options, sun_torque=torque, method=m) for m in methods]
 
     for found in run(np.array([0.0, -TORQUE / oracle.ratio])):
         still, moving = np.abs(found.amplitude)
@@ -147,6 +147,7 @@ def test_a_given_sun_torque(reference):
     assert dynamics.static(free, output_torque=TORQUE, sun_torque=0.0).info.status == Status.SINGULAR
 
 
+@pytest.mark.long  # batches of designs and of speeds, each alone: test_dynamics_response.py
 def test_sweeps_over_speeds_and_designs_compile_once():
     """Stacked records are a batch: one program for every grid of one size, each lane the single case."""
 
