@@ -135,7 +135,6 @@ def joint():
 def one_speed(joint):
     """Order, frequency, line and peak to peak of a joint at one speed."""
 
-    @jax.jit
     def at(errors, speed):
         design = errors.stiffened(joint.design)
         found = dynamics.transmission_error(design, errors, sun_speed=speed, load_inertia=100.0)
@@ -181,7 +180,7 @@ def test_random_joints_scatter_as_their_second_moments_say(joint, one_speed):
     """
     speed, units = 150.0, 4096
     drawn_units = jax.jit(jax.vmap(lambda i: sample(joint.tolerances, i, seed=5)))(np.arange(units))
-    order, frequency, lines, _ = (np.asarray(x) for x in jax.vmap(one_speed, (0, None))(drawn_units, speed))
+    order, frequency, lines, _ = map(np.asarray, jax.jit(jax.vmap(one_speed, (0, None)))(drawn_units, speed))
     square = np.sum(np.abs(lines * (2 * np.pi * frequency) ** 2) ** 2, axis=1) / 2
     sigma = {}
     for name in joint.fields:
