@@ -2,8 +2,32 @@
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
+from rvjax import identify
 from rvjax.tolerances import Tolerance
+
+Noise, unit = identify.Noise, Tolerance.symmetric
+
+THREE = {"a": unit(3.0), "b": unit(3.0), "c": unit(3.0)}
+"""Three errors of spread 1."""
+
+G = np.array([[2.0, 2.0, 0.0], [1.0, 1.0, 0.0], [0.5, 0.5, 0.0], [-1.0, -1.0, 0.0]])
+"""Slopes of which the first two are equal and the third vanishes."""
+
+
+def line(values):
+    """Four rows, linear."""
+    return jnp.asarray(G) @ jnp.stack([values["a"], values["b"], values["c"]])
+
+
+def solved(data, prior=THREE, **options):
+    """A unit of the linear model; few draws, for the same program serves every test."""
+    return identify.solve(line, prior, data, **(dict(noise=Noise(0.5), starts=2, draws=128) | options))
+
+
+def many(data, **options):
+    return identify.solve_many(line, THREE, data, noise=Noise(0.5), **options)
 
 
 def prior_of(given):

@@ -1,4 +1,4 @@
-"""Designs and errors of the reference cases of the loaded model, in one shape each so that few programs compile."""
+"""Designs and errors of the reference cases of the loaded model, in one shape and type each: few programs compile."""
 
 import json
 from pathlib import Path
@@ -6,7 +6,7 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from rvjax import Contact, CrankStage, CycloidStage, InvoluteStage, RVErrors, RVReducer, Stiffness
+from rvjax import Contact, CrankStage, CycloidStage, InvoluteStage, RVErrors, RVReducer, Status, Stiffness, loaded
 from rvjax.errors import PLACED
 
 CASES = json.loads((Path(__file__).parent / "reference" / "loaded.json").read_text())["cases"]
@@ -23,6 +23,17 @@ PARTS = {
 
 def number(value):
     return np.asarray(value, float) if isinstance(value, list) else value
+
+
+def arrays(tree):
+    """Every number as an array: one program for numbers and arrays, whose types JAX tells apart."""
+    return jax.tree.map(lambda leaf: np.asarray(leaf, float), tree)
+
+
+def solve(design, errors, angle, torque, **methods):
+    """The equilibrium, by one program for each shape; conditions as studies give them."""
+    at = dict(input_angle=float(angle), output_torque=float(torque))
+    return loaded.equilibrium(*arrays((design, errors)), **at, **methods)
 
 
 def unchecked(cls, numbers):
@@ -57,6 +68,17 @@ def errors_of(case, design, **changes):
     return made
 
 
-def swapped_frame(vectors):
-    """x, y vectors reversed."""
-    return -np.asarray(vectors)
+def assert_same(case, due, place):
+    """Accuracy at loads near rated: rounding, 1e-15, times a condition of 1e3, with a margin of a thousand. The
+    stiffness jumps where a contact closes and moves with every force, a thousand times as far."""
+    assert int(case.info.status) == int(due.info.status) == Status.CONVERGED
+    np.testing.assert_allclose(case.error, due.error, rtol=1e-9, err_msg=str(place))
+    largest = np.max(due.pins)
+    for name in ("pins", "disc_bearing", "support_bearing", "gear"):
+        np.testing.assert_allclose(getattr(case, name), getattr(due, name), rtol=0, atol=1e-9 * largest)
+    np.testing.assert_allclose(case.stiffness, due.stiffness, rtol=1e-6, err_msg=str(place))
+
+
+def at(found, place):
+    """One case of a batch."""
+    return jax.tree.map(lambda leaf: leaf[place], found)

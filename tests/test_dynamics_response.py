@@ -83,22 +83,23 @@ def test_first_order_is_that_of_the_reference(cases, number):
 def test_harmonic_balance_is_that_of_the_reference(cases):
     case = cases[48]
     design = RV_320E.replace(damping=Damping(loss_factor=0.04))
-    outputs = ["output.x", "output.rotation", "sun.rotation"]
-    found = solve(design, method="harmonic_balance", harmonics=20, outputs=outputs)
+    found = solve(design, method="harmonic_balance", harmonics=20)
     assert found.form == "cyclic"
+    names = ("x_o", "theta_o", "theta_s")
+    columns = np.array([SHOWN.index(NAMES[name]) for name in names])
     for order, values in case["out"].items():
-        expected = np.array([complex(*values[name]) for name in ("x_o", "theta_o", "theta_s")])
+        expected = np.array([complex(*values[name]) for name in names])
         ours = found.mean if order == "0" else found.amplitude[int(order) - 1] / 2
-        np.testing.assert_allclose(ours, expected, rtol=1e-8, atol=1e-16)
+        np.testing.assert_allclose(ours[columns], expected, rtol=1e-8, atol=1e-16)
 
 
-LAYOUTS = [
+LAYOUTS = [  # the whole model and the mesh form: test_dynamics_unequal.py
     pytest.param(4, 3, "planetary", marks=pytest.mark.long),
-    (3, 2, "planetary"),
+    pytest.param(3, 2, "planetary", marks=pytest.mark.long),
     (3, 2, "cycloid"),
     pytest.param(2, 3, "cycloid", marks=pytest.mark.long),
     pytest.param(2, 2, "planetary", marks=pytest.mark.long),
-    (3, 1, "planetary"),
+    pytest.param(3, 1, "planetary", marks=pytest.mark.long),
     pytest.param(5, 4, "cycloid", marks=pytest.mark.long),
 ]
 
@@ -134,6 +135,7 @@ def test_both_methods_equal_dense_solves(cranks, discs, stage):
         np.testing.assert_allclose(mean, expected[0].real, rtol=1e-9, atol=1e-9 * np.abs(mean).max())
 
 
+@pytest.mark.long  # dense solves hold both
 def test_the_cyclic_and_the_mesh_form_agree():
     """The mesh form holds everywhere; where the cyclic form is chosen both must give the same."""
     lumped = dynamics.lump(RV_320E.replace(damping=DAMPING))
@@ -157,7 +159,7 @@ def samples(found, count):
     return np.asarray(found.mean) + waves.real
 
 
-def test_the_exact_solution_and_how_harmonics_approach_it(cases):
+def test_the_exact_solution_and_how_harmonics_approach_it(cases, thorough):
     case, outputs = cases[42]["out"], ("output.x", "output.rotation", "sun.rotation")
     design = RV_320E.replace(damping=Damping(modal_ratio=0.02))
     exact = rvjax.check(dynamics.periodic(design, sun_speed=RATED, output_torque=TORQUE, samples=128, outputs=outputs))
@@ -170,15 +172,18 @@ def test_the_exact_solution_and_how_harmonics_approach_it(cases):
 
     moving = np.asarray(exact.deflection) - np.asarray(article.mean)[columns]
     error = {}
-    for method, harmonics in (("first_order", 9), ("harmonic_balance", 9), ("harmonic_balance", 60)):
+    further = [("harmonic_balance", 9)] if thorough else []
+    for method, harmonics in (("first_order", 9), ("harmonic_balance", 60), *further):
         found = solve(design, method=method, harmonics=harmonics)
         miss = samples(found, 128)[:, columns] - np.asarray(exact.deflection)
         error[method, harmonics] = np.sqrt(np.mean(miss**2, axis=0) / np.mean(moving**2, axis=0))
     np.testing.assert_allclose(error["first_order", 9], [0.27, 0.56, 0.38], atol=0.01)
-    np.testing.assert_allclose(error["harmonic_balance", 9], [0.33, 0.49, 0.37], atol=0.01)
     assert np.all(error["harmonic_balance", 60] < [1e-3, 1.2e-3, 4e-3])
+    if thorough:
+        np.testing.assert_allclose(error["harmonic_balance", 9], [0.33, 0.49, 0.37], atol=0.01)
 
 
+@pytest.mark.long  # a further design; the reference and many harmonics hold the exact solution of the RV-320E
 def test_the_exact_solution_of_a_free_reducer_running_backwards():
     """Neither end held, two cranks, backwards: harmonic balance with many harmonics is the comparison."""
     design = layout(RV_320E, 2, 2, disc_phase=0.3).replace(damping=Damping(modal_ratio=0.05))
@@ -255,12 +260,13 @@ def test_scaling_and_limits():
     gaps = []
     for swing in (1e-3, 1e-4):
         small = varied(base, planetary_swing=swing)
-        first, full = (np.asarray(solve(small, method=m).amplitude) for m in ("first_order", "harmonic_balance"))
-        gaps.append(np.abs(full - first).max())
+        first, full = solve(small), solve(small, method="harmonic_balance", harmonics=20)
+        gaps.append(np.abs(full.amplitude[:9] - first.amplitude).max())
     assert gaps[0] / gaps[1] == pytest.approx(100, rel=0.05)
 
 
-def test_extremes():
+@pytest.mark.parametrize("method", ["first_order", pytest.param("harmonic_balance", marks=pytest.mark.long)])
+def test_extremes(method):
     """Inputs at the edge of the domain give numbers or a status, never silent NaN; lanes do not touch each other."""
     s = RV_320E.stiffness
 
@@ -277,9 +283,8 @@ def test_extremes():
             cycloid=RV_320E.cycloid.replace(force_angle=angle, eccentricity=e),
             mesh_variation=RV_320E.mesh_variation.replace(planetary_swing=swing),
         )
-        first = solve(design, sun_speed=speed)
-        full = solve(design, sun_speed=speed, method="harmonic_balance")
-        return (first.amplitude, first.info.status), (full.amplitude, full.info.status)
+        found = solve(design, sun_speed=speed, method=method)
+        return found.amplitude, found.info.status
 
     nominal = dict(
         kst=1.16e4, ks=4.19e7, kH=6.99e4, ka=2.33e8, beta=np.pi / 6, e=2.2e-3, swing=0.3, kcr=8.35e8, n=RATED
@@ -290,15 +295,14 @@ def test_extremes():
         *(dict(beta=np.pi / 2), dict(e=-1e-3), dict(kcr=0.0), dict(kH=0.0), dict(ks=np.nan), dict(n=np.inf)),
     ]
     rows = np.array([list((nominal | change).values()) for change in changed])
-    run = jax.jit(jax.vmap(lane))
+    amplitude, status = jax.jit(jax.vmap(lane))(jnp.asarray(rows))
     good = [Status.CONVERGED] * 11
     bad = [Status.INVALID_GEOMETRY] * 2 + [Status.SINGULAR] * 2 + [Status.NONFINITE] * 2
-    for amplitude, status in run(jnp.asarray(rows)):
-        assert status.tolist() == good + bad
-        finite = np.isfinite(np.asarray(amplitude)).all(axis=(1, 2))
-        assert finite[:11].all() and not finite[[11, 12, 15, 16]].any()
-        assert np.all(np.asarray(amplitude)[9] == 0)
-    np.testing.assert_allclose(run(jnp.asarray(rows))[0][0][0], solve(RV_320E).amplitude, rtol=1e-9, atol=1e-20)
+    assert status.tolist() == good + bad
+    finite = np.isfinite(np.asarray(amplitude)).all(axis=(1, 2))
+    assert finite[:11].all() and not finite[[11, 12, 15, 16]].any()
+    assert np.all(np.asarray(amplitude)[9] == 0)
+    np.testing.assert_allclose(amplitude[0], solve(RV_320E, method=method).amplitude, rtol=1e-9, atol=1e-20)
 
 
 def test_a_harmonic_on_a_mode():
@@ -314,7 +318,7 @@ def test_a_harmonic_on_a_mode():
         assert found.resonance_distance[0] < 1e-12
 
 
-def test_single_precision():
+def test_single_precision(thorough):
     """Against double precision of the same rounded inputs.
 
     With u the unit roundoff and gamma = 11 u for the 11 unknowns of a sector, mesh forces keep gamma times the
@@ -352,6 +356,8 @@ def test_single_precision():
     fine, coarse = (values[:, :, SHOWN.index("output.x")] for values in pair(RV_320E, mode * (1 + distance)))
     error = np.abs(coarse - fine).max(axis=1) / np.abs(fine).max(axis=1)
     assert np.all(error < gamma * (forces + kappa[1:3].max() / distance))
+    if not thorough:  # a program of its own in either precision
+        return
     damped = RV_320E.replace(damping=Damping(loss_factor=0.02))
     fine, coarse = (values[0] for values in pair(damped, [RATED], method="harmonic_balance"))
     # Every sector adds its most sensitive mode; 9 harmonics reach to 2240 Hz.

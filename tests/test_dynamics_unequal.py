@@ -42,7 +42,7 @@ def assert_close(found, expected, rtol=1e-9):
         assert np.abs(found - expected)[..., kind].max() < rtol * np.abs(expected[..., kind]).max()
 
 
-@pytest.mark.parametrize("stage", ["planetary", "cycloid"])
+@pytest.mark.parametrize("stage", ["planetary", pytest.param("cycloid", marks=pytest.mark.long)])
 def test_unequal_members_are_solved_on_the_whole_model(stage):
     design, harmonics = unequal(layout(DAMPED, 4, 3, disc_phase=0.3)), 4
     oracle = Oracle(design)
@@ -74,6 +74,7 @@ def test_unequal_members_are_solved_on_the_whole_model(stage):
     assert np.sum(static.cycloid_force) == pytest.approx(-3 * 13639.03, rel=1e-6)
 
 
+@pytest.mark.long  # log-sensitivities of discs one by one hold the derivatives, dense solves the values
 def test_equal_members_given_one_by_one_are_equal():
     """The same reducer through its symmetry and, as arrays, through the whole model."""
     design = layout(DAMPED, 3, 3)
@@ -112,7 +113,7 @@ def test_what_is_refused():
             with_deviations(RV_320E, {name: 0.1})
 
 
-def test_a_given_sun_torque(reference):
+def test_a_given_sun_torque(reference, thorough):
     """The input held by its torsion spring alone, as a torsional stiffness is measured; none without any spring."""
     cases = {case["id"]: case for case in reference("dynamics")["cases"]}
     names = {"theta_s": "sun.rotation", "theta_p1": "planet1.rotation", "x_H1": "crank1.x", "y_c1": "disc1.y"}
@@ -135,7 +136,8 @@ def test_a_given_sun_torque(reference):
     @jax.jit
     @jax.vmap
     def run(torque):
-        return [dynamics.response(design, **options, sun_torque=torque, method=m) for m in METHODS]
+        methods = METHODS if thorough else METHODS[:1]
+        return [dynamics.response(design, **options, sun_torque=torque, method=m) for m in methods]
 
     for found in run(np.array([0.0, -TORQUE / oracle.ratio])):
         still, moving = np.abs(found.amplitude)
@@ -145,6 +147,7 @@ def test_a_given_sun_torque(reference):
     assert dynamics.static(free, output_torque=TORQUE, sun_torque=0.0).info.status == Status.SINGULAR
 
 
+@pytest.mark.long  # batches of designs and of speeds, each alone: test_dynamics_response.py
 def test_sweeps_over_speeds_and_designs_compile_once():
     """Stacked records are a batch: one program for every grid of one size, each lane the single case."""
 
@@ -202,6 +205,7 @@ def test_monte_carlo_of_stiffness_and_mass_meets_first_order():
         assert found.mean[figure].value == pytest.approx(float(nominal), abs=0.1 * first_order)
 
 
+@pytest.mark.long  # one number for all has the sum of the members' derivatives, above
 def test_members_that_vary_one_by_one_average_out():
     """n independent members spread the first torsional frequency by 1/sqrt(n) of what they do all alike."""
 

@@ -11,6 +11,9 @@ from rvjax import elementary
 ULP = 2.0**-52
 
 
+sin_cos, arctan2 = jax.jit(elementary.sin_cos), jax.jit(elementary.arctan2)
+
+
 def error(found, exact):
     return max(float(abs((mpmath.mpf(float(a)) - b) / b)) if b else abs(float(a)) for a, b in zip(found, exact))
 
@@ -48,17 +51,18 @@ def test_sine_and_cosine():
     quarters = np.pi / 2 * np.arange(-40, 41)
     x = np.concatenate([rng.uniform(-10, 10, 500), rng.uniform(-1e5, 1e5, 500), 1e-9 * rng.normal(size=50), quarters])
     x = np.concatenate([x, rng.uniform(-1, 1, 500) * elementary.LARGEST_ANGLE ** rng.uniform(0.3, 1, 500)])
-    sine, cosine = jax.jit(elementary.sin_cos)(x)
+    sine, cosine = sin_cos(x)
     allowed = np.where(np.abs(x) < 1e5, 2 * ULP, 2 * ULP + ULP * np.abs(x) / 2)
     with mpmath.workprec(150):
         for found, exact in ((sine, mpmath.sin), (cosine, mpmath.cos)):
             off = [abs(float(mpmath.mpf(float(a)) - exact(mpmath.mpf(b)))) for a, b in zip(found, x)]
             assert np.all(np.asarray(off) < allowed)
     tiny = 10 ** rng.uniform(-300, -5, 100)
-    np.testing.assert_allclose(elementary.sin_cos(tiny)[0], tiny, rtol=1e-10)
-    assert np.signbit(elementary.sin_cos(jnp.asarray(-0.0))[0])
-    assert np.isnan(elementary.sin_cos(jnp.asarray([np.nan, np.inf]))).all()
-    np.testing.assert_allclose(elementary.sin_cos(x[:500].astype(np.float32))[0], np.sin(x[:500]), atol=1e-6)
+    odd = np.concatenate([tiny, [-0.0, np.nan, np.inf]])
+    found = np.asarray(sin_cos(odd))
+    np.testing.assert_allclose(found[0, :100], tiny, rtol=1e-10)
+    assert np.signbit(found[0, 100]) and np.isnan(found[:, 101:]).all()
+    np.testing.assert_allclose(sin_cos(x[:500].astype(np.float32))[0], np.sin(x[:500]), atol=1e-6)
 
 
 def test_angle_of_a_vector():
@@ -70,13 +74,13 @@ def test_angle_of_a_vector():
     x = np.concatenate([rng.normal(size=1000), size[500:], close[1]])
     with mpmath.workprec(150):
         exact = [mpmath.atan2(mpmath.mpf(a), mpmath.mpf(b)) for a, b in zip(y, x)]
-    assert error(jax.jit(elementary.arctan2)(y, x), exact) < 3 * ULP
+    assert error(arctan2(y, x), exact) < 3 * ULP
     y, x = (np.ravel(v) for v in np.meshgrid([0.0, -0.0, 1, -1], [0.0, -0.0, 1, -1]))
-    found = jax.jit(elementary.arctan2)(y, x)
+    found = arctan2(y, x)
     np.testing.assert_allclose(found, np.arctan2(y, x), rtol=2 * ULP)
     np.testing.assert_array_equal(np.signbit(found), np.signbit(y))
-    assert np.isnan(elementary.arctan2(jnp.asarray([np.nan, 1]), jnp.asarray([1, np.nan]))).all()
-    single = elementary.arctan2(jnp.float32(1), jnp.float32(-2))
+    assert np.isnan(arctan2(np.array([np.nan, 1]), np.array([1, np.nan]))).all()
+    single = arctan2(jnp.float32(1), jnp.float32(-2))
     assert single.dtype == jnp.float32 and abs(float(single) - np.arctan2(1, -2)) < 1e-6
 
 
@@ -90,17 +94,29 @@ def test_quotient():
 
 
 def test_derivatives():
-    x = np.array([1e-30, 0.3, 1.0, 7e20])
-    log, power = (jax.jit(jax.vmap(jax.grad(f))) for f in (elementary.log, lambda x: elementary.power(x, 1.9)))
-    np.testing.assert_allclose(log(x), 1 / x, rtol=1e-15)
-    np.testing.assert_allclose(power(x), 1.9 * x**0.9, rtol=1e-13)
-    np.testing.assert_allclose(jax.vmap(jax.grad(jax.grad(elementary.log)))(x), -1 / x**2, rtol=1e-15)
-    assert float(jax.grad(lambda x: elementary.power(x, 0.9))(0.0)) == 0
-    angle = np.linspace(-4, 4, 9)
-    sine, cosine = (jax.vmap(jax.grad(lambda x, k=k: elementary.sin_cos(x)[k]))(angle) for k in (0, 1))
-    np.testing.assert_allclose(sine, np.cos(angle), rtol=1e-14, atol=1e-16)
-    np.testing.assert_allclose(cosine, -np.sin(angle), rtol=1e-14, atol=1e-16)
-    by_y, by_x = jax.vmap(jax.grad(elementary.arctan2, argnums=(0, 1)))(angle, np.full(9, -2.0))
-    np.testing.assert_allclose(by_y, -2 / (4 + angle**2), rtol=1e-15)
-    np.testing.assert_allclose(by_x, -angle / (4 + angle**2), rtol=1e-15)
-    assert float(jax.grad(elementary.arctan2)(0.0, 0.0)) == 0
+    x, angle, away = np.array([1e-30, 0.3, 1.0, 7e20]), np.linspace(-4, 4, 9), np.full(9, -2.0)
+
+    def slope(function, *at, argnums=0):
+        return jax.vmap(jax.grad(function, argnums=argnums))(*at)
+
+    @jax.jit
+    def every(x, angle, away):
+        return dict(
+            log=slope(elementary.log, x),
+            bend=slope(jax.grad(elementary.log), x),
+            power=slope(lambda x: elementary.power(x, 1.9), x),
+            sine=slope(lambda x: elementary.sin_cos(x)[0], angle),
+            cosine=slope(lambda x: elementary.sin_cos(x)[1], angle),
+            angle=slope(elementary.arctan2, angle, away, argnums=(0, 1)),
+            zeros=(jax.grad(lambda x: elementary.power(x, 0.9))(0.0), jax.grad(elementary.arctan2)(0.0, 0.0)),
+        )
+
+    found = every(x, angle, away)
+    np.testing.assert_allclose(found["log"], 1 / x, rtol=1e-15)
+    np.testing.assert_allclose(found["power"], 1.9 * x**0.9, rtol=1e-13)
+    np.testing.assert_allclose(found["bend"], -1 / x**2, rtol=1e-15)
+    np.testing.assert_allclose(found["sine"], np.cos(angle), rtol=1e-14, atol=1e-16)
+    np.testing.assert_allclose(found["cosine"], -np.sin(angle), rtol=1e-14, atol=1e-16)
+    np.testing.assert_allclose(found["angle"][0], -2 / (4 + angle**2), rtol=1e-15)
+    np.testing.assert_allclose(found["angle"][1], -angle / (4 + angle**2), rtol=1e-15)
+    assert found["zeros"] == (0, 0)

@@ -28,7 +28,10 @@ def by_name(dictionary, names):
     return [dictionary[name] for name in names]
 
 
-@pytest.mark.parametrize("number", range(3))
+FURTHER = pytest.mark.long  # of the same kind, and no verdict of its own
+
+
+@pytest.mark.parametrize("number", [pytest.param(0, marks=FURTHER), 1, 2])
 def test_linear_cases(cases, number):
     for _, given, expected in of_kind(cases, "linear")[number : number + 1]:
         prior, groups = prior_of(given["prior"]), {name: np.array(rows) for name, rows in given["groups"].items()}
@@ -70,7 +73,7 @@ def test_linear_cases(cases, number):
         assert found.resolution[names[0]] == pytest.approx(1 - expected["u_sd"][0])
 
 
-@pytest.mark.parametrize("number", range(2))
+@pytest.mark.parametrize("number", [pytest.param(0, marks=FURTHER), 1])
 def test_law_cases(cases, number):
     for _, given, expected in of_kind(cases, "law")[number : number + 1]:
         found = identify.solve(
@@ -98,7 +101,7 @@ def test_student_case(cases):
         close(found.fit.weights, expected["weights"])
 
 
-@pytest.mark.parametrize("number", range(3))
+@pytest.mark.parametrize("number", [0, 1, pytest.param(2, marks=FURTHER)])
 def test_quadrature_cases_tell_modes_and_trust(cases, number):
     for _, given, expected in of_kind(cases, "quadrature")[number : number + 1]:
         found = identify.solve(

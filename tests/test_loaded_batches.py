@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from loaded_cases import NAMED, design_of, errors_of
+from loaded_cases import NAMED, assert_same, at, design_of, errors_of, solve
 
 from rvjax import Status, loaded
 from rvjax.loaded.balance import balance
@@ -13,7 +13,8 @@ from rvjax.loaded.reading import admit, check_input
 
 CASE = NAMED["rv40: all errors, rated, hertz"]
 DESIGN = design_of(CASE)
-ANGLE, RATED = 576.525, 412.0
+ANGLES, RATED, UNITS = (576.525, 140.0), 412.0, 100
+SIGNS = np.array([1.0, -1.0])
 FIXED = ("eccentricity", "pin_position", "disc_runout", "disc_cumulative_pitch")
 
 
@@ -34,36 +35,52 @@ def unit(errors, n):
 
 
 @jax.jit
-def solve_units(errors, torque):
+def solve_units(errors, torques):
+    """Units at two angles with a torque each: groups of one geometry, in more lanes than a block has."""
     errors = errors.replace(**dict.fromkeys(FIXED, 0.0))
-    solve = lambda e: loaded.equilibrium(DESIGN, e, input_angle=ANGLE, output_torque=torque)  # noqa: E731
-    found = jax.vmap(solve, in_axes=(jax.tree.map(lambda leaf: 0 if np.ndim(leaf) else None, errors),))(errors)
-    return found.error, found.pins, found.info
+    of_unit = jax.tree.map(lambda leaf: 0 if np.ndim(leaf) else None, errors)
+    of_angle = jax.vmap(solve_case, in_axes=(None, of_unit, None, None))
+    return jax.vmap(of_angle, in_axes=(None, None, 0, 0))(DESIGN, errors, torques, jnp.asarray(ANGLES, torques.dtype))
 
 
-def solve_one(errors, torque):
-    return loaded.equilibrium(DESIGN, errors, input_angle=ANGLE, output_torque=torque)
+def solve_case(design, errors, torque, angle):
+    return loaded.equilibrium(design, errors, input_angle=angle, output_torque=torque)
+
+
+def alone(errors, place, torques):
+    angle, n = place
+    return solve(DESIGN, unit(errors, n), ANGLES[angle], torques[angle])
 
 
 def test_many_units_at_little_torque_all_converge_and_agree_with_each_alone():
-    """300 units at 3 % of rated torque with clearance, where a median case takes 7 steps and the worst near 100: more
+    """100 units at 3 % of rated torque with clearance, where a median case takes 7 steps and the worst near 100: more
     lanes than a block has, so that cases take the places of others. 1e-8: condition 1e7 of rounding, 1e-15."""
-    errors = sampled(300)
-    error, pins, info = solve_units(errors, 0.03 * RATED)
-    assert np.all(np.asarray(info.status) == Status.CONVERGED)
-    steps = np.asarray(info.steps)
+    errors, torques = sampled(UNITS), 0.03 * RATED * np.array([1.0, -1.0])
+    found = jax.tree.map(np.asarray, solve_units(errors, torques))
+    assert np.all(found.info.status == Status.CONVERGED)
+    steps = found.info.steps
     assert steps.max() > 3 * np.median(steps)  # there were slow ones
-    slow = np.argsort(steps)[[-1, -2, 0, 150]]
-    for n in slow:
-        alone = solve_one(unit(errors, n), 0.03 * RATED)
-        np.testing.assert_allclose(error[n], alone.error, rtol=1e-8, atol=1e-12)
-        np.testing.assert_allclose(pins[n], alone.pins, rtol=0, atol=1e-7 * np.max(alone.pins))
+    order = np.argsort(steps, axis=None)[[-1, -2, 0, UNITS]]
+    for place in zip(*np.unravel_index(order, steps.shape)):
+        due = alone(errors, place, torques)
+        np.testing.assert_allclose(found.error[place], due.error, rtol=1e-8, atol=1e-12)
+        np.testing.assert_allclose(found.pins[place], due.pins, rtol=0, atol=1e-7 * np.max(due.pins))
 
 
-def test_a_failed_lane_disturbs_no_neighbour():
-    errors = sampled(300)
-    good = solve_units(errors, RATED)
-    spoilt = jax.tree.map(lambda leaf: leaf, errors)
+@pytest.fixture(scope="module")
+def good():
+    """Forwards and backwards at rated torque."""
+    return jax.tree.map(np.asarray, solve_units(sampled(UNITS), RATED * SIGNS))
+
+
+def test_batches_of_batches_are_their_cases(good):
+    """Two angles, each with a torque, of many units: no two axes can be exchanged unseen."""
+    for place in ((0, 0), (0, 71), (1, 5), (1, 99)):
+        assert_same(at(good, place), alone(sampled(UNITS), place, RATED * SIGNS), place)
+
+
+def test_a_failed_lane_disturbs_no_neighbour(good):
+    spoilt = sampled(UNITS)
     for name, values in {
         "pin_radius": {3: jnp.nan},
         "pin_circle_radius": {7: -0.02},
@@ -73,12 +90,12 @@ def test_a_failed_lane_disturbs_no_neighbour():
         for lane, value in values.items():
             leaf = leaf.at[lane].set(value)
         object.__setattr__(spoilt, name, leaf)
-    bad = solve_units(spoilt, RATED)
+    bad = jax.tree.map(np.asarray, solve_units(spoilt, RATED * SIGNS))
     expected = {3: Status.NONFINITE, 7: Status.CONTACT_OVERLOAD, 9: Status.NONFINITE}
     for lane, status in expected.items():
-        assert int(bad[2].status[lane]) == status and np.isnan(bad[0][lane])
-    rest = np.setdiff1d(np.arange(300), list(expected))
-    np.testing.assert_allclose(bad[0][rest], good[0][rest], rtol=1e-12)
+        assert np.all(bad.info.status[:, lane] == status) and np.all(np.isnan(bad.error[:, lane]))
+    rest = np.setdiff1d(np.arange(UNITS), list(expected))
+    np.testing.assert_allclose(bad.error[:, rest], good.error[:, rest], rtol=1e-12)
 
 
 def stacked(*alike):
@@ -86,16 +103,10 @@ def stacked(*alike):
     return jax.tree.map(lambda *x: x[0] if all(np.array_equal(x[0], y) for y in x) else jnp.stack(x), *alike)
 
 
-def solve_case(design, errors, torque, angle):
-    return loaded.equilibrium(design, errors, input_angle=angle, output_torque=torque)
-
-
 def agree_with_each_alone(axes, *lists):
     """All cases of design, errors, torque and angle under one vmap for each axis, the outermost first, and one by one.
 
-    `axes` tells which of the arguments run along each axis, `lists` what they are there. Accuracy at loads near rated:
-    rounding, 1e-15, times a condition of 1e3, with a margin of a thousand. The stiffness jumps where a contact closes
-    and moves with every force, a thousand times as far."""
+    `axes` tells which of the arguments run along each axis, `lists` what they are there."""
     lists = [[jax.tree.map(lambda x: jnp.asarray(x, float), one) for one in ones] for ones in lists]
     batch = [stacked(*ones) for ones in lists]
     many = [jax.tree.map(lambda x, one: np.ndim(x) > np.ndim(one), x, ones[0]) for x, ones in zip(batch, lists)]
@@ -109,25 +120,17 @@ def agree_with_each_alone(axes, *lists):
     for place in np.ndindex(*sizes):
         at = {n: index for axis, index in zip(axes, place) for n in axis}
         due = solve_case(*(ones[at.get(n, 0)] for n, ones in enumerate(lists)))
-        case = jax.tree.map(lambda x, place=place: x[place], found)
-        assert int(case.info.status) == int(due.info.status) == Status.CONVERGED
-        np.testing.assert_allclose(case.error, due.error, rtol=1e-9, err_msg=str(place))
-        largest = np.max(due.pins)
-        for name in ("pins", "disc_bearing", "support_bearing", "gear"):
-            np.testing.assert_allclose(getattr(case, name), getattr(due, name), rtol=0, atol=1e-9 * largest)
-        np.testing.assert_allclose(case.stiffness, due.stiffness, rtol=1e-6, err_msg=str(place))
+        assert_same(at(found, place), due, place)
 
 
 D, E, T, A = range(4)  # design, errors, torque, angle
 
 
 AXES = {"angle torque": (A, T), "angle torque unit": (A, T, E), "reversed": (E, T, A)}
-LONG = ("angle torque", "reversed")  # two and the order of three; each combination of axes is a program of its own
 
 
-@pytest.mark.parametrize(
-    "axes", [pytest.param(v, id=k, marks=[pytest.mark.long] if k in LONG else []) for k, v in AXES.items()]
-)
+@pytest.mark.long  # each combination of axes is a program of its own; two axes run above
+@pytest.mark.parametrize("axes", AXES.values(), ids=AXES)
 def test_nested_batches_are_their_cases(axes):
     """Two angles, eight torques, three units of one geometry: no two axes can be exchanged unseen."""
     units = [unit(sampled(3), n) for n in range(3)]
@@ -147,10 +150,11 @@ def test_designs_of_other_springs_in_a_batch_are_their_cases():
         )
 
     agree_with_each_alone(
-        [(D,)], [made(share) for share in (0.8, 1.0, 1.3)], [errors_of(CASE, DESIGN)], [RATED], [ANGLE]
+        [(D,)], [made(share) for share in (0.8, 1.0, 1.3)], [errors_of(CASE, DESIGN)], [RATED], ANGLES[:1]
     )
 
 
+@pytest.mark.long  # test_loaded_slack.py has one axis of geometries
 def test_units_of_their_own_geometry_in_a_batch_are_their_cases():
     """Eccentricities of parts and designs, and crank circles, which no two units share, at two torques and angles."""
 
@@ -163,33 +167,29 @@ def test_units_of_their_own_geometry_in_a_batch_are_their_cases():
     agree_with_each_alone([(D, E), (T,), (A,)], designs, errors, [RATED, -RATED], [0.3, 140.0])
 
 
-def test_single_precision():
+def test_single_precision(good):
     """The aim for loaded cases: error 1e-4 relative + 1e-8 rad, forces 1e-3 of the largest. A few ill-conditioned units
     of a hundred miss it, by up to the rounding of their gaps times a condition of 1e4: 5e-4."""
-    errors = sampled(300)
-    double = solve_units(errors, RATED)
-    single = solve_units(jax.tree.map(lambda leaf: leaf.astype(jnp.float32), errors), jnp.float32(RATED))
-    assert single[0].dtype == jnp.float32
-    assert np.all(np.asarray(single[2].status) == Status.CONVERGED)
-    off = np.abs(np.asarray(single[0], float) - double[0])
-    assert np.mean(off <= 1e-4 * np.abs(double[0]) + 1e-8) > 0.97
-    assert np.all(off <= 5e-4 * np.abs(double[0]))
-    largest = np.max(double[1], axis=(1, 2), keepdims=True)
-    assert np.max(np.abs(np.asarray(single[1], float) - double[1]) / largest) < 1e-3
+    given = (DESIGN, sampled(UNITS), np.asarray(RATED * SIGNS[0]), np.asarray(ANGLES[0]))
+    design, errors, torque, angle = jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), given)
+    ones = [solve_case(design, unit(errors, n), torque, angle) for n in range(UNITS)]
+    single = jax.tree.map(lambda *leaves: np.stack(leaves), *ones)
+    double = at(good, 0)
+    assert single.error.dtype == jnp.float32
+    assert np.all(single.info.status == Status.CONVERGED)
+    off = np.abs(np.asarray(single.error, float) - double.error)
+    assert np.mean(off <= 1e-4 * np.abs(double.error) + 1e-8) > 0.97
+    assert np.all(off <= 5e-4 * np.abs(double.error))
+    largest = np.max(double.pins, axis=(1, 2), keepdims=True)
+    assert np.max(np.abs(np.asarray(single.pins, float) - double.pins) / largest) < 1e-3
 
 
-def test_other_numbers_compile_nothing():
+def test_other_numbers_compile_nothing(compiled):
     errors = errors_of(CASE, DESIGN)
-    solve_one(errors, RATED)
-    before = _programs()
-    solve_one(jax.tree.map(lambda leaf: 0.5 * np.asarray(leaf) if np.ndim(leaf) else 0.5 * leaf, errors), 0.3 * RATED)
-    assert _programs() == before
-
-
-def _programs():
-    from rvjax.loaded.equilibrium import _equilibrium
-
-    return _equilibrium._cache_size()
+    solve(DESIGN, errors, ANGLES[0], RATED)
+    compiled.clear()
+    solve(DESIGN, jax.tree.map(lambda leaf: 0.5 * leaf, errors), ANGLES[0], 0.3 * RATED)
+    assert not compiled
 
 
 def test_a_start_beyond_the_law_of_a_pin_is_replaced():

@@ -1,6 +1,6 @@
 """What the loaded equilibrium must obey whatever the numbers: balances, symmetries, closed forms, limits.
 
-All cases of one law share one compiled program: errors always in full shapes, angle and torque as arguments.
+All cases of one law share one compiled program: errors always in full shapes, every number an argument.
 Unless said otherwise, 1e-9 is the accuracy of the equilibrium (residual 1e-13 of the largest force, condition 1e3 under
 load) with a margin of ten thousand.
 """
@@ -12,18 +12,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from loaded_cases import NAMED, design_of, errors_of
+from loaded_cases import NAMED, arrays, design_of, errors_of
+from loaded_cases import solve as solve_case
 
 import rvjax
-from rvjax import RVErrors, Status, loaded
+from rvjax import Status, loaded
 
 ALL_ERRORS = NAMED["rv40: all errors, rated, hertz"]
 RATED = 412.0
 
 
 def solve(errors, angle, torque, *, design=None, contact="hertz"):
-    design = design_of(ALL_ERRORS) if design is None else design
-    return loaded.equilibrium(design, errors, input_angle=angle, output_torque=torque, contact=contact)
+    return solve_case(design_of(ALL_ERRORS) if design is None else design, errors, angle, torque, contact=contact)
 
 
 def errors_with(**given):
@@ -111,12 +111,11 @@ def test_tangential_carrier_bores_turn_the_output_alone():
 
 def test_base_tangents_give_their_backlash():
     """-(upper + lower) / (2 r_s i), exactly but for what the centring springs and the probe torque add."""
-    case, design = ALL_ERRORS, design_of(ALL_ERRORS)
-    del case
-    found = loaded.torsion(
-        design, errors_with(base_tangent_upper=-20e-6, base_tangent_lower=-30e-6), input_angle=0.5, rated_torque=RATED
+    design, short = design_of(ALL_ERRORS), dict(base_tangent_upper=-20e-6, base_tangent_lower=-30e-6)
+    found, plain = (
+        loaded.torsion(*arrays((design, errors)), input_angle=0.5, rated_torque=RATED)
+        for errors in (errors_with(**short), errors_with())
     )
-    plain = loaded.torsion(design, errors_with(), input_angle=0.5, rated_torque=RATED)
     expected = 50e-6 / (2 * design.involute.sun_base_radius * 105)
     np.testing.assert_allclose(found.backlash - plain.backlash, expected, rtol=1e-3)
     assert np.all(np.diff(found.torque) > 0) and np.all(np.diff(found.angle) < 0)
@@ -125,13 +124,10 @@ def test_base_tangents_give_their_backlash():
 def test_linear_springs_share_the_compliance():
     """Euler: the error of linear springs without clearance is homogeneous of degree -1 in all stiffnesses."""
     design = design_of(ALL_ERRORS)
-
-    def error(scale):
-        springs = jax.tree.map(lambda k: k * scale, design.stiffness)
-        return solve(errors_with(), 0.3, RATED, design=design.replace(stiffness=springs), contact="linear").error
-
-    value, slope = jax.jvp(jax.jit(error), (jnp.float64(1.0),), (jnp.float64(1.0),))
-    np.testing.assert_allclose(slope, -value, rtol=1e-9)
+    stiffer = design.replace(stiffness=jax.tree.map(lambda k: 2 * k, design.stiffness))
+    before, after = (solve(errors_with(), 0.3, RATED, design=d, contact="linear") for d in (design, stiffer))
+    np.testing.assert_allclose(after.error, before.error / 2, rtol=1e-9)
+    np.testing.assert_allclose(after.stiffness, 2 * before.stiffness, rtol=1e-7)
 
 
 @pytest.mark.parametrize("law", ["hertz", "linear"])
@@ -145,7 +141,7 @@ def test_revolution_and_torsion_are_their_equilibria():
     """The warm starts change nothing: every angle and torque as solved alone."""
     design = design_of(ALL_ERRORS)
     errors = errors_of(ALL_ERRORS, design)
-    turn = loaded.revolution(design, errors, output_torque=RATED, samples=24)
+    turn = loaded.revolution(*arrays((design, errors)), output_torque=RATED, samples=24)
     alone = [solve(errors, 2 * np.pi * 105 / 40 * j / 24, RATED).error for j in (0, 5, 23)]
     np.testing.assert_allclose(np.asarray(turn.error)[[0, 5, 23]], alone, rtol=1e-10)
     rvjax.check(turn)
@@ -181,12 +177,19 @@ def same_in_other_units(design, errors, torque, law, length, force):
 
 
 @pytest.mark.parametrize(
-    "law", ["hertz", *(pytest.param(law, marks=pytest.mark.long) for law in ("linear", "palmgren"))]
+    ("law", "more"),
+    [
+        ("hertz", {}),
+        *(
+            pytest.param(law, dict(pin_support=4e8, pin_stiffness=3e7), marks=pytest.mark.long)
+            for law in ("hertz", "linear", "palmgren")
+        ),
+    ],
 )
-def test_forces_and_moduli_together_move_nothing(law):
-    """All errors, a pin support too; forces three times as large. Then lengths as well, every number by its unit."""
+def test_forces_and_moduli_together_move_nothing(law, more):
+    """All errors; forces three times as large. Then lengths as well, every number by its unit."""
     design = design_of(ALL_ERRORS)
-    design = design.replace(contact=design.contact.replace(pin_support=4e8, pin_stiffness=3e7))
+    design = design.replace(contact=design.contact.replace(**more))
     errors = errors_of(ALL_ERRORS, design)
     for length, force in ((1.0, 3.0), (0.3, 5.0)):
         same_in_other_units(design, errors, RATED, law, length, force)
@@ -223,7 +226,7 @@ def test_a_turned_ring_turns_the_output_with_the_sun_held(law):
     np.testing.assert_allclose(together.error, plain.error, rtol=1e-9)
 
 
-@pytest.mark.parametrize("pins", [(12, 24), pytest.param((12, 24, 48), marks=pytest.mark.long)])
+@pytest.mark.parametrize("pins", [(40,), pytest.param((12, 24, 48), marks=pytest.mark.long)])
 def test_equidistant_play_gives_its_backlash_as_pins_become_many(pins):
     """2 D / (e zc) zc / (zp + z1/z2), where a pin stood at the longest lever, e zc, on both flanks.
 
@@ -231,14 +234,18 @@ def test_equidistant_play_gives_its_backlash_as_pins_become_many(pins):
     pitch at most: the backlash is larger by up to (pi/zp)^2/2. The parts yield 2e-8 rad to 1e-3 N m at 5e4 N m/rad, of
     1e-3 rad of play: 4e-5 for both sides; the centring springs take less."""
     play, torque, base, worst = 30e-6, 1e-3, design_of(ALL_ERRORS), []
-    errors, rp = RVErrors(equidistant_modification=play), base.cycloid.pin_circle_radius
+    rp = base.cycloid.pin_circle_radius
     for zp in pins:
         k1, e = 0.8125, 0.8125 * rp / zp
         cycloid = base.cycloid.replace(disc_teeth=zp - 1, pin_count=zp, eccentricity=e, pin_radius=0.1 / zp)
         design = base.replace(cycloid=cycloid)
         th = np.arange(5) / 5 * 2 * np.pi / (zp * (zp - 1))  # of the carrier, until the next pin stands so
-        each = jax.vmap(lambda angle, t, d=design: solve(errors, angle, t, design=d, contact="linear"), (0, None))
-        backlash = each(th * design.ratio, -torque).error - each(th * design.ratio, torque).error
+        errors = errors_of({"errors": dict(equidistant_modification=play)}, design)
+        back, ahead = (
+            np.array([solve(errors, angle, t, design=design, contact="linear").error for angle in th * design.ratio])
+            for t in (-torque, torque)
+        )
+        backlash = back - ahead
         psi = 2 * np.pi * np.arange(zp) / zp + (zp - 1) * th[:, None]  # the second disc has the same, zp being even
         share = np.sin(psi) / np.sqrt(1 + k1**2 - 2 * k1 * np.cos(psi))
         excess = backlash / (2 * play / e / (zp + 10 / 26)) - 1

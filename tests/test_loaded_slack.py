@@ -1,12 +1,17 @@
-"""Units that full Newton steps leave: a journal lies loose and barely touches, and contacts open and close in turns.
+"""Cases that share no geometry, in one batch: units that full Newton steps leave, and designs of their own.
 
-Found among 4096 units of the study of a whole reducer at +-3 % of rated torque; all ended in MAX_STEPS before there was
-an interior point method. Oracle: minima certified in 80-bit numbers, `oracles.loaded`."""
+There a journal lies loose and barely touches, and contacts open and close in turns: found among 4096 units of the study
+of a whole reducer at +-3 % of rated torque, all ended in MAX_STEPS before there was an interior point method. Oracle:
+minima certified in 80-bit numbers, `oracles.loaded`."""
+
+import functools
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from loaded_cases import NAMED, arrays, assert_same, at, errors_of
+from loaded_cases import solve as solve_alone
 
 from oracles import loaded as oracle
 from rvjax import Status, loaded, study
@@ -38,21 +43,43 @@ def cases(law):
     numbers, quarters, signs = np.transpose(LOST[law])
     population = Population.of(TOLERANCES)
     z = population.draw(root_key(0), jnp.asarray(numbers, jnp.uint32))
-    errors = jax.vmap(population.errors, in_axes=1)(z)
-    return errors, jnp.asarray(QUARTER * quarters), jnp.asarray(LIGHT * signs)
+    return jax.vmap(population.errors, in_axes=1)(z), jnp.asarray(QUARTER * quarters), jnp.asarray(LIGHT * signs)
+
+
+def in_full(errors, lanes):
+    """Every error of every lane in its full shape: one program for all that is solved here."""
+    shapes = errors_of({"errors": {}}, DESIGN)
+
+    def full(leaf, like):
+        leaf = np.asarray(leaf, float)
+        return np.broadcast_to(leaf.reshape(*leaf.shape, *(1,) * (1 + np.ndim(like) - leaf.ndim)), (lanes, *like.shape))
+
+    return jax.tree.map(full, errors, arrays(shapes))
+
+
+def repeated(tree, lanes):
+    return jax.tree.map(lambda leaf: np.broadcast_to(leaf, (lanes, *leaf.shape)), arrays(tree))
+
+
+def solve(designs, errors, angles, torques, law):
+    return jax.tree.map(np.asarray, _solve(designs, errors, jnp.asarray(angles), jnp.asarray(torques), law))
+
+
+@functools.partial(jax.jit, static_argnums=4)
+def _solve(designs, errors, angles, torques, law):
+    def one(design, errors, angle, torque):
+        return loaded.equilibrium(design, errors, input_angle=angle, output_torque=torque, contact=law)
+
+    return jax.vmap(one)(designs, errors, angles, torques)
 
 
 @pytest.mark.parametrize("law", ["hertz", pytest.param("linear", marks=pytest.mark.long)])
 def test_loose_journals_are_found(law):
     """Tolerance: ten times what the rule to stop moves a result by at most, from the oracle's inverse Hessian."""
     errors, angles, torques = cases(law)
-
-    def solve(errors, angle, torque):
-        return loaded.equilibrium(DESIGN, errors, input_angle=angle, output_torque=torque, contact=law)
-
-    found = jax.tree.map(np.asarray, jax.jit(jax.vmap(solve))(errors, angles, torques))
-    assert np.all(found.info.status == Status.CONVERGED), found.info.status
     lanes = len(angles)
+    found = solve(repeated(DESIGN, lanes), in_full(errors, lanes), angles, torques, law)
+    assert np.all(found.info.status == Status.CONVERGED), found.info.status
     parts = {name: np.asarray(value) for name, value in vars(errors).items() if np.ndim(value)}
     due = oracle.equilibria(
         DESIGN, parts, lanes, input_angle=np.asarray(angles), output_torque=np.asarray(torques), contact=law
@@ -63,3 +90,21 @@ def test_loose_journals_are_found(law):
     assert np.all(off[known] <= 1e-11 * np.abs(due["error"][known]))
     apart = np.abs(found.pins - due["pins"]).reshape(lanes, -1).max(1) - 10 * due["force_allowed"]
     assert np.all(apart[known] <= 1e-9 * due["largest"][known])
+
+
+def test_units_of_their_own_geometry_in_a_batch_are_their_cases():
+    """Eccentricities of parts and designs, and crank circles, which no two units share."""
+    random, lanes = np.random.default_rng(2), len(LOST["hertz"])
+    case = NAMED["rv40: all errors, rated, hertz"]
+
+    def made(share, radius):
+        cycloid = DESIGN.cycloid.replace(eccentricity=DESIGN.cycloid.eccentricity * share)
+        return arrays(DESIGN.replace(cycloid=cycloid, cranks=DESIGN.cranks.replace(circle_radius=radius)))
+
+    designs = [made(*pair) for pair in zip(random.uniform(0.96, 1.04, lanes), random.uniform(0.034, 0.038, lanes))]
+    errors = [arrays(errors_of(case, DESIGN, eccentricity=size)) for size in random.uniform(-6e-6, 6e-6, lanes)]
+    angles, torques = random.uniform(0, 600, lanes), 412.0 * random.choice([-1, 1], lanes)
+    together = (jax.tree.map(lambda *leaves: np.stack(leaves), *ones) for ones in (designs, errors))
+    found = solve(*together, angles, torques, "hertz")
+    for n in range(lanes):
+        assert_same(at(found, n), solve_alone(designs[n], errors[n], angles[n], torques[n]), n)
