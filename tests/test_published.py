@@ -126,9 +126,9 @@ def test_the_measured_reducer_has_the_teeth_of_its_source():
 
 
 def test_the_fit_never_sees_what_it_predicts(monkeypatch):
-    fit = rv160.fit()
+    fit = rv160.fit(steps=3)
     monkeypatch.setattr(rv160, "MEASURED", rv160.MEASURED + ~rv160.FITTED * arcmin)
-    assert (rv160.fit().values == fit.values).all()
+    assert (rv160.fit(steps=3).values == fit.values).all()
     monkeypatch.setattr(rv160, "MEASURED", rv160.MEASURED + rv160.FITTED * arcmin)
     assert abs(rv160.fit(steps=3).values / fit.values - 1).max() > 0.1
 

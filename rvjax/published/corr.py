@@ -93,8 +93,18 @@ def _changes_little(parameter: str, share: float, *names: str) -> bool:
 def _cycle() -> tuple[np.ndarray, mesh_force.MeshForces]:
     """Angles of the work cycle, and the forces at Table 1."""
     angles = mesh_force.cycle_angles(Z, samples=SAMPLES)
-    solve = partial(mesh_force.solve, CORR, CamRollerErrors(), input_torque=TORQUE, contact="linear")
-    return angles, jax.device_get(jax.jit(jax.vmap(lambda angle: solve(output_angle=angle)))(angles))
+    return angles, _forces(angles)
+
+
+@jax.jit
+@jax.vmap
+def _solved(angle: jax.Array) -> mesh_force.MeshForces:
+    return mesh_force.solve(CORR, CamRollerErrors(), input_torque=TORQUE, contact="linear", output_angle=angle)
+
+
+def _forces(angles: np.ndarray) -> mesh_force.MeshForces:
+    """At Table 1, of as many angles as a work cycle has: one program."""
+    return jax.device_get(_solved(angles))
 
 
 def _leads() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -156,8 +166,9 @@ def _moment_arm() -> bool:
 
 def _fixed_index_set() -> bool:
     """The rollers loaded at an angle are those loaded half a tooth later."""
-    solve = partial(mesh_force.solve, CORR, CamRollerErrors(), input_torque=TORQUE, contact="linear")
-    return bool(((solve(output_angle=0.001).cam > 0) == (solve(output_angle=0.001 + np.pi / Z).cam > 0)).all())
+    angles = 0.001 + np.pi / Z * (np.arange(SAMPLES) % 2)
+    loaded = _forces(angles).cam > 0
+    return bool((loaded == loaded[0]).all())
 
 
 def _printed_cage_projection() -> bool:

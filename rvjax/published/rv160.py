@@ -59,15 +59,30 @@ FREE = ("factor", "gears", "clearance", "play", "scatter")
 of the pins, standard deviation of `pattern`; lengths in um."""
 
 
+DISCS, CRANKS, PINS, TEETH = (MACHINE.counts[name] for name in ("discs", "cranks", "pins", "teeth"))
+SHAPES: dict[str, tuple[int, ...]] = {
+    "pin_offset": (PINS, 2),
+    "pin_radii": (PINS,),
+    "ring_centre": (2,),
+    "disc_pitch": (DISCS, TEETH),
+    "disc_centre": (DISCS, 2),
+    "crank_eccentricity": (DISCS, CRANKS),
+    "crank_phase": (CRANKS,),
+    "disc_bore": (DISCS, CRANKS, 2),
+    "carrier_bore": (CRANKS, 2),
+    "sun_runout": (2,),
+    "planet_runout": (CRANKS, 2),
+    "disc_profile": (DISCS, 5, 2),
+}
+NONE = RVErrors(**{name: np.zeros(shape) for name, shape in SHAPES.items()})
+"""No error, in the shapes that all units of this module have: one program solves them."""
+
+
 def pattern(seed: int = 0) -> RVErrors:
     """Scatter of pins, teeth and crank journals of a unit that nobody measured, standard deviation 1 um."""
     draw = np.random.default_rng(seed).normal
-    counts = MACHINE.counts
-    return RVErrors(
-        pin_offset=um * draw(size=(counts["pins"], 2)),
-        disc_pitch=um * draw(size=(counts["discs"], counts["teeth"])),
-        crank_eccentricity=um * draw(size=(counts["discs"], counts["cranks"])),
-    )
+    drawn = ("pin_offset", "disc_pitch", "crank_eccentricity")
+    return NONE.replace(**{name: um * draw(size=SHAPES[name]) for name in drawn})
 
 
 def _error(log: jax.Array, errors: RVErrors, angle: Any, torque: Any) -> jax.Array:
@@ -85,6 +100,20 @@ def _error(log: jax.Array, errors: RVErrors, angle: Any, torque: Any) -> jax.Arr
 _with_slopes = jax.jit(jax.vmap(jax.value_and_grad(_error), (None, None, 0, 0)))
 
 
+LANES = 2 * len(TORQUE) * ANGLES  # of a call
+
+
+def _solved(values: Any, errors: RVErrors, angle: np.ndarray, torque: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Transmission error at angles and torques (n,), and its slopes to the logarithms of `FREE`."""
+    log, parts = jnp.log(jnp.asarray(values, float)), []
+    for first in range(0, len(angle), LANES):
+        index = np.minimum(first + np.arange(LANES), len(angle) - 1)
+        found = jax.device_get(_with_slopes(log, errors, angle[index], torque[index]))
+        parts.append([x[: len(angle) - first] for x in found])
+    error, slope = (np.concatenate(part) for part in zip(*parts))
+    return error, slope
+
+
 def half_difference(values: Any, errors: RVErrors, torque: Any = TORQUE) -> tuple[np.ndarray, np.ndarray]:
     """Half of backward less forward transmission error, (n,) rad, and its slopes to the logarithms, (n, 5).
 
@@ -96,7 +125,7 @@ def half_difference(values: Any, errors: RVErrors, torque: Any = TORQUE) -> tupl
     turn = 2 * np.pi * MACHINE.ratio
     load = np.maximum(np.asarray(torque, float), 1e-3 * RATED)
     angle, signed = np.meshgrid(turn * np.arange(ANGLES) / ANGLES, np.concatenate([-load, load]))
-    error, slope = _with_slopes(jnp.log(jnp.asarray(values)), errors, angle.ravel(), signed.ravel())
+    error, slope = _solved(values, errors, angle.ravel(), signed.ravel())
 
     def half(x: Any) -> np.ndarray:
         backward, forward = np.asarray(x).reshape(2, len(load), ANGLES, -1).mean(axis=2)
@@ -167,6 +196,7 @@ def fit(
 
 SAMPLES = 512
 """Angles of an output turn: orders up to 255."""
+NO_PLAY = 1e-9  # um; a logarithm needs a number
 
 
 def classes(size: float = 3 * um, seed: int = 1, clearance: float = 0.0) -> dict[str, RVErrors]:
@@ -177,50 +207,29 @@ def classes(size: float = 3 * um, seed: int = 1, clearance: float = 0.0) -> dict
         seed: of the draw.
         clearance: radial, of the arm bearings, m; in every unit.
     """
-    draw, counts = np.random.default_rng(seed).normal, MACHINE.counts
-    discs, cranks, pins, teeth = (counts[name] for name in ("discs", "cranks", "pins", "teeth"))
-    shapes = {
-        "pin_offset": (pins, 2),
-        "pin_radii": (pins,),
-        "ring_centre": (2,),
-        "disc_pitch": (discs, teeth),
-        "disc_centre": (discs, 2),
-        "crank_eccentricity": (discs, cranks),
-        "crank_phase": (cranks,),
-        "disc_bore": (discs, cranks, 2),
-        "carrier_bore": (cranks, 2),
-        "sun_runout": (2,),
-        "planet_runout": (cranks, 2),
-        "disc_profile": (discs, 5, 2),
-    }
-    none = RVErrors(**{name: np.zeros(shape) for name, shape in shapes.items()}, bearing_clearance=clearance)
+    draw, none = np.random.default_rng(seed).normal, NONE.replace(bearing_clearance=clearance)
     scale = {"crank_phase": size / MACHINE.cycloid.eccentricity}
-    parts = {name: scale.get(name, size) * draw(size=shape) for name, shape in shapes.items()}
+    parts = {name: scale.get(name, size) * draw(size=shape) for name, shape in SHAPES.items()}
     alone = {name: none.replace(**{name: value}) for name, value in parts.items()}
     return {"none": none} | alone | {"all": none.replace(**parts)}
-
-
-@jax.jit
-def _turns(factor: Any, errors: RVErrors, torque: Any) -> Any:
-    design = MACHINE.replace(stiffness=jax.tree.map(lambda k: k * factor, MACHINE.stiffness))
-
-    def turn(errors: RVErrors, torque: Any) -> jax.Array:
-        return loaded.revolution(design, errors, output_torque=torque, turns=1.0, samples=SAMPLES).error
-
-    return jax.vmap(jax.vmap(turn, (None, 0)), (0, None))(errors, torque)
 
 
 def spectra(units: dict[str, RVErrors], torque: Any, factor: float) -> dict[str, np.ndarray]:
     """Amplitudes (torques, SAMPLES / 2) of the orders of an output turn, rad.
 
     Args:
-        units: {name: errors}, all of the same shapes.
+        units: {name: errors}, of `classes`.
         torque: N m (n,).
         factor: on every spring.
     """
-    batch = jax.tree.map(lambda *leaf: jnp.stack([jnp.asarray(x, float) for x in leaf]), *units.values())
-    error = np.asarray(_turns(factor, batch, jnp.asarray(torque, float)))
-    return dict(zip(units, 2 / SAMPLES * np.abs(np.fft.rfft(error))[..., : SAMPLES // 2]))
+    turn = 2 * np.pi * MACHINE.ratio * np.arange(SAMPLES) / SAMPLES
+    load, angle = np.meshgrid(torque, turn, indexing="ij")
+    found = {}
+    for name, errors in units.items():
+        values = dict(factor=factor, gears=1.0, clearance=errors.bearing_clearance / um, play=NO_PLAY, scatter=1.0)
+        error, _ = _solved([values[free] for free in FREE], errors, angle.ravel(), load.ravel())
+        found[name] = 2 / SAMPLES * np.abs(np.fft.rfft(error.reshape(load.shape)))[..., : SAMPLES // 2]
+    return found
 
 
 @cache
@@ -230,8 +239,7 @@ def _fit() -> Fit:
 
 @cache
 def _spectra() -> dict[str, np.ndarray]:
-    chosen = classes(clearance=3 * um)
-    return spectra({name: chosen[name] for name in ("pin_offset", "ring_centre", "disc_centre")}, [100.0, 1400.0], 0.5)
+    return spectra({"disc_centre": classes(clearance=3 * um)["disc_centre"]}, [100.0, 1400.0], 0.5)
 
 
 def _stiffness() -> float:

@@ -30,26 +30,37 @@ ELASTIC_TABLE_2_3 = 0.029 * mm
 ELASTIC_OUTPUT = 0.0929 * mm
 
 
-def _coupler_angle(deviations: LinkDeviations, **options: Any) -> jax.Array:
-    """Without options: of free cranks at a right angle."""
-    chosen: dict[str, Any] = dict(crank_angle=RIGHT_ANGLE, cranks="free") | options
-    return solve_closure(ECCENTRICITY, SPACING, deviations, **chosen).coupler_angle
+def _coupler_angle(links: jax.Array, crank_angle: Any = RIGHT_ANGLE, **options: Any) -> jax.Array:
+    """For deviations of crank 1, coupler, crank 3, frame and of a joint across the frame, (5,) m."""
+    crank_1, coupler, crank_3, frame, across = links
+    deviations = LinkDeviations(
+        crank_1=crank_1, coupler=coupler, crank_3=crank_3, frame=frame, joint=(jnp.zeros_like(across), across)
+    )
+    chosen: dict[str, Any] = dict(cranks="free") | options
+    return solve_closure(ECCENTRICITY, SPACING, deviations, crank_angle=crank_angle, **chosen).coupler_angle
+
+
+SWEEP = np.linspace(-BAND, BAND, 2001)
 
 
 @cache
-def _kernel(closure: str, branch: str) -> Callable[..., jax.Array]:
-    def angle(links: jax.Array, crank_angle: jax.Array) -> jax.Array:
-        deviations = LinkDeviations(crank_1=links[0], coupler=links[1], crank_3=links[2], frame=links[3])
-        return jnp.abs(_coupler_angle(deviations, crank_angle=crank_angle, closure=closure, branch=branch))
-
-    return jax.jit(jax.vmap(angle, in_axes=(0, None)))
+def _kernel(**options: Any) -> Callable[..., jax.Array]:
+    return jax.jit(jax.vmap(partial(_coupler_angle, **options)))
 
 
-def printed(crank_1: Any = 0.0, coupler: Any = 0.0, crank_3: Any = 0.0, frame: Any = 0.0, **options: Any) -> np.ndarray:
+def printed(
+    crank_1: Any = 0.0,
+    coupler: Any = 0.0,
+    crank_3: Any = 0.0,
+    frame: Any = 0.0,
+    crank_angle: Any = RIGHT_ANGLE,
+    **options: Any,
+) -> np.ndarray:
     """|coupler angle| in rad under the reading that gives the source's figures; arrays of errors in m."""
-    options = dict(closure="quadratic", branch="crossed", crank_angle=RIGHT_ANGLE) | options
-    links = np.stack(np.broadcast_arrays(*np.atleast_1d(crank_1, coupler, crank_3, frame)), axis=1)
-    return np.asarray(_kernel(options["closure"], options["branch"])(links, options["crank_angle"]))
+    options = dict(closure="quadratic", branch="crossed") | options
+    lanes = np.stack(np.broadcast_arrays(*np.atleast_1d(crank_1, coupler, crank_3, frame, 0.0, crank_angle)), axis=1)
+    filled = lanes[np.minimum(np.arange(len(SWEEP)), len(lanes) - 1)]  # one shape, one program a reading
+    return np.abs(np.asarray(_kernel(**options)(filled[:, :5], filled[:, 5])))[: len(lanes)]
 
 
 right = partial(printed, closure="newton", branch="open")  # the parallelogram's own root, exact closure
@@ -57,9 +68,6 @@ right = partial(printed, closure="newton", branch="open")  # the parallelogram's
 
 def _range(values: np.ndarray) -> list[float]:
     return [values.min(), values.max()]
-
-
-SWEEP = np.linspace(-BAND, BAND, 2001)
 
 
 # Links that one error changes, and the elastic lengthening.
@@ -122,37 +130,45 @@ def _quadratic_is_the_closure() -> bool:
 
 
 def _largest_at_right_angle() -> bool:
-    def locked(crank_angle: jax.Array) -> jax.Array:
-        return _coupler_angle(LinkDeviations(crank_3=10 * um), crank_angle=crank_angle, cranks="phase_locked")
-
-    return int(np.argmax(np.abs(jax.jit(jax.vmap(locked))(np.arange(0, 181, 15) * deg)))) == 6
+    angles = np.arange(0, 181, 15) * deg
+    return int(np.argmax(right(crank_3=10 * um, crank_angle=angles, cranks="phase_locked"))) == 6
 
 
 def _equal_cranks_help() -> bool:
-    equal = LinkDeviations(crank_1=-20 * um, crank_3=-20 * um)
-    angles = (_coupler_angle(equal, cranks=cranks, closure="closed_form") for cranks in ("free", "phase_locked"))
-    return any(abs(angle) < 0 for angle in angles)  # the error-free linkage gives exactly 0
+    angles = (right(crank_1=-20 * um, crank_3=-20 * um, cranks=cranks)[0] for cranks in ("free", "phase_locked"))
+    return any(angle < right()[0] for angle in angles)  # the error-free linkage gives exactly 0
 
 
-def _derivative(name: str, **options: str) -> float:
-    def angle(value: jax.Array) -> jax.Array:
-        return _coupler_angle(LinkDeviations(**{name: value}), **dict(closure="closed_form") | options)
+NAMES = ("crank_1", "coupler", "crank_3", "frame", "joint")
 
-    return float(jax.jit(jax.grad(angle))(0.0))
+
+@cache
+def _derivatives() -> dict[str, float]:
+    """Of the coupler angle at zero error, open branch."""
+    slopes = jax.jit(jax.grad(partial(_coupler_angle, closure="closed_form")))(jnp.zeros(5))
+    return dict(zip(NAMES, map(float, slopes)))
+
+
+@cache
+def _of_the_reading() -> tuple[np.ndarray, np.ndarray]:
+    """Gradient (5,) and second derivatives (5, 5) of the coupler angle at zero error, as the source solves it."""
+
+    def gradient(links: jax.Array) -> tuple[jax.Array, jax.Array]:
+        found = jax.grad(partial(_coupler_angle, closure="quadratic", branch="crossed"))(links)
+        return found, found
+
+    second, first = jax.jit(jax.jacfwd(gradient, has_aux=True))(jnp.zeros(5))
+    return np.asarray(first), np.asarray(second)
 
 
 def _ranking() -> bool:
-    crank, frame, coupler = (
-        abs(_derivative(name, closure="quadratic", branch="crossed")) for name in ("crank_1", "frame", "coupler")
-    )
-    return crank > frame > coupler
+    crank, coupler, _, frame, _ = np.abs(_of_the_reading()[0])
+    return bool(crank > frame > coupler)
 
 
 def _clearance_matters() -> bool:
-    def pair(shift: jax.Array) -> jax.Array:  # both joints move across the frame, in opposite senses
-        return _coupler_angle(LinkDeviations(joint=(0.0, 2 * shift)))
-
-    return abs(float(jax.jit(jax.grad(pair))(0.0))) > abs(_derivative("crank_1"))
+    """Both joints move across the frame, in opposite senses."""
+    return 2 * abs(_derivatives()["joint"]) > abs(_derivatives()["crank_1"])
 
 
 def _loaded_clearance() -> bool:
@@ -168,11 +184,8 @@ def _not_additive() -> bool:
 
 
 def _saddle() -> bool:
-    def angle(links: jax.Array) -> jax.Array:
-        deviations = LinkDeviations(coupler=links[0], frame=links[1])
-        return -_coupler_angle(deviations, closure="quadratic", branch="crossed")
-
-    return bool(np.linalg.det(jax.jit(jax.hessian(angle))(jnp.zeros(2))) < 0)
+    """Over coupler and frame."""
+    return bool(np.linalg.det(_of_the_reading()[1][np.ix_([1, 3], [1, 3])]) < 0)
 
 
 def _frame_maximum_inside() -> bool:
@@ -190,10 +203,7 @@ COMPUTED: dict[str, Callable[[], Any]] = {
     "rv40e.table3.elastic_margin": partial(_margin, "table3"),
     "rv40e.zero_error.rigid": lambda: printed()[0],
     "rv40e.zero_error.elastic": lambda: 3 * list(_lengthened(ELASTIC_TABLE_2_3, printed)),
-    "rv40e.model.parallelogram": lambda: all(
-        right(crank_angle=angle)[0] == 0.0
-        for angle in np.arange(5, 360, 7.0) * deg  # off the dead points
-    ),
+    "rv40e.model.parallelogram": lambda: bool(np.all(right(crank_angle=np.arange(5, 360, 7.0) * deg) == 0)),
     "rv40e.intro.one_arcmin": lambda: 0.0361 * deg / arcmin,
     "rv40e.model.coefficients": _quadratic_is_the_closure,
     "rv40e.model.small_angle": lambda: (
@@ -204,7 +214,9 @@ COMPUTED: dict[str, Callable[[], Any]] = {
     "rv40e.crank.minimum_negative": lambda: SWEEP[np.argmin(_swept("crank"))] < 0,
     "rv40e.crank.guideline": _equal_cranks_help,
     "rv40e.cycloid_bore.falls_both_sides": lambda: max(printed(coupler=np.array([-BAND, BAND]))) < printed()[0],
-    "rv40e.cycloid_bore.tolerance_loose": lambda: abs(_derivative("coupler")) < 1e-12 * abs(_derivative("crank_1")),
+    "rv40e.cycloid_bore.tolerance_loose": lambda: (
+        abs(_derivatives()["coupler"]) < 1e-12 * abs(_derivatives()["crank_1"])
+    ),
     "rv40e.output_bore.positive_better": _frame_maximum_inside,
     "rv40e.output_bore.guideline": lambda: bool(right(frame=20 * um)[0] < right()[0]),
     "rv40e.composite.not_additive": _not_additive,
