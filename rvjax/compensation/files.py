@@ -48,7 +48,20 @@ def export(table: Table, path: str | Path, *, joint: Joint | None = None, seed: 
             `joint`.
         OSError: it cannot be written.
     """
-    write, _ = _form(path)
+    _form(path)
+    write_atomically(Path(path), exported(table, Path(path).suffix, joint=joint, seed=seed))
+
+
+def exported(table: Table, ending: str, *, joint: Joint | None = None, seed: int | None = None) -> bytes:
+    """The content of the file that `export` writes.
+
+    Args:
+        table: to write.
+        ending: of the file, one of `FORMS`.
+        joint: as in `export`.
+        seed: as in `export`.
+    """
+    write, _ = FORMS[ending]
     if not (np.isfinite(table.angle).all() and np.isfinite(table.correction).all()):
         raise ValueError("table: holds a number that is not finite")
     if not re.fullmatch(r"[A-Za-z]\w*", table.name, re.ASCII):
@@ -56,7 +69,7 @@ def export(table: Table, path: str | Path, *, joint: Joint | None = None, seed: 
     for key, number in (joint or {}).items():
         if key not in JOINT or not math.isfinite(number):
             raise ValueError(f"joint[{key!r}] = {number!r}: must be a finite number of {', '.join(JOINT)}")
-    write_atomically(Path(path), write(table, joint or {}, seed).encode())
+    return write(table, joint or {}, seed).encode()
 
 
 def read(path: str | Path) -> Table:

@@ -1,11 +1,7 @@
 """A plan as text and files: what a person takes to the bench."""
 
 import dataclasses
-import io
-import json
-import math
-import shutil
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +10,10 @@ import numpy as np
 from rvjax import plotting
 from rvjax.assembly import Plan
 from rvjax.mounting import disc_mountings, drawing
-from rvjax.report.folders import as_csv, filled
-from rvjax.report.text import plain, table, versions
+from rvjax.report.folders import as_csv, write_files
+from rvjax.report.folders import as_json as json_file
+from rvjax.report.pictures import saved
+from rvjax.report.text import estimate_text, plain, table, versions
 from rvjax.study import Study
 from rvjax.study.assembly import REST, Bench, unit_values
 from rvjax.study.prices import Price
@@ -25,9 +23,6 @@ from rvjax.tolerances import Estimate
 def summary(plan: Plan, bench: Bench, study: Study) -> str:
     """The plan in a few lines, in the units in which a person reads them."""
     unit, size = study.output(bench.name).shown
-
-    def figure(found: Estimate) -> str:
-        return f"{found.value / size:.4g} {unit} [{found.lower / size:.4g}, {found.upper / size:.4g}]"
 
     def share(found: Estimate | None) -> str:
         assert found is not None  # a bench has a requirement
@@ -40,13 +35,12 @@ def summary(plan: Plan, bench: Bench, study: Study) -> str:
     if plan.status == "BOUNDED":
         lines.append(f"No plan can be better by more than {100 * plan.gap:.3g} % of its objective.")
     headers = ["", "random", "matched"]
-    mean = Estimate(float(np.mean(plan.values)), 0.0, math.nan, math.nan)
     rows = [
-        [f"mean ({unit})", f"{plan.random.value / size:.4g}", f"{mean.value / size:.4g}"],
+        [f"mean ({unit})", f"{plan.random.value / size:.4g}", f"{np.mean(plan.values) / size:.4g}"],
         [f"worst unit, expected ({unit})", "-", f"{np.max(plan.values) / size:.4g}"],
         ["good units", share(plan.random_yield), share(plan.yield_)],
     ]
-    lines += ["", table(headers, rows), "", f"gain of the mean: {figure(plan.gain)}"]
+    lines += ["", table(headers, rows), "", f"gain of the mean: {estimate_text(plan.gain, unit, size)}"]
     left = {slot: ids for slot, ids in plan.left_over.items() if ids and slot != REST}
     for slot, ids in left.items():
         counts = {label: ids.count(label) for label in ids}
@@ -105,44 +99,30 @@ def as_json(plan: Plan, bench: Bench, study: Study, prices: Sequence[Price] = ()
 
 def write(plan: Plan, bench: Bench, study: Study, source: str, folder: Path, prices: Sequence[Price] = ()) -> Path:
     """Write list, summary, JSON, study, parts and pictures into a new folder."""
+    return write_files(_files(plan, bench, study, source, prices), folder)
 
-    def fill(scratch: Path) -> None:
-        (scratch / "study.toml").write_text(study.text, "utf-8")
-        shutil.copyfile(source, scratch / "parts.csv")
-        (scratch / "summary.txt").write_text(summary(plan, bench, study) + "\n" + price_text(prices), "utf-8")
-        (scratch / "build.csv").write_bytes(as_csv(*build_rows(plan, bench, study)))
-        text = json.dumps(as_json(plan, bench, study, prices), indent=1, allow_nan=False)
-        (scratch / "result.json").write_text(text, "utf-8")
-        (scratch / "units.png").write_bytes(_picture(plan, bench, study))
-        if prices:
-            with plotting.style():
-                axes = plotting.assembly.price_of_accuracy(
-                    [p.share for p in prices], [p.alone for p in prices], [p.matched for p in prices]
-                )
-                (scratch / "prices.png").write_bytes(png(axes))
 
-    return filled(folder, fill)
+def _files(plan: Plan, bench: Bench, study: Study, source: str, prices: Sequence[Price]) -> Iterator[tuple[str, bytes]]:
+    yield "study.toml", study.text.encode()
+    yield "parts.csv", Path(source).read_bytes()
+    yield "summary.txt", (summary(plan, bench, study) + "\n" + price_text(prices)).encode()
+    yield "build.csv", as_csv(*build_rows(plan, bench, study))
+    yield "result.json", json_file(as_json(plan, bench, study, prices))
+    yield "units.png", _picture(plan, bench, study)
+    if prices:
+        shares, alone, matched = zip(*((p.share, p.alone, p.matched) for p in prices))
+        with plotting.style():
+            yield "prices.png", saved(plotting.assembly.price_of_accuracy(shares, alone, matched).figure)
 
 
 def _picture(plan: Plan, bench: Bench, study: Study) -> bytes:
     with plotting.style():
-        return png(
-            plotting.assembly.units(
-                unit_values(bench, study.seed, plan),
-                unit_values(bench, study.seed),
-                unit=study.output(bench.name).unit,
-                name=bench.name,
-                upper=bench.requirement.upper,
-                lower=bench.requirement.lower,
-            )
+        axes = plotting.assembly.units(
+            unit_values(bench, study.seed, plan),
+            unit_values(bench, study.seed),
+            unit=study.output(bench.name).unit,
+            name=bench.name,
+            upper=bench.requirement.upper,
+            lower=bench.requirement.lower,
         )
-
-
-def png(axes: Any) -> bytes:
-    """A picture as a file, closed."""
-    import matplotlib.pyplot as plt
-
-    file = io.BytesIO()
-    axes.figure.savefig(file, format="png", dpi=150)
-    plt.close(axes.figure)
-    return file.getvalue()
+        return saved(axes.figure)

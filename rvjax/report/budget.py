@@ -2,7 +2,6 @@
 
 import csv
 import io
-import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -10,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from rvjax.report import folders, text
-from rvjax.report.pictures import Picture
+from rvjax.report.pictures import Picture, saved
 from rvjax.study.budget import LEVELS, Budget
 from rvjax.study.question import Study
 from rvjax.units import KNOWN, arcsec
@@ -151,22 +150,16 @@ def picture(budget: Budget, form: str = "png") -> Picture:
         budget: the error budget.
         form: "png" or "svg".
     """
-    import matplotlib.pyplot as plt
 
     from rvjax import plotting
 
-    with plotting.style(), plt.rc_context({"svg.hashsalt": budget.title}):
-        figure = plotting.error_budget(budget)
-        image = io.BytesIO()
-        figure.savefig(image, format=form, metadata={"Date": None} if form == "svg" else None)
-        plt.close(figure)
+    with plotting.style():
+        content = saved(plotting.error_budget(budget), form)
     largest = []
     for load in budget.torque:
         part, share = next(iter(budget.shares("part", load).items()), ("nothing", 0.0))
         largest.append(f"{load} {part} with {100 * share:.0f} %")
-    return Picture(
-        "budget", f"Who owns the error, by part and by order: first of all {', '.join(largest)}", image.getvalue()
-    )
+    return Picture("budget", f"Who owns the error, by part and by order: first of all {', '.join(largest)}", content)
 
 
 def files(budget: Budget, study: Study) -> Iterator[tuple[str, bytes]]:
@@ -178,7 +171,7 @@ def files(budget: Budget, study: Study) -> Iterator[tuple[str, bytes]]:
     """
     yield "study.toml", study.text.encode()
     yield "summary.txt", (summary(budget) + "\n").encode()
-    yield "result.json", json.dumps(as_json(budget, study), indent=1, allow_nan=False).encode()
+    yield "result.json", folders.as_json(as_json(budget, study))
     yield "shares.csv", folders.as_csv(*share_rows(budget))
     yield "budget.csv", as_csv(budget).encode()
     yield "budget.png", picture(budget).content

@@ -1,10 +1,8 @@
 """Corrections as text and files."""
 
-import json
 import math
 import re
-import shutil
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +11,10 @@ import numpy as np
 from rvjax import plotting
 from rvjax.compensation import Correction, Table, export, predicted, residual
 from rvjax.compensation import table as table_of
-from rvjax.compensation.files import FORMS
-from rvjax.report.assembly import png
-from rvjax.report.folders import as_csv, filled
+from rvjax.compensation.files import FORMS, exported
+from rvjax.report.folders import as_csv, write_files
+from rvjax.report.folders import as_json as json_file
+from rvjax.report.pictures import saved
 from rvjax.report.text import plain, table, versions
 from rvjax.study import Study
 from rvjax.study.compensation import Corrections, Curve
@@ -130,30 +129,34 @@ def as_json(found: Corrections, tables: Sequence[Table], study: Study) -> dict[s
 
 def write(found: Corrections, tables: Sequence[Table], study: Study, source: str, folder: Path) -> Path:
     """Write summary, orders, tables, JSON, data and pictures into a new folder."""
+    return write_files(_files(found, tables, study, source), folder)
 
-    def fill(scratch: Path) -> None:
-        (scratch / "study.toml").write_text(study.text, "utf-8")
-        shutil.copyfile(source, scratch / "data.csv")
-        (scratch / "summary.txt").write_text(summary(found, study, seed=study.seed) + "\n", "utf-8")
-        headers = ["curve", "order", "amplitude [arcsec]", "phase [deg]", "sd [arcsec]", "gain stored"]
-        cells = []
-        for curve in found.curves:
-            gains = dict(zip(curve.correction.order.tolist(), curve.correction.gain))
-            given = curve.correction
-            for order, value, sd in zip(given.given_order.tolist(), given.given_value, given.sd):
-                numbers = [abs(value) / arcsec, math.degrees(np.angle(value)), sd / arcsec, gains.get(order, 0.0)]
-                cells.append([curve.label, str(order), *(f"{number:.10g}" for number in numbers)])
-        (scratch / "orders.csv").write_bytes(as_csv(headers, cells))
-        text = json.dumps(as_json(found, tables, study), indent=1, allow_nan=False)
-        (scratch / "result.json").write_text(text, "utf-8")
-        for number, (curve, rows) in enumerate(zip(found.curves, tables), 1):
-            end = f"-{number}" if len(found.curves) > 1 else ""
-            export(rows, scratch / f"table{end}.csv")
-            mounting, title = _mounting(curve)
-            with plotting.style():
-                axes = plotting.compensation.before_and_after(
-                    curve.angle, curve.error - mounting, curve.correction, title=f"{title} {curve.label}".rstrip()
-                )
-                (scratch / f"curve{end}.png").write_bytes(png(axes))
 
-    return filled(folder, fill)
+def _files(found: Corrections, tables: Sequence[Table], study: Study, source: str) -> Iterator[tuple[str, bytes]]:
+    yield "study.toml", study.text.encode()
+    yield "data.csv", Path(source).read_bytes()
+    yield "summary.txt", (summary(found, study, seed=study.seed) + "\n").encode()
+    yield "orders.csv", as_csv(*_orders(found))
+    yield "result.json", json_file(as_json(found, tables, study))
+    for number, (curve, rows) in enumerate(zip(found.curves, tables), 1):
+        end = f"-{number}" if len(found.curves) > 1 else ""
+        yield f"table{end}.csv", exported(rows, ".csv")
+        mounting, title = _mounting(curve)
+        with plotting.style():
+            axes = plotting.compensation.before_and_after(
+                curve.angle, curve.error - mounting, curve.correction, title=f"{title} {curve.label}".rstrip()
+            )
+            yield f"curve{end}.png", saved(axes.figure)
+
+
+def _orders(found: Corrections) -> tuple[list[str], list[list[str]]]:
+    """Headers and rows: every order of every curve, and how much of it is stored."""
+    headers = ["curve", "order", "amplitude [arcsec]", "phase [deg]", "sd [arcsec]", "gain stored"]
+    cells = []
+    for curve in found.curves:
+        given = curve.correction
+        gains = dict(zip(given.order.tolist(), given.gain))
+        for order, value, sd in zip(given.given_order.tolist(), given.given_value, given.sd):
+            numbers = [abs(value) / arcsec, math.degrees(np.angle(value)), sd / arcsec, gains.get(order, 0.0)]
+            cells.append([curve.label, str(order), *(f"{number:.10g}" for number in numbers)])
+    return headers, cells

@@ -1,6 +1,5 @@
 """The design of a study as a section of its page: every number and where it comes from, and a drawing to scale."""
 
-import io
 from html import escape
 from typing import Any
 
@@ -9,7 +8,7 @@ from rvjax.designs import RVReducer
 from rvjax.plotting.style import words
 from rvjax.report.check import facts
 from rvjax.report.html import figure, micro, section, table
-from rvjax.report.pictures import Picture
+from rvjax.report.pictures import Picture, saved
 from rvjax.study.plausible import shown
 from rvjax.study.question import Study
 
@@ -52,12 +51,10 @@ def drawing(design: RVReducer) -> Picture:
     from rvjax import plotting
     from rvjax.plotting import drawings
 
-    file = io.BytesIO()
-    with plotting.style(), plt.rc_context({"svg.hashsalt": "design"}):
+    with plotting.style():
         canvas = plt.figure(figsize=(7, 7))
         drawings.reducer(design, axes=canvas.add_subplot())
-        canvas.savefig(file, format="svg", metadata={"Date": None})
-        plt.close(canvas)
+        content = saved(canvas, "svg")
     cycloid = design.cycloid
     caption = (
         f"Second stage along its axis, to scale; diameters: {cycloid.pin_count} pins of "
@@ -65,4 +62,4 @@ def drawing(design: RVReducer) -> Picture:
         f"{cycloid.disc_count} discs, {design.cranks.count} cranks on a circle of "
         f"{shown(2 * design.cranks.circle_radius, 'm')}"
     )
-    return Picture("design", caption, file.getvalue())
+    return Picture("design", caption, content)

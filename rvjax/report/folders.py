@@ -6,8 +6,9 @@ import io
 import json
 import shutil
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 from rvjax.report import numbers, text
 from rvjax.report.pictures import pictures
@@ -55,18 +56,14 @@ def new_folder(folder: Path) -> Path:
 
 
 def write(answer: Answer, folder: Path) -> Path:
-    """Write study, tables, JSON and pictures into a new folder: all of them, or nothing.
-
-    Returns:
-        The folder.
-    """
+    """Write study, tables, JSON and pictures into a new folder, as `write_files` does."""
     return write_files(_files(answer), folder)
 
 
 def _files(answer: Answer) -> Iterator[tuple[str, bytes]]:
     yield "study.toml", answer.study.text.encode()
     yield "summary.txt", (text.summary(answer) + "\n").encode()
-    yield "result.json", json.dumps(text.as_json(answer), indent=1, allow_nan=False).encode()
+    yield "result.json", as_json(text.as_json(answer))
     for name, (headers, cells) in numbers.tables(answer):
         yield f"{name}.csv", as_csv(headers, cells)
     for picture in pictures(answer):
@@ -80,34 +77,23 @@ def as_csv(headers: Sequence[str], rows: Iterable[Sequence[str | float | None]])
     return file.getvalue().encode()
 
 
+def as_json(data: Any) -> bytes:
+    """JSON values as the content of a file."""
+    return json.dumps(data, indent=1, allow_nan=False).encode()
+
+
 def write_files(files: Iterable[tuple[str, bytes]], folder: Path) -> Path:
-    """Write files into a new folder: all of them, or nothing.
-
-    Returns:
-        The folder.
-    """
-
-    def fill(scratch: Path) -> None:
-        for name, content in files:
-            (scratch / name).write_bytes(content)
-
-    return filled(folder, fill)
-
-
-def filled(folder: Path, fill: Callable[[Path], None]) -> Path:
-    """Make a folder with all its files, or nothing.
+    """Write files into a new folder: all of them, or nothing; returns the folder.
 
     Args:
+        files: name and content, made one after the other.
         folder: that is wanted; where another run has taken it meanwhile, the next free number.
-        fill: writes the files into a folder beside it.
-
-    Returns:
-        The folder.
     """
     folder.parent.mkdir(parents=True, exist_ok=True)
     scratch = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
     try:
-        fill(scratch)
+        for name, content in files:
+            (scratch / name).write_bytes(content)
         scratch.chmod(0o755)  # mkdtemp makes it private
         made = new_folder(folder)
         scratch.rename(made)  # onto an empty folder of its own

@@ -2,9 +2,11 @@
 
 import base64
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from html import escape
+from importlib import resources
 
+import rvjax
 from rvjax.report import text as tables
 from rvjax.report.pictures import Picture
 
@@ -39,6 +41,34 @@ def note(text: str) -> str:
             break
         lines.append(line.lstrip("# "))
     return " ".join(lines)
+
+
+def document(title: str, body: str) -> str:
+    """A whole page: nothing is fetched, the style stands inside."""
+    style = (resources.files("rvjax.report") / "report.css").read_text("utf-8")
+    return (
+        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        f'<meta name="generator" content="rvjax {rvjax.__version__}">\n'
+        f"<title>{escape(title)}</title>\n<style>\n{style}</style>\n</head>\n<body>\n{body}\n</body>\n</html>\n"
+    )
+
+
+def boxes(figures: Iterable[tuple[str, str, str]]) -> str:
+    """Figures (name, value, remark) that a reader looks for first."""
+    each = (f"<div><dt>{escape(a)}</dt><dd>{escape(b)}<small>{escape(c)}</small></dd></div>" for a, b, c in figures)
+    return f'<dl class="key">{"".join(each)}</dl>'
+
+
+def origin(facts: Mapping[str, str], study: str) -> str:
+    """The section that says how to get a page again: facts, versions and the text of the study."""
+    made = ", ".join(map(" ".join, zip(("rvjax", "JAX", "Python"), tables.versions().values())))
+    rows = "".join(
+        f'<tr><th scope="row">{escape(name)}</th><td class="text"><code>{escape(value)}</code></td></tr>'
+        for name, value in {**facts, "versions": made}.items()
+    )
+    text = f"<table><tbody>{rows}</tbody></table><p>The study:</p><pre>{escape(study)}</pre>"
+    return section("How to get this page again", text)
 
 
 def section(title: str, content: str) -> str:

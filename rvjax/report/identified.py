@@ -1,16 +1,14 @@
 """What a person and a machine read of an identification: text, JSON, and the results folder."""
 
-import json
 import math
-import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-import rvjax
 from rvjax.report.folders import as_csv
-from rvjax.report.text import plain, table
+from rvjax.report.folders import as_json as json_file
+from rvjax.report.text import plain, table, versions
 from rvjax.study.bench import NUISANCES
 from rvjax.study.identification import field_unit
 from rvjax.study.identified import Identified
@@ -94,13 +92,8 @@ def headline(answer: Identified) -> str:
     assert found is not None
     lines = [f"Study {name}: {found.status}"]
     p, prior = found.fit.p_model, found.fit.p_prior
-    can = (
-        "The model can explain the data"
-        if found.adequate
-        else "The model cannot explain the data: another reducer, a \
-missing effect, or noise understated"
-    )
-    lines.append(f"{can} (p = {p:.3g}).")
+    cannot = "The model cannot explain the data: another reducer, a missing effect, or noise understated"
+    lines.append(f"{'The model can explain the data' if found.adequate else cannot} (p = {p:.3g}).")
     if prior < 1e-3:
         lines.append(
             f"Parts of this drawing hardly make such a curve (p = {prior:.3g}): something is out of tolerance."
@@ -204,8 +197,6 @@ def _shares_text(fields: Mapping[str, float]) -> str:
 
 def as_json(answer: Identified) -> dict[str, Any]:
     """Everything about an answer as JSON values, SI, with seed and versions."""
-    import jax
-
     check, found, batch = answer.check, answer.posterior, answer.batch
     said: dict[str, Any] = {
         "study": answer.study.name,
@@ -234,19 +225,13 @@ def as_json(answer: Identified) -> dict[str, Any]:
         said["units"] = {unit: _unit(answer, k) for k, unit in enumerate(answer.problem.units)}
         said["shared"] = list(batch.shared_names)
     if answer.draws is not None:
-        draws = answer.draws
-        said["draws"] = {
-            "trusted": draws.trusted,
-            "r_hat": draws.r_hat,
-            "ess": draws.ess,
-            "divergences": draws.divergences,
-        }
+        said["draws"] = {key: getattr(answer.draws, key) for key in ("trusted", "r_hat", "ess", "divergences")}
     best = next(iter(answer.gains or {}), None)
     said["next"] = None if best is None else {"chosen": best, "gains": answer.gains}
     said["noise"] = answer.problem.sd
     said["runs"] = [run.text() for run in answer.problem.runs]
     said["seed"] = answer.study.seed
-    said["versions"] = {"rvjax": rvjax.__version__, "jax": jax.__version__, "python": sys.version.split()[0]}
+    said["versions"] = versions()
     return plain(said)
 
 
@@ -272,7 +257,7 @@ def files(answer: Identified, data: Sequence[str], more: Iterable[tuple[str, byt
 
     yield "study.toml", answer.study.text.encode()
     yield "summary.txt", (summary(answer) + "\n").encode()
-    yield "result.json", json.dumps(as_json(answer) | {"data": list(data)}, indent=1, allow_nan=False).encode()
+    yield "result.json", json_file(as_json(answer) | {"data": list(data)})
     yield "elements.csv", as_csv(*identified_numbers.element_numbers(answer))
     if answer.batch is not None:
         yield "units.csv", as_csv(*identified_numbers.unit_numbers(answer))

@@ -1,22 +1,17 @@
 """An identification as one HTML page, and its pictures: curve, residual orders, elements, shares."""
 
-import io
 import shlex
-import sys
 from collections.abc import Iterator, Sequence
 from html import escape
-from importlib import resources
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
-import rvjax
 from rvjax.plotting.style import words
 from rvjax.report import identified as told
-from rvjax.report.html import figure, micro, note, section, table
-from rvjax.report.pictures import Picture
+from rvjax.report.html import boxes, document, figure, micro, note, origin, section, table
+from rvjax.report.pictures import Picture, saved
 from rvjax.study.identified import Identified
 from rvjax.study.measured import Loop
 from rvjax.tolerances import Tolerance
@@ -28,16 +23,11 @@ SIDES = np.array([-1.959964, 1.959964])  # of a 95 % interval
 
 def pictures(answer: Identified, form: str = "png") -> Iterator[Picture]:
     """Draw an answer."""
-    import matplotlib.pyplot as plt
-
     from rvjax import plotting
 
     with plotting.style():
         for name, caption, axes in _drawn(answer):
-            file = io.BytesIO()
-            axes.figure.savefig(file, format=form)
-            plt.close(axes.figure)
-            yield Picture(name, caption, file.getvalue())
+            yield Picture(name, caption, saved(axes.figure, form))
 
 
 def _drawn(answer: Identified) -> Iterator[tuple[str, str, Any]]:
@@ -91,17 +81,10 @@ def _at(prior: dict[str, Tolerance], side: float) -> dict[str, float]:
 def page(answer: Identified, study: str, data: Sequence[str]) -> str:
     """The whole page."""
     drawn = {picture.name: picture for picture in pictures(answer, "svg")}
-    style = (resources.files("rvjax.report") / "report.css").read_text("utf-8")
     parts = [_head(answer), _curves(answer, drawn), _seen(answer), _elements(answer, drawn), _units(answer)]
     parts += [_shares(drawn), _coming(answer), _origin(answer, study, data)]
     body = "\n".join(filter(None, parts))
-    return (
-        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f'<meta name="generator" content="rvjax {rvjax.__version__}">\n'
-        f"<title>{escape(answer.study.name)}: what made this curve</title>\n<style>\n{style}</style>\n</head>\n"
-        f"<body>\n{body}\n</body>\n</html>\n"
-    )
+    return document(f"{answer.study.name}: what made this curve", body)
 
 
 def _head(answer: Identified) -> str:
@@ -119,9 +102,6 @@ def _head(answer: Identified) -> str:
     )
     if answer.problem.kind == "curve":
         figures.append(("noise", f"{answer.problem.sd / told.arcsec:.3g} arcsec", "of a real number"))
-    boxes = "".join(
-        f"<div><dt>{escape(a)}</dt><dd>{escape(b)}<small>{escape(c)}</small></dd></div>" for a, b, c in figures
-    )
     missed = "" if answer.adequate in (True, None) else " missed"
     mark = "✔ " if answer.adequate else ("" if answer.adequate is None else "✘ ")
     said = " ".join(map(escape, [*more, told.verdict_line(answer) + "."]))
@@ -129,7 +109,7 @@ def _head(answer: Identified) -> str:
         f"<header>\n<h1>{escape(answer.study.name)}: what made this curve?</h1>\n"
         f'<p class="note">{escape(note(answer.study.text))}</p>\n'
         f'<div class="verdict{missed}"><strong>{mark}{escape(title)}</strong> {said}</div>\n'
-        f'<dl class="key">{boxes}</dl>\n</header>'
+        f"{boxes(figures)}\n</header>"
     )
 
 
@@ -197,14 +177,5 @@ def _coming(answer: Identified) -> str:
 
 
 def _origin(answer: Identified, study: str, data: Sequence[str]) -> str:
-    facts = [
-        ("command", " ".join(["rvjax identify", *(shlex.quote(name) for name in (study, *data))])),
-        ("seed", str(answer.study.seed)),
-        ("versions", f"rvjax {rvjax.__version__}, JAX {jax.__version__}, Python {sys.version.split()[0]}"),
-    ]
-    rows = "".join(
-        f'<tr><th scope="row">{escape(name)}</th><td class="text"><code>{escape(value)}</code></td></tr>'
-        for name, value in facts
-    )
-    text = f"<table><tbody>{rows}</tbody></table><p>The study:</p><pre>{escape(answer.study.text)}</pre>"
-    return section("How to get this page again", text)
+    command = " ".join(["rvjax identify", *(shlex.quote(name) for name in (study, *data))])
+    return origin({"command": command, "seed": str(answer.study.seed)}, answer.study.text)

@@ -43,7 +43,7 @@ def script(found: Surrogate | None, answer: Answer) -> str:
     numbers = json.dumps(data(found, answer), allow_nan=False).replace("<", "\\u003c").replace("&", "\\u0026")
     files = resources.files("rvjax.report")
     code = "".join((files / name).read_text("utf-8") for name in ("live.js", "live_page.js"))
-    return f'<script type="application/json" id="live-data">{numbers}</script>\n<script>\n{code}</script>\n'
+    return f'<script type="application/json" id="live-data">{numbers}</script>\n<script>\n{code}</script>'
 
 
 def data(found: Surrogate, answer: Answer) -> dict[str, Any]:

@@ -4,21 +4,17 @@ Scripts only add a section with sliders; without them the page says everything e
 """
 
 import shlex
-import sys
 from html import escape
-from importlib import resources
 
-import jax
 import numpy as np
 
-import rvjax
 from rvjax import levels, models
 from rvjax.plotting.style import words
 from rvjax.report import budget as owned
 from rvjax.report import live
 from rvjax.report import text as tables
 from rvjax.report.design import design_section
-from rvjax.report.html import figure, micro, note, section, table, typeset
+from rvjax.report.html import boxes, document, figure, micro, note, origin, section, table, typeset
 from rvjax.report.pictures import Picture, pictures
 from rvjax.report.surrogate import Surrogate
 from rvjax.report.worst_units import WorstUnit, worst_units
@@ -49,8 +45,7 @@ def page(
         date: on which it was computed; "" leaves it out.
     """
     drawn = {picture.name: picture for picture in pictures(answer, "svg")}
-    style = (resources.files("rvjax.report") / "report.css").read_text("utf-8")
-    title = escape(answer.study.about.title or f"{answer.study.name}: tolerances")
+    title = answer.study.about.title or f"{answer.study.name}: tolerances"
     answered = [_requirements(answer, drawn), _tolerances(answer, drawn), live.section(surrogate, answer)]
     owners = [_owners(budget)] if budget is not None else []
     explained = [
@@ -61,14 +56,8 @@ def page(
         _levels(answer),
         _origin(answer, source),
     ]
-    body = "\n".join([_head(answer, date), *answered, *explained])
-    return (
-        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f'<meta name="generator" content="rvjax {rvjax.__version__}">\n'
-        f"<title>{title}</title>\n<style>\n{style}</style>\n</head>\n<body>\n{body}\n"
-        f"{live.script(surrogate, answer)}</body>\n</html>\n"
-    )
+    parts = [_head(answer, date), *answered, *explained, live.script(surrogate, answer)]
+    return document(title, "\n".join(filter(None, parts)))
 
 
 def _head(answer: Answer, date: str) -> str:
@@ -100,16 +89,13 @@ def _head(answer: Answer, date: str) -> str:
         interval = f"[{100 * joint.lower:.3f}, {100 * joint.upper:.3f}]"
         figures.append(("all requirements at once", f"{100 * joint.value:.3f} %", interval))
     figures.append(("units certified", f"{certificate.samples:,}", f"{certificate.failed:,} failed"))
-    boxes = "".join(
-        f"<div><dt>{escape(a)}</dt><dd>{escape(b)}<small>{escape(c)}</small></dd></div>" for a, b, c in figures
-    )
     caveats = "".join(f"<li>{escape(line)}</li>" for line in tables.limits_of_the_answer(answer))
     return (
         f"<header>\n<h1>{escape(study.about.title or study.name)}</h1>\n{_origins(study, date)}"
         f'<p class="note">{escape(note(study.text))}</p>\n'
         f'<div class="verdict{"" if certified else " missed"}"><strong>{verdict}</strong> '
         f"<code>{escape(allocation.status)}</code> {' '.join(map(escape, more))}</div>\n"
-        f'<dl class="key">{boxes}</dl>\n<ul class="caveats">{caveats}</ul>\n</header>'
+        f'{boxes(figures)}\n<ul class="caveats">{caveats}</ul>\n</header>'
     )
 
 
@@ -304,15 +290,6 @@ def _levels(answer: Answer) -> str:
 
 def _origin(answer: Answer, source: str) -> str:
     study = answer.study
-    facts = [
-        ("command", f"rvjax report {shlex.quote(source)}"),
-        ("seed", f"{study.seed} (certificate {answer.allocation.certificate.seed}, sample units {answer.after.seed})"),
-        ("units", f"{study.samples:,} for the optimiser, {study.certificate_samples:,} for each certificate"),
-        ("versions", f"rvjax {rvjax.__version__}, JAX {jax.__version__}, Python {sys.version.split()[0]}"),
-    ]
-    rows = [[escape(name), f"<code>{escape(value)}</code>"] for name, value in facts]
-    table = "".join(f'<tr><th scope="row">{name}</th><td class="text">{value}</td></tr>' for name, value in rows)
-    return section(
-        "How to get this page again",
-        f"<table><tbody>{table}</tbody></table><p>The study:</p><pre>{escape(study.text)}</pre>",
-    )
+    seeds = f"{study.seed} (certificate {answer.allocation.certificate.seed}, sample units {answer.after.seed})"
+    units = f"{study.samples:,} for the optimiser, {study.certificate_samples:,} for each certificate"
+    return origin({"command": f"rvjax report {shlex.quote(source)}", "seed": seeds, "units": units}, study.text)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure, SubFigure
 
 from rvjax.study.answer import Answer, least_yield
 
@@ -26,22 +27,29 @@ class Picture:
     content: bytes
 
 
+def saved(figure: Figure | SubFigure, form: str = "png") -> bytes:
+    """A figure as a file, closed. Without a date or random names: the same answer gives the same file."""
+    import matplotlib.pyplot as plt
+
+    assert isinstance(figure, Figure)  # matplotlib's types know no better
+    file = io.BytesIO()
+    with plt.rc_context({"svg.hashsalt": "rvjax"}):
+        figure.savefig(file, format=form, dpi=150, metadata={"Date": None} if form == "svg" else None)
+    plt.close(figure)
+    return file.getvalue()
+
+
 def pictures(answer: Answer, form: str = "png") -> Iterator[Picture]:
     """Draw an answer: curves of sample units, a histogram for each requirement, variance shares, cost against yield."""
-    import matplotlib.pyplot as plt
 
     from rvjax import plotting
     from rvjax.plotting.style import words
 
     def picture(axes: Any, name: str, caption: str) -> Picture:
-        file = io.BytesIO()
-        # No date: the same answer gives the same file.
-        axes.figure.savefig(file, format=form, dpi=150, metadata={"Date": None} if form == "svg" else None)
-        plt.close(axes.figure)
-        return Picture(name, caption, file.getvalue())
+        return Picture(name, caption, saved(axes.figure, form))
 
     study, certificate = answer.study, answer.allocation.certificate
-    with plotting.style(), plt.rc_context({"svg.hashsalt": study.name}):
+    with plotting.style():
         if (curve := study.curve) is not None:
             alike = (output for name in study.requirements if (output := study.output(name)).unit == curve.unit)
             read_in = next((output.read_in for output in alike), None)
