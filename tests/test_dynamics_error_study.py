@@ -173,6 +173,7 @@ def test_a_joint_is_asked_for_standstill_and_its_worst_speed(joint, one_speed):
     np.testing.assert_allclose(over_range.value["dynamic_transmission_error"], worst.peak_to_peak, rtol=1e-12)
 
 
+@pytest.mark.long  # the reference holds the second moments, the outputs above the lines
 def test_random_joints_scatter_as_their_second_moments_say(joint, one_speed):
     """Mean square of the acceleration at one speed, and how many are far out at one order: 4 standard errors.
 
