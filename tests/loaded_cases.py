@@ -25,15 +25,15 @@ def number(value):
     return np.asarray(value, float) if isinstance(value, list) else value
 
 
-def arrays(tree):
-    """Every number as an array: one program for numbers and arrays, whose types JAX tells apart."""
-    return jax.tree.map(lambda leaf: np.asarray(leaf, float), tree)
+def plain(tree):
+    """Scalars as floats, as constructors leave them, the rest as arrays, for JAX compiles anew for other types."""
+    return jax.tree.map(lambda leaf: np.asarray(leaf, float) if np.ndim(leaf) else float(leaf), tree)
 
 
 def solve(design, errors, angle, torque, **methods):
     """The equilibrium, by one program for each shape; conditions as studies give them."""
-    at = dict(input_angle=float(angle), output_torque=float(torque))
-    return loaded.equilibrium(*arrays((design, errors)), **at, **methods)
+    design, errors, angle, torque = plain((design, errors, angle, torque))
+    return loaded.equilibrium(design, errors, input_angle=angle, output_torque=torque, **methods)
 
 
 def unchecked(cls, numbers):

@@ -62,7 +62,8 @@ CASES = {  # design, outputs, conditions
     "speed": (WHOLE, SPINNING, RUN | dict(load_inertia=10.0, speeds=4)),
 }
 # These compile long; a quicker way through most of the same model runs by default.
-LONG = ("four bar, misfit", "four bar, curve", "lost motion, contact", "balance", "loaded", "bench", "turn", "speed")
+LONG = ("four bar, misfit", "four bar, curve", "lost motion, contact", "dynamics", "balance")
+LONG += ("loaded", "bench", "turn", "speed")
 
 
 def test_no_output_is_left_out():

@@ -186,9 +186,19 @@ def test_every_exported_function_has_its_calls():
 
 
 @pytest.mark.parametrize("name", CALLS)
-def test_a_second_call_compiles_nothing(name, compiled, thorough):
-    """The first way of each door; the others, programs of their own, in the long profile."""
-    for number, call in enumerate(CALLS[name] if thorough else CALLS[name][:1]):
+def test_a_second_call_traces_nothing(name, compiled):
+    """And what is not traced anew is not compiled anew. Nothing is compiled here, but for that a trace is enough."""
+    for number, call in enumerate(CALLS[name]):
+        jax.eval_shape(lambda call=call: call(0.3))
+        compiled.clear()
+        jax.eval_shape(lambda call=call: call(0.7))
+        assert len(compiled) == 1, f"{name}, way {number}"  # that of the lambda
+
+
+@pytest.mark.long  # dear, and follows from the test above
+@pytest.mark.parametrize("name", CALLS)
+def test_a_second_call_compiles_nothing(name, compiled):
+    for number, call in enumerate(CALLS[name]):
         call(0.3)
         compiled.clear()
         call(0.7)
@@ -196,11 +206,18 @@ def test_a_second_call_compiles_nothing(name, compiled, thorough):
 
 
 def test_a_program_that_is_compiled_reports_it(compiled):
-    """The oracle of this page sees what it is to see: a closure made in the call is compiled anew."""
+    """The oracle of this page sees what it is to see: a closure made in the call is traced and compiled anew."""
+
+    def call(x):
+        return jax.jit(lambda p: p * x)(1.0)
+
     for x in (0.3, 0.7):
         compiled.clear()
-        jax.jit(lambda p, x=x: p * x)(1.0)
+        call(x)
         assert any("compile" in event for event in compiled)
+        compiled.clear()
+        jax.eval_shape(lambda x=x: call(x))
+        assert len(compiled) == 2
 
 
 WRONG = {  # doors that take a design, each called with one of another kind

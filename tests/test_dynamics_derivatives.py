@@ -72,7 +72,7 @@ def amplitudes_of(method, design=DAMPED, stage="planetary", harmonics=3, outputs
 LAYOUTS = {"cyclic": layout(DAMPED, 3, 3), "mesh": layout(DAMPED, 3, 2, disc_phase=0.3)}
 
 
-@pytest.mark.parametrize("form", LAYOUTS)
+@pytest.mark.parametrize("form", ["cyclic", pytest.param("mesh", marks=pytest.mark.long)])
 def test_derivatives_of_harmonic_balance_equal_finite_differences(form, thorough):
     """Reverse mode, which is forward mode transposed; in the long profile forward mode itself too."""
     function, point = amplitudes_of("harmonic_balance", LAYOUTS[form])

@@ -166,7 +166,7 @@ def test_peak_to_peak_is_that_of_the_curve():
     assert found.peak_to_peak[0] <= 2 * np.abs(found.amplitude).sum()
 
 
-@pytest.mark.long  # the reference and a batch of joints hold the power by default
+@pytest.mark.long  # the reference holds the power by default
 def test_power_is_the_mean_square_of_units():
     """Each error by itself, one at a time, gives the sum exactly; so do scalars, each member's own."""
     sigma = drawn(5)

@@ -67,6 +67,7 @@ def test_ranking_beats_the_greedy_choice_with_a_nuisance():
     assert after.chosen == ("down",) and after.total == pytest.approx(best.total, rel=1e-4)
 
 
+@pytest.mark.long  # test_end_of_line.py predicts half of a measured reducer too
 def test_a_torque_angle_row_predicts_its_other_half():
     """Half of the mean of backward less forward TE, 100 rpm, 25 C (XiLab-Robotics/Physics-Informed-Neural-Networks).
 

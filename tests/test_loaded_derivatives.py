@@ -9,13 +9,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from loaded_cases import NAMED, arrays, design_of, errors_of, solve
+from loaded_cases import NAMED, design_of, errors_of, plain, solve
 
 from rvjax import Status, loaded
 
 CASE = NAMED["rv40: all errors, rated, hertz"]
-DESIGN, ERRORS = arrays((design_of(CASE), errors_of(CASE, design_of(CASE))))
-START = (DESIGN, ERRORS, np.asarray(412.0), np.asarray(576.525))
+DESIGN, ERRORS = plain((design_of(CASE), errors_of(CASE, design_of(CASE))))
+START = (DESIGN, ERRORS, 412.0, 576.525)
 UNREAD = ("module", "centre_distance", "sun_radius", "disc_phase", "output_torsion", "pin_position", "disc_runout")
 
 
@@ -63,7 +63,7 @@ def test_derivatives_to_every_input_agree_with_differences():
     value = outputs(START)
     for number, name in fields():
         leaf = jax.tree.leaves(START)[number]
-        direction = random.standard_normal(leaf.shape)
+        direction = random.standard_normal(np.shape(leaf))
         slope = np.array([np.vdot(gradient[number], direction) for gradient in gradients])
         if name in UNREAD:
             assert all(np.all(np.asarray(gradient[number]) == 0) for gradient in gradients), name
@@ -83,7 +83,7 @@ def test_derivatives_to_every_input_agree_with_differences():
 @pytest.mark.long  # forward mode is what reverse mode transposes
 def test_reverse_derivatives_are_the_transpose():
     random = np.random.default_rng(1)
-    tangent = jax.tree.map(lambda x: random.standard_normal(x.shape) * (1e-9 + 1e-3 * np.max(np.abs(x))), START)
+    tangent = jax.tree.map(lambda x: random.standard_normal(np.shape(x)) * (1e-9 + 1e-3 * np.max(np.abs(x))), START)
     weights = random.standard_normal(8)
     pulled = backward(START, weights)
     one = sum(np.vdot(a, b) for a, b in zip(jax.tree.leaves(pulled), jax.tree.leaves(tangent)))
@@ -91,7 +91,7 @@ def test_reverse_derivatives_are_the_transpose():
 
 
 def assert_finite(inputs):
-    assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(backward(arrays(inputs), np.ones(8))))
+    assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(backward(plain(inputs), np.ones(8))))
 
 
 def test_derivatives_of_failed_and_idle_cases_are_finite():
@@ -106,13 +106,13 @@ def test_numbers_that_leave_the_arithmetic_are_a_status_and_spoil_no_gradient():
 
     def changed(name, x):  # as a sampler makes it: no constructor judged
         def number(path, leaf):
-            return np.asarray(x) if path[-1].name == name else leaf
+            return x if path[-1].name == name else leaf
 
         return (jax.tree_util.tree_map_with_path(number, DESIGN), *START[1:])
 
     names = ("circle_radius", "face_width", "pin_radius")
     cases = [changed(name, x) for name in names for x in (1e300, 1e-300)]
-    for design, errors, torque, angle in (*cases, (*START[:3], np.asarray(1e30))):
+    for design, errors, torque, angle in (*cases, (*START[:3], 1e30)):
         found = solve(design, errors, angle, torque)
         assert Status(int(found.info.status)) == Status.NONFINITE and np.isnan(found.error)
         assert_finite((design, errors, torque, angle))

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from loaded_cases import NAMED, arrays, design_of, errors_of
+from loaded_cases import NAMED, design_of, errors_of, plain
 from loaded_cases import solve as solve_case
 
 import rvjax
@@ -113,7 +113,7 @@ def test_base_tangents_give_their_backlash():
     """-(upper + lower) / (2 r_s i), exactly but for what the centring springs and the probe torque add."""
     design, short = design_of(ALL_ERRORS), dict(base_tangent_upper=-20e-6, base_tangent_lower=-30e-6)
     found, plain = (
-        loaded.torsion(*arrays((design, errors)), input_angle=0.5, rated_torque=RATED)
+        loaded.torsion(*plain((design, errors)), input_angle=0.5, rated_torque=RATED)
         for errors in (errors_with(**short), errors_with())
     )
     expected = 50e-6 / (2 * design.involute.sun_base_radius * 105)
@@ -141,7 +141,7 @@ def test_revolution_and_torsion_are_their_equilibria():
     """The warm starts change nothing: every angle and torque as solved alone."""
     design = design_of(ALL_ERRORS)
     errors = errors_of(ALL_ERRORS, design)
-    turn = loaded.revolution(*arrays((design, errors)), output_torque=RATED, samples=24)
+    turn = loaded.revolution(*plain((design, errors)), output_torque=RATED, samples=24)
     alone = [solve(errors, 2 * np.pi * 105 / 40 * j / 24, RATED).error for j in (0, 5, 23)]
     np.testing.assert_allclose(np.asarray(turn.error)[[0, 5, 23]], alone, rtol=1e-10)
     rvjax.check(turn)

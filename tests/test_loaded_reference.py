@@ -6,7 +6,7 @@ relative + 1e-15 rad (free play: + 1e-11 rad), forces 1e-8 of the largest force 
 
 import numpy as np
 import pytest
-from loaded_cases import CASES, arrays, design_of, errors_of, solve
+from loaded_cases import CASES, design_of, errors_of, plain, solve
 
 import rvjax
 from rvjax import Status, loaded
@@ -61,7 +61,7 @@ def test_torsion_agrees_with_the_independent_one(name):
     """Backlash and lost motion are differences of angles: they inherit 1e-9 of the largest angle."""
     case = BY_NAME[name]
     design, expect = design_of(case), case["expect"]
-    found = rvjax.check(loaded.torsion(*arrays((design, errors_of(case, design))), **case["options"]))
+    found = rvjax.check(loaded.torsion(*plain((design, errors_of(case, design))), **case["options"]))
     largest = np.max(np.abs(expect["angle"]))
     np.testing.assert_allclose(found.torque, expect["torque"], rtol=1e-14)
     np.testing.assert_allclose(found.angle, expect["angle"], rtol=1e-9, atol=1e-9 * largest)
@@ -75,7 +75,7 @@ def test_revolution_agrees_with_the_independent_one(name):
     """Harmonics are sums of the errors: 1e-9 of the largest error."""
     case = BY_NAME[name]
     design, expect = design_of(case), case["expect"]
-    found = rvjax.check(loaded.revolution(*arrays((design, errors_of(case, design))), **case["options"]))
+    found = rvjax.check(loaded.revolution(*plain((design, errors_of(case, design))), **case["options"]))
     largest = np.max(np.abs(expect["error"]))
     np.testing.assert_allclose(found.error, expect["error"], rtol=1e-9)
     np.testing.assert_allclose(found.peak_to_peak, expect["peak_to_peak"], rtol=0, atol=2e-9 * largest)

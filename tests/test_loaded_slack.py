@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from loaded_cases import NAMED, arrays, assert_same, at, errors_of
+from loaded_cases import NAMED, assert_same, at, errors_of, plain
 from loaded_cases import solve as solve_alone
 
 from oracles import loaded as oracle
@@ -52,13 +52,15 @@ def in_full(errors, lanes):
 
     def full(leaf, like):
         leaf = np.asarray(leaf, float)
-        return np.broadcast_to(leaf.reshape(*leaf.shape, *(1,) * (1 + np.ndim(like) - leaf.ndim)), (lanes, *like.shape))
+        return np.broadcast_to(
+            leaf.reshape(*leaf.shape, *(1,) * (1 + np.ndim(like) - leaf.ndim)), (lanes, *np.shape(like))
+        )
 
-    return jax.tree.map(full, errors, arrays(shapes))
+    return jax.tree.map(full, errors, plain(shapes))
 
 
 def repeated(tree, lanes):
-    return jax.tree.map(lambda leaf: np.broadcast_to(leaf, (lanes, *leaf.shape)), arrays(tree))
+    return jax.tree.map(lambda leaf: np.broadcast_to(leaf, (lanes, *np.shape(leaf))), plain(tree))
 
 
 def solve(designs, errors, angles, torques, law):
@@ -99,10 +101,10 @@ def test_units_of_their_own_geometry_in_a_batch_are_their_cases():
 
     def made(share, radius):
         cycloid = DESIGN.cycloid.replace(eccentricity=DESIGN.cycloid.eccentricity * share)
-        return arrays(DESIGN.replace(cycloid=cycloid, cranks=DESIGN.cranks.replace(circle_radius=radius)))
+        return plain(DESIGN.replace(cycloid=cycloid, cranks=DESIGN.cranks.replace(circle_radius=radius)))
 
     designs = [made(*pair) for pair in zip(random.uniform(0.96, 1.04, lanes), random.uniform(0.034, 0.038, lanes))]
-    errors = [arrays(errors_of(case, DESIGN, eccentricity=size)) for size in random.uniform(-6e-6, 6e-6, lanes)]
+    errors = [plain(errors_of(case, DESIGN, eccentricity=size)) for size in random.uniform(-6e-6, 6e-6, lanes)]
     angles, torques = random.uniform(0, 600, lanes), 412.0 * random.choice([-1, 1], lanes)
     together = (jax.tree.map(lambda *leaves: np.stack(leaves), *ones) for ones in (designs, errors))
     found = solve(*together, angles, torques, "hertz")
