@@ -27,12 +27,14 @@ def single(teeth, contact, case):
 
 
 def solve(teeth, cases, contact="hertz"):
-    """Solve a batch (dictionary of arrays); the size is padded to few values so that programs are shared."""
-    count = len(cases["torque"])
-    size = next(s for s in (32, 512, 3000) if s >= count)
-    padded = {name: np.concatenate([v, np.repeat(v[:1], size - count, axis=0)]) for name, v in cases.items()}
-    result = program(teeth, contact)(padded)
-    return jax.tree.map(lambda leaf: np.asarray(leaf)[:count], result)
+    """Solve a batch (dictionary of arrays), 512 at a time, the last ones padded, so that programs are shared."""
+    count, size = len(cases["torque"]), 512
+    parts = []
+    for first in range(0, count, size):
+        index = np.minimum(first + np.arange(size), count - 1)
+        part = program(teeth, contact)({name: v[index] for name, v in cases.items()})
+        parts.append(jax.tree.map(lambda leaf, left=count - first: np.asarray(leaf)[:left], part))
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
 
 
 def corr(count, teeth=25, **changes):

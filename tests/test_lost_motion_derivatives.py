@@ -136,7 +136,7 @@ def test_derivatives_equal_finite_differences(options):
     step = jnp.array([1e-7] * 5 + [1e-7, 1e-6, 1e-6, 1e-4, 1e-6])
     n = len(step)
     points = jnp.concatenate([nominal[None] + jnp.diag(step), nominal[None] - jnp.diag(step), nominal[None]])
-    values, slopes = jax.jit(jax.vmap(total))(points), jax.jit(jax.vmap(jax.grad(total)))(points)
+    values, slopes = jax.jit(jax.vmap(jax.value_and_grad(total)))(points)
     gradient, difference = slopes[-1], (values[:n] - values[n:-1]) / (2 * step)
     np.testing.assert_allclose(gradient, difference, rtol=1e-6, atol=1e-9 * np.abs(gradient).max())
     if options.get("profile") == "contact":

@@ -15,11 +15,11 @@ from oracles import cam_roller
 from oracles.cam_roller import approach, corr, geometry, half_widths, random_units, solve
 from rvjax import Status
 
-TEETH = (2, 5, 25)  # the census of census/extremes.py draws a million, up to 200 teeth
+TEETH = (2, 8, 25)  # the census of census/extremes.py draws a million, up to 200 teeth
 UNITS = 3000  # of each
 
 
-@pytest.mark.parametrize("teeth", [pytest.param(n, marks=[] if n == 5 else [pytest.mark.long]) for n in TEETH])
+@pytest.mark.parametrize("teeth", [pytest.param(n, marks=[] if n == 8 else [pytest.mark.long]) for n in TEETH])
 def test_census_of_random_designs(teeth):
     """Every lane converges, or is overloaded and only then; equilibrium and compatibility hold for the rest."""
     cases = random_units(teeth, UNITS, np.random.default_rng(teeth))
@@ -56,36 +56,37 @@ def test_census_of_random_designs(teeth):
 
 @pytest.mark.parametrize("contact", ["palmgren", pytest.param("linear", marks=pytest.mark.long)])
 def test_census_of_the_other_contacts(contact):
-    cases = random_units(13, UNITS, np.random.default_rng(1))
-    result, place = solve(13, cases, contact), geometry(13, cases)
+    teeth = 8
+    cases = random_units(teeth, UNITS, np.random.default_rng(1))
+    result, place = solve(teeth, cases, contact), geometry(teeth, cases)
     assert (result.info.status == Status.CONVERGED).all() and result.info.residual.max() <= 1e-12
     depth = result.windup[:, None] * place["arm"] + place["gap"]
     size, loaded = np.abs(depth).max(1, keepdims=True), result.cam > 0
-    assert np.abs(np.where(loaded, approach(13, cases, result, contact) - depth, 0) / size).max() < 1e-9
+    assert np.abs(np.where(loaded, approach(teeth, cases, result, contact) - depth, 0) / size).max() < 1e-9
     assert np.where(loaded, 0, depth / size).max() < 1e-9
 
 
 def test_overload_begins_where_a_half_width_reaches_a_radius():
     """Bisect the torque between CONVERGED and CONTACT_OVERLOAD: the last solvable load stands at the limit."""
-    rng = np.random.default_rng(2)
-    cases = random_units(13, 512, rng, torque=(0, 1), error=(-7, -5))
+    rng, teeth = np.random.default_rng(2), 8
+    cases = random_units(teeth, 512, rng, torque=(0, 1), error=(-7, -5))
     low, high = np.log10(cases["torque"] ** 2) / 2 - 8, np.full(512, 14.0)
-    for _ in range(45):
+    for _ in range(20):  # 2e-5 decades of torque, 3e-5 of a half-width
         middle = (low + high) / 2
-        result = solve(13, cases | {"torque": 10**middle})
+        result = solve(teeth, cases | {"torque": 10**middle})
         assert np.isin(result.info.status, [Status.CONVERGED, Status.CONTACT_OVERLOAD]).all()
         fine = result.info.status == Status.CONVERGED
         low, high = np.where(fine, middle, low), np.where(fine, high, middle)
     cases |= {"torque": 10**low}
-    result = solve(13, cases)
-    widest = half_widths(13, cases, result).max((1, 2))
+    result = solve(teeth, cases)
+    widest = half_widths(teeth, cases, result).max((1, 2))
     assert (widest < 1).all() and widest.min() > 0.999
 
 
 @pytest.mark.parametrize("contact", ["hertz", pytest.param("palmgren", marks=pytest.mark.long)])
 def test_symmetries(contact):
     """Cyclic shifts, mirror image, similarity, and what the torque and the modulus scale."""
-    teeth, n = 13, 14
+    teeth, n = 8, 9
     rng = np.random.default_rng(4)
     cases = random_units(teeth, 400, rng, torque=(-1, 2), error=(-7, -5)) | {"angle": rng.uniform(-1, 1, 400)}
     base = solve(teeth, cases, contact)
@@ -216,10 +217,10 @@ def test_derivatives_at_a_contact_change_are_one_sided(contact):
         return jnp.concatenate([result.windup[None] * 1e6, result.cam])
 
     case = {n: jnp.asarray(v[0]) for n, v in cases.items()}
-    slope = np.asarray(jax.jit(jax.jacrev(outputs))(touch, case))
-    value = jax.jit(outputs)
+    both = jax.jit(lambda *inputs: (outputs(*inputs), jax.jacrev(outputs)(*inputs)))
     h = 1e-12
-    sides = [(np.asarray(value(touch + s * h, case)) - np.asarray(value(touch, case))) / (s * h) for s in (-1, 1)]
+    (value, slope), (below, _), (above, _) = (map(np.asarray, both(touch + s * h, case)) for s in (0, -1, 1))
+    sides = [(value - below) / h, (above - value) / h]
     assert np.isfinite(slope).all()
     size = np.abs(sides[1]).max()  # difference quotients: 12 digits over 1 pm
     assert (slope > np.minimum(*sides) - 1e-2 * size).all() and (slope < np.maximum(*sides) + 1e-2 * size).all()

@@ -33,7 +33,6 @@ from rvjax.tolerances.population.population import Population
 from rvjax.tolerances.propagation.monte_carlo import Run
 from rvjax.units import mm, um
 
-
 CERTIFIED = dict(costs=COSTS, certificate_samples=200_000)
 
 

@@ -178,7 +178,7 @@ def test_free_fields_take_up_what_the_grades_leave():
     """a is snapped to a grade; b is what the closed-form limit then allows."""
     sized = {**PAIR, "a": PAIR["a"].replace(size=25 * mm)}
     requirement = Requirement(lower=-LIMIT, upper=LIMIT)
-    found = allocate(linear, sized, requirement, costs=COSTS, samples=65536, grades=True)
+    found = allocate(linear, sized, requirement, costs=COSTS, samples=65536, certificate_samples=300_000, grades=True)
     graded = found.graded
     assert list(graded.grades) == ["a"]
     a = it_width(graded.grades["a"], 25 * mm) / 2
