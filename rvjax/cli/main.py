@@ -1,37 +1,22 @@
-"""The command line: `cli.toml` lists the commands with their options and help.
+"""The command line: `cli.toml` lists the commands, the function that runs each, its options and its help.
 
 Bad input ends with one line on standard error and exit code 2; a question that has no answer
 (infeasible requirements) with exit code 1.
 """
 
 import argparse
+import importlib
 import io
 import os
 import signal
 import sys
 import tomllib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from rvjax.cli import questions, units
 from rvjax.cli.speak import EXIT_BAD_INPUT, EXIT_OK, say
-
-DOORS: dict[str, Callable[[argparse.Namespace], int]] = {
-    "init": questions.init,
-    "check": questions.check_study,
-    "allocate": questions.allocate,
-    "report": questions.report,
-    "budget": questions.budget,
-    "compare": questions.compare,
-    "reproduce": questions.reproduce,
-    "tradeoff": questions.tradeoff,
-    "montecarlo": units.montecarlo,
-    "identify": units.identify,
-    "assemble": units.assemble,
-    "compensate": units.compensate,
-}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -79,9 +64,9 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
     types: dict[str, Any] = {"count": _count, "int": int}
     for name, command in about["command"].items():
-        options = command.pop("options")
+        options, (module, function) = command.pop("options"), command.pop("run").split(".")
         subparser = commands.add_parser(name, formatter_class=as_written, **command)
-        subparser.set_defaults(run=DOORS[name])
+        subparser.set_defaults(run=getattr(importlib.import_module(f"rvjax.cli.{module}"), function))
         for flag, option in options.items():
             subparser.add_argument(flag, **option | ({"type": types[option["type"]]} if "type" in option else {}))
     # One of several processes of a batch: see `study.batch.work`.

@@ -1,5 +1,8 @@
 """What excites the reducer: mesh frequencies, mesh phases and the Fourier series of the mesh stiffness."""
 
+from collections.abc import Callable
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,8 +10,30 @@ import numpy as np
 from rvjax.dynamics.assembly import Lumped, circle
 from rvjax.records import Array, PyTree
 
-STAGES = ("planetary", "cycloid")
-MESH = {"planetary": "sun_planet_mesh", "cycloid": "disc_pin_mesh"}
+
+class Stage(NamedTuple):
+    """What excites a stage. A further one is an entry of `_STAGES`, and its swing, duty and ramp in `MeshVariation`."""
+
+    mesh: str  # its springs
+    sector: str  # of the symmetry, in which its meshes work against each other
+    count: Callable[[Lumped], int]
+    teeth: Callable[[Lumped], int]  # that set the phases between the meshes
+    frequency: Callable[[Lumped, PyTree], PyTree]  # meshes in a turn of the sun, from sun speed over output speed
+
+
+_STAGES = {
+    "planetary": Stage(
+        "sun_planet_mesh", "planetary", lambda lumped: lumped.cranks, lambda lumped: lumped.sun_teeth,
+        lambda lumped, ratio: lumped.sun_teeth * (1 - 1 / ratio),  # zs |n_s - n_o|
+    ),
+    "cycloid": Stage(  # pins of the ring, seen from the eccentric
+        "disc_pin_mesh", "disc", lambda lumped: lumped.discs, lambda lumped: lumped.disc_teeth + 1,
+        lambda lumped, ratio: (lumped.disc_teeth + 1) * lumped.disc_teeth / ratio,  # Zp |n_H|, n_H = -Zc n_o
+    ),
+}  # fmt: skip
+STAGES = tuple(_STAGES)
+MESH = {name: stage.mesh for name, stage in _STAGES.items()}
+SECTOR = {name: stage.sector for name, stage in _STAGES.items()}
 
 
 def check_stage(stage: str) -> None:
@@ -23,21 +48,19 @@ def check_stage(stage: str) -> None:
 
 def mesh_count(lumped: Lumped, stage: str) -> int:
     """Meshes of a stage: one for each planet, or one for each disc."""
-    return lumped.cranks if stage == "planetary" else lumped.discs
+    return _STAGES[stage].count(lumped)
 
 
 def mesh_teeth(lumped: Lumped, stage: str) -> int:
     """Teeth that set the phases between the meshes: of the sun; pins of the ring, seen from the eccentric."""
-    return lumped.sun_teeth if stage == "planetary" else lumped.disc_teeth + 1
+    return _STAGES[stage].teeth(lumped)
 
 
 def mesh_frequency(lumped: Lumped, sun_speed: Array, stage: str) -> PyTree:
     """Angular mesh frequency with the sign of the speed, rad/s: pin ring fixed, carrier out, sun at `sun_speed`."""
     pins = lumped.disc_teeth + 1
     ratio = 1 + lumped.planet_teeth * pins / lumped.sun_teeth  # sun speed over output speed
-    if stage == "planetary":
-        return sun_speed * (lumped.sun_teeth * (1 - 1 / ratio))  # zs |n_s - n_o|
-    return sun_speed * (pins * lumped.disc_teeth / ratio)  # Zp |n_H|, n_H = -Zc n_o
+    return sun_speed * _STAGES[stage].frequency(lumped, ratio)
 
 
 def wave_coefficients(lumped: Lumped, stage: str, harmonics: int) -> jax.Array:

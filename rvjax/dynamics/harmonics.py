@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax.dynamics.assembly import Lumped, spring_table
-from rvjax.dynamics.excitation import mesh_teeth
+from rvjax.dynamics.excitation import SECTOR, mesh_count, mesh_teeth
 from rvjax.dynamics.modal import Key, ModalSector
 from rvjax.dynamics.symmetry import is_split, is_symmetric
 from rvjax.records import PyTree
@@ -40,13 +40,12 @@ class Share(NamedTuple):
 def shares(lumped: Lumped, stage: str, harmonics: int) -> tuple[Share, ...]:
     """Which sector each mesh harmonic excites: label k = l teeth mod members of the stage; else the whole model."""
     symmetric = is_symmetric(lumped)
-    return _shares(lumped.cranks, lumped.discs, symmetric, stage, mesh_teeth(lumped, stage), harmonics)
+    split = is_split(lumped.cranks, lumped.discs)
+    return _shares(mesh_count(lumped, stage), SECTOR[stage], symmetric, split, mesh_teeth(lumped, stage), harmonics)
 
 
 @lru_cache
-def _shares(cranks: int, discs: int, symmetric: bool, stage: str, teeth: int, harmonics: int) -> tuple[Share, ...]:
-    number = cranks if stage == "planetary" else discs
-    own = "planetary" if stage == "planetary" else "disc"
+def _shares(number: int, own: str, symmetric: bool, split: bool, teeth: int, harmonics: int) -> tuple[Share, ...]:
     found: dict[Key, list[int]] = {}
     for order in range(1, harmonics + 1):
         k = order * teeth % number
@@ -55,7 +54,7 @@ def _shares(cranks: int, discs: int, symmetric: bool, stage: str, teeth: int, ha
         elif k == 0:
             key, signed = ("rotational", 0), order
         elif k in (1, number - 1):
-            key, signed = ("translational", 0), order if k == 1 or not is_split(cranks, discs) else -order
+            key, signed = ("translational", 0), order if k == 1 or not split else -order
         else:
             key, signed = (own, min(k, number - k)), order if 2 * k <= number else -order
         found.setdefault(key, []).append(signed)
