@@ -112,12 +112,12 @@ def test_tangential_carrier_bores_turn_the_output_alone():
 def test_base_tangents_give_their_backlash():
     """-(upper + lower) / (2 r_s i), exactly but for what the centring springs and the probe torque add."""
     design, short = design_of(ALL_ERRORS), dict(base_tangent_upper=-20e-6, base_tangent_lower=-30e-6)
-    found, plain = (
+    found, without = (
         loaded.torsion(*plain((design, errors)), input_angle=0.5, rated_torque=RATED)
         for errors in (errors_with(**short), errors_with())
     )
     expected = 50e-6 / (2 * design.involute.sun_base_radius * 105)
-    np.testing.assert_allclose(found.backlash - plain.backlash, expected, rtol=1e-3)
+    np.testing.assert_allclose(found.backlash - without.backlash, expected, rtol=1e-3)
     assert np.all(np.diff(found.torque) > 0) and np.all(np.diff(found.angle) < 0)
 
 
