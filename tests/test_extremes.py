@@ -147,7 +147,7 @@ def test_lost_motion_too_large_or_too_small(profile):
 def stage(teeth, contact):
     def solve(case):
         design = catalogue.CORR.replace(gear_teeth=teeth, eccentricity=case["e"], roller_radius=case["r"])
-        design = design.replace(young_modulus=case["E"], cam_radius=case["cam"])
+        design = design.replace(young_modulus=case["E"], cam_radius=case["cam"], roller_length=case["length"])
         errors = CamRollerErrors(case["cam_error"], case["throw_error"], case["radius_error"])
         found = rvjax.mesh_force.solve(
             design, errors, input_torque=case["torque"], output_angle=case["angle"], contact=contact
@@ -158,7 +158,7 @@ def stage(teeth, contact):
 
 
 def units(count, teeth=3, **changes):
-    case = dict(e=2e-3, r=8e-3, E=2e11, cam=0.135, cam_error=0.0, throw_error=0.0, torque=50.0, angle=0.3)
+    case = dict(e=2e-3, r=8e-3, E=2e11, cam=0.135, length=0.012, cam_error=0.0, throw_error=0.0, torque=50.0, angle=0.3)
     case = {name: np.full(count, value) for name, value in case.items()}
     return case | {"radius_error": np.zeros((count, teeth + 1))} | changes
 
@@ -177,6 +177,18 @@ def test_rollers_too_large_for_the_arithmetic(contact):
     crushed = Status.CONTACT_OVERLOAD if contact == "hertz" else Status.NONFINITE
     expected = [0, crushed, crushed, Status.NONFINITE, crushed, Status.NONFINITE, *[0] * (LANES - 6)]
     np.testing.assert_array_equal(found.info.status, expected)
+    assert all(np.isfinite(leaf).all() for leaf in slope.values())
+
+
+def test_a_cam_lost_in_the_rounding_of_the_link():
+    """1e-30 m beside a roller of 9 mm: a contact of radius zero, and gradients that were NaN. Likewise loads that
+    vanish when squared."""
+    case = units(LANES)
+    case["cam"][:4] = [0.135, 1e-30, 0.135, 0.135]
+    case["length"][:4] = [0.012, 0.012, 1e-300, 0.012]
+    case["torque"][:4] = [1e-9, 1e-9, 0, 1e-300]
+    (_, found), slope = stage(3, "hertz")(case)
+    np.testing.assert_array_equal(found.info.status[:5], [0, *[Status.NONFINITE] * 3, 0])
     assert all(np.isfinite(leaf).all() for leaf in slope.values())
 
 
