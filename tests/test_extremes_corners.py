@@ -8,9 +8,11 @@ grid over the whole flank, the rank of the stiffness matrix. Tolerances: 1e-12 w
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 import rvjax
-from rvjax import CamRollerErrors, LinkDeviations, RVErrors, Status, catalogue, four_bar, lost_motion, roots
+from oracles import cam_roller
+from rvjax import LinkDeviations, RVErrors, Status, catalogue, four_bar, lost_motion, roots
 from rvjax.designs import CrankStage
 from rvjax.lost_motion.flank import Flank, free_rotation
 from rvjax.mesh_force import laws
@@ -18,25 +20,20 @@ from rvjax.mesh_force import laws
 
 def test_a_preloaded_roller_at_dead_centre_has_no_arm():
     """Without torque its arm of 1e-16 was a moment that nothing balanced: MAX_STEPS, one case in four hundred."""
-    design = catalogue.CORR.replace(gear_teeth=2, eccentricity=2e-3, roller_radius=8e-3)
-
-    def solve(place, gap, torque):
-        errors = CamRollerErrors(roller_radius=gap)
-        found = rvjax.mesh_force.solve(design, errors, input_torque=torque, output_angle=place, contact="linear")
-        return jnp.sum(found.gear), found
-
     place = np.array([-7, -5, -4, -2, -1, 0, 1, 3, 5, 6, 7, 8]) * np.pi / 6  # one roller within rounding of dead centre
     psi = 2 * place[:, None] - 2 * np.pi * np.arange(3) / 3
     dead = np.abs(np.sin(psi)) < 1e-9
     gap = np.where(dead, 1e-6, np.where(np.cos(psi) > 0, -1e-6, -2e-6))
-    (_, found), slope = jax.jit(jax.vmap(jax.value_and_grad(solve, has_aux=True)))(place, gap, np.zeros(12))
+    case = cam_roller.corr(
+        12, 2, eccentricity=2e-3, young_modulus=2e11, angle=place, errors_roller_radius=gap, torque=0.0
+    )
+    found = cam_roller.solve(2, case, "linear")
     loaded = dead.any(1)
     assert loaded.sum() >= 6
     np.testing.assert_array_equal(found.info.status, np.where(loaded, Status.CONVERGED, Status.UNLOADED))
     np.testing.assert_array_equal(np.asarray(found.cam) > 0, dead)
     # At dead centre all three forces lie on the ray (Wei et al. 2021, Eq. 4).
     np.testing.assert_allclose(found.cam.max(1)[loaded], found.gear.max(1)[loaded], 1e-9)
-    assert np.isfinite(slope).all()
 
 
 def test_rounding_at_a_root_does_not_lead_to_another_root():
@@ -147,25 +144,6 @@ def test_a_mechanism_is_singular_whatever_the_pivots_say():
     assert np.asarray(held.residual).max() < 1e-11
 
 
-def test_a_cam_lost_in_the_rounding_of_the_link():
-    """1e-30 m beside a roller of 9 mm: a contact of radius zero, and gradients that were NaN. Likewise loads that
-    vanish when squared."""
-    radius = np.array([0.135, 1e-30, 0.135, 0.135])
-    length = np.array([0.012, 0.012, 1e-300, 0.012])
-    torque = np.array([1e-9, 1e-9, 0, 1e-300])
-
-    def solve(radius, length, torque):
-        design = catalogue.CORR.replace(gear_teeth=3, cam_radius=radius, roller_length=length)
-        found = rvjax.mesh_force.solve(design, CamRollerErrors(), input_torque=torque, output_angle=0.3)
-        return jnp.sum(jnp.where(jnp.isfinite(found.gear), found.gear, 0)), found.info.status
-
-    (_, status), slope = jax.jit(jax.vmap(jax.value_and_grad(solve, argnums=(0, 1), has_aux=True)))(
-        radius, length, torque
-    )
-    np.testing.assert_array_equal(status, [Status.CONVERGED, *[Status.NONFINITE] * 3])
-    assert all(np.isfinite(leaf).all() for leaf in slope)
-
-
 def test_geared_cranks_too_soft_for_an_angle_leave_their_neighbours_alone():
     """A slip of 1e30 rad has no angle: NONFINITE, and a gradient that is finite."""
     cases = [dict(), dict(crank_3=-1e30), dict(joint=(-1e30, 1e-4)), dict(eccentricity=1e-300), dict(ratio=1e-30)]
@@ -225,6 +203,7 @@ def test_the_cage_limits_a_load_only_by_its_own_share():
     assert (1 / np.maximum(shares, (1 - shares) ** 2 / shares)).max() < 2.7
 
 
+@pytest.mark.long  # a turn beyond a right angle and linkages of any size run by default
 def test_the_turn_of_many_discs_of_any_size():
     """Lengths 1e-60 times as long leave all angles; the product of eight vectors vanished, and with it the error."""
     design = catalogue.RV_40E
@@ -235,7 +214,9 @@ def test_the_turn_of_many_discs_of_any_size():
     )
     delta = 1e-6 * np.random.default_rng(0).normal(size=(8, 2))
     figure = jax.jit(
-        lambda design, delta: four_bar.revolution(design, RVErrors(crank_eccentricity=delta), angles=16).maximum
+        lambda design, delta: (
+            four_bar.revolution(design, RVErrors(crank_eccentricity=delta), angles=16, closure="closed_form").maximum
+        )
     )
     np.testing.assert_allclose(figure(small, 1e-60 * delta), figure(design, delta), rtol=1e-9)
     assert figure(design, delta) > 1e-6

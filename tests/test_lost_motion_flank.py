@@ -26,8 +26,8 @@ S = np.sqrt(1 - K**2)
 
 
 def make(D, d, e=E, ring=RING, teeth=TEETH):
-    D, d, e, ring = (jnp.asarray(x, float) for x in (D, d, e, ring))
-    return flanks.Flank(e, ring, e * (teeth + 1) / (ring + d), D, d, float(teeth))
+    D, d, e, ring, teeth = (jnp.asarray(x, float) for x in (D, d, e, ring, teeth))
+    return flanks.Flank(e, ring, e * (teeth + 1) / (ring + d), D, d, teeth)
 
 
 class Search:
@@ -95,7 +95,12 @@ def relative_error(case):
     return abs(float(found.play) - exact) / abs(exact), (abs(D) + abs(d)) / (e * teeth) / abs(exact)
 
 
-solve = jax.jit(lambda D, d, e, ring, teeth: flanks.minimum(make(D, d, e, ring, teeth)), static_argnums=4)
+minimum = jax.jit(lambda *case: flanks.minimum(make(*case)))
+
+
+def solve(*case):
+    """In one program."""
+    return minimum(*map(np.float64, case))
 
 
 def test_exact_contact_equals_a_brute_force_search():
