@@ -230,5 +230,3 @@ PICTURES = {
     "two_studies": (two_studies.picture, (7.6, 4.4)),
     "tradeoff": (lambda axes: plotting.tradeoff(table.stored()), None),
 }
-SOLVED = ("turn", "joint_orders", "joint_batch", "loaded_pins", "loaded_sharing", "loaded_torsion", "loaded_orders")
-"""Drawings for which a model is compiled: half of the time that the docs take, and empty in a draft."""

@@ -79,7 +79,7 @@ def test_the_commands_of_the_docs_exist(capsys):
 
 @pytest.mark.parametrize("draft", ["yes", pytest.param("", marks=pytest.mark.long)])
 def test_the_build_has_no_warning(tmp_path, draft):
-    """A draft leaves out the drawings of solved models, half of the time; a job of the workflow builds them all."""
+    """A draft leaves out the drawings; a job of the workflow builds them all, and the blocks of the pages draw."""
     pytest.importorskip("sphinx")
     pytest.importorskip("myst_parser")
     pytest.importorskip("furo")

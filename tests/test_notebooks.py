@@ -27,9 +27,8 @@ def pictures(notebook):
     return sum("image/png" in output.get("data", {}) for output in outputs(notebook))
 
 
-# Most of the time; what the others show, the ledger and the tests of the models have too. A job of the
-# workflow runs them all.
-QUICK = ("04_lost_motion", "06_monte_carlo_and_ppm", "07_speed_against_accuracy")
+# What the others show, the ledger and the tests of the models have too. A job of the workflow runs them all.
+QUICK = ("04_lost_motion",)
 RUN = [p if p.stem in QUICK else pytest.param(p, marks=pytest.mark.long) for p in NOTEBOOKS]
 
 

@@ -11,15 +11,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rvjax import dynamics, study
+from rvjax import Status, dynamics, four_bar, study
 from rvjax.catalogue import RV_320E
 from rvjax.study.response import Response
 from rvjax.tolerances import Tolerance, for_design, sample
 from rvjax.tolerances.population.population import Population
+from rvjax.tolerances.propagation.responses import response_names
 from rvjax.units import um
 
 UNITS = 64
-STUDY = study.load("rv-40e")
+STUDY = study.load("rv-40e", solve=False)
 CONDITIONS = replace(STUDY.conditions, angles=16)
 
 
@@ -55,6 +56,32 @@ def test_an_output_costs_only_itself(thorough):
     assert cost_of(("misfit", "lost_motion"), errors) == pytest.approx(misfit + free, rel=0.01)
     # Transmission error and misfit share their linkage; the misfit's own search comes on top.
     assert together - (error + free) > 0.35 * misfit
+
+
+@pytest.mark.parametrize("closure", [None, pytest.param("first_order", marks=pytest.mark.long)])
+def test_half_of_the_figures_of_a_turn_are_those_of_the_whole(closure):
+    """To the rounding of another program; a unit whose shafts hold the discs far apart fails alike in both."""
+    errors = STUDY.design.error_record().replace(bearing_clearance=5 * um)
+    errors = jax.tree.map(lambda x: jnp.asarray(x, float), errors)
+    turn = dict(angles=8, output_torque=412.0, closure=closure)
+    whole, error, misfit = (four_bar.figures(STUDY.design, errors, only=o, **turn) for o in (None, "error", "misfit"))
+    for name in ("maximum", "minimum", "peak_to_peak"):
+        assert float(getattr(error, name)) == pytest.approx(float(getattr(whole, name)), rel=1e-12, abs=1e-18)
+        assert np.isnan(getattr(misfit, name))
+    assert float(misfit.largest_misfit) == pytest.approx(float(whole.largest_misfit), rel=1e-12, abs=1e-18)
+    assert np.isnan(error.largest_misfit) and float(whole.peak_to_peak) > 0
+    assert {int(found.info.status) for found in (whole, error, misfit)} == {Status.CONVERGED}
+    nothing = errors.replace(crank_eccentricity=jnp.full_like(errors.crank_eccentricity, jnp.nan))
+    for o in ("error", "misfit"):
+        assert int(four_bar.figures(STUDY.design, nothing, only=o, **turn).info.status) == Status.NONFINITE
+    with pytest.raises(ValueError, match="only = 'mean': must be one of error, misfit, or None for both"):
+        four_bar.figures(STUDY.design, errors, only="mean")
+
+
+def test_a_record_says_the_names_that_tracing_finds():
+    response = STUDY.response()
+    traced = jax.eval_shape(response, STUDY.design.error_record()).value
+    assert response_names(response, Population.of(STUDY.tolerances)) == tuple(sorted(traced))
 
 
 @pytest.mark.long  # speed; right or wrong is held elsewhere

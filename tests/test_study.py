@@ -3,6 +3,7 @@
 import dataclasses
 from importlib import resources
 
+import jax
 import numpy as np
 import pytest
 
@@ -40,8 +41,8 @@ def test_the_embedded_study_says_what_its_file_says():
 
 def test_the_response_gives_what_the_requirements_name_and_nothing_else():
     head, _, rest = GOOD.partition("[requirement.misfit]")
-    s = parse_study(head + "[run]" + rest.partition("[run]")[2], name="x")
-    assert set(s.response()(s.design.error_record()).value) == {"transmission_error"}
+    s = parse_study(head + "[run]" + rest.partition("[run]")[2], name="x", solve=False)
+    assert set(jax.eval_shape(s.response(), s.design.error_record()).value) == {"transmission_error"}
 
 
 def test_a_file_with_a_byte_order_mark_is_read(tmp_path):
@@ -60,8 +61,8 @@ def test_a_response_is_reported_in_the_unit_of_its_limit():
 
 
 def test_a_target_for_all_requirements_at_once():
-    assert parse_study(GOOD, name="x").joint_target is None
-    assert parse_study(GOOD.replace("seed = 0", "joint_target = 0.9973"), name="x").joint_target == 0.9973
+    joint = GOOD.replace("seed = 0", "joint_target = 0.9973")
+    assert [parse_study(text, name="x", solve=False).joint_target for text in (GOOD, joint)] == [None, 0.9973]
 
 
 def test_overrides_units_and_cost_models():
@@ -69,7 +70,7 @@ def test_overrides_units_and_cost_models():
     text = GOOD.replace('base = "rv-40e"', f'base = "rv-40e"\n{changes}')
     old = '[cost.crank_phase]\nscale = 1\nreference = "5 arcmin"'
     text = text.replace(old, '[cost.crank_phase]\nmodel = "exponential"\nscale = 2\ndecay = "300 arcsec"')
-    s = parse_study(text, name="x")
+    s = parse_study(text, name="x", solve=False)
     assert s.design.cycloid.eccentricity == pytest.approx(1.25e-3)
     assert s.design.cranks.bearing_stiffness == pytest.approx(5e8)
     assert isinstance(s.costs["crank_phase"], Exponential)
@@ -86,7 +87,7 @@ cycloid.eccentricity = "1.5 mm"
 cycloid.pin_circle_radius = "76 mm"
 cranks.count = 3
 """
-    design = parse_study(GOOD.replace('base = "rv-40e"', f'base = "rv-40e"{changes}'), name="x").design
+    design = parse_study(GOOD.replace('base = "rv-40e"', f'base = "rv-40e"{changes}'), name="x", solve=False).design
     due = InvoluteStage.from_teeth(10, 38, module=1.75e-3, pressure_angle=RV_40E.involute.pressure_angle)
     for field in dataclasses.fields(InvoluteStage):
         assert getattr(design.involute, field.name) == pytest.approx(getattr(due, field.name)), field.name
@@ -97,9 +98,10 @@ cranks.count = 3
 def test_a_published_design_keeps_its_numbers_until_they_are_changed():
     """The printed K1 of the RV-20E is not e zp / rp, nor are its radii those of its teeth."""
     study = GOOD.replace('base = "rv-40e"', 'base = "rv-20e"\ncranks.bearing_stiffness = "600 N/um"')
-    as_printed = parse_study(study, name="x").design
+    as_printed = parse_study(study, name="x", solve=False).design
     assert as_printed.involute == RV_20E.involute and as_printed.cycloid.shortening == 0.72
-    changed = parse_study(study.replace('"rv-20e"', '"rv-20e"\ncycloid.eccentricity = "1 mm"'), name="x").design
+    other = study.replace('"rv-20e"', '"rv-20e"\ncycloid.eccentricity = "1 mm"')
+    changed = parse_study(other, name="x", solve=False).design
     assert changed.involute == RV_20E.involute
     assert changed.cycloid.shortening_coefficient == pytest.approx(
         1e-3 * RV_20E.cycloid.pin_count / RV_20E.cycloid.pin_circle_radius

@@ -153,7 +153,7 @@ def failing(share):
 
 
 @pytest.mark.parametrize("requirement", [CpkAtLeast(cpk=0.5, upper=LIMIT), MeanWithin(upper=LIMIT)])
-def test_failed_units_are_no_way_to_meet_a_mean_or_a_capability(requirement):
+def test_failed_units_are_no_way_to_meet_a_mean_or_a_capability(requirement, thorough):
     # 0.27 % is the rule. Shares of 100 000 units have standard errors of 0.016 %: 0.2 % is below for certain, 0.35 %
     # above; of 1000 units without any failure up to 0.38 % may fail.
     for share, samples, met in [(0.002, 100_000, True), (0.0035, 100_000, False), (1e-9, 1000, False)]:
@@ -166,6 +166,8 @@ def test_failed_units_are_no_way_to_meet_a_mean_or_a_capability(requirement):
     values[27] = math.nan
     assert requirement.learned(values, LIMIT) == requirement.shortfall(values, 0.0) == math.inf
     assert requirement.pull(values, math.inf, LIMIT, 9).units.size == 0
+    if isinstance(requirement, MeanWithin) and not thorough:  # whose search sees what that of a capability does
+        return
     # Failures alone bound t_a: 0.27 % of the units fail at t_a = edge, and 1.96 standard errors of 100 000 less at
     # 0.99 edge. The search feels its way to that cliff by ever smaller steps, so it may stop before.
     response, edge = failing(0.0035)

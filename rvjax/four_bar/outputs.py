@@ -33,12 +33,12 @@ def _turn(given: Any, *, loaded: bool = True) -> dict[str, Any]:
 
 
 def _transmission_error(design: RVReducer, errors: Any, given: Any) -> Solved:
-    found = figures(design, errors, **_turn(given))
+    found = figures(design, errors, **_turn(given), only="error")
     return found.peak_to_peak, found.info.status
 
 
 def _misfit(design: RVReducer, errors: Any, given: Any) -> Solved:
-    found = figures(design, errors, **_turn(given, loaded=False))
+    found = figures(design, errors, **_turn(given, loaded=False), only="misfit")
     return found.largest_misfit, found.info.status
 
 

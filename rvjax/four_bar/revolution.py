@@ -93,6 +93,7 @@ def figures(
     gear_stiffness_ratio: Scalar | None = None,
     closure: str | None = None,
     branch: str = "open",
+    only: str | None = None,
 ) -> Figures:
     """What `revolution` says of a crank turn, without the curve: no spectrum, and by default no angle, is traced.
 
@@ -105,12 +106,15 @@ def figures(
         gear_stiffness_ratio: as in `revolution`.
         closure: as in `revolution`.
         branch: as in `revolution`.
+        only: "error" or "misfit" where that is all that is read: the other's figures are NaN, and cost no compilation.
 
     Raises:
-        ValueError: as in `revolution`.
+        ValueError: as in `revolution`; another word for `only`.
     """
     ways = _ways(design, output_torque, cranks, gear_stiffness_ratio, closure, branch, angles)
-    return _figures((design, errors, output_torque, gear_stiffness_ratio), **ways)
+    if only not in (None, *PARTS):
+        raise ValueError(f"only = {only!r}: must be one of {', '.join(PARTS)}, or None for both")
+    return _figures((design, errors, output_torque, gear_stiffness_ratio), only=only, **ways)
 
 
 def _ways(
@@ -132,6 +136,7 @@ def _ways(
 
 _SMALL = 1 / 64  # displacements over crank circle radius up to which the bound of `first_wave` holds
 
+PARTS = ("error", "misfit")  # of a turn's figures
 STATIC = ("angles", "loaded", "cranks", "closure", "branch")
 Numbers = tuple[RVReducer, RVErrors, Any, Any]  # design, errors, torque, ratio of the gears
 
@@ -152,10 +157,15 @@ def _revolution(numbers: Numbers, *, angles: int, loaded: bool, **methods: str) 
     )
 
 
-@functools.partial(jax.jit, inline=True, static_argnames=STATIC)
-def _figures(numbers: Numbers, *, angles: int, loaded: bool, **methods: str) -> Figures:
+@functools.partial(jax.jit, inline=True, static_argnames=(*STATIC, "only"))
+def _figures(numbers: Numbers, *, angles: int, loaded: bool, only: str | None, **methods: str) -> Figures:
     unit, ratio = take_apart(*numbers, loaded=loaded)
-    return _on_the_way(unit, angles) if _is_direct(**methods) else _of_curve(_curve(unit, ratio, angles, methods))
+    if _is_direct(**methods):
+        return _on_the_way(unit, angles, PARTS if only is None else (only,))
+    found, missing = _of_curve(_curve(unit, ratio, angles, methods)), unit.radius * jnp.nan
+    if only == "misfit":
+        return found.replace(maximum=missing, minimum=missing, peak_to_peak=missing)
+    return found.replace(largest_misfit=missing) if only == "error" else found
 
 
 def _is_direct(*, cranks: str, closure: str, branch: str) -> bool:
@@ -176,8 +186,8 @@ def _of_curve(curve: TransmissionError) -> Figures:
     return Figures(maximum, minimum, maximum - minimum, jnp.max(jnp.abs(curve.misfit)), worst_of(curve.info))
 
 
-def _on_the_way(unit: Unit, angles: int) -> Figures:
-    """Figures of phase-locked cranks from the extremes alone."""
+def _on_the_way(unit: Unit, angles: int, wanted: tuple[str, ...] = PARTS) -> Figures:
+    """Figures of phase-locked cranks from the extremes alone; NaN those that are not wanted."""
     discs = range(len(unit.parts.disc))
 
     def error(parts: PyTree, first: Crank) -> jax.Array:
@@ -190,20 +200,19 @@ def _on_the_way(unit: Unit, angles: int) -> Figures:
         return jnp.max(jnp.stack([jnp.abs(misfit(unit, fits[k], unit.disc_crank(k, first))) for k in discs]))
 
     parts = (unit, [fit(unit, k) for k in discs])
-    most, least = largest_and_smallest(
-        error,
-        parts,
-        angles,
-        score=Score(
+    most = least = largest = unit.radius * jnp.nan
+    if "error" in wanted:
+        score = Score(
             of=monotone_angle,
             back=lambda score: _angle(score) / len(discs),
             wave=first_wave if unit.load is None else None,
-        ),
-        together=4,
-    )
-    largest, _ = largest_and_smallest(most_misfit, parts, angles, together=4)
+        )
+        most, least = largest_and_smallest(error, parts, angles, score=score, together=4)
+    if "misfit" in wanted:
+        largest, _ = largest_and_smallest(most_misfit, parts, angles, together=4)
+    decides = most - least if "error" in wanted else largest
     (most, least, swing, largest), info = unit.gate.close(
-        (most, least, most - least, largest), (~jnp.isfinite(most - least), Status.NONFINITE), info=at_once(most)
+        (most, least, most - least, largest), (~jnp.isfinite(decides), Status.NONFINITE), info=at_once(decides)
     )
     return Figures(most, least, swing, largest, info)
 

@@ -163,9 +163,12 @@ def respond_units(
 
 
 def response_names(response: Response, population: Population) -> tuple[str, ...]:
-    """Names of the response's values, found without computing any.
+    """Names of the response's values, found without computing any: a record with `outputs` says them itself.
 
-    Traced for as many units as will be asked for where nobody chose: JAX remembers, and need not trace it again.
+    Another is traced for as many units as will be asked for where nobody chose: JAX remembers, and need not trace it
+    again.
     """
+    if isinstance(response, Record) and hasattr(response, "outputs"):
+        return tuple(sorted(response.outputs))  # as JAX sorts the keys of a dict
     z = jax.ShapeDtypeStruct((population.numbers, BLOCK), jnp.result_type(float))
     return tuple(jax.eval_shape(functools.partial(respond, response), population, z)[0])

@@ -1,0 +1,77 @@
+"""A small study of the RV-40E for the tests of commands, and its answer: computed once, whichever command asks."""
+
+import contextlib
+import dataclasses
+from collections.abc import Iterator
+from importlib import resources
+
+import pytest
+
+UNITS = 16_000
+"""Of a certificate: of 0.9973 due, 43 may fail and 16 do at most, with an interval that excludes 0.9999."""
+
+GOOD = (resources.files("rvjax.study") / "embedded" / "rv-40e.toml").read_text("utf-8")
+SMALL = GOOD.replace("angles = 64 ", "angles = 12 ").replace("samples = 16384", "samples = 1024")
+SMALL = SMALL.replace("certificate_samples = 1_000_000", "certificate_samples = 16_000")
+MIDDLE = 'lower = "-20 um"\nupper = "20 um"\n'
+SMALL = SMALL.replace(MIDDLE, MIDDLE + 'cost = 0.01\nper = "1 um"\n')  # so that the answer pays for a middle
+HISTOGRAMS = ["histogram_transmission_error", "histogram_misfit", "histogram_lost_motion"]
+PICTURES = ["curves", *HISTOGRAMS, "variance_shares", "cost_against_yield"]
+FOUND: dict = {}  # answers by the text of their study
+
+
+@contextlib.contextmanager
+def answered_once() -> Iterator[dict]:
+    """Every study is answered once, whichever command asks."""
+    import rvjax.report.surrogate
+    import rvjax.study.answer
+
+    real = rvjax.study.answer.answer
+
+    def once(question, *, progress=False, journal=None):
+        if question.text not in FOUND:
+            FOUND[question.text] = real(question, progress=progress, journal=journal)
+        return dataclasses.replace(FOUND[question.text], study=question)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(rvjax.study.answer, "answer", once)
+        # Few points, and units in blocks of those of the search, for which the response is compiled already.
+        for name, few in dict(_POINTS=2, UNITS=1024, BLOCK=1024, FRESH=8192).items():
+            patch.setattr(rvjax.report.surrogate, name, few)
+        yield FOUND
+
+
+@pytest.fixture(scope="module")
+def answers():
+    """Answers by the text of their study; in this module each is computed once."""
+    with answered_once() as found:
+        yield found
+
+
+@pytest.fixture(scope="session")
+def answered(tmp_path_factory):
+    """One allocation through the command line, shared by the tests that look at what it wrote."""
+    from rvjax import cli
+
+    folder = tmp_path_factory.mktemp("allocate")
+    (folder / "small.toml").write_text(SMALL)
+    with answered_once():
+        code = cli.main(["allocate", str(folder / "small.toml"), "--results", str(folder / "out"), "--quiet"])
+    return code, folder / "out"
+
+
+@pytest.fixture
+def undrawn(monkeypatch):
+    """Pages and folders with empty pictures, two seconds sooner each: for tests of their words."""
+    from rvjax.report import folders, page
+    from rvjax.report.pictures import Picture
+
+    for place in (page, folders):
+        monkeypatch.setattr(place, "pictures", lambda *_: [Picture(name, name, b"") for name in PICTURES])
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    """An empty folder to work in."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path

@@ -1,0 +1,86 @@
+"""A small study with its answer and what follows its sliders, computed once for the tests of both."""
+
+import contextlib
+import functools
+from collections.abc import Iterator
+
+import pytest
+
+from rvjax import study
+from rvjax.report import surrogate
+from rvjax.study.answer import Answer, answer
+from rvjax.tolerances.propagation.responses import BLOCK
+
+PLAY = """# the play of an RV-20E
+[design]
+base = "rv-20e"
+
+[tolerances.disc_runout]
+lower = "0 um"   # a magnitude
+upper = "15 um"
+
+[tolerances.pin_radius]
+half_width = "4 um"
+distribution = "uniform"
+
+[tolerances.shift_modification]
+half_width = "3 um"
+
+[tolerances.pin_hole_clearance]
+lower = "0 um"
+upper = "5 um"
+distribution = "lognormal"
+log_sd = 0.2
+
+[tolerances.bearing_clearance]
+lower = "0 um"
+upper = "5 um"
+
+[cost.pin_radius]
+scale = 1
+reference = "4 um"
+finest = "1 um"
+coarsest = "20 um"
+
+[cost.shift_modification]
+model = "exponential"
+scale = 2
+decay = "3 um"
+finest = "1 um"
+coarsest = "20 um"
+
+[middle.shift_modification]
+lower = "-6 um"
+upper = "6 um"
+cost = 0.01
+per = "1 um"
+
+[requirement.lost_motion]
+lower = "-1.5 arcmin"
+upper = "1 arcmin"
+target = 0.99
+
+[run]
+samples = 1024
+certificate_samples = 32768
+"""
+
+
+@contextlib.contextmanager
+def fewer_points() -> Iterator[None]:
+    """Points and fresh units that tell as much, sooner."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(surrogate, "_POINTS", 4)
+        patch.setattr(surrogate, "FRESH", BLOCK)
+        yield
+
+
+@functools.cache
+def played() -> tuple[Answer, surrogate.Surrogate]:
+    """The study's answer and surrogate."""
+    found = answer(study.parse_study(PLAY, name="play"))
+    assert found.allocation.feasible
+    with fewer_points():
+        made = surrogate.surrogate(found)
+    assert made is not None
+    return found, made

@@ -1,0 +1,244 @@
+"""`rvjax allocate` from end to end on a small study: answer, tables, pictures, refusal; nothing half-written."""
+
+import csv
+import dataclasses
+import json
+import re
+from pathlib import Path
+
+import matplotlib.image
+import pytest
+from cli_study import PICTURES, SMALL, UNITS
+
+import rvjax
+import rvjax.study.answer
+from rvjax import cli
+from rvjax.report import again, folders, text
+from rvjax.study.answer import CERTIFICATES, CERTIFYING, PASSES, PRICING, SAMPLING, SEARCHING, solved_units
+
+pytestmark = pytest.mark.usefixtures("answers")
+
+
+def test_allocate_answers(answered):
+    code, out = answered
+    assert code == 0
+    result = json.loads((out / "result.json").read_text())
+    assert result["status"] == "OPTIMAL"
+    assert result["cost"]["after"] < 0.8 * result["cost"]["before"]
+    certificate = result["certificate"]
+    assert certificate["samples"] == UNITS and certificate["failed"] == 0
+    assert result["certificate_before"]["seed"] == certificate["seed"] > 1
+    for estimate in certificate["yield_"].values():
+        assert 0.9973 <= estimate["lower"] <= estimate["value"] <= estimate["upper"] < 0.9999
+    assert all(price < 0 for price in result["multipliers"].values())  # both requirements bind
+    assert result["seed"] == 0 and result["versions"]["rvjax"] == rvjax.__version__
+    for shares in result["shares"]["after"].values():
+        assert sum(shares.values()) == pytest.approx(1.0)
+
+
+def test_allocate_writes_tables_and_pictures(answered):
+    _, out = answered
+    assert (out / "study.toml").read_text() == SMALL
+    result = json.loads((out / "result.json").read_text())
+
+    def table(name, *keys):
+        rows = list(csv.DictReader((out / f"{name}.csv").read_text().splitlines()))
+        return {tuple(row[key] for key in keys): row for row in rows}
+
+    rows = table("tolerances", "error")
+    moved = rows.pop(("middles moved",))
+    assert float(moved["cost after"]) == pytest.approx(result["cost"]["middles"]) and moved["unit"] == ""
+    middle = sum(result["tolerances"]["equidistant_modification"]["after"][end] for end in ("lower", "upper")) / 2
+    assert float(moved["cost after"]) == pytest.approx(0.01 * abs(middle) / 1e-6) and abs(middle) > 1e-6
+    assert [row["unit"] for row in rows.values()] == [
+        {"m": "um", "rad": "arcmin"}[item["unit"]] for item in result["tolerances"].values()
+    ]
+    row = rows["bearing_clearance",]
+    assert [float(row[key]) for key in ("lower before", "upper before")] == [4, 12]
+    for key in ("lower", "upper"):
+        assert float(row[f"{key} after"]) == pytest.approx(
+            1e6 * result["tolerances"]["bearing_clearance"]["after"][key]
+        )
+    costs = [float(row["cost after"]) for row in rows.values() if row["cost after"]]
+    total = sum(costs) + float(moved["cost after"])
+    assert total == pytest.approx(result["cost"]["after"]) and row["grade"] == ""
+    graded = sum(float(row["cost graded"] or 0) for row in (*rows.values(), moved))
+    assert graded == pytest.approx(result["graded"]["cost"])
+    influence = table("influence", "error", "response")
+    assert influence["disc_runout", "transmission_error"]["slope"] == ""  # not seen, which is not zero
+    assert float(influence["disc_runout", "lost_motion"]["slope"]) > 0
+    row = influence["crank_phase", "transmission_error"]
+    assert row["unit of the slope"] == "arcmin/arcmin"
+    assert float(row["slope"]) == pytest.approx(result["sensitivities"]["transmission_error"]["crank_phase"])
+    assert sum(float(influence[e, "misfit"]["share of variance"] or 0) for (e,) in rows) == pytest.approx(1)
+    row = table("requirements", "requirement")["lost_motion",]
+    assert [float(row[key]) for key in ("lower limit", "upper limit")] == [-1, 1] and row["unit"] == "arcmin"
+    assert 0.9973 <= float(row["after, lower end"]) < float(row["after"]) < 1 and row["met after"] == "yes"
+    price = result["multipliers"]["lost_motion"]
+    assert float(row["shadow price per unit"]) == pytest.approx(price * 2.908882086657216e-4)
+    text = (out / "summary.txt").read_text()
+    for words in (
+        "OPTIMAL",
+        "+-6.50 um",
+        "8.00 +-4.00 um",
+        "shadow price",
+        f"{UNITS:,} fresh units, 0 failed",
+        "all requirements at once: 99.",
+        "no joint_target asks for it",
+        "not seen: the model asked does not read this error",
+        "% of the units, interference: no play at all",
+        "Left out: pins, flanks and the first stage",
+    ):
+        assert words in text
+    assert "Doubtful" not in text
+    for name in PICTURES:
+        picture = matplotlib.image.imread(out / f"{name}.png")
+        assert picture.shape[1] > 800 and picture.std() > 0.02  # something is drawn
+    assert sorted(p.name for p in out.parent.iterdir()) == ["out", "small.toml"]  # no scratch folder is left
+
+
+def test_allocate_tells_machines_what_it_wrote(answered, here, monkeypatch, capsys):
+    monkeypatch.setattr(folders, "write", lambda answer, folder: folder)  # as written by the test above
+    (here / "small.toml").write_text(SMALL)
+    assert cli.main(["allocate", "small.toml", "--quiet", "--results", "new", "--format", "json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told.pop("results") == "new"
+    written = json.loads((answered[1] / "result.json").read_text())
+    assert told == written
+
+
+def test_an_answer_is_read_in_the_unit_that_was_asked(answers, answered, here):
+    asked = SMALL.replace('upper = "1 arcmin"', 'upper = "60 arcsec"', 1)
+    old = answers[SMALL]
+    found = dataclasses.replace(old, study=rvjax.study.parse_study(asked, name="x", solve=False))
+    before, after = text.summary(old), text.summary(found)
+    assert "<= 60 arcsec" in after and "/arcsec" in after and "<= 60 arcsec" not in before
+    slopes = [float(re.search(r"crank_phase +([\d.]+) arc", words).group(1)) for words in (before, after)]
+    assert slopes[1] == pytest.approx(60 * slopes[0], abs=0.006)
+
+
+def test_an_unchanged_study_is_answered_from_its_folder(answered, undrawn, here, capsys, monkeypatch):
+    def no_answer(*_, **__):
+        raise ValueError("computed anew")
+
+    (here / "small.toml").write_text(SMALL)
+    assert cli.main(["allocate", "small.toml", "--quiet", "--results", "results/small-2"]) == 0
+    first = capsys.readouterr().out
+    monkeypatch.setattr(rvjax.study.answer, "answer", no_answer)
+    assert cli.main(["allocate", "small.toml", "--results", "results/small-2"]) == 0
+    (here / "results" / "small").mkdir()
+    (here / "results" / "small" / "study.toml").write_text(SMALL)  # half a folder is none
+    assert cli.main(["allocate", "small.toml"]) == 0
+    found = capsys.readouterr()
+    assert "Unchanged since results/small-2 was written" in found.out and "--fresh" in found.out
+    assert found.out.count(first.split("Results: ")[0].strip()) == 2 and found.err == ""
+    result = here / "results" / "small-2" / "result.json"
+    stale = json.loads(result.read_text())
+    for arguments, change in (
+        (["small.toml", "--fresh"], stale),
+        (["other.toml"], stale),
+        (["small.toml"], stale | {"versions": stale["versions"] | {"rvjax": "0.0"}}),
+        (["small.toml"], ["damaged"]),
+    ):
+        (here / "other.toml").write_text(SMALL + "\n")
+        result.write_text(json.dumps(change))
+        assert cli.main(["allocate", *arguments, "--quiet"]) == 2
+        assert "computed anew" in capsys.readouterr().err
+    assert again._names_files({"tolerances": {"x": {"values": [{"file": "a.csv"}]}}})
+    assert not again._names_files({"tolerances": {"x": {"values": [1, "file"]}}})
+
+
+def test_an_answer_solves_about_as_many_units_as_check_tells(answers, answered):
+    """Within a factor of two: passes and certificates are those of the searches before, this one has its own."""
+    study, allocation = answers[SMALL].study, answers[SMALL].allocation
+    counted = (allocation.graded or allocation).evaluations
+    told, middles = solved_units(study), bool(study.middles)
+    passes, certificates = counted["search"] / study.samples, counted["certificates"] / study.certificate_samples
+    assert PASSES[middles] / 2 < passes < 2 * PASSES[middles]
+    assert CERTIFICATES[middles] / 2 <= certificates <= 2 * CERTIFICATES[middles]
+    assert told[SEARCHING] / 2 < counted["search"] + counted["certificates"] < 2 * told[SEARCHING]
+    assert told[CERTIFYING] == answers[SMALL].certificate_before.samples
+    fresh = [len(side.values["misfit"]) for side in (answers[SMALL].before, answers[SMALL].after)]
+    assert told[SAMPLING] == sum(count for count in fresh if count != study.certificate_samples)
+    assert told[PRICING] > (len(answers[SMALL].cost_curve) - 1) * study.samples
+
+
+def test_the_curve_of_costs_passes_through_the_study(answers, answered):
+    """Certified yields and costs of cheapest tolerances, this study's among them, which two targets would set apart."""
+    found = answers[SMALL]
+    star = (min(e.value for e in found.allocation.certificate.yield_.values()), found.allocation.cost)
+    assert star in found.cost_curve and len(found.cost_curve) >= 4
+    yields, costs = zip(*found.cost_curve)
+    assert list(yields) == sorted(yields) and list(costs) == sorted(costs)
+
+
+def test_infeasible_requirements_are_refused_with_the_shortfall(undrawn, here, capsys):
+    text = SMALL.replace('upper = "1 arcmin"', 'upper = "0.2 arcmin"')
+    (here / "hard.toml").write_text(text)
+    assert cli.main(["allocate", "hard.toml", "--quiet"]) == 1
+    printed = capsys.readouterr().out
+    assert "INFEASIBLE" in printed and "limit of transmission_error would have to move by" in printed
+    result = json.loads((here / "results" / "hard" / "result.json").read_text())
+    assert not result["feasible"] and 0 < result["shortfall"]["transmission_error"] < 1e-4
+    assert result["shortfall"]["misfit"] == 0
+    assert cli.main(["allocate", "hard.toml", "--quiet"]) == 1
+    assert "Unchanged since results/hard" in capsys.readouterr().out
+    assert cli.main(["report", "hard.toml", "--quiet", "--output", "hard.html"]) == 1
+    text = Path("hard.html").read_text("utf-8")
+    assert "✘ No tolerances within the process ranges" in text and "✘ not met" in text
+    assert re.search(r"limit of transmission error would have to move by 0\.\d+ arcmin", text)
+    assert Path("results/hard").is_dir() and not Path("results/hard-2").exists()
+
+
+def test_a_model_that_is_not_asked_draws_nothing(here, capsys):
+    """The RV-20E has no bearing stiffness, which the transmission error under a torque needs."""
+    text = """
+[design]
+base = "rv-20e"
+[tolerances.disc_runout]
+lower = "0 um"
+upper = "15 um"
+[tolerances.pin_radius]
+half_width = "4 um"
+[cost.pin_radius]
+scale = 1
+reference = "4 um"
+finest = "1 um"
+coarsest = "20 um"
+[requirement.lost_motion]
+upper = "2 arcmin"
+[run]
+samples = 1024
+certificate_samples = 16000
+"""
+    (here / "play.toml").write_text(text)
+    assert cli.main(["allocate", "play.toml", "--results", "out", "--quiet"]) == 0, capsys.readouterr()
+    assert sorted(p.stem for p in Path("out").glob("*.png")) == [
+        "cost_against_yield", "histogram_lost_motion", "variance_shares",
+    ]  # fmt: skip
+    assert cli.main(["report", "play.toml", "--output", "page.html", "--quiet"]) == 0
+
+
+def test_a_failure_while_writing_leaves_nothing(answered, here, monkeypatch):
+    def fail(*_):
+        raise OSError("disk full")
+
+    monkeypatch.setattr(text, "summary", lambda answer: "text")
+    monkeypatch.setattr(text, "as_json", fail)
+
+    class Study:
+        text = "x"
+
+    class Answer:
+        study = Study
+
+    with pytest.raises(OSError, match="disk full"):
+        folders.write(Answer, here / "results" / "x")
+    assert list((here / "results").iterdir()) == []
+
+
+def test_results_folders_are_never_overwritten(here):
+    assert str(folders.results_folder(None, "x")) == "results/x"
+    (here / "results" / "x").mkdir(parents=True)
+    (here / "results" / "x-2").mkdir()
+    assert str(folders.results_folder(None, "x")) == "results/x-3"

@@ -1,0 +1,207 @@
+"""The page that `rvjax report` writes of a small study; it is looked at in a real browser where one is installed."""
+
+import dataclasses
+import html.parser
+import json
+import math
+import os
+import re
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+from cli_study import PICTURES, SMALL, UNITS
+
+import rvjax
+import rvjax.report.worst_units
+import rvjax.study.answer
+from rvjax import cli
+from rvjax.report import folders, page, text
+from rvjax.study.about import About
+from rvjax.tolerances.propagation.moments import CentralMoments
+from rvjax.tolerances.propagation.sampled import Sampled
+
+pytestmark = pytest.mark.usefixtures("answers")
+
+
+class Tags(html.parser.HTMLParser):
+    """Counts elements and refuses one that is closed in the wrong order."""
+
+    VOID = ("br", "meta", "img", "rect", "path", "circle")
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.seen, self.headings = [], [], []
+        self.feed(text)
+        self.close()
+        assert self.open == []
+
+    def handle_starttag(self, tag, attrs):
+        self.seen.append((tag, dict(attrs)))
+        if tag not in self.VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert tag in self.VOID or self.open.pop() == tag
+
+    def handle_data(self, data):
+        if self.open and self.open[-1] in ("h1", "h2"):
+            self.headings.append(data)
+
+
+@pytest.fixture(scope="module")
+def written(answered, tmp_path_factory):
+    """The page of the small study."""
+    folder = tmp_path_factory.mktemp("report")
+    (folder / "small.toml").write_text(SMALL)
+    code = cli.main(["report", str(folder / "small.toml"), "--output", str(folder / "page.html"), "--quiet"])
+    assert code == 0 and sorted(p.name for p in folder.iterdir()) == ["page.html", "small.toml"]
+    return folder / "page.html"
+
+
+def test_the_page_holds_the_answer_and_needs_nothing_else(written, answered):
+    text = written.read_text("utf-8")
+    tags = Tags(text)
+    sections = ["Requirements", "Tolerances and cost", "What if", "The reducer", "Which error matters"]
+    sections += ["Who owns the error", "Worst units", "How exactly it was computed", "How to get this page again"]
+    assert tags.headings == ["small", *sections]
+    images = [attrs for tag, attrs in tags.seen if tag == "img"]
+    assert len(images) == len(PICTURES) + 2  # that of the error budget, and the drawing of the reducer
+    assert all(image["src"].startswith("data:image/svg+xml;base64,") and image["alt"] for image in images)
+    assert not {tag for tag, _ in tags.seen} & {"link", "iframe", "base", "object"}
+    assert [attrs.get("type") for tag, attrs in tags.seen if tag == "script"] == ["application/json", None]
+    assert len({image["alt"] for image in images}) == len(images)
+    assert not re.search(r"\b(?:fetch|XMLHttpRequest|WebSocket|import)\b", text[text.index("<script") :])
+    assert not re.search(r"(?:src|href)=['\"](?!data:)|url\(|@import", text)
+    result = json.loads((answered[1] / "result.json").read_text())
+    shown = [f"{result['cost']['after']:.3f}", "✔ met", "IT6", "±6.50 µm", f"{UNITS:,}", "seed", rvjax.__version__]
+    shown += [
+        "no level of it like this was measured",
+        "first order, float64",
+        "rvjax report ",
+        "certificate_samples = 16_000",
+        "No maker publishes these values",
+    ]
+    for words in shown:
+        assert words in text, words
+    assert re.search(r"<dt>computed</dt><dd>20\d\d-\d\d-\d\d</dd>", text) and "<dt>author</dt>" not in text
+    certificate = result["certificate"]
+    for found in (certificate["cp_estimate"]["lost_motion"], certificate["cpk_estimate"]["misfit"]):
+        if found["value"] is not None:
+            assert f"{found['value']:.4g}</span><small>[{found['lower']:.4g}, {found['upper']:.4g}]" in text
+
+
+def test_the_worst_units_are_the_worst_and_can_be_replayed(answers, answered, undrawn):
+    answer = answers[SMALL]
+    found = rvjax.report.worst_units.worst_units(answer)
+    assert [unit.requirement for unit in found] == [n for n in answer.study.requirements for _ in range(2)]
+    side = answer.after
+    for name in answer.study.requirements:
+        assert found[[u.requirement for u in found].index(name)].values[name] == np.nanmax(side.values[name])
+    unit = found[0]
+    errors = rvjax.tolerances.sample(side.tolerances, unit.index, seed=side.seed)
+    np.testing.assert_allclose(unit.errors["crank_phase"], errors.crank_phase, rtol=1e-12)
+    assert {f: values.size for f, values in unit.errors.items()}["disc_bore"] == 8
+    failed = dataclasses.replace(side, failed={"NOT_ASSEMBLABLE": 7})
+    text = page.page(dataclasses.replace(answer, after=failed), "x.toml")
+    assert "Unit 7 failed" in text and "cannot be put together" in text
+
+
+def test_an_answer_whose_units_all_fail_is_written_and_says_so(answers, answered, here, request):
+    """The small study, with no valid unit at the finest tolerances."""
+    old = answers[SMALL]
+    refused = dict(feasible=False, status="INFEASIBLE", shortfall=dict.fromkeys(old.allocation.shortfall, math.inf))
+    allocation = dataclasses.replace(old.allocation, **refused, graded=None)
+    failed = {name: np.full_like(values, np.nan) for name, values in old.after.values.items()}
+    unknown = {name: dict.fromkeys(of_field, math.nan) for name, of_field in old.after.shares.items()}
+    after = dataclasses.replace(old.after, values=failed, shares=unknown, sensitivities=unknown)
+    new = dataclasses.replace(old, allocation=allocation, after=after, cost_curve=[])
+    folders.write(new, here / "failed")
+    result = json.loads((here / "failed" / "result.json").read_text())
+    assert set(result["shortfall"].values()) == {None} == set(result["shares"]["after"]["misfit"].values())
+    assert "limit of misfit would do at no value: too many units fail" in (here / "failed" / "summary.txt").read_text()
+    request.getfixturevalue("undrawn")
+    assert "The limit of misfit would do at no value: too many units fail." in page.page(new, "small.toml")
+
+
+def test_a_study_that_asks_for_no_share_of_units_has_a_page(answers, answered, here):
+    """The small study with the means of its sample units in place of its yields; `pins.csv` lies beside the study."""
+    folder, key = here / "elsewhere", "[tolerances.pin_radius]\n"
+    folder.mkdir()
+    (folder / "pins.csv").write_text("deviation\n-1.5\n0.5\n1\n")
+    measured = 'distribution = "empirical"\nvalues = {file = "pins.csv", column = "deviation", unit = "um"}\n'
+    start = SMALL.index("[requirement.")
+    asked = (
+        SMALL[start:]
+        .replace("\nupper", "\nmean_upper")
+        .replace("\nlower", "\nmean_lower")
+        .replace("target = 0.9973\n", "")
+    )
+    (folder / "able.toml").write_text(SMALL[:start].replace(key, key + measured) + asked)
+    question, old = rvjax.study.load("elsewhere/able.toml"), answers[SMALL]
+    np.testing.assert_allclose(question.tolerances.pin_radius.law.values, [-1.5e-6, 0.5e-6, 1e-6])
+
+    def judged(statistics, values):
+        seen = {
+            n: Sampled([CentralMoments.of(v[~np.isnan(v)])], None, np.array([v.size]), 0.95) for n, v in values.items()
+        }
+        verdicts = {name: item.verdict(seen[name]) for name, item in question.requirements.items()}
+        nothing = dict.fromkeys(("yield_", "ppm", "cp", "cpk", "joint_yield"))
+        return dataclasses.replace(statistics, verdicts=verdicts, **nothing)
+
+    certificate = judged(old.allocation.certificate, old.after.values)
+    allocation = dataclasses.replace(old.allocation, certificate=certificate, graded=None)
+    curve = rvjax.study.answer._cost_curve(question, question.response(), allocation, None)
+    before = judged(old.certificate_before, old.before.values)
+    new = dataclasses.replace(old, study=question, allocation=allocation, certificate_before=before, cost_curve=curve)
+    found = page.page(new, "elsewhere/able.toml")
+    assert curve == [] and "Cheapest cost for each yield" not in found and "✔ met" in found
+    assert found.count("mean, &lt; 0.27 % failed") == 3 == text.summary(new).count("mean, < 0.27 % failed")
+
+
+def test_an_answer_says_how_many_units_failed_why_and_how_they_count(answers, answered, undrawn):
+    found = answers[SMALL]
+    failures = dict(
+        failed=5, failures={"CONTACT_OVERLOAD": 2, "MAX_STEPS": 3}, examples={"CONTACT_OVERLOAD": 4, "MAX_STEPS": 612}
+    )
+    certificate = dataclasses.replace(found.allocation.certificate, **failures)
+    found = dataclasses.replace(found, allocation=dataclasses.replace(found.allocation, certificate=certificate))
+    kinds = "2 CONTACT_OVERLOAD (unit 4), 3 MAX_STEPS (unit 612)"
+    assert f"{UNITS:,} fresh units, 5 failed, each a reject in every yield: {kinds}" in text.summary(found)
+    assert {key: text.as_json(found)["certificate"][key] for key in failures} == failures
+    html = page.page(found, "x.toml")
+    assert "5 failed, each a reject in every yield: 2 CONTACT_OVERLOAD (" in html and "the first is unit 612)" in html
+
+
+def test_text_of_the_user_is_escaped(answers, answered, undrawn):
+    answer, hostile = answers[SMALL], """</pre><script>alert("1")</script>&amp;'"""
+    about = About(title=hostile, author=hostile, revision=hostile)
+    question = dataclasses.replace(answer.study, name=hostile, text=f"# {hostile}\n{SMALL}", about=about)
+    text = page.page(dataclasses.replace(answer, study=question), f"{hostile}.toml")
+    tags = Tags(text)
+    assert "script" not in {tag for tag, _ in tags.seen}
+    assert tags.headings[0] == hostile
+    assert text.count("&lt;/pre&gt;&lt;script&gt;alert(&quot;1&quot;)&lt;/script&gt;&amp;amp;&#x27;") >= 7
+
+
+def test_the_page_in_a_browser(written, tmp_path):
+    browser = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+    if browser is None:
+        pytest.skip("no chromium, chromium-browser or google-chrome on PATH")
+    look = "onload = () => document.title = JSON.stringify({images: [...document.images].map(i => i.naturalWidth), "
+    look += (
+        "wide: document.documentElement.scrollWidth - innerWidth, tables: document.querySelectorAll('table').length})"
+    )
+    copy = tmp_path / "page.html"
+    copy.write_text(written.read_text("utf-8").replace("</body>", f"<script>{look}</script></body>"), "utf-8")
+    quiet = "--headless --no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking "
+    quiet += "--disable-component-update --disable-sync --window-size=500,900 --dump-dom"
+    command = [browser, *quiet.split(), f"--user-data-dir={tmp_path}/profile", copy.as_uri()]
+    environment = os.environ | {"HOME": str(tmp_path)}
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, env=environment, check=True)
+    seen = json.loads(re.search(r"<title>(.*?)</title>", done.stdout).group(1))
+    assert len(seen["images"]) == len(PICTURES) + 2 and min(seen["images"]) > 300  # every picture was decoded
+    assert seen["wide"] <= 0  # nothing sticks out of a narrow window
+    assert seen["tables"] >= 5
+    assert "the cheapest tolerances" in done.stdout and "±6.50" in done.stdout
