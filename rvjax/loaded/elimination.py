@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax.loaded.lanes import folded, stored
 from rvjax.loaded.system import Layout
 
 
@@ -42,24 +43,29 @@ def solve(layout: Layout, hessian: Hessian, rhs: jax.Array) -> jax.Array:
     inner = rhs[: layout.inner].reshape(discs, 3, lanes).transpose(1, 0, 2)  # (3, d, l)
     factor = _factor([[hessian.disc[a, b] for b in range(3)] for a in range(3)])
     right = jnp.concatenate([hessian.disc_crank.reshape(3, discs, 3 * cranks, lanes), inner[:, :, None]], axis=2)
-    forward = _forward(factor, right)  # (3, d, 3c + 1, l)
-    forward, scaled = jax.lax.optimization_barrier((forward, forward * jnp.stack(factor.inverse)[:, :, None]))
+    forward = stored(_forward, factor, right)  # (3, d, 3c + 1, l)
 
-    # What the discs leave of the cranks, right side in the last column.
-    own = jnp.asarray(np.eye(cranks), rhs.dtype)[:, None, :, None, None]
-    square = own * hessian.crank.transpose(2, 0, 1, 3)[:, :, None]  # (c, 3, c, 3, l)
-    outer = rhs[layout.inner : layout.carried, None]
-    dense = jnp.concatenate([square.reshape(3 * cranks, 3 * cranks, lanes), outer], axis=1)
-    for a in range(3):
-        for k in range(discs):
-            dense = dense - forward[a, k, : 3 * cranks, None] * scaled[a, k, None]
-    bridge = hessian.crank_tail.reshape(3 * cranks, layout.tail, lanes)
-    above = jnp.concatenate([dense[:, :-1], bridge, dense[:, -1:]], axis=1)
-    below = jnp.concatenate([bridge.transpose(1, 0, 2), hessian.tail, rhs[layout.carried :, None]], axis=1)
-    border = _border(layout, jax.lax.optimization_barrier(jnp.concatenate([above, below])))
+    def left_by_discs(forward: jax.Array, inverse: list[jax.Array], hessian: Hessian, rhs: jax.Array) -> jax.Array:
+        """Dense system of cranks, carrier and sun, right side in the last column."""
+        own = jnp.asarray(np.eye(cranks), rhs.dtype)[:, None, :, None, None]
+        square = own * hessian.crank.transpose(2, 0, 1, 3)[:, :, None]  # (c, 3, c, 3, l)
+        outer = rhs[layout.inner : layout.carried, None]
+        dense = jnp.concatenate([square.reshape(3 * cranks, 3 * cranks, lanes), outer], axis=1)
+        for a in range(3):
+            for k in range(discs):
+                dense = dense - (forward[a, k, : 3 * cranks] * inverse[a][k])[:, None] * forward[a, k, None]
+        bridge = hessian.crank_tail.reshape(3 * cranks, layout.tail, lanes)
+        above = jnp.concatenate([dense[:, :-1], bridge, dense[:, -1:]], axis=1)
+        below = jnp.concatenate([bridge.transpose(1, 0, 2), hessian.tail, rhs[layout.carried :, None]], axis=1)
+        return jnp.concatenate([above, below])
 
-    left = scaled[:, :, -1] - jnp.sum(scaled[:, :, :-1] * border[None, None, : 3 * cranks], axis=2)
-    return jnp.concatenate([_backward(factor, left).transpose(1, 0, 2).reshape(layout.inner, lanes), border])
+    border = _border(layout, stored(left_by_discs, forward, factor.inverse, hessian, rhs))
+
+    def of_discs(factor: _Factor, forward: jax.Array, border: jax.Array) -> jax.Array:
+        left = forward[:, :, -1] - folded(forward[:, :, :-1] * border[: 3 * cranks], 2)
+        return _backward(factor, left).transpose(1, 0, 2).reshape(layout.inner, lanes)
+
+    return jnp.concatenate([of_discs(factor, forward, border), border])
 
 
 def _border(layout: Layout, matrix: jax.Array) -> jax.Array:
@@ -69,16 +75,31 @@ def _border(layout: Layout, matrix: jax.Array) -> jax.Array:
     for size in sizes:
         factor = _factor([[matrix[a, b] for b in range(size)] for a in range(size)])
         forward = _forward(factor, matrix[:size, size:])
-        forward, scaled = jax.lax.optimization_barrier((forward, forward * jnp.stack(factor.inverse)[:, None]))
-        steps.append((factor, scaled))
-        matrix = matrix[size:, size:]
-        for a in range(size):
-            matrix = matrix - forward[a, :-1, None] * scaled[a, None]
-        matrix = jax.lax.optimization_barrier(matrix)
+        steps.append((factor, forward))
+        if matrix.shape[0] > size:
+
+            def rest(matrix, forward, inverse):
+                for a in range(size):
+                    matrix = matrix - (forward[a, :-1] * inverse[a])[:, None] * forward[a, None]
+                return matrix
+
+            forward, matrix = stored(
+                lambda f, r, m: (_forward(f, r), rest(m, _forward(f, r), f.inverse)),
+                factor,
+                matrix[:size, size:],
+                matrix[size:, size:],
+            )
+            steps[-1] = (factor, forward)
     found = jnp.zeros((0, matrix.shape[-1]), matrix.dtype)
-    for factor, scaled in reversed(steps):
-        left = scaled[:, -1] - jnp.sum(scaled[:, :-1] * found[None], axis=1)
-        found = jax.lax.optimization_barrier(jnp.concatenate([_backward(factor, left), found]))
+    for factor, forward in reversed(steps):
+
+        def back(factor, forward, found):
+            left = forward[:, -1]
+            if len(found):
+                left = left - folded(forward[:, :-1] * found, 1)
+            return jnp.concatenate([_backward(factor, left), found])
+
+        found = stored(back, factor, forward, found)
     return found
 
 
@@ -109,9 +130,9 @@ def _forward(factor: _Factor, right: jax.Array) -> jax.Array:
 
 
 def _backward(factor: _Factor, left: jax.Array) -> jax.Array:
-    """L'^-1 times the rows of `left` (size, ..., l)."""
+    """L'^-1 D^-1 times the rows of `left` (size, ..., l)."""
     size = len(factor.lower)
-    rows: list[jax.Array] = [left[a] for a in range(size)]
+    rows: list[jax.Array] = [left[a] * factor.inverse[a] for a in range(size)]
     for a in reversed(range(size)):
         for b in range(a):
             rows[b] = rows[b] - factor.lower[a][b] * rows[a]

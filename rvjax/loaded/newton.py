@@ -9,16 +9,17 @@ A block has a fixed number of lanes. Once a quarter of them is done, cases that 
 cases do not hold up the others.
 """
 
+import functools
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from rvjax.loaded import laws
-from rvjax.loaded.contacts import contacts, energy, gradient, hessian
+from rvjax.loaded.contacts import Contacts, contacts, energy, frame, gradient, hessian
 from rvjax.loaded.elimination import solve
 from rvjax.loaded.interior import approach
-from rvjax.loaded.lanes import BLOCK, take
+from rvjax.loaded.lanes import BLOCK, folded, stored, take
 from rvjax.loaded.system import Layout, System
 
 MAX_STEPS = 300
@@ -165,7 +166,7 @@ def _begin(layout: Layout, s: System, start: jax.Array, seated: jax.Array) -> _S
 
 
 def _overloaded(s: System, depth: jax.Array) -> jax.Array:
-    return jnp.any(depth >= laws.largest_depth(s.compliance[None, None], s.level), axis=(0, 1))
+    return folded(depth >= laws.largest_depth(s.compliance[None, None], s.level), 0, 1, by=jnp.logical_or)
 
 
 def _iterate(layout: Layout, s: System, state: _State, leave: jax.Array, again: jax.Array) -> _State:
@@ -184,56 +185,66 @@ def _iterate(layout: Layout, s: System, state: _State, leave: jax.Array, again: 
     working = jnp.where((s.rows[2] < 0) == (s.load > 0)[None, None], typical, 0)
     driving = jnp.broadcast_to(jnp.stack([s.load > 0, s.load <= 0])[None], (layout.cranks, 2, s.load.shape[-1]))
 
-    def body(state: _State) -> _State:
-        q, cold = state.q, state.cold
+    at_rest = frame(layout, s)
+
+    def pressed(q: jax.Array, cold: jax.Array) -> tuple[Contacts, jax.Array, jax.Array]:
         at = contacts(layout, s._replace(clearance=jnp.where(cold, 0, s.clearance)), q)
-        over = _overloaded(s, at.depth) if layout.law == "hertz" else jnp.zeros((lanes,), bool)
         slope = laws.slope(layout.law, at.depth, at.pins, s.compliance[None, None])
         started = cold[None, None]
-        at = at._replace(
-            pins=jnp.where(started, working * at.depth, at.pins),
-            gear=jnp.where(started, jnp.where(driving, s.gear_stiffness[:, None] * at.gear_depth, 0), at.gear),
-        )
-        # Barriers: without them XLA computes what two results share anew for each.
-        at, slope = jax.lax.optimization_barrier((at, jnp.where(started, working, slope)))
-        pressed = jnp.where(started, driving, at.gear_depth > 0)
-        gear_slope = jnp.where(pressed, s.gear_stiffness[:, None], 0)
-        g, square = jax.lax.optimization_barrier(
-            (gradient(layout, s, q, at), hessian(layout, s, at, slope, gear_slope))
-        )
-        newton = jax.lax.optimization_barrier(-solve(layout, square, g))
+        gear_slope = jnp.where(jnp.where(started, driving, at.gear_depth > 0), s.gear_stiffness[:, None], 0)
+        at = at._replace(pins=jnp.where(started, working * at.depth, at.pins), gear=gear_slope * at.gear_depth)
+        return at, jnp.where(started, working, slope), gear_slope
+
+    def judged(state: _State, at: Contacts, g: jax.Array, newton: jax.Array) -> _Judged:
+        q = state.q
         value = energy(layout, s, q, at)
-        fine = jnp.isfinite(value) & jnp.all(jnp.isfinite(newton), axis=0)
-        size = _most(at.pins, at.gear, at.bearing.force)
-        miss = _most(g)
+        size, miss = _most(at.pins, at.gear, at.bearing.force), _most(g)
         rounding = stiffest * jnp.maximum(widest, _most(q))
-        small = miss <= slack * jnp.maximum(tolerance * size, 2 * eps * rounding)
-        largest = jnp.max(at.pins, axis=(0, 1))
-        return _advance(state, newton, g, value, miss, size, largest, small, fine, over & ~cold, limit)
+        over = _overloaded(s, at.depth) if layout.law == "hertz" else jnp.zeros((lanes,), bool)
+        return _Judged(
+            value=value,
+            miss=miss,
+            size=size,
+            largest=folded(at.pins, 0, 1, by=jnp.maximum),
+            along=folded(state.step * g, 0),
+            descent=folded(newton * g, 0),
+            small=miss <= slack * jnp.maximum(tolerance * size, 2 * eps * rounding),
+            fine=jnp.isfinite(value) & folded(jnp.isfinite(newton), 0, by=jnp.logical_and),
+            over=over & ~state.cold,
+        )
+
+    def body(state: _State) -> _State:
+        at, slope, gear_slope = stored(pressed, state.q, state.cold)
+        g = stored(lambda q, at: gradient(layout, s, q, at), state.q, at)
+        square = stored(lambda *of: hessian(layout, s, *of), at, slope, gear_slope, at_rest)
+        newton = stored(lambda square, g: -solve(layout, square, g), square, g)
+        return stored(_advance, state, newton, stored(judged, state, at, g, newton), limit)
 
     return jax.lax.while_loop(lambda state: jnp.sum(state.open, dtype=leave.dtype) > leave, body, state)
 
 
-def _advance(
-    state: _State,
-    newton: jax.Array,
-    g: jax.Array,
-    value: jax.Array,
-    miss: jax.Array,
-    size: jax.Array,
-    largest: jax.Array,
-    small: jax.Array,
-    fine: jax.Array,
-    over: jax.Array,
-    limit: jax.Array,
-) -> _State:
+class _Judged(NamedTuple):
+    """What a point is worth, each (l,)."""
+
+    value: jax.Array  # energy
+    miss: jax.Array  # largest component of the gradient
+    size: jax.Array  # largest force
+    largest: jax.Array  # force of a pin
+    along: jax.Array  # slope along the step from the best point
+    descent: jax.Array  # and along Newton's step from here
+    small: jax.Array  # the gradient is
+    fine: jax.Array  # all is finite
+    over: jax.Array  # a pin is beyond its law
+
+
+def _advance(state: _State, newton: jax.Array, at: _Judged, limit: jax.Array) -> _State:
     """The next point of every open lane, from what was found at the last one."""
     live, q, cold, line = state.open, state.q, state.cold, state.line
-    usable = fine & ~over
+    usable = at.fine & ~at.over
     again = state.given & ~usable  # a given start beyond the law of a pin: the linear one instead
-    done = usable & small & ~cold
-    lower = usable & (value < state.lowest)
-    slope = jnp.where(usable, jnp.sum(state.step * g, axis=0), jnp.inf)
+    done = usable & at.small & ~cold
+    lower = usable & (at.value < state.lowest)
+    slope = jnp.where(usable, at.along, jnp.inf)
     flat = jnp.abs(slope) <= 0.1 * jnp.abs(state.descent)
     exhausted = state.stall >= _PATIENCE + _SEARCHES
     better = ~cold & jnp.where(state.searching, (flat & (lower | (slope <= 0))) | exhausted, lower)
@@ -263,19 +274,19 @@ def _advance(
     found = Found(
         q=jnp.where(live[None], ended, state.found.q),
         steps=jnp.where(live, steps, state.found.steps),
-        residual=jnp.where(live, miss / jnp.where(size > 0, size, 1), state.found.residual),
-        largest=jnp.where(live, largest, state.found.largest),
+        residual=jnp.where(live, at.miss / jnp.where(at.size > 0, at.size, 1), state.found.residual),
+        largest=jnp.where(live, at.largest, state.found.largest),
         converged=jnp.where(live, done, state.found.converged),
-        overload=jnp.where(live, (state.found.overload | over) & ~done & ~again, state.found.overload),
-        finite=jnp.where(live, fine | over | ~failed, state.found.finite),
+        overload=jnp.where(live, (state.found.overload | at.over) & ~done & ~again, state.found.overload),
+        finite=jnp.where(live, at.fine | at.over | ~failed, state.found.finite),
     )
     onward = jnp.where(searching[None], best + line.share[None] * step, q + newton)
     return _State(
         q=jnp.where(goes_on[None], jnp.where(again[None], 0, onward), q),
         best=best,
         step=step,
-        lowest=jnp.where(better, value, state.lowest),
-        descent=jnp.where(better, jnp.sum(newton * g, axis=0), state.descent),
+        lowest=jnp.where(better, at.value, state.lowest),
+        descent=jnp.where(better, at.descent, state.descent),
         first=first,
         stall=stall,
         searching=searching,
@@ -289,8 +300,5 @@ def _advance(
 
 def _most(*values: Any) -> jax.Array:
     """Largest absolute value of each lane."""
-    largest = [jnp.max(jnp.abs(value), axis=tuple(range(value.ndim - 1))) for value in values]
-    total = largest[0]
-    for value in largest[1:]:
-        total = jnp.maximum(total, value)
-    return total
+    largest = [folded(jnp.abs(value), *range(value.ndim - 1), by=jnp.maximum) for value in values]
+    return functools.reduce(jnp.maximum, largest)
