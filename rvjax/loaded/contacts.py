@@ -32,24 +32,38 @@ class Contacts(NamedTuple):
     bearing: Bearing
 
 
-def contacts(layout: Layout, s: System, q: jax.Array) -> Contacts:
+def contacts(layout: Layout, s: System, q: jax.Array, pins: jax.Array | None = None) -> Contacts:
     """All contacts at the displacements q.
 
     Args:
         layout: counts and methods.
         s: the system, lanes last.
         q: (n, l).
+        pins: their forces, where they are known.
     """
-    discs = q[: 3 * layout.discs].reshape(layout.discs, 3, 1, -1)
-    depth = s.gap + sum(s.rows[a] * discs[:, a] for a in range(3))
+    depth = depths(layout, s, q)
+    if pins is None:
+        pins = laws.force(layout.law, depth, s.compliance[None, None], s.level)
     gear_depth = s.gear_gap + moved(s.gear_rows, q)
     return Contacts(
         depth=depth,
-        pins=laws.force(layout.law, depth, s.compliance[None, None], s.level),
+        pins=pins,
         gear_depth=gear_depth,
         gear=s.gear_stiffness[:, None] * jnp.maximum(gear_depth, 0),
         bearing=bearing(s.bearing_gap + moved(s.bearing_rows, q), s.bearing_stiffness, s.clearance),
     )
+
+
+def depths(layout: Layout, s: System, q: jax.Array) -> jax.Array:
+    """Of the pins in the discs, (d, p, l).
+
+    Args:
+        layout: counts and methods.
+        s: the system, lanes last.
+        q: (n, l).
+    """
+    discs = q[: layout.inner].reshape(layout.discs, 3, 1, -1)
+    return s.gap + sum(s.rows[a] * discs[:, a] for a in range(3))
 
 
 def bearing(w: jax.Array, stiffness: jax.Array, clearance: jax.Array) -> Bearing:
@@ -107,7 +121,8 @@ class Frame(NamedTuple):
 
     pins: jax.Array  # (6, d, p, l) products of two rows: 00, 10, 11, 20, 21, 22
     disc: jax.Array  # (2, 3, d, c, l) an arm on its disc
-    crank: jax.Array  # (2, 3, d, c, l) and on its crank
+    pairs: tuple[jax.Array, jax.Array]  # (2, 6, d, c, l) the same, first and second of each such product
+    crank: jax.Array  # (2, 3, d, c, l) an arm on its crank
     seat: jax.Array  # (2, 3, c, l) a seat on its crank
     seat_tail: jax.Array  # (2, t, c, l) and on carrier and sun
     flank: jax.Array  # (2, 3, c, l) the flanks of a planet on its crank
@@ -128,13 +143,16 @@ def frame(layout: Layout, s: System) -> Frame:
     arms = s.bearing_rows[:split].reshape(discs, cranks, 2, layout.unknowns, -1)
     on_disc = jnp.stack([arms[k, :, :, 3 * k : 3 * k + 3] for k in range(discs)])
     on_crank = jnp.stack([arms[:, i, :, layout.crank(i) : layout.crank(i) + 3] for i in range(cranks)], axis=1)
+    disc, crank = (jnp.moveaxis(x, (2, 3), (0, 1)) for x in (on_disc, on_crank))
     held = []
     for rows in (s.bearing_rows[split:], s.gear_rows):
         own = jnp.stack([rows[i, :, layout.crank(i) : layout.crank(i) + 3] for i in range(cranks)])
         held += [jnp.moveaxis(x, 0, 2) for x in (own, rows[:, :, layout.carried :])]
     return Frame(
         jnp.stack([s.rows[a] * s.rows[b] for a, b in _PAIRS]),
-        *(jnp.moveaxis(x, (2, 3), (0, 1)) for x in (on_disc, on_crank)),
+        disc,
+        tuple(jnp.stack([disc[:, pair[i]] for pair in _PAIRS], axis=1) for i in range(2)),
+        crank,
         *held,
     )
 
@@ -161,17 +179,17 @@ def hessian(
     split = discs * cranks
     stiff = [k[:split].reshape(1, discs, cranks, lanes) for k in at.bearing.stiffness]
     disc, crank = _sprung(stiff, rows.disc), _sprung(stiff, rows.crank)
+    first, second = rows.pairs[0], _sprung(stiff, rows.pairs[1])
+    arms = folded(first[0] * second[0] + first[1] * second[1], 2)
     stiff = [k[None, split:] for k in at.bearing.stiffness]
     seat, seat_tail = _sprung(stiff, rows.seat), _sprung(stiff, rows.seat_tail)
     flank, flank_tail = (jnp.swapaxes(gear_slope, 0, 1)[:, None] * x for x in (rows.flank, rows.flank_tail))
-    sums = _summed(rows.pins, pin_slope)
-    centring = jnp.eye(3, dtype=sums.dtype)[:, :, None, None] * s.centring[None, None, None]
-    full = jnp.stack([jnp.stack([sums[_PAIRS.index((max(a, b), min(a, b)))] for b in range(3)]) for a in range(3)])
+    centring = jnp.eye(3, dtype=flank.dtype)[:, :, None, None] * s.centring[None, None, None]
     tail = folded(_outer(rows.seat_tail, seat_tail) + _outer(rows.flank_tail, flank_tail), 2)
-    support = jnp.eye(layout.tail, dtype=sums.dtype)[:, :, None] * s.support[layout.carried :, None]
+    support = jnp.eye(layout.tail, dtype=flank.dtype)[:, :, None] * s.support[layout.carried :, None]
     return Hessian(
-        disc=full + folded(_outer(rows.disc, disc), 3) + centring,
-        disc_crank=jnp.moveaxis(_outer(disc, rows.crank), 1, 3),
+        disc=_summed(rows.pins, pin_slope) + arms + jnp.stack([centring[pair] for pair in _PAIRS]),
+        disc_crank=sum(disc[i, :, :, :, None] * jnp.moveaxis(rows.crank[i], 0, 2)[None] for i in range(2)),
         crank=folded(_outer(rows.crank, crank), 2) + _outer(rows.seat, seat) + _outer(rows.flank, flank) + centring,
         crank_tail=jnp.moveaxis(_outer(rows.seat, seat_tail) + _outer(rows.flank, flank_tail), 2, 0),
         tail=tail + support,

@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 
 from rvjax.loaded import laws
-from rvjax.loaded.contacts import Contacts, contacts, energy, frame, gradient, hessian
+from rvjax.loaded.contacts import Contacts, contacts, depths, energy, frame, gradient, hessian
 from rvjax.loaded.elimination import solve
 from rvjax.loaded.interior import approach
 from rvjax.loaded.lanes import BLOCK, folded, stored, take
@@ -115,6 +115,8 @@ def minimise(layout: Layout, system: System, start: jax.Array) -> Found:
     """
     cases = max(len(leaf) for leaf in jax.tree.leaves((system, start)))
     width = min(cases, BLOCK)
+    if layout.law != "linear":
+        system = _working_first(system)
 
     def one_round(tour: _Tour) -> _Tour:
         """Every case of the queue; in the second round each begins near its minimum."""
@@ -168,6 +170,17 @@ def minimise(layout: Layout, system: System, start: jax.Array) -> Found:
     return jax.lax.while_loop(goes_on, one_round, _Tour(jnp.int32(0), ~no, nothing)).found
 
 
+def _working_first(s: System) -> System:
+    """The pins of every disc in another order: those first that the torque presses."""
+    order = jnp.argsort(s.rows[:, 2] * s.load[:, None, None], axis=-1)
+    level = None if s.level is None else jnp.take_along_axis(s.level, order, axis=-1)
+    return s._replace(
+        rows=jnp.take_along_axis(s.rows, order[:, None], axis=-1),
+        gap=jnp.take_along_axis(s.gap, order, axis=-1),
+        level=level,
+    )
+
+
 def _open(state: _State) -> jax.Array:
     return _lane(state.lanes, state.marks).open
 
@@ -205,9 +218,27 @@ def _iterate(layout: Layout, s: System, state: _State, leave: jax.Array, again: 
 
     at_rest = frame(layout, s)
 
+    def law(depth: jax.Array, level: jax.Array | None) -> tuple[jax.Array, jax.Array]:
+        force = laws.force(layout.law, depth, s.compliance[None, None], level)
+        return force, laws.slope(layout.law, depth, force, s.compliance[None, None])
+
+    def pins(q: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Forces and slopes; the pins against the torque are rarely pressed."""
+        depth = depths(layout, s, q)
+        if layout.law == "linear":
+            return law(depth, None)
+        half = layout.pins // 2 + 1
+        near, far = depth[:, :half], depth[:, half:]
+        levels = (None, None) if s.level is None else (s.level[:, :half], s.level[:, half:])
+        working = stored(law, near, levels[0])
+        idle = jax.lax.cond(
+            jnp.any(far > 0), law, lambda depth, _: (jnp.zeros_like(depth), jnp.zeros_like(depth)), far, levels[1]
+        )
+        return tuple(jnp.concatenate(both, axis=1) for both in zip(working, idle))
+
     def pressed(q: jax.Array, cold: jax.Array) -> tuple[Contacts, jax.Array, jax.Array]:
-        at = contacts(layout, s._replace(clearance=jnp.where(cold, 0, s.clearance)), q)
-        slope = laws.slope(layout.law, at.depth, at.pins, s.compliance[None, None])
+        force, slope = pins(q)
+        at = contacts(layout, s._replace(clearance=jnp.where(cold, 0, s.clearance)), q, force)
         started = cold[None, None]
         gear_slope = jnp.where(jnp.where(started, driving, at.gear_depth > 0), s.gear_stiffness[:, None], 0)
         at = at._replace(pins=jnp.where(started, working * at.depth, at.pins), gear=gear_slope * at.gear_depth)
