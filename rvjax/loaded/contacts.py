@@ -18,7 +18,7 @@ class Bearing(NamedTuple):
     """Radial springs with clearance, force and stiffness of their displacements."""
 
     force: jax.Array  # (b, 2, l), sign of grad E
-    stiffness: tuple[jax.Array, jax.Array, jax.Array]  # xx, xy, yy, (b, l)
+    stiffness: jax.Array  # xx, xy, yy, (3, b, l)
     energy: jax.Array  # (b, l)
 
 
@@ -32,25 +32,22 @@ class Contacts(NamedTuple):
     bearing: Bearing
 
 
-def contacts(layout: Layout, s: System, q: jax.Array, pins: jax.Array | None = None) -> Contacts:
+def contacts(layout: Layout, s: System, q: jax.Array) -> Contacts:
     """All contacts at the displacements q.
 
     Args:
         layout: counts and methods.
         s: the system, lanes last.
         q: (n, l).
-        pins: their forces, where they are known.
     """
     depth = depths(layout, s, q)
-    if pins is None:
-        pins = laws.force(layout.law, depth, s.compliance[None, None], s.level)
-    gear_depth = s.gear_gap + moved(s.gear_rows, q)
+    gear_depth, held = joints(s, q)
     return Contacts(
         depth=depth,
-        pins=pins,
+        pins=laws.force(layout.law, depth, s.compliance[None, None], s.level),
         gear_depth=gear_depth,
         gear=s.gear_stiffness[:, None] * jnp.maximum(gear_depth, 0),
-        bearing=bearing(s.bearing_gap + moved(s.bearing_rows, q), s.bearing_stiffness, s.clearance),
+        bearing=held,
     )
 
 
@@ -66,6 +63,17 @@ def depths(layout: Layout, s: System, q: jax.Array) -> jax.Array:
     return s.gap + sum(s.rows[a] * discs[:, a] for a in range(3))
 
 
+def joints(s: System, q: jax.Array) -> tuple[jax.Array, Bearing]:
+    """Depths of the flanks (c, 2, l), and the bearings.
+
+    Args:
+        s: the system, lanes last.
+        q: (n, l).
+    """
+    held = bearing(s.bearing_gap + moved(s.bearing_rows, q), s.bearing_stiffness, s.clearance)
+    return s.gear_gap + moved(s.gear_rows, q), held
+
+
 def bearing(w: jax.Array, stiffness: jax.Array, clearance: jax.Array) -> Bearing:
     """k (|w| - clearance)+ along w, with its exact stiffness; without clearance k w.
 
@@ -77,15 +85,15 @@ def bearing(w: jax.Array, stiffness: jax.Array, clearance: jax.Array) -> Bearing
     x, y = w[:, 0], w[:, 1]
     square = x * x + y * y
     held = square >= clearance * clearance
-    size = jnp.sqrt(jnp.where(held & (square > 0), square, 1))
-    slack = jnp.where(square > 0, clearance, 0) / size  # share of w that is clearance
-    cx, cy = x / size, y / size
+    inverse = 1 / jnp.sqrt(jnp.where(held & (square > 0), square, 1))
+    slack = jnp.where(square > 0, clearance, 0) * inverse  # share of w that is clearance
+    cx, cy = x * inverse, y * inverse
     k = jnp.where(held, stiffness, 0)
     radial = k * (1 - slack)
     along = k * slack
     return Bearing(
         force=radial[:, None] * w,
-        stiffness=(radial + along * cx * cx, along * cx * cy, radial + along * cy * cy),
+        stiffness=jnp.stack([radial + along * cx * cx, along * cx * cy, radial + along * cy * cy]),
         energy=k * (1 - slack) * (1 - slack) * square / 2,
     )
 
@@ -177,11 +185,11 @@ def hessian(
     if gear_slope is None:
         gear_slope = jnp.where(at.gear_depth > 0, s.gear_stiffness[:, None], 0)
     split = discs * cranks
-    stiff = [k[:split].reshape(1, discs, cranks, lanes) for k in at.bearing.stiffness]
+    stiff = at.bearing.stiffness[:, :split].reshape(3, 1, discs, cranks, lanes)
     disc, crank = _sprung(stiff, rows.disc), _sprung(stiff, rows.crank)
     first, second = rows.pairs[0], _sprung(stiff, rows.pairs[1])
     arms = folded(first[0] * second[0] + first[1] * second[1], 2)
-    stiff = [k[None, split:] for k in at.bearing.stiffness]
+    stiff = at.bearing.stiffness[:, None, split:]
     seat, seat_tail = _sprung(stiff, rows.seat), _sprung(stiff, rows.seat_tail)
     flank, flank_tail = (jnp.swapaxes(gear_slope, 0, 1)[:, None] * x for x in (rows.flank, rows.flank_tail))
     centring = jnp.eye(3, dtype=flank.dtype)[:, :, None, None] * s.centring[None, None, None]
@@ -196,8 +204,8 @@ def hessian(
     )
 
 
-def _sprung(stiffness: list[jax.Array], rows: jax.Array) -> jax.Array:
-    """Stiffness xx, xy, yy (1, ..., l) times rows (2, w, ..., l)."""
+def _sprung(stiffness: jax.Array, rows: jax.Array) -> jax.Array:
+    """Stiffness xx, xy, yy (3, 1, ..., l) times rows (2, w, ..., l)."""
     xx, xy, yy = stiffness
     return jnp.stack([xx * rows[0] + xy * rows[1], xy * rows[0] + yy * rows[1]])
 

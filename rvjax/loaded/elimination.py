@@ -121,7 +121,7 @@ def _factor(block: _Block, inverse: list[jax.Array]) -> tuple[_Block, list[jax.A
 
 
 def _inverse(block: _Block) -> list[jax.Array]:
-    """1 / D of L D L'; a pivot lost to rounding is raised to it. Stored, and the rest computed from it where it is used."""
+    """1 / D of L D L'; a pivot lost to rounding is raised to it. L is computed from it wherever it is used."""
     least = 8 * float(jnp.finfo(block[0][0].dtype).eps)
     inverse: list[jax.Array] = []
     for a in range(len(block)):

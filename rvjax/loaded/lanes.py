@@ -132,14 +132,16 @@ def folded(x: jax.Array, *axes: int, by: Callable[[jax.Array, jax.Array], jax.Ar
 
 
 def stored(compute: Callable[..., Any], *arguments: Any) -> Any:
-    """compute(*arguments), written to memory. XLA would compute what several results share anew for each of them, across
-    `optimization_barrier` too; not across a branch, though it is always taken.
+    """compute(*arguments), written to memory: a branch that is always taken, which XLA cannot know.
+
+    Without it, and with `optimization_barrier` too, XLA computes what several results share anew for each of them.
 
     Args:
         compute: to arrays; what does not depend on the arguments is computed in every pass of a loop around it.
         arguments: with a floating point array.
     """
     number = next(x for x in jax.tree.leaves(arguments) if jnp.issubdtype(x.dtype, jnp.floating)).ravel()[0]
+    compute = jax.jit(compute)  # traced once
     shapes = jax.eval_shape(compute, *arguments)
     always = (number == number) | (number != number)
     return jax.lax.cond(

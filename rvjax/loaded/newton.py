@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 
 from rvjax.loaded import laws
-from rvjax.loaded.contacts import Contacts, contacts, depths, energy, frame, gradient, hessian
+from rvjax.loaded.contacts import Bearing, Contacts, depths, energy, frame, gradient, hessian, joints
 from rvjax.loaded.elimination import solve
 from rvjax.loaded.interior import approach
 from rvjax.loaded.lanes import BLOCK, folded, stored, take
@@ -24,9 +24,6 @@ from rvjax.loaded.system import Layout, System
 
 MAX_STEPS = 300
 _DIRECT = 80  # of them before the interior point method
-import os
-
-LEAVE = int(os.environ.get("LEAVE", "3"))
 _PATIENCE = 4  # full steps without a new lowest energy
 _SEARCHES = 30  # points on a line at most
 
@@ -52,7 +49,7 @@ class _Tour(NamedTuple):
 
 
 class _State(NamedTuple):
-    """Of a block. Numbers and marks of a lane are kept in one array each: a loop costs as many kernels as it has arrays."""
+    """Of a block. Numbers and marks of a lane are one array each: every array of a loop is copied by a kernel."""
 
     q: jax.Array  # (n, l); of a lane that is not open: where it ended
     best: jax.Array  # (n, l)
@@ -62,7 +59,7 @@ class _State(NamedTuple):
 
 
 class _Lane(NamedTuple):
-    """Each (l,). The bracket lies on the line from the best point: shares of the step and slopes, < 0 at its lower end."""
+    """Each (l,). The bracket: shares of the step from the best point, and slopes there, < 0 at its lower end."""
 
     lowest: Any  # energy at the best point
     descent: Any  # slope there along the step, < 0
@@ -147,7 +144,7 @@ def minimise(layout: Layout, system: System, start: jax.Array) -> Found:
             cursor = cursor + jnp.sum(free, dtype=place.dtype)
             index, part, fresh = seated(place, free)
             state = jax.tree.map(lambda new, old: jnp.where(free[None], new, old), fresh, state)
-            leave = jnp.where(cursor < many, LEAVE * width // 4, 0).astype(jnp.int32)
+            leave = jnp.where(cursor < many, 3 * width // 4, 0).astype(jnp.int32)
             state = _iterate(layout, part, state, leave, again)
             results = jax.tree.map(
                 lambda all_, new: all_.at[index].set(jnp.moveaxis(new, -1, 0), mode="drop"), results, _found(state)
@@ -222,27 +219,30 @@ def _iterate(layout: Layout, s: System, state: _State, leave: jax.Array, again: 
         force = laws.force(layout.law, depth, s.compliance[None, None], level)
         return force, laws.slope(layout.law, depth, force, s.compliance[None, None])
 
-    def pins(q: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Forces and slopes; the pins against the torque are rarely pressed."""
+    def pressed(q: jax.Array, cold: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+        """Depths, forces and slopes of the pins; those that the torque does not press are rarely pressed at all."""
         depth = depths(layout, s, q)
         if layout.law == "linear":
-            return law(depth, None)
-        half = layout.pins // 2 + 1
-        near, far = depth[:, :half], depth[:, half:]
-        levels = (None, None) if s.level is None else (s.level[:, :half], s.level[:, half:])
-        working = stored(law, near, levels[0])
-        idle = jax.lax.cond(
-            jnp.any(far > 0), law, lambda depth, _: (jnp.zeros_like(depth), jnp.zeros_like(depth)), far, levels[1]
-        )
-        return tuple(jnp.concatenate(both, axis=1) for both in zip(working, idle))
-
-    def pressed(q: jax.Array, cold: jax.Array) -> tuple[Contacts, jax.Array, jax.Array]:
-        force, slope = pins(q)
-        at = contacts(layout, s._replace(clearance=jnp.where(cold, 0, s.clearance)), q, force)
+            force, slope = law(depth, None)
+        else:
+            half = layout.pins // 2 + 1
+            level = depth if s.level is None else s.level  # read by the hertz law alone
+            near = stored(law, depth[:, :half], level[:, :half])
+            far = jax.lax.cond(
+                jnp.any(depth[:, half:] > 0),
+                law,
+                lambda depth, _: (jnp.zeros_like(depth), jnp.zeros_like(depth)),
+                *(depth[:, half:], level[:, half:]),
+            )
+            force, slope = (jnp.concatenate(both, axis=1) for both in zip(near, far))
         started = cold[None, None]
-        gear_slope = jnp.where(jnp.where(started, driving, at.gear_depth > 0), s.gear_stiffness[:, None], 0)
-        at = at._replace(pins=jnp.where(started, working * at.depth, at.pins), gear=gear_slope * at.gear_depth)
-        return at, jnp.where(started, working, slope), gear_slope
+        return depth, jnp.where(started, working * depth, force), jnp.where(started, working, slope)
+
+    def joined(q: jax.Array, cold: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array, Bearing]:
+        """Depths, forces and slopes of the flanks, and the bearings."""
+        depth, held = joints(s._replace(clearance=jnp.where(cold, 0, s.clearance)), q)
+        slope = jnp.where(jnp.where(cold[None, None], driving, depth > 0), s.gear_stiffness[:, None], 0)
+        return depth, slope * depth, slope, held
 
     def judged(
         q: jax.Array, step: jax.Array, cold: jax.Array, at: Contacts, g: jax.Array, newton: jax.Array
@@ -265,7 +265,9 @@ def _iterate(layout: Layout, s: System, state: _State, leave: jax.Array, again: 
 
     def body(state: _State) -> _State:
         q, cold = state.q, _lane(state.lanes, state.marks).cold
-        at, slope, gear_slope = stored(pressed, q, cold)
+        depth, pins, slope = stored(pressed, q, cold)
+        gear_depth, gear, gear_slope, held = stored(joined, q, cold)
+        at = Contacts(depth, pins, gear_depth, gear, held)
         g = stored(lambda q, at: gradient(layout, s, q, at), q, at)
         square = stored(lambda *of: hessian(layout, s, *of), at, slope, gear_slope, at_rest)
         newton = stored(lambda square, g: -solve(layout, square, g), square, g)
