@@ -156,13 +156,9 @@ def frame(layout: Layout, s: System) -> Frame:
     for rows in (s.bearing_rows[split:], s.gear_rows):
         own = jnp.stack([rows[i, :, layout.crank(i) : layout.crank(i) + 3] for i in range(cranks)])
         held += [jnp.moveaxis(x, 0, 2) for x in (own, rows[:, :, layout.carried :])]
-    return Frame(
-        jnp.stack([s.rows[a] * s.rows[b] for a, b in _PAIRS]),
-        disc,
-        tuple(jnp.stack([disc[:, pair[i]] for pair in _PAIRS], axis=1) for i in range(2)),
-        crank,
-        *held,
-    )
+    first, second = (jnp.stack([disc[:, pair[i]] for pair in _PAIRS], axis=1) for i in range(2))
+    pins = jnp.stack([s.rows[a] * s.rows[b] for a, b in _PAIRS])
+    return Frame(pins, disc, (first, second), crank, *held)
 
 
 def hessian(
@@ -195,9 +191,10 @@ def hessian(
     centring = jnp.eye(3, dtype=flank.dtype)[:, :, None, None] * s.centring[None, None, None]
     tail = folded(_outer(rows.seat_tail, seat_tail) + _outer(rows.flank_tail, flank_tail), 2)
     support = jnp.eye(layout.tail, dtype=flank.dtype)[:, :, None] * s.support[layout.carried :, None]
+    bridge = disc[:, :, :, :, None] * jnp.moveaxis(rows.crank, 1, 3)[:, None]  # (2, 3, d, c, 3, l)
     return Hessian(
         disc=_summed(rows.pins, pin_slope) + arms + jnp.stack([centring[pair] for pair in _PAIRS]),
-        disc_crank=sum(disc[i, :, :, :, None] * jnp.moveaxis(rows.crank[i], 0, 2)[None] for i in range(2)),
+        disc_crank=bridge[0] + bridge[1],
         crank=folded(_outer(rows.crank, crank), 2) + _outer(rows.seat, seat) + _outer(rows.flank, flank) + centring,
         crank_tail=jnp.moveaxis(_outer(rows.seat, seat_tail) + _outer(rows.flank, flank_tail), 2, 0),
         tail=tail + support,
@@ -222,7 +219,7 @@ def moved(rows: jax.Array, q: jax.Array) -> jax.Array:
         rows: of flanks or bearings.
         q: displacements.
     """
-    return folded(rows * q, rows.ndim - 2)
+    return folded(rows * q[(None,) * (rows.ndim - 2)], rows.ndim - 2)
 
 
 def _product(rows: jax.Array, values: jax.Array) -> jax.Array:

@@ -50,7 +50,7 @@ def solve(layout: Layout, hessian: Hessian, rhs: jax.Array) -> jax.Array:
         dense = jnp.concatenate([square.reshape(3 * cranks, 3 * cranks, lanes), outer], axis=1)
         for a in range(3):
             for k in range(discs):
-                dense = dense - (forward[a, k, : 3 * cranks] * inverse[a][k])[:, None] * forward[a, k, None]
+                dense = dense - (forward[a, k, : 3 * cranks] * inverse[a][k, None])[:, None] * forward[a, k, None]
         bridge = hessian.crank_tail.reshape(3 * cranks, layout.tail, lanes)
         above = jnp.concatenate([dense[:, :-1], bridge, dense[:, -1:]], axis=1)
         below = jnp.concatenate([bridge.transpose(1, 0, 2), hessian.tail, rhs[layout.carried :, None]], axis=1)
@@ -59,7 +59,7 @@ def solve(layout: Layout, hessian: Hessian, rhs: jax.Array) -> jax.Array:
     border = _border(layout, stored(left_by_discs, forward, inverse, hessian, rhs))
 
     def of_discs(block: _Block, inverse: list[jax.Array], forward: jax.Array, border: jax.Array) -> jax.Array:
-        left = forward[:, :, -1] - folded(forward[:, :, :-1] * border[: 3 * cranks], 2)
+        left = forward[:, :, -1] - folded(forward[:, :, :-1] * border[None, None, : 3 * cranks], 2)
         return _backward(block, inverse, left).transpose(1, 0, 2).reshape(layout.inner, lanes)
 
     return jnp.concatenate([of_discs(_rows(hessian.disc), inverse, forward, border), border])
@@ -85,7 +85,7 @@ def _reduced(size: int, matrix: jax.Array, inverse: list[jax.Array]) -> tuple[ja
     forward = _forward(_corner(matrix, size), inverse, matrix[:size, size:])
     rest = matrix[size:, size:]
     for a in range(size if len(rest) else 0):
-        rest = rest - (forward[a, :-1] * inverse[a])[:, None] * forward[a, None]
+        rest = rest - (forward[a, :-1] * inverse[a][None])[:, None] * forward[a, None]
     return forward, rest
 
 
@@ -93,7 +93,7 @@ def _resolved(matrix: jax.Array, inverse: list[jax.Array], forward: jax.Array, f
     """The unknowns of the first block before those that are found."""
     left = forward[:, -1]
     if len(found):
-        left = left - folded(forward[:, :-1] * found, 1)
+        left = left - folded(forward[:, :-1] * found[None], 1)
     return jnp.concatenate([_backward(_corner(matrix, len(inverse)), inverse, left), found])
 
 

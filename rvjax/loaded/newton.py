@@ -273,7 +273,8 @@ def _iterate(layout: Layout, s: System, state: _State, leave: jax.Array, again: 
         newton = stored(lambda square, g: -solve(layout, square, g), square, g)
         found = stored(judged, q, state.step, cold, at, g, newton)
         numbers, marks = stored(_decided, state.lanes, state.marks, found, limit)
-        return _State(*stored(_onward, state, newton, numbers, marks), numbers, marks)
+        q, best, step = stored(_onward, state, newton, numbers, marks)
+        return _State(q, best, step, numbers, marks)
 
     return jax.lax.while_loop(lambda state: jnp.sum(_open(state), dtype=leave.dtype) > leave, body, state)
 
