@@ -112,14 +112,21 @@ def in_blocks(kernel: Kernel, arguments: tuple[Any, ...]) -> Any:
     return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:])[:cases], found)
 
 
-def folded(x: jax.Array, *axes: int, by: Callable[[jax.Array, jax.Array], jax.Array] = jnp.add) -> jax.Array:
+_WHOLE = {jnp.add: jnp.sum, jnp.maximum: jnp.max, jnp.logical_and: jnp.all, jnp.logical_or: jnp.any}
+
+
+def folded(x: jax.Array, *axes: int, by: Callable[..., jax.Array] = jnp.add) -> jax.Array:
     """Sum or another reduction over leading axes, halves onto halves: XLA's own has no vectors along the lanes.
+
+    One lane has none either, and the derivatives of a sum are simpler.
 
     Args:
         x: lanes last.
         axes: all but the last, ascending.
-        by: elementwise and associative.
+        by: one of `_WHOLE`.
     """
+    if x.shape[-1] == 1:
+        return _WHOLE[by](x, axis=axes)
     for axis in reversed(axes):
         rest = []
         while x.shape[axis] > 1:
