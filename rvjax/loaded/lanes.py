@@ -112,7 +112,12 @@ def in_blocks(kernel: Kernel, arguments: tuple[Any, ...]) -> Any:
     return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:])[:cases], found)
 
 
-_WHOLE = {jnp.add: jnp.sum, jnp.maximum: jnp.max, jnp.logical_and: jnp.all, jnp.logical_or: jnp.any}
+_WHOLE: dict[Callable[..., jax.Array], Callable[..., jax.Array]] = {
+    jnp.add: jnp.sum,
+    jnp.maximum: jnp.max,
+    jnp.logical_and: jnp.all,
+    jnp.logical_or: jnp.any,
+}
 
 
 def folded(x: jax.Array, *axes: int, by: Callable[..., jax.Array] = jnp.add) -> jax.Array:
