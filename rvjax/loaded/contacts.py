@@ -10,6 +10,7 @@ import jax.numpy as jnp
 
 from rvjax.loaded import laws
 from rvjax.loaded.elimination import Hessian
+from rvjax.loaded.lanes import folded
 from rvjax.loaded.system import Layout, System
 
 
@@ -17,7 +18,7 @@ class Bearing(NamedTuple):
     """Radial springs with clearance, force and stiffness of their displacements."""
 
     force: jax.Array  # (b, 2, l), sign of grad E
-    stiffness: tuple[jax.Array, jax.Array, jax.Array]  # xx, xy, yy, (b, l)
+    stiffness: jax.Array  # xx, xy, yy, (3, b, l)
     energy: jax.Array  # (b, l)
 
 
@@ -39,16 +40,38 @@ def contacts(layout: Layout, s: System, q: jax.Array) -> Contacts:
         s: the system, lanes last.
         q: (n, l).
     """
-    discs = q[: 3 * layout.discs].reshape(layout.discs, 3, 1, -1)
-    depth = s.gap + sum(s.rows[a] * discs[:, a] for a in range(3))
-    gear_depth = s.gear_gap + moved(s.gear_rows, q)
+    depth = depths(layout, s, q)
+    gear_depth, held = joints(s, q)
     return Contacts(
         depth=depth,
         pins=laws.force(layout.law, depth, s.compliance[None, None], s.level),
         gear_depth=gear_depth,
         gear=s.gear_stiffness[:, None] * jnp.maximum(gear_depth, 0),
-        bearing=bearing(s.bearing_gap + moved(s.bearing_rows, q), s.bearing_stiffness, s.clearance),
+        bearing=held,
     )
+
+
+def depths(layout: Layout, s: System, q: jax.Array) -> jax.Array:
+    """Of the pins in the discs, (d, p, l).
+
+    Args:
+        layout: counts and methods.
+        s: the system, lanes last.
+        q: (n, l).
+    """
+    discs = q[: layout.inner].reshape(layout.discs, 3, 1, -1)
+    return s.gap + sum(s.rows[a] * discs[:, a] for a in range(3))
+
+
+def joints(s: System, q: jax.Array) -> tuple[jax.Array, Bearing]:
+    """Depths of the flanks (c, 2, l), and the bearings.
+
+    Args:
+        s: the system, lanes last.
+        q: (n, l).
+    """
+    held = bearing(s.bearing_gap + moved(s.bearing_rows, q), s.bearing_stiffness, s.clearance)
+    return s.gear_gap + moved(s.gear_rows, q), held
 
 
 def bearing(w: jax.Array, stiffness: jax.Array, clearance: jax.Array) -> Bearing:
@@ -62,15 +85,15 @@ def bearing(w: jax.Array, stiffness: jax.Array, clearance: jax.Array) -> Bearing
     x, y = w[:, 0], w[:, 1]
     square = x * x + y * y
     held = square >= clearance * clearance
-    size = jnp.sqrt(jnp.where(held & (square > 0), square, 1))
-    slack = jnp.where(square > 0, clearance, 0) / size  # share of w that is clearance
-    cx, cy = x / size, y / size
+    inverse = 1 / jnp.sqrt(jnp.where(held & (square > 0), square, 1))
+    slack = jnp.where(square > 0, clearance, 0) * inverse  # share of w that is clearance
+    cx, cy = x * inverse, y * inverse
     k = jnp.where(held, stiffness, 0)
     radial = k * (1 - slack)
     along = k * slack
     return Bearing(
         force=radial[:, None] * w,
-        stiffness=(radial + along * cx * cx, along * cx * cy, radial + along * cy * cy),
+        stiffness=jnp.stack([radial + along * cx * cx, along * cx * cy, radial + along * cy * cy]),
         energy=k * (1 - slack) * (1 - slack) * square / 2,
     )
 
@@ -85,22 +108,62 @@ def gradient(layout: Layout, s: System, q: jax.Array, at: Contacts | None = None
         at: its contacts, where they are known.
     """
     at = contacts(layout, s, q) if at is None else at
-    own = (s.support * q).at[layout.carried].add(s.load)
-    own = own.at[: 3 * layout.discs].add(_summed(s.rows, at.pins).swapaxes(0, 1).reshape(3 * layout.discs, -1))
+    pins = _summed(s.rows, at.pins).swapaxes(0, 1).reshape(layout.inner, -1)
+    load = jnp.zeros_like(q).at[layout.carried].set(s.load)
+    total = s.support * q + load + jnp.pad(pins, ((0, layout.unknowns - layout.inner), (0, 0)))
     for rows, force in ((s.gear_rows, at.gear), (s.bearing_rows, at.bearing.force)):
-        own = own + _product(rows.reshape(-1, *rows.shape[2:]), force.reshape(-1, q.shape[-1]))
-    return own
+        total = total + _product(rows.reshape(-1, *rows.shape[2:]), force.reshape(-1, q.shape[-1]))
+    return total
 
 
 def energy(layout: Layout, s: System, q: jax.Array, at: Contacts) -> jax.Array:
     """Energy (l,) J, Eq. 21."""
-    pins = jnp.sum(laws.energy(layout.law, at.depth, at.pins, s.compliance[None, None]), axis=(0, 1))
-    gear = jnp.sum(at.gear * at.gear_depth, axis=(0, 1)) / 2
-    own = jnp.sum(s.support * q * q, axis=0) / 2 + s.load * q[layout.carried]
-    return pins + jnp.sum(at.bearing.energy, axis=0) + gear + own
+    pins = folded(laws.energy(layout.law, at.depth, at.pins, s.compliance[None, None]), 0, 1)
+    gear = folded(at.gear * at.gear_depth, 0, 1) / 2
+    own = folded(s.support * q * q, 0) / 2 + s.load * q[layout.carried]
+    return pins + folded(at.bearing.energy, 0) + gear + own
 
 
-def hessian(layout: Layout, s: System, at: Contacts, pin_slope: Any = None, gear_slope: Any = None) -> Hessian:
+class Frame(NamedTuple):
+    """What the second derivatives need of the geometry, lanes last; rows of x and y, or of both flanks, first."""
+
+    pins: jax.Array  # (6, d, p, l) products of two rows: 00, 10, 11, 20, 21, 22
+    disc: jax.Array  # (2, 3, d, c, l) an arm on its disc
+    pairs: tuple[jax.Array, jax.Array]  # (2, 6, d, c, l) the same, first and second of each such product
+    crank: jax.Array  # (2, 3, d, c, l) an arm on its crank
+    seat: jax.Array  # (2, 3, c, l) a seat on its crank
+    seat_tail: jax.Array  # (2, t, c, l) and on carrier and sun
+    flank: jax.Array  # (2, 3, c, l) the flanks of a planet on its crank
+    flank_tail: jax.Array  # (2, t, c, l)
+
+
+_PAIRS = ((0, 0), (1, 0), (1, 1), (2, 0), (2, 1), (2, 2))
+
+
+def frame(layout: Layout, s: System) -> Frame:
+    """The geometry of the second derivatives.
+
+    Args:
+        layout: counts and methods.
+        s: the system, lanes last.
+    """
+    discs, cranks, split = layout.discs, layout.cranks, layout.discs * layout.cranks
+    arms = s.bearing_rows[:split].reshape(discs, cranks, 2, layout.unknowns, -1)
+    on_disc = jnp.stack([arms[k, :, :, 3 * k : 3 * k + 3] for k in range(discs)])
+    on_crank = jnp.stack([arms[:, i, :, layout.crank(i) : layout.crank(i) + 3] for i in range(cranks)], axis=1)
+    disc, crank = (jnp.moveaxis(x, (2, 3), (0, 1)) for x in (on_disc, on_crank))
+    held = []
+    for rows in (s.bearing_rows[split:], s.gear_rows):
+        own = jnp.stack([rows[i, :, layout.crank(i) : layout.crank(i) + 3] for i in range(cranks)])
+        held += [jnp.moveaxis(x, 0, 2) for x in (own, rows[:, :, layout.carried :])]
+    first, second = (jnp.stack([disc[:, pair[i]] for pair in _PAIRS], axis=1) for i in range(2))
+    pins = jnp.stack([s.rows[a] * s.rows[b] for a, b in _PAIRS])
+    return Frame(pins, disc, (first, second), crank, *held)
+
+
+def hessian(
+    layout: Layout, s: System, at: Contacts, pin_slope: Any = None, gear_slope: Any = None, at_rest: Frame | None = None
+) -> Hessian:
     """Second derivatives of the energy, in the blocks of the elimination.
 
     Args:
@@ -109,51 +172,37 @@ def hessian(layout: Layout, s: System, at: Contacts, pin_slope: Any = None, gear
         at: contacts at q.
         pin_slope: (d, p, l), by default that of the law.
         gear_slope: (c, 2, l), by default the stiffness of the flanks of positive depth.
+        at_rest: `frame(layout, s)`, where it is known.
     """
     discs, cranks, lanes = layout.discs, layout.cranks, at.depth.shape[-1]
+    rows = frame(layout, s) if at_rest is None else at_rest
     if pin_slope is None:
         pin_slope = laws.slope(layout.law, at.depth, at.pins, s.compliance[None, None])
     if gear_slope is None:
         gear_slope = jnp.where(at.gear_depth > 0, s.gear_stiffness[:, None], 0)
     split = discs * cranks
-    # Rows of an arm on its disc and on its crank, (2, 3, d, c, .), and the same times its stiffness.
-    arms = s.bearing_rows[:split].reshape(discs, cranks, 2, layout.unknowns, -1)
-    on_disc = jnp.stack([arms[k, :, :, 3 * k : 3 * k + 3] for k in range(discs)])
-    on_crank = jnp.stack([arms[:, i, :, layout.crank(i) : layout.crank(i) + 3] for i in range(cranks)], axis=1)
-    on_disc, on_crank = (jnp.moveaxis(x, (2, 3), (0, 1)) for x in (on_disc, on_crank))
-    stiff = [k[:split].reshape(1, discs, cranks, lanes) for k in at.bearing.stiffness]
-    sprung_disc, sprung_crank = _sprung(stiff, on_disc), _sprung(stiff, on_crank)
-    pair = [(a, b) for a in range(3) for b in range(a + 1)]
-    sums = _summed(jnp.stack([s.rows[a] * s.rows[b] for a, b in pair]), pin_slope)
-    centring = jnp.eye(3, dtype=sums.dtype)[:, :, None, None] * s.centring[None, None, None]
-    full = jnp.stack([jnp.stack([sums[pair.index((max(a, b), min(a, b)))] for b in range(3)]) for a in range(3)])
-    # Rows of seat and flanks on their crank, (2, 3, c, .), and on carrier and sun, (2, t, c, .).
-    held = []
-    seats, seat_stiffness = s.bearing_rows[split:], [k[None, split:] for k in at.bearing.stiffness]
-    for rows in (seats, s.gear_rows):
-        own = jnp.stack([rows[i, :, layout.crank(i) : layout.crank(i) + 3] for i in range(cranks)])
-        held.append([jnp.moveaxis(x, 0, 2) for x in (own, rows[:, :, layout.carried :])])
-    (seat, seat_tail), (flank, flank_tail) = held
-    sprung_seat, sprung_flank = (
-        [_sprung(seat_stiffness, x) for x in (seat, seat_tail)],
-        [jnp.swapaxes(gear_slope, 0, 1)[:, None] * x for x in (flank, flank_tail)],
-    )
-    tail = jnp.sum(_outer(seat_tail, sprung_seat[1]) + _outer(flank_tail, sprung_flank[1]), axis=2)
-    corner = jnp.arange(layout.tail)
+    stiff = at.bearing.stiffness[:, :split].reshape(3, 1, discs, cranks, lanes)
+    disc, crank = _sprung(stiff, rows.disc), _sprung(stiff, rows.crank)
+    first, second = rows.pairs[0], _sprung(stiff, rows.pairs[1])
+    arms = folded(first[0] * second[0] + first[1] * second[1], 2)
+    stiff = at.bearing.stiffness[:, None, split:]
+    seat, seat_tail = _sprung(stiff, rows.seat), _sprung(stiff, rows.seat_tail)
+    flank, flank_tail = (jnp.swapaxes(gear_slope, 0, 1)[:, None] * x for x in (rows.flank, rows.flank_tail))
+    centring = jnp.eye(3, dtype=flank.dtype)[:, :, None, None] * s.centring[None, None, None]
+    tail = folded(_outer(rows.seat_tail, seat_tail) + _outer(rows.flank_tail, flank_tail), 2)
+    support = jnp.eye(layout.tail, dtype=flank.dtype)[:, :, None] * s.support[layout.carried :, None]
+    bridge = disc[:, :, :, :, None] * jnp.moveaxis(rows.crank, 1, 3)[:, None]  # (2, 3, d, c, 3, l)
     return Hessian(
-        disc=full + jnp.sum(_outer(on_disc, sprung_disc), axis=3) + centring,
-        disc_crank=jnp.moveaxis(_outer(sprung_disc, on_crank), 1, 3),
-        crank=jnp.sum(_outer(on_crank, sprung_crank), axis=2)
-        + _outer(seat, sprung_seat[0])
-        + _outer(flank, sprung_flank[0])
-        + centring,
-        crank_tail=jnp.moveaxis(_outer(seat, sprung_seat[1]) + _outer(flank, sprung_flank[1]), 2, 0),
-        tail=tail.at[corner, corner].add(s.support[layout.carried :]),
+        disc=_summed(rows.pins, pin_slope) + arms + jnp.stack([centring[pair] for pair in _PAIRS]),
+        disc_crank=bridge[0] + bridge[1],
+        crank=folded(_outer(rows.crank, crank), 2) + _outer(rows.seat, seat) + _outer(rows.flank, flank) + centring,
+        crank_tail=jnp.moveaxis(_outer(rows.seat, seat_tail) + _outer(rows.flank, flank_tail), 2, 0),
+        tail=tail + support,
     )
 
 
-def _sprung(stiffness: list[jax.Array], rows: jax.Array) -> jax.Array:
-    """Stiffness xx, xy, yy (1, ..., l) times rows (2, w, ..., l)."""
+def _sprung(stiffness: jax.Array, rows: jax.Array) -> jax.Array:
+    """Stiffness xx, xy, yy (3, 1, ..., l) times rows (2, w, ..., l)."""
     xx, xy, yy = stiffness
     return jnp.stack([xx * rows[0] + xy * rows[1], xy * rows[0] + yy * rows[1]])
 
@@ -170,27 +219,14 @@ def moved(rows: jax.Array, q: jax.Array) -> jax.Array:
         rows: of flanks or bearings.
         q: displacements.
     """
-    if _shared(rows, q):
-        return jnp.tensordot(rows[..., 0], q, 1, precision="highest")
-    return jnp.sum(rows * q[(None,) * (rows.ndim - 2)], axis=-2)
+    return folded(rows * q[(None,) * (rows.ndim - 2)], rows.ndim - 2)
 
 
 def _product(rows: jax.Array, values: jax.Array) -> jax.Array:
-    """Sum over m of rows (m, n, l) times values (m, ..., l): (n, ..., l)."""
-    if _shared(rows, values):
-        return jnp.tensordot(rows[..., 0], values, (0, 0), precision="highest")
-    middle = (1,) * (values.ndim - 2)
-    return jnp.sum(rows.reshape(*rows.shape[:2], *middle, rows.shape[-1]) * values[:, None], axis=0)
+    """Sum over m of rows (m, n, l) times values (m, l): (n, l)."""
+    return folded(rows * values[:, None], 0)
 
 
 def _summed(rows: jax.Array, load: jax.Array) -> jax.Array:
     """Sums over the pins of rows (w, d, p, l) times load (d, p, l): (w, d, l)."""
-    if _shared(rows, load):
-        parts = [jnp.dot(rows[:, k, :, 0], load[k], precision="highest") for k in range(load.shape[0])]
-        return jnp.stack(parts, axis=1)
-    return jnp.sum(rows * load[None], axis=2)
-
-
-def _shared(rows: jax.Array, values: jax.Array) -> bool:
-    """Whether many lanes share their rows: a sum is a product of matrices then."""
-    return rows.shape[-1] == 1 and values.shape[-1] > 1
+    return folded(rows * load[None], 2)

@@ -4,30 +4,28 @@ Arrays have their lanes (independent cases) last; arithmetic runs along them. Ev
 factored as L D L', which stays exact to rounding where a part is held by its centring springs alone.
 """
 
+import functools
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax.loaded.lanes import folded, stored
 from rvjax.loaded.system import Layout
 
 
 class Hessian(NamedTuple):
-    """Second derivatives of the energy, lanes last; symmetric blocks are full."""
+    """Second derivatives of the energy, lanes last; symmetric blocks are full but that of the discs."""
 
-    disc: jax.Array  # (3, 3, d, l)
+    disc: jax.Array  # (6, d, l): 00, 10, 11, 20, 21, 22
     disc_crank: jax.Array  # (3, d, c, 3, l)
     crank: jax.Array  # (3, 3, c, l)
     crank_tail: jax.Array  # (c, 3, t, l)
     tail: jax.Array  # (t, t, l)
 
 
-class _Factor(NamedTuple):
-    """L below its diagonal, by rows, and 1 / D."""
-
-    lower: list[list[jax.Array]]
-    inverse: list[jax.Array]
+_Block = list[list[jax.Array]]  # rows of the lower triangle of a small symmetric block
 
 
 def solve(layout: Layout, hessian: Hessian, rhs: jax.Array) -> jax.Array:
@@ -40,26 +38,31 @@ def solve(layout: Layout, hessian: Hessian, rhs: jax.Array) -> jax.Array:
     """
     discs, cranks, lanes = layout.discs, layout.cranks, rhs.shape[-1]
     inner = rhs[: layout.inner].reshape(discs, 3, lanes).transpose(1, 0, 2)  # (3, d, l)
-    factor = _factor([[hessian.disc[a, b] for b in range(3)] for a in range(3)])
     right = jnp.concatenate([hessian.disc_crank.reshape(3, discs, 3 * cranks, lanes), inner[:, :, None]], axis=2)
-    forward = _forward(factor, right)  # (3, d, 3c + 1, l)
-    forward, scaled = jax.lax.optimization_barrier((forward, forward * jnp.stack(factor.inverse)[:, :, None]))
+    inverse = _inverse(_rows(hessian.disc))
+    forward = stored(_forward, _rows(hessian.disc), inverse, right)  # (3, d, 3c + 1, l)
 
-    # What the discs leave of the cranks, right side in the last column.
-    own = jnp.asarray(np.eye(cranks), rhs.dtype)[:, None, :, None, None]
-    square = own * hessian.crank.transpose(2, 0, 1, 3)[:, :, None]  # (c, 3, c, 3, l)
-    outer = rhs[layout.inner : layout.carried, None]
-    dense = jnp.concatenate([square.reshape(3 * cranks, 3 * cranks, lanes), outer], axis=1)
-    for a in range(3):
-        for k in range(discs):
-            dense = dense - forward[a, k, : 3 * cranks, None] * scaled[a, k, None]
-    bridge = hessian.crank_tail.reshape(3 * cranks, layout.tail, lanes)
-    above = jnp.concatenate([dense[:, :-1], bridge, dense[:, -1:]], axis=1)
-    below = jnp.concatenate([bridge.transpose(1, 0, 2), hessian.tail, rhs[layout.carried :, None]], axis=1)
-    border = _border(layout, jax.lax.optimization_barrier(jnp.concatenate([above, below])))
+    def left_by_discs(forward: jax.Array, inverse: list[jax.Array], hessian: Hessian, rhs: jax.Array) -> jax.Array:
+        """Dense system of cranks, carrier and sun, right side in the last column."""
+        own = jnp.asarray(np.eye(cranks), rhs.dtype)[:, None, :, None, None]
+        square = own * hessian.crank.transpose(2, 0, 1, 3)[:, :, None]  # (c, 3, c, 3, l)
+        outer = rhs[layout.inner : layout.carried, None]
+        dense = jnp.concatenate([square.reshape(3 * cranks, 3 * cranks, lanes), outer], axis=1)
+        for a in range(3):
+            for k in range(discs):
+                dense = dense - (forward[a, k, : 3 * cranks] * inverse[a][k, None])[:, None] * forward[a, k, None]
+        bridge = hessian.crank_tail.reshape(3 * cranks, layout.tail, lanes)
+        above = jnp.concatenate([dense[:, :-1], bridge, dense[:, -1:]], axis=1)
+        below = jnp.concatenate([bridge.transpose(1, 0, 2), hessian.tail, rhs[layout.carried :, None]], axis=1)
+        return jnp.concatenate([above, below])
 
-    left = scaled[:, :, -1] - jnp.sum(scaled[:, :, :-1] * border[None, None, : 3 * cranks], axis=2)
-    return jnp.concatenate([_backward(factor, left).transpose(1, 0, 2).reshape(layout.inner, lanes), border])
+    border = _border(layout, stored(left_by_discs, forward, inverse, hessian, rhs))
+
+    def of_discs(block: _Block, inverse: list[jax.Array], forward: jax.Array, border: jax.Array) -> jax.Array:
+        left = forward[:, :, -1] - folded(forward[:, :, :-1] * border[None, None, : 3 * cranks], 2)
+        return _backward(block, inverse, left).transpose(1, 0, 2).reshape(layout.inner, lanes)
+
+    return jnp.concatenate([of_discs(_rows(hessian.disc), inverse, forward, border), border])
 
 
 def _border(layout: Layout, matrix: jax.Array) -> jax.Array:
@@ -67,40 +70,69 @@ def _border(layout: Layout, matrix: jax.Array) -> jax.Array:
     sizes = [3] * layout.cranks + [layout.tail % 3 or 3] + [3] * (layout.tail > 3)
     steps = []
     for size in sizes:
-        factor = _factor([[matrix[a, b] for b in range(size)] for a in range(size)])
-        forward = _forward(factor, matrix[:size, size:])
-        forward, scaled = jax.lax.optimization_barrier((forward, forward * jnp.stack(factor.inverse)[:, None]))
-        steps.append((factor, scaled))
-        matrix = matrix[size:, size:]
-        for a in range(size):
-            matrix = matrix - forward[a, :-1, None] * scaled[a, None]
-        matrix = jax.lax.optimization_barrier(matrix)
+        inverse = _inverse(_corner(matrix, size))
+        forward, rest = stored(functools.partial(_reduced, size), matrix, inverse)
+        steps.append((matrix, inverse, forward))
+        matrix = rest
     found = jnp.zeros((0, matrix.shape[-1]), matrix.dtype)
-    for factor, scaled in reversed(steps):
-        left = scaled[:, -1] - jnp.sum(scaled[:, :-1] * found[None], axis=1)
-        found = jax.lax.optimization_barrier(jnp.concatenate([_backward(factor, left), found]))
+    for step in reversed(steps):
+        found = stored(_resolved, *step, found)
     return found
 
 
-def _factor(block: list[list[jax.Array]]) -> _Factor:
-    """L D L' of a small symmetric block; a pivot lost to rounding is raised to it."""
-    lower: list[list[jax.Array]] = []
-    inverse: list[jax.Array] = []
-    least = 8 * float(jnp.finfo(block[0][0].dtype).eps)
-    for a in range(len(block)):
-        row = list(block[a][: a + 1])  # row[b] becomes L[a][b] D[b]
+def _reduced(size: int, matrix: jax.Array, inverse: list[jax.Array]) -> tuple[jax.Array, jax.Array]:
+    """L^-1 times what stands right of the first block, and what the block leaves of the rows below."""
+    forward = _forward(_corner(matrix, size), inverse, matrix[:size, size:])
+    rest = matrix[size:, size:]
+    for a in range(size if len(rest) else 0):
+        rest = rest - (forward[a, :-1] * inverse[a][None])[:, None] * forward[a, None]
+    return forward, rest
+
+
+def _resolved(matrix: jax.Array, inverse: list[jax.Array], forward: jax.Array, found: jax.Array) -> jax.Array:
+    """The unknowns of the first block before those that are found."""
+    left = forward[:, -1]
+    if len(found):
+        left = left - folded(forward[:, :-1] * found[None], 1)
+    return jnp.concatenate([_backward(_corner(matrix, len(inverse)), inverse, left), found])
+
+
+def _corner(matrix: jax.Array, size: int) -> _Block:
+    return [[matrix[a, b] for b in range(a + 1)] for a in range(size)]
+
+
+def _rows(triangle: jax.Array) -> _Block:
+    """Rows of a lower triangle that is given in one axis."""
+    return [[triangle[a * (a + 1) // 2 + b] for b in range(a + 1)] for a in range(3)]
+
+
+def _factor(block: _Block, inverse: list[jax.Array]) -> tuple[_Block, list[jax.Array]]:
+    """L below its diagonal and D of the first rows of a small symmetric block, 1 / D being known above the last."""
+    lower: _Block = []
+    pivots: list[jax.Array] = []
+    for a in range(min(len(inverse) + 1, len(block))):
+        row = list(block[a])  # row[b] becomes L[a][b] D[b]
         for b in range(1, a + 1):
             for s in range(b):
                 row[b] = row[b] - row[s] * (lower[b][s] if b < a else row[s] * inverse[s])
-        inverse.append(1 / jnp.maximum(row[a], least * block[a][a]))
         lower.append([row[b] * inverse[b] for b in range(a)])
-    return _Factor(lower, inverse)
+        pivots.append(row[a])
+    return lower, pivots
 
 
-def _forward(factor: _Factor, right: jax.Array) -> jax.Array:
+def _inverse(block: _Block) -> list[jax.Array]:
+    """1 / D of L D L'; a pivot lost to rounding is raised to it. L is computed from it wherever it is used."""
+    least = 8 * float(jnp.finfo(block[0][0].dtype).eps)
+    inverse: list[jax.Array] = []
+    for a in range(len(block)):
+        inverse.append(1 / jnp.maximum(_factor(block, inverse)[1][a], least * block[a][a]))
+    return inverse
+
+
+def _forward(block: _Block, inverse: list[jax.Array], right: jax.Array) -> jax.Array:
     """L^-1 times the rows of `right` (size, ..., columns, l)."""
     rows: list[jax.Array] = []
-    for a, weights in enumerate(factor.lower):
+    for a, weights in enumerate(_factor(block, inverse)[0]):
         row = right[a]
         for weight, above in zip(weights, rows):
             row = row - weight[..., None, :] * above
@@ -108,11 +140,11 @@ def _forward(factor: _Factor, right: jax.Array) -> jax.Array:
     return jnp.stack(rows)
 
 
-def _backward(factor: _Factor, left: jax.Array) -> jax.Array:
-    """L'^-1 times the rows of `left` (size, ..., l)."""
-    size = len(factor.lower)
-    rows: list[jax.Array] = [left[a] for a in range(size)]
-    for a in reversed(range(size)):
+def _backward(block: _Block, inverse: list[jax.Array], left: jax.Array) -> jax.Array:
+    """L'^-1 D^-1 times the rows of `left` (size, ..., l)."""
+    lower = _factor(block, inverse)[0]
+    rows = [left[a] * inverse[a] for a in range(len(lower))]
+    for a in reversed(range(len(lower))):
         for b in range(a):
-            rows[b] = rows[b] - factor.lower[a][b] * rows[a]
+            rows[b] = rows[b] - lower[a][b] * rows[a]
     return jnp.stack(rows)

@@ -89,11 +89,11 @@ def approach(layout: Layout, s: System, wanted: jax.Array) -> tuple[jax.Array, j
         along = 2 * eta * (k - eta) / axial
         across = -2 * eta * v0  # of the first row, times vx and vy
         own = [jnp.where(free, goal[None] / det * u + across * v * push, k * u) for u, v in ((x, vx), (y, vy))]
-        stiff = tuple(
+        stiff = [
             jnp.where(free, one + along * product, alone)
             for one, product, alone in ((eta, vx * vx, k), (0.0, vx * vy, 0.0), (eta, vy * vy, k))
-        )
-        bearing = Bearing(jnp.stack(own, axis=1), stiff, jnp.zeros_like(x))
+        ]
+        bearing = Bearing(jnp.stack(own, axis=1), jnp.stack(stiff), jnp.zeros_like(x))
         forces = Contacts(depth, pins, gear_depth, gear, bearing)
         g, square = jax.lax.optimization_barrier(
             (gradient(layout, s, at.q, forces), hessian(layout, s, forces, pin_slope, gear_slope))

@@ -110,3 +110,52 @@ def in_blocks(kernel: Kernel, arguments: tuple[Any, ...]) -> Any:
         return block(jnp.zeros((), jnp.int32))
     found = jax.lax.map(block, jnp.arange(-(-cases // width), dtype=jnp.int32) * width)
     return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:])[:cases], found)
+
+
+_WHOLE: dict[Callable[..., jax.Array], Callable[..., jax.Array]] = {
+    jnp.add: jnp.sum,
+    jnp.maximum: jnp.max,
+    jnp.logical_and: jnp.all,
+    jnp.logical_or: jnp.any,
+}
+
+
+def folded(x: jax.Array, *axes: int, by: Callable[..., jax.Array] = jnp.add) -> jax.Array:
+    """Sum or another reduction over leading axes, halves onto halves: XLA's own has no vectors along the lanes.
+
+    One lane has none either, and the derivatives of a sum are simpler.
+
+    Args:
+        x: lanes last.
+        axes: all but the last, ascending.
+        by: one of `_WHOLE`.
+    """
+    if x.shape[-1] == 1:
+        return _WHOLE[by](x, axis=axes)
+    for axis in reversed(axes):
+        rest = []
+        while x.shape[axis] > 1:
+            half = x.shape[axis] // 2
+            if x.shape[axis] % 2:
+                rest.append(jax.lax.slice_in_dim(x, 2 * half, 2 * half + 1, axis=axis))
+            x = by(jax.lax.slice_in_dim(x, 0, half, axis=axis), jax.lax.slice_in_dim(x, half, 2 * half, axis=axis))
+        x = jax.lax.squeeze(functools.reduce(by, rest, x), (axis,))
+    return x
+
+
+def stored(compute: Callable[..., Any], *arguments: Any) -> Any:
+    """compute(*arguments), written to memory: a branch that is always taken, which XLA cannot know.
+
+    Without it, and with `optimization_barrier` too, XLA computes what several results share anew for each of them.
+
+    Args:
+        compute: to arrays; what does not depend on the arguments is computed in every pass of a loop around it.
+        arguments: with a floating point array.
+    """
+    number = next(x for x in jax.tree.leaves(arguments) if jnp.issubdtype(x.dtype, jnp.floating)).ravel()[0]
+    compute = jax.jit(compute)  # traced once
+    shapes = jax.eval_shape(compute, *arguments)
+    always = (number == number) | (number != number)
+    return jax.lax.cond(
+        always, compute, lambda *_: jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes), *arguments
+    )

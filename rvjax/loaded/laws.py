@@ -78,12 +78,13 @@ def _hertz(depth: jax.Array, compliance: jax.Array, level: jax.Array) -> jax.Arr
 
     A rough start y0, then y = y0 (1 + s) with s (y0 - 1) + s^2/2 - s^3/3 + s^4/4 = A - y0 - ln(d / (c y0)).
     """
-    ratio = depth / compliance
+    ratio = depth * (1 / compliance)
     v = jnp.sqrt(jnp.maximum(level - _rough_log(ratio) - 1, 0))
     r = (_UPPER[0] + v * (_UPPER[1] + v * _UPPER[2])) / (_LOWER[0] + v * (_LOWER[1] + v * _LOWER[2]))
-    start = 1 + jnp.maximum(v * (math.sqrt(2) + v * r), _LEAST)
-    rough = ratio / start
-    part = 1 / (start - 1)
+    above = jnp.maximum(v * (math.sqrt(2) + v * r), _LEAST)
+    start = 1 + above
+    both = 1 / (above * start)  # one division for two
+    rough, part = ratio * above * both, start * both
     first = (level - start - log(rough)) * part
     s = first
     for _ in range(3):
