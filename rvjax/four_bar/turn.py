@@ -97,7 +97,9 @@ def largest_and_smallest(
             stored = whole([settle(x) if jnp.iscomplexobj(x) else x for x in arrays])
             return tuple(value(stored, at) for at in places)
 
-        return jax.jvp(there, (arrays,), (changes,))
+        (most, least), moved = jax.jvp(there, (arrays,), (changes,))
+        both = settle(jax.lax.complex(most, least))
+        return (jnp.real(both), jnp.imag(both)), moved
 
     return search([leaf for leaf, varies in zip(leaves, is_array) if varies])
 
