@@ -100,8 +100,8 @@ def still_and_turning(axes: list[Vector], of: Turning, k: int) -> tuple[Vector, 
     seats = [(of.radius * u + x, of.radius * v + y) for (u, v), (x, y) in zip(axes, bores)]
     mean = (sum(x for x, _ in bores) / count, sum(y for _, y in bores) / count)
     seats = [(x - mean[0], y - mean[1]) for x, y in seats]
-    radial, cross = _sum_dot(bores, axes), _sum_cross(bores, axes)
-    still = (scale * (_sum_dot(seats, carrier) + of.radius * radial), scale * (_sum_cross(seats, carrier) + of.radius * cross))
+    bore = (of.radius * _sum_dot(bores, axes), of.radius * _sum_cross(bores, axes))
+    still = (scale * (_sum_dot(seats, carrier) + bore[0]), scale * (_sum_cross(seats, carrier) + bore[1]))
     return still, (scale * _sum_dot(seats, moves), scale * _sum_cross(seats, moves))
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from rvjax.designs import RVReducer, expect
 from rvjax.elementary import arctan2, divide
 from rvjax.errors import RVErrors
-from rvjax.four_bar.closures import Crank
+from rvjax.four_bar.closures import Crank, direction
 from rvjax.four_bar.fit import Fit, Turning, fit, misfit, still_and_turning, turning, vector
 from rvjax.four_bar.linkage import check_methods
 from rvjax.four_bar.reducer import TransmissionError, error_at
@@ -305,21 +305,6 @@ class Polynomial(NamedTuple):
 
 def _times(first: Vector, second: Vector) -> Vector:
     return first[0] * second[0] - first[1] * second[1], first[1] * second[0] + first[0] * second[1]
-
-
-@jax.custom_jvp
-def direction(x: jax.Array, y: jax.Array) -> jax.Array:
-    """Angle of the vector (x, y); its derivative by multiplications, see `divide`."""
-    return arctan2(y, x)
-
-
-@direction.defjvp
-def _direction_jvp(primals: PyTree, tangents: PyTree) -> PyTree:
-    (x, y), (dx, dy) = primals, tangents
-    size = jnp.abs(x) + jnp.abs(y)
-    u, v = divide(x, size), divide(y, size)
-    inverse = divide(jnp.ones_like(size), size * (u * u + v * v))
-    return direction(x, y), (inverse * u) * dy - (inverse * v) * dx
 
 
 def _angle(score: jax.Array) -> jax.Array:
