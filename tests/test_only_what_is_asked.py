@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rvjax import dynamics, study
+from rvjax import dynamics, four_bar, study
 from rvjax.catalogue import RV_320E
 from rvjax.study.response import Response
 from rvjax.tolerances import Tolerance, for_design, sample
@@ -53,6 +53,17 @@ def test_an_output_costs_only_itself(thorough):
     assert cost_of(("misfit", "lost_motion"), errors) == pytest.approx(misfit + free, rel=0.01)
     # Transmission error and misfit share their linkage; the misfit's own search comes on top.
     assert together - (error + free) > 0.35 * misfit
+
+
+def test_a_misfit_leaves_out_the_search_of_the_error():
+    """All figures share one status, which needs the errors' extremes; a study that asks for the misfit has its own."""
+    errors = full(units(STUDY.tolerances))
+
+    def of_all_figures(unit):
+        return four_bar.figures(STUDY.design, unit, angles=CONDITIONS.angles).largest_misfit
+
+    with_search = operations(lambda e: jax.vmap(of_all_figures)(e), errors)
+    assert with_search > 1.2 * cost_of(("misfit",), errors)  # 1 if both searched
 
 
 @pytest.mark.long  # speed; right or wrong is held elsewhere

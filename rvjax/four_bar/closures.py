@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax import roots
-from rvjax.elementary import LARGEST_ANGLE, arctan2, divide, sin_cos
+from rvjax.elementary import LARGEST_ANGLE, arctan2, sin_cos
 from rvjax.records import Array, PyTree, Scalar
 from rvjax.status import Check, SolveInfo, Status, at_once, first_failure
 
@@ -227,21 +227,6 @@ def direction_angle(x: jax.Array, y: jax.Array, size: jax.Array, *, closure: str
     start = jax.lax.stop_gradient(jnp.where(x > 0, y / jnp.where(x > 0, x, 1), centre))
     found = roots.bracketed(_direction_residual, (x, y), centre - quarter, centre + quarter, start=start)
     return found.value, found.info
-
-
-@jax.custom_jvp
-def direction(x: jax.Array, y: jax.Array) -> jax.Array:
-    """Angle of the vector (x, y); its derivative by multiplications, see `divide`."""
-    return arctan2(y, x)
-
-
-@direction.defjvp
-def _direction_jvp(primals: PyTree, tangents: PyTree) -> PyTree:
-    (x, y), (dx, dy) = primals, tangents
-    size = jnp.abs(x) + jnp.abs(y)
-    u, v = divide(x, size), divide(y, size)
-    inverse = divide(jnp.ones_like(size), size * (u * u + v * v))
-    return direction(x, y), (inverse * u) * dy - (inverse * v) * dx
 
 
 def _direction_residual(b: Array, params: PyTree) -> jax.Array:

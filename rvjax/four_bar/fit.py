@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rvjax.elementary import sin_cos
+from rvjax.elementary import arctan2, divide, sin_cos
 from rvjax.four_bar.closures import Crank, stretch
 from rvjax.four_bar.unit import Unit, Vector
 from rvjax.records import Array, PyTree
@@ -114,6 +114,21 @@ def vector(unit: Unit, fit: Fit, crank: Crank) -> Vector:
         shifts = unit.joint_shifts(crank)
         cosine, sine = cosine + _sum_dot(fit.seats, shifts), sine + _sum_cross(fit.seats, shifts)
     return len(fit.seats) * unit.radius**2 + cosine, sine
+
+
+@jax.custom_jvp
+def direction(x: jax.Array, y: jax.Array) -> jax.Array:
+    """Angle of the vector (x, y); its derivative by multiplications, see `divide`."""
+    return arctan2(y, x)
+
+
+@direction.defjvp
+def _direction_jvp(primals: PyTree, tangents: PyTree) -> PyTree:
+    (x, y), (dx, dy) = primals, tangents
+    size = jnp.abs(x) + jnp.abs(y)
+    u, v = divide(x, size), divide(y, size)
+    inverse = divide(jnp.ones_like(size), size * (u * u + v * v))
+    return direction(x, y), (inverse * u) * dy - (inverse * v) * dx
 
 
 def misfit(unit: Unit, fit: Fit, crank: Crank) -> PyTree:

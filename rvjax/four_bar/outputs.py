@@ -7,7 +7,7 @@ from typing import Any
 from rvjax.catalogue import RV_40E
 from rvjax.designs import RVReducer
 from rvjax.four_bar.linkage import ALLOWED
-from rvjax.four_bar.revolution import figures, revolution
+from rvjax.four_bar.revolution import figures, misfit_alone, revolution
 from rvjax.outputs import Cases, Curve, Description, Output, Solved, Way, condition
 from rvjax.units import arcmin, um
 
@@ -38,8 +38,8 @@ def _transmission_error(design: RVReducer, errors: Any, given: Any) -> Solved:
 
 
 def _misfit(design: RVReducer, errors: Any, given: Any) -> Solved:
-    found = figures(design, errors, **_turn(given, loaded=False))
-    return found.largest_misfit, found.info.status
+    largest, info = misfit_alone(design, errors, **_turn(given, loaded=False))
+    return largest, info.status
 
 
 def _curve(design: RVReducer, errors: Any, given: Any) -> tuple[Any, Any]:

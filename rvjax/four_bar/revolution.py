@@ -11,8 +11,8 @@ import numpy as np
 from rvjax.designs import RVReducer, expect
 from rvjax.elementary import arctan2, divide
 from rvjax.errors import RVErrors
-from rvjax.four_bar.closures import Crank, direction
-from rvjax.four_bar.fit import Fit, Turning, fit, misfit, still_and_turning, turning, vector
+from rvjax.four_bar.closures import Crank
+from rvjax.four_bar.fit import Fit, Turning, direction, fit, misfit, still_and_turning, turning, vector
 from rvjax.four_bar.linkage import check_methods
 from rvjax.four_bar.reducer import TransmissionError, error_at
 from rvjax.four_bar.turn import Score, Wave, largest_and_smallest
@@ -113,6 +113,21 @@ def figures(
     return _figures((design, errors, output_torque, gear_stiffness_ratio), **ways)
 
 
+def misfit_alone(
+    design: RVReducer,
+    errors: RVErrors,
+    *,
+    angles: int,
+    output_torque: Scalar,
+    cranks: str,
+    gear_stiffness_ratio: Scalar | None,
+    closure: str | None,
+) -> tuple[jax.Array, SolveInfo]:
+    """The largest misfit of `figures` and its status, which does not wait for the search of the errors."""
+    ways = _ways(design, output_torque, cranks, gear_stiffness_ratio, closure, "open", angles)
+    return _misfit_alone((design, errors, output_torque, gear_stiffness_ratio), **ways)
+
+
 def _ways(
     design: RVReducer,
     output_torque: Scalar,
@@ -158,6 +173,16 @@ def _figures(numbers: Numbers, *, angles: int, loaded: bool, **methods: str) -> 
     return _on_the_way(unit, angles) if _is_direct(**methods) else _of_curve(_curve(unit, ratio, angles, methods))
 
 
+@functools.partial(jax.jit, inline=True, static_argnames=STATIC)
+def _misfit_alone(numbers: Numbers, *, angles: int, loaded: bool, **methods: str) -> tuple[jax.Array, SolveInfo]:
+    unit, ratio = take_apart(*numbers, loaded=loaded)
+    if not _is_direct(**methods):
+        found = _of_curve(_curve(unit, ratio, angles, methods))
+        return found.largest_misfit, found.info
+    largest = _most_misfit(unit, angles)
+    return unit.gate.close(largest, (~jnp.isfinite(largest), Status.NONFINITE), info=at_once(largest))
+
+
 def _is_direct(*, cranks: str, closure: str, branch: str) -> bool:
     """Whether the extremes can be had without the curve."""
     return cranks == "phase_locked" and closure == "closed_form"
@@ -178,32 +203,36 @@ def _of_curve(curve: TransmissionError) -> Figures:
 
 def _on_the_way(unit: Unit, angles: int) -> Figures:
     """Figures of phase-locked cranks from the extremes alone."""
-    discs = range(len(unit.parts.disc))
-    fits = [fit(unit, k) for k in discs]
-
-    def most_misfit(parts: PyTree, first: Crank) -> jax.Array:
-        unit, fits = parts
-        return jnp.max(jnp.stack([jnp.abs(misfit(unit, fits[k], unit.disc_crank(k, first))) for k in discs]))
-
-    if unit.load is None:
-        most, least = _without_load(unit, angles)
-    else:
-        most, least = _under_load(unit, fits, angles)
-    largest, _ = largest_and_smallest(most_misfit, (unit, fits), angles, together=4)
+    most, least = _without_load(unit, angles) if unit.load is None else _under_load(unit, angles)
     (most, least, swing, largest), info = unit.gate.close(
-        (most, least, most - least, largest), (~jnp.isfinite(most - least), Status.NONFINITE), info=at_once(most)
+        (most, least, most - least, _most_misfit(unit, angles)),
+        (~jnp.isfinite(most - least), Status.NONFINITE),
+        info=at_once(most),
     )
     return Figures(most, least, swing, largest, info)
 
 
-def _under_load(unit: Unit, fits: list[Fit], angles: int) -> tuple[jax.Array, jax.Array]:
+def _fits(unit: Unit) -> list[Fit]:
+    return [fit(unit, k) for k in range(len(unit.parts.disc))]
+
+
+def _most_misfit(unit: Unit, angles: int) -> jax.Array:
+    def most(parts: PyTree, first: Crank) -> jax.Array:
+        unit, fits = parts
+        each = [jnp.abs(misfit(unit, own, unit.disc_crank(k, first))) for k, own in enumerate(fits)]
+        return jnp.max(jnp.stack(each))
+
+    return largest_and_smallest(most, (unit, _fits(unit)), angles, together=4)[0]
+
+
+def _under_load(unit: Unit, angles: int) -> tuple[jax.Array, jax.Array]:
     """Largest and smallest error."""
-    discs = range(len(fits))
+    fits = _fits(unit)
 
     def vectors(parts: PyTree, first: Crank) -> list[Vector]:
         unit, fits = parts
-        scale = 1 / (len(unit.axes) * unit.radius**2)
-        found = [vector(unit, fits[k], unit.disc_crank(k, first)) for k in discs]
+        scale = 1 / (len(unit.axes) * unit.radius**2)  # vectors near 1, however many are multiplied
+        found = [vector(unit, own, unit.disc_crank(k, first)) for k, own in enumerate(fits)]
         return [(scale * cosine, scale * sine) for cosine, sine in found]
 
     def error(parts: PyTree, first: Crank) -> jax.Array:
