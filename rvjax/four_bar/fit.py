@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rvjax.elementary import sin_cos
+from rvjax.elementary import arctan2, divide, sin_cos
 from rvjax.four_bar.closures import Crank, stretch
 from rvjax.four_bar.unit import Unit, Vector
 from rvjax.records import Array, PyTree
@@ -37,11 +37,7 @@ def fit(unit: Unit, k: int) -> Fit:
     carrier = [_cartesian(axis, polar) for axis, polar in zip(unit.axes, unit.parts.carrier)]
     mean = _mean(bores)
     seats = [(radius * u + (x - mean[0]), radius * v + (y - mean[1])) for (u, v), (x, y) in zip(unit.axes, bores)]
-    along, across = [], []
-    for delta, psi in zip(unit.parts.delta[k], unit.parts.psi):  # (e + delta) exp(i psi) - e, without its cancellation
-        half_sine, half_cosine = sin_cos(psi / 2)
-        along.append(delta * (1 - 2 * half_sine**2) - unit.eccentricity * (2 * half_sine**2))
-        across.append((unit.eccentricity + delta) * (2 * half_sine * half_cosine))
+    along, across = map(list, zip(*_moves(unit, k)))
     excess = jnp.zeros_like(radius)
     if len(disc) == 2:
         excess = stretch(2 * radius, disc[0][0] + disc[1][0], disc[0][1] + disc[1][1])
@@ -64,6 +60,51 @@ def fit(unit: Unit, k: int) -> Fit:
     )
 
 
+class Turning(NamedTuple):
+    """What the angles of unloaded discs depend on; vectors are complex, at a crank less those at the last crank.
+
+    Their mean over the cranks does not turn a disc. So few numbers are left that a derivative passes through them
+    on its way to the errors, and each error is read once; see `settle` in turn.py.
+    """
+
+    radius: Array
+    carrier: list[Array]  # [i] K
+    bores: list[list[Array]]  # [k][i] q
+    moves: list[list[Array]]  # [k][i] A + i B
+
+
+def turning(unit: Unit) -> Turning:
+    """Of a unit without load."""
+    parts, discs = unit.parts, range(len(unit.parts.disc))
+
+    def less_last(vectors: list[Vector]) -> list[Array]:
+        x, y = vectors[-1]
+        return [_complex(u - x, v - y) for u, v in vectors[:-1]]
+
+    def cartesian(polar: list[Vector]) -> list[Vector]:
+        return [_cartesian(axis, vector) for axis, vector in zip(unit.axes, polar)]
+
+    return Turning(
+        radius=unit.radius,
+        carrier=less_last(cartesian(parts.carrier)),
+        bores=[less_last(cartesian(parts.disc[k])) for k in discs],
+        moves=[less_last(_moves(unit, k)) for k in discs],
+    )
+
+
+def still_and_turning(axes: list[Vector], of: Turning, k: int) -> tuple[Vector, Vector]:
+    """As in `Fit`, over c R^2: with Q and the pins P both less their mean, sum conj(Q) P of differences alone."""
+    count = len(axes)
+    scale = 1 / (count * of.radius**2)
+    bores, carrier, moves = ([(jnp.real(z), jnp.imag(z)) for z in zs] for zs in (of.bores[k], of.carrier, of.moves[k]))
+    seats = [(of.radius * u + x, of.radius * v + y) for (u, v), (x, y) in zip(axes, bores)]
+    mean = (sum(x for x, _ in bores) / count, sum(y for _, y in bores) / count)
+    seats = [(x - mean[0], y - mean[1]) for x, y in seats]
+    bore = (of.radius * _sum_dot(bores, axes), of.radius * _sum_cross(bores, axes))
+    still = (scale * (_sum_dot(seats, carrier) + bore[0]), scale * (_sum_cross(seats, carrier) + bore[1]))
+    return still, (scale * _sum_dot(seats, moves), scale * _sum_cross(seats, moves))
+
+
 def vector(unit: Unit, fit: Fit, crank: Crank) -> Vector:
     """(C, S) at an eccentric direction of the disc."""
     straight, skew = jnp.real(fit.turning), jnp.imag(fit.turning)
@@ -73,6 +114,21 @@ def vector(unit: Unit, fit: Fit, crank: Crank) -> Vector:
         shifts = unit.joint_shifts(crank)
         cosine, sine = cosine + _sum_dot(fit.seats, shifts), sine + _sum_cross(fit.seats, shifts)
     return len(fit.seats) * unit.radius**2 + cosine, sine
+
+
+@jax.custom_jvp
+def direction(x: jax.Array, y: jax.Array) -> jax.Array:
+    """Angle of the vector (x, y); its derivative by multiplications, see `divide`."""
+    return arctan2(y, x)
+
+
+@direction.defjvp
+def _direction_jvp(primals: PyTree, tangents: PyTree) -> PyTree:
+    (x, y), (dx, dy) = primals, tangents
+    size = jnp.abs(x) + jnp.abs(y)
+    u, v = divide(x, size), divide(y, size)
+    inverse = divide(jnp.ones_like(size), size * (u * u + v * v))
+    return direction(x, y), (inverse * u) * dy - (inverse * v) * dx
 
 
 def misfit(unit: Unit, fit: Fit, crank: Crank) -> PyTree:
@@ -106,6 +162,16 @@ def first_order_angle(unit: Unit, k: int, crank: Crank) -> PyTree:
         turned += unit.eccentricity * parts.psi[i] * (crank.cosine * x + crank.sine * y)
         turned += parts.carrier[i][1] - parts.disc[k][i][1] + (shift[1] * x - shift[0] * y)
     return turned / (len(unit.axes) * unit.radius)
+
+
+def _moves(unit: Unit, k: int) -> list[Vector]:
+    """A and B of each crank: (e + delta) exp(i psi) - e without its cancellation."""
+    moves = []
+    for delta, psi in zip(unit.parts.delta[k], unit.parts.psi):
+        half_sine, half_cosine = sin_cos(psi / 2)
+        along = delta * (1 - 2 * half_sine**2) - unit.eccentricity * (2 * half_sine**2)
+        moves.append((along, (unit.eccentricity + delta) * (2 * half_sine * half_cosine)))
+    return moves
 
 
 def _cartesian(axis: Vector, polar: Vector) -> Vector:

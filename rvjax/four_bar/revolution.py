@@ -12,7 +12,7 @@ from rvjax.designs import RVReducer, expect
 from rvjax.elementary import arctan2, divide
 from rvjax.errors import RVErrors
 from rvjax.four_bar.closures import Crank
-from rvjax.four_bar.fit import Fit, fit, misfit, vector
+from rvjax.four_bar.fit import Fit, Turning, direction, fit, misfit, still_and_turning, turning, vector
 from rvjax.four_bar.linkage import check_methods
 from rvjax.four_bar.reducer import TransmissionError, error_at
 from rvjax.four_bar.turn import Score, Wave, largest_and_smallest
@@ -188,28 +188,11 @@ def _of_curve(curve: TransmissionError) -> Figures:
 
 def _on_the_way(unit: Unit, angles: int, wanted: tuple[str, ...] = PARTS) -> Figures:
     """Figures of phase-locked cranks from the extremes alone; NaN those that are not wanted."""
-    discs = range(len(unit.parts.disc))
-
-    def error(parts: PyTree, first: Crank) -> jax.Array:
-        unit, fits = parts
-        vectors = [vector(unit, fits[k], unit.disc_crank(k, first)) for k in discs]
-        return -jnp.mean(jnp.stack([arctan2(sine, cosine) for cosine, sine in vectors]))
-
-    def most_misfit(parts: PyTree, first: Crank) -> jax.Array:
-        unit, fits = parts
-        return jnp.max(jnp.stack([jnp.abs(misfit(unit, fits[k], unit.disc_crank(k, first))) for k in discs]))
-
-    parts = (unit, [fit(unit, k) for k in discs])
     most = least = largest = unit.radius * jnp.nan
     if "error" in wanted:
-        score = Score(
-            of=monotone_angle,
-            back=lambda score: _angle(score) / len(discs),
-            wave=first_wave if unit.load is None else None,
-        )
-        most, least = largest_and_smallest(error, parts, angles, score=score, together=4)
+        most, least = _without_load(unit, angles) if unit.load is None else _under_load(unit, angles)
     if "misfit" in wanted:
-        largest, _ = largest_and_smallest(most_misfit, parts, angles, together=4)
+        largest = _most_misfit(unit, angles)
     decides = most - least if "error" in wanted else largest
     (most, least, swing, largest), info = unit.gate.close(
         (most, least, most - least, largest), (~jnp.isfinite(decides), Status.NONFINITE), info=at_once(decides)
@@ -217,61 +200,103 @@ def _on_the_way(unit: Unit, angles: int, wanted: tuple[str, ...] = PARTS) -> Fig
     return Figures(most, least, swing, largest, info)
 
 
-def monotone_angle(parts: PyTree) -> Callable[[Crank], jax.Array]:
+def _fits(unit: Unit) -> list[Fit]:
+    return [fit(unit, k) for k in range(len(unit.parts.disc))]
+
+
+def _most_misfit(unit: Unit, angles: int) -> jax.Array:
+    def most(parts: PyTree, first: Crank) -> jax.Array:
+        unit, fits = parts
+        each = [jnp.abs(misfit(unit, own, unit.disc_crank(k, first))) for k, own in enumerate(fits)]
+        return jnp.max(jnp.stack(each))
+
+    return largest_and_smallest(most, (unit, _fits(unit)), angles, together=4)[0]
+
+
+def _under_load(unit: Unit, angles: int) -> tuple[jax.Array, jax.Array]:
+    """Largest and smallest error."""
+    fits = _fits(unit)
+
+    def vectors(parts: PyTree, first: Crank) -> list[Vector]:
+        unit, fits = parts
+        scale = 1 / (len(unit.axes) * unit.radius**2)  # vectors near 1, however many are multiplied
+        found = [vector(unit, own, unit.disc_crank(k, first)) for k, own in enumerate(fits)]
+        return [(scale * cosine, scale * sine) for cosine, sine in found]
+
+    def error(parts: PyTree, first: Crank) -> jax.Array:
+        return _mean_angle(vectors(parts, first))
+
+    def of(parts: PyTree) -> Callable[[Crank], jax.Array]:
+        return lambda first: monotone_angle(functools.reduce(_times, vectors(parts, first)))
+
+    score = Score(of, back=lambda score: _angle(score) / len(fits))
+    return largest_and_smallest(error, (unit, fits), angles, score=score, together=4)
+
+
+def _without_load(unit: Unit, angles: int) -> tuple[jax.Array, jax.Array]:
+    """Largest and smallest error: every disc's vector is still + turning u with the crank's direction u."""
+    axes, count = unit.axes, len(unit.parts.disc)
+
+    def discs(parts: Turning) -> list[tuple[Vector, Vector]]:
+        """1 + still and turning of each disc, in the direction of the first crank."""
+        found = []
+        for k in range(count):
+            (x, y), moved = still_and_turning(axes, parts, k)
+            turned = unit.disc_crank(k, Crank(*moved))
+            found.append(((1 + x, y), (turned.cosine, turned.sine)))
+        return found
+
+    def error(parts: Turning, first: Crank) -> jax.Array:
+        u = (first.cosine, first.sine)
+        return _mean_angle([Polynomial([still, moved]).at(u) for still, moved in discs(parts)])
+
+    def of(parts: Turning) -> Callable[[Crank], jax.Array]:
+        together = _product(discs(parts))
+        return lambda first: monotone_angle(together.at((first.cosine, first.sine)))
+
+    score = Score(of, back=lambda score: _angle(score) / count, wave=lambda parts: first_wave(discs(parts)))
+    return largest_and_smallest(error, turning(unit), angles, score=score, together=4)
+
+
+def _mean_angle(vectors: list[Vector]) -> jax.Array:
+    return -jnp.mean(jnp.stack([direction(cosine, sine) for cosine, sine in vectors]))
+
+
+def monotone_angle(vector: Vector) -> jax.Array:
     """A number that falls as the discs turn: -1 to 1 up to a right angle of all together, to +-2 beyond.
 
-    Their vectors C + i S are turned one after the other by multiplication, so no angle is needed. Without a load
-    each is still + turning u with the crank's direction u, and their product a polynomial in u.
+    Their vectors C + i S were turned one after the other by multiplication, so no angle is needed.
     """
-    unit, fits = parts
-    together = _product(unit, fits if unit.load is None else [])
-
-    def at(first: Crank) -> jax.Array:
-        cosine, sine = together.at((first.cosine, first.sine))
-        if unit.load is not None:
-            for k, disc in enumerate(fits):
-                c, s = vector(unit, disc, unit.disc_crank(k, first))
-                scale = _scale(unit)
-                cosine, sine = _times((cosine, sine), (scale * c, scale * s))
-        size = jnp.abs(cosine) + jnp.abs(sine)
-        beyond = jnp.where(sine >= 0, 2, -2) * size - sine
-        return -divide(jnp.where(cosine >= 0, sine, beyond), size)
-
-    return at
+    cosine, sine = vector
+    size = jnp.abs(cosine) + jnp.abs(sine)
+    beyond = jnp.where(sine >= 0, 2, -2) * size - sine
+    return -divide(jnp.where(cosine >= 0, sine, beyond), size)
 
 
-def first_wave(parts: PyTree) -> Wave:
+def first_wave(discs: list[tuple[Vector, Vector]]) -> Wave:
     """First harmonic of minus the sum of the discs' angles without load, and a bound of the others.
 
     With disc k at still_k + turning_k u_k and w_k = turning_k / still_k the sum is constant plus the imaginary part
     of sum_k log(1 + w_k u_k): first harmonic sum_k w_k u_k = u a1 / a0 in the coefficients of the product, and
     sum_m m |m-th| <= sum_k |w_k|^2 / (1 - |w_k|). Both times |a0|^2 here, to spare the division.
     """
-    unit, fits = parts
-    (x0, y0), (x1, y1) = _product(unit, fits).coefficients[:2]
-    small, squares, scale = np.True_, 0, _scale(unit)
-    for disc in fits:
-        still = scale * (jnp.abs(jnp.real(disc.still)) + jnp.abs(jnp.imag(disc.still)))
-        square = scale**2 * (jnp.real(disc.turning) ** 2 + jnp.imag(disc.turning) ** 2)
-        small &= (still < _SMALL) & (square < _SMALL**2)
+    (x0, y0), (x1, y1) = _product(discs).coefficients[:2]
+    small, squares = np.True_, 0
+    for (x, y), (u, v) in discs:
+        square = u**2 + v**2
+        small &= (jnp.abs(x - 1) + jnp.abs(y) < _SMALL) & (square < _SMALL**2)
         squares += square
     of_squares = 1 / (1 - _SMALL) ** 2 / (1 - _SMALL / (1 - _SMALL))  # |still| >= 1 - _SMALL
     rest = jnp.where(small, of_squares * squares * (x0 * x0 + y0 * y0), jnp.inf)
     return Wave(y0 * x1 - x0 * y1, -(x0 * x1 + y0 * y1), rest)
 
 
-def _scale(unit: Unit) -> PyTree:
-    return 1 / (len(unit.axes) * unit.radius**2)  # vectors near 1, however many are multiplied
-
-
-def _product(unit: Unit, fits: list[Fit]) -> "Polynomial":
+def _product(discs: list[tuple[Vector, Vector]]) -> "Polynomial":
     """Of the discs' vectors without load, in the direction of the first crank."""
-    scale = _scale(unit)
-    together = Polynomial([(jnp.ones_like(unit.radius), jnp.zeros_like(unit.radius))])
-    for k, disc in enumerate(fits):
-        still = (1 + scale * jnp.real(disc.still), scale * jnp.imag(disc.still))
-        turning = unit.disc_crank(k, Crank(scale * jnp.real(disc.turning), scale * jnp.imag(disc.turning)))
-        together = together.times(still, (turning.cosine, turning.sine))
+    first, *others = discs
+    together = Polynomial(list(first))
+    for still, moved in others:
+        together = together.times(still, moved)
     return together
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from rvjax.elementary import arctan2, sin_cos
 from rvjax.four_bar.closures import Crank
-from rvjax.lanes import once_more
+from rvjax.lanes import once_more, settle
 from rvjax.records import PyTree
 
 _BESIDE = 2  # angles on either side of the crest of a first harmonic that are looked at
@@ -76,7 +76,7 @@ def largest_and_smallest(
             parts = whole(arrays)
             both = settle(_near(score.of(parts), score.wave(parts), angles, places))
             todo = jnp.isnan(jnp.real(both))
-            both = once_more(lambda arrays: _all(score.of(whole(arrays)), angles, places, 4), arrays, both, todo)
+            both = once_more(lambda arrays: _at_once(score.of(whole(arrays)), angles, places), arrays, both, todo)
         return jnp.real(both), jnp.imag(both)
 
     @jax.custom_jvp
@@ -90,14 +90,17 @@ def largest_and_smallest(
         places = []
         for index in found(arrays, True):
             sine, cosine = sin_cos(index * (2 * np.pi / angles))
-            places.append(Crank(cosine, sine))
+            at = settle(jax.lax.complex(cosine, sine))
+            places.append(Crank(jnp.real(at), jnp.imag(at)))
 
         def there(arrays: list[jax.Array]) -> tuple[jax.Array, ...]:
             # What the discs' vectors are made of is stored, and so are its derivatives on their way back.
             stored = whole([settle(x) if jnp.iscomplexobj(x) else x for x in arrays])
             return tuple(value(stored, at) for at in places)
 
-        return jax.jvp(there, (arrays,), (changes,))
+        (most, least), moved = jax.jvp(there, (arrays,), (changes,))
+        both = settle(jax.lax.complex(most, least))
+        return (jnp.real(both), jnp.imag(both)), moved
 
     return search([leaf for leaf, varies in zip(leaves, is_array) if varies])
 
@@ -121,6 +124,17 @@ def _all(along: Callable[[Crank], jax.Array], angles: int, places: bool, togethe
     start = (first, first, *([jnp.zeros_like(first)] * 2 if places else []))
     best, _ = jax.lax.scan(step, start, [jnp.asarray(x[1:], first.dtype) for x in turn], unroll=together)
     return jax.lax.complex(*best[-2:])
+
+
+def _at_once(along: Callable[[Crank], jax.Array], angles: int, places: bool) -> jax.Array:
+    """As `_all`, all angles side by side: for few lanes, where starting a kernel costs more than what it does."""
+    index = np.arange(angles)
+    every = settle(along(Crank(np.cos(2 * np.pi / angles * index), np.sin(2 * np.pi / angles * index))))
+    most, least = jnp.max(every), jnp.min(every)
+    if places:  # several times as fast as argmax
+        first = [jnp.min(jnp.where(every == best, index, angles)).astype(every.dtype) for best in (most, least)]
+        most, least = (jnp.where(jnp.isnan(best), best, at) for best, at in zip((most, least), first))
+    return jax.lax.complex(most, least)
 
 
 def _near(along: Callable[[Crank], jax.Array], wave: Wave, angles: int, places: bool) -> jax.Array:
@@ -148,8 +162,3 @@ def _near(along: Callable[[Crank], jax.Array], wave: Wave, angles: int, places: 
     if angles % 2:
         ahead = Crank(cosine, sine).turned(np.cos(half * step), np.sin(half * step))
     return jax.lax.complex(crest, extreme(-1, below + half, ahead.cosine, ahead.sine))
-
-
-def settle(x: jax.Array) -> jax.Array:
-    """x, stored: what follows reads it instead of evaluating it anew. XLA looks through all but a loop."""
-    return jax.lax.fori_loop(0, 2, lambda _, x: -x, x)
