@@ -59,6 +59,7 @@ def closed_cost(target, limit=LIMIT):
     return 10 * um * (1 / (4 ** (1 / 3) * b) + 1 / b)
 
 
+@pytest.mark.long  # failures beside a capability, and as rejects in test_tolerances_allocation.py, run by default
 def test_units_that_fail_bind_a_field():
     cost, _ = cheapest_of_shares(LIMIT, 0.99)
     found = allocate(fragile, PAIR, Requirement(lower=-LIMIT, upper=LIMIT, target=0.99), **OPTIONS)
