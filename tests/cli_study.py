@@ -10,7 +10,7 @@ import pytest
 UNITS = 16_000
 """Of a certificate: of 0.9973 due, 43 may fail and 16 do at most, with an interval that excludes 0.9999."""
 
-GOOD = (resources.files("rvjax.study") / "embedded" / "rv-40e.toml").read_text("utf-8")
+GOOD = (resources.files("rvjax") / "study" / "embedded" / "rv-40e.toml").read_text("utf-8")
 SMALL = GOOD.replace("angles = 64 ", "angles = 12 ").replace("samples = 16384", "samples = 1024")
 SMALL = SMALL.replace("certificate_samples = 1_000_000", "certificate_samples = 16_000")
 MIDDLE = 'lower = "-20 um"\nupper = "20 um"\n'

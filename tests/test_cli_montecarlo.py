@@ -5,8 +5,6 @@ Oracle: `monte_carlo` on the same study in this process, to the last bit.
 
 import dataclasses
 import json
-import subprocess
-import sys
 from importlib import resources
 
 import numpy as np
@@ -67,17 +65,17 @@ def test_a_batch_prints_and_writes_its_figures(here, capsys, expected):
     assert told["values"] is None and told["name"] == "small" and told["yield_"]["lost_motion"]["lower"] > 0
 
 
-def test_two_processes_on_one_machine(here, capsys, expected):
+def test_two_processes_on_one_machine(here, capfd, expected):
     command = "montecarlo small.toml --samples 5000 --seed 4 --chunk 1000 --processes 2 --checkpoint c --save a.npz"
-    done = subprocess.run([sys.executable, "-m", "rvjax", *command.split()], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    assert "process 1 of 2" in done.stderr and "process 2 of 2" not in done.stderr
+    code, said = cli.main(command.split()), capfd.readouterr().err
+    assert code == 0, said
+    assert "process 1 of 2" in said and "process 2 of 2" not in said
     assert sorted(file.name for file in here.iterdir()) == ["a.npz", "c.0-of-2", "c.1-of-2", "small.toml"]
     np.testing.assert_allclose(load("a.npz").values["lost_motion"], expected.values["lost_motion"], rtol=1e-12)
     one = load("a.npz")
     assert one.samples == 5000 and one.yield_ == expected.yield_
     assert cli.main([*command.replace("--processes 2", "--quiet").split()]) == 2  # would begin anew
-    assert "c.0-of-2 is of another number of processes than 1" in capsys.readouterr().err.replace("c.1", "c.0")
+    assert "c.0-of-2 is of another number of processes than 1" in capfd.readouterr().err.replace("c.1", "c.0")
 
 
 def test_a_process_that_fails_ends_the_others(here):

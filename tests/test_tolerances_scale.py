@@ -157,6 +157,7 @@ def free_port():
         return server.getsockname()[1]
 
 
+@pytest.mark.long  # test_cli_montecarlo.py asks two processes for the figures of one
 def test_two_processes_give_the_bits_of_one(tmp_path, alone):
     from rvjax.tolerances import load
 
