@@ -39,11 +39,7 @@ class Phases:
         self._watch = threading.Thread(target=self._tick, daemon=True)
 
     def begin(self, name: str) -> None:
-        """The phase before ends here.
-
-        Args:
-            name: of the phase; one that is not expected belongs to the phase that it happens in.
-        """
+        """The phase before ends here; a name that is not expected belongs to the phase that it happens in."""
         if name not in self.expected:
             return self.detail(name)
         with self._lock:
@@ -54,12 +50,7 @@ class Phases:
                 self._show()
 
     def detail(self, note: str, part: float = 0.0) -> None:
-        """What the phase does now, for the next look at it.
-
-        Args:
-            note: a few words, such as "certifying 40 %".
-            part: of this detail that is done.
-        """
+        """What the phase does now, such as "certifying 40 %", for the next look at it; `part` of it is done."""
         self.note, self.part = note, part
 
     def left(self) -> float | None:

@@ -44,7 +44,6 @@ def allocate(options: argparse.Namespace) -> int:
     from rvjax import phases, study
     from rvjax.report import again, check, folders, text
     from rvjax.study.answer import answer
-    from rvjax.tolerances.atomic import check_writable
 
     asked = study.load(options.study, solve=False)
     kept = None if options.fresh else again.folder(asked, options.results)
@@ -54,7 +53,6 @@ def allocate(options: argparse.Namespace) -> int:
         tell(options, lambda: told, lambda: json.loads((kept / "result.json").read_text()) | {"results": str(kept)})
         return EXIT_OK if again.status(kept) == "OPTIMAL" else EXIT_NO_ANSWER
     folder = folders.results_folder(options.results, asked.name)
-    check_writable(folder)
     forewarn(asked)
     journal = again.journal(asked, folder)
     options.begun = lambda: journal.folder if journal and journal.folder.exists() else None
@@ -113,7 +111,6 @@ def budget(options: argparse.Namespace) -> int:
     from rvjax.report import budget as written
     from rvjax.report import folders
     from rvjax.study.values import quantity
-    from rvjax.tolerances.atomic import check_writable
 
     owning = "who owns the error"
     with phases.shown(dict.fromkeys((READING, owning, WRITING), 0.0), counted=owning, quiet=options.quiet):
@@ -123,7 +120,6 @@ def budget(options: argparse.Namespace) -> int:
         if len(set(loads.values())) < len(options.torque or ()):
             raise ValueError(f"--torque {', '.join(options.torque)}: each torque once")
         folder = folders.results_folder(options.results, f"{question.name}-budget")
-        check_writable(folder)
         forewarn(question)
         phases.begin(owning)
         found = study.error_budget(

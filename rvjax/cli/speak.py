@@ -25,15 +25,10 @@ def say(text: str, file: Any = None) -> None:
 
 def tell(options: argparse.Namespace, text: Callable[[], str], data: Callable[[], dict[str, Any] | list[Any]]) -> None:
     """The result on standard output, as the option asks: for a person, or as one JSON value and nothing else."""
-    if for_machines(options):
+    if options.format == "json" or getattr(options, "json", None) is True:  # the older `--json` where it names no file
         print(json.dumps(data(), indent=1, allow_nan=False))
     else:
         say(text())
-
-
-def for_machines(options: argparse.Namespace) -> bool:
-    """Whether `--format json`, or the older `--json` of a command where it names no file, was given."""
-    return options.format == "json" or getattr(options, "json", None) is True
 
 
 def forewarn(question: Any) -> None:

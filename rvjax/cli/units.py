@@ -66,7 +66,6 @@ def identify(options: argparse.Namespace) -> int:
     from rvjax.report import folders, identified_page
     from rvjax.report import identified as told
     from rvjax.study import identified, measured, problem
-    from rvjax.tolerances.atomic import check_writable
 
     coming = (identified.SEEING, identified.RANKING) if options.check else (*identified.PHASES, WRITING)
     with phases.shown(dict.fromkeys((READING, *coming), 0.0), quiet=options.quiet):
@@ -80,7 +79,6 @@ def identify(options: argparse.Namespace) -> int:
             raise ValueError("no data: name at least one CSV file, or ask with --check what a bench could tell apart")
         else:
             folder = folders.results_folder(options.results, question.name)
-            check_writable(folder)
             found = identified.answer(question, data, draws=options.sample)
             phases.begin(WRITING)
             pictures = ((f"{picture.name}.png", picture.content) for picture in identified_page.pictures(found))
@@ -98,7 +96,6 @@ def assemble(options: argparse.Namespace) -> int:
     from rvjax.report import folders
     from rvjax.study.assembly import bench
     from rvjax.study.prices import prices
-    from rvjax.tolerances.atomic import check_writable
 
     matching, pricing = "which part goes with which", "prices of tolerances"
     coming = (matching, *([pricing] if options.prices else []), WRITING)
@@ -106,7 +103,6 @@ def assemble(options: argparse.Namespace) -> int:
         phases.begin(READING)
         question = study.load(options.study)
         folder = folders.results_folder(options.results, f"{question.name}-assembly")
-        check_writable(folder)
         parts = bench(question, options.parts)
         asked = question.assembly
         phases.begin(matching)
@@ -138,7 +134,6 @@ def compensate(options: argparse.Namespace) -> int:
     from rvjax.report import folders
     from rvjax.study.compensation import corrections
     from rvjax.study.values import quantity
-    from rvjax.tolerances.atomic import check_writable
 
     if options.export is not None:
         written.check_export(options.export)
@@ -147,7 +142,6 @@ def compensate(options: argparse.Namespace) -> int:
         phases.begin(READING)
         question = study.load(options.study)
         folder = folders.results_folder(options.results, f"{question.name}-compensation")
-        check_writable(folder)
         phases.begin(correcting)
         found = corrections(
             question,

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from rvjax.plotting.style import AFTER, BEFORE, LIMIT, new_axes, words
+from rvjax.plotting.style import AFTER, BEFORE, LIMIT, limit_lines, new_axes, words
 from rvjax.units import readable
 
 
@@ -37,9 +37,7 @@ def units(
         seen = np.sort(np.asarray(values)[np.isfinite(values)]) / size
         share = 100 * np.arange(1, len(seen) + 1) / len(values)
         axes.step(seen, share, where="post", color=colour, ls=dash, lw=1.8, label=label)
-    for limit in (lower, upper):
-        if np.isfinite(limit):
-            axes.axvline(limit / size, color=LIMIT, lw=1.5, label=f"limit {limit / size:.4g} {shown}")
+    limit_lines(axes, (lower, upper), shown, size)
     axes.set(
         xlabel=f"{words(name)} ({shown})",
         ylabel="units up to there (%)",

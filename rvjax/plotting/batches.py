@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from rvjax.plotting.style import AFTER, BEFORE, LIMIT, PALETTE, new_axes, words
+from rvjax.plotting.style import AFTER, BEFORE, PALETTE, limit_lines, new_axes, words
 from rvjax.tolerances import Estimate
 from rvjax.units import readable
 
@@ -37,8 +37,7 @@ def batch_histograms(
             look = ((PALETTE[7], "-", 1.2), (BEFORE, "--", 1.8), (PALETTE[2], "-.", 1.2))[(k - 1) % 3]
             options: Any = dict(zip(("color", "ls", "lw"), look))
             axes.hist(found, bins, weights=weights, histtype="step", label=text, **options)
-    for limit in limits:
-        axes.axvline(limit / size, color=LIMIT, lw=1.5, label=f"limit {limit / size:.4g} {shown}")
+    limit_lines(axes, limits, shown, size)
     axes.set(xlabel=f"{words(name)} ({shown})", ylabel=f"density (1/{shown})")
     axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
     return axes
@@ -78,8 +77,7 @@ def rejects_against_limit(
         label="importance sampling, 95 % interval", zorder=3,
     )  # fmt: skip
     axes.axhline(1e6 / count, color="0.5", lw=1, ls=":", label="one unit of those counted")
-    if limit is not None:
-        axes.axvline(limit / size, color=LIMIT, lw=1.5, label=f"limit {limit / size:.4g} {shown}")
+    limit_lines(axes, [] if limit is None else [limit], shown, size)
     axes.set(xlabel=f"limit of {words(name)} ({shown})", ylabel="units beyond it (per million)")
     low_end = min(places.min(), np.quantile(rising, 0.5)) / size
     axes.set_xlim(low_end, None)

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from rvjax.plotting.style import AFTER, BEFORE, HATCHES, LIMIT, PALETTE, new_axes, words
+from rvjax.plotting.style import AFTER, BEFORE, HATCHES, LIMIT, PALETTE, limit_lines, new_axes, words
 from rvjax.units import readable
 
 
@@ -79,9 +79,7 @@ def response_histogram(
         axes.hist(values[1], bins, density=True, color=AFTER, alpha=0.75, label="after")
     if values[0].size:
         axes.hist(values[0], bins, density=True, histtype="step", color=BEFORE, lw=1.6, ls="--", label="before")
-    for limit in (lower, upper):
-        if np.isfinite(limit):
-            axes.axvline(limit / size, color=LIMIT, lw=1.5, label=f"limit {limit / size:.4g} {shown}")
+    limit_lines(axes, (lower, upper), shown, size)
     axes.set(xlabel=f"{words(name)} ({shown})", ylabel=f"density (1/{shown})", title=f"Distribution of {words(name)}")
     axes.legend()
     return axes

@@ -1,10 +1,11 @@
 """The one style of all pictures: readable in print and with colour-vision deficiency."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
 import matplotlib.pyplot as plt
+import numpy as np
 from matplotlib.axes import Axes
 
 BEFORE, AFTER, LIMIT = "#E69F00", "#0072B2", "#D55E00"
@@ -50,3 +51,17 @@ def words(name: str) -> str:
 def new_axes(axes: Axes | None = None) -> Axes:
     """The axes given, or those of a new figure."""
     return plt.subplots(figsize=(7, 4.2))[1] if axes is None else axes
+
+
+def limit_lines(axes: Axes, limits: Iterable[float], unit: str, size: float) -> None:
+    """A line at each finite limit.
+
+    Args:
+        axes: where to draw.
+        limits: SI.
+        unit: in which they are read.
+        size: of the unit, SI.
+    """
+    for limit in limits:
+        if np.isfinite(limit):
+            axes.axvline(limit / size, color=LIMIT, lw=1.5, label=f"limit {limit / size:.4g} {unit}")

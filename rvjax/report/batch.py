@@ -10,15 +10,7 @@ from rvjax.tolerances import Statistics
 
 
 def write(found: Statistics, question: Study, source: str, *, figures: str | None, samples: str | None) -> None:
-    """Write the figures, and the figures with the responses of every unit, each with the study's text.
-
-    Args:
-        found: statistics.
-        question: the study.
-        source: its file, or name of an embedded study.
-        figures: path that ends with .json, or None.
-        samples: path that ends with .npz, or None.
-    """
+    """Write the figures (.json), and those with the responses of every unit (.npz), each with the text of the study."""
     about = found.study | {"name": source, "toml": question.text}
     if figures is not None:
         tolerances.save(dataclasses.replace(found, values=None), figures, study=about)

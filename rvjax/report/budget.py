@@ -178,14 +178,11 @@ def files(budget: Budget, study: Study) -> Iterator[tuple[str, bytes]]:
 
 
 def write(budget: Budget, study: Study, folder: str | Path) -> Path:
-    """Write `files` into a new folder: all of them, or nothing.
+    """Write `files` into a new folder: all of them, or nothing; returns the folder.
 
     Args:
         budget: the error budget.
         study: whose it is.
         folder: that is wanted; where it is taken, the next free number.
-
-    Returns:
-        The folder.
     """
     return folders.write_files(files(budget, study), Path(folder))

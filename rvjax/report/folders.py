@@ -13,6 +13,7 @@ from typing import Any
 from rvjax.report import numbers, text
 from rvjax.report.pictures import pictures
 from rvjax.study.answer import Answer
+from rvjax.tolerances.atomic import check_writable
 
 
 def results_folder(option: str | None, name: str) -> Path:
@@ -30,8 +31,10 @@ def results_folder(option: str | None, name: str) -> Path:
         folder = Path(option)
         if folder.exists():
             raise ValueError(f"--results {option}: exists already; name a new folder")
-        return folder
-    return next(folder for folder in _numbered(Path("results") / name) if not folder.exists())
+    else:
+        folder = next(folder for folder in _numbered(Path("results") / name) if not folder.exists())
+    check_writable(folder)
+    return folder
 
 
 def numbered_folders(name: str) -> list[Path]:

@@ -35,15 +35,7 @@ def page(
     *,
     date: str = "",
 ) -> str:
-    """The whole page.
-
-    Args:
-        answer: what to show.
-        source: study file or name, as given on the command line.
-        surrogate: of the answer, for a section with sliders; None: a page without.
-        budget: of the allocated tolerances, for a section on who owns the error; None: a page without.
-        date: on which it was computed; "" leaves it out.
-    """
+    """The whole page; without a surrogate or a budget it lacks their sections, without a date it says none."""
     drawn = {picture.name: picture for picture in pictures(answer, "svg")}
     title = answer.study.about.title or f"{answer.study.name}: tolerances"
     answered = [_requirements(answer, drawn), _tolerances(answer, drawn), live.section(surrogate, answer)]

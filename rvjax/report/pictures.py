@@ -28,7 +28,12 @@ class Picture:
 
 
 def saved(figure: Figure | SubFigure, form: str = "png") -> bytes:
-    """A figure as a file, closed. Without a date or random names: the same answer gives the same file."""
+    """A figure as a file, closed. Without a date or random names: the same answer gives the same file.
+
+    Args:
+        figure: to close.
+        form: "png" or "svg".
+    """
     import matplotlib.pyplot as plt
 
     assert isinstance(figure, Figure)  # matplotlib's types know no better
