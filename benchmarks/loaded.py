@@ -13,6 +13,8 @@ Tried for the solver, and what it gave (steps per angle or unit, means; 2 x 40 p
     load falling by stages from 30 or 1000 times cycles as before
     forces of journals as unknowns               3 % torque: more units than before need more than 12 steps
     dense elimination of the interior steps      18 of 437 kernels less, compiles no faster
+    results of a step stored, sums in halves     linear 6 -> 3.8 times C, hertz 3 -> 2.1 with idle pins left out: kept
+    blocks of 128 and 256 lanes, refilled later  no difference beyond noise
     turn / cold turn of the C program, linear    0.70 (last angle as start) beside 0.58 here
 """
 
