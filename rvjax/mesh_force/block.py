@@ -19,7 +19,6 @@ numbers of a roller travel as one complex number, because XLA makes a kernel of 
 would compute or store twice what two results share.
 """
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -27,16 +26,14 @@ import jax.numpy as jnp
 
 from rvjax.elementary import power
 from rvjax.mesh_force import laws, safe
-from rvjax.mesh_force.case import Case, Roller, lever, roller
-from rvjax.mesh_force.geometry import roller_directions
-from rvjax.records import PyTree, Scalar
+from rvjax.mesh_force.case import Case, all_rollers, lever
+from rvjax.mesh_force.laws import Compliance
+from rvjax.records import PyTree
 
 _LINEAR_STEPS = 8  # at most; 3 to 5 are usual
 _GUESS_STEPS = 8  # at most; 1 or 2 are usual, 4 for Palmgren's law
 _NEWTON_STEPS = 4  # at most; 1 is usual
 _CHUNK = 256  # cases that `safe.solve` gets at a time
-
-Inverse = Callable[[Scalar, jax.Array], jax.Array]
 
 
 class Found(NamedTuple):
@@ -56,6 +53,7 @@ class _Rows(NamedTuple):
     arm: jax.Array
     gap: jax.Array
     stiffness: jax.Array  # load over approach, for Palmgren's law at a typical load
+    compliance: Compliance
 
 
 def solve_block(law: str, teeth: int, case: Case, size: int) -> Found:
@@ -70,18 +68,11 @@ def solve_block(law: str, teeth: int, case: Case, size: int) -> Found:
     if case.radius_error.ndim == 2:
         case = case._replace(radius_error=case.radius_error.T)
     torque = jnp.broadcast_to(case.torque, (size,))
-    sines, cosines = (jnp.asarray(x) for x in roller_directions(teeth, torque.dtype))
-
-    def roller_at(i: Scalar) -> Roller:
-        error = case.radius_error
-        return roller(teeth, case, sines[i], cosines[i], error[i] if error.ndim == 2 else error)
-
     typical = jnp.maximum(jnp.abs(torque) / (teeth + 1), float(jnp.finfo(torque.dtype).tiny) ** 0.5)
-    rows = _rows(law, roller_at, typical, teeth + 1)
-    inverse = _inverse(law, roller_at, typical, rows)
+    rows = _rows(law, teeth, case, typical)
     windup, linear_steps = _linear(rows, torque)
-    windup, guess_steps = _guess(law, inverse, rows, torque, windup)
-    start, x, load, fine, newton_steps = _newton(law, roller_at, inverse, rows, torque, windup)
+    windup, guess_steps = _guess(law, rows, torque, windup)
+    start, x, load, fine, newton_steps = _newton(law, rows, torque, windup)
     found = {
         "windup": start + x,
         "load": load,
@@ -97,105 +88,97 @@ def solve_block(law: str, teeth: int, case: Case, size: int) -> Found:
     return Found(found["windup"], found["load"].T, found["steps"], residual, found["overload"], found["finite"])
 
 
+def _sum(rows: jax.Array) -> jax.Array:
+    """Sum over the rollers, (cases,): unrolled, so that it runs along the cases."""
+    total = rows[0]
+    for i in range(1, len(rows)):
+        total = total + rows[i]
+    return total
+
+
+def _max(rows: jax.Array) -> jax.Array:
+    largest = rows[0]
+    for i in range(1, len(rows)):
+        largest = jnp.maximum(largest, rows[i])
+    return largest
+
+
 def _missing(rows: _Rows, load: jax.Array, torque: jax.Array) -> jax.Array:
     """Moment missing, relative to the larger of the torque and the sum of |moments|."""
-    moments = rows.arm * load
-    scale = jnp.maximum(jnp.abs(torque), jnp.sum(jnp.abs(moments), axis=0))
-    missing = jnp.abs(jnp.sum(moments, axis=0) - torque)
+    moment, moments = 0.0, 0.0
+    for i in range(len(load)):
+        part = rows.arm[i] * load[i]
+        moment, moments = moment + part, moments + jnp.abs(part)
+    scale = jnp.maximum(jnp.abs(torque), moments)
+    missing = jnp.abs(moment - torque)
     return jnp.where(scale > 0, missing / jnp.where(scale > 0, scale, 1), 0)
 
 
-def _put(rows: jax.Array, row: jax.Array, i: Scalar) -> jax.Array:
-    return jax.lax.dynamic_update_index_in_dim(rows, row, i, 0)  # in place; .at[i].set is a scatter
+def _rows(law: str, teeth: int, case: Case, typical: jax.Array) -> _Rows:
+    r = all_rollers(teeth, case)
+    shape = (teeth + 1, *typical.shape)
+    stiffness = jnp.broadcast_to(laws.secant_stiffness(law, typical, r.compliance), shape)
+    return _Rows(
+        jnp.broadcast_to(lever(r.arm), shape),
+        jnp.broadcast_to(r.gap, shape),
+        stiffness,
+        r.compliance,
+    )
 
 
-def _per_roller(term: Callable[[Scalar], jax.Array], like: jax.Array) -> jax.Array:
-    """Rows `term(i)` of all rollers, of the shape and type of `like` (n, cases)."""
-
-    def put(i: Scalar, rows: jax.Array) -> jax.Array:
-        return _put(rows, term(i), i)
-
-    return jax.lax.fori_loop(0, len(like), put, jnp.zeros_like(like))
-
-
-def _sums(term: Callable[[Scalar], jax.Array], like: jax.Array) -> jax.Array:
-    """Sum of the complex `term(i)` over the rollers, (cases,); `like` (n, cases)."""
-    count, size = like.shape
-    zero = jnp.zeros(size, like.dtype)
-    return jax.lax.fori_loop(0, count, lambda i, total: total + term(i), jax.lax.complex(zero, zero))
-
-
-def _rows(law: str, roller_at: Callable[[Scalar], Roller], typical: jax.Array, count: int) -> _Rows:
-    def put(i: Scalar, rows: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        r = roller_at(i)
-        place = jnp.broadcast_to(jax.lax.complex(lever(r.arm), jnp.broadcast_to(r.gap, r.arm.shape)), typical.shape)
-        stiffness = jnp.broadcast_to(laws.secant_stiffness(law, typical, r.compliance), typical.shape)
-        return _put(rows[0], place, i), _put(rows[1], stiffness, i)
-
-    empty = jnp.zeros((count, *typical.shape), typical.dtype)
-    place, stiffness = jax.lax.fori_loop(0, count, put, (jax.lax.complex(empty, empty), empty))
-    return _Rows(jnp.real(place), jnp.imag(place), stiffness)
+def _newton_change(rows: _Rows, torque: jax.Array, windup: jax.Array, law: str, working: bool = False, typical=None):
+    """(missing, slope)"""
+    moment, slope = 0.0, 0.0
+    for i in range(len(rows.arm)):
+        arm, k = rows.arm[i], rows.stiffness[i]
+        if working:
+            w = jnp.where((arm > 0) == (torque >= 0), arm * k, 0)
+            moment, slope = moment + w * rows.gap[i], slope + w * arm
+            continue
+        depth = windup * arm + rows.gap[i]
+        w = jnp.where(depth > 0, arm * k, 0)
+        moment, slope = moment + w * depth, slope + w * arm
+    return torque - moment, slope
 
 
 def _linear(rows: _Rows, torque: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Windup of linear contacts, and the steps taken."""
-    forward = torque >= 0
-
-    def working(i: Scalar) -> jax.Array:
-        arm = rows.arm[i]
-        stiff_arm = jnp.where((arm > 0) == forward, arm * rows.stiffness[i], 0)
-        return jax.lax.complex(stiff_arm * rows.gap[i], stiff_arm * arm)
-
     # All rollers of the working half loaded; without errors this is the solution.
-    total = _sums(working, rows.arm)
-    preload, slope = jnp.real(total), jnp.imag(total)
-    windup = (torque - preload) / jnp.where(slope > 0, slope, 1)
+    def running(state: PyTree) -> jax.Array:
+        windup, last, steps = state
+        return jnp.any(jnp.abs(windup - last) > 1e-6 * jnp.abs(windup)) & (steps < _LINEAR_STEPS)
+
+    missing, slope = _newton_change(rows, torque, None, "linear", working=True)
+    windup = missing / jnp.where(slope > 0, slope, 1)
     least = jnp.where(slope > 0, slope, 1) / 20  # of the slope, where few rollers touch
 
-    def running(state: PyTree) -> jax.Array:
-        windup, change, steps = state
-        return jnp.any(jnp.abs(change) > 1e-6 * jnp.abs(windup)) & (steps < _LINEAR_STEPS)
-
     def step(state: PyTree) -> PyTree:
-        windup, change, steps = state
-
-        def loaded(i: Scalar) -> jax.Array:
-            depth = windup * rows.arm[i] + rows.gap[i]
-            stiff_arm = jnp.where(depth > 0, rows.arm[i] * rows.stiffness[i], 0)
-            return jax.lax.complex(stiff_arm * depth, stiff_arm * rows.arm[i])
-
-        total = _sums(loaded, rows.arm)
+        windup, last, steps = state
+        missing, slope = _newton_change(rows, torque, windup, "linear")
         damping = jnp.where(steps < _LINEAR_STEPS - 3, 1, 0.5).astype(torque.dtype)  # against a cycle of two steps
-        newton = damping * (torque - jnp.real(total)) / jnp.maximum(jnp.imag(total), least)
+        after = windup + damping * missing / jnp.maximum(slope, least)
         # A case that is done stays: none depends on its neighbours.
-        change = jnp.where(jnp.abs(change) > 1e-6 * jnp.abs(windup), newton, 0)
-        return windup + change, change, steps + 1
+        return jnp.where(jnp.abs(windup - last) > 1e-6 * jnp.abs(windup), after, windup), windup, steps + 1
 
     first = (windup, jnp.full_like(windup, jnp.inf), jnp.zeros((), jnp.int32))
     windup, _, steps = jax.lax.while_loop(running, step, first)
     return windup, steps
 
 
-def _inverse(law: str, roller_at: Callable[[Scalar], Roller], typical: jax.Array, rows: _Rows) -> Inverse:
-    """(i, depth) -> load + i stiffness of roller i, for "hertz" approximate."""
-
-    def inverse(i: Scalar, depth: jax.Array) -> jax.Array:
-        loaded, depth = depth > 0, jnp.maximum(depth, 0)
-        if law == "hertz":
-            load, rate = laws.series(depth, roller_at(i).compliance)
-        elif law == "linear":
-            load, rate = rows.stiffness[i] * depth, rows.stiffness[i]
-        else:  # u = y (y / typical)^(1/9), y = secant stiffness * depth
-            secant = rows.stiffness[i] * power(rows.stiffness[i] * depth / typical, 1 / 9)
-            load, rate = secant * depth, 10 / 9 * secant
-        return jax.lax.complex(load, jnp.where(loaded, rate, 0))
-
-    return inverse
+def _inverse(law: str, compliance: Compliance, stiffness: jax.Array, typical: jax.Array, depth: jax.Array):
+    """Load and stiffness for an approach, for "hertz" approximate."""
+    loaded, depth = depth > 0, jnp.maximum(depth, 0)
+    if law == "hertz":
+        load, rate = laws.series(depth, compliance)
+    elif law == "linear":
+        load, rate = stiffness * depth, stiffness
+    else:  # u = y (y / typical)^(1/9), y = secant stiffness * depth
+        secant = stiffness * power(stiffness * depth / typical, 1 / 9)
+        load, rate = secant * depth, 10 / 9 * secant
+    return load, jnp.where(loaded, rate, 0)
 
 
-def _guess(
-    law: str, inverse: Inverse, rows: _Rows, torque: jax.Array, windup: jax.Array
-) -> tuple[jax.Array, jax.Array]:
+def _guess(law: str, rows: _Rows, torque: jax.Array, windup: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Windup after Newton steps with `inverse`, and the steps taken."""
     # `_newton` squares what is left. For "hertz" one step leaves little; for Palmgren's law the inverse is exact.
     at_most = {"linear": 0, "hertz": 1, "palmgren": _GUESS_STEPS}[law]
@@ -204,15 +187,12 @@ def _guess(
         _, open_, steps = state
         return jnp.any(open_) & (steps < at_most)
 
+    typical = jnp.maximum(jnp.abs(torque) / len(rows.arm), float(jnp.finfo(torque.dtype).tiny) ** 0.5)
+
     def step(state: PyTree) -> PyTree:
         windup, open_, steps = state
-
-        def moment(i: Scalar) -> jax.Array:
-            load = inverse(i, windup * rows.arm[i] + rows.gap[i])
-            return jax.lax.complex(rows.arm[i] * jnp.real(load), rows.arm[i] ** 2 * jnp.imag(load))
-
-        total = _sums(moment, rows.arm)
-        missing, slope = jnp.real(total) - torque, jnp.imag(total)
+        load, rate = _inverse(law, rows.compliance, rows.stiffness, typical, windup * rows.arm + rows.gap)
+        missing, slope = _sum(rows.arm * load) - torque, _sum(rows.arm**2 * rate)
         shift = jnp.where(open_, -missing / jnp.where(slope > 0, slope, 1), 0)
         return windup + shift, open_ & ~(jnp.abs(missing) <= 1e-7 * jnp.abs(torque)), steps + 1
 
@@ -220,14 +200,7 @@ def _guess(
     return windup, steps
 
 
-def _newton(
-    law: str,
-    roller_at: Callable[[Scalar], Roller],
-    inverse: Inverse,
-    rows: _Rows,
-    torque: jax.Array,
-    windup: jax.Array,
-) -> tuple[jax.Array, ...]:
+def _newton(law: str, rows: _Rows, torque: jax.Array, windup: jax.Array) -> tuple[jax.Array, ...]:
     """Start, shift from there, loads, whether they are the solution, steps: `_newton_step` while it may help."""
 
     def running(state: PyTree) -> jax.Array:
@@ -237,7 +210,7 @@ def _newton(
     def step(state: PyTree) -> PyTree:
         *before, fine, steps = state
         start = before[0] + before[1]
-        after = (start, *_newton_step(law, roller_at, inverse, rows, torque, start))
+        after = (start, *_newton_step(law, rows, torque, start))
         # A case that is done stays, whatever its neighbours need.
         kept = [jnp.where(fine if new.ndim == 1 else fine[None], old, new) for old, new in zip((*before, fine), after)]
         return *kept, steps + 1
@@ -248,50 +221,33 @@ def _newton(
 
 
 def _newton_step(
-    law: str,
-    roller_at: Callable[[Scalar], Roller],
-    inverse: Inverse,
-    rows: _Rows,
-    torque: jax.Array,
-    start: jax.Array,
+    law: str, rows: _Rows, torque: jax.Array, start: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Shift of the windup, loads, and whether they are the solution."""
     depth = start[None] * rows.arm + rows.gap
-    guessed = _per_roller(lambda i: inverse(i, depth[i]), jax.lax.complex(depth, depth))
-    load, rate = jnp.real(guessed), jnp.imag(guessed)
+    typical = jnp.maximum(jnp.abs(torque) / len(rows.arm), float(jnp.finfo(torque.dtype).tiny) ** 0.5)
+    load, rate = _inverse(law, rows.compliance, rows.stiffness, typical, depth)
     change = jnp.zeros_like(load)
     if law == "hertz":  # else the guess is exact
-
-        def correction(i: Scalar) -> jax.Array:
-            return rate[i] * (depth[i] - laws.approach(law, load[i], roller_at(i).compliance))
-
-        change = _per_roller(correction, depth)
-    total = _sums(lambda i: jax.lax.complex(rows.arm[i] * (load[i] + change[i]), rows.arm[i] ** 2 * rate[i]), depth)
-    missing, slope = jnp.real(total) - torque, jnp.imag(total)
+        change = rate * (depth - laws.approach(law, load, rows.compliance))
+    missing, slope = _sum(rows.arm * (load + change)) - torque, _sum(rows.arm**2 * rate)
     x = -missing / jnp.where(slope > 0, slope, 1)
 
-    def verdict(i: Scalar, state: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        loads, worst = state
-        shift = change[i] + rate[i] * rows.arm[i] * x
-        after, moved = load[i] + shift, jnp.abs(shift)
-        # A Newton step of relative size m leaves m^2 times the relative change of the stiffness up to this load, which
-        # is `bend`, and m times the relative error of the stiffness it used.
-        part = moved / jnp.where(load[i] > 0, load[i], 1)
-        if law == "palmgren":  # load ~ depth^(10/9); the stiffness is exact
-            left = 0.1 * moved * part
-        else:
-            bend = jnp.abs(rate[i] / rows.stiffness[i] - 1)
-            left = moved * (part * bend + laws.series_error(bend))
-        left = jnp.where(moved > 0, left, 0)  # and a roller that changes sides spoils the step:
-        left = jnp.where(after >= 0, left, jnp.inf)
-        left = jnp.where(depth[i] > 0, left, jnp.where(depth[i] + x * rows.arm[i] <= 0, 0, jnp.inf))
-        worst = jax.lax.complex(jnp.maximum(jnp.real(worst), left), jnp.maximum(jnp.imag(worst), load[i]))
-        return _put(loads, after, i), worst
-
-    zero = jnp.zeros_like(x)
-    loads, worst = jax.lax.fori_loop(0, len(depth), verdict, (load, jax.lax.complex(zero, zero)))
-    tolerance = 8 * float(jnp.finfo(x.dtype).eps) * jnp.imag(worst)
-    return x, loads, jnp.real(worst) <= tolerance  # false for NaN
+    shift = change + rate * rows.arm * x
+    after, moved = load + shift, jnp.abs(shift)
+    # A Newton step of relative size m leaves m^2 times the relative change of the stiffness up to this load, which
+    # is `bend`, and m times the relative error of the stiffness it used.
+    part = moved / jnp.where(load > 0, load, 1)
+    if law == "palmgren":  # load ~ depth^(10/9); the stiffness is exact
+        left = 0.1 * moved * part
+    else:
+        bend = jnp.abs(rate / rows.stiffness - 1)
+        left = moved * (part * bend + laws.series_error(bend))
+    left = jnp.where(moved > 0, left, 0)  # and a roller that changes sides spoils the step:
+    left = jnp.where(after >= 0, left, jnp.inf)
+    left = jnp.where(depth > 0, left, jnp.where(depth + x * rows.arm <= 0, 0, jnp.inf))
+    tolerance = 8 * float(jnp.finfo(x.dtype).eps) * _max(load)
+    return x, after, _max(left) <= tolerance  # false for NaN
 
 
 def _left_open(
