@@ -25,7 +25,7 @@ import jax
 import jax.numpy as jnp
 
 from rvjax.elementary import power
-from rvjax.mesh_force import laws, safe
+from rvjax.mesh_force import laws, line_contact, safe
 from rvjax.mesh_force.case import Case, all_rollers, lever
 from rvjax.mesh_force.laws import Compliance
 from rvjax.records import PyTree
@@ -53,6 +53,8 @@ class _Rows(NamedTuple):
     arm: jax.Array
     gap: jax.Array
     stiffness: jax.Array  # load over approach, for Palmgren's law at a typical load
+    bends: tuple[jax.Array, ...]  # for "hertz", of `laws.series`
+    typical: jax.Array  # load of a case (cases,)
     compliance: Compliance
 
 
@@ -68,8 +70,7 @@ def solve_block(law: str, teeth: int, case: Case, size: int) -> Found:
     if case.radius_error.ndim == 2:
         case = case._replace(radius_error=case.radius_error.T)
     torque = jnp.broadcast_to(case.torque, (size,))
-    typical = jnp.maximum(jnp.abs(torque) / (teeth + 1), float(jnp.finfo(torque.dtype).tiny) ** 0.5)
-    rows = _rows(law, teeth, case, typical)
+    rows = _rows(law, teeth, case, torque)
     windup, linear_steps = _linear(rows, torque)
     windup, guess_steps = _guess(law, rows, torque, windup)
     start, x, load, fine, newton_steps = _newton(law, rows, torque, windup)
@@ -114,16 +115,14 @@ def _missing(rows: _Rows, load: jax.Array, torque: jax.Array) -> jax.Array:
     return jnp.where(scale > 0, missing / jnp.where(scale > 0, scale, 1), 0)
 
 
-def _rows(law: str, teeth: int, case: Case, typical: jax.Array) -> _Rows:
+def _rows(law: str, teeth: int, case: Case, torque: jax.Array) -> _Rows:
     r = all_rollers(teeth, case)
-    shape = (teeth + 1, *typical.shape)
-    stiffness = jnp.broadcast_to(laws.secant_stiffness(law, typical, r.compliance), shape)
-    return _Rows(
-        jnp.broadcast_to(lever(r.arm), shape),
-        jnp.broadcast_to(r.gap, shape),
-        stiffness,
-        r.compliance,
-    )
+    shape = (teeth + 1, *torque.shape)
+    typical = jnp.maximum(jnp.abs(torque) / (teeth + 1), float(jnp.finfo(torque.dtype).tiny) ** 0.5)
+    stiffness = laws.secant_stiffness(law, typical, r.compliance)
+    bends = laws.bends(stiffness, r.compliance) if law == "hertz" else ()
+    whole = [jnp.broadcast_to(row, shape) for row in (lever(r.arm), r.gap, stiffness)]
+    return _Rows(*whole, bends, typical, r.compliance)
 
 
 def _newton_change(rows: _Rows, torque: jax.Array, windup: jax.Array, law: str, working: bool = False, typical=None):
@@ -165,17 +164,17 @@ def _linear(rows: _Rows, torque: jax.Array) -> tuple[jax.Array, jax.Array]:
     return windup, steps
 
 
-def _inverse(law: str, compliance: Compliance, stiffness: jax.Array, typical: jax.Array, depth: jax.Array):
-    """Load and stiffness for an approach, for "hertz" approximate."""
-    loaded, depth = depth > 0, jnp.maximum(depth, 0)
+def _inverse(law: str, rows: _Rows, depth: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Load for an approach, and its stiffness over `rows.stiffness`; for "hertz" approximate."""
+    loaded, y = depth > 0, rows.stiffness * jnp.maximum(depth, 0)
     if law == "hertz":
-        load, rate = laws.series(depth, compliance)
+        load, ratio = laws.series(y, rows.bends)
     elif law == "linear":
-        load, rate = stiffness * depth, stiffness
-    else:  # u = y (y / typical)^(1/9), y = secant stiffness * depth
-        secant = stiffness * power(stiffness * depth / typical, 1 / 9)
-        load, rate = secant * depth, 10 / 9 * secant
-    return load, jnp.where(loaded, rate, 0)
+        load, ratio = y, jnp.ones_like(y)
+    else:  # u = y (y / typical)^(1/9)
+        secant = power(y / rows.typical, 1 / 9)
+        load, ratio = secant * y, 10 / 9 * secant
+    return load, jnp.where(loaded, ratio, 0)
 
 
 def _guess(law: str, rows: _Rows, torque: jax.Array, windup: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -187,12 +186,10 @@ def _guess(law: str, rows: _Rows, torque: jax.Array, windup: jax.Array) -> tuple
         _, open_, steps = state
         return jnp.any(open_) & (steps < at_most)
 
-    typical = jnp.maximum(jnp.abs(torque) / len(rows.arm), float(jnp.finfo(torque.dtype).tiny) ** 0.5)
-
     def step(state: PyTree) -> PyTree:
         windup, open_, steps = state
-        load, rate = _inverse(law, rows.compliance, rows.stiffness, typical, windup * rows.arm + rows.gap)
-        missing, slope = _sum(rows.arm * load) - torque, _sum(rows.arm**2 * rate)
+        load, ratio = _inverse(law, rows, windup * rows.arm + rows.gap)
+        missing, slope = _sum(rows.arm * load) - torque, _sum(rows.arm**2 * rows.stiffness * ratio)
         shift = jnp.where(open_, -missing / jnp.where(slope > 0, slope, 1), 0)
         return windup + shift, open_ & ~(jnp.abs(missing) <= 1e-7 * jnp.abs(torque)), steps + 1
 
@@ -210,7 +207,7 @@ def _newton(law: str, rows: _Rows, torque: jax.Array, windup: jax.Array) -> tupl
     def step(state: PyTree) -> PyTree:
         *before, fine, steps = state
         start = before[0] + before[1]
-        after = (start, *_newton_step(law, rows, torque, start))
+        after = (start, *_newton_step(law, rows, torque, start, steps == 0))
         # A case that is done stays, whatever its neighbours need.
         kept = [jnp.where(fine if new.ndim == 1 else fine[None], old, new) for old, new in zip((*before, fine), after)]
         return *kept, steps + 1
@@ -221,15 +218,24 @@ def _newton(law: str, rows: _Rows, torque: jax.Array, windup: jax.Array) -> tupl
 
 
 def _newton_step(
-    law: str, rows: _Rows, torque: jax.Array, start: jax.Array
+    law: str, rows: _Rows, torque: jax.Array, start: jax.Array, near: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Shift of the windup, loads, and whether they are the solution."""
+    """Shift of the windup, loads, and whether they are the solution; `near`: for small loads, else for all."""
     depth = start[None] * rows.arm + rows.gap
-    typical = jnp.maximum(jnp.abs(torque) / len(rows.arm), float(jnp.finfo(torque.dtype).tiny) ** 0.5)
-    load, rate = _inverse(law, rows.compliance, rows.stiffness, typical, depth)
-    change = jnp.zeros_like(load)
+    load, ratio = _inverse(law, rows, depth)
+    rate = rows.stiffness * ratio
+    change, largest = jnp.zeros_like(load), jnp.zeros_like(start)
     if law == "hertz":  # else the guess is exact
-        change = rate * (depth - laws.approach(law, load, rows.compliance))
+
+        def for_small(load: jax.Array) -> tuple[jax.Array, jax.Array]:
+            approach, square = laws.approach_near(load, rows.compliance)
+            return approach, _max(square)
+
+        def for_all(load: jax.Array) -> tuple[jax.Array, jax.Array]:
+            return laws.approach(law, load, rows.compliance), jnp.zeros_like(start)
+
+        approach, largest = jax.lax.cond(near, for_small, for_all, load)
+        change = rate * (depth - approach)
     missing, slope = _sum(rows.arm * (load + change)) - torque, _sum(rows.arm**2 * rate)
     x = -missing / jnp.where(slope > 0, slope, 1)
 
@@ -237,17 +243,16 @@ def _newton_step(
     after, moved = load + shift, jnp.abs(shift)
     # A Newton step of relative size m leaves m^2 times the relative change of the stiffness up to this load, which
     # is `bend`, and m times the relative error of the stiffness it used.
-    part = moved / jnp.where(load > 0, load, 1)
     if law == "palmgren":  # load ~ depth^(10/9); the stiffness is exact
-        left = 0.1 * moved * part
+        left = 0.1 * moved * moved
     else:
-        bend = jnp.abs(rate / rows.stiffness - 1)
-        left = moved * (part * bend + laws.series_error(bend))
-    left = jnp.where(moved > 0, left, 0)  # and a roller that changes sides spoils the step:
-    left = jnp.where(after >= 0, left, jnp.inf)
-    left = jnp.where(depth > 0, left, jnp.where(depth + x * rows.arm <= 0, 0, jnp.inf))
-    tolerance = 8 * float(jnp.finfo(x.dtype).eps) * _max(load)
-    return x, after, _max(left) <= tolerance  # false for NaN
+        bend = jnp.abs(ratio - 1)
+        left = moved * (moved * bend + load * laws.series_error(bend))
+    # A quotient of a case, because XLA ends a kernel there: else it forms the largest load once for every roller.
+    unit = 1 / (8 * float(jnp.finfo(x.dtype).eps) * _max(load))
+    stays = (after >= 0) & ((depth > 0) | (depth + x * rows.arm <= 0))  # a roller that changes sides spoils the step
+    worst = _max(jnp.where(stays, left * unit - load, jnp.inf))
+    return x, after, (worst <= 0) & (largest <= line_contact.NEAR)  # false for NaN
 
 
 def _left_open(
