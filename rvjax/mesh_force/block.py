@@ -14,11 +14,13 @@ of a loaded roller. Three stages, each of which may fail without harm but for th
 The last two count the windup from where they begin, depths being x a_i + (tau_0 a_i + g_i). The shift x is as
 small as the elastic approach, so nothing cancels even where a clearance is many orders larger.
 
-Arrays are (rollers, cases). A pass is a loop over the rollers whose body is one kernel over all cases; two
-numbers of a roller travel as one complex number, because XLA makes a kernel of its own for every result, and
-would compute or store twice what two results share.
+Arrays are (rollers, cases). What all steps need of a roller is formed once, as the loops read it: XLA forms
+anew in every kernel what is not the operand of a loop. Sums over the rollers are unrolled, which makes one kernel
+along the cases of a step.
 """
 
+import functools
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -54,7 +56,7 @@ class _Rows(NamedTuple):
     gap: jax.Array
     stiffness: jax.Array  # load over approach, for Palmgren's law at a typical load
     bends: tuple[jax.Array, ...]  # for "hertz", of `laws.series`
-    typical: jax.Array  # load of a case (cases,)
+    typical: jax.Array  # load of a case (1, cases)
     compliance: Compliance
 
 
@@ -89,75 +91,73 @@ def solve_block(law: str, teeth: int, case: Case, size: int) -> Found:
     return Found(found["windup"], found["load"].T, found["steps"], residual, found["overload"], found["finite"])
 
 
-def _sum(rows: jax.Array) -> jax.Array:
-    """Sum over the rollers, (cases,): unrolled, so that it runs along the cases."""
-    total = rows[0]
-    for i in range(1, len(rows)):
-        total = total + rows[i]
-    return total
+def _moment(rows: _Rows, roller: Callable[[int], tuple[jax.Array, jax.Array]]) -> tuple[jax.Array, jax.Array]:
+    """Moment of the loads and its derivative, (cases,), of `roller(i)`, the load of a roller and its stiffness."""
+    moment, slope = jnp.zeros_like(rows.arm[0]), jnp.zeros_like(rows.arm[0])
+    for i in range(len(rows.arm)):
+        arm, (load, rate) = rows.arm[i], roller(i)
+        moment, slope = moment + arm * load, slope + arm * arm * rate
+    return moment, slope
 
 
-def _max(rows: jax.Array) -> jax.Array:
-    largest = rows[0]
-    for i in range(1, len(rows)):
-        largest = jnp.maximum(largest, rows[i])
-    return largest
+def _largest(rows: jax.Array) -> jax.Array:
+    """Of all rollers, (cases,); NaN where one is."""
+    return functools.reduce(jnp.maximum, [rows[i] for i in range(len(rows))])
 
 
 def _missing(rows: _Rows, load: jax.Array, torque: jax.Array) -> jax.Array:
     """Moment missing, relative to the larger of the torque and the sum of |moments|."""
-    moment, moments = 0.0, 0.0
+    moment, size = jnp.zeros_like(torque), jnp.zeros_like(torque)
     for i in range(len(load)):
         part = rows.arm[i] * load[i]
-        moment, moments = moment + part, moments + jnp.abs(part)
-    scale = jnp.maximum(jnp.abs(torque), moments)
-    missing = jnp.abs(moment - torque)
+        moment, size = moment + part, size + jnp.abs(part)
+    scale, missing = jnp.maximum(jnp.abs(torque), size), jnp.abs(moment - torque)
     return jnp.where(scale > 0, missing / jnp.where(scale > 0, scale, 1), 0)
 
 
 def _rows(law: str, teeth: int, case: Case, torque: jax.Array) -> _Rows:
-    r = all_rollers(teeth, case)
-    shape = (teeth + 1, *torque.shape)
+    rollers = all_rollers(teeth, case)
     typical = jnp.maximum(jnp.abs(torque) / (teeth + 1), float(jnp.finfo(torque.dtype).tiny) ** 0.5)
-    stiffness = laws.secant_stiffness(law, typical, r.compliance)
-    bends = laws.bends(stiffness, r.compliance) if law == "hertz" else ()
-    whole = [jnp.broadcast_to(row, shape) for row in (lever(r.arm), r.gap, stiffness)]
-    return _Rows(*whole, bends, typical, r.compliance)
-
-
-def _newton_change(rows: _Rows, torque: jax.Array, windup: jax.Array, law: str, working: bool = False, typical=None):
-    """(missing, slope)"""
-    moment, slope = 0.0, 0.0
-    for i in range(len(rows.arm)):
-        arm, k = rows.arm[i], rows.stiffness[i]
-        if working:
-            w = jnp.where((arm > 0) == (torque >= 0), arm * k, 0)
-            moment, slope = moment + w * rows.gap[i], slope + w * arm
-            continue
-        depth = windup * arm + rows.gap[i]
-        w = jnp.where(depth > 0, arm * k, 0)
-        moment, slope = moment + w * depth, slope + w * arm
-    return torque - moment, slope
+    stiffness = laws.secant_stiffness(law, typical[None], rollers.compliance)
+    bends = laws.bends(stiffness, rollers.compliance) if law == "hertz" else ()
+    shape = (teeth + 1, *torque.shape)
+    arm, gap, stiffness = (jnp.broadcast_to(row, shape) for row in (lever(rollers.arm), rollers.gap, stiffness))
+    return _Rows(arm, gap, stiffness, bends, typical[None], rollers.compliance)
 
 
 def _linear(rows: _Rows, torque: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Windup of linear contacts, and the steps taken."""
+    forward = torque >= 0
+
+    def working(i: int) -> tuple[jax.Array, jax.Array]:
+        stiffness = jnp.where((rows.arm[i] > 0) == forward, rows.stiffness[i], 0)
+        return stiffness * rows.gap[i], stiffness
+
     # All rollers of the working half loaded; without errors this is the solution.
+    preload, slope = _moment(rows, working)
+    windup = (torque - preload) / jnp.where(slope > 0, slope, 1)
+    least = jnp.where(slope > 0, slope, 1) / 20  # of the slope, where few rollers touch
+
+    def moves(windup: jax.Array, last: jax.Array) -> jax.Array:
+        return jnp.abs(windup - last) > 1e-6 * jnp.abs(windup)
+
     def running(state: PyTree) -> jax.Array:
         windup, last, steps = state
-        return jnp.any(jnp.abs(windup - last) > 1e-6 * jnp.abs(windup)) & (steps < _LINEAR_STEPS)
-
-    missing, slope = _newton_change(rows, torque, None, "linear", working=True)
-    windup = missing / jnp.where(slope > 0, slope, 1)
-    least = jnp.where(slope > 0, slope, 1) / 20  # of the slope, where few rollers touch
+        return jnp.any(moves(windup, last)) & (steps < _LINEAR_STEPS)
 
     def step(state: PyTree) -> PyTree:
         windup, last, steps = state
-        missing, slope = _newton_change(rows, torque, windup, "linear")
+
+        def loaded(i: int) -> tuple[jax.Array, jax.Array]:
+            depth = windup * rows.arm[i] + rows.gap[i]
+            stiffness = jnp.where(depth > 0, rows.stiffness[i], 0)
+            return stiffness * depth, stiffness
+
+        moment, slope = _moment(rows, loaded)
         damping = jnp.where(steps < _LINEAR_STEPS - 3, 1, 0.5).astype(torque.dtype)  # against a cycle of two steps
-        after = windup + damping * missing / jnp.maximum(slope, least)
+        after = windup + damping * (torque - moment) / jnp.maximum(slope, least)
         # A case that is done stays: none depends on its neighbours.
-        return jnp.where(jnp.abs(windup - last) > 1e-6 * jnp.abs(windup), after, windup), windup, steps + 1
+        return jnp.where(moves(windup, last), after, windup), windup, steps + 1
 
     first = (windup, jnp.full_like(windup, jnp.inf), jnp.zeros((), jnp.int32))
     windup, _, steps = jax.lax.while_loop(running, step, first)
@@ -168,7 +168,7 @@ def _inverse(law: str, rows: _Rows, depth: jax.Array) -> tuple[jax.Array, jax.Ar
     """Load for an approach, and its stiffness over `rows.stiffness`; for "hertz" approximate."""
     loaded, y = depth > 0, rows.stiffness * jnp.maximum(depth, 0)
     if law == "hertz":
-        load, ratio = laws.series(y, rows.bends)
+        load, ratio = laws.series(y, *rows.bends)
     elif law == "linear":
         load, ratio = y, jnp.ones_like(y)
     else:  # u = y (y / typical)^(1/9)
@@ -178,7 +178,7 @@ def _inverse(law: str, rows: _Rows, depth: jax.Array) -> tuple[jax.Array, jax.Ar
 
 
 def _guess(law: str, rows: _Rows, torque: jax.Array, windup: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Windup after Newton steps with `inverse`, and the steps taken."""
+    """Windup after Newton steps with `_inverse`, and the steps taken."""
     # `_newton` squares what is left. For "hertz" one step leaves little; for Palmgren's law the inverse is exact.
     at_most = {"linear": 0, "hertz": 1, "palmgren": _GUESS_STEPS}[law]
 
@@ -188,8 +188,9 @@ def _guess(law: str, rows: _Rows, torque: jax.Array, windup: jax.Array) -> tuple
 
     def step(state: PyTree) -> PyTree:
         windup, open_, steps = state
-        load, ratio = _inverse(law, rows, windup * rows.arm + rows.gap)
-        missing, slope = _sum(rows.arm * load) - torque, _sum(rows.arm**2 * rows.stiffness * ratio)
+        load, ratio = _inverse(law, rows, windup[None] * rows.arm + rows.gap)
+        moment, slope = _moment(rows, lambda i: (load[i], rows.stiffness[i] * ratio[i]))
+        missing = moment - torque
         shift = jnp.where(open_, -missing / jnp.where(slope > 0, slope, 1), 0)
         return windup + shift, open_ & ~(jnp.abs(missing) <= 1e-7 * jnp.abs(torque)), steps + 1
 
@@ -220,39 +221,43 @@ def _newton(law: str, rows: _Rows, torque: jax.Array, windup: jax.Array) -> tupl
 def _newton_step(
     law: str, rows: _Rows, torque: jax.Array, start: jax.Array, near: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Shift of the windup, loads, and whether they are the solution; `near`: for small loads, else for all."""
+    """Shift of the windup, loads, and whether they are the solution.
+
+    Where `near`, "hertz" is evaluated as for small loads, and larger ones are not yet the solution.
+    """
     depth = start[None] * rows.arm + rows.gap
     load, ratio = _inverse(law, rows, depth)
     rate = rows.stiffness * ratio
-    change, largest = jnp.zeros_like(load), jnp.zeros_like(start)
+    change, square = jnp.zeros_like(load), jnp.zeros_like(start)
     if law == "hertz":  # else the guess is exact
 
-        def for_small(load: jax.Array) -> tuple[jax.Array, jax.Array]:
-            approach, square = laws.approach_near(load, rows.compliance)
-            return approach, _max(square)
+        def small(load: jax.Array) -> tuple[jax.Array, jax.Array]:
+            approach, squares = laws.approach_near(load, rows.compliance)
+            return approach, _largest(squares)
 
-        def for_all(load: jax.Array) -> tuple[jax.Array, jax.Array]:
+        def every(load: jax.Array) -> tuple[jax.Array, jax.Array]:
             return laws.approach(law, load, rows.compliance), jnp.zeros_like(start)
 
-        approach, largest = jax.lax.cond(near, for_small, for_all, load)
+        approach, square = jax.lax.cond(near, small, every, load)
         change = rate * (depth - approach)
-    missing, slope = _sum(rows.arm * (load + change)) - torque, _sum(rows.arm**2 * rate)
-    x = -missing / jnp.where(slope > 0, slope, 1)
+    moment, slope = _moment(rows, lambda i: (load[i] + change[i], rate[i]))
+    x = (torque - moment) / jnp.where(slope > 0, slope, 1)
 
-    shift = change + rate * rows.arm * x
+    shift = change + rate * rows.arm * x[None]
     after, moved = load + shift, jnp.abs(shift)
     # A Newton step of relative size m leaves m^2 times the relative change of the stiffness up to this load, which
     # is `bend`, and m times the relative error of the stiffness it used.
     if law == "palmgren":  # load ~ depth^(10/9); the stiffness is exact
-        left = 0.1 * moved * moved
+        left = 0.1 * moved
     else:
         bend = jnp.abs(ratio - 1)
-        left = moved * (moved * bend + load * laws.series_error(bend))
-    # A quotient of a case, because XLA ends a kernel there: else it forms the largest load once for every roller.
-    unit = 1 / (8 * float(jnp.finfo(x.dtype).eps) * _max(load))
-    stays = (after >= 0) & ((depth > 0) | (depth + x * rows.arm <= 0))  # a roller that changes sides spoils the step
-    worst = _max(jnp.where(stays, left * unit - load, jnp.inf))
-    return x, after, (worst <= 0) & (largest <= line_contact.NEAR)  # false for NaN
+        left = moved * bend + load * laws.series_error(bend)
+    # Tolerance of m left, times load. A quotient, where XLA ends a kernel: it would form a maximum for every roller.
+    unit = 1 / (8 * float(jnp.finfo(x.dtype).eps) * _largest(load))
+    # A roller that changes sides spoils the step.
+    stays = (after >= 0) & ((depth > 0) | (depth + x[None] * rows.arm <= 0))
+    worst = _largest(jnp.where(stays, moved * unit[None] * left - load, jnp.inf))
+    return x, after, (worst <= 0) & (square <= line_contact.NEAR)  # false for NaN
 
 
 def _left_open(

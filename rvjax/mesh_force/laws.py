@@ -163,16 +163,16 @@ def bends(stiffness: jax.Array, roller: Compliance) -> tuple[jax.Array, jax.Arra
     return -a2, 2 * a2**2 - a3  # reversion of y = u + a2 u^2 + a3 u^3
 
 
-def series(y: jax.Array, bends: tuple[jax.Array, ...]) -> tuple[jax.Array, jax.Array]:
+def series(y: jax.Array, b2: jax.Array, b3: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Load of "hertz" for an approach, and its stiffness over that of small loads, by power series.
 
     At half-widths of 0.03 r the series is good to 1e-9; from 0.4 r on it only stays in bounds.
 
     Args:
         y: approach >= 0 times the stiffness of small loads.
-        bends: of `bends`.
+        b2: of `bends`.
+        b3: of `bends`.
     """
-    b2, b3 = bends
     return y * jnp.clip(1 + y * (b2 + y * b3), 0.2, 1), jnp.clip(1 + y * (2 * b2 + 3 * y * b3), 0.05, 1)
 
 
