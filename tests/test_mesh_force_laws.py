@@ -9,22 +9,40 @@ from rvjax.mesh_force import MeshForces, contact_pressure, laws, tooth_profile
 from rvjax.status import at_once
 
 
-def test_the_stiffness_of_the_series_is_as_good_as_it_says():
-    """Oracle: the exact law, whose approach at a load needs no series; tolerance: 32 roundings beside the bound."""
-    rng = np.random.default_rng(5)
-    count = 4000
+def rollers(rng, count):
     cage = 10 ** rng.uniform(-3, 1, count)
-    roller = laws.Compliance(
+    return laws.Compliance(
         cage=cage,
         gear=np.sqrt(1 + cage**2),
         cam_radius=rng.uniform(0.5, 1, count),
         gear_radius=10 ** rng.uniform(-1, np.log10(5), count),
         palmgren=1.0,
     )
+
+
+def test_the_approach_at_small_loads_needs_no_roots():
+    """Oracle: the exact law. Left out are 0.018 NEAR^9 < 7e-17 of a sum; tolerance: 8 roundings of the sums' parts,
+    of which the hollow ones (m > 1) take away at most as much as (m - 1) / m of what the others give, m <= 5."""
+    rng = np.random.default_rng(6)
+    roller = rollers(rng, 4000)
+    load = laws.load_limit("hertz", roller) * 10 ** rng.uniform(-6, -0.5, 4000)
+    found, square = laws.approach_near(load, roller)
+    exact = laws.approach("hertz", load, roller)
+    near = np.asarray(square) <= laws.line_contact.NEAR
+    assert 0.5 < near.mean() < 0.99
+    miss = np.asarray(jnp.abs(found - exact) / exact)
+    assert miss[near].max() < 8 * 5 * np.finfo(float).eps
+    assert miss[~near].max() > 1e-12  # beyond, the verdict matters
+
+
+def test_the_stiffness_of_the_series_is_as_good_as_it_says():
+    """Oracle: the exact law, whose approach at a load needs no series; tolerance: 32 roundings beside the bound."""
+    rng = np.random.default_rng(5)
+    roller, count = rollers(rng, 4000), 4000
     load = laws.load_limit("hertz", roller) * 10 ** rng.uniform(-6, -1, count)
-    _, rate = laws.series(laws.approach("hertz", load, roller), roller)
     small = 2 / roller.weight
-    bend = jnp.abs(rate / small - 1)
+    _, ratio = laws.series(small * laws.approach("hertz", load, roller), *laws.bends(small, roller))
+    bend, rate = jnp.abs(ratio - 1), small * ratio
     exact = 1 / laws.slope("hertz", load, roller)
     miss = np.asarray(jnp.abs(rate - exact) / exact)
     assert (miss <= laws.series_error(bend) + 32 * np.finfo(float).eps).all()

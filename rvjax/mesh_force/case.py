@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 
 from rvjax.designs import CamRollerReducer
+from rvjax.elementary import sin_cos
 from rvjax.errors import CamRollerErrors
 from rvjax.mesh_force import geometry, line_contact
 from rvjax.mesh_force.laws import Compliance
@@ -52,12 +53,13 @@ def take_apart(
     """
     r, e, link = design.roller_radius, design.eccentricity, design.cam_radius + design.roller_radius
     unit = line_contact.load_unit(design.young_modulus, design.poisson_ratio, design.roller_length, r)
+    sine, cosine = sin_cos(design.gear_teeth * angle)
     case = Case(
         eccentricity=e / link,
         roller_radius=r / link,
         palmgren=3.81 / 4**0.9 * (design.roller_length / r) ** 0.1,
-        sine=jnp.sin(design.gear_teeth * angle),
-        cosine=jnp.cos(design.gear_teeth * angle),
+        sine=sine,
+        cosine=cosine,
         cam_error=errors.cam_radius / r,
         throw_error=errors.eccentricity / r,
         radius_error=errors.roller_radius / r,

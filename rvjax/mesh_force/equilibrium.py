@@ -9,6 +9,7 @@ import numpy as np
 from jax.typing import DTypeLike
 
 from rvjax.designs import CamRollerReducer, expect
+from rvjax.elementary import LARGEST_ANGLE
 from rvjax.errors import CamRollerErrors
 from rvjax.mesh_force import geometry, laws, line_contact
 from rvjax.mesh_force.batch import attach, equilibrium
@@ -68,6 +69,7 @@ def solve(
     design, errors, torque, angle = promote(design, errors, input_torque, output_angle)
     leaves = jax.tree.leaves((design, errors, torque, angle))
     finite = functools.reduce(operator.and_, [jnp.all(jnp.isfinite(leaf)) for leaf in leaves])
+    finite &= jnp.abs(z * angle) < LARGEST_ANGLE
     possible = signs_hold(design) & (jnp.abs(design.poisson_ratio) < 1)
     possible &= design.eccentricity < design.cam_radius + design.roller_radius
     in_range, crushing = _in_range(design, errors, torque)

@@ -55,6 +55,22 @@ def approach(law: str, load: jax.Array, roller: Compliance) -> jax.Array:
     )
 
 
+def approach_near(load: jax.Array, roller: Compliance) -> tuple[jax.Array, jax.Array]:
+    """`approach` of "hertz" in multiplications alone, and the largest square, to be held against `NEAR`.
+
+    A square root costs a processor as much as thirty multiplications.
+
+    Args:
+        load: u >= 0.
+        roller: its compliance.
+    """
+    cam, cam_square = line_contact.approach_near(load, roller.cam_radius)
+    cage, cage_square = line_contact.approach_near(roller.cage * load, jnp.ones_like(load))
+    gear, gear_square = line_contact.approach_near(roller.gear * load, roller.gear_radius)
+    largest = jnp.maximum(jnp.maximum(cam_square, cage_square), gear_square)
+    return cam + roller.cage * cage + roller.gear * gear, largest
+
+
 def slope(law: str, load: jax.Array, roller: Compliance) -> jax.Array:
     """Derivative of `approach` to the load; for Palmgren's law infinite at zero load, here 1.
 
@@ -131,24 +147,32 @@ def secant_stiffness(law: str, load: jax.Array, roller: Compliance) -> jax.Array
     return 2 / roller.weight
 
 
-def series(depth: jax.Array, roller: Compliance) -> tuple[jax.Array, jax.Array]:
-    """Load and stiffness of "hertz" for an approach, by power series.
-
-    At half-widths of 0.03 r the series is good to 1e-9; from 0.4 r on it only stays in bounds.
+def bends(stiffness: jax.Array, roller: Compliance) -> tuple[jax.Array, jax.Array]:
+    """Coefficients b2, b3 of the load u = y (1 + b2 y + b3 y^2 + ..) of "hertz", y = stiffness * approach.
 
     Args:
-        depth: approach >= 0.
+        stiffness: of small loads.
         roller: its compliance.
     """
-    stiffness = 2 / roller.weight
-    y = stiffness * depth
     gear = line_contact.approach_series(roller.gear_radius)
     cam, flat = line_contact.approach_series(roller.cam_radius), line_contact.approach_series(1.0)
     a2, a3 = (
         stiffness * (cam[k] + roller.cage ** (k + 3) * flat[k] + roller.gear ** (k + 3) * gear[k]) for k in (0, 1)
     )
-    b2, b3 = -a2, 2 * a2**2 - a3  # reversion of y = u + a2 u^2 + a3 u^3
-    return y * jnp.clip(1 + y * (b2 + y * b3), 0.2, 1), stiffness * jnp.clip(1 + y * (2 * b2 + 3 * y * b3), 0.05, 1)
+    return -a2, 2 * a2**2 - a3  # reversion of y = u + a2 u^2 + a3 u^3
+
+
+def series(y: jax.Array, b2: jax.Array, b3: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Load of "hertz" for an approach, and its stiffness over that of small loads, by power series.
+
+    At half-widths of 0.03 r the series is good to 1e-9; from 0.4 r on it only stays in bounds.
+
+    Args:
+        y: approach >= 0 times the stiffness of small loads.
+        b2: of `bends`.
+        b3: of `bends`.
+    """
+    return y * jnp.clip(1 + y * (b2 + y * b3), 0.2, 1), jnp.clip(1 + y * (2 * b2 + 3 * y * b3), 0.05, 1)
 
 
 def series_error(bend: jax.Array) -> jax.Array:
