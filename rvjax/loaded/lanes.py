@@ -101,15 +101,26 @@ def in_blocks(kernel: Kernel, arguments: tuple[Any, ...]) -> Any:
     width = min(cases, BLOCK)
 
     def block(first: jax.Array) -> Any:
-        index = jnp.minimum(first + jnp.arange(width, dtype=jnp.int32), cases - 1)
-        system, *arrays = take(arguments, index)
+        def part(leaf: jax.Array) -> jax.Array:
+            own = leaf if len(leaf) == 1 else jax.lax.dynamic_slice_in_dim(leaf, first, width)
+            return jnp.moveaxis(own, 0, -1)
+
+        system, *arrays = jax.tree.map(part, arguments)
         found = kernel(system, *(jnp.broadcast_to(x, (*x.shape[:-1], width)) for x in arrays))
         return jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0), found)
 
     if cases == width:
         return block(jnp.zeros((), jnp.int32))
-    found = jax.lax.map(block, jnp.arange(-(-cases // width), dtype=jnp.int32) * width)
-    return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:])[:cases], found)
+
+    def write(number: jax.Array, results: Any) -> Any:
+        first = jnp.minimum(number * width, cases - width)  # the last block is whole
+        return jax.tree.map(
+            lambda all_, new: jax.lax.dynamic_update_slice_in_dim(all_, new, first, 0), results, block(first)
+        )
+
+    shapes = jax.eval_shape(block, jax.ShapeDtypeStruct((), jnp.int32))
+    nothing = jax.tree.map(lambda x: jnp.zeros((cases, *x.shape[1:]), x.dtype), shapes)
+    return jax.lax.fori_loop(jnp.int32(0), jnp.int32(-(-cases // width)), write, nothing)
 
 
 _WHOLE: dict[Callable[..., jax.Array], Callable[..., jax.Array]] = {

@@ -64,12 +64,11 @@ def approach_near(load: jax.Array, roller: Compliance) -> tuple[jax.Array, jax.A
         load: u >= 0.
         roller: its compliance.
     """
-    contacts = ((1.0, roller.cam_radius), (roller.cage, 1.0), (roller.gear, roller.gear_radius))
-    total, largest = 0.0, 0.0
-    for weight, radius in contacts:
-        part, square = line_contact.approach_near(weight * load, radius)
-        total, largest = total + weight * part, jnp.maximum(largest, square)
-    return total, largest
+    cam, cam_square = line_contact.approach_near(load, roller.cam_radius)
+    cage, cage_square = line_contact.approach_near(roller.cage * load, jnp.ones_like(load))
+    gear, gear_square = line_contact.approach_near(roller.gear * load, roller.gear_radius)
+    largest = jnp.maximum(jnp.maximum(cam_square, cage_square), gear_square)
+    return cam + roller.cage * cage + roller.gear * gear, largest
 
 
 def slope(law: str, load: jax.Array, roller: Compliance) -> jax.Array:
