@@ -28,7 +28,7 @@ def in_lanes(kernel: Kernel, layout: Layout) -> Callable[..., Any]:
         kernel: (layout, system, *arrays) -> arrays, cases first; leaves of one case are shared by all.
         layout: counts and methods.
     """
-    grouped = jax.custom_batching.custom_vmap(functools.partial(_over_groups, kernel, layout))
+    grouped = jax.custom_batching.custom_vmap(jax.jit(functools.partial(_over_groups, kernel, layout)))
 
     @grouped.def_vmap
     def _rule(size: int, batched: list[Any], *arguments: Any) -> tuple[Any, Any]:
