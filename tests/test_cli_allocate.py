@@ -190,6 +190,7 @@ def test_infeasible_requirements_are_refused_with_the_shortfall(undrawn, here, c
     assert Path("results/hard").is_dir() and not Path("results/hard-2").exists()
 
 
+@pytest.mark.long
 def test_a_model_that_is_not_asked_draws_nothing(here, capsys):
     """The RV-20E has no bearing stiffness, which the transmission error under a torque needs."""
     text = """

@@ -354,6 +354,7 @@ unknown.disc_pin_mesh = { lower = "5e8 N/m", upper = "2.5e9 N/m" }
 """
 
 
+@pytest.mark.long
 def test_frequencies_tell_a_stiffness(here, capsys):
     """Three modes of an RV-320E that lean on the meshes, stiffer than nominal; no two modes change places."""
     design, sd = catalogue.RV_320E, 0.5

@@ -78,6 +78,7 @@ def test_two_processes_on_one_machine(here, capfd, expected):
     assert "c.0-of-2 is of another number of processes than 1" in capfd.readouterr().err.replace("c.1", "c.0")
 
 
+@pytest.mark.long
 def test_a_process_that_fails_ends_the_others(here):
     (here / "c.1-of-2").write_text("damaged")
     with pytest.raises(ValueError, match=r"process 2 of 2 ended with 2 rvjax: error: checkpoint = .*damaged"):

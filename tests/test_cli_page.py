@@ -125,6 +125,7 @@ def test_an_answer_whose_units_all_fail_is_written_and_says_so(answers, answered
     assert "The limit of misfit would do at no value: too many units fail." in page.page(new, "small.toml")
 
 
+@pytest.mark.long
 def test_a_study_that_asks_for_no_share_of_units_has_a_page(answers, answered, here):
     """The small study with the means of its sample units in place of its yields; `pins.csv` lies beside the study."""
     folder, key = here / "elsewhere", "[tolerances.pin_radius]\n"

@@ -178,6 +178,7 @@ def test_log_sensitivities_are_those_of_the_reference(reference):
     assert np.abs(apart["disc_phase"][0]).max() < 1e-11
 
 
+@pytest.mark.long
 def test_log_sensitivities_of_a_whole_reducer():
     """Its eccentricity takes the force arm along; what the model does not read counts for nothing.
 

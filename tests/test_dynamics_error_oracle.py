@@ -85,6 +85,7 @@ def sidebands():
     return both
 
 
+@pytest.mark.long
 def test_a_later_planet_meets_the_tooth_later(sidebands):
     """The eccentric sun, order 8, reaches the output at 32 - 8 and 64 + 8, never at their mirror images.
 

@@ -78,6 +78,7 @@ def test_negative_stiffness_of_a_sampled_design_is_a_status():
         assert Status(int(found.info.status)) == Status.INVALID_GEOMETRY and np.isnan(found.error)
 
 
+@pytest.mark.long
 def test_a_floating_part_may_lack_its_support_but_none_pushes_it_away():
     """An energy that falls for ever has no minimum; one that neighbours hold needs no spring of its own."""
     case = NAMED["three: carrier and sun floating, palmgren"]

@@ -109,6 +109,7 @@ def test_tangential_carrier_bores_turn_the_output_alone():
     np.testing.assert_allclose(shifted - nothing, -t / 0.036, rtol=1e-4)  # the centring springs hold against it
 
 
+@pytest.mark.long
 def test_base_tangents_give_their_backlash():
     """-(upper + lower) / (2 r_s i), exactly but for what the centring springs and the probe torque add."""
     design, short = design_of(ALL_ERRORS), dict(base_tangent_upper=-20e-6, base_tangent_lower=-30e-6)

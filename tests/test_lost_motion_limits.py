@@ -56,7 +56,9 @@ def run_case(numbers, profile):
     return geometric(design, errors, profile=profile, **options)
 
 
-@pytest.mark.parametrize("profile", PROFILES)
+@pytest.mark.parametrize(
+    "profile", [p if p != "contact" else pytest.param(p, marks=pytest.mark.long) for p in PROFILES]
+)
 def test_bad_lanes_have_a_status_and_leave_their_neighbours_alone(profile):
     cases = [case for case in BAD if profile != "contact" or case[0] != "shortening"]
     batch = {key: jnp.array([case_of(name, value)[key] for name, value, _ in cases]) for key in case_of("tilt", 0.0)}

@@ -53,6 +53,7 @@ def test_reference_cases(reference, teeth, contact):
         assert abs(result.windup[k] - expected["windup"]) <= case["rtol"] * case["windup_scale"], case["name"]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("contact", ["hertz", pytest.param("palmgren", marks=pytest.mark.long)])
 def test_reference_derivatives(reference, contact, thorough):
     """Reverse against central differences of 40-digit values; forward is the same, test_mesh_force_properties.py."""

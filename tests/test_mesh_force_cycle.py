@@ -45,6 +45,7 @@ def test_reference_studies(reference, figure, contact):
             assert float(getattr(found, name)[k]) == pytest.approx(value, rel=1e-9), (study["value"], name)
 
 
+@pytest.mark.long
 def test_statistics_with_one_error_per_roller():
     """Equal radii give the statistics of one radius; a whole tooth is sampled and the torque's sign mirrors."""
     design = CORR.replace(gear_teeth=5)

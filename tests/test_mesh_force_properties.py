@@ -227,6 +227,7 @@ def test_derivatives_at_a_contact_change_are_one_sided(contact):
     assert np.abs(sides[0]).max() < 1e-2 * size  # a roller without contact changes nothing
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("contact", ["hertz", pytest.param("palmgren", marks=pytest.mark.long)])
 def test_second_derivatives(contact):
     cases = corr(1, errors_roller_radius=np.linspace(-2e-6, 2e-6, 9), teeth=8)

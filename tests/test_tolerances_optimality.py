@@ -79,7 +79,7 @@ def test_a_response_in_steps_whose_limit_has_a_price(size):
     assert 3 * step < found.multipliers < step / 3 < 0
 
 
-@pytest.mark.parametrize("start", [0.01, 1e4])
+@pytest.mark.parametrize("start", [0.01, pytest.param(1e4, marks=pytest.mark.long)])
 def test_wide_and_narrow_starts(start):
     """Far beyond its limits the response saturates: no slope leads back."""
     response = lambda e: 50 * um * jnp.tanh(linear(e) / (50 * um))  # noqa: E731
