@@ -102,15 +102,21 @@ def main():
     }
     library = c_library(source(ROLLERS))
     if library is not None:
-        pointers = [ctypes.c_void_p(array.ctypes.data) for array in (design, *columns, *outputs)]
+        peak = np.empty(CASES)
+        *pointers, at_peak = [ctypes.c_void_p(array.ctypes.data) for array in (design, *columns, *outputs, peak)]
 
         def c_cases():
-            library.solve(ctypes.c_long(CASES), *pointers)
+            library.solve(ctypes.c_long(CASES), *pointers, None)
+
+        def c_peaks():
+            library.solve(ctypes.c_long(CASES), *pointers, at_peak)
+            return peak.mean()
 
         outputs[2][:] = 0
         c_cases()
         compare(*outputs)
-        candidates["C"] = c_cases
+        np.testing.assert_allclose(c_peaks(), primal(ones, *on_device), rtol=1e-10)
+        candidates |= {"C": c_cases, "C, mean peak": c_peaks}
     best = alternate(candidates, seconds=1.0)
     best |= alternate({"scipy": scipy_cases}, rounds=2, seconds=0.1)
     cases = dict.fromkeys(best, CASES) | {"numpy": 8 * CHUNK, "scipy": LOOP_CASES}
@@ -119,6 +125,8 @@ def main():
     for name in ("C", "numba"):
         if name in best:
             figures[f"rvjax, hertz / {name}"] = per_case["rvjax, hertz"] / per_case[name]
+    if library is not None:
+        figures["rvjax / C, mean peak"] = per_case["rvjax, mean peak"] / per_case["C, mean peak"]
     for name in ("numpy", "scipy"):
         figures[f"{name} / rvjax, hertz"] = per_case[name] / per_case["rvjax, hertz"]
     figures["gradient / mean peak"] = best["rvjax, gradient of the mean peak"] / best["rvjax, mean peak"]

@@ -19,8 +19,9 @@ static const double CO[P] = {%(cosines)s}, SI[P] = {%(sines)s};
 
 void solve(long cases, const double *restrict design, const double *restrict dcam, const double *restrict decc,
            const double *restrict dradius, const double *restrict torque, const double *restrict angle,
-           double *restrict cam, double *restrict cage, double *restrict gear, double *restrict windup)
-{
+           double *restrict cam, double *restrict cage, double *restrict gear, double *restrict windup,
+           double *restrict peak)
+{   /* `peak`: the largest gear force of each case instead of all results; else NULL */
     const double R = design[0], r = design[1], l = design[2], e = design[3], E = design[4], nu = design[5];
     const double share = design[6], L = R + r, z = N - 1, ratio = e / L, mc = R / L, nc = 1 - mc;
     const double unit = M_PI * l * r * E / (8 * (1 - nu * nu));
@@ -87,6 +88,12 @@ void solve(long cases, const double *restrict design, const double *restrict dca
             }
             tau = next;
             if (change <= 1e-6 * size) break;
+        }
+        if (peak) {
+            double most = 0;
+            for (int i = 0; i < P; i++) most = fmax(most, u[i] * rn[i]);
+            peak[k] = unit * most;
+            continue;
         }
         windup[k] = tau * r / e;
         for (int i = 0; i < N; i++) {

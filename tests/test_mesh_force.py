@@ -131,6 +131,7 @@ BAD = (
     ("young_modulus", 0.0, Status.INVALID_GEOMETRY),
     ("torque", np.nan, Status.NONFINITE),
     ("angle", np.inf, Status.NONFINITE),
+    ("angle", 1e15, Status.NONFINITE),  # z times it is beyond 2^50, where a sine has few digits left
     ("errors.cam_radius", np.nan, Status.NONFINITE),
     ("eccentricity", np.nan, Status.NONFINITE),
     ("torque", 1e7, Status.CONTACT_OVERLOAD),
