@@ -118,8 +118,8 @@ def agree_with_each_alone(axes, *lists):
         found = jax.vmap(found, mapped)
     found = jax.tree.map(np.asarray, jax.jit(found)(*batch))
     for place in np.ndindex(*sizes):
-        at = {n: index for axis, index in zip(axes, place) for n in axis}
-        due = solve_case(*(ones[at.get(n, 0)] for n, ones in enumerate(lists)))
+        index = {n: i for axis, i in zip(axes, place) for n in axis}
+        due = solve_case(*(ones[index.get(n, 0)] for n, ones in enumerate(lists)))
         assert_same(at(found, place), due, place)
 
 

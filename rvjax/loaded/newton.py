@@ -21,11 +21,10 @@ from rvjax.loaded.elimination import solve
 from rvjax.loaded.interior import approach
 from rvjax.loaded.lanes import BLOCK, folded, stored, take
 from rvjax.loaded.system import Layout, System
+from rvjax.loaded.watchdog import Judged, State, decided, fresh, is_open, onward, packed, unpacked
 
 MAX_STEPS = 300
 _DIRECT = 80  # of them before the interior point method
-_PATIENCE = 4  # full steps without a new lowest energy
-_SEARCHES = 30  # points on a line at most
 
 
 class Found(NamedTuple):
@@ -48,57 +47,8 @@ class _Tour(NamedTuple):
     found: Found
 
 
-class _State(NamedTuple):
-    """Of a block. Numbers and marks of a lane are one array each: every array of a loop is copied by a kernel."""
-
-    q: jax.Array  # (n, l); of a lane that is not open: where it ended
-    best: jax.Array  # (n, l)
-    step: jax.Array  # (n, l) Newton's step from the best point
-    lanes: jax.Array  # (10, l) numbers of `_Lane`
-    marks: jax.Array  # (10, l) and its counts and marks
-
-
-class _Lane(NamedTuple):
-    """Each (l,). The bracket: shares of the step from the best point, and slopes there, < 0 at its lower end."""
-
-    lowest: Any  # energy at the best point
-    descent: Any  # slope there along the step, < 0
-    first: Any  # slope after the full step
-    lower: Any
-    lower_slope: Any
-    upper: Any
-    upper_slope: Any
-    share: Any  # of the step, now
-    residual: Any
-    largest: Any
-    stall: Any  # points since the best
-    steps: Any
-    searching: Any  # from here on marks
-    cold: Any  # before the linear step
-    given: Any  # at a start that was given
-    open: Any
-    better: Any  # the last point is the best
-    converged: Any
-    overload: Any
-    finite: Any
-
-
-_NUMBERS, _COUNTS = 10, 12  # of the fields of `_Lane`: where counts begin, and marks
-
-
-def _packed(lane: _Lane, dtype: Any) -> tuple[jax.Array, jax.Array]:
-    lanes = lane.open.shape
-    numbers = [jnp.broadcast_to(x, lanes).astype(dtype) for x in lane[:_NUMBERS]]
-    return jnp.stack(numbers), jnp.stack([jnp.broadcast_to(x, lanes).astype(jnp.int32) for x in lane[_NUMBERS:]])
-
-
-def _lane(numbers: jax.Array, marks: jax.Array) -> _Lane:
-    counts = _COUNTS - _NUMBERS
-    return _Lane(*numbers, *marks[:counts], *(marks[counts:] != 0))
-
-
-def _found(state: _State) -> Found:
-    lane = _lane(state.lanes, state.marks)
+def _found(state: State) -> Found:
+    lane = unpacked(state.lanes, state.marks)
     return Found(state.q, lane.steps, lane.residual, lane.largest, lane.converged, lane.overload, lane.finite)
 
 
@@ -120,7 +70,7 @@ def minimise(layout: Layout, system: System, start: jax.Array) -> Found:
         (queue,) = jnp.nonzero(tour.queued, size=cases, fill_value=cases)
         many, again = jnp.sum(tour.queued, dtype=jnp.int32), tour.number > 0
 
-        def seated(place: jax.Array, empty: jax.Array) -> tuple[jax.Array, System, _State]:
+        def seated(place: jax.Array, empty: jax.Array) -> tuple[jax.Array, System, State]:
             index = queue.at[place].get(mode="fill", fill_value=cases)
             part, begin, steps = take((system, start, tour.found.steps), jnp.minimum(index, cases - 1))
             part = part._replace(gap=jnp.broadcast_to(part.gap, (*part.gap.shape[:-1], width)))
@@ -135,11 +85,11 @@ def minimise(layout: Layout, system: System, start: jax.Array) -> Found:
 
         def unfinished(loop: Any) -> jax.Array:
             _, state, cursor, _ = loop
-            return jnp.any(_open(state)) | (cursor < many)
+            return jnp.any(is_open(state)) | (cursor < many)
 
         def refill(loop: Any) -> Any:
             place, state, cursor, results = loop
-            free = ~_open(state)
+            free = ~is_open(state)
             place = jnp.where(free, cursor + jnp.cumsum(free, dtype=place.dtype) - 1, place)
             cursor = cursor + jnp.sum(free, dtype=place.dtype)
             index, part, fresh = seated(place, free)
@@ -178,26 +128,22 @@ def _working_first(s: System) -> System:
     )
 
 
-def _open(state: _State) -> jax.Array:
-    return _lane(state.lanes, state.marks).open
-
-
-def _begin(layout: Layout, s: System, start: jax.Array, seated: jax.Array, steps: jax.Array) -> _State:
+def _begin(layout: Layout, s: System, start: jax.Array, seated: jax.Array, steps: jax.Array) -> State:
     """At the start that is given; where that is NaN at zero, before the linear step."""
     lanes = seated.shape[0]
     start = jnp.broadcast_to(start, (layout.unknowns, lanes))
     warm = jnp.all(jnp.isfinite(start), axis=0)
     q = jnp.where(warm[None], start, 0)
-    lane = _Lane(*[jnp.zeros((lanes,), start.dtype)] * _NUMBERS, *[jnp.zeros((lanes,), bool)] * 10)
-    lane = lane._replace(lowest=lane.lowest + jnp.inf, steps=steps, cold=~warm & (s.load != 0), given=warm, open=seated)
-    return _State(q, q, jnp.zeros_like(q), *_packed(lane, start.dtype))
+    lane = fresh(lanes, start.dtype)
+    lane = lane._replace(steps=steps, cold=~warm & (s.load != 0), given=warm, open=seated)
+    return State(q, q, jnp.zeros_like(q), *packed(lane, start.dtype))
 
 
 def _overloaded(s: System, depth: jax.Array) -> jax.Array:
     return folded(depth >= laws.largest_depth(s.compliance[None, None], s.level), 0, 1, by=jnp.logical_or)
 
 
-def _iterate(layout: Layout, s: System, state: _State, leave: jax.Array, again: jax.Array) -> _State:
+def _iterate(layout: Layout, s: System, state: State, leave: jax.Array, again: jax.Array) -> State:
     """Steps of all open lanes until no more than `leave` are open; `again`: in the second round."""
     limit = jnp.where(again, MAX_STEPS, _DIRECT)
     # A part sums up to some ten contacts, each with its rounding: what does not get below that in 80 steps never will.
@@ -244,14 +190,12 @@ def _iterate(layout: Layout, s: System, state: _State, leave: jax.Array, again: 
         slope = jnp.where(jnp.where(cold[None, None], driving, depth > 0), s.gear_stiffness[:, None], 0)
         return depth, slope * depth, slope, held
 
-    def judged(
-        q: jax.Array, step: jax.Array, cold: jax.Array, at: Contacts, g: jax.Array, newton: jax.Array
-    ) -> _Judged:
+    def judged(q: jax.Array, step: jax.Array, cold: jax.Array, at: Contacts, g: jax.Array, newton: jax.Array) -> Judged:
         value = energy(layout, s, q, at)
         size, miss = _most(at.pins, at.gear, at.bearing.force), _most(g)
         rounding = stiffest * jnp.maximum(widest, _most(q))
         over = _overloaded(s, at.depth) if layout.law == "hertz" else jnp.zeros((lanes,), bool)
-        return _Judged(
+        return Judged(
             value=value,
             miss=miss,
             size=size,
@@ -263,8 +207,8 @@ def _iterate(layout: Layout, s: System, state: _State, leave: jax.Array, again: 
             over=over & ~cold,
         )
 
-    def body(state: _State) -> _State:
-        q, cold = state.q, _lane(state.lanes, state.marks).cold
+    def body(state: State) -> State:
+        q, cold = state.q, unpacked(state.lanes, state.marks).cold
         depth, pins, slope = stored(pressed, q, cold)
         gear_depth, gear, gear_slope, held = stored(joined, q, cold)
         at = Contacts(depth, pins, gear_depth, gear, held)
@@ -272,91 +216,11 @@ def _iterate(layout: Layout, s: System, state: _State, leave: jax.Array, again: 
         square = stored(lambda *of: hessian(layout, s, *of), at, slope, gear_slope, at_rest)
         newton = stored(lambda square, g: -solve(layout, square, g), square, g)
         found = stored(judged, q, state.step, cold, at, g, newton)
-        numbers, marks = stored(_decided, state.lanes, state.marks, found, limit)
-        q, best, step = stored(_onward, state, newton, numbers, marks)
-        return _State(q, best, step, numbers, marks)
+        numbers, marks = stored(decided, state.lanes, state.marks, found, limit)
+        q, best, step = stored(onward, state, newton, numbers, marks)
+        return State(q, best, step, numbers, marks)
 
-    return jax.lax.while_loop(lambda state: jnp.sum(_open(state), dtype=leave.dtype) > leave, body, state)
-
-
-class _Judged(NamedTuple):
-    """What a point is worth, each (l,)."""
-
-    value: jax.Array  # energy
-    miss: jax.Array  # largest component of the gradient
-    size: jax.Array  # largest force
-    largest: jax.Array  # force of a pin
-    along: jax.Array  # slope along the step from the best point
-    descent: jax.Array  # and along Newton's step from here
-    small: jax.Array  # the gradient is
-    fine: jax.Array  # all is finite
-    over: jax.Array  # a pin is beyond its law
-
-
-def _decided(numbers: jax.Array, marks: jax.Array, at: _Judged, limit: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Numbers and marks of every lane after a point, from those before it."""
-    last = _lane(numbers, marks)
-    live, cold = last.open, last.cold
-    usable = at.fine & ~at.over
-    again = last.given & ~usable  # a given start beyond the law of a pin: the linear one instead
-    done = usable & at.small & ~cold
-    lower = usable & (at.value < last.lowest)
-    slope = jnp.where(usable, at.along, jnp.inf)
-    flat = jnp.abs(slope) <= 0.1 * jnp.abs(last.descent)
-    exhausted = last.stall >= _PATIENCE + _SEARCHES
-    better = ~cold & jnp.where(last.searching, (flat & (lower | (slope <= 0))) | exhausted, lower)
-    first = jnp.where(last.stall == 0, slope, last.first)
-    stall = jnp.where(better | cold | again, 0, last.stall + 1)
-    enters = ~better & ~again & ~last.searching & ((stall >= _PATIENCE) | (~usable & ~cold))
-
-    down = slope < 0
-    begin = jnp.where(enters, 0, jnp.where(down, last.share, last.lower))
-    begin_slope = jnp.where(enters, last.descent, jnp.where(down, slope, last.lower_slope))
-    end = jnp.where(enters, 1, jnp.where(down, last.upper, last.share))
-    end_slope = jnp.where(enters, first, jnp.where(down, last.upper_slope, slope))
-    bracketed = jnp.isfinite(end_slope) & (end_slope > 0)
-    rise = jnp.where(bracketed, end_slope - begin_slope, 1)
-    secant = jnp.where(bracketed, jnp.clip(-begin_slope / rise, 0.05, 0.95), 0.25)
-
-    failed = jnp.isinf(last.lowest) & ~usable & ~cold & ~again
-    steps = last.steps + (~(done | cold | last.searching)).astype(jnp.int32)
-    lane = _Lane(
-        lowest=jnp.where(better, at.value, last.lowest),
-        descent=jnp.where(better, at.descent, last.descent),
-        first=first,
-        lower=begin,
-        lower_slope=begin_slope,
-        upper=end,
-        upper_slope=end_slope,
-        share=begin + (end - begin) * secant,
-        residual=jnp.where(live, at.miss / jnp.where(at.size > 0, at.size, 1), last.residual),
-        largest=jnp.where(live, at.largest, last.largest),
-        stall=stall,
-        steps=jnp.where(live, steps, last.steps),
-        searching=~better & (last.searching | enters),
-        cold=again,
-        given=False,
-        open=live & ~done & ~failed & (steps < limit),
-        better=better,
-        converged=jnp.where(live, done, last.converged),
-        overload=jnp.where(live, (last.overload | at.over) & ~done & ~again, last.overload),
-        finite=jnp.where(live, at.fine | at.over | ~failed, last.finite),
-    )
-    return _packed(lane, numbers.dtype)
-
-
-def _onward(
-    last: _State, newton: jax.Array, numbers: jax.Array, marks: jax.Array
-) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """The next point of every open lane, its best one and the step from there; at its end the point that it ends at."""
-    lane = _lane(numbers, marks)
-    best, step = (jnp.where(lane.better[None], new, old) for new, old in ((last.q, last.best), (newton, last.step)))
-    whole = last.q + newton
-    # Without a best point there is no finite energy: such a lane has failed.
-    ended = jnp.where(lane.converged[None], whole, jnp.where(jnp.isinf(lane.lowest)[None], 0, best))
-    onward = jnp.where(lane.searching[None], best + lane.share[None] * step, whole)
-    onward = jnp.where(lane.cold[None], 0, onward)
-    return jnp.where(_open(last)[None], jnp.where(lane.open[None], onward, ended), last.q), best, step
+    return jax.lax.while_loop(lambda state: jnp.sum(is_open(state), dtype=leave.dtype) > leave, body, state)
 
 
 def _most(*values: Any) -> jax.Array:
