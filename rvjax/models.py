@@ -2,7 +2,7 @@
 
 import dataclasses
 import importlib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import lru_cache
 from typing import Any
 
@@ -41,6 +41,10 @@ class Kind:
         """Names of the conditions that the models of some outputs read."""
         read = {f.name for name in outputs for f in dataclasses.fields(self.described[name].conditions)}
         return [f.name for f in dataclasses.fields(self.conditions) if f.name in read]
+
+    def compiler_options(self, outputs: Iterable[str]) -> tuple[tuple[str, Any], ...]:
+        """Of a program that computes some outputs: those of all their models."""
+        return tuple(dict.fromkeys(o for name in outputs for o in self.described[name].compiler_options))
 
 
 def descriptions() -> tuple[Description, ...]:

@@ -1,20 +1,39 @@
-"""Compiled programs that the command line keeps for its next run, in the cache folder of the user.
+"""How programs are compiled, and those that the command line keeps for its next run, in the cache folder of the user.
 
 A kept program is found by what it computes, by the versions of JAX and XLA and by their flags; the folder is that of
 one version of rvjax on one kind of processor. One that another run is just writing is compiled again.
 """
 
+import functools
 import hashlib
 import os
 import platform
 import sys
 import warnings
 from pathlib import Path
+from typing import Any
 
 import jax
 
 OFF = "RVJAX_KEEP_PROGRAMS"  # "0": nothing is kept
 LARGEST = 1_000_000_000  # bytes; beyond, the programs that were used longest ago go
+
+Options = tuple[tuple[str, Any], ...]  # (option of XLA, value)
+
+QUICK: Options = (("xla_cpu_use_fusion_emitters", False), ("xla_llvm_disable_expensive_passes", True))
+"""For `jax.jit(..., compiler_options=dict(QUICK))` round hundreds of small kernels, such as a batch of `loaded`. XLA's
+older generator of code compiles them in half to two thirds of the time, and they run as fast; mesh forces would take
+twice as long."""
+
+
+@functools.lru_cache(maxsize=16)
+def understood(options: Options) -> dict[str, Any] | None:
+    """Options for `jax.jit`; None where this version of XLA does not know them all, or none are given."""
+    try:
+        jax.jit(lambda x: x, compiler_options=dict(options)).lower(0.0).compile()
+    except jax.errors.JaxRuntimeError:
+        return None
+    return dict(options) or None
 
 
 def keep(version: str) -> Path | None:

@@ -72,7 +72,7 @@ def test_imports_run_downwards():
 
 def test_statistics_know_no_gears():
     """The package itself is named for its version alone."""
-    ground = {"__version__", "columns", "phases", "records", "status", "tables", "units", "tolerances"}
+    ground = {"__version__", "columns", "phases", "programs", "records", "status", "tables", "units", "tolerances"}
     for room in ("tolerances", "identify", "assembly", "compensation"):
         for path in (PACKAGE / room).rglob("*.py"):
             below = {"identify"} if room == "compensation" else set()  # orders of a curve

@@ -2,6 +2,7 @@
 
 import pytest
 
+from rvjax.programs import QUICK
 from rvjax.study import StudyError, load, parse_study
 
 WHOLE = load("rv-40e-whole", solve=False).text
@@ -107,3 +108,8 @@ def refused(text, words):
             parse_study(text, name="x", solve=solve)
         messages.append(str(caught.value))
     assert messages[0] == messages[1] and "\n" not in messages[0] and messages[0].startswith("x: ")
+
+
+def test_studies_of_the_loaded_reducer_are_compiled_quickly():
+    options = {name: load(name, solve=False).response().compiler_options for name in ("rv-40e", "rv-40e-whole")}
+    assert options == {"rv-40e": (), "rv-40e-whole": QUICK}

@@ -9,11 +9,13 @@ import weakref
 from pathlib import Path
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from oracles.programs import programs
+from rvjax.programs import QUICK, understood
 from rvjax.records import Record, count, field, record
 from rvjax.tolerances import (
     ReciprocalPower,
@@ -131,3 +133,25 @@ def test_the_fingerprint_sees_the_numbers_of_a_record():
     of = lambda design: response_hash(design, POPULATION)  # noqa: E731
     assert of(lever(1.0)) == of(lever(1.0))
     assert len({of(lever(1.0)), of(lever(1.0 + 2e-16)), of(lever(1.0, 2)), of(lever(1.0).replace(arm=2.0))}) == 4
+
+
+@record
+class Told(Lever):
+    """A lever that says how its programs are compiled."""
+
+    compiler_options = (*QUICK, ("xla_cpu_enable_fast_math", True))
+
+
+def test_a_response_says_how_it_is_compiled(monkeypatch):
+    asked = []
+    plain = jax.jit
+    monkeypatch.setattr(jax, "jit", lambda *a, **k: asked.append(k.get("compiler_options")) or plain(*a, **k))
+    value = per_response()(lambda response, errors: response(errors))
+    errors = {"a": 2.0, "b": 3.0}
+    told = Told(1.0, np.array([0.5, 0.5]), 2)
+    assert value(told, errors) == value(lever(1.0, 2), errors) == 11.0
+    assert {None, tuple(dict(told.compiler_options))} == {o and tuple(o) for o in asked}
+    # Within another program, whose options count, and with an option that no XLA knows.
+    assert plain(lambda a: value(told, errors | {"a": a}))(2.0) == 11.0
+    assert understood((("xla_cpu_made_up", True),)) is None
+    assert understood(QUICK) == dict(QUICK)

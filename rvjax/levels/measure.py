@@ -124,7 +124,7 @@ def measure_model(cases: Cases, *, seed: int, seconds: float = 0.3) -> Model:
     first = draw(cases, 0, 1.0, seed)
     inputs = {precision: _cast(first, precision) for precision in ("float64", "float32")}
     with ThreadPoolExecutor(2) as pool:  # the compiler leaves the interpreter alone
-        made = list(pool.map(lambda item: compiled(_batch(cases, item[0]), *inputs[item[1]]), plan))
+        made = list(pool.map(lambda item: _compiled(cases, item[0], inputs[item[1]]), plan))
     names = [f"{way.name}, {precision}" for way, precision in plan]
     reference = names.index(f"{cases.ways[-1].name}, float64")
     errors, typical, failed = _errors(cases, [program for program, _ in made], [p for _, p in plan], reference, seed)
@@ -188,6 +188,12 @@ def _read(cases: Cases, programs: Sequence[Program], case: Any) -> dict[str, flo
             if not all(np.array_equal(before[o], after[o], equal_nan=True) for o in before):
                 del unread[name]
     return {name: value for name, value in design_numbers(cases.design).items() if name not in unread}
+
+
+def _compiled(cases: Cases, way: Way, given: Sequence[Any]) -> tuple[Any, dict[str, float]]:
+    """A level for a batch, compiled as studies do."""
+    asked = [(way.instead or {}).get(name, name) for name in cases.outputs] if cases.evaluate is None else []
+    return compiled(_batch(cases, way), *given, options=models.kind(cases.design).compiler_options(asked))
 
 
 def _batch(cases: Cases, way: Way) -> Program:

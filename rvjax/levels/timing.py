@@ -9,6 +9,8 @@ from typing import Any
 
 import jax
 
+from rvjax.programs import Options, understood
+
 
 def alternate(
     candidates: Mapping[str, Callable[[], Any]], *, seconds: float = 2.0, rounds: int = 25
@@ -29,10 +31,10 @@ def alternate(
     return best
 
 
-def compiled(function: Callable[..., Any], *arguments: Any) -> tuple[Any, dict[str, float]]:
-    """A jitted function compiled for `arguments`, with compile seconds and temporary memory in MB."""
+def compiled(function: Callable[..., Any], *arguments: Any, options: Options = ()) -> tuple[Any, dict[str, float]]:
+    """A function compiled for `arguments` with options of XLA, with compile seconds and temporary memory in MB."""
     start = time.perf_counter()
-    program = jax.jit(function).lower(*arguments).compile()
+    program = jax.jit(function, compiler_options=understood(options)).lower(*arguments).compile()
     seconds = time.perf_counter() - start
     memory: Any = program.memory_analysis()
     return program, {"compile_s": round(seconds, 3), "temporary_MB": round(memory.temp_size_in_bytes / 2**20, 2)}

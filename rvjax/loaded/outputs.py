@@ -22,6 +22,7 @@ from rvjax.loaded.reading import SUPPORTS, check_input
 from rvjax.loaded.revolution import Revolution, revolution
 from rvjax.loaded.torsion import SHARES, secant, twisted
 from rvjax.outputs import Curve, Description, Output, Reading, Solved, condition
+from rvjax.programs import QUICK
 from rvjax.status import SolveInfo, worst, worst_of
 
 SPANS = ("crank_turn", "output_turn")
@@ -263,4 +264,5 @@ DESCRIPTION = Description(
     cases=cases,
     places=PLACED,
     unknown="friction, inertia, tilting; errors without a place (pin position, runout and pitch as bounds)",
+    compiler_options=QUICK,
 )  # fmt: skip

@@ -77,7 +77,10 @@ def question(source: str, worker: Sequence[str] | None = None) -> study.Study:
     path = Path(source)
     own = path.suffix == ".toml"
     return study.parse_study(
-        copy.read_text("utf-8"), name=path.stem if own else source, folder=path.parent if own else Path()
+        copy.read_text("utf-8"),
+        name=path.stem if own else source,
+        folder=path.parent if own else Path(),
+        solve=False,  # the first process has
     )
 
 

@@ -18,6 +18,7 @@ from rvjax.outputs import Reading, Solved, Source
 from rvjax.records import Record, field, record, text
 from rvjax.status import SUCCESS, Status, worst
 from rvjax.tolerances import Outcome
+from rvjax.tolerances.propagation.responses import per_response
 
 Settings = tuple[tuple[str, Any], ...]
 
@@ -78,6 +79,12 @@ class Response(Record):
         statuses = jnp.stack([jnp.asarray(status) for _, status in found.values()])
         return Outcome({name: value for name, (value, _) in found.items()}, worst(statuses))
 
+    @property
+    def compiler_options(self) -> Settings:
+        """Those of the models that are asked."""
+        instead = {level[0]: level[3] for level in self.levels if level[3] is not None}
+        return models.kind(self.design).compiler_options(instead.get(name, name) for name in self.outputs)
+
     def _one(self, name: str, errors: Any, shared: dict[Any, dict[Source, Any]]) -> Solved:
         level = next((level[1:] for level in self.levels if level[0] == name), None)
         source = name if level is None or level[2] is None else level[2]
@@ -102,7 +109,9 @@ def followed_bounds(tolerances: Any) -> tuple[str, ...]:
     return tuple(name for name, placed in BOUNDS.items() if placed in given and name not in given)
 
 
-_status = jax.jit(lambda response, errors: response(errors).status)
+@per_response()
+def _status(response: Callable[[Any], Outcome], errors: Any) -> jax.Array:
+    return response(errors).status
 
 
 def check_nominal(response: Callable[[Any], Outcome], errors: Any) -> None:

@@ -12,6 +12,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from rvjax.programs import Options, understood
 from rvjax.records import Record, field, record
 from rvjax.status import Status, succeeded, worst
 from rvjax.tolerances.population.population import Population, drawn
@@ -35,24 +36,31 @@ class Compiled:
 
     A response that is a record is an argument like the others: its numbers are traced, so that ten thousand
     designs share one program and none of them is kept alive. A plain function is a constant of a program of
-    its own; of these the last `PROGRAMS` are kept.
+    its own; of these the last `PROGRAMS` are kept. `compiler_options` of a response, ((option of XLA, value), ...), are
+    those of its programs, but within another program.
     """
 
     def __init__(self, function: Callable[..., Any], static: tuple[str, ...] = ()) -> None:
         functools.update_wrapper(self, function)
 
-        def own(response: Response) -> Any:
-            return jax.jit(functools.partial(function, response), static_argnames=static)
+        def shared(options: Options) -> Any:
+            return jax.jit(function, static_argnames=static, compiler_options=understood(options))
 
-        self._shared, self._own = jax.jit(function, static_argnames=static), functools.lru_cache(PROGRAMS)(own)
+        def own(response: Response, options: Options) -> Any:
+            whole = functools.partial(function, response)
+            return jax.jit(whole, static_argnames=static, compiler_options=understood(options))
 
-    def _program(self, response: Response) -> tuple[Any, tuple[Any, ...]]:
+        self._shared, self._own = functools.lru_cache(PROGRAMS)(shared), functools.lru_cache(PROGRAMS)(own)
+
+    def _program(self, response: Response, options: Options = ()) -> tuple[Any, tuple[Any, ...]]:
         """The compiled function and its first arguments."""
-        return (self._shared, (response,)) if isinstance(response, Record) else (self._own(response), ())
+        shared = isinstance(response, Record)
+        return (self._shared(options), (response,)) if shared else (self._own(response, options), ())
 
     def __call__(self, response: Response, *arguments: Any, **static: Any) -> Any:
         """The function's value."""
-        jitted, first = self._program(response)
+        inside = any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((response, arguments)))
+        jitted, first = self._program(response, () if inside else getattr(response, "compiler_options", ()))
         return jitted(*first, *arguments, **static)
 
     def lowered(self, response: Response, *arguments: Any, **static: Any) -> str:
