@@ -26,7 +26,7 @@ import jax.numpy as jnp  # noqa: E402  (after the flags)
 
 from rvjax import assembly, catalogue, four_bar, loaded  # noqa: E402
 from rvjax.assembly import Kind, Part  # noqa: E402
-from rvjax.designs import Contact, Stiffness  # noqa: E402
+from rvjax.loaded.cases import MACHINE  # noqa: E402
 from rvjax.mounting import disc_mountings, unit_errors  # noqa: E402
 from rvjax.tolerances import Outcome, Requirement, Tolerance  # noqa: E402
 from rvjax.units import arcsec, um  # noqa: E402
@@ -35,12 +35,9 @@ KEPT = Path(__file__).with_name("assembly.json")
 RATED = 412.0
 # Assumed: no maker publishes stiffnesses, face width or tolerances.
 DESIGN = catalogue.RV_40E.replace(
-    stiffness=Stiffness(
-        sun_support=4e7, sun_torsion=1e4, planet_crank_bending=2e8, planet_crank_torsion=5e4, support_bearing=9e8,
-        turning_arm_bearing=6e8, sun_planet_mesh=2e8, disc_pin_mesh=6e8, output_support=2e9,
-    ),
-    contact=Contact(young_modulus=206e9, poisson_ratio=0.3, face_width=0.012),
-)  # fmt: skip
+    stiffness=MACHINE.stiffness.replace(output_support=2e9),
+    contact=MACHINE.contact,
+)
 CENTRE, PITCH, PROFILE, BORE = 3 * um, 1 * um, 0.5 * um, 2 * um  # standard deviations of one disc
 CLASSES = np.array([2, 4, 6, 8]) * um  # of bearing clearance
 SETS, SAMPLES = 30, 8  # samples: input angles over one crank turn of the loaded machine

@@ -15,27 +15,16 @@ import numpy as np
 
 import rvjax
 from rvjax import catalogue, identify, models
-from rvjax.designs import Contact, Stiffness
+from rvjax.loaded.cases import MACHINE
 from rvjax.study.bench import curve_model, nuisance
 from rvjax.study.measured import Conditions
 from rvjax.tolerances import Tolerance, for_design, sample
-from rvjax.units import MPa, arcmin, arcsec, mm, um
+from rvjax.units import arcmin, arcsec, um
 
 KEPT = Path(__file__).with_suffix(".json")
 RATED = 412.0
-DESIGN = catalogue.RV_40E.replace(  # springs and width of the discs are assumed, as in docs/models/loaded_machine.md
-    stiffness=Stiffness(
-        sun_support=4e7,
-        sun_torsion=1e4,
-        planet_crank_bending=2e8,
-        planet_crank_torsion=5e4,
-        support_bearing=9e8,
-        turning_arm_bearing=6e8,
-        sun_planet_mesh=2e8,
-        disc_pin_mesh=6e8,
-    ),
-    contact=Contact(young_modulus=2.06e5 * MPa, poisson_ratio=0.3, face_width=12 * mm),
-)
+# Springs and width of the discs are assumed, as in docs/models/loaded_machine.md.
+DESIGN = catalogue.RV_40E.replace(stiffness=MACHINE.stiffness, contact=MACHINE.contact)
 PLACES = dict(pin_offset=5 * um, pin_radii=1 * um, disc_pitch=5 * um, disc_centre=7.5 * um, ring_centre=10 * um)
 PLACES |= dict(disc_profile=2 * um, sun_runout=10 * um, planet_runout=10 * um)
 BENCHES = {

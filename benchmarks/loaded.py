@@ -38,19 +38,16 @@ from benchmarks.loaded_others import COLUMNS, FIELDS, OFFSETS, in_numpy, numbers
 from oracles import loaded as oracle  # noqa: E402
 from oracles.loaded_machine import STAGES  # noqa: E402
 from rvjax import RVErrors, catalogue, loaded  # noqa: E402
-from rvjax.designs import Contact, Stiffness  # noqa: E402
+from rvjax.loaded.cases import MACHINE  # noqa: E402
 from rvjax.programs import QUICK  # noqa: E402
 
 UNITS, TURNED, CHECKED, LOOP_UNITS = 4096, 512, 8, 2  # at one angle; along a turn; by the oracle; by SciPy
 RATED, ANGLE, SAMPLES = 412.0, 102.856, 48
 TURN = 2 * np.pi * 105 / 40 * np.arange(SAMPLES) / SAMPLES  # of the sun: one crank turn
 DESIGN = catalogue.RV_40E.replace(
-    stiffness=Stiffness(
-        sun_support=4e7, sun_torsion=1e4, planet_crank_bending=2e8, planet_crank_torsion=5e4, support_bearing=9e8,
-        turning_arm_bearing=6e8, sun_planet_mesh=2e8, disc_pin_mesh=6e8, output_support=2e9,
-    ),
-    contact=Contact(young_modulus=206e9, poisson_ratio=0.3, face_width=0.012),
-)  # fmt: skip
+    stiffness=MACHINE.stiffness.replace(output_support=2e9),
+    contact=MACHINE.contact,
+)
 
 
 def draw(units, seed=0):

@@ -25,17 +25,12 @@ from oracles import loaded as oracle  # noqa: E402
 from oracles.loaded_machine import ERRORS  # noqa: E402
 from rvjax import RVErrors, catalogue, dynamics, four_bar, lost_motion  # noqa: E402
 from rvjax.designs import Contact, Stiffness  # noqa: E402
+from rvjax.loaded.cases import MACHINE  # noqa: E402
 from rvjax.units import arcmin, arcsec, mm, um  # noqa: E402
 
 ANGLES = 32  # of a crank turn
 STEEL = dict(young_modulus=206e9, poisson_ratio=0.3)
-RV_40E = catalogue.RV_40E.replace(
-    stiffness=Stiffness(
-        sun_support=4e7, sun_torsion=1e4, planet_crank_bending=2e8, planet_crank_torsion=5e4, support_bearing=9e8,
-        turning_arm_bearing=6e8, sun_planet_mesh=2e8, disc_pin_mesh=6e8,
-    ),
-    contact=Contact(**STEEL, face_width=12 * mm),
-)  # fmt: skip
+RV_40E = catalogue.RV_40E.replace(stiffness=MACHINE.stiffness, contact=MACHINE.contact)
 RV_20E = catalogue.RV_20E.replace(
     stiffness=Stiffness(
         sun_support=3e7, sun_torsion=6e3, planet_crank_bending=1.5e8, planet_crank_torsion=3e4, support_bearing=7e8,
