@@ -168,6 +168,7 @@ class Cases:
         others: errors, and paths of numbers of the design, that some level reads and no case has: with one of them
             nothing is known either.
         bounds: errors without a place that follow from those with one, see `RVErrors.bounded`.
+        timed: units of one design in one call, as studies solve them, where those take much less time; 0: the batch.
     """
 
     name: str
@@ -186,6 +187,7 @@ class Cases:
     question: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     others: tuple[str, ...] = ()
     bounds: tuple[str, ...] = ()
+    timed: int = 0
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,6 +7,7 @@ units, designs and accuracies that the stored table never saw.
 import dataclasses
 import json
 import math
+import sys
 from functools import partial
 
 import jax
@@ -212,6 +213,21 @@ def test_measuring_a_model(lost_motion):
     assert made.relative(made.level("first order, float64")) > 100 * made.relative(single)
     assert "cycloid.pin_circle_radius" in made.design and "cranks.circle_radius" not in made.design
     assert made.errors["disc_runout"] == pytest.approx(15 * um)
+
+
+def test_what_is_timed_may_be_units_of_one_design(lost_motion, monkeypatch):
+    small = dataclasses.replace(lost_motion, ways=lost_motion.ways[:2], batch=8, calls=1, timed=32)
+    given = []
+
+    def clock(runs, **_):
+        given.extend(run() for run in runs.values())
+        return dict.fromkeys(runs, 32e-9)
+
+    monkeypatch.setattr(sys.modules["rvjax.levels.measure"], "alternate", clock)
+    made = levels.measure_model(small, seed=0, seconds=0.01)
+    assert {level.ns for level in made.levels} == {1.0}  # of 32 units in 32 ns
+    assert {len(values["lost_motion"]) for values, _ in given} == {32}
+    assert made.level(made.reference).largest == {"lost_motion": [0.0, 0.0, 0.0]}
 
 
 @pytest.mark.long  # test_a_study_states_its_accuracy holds one promise by default

@@ -128,9 +128,14 @@ def measure_model(cases: Cases, *, seed: int, seconds: float = 0.3) -> Model:
     names = [f"{way.name}, {precision}" for way, precision in plan]
     reference = names.index(f"{cases.ways[-1].name}, float64")
     errors, typical, failed = _errors(cases, [program for program, _ in made], [p for _, p in plan], reference, seed)
+    timed, units = [program for program, _ in made], cases.batch
+    if cases.timed:
+        units, (_, *drawn) = cases.timed, draw(dataclasses.replace(cases, batch=cases.timed), 0, 1.0, seed)
+        inputs = {precision: _cast((cases.design, *drawn), precision) for precision in inputs}
+        timed = [_compiled(cases, way, inputs[precision], own_design=False)[0] for way, precision in plan]
     runs = {
         name: (lambda program=program, given=inputs[precision]: program(*given))
-        for name, (program, _), (_, precision) in zip(names, made, plan)
+        for name, program, (_, precision) in zip(names, timed, plan)
     }
     best = alternate(runs, seconds=seconds, rounds=3)
     levels = tuple(
@@ -140,7 +145,7 @@ def measure_model(cases: Cases, *, seed: int, seconds: float = 0.3) -> Model:
             precision=precision,
             largest={o: list(errors[o][0][k]) for o in cases.outputs},
             rms={o: list(errors[o][1][k]) for o in cases.outputs},
-            ns=1e9 * best[name] / cases.batch,
+            ns=1e9 * best[name] / units,
             compile_s=facts["compile_s"],
             memory_MB=facts["temporary_MB"],
             cases=cases.batch,
@@ -153,7 +158,9 @@ def measure_model(cases: Cases, *, seed: int, seconds: float = 0.3) -> Model:
         name=cases.name,
         outputs=dict(cases.outputs),
         case=cases.case,
-        design=_read(cases, [program for (program, _), (_, p) in zip(made, plan) if p == "float64"], inputs["float64"]),
+        design=_read(
+            cases, [program for (program, _), (_, p) in zip(made, plan) if p == "float64"], _cast(first, "float64")
+        ),
         spread=SPREAD,
         errors={} if cases.errors is None else reach(limits(cases.errors, cases.design)),
         sizes=list(cases.sizes),
@@ -190,14 +197,12 @@ def _read(cases: Cases, programs: Sequence[Program], case: Any) -> dict[str, flo
     return {name: value for name, value in design_numbers(cases.design).items() if name not in unread}
 
 
-def _compiled(cases: Cases, way: Way, given: Sequence[Any]) -> tuple[Any, dict[str, float]]:
-    """A level for a batch, compiled as studies do."""
+def _compiled(cases: Cases, way: Way, given: Sequence[Any], own_design: bool = True) -> tuple[Any, dict[str, float]]:
+    """A level for a batch whose cases have a design of their own or one for all, compiled as studies do."""
     asked = [(way.instead or {}).get(name, name) for name in cases.outputs] if cases.evaluate is None else []
-    return compiled(_batch(cases, way), *given, options=models.kind(cases.design).compiler_options(asked))
-
-
-def _batch(cases: Cases, way: Way) -> Program:
-    return jax.vmap(lambda d, e, extra: evaluate(cases, way.settings, d, e, extra, way.instead))
+    one = lambda d, e, extra: evaluate(cases, way.settings, d, e, extra, way.instead)  # noqa: E731
+    batch = jax.vmap(one, in_axes=(0 if own_design else None, 0, 0))
+    return compiled(batch, *given, options=models.kind(cases.design).compiler_options(asked))
 
 
 def _errors(

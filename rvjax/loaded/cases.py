@@ -91,7 +91,8 @@ def cases(quick: bool) -> Sequence[Cases]:
     """
     both = ("float64", "float32")
     if quick:
-        return [_cases("loaded_turn", (_turn("linear", 24), _linkage(), _turn("hertz", 24), _turn("hertz", 48)), 64, 1)]
+        ways = (_turn("linear", 24), _linkage(), _turn("hertz", 24), _turn("hertz", 48))
+        return [_cases("loaded_turn", ways, 64, 1, timed=0)]
     turns = (
         _turn("linear", 12), _turn("linear", 24), _linkage(), _turn("hertz", 24, both), _turn("hertz", 48),
         _turn("hertz", 96),
@@ -129,6 +130,7 @@ def _cases(name: str, ways: tuple[Way, ...], batch: int, calls: int, **changes: 
         batch=batch,
         calls=calls,
         question=dict(span="crank_turn"),
+        timed=1024,
     )
     made = dataclasses.replace(turn, **changes)
     unknown = [field for field in (*ERRORS_READ, *made.bounds) if field not in (made.errors or ())]
