@@ -5,6 +5,7 @@ import dataclasses
 import importlib
 import inspect
 import re
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -68,6 +69,17 @@ def test_imports_run_downwards():
             if other == room or (room, other) in ALLOWED or other not in FLOOR:
                 continue
             assert FLOOR[other] < FLOOR[room], f"{path.relative_to(ROOT)} imports {other}"
+
+
+def test_the_top_level_holds_what_belongs_there():
+    """Of what is submitted: a note left behind would land with it."""
+    listed = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True)
+    if listed.returncode or not listed.stdout:
+        pytest.skip("no checkout")
+    known = {".ci", ".github", ".gitignore", ".pre-commit-config.yaml", "CHANGELOG.md", "CITATION.cff"}
+    known |= {"CONTRIBUTING.md", "LICENSE", "README.md", "pyproject.toml"}
+    known |= {"benchmarks", "census", "docs", "notebooks", "oracles", "rvjax", "tests"}
+    assert {name.split("/")[0] for name in listed.stdout.splitlines()} == known
 
 
 def test_statistics_know_no_gears():
