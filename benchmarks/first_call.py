@@ -25,6 +25,9 @@ print(rvjax.check(jax.jit(rvjax.lost_motion.geometric)(catalogue.RV_20E, catalog
     "dynamics": """
 speed = jax.jit(lambda w: rvjax.dynamics.response(catalogue.RV_320E, sun_speed=w, output_torque=-3136.0).amplitude)
 print(abs(speed(160.0)).max())""",
+    "loaded": """
+from rvjax.loaded.cases import MACHINE
+print(rvjax.check(rvjax.loaded.equilibrium(MACHINE, RVErrors(), input_angle=0.1, output_torque=412.0)).error)""",
 }
 HEAD = "import jax, rvjax; from rvjax import catalogue, RVErrors, CamRollerErrors; rvjax.enable_x64()\n"
 

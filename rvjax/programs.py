@@ -10,6 +10,7 @@ import os
 import platform
 import sys
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +35,29 @@ def understood(options: Options) -> dict[str, Any] | None:
     except jax.errors.JaxRuntimeError:
         return None
     return dict(options) or None
+
+
+def inside(*arguments: Any) -> bool:
+    """Whether some argument is traced: another program is being made, whose options count."""
+    return any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(arguments))
+
+
+def quick(*static: int) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """As `jax.jit` with these static arguments, by number; called by itself it is compiled with `QUICK`."""
+
+    def made(function: Callable[..., Any]) -> Callable[..., Any]:
+        part = jax.jit(function, static_argnums=static)
+        alone = functools.cache(
+            lambda: jax.jit(function, static_argnums=static, compiler_options=understood(QUICK))
+        )  # XLA is asked at the first call
+
+        @functools.wraps(function)
+        def call(*arguments: Any) -> Any:
+            return (part if inside(arguments) else alone())(*arguments)
+
+        return call
+
+    return made
 
 
 def keep(version: str) -> Path | None:

@@ -54,3 +54,17 @@ def test_importing_the_package_loads_no_jax():
     """What the command line sets must be set before; `rvjax --help` answers at once."""
     code = "import sys, rvjax, rvjax.cli; assert 'jax' not in sys.modules; rvjax.RVErrors; assert 'jax' in sys.modules"
     subprocess.run([sys.executable, "-c", code], check=True, cwd=Path(__file__).parents[1])
+
+
+def test_a_door_is_compiled_quickly_by_itself_and_inlined_elsewhere(monkeypatch):
+    asked, plain = [], jax.jit
+    monkeypatch.setattr(jax, "jit", lambda f, **k: asked.append(k.get("compiler_options")) or plain(f, **k))
+    power = programs.quick(0)(lambda number, x: x**number)
+    assert asked == [None]  # XLA is asked at the first call
+    assert power(2, 3.0) == 9.0
+    assert asked[-1] == dict(programs.QUICK)
+    known = len(asked)
+    assert plain(lambda x: power(2, x))(3.0) == 9.0  # with options of its own it would be refused here
+    assert jax.grad(lambda x: power(3, x))(2.0) == 12.0
+    assert power(2, 4.0) == 16.0
+    assert len(asked) == known

@@ -1,6 +1,5 @@
 """One equilibrium of a whole reducer: what is read, what is valid, what comes out."""
 
-from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -15,6 +14,7 @@ from rvjax.loaded.geometry import curvature, geometry
 from rvjax.loaded.newton import Found
 from rvjax.loaded.reading import Read, admit, check_input, mesh_stiffness, pin_compliance
 from rvjax.loaded.system import Layout, System, bearing_rows, directions, gear_rows
+from rvjax.programs import quick
 from rvjax.records import Record, field, record
 from rvjax.status import SolveInfo, Status, succeeded
 
@@ -73,7 +73,7 @@ def equilibrium(
     return _equilibrium(layout, design, errors, input_angle, output_torque)
 
 
-@partial(jax.jit, static_argnums=0)
+@quick(0)
 def _equilibrium(layout: Layout, design: RVReducer, errors: RVErrors, input_angle: Any, output_torque: Any) -> Loaded:
     read = admit(layout, design, errors, output_torque, input_angle)
     case = prepare(layout, read, read.angle).loaded(read.torque)

@@ -14,6 +14,7 @@ from rvjax.loaded.geometry import ratio
 from rvjax.loaded.newton import Found
 from rvjax.loaded.reading import Read, admit, check_input
 from rvjax.loaded.system import Layout
+from rvjax.programs import quick
 from rvjax.records import Record, field, record
 from rvjax.status import SolveInfo, succeeded, worst_of
 
@@ -74,7 +75,7 @@ def revolution(
     return _revolution(layout, samples, design, errors, output_torque, 1 / layout.pins if turns is None else turns)
 
 
-@partial(jax.jit, static_argnums=(0, 1))
+@quick(0, 1)
 def _revolution(
     layout: Layout, samples: int, design: RVReducer, errors: RVErrors, output_torque: Any, turns: Any
 ) -> Revolution:

@@ -13,6 +13,7 @@ from rvjax.loaded.equilibrium import Case, judge, placed, prepare
 from rvjax.loaded.newton import Found
 from rvjax.loaded.reading import Read, admit, check_input
 from rvjax.loaded.system import Layout
+from rvjax.programs import quick
 from rvjax.records import Record, field, record
 from rvjax.status import SolveInfo, succeeded, worst_of
 
@@ -63,7 +64,7 @@ def torsion(
     return _torsion(layout, design, errors, input_angle, rated_torque)
 
 
-@partial(jax.jit, static_argnums=0)
+@quick(0)
 def _torsion(layout: Layout, design: RVReducer, errors: RVErrors, input_angle: Any, rated_torque: Any) -> Torsion:
     error, info = twisted(layout, design, errors, input_angle, rated_torque, SHARES)
     rated = jnp.asarray(rated_torque, error.dtype)
@@ -90,7 +91,7 @@ def secant(at_rated: jax.Array, at_half: jax.Array, rated_torque: Any) -> jax.Ar
     return 0.5 * rated_torque / (at_half - at_rated)
 
 
-@partial(jax.jit, static_argnums=0)
+@quick(0)
 def twisted(
     layout: Layout, design: RVReducer, errors: RVErrors, input_angle: Any, rated_torque: Any, shares: Any
 ) -> tuple[jax.Array, SolveInfo]:

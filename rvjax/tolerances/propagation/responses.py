@@ -12,7 +12,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from rvjax.programs import Options, understood
+from rvjax.programs import Options, inside, understood
 from rvjax.records import Record, field, record
 from rvjax.status import Status, succeeded, worst
 from rvjax.tolerances.population.population import Population, drawn
@@ -59,8 +59,8 @@ class Compiled:
 
     def __call__(self, response: Response, *arguments: Any, **static: Any) -> Any:
         """The function's value."""
-        inside = any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((response, arguments)))
-        jitted, first = self._program(response, () if inside else getattr(response, "compiler_options", ()))
+        options = () if inside(response, arguments) else getattr(response, "compiler_options", ())
+        jitted, first = self._program(response, options)
         return jitted(*first, *arguments, **static)
 
     def lowered(self, response: Response, *arguments: Any, **static: Any) -> str:
