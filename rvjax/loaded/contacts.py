@@ -3,6 +3,7 @@
 Arrays have their lanes (independent cases) last; a leaf of the system that all lanes share has one lane.
 """
 
+import functools
 from typing import Any, NamedTuple
 
 import jax
@@ -161,6 +162,7 @@ def frame(layout: Layout, s: System) -> Frame:
     return Frame(pins, disc, (first, second), crank, *held)
 
 
+@functools.partial(jax.jit, static_argnums=0)  # traced once for all who ask for as many lanes
 def hessian(
     layout: Layout, s: System, at: Contacts, pin_slope: Any = None, gear_slope: Any = None, at_rest: Frame | None = None
 ) -> Hessian:

@@ -28,6 +28,7 @@ class Hessian(NamedTuple):
 _Block = list[list[jax.Array]]  # rows of the lower triangle of a small symmetric block
 
 
+@functools.partial(jax.jit, static_argnums=0)  # traced once for all who ask for as many lanes
 def solve(layout: Layout, hessian: Hessian, rhs: jax.Array) -> jax.Array:
     """x with H x = rhs.
 

@@ -12,6 +12,7 @@ The step of the cones is that of Nesterov and Todd (Mathematics of Operations Re
 linear system each contact is a spring of finite stiffness. Arrays have their lanes last.
 """
 
+import functools
 from typing import NamedTuple
 
 import jax
@@ -45,6 +46,7 @@ class _Loop(NamedTuple):
     open: jax.Array  # (l,)
 
 
+@functools.partial(jax.jit, static_argnums=0)  # traced once, though asked for its shapes too
 def approach(layout: Layout, s: System, wanted: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Displacements (n, l) near the minimum, not finite where there are none, and the steps it took (l,).
 
