@@ -112,7 +112,7 @@ def forgotten():
 
 # Dearest first, so that the end is many small files and no worker waits for the other.
 FAMILIES = (
-    *("tolerances", "dynamics", "loaded", "four_bar", "mesh_force", "cli", "docs", "lost_motion"),
+    *("code", "tolerances", "dynamics", "loaded", "four_bar", "mesh_force", "cli", "docs", "lost_motion"),
     *("published", "doors", "extremes", "identify", "report", "notebooks", "models", "derivatives", "plotting"),
 )
 
@@ -137,6 +137,7 @@ def pytest_xdist_make_scheduler(config, log):
 
 
 def pytest_sessionfinish(session):
+    gc.freeze()  # what is left goes with the process; pytest's last look through it all takes each worker five seconds
     if hasattr(session.config, "workeroutput"):
         session.config.workeroutput["peak_memory"] = peak_memory()
 

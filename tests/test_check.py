@@ -142,17 +142,26 @@ def test_a_doubt_and_the_levels_are_said_before_the_run(tmp_path, monkeypatch, c
     assert "rvjax: transmission_error: closed form" in said and "rvjax: time: about" in said
 
 
+QUICK = """[about]
+author = "Müller"
+[design]
+base = "rv-20e"
+[requirement.lost_motion]
+upper = "1 arcmin"
+[tolerances.pin_radius]
+half_width = "2 um"
+"""
+
+
 def test_a_terminal_without_umlauts_gets_the_rest(tmp_path):
-    text = '[about]\nauthor = "Müller"\n[design]\nbase = "corr"\n[requirement.cam_force]\nupper = "3500 N"\n'
-    text += '[tolerances.cam_radius]\nhalf_width = "4 um"\n[conditions]\ninput_torque = "100 N m"\n'
-    (tmp_path / "größe.toml").write_text(text, "utf-8")
+    (tmp_path / "größe.toml").write_text(QUICK, "utf-8")
     environment = os.environ | {"PYTHONIOENCODING": "ascii", "LC_ALL": "C", "PYTHONUTF8": "1"}
     done = subprocess.run(
         [sys.executable, "-m", "rvjax", "check", "größe.toml"],
         cwd=tmp_path, env=environment, capture_output=True, timeout=120, check=False,
     )  # fmt: skip
     assert done.returncode == 0 and not done.stderr, done.stderr
-    assert rb"Study gr\xf6\xdfe: CamRollerReducer" in done.stdout and rb"M\xfcller" in done.stdout
+    assert rb"Study gr\xf6\xdfe: RVReducer" in done.stdout and rb"M\xfcller" in done.stdout
 
 
 def test_what_is_assumed_is_named_until_it_is_given():
@@ -188,10 +197,10 @@ def test_the_curve_of_costs_pays_for_moved_middles(monkeypatch):
     assert points == [(0.9, 10.0), (0.99, 11.0), (0.999, 12.0)]
 
 
-def test_a_reader_that_has_enough_ends_a_command_quietly():
-    with subprocess.Popen(
-        [sys.executable, "-m", "rvjax", "check", "corr"], stdout=subprocess.PIPE, stderr=subprocess.PIPE
-    ) as started:
+def test_a_reader_that_has_enough_ends_a_command_quietly(tmp_path):
+    (tmp_path / "quick.toml").write_text(QUICK, "utf-8")
+    command = [sys.executable, "-m", "rvjax", "check", tmp_path / "quick.toml"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as started:
         assert started.stdout is not None and started.stderr is not None
         started.stdout.close()
         assert started.stderr.read() == b"" and started.wait() == 0

@@ -8,8 +8,6 @@ import re
 import subprocess
 from pathlib import Path
 
-import pytest
-
 import rvjax
 from rvjax.records import Record
 
@@ -120,21 +118,25 @@ def parameters(function):
     return [p for p in inspect.signature(function).parameters if p not in bound]
 
 
-@pytest.mark.parametrize("name", PUBLIC)
-def test_docstring_tells_the_parameters_of_the_signature(name):
-    """Every public name has a docstring; where it lists arguments, they are those of the signature."""
+def told(name):
+    """Whether the docstring of a public name lists the arguments of its signature, if it lists any."""
     thing = PUBLIC[name]
     assert thing.__doc__, f"{name} has no docstring"
     section = re.search(r"\n\s*(?:Args|Attributes):\n(.*?)(?=\n\s*\n|\Z)", inspect.cleandoc(thing.__doc__), re.DOTALL)
     if section is None:
-        return
-    documented = re.findall(r"^ {4}\*{0,2}(\w+):", section.group(1), re.MULTILINE)
+        return True
     if inspect.isclass(thing):
         assert dataclasses.is_dataclass(thing), name
         expected = [f.name for f in dataclasses.fields(thing)]
     else:
         expected = parameters(thing)
-    assert documented == expected, name
+    return re.findall(r"^ {4}\*{0,2}(\w+):", section.group(1), re.MULTILINE) == expected
+
+
+def test_docstrings_tell_the_parameters_of_the_signature():
+    """Every public name has a docstring; where it lists arguments, they are those of the signature."""
+    assert len(PUBLIC) > 1000
+    assert [name for name in PUBLIC if not told(name)] == []
 
 
 def exported():
@@ -186,8 +188,7 @@ def test_readme_begins_with_the_two_commands():
     blocks = re.findall(r"^```(\w*)\n(.*?)^```", (ROOT / "README.md").read_text(), re.MULTILINE | re.DOTALL)
     shell = [text for language, text in blocks if language == "sh"]
     assert "rvjax allocate" in shell[0]
-    for tool in ("ruff check", "ruff format --check", "mypy", "pytest"):
-        assert tool in shell[1]
+    assert shell[1].endswith("-e '.[dev]' && .venv/bin/pytest\n")  # all of it: lint and types are tests
 
 
 def test_the_python_of_the_readme_runs(capsys):

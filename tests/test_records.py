@@ -132,14 +132,16 @@ def test_every_public_name_is_there():
     assert len(dir(rvjax)) < 40 and not set(results) & set(dir(rvjax)) and set(results) <= set(rvjax.__all__)
 
 
-def test_import_changes_no_setting_and_touches_no_device():
+def test_import_changes_no_setting_touches_no_device_and_is_quick():
     import subprocess
     import sys
 
     code = (
-        "import jax, rvjax, rvjax.four_bar, rvjax.tolerances\n"
+        "import sys, jax, rvjax, rvjax.four_bar, rvjax.tolerances\n"
         "from jax._src import xla_bridge\n"
         "assert not jax.config.jax_enable_x64 and not xla_bridge._backends\n"
+        "import rvjax.cli.questions, rvjax.report.check\n"  # dear to import, and a command seldom needs them
+        "assert not {'scipy.stats', 'matplotlib', 'pandas'} & {*sys.modules}\n"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
 

@@ -12,7 +12,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy import special, stats
+from scipy import special
 
 from rvjax import tables
 from rvjax.identify.elements import mapped_values
@@ -211,6 +211,8 @@ def diagnosed(z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _normalised(chains: np.ndarray) -> np.ndarray:
+    from scipy import stats  # dear to import
+
     ranks = stats.rankdata(chains.reshape(-1, chains.shape[-1]), axis=0).reshape(chains.shape)
     return np.asarray(special.ndtri((ranks - 0.375) / (ranks.shape[0] * ranks.shape[1] + 0.25)))
 

@@ -31,6 +31,7 @@ import importlib
 import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from importlib import resources
 from typing import Any
 
@@ -67,8 +68,9 @@ def figures(source: str) -> list[dict[str, Any]]:
     return parse(source)["figure"]
 
 
+@cache
 def parse(source: str) -> dict[str, Any]:
-    """The whole ledger file of one source."""
+    """The whole ledger file of one source, read once: not to be changed."""
     return tomllib.loads((resources.files("rvjax.published") / f"{source}.toml").read_text("utf-8"))
 
 

@@ -11,7 +11,6 @@ from rvjax import levels, models
 from rvjax.designs import CamRollerReducer, InvoluteStage, RVReducer
 from rvjax.levels.choice import Choice
 from rvjax.phases import spelled
-from rvjax.plotting import drawings
 from rvjax.report.text import assumed_text, limits, plain, table, tolerance_text
 from rvjax.study.answer import CERTIFYING, PRICING, SAMPLING, SEARCHING, solved_units
 from rvjax.study.plausible import KNOWN_DESIGNS, TORQUE, numbers, shown
@@ -156,6 +155,8 @@ def drawn(question: Study, path: str) -> None:
         ValueError: nothing draws this kind of reducer.
     """
     from matplotlib.figure import Figure
+
+    from rvjax.plotting import drawings
 
     if not isinstance(question.design, RVReducer):
         raise ValueError(f"--picture {path}: only RV reducers are drawn, not a {type(question.design).__name__}")

@@ -6,10 +6,13 @@ scrambles (Owen 1995), whose spread gives standard errors.
 
 import math
 import operator
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import special
-from scipy.stats import qmc
+
+if TYPE_CHECKING:
+    from scipy.stats import qmc
 
 SCRAMBLES = 16
 _BITS = 32  # SciPy cannot fast-forward more of them
@@ -37,6 +40,8 @@ class SobolPoints:
         return special.ndtri(z + 0.5 / 2**_BITS)
 
     def _points(self, scramble: int, first: int, points: int) -> np.ndarray:
+        from scipy.stats import qmc  # a second: half of the start of a command that draws none
+
         engine = self._engines.get(scramble)
         if engine is None or engine.num_generated > first:
             rng = np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(scramble,)))

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy import special, stats
+from scipy import special
 
 from rvjax import tables
 from rvjax.columns import read_cells, read_table, split
@@ -248,6 +248,8 @@ def _pairs(names: list[str], values: np.ndarray, confidence: float) -> dict[tupl
 
     Boudt, Cornelissen and Croux (2012); the interval is that of atanh r, whose error is 1/sqrt(n - 3) (Fisher 1921).
     """
+    from scipy import stats  # dear to import
+
     n, found = values.shape[1], {}
     scores = special.ndtri((stats.rankdata(values, axis=1) - 0.5) / max(n, 1))
     scores -= scores.mean(1, keepdims=True) if n else 0.0
