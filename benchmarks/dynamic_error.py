@@ -8,6 +8,7 @@ algorithm: excitation of every order from the errors, lines at every speed from 
 
 import argparse
 import ctypes
+import functools
 import os
 from pathlib import Path
 
@@ -58,22 +59,33 @@ def unpacked(x):
     return RVErrors(**{name: part.reshape(s) for (name, s), part in zip(SHAPES.items(), jnp.split(x, ends))})
 
 
-def contenders(units: int) -> dict:
-    """What runs, by name, returning the peaks (units, orders) of the same random errors; and what ours compiled to."""
+@functools.cache
+def asked():
+    """Design, conditions and speeds of the sun; first called outside a trace, where a study can be read."""
     question = study.load("rv-40e-joint")
-    design, given = question.design, question.conditions
-    speeds = np.linspace(given.slowest_sun_speed, given.fastest_sun_speed, SPEEDS)
-    errors = int(sum(np.prod(shape) for shape in SHAPES.values()))
-    x = 1e-6 * np.random.default_rng(0).normal(size=(units, errors))
+    given = question.conditions
+    return question.design, given, np.linspace(given.slowest_sun_speed, given.fastest_sun_speed, SPEEDS)
+
+
+def peaks(design, chunks):
+    """Peaks (chunks, units, orders) of the errors of units (chunks, units, errors), chunk by chunk."""
+    _, given, speeds = asked()
 
     def one(design, x):
         return dynamics.speed_sweep(design, unpacked(x), sun_speeds=speeds, load_inertia=given.load_inertia).peak[:, 0]
 
-    def whole(design, x):
-        return jax.lax.map(lambda chunk: jax.vmap(one, (None, 0))(design, chunk), x)
+    return jax.lax.map(lambda chunk: jax.vmap(one, (None, 0))(design, chunk), chunks)
+
+
+def contenders(units: int) -> tuple[dict, tuple]:
+    """What runs, by name, returning the peaks (units, orders) of the same random errors, and what ours compiled to; and
+    the arguments of `peaks`."""
+    design, given, speeds = asked()
+    errors = int(sum(np.prod(shape) for shape in SHAPES.values()))
+    x = 1e-6 * np.random.default_rng(0).normal(size=(units, errors))
 
     arguments = (jax.tree.map(jnp.asarray, design), jnp.asarray(x).reshape(-1, CHUNK, errors))
-    program, compiled = timing.compiled(whole, *arguments)
+    program, compiled = timing.compiled(peaks, *arguments)
 
     zero = jnp.zeros(errors)
     assert tuple(dynamics.error_excitation(design, unpacked(zero)).order.tolist()) == ORDERS
@@ -104,7 +116,7 @@ def contenders(units: int) -> dict:
             return peak
 
         found |= {"C, one thread": lambda: c_run(1), "C, all threads": lambda: c_run(len(os.sched_getaffinity(0)))}
-    return found | {"compiled": compiled}
+    return found | {"compiled": compiled}, arguments
 
 
 def main() -> None:
@@ -114,7 +126,7 @@ def main() -> None:
     parser.add_argument("--json", type=Path, help="write the figures to this file")
     options = parser.parse_args()
     units = max(1, round(options.units / CHUNK)) * CHUNK
-    candidates = contenders(units)
+    candidates, _ = contenders(units)
     compiled = candidates.pop("compiled")
     expected = candidates["NumPy"]()
     for name, run in candidates.items():

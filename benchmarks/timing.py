@@ -20,14 +20,16 @@ __all__ = ["alternate", "arguments", "c_library", "compiled", "machine", "publis
 
 
 def settings() -> None:
-    """What every benchmark runs with: float64 and the command line's flags of XLA. Call before JAX is used."""
+    """What every benchmark runs with: float64, the command line's flags of XLA and memory. Call before JAX is used."""
     flags = ["--xla_disable_hlo_passes=tree_reduction_rewriter"]
     if "avx512f" in (Path("/proc/cpuinfo").read_text() if Path("/proc/cpuinfo").exists() else ""):
         flags.append("--xla_cpu_prefer_vector_width=512")
     os.environ["XLA_FLAGS"] = " ".join([os.environ.get("XLA_FLAGS", ""), *flags]).strip()
     import rvjax
+    from rvjax import memory
 
     rvjax.enable_x64()
+    memory.keep()
 
 
 def c_library(source: str) -> ctypes.CDLL | None:

@@ -40,23 +40,6 @@ def along_lanes(function: Callable[..., Result]) -> Callable[..., Result]:
     return batched
 
 
-def lanes_last(function: Callable[[jax.Array], jax.Array]) -> Callable[[jax.Array], jax.Array]:
-    """A function of an array, to which `jax.vmap` gives a batch as one more last axis, along which vectors run.
-
-    Inside a loop XLA keeps a batch where vmap puts it, in front.
-
-    Args:
-        function: of an array to an array, each with any number of further axes at its end.
-    """
-    batched = jax.custom_batching.custom_vmap(function)
-
-    @batched.def_vmap
-    def _rule(size: int, is_batched: PyTree, x: jax.Array) -> tuple[jax.Array, bool]:
-        return jnp.moveaxis(batched(jnp.moveaxis(x, 0, -1)), -1, 0), True
-
-    return batched
-
-
 def settle(x: jax.Array) -> jax.Array:
     """x, stored: what follows reads it instead of evaluating it anew. XLA looks through all but a loop."""
     return jax.lax.fori_loop(0, 2, lambda _, x: -x, x)

@@ -7,10 +7,12 @@ import dataclasses
 import json
 from importlib import resources
 
+import jax
 import numpy as np
 import pytest
 
 from rvjax import cli, study
+from rvjax.cli import units
 from rvjax.study import batch
 from rvjax.tolerances import load, monte_carlo, origin
 
@@ -116,3 +118,19 @@ def test_an_interrupted_batch_says_how_to_go_on(here, capsys, monkeypatch):
     assert "the same command goes on from c" in capsys.readouterr().err
     assert cli.main(["montecarlo", "small.toml"]) == 130
     assert "nothing was written" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("cores", "processes", "devices"), [(6, 1, 6), (6, 4, 1), (3, 4, 1), (64, 1, 8)])
+def test_each_core_is_a_device_unless_told_otherwise(monkeypatch, cores, processes, devices):
+    told = {}
+    monkeypatch.setattr(jax.config, "update", told.__setitem__)
+    monkeypatch.setattr(units.os, "sched_getaffinity", lambda _: set(range(cores)), raising=False)
+    monkeypatch.delenv("JAX_NUM_CPU_DEVICES")
+    units._share_cores(processes)
+    assert told == {"jax_num_cpu_devices": devices}
+    for name, value in (("JAX_NUM_CPU_DEVICES", "1"), ("XLA_FLAGS", "--xla_force_host_platform_device_count=2")):
+        with monkeypatch.context() as patch:
+            patch.setenv(name, value)
+            told.clear()
+            units._share_cores(processes)
+            assert not told

@@ -52,6 +52,31 @@ def transferred(design, frequency, load):
     return dynamics.error_transfer(design, frequency=frequency, load_inertia=load, outputs=OUTPUTS)
 
 
+def test_peaks_of_a_batch_are_those_of_its_lines():
+    """A batch of several blocks and a part of one, over a number of speeds whose halves are odd; the slope of a peak is
+    that of the line at its speed."""
+    speeds, size = np.linspace(30, 300, 301), 75
+    names, shape = ("disc_centre", "ring_flank"), (size, 2, 2)
+    drawn = MICRON * np.random.default_rng(5).normal(size=(2, *shape))
+
+    def sweep(*errors):
+        return dynamics.speed_sweep(DESIGN, RVErrors(**dict(zip(names, errors))), sun_speeds=speeds, load_inertia=3.0)
+
+    def peaks(scale, *errors):
+        return jax.vmap(lambda *x: sweep(*(scale * e for e in x)).peak)(*errors)
+
+    swept = jax.jit(jax.vmap(sweep))
+    found = swept(*drawn)
+    size_of_lines = np.abs(found.amplitude)  # (units, speeds, orders, outputs)
+    np.testing.assert_allclose(found.peak, size_of_lines.max(1), rtol=1e-13)
+    np.testing.assert_array_equal(found.peak_speed, speeds[size_of_lines.argmax(1)])
+    value, slope = jax.jit(lambda s: jax.jvp(lambda s: peaks(s, *drawn), (s,), (1.0,)))(1.0)
+    np.testing.assert_allclose(value, found.peak, rtol=1e-13)
+    np.testing.assert_allclose(slope, found.peak, rtol=1e-13)  # lines are linear in the errors
+    nothing = swept(*(0 * drawn))
+    assert (nothing.peak == 0).all() and (nothing.peak_speed == speeds[0]).all()
+
+
 def test_static_limit_is_the_closed_form():
     """Rolling of the parts on each other; stiffness leaves it but for the share of the two bearings of a crank."""
     g, s, e = DESIGN.involute, DESIGN.stiffness, DESIGN.cycloid.eccentricity

@@ -19,7 +19,7 @@ MODELS = ("four_bar", "lost_motion", "mesh_force", "dynamics", "loaded")
 
 # From the ground up; a module may import modules of lower floors and of its own package only.
 FLOORS = (
-    ("units", "programs", "phases"),
+    ("units", "programs", "memory", "phases"),
     ("brief", "columns", "tables"),
     ("records",),
     ("status",),

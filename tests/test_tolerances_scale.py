@@ -129,8 +129,8 @@ save({{"found": found, "devices": len(jax.local_devices()), "processes": jax.pro
 
 def child(path, *, devices=1, address="", process=0, options=None):
     code = CHILD.format(address=address, process=process, options=options or {}, path=str(path))
-    flags = f"{os.environ['XLA_FLAGS']} --xla_force_host_platform_device_count={devices}"  # the same arithmetic
-    environment = os.environ | {"XLA_FLAGS": flags, "JAX_PLATFORMS": "cpu", "PYTHONPATH": str(Path(__file__).parent)}
+    own = {"JAX_NUM_CPU_DEVICES": str(devices), "JAX_PLATFORMS": "cpu", "PYTHONPATH": str(Path(__file__).parent)}
+    environment = os.environ | own
     return subprocess.Popen([sys.executable, "-c", code], env=environment, cwd=Path(__file__).parent.parent)
 
 

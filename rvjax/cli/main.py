@@ -86,7 +86,7 @@ def _count(text: str) -> int:
 
 
 def _prepare() -> None:
-    """Settings that only the command line may make: float64, flags of XLA, headless pictures, kept programs."""
+    """Settings that only the command line may make: float64, flags of XLA, no windows, kept programs and memory."""
     # XLA prefers 256-bit vectors; 512-bit ones are up to 1.8 times as fast where they exist. It stores what a long sum
     # adds up and sums that in stages; in one pass a gradient of means takes two thirds of the time.
     flags = ["--xla_disable_hlo_passes=tree_reduction_rewriter"]
@@ -99,10 +99,11 @@ def _prepare() -> None:
     os.environ.setdefault("MPLBACKEND", "Agg")
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")  # XLA logs two lines for every kept program; before JAX loads
     import rvjax
-    from rvjax import programs
+    from rvjax import memory, programs
 
     rvjax.enable_x64()
     programs.keep(rvjax.__version__)
+    memory.keep()
 
 
 def _has_avx512() -> bool:

@@ -1,9 +1,15 @@
 """The commands about units: drawn, measured, assembled, corrected; one function a command."""
 
 import argparse
+import contextlib
+import os
 import time
 
 from rvjax.cli.speak import EXIT_NO_ANSWER, EXIT_OK, READING, WRITING, check_files, forewarn, say, tell
+
+# A loop over blocks of units has one thread, so each core becomes a device of JAX, which takes its part of every chunk;
+# more devices would leave each too few blocks.
+_MOST_DEVICES = 8
 
 
 def montecarlo(options: argparse.Namespace) -> int:
@@ -19,6 +25,7 @@ def montecarlo(options: argparse.Namespace) -> int:
         raise ValueError(f"--save-errors: needs --save FILE with {' or '.join(ENDINGS)}, not {options.save}")
     if table is not None:
         UnitFile(table)  # says before any work that an extra is missing
+    _share_cores(int(options.worker[2]) if options.worker else 1)
 
     def asked() -> batch.Batch:
         question = batch.question(options.study, options.worker)
@@ -58,6 +65,17 @@ def montecarlo(options: argparse.Namespace) -> int:
     after = f"\n\n{seconds:.1f} s, start and compilation included"
     tell(options, lambda: written.summary(found, question) + after, lambda: written.as_json(found, question))
     return EXIT_OK
+
+
+def _share_cores(processes: int) -> None:
+    """A device of JAX for each core, among `processes`; JAX_NUM_CPU_DEVICES says otherwise."""
+    if "JAX_NUM_CPU_DEVICES" in os.environ or "host_platform_device_count" in os.environ.get("XLA_FLAGS", ""):
+        return
+    import jax
+
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    with contextlib.suppress(RuntimeError):  # whoever called `main` uses JAX already
+        jax.config.update("jax_num_cpu_devices", max(1, min(cores // processes, _MOST_DEVICES)))
 
 
 def identify(options: argparse.Namespace) -> int:

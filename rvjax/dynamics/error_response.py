@@ -25,10 +25,10 @@ from rvjax.dynamics.error_transfer import (
     transfer,
 )
 from rvjax.dynamics.excitation import check_stage
+from rvjax.dynamics.line_peaks import factors, largest, lines, place_of_largest
 from rvjax.dynamics.response import METHODS
 from rvjax.errors import RVErrors
-from rvjax.lanes import lanes_last
-from rvjax.records import Array, PyTree, Record, Scalar, field, record, text
+from rvjax.records import Array, Record, Scalar, field, record, text
 from rvjax.status import SolveInfo, Status, converged
 
 
@@ -226,11 +226,11 @@ def _sweep(
     frequency = output_speed(unit.lumped, speeds)[:, None] * n[None, :]
     found = transfer(unit.lumped, frequency.ravel(), output_rows(unit.lumped, outputs))
     value = found.value.reshape(*frequency.shape, *found.value.shape[1:])
-    lines = _lines(value, excitation)
-    largest = _largest(lines)
-    peak = jnp.where(largest > 0, jnp.sqrt(jnp.where(largest > 0, largest, 1)), largest)  # no error, no infinite slope
-    amplitude = jnp.swapaxes(jax.lax.complex(lines[:, 0], lines[:, 1]), 0, 1)
-    values = (n, amplitude, peak, speeds[jnp.argmax(_square(lines), axis=1)])
+    rows, columns = factors(value, excitation)
+    real, imaginary = jnp.moveaxis(lines(rows, columns), (1, 2), (0, 1))
+    square = largest(rows, columns)
+    peak = jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1)), square)  # no error, no infinite slope
+    values = (n, jax.lax.complex(real, imaginary), peak, speeds[place_of_largest(rows, columns)])
     (n, amplitude, peak, peak_speed), info = unit.gate.close(
         values,
         (~jnp.all(jnp.isfinite(peak)), Status.NONFINITE),
@@ -238,47 +238,3 @@ def _sweep(
         info=converged(found.residual),
     )
     return SpeedSweep(n, amplitude, peak, peak_speed, outputs, info)
-
-
-def _lines(value: jax.Array, excitation: jax.Array) -> jax.Array:
-    """Transfer (speeds, orders, outputs, springs) times excitation (orders, springs): (orders, 2, speeds, outputs).
-
-    Real and imaginary part, from one product of real matrices, which runs several times as fast as the complex one.
-    A batch of errors becomes the last axis: the matrix stands on the left.
-    """
-    value = jnp.moveaxis(value, 1, 0)
-    rows = jnp.stack(
-        [
-            jnp.concatenate([value.real, -value.imag], axis=-1),
-            jnp.concatenate([value.imag, value.real], axis=-1),
-        ],
-        axis=1,
-    )
-    columns = jnp.concatenate([excitation.real, excitation.imag], axis=-1)
-    return jax.lax.dot_general(rows, columns, (((4,), (1,)), ((0,), (0,))))
-
-
-def _square(lines: jax.Array) -> jax.Array:
-    return jnp.square(lines[:, 0]) + jnp.square(lines[:, 1])
-
-
-@jax.custom_jvp
-def _largest(lines: jax.Array) -> jax.Array:
-    """Largest |line|^2 over the speeds (orders, outputs), NaN if one is; speed after speed, in vectors over a batch."""
-    return _over_speeds(lines)
-
-
-@lanes_last
-def _over_speeds(lines: jax.Array) -> jax.Array:
-    def step(place: jax.Array, most: jax.Array) -> jax.Array:
-        return jnp.maximum(most, _square(jax.lax.dynamic_index_in_dim(lines, place, 2, keepdims=False)))
-
-    return jax.lax.fori_loop(1, lines.shape[2], step, _square(lines[:, :, 0]), unroll=8)
-
-
-@_largest.defjvp
-def _largest_jvp(primals: PyTree, tangents: PyTree) -> PyTree:
-    (lines,), (change,) = primals, tangents
-    place = jnp.argmax(_square(lines), axis=1)[:, None, None]
-    there, moved = (jnp.take_along_axis(x, place, axis=2)[:, :, 0] for x in (lines, change))
-    return _square(there), 2 * (there[:, 0] * moved[:, 0] + there[:, 1] * moved[:, 1])
