@@ -32,7 +32,7 @@ def understood(options: Options) -> dict[str, Any] | None:
     """Options for `jax.jit`; None where this version of XLA does not know them all, or none are given."""
     try:
         jax.jit(lambda x: x, compiler_options=dict(options)).lower(0.0).compile()
-    except jax.errors.JaxRuntimeError:
+    except (jax.errors.JaxRuntimeError, ValueError):
         return None
     return dict(options) or None
 
