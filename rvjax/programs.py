@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import numpy as np
 
 OFF = "RVJAX_KEEP_PROGRAMS"  # "0": nothing is kept
 LARGEST = 1_000_000_000  # bytes; beyond, the programs that were used longest ago go
@@ -38,8 +39,10 @@ def understood(options: Options) -> dict[str, Any] | None:
 
 
 def inside(*arguments: Any) -> bool:
-    """Whether some argument is traced: another program is being made, whose options count."""
-    return any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(arguments))
+    """Whether another program is being made, whose options count: an argument is traced, or whatever is computed."""
+    if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(arguments)):
+        return True
+    return isinstance(jax.lax.neg(np.float32(0)), jax.core.Tracer)
 
 
 def quick(*static: int) -> Callable[[Callable[..., Any]], Callable[..., Any]]:

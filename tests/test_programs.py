@@ -65,6 +65,7 @@ def test_a_door_is_compiled_quickly_by_itself_and_inlined_elsewhere(monkeypatch)
     assert asked[-1] == dict(programs.QUICK)
     known = len(asked)
     assert plain(lambda x: power(2, x))(3.0) == 9.0  # with options of its own it would be refused here
+    assert plain(lambda x: x * power(2, 3.0))(2.0) == 18.0  # no argument of the door is traced
     assert jax.grad(lambda x: power(3, x))(2.0) == 12.0
     assert power(2, 4.0) == 16.0
     assert len(asked) == known

@@ -152,6 +152,10 @@ def test_a_response_says_how_it_is_compiled(monkeypatch):
     assert value(told, errors) == value(lever(1.0, 2), errors) == 11.0
     assert {None, tuple(dict(told.compiler_options))} == {o and tuple(o) for o in asked}
     # Within another program, whose options count, and with an option that no XLA knows.
-    assert plain(lambda a: value(told, errors | {"a": a}))(2.0) == 11.0
+    assert (
+        plain(lambda a: value(told, errors | {"a": a}))(2.0)
+        == plain(lambda a: a / 2 * value(told, errors))(2.0)
+        == 11.0
+    )
     assert understood((("xla_cpu_made_up", True),)) is None
     assert understood(QUICK) == dict(QUICK)
