@@ -18,9 +18,9 @@ settings()
 
 from benchmarks.coverage_cases import LIKE, PIN, RARE  # noqa: E402  (after the flags)
 from benchmarks.coverage_intervals import LAWS, held  # noqa: E402
+from rvjax.population.population import Population, root_key  # noqa: E402
+from rvjax.response.response import respond_units  # noqa: E402
 from rvjax.tolerances import Requirement, failure_probability  # noqa: E402
-from rvjax.tolerances.population.population import Population, root_key  # noqa: E402
-from rvjax.tolerances.propagation.responses import respond_units  # noqa: E402
 
 KEPT = Path(__file__).with_name("coverage.json")
 BLOCK = 4096

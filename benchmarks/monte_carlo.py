@@ -25,10 +25,10 @@ settings()
 import jax.numpy as jnp  # noqa: E402
 
 from rvjax import study  # noqa: E402
+from rvjax.population.population import Population, drawn, root_key  # noqa: E402
+from rvjax.response.response import respond  # noqa: E402
 from rvjax.study.response import Response  # noqa: E402
 from rvjax.tolerances import monte_carlo  # noqa: E402
-from rvjax.tolerances.population.population import Population, drawn, root_key  # noqa: E402
-from rvjax.tolerances.propagation.responses import respond  # noqa: E402
 from rvjax.units import arcmin  # noqa: E402
 
 FIELDS = ("crank_eccentricity", "crank_phase", "disc_bore", "carrier_bore", "bearing_clearance")
@@ -179,9 +179,9 @@ def main():
 
 def watched_run(response, tolerances, required, units, options, curve, memory, began):
     """The long run, with a point of the memory curve at every tenth."""
-    from rvjax.tolerances.propagation import tally
+    from rvjax.tolerances.batch import accumulator
 
-    add, tenth = tally.Tally.add, max(units // 10, options.chunk)
+    add, tenth = accumulator.Tally.add, max(units // 10, options.chunk)
 
     def watching(self, number, start, values, status, **own):
         add(self, number, start, values, status, **own)
@@ -189,7 +189,7 @@ def watched_run(response, tolerances, required, units, options, curve, memory, b
         if done // tenth > len(curve) or done == units:
             curve.append((done, time.perf_counter() - began, memory.part()))
 
-    tally.Tally.add = watching
+    accumulator.Tally.add = watching
     try:
         return monte_carlo(
             response,
@@ -202,7 +202,7 @@ def watched_run(response, tolerances, required, units, options, curve, memory, b
             checkpoint=options.checkpoint,
         )
     finally:
-        tally.Tally.add = add
+        accumulator.Tally.add = add
 
 
 if __name__ == "__main__":

@@ -15,11 +15,11 @@ from benchmarks.timing import publish, settings
 
 settings()
 
+from rvjax.population.population import Population, root_key  # noqa: E402
+from rvjax.response.response import BLOCK, respond_units  # noqa: E402
 from rvjax.study import load  # noqa: E402
 from rvjax.study.response import Response  # noqa: E402  (after the flags)
 from rvjax.tolerances import Requirement, failure_probability  # noqa: E402
-from rvjax.tolerances.population.population import Population, root_key  # noqa: E402
-from rvjax.tolerances.propagation.responses import BLOCK, respond_units  # noqa: E402
 from rvjax.units import um  # noqa: E402
 
 OUTPUT, LIMITS, SAMPLES = "misfit", (24 * um, 25 * um, 27 * um), 65_536

@@ -26,10 +26,10 @@ def settings() -> None:
         flags.append("--xla_cpu_prefer_vector_width=512")
     os.environ["XLA_FLAGS"] = " ".join([os.environ.get("XLA_FLAGS", ""), *flags]).strip()
     import rvjax
-    from rvjax import memory
+    from rvjax import malloc
 
     rvjax.enable_x64()
-    memory.keep()
+    malloc.keep()
 
 
 def c_library(source: str) -> ctypes.CDLL | None:

@@ -16,12 +16,12 @@ import numpy as np
 
 import rvjax
 from rvjax import study
+from rvjax.population.estimates import wilson
 from rvjax.report import text
+from rvjax.response.response import BLOCK
 from rvjax.study.crossed import cost_of, put_into
 from rvjax.study.read import EMBEDDED
 from rvjax.tolerances import allocate, monte_carlo
-from rvjax.tolerances.propagation.estimates import wilson
-from rvjax.tolerances.propagation.responses import BLOCK
 
 KEPT = Path(__file__).parent / "two_studies.json"
 TEST_TORQUE = "12.36 N m"  # 3 % of 412 N m

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from rvjax.tolerances.propagation.responses import Compiled, Response
+from rvjax.response.response import Compiled, Response
 
 
 def programs(compiled: Compiled, response: Response) -> int:

@@ -202,7 +202,7 @@ class Description:
         cases: quick -> cases by which levels are measured, fewer in a quick run; None where none are.
         unknown: what the model leaves out, one line for a person who reads its results.
         places: errors with a place (`rvjax.errors.PLACED`) that it reads, or knows a bound for; None: not said.
-        compiler_options: of programs that compute an output of it, such as `rvjax.programs.QUICK`.
+        compiler_options: of programs that compute an output of it, such as `rvjax.compile_cache.QUICK`.
     """
 
     design: type

@@ -16,8 +16,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax import tables
-from rvjax.brief import brief
+from rvjax import frames
+from rvjax.repr import brief
 
 Array = jax.Array
 Scalar = float | Array | np.ndarray  # one number; under `jax.vmap` and in a stack of records one for each case
@@ -97,7 +97,7 @@ class Record:
             ImportError: pandas is not installed.
             ValueError: axes that are not named, or `along` is none.
         """
-        return tables.frame(self, batch, along)
+        return frames.frame(self, batch, along)
 
     def to_xarray(self, batch: tuple[str, ...] = ()) -> Any:
         """An `xarray.Dataset`, SI: axes such as unit, angle, disc, crank, pin; unit and meaning in the attributes.
@@ -109,7 +109,7 @@ class Record:
             ImportError: xarray is not installed.
             ValueError: axes that are not named.
         """
-        return tables.data_set(self, batch)
+        return frames.data_set(self, batch)
 
     def __repr__(self) -> str:
         return brief(self)

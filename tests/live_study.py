@@ -8,8 +8,8 @@ import pytest
 
 from rvjax import study
 from rvjax.report import surrogate
+from rvjax.response.response import BLOCK
 from rvjax.study.answer import Answer, answer
-from rvjax.tolerances.propagation.responses import BLOCK
 
 PLAY = """# the play of an RV-20E
 [design]

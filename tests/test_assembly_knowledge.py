@@ -60,7 +60,7 @@ def test_no_gain_is_promised_that_does_not_come_true():
     assert np.mean(off[False]) > 5 * error[False]
 
 
-LAWS = [
+DISTRIBUTIONS = [
     Tolerance(-1.0, 2.0, distribution="uniform"),
     Tolerance(-1.0, 2.0, distribution="triangular", shift=0.3),
     Tolerance(0.0, 2.0, distribution="rayleigh"),
@@ -68,7 +68,7 @@ LAWS = [
 ]
 
 
-@pytest.mark.parametrize("tolerance", LAWS, ids=lambda t: t.distribution)
+@pytest.mark.parametrize("tolerance", DISTRIBUTIONS, ids=lambda t: t.distribution)
 @pytest.mark.parametrize(("value", "sd"), [(0.7, 0.3), (0.7, 0.003), (1.9, 0.5)])
 def test_what_is_known_of_a_part_against_quadrature(tolerance, value, sd):
     """Oracle: 400 points of Gauss over z, where the posterior lives. A kink of a law (triangular) costs the 129 nodes
@@ -99,12 +99,12 @@ def test_shrinkage_of_the_reference(case):
 
 
 def test_the_ends_of_knowledge():
-    for tolerance in (UNIT, *LAWS):
+    for tolerance in (UNIT, *DISTRIBUTIONS):
         assert believed(0.5, 0.0, tolerance) == (0.5, 0.0)
         mean, variance = tolerance.moments()[:2]
         assert believed(0.5, math.inf, tolerance) == pytest.approx((mean, math.sqrt(variance)), rel=2e-3)
     assert believed(0.5, 0.2, None) == (0.5, 0.2)
-    mean, spread = believed(9.0, 0.1, LAWS[0])  # far beyond the limits: at the end
+    mean, spread = believed(9.0, 0.1, DISTRIBUTIONS[0])  # far beyond the limits: at the end
     assert 1.99 < mean <= 2 and spread < 0.01
     vector = Tolerance(0.0, 3e-6, distribution="rayleigh", shape=(2,))
     mean, spread = believed([1e-6, -1e-6], 1e-6, vector)  # two normal components of sd 1e-6

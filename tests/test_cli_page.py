@@ -17,10 +17,10 @@ import rvjax
 import rvjax.report.worst_units
 import rvjax.study.answer
 from rvjax import cli
+from rvjax.population.central_moments import CentralMoments
+from rvjax.population.sample_statistics import Sampled
 from rvjax.report import folders, page, text
 from rvjax.study.about import About
-from rvjax.tolerances.propagation.moments import CentralMoments
-from rvjax.tolerances.propagation.sampled import Sampled
 
 pytestmark = pytest.mark.usefixtures("answers")
 

@@ -6,7 +6,7 @@ import jax
 import numpy as np
 import pytest
 
-from rvjax import cli, phases, tolerances
+from rvjax import cli, progress, tolerances
 from rvjax.report import crossed as written
 from rvjax.study import load, parse_study
 from rvjax.study.crossed import cost_of, put_into
@@ -86,7 +86,7 @@ def test_an_answer_is_judged_by_another_study(folder, capsys, monkeypatch):
     draw = jax.jit(jax.vmap(lambda unit: misfit(tolerances.sample(by_hand, unit, seed=1)).value["misfit"]))
     good = np.mean(np.asarray(draw(np.arange(4096))) <= 12 * um)
     seen = []
-    monkeypatch.setattr(phases.Phases, "detail", lambda self, note, part=0.0: seen.append((self.name, note)))
+    monkeypatch.setattr(progress.Phases, "detail", lambda self, note, part=0.0: seen.append((self.name, note)))
     assert cli.main(["compare", "a", "--on", "judge.toml", "--format", "json"]) == 0
     assert ("units of A", "Monte Carlo 100 %") in seen
     found = json.loads(capsys.readouterr().out)

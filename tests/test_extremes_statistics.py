@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from oracles.linear_pair import COSTS, PAIR, WIDE, linear
+from rvjax.files import PARTIAL, write_atomically
 from rvjax.study import StudyError
 from rvjax.study.read import EMBEDDED, parse_study
 from rvjax.tolerances import Requirement, Tolerance, allocate, monte_carlo, save
-from rvjax.tolerances.atomic import PARTIAL, write_atomically
-from rvjax.tolerances.propagation import checkpoint
+from rvjax.tolerances.batch import checkpoint
 from rvjax.units import um
 
 GOOD = (EMBEDDED / "rv-40e.toml").read_text()

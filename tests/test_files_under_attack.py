@@ -17,11 +17,10 @@ import numpy as np
 import pytest
 
 from rvjax import cli
+from rvjax.files import digest, packed, unpacked, write_atomically
 from rvjax.report import folders, numbers, text
 from rvjax.study import batch
 from rvjax.tolerances import Requirement, Tolerance, load, monte_carlo, origin
-from rvjax.tolerances.atomic import write_atomically
-from rvjax.tolerances.propagation.checkpoint import digest, packed, unpacked
 from tests.test_cli_montecarlo import SMALL
 
 ONE = {"a": Tolerance.symmetric(3.0), "b": Tolerance.symmetric(1.0)}

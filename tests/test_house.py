@@ -19,15 +19,17 @@ MODELS = ("four_bar", "lost_motion", "mesh_force", "dynamics", "loaded")
 
 # From the ground up; a module may import modules of lower floors and of its own package only.
 FLOORS = (
-    ("units", "programs", "memory", "phases"),
-    ("brief", "columns", "tables"),
+    ("units", "files", "compile_cache", "malloc", "progress"),
+    ("repr", "columns", "frames"),
     ("records",),
     ("status",),
-    ("roots", "elementary", "lanes"),
+    ("roots", "elementary", "batching"),
     ("designs",),
     ("errors",),
     ("catalogue", "mounting", "outputs"),
-    (*MODELS, "tolerances"),
+    (*MODELS, "population"),
+    ("response",),
+    ("tolerances",),
     ("identify",),
     ("assembly", "compensation"),
     ("models",),
@@ -71,6 +73,18 @@ def test_imports_run_downwards():
             assert FLOOR[other] < FLOOR[room], f"{path.relative_to(ROOT)} imports {other}"
 
 
+def test_packages_are_imported_through_their_init():
+    """Another package takes a name from `rvjax.population`, never from a file below it; models give their outputs."""
+    deep = []
+    for path in rooms():
+        for node in ast.walk(ast.parse(path.read_text())):
+            parts = node.module.split(".") if isinstance(node, ast.ImportFrom) and node.module else []
+            below = len(parts) > 2 and parts[0] == "rvjax" and parts[1] not in (room_of(path), "study", "plotting")
+            if below and (PACKAGE / parts[1]).is_dir():
+                deep.append(f"{path.relative_to(PACKAGE)}: {node.module}")
+    assert deep == []
+
+
 def test_the_top_level_holds_what_belongs_there():
     """Of what is submitted: a note left behind would land with it."""
     listed = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True)
@@ -84,8 +98,9 @@ def test_the_top_level_holds_what_belongs_there():
 
 def test_statistics_know_no_gears():
     """The package itself is named for its version alone."""
-    ground = {"__version__", "columns", "phases", "programs", "records", "status", "tables", "units", "tolerances"}
-    for room in ("tolerances", "identify", "assembly", "compensation"):
+    ground = {"__version__", "columns", "files", "progress", "compile_cache", "records", "status", "frames", "units"}
+    ground |= {"population", "response", "tolerances"}
+    for room in ("population", "response", "tolerances", "identify", "assembly", "compensation"):
         for path in (PACKAGE / room).rglob("*.py"):
             below = {"identify"} if room == "compensation" else set()  # orders of a curve
             assert set(imports(path)) <= ground | below | {room}, path.name

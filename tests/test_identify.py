@@ -11,8 +11,8 @@ from scipy import optimize
 from rvjax import identify
 from rvjax.identify.elements import Elements
 from rvjax.identify.problem import slopes
+from rvjax.population.population import Population
 from rvjax.tolerances import Requirement, Tolerance
-from rvjax.tolerances.population.population import Population
 from tests.identify_models import THREE, G, Noise, line, solved, unit
 
 

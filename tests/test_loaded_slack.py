@@ -15,8 +15,8 @@ from loaded_cases import solve as solve_alone
 
 from oracles import loaded as oracle
 from rvjax import Status, loaded, study
+from rvjax.population.population import Population, root_key
 from rvjax.tolerances import Tolerance
-from rvjax.tolerances.population.population import Population, root_key
 from rvjax.units import arcmin, um
 
 QUESTION = study.load("rv-40e-whole", solve=False)

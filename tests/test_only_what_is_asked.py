@@ -13,10 +13,10 @@ import pytest
 
 from rvjax import Status, dynamics, four_bar, study
 from rvjax.catalogue import RV_320E
+from rvjax.population.population import Population
+from rvjax.response.response import response_names
 from rvjax.study.response import Response
 from rvjax.tolerances import Tolerance, for_design, sample
-from rvjax.tolerances.population.population import Population
-from rvjax.tolerances.propagation.responses import response_names
 from rvjax.units import um
 
 UNITS = 64

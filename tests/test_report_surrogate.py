@@ -11,8 +11,8 @@ from live_study import fewer_points
 import rvjax
 from rvjax import tolerances
 from rvjax.report import live, surrogate
+from rvjax.response.response import BLOCK
 from rvjax.study.answer import SHOWN_VALUES
-from rvjax.tolerances.propagation.responses import BLOCK
 
 UNITS = 2 * BLOCK
 

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from rvjax import Status
+from rvjax.population.estimates import Estimate
 from rvjax.report import batch, text
 from rvjax.study import load
 from rvjax.study.about import About
 from rvjax.tolerances import Outcome, Requirement, monte_carlo
-from rvjax.tolerances.propagation.estimates import Estimate
 from rvjax.units import arcmin, um
 
 

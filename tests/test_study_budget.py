@@ -14,12 +14,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rvjax import RVErrors, cli, four_bar, phases, plotting, study
+from rvjax import RVErrors, cli, four_bar, plotting, progress, study
 from rvjax.errors import STAGES
+from rvjax.population.population import Population, drawn, root_key
 from rvjax.report import budget as written
 from rvjax.report import page
 from rvjax.study import budget, error_budget, parse_study
-from rvjax.tolerances.population.population import Population, drawn, root_key
 from rvjax.units import arcsec
 
 TEXT = """
@@ -169,7 +169,7 @@ def test_the_command_writes_a_folder(found, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     Path("x.toml").write_text(TEXT)
     seen = []
-    monkeypatch.setattr(phases.Phases, "detail", lambda self, note, part=0.0: seen.append((self.name, note)))
+    monkeypatch.setattr(progress.Phases, "detail", lambda self, note, part=0.0: seen.append((self.name, note)))
     asked = ["budget", "x.toml", "--samples", str(UNITS), "--seed", "7"]
     assert cli.main([*asked, "--torque", "412 N m", "--torque", "0.412 N m", "--format", "json"]) == 0
     told = json.loads(capsys.readouterr().out)

@@ -9,9 +9,9 @@ import pytest
 
 from rvjax import RVErrors, lost_motion
 from rvjax.catalogue import RV_40E
+from rvjax.population.population import Population
 from rvjax.study import StudyError, parse_study
 from rvjax.tolerances import Tolerance, for_design, rss, sample
-from rvjax.tolerances.population.population import Population
 from rvjax.units import um
 
 TEXT = """

@@ -16,6 +16,7 @@ import pytest
 from scipy import stats
 
 from oracles.linear_pair import COSTS, LIMIT, PAIR, WIDE, linear, radius
+from rvjax.population.population import Population
 from rvjax.status import Status
 from rvjax.tolerances import (
     Exponential,
@@ -29,8 +30,7 @@ from rvjax.tolerances import (
     monte_carlo,
 )
 from rvjax.tolerances.allocation import certificate
-from rvjax.tolerances.population.population import Population
-from rvjax.tolerances.propagation.monte_carlo import Run
+from rvjax.tolerances.batch.monte_carlo import Run
 from rvjax.units import mm, um
 
 CERTIFIED = dict(costs=COSTS, certificate_samples=200_000)

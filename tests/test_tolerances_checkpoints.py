@@ -14,12 +14,12 @@ import numpy as np
 import pytest
 from scale_study import LIMITS, STACK, bits, response, run, smooth
 
+from rvjax.population.central_moments import CentralMoments, Pairwise
+from rvjax.population.population import Population
 from rvjax.tolerances import Outcome, Tolerance, monte_carlo
-from rvjax.tolerances.population.population import Population
-from rvjax.tolerances.propagation import checkpoint, tally
-from rvjax.tolerances.propagation.checkpoint import describe, response_hash
-from rvjax.tolerances.propagation.moments import CentralMoments, Pairwise
-from rvjax.tolerances.propagation.order import Order
+from rvjax.tolerances.batch import accumulator, checkpoint
+from rvjax.tolerances.batch.checkpoint import describe, response_hash
+from rvjax.tolerances.batch.quantiles import Order
 
 
 def test_moments_of_chunks_have_the_same_bits_in_any_order():
@@ -72,7 +72,7 @@ def always(monkeypatch):
 
 def interrupted(after, *arguments, **options):
     """A study that ends without warning when `after` chunks are counted."""
-    left, add = [after], tally.Tally.add
+    left, add = [after], accumulator.Tally.add
 
     def limited(*chunk, **own):
         left[0] -= 1
@@ -81,7 +81,7 @@ def interrupted(after, *arguments, **options):
         add(*chunk, **own)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(tally.Tally, "add", limited)
+        patch.setattr(accumulator.Tally, "add", limited)
         run(*arguments, **options)
 
 
@@ -201,14 +201,14 @@ def slow_study(path, samples):
     jax.config.update("jax_compilation_cache_dir", f"{path}.programs")  # compile once for all processes
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     checkpoint.EVERY = checkpoint._SHARE = 0
-    add = tally.Tally.add
+    add = accumulator.Tally.add
 
     def slow(*arguments, **options):
         Path(f"{path}.begun").touch()
         time.sleep(0.004)
         add(*arguments, **options)
 
-    tally.Tally.add = slow
+    accumulator.Tally.add = slow
     run(samples, checkpoint=path)
 
 

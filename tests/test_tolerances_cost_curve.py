@@ -15,6 +15,8 @@ import pytest
 from oracles.linear_pair import COSTS, LIMIT, PAIR, WIDE, linear, radius
 from oracles.programs import programs
 from rvjax import plotting
+from rvjax.response.gradients import pulled
+from rvjax.response.response import respond
 from rvjax.tolerances import (
     Exponential,
     ReciprocalPower,
@@ -26,9 +28,7 @@ from rvjax.tolerances import (
     rss,
     worst_case,
 )
-from rvjax.tolerances.allocation import separable
-from rvjax.tolerances.propagation.gradients import pulled
-from rvjax.tolerances.propagation.responses import respond
+from rvjax.tolerances.allocation import conlin
 from rvjax.units import mm, um
 
 
@@ -111,7 +111,7 @@ def test_each_point_starts_from_the_last(of_bent):
 
 
 def test_a_curve_compiles_nothing_anew(of_bent):
-    count = lambda: [programs(respond, bent), programs(pulled, bent), separable._solve._cache_size()]  # noqa: E731
+    count = lambda: [programs(respond, bent), programs(pulled, bent), conlin._solve._cache_size()]  # noqa: E731
     before = count()
     first = of_bent.allocations[0]
     costs = {"a": WIDE, "b": Exponential(decay=9 * um, finest=1 * um, coarsest=90 * um, scale=3.0)}

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from scipy import special, stats
 
+from rvjax.population.central_moments import CentralMoments
+from rvjax.population.estimates import of_groups, student
+from rvjax.population.sample_statistics import Sampled
 from rvjax.tolerances import Requirement, Tolerance, failure_probability
-from rvjax.tolerances.propagation.estimates import of_groups, student
-from rvjax.tolerances.propagation.moments import CentralMoments
-from rvjax.tolerances.propagation.sampled import Sampled
 
 RUNS = 1000
 MOST = 0.99

@@ -17,8 +17,8 @@ import pytest
 from scipy import stats
 
 import rvjax
+from rvjax.population.grades import GRADES
 from rvjax.tolerances import Tolerance, it_width
-from rvjax.tolerances.distribution.grades import GRADES
 from rvjax.units import mm, um
 
 Z = np.linspace(-6, 6, 241)

@@ -15,12 +15,12 @@ from scipy import integrate, special, stats
 
 import rvjax
 from oracles.programs import programs
+from rvjax.response.response import respond
 from rvjax.status import Status
 from rvjax.study.response import Response
 from rvjax.tolerances import Outcome, Requirement, Tolerance, failure_probability, for_design, monte_carlo
-from rvjax.tolerances.propagation import failure
-from rvjax.tolerances.propagation.design_points import Found, slopes
-from rvjax.tolerances.propagation.responses import respond
+from rvjax.tolerances.failure import failure
+from rvjax.tolerances.failure.form import Found, slopes
 from rvjax.units import um
 
 UNIT = Tolerance.symmetric(3.0)  # standard normal

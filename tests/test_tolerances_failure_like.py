@@ -13,10 +13,10 @@ import pytest
 from scipy import stats
 
 from oracles.programs import programs
+from rvjax.response.response import respond
 from rvjax.status import Status
 from rvjax.tolerances import Outcome, Requirement, Tolerance, failure_probability, linearised
-from rvjax.tolerances.propagation import failure
-from rvjax.tolerances.propagation.responses import respond
+from rvjax.tolerances.failure import failure
 
 SIX = {"v": Tolerance.symmetric(3.0, shape=(6,))}  # standard normal
 NEED = Requirement(upper=4.2)
@@ -92,8 +92,8 @@ def test_draws_about_wrong_points_are_unbiased_before_anybody_notices():
 
 
 def _search(response, need):
-    from rvjax.tolerances.population.population import Population
-    from rvjax.tolerances.propagation.design_points import Units
+    from rvjax.population.population import Population
+    from rvjax.tolerances.failure.form import Units
 
     return failure._Search(Units(response, Population.of(SIX), ""), need)
 

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from rvjax.population.distribution import DISTRIBUTIONS, Distribution
 from rvjax.records import field, record
 from rvjax.study.read import _requirements, _tolerance
 from rvjax.tolerances import (
@@ -26,13 +27,12 @@ from rvjax.tolerances import (
     save,
     worst_case,
 )
-from rvjax.tolerances.distribution.law import LAWS, Law
-from rvjax.tolerances.propagation.limits import KINDS, Limits, Pull
+from rvjax.tolerances.requirements.limits import KINDS, Limits, Pull
 from rvjax.units import um
 
 
 @record
-class Arch(Law):
+class Arch(Distribution):
     """m + weight h sin(z/2)."""
 
     name = "arch"
@@ -80,7 +80,7 @@ class SdBelow(Limits):
 def _registers():
     """Other tests do not know them."""
     yield
-    LAWS.pop("arch", None)
+    DISTRIBUTIONS.pop("arch", None)
     KINDS.remove(SdBelow)
 
 

@@ -16,12 +16,12 @@ from scipy import stats
 
 import rvjax
 from oracles.programs import programs
+from rvjax.population.central_moments import CentralMoments
+from rvjax.population.estimates import wilson
+from rvjax.response.response import respond
 from rvjax.status import Status
 from rvjax.tolerances import Outcome, Requirement, Tolerance, for_design, monte_carlo, sample
-from rvjax.tolerances.propagation.estimates import wilson
-from rvjax.tolerances.propagation.moments import CentralMoments
-from rvjax.tolerances.propagation.order import ExactOrder, Order, quantile_estimate
-from rvjax.tolerances.propagation.responses import respond
+from rvjax.tolerances.batch.quantiles import ExactOrder, Order, quantile_estimate
 from rvjax.units import mm, um
 
 STACK = dict(a=Tolerance.symmetric(12 * um), b=Tolerance.symmetric(9 * um), c=Tolerance.symmetric(6 * um))

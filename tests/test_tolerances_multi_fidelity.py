@@ -25,10 +25,10 @@ from rvjax.tolerances import (
     multi_fidelity,
     sample,
 )
-from rvjax.tolerances.propagation.control_variates import Basis, regressed
-from rvjax.tolerances.propagation.limits import Limits
-from rvjax.tolerances.propagation.multi_fidelity import _Study
-from rvjax.tolerances.propagation.targeting import Prediction, chosen, inclusion, targeted
+from rvjax.tolerances.fidelity.control_variates import Basis, regressed
+from rvjax.tolerances.fidelity.multi_fidelity import _Study
+from rvjax.tolerances.fidelity.targeting import Prediction, chosen, inclusion, targeted
+from rvjax.tolerances.requirements.limits import Limits
 
 COMPILED = "/jax/core/compile/backend_compile_duration"
 NUMBERS = {name: Tolerance.symmetric(3.0) for name in "abc"}  # standard normal

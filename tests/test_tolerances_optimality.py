@@ -15,6 +15,7 @@ from scipy import stats
 
 from oracles.known_optima import CASES
 from oracles.linear_pair import COSTS, LIMIT, PAIR, linear, radius
+from rvjax.population.population import Population
 from rvjax.status import Status
 from rvjax.tolerances import (
     CpkAtLeast,
@@ -26,8 +27,7 @@ from rvjax.tolerances import (
     allocate,
     monte_carlo,
 )
-from rvjax.tolerances.population.population import Population
-from rvjax.tolerances.propagation.worst_case import extremes
+from rvjax.tolerances.worst_case import extremes
 from rvjax.units import um
 
 EDGE = 15 * um  # units with a larger b fail

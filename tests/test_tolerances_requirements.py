@@ -14,6 +14,8 @@ import pytest
 from scipy import stats
 
 from oracles.linear_pair import COSTS, PAIR, linear
+from rvjax.population.central_moments import CentralMoments
+from rvjax.population.sample_statistics import Sampled
 from rvjax.status import Status
 from rvjax.tolerances import (
     CpkAtLeast,
@@ -27,8 +29,6 @@ from rvjax.tolerances import (
     monte_carlo,
     rss,
 )
-from rvjax.tolerances.propagation.moments import CentralMoments
-from rvjax.tolerances.propagation.sampled import Sampled
 from rvjax.units import um
 
 LIMIT = 30 * um

@@ -15,8 +15,11 @@ import numpy as np
 import pytest
 
 from oracles.programs import programs
-from rvjax.programs import QUICK, understood
+from rvjax.compile_cache import QUICK, understood
+from rvjax.population.population import Population, drawn, root_key
 from rvjax.records import Record, count, field, record
+from rvjax.response.gradients import pulled
+from rvjax.response.response import PROGRAMS, per_response, respond
 from rvjax.tolerances import (
     ReciprocalPower,
     Requirement,
@@ -27,10 +30,7 @@ from rvjax.tolerances import (
     rss,
     worst_case,
 )
-from rvjax.tolerances.population.population import Population, drawn, root_key
-from rvjax.tolerances.propagation.checkpoint import response_hash
-from rvjax.tolerances.propagation.gradients import pulled
-from rvjax.tolerances.propagation.responses import PROGRAMS, per_response, respond
+from rvjax.tolerances.batch.checkpoint import response_hash
 
 PAIR = {"a": Tolerance(-1.0, 1.0), "b": Tolerance(-1.0, 2.0)}
 POPULATION = Population.of(PAIR)

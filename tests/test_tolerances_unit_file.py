@@ -12,10 +12,11 @@ import numpy as np
 import pytest
 
 from rvjax import cli, tolerances
+from rvjax.population.population import Population
+from rvjax.response import devices
 from rvjax.status import Status
 from rvjax.tolerances import Outcome, Requirement, Tolerance, UnitFile, monte_carlo, sample
-from rvjax.tolerances.population.population import Population
-from rvjax.tolerances.propagation import checkpoint, devices, unit_file
+from rvjax.tolerances.batch import checkpoint, unit_file
 
 ERRORS = {"a": Tolerance(-2.0, 4.0), "b": Tolerance(0.0, 3.0, shape=(2, 2), distribution="uniform")}
 OPTIONS = dict(samples=250, seed=3, chunk=100)

@@ -4,8 +4,17 @@ Parts + measurement uncertainty --believed--> what is known --plan--> build list
 """
 
 from rvjax.assembly.belief import believed
+from rvjax.assembly.costs import Machine
 from rvjax.assembly.opening import Opening, opening
-from rvjax.assembly.parts import Kind, Part
-from rvjax.assembly.plan import Plan, plan
+from rvjax.assembly.parts import Kind, Part, known
+from rvjax.assembly.plan import OBJECTIVES, Plan, draw, plan, supply_of
 
-__all__ = ["Kind", "Opening", "Part", "Plan", "believed", "opening", "plan"]
+__all__ = [
+    "Kind",
+    "Opening",
+    "Part",
+    "Plan",
+    "believed",
+    "opening",
+    "plan",
+]

@@ -11,9 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax.assembly.parts import Known
+from rvjax.response import evaluate, per_response
 from rvjax.status import succeeded
 from rvjax.tolerances import Requirement
-from rvjax.tolerances.propagation.responses import evaluate, per_response
 
 UnitResponse = Callable[[dict[str, Any], dict[str, Any]], Any]
 """(parts {slot: errors}, index {slot: int}) -> scalar or Outcome."""

@@ -28,8 +28,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except SystemExit as stop:  # argparse has printed what is wrong, or the help
         return int(stop.code or 0)
     _prepare()
-    from rvjax.phases import ended_by
-    from rvjax.tables import MissingExtra
+    from rvjax.frames import MissingExtra
+    from rvjax.progress import ended_by
 
     try:
         with ended_by(signal.SIGTERM, _Terminated()):
@@ -99,11 +99,11 @@ def _prepare() -> None:
     os.environ.setdefault("MPLBACKEND", "Agg")
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")  # XLA logs two lines for every kept program; before JAX loads
     import rvjax
-    from rvjax import memory, programs
+    from rvjax import compile_cache, malloc
 
     rvjax.enable_x64()
-    programs.keep(rvjax.__version__)
-    memory.keep()
+    compile_cache.keep(rvjax.__version__)
+    malloc.keep()
 
 
 def _has_avx512() -> bool:

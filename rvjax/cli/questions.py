@@ -12,8 +12,8 @@ from rvjax.cli.speak import EXIT_NO_ANSWER, EXIT_OK, READING, WRITING, check_fil
 
 def init(options: argparse.Namespace) -> int:
     """A commented study file to change."""
+    from rvjax.files import check_writable, write_atomically
     from rvjax.study import template
-    from rvjax.tolerances.atomic import check_writable, write_atomically
 
     check_files(options, file=".toml")
     path = Path(options.file)
@@ -41,7 +41,7 @@ def check_study(options: argparse.Namespace) -> int:
 
 def allocate(options: argparse.Namespace) -> int:
     """The cheapest tolerances that still meet the requirements."""
-    from rvjax import phases, study
+    from rvjax import progress, study
     from rvjax.report import again, check, folders, text
     from rvjax.study.answer import answer
 
@@ -56,13 +56,13 @@ def allocate(options: argparse.Namespace) -> int:
     forewarn(asked)
     journal = again.journal(asked, folder)
     options.begun = lambda: journal.folder if journal and journal.folder.exists() else None
-    with phases.shown(check.phases_of(asked, READING, WRITING), quiet=options.quiet):
-        phases.begin(READING)
+    with progress.shown(check.phases_of(asked, READING, WRITING), quiet=options.quiet):
+        progress.begin(READING)
         # The answer itself refuses a nominal unit without a solution.
         found = answer(asked, progress=not options.quiet, journal=journal)
         if options.format == "text":  # before the folder is made: whatever fails there, the answer has been told
             say(text.summary(found))
-        phases.begin(WRITING)
+        progress.begin(WRITING)
         folder = folders.write(found, folder)
     if journal:
         journal.clear()
@@ -72,12 +72,12 @@ def allocate(options: argparse.Namespace) -> int:
 
 def report(options: argparse.Namespace) -> int:
     """The same answer as one page."""
-    from rvjax import phases, study
+    from rvjax import progress, study
+    from rvjax.files import check_writable, write_atomically
     from rvjax.report import check, folders, page, text
     from rvjax.report.surrogate import surrogate
     from rvjax.study.answer import answer
     from rvjax.study.budget import budget_if_any
-    from rvjax.tolerances.atomic import check_writable, write_atomically
 
     check_files(options, output=".html")
     asked = study.load(options.study, solve=False)
@@ -86,13 +86,13 @@ def report(options: argparse.Namespace) -> int:
     check_writable(path)
     forewarn(asked)
     sliders, writing = "numbers behind the sliders", "the page"
-    with phases.shown(check.phases_of(asked, READING, sliders, writing), quiet=options.quiet):
-        phases.begin(READING)
+    with progress.shown(check.phases_of(asked, READING, sliders, writing), quiet=options.quiet):
+        progress.begin(READING)
         found = answer(asked, progress=not options.quiet)
-        phases.begin(sliders)
+        progress.begin(sliders)
         moved = surrogate(found)
         owners = budget_if_any(asked, found.allocation.tolerances)
-        phases.begin(writing)
+        progress.begin(writing)
         content = page.page(found, options.study, moved, owners, date=time.strftime("%Y-%m-%d")).encode("utf-8")
     if not given:
         path = folders.new_folder(path.parent) / path.name
@@ -107,25 +107,25 @@ def report(options: argparse.Namespace) -> int:
 
 def budget(options: argparse.Namespace) -> int:
     """Who owns the error."""
-    from rvjax import phases, study
+    from rvjax import progress, study
     from rvjax.report import budget as written
     from rvjax.report import folders
     from rvjax.study.values import quantity
 
     owning = "who owns the error"
-    with phases.shown(dict.fromkeys((READING, owning, WRITING), 0.0), counted=owning, quiet=options.quiet):
-        phases.begin(READING)
+    with progress.shown(dict.fromkeys((READING, owning, WRITING), 0.0), counted=owning, quiet=options.quiet):
+        progress.begin(READING)
         question = study.load(options.study)
         loads = {torque: quantity(torque, "N m", "--torque") for torque in options.torque or ()}
         if len(set(loads.values())) < len(options.torque or ()):
             raise ValueError(f"--torque {', '.join(options.torque)}: each torque once")
         folder = folders.results_folder(options.results, f"{question.name}-budget")
         forewarn(question)
-        phases.begin(owning)
+        progress.begin(owning)
         found = study.error_budget(
             question, output=options.output, loads=loads or None, samples=options.samples, seed=options.seed
         )
-        phases.begin(WRITING)
+        progress.begin(WRITING)
         folder = written.write(found, question, folder)
     tell(
         options,
@@ -137,7 +137,7 @@ def budget(options: argparse.Namespace) -> int:
 
 def compare(options: argparse.Namespace) -> int:
     """Two answers side by side, or under one question."""
-    from rvjax import phases, study
+    from rvjax import progress, study
     from rvjax.report import check, compare, crossed
     from rvjax.study.crossed import crossed as judge
 
@@ -157,9 +157,9 @@ def compare(options: argparse.Namespace) -> int:
         forewarn(question)
         drawing, found = {letter: f"units of {letter}" for letter in answers}, {}
         seconds = 5.0 + (check.unit_seconds(question) or 0.0) * (options.samples or question.certificate_samples)
-        with phases.shown(dict.fromkeys(drawing.values(), seconds), quiet=options.quiet):
+        with progress.shown(dict.fromkeys(drawing.values(), seconds), quiet=options.quiet):
             for letter, (_, one) in answers.items():
-                phases.begin(drawing[letter])
+                progress.begin(drawing[letter])
                 found[letter] = judge(question, one, samples=options.samples)
         own = {letter: answer for letter, (answer, _) in answers.items()}
         told, data = f"{told}\n\n{crossed.summary(found, own)}", data | {"on": crossed.as_json(found, own)}

@@ -13,13 +13,13 @@ EXIT_OK, EXIT_NO_ANSWER, EXIT_BAD_INPUT = 0, 1, 2
 
 def say(text: str, file: Any = None) -> None:
     """Print; what would speak to the terminal rather than to a person (escape sequences in a key) is spelled out."""
-    from rvjax import phases
+    from rvjax import progress
 
     lines = (
         "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)
         for line in text.split("\n")
     )
-    with phases.aside():
+    with progress.aside():
         print("\n".join(lines), file=file)
 
 

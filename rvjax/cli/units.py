@@ -14,10 +14,10 @@ _MOST_DEVICES = 8
 
 def montecarlo(options: argparse.Namespace) -> int:
     """What a batch of units does."""
-    from rvjax import phases
+    from rvjax import progress
     from rvjax.report import batch as written
     from rvjax.study import batch
-    from rvjax.tolerances.propagation.unit_file import ENDINGS, UnitFile
+    from rvjax.tolerances import ENDINGS, UnitFile
 
     check_files(options, json=".json", save=(".npz", *ENDINGS))
     table = options.save if options.save and options.save.endswith(ENDINGS) else None
@@ -48,12 +48,12 @@ def montecarlo(options: argparse.Namespace) -> int:
         return EXIT_OK
     started, drawing = time.perf_counter(), "drawing units"
     expected = {READING: 6.0, drawing: 0.0}  # each process of several has a line of its own
-    with phases.shown(expected, counted=drawing, quiet=options.quiet or options.processes > 1):
-        phases.begin(READING)
+    with progress.shown(expected, counted=drawing, quiet=options.quiet or options.processes > 1):
+        progress.begin(READING)
         wanted = asked()
         question = wanted.study  # as it was read before the run: the file may change meanwhile
         forewarn(question)
-        phases.begin(drawing)
+        progress.begin(drawing)
         if options.processes == 1:
             found = batch.run(wanted)
         else:
@@ -80,14 +80,14 @@ def _share_cores(processes: int) -> None:
 
 def identify(options: argparse.Namespace) -> int:
     """What made this measured curve."""
-    from rvjax import phases, study
+    from rvjax import progress, study
     from rvjax.report import folders, identified_page
     from rvjax.report import identified as told
     from rvjax.study import identified, measured, problem
 
     coming = (identified.SEEING, identified.RANKING) if options.check else (*identified.PHASES, WRITING)
-    with phases.shown(dict.fromkeys((READING, *coming), 0.0), quiet=options.quiet):
-        phases.begin(READING)
+    with progress.shown(dict.fromkeys((READING, *coming), 0.0), quiet=options.quiet):
+        progress.begin(READING)
         question = study.load(options.study)
         asked = problem.asked_of(question)
         data = measured.read(options.data, asked.columns) if options.data else None
@@ -98,7 +98,7 @@ def identify(options: argparse.Namespace) -> int:
         else:
             folder = folders.results_folder(options.results, question.name)
             found = identified.answer(question, data, draws=options.sample)
-            phases.begin(WRITING)
+            progress.begin(WRITING)
             pictures = ((f"{picture.name}.png", picture.content) for picture in identified_page.pictures(found))
             page = ("report.html", identified_page.page(found, options.study, options.data).encode())
             folder = folders.write_files(told.files(found, options.data, (page, *pictures)), folder)
@@ -109,7 +109,7 @@ def identify(options: argparse.Namespace) -> int:
 
 def assemble(options: argparse.Namespace) -> int:
     """Which measured part goes with which."""
-    from rvjax import assembly, phases, study
+    from rvjax import assembly, progress, study
     from rvjax.report import assembly as written
     from rvjax.report import folders
     from rvjax.study.assembly import bench
@@ -117,13 +117,13 @@ def assemble(options: argparse.Namespace) -> int:
 
     matching, pricing = "which part goes with which", "prices of tolerances"
     coming = (matching, *([pricing] if options.prices else []), WRITING)
-    with phases.shown(dict.fromkeys((READING, *coming), 0.0), quiet=options.quiet):
-        phases.begin(READING)
+    with progress.shown(dict.fromkeys((READING, *coming), 0.0), quiet=options.quiet):
+        progress.begin(READING)
         question = study.load(options.study)
         folder = folders.results_folder(options.results, f"{question.name}-assembly")
         parts = bench(question, options.parts)
         asked = question.assembly
-        phases.begin(matching)
+        progress.begin(matching)
         found = assembly.plan(
             parts.response,
             parts.kinds,
@@ -135,9 +135,9 @@ def assemble(options: argparse.Namespace) -> int:
         )
         if options.format == "text":
             say(written.summary(found, parts, question))
-        phases.begin(pricing)
+        progress.begin(pricing)
         costs = prices(question, parts) if options.prices else []
-        phases.begin(WRITING)
+        progress.begin(WRITING)
         folder = written.write(found, parts, question, options.parts, folder, costs)
     after = f"{written.price_text(costs)}\n\nResults: {folder}"
     data = written.as_json(found, parts, question, costs) | {"results": str(folder)}
@@ -147,7 +147,7 @@ def assemble(options: argparse.Namespace) -> int:
 
 def compensate(options: argparse.Namespace) -> int:
     """A table that takes the measured error off."""
-    from rvjax import phases, study
+    from rvjax import progress, study
     from rvjax.report import compensation as written
     from rvjax.report import folders
     from rvjax.study.compensation import corrections
@@ -156,11 +156,11 @@ def compensate(options: argparse.Namespace) -> int:
     if options.export is not None:
         written.check_export(options.export)
     correcting = "orders of the curves"
-    with phases.shown(dict.fromkeys((READING, correcting, WRITING), 0.0), quiet=options.quiet):
-        phases.begin(READING)
+    with progress.shown(dict.fromkeys((READING, correcting, WRITING), 0.0), quiet=options.quiet):
+        progress.begin(READING)
         question = study.load(options.study)
         folder = folders.results_folder(options.results, f"{question.name}-compensation")
-        phases.begin(correcting)
+        progress.begin(correcting)
         found = corrections(
             question,
             options.data,
@@ -171,7 +171,7 @@ def compensate(options: argparse.Namespace) -> int:
         points = options.points or written.POINTS
         if options.format == "text":
             say(written.summary(found, question, seed=question.seed))
-        phases.begin(WRITING)
+        progress.begin(WRITING)
         tables = written.tables(found, points, options.side)
         folder = written.write(found, tables, question, options.data, folder)
     paths = [str(p) for p in written.export_all(found, tables, options.export, question.seed)] if options.export else []

@@ -5,8 +5,9 @@ stands at theta_in/ratio + d.
 """
 
 from rvjax.compensation.correction import Correction, Left, Residual, correction, phase_residual, predicted, residual
-from rvjax.compensation.files import export, read
+from rvjax.compensation.files import FORMS, export, exported, read
 from rvjax.compensation.schedule import Schedule, schedule
+from rvjax.compensation.significant import significant
 from rvjax.compensation.table import Table, table
 
 __all__ = [

@@ -19,7 +19,7 @@ import numpy as np
 
 import rvjax
 from rvjax.compensation.table import Table
-from rvjax.tolerances.atomic import write_atomically
+from rvjax.files import write_atomically
 
 COLUMNS = ("angle [rad]", "correction [rad]")
 JOINT = ("stiffness", "damping", "frictionloss")

@@ -12,9 +12,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax.batching import once_more, settle
 from rvjax.elementary import arctan2, sin_cos
 from rvjax.four_bar.closures import Crank
-from rvjax.lanes import once_more, settle
 from rvjax.records import PyTree
 
 _BESIDE = 2  # angles on either side of the crest of a first harmonic that are looked at

@@ -18,10 +18,9 @@ from rvjax.identify.posterior import outcome
 from rvjax.identify.problem import Model, Problem, counted, integer, modes
 from rvjax.identify.search import APART, FAINT, evidence_of
 from rvjax.identify.shared import Split, Units, joint_mode, linear_rows, triangular
+from rvjax.population import Correlation, deviate_of
 from rvjax.records import PyTree
 from rvjax.status import SolveInfo, Status
-from rvjax.tolerances.population.correlation import Correlation
-from rvjax.tolerances.propagation.estimates import deviate_of
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

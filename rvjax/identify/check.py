@@ -9,8 +9,8 @@ from rvjax.identify.elements import mapped
 from rvjax.identify.information import Identifiability, Spectrum, findings
 from rvjax.identify.noise import Noise
 from rvjax.identify.problem import Model, Problem, linearise
+from rvjax.population import Correlation
 from rvjax.records import PyTree
-from rvjax.tolerances.population.correlation import Correlation
 
 
 def identifiability(

@@ -14,9 +14,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax.population import Correlation, Population
 from rvjax.records import PyTree
-from rvjax.tolerances.population.correlation import Correlation
-from rvjax.tolerances.population.population import Population
 
 FAR = 38.0
 """Standard deviations beyond which a normal law has no mass that a float could tell from 0."""

@@ -8,8 +8,8 @@ import numpy as np
 from scipy import special
 
 from rvjax.identify.elements import FAR, Elements, mapped_values, standard
+from rvjax.population import Tolerance
 from rvjax.records import PyTree
-from rvjax.tolerances.distribution.tolerance import Tolerance
 
 DRAWS = 20_000
 """Of vectors of a law whose two elements depend on each other."""

@@ -6,10 +6,10 @@ import numpy as np
 from rvjax.identify.posterior import Posterior
 from rvjax.identify.problem import counted, integer
 from rvjax.identify.sampler import Draws
+from rvjax.population import Estimate, deviate_of, wilson
+from rvjax.response import Response, by_response, respond, unwrapped
 from rvjax.status import succeeded
-from rvjax.tolerances.propagation.estimates import Estimate, deviate_of, wilson
-from rvjax.tolerances.propagation.limits import Limits
-from rvjax.tolerances.propagation.responses import Response, by_response, respond, unwrapped
+from rvjax.tolerances import Limits
 
 
 def predict(

@@ -15,10 +15,9 @@ from rvjax.identify.elements import Elements, values_of
 from rvjax.identify.gauss_newton import Mode, half_square, mixed, mode
 from rvjax.identify.noise import Noise
 from rvjax.identify.observation import Layout, flatten
+from rvjax.population import Correlation, Population
 from rvjax.records import PyTree
-from rvjax.tolerances.population.correlation import Correlation
-from rvjax.tolerances.population.population import Population
-from rvjax.tolerances.propagation.responses import PROGRAMS, per_response
+from rvjax.response import PROGRAMS, per_response
 
 Model = Callable[[PyTree], PyTree]
 

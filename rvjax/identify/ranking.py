@@ -18,8 +18,8 @@ from rvjax.identify.check import slopes_at
 from rvjax.identify.noise import Noise
 from rvjax.identify.posterior import Posterior
 from rvjax.identify.problem import Model, Problem, counted
+from rvjax.population import Correlation
 from rvjax.records import PyTree
-from rvjax.tolerances.population.correlation import Correlation
 
 BLOCK = 256
 """Sets that are computed at once."""

@@ -14,15 +14,15 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import special
 
-from rvjax import tables
+from rvjax import frames
 from rvjax.identify.elements import mapped_values
 from rvjax.identify.gauss_newton import half_square, mixed
 from rvjax.identify.posterior import Posterior
 from rvjax.identify.problem import Model, counted, residuals
 from rvjax.identify.search import FAINT
+from rvjax.population import Population, root_key
 from rvjax.records import PyTree
-from rvjax.tolerances.population.population import Population, root_key
-from rvjax.tolerances.propagation.responses import per_response
+from rvjax.response import per_response
 
 SPREAD = 2.0
 """Of the starts about a mode, in its standard deviations."""
@@ -81,7 +81,7 @@ def sample(posterior: Posterior, *, chains: int = 4, warmup: int = 500, draws: i
         counted(name, value, least)
     if not posterior.peaks:
         raise ValueError(f"posterior: status {posterior.status}, there is no mode to start from")
-    tables.needed("blackjax", "rvjax.identify.sample", "sampler")
+    frames.needed("blackjax", "rvjax.identify.sample", "sampler")
     problem, peak = posterior.problem, posterior.peaks[0]
     population, mixing, sd = problem.device
     key = root_key(seed)

@@ -19,9 +19,9 @@ from rvjax.identify.elements import Elements
 from rvjax.identify.gauss_newton import LONGEST, ROUNDINGS, TOLERANCE, half_square, mixed, roots_of_weights
 from rvjax.identify.information import compressed
 from rvjax.identify.problem import Model, Problem, linearised
+from rvjax.population import Population
+from rvjax.response import per_response
 from rvjax.status import Status
-from rvjax.tolerances.population.population import Population
-from rvjax.tolerances.propagation.responses import per_response
 
 HOPELESS = 12
 """Trials in a row that are not finite, after which a unit is left out: its steps are below 1e-9 by then."""

@@ -10,8 +10,8 @@ import numpy as np
 
 from rvjax.identify.observation import flatten
 from rvjax.identify.problem import Model, Problem, slopes
-from rvjax.tolerances.population.population import Population
-from rvjax.tolerances.propagation.responses import per_response
+from rvjax.population import Population
+from rvjax.response import per_response
 
 NODES = 8
 

@@ -18,10 +18,9 @@ from rvjax.identify.posterior import Mode, Outcome, Posterior, outcome
 from rvjax.identify.problem import Model, Problem, counted, integer
 from rvjax.identify.search import FAINT, Peak, phi_at, search
 from rvjax.identify.shares import shares
+from rvjax.population import Correlation, deviate_of
 from rvjax.records import PyTree
 from rvjax.status import SolveInfo, Status
-from rvjax.tolerances.population.correlation import Correlation
-from rvjax.tolerances.propagation.estimates import deviate_of
 
 
 def solve(

@@ -3,9 +3,10 @@
 from rvjax.levels.advice import advice, markdown, report
 from rvjax.levels.choice import Choice, as_given, choose
 from rvjax.levels.measure import measure, measure_model, measured
-from rvjax.levels.table import stored
+from rvjax.levels.table import Level, Model, Table, stored
 
 __all__ = [
+    "Table",
     "Choice",
     "advice",
     "as_given",

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from rvjax.levels.table import Model, Table, stored
+from rvjax.population import Tolerance
 from rvjax.records import is_concrete
-from rvjax.tolerances.distribution.tolerance import Tolerance
 from rvjax.units import readable
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import jax
 
-from rvjax.programs import Options, understood
+from rvjax.compile_cache import Options, understood
 
 
 def alternate(

@@ -5,9 +5,9 @@ from typing import Any, NamedTuple
 
 import jax
 
+from rvjax.loaded.batching import in_blocks, in_lanes
 from rvjax.loaded.contacts import contacts, gradient, hessian
 from rvjax.loaded.elimination import solve
-from rvjax.loaded.lanes import in_blocks, in_lanes
 from rvjax.loaded.newton import Found, minimise
 from rvjax.loaded.system import Layout, System
 

@@ -10,8 +10,8 @@ import jax
 import jax.numpy as jnp
 
 from rvjax.loaded import laws
+from rvjax.loaded.batching import folded
 from rvjax.loaded.elimination import Hessian
-from rvjax.loaded.lanes import folded
 from rvjax.loaded.system import Layout, System
 
 

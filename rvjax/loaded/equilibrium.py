@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax.compile_cache import quick
 from rvjax.designs import RVReducer
 from rvjax.errors import RVErrors
 from rvjax.loaded.balance import attach, balance, compliance, forces
@@ -14,7 +15,6 @@ from rvjax.loaded.geometry import curvature, geometry
 from rvjax.loaded.newton import Found
 from rvjax.loaded.reading import Read, admit, check_input, mesh_stiffness, pin_compliance
 from rvjax.loaded.system import Layout, System, bearing_rows, directions, gear_rows
-from rvjax.programs import quick
 from rvjax.records import Record, field, record
 from rvjax.status import SolveInfo, Status, succeeded
 

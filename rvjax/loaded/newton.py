@@ -16,10 +16,10 @@ import jax
 import jax.numpy as jnp
 
 from rvjax.loaded import laws
+from rvjax.loaded.batching import BLOCK, folded, stored, take
 from rvjax.loaded.contacts import Bearing, Contacts, depths, energy, frame, gradient, hessian, joints
 from rvjax.loaded.elimination import solve
 from rvjax.loaded.interior import approach
-from rvjax.loaded.lanes import BLOCK, folded, stored, take
 from rvjax.loaded.system import Layout, System
 from rvjax.loaded.watchdog import Judged, State, decided, fresh, is_open, onward, packed, unpacked
 

@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax.compile_cache import QUICK
 from rvjax.designs import Contact, RVReducer, Stiffness
 from rvjax.errors import PLACED
 from rvjax.loaded.cases import cases
@@ -22,7 +23,6 @@ from rvjax.loaded.reading import SUPPORTS, check_input
 from rvjax.loaded.revolution import Revolution, revolution
 from rvjax.loaded.torsion import SHARES, secant, twisted
 from rvjax.outputs import Curve, Description, Output, Reading, Solved, condition
-from rvjax.programs import QUICK
 from rvjax.status import SolveInfo, worst, worst_of
 
 SPANS = ("crank_turn", "output_turn")

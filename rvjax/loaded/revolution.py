@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from rvjax.compile_cache import quick
 from rvjax.designs import RVReducer
 from rvjax.errors import RVErrors
 from rvjax.loaded.balance import balance, forces
@@ -14,7 +15,6 @@ from rvjax.loaded.geometry import ratio
 from rvjax.loaded.newton import Found
 from rvjax.loaded.reading import Read, admit, check_input
 from rvjax.loaded.system import Layout
-from rvjax.programs import quick
 from rvjax.records import Record, field, record
 from rvjax.status import SolveInfo, succeeded, worst_of
 

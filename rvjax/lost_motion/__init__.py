@@ -33,7 +33,7 @@ Not modelled: elasticity, carrier bearings, centre-distance play of the involute
 
 from rvjax.lost_motion.loop import LoopFigures, hysteresis_loop, loop_figures
 from rvjax.lost_motion.reducer import LostMotion, geometric, shaft_tilt
-from rvjax.lost_motion.terms import LostMotionTerms
+from rvjax.lost_motion.terms import LostMotionTerms, Teeth
 
 __all__ = [
     "LoopFigures",

@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
 
-from rvjax.levels.table import Level, Model, Table
+from rvjax.levels import Level, Model, Table
 from rvjax.plotting.style import PALETTE, new_axes, style, words
 
 

@@ -15,8 +15,7 @@ import jax.numpy as jnp
 
 from rvjax.catalogue import RV_20E, RV_20E_ERRORS
 from rvjax.designs import InvoluteStage
-from rvjax.lost_motion import geometric, shaft_tilt
-from rvjax.lost_motion.terms import Teeth
+from rvjax.lost_motion import Teeth, geometric, shaft_tilt
 from rvjax.published.ledger import parse
 from rvjax.records import promote
 from rvjax.units import arcmin, deg, mm, um

@@ -9,8 +9,7 @@ from typing import Any
 import rvjax
 from rvjax.report.folders import numbered_folders
 from rvjax.study import Study
-from rvjax.tolerances.propagation.checkpoint import versions
-from rvjax.tolerances.propagation.journal import Journal
+from rvjax.tolerances import Journal, versions
 
 
 def folder(study: Study, option: str | None) -> Path | None:

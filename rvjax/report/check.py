@@ -9,8 +9,8 @@ import numpy as np
 
 from rvjax import levels, models
 from rvjax.designs import CamRollerReducer, InvoluteStage, RVReducer
-from rvjax.levels.choice import Choice
-from rvjax.phases import spelled
+from rvjax.levels import Choice
+from rvjax.progress import spelled
 from rvjax.report.text import assumed_text, limits, plain, table, tolerance_text
 from rvjax.study.answer import CERTIFYING, PRICING, SAMPLING, SEARCHING, solved_units
 from rvjax.study.plausible import KNOWN_DESIGNS, TORQUE, numbers, shown

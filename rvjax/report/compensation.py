@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 
 from rvjax import plotting
-from rvjax.compensation import Correction, Table, export, predicted, residual
+from rvjax.compensation import FORMS, Correction, Table, export, exported, predicted, residual
 from rvjax.compensation import table as table_of
-from rvjax.compensation.files import FORMS, exported
 from rvjax.report.folders import as_csv, write_files
 from rvjax.report.folders import as_json as json_file
 from rvjax.report.pictures import saved

@@ -10,10 +10,10 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from rvjax.files import check_writable
 from rvjax.report import numbers, text
 from rvjax.report.pictures import pictures
 from rvjax.study.answer import Answer
-from rvjax.tolerances.atomic import check_writable
 
 
 def results_folder(option: str | None, name: str) -> Path:

@@ -14,8 +14,7 @@ from rvjax.plotting.style import words
 from rvjax.report.surrogate import Surrogate, grows_from_lower, placed
 from rvjax.study.answer import Answer
 from rvjax.study.rewrite import template
-from rvjax.tolerances import CpkAtLeast, Exponential, MeanWithin, Requirement, SdAtMost
-from rvjax.tolerances.propagation.limits import Limits
+from rvjax.tolerances import CpkAtLeast, Exponential, Limits, MeanWithin, Requirement, SdAtMost
 from rvjax.units import readable
 
 KINDS: dict[type[Limits], str] = {Requirement: "share", CpkAtLeast: "cpk", MeanWithin: "mean", SdAtMost: "sd"}

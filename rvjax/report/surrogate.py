@@ -19,11 +19,10 @@ from typing import Any
 import jax
 import numpy as np
 
+from rvjax.population import Population, root_key
+from rvjax.response import BLOCK, Response, respond
 from rvjax.study.answer import Answer
-from rvjax.tolerances import Estimate, Statistics, Tolerance, monte_carlo
-from rvjax.tolerances.population.population import Population, root_key
-from rvjax.tolerances.propagation.limits import Limits
-from rvjax.tolerances.propagation.responses import BLOCK, Response, respond
+from rvjax.tolerances import Estimate, Limits, Statistics, Tolerance, monte_carlo
 
 UNITS = 2048
 REACH = 0.4  # of a half-width: how far it moves within the region, either way

@@ -8,22 +8,29 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax import phases
-from rvjax.phases import progress_bar
-from rvjax.study.question import Study
-from rvjax.study.response import refuse
-from rvjax.tolerances import Allocation, Requirement, Statistics, allocate, monte_carlo
-from rvjax.tolerances.allocation.allocation import KEPT, block
-from rvjax.tolerances.allocation.cost_curve import cost_of_yields, least_yield
-from rvjax.tolerances.population.population import Population, drawn, root_key
-from rvjax.tolerances.propagation.gradients import nominal_status
-from rvjax.tolerances.propagation.journal import Journal
-from rvjax.tolerances.propagation.monte_carlo import Run
-from rvjax.tolerances.propagation.responses import (  # chunks of the certificate's size: the response compiles once
+from rvjax.population import Population, drawn, root_key
+from rvjax.progress import begin, progress_bar
+from rvjax.response import (  # chunks of the certificate's size: the response compiles once
     BLOCK,
+    nominal_status,
     response_names,
 )
-from rvjax.tolerances.propagation.rss import influences
+from rvjax.study.question import Study
+from rvjax.study.response import refuse
+from rvjax.tolerances import (
+    KEPT,
+    Allocation,
+    Journal,
+    Requirement,
+    Run,
+    Statistics,
+    allocate,
+    block,
+    cost_of_yields,
+    influences,
+    least_yield,
+    monte_carlo,
+)
 
 _Curves = Callable[[Any, int], tuple[np.ndarray, np.ndarray]]
 
@@ -99,7 +106,7 @@ def answer(study: Study, *, progress: bool = False, journal: Journal | None = No
         journal: keeps what took long to compute, so that an interrupted answer goes on from there.
     """
     response = study.response()
-    phases.begin(SEARCHING)
+    begin(SEARCHING)
     with progress_bar(progress, None, "checked", "unit") as advance:  # compiles the gradients: the longest wait
         refuse(nominal_status(response, Population.of(study.tolerances)))
         advance(1)
@@ -118,7 +125,7 @@ def answer(study: Study, *, progress: bool = False, journal: Journal | None = No
         progress=progress,
     )
     certificate = allocation.certificate
-    phases.begin(CERTIFYING)
+    begin(CERTIFYING)
     before = Run(
         response,
         Population.of(study.tolerances),
@@ -131,13 +138,13 @@ def answer(study: Study, *, progress: bool = False, journal: Journal | None = No
         progress=progress,
         journal=journal,
     ).statistics()
-    phases.begin(SAMPLING)
+    begin(SAMPLING)
     curves = _curves(study)
     sides = [
         _side(study, response, study.tolerances, before, curves),
         _side(study, response, allocation.tolerances, certificate, curves),
     ]
-    phases.begin(PRICING)
+    begin(PRICING)
     return Answer(
         study=study,
         allocation=allocation,

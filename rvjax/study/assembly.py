@@ -10,10 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from rvjax.assembly import Kind, Part, Plan
-from rvjax.assembly.costs import Machine
-from rvjax.assembly.parts import known as known_parts
-from rvjax.assembly.plan import OBJECTIVES, draw, supply_of
+from rvjax.assembly import OBJECTIVES, Kind, Machine, Part, Plan, draw, supply_of
+from rvjax.assembly import known as known_parts
 from rvjax.mounting import CRANK, DISC, disc_mountings, drawing, unit_errors
 from rvjax.records import axis_sizes
 from rvjax.study.matching import Assembly

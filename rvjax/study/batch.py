@@ -13,8 +13,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from rvjax import study, tolerances
-from rvjax.tolerances import Statistics, UnitFile
-from rvjax.tolerances.propagation.unit_file import joined
+from rvjax.tolerances import Statistics, UnitFile, joined
 
 _STUDY = "study.toml"
 CHUNK = 32768  # keeps the temporaries of a turn of 64 angles near the cache

@@ -22,10 +22,10 @@ import numpy as np
 from rvjax import models
 from rvjax.errors import STAGES
 from rvjax.outputs import Curve
-from rvjax.phases import progress_bar
+from rvjax.population import Population, drawn, root_key
+from rvjax.progress import progress_bar
 from rvjax.study.question import Study
 from rvjax.study.values import naming
-from rvjax.tolerances.population.population import Population, drawn, root_key
 
 UNLOADED = 1e-3  # of the torque: the limit of no load, as on a test bench
 FEWEST, MOST = 16, 2**16

@@ -6,8 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rvjax.compensation import Correction, Schedule, correction, schedule
-from rvjax.compensation.significant import significant
+from rvjax.compensation import Correction, Schedule, correction, schedule, significant
 from rvjax.designs import RVReducer
 from rvjax.identify import Orders, orders
 from rvjax.study.columns import read_table

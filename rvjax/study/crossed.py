@@ -4,9 +4,9 @@ import dataclasses
 from dataclasses import dataclass
 from typing import Any
 
+from rvjax.response import BLOCK
 from rvjax.study.question import Study
 from rvjax.tolerances import Statistics, monte_carlo
-from rvjax.tolerances.propagation.responses import BLOCK
 
 
 @dataclass(frozen=True)

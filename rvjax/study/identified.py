@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from rvjax import identify, phases
+from rvjax import identify, progress
 from rvjax.study.bench import order_name
 from rvjax.study.measured import Measured, Run
 from rvjax.study.problem import Problem, Wide, problem, wide
@@ -94,7 +94,7 @@ def check(study: Study, measured: Measured | None = None) -> Identified:
     Raises:
         ValueError: as `problem`.
     """
-    phases.begin(SEEING)
+    progress.begin(SEEING)
     asked = problem(study, measured)
     everything = wide(asked)
     return Identified(asked, _seen(asked, everything), gains=_gains(asked, everything, None))
@@ -111,11 +111,11 @@ def answer(study: Study, measured: Measured, *, draws: bool = False) -> Identifi
     Raises:
         ValueError: as `problem`; draws of a batch.
     """
-    phases.begin(SEEING)
+    progress.begin(SEEING)
     asked = problem(study, measured)
     everything = wide(asked)
     seen = _seen(asked, everything)
-    phases.begin(FITTING)
+    progress.begin(FITTING)
     options: dict[str, Any] = dict(noise=asked.noise, nuisance=asked.nuisance, seed=study.seed)
     if len(asked.units) > 1 or asked.asked.shared:
         if draws:
@@ -142,7 +142,7 @@ def _seen(asked: Problem, everything: Wide) -> identify.Identifiability:
 
 def _gains(asked: Problem, everything: Wide, given: identify.Posterior | None) -> dict[str, float]:
     """What each candidate would add, best first: to the posterior, or to the runs that stand in the question."""
-    phases.begin(RANKING)
+    progress.begin(RANKING)
     if not everything.added or (given is not None and not given.modes):
         return {}
     noise = everything.again if given is not None else everything.added | {"": everything.noise}

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from rvjax import models
-from rvjax.levels.choice import Choice, choose
+from rvjax.levels import Choice, choose
 from rvjax.outputs import Curve, Output
 from rvjax.study.about import About
 from rvjax.study.matching import Assembly
@@ -14,8 +14,7 @@ from rvjax.study.origin import Number, design_numbers
 from rvjax.study.plausible import doubts
 from rvjax.study.response import Response, followed_bounds
 from rvjax.study.values import StudyError as StudyError  # other modules take it from here
-from rvjax.tolerances import Middle
-from rvjax.tolerances.propagation.requirements import Limits
+from rvjax.tolerances import Limits, Middle
 
 if TYPE_CHECKING:  # it reads values, whose errors are those of studies
     from rvjax.study.identification import Identification

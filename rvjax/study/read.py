@@ -9,6 +9,7 @@ from typing import Any
 
 from rvjax import models
 from rvjax.outputs import Output
+from rvjax.population import COMMON, DISTRIBUTIONS
 from rvjax.records import Shape, axis_sizes, remind_of_precision
 from rvjax.study.about import parse_about
 from rvjax.study.assembly import parse_assembly
@@ -19,11 +20,7 @@ from rvjax.study.plausible import refuse_impossible
 from rvjax.study.question import Study, StudyError
 from rvjax.study.response import check_nominal
 from rvjax.study.values import choice, integer, known, meant, naming, naming_field, quantity, share, subtable
-from rvjax.tolerances import Exponential, Middle, ReciprocalPower, Tolerance, for_design
-from rvjax.tolerances.allocation.allocation import FEWEST
-from rvjax.tolerances.allocation.middles import check_middles
-from rvjax.tolerances.distribution.tolerance import COMMON, LAWS
-from rvjax.tolerances.propagation.requirements import KINDS
+from rvjax.tolerances import FEWEST, KINDS, Exponential, Middle, ReciprocalPower, Tolerance, check_middles, for_design
 from rvjax.units import unit_of
 
 TABLES = {"about", "accuracy", "assembly", "columns", "conditions", "cost", "design", "identify", "middle"}
@@ -194,7 +191,7 @@ def _series(axes: Shape, counts: Mapping[str, int], table: dict[str, Any], where
 def _tolerance(
     table: dict[str, Any], unit: str, where: str, folder: Path = Path(), shape: tuple[int, ...] = ()
 ) -> Tolerance:
-    law = LAWS[choice(table.get("distribution", "normal"), LAWS, f"{where}.distribution")]
+    law = DISTRIBUTIONS[choice(table.get("distribution", "normal"), DISTRIBUTIONS, f"{where}.distribution")]
     known(table, {"lower", "upper", "half_width", "grade", "size", "distribution", *COMMON, *law.parameters()}, where)
     if "cp" in table and not law.capable:
         raise ValueError(f"{where}.cp = {table['cp']!r}: the law {law.name} ends at the limits and has no capability")

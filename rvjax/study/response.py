@@ -13,12 +13,12 @@ import jax.numpy as jnp
 
 from rvjax import models
 from rvjax.errors import BOUNDS
-from rvjax.levels.choice import Choice
+from rvjax.levels import Choice
 from rvjax.outputs import Reading, Solved, Source
 from rvjax.records import Record, field, record, text
+from rvjax.response import per_response
 from rvjax.status import SUCCESS, Status, worst
 from rvjax.tolerances import Outcome
-from rvjax.tolerances.propagation.responses import per_response
 
 Settings = tuple[tuple[str, Any], ...]
 

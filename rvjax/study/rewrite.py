@@ -6,7 +6,7 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from rvjax.tolerances.propagation.limits import Limits
+from rvjax.tolerances import Limits
 
 _LIMITS = ("half_width", "lower", "upper", "grade")  # keys that say where the limits of an error are
 Parts = list[str | dict[str, Any]]

@@ -5,20 +5,22 @@
 Nothing here knows a gear: a response is any pure function of the errors of one unit.
 """
 
-from rvjax.tolerances.allocation.allocation import Allocation, allocate
+from rvjax.population import Estimate, MeasuredColumn, MeasuredParts, Tolerance, for_design, it_width, measured, sample
+from rvjax.response import Outcome
+from rvjax.tolerances.allocation.allocation import FEWEST, KEPT, Allocation, allocate, block
 from rvjax.tolerances.allocation.cost import Exponential, ReciprocalPower, Table
-from rvjax.tolerances.allocation.cost_curve import CostCurve, cost_curve
-from rvjax.tolerances.allocation.middles import Middle
-from rvjax.tolerances.distribution.grades import it_width
-from rvjax.tolerances.distribution.tolerance import Tolerance
-from rvjax.tolerances.population.sampling import for_design, sample
-from rvjax.tolerances.propagation.estimates import Estimate
-from rvjax.tolerances.propagation.failure import FailureProbability, failure_probability
-from rvjax.tolerances.propagation.linearised import Linearised, linearised
-from rvjax.tolerances.propagation.measured import MeasuredColumn, MeasuredParts, measured
-from rvjax.tolerances.propagation.monte_carlo import Statistics, monte_carlo
-from rvjax.tolerances.propagation.multi_fidelity import MultiFidelity, multi_fidelity
-from rvjax.tolerances.propagation.requirements import (
+from rvjax.tolerances.allocation.cost_curve import CostCurve, cost_curve, cost_of_yields, least_yield
+from rvjax.tolerances.allocation.design_centring import Middle, check_middles
+from rvjax.tolerances.batch.checkpoint import versions
+from rvjax.tolerances.batch.memo import Journal
+from rvjax.tolerances.batch.monte_carlo import Run, Statistics, monte_carlo
+from rvjax.tolerances.batch.unit_file import ENDINGS, UnitFile, joined
+from rvjax.tolerances.failure.failure import FailureProbability, failure_probability
+from rvjax.tolerances.fidelity.linearised import Linearised, linearised
+from rvjax.tolerances.fidelity.multi_fidelity import MultiFidelity, multi_fidelity
+from rvjax.tolerances.moments import Moments, influences, rss
+from rvjax.tolerances.requirements.kinds import (
+    KINDS,
     CpkAtLeast,
     MeanWithin,
     Requirement,
@@ -26,12 +28,10 @@ from rvjax.tolerances.propagation.requirements import (
     Verdict,
     WorstCaseWithin,
 )
-from rvjax.tolerances.propagation.responses import Outcome
-from rvjax.tolerances.propagation.rss import Moments, rss
-from rvjax.tolerances.propagation.sobol_indices import SobolIndices, sobol_indices
-from rvjax.tolerances.propagation.unit_file import UnitFile
-from rvjax.tolerances.propagation.worst_case import WorstCase, worst_case
+from rvjax.tolerances.requirements.limits import Limits
 from rvjax.tolerances.saving import Origin, load, origin, save
+from rvjax.tolerances.sobol_indices import SobolIndices, sobol_indices
+from rvjax.tolerances.worst_case import WorstCase, worst_case
 
 __all__ = [
     "Allocation",

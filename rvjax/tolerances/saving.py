@@ -14,10 +14,10 @@ from typing import Any
 import jax
 import numpy as np
 
+from rvjax.files import DAMAGE, packed, unpacked, write_atomically
 from rvjax.records import Record
-from rvjax.tolerances.atomic import write_atomically
-from rvjax.tolerances.propagation.checkpoint import DAMAGE, packed, unpacked, versions
-from rvjax.tolerances.propagation.unit_file import parquet_frame, parquet_origin
+from rvjax.tolerances.batch.checkpoint import versions
+from rvjax.tolerances.batch.unit_file import parquet_frame, parquet_origin
 
 _FORMAT = 2
 _ABOUT = "about"

@@ -9,23 +9,21 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax import tables
-from rvjax.phases import progress_bar
+from rvjax import frames
+from rvjax.population import Correlation, Population, Tolerance
+from rvjax.progress import progress_bar
 from rvjax.records import Record
+from rvjax.response import BLOCK, Response, by_response, response_names, unwrapped
 from rvjax.tolerances.allocation.certificate import DRAWS, Certifier
 from rvjax.tolerances.allocation.cost import Cost
+from rvjax.tolerances.allocation.design_centring import Middle, centred, check_middles
 from rvjax.tolerances.allocation.mapped import MappedSearch
-from rvjax.tolerances.allocation.middles import Middle, centred, check_middles
+from rvjax.tolerances.allocation.rounding import Snapping
+from rvjax.tolerances.allocation.sample_average import Point, Training
 from rvjax.tolerances.allocation.search import Search
-from rvjax.tolerances.allocation.snapping import Snapping
-from rvjax.tolerances.allocation.training import Point, Training
-from rvjax.tolerances.distribution.tolerance import Tolerance
-from rvjax.tolerances.population.correlation import Correlation
-from rvjax.tolerances.population.population import Population
-from rvjax.tolerances.propagation.journal import Journal
-from rvjax.tolerances.propagation.monte_carlo import Run, Statistics
-from rvjax.tolerances.propagation.requirements import Limits
-from rvjax.tolerances.propagation.responses import BLOCK, Response, by_response, response_names, unwrapped
+from rvjax.tolerances.batch.memo import Journal
+from rvjax.tolerances.batch.monte_carlo import Run, Statistics
+from rvjax.tolerances.requirements.kinds import Limits
 
 FEWEST = 100  # units a quantile can be learned from
 KEPT = 65_536  # units of a certificate whose responses are kept, at most
@@ -93,7 +91,7 @@ class Allocation:
             }
             for name, half_width in self.half_widths.items()
         ]
-        return tables.tidy(rows, ["field"])
+        return frames.tidy(rows, ["field"])
 
 
 def allocate(

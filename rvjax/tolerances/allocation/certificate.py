@@ -5,14 +5,13 @@ import math
 
 import numpy as np
 
-from rvjax.tolerances.allocation.training import Training
-from rvjax.tolerances.population.population import Population
-from rvjax.tolerances.propagation.estimates import deviate_of, wilson
-from rvjax.tolerances.propagation.factors import share_factor
-from rvjax.tolerances.propagation.failure import failure_probability
-from rvjax.tolerances.propagation.limits import Verdict
-from rvjax.tolerances.propagation.monte_carlo import Run, Statistics
-from rvjax.tolerances.propagation.responses import PLAIN
+from rvjax.population import Population, deviate_of, wilson
+from rvjax.response import PLAIN
+from rvjax.tolerances.allocation.sample_average import Training
+from rvjax.tolerances.batch.monte_carlo import Run, Statistics
+from rvjax.tolerances.failure.failure import failure_probability
+from rvjax.tolerances.requirements.factors import share_factor
+from rvjax.tolerances.requirements.limits import Verdict
 
 DRAWS = 8  # certificates in one search; every one is a new chance to pass by luck
 _RARE = 20_000, 200_000  # units behind a probability of failure

@@ -7,15 +7,15 @@ from typing import Any
 
 import numpy as np
 
+from rvjax.population import Population
+from rvjax.response import Response
 from rvjax.tolerances.allocation.allocation import Allocation, allocate, block
 from rvjax.tolerances.allocation.cost import Cost
+from rvjax.tolerances.allocation.sample_average import Training
 from rvjax.tolerances.allocation.search import NOISE, Search
-from rvjax.tolerances.allocation.training import Training
-from rvjax.tolerances.population.population import Population
-from rvjax.tolerances.propagation.journal import Journal
-from rvjax.tolerances.propagation.limits import Limits
-from rvjax.tolerances.propagation.monte_carlo import Run, Statistics
-from rvjax.tolerances.propagation.responses import Response
+from rvjax.tolerances.batch.memo import Journal
+from rvjax.tolerances.batch.monte_carlo import Run, Statistics
+from rvjax.tolerances.requirements.limits import Limits
 
 _STEPS = 30  # sets of half-widths that a search for one yield looks at, at most
 

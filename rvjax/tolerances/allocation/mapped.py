@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from rvjax.tolerances.allocation.cost import Cost
+from rvjax.tolerances.allocation.sample_average import Point, Training
 from rvjax.tolerances.allocation.search import GAIN, NOISE, RADIUS, SETTLED, STATIONARY, Search
-from rvjax.tolerances.allocation.training import Point, Training
 
 _CORRELATED = 0.5  # least correlation of the units' values: below, the cheap response explains a quarter of the spread
 _REFUSED = 3  # steps in a row that the response did not confirm

@@ -7,7 +7,7 @@ import numpy as np
 from scipy import optimize
 
 from rvjax.tolerances.allocation.cost import Cost
-from rvjax.tolerances.allocation.training import Point
+from rvjax.tolerances.allocation.sample_average import Point
 
 _STEP = 1e-4  # of the differences of a cost, logarithm of a half-width
 _BINDING = 0.05  # nearer to its limit than this part of the way a constraint may bind

@@ -8,11 +8,11 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax.tolerances.allocation.conlin import cheapest, total_cost
 from rvjax.tolerances.allocation.cost import Cost
 from rvjax.tolerances.allocation.optimality import residual
 from rvjax.tolerances.allocation.rays import Rays
-from rvjax.tolerances.allocation.separable import cheapest, total_cost
-from rvjax.tolerances.allocation.training import Point, Training
+from rvjax.tolerances.allocation.sample_average import Point, Training
 
 RADIUS = 1.5  # first step, at most, in logarithms of the half-widths
 SETTLED = 2e-3  # steps and violations (as parts of the way to the limit) smaller than this end the search

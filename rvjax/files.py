@@ -1,0 +1,111 @@
+"""Files that are written whole or not at all, and arrays as bytes."""
+
+import contextlib
+import hashlib
+import io
+import math
+import os
+import zipfile
+import zlib
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import numpy as np
+
+PARTIAL = ".partial"
+"""Ending of a file that is being written."""
+
+DAMAGE = (ValueError, KeyError, TypeError, AttributeError, IndexError, EOFError, OverflowError, RecursionError,
+          NotImplementedError, zipfile.BadZipFile, zlib.error)  # fmt: skip
+"""What reading a malformed file may end in."""
+
+Arrays = Mapping[str, np.ndarray]
+
+
+def check_writable(path: Path) -> None:
+    """Refuse a file that `write_atomically` could not write, before any work is done; leaves nothing behind.
+
+    Args:
+        path: of the file; its folder, and those above it, may still have to be made.
+
+    Raises:
+        OSError: says why not.
+    """
+    if path.is_dir():
+        raise IsADirectoryError(f"{path}: is a folder")
+    folder = next(p for p in path.absolute().parents if p.exists())
+    if not folder.is_dir():
+        raise NotADirectoryError(f"{path}: {folder} is not a folder")
+    trial = folder / (path.name + PARTIAL)  # the name itself may be too long, the disk read-only
+    if not trial.exists():
+        trial.touch()
+        trial.unlink()
+
+
+def write_atomically(path: Path, content: bytes) -> None:
+    """Write a file so that a reader, or the next run after a crash, finds the old or the new content, never a part.
+
+    Args:
+        path: of the file; beside it a `.partial` file, with the number of the process, exists while writing.
+        content: bytes.
+
+    Raises:
+        OSError: it cannot be written; the old content stays.
+    """
+    with replacing(path) as partial:
+        partial.write_bytes(content)
+
+
+@contextlib.contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """The name of a file to write, which takes the place of another once the block has ended well.
+
+    Args:
+        path: of the other; the one to write stands beside it, with the number of the process and `.partial`.
+
+    Raises:
+        OSError: it cannot be written; the old content stays.
+    """
+    partial = path.with_name(f"{path.name}.{os.getpid()}{PARTIAL}")  # two processes never share one
+    try:
+        yield partial
+        with partial.open("rb+") as file:
+            os.fsync(file.fileno())
+        partial.replace(path)
+    except BaseException:
+        partial.unlink(missing_ok=True)
+        raise
+
+
+def packed(arrays: Arrays) -> bytes:
+    """Arrays as the bytes of an NPZ file."""
+    buffer = io.BytesIO()
+    np.savez(buffer, **arrays)  # type: ignore[arg-type]
+    return buffer.getvalue()
+
+
+def unpacked(content: bytes) -> dict[str, np.ndarray]:
+    """Arrays of `packed` bytes; nothing that would take more memory than the bytes themselves is begun."""
+    with zipfile.ZipFile(io.BytesIO(content)) as file:
+        if sum(member.file_size for member in file.infolist()) > len(content):
+            raise ValueError("its parts are larger than the file")
+        for member in file.infolist():
+            if member.compress_type != zipfile.ZIP_STORED:
+                raise ValueError(f"{member.filename!r} is compressed, which no file of rvjax is")
+            with file.open(member) as stream:
+                version = np.lib.format.read_magic(stream)
+                read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+                shape, _, dtype = read(stream)
+            if min(shape, default=0) < 0 or math.prod(shape) * dtype.itemsize > member.file_size:
+                raise ValueError(f"{member.filename!r} is shorter than its shape {shape} says")
+    with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
+        return {name: arrays[name] for name in arrays.files}
+
+
+def digest(arrays: Arrays) -> str:
+    """Hash of names, types, shapes and values."""
+    found = hashlib.sha256()
+    for name, array in sorted(arrays.items()):
+        found.update(f"{name} {array.dtype.str} {array.shape}".encode())
+        found.update(np.ascontiguousarray(array).data)
+    return found.hexdigest()

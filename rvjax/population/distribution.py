@@ -1,0 +1,165 @@
+"""What a distribution is: a record that maps standard normal numbers to errors, registered by its name.
+
+A new law is one class: `@record class Mine(Distribution)` with `name`, its own parameters as fields, `deviate` and
+`moments`. Tolerances, studies, saved files and checkpoints take it from `DISTRIBUTIONS`.
+"""
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import jax
+import numpy as np
+
+from rvjax.records import Record, Scalar
+from rvjax.units import parse
+
+Moments = tuple[Any, Any, Any, Any]
+"""Mean, variance, third and fourth central moment of an error: floats, or arrays of the shape of its field."""
+
+DISTRIBUTIONS: dict[str, type["Distribution"]] = {}
+"""Every law by its name."""
+
+IN_ERROR_UNIT = "error"
+"""Unit of a law's parameter that is measured like the error itself."""
+
+
+class Distribution(Record):
+    """How parts spread between limits; its fields are the parameters that belong to it alone.
+
+    A law may hold more in class variables: `shifts` (it honours `Tolerance.shift`), `capable` (and `Tolerance.cp`),
+    `of_vectors` (a field of pairs [radial, tangential] gets vectors, not numbers of their own) and `couples` (the
+    errors along the last axis, as the two components of a vector, depend on each other: `correlation`).
+    """
+
+    name: ClassVar[str] = ""
+    shifts: ClassVar[bool] = False
+    capable: ClassVar[bool] = True
+    of_vectors: ClassVar[bool] = False
+    couples: ClassVar[bool] = False
+
+    def __init_subclass__(cls) -> None:
+        DISTRIBUTIONS[cls.name] = cls
+
+    def deviate(self, tolerance: Any, z: jax.Array) -> jax.Array:
+        """Errors q(Phi(z)).
+
+        Args:
+            tolerance: whose law this is.
+            z: standard normal (*shape, *batch) or, outside vectors, any shape.
+        """
+        raise NotImplementedError
+
+    def moments(self, tolerance: Any) -> Moments:
+        """Moments of a concrete tolerance, on the host."""
+        raise NotImplementedError
+
+    def is_normal(self, tolerance: Any) -> bool:
+        """True where the errors are linear in z."""
+        return False
+
+    def scaled(self, tolerance: Any, half_width: Scalar) -> dict[str, Any]:
+        """What changes in a tolerance that gets another half-width; here its limits, about their middle.
+
+        Args:
+            tolerance: whose law this is.
+            half_width: the new one, unit of the error.
+        """
+        return dict(lower=tolerance.middle - half_width, upper=tolerance.middle + half_width)
+
+    def coupling(self, tolerance: Any) -> float:
+        """Correlation of the two components of one vector."""
+        return 0.0
+
+    def correlation(self, tolerance: Any) -> np.ndarray:
+        """Correlation of the errors along the last axis, where the law couples them."""
+        return np.array([[1.0, self.coupling(tolerance)], [self.coupling(tolerance), 1.0]])
+
+    def check(self, tolerance: Any) -> None:
+        """Refuse limits or parameters that do not fit, with a ValueError; numbers may be tracers."""
+
+    def check_field(self, name: str, tolerance: Any) -> None:
+        """Refuse a field that this law does not fit, once its shape is known.
+
+        Args:
+            name: of the field.
+            tolerance: whose law this is.
+        """
+
+    @classmethod
+    def parameters(cls) -> tuple[str, ...]:
+        """Names of the parameters that belong to this law alone."""
+        return tuple(f.name for f in _fields(cls))
+
+    @classmethod
+    def parsed(cls, key: str, value: Any, unit: str) -> Any:
+        """A parameter from what stands in a study file; a ValueError if it is not in its unit.
+
+        Args:
+            key: its name.
+            value: as read.
+            unit: of the error.
+        """
+        about = next(f.metadata for f in _fields(cls) if f.name == key)
+        wanted = unit if about["unit"] == IN_ERROR_UNIT else about["unit"]
+        try:
+            if isinstance(value, list):
+                numbers = [parse(item, wanted) for item in value]
+                return tuple(numbers) if about["kind"] == "text" else np.array(numbers)
+            return parse(value, wanted)
+        except ValueError as error:
+            raise ValueError(f"{key} = {error}") from None
+
+    def described(self) -> dict[str, Any]:
+        """Parameters as plain values, exact to the last bit."""
+        values = {name: getattr(self, name) for name in self.parameters()}
+        return {n: v if isinstance(v, (tuple, str, type(None))) else np.asarray(v).tolist() for n, v in values.items()}
+
+
+def distribution_of(distribution: Any, parameters: Mapping[str, Any]) -> Distribution:
+    """A law from its name, class or an instance; a ValueError names a parameter that belongs to another one."""
+    if isinstance(distribution, str) and distribution in DISTRIBUTIONS:
+        distribution = DISTRIBUTIONS[distribution]
+    given = {name: value for name, value in parameters.items() if value is not None}
+    if isinstance(distribution, Distribution):
+        return distribution.replace(**given) if given else distribution
+    if not (isinstance(distribution, type) and issubclass(distribution, Distribution)):
+        raise bad("distribution", distribution, f"unknown, choose from {', '.join(DISTRIBUTIONS)}")
+    for f in _fields(distribution):
+        if f.default is dataclasses.MISSING and f.name not in given:
+            raise bad(f.name, None, f"give {f.metadata['meaning']} with distribution={distribution.name!r}")
+    for name, value in given.items():
+        if name not in distribution.parameters():
+            owners = [law for law, cls in DISTRIBUTIONS.items() if name in cls.parameters()]
+            if not owners:
+                raise TypeError(f"Tolerance got an unexpected argument {name!r}")
+            known = next(f.metadata["meaning"] for f in _fields(DISTRIBUTIONS[owners[0]]) if f.name == name)
+            raise bad(name, value, f"give {known} with distribution={owners[0]!r}, and only there")
+    return distribution(**given)
+
+
+def _fields(law: type[Distribution]) -> tuple[dataclasses.Field[Any], ...]:
+    return dataclasses.fields(law)  # type: ignore[arg-type]  # the base alone is no dataclass
+
+
+def bad(name: str, value: Any, reason: str) -> ValueError:
+    """The error that names a field of a tolerance and its value."""
+    shown = f"{value:.6g}" if isinstance(value, float) else repr(value)
+    return ValueError(f"Tolerance.{name} = {shown}: {reason}")
+
+
+def central(m1: float, m2: float, m3: float, m4: float) -> Moments:
+    """Raw moments to mean and central moments."""
+    return m1, m2 - m1**2, m3 - 3 * m1 * m2 + 2 * m1**3, m4 - 4 * m1 * m3 + 6 * m1**2 * m2 - 3 * m1**4
+
+
+def stretched(moments: Moments, origin: float, scale: float) -> Moments:
+    """Moments of origin + scale x from those of x."""
+    mean, variance, third, fourth = moments
+    return origin + scale * mean, scale**2 * variance, scale**3 * third, scale**4 * fourth
+
+
+def raw_rayleigh(scale: float) -> list[float]:
+    """Raw moments 1 .. 4 of a magnitude with this scale: s^k 2^(k/2) Gamma(1 + k/2)."""
+    return [scale**k * 2 ** (k / 2) * math.gamma(1 + k / 2) for k in (1, 2, 3, 4)]

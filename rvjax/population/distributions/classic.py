@@ -1,0 +1,212 @@
+"""The laws of tolerance stacks: normal, cut normal, lognormal, uniform, triangular, beta, Rayleigh."""
+
+import functools
+import math
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.scipy.special import erf, log_ndtr, ndtr, ndtri
+from scipy import special
+
+from rvjax.population.distribution import Distribution, Moments, bad, central, raw_rayleigh, stretched
+from rvjax.population.distributions.table import NODES, interpolate
+from rvjax.records import Scalar, concrete, field, record, text
+
+
+@record
+class Normal(Distribution):
+    """N(m + shift h, sigma^2) with sigma = h/(3 cp), not cut at the limits."""
+
+    name = "normal"
+    shifts = True
+
+    def deviate(self, tolerance: Any, z: jax.Array) -> jax.Array:
+        """m + h (shift + z/(3 cp))."""
+        return tolerance.middle + tolerance.half_width * (tolerance.shift + z / (3 * tolerance.cp))
+
+    def moments(self, tolerance: Any) -> Moments:
+        """Mean m + shift h, variance sigma^2, 0, 3 sigma^4."""
+        sigma = 1 / (3 * float(tolerance.cp))
+        return stretched((float(tolerance.shift), sigma**2, 0.0, 3 * sigma**4), *_placed(tolerance))
+
+    def is_normal(self, tolerance: Any) -> bool:
+        """Always."""
+        return True
+
+
+@record
+class TruncatedNormal(Distribution):
+    """The normal law cut at the limits and renormalised."""
+
+    name = "truncated_normal"
+    shifts = True
+
+    def deviate(self, tolerance: Any, z: jax.Array) -> jax.Array:
+        """The upper half is mirrored, where Phi keeps its digits."""
+        cp, shift = tolerance.cp, tolerance.shift
+        low, high, upper = -3 * cp * (1 + shift), 3 * cp * (1 - shift), z > 0
+        side, start, end = jnp.where(upper, -z, z), jnp.where(upper, -high, low), jnp.where(upper, -low, high)
+        cut = ndtri(ndtr(start) + ndtr(side) * (ndtr(end) - ndtr(start)))
+        return tolerance.middle + tolerance.half_width * (shift + jnp.where(upper, -cut, cut) / (3 * cp))
+
+    def moments(self, tolerance: Any) -> Moments:
+        """Of the standard normal cut to [a, b]: M_k = (k-1) M_{k-2} + (a^(k-1) phi(a) - b^(k-1) phi(b))/Z."""
+        cp, shift = float(tolerance.cp), float(tolerance.shift)
+        a, b = -3 * cp * (1 + shift), 3 * cp * (1 - shift)
+        mass = float(special.ndtr(b) - special.ndtr(a))
+        at_a, at_b = (math.exp(-(x**2) / 2) / math.sqrt(2 * math.pi) / mass for x in (a, b))
+        raw = [1.0, at_a - at_b]
+        for k in (2, 3, 4):
+            raw.append((k - 1) * raw[k - 2] + a ** (k - 1) * at_a - b ** (k - 1) * at_b)
+        middle, half = _placed(tolerance)
+        return stretched(central(*raw[1:]), middle + shift * half, half / (3 * cp))
+
+
+@record
+class Lognormal(Distribution):
+    """lower + 2 h exp(log_sd (z - 3 cp)), so that P(e > upper) = Phi(-3 cp) as for a centred normal law."""
+
+    name = "lognormal"
+    log_sd: Scalar = field("-", "the standard deviation of the logarithm of the error above `lower`", sign="positive")
+
+    def _check(self) -> None:
+        if concrete(self.log_sd) and np.any(np.greater(self.log_sd, 9)):  # fourth moment: exp(8 log_sd^2)
+            raise bad("log_sd", self.log_sd, "must be at most 9: beyond, its moments exceed every float")
+
+    def deviate(self, tolerance: Any, z: jax.Array) -> jax.Array:
+        """The upper limit lies at z = 3 cp."""
+        return tolerance.lower + 2 * tolerance.half_width * jnp.exp(self.log_sd * (z - 3 * tolerance.cp))
+
+    def moments(self, tolerance: Any) -> Moments:
+        """E exp(k s z) = exp(k^2 s^2/2)."""
+        s, cp = float(self.log_sd), float(tolerance.cp)
+        w = math.expm1(s**2)  # central moments from w: differences of raw ones lose all digits of a small s
+        mean = math.exp(s**2 / 2)
+        third = mean**3 * w**2 * (w + 3)
+        q = 1 + w
+        fourth = mean**4 * w**2 * (q**4 + 2 * q**3 + 3 * q**2 - 3)
+        scale = 2 * float(tolerance.half_width) * math.exp(-3 * cp * s)
+        return stretched((mean, mean**2 * w, third, fourth), float(tolerance.lower), scale)
+
+    def scaled(self, tolerance: Any, half_width: Scalar) -> dict[str, Any]:
+        """About the lower limit, which is a bound of nature."""
+        return dict(upper=tolerance.lower + 2 * half_width)
+
+
+@record
+class Uniform(Distribution):
+    """Every value between the limits is equally likely."""
+
+    name = "uniform"
+    capable = False
+
+    def deviate(self, tolerance: Any, z: jax.Array) -> jax.Array:
+        """m + h (2 Phi(z) - 1)."""
+        return tolerance.middle + tolerance.half_width * erf(z / math.sqrt(2))
+
+    def moments(self, tolerance: Any) -> Moments:
+        """m, h^2/3, 0, h^4/5."""
+        return stretched((0.0, 1 / 3, 0.0, 1 / 5), *_placed(tolerance))
+
+
+@record
+class Triangular(Distribution):
+    """A triangle between the limits with its mode at m + shift h."""
+
+    name = "triangular"
+    capable = False
+    shifts = True
+
+    def deviate(self, tolerance: Any, z: jax.Array) -> jax.Array:
+        """The quantile from the nearer end, where Phi keeps its digits."""
+        mode, below, above = (1 + tolerance.shift) / 2, ndtr(z), ndtr(-z)
+        share = jnp.where(below < mode, jnp.sqrt(below * mode), 1 - jnp.sqrt(above * (1 - mode)))
+        return tolerance.lower + 2 * tolerance.half_width * share
+
+    def moments(self, tolerance: Any) -> Moments:
+        """Of the triangle over -1 .. 1 with mode c: c/3, (3 + c^2)/18, c (c^2 - 9)/135, 2.4 v^2."""
+        c = float(tolerance.shift)
+        variance = (3 + c**2) / 18
+        return stretched((c / 3, variance, c * (c**2 - 9) / 135, 2.4 * variance**2), *_placed(tolerance))
+
+
+@record
+class Beta(Distribution):
+    """lower + 2 h B(p, q)."""
+
+    name = "beta"
+    capable = False
+    beta: tuple[float, float] = text("(p, q)")
+
+    def deviate(self, tolerance: Any, z: jax.Array) -> jax.Array:
+        """From a table of the quantile: JAX has no inverse incomplete beta function."""
+        return tolerance.lower + 2 * tolerance.half_width * interpolate(z, *_beta_table(*self.beta))
+
+    def moments(self, tolerance: Any) -> Moments:
+        """Central moments of B(p, q) in closed form: differences of raw ones lose all digits of a narrow law."""
+        p, q = self.beta
+        total = p + q
+        mean, below, skew = p / total, q / total, (q - p) / total
+        variance = mean * below / (total + 1)
+        third = 2 * variance * skew / (total + 2)
+        fourth = 3 * variance * (2 + mean * below * (total - 6)) / ((total + 2) * (total + 3))
+        moments = mean, variance, third, fourth
+        return stretched(moments, float(tolerance.lower), 2 * float(tolerance.half_width))
+
+    def _check(self) -> None:
+        try:
+            pair = tuple(float(number) for number in self.beta)
+        except (TypeError, ValueError):
+            pair = ()
+        if len(pair) != 2 or not all(0 < number < math.inf for number in pair):
+            raise bad("beta", self.beta, "must be two positive numbers (p, q)")
+        object.__setattr__(self, "beta", pair)
+
+
+@functools.lru_cache(maxsize=32)
+def _beta_table(p: float, q: float) -> tuple[np.ndarray, np.ndarray]:
+    below = special.betaincinv(p, q, special.ndtr(NODES))
+    above = 1 - special.betaincinv(q, p, special.ndtr(-NODES))  # near 1 this side keeps the digits
+    values = np.where(NODES < 0, below, above)
+    return values, np.gradient(values, NODES, edge_order=2)
+
+
+@record
+class Rayleigh(Distribution):
+    """A magnitude with scale s = upper/(3 cp), or the vector of this magnitude and a random direction."""
+
+    name = "rayleigh"
+    of_vectors = True
+
+    def deviate(self, tolerance: Any, z: jax.Array) -> jax.Array:
+        """s sqrt(-2 ln(1 - u)); a vector is two independent N(0, s^2)."""
+        scale = tolerance.upper / (3 * tolerance.cp)
+        if tolerance.is_vector:
+            return scale * z
+        return scale * jnp.sqrt(-2 * log_ndtr(-z))  # 1 - u = Phi(-z)
+
+    def moments(self, tolerance: Any) -> Moments:
+        """Of the magnitude, or of one component."""
+        scale = float(tolerance.upper) / (3 * float(tolerance.cp))
+        if tolerance.is_vector:
+            return 0.0, scale**2, 0.0, 3 * scale**4
+        return central(*raw_rayleigh(scale))
+
+    def is_normal(self, tolerance: Any) -> bool:
+        """The components of a vector are."""
+        return tolerance.is_vector
+
+    def scaled(self, tolerance: Any, half_width: Scalar) -> dict[str, Any]:
+        """About 0."""
+        return dict(upper=2 * half_width)
+
+    def check(self, tolerance: Any) -> None:
+        """A magnitude begins at 0."""
+        if concrete(tolerance.lower) and tolerance.lower != 0:
+            raise bad("lower", tolerance.lower, f"must be 0 for {self.name}, a magnitude")
+
+
+def _placed(tolerance: Any) -> tuple[float, float]:
+    return float(tolerance.middle), float(tolerance.half_width)

@@ -1,0 +1,88 @@
+"""Measured parts: an error that follows the values someone has measured."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.scipy.special import ndtr
+
+from rvjax.columns import read_table
+from rvjax.population.distribution import IN_ERROR_UNIT, Distribution, Moments, bad
+from rvjax.records import Scalar, concrete, field, is_concrete, record
+from rvjax.units import KNOWN
+
+
+@record
+class Empirical(Distribution):
+    """Measured values: the k-th of n stands for the share (k - 1/2)/n, linear between them (Hazen 1914).
+
+    The values need not keep within the limits. Another half-width scales them about the middle of the limits.
+    In a study file, `values` is a list of texts with units, or {file = "...", column = "...", unit = "..."}; no unit is
+    needed where the header of the column says it.
+    """
+
+    name = "empirical"
+    capable = False
+    values: Any = field(IN_ERROR_UNIT, "the measured values", shape=("parts",))
+
+    def deviate(self, tolerance: Any, z: jax.Array) -> jax.Array:
+        """Order statistics at n Phi(z) + 1/2."""
+        values = jnp.asarray(self.values, jnp.result_type(z))
+        n = len(values)
+        position = jnp.clip(n * ndtr(z) - 0.5, 0.0, n - 1.0)
+        left = jnp.clip(position.astype(int), 0, max(n - 2, 0))
+        low, high = values[left], values[jnp.minimum(left + 1, n - 1)]
+        return low + (position - left.astype(position.dtype)) * (high - low)
+
+    def moments(self, tolerance: Any) -> Moments:
+        """Exact moments of the law as it is drawn: the mean is that of the data.
+
+        A piece from a to b holds 1/n of the parts with the central moments sum_i a^i b^(k-i)/(k+1), the ends 1/(2n).
+        """
+        values = np.asarray(self.values, float)
+        mean = float(values.mean())
+        x = values - mean
+        a, b, n = x[:-1], x[1:], len(x)
+        found = [mean]
+        for k in (2, 3, 4):
+            pieces = sum(a**i * b ** (k - i) for i in range(k + 1)) / (k + 1)
+            found.append(float(np.sum(pieces) + (x[0] ** k + x[-1] ** k) / 2) / n)
+        return found[0], found[1], found[2], found[3]
+
+    def scaled(self, tolerance: Any, half_width: Scalar) -> dict[str, Any]:
+        """Limits and values about the middle of the limits."""
+        old = tolerance.half_width
+        if is_concrete(old) and old == 0:
+            raise bad("half_width", 0.0, "measured values with limits of no width cannot be scaled")
+        values = tolerance.middle + (self.values - tolerance.middle) * (half_width / old)
+        return super().scaled(tolerance, half_width) | dict(values=values)
+
+    def _check(self) -> None:
+        if not concrete(self.values):
+            return
+        values = np.asarray(self.values)
+        if values.ndim != 1 or not values.size or not np.isfinite(values).all():
+            raise bad("values", self.values, "must be one row of finite numbers")
+        object.__setattr__(self, "values", np.sort(values))
+
+    @classmethod
+    def parsed(cls, key: str, value: Any, unit: str) -> Any:
+        """Values from a list, or from a column of a CSV file, whose header may say the unit."""
+        if not isinstance(value, dict):
+            if not isinstance(value, list):
+                raise ValueError(f"{key} = {value!r}: must be a list, or a table of file, column and unit")
+            return super().parsed(key, value, unit)
+        if not {"file", "column"} <= set(value) <= {"file", "column", "unit"} or not all(
+            isinstance(item, str) for item in value.values()
+        ):
+            raise ValueError(f"{key}: give file, column and unit as texts, not {', '.join(value)}")
+        units = {"-": 1.0} if unit == "-" else KNOWN[unit]
+        if "unit" in value and value["unit"] not in units:
+            raise ValueError(f"{key}.unit = {value['unit']!r}: is not one of {', '.join(units)}")
+        column = {name: value[name] for name in ("column", "unit") if name in value}
+        try:
+            read = read_table(value["file"], {key: column}, units={key: units}).numbers[key]
+        except OSError as error:
+            raise ValueError(f"{key}.file = {value['file']!r}: cannot be read ({error})") from None
+        return read[~np.isnan(read)]  # an empty cell is a part that was not measured

@@ -1,0 +1,265 @@
+"""Measured parts as tolerances: what a lot has shown of its errors, with how well so many parts can tell."""
+
+import dataclasses
+import itertools
+import math
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy import special
+
+from rvjax import frames
+from rvjax.columns import read_cells, read_table, split
+from rvjax.population.estimates import Estimate, deviate_of
+from rvjax.population.tolerance import Tolerance
+from rvjax.records import axis_sizes
+from rvjax.units import KNOWN, spelling
+
+NATURAL = 3.0
+"""Standard deviations to each side of the mean that are the limits of an error whose limits nobody gives."""
+
+
+@dataclasses.dataclass(frozen=True)
+class MeasuredColumn:
+    """What one column says of an error, or of one of its elements; SI. Intervals are those of normal errors.
+
+    Attributes:
+        unit: SI unit.
+        n: parts measured.
+        mean: with Student's interval.
+        sd: of the lot, divisor n - 1, with the chi-square interval.
+        minimum: smallest value.
+        maximum: largest value.
+        limits: lower and upper, None where none are given.
+        cpk: min(U - mean, mean - L)/(3 sd) with the interval of Bissell (1990): its error is
+            sqrt(1/(9 n) + Cpk^2/(2 (n - 1))); None without limits.
+    """
+
+    unit: str
+    n: int
+    mean: Estimate
+    sd: Estimate
+    minimum: float
+    maximum: float
+    limits: tuple[float, float] | None
+    cpk: Estimate | None
+
+
+@dataclasses.dataclass(frozen=True)
+class MeasuredParts:
+    """What a table of measured parts says.
+
+    Attributes:
+        tolerances: {field: `Tolerance` of the law "empirical"}; columns of several elements of a field make one law.
+        columns: figures by field or element.
+        together: parts of which all columns were measured.
+        pairs: correlation of the normal scores of two columns over these parts, with Fisher's interval.
+        source: name of the file.
+    """
+
+    tolerances: dict[str, Tolerance]
+    columns: dict[str, MeasuredColumn]
+    together: int
+    pairs: dict[tuple[str, str], Estimate]
+    source: str
+
+    @property
+    def correlation(self) -> dict[tuple[str, str], float]:
+        """{(field or element, field or element): correlation of their z}, as `correlation=` takes it.
+
+        A column that stands for all elements of a field takes no part: it does not say which of them was measured.
+
+        Raises:
+            ValueError: too few parts for so many columns, or columns that follow from each other.
+        """
+        single = [name for name in self.columns if "[" in name or not self.tolerances[name].shape]
+        found = {pair: self.pairs[pair].value for pair in itertools.combinations(single, 2)}
+        matrix = np.eye(len(single))
+        for (first, second), value in found.items():
+            i, j = single.index(first), single.index(second)
+            matrix[i, j] = matrix[j, i] = value
+        if found and not (np.isfinite(matrix).all() and np.linalg.eigvalsh(matrix)[0] > 1e-9 * len(matrix)):
+            raise ValueError(
+                f"{self.source}: {self.together} parts with all of {', '.join(single)} do not tell a correlation of "
+                f"{len(single)} columns: more parts than columns are needed, and none that follows from others"
+            )
+        return found
+
+    def to_pandas(self) -> Any:
+        """A `pandas.DataFrame`, SI: one row for each column, every figure with its error and interval."""
+
+        def row(name: str, found: MeasuredColumn) -> dict[str, Any]:
+            lower, upper = found.limits or (math.nan, math.nan)
+            said = {"error": name, "unit": found.unit, "n": found.n, "lower_limit": lower, "upper_limit": upper}
+            said |= {"minimum": found.minimum, "maximum": found.maximum}
+            said |= frames.spread("mean", found.mean) | frames.spread("sd", found.sd)
+            nothing = Estimate(math.nan, math.nan, math.nan, math.nan)
+            return said | frames.spread("cpk", found.cpk or nothing)
+
+        return frames.tidy(itertools.starmap(row, self.columns.items()), ["error"])
+
+
+def measured(
+    path: str | Path,
+    columns: Mapping[str, Any] | None = None,
+    *,
+    design: Any = None,
+    limits: Any = None,
+    confidence: float = 0.95,
+) -> MeasuredParts:
+    """Tolerances that follow measured parts, from a CSV file with a row for each part.
+
+    The limits of an error whose limits nobody gives are mean -+ 3 sd. A law never goes beyond the values it was
+    measured at: n parts say nothing of what fewer than one in 2 n parts does.
+
+    Args:
+        path: the file: a header "name [unit]"; commas, semicolons or tabs, decimal commas where no comma separates; an
+            empty cell was not measured.
+        columns: {field or element, such as "disc_bore[0,1,0]": header of its column, or {"column", "unit"} where that
+            says no unit}; None: every column whose header is a name and a known unit.
+        design: whose error record knows names, units and shapes; without it every known unit is taken as it stands.
+        limits: record or dict with a `Tolerance`, (lower, upper) or None by field, for Cpk and the tolerances.
+        confidence: of every interval.
+
+    Returns:
+        `MeasuredParts`.
+
+    Raises:
+        ValueError: names file, column or row, value and unit; fewer than two parts; an unknown field.
+        FileNotFoundError: there is no such file.
+    """
+    deviate_of(confidence)
+    about = None if design is None else {f.name: f.metadata for f in dataclasses.fields(design.error_record)}
+    wanted = _found(path, about) if columns is None else dict(columns)
+    units = {name: _family(name, about) for name in wanted}
+    read = read_table(path, wanted, units=units)
+    si = {name: next(si for si, own in KNOWN.items() if shown in own) for name, shown in read.shown.items()}
+    given = _limits(limits)
+    figures = {}
+    for name in wanted:
+        values = read.numbers[name][~np.isnan(read.numbers[name])]
+        if len(values) < 2:
+            raise ValueError(f"{path}: {name}: {len(values)} parts measured, at least 2 are needed")
+        figures[name] = _figures(values, si[name], given.get(_field(name)), confidence)
+    groups: dict[str, list[str]] = {}
+    for name in wanted:
+        groups.setdefault(_field(name), []).append(name)
+    made = {}
+    for field, names in groups.items():
+        if len(names) > 1 and field in names:
+            raise ValueError(f"{path}: {field} has a column of its own and columns of elements: {', '.join(names)}")
+        pooled = np.concatenate([read.numbers[name] for name in names])
+        made[field] = _tolerance(field, names, pooled[~np.isnan(pooled)], given.get(field), design, about)
+    whole = np.array([read.numbers[name] for name in wanted])
+    whole = whole[:, ~np.isnan(whole).any(0)]
+    return MeasuredParts(made, figures, whole.shape[1], _pairs(list(wanted), whole, confidence), str(path))
+
+
+def _found(path: str | Path, about: Mapping[str, Any] | None) -> dict[str, str]:
+    """Every column whose header is a name and a known unit, by the name."""
+    everything = {unit for family in KNOWN.values() for unit in family}
+    heads = {text: split(text) for text in read_cells(path)[0]}
+    found = {name: text for text, (name, unit) in heads.items() if unit and spelling(unit) in everything}
+    if about is not None:
+        found = {name: text for name, text in found.items() if _field(name) in about}
+    if not found:
+        raise ValueError(f'{path}: no column is called as an error with its unit, such as "pin_radius [um]"')
+    return found
+
+
+def _family(name: str, about: Mapping[str, Any] | None) -> Mapping[str, float]:
+    """Units that a column may have."""
+    if about is None:
+        return {unit: size for family in KNOWN.values() for unit, size in family.items()}
+    if _field(name) not in about:
+        raise ValueError(f"columns: {name!r} is no error of this design; it has {', '.join(sorted(about))}")
+    return KNOWN[about[_field(name)]["unit"]]
+
+
+def _field(name: str) -> str:
+    return name.partition("[")[0]
+
+
+def _limits(limits: Any) -> dict[str, Tolerance | tuple[float, float]]:
+    given = limits or {}
+    if not isinstance(given, Mapping):
+        given = {f.name: getattr(given, f.name) for f in dataclasses.fields(given)}
+    found = {}
+    for name, item in given.items():
+        if item is None:
+            continue
+        if not isinstance(item, Tolerance) and not (isinstance(item, tuple) and len(item) == 2 and item[0] <= item[1]):
+            raise ValueError(f"limits: {name} = {item!r}: must be a Tolerance, or (lower, upper) in SI")
+        found[name] = item
+    return found
+
+
+def _figures(values: np.ndarray, unit: str, given: Any, confidence: float) -> MeasuredColumn:
+    n, mean, sd = len(values), float(values.mean()), float(values.std(ddof=1))
+    tail, error = (1 - confidence) / 2, sd / math.sqrt(n)
+    middle = Estimate.about(mean, error, float(special.stdtrit(n - 1, 1 - tail)))
+    ends = (sd * math.sqrt((n - 1) / float(special.chdtri(n - 1, beyond))) for beyond in (tail, 1 - tail))
+    spread = Estimate(sd, sd / math.sqrt(2 * (n - 1)), *ends)
+    limits = cpk = None
+    if given is not None:
+        low, high = (given.lower, given.upper) if isinstance(given, Tolerance) else given
+        limits = float(low), float(high)
+        cpk = _capability(mean, sd, n, limits, confidence)
+    return MeasuredColumn(unit, n, middle, spread, float(values.min()), float(values.max()), limits, cpk)
+
+
+def _capability(mean: float, sd: float, n: int, limits: tuple[float, float], confidence: float) -> Estimate:
+    """Cpk with the interval of Bissell (1990)."""
+    room = min(limits[1] - mean, mean - limits[0])
+    if sd == 0:
+        value = math.copysign(math.inf, room)
+        return Estimate(value, 0.0, value, value)
+    value = room / (3 * sd)
+    error = math.sqrt(1 / (9 * n) + value**2 / (2 * (n - 1)))
+    return Estimate.about(value, error, deviate_of(confidence))
+
+
+def _tolerance(
+    field: str, names: list[str], values: np.ndarray, given: Any, design: Any, about: Mapping[str, Any] | None
+) -> Tolerance:
+    law: dict[str, Any] = dict(distribution="empirical", values=values)
+    places = [tuple(map(int, re.findall(r"\d+", name[len(field) :]))) for name in names]
+    shape = given.shape if isinstance(given, Tolerance) else ()
+    if design is not None and about is not None:
+        shape = axis_sizes(about[field]["shape"], design.counts, shape)
+    elif not shape and places[0]:
+        shape = tuple(max(place[axis] for place in places) + 1 for axis in range(len(places[0])))
+    for name, place in zip(names, places):
+        if place and (len(place) != len(shape) or any(k >= size for k, size in zip(place, shape))):
+            raise ValueError(f"columns: {name!r} is no element of shape {shape}")
+    if isinstance(given, Tolerance):
+        own = given.batch if names == [field] else 0.0  # elements that were measured say themselves how alike they are
+        return given.replace(**law, shape=shape, cp=1.0, shift=0.0, batch=own)
+    mean, sd = float(values.mean()), float(values.std(ddof=1))
+    low, high = given or (mean - NATURAL * sd, mean + NATURAL * sd)
+    return Tolerance(low, high, shape=shape, **law)
+
+
+def _pairs(names: list[str], values: np.ndarray, confidence: float) -> dict[tuple[str, str], Estimate]:
+    """Correlation of normal scores, which estimates that of a Gaussian copula whatever the laws of the columns are.
+
+    Boudt, Cornelissen and Croux (2012); the interval is that of atanh r, whose error is 1/sqrt(n - 3) (Fisher 1921).
+    """
+    from scipy import stats  # dear to import
+
+    n, found = values.shape[1], {}
+    scores = special.ndtri((stats.rankdata(values, axis=1) - 0.5) / max(n, 1))
+    scores -= scores.mean(1, keepdims=True) if n else 0.0
+    size = np.sqrt((scores**2).sum(1))
+    for i, j in itertools.combinations(range(len(names)), 2):
+        if n < 2 or size[i] * size[j] == 0:  # a column without spread goes with nothing
+            found[names[i], names[j]] = Estimate(math.nan, math.nan, math.nan, math.nan)
+            continue
+        r = float(np.clip(scores[i] @ scores[j] / (size[i] * size[j]), -1.0, 1.0))
+        way = deviate_of(confidence) / math.sqrt(n - 3) if n > 3 else math.inf
+        ends = (math.tanh(math.atanh(r) + side * way) if abs(r) < 1 and n > 3 else side * 1.0 for side in (-1, 1))
+        found[names[i], names[j]] = Estimate(r, (1 - r**2) / math.sqrt(n - 1), *ends)
+    return found

@@ -1,0 +1,151 @@
+"""`Population`: tolerances and correlation as one pytree, which draws the errors of units.
+
+The z of a unit are one vector of standard normal numbers: the active fields in the order of `jax.tree`
+(record fields as declared, dict keys sorted), each with its elements in C order and, where no
+correlation mixes the fields, the shared factors of its batch behind them.
+"""
+
+import functools
+import math
+import operator
+from collections.abc import Mapping
+from typing import Any, Self
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rvjax.population.correlation import Correlation, mixing_matrix
+from rvjax.population.tolerance import Tolerance
+from rvjax.records import Array, Record, Scalar, field, is_concrete, record
+
+
+@record
+class Population(Record):
+    """Units whose errors follow tolerances; wherever tolerances pass, a population may."""
+
+    tolerances: Any = field("-", "record or dict with a `Tolerance`, a constant or None in each field", kind="record")
+    mixing: Any = field(
+        "-", "Cholesky factor of the correlation of z, batches included", shape=("numbers", "numbers"), default=None
+    )
+
+    @classmethod
+    def of(cls, tolerances: Any, correlation: Correlation = None) -> Self:
+        """A population from what users give: checked, and a constant 0 as None, which costs nothing.
+
+        Raises:
+            ValueError: a leaf that is neither a `Tolerance`, nor None, nor a number; no structure at all; a law
+                that does not fit its field; or a bad correlation.
+        """
+        if isinstance(tolerances, cls):
+            return tolerances if not correlation else cls.of(tolerances.tolerances, correlation)
+        if not isinstance(tolerances, (dict, Record)) or isinstance(tolerances, Tolerance):
+            raise ValueError(f"tolerances: must be a record or a dict of tolerances, got {type(tolerances).__name__}")
+        given = cls(tolerances)
+        for name, leaf in given._leaves.items():
+            if isinstance(leaf, Tolerance):
+                leaf.law.check_field(name, leaf)
+            elif not (leaf is None or isinstance(leaf, jax.core.Tracer) or is_concrete(leaf)):
+                raise ValueError(f"tolerances: {name} = {leaf!r} must be a Tolerance or None")
+        zeros = [n for n, leaf in given._leaves.items() if isinstance(leaf, float) and leaf == 0]
+        made = cls(given._with(dict.fromkeys(zeros), absent=None))
+        return made.replace(mixing=mixing_matrix(made.active, correlation)) if correlation else made
+
+    @functools.cached_property
+    def _flat(self) -> tuple[list[tuple[Any, Any]], Any]:
+        is_leaf = lambda item: item is None or isinstance(item, Tolerance)  # noqa: E731
+        return jax.tree_util.tree_flatten_with_path(self.tolerances, is_leaf=is_leaf)
+
+    @functools.cached_property
+    def _leaves(self) -> dict[str, Any]:
+        return {jax.tree_util.keystr(path, simple=True, separator="."): leaf for path, leaf in self._flat[0]}
+
+    @functools.cached_property
+    def active(self) -> dict[str, Tolerance]:
+        """Fields with a tolerance by name, in the order of their random numbers."""
+        return {name: leaf for name, leaf in self._leaves.items() if isinstance(leaf, Tolerance)}
+
+    @property
+    def constants(self) -> dict[str, Any]:
+        """Fields with a constant error other than 0."""
+        return {n: leaf for n, leaf in self._leaves.items() if leaf is not None and n not in self.active}
+
+    @functools.cached_property
+    def numbers_by_field(self) -> dict[str, int]:
+        """Random numbers of each active field, shared factors included where no correlation mixes the fields."""
+        shared = lambda t: 1 + t.is_vector if t.batch and self.mixing is None else 0  # noqa: E731
+        return {name: math.prod(t.shape) + shared(t) for name, t in self.active.items()}
+
+    @property
+    def numbers(self) -> int:
+        """Random numbers per unit."""
+        return sum(self.numbers_by_field.values())
+
+    def draw(self, key: jax.Array, index: jax.Array) -> jax.Array:
+        """The z of units `index` (n,): (numbers, n), units last so that every number is a vector of units.
+
+        Unit i depends on the key and i alone, whatever stands beside it in the batch.
+        """
+        return jax.vmap(lambda i: jax.random.normal(jax.random.fold_in(key, i), (self.numbers,)), out_axes=-1)(index)
+
+    def deviations(self, z: jax.Array) -> dict[str, jax.Array]:
+        """Errors of the active fields from z (numbers, *batch): each (*shape, *batch)."""
+        errors, start = {}, 0
+        if self.mixing is not None:
+            z = jnp.matmul(jnp.asarray(self.mixing, z.dtype), z, precision="highest")
+        for name, tolerance in self.active.items():
+            stop, size = start + math.prod(tolerance.shape), self.numbers_by_field[name]
+            own, shared = z[start:stop].reshape(tolerance.shape + z.shape[1:]), z[stop : start + size]
+            start += size
+            if len(shared):  # (1, *batch), or (2, *batch) for vectors
+                lead = (1,) * (len(tolerance.shape) - 1)
+                shared = shared.reshape(lead + shared.shape) if tolerance.shape else shared[0]
+                shared = math.sqrt(tolerance.batch) * jnp.broadcast_to(shared, own.shape)
+                own = shared + math.sqrt(1 - tolerance.batch) * own
+            errors[name] = tolerance.deviate(own)
+        return errors
+
+    def errors(self, z: jax.Array) -> Any:
+        """The error structure of units from z (numbers, *batch); inactive fields are plain 0.0 and cost nothing."""
+        return self.fill(self.deviations(z))
+
+    def fill(self, values: Mapping[str, Any]) -> Any:
+        """The error structure with `values` in the active fields."""
+        return self._with(values, absent=0.0)
+
+    def with_half_widths(self, half_widths: Mapping[str, Scalar]) -> Self:
+        """The same population with some half-widths changed, by name of the field."""
+        return self.with_tolerances({name: self.active[name].with_half_width(t) for name, t in half_widths.items()})
+
+    def with_tolerances(self, changed: Mapping[str, Tolerance]) -> Self:
+        """The same population with other tolerances in some of its active fields."""
+        return self.replace(tolerances=self._with(changed, absent=None))
+
+    def _with(self, values: Mapping[str, Any], *, absent: Any) -> Any:
+        return self._flat[1].unflatten(
+            [values.get(name, absent if leaf is None else leaf) for name, leaf in self._leaves.items()]
+        )
+
+    def by_field(self, values: Array | np.ndarray) -> dict[str, Any]:
+        """A vector over all active elements (n,) as arrays by field."""
+        # Split, not sliced: its transpose is one concatenation, which compiles for hundreds of fields too.
+        ends = np.cumsum([math.prod(t.shape) for t in self.active.values()])
+        library: Any = np if isinstance(values, np.ndarray) else jnp
+        pieces = library.split(values, ends[:-1]) if self.active else []
+        return {name: piece.reshape(t.shape) for piece, (name, t) in zip(pieces, self.active.items())}
+
+
+@functools.partial(jax.jit, static_argnames="count")
+def drawn(population: Population, key: jax.Array, start: jax.Array, *, count: int) -> jax.Array:
+    """The z of units start .. start + count - 1 (numbers, count)."""
+    return population.draw(key, start + jnp.arange(count, dtype=jnp.uint32))
+
+
+def root_key(seed: int) -> jax.Array:
+    """The key of a study."""
+    try:
+        return jax.random.key(operator.index(seed))
+    except TypeError:
+        raise ValueError(f"seed = {seed!r}: must be an integer") from None
+    except OverflowError:
+        raise ValueError(f"seed = {seed!r}: must be an integer of at most 64 bits, from -2**63 to 2**63 - 1") from None

@@ -1,0 +1,86 @@
+"""Tolerances of a design, and the errors of one unit."""
+
+import dataclasses
+from typing import Any
+
+import jax.numpy as jnp
+
+from rvjax.population.correlation import Correlation
+from rvjax.population.population import Population, root_key
+from rvjax.population.sobol import SobolPoints
+from rvjax.population.tolerance import Tolerance
+from rvjax.records import axis_sizes, is_concrete
+
+
+def for_design(design: Any, **tolerances: Tolerance | None) -> Any:
+    """Tolerances of a design: its error record with a `Tolerance` or None in each field, shapes filled in.
+
+    Args:
+        design: names its error record and the sizes of its axes (`error_record`, `counts`).
+        **tolerances: a `Tolerance` or None per field of that record; absent fields are exactly nominal.
+
+    Raises:
+        ValueError: unknown field, not a tolerance, or a shape or a law that does not fit the design.
+    """
+    cls, filled = design.error_record, {}
+    declared = {f.name: f.metadata["shape"] for f in dataclasses.fields(cls)}
+    for name in tolerances:
+        if name not in declared:
+            raise ValueError(f"{cls.__name__} has no field {name!r}; it has {', '.join(sorted(declared))}")
+    for name, axes in declared.items():
+        tolerance = tolerances.get(name)
+        if tolerance is not None:
+            if not isinstance(tolerance, Tolerance):
+                raise ValueError(f"{name} = {tolerance!r}: must be a Tolerance or None")
+            sizes = axis_sizes(axes, design.counts, tolerance.shape)
+            if axes and not sizes:
+                raise ValueError(f"{name}: Tolerance.shape = {tolerance.shape}: a series needs its length, {axes}")
+            if tolerance.shape not in ((), sizes):
+                raise ValueError(
+                    f"{name}: Tolerance.shape = {tolerance.shape} does not fit this design, expected {sizes}"
+                )
+            # An axis of two cranks is no vector; only a literal 2 in the record is [radial, tangential].
+            vector = bool(axes) and axes[-1] == 2
+            tolerance = tolerance.replace(shape=sizes, vector=vector)
+            tolerance.law.check_field(name, tolerance)
+        filled[name] = tolerance
+    return cls(**filled)
+
+
+METHODS = ("random", "sobol")
+
+
+def check_method(method: str) -> None:
+    """Refuse an unknown way to draw units."""
+    if method not in METHODS:
+        raise ValueError(f"method = {method!r}: must be one of {', '.join(METHODS)}")
+
+
+def sample(tolerances: Any, index: Any, *, seed: int, method: str = "random", correlation: Correlation = None) -> Any:
+    """The errors of unit number `index`; vmaps over `index` for random units.
+
+    The unit depends on seed, index and method, on which fields are active (each draws its own
+    numbers); not on the limits, which only scale the numbers, nor on chunks or devices.
+
+    Args:
+        tolerances: record or dict with a `Tolerance` or None in each field.
+        index: number of the unit, 0 or more.
+        seed: of the study.
+        method: "random", or "sobol": drawn on the host, so that `index` must be a number.
+        correlation: {(field or element, field or element): correlation of their z}, such as
+            {("pin_radius", "disc_bore[0,1,0]"): 0.5}.
+
+    Returns:
+        The structure of `tolerances` with errors in place of tolerances; inactive fields are 0.0.
+    """
+    check_method(method)
+    if is_concrete(index) and (int(index) != index or index < 0):
+        raise ValueError(f"index = {index!r}: must be an integer of at least 0")
+    population = Population.of(tolerances, correlation)
+    if method == "random":
+        z = population.draw(root_key(seed), jnp.asarray(index, jnp.uint32)[None])[:, 0]
+    elif is_concrete(index):
+        z = jnp.asarray(SobolPoints(population.numbers, seed).z(int(index), 1)[:, 0], jnp.result_type(float))
+    else:
+        raise ValueError("index: must be a number for method 'sobol', whose points are drawn on the host")
+    return population.errors(z)

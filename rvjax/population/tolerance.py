@@ -1,0 +1,200 @@
+"""`Tolerance`: limits of one manufacturing error and the law that parts follow between them.
+
+Every variate is a map e = q(Phi(z)) of standard normal numbers z, which belong to the sample while
+the tolerance only shapes and scales them: the same z serve every tolerance (common random numbers).
+"""
+
+import dataclasses
+import hashlib
+import math
+import operator
+from typing import Any, Self
+
+import jax
+import numpy as np
+
+from rvjax.population.distribution import DISTRIBUTIONS, Distribution, Moments, bad, distribution_of
+from rvjax.population.distributions import classic, empirical, spectrum, von_mises
+from rvjax.population.grades import it_width
+from rvjax.records import Record, Scalar, concrete, field, record, text
+
+__all__ = ["DISTRIBUTIONS", "Distribution", "Tolerance", "classic", "empirical", "spectrum", "von_mises"]
+
+COMMON = ("cp", "shift", "batch")
+"""Plain numbers that every law may be given."""
+
+
+@record
+class Tolerance(Record):
+    """Limits of an error and its distribution between them; the unit is that of the error.
+
+    Middle m = (lower + upper)/2, half-width h = (upper - lower)/2, mean m + shift h, and for the
+    normal law sigma = h/(3 cp), so that the capability of the process is Cp = cp and
+    Cpk = cp (1 - |shift|). h = 0 is a constant error m.
+
+    - "normal": N(m + shift h, sigma^2), not cut at the limits.
+    - "truncated_normal": the same, cut at the limits and renormalised.
+    - "uniform": between the limits; no shift.
+    - "triangular": between the limits, mode m + shift h.
+    - "beta": lower + 2 h B(p, q) with `beta=(p, q)`; no shift.
+    - "lognormal": from lower upwards, lower + 2 h exp(log_sd (z - 3 cp)) with `log_sd`; no shift.
+    - "rayleigh": a magnitude with scale s = upper/(3 cp); lower and shift are 0. Where the last axis of
+      the field holds [radial, tangential], the vector of this magnitude and random direction, which is
+      two independent N(0, s^2).
+    - "von_mises": such a vector with a preferred `direction`, rad, and the `concentration` about it.
+    - "spectrum": normal errors round a circle (the last axis) with the relative sizes of their waves in `spectrum`.
+    - "empirical": measured `values`, unit of the error, with linear interpolation between them.
+
+    `batch` correlates the elements of one field by a shared factor, z_j = sqrt(batch) z_0 +
+    sqrt(1 - batch) e_j, as in parts made in one set-up; each component of a vector has a
+    factor of its own, so that its direction stays random.
+    """
+
+    lower: Scalar = field("-", "lower limit, unit of the error")
+    upper: Scalar = field("-", "upper limit, unit of the error")
+    law: Distribution = field("-", "law between the limits, with the parameters of its own", kind="record")
+    cp: Scalar = field("-", "process capability", sign="positive")
+    shift: Scalar = field("-", "mean or mode off the middle, in half-widths")
+    batch: float = text("correlation of the elements of one field, 0 to below 1")
+    size: Scalar | None = field("m", "nominal size of the part, for grades", sign="positive")
+    shape: tuple[int, ...] = text("shape of the error, () is a scalar")
+    vector: bool | None = text("last axis is [radial, tangential]; None: if its length is 2")
+
+    def __init__(
+        self,
+        lower: Scalar,
+        upper: Scalar,
+        *,
+        distribution: str | Distribution | type[Distribution] = "normal",
+        cp: Scalar = 1.0,
+        shift: Scalar = 0.0,
+        batch: float = 0.0,
+        size: Scalar | None = None,
+        shape: tuple[int, ...] = (),
+        vector: bool | None = None,
+        **parameters: Any,
+    ) -> None:
+        """Limits and a law.
+
+        Args:
+            lower: lower limit, unit of the error.
+            upper: upper limit, unit of the error.
+            distribution: name of a law, or a `Distribution`.
+            cp: process capability (normal, truncated_normal, lognormal, rayleigh, von_mises).
+            shift: mean or mode off the middle, in half-widths.
+            batch: correlation of the elements of one field, 0 to below 1.
+            size: nominal size of the part, m, for grades.
+            shape: of the error, () is a scalar.
+            vector: whether the last axis is [radial, tangential]; None: if its length is 2.
+            **parameters: that belong to the law alone: `beta`, `log_sd`, `concentration`, `direction`, `spectrum`,
+                `values`.
+
+        Raises:
+            ValueError: limits, law or parameters that do not fit each other.
+        """
+        law = distribution_of(distribution, parameters)
+        values = dict(lower=lower, upper=upper, law=law, cp=cp, shift=shift)
+        for name, value in (values | dict(batch=batch, size=size, shape=shape, vector=vector)).items():
+            object.__setattr__(self, name, value)
+        self.__post_init__()
+
+    @classmethod
+    def symmetric(cls, half_width: Scalar, **options: Any) -> Self:
+        """Limits on both sides alike.
+
+        Args:
+            half_width: of the limits, unit of the error.
+            **options: as in `Tolerance`.
+        """
+        return cls(-half_width, half_width, **options)
+
+    @classmethod
+    def grade(cls, grade: str, size: Scalar, **options: Any) -> Self:
+        """Limits +-IT/2 of an ISO 286 grade.
+
+        Args:
+            grade: such as "IT6".
+            size: nominal, m.
+            **options: as in `Tolerance`.
+        """
+        return cls.symmetric(it_width(grade, size) / 2, size=size, **options)
+
+    def replace(self, **changes: Any) -> Self:
+        """A copy with some arguments changed, checked like a new tolerance; another law brings its own parameters."""
+        kept = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+        law = kept.pop("law")
+        return type(self)(**(kept | dict(distribution=law) | changes))
+
+    @property
+    def distribution(self) -> str:
+        """Name of the law."""
+        return self.law.name
+
+    @property
+    def beta(self) -> tuple[float, float] | None:
+        """Shape (p, q) of the beta law, None for the others."""
+        return getattr(self.law, "beta", None)
+
+    @property
+    def middle(self) -> Scalar:
+        """Middle of the limits, unit of the error."""
+        return (self.lower + self.upper) / 2
+
+    @property
+    def half_width(self) -> Scalar:
+        """Half the distance of the limits, unit of the error."""
+        return (self.upper - self.lower) / 2
+
+    @property
+    def is_vector(self) -> bool:
+        """True for a field of vectors (laws rayleigh and von_mises), False for one of numbers."""
+        last_is_pair = bool(self.shape) and self.shape[-1] == 2
+        return self.law.of_vectors and (last_is_pair if self.vector is None else self.vector)
+
+    def with_half_width(self, half_width: Scalar) -> Self:
+        """The same law scaled about the middle of its limits, or about where it begins; shift and cp stay."""
+        return self.replace(**self.law.scaled(self, half_width))
+
+    def deviate(self, z: jax.Array) -> jax.Array:
+        """The errors that belong to standard normal numbers z (any shape; of vectors (*shape, *batch))."""
+        return self.law.deviate(self, z)
+
+    def moments(self) -> Moments:
+        """Mean, variance, third and fourth central moment, on the host: floats, or arrays of the field's shape."""
+        return self.law.moments(self)
+
+    def described(self) -> str:
+        """As text, exact to the last bit."""
+        shown = f"{self.distribution} {float(self.lower)!r} .. {float(self.upper)!r}, cp {float(self.cp)!r}"
+        own = self.law.described()
+        own |= {n: hashlib.sha256(repr(v).encode()).hexdigest() for n, v in own.items() if isinstance(v, list)}
+        options = dict(shift=float(self.shift), **own, batch=float(self.batch), shape=self.shape)
+        shown += "".join(f", {name} {value!r}" for name, value in options.items() if value)
+        return shown + (", vectors" if self.is_vector else "")
+
+    def _check(self) -> None:
+        try:
+            shape = tuple(map(operator.index, self.shape))
+        except TypeError:
+            raise bad("shape", self.shape, "must be a tuple of sizes") from None
+        if min(shape, default=0) < 0:
+            raise bad("shape", self.shape, "must be a tuple of sizes")
+        object.__setattr__(self, "shape", shape)
+        if not isinstance(self.batch, (int, float)) or not 0 <= self.batch < 1:
+            raise bad("batch", self.batch, "must be a number from 0 to below 1")
+        if concrete(self.lower, self.upper):
+            for name in ("lower", "upper"):
+                if np.ndim(getattr(self, name)) or not math.isfinite(getattr(self, name)):
+                    raise bad(name, getattr(self, name), "must be one finite number")
+            if self.lower > self.upper:
+                raise bad("lower", self.lower, f"lies above upper = {self.upper:.6g}")
+        if concrete(self.shift):
+            if not -1 < self.shift < 1:
+                raise bad("shift", self.shift, "must lie between -1 and 1, within the limits")
+            if self.shift != 0 and not self.law.shifts:
+                raise bad("shift", self.shift, f"must be 0 for {self.distribution}")
+        if concrete(self.cp) and not math.isfinite(self.cp):
+            raise bad("cp", self.cp, "must be finite")
+        if self.size is not None and concrete(self.size):
+            it_width("IT6", self.size)
+        self.law.check(self)

@@ -1,0 +1,103 @@
+"""Chunks of units on all local devices: each draws and evaluates its own part, none waits for another.
+
+Several processes, or hosts, share a study chunk by chunk; JAX's distributed runtime joins what each has counted.
+"""
+
+import functools
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rvjax.files import Arrays, packed, unpacked
+from rvjax.population import Population, SobolPoints, drawn, root_key
+from rvjax.records import Record
+from rvjax.response.response import Response, Values, per_response, respond
+
+_UNITS = jax.sharding.PartitionSpec("units")
+_NUMBERS = jax.sharding.PartitionSpec(None, "units")
+_EVERYWHERE = jax.sharding.PartitionSpec()
+
+
+class Evaluator:
+    """Evaluates chunks of one study; devices compute while the host goes on."""
+
+    def __init__(self, response: Response, population: Population, seed: int, method: str, chunk: int) -> None:
+        """What to evaluate, as in `monte_carlo`, checked; `chunk` units at once."""
+        self._response, self._population, self._key = response, population, root_key(seed)
+        self._points = SobolPoints(population.numbers, seed) if method == "sobol" else None
+        devices = jax.local_devices()
+        self._mesh = jax.sharding.Mesh(np.array(devices), ("units",)) if len(devices) > 1 else None
+        # Every device gets the same number of units; those past the end of the chunk are never looked at.
+        self._count = -(-chunk // len(devices)) * len(devices)
+
+    def start(self, first: int) -> tuple[Values, jax.Array]:
+        """Values and status of the chunk that begins with unit `first`, still being computed."""
+        z = self._z(first)
+        if self._mesh is None:
+            return respond(self._response, self._population, z)
+        return _respond_on(self._response, self._population, z, mesh=self._mesh)
+
+    def errors(self, first: int) -> dict[str, np.ndarray]:
+        """Drawn errors of the chunk that begins with unit `first`, by field (*shape, n)."""
+        return {field: np.asarray(drawn) for field, drawn in _deviations(self._population, self._z(first)).items()}
+
+    def _z(self, first: int) -> jax.Array:
+        if self._points is not None:
+            z = self._points.z(first, self._count).astype(jnp.result_type(float))
+            if self._mesh is None:
+                return jnp.asarray(z)
+            return jax.device_put(z, jax.sharding.NamedSharding(self._mesh, _NUMBERS))
+        if self._mesh is None:
+            return drawn(self._population, self._key, jnp.uint32(first), count=self._count)
+        return _drawn_on(self._mesh, self._count, self._population, self._key, jnp.uint32(first))
+
+
+@jax.jit
+def _deviations(population: Population, z: jax.Array) -> dict[str, jax.Array]:
+    return population.deviations(z)
+
+
+@functools.partial(jax.jit, static_argnums=(0, 1))
+def _drawn_on(
+    mesh: jax.sharding.Mesh, count: int, population: Population, key: jax.Array, first: jax.Array
+) -> jax.Array:
+    def part(population: Population, key: jax.Array, first: jax.Array) -> jax.Array:
+        own = count // mesh.size
+        begin = first + jax.lax.axis_index("units").astype(jnp.uint32) * jnp.uint32(own)
+        return population.draw(key, begin + jnp.arange(own, dtype=jnp.uint32))
+
+    specs = (_EVERYWHERE, _EVERYWHERE, _EVERYWHERE)
+    return jax.shard_map(part, mesh=mesh, in_specs=specs, out_specs=_NUMBERS, check_vma=False)(population, key, first)
+
+
+@per_response(static=("mesh",))
+def _respond_on(
+    response: Response, population: Population, z: jax.Array, *, mesh: jax.sharding.Mesh
+) -> tuple[Values, jax.Array]:
+    if isinstance(response, Record):  # its numbers go in like those of the population; a plain function is none
+        given: Any = response, population
+        part: Any = lambda both, z: respond(*both, z)  # noqa: E731
+    else:
+        given, part = population, functools.partial(respond, response)
+    return jax.shard_map(
+        part, mesh=mesh, in_specs=(_EVERYWHERE, _NUMBERS), out_specs=(_UNITS, _UNITS), check_vma=False
+    )(given, z)
+
+
+def place() -> tuple[int, int]:
+    """Number of this process, and of all; (0, 1) unless `jax.distributed.initialize` was called."""
+    return jax.process_index(), jax.process_count()
+
+
+def gathered(state: Arrays) -> list[dict[str, np.ndarray]]:
+    """The states of all processes, in their order, in every process; waits until all have come here."""
+    from jax.experimental import multihost_utils
+
+    content = np.frombuffer(packed(state), np.uint8)
+    lengths = np.ravel(multihost_utils.process_allgather(np.array([content.size], np.int32)))
+    padded = np.zeros(int(lengths.max()), np.uint8)
+    padded[: content.size] = content
+    rows = np.asarray(multihost_utils.process_allgather(padded)).reshape(len(lengths), -1)
+    return [unpacked(row[:length].tobytes()) for row, length in zip(rows, lengths)]

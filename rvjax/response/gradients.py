@@ -1,0 +1,88 @@
+"""Gradients of a response to the errors of single units: one program, whoever asks."""
+
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rvjax.population import Population
+from rvjax.response.response import Response, evaluate, per_response, response_names
+
+LANES = 256
+"""Units at once: few, for a reverse pass keeps all that a unit needs on its way; the last ones are padded."""
+
+
+@per_response(static=("names",))
+def pulled(
+    response: Response, population: Population, errors: jax.Array, cotangents: jax.Array, *, names: tuple[str, ...]
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Values (k, n), status (n,) and gradients (elements, n) of sum_k cotangent_k y_k of units: one reverse pass.
+
+    The population says only which elements are which fields; its numbers play no part.
+    """
+
+    def values(vector: jax.Array) -> tuple[jax.Array, jax.Array]:
+        found, status = evaluate(response, population.fill(population.by_field(vector)))
+        return jnp.stack([found[name] for name in names]), status
+
+    def one(vector: jax.Array, cotangent: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+        found, pull, status = jax.vjp(values, vector, has_aux=True)
+        return found, status, pull(cotangent)[0]
+
+    return jax.vmap(one, in_axes=-1, out_axes=-1)(errors, cotangents)
+
+
+def gradients(
+    response: Response, population: Population, errors: np.ndarray, cotangents: np.ndarray, names: tuple[str, ...]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Values (k, n) and gradients (elements, n) of weighted responses, any number of units by the one program.
+
+    Args:
+        response: of one unit.
+        population: whose active fields the elements are.
+        errors: (elements, n) of the active fields, one after the other.
+        cotangents: (k, n) weights of the named responses.
+        names: of the responses.
+    """
+    values, slopes, dtype = [], [], jnp.result_type(float)
+    for start in range(0, errors.shape[1], LANES):
+        units = np.arange(start, min(start + LANES, errors.shape[1]))
+        lanes = np.resize(units, LANES)
+        arrays = (jnp.asarray(rows[:, lanes], dtype) for rows in (errors, cotangents))
+        found, _, slope = pulled(response, population, *arrays, names=names)
+        value, slope = (np.asarray(rows, float)[:, : len(units)] for rows in (found, slope))
+        values.append(value)
+        slopes.append(slope)
+    return np.concatenate(values, axis=1), np.concatenate(slopes, axis=1)
+
+
+def nominal_status(response: Response, population: Population) -> int:
+    """Status of the unit without errors, by the program of the gradients."""
+    names, count = response_names(response, population), sum(math.prod(t.shape) for t in population.active.values())
+    lanes = (jnp.zeros((rows, LANES), jnp.result_type(float)) for rows in (count, len(names)))
+    return int(pulled(response, population, *lanes, names=names)[1][0])
+
+
+@jax.jit
+def elements(population: Population, z: jax.Array) -> jax.Array:
+    """Errors (elements, n) of the active fields, one after the other, from z (numbers, n)."""
+    return _rows(population.deviations(z), z)
+
+
+@jax.jit
+def elements_and_rates(
+    population: Population, half_widths: dict[str, jax.Array], z: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """The same with these half-widths, and their derivatives to the half-width of their own field; 0 for others."""
+
+    def errors(t: dict[str, jax.Array]) -> jax.Array:
+        return _rows(population.with_half_widths(t).deviations(z), z)
+
+    return jax.jvp(errors, (half_widths,), (jax.tree.map(jnp.ones_like, half_widths),))
+
+
+def _rows(deviations: dict[str, jax.Array], z: jax.Array) -> jax.Array:
+    return jnp.concatenate(
+        [jnp.zeros((0, z.shape[-1]), z.dtype), *(v.reshape(-1, z.shape[-1]) for v in deviations.values())]
+    )

@@ -1,0 +1,182 @@
+"""A response is a pure function of the errors of one unit; here it meets a batch of units.
+
+It returns a scalar, a dict or record of scalars, or an `Outcome` that names why a unit failed. Inside this
+package its values are always a dict; a plain scalar is wrapped in `evaluate` and unwrapped in `unwrapped`.
+"""
+
+import dataclasses
+import functools
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from rvjax.compile_cache import Options, inside, understood
+from rvjax.population import Population, drawn
+from rvjax.records import Record, field, record
+from rvjax.status import Status, succeeded, worst
+
+BLOCK = 16384
+"""Units at once where nobody chose: the same everywhere, so that a response is compiled for it once; temporaries of
+a response over many angles then stay near the cache."""
+
+PLAIN = ""
+"""Name of the only scalar of a response that returns no dict."""
+
+PROGRAMS = 32
+"""Plain functions whose programs are kept, the latest ones."""
+
+Response = Callable[..., Any]
+Values = dict[str, jax.Array]
+
+
+class Compiled:
+    """A function of a response and arrays, compiled.
+
+    A response that is a record is an argument like the others: its numbers are traced, so that ten thousand
+    designs share one program and none of them is kept alive. A plain function is a constant of a program of
+    its own; of these the last `PROGRAMS` are kept. `compiler_options` of a response, ((option of XLA, value), ...), are
+    those of its programs, but within another program.
+    """
+
+    def __init__(self, function: Callable[..., Any], static: tuple[str, ...] = ()) -> None:
+        functools.update_wrapper(self, function)
+
+        def shared(options: Options) -> Any:
+            return jax.jit(function, static_argnames=static, compiler_options=understood(options))
+
+        def own(response: Response, options: Options) -> Any:
+            whole = functools.partial(function, response)
+            return jax.jit(whole, static_argnames=static, compiler_options=understood(options))
+
+        self._shared, self._own = functools.lru_cache(PROGRAMS)(shared), functools.lru_cache(PROGRAMS)(own)
+
+    def _program(self, response: Response, options: Options = ()) -> tuple[Any, tuple[Any, ...]]:
+        """The compiled function and its first arguments."""
+        shared = isinstance(response, Record)
+        return (self._shared(options), (response,)) if shared else (self._own(response, options), ())
+
+    def __call__(self, response: Response, *arguments: Any, **static: Any) -> Any:
+        """The function's value."""
+        options = () if inside(response, arguments) else getattr(response, "compiler_options", ())
+        jitted, first = self._program(response, options)
+        return jitted(*first, *arguments, **static)
+
+    def lowered(self, response: Response, *arguments: Any, **static: Any) -> str:
+        """Text of the program."""
+        jitted, first = self._program(response)
+        return str(jitted.lower(*first, *arguments, **static).as_text())
+
+
+def per_response(*, static: tuple[str, ...] = ()) -> Callable[[Callable[..., Any]], Compiled]:
+    """Compile a function whose first argument is a response; `static` names arguments given by keyword."""
+    return lambda function: Compiled(function, static)
+
+
+@record
+class Outcome(Record):
+    """A response with the reason of its failure.
+
+    A unit fails if any status is no success (the first by `rvjax.status.PRECEDENCE` counts) or any
+    value is not finite; a bare nan counts as NONFINITE.
+    """
+
+    value: Any = field("-", "scalar, or dict or record of scalars", kind="record")
+    status: Any = field("-", "`Status` values, any shape (angles, discs)", kind="integer")
+
+
+def evaluate(response: Response, errors: Any) -> tuple[Values, jax.Array]:
+    """Values by name and the status of one unit.
+
+    Raises:
+        ValueError: a value that is not one number.
+    """
+    result = response(errors)
+    status = jnp.int32(int(Status.CONVERGED))
+    if isinstance(result, Outcome):
+        status, result = worst(jnp.asarray(result.status)).astype(jnp.int32), result.value
+    values = {}
+    for name, value in _named(result).items():
+        number = jnp.asarray(value)
+        if number.shape or not jnp.issubdtype(number.dtype, jnp.number):
+            shown = f"response[{name!r}]" if name else "response"
+            raise ValueError(f"{shown}: must be one real number per unit, got shape {number.shape} {number.dtype}")
+        values[name] = number.astype(jnp.result_type(float, number))
+    finite = jnp.all(jnp.stack([jnp.isfinite(number) for number in values.values()]))
+    return values, jnp.where(succeeded(status) & ~finite, jnp.int32(int(Status.NONFINITE)), status)
+
+
+def _named(result: Any) -> dict[str, Any]:
+    if isinstance(result, Record):
+        result = {path[-1].name: leaf for path, leaf in jax.tree_util.tree_flatten_with_path(result)[0]}
+    if not isinstance(result, Mapping):
+        return {PLAIN: result}
+    if not result:
+        raise ValueError("response: returned no value")
+    return dict(result)
+
+
+def unwrapped(result: Any) -> Any:
+    """A result whose figures are dicts by name of the response, with plain ones where it is a plain scalar."""
+    if dataclasses.is_dataclass(result) and not isinstance(result, (type, Record)):
+        fields = {f.name: unwrapped(getattr(result, f.name)) for f in dataclasses.fields(result)}
+        return dataclasses.replace(result, **fields)
+    if not isinstance(result, dict):
+        return result
+    if set(result) == {PLAIN}:
+        return result[PLAIN]
+    by_number = all(isinstance(key, float) for key in result)  # quantiles: {p: {name: ...}}
+    return {key: unwrapped(item) for key, item in result.items()} if by_number else result
+
+
+def by_name(kind: type, found: Mapping[str, Mapping[str, Any]]) -> Any:
+    """A result of this kind, every field a dict by name, from what was found of each response; unwrapped."""
+    columns = {f.name: {n: each[f.name] for n, each in found.items()} for f in dataclasses.fields(kind)}
+    return unwrapped(kind(**columns))
+
+
+def by_response(given: Any, names: tuple[str, ...], kind: type, argument: str) -> dict[str, Any]:
+    """Requirements (one, a dict, or None) as a dict by response; a ValueError names another type or an unknown name."""
+    if given is None:
+        return {}
+    if not isinstance(given, Mapping):
+        if names != (PLAIN,):
+            raise ValueError(f"{argument}: the response has the names {', '.join(names)}; give a dict of them")
+        given = {PLAIN: given}
+    for name, item in given.items():
+        if name not in names:
+            have = ", ".join(names) if names != (PLAIN,) else "only one scalar; give its value itself"
+            raise ValueError(f"{argument}: {name!r} is no name of the response; it has {have}")
+        if item is not None and not isinstance(item, kind):
+            raise ValueError(f"{argument}[{name!r}] = {item!r}: must be a {kind.__name__}")
+    return {name: item for name, item in given.items() if item is not None}
+
+
+@per_response()
+def respond(response: Response, population: Population, z: jax.Array) -> tuple[Values, jax.Array]:
+    """Values (n,) by name and status (n,) of the units whose random numbers are z (numbers, n)."""
+    one = lambda active: evaluate(response, population.fill(active))  # noqa: E731
+    return jax.vmap(one, in_axes=-1, axis_size=z.shape[-1])(population.deviations(z))
+
+
+def respond_units(
+    response: Response, population: Population, key: jax.Array, start: int, *, count: int
+) -> tuple[Values, jax.Array]:
+    """Values and status of units start .. start + count - 1; one compilation whatever the start.
+
+    Drawing is a program of its own, so that the response is compiled once for one number of units, whoever asks.
+    """
+    return respond(response, population, drawn(population, key, jnp.uint32(start), count=count))
+
+
+def response_names(response: Response, population: Population) -> tuple[str, ...]:
+    """Names of the response's values, found without computing any: a record with `outputs` says them itself.
+
+    Another is traced for as many units as will be asked for where nobody chose: JAX remembers, and need not trace it
+    again.
+    """
+    if isinstance(response, Record) and hasattr(response, "outputs"):
+        return tuple(sorted(response.outputs))  # as JAX sorts the keys of a dict
+    z = jax.ShapeDtypeStruct((population.numbers, BLOCK), jnp.result_type(float))
+    return tuple(jax.eval_shape(functools.partial(respond, response), population, z)[0])

@@ -1,0 +1,242 @@
+"""The fixed sample an allocation learns from: margins at the required yield, and their slopes.
+
+The random numbers are drawn once and serve every set of tolerances, so that margins are smooth in
+the half-widths. It certifies nothing: the optimum is fitted to these very units.
+"""
+
+import copy
+import dataclasses
+import hashlib
+from typing import Any, Self
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rvjax.population import Population, Tolerance, drawn, root_key
+from rvjax.response import BLOCK, LANES, Response, elements_and_rates, gradients, respond, response_names
+from rvjax.status import succeeded
+from rvjax.tolerances.batch.checkpoint import describe
+from rvjax.tolerances.batch.memo import Journal
+from rvjax.tolerances.requirements.limits import Limits, Pull, along_reach
+from rvjax.tolerances.requirements.tails import nearest, tail_quantile
+from rvjax.tolerances.worst_case import Extremes, extremes
+
+# Slopes come from the units nearest the quantile: few enough to stand near it, where the response bends; cheap, too.
+_FEWEST_LANES, _LANES_PART = 256, 32
+_REMEMBERED = 8  # sets of half-widths whose values are kept: what was asked for is often asked for again
+
+
+@dataclasses.dataclass(frozen=True)
+class Point:
+    """What the sample says at one set of half-widths.
+
+    Constraints are the requirements, then the share of failed units where any of them is a figure of the valid ones,
+    then the joint one.
+
+    Attributes:
+        half_widths: (j,) of the fields that have a cost.
+        margins: (c,) margin of each constraint at its target yield: <= 0 is met, inf if too many units fail.
+        slopes: (c, j) their derivatives to the logarithms of the half-widths.
+        weights: (c, k) derivative of each constraint to the margin of each requirement.
+    """
+
+    half_widths: np.ndarray
+    margins: np.ndarray
+    slopes: np.ndarray
+    weights: np.ndarray
+
+
+class Training:
+    """Margins of one sample of units as functions of the half-widths of the fields that have a cost."""
+
+    def __init__(
+        self,
+        response: Response,
+        population: Population,
+        fields: tuple[str, ...],
+        requirements: dict[str, Limits],
+        joint_target: float | None,
+        samples: int,
+        seed: int,
+        journal: Journal | None = None,
+    ) -> None:
+        self.response, self.population, self.fields, self.requirements = response, population, fields, requirements
+        self.names = response_names(response, population)
+        self._priced = [list(population.active).index(name) for name in fields]
+        self.samples, self.joint_target = samples, joint_target
+        self._journal, self._drawn = journal, {"seed": str(seed), "method": "random"}
+        self._seen: dict[bytes, np.ndarray] = {}
+        self.evaluated = [0]  # units, with or without a gradient, by this sample and its copies
+        self._made: dict[str, tuple[float, Tolerance]] = {}  # the latest tolerance of each field, by its half-width
+        self.lanes = min(samples, max(_FEWEST_LANES, samples // _LANES_PART))
+        key, block = root_key(seed), min(samples, BLOCK)
+        self.blocks = [drawn(population, key, jnp.uint32(start), count=block) for start in range(0, samples, block)]
+        self._measure()
+
+    def _measure(self) -> None:
+        """How far the nominal response stays from each limit; margins are measured from there."""
+        requirements, joint_target = self.requirements, self.joint_target
+        values = self.values(np.zeros(len(self.fields)))
+        own = self._unit_margins(values)
+        nominal = np.array([item.distance(row) for row, item in zip(values, requirements.values())])
+        finite = np.where(np.isfinite(own), np.abs(own), 0.0).max(axis=1)
+        spread = np.where(finite > 0, finite, 1.0)  # a positive size where the nominal value touches the limit
+        self.scales = np.where(np.isfinite(nominal) & (nominal > 0), nominal, spread)
+        most = [item.most_failed for item in requirements.values() if item.most_failed < 1]
+        self.most_failed = min(most, default=None)  # beside figures of the valid units failures are a constraint too
+        others = (self.most_failed is not None) + (joint_target is not None)
+        self.distance = np.append(self.scales, np.ones(others))
+        self.correction = np.ones(len(self.distance))
+        self.powers = np.full(len(self.distance), 2.0)  # by which the half-widths of each constraint add up
+        self.powers[: len(requirements)] = [item.power for item in requirements.values()]
+
+    def with_tolerances(self, changed: dict[str, Tolerance]) -> Self:
+        """The same units where some fields have other tolerances, with margins measured as here."""
+        other = copy.copy(self)
+        other.population, other._made, other._seen = self.population.with_tolerances(changed), {}, {}
+        return other
+
+    def measured(self) -> Self:
+        """The same with margins measured from its own nominal response."""
+        other = copy.copy(self)
+        other._measure()
+        return other
+
+    def with_half_widths(self, half_widths: np.ndarray) -> Population:
+        """The population with these half-widths in the fields that have a cost."""
+        for name, t in zip(self.fields, map(float, half_widths)):
+            if name not in self._made or self._made[name][0] != t:  # of hundreds of fields often one alone has moved
+                self._made[name] = t, self.population.active[name].with_half_width(t)
+        return self.population.with_tolerances({name: made for name, (_, made) in self._made.items()})
+
+    def margins(self, half_widths: np.ndarray) -> np.ndarray:
+        """Margins of the constraints (c,)."""
+        return self._corrected(self.uncorrected(half_widths))
+
+    def uncorrected(self, half_widths: np.ndarray) -> np.ndarray:
+        """Margins (c,) of this sample, whatever a larger one said."""
+        return self._margins(self.values(half_widths), self._ranges(half_widths))
+
+    def point(self, half_widths: np.ndarray) -> Point:
+        """Margins and slopes."""
+        values, ranges = self.values(half_widths), self._ranges(half_widths)
+        margins = self._margins(values, ranges)
+        weights = np.eye(len(margins), len(values))
+        slopes = []
+        for k, ((name, item), row) in enumerate(zip(self.requirements.items(), values)):
+            if item.of_extremes:
+                pull = item.pull(ranges[name].values, margins[k], self.distance[k], self.lanes)
+                slopes.append(pull.cotangents @ ranges[name].slopes[pull.units][:, self._priced])
+            else:
+                pull = item.pull(row, margins[k], self.distance[k], self.lanes)
+                slopes.append(self._slope(half_widths, pull, np.full(self.samples, k)))
+        if self.most_failed is not None:
+            slopes.append(np.zeros(len(self.fields)))
+        if self.joint_target is not None:
+            joint, leading = self._joint(values)
+            units = nearest(joint, self.joint_target, self.lanes)
+            outward = np.stack([item.outward(row) for row, item in zip(values, self.requirements.values())])
+            signs = (outward / self.scales[:, None])[leading[units], units]
+            slopes.append(
+                self._slope(half_widths, along_reach(units, joint[units] + 1, signs, margins[-1] + 1), leading)
+            )
+            weights[-1] = (np.eye(len(values))[leading[units]] / self.scales).mean(axis=0)
+        return Point(half_widths, self._corrected(margins), self.correction[:, None] * np.stack(slopes), weights)
+
+    def correct(self, point: Point, factors: np.ndarray) -> Point:
+        """Learn from a larger sample that half-widths times `factors` would just meet each target.
+
+        A few thousand units know a far quantile to a percent or two only. From now on the way of each
+        active constraint from the nominal response is scaled by what the larger sample saw at `point`.
+        """
+        reach = np.maximum((point.margins + self.distance) / self.distance, 1e-3)
+        seen = 1 / (factors * reach)
+        active = (reach > 0.9) & (np.abs(np.log(seen)) < 0.2)
+        ratio = np.where(active, seen, 1.0)
+        self.correction = self.correction * ratio
+        margins = ratio * (point.margins + self.distance) - self.distance
+        return dataclasses.replace(point, margins=margins, slopes=ratio[:, None] * point.slopes)
+
+    def values(self, half_widths: np.ndarray) -> np.ndarray:
+        """Required responses of every unit (k, n), nan where a unit failed; the latest ones are remembered."""
+        asked = np.asarray(half_widths, float).tobytes()
+        if asked in self._seen:
+            return self._seen[asked]
+        population, rows = self.with_half_widths(half_widths), []
+        self.evaluated[0] += self.samples
+        for k, z in enumerate(self.blocks):
+            values, status = self._block(population, k, z)
+            found = np.stack([np.asarray(values[name], float) for name in self.requirements])
+            rows.append(np.where(np.asarray(succeeded(status)), found, np.nan))
+        while len(self._seen) >= _REMEMBERED:
+            self._seen.pop(next(iter(self._seen)))
+        self._seen[asked] = np.concatenate(rows, axis=1)[:, : self.samples]
+        return self._seen[asked]
+
+    def _block(self, population: Population, k: int, z: jax.Array) -> tuple[Any, Any]:
+        """Values and status of the units of a block."""
+        if self._journal is None:
+            return respond(self.response, population, z)
+        count = z.shape[1]  # the units of a certificate's block
+        asked = describe(population, {}) | self._drawn | {"first": str(k * count), "count": str(count)}
+        return self._journal.units(self.names, asked, lambda: respond(self.response, population, z))
+
+    def _ranges(self, half_widths: np.ndarray) -> dict[str, Extremes]:
+        """Ranges of the responses whose worst case is judged."""
+        judged = [name for name, item in self.requirements.items() if item.of_extremes]
+        population = self.with_half_widths(half_widths) if judged else self.population
+        return {name: extremes(self.response, population, self.names, name) for name in judged}
+
+    def _unit_margins(self, values: np.ndarray) -> np.ndarray:
+        """Margin of every unit to every limit (k, n), inf where it failed."""
+        rows = [item.margin(row) for row, item in zip(values, self.requirements.values())]
+        return np.where(np.isnan(values), np.inf, np.stack(rows))
+
+    def _joint(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Margin of every unit to the limit it comes nearest to (n,), in parts of the way there; and which that is."""
+        scaled = self._unit_margins(values) / self.scales[:, None]
+        scaled[[not item.of_units for item in self.requirements.values()]] = -np.inf
+        return scaled.max(axis=0), scaled.argmax(axis=0)
+
+    def _margins(self, values: np.ndarray, ranges: dict[str, Extremes]) -> np.ndarray:
+        rows = [ranges[name].values if name in ranges else row for name, row in zip(self.requirements, values)]
+        triples = zip(self.requirements.values(), rows, map(float, self.distance))
+        found = [
+            item.learned(row if item.most_failed >= 1 else row[~np.isnan(row)], distance)
+            for item, row, distance in triples
+        ]
+        if self.most_failed is not None:
+            found.append(float(np.isnan(values).any(axis=0).mean()) / self.most_failed - 1)
+        if self.joint_target is not None:
+            found.append(tail_quantile(self._joint(values)[0], self.joint_target, 1.0))
+        return np.array(found)
+
+    def _corrected(self, margins: np.ndarray) -> np.ndarray:
+        return (margins + self.distance) * self.correction - self.distance
+
+    def _slope(self, half_widths: np.ndarray, pull: Pull, of: np.ndarray) -> np.ndarray:
+        """Derivative of a margin to the logarithms of the half-widths (j,); `of`: each unit's requirement."""
+        if not len(pull.units):
+            return np.zeros(len(self.fields))
+        z = np.concatenate([np.asarray(block) for block in self.blocks], axis=1)
+        given = dict(zip(self.fields, jnp.asarray(half_widths, z.dtype)))
+        padded = np.resize(pull.units, -(-len(pull.units) // LANES) * LANES)  # one program, however many units
+        found = (np.asarray(rows) for rows in elements_and_rates(self.population, given, z[:, padded]))
+        errors, rates = (rows[:, : len(pull.units)] for rows in found)
+        rows = np.array([self.names.index(name) for name in self.requirements])
+        cotangents = np.eye(len(self.names))[rows[of[pull.units]]].T * pull.cotangents
+        self.evaluated[0] += len(pull.units)
+        slopes = self._gradients(errors, cotangents)
+        used = np.isfinite(slopes).all(axis=0)
+        by_field = self.population.by_field((slopes * rates)[:, used].sum(axis=1))
+        total, norm = np.array([by_field[name].sum() for name in self.fields]), pull.norms[used].sum()
+        return total / norm * half_widths if norm > 0 else np.zeros(len(self.fields))
+
+    def _gradients(self, errors: np.ndarray, cotangents: np.ndarray) -> np.ndarray:
+        """Gradients (elements, n) of weighted responses."""
+        compute = lambda: gradients(self.response, self.population, errors, cotangents, self.names)[1]  # noqa: E731
+        if self._journal is None:
+            return compute()
+        weighted = hashlib.sha256(errors.tobytes() + cotangents.tobytes()).hexdigest()
+        return self._journal.recall({"gradients of": weighted}, compute)

@@ -1,0 +1,1 @@
+"""Monte Carlo statistics of any sample size, in constant memory."""

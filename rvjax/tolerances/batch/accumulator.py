@@ -1,0 +1,172 @@
+"""Host side of a Monte Carlo run: what is kept of the chunks, whatever their number, and how it is put together."""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from rvjax.files import Arrays
+from rvjax.population import CentralMoments, Pairwise
+from rvjax.status import PRECEDENCE, SUCCESS
+from rvjax.tolerances.batch.quantiles import ExactOrder, Order
+from rvjax.tolerances.requirements.kinds import Limits
+
+_GOOD = [int(status) for status in SUCCESS]
+_BAD = {int(status) for status in PRECEDENCE} - set(_GOOD)
+_GROWING = ("failures", "values", "pilot", "waiting", "waiting_streams")  # arrays with as many rows as were needed
+
+
+class Tally:
+    """Moments, histograms and counts of the units seen, apart for every stream (scramble) of units.
+
+    Unit i belongs to stream i mod `streams`. Moments are merged in the order of the chunks' numbers,
+    so that the sums have the same bits after an interruption and in any number of processes.
+    """
+
+    def __init__(self, names: tuple[str, ...], requirements: dict[str, Limits], streams: int, kept: int) -> None:
+        self.names, self.streams = names, streams
+        self.requirements = {name: item for name, item in requirements.items() if item.of_units}
+        self.moments = {name: [Pairwise() for _ in range(streams)] for name in names}
+        self._orders = {} if kept else {name: Order(streams) for name in names}
+        self.values = {name: np.full(kept, math.nan) for name in names} if kept else {}
+        # Units of each stream: seen, within all limits, within the limits of each requirement.
+        self.seen, self.joint = np.zeros((2, streams), np.int64)
+        self.passed = {name: np.zeros(streams, np.int64) for name in self.requirements}
+        self.failures: dict[int, int] = {}
+        self.examples: dict[int, int] = {}
+
+    @property
+    def settled(self) -> bool:
+        """True once units that others count are of no more interest here."""
+        return all(order.settled for order in self._orders.values())
+
+    def add(self, number: int, start: int, values: Arrays, status: np.ndarray, *, own: bool = True) -> None:
+        """Take in chunk `number`, from unit `start`: values by name (n,) and status (n,).
+
+        Another process counts one that is not `own`.
+        """
+        good = np.isin(status, _GOOD)
+        complete = bool(good.all())
+        if not own:
+            for name, order in self._orders.items():
+                order.add(_finite(values[name], good, complete), own=False)
+            return
+        if not complete:
+            for code in np.unique(status[~good]):
+                lanes = status == code
+                self._fail(int(code), int(lanes.sum()), start + int(np.argmax(lanes)))
+        streams = (start + np.arange(len(status))) % self.streams if self.streams > 1 else None
+        good_streams = None if streams is None else streams[good]
+        joint = None
+        for name in self.names:
+            finite = _finite(values[name], good, complete)
+            for stream, tree in enumerate(self.moments[name]):
+                tree.add(number, CentralMoments.of(finite if good_streams is None else finite[good_streams == stream]))
+            if not self.values:
+                self._orders[name].add(finite, good_streams)
+            if name in self.requirements:
+                passed = self.requirements[name].margin(finite) <= 0
+                self.passed[name] += self._count(passed, good_streams)
+                joint = passed if joint is None else joint & passed
+        if joint is not None:
+            self.joint += self._count(joint, good_streams)
+        self.seen += self._count(np.ones(len(status), bool), streams)
+        self.keep(start, values, status)
+
+    def keep(self, start: int, values: Arrays, status: np.ndarray) -> None:
+        """Keep the responses of units that may be counted already, if any are kept."""
+        good = np.isin(status, _GOOD)
+        for name, kept in self.values.items():
+            kept[start : start + len(status)][good] = values[name][good]
+
+    def _count(self, hits: np.ndarray, streams: np.ndarray | None) -> Any:
+        if streams is None:
+            return np.count_nonzero(hits)
+        return np.bincount(streams[hits], minlength=self.streams)
+
+    def _fail(self, code: int, units: int, example: int) -> None:
+        self.failures[code] = self.failures.get(code, 0) + units
+        self.examples[code] = min(self.examples.get(code, example), example)
+
+    def orders(self) -> dict[str, Order | ExactOrder]:
+        """Order statistics by name."""
+        if not self.values:
+            return dict(self._orders)
+        found: dict[str, Order | ExactOrder] = {}
+        for name, kept in self.values.items():
+            good = ~np.isnan(kept)
+            streams = np.arange(kept.size)[good] % self.streams
+            found[name] = ExactOrder(kept[good], streams, count=self.streams)
+        return found
+
+    def state(self, stop: int) -> dict[str, np.ndarray]:
+        """Everything counted, as arrays; `stop` is the number of the unit after the last one seen."""
+        failures = [[code, count, self.examples[code]] for code, count in self.failures.items()]
+        state = {"seen": self.seen, "joint": self.joint, "failures": np.array(failures, np.int64).reshape(-1, 3)}
+        for number, name in enumerate(self.names):
+            state |= {f"{number}/moments/{s}": tree.state() for s, tree in enumerate(self.moments[name])}
+            if name in self.passed:
+                state[f"{number}/passed"] = self.passed[name]
+            if self.values:
+                state[f"{number}/values"] = self.values[name][:stop]
+            else:
+                state |= {f"{number}/order/{key}": array for key, array in self._orders[name].state().items()}
+        return state
+
+    def check(self, state: Arrays, units: int) -> None:
+        """Refuse, with a ValueError, what cannot be the `state` of a tally of this study after so many units."""
+        mine = self.state(0)
+        if state.keys() != mine.keys():
+            raise ValueError(f"other arrays: {', '.join(sorted(state.keys() ^ mine.keys()))}")
+        for key, like in mine.items():
+            array, rows = state[key], key.rpartition("/")[2] in _GROWING or "/moments/" in key
+            if (
+                array.dtype.kind != like.dtype.kind
+                or array.shape[rows:] != like.shape[rows:]
+                or array.ndim != like.ndim
+            ):
+                raise ValueError(f"{key}: {array.dtype} of shape {array.shape}")
+            if array.dtype.kind == "i" and (array < 0).any():
+                raise ValueError(f"{key}: negative counts")
+        seen, (codes, counts, examples) = state["seen"], state["failures"].T
+        passed = [state["joint"], *(array for key, array in state.items() if key.endswith("/passed"))]
+        if seen.sum() != units or any((array > seen).any() for array in passed):
+            raise ValueError(f"counts of {int(seen.sum())} units, not of {units}")
+        if not set(codes.tolist()) <= _BAD or (examples >= 2**32).any():
+            raise ValueError("failures of no known status")
+        valid = units - counts.sum()
+        for number in range(len(self.names)):
+            moments = [state[f"{number}/moments/{stream}"] for stream in range(self.streams)]
+            places = np.concatenate([rows[:, :3] for rows in moments])
+            if not (places >= 0).all() or (places % 1 != 0).any() or places[:, 2].sum() != valid:
+                raise ValueError(f"{number}/moments: not of {valid} units")
+            if self.values:
+                continue
+            below, above, n = state[f"{number}/order/numbers"]
+            binned = state[f"{number}/order/counts"].sum() + below + above
+            if n != valid or binned + state[f"{number}/order/waiting"].size != n:
+                raise ValueError(f"{number}/order: not of {valid} units")
+
+    def merge(self, state: Arrays) -> None:
+        """Take in the `state` of a tally of other units of the same study."""
+        self.seen += state["seen"]
+        self.joint += state["joint"]
+        for code, count, example in state["failures"].tolist():
+            self._fail(code, count, example)
+        for number, name in enumerate(self.names):
+            for stream, tree in enumerate(self.moments[name]):
+                tree.merge(state[f"{number}/moments/{stream}"])
+            if name in self.passed:
+                self.passed[name] += state[f"{number}/passed"]
+            if self.values:
+                kept = state.get(f"{number}/values", np.empty(0))  # none yet: they are computed again
+                mine = self.values[name][: kept.size]
+                mine[:] = np.where(np.isnan(mine), kept, mine)
+                continue
+            prefix = f"{number}/order/"
+            parts = {key.removeprefix(prefix): array for key, array in state.items() if key.startswith(prefix)}
+            self._orders[name].merge(parts)
+
+
+def _finite(values: np.ndarray, good: np.ndarray, complete: bool) -> np.ndarray:
+    return (values if complete else values[good]).astype(np.float64, copy=False)

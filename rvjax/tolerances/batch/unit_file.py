@@ -1,0 +1,235 @@
+"""Every unit of a run as a table on disk, written chunk by chunk: memory does not grow with the units."""
+
+import contextlib
+import csv
+import dataclasses
+import itertools
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rvjax import frames
+from rvjax.files import check_writable, replacing
+from rvjax.population import Population
+from rvjax.status import SUCCESS, Status
+
+ENDINGS = (".csv", ".parquet")
+FORMAT = 1
+ABOUT = b"rvjax"
+"""Key of the JSON in a Parquet file's metadata that says seed, versions and study."""
+
+Columns = Mapping[str, np.ndarray]
+Write = Callable[[int, Columns, np.ndarray, Columns], None]
+"""Takes number of the first unit, responses by name (n,), status (n,) and errors by field (*shape, n)."""
+
+
+@dataclasses.dataclass(frozen=True)
+class UnitFile:
+    """Where `monte_carlo` puts every unit, a row each, in SI: number, status, responses and, if wanted, drawn errors.
+
+    A unit that failed has no response: an empty cell (CSV), NaN (Parquet). The elements of an error are columns such as
+    "disc_bore[0,1,0]". CSV has units in its header; Parquet in the metadata of each column, with seed, versions and
+    study in that of the file, and a row group for each chunk.
+
+    Attributes:
+        path: ends with .csv or .parquet (needs the extra parquet).
+        errors: the drawn errors, a column for each element.
+        units: SI unit by name of a response, or of an error whose record tells none.
+        about: what the Parquet file says of the study beside what was asked, texts by name.
+
+    Raises:
+        ValueError: another ending.
+        ImportError: pyarrow is not installed.
+    """
+
+    path: str | Path
+    errors: bool = False
+    units: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    about: Mapping[str, str] = dataclasses.field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if Path(self.path).suffix not in ENDINGS:
+            raise ValueError(f"{self.path}: must end with {' or '.join(ENDINGS)}")
+        if Path(self.path).suffix == ".parquet":
+            frames.needed("pyarrow.parquet", str(self.path), "parquet")
+
+    def columns(self, names: Sequence[str], population: Population) -> dict[str, str]:
+        """Name and unit of each number of a unit.
+
+        Args:
+            names: of the responses.
+            population: names the errors.
+
+        Raises:
+            ValueError: two columns would have one name.
+        """
+        found = [(name or "response", self.units.get(name, "")) for name in names]
+        if self.errors:
+            record = population.tolerances
+            own = {} if isinstance(record, dict) else {f.name: f.metadata["unit"] for f in dataclasses.fields(record)}
+            for field, tolerance in population.active.items():
+                unit = own.get(field) or self.units.get(field, "")
+                found += [(element, unit) for element in elements(field, tolerance.shape)]
+        taken = ["unit", "status", *(name for name, _ in found)]
+        if double := sorted({name for name in taken if taken.count(name) > 1}):
+            raise ValueError(f"{self.path}: two columns would be called {', '.join(double)}; rename the response")
+        return dict(found)
+
+
+def elements(field: str, shape: tuple[int, ...]) -> list[str]:
+    """Names of the elements of an error, in C order, as `correlation` takes them."""
+    places = itertools.product(*map(range, shape))
+    return [f"{field}[{','.join(map(str, place))}]" if place else field for place in places]
+
+
+@contextlib.contextmanager
+def writing(
+    target: UnitFile, path: Path, names: Sequence[str], population: Population, about: Mapping[str, Any]
+) -> Iterator[Write]:
+    """A function that adds a chunk; the file is there once the block has ended well, whole or not at all."""
+    columns = target.columns(names, population)
+    said = {"format": FORMAT, "kind": "units", **about, "study": dict(about.get("study", {})) | dict(target.about)}
+    check_writable(path)
+    with replacing(path) as partial, _TABLES[Path(target.path).suffix].begun(partial, columns, said) as table:
+
+        def write(first: int, values: Columns, status: np.ndarray, errors: Columns) -> None:
+            good = np.isin(status, _GOOD)
+            numbers = [np.where(good, values[name], np.nan) for name in names]
+            for drawn in errors.values():
+                numbers += list(np.asarray(drawn).reshape(-1, drawn.shape[-1])[:, : len(status)])
+            rows = zip(columns, (np.asarray(column, np.float64) for column in numbers), strict=True)
+            table.add(first + np.arange(len(status)), [_NAMES[int(code)] for code in status], dict(rows))
+
+        yield write
+
+
+def joined(parts: Sequence[Path], path: Path, chunk: int) -> None:
+    """One file from those of several processes, of which each holds every n-th chunk.
+
+    Args:
+        parts: in the order of the processes.
+        path: of the whole, with the ending of the parts.
+        chunk: units of each chunk but the last.
+    """
+    with replacing(path) as partial:
+        _TABLES[path.suffix].join(parts, partial, chunk)
+
+
+_GOOD = [int(status) for status in SUCCESS]
+_NAMES = {int(status): status.name for status in Status}
+
+
+class _Csv:
+    """Numbers as the shortest text that gives all bits back; an empty cell where there is none."""
+
+    def __init__(self, file: Any) -> None:
+        self._rows = csv.writer(file, lineterminator="\n")
+
+    @classmethod
+    @contextlib.contextmanager
+    def begun(cls, path: Path, columns: Mapping[str, str], about: Mapping[str, Any]) -> "Iterator[_Csv]":
+        with path.open("w", encoding="utf-8", newline="") as file:
+            made = cls(file)
+            heads = (f"{name} [{unit}]" if unit else name for name, unit in columns.items())
+            made._rows.writerow(["unit", "status", *heads])
+            yield made
+
+    def add(self, number: np.ndarray, status: list[str], columns: Columns) -> None:
+        cells = [[None if x != x else x for x in column.tolist()] for column in columns.values()]
+        self._rows.writerows(zip(number.tolist(), status, *cells))
+
+    @staticmethod
+    def join(parts: Sequence[Path], path: Path, chunk: int) -> None:
+        with contextlib.ExitStack() as opened, path.open("w", encoding="utf-8", newline="") as file:
+            sources = [opened.enter_context(part.open(encoding="utf-8", newline="")) for part in parts]
+            heads = [source.readline() for source in sources]
+            file.write(heads[0])
+            for source in itertools.cycle(sources):
+                lines = list(itertools.islice(source, chunk))
+                file.writelines(lines)
+                if len(lines) < chunk:  # the last chunk of all, or none is left for this process
+                    break
+
+
+class _Parquet:
+    """Each chunk is a row group."""
+
+    def __init__(self, writer: Any, schema: Any) -> None:
+        self._writer, self._schema = writer, schema
+
+    @classmethod
+    @contextlib.contextmanager
+    def begun(cls, path: Path, columns: Mapping[str, str], about: Mapping[str, Any]) -> "Iterator[_Parquet]":
+        import pyarrow
+        from pyarrow import parquet
+
+        own = [
+            pyarrow.field(name, pyarrow.float64(), metadata={"unit": unit} if unit else None)
+            for name, unit in columns.items()
+        ]
+        first = [pyarrow.field("unit", pyarrow.int64()), pyarrow.field("status", pyarrow.string())]
+        schema = pyarrow.schema([*first, *own], metadata={ABOUT: json.dumps(about)})
+        with parquet.ParquetWriter(path, schema) as writer:
+            yield cls(writer, schema)
+
+    def add(self, number: np.ndarray, status: list[str], columns: Columns) -> None:
+        import pyarrow
+
+        table = pyarrow.table([number, status, *columns.values()], schema=self._schema)
+        self._writer.write_table(table, row_group_size=len(number))
+
+    @staticmethod
+    def join(parts: Sequence[Path], path: Path, chunk: int) -> None:
+        from pyarrow import parquet
+
+        files = [parquet.ParquetFile(part) for part in parts]
+        count = sum(file.num_row_groups for file in files)
+        with parquet.ParquetWriter(path, files[0].schema_arrow) as writer:
+            for number in range(count):
+                table = files[number % len(files)].read_row_group(number // len(files))
+                writer.write_table(table, row_group_size=len(table))
+        for file in files:
+            file.close()
+
+
+_TABLES: dict[str, type[_Csv] | type[_Parquet]] = {".csv": _Csv, ".parquet": _Parquet}
+
+
+def parquet_origin(path: Path) -> dict[str, Any]:
+    """What a Parquet file of units says of itself: kind, seed, study, versions.
+
+    Raises:
+        ValueError: no file of units of rvjax, or damaged.
+        ImportError: pyarrow is not installed.
+    """
+    frames.needed("pyarrow.parquet", str(path), "parquet")
+    from pyarrow import ArrowException, parquet
+
+    try:
+        about = json.loads((parquet.read_schema(path).metadata or {})[ABOUT])
+    except (ArrowException, KeyError, ValueError) as error:
+        raise ValueError(f"{path}: damaged, or no result of rvjax ({' '.join(str(error).split())})") from None
+    if about.get("format") != FORMAT:
+        raise ValueError(f"{path}: has format {about.get('format')!r}, this version of rvjax reads {FORMAT}")
+    return about
+
+
+def parquet_frame(path: Path) -> Any:
+    """The units of a Parquet file as a `pandas.DataFrame`, SI, indexed by unit; units in `attrs["units"]`.
+
+    Raises:
+        ValueError: as `parquet_origin`.
+        ImportError: pandas or pyarrow is not installed.
+    """
+    about = parquet_origin(path)
+    frames.needed("pandas", str(path), "parquet")
+    from pyarrow import parquet
+
+    read = parquet.read_table(path)
+    frame = read.to_pandas().set_index("unit")
+    units = {field.name: field.metadata[b"unit"].decode() for field in read.schema if field.metadata}
+    frame.attrs = {"units": units, **{key: about[key] for key in ("seed", "versions")}}
+    return frame

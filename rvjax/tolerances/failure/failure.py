@@ -1,0 +1,300 @@
+"""Rare failures: the share of units beyond a limit, down to parts per million and below."""
+
+import dataclasses
+import math
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from rvjax.population import Correlation, Estimate, Population, deviate_of, rare, student, wilson
+from rvjax.response import PLAIN, Response, by_name, by_response, response_names
+from rvjax.tolerances.failure.form import BATCH, LANES, Found, LimitState, Units, design_points
+from rvjax.tolerances.failure.importance_sampling import Mixture, apart
+from rvjax.tolerances.failure.subset_simulation import ISLANDS, Sequential, sequential
+from rvjax.tolerances.failure.symmetry import orbit
+from rvjax.tolerances.requirements.kinds import Limits
+
+_ROUNDS = 12  # most batches of searches
+_ORBITS = 4  # new points of a batch whose images are tried
+_HEAVY = 3.0  # mean weight of failed units of the second estimate, over that of the first, which makes them disagree
+_FEWEST_EFFECTIVE = 100
+_CHECKING = 32  # units of an island of the second estimate where a cheap response has found the points
+_ON_RAYS = 32  # points whose place on the dear limit is found, the nearest ones; the others move as these do
+_ALONG = (0.4, 0.6, 0.75, 0.9, 1.0, 1.15, 1.35, 1.6)  # of a cheap point, one of which must differ from the middle too
+
+
+@dataclasses.dataclass(frozen=True)
+class FailureProbability:
+    """How rarely a unit fails; fields have the structure of the response.
+
+    Attributes:
+        probability: `Estimate` of the share of units beyond the limits or without a valid value.
+        reliability_index: distance of the nearest point of failure from the middle of the standard normal
+            numbers; -Phi^-1(P) if the limit is flat. Negative if the middle itself fails, inf without a point. Where a
+            cheap response led, of a point moved along its ray: no less than that of the nearest.
+        point: errors of that point, the most likely failure; None if none was found.
+        evaluations: units evaluated in all; a value with its gradient counts as three.
+        cheap_evaluations: the same of the cheap response; 0 without one.
+        effective_samples: (sum w)^2 / sum w^2 of the weights of the failed units; of the good ones if the middle fails.
+        points: points of failure that the sampling is centred at.
+        second: `Estimate` of the same probability by another way, subset simulation, which needs neither points nor
+            slopes; its standard error is mostly 15 to 30 %.
+        status: "OK", or reasons to look twice, joined by ", ": "FEW_EFFECTIVE_SAMPLES" (below 100),
+            "ESTIMATES_DISAGREE" (the second stands apart, or its failures lie where the first hardly draws; with
+            either of these two, the interval of the probability holds both intervals),
+            "UNLIKE" (the cheap response did not know the failures: all was searched on the response itself),
+            "SEVERAL_POINTS" (of similar distance: the flat-limit figure Phi(-index) misses the others),
+            "KINKED_POINT" (no slope at the nearest point: the index may be a little too large), "NO_POINT".
+    """
+
+    probability: Any
+    reliability_index: Any
+    point: Any
+    evaluations: Any
+    cheap_evaluations: Any
+    effective_samples: Any
+    points: Any
+    second: Any
+    status: Any
+
+
+def failure_probability(
+    response: Response,
+    tolerances: Any,
+    requirement: Any,
+    *,
+    samples: int,
+    seed: int,
+    correlation: Correlation = None,
+    like: Response | None = None,
+) -> FailureProbability:
+    """Probability that a unit violates a requirement, by importance sampling about its design points.
+
+    A second estimate comes first: subset simulation, which asks of a unit only whether it fails, and ends
+    with units of the failing region, every way to fail in proportion. From these, and from units near a
+    limit, the points of the failing region nearest to the middle of the random numbers are searched (the
+    first-order reliability method; every limit has points of its own), until a batch of searches finds
+    nothing new, 12 batches at most. Images of a point by exchange of like parts are points too where the
+    response fails there. Then units are drawn from unit normals centred there, each weighted by the ratio
+    of the densities (Melchers 1989); a tenth is drawn about the middle, so that no weight exceeds 20.
+    Where the two estimates disagree, the status says so and the interval holds both.
+
+    With a cheap response that is `like` this one, the points are searched on it, and moved along their rays to where
+    this one begins to fail. Draws and weights are as before, so that the estimate is unbiased whatever the cheap
+    response says. Failures that it does not know are noticed by a second estimate of a quarter the usual size, which is
+    of this response alone: if its failed units lie where the draws hardly reach, if the estimates stand apart, or if
+    the draws count for little, everything is done anew on this response (status "UNLIKE").
+
+    Args:
+        response: pure function of the errors of one unit; a scalar, a dict or record of scalars, or `Outcome`.
+        tolerances: record or dict with a `Tolerance` or None in each field.
+        requirement: `Requirement`, or a dict of them by name of the response, each judged alone; its target
+            plays no part.
+        samples: units of the final draw; the second estimate and the searches add some 20 000 to 80 000 evaluations,
+            with a cheap response that knows the failures 2000 to 10 000.
+        seed: of the random numbers.
+        correlation: {(field or element, field or element): correlation of their z}.
+        like: a cheap response that fails in much the same way, such as `linearised`; its value of the same name is
+            used, or its only one.
+
+    Returns:
+        `FailureProbability`. A unit without a valid value fails.
+
+    Raises:
+        ValueError: no requirement, too few samples, or a cheap response without the value.
+    """
+    if samples < 2:
+        raise ValueError(f"samples = {samples!r}: must be at least 2")
+    population = Population.of(tolerances, correlation)
+    names = response_names(response, population)
+    required = by_response(requirement, names, Limits, "requirement")
+    if not required:
+        raise ValueError("requirement: needs at least one")
+    for name, item in required.items():
+        if not item.of_units:
+            raise ValueError(f"requirement[{name!r}] = {item!r}: says nothing of one unit")
+    found = {}
+    for name, item in required.items():
+        random = np.random.default_rng(seed)
+        if like is None:
+            found[name] = _searched(_Search(Units(response, population, name), item), random, samples)
+        else:
+            guide = _Search(Units(like, population, _name_like(like, population, name)), item)
+            found[name] = _guided(
+                _Search(Units(response, population, name, ISLANDS * _CHECKING), item), guide, random, samples
+            )
+    return by_name(FailureProbability, found)
+
+
+def _name_like(like: Response, population: Population, name: str) -> str:
+    names = response_names(like, population)
+    if name not in names and names != (PLAIN,):
+        raise ValueError(f"like: has no value {name!r} as the response has; it has {', '.join(names)}")
+    return name if name in names else PLAIN
+
+
+def _searched(search: "_Search", random: np.random.Generator, samples: int) -> dict[str, Any]:
+    """The fields of the result."""
+    second = sequential(search.differ, search.numbers, random)
+    search.explore(random, second.failing)
+    return _judged(search, second, random, samples)[0]
+
+
+def _guided(search: "_Search", guide: "_Search", random: np.random.Generator, samples: int) -> dict[str, Any]:
+    """The same, with points that a search on a cheap response has found; anew where these do not serve."""
+    guide.explore(random, sequential(guide.differ, guide.numbers, random).failing)
+    found: dict[str, Any] = {}
+    sure = False
+    if guide.middle_fails == search.middle_fails and search.follow(guide.mixture):
+        found, sure = _judged(
+            search, sequential(search.differ, search.numbers, random, each=_CHECKING), random, samples
+        )
+    if not sure:
+        found = _searched(search, random, samples)
+        found["status"] = ", ".join(["UNLIKE", *(found["status"].split(", ") if found["status"] != "OK" else [])])
+    return found | dict(cheap_evaluations=guide.units.evaluations)
+
+
+def _judged(
+    search: "_Search", second: Sequential, random: np.random.Generator, samples: int
+) -> tuple[dict[str, Any], bool]:
+    """The fields of the result from draws about the points of a search, and whether nothing speaks against them."""
+    mixture = search.mixture
+    first, effective, typical = search.draw(random, samples)
+    reasons = mixture.reasons()
+    if _disagree(first, second, mixture, typical):
+        reasons.insert(0, "ESTIMATES_DISAGREE")
+    if effective < _FEWEST_EFFECTIVE:
+        reasons.insert(0, "FEW_EFFECTIVE_SAMPLES")
+    doubtful = bool({"ESTIMATES_DISAGREE", "FEW_EFFECTIVE_SAMPLES"} & set(reasons))
+    shown = _both(first, second.probability) if doubtful and first.value > 0 else first
+    distance = float(mixture.distances.min()) if mixture.count else math.inf
+    population = search.units.population
+    found = dict(
+        probability=_complement(shown) if search.middle_fails else shown,
+        reliability_index=-distance if search.middle_fails else distance,
+        point=population.errors(jnp.asarray(mixture.centres[:, mixture.nearest])) if mixture.count else None,
+        evaluations=search.units.evaluations,
+        cheap_evaluations=0,
+        effective_samples=effective,
+        points=mixture.count,
+        second=_complement(second.probability) if search.middle_fails else second.probability,
+        status=", ".join(reasons) or "OK",
+    )
+    return found, not doubtful
+
+
+def _complement(share: Estimate) -> Estimate:
+    return Estimate(1 - share.value, share.error, 1 - share.upper, 1 - share.lower)
+
+
+def _disagree(first: Estimate, second: Sequential, mixture: Mixture, typical: float) -> bool:
+    """Whether the second estimate stands apart, or failed units of its own are rare among the draws of the first."""
+    if not (first.value and second.probability.value):
+        return first.value != second.probability.value
+    # By ratios: a low estimate has a low error.
+    apart = abs(math.log(first.value / second.probability.value))
+    errors = math.hypot(first.error / first.value, second.probability.error / second.probability.value)
+    if apart > student(0.99, ISLANDS) * errors:
+        return True
+    return float(mixture.weights(second.failing).mean()) > _HEAVY * typical
+
+
+def _both(first: Estimate, second: Estimate) -> Estimate:
+    """The first figure with an interval that holds both intervals."""
+    lower, upper = min(first.lower, second.lower), max(first.upper, second.upper)
+    return Estimate(first.value, max(first.error, (upper - lower) / (2 * deviate_of(0.95))), lower, upper)
+
+
+class _Search:
+    """The points of failure of all limits of one requirement, and the draws about them.
+
+    Where the middle itself fails, good units are the rare ones, and everything here is about them.
+    """
+
+    def __init__(self, units: Units, requirement: Limits) -> None:
+        self.units, self.requirement, self.numbers = units, requirement, units.population.numbers
+        sides = [(requirement.upper, 1.0), (requirement.lower, -1.0)]
+        self.states = [LimitState(units, limit, sign) for limit, sign in sides if math.isfinite(limit)]
+        self.mixture = Mixture(self.numbers)
+        self.middle_fails = False
+        self.middle_fails = bool(self.differ(np.zeros((self.numbers, 1)))[0])
+
+    def differ(self, z: np.ndarray) -> np.ndarray:
+        """Which units (numbers, n) fail, for want of a value too, unlike the middle; or do not, unlike the middle."""
+        good = self.requirement.margin(self.units.values(z)) <= 0
+        return good if self.middle_fails else ~good
+
+    def explore(self, random: np.random.Generator, differing: np.ndarray) -> None:
+        """Find the points: from plain units near a limit, then from failures that no point stands near.
+
+        Failures are those of the second estimate and those that the mixture draws as it stands; each starts a search
+        as often as its weight says. Ends when a batch of searches finds nothing new.
+        """
+        plain = random.standard_normal((len(differing), BATCH))
+        values = self.units.values(plain)
+        for state in self.states:
+            order = np.argsort(np.nan_to_num(np.abs(state.g(values)), nan=math.inf))
+            self._take(state, design_points(state, plain[:, order[:LANES]], differing))
+        for _ in range(_ROUNDS):
+            drawn = self.mixture.sample(random, BATCH)
+            pool = np.concatenate([differing, drawn[:, self.differ(drawn)]], axis=1)
+            if not pool.shape[1]:
+                break
+            weights = self.mixture.weights(pool)
+            count = min(LANES, pool.shape[1])
+            starts = pool[:, random.choice(pool.shape[1], count, replace=False, p=weights / weights.sum())]
+            values, new = self.units.values(starts), False
+            for state in self.states:
+                # A unit without a value fails whichever limit one asks.
+                lost = np.isnan(values) if state is self.states[0] else False
+                own = np.full(count, True) if self.middle_fails else (state.g(values) > 0) | lost
+                new |= self._take(state, design_points(state, starts[:, own], pool))
+            if not new:
+                break
+
+    def follow(self, guide: Mixture) -> int:
+        """Take the points of another response, moved along their rays to where this one changes; how many there are."""
+        order = np.argsort(guide.distances)
+        points, converged = guide.centres[:, order], guide.converged[order]
+        tried = points[:, :_ON_RAYS]
+        grid = np.repeat(np.array(_ALONG)[:, None], tried.shape[1], axis=1)
+        for _ in range(2):  # the second grid is of the gap that the first has left
+            beyond = self.differ((grid[:, None] * tried).swapaxes(0, 1).reshape(self.numbers, -1)).reshape(grid.shape)
+            first = np.argmax(beyond, axis=0)
+            far = np.take_along_axis(grid, first[None], axis=0)[0]
+            near = np.take_along_axis(grid, np.maximum(first - 1, 0)[None], axis=0)[0]
+            found = beyond.any(axis=0)
+            grid = np.linspace(np.where(first > 0, near, 0.0), far, len(_ALONG) + 1)[1:]
+        factors = np.full(points.shape[1], np.median(far[found]) if found.any() else np.nan)
+        factors[: len(far)] = np.where(found, far, np.nan)
+        kept = np.isfinite(factors)
+        self.mixture.add(Found((factors * points)[:, kept], converged[kept]))
+        return self.mixture.count
+
+    def _take(self, state: LimitState, found: Found) -> bool:
+        """Add points and what their exchange of like parts leads to; whether anything was new."""
+        new = self.mixture.add(found)
+        images = np.zeros((len(new), 0))
+        for point in new[:, np.argsort(np.linalg.norm(new, axis=0))][:, :_ORBITS].T:
+            if apart(point, images):
+                place = np.argmin(np.linalg.norm(self.mixture.centres - point[:, None], axis=0))
+                of_point = orbit(state, point, bool(self.mixture.converged[place]))
+                self.mixture.add(of_point)
+                images = np.concatenate([images, of_point.points], axis=1)
+        return new.shape[1] > 0
+
+    def draw(self, random: np.random.Generator, samples: int) -> tuple[Estimate, float, float]:
+        """The share of units unlike the middle, its effective samples and the mean weight of these units."""
+        total, squares, hits = 0.0, 0.0, 0
+        for start in range(0, samples, BATCH):
+            z = self.mixture.sample(random, min(BATCH, samples - start))
+            seen = self.mixture.weights(z[:, self.differ(z)])
+            total, squares, hits = total + float(seen.sum()), squares + float((seen**2).sum()), hits + len(seen)
+        if not hits:
+            plain = max(1, int(samples * self.mixture.plain))
+            return dataclasses.replace(wilson(0, plain, 0.95), error=0.0), 0.0, math.inf
+        share = total / samples
+        error = math.sqrt(max(0.0, squares / samples - share**2) / (samples - 1))
+        return rare(share, error, deviate_of(0.95)), total**2 / squares, squares / total

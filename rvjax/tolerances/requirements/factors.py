@@ -1,0 +1,35 @@
+"""Common factors on all half-widths after which a figure should just hold: where the next certificate is drawn."""
+
+import math
+
+from scipy import special
+
+from rvjax.population import Estimate
+
+CUSHION = 0.7
+"""Standard errors of a figure kept in hand, so that the next draw passes too."""
+
+MOST_FACTOR = 1e3
+"""The largest step, and the reciprocal of the smallest."""
+
+_LEAST_SEEN = 1e-3  # of the rejects that are allowed: fewer say no more
+
+
+def share_factor(share: Estimate, target: float, samples: int, deviate: float) -> float:
+    """Factor on the half-widths of a two-sided normal response whose share of units should reach a target."""
+    # The score interval has its lower end at the target where the share lies z errors of the target above it.
+    wanted = min(target + (deviate + CUSHION) * math.sqrt(target * (1 - target) / samples), 1 - 0.5 / samples)
+    seen = min(max(share.value, 0.5 / samples), 1 - 0.5 / samples)
+    return float(special.ndtri((1 + seen) / 2) / special.ndtri((1 + wanted) / 2))
+
+
+def rare_factor(share: Estimate, target: float, deviate: float) -> float:
+    """`share_factor` where the share of rejects is known to a part of itself, however small it is."""
+    failing, wanted = max(1 - share.value, _LEAST_SEEN * (1 - target)), 1 - target
+    wanted /= 1 + (deviate + CUSHION) * share.error / failing
+    return float(special.ndtri(min(failing, 1 - _LEAST_SEEN) / 2) / special.ndtri(wanted / 2))
+
+
+def bounded(factor: float) -> float:
+    """Kept within what a single step may change; nan as 0."""
+    return 0.0 if math.isnan(factor) else min(max(factor, 1 / MOST_FACTOR), MOST_FACTOR)

@@ -1,0 +1,326 @@
+"""What a response must keep to: share of units within limits, their mean, spread or capability, or the worst case."""
+
+import dataclasses
+import math
+from typing import ClassVar
+
+import numpy as np
+
+from rvjax.population import Estimate, Sampled, wilson
+from rvjax.tolerances.requirements.factors import CUSHION, MOST_FACTOR, bounded, rare_factor, share_factor
+from rvjax.tolerances.requirements.limits import KINDS, MOST_FAILED, Limits, Pull, Verdict, along_reach
+from rvjax.tolerances.requirements.tails import nearest, tail_quantile
+
+__all__ = [
+    "KINDS",
+    "CpkAtLeast",
+    "Limits",
+    "MeanWithin",
+    "Requirement",
+    "SdAtMost",
+    "Verdict",
+    "WorstCaseWithin",
+]
+
+_FEW_FAILED = f"< {100 * MOST_FAILED:g} % failed"
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Requirement(Limits):
+    """Limits of a response and the share of units that must lie within them.
+
+    Attributes:
+        lower: lower limit, unit of the response; -inf for none.
+        upper: upper limit, unit of the response; inf for none.
+        target: share of units, between 0 and 1.
+    """
+
+    goal: ClassVar[str | None] = "target"
+    judges: ClassVar[str] = "share"
+    most_failed: ClassVar[float] = math.inf  # they are rejects
+    target: float = 0.9973
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 0 < self.target < 1:
+            raise ValueError(f"Requirement.target = {self.target:.6g}: must lie between 0 and 1")
+
+    def margins(self, values: np.ndarray) -> np.ndarray:
+        """Margin of every unit, inf where one failed."""
+        return np.where(np.isnan(values), np.inf, self.margin(values))
+
+    def learned(self, values: np.ndarray, distance: float) -> float:
+        """Quantile of the units' margins at the target."""
+        return tail_quantile(self.margins(values), self.target, distance)
+
+    def pull(self, values: np.ndarray, margin: float, distance: float, lanes: int) -> Pull:
+        """Seen from the nominal response, slopes of a linear response grow like the margin itself.
+
+        Least squares along that line brings the units next to the quantile to it.
+        """
+        margins = self.margins(values)
+        units = nearest(margins, self.target, lanes)
+        return along_reach(units, margins[units] + distance, self.outward(values[units]), margin + distance)
+
+    def figure(self, sampled: Sampled) -> Estimate:
+        """The yield; failed units are rejects."""
+        return sampled.share()
+
+    def holds(self, estimate: Estimate) -> bool:
+        """The lower end of the yield reaches the target."""
+        return estimate.lower >= self.target
+
+    def factor(self, estimate: Estimate, samples: int, deviate: float, distance: float) -> float:
+        """Of a normal response within two limits."""
+        if estimate.error < 0.5 * math.sqrt(max(0.0, estimate.value * (1 - estimate.value)) / samples):  # see `rarely`
+            return rare_factor(estimate, self.target, deviate)
+        return share_factor(estimate, self.target, samples, deviate)
+
+    def hopeless(self, samples: int, confidence: float) -> bool:
+        """Where no sample can, a probability of failure may."""
+        return False
+
+    def beyond(self, samples: int, confidence: float) -> bool:
+        """A sample without rejects could not certify the target."""
+        return wilson(samples, samples, confidence).lower < self.target
+
+    def rarely(self, failing: Estimate, trusted: bool) -> Verdict:
+        """The whole interval keeps the target, and its figure is to be trusted."""
+        share = Estimate(1 - failing.value, failing.error, 1 - failing.upper, 1 - failing.lower)
+        how = "importance sampling" if trusted else "importance sampling, not to be trusted"
+        return Verdict(f"{self.text()}, {how}", self.judges, share, trusted and self.holds(share))
+
+    def shortfall(self, values: np.ndarray, joint_target: float) -> float:
+        """The sampled quantile itself, at the stricter of both targets."""
+        ordered = np.sort(self.margins(values))
+        return max(0.0, float(ordered[math.ceil(max(self.target, joint_target) * len(ordered)) - 1]))
+
+    def text(self) -> str:
+        """The target."""
+        return f"{100 * self.target:.12g} %"
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class MeanWithin(Limits):
+    """Limits of the mean of a response over all valid units: how far a batch may be off as a whole.
+
+    Met only if also, for certain, less than 0.27 % of the units fail.
+
+    Attributes:
+        lower: lower limit of the mean, unit of the response; -inf for none.
+        upper: upper limit of the mean; inf for none.
+    """
+
+    of_units: ClassVar[bool] = False
+    judges: ClassVar[str] = "response"
+    prefix: ClassVar[str] = "mean_"
+
+    def learned(self, values: np.ndarray, distance: float) -> float:
+        """Margin of the mean."""
+        valid = values[_valid(values)]
+        return float(self.margin(valid.mean())) if valid.size else math.inf
+
+    def pull(self, values: np.ndarray, margin: float, distance: float, lanes: int) -> Pull:
+        """Every unit moves the mean alike."""
+        units = _valid(values)
+        sign = float(self.outward(values[units].mean())) if units.size else 0.0
+        return Pull(units, np.full(units.size, sign), np.ones(units.size))
+
+    def figure(self, sampled: Sampled) -> Estimate:
+        """The mean of the valid units."""
+        return sampled.mean()
+
+    def holds(self, estimate: Estimate) -> bool:
+        """The whole interval lies within the limits."""
+        return self.lower <= estimate.lower and estimate.upper <= self.upper
+
+    def factor(self, estimate: Estimate, samples: int, deviate: float, distance: float) -> float:
+        """The mean moves away from its nominal place in proportion."""
+        way = float(self.margin(estimate.value)) + distance
+        wanted = distance - (deviate + CUSHION) * estimate.error
+        return bounded(wanted / way) if way > 0 else MOST_FACTOR
+
+    def text(self) -> str:
+        """Which figure keeps the limits."""
+        return f"mean, {_FEW_FAILED}"
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class SdAtMost(Limits):
+    """A bound on the standard deviation of a response over all valid units.
+
+    Met only if also, for certain, less than 0.27 % of the units fail.
+
+    Attributes:
+        lower: a standard deviation has no lower limit: -inf.
+        upper: largest standard deviation, unit of the response, positive.
+    """
+
+    of_units: ClassVar[bool] = False
+    limits_values: ClassVar[bool] = False
+    judges: ClassVar[str] = "response"
+    prefix: ClassVar[str] = "sd_"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.lower != -math.inf:
+            raise ValueError(f"SdAtMost.lower = {self.lower:.6g}: a standard deviation has an upper limit only")
+        if not self.upper > 0:
+            raise ValueError(f"SdAtMost.upper = {self.upper:.6g}: must be positive")
+
+    def distance(self, values: np.ndarray) -> float:
+        """A batch without errors has no spread."""
+        return self.upper
+
+    def capability(self, mean: float, sd: float) -> tuple[float, float]:
+        """It has none: its limit is no limit of units."""
+        return math.nan, math.nan
+
+    def learned(self, values: np.ndarray, distance: float) -> float:
+        """The standard deviation beyond its limit."""
+        valid = values[_valid(values)]
+        return float(valid.std(ddof=1)) - self.upper if valid.size > 1 else math.inf
+
+    def pull(self, values: np.ndarray, margin: float, distance: float, lanes: int) -> Pull:
+        """d sd = sum (y - mean) dy/((n - 1) sd)."""
+        units = _valid(values)
+        return Pull(units, _spread_pull(values[units]), np.ones(units.size))
+
+    def figure(self, sampled: Sampled) -> Estimate:
+        """The standard deviation of the valid units."""
+        return sampled.sd()
+
+    def holds(self, estimate: Estimate) -> bool:
+        """The upper end of the interval keeps the limit."""
+        return estimate.upper <= self.upper
+
+    def factor(self, estimate: Estimate, samples: int, deviate: float, distance: float) -> float:
+        """The standard deviation grows with the half-widths in proportion."""
+        seen = estimate.value + (deviate + CUSHION) * estimate.error
+        return bounded(self.upper / seen) if seen > 0 else MOST_FACTOR
+
+    def text(self) -> str:
+        """Which figure keeps the limit."""
+        return f"standard deviation, {_FEW_FAILED}"
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class WorstCaseWithin(Limits):
+    """Limits of a response whatever the errors within their limits: arithmetic tolerancing.
+
+    The figure is that end of the range of `worst_case` that comes nearest to its limit, or lies furthest beyond it.
+    No law plays a part. For a linear response the half-widths times the sizes of its slopes add up.
+
+    Attributes:
+        lower: lower limit, unit of the response; -inf for none.
+        upper: upper limit, unit of the response; inf for none.
+    """
+
+    of_units: ClassVar[bool] = False
+    of_extremes: ClassVar[bool] = True
+    power: ClassVar[float] = 1.0
+    most_failed: ClassVar[float] = math.inf  # a law's units may lie beyond the limits of the errors
+    judges: ClassVar[str] = "response"
+    prefix: ClassVar[str] = "worst_"
+
+    def capability(self, mean: float, sd: float) -> tuple[float, float]:
+        """It has none: its limits are no limits of units."""
+        return math.nan, math.nan
+
+    def learned(self, values: np.ndarray, distance: float) -> float:
+        """Margin of the worse of both ends of the range; inf where the response fails within the limits."""
+        margins = np.where(np.isnan(values), np.inf, self.margin(values))
+        return float(margins.max())
+
+    def pull(self, values: np.ndarray, margin: float, distance: float, lanes: int) -> Pull:
+        """The worse end alone."""
+        worse = np.argmax(self.margin(values), keepdims=True)
+        return Pull(worse, self.outward(values[worse]), np.ones(1))
+
+    def figure(self, sampled: Sampled) -> Estimate:
+        """The worse end of the range; exact as far as `worst_case` is."""
+        ends = np.array(sampled.extremes)
+        worse = float(ends[np.argmax(np.where(np.isnan(ends), np.inf, self.margin(ends)))])
+        return Estimate(worse, 0.0, worse, worse)
+
+    def holds(self, estimate: Estimate) -> bool:
+        """It keeps the limits, but for rounding."""
+        return bool(self.margin(estimate.value) <= 1e-12 * max(abs(self.margin(0.0)), abs(estimate.value)))
+
+    def factor(self, estimate: Estimate, samples: int, deviate: float, distance: float) -> float:
+        """The range grows with the half-widths in proportion."""
+        way = float(self.margin(estimate.value)) + distance
+        return bounded(distance / way) if way > 0 else MOST_FACTOR
+
+    def hopeless(self, samples: int, confidence: float) -> bool:
+        """It needs no sample."""
+        return False
+
+    def text(self) -> str:
+        """Which figure keeps the limits."""
+        return "worst case"
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class CpkAtLeast(Limits):
+    """Limits of a response and the capability of the batch: Cpk = min(U - mean, mean - L)/(3 sd) >= cpk.
+
+    Moments are those of the valid units; a unit beyond a limit, or failed, is a reject in the yield as ever.
+    Met only if also, for certain, less than 0.27 % of the units fail.
+
+    Attributes:
+        lower: lower limit, unit of the response; -inf for none.
+        upper: upper limit, unit of the response; inf for none.
+        cpk: least capability, positive.
+    """
+
+    goal: ClassVar[str | None] = "cpk"
+    cpk: float = 1.33
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 0 < self.cpk < math.inf:
+            raise ValueError(f"CpkAtLeast.cpk = {self.cpk:.6g}: must be positive and finite")
+
+    def learned(self, values: np.ndarray, distance: float) -> float:
+        """3 cpk sd - min(U - mean, mean - L): the same statement in the response's unit."""
+        valid = values[_valid(values)]
+        if valid.size < 2:
+            return math.inf
+        return float(self.margin(valid.mean()) + 3 * self.cpk * valid.std(ddof=1))
+
+    def pull(self, values: np.ndarray, margin: float, distance: float, lanes: int) -> Pull:
+        """d mean = sum dy/n, d sd = sum (y - mean) dy/((n - 1) sd)."""
+        units = _valid(values)
+        if units.size < 2:
+            return Pull(units, np.zeros(units.size), np.ones(units.size))
+        valid = values[units]
+        return Pull(units, self.outward(valid.mean()) + 3 * self.cpk * _spread_pull(valid), np.ones(units.size))
+
+    def figure(self, sampled: Sampled) -> Estimate:
+        """Cpk; its error by the delta method from the covariance of mean and sd, for any law."""
+        return sampled.cpk(self)
+
+    def holds(self, estimate: Estimate) -> bool:
+        """The lower end of the interval of Cpk reaches it."""
+        return estimate.lower >= self.cpk
+
+    def factor(self, estimate: Estimate, samples: int, deviate: float, distance: float) -> float:
+        """Cpk falls with the half-widths in proportion."""
+        return bounded(estimate.value / (self.cpk + (deviate + CUSHION) * estimate.error))
+
+    def text(self) -> str:
+        """The least Cpk."""
+        return f"Cpk >= {self.cpk:.4g}, {_FEW_FAILED}"
+
+
+def _valid(values: np.ndarray) -> np.ndarray:
+    """Numbers of the valid units; none where so many failed that a figure of the others says nothing."""
+    units = np.flatnonzero(~np.isnan(values))
+    return units if values.size - units.size <= MOST_FAILED * values.size else units[:0]
+
+
+def _spread_pull(valid: np.ndarray) -> np.ndarray:
+    """n d sd/dy_i of valid units."""
+    sd = valid.std(ddof=1) if valid.size > 1 else 0.0
+    return (valid - valid.mean()) / sd * (valid.size / (valid.size - 1)) if sd > 0 else np.zeros(valid.size)

@@ -1,0 +1,262 @@
+"""What every kind of requirement shares: limits, a margin on a sample, a verdict.
+
+A new kind of requirement is one class that derives from `Limits`: it knows its margin on a sample and how
+that moves with the responses of the units (allocation), its figure with interval (Monte Carlo, certificate)
+and its text. Study files find it by the names of its fields.
+"""
+
+import dataclasses
+import math
+from typing import Any, ClassVar
+
+import numpy as np
+from scipy import special
+
+from rvjax.population import Estimate, Sampled, wilson
+
+KINDS: list[type["Limits"]] = []
+"""Every kind of requirement."""
+
+MOST_FAILED = 0.0027
+"""Share of failed units that a figure of the valid ones may leave out: what lies beyond 3 sd of a capable process."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Pull:
+    """How a margin moves with some units: d margin = sum(cotangents dy) / sum(norms), over those with a slope.
+
+    Attributes:
+        units: (m,) numbers of units.
+        cotangents: (m,) weight of each unit's response.
+        norms: (m,) its part of the denominator.
+    """
+
+    units: np.ndarray
+    cotangents: np.ndarray
+    norms: np.ndarray
+
+
+@dataclasses.dataclass(frozen=True)
+class Verdict:
+    """Whether a requirement is met, for certain.
+
+    Attributes:
+        wanted: the requirement as text.
+        kind: what the figure is: "share" of units, "response" (in its unit) or "number".
+        estimate: the figure it judges.
+        met: True if the whole confidence interval meets it, or the end of it that counts; and, for a figure of the
+            valid units alone (a mean, Cpk), the upper end of the share of failed units lies below 0.27 %.
+    """
+
+    wanted: str
+    kind: str
+    estimate: Estimate
+    met: bool
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Limits:
+    """Limits of a response, and what every kind of requirement does with them.
+
+    Attributes:
+        lower: lower limit, unit of the response; -inf for none.
+        upper: upper limit, unit of the response; inf for none.
+    """
+
+    of_units: ClassVar[bool] = True  # a unit beyond the limits is a reject
+    limits_values: ClassVar[bool] = True  # its limits are values of the response: a histogram shows them
+    of_extremes: ClassVar[bool] = False  # it judges the worst case; units play no part
+    power: ClassVar[float] = 2.0  # of half-widths that add up: 2 as squares, 1 as they are
+    most_failed: ClassVar[float] = MOST_FAILED  # share of failed units that its figure leaves out
+    goal: ClassVar[str | None] = None  # the field that says how much is enough
+    judges: ClassVar[str] = "number"  # "share" of units, "response" in its unit, or a plain number
+    prefix: ClassVar[str] = ""  # of the limits in study files
+
+    lower: float = -math.inf
+    upper: float = math.inf
+
+    def __init_subclass__(cls) -> None:
+        KINDS.append(cls)
+
+    def __post_init__(self) -> None:
+        owner = type(self).__name__
+        for f in dataclasses.fields(self):
+            try:
+                object.__setattr__(self, f.name, float(getattr(self, f.name)))
+            except (TypeError, ValueError):
+                raise ValueError(f"{owner}.{f.name} = {getattr(self, f.name)!r}: must be a number") from None
+        if not self.lower <= self.upper:
+            raise ValueError(f"{owner}.lower = {self.lower:.6g}: lies above upper = {self.upper:.6g}")
+        if math.isinf(self.lower) and math.isinf(self.upper):
+            raise ValueError(f"{owner}: needs a lower or an upper limit")
+
+    def margin(self, value: Any) -> Any:
+        """How far a value lies outside the nearer limit, negative inside; floats and arrays of any library."""
+        above, below = value - self.upper, self.lower - value
+        if math.isinf(self.lower):
+            return above
+        if math.isinf(self.upper):
+            return below
+        middle, half = (self.lower + self.upper) / 2, (self.upper - self.lower) / 2
+        return abs(value - middle) - half
+
+    def outward(self, value: Any) -> Any:
+        """Derivative of the margin to the value, +1 or -1; NumPy arrays."""
+        if math.isinf(self.lower) or math.isinf(self.upper):
+            return np.full(np.shape(value), 1.0 if math.isinf(self.lower) else -1.0)
+        return np.where(value < (self.lower + self.upper) / 2, -1.0, 1.0)
+
+    def capability(self, mean: float, sd: float) -> tuple[float, float]:
+        """Cp and Cpk of a response; without two limits Cp is nan.
+
+        Args:
+            mean: of the response.
+            sd: its standard deviation.
+        """
+        room = -self.margin(mean)
+        if sd == 0:
+            cp, cpk = math.inf, math.inf if room >= 0 else -math.inf
+        else:
+            cp, cpk = (self.upper - self.lower) / (6 * sd), room / (3 * sd)
+        return (cp if math.isfinite(self.lower) and math.isfinite(self.upper) else math.nan), cpk
+
+    def normal_yield(self, mean: float, sd: float) -> float:
+        """Share within the limits of a normal response.
+
+        Args:
+            mean: of the response.
+            sd: its standard deviation.
+        """
+        if math.isnan(mean) or math.isnan(sd):
+            return math.nan
+        if sd == 0:
+            return float(self.margin(mean) <= 0)
+        return float(special.ndtr((self.upper - mean) / sd) - special.ndtr((self.lower - mean) / sd))
+
+    def limited(self, value: float) -> "Limits":
+        """The same requirement with its one limit elsewhere, or two limits this far from their middle."""
+        if math.isinf(self.lower):
+            return dataclasses.replace(self, upper=value)
+        if math.isinf(self.upper):
+            return dataclasses.replace(self, lower=value)
+        middle = (self.lower + self.upper) / 2
+        return dataclasses.replace(self, lower=middle - value, upper=middle + value)
+
+    def widened(self, by: float) -> "Limits":
+        """The same requirement with every limit moved outwards."""
+        return dataclasses.replace(self, lower=self.lower - by, upper=self.upper + by)
+
+    def aimed(self, value: float) -> "Limits":
+        """The same requirement with another goal."""
+        if self.goal is None:
+            raise ValueError(f"against = 'target': {type(self).__name__} has limits only")
+        return dataclasses.replace(self, **{self.goal: value})
+
+    @classmethod
+    def file_keys(cls) -> dict[str, str]:
+        """Keys in a study file and the fields they stand for; the kind of a table is the first that knows its keys."""
+        limits = dict(zip(cls.limit_keys(), ("lower", "upper")))
+        return limits | {f.name: f.name for f in dataclasses.fields(cls) if f.name not in limits.values()}
+
+    @classmethod
+    def limit_keys(cls) -> tuple[str, str]:
+        """Keys of the limits, in the unit of the response; all others are plain numbers."""
+        return cls.prefix + "lower", cls.prefix + "upper"
+
+    def distance(self, values: np.ndarray) -> float:
+        """How far a batch stays from the limit whose `values`, as for `learned`, have only errors without a cost."""
+        return float(-np.median(np.where(np.isnan(values), np.inf, self.margin(values))))
+
+    # What a kind must know.
+
+    def learned(self, values: np.ndarray, distance: float) -> float:
+        """Margin of the whole requirement on a sample, unit of the response: <= 0 is met.
+
+        Args:
+            values: (n,) of the units, nan where one failed.
+            distance: of the nominal response from the limit.
+        """
+        raise NotImplementedError
+
+    def pull(self, values: np.ndarray, margin: float, distance: float, lanes: int) -> Pull:
+        """How the margin moves with the units.
+
+        Args:
+            values: as for `learned`.
+            margin: as `learned` gave it.
+            distance: as for `learned`.
+            lanes: units that are enough where only some matter.
+        """
+        raise NotImplementedError
+
+    def figure(self, sampled: Sampled) -> Estimate:
+        """What it judges, with its confidence interval."""
+        raise NotImplementedError
+
+    def holds(self, estimate: Estimate) -> bool:
+        """True if the interval of the figure meets the requirement."""
+        raise NotImplementedError
+
+    def factor(self, estimate: Estimate, samples: int, deviate: float, distance: float) -> float:
+        """Common factor on all half-widths after which a draw should just hold.
+
+        Args:
+            estimate: of the figure, now.
+            samples: units of the draw.
+            deviate: standard normal one of its confidence.
+            distance: as for `learned`.
+        """
+        raise NotImplementedError
+
+    def verdict(self, sampled: Sampled) -> Verdict:
+        """Its figure, and whether that meets it with few enough failed units."""
+        figure = self.figure(sampled)
+        met = self.holds(figure) and sampled.failed().upper < self.most_failed
+        return Verdict(self.text(), self.judges, figure, met)
+
+    def hopeless(self, samples: int, confidence: float) -> bool:
+        """True if not even the best sample could certify it.
+
+        Args:
+            samples: its size.
+            confidence: of the certificate.
+        """
+        return wilson(0, samples, confidence).upper >= self.most_failed
+
+    def beyond(self, samples: int, confidence: float) -> bool:
+        """True if no sample could show it, but a probability of failure could; see `rarely`.
+
+        Args:
+            samples: its size.
+            confidence: of the certificate.
+        """
+        return False
+
+    def rarely(self, failing: Estimate, trusted: bool) -> Verdict:
+        """The verdict on a probability of failure.
+
+        Args:
+            failing: share of units beyond the limits or without a value.
+            trusted: whether its status is good.
+        """
+        raise NotImplementedError
+
+    def shortfall(self, values: np.ndarray, joint_target: float) -> float:
+        """How far the limits would have to move outwards, 0 if met.
+
+        Args:
+            values: as for `learned`.
+            joint_target: share of units that must meet all requirements, 0 for none.
+        """
+        return max(0.0, self.learned(values, 1.0))
+
+    def text(self) -> str:
+        """What is wanted, without the limits' numbers."""
+        raise NotImplementedError
+
+
+def along_reach(units: np.ndarray, reach: np.ndarray, signs: np.ndarray, wanted: float) -> Pull:
+    """Slopes of units brought from their own distance `reach` from the nominal response to `wanted`."""
+    used = np.isfinite(reach) & (reach > 0) & np.isfinite(wanted)
+    reach = np.where(used, reach, 0.0)
+    return Pull(units, np.where(used, signs * reach * (wanted if np.isfinite(wanted) else 0.0), 0.0), reach**2)

@@ -1,0 +1,71 @@
+"""Programs that the command line keeps: where, when not, and how many."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import jax
+import pytest
+
+from rvjax import compile_cache
+
+
+@pytest.fixture
+def none_kept(monkeypatch, tmp_path):
+    """A user with an empty cache folder; JAX as it was afterwards."""
+    names = ("jax_compilation_cache_dir", "jax_persistent_cache_min_compile_time_secs")
+    before = {name: jax.config.values[name] for name in names}
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(sys, "platform", "linux")
+    jax.config.update("jax_compilation_cache_dir", None)
+    yield tmp_path
+    for name, value in before.items():
+        jax.config.update(name, value)
+
+
+def test_programs_are_kept_in_the_cache_folder_of_the_user(none_kept):
+    folder = compile_cache.keep("1.2.3")
+    assert folder.is_dir() and folder.parent == none_kept / "rvjax" and "1.2.3" in folder.name
+    assert jax.config.values["jax_compilation_cache_dir"] == str(folder)
+
+
+def test_nothing_is_kept_where_it_is_switched_off_or_named_elsewhere_or_cannot_be_written(none_kept, monkeypatch):
+    monkeypatch.setenv(compile_cache.OFF, "0")
+    assert compile_cache.keep("1") is None
+    monkeypatch.delenv(compile_cache.OFF)
+    (none_kept / "rvjax").write_text("a file where the folder should be")
+    assert compile_cache.keep("1") is None and jax.config.values["jax_compilation_cache_dir"] is None
+    jax.config.update("jax_compilation_cache_dir", "of the user")
+    assert compile_cache.keep("1") is None and jax.config.values["jax_compilation_cache_dir"] == "of the user"
+
+
+def test_those_used_longest_ago_go_first(tmp_path):
+    for age, name in enumerate(("new", "old", "oldest")):
+        (tmp_path / name).write_bytes(b"x" * 100)
+        os.utime(tmp_path / name, (1e9 - age, 1e9 - age))
+    compile_cache.prune(tmp_path, 250)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["new", "old"]
+    compile_cache.prune(tmp_path, 0)
+    assert not list(tmp_path.iterdir())
+
+
+def test_importing_the_package_loads_no_jax():
+    """What the command line sets must be set before; `rvjax --help` answers at once."""
+    code = "import sys, rvjax, rvjax.cli; assert 'jax' not in sys.modules; rvjax.RVErrors; assert 'jax' in sys.modules"
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=Path(__file__).parents[1])
+
+
+def test_a_door_is_compiled_quickly_by_itself_and_inlined_elsewhere(monkeypatch):
+    asked, plain = [], jax.jit
+    monkeypatch.setattr(jax, "jit", lambda f, **k: asked.append(k.get("compiler_options")) or plain(f, **k))
+    power = compile_cache.quick(0)(lambda number, x: x**number)
+    assert asked == [None]  # XLA is asked at the first call
+    assert power(2, 3.0) == 9.0
+    assert asked[-1] == dict(compile_cache.QUICK)
+    known = len(asked)
+    assert plain(lambda x: power(2, x))(3.0) == 9.0  # with options of its own it would be refused here
+    assert plain(lambda x: x * power(2, 3.0))(2.0) == 18.0  # no argument of the door is traced
+    assert jax.grad(lambda x: power(3, x))(2.0) == 12.0
+    assert power(2, 4.0) == 16.0
+    assert len(asked) == known

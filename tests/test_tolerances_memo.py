@@ -1,0 +1,70 @@
+"""An allocation that was interrupted goes on from its memo, to the same bits."""
+
+import numpy as np
+import pytest
+
+from oracles.linear_pair import COSTS, LIMIT, PAIR, linear
+from rvjax.response import devices
+from rvjax.tolerances import Requirement, allocate
+from rvjax.tolerances.allocation import sample_average
+from rvjax.tolerances.batch import memo
+from rvjax.tolerances.batch.memo import Journal
+
+NEED = Requirement(lower=-LIMIT, upper=LIMIT, target=0.99)
+
+
+@pytest.fixture
+def counted(monkeypatch):
+    """Blocks of units that were computed; everything is worth keeping, and `counted.stop` is one block too many."""
+
+    class Counted:
+        blocks, stop = 0, 10**9
+
+    counted = Counted()
+
+    def count(respond):
+        def counting(*arguments):
+            counted.blocks += 1
+            if counted.blocks >= counted.stop:
+                raise KeyboardInterrupt
+            return respond(*arguments)
+
+        return counting
+
+    monkeypatch.setattr(memo, "_WORTH", 0.0)
+    for module in (sample_average, devices):
+        monkeypatch.setattr(module, "respond", count(module.respond))
+    return counted
+
+
+def found(kept):
+    return allocate(linear, PAIR, NEED, costs=COSTS, samples=512, certificate_samples=2048, journal=kept)
+
+
+def test_what_was_interrupted_goes_on_to_the_same_bits(counted, tmp_path):
+    whole = found(None)
+    blocks, counted.blocks = counted.blocks, 0
+    counted.stop = blocks // 2
+    with pytest.raises(KeyboardInterrupt):
+        found(Journal(tmp_path / "part", {"study": "one"}))
+    counted.blocks, counted.stop = 0, 10**9
+    again = found(Journal(tmp_path / "part", {"study": "one"}))
+    assert counted.blocks == blocks - (blocks // 2 - 1)  # nothing twice
+    assert (again.cost, again.half_widths, again.history) == (whole.cost, whole.half_widths, whole.history)
+    assert again.certificate.yield_ == whole.certificate.yield_
+    counted.blocks = 0
+    found(Journal(tmp_path / "part", {"study": "one"}))
+    assert counted.blocks == 0
+    found(Journal(tmp_path / "part", {"study": "another"}))  # its numbers are no answer to this one
+    assert counted.blocks == blocks
+
+
+def test_damage_costs_time_alone(counted, tmp_path):
+    kept = Journal(tmp_path / "part", {})
+    assert kept.recall({"what": "a"}, lambda: np.arange(3.0)).tolist() == [0, 1, 2]
+    (path,) = kept.folder.iterdir()
+    path.write_bytes(path.read_bytes()[:-5])
+    assert kept.recall({"what": "a"}, lambda: np.arange(4.0)).tolist() == [0, 1, 2, 3]
+    assert kept.recall({"what": "a"}, lambda: np.zeros(0)).tolist() == [0, 1, 2, 3]
+    kept.clear()
+    assert not kept.folder.exists()
