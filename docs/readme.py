@@ -1,10 +1,5 @@
-"""Writes what the README shows and nobody should type: the table of levels and two pictures.
+"""Draw the picture of the README from the result of its study: `python docs/readme.py`, a minute."""
 
-python docs/readme.py            all (the answer to the embedded study takes a minute)
-python docs/readme.py levels     the table and the picture of the levels only
-"""
-
-import sys
 from pathlib import Path
 
 import matplotlib
@@ -15,19 +10,8 @@ import matplotlib.pyplot as plt
 
 import rvjax
 from rvjax import plotting, study
-from rvjax.levels import markdown, table
 
-README = Path(__file__).parents[1] / "README.md"
 PICTURES = Path(__file__).parent / "pictures"
-BEGIN, END = "<!-- tradeoff begins -->\n", "<!-- tradeoff ends -->\n"
-
-
-def levels() -> None:
-    """The measured levels, as the table and the picture."""
-    text = README.read_text("utf-8")
-    before, after = text[: text.index(BEGIN) + len(BEGIN)], text[text.index(END) :]
-    README.write_text(f"{before}\n{markdown(table.stored())}\n\n{after}", "utf-8")
-    plotting.tradeoff(table.stored()).savefig(PICTURES / "tradeoff.png", dpi=80)
 
 
 def answer() -> None:
@@ -53,6 +37,4 @@ def answer() -> None:
 if __name__ == "__main__":
     rvjax.enable_x64()
     PICTURES.mkdir(exist_ok=True)
-    levels()
-    if sys.argv[1:] != ["levels"]:
-        answer()
+    answer()

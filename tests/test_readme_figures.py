@@ -1,19 +1,18 @@
-"""The figures of the README are those of the benchmarks.
+"""The speed figures of README and docs/speed.md are those of the benchmarks.
 
-Oracle: the newest of benchmarks/history, written by `python -m benchmarks.run`. A figure in the README is followed by a
+Oracle: the newest of benchmarks/history, written by `python -m benchmarks.run`. Each figure is followed by a
 comment with the script and the name of its figure, such as `44 <!-- four_bar: numpy_over_library -->`, and by a factor
 where the units differ: `1.9 <!-- dynamics: seconds * 1e3 -->`. It must be the measured one, rounded to the digits
-shown. The table of levels is that of the measured table which ships with rvjax (`python docs/readme.py levels` writes
-it).
+shown.
 """
 
 import math
 import re
 from pathlib import Path
 
+import pytest
+
 from benchmarks import history
-from rvjax import levels
-from rvjax.levels import table
 
 ROOT = Path(__file__).parent.parent
 MARK = re.compile(
@@ -51,16 +50,15 @@ def test_the_comparison_finds_what_is_wrong():
         assert len(differences(good.replace(old, new), results)[1]) == 1, new
 
 
-def test_the_readme_prints_what_was_measured():
-    text = (ROOT / "README.md").read_text("utf-8")
-    marks, wrong = differences(text, history.newest())
+@pytest.mark.parametrize("page", ["README.md", "docs/speed.md"])
+def test_the_page_prints_what_was_measured(page):
+    marks, wrong = differences((ROOT / page).read_text("utf-8"), history.newest())
     assert not wrong, "\n".join(wrong)
-    assert marks, "the README marks no figure"
+    assert marks, f"{page} marks no figure"
 
 
-def test_the_table_of_levels_is_the_measured_one():
+def test_the_readme_is_short_and_its_pictures_exist():
     text = (ROOT / "README.md").read_text("utf-8")
-    shown = text[text.index("<!-- tradeoff begins -->") : text.index("<!-- tradeoff ends -->")]
-    assert shown.split("\n", 1)[1].strip() == levels.markdown(table.stored())
+    assert len(text.splitlines()) <= 120
     for picture in re.findall(r"\]\((docs/pictures/[^)]+)\)", text):
         assert (ROOT / picture).stat().st_size > 10_000, picture

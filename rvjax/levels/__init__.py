@@ -1,6 +1,6 @@
 """Speed against accuracy, measured: every level of every model against its exact one, and the cheapest that holds."""
 
-from rvjax.levels.advice import advice, markdown, report
+from rvjax.levels.advice import advice, report
 from rvjax.levels.choice import Choice, as_given, choose
 from rvjax.levels.measure import measure, measure_model, measured
 from rvjax.levels.table import Level, Model, Table, stored
@@ -11,7 +11,6 @@ __all__ = [
     "advice",
     "as_given",
     "choose",
-    "markdown",
     "measure",
     "measure_model",
     "measured",

@@ -33,23 +33,6 @@ def worth_a_mention(model: Model) -> list[Level]:
     return [*mentioned, exact]
 
 
-def markdown(table: Table) -> str:
-    """The levels that the advice names, as the table of the README."""
-    lines = ["| model, one case | level | largest error | of its rms | time |", "|---|---|---:|---:|---:|"]
-    for model in table.models.values():
-        first = next(iter(model.outputs))
-        unit, size = _shown(model.outputs[first])
-        name = f"{model.name.replace('_', ' ')}: {model.case}"
-        at = model.sizes.index(min(model.sizes, key=lambda s: abs(s - 1)))
-        for level in worth_a_mention(model):
-            error, share = f"{level.largest[first][at] / size:.2g} {unit}", f"{100 * model.relative(level):.2g} %"
-            if level.name == model.reference:
-                error, share = "exact", ""
-            lines.append(f"| {name} | {level.name} | {error} | {share} | {_time(level.ns)} |")
-            name = ""
-    return "\n".join(lines)
-
-
 def _model(model: Model) -> str:
     first = next(iter(model.outputs))
     unit, unit_size = _shown(model.outputs[first])
