@@ -5,6 +5,8 @@
 Nothing here knows a gear: a response is any pure function of the errors of one unit.
 """
 
+import dataclasses
+
 from rvjax.population import Estimate, MeasuredColumn, MeasuredParts, Tolerance, for_design, it_width, measured, sample
 from rvjax.response import Outcome
 from rvjax.tolerances.allocation.allocation import FEWEST, KEPT, Allocation, allocate, block
@@ -29,9 +31,11 @@ from rvjax.tolerances.requirements.kinds import (
     WorstCaseWithin,
 )
 from rvjax.tolerances.requirements.limits import Limits
-from rvjax.tolerances.saving import Origin, load, origin, save
+from rvjax.tolerances.saving import RESULTS, Origin, load, origin, save
 from rvjax.tolerances.sobol_indices import SobolIndices, sobol_indices
 from rvjax.tolerances.worst_case import WorstCase, worst_case
+
+RESULTS += [item for item in vars().values() if isinstance(item, type) and dataclasses.is_dataclass(item)]
 
 __all__ = [
     "Allocation",

@@ -22,6 +22,9 @@ from rvjax.tolerances.batch.unit_file import parquet_frame, parquet_origin
 _FORMAT = 2
 _ABOUT = "about"
 
+RESULTS: list[type] = []
+"""Dataclasses that a file may hold beside the records; the package lists its own when it is imported."""
+
 
 @dataclasses.dataclass(frozen=True)
 class Origin:
@@ -188,9 +191,7 @@ def _rebuilt(name: str, fields: dict[str, Any]) -> Any:
 
 
 def _classes() -> Iterator[type]:
-    from rvjax import tolerances
-
-    yield from (item for item in vars(tolerances).values() if isinstance(item, type) and dataclasses.is_dataclass(item))
+    yield from RESULTS
     waiting = [Record]
     while waiting:
         below = waiting.pop().__subclasses__()
