@@ -1,6 +1,6 @@
 """Cost of the derivative of a root: implicit against unrolled, beside the primal.
 
-Scalar: Kepler's equation, 100,000 lanes. Vector: a line and a circle (2 unknowns), 20,000 lanes.
+Kepler's equation, 100,000 lanes.
 Target: gradient of the batch mean <= 2 x the batch mean.
 """
 
@@ -34,28 +34,15 @@ def kepler_mean_unrolled(e, m):
     return jnp.mean(x)
 
 
-def circle_and_line(x, params):
-    r, k = params
-    return jnp.stack([x[0] ** 2 + x[1] ** 2 - r**2, x[1] - k * x[0]])
-
-
-def line_mean(r, k):
-    solve = jax.vmap(lambda r, k: roots.newton(circle_and_line, (r, k), jnp.ones(2)).value[0])
-    return jnp.mean(solve(r, k))
-
-
 def main() -> None:
     options = arguments(__doc__)
     rng = np.random.default_rng(0)
     orbit = jax.device_put((rng.uniform(0.05, 0.8, 100_000), rng.uniform(-3, 3, 100_000)))
-    lines = jax.device_put((rng.uniform(0.5, 4, 20_000), rng.uniform(-0.3, 3, 20_000)))
     functions = {
         "scalar": (kepler_mean, orbit),
         "scalar_gradient": (jax.grad(kepler_mean, argnums=(0, 1)), orbit),
         "unrolled": (kepler_mean_unrolled, orbit),
         "unrolled_gradient": (jax.grad(kepler_mean_unrolled, argnums=(0, 1)), orbit),
-        "vector": (line_mean, lines),
-        "vector_gradient": (jax.grad(line_mean, argnums=(0, 1)), lines),
     }
     jitted = {name: (jax.jit(f), data) for name, (f, data) in functions.items()}
     implicit = jitted["scalar_gradient"][0](*orbit)
@@ -64,7 +51,6 @@ def main() -> None:
     best = alternate({name: (lambda f=f, data=data: f(*data)) for name, (f, data) in jitted.items()})
     figures = {f"{name}_ns_per_lane": 1e9 * best[name] / len(jitted[name][1][0]) for name in best}
     figures["scalar_gradient_ratio"] = best["scalar_gradient"] / best["scalar"]
-    figures["vector_gradient_ratio"] = best["vector_gradient"] / best["vector"]
     figures["unrolled_gradient_ratio"] = best["unrolled_gradient"] / best["unrolled"]
     figures["unrolled_gradient_over_implicit"] = best["unrolled_gradient"] / best["scalar_gradient"]
     publish("roots", figures, options.json)

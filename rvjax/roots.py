@@ -1,14 +1,14 @@
-"""Differentiable root finding: a safeguarded scalar Newton and a damped Newton for small vectors.
+"""Differentiable root finding: a scalar Newton method safeguarded with bisection.
 
-Both find x with residual(x, params) = 0 and are differentiated by the implicit function theorem,
+A root x with residual(x, params) = 0 is differentiated by the implicit function theorem,
 
     dx = -(d residual / dx)^-1 (d residual / d params) dparams,
 
-so a derivative costs one linear solve at the root, not a walk back through the iteration. Forward and
+so a derivative costs one evaluation at the root, not a walk back through the iteration. Forward and
 reverse mode work, and again on the result (second derivatives). Everything the root depends on must
 enter through `params`; start values and brackets only choose the root and carry no derivative.
 
-Under `jax.vmap` every lane carries its own status. A lane that fails has the value NaN and the
+Under `jax.vmap` every batch element has its own status. One that fails has the value NaN and the
 derivative zero, and leaves its neighbours as they are.
 """
 
@@ -23,7 +23,7 @@ from jax.typing import DTypeLike
 from rvjax.records import Array, PyTree, Record, Scalar, field, promote, record
 from rvjax.status import SolveInfo, Status, succeeded
 
-__all__ = ["Root", "bracketed", "newton"]
+__all__ = ["Root", "bracketed"]
 
 Residual = Callable[[Any, Any], jax.Array]
 
@@ -34,8 +34,8 @@ _RUNNING = -1  # not a Status: the loop goes on
 class Root(Record):
     """A root and how it was found."""
 
-    value: Array = field("as the unknown", "the root, () or (n,); NaN where the solve failed", shape=("n",))
-    info: SolveInfo = field("-", "residual is |residual(value)|, for vectors its Euclidean norm", kind="record")
+    value: Array = field("as the unknown", "the root; NaN where the solve failed")
+    info: SolveInfo = field("-", "residual is |residual(value)|", kind="record")
 
 
 def bracketed(
@@ -85,43 +85,6 @@ def _bracketed(
     return _masked(*_implicit(residual, iterate, params, (lower, upper, start)))
 
 
-def newton(
-    residual: Residual,
-    params: PyTree,
-    start: Scalar | None,
-    *,
-    scale: float = 0.0,
-    max_steps: int = 50,
-    tolerance: float | None = None,
-) -> Root:
-    """Root of a small system by damped Newton steps with the exact Jacobian.
-
-    A step that does not reduce the norm of the residual is taken back and shortened.
-
-    Args:
-        residual: residual(x, params) -> (n,), differentiable; scale its entries alike. As in `bracketed`.
-        params: pytree of floats the residual depends on.
-        start: first iterate (n,).
-        scale: size of x below which it need not be resolved; set it where the root may be zero.
-        max_steps: Jacobian evaluations at most.
-        tolerance: largest last step relative to max(|x|, scale); 64 machine epsilons by default.
-
-    Returns:
-        Root with status CONVERGED, SINGULAR, MAX_STEPS or NONFINITE.
-    """
-    return _newton(residual, params, start, scale=scale, max_steps=max_steps, tolerance=tolerance)
-
-
-@partial(jax.jit, inline=True, static_argnums=0, static_argnames=("scale", "max_steps", "tolerance"))
-def _newton(
-    residual: Residual, params: PyTree, start: Array | None, *, scale: float, max_steps: int, tolerance: float | None
-) -> Root:
-    params, start = promote(params, start)
-    step = _tolerance(None if tolerance is None else tolerance / 8, start.dtype) * 8
-    iterate = partial(_newton_iteration, scale=scale, max_steps=max_steps, tolerance=step)
-    return _masked(*_implicit(residual, iterate, params, (start,)))
-
-
 def _tolerance(given: float | None, dtype: DTypeLike) -> float:
     return 8 * float(jnp.finfo(dtype).eps) if given is None else given
 
@@ -143,7 +106,7 @@ def _implicit_jvp(residual: Residual, iterate: Callable[..., PyTree], primals: P
     value, info = _implicit(residual, iterate, params, guess)
     good = succeeded(info.status)
 
-    # A failed lane may hold NaN. Selecting before and after the linear map keeps both its tangent and,
+    # A failed batch element may hold NaN. Selecting before and after the linear map keeps both its tangent and,
     # transposed, its cotangent exactly zero, here and in second derivatives.
     def keep(tree: PyTree) -> PyTree:
         return jax.tree.map(lambda leaf: jnp.where(good, leaf, jax.lax.stop_gradient(leaf)), tree)
@@ -152,12 +115,8 @@ def _implicit_jvp(residual: Residual, iterate: Callable[..., PyTree], primals: P
     dparams = jax.tree.map(lambda tangent: jnp.where(good, tangent, jnp.zeros_like(tangent)), dparams)
     _, change = jax.jvp(lambda p: residual(value, p), (params,), (dparams,))
     slope = jax.jacfwd(residual)(value, params)
-    if value.ndim == 0:
-        regular = good & (slope != 0)
-        dvalue = jnp.where(regular, -change / jnp.where(regular, slope, 1), 0)
-    else:
-        slope = jnp.where(good, slope, jnp.eye(value.size, dtype=value.dtype))
-        dvalue = jnp.where(good, -jnp.linalg.solve(slope, change), 0)
+    regular = good & (slope != 0)
+    dvalue = jnp.where(regular, -change / jnp.where(regular, slope, 1), 0)
     return (value, info), (dvalue, jax.custom_derivatives.zero_from_primal(info))
 
 
@@ -205,36 +164,3 @@ def _bracketed_iteration(
     x, value, _, _, _, _, _, status, steps = jax.lax.while_loop(running, body, first)
     info = SolveInfo(status.astype(jnp.int32), steps.astype(jnp.int32), jnp.abs(value))
     return x, info
-
-
-def _newton_iteration(
-    residual: Residual, params: PyTree, guess: PyTree, *, scale: float, max_steps: int, tolerance: float
-) -> tuple[jax.Array, SolveInfo]:
-    (start,) = guess
-
-    def running(state: PyTree) -> jax.Array:
-        return state[-2] == _RUNNING
-
-    def norm(vector: jax.Array) -> jax.Array:
-        return jnp.sqrt(jnp.sum(vector * vector))
-
-    def body(state: PyTree) -> PyTree:
-        x, value, damping, status, steps = state
-        step = -jnp.linalg.solve(jax.jacfwd(residual)(x, params), value)
-        regular = jnp.all(jnp.isfinite(step))
-        done = (norm(step) <= tolerance * jnp.maximum(norm(x), scale)) | (norm(value) == 0)
-        trial = x + jnp.where(done, 1, damping) * jnp.where(regular, step, 0)
-        at_trial = residual(trial, params)
-        better = norm(at_trial) < norm(value)  # false for NaN: the step is shortened
-        x, value = jnp.where(better, trial, x), jnp.where(better, at_trial, value)
-        damping = jnp.where(better, jnp.minimum(2 * damping, 1), damping / 4)
-        steps = steps + 1
-        status = jnp.where(done, int(Status.CONVERGED), jnp.where(steps >= max_steps, int(Status.MAX_STEPS), _RUNNING))
-        status = jnp.where(regular | (norm(value) == 0), status, int(Status.SINGULAR))
-        return x, value, damping, status, steps
-
-    value = residual(start, params)
-    status = jnp.where(jnp.all(jnp.isfinite(value)), _RUNNING, int(Status.NONFINITE))
-    first = (start, value, jnp.ones((), start.dtype), status, jnp.zeros_like(status))
-    x, value, _, status, steps = jax.lax.while_loop(running, body, first)
-    return x, SolveInfo(status.astype(jnp.int32), steps.astype(jnp.int32), norm(value))

@@ -156,7 +156,6 @@ CALLS = {  # name: one call of the door for each way that is decided before the 
         lambda x: dynamics.error_statistics(sounder(x), placed(x), sun_speed=100 * x, load_inertia=x)
     ],
     "roots.bracketed": [lambda x: roots.bracketed(residual, x, 0.0, 2.0)],
-    "roots.newton": [lambda x: roots.newton(residual, jnp.array([x]), jnp.array([1.0]))],
 }
 
 

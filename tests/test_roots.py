@@ -25,16 +25,6 @@ def kepler_root(e, m, **options):
     return roots.bracketed(kepler, (e, m), m - e, m + e, **options)
 
 
-def circle_and_line(x, params):
-    """x0^2 + x1^2 = r^2, x1 = k x0: root r/sqrt(1 + k^2) (1, k)."""
-    r, k = params
-    return jnp.stack([x[0] ** 2 + x[1] ** 2 - r**2, x[1] - k * x[0]])
-
-
-def line_root(r, k, start=(1.0, 0.5)):
-    return roots.newton(circle_and_line, (r, k), jnp.array(start))
-
-
 ECCENTRICITY = jnp.linspace(0.05, 0.95, 40)
 ANOMALY = jnp.linspace(-3.0, 3.0, 40)
 
@@ -56,20 +46,6 @@ def test_scalar_root_equals_optimistix():
         np.testing.assert_allclose(*pair, rtol=1e-12)
 
 
-def test_vector_root_equals_optimistix_and_closed_form():
-    radius, slope = np.linspace(0.5, 4.0, 30), np.linspace(-0.3, 3.0, 30)
-    ours = jax.jit(jax.vmap(line_root))(radius, slope)
-    exact = radius / np.sqrt(1 + slope**2)
-    assert np.all(ours.info.status == Status.CONVERGED)
-    np.testing.assert_allclose(ours.value, np.stack([exact, slope * exact], axis=1), rtol=1e-14)
-
-    def theirs(r, k):
-        solver = optimistix.Newton(rtol=1e-13, atol=1e-13)
-        return optimistix.root_find(circle_and_line, solver, jnp.array([1.0, 0.5]), args=(r, k), throw=False).value
-
-    np.testing.assert_allclose(ours.value, jax.jit(jax.vmap(theirs))(radius, slope), rtol=1e-12)
-
-
 def test_first_and_second_derivatives_equal_the_closed_form():
     def root(e, m):
         return kepler_root(e, m).value
@@ -89,23 +65,6 @@ def test_first_and_second_derivatives_equal_the_closed_form():
         np.testing.assert_allclose(slope, 1 / q, rtol=1e-13)
     for bend in bends:
         np.testing.assert_allclose(bend, -e * np.sin(x) / q**3, rtol=1e-11, atol=1e-14)
-
-
-def test_derivatives_of_a_vector_root_equal_the_closed_form():
-    """x = r (1, k) (1 + k^2)^-1/2, forwards, in reverse and one over the other."""
-
-    def root(p):
-        return line_root(p[0], p[1]).value
-
-    forward, reverse, second, turned = jax.jit(
-        lambda p: [jax.jacfwd(root)(p), jax.jacrev(root)(p), jax.hessian(root)(p), jax.jacrev(jax.jacfwd(root))(p)]
-    )(jnp.array([2.0, 0.7]))
-    r, k = 2.0, 0.7
-    s = (1 + k * k) ** -0.5
-    slopes = [[s, -r * k * s**3], [k * s, r * s**3]]
-    bends = [[[0, -k * s**3], [-k * s**3, r * (2 * k * k - 1) * s**5]], [[0, s**3], [s**3, -3 * r * k * s**5]]]
-    for found, exact in ((forward, slopes), (reverse, slopes), (second, bends), (turned, bends)):
-        np.testing.assert_allclose(found, exact, rtol=1e-12, atol=1e-15)
 
 
 def test_implicit_derivative_equals_the_unrolled_one():
@@ -149,41 +108,8 @@ def test_a_failed_lane_leaves_the_others_alone():
     assert np.all(np.isfinite(hessian))
 
 
-def test_a_failed_vector_lane_leaves_the_others_alone():
-    def residual(x, p):
-        return jnp.stack([x[0] * x[0] - p, x[1] - p])
-
-    def solve(p):
-        return roots.newton(residual, p, jnp.array([1.0, 1.0]))
-
-    def total(p):
-        root = jax.vmap(solve)(p)
-        return jnp.sum(jnp.where((root.info.status == Status.CONVERGED)[:, None], root.value, 0.0)), root
-
-    p = np.array([4.0, np.nan, -1.0, 9.0])  # x^2 = -1 has no root
-    gradient, found = jax.tree.map(np.asarray, jax.jit(jax.grad(total, has_aux=True))(p))
-    assert list(found.info.status[np.array([0, 1, 3])]) == [Status.CONVERGED, Status.NONFINITE, Status.CONVERGED]
-    assert int(found.info.status[2]) in (Status.MAX_STEPS, Status.SINGULAR)
-
-    np.testing.assert_allclose(gradient, [1.25, 0.0, 0.0, 1 + 1 / 6], rtol=1e-14)
-
-
-def test_singular_jacobian_is_named():
-    found = roots.newton(lambda x, p: jnp.stack([x[0] + x[1] - p, x[0] + x[1] + p]), 1.0, jnp.array([0.0, 0.0]))
-    assert int(found.info.status) == Status.SINGULAR
-    assert np.all(np.isnan(found.value))
-
-
 def test_too_few_steps_is_named():
     assert int(kepler_root(0.9, 1.0, max_steps=2).info.status) == Status.MAX_STEPS
-    found = roots.newton(circle_and_line, (2.0, 1.0), jnp.array([5.0, 0.0]), max_steps=2)
-    assert int(found.info.status) == Status.MAX_STEPS
-
-
-def test_newton_reaches_a_root_at_zero():
-    found = roots.newton(lambda x, p: jnp.expm1(x) * p, jnp.array([2.0, 3.0]), jnp.array([0.4, -0.2]), scale=1.0)
-    assert int(found.info.status) == Status.CONVERGED
-    np.testing.assert_allclose(found.value, 0.0, atol=1e-16)
 
 
 @pytest.mark.parametrize("ends", [(-1.0, 4.0), (4.0, -1.0)])
@@ -214,5 +140,3 @@ def test_float32_stays_float32():
     root = kepler_root(single(0.5), single(1.0))
     assert root.value.dtype == single and root.info.residual.dtype == single
     np.testing.assert_allclose(root.value, kepler_root(0.5, 1.0).value, rtol=1e-6)
-    pair = roots.newton(circle_and_line, (single(2.0), single(1.0)), jnp.ones(2, single))
-    assert pair.value.dtype == single and int(pair.info.status) == Status.CONVERGED
