@@ -41,18 +41,6 @@ def test_orders_rise_with_speed_and_carry_their_amplitudes():
     assert not dynamic_error.campbell_amplitudes(nothing, SPEEDS, ratio=RATIO).collections
 
 
-def test_spectra_stand_on_their_speeds():
-    """Three decades below the largest line are no height, the largest is four steps: here 4 x 5 r/min."""
-    axes = dynamic_error.waterfall(SWEEP, SPEEDS, ratio=RATIO, spectra=12)
-    found = {round(line.get_xdata()[0], 6): line for line in axes.lines if line.get_xdata()[0] == line.get_xdata()[1]}
-    first = found[round(40 * 5 / 60, 6)].get_ydata()
-    np.testing.assert_allclose(first, [5, 5 + 20])
-    second = found[round(78 * 5 / 60, 6)].get_ydata()
-    np.testing.assert_allclose(second, [5, 5 + 20 * 2 / 3])
-    assert np.ptp(found[round(208 * 5 / 60, 6)].get_ydata()) == 0
-    assert "2 arcmin" in axes.get_title() and "(r/min)" in axes.get_ylabel()
-
-
 def test_a_batch_is_drawn_by_its_quantiles():
     values = np.outer(np.arange(1, 1001) / 100, np.ones(45))
     values[3] = np.nan
@@ -61,13 +49,3 @@ def test_a_batch_is_drawn_by_its_quantiles():
     assert lines["median"] == pytest.approx(5, rel=5e-3) and lines["99.73 % lie below"] == pytest.approx(9.97, rel=1e-3)
     assert lines["worst of 999"] == 10 and lines["limit"] == 8
     assert axes.get_ylabel() == "dynamic vibration (rad/s2)"
-
-
-def test_contributions_of_errors_add_to_one():
-    power = {"disc_bore": [6.0, 0.0, 0.0, 0.0], "disc_flank": [1.0, 0.0, 0.5, 0.0], "ring_flank": [0.0, 0.5, 0.0, 0.0]}
-    axes = dynamic_error.error_contributions(ORDER, power, unit="rad/s2", title="at 15 r/min")
-    widths = np.array([bar.get_width() for bar in axes.patches])
-    assert widths.sum() == pytest.approx(1) and widths.max() == pytest.approx(0.75)
-    assert [label.get_text() for label in axes.get_yticklabels()] == ["ring flank", "disc flank", "disc bore"]
-    assert "2 rad/s2 rms" in axes.get_xlabel()
-    assert [text.get_text() for text in axes.get_legend().get_texts()] == ["40", "78", "80"]

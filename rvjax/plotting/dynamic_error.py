@@ -1,16 +1,15 @@
 """Pictures of the dynamic transmission error: orders over speed, spectra, spread of a batch, shares of the errors."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.colors import LogNorm
 
 from rvjax.dynamics import SpeedSweep
-from rvjax.plotting.style import AFTER, HATCHES, LIMIT, PALETTE, new_axes, words
+from rvjax.plotting.style import AFTER, LIMIT, PALETTE, new_axes, words
 from rvjax.units import readable, rpm
 
 DECADES = 3  # of amplitude that colours and spectra show below the largest
@@ -71,53 +70,6 @@ def campbell_amplitudes(
     return axes
 
 
-def waterfall(
-    sweep: SpeedSweep,
-    sun_speeds: Any,
-    *,
-    ratio: float,
-    highest: float | None = None,
-    output: int = 0,
-    spectra: int = 24,
-    axes: Axes | None = None,
-) -> Axes:
-    """Spectra of one unit at one speed behind the other: each baseline is a speed, each line on it an order.
-
-    Heights are logarithmic: three decades below the largest line of all they vanish.
-
-    Args:
-        sweep: of `dynamics.speed_sweep`.
-        sun_speeds: of the sweep, rad/s (speeds,), ascending.
-        ratio: sun turns for one of the output.
-        highest: end of the frequency axis, Hz; by default that of the highest order.
-        output: which of the sweep's outputs.
-        spectra: that are drawn, spread over the speeds.
-        axes: where to draw; a new figure by default.
-    """
-    axes = plt.subplots(figsize=(7, 5.2))[1] if axes is None else axes
-    turns, order, height, shown = _lines(sweep, sun_speeds, ratio, output)
-    picked = np.unique(np.linspace(0, len(turns) - 1, spectra).round().astype(int))
-    step = (turns[-1] - turns[0]) / rpm / max(len(picked) - 1, 1)
-    largest, end = height.max(initial=0) or 1.0, highest or _highest(turns, order)
-    with np.errstate(divide="ignore"):
-        rise = 4 * step * np.maximum(1 + np.log10(height / largest) / DECADES, 0)
-    for number, place in enumerate(picked[::-1]):  # the fastest lies behind
-        base = turns[place] / rpm
-        axes.plot([0, end], [base, base], color="0.85", lw=0.6, zorder=2 * number)
-        for k, n in enumerate(order):
-            at = n * abs(turns[place]) / (2 * np.pi)
-            axes.plot(
-                [at, at], [base, base + rise[place, k]], color=PALETTE[k % len(PALETTE)], lw=1.8, clip_on=True,
-                solid_capstyle="butt", zorder=2 * number + 1, label=f"{n:.4g}" if number == 0 else None,
-            )  # fmt: skip
-    axes.set(xlabel="frequency (Hz)", ylabel="output speed (r/min)", xlim=(0, end))
-    axes.set_ylim(turns[0] / rpm - step, turns[-1] / rpm + 4 * step)
-    axes.set_title(f"Spectra of one unit: {DECADES} decades in four steps, up to {largest:.3g} {shown}")
-    axes.grid(visible=False)
-    axes.legend(title="order per output turn", ncols=len(order), loc="upper right", fontsize=8, frameon=True)
-    return axes
-
-
 def batch_over_speed(
     output_speed: Any, values: Any, *, unit: str, name: str, limit: float | None = None, axes: Axes | None = None
 ) -> Axes:
@@ -146,38 +98,6 @@ def batch_over_speed(
     axes.set_ylim(0, None)
     axes.set_title(f"Spread of {words(name)} over speed")
     axes.legend(fontsize=9)
-    return axes
-
-
-def error_contributions(
-    order: Any, power: Mapping[str, Any], *, unit: str, title: str, axes: Axes | None = None
-) -> Axes:
-    """What each error contributes to the vibration of a series of units at one speed, split by order.
-
-    Args:
-        order: per output turn (orders,).
-        power: {error: mean square of each line, SI squared (orders,)}, of `dynamics.error_statistics` with the
-            standard deviation of that error alone; independent errors add.
-        unit: SI unit of the lines.
-        title: says the speed.
-        axes: where to draw; a new figure by default.
-    """
-    table = {name: np.asarray(values, float) / 2 for name, values in power.items()}  # mean square over time
-    names = sorted(table, key=lambda name: table[name].sum())
-    axes = plt.subplots(figsize=(7, 1.6 + 0.32 * len(names)))[1] if axes is None else axes
-    shown, size = readable(unit)
-    whole = sum(values.sum() for values in table.values()) or 1.0
-    start = np.zeros(len(names))
-    for k, n in enumerate(np.asarray(order)):
-        share = np.array([table[name][k] for name in names]) / whole
-        if share.any():
-            colour, hatch = PALETTE[k % len(PALETTE)], HATCHES[k % len(HATCHES)]
-            axes.barh(_words(names), share, left=start, color=colour, hatch=hatch, edgecolor="white", label=f"{n:.4g}")
-            start += share
-    axes.set(xlabel=f"share of the mean square; in all {np.sqrt(whole) / size:.3g} {shown} rms", title=title)
-    axes.xaxis.set_major_formatter(lambda x, _: f"{100 * x:.0f} %")
-    axes.grid(axis="y", visible=False)
-    axes.legend(title="order per output turn", loc="lower right")
     return axes
 
 
