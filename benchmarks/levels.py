@@ -38,8 +38,7 @@ def main():
         table = type(levels.stored()).load(options.table)
         own = {} if _known(machine()) == _known(table.machine) else machine()
         models = table.models | {cases.name: dataclasses.replace(made, machine=own)}
-        order = [name for name in models if name != "statistics"] + ["statistics"]
-        table = dataclasses.replace(table, models={name: models[name] for name in order if name in models})
+        table = dataclasses.replace(table, models=models)
         table.save(options.table)
         print(levels.report(dataclasses.replace(table, models={cases.name: models[cases.name]})), flush=True)
 

@@ -93,7 +93,7 @@ def test_a_table_comes_back_from_its_file(tmp_path):
 
 def test_every_model_of_the_stored_table_can_be_shown():
     table = stored()
-    assert {"transmission_error", "misfit", "lost_motion", "mesh_force", "dynamics", "statistics"} <= set(table.models)
+    assert {"transmission_error", "misfit", "lost_motion", "mesh_force", "dynamics"} <= set(table.models)
     figure = picture(table)
     assert sum(axes.get_visible() for axes in figure.axes) == len(table.models)
     for one in table.models.values():

@@ -12,7 +12,6 @@ import numpy as np
 
 from rvjax import models
 from rvjax.levels.choice import design_numbers, reach
-from rvjax.levels.estimators import measure_statistics
 from rvjax.levels.table import Level, Model, Table
 from rvjax.levels.timing import alternate, compiled, machine
 from rvjax.outputs import Cases, Reading, Way
@@ -35,8 +34,6 @@ def measure(*, quick: bool = False, seed: int = 0, say: Callable[[str], None] = 
     for cases in measured(quick=quick):
         say(cases.name)
         found[cases.name] = measure_model(cases, seed=seed, seconds=0.1 if quick else 0.3)
-    say("statistics")
-    found["statistics"] = measure_statistics(quick=quick, seed=seed)
     load = list(os.getloadavg()) if hasattr(os, "getloadavg") else []
     return Table({**machine(), "load": load}, seed, found)
 
