@@ -1,15 +1,16 @@
-"""Do the tests notice? Semantic mutants of every room, one at a time, against the tests that must fail.
+"""Do the tests notice mistakes? Semantic mutants, one at a time, against the tests that must fail.
 
-    python -m census.mutants [--room loaded] [--only "place of the smallest"] [--keep census/mutants.json]
+    python -m census.mutants [--group loaded] [--only "place of the smallest"] [--keep census/mutants.json]
 
 Each mutant of `mutants.toml` is one change that a person could make by mistake: a sign, a factor, a missing term, a
-bound. It goes into a copy of the tree, and only the tests named beside it run, up to the first failure; before, the
-same tests must pass on the tree as it is. General tools (mutmut, cosmic-ray) change every operator and run every test;
-with programs that compile for seconds that takes days, and these take an hour. Not part of continuous integration, but
-a cheap test holds the table to the tree.
+bound. It goes into a copy of the tree. The tests named in its row run, up to the first failure. Before, the same tests
+must pass on the unchanged tree. General tools (mutmut, cosmic-ray) change every operator and run every test. That takes
+days, because programs compile for seconds; these mutants take an hour. They are not part of continuous integration,
+but a fast test compares the table with the code.
 """
 
 import argparse
+import ast
 import json
 import os
 import shlex
@@ -19,7 +20,7 @@ import sys
 import tempfile
 import time
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -31,19 +32,58 @@ COPIED = ("rvjax", "tests", "oracles", "census", "benchmarks", "docs", "notebook
 
 @dataclass(frozen=True)
 class Mutant:
-    """One change: `old` becomes `new` in `file`, and of `tests` (arguments of pytest) at least one must fail."""
+    """One change: in `function`, `expression` becomes `becomes`, and of `tests` (arguments of pytest) one must fail."""
 
-    room: str
+    group: str
     breaks: str
-    file: str
-    old: str
-    new: str
+    function: str
+    expression: str
+    becomes: str
     tests: str
     survives: str = ""  # why no test can notice, for one that is known to live
 
-    def places(self, root: Path = ROOT) -> int:
-        """How often the old text stands in its file."""
-        return (root / self.file).read_text("utf-8").count(self.old)
+    def places(self, root: Path = ROOT) -> list[tuple[Path, ast.Module, ast.AST]]:
+        """Every place of the expression in the function: file, its syntax tree, and the node."""
+        where, name = self.function.split(":")
+        path = root / "rvjax" / where.replace(".", "/")
+        files = sorted(path.rglob("*.py")) if path.is_dir() else [path.with_suffix(".py")]
+        wanted, found = ast.unparse(ast.parse(self.expression)), []
+        for file in files:
+            tree = ast.parse(file.read_text("utf-8"))
+            for function in [tree] if not name else [node for full, node in functions(tree) if full == name]:
+                found += [(file, tree, node) for node in matches(function, wanted)]
+        return found
+
+
+def functions(node: ast.AST, prefix: str = "") -> Iterator[tuple[str, ast.AST]]:
+    """Functions and classes below a node with their full names."""
+    for child in ast.iter_child_nodes(node):
+        named = isinstance(child, ast.FunctionDef | ast.ClassDef)
+        if named:
+            yield f"{prefix}{child.name}", child
+        yield from functions(child, f"{prefix}{child.name}." if named else prefix)
+
+
+def matches(node: ast.AST, wanted: str) -> Iterator[ast.AST]:
+    """The outermost expressions and statements below a node that read as wanted."""
+    for child in ast.iter_child_nodes(node):
+        if isinstance(child, ast.expr | ast.stmt) and ast.unparse(child) == wanted:
+            yield child
+        else:
+            yield from matches(child, wanted)
+
+
+class Replacement(ast.NodeTransformer):
+    """Puts one node in the place of another."""
+
+    def __init__(self, old: ast.AST, text: str) -> None:
+        """The node, and the text of what takes its place."""
+        (statement,) = ast.parse(text).body
+        self.old, self.new = old, statement.value if isinstance(old, ast.expr) else statement
+
+    def visit(self, node: ast.AST) -> ast.AST:
+        """As the base class has it."""
+        return self.new if node is self.old else self.generic_visit(node)
 
 
 def table() -> list[Mutant]:
@@ -75,13 +115,15 @@ def run(folder: Path, tests: str) -> str:
     return f"pytest ended with {found.returncode}: {(found.stdout + found.stderr).strip()[-300:]}"
 
 
-def judged(folder: Path, mutant: Mutant) -> str:
+def verdict(folder: Path, mutant: Mutant) -> str:
     """ "killed", "survived", or what is wrong with the row of the table."""
-    path = folder / mutant.file
+    places = mutant.places(folder)
+    if len(places) != 1:
+        return f"{mutant.function} has the expression {len(places)} times"
+    path, tree, node = places[0]
     whole = path.read_text("utf-8")
-    if (places := mutant.places(folder)) != 1:
-        return f"the old text stands {places} times in {mutant.file}"
-    path.write_text(whole.replace(mutant.old, mutant.new), "utf-8")
+    changed = Replacement(node, mutant.becomes).visit(tree)
+    path.write_text(ast.unparse(ast.fix_missing_locations(changed)), "utf-8")
     try:
         found = run(folder, mutant.tests)
     finally:
@@ -92,12 +134,12 @@ def judged(folder: Path, mutant: Mutant) -> str:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command."""
     parser = argparse.ArgumentParser(prog="python -m census.mutants", description=__doc__.split("\n")[0])
-    parser.add_argument("--room", help="this room alone")
+    parser.add_argument("--group", help="this group alone")
     parser.add_argument("--only", help="mutants whose `breaks` holds this text")
     parser.add_argument("--keep", help="JSON file for the score")
     parser.add_argument("--trust", action="store_true", help="the tests are known to pass on the tree as it is")
     options = parser.parse_args(arguments)
-    mutants = [m for m in table() if options.room in (None, m.room) and (options.only or "") in m.breaks]
+    mutants = [m for m in table() if options.group in (None, m.group) and (options.only or "") in m.breaks]
     started, score = time.perf_counter(), dict[str, list[int]]()
     survivors, wrong = [], []
     with tempfile.TemporaryDirectory(prefix="rvjax-mutants-") as name:
@@ -109,24 +151,24 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 sound[mutant.tests] = run(folder, mutant.tests)
             begun = time.perf_counter()
             before = sound.get(mutant.tests, "passed")
-            found = judged(folder, mutant) if before == "passed" else f"without the mutant: {before}"
-            print(f"{mutant.room:12} {found:9.200} {time.perf_counter() - begun:4.0f} s  {mutant.breaks}", flush=True)
+            found = verdict(folder, mutant) if before == "passed" else f"without the mutant: {before}"
+            print(f"{mutant.group:12} {found:9.200} {time.perf_counter() - begun:4.0f} s  {mutant.breaks}", flush=True)
             if found not in ("killed", "survived"):
                 wrong.append(mutant)
                 continue
-            count = score.setdefault(mutant.room, [0, 0])
+            count = score.setdefault(mutant.group, [0, 0])
             count[0] += found == "killed"
             count[1] += 1
             survivors += [mutant] if found == "survived" else []
     minutes = (time.perf_counter() - started) / 60
-    for room, (killed, count) in score.items():
-        print(f"{room:12} {killed:3} of {count:3}")
+    for group, (killed, count) in score.items():
+        print(f"{group:12} {killed:3} of {count:3}")
     killed, count = (sum(column) for column in zip(*score.values())) if score else (0, 0)
     print(f"all          {killed:3} of {count:3}, {minutes:.0f} min")
     for mutant in survivors:
-        print(f"survived: {mutant.room}: {mutant.breaks}: {mutant.survives or 'no reason known'}")
+        print(f"survived: {mutant.group}: {mutant.breaks}: {mutant.survives or 'no reason known'}")
     if options.keep:
-        kept = {"rooms": score, "survivors": [m.breaks for m in survivors], "minutes": round(minutes)}
+        kept = {"groups": score, "survivors": [m.breaks for m in survivors], "minutes": round(minutes)}
         Path(options.keep).write_text(json.dumps(kept, indent=1) + "\n", "utf-8")
     return int(bool(wrong) or any(not m.survives for m in survivors))
 
