@@ -62,3 +62,11 @@ def test_cost_against_yield_shows_the_study_between_its_neighbours():
     curve = axes.lines[0].get_xdata()
     assert curve == pytest.approx([0.1, 0.01, 0.001])
     assert axes.lines[2].get_xdata()[0] > 0  # a yield of 1 stands at the edge, not at infinity
+
+
+def test_cost_against_yield_without_rejects_has_a_logarithmic_axis(recwarn):
+    """No unit fails: Matplotlib would warn that nothing is positive."""
+    axes = plotting.cost_against_yield([1.0], [1.0], chosen=(1.0, 1.0), start=(1.0, 2.0))
+    axes.figure.canvas.draw()
+    assert axes.get_xscale() == "log" and not recwarn.list
+    assert all(line.get_xdata()[0] > 0 for line in axes.lines)

@@ -7,6 +7,7 @@ Bad input ends with one line on standard error and exit code 2; a question that 
 import argparse
 import importlib
 import io
+import logging
 import os
 import signal
 import sys
@@ -97,11 +98,20 @@ def _prepare() -> None:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
     os.environ.setdefault("MPLBACKEND", "Agg")
-    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")  # XLA logs two lines for every kept program; before JAX loads
+    # XLA logs lines for every kept program: it takes preferences such as prefer-no-gather for instructions that the
+    # processor lacks (the folder of kept programs is that of one processor). JAX sets "1", which its children inherit.
+    quiet = os.environ.get("TF_CPP_MIN_LOG_LEVEL") != "0"
+    if quiet:
+        os.environ["TF_CPP_MIN_LOG_LEVEL"] = "3"  # before JAX loads
+        logging.getLogger("matplotlib").setLevel(logging.ERROR)  # "building the font cache"
+    import jax
+
     import rvjax
     from rvjax import compile_cache, malloc
 
     rvjax.enable_x64()
+    if quiet:
+        jax.config.update("jax_logging_level", "CRITICAL")  # where JAX was there before, and GPUs that are not used
     compile_cache.keep(rvjax.__version__)
     malloc.keep()
 

@@ -133,14 +133,16 @@ def cost_against_yield(
         axes: where to draw; a new figure by default.
     """
     axes = new_axes(axes)
-    rejects = [1 - t for t in targets]
-    floor = min(*rejects, 1 - chosen[0]) / 3  # yields nearer to 1 than the picture shows stand at its edge
+    rejects = [1 - share for share in (*targets, chosen[0], start[0])]
+    seen = [rejected for rejected in rejects[:-1] if rejected > 0]
+    floor = min(seen, default=1e-6) / 3  # yields nearer to 1 than the plot shows are drawn at its edge
+    *rejects, rejected, rejected_before = np.maximum(rejects, floor)
     axes.plot(rejects, costs, "o-", color=AFTER, label="cheapest tolerances")
-    axes.plot(1 - chosen[0], chosen[1], "*", ms=15, color=LIMIT, label="this study", zorder=3)
-    axes.plot(max(1 - start[0], floor), start[1], "s", ms=8, color=BEFORE, label="before", zorder=3)
+    axes.plot(rejected, chosen[1], "*", ms=15, color=LIMIT, label="this study", zorder=3)
+    axes.plot(rejected_before, start[1], "s", ms=8, color=BEFORE, label="before", zorder=3)
     axes.set_xscale("log")
     axes.invert_xaxis()
-    ticks = [10.0**-k for k in range(1, 7) if floor <= 10.0**-k <= 1.05 * max(rejects)]
+    ticks = [10.0**-k for k in range(1, 7) if floor <= 10.0**-k <= 1.05 * max(*rejects, rejected)]
     axes.set_xticks(ticks, [f"{100 * (1 - t):.6g}" for t in ticks])
     axes.set_xticks([], minor=True)
     axes.set(xlabel="yield of each requirement (%)", ylabel="cost", title="Cost against yield")
