@@ -13,9 +13,9 @@ import pytest
 
 from rvjax import cli, compensation, plotting, study
 from rvjax.assembly import plan
+from rvjax.commands.compensate import corrections
 from rvjax.report.assembly import price_text
 from rvjax.study.assembly import bench
-from rvjax.study.compensation import corrections
 from rvjax.study.prices import Price, prices
 from rvjax.units import arcsec, um
 
@@ -237,8 +237,30 @@ def test_a_curve_in_other_units_with_decimal_commas_is_the_same_curve(files):
     (files / "kurve.csv").write_text("\n".join(lines), "utf-8")
     (one,), (other,) = (corrections(study.load("my.toml"), name).curves for name in ("curve.csv", "kurve.csv"))
     assert (other.torque, other.direction) == (12.5, "forward") and other.label == one.label
-    np.testing.assert_allclose(other.angle, one.angle, rtol=1e-15)
-    np.testing.assert_allclose(other.error, one.error, rtol=1e-15)
+    np.testing.assert_allclose(other.run.angle, one.run.angle, rtol=1e-15)
+    np.testing.assert_allclose(other.run.error, one.run.error, rtol=1e-15)
+
+
+def test_every_unit_of_a_file_has_a_table(files, capsys):
+    """Two units whose errors of order 40 oppose each other: merged they would leave nothing to correct."""
+    angle = np.arange(0.0, 360.0, 0.5)
+    rows = [
+        f"{a},{sign * 20 * np.cos(np.radians(40 * a))},{unit}" for unit, sign in (("A", 1), ("B", -1)) for a in angle
+    ]
+    (files / "two.csv").write_text("\n".join(["angle [deg],error [arcsec],unit", *rows]))
+    assert cli.main(["compensate", "my.toml", "two.csv", "--export", "t.csv", "--format", "json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert [(curve["unit"], curve["order"]) for curve in told["curves"]] == [("A", [40]), ("B", [40])]
+    assert told["tables"] == ["t-A.csv", "t-B.csv"]
+    first, second = (compensation.read(path).correction for path in told["tables"])
+    amplitude = 20 * arcsec * RATIO
+    assert first[0] == pytest.approx(-amplitude, rel=1e-6) and second[0] == pytest.approx(amplitude, rel=1e-6)
+
+
+def test_a_direction_is_forward_or_backward(files, capsys):
+    written(files / "curve.csv", (*points(count=100), "", "forwrd"))
+    message = refused(capsys, "compensate", "my.toml", "curve.csv")
+    assert "curve.csv: row 2, direction = 'forwrd': must be forward or backward" in message
 
 
 BAD_CURVES = [

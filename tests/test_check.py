@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from rvjax import catalogue, cli, designs, study
-from rvjax.cli import speak
+from rvjax.commands import speak
 from rvjax.report import check
 from rvjax.study import answer, plausible, template
 from rvjax.study.design import BASES

@@ -21,8 +21,9 @@ MODELS = ("four_bar", "lost_motion", "mesh_force", "dynamics", "loaded")
 DIAGRAM = re.search(r"```text\n(.*?)```", (ROOT / "docs" / "architecture.md").read_text(), re.DOTALL).group(1)
 FLOORS = tuple(tuple(re.split(r" {2,}", line)[0].split()) for line in DIAGRAM.splitlines())
 FLOOR = {name: number for number, names in enumerate(FLOORS) for name in names}
-# One look upwards, from a function body: a design names its error record so that statistics can ask it.
-ALLOWED = {("designs", "errors")}
+# Looks upwards, from a function body: a design names its error record so that statistics can ask it; a study file may
+# hold a table that a command reads.
+ALLOWED = {("designs", "errors"), ("study", "commands")}
 
 
 def rooms():

@@ -5,6 +5,7 @@ Bad input ends with one line on standard error and exit code 2; a question that 
 """
 
 import argparse
+import functools
 import importlib
 import io
 import logging
@@ -17,7 +18,8 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from rvjax.cli.speak import EXIT_BAD_INPUT, EXIT_OK, say
+from rvjax import commands as listed
+from rvjax.commands import EXIT_BAD_INPUT, EXIT_OK, run, say
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -64,10 +66,16 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"rvjax {rvjax.__version__}")
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
     types: dict[str, Any] = {"count": _count, "int": int}
-    for name, command in about["command"].items():
-        options, (module, function) = command.pop("options"), command.pop("run").split(".")
+    for name in listed.COMMANDS:
+        command, chosen = listed.about(name), functools.partial(run, name)
+        if command is None:  # it has no package yet
+            command = about["command"][name]
+            module, function = command.pop("run").split(".")
+            chosen = getattr(importlib.import_module(f"rvjax.cli.{module}"), function)
+        command.pop("table", None)
+        options = command.pop("options")
         subparser = commands.add_parser(name, formatter_class=as_written, **command)
-        subparser.set_defaults(run=getattr(importlib.import_module(f"rvjax.cli.{module}"), function))
+        subparser.set_defaults(run=chosen)
         for flag, option in options.items():
             subparser.add_argument(flag, **option | ({"type": types[option["type"]]} if "type" in option else {}))
     # One of several processes of a batch: see `study.batch.work`.

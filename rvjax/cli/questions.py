@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from rvjax.cli.speak import EXIT_NO_ANSWER, EXIT_OK, READING, WRITING, check_files, forewarn, say, tell
+from rvjax.commands import EXIT_NO_ANSWER, EXIT_OK, READING, WRITING, check_files, forewarn, say, tell
 
 
 def init(options: argparse.Namespace) -> int:

@@ -1,11 +1,11 @@
-"""The commands about units: drawn, measured, assembled, corrected; one function a command."""
+"""The commands about units: drawn, measured, assembled; one function a command."""
 
 import argparse
 import contextlib
 import os
 import time
 
-from rvjax.cli.speak import EXIT_NO_ANSWER, EXIT_OK, READING, WRITING, check_files, forewarn, say, tell
+from rvjax.commands import EXIT_NO_ANSWER, EXIT_OK, READING, WRITING, check_files, forewarn, say, tell
 
 # A loop over blocks of units has one thread, so each core becomes a device of JAX, which takes its part of every chunk;
 # more devices would leave each too few blocks.
@@ -143,38 +143,3 @@ def assemble(options: argparse.Namespace) -> int:
     data = written.as_json(found, parts, question, costs) | {"results": str(folder)}
     tell(options, lambda: after, lambda: data)
     return EXIT_OK if found.status != "INFEASIBLE" else EXIT_NO_ANSWER
-
-
-def compensate(options: argparse.Namespace) -> int:
-    """A table that takes the measured error off."""
-    from rvjax import progress, study
-    from rvjax.report import compensation as written
-    from rvjax.report import folders
-    from rvjax.study.compensation import corrections
-    from rvjax.study.values import quantity
-
-    if options.export is not None:
-        written.check_export(options.export)
-    correcting = "orders of the curves"
-    with progress.shown(dict.fromkeys((READING, correcting, WRITING), 0.0), quiet=options.quiet):
-        progress.begin(READING)
-        question = study.load(options.study)
-        folder = folders.results_folder(options.results, f"{question.name}-compensation")
-        progress.begin(correcting)
-        found = corrections(
-            question,
-            options.data,
-            angle_sd=quantity(options.angle_sd, "rad", "--angle-sd"),
-            count=options.count,
-            first_order=options.first_order,
-        )
-        points = options.points or written.POINTS
-        if options.format == "text":
-            say(written.summary(found, question, seed=question.seed))
-        progress.begin(WRITING)
-        tables = written.tables(found, points, options.side)
-        folder = written.write(found, tables, question, options.data, folder)
-    paths = [str(p) for p in written.export_all(found, tables, options.export, question.seed)] if options.export else []
-    data = written.as_json(found, tables, question) | {"tables": paths, "results": str(folder)}
-    tell(options, lambda: "\n".join([*(f"Table: {path}" for path in paths), f"\nResults: {folder}"]), lambda: data)
-    return EXIT_OK

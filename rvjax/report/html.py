@@ -45,7 +45,7 @@ def note(text: str) -> str:
 
 def document(title: str, body: str) -> str:
     """A whole page: nothing is fetched, the style stands inside."""
-    style = (resources.files("rvjax.report") / "report.css").read_text("utf-8")
+    style = (resources.files("rvjax.render") / "page.css").read_text("utf-8")
     return (
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'

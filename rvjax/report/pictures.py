@@ -1,14 +1,13 @@
 """The pictures of an answer, as files: PNG for the results folder, SVG for the page."""
 
-import io
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure, SubFigure
 
+from rvjax.render import saved as saved
 from rvjax.study.answer import Answer, least_yield
 
 
@@ -25,23 +24,6 @@ class Picture:
     name: str
     caption: str
     content: bytes
-
-
-def saved(figure: Figure | SubFigure, form: str = "png") -> bytes:
-    """A figure as a file, closed. Without a date or random names: the same answer gives the same file.
-
-    Args:
-        figure: to close.
-        form: "png" or "svg".
-    """
-    import matplotlib.pyplot as plt
-
-    assert isinstance(figure, Figure)  # matplotlib's types know no better
-    file = io.BytesIO()
-    with plt.rc_context({"svg.hashsalt": "rvjax"}):
-        figure.savefig(file, format=form, dpi=150, metadata={"Date": None} if form == "svg" else None)
-    plt.close(figure)
-    return file.getvalue()
 
 
 def pictures(answer: Answer, form: str = "png") -> Iterator[Picture]:

@@ -2,14 +2,15 @@
 
 import dataclasses
 import math
-import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-import rvjax
 from rvjax.published import Comparison, show
+from rvjax.render import aligned as table
+from rvjax.render import plain as plain
+from rvjax.render import versions as versions
 from rvjax.report import numbers
 from rvjax.study.answer import Answer
 from rvjax.study.question import Study
@@ -18,19 +19,6 @@ from rvjax.units import readable
 
 UNMOVED = "not seen"
 UNMOVED_MEANS = "the model asked does not read this error, or not to first order; it may matter all the same"
-
-
-def table(headers: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Plain text table: first column left, the others right aligned."""
-    cells = [list(headers), *(list(row) for row in rows)]
-    widths = [max(len(row[k]) for row in cells) for k in range(len(headers))]
-    lines = [
-        "  ".join(
-            cell.ljust(width) if k == 0 else cell.rjust(width) for k, (cell, width) in enumerate(zip(row, widths))
-        )
-        for row in cells
-    ]
-    return "\n".join([lines[0], "-" * len(lines[0]), *lines[1:]])
 
 
 def comparison_table(rows: Sequence[Comparison], *, notes: bool = False) -> str:
@@ -279,26 +267,6 @@ def as_json(answer: Answer) -> dict[str, Any]:
         "cost_curve": answer.cost_curve,
     }
     return plain(found)
-
-
-def versions() -> dict[str, str]:
-    """Versions that made a result."""
-    import jax
-
-    return {"rvjax": rvjax.__version__, "jax": jax.__version__, "python": sys.version.split()[0]}
-
-
-def plain(value: Any) -> Any:
-    """Results as JSON values; numbers that JSON cannot hold (inf, nan) become null."""
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        value = {f.name: getattr(value, f.name) for f in dataclasses.fields(value)}
-    if isinstance(value, dict):
-        return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [plain(item) for item in value]
-    if isinstance(value, (np.generic, np.ndarray)) or hasattr(value, "tolist"):
-        return plain(value.tolist())
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def limits(tolerance: Any) -> dict[str, Any]:

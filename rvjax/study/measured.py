@@ -3,6 +3,7 @@
 Rows of equal unit, torque, direction and temperature are a run.
 """
 
+import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,6 +18,8 @@ DIRECTIONS = {"forward": 1, "backward": -1}
 TURN = 359 * deg  # what a run has to cover; every sample stands for the step before it
 CLIPPED = 0.03  # share of samples at the extreme torque, from which on a sensor has hit its end
 GRID = 21  # torques of the midline of a loop
+USUAL = {"angle": "deg", "error": "arcsec", "torque": "N m", "frequency": "Hz"}
+"""Usual units of the columns that must be there."""
 NEEDS = {"curve": ("angle", "error"), "loop": ("torque", "angle"), "frequencies": ("frequency",)}
 
 
@@ -29,12 +32,14 @@ class Conditions:
         torque: N m, None where the file does not say.
         direction: "forward" or "backward".
         temperature: degC, None where the file does not say.
+        stated: whether the file has directions; without them every run is forward.
     """
 
     unit: str = ""
     torque: float | None = None
     direction: str = "forward"
     temperature: float | None = None
+    stated: bool = dataclasses.field(default=True, compare=False)
 
     @property
     def sign(self) -> int:
@@ -127,12 +132,15 @@ class Measured:
         return tuple(item for item in self.items if isinstance(item, Run))
 
 
-def read(paths: Sequence[str | Path], columns: Mapping[str, object] | None = None) -> Measured:
+def read(
+    paths: Sequence[str | Path], columns: Mapping[str, object] | None = None, *, kind: str | None = None
+) -> Measured:
     """What some CSV files hold.
 
     Args:
         paths: files with a header "name [unit]": angle, error, torque, temperature, frequency, sd, direction, unit.
         columns: foreign names by quantity: the header of the column, or {column, unit} where it says no unit.
+        kind: the one kind that is read, a key of `NEEDS`; None: whichever the files hold.
 
     Raises:
         ValueError: one line that names the file, the column or the row, its value and the unit.
@@ -144,19 +152,25 @@ def read(paths: Sequence[str | Path], columns: Mapping[str, object] | None = Non
     items: list[Run | Loop | Tones] = []
     for path in paths:
         table = read_table(path, columns)
-        kind = _kind(table)
-        kinds.setdefault(kind, str(path))
+        held = _kind(table, kind)
+        kinds.setdefault(held, str(path))
         if len(kinds) > 1:
             (first, one), (second, other) = kinds.items()
             raise ValueError(f"{other}: holds {second}, {one} holds {first}; identify them one after the other")
         for at, rows in _groups(table):
-            items.append(_READERS[kind](table, at, rows))
+            items.append(_READERS[held](table, at, rows))
     return Measured(next(iter(kinds)), tuple(items))
 
 
-def _kind(table: Table) -> str:
+def _kind(table: Table, wanted: str | None) -> str:
     """Which kind of measurement a table holds."""
     has = table.numbers.keys()
+    for name in NEEDS[wanted] if wanted else ():
+        if name not in has:
+            have = ", ".join([*has, *table.words]) or "no column that is known"
+            raise ValueError(f'{table.source}: has no column "{name} [{USUAL[name]}]"; it has {have}')
+    if wanted:
+        return wanted
     for kind in ("frequencies", "curve", "loop"):
         if set(NEEDS[kind]) <= has:
             return kind
@@ -171,7 +185,8 @@ def _groups(table: Table) -> list[tuple[Conditions, np.ndarray]]:
     """Rows of equal conditions, in the order in which these appear."""
     n = len(table.rows)
     unit = table.words.get("unit", [""] * n)
-    direction = [word or "forward" for word in table.words.get("direction", [""] * n)]
+    words = table.words.get("direction", [""] * n)
+    direction, stated = [word or "forward" for word in words], any(words)
     for row, word in zip(table.rows, direction):
         if word not in DIRECTIONS:
             raise ValueError(f"{table.source}: row {row}, direction = {word[:40]!r}: must be forward or backward")
@@ -179,7 +194,8 @@ def _groups(table: Table) -> list[tuple[Conditions, np.ndarray]]:
     torque = table.numbers.get("torque", empty) if "error" in table.numbers else empty
     found: dict[Conditions, list[int]] = {}
     for k, about in enumerate(zip(unit, torque, direction, table.numbers.get("temperature", empty))):
-        found.setdefault(Conditions(about[0], _or_none(about[1]), about[2], _or_none(about[3])), []).append(k)
+        at = Conditions(about[0], _or_none(about[1]), about[2], _or_none(about[3]), stated)
+        found.setdefault(at, []).append(k)
     return [(at, np.array(rows)) for at, rows in found.items()]
 
 
@@ -194,10 +210,10 @@ def _where(source: str, at: Conditions) -> str:
 
 def _run(table: Table, at: Conditions, rows: np.ndarray) -> Run:
     angle, error = table.numbers["angle"][rows], table.numbers["error"][rows]
-    for row, value in zip(table.rows[rows], angle):
+    kept = ~np.isnan(error)  # a missing reading is no sample; the gap that it leaves is judged with the orders
+    for row, value in zip(table.rows[rows][kept], angle[kept]):
         if np.isnan(value):
             raise ValueError(f"{table.source}: row {row}, angle is empty: every sample needs its angle in deg")
-    kept = ~np.isnan(error)  # a missing reading is no sample; the gap that it leaves is judged with the orders
     return Run(table.source, at, np.unwrap(angle[kept]), error[kept])
 
 

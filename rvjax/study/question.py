@@ -42,6 +42,7 @@ class Study:
         identification: what [identify] asks of measured units, or None.
         read_in: unit in which a response is reported, by its name: that of its limit; without one the usual one.
         about: title, author and revision, if the file says them.
+        sections: what further tables of the file hold, by the name of the table; each belongs to a command.
     """
 
     name: str
@@ -61,6 +62,7 @@ class Study:
     identification: "Identification | None" = None
     read_in: dict[str, str] = dataclasses.field(default_factory=dict)
     about: About = dataclasses.field(default_factory=About)
+    sections: dict[str, Any] = dataclasses.field(default_factory=dict)
 
     def response(self) -> Response:
         """errors -> Outcome of the responses that the requirements name.

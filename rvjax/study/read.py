@@ -2,7 +2,7 @@
 
 import dataclasses
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -80,7 +80,8 @@ def parse_study(text: str, *, name: str, folder: Path = Path(), solve: bool = Tr
             tables = tomllib.loads(text)
         except (tomllib.TOMLDecodeError, RecursionError) as error:
             raise ValueError(f"not valid TOML: {error}") from None
-        known(tables, TABLES, "")
+        sections = {table: section for table in tables if table not in TABLES and (section := _section(table))}
+        known(tables, TABLES | set(sections), "")
         for key in ("design", "tolerances", *(() if "identify" in tables else ("requirement",))):
             if not subtable(tables, key):
                 raise ValueError(f"[{key}] is missing or empty")
@@ -124,12 +125,20 @@ def parse_study(text: str, *, name: str, folder: Path = Path(), solve: bool = Tr
             joint_target=None if "joint_target" not in run else share(run["joint_target"], "run.joint_target"),
             identification=identification,
         )
+        read = {table: section(subtable(tables, table), study) for table, section in sections.items()}
+        study = dataclasses.replace(study, sections=read)
         refuse_impossible(design, tolerances, costs, study.middles)
         if requirements:
             response = study.response()  # refuses what these conditions cannot give
             if solve:
                 check_nominal(response, error_record())
         return study
+
+
+def _section(table: str) -> Callable[[dict[str, Any], Study], Any] | None:
+    from rvjax.commands import section  # a command may read a table that no other part of a study uses
+
+    return section(table)
 
 
 def _metadata(record: Any, field: str) -> Any:

@@ -88,7 +88,13 @@ def finite(text: str, where: str) -> float:
 
 
 def quantity(value: Any, unit: str, where: str) -> float:
-    """A number in SI."""
+    """A number in SI.
+
+    Args:
+        value: text with a unit, or a plain number where `unit` is "-".
+        unit: SI unit.
+        where: key or option, for the message.
+    """
     try:
         return parse(value, unit)
     except ValueError as error:

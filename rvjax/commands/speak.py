@@ -1,4 +1,4 @@
-"""What all commands share: how they speak, what they refuse before any work, how they end."""
+"""What all commands share: printing, checks before any work, exit codes."""
 
 import argparse
 import json
@@ -12,7 +12,12 @@ EXIT_OK, EXIT_NO_ANSWER, EXIT_BAD_INPUT = 0, 1, 2
 
 
 def say(text: str, file: Any = None) -> None:
-    """Print; what would speak to the terminal rather than to a person (escape sequences in a key) is spelled out."""
+    """Print text; characters that control a terminal are spelled out.
+
+    Args:
+        text: one or several lines.
+        file: stream; None is standard output.
+    """
     from rvjax import progress
 
     lines = (
@@ -24,7 +29,13 @@ def say(text: str, file: Any = None) -> None:
 
 
 def tell(options: argparse.Namespace, text: Callable[[], str], data: Callable[[], dict[str, Any] | list[Any]]) -> None:
-    """The result on standard output, as the option asks: for a person, or as one JSON value and nothing else."""
+    """The result on standard output, as the option requires: for a person, or as one JSON value and nothing else.
+
+    Args:
+        options: of the command line.
+        text: for a person.
+        data: JSON values.
+    """
     if options.format == "json" or getattr(options, "json", None) is True:  # the older `--json` where it names no file
         print(json.dumps(data(), indent=1, allow_nan=False))
     else:
@@ -43,7 +54,12 @@ def forewarn(question: Any) -> None:
 
 
 def check_files(options: argparse.Namespace, **endings: str | tuple[str, ...]) -> None:
-    """Refuse a file that could not be written, before any work is done."""
+    """Raise an error for a file that could not be written, before any work is done.
+
+    Args:
+        options: of the command line.
+        **endings: endings that the file of each option may have.
+    """
     for option, ending in endings.items():
         path = getattr(options, option)
         name = path if option == "file" else f"--{option} {path}"

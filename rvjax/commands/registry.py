@@ -1,0 +1,34 @@
+"""What the package of a command holds, read when it is needed: a command that nobody runs is not imported."""
+
+import importlib
+import tomllib
+from collections.abc import Callable
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+
+def about(name: str) -> dict[str, Any] | None:
+    """Options and help of a command, its `command.toml`; None without a package of this name."""
+    found = find_spec(f"rvjax.commands.{name}")
+    if found is None or not found.submodule_search_locations:
+        return None
+    return tomllib.loads((Path(found.submodule_search_locations[0]) / "command.toml").read_text("utf-8"))
+
+
+def module(name: str, part: str) -> Any:
+    """A module of a command: "inputs", "compute" or "report".
+
+    Args:
+        name: of the command.
+        part: of the module.
+    """
+    return importlib.import_module(f"rvjax.commands.{name}.{part}")
+
+
+def section(table: str) -> Callable[[dict[str, Any], Any], Any] | None:
+    """The function (table, study) -> value that reads a table of study files, None where no command reads it."""
+    from rvjax import commands
+
+    found = next((name for name in commands.COMMANDS if (about(name) or {}).get("table") == table), None)
+    return None if found is None else module(found, "inputs").section

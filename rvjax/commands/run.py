@@ -1,0 +1,45 @@
+"""One run of a command: inputs, compute, report; then text or JSON on standard output, and a results folder."""
+
+import argparse
+import json
+
+from rvjax import progress
+from rvjax.commands.registry import module
+from rvjax.commands.speak import EXIT_NO_ANSWER, EXIT_OK, READING, WRITING, say
+
+
+def run(name: str, options: argparse.Namespace) -> int:
+    """Run a command; returns the exit code.
+
+    `inputs.inputs(options)` checks everything before any work; its result may have a `folder` for the results.
+    `compute.compute(inputs)` works, in phases that `compute.phases(inputs)` lists with their expected seconds.
+    `report.report(inputs, found)` describes what was found.
+
+    Args:
+        name: of the command.
+        options: as parsed.
+    """
+    from rvjax.files import write_atomically  # the help does not wait for NumPy
+    from rvjax.render import plain, write_files
+
+    asked = module(name, "inputs").inputs(options)
+    work, report = module(name, "compute"), module(name, "report").report
+    folder, as_json = getattr(asked, "folder", None), options.format == "json" or getattr(options, "json", None) is True
+    with progress.shown(
+        work.phases(asked), counted=getattr(work, "COUNTED", ""), quiet=getattr(options, "quiet", True)
+    ):
+        progress.begin(READING)
+        found = report(asked, work.compute(asked))
+        if not as_json:  # before the folder is made: whatever fails there, the result has been printed
+            say(found.text())
+        if folder is not None:
+            progress.begin(WRITING)
+            folder = write_files(found.folder(), folder)
+    for path, content in found.exports.items():
+        write_atomically(path, content)
+    if as_json:
+        more = dict(found.told) | ({"results": str(folder)} if folder else {})
+        print(json.dumps(plain(found.data | more if more else found.data), indent=1, allow_nan=False))
+    elif closing := [*found.closing, *([f"\nResults: {folder}"] if folder else [])]:
+        say("\n".join(closing))
+    return EXIT_OK if found.ok else EXIT_NO_ANSWER

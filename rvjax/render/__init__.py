@@ -1,0 +1,49 @@
+"""Reports of commands: tables whose cells are numbers in SI, and the text, CSV, JSON and HTML that follow from them."""
+
+from rvjax.render.figure import Figure, saved
+from rvjax.render.folders import new_folder, numbered_folders, results_folder, write_files
+from rvjax.render.quantity import Quantity, number
+from rvjax.render.report import Note, Report, Section, as_json, plain, versions
+from rvjax.render.table import (
+    CSV,
+    PAGE,
+    TEXT,
+    Column,
+    Interval,
+    Limits,
+    Number,
+    Share,
+    Table,
+    Text,
+    aligned,
+    as_csv,
+)
+
+__all__ = [
+    "CSV",
+    "PAGE",
+    "TEXT",
+    "Column",
+    "Figure",
+    "Interval",
+    "Limits",
+    "Note",
+    "Number",
+    "Quantity",
+    "Report",
+    "Section",
+    "Share",
+    "Table",
+    "Text",
+    "aligned",
+    "as_csv",
+    "as_json",
+    "new_folder",
+    "number",
+    "numbered_folders",
+    "plain",
+    "results_folder",
+    "saved",
+    "versions",
+    "write_files",
+]

@@ -1,0 +1,55 @@
+"""Plots of a report, drawn when they are written: PNG for a folder, SVG for a page."""
+
+import io
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure as Drawn
+    from matplotlib.figure import SubFigure
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A plot of a report.
+
+    Attributes:
+        name: of its file, without ending.
+        caption: what it shows, for a person who may not see it.
+        draw: draws it and returns its axes.
+    """
+
+    name: str
+    caption: str
+    draw: "Callable[[], Axes]"
+
+    def content(self, form: str = "png") -> bytes:
+        """The content of its file, in the one style of all plots.
+
+        Args:
+            form: "png" or "svg".
+        """
+        from rvjax import plotting
+
+        with plotting.style():
+            return saved(self.draw().figure, form)
+
+
+def saved(figure: "Drawn | SubFigure", form: str = "png") -> bytes:
+    """A Matplotlib figure as a file, closed. Without a date or random names: equal results give equal files.
+
+    Args:
+        figure: to close.
+        form: "png" or "svg".
+    """
+    import matplotlib.pyplot as plt
+    from matplotlib.figure import Figure as Drawn
+
+    assert isinstance(figure, Drawn)  # the types of Matplotlib allow a part of a figure
+    file = io.BytesIO()
+    with plt.rc_context({"svg.hashsalt": "rvjax"}):
+        figure.savefig(file, format=form, dpi=150, metadata={"Date": None} if form == "svg" else None)
+    plt.close(figure)
+    return file.getvalue()

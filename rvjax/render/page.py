@@ -1,0 +1,79 @@
+"""The HTML page of a report: one file, nothing is fetched. Every value is escaped by Jinja2."""
+
+import base64
+import re
+from functools import cache
+from importlib import resources
+from typing import Any
+
+from jinja2 import Environment, FunctionLoader, StrictUndefined
+from markupsafe import Markup, escape
+
+import rvjax
+from rvjax.render.figure import Figure
+from rvjax.render.report import Note, Report, Section, versions
+from rvjax.render.table import PAGE, Table
+
+
+def page(report: Report) -> str:
+    """The page that the template of a report makes.
+
+    Args:
+        report: its `page` is "package:file", or "" for the page that all reports share.
+    """
+    template = _environment().get_template(report.page or "rvjax.render:page.html.j2")
+    style = Markup((resources.files("rvjax.render") / "page.css").read_text("utf-8"))
+    return template.render(report=report, style=style, versions=versions(), rvjax=rvjax, **report.facts)
+
+
+@cache
+def _environment() -> Environment:
+    def source(name: str) -> str:
+        package, _, file = name.partition(":")
+        return (resources.files(package) / file).read_text("utf-8")
+
+    made = Environment(
+        loader=FunctionLoader(source), autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=StrictUndefined
+    )
+    made.filters |= {"typeset": typeset, "micro": micro, "svg": svg, "words": lambda name: name.replace("_", " ")}
+    made.tests |= {
+        "note": lambda part: isinstance(part, Note) and PAGE in part.on,
+        "table": lambda part: isinstance(part, Table) and PAGE in part.on,
+        "figure": lambda part: isinstance(part, Figure),
+        "section": lambda part: isinstance(part, Section),
+        "nil": nil,
+    }
+    return made
+
+
+ZERO = Markup('<span class="none">0</span>')
+
+
+def typeset(cell: Any) -> Markup:
+    """A text of a cell for the page: numbers stay with their units, an interval is on a separate line."""
+    if isinstance(cell, Markup):
+        return cell
+    text, _, interval = str(cell).partition(" [")
+    if re.match(r"0\.00+ ", text) or text == "0.0 %":
+        return ZERO
+    said = micro(escape(text.replace("+-", "±").replace("<=", "≤").replace(">=", "≥")))
+    said = Markup(str(said).replace(" and ", "<br>"))
+    if said in ("", "-"):
+        return said
+    more = Markup("<small>[{}</small>").format(interval) if interval else Markup("")
+    return Markup('<span class="whole">{}</span>{}').format(said, more)
+
+
+def nil(cell: str) -> bool:
+    """Whether a narrow screen leaves a typeset cell out."""
+    return cell in ("", "-") or cell.startswith('<span class="none">')
+
+
+def micro(text: str) -> Markup:
+    """Text with the sign of a micrometre and a microsecond."""
+    return Markup(re.sub(r"(?<![A-Za-z])u(?=[ms]\b)", "µ", str(escape(text))))
+
+
+def svg(figure: Figure) -> str:
+    """A figure as the address of an image inside the page."""
+    return f"data:image/svg+xml;base64,{base64.b64encode(figure.content('svg')).decode('ascii')}"

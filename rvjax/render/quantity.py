@@ -1,0 +1,76 @@
+"""Quantities: numbers with an SI unit, and the text that a person reads of them."""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from rvjax.units import readable
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A number with its unit, and its interval if it has one.
+
+    Attributes:
+        value: SI; NaN where there is none.
+        unit: SI unit, "-" for a plain number.
+        lower: lower end of the interval, SI; None without one.
+        upper: upper end, SI.
+        read_in: unit in which a person reads it; None: the usual one of `unit`.
+    """
+
+    value: float
+    unit: str = "-"
+    lower: float | None = None
+    upper: float | None = None
+    read_in: str | None = None
+
+    @classmethod
+    def of(cls, estimate: Any, unit: str = "-", read_in: str | None = None) -> "Quantity":
+        """The quantity of an estimate: anything with value, lower and upper.
+
+        Args:
+            estimate: numbers in SI.
+            unit: SI unit.
+            read_in: unit in which a person reads it; None: the usual one.
+        """
+        return cls(float(estimate.value), unit, float(estimate.lower), float(estimate.upper), read_in)
+
+    @property
+    def shown(self) -> tuple[str, float]:
+        """Name and SI size of the unit in which a person reads the quantity; the name is "" for a plain number."""
+        name, size = readable(self.unit, self.read_in)
+        return ("" if name == "-" else name), size
+
+    def numbers(self) -> list[float | None]:
+        """Value, lower end and upper end in the unit that is read; None for what is not finite."""
+        size = self.shown[1]
+        return [number(x, size) for x in (self.value, self.lower, self.upper)]
+
+    def text(self, form: str = ".4g", *, named: bool = True) -> str:
+        """The number in the unit that is read, with the interval in brackets; "-" where there is no number.
+
+        Args:
+            form: format of each number.
+            named: with the name of the unit.
+        """
+        if math.isnan(self.value):
+            return "-"
+        name, size = self.shown
+        said = f"{self.value / size:{form}}" + (f" {name}" if name and named else "")
+        if self.lower is None or self.upper is None:
+            return said
+        return f"{said} [{self.lower / size:{form}}, {self.upper / size:{form}}]"
+
+
+def number(value: Any, size: float = 1.0) -> float | None:
+    """A number to ten digits in a unit; None for what is not finite.
+
+    Args:
+        value: SI; None stays.
+        size: of the unit, SI.
+    """
+    if value is None:
+        return None
+    found = float(value) / size
+    return float(f"{found:.10g}") if math.isfinite(found) else None

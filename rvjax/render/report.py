@@ -1,0 +1,128 @@
+"""A report: what a command has to say. Text, tables of numbers, JSON and the HTML page follow from it."""
+
+import dataclasses
+import json
+import math
+import sys
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import rvjax
+from rvjax.render.figure import Figure
+from rvjax.render.table import CSV, EVERYWHERE, TEXT, Table
+
+
+@dataclass(frozen=True)
+class Note:
+    """A paragraph.
+
+    Attributes:
+        text: one or several lines.
+        on: where it is shown.
+    """
+
+    text: str
+    on: frozenset[str] = EVERYWHERE
+
+
+@dataclass(frozen=True)
+class Section:
+    """A part of a page under its own heading; the text shows its paragraphs and tables without the heading.
+
+    Attributes:
+        title: heading.
+        content: in reading order.
+    """
+
+    title: str
+    content: tuple["Note | Table | Figure", ...]
+
+
+Content = Note | Table | Figure | Section
+
+
+@dataclass(frozen=True)
+class Report:
+    """What a command has to say.
+
+    Attributes:
+        title: of the page.
+        content: paragraphs, tables, figures and sections in reading order.
+        status: how the computation ended, as the page says it; "" without a verdict.
+        ok: the verdict is good; decides the exit code.
+        data: JSON values in SI; records, arrays and numbers that are not finite are converted.
+        files: further files of the results folder by name, with their content.
+        page: template of the page of the results folder, None for no page; other values that it needs are in `facts`.
+        facts: values for the template.
+        exports: files outside the folder that options name, with their content.
+        told: further JSON values for standard output only, such as the paths of exports.
+        closing: further lines of text for standard output only.
+    """
+
+    title: str
+    content: tuple[Content, ...]
+    status: str = ""
+    ok: bool = True
+    data: Any = field(default_factory=dict)
+    files: Mapping[str, bytes] = field(default_factory=dict)
+    page: str | None = None
+    facts: Mapping[str, Any] = field(default_factory=dict)
+    exports: Mapping[Path, bytes] = field(default_factory=dict)
+    told: Mapping[str, Any] = field(default_factory=dict)
+    closing: tuple[str, ...] = ()
+
+    def parts(self) -> Iterator[Note | Table | Figure]:
+        """Paragraphs, tables and figures in reading order, those of sections too."""
+        for part in self.content:
+            yield from part.content if isinstance(part, Section) else (part,)
+
+    def text(self) -> str:
+        """The report for a person, with an empty line between paragraphs and tables."""
+        parts = (part for part in self.parts() if not isinstance(part, Figure) and TEXT in part.on)
+        return "\n\n".join(part.text() if isinstance(part, Table) else part.text for part in parts)
+
+    def json(self) -> Any:
+        """The report as JSON values."""
+        return plain(self.data)
+
+    def folder(self) -> Iterator[tuple[str, bytes]]:
+        """Name and content of each file of a results folder, made one after the other."""
+        yield from self.files.items()
+        yield "summary.txt", (self.text() + "\n").encode()
+        yield "result.json", as_json(self.json())
+        parts = list(self.parts())
+        yield from ((f"{part.name}.csv", part.csv()) for part in parts if isinstance(part, Table) and CSV in part.on)
+        yield from ((f"{part.name}.png", part.content()) for part in parts if isinstance(part, Figure))
+        if self.page is not None:
+            from rvjax.render.page import page
+
+            yield "report.html", page(self).encode()
+
+
+def versions() -> dict[str, str]:
+    """Versions that made a result."""
+    import jax
+
+    return {"rvjax": rvjax.__version__, "jax": jax.__version__, "python": sys.version.split()[0]}
+
+
+def plain(value: Any) -> Any:
+    """Results as JSON values; numbers that JSON cannot hold (inf, nan) become null."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        value = {f.name: getattr(value, f.name) for f in dataclasses.fields(value)}
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(item) for item in value]
+    if isinstance(value, (np.generic, np.ndarray)) or hasattr(value, "tolist"):
+        return plain(value.tolist())
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def as_json(data: Any) -> bytes:
+    """JSON values as the content of a file."""
+    return json.dumps(data, indent=1, allow_nan=False).encode()

@@ -1,0 +1,206 @@
+"""Tables whose cells are numbers in SI: text for a person and rows for a spreadsheet follow from the same cells.
+
+A column turns a cell into one text and into one or several numbers. None is the cell of a number that does not exist.
+"""
+
+import csv
+import io
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from rvjax.render.quantity import Quantity
+
+TEXT, CSV, PAGE = "text", "csv", "page"
+EVERYWHERE = frozenset((TEXT, CSV, PAGE))
+"""What a part of a report can be shown on: the terminal, a file of numbers, the HTML page."""
+
+Value = str | float | None
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of any values, shown as they are.
+
+    Attributes:
+        title: header.
+        missing: text of a cell without a value.
+        on: where the column is shown.
+        file_title: header in the CSV file; None: the title.
+    """
+
+    title: str
+    missing: str = "-"
+    on: frozenset[str] = EVERYWHERE
+    file_title: str | None = None
+
+    def text(self, cell: Any) -> str:
+        """The cell for a person."""
+        return self.missing if cell is None else self._said(cell)
+
+    def headers(self) -> list[str]:
+        """Headers in a CSV file."""
+        return [self.title if self.file_title is None else self.file_title]
+
+    def values(self, cell: Any) -> list[Value]:
+        """The cell in a CSV file, a value for each header."""
+        return [None] * len(self.headers()) if cell is None else self._given(cell)
+
+    def _said(self, cell: Any) -> str:
+        return str(cell)
+
+    def _given(self, cell: Any) -> list[Value]:
+        return [cell]
+
+
+@dataclass(frozen=True)
+class Text(Column):
+    """A column of words."""
+
+
+@dataclass(frozen=True)
+class Number(Column):
+    """A column of numbers in SI with one `unit`, read in `read_in` and written as `form`; or of quantities.
+
+    The text of a plain number has no unit: the title names it.
+    """
+
+    form: str = ".4g"
+    unit: str = "-"
+    read_in: str | None = None
+
+    def _quantity(self, cell: Any) -> Quantity:
+        return cell if isinstance(cell, Quantity) else Quantity(float(cell), self.unit, read_in=self.read_in)
+
+    def _said(self, cell: Any) -> str:
+        return self._quantity(cell).text(self.form, named=isinstance(cell, Quantity))
+
+    def _given(self, cell: Any) -> list[Value]:
+        return list(self._quantity(cell).numbers()[:1])
+
+
+@dataclass(frozen=True)
+class Share(Number):
+    """A column of shares: parts of one in SI and in a file, percent in the text."""
+
+    form: str = ".1f"
+
+    def _said(self, cell: Any) -> str:
+        return f"{100 * float(cell):{self.form}} %"
+
+
+@dataclass(frozen=True)
+class Interval(Number):
+    """A column of quantities with intervals: value, lower end and upper end in a file.
+
+    `ends` are the formats of the headers of both ends in the file. Where `named`, the text of a cell has its unit.
+    """
+
+    ends: tuple[str, str] = ("{}, lower end", "{}, upper end")
+    named: bool = True
+
+    def headers(self) -> list[str]:
+        """Headers in a CSV file."""
+        (title,) = super().headers()
+        return [title, *(end.format(title) for end in self.ends)]
+
+    def _said(self, cell: Any) -> str:
+        return self._quantity(cell).text(self.form, named=self.named)
+
+    def _given(self, cell: Any) -> list[Value]:
+        return list(self._quantity(cell).numbers())
+
+
+@dataclass(frozen=True)
+class Limits(Column):
+    """A column of limits: quantities whose ends are the limits of an error, "+-3.00 um" or "8.00 +-4.00 um"."""
+
+    def headers(self) -> list[str]:
+        """Headers in a CSV file."""
+        return [f"{end} {self.title}" for end in ("lower", "upper")]
+
+    def _said(self, cell: Quantity) -> str:
+        assert cell.lower is not None and cell.upper is not None
+        name, size = cell.shown
+        middle, half = (cell.upper + cell.lower) / 2 / size, (cell.upper - cell.lower) / 2 / size
+        about = "" if abs(middle) < 1e-9 * abs(half) else f"{middle:.2f} "
+        return f"{about}+-{half:.2f} {name}"
+
+    def _given(self, cell: Quantity) -> list[Value]:
+        return list(cell.numbers()[1:])
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of a report.
+
+    Attributes:
+        name: of its file, without ending.
+        columns: what the cells of a row are.
+        rows: cells, as many in each row as there are columns.
+        caption: a line above it, "" for none.
+        note: lines below it, "" for none.
+        on: where the table is shown.
+        total: the last row is a sum.
+    """
+
+    name: str
+    columns: Sequence[Column]
+    rows: Sequence[Sequence[Any]]
+    caption: str = ""
+    note: str = ""
+    on: frozenset[str] = EVERYWHERE
+    total: bool = False
+
+    def shown(self, on: str) -> list[tuple[int, Column]]:
+        """Place and description of the columns that are shown there."""
+        return [(k, column) for k, column in enumerate(self.columns) if on in column.on]
+
+    def texts(self, on: str = TEXT) -> tuple[list[str], list[list[str]]]:
+        """Headers and rows for a person."""
+        columns = self.shown(on)
+        return [column.title for _, column in columns], [[c.text(row[k]) for k, c in columns] for row in self.rows]
+
+    def values(self) -> tuple[list[str], list[list[Value]]]:
+        """Headers and rows of a CSV file."""
+        columns = self.shown(CSV)
+        headers = [header for _, column in columns for header in column.headers()]
+        return headers, [[value for k, c in columns for value in c.values(row[k])] for row in self.rows]
+
+    def text(self) -> str:
+        """The table as plain text with its caption and note."""
+        return "\n".join(filter(None, [self.caption, aligned(*self.texts()), self.note]))
+
+    def csv(self) -> bytes:
+        """The content of a CSV file."""
+        return as_csv(*self.values())
+
+
+def aligned(headers: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A plain text table: the first column left aligned, the others right aligned.
+
+    Args:
+        headers: of the columns.
+        rows: cells.
+    """
+    cells = [list(headers), *(list(row) for row in rows)]
+    widths = [max(len(row[k]) for row in cells) for k in range(len(headers))]
+    lines = [
+        "  ".join(
+            cell.ljust(width) if k == 0 else cell.rjust(width) for k, (cell, width) in enumerate(zip(row, widths))
+        )
+        for row in cells
+    ]
+    return "\n".join([lines[0], "-" * len(lines[0]), *lines[1:]])
+
+
+def as_csv(headers: Sequence[str], rows: Iterable[Sequence[Value]]) -> bytes:
+    """A table as the content of a CSV file.
+
+    Args:
+        headers: of the columns.
+        rows: cells; None is an empty one.
+    """
+    file = io.StringIO(newline="")
+    csv.writer(file, lineterminator="\n").writerows([headers, *rows])
+    return file.getvalue().encode()
