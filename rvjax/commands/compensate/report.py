@@ -13,8 +13,8 @@ from rvjax.compensation import Left, exported, predicted, residual
 from rvjax.render import CSV, TEXT, Figure, Interval, Note, Number, Quantity, Report, Table, Text, versions
 from rvjax.units import arcsec
 
-ARCSEC = {"unit": "rad", "read_in": "arcsec"}
-BRIEF = {"form": ".3g", **ARCSEC}
+ARCSEC: dict[str, Any] = {"unit": "rad", "read_in": "arcsec"}
+BRIEF: dict[str, Any] = {"form": ".3g", **ARCSEC}
 
 
 def report(asked: Inputs, found: Corrections) -> Report:
