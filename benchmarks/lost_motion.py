@@ -16,10 +16,11 @@ settings()
 
 from rvjax import RVErrors  # noqa: E402  (after the flags)
 from rvjax.catalogue import RV_20E  # noqa: E402
+from rvjax.errors import read_by  # noqa: E402
 from rvjax.lost_motion import geometric  # noqa: E402
-from rvjax.lost_motion.reducer import ERRORS_READ  # noqa: E402
 from rvjax.units import arcmin, um  # noqa: E402
 
+READ = read_by(RVErrors, "lost_motion")
 UNITS, CHUNK = 10_000_000, 50_000
 LEVELS = ("first_order", "closed_form", "contact")
 DESIGN = RV_20E.replace(cycloid=RV_20E.cycloid.replace(shortening=None))
@@ -47,17 +48,17 @@ double mean(const double *restrict e, double *restrict total, size_t n, const do
 
 
 def draw(units, seed):
-    """(12, units) errors, uniform in the bands, in the order of ERRORS_READ."""
+    """(12, units) errors, uniform in the bands, in the order of READ."""
     rng = np.random.default_rng(seed)
     rows = {name: rng.uniform(-band * um, band * um, units) for name, band in SIGNED.items()}
     rows |= {name: rng.uniform(0, band * um, units) for name, band in POSITIVE.items()}
     rows |= dict.fromkeys(("base_tangent_upper", "base_tangent_lower"), rng.uniform(-30.9 * um, 3.5 * um, units))
-    return np.stack([rows[name] for name in ERRORS_READ])
+    return np.stack([rows[name] for name in READ])
 
 
 def columns(errors):
     """The rows by name: a row taken out inside the program would cost a padded copy in its derivative."""
-    return {name: jax.device_put(row) for name, row in zip(ERRORS_READ, errors)}
+    return {name: jax.device_put(row) for name, row in zip(READ, errors)}
 
 
 def lost_motion(errors, profile="first_order"):
@@ -66,8 +67,8 @@ def lost_motion(errors, profile="first_order"):
 
 def coefficients():
     """The sum as C and NumPy need it: it is linear in the errors."""
-    constant, slope = jax.value_and_grad(lambda e: lost_motion(e).total)(dict.fromkeys(ERRORS_READ, 0.0))
-    return np.array([*(slope[name] for name in ERRORS_READ), constant])
+    constant, slope = jax.value_and_grad(lambda e: lost_motion(e).total)(dict.fromkeys(READ, 0.0))
+    return np.array([*(slope[name] for name in READ), constant])
 
 
 def totals(errors):
@@ -84,7 +85,7 @@ def measure_sum():
     def plain_mean(errors, widths):
         return jnp.mean(totals({name: errors[name] * widths[name] for name in errors}))
 
-    widths = dict.fromkeys(ERRORS_READ, jnp.ones(()))
+    widths = dict.fromkeys(READ, jnp.ones(()))
     each, facts = compiled(totals, on_device[0])
     mean, _ = compiled(plain_mean, on_device[0], widths)
     gradient, _ = compiled(jax.grad(plain_mean, argnums=1), on_device[0], widths)

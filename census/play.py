@@ -10,9 +10,10 @@ import numpy as np
 from census.cases import REAL, Case, Model, decades, moderate, nonfinite, relative_step
 from rvjax import RVErrors, RVReducer, lost_motion
 from rvjax.designs import CrankStage, CycloidStage, InvoluteStage
-from rvjax.lost_motion.reducer import ERRORS_READ as PLAY
+from rvjax.errors import read_by
 from rvjax.status import Status
 
+PLAY = read_by(RVErrors, "lost_motion")
 SCANNED = 150  # of a chunk; a search takes a millisecond
 
 

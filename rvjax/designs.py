@@ -11,6 +11,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
+from rvjax.errors import CamRollerErrors, RVErrors
 from rvjax.records import Record, concrete, count, field, quantity, record
 from rvjax.units import deg
 
@@ -188,6 +189,7 @@ class RVReducer(Record):
     """An RV reducer. Stiffness is read by the dynamic and the loaded model, contact by the loaded model only."""
 
     kind: ClassVar[str] = "rv"  # in study files
+    error_record: ClassVar[type[RVErrors]] = RVErrors
 
     involute: InvoluteStage = field("-", "first stage", kind="record")
     cycloid: CycloidStage = field("-", "second stage", kind="record")
@@ -215,19 +217,13 @@ class RVReducer(Record):
             "teeth": cycloid.disc_teeth,
         }
 
-    @property
-    def error_record(self) -> Any:
-        """The record that describes this design's manufacturing errors."""
-        from rvjax.errors import RVErrors  # errors stand one floor above designs
-
-        return RVErrors
-
 
 @record
 class CamRollerReducer(Record):
     """Oscillatory roller stage: eccentric disc cam, one roller more than gear teeth, fixed inner gear."""
 
     kind: ClassVar[str] = "oscillatory-roller"  # in study files
+    error_record: ClassVar[type[CamRollerErrors]] = CamRollerErrors
 
     gear_teeth: int = count("teeth of the fixed inner gear, z; there are z + 1 rollers", minimum=2, maximum=2000)
     cam_radius: Any = field("m", "radius of the disc cam, Rj", sign="positive")
@@ -242,13 +238,6 @@ class CamRollerReducer(Record):
     def counts(self) -> dict[str, int]:
         """Sizes of the named axes in the shapes of this design's errors."""
         return {"rollers": self.gear_teeth + 1}
-
-    @property
-    def error_record(self) -> Any:
-        """The record that describes this design's manufacturing errors."""
-        from rvjax.errors import CamRollerErrors  # errors stand one floor above designs
-
-        return CamRollerErrors
 
     def _check(self) -> None:
         if concrete(self.eccentricity, self.cam_radius, self.roller_radius):

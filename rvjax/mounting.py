@@ -17,13 +17,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax.designs import RVReducer
-from rvjax.errors import RVErrors
+from rvjax.errors import RVErrors, described
+from rvjax.records import axis_sizes
 
-DISC = ("disc_bore", "disc_centre", "disc_pitch", "disc_profile")
-"""Errors of one disc, without the axis of discs: (c, 2), (2,), (zc,), (5, 2), as it lies in the slot it is made for."""
-
-CRANK = ("crank_eccentricity", "crank_phase", "planet_runout")
-"""Errors of one crankshaft with its planet, without the axis of cranks: (d,), (), (2,)."""
+AXES = {"disc": "discs", "crank": "cranks"}
+"""Parts that a reducer has several of, and the axis of errors along which they stand."""
 
 
 class Mounting(NamedTuple):
@@ -31,6 +29,20 @@ class Mounting(NamedTuple):
 
     turn: int  # crank spacings, counter-clockwise
     over: bool  # turned over about the x axis first
+
+
+def carried(design: RVReducer, part: str) -> dict[str, tuple[int, ...]]:
+    """Errors that one part carries from slot to slot, with their shapes: those of a disc as it lies in the slot it is
+    made for, without the axis of discs; those of a crankshaft with its planet without the axis of cranks.
+
+    Args:
+        design: counts and error record are read.
+        part: "disc", "crank" or "carrier".
+    """
+    axes = described(design.error_record, "shape")
+    names = (name for name, by in described(design.error_record, "carried_by").items() if by == part)
+    own = {name: tuple(axis for axis in axes[name] if axis != AXES.get(part)) for name in names}
+    return {name: axis_sizes(left, design.counts) for name, left in own.items()}
 
 
 def disc_mountings(design: RVReducer, slot: int, *, made_for: int = 0) -> tuple[Mounting, ...]:
@@ -58,7 +70,7 @@ def mounted_disc(
 
     Args:
         design: counts are read.
-        errors: of the disc, fields of `DISC`.
+        errors: of the disc, those of `carried`.
         slot: k, counted from 0.
         index: of `disc_mountings`; may be traced.
         made_for: slot k0 of the drawing.
@@ -69,9 +81,10 @@ def mounted_disc(
     mountings = disc_mountings(design, slot, made_for=made_for)
     if not mountings:
         raise ValueError(f"disc_{slot}: a disc made for slot {made_for} does not fit there")
+    shapes = carried(design, "disc")
     for name in errors:
-        if name not in DISC:
-            raise ValueError(f"disc_{slot}: {name} is no error of one disc; there are {', '.join(DISC)}")
+        if name not in shapes:
+            raise ValueError(f"disc_{slot}: {name} is no error of one disc; there are {', '.join(shapes)}")
     zc, discs, cranks = design.cycloid.disc_teeth, design.cycloid.disc_count, design.cranks.count
     hand = np.array([-1 if m.over else 1 for m in mountings])
     turn = np.array([m.turn for m in mountings])
@@ -83,18 +96,20 @@ def mounted_disc(
     angle = 2 * np.pi * turn / cranks
     turned = np.stack([np.cos(angle), -hand * np.sin(angle), np.sin(angle), hand * np.cos(angle)], 1).reshape(-1, 2, 2)
     found: dict[str, Any] = {}
+    record = design.error_record
+    axes, vectors, mirrored = (described(record, key) for key in ("shape", "vector", "mirrored"))
     for name, value in errors.items():
         given = jnp.asarray(value)
-        own = jnp.asarray(hand, given.dtype)[index]
-        both = jnp.stack([jnp.ones_like(own), own])[None]  # [radial, tangential], [cosine, sine]
-        if name == "disc_bore":
-            found[name] = jnp.broadcast_to(given, (cranks, 2))[jnp.asarray(crank)[index]] * both
-        elif name == "disc_centre":
-            found[name] = jnp.asarray(turned, given.dtype)[index] @ jnp.broadcast_to(given, (2,))
-        elif name == "disc_pitch":
-            found[name] = jnp.broadcast_to(given, (zc,))[jnp.asarray(tooth)[index]] * own
+        moved = jnp.broadcast_to(given, shapes[name])
+        for axis, around in (("cranks", crank), ("teeth", tooth)):
+            if axis in axes[name]:
+                moved = jnp.take(moved, jnp.asarray(around)[index], axis=axes[name].index(axis) - 1)  # no axis of discs
+        if vectors.get(name) == "xy":
+            moved = jnp.asarray(turned, given.dtype)[index] @ moved
         else:
-            found[name] = jnp.broadcast_to(given, (5, 2)) * both
+            sides = jnp.asarray([np.ones_like(mirrored[name]), mirrored[name]], given.dtype)  # as it is, turned over
+            moved = moved * jnp.broadcast_to(sides[jnp.asarray(hand < 0, int)[index]], moved.shape)
+        found[name] = moved
     return found
 
 
@@ -114,6 +129,8 @@ def unit_errors(design: RVReducer, parts: Mapping[str, Mapping[str, Any]], index
             lacks.
     """
     discs, cranks = design.cycloid.disc_count, design.cranks.count
+    of_crank, of_carrier = carried(design, "crank"), carried(design, "carrier")
+    axes = described(design.error_record, "shape")
     fields: dict[str, Any] = {}
     by_disc: dict[str, dict[int, Any]] = {}
     by_crank: dict[str, dict[int, Any]] = {}
@@ -127,24 +144,24 @@ def unit_errors(design: RVReducer, parts: Mapping[str, Mapping[str, Any]], index
         elif kind == "crank" and number.isdigit():
             place = _place(slot, number, cranks)
             for name, value in errors.items():
-                if name not in CRANK:
-                    raise ValueError(f"{slot}: {name} is no error of one crank; there are {', '.join(CRANK)}")
-                shape = {"crank_eccentricity": (discs,), "crank_phase": (), "planet_runout": (2,)}[name]
-                by_crank.setdefault(name, {})[place] = jnp.broadcast_to(jnp.asarray(value), shape)
+                if name not in of_crank:
+                    raise ValueError(f"{slot}: {name} is no error of one crank; there are {', '.join(of_crank)}")
+                by_crank.setdefault(name, {})[place] = jnp.broadcast_to(jnp.asarray(value), of_crank[name])
         else:
             for name, value in errors.items():
                 if name in fields:
                     raise ValueError(f"{slot}: {name} stands in another slot already")
-                if slot == "carrier" and name == "carrier_bore":
+                if slot == "carrier" and name in of_carrier:
                     places = (jnp.arange(cranks) - index[slot]) % cranks
-                    value = jnp.broadcast_to(jnp.asarray(value), (cranks, 2))[places]
+                    value = jnp.broadcast_to(jnp.asarray(value), of_carrier[name])
+                    value = jnp.take(value, places, axis=axes[name].index("cranks"))
                 fields[name] = value
-    for groups, count in ((by_disc, discs), (by_crank, cranks)):
+    for groups, along in ((by_disc, "discs"), (by_crank, "cranks")):
         for name, values in groups.items():
             absent = jnp.zeros_like(next(iter(values.values())))
-            axis = 1 if name == "crank_eccentricity" else 0
-            fields[name] = jnp.stack([values.get(place, absent) for place in range(count)], axis)
-    return RVErrors(**fields)
+            whole = [values.get(place, absent) for place in range(design.counts[along])]
+            fields[name] = jnp.stack(whole, axes[name].index(along))
+    return design.error_record(**fields)
 
 
 def drawing(design: RVReducer, slot: int) -> int:

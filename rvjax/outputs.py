@@ -195,21 +195,21 @@ class Description:
     """A model as studies see it.
 
     Attributes:
+        name: of the model, as `rvjax.errors.deviation` names it in `read_by`.
         design: class of the designs that it takes.
         conditions: frozen dataclass whose fields are made by `condition`.
         outputs: by name.
         curve: to look at, or None.
         cases: quick -> cases by which levels are measured, fewer in a quick run; None where none are.
         unknown: what the model leaves out, one line for a person who reads its results.
-        places: errors with a place (`rvjax.errors.PLACED`) that it reads, or knows a bound for; None: not said.
         compiler_options: of programs that compute an output of it, such as `rvjax.compile_cache.QUICK`.
     """
 
+    name: str
     design: type
     conditions: type
     outputs: Mapping[str, Output]
     curve: Curve | None = None
     cases: Callable[[bool], Sequence[Cases]] | None = None
     unknown: str = ""
-    places: tuple[str, ...] | None = None
     compiler_options: tuple[tuple[str, Any], ...] = ()

@@ -10,7 +10,7 @@ import inspect
 import operator
 import warnings
 from collections.abc import Iterable, Mapping
-from typing import Any, Self, TypeVar, dataclass_transform
+from typing import Any, Protocol, Self, TypeVar, dataclass_transform
 
 import jax
 import jax.numpy as jnp
@@ -26,6 +26,21 @@ Class = TypeVar("Class", bound=type)
 Shape = tuple[str | int, ...]
 
 
+class Design(Protocol):
+    """What statistics and error records need to know of a design."""
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Sizes of the named axes in the shapes of its errors."""
+
+    @property
+    def error_record(self) -> Any:
+        """Class of the record of its manufacturing errors."""
+
+    def replace(self, **changes: Any) -> Self:
+        """A copy with some fields changed."""
+
+
 def field(
     unit: str,
     meaning: str,
@@ -36,6 +51,7 @@ def field(
     kind: str = "real",
     of: str = "",
     part: str = "",
+    **more: Any,
 ) -> Any:
     """Declare a traced field of a record.
 
@@ -49,8 +65,9 @@ def field(
             or "record" (a nested record).
         of: what a deviation deviates from, by its path in the design; "" where that is no number of it.
         part: of the machine that an error belongs to.
+        **more: further metadata, see `rvjax.errors.deviation`.
     """
-    metadata = dict(unit=unit, meaning=meaning, shape=shape, sign=sign, kind=kind, of=of, part=part)
+    metadata = dict(unit=unit, meaning=meaning, shape=shape, sign=sign, kind=kind, of=of, part=part, **more)
     return dataclasses.field(default=default, metadata=metadata)
 
 
@@ -226,9 +243,15 @@ def remind_of_precision() -> None:
     """Warn once, where plain numbers of microns are about to become float32 because nobody has enabled float64."""
     if jnp.result_type(float) == jnp.float64 or _reminded:
         return
+    frame, level = inspect.currentframe(), 0
+    while frame is not None and frame.f_globals.get("__name__", "").partition(".")[0] in ("rvjax", "dataclasses"):
+        if frame.f_code.co_name == "<module>":
+            return  # a constant of rvjax, made when it is imported
+        frame, level = frame.f_back, level + 1
     _reminded.append(True)
     warnings.warn(
-        "rvjax computes in float32: call rvjax.enable_x64() first, or give arrays of float32 on purpose", stacklevel=4
+        "rvjax computes in float32: call rvjax.enable_x64() first, or give arrays of float32 on purpose",
+        stacklevel=level + 1,
     )
 
 
@@ -250,8 +273,6 @@ def broadcast_fields(cls: Any, counts: Mapping[str, int], values: Mapping[str, A
     given = {np.dtype(value.dtype) for value in values.values() if hasattr(value, "dtype")}
     floats = [dtype for dtype in given if jnp.issubdtype(dtype, jnp.floating)]
     own = np.result_type(*floats) if floats else np.float64  # plain numbers become what they stand beside
-    if not floats:
-        remind_of_precision()
     filled = {}
     for name, f in fields.items():
         value = values.get(name, f.default)

@@ -7,7 +7,7 @@ import jax
 import numpy as np
 
 from rvjax import Contact, CrankStage, CycloidStage, InvoluteStage, RVErrors, RVReducer, Status, Stiffness, loaded
-from rvjax.errors import PLACED
+from rvjax.errors import described
 
 CASES = json.loads((Path(__file__).parent / "reference" / "loaded.json").read_text())["cases"]
 NAMED = {case["name"]: case for case in CASES}
@@ -59,7 +59,9 @@ def errors_of(case, design, **changes):
     """The errors of a case in full shapes. A negative clearance, refused by the constructor, as a sampler gives it."""
     given = {name: number(value) for name, value in case["errors"].items()} | changes
     negative = {name: value for name, value in given.items() if np.ndim(value) == 0 and value < 0}
-    full = dict.fromkeys(PLACED, 0.0) | {name: value for name, value in given.items() if name not in negative}
+    full = dict.fromkeys(described(RVErrors, "placed"), 0.0) | {
+        name: value for name, value in given.items() if name not in negative
+    }
     errors = RVErrors.for_design(design, **full)
     leaves = {**vars(errors), **negative}
     made = jax.tree.map(lambda leaf: leaf, errors)

@@ -21,9 +21,8 @@ MODELS = ("four_bar", "lost_motion", "mesh_force", "dynamics", "loaded")
 DIAGRAM = re.search(r"```text\n(.*?)```", (ROOT / "docs" / "architecture.md").read_text(), re.DOTALL).group(1)
 FLOORS = tuple(tuple(re.split(r" {2,}", line)[0].split()) for line in DIAGRAM.splitlines())
 FLOOR = {name: number for number, names in enumerate(FLOORS) for name in names}
-# Looks upwards, from a function body: a design names its error record so that statistics can ask it; a study file may
-# hold a table that a command reads.
-ALLOWED = {("designs", "errors"), ("study", "commands")}
+# A look upwards, from a function body: a study file may hold a table that a command reads.
+ALLOWED = {("study", "commands")}
 
 
 def rooms():
@@ -165,7 +164,7 @@ def overrides(name):
 def test_every_exported_function_of_two_parameters_tells_each():
     """The test above holds that the section names them all, in their order."""
     assert {"rvjax.four_bar.revolution.revolution", "rvjax.records.field", "rvjax.status.worst"} <= set(EXPORTED)
-    assert "rvjax.errors.RVErrors.for_design" in EXPORTED  # a method of an exported record
+    assert "rvjax.errors.Errors.for_design" in EXPORTED  # a method of a base of records
     several = [name for name in EXPORTED if len(parameters(PUBLIC[name])) > 1 and not overrides(name)]
     assert [name for name in several if "\nArgs:\n" not in inspect.cleandoc(PUBLIC[name].__doc__)] == []
 

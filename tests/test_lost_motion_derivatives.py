@@ -14,9 +14,12 @@ from lost_motion_cases import TRUE_K1, cycloid, solve
 
 from rvjax import RVErrors
 from rvjax.catalogue import RV_20E, RV_20E_ERRORS
+from rvjax.errors import read_by
 from rvjax.lost_motion import geometric
-from rvjax.lost_motion.reducer import ERRORS_READ, PROFILES
+from rvjax.lost_motion.reducer import PROFILES
 from rvjax.units import arcmin, mm, um
+
+READ = read_by(RVErrors, "lost_motion")
 
 
 @cache
@@ -83,7 +86,7 @@ def partial_derivatives(design, errors):
 def test_gradient_equals_the_table_of_partial_derivatives():
     by_design_found, by_error_found = gradient("first_order")(RV_20E, RV_20E_ERRORS)
     by_error, by_design = partial_derivatives(RV_20E, RV_20E_ERRORS)
-    assert set(by_error) == set(ERRORS_READ)
+    assert set(by_error) == set(READ)
     for name, value in by_error.items():
         np.testing.assert_allclose(getattr(by_error_found, name), value, rtol=1e-12, err_msg=name)
     for (part, name), value in by_design.items():
@@ -97,10 +100,10 @@ def test_gradient_equals_the_table_of_partial_derivatives():
 
 @pytest.mark.parametrize("profile", PROFILES)
 def test_numbers_that_are_not_read_have_no_derivative(profile):
-    errors = RVErrors.for_design(RV_20E, **{name: getattr(RV_20E_ERRORS, name) for name in ERRORS_READ})
+    errors = RVErrors.for_design(RV_20E, **{name: getattr(RV_20E_ERRORS, name) for name in READ})
     by_design, by_error = gradient(profile)(RV_20E, errors)
     for name, value in vars(by_error).items():
-        if name not in ERRORS_READ:
+        if name not in READ:
             assert np.all(value == 0), name
         elif name != "eccentricity":
             assert value != 0, name

@@ -147,18 +147,28 @@ def test_import_changes_no_setting_touches_no_device_and_is_quick():
 
 
 def test_forgotten_float64_is_said_once():
-    """In a process of its own; float32 on purpose is silent."""
+    """In a process of its own, at whatever makes the errors; float32 on purpose is silent."""
     code = """if True:
     import warnings, numpy, rvjax
-    from rvjax import RVErrors, catalogue
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        RVErrors.for_design(catalogue.RV_40E, crank_phase=numpy.float32(1e-4))
-        assert not caught
-        for _ in range(2):
-            RVErrors.for_design(catalogue.RV_40E, crank_phase=1e-4)
-    (one,) = caught
-    assert "rvjax.enable_x64()" in str(one.message) and one.filename == "<string>", one.filename
+    from rvjax import RVErrors, catalogue, records
+    made = (
+        lambda: RVErrors.for_design(catalogue.RV_40E, crank_phase=1e-4),
+        lambda: rvjax.lost_motion.geometric(catalogue.RV_20E, RVErrors(bearing_clearance=1e-6)),
+        lambda: RVErrors().replace(disc_centre=numpy.full((2, 2), 1e-6)),
+        lambda: rvjax.CamRollerErrors(eccentricity=1e-6),
+    )
+    for make in made:
+        records._reminded.clear()
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            RVErrors.for_design(catalogue.RV_40E, crank_phase=numpy.float32(1e-4))
+            RVErrors(disc_bore=numpy.zeros((2, 2, 2), numpy.float32), bearing_clearance=1e-6)
+            RVErrors()
+            assert not caught
+            make()
+            make()
+        (one,) = caught
+        assert "rvjax.enable_x64()" in str(one.message) and one.filename == "<string>", one.filename
     """
     subprocess.run([sys.executable, "-c", code], check=True, timeout=120)
 

@@ -8,7 +8,6 @@ in the frame of `rvjax.loaded`, crank 0 at pi; here crank 0 lies at 0, and they 
 Derivation, orders and equation numbers: docs/models/dynamic_error.md.
 """
 
-import dataclasses
 from collections.abc import Iterable
 from fractions import Fraction
 from functools import partial
@@ -21,7 +20,7 @@ import numpy as np
 from rvjax.designs import RVReducer, expect
 from rvjax.dynamics.assembly import Lumped, admitted, circle, lump
 from rvjax.dynamics.pin_series import in_phase, series
-from rvjax.errors import RVErrors
+from rvjax.errors import RVErrors, described, read_by
 from rvjax.records import Array, PyTree, Record, Scalar, axis_sizes, field, promote, record, text
 from rvjax.status import Gate, SolveInfo, Status, at_once
 
@@ -37,23 +36,6 @@ SPRINGS = (
 )
 """Signals of the errors: planets on the sun; cranks in the carrier; journals in the discs, as a mean seen from the
 crank and seen from the eccentric; discs on the pins."""
-
-ERRORS_READ = (
-    "crank_eccentricity",
-    "crank_phase",
-    "disc_bore",
-    "carrier_bore",
-    "pin_offset",
-    "pin_radii",
-    "ring_centre",
-    "disc_centre",
-    "sun_runout",
-    "planet_runout",
-    "sun_flank",
-    "planet_flank",
-    "disc_flank",
-    "ring_flank",
-)
 
 Orders = tuple[Fraction, ...]  # per output turn, ascending
 
@@ -86,7 +68,7 @@ def error_excitation(design: RVReducer, errors: RVErrors, *, pin_harmonics: int 
 
     Args:
         design: a reducer with inertia and stiffness, two or more discs, members alike.
-        errors: of its parts. Fields not in `ERRORS_READ` are not read. What the mean over equal members cancels
+        errors: of its parts. What the mean over equal members cancels
             (sun_runout, ring_centre, orders of series that are no multiple of the members) is exactly zero.
         pin_harmonics: orders m disc_teeth of pin errors are kept for m up to this; all pins alike have none.
 
@@ -120,14 +102,13 @@ def checked(design: RVReducer, errors: RVErrors, pin_harmonics: int = 0) -> Lump
     lumped = symmetric(design)
     if pin_harmonics < 0:
         raise ValueError(f"pin_harmonics = {pin_harmonics}: must be zero or positive")
-    for f in dataclasses.fields(errors):
-        shape, axes = np.shape(getattr(errors, f.name)), f.metadata["shape"]
-        if f.name in ERRORS_READ and shape and shape != axis_sizes(axes, design.counts, shape):
+    axes_of = described(errors, "shape")
+    for name in read_by(errors, "dynamics"):
+        shape, axes = np.shape(getattr(errors, name)), axes_of.get(name, ())
+        if shape and shape != axis_sizes(axes, design.counts, shape):
             names = ", ".join(map(str, axes))
-            raise ValueError(
-                f"RVErrors.{f.name}: shape {shape} does not fit this design, expected ({names}) or a scalar"
-            )
-    for name in ("sun_flank", "planet_flank", "disc_flank", "ring_flank"):
+            raise ValueError(f"RVErrors.{name}: shape {shape} does not fit this design, expected ({names}) or a scalar")
+    for name in described(errors, "series"):
         value = getattr(errors, name)
         if np.ndim(value) == 0 and not isinstance(value, jax.core.Tracer) and value != 0:
             raise ValueError(f"RVErrors.{name} = {value} m: a series needs (orders, 2) coefficients; 0.0 is none")
@@ -158,7 +139,7 @@ def read(lumped: Lumped, pin_circle: Array, errors: RVErrors, *conditions: PyTre
         errors: of its parts.
         *conditions: further numbers that are read.
     """
-    own = {name: getattr(errors, name) for name in ERRORS_READ}
+    own = {name: getattr(errors, name) for name in read_by(errors, "dynamics")}
     lumped, pin_circle, own, conditions = promote(lumped, pin_circle, own, conditions)
     lumped, conditions, gate = admitted(lumped, *conditions)
     shortening = lumped.eccentricity * (lumped.disc_teeth + 1) / jnp.where(pin_circle != 0, pin_circle, 1)

@@ -13,9 +13,9 @@ import numpy as np
 
 from rvjax.designs import RVReducer
 from rvjax.dynamics.assembly import Lumped
-from rvjax.dynamics.error_excitation import ERRORS_READ, checked, error_orders, generators, read
+from rvjax.dynamics.error_excitation import checked, error_orders, generators, read
 from rvjax.dynamics.error_transfer import check_outputs, loaded, output_rows, output_speed, transfer
-from rvjax.errors import RVErrors
+from rvjax.errors import RVErrors, described, read_by
 from rvjax.records import Array, Record, Scalar, axis_sizes, field, is_concrete, record, text
 from rvjax.status import SolveInfo, Status, converged
 
@@ -71,12 +71,12 @@ def error_statistics(
 def _by_member(design: RVReducer, sigma: RVErrors) -> RVErrors:
     """Standard deviations with one number for each error; pins without any bring no orders."""
     full = {}
-    declared = {name: f.metadata["shape"] for name, f in RVErrors.__dataclass_fields__.items()}
-    for name in ERRORS_READ:
+    declared = described(sigma, "shape")
+    for name in read_by(sigma, "dynamics"):
         value = getattr(sigma, name)
         if is_concrete(value) and np.any(np.asarray(value) < 0):
             raise ValueError(f"RVErrors.{name}: a standard deviation must be zero or positive")
-        sizes = axis_sizes(declared[name], design.counts, np.shape(value))
+        sizes = axis_sizes(declared.get(name, ()), design.counts, np.shape(value))
         if sizes and not (is_concrete(value) and np.ndim(value) == 0 and value == 0):
             full[name] = jnp.broadcast_to(value, sizes)
     return sigma.replace(**full)

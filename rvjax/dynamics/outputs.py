@@ -166,6 +166,7 @@ def _cases(quick: bool) -> Sequence[Cases]:
 
 
 DESCRIPTION = Description(
+    name="dynamics",
     design=RVReducer,
     conditions=Conditions,
     outputs={

@@ -94,6 +94,7 @@ def _cases_of(output: str, unit: str, quick: bool) -> Cases:
 
 
 DESCRIPTION = Description(
+    name="four_bar",
     design=RVReducer,
     conditions=Conditions,
     outputs={
@@ -104,6 +105,5 @@ DESCRIPTION = Description(
         "Transmission error over one crank turn", "rad", _curve, lambda design, _: 1 / design.cycloid.pin_count
     ),
     cases=_cases,
-    places=(),
     unknown="pins, flanks and the first stage: discs are rigid, averaged, and held by their crank bearings alone",
 )

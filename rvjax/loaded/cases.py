@@ -10,8 +10,7 @@ from typing import Any
 
 from rvjax.catalogue import RV_40E
 from rvjax.designs import Contact, Stiffness
-from rvjax.errors import BOUNDS
-from rvjax.loaded.reading import ERRORS_READ
+from rvjax.errors import RVErrors, described, read_by
 from rvjax.outputs import Cases, Way
 from rvjax.units import GPa, arcmin, mm, um
 
@@ -110,7 +109,8 @@ def cases(quick: bool) -> Sequence[Cases]:
         _cases("loaded_linkage", alone, 128, 2, errors=LINKAGE),
         _cases("loaded_floating", floating, 128, 1, conditions=FLOATING),
         _cases(
-            "loaded_bench", bench, 64, 2, outputs={"bench_lost_motion": "rad"}, torque=None, bounds=tuple(BOUNDS),
+            "loaded_bench", bench, 64, 2, outputs={"bench_lost_motion": "rad"}, torque=None,
+            bounds=tuple(described(RVErrors, "bounds")),
             case="unit of the RV-40E, four input angles", conditions=FIXED | dict(input_angle=0.0),
             question=dict(rated_torque=RATED, probe_angles=4, span="crank_turn"),
         ),
@@ -133,5 +133,5 @@ def _cases(name: str, ways: tuple[Way, ...], batch: int, calls: int, **changes: 
         timed=1024,
     )
     made = dataclasses.replace(turn, **changes)
-    unknown = [field for field in (*ERRORS_READ, *made.bounds) if field not in (made.errors or ())]
+    unknown = [field for field in (*read_by(RVErrors, "loaded"), *made.bounds) if field not in (made.errors or ())]
     return dataclasses.replace(made, others=(*unknown, "contact.pin_stiffness", "contact.pin_support"))

@@ -15,7 +15,6 @@ import numpy as np
 
 from rvjax.compile_cache import QUICK
 from rvjax.designs import Contact, RVReducer, Stiffness
-from rvjax.errors import PLACED
 from rvjax.loaded.cases import cases
 from rvjax.loaded.equilibrium import equilibrium
 from rvjax.loaded.laws import CONTACTS
@@ -201,6 +200,7 @@ def _of_turn(unit: str, meaning: str, name: str, refuse: Any = None) -> Output:
 
 NEEDS = ("rated_torque",)
 DESCRIPTION = Description(
+    name="loaded",
     design=RVReducer,
     conditions=Conditions,
     outputs=_carrying({
@@ -262,7 +262,6 @@ DESCRIPTION = Description(
     }),
     curve=Curve("Transmission error of the loaded reducer over the span", "rad", _curve, _turns),
     cases=cases,
-    places=PLACED,
     unknown="friction, inertia, tilting; errors without a place (pin position, runout and pitch as bounds)",
     compiler_options=QUICK,
 )  # fmt: skip

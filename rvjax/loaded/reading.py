@@ -10,7 +10,7 @@ import numpy as np
 from rvjax import status
 from rvjax.designs import RVReducer, expect
 from rvjax.elementary import LARGEST_ANGLE
-from rvjax.errors import PLACED, RVErrors
+from rvjax.errors import RVErrors, read_by
 from rvjax.loaded import laws
 from rvjax.loaded.geometry import largest_curvature
 from rvjax.loaded.system import Layout
@@ -18,23 +18,6 @@ from rvjax.records import axis_sizes, promote
 from rvjax.status import Gate, Status
 
 SUPPORTS = ("fixed", "floating")
-
-ERRORS_READ = (
-    "crank_eccentricity",
-    "crank_phase",
-    "disc_bore",
-    "carrier_bore",
-    "bearing_clearance",
-    "eccentricity",
-    "pin_circle_radius",
-    "pin_radius",
-    "pin_hole_clearance",
-    "equidistant_modification",
-    "shift_modification",
-    "base_tangent_upper",
-    "base_tangent_lower",
-    *PLACED,
-)
 
 
 class Read(NamedTuple):
@@ -100,7 +83,8 @@ def admit(layout: Layout, design: RVReducer, errors: RVErrors, torque: Any, angl
         torque: () N m.
         angle: () rad.
     """
-    unread = {f.name: 0.0 for f in dataclasses.fields(errors) if f.name not in ERRORS_READ}
+    own = read_by(errors, "loaded")
+    unread = {f.name: 0.0 for f in dataclasses.fields(errors) if f.name not in own}
     used, parts, torque, angle = promote(_only_read(layout, design), errors.replace(**unread), torque, angle)
     e, added = used.cycloid.eccentricity, parts.eccentricity
     parts = parts.replace(eccentricity=jnp.zeros_like(added))

@@ -6,7 +6,6 @@ from typing import Any
 
 from rvjax.catalogue import RV_20E
 from rvjax.designs import RVReducer
-from rvjax.errors import BOUNDS
 from rvjax.lost_motion.reducer import PROFILES, geometric
 from rvjax.outputs import Cases, Description, Output, Solved, Way, condition
 from rvjax.units import um
@@ -58,6 +57,7 @@ def _cases(quick: bool) -> Sequence[Cases]:
 
 
 DESCRIPTION = Description(
+    name="lost_motion",
     design=RVReducer,
     conditions=Conditions,
     outputs={
@@ -69,6 +69,5 @@ DESCRIPTION = Description(
         )
     },
     cases=_cases,
-    places=tuple(BOUNDS.values()),  # by the bounds that follow from them
     unknown="the order in which parts touch: contributions are summed with their signs; load and deformation",
 )

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from rvjax.designs import RVReducer, expect
-from rvjax.errors import RVErrors
+from rvjax.errors import RVErrors, read_by
 from rvjax.lost_motion import flank as flanks
 from rvjax.lost_motion.terms import FLANK_TERMS, LostMotionTerms, Teeth, Unit, contributions, harmless
 from rvjax.records import Array, PyTree, Record, Scalar, field, promote, record
@@ -14,21 +14,6 @@ from rvjax.status import SolveInfo, Status, admit, converged
 
 READINGS = ("consistent", "as_printed")
 PROFILES = ("first_order", "closed_form", "contact")
-
-ERRORS_READ = (
-    "base_tangent_upper",
-    "base_tangent_lower",
-    "pin_circle_radius",
-    "pin_radius",
-    "pin_hole_clearance",
-    "disc_runout",
-    "pin_position",
-    "disc_cumulative_pitch",
-    "equidistant_modification",
-    "shift_modification",
-    "eccentricity",
-    "bearing_clearance",
-)
 
 
 @record
@@ -105,7 +90,7 @@ def _geometric(numbers: PyTree, *, reading: str, profile: str) -> LostMotion:
     # Terms are at most of second order in lengths over the smallest radius: that must not overflow either.
     smallest = jnp.minimum(jnp.minimum(unit.e, unit.rp), jnp.minimum(unit.r1, unit.a0 + unit.a1))
     smallest = jnp.where(smallest > 0, smallest, 1)
-    of_unit, of_parts = jax.tree.leaves(unit), [getattr(parts, name) for name in ERRORS_READ]
+    of_unit, of_parts = jax.tree.leaves(unit), [getattr(parts, name) for name in read_by(parts, "lost_motion")]
     # Design and errors are judged apart where only terms are summed: a batch over errors leaves the design unbatched.
     apart = profile == "first_order"
     alone = RVErrors() if apart else parts

@@ -82,6 +82,7 @@ def _cases_of(contact: str, quick: bool) -> Cases:
 
 
 DESCRIPTION = Description(
+    name="mesh_force",
     design=CamRollerReducer,
     conditions=Conditions,
     outputs={

@@ -12,7 +12,7 @@ import numpy as np
 
 from rvjax.assembly import OBJECTIVES, Kind, Machine, Part, Plan, draw, supply_of
 from rvjax.assembly import known as known_parts
-from rvjax.mounting import CRANK, DISC, disc_mountings, drawing, unit_errors
+from rvjax.mounting import carried, disc_mountings, drawing, unit_errors
 from rvjax.records import axis_sizes
 from rvjax.study.matching import Assembly
 from rvjax.study.question import Study, StudyError
@@ -187,15 +187,16 @@ def _slots(design: Any, kind: str, path: str | Path) -> tuple[list[str], dict[st
         slots = [f"disc_{k}" for k in range(discs) if drawing(design, k) == 0] if match[1] is None else [kind]
         if match[1] is not None and int(match[1]) >= discs:
             raise StudyError(f"{path}: kind = {kind!r}: this design has {discs} discs, counted from 0")
-        return slots, {name: shapes[name][1:] for name in DISC}
+        return slots, carried(design, "disc")
     if match := re.fullmatch(r"crank(?:_(\d+))?", kind):
         if match[1] is not None and int(match[1]) >= cranks:
             raise StudyError(f"{path}: kind = {kind!r}: this design has {cranks} cranks, counted from 0")
         slots = [f"crank_{k}" for k in range(cranks)] if match[1] is None else [kind]
-        return slots, {"crank_eccentricity": (discs,), "crank_phase": (), "planet_runout": (2,)}
+        return slots, carried(design, "crank")
     if not re.fullmatch(r"[a-z][a-z0-9_]*", kind) or kind == REST:
         raise StudyError(f"{path}: kind = {kind!r}: must be disc, crank, carrier, or another name in small letters")
-    return [kind], {name: shape for name, shape in shapes.items() if name not in (*DISC, *CRANK)}
+    apart = {*carried(design, "disc"), *carried(design, "crank")}
+    return [kind], {name: shape for name, shape in shapes.items() if name not in apart}
 
 
 def _kind(

@@ -14,6 +14,7 @@ import numpy as np
 
 from rvjax import dynamics, four_bar, loaded
 from rvjax.designs import RVReducer
+from rvjax.errors import described, read_by
 from rvjax.records import Array, Record, field, record, text
 from rvjax.study.measured import Conditions
 from rvjax.tolerances import Tolerance
@@ -33,8 +34,6 @@ NUISANCES: dict[str, str] = {
 }
 PROBE = 1e-3
 """Share of the largest torque that stands for none: the side to which the play lies needs a sign."""
-BREAKS_PITCH = ("pin_offset", "pin_radii", "ring_centre", "sun_runout")
-"""Errors with which one turn of the cranks is not like the next."""
 
 
 def nuisance(name: str, orders: Sequence[int]) -> Tolerance:
@@ -198,7 +197,8 @@ def curve_model(
         ValueError: an order too fine for the angles of the conditions.
     """
     distinct, place = np.unique(signed_torques(runs, conditions), return_inverse=True)
-    alike = model == "four_bar" or not set(active) & set(BREAKS_PITCH)
+    record = design.error_record
+    alike = not set(active) & set(read_by(record, model)) & set(described(record, "breaks_pitch"))
     finest = max(orders) // design.cycloid.pin_count
     key = "angles" if model == "four_bar" else "samples"
     if alike and finest >= (count := getattr(conditions, key)) / 2:

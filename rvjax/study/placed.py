@@ -4,19 +4,17 @@ A runout of 15 um is an eccentricity of up to 7.5 um in any direction, a positio
 The same table serves the models that know no places: their bounds follow from the placed errors of each unit.
 """
 
-import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
 from rvjax import models
-from rvjax.designs import RVReducer
-from rvjax.errors import PLACED, VECTORS
+from rvjax.errors import described, placed_by
+from rvjax.population import DISTRIBUTIONS
 from rvjax.study.values import choice, known, naming_field, quantity, subtable
 
 WORDS = ("runout", "position", "cumulative")
 RING = "pin_ring"  # positions and radii of all pins, as one field
 LIMITS = {"lower", "upper", "half_width", "grade"}
-ROUND = ("rayleigh", "von_mises")
 
 
 def spelled(design: Any, table: dict[str, Any]) -> dict[str, Any]:
@@ -25,15 +23,14 @@ def spelled(design: Any, table: dict[str, Any]) -> dict[str, Any]:
     Raises:
         ValueError: names the key, its value and the unit.
     """
-    if not isinstance(design, RVReducer):
-        return table
     fields = {name: entry for name, entry in table.items() if name != RING}
     if RING in table:
         for name, entry in _ring(subtable(table, RING)).items():
             if name in fields:
                 raise ValueError(f"tolerances.{name}: tolerances.{RING} has it too; give one of them")
             fields[name] = entry
-    return {name: _limits(name, entry) if isinstance(entry, dict) else entry for name, entry in fields.items()}
+    own = design.error_record
+    return {name: _limits(own, name, entry) if isinstance(entry, dict) else entry for name, entry in fields.items()}
 
 
 def _ring(table: dict[str, Any]) -> dict[str, Any]:
@@ -52,7 +49,7 @@ def _ring(table: dict[str, Any]) -> dict[str, Any]:
     return made
 
 
-def _limits(field: str, table: dict[str, Any]) -> dict[str, Any]:
+def _limits(error_record: Any, field: str, table: dict[str, Any]) -> dict[str, Any]:
     """One tolerance with limits in the place of a word."""
     where, words = f"tolerances.{field}", [word for word in WORDS if word in table]
     if "spectrum" in table:
@@ -62,15 +59,18 @@ def _limits(field: str, table: dict[str, Any]) -> dict[str, Any]:
     word = words[0]
     if other := [key for key in (*words[1:], *sorted(LIMITS & set(table)))]:
         raise ValueError(f"{where}: give {word} or {other[0]}, not both")
-    if word == "cumulative" and field != "disc_pitch":
-        raise ValueError(f"{where}.cumulative = {table[word]!r}: is of teeth round a disc, of disc_pitch alone")
-    if word != "cumulative" and field not in VECTORS:
-        raise ValueError(f"{where}.{word} = {table[word]!r}: is of an error with a direction, of {', '.join(VECTORS)}")
+    vectors = described(error_record, "vector")
+    teeth = [name for name, axes in described(error_record, "shape").items() if axes[-1] == "teeth"]
+    if word == "cumulative" and field not in teeth:
+        raise ValueError(f"{where}.cumulative = {table[word]!r}: is of teeth round a disc, of {', '.join(teeth)} alone")
+    if word != "cumulative" and field not in vectors:
+        raise ValueError(f"{where}.{word} = {table[word]!r}: is of an error with a direction, of {', '.join(vectors)}")
     rest = {key: value for key, value in table.items() if key != word}
     size = _length(table[word], f"{where}.{word}", "diametral" if word == "position" else "")
     if word == "cumulative":  # from the highest to the lowest tooth
         return rest | {"half_width": _text(size / 2)}
-    choice(rest.get("distribution", ROUND[0]), ROUND, f"{where}.distribution")
+    laws = [name for name, law in DISTRIBUTIONS.items() if law.of_vectors]
+    choice(rest.get("distribution", "rayleigh"), laws, f"{where}.distribution")
     return _vector(size) | rest
 
 
@@ -103,11 +103,9 @@ def refuse_unplaced(kind: models.Kind, outputs: Sequence[str], tolerances: Any) 
     Raises:
         ValueError: names the key, and who could.
     """
-    asked = [kind.described[name].places for name in outputs]
-    for f in dataclasses.fields(tolerances):
-        if f.name not in PLACED or getattr(tolerances, f.name) is None:
-            continue
-        if all(places is not None and f.name not in places for places in asked):
-            able = [name for name in kind.outputs if f.name in (kind.described[name].places or ())]
+    by_output = {name: placed_by(tolerances, kind.described[name].name) for name in kind.outputs}
+    for field in described(tolerances, "placed"):
+        if getattr(tolerances, field) is not None and not any(field in by_output[name] for name in outputs):
+            able = sorted((n for n in kind.outputs if field in by_output[n]), key=lambda n: -len(by_output[n]))
             shown = ", ".join(able[:3]) + (" .." if len(able) > 3 else "")
-            raise ValueError(f"tolerances.{f.name}: no response required here can place it, only {shown}")
+            raise ValueError(f"tolerances.{field}: no response required here can place it, only {shown}")

@@ -12,7 +12,7 @@ import numpy as np
 
 from rvjax import catalogue
 from rvjax.designs import RVReducer
-from rvjax.errors import BOUNDS
+from rvjax.errors import described
 from rvjax.tolerances import Middle, Tolerance
 from rvjax.units import suited
 
@@ -34,7 +34,7 @@ def refuse_impossible(design: Any, tolerances: Any, costs: dict[str, Any], middl
     if isinstance(design, RVReducer):
         _fits_together(design)
     for field, tolerance, about in _toleranced(tolerances):
-        part = _part(design, about["of"])
+        part = _part(design, about["of"]) if about["unit"] != "-" else None
         widest = {f"tolerances.{field}": tolerance}
         if field in costs:
             coarsest = max(costs[field].coarsest, float(tolerance.half_width))
@@ -69,9 +69,10 @@ def doubts(design: Any, conditions: Any, tolerances: Any) -> list[str]:
             found += _doubt(f"tolerances.{field}: half-width", half, unit, *HALF_WIDTH[unit])
     given = {name for name, _, _ in _toleranced(tolerances)}
     found += [
-        f"tolerances.{name}: {placed} is the same error with its place, and drawn apart; without {name} the one follows"
-        for name, placed in BOUNDS.items()
-        if {name, placed} <= given
+        f"tolerances.{name}: {bound.placed} is the same error with its place, and drawn apart; without {name} the one "
+        "follows"
+        for name, bound in described(tolerances, "bounds").items()
+        if {name, bound.placed} <= given
     ]
     if isinstance(design, RVReducer) and (odd := design.cycloid.pin_count - design.cycloid.disc_teeth) != 1:
         found.append(f"design.cycloid.pin_count: {odd} more than disc_teeth; known reducers have one more")

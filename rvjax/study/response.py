@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 
 from rvjax import models
-from rvjax.errors import BOUNDS
+from rvjax.errors import described
 from rvjax.levels import Choice
 from rvjax.outputs import Reading, Solved, Source
 from rvjax.records import Record, field, record, text
@@ -106,7 +106,8 @@ class Response(Record):
 def followed_bounds(tolerances: Any) -> tuple[str, ...]:
     """Errors without a place that have no tolerance of their own and follow from an error with one."""
     given = {f.name for f in dataclasses.fields(tolerances) if getattr(tolerances, f.name) is not None}
-    return tuple(name for name, placed in BOUNDS.items() if placed in given and name not in given)
+    bounds = described(tolerances, "bounds")
+    return tuple(name for name, bound in bounds.items() if bound.placed in given and name not in given)
 
 
 @per_response()

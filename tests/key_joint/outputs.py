@@ -59,6 +59,7 @@ def _curve(design, errors, given):
 
 
 DESCRIPTION = Description(
+    name="key_joint",
     design=KeyJoint,
     conditions=Conditions,
     outputs={"twist": Output("rad", "twist under load, play included", _twist, read_in="arcsec")},

@@ -1,0 +1,117 @@
+"""What a further error, cost law or observation costs: one place, and every layer that reads it sees it.
+
+The fakes are declared here, once each; nothing else of rvjax or of the fake model (`key_joint`) is patched.
+"""
+
+import csv
+import importlib
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from rvjax import cli, errors, models, mounting, study
+from rvjax.catalogue import RV_40E
+from rvjax.designs import RVReducer
+from rvjax.errors import Bound, RVErrors, deviation, read_by
+from rvjax.records import Scalar, record
+from rvjax.tolerances import sample
+from rvjax.units import um
+
+JOINT = """
+[design]
+kind = "key-joint"
+keys = 2
+radius = "20 mm"
+stiffness = "1e9 N/m"
+[tolerances.key_width]
+half_width = "6 um"
+[tolerances.hub_centre]
+runout = "10 um"
+[requirement.twist]
+upper = "100 arcsec"
+"""
+
+
+@pytest.fixture
+def key_joint(monkeypatch):
+    monkeypatch.setattr(models, "MODELS", (*models.MODELS, "tests.key_joint"))
+    return importlib.import_module("tests.key_joint.outputs")
+
+
+def test_an_error_is_one_place(key_joint, monkeypatch, tmp_path, capsys):
+    """A runout of the hub: read from a study, drawn, saved by element, reported; refused where none reads it."""
+
+    @record
+    class Errors(key_joint.KeyJointErrors):
+        hub_centre: Scalar = deviation(
+            "m", "teeth of the hub, x, y", shape=(2,), part=errors.part("hub", stage="shaft"), vector="xy",
+            placed=True, read_by=("key_joint",),
+        )  # fmt: skip
+
+    monkeypatch.setattr(key_joint.KeyJoint, "error_record", Errors)
+    (tmp_path / "joint.toml").write_text(JOINT)
+    asked = study.load(str(tmp_path / "joint.toml"))
+    assert (float(asked.tolerances.hub_centre.upper), asked.tolerances.hub_centre.shape) == (5 * um, (2,))
+    drawn = sample(asked.tolerances, 3, seed=1)
+    assert 0 < float(jnp.hypot(*drawn.hub_centre)) < 5 * um
+    saved = tmp_path / "units.csv"
+    command = [
+        "montecarlo",
+        str(tmp_path / "joint.toml"),
+        "--samples",
+        "64",
+        "--quiet",
+        "--results",
+        str(tmp_path / "r"),
+    ]
+    assert cli.main([*command, "--save", str(saved), "--save-errors"]) == 0
+    with saved.open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    lengths = [np.hypot(float(row["hub_centre[0] [m]"]), float(row["hub_centre[1] [m]"])) for row in rows]
+    assert len(rows) == 64 and 0 < max(lengths) <= 5 * um * (1 + 1e-12)
+    capsys.readouterr()
+    assert cli.main(["check", str(tmp_path / "joint.toml")]) == 0
+    assert "hub_centre" in capsys.readouterr().out
+    assert errors.STAGES["hub"] == "shaft" and errors.described(Errors, "part")["hub_centre"] == "hub"
+
+    @record
+    class Unread(key_joint.KeyJointErrors):
+        hub_centre: Scalar = deviation("m", "x, y", shape=(2,), part="hub", vector="xy", placed=True)
+
+    monkeypatch.setattr(key_joint.KeyJoint, "error_record", Unread)
+    with pytest.raises(study.StudyError, match=r"tolerances\.hub_centre: no response required here can place it"):
+        study.parse_study(JOINT, name="x")
+
+
+@record
+class MoreErrors(RVErrors):
+    """A bevel of each bore, carried by its disc, and a bound without a place that follows from it."""
+
+    bore_bevel: Scalar = deviation(
+        "m", "bevel of the bores", shape=("discs", "cranks"), part=errors.DISCS, read_by=("loaded",), placed=True,
+        carried_by="disc", breaks_pitch=True,
+    )  # fmt: skip
+    largest_bevel: Scalar = deviation(
+        "m", "largest bevel", part=errors.DISCS, read_by=("lost_motion",), bounds=Bound("bore_bevel", jnp.max)
+    )
+
+
+def test_an_error_of_a_disc_is_one_place(monkeypatch):
+    """Its parts carry it from slot to slot, its bound follows, and a turn of the cranks is no longer like the next."""
+    monkeypatch.setattr(RVReducer, "error_record", MoreErrors)
+    parts = {"disc_0": {"bore_bevel": np.array([1 * um, 2 * um])}, "disc_1": {"bore_bevel": np.array([3 * um, 4 * um])}}
+    turned = {"disc_0": 0, "disc_1": 1}
+    found = mounting.unit_errors(RV_40E, parts, turned)
+    assert mounting.disc_mountings(RV_40E, 1)[1].turn == 1  # by one crank spacing
+    np.testing.assert_array_equal(found.bore_bevel, [[1 * um, 2 * um], [4 * um, 3 * um]])
+    assert float(found.bounded(("largest_bevel",)).largest_bevel) == 4 * um
+    assert errors.placed_by(MoreErrors, "lost_motion")[-1] == "bore_bevel"
+    assert "bore_bevel" in read_by(MoreErrors, "loaded") and "bore_bevel" not in read_by(MoreErrors, "four_bar")
+    full = MoreErrors.for_design(RV_40E, disc_bore=1 * um)
+    assert full.bore_bevel == 0.0 and full.disc_bore.shape == (2, 2, 2)
+    text = '[design]\nbase = "rv-40e"\n[tolerances.bore_bevel]\nhalf_width = "1 um"\n'
+    asked = study.parse_study(text + '[requirement.lost_motion]\nupper = "2 arcmin"\n', name="x", solve=False)
+    assert asked.response().bounds == ("largest_bevel",)
+    with pytest.raises(study.StudyError, match="bore_bevel: no response required here can place it"):
+        study.parse_study(text + '[requirement.misfit]\nupper = "2 um"\n', name="x", solve=False)
