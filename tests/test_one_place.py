@@ -56,15 +56,7 @@ def test_an_error_is_one_place(key_joint, monkeypatch, tmp_path, capsys):
     drawn = sample(asked.tolerances, 3, seed=1)
     assert 0 < float(jnp.hypot(*drawn.hub_centre)) < 5 * um
     saved = tmp_path / "units.csv"
-    command = [
-        "montecarlo",
-        str(tmp_path / "joint.toml"),
-        "--samples",
-        "64",
-        "--quiet",
-        "--results",
-        str(tmp_path / "r"),
-    ]
+    command = ["montecarlo", str(tmp_path / "joint.toml"), "--samples", "64", "--quiet"]
     assert cli.main([*command, "--save", str(saved), "--save-errors"]) == 0
     with saved.open(newline="") as file:
         rows = list(csv.DictReader(file))

@@ -5,6 +5,7 @@ derivatives times the differences of the very errors that were drawn.
 """
 
 import csv
+import dataclasses
 import io
 import json
 from pathlib import Path
@@ -140,7 +141,7 @@ def test_fields_add_up_to_parts_and_stages(found):
 
 
 def test_every_error_has_a_part_and_every_part_a_stage():
-    metadata = {f.name: f.metadata for f in RVErrors.__dataclass_fields__.values()}
+    metadata = {f.name: f.metadata for f in dataclasses.fields(RVErrors)}
     assert {about["part"] for about in metadata.values()} <= set(STAGES)
     assert metadata["pin_offset"]["part"] == "ring" and metadata["planet_runout"]["part"] == "planets"
 
