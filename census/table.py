@@ -19,7 +19,7 @@ def tables(file: dict[str, Any]) -> str:
     entries = file["census"]
     groups = list(dict.fromkeys(e["group"] for e in entries))
     rows = [
-        "| models | inputs | silent NaN or inf | wrong statuses of judged | poisoned gradients | statuses |",
+        "| models | inputs | silent NaN or inf | wrong statuses of checked | poisoned gradients | statuses |",
         "|---|---:|---:|---:|---:|---|",
     ]
     for group in groups:
