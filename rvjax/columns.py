@@ -61,13 +61,20 @@ def read_table(
             texts[name] = [cell for _, cell in taken]
         else:
             size = units[name][unit]
-            numbers[name] = np.array([_number(str(path), name, unit, *cell, comma) * size for cell in taken])
+            numbers[name] = np.array([number_of(str(path), name, unit, *cell, comma) * size for cell in taken])
             shown[name] = unit
     return Table(str(path), np.array([number for number, _ in body]), numbers, texts, shown)
 
 
-def read_cells(path: str | Path) -> tuple[list[str], list[tuple[int, list[str]]], bool]:
-    """Header, rows (line of the file, cells), and whether a decimal comma can stand in a cell.
+def read_cells(
+    path: str | Path, example: str = "angle [deg],error [arcsec]", *, short: bool = False
+) -> tuple[list[str], list[tuple[int, list[str]]], bool]:
+    """Header, rows (line of the file, cells), and whether a cell may have a decimal comma.
+
+    Args:
+        path: of the file.
+        example: of a header, for the message.
+        short: rows may lack their last cells, which are empty.
 
     Raises:
         ValueError: no table.
@@ -83,9 +90,7 @@ def read_cells(path: str | Path) -> tuple[list[str], list[tuple[int, list[str]]]
     lines = text.splitlines()
     first = next((k for k, line in enumerate(lines) if line.strip()), None)
     if first is None or "\0" in text:
-        raise ValueError(
-            f'{path}: no table; the first line must name the columns, such as "angle [deg],error [arcsec]"'
-        )
+        raise ValueError(f'{path}: no table; the first line must name the columns, such as "{example}"')
     delimiter = max(DELIMITERS, key=lines[first].count)
     try:
         reader = csv.reader(io.StringIO(text), delimiter=delimiter, strict=True)
@@ -94,6 +99,7 @@ def read_cells(path: str | Path) -> tuple[list[str], list[tuple[int, list[str]]]
         raise ValueError(f"{path}: not a table of cells between {delimiter!r} ({error})") from None
     header, body = [name.strip() for name in cells[0][1]], cells[1:]
     for number, row in body:
+        row += [""] * (len(header) - len(row) if short else 0)
         if len(row) != len(header):
             hint = " (decimal commas? then separate cells by semicolons)" if delimiter == "," else ""
             raise ValueError(f"{path}: row {number} has {len(row)} cells, the header {len(header)}{hint}")
@@ -142,13 +148,58 @@ def _places(
     return found
 
 
+def element(field: str, place: Sequence[int]) -> str:
+    """The name of an element of an error, such as "disc_bore[0,1]"; the field itself without a place.
+
+    Args:
+        field: name.
+        place: index along each axis.
+    """
+    return f"{field}[{','.join(map(str, place))}]" if len(place) else field
+
+
+def elements(field: str, shape: tuple[int, ...]) -> list[str]:
+    """Names of all elements of an error in C order.
+
+    Args:
+        field: name.
+        shape: of the error.
+    """
+    return [element(field, place) for place in np.ndindex(shape)]
+
+
+def place_of(name: str) -> tuple[str, tuple[int, ...]]:
+    """Field and place of the name of an element; "disc_bore[0][1]" is read as "disc_bore[0,1]".
+
+    Raises:
+        ValueError: the name is no such name.
+    """
+    match = re.fullmatch(r"(\w+)((?:\[\d+(?:, ?\d+)*\])*)", name)
+    if match is None:
+        raise ValueError(f"{name!r}: must be the name of an error or of an element, such as disc_bore[0,1]")
+    return match[1], tuple(map(int, re.findall(r"\d+", match[2])))
+
+
 def split(header: str) -> tuple[str, str | None]:
     """Name and unit of "name [unit]"; the name may have brackets of its own."""
     match = re.fullmatch(r"(.*?)\s*\[\s*([^\[\]]*?)\s*\]", header)
     return (match[1], match[2]) if match else (header, None)
 
 
-def _number(source: str, name: str, unit: str, row: int, cell: str, comma: bool) -> float:
+def number_of(source: str, name: str, unit: str, row: int, cell: str, comma: bool) -> float:
+    """The number in a cell, in the unit of the cell; NaN for an empty one.
+
+    Args:
+        source: name of the file, for the message.
+        name: of the quantity.
+        unit: of the cell.
+        row: line of the file.
+        cell: text.
+        comma: whether decimals may have a comma.
+
+    Raises:
+        ValueError: no number, or not finite.
+    """
     if cell == "" or cell.lower() == "nan":
         return math.nan
     try:

@@ -13,10 +13,9 @@ import pytest
 
 from rvjax import cli, compensation, plotting, study
 from rvjax.assembly import plan
+from rvjax.commands.assemble import Price, bench, prices
+from rvjax.commands.assemble.report import price_table
 from rvjax.commands.compensate import corrections
-from rvjax.report.assembly import price_text
-from rvjax.study.assembly import bench
-from rvjax.study.prices import Price, prices
 from rvjax.units import arcsec, um
 
 STUDY = """
@@ -102,13 +101,35 @@ def test_a_list_of_parts_becomes_a_list_for_the_bench(files, capsys):
 
 def test_prices_with_and_without_matching_are_drawn_and_told():
     found = [Price(0.9, 12.0, 2.0, 5.0, "OPTIMAL"), Price(0.99, 18.0, 3.0, 7.0, "OPTIMAL")]
-    assert price_text([]) == ""
-    assert price_text(found).splitlines()[-1].split() == ["99", "%", "18.000", "3.00", "7.000", "OPTIMAL"]
+    assert price_table(found).text().splitlines()[-1].split() == ["99", "%", "18.000", "3.00", "7.000", "OPTIMAL"]
     axes = plotting.assembly.price_of_accuracy(*zip(*((p.share, p.alone, p.matched) for p in found)))
     assert [line.get_ydata()[1] for line in axes.lines] == [18.0, 7.0]
     axes = plotting.assembly.gain_against_gauge([0, 1], [1.0, 3.0], [1.0, 2.0], chance=4.0, known=1.0)
     assert axes.lines[2].get_ydata()[1] == 75.0
     plt.close("all")
+
+
+def test_elements_of_a_list_are_named_as_everywhere(files):
+    """`disc_bore[0,1]`, as --save-errors writes it, and the older `disc_bore[0][1]` are the same column."""
+    header = 'kind,id,crank_eccentricity[0] [um],"disc_bore[0,1] [um]"\n'
+    rows = "disc,D1,,3.5\ndisc,D2,,-1\ncrank,C1,2,\ncrank,C2,1,\n"
+    found = []
+    for text in (header, header.replace("[0,1]", "[0][1]")):
+        (files / "own.csv").write_text(text + rows)
+        discs = bench(study.load("my.toml", solve=False), "own.csv").kinds["disc_0"].parts
+        found.append([part.errors["disc_bore"] for part in discs])
+    np.testing.assert_array_equal(found[0], found[1])
+    assert found[0][0][0, 1] == pytest.approx(3.5 * um) and found[0][1][0, 1] == pytest.approx(-1 * um)
+
+
+def test_a_list_with_decimal_commas_is_the_same_list(files):
+    (files / "teile.csv").write_text(PARTS.replace("0.009e3", "9,0").replace(",", ";").replace("9;0", "9,0"))
+    own, other = (bench(study.load("my.toml", solve=False), name).kinds for name in ("parts.csv", "teile.csv"))
+    for slot in ("crank_0", "bearings"):
+        for one, same in zip(own[slot].parts, other[slot].parts, strict=True):
+            assert one.id == same.id
+            for field in one.errors:
+                np.testing.assert_allclose(one.errors[field], same.errors[field], rtol=1e-14)
 
 
 @pytest.mark.long
@@ -130,18 +151,19 @@ certificate_samples = 16384
 
 
 BAD_PARTS = [
-    ("", "has no column 'kind'; it has none"),
-    ("kind,id\n", "lists no part"),
-    ("kind,id,pin_radius [um]\npins,a,x\n", "pins 'a': pin_radius [um] = 'x': must be a finite number"),
+    ("", 'no table; the first line must name the columns, such as "kind,id,'),
+    ("kind,id\n", "no rows under the header 'kind,id'"),
+    ("kind,id,pin_radius [um]\npins,a,x\n", "row 2, pin_radius = 'x': must be a number in um"),
     ("kind,id,pin_radius\npins,a,1\n", "column 'pin_radius': must be like 'bearing_clearance [um]'"),
     ("kind,id,pin_radius [s]\npins,a,1\n", "column 'pin_radius [s]': unit 's' is not one of m, mm, um"),
+    ("kind,id,disc_bore[0,1] [um]\ndisc,a,1\n", "put a name with a comma in quotes"),
     ("kind,id,gear [um]\npins,a,1\n", "column 'gear [um]': parts of kind 'pins' have "),
     ("kind,id,crank_eccentricity[2] [um]\ncrank,a,1\n", "crank_eccentricity of this part has the shape (2,)"),
     ("kind,id,stock,pin_radius [um]\npins,a,-1,1\n", "pins 'a': stock = '-1': must be a whole number, 0 or more"),
     ("kind,id,pin_radius [um]\npins,a,1\npins,a,2\n", "pins: part 'a': this id stands there twice"),
     ("kind,id,pin_radius [um]\npins,,1\n", "a part of kind 'pins' has no id"),
     ("kind,id,pin_radius [um]\npins,a,1\n", "parts of pins alone; at least two slots are matched"),
-    ("kind,id,pin_radius [um]\npins,a,1,2\n", "line 2: has more cells than columns"),
+    ("kind,id,pin_radius [um]\npins,a,1,2\n", "row 2 has 4 cells, the header 3"),
     ("kind,id,pin_radius [um]\npins,a,\n", "parts of kind 'pins' have no error"),
     ("kind,id,disc_bore[0][0] [um]\ndisc_4,a,1\n", "kind = 'disc_4': this design has 2 discs, counted from 0"),
     ("kind,id,disc_pitch[0] [um]\ndisc,a,1\n", "disc_pitch is not measured in full, and no tolerance says"),

@@ -5,7 +5,7 @@ import contextlib
 import os
 import time
 
-from rvjax.commands import EXIT_NO_ANSWER, EXIT_OK, READING, WRITING, check_files, forewarn, say, tell
+from rvjax.commands import EXIT_NO_ANSWER, EXIT_OK, READING, WRITING, check_files, forewarn, tell
 
 # A loop over blocks of units has one thread, so each core becomes a device of JAX, which takes its part of every chunk;
 # more devices would leave each too few blocks.
@@ -105,41 +105,3 @@ def identify(options: argparse.Namespace) -> int:
     after = "" if options.check else f"\n\nResults: {folder}"
     tell(options, lambda: told.summary(found) + after, lambda: told.as_json(found))
     return EXIT_NO_ANSWER if found.adequate is False else EXIT_OK
-
-
-def assemble(options: argparse.Namespace) -> int:
-    """Which measured part goes with which."""
-    from rvjax import assembly, progress, study
-    from rvjax.report import assembly as written
-    from rvjax.report import folders
-    from rvjax.study.assembly import bench
-    from rvjax.study.prices import prices
-
-    matching, pricing = "which part goes with which", "prices of tolerances"
-    coming = (matching, *([pricing] if options.prices else []), WRITING)
-    with progress.shown(dict.fromkeys((READING, *coming), 0.0), quiet=options.quiet):
-        progress.begin(READING)
-        question = study.load(options.study)
-        folder = folders.results_folder(options.results, f"{question.name}-assembly")
-        parts = bench(question, options.parts)
-        asked = question.assembly
-        progress.begin(matching)
-        found = assembly.plan(
-            parts.response,
-            parts.kinds,
-            objective=asked.objective,
-            requirement=parts.requirement,
-            draws=asked.draws,
-            certificate_draws=asked.certificate_draws,
-            seed=question.seed,
-        )
-        if options.format == "text":
-            say(written.summary(found, parts, question))
-        progress.begin(pricing)
-        costs = prices(question, parts) if options.prices else []
-        progress.begin(WRITING)
-        folder = written.write(found, parts, question, options.parts, folder, costs)
-    after = f"{written.price_text(costs)}\n\nResults: {folder}"
-    data = written.as_json(found, parts, question, costs) | {"results": str(folder)}
-    tell(options, lambda: after, lambda: data)
-    return EXIT_OK if found.status != "INFEASIBLE" else EXIT_NO_ANSWER

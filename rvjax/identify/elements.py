@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax.columns import elements
 from rvjax.population import Correlation, Population
 from rvjax.records import PyTree
 
@@ -89,8 +90,7 @@ class Elements:
         """Name of each element, "field[i,j]"; scalars bare, nested fields dotted."""
         found = []
         for field, tolerance in self.population.active.items():
-            places = (f"[{','.join(map(str, index))}]" if index else "" for index in np.ndindex(tolerance.shape))
-            found += [field + place for place in places]
+            found += elements(field, tolerance.shape)
         return tuple(found)
 
     @cached_property

@@ -16,7 +16,8 @@ class Quantity:
         unit: SI unit, "-" for a plain number.
         lower: lower end of the interval, SI; None without one.
         upper: upper end, SI.
-        read_in: unit in which a person reads it; None: the usual one of `unit`.
+        read_in: unit in which a person reads it, "%" for a share; None: the usual one of `unit`.
+        form: format of its numbers; None: that of the column.
     """
 
     value: float
@@ -24,22 +25,24 @@ class Quantity:
     lower: float | None = None
     upper: float | None = None
     read_in: str | None = None
+    form: str | None = None
 
     @classmethod
-    def of(cls, estimate: Any, unit: str = "-", read_in: str | None = None) -> "Quantity":
+    def of(cls, estimate: Any, unit: str = "-", read_in: str | None = None, form: str | None = None) -> "Quantity":
         """The quantity of an estimate: anything with value, lower and upper.
 
         Args:
             estimate: numbers in SI.
             unit: SI unit.
             read_in: unit in which a person reads it; None: the usual one.
+            form: format of its numbers; None: that of the column.
         """
-        return cls(float(estimate.value), unit, float(estimate.lower), float(estimate.upper), read_in)
+        return cls(float(estimate.value), unit, float(estimate.lower), float(estimate.upper), read_in, form)
 
     @property
     def shown(self) -> tuple[str, float]:
         """Name and SI size of the unit in which a person reads the quantity; the name is "" for a plain number."""
-        name, size = readable(self.unit, self.read_in)
+        name, size = ("%", 0.01) if self.read_in == "%" else readable(self.unit, self.read_in)
         return ("" if name == "-" else name), size
 
     def numbers(self) -> list[float | None]:
@@ -56,7 +59,7 @@ class Quantity:
         """
         if math.isnan(self.value):
             return "-"
-        name, size = self.shown
+        (name, size), form = self.shown, self.form or form
         said = f"{self.value / size:{form}}" + (f" {name}" if name and named else "")
         if self.lower is None or self.upper is None:
             return said

@@ -5,7 +5,7 @@ from rvjax.study.measured import Conditions, Run
 from rvjax.study.measured import read as read_measured
 from rvjax.study.question import Study, StudyError
 from rvjax.study.read import embedded_names, load, parse_study
-from rvjax.study.values import quantity
+from rvjax.study.values import choice, integer, known, quantity, subtable
 
 __all__ = [
     "Budget",
@@ -13,10 +13,14 @@ __all__ = [
     "Run",
     "Study",
     "StudyError",
+    "choice",
     "embedded_names",
     "error_budget",
+    "integer",
+    "known",
     "load",
     "parse_study",
     "quantity",
     "read_measured",
+    "subtable",
 ]

@@ -9,11 +9,11 @@ from rvjax import models
 from rvjax.levels import Choice, choose
 from rvjax.outputs import Curve, Output
 from rvjax.study.about import About
-from rvjax.study.matching import Assembly
 from rvjax.study.origin import Number, design_numbers
 from rvjax.study.plausible import doubts
-from rvjax.study.response import Response, followed_bounds
+from rvjax.study.response import Response, check_nominal, followed_bounds
 from rvjax.study.values import StudyError as StudyError  # other modules take it from here
+from rvjax.study.values import naming
 from rvjax.tolerances import Limits, Middle
 
 if TYPE_CHECKING:  # it reads values, whose errors are those of studies
@@ -38,7 +38,6 @@ class Study:
         joint_target: share of units that must meet all requirements at once; None: each has a target of its own.
         accuracy: largest error of computation allowed, by response name; without one the conditions decide.
         middles: ranges in which the limits of an error may move as a whole, by name.
-        assembly: how measured parts are matched.
         identification: what [identify] asks of measured units, or None.
         read_in: unit in which a response is reported, by its name: that of its limit; without one the usual one.
         about: title, author and revision, if the file says them.
@@ -58,7 +57,6 @@ class Study:
     joint_target: float | None = None
     accuracy: dict[str, float] = dataclasses.field(default_factory=dict)
     middles: dict[str, Middle] = dataclasses.field(default_factory=dict)
-    assembly: Assembly = dataclasses.field(default_factory=lambda: Assembly())
     identification: "Identification | None" = None
     read_in: dict[str, str] = dataclasses.field(default_factory=dict)
     about: About = dataclasses.field(default_factory=About)
@@ -74,6 +72,15 @@ class Study:
             raise StudyError(f"{self.name}: [requirement] is missing or empty")
         bounds = followed_bounds(self.tolerances)
         return Response.of(self.design, tuple(self.requirements), self.conditions, self.choices(), bounds)
+
+    def check_nominal(self) -> None:
+        """Solve the unit without errors.
+
+        Raises:
+            StudyError: it has no solution.
+        """
+        with naming(self.name):
+            check_nominal(self.response(), self.design.error_record())
 
     def response_of(self, name: str) -> Response:
         """errors -> Outcome of one response that the requirements name."""

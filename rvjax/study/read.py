@@ -12,18 +12,16 @@ from rvjax.outputs import Output
 from rvjax.population import COMMON, DISTRIBUTIONS
 from rvjax.records import Shape, axis_sizes, remind_of_precision
 from rvjax.study.about import parse_about
-from rvjax.study.assembly import parse_assembly
 from rvjax.study.design import parse_design
 from rvjax.study.identification import Identification, parse_identification
 from rvjax.study.placed import refuse_unplaced, spelled
 from rvjax.study.plausible import refuse_impossible
 from rvjax.study.question import Study, StudyError
-from rvjax.study.response import check_nominal
 from rvjax.study.values import choice, integer, known, meant, naming, naming_field, quantity, share, subtable
 from rvjax.tolerances import FEWEST, KINDS, Exponential, Middle, ReciprocalPower, Tolerance, check_middles, for_design
 from rvjax.units import unit_of
 
-TABLES = {"about", "accuracy", "assembly", "columns", "conditions", "cost", "design", "identify", "middle"}
+TABLES = {"about", "accuracy", "columns", "conditions", "cost", "design", "identify", "middle"}
 TABLES |= {"requirement", "run", "tolerances"}
 COSTS: dict[str, Any] = {"reciprocal_power": ReciprocalPower, "exponential": Exponential}
 EMBEDDED = resources.files("rvjax.study") / "embedded"
@@ -116,7 +114,6 @@ def parse_study(text: str, *, name: str, folder: Path = Path(), solve: bool = Tr
             accuracy=_accuracy(kind.outputs, requirements, subtable(tables, "accuracy")),
             middles=_middles(error_record, tolerances, subtable(tables, "middle")),
             about=parse_about(subtable(tables, "about")),
-            assembly=parse_assembly(subtable(tables, "assembly"), design, requirements),
             seed=integer(run.get("seed", 0), "run.seed", 0, 2**32 - 1),
             samples=integer(run.get("samples", 16384), "run.samples", FEWEST, 2**32),
             certificate_samples=integer(
@@ -129,10 +126,10 @@ def parse_study(text: str, *, name: str, folder: Path = Path(), solve: bool = Tr
         study = dataclasses.replace(study, sections=read)
         refuse_impossible(design, tolerances, costs, study.middles)
         if requirements:
-            response = study.response()  # refuses what these conditions cannot give
-            if solve:
-                check_nominal(response, error_record())
-        return study
+            study.response()  # raises an error for what these conditions cannot give
+    if requirements and solve:
+        study.check_nominal()
+    return study
 
 
 def _section(table: str) -> Callable[[dict[str, Any], Study], Any] | None:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from rvjax import frames
+from rvjax.columns import elements
 from rvjax.files import check_writable, replacing
 from rvjax.population import Population
 from rvjax.status import SUCCESS, Status
@@ -77,12 +78,6 @@ class UnitFile:
         if double := sorted({name for name in taken if taken.count(name) > 1}):
             raise ValueError(f"{self.path}: two columns would be called {', '.join(double)}; rename the response")
         return dict(found)
-
-
-def elements(field: str, shape: tuple[int, ...]) -> list[str]:
-    """Names of the elements of an error, in C order, as `correlation` takes them."""
-    places = itertools.product(*map(range, shape))
-    return [f"{field}[{','.join(map(str, place))}]" if place else field for place in places]
 
 
 @contextlib.contextmanager

@@ -3,8 +3,8 @@
 import dataclasses
 
 from rvjax.assembly import opening
-from rvjax.study.assembly import REST, Bench
-from rvjax.study.question import Study, StudyError
+from rvjax.commands.assemble.parts import REST, Bench
+from rvjax.study import Study, StudyError
 from rvjax.tolerances import allocate
 
 YIELDS = (0.9, 0.95, 0.99)

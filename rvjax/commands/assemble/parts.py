@@ -1,6 +1,5 @@
-"""Parts read from a CSV file, as kinds in the slots of a reducer."""
+"""A list of measured parts, as kinds in the slots of a reducer."""
 
-import csv
 import dataclasses
 import math
 import re
@@ -10,48 +9,40 @@ from typing import Any
 
 import numpy as np
 
-from rvjax.assembly import OBJECTIVES, Kind, Machine, Part, Plan, draw, supply_of
+from rvjax import columns
+from rvjax.assembly import Kind, Machine, Part, Plan, draw, supply_of
 from rvjax.assembly import known as known_parts
+from rvjax.commands.assemble.inputs import Assembly
+from rvjax.designs import RVReducer
 from rvjax.mounting import carried, disc_mountings, drawing, unit_errors
 from rvjax.records import axis_sizes
-from rvjax.study.matching import Assembly
-from rvjax.study.question import Study, StudyError
-from rvjax.study.values import choice, finite, integer, known, quantity, subtable
+from rvjax.study import Study, StudyError
 from rvjax.tolerances import Requirement, Tolerance
-from rvjax.units import KNOWN
+from rvjax.units import KNOWN, spelling
 
-HEAD = re.compile(r"(?P<field>[a-z_]+)(?P<element>(?:\[\d+\])*) \[(?P<unit>[^\]]+)\]")
+WORDS = ("kind", "id", "stock")
 REST = "rest"
 """Slot of all errors that have a tolerance and no parts: each unit has its own, nobody measured them."""
 
 
-def parse_assembly(table: dict[str, Any], design: Any, requirements: Mapping[str, Any]) -> Assembly:
-    """The table [assembly] of a study.
+def table_of(study: Study) -> Assembly:
+    """The table [assembly] of a study, or what holds without it."""
+    return study.sections.get("assembly", Assembly())
 
-    Raises:
-        ValueError: names the key, its value and the unit.
+
+@dataclasses.dataclass(frozen=True)
+class Row:
+    """A part as the list has it.
+
+    Attributes:
+        number: of the line.
+        cells: by column.
+        comma: whether decimals may have a comma.
     """
-    known(table, {"response", "objective", "turned", "draws", "certificate_draws", "sd"}, "assembly")
-    found: dict[str, Any] = {}
-    if "response" in table:
-        found["response"] = choice(table["response"], requirements, "assembly.response")
-    if "objective" in table:
-        found["objective"] = choice(table["objective"], OBJECTIVES, "assembly.objective")
-    if "turned" in table:
-        if not isinstance(table["turned"], bool):
-            raise ValueError(f"assembly.turned = {table['turned']!r}: must be true or false")
-        found["turned"] = table["turned"]
-    for key, most in (("draws", 4096), ("certificate_draws", 1_000_000)):
-        if key in table:
-            found[key] = integer(table[key], f"assembly.{key}", 1, most)
-    units = {f.name: f.metadata["unit"] for f in dataclasses.fields(design.error_record)}
-    sd = subtable(table, "sd")
-    known(sd, units, "assembly.sd")
-    found["sd"] = {name: quantity(value, units[name], f"assembly.sd.{name}") for name, value in sd.items()}
-    for name, value in found["sd"].items():
-        if value < 0:
-            raise ValueError(f"assembly.sd.{name} = {sd[name]!r}: must be zero or positive")
-    return Assembly(**found)
+
+    number: int
+    cells: dict[str, str]
+    comma: bool
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -76,7 +67,7 @@ def bench(study: Study, path: str | Path) -> Bench:
 
     The first line names the columns: `kind` ("disc", "crank", "carrier", or any name for parts that hold whole errors,
     such as pins or bearings), `id`, if wanted `stock`, and measured errors with their unit: "bearing_clearance [um]",
-    "disc_bore[0][1] [um]" (crank 0, tangential). An empty cell is an error that this part does not have, or that was
+    "disc_bore[0,1] [um]" (crank 0, tangential). An empty cell is an error that this part does not have, or that was
     not measured where others of its kind have it.
 
     Args:
@@ -86,15 +77,13 @@ def bench(study: Study, path: str | Path) -> Bench:
     Raises:
         StudyError: names file, line, column and value.
     """
-    from rvjax.designs import RVReducer
-
     if not isinstance(study.design, RVReducer):
         raise StudyError(f"{study.name}: parts are matched for RV reducers only")
     name, requirement = _asked(study)
     rows = _rows(Path(path))
-    groups: dict[str, list[dict[str, str]]] = {}
+    groups: dict[str, list[Row]] = {}
     for row in rows:
-        groups.setdefault(row["kind"].strip(), []).append(row)
+        groups.setdefault(row.cells["kind"], []).append(row)
     kinds: dict[str, Kind] = {}
     taken: set[str] = set()
     for kind, own in groups.items():
@@ -144,7 +133,7 @@ def unit_values(found: Bench, seed: int, plan: Plan | None = None, count: int = 
 
 def _asked(study: Study) -> tuple[str, Requirement]:
     """The response that decides, and its requirement."""
-    name = study.assembly.response
+    name = table_of(study).response
     if name is None:
         if len(study.requirements) > 1:
             listed = ", ".join(study.requirements)
@@ -156,27 +145,17 @@ def _asked(study: Study) -> tuple[str, Requirement]:
     return name, requirement
 
 
-def _rows(path: Path) -> list[dict[str, str]]:
+def _rows(path: Path) -> list[Row]:
     try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            reader = csv.DictReader(file, restval="", skipinitialspace=True)
-            rows = [row for row in reader if any((value or "").strip() for value in row.values() if value != [])]
-            columns = [name.strip() for name in reader.fieldnames or []]
+        header, body, comma = columns.read_cells(path, "kind,id,bearing_clearance [um]", short=True)
     except FileNotFoundError:
         raise FileNotFoundError(f"{path}: no such list of parts") from None
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise StudyError(f"{path}: cannot be read ({error})") from None
     for needed in ("kind", "id"):
-        if needed not in columns:
-            raise StudyError(f"{path}: has no column {needed!r}; it has {', '.join(columns) or 'none'}")
-    if len(set(columns)) < len(columns):
-        raise StudyError(f"{path}: two columns have one name")
-    if not rows:
-        raise StudyError(f"{path}: lists no part")
-    for number, row in enumerate(rows, 2):
-        if None in row:
-            raise StudyError(f"{path}, line {number}: has more cells than columns")
-    return [{(key or "").strip(): value or "" for key, value in row.items()} for row in rows]
+        if needed not in header:
+            raise StudyError(f"{path}: has no column {needed!r}; it has {', '.join(header)}")
+    if len(set(header)) < len(header):
+        raise StudyError(f"{path}: two columns have the same name")
+    return [Row(number, dict(zip(header, map(str.strip, cells))), comma) for number, cells in body]
 
 
 def _slots(design: Any, kind: str, path: str | Path) -> tuple[list[str], dict[str, tuple[int, ...]]]:
@@ -203,24 +182,24 @@ def _kind(
     study: Study,
     path: str | Path,
     kind: str,
-    rows: list[dict[str, str]],
+    rows: list[Row],
     shapes: Mapping[str, tuple[int, ...]],
     slots: list[str],
 ) -> Kind:
     """Parts of one kind."""
     measured: dict[str, dict[tuple[int, ...], str]] = {}
-    scales: dict[str, float] = {}
-    for column in rows[0]:
-        if column in ("kind", "id", "stock") or not any(row[column].strip() for row in rows):
+    units: dict[str, str] = {}
+    for column in rows[0].cells:
+        if column in WORDS or not any(row.cells[column] for row in rows):
             continue
-        field, element, scale = _column(study, path, column, kind, shapes)
+        field, element, unit = _column(study, path, column, kind, shapes)
         measured.setdefault(field, {})[element] = column
-        scales[column] = scale
+        units[column] = unit
     if not measured:
         raise StudyError(f"{path}: parts of kind {kind!r} have no error")
     parts, stock = [], []
     for row in rows:
-        label = row["id"].strip()
+        label = row.cells["id"]
         where = f"{path}, {kind} {label!r}"
         if not label:
             raise StudyError(f"{path}: a part of kind {kind!r} has no id")
@@ -228,14 +207,16 @@ def _kind(
         for field, elements in measured.items():
             value, sd = np.zeros(shapes[field]), np.full(shapes[field], np.inf)
             for element, column in elements.items():
-                if text := row[column].strip():
-                    value[element] = finite(text, f"{where}: {column}") * scales[column]
-                    sd[element] = study.assembly.sd.get(field, 0.0)
+                if text := row.cells[column]:
+                    name, size = columns.element(field, element), KNOWN[study.unit(field)][units[column]]
+                    found = columns.number_of(str(path), name, units[column], row.number, text, row.comma)
+                    value[element] = found * size
+                    sd[element] = table_of(study).sd.get(field, 0.0)
             if np.isinf(sd).any() and getattr(study.tolerances, field) is None:
                 raise StudyError(f"{where}: {field} is not measured in full, and no tolerance says what it may be")
             errors[field], sds[field] = value, sd
         parts.append(Part(label, errors, sds))
-        stock.append(_count(row.get("stock", "").strip() or "1", f"{where}: stock"))
+        stock.append(_count(row.cells.get("stock", "") or "1", f"{where}: stock"))
     population = {field: tolerance for field in measured if (tolerance := getattr(study.tolerances, field)) is not None}
     checked = {field: one for field, one in population.items() if isinstance(one, Tolerance)}
     try:
@@ -246,7 +227,7 @@ def _kind(
 
 def _positions(study: Study, slot: str) -> int:
     """Angular positions of a part in its slot."""
-    if not study.assembly.turned:
+    if not table_of(study).turned:
         return 1
     kind, _, number = slot.rpartition("_")
     if kind == "disc":
@@ -256,22 +237,26 @@ def _positions(study: Study, slot: str) -> int:
 
 def _column(
     study: Study, path: str | Path, column: str, kind: str, shapes: Mapping[str, tuple[int, ...]]
-) -> tuple[str, tuple[int, ...], float]:
-    """Field, element and SI size of the unit of a column."""
-    match = HEAD.fullmatch(column)
-    if match is None:
-        raise StudyError(f"{path}: column {column!r}: must be like 'bearing_clearance [um]' or 'disc_bore[0][1] [um]'")
-    field = match["field"]
+) -> tuple[str, tuple[int, ...], str]:
+    """Field, place and unit of a column."""
+    head, unit = columns.split(column)
+    try:
+        field, place = columns.place_of(head)
+    except ValueError:
+        unit = None
+    if unit is None:
+        hint = "; put a name with a comma in quotes" if column.count("[") > column.count("]") else ""
+        example = "must be like 'bearing_clearance [um]' or 'disc_bore[0,1] [um]'"
+        raise StudyError(f"{path}: column {column!r}: {example}{hint}")
     if field not in shapes:
         raise StudyError(f"{path}: column {column!r}: parts of kind {kind!r} have {', '.join(shapes)}")
-    units = KNOWN[study.unit(field)]
-    if match["unit"] not in units:
-        raise StudyError(f"{path}: column {column!r}: unit {match['unit']!r} is not one of {', '.join(units)}")
-    element = tuple(map(int, re.findall(r"\d+", match["element"])))
+    units, unit = KNOWN[study.unit(field)], spelling(unit)
+    if unit not in units:
+        raise StudyError(f"{path}: column {column!r}: unit {unit!r} is not one of {', '.join(units)}")
     shape = shapes[field]
-    if len(element) != len(shape) or any(k >= size for k, size in zip(element, shape)):
+    if len(place) != len(shape) or any(k >= size for k, size in zip(place, shape)):
         raise StudyError(f"{path}: column {column!r}: {field} of this part has the shape {shape}")
-    return field, element, units[match["unit"]]
+    return field, place, unit
 
 
 def _count(text: str, where: str) -> int:

@@ -1,0 +1,58 @@
+"""The plan of assembly: which part goes into which unit, and what tolerances cost with and without matching."""
+
+import dataclasses
+
+from rvjax import assembly, progress
+from rvjax.assembly import Plan
+from rvjax.commands.assemble.inputs import Inputs
+from rvjax.commands.assemble.parts import Bench, bench, table_of
+from rvjax.commands.assemble.prices import Price, prices
+from rvjax.commands.speak import READING, WRITING
+
+MATCHING, PRICING = "which part goes with which", "prices of tolerances"
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Assembled:
+    """A plan of assembly.
+
+    Attributes:
+        parts: measured ones.
+        plan: which of them make which unit.
+        prices: what tolerances cost; empty where nobody asked.
+    """
+
+    parts: Bench
+    plan: Plan
+    prices: tuple[Price, ...] = ()
+
+
+def phases(asked: Inputs) -> dict[str, float]:
+    """Phases of the command; their times are not known before.
+
+    Args:
+        asked: what is computed.
+    """
+    return dict.fromkeys((READING, MATCHING, *([PRICING] if asked.prices else []), WRITING), 0.0)
+
+
+def compute(asked: Inputs) -> Assembled:
+    """The plan, and prices if they are asked for."""
+    study, how = asked.study, table_of(asked.study)
+    study.check_nominal()
+    parts = bench(study, asked.source)
+    progress.begin(MATCHING)
+    plan = assembly.plan(
+        parts.response,
+        parts.kinds,
+        objective=how.objective,
+        requirement=parts.requirement,
+        draws=how.draws,
+        certificate_draws=how.certificate_draws,
+        seed=study.seed,
+    )
+    found = Assembled(parts, plan)
+    if not asked.prices:
+        return found
+    progress.begin(PRICING)
+    return dataclasses.replace(found, prices=tuple(prices(study, parts)))
