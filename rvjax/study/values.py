@@ -35,7 +35,13 @@ def naming_field(where: str) -> Iterator[None]:
 
 
 def known(table: dict[str, Any], keys: Iterable[str], where: str) -> None:
-    """Refuse keys that nobody reads."""
+    """Raise an error for keys that are not read.
+
+    Args:
+        table: as written.
+        keys: that are read.
+        where: name of the table, for the message.
+    """
     for key in table:
         if key not in keys:
             name = f"{where}.{key}" if where else f"[{key}]"
@@ -49,7 +55,12 @@ def meant(word: Any, words: Iterable[str]) -> str:
 
 
 def subtable(parent: dict[str, Any], key: str) -> dict[str, Any]:
-    """A table, empty where it is missing."""
+    """A table, empty where it is missing.
+
+    Args:
+        parent: table that holds it.
+        key: its name.
+    """
     value = parent.get(key, {})
     if not isinstance(value, dict):
         raise ValueError(f"{key} = {value!r}: must be a table")
@@ -64,7 +75,14 @@ def share(value: Any, where: str) -> float:
 
 
 def integer(value: Any, where: str, minimum: float, maximum: float) -> int:
-    """A whole number within limits."""
+    """A whole number within limits.
+
+    Args:
+        value: as written.
+        where: key, for the message.
+        minimum: smallest value.
+        maximum: largest value.
+    """
     if isinstance(value, bool) or not isinstance(value, int) or value < minimum:
         raise ValueError(f"{where} = {value!r}: must be an integer of at least {minimum}")
     if value > maximum:
@@ -102,7 +120,13 @@ def quantity(value: Any, unit: str, where: str) -> float:
 
 
 def choice(value: Any, choices: Iterable[str], where: str) -> str:
-    """One of several words."""
+    """One of several words.
+
+    Args:
+        value: as written.
+        choices: that are allowed.
+        where: key, for the message.
+    """
     if not isinstance(value, str) or value not in choices:
         raise ValueError(f"{where} = {value!r}{meant(value, choices)}: must be one of {', '.join(choices)}")
     return value

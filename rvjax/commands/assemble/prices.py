@@ -32,6 +32,11 @@ class Price:
 def prices(study: Study, found: Bench, *, sets: int = 8) -> list[Price]:
     """Allocate for several yields of the response that decides, and open the tolerances by matching.
 
+    Args:
+        study: tolerances and costs.
+        found: parts.
+        sets: of parts, sampled to find how far matching opens the tolerances.
+
     Raises:
         StudyError: no costs, or none for an error of the parts.
     """
