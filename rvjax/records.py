@@ -24,6 +24,7 @@ Scalar = float | Array | np.ndarray  # one number; under `jax.vmap` and in a sta
 PyTree = Any  # numbers nested in a way that types cannot say
 Class = TypeVar("Class", bound=type)
 Shape = tuple[str | int, ...]
+IN_ERROR_UNIT = "error"  # unit of a field that is measured like the error that it belongs to
 
 
 class Design(Protocol):
@@ -206,7 +207,7 @@ def quantity(value: Any, unit: str) -> str:
         unit: as text, "-" for none.
     """
     number = f"{float(value):.6g}" if np.ndim(value) == 0 else np.array2string(np.asarray(value), precision=6)
-    return number if unit == "-" else f"{number} {unit}"
+    return number if unit in ("-", IN_ERROR_UNIT) else f"{number} {unit}"
 
 
 def promote(*trees: Any) -> Any:

@@ -5,6 +5,8 @@ The fakes are declared here, once each; nothing else of rvjax or of the fake mod
 
 import csv
 import importlib
+import re
+from typing import ClassVar
 
 import jax.numpy as jnp
 import numpy as np
@@ -14,8 +16,11 @@ from rvjax import cli, errors, models, mounting, study
 from rvjax.catalogue import RV_40E
 from rvjax.designs import RVReducer
 from rvjax.errors import Bound, RVErrors, deviation, read_by
-from rvjax.records import Scalar, record
+from rvjax.records import IN_ERROR_UNIT, Scalar, field, record
+from rvjax.report import surrogate
+from rvjax.study import answer
 from rvjax.tolerances import sample
+from rvjax.tolerances.allocation import cost
 from rvjax.units import um
 
 JOINT = """
@@ -107,3 +112,71 @@ def test_an_error_of_a_disc_is_one_place(monkeypatch):
     assert asked.response().bounds == ("largest_bevel",)
     with pytest.raises(study.StudyError, match="bore_bevel: no response required here can place it"):
         study.parse_study(text + '[requirement.misfit]\nupper = "2 um"\n', name="x", solve=False)
+
+
+JOINT_COST = """
+[tolerances.slot_width]
+half_width = "8 um"
+[cost.key_width]
+reference = "10 um"
+finest = "1 um"
+coarsest = "100 um"
+[run]
+samples = 4096
+certificate_samples = 65536
+"""
+
+
+def test_a_cost_law_is_one_place(key_joint, monkeypatch, tmp_path):
+    """A law in steps of a currency per micron: read from a study, allocated, on the page of the answer; a table too.
+
+    Oracle: Lagrange for the two errors of a linear response, as in `test_models`.
+    """
+
+    @record
+    class Linear(cost.Cost):
+        """rate (coarsest - t)."""
+
+        name: ClassVar[str] = "linear"
+        finest: Scalar = field(IN_ERROR_UNIT, "smallest half-width", sign="positive")
+        coarsest: Scalar = field(IN_ERROR_UNIT, "largest half-width", sign="positive")
+        rate: Scalar = field("-", "currency for a micron", default=1.0)
+
+        def __call__(self, half_width):
+            return self.rate * (self.coarsest - half_width) / um
+
+    try:
+        text = JOINT.replace('[tolerances.hub_centre]\nrunout = "10 um"', "").replace(
+            "upper =", 'lower = "-100 arcsec"\nupper ='
+        )
+        text += JOINT_COST + '[cost.slot_width]\nmodel = "linear"\nfinest = "2 um"\ncoarsest = "60 um"\nrate = 0.25\n'
+        asked = study.parse_study(text, name="x")
+        found = asked.costs["slot_width"]
+        assert (found.coarsest, found.rate) == (pytest.approx(60 * um), 0.25) and float(
+            found(20 * um)
+        ) == pytest.approx(10)
+        with pytest.raises(study.StudyError, match=r"cost\.slot_width\.finest is missing: smallest half-width, in m"):
+            study.parse_study(text.replace('finest = "2 um"\n', ""), name="x")
+        with pytest.raises(study.StudyError, match=r"cost\.slot_width\.model = 'liner'.*linear"):
+            study.parse_study(text.replace('"linear"', '"liner"'), name="x")
+        table = text.replace(
+            '"linear"\nfinest = "2 um"\ncoarsest = "60 um"\nrate = 0.25',
+            '"table"\nhalf_widths = ["2 um", "8 um"]\ncosts = [9, 1]',
+        )
+        assert float(study.parse_study(table, name="x").costs["slot_width"](4 * um)) == pytest.approx(
+            3
+        )  # half way in logs
+        (tmp_path / "joint.toml").write_text(text)
+        answered = answer.answer(study.load(str(tmp_path / "joint.toml")))
+        half = {name: float(getattr(answered.after.tolerances, name).half_width) for name in answered.study.costs}
+        slope_key, slope_slot = 10 * um / half["key_width"] ** 2, 0.25 / um
+        # d cost / d t over d variance / d t, variance = t_key^2 + t_slot^2 / 2 in parts of (3 r)^2
+        assert slope_key / (2 * half["key_width"]) == pytest.approx(slope_slot / half["slot_width"], rel=0.05)
+        monkeypatch.setattr(answer, "answer", lambda *_, **__: answered)
+        monkeypatch.setattr(surrogate, "_POINTS", 2)
+        page = tmp_path / "joint.html"
+        assert cli.main(["report", str(tmp_path / "joint.toml"), "--output", str(page), "--quiet"]) == 0
+        first = re.search(r'"points": ?\[\[([^,]+),([^]]+)\]', page.read_text())
+        assert [float(x) for x in first.groups()] == pytest.approx([2.0, 0.25 * 58])  # um, currency
+    finally:
+        del cost.COSTS["linear"]

@@ -318,7 +318,7 @@ def test_grades():
         (dict(costs={}), "costs: no field has a cost"),
         (dict(costs=WIDE), "costs: must be a record or a dict"),
         (dict(costs={"d": WIDE}), "costs: 'd' has no tolerance; these have: a, b"),
-        (dict(costs={"a": 3.0}), "costs: a = 3.0 must be a ReciprocalPower"),
+        (dict(costs={"a": 3.0}), "costs: a = 3.0: must be one of ReciprocalPower, Exponential, Table"),
         (dict(joint_target=1.0), "joint_target = 1.0: must lie between 0 and 1"),
         (dict(samples=10), "samples = 10: must be at least 100"),
         (dict(max_steps=0), "max_steps = 0: must be at least 1"),

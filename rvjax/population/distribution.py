@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 import jax
 import numpy as np
 
-from rvjax.records import Record, Scalar
+from rvjax.records import IN_ERROR_UNIT, Record, Scalar
 from rvjax.units import parse
 
 Moments = tuple[Any, Any, Any, Any]
@@ -20,9 +20,6 @@ Moments = tuple[Any, Any, Any, Any]
 
 DISTRIBUTIONS: dict[str, type["Distribution"]] = {}
 """Every law by its name."""
-
-IN_ERROR_UNIT = "error"
-"""Unit of a law's parameter that is measured like the error itself."""
 
 
 class Distribution(Record):

@@ -68,11 +68,20 @@ const Live = (() => {
     return { half, lower, upper: lower + 2 * half, middle: lower + half };
   };
 
+  /* Linear in log cost over log half-width; constant beyond the ends. */
+  function between(points, half) {
+    const k = points.findIndex(([t]) => t >= half);
+    if (k <= 0) return points[k === 0 ? 0 : points.length - 1][1];
+    const [[t, c], [u, d]] = [points[k - 1], points[k]];
+    return c * (d / c) ** (Math.log(half / t) / Math.log(u / t));
+  }
+
   function cost(data, at) {
     let total = data.other_cost;
     for (const field of data.fields) {
       const { half, middle } = limitsOf(field, at), c = field.cost;
-      if (c) total += c.fixed + c.scale *
+      if (c && c.points) total += between(c.points, half);
+      else if (c) total += c.fixed + c.scale *
         (c.decay === undefined ? (c.reference / half) ** c.power : Math.exp(-half / c.decay));
       if (field.moving) total += field.moving.scale * Math.abs(middle - field.moving.given);
     }

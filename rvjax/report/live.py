@@ -14,7 +14,7 @@ from rvjax.plotting.style import words
 from rvjax.report.surrogate import Surrogate, grows_from_lower, placed
 from rvjax.study.answer import Answer
 from rvjax.study.rewrite import template
-from rvjax.tolerances import CpkAtLeast, Exponential, Limits, MeanWithin, Requirement, SdAtMost
+from rvjax.tolerances import CpkAtLeast, Exponential, Limits, MeanWithin, ReciprocalPower, Requirement, SdAtMost
 from rvjax.units import readable
 
 KINDS: dict[type[Limits], str] = {Requirement: "share", CpkAtLeast: "cpk", MeanWithin: "mean", SdAtMost: "sd"}
@@ -108,11 +108,14 @@ def _field(name: str, found: Surrogate, answer: Answer) -> dict[str, Any]:
     given, cost = getattr(study.tolerances, name), study.costs.get(name)
     priced = None
     if cost is not None:
-        priced = {"fixed": float(cost.fixed), "scale": float(cost.scale)}
         if isinstance(cost, Exponential):
-            priced["decay"] = float(cost.decay) / size
-        else:
+            priced = {"fixed": float(cost.fixed), "scale": float(cost.scale), "decay": float(cost.decay) / size}
+        elif isinstance(cost, ReciprocalPower):
+            priced = {"fixed": float(cost.fixed), "scale": float(cost.scale)}
             priced |= {"reference": float(cost.reference) / size, "power": float(cost.power)}
+        else:  # any other law: points, between which the page interpolates as `tolerances.Table` does
+            points = np.union1d(np.geomspace(cost.finest, cost.coarsest, 129), getattr(cost, "half_widths", ()))
+            priced = {"points": [[float(t) / size, float(cost(t))] for t in points]}
     moving = None
     if name in study.middles:
         moving = {"given": float(given.middle) / size, "scale": study.middles[name].scale * size}

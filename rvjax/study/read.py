@@ -10,7 +10,7 @@ from typing import Any
 from rvjax import models
 from rvjax.outputs import Output
 from rvjax.population import COMMON, DISTRIBUTIONS
-from rvjax.records import Shape, axis_sizes, remind_of_precision
+from rvjax.records import IN_ERROR_UNIT, Shape, axis_sizes, remind_of_precision
 from rvjax.study.about import parse_about
 from rvjax.study.design import parse_design
 from rvjax.study.identification import Identification, parse_identification
@@ -18,12 +18,11 @@ from rvjax.study.placed import refuse_unplaced, spelled
 from rvjax.study.plausible import refuse_impossible
 from rvjax.study.question import Study, StudyError
 from rvjax.study.values import choice, integer, known, meant, naming, naming_field, quantity, share, subtable
-from rvjax.tolerances import FEWEST, KINDS, Exponential, Middle, ReciprocalPower, Tolerance, check_middles, for_design
+from rvjax.tolerances import COSTS, FEWEST, KINDS, Middle, Tolerance, check_middles, for_design
 from rvjax.units import unit_of
 
 TABLES = {"about", "accuracy", "columns", "conditions", "cost", "design", "identify", "middle"}
 TABLES |= {"requirement", "run", "tolerances"}
-COSTS: dict[str, Any] = {"reciprocal_power": ReciprocalPower, "exponential": Exponential}
 EMBEDDED = resources.files("rvjax.study") / "embedded"
 
 
@@ -235,20 +234,22 @@ def _costs(error_record: Any, tolerances: Any, table: dict[str, Any]) -> dict[st
         where, entry = f"cost.{field}", dict(subtable(table, field))
         if field not in {f.name for f in dataclasses.fields(error_record)} or getattr(tolerances, field) is None:
             raise ValueError(f"{where}: there is no [tolerances.{field}] for it")
-        unit = _metadata(error_record, field)["unit"]
-        model = entry.pop("model", "reciprocal_power")
-        choice(model, COSTS, f"{where}.model")
-        units = {"fixed": "-", "scale": "-", "finest": unit, "coarsest": unit}
-        units |= {"reference": unit, "power": "-"} if model == "reciprocal_power" else {"decay": unit}
-        known(entry, set(units), where)
-        for key in ("finest", "coarsest"):
-            if key not in entry:
-                raise ValueError(f"{where}.{key} is missing: the range of the process in {unit}")
+        law = COSTS[choice(entry.pop("model", "reciprocal_power"), COSTS, f"{where}.model")]
+        declared = {f.name: f for f in dataclasses.fields(law)}
+        known(entry, declared, where)
+        units = {name: f.metadata["unit"] for name, f in declared.items()}
+        units |= {n: _metadata(error_record, field)["unit"] for n, unit in units.items() if unit == IN_ERROR_UNIT}
+        for key, f in declared.items():
+            if f.default is dataclasses.MISSING and key not in entry:
+                raise ValueError(f"{where}.{key} is missing: {f.metadata['meaning']}, in {units[key]}")
         with naming_field(where):
-            costs[field] = COSTS[model](
-                **{key: quantity(value, units[key], f"{where}.{key}") for key, value in entry.items()}
-            )
+            costs[field] = law(**{key: _numbers(value, units[key], f"{where}.{key}") for key, value in entry.items()})
     return costs
+
+
+def _numbers(value: Any, unit: str, where: str) -> Any:
+    """One number, or a list of them."""
+    return [quantity(v, unit, where) for v in value] if isinstance(value, list) else quantity(value, unit, where)
 
 
 def _middles(error_record: Any, tolerances: Any, table: dict[str, Any]) -> dict[str, Middle]:

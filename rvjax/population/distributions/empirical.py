@@ -8,8 +8,8 @@ import numpy as np
 from jax.scipy.special import ndtr
 
 from rvjax.columns import read_table
-from rvjax.population.distribution import IN_ERROR_UNIT, Distribution, Moments, bad
-from rvjax.records import Scalar, concrete, field, is_concrete, record
+from rvjax.population.distribution import Distribution, Moments, bad
+from rvjax.records import IN_ERROR_UNIT, Scalar, concrete, field, is_concrete, record
 from rvjax.units import KNOWN
 
 

@@ -15,7 +15,7 @@ from rvjax.progress import progress_bar
 from rvjax.records import Record
 from rvjax.response import BLOCK, Response, by_response, response_names, unwrapped
 from rvjax.tolerances.allocation.certificate import DRAWS, Certifier
-from rvjax.tolerances.allocation.cost import Cost
+from rvjax.tolerances.allocation.cost import COSTS, Cost
 from rvjax.tolerances.allocation.design_centring import Middle, centred, check_middles
 from rvjax.tolerances.allocation.mapped import MappedSearch
 from rvjax.tolerances.allocation.rounding import Snapping
@@ -324,7 +324,8 @@ def _costs_by_field(costs: Any, active: Mapping[str, Tolerance]) -> dict[str, Co
         if cost is None or (isinstance(cost, float) and cost == 0):
             continue
         if not isinstance(cost, Cost):
-            raise ValueError(f"costs: {name} = {cost!r} must be a ReciprocalPower, Exponential or Table")
+            laws = ", ".join(law.__name__ for law in COSTS.values())
+            raise ValueError(f"costs: {name} = {cost!r}: must be one of {laws}")
         if name not in active:
             raise ValueError(f"costs: {name!r} has no tolerance; these have: {', '.join(active)}")
     priced = {name: given[name] for name in active if isinstance(given.get(name), Cost)}

@@ -1,25 +1,47 @@
-"""What a tolerance costs, as a function of its half-width; one cost covers all elements of a field."""
+"""What a tolerance costs, as a function of its half-width; one cost covers all elements of a field.
+
+A new law is one class: `@record class Mine(Cost)` with `name`, its parameters as fields, `finest`, `coarsest` and
+`__call__`. Allocation, studies and pages take it from `COSTS`.
+"""
 
 import dataclasses
 import math
-from typing import Any
+from typing import ClassVar
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax.records import Record, concrete, field, record
+from rvjax.records import IN_ERROR_UNIT, Array, Record, Scalar, concrete, field, record
+
+COSTS: dict[str, type["Cost"]] = {}
+"""Every law by the name that study files give it."""
+
+
+class Cost(Record):
+    """What a half-width costs, within the range of a process; its fields are the keys of a study file."""
+
+    name: ClassVar[str] = ""
+    finest: Scalar
+    coarsest: Scalar
+
+    def __init_subclass__(cls) -> None:
+        if cls.name:
+            COSTS[cls.name] = cls
+
+    def __call__(self, half_width: Scalar) -> Array:
+        """Cost of a half-width."""
+        raise NotImplementedError
 
 
 @record
-class _Process(Record):
+class _Process(Cost):
     """Costs within the range of a process."""
 
     _: dataclasses.KW_ONLY
-    finest: Any = field("-", "smallest half-width the process can hold, unit of the error", sign="positive")
-    coarsest: Any = field("-", "largest half-width it offers", sign="positive")
-    fixed: Any = field("-", "cost that no tolerance saves", default=0.0)
-    scale: Any = field("-", "cost above fixed, at the reference or at half-width 0", default=1.0, sign="positive")
+    finest: Scalar = field(IN_ERROR_UNIT, "smallest half-width the process can hold", sign="positive")
+    coarsest: Scalar = field(IN_ERROR_UNIT, "largest half-width of the process", sign="positive")
+    fixed: Scalar = field("-", "cost that no tolerance saves", default=0.0)
+    scale: Scalar = field("-", "cost above fixed, at the reference or at half-width 0", default=1.0, sign="positive")
 
     def _check(self) -> None:
         finest, coarsest = self.finest, self.coarsest
@@ -32,11 +54,15 @@ class _Process(Record):
 class ReciprocalPower(_Process):
     """Cost fixed + scale (reference/t)^power of a half-width t, within the process range."""
 
-    _: dataclasses.KW_ONLY
-    reference: Any = field("-", "half-width that scale belongs to; give it for angles", default=10e-6, sign="positive")
-    power: Any = field("-", "exponent", default=1.0, sign="positive")
+    name: ClassVar[str] = "reciprocal_power"
 
-    def __call__(self, half_width: jax.Array) -> jax.Array:
+    _: dataclasses.KW_ONLY
+    reference: Scalar = field(
+        IN_ERROR_UNIT, "half-width that scale belongs to; give it for angles", default=10e-6, sign="positive"
+    )
+    power: Scalar = field("-", "exponent", default=1.0, sign="positive")
+
+    def __call__(self, half_width: Scalar) -> Array:
         """Cost of a half-width."""
         return self.fixed + self.scale * (self.reference / half_width) ** self.power
 
@@ -45,32 +71,36 @@ class ReciprocalPower(_Process):
 class Exponential(_Process):
     """Cost fixed + scale exp(-t/decay) of a half-width t, within the process range."""
 
-    _: dataclasses.KW_ONLY
-    decay: Any = field("-", "half-width over which the cost falls by e, unit of the error", sign="positive")
+    name: ClassVar[str] = "exponential"
 
-    def __call__(self, half_width: jax.Array) -> jax.Array:
+    _: dataclasses.KW_ONLY
+    decay: Scalar = field(IN_ERROR_UNIT, "half-width over which the cost falls by e", sign="positive")
+
+    def __call__(self, half_width: Scalar) -> Array:
         """Cost of a half-width."""
         return self.fixed + self.scale * jnp.exp(-half_width / self.decay)
 
 
 @record
-class Table(Record):
+class Table(Cost):
     """Measured costs, interpolated linearly in log cost over log half-width; the table is the process range."""
 
-    half_widths: Any = field("-", "ascending, unit of the error", shape=("pairs",), sign="positive")
-    costs: Any = field("-", "falling", shape=("pairs",), sign="positive")
+    name: ClassVar[str] = "table"
+
+    half_widths: Array | np.ndarray = field(IN_ERROR_UNIT, "ascending half-widths", shape=("pairs",), sign="positive")
+    costs: Array | np.ndarray = field("-", "cost at each half-width, falling", shape=("pairs",), sign="positive")
 
     @property
-    def finest(self) -> Any:
+    def finest(self) -> Scalar:  # type: ignore[override]
         """First half-width of the table."""
         return self.half_widths[0]
 
     @property
-    def coarsest(self) -> Any:
+    def coarsest(self) -> Scalar:  # type: ignore[override]
         """Last half-width of the table."""
         return self.half_widths[-1]
 
-    def __call__(self, half_width: jax.Array) -> jax.Array:
+    def __call__(self, half_width: Scalar) -> Array:
         """Cost of a half-width."""
         t = jnp.asarray(half_width)
         xs, ys = (jnp.log(jnp.asarray(values, t.dtype)) for values in (self.half_widths, self.costs))
@@ -85,6 +115,3 @@ class Table(Record):
             raise ValueError(f"Table.half_widths = {np.asarray(self.half_widths)}: must ascend")
         if not np.all(np.diff(self.costs) < 0):
             raise ValueError(f"Table.costs = {np.asarray(self.costs)}: must fall as the half-width grows")
-
-
-Cost = ReciprocalPower | Exponential | Table
