@@ -16,8 +16,9 @@ import numpy as np
 
 import rvjax
 from rvjax import study
+from rvjax.commands.budget import error_budget
 from rvjax.population.estimates import wilson
-from rvjax.report import text
+from rvjax.render import plain
 from rvjax.response.response import BLOCK
 from rvjax.study.crossed import cost_of, put_into
 from rvjax.study.read import EMBEDDED
@@ -129,7 +130,7 @@ def main() -> None:
     pressed = dataclasses.replace(asked, design=asked.design.replace(cycloid=asked.design.cycloid.replace(**flanks)))
     keep("optimum of the four-bar, with its flanks", lambda: judged(pressed, cheap))
     keep("tolerances of rv-40e-whole", lambda: judged(asked, asked.tolerances))
-    keep("budget of rv-40e-whole", lambda: text.plain(study.error_budget(study.load("rv-40e-whole", solve=False))))
+    keep("budget of rv-40e-whole", lambda: plain(error_budget(study.load("rv-40e-whole", solve=False))))
     machine = keep("answer to rv-40e-whole", lambda: optimum("rv-40e-whole"))
     keep("optimum of the machine", lambda: judged(asked, with_limits(asked.tolerances, machine["limits"])))
 

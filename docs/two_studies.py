@@ -4,6 +4,7 @@ import numpy as np
 from stored import stored, table
 
 from rvjax import plotting, study
+from rvjax.commands.budget import Budget
 from rvjax.plotting.style import AFTER, BEFORE
 from rvjax.report.text import tolerance_text
 
@@ -106,4 +107,4 @@ def budget(_):
         return {key: arrays(item) for key, item in value.items()} if isinstance(value, dict) else np.asarray(value)
 
     waves = {key: arrays(kept[key]) for key in ("orders", "variance", "total", "alike")}
-    return plotting.error_budget(study.Budget(**(kept | waves)))
+    return plotting.error_budget(Budget(**(kept | waves)))

@@ -16,11 +16,12 @@ import numpy as np
 import pytest
 
 from rvjax import RVErrors, cli, four_bar, plotting, progress, study
+from rvjax.commands.budget import compute as budget
+from rvjax.commands.budget import error_budget, report_on, section_on
 from rvjax.errors import STAGES
 from rvjax.population.population import Population, drawn, root_key
-from rvjax.report import budget as written
-from rvjax.report import page
-from rvjax.study import budget, error_budget, parse_study
+from rvjax.render import Note, Table, write_files
+from rvjax.study import parse_study
 from rvjax.units import arcsec
 
 TEXT = """
@@ -147,7 +148,7 @@ def test_every_error_has_a_part_and_every_part_a_stage():
 
 
 def test_text_csv_and_picture(question, found, tmp_path):
-    folder = written.write(found, question, tmp_path / "results")
+    folder = write_files(report_on(found, question).folder(), tmp_path / "results")
     text = (folder / "summary.txt").read_text()
     share = found.shares("field", "loaded")["crank_eccentricity"]
     rms = np.sqrt(found.variance["loaded"]["crank_eccentricity"][1:].sum()) / arcsec
@@ -155,6 +156,8 @@ def test_text_csv_and_picture(question, found, tmp_path):
     assert line[1:4] == ["cranks", f"{rms:.3g}", f"{100 * share:.1f}"]
     rows = list(csv.DictReader(io.StringIO((folder / "budget.csv").read_text())))
     assert len(rows) == 2 * 8 * (4 + 2)
+    shares = {row["owner"]: row for row in csv.DictReader(io.StringIO((folder / "shares.csv").read_text()))}
+    assert float(shares["crank_eccentricity"]["loaded share %"]) == pytest.approx(100 * share, rel=1e-9)
     (row,) = [r for r in rows if (r["load"], r["order"], r["error"]) == ("unloaded", "40", "disc_bore")]
     assert float(row["mean square (rad)^2"]) == found.variance["unloaded"]["disc_bore"][1] and row["part"] == "discs"
     figure = plotting.error_budget(found)
@@ -190,10 +193,14 @@ def test_the_command_writes_a_folder(found, tmp_path, monkeypatch, capsys):
 
 
 def test_the_report_says_who_owns_the_error(found):
-    html = page._owners(found)
+    section = section_on(found)
+    (table,) = (part for part in section.content if isinstance(part, Table))
+    headers, rows = table.texts("page")
+    assert headers[3:] == ["unloaded rms arcsec", "unloaded share %"]
     share = found.shares("part", "unloaded")["cranks"]
-    assert f"{100 * share:.1f}" in html and "<svg" not in html and "data:image/svg+xml" in html
-    assert "412 N m" in html and "at most" in html and "Who owns the error" in html
+    assert {row[0]: row[4] for row in rows}["cranks"] == f"{100 * share:.1f}"
+    said = " ".join(part.text for part in section.content if isinstance(part, Note))
+    assert "412 N m" in said and "at most" in said and section.title == "Who owns the error"
 
 
 def test_which_studies_have_a_budget(question, monkeypatch):

@@ -73,11 +73,11 @@ def allocate(options: argparse.Namespace) -> int:
 def report(options: argparse.Namespace) -> int:
     """The same answer as one page."""
     from rvjax import progress, study
+    from rvjax.commands import module
     from rvjax.files import check_writable, write_atomically
     from rvjax.report import check, folders, page, text
     from rvjax.report.surrogate import surrogate
     from rvjax.study.answer import answer
-    from rvjax.study.budget import budget_if_any
 
     check_files(options, output=".html")
     asked = study.load(options.study, solve=False)
@@ -91,7 +91,8 @@ def report(options: argparse.Namespace) -> int:
         found = answer(asked, progress=not options.quiet)
         progress.begin(sliders)
         moved = surrogate(found)
-        owners = budget_if_any(asked, found.allocation.tolerances)
+        budget = module("budget", "compute").budget_if_any(asked, found.allocation.tolerances)
+        owners = None if budget is None else module("budget", "report").section_on(budget)
         progress.begin(writing)
         content = page.page(found, options.study, moved, owners, date=time.strftime("%Y-%m-%d")).encode("utf-8")
     if not given:
@@ -103,36 +104,6 @@ def report(options: argparse.Namespace) -> int:
         lambda: text.as_json(found) | {"report": str(path)},
     )
     return EXIT_OK if found.allocation.status == "OPTIMAL" else EXIT_NO_ANSWER
-
-
-def budget(options: argparse.Namespace) -> int:
-    """Who owns the error."""
-    from rvjax import progress, study
-    from rvjax.report import budget as written
-    from rvjax.report import folders
-    from rvjax.study.values import quantity
-
-    owning = "who owns the error"
-    with progress.shown(dict.fromkeys((READING, owning, WRITING), 0.0), counted=owning, quiet=options.quiet):
-        progress.begin(READING)
-        question = study.load(options.study)
-        loads = {torque: quantity(torque, "N m", "--torque") for torque in options.torque or ()}
-        if len(set(loads.values())) < len(options.torque or ()):
-            raise ValueError(f"--torque {', '.join(options.torque)}: each torque once")
-        folder = folders.results_folder(options.results, f"{question.name}-budget")
-        forewarn(question)
-        progress.begin(owning)
-        found = study.error_budget(
-            question, output=options.output, loads=loads or None, samples=options.samples, seed=options.seed
-        )
-        progress.begin(WRITING)
-        folder = written.write(found, question, folder)
-    tell(
-        options,
-        lambda: f"Study {question.name}\n{written.summary(found)}\n\nResults: {folder}",
-        lambda: written.as_json(found, question) | {"results": str(folder)},
-    )
-    return EXIT_OK
 
 
 def compare(options: argparse.Namespace) -> int:

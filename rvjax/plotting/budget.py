@@ -1,19 +1,55 @@
 """Picture of an error budget: who owns the error, and at which orders of the output turn."""
 
+from typing import Protocol
+
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from rvjax.plotting.style import HATCHES, PALETTE, words
-from rvjax.study.budget import Budget
 from rvjax.units import arcsec
+
+
+class Budget(Protocol):
+    """What is drawn of an error budget, as `rvjax.commands.budget.Budget` has it."""
+
+    @property
+    def title(self) -> str:
+        """Of the curve."""
+
+    @property
+    def unit(self) -> str:
+        """SI unit of the curve."""
+
+    @property
+    def orders(self) -> NDArray[np.float64]:
+        """In periods a revolution of the output (k,)."""
+
+    @property
+    def torque(self) -> dict[str, float]:
+        """{load: N m}."""
+
+    @property
+    def total(self) -> dict[str, NDArray[np.float64]]:
+        """{load: variance of each order over the units (k,)}."""
+
+    @property
+    def part(self) -> dict[str, str]:
+        """{error: part of the reducer}."""
+
+    def by(self, level: str, load: str) -> dict[str, NDArray[np.float64]]:
+        """Variances by part under a load."""
+
+    def shares(self, level: str, load: str) -> dict[str, float]:
+        """Shares by part under a load."""
 
 
 def error_budget(budget: Budget, *, orders: int = 8) -> Figure:
     """Shares of the parts under every load, above; root mean square of the largest orders and their parts, below.
 
     Args:
-        budget: from `study.error_budget`.
+        budget: from `rvjax.commands.budget.error_budget`.
         orders: how many of the output turn are drawn.
     """
     unit, size = ("arcsec", arcsec) if budget.unit == "rad" else (budget.unit, 1.0)

@@ -6,6 +6,7 @@ from rvjax.render.quantity import Quantity, number
 from rvjax.render.report import Note, Report, Section, as_json, plain, versions
 from rvjax.render.table import (
     CSV,
+    EVERYWHERE,
     PAGE,
     TEXT,
     Column,
@@ -21,6 +22,7 @@ from rvjax.render.table import (
 
 __all__ = [
     "CSV",
+    "EVERYWHERE",
     "PAGE",
     "TEXT",
     "Column",

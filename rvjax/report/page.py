@@ -10,7 +10,7 @@ import numpy as np
 
 from rvjax import levels, models
 from rvjax.plotting.style import words
-from rvjax.report import budget as owned
+from rvjax.render import Figure, Note, Section, Table
 from rvjax.report import live
 from rvjax.report import text as tables
 from rvjax.report.design import design_section
@@ -20,7 +20,6 @@ from rvjax.report.surrogate import Surrogate
 from rvjax.report.worst_units import WorstUnit, worst_units
 from rvjax.status import MEANING, Status
 from rvjax.study.answer import Answer, shown_values
-from rvjax.study.budget import Budget
 from rvjax.study.question import Study
 from rvjax.units import readable
 
@@ -31,15 +30,15 @@ def page(
     answer: Answer,
     source: str,
     surrogate: Surrogate | None = None,
-    budget: Budget | None = None,
+    extra: Section | None = None,
     *,
     date: str = "",
 ) -> str:
-    """The whole page; without a surrogate or a budget it lacks their sections, without a date it says none."""
+    """The whole page; without a surrogate or an error budget it lacks their sections, without a date it says none."""
     drawn = {picture.name: picture for picture in pictures(answer, "svg")}
     title = answer.study.about.title or f"{answer.study.name}: tolerances"
     answered = [_requirements(answer, drawn), _tolerances(answer, drawn), live.section(surrogate, answer)]
-    owners = [_owners(budget)] if budget is not None else []
+    owners = [_extra(extra)] if extra is not None else []
     explained = [
         design_section(answer.study),
         _influence(answer, drawn),
@@ -177,18 +176,18 @@ def _influence(answer: Answer, drawn: dict[str, Picture]) -> str:
     return section("Which error matters", text + table(headers, cells) + figure(drawn["variance_shares"]))
 
 
-def _owners(budget: Budget) -> str:
-    headers, rows = owned.share_rows(budget)
-    parts = [[escape(row[0]), *map(typeset, row[2:])] for row in rows if row[1] == "part"]
-    spread = [k for k, header in enumerate(headers[2:], 1) if not header.endswith("+-")]
-    kept = [[row[0], *(row[k] for k in spread)] for row in parts]
-    lines = "".join(f"<p>{escape(line)}.</p>" for line in owned.load_lines(budget))
-    text = (
-        f"<p>{escape(budget.title)}, with the tolerances after: of {budget.samples:,} units, by how much its waves "
-        "change when one error is drawn anew.</p>"
-    )
-    cells = table(["part", *(headers[k + 1] for k in spread)], kept)
-    return section("Who owns the error", text + figure(owned.picture(budget, "svg")) + lines + cells)
+def _extra(part: Section) -> str:
+    """A section that another command describes."""
+    said = []
+    for item in part.content:
+        if isinstance(item, Table):
+            headers, rows = item.texts("page")
+            said.append(table(headers, [[escape(row[0]), *map(typeset, row[1:])] for row in rows]))
+        elif isinstance(item, Note):
+            said += [f"<p>{escape(line)}</p>" for line in item.text.splitlines()]
+        elif isinstance(item, Figure):
+            said.append(figure(Picture(item.name, item.caption, item.content("svg"))))
+    return section(part.title, "".join(said))
 
 
 def _worst(answer: Answer, drawn: dict[str, Picture]) -> str:

@@ -1,24 +1,22 @@
 """Studies: a question about one design, in Python or as a TOML file."""
 
-from rvjax.study.budget import Budget, error_budget
 from rvjax.study.measured import Conditions, Run
 from rvjax.study.measured import read as read_measured
 from rvjax.study.question import Study, StudyError
 from rvjax.study.read import embedded_names, load, parse_study
-from rvjax.study.values import choice, integer, known, quantity, subtable
+from rvjax.study.values import choice, integer, known, naming, quantity, subtable
 
 __all__ = [
-    "Budget",
     "Conditions",
     "Run",
     "Study",
     "StudyError",
     "choice",
     "embedded_names",
-    "error_budget",
     "integer",
     "known",
     "load",
+    "naming",
     "parse_study",
     "quantity",
     "read_measured",

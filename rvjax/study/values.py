@@ -15,7 +15,7 @@ class StudyError(ValueError):
 
 @contextmanager
 def naming(where: str) -> Iterator[None]:
-    """Prefix the messages of errors with where they happened, and keep them to one line."""
+    """Prefix the messages of errors with where they happened, in one line."""
     try:
         yield
     except (ValueError, TypeError) as error:

@@ -20,17 +20,21 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax import models
+from rvjax import progress as phase
+from rvjax.commands.budget.inputs import Inputs
+from rvjax.commands.speak import READING, WRITING
 from rvjax.errors import STAGES
 from rvjax.outputs import Curve
 from rvjax.population import Population, drawn, root_key
 from rvjax.progress import progress_bar
-from rvjax.study.question import Study
-from rvjax.study.values import naming
+from rvjax.study import Study, naming
 
 UNLOADED = 1e-3  # of the torque: the limit of no load, as on a test bench
 FEWEST, MOST = 16, 2**16
 BLOCK = 256  # units at once: all angles of a turn of each are solved together
 LEVELS = ("field", "part", "stage")
+COUNTED = "who owns the error"
+"""Phase whose part done is known."""
 Solve = Callable[[jax.Array], np.ndarray]  # random numbers of units -> their waves
 
 
@@ -98,6 +102,22 @@ class Budget:
         return {name: value / total if total > 0 else 0.0 for name, value in sums.items()}
 
 
+def phases(asked: Inputs) -> dict[str, float]:
+    """Phases of the command; their times are not known before.
+
+    Args:
+        asked: what is computed.
+    """
+    return dict.fromkeys((READING, COUNTED, WRITING), 0.0)
+
+
+def compute(asked: Inputs) -> Budget:
+    """The budget of the tolerances of the study."""
+    asked.study.check_nominal()
+    phase.begin(COUNTED)
+    return error_budget(asked.study, output=asked.output, loads=asked.loads, samples=asked.samples, seed=asked.seed)
+
+
 def error_budget(
     study: Study,
     *,
@@ -162,7 +182,12 @@ def error_budget(
 
 
 def budget_if_any(study: Study, tolerances: Any = None) -> Budget | None:
-    """The budget of a study that has one: a torque, and a response with a curve along the output."""
+    """The budget of a study with a torque and a response that has a curve along the output; None for another study.
+
+    Args:
+        study: design, conditions and tolerances.
+        tolerances: other than those of the study.
+    """
     if _curve_along(study, tuple(study.requirements)) is None or not getattr(
         study.conditions, torque_condition(study.conditions)
     ):

@@ -1,0 +1,175 @@
+"""What `rvjax budget` says: shares of errors, parts and stages, the largest orders, one plot."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from rvjax.commands.budget.compute import LEVELS, Budget
+from rvjax.commands.budget.inputs import Inputs
+from rvjax.render import CSV, EVERYWHERE, Column, Figure, Note, Number, Report, Section, Table, Text, versions
+from rvjax.study import Study
+from rvjax.units import arcsec, readable
+
+ORDERS_SHOWN = 8  # of the output turn, the largest
+NOTHING = 1e-20  # of the mean square: rounding
+
+
+def report(asked: Inputs, found: Budget) -> Report:
+    """The report on a budget.
+
+    Args:
+        asked: inputs of the command.
+        found: its result.
+    """
+    return report_on(found, asked.study)
+
+
+def report_on(budget: Budget, study: Study) -> Report:
+    """The report on a budget.
+
+    Args:
+        budget: the error budget.
+        study: that it belongs to.
+    """
+    head = [f"Study {study.name}", f"Error budget: {budget.title}", f"{budget.samples} units", *_load_lines(budget)]
+    shares = {level: {load: budget.shares(level, load) for load in budget.torque} for level in LEVELS}
+    about = {"study": study.name, "seed": study.seed, "versions": versions(), "shares": shares}
+    return Report(
+        title=f"{study.name}: error budget",
+        content=(
+            Note("\n".join(head)),
+            _shares(budget),
+            _orders(budget),
+            Table("budget", *_everything(budget), on=frozenset({CSV})),
+            _figure(budget),
+        ),
+        data=about | vars(budget),
+        files={"study.toml": study.text.encode()},
+    )
+
+
+def section_on(budget: Budget) -> Section:
+    """The budget on the page of other results: a plot, and the shares of the parts."""
+    about = (
+        f"{budget.title}, with the tolerances after: of {budget.samples:,} units, by how much its waves change when "
+        "one error is drawn anew."
+    )
+    lines = Note("\n".join(f"{line}." for line in _load_lines(budget)))
+    return Section(
+        "Who owns the error", (Note(about), _figure(budget), lines, _shares(budget, ("part",), errors=False))
+    )
+
+
+def _read_in(budget: Budget) -> tuple[str, float]:
+    """Unit in which a budget is read and its SI size: arcseconds for angles."""
+    return ("arcsec", arcsec) if budget.unit == "rad" else readable(budget.unit, budget.unit)
+
+
+def _shares(budget: Budget, levels: tuple[str, ...] = LEVELS, *, errors: bool = True) -> Table:
+    """Root mean square and share of every error, part and stage, under each load.
+
+    Args:
+        budget: the error budget.
+        levels: of the rows: "field", "part", "stage".
+        errors: with the standard error of each share, and with the part of each error.
+    """
+    unit, _ = _read_in(budget)
+    columns: list[Column] = [Text("owner" if errors else "part"), *([Text("of")] if errors else [])]
+    for load in budget.torque:
+        columns.append(Number(f"{load} rms {unit}", form=".3g", unit=budget.unit, read_in=unit))
+        columns.append(Number(f"{load} share %", form=".1f", read_in="%"))
+        columns += [Number(f"{load} +-", missing="", form=".1f", read_in="%")] if errors else []
+    return Table("shares", columns, list(_share_rows(budget, levels, errors)))
+
+
+def _share_rows(budget: Budget, levels: tuple[str, ...], errors: bool) -> Iterator[list[Any]]:
+    for level in levels:
+        sums = {load: budget.by(level, load) for load in budget.torque}
+        shares = {load: budget.shares(level, load) for load in budget.torque}
+        for name in next(iter(sums.values())):
+            row: list[Any] = [name, *([budget.part[name] if level == "field" else level] if errors else [])]
+            for load, owned in sums.items():
+                whole = sum(float(values[1:].sum()) for values in owned.values())
+                square = float(owned[name][1:].sum())
+                row += [np.sqrt(square) if square > NOTHING * whole else 0.0, shares[load][name]]
+                known = level == "field" and whole > 0
+                row += [budget.error[load][name] / whole if known else None] if errors else []
+            yield row
+
+
+def _orders(budget: Budget) -> Table:
+    """Root mean square of the largest orders over the units, and who owns each, under each load."""
+    unit, _ = _read_in(budget)
+    size: dict[str, Any] = {"form": ".3g", "unit": budget.unit, "read_in": unit}
+    columns: list[Column] = [Number("order")]
+    for load in budget.torque:
+        columns += [Number(f"{load} rms {unit}", **size), Number(f"{load} alike {unit}", **size), Text(f"{load} owner")]
+    rows = []
+    for k in _largest_orders(budget, ORDERS_SHOWN):
+        row: list[Any] = [budget.orders[k]]
+        for load in budget.torque:
+            owned = {name: values[k] for name, values in budget.variance[load].items()}
+            owner = max(owned, key=owned.__getitem__) if owned else ""
+            row += [np.sqrt(budget.total[load][k]), np.sqrt(budget.alike[load][k])]
+            row.append(owner if owned and owned[owner] > 0 else None)
+        rows.append(row)
+    return Table("orders", columns, rows, on=EVERYWHERE - {CSV})
+
+
+def _largest_orders(budget: Budget, shown: int) -> list[int]:
+    """Places of the orders with the largest variance under any load, ascending, without the mean and rounding.
+
+    Args:
+        budget: the error budget.
+        shown: how many at most.
+    """
+    size = np.max([total for total in budget.total.values()], axis=0)[1:]
+    order = 1 + np.argsort(-size, kind="stable")
+    return sorted(int(k) for k in order[:shown] if size[k - 1] > NOTHING * size.sum())
+
+
+def _everything(budget: Budget) -> tuple[list[Column], list[list[Any]]]:
+    """Every number, one in a row; `total` and `alike` beside the errors."""
+    titles = ("load", "torque N m", "order", "error", "part", f"mean square ({budget.unit})^2")
+    rows: list[list[Any]] = []
+    for load, torque in budget.torque.items():
+        own = {name: (budget.part[name], values) for name, values in budget.variance[load].items()}
+        for name, (part, values) in (own | {n: ("", getattr(budget, n)[load]) for n in ("total", "alike")}).items():
+            rows += [[load, torque, f"{o:.10g}", name, part, float(v)] for o, v in zip(budget.orders, values)]
+    return [Column(title) for title in titles], rows
+
+
+def _load_lines(budget: Budget) -> list[str]:
+    """Under each load: how much varies, what errors do together, which no share contains, and units that failed."""
+    unit, size = _read_in(budget)
+    lines = []
+    for load, torque in budget.torque.items():
+        named = f"{torque:.4g} N m"
+        share, error = (100 * part for part in budget.together[load])
+        spread = np.sqrt(budget.total[load][1:].sum()) / size
+        parts = sum(values[1:].sum() for values in budget.variance[load].values())
+        sums = 100 * parts / budget.total[load][1:].sum() if spread > 0 else 100.0
+        failed = budget.failed[load]
+        lines.append(
+            f"{load if load == named else f'{load}, {named}'}: {spread:.3g} {unit} rms over units and angles; "
+            f"at most {share:.2g} +- {error:.1g} % of its square are errors together, which no linear share knows; "
+            f"single errors, each with its part in that, sum to {sums:.0f} %"
+            + (f"; {failed} of {budget.samples} units failed and are left out" if failed else "")
+        )
+    return lines
+
+
+def _figure(budget: Budget) -> Figure:
+    """Shares of the parts and the largest orders."""
+
+    def draw() -> Any:
+        from rvjax import plotting
+
+        return plotting.error_budget(budget).axes[0]
+
+    largest = []
+    for load in budget.torque:
+        part, share = next(iter(budget.shares("part", load).items()), ("nothing", 0.0))
+        largest.append(f"{load} {part} with {100 * share:.0f} %")
+    return Figure("budget", f"Who owns the error, by part and by order: first of all {', '.join(largest)}", draw)
