@@ -63,11 +63,20 @@ def quick(*static: int) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     return made
 
 
+_folder: list[Path] = []  # of `keep`
+
+
+def kept_folder() -> Path | None:
+    """The folder of kept programs; None where none are kept, as in a program of the user's own."""
+    return _folder[0] if _folder else None
+
+
 def keep(version: str) -> Path | None:
     """Keep programs from now on; the folder, or None where nothing is kept.
 
     `RVJAX_KEEP_PROGRAMS=0` switches it off; `JAX_COMPILATION_CACHE_DIR` names another folder and is left alone.
     """
+    _folder.clear()
     if os.environ.get(OFF) == "0" or jax.config.values["jax_compilation_cache_dir"]:
         return None
     folder = _caches() / "rvjax" / f"programs-{version}-{_processor()}"
@@ -79,6 +88,7 @@ def keep(version: str) -> Path | None:
     warnings.filterwarnings("ignore", message="Error .*persistent compilation cache")
     jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
+    _folder[:] = [folder]
     return folder
 
 

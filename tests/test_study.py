@@ -1,6 +1,7 @@
 """Study files: what a good one means, and one clear line for every kind of bad one."""
 
 import dataclasses
+import types
 from importlib import resources
 
 import jax
@@ -200,3 +201,34 @@ def test_missing_files_and_names(tmp_path):
     (tmp_path / "empty.toml").write_text("")
     with pytest.raises(StudyError, match="design"):
         study.load(str(tmp_path / "empty.toml"))
+
+
+def test_a_dear_unit_without_errors_is_solved_at_the_first_response(monkeypatch):
+    """Compiling it takes seconds; who only reads the study does not wait, who computes is told."""
+    from rvjax.study import batch, question
+
+    solved = []
+
+    def refused(response, errors):
+        solved.append(type(errors).__name__)
+        raise ValueError("the unit without errors cannot be solved: CONTACT_OVERLOAD")
+
+    monkeypatch.setattr(question, "check_nominal", refused)
+    whole = study.load("rv-40e-whole")
+    assert not solved and whole.fields
+    with pytest.raises(study.StudyError, match=r"rv-40e-whole: the unit without errors .* CONTACT_OVERLOAD"):
+        whole.response()
+    assert solved == ["RVErrors"]
+    whole.response(solve=False), study.load("rv-40e-whole", solve=False).response()
+    assert len(solved) == 1
+    monkeypatch.setattr(question, "check_nominal", lambda *_: solved.append("good"))
+    whole.response(), whole.response()
+    assert solved == ["RVErrors", "good"]
+    # A run of units compiles nothing for that one, but asks where all have failed.
+    cheap = dataclasses.replace(study.load("corr", solve=False), to_solve=True)
+    for failed, count in ((0, 0), (9, 0), (10, 1)):
+        solved.clear()
+        found = types.SimpleNamespace(samples=10, failed=failed)
+        monkeypatch.setattr(batch.tolerances, "monte_carlo", lambda *_, found=found, **__: found)
+        assert batch.run(batch.Batch(study=dataclasses.replace(cheap), samples=10)) is found
+        assert len(solved) == count

@@ -88,7 +88,7 @@ def identify(options: argparse.Namespace) -> int:
     coming = (identified.SEEING, identified.RANKING) if options.check else (*identified.PHASES, WRITING)
     with progress.shown(dict.fromkeys((READING, *coming), 0.0), quiet=options.quiet):
         progress.begin(READING)
-        question = study.load(options.study)
+        question = study.load(options.study, solve=False)
         asked = problem.asked_of(question)
         data = measured.read(options.data, asked.columns) if options.data else None
         if options.check:

@@ -7,12 +7,13 @@ package its values are always a dict; a plain scalar is wrapped in `evaluate` an
 import dataclasses
 import functools
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 
-from rvjax.compile_cache import Options, inside, understood
+from rvjax.compile_cache import Options, inside, kept_folder, understood
 from rvjax.population import Population, drawn
 from rvjax.records import Record, field, record
 from rvjax.status import Status, succeeded, worst
@@ -37,11 +38,12 @@ class Compiled:
     A response that is a record is an argument like the others: its numbers are traced, so that ten thousand
     designs share one program and none of them is kept alive. A plain function is a constant of a program of
     its own; of these the last `PROGRAMS` are kept. `compiler_options` of a response, ((option of XLA, value), ...), are
-    those of its programs, but within another program.
+    those of its programs, but within another program. The command line keeps the traced programs of records.
     """
 
-    def __init__(self, function: Callable[..., Any], static: tuple[str, ...] = ()) -> None:
+    def __init__(self, function: Callable[..., Any], static: tuple[str, ...] = (), options: Options = ()) -> None:
         functools.update_wrapper(self, function)
+        self._options = options
 
         def shared(options: Options) -> Any:
             return jax.jit(function, static_argnames=static, compiler_options=understood(options))
@@ -50,6 +52,7 @@ class Compiled:
             whole = functools.partial(function, response)
             return jax.jit(whole, static_argnames=static, compiler_options=understood(options))
 
+        self._flat: dict[Any, Any] = {}
         self._shared, self._own = functools.lru_cache(PROGRAMS)(shared), functools.lru_cache(PROGRAMS)(own)
 
     def _program(self, response: Response, options: Options = ()) -> tuple[Any, tuple[Any, ...]]:
@@ -59,9 +62,30 @@ class Compiled:
 
     def __call__(self, response: Response, *arguments: Any, **static: Any) -> Any:
         """The function's value."""
-        options = () if inside(response, arguments) else getattr(response, "compiler_options", ())
+        if inside(response, arguments):
+            jitted, first = self._program(response)
+            return jitted(*first, *arguments, **static)
+        options = (*getattr(response, "compiler_options", ()), *self._options)
+        if isinstance(response, Record) and (folder := kept_folder()) is not None:
+            return self._kept(folder, options, (response, *arguments), static)
         jitted, first = self._program(response, options)
         return jitted(*first, *arguments, **static)
+
+    def _kept(self, folder: Path, options: Options, arguments: tuple[Any, ...], static: dict[str, Any]) -> Any:
+        """The function's value, by a program that this or an earlier process has traced."""
+        from rvjax.exported import exported, plain
+
+        leaves, tree = jax.tree.flatten(arguments)
+        types = tuple((jax.typeof(leaf), getattr(leaf, "sharding", None)) for leaf in leaves)
+        key = (folder, options, tree, types, tuple(sorted(static.items())))
+        if key not in self._flat:
+            found = exported(folder, self.__wrapped__, static, arguments)  # type: ignore[attr-defined]
+            self._flat[key] = found and (jax.jit(found[0], compiler_options=understood(options)), found[1])
+        program = self._flat[key]
+        if program is None:
+            return self._shared(options)(*arguments, **static)
+        call, put_together = program
+        return put_together(call(*plain(leaves)))
 
     def lowered(self, response: Response, *arguments: Any, **static: Any) -> str:
         """Text of the program."""
@@ -69,9 +93,14 @@ class Compiled:
         return str(jitted.lower(*first, *arguments, **static).as_text())
 
 
-def per_response(*, static: tuple[str, ...] = ()) -> Callable[[Callable[..., Any]], Compiled]:
-    """Compile a function whose first argument is a response; `static` names arguments given by keyword."""
-    return lambda function: Compiled(function, static)
+def per_response(*, static: tuple[str, ...] = (), options: Options = ()) -> Callable[[Callable[..., Any]], Compiled]:
+    """Compile a function whose first argument is a response.
+
+    Args:
+        static: names of arguments given by keyword.
+        options: of XLA, with those of the response.
+    """
+    return lambda function: Compiled(function, static, options)
 
 
 @record

@@ -1,6 +1,7 @@
 """A study: design, conditions, tolerances, costs and requirements."""
 
 import dataclasses
+import functools
 import tomllib
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -42,6 +43,7 @@ class Study:
         read_in: unit in which a response is reported, by its name: that of its limit; without one the usual one.
         about: title, author and revision, if the file says them.
         sections: what further tables of the file hold, by the name of the table; each belongs to a command.
+        to_solve: whether the first `response` checks that the unit without errors can be solved.
     """
 
     name: str
@@ -61,15 +63,21 @@ class Study:
     read_in: dict[str, str] = dataclasses.field(default_factory=dict)
     about: About = dataclasses.field(default_factory=About)
     sections: dict[str, Any] = dataclasses.field(default_factory=dict)
+    to_solve: bool = dataclasses.field(default=False, compare=False)
 
-    def response(self) -> Response:
+    def response(self, *, solve: bool = True) -> Response:
         """errors -> Outcome of the responses that the requirements name.
 
+        Args:
+            solve: also check the unit without errors, if `load` has left that to the first call.
+
         Raises:
-            StudyError: there are none, as in a study that only identifies.
+            StudyError: there are none, as in a study that only identifies, or the unit without errors fails.
         """
         if not self.requirements:
             raise StudyError(f"{self.name}: [requirement] is missing or empty")
+        if solve and self.to_solve:
+            self._solved  # noqa: B018  (once)
         bounds = followed_bounds(self.tolerances)
         return Response.of(self.design, tuple(self.requirements), self.conditions, self.choices(), bounds)
 
@@ -80,7 +88,11 @@ class Study:
             StudyError: it has no solution.
         """
         with naming(self.name):
-            check_nominal(self.response(), self.design.error_record())
+            check_nominal(self.response(solve=False), self.design.error_record())
+
+    @functools.cached_property
+    def _solved(self) -> None:
+        self.check_nominal()
 
     def response_of(self, name: str) -> Response:
         """errors -> Outcome of one response that the requirements name."""

@@ -31,7 +31,8 @@ def load(source: str, *, solve: bool = True) -> Study:
 
     Args:
         source: path, or name.
-        solve: also see that the unit without errors can be solved, which compiles the response.
+        solve: also check that the unit without errors can be solved, which compiles the response; with outputs of
+            `rvjax.loaded` at the first call of `Study.response`.
 
     Raises:
         StudyError: one line that names the key, its value and the unit.
@@ -66,7 +67,8 @@ def parse_study(text: str, *, name: str, folder: Path = Path(), solve: bool = Tr
         text: TOML.
         name: short name for messages and result folders.
         folder: that files named in the study are relative to.
-        solve: also see that the unit without errors can be solved, which compiles the response.
+        solve: also check that the unit without errors can be solved, which compiles the response; with outputs of
+            `rvjax.loaded` at the first call of `Study.response`.
 
     Raises:
         StudyError: one line that names the key, its value and the unit.
@@ -125,7 +127,9 @@ def parse_study(text: str, *, name: str, folder: Path = Path(), solve: bool = Tr
         study = dataclasses.replace(study, sections=read)
         refuse_impossible(design, tolerances, costs, study.middles)
         if requirements:
-            study.response()  # raises an error for what these conditions cannot give
+            response = study.response()  # raises an error for what these conditions cannot give
+            if solve and response.compiler_options:  # takes seconds to compile: at the first `Study.response`
+                return dataclasses.replace(study, to_solve=True)
     if requirements and solve:
         study.check_nominal()
     return study

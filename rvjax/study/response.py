@@ -110,7 +110,7 @@ def followed_bounds(tolerances: Any) -> tuple[str, ...]:
     return tuple(name for name, bound in bounds.items() if bound.placed in given and name not in given)
 
 
-@per_response()
+@per_response(options=(("xla_backend_optimization_level", 0),))  # for one call; compiles in half the time
 def _status(response: Callable[[Any], Outcome], errors: Any) -> jax.Array:
     return response(errors).status
 
