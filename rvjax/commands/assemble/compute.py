@@ -39,7 +39,6 @@ def phases(asked: Inputs) -> dict[str, float]:
 def compute(asked: Inputs) -> Assembled:
     """The plan, and prices if they are asked for."""
     study, how = asked.study, table_of(asked.study)
-    study.check_nominal()
     parts = bench(study, asked.source)
     progress.begin(MATCHING)
     plan = assembly.plan(
@@ -51,6 +50,8 @@ def compute(asked: Inputs) -> Assembled:
         certificate_draws=how.certificate_draws,
         seed=study.seed,
     )
+    if plan.status == "INFEASIBLE":
+        study.check_nominal()  # the message is clearer if this unit fails too
     found = Assembled(parts, plan)
     if not asked.prices:
         return found
