@@ -8,13 +8,7 @@ from typing import Any
 
 from rvjax.outputs import Curve, Description, Output
 
-MODELS = (
-    "rvjax.four_bar",
-    "rvjax.lost_motion",
-    "rvjax.mesh_force",
-    "rvjax.dynamics",
-    "rvjax.loaded",
-)
+MODELS = ("rvjax.four_bar", "rvjax.lost_motion", "rvjax.mesh_force", "rvjax.dynamics", "rvjax.loaded")
 """Packages, each with `outputs.DESCRIPTION`; of the outputs asked, the first whose model has a curve draws it."""
 
 

@@ -9,12 +9,4 @@ from rvjax.assembly.opening import Opening, opening
 from rvjax.assembly.parts import Kind, Part, known
 from rvjax.assembly.plan import OBJECTIVES, Plan, draw, plan, supply_of
 
-__all__ = [
-    "Kind",
-    "Opening",
-    "Part",
-    "Plan",
-    "believed",
-    "opening",
-    "plan",
-]
+__all__ = ["Kind", "Opening", "Part", "Plan", "believed", "opening", "plan"]

@@ -16,14 +16,7 @@ from rvjax.designs import RVReducer
 from rvjax.dynamics.assembly import Lumped
 from rvjax.dynamics.error_balance import balance
 from rvjax.dynamics.error_excitation import Orders, checked, error_orders, generators, read
-from rvjax.dynamics.error_transfer import (
-    check_outputs,
-    loaded,
-    output_rows,
-    output_speed,
-    static_deflection,
-    transfer,
-)
+from rvjax.dynamics.error_transfer import check_outputs, loaded, output_rows, output_speed, static_deflection, transfer
 from rvjax.dynamics.excitation import check_stage
 from rvjax.dynamics.line_peaks import factors, largest, lines, place_of_largest
 from rvjax.dynamics.response import METHODS

@@ -16,14 +16,7 @@ import numpy as np
 from rvjax.designs import RVReducer
 from rvjax.dynamics.assembly import Lumped, admitted
 from rvjax.dynamics.error_excitation import symmetric
-from rvjax.dynamics.modal import (
-    dynamic_stiffness,
-    matrix_root,
-    modal_sectors,
-    modal_solve,
-    on_resonance,
-    residual,
-)
+from rvjax.dynamics.modal import dynamic_stiffness, matrix_root, modal_sectors, modal_solve, on_resonance, residual
 from rvjax.dynamics.static import MeanState, linear_ratio, mean_state, mesh_rows
 from rvjax.dynamics.symmetry import sector_mass
 from rvjax.records import Array, Scalar

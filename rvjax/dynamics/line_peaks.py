@@ -23,10 +23,7 @@ def factors(value: jax.Array, excitation: jax.Array) -> tuple[jax.Array, jax.Arr
     """
     value = jnp.moveaxis(value, 1, 0)
     rows = jnp.stack(
-        [
-            jnp.concatenate([value.real, -value.imag], axis=-1),
-            jnp.concatenate([value.imag, value.real], axis=-1),
-        ],
+        [jnp.concatenate([value.real, -value.imag], axis=-1), jnp.concatenate([value.imag, value.real], axis=-1)],
         axis=1,
     )
     return rows, jnp.concatenate([excitation.real, excitation.imag], axis=-1)

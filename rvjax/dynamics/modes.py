@@ -17,15 +17,7 @@ from rvjax.dynamics.assembly import (
     spring_table,
 )
 from rvjax.dynamics.modal import stacked
-from rvjax.dynamics.symmetry import (
-    KINDS,
-    WHOLE,
-    kinds,
-    sector,
-    sector_mass,
-    sector_rows,
-    sector_stiffness,
-)
+from rvjax.dynamics.symmetry import KINDS, WHOLE, kinds, sector, sector_mass, sector_rows, sector_stiffness
 from rvjax.records import Array, PyTree, Record, field, record, text
 from rvjax.status import SolveInfo, Status, at_once
 

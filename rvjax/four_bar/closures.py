@@ -123,11 +123,7 @@ def free(links: Links, seen: View, *, closure: str, branch: str) -> Resting:
     open_chain = (d < -band) | too_short  # the links are too short to meet
     change_point = jnp.abs(seen.sine) < (1e-6 if eps < 1e-10 else 1e-3)  # crank 1 in line with the frame
     fold = (jnp.abs(d) <= band) & ~too_short  # the two branches meet
-    found_wrong = (
-        (open_chain, Status.NOT_ASSEMBLABLE),
-        (change_point, Status.CHANGE_POINT),
-        (fold, Status.SINGULAR),
-    )
+    found_wrong = ((open_chain, Status.NOT_ASSEMBLABLE), (change_point, Status.CHANGE_POINT), (fold, Status.SINGULAR))
     misfit = jnp.zeros_like(a)
     if closure == "first_order":
         angle = _free_first_order(links, change_point)

@@ -31,11 +31,7 @@ class Orders:
 
 
 def orders(
-    angle: Array | np.ndarray,
-    value: Array | np.ndarray,
-    orders: Sequence[float] | np.ndarray,
-    *,
-    drift: bool = False,
+    angle: Array | np.ndarray, value: Array | np.ndarray, orders: Sequence[float] | np.ndarray, *, drift: bool = False
 ) -> Orders:
     """Harmonics of a curve that may be sampled unevenly, over any number of turns.
 

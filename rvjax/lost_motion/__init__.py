@@ -35,12 +35,4 @@ from rvjax.lost_motion.loop import LoopFigures, hysteresis_loop, loop_figures
 from rvjax.lost_motion.reducer import LostMotion, geometric, shaft_tilt
 from rvjax.lost_motion.terms import LostMotionTerms, Teeth
 
-__all__ = [
-    "LoopFigures",
-    "LostMotion",
-    "LostMotionTerms",
-    "geometric",
-    "hysteresis_loop",
-    "loop_figures",
-    "shaft_tilt",
-]
+__all__ = ["LoopFigures", "LostMotion", "LostMotionTerms", "geometric", "hysteresis_loop", "loop_figures", "shaft_tilt"]

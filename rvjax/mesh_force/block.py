@@ -261,13 +261,7 @@ def _newton_step(
 
 
 def _left_open(
-    law: str,
-    teeth: int,
-    case: Case,
-    torque: jax.Array,
-    todo: jax.Array,
-    start: jax.Array,
-    found: dict[str, jax.Array],
+    law: str, teeth: int, case: Case, torque: jax.Array, todo: jax.Array, start: jax.Array, found: dict[str, jax.Array]
 ) -> dict[str, jax.Array]:
     """`found` with the cases `todo` solved the safe way, a chunk of them at a time."""
     size = len(todo)

@@ -53,12 +53,7 @@ def cycle_angles(gear_teeth: int, *, samples: int = 8, roller_by_roller: bool = 
 
 @partial(jax.jit, static_argnames=("contact", "samples"))
 def cycle_statistics(
-    design: CamRollerReducer,
-    errors: CamRollerErrors,
-    *,
-    input_torque: Scalar,
-    contact: str = "hertz",
-    samples: int = 8,
+    design: CamRollerReducer, errors: CamRollerErrors, *, input_torque: Scalar, contact: str = "hertz", samples: int = 8
 ) -> CycleStatistics:
     """Mean, peak and peak to peak of the forces over one work cycle of a roller.
 

@@ -112,8 +112,3 @@ def _lines(
 
 def _highest(turns: np.ndarray, order: np.ndarray) -> float:
     return float(1.05 * order.max(initial=1) * np.abs(turns).max() / (2 * np.pi))
-
-
-def _words(names: Sequence[str]) -> list[str]:
-    """Field names as words."""
-    return [words(name) for name in names]

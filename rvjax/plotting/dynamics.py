@@ -69,13 +69,7 @@ def campbell(
 
 
 def speed_response(
-    mesh_frequency: Any,
-    amplitude: Any,
-    *,
-    harmonics: Sequence[int],
-    unit: str,
-    name: str,
-    axes: Axes | None = None,
+    mesh_frequency: Any, amplitude: Any, *, harmonics: Sequence[int], unit: str, name: str, axes: Axes | None = None
 ) -> Axes:
     """Amplitudes of harmonics over the mesh frequency.
 

@@ -46,13 +46,7 @@ def linkages(
     return axes
 
 
-def angles_over_error(
-    errors: Any,
-    angles: Mapping[str, Any],
-    *,
-    name: str,
-    axes: Axes | None = None,
-) -> Axes:
+def angles_over_error(errors: Any, angles: Mapping[str, Any], *, name: str, axes: Axes | None = None) -> Axes:
     """Magnitudes of angles over the error of one link, logarithmic: readings that lie decades apart.
 
     Args:

@@ -11,14 +11,7 @@ from rvjax.units import readable
 
 
 def unit_curves(
-    angle: Any,
-    before: Any,
-    after: Any,
-    title: str,
-    unit: str,
-    *,
-    read_in: str | None = None,
-    axes: Axes | None = None,
+    angle: Any, before: Any, after: Any, title: str, unit: str, *, read_in: str | None = None, axes: Axes | None = None
 ) -> Axes:
     """A response of sample units over one cycle, before and after; angles about their own mean.
 

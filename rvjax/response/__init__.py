@@ -1,17 +1,7 @@
 """Response: a pure function of the errors of one unit, evaluated for many units on all devices."""
 
-from rvjax.response.devices import (
-    Evaluator,
-    gathered,
-    place,
-)
-from rvjax.response.gradients import (
-    LANES,
-    elements,
-    elements_and_rates,
-    gradients,
-    nominal_status,
-)
+from rvjax.response.devices import Evaluator, gathered, place
+from rvjax.response.gradients import LANES, elements, elements_and_rates, gradients, nominal_status
 from rvjax.response.response import (
     BLOCK,
     PLAIN,
@@ -29,7 +19,4 @@ from rvjax.response.response import (
     unwrapped,
 )
 
-__all__ = [
-    "Outcome",
-    "Response",
-]
+__all__ = ["Outcome", "Response"]

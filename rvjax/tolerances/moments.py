@@ -55,12 +55,7 @@ class Moments:
 
 
 def rss(
-    response: Response,
-    tolerances: Any,
-    *,
-    order: int = 1,
-    requirements: Any = None,
-    correlation: Correlation = None,
+    response: Response, tolerances: Any, *, order: int = 1, requirements: Any = None, correlation: Correlation = None
 ) -> Moments:
     """Moments of a response by propagation of the errors' moments.
 

@@ -53,13 +53,7 @@ class SobolIndices:
 
 
 def sobol_indices(
-    response: Response,
-    tolerances: Any,
-    *,
-    samples: int,
-    seed: int,
-    chunk: int = 65536,
-    correlation: Correlation = None,
+    response: Response, tolerances: Any, *, samples: int, seed: int, chunk: int = 65536, correlation: Correlation = None
 ) -> SobolIndices:
     """Variance-based sensitivity indices of every field, in constant memory.
 
