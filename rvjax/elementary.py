@@ -41,6 +41,15 @@ def _log_jvp(primals: PyTree, tangents: PyTree) -> PyTree:
     return log(x), dx / x
 
 
+def root(x: jax.Array) -> jax.Array:
+    """Square root of x > 0; 0 with derivative 0 elsewhere: a root mean square without any amplitude has no slope.
+
+    Args:
+        x: a number or array; NaN stays NaN.
+    """
+    return jnp.where(x > 0, jnp.sqrt(jnp.where(x > 0, x, 1)), 0 * x)
+
+
 def power(base: jax.Array, exponent: float) -> jax.Array:
     """base ** exponent for a constant exponent; 0 with derivative 0 at base = 0.
 

@@ -34,7 +34,7 @@ from rvjax.dynamics.error_excitation import (
     vector,
     waves,
 )
-from rvjax.dynamics.error_transfer import KEY, output_rows, static_deflection, transfer
+from rvjax.dynamics.error_transfer import KEY, Balanced, output_rows, rotations, static_deflection, transfer
 from rvjax.dynamics.excitation import MESH, mesh_count, phases, wave_coefficients
 from rvjax.dynamics.harmonics import constants
 from rvjax.dynamics.linear import solve
@@ -42,16 +42,6 @@ from rvjax.dynamics.modal import dynamic_stiffness, modal_sectors, modal_solve, 
 from rvjax.dynamics.static import balancing_torque, linear_ratio, mean_state, mesh_rows, mesh_stiffness
 
 WHOLE = ("coupled", 0)
-
-
-class Balanced(NamedTuple):
-    """Lines of errors and stiffness together."""
-
-    orders: Orders
-    amplitude: jax.Array  # (orders, outputs) complex
-    static: jax.Array  # (orders, outputs) complex
-    singular: jax.Array  # () bool
-    residual: jax.Array  # ()
 
 
 class Lattice(NamedTuple):
@@ -212,11 +202,11 @@ def _linear(
     x = modal_solve(modal, z, rhs)
     last = len(modal.basis) - 1
     sun, output = modal.rows([2, last])
-    central = _outputs(outputs, sun, output, linear_ratio(lumped))
+    central = rotations(outputs, sun, output, linear_ratio(lumped))
 
     rows = mesh_rows(lumped, mesh, *WHOLE)
     state = mean_state(lumped, WHOLE[0], balancing_torque(lumped, torque), torque, rows.T)
-    seen = _outputs(outputs, state.solution[2], state.solution[last], linear_ratio(lumped))
+    seen = rotations(outputs, state.solution[2], state.solution[last], linear_ratio(lumped))
     gamma = jnp.einsum("ir,frm->fim", springs, x).reshape(*shape, len(members), len(members))
     shown = jnp.einsum("or,frm->fom", central.astype(dtype), x).reshape(*shape, len(outputs), len(members))
     still = jnp.asarray(rest)[:, :, None, None]
@@ -237,11 +227,6 @@ def _linear(
         singular=state.singular | on_resonance(modal, z) | signals.singular,
         residual=jnp.maximum(jnp.maximum(state.residual, residual(modal, z, x, rhs)), signals.residual),
     )
-
-
-def _outputs(outputs: tuple[str, ...], sun: jax.Array, output: jax.Array, ratio: jax.Array) -> jax.Array:
-    named = {"output.rotation": output, "sun.rotation": sun, "transmission_error": output - sun / ratio}
-    return jnp.stack([named[name] for name in outputs])
 
 
 def _complex_stiffness(lumped: Lumped, frequency: jax.Array) -> jax.Array:

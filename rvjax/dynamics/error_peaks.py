@@ -15,11 +15,12 @@ from rvjax.designs import RVReducer
 from rvjax.dynamics.assembly import Lumped
 from rvjax.dynamics.error_excitation import Orders, checked, error_orders, generators, read
 from rvjax.dynamics.error_response import curve_range
-from rvjax.dynamics.error_transfer import KEY, loaded, output_rows, output_speed, transfer
+from rvjax.dynamics.error_transfer import KEY, close, loaded, output_rows, output_speed, transfer
 from rvjax.dynamics.modal import modal_sectors
+from rvjax.elementary import root
 from rvjax.errors import RVErrors
 from rvjax.records import Array, Record, Scalar, concrete, field, record
-from rvjax.status import SolveInfo, Status, converged
+from rvjax.status import SolveInfo
 
 BESIDE = np.arange(-2, 3) / 4
 """Places about a crossing, in widths of the peak. A lone mode of a loss factor peaks at the crossing; a peak that its
@@ -106,16 +107,9 @@ def _range(
     worst = jnp.argmax(whole)
     power = jnp.sum(square * frequency**4, axis=1) / 2
     loudest = jnp.argmax(power)
-    largest = power[loudest]
-    rms = jnp.where(largest > 0, jnp.sqrt(jnp.where(largest > 0, largest, 1)), largest)  # no error, no infinite slope
-    values = (whole[worst], sun_speeds[places[worst]], rms, sun_speeds[loudest], sun_speeds)
-    (peak_to_peak, at_peak, rms, at_loudest, sun_speeds), info = unit.gate.close(
-        values,
-        (~jnp.all(jnp.isfinite(amplitude)), Status.NONFINITE),
-        (found.singular, Status.SINGULAR),
-        info=converged(found.residual),
-    )
-    return SpeedRange(peak_to_peak, at_peak, rms, at_loudest, sun_speeds, info)
+    values = (whole[worst], sun_speeds[places[worst]], root(power[loudest]), sun_speeds[loudest], sun_speeds)
+    values, info = close(unit, values, amplitude, found)
+    return SpeedRange(*values, info)
 
 
 def refined(
@@ -150,4 +144,4 @@ def _modes(lumped: Lumped) -> jax.Array:
     modal = modal_sectors(lumped, [KEY])[KEY]
     square = jnp.diagonal(modal.stiffness)  # in a fixed basis: its derivative is that of the eigenvalue
     square = modal.square + (square - jax.lax.stop_gradient(square))
-    return jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1)), 0)
+    return root(square)

@@ -15,14 +15,24 @@ import numpy as np
 from rvjax.designs import RVReducer
 from rvjax.dynamics.assembly import Lumped
 from rvjax.dynamics.error_balance import balance
-from rvjax.dynamics.error_excitation import Orders, checked, error_orders, generators, read
-from rvjax.dynamics.error_transfer import check_outputs, loaded, output_rows, output_speed, static_deflection, transfer
+from rvjax.dynamics.error_excitation import Orders, Unit, checked, error_orders, generators, read
+from rvjax.dynamics.error_transfer import (
+    Balanced,
+    check_outputs,
+    close,
+    loaded,
+    output_rows,
+    output_speed,
+    static_deflection,
+    transfer,
+)
 from rvjax.dynamics.excitation import check_stage
 from rvjax.dynamics.line_peaks import factors, largest, lines, place_of_largest
 from rvjax.dynamics.response import METHODS
+from rvjax.elementary import root
 from rvjax.errors import RVErrors
 from rvjax.records import Array, Record, Scalar, field, record, text
-from rvjax.status import SolveInfo, Status, converged
+from rvjax.status import SolveInfo
 
 
 @record
@@ -92,45 +102,14 @@ def transmission_error(
         raise ValueError(f"method = {method!r}: must be one of {', '.join(METHODS)}")
     if harmonics < 1:
         raise ValueError(f"harmonics = {harmonics}: must be at least 1")
-    circle = design.cycloid.pin_circle_radius
-    if method == "first_order":
-        return _first_order(lumped, circle, errors, sun_speed, load_inertia, outputs, pin_harmonics)
-    conditions = (sun_speed, load_inertia, output_torque)
-    return _balanced(lumped, circle, errors, *conditions, outputs, pin_harmonics, stage, harmonics)
-
-
-@partial(jax.jit, static_argnums=(5, 6))
-def _first_order(
-    lumped: Lumped,
-    pin_circle: Array,
-    errors: RVErrors,
-    sun_speed: Array,
-    load_inertia: Array,
-    outputs: tuple[str, ...],
-    pin_harmonics: int,
-) -> DynamicError:
-    unit, (sun_speed,) = read(loaded(lumped, load_inertia), pin_circle, errors, sun_speed)
-    orders = error_orders(unit, pin_harmonics)
-    n = jnp.asarray([float(order) for order in orders], sun_speed.dtype)
-    excitation, _ = generators(unit, orders, pin_harmonics)
-    rows = output_rows(unit.lumped, outputs)
-    speed = output_speed(unit.lumped, sun_speed)
-    found = transfer(unit.lumped, n * speed, rows)
-    amplitude = jnp.einsum("kos,ks->ko", found.value, excitation)
-    static = excitation @ (rows @ static_deflection(unit.lumped)[0]).T.astype(excitation.dtype)
-    frequency = n * jnp.abs(speed) / (2 * jnp.pi)
-    values = (n, frequency, amplitude, static, curve_range(orders, amplitude))
-    (n, frequency, amplitude, static, whole), info = unit.gate.close(
-        values,
-        (~jnp.all(jnp.isfinite(amplitude)), Status.NONFINITE),
-        (found.singular, Status.SINGULAR),
-        info=converged(found.residual),
-    )
-    return DynamicError(n, frequency, amplitude, static, whole, outputs, info)
+    of_unit = (lumped, design.cycloid.pin_circle_radius, errors, sun_speed, load_inertia)
+    if method == "first_order":  # the other conditions are not read
+        return _transmission_error(*of_unit, 0.0, outputs, pin_harmonics, None, 1)
+    return _transmission_error(*of_unit, output_torque, outputs, pin_harmonics, stage, harmonics)
 
 
 @partial(jax.jit, static_argnums=(6, 7, 8, 9))
-def _balanced(
+def _transmission_error(
     lumped: Lumped,
     pin_circle: Array,
     errors: RVErrors,
@@ -139,24 +118,33 @@ def _balanced(
     output_torque: Array,
     outputs: tuple[str, ...],
     pin_harmonics: int,
-    stage: str,
+    stage: str | None,
     harmonics: int,
 ) -> DynamicError:
     conditions = (sun_speed, output_torque)
-    unit, conditions = read(loaded(lumped, load_inertia), pin_circle, errors, *conditions)
-    sun_speed, output_torque = conditions
+    unit, (sun_speed, output_torque) = read(loaded(lumped, load_inertia), pin_circle, errors, *conditions)
     speed = output_speed(unit.lumped, sun_speed)
-    found = balance(unit, speed, output_torque, outputs, pin_harmonics, stage, harmonics)
+    if stage is None:
+        found = _first_order(unit, speed, outputs, pin_harmonics)
+    else:
+        found = balance(unit, speed, output_torque, outputs, pin_harmonics, stage, harmonics)
     n = jnp.asarray([float(order) for order in found.orders], speed.dtype)
     frequency = n * jnp.abs(speed) / (2 * jnp.pi)
     values = (n, frequency, found.amplitude, found.static, curve_range(found.orders, found.amplitude))
-    (n, frequency, amplitude, static, whole), info = unit.gate.close(
-        values,
-        (~jnp.all(jnp.isfinite(found.amplitude)), Status.NONFINITE),
-        (found.singular, Status.SINGULAR),
-        info=converged(found.residual),
-    )
+    (n, frequency, amplitude, static, whole), info = close(unit, values, found.amplitude, found)
     return DynamicError(n, frequency, amplitude, static, whole, outputs, info)
+
+
+def _first_order(unit: Unit, speed: jax.Array, outputs: tuple[str, ...], pin_harmonics: int) -> Balanced:
+    """Lines of the errors alone, at output speed `speed`, () rad/s."""
+    orders = error_orders(unit, pin_harmonics)
+    n = jnp.asarray([float(order) for order in orders], speed.dtype)
+    excitation, _ = generators(unit, orders, pin_harmonics)
+    rows = output_rows(unit.lumped, outputs)
+    found = transfer(unit.lumped, n * speed, rows)
+    amplitude = jnp.einsum("kos,ks->ko", found.value, excitation)
+    static = excitation @ (rows @ static_deflection(unit.lumped)[0]).T.astype(excitation.dtype)
+    return Balanced(orders, amplitude, static, found.singular, found.residual)
 
 
 def curve_range(orders: Orders, amplitude: jax.Array) -> jax.Array:
@@ -222,12 +210,7 @@ def _sweep(
     rows, columns = factors(value, excitation)
     real, imaginary = jnp.moveaxis(lines(rows, columns), (1, 2), (0, 1))
     square = largest(rows, columns)
-    peak = jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1)), square)  # no error, no infinite slope
+    peak = root(square)
     values = (n, jax.lax.complex(real, imaginary), peak, speeds[place_of_largest(rows, columns)])
-    (n, amplitude, peak, peak_speed), info = unit.gate.close(
-        values,
-        (~jnp.all(jnp.isfinite(peak)), Status.NONFINITE),
-        (found.singular, Status.SINGULAR),
-        info=converged(found.residual),
-    )
+    (n, amplitude, peak, peak_speed), info = close(unit, values, peak, found)
     return SpeedSweep(n, amplitude, peak, peak_speed, outputs, info)

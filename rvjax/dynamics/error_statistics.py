@@ -14,10 +14,10 @@ import numpy as np
 from rvjax.designs import RVReducer
 from rvjax.dynamics.assembly import Lumped
 from rvjax.dynamics.error_excitation import checked, error_orders, generators, read
-from rvjax.dynamics.error_transfer import check_outputs, loaded, output_rows, output_speed, transfer
+from rvjax.dynamics.error_transfer import check_outputs, close, loaded, output_rows, output_speed, transfer
 from rvjax.errors import RVErrors, described, read_by
 from rvjax.records import Array, Record, Scalar, axis_sizes, field, is_concrete, record, text
-from rvjax.status import SolveInfo, Status, converged
+from rvjax.status import SolveInfo
 
 
 @record
@@ -110,10 +110,5 @@ def _statistics(
         power += jnp.sum((real**2 + imaginary**2) * variance, axis=entries)
         square = jax.lax.complex((real**2 - imaginary**2) * variance, 2 * real * imaginary * variance)
         pseudo += jnp.sum(square, axis=entries)
-    (n, power, pseudo), info = unit.gate.close(
-        (n, power, pseudo),
-        (~jnp.all(jnp.isfinite(power)), Status.NONFINITE),
-        (found.singular, Status.SINGULAR),
-        info=converged(found.residual),
-    )
+    (n, power, pseudo), info = close(unit, (n, power, pseudo), power, found)
     return ErrorStatistics(n, power, pseudo, outputs, info)

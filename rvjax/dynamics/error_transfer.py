@@ -11,19 +11,29 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from rvjax.designs import RVReducer
 from rvjax.dynamics.assembly import Lumped, admitted
-from rvjax.dynamics.error_excitation import symmetric
+from rvjax.dynamics.error_excitation import Orders, Unit, symmetric
 from rvjax.dynamics.modal import dynamic_stiffness, matrix_root, modal_sectors, modal_solve, on_resonance, residual
 from rvjax.dynamics.static import MeanState, linear_ratio, mean_state, mesh_rows
 from rvjax.dynamics.symmetry import sector_mass
-from rvjax.records import Array, Scalar
+from rvjax.records import Array, PyTree, Scalar
+from rvjax.status import SolveInfo, Status, converged
 
 ROTATIONS = ("output.rotation", "sun.rotation", "transmission_error")
 KEY = ("rotational", 0)
 _SUN, _HX, _HY, _HTH, _CX, _CY, _CTH, _OUTPUT = 0, 4, 5, 6, 7, 8, 9, 10  # p at 1 to 3
+
+
+class Balanced(NamedTuple):
+    """Lines of one unit at one speed."""
+
+    orders: Orders
+    amplitude: jax.Array  # (orders, outputs) complex
+    static: jax.Array  # (orders, outputs) complex
+    singular: jax.Array  # () bool
+    residual: jax.Array  # ()
 
 
 class Transfer(NamedTuple):
@@ -92,14 +102,29 @@ def output_speed(lumped: Lumped, sun_speed: Array) -> jax.Array:
 
 def output_rows(lumped: Lumped, outputs: Sequence[str]) -> jax.Array:
     """Outputs in the rotational coordinates (outputs, 11)."""
-    sun, output = np.eye(11)[_SUN], np.eye(11)[_OUTPUT]
     ratio = linear_ratio(lumped)
-    rows = {
-        "output.rotation": jnp.asarray(output, ratio.dtype),
-        "sun.rotation": jnp.asarray(sun, ratio.dtype),
-        "transmission_error": jnp.asarray(output, ratio.dtype) - jnp.asarray(sun, ratio.dtype) / ratio,
-    }
-    return jnp.stack([rows[name] for name in outputs])
+    one = jnp.eye(11, dtype=ratio.dtype)
+    return rotations(outputs, one[_SUN], one[_OUTPUT], ratio)
+
+
+def rotations(outputs: Sequence[str], sun: jax.Array, output: jax.Array, ratio: jax.Array) -> jax.Array:
+    """Outputs (outputs, ...) from the rotations of sun and output."""
+    named = {"output.rotation": output, "sun.rotation": sun, "transmission_error": output - sun / ratio}
+    return jnp.stack([named[name] for name in outputs])
+
+
+def close(unit: Unit, values: PyTree, lines: jax.Array, found: "Transfer | Balanced") -> tuple[PyTree, SolveInfo]:
+    """Values of a unit with their status.
+
+    Args:
+        unit: as read.
+        values: of the result, NaN where the solve fails.
+        lines: amplitudes that must be finite.
+        found: how the equations were solved.
+    """
+    overflow = ~jnp.all(jnp.isfinite(lines))
+    checks = ((overflow, Status.NONFINITE), (found.singular, Status.SINGULAR))
+    return unit.gate.close(values, *checks, info=converged(found.residual))
 
 
 def forcing(lumped: Lumped) -> jax.Array:

@@ -19,6 +19,7 @@ from rvjax.dynamics.modes import modes
 from rvjax.dynamics.periodic import periodic
 from rvjax.dynamics.response import METHODS, response
 from rvjax.dynamics.symmetry import KINDS
+from rvjax.elementary import root
 from rvjax.outputs import Cases, Description, Output, Solved, Way, condition
 from rvjax.records import Scalar
 from rvjax.units import rpm
@@ -59,7 +60,7 @@ def _vibration(design: RVReducer, errors: Any, given: Any) -> Solved:
         outputs=(ROTATION,),
     )
     square = jnp.sum(jnp.square(found.amplitude.real) + jnp.square(found.amplitude.imag)) / 2
-    return jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1)), square), found.info.status
+    return root(square), found.info.status
 
 
 def _resonance_margin(design: RVReducer, errors: Any, given: Any) -> Solved:
@@ -105,7 +106,7 @@ def _acceleration(found: DynamicError) -> jax.Array:
     line = found.amplitude[:, 0]
     square = jnp.square(line.real) + jnp.square(line.imag)
     square = jnp.sum(square * (2 * jnp.pi * found.frequency) ** 4) / 2
-    return jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1)), square)
+    return root(square)
 
 
 def _standing(design: RVReducer, errors: Any, given: Any) -> Solved:
