@@ -1,7 +1,8 @@
 """Functions of whole batches under `jax.vmap`: what one case alone cannot do, such as treating a few lanes apart."""
 
+import functools
 from collections.abc import Callable
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -82,3 +83,55 @@ def once_more(
 
     first = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], (arguments, found, todo))
     return along_lanes(repair)(*first)[0]
+
+
+_WHOLE: dict[Callable[..., jax.Array], Callable[..., jax.Array]] = {
+    jnp.add: jnp.sum,
+    jnp.maximum: jnp.max,
+    jnp.minimum: jnp.min,
+    jnp.logical_and: jnp.all,
+    jnp.logical_or: jnp.any,
+}
+
+
+def folded(x: jax.Array, *axes: int, by: Callable[..., jax.Array] = jnp.add) -> jax.Array:
+    """Sum or another reduction over leading axes, halves onto halves: XLA's own has no vectors along the batch.
+
+    A maximum of 80 x 64 numbers takes 0.2 us in the place of 10, one over the speeds of 128 units an eighth. One batch
+    element has no vectors, and the derivatives of a sum are simpler.
+
+    Args:
+        x: lanes last.
+        axes: all but the last, ascending.
+        by: one of `_WHOLE`.
+    """
+    if x.shape[-1] == 1:
+        return _WHOLE[by](x, axis=axes)
+    for axis in reversed(axes):
+        rest = []
+        while x.shape[axis] > 1:
+            half = x.shape[axis] // 2
+            if x.shape[axis] % 2:
+                rest.append(jax.lax.slice_in_dim(x, 2 * half, 2 * half + 1, axis=axis))
+            x = by(jax.lax.slice_in_dim(x, 0, half, axis=axis), jax.lax.slice_in_dim(x, half, 2 * half, axis=axis))
+        x = jax.lax.squeeze(functools.reduce(by, rest, x), (axis,))
+    return x
+
+
+def stored(compute: Callable[..., Any], *arguments: Any) -> Any:
+    """compute(*arguments), written to memory: a branch that is always taken, which XLA cannot know.
+
+    Without it, and with `optimization_barrier` too, XLA computes what several results share again for each of them: a
+    Newton step of the loaded reducer takes 8.7 us in the place of 6.5.
+
+    Args:
+        compute: to arrays; what does not depend on the arguments is computed in every pass of a loop around it.
+        arguments: with a floating point array.
+    """
+    number = next(x for x in jax.tree.leaves(arguments) if jnp.issubdtype(x.dtype, jnp.floating)).ravel()[0]
+    compute = jax.jit(compute)  # traced once
+    shapes = jax.eval_shape(compute, *arguments)
+    always = (number == number) | (number != number)
+    return jax.lax.cond(
+        always, compute, lambda *_: jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes), *arguments
+    )

@@ -2,6 +2,7 @@
 
 import contextlib
 import hashlib
+import importlib
 import io
 import math
 import os
@@ -109,3 +110,8 @@ def digest(arrays: Arrays) -> str:
         found.update(f"{name} {array.dtype.str} {array.shape}".encode())
         found.update(np.ascontiguousarray(array).data)
     return found.hexdigest()
+
+
+def versions(*packages: str) -> dict[str, str]:
+    """Versions of rvjax and of packages, by name: what a result in a file depends on."""
+    return {name: importlib.import_module(name).__version__ for name in ("rvjax", *packages)}

@@ -1,4 +1,4 @@
-"""Differentiable root finding: a scalar Newton method safeguarded with bisection.
+"""Root finding: a differentiable scalar Newton method safeguarded with bisection, and bisection on the host.
 
 A root x with residual(x, params) = 0 is differentiated by the implicit function theorem,
 
@@ -18,12 +18,13 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.typing import DTypeLike
 
 from rvjax.records import Array, PyTree, Record, Scalar, field, promote, record
 from rvjax.status import SolveInfo, Status, succeeded
 
-__all__ = ["Root", "bracketed"]
+__all__ = ["Root", "bisect", "bracketed"]
 
 Residual = Callable[[Any, Any], jax.Array]
 
@@ -36,6 +37,22 @@ class Root(Record):
 
     value: Array = field("as the unknown", "the root; NaN where the solve failed")
     info: SolveInfo = field("-", "residual is |residual(value)|", kind="record")
+
+
+def bisect(above: Callable[[Any], Any], low: Any, high: Any, *, steps: int) -> tuple[Any, Any]:
+    """Halve intervals on the host; each keeps the half in which `above` changes from true to false.
+
+    Args:
+        above: true of a middle below the place that is looked for; a bool, or one for each interval.
+        low: lower ends, a number or an array.
+        high: upper ends.
+        steps: halvings.
+    """
+    for _ in range(steps):
+        middle = (low + high) / 2
+        beyond = above(middle)
+        low, high = np.where(beyond, middle, low), np.where(beyond, high, middle)
+    return low, high
 
 
 def bracketed(

@@ -6,6 +6,7 @@ A cost comes in layers, the first counts most: failing units, then units outside
 import contextlib
 import dataclasses
 import itertools
+from bisect import bisect_left
 from collections.abc import Sequence
 
 import numpy as np
@@ -101,16 +102,15 @@ def _least_proved(
     best = _proved([cost], supply, allowed)
     if best is None:
         return None
-    low, high = int(np.searchsorted(levels, floor)), int(np.searchsorted(levels, max(cost[unit] for unit in best)))
-    while low < high:
-        middle = (low + high) // 2
-        found = _proved([cost], supply, allowed & (cost <= levels[middle]))
-        low, high, best = (low, middle, found) if found is not None else (middle + 1, high, best)
-    return (
-        best
-        if max(cost[unit] for unit in best) <= levels[high]
-        else _proved([cost], supply, allowed & (cost <= levels[high]))
-    )
+    plans = {}
+
+    def possible(level: float) -> bool:
+        plans[level] = _proved([cost], supply, allowed & (cost <= level))
+        return plans[level] is not None
+
+    low, high = (int(np.searchsorted(levels, end)) for end in (floor, max(cost[unit] for unit in best)))
+    level = levels[bisect_left(levels, True, low, high, key=possible)]
+    return plans.get(level, best)
 
 
 def weighed(layers: Sequence[np.ndarray], units: int) -> np.ndarray:
@@ -139,12 +139,12 @@ def _least_level(cost: np.ndarray, supply: Supply, levels: np.ndarray) -> float:
     """The least cost below which a plan exists."""
     rows, columns = map(copies, supply.pieces)
     full = cost[np.ix_(rows, columns)]
-    low, high = 0, len(levels) - 1
-    while low < high:
-        middle = (low + high) // 2
-        matched = maximum_bipartite_matching(csr_array(full <= levels[middle]), perm_type="column")
-        low, high = (low, middle) if (matched >= 0).sum() >= supply.units else (middle + 1, high)
-    return levels[high]
+
+    def enough(level: float) -> bool:
+        matched = maximum_bipartite_matching(csr_array(full <= level), perm_type="column")
+        return bool((matched >= 0).sum() >= supply.units)
+
+    return levels[bisect_left(levels[:-1], True, key=enough)]
 
 
 def _pair_level(cost: np.ndarray, supply: Supply) -> float:

@@ -11,6 +11,7 @@ import numpy as np
 from rvjax.assembly.costs import Machine, UnitResponse, costs, good
 from rvjax.assembly.parts import Kind, Part, at_path, known
 from rvjax.assembly.plan import chosen, draw, supply_of
+from rvjax.roots import bisect
 from rvjax.tolerances import Requirement, Tolerance
 
 WIDEST = 64.0
@@ -80,22 +81,21 @@ def opening(
         raise ValueError("tolerances: none of the parts' errors has one")
     tried: dict[float, tuple[float, float]] = {}
 
-    def yields(factor: float) -> float:
+    def kept(power: Any) -> bool:
+        """Whether plans keep the yield at this power of two as factor."""
+        factor = 2.0 ** float(power)
         found = [_yields(response, kinds, stocks, requirement, factor, number, seed) for number in range(sets)]
         matched, random = np.mean(found, axis=0)
         tried[factor] = (float(matched), float(random))
-        return tried[factor][0]
+        return tried[factor][0] >= tried[1.0][1]
 
-    best, worst = 1.0, 2.0
-    yields(best)
-    target = tried[best][1]
-    if tried[best][0] >= target:
-        while worst <= WIDEST and yields(worst) >= target:
-            best, worst = worst, 2 * worst
-        for _ in range(STEPS if worst <= WIDEST else 0):
-            middle = float(np.sqrt(best * worst))
-            best, worst = (middle, worst) if yields(middle) >= target else (best, middle)
-    return Opening(best, np.array([(k, *tried[k]) for k in sorted(tried)]), target)
+    best, worst = 0.0, 1.0
+    if kept(best):
+        while 2**worst <= WIDEST and kept(worst):
+            best, worst = worst, worst + 1
+        best, _ = bisect(kept, best, worst, steps=STEPS if 2**worst <= WIDEST else 0)
+    curve = np.array([(k, *tried[k]) for k in sorted(tried)])
+    return Opening(2.0 ** float(best), curve, tried[1.0][1])
 
 
 class _Virtual:

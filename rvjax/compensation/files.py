@@ -17,9 +17,8 @@ from typing import Any
 
 import numpy as np
 
-import rvjax
 from rvjax.compensation.table import Table
-from rvjax.files import write_atomically
+from rvjax.files import versions, write_atomically
 
 COLUMNS = ("angle [rad]", "correction [rad]")
 JOINT = ("stiffness", "damping", "frictionloss")
@@ -123,8 +122,6 @@ def _read_csv(text: str) -> Parsed:
 
 
 def _write_json(table: Table, joint: Joint, seed: int | None) -> str:
-    import jax
-
     numbers = "[{}]"
     about = {
         "unit": "rad",
@@ -133,7 +130,7 @@ def _write_json(table: Table, joint: Joint, seed: int | None) -> str:
         "orders": list(table.orders),
         "error_bound": table.error_bound if math.isfinite(table.error_bound) else None,
         "seed": seed,
-        "versions": {"rvjax": rvjax.__version__, "jax": jax.__version__},
+        "versions": versions("jax"),
     }
     lines = [f' "{key}": {json.dumps(value)},' for key, value in about.items()]
     lines += [f' "angle": {numbers.format(_listed(table.angle, ", "))},']

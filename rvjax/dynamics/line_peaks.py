@@ -5,11 +5,11 @@ and the derivative of a peak takes the speed of the peak alone.
 """
 
 from collections.abc import Callable
-from functools import partial
 
 import jax
 import jax.numpy as jnp
 
+from rvjax.batching import folded
 from rvjax.records import PyTree
 
 _NUMBERS = 2**15  # of the lines of a block of units, a quarter of a megabyte: the second cache of a core holds them
@@ -98,20 +98,13 @@ def _of_units(of_block: Callable[[jax.Array], jax.Array]) -> Callable[[jax.Array
     return batched
 
 
-def _halved(larger: Callable[[jax.Array, jax.Array], jax.Array], x: jax.Array) -> jax.Array:
-    """`larger` of all along axis 1, half against half: XLA's reductions do not run along the units."""
-    while (count := x.shape[1]) > 1:
-        half = count // 2
-        x = jnp.concatenate([larger(x[:, :half], x[:, half : 2 * half]), x[:, 2 * half :]], axis=1)
-    return x[:, 0]
-
-
 def _first(square: jax.Array) -> jax.Array:
     """Which is the largest along axis 1, the first of equal ones."""
     last = square.shape[1] - 1
     number = jnp.arange(last + 1, dtype=square.dtype)[:, None, None]
-    return _halved(jnp.minimum, jnp.where(square == _halved(jnp.maximum, square)[:, None], number, last))
+    highest = folded(square, 1, by=jnp.maximum)[:, None]
+    return folded(jnp.where(square == highest, number, last), 1, by=jnp.minimum)
 
 
-_highest = _of_units(partial(_halved, jnp.maximum))
+_highest = _of_units(lambda square: folded(square, 1, by=jnp.maximum))
 _place = _of_units(_first)

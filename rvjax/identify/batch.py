@@ -153,19 +153,10 @@ def _stacked(status: np.ndarray, steps: np.ndarray, away: np.ndarray) -> SolveIn
 
 def _separate(problem: Problem, y: np.ndarray, points: np.ndarray, max_steps: int, together: int) -> Units:
     """The heaviest modes of units y (k, m) that share nothing; one program however many units the last chunk has."""
-    population, _, sd = problem.device
     padded = np.concatenate([y, np.repeat(y[:1], together - len(y), axis=0)])
     starts = len(points)
-    found = modes(
-        problem.model,
-        population,
-        problem.device[1],
-        sd,
-        jnp.asarray(np.repeat(padded, starts, axis=0)),
-        jnp.asarray(np.tile(points, (together, 1))),
-        problem.student,
-        jnp.int32(max_steps),
-    )
+    rows, at = jnp.asarray(np.repeat(padded, starts, axis=0)), jnp.asarray(np.tile(points, (together, 1)))
+    found = modes(problem.model, problem.device, rows, at, jnp.int32(max_steps))
     lanes = jax.tree.map(lambda leaf: np.asarray(leaf).reshape(together, starts, *leaf.shape[1:])[: len(y)], found)
     good = lanes.info.status == Status.CONVERGED
     z = np.where(good[..., None], lanes.z, 0.0)
@@ -202,7 +193,7 @@ def _figures(problem: Problem, split: Split, y: np.ndarray, units: Units, deviat
     )
     common = np.einsum("kmp,kp->km", slopes[..., split.shared], u[:, split.shared])
     own = np.concatenate([slopes[..., split.own], (datum - common)[..., None]], axis=-1)
-    if problem.student is not None:
+    if not np.isinf(problem.dof):
         own = np.sqrt(weights)[..., None] * own
     factors = triangular(np.pad(own, ((0, 0), (0, max(own.shape[-1] - own.shape[-2], 0)), (0, 0))))
     adequate = judged.p_model >= ADEQUATE

@@ -45,10 +45,9 @@ def identifiability(
 
 def slopes_at(problem: Problem, u: np.ndarray) -> np.ndarray:
     """Whitened slopes over u (m, p) at u; a ValueError where the model is not finite."""
-    population, _, sd = problem.device
-    observation, slopes = linearise(problem.model, population, sd, jnp.asarray(u))
+    observation, slopes = linearise(problem.model, problem.device, jnp.asarray(u))
     found = np.asarray(slopes, float)
     if not (np.isfinite(found).all() and np.isfinite(np.asarray(observation)).all()):
-        values = problem.elements.structure(np.asarray(mapped(population, jnp.asarray(u)[None])[0])[0])
+        values = problem.elements.structure(np.asarray(mapped(problem.elements.population, jnp.asarray(u)[None])[0])[0])
         raise ValueError(f"model: its observation or its slope is not finite at {values}, in SI".replace("\n", " "))
     return found

@@ -5,7 +5,7 @@ import math
 import operator
 from collections.abc import Callable, Iterable
 from functools import cached_property, lru_cache, partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -23,6 +23,15 @@ Model = Callable[[PyTree], PyTree]
 
 LANES = 64
 """Points that are evaluated at once where only the density is asked."""
+
+
+class Given(NamedTuple):
+    """Prior and noise of a problem, traced."""
+
+    population: Population
+    mixing: jax.Array  # M (p, n)
+    sd: jax.Array  # (m,)
+    dof: jax.Array | None  # of Student noise; None is normal noise
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -68,19 +77,15 @@ class Problem:
         return cls(model, elements, layout, layout.sd(noise.sd), float(noise.dof), places)
 
     @property
-    def student(self) -> jax.Array | None:
-        """Degrees of freedom as the programs take them, None for normal noise."""
-        return None if math.isinf(self.dof) else jnp.asarray(self.dof)
-
-    @property
     def discount(self) -> float:
         """What the expected information of Student noise is of that of normal noise, (dof + 1)/(dof + 3)."""
         return 1.0 if math.isinf(self.dof) else (self.dof + 1) / (self.dof + 3)
 
     @cached_property
-    def device(self) -> tuple[Population, jax.Array, jax.Array]:
-        """Prior, M and noise as the programs take them."""
-        return self.elements.population, jnp.asarray(self.elements.mixing), jnp.asarray(self.sd)
+    def device(self) -> "Given":
+        """Prior and noise as the programs take them."""
+        dof = None if math.isinf(self.dof) else jnp.asarray(self.dof)
+        return Given(self.elements.population, jnp.asarray(self.elements.mixing), jnp.asarray(self.sd), dof)
 
 
 @lru_cache(PROGRAMS)
@@ -97,12 +102,10 @@ def _layout(model: Model, elements: Elements) -> Layout:
     return known[key]
 
 
-def residuals(
-    model: Model, population: Population, sd: jax.Array, y: jax.Array, u: jax.Array
-) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
+def residuals(model: Model, given: Given, y: jax.Array, u: jax.Array) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
     """Whitened residuals (f - y)/sd (m,), 0 where y is NaN; the observation f, and the norm of what is subtracted."""
-    seen, observation = ~jnp.isnan(y), flatten(model(values_of(population, u))).astype(y.dtype)
-    found, y = (jnp.where(seen, item, 0) / sd for item in (observation, y))
+    seen, observation = ~jnp.isnan(y), flatten(model(values_of(given.population, u))).astype(y.dtype)
+    found, y = (jnp.where(seen, item, 0) / given.sd for item in (observation, y))
     return found - y, (observation, jnp.linalg.norm(jnp.abs(found) + jnp.abs(y)))
 
 
@@ -130,53 +133,36 @@ def _reverse(function: Callable[[jax.Array], Any], u: jax.Array) -> tuple[jax.Ar
 
 
 def linearised(
-    model: Model, population: Population, sd: jax.Array, y: jax.Array, u: jax.Array
+    model: Model, given: Given, y: jax.Array, u: jax.Array
 ) -> tuple[jax.Array, jax.Array, tuple[jax.Array, jax.Array]]:
     """Residuals (m,), slopes over u (m, p), the observation (m,) and the size of the numbers behind the residuals."""
-    return slopes(lambda u: residuals(model, population, sd, y, u), u, y.shape[0])
+    return slopes(lambda u: residuals(model, given, y, u), u, y.shape[0])
 
 
 @per_response()
-def linearise(model: Model, population: Population, sd: jax.Array, u: jax.Array) -> tuple[jax.Array, jax.Array]:
+def linearise(model: Model, given: Given, u: jax.Array) -> tuple[jax.Array, jax.Array]:
     """The whitened observation (m,) and its slopes over u (m, p) at one u."""
-    observation, jacobian, _ = linearised(model, population, sd, jnp.zeros_like(sd), u)
+    observation, jacobian, _ = linearised(model, given, jnp.zeros_like(given.sd), u)
     return observation, jacobian
 
 
 @per_response()
-def modes(
-    model: Model,
-    population: Population,
-    mixing: jax.Array,
-    sd: jax.Array,
-    y: jax.Array,
-    starts: jax.Array,
-    dof: jax.Array | None,
-    max_steps: jax.Array,
-) -> Mode:
+def modes(model: Model, given: Given, y: jax.Array, starts: jax.Array, max_steps: jax.Array) -> Mode:
     """The modes of units y (k, m) from starts (k, n)."""
 
     def one(y: jax.Array, start: jax.Array) -> Mode:
-        return mode(partial(linearised, model, population, sd, y), mixing, start, dof, max_steps)
+        return mode(partial(linearised, model, given, y), given.mixing, start, given.dof, max_steps)
 
     return jax.vmap(one)(y, starts)
 
 
 @per_response()
-def densities(
-    model: Model,
-    population: Population,
-    mixing: jax.Array,
-    sd: jax.Array,
-    y: jax.Array,
-    z: jax.Array,
-    dof: jax.Array | None,
-) -> jax.Array:
+def densities(model: Model, given: Given, y: jax.Array, z: jax.Array) -> jax.Array:
     """Phi (k,) at points z (k, n) for one unit y (m,); inf where the model is not finite."""
 
     def phi(z: jax.Array) -> jax.Array:
-        residual, _ = residuals(model, population, sd, y, mixed(mixing, z))
-        value = jnp.sum(z**2) / 2 + half_square(residual, dof)
+        residual, _ = residuals(model, given, y, mixed(given.mixing, z))
+        value = jnp.sum(z**2) / 2 + half_square(residual, given.dof)
         return jnp.where(jnp.isfinite(value), value, jnp.inf)
 
     return jax.lax.map(phi, z, batch_size=LANES)

@@ -6,7 +6,6 @@ different modes disagree; r_hat says so, and nothing is averaged away.
 """
 
 import dataclasses
-import importlib
 from typing import Any
 
 import jax
@@ -18,9 +17,9 @@ from rvjax import frames
 from rvjax.identify.elements import mapped_values
 from rvjax.identify.gauss_newton import half_square, mixed
 from rvjax.identify.posterior import Posterior
-from rvjax.identify.problem import Model, counted, residuals
+from rvjax.identify.problem import Given, Model, counted, residuals
 from rvjax.identify.search import FAINT
-from rvjax.population import Population, root_key
+from rvjax.population import root_key
 from rvjax.records import PyTree
 from rvjax.response import per_response
 
@@ -53,15 +52,6 @@ class Draws:
     z: np.ndarray = dataclasses.field(repr=False)
     posterior: Posterior = dataclasses.field(repr=False)
 
-    def to_arviz(self) -> Any:
-        """The draws for ArviZ, which must be installed, by name of the field."""
-        arviz = importlib.import_module("arviz")
-        elements = self.posterior.problem.elements
-        values = {name: np.asarray(leaf) for name, leaf in elements.beside("value", self.value).items()}
-        if int(arviz.__version__.split(".")[0]) > 0:
-            return arviz.from_dict({"posterior": values})
-        return arviz.from_dict(posterior=values)
-
 
 def sample(posterior: Posterior, *, chains: int = 4, warmup: int = 500, draws: int = 1000, seed: int = 0) -> Draws:
     """Draws from a posterior; needs the extra `sampler`.
@@ -83,23 +73,19 @@ def sample(posterior: Posterior, *, chains: int = 4, warmup: int = 500, draws: i
         raise ValueError(f"posterior: status {posterior.status}, there is no mode to start from")
     frames.needed("blackjax", "rvjax.identify.sample", "sampler")
     problem, peak = posterior.problem, posterior.peaks[0]
-    population, mixing, sd = problem.device
     key = root_key(seed)
     root = peak.spectrum.root
     inverse = peak.spectrum.right.T * np.sqrt(1 + peak.spectrum.eigenvalues)[:, None]
     heavy = [p for p, mode in zip(posterior.peaks, posterior.modes) if mode.weight > FAINT]
     about = [heavy[k % len(heavy)] for k in range(chains)]
-    normal = np.asarray(jax.random.normal(jax.random.fold_in(key, 0), (chains, mixing.shape[1])))
+    normal = np.asarray(jax.random.normal(jax.random.fold_in(key, 0), (chains, peak.z.size)))
     starts = np.stack([p.z + SPREAD * p.spectrum.root @ xi for p, xi in zip(about, normal)])
     # blackjax mixes dtypes and ranks, which a user's settings may forbid.
     with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
         v, divergent = run(
             problem.model,
-            population,
-            mixing,
-            sd,
+            problem.device,
             jnp.asarray(posterior.data),
-            problem.student,
             jnp.asarray(peak.z),
             jnp.asarray(root),
             jnp.asarray((starts - peak.z) @ inverse.T),
@@ -126,11 +112,8 @@ def sample(posterior: Posterior, *, chains: int = 4, warmup: int = 500, draws: i
 @per_response(static=("warmup", "draws"))
 def run(
     model: Model,
-    population: Population,
-    mixing: jax.Array,
-    sd: jax.Array,
+    given: Given,
     y: jax.Array,
-    dof: jax.Array | None,
     centre: jax.Array,
     root: jax.Array,
     starts: jax.Array,
@@ -143,9 +126,9 @@ def run(
     import blackjax
 
     def apart(z: jax.Array) -> tuple[jax.Array, Any]:
-        return residuals(model, population, sd, y, mixed(mixing, z))
+        return residuals(model, given, y, mixed(given.mixing, z))
 
-    density = _density(apart, dof, centre.shape[0])
+    density = _density(apart, given.dof, centre.shape[0])
 
     def logarithm(v: jax.Array) -> jax.Array:
         return density(centre + root @ v)

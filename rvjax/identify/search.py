@@ -57,8 +57,7 @@ def search(
     problem: Problem, y: np.ndarray, rng: np.random.Generator, starts: int, max_steps: int, draws: int
 ) -> tuple[tuple[Peak, ...], SolveInfo]:
     """The distinct modes, heaviest first, and how the solver ended at the first; none where it found none."""
-    population, mixing, sd = problem.device
-    points = rng.standard_normal((starts, mixing.shape[1]))
+    points = rng.standard_normal((starts, problem.elements.mixing.shape[1]))
     points[0] = 0.0
     rows = jnp.asarray(np.tile(y, (starts, 1)))
     pending = list(points)
@@ -68,7 +67,7 @@ def search(
     while pending and len(ended) < ROUNDS:
         block, pending = pending[:starts], pending[starts:]
         at = jnp.asarray(np.stack(block + block[-1:] * (starts - len(block))))
-        found = modes(problem.model, population, mixing, sd, rows, at, problem.student, jnp.int32(max_steps))
+        found = modes(problem.model, problem.device, rows, at, jnp.int32(max_steps))
         found = jax.tree.map(np.asarray, found)
         ended.append(found)
         for lane in np.argsort(found.phi):
@@ -133,6 +132,4 @@ def _lower_beside(problem: Problem, y: np.ndarray, peak: Peak, draws: int) -> li
 
 def phi_at(problem: Problem, y: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Phi (k,) of points z (k, n), inf where the model is not finite."""
-    population, mixing, sd = problem.device
-    found = densities(problem.model, population, mixing, sd, jnp.asarray(y), jnp.asarray(points), problem.student)
-    return np.asarray(found, float)
+    return np.asarray(densities(problem.model, problem.device, jnp.asarray(y), jnp.asarray(points)), float)

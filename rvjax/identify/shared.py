@@ -18,8 +18,7 @@ import numpy as np
 from rvjax.identify.elements import Elements
 from rvjax.identify.gauss_newton import LONGEST, ROUNDINGS, TOLERANCE, half_square, mixed, roots_of_weights
 from rvjax.identify.information import compressed
-from rvjax.identify.problem import Model, Problem, linearised
-from rvjax.population import Population
+from rvjax.identify.problem import Given, Model, Problem, linearised
 from rvjax.response import per_response
 from rvjax.status import Status
 
@@ -69,26 +68,17 @@ class Split:
 
 
 @per_response()
-def factored(
-    model: Model,
-    population: Population,
-    mixing: jax.Array,
-    sd: jax.Array,
-    y: jax.Array,
-    z: jax.Array,
-    order: jax.Array,
-    dof: jax.Array | None,
-) -> tuple[jax.Array, ...]:
+def factored(model: Model, given: Given, y: jax.Array, z: jax.Array, order: jax.Array) -> tuple[jax.Array, ...]:
     """Of units y (k, m) at z (k, n): triangular factors (k, n + 1, n + 1) of the weighted rows [J, -r] with the columns
     in this order, what the data add to Phi (k,), residuals, slopes over u, and the size of the numbers behind them."""
 
     def one(y: jax.Array, z: jax.Array) -> tuple[jax.Array, ...]:
-        residual, slopes, (_, size) = linearised(model, population, sd, y, mixed(mixing, z))
-        root = roots_of_weights(residual, dof)
-        rows = root[:, None] * jnp.concatenate([mixed(slopes, mixing)[:, order], -residual[:, None]], axis=1)
+        residual, slopes, (_, size) = linearised(model, given, y, mixed(given.mixing, z))
+        root = roots_of_weights(residual, given.dof)
+        rows = root[:, None] * jnp.concatenate([mixed(slopes, given.mixing)[:, order], -residual[:, None]], axis=1)
         short = max(rows.shape[1] - rows.shape[0], 0)
         factor = jnp.linalg.qr(jnp.pad(rows, ((0, short), (0, 0))), mode="r")
-        return factor, half_square(residual, dof), residual, slopes, size
+        return factor, half_square(residual, given.dof), residual, slopes, size
 
     return jax.vmap(one)(y, z)
 
@@ -97,7 +87,7 @@ def linear_rows(problem: Problem, slopes: np.ndarray, u: np.ndarray, residual: n
     """Slopes (..., m, p) beside linearised data J u - r (..., m, p + 1); of normal noise turned into fewer rows."""
     datum = (slopes @ u[..., None])[..., 0] - residual
     rows = np.concatenate([slopes, datum[..., None]], axis=-1)
-    return rows if problem.student is not None else compressed(rows)
+    return compressed(rows) if np.isinf(problem.dof) else rows
 
 
 def triangular(rows: np.ndarray) -> np.ndarray:
@@ -161,17 +151,8 @@ class Joint:
         numbers[: len(own), self.split.own_columns] = own
         numbers[:, self.split.shared_columns] = w
         y = np.concatenate([self.y[part], np.repeat(self.y[:1], together - len(own), axis=0)])
-        population, mixing, sd = self.problem.device
-        found = factored(
-            self.problem.model,
-            population,
-            mixing,
-            sd,
-            jnp.asarray(y),
-            jnp.asarray(numbers),
-            jnp.asarray(self.order),
-            self.problem.student,
-        )
+        arrays = map(jnp.asarray, (y, numbers, self.order))
+        found = factored(self.problem.model, self.problem.device, *arrays)
         return [np.asarray(item)[: len(own)] for item in found]
 
     def all(self, z: np.ndarray, w: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -228,7 +209,7 @@ class Joint:
 
     def finish(self) -> None:
         """The covariances at the mode."""
-        factors = self.all(self.z, self.w)[0] if self.problem.student is None else self._expected()
+        factors = self.all(self.z, self.w)[0] if np.isinf(self.problem.dof) else self._expected()
         step = _step(np.where(self.active[:, None, None], factors, 0.0), self.z, self.w, np.zeros(len(self.y) + 1))
         own, common = self.split.own, self.split.shared
         of_own = self.mixing[np.ix_(own, self.split.own_columns)]

@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from rvjax.batching import folded
 from rvjax.loaded import laws
-from rvjax.loaded.batching import folded
 from rvjax.loaded.elimination import Hessian
 from rvjax.loaded.system import Layout, System
 

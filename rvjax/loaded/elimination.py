@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax.loaded.batching import folded, stored
+from rvjax.batching import folded, stored
 from rvjax.loaded.system import Layout
 
 

@@ -11,6 +11,7 @@ from collections.abc import Callable
 import jax
 import jax.numpy as jnp
 
+from rvjax.batching import along_lanes
 from rvjax.mesh_force import laws
 from rvjax.mesh_force.block import Found, solve_block
 from rvjax.mesh_force.case import Case, lever
@@ -88,25 +89,7 @@ def _equilibrium_jvp(law: str, teeth: int, primals: PyTree, tangents: PyTree) ->
 @functools.lru_cache(maxsize=64)
 def _batched(law: str, teeth: int) -> Callable[[Case], Found]:
     """Batch (cases, ...) -> Found (cases, ...); vmap makes a larger batch of it."""
-    solve = jax.custom_batching.custom_vmap(functools.partial(_in_blocks, law, teeth))
-
-    @solve.def_vmap
-    def _rule(size: int, batched: list[Case], case: Case) -> tuple[Found, Found]:
-        (is_batched,) = batched
-        inner = max(leaf.shape[1 if of_batch else 0] for leaf, of_batch in zip(case, is_batched))
-
-        def flat(leaf: jax.Array, of_batch: bool) -> jax.Array:
-            if not of_batch and len(leaf) == 1:
-                return leaf  # shared by all
-            leaf = leaf if of_batch else jnp.broadcast_to(leaf, (size, *leaf.shape))
-            leaf = jnp.broadcast_to(leaf, (size, inner, *leaf.shape[2:]))
-            return leaf.reshape(size * inner, *leaf.shape[2:])
-
-        found = solve(jax.tree.map(flat, case, is_batched))
-        found = jax.tree.map(lambda leaf: leaf.reshape(size, inner, *leaf.shape[1:]), found)
-        return found, jax.tree.map(lambda _: True, found)
-
-    return solve
+    return along_lanes(functools.partial(_in_blocks, law, teeth))
 
 
 def _in_blocks(law: str, teeth: int, case: Case) -> Found:

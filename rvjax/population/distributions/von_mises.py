@@ -14,6 +14,7 @@ from rvjax.population.distribution import Moments, bad, central, raw_rayleigh
 from rvjax.population.distributions.classic import Rayleigh
 from rvjax.population.distributions.table import NODES, interpolate
 from rvjax.records import field, record, text
+from rvjax.roots import bisect
 
 
 @record
@@ -97,11 +98,8 @@ def _table(concentration: float) -> tuple[np.ndarray, np.ndarray]:
         span = np.minimum(np.pi - a, 12 / math.sqrt(max(k, 1.0)))  # 12 standard deviations of a narrow law
         return span * (density(a[:, None] + span[:, None] * points) @ weights)
 
-    target, low, high = special.ndtr(-z), np.zeros_like(z), np.full_like(z, np.pi)
-    for _ in range(20):
-        middle = (low + high) / 2
-        further = beyond(middle) > target
-        low, high = np.where(further, middle, low), np.where(further, high, middle)
+    target = special.ndtr(-z)
+    low, high = bisect(lambda a: beyond(a) > target, np.zeros_like(z), np.full_like(z, np.pi), steps=20)
     angle = (low + high) / 2
     for _ in range(4):
         angle = np.clip(angle + (beyond(angle) - target) / density(angle), low, high)

@@ -13,8 +13,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy
 
+from rvjax import files
 from rvjax.files import DAMAGE, PARTIAL, Arrays, digest, packed, unpacked, write_atomically
 from rvjax.population import Population
 from rvjax.records import Record
@@ -30,9 +30,7 @@ LARGEST = 2**26
 
 def versions() -> dict[str, str]:
     """Versions that a result belongs to."""
-    import rvjax
-
-    return {"rvjax": rvjax.__version__, "jax": jax.__version__, "scipy": scipy.__version__}
+    return files.versions("jax", "scipy")
 
 
 def describe(population: Population, requirements: Mapping[str, Limits]) -> dict[str, str]:

@@ -1,6 +1,7 @@
 """Order statistics: of all values where they are kept, else in constant memory from a histogram."""
 
 import math
+from bisect import bisect_left
 from collections.abc import Mapping
 
 import numpy as np
@@ -187,8 +188,4 @@ def quantile_estimate(order: Order | ExactOrder, p: float, confidence: float) ->
 
 def _binomial_quantile(share: float, n: int, p: float) -> int:
     """Smallest k with P(B <= k) >= share, B ~ binomial(n, p)."""
-    low, high = -1, n  # P(B <= low) < share <= P(B <= high)
-    while high - low > 1:
-        k = (low + high) // 2
-        low, high = (low, k) if special.bdtr(k, n, p) >= share else (k, high)
-    return high
+    return bisect_left(range(n), share, key=lambda k: special.bdtr(k, n, p))

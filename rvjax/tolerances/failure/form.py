@@ -13,6 +13,7 @@ from scipy import special
 
 from rvjax.population import Population
 from rvjax.response import Response, evaluate, per_response, respond
+from rvjax.roots import bisect
 from rvjax.status import succeeded
 
 LANES = 32
@@ -150,11 +151,7 @@ def _edges(state: LimitState, ends: np.ndarray, middle_fails: bool) -> np.ndarra
     """Where failure begins (or ends) on the rays from 0 to `ends` (numbers, n), for those on which it does."""
     ends = ends[:, state.fails(ends) != middle_fails]
     near, far = np.zeros(ends.shape[1]), np.ones(ends.shape[1])
-    for _ in range(_BISECTIONS):
-        middle = (near + far) / 2
-        same = state.fails(ends * middle) == middle_fails
-        near, far = np.where(same, middle, near), np.where(same, far, middle)
-    return ends * far
+    return ends * bisect(lambda at: state.fails(ends * at) == middle_fails, near, far, steps=_BISECTIONS)[1]
 
 
 def _search(state: LimitState, starts: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from rvjax.population import Population
+from rvjax.roots import bisect
 from rvjax.tolerances.failure.form import Found, LimitState
 
 _SAME = 0.01  # failure begins at an image within this of where it begins at the point, relative: parts of one kind
@@ -40,11 +41,7 @@ def _begins(state: LimitState, images: np.ndarray) -> np.ndarray:
     inside = state.fails(near * images)
     begins = inside != state.fails(far * images)
     images, near, far, inside = images[:, begins], near[begins], far[begins], inside[begins]
-    for _ in range(_HALVINGS):
-        middle = (near + far) / 2
-        before = state.fails(middle * images) == inside
-        near, far = np.where(before, middle, near), np.where(before, far, middle)
-    return far * images
+    return images * bisect(lambda at: state.fails(at * images) == inside, near, far, steps=_HALVINGS)[1]
 
 
 def _images(population: Population, point: np.ndarray, matter: np.ndarray) -> Iterator[np.ndarray]:
