@@ -99,8 +99,39 @@ def plan(
     if found.level:  # nothing to choose by: as they lie
         build = _as_they_lie(slots, supply)
     build = _in_order(build, slots)
-    return _certified(
-        machine, supply, found, build, bound, reached, proved, objective, requirement, seed, fresh, confidence
+    # Valued on fresh draws, next to random assembly on the same ones.
+    place = np.array(build)
+    turn = machine.indices[found.index[tuple(place.T)]]
+    drawn = draw(slots, seed, 1, fresh, alike=False)
+    units = len(build)
+    if fresh == 1:  # all is known: the costs that chose are the values
+        own = found.mean[tuple(place.T)]
+        values = np.where(np.isinf(own), np.nan, own)[:, None]
+    else:
+        lanes = np.repeat(np.arange(units), fresh), np.tile(np.arange(fresh), units)
+        values = machine.values(drawn, place[lanes[0]], turn[lanes[0]], lanes[1]).reshape(units, fresh)
+    random, random_good = _random(machine, supply, found, drawn, requirement, seed, fresh)
+    failed = np.isnan(values).any(axis=1)
+    expected = np.where(failed, np.inf, values.mean(axis=1))
+    share = good(values, requirement).mean(axis=0)
+    worst = {"mean": expected.mean(), "bottleneck": expected.max(), "yield": share.mean()}[objective]
+    infeasible = not np.isfinite(reached)
+    gap = 0.0 if proved or reached == bound or infeasible else abs(reached - bound) / max(abs(reached), 1e-300)
+    own = np.where(np.isnan(values).any(axis=0), np.nan, values.mean(axis=0))
+    return Plan(
+        build=tuple({s: one.id_of(k) for (s, one), k in zip(slots.items(), unit)} for unit in build),
+        index=tuple(dict(zip(slots, map(int, at))) for at in turn),
+        values=expected,
+        objective=float(worst),
+        lower_bound=float(bound),
+        gap=float(gap),
+        status="INFEASIBLE" if infeasible else "OPTIMAL" if gap <= CLOSE else "BOUNDED",
+        left_over=_left_over(slots, supply, place),
+        random=_estimate(random, confidence),
+        gain=_estimate(random - own, confidence),
+        yield_=None if requirement is None else _estimate(share, confidence),
+        random_yield=None if requirement is None else _estimate(random_good, confidence),
+        failing=tuple(map(int, np.flatnonzero(failed))) if infeasible else (),
     )
 
 
@@ -218,56 +249,6 @@ def _in_order(build: Build, slots: Mapping[str, Known]) -> Build:
     """Units in the order in which the parts of the first slot lie there, then those of the second."""
     orders = [one.order for one in slots.values()]
     return sorted(build, key=lambda unit: tuple(int(order[place]) for order, place in zip(orders, unit)))
-
-
-def _certified(
-    machine: Machine,
-    supply: Supply,
-    found: Costs,
-    build: Build,
-    bound: float,
-    reached: float,
-    proved: bool,
-    objective: str,
-    requirement: Requirement | None,
-    seed: int,
-    fresh: int,
-    confidence: float,
-) -> Plan:
-    """Value a build on fresh draws, beside random assembly on the same ones."""
-    slots, place = machine.slots, np.array(build)
-    turn = machine.indices[found.index[tuple(place.T)]]
-    drawn = draw(slots, seed, 1, fresh, alike=False)
-    units = len(build)
-    if fresh == 1:  # all is known: the costs that chose are the values
-        own = found.mean[tuple(place.T)]
-        values = np.where(np.isinf(own), np.nan, own)[:, None]
-    else:
-        lanes = np.repeat(np.arange(units), fresh), np.tile(np.arange(fresh), units)
-        values = machine.values(drawn, place[lanes[0]], turn[lanes[0]], lanes[1]).reshape(units, fresh)
-    random, random_good = _random(machine, supply, found, drawn, requirement, seed, fresh)
-    failed = np.isnan(values).any(axis=1)
-    expected = np.where(failed, np.inf, values.mean(axis=1))
-    share = good(values, requirement).mean(axis=0)
-    worst = {"mean": expected.mean(), "bottleneck": expected.max(), "yield": share.mean()}[objective]
-    infeasible = not np.isfinite(reached)
-    gap = 0.0 if proved or reached == bound or infeasible else abs(reached - bound) / max(abs(reached), 1e-300)
-    own = np.where(np.isnan(values).any(axis=0), np.nan, values.mean(axis=0))
-    return Plan(
-        build=tuple({s: one.id_of(k) for (s, one), k in zip(slots.items(), unit)} for unit in build),
-        index=tuple(dict(zip(slots, map(int, at))) for at in turn),
-        values=expected,
-        objective=float(worst),
-        lower_bound=float(bound),
-        gap=float(gap),
-        status="INFEASIBLE" if infeasible else "OPTIMAL" if gap <= CLOSE else "BOUNDED",
-        left_over=_left_over(slots, supply, place),
-        random=_estimate(random, confidence),
-        gain=_estimate(random - own, confidence),
-        yield_=None if requirement is None else _estimate(share, confidence),
-        random_yield=None if requirement is None else _estimate(random_good, confidence),
-        failing=tuple(map(int, np.flatnonzero(failed))) if infeasible else (),
-    )
 
 
 def _random(

@@ -126,34 +126,25 @@ def _lost(problem: Problem, y: np.ndarray, info: SolveInfo) -> Posterior:
     nothing = np.full(p, np.nan)
     values, numbers = elements.structure(nothing), {name: np.nan for name in elements.names}
     fields = dict.fromkeys(elements.population.active, np.nan)
-    observation = layout.tree(np.full(y.size, np.nan))
     return Posterior(
+        **dict.fromkeys(("directions", "inseparable", "modes", "peaks"), ()),
+        **dict.fromkeys(("value", "lower", "upper"), values),
+        **dict.fromkeys(("prediction", "residual"), layout.tree(np.full(y.size, np.nan))),
+        **dict.fromkeys(("information", "evidence"), np.nan),
+        **dict.fromkeys(("u", "u_sd"), nothing),
+        u_covariance=np.full((p, p), np.nan),
         names=elements.names,
-        u_sd=nothing,
         resolution=numbers,
         verdict=dict.fromkeys(elements.names, "unseen"),
-        directions=(),
-        inseparable=(),
-        information=np.nan,
-        u=nothing,
-        u_covariance=np.full((p, p), np.nan),
-        value=values,
-        lower=values,
-        upper=values,
         fit=Fit(np.nan, 0, np.nan, np.nan, 0, np.nan, np.nan, np.full(y.size, np.nan), ()),
         adequate=False,
         shares={group: dict(fields) for group in layout.groups},
         broken=dict(numbers),
-        modes=(),
         laplace=Laplace(np.nan, np.nan, False),
-        evidence=np.nan,
-        prediction=observation,
-        residual=observation,
         status=Outcome(Status(int(info.status)).name),
         info=info,
         problem=problem,
         data=y,
-        peaks=(),
     )
 
 
@@ -162,13 +153,7 @@ def _fitted(problem: Problem, y: np.ndarray, residual: np.ndarray, slopes: np.nd
     mixing, seen = problem.elements.mixing, ~np.isnan(y)
     found = fits.judged(slopes, mixing, problem.nuisance, slopes @ u - residual, seen, problem.dof)
     return Fit(
-        chi2_model=float(found.chi2_model),
-        dof_model=int(found.dof_model),
-        p_model=float(found.p_model),
-        chi2_prior=float(found.chi2_prior),
-        dof_prior=int(found.dof_prior),
-        p_prior=float(found.p_prior),
-        p_total=float(found.p_total),
+        **{name: number.item() for name, number in found._asdict().items()},
         weights=fits.weights(residual, seen, problem.dof),
         worst=fits.largest(residual, problem.layout.names),
     )

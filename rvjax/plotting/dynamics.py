@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from rvjax.dynamics import Modes, Periodic, Response
-from rvjax.plotting.style import AFTER, BEFORE, PALETTE, new_axes, words
+from rvjax.plotting.style import AFTER, BEFORE, DASHES, PALETTE, new_axes, words
 from rvjax.units import readable, rpm
 
 KIND_STYLES = {
@@ -85,7 +85,7 @@ def speed_response(
     shown, size = readable(unit)
     for k, order in enumerate(harmonics):
         height = np.abs(np.asarray(amplitude)[:, order - 1]) / size
-        colour, dash = PALETTE[k % len(PALETTE)], ("-", "--", "-.", ":")[k % 4]
+        colour, dash = PALETTE[k % len(PALETTE)], DASHES[k % 4]
         axes.semilogy(mesh_frequency, height, color=colour, ls=dash, lw=1.2, label=f"{order}")
     axes.set(xlabel="mesh frequency (Hz)", ylabel=f"amplitude ({shown})", title=f"Response of {words(name)}")
     axes.set_xlim(np.min(mesh_frequency), np.max(mesh_frequency))
@@ -117,7 +117,7 @@ def one_period(
         amplitude = np.asarray(found.amplitude)[:, found.outputs.index(output)]
         order = np.arange(1, len(amplitude) + 1)
         curve = np.real(np.exp(1j * turn[:, None] * order) @ amplitude) / size
-        axes.plot(1e3 * time, curve, ("-", "--", "-.", ":")[k % 4], color=PALETTE[(0, 5, 2, 3)[k % 4]], label=name)
+        axes.plot(1e3 * time, curve, DASHES[k % 4], color=PALETTE[(0, 5, 2, 3)[k % 4]], label=name)
     axes.set(xlabel="time in one mesh period (ms)", ylabel=f"{words(output)} about its mean ({shown})")
     axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
     return axes
@@ -171,9 +171,8 @@ def sensitivity_curves(
         axes: where to draw; a new figure by default.
     """
     axes = new_axes(axes)
-    dashes = ("-", "--", ":", "-.")
     for k, (label, slope) in enumerate(slopes.items()):
-        axes.semilogy(values, np.abs(slope), color=PALETTE[k % len(PALETTE)], ls=dashes[k % 4], label=label)
+        axes.semilogy(values, np.abs(slope), color=PALETTE[k % len(PALETTE)], ls=DASHES[k % 4], label=label)
     if np.max(values) > 30 * np.min(values) > 0:
         axes.set_xscale("log")
     axes.set(xlabel=f"{words(field)} ({unit})", ylabel=ylabel, title=f"Sensitivity to {words(field)}")

@@ -7,10 +7,8 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from rvjax.four_bar import Closure, Revolution
-from rvjax.plotting.style import PALETTE, new_axes
+from rvjax.plotting.style import DASHES, PALETTE, new_axes
 from rvjax.units import arcmin, um
-
-_DASHES = ("-", "--", "-.", ":")
 
 
 def linkages(
@@ -39,7 +37,7 @@ def linkages(
         colour = PALETTE[(0, 5)[k % 2]]
         links = np.array([[0.0, 0.0], pin, end, [1.0, 0.0]])
         label = f"{name}: disc at {np.degrees(angle):.2f} deg"
-        axes.plot(*links.T, _DASHES[k % 4], color=colour, lw=2.0, marker="o", ms=6, mfc="white", label=label)
+        axes.plot(*links.T, DASHES[k % 4], color=colour, lw=2.0, marker="o", ms=6, mfc="white", label=label)
     axes.set_aspect("equal")
     axes.set(xlabel="x / spacing of the cranks (-)", ylabel="y / spacing (-)")
     axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
@@ -59,7 +57,7 @@ def angles_over_error(errors: Any, angles: Mapping[str, Any], *, name: str, axes
     for k, (label, angle) in enumerate(angles.items()):
         size = np.abs(np.asarray(angle)) / arcmin
         shown = np.where(size > 0, size, np.nan)
-        axes.semilogy(np.asarray(errors) / um, shown, _DASHES[k % 4], color=PALETTE[(5, 1, 0, 2)[k % 4]], lw=1.8)
+        axes.semilogy(np.asarray(errors) / um, shown, DASHES[k % 4], color=PALETTE[(5, 1, 0, 2)[k % 4]], lw=1.8)
         axes.lines[-1].set_label(label)
     axes.set(xlabel=f"error of the {name} (um)", ylabel="|angle of the disc| (arcmin)")
     axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
@@ -78,7 +76,7 @@ def turns(revolutions: Mapping[str, Revolution], *, axes: Axes | None = None) ->
         degrees = np.append(np.degrees(turn.crank_angle), 360)
         error = np.asarray(turn.error) / arcmin
         label = f"{name}: {float(turn.peak_to_peak) / arcmin:.3f} arcmin peak to peak"
-        axes.plot(degrees, np.append(error, error[0]), _DASHES[k % 4], color=PALETTE[k % len(PALETTE)], label=label)
+        axes.plot(degrees, np.append(error, error[0]), DASHES[k % 4], color=PALETTE[k % len(PALETTE)], label=label)
     axes.set(xlabel="crank angle (deg)", ylabel="transmission error (arcmin)", xlim=(0, 360))
     axes.set_xticks(range(0, 361, 60))
     axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), fontsize=9)

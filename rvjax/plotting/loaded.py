@@ -10,10 +10,8 @@ from matplotlib.patches import Circle
 from rvjax.designs import RVReducer
 from rvjax.loaded import Loaded, Revolution, Torsion
 from rvjax.plotting.drawings import crank_axes, flank, turned, unit_vector
-from rvjax.plotting.style import AFTER, BEFORE, LIMIT, PALETTE, new_axes
+from rvjax.plotting.style import AFTER, BEFORE, DASHES, LIMIT, PALETTE, new_axes
 from rvjax.units import arcmin, arcsec, mm
-
-_DASHES = ("-", "--", "-.", ":")
 
 
 def pin_forces(
@@ -256,7 +254,7 @@ def measured_curve(
         miss = (np.asarray(angle) / arcmin - shown)[~used]
         label = f"{name}: predicted within {np.abs(miss).max():.3f} arcmin"
         axes.plot(
-            torque, np.asarray(angle) / arcmin - straight, _DASHES[k % 4], color=PALETTE[(0, 1, 2)[k % 3]], label=label
+            torque, np.asarray(angle) / arcmin - straight, DASHES[k % 4], color=PALETTE[(0, 1, 2)[k % 3]], label=label
         )
     label = "half of backward less forward error (arcmin)"
     if stiffness is not None:

@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 
 BEFORE, AFTER, LIMIT = "#E69F00", "#0072B2", "#D55E00"
 PALETTE = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#F0E442", "#000000")
+DASHES = ("-", "--", "-.", ":")
 HATCHES = ("", "//", "..", "xx", "\\\\", "++", "oo", "--")
 
 _STYLE: Any = {

@@ -6,12 +6,13 @@ the ratio of the rated torques (1/2), rounded; springs are its printed ones time
 """
 
 from collections.abc import Callable, Sequence
-from functools import cache
+from functools import cache, lru_cache
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy import optimize
 
 from rvjax import loaded
 from rvjax.designs import Contact, CrankStage, CycloidStage, InvoluteStage, RVReducer, Stiffness
@@ -163,7 +164,7 @@ START = dict(factor=0.5, gears=1.0, clearance=3.0, play=1e-3, scatter=2.0)
 def fit(
     free: Sequence[str] = ("factor", "clearance", "scatter"), seed: int = 0, steps: int = 20, **fixed: float
 ) -> Fit:
-    """Damped Gauss-Newton on the logarithms, so that every value stays positive; held against half of the torques.
+    """Fit the logarithms by least squares, so that every value stays positive; held against half of the torques.
 
     Args:
         free: names of `FREE` that move.
@@ -172,21 +173,21 @@ def fit(
         **fixed: values of others, or where the free ones start; by default those of `START`.
     """
     errors, moves = pattern(seed), np.array([name in free for name in FREE])
-    log, damping = np.log([(START | fixed)[name] for name in FREE]), 1e-3
-    angle, slope = half_difference(np.exp(log), errors)
-    for _ in range(steps):
-        miss, rows = (angle - MEASURED)[FITTED] / arcmin, slope[FITTED][:, moves] / arcmin
-        square = rows.T @ rows
-        step = np.clip(np.linalg.solve(square + damping * np.diag(np.diag(square)), -rows.T @ miss), -1, 1)
-        trial = log.copy()
-        trial[moves] += step
-        found = half_difference(np.exp(trial), errors)
-        better = np.sum(((found[0] - MEASURED)[FITTED] / arcmin) ** 2) < np.sum(miss**2)
-        if better:
-            log, (angle, slope) = trial, found
-        damping *= 0.1 if better else 10
-        if np.max(np.abs(step)) < 1e-5:
-            break
+    log = np.log([(START | fixed)[name] for name in FREE])
+
+    @lru_cache(1)
+    def at(*moved: float) -> tuple[np.ndarray, np.ndarray]:
+        log[moves] = moved
+        return half_difference(np.exp(log), errors)
+
+    found = optimize.least_squares(
+        lambda moved: (at(*moved)[0] - MEASURED)[FITTED] / arcmin,
+        log[moves],
+        jac=lambda moved: at(*moved)[1][FITTED][:, moves] / arcmin,
+        xtol=1e-5,
+        max_nfev=steps + 1,
+    )
+    angle, slope = at(*found.x)
     rows = slope[FITTED][:, moves]
     freedom = FITTED.sum() - moves.sum()
     covariance = np.sum((angle - MEASURED)[FITTED] ** 2) / freedom * np.linalg.inv(rows.T @ rows)

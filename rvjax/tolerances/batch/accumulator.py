@@ -7,12 +7,11 @@ import numpy as np
 
 from rvjax.files import Arrays
 from rvjax.population import CentralMoments, Pairwise
-from rvjax.status import PRECEDENCE, SUCCESS
+from rvjax.status import SUCCESS
 from rvjax.tolerances.batch.quantiles import ExactOrder, Order
 from rvjax.tolerances.requirements.kinds import Limits
 
 _GOOD = [int(status) for status in SUCCESS]
-_BAD = {int(status) for status in PRECEDENCE} - set(_GOOD)
 _GROWING = ("failures", "values", "pilot", "waiting", "waiting_streams")  # arrays with as many rows as were needed
 
 
@@ -114,7 +113,10 @@ class Tally:
         return state
 
     def check(self, state: Arrays, units: int) -> None:
-        """Refuse, with a ValueError, what cannot be the `state` of a tally of this study after so many units."""
+        """Raise a ValueError unless `state` has the arrays of this study and counts so many units.
+
+        The digest of the file vouches for the numbers.
+        """
         mine = self.state(0)
         if state.keys() != mine.keys():
             raise ValueError(f"other arrays: {', '.join(sorted(state.keys() ^ mine.keys()))}")
@@ -126,26 +128,8 @@ class Tally:
                 or array.ndim != like.ndim
             ):
                 raise ValueError(f"{key}: {array.dtype} of shape {array.shape}")
-            if array.dtype.kind == "i" and (array < 0).any():
-                raise ValueError(f"{key}: negative counts")
-        seen, (codes, counts, examples) = state["seen"], state["failures"].T
-        passed = [state["joint"], *(array for key, array in state.items() if key.endswith("/passed"))]
-        if seen.sum() != units or any((array > seen).any() for array in passed):
-            raise ValueError(f"counts of {int(seen.sum())} units, not of {units}")
-        if not set(codes.tolist()) <= _BAD or (examples >= 2**32).any():
-            raise ValueError("failures of no known status")
-        valid = units - counts.sum()
-        for number in range(len(self.names)):
-            moments = [state[f"{number}/moments/{stream}"] for stream in range(self.streams)]
-            places = np.concatenate([rows[:, :3] for rows in moments])
-            if not (places >= 0).all() or (places % 1 != 0).any() or places[:, 2].sum() != valid:
-                raise ValueError(f"{number}/moments: not of {valid} units")
-            if self.values:
-                continue
-            below, above, n = state[f"{number}/order/numbers"]
-            binned = state[f"{number}/order/counts"].sum() + below + above
-            if n != valid or binned + state[f"{number}/order/waiting"].size != n:
-                raise ValueError(f"{number}/order: not of {valid} units")
+        if (seen := int(state["seen"].sum())) != units:
+            raise ValueError(f"counts of {seen} units, not of {units}")
 
     def merge(self, state: Arrays) -> None:
         """Take in the `state` of a tally of other units of the same study."""
