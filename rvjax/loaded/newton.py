@@ -15,8 +15,9 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from rvjax.batching import folded, stored
 from rvjax.loaded import laws
-from rvjax.loaded.batching import BLOCK, folded, stored, take
+from rvjax.loaded.batching import BLOCK, take
 from rvjax.loaded.contacts import Bearing, Contacts, depths, energy, frame, gradient, hessian, joints
 from rvjax.loaded.elimination import solve
 from rvjax.loaded.interior import approach
