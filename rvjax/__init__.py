@@ -28,72 +28,30 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 
-# Where a name lives that is loaded when first asked for, for JAX takes a second; None: the name is a submodule.
-_LAZY = {
-    "Block": "dynamics",
-    "Blocks": "dynamics",
-    "CamRollerErrors": "errors",
-    "CamRollerReducer": "designs",
-    "Closure": "four_bar",
-    "Contact": "designs",
-    "ContactPressure": "mesh_force",
-    "CrankStage": "designs",
-    "CycleStatistics": "mesh_force",
-    "CycloidStage": "designs",
-    "Damping": "designs",
-    "DynamicError": "dynamics",
-    "EnergyShares": "dynamics",
-    "ErrorExcitation": "dynamics",
-    "ErrorStatistics": "dynamics",
-    "Floquet": "dynamics",
-    "Inertia": "designs",
-    "InvoluteStage": "designs",
-    "LinkDeviations": "four_bar",
-    "Loaded": "loaded",
-    "LoopFigures": "lost_motion",
-    "LostMotion": "lost_motion",
-    "LostMotionTerms": "lost_motion",
-    "Lumped": "dynamics",
-    "MeshForces": "mesh_force",
-    "MeshVariation": "designs",
-    "Modes": "dynamics",
-    "Periodic": "dynamics",
-    "RVErrors": "errors",
-    "RVReducer": "designs",
-    "Record": "records",
-    "Response": "dynamics",
-    "Revolution": "four_bar",
-    "Root": "roots",
-    "SolveError": "status",
-    "SolveInfo": "status",
-    "SpeedSweep": "dynamics",
-    "Static": "dynamics",
-    "Status": "status",
-    "Stiffness": "designs",
-    "System": "dynamics",
-    "ToothProfile": "mesh_force",
-    "Torsion": "loaded",
-    "TransmissionError": "four_bar",
-    "check": "status",
-    "assembly": None,
-    "catalogue": None,
-    "compensation": None,
-    "dynamics": None,
-    "four_bar": None,
-    "identify": None,
-    "levels": None,
-    "loaded": None,
-    "lost_motion": None,
-    "mesh_force": None,
-    "models": None,
-    "mounting": None,
-    "plotting": None,
-    "published": None,
-    "roots": None,
-    "study": None,
-    "tolerances": None,
-    "units": None,
+# Homes of names that are loaded when first asked for, because importing JAX takes a second.
+_HOMES = {
+    "designs": (
+        "CamRollerReducer Contact CrankStage CycloidStage Damping Inertia InvoluteStage MeshVariation RVReducer "
+        "Stiffness"
+    ),
+    "dynamics": (
+        "Block Blocks DynamicError EnergyShares ErrorExcitation ErrorStatistics Floquet Lumped Modes Periodic "
+        "Response SpeedSweep Static System"
+    ),
+    "errors": "CamRollerErrors RVErrors",
+    "four_bar": "Closure LinkDeviations Revolution TransmissionError",
+    "loaded": "Loaded Torsion",
+    "lost_motion": "LoopFigures LostMotion LostMotionTerms",
+    "mesh_force": "ContactPressure CycleStatistics MeshForces ToothProfile",
+    "records": "Record",
+    "roots": "Root",
+    "status": "SolveError SolveInfo Status check",
 }
+_MODULES = (
+    "assembly catalogue compensation dynamics four_bar identify levels loaded lost_motion mesh_force models "
+    "mounting plotting published roots study tolerances units "
+)
+_LAZY = {name: home for home, names in _HOMES.items() for name in names.split()} | dict.fromkeys(_MODULES.split())
 
 _GROUND = ("designs", "errors", "records", "status")  # submodules whose names are all above
 
