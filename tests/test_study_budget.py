@@ -19,7 +19,7 @@ from rvjax import RVErrors, cli, four_bar, plotting, progress, study
 from rvjax.commands.budget import compute as budget
 from rvjax.commands.budget import error_budget, report_on, section_on
 from rvjax.errors import STAGES
-from rvjax.population.population import Population, drawn, root_key
+from rvjax.population import Population, Tolerance, drawn, root_key
 from rvjax.render import Note, Table, write_files
 from rvjax.study import parse_study
 from rvjax.units import arcsec
@@ -87,7 +87,7 @@ def test_shares_are_those_of_the_linear_response(question, found):
 def test_what_errors_do_together_is_bounded(monkeypatch):
     """Oracle: f = a x + b y + c x y + d x y z of normal numbers has the variance a^2 + b^2 + c^2 + d^2, of which c^2 +
     d^2 is together; the bound counts a term of three twice. Five standard errors."""
-    a, b, places = 2.0, 1.0, {name: slice(k, k + 1) for k, name in enumerate("xyz")}
+    a, b, units = 2.0, 1.0, Population.of(dict.fromkeys("xyz", Tolerance.symmetric(1.0)))
 
     def share(c, d, count=20_000):
         def solve(z):
@@ -95,7 +95,7 @@ def test_what_errors_do_together_is_bounded(monkeypatch):
             wave = a * x + b * y + c * x * y + d * x * y * z
             return np.stack([np.full_like(x, 7.0), 1j * wave], axis=1)
 
-        load = budget._of_load(solve, lambda first, *, count: draws[:, first : first + count], places, count)
+        load = budget._of_load(solve, lambda first, *, count: draws[:, first : first + count], units, count)
         assert load.total[1] == pytest.approx(0.5 * (a**2 + b**2 + c**2 + d**2), rel=5 * np.sqrt(20 / count))
         assert load.failed == 0 and load.alike[0] == pytest.approx(49.0)
         return load.together
@@ -113,11 +113,11 @@ def test_blocks_of_units_change_nothing(question, monkeypatch):
         return np.stack([np.asarray(z).sum(0), np.asarray(z).prod(0) + 1j], axis=1)
 
     draws = jnp.asarray(np.random.default_rng(0).standard_normal((2, 100)))
-    places = {"x": slice(0, 1), "y": slice(1, 2)}
+    units = Population.of(dict.fromkeys("xy", Tolerance.symmetric(1.0)))
     found = []
     for block in (40, 16):
         monkeypatch.setattr(budget, "BLOCK", block)
-        found.append(budget._solved(solve, lambda first, *, count: draws[:, first : first + count], places, 40))
+        found.append(budget._solved(solve, lambda first, *, count: draws[:, first : first + count], units, 40))
     jax.tree.map(np.testing.assert_array_equal, *found)
     assert found[0][0].shape == (40, 2)
 

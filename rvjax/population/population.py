@@ -8,7 +8,7 @@ correlation mixes the fields, the shared factors of its batch behind them.
 import functools
 import math
 import operator
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any, Self
 
 import jax
@@ -125,6 +125,21 @@ class Population(Record):
         return self._flat[1].unflatten(
             [values.get(name, absent if leaf is None else leaf) for name, leaf in self._leaves.items()]
         )
+
+    def exchanged(self, one: Any, other: Any) -> Iterator[tuple[str, Any]]:
+        """Units with the random numbers of one field from other units, field by field: name and z (numbers, n).
+
+        Differences to the first units give total effects (Jansen, Comput. Phys. Commun. 117, 1999).
+
+        Args:
+            one: z of the units (numbers, n).
+            other: z of the others, likewise.
+        """
+        library: Any = np if isinstance(one, np.ndarray) else jnp
+        stop = 0
+        for name, size in self.numbers_by_field.items():
+            start, stop = stop, stop + size
+            yield name, library.concatenate([one[:start], other[start:stop], one[stop:]])
 
     def by_field(self, values: Array | np.ndarray) -> dict[str, Any]:
         """A vector over all active elements (n,) as arrays by field."""

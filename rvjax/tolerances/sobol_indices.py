@@ -1,8 +1,8 @@
 """Sobol indices: which share of a response's variance each error carries, alone and with its interactions."""
 
 import dataclasses
+import itertools
 import math
-from collections.abc import Iterator
 from typing import Any
 
 import jax.numpy as jnp
@@ -92,7 +92,9 @@ def sobol_indices(
     for start in range(0, samples, block):
         count = min(block, samples - start)
         z = np.pad(points.z(start, count), ((0, 0), (0, block - count)))  # one program for chunks of one length
-        rows = [_evaluated(response, population, mixed, count) for mixed in _mixtures(population, *np.split(z, 2))]
+        a, b = np.split(z, 2)
+        mixtures = (mixed for _, mixed in population.exchanged(a, b))
+        rows = [_evaluated(response, population, units, count) for units in itertools.chain([a, b], mixtures)]
         good = np.all([valid for _, valid in rows], axis=0)
         used += int(good.sum())
         failed += sum(int((~valid).sum()) for _, valid in rows)
@@ -110,17 +112,6 @@ def sobol_indices(
         seed=seed,
     )
     return unwrapped(found)
-
-
-def _mixtures(population: Population, a: np.ndarray, b: np.ndarray) -> Iterator[np.ndarray]:
-    """The z (numbers, rows) of A, B and every AB_i."""
-    yield a
-    yield b
-    stop = 0
-    for numbers in population.numbers_by_field.values():
-        start, stop, mixed = stop, stop + numbers, a.copy()
-        mixed[start:stop] = b[start:stop]
-        yield mixed
 
 
 def _evaluated(

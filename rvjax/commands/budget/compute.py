@@ -154,11 +154,10 @@ def error_budget(
         loads = {"loaded": torque, "unloaded": UNLOADED * torque}
     population = Population.of(study.tolerances if tolerances is None else tolerances)
     draw = partial(drawn, population, root_key(study.seed if seed is None else seed))
-    places = _places(population)
     about = {f.name: f.metadata for f in dataclasses.fields(study.design.error_record)}
     blocks = -(-samples // BLOCK)
     found = {}
-    with progress_bar(progress, len(loads) * blocks * (2 + len(places)), "solving", "batch") as advance:
+    with progress_bar(progress, len(loads) * blocks * (2 + len(population.active)), "solving", "batch") as advance:
 
         def solve(torque: float, z: jax.Array) -> np.ndarray:
             waves = np.asarray(_waves(curve.evaluate, given, name, study.design, population, torque, z))
@@ -167,7 +166,7 @@ def error_budget(
 
         for load, torque in loads.items():
             with naming(f"study {study.name}, {load}, {torque:g} N m"):
-                found[load] = _of_load(partial(solve, torque), draw, places, samples)
+                found[load] = _of_load(partial(solve, torque), draw, population, samples)
     waves = len(next(iter(found.values())).total)
     assert curve.turns is not None
     return Budget(
@@ -175,7 +174,7 @@ def error_budget(
         unit=curve.unit,
         orders=np.arange(waves) / curve.turns(study.design, given),
         torque=dict(loads),
-        part={field: about[field]["part"] for field in places},
+        part={field: about[field]["part"] for field in population.active},
         samples=samples,
         **{f.name: {load: getattr(one, f.name) for load, one in found.items()} for f in dataclasses.fields(_Load)},
     )
@@ -212,8 +211,8 @@ class _Load:
     failed: int
 
 
-def _of_load(solve: Solve, draw: Callable[..., jax.Array], places: Mapping[str, slice], samples: int) -> _Load:
-    one, other, changed = _solved(solve, draw, places, samples)
+def _of_load(solve: Solve, draw: Callable[..., jax.Array], population: Population, samples: int) -> _Load:
+    one, other, changed = _solved(solve, draw, population, samples)
     good = np.isfinite(one).all(1) & np.isfinite(other).all(1)
     for values in changed.values():
         good &= np.isfinite(values).all(1)
@@ -239,17 +238,17 @@ def _of_load(solve: Solve, draw: Callable[..., jax.Array], places: Mapping[str, 
 
 
 def _solved(
-    solve: Solve, draw: Callable[..., jax.Array], places: Mapping[str, slice], samples: int
+    solve: Solve, draw: Callable[..., jax.Array], population: Population, samples: int
 ) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
     """Waves (units, k) of units, of other units, and of the first with one error of the others, by that error."""
     block = min(BLOCK, samples)
     parts: list[list[np.ndarray]] = []
     for first in range(0, samples, block):
         own, new = (draw(first + start, count=block) for start in (0, samples))
-        batches = [own, new, *(own.at[place].set(new[place]) for place in places.values())]
+        batches = [own, new, *(mixed for _, mixed in population.exchanged(own, new))]
         parts.append([solve(batch)[: samples - first] for batch in batches])
     one, another, *changed = (np.concatenate(values) for values in zip(*parts))
-    return one, another, dict(zip(places, changed))
+    return one, another, dict(zip(population.active, changed))
 
 
 def _curve(study: Study, output: str | None) -> Curve:
@@ -266,12 +265,6 @@ def _curve_along(study: Study, outputs: Sequence[str]) -> Curve | None:
     described = models.kind(study.design).described
     curves = (described[name].curve for name in outputs)
     return next((curve for curve in curves if curve is not None and curve.turns is not None), None)
-
-
-def _places(population: Population) -> dict[str, slice]:
-    """Where the random numbers of each error stand."""
-    ends = np.cumsum(list(population.numbers_by_field.values()))
-    return {name: slice(end - size, end) for (name, size), end in zip(population.numbers_by_field.items(), ends)}
 
 
 @partial(jax.jit, static_argnums=(0, 1, 2))
