@@ -16,6 +16,18 @@ from rvjax.records import Record, concrete, count, field, quantity, record
 from rvjax.units import deg
 
 
+def ratio_of(sun: float, planet: float, disc: float, pins: float) -> float:
+    """Turns of the sun for one of the carrier, ring of pins at rest.
+
+    Args:
+        sun: teeth of the sun, z1.
+        planet: teeth of a planet, z2.
+        disc: teeth of a disc, zc.
+        pins: zp.
+    """
+    return 1 + planet * pins / (sun * (pins - disc))
+
+
 @record
 class InvoluteStage(Record):
     """First stage: sun and planets."""
@@ -203,8 +215,8 @@ class RVReducer(Record):
     @property
     def ratio(self) -> float:
         """Turns of the sun for one of the carrier, ring of pins at rest: i = 1 + z2 zp / ((zp - zc) z1)."""
-        ring, disc = self.cycloid.pin_count, self.cycloid.disc_teeth
-        return 1 + self.involute.planet_teeth * ring / ((ring - disc) * self.involute.sun_teeth)
+        involute, cycloid = self.involute, self.cycloid
+        return ratio_of(involute.sun_teeth, involute.planet_teeth, cycloid.disc_teeth, cycloid.pin_count)
 
     @property
     def counts(self) -> dict[str, int]:

@@ -203,6 +203,17 @@ def admit(inputs: PyTree, harmless: PyTree, *checks: Check, after: Gate | None =
     return jax.tree.map(lambda value, spare: jnp.where(good, value, spare), inputs, harmless), gate
 
 
+def window(like: Array, power: float) -> tuple[float, float]:
+    """Least and largest size of numbers whose powers 1/`power` neither vanish nor overflow.
+
+    Args:
+        like: any of them, for its dtype.
+        power: such as 0.5, where squares are formed on the way.
+    """
+    limits = jnp.finfo(like.dtype)
+    return float(limits.tiny) ** power, float(limits.max) ** power
+
+
 def succeeded(status: Array) -> jax.Array:
     """True where a status counts as success: CONVERGED and UNLOADED."""
     return (status == Status.CONVERGED) | (status == Status.UNLOADED)

@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax.catalogue import RV_320E
-from rvjax.designs import Damping, Inertia, MeshVariation, RVReducer, Stiffness, expect
+from rvjax.designs import Damping, Inertia, MeshVariation, RVReducer, Stiffness, expect, ratio_of
 from rvjax.records import (
     Array,
     PyTree,
@@ -35,7 +35,7 @@ from rvjax.records import (
     signs_hold,
     text,
 )
-from rvjax.status import Gate, Status, admit
+from rvjax.status import Gate, Status, admit, window
 
 
 @record
@@ -59,6 +59,11 @@ class Lumped(Record):
     stiffness: Stiffness = field("-", "stiffnesses", kind="record")
     mesh_variation: MeshVariation = field("-", "periodic mesh stiffness", kind="record")
     damping: Damping = field("-", "damping", kind="record")
+
+    @property
+    def ratio(self) -> float:
+        """Turns of the sun for one of the output."""
+        return ratio_of(self.sun_teeth, self.planet_teeth, self.disc_teeth, self.disc_teeth + 1)
 
     @property
     def alike(self) -> bool:
@@ -141,8 +146,8 @@ def admitted(lumped: Lumped, *conditions: PyTree) -> tuple[Lumped, tuple[PyTree,
     """
     lumped, conditions = promote(lumped, conditions)
     numbers = _flat(jax.tree.leaves(lumped))
-    largest = float(jnp.finfo(numbers.dtype).max) ** 0.4  # products of two numbers, and their quotients, are formed
-    least = float(jnp.finfo(numbers.dtype).tiny) ** 0.5  # squares are formed, and quotients in derivatives
+    _, largest = window(numbers, 0.4)  # products of two numbers, and their quotients, are formed
+    least, _ = window(numbers, 0.5)  # squares are formed, and quotients in derivatives
 
     def fits(x: jax.Array) -> jax.Array:
         return (jnp.abs(x) < largest) & ((x == 0) | (jnp.abs(x) > least))

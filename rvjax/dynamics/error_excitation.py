@@ -22,7 +22,7 @@ from rvjax.dynamics.assembly import Lumped, admitted, circle, lump
 from rvjax.dynamics.pin_series import in_phase, series
 from rvjax.errors import RVErrors, described, read_by
 from rvjax.records import Array, PyTree, Record, Scalar, axis_sizes, field, promote, record, text
-from rvjax.status import Gate, SolveInfo, Status, at_once
+from rvjax.status import Gate, SolveInfo, Status, at_once, window
 
 SPRINGS = (
     "sun_planet_mesh",
@@ -144,7 +144,7 @@ def read(lumped: Lumped, pin_circle: Array, errors: RVErrors, *conditions: PyTre
     lumped, conditions, gate = admitted(lumped, *conditions)
     shortening = lumped.eccentricity * (lumped.disc_teeth + 1) / jnp.where(pin_circle != 0, pin_circle, 1)
     proper = (shortening > 0) & (shortening < 1) & (pin_circle > 0)
-    largest = float(jnp.finfo(pin_circle.dtype).max) ** 0.4
+    _, largest = window(pin_circle, 0.4)
     finite = jnp.all(jnp.stack([jnp.all(jnp.abs(value) < largest) for value in own.values()]))
     known = jnp.abs(pin_circle) < largest
     gate = Gate(

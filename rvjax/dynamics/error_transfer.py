@@ -97,7 +97,7 @@ def loaded(lumped: Lumped, load_inertia: Array) -> Lumped:
 
 def output_speed(lumped: Lumped, sun_speed: Array) -> jax.Array:
     """Speed of the output for that of the sun, rad/s."""
-    return jnp.asarray(sun_speed / (1 + lumped.planet_teeth * (lumped.disc_teeth + 1) / lumped.sun_teeth))
+    return jnp.asarray(sun_speed / lumped.ratio)
 
 
 def output_rows(lumped: Lumped, outputs: Sequence[str]) -> jax.Array:

@@ -58,9 +58,7 @@ def mesh_teeth(lumped: Lumped, stage: str) -> int:
 
 def mesh_frequency(lumped: Lumped, sun_speed: Array, stage: str) -> PyTree:
     """Angular mesh frequency with the sign of the speed, rad/s: pin ring fixed, carrier out, sun at `sun_speed`."""
-    pins = lumped.disc_teeth + 1
-    ratio = 1 + lumped.planet_teeth * pins / lumped.sun_teeth  # sun speed over output speed
-    return sun_speed * _STAGES[stage].frequency(lumped, ratio)
+    return sun_speed * _STAGES[stage].frequency(lumped, lumped.ratio)
 
 
 def wave_coefficients(lumped: Lumped, stage: str, harmonics: int) -> jax.Array:

@@ -14,7 +14,7 @@ import numpy as np
 from rvjax.elementary import LARGEST_ANGLE, sin_cos
 from rvjax.four_bar import closures
 from rvjax.records import Array, PyTree, Record, Scalar, concrete, field, promote, quantity, record
-from rvjax.status import SolveInfo, Status, admit
+from rvjax.status import SolveInfo, Status, admit, window
 
 ALLOWED = {  # (cranks, branch): closures
     ("phase_locked", "open"): ("newton", "closed_form", "first_order"),
@@ -155,7 +155,7 @@ def close(
     psi, b4, gx, gy = deviations.crank_phase, deviations.frame_angle, deviations.joint[0], deviations.joint[1]
     ratio = jnp.ones_like(e) if ratio is None else ratio
     # Fourth powers of the lengths over the spacing are formed on the way: they must not overflow, nor squares vanish.
-    largest, smallest = (float(x) ** 0.25 for x in (jnp.finfo(e.dtype).max, jnp.finfo(e.dtype).tiny))
+    smallest, largest = window(e, 0.25)
     lengths = sum(jnp.abs(x) for x in (e, d1, d2, d3, d4, gx, gy))
     finite = lengths < largest * jnp.where(spacing > 0, spacing, 1)
     finite &= (jnp.abs(spacing) < largest) & ((spacing > smallest) | (spacing <= 0)) & jnp.isfinite(ratio)

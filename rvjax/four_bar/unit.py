@@ -17,7 +17,7 @@ from rvjax.errors import RVErrors
 from rvjax.four_bar import forces
 from rvjax.four_bar.closures import Crank
 from rvjax.records import Array, PyTree, Scalar, broadcast_fields, is_concrete, promote
-from rvjax.status import Check, Gate, Status, admit
+from rvjax.status import Check, Gate, Status, admit, window
 
 Vector = tuple[Any, Any]
 
@@ -128,9 +128,8 @@ def _judge_stage(stage: Stage, loaded: bool) -> tuple[Check, Check]:
     force = torque / jnp.where(possible & (e > 0), jnp.minimum(e, size), 1) if loaded else 0
     ratio = (jnp.abs(e) + jnp.abs(force) / jnp.where(possible, stiffness, 1)) / size
     finite = jnp.isfinite(ratio**4 + force * force + radius**4 + shortening + stiffness + torque)
-    tiny = float(jnp.finfo(size.dtype).tiny)
-    finite &= size > tiny**0.25  # nor vanish; as squares of forces must not, which tell their direction
-    finite &= (torque == 0) | (jnp.abs(torque) > 1e6 * tiny**0.5 * jnp.maximum(size, 1))
+    finite &= size > window(size, 0.25)[0]  # nor vanish; as squares of forces must not, which tell their direction
+    finite &= (torque == 0) | (jnp.abs(torque) > 1e6 * window(size, 0.5)[0] * jnp.maximum(size, 1))
     return (~finite, Status.NONFINITE), (~possible, Status.INVALID_GEOMETRY)
 
 

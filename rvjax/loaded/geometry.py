@@ -57,12 +57,6 @@ class Geometry(NamedTuple):
     tooth: jax.Array  # tooth of disc k that pin j meets, (d, p) integer
 
 
-def ratio(design: RVReducer) -> float:
-    """Sun turns per carrier turn, ring fixed. Eq. 1."""
-    involute = design.involute
-    return 1 + involute.planet_teeth * design.cycloid.pin_count / involute.sun_teeth
-
-
 def geometry(design: RVReducer, eccentricity: jax.Array, input_angle: jax.Array) -> Geometry:
     """Directions and levers at an input angle.
 
@@ -73,7 +67,7 @@ def geometry(design: RVReducer, eccentricity: jax.Array, input_angle: jax.Array)
     """
     cycloid = design.cycloid
     zc, zp, discs = cycloid.disc_teeth, cycloid.pin_count, cycloid.disc_count
-    th = input_angle / ratio(design)
+    th = input_angle / design.ratio
     crank = turn(-zp * th)
     places, pins = np.arange(discs) / discs, np.arange(zp) / zp
     eccentric = crank.plus(2 * np.pi * places)  # Eq. 2

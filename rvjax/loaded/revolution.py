@@ -11,7 +11,6 @@ from rvjax.designs import RVReducer
 from rvjax.errors import RVErrors
 from rvjax.loaded.balance import balance, forces
 from rvjax.loaded.equilibrium import Case, judge, placed, prepare, pressures
-from rvjax.loaded.geometry import ratio
 from rvjax.loaded.newton import Found
 from rvjax.loaded.reading import Read, admit, check_input
 from rvjax.loaded.system import Layout
@@ -80,7 +79,7 @@ def _revolution(
     layout: Layout, samples: int, design: RVReducer, errors: RVErrors, output_torque: Any, turns: Any
 ) -> Revolution:
     read = admit(layout, design, errors, output_torque, turns)
-    step = 2 * jnp.pi * ratio(design) * read.angle / samples  # `admit` judged the turns in the place of the angle
+    step = 2 * jnp.pi * design.ratio * read.angle / samples  # `admit` judged the turns in the place of the angle
 
     def onward(known: tuple[jax.Array, jax.Array], j: jax.Array) -> Any:
         last, before = known  # NaN where there is none

@@ -10,7 +10,7 @@ from rvjax.errors import RVErrors, read_by
 from rvjax.lost_motion import flank as flanks
 from rvjax.lost_motion.terms import FLANK_TERMS, LostMotionTerms, Teeth, Unit, contributions, harmless
 from rvjax.records import Array, PyTree, Record, Scalar, field, promote, record
-from rvjax.status import SolveInfo, Status, admit, converged
+from rvjax.status import SolveInfo, Status, admit, converged, window
 
 READINGS = ("consistent", "as_printed")
 PROFILES = ("first_order", "closed_form", "contact")
@@ -167,7 +167,7 @@ def _check_methods(design: RVReducer, reading: str, profile: str, normal_force: 
 def _finite(numbers: list[jax.Array], smallest: jax.Array) -> jax.Array:
     """Whether all are finite, and their squares over the smallest radius: a NaN or an infinity survives the sum."""
     read = jax.lax.stop_gradient(_stored(sum(jnp.abs(x) for x in numbers) / smallest))
-    return read < float(jnp.finfo(read.dtype).max) ** 0.5
+    return read < window(read, 0.5)[1]
 
 
 @jax.custom_jvp

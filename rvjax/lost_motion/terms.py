@@ -9,6 +9,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from rvjax.designs import ratio_of
 from rvjax.errors import RVErrors
 from rvjax.records import Array, PyTree, Record, field, record
 from rvjax.units import arcmin, mm
@@ -62,7 +63,7 @@ class Teeth(NamedTuple):
     @property
     def ratio(self) -> float:
         """Turns of the sun for one of the output."""
-        return 1 + self.z2 * self.zp / (self.z1 * (self.zp - self.zc))  # Eq. 4, ring fixed
+        return ratio_of(*self)  # Eq. 4, ring fixed
 
 
 class Unit(NamedTuple):

@@ -31,6 +31,7 @@ from rvjax.mesh_force import laws, line_contact, safe
 from rvjax.mesh_force.case import Case, all_rollers, lever
 from rvjax.mesh_force.laws import Compliance
 from rvjax.records import PyTree
+from rvjax.status import window
 
 _LINEAR_STEPS = 8  # at most; 3 to 5 are usual
 _GUESS_STEPS = 8  # at most; 1 or 2 are usual, 4 for Palmgren's law
@@ -117,7 +118,7 @@ def _missing(rows: _Rows, load: jax.Array, torque: jax.Array) -> jax.Array:
 
 def _rows(law: str, teeth: int, case: Case, torque: jax.Array) -> _Rows:
     rollers = all_rollers(teeth, case)
-    typical = jnp.maximum(jnp.abs(torque) / (teeth + 1), float(jnp.finfo(torque.dtype).tiny) ** 0.5)
+    typical = jnp.maximum(jnp.abs(torque) / (teeth + 1), window(torque, 0.5)[0])
     stiffness = laws.secant_stiffness(law, typical[None], rollers.compliance)
     bends = laws.bends(stiffness, rollers.compliance) if law == "hertz" else ()
     shape = (teeth + 1, *torque.shape)

@@ -15,7 +15,7 @@ from rvjax.mesh_force import geometry, laws, line_contact
 from rvjax.mesh_force.batch import attach, equilibrium
 from rvjax.mesh_force.case import all_rollers, take_apart
 from rvjax.records import Array, Record, Scalar, field, promote, record, signs_hold
-from rvjax.status import SolveInfo, Status, admit, converged
+from rvjax.status import SolveInfo, Status, admit, converged, window
 
 
 @record
@@ -105,7 +105,7 @@ def solve(
 def _in_range(design: CamRollerReducer, errors: CamRollerErrors, torque: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Whether no product on the way overflows, and whether only the load does; squares of the ratios are formed."""
     r, e, link = design.roller_radius, design.eccentricity, design.cam_radius + design.roller_radius
-    root = float(jnp.finfo(torque.dtype).max) ** 0.5
+    _, root = window(torque, 0.5)
     unit = line_contact.load_unit(design.young_modulus, design.poisson_ratio, design.roller_length, r)
     interference = jnp.max(jnp.abs(errors.cam_radius) + jnp.abs(errors.eccentricity) + jnp.abs(errors.roller_radius))
     ratios = (link / r, link / e, link / design.cam_radius, interference / r, design.roller_length / r)

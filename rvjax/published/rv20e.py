@@ -15,13 +15,12 @@ import jax.numpy as jnp
 
 from rvjax.catalogue import RV_20E, RV_20E_ERRORS
 from rvjax.designs import InvoluteStage
-from rvjax.lost_motion import Teeth, geometric, shaft_tilt
+from rvjax.lost_motion import geometric, shaft_tilt
 from rvjax.published.ledger import parse
 from rvjax.records import promote
 from rvjax.units import arcmin, deg, mm, um
 
-COUNTS = RV_20E.involute.sun_teeth, RV_20E.involute.planet_teeth, RV_20E.cycloid.disc_teeth, RV_20E.cycloid.pin_count
-RATIO = Teeth(*map(float, COUNTS)).ratio
+RATIO = RV_20E.ratio
 FROM_MODULE = InvoluteStage.from_teeth(12, 42, module=1.5 * mm)  # what Table 8 would be by its own module
 TABLE_5 = parse("rv20e")["inputs"]["rv20e"]["table5"]["rows"]
 SHAFT_LENGTHS = (160 * mm, 120 * mm)  # Section 2: output, input shaft
