@@ -24,7 +24,7 @@ from jax.typing import DTypeLike
 from rvjax.records import Array, PyTree, Record, Scalar, field, promote, record
 from rvjax.status import SolveInfo, Status, succeeded
 
-__all__ = ["Root", "bisect", "bracketed"]
+__all__ = ["Root", "bracketed"]
 
 Residual = Callable[[Any, Any], jax.Array]
 
