@@ -9,10 +9,11 @@ an inner gear; the cage is the output.
 import math
 from typing import Any, ClassVar, Self
 
+import jax
 import numpy as np
 
 from rvjax.errors import CamRollerErrors, RVErrors
-from rvjax.records import Record, concrete, count, field, quantity, record
+from rvjax.records import Record, Scalar, concrete, count, field, quantity, record
 from rvjax.units import deg
 
 
@@ -217,6 +218,13 @@ class RVReducer(Record):
         """Turns of the sun for one of the carrier, ring of pins at rest: i = 1 + z2 zp / ((zp - zc) z1)."""
         involute, cycloid = self.involute, self.cycloid
         return ratio_of(involute.sun_teeth, involute.planet_teeth, cycloid.disc_teeth, cycloid.pin_count)
+
+    def stiffer(self, factor: Scalar) -> Self:
+        """The same reducer with every spring times a factor."""
+        cranks, springs = self.cranks, self.stiffness
+        if cranks.bearing_stiffness is not None:
+            cranks = cranks.replace(bearing_stiffness=factor * cranks.bearing_stiffness)
+        return self.replace(cranks=cranks, stiffness=jax.tree.map(lambda k: factor * k, springs))
 
     @property
     def counts(self) -> dict[str, int]:

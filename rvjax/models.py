@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from functools import lru_cache
 from typing import Any
 
-from rvjax.outputs import Curve, Description, Output
+from rvjax.outputs import Curve, Description, Observation, Output
 
 MODELS = ("rvjax.four_bar", "rvjax.lost_motion", "rvjax.mesh_force", "rvjax.dynamics", "rvjax.loaded")
 """Packages, each with `outputs.DESCRIPTION`; of the outputs asked, the first whose model has a curve draws it."""
@@ -20,11 +20,17 @@ class Kind:
         conditions: class of all conditions of its models, as one.
         outputs: by name.
         described: description of the model that has an output, by its name.
+        observed: descriptions of the models that a bench can measure, by the name of the model.
     """
 
     conditions: Any
     outputs: Mapping[str, Output]
     described: Mapping[str, Description]
+    observed: Mapping[str, Description]
+
+    def observations(self, model: str) -> dict[str, Observation]:
+        """What a bench can measure of a model, by kind of data."""
+        return {observation.kind: observation for observation in self.observed[model].observations}
 
     def curve(self, outputs: tuple[str, ...]) -> Curve | None:
         """The curve of the first output that is asked and has one; another may need what the design lacks."""
@@ -44,16 +50,6 @@ class Kind:
 def descriptions() -> tuple[Description, ...]:
     """Of all models."""
     return tuple(importlib.import_module(f"{name}.outputs").DESCRIPTION for name in MODELS)
-
-
-def conditions_of_model(name: str) -> list[str]:
-    """Names of the conditions that one model reads.
-
-    Args:
-        name: of its package within rvjax, such as "four_bar".
-    """
-    described = importlib.import_module(f"rvjax.{name}.outputs").DESCRIPTION
-    return [f.name for f in dataclasses.fields(described.conditions)]
 
 
 def kinds() -> dict[str, type]:
@@ -91,7 +87,7 @@ def _kind(design: Any, known: tuple[Description, ...]) -> Kind:
                 raise ValueError(f"output {name!r} is described twice")
             described[name] = description
     outputs = {name: description.outputs[name] for name, description in described.items()}
-    return Kind(_joined(mine), outputs, described)
+    return Kind(_joined(mine), outputs, described, {one.name: one for one in mine if one.observations})
 
 
 def _joined(known: list[Description]) -> Any:

@@ -12,6 +12,7 @@ from typing import Any
 from rvjax.units import KNOWN, readable
 
 Solved = tuple[Any, Any]  # value and status
+Spectrum = tuple[Any, Any]  # mean and complex amplitudes of a curve
 Source = Callable[[Any, Any, Any], Any]  # (design, errors, conditions) -> a result
 
 
@@ -126,6 +127,31 @@ class Curve:
 
 
 @dataclass(frozen=True)
+class Observation:
+    """What a bench can measure of a model, as `[identify]` of a study compares it with data.
+
+    Attributes:
+        kind: of data, a key of `rvjax.study.measured.KINDS`.
+        predict: what the bench would see of one unit; arguments and value by kind:
+            "curve": (design, errors, conditions, torques (t,) N m or None for no load, orders of the output turn,
+            whether one turn of the cranks is like the next) -> (mean (t,), complex amplitudes (t, orders)), rad;
+            "loop": (design, errors, conditions, torques (n,) N m) -> angle (n,) rad;
+            "frequencies": (design, errors, conditions) -> (frequency (n,) Hz ascending, shapes (n, n) in columns).
+        needs: optional parts of the design that it needs.
+        samples: of a curve, the condition with the number of angles in a period.
+        period: of a curve, (design) -> its periods in a turn of the output while all of them are alike.
+        sided: without load its value depends on the side to which the play lies.
+    """
+
+    kind: str
+    predict: Callable[..., Any]
+    needs: tuple[str, ...] = ()
+    samples: str = ""
+    period: Callable[[Any], int] = lambda design: 1
+    sided: bool = False
+
+
+@dataclass(frozen=True)
 class Way:
     """One level before it is measured.
 
@@ -202,6 +228,7 @@ class Description:
         curve: to look at, or None.
         cases: quick -> cases by which levels are measured, fewer in a quick run; None where none are.
         unknown: what the model leaves out, one line for a person who reads its results.
+        observations: what a bench can measure of it.
         compiler_options: of programs that compute an output of it, such as `rvjax.compile_cache.QUICK`.
     """
 
@@ -212,4 +239,5 @@ class Description:
     curve: Curve | None = None
     cases: Callable[[bool], Sequence[Cases]] | None = None
     unknown: str = ""
+    observations: tuple[Observation, ...] = ()
     compiler_options: tuple[tuple[str, Any], ...] = ()

@@ -235,7 +235,7 @@ def test_several_units_share_a_question(here, capsys):
         (('"floor"', '"3 um"'), "identify.noise = '3 um': unit 'um' is not one of rad, deg, arcmin, arcsec"),
         (('"floor"', '"-1 arcsec"'), "identify.noise = '-1 arcsec': must be positive"),
         (('noise = "floor"\n', ""), 'identify.noise is missing: "floor", or the standard deviation'),
-        (('"four_bar"', '"six_bar"'), "identify.model = 'six_bar': must be one of four_bar, loaded, dynamics"),
+        (('"four_bar"', '"six_bar"'), "identify.model = 'six_bar': must be one of four_bar, dynamics, loaded"),
         (('"four_bar"', '"loaded"'), "identify.model = 'loaded': the design has no stiffness and no contact"),
         (('["offset",', '["ofset",'), "identify.nuisance = 'ofset' (did you mean offset?): must be one of offset"),
         (("nuisance =", "shared = [\"ring\"]\nnuisance ="), "identify.shared = 'ring': must be one of crank_ecc"),

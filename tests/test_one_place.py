@@ -4,10 +4,12 @@ The fakes are declared here, once each; nothing else of rvjax or of the fake mod
 """
 
 import csv
+import dataclasses
 import importlib
 import re
 from typing import ClassVar
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -16,12 +18,13 @@ from rvjax import cli, errors, models, mounting, study
 from rvjax.catalogue import RV_40E
 from rvjax.designs import RVReducer
 from rvjax.errors import Bound, RVErrors, deviation, read_by
+from rvjax.outputs import Observation
 from rvjax.records import IN_ERROR_UNIT, Scalar, field, record
 from rvjax.report import surrogate
-from rvjax.study import answer
+from rvjax.study import answer, identified, measured
 from rvjax.tolerances import sample
 from rvjax.tolerances.allocation import cost
-from rvjax.units import um
+from rvjax.units import arcsec, um
 
 JOINT = """
 [design]
@@ -180,3 +183,53 @@ def test_a_cost_law_is_one_place(key_joint, monkeypatch, tmp_path):
         assert [float(x) for x in first.groups()] == pytest.approx([2.0, 0.25 * 58])  # um, currency
     finally:
         del cost.COSTS["linear"]
+
+
+JOINT_BENCH = """
+[conditions]
+torque = "80 N m"
+[identify]
+model = "key_joint"
+noise = "0.5 arcsec"
+[identify.unknown.stiffness]
+lower = "5e8 N/m"
+upper = "2e9 N/m"
+distribution = "uniform"
+"""
+
+
+def test_an_observation_is_one_place(key_joint, monkeypatch, tmp_path, capsys):
+    """The loop of a joint under a rising and falling torque: its keys are as stiff as those that made the data.
+
+    Oracle: least squares of a straight line through the same data.
+    """
+
+    def angle(design, errors, given, torques):
+        return jax.vmap(
+            lambda torque: key_joint.DESCRIPTION.outputs["twist"].evaluate(
+                design, errors, dataclasses.replace(given, torque=torque)
+            )[0]
+        )(torques)
+
+    text = JOINT.replace('[tolerances.hub_centre]\nrunout = "10 um"', "").partition("[requirement")[0] + JOINT_BENCH
+    with pytest.raises(study.StudyError, match=r"no model of a design of kind 'key-joint' can be measured"):
+        study.parse_study(text, name="x")
+    described = dataclasses.replace(key_joint.DESCRIPTION, observations=(Observation("loop", angle),))
+    monkeypatch.setattr(key_joint, "DESCRIPTION", described)
+    (tmp_path / "joint.toml").write_text(text)
+    rising = np.linspace(-100.0, 100.0, 120)
+    torque = np.concatenate([rising, rising[::-1]])
+    noise = 0.5 * arcsec * np.random.default_rng(4).standard_normal(240)
+    twist = -torque / (2 * 1.2e9 * 0.02**2) - 3 * um / 0.02 + noise  # the bench twists against the torque of the keys
+    lines = [f"{t!r},{a / arcsec!r}" for t, a in zip(torque.tolist(), twist.tolist())]
+    (tmp_path / "loop.csv").write_text("torque [N m],angle [arcsec]\n" + "\n".join(lines))
+    found = identified.answer(study.load(str(tmp_path / "joint.toml")), measured.read([tmp_path / "loop.csv"]))
+    slope, start = np.polyfit(torque, twist, 1)
+    by_name = {field: np.ravel(found.posterior.value[field]) for field in ("stiffness", "key_width")}
+    assert float(by_name["stiffness"][0]) == pytest.approx(-1 / (slope * 2 * 0.02**2), rel=2e-3)
+    assert float(by_name["key_width"][0]) == pytest.approx(-start * 0.02, abs=0.05 * um)
+    capsys.readouterr()
+    assert cli.main(["identify", str(tmp_path / "joint.toml"), str(tmp_path / "loop.csv"), "--quiet"]) == 0
+    assert "stiffness" in capsys.readouterr().out
+    with pytest.raises(study.StudyError, match=r"identify\.nuisance = 'mounting'"):
+        study.parse_study(text.replace("[identify]", '[identify]\nnuisance = ["mounting"]'), name="x")

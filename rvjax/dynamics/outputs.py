@@ -16,6 +16,7 @@ from rvjax.dynamics.error_response import DynamicError, transmission_error
 from rvjax.dynamics.error_transfer import loaded
 from rvjax.dynamics.excitation import STAGES, mesh_frequency
 from rvjax.dynamics.modes import modes
+from rvjax.dynamics.observation import FREQUENCIES
 from rvjax.dynamics.periodic import periodic
 from rvjax.dynamics.response import METHODS, response
 from rvjax.dynamics.symmetry import KINDS
@@ -195,5 +196,6 @@ DESCRIPTION = Description(
         ),
     },
     cases=_cases,
+    observations=(FREQUENCIES,),
     unknown="clearance, loss of contact, friction; products of errors and varying mesh stiffness",
 )

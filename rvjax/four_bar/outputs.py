@@ -7,6 +7,7 @@ from typing import Any
 from rvjax.catalogue import RV_40E
 from rvjax.designs import RVReducer
 from rvjax.four_bar.linkage import ALLOWED
+from rvjax.four_bar.observation import CURVE
 from rvjax.four_bar.revolution import figures, revolution
 from rvjax.outputs import Cases, Curve, Description, Output, Solved, Way, condition
 from rvjax.units import arcmin, um
@@ -105,5 +106,6 @@ DESCRIPTION = Description(
         "Transmission error over one crank turn", "rad", _curve, lambda design, _: 1 / design.cycloid.pin_count
     ),
     cases=_cases,
+    observations=(CURVE,),
     unknown="pins, flanks and the first stage: discs are rigid, averaged, and held by their crank bearings alone",
 )

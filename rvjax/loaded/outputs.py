@@ -18,6 +18,7 @@ from rvjax.designs import Contact, RVReducer, Stiffness
 from rvjax.loaded.cases import cases
 from rvjax.loaded.equilibrium import equilibrium
 from rvjax.loaded.laws import CONTACTS
+from rvjax.loaded.observation import CURVE, LOOP
 from rvjax.loaded.reading import SUPPORTS, check_input
 from rvjax.loaded.revolution import Revolution, revolution
 from rvjax.loaded.torsion import SHARES, secant, twisted
@@ -262,6 +263,7 @@ DESCRIPTION = Description(
     }),
     curve=Curve("Transmission error of the loaded reducer over the span", "rad", _curve, _turns),
     cases=cases,
+    observations=(CURVE, LOOP),
     unknown="friction, inertia, tilting; errors without a place (pin position, runout and pitch as bounds)",
     compiler_options=QUICK,
 )  # fmt: skip

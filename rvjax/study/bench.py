@@ -12,20 +12,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax import dynamics, four_bar, loaded
-from rvjax.designs import RVReducer
+from rvjax import models
 from rvjax.errors import described, read_by
+from rvjax.outputs import Observation
 from rvjax.records import Array, Record, field, record, text
 from rvjax.study.measured import Conditions
 from rvjax.tolerances import Tolerance
 from rvjax.units import arcsec
 
 Values = Mapping[str, Any]
-Observation = dict[str, Any]
-Model = Callable[[Values], Observation]
+Seen = dict[str, Any]
+Model = Callable[[Values], Seen]
 
-KINDS = {"four_bar": ("curve",), "loaded": ("curve", "loop"), "dynamics": ("frequencies",)}
-"""What each model can predict of what was measured."""
 WIDE = 3000 * arcsec
 NUISANCES: dict[str, str] = {
     "offset": "zero of the angle readings, one for all runs; with it the means of the runs count",
@@ -59,16 +57,17 @@ def number_of_design(design: Any, name: str) -> tuple[str, ...]:
     Raises:
         ValueError: no part has such a number.
     """
-    if name == "stiffness":
+    if name == "stiffness" and hasattr(design, "stiffer"):
         return ()
-    found = {}
+    found = {f.name: (f.name,) for f in dataclasses.fields(design) if f.metadata["kind"] == "real"}
     for part in dataclasses.fields(design):
         record = getattr(design, part.name)
         for f in dataclasses.fields(record) if dataclasses.is_dataclass(record) else ():
             if f.metadata["kind"] not in ("count", "text", "record"):
                 found[f.name] = (part.name, f.name)
     if name not in found:
-        raise ValueError(f"no number of this design; there are stiffness (a factor on all springs), {', '.join(found)}")
+        first = ["stiffness (a factor on all springs)"] if hasattr(design, "stiffer") else []
+        raise ValueError(f"no number of this design; there are {', '.join([*first, *found])}")
     return found[name]
 
 
@@ -77,7 +76,9 @@ def unit_of_number(design: Any, name: str) -> str:
     path = number_of_design(design, name)
     if not path:
         return "-"
-    return next(f.metadata["unit"] for f in dataclasses.fields(getattr(design, path[0])) if f.name == path[1])
+    for name in path[:-1]:
+        design = getattr(design, name)
+    return str(next(f.metadata["unit"] for f in dataclasses.fields(design) if f.name == path[-1]))
 
 
 def _taken(design: Any, values: Values) -> tuple[Any, Any]:
@@ -88,25 +89,17 @@ def _taken(design: Any, values: Values) -> tuple[Any, Any]:
         if name in fields or name in NUISANCES:
             continue
         path = number_of_design(design, name)
-        if path:
-            part = getattr(design, path[0])
-            now = jnp.broadcast_to(
-                value, np.shape(getattr(part, path[1])) if getattr(part, path[1]) is not None else ()
-            )
-            design = design.replace(**{path[0]: part.replace(**{path[1]: now})})
-        else:
-            design = _stiffer(design, value)
+        design = _with(design, path, value) if path else design.stiffer(value)
     return design, errors
 
 
-def _stiffer(design: RVReducer, factor: Any) -> RVReducer:
-    """The design with all springs times a factor."""
-    cranks = design.cranks
-    if cranks.bearing_stiffness is not None:
-        design = design.replace(cranks=cranks.replace(bearing_stiffness=factor * cranks.bearing_stiffness))
-    if design.stiffness is not None:
-        design = design.replace(stiffness=jax.tree.map(lambda k: factor * k, design.stiffness))
-    return design
+def _with(record: Any, path: tuple[str, ...], value: Any) -> Any:
+    """The record with another number at a path, in the shape of what is there."""
+    name, rest = path[0], path[1:]
+    now = getattr(record, name)
+    if rest:
+        return record.replace(**{name: _with(now, rest, value)})
+    return record.replace(**{name: jnp.broadcast_to(value, () if now is None else np.shape(now))})
 
 
 @record
@@ -122,19 +115,20 @@ class Curves(Record):
         "N m", "of the discs on the carrier, one for each distinct run", shape=("torques",)
     )
     place: tuple[int, ...] = text("which torque each run has")
-    model: str = text("four_bar or loaded")
+    observation: Observation = text("of the model")
     conditions: Any = text("how the models are computed")
     orders: tuple[int, ...] = text("of the output turn")
     nuisances: tuple[str, ...] = text("of NUISANCES that the prior has")
     alike: bool = text("one turn of the cranks is like the next")
     idle: bool = text("no run has a torque")
 
-    def __call__(self, values: Values) -> Observation:
+    def __call__(self, values: Values) -> Seen:
         """What the bench would see of one unit."""
-        spectrum = self._four_bar if self.model == "four_bar" else self._loaded
-        mean, found = spectrum(*_taken(self.design, values))
+        unit, errors = _taken(self.design, values)
+        torques = None if self.idle else self.torques
+        mean, found = self.observation.predict(unit, errors, self.conditions, torques, self.orders, self.alike)
         place = np.array(self.place)
-        seen: Observation = {}
+        seen: Seen = {}
         for k, order in enumerate(self.orders):
             seen[order_name(order)] = found[place, k]
             if "phase" in self.nuisances:
@@ -148,34 +142,10 @@ class Curves(Record):
             seen["mean"] = mean[place] + values["offset"]
         return seen
 
-    def _four_bar(self, design: Any, errors: Any) -> tuple[jax.Array, jax.Array]:
-        """(mean (torques,), orders (torques, k)) of a unit."""
-        pins, given = self.design.cycloid.pin_count, self.conditions
-
-        def turn(torque: Any) -> jax.Array:
-            ways = dict(cranks=given.cranks, gear_stiffness_ratio=given.gear_stiffness_ratio, closure=given.closure)
-            return four_bar.revolution(design, errors, output_torque=torque, angles=given.angles, **ways).harmonics
-
-        waves = turn(0.0)[None] if self.idle else jax.vmap(turn)(self.torques)
-        # The cranks turn against the output: X e^(i h crank) is conj(X) e^(i h pins output). A failed turn stays NaN.
-        found = [jnp.conj(waves[:, k // pins]) if k % pins == 0 else 0 * waves[:, 0] for k in self.orders]
-        return jnp.real(waves[:, 0]), jnp.stack(found, axis=1)
-
-    def _loaded(self, design: Any, errors: Any) -> tuple[jax.Array, jax.Array]:
-        """As `_four_bar`, of the whole reducer; one turn of the cranks where all are alike."""
-        step, given = (self.design.cycloid.pin_count if self.alike else 1), self.conditions
-        samples = loaded_samples(self.orders, self.alike, given)
-        ways = dict(contact=given.pin_contact, carrier=given.carrier, sun=given.sun, turns=1 / step, samples=samples)
-        stiff = errors.stiffened(design)
-        error = jax.vmap(lambda t: loaded.revolution(stiff, errors, output_torque=t, **ways).error)(self.torques)
-        waves = 2 / samples * jnp.fft.rfft(error)
-        found = [waves[:, k // step] if k % step == 0 else 0 * waves[:, 0] for k in self.orders]
-        return jnp.mean(error, axis=1), jnp.stack(found, axis=1)
-
 
 def curve_model(
     model: str,
-    design: RVReducer,
+    design: Any,
     conditions: Any,
     runs: Sequence[Conditions],
     orders: Sequence[int],
@@ -185,7 +155,7 @@ def curve_model(
     """The model of some runs.
 
     Args:
-        model: "four_bar" or "loaded".
+        model: name of a model that has curves, such as "four_bar".
         design: the reducer.
         conditions: of the study: how the models are computed.
         runs: torque and direction of each.
@@ -196,17 +166,17 @@ def curve_model(
     Raises:
         ValueError: an order too fine for the angles of the conditions.
     """
+    observation = models.kind(design).observations(model)["curve"]
     distinct, place = np.unique(signed_torques(runs, conditions), return_inverse=True)
     record = design.error_record
     alike = not set(active) & set(read_by(record, model)) & set(described(record, "breaks_pitch"))
-    finest = max(orders) // design.cycloid.pin_count
-    key = "angles" if model == "four_bar" else "samples"
+    finest, key = max(orders) // observation.period(design), observation.samples
     if alike and finest >= (count := getattr(conditions, key)) / 2:
         raise ValueError(
             f"identify.orders: order {max(orders)} is crank order {finest}, too fine for conditions.{key} = {count}"
         )
-    if model == "loaded":  # without any torque the play has two sides, and the direction says which
-        least = PROBE * max(np.max(np.abs(distinct)), conditions.rated_torque or 0.0)
+    if observation.sided:  # without any torque the play has two sides, and the direction says which
+        least = PROBE * max(np.max(np.abs(distinct)), rated_torque(conditions))
         load = np.maximum(np.abs(signed := signed_torques(runs, conditions)), least)
         negative = np.where(signed == 0, np.array([run.sign for run in runs]) < 0, signed < 0)
         distinct, place = np.unique(np.where(negative, -load, load), return_inverse=True)
@@ -214,24 +184,13 @@ def curve_model(
         design=design,
         torques=np.asarray(distinct, float),
         place=tuple(int(k) for k in place),
-        model=model,
+        observation=observation,
         conditions=conditions,
         orders=tuple(orders),
         nuisances=tuple(name for name in nuisances if name in NUISANCES),
         alike=alike,
         idle=not np.any(distinct),
     )
-
-
-def loaded_samples(orders: Sequence[int], alike: bool, conditions: Any) -> int:
-    """Input angles of a turn of the cranks, or of the output, from which its orders are told.
-
-    Args:
-        orders: of the output turn.
-        alike: one turn of the cranks is like the next.
-        conditions: of the study.
-    """
-    return conditions.samples if alike else max(conditions.samples, 4 * max(orders))
 
 
 def order_name(order: int) -> str:
@@ -246,8 +205,19 @@ def signed_torques(runs: Sequence[Conditions], conditions: Any) -> np.ndarray:
         runs: a run whose file says no torque has that of the conditions.
         conditions: of the study.
     """
-    given = np.array([conditions.output_torque if run.torque is None else run.torque for run in runs])
+    own = study_torque(conditions)
+    given = np.array([own if run.torque is None else run.torque for run in runs])
     return np.array([run.sign for run in runs]) * given
+
+
+def study_torque(conditions: Any) -> float:
+    """The condition that is the load, N m."""
+    return float(next(getattr(conditions, f.name) for f in dataclasses.fields(conditions) if f.metadata["torque"]))
+
+
+def rated_torque(conditions: Any) -> float:
+    """N m; 0 where the conditions know none."""
+    return float(getattr(conditions, "rated_torque", None) or 0.0)
 
 
 @record
@@ -258,15 +228,14 @@ class Midline(Record):
     load: Array | np.ndarray = field(
         "N m", "of the discs on the carrier, against the torque of the bench", shape=("torques",)
     )
+    observation: Observation = text("of the model")
     conditions: Any = text("how the model is computed")
     offset: bool = text("the prior has one")
 
-    def __call__(self, values: Values) -> Observation:
+    def __call__(self, values: Values) -> Seen:
         """What the bench would see of one unit."""
         unit, errors = _taken(self.design, values)
-        stiff, given = errors.stiffened(unit), self.conditions
-        ways = dict(contact=given.pin_contact, carrier=given.carrier, sun=given.sun, input_angle=given.input_angle)
-        angle = jax.vmap(lambda t: loaded.equilibrium(stiff, errors, output_torque=t, **ways).error)(self.load)
+        angle = self.observation.predict(unit, errors, self.conditions, self.load)
         return {"angle": angle + values["offset"] if self.offset else angle}
 
 
@@ -275,26 +244,32 @@ class Frequencies(Record):
     """Natural frequencies of modes that are followed by their shape: `values -> {"frequency": (n,)}`."""
 
     design: Any = field("-", "the reducer, with inertia and stiffness", kind="record")
+    observation: Observation = text("of the model")
+    conditions: Any = text("how the model is computed")
     test: Array | np.ndarray = field(
         "sqrt(kg)", "rows that are 1 for the own mode and 0 for the others", shape=("tones", "n")
     )
 
-    def __call__(self, values: Values) -> Observation:
+    def __call__(self, values: Values) -> Seen:
         """What the bench would see of one unit."""
-        found = _modes(self.design, values)
-        alike = jnp.abs(jnp.asarray(self.test) @ found.shape)
+        frequency, shape = self.observation.predict(*_taken(self.design, values), self.conditions)
+        alike = jnp.abs(jnp.asarray(self.test) @ shape)
         place = jax.lax.stop_gradient(jnp.argmax(jnp.where(jnp.isfinite(alike), alike, 0.0), axis=1))
-        return {"frequency": found.frequency[place]}
+        return {"frequency": frequency[place]}
 
 
-def frequency_model(design: RVReducer, measured: np.ndarray, start: Values) -> Frequencies:
+def frequency_model(
+    observation: Observation, design: Any, conditions: Any, measured: np.ndarray, start: Values
+) -> Frequencies:
     """Natural frequencies of the modes that were measured.
 
     Each is matched to the nearest mode of the unit `start`, no two to the same, and followed by its shape: a mode that
     passes another one keeps its name.
 
     Args:
+        observation: of the model.
         design: the reducer, with inertia and stiffness.
+        conditions: how the model is computed.
         measured: ascending, Hz (n,).
         start: values from which the modes are followed.
 
@@ -303,16 +278,11 @@ def frequency_model(design: RVReducer, measured: np.ndarray, start: Values) -> F
     """
     from scipy.optimize import linear_sum_assignment
 
-    nominal = _modes(design, start)
-    frequency, shape = np.asarray(nominal.frequency), np.asarray(nominal.shape)
+    frequency, shape = map(np.asarray, observation.predict(*_taken(design, start), conditions))
     elastic = np.flatnonzero(frequency > 0)
     if len(measured) > len(elastic):
         raise ValueError(f"{len(measured)} frequencies, but the design has {len(elastic)} elastic modes")
     apart = np.abs(np.log(np.asarray(measured)[:, None] / frequency[None, elastic]))
     chosen = elastic[linear_sum_assignment(apart)[1]]
-    return Frequencies(design, np.linalg.inv(shape)[chosen])  # S' M S = I: the inverse of the shapes is S' M
-
-
-def _modes(design: RVReducer, values: Values) -> dynamics.Modes:
-    unit, errors = _taken(design, values)
-    return dynamics.modes(errors.stiffened(unit))
+    own = np.linalg.inv(shape)[chosen]  # S' M S = I: the inverse of the shapes is S' M
+    return Frequencies(design, observation, conditions, own)

@@ -8,8 +8,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from rvjax.study.bench import KINDS, NUISANCES, nuisance, unit_of_number
-from rvjax.study.measured import DIRECTIONS
+from rvjax import models
+from rvjax.outputs import Observation
+from rvjax.study.bench import NUISANCES, nuisance, unit_of_number
+from rvjax.study.measured import DIRECTIONS, KINDS, Kind
 from rvjax.study.values import choice, integer, known, naming_field, quantity, subtable
 from rvjax.tolerances import Tolerance
 
@@ -23,7 +25,7 @@ class Identification:
     """What [identify] asks.
 
     Attributes:
-        model: "four_bar", "loaded" or "dynamics".
+        model: one that a bench can measure, such as "four_bar".
         orders: of the output turn, ascending; empty for what has none.
         noise: standard deviation of one real number of the observation, rad or Hz; None: the floor of the data.
         nuisance: names of fields that nobody wants to know.
@@ -65,14 +67,16 @@ def parse_identification(
         ValueError: one line that names the key, its value and the unit.
     """
     known(table, KEYS, "identify")
-    if getattr(type(design), "kind", None) != "rv":
-        raise ValueError("[identify]: its models take an RV reducer, this design is another")
-    model = choice(table.get("model"), KINDS, "identify.model")
-    _check_parts(model, design)
+    kind = models.kind(design)
+    if not kind.observed:
+        raise ValueError(f"[identify]: no model of a design of kind {type(design).kind!r} can be measured")
+    model = choice(table.get("model"), kind.observed, "identify.model")
+    observations = kind.observations(model)
+    _check_parts(model, observations, design)
     orders = tuple(sorted(integer(k, "identify.orders", 1, FINEST) for k in _list(table, "orders")))
     if len(set(orders)) < len(orders):
         raise ValueError(f"identify.orders = {table['orders']!r}: names an order twice")
-    if model == "four_bar" and not orders:
+    if list(observations) == ["curve"] and not orders:
         raise ValueError("identify.orders is missing: orders of the output turn, such as [40, 80]")
     unknown = {}
     for name in subtable(table, "unknown"):
@@ -86,9 +90,9 @@ def parse_identification(
     own = [*fields, *unknown]
     nuisances = tuple(choice(name, [*NUISANCES, *own], "identify.nuisance") for name in _list(table, "nuisance"))
     bench = [name for name in nuisances if name in NUISANCES]
-    usable = {"dynamics": ()}.get(model, tuple(NUISANCES) if orders else ("offset",))
+    data = KINDS[planned_kind(observations, orders)]
     for name in bench:
-        if name not in usable:
+        if name not in data.nuisances:
             raise ValueError(f"identify.nuisance = {name!r}: nothing that model {model!r} predicts here has one")
     shared = tuple(choice(name, own, "identify.shared") for name in _list(table, "shared"))
     torques = tuple(quantity(t, "N m", "identify.torques") for t in _list(table, "torques"))
@@ -98,7 +102,7 @@ def parse_identification(
     return Identification(
         model=model,
         orders=orders,
-        noise=_noise(table, model),
+        noise=_noise(table, data),
         nuisance=nuisances,
         shared=shared,
         unknown=unknown,
@@ -115,24 +119,33 @@ def _list(table: Mapping[str, Any], key: str) -> list[Any]:
     return value
 
 
-def _noise(table: Mapping[str, Any], model: str) -> float | None:
-    unit, example = ("Hz", "1 Hz") if model == "dynamics" else ("rad", "0.2 arcsec")
+def planned_kind(observations: Mapping[str, Observation], orders: tuple[int, ...]) -> str:
+    """Kind of the data that a study plans: a curve where it names orders, else the last of the model.
+
+    Args:
+        observations: of the model, by kind.
+        orders: of the study.
+    """
+    return "curve" if orders and "curve" in observations else list(observations)[-1]
+
+
+def _noise(table: Mapping[str, Any], data: Kind) -> float | None:
     given = table.get("noise")
     if given is None:
         raise ValueError(
-            f'identify.noise is missing: "floor", or the standard deviation of a reading, such as "{example}"'
+            f'identify.noise is missing: "floor", or the standard deviation of a reading, such as "{data.example}"'
         )
     if given == "floor":
         return None
-    noise = quantity(given, unit, "identify.noise")
+    noise = quantity(given, data.unit, "identify.noise")
     if noise <= 0:
         raise ValueError(f"identify.noise = {given!r}: must be positive")
     return noise
 
 
-def _check_parts(model: str, design: Any) -> None:
-    needs = {"four_bar": (), "loaded": ("stiffness", "contact"), "dynamics": ("inertia", "stiffness")}
-    missing = [part for part in needs[model] if getattr(design, part) is None]
+def _check_parts(model: str, observations: Mapping[str, Observation], design: Any) -> None:
+    needs = dict.fromkeys(part for observation in observations.values() for part in observation.needs)
+    missing = [part for part in needs if getattr(design, part) is None]
     if missing:
         raise ValueError(f"identify.model = {model!r}: the design has no {' and no '.join(missing)}")
 

@@ -20,7 +20,6 @@ CLIPPED = 0.03  # share of samples at the extreme torque, from which on a sensor
 GRID = 21  # torques of the midline of a loop
 USUAL = {"angle": "deg", "error": "arcsec", "torque": "N m", "frequency": "Hz"}
 """Usual units of the columns that must be there."""
-NEEDS = {"curve": ("angle", "error"), "loop": ("torque", "angle"), "frequencies": ("frequency",)}
 
 
 @dataclass(frozen=True)
@@ -140,7 +139,7 @@ def read(
     Args:
         paths: files with a header "name [unit]": angle, error, torque, temperature, frequency, sd, direction, unit.
         columns: foreign names by quantity: the header of the column, or {column, unit} where it says no unit.
-        kind: the one kind that is read, a key of `NEEDS`; None: whichever the files hold.
+        kind: the one kind that is read, a key of `KINDS`; None: whichever the files hold.
 
     Raises:
         ValueError: one line that names the file, the column or the row, its value and the unit.
@@ -158,23 +157,23 @@ def read(
             (first, one), (second, other) = kinds.items()
             raise ValueError(f"{other}: holds {second}, {one} holds {first}; identify them one after the other")
         for at, rows in _groups(table):
-            items.append(_READERS[held](table, at, rows))
+            items.append(KINDS[held].read(table, at, rows))
     return Measured(next(iter(kinds)), tuple(items))
 
 
 def _kind(table: Table, wanted: str | None) -> str:
     """Which kind of measurement a table holds."""
     has = table.numbers.keys()
-    for name in NEEDS[wanted] if wanted else ():
+    for name in KINDS[wanted].needs if wanted else ():
         if name not in has:
             have = ", ".join([*has, *table.words]) or "no column that is known"
             raise ValueError(f'{table.source}: has no column "{name} [{USUAL[name]}]"; it has {have}')
     if wanted:
         return wanted
-    for kind in ("frequencies", "curve", "loop"):
-        if set(NEEDS[kind]) <= has:
-            return kind
-    lists = "; ".join(f"{kind}: {', '.join(names)}" for kind, names in NEEDS.items())
+    for name, kind in sorted(KINDS.items(), key=lambda item: len(item[1].needs)):  # a frequency decides alone
+        if set(kind.needs) <= has:
+            return name
+    lists = "; ".join(f"{name}: {', '.join(kind.needs)}" for name, kind in KINDS.items())
     found = ", ".join([*has, *table.words]) or "none of them"
     raise ValueError(
         f"{table.source}: columns {found}: what is needed is one of {lists} (name foreign ones in [columns])"
@@ -316,8 +315,28 @@ def _tones(table: Table, at: Conditions, rows: np.ndarray) -> Tones:
     return Tones(table.source, at, frequency[order], sd[order])
 
 
-_READERS: dict[str, Callable[[Table, Conditions, np.ndarray], Run | Loop | Tones]] = {
-    "curve": _run,
-    "loop": _loop,
-    "frequencies": _tones,
+@dataclass(frozen=True)
+class Kind:
+    """A kind of data.
+
+    Attributes:
+        needs: columns.
+        read: (table, conditions, rows) -> what was measured under these conditions.
+        unit: SI unit of one reading.
+        example: of its noise.
+        nuisances: of the bench that it may have.
+    """
+
+    needs: tuple[str, ...]
+    read: Callable[[Table, Conditions, np.ndarray], Run | Loop | Tones]
+    unit: str
+    example: str
+    nuisances: tuple[str, ...]
+
+
+KINDS = {
+    "curve": Kind(("angle", "error"), _run, "rad", "0.2 arcsec", ("offset", "mounting", "phase")),
+    "loop": Kind(("torque", "angle"), _loop, "rad", "0.2 arcsec", ("offset",)),
+    "frequencies": Kind(("frequency",), _tones, "Hz", "1 Hz", ()),
 }
+"""What a bench records, by the name that an `rvjax.outputs.Observation` gives it."""

@@ -7,19 +7,21 @@ from typing import Any
 
 import numpy as np
 
-from rvjax import identify
+from rvjax import identify, models
 from rvjax.designs import RVReducer
+from rvjax.outputs import Observation
 from rvjax.study.bench import (
-    KINDS,
     Midline,
     Model,
-    Observation,
+    Seen,
     curve_model,
     frequency_model,
     order_name,
+    rated_torque,
     signed_torques,
+    study_torque,
 )
-from rvjax.study.identification import Identification
+from rvjax.study.identification import Identification, planned_kind
 from rvjax.study.measured import GRID, Conditions, Loop, Measured, Run, Tones, checked
 from rvjax.study.question import Study, StudyError
 from rvjax.tolerances import Tolerance
@@ -57,7 +59,7 @@ class Problem:
     nuisance: tuple[str, ...]
     runs: tuple[Conditions, ...] = ()
     units: tuple[str, ...] = ()
-    data: tuple[Observation, ...] = ()
+    data: tuple[Seen, ...] = ()
     items: tuple[tuple[Run | Loop | Tones, ...], ...] = ()
 
     @property
@@ -65,7 +67,7 @@ class Problem:
         """The section [identify]."""
         return asked_of(self.study)
 
-    def stacked(self) -> Observation:
+    def stacked(self) -> Seen:
         """The data with units on axis 0."""
         return {key: np.stack([data[key] for data in self.data]) for key in self.data[0]}
 
@@ -94,9 +96,10 @@ def problem(study: Study, measured: Measured | None = None) -> Problem:
             a floor that nothing measures.
     """
     asked = asked_of(study)
-    kind = measured.kind if measured else _planned_kind(asked)
-    if measured and kind not in KINDS[asked.model]:
-        takes = " or ".join(KINDS[asked.model])
+    observations = models.kind(study.design).observations(asked.model)
+    kind = measured.kind if measured else planned_kind(observations, asked.orders)
+    if measured and kind not in observations:
+        takes = " or ".join(observations)
         raise ValueError(f"{measured.items[0].source}: holds {kind}; identify.model = {asked.model!r} takes {takes}")
     if measured is None and asked.noise is None:
         raise ValueError(f"{study.name}: identify.noise = 'floor': is read from data; give a number to check without")
@@ -107,15 +110,15 @@ def problem(study: Study, measured: Measured | None = None) -> Problem:
     return {"curve": _curves, "loop": _loops, "frequencies": _frequencies}[kind](study, asked, measured)
 
 
-def _planned_kind(asked: Identification) -> str:
-    return "curve" if asked.orders else KINDS[asked.model][-1]
+def _observation(study: Study, asked: Identification, kind: str) -> Observation:
+    return models.kind(study.design).observations(asked.model)[kind]
 
 
 def _curves(study: Study, asked: Identification, measured: Measured | None) -> Problem:
     prior = asked.prior(study.tolerances)
     wanted = sorted({*asked.orders, *([1] if "mounting" in asked.nuisance else [])})
     groups = [order_name(k) for k in wanted] + (["mean"] if "offset" in asked.nuisance else [])
-    data: list[Observation] = []
+    data: list[Seen] = []
     sds: dict[str, np.ndarray] = {}
     units: tuple[str, ...] = ()
     items: tuple[tuple[Run, ...], ...] = ()
@@ -131,7 +134,7 @@ def _curves(study: Study, asked: Identification, measured: Measured | None) -> P
         model = _model(study, asked, runs)  # refuses orders that it cannot compute before data that do not fit them
         sds = {key: np.full((len(units), len(runs)), np.nan) for key in groups}
         for u, found in enumerate(own):
-            seen: Observation = {key: np.full(len(runs), np.nan, float if key == "mean" else complex) for key in groups}
+            seen: Seen = {key: np.full(len(runs), np.nan, float if key == "mean" else complex) for key in groups}
             for place, run in found.items():
                 r = places.index(place)
                 fitted = _fitted(run, wanted, beside)
@@ -208,7 +211,7 @@ def planned(study: Study) -> tuple[Conditions, ...]:
     """The runs that a study plans: its torques in its directions; without torques that of its conditions, forward."""
     asked = asked_of(study)
     if not asked.torques:
-        return (Conditions(torque=study.conditions.output_torque),)
+        return (Conditions(torque=study_torque(study.conditions)),)
     return tuple(Conditions(torque=t, direction=d) for t in asked.torques for d in asked.directions)
 
 
@@ -218,7 +221,7 @@ def candidates(problem: Problem) -> list[Conditions]:
     if problem.kind != "curve":
         return []
     largest = np.max(np.abs(signed_torques(problem.runs, problem.study.conditions)), initial=0.0)
-    largest = largest or problem.study.conditions.rated_torque or 0.0
+    largest = largest or rated_torque(problem.study.conditions)
     torques = asked.torques or tuple(float(f"{share * largest:.3g}") for share in LEVELS)
     return list(dict.fromkeys(Conditions(torque=t, direction=d) for t in torques for d in asked.directions))
 
@@ -272,9 +275,9 @@ def _loops(study: Study, asked: Identification, measured: Measured | None) -> Pr
     prior = asked.prior(study.tolerances)
     units: tuple[str, ...] = ()
     items: tuple[tuple[Loop, ...], ...] = ()
-    data: list[Observation] = []
+    data: list[Seen] = []
     if measured is None:
-        most = max([*asked.torques, abs(study.conditions.output_torque), study.conditions.rated_torque or 0.0])
+        most = max([*asked.torques, abs(study_torque(study.conditions)), rated_torque(study.conditions)])
         if not most > 0:
             raise ValueError(
                 f"{study.name}: identify.torques is missing: the torque to which a loop goes, such as 412 N m"
@@ -294,7 +297,9 @@ def _loops(study: Study, asked: Identification, measured: Measured | None) -> Pr
         data = [{"angle": np.interp(torque, loop.torque, loop.midline)} for loop in loops]
         floor = np.sqrt(np.mean([np.interp(torque, loop.torque, loop.sd) ** 2 for loop in loops], axis=0))
         sd = asked.noise or {"angle": floor}
-    model = Midline(study.design, -torque, study.conditions, "offset" in asked.nuisance)
+    model = Midline(
+        study.design, -torque, _observation(study, asked, "loop"), study.conditions, "offset" in asked.nuisance
+    )
     middle = float(asked.noise or np.median(sd["angle"]))
     return Problem(
         study, "loop", prior, model, identify.Noise(sd), middle, asked.nuisance, (), units, tuple(data), items
@@ -303,14 +308,14 @@ def _loops(study: Study, asked: Identification, measured: Measured | None) -> Pr
 
 def _frequencies(study: Study, asked: Identification, measured: Measured | None) -> Problem:
     prior = asked.prior(study.tolerances)
+    observation = _observation(study, asked, "frequencies")
     start = {name: np.broadcast_to(float(t.middle), t.shape) for name, t in prior.items()}
     units: tuple[str, ...] = ()
     items: tuple[tuple[Tones, ...], ...] = ()
-    data: list[Observation] = []
+    data: list[Seen] = []
     if measured is None:
-        from rvjax import dynamics
-
-        found = np.asarray(dynamics.modes(study.design).frequency)
+        nominal = observation.predict(study.design, study.design.error_record(), study.conditions)
+        found = np.asarray(nominal[0])
         frequency = found[found > 0]
         sd: Any = asked.noise
     else:
@@ -328,7 +333,7 @@ def _frequencies(study: Study, asked: Identification, measured: Measured | None)
             )
         sd = {"frequency": np.where(np.isnan(own), asked.noise, own)} if not np.all(np.isnan(own)) else asked.noise
     try:
-        model = frequency_model(study.design, frequency, start)
+        model = frequency_model(observation, study.design, study.conditions, frequency, start)
     except ValueError as error:
         source = measured.items[0].source if measured else study.name
         raise ValueError(f"{source}: {error}") from None

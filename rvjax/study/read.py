@@ -152,7 +152,7 @@ def _conditions(
     known(given, set(fields), "conditions")
     read = set(kind.conditions_of(tuple(requirements)))
     if identification:
-        read |= set(models.conditions_of_model(identification.model))
+        read |= {f.name for f in dataclasses.fields(kind.observed[identification.model].conditions)}
     for key in sorted(given.keys() - read):
         readers = ", ".join(name for name in kind.outputs if key in kind.conditions_of((name,)))
         raise ValueError(f"conditions.{key} = {given[key]!r}: no response required here reads it, only {readers}")

@@ -5,14 +5,17 @@ from typing import Any, ClassVar
 
 import jax.numpy as jnp
 
+from rvjax.errors import Errors
 from rvjax.outputs import Curve, Description, Output, condition
 from rvjax.records import Record, count, field, record
 from rvjax.status import Status
 
 
 @record
-class KeyJointErrors(Record):
+class KeyJointErrors(Errors):
     """Manufacturing errors of a key joint."""
+
+    of_design: ClassVar[str] = "KeyJoint"
 
     key_width: Any = field("m", "width of the key; < 0 is play", default=0.0)
     slot_width: Any = field("m", "width of the slots; > 0 is play", shape=("keys",), default=0.0)
