@@ -126,6 +126,11 @@ class Curve:
     turns: Callable[[Any, Any], float] | None = None
 
 
+def _once(_: Any) -> int:
+    """One period in a turn of the output."""
+    return 1
+
+
 @dataclass(frozen=True)
 class Observation:
     """What a bench can measure of a model, as `[identify]` of a study compares it with data.
@@ -147,7 +152,7 @@ class Observation:
     predict: Callable[..., Any]
     needs: tuple[str, ...] = ()
     samples: str = ""
-    period: Callable[[Any], int] = lambda design: 1
+    period: Callable[[Any], int] = _once
     sided: bool = False
 
 
