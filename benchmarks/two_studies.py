@@ -17,10 +17,10 @@ import numpy as np
 import rvjax
 from rvjax import study
 from rvjax.commands.budget import error_budget
+from rvjax.commands.compare import cost_of, put_into
 from rvjax.population.estimates import wilson
 from rvjax.render import plain
 from rvjax.response.response import BLOCK
-from rvjax.study.crossed import cost_of, put_into
 from rvjax.study.read import EMBEDDED
 from rvjax.tolerances import allocate, monte_carlo
 

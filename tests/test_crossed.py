@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from rvjax import cli, progress, tolerances
-from rvjax.report import crossed as written
+from rvjax.commands.compare import cost_of, put_into
+from rvjax.commands.compare.report import differences
 from rvjax.study import load, parse_study
-from rvjax.study.crossed import cost_of, put_into
 from rvjax.tolerances import Tolerance
 from rvjax.units import um
 
@@ -164,8 +164,6 @@ def test_one_table_serves_both_studies_of_the_rv_40e():
         )
     ]
     assert limits[0] == limits[1] and picture.requirements["misfit"].upper == machine.requirements["misfit"].upper
-    assert written.differences(picture, machine)[0].startswith(
-        "cycloid.equidistant_modification is -20 um in rv-40e and -2 um"
-    )
+    assert differences(picture, machine)[0].startswith("cycloid.equidistant_modification is -20 um in rv-40e and -2 um")
     together = put_into(machine, picture.tolerances)
     assert cost_of(machine, together) > cost_of(picture, picture.tolerances)  # it also pays for pins, pitch and runout

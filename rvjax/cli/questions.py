@@ -5,7 +5,6 @@ import json
 import sys
 import time
 from pathlib import Path
-from typing import Any
 
 from rvjax.commands import EXIT_NO_ANSWER, EXIT_OK, READING, WRITING, check_files, forewarn, say, tell
 
@@ -104,38 +103,6 @@ def report(options: argparse.Namespace) -> int:
         lambda: text.as_json(found) | {"report": str(path)},
     )
     return EXIT_OK if found.allocation.status == "OPTIMAL" else EXIT_NO_ANSWER
-
-
-def compare(options: argparse.Namespace) -> int:
-    """Two answers side by side, or under one question."""
-    from rvjax import progress, study
-    from rvjax.report import check, compare, crossed
-    from rvjax.study.crossed import crossed as judge
-
-    if options.second is None and options.on is None:
-        raise ValueError("B is missing: name two results folders, or one and with --on the study that judges it")
-    if options.samples is not None and options.on is None:
-        raise ValueError(f"--samples {options.samples}: units are drawn for --on STUDY alone")
-    paths = {letter: path for letter, path in zip("AB", (options.first, options.second)) if path is not None}
-    results = [compare.result(path) for path in paths.values()]
-    told = "\n".join(f"{letter}: {path}" for letter, path in paths.items())
-    data: dict[str, Any] = {}
-    if len(results) == 2:
-        told, data = f"{told}\n\n{compare.text(*results)}", compare.compared(*results)
-    if options.on is not None:
-        question = study.load(options.on, solve=False)  # a unit that fails counts among the others
-        answers = {letter: crossed.answered(path) for letter, path in paths.items()}
-        forewarn(question)
-        drawing, found = {letter: f"units of {letter}" for letter in answers}, {}
-        seconds = 5.0 + (check.unit_seconds(question) or 0.0) * (options.samples or question.certificate_samples)
-        with progress.shown(dict.fromkeys(drawing.values(), seconds), quiet=options.quiet):
-            for letter, (_, one) in answers.items():
-                progress.begin(drawing[letter])
-                found[letter] = judge(question, one, samples=options.samples)
-        own = {letter: answer for letter, (answer, _) in answers.items()}
-        told, data = f"{told}\n\n{crossed.summary(found, own)}", data | {"on": crossed.as_json(found, own)}
-    tell(options, lambda: told, lambda: data)
-    return EXIT_OK
 
 
 def reproduce(options: argparse.Namespace) -> int:

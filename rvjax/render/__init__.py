@@ -3,7 +3,7 @@
 from rvjax.render.figure import Figure, saved
 from rvjax.render.folders import new_folder, numbered_folders, results_folder, write_files
 from rvjax.render.quantity import Quantity, number
-from rvjax.render.report import Note, Report, Section, as_json, plain, versions
+from rvjax.render.report import Content, Note, Report, Section, as_json, plain, versions
 from rvjax.render.table import (
     CSV,
     EVERYWHERE,
@@ -26,6 +26,7 @@ __all__ = [
     "PAGE",
     "TEXT",
     "Column",
+    "Content",
     "Figure",
     "Interval",
     "Limits",

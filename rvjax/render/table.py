@@ -20,7 +20,7 @@ Value = str | float | None
 
 @dataclass(frozen=True)
 class Column:
-    """A column of any values, shown as they are.
+    """A column of any values: words, numbers as they are, quantities.
 
     Attributes:
         title: header.
@@ -47,10 +47,10 @@ class Column:
         return [None] * len(self.headers()) if cell is None else self._given(cell)
 
     def _said(self, cell: Any) -> str:
-        return str(cell)
+        return cell.text() if isinstance(cell, Quantity) else str(cell)
 
     def _given(self, cell: Any) -> list[Value]:
-        return [cell]
+        return list(cell.numbers()[:1]) if isinstance(cell, Quantity) else [cell]
 
 
 @dataclass(frozen=True)

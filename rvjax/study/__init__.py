@@ -2,6 +2,7 @@
 
 from rvjax.study.measured import Conditions, Run
 from rvjax.study.measured import read as read_measured
+from rvjax.study.plausible import numbers, shown
 from rvjax.study.question import Study, StudyError
 from rvjax.study.read import embedded_names, load, parse_study
 from rvjax.study.values import choice, integer, known, naming, quantity, subtable
@@ -17,8 +18,10 @@ __all__ = [
     "known",
     "load",
     "naming",
+    "numbers",
     "parse_study",
     "quantity",
     "read_measured",
+    "shown",
     "subtable",
 ]

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from rvjax.response import BLOCK
-from rvjax.study.question import Study
+from rvjax.study import Study
 from rvjax.tolerances import Statistics, monte_carlo
 
 

@@ -1,15 +1,10 @@
 """Two results folders side by side: what each found, and what differs."""
 
 import json
-import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from rvjax.report.text import table
-from rvjax.units import readable
-
-NONE = "-"  # what one of the two does not have
 _DAMAGE = (OSError, ValueError, RecursionError)
 
 
@@ -36,7 +31,11 @@ def result(path: str) -> dict[str, Any]:
 
 
 def compared(first: dict[str, Any], second: dict[str, Any]) -> dict[str, Any]:
-    """Both results by topic: {topic: {name: {"unit", "a", "b"}}}; SI, null for what one does not have.
+    """Both results by topic: {topic: {name: {"unit", "a", "b", "same"}}}; SI, None for what one does not have.
+
+    Args:
+        first: a result, as `result` reads it.
+        second: another one.
 
     Raises:
         ValueError: something in them is not what `rvjax allocate` writes.
@@ -48,19 +47,6 @@ def compared(first: dict[str, Any], second: dict[str, Any]) -> dict[str, Any]:
     except (KeyError, TypeError, AttributeError) as error:
         raise ValueError(f"not both are results of rvjax allocate ({error!r})") from None
     return found
-
-
-def text(first: dict[str, Any], second: dict[str, Any]) -> str:
-    """The same as tables for a person."""
-    return "\n\n".join(_table(topic, rows) for topic, rows in compared(first, second).items())
-
-
-def _table(topic: str, rows: dict[str, Any]) -> str:
-    cells = []
-    for name, row in rows.items():
-        texts = [_shown(row[side], row["unit"]) for side in ("a", "b")]
-        cells.append([name, *texts, "" if row["same"] else _change(row["a"], row["b"], row["unit"])])
-    return table([topic, "A", "B", "change"], cells)
 
 
 def _rows(first: dict[str, Any], second: dict[str, Any]) -> Iterator[tuple[str, str, str, Any, Any]]:
@@ -118,26 +104,3 @@ def _half(limits: dict[str, float] | None) -> float | None:
 
 def _middle(limits: dict[str, float]) -> float:
     return (limits["upper"] + limits["lower"]) / 2
-
-
-def _shown(value: Any, unit: str) -> str:
-    if value is None:
-        return NONE
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    if unit == "text":
-        return str(value)
-    if unit == "share":
-        return f"{100 * value:.4g} %" if value < 0.9 else f"{100 * value:.3f} %"
-    if unit == "number":
-        return f"{value:.4g}"
-    name, size = readable(unit)
-    return f"{value / size:.4g}" if unit == "-" else f"{value / size:.4g} {name}"
-
-
-def _change(a: Any, b: Any, unit: str) -> str:
-    if unit == "text" or a is None or b is None:
-        return "differs"
-    if unit == "share":
-        return f"{100 * (b - a):+.3g}"
-    return f"{100 * (b / a - 1):+.1f} %" if a and math.isfinite(b / a) and a * b > 0 else "differs"

@@ -1,0 +1,63 @@
+"""Cells that several commands show: limits of errors, what a requirement evaluates, units that failed."""
+
+import math
+from typing import Any
+
+from rvjax.outputs import Output
+from rvjax.render import Quantity
+from rvjax.tolerances import Limits, Statistics, Verdict
+
+
+def limits_of(tolerance: Any, unit: str) -> Quantity:
+    """The limits of an error about its mid-point.
+
+    Args:
+        tolerance: of the error.
+        unit: SI unit of the error.
+    """
+    return Quantity(float(tolerance.middle), unit, float(tolerance.lower), float(tolerance.upper))
+
+
+def limit_text(requirement: Limits, output: Output) -> str:
+    """The limits of a response, such as "<= 1 arcmin".
+
+    Args:
+        requirement: with its limits.
+        output: what the response is.
+    """
+    unit, size = output.shown
+    bounds = ((">=", requirement.lower), ("<=", requirement.upper))
+    return " and ".join(f"{sign} {limit / size:.4g} {unit}" for sign, limit in bounds if math.isfinite(limit))
+
+
+def share(estimate: Any) -> Quantity:
+    """A yield with its interval."""
+    return Quantity.of(estimate, read_in="%", form=".3f")
+
+
+def judged(verdict: Verdict, output: Output) -> Quantity:
+    """The value that a requirement evaluates, with its interval.
+
+    Args:
+        verdict: on the requirement.
+        output: what the response is.
+    """
+    if verdict.kind == "share":
+        return share(verdict.estimate)
+    if verdict.kind == "response":
+        return Quantity.of(verdict.estimate, output.unit, output.read_in)
+    return Quantity.of(verdict.estimate)
+
+
+def failures_text(found: Statistics) -> str:
+    """How many units failed, why, how they count, and one unit of each kind."""
+    if not found.failed:
+        return "0 failed"
+    kinds = (f"{count:,} {name} (unit {found.examples[name]})" for name, count in found.failures.items())
+    return f"{found.failed:,} failed, each a reject in every yield: {', '.join(kinds)}"
+
+
+def limits_data(tolerance: Any) -> dict[str, Any]:
+    """Limits and distribution of a tolerance as JSON values, SI."""
+    lower, upper, cp, shift = (float(getattr(tolerance, name)) for name in ("lower", "upper", "cp", "shift"))
+    return {"lower": lower, "upper": upper, "distribution": tolerance.distribution, "cp": cp, "shift": shift}

@@ -1,0 +1,77 @@
+"""What `rvjax compare` reads: results folders of `rvjax allocate`, and the study that certifies them."""
+
+import argparse
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+from rvjax import study
+from rvjax.commands.compare.results import result
+from rvjax.commands.speak import forewarn
+from rvjax.study import Study
+
+
+@dataclasses.dataclass(frozen=True)
+class Inputs:
+    """What the command needs.
+
+    Attributes:
+        paths: of the results, by letter.
+        results: what they hold, by letter.
+        study: that certifies their tolerances, or None.
+        answers: study and tolerances of each result, by letter; empty without `study`.
+        samples: units of a certificate, None: as many as the study certifies with.
+    """
+
+    paths: dict[str, str]
+    results: dict[str, dict[str, Any]]
+    study: Study | None = None
+    answers: dict[str, tuple[Study, Any]] = dataclasses.field(default_factory=dict)
+    samples: int | None = None
+
+
+def inputs(options: argparse.Namespace) -> Inputs:
+    """The inputs that the options name.
+
+    Raises:
+        ValueError: one line that names the option or the folder.
+    """
+    if options.second is None and options.on is None:
+        raise ValueError("B is missing: name two results folders, or one and with --on the study that judges it")
+    if options.samples is not None and options.on is None:
+        raise ValueError(f"--samples {options.samples}: units are drawn for --on STUDY alone")
+    paths = {letter: path for letter, path in zip("AB", (options.first, options.second)) if path is not None}
+    results = {letter: result(path) for letter, path in paths.items()}
+    if options.on is None:
+        return Inputs(paths, results)
+    question = study.load(options.on, solve=False)  # a unit that fails counts among the others
+    answers = {letter: answered(path) for letter, path in paths.items()}
+    forewarn(question)
+    return Inputs(paths, results, question, answers, options.samples)
+
+
+def answered(path: str) -> tuple[Study, Any]:
+    """The study of a results folder, and the tolerances that it found, with their distributions.
+
+    Args:
+        path: of the folder, or of the result.json in it.
+
+    Raises:
+        ValueError: no results folder of `rvjax allocate`, or its study and its result do not fit each other.
+    """
+    found = result(path)
+    folder = Path(path) if Path(path).is_dir() else Path(path).parent
+    try:
+        written = (folder / "study.toml").read_text("utf-8")
+    except (OSError, UnicodeDecodeError):
+        raise ValueError(f"{folder}: there is no study.toml beside the result, which says the laws") from None
+    question = study.parse_study(written, name=str(found["study"]), folder=folder, solve=False)
+    try:
+        limits = {name: (one["after"]["lower"], one["after"]["upper"]) for name, one in found["tolerances"].items()}
+        tolerances = {
+            name: getattr(question.tolerances, name).replace(lower=lower, upper=upper)
+            for name, (lower, upper) in limits.items()
+        }
+    except (KeyError, TypeError, AttributeError) as error:
+        raise ValueError(f"{path}: no result of the study beside it ({error!r})") from None
+    return question, question.tolerances.replace(**tolerances)

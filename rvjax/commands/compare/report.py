@@ -1,0 +1,144 @@
+"""What `rvjax compare` says: topic by topic what two results hold, and their yields under one study."""
+
+import dataclasses
+import math
+from typing import Any
+
+from rvjax.commands.cells import failures_text, judged, limit_text, limits_data, limits_of, share
+from rvjax.commands.compare.compute import Comparison
+from rvjax.commands.compare.crossed import Crossed
+from rvjax.commands.compare.inputs import Inputs
+from rvjax.render import Column, Content, Limits, Note, Number, Quantity, Report, Table, Text
+from rvjax.study import Study, numbers, shown
+
+NEAR = 1e-9  # relative: numbers of two designs that are equal
+
+
+def report(asked: Inputs, found: Comparison) -> Report:
+    """The report on a comparison.
+
+    Args:
+        asked: inputs of the command.
+        found: its result.
+    """
+    paths = Note("\n".join(f"{letter}: {path}" for letter, path in asked.paths.items()))
+    content: list[Content] = [paths, *(_topic(topic, rows) for topic, rows in found.topics.items())]
+    data = dict(found.topics)
+    if asked.study is not None:
+        own = {letter: answer for letter, (answer, _) in asked.answers.items()}
+        content += [
+            Note(f"On {asked.study.name}:"),
+            _yields(asked.study, found.crossed),
+            _tolerances(asked.study, found.crossed),
+            Note("\n".join(_explained(found.crossed, own))),
+        ]
+        data["on"] = _data(asked.study, found.crossed, own)
+    return Report("Comparison", tuple(content), data=data)
+
+
+def _topic(topic: str, rows: dict[str, Any]) -> Table:
+    """What both results hold of one topic, and how far the second is from the first."""
+    cells = []
+    for name, row in rows.items():
+        a, b, unit = row["a"], row["b"], row["unit"]
+        cells.append([name, _cell(a, unit), _cell(b, unit), "" if row["same"] else _change(a, b, unit)])
+    return Table(topic, [Text(topic), Column("A"), Column("B"), Text("change")], cells)
+
+
+def _cell(value: Any, unit: str) -> str | Quantity | None:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if value is None or unit == "text":
+        return None if value is None else str(value)
+    if unit == "share":
+        return Quantity(value, read_in="%", form=".4g" if value < 0.9 else ".3f")
+    return Quantity(value, "-" if unit == "number" else unit)
+
+
+def _change(a: Any, b: Any, unit: str) -> str:
+    if unit == "text" or a is None or b is None:
+        return "differs"
+    if unit == "share":
+        return f"{100 * (b - a):+.3g}"
+    return f"{100 * (b / a - 1):+.1f} %" if a and math.isfinite(b / a) and a * b > 0 else "differs"
+
+
+def _yields(study: Study, found: dict[str, Crossed]) -> Table:
+    """Yields of the results under the requirements of the study."""
+    columns: list[Column] = [Text("requirement"), Text("limit"), Text("asked")]
+    for letter in found:
+        columns += [Column(f"{letter} [interval]"), Text("")]
+    rows = []
+    for name, requirement in study.requirements.items():
+        output = study.output(name)
+        row: list[Any] = [name, limit_text(requirement, output), requirement.text()]
+        for one in found.values():
+            verdict = one.statistics.verdicts[name]
+            row += [judged(verdict, output), "met" if verdict.met else "not met"]
+        rows.append(row)
+    joint = [one.statistics.joint_yield for one in found.values()]  # None where no requirement limits single units
+    if all(each is not None for each in joint):
+        rows.append(["all at once", "", "", *(cell for each in joint for cell in (share(each), ""))])
+    return Table("yields", columns, rows)
+
+
+def _tolerances(study: Study, found: dict[str, Crossed]) -> Table:
+    """Tolerances and their costs under the study."""
+    costs = [Number(f"cost {letter}", form=".3f") for letter in found]
+    rows: list[list[Any]] = []
+    for name in study.fields:
+        used, cost = [getattr(one.tolerances, name) for one in found.values()], study.costs.get(name)
+        prices = [float(cost(tolerance.half_width)) if cost else None for tolerance in used]
+        rows.append([name, *(limits_of(tolerance, study.unit(name)) for tolerance in used), *prices])
+    rows.append(["sum", *(None for _ in found), *(one.cost for one in found.values())])
+    return Table("tolerances", [Text("error"), *(Limits(k, missing="") for k in found), *costs], rows, total=True)
+
+
+def _explained(found: dict[str, Crossed], answers: dict[str, Study]) -> list[str]:
+    """Units of each certificate, and what the result and the study do not share."""
+    lines = []
+    for letter, one in found.items():
+        answer, name = answers[letter].name, one.study.name
+        lines.append(f"{letter}: {one.statistics.samples:,} fresh units, {failures_text(one.statistics)}")
+        if one.own:
+            lines.append(f"{letter}: {answer} has no tolerance for {', '.join(one.own)}: those of {name} are kept")
+        if one.left:
+            lines.append(f"{letter}: {name} has no tolerance for {', '.join(one.left)}: left out")
+        if apart := differences(answers[letter], one.study):
+            deviate = f"the design is that of {name}, and tolerances deviate from it"
+            lines.append(f"{letter}: {deviate}: {'; '.join(apart)}")
+    return lines
+
+
+def differences(answer: Study, study: Study) -> list[str]:
+    """Numbers of the designs that both have and that differ, a line each.
+
+    Args:
+        answer: study of a result.
+        study: of --on.
+    """
+    ours, theirs = dict(numbers(study.design)), dict(numbers(answer.design))
+    return [
+        f"{name} is {shown(theirs[name][0], unit)} in {answer.name} and {shown(value, unit)} in {study.name}"
+        for name, (value, unit) in ours.items()
+        if name in theirs and abs(theirs[name][0] - value) > NEAR * max(abs(theirs[name][0]), abs(value))
+    ]
+
+
+def _data(study: Study, found: dict[str, Crossed], answers: dict[str, Study]) -> dict[str, Any]:
+    sides = {
+        letter.lower(): {
+            "study": answers[letter].name,
+            "taken": one.taken,
+            "own": one.own,
+            "left_out": one.left,
+            "design": differences(answers[letter], study),
+            "cost": one.cost,
+            "tolerances": {
+                name: {"unit": study.unit(name)} | limits_data(getattr(one.tolerances, name)) for name in study.fields
+            },
+            "certificate": dataclasses.replace(one.statistics, values=None),
+        }
+        for letter, one in found.items()
+    }
+    return {"study": study.name, "answers": sides}
