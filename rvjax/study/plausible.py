@@ -145,7 +145,12 @@ def _toleranced(tolerances: Any) -> Iterator[tuple[str, Tolerance, Any]]:
 
 
 def numbers(record: Any, prefix: str = "") -> Iterator[tuple[str, tuple[float, str]]]:
-    """(name, (value of the largest size, SI unit)) of every quantity with a unit in a record of records."""
+    """(name, (value of the largest size, SI unit)) of every quantity with a unit in a record of records.
+
+    Args:
+        record: such as a design.
+        prefix: of the names.
+    """
     for f in dataclasses.fields(record):
         value, about = getattr(record, f.name), f.metadata
         if about["kind"] == "record" and value is not None:
@@ -156,6 +161,11 @@ def numbers(record: Any, prefix: str = "") -> Iterator[tuple[str, tuple[float, s
 
 
 def shown(value: Any, unit: str) -> str:
-    """A number with the largest unit in which it is at least one."""
+    """A number with the largest unit in which it is at least one.
+
+    Args:
+        value: SI.
+        unit: its SI unit.
+    """
     name, size = suited(value, unit)
     return f"{float(value) / size:.4g} {name}" if unit != "-" else f"{float(value):.4g}"
