@@ -44,17 +44,23 @@ class Case:
     published: float | None = None
 
 
-def least(costs: dict[str, Any], constraints: list[Callable[[np.ndarray], float]], start: float) -> float:
-    """Least cost where every constraint of the half-widths is >= 0, by SLSQP in logarithms of them."""
+def least(
+    costs: dict[str, Any], constraints: list[Callable[[np.ndarray], float]], start: float, half_widths: bool = False
+) -> Any:
+    """Least cost where every constraint of the half-widths is >= 0, or these; by SLSQP in logarithms of them."""
     models = list(costs.values())
     total = lambda x: float(sum(model(t) for model, t in zip(models, np.exp(x))))  # noqa: E731
     bounds = [(math.log(model.finest), math.log(model.coarsest)) for model in models]
     met = [{"type": "ineq", "fun": lambda x, g=g: g(np.exp(x))} for g in constraints]
     x0 = np.full(len(models), math.log(start))
-    options = dict(maxiter=1000, ftol=1e-12)
-    found = optimize.minimize(total, x0, bounds=bounds, constraints=met, method="SLSQP", options=options)
+    for known in (1e-12, 1e-10, 1e-8):  # at the finest its line search may end without a step
+        options = dict(maxiter=1000, ftol=known)
+        found = optimize.minimize(total, x0, bounds=bounds, constraints=met, method="SLSQP", options=options)
+        if found.success:
+            break
+        x0 = np.clip(found.x, *np.array(bounds).T)
     assert found.success, found.message
-    return float(found.fun)
+    return np.exp(found.x) if half_widths else float(found.fun)
 
 
 def squares(slopes: dict[str, float], costs: dict[str, Any], radius: float) -> Callable[[np.ndarray], float]:

@@ -111,7 +111,7 @@ def test_each_point_starts_from_the_last(of_bent):
 
 
 def test_a_curve_compiles_nothing_anew(of_bent):
-    count = lambda: [programs(respond, bent), programs(pulled, bent), conlin._solve._cache_size()]  # noqa: E731
+    count = lambda: [programs(respond, bent), programs(pulled, bent), conlin._minima._cache_size()]  # noqa: E731
     before = count()
     first = of_bent.allocations[0]
     costs = {"a": WIDE, "b": Exponential(decay=9 * um, finest=1 * um, coarsest=90 * um, scale=3.0)}

@@ -26,6 +26,7 @@ from rvjax.tolerances.batch.monte_carlo import Run, Statistics
 from rvjax.tolerances.requirements.kinds import Limits
 
 FEWEST = 100  # units a quantile can be learned from
+DEARER = 0.2  # than learned, as a part of that cost: what is certified at more is not called the cheapest
 KEPT = 65_536  # units of a certificate whose responses are kept, at most
 
 
@@ -35,12 +36,12 @@ class Allocation:
 
     Attributes:
         feasible: False if the requirements fail even at the finest tolerances.
-        status: "OPTIMAL" (certified), "INFEASIBLE", "MAX_STEPS" (certified, maybe not the cheapest) or
-            "NOT_CERTIFIED".
+        status: "OPTIMAL" (certified), "SUBOPTIMAL" (certified, at more than 1.2 times the learned cost),
+            "INFEASIBLE", "MAX_STEPS" (certified, maybe not the cheapest) or "NOT_CERTIFIED".
         tolerances: structure of the given ones.
         cost: of all half-widths that have one, and of the middles that were moved.
         start_cost: the same of the given tolerances.
-        learned: the same of the half-widths that the search accepted, before certification shrank them.
+        learned: the same of the half-widths that the search accepted, before certification tightened them.
         costs: {field: cost}.
         half_widths: {field: half-width} of the fields that have a cost.
         multipliers: structure of the response: d cost / d limit when its limits move outwards, <= 0.
@@ -119,8 +120,8 @@ def allocate(
     serves all steps. Each step models every constraint as a root sum of squares with the sampled
     margins and slopes, solves that model by an augmented Lagrangian, and is accepted if the sampled
     cost and violation fall. A larger sample corrects the figures once. Fresh units then certify the
-    result: a figure counts by the worse end of its confidence interval, and all half-widths shrink together
-    until it holds.
+    result: a figure counts by the worse end of its confidence interval, and half-widths are tightened where
+    that costs least until it holds.
 
     Args:
         response: pure function of the errors of one unit; a scalar, a dict or record of scalars, or `Outcome`.
@@ -234,23 +235,23 @@ def _cheapest(search: Search, certifier: Certifier, point: Point, start: np.ndar
         point, settled = search.find(training.correct(point, certifier.factors(seen, training.distance)), start)
     prices = search.prices(point)
     if search.shrinks(point):
-        half_widths, certificate = _certified(search, certifier, point.half_widths, start)
+        half_widths, certificate = _certified(search, certifier, point, start)
     else:
         half_widths, certificate = _aimed(search, certifier, point, start)
+    learned, nothing = search.cost(point.half_widths), dict.fromkeys(run.requirements, 0.0)
     status = "OPTIMAL" if settled else "MAX_STEPS"
+    if search.cost(half_widths) > (1 + DEARER) * learned:
+        status = "SUBOPTIMAL"
     if not certifier.holds(certificate):
         status = "NOT_CERTIFIED"
-    learned, nothing = search.cost(point.half_widths), dict.fromkeys(run.requirements, 0.0)
     return _Found(status, learned, half_widths, certificate, prices, nothing, search.residual(point))
 
 
-def _certified(
-    search: Search, certifier: Certifier, found: np.ndarray, start: np.ndarray
-) -> tuple[np.ndarray, Statistics]:
-    """The cheapest certified set: what was found, shrunk where need be, or the start, or the finest."""
+def _certified(search: Search, certifier: Certifier, point: Point, start: np.ndarray) -> tuple[np.ndarray, Statistics]:
+    """The cheapest certified set: what was found, tightened where need be, or the start, or the finest."""
     training, start = search.training, search.inside(start)
-    best, certificate = certifier.settle(training, found, search.low)
-    best, certificate = certifier.polished(training, best, certificate, search.high)
+    best, certificate = certifier.settle(search, point)
+    best, certificate = certifier.polished(search, point, best, certificate)
     others = [t for t in (start, search.low) if not certifier.holds(certificate) or search.cost(t) < search.cost(best)]
     for other in sorted(others, key=search.cost):
         if certifier.hopeless():

@@ -1,13 +1,13 @@
 """The certificate: fresh random units decide whether a set of tolerances meets its requirements."""
 
 import dataclasses
-import math
 
 import numpy as np
 
 from rvjax.population import Population, deviate_of, wilson
 from rvjax.response import PLAIN
-from rvjax.tolerances.allocation.sample_average import Training
+from rvjax.tolerances.allocation.sample_average import Point
+from rvjax.tolerances.allocation.search import Search
 from rvjax.tolerances.batch.monte_carlo import Run, Statistics
 from rvjax.tolerances.failure.failure import failure_probability
 from rvjax.tolerances.requirements.factors import share_factor
@@ -84,29 +84,32 @@ class Certifier:
         valid = wilson(n - statistics.failed, n, self.run.confidence)
         return share_factor(valid, 1 - most, n, deviate_of(self.run.confidence))
 
-    def settle(
-        self, training: Training, start: np.ndarray, low: np.ndarray, *, draws: int = DRAWS
-    ) -> tuple[np.ndarray, Statistics]:
-        """Shrink all half-widths by common factors until a certificate holds; the last one drawn otherwise."""
-        half_widths, statistics = start, self.draw(training.with_half_widths(start))
+    def settle(self, search: Search, point: Point, *, draws: int = DRAWS) -> tuple[np.ndarray, Statistics]:
+        """Tighten half-widths, where that costs least, until a certificate holds; the last one drawn otherwise."""
+        half_widths, training = point.half_widths, search.training
+        statistics = self.draw(training.with_half_widths(half_widths))
         for _ in range(draws - 1):
-            factor = max(0.5, min(*self.factors(statistics, training.distance), 1 - _LEAST))
-            after = np.maximum(half_widths * factor, np.minimum(low, half_widths))
+            factors = self.factors(statistics, training.distance)
+            factors[np.argmin(factors)] = max(0.5, min(factors.min(), 1 - _LEAST))
+            after = search.tightened(point, half_widths, factors)
             if self.holds(statistics) or self.hopeless() or np.array_equal(after, half_widths):
                 break
             half_widths, statistics = after, self.draw(training.with_half_widths(after))
         return half_widths, statistics
 
     def polished(
-        self, training: Training, half_widths: np.ndarray, statistics: Statistics, high: np.ndarray
+        self, search: Search, point: Point, half_widths: np.ndarray, statistics: Statistics
     ) -> tuple[np.ndarray, Statistics]:
         """Looser half-widths where a certificate held with room to spare, if theirs holds too.
 
         Tried once, by half of the room: the other half, as draws go, was luck.
         """
-        room = min(*self.factors(statistics, training.distance), 1 + _ROOM)
-        wider = np.minimum(half_widths * math.sqrt(max(1.0, room)), np.maximum(high, half_widths))
-        if not self.holds(statistics) or room < 1 + _WORTH or np.array_equal(wider, half_widths):
+        training = search.training
+        factors = np.minimum(self.factors(statistics, training.distance), 1 + _ROOM)
+        if not self.holds(statistics) or factors.min() < 1 + _WORTH:
+            return half_widths, statistics
+        wider = search.loosened_to(point, half_widths, np.sqrt(factors))
+        if np.array_equal(wider, half_widths):
             return half_widths, statistics
         drawn = self.draw(training.with_half_widths(wider))
         return (wider, drawn) if self.holds(drawn) else (half_widths, statistics)

@@ -3,9 +3,10 @@
 Around a known point each constraint is modelled as a root sum of squares, s^2 = s0^2 + sum_j b_j
 (t_j^2 - t0_j^2), s = margin + distance of the nominal response from the limit: exact for linear
 responses without mean shift, and right to first order for all; worst cases as a sum, with power 1 for 2.
-With reciprocal costs its optimum is the closed form t_j ~ (c_j k_j / b_j)^(1/(k_j+2)). The model costs
-nothing to evaluate, so an augmented Lagrangian with Adam (Hestenes 1969, Powell 1969; optax) solves it
-for any number of constraints and any cost.
+The model is separable, so its dual function is a sum over the fields (convex linearization, Fleury 1989):
+at given prices of the constraints every field has its own minimum between its bounds, found by a grid and
+bisection. The prices that maximise the dual function are those of the optimum. With reciprocal costs a field
+inside its bounds has the closed form t_j ~ (c_j k_j / b_j)^(1/(k_j+2)).
 """
 
 from collections.abc import Callable
@@ -14,14 +15,15 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optax
+from scipy import optimize
 
 from rvjax.records import promote
 from rvjax.tolerances.allocation.sample_average import Point
 
-_MULTIPLIER_STEPS, _STEPS = 30, 120
-_PENALTY = 4.0
-_RATES = optax.cosine_decay_schedule(0.05, _STEPS, alpha=0.002)
+_CELLS, _HALVINGS = 32, 45  # of the range of a field: a table of costs may have several minima
+_MOST = 1e5  # price of a constraint, in total costs, that no half-widths within the bounds can meet
+_KNOWN = 1e-7  # of a constraint of the model
+_GROWTH = 1e-6  # of prices that leave a constraint violated, where the minimum of a field jumps; doubled at each trial
 
 
 def cheapest(
@@ -35,26 +37,59 @@ def cheapest(
     """Half-widths (j,) of least cost under the model around `point`, and its multipliers, cost per unit of each margin.
 
     `distance` (c,) is that of the nominal response from each limit, `powers` (c,) those by which half-widths add up;
-    `low` and `high` (j,) bound the half-widths.
+    `low` and `high` (j,) bound the half-widths. Where these cannot meet a constraint, its violation is as small as
+    they let it be.
     """
+    constant, weights = _model(point, distance, powers)
+    total = float(total_cost(costs, jnp.asarray(point.half_widths)))
+    model = [np.log(point.half_widths), np.log(low), np.log(high), constant, weights, powers]
+
+    def dual(prices: np.ndarray) -> tuple[float, np.ndarray]:
+        value, excess, _ = _minima(costs, total, prices, *model)
+        return -float(value), -np.asarray(excess, float)
+
+    bounds = [(0.0, _MOST)] * len(distance)
+    options = dict(ftol=1e-15, gtol=_KNOWN, maxiter=200, maxcor=20)
+    prices = optimize.minimize(dual, _begin(dual, len(distance)), jac=True, bounds=bounds, options=options).x
+    growth = _GROWTH
+    while True:
+        _, excess, found = _minima(costs, total, prices, *model)
+        violated = np.asarray(excess) > 10 * _KNOWN
+        if not (violated & (prices < _MOST)).any():
+            break
+        prices = np.where(violated, np.minimum((1 + growth) * np.maximum(prices, _GROWTH), _MOST), prices)
+        growth *= 2
+    return np.clip(np.exp(np.asarray(found)), low, high), prices * powers * total / distance
+
+
+def predicted(point: Point, distance: np.ndarray, powers: np.ndarray, half_widths: np.ndarray) -> np.ndarray:
+    """s/distance (n, c) of each constraint at sets of half-widths (n, j), under the model around `point`."""
+    constant, weights = _model(point, distance, powers)
+    grown = np.expm1(powers[:, None] * np.log(half_widths / point.half_widths)[:, None, :])
+    return np.maximum(constant + np.sum(weights * grown, axis=2), 0.0) ** (1 / powers)
+
+
+def _model(point: Point, distance: np.ndarray, powers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(s0/distance)^p (c,), and b_j t0_j^p/distance^p (c, j)."""
     reach = np.maximum(point.margins + distance, 1e-3 * distance)
     constant = (reach / distance) ** powers
-    weights = (constant / reach)[:, None] * point.slopes  # b_j t0_j^2 / distance^2
-    total = float(total_cost(costs, jnp.asarray(point.half_widths)))
-    arrays = [jnp.asarray(a) for a in (np.log(point.half_widths), np.log(low), np.log(high), constant, weights, powers)]
-    with jax.numpy_dtype_promotion("standard"):  # optax raises floats to integer powers
-        found, prices = _solve(costs, total, *arrays)
-    return np.clip(np.exp(np.asarray(found)), low, high), np.asarray(prices) * total / distance
+    return constant, (constant / reach)[:, None] * point.slopes
+
+
+def _begin(dual: Callable[[np.ndarray], tuple[float, np.ndarray]], count: int) -> np.ndarray:
+    """A common price of all constraints from which the dual function falls either way, to a factor of 2."""
+    trials = 2.0 ** np.arange(-12, 17)
+    return np.full(count, trials[int(np.argmin([dual(np.full(count, trial))[0] for trial in trials]))])
 
 
 @jax.jit
 def total_cost(costs: tuple[Any, ...], half_widths: jax.Array) -> jax.Array:
     """Sum of the costs of all fields."""
-    return _summed(costs)(half_widths)
+    return jnp.sum(_each(costs)(half_widths))
 
 
-def _summed(costs: tuple[Any, ...]) -> Callable[[jax.Array], jax.Array]:
-    """The sum as a function; costs of one kind are stacked, so that hundreds of fields stay a few operations."""
+def _each(costs: tuple[Any, ...]) -> Callable[[jax.Array], jax.Array]:
+    """Costs (j,) of half-widths (j,); costs of one kind are stacked, so that many fields stay a few operations."""
     kinds: dict[Any, list[int]] = {}
     for j, cost in enumerate(costs):
         shapes = tuple(jnp.shape(leaf) for leaf in jax.tree.leaves(cost))
@@ -64,36 +99,42 @@ def _summed(costs: tuple[Any, ...]) -> Callable[[jax.Array], jax.Array]:
         (js, jax.tree.map(lambda *leaves: jnp.stack(leaves), *([same] if len(js) == 1 else same)))
         for js, same in groups
     ]
+    order = np.argsort(np.concatenate([js for js, _ in stacks]))
 
-    def total(half_widths: jax.Array) -> jax.Array:
-        parts = [jnp.sum(jax.vmap(lambda cost, t: cost(t))(stack, half_widths[js])) for js, stack in stacks]
-        return jnp.sum(jnp.stack(parts))
+    def each(half_widths: jax.Array) -> jax.Array:
+        parts = [jax.vmap(lambda cost, t: cost(t))(stack, half_widths[js]) for js, stack in stacks]
+        return jnp.concatenate(parts)[order]
 
-    return total
+    return each
 
 
 @jax.jit
-def _solve(costs: Any, total: Any, start: Any, low: Any, high: Any, constant: Any, weights: Any, powers: Any) -> Any:
-    """Augmented Lagrangian in logarithms of the half-widths, projected to the bounds."""
-    cost = _summed(costs)
-    optimiser = optax.adam(_RATES, b1=0.8, b2=0.95)
+def _minima(
+    costs: Any, total: Any, prices: Any, start: Any, low: Any, high: Any, constant: Any, weights: Any, powers: Any
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Dual function at prices (c,), excess of each constraint (c,), and the logarithms of the half-widths there."""
+    cost = _each(costs)
 
-    def constraints(x: jax.Array) -> jax.Array:
-        grown = jnp.sum(weights * jnp.expm1(jnp.outer(powers, x - start)), axis=1)
-        return jnp.log(jnp.maximum(constant + grown, 1e-6)) / powers  # log(s/distance), gentle where far violated
+    def grown(x: jax.Array) -> jax.Array:
+        return jnp.expm1(jnp.outer(powers, x - start))
 
-    def lagrangian(x: jax.Array, prices: jax.Array) -> jax.Array:
-        pressed = jnp.maximum(0.0, prices + _PENALTY * constraints(x))
-        return cost(jnp.exp(x)) / total + (pressed @ pressed - prices @ prices) / (2 * _PENALTY)
+    def lagrangian(x: jax.Array) -> jax.Array:
+        return cost(jnp.exp(x)) / total + prices @ (weights * grown(x))
 
-    def step(_: int, carry: Any) -> Any:
-        x, state, prices = carry
-        updates, state = optimiser.update(jax.grad(lagrangian)(x, prices), state)
-        return jnp.clip(optax.apply_updates(x, updates), low, high), state, prices
+    def slope(x: jax.Array) -> jax.Array:
+        return jax.jvp(lagrangian, (x,), (jnp.ones_like(x),))[1]
 
-    def round_(_: int, carry: Any) -> Any:
-        x, prices = carry
-        x, _state, _prices = jax.lax.fori_loop(0, _STEPS, step, (x, optimiser.init(x), prices))
-        return x, jnp.maximum(0.0, prices + _PENALTY * constraints(x))
+    grid = low[None] + jnp.outer(jnp.linspace(0.0, 1.0, _CELLS + 1), high - low)
+    best = jnp.argmin(jax.lax.map(lagrangian, grid), axis=0)
+    fields = jnp.arange(len(start))
+    cell = grid[jnp.maximum(best - 1, 0), fields], grid[jnp.minimum(best + 1, _CELLS), fields]
 
-    return jax.lax.fori_loop(0, _MULTIPLIER_STEPS, round_, (jnp.clip(start, low, high), jnp.zeros_like(constant)))
+    def halve(_: int, cell: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        middle = (cell[0] + cell[1]) / 2
+        rises = slope(middle) > 0
+        return jnp.where(rises, cell[0], middle), jnp.where(rises, middle, cell[1])
+
+    left, right = jax.lax.fori_loop(0, _HALVINGS, halve, cell)
+    x = jnp.where(left <= low, low, jnp.where(right >= high, high, (left + right) / 2))
+    excess = constant + jnp.sum(weights * grown(x), axis=1) - 1
+    return jnp.sum(cost(jnp.exp(x))) / total + prices @ excess, excess, x

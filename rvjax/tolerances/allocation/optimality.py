@@ -10,6 +10,8 @@ from rvjax.tolerances.allocation.cost import Cost
 from rvjax.tolerances.allocation.sample_average import Point
 
 _STEP = 1e-4  # of the differences of a cost, logarithm of a half-width
+_AT = 4e-3  # a field nearer to the end of its range, as a part of it, is there: twice what a search settles to
+_TINY = 1e-300
 _BINDING = 0.05  # nearer to its limit than this part of the way a constraint may bind
 
 
@@ -17,8 +19,8 @@ def residual(costs: tuple[Cost, ...], point: Point, distance: np.ndarray, low: n
     """Largest saving of a single field that no price of the constraints accounts for, as a part of all savings.
 
     Savings are derivatives of the cost to the logarithms of the half-widths; the prices (not negative) are those
-    that account for them best. A cost with a kink has two derivatives, and any between them will do. A field at the
-    end of its range may want to go further.
+    that leave the least of them, found by a linear program. A cost with a kink has two derivatives, and any between
+    them will do. A field at the end of its range may want to go further.
 
     Args:
         costs: of the fields.
@@ -36,14 +38,14 @@ def residual(costs: tuple[Cost, ...], point: Point, distance: np.ndarray, low: n
         return 0.0
     binding = np.isfinite(point.margins) & (point.margins > -_BINDING * distance)
     pull = (point.slopes[binding] / distance[binding, None]).T  # (j, c)
-    inside = (t > low * (1 + 1e-9)) & (t < high * (1 - 1e-9))
-    taken = np.zeros(len(t))
-    if pull.size and inside.any():
-        prices, _ = optimize.nnls(pull[inside] / total, (loosened + tightened)[inside] / 2 / total)
-        taken = pull @ prices
-    wants_more = np.where(t < high * (1 - 1e-9), loosened - taken, 0.0)
-    wants_less = np.where(t > low * (1 + 1e-9), taken - tightened, 0.0)
-    return float(max(0.0, wants_more.max(), wants_less.max())) / total
+    above, below = t > low * (1 + _AT), t < high * (1 - _AT)
+    rows = np.concatenate([-pull[below], pull[above]])  # savings of loosening left over, then those of tightening
+    most = np.concatenate([-loosened[below], tightened[above]]) / total
+    if not len(rows):
+        return 0.0
+    rows = np.column_stack([rows / np.maximum(np.abs(rows).max(axis=0, initial=0.0), _TINY), -np.ones(len(rows))])
+    found = optimize.linprog(np.eye(rows.shape[1])[-1], rows, most)  # prices and residual, none negative
+    return float(found.fun) if found.success else math.nan
 
 
 def _saving(cost: Cost, half_width: float, sign: float) -> float:

@@ -1,5 +1,8 @@
-"""From half-widths to ISO 286 grades: the coarsest grades whose certificate holds, and the other fields beside them."""
+"""From half-widths to ISO 286 grades: the cheapest whose certificate holds, and the other fields fitted to them."""
 
+import itertools
+import math
+from collections.abc import Iterator
 from typing import Any
 
 import jax.numpy as jnp
@@ -7,11 +10,17 @@ import numpy as np
 
 from rvjax.population import GRADES, it_width
 from rvjax.tolerances.allocation.certificate import Certifier
+from rvjax.tolerances.allocation.conlin import cheapest, predicted
 from rvjax.tolerances.allocation.cost import Cost
+from rvjax.tolerances.allocation.sample_average import Point
 from rvjax.tolerances.allocation.search import Search
 from rvjax.tolerances.batch.monte_carlo import Statistics
 
 _DRAWS = 2  # certificates of one set of grades: fields that are free may shrink once
+_EXCHANGES = 6  # certificates of exchanged grades, at most
+_TRIED = 12  # sets of exchanged grades that the learning sample is asked for, at most, after each that was accepted
+_MOVES = 5000  # sets of three or four exchanged grades that the model is asked for, at most
+_NEAR = 0.01  # beyond a limit, in parts of the way there, within which the model or the sample may err
 
 Places = dict[int, int]  # of graded fields on their ladders
 
@@ -20,7 +29,7 @@ class Snapping:
     """Chooses grades for the fields with a size, and fits the half-widths of the other fields to them."""
 
     def __init__(self, search: Search, certifier: Certifier, priced: dict[str, Cost]) -> None:
-        self.training, self.certifier, self.priced = search.training, certifier, priced
+        self.search, self.training, self.certifier, self.priced = search, search.training, certifier, priced
         self.costs, self.cost, self.max_steps = search.costs, search.cost, search.max_steps
         active = search.training.population.active
         self.ladders = {j: _ladder(active[name].size, cost) for j, (name, cost) in enumerate(priced.items())}
@@ -30,7 +39,7 @@ class Snapping:
 
         One grade at a time becomes coarser, by saving. A field without a size, or without a grade within its
         process range, stays free: it takes up what the grades leave over, and gives way where that lets a
-        grade be coarser at less cost in all.
+        grade be coarser at less cost in all. Exchanges end the search: some fields one grade coarser, others finer.
 
         Returns:
             Half-widths, {field: grade} of the snapped ones, and the certificate of exactly these.
@@ -61,27 +70,83 @@ class Snapping:
             trial = {**places, j: places[j] + 1}
         fields = list(self.priced)
         certificate = proof or self.certifier.draw(self.training.with_half_widths(best))
+        if self.certifier.holds(certificate):
+            places, best, certificate = self.exchanged(places, best, certificate)
         return best, {fields[j]: self.ladders[j][place][0] for j, place in places.items()}, certificate
 
-    def certified(self, places: Places, half_widths: np.ndarray) -> tuple[np.ndarray, Statistics | None]:
-        """The free fields fitted to some grades, and a certificate unless the learning sample sees it is no use."""
+    def exchanged(
+        self, places: Places, best: np.ndarray, certificate: Statistics
+    ) -> tuple[Places, np.ndarray, Statistics]:
+        """Cheaper grades near certified ones: the model proposes, the sample selects, a certificate decides."""
+        most = self.certifier.drawn + _EXCHANGES
+        while True:
+            for trial in self.proposed(places, self.search.look(best))[:_TRIED]:
+                found, drawn = self.certified(trial, best, _NEAR)
+                if drawn is not None and self.certifier.holds(drawn) and self.cost(found) < self.cost(best):
+                    places, best, certificate = trial, found, drawn
+                    break
+                if self.certifier.drawn >= most:
+                    return places, best, certificate
+            else:
+                return places, best, certificate
+
+    def proposed(self, places: Places, point: Point) -> list[Places]:
+        """Exchanged grades that the model around a point calls feasible and cheaper, the cheapest first."""
+        training, now = self.training, self.cost(point.half_widths)
+        trials = list(self.moves(places))
+        if not trials:
+            return []
+        sets = np.stack([self.fitted(trial, point) for trial in trials])
+        met = (predicted(point, training.distance, training.powers, sets) <= 1 + _NEAR).all(axis=1)
+        priced = [(self.cost(t), k) for k, t in enumerate(sets) if met[k]]
+        return [trials[k] for cost, k in sorted(priced) if cost < now * (1 - 1e-9)]
+
+    def moves(self, places: Places) -> Iterator[Places]:
+        """Up to two grades coarser or finer in one or two fields; one grade in up to four where fields are few."""
+        free = len(places) < len(self.priced)
+        for count in range(1, min(len(places), 2 if free else 4) + 1):
+            if count > 2 and math.comb(len(places), count) * 2**count > _MOVES:
+                return
+            for fields in itertools.combinations(places, count):
+                for steps in itertools.product((1, -1) if count > 2 else (1, -1, 2, -2), repeat=count):
+                    moved = {j: places[j] + step for j, step in zip(fields, steps)}
+                    if max(steps) > 0 and all(0 <= place < len(self.ladders[j]) for j, place in moved.items()):
+                        yield places | moved
+
+    def fitted(self, places: Places, point: Point) -> np.ndarray:
+        """Half-widths with these grades, the free fields as the model around a point fits them."""
+        t = self.at(places, point.half_widths)
+        if len(places) == len(self.priced):
+            return t
+        held = np.array([j in places for j in range(len(t))])
+        low, high = (np.where(held, t, end) for end in (self.search.low, self.search.high))
+        return cheapest(self.costs, point, self.training.distance, self.training.powers, low, high)[0]
+
+    def certified(
+        self, places: Places, half_widths: np.ndarray, beyond: float = 0.05
+    ) -> tuple[np.ndarray, Statistics | None]:
+        """The free fields fitted to some grades, and a certificate unless the learning sample sees it is no use.
+
+        `beyond` a limit by more than this part of the way there, it sees that.
+        """
         t, free = self.at(places, half_widths), len(places) < len(self.priced)
         if free:
             search = Search(self.training, self.priced, self.max_steps)
             held = np.array([j in places for j in range(len(t))])
             search.low, search.high = np.where(held, t, search.low), np.where(held, t, search.high)
-            if not self.promising(search.low):
+            if not self.promising(search.low, beyond):
                 return t, None
-            t = search.run(search.look(t))[0].half_widths
-        if not self.promising(t) or self.cost(t) >= self.cost(half_widths):
+            point, _ = search.run(search.look(t))
+            t = point.half_widths
+        if not self.promising(t, beyond) or self.cost(t) >= self.cost(half_widths):
             return t, None
         if free:
-            return self.certifier.settle(self.training, t, search.low, draws=_DRAWS)
+            return self.certifier.settle(search, point, draws=_DRAWS)
         return t, self.certifier.draw(self.training.with_half_widths(t))
 
-    def promising(self, half_widths: np.ndarray) -> bool:
-        """Not beyond a limit by more than the learning sample may err (5 % of the way there)."""
-        return bool((self.training.margins(half_widths) <= 0.05 * self.training.distance).all())
+    def promising(self, half_widths: np.ndarray, beyond: float) -> bool:
+        """Not beyond a limit by more than a part of the way there."""
+        return bool((self.training.margins(half_widths) <= beyond * self.training.distance).all())
 
     def at(self, places: Places, half_widths: np.ndarray) -> np.ndarray:
         """Half-widths with these grades, the free fields as they are."""

@@ -23,7 +23,8 @@ from rvjax.tolerances.requirements.tails import nearest, tail_quantile
 from rvjax.tolerances.worst_case import Extremes, extremes
 
 # Slopes come from the units nearest the quantile: few enough to stand near it, where the response bends; cheap, too.
-_FEWEST_LANES, _LANES_PART = 256, 32
+# Of many fields each owns little of the spread, and a slope errs by about sqrt(fields/(10 units)).
+_FEWEST_LANES, _LANES_PART, _LANES_OF_A_FIELD = 256, 32, 8
 _REMEMBERED = 8  # sets of half-widths whose values are kept: what was asked for is often asked for again
 
 
@@ -69,7 +70,7 @@ class Training:
         self._seen: dict[bytes, np.ndarray] = {}
         self.evaluated = [0]  # units, with or without a gradient, by this sample and its copies
         self._made: dict[str, tuple[float, Tolerance]] = {}  # the latest tolerance of each field, by its half-width
-        self.lanes = min(samples, max(_FEWEST_LANES, samples // _LANES_PART))
+        self.lanes = min(samples, max(_FEWEST_LANES, samples // _LANES_PART, _LANES_OF_A_FIELD * len(fields)))
         key, block = root_key(seed), min(samples, BLOCK)
         self.blocks = [drawn(population, key, jnp.uint32(start), count=block) for start in range(0, samples, block)]
         self._measure()

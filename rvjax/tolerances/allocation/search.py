@@ -122,7 +122,7 @@ class Search:
                 radius = step / 3
                 continue
             best, radius = new, max(radius, 2 * step)
-            if met and gain < GAIN * self.cost(best.half_widths):
+            if met and gain < GAIN * self.cost(best.half_widths) and self.excess(best.margins) <= SETTLED:
                 return best, True
         return best, False
 
@@ -190,6 +190,30 @@ class Search:
         if self.rays is None:
             return self.model_optimum(point, RADIUS)[1] @ point.weights
         return np.array([self.price(self.rays, point, k) for k in range(len(self.training.requirements))])
+
+    def tightened(self, point: Point, half_widths: np.ndarray, factors: np.ndarray) -> np.ndarray:
+        """The cheapest half-widths, none looser, where each constraint keeps what `factors` (c,) on all of them do.
+
+        The slopes of `point` say which fields pay. Where they say nothing (units that fail), all shrink together.
+        """
+        low = np.minimum(self.low, half_widths)
+        found = self._scaled(point, half_widths, factors, low, half_widths)
+        together = np.maximum(half_widths * factors.min(), low)
+        return together if np.array_equal(found, half_widths) else found
+
+    def loosened_to(self, point: Point, half_widths: np.ndarray, factors: np.ndarray) -> np.ndarray:
+        """The cheapest half-widths, none finer, where each constraint keeps what `factors` (c,) on all of them do."""
+        return self._scaled(point, half_widths, factors, half_widths, np.maximum(self.high, half_widths))
+
+    def _scaled(
+        self, point: Point, half_widths: np.ndarray, factors: np.ndarray, low: np.ndarray, high: np.ndarray
+    ) -> np.ndarray:
+        """The optimum of the model of `point` moved to half-widths at which each constraint is 1/factor of its way."""
+        distance, powers = self.training.distance, self.training.powers[:, None]
+        before, reach = np.maximum(point.margins + distance, 1e-3 * distance), distance / factors
+        grown = (half_widths / point.half_widths) ** powers * (before / reach)[:, None] ** (powers - 1)
+        there = Point(half_widths, reach - distance, point.slopes * grown, point.weights)
+        return cheapest(self.costs, there, distance, self.training.powers, low, high)[0]
 
     def price(self, rays: Rays, point: Point, k: int) -> float:
         """The same of one requirement, by differences of the least cost: a limit is moved and the search goes on."""
