@@ -181,7 +181,7 @@ def watched_run(response, tolerances, required, units, options, curve, memory, b
     """The long run, with a point of the memory curve at every tenth."""
     from rvjax.tolerances.batch import accumulator
 
-    add, tenth = accumulator.Tally.add, max(units // 10, options.chunk)
+    add, tenth = accumulator.Accumulator.add, max(units // 10, options.chunk)
 
     def watching(self, number, start, values, status, **own):
         add(self, number, start, values, status, **own)
@@ -189,7 +189,7 @@ def watched_run(response, tolerances, required, units, options, curve, memory, b
         if done // tenth > len(curve) or done == units:
             curve.append((done, time.perf_counter() - began, memory.part()))
 
-    accumulator.Tally.add = watching
+    accumulator.Accumulator.add = watching
     try:
         return monte_carlo(
             response,
@@ -202,7 +202,7 @@ def watched_run(response, tolerances, required, units, options, curve, memory, b
             checkpoint=options.checkpoint,
         )
     finally:
-        accumulator.Tally.add = add
+        accumulator.Accumulator.add = add
 
 
 if __name__ == "__main__":

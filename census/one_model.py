@@ -48,7 +48,7 @@ def census(model: Model, inputs: int, seed: int, until: float, progress: Callabl
     rng = np.random.default_rng([seed, *model.name.encode()])
     run = jax.jit(jax.vmap(model.run))
     counts: dict[str, int] = {}
-    tally = dict.fromkeys(("silent", "finite where NaN is due", "wrong status", "judged", "float32 silent"), 0)
+    counted = dict.fromkeys(("silent", "finite where NaN is due", "wrong status", "judged", "float32 silent"), 0)
     worst = {name: Worst() for name in ("residual", "value", "float32", "silent", "wrong status", "derivative")}
     begin, start = 0, time.perf_counter()
     while begin < inputs and (begin == 0 or time.perf_counter() < until):
@@ -61,8 +61,8 @@ def census(model: Model, inputs: int, seed: int, until: float, progress: Callabl
             counts[Status(int(number)).name] = counts.get(Status(int(number)).name, 0) + int(many)
         kept = np.isin(status, KEPT)
         silent, leaked = kept & ~np.isfinite(values).all(1), ~kept & ~np.isnan(values).any(1)
-        tally["silent"] += int(silent.sum())
-        tally["finite where NaN is due"] += int(leaked.sum())
+        counted["silent"] += int(silent.sum())
+        counted["finite where NaN is due"] += int(leaked.sum())
         worst["silent"].take((silent | leaked).astype(float), case, status)
         good = np.isin(status, GOOD)
         residual = np.abs(out["residual"]) / out.get("residual_scale", 1)
@@ -72,14 +72,14 @@ def census(model: Model, inputs: int, seed: int, until: float, progress: Callabl
         some, shown = first(case, seen), first(out, seen)
         due, error = model.judge(dict(some), shown)
         wrong = (due >= 0) & (due != status[:seen])
-        tally["judged"] += seen
-        tally["wrong status"] += int(wrong.sum())
+        counted["judged"] += seen
+        counted["wrong status"] += int(wrong.sum())
         worst["wrong status"].take(wrong.astype(float), some, status)
         worst["value"].take(np.where(good[:seen], error, 0), some, status)
 
         if begin // CHUNK % 4 == 0:
             silent, gap, few = in_single(model, run, case)
-            tally["float32 silent"] += silent
+            counted["float32 silent"] += silent
             worst["float32"].take(gap, few, status)
         begin += size
         progress(size)
@@ -92,7 +92,7 @@ def census(model: Model, inputs: int, seed: int, until: float, progress: Callabl
         "inputs": begin,
         "seconds": round(time.perf_counter() - start, 1),
         "statuses": dict(sorted(counts.items(), key=lambda item: -item[1])),
-        **tally,
+        **counted,
         "derivatives": int(compared.sum()),
         "derivatives above 1e-6": int((off > 1e-6).sum()),
         "poisoned gradients": poisoned(model, spoiled(model.draw(rng, SAMPLE), rng, 1.0)),

@@ -1,4 +1,8 @@
-"""Files that are written whole or not at all, and arrays as bytes."""
+"""Files that are written whole or not at all, and arrays as bytes.
+
+Four kinds of files hold numbers. Results: JSON to read, NPZ where arrays are large. Checkpoints and memos: NPZ, exact
+bits in one piece. Units of a run: CSV or Parquet, written chunk by chunk and read by other programs.
+"""
 
 import contextlib
 import hashlib
@@ -78,15 +82,15 @@ def replacing(path: Path) -> Iterator[Path]:
         raise
 
 
-def packed(arrays: Arrays) -> bytes:
+def pack(arrays: Arrays) -> bytes:
     """Arrays as the bytes of an NPZ file."""
     buffer = io.BytesIO()
     np.savez(buffer, **arrays)  # type: ignore[arg-type]
     return buffer.getvalue()
 
 
-def unpacked(content: bytes) -> dict[str, np.ndarray]:
-    """Arrays of `packed` bytes; nothing that would take more memory than the bytes themselves is begun."""
+def unpack(content: bytes) -> dict[str, np.ndarray]:
+    """Arrays from the bytes of `pack`; nothing that would take more memory than the bytes themselves is begun."""
     with zipfile.ZipFile(io.BytesIO(content)) as file:
         if sum(member.file_size for member in file.infolist()) > len(content):
             raise ValueError("its parts are larger than the file")

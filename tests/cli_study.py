@@ -28,9 +28,9 @@ def answered_once() -> Iterator[dict]:
 
     real = rvjax.study.answer.answer
 
-    def once(question, *, progress=False, journal=None):
+    def once(question, *, progress=False, memo=None):
         if question.text not in FOUND:
-            FOUND[question.text] = real(question, progress=progress, journal=journal)
+            FOUND[question.text] = real(question, progress=progress, memo=memo)
         return dataclasses.replace(FOUND[question.text], study=question)
 
     with pytest.MonkeyPatch.context() as patch:

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from rvjax import cli
-from rvjax.files import digest, packed, unpacked, write_atomically
+from rvjax.files import digest, pack, unpack, write_atomically
 from rvjax.report import folders, numbers, text
 from rvjax.study import batch
 from rvjax.tolerances import Requirement, Tolerance, load, monte_carlo, origin
@@ -41,7 +41,7 @@ def whole(tmp_path_factory):
 
 def changed(content, **changes):
     """The file with other arrays and the digest that belongs to them; a callable changes what is there."""
-    arrays = unpacked(content)
+    arrays = unpack(content)
     about = json.loads(arrays.pop("about").tobytes())
     for key, change in changes.items():
         if key in about:
@@ -51,14 +51,14 @@ def changed(content, **changes):
         else:
             arrays[key] = change(arrays[key]) if callable(change) else change
     about["digest"] = digest(arrays) if "digest" not in changes else changes["digest"]
-    return packed({**arrays, "about": np.frombuffer(json.dumps(about).encode(), np.uint8)})
+    return pack({**arrays, "about": np.frombuffer(json.dumps(about).encode(), np.uint8)})
 
 
 def bomb(content):
     """Compressed zeros: 64 MB in 64 kB."""
     from io import BytesIO
 
-    arrays, file = unpacked(content), BytesIO()
+    arrays, file = unpack(content), BytesIO()
     np.savez_compressed(file, **{**arrays, "seen": np.zeros(2**23)})
     return file.getvalue()
 

@@ -72,7 +72,7 @@ def always(monkeypatch):
 
 def interrupted(after, *arguments, **options):
     """A study that ends without warning when `after` chunks are counted."""
-    left, add = [after], accumulator.Tally.add
+    left, add = [after], accumulator.Accumulator.add
 
     def limited(*chunk, **own):
         left[0] -= 1
@@ -81,7 +81,7 @@ def interrupted(after, *arguments, **options):
         add(*chunk, **own)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(accumulator.Tally, "add", limited)
+        patch.setattr(accumulator.Accumulator, "add", limited)
         run(*arguments, **options)
 
 
@@ -201,14 +201,14 @@ def slow_study(path, samples):
     jax.config.update("jax_compilation_cache_dir", f"{path}.programs")  # compile once for all processes
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     checkpoint.EVERY = checkpoint._SHARE = 0
-    add = accumulator.Tally.add
+    add = accumulator.Accumulator.add
 
     def slow(*arguments, **options):
         Path(f"{path}.begun").touch()
         time.sleep(0.004)
         add(*arguments, **options)
 
-    accumulator.Tally.add = slow
+    accumulator.Accumulator.add = slow
     run(samples, checkpoint=path)
 
 

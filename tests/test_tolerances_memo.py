@@ -8,7 +8,7 @@ from rvjax.response import devices
 from rvjax.tolerances import Requirement, allocate
 from rvjax.tolerances.allocation import sample_average
 from rvjax.tolerances.batch import memo
-from rvjax.tolerances.batch.memo import Journal
+from rvjax.tolerances.batch.memo import Memo
 
 NEED = Requirement(lower=-LIMIT, upper=LIMIT, target=0.99)
 
@@ -38,7 +38,7 @@ def counted(monkeypatch):
 
 
 def found(kept):
-    return allocate(linear, PAIR, NEED, costs=COSTS, samples=512, certificate_samples=2048, journal=kept)
+    return allocate(linear, PAIR, NEED, costs=COSTS, samples=512, certificate_samples=2048, memo=kept)
 
 
 def test_what_was_interrupted_goes_on_to_the_same_bits(counted, tmp_path):
@@ -46,21 +46,21 @@ def test_what_was_interrupted_goes_on_to_the_same_bits(counted, tmp_path):
     blocks, counted.blocks = counted.blocks, 0
     counted.stop = blocks // 2
     with pytest.raises(KeyboardInterrupt):
-        found(Journal(tmp_path / "part", {"study": "one"}))
+        found(Memo(tmp_path / "part", {"study": "one"}))
     counted.blocks, counted.stop = 0, 10**9
-    again = found(Journal(tmp_path / "part", {"study": "one"}))
+    again = found(Memo(tmp_path / "part", {"study": "one"}))
     assert counted.blocks == blocks - (blocks // 2 - 1)  # nothing twice
     assert (again.cost, again.half_widths, again.history) == (whole.cost, whole.half_widths, whole.history)
     assert again.certificate.yield_ == whole.certificate.yield_
     counted.blocks = 0
-    found(Journal(tmp_path / "part", {"study": "one"}))
+    found(Memo(tmp_path / "part", {"study": "one"}))
     assert counted.blocks == 0
-    found(Journal(tmp_path / "part", {"study": "another"}))  # its numbers are no answer to this one
+    found(Memo(tmp_path / "part", {"study": "another"}))  # its numbers are no answer to this one
     assert counted.blocks == blocks
 
 
 def test_damage_costs_time_alone(counted, tmp_path):
-    kept = Journal(tmp_path / "part", {})
+    kept = Memo(tmp_path / "part", {})
     assert kept.recall({"what": "a"}, lambda: np.arange(3.0)).tolist() == [0, 1, 2]
     (path,) = kept.folder.iterdir()
     path.write_bytes(path.read_bytes()[:-5])

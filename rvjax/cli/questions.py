@@ -53,18 +53,18 @@ def allocate(options: argparse.Namespace) -> int:
         return EXIT_OK if again.status(kept) == "OPTIMAL" else EXIT_NO_ANSWER
     folder = folders.results_folder(options.results, asked.name)
     forewarn(asked)
-    journal = again.journal(asked, folder)
-    options.begun = lambda: journal.folder if journal and journal.folder.exists() else None
+    memo = again.memo(asked, folder)
+    options.begun = lambda: memo.folder if memo and memo.folder.exists() else None
     with progress.shown(check.phases_of(asked, READING, WRITING), quiet=options.quiet):
         progress.begin(READING)
         # The answer itself refuses a nominal unit without a solution.
-        found = answer(asked, progress=not options.quiet, journal=journal)
+        found = answer(asked, progress=not options.quiet, memo=memo)
         if options.format == "text":  # before the folder is made: whatever fails there, the answer has been told
             say(text.summary(found))
         progress.begin(WRITING)
         folder = folders.write(found, folder)
-    if journal:
-        journal.clear()
+    if memo:
+        memo.clear()
     tell(options, lambda: f"\nResults: {folder}", lambda: text.as_json(found) | {"results": str(folder)})
     return EXIT_OK if found.allocation.status == "OPTIMAL" else EXIT_NO_ANSWER
 

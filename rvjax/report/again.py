@@ -9,7 +9,7 @@ from typing import Any
 import rvjax
 from rvjax.report.folders import numbered_folders
 from rvjax.study import Study
-from rvjax.tolerances import Journal, versions
+from rvjax.tolerances import Memo, versions
 
 
 def folder(study: Study, option: str | None) -> Path | None:
@@ -27,12 +27,12 @@ def folder(study: Study, option: str | None) -> Path | None:
     return next((place for place in reversed(known) if _holds(place, study)), None)
 
 
-def journal(study: Study, place: Path) -> Journal | None:
+def memo(study: Study, place: Path) -> Memo | None:
     """Where an allocation keeps what took long until its folder is there; None if the study names other files."""
     if _names_files(tomllib.loads(study.text)):
         return None
     about = {"study": study.text, "flags": os.environ.get("XLA_FLAGS", "")}
-    return Journal(place.with_name(place.name + ".part"), about | versions())
+    return Memo(place.with_name(place.name + ".part"), about | versions())
 
 
 def status(place: Path) -> str:

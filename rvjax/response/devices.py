@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax.files import Arrays, packed, unpacked
+from rvjax.files import Arrays, pack, unpack
 from rvjax.population import Population, SobolPoints, drawn, root_key
 from rvjax.records import Record
 from rvjax.response.response import Response, Values, per_response, respond
@@ -95,9 +95,9 @@ def gathered(state: Arrays) -> list[dict[str, np.ndarray]]:
     """The states of all processes, in their order, in every process; waits until all have come here."""
     from jax.experimental import multihost_utils
 
-    content = np.frombuffer(packed(state), np.uint8)
+    content = np.frombuffer(pack(state), np.uint8)
     lengths = np.ravel(multihost_utils.process_allgather(np.array([content.size], np.int32)))
     padded = np.zeros(int(lengths.max()), np.uint8)
     padded[: content.size] = content
     rows = np.asarray(multihost_utils.process_allgather(padded)).reshape(len(lengths), -1)
-    return [unpacked(row[:length].tobytes()) for row, length in zip(rows, lengths)]
+    return [unpack(row[:length].tobytes()) for row, length in zip(rows, lengths)]

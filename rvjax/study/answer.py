@@ -20,7 +20,7 @@ from rvjax.study.response import refuse
 from rvjax.tolerances import (
     KEPT,
     Allocation,
-    Journal,
+    Memo,
     Requirement,
     Run,
     Statistics,
@@ -97,13 +97,13 @@ class Answer:
     cost_curve: list[tuple[float, float]]
 
 
-def answer(study: Study, *, progress: bool = False, journal: Journal | None = None) -> Answer:
+def answer(study: Study, *, progress: bool = False, memo: Memo | None = None) -> Answer:
     """Allocate the tolerances of a study and collect what the report shows.
 
     Args:
         study: the question.
         progress: show progress bars.
-        journal: keeps what took long to compute, so that an interrupted answer goes on from there.
+        memo: keeps what took long to compute, so that an interrupted answer goes on from there.
     """
     response = study.response()
     begin(SEARCHING)
@@ -121,7 +121,7 @@ def answer(study: Study, *, progress: bool = False, journal: Journal | None = No
         joint_target=study.joint_target,
         middles=study.middles,
         grades=any(getattr(study.tolerances, name).size is not None for name in study.fields),
-        journal=journal,
+        memo=memo,
         progress=progress,
     )
     certificate = allocation.certificate
@@ -136,7 +136,7 @@ def answer(study: Study, *, progress: bool = False, journal: Journal | None = No
         block(study.samples, certificate.samples),
         keep=certificate.values is not None,
         progress=progress,
-        journal=journal,
+        memo=memo,
     ).statistics()
     begin(SAMPLING)
     curves = _curves(study)
@@ -151,7 +151,7 @@ def answer(study: Study, *, progress: bool = False, journal: Journal | None = No
         certificate_before=before,
         before=sides[0],
         after=sides[1],
-        cost_curve=_cost_curve(study, response, allocation, journal),
+        cost_curve=_cost_curve(study, response, allocation, memo),
     )
 
 
@@ -217,7 +217,7 @@ def _curves(study: Study) -> _Curves:
 
 
 def _cost_curve(
-    study: Study, response: Callable[[Any], Any], found: Allocation, journal: Journal | None
+    study: Study, response: Callable[[Any], Any], found: Allocation, memo: Memo | None
 ) -> list[tuple[float, float]]:
     targets = _targets(study)
     if not found.feasible or not targets:
@@ -232,7 +232,7 @@ def _cost_curve(
         samples=study.samples,
         seed=study.seed,
         units=shown_values(study),
-        journal=journal,
+        memo=memo,
     )
     points = [(share, cost + moved) for share, cost in curve]
     goals = {item.target for item in study.requirements.values() if isinstance(item, Requirement)}

@@ -14,7 +14,7 @@ from rvjax.tolerances.allocation.cost import COSTS, Cost, Exponential, Reciproca
 from rvjax.tolerances.allocation.cost_curve import CostCurve, cost_curve, cost_of_yields, least_yield
 from rvjax.tolerances.allocation.design_centring import Middle, check_middles
 from rvjax.tolerances.batch.checkpoint import versions
-from rvjax.tolerances.batch.memo import Journal
+from rvjax.tolerances.batch.memo import Memo
 from rvjax.tolerances.batch.monte_carlo import Run, Statistics, monte_carlo
 from rvjax.tolerances.batch.unit_file import ENDINGS, UnitFile, joined
 from rvjax.tolerances.failure.failure import FailureProbability, failure_probability

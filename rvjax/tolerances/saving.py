@@ -14,7 +14,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from rvjax.files import DAMAGE, packed, unpacked, write_atomically
+from rvjax.files import DAMAGE, pack, unpack, write_atomically
 from rvjax.records import Record
 from rvjax.tolerances.batch.checkpoint import versions
 from rvjax.tolerances.batch.unit_file import parquet_frame, parquet_origin
@@ -65,9 +65,9 @@ def save(result: Any, path: str | Path, *, study: Any = None, seed: int | None =
         "study": getattr(result, "study", None) if study is None else study,
         "versions": getattr(result, "versions", None) or versions(),
     }
-    text = json.dumps({"rvjax": about, "result": _encoded(result, arrays)}, indent=1, allow_nan=False).encode()
+    text = json.dumps({"rvjax": about, "result": _encode(result, arrays)}, indent=1, allow_nan=False).encode()
     if arrays is not None:
-        text = packed({**arrays, _ABOUT: np.frombuffer(text, np.uint8)})
+        text = pack({**arrays, _ABOUT: np.frombuffer(text, np.uint8)})
     write_atomically(target, text)
 
 
@@ -84,7 +84,7 @@ def load(path: str | Path) -> Any:
         return parquet_frame(Path(path))
     content, arrays = _read(path)
     try:
-        return _decoded(content["result"], arrays)
+        return _decode(content["result"], arrays)
     except (KeyError, TypeError, AttributeError, IndexError, OverflowError, RecursionError) as error:
         raise ValueError(f"{path}: damaged ({type(error).__name__}: {error})") from None
 
@@ -111,7 +111,7 @@ def _read(path: str | Path) -> tuple[Any, dict[str, np.ndarray]]:
     ending, raw = _ending(path), Path(path).read_bytes()
     try:
         if ending == ".npz":
-            arrays = unpacked(raw)
+            arrays = unpack(raw)
             raw = arrays.pop(_ABOUT).tobytes()
         content = json.loads(raw)
         written = content["rvjax"]["format"]
@@ -122,9 +122,9 @@ def _read(path: str | Path) -> tuple[Any, dict[str, np.ndarray]]:
     return content, arrays
 
 
-def _encoded(value: Any, arrays: dict[str, np.ndarray] | None) -> Any:
+def _encode(value: Any, arrays: dict[str, np.ndarray] | None) -> Any:
     """JSON values; whatever JSON has not is a dict with the one key that begins with "$"."""
-    again = lambda item: _encoded(item, arrays)  # noqa: E731
+    again = lambda item: _encode(item, arrays)  # noqa: E731
     if value is None or (isinstance(value, (str, bool, int)) and not isinstance(value, np.generic)):
         return value
     if isinstance(value, float) and not isinstance(value, np.generic):
@@ -153,8 +153,8 @@ def _encoded(value: Any, arrays: dict[str, np.ndarray] | None) -> Any:
     raise ValueError(f"save: {type(value).__name__} fits no file")
 
 
-def _decoded(value: Any, arrays: dict[str, np.ndarray]) -> Any:
-    again = lambda item: _decoded(item, arrays)  # noqa: E731
+def _decode(value: Any, arrays: dict[str, np.ndarray]) -> Any:
+    again = lambda item: _decode(item, arrays)  # noqa: E731
     if isinstance(value, list):
         return [again(item) for item in value]
     if not isinstance(value, dict):
@@ -171,11 +171,11 @@ def _decoded(value: Any, arrays: dict[str, np.ndarray]) -> Any:
         numbers = [again(item) for item in value["$numbers"]]
         return np.array(numbers, np.dtype(value["as"])).reshape(value["shape"])
     if "$" in value:
-        return _rebuilt(value["$"], {name: again(item) for name, item in value["fields"].items()})
+        return _rebuild(value["$"], {name: again(item) for name, item in value["fields"].items()})
     return {key: again(item) for key, item in value.items()}
 
 
-def _rebuilt(name: str, fields: dict[str, Any]) -> Any:
+def _rebuild(name: str, fields: dict[str, Any]) -> Any:
     known = {cls.__name__: cls for cls in _classes()}
     if name not in known:
         raise ValueError(f"load: this version of rvjax has no result {name!r}")

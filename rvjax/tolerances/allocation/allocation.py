@@ -21,7 +21,7 @@ from rvjax.tolerances.allocation.mapped import MappedSearch
 from rvjax.tolerances.allocation.rounding import Snapping
 from rvjax.tolerances.allocation.sample_average import Point, Training
 from rvjax.tolerances.allocation.search import Search
-from rvjax.tolerances.batch.memo import Journal
+from rvjax.tolerances.batch.memo import Memo
 from rvjax.tolerances.batch.monte_carlo import Run, Statistics
 from rvjax.tolerances.requirements.kinds import Limits
 
@@ -111,7 +111,7 @@ def allocate(
     max_steps: int = 300,
     middles: Mapping[str, Middle] | None = None,
     cheap: Response | None = None,
-    journal: Journal | None = None,
+    memo: Memo | None = None,
     progress: bool = False,
 ) -> Allocation:
     """The cheapest half-widths with every requirement met: shares of units, means, capabilities.
@@ -141,7 +141,7 @@ def allocate(
         cheap: the same responses, nearly, at a lower price. The search then walks on them, moved and tilted to agree
             with the response where it stands, and asks the response itself only where that led. Certificates, and
             middles, know the response alone. One that does not go with the response is given up.
-        journal: keeps what took long to compute, so that the same allocation, interrupted, goes on from there.
+        memo: keeps what took long to compute, so that the same allocation, interrupted, goes on from there.
         progress: show progress bars.
 
     Returns:
@@ -158,7 +158,7 @@ def allocate(
     check_middles(middles or {}, population.active)
     start = np.array([float(population.active[name].half_width) for name in priced])
     learned_from = tuple(priced), required, joint_target, samples, seed
-    training = Training(response, population, *learned_from, journal)
+    training = Training(response, population, *learned_from, memo)
     if cheap is not None:
         _check_cheap(cheap, population, required)
     moving = 0.0
@@ -168,7 +168,7 @@ def allocate(
         drawn = certificate_samples, seed, block(samples, certificate_samples)
         run = Run(
             response, training.population, names, required, *drawn, confidence=confidence, progress=progress,
-            keep=certificate_samples <= KEPT, label="certifying", journal=journal,
+            keep=certificate_samples <= KEPT, label="certifying", memo=memo,
         )  # fmt: skip
         certifier = Certifier(run, joint_target)
         search = Search(training, priced, max_steps, advance)

@@ -13,7 +13,7 @@ from rvjax.tolerances.allocation.allocation import Allocation, allocate, block
 from rvjax.tolerances.allocation.cost import Cost
 from rvjax.tolerances.allocation.sample_average import Training
 from rvjax.tolerances.allocation.search import NOISE, Search
-from rvjax.tolerances.batch.memo import Journal
+from rvjax.tolerances.batch.memo import Memo
 from rvjax.tolerances.batch.monte_carlo import Run, Statistics
 from rvjax.tolerances.requirements.limits import Limits
 
@@ -140,7 +140,7 @@ def cost_of_yields(
     samples: int,
     seed: int,
     units: int,
-    journal: Journal | None = None,
+    memo: Memo | None = None,
 ) -> list[tuple[float, float]]:
     """What other targets would cost, one search each: (least yield of a requirement, cost) of where it ended.
 
@@ -155,21 +155,21 @@ def cost_of_yields(
         samples: units to learn from.
         seed: of these units; the fresh ones have the one after it.
         units: fresh ones behind each yield.
-        journal: keeps what took long to compute.
+        memo: keeps what took long to compute.
     """
     population, points = Population.of(tolerances), []
     priced = {name: costs[name] for name in population.active if name in costs}
     t = np.array([float(population.active[name].half_width) for name in priced])
     for target in targets:
         required = _moved(requirements, "target", None, target)
-        training = Training(response, population, tuple(priced), required, None, samples, seed, journal)
+        training = Training(response, population, tuple(priced), required, None, samples, seed, memo)
         search = Search(training, priced, _STEPS)
         point, _ = search.run(search.begin(t))
         if not (point.margins <= NOISE * training.distance).all():
             continue
         t = point.half_widths
         drawn = units, seed + 1, block(samples, units)
-        run = Run(response, training.with_half_widths(t), training.names, required, *drawn, journal=journal)
+        run = Run(response, training.with_half_widths(t), training.names, required, *drawn, memo=memo)
         points.append((least_yield(run.statistics()), search.cost(t)))
     return points
 

@@ -17,7 +17,7 @@ from rvjax.population import Population, Tolerance, drawn, root_key
 from rvjax.response import BLOCK, LANES, Response, elements_and_rates, gradients, respond, response_names
 from rvjax.status import succeeded
 from rvjax.tolerances.batch.checkpoint import describe
-from rvjax.tolerances.batch.memo import Journal
+from rvjax.tolerances.batch.memo import Memo
 from rvjax.tolerances.requirements.limits import Limits, Pull, along_reach
 from rvjax.tolerances.requirements.tails import nearest, tail_quantile
 from rvjax.tolerances.worst_case import Extremes, extremes
@@ -60,13 +60,13 @@ class Training:
         joint_target: float | None,
         samples: int,
         seed: int,
-        journal: Journal | None = None,
+        memo: Memo | None = None,
     ) -> None:
         self.response, self.population, self.fields, self.requirements = response, population, fields, requirements
         self.names = response_names(response, population)
         self._priced = [list(population.active).index(name) for name in fields]
         self.samples, self.joint_target = samples, joint_target
-        self._journal, self._drawn = journal, {"seed": str(seed), "method": "random"}
+        self._memo, self._drawn = memo, {"seed": str(seed), "method": "random"}
         self._seen: dict[bytes, np.ndarray] = {}
         self.evaluated = [0]  # units, with or without a gradient, by this sample and its copies
         self._made: dict[str, tuple[float, Tolerance]] = {}  # the latest tolerance of each field, by its half-width
@@ -177,11 +177,11 @@ class Training:
 
     def _block(self, population: Population, k: int, z: jax.Array) -> tuple[Any, Any]:
         """Values and status of the units of a block."""
-        if self._journal is None:
+        if self._memo is None:
             return respond(self.response, population, z)
         count = z.shape[1]  # the units of a certificate's block
         asked = describe(population, {}) | self._drawn | {"first": str(k * count), "count": str(count)}
-        return self._journal.units(self.names, asked, lambda: respond(self.response, population, z))
+        return self._memo.units(self.names, asked, lambda: respond(self.response, population, z))
 
     def _ranges(self, half_widths: np.ndarray) -> dict[str, Extremes]:
         """Ranges of the responses whose worst case is judged."""
@@ -237,7 +237,7 @@ class Training:
     def _gradients(self, errors: np.ndarray, cotangents: np.ndarray) -> np.ndarray:
         """Gradients (elements, n) of weighted responses."""
         compute = lambda: gradients(self.response, self.population, errors, cotangents, self.names)[1]  # noqa: E731
-        if self._journal is None:
+        if self._memo is None:
             return compute()
         weighted = hashlib.sha256(errors.tobytes() + cotangents.tobytes()).hexdigest()
-        return self._journal.recall({"gradients of": weighted}, compute)
+        return self._memo.recall({"gradients of": weighted}, compute)

@@ -1,4 +1,4 @@
-"""Host side of a Monte Carlo run: what is kept of the chunks, whatever their number, and how it is put together."""
+"""Host side of a Monte Carlo run: moments, histograms and counts of all chunks, in constant memory."""
 
 import math
 from typing import Any
@@ -15,8 +15,8 @@ _GOOD = [int(status) for status in SUCCESS]
 _GROWING = ("failures", "values", "pilot", "waiting", "waiting_streams")  # arrays with as many rows as were needed
 
 
-class Tally:
-    """Moments, histograms and counts of the units seen, apart for every stream (scramble) of units.
+class Accumulator:
+    """Moments, histograms and counts of units, separate for each stream (scramble) of units.
 
     Unit i belongs to stream i mod `streams`. Moments are merged in the order of the chunks' numbers,
     so that the sums have the same bits after an interruption and in any number of processes.
@@ -36,13 +36,13 @@ class Tally:
 
     @property
     def settled(self) -> bool:
-        """True once units that others count are of no more interest here."""
+        """True once units that other processes count are no longer needed here."""
         return all(order.settled for order in self._orders.values())
 
     def add(self, number: int, start: int, values: Arrays, status: np.ndarray, *, own: bool = True) -> None:
-        """Take in chunk `number`, from unit `start`: values by name (n,) and status (n,).
+        """Add chunk `number`, from unit `start`: values by name (n,) and status (n,).
 
-        Another process counts one that is not `own`.
+        Another process counts a chunk that is not `own`.
         """
         good = np.isin(status, _GOOD)
         complete = bool(good.all())
@@ -52,8 +52,8 @@ class Tally:
             return
         if not complete:
             for code in np.unique(status[~good]):
-                lanes = status == code
-                self._fail(int(code), int(lanes.sum()), start + int(np.argmax(lanes)))
+                units = status == code
+                self._fail(int(code), int(units.sum()), start + int(np.argmax(units)))
         streams = (start + np.arange(len(status))) % self.streams if self.streams > 1 else None
         good_streams = None if streams is None else streams[good]
         joint = None
@@ -73,7 +73,7 @@ class Tally:
         self.keep(start, values, status)
 
     def keep(self, start: int, values: Arrays, status: np.ndarray) -> None:
-        """Keep the responses of units that may be counted already, if any are kept."""
+        """Store the responses of units, which may be counted already, if responses are kept."""
         good = np.isin(status, _GOOD)
         for name, kept in self.values.items():
             kept[start : start + len(status)][good] = values[name][good]
@@ -99,7 +99,7 @@ class Tally:
         return found
 
     def state(self, stop: int) -> dict[str, np.ndarray]:
-        """Everything counted, as arrays; `stop` is the number of the unit after the last one seen."""
+        """All counts as arrays; `stop` is the number of the unit after the last one."""
         failures = [[code, count, self.examples[code]] for code, count in self.failures.items()]
         state = {"seen": self.seen, "joint": self.joint, "failures": np.array(failures, np.int64).reshape(-1, 3)}
         for number, name in enumerate(self.names):
@@ -132,7 +132,7 @@ class Tally:
             raise ValueError(f"counts of {seen} units, not of {units}")
 
     def merge(self, state: Arrays) -> None:
-        """Take in the `state` of a tally of other units of the same study."""
+        """Add the `state` of other units of the same study."""
         self.seen += state["seen"]
         self.joint += state["joint"]
         for code, count, example in state["failures"].tolist():

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax import files
-from rvjax.files import DAMAGE, PARTIAL, Arrays, digest, packed, unpacked, write_atomically
+from rvjax.files import DAMAGE, PARTIAL, Arrays, digest, pack, unpack, write_atomically
 from rvjax.population import Population
 from rvjax.records import Record
 from rvjax.response import Response, respond
@@ -72,7 +72,7 @@ class Checkpoint:
         try:
             if (size := self._path.stat().st_size) > largest:
                 raise ValueError(f"{size} bytes, a checkpoint of this study has {largest} at most")
-            arrays = unpacked(self._path.read_bytes())
+            arrays = unpack(self._path.read_bytes())
             about = json.loads(arrays.pop("about").tobytes())
             if about["format"] != _FORMAT:
                 raise ValueError(f"format {about['format']!r}, this version reads {_FORMAT}")
@@ -121,7 +121,7 @@ class Checkpoint:
 
     def _write(self, chunk: int, arrays: Arrays) -> None:
         about = {"format": _FORMAT, "fingerprint": self._fingerprint, "next": chunk, "digest": digest(arrays)}
-        write_atomically(self._path, packed({**arrays, "about": np.frombuffer(json.dumps(about).encode(), np.uint8)}))
+        write_atomically(self._path, pack({**arrays, "about": np.frombuffer(json.dumps(about).encode(), np.uint8)}))
 
 
 def of_process(path: str | Path, process: int, processes: int) -> Path:

@@ -1,8 +1,10 @@
-"""What an interrupted allocation goes on from: every array that took long to compute, by what it was computed from."""
+"""Memo of an allocation: arrays that took long to compute, by what they were computed from.
+
+An interrupted allocation resumes from it with bit-identical results.
+"""
 
 import contextlib
 import hashlib
-import io
 import shutil
 import time
 from collections.abc import Callable, Mapping
@@ -11,46 +13,44 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from rvjax.files import write_atomically
+from rvjax.files import DAMAGE, pack, unpack, write_atomically
 from rvjax.response import Values
 
-_WORTH = 0.1  # s of computing, below which an array is computed anew
+_WORTH = 0.1  # s of computing, below which an array is not stored
 _DIGITS = 32
 
 
-class Journal:
-    """Arrays in a folder. An allocation is deterministic: begun anew, it asks the same and finds the answers there."""
+class Memo:
+    """Arrays in a folder. An allocation is deterministic: a second run requires the same arrays and reads them here."""
 
     def __init__(self, folder: str | Path, fingerprint: Mapping[str, str]) -> None:
-        """A journal in a folder, which is made when there is something to keep.
+        """Name the folder; the first array makes it.
 
         Args:
-            folder: of its own.
+            folder: that holds nothing else.
             fingerprint: all that a response depends on: the study, its files, the versions of rvjax, JAX and SciPy.
         """
         self.folder = Path(folder)
         self._about = repr(sorted(fingerprint.items()))
 
     def recall(self, asked: Mapping[str, str], compute: Callable[[], np.ndarray]) -> np.ndarray:
-        """The array, from the folder where a run before has left it there."""
+        """Return the stored array, or compute and store it."""
         name = hashlib.sha256((self._about + repr(sorted(asked.items()))).encode()).hexdigest()[:_DIGITS]
-        path = self.folder / f"{name}.npy"
-        with contextlib.suppress(ValueError, EOFError, OSError):  # absent or damaged: computed and written
-            return np.asarray(np.load(path, allow_pickle=False))
+        path = self.folder / f"{name}.npz"
+        with contextlib.suppress(*DAMAGE, OSError):  # absent or damaged: computed and written
+            return unpack(path.read_bytes())["found"]
         start = time.monotonic()
         found = np.asarray(compute())
         if time.monotonic() - start >= _WORTH:
-            content = io.BytesIO()
-            np.save(content, found, allow_pickle=False)
-            with contextlib.suppress(OSError):  # a full disk costs the next run its time, not this one its answer
+            with contextlib.suppress(OSError):  # a full disk costs the next run time, not this one its result
                 self.folder.mkdir(parents=True, exist_ok=True)
-                write_atomically(path, content.getvalue())
+                write_atomically(path, pack({"found": found}))
         return found
 
     def units(
         self, names: tuple[str, ...], asked: Mapping[str, str], compute: Callable[[], tuple[Values, jax.Array]]
     ) -> tuple[dict[str, np.ndarray], np.ndarray]:
-        """Values by name and status of a block of units."""
+        """Return values by name and status of a block of units, stored or computed."""
 
         def rows() -> np.ndarray:
             values, status = compute()
@@ -60,5 +60,5 @@ class Journal:
         return dict(zip(names, values)), status.astype(np.int32)
 
     def clear(self) -> None:
-        """Remove the folder: the answer is there."""
+        """Remove the folder."""
         shutil.rmtree(self.folder, ignore_errors=True)

@@ -18,7 +18,7 @@ from rvjax.population import SCRAMBLES, Correlation, Estimate, Population, Sampl
 from rvjax.progress import progress_bar
 from rvjax.response import Evaluator, Response, by_response, gathered, place, response_names, unwrapped
 from rvjax.status import PRECEDENCE
-from rvjax.tolerances.batch.accumulator import Tally
+from rvjax.tolerances.batch.accumulator import Accumulator
 from rvjax.tolerances.batch.checkpoint import (
     LARGEST,
     Checkpoint,
@@ -28,7 +28,7 @@ from rvjax.tolerances.batch.checkpoint import (
     response_hash,
     versions,
 )
-from rvjax.tolerances.batch.memo import Journal
+from rvjax.tolerances.batch.memo import Memo
 from rvjax.tolerances.batch.quantiles import quantile_estimate
 from rvjax.tolerances.batch.statistics import Statistics, rejects
 from rvjax.tolerances.batch.unit_file import UnitFile, Write, writing
@@ -139,51 +139,51 @@ class Run:
     save: UnitFile | None = None
     progress: bool = False
     label: str = "Monte Carlo"
-    journal: Journal | None = None
+    memo: Memo | None = None
 
     def statistics(self) -> Statistics:
         """Draw, evaluate and count all units."""
         study = describe(self.population, self.requirements)
         study |= {"seed": str(self.seed), "method": self.method, "chunk": str(self.chunk)}
         with self._saving(study) as write:
-            tally, file, done, kept = self._begun(study)
-            self._count(tally, file, done, 0 if write or (self.keep and not kept) else done, write)
+            counted, file, done, kept = self._begun(study)
+            self._count(counted, file, done, 0 if write or (self.keep and not kept) else done, write)
         if place()[1] > 1:
-            states, tally = gathered(tally.state(self.samples)), self._empty(keeps=bool(tally.values))
+            states, counted = gathered(counted.state(self.samples)), self._empty(keeps=bool(counted.values))
             for part in states:
-                tally.merge(part)
-        return self._figures(tally, study)
+                counted.merge(part)
+        return self._figures(counted, study)
 
-    def _figures(self, tally: Tally, study: dict[str, str]) -> Statistics:
-        """What the tally of all units says, as dicts by name of the response."""
-        named = [status for status in PRECEDENCE if int(status) in tally.failures]
+    def _figures(self, counted: Accumulator, study: dict[str, str]) -> Statistics:
+        """Statistics of all units, as dicts by name of the response."""
+        named = [status for status in PRECEDENCE if int(status) in counted.failures]
         seen = {
             name: Sampled(
                 [tree.total() for tree in trees],
-                tally.passed.get(name),
-                tally.seen,
+                counted.passed.get(name),
+                counted.seen,
                 self.confidence,
                 self._extremes(name),
             )
-            for name, trees in tally.moments.items()
+            for name, trees in counted.moments.items()
         }
-        orders, any_units = tally.orders().items(), bool(tally.requirements)
+        orders, any_units = counted.orders().items(), bool(counted.requirements)
         yields = {name: None if item.passed is None else item.share() for name, item in seen.items()}
-        nothing, judged = Estimate(*[math.nan] * 4), tally.requirements
+        nothing, judged = Estimate(*[math.nan] * 4), counted.requirements
         cp, cpk = (
             {name: of(item, judged[name]) if name in judged else nothing for name, item in seen.items()}
             for of in (Sampled.cp, Sampled.cpk)
         )
         return Statistics(
-            samples=int(tally.seen.sum()),
+            samples=int(counted.seen.sum()),
             seed=self.seed,
             method=self.method,
-            standard_errors="independent units" if tally.streams == 1 else f"{tally.streams} independent scrambles",
+            standard_errors="independent units" if counted.streams == 1 else f"{counted.streams} independent scrambles",
             confidence=self.confidence,
-            failed=sum(tally.failures.values()),
-            failures={status.name: tally.failures[int(status)] for status in named},
-            examples={status.name: tally.examples[int(status)] for status in named},
-            worst_index=tally.examples[int(named[0])] if named else None,
+            failed=sum(counted.failures.values()),
+            failures={status.name: counted.failures[int(status)] for status in named},
+            examples={status.name: counted.examples[int(status)] for status in named},
+            worst_index=counted.examples[int(named[0])] if named else None,
             mean={name: item.mean() for name, item in seen.items()},
             sd={name: item.sd() for name, item in seen.items()},
             quantiles={p: {n: quantile_estimate(o, p, self.confidence) for n, o in orders} for p in self.quantiles},
@@ -195,9 +195,9 @@ class Run:
             cpk={name: figure.value for name, figure in cpk.items()} if any_units else None,
             cp_estimate=cp if any_units else None,
             cpk_estimate=cpk if any_units else None,
-            joint_yield=next(iter(seen.values())).share(tally.joint) if any_units else None,
+            joint_yield=next(iter(seen.values())).share(counted.joint) if any_units else None,
             verdicts={name: item.verdict(seen[name]) for name, item in self.requirements.items()} or None,
-            values=(tally.values or None) if self.keep else None,
+            values=(counted.values or None) if self.keep else None,
             study=study,
             versions=versions(),
         )
@@ -209,9 +209,9 @@ class Run:
         low, high = extremes(self.response, self.population, self.names, name).values
         return float(low), float(high)
 
-    def _empty(self, *, keeps: bool) -> Tally:
+    def _empty(self, *, keeps: bool) -> Accumulator:
         streams, kept = SCRAMBLES if self.method == "sobol" else 1, self.samples if keeps else 0
-        return Tally(self.names, self.requirements, streams, kept)
+        return Accumulator(self.names, self.requirements, streams, kept)
 
     def _saving(self, study: dict[str, str]) -> contextlib.AbstractContextManager[Write | None]:
         """What writes every unit, or None."""
@@ -222,7 +222,7 @@ class Run:
         own = path if processes == 1 else of_number(path, process, processes)
         return writing(self.save, own, self.names, self.population, about)
 
-    def _begun(self, study: dict[str, str]) -> tuple[Tally, Checkpoint | None, int, bool]:
+    def _begun(self, study: dict[str, str]) -> tuple[Accumulator, Checkpoint | None, int, bool]:
         """What is counted already, the checkpoint it goes to, number of the next chunk; its units need no second look.
 
         Counts are the same whether a checkpoint keeps the units or not. One that keeps them goes on to do so, asked or
@@ -243,43 +243,43 @@ class Run:
             if processes > 1:  # of which some may have kept them and some not
                 raise ValueError(f"checkpoint = {str(self.checkpoint)!r}: keeps every unit; go on with keep = True")
             _check_memory(self.samples, len(self.names))
-        tally = self._empty(keeps=self.keep or kept)
+        counted = self._empty(keeps=self.keep or kept)
         if done or state:
             try:
                 seen = self._empty(keeps=kept)
                 seen.check(state, len(range(process, done, processes)) * self.chunk)
-                tally.merge(state)
+                counted.merge(state)
             except DAMAGE as error:
                 raise file.damaged(error) from None
-        return tally, file, done, kept or not done
+        return counted, file, done, kept or not done
 
-    def _count(self, tally: Tally, file: Checkpoint | None, done: int, first: int, write: Write | None) -> None:
+    def _count(self, counted: Accumulator, file: Checkpoint | None, done: int, first: int, write: Write | None) -> None:
         """Chunks from `first` on; those before `done` are counted already, and only kept or written."""
         samples, chunk = self.samples, self.chunk
         process, processes = place()
         count = min(chunk, samples)
         evaluator = Evaluator(self.response, self.population, self.seed, self.method, count)
         start = evaluator.start
-        if self.journal is not None:
+        if self.memo is not None:
             asked = describe(self.population, {}) | {"seed": str(self.seed), "method": self.method, "count": str(count)}
-            start = functools.partial(_recalled, self.journal, self.names, asked, evaluator)
+            start = functools.partial(_recalled, self.memo, self.names, asked, evaluator)
         label = self.label if processes == 1 else f"{self.label}, process {process + 1} of {processes}"
         reached = first * chunk
         with progress_bar(self.progress, samples, label, "unit", initial=reached) as advance:
-            for number, values, status in _chunks(start, tally, range(first, -(-samples // chunk)), chunk, samples):
+            for number, values, status in _chunks(start, counted, range(first, -(-samples // chunk)), chunk, samples):
                 own, unit = number % processes == process, number * chunk
                 if number >= done:
-                    tally.add(number, unit, values, status, own=own)
+                    counted.add(number, unit, values, status, own=own)
                 elif own:
-                    tally.keep(unit, values, status)
+                    counted.keep(unit, values, status)
                     if file is not None and self.keep and number + 1 == done:  # the next run finds them
-                        file.save(done, functools.partial(tally.state, done * chunk), now=True)
+                        file.save(done, functools.partial(counted.state, done * chunk), now=True)
                 if write and own:
                     write(unit, values, status, evaluator.errors(unit) if self.save and self.save.errors else {})
                 # A larger study evaluates a shorter last chunk whole.
                 if file is not None and own and number >= done and len(status) == chunk:
                     last = (number + 1 + processes) * chunk > samples
-                    file.save(number + 1, functools.partial(tally.state, (number + 1) * chunk), now=last)
+                    file.save(number + 1, functools.partial(counted.state, (number + 1) * chunk), now=last)
                 advance(min((number + 1) * chunk, samples) - reached)
                 reached = min((number + 1) * chunk, samples)
             advance(samples - reached)  # the last chunks may be other processes'
@@ -298,13 +298,13 @@ def _check_memory(samples: int, responses: int) -> None:
 
 
 def _recalled(
-    journal: Journal, names: tuple[str, ...], asked: dict[str, str], evaluator: Evaluator, first: int
+    memo: Memo, names: tuple[str, ...], asked: dict[str, str], evaluator: Evaluator, first: int
 ) -> tuple[dict[str, Any], Any]:
-    return journal.units(names, asked | {"first": str(first)}, functools.partial(evaluator.start, first))
+    return memo.units(names, asked | {"first": str(first)}, functools.partial(evaluator.start, first))
 
 
 def _chunks(
-    start: Callable[[int], tuple[dict[str, Any], Any]], tally: Tally, numbers: range, chunk: int, samples: int
+    start: Callable[[int], tuple[dict[str, Any], Any]], counted: Accumulator, numbers: range, chunk: int, samples: int
 ) -> Iterator[tuple[int, dict[str, np.ndarray], np.ndarray]]:
     """Evaluated chunks of this process in order; the device works on the next one while the host reads this one.
 
@@ -315,7 +315,7 @@ def _chunks(
     for number in itertools.chain(numbers, [None]):
         after = None
         if number is not None:
-            if number % processes != process and tally.settled:
+            if number % processes != process and counted.settled:
                 continue
             after = number, start(number * chunk)
         if ready is not None:
