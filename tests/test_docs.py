@@ -9,16 +9,17 @@ import re
 import subprocess
 import sys
 import textwrap
+import types
 from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
-from rvjax import catalogue, cli, published, study
+from rvjax import catalogue, cli, models, published, study
 from rvjax.designs import RVReducer
 from rvjax.plotting import drawings
-from rvjax.units import mm
+from rvjax.units import mm, um
 
 DOCS = Path(__file__).parent.parent / "docs"
 PAGES = sorted(path.relative_to(DOCS) for path in DOCS.rglob("*.md") if not str(path.relative_to(DOCS)).startswith("_"))
@@ -57,6 +58,22 @@ def test_the_study_of_the_docs_is_a_study():
     question = study.parse_study(text, name="docs", solve=False)
     assert question.design.cycloid.eccentricity == pytest.approx(1.25e-3)
     assert list(question.costs) == ["crank_eccentricity"] and list(question.requirements) == ["transmission_error"]
+
+
+def test_the_study_of_the_new_model_is_a_study(monkeypatch):
+    """Of the model that the page builds, as a package and one line; its twist is that of the page."""
+    module = types.ModuleType("key_joint.outputs")
+    for code in blocks("add_a_model.md", "python"):
+        exec(compile(code, "add_a_model.md", "exec"), vars(module))
+    monkeypatch.setitem(sys.modules, "key_joint", types.ModuleType("key_joint"))
+    monkeypatch.setitem(sys.modules, "key_joint.outputs", module)
+    monkeypatch.setattr(models, "MODELS", (*models.MODELS, "key_joint"))
+    (text,) = blocks("add_a_model.md", "toml")
+    question = study.parse_study(text, name="docs")
+    assert list(question.costs) == ["key_width", "slot_width"] and question.doubts == []
+    errors = module.KeyErrors(key_width=-10 * um, slot_width=10 * um)
+    found = question.response()(errors).value["twist"]
+    assert float(found) == float(module.twist(errors, torque=500.0).angle)
 
 
 def test_the_first_study_of_the_first_page_can_be_asked():
