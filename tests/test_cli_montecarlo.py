@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from rvjax import cli, study
-from rvjax.cli import units
-from rvjax.study import batch
+from rvjax.commands.montecarlo import batch
+from rvjax.commands.montecarlo import inputs as units
 from rvjax.tolerances import load, monte_carlo, origin
 
 GOOD = (resources.files("rvjax.study") / "embedded" / "rv-40e.toml").read_text("utf-8")

@@ -17,9 +17,9 @@ import numpy as np
 import pytest
 
 from rvjax import cli
+from rvjax.commands.montecarlo import batch
 from rvjax.files import digest, pack, unpack, write_atomically
 from rvjax.report import folders, numbers, text
-from rvjax.study import batch
 from rvjax.tolerances import Requirement, Tolerance, load, monte_carlo, origin
 from tests.test_cli_montecarlo import SMALL
 
@@ -192,7 +192,7 @@ def test_escape_sequences_do_not_reach_the_terminal(tmp_path, monkeypatch, capsy
 def test_a_signal_ends_a_batch_in_order(tmp_path, number, code):
     """The handler alone: a response that waits to be ended stands for a long run."""
     script = (
-        "import sys, time; from rvjax import cli; from rvjax.study import batch\n"
+        "import sys, time; from rvjax import cli; from rvjax.commands.montecarlo import batch\n"
         "def run(wanted):\n    print('begun', flush=True)\n    time.sleep(60)\n"
         "batch.run = run\n"
         "batch.question = lambda *_: type('Question', (), {'doubts': [], 'accuracy': {}})()\n"

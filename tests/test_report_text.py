@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from rvjax import Status
+from rvjax.commands.montecarlo import report_on
 from rvjax.population.estimates import Estimate
-from rvjax.report import batch, text
+from rvjax.report import text
 from rvjax.study import load
 from rvjax.study.about import About
 from rvjax.tolerances import Outcome, Requirement, monte_carlo
@@ -51,11 +52,11 @@ def test_a_batch_says_how_many_units_failed_why_and_how_they_count():
     counts = found.failures
     assert sum(counts.values()) == found.failed and set(counts) == {"MAX_STEPS", "CONTACT_OVERLOAD"}
     assert abs(found.failed - 256) < 5 * np.sqrt(128) and found.yield_["misfit"].value == 1 - found.failed / 512
-    line = batch.summary(found, question).split("\n")[1]
+    line = report_on(found, question).text().split("\n")[1]
     assert line.startswith(f"{found.failed} failed, each a reject in every yield: ") and "; standard errors" in line
     for status, count in counts.items():
         assert f"{count} {status} (unit {found.examples[status]})" in line
-    told = batch.as_json(found, question)
+    told = report_on(found, question).json()
     assert (told["failed"], told["failures"], told["examples"]) == (found.failed, counts, found.examples)
     assert text.failures_text(SimpleNamespace(failed=0)) == "0 failed"
 

@@ -78,8 +78,6 @@ def _parser() -> argparse.ArgumentParser:
         subparser.set_defaults(run=chosen)
         for flag, option in options.items():
             subparser.add_argument(flag, **option | ({"type": types[option["type"]]} if "type" in option else {}))
-    # One of several processes of a batch: see `study.batch.work`.
-    commands.choices["montecarlo"].add_argument("--worker", nargs=4, help=argparse.SUPPRESS)
     return parser
 
 

@@ -24,10 +24,9 @@ def run(name: str, options: argparse.Namespace) -> int:
 
     asked = module(name, "inputs").inputs(options)
     work, report = module(name, "compute"), module(name, "report").report
-    folder, as_json = getattr(asked, "folder", None), options.format == "json" or getattr(options, "json", None) is True
-    with progress.shown(
-        work.phases(asked), counted=getattr(work, "COUNTED", ""), quiet=getattr(options, "quiet", True)
-    ):
+    folder, quiet = getattr(asked, "folder", None), getattr(asked, "quiet", getattr(options, "quiet", True))
+    as_json = options.format == "json" or getattr(options, "json", None) is True  # `--json` that names no file
+    with progress.shown(work.phases(asked), counted=getattr(work, "COUNTED", ""), quiet=quiet):
         progress.begin(READING)
         found = report(asked, work.compute(asked))
         if not as_json:  # before the folder is made: whatever fails there, the result has been printed

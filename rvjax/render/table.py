@@ -62,18 +62,19 @@ class Text(Column):
 class Number(Column):
     """A column of numbers in SI with one `unit`, read in `read_in` and written as `form`; or of quantities.
 
-    The text of a plain number has no unit: the title names it.
+    The text of a plain number has no unit: the title names it. Quantities have theirs unless `named` is False.
     """
 
     form: str = ".4g"
     unit: str = "-"
     read_in: str | None = None
+    named: bool = True
 
     def _quantity(self, cell: Any) -> Quantity:
         return cell if isinstance(cell, Quantity) else Quantity(float(cell), self.unit, read_in=self.read_in)
 
     def _said(self, cell: Any) -> str:
-        return self._quantity(cell).text(self.form, named=isinstance(cell, Quantity))
+        return self._quantity(cell).text(self.form, named=self.named and isinstance(cell, Quantity))
 
     def _given(self, cell: Any) -> list[Value]:
         return list(self._quantity(cell).numbers()[:1])
@@ -93,11 +94,10 @@ class Share(Number):
 class Interval(Number):
     """A column of quantities with intervals: value, lower end and upper end in a file.
 
-    `ends` are the formats of the headers of both ends in the file. Where `named`, the text of a cell has its unit.
+    `ends` are the formats of the headers of both ends in the file.
     """
 
     ends: tuple[str, str] = ("{}, lower end", "{}, upper end")
-    named: bool = True
 
     def headers(self) -> list[str]:
         """Headers in a CSV file."""

@@ -1,0 +1,5 @@
+"""`rvjax montecarlo`: statistics of a sample of units, any size."""
+
+from rvjax.commands.montecarlo.report import report_on
+
+__all__ = ["report_on"]

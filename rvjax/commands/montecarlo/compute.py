@@ -1,0 +1,80 @@
+"""Statistics of a sample, by one process or several."""
+
+import dataclasses
+from dataclasses import dataclass
+
+from rvjax import progress, tolerances
+from rvjax.commands.montecarlo import batch
+from rvjax.commands.montecarlo.inputs import Inputs
+from rvjax.commands.speak import READING, forewarn
+from rvjax.study import Study
+from rvjax.tolerances import Statistics
+
+COUNTED = "drawing units"
+"""Phase whose part done is known."""
+
+
+@dataclass(frozen=True)
+class Sampled:
+    """A sample of a study.
+
+    Attributes:
+        study: as it was read before the run; the file may change meanwhile.
+        statistics: of its responses.
+    """
+
+    study: Study
+    statistics: Statistics
+
+
+def phases(asked: Inputs) -> dict[str, float]:
+    """Phases of the command with their seconds.
+
+    Args:
+        asked: what is computed.
+    """
+    return {READING: 6.0, COUNTED: 0.0}
+
+
+def compute(asked: Inputs) -> Sampled | None:
+    """The statistics, after they are written to the files that options name; None in one of several processes."""
+    options = asked.options
+    if options.worker:
+        address, number, processes, target = options.worker
+        batch.work(lambda: _batch(asked), address, int(number), int(processes), target)
+        return None
+    wanted = _batch(asked)
+    forewarn(wanted.study)
+    progress.begin(COUNTED)
+    if options.processes == 1:
+        found = batch.run(wanted)
+    else:
+        text = wanted.study.text
+        found = batch.run_in_processes(
+            options.command, options.processes, text=text, table=asked.table, chunk=wanted.chunk
+        )
+    about = found.study | {"name": options.study, "toml": wanted.study.text}
+    if options.json is not None:
+        tolerances.save(dataclasses.replace(found, values=None), options.json, study=about)
+    if wanted.keep:
+        tolerances.save(found, options.save, study=about)
+    return Sampled(wanted.study, found)
+
+
+def _batch(asked: Inputs) -> batch.Batch:
+    options = asked.options
+    question = batch.question(options.study, options.worker)
+    save = asked.table and batch.table_of(
+        asked.table, question, options.study, errors=options.save_errors, worker=options.worker
+    )
+    return batch.Batch(
+        study=question,
+        samples=options.samples,
+        seed=options.seed,
+        sobol=options.sobol,
+        chunk=options.chunk or batch.CHUNK,
+        checkpoint=options.checkpoint,
+        keep=options.save is not None and asked.table is None,
+        save=save or None,
+        progress=not options.quiet,
+    )
