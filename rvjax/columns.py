@@ -1,4 +1,4 @@
-"""Columns of a measured table: a CSV whose header says "name [unit]", read to SI."""
+"""Columns of a measured table: a CSV file with headers "name [unit]", read to SI."""
 
 import csv
 import io
@@ -24,7 +24,7 @@ class Table:
 
     Attributes:
         source: name of the file, for messages.
-        rows: line of the file that each row stands in, (n,).
+        rows: line of each row in the file, (n,).
         numbers: {quantity: values in SI (n,)}; NaN where a cell is empty.
         words: {name: texts (n,)}.
         shown: {quantity: unit that the file is written in}.
@@ -132,9 +132,9 @@ def _places(
         name, unit = split(text)
         name, unit = (foreign[k][0], foreign[k][1] or unit) if k in foreign else (name.lower(), unit)
         if name not in units and name not in words:
-            continue  # a column that nobody asks for
+            continue  # a column that is not required
         if k not in foreign and name in [taken for taken, _ in foreign.values()]:
-            continue  # [columns] says where this quantity stands
+            continue  # [columns] names another column for this quantity
         if name in found:
             raise ValueError(f"{source}: column {text!r}: {name} stands in two columns")
         unit = spelling(unit) if unit else unit
@@ -181,7 +181,7 @@ def place_of(name: str) -> tuple[str, tuple[int, ...]]:
 
 
 def split(header: str) -> tuple[str, str | None]:
-    """Name and unit of "name [unit]"; the name may have brackets of its own."""
+    """Name and unit of "name [unit]"; the name may contain brackets."""
     match = re.fullmatch(r"(.*?)\s*\[\s*([^\[\]]*?)\s*\]", header)
     return (match[1], match[2]) if match else (header, None)
 

@@ -30,7 +30,7 @@ twice as long."""
 
 @functools.lru_cache(maxsize=16)
 def understood(options: Options) -> dict[str, Any] | None:
-    """Options for `jax.jit`; None where this version of XLA does not know them all, or none are given."""
+    """Options for `jax.jit`; None where this version of XLA lacks one of them, or none are given."""
     try:
         jax.jit(lambda x: x, compiler_options=dict(options)).lower(0.0).compile()
     except (jax.errors.JaxRuntimeError, ValueError):
@@ -52,7 +52,7 @@ def quick(*static: int) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
         part = jax.jit(function, static_argnums=static)
         alone = functools.cache(
             lambda: jax.jit(function, static_argnums=static, compiler_options=understood(QUICK))
-        )  # XLA is asked at the first call
+        )  # compiled at the first call
 
         @functools.wraps(function)
         def call(*arguments: Any) -> Any:

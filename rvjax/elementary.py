@@ -70,7 +70,7 @@ _COSINE = [(-1) ** n / math.factorial(2 * n) for n in range(1, 9)]  # of r^2, r^
 
 
 LARGEST_ANGLE = 2.0**50
-"""Up to here `sin_cos` knows the angle as well as float64 does; a unit in the last place is then a quarter rad."""
+"""Largest angle of `sin_cos`; one unit in the last place of float64 is then a quarter rad."""
 
 
 @jax.custom_jvp

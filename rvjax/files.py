@@ -28,13 +28,13 @@ Arrays = Mapping[str, np.ndarray]
 
 
 def check_writable(path: Path) -> None:
-    """Refuse a file that `write_atomically` could not write, before any work is done; leaves nothing behind.
+    """Raise an error for a file that `write_atomically` could not write, before any work is done.
 
     Args:
         path: of the file; its folder, and those above it, may still have to be made.
 
     Raises:
-        OSError: says why not.
+        OSError: the reason.
     """
     if path.is_dir():
         raise IsADirectoryError(f"{path}: is a folder")
@@ -51,7 +51,7 @@ def write_atomically(path: Path, content: bytes) -> None:
     """Write a file so that a reader, or the next run after a crash, finds the old or the new content, never a part.
 
     Args:
-        path: of the file; beside it a `.partial` file, with the number of the process, exists while writing.
+        path: of the file; next to it a `.partial` file, with the number of the process, exists while writing.
         content: bytes.
 
     Raises:
@@ -66,7 +66,7 @@ def replacing(path: Path) -> Iterator[Path]:
     """The name of a file to write, which takes the place of another once the block has ended well.
 
     Args:
-        path: of the other; the one to write stands beside it, with the number of the process and `.partial`.
+        path: of the other; the name to write has the number of the process and `.partial` appended.
 
     Raises:
         OSError: it cannot be written; the old content stays.

@@ -114,7 +114,7 @@ def needed(package: str, what: str, extra: str = "tables") -> Any:
         extra: that installs it.
 
     Raises:
-        MissingExtra: the package is not there; one that is there and broken says so itself.
+        MissingExtra: the package is not there; an error inside the package is raised as it is.
     """
     name = package.partition(".")[0]
     try:

@@ -1,4 +1,4 @@
-"""Where a run of the command line stands: one line with its phase, its time so far, and about what is left.
+"""Progress of a run of the command line: one line with its phase, its time so far and the estimated rest.
 
 Whoever works calls `begin` and `detail`; without somebody who watches (`shown`) both do nothing.
 """
@@ -14,7 +14,7 @@ from contextvars import ContextVar
 from typing import Any, TextIO
 
 TICK = 0.5  # s between two looks of a terminal
-TRUSTED = 15.0  # s of what is expected: a phase of a second tells nothing of the pace
+TRUSTED = 15.0  # s of what is expected: a phase of a second does not show the pace
 HEARD = 4.0  # s after which a file or pipe, which has no line to write over, hears of a phase: bad input ends before
 STILL = 20.0  # s after which it hears of the same phase again
 
@@ -26,7 +26,7 @@ class Phases:
         """Nothing has begun.
 
         Args:
-            expected: seconds of each phase, in their order, on some machine; their ratios are what counts later.
+            expected: seconds of each phase, in their order, on some computer; only their ratios count later.
             stream: where the line goes.
             counted: the phase whose details say how much of it is done.
         """
@@ -63,11 +63,11 @@ class Phases:
             return None
         pace = (sum(self.spent.values()) + TRUSTED) / (done + TRUSTED)
         rest = sum(seconds for name, seconds in self.expected.items() if name not in self.spent and name != self.name)
-        # A phase that takes longer than expected says so about the rest.
+        # A phase that takes longer than expected lengthens the estimate of the rest.
         return max(0.0, pace * here - now) + max(pace, now / here if here else 0.0) * rest
 
     def line(self) -> str:
-        """The line as it stands now."""
+        """Current text of the line."""
         number = self.names.index(self.name) + 1
         note = f", {self.note}" if self.note else ""
         left, taken = self.left(), spelled(time.monotonic() - self.since)
@@ -100,7 +100,7 @@ class Phases:
             self._write("\r" + " " * (shutil.get_terminal_size((80, 24)).columns - 1) + "\r")
 
     def _write(self, text: str) -> None:
-        with contextlib.suppress(OSError, ValueError):  # nobody reads any more, or the stream is closed
+        with contextlib.suppress(OSError, ValueError):  # the reader is gone, or the stream is closed
             self.stream.write(text)
             self.stream.flush()
 
@@ -129,7 +129,7 @@ def shown(expected: Mapping[str, float], *, counted: str = "", quiet: bool = Fal
     """Show the phases of what runs inside, on standard error.
 
     Args:
-        expected: seconds of each phase, in their order; 0 throughout where nobody knows.
+        expected: seconds of each phase, in their order; 0 throughout where unknown.
         counted: the phase whose details say how much of it is done.
         quiet: show nothing.
     """
@@ -151,7 +151,7 @@ def begin(name: str) -> None:
 
 
 def detail(note: str, part: float = 0.0) -> bool:
-    """What the phase does now; False if nobody watches."""
+    """Report what the phase does now; False without a progress line."""
     _go_on()
     watched = _WATCHED.get()
     if watched is not None:
@@ -197,7 +197,7 @@ def _go_on() -> None:
 def progress_bar(shown: bool, total: int | None, description: str, unit: str, *, initial: int = 0) -> Iterator[Any]:
     """A function that advances a tqdm bar, or does nothing; the bar says "compiling" until its first call.
 
-    Where a command shows its phases, it becomes a detail of the phase, whether asked for or not.
+    Where a command shows its phases, it becomes a detail of the phase, whether required or not.
 
     Args:
         shown: whether there is a bar.
@@ -235,13 +235,13 @@ def progress_bar(shown: bool, total: int | None, description: str, unit: str, *,
 
 @contextlib.contextmanager
 def aside() -> Iterator[None]:
-    """What is printed inside has a line of its own."""
+    """Print on a separate line inside."""
     with contextlib.nullcontext() if (watched := _WATCHED.get()) is None else watched.aside():
         yield
 
 
 def spelled(seconds: float) -> str:
-    """A time as a person says it: "7 s", "3 min", "1.5 h"."""
+    """A time in words: "7 s", "3 min", "1.5 h"."""
     if seconds < 99.5:
         return f"{seconds:.0f} s"
     return f"{seconds / 60:.0f} min" if seconds < 5970 else f"{seconds / 3600:.1f} h"

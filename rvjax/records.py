@@ -1,4 +1,4 @@
-"""`@record`: frozen dataclasses that are JAX pytrees and know the unit, shape and meaning of every field.
+"""`@record`: frozen dataclasses that are JAX pytrees and declare unit, shape and meaning of every field.
 
 Counts are static (part of the compiled program); everything else is traced. A constructor checks
 concrete numbers; tracers, nested records and whatever `jax.tree` rebuilds pass through untouched,
@@ -65,7 +65,7 @@ def field(
         kind: "real", "pair" (two numbers, given as a tuple or an array), "integer" (result fields),
             or "record" (a nested record).
         of: what a deviation deviates from, by its path in the design; "" where that is no number of it.
-        part: of the machine that an error belongs to.
+        part: of the reducer that an error belongs to.
         **more: further metadata, see `rvjax.errors.deviation`.
     """
     metadata = dict(unit=unit, meaning=meaning, shape=shape, sign=sign, kind=kind, of=of, part=part, **more)
@@ -78,7 +78,7 @@ def count(meaning: str, *, minimum: int = 1, maximum: int = 1_000_000) -> Any:
     Args:
         meaning: one line.
         minimum: least.
-        maximum: beyond which a program neither compiles in time nor fits into memory; study files refuse it.
+        maximum: beyond which a program neither compiles in time nor fits into memory; study files raise an error.
     """
     return dataclasses.field(metadata=dict(unit="-", meaning=meaning, minimum=minimum, maximum=maximum, kind="count"))
 
@@ -175,7 +175,7 @@ def record(cls: Class) -> Class:
 def signs_hold(item: Record) -> jax.Array:
     """Whether every number of a record, and of those in it, has the sign its field declares; () bool.
 
-    A constructor judges concrete numbers only; this judges traced ones. NaN passes, as there.
+    A constructor checks concrete numbers only; this function checks traced ones. NaN passes, as there.
     """
     sound = jnp.asarray(True)
     for f in dataclasses.fields(item):  # type: ignore[arg-type]
@@ -195,7 +195,7 @@ def is_concrete(value: Any) -> bool:
 
 
 def concrete(*values: Any) -> bool:
-    """True if every value is a concrete number, so that a constructor may judge it."""
+    """True if every value is a concrete number, so that a constructor may check it."""
     return all(is_concrete(v) for v in values)
 
 
@@ -213,7 +213,7 @@ def quantity(value: Any, unit: str) -> str:
 def promote(*trees: Any) -> Any:
     """Bring every number in `trees` to their common floating dtype.
 
-    Python floats are weak: they take the dtype of the arrays beside them, or the default
+    Python floats are weak: they take the dtype of the other arrays, or the default
     float where there are none. Returns one tree, or a tuple of trees.
     """
     leaves = jax.tree.leaves(trees)
@@ -241,7 +241,7 @@ _reminded: list[bool] = []
 
 
 def remind_of_precision() -> None:
-    """Warn once, where plain numbers of microns are about to become float32 because nobody has enabled float64."""
+    """Warn once, where plain numbers of microns become float32 because float64 is not enabled."""
     if jnp.result_type(float) == jnp.float64 or _reminded:
         return
     frame, level = inspect.currentframe(), 0
@@ -273,7 +273,7 @@ def broadcast_fields(cls: Any, counts: Mapping[str, int], values: Mapping[str, A
             raise ValueError(f"{cls.__name__} has no field {name!r}; it has {', '.join(sorted(fields))}")
     given = {np.dtype(value.dtype) for value in values.values() if hasattr(value, "dtype")}
     floats = [dtype for dtype in given if jnp.issubdtype(dtype, jnp.floating)]
-    own = np.result_type(*floats) if floats else np.float64  # plain numbers become what they stand beside
+    own = np.result_type(*floats) if floats else np.float64  # plain numbers take the dtype of the arrays
     filled = {}
     for name, f in fields.items():
         value = values.get(name, f.default)
@@ -339,7 +339,7 @@ def _checked(owner: str, f: dataclasses.Field[Any], value: Any) -> Any:
             raise ValueError(f"{owner}.{f.name} = {value!r}: must be an integer of at least {f.metadata['minimum']}")
         return number
     if kind in ("text", "integer", "record") or value is None or isinstance(value, Record):
-        return value  # a tolerance may stand in the place of a number, None in the place of a part
+        return value  # a tolerance may replace a number, None a part
     value = _number(owner, f, value)
     if is_concrete(value):
         _check_sign(owner, f, value)

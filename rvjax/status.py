@@ -1,4 +1,4 @@
-"""Why a solved value is, or is not, to be trusted: `Status`, `SolveInfo`, `check`."""
+"""Status of a solved value: `Status`, `SolveInfo`, `check`."""
 
 import enum
 import functools
@@ -16,9 +16,9 @@ Result = TypeVar("Result")
 
 
 class Status(enum.IntEnum):
-    """Outcome of one solved lane. `PRECEDENCE` orders them from worst to best.
+    """Outcome of one solved case. `PRECEDENCE` orders them from worst to best.
 
-    NONFINITE stands for NaN and infinity among the inputs, and as well for finite inputs that are too large or too
+    NONFINITE means NaN and infinity among the inputs, and as well for finite inputs that are too large or too
     small for the arithmetic: a power or product of them on the way overflows or vanishes.
     """
 
@@ -52,12 +52,12 @@ PRECEDENCE = (
     Status.UNLOADED,
     Status.CONVERGED,
 )
-"""Worst first: of several lanes, angles or discs the first that occurs speaks for all."""
+"""Worst first: of several batch elements, angles or discs the first that occurs is returned."""
 
 SUCCESS = (Status.UNLOADED, Status.CONVERGED)
 
 WITHOUT_VALUE = PRECEDENCE[: PRECEDENCE.index(Status.NOT_ASSEMBLABLE) + 1]
-"""Where one of these is found the value is NaN; the others describe a value that stands."""
+"""Statuses with the value NaN; the others keep the value."""
 
 MEANING = {
     Status.NONFINITE: "an input is not finite, or too large or too small for the arithmetic",
@@ -74,7 +74,7 @@ MEANING = {
     Status.UNLOADED: "no contact carries load; a success",
     Status.CONVERGED: "solved; a success",
 }
-"""Why, for a person."""
+"""Meaning of each status, for messages."""
 
 _RANK = np.zeros(len(PRECEDENCE), np.int32)
 _RANK[[int(status) for status in PRECEDENCE]] = np.arange(len(PRECEDENCE))
@@ -104,11 +104,11 @@ class SolveInfo(Record):
 
 
 class SolveError(RuntimeError):
-    """Raised by `check`: more lanes failed than allowed."""
+    """Raised by `check`: more cases failed than allowed."""
 
 
 def worst(status: Array, axis: int | tuple[int, ...] | None = None) -> jax.Array:
-    """The status that speaks for several, by `PRECEDENCE`.
+    """Return the worst of several statuses, by `PRECEDENCE`.
 
     Args:
         status: integer array.
@@ -119,7 +119,7 @@ def worst(status: Array, axis: int | tuple[int, ...] | None = None) -> jax.Array
 
 
 def converged(residual: Array, steps: Array | int = 0) -> SolveInfo:
-    """The info of a solve that went well.
+    """Return the info of a successful solve.
 
     Args:
         residual: as in `SolveInfo`.
@@ -129,7 +129,7 @@ def converged(residual: Array, steps: Array | int = 0) -> SolveInfo:
 
 
 def at_once(like: Array) -> SolveInfo:
-    """The info of a closed form: nothing left.
+    """Return the info of a closed form: residual zero.
 
     Args:
         like: any number of the result, for its shape and dtype.
@@ -138,7 +138,7 @@ def at_once(like: Array) -> SolveInfo:
 
 
 def worst_of(infos: SolveInfo) -> SolveInfo:
-    """The info that speaks for several: worst status, most steps, largest residual."""
+    """Return the info of several solves: worst status, most steps, largest residual."""
     return SolveInfo(worst(infos.status), jnp.max(infos.steps), jnp.max(infos.residual))
 
 
@@ -156,17 +156,17 @@ def first_failure(*checks: Check, otherwise: Array | Status = Status.CONVERGED) 
 
 
 class Gate(NamedTuple):
-    """What refused a lane at the entry of a model; `close` puts status and NaN on what comes out.
+    """Checks at the entry of a model; `close` sets status and NaN of its results.
 
-    A refused lane runs on harmless numbers, so that no derivative of it meets 0 * inf, and keeps the status with
-    which it was refused, whatever becomes of those numbers.
+    A case that fails a check is solved with harmless numbers, so that no derivative meets 0 * inf. It keeps the
+    status of the failed check.
     """
 
     refused: tuple[Check, ...]
 
     @property
     def good(self) -> PyTree:
-        """True for a lane that was admitted."""
+        """True for a case that passed."""
         return functools.reduce(operator.and_, [~failed for failed, _ in self.refused])
 
     def close(self, values: PyTree, *checks: Check, info: SolveInfo | None = None) -> tuple[PyTree, SolveInfo]:
@@ -175,7 +175,7 @@ class Gate(NamedTuple):
         Args:
             values: pytree of what the model found.
             *checks: (failed, status) pairs of what the model found wrong on its way, in any order.
-            info: of the solver inside; its status stands where no check fails, and does not touch the values.
+            info: of the solver inside; its status is returned where no check fails, and does not change the values.
         """
         info = converged(jnp.zeros(())) if info is None else info
         known = self.good
@@ -188,13 +188,13 @@ class Gate(NamedTuple):
 
 
 def admit(inputs: PyTree, harmless: PyTree, *checks: Check, after: Gate | None = None) -> tuple[PyTree, Gate]:
-    """The inputs with harmless numbers in the place of every lane outside a model's domain, and its gate.
+    """The inputs with harmless numbers in the place of every case outside a model's domain, and its gate.
 
     Args:
         inputs: pytree of numbers.
         harmless: pytree of the same structure, or one number for all.
-        *checks: (failed, status) pairs, each () or of the shape of a lane.
-        after: gate of inputs that were admitted before; a lane that it refused is refused here.
+        *checks: (failed, status) pairs, each () or of the shape of a case.
+        after: gate of inputs that were admitted before; a case that fails there fails here.
     """
     gate = Gate((*(after.refused if after else ()), *checks))
     good = gate.good
@@ -220,14 +220,14 @@ def succeeded(status: Array) -> jax.Array:
 
 
 def check(result: Result, max_failed_fraction: float = 0.0) -> Result:
-    """Return `result`, or raise if too many of its lanes failed; for use outside jit.
+    """Return `result`, or raise if too many of its cases failed; for use outside jit.
 
     Args:
         result: any solved result (a record with a field `info`), of one case or of a batch.
-        max_failed_fraction: share of lanes that may fail, 0 to 1.
+        max_failed_fraction: share of cases that may fail, 0 to 1.
 
     Raises:
-        SolveError: names the reasons, their counts and the first failed lane of each.
+        SolveError: names the reasons, their counts and the first failed case of each.
         TypeError: `result` carries no `info`.
     """
     info = getattr(result, "info", None)

@@ -56,7 +56,7 @@ def parse(value: Any, unit: str) -> float:
         unit: SI unit, "-" for none.
 
     Raises:
-        ValueError: says what is wrong with `value`; the caller adds the name of the field.
+        ValueError: describes the input error; the caller adds the name of the field.
     """
     if unit == "-":
         try:

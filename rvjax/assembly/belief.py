@@ -66,7 +66,7 @@ def believed(value: Any, sd: Any, tolerance: Tolerance | None) -> tuple[Any, Any
     Args:
         value: measured, unit of the error, any shape.
         sd: standard deviation of the measurement, of that shape or one number; inf: not measured.
-        tolerance: the population; None: nothing is known beside the measurement.
+        tolerance: the population; None: only the measurement is known.
 
     Raises:
         ValueError: a value that is not finite, or a negative standard deviation.

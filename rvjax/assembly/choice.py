@@ -39,7 +39,7 @@ class Choice:
 
     Attributes:
         build: parts of each unit.
-        bound: no plan has a lower sum of the layer asked for (a lower largest cost).
+        bound: no plan has a lower sum of the required layer (a lower largest cost).
         exact: it is proved that no plan is better.
     """
 
@@ -58,7 +58,7 @@ def least_sum(
         supply: stocks.
         starts: of the alternation.
         rng: of its random plans.
-        asked: layer whose bound is asked for.
+        asked: layer whose bound is required.
     """
     cost = weighed(layers, supply.units)
     if len(supply.shape) == 2 and not supply.shared:
@@ -148,7 +148,7 @@ def _least_level(cost: np.ndarray, supply: Supply, levels: np.ndarray) -> float:
 
 
 def _pair_level(cost: np.ndarray, supply: Supply) -> float:
-    """No plan has a lower largest cost: each pair of slots on its own, the others as they suit."""
+    """No plan has a lower largest cost: each pair of slots on its own, the others as they fit best."""
     floors = []
     for first, second in itertools.combinations(range(len(supply.shape)), 2):
         others = tuple(k for k in range(len(supply.shape)) if k not in (first, second))

@@ -1,4 +1,4 @@
-"""The response of many combinations of parts: one compiled program, blocks of one size, whoever asks."""
+"""Response of many combinations of parts: one compiled program, blocks of one size."""
 
 import dataclasses
 import itertools
@@ -43,7 +43,7 @@ def respond(
         index: angular positions of each slot (lanes,).
         structures: of the errors of each slot.
         counts: angular positions that each slot has.
-        at: the same plain indices in all lanes, for a response that cannot take traced ones; None: those in `index`.
+        at: the same plain indices for all units, for a response that cannot take traced ones; None: those in `index`.
     """
 
     def one(leaves: Mapping[str, Sequence[jax.Array]], index: Mapping[str, jax.Array]) -> jax.Array:
@@ -62,7 +62,7 @@ def respond(
 
 
 def _weak(index: jax.Array, count: int) -> Any:
-    """An index that is as good as a plain integer: beside a number of any kind it takes that kind."""
+    """A traced index that mixes with numbers of any type, as a plain integer does."""
     return sum(jnp.where(index == k, k, 0) for k in range(1, count)) if count > 1 else 0
 
 

@@ -1,4 +1,4 @@
-"""How far tolerances could be opened if parts were matched: the yield of random assembly, from cheaper parts."""
+"""Largest factor on all tolerances at which matched parts keep the yield of random assembly."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -23,7 +23,7 @@ STEPS = 8  # bisections of the factor
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Opening:
-    """How far tolerances could be opened.
+    """Largest factor on all tolerances.
 
     Attributes:
         factor: on all half-widths, at least 1; `WIDEST` where matching still keeps the yield there.

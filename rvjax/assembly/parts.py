@@ -51,7 +51,7 @@ class Part:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Kind:
-    """All parts that may stand in a slot.
+    """All parts that may be mounted in a slot.
 
     Attributes:
         parts: in the order in which they lie there.
@@ -121,15 +121,15 @@ def at_path(structure: Any, path: Path, absent: Any) -> Any:
 
 
 def _left_out(value: Any, part: Part) -> bool:
-    """A field of a record that nobody measured: the default 0.0, with no standard deviation of its own."""
+    """Whether a field of a record is not measured: the default 0.0, without a standard deviation."""
     return isinstance(value, float) and value == 0.0 and isinstance(part.sd, (int, float))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Known:
-    """All parts of a kind side by side, in an order of their own that depends on the errors alone.
+    """All parts of a kind, in an order that depends on the errors only.
 
-    A plan is the same whatever the parts are called and however they are listed.
+    A plan does not depend on names and order of the parts.
 
     Attributes:
         kind: as given.

@@ -1,4 +1,4 @@
-"""A plan: what to build from measured parts, what it gains on draws that did not choose it, what none can beat."""
+"""Assembly plan: units to build from measured parts, their gain on independent draws, and a bound of all plans."""
 
 import dataclasses
 import zlib
@@ -22,7 +22,7 @@ class Plan:
     """What to build and what it gains.
 
     `values`, `objective`, `random`, `gain` and both yields come from fresh draws of what is not known of the parts;
-    `lower_bound` and `gap` judge the choice, on the draws that chose.
+    `lower_bound` and `gap` evaluate the choice, on the draws that chose.
 
     Attributes:
         build: the part of each slot, for every unit: ({slot: id}, ...).
@@ -75,7 +75,7 @@ def plan(
     Args:
         response: (parts {slot: errors}, index {slot: int}) -> scalar or `Outcome` of one unit, a pure JAX function;
             small is good. The index is traced, or a plain integer where the response needs one.
-        kinds: what may stand in each slot. One `Kind` given for several slots is one stock.
+        kinds: what may be mounted in each slot. One `Kind` given for several slots is one stock.
         objective: "mean" response, "bottleneck" (the worst unit) or "yield" (good units).
         requirement: limits of a good unit.
         draws: of what is not known of the parts, to choose by; one where all is known.
@@ -96,7 +96,7 @@ def plan(
     draws, fresh = (1, 1) if certain else (draws, certificate_draws)
     found = costs(machine, draw(slots, seed, 0, draws, alike=True), draws, requirement, objective == "yield")
     build, bound, reached, proved = chosen(found, supply, objective, starts, np.random.default_rng([seed % 2**64, 2]))
-    if found.level:  # nothing to choose by: as they lie
+    if found.level:  # nothing to choose by: in the given order
         build = _as_they_lie(slots, supply)
     build = _in_order(build, slots)
     # Valued on fresh draws, next to random assembly on the same ones.
@@ -187,7 +187,7 @@ def draw(
     by_stock: dict[int, str] = {}
     for slot, one in slots.items():
         if not alike and id(one) in by_stock:
-            found[slot] = found[by_stock[id(one)]]  # the same piece, whichever slot it stands in
+            found[slot] = found[by_stock[id(one)]]  # the same piece in any slot
             continue
         by_stock.setdefault(id(one), slot)
         rng = np.random.default_rng([seed % 2**64, purpose, zlib.crc32(slot.encode())])

@@ -57,7 +57,7 @@ def copies(pieces: np.ndarray) -> np.ndarray:
 
 
 def assigned(cost: np.ndarray, supply: Supply) -> Build:
-    """Two slots, exactly; where both stocks are larger than the units, pieces left over go to stand-ins at no cost."""
+    """Two slots, exactly; where both stocks are larger than the units, pieces left over go to dummies at no cost."""
     rows, columns = map(copies, supply.pieces)
     full, units = cost[np.ix_(rows, columns)], supply.units
     spare = len(rows) - units, len(columns) - units

@@ -1,6 +1,6 @@
-"""Which orders are worth storing, with which gain, and what they leave of the error.
+"""Correction of an error: stored orders, their gains, and the residual.
 
-Numbers of one unit on the host; only `Correction.output` and `.input` may stand in a jitted program.
+Numbers of one unit on the host; only `Correction.output` and `.input` work inside jit.
 """
 
 import dataclasses
@@ -19,7 +19,7 @@ BLOCK = 256  # draws at once: their curves stay small
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Correction:
-    """What is added at the output angle so that the error goes away.
+    """Correction that is added at the output angle.
 
     Attributes:
         order: stored orders per output turn, ascending (s,).
@@ -77,7 +77,7 @@ class Correction:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Residual:
-    """What stays of a curve.
+    """Residual of a curve.
 
     Attributes:
         order: ascending (k,).
@@ -92,7 +92,7 @@ class Residual:
 
 @dataclasses.dataclass(frozen=True)
 class Left:
-    """What a correction should leave, with intervals.
+    """Expected residual of a correction, with intervals.
 
     Attributes:
         rms: of the curve that stays, rad.
@@ -117,7 +117,7 @@ def correction(
     count: int | None = None,
     shrink: bool = True,
 ) -> Correction:
-    """Choose the orders worth storing.
+    """Choose the orders to store.
 
     The zero of a table is known to `angle_sd`, so that order k is turned by a normal angle of k angle_sd, the mean
     cosine of which is c = exp(-(k angle_sd)^2/2). Stored with a gain g, an order v saves |v|^2 (2 g c - g^2)/2.
@@ -192,7 +192,7 @@ def judged(
     chosen: np.ndarray,
     saved: np.ndarray,
 ) -> Correction:
-    """A correction with what it saves and leaves.
+    """Make a correction with its savings and residual.
 
     Args:
         order: all orders (k,).
@@ -241,7 +241,7 @@ def _curve(order: Any, value: Any) -> tuple[np.ndarray, np.ndarray]:
 
 
 def residual(correction: Correction, order: Any, value: Any, *, shift: float = 0.0) -> Residual:
-    """What stays of a curve if the table is turned by `shift`: v_k - stored_k exp(i k shift).
+    """Compute the residual of a curve if the table is turned by `shift`: v_k - stored_k exp(i k shift).
 
     Args:
         correction: made from another curve, or from this one.
@@ -263,7 +263,7 @@ def residual(correction: Correction, order: Any, value: Any, *, shift: float = 0
 
 
 def phase_residual(order: Any, shift: Any) -> Any:
-    """Share of an order's amplitude that stays if its exact correction is turned: 2 |sin(order shift/2)|.
+    """Compute the share of an order's amplitude that remains if its exact correction is turned: 2 |sin(order shift/2)|.
 
     Above 60 degrees of phase it exceeds 1: the correction makes the error worse.
 
@@ -275,7 +275,7 @@ def phase_residual(order: Any, shift: Any) -> Any:
 
 
 def predicted(correction: Correction, *, draws: int = 4096, seed: int = 0, confidence: float = 0.95) -> Left:
-    """What a correction should leave when the unit is measured again, with intervals.
+    """Predict the residual when the unit is measured again, with intervals.
 
     Draws the amplitudes about the given ones and one common turn of the table; the peak to peak is no sum over the
     orders, so that there is no closed form for it.

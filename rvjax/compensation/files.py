@@ -164,7 +164,7 @@ def _read_modelica(text: str) -> Parsed:
 
 def _write_mjcf(table: Table, joint: Joint, seed: int | None) -> str:
     root = ElementTree.Element("mujoco", model=table.name)
-    if joint:  # a class of its own: other joints of the model stay as they are
+    if joint:  # a separate class: other joints of the model stay unchanged
         outer = ElementTree.SubElement(root, "default")
         own = ElementTree.SubElement(outer, "default", {"class": table.name})
         ElementTree.SubElement(own, "joint", {key: _shown(joint[key]) for key in JOINT if key in joint})

@@ -17,10 +17,10 @@ class Table:
     Attributes:
         angle: of the output, rad, 0 to 2 pi (points + 1,).
         correction: added at the side chosen, rad (points + 1,).
-        error_bound: largest error of linear interpolation, rad at that side; nan where a file does not tell.
+        error_bound: largest error of linear interpolation, rad at that side; nan where a file does not hold it.
         name: in files.
-        ratio: input turns per output turn; nan where a file does not tell.
-        orders: stored, per output turn; empty where a file does not tell.
+        ratio: input turns per output turn; nan where a file does not hold it.
+        orders: stored, per output turn; empty where a file does not hold them.
     """
 
     angle: np.ndarray

@@ -1,4 +1,4 @@
-"""`solve_many`: the measurements of many units at once, each by itself or with elements that all of them share."""
+"""`solve_many`: identification of many units at once, separately or with shared elements."""
 
 import dataclasses
 from collections.abc import Iterable
@@ -25,7 +25,7 @@ from rvjax.status import SolveInfo, Status
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Batch:
-    """What the measurements of n units say; the numbers of a unit are NaN where its `info` says that no mode was found.
+    """Identified errors of n units; the numbers of a unit are NaN where its `info` reports that no mode was found.
 
     Attributes:
         names: of the elements that each unit has for itself (p,).
@@ -40,8 +40,8 @@ class Batch:
         fit: how well model and prior explain each unit, arrays (n,).
         status: NONFINITE, MAX_STEPS, REJECTED, MULTIMODAL (with starts > 1) or CONVERGED of each unit (n,).
         info: of the solver alone, arrays (n,); `rvjax.check` takes the result.
-        problem: what was asked.
-        factors: triangular factors of [slopes over the own u, linearised data] of each unit (n, p + 1, p + 1).
+        problem: model, prior and noise.
+        factors: triangular factors of [slopes over the separate u, linearised data] of each unit (n, p + 1, p + 1).
     """
 
     names: tuple[str, ...]
@@ -60,7 +60,7 @@ class Batch:
     factors: np.ndarray = dataclasses.field(repr=False)
 
     def population(self) -> Process:
-        """Mean and spread of every own element over the units: what the process really does, with its Cp and Cpk.
+        """Estimate mean and standard deviation of the process, with Cp and Cpk, for every separate element.
 
         The most probable values of the units themselves lean towards the prior, each by as much as its data leave open.
         Units without a mode are left out. What was shared stays at its most probable value.
@@ -83,7 +83,7 @@ def solve_many(
     chunk: int = 256,
     confidence: float = 0.95,
 ) -> Batch:
-    """The errors that made the measurements of many units.
+    """Identify the errors of many units from their measurements.
 
     Args:
         model: pure function, values of the prior's structure -> observation of one unit.
@@ -91,16 +91,17 @@ def solve_many(
         data: measured observations, the units on axis 0 of every leaf, NaN where missing.
         noise: of the observation of one unit.
         shared: names of fields that all units have in common, such as the stiffness of one test stand.
-        nuisance: names of fields or elements nobody asks about; what they can do does not judge the model.
+        nuisance: names of fields or elements that are not of interest; the model check does not count what they
+            explain.
         correlation: {(field or element, field or element): correlation of their u}.
-        starts: the middle of the prior, and units drawn from it; take several where a model may have several modes.
+        starts: the middle of the prior, and units sampled from it; use several where a model may have several modes.
         seed: of the starts.
         max_steps: most steps of the solver.
         chunk: units (starts of units) that are in memory at once.
         confidence: of the intervals.
 
     Raises:
-        ValueError: an argument that does not fit, or a correlation between shared and own elements.
+        ValueError: an argument that does not fit, or a correlation between shared and separate elements.
     """
     problem = Problem.of(model, prior, noise=noise, nuisance=nuisance, correlation=correlation)
     deviate = deviate_of(confidence)
@@ -165,7 +166,7 @@ def _separate(problem: Problem, y: np.ndarray, points: np.ndarray, max_steps: in
     rows = linear_rows(problem, slopes, z @ problem.elements.mixing.T, residual)
     spectrum = Spectrum.of(np.sqrt(problem.discount) * rows[..., :-1] @ problem.elements.mixing)
     evidence = evidence_of(problem, z, residual, spectrum.nats, ~np.isnan(y)[:, None])
-    # Without any mode the lowest finite point speaks, and one that is not finite only where all are not.
+    # Without any mode the lowest finite point is returned, and a point that is not finite only where all are not.
     rank = np.where(good, evidence, np.where(np.isfinite(lanes.phi), -1e300, -2e300))
     best = np.argmax(rank, axis=1)
     own = np.arange(len(y))
@@ -182,7 +183,7 @@ def _separate(problem: Problem, y: np.ndarray, points: np.ndarray, max_steps: in
 
 
 def _figures(problem: Problem, split: Split, y: np.ndarray, units: Units, deviate: float) -> dict[str, Any]:
-    """Everything a batch says of some of its units."""
+    """Compute all results of some units of a batch."""
     elements, seen, good = problem.elements, ~np.isnan(y), units.status == Status.CONVERGED
     u = np.where(good[:, None], units.u, 0.0)
     slopes, datum = units.rows[..., :-1], units.rows[..., -1]

@@ -1,4 +1,4 @@
-"""`identifiability`: what a measurement would tell, before anything is measured."""
+"""`identifiability`: which elements a measurement identifies, before anything is measured."""
 
 from collections.abc import Iterable
 
@@ -22,14 +22,14 @@ def identifiability(
     nuisance: str | Iterable[str] = (),
     correlation: Correlation = None,
 ) -> Identifiability:
-    """What a measurement would tell about each element; needs no data.
+    """Predict which elements a measurement identifies; needs no data.
 
     Args:
         model: pure function, values of the prior's structure -> observation.
         prior: record or dict (nested ones too) with a `Tolerance`, a constant or None in each field.
         noise: of the observation.
         at: values at which the model is linearised, structure of the prior; None: the middle of the prior.
-        nuisance: names of fields or elements nobody asks about; they are elements like the others here.
+        nuisance: names of fields or elements that are not of interest; here they count as all others.
         correlation: {(field or element, field or element): correlation of their u}.
 
     Raises:

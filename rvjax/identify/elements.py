@@ -1,7 +1,7 @@
 """The elements of a prior: their names, how their standard numbers u = M z mix, and the values that belong to them.
 
-Every element is e = d(u), where d is the map of its tolerance's law and u is standard normal; M has rows of length one
-and holds correlation and batches, so that z ~ N(0, I) are exactly the numbers a `Population` draws.
+Every element is e = d(u), where d is the map of its tolerance's distribution and u is standard normal; M has rows of
+length one and holds correlation and batches, so that z ~ N(0, I) are exactly the numbers a `Population` draws.
 """
 
 import dataclasses
@@ -19,7 +19,7 @@ from rvjax.population import Correlation, Population
 from rvjax.records import PyTree
 
 FAR = 38.0
-"""Standard deviations beyond which a normal law has no mass that a float could tell from 0."""
+"""Standard deviations beyond which a normal distribution has no mass that a float distinguishes from 0."""
 
 _HALVINGS = 64  # of the interval (-FAR, FAR): to the last bit
 
@@ -43,9 +43,9 @@ def mapped(population: Population, u: jax.Array) -> tuple[jax.Array, PyTree]:
 
 @jax.jit
 def standard(population: Population, values: jax.Array) -> jax.Array:
-    """The u (k, p) at which the law of each element takes these values (k, p), its slope positive; by bisection.
+    """Find the u (k, p) at which the distributions have these values (k, p), by bisection; their slopes are positive.
 
-    -FAR and FAR where the law does not come so low or so high.
+    -FAR and FAR where the distribution does not reach the value.
     """
 
     def halve(_: Any, ends: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
@@ -164,7 +164,7 @@ class Elements:
         return np.concatenate(parts)
 
     def beside(self, argument: str, other: PyTree) -> dict[str, Any]:
-        """What stands in `other`, a structure like the prior, at each active field."""
+        """Leaves of `other`, a structure like the prior, by active field."""
         leaves = self._beside(argument, other)
         return {name: leaves[name] for name in self.population.active}
 
@@ -177,10 +177,11 @@ class Elements:
         return dict(zip(self.population._leaves, leaves))
 
     def at(self, argument: str, values: PyTree) -> np.ndarray:
-        """The u (p,) of values within the prior's laws.
+        """Find the u (p,) of values within the prior's distributions.
 
         Raises:
-            ValueError: another structure, outside the support of a law, or a law whose elements depend on each other.
+            ValueError: another structure, outside the support of a distribution, or one whose elements depend on each
+                other.
         """
         wanted = self.vector(argument, values)
         for name, tolerance in self.population.active.items():

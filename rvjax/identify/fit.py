@@ -1,9 +1,9 @@
-"""Is the model right? Two independent p-values from one linearised datum.
+"""Goodness of fit: two independent p-values from one linearised datum.
 
 d = J z^ - r is what the data would be if the model were linear at the mode. Along the left singular vectors of J its
-components are independent N(0, 1 + lambda) if model, prior and noise are right. Those with lambda >= 0.01 answer "could
-a part of this drawing do that?" (chi2_prior), the rest "could any part?" (chi2_model). Both p-values are uniform,
-exactly so in the linear normal case. What nuisances can do is projected out first.
+components are independent N(0, 1 + lambda) if model, prior and noise are right. Those with lambda >= 0.01 test
+the prior (chi2_prior), the rest tests the model (chi2_model). Both p-values are uniform,
+exactly so in the linear normal case. The part that nuisances explain is projected out first.
 """
 
 import dataclasses
@@ -28,7 +28,7 @@ WORST = 5
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Fit:
-    """How well model and prior explain the data; of a batch, arrays over the units.
+    """Goodness of fit of model and prior; for a batch, arrays over the units.
 
     Attributes:
         chi2_model: sum of squares of what no part can do.

@@ -3,9 +3,9 @@
 Phi(z) = |z|^2/2 + sum r_i^2/2 with whitened residuals r(z); for Student noise the second term is
 (dof + 1)/2 sum ln(1 + r_i^2/dof), whose weights are (dof + 1)/(dof + r_i^2). A step solves
 (I + J'WJ + mu I) step = -(z + J'W r) through the QR factors of [sqrt(W) J; sqrt(1 + mu) I]: squaring J would lose
-the prior beside a wide nuisance. Its length is measured in posterior standard deviations, sqrt(-g'step).
+the prior next to a wide nuisance. Its length is measured in posterior standard deviations, sqrt(-g'step).
 
-Where the model bends, steps fall short or go too far by the same share each time. Two steps along one line tell that
+Where the model bends, steps fall short or go too far by the same share each time. Two steps along one line give that
 share (Aitken), and the third one ends there; a plain step follows, for what the stretch spoils elsewhere. The damping
 falls by nine after a step that gained what it promised, and stays where one gained half of it (Nielsen 1999).
 """
@@ -23,7 +23,7 @@ TOLERANCE = 1e-9
 """Posterior standard deviations that the last step may be away."""
 
 LONGEST = 2.0
-"""Largest change of one number in a step: beyond, the linear model of a law says little."""
+"""Largest change of one number in a step: beyond, the linear model of a distribution is inaccurate."""
 
 IN_LINE = 0.8
 """Least squared cosine of two steps along one line."""
@@ -106,7 +106,7 @@ def mixed(mixing: jax.Array, z: jax.Array) -> jax.Array:
 def mode(
     linearise: Linearise, mixing: jax.Array, start: jax.Array, dof: jax.Array | None, max_steps: jax.Array
 ) -> Mode:
-    """The mode reached from one start; under `vmap` every lane freezes by itself.
+    """The mode reached from one start; under `vmap` every batch element stops separately.
 
     Args:
         linearise: residuals and slopes.
@@ -139,7 +139,7 @@ def mode(
             jnp.where(better, new, old) for new, old in zip(tried, state[: len(tried)], strict=True)
         )
         growth = jnp.where(better, number(2.0), 2 * state.growth)
-        # Below rounding a gain says nothing.
+        # Below rounding a gain has no meaning.
         gain = jnp.where(state.promise > 10 * slack, (state.phi - phi) / state.promise, 1.0)
         eased = state.damping * jnp.maximum(1 / 9, 1 - (2 * jnp.clip(gain, 0, 1) - 1) ** 3)
         damping = jnp.where(better, eased, jnp.maximum(state.damping, 1e-3) * state.growth)

@@ -1,8 +1,8 @@
-"""What the data tell apart: the spectrum of the whitened information, and the verdicts that follow from it.
+"""Spectrum of the whitened information, and which elements it identifies.
 
 With slopes J over z ~ N(0, I) and J = U S V', lambda = s^2: the posterior covariance of z is V diag(1/(1 + lambda)) V',
-a sum of positive terms that keeps its digits beside a lambda of 1e10. Equal lambda have no vectors of their own: of
-them only the subspace means something.
+a sum of positive terms that keeps its digits next to a lambda of 1e10. Equal lambda have no unique vectors: only
+their subspace has a meaning.
 """
 
 import dataclasses
@@ -20,7 +20,7 @@ SEEN = 1.0
 """Least lambda of a direction: there the data weigh more than the drawing."""
 
 INSEPARABLE = 0.95
-"""Least posterior correlation, by size, of two elements that cannot be told apart."""
+"""Least posterior correlation, by size, of two elements that are not distinguishable."""
 
 
 def compressed(rows: np.ndarray) -> np.ndarray:
@@ -56,7 +56,7 @@ class Spectrum(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Direction:
-    """One combination of elements that the data see.
+    """One combination of elements that the data determine.
 
     Attributes:
         information: lambda, the variance before over the variance after, less one.
@@ -69,7 +69,7 @@ class Direction:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Identifiability:
-    """What a measurement tells about the elements of a prior.
+    """Which elements of a prior a measurement identifies.
 
     Attributes:
         names: of the elements, (p,).
@@ -97,7 +97,7 @@ def covariance(spectrum: Spectrum, mixing: np.ndarray) -> np.ndarray:
 
 
 def findings(names: tuple[str, ...], mixing: np.ndarray, spectrum: Spectrum) -> Identifiability:
-    """Everything `Identifiability` says, of one unit."""
+    """Compute the identifiability of one unit."""
     root = mixing @ spectrum.root
     u_sd = np.linalg.norm(root, axis=1)
     loadings = (mixing @ spectrum.right)[:, spectrum.eigenvalues >= SEEN]

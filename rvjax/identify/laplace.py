@@ -1,8 +1,8 @@
-"""Is the normal law about the mode a good picture of the posterior? Draws from it, weighed by the true density.
+"""Check of Laplace's method: draws from the normal distribution about the mode, weighted by the true density.
 
-The tail of the weights is fitted by a generalised Pareto law (Zhang and Stephens 2009, Technometrics 51, 316); a shape
-k above 0.7 says that averages over the normal law are not to be trusted (Vehtari, Simpson, Gelman, Yao and Gabry 2024,
-J. Mach. Learn. Res. 25, 72).
+The tail of the weights is fitted by a generalised Pareto distribution (Zhang and Stephens 2009, Technometrics 51, 316);
+a shape k above 0.7 means that averages over the normal distribution are not reliable (Vehtari, Simpson, Gelman, Yao and
+Gabry 2024, J. Mach. Learn. Res. 25, 72).
 """
 
 import dataclasses
@@ -14,12 +14,12 @@ MOST = 0.7
 """Largest shape of weights whose averages can be trusted."""
 
 LEAST_DRAWS = 40
-"""Below, the tail holds too few weights to fit a law to."""
+"""Below, the tail holds too few weights for a fit."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Laplace:
-    """How far the intervals about the mode are to be trusted.
+    """Reliability of the intervals about the mode.
 
     Attributes:
         pareto_k: shape of the tail of the importance weights; 0 where they are equal to rounding.
@@ -64,7 +64,7 @@ def judged(log_weights: np.ndarray, modes: int) -> Laplace:
     """The verdict on draws.
 
     Args:
-        log_weights: of draws from the normal law; -inf where the model is not finite.
+        log_weights: of draws from the normal distribution; -inf where the model is not finite.
         modes: that hold more than 1 %.
     """
     weights = np.exp(log_weights - log_weights.max()) if np.isfinite(log_weights.max()) else np.zeros(1)

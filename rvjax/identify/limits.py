@@ -12,7 +12,7 @@ from rvjax.population import Tolerance
 from rvjax.records import PyTree
 
 DRAWS = 20_000
-"""Of vectors of a law whose two elements depend on each other."""
+"""Draws for vectors whose two elements depend on each other."""
 
 NODES = 96
 REACH = 12.0

@@ -28,7 +28,7 @@ def flatten(observation: PyTree) -> jax.Array:
 
 @dataclasses.dataclass(frozen=True)
 class Layout:
-    """Where each number of an observation stands in its vector."""
+    """Place of each number of an observation in its vector."""
 
     treedef: Any
     paths: tuple[Any, ...]
@@ -148,7 +148,7 @@ class Layout:
         return [name or "data" for name in named]
 
     def _matched(self, argument: str, tree: PyTree) -> Iterator[tuple[str, tuple[int, ...], bool, Any]]:
-        """Name, shape and kind of each leaf of the observation beside what stands there in `tree`."""
+        """Yield name, shape and kind of each leaf of the observation with the same leaf of `tree`."""
         try:
             leaves = self.treedef.flatten_up_to(tree)
         except (ValueError, TypeError):

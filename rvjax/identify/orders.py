@@ -8,7 +8,7 @@ import numpy as np
 from rvjax.records import Array
 
 DEPENDENT = 1e-8
-"""Least ratio of singular values at which the samples tell all orders apart."""
+"""Least ratio of singular values at which the samples distinguish all orders."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -16,7 +16,7 @@ class Orders:
     """Harmonics of a curve, value(angle) = mean + Re sum_k value_k exp(i order_k angle).
 
     Attributes:
-        order: as asked for (k,).
+        order: as required (k,).
         value: complex amplitudes (k,), unit of the curve.
         sd: standard deviation of their real and imaginary part (k,), from the residual.
         mean: of the curve.
@@ -42,7 +42,7 @@ def orders(
         drift: whether the curve may also creep in proportion to the angle; that part is fitted and left out.
 
     Raises:
-        ValueError: shapes that do not fit, numbers that are not finite, or more orders than the samples can tell.
+        ValueError: shapes that do not fit, numbers that are not finite, or more orders than the samples distinguish.
     """
     asked = np.asarray(orders, float)
     if asked.ndim != 1 or not (asked > 0).all() or np.unique(asked).size != asked.size or np.isinf(asked).any():

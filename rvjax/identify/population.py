@@ -1,4 +1,4 @@
-"""What a process really does: mean and spread of its elements, from the measurements of many units.
+"""Mean and standard deviation of a process, from the measurements of many units.
 
 Expectation maximisation (Dempster, Laird and Rubin 1977, J. R. Stat. Soc. B 39, 1). The elements of unit i are
 u_i = mu + D M z_i; given mu and D, what its linearised data say of it is normal. The next mu is the mean of the units'
@@ -14,21 +14,22 @@ from rvjax.identify.elements import FAR, Elements, mapped_values, standard
 
 ROUNDS = 1000
 SETTLED = 1e-6
-"""Largest change of a mean or spread, in standard deviations of the prior, at which they stand."""
+"""Largest change of a mean or spread, in standard deviations of the prior, that ends the iteration."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Process:
-    """Mean and spread over units of every element; where the data say nothing they are those of the prior.
+    """Mean and spread over units of every element; without information in the data they are those of the prior.
 
     Attributes:
         names: of the elements (p,).
-        u_mean: mean of the standard numbers, 0 for a process as drawn (p,).
-        u_sd: their spread, 1 for a process as drawn (p,).
-        u_mean_sd: standard deviation of the mean; beyond about 1 the data do not tell it (p,).
+        u_mean: mean of the standard numbers, 0 for the process of the drawing (p,).
+        u_sd: their spread, 1 for the process of the drawing (p,).
+        u_mean_sd: standard deviation of the mean; beyond about 1 the data do not determine it (p,).
         mean: {element: value at u_mean, SI}.
         sd: {element: half the distance of the values one spread to each side, SI}.
-        cp: {element: distance of the limits over six spreads}, on the scale of u; inf for laws within their limits.
+        cp: {element: distance of the limits over six spreads}, on the scale of u; inf for distributions within their
+            limits.
         cpk: {element: distance of the mean from the nearer limit over three spreads}.
         units: how many were used.
     """
@@ -112,7 +113,7 @@ def _mean_sd(slopes: np.ndarray, mixing: np.ndarray, spread: np.ndarray) -> np.n
 
 
 def _limits(elements: Elements) -> np.ndarray:
-    """Limits of the drawing on the scale of u (2, p), infinite where a law never reaches them."""
+    """Limits of the drawing on the scale of u (2, p), infinite where a distribution never reaches them."""
     active = elements.population.active
     ends = np.array([[float(active[f].lower), float(active[f].upper)] for f in elements.fields]).T
     vectors = np.array([active[f].is_vector for f in elements.fields])

@@ -1,4 +1,4 @@
-"""What `solve` finds: the most probable values of one unit, how well they are known, and whether they explain it."""
+"""Result of `solve`: most probable values of one unit, their uncertainty, and the goodness of fit."""
 
 import dataclasses
 import enum
@@ -15,7 +15,7 @@ from rvjax.status import SolveInfo, Status
 
 
 class Outcome(enum.StrEnum):
-    """How an identification ended; the first that holds speaks."""
+    """Status of an identification; the first that holds is returned."""
 
     NONFINITE = "NONFINITE"
     MAX_STEPS = "MAX_STEPS"
@@ -40,7 +40,7 @@ class Mode:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Posterior(Identifiability):
-    """What one unit's measurement says about its elements; all numbers NaN where `info` says that no mode was found.
+    """Elements of one unit from its measurement; all numbers are NaN where `info` reports that no mode was found.
 
     Attributes:
         names: of the elements, (p,).
@@ -66,7 +66,7 @@ class Posterior(Identifiability):
         residual: data less prediction, NaN where missing.
         status: NONFINITE, MAX_STEPS, REJECTED, MULTIMODAL, LAPLACE_DOUBTFUL or CONVERGED.
         info: of the solver alone; `rvjax.check` takes the result.
-        problem: what was asked; for `sample` and `predict`.
+        problem: model, prior and noise; for `sample` and `predict`.
         data: the measured numbers (m,), NaN where missing.
         peaks: the modes' numbers.
     """
@@ -93,7 +93,7 @@ class Posterior(Identifiability):
 
 
 def outcome(solver: int, adequate: bool, heavy: int, trusted: bool) -> Outcome:
-    """The first of the outcomes that holds."""
+    """Return the first outcome that holds."""
     if solver == Status.NONFINITE:
         return Outcome.NONFINITE
     if solver == Status.MAX_STEPS:

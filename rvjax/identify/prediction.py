@@ -68,7 +68,7 @@ def _summary(numbers: np.ndarray, confidence: float) -> Estimate:
 
 
 def _drawn(posterior: Posterior, draws: int, rng: np.random.Generator) -> np.ndarray:
-    """z (draws, n) from the normal laws about the modes, by their weights."""
+    """z (draws, n) from the normal distributions about the modes, by their weights."""
     weights = np.array([mode.weight for mode in posterior.modes])
     peaks = rng.choice(len(weights), draws, p=weights / weights.sum())
     normal = rng.standard_normal((draws, posterior.peaks[0].z.size))

@@ -1,4 +1,4 @@
-"""What is asked: a model, its prior, the noise of its observation; and the compiled programs that evaluate it."""
+"""Problem of an identification: model, prior, noise; and the compiled programs that evaluate it."""
 
 import dataclasses
 import math
@@ -22,7 +22,7 @@ from rvjax.response import PROGRAMS, per_response
 Model = Callable[[PyTree], PyTree]
 
 LANES = 64
-"""Points that are evaluated at once where only the density is asked."""
+"""Points that are evaluated at once where only the density is required."""
 
 
 class Given(NamedTuple):
@@ -44,7 +44,7 @@ class Problem:
         layout: of the observation.
         sd: noise of each real number (m,), unit of the observation.
         dof: of Student noise; inf is normal.
-        nuisance: places of elements that nobody asks about.
+        nuisance: places of elements that are not of interest.
     """
 
     model: Model
@@ -112,7 +112,7 @@ def residuals(model: Model, given: Given, y: jax.Array, u: jax.Array) -> tuple[j
 def slopes(function: Callable[[jax.Array], Any], u: jax.Array, size: int) -> tuple[jax.Array, jax.Array, Any]:
     """Value (m,), Jacobian (m, p) and what else a function gives, by the cheaper of forward and reverse mode.
 
-    A tangent costs about half of a cotangent. A model that knows only one of the two ways gets that one.
+    A tangent costs about half of a cotangent. If a model supports only one of the two, that one is used.
     """
     ways = [_forward, _reverse] if u.shape[0] <= 2 * size else [_reverse, _forward]
     try:

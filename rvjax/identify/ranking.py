@@ -1,9 +1,9 @@
-"""`rank_measurements`: which measurement to make next.
+"""`rank_measurements`: the next measurement with the most information.
 
-The gain of measurements about the elements asked for, I, is the expected fall of the entropy of u_I, in nats:
+The gain of measurements about the elements of interest, I, is the expected fall of the entropy of u_I, in nats:
 (ln det C_II - ln det C'_II)/2. It is computed as the information about all numbers less that about what u_I leaves
 open, [ln det(1 + J'J) - ln det(1 + Z'J'J Z)]/2 with Z the directions that leave u_I as it is: two sums of logarithms of
-numbers above 1, which keep their digits beside a wide nuisance. With nuisances gains are not submodular, two torques
+numbers above 1, which keep their digits next to a wide nuisance. With nuisances gains are not submodular, two torques
 cancel an offset that one cannot, so that choosing the best one after the other may miss the best set.
 """
 
@@ -27,10 +27,10 @@ BLOCK = 256
 
 @dataclasses.dataclass(frozen=True)
 class Ranking:
-    """Which measurements tell most.
+    """Measurements by information.
 
     Attributes:
-        gains: {candidate: nats about the elements asked for, if it alone is made}.
+        gains: {candidate: nats about the elements of interest, from this measurement only}.
         chosen: names of the best set found, the largest gain first.
         total: nats of that set.
         proved: whether all sets were tried.
@@ -54,13 +54,13 @@ def rank_measurements(
     correlation: Correlation = None,
     exhaustive: int = 5000,
 ) -> Ranking:
-    """The measurements that tell most about all elements but the nuisances.
+    """Rank measurements by their information about all elements except nuisances.
 
     Args:
         prior: record or dict with a `Tolerance`, a constant or None in each field.
         candidates: {name: model of what would be observed}.
         noise: of every candidate, or {name: Noise}.
-        nuisance: names of fields or elements nobody asks about.
+        nuisance: names of fields or elements that are not of interest.
         given: what was measured before; None: nothing.
         count: how many to choose; with `costs` and not 1, the budget that the costs of the set may not exceed.
         costs: {name: cost}; with a count of 1 the choice is the largest gain per cost.

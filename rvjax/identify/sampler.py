@@ -1,8 +1,8 @@
-"""`sample`: the posterior without the normal law about its mode, by the No-U-Turn sampler (Hoffman and Gelman 2014).
+"""`sample`: the posterior without the normal approximation, by the No-U-Turn sampler (Hoffman and Gelman 2014).
 
 Chains move in v, z = z^ + L v with L L' the covariance at the heaviest mode, where one step size fits all. They start
 around the modes in turn, at twice the spread: from one mode all of them would stay there and agree perfectly. Chains in
-different modes disagree; r_hat says so, and nothing is averaged away.
+different modes disagree; r_hat shows it.
 """
 
 import dataclasses
@@ -32,7 +32,7 @@ R_HAT, ESS, DIVERGENT = 1.01, 400.0, 0.01
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Draws:
-    """Values drawn from a posterior.
+    """Values sampled from a posterior.
 
     Attributes:
         value: structure of the prior, leaves (chains, draws, ...), SI.
@@ -54,7 +54,7 @@ class Draws:
 
 
 def sample(posterior: Posterior, *, chains: int = 4, warmup: int = 500, draws: int = 1000, seed: int = 0) -> Draws:
-    """Draws from a posterior; needs the extra `sampler`.
+    """Sample a posterior; needs the extra `sampler`.
 
     Args:
         posterior: of `solve`.
@@ -150,7 +150,7 @@ def run(
 
 
 def _density(apart: Any, dof: jax.Array | None, size: int) -> Any:
-    """Logarithm of the posterior's density over z, differentiable also where the model knows only tangents."""
+    """Logarithm of the posterior's density over z, differentiable also where the model supports only tangents."""
 
     def phi(residual: jax.Array) -> jax.Array:
         return -half_square(residual, dof)
@@ -194,7 +194,7 @@ def diagnosed(z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _normalised(chains: np.ndarray) -> np.ndarray:
-    from scipy import stats  # dear to import
+    from scipy import stats  # slow to import
 
     ranks = stats.rankdata(chains.reshape(-1, chains.shape[-1]), axis=0).reshape(chains.shape)
     return np.asarray(special.ndtri((ranks - 0.375) / (ranks.shape[0] * ranks.shape[1] + 0.25)))

@@ -1,4 +1,4 @@
-"""The modes of one unit's posterior: from the middle of the prior and from units drawn from it."""
+"""The modes of one unit's posterior: from the middle of the prior and from units sampled from it."""
 
 from typing import Any, NamedTuple
 
@@ -24,7 +24,7 @@ STEP_ASIDE = 0.1
 """Posterior standard deviations to each side at which a mode must be lower, or it is a saddle."""
 
 ROUNDS = 8
-"""Most times that starts are followed, those beside saddles included."""
+"""Most times that starts are followed, those next to saddles included."""
 
 
 class Peak(NamedTuple):
@@ -83,7 +83,7 @@ def search(
 
 
 def _ended(ended: list[Any], found: bool) -> SolveInfo:
-    """How the solver ended: at the lowest point of those that speak."""
+    """Return the status of the solver at the lowest usable point."""
     phi = np.concatenate([item.phi for item in ended])
     status = np.concatenate([item.info.status for item in ended])
     usable = status == Status.CONVERGED if found else np.isfinite(phi)
@@ -116,7 +116,7 @@ def _near(one: Peak, other: Peak, distance: float) -> bool:
 
 
 def _lower_beside(problem: Problem, y: np.ndarray, peak: Peak, draws: int) -> list[np.ndarray]:
-    """Two points beside a saddle, where slopes vanish by symmetry but Phi is lower to the side; none of a minimum."""
+    """Return two points next to a saddle, where slopes vanish but Phi is lower to the side; none for a minimum."""
     weakest = peak.spectrum.root[:, ::-1][:, : draws // 2]
     step = STEP_ASIDE * weakest
     points = np.concatenate([peak.z + step.T, peak.z - step.T])

@@ -1,6 +1,6 @@
-"""Units with elements of their own and elements that all share: one joint mode, by elimination of the own ones.
+"""Units with separate and shared elements: one joint mode, by elimination of the separate elements.
 
-Unit i with slopes J_i over its own z_i and K_i over the shared w adds rows [J_i, K_i | -r_i] to one least squares
+Unit i with slopes J_i over its separate z_i and K_i over the shared w adds rows [J_i, K_i | -r_i] to one least squares
 problem. The triangular factor of these rows, with the prior of z_i below them, has z_i above and leaves a few rows for
 w alone; those of all units together give the step of w, then each unit its own. So cov w = S^-1 and
 cov z_i = A_i^-1 + A_i^-1 B_i S^-1 B_i' A_i^-1 with A = I + J'J, B = J'K and S = I + sum (K'K - B'A^-1 B), without a
@@ -53,7 +53,7 @@ class Split:
         """The split of what users name.
 
         Raises:
-            ValueError: an unknown name, or a correlation between shared and own elements.
+            ValueError: an unknown name, or a correlation between shared and separate elements.
         """
         common = elements.places("shared", shared)
         own = np.setdiff1d(np.arange(elements.count), common)
@@ -84,7 +84,7 @@ def factored(model: Model, given: Given, y: jax.Array, z: jax.Array, order: jax.
 
 
 def linear_rows(problem: Problem, slopes: np.ndarray, u: np.ndarray, residual: np.ndarray) -> np.ndarray:
-    """Slopes (..., m, p) beside linearised data J u - r (..., m, p + 1); of normal noise turned into fewer rows."""
+    """Slopes (..., m, p) and linearised data J u - r (..., m, p + 1); of normal noise turned into fewer rows."""
     datum = (slopes @ u[..., None])[..., 0] - residual
     rows = np.concatenate([slopes, datum[..., None]], axis=-1)
     return compressed(rows) if np.isinf(problem.dof) else rows
@@ -144,7 +144,7 @@ class Joint:
         self.u_sd, self.shared_u, self.shared_sd = np.zeros((len(y), len(self.mixing))), self.w, self.w
 
     def evaluate(self, part: slice, z: np.ndarray, w: np.ndarray) -> list[np.ndarray]:
-        """What `factored` says of a chunk."""
+        """Evaluate `factored` for a chunk."""
         together = self.rows[0].stop
         numbers = np.zeros((together, self.mixing.shape[1]))
         own = z[part]
@@ -163,8 +163,8 @@ class Joint:
     def solve(self, start: np.ndarray, max_steps: int) -> None:
         """Go to the joint mode from a start z (n,), the same for every unit.
 
-        Each unit is damped by itself, so that one beside values where the model is not finite makes none of the others
-        stop short. A kink that moves with what is shared ends as MAX_STEPS: no step along it lowers every side.
+        Each unit has a separate damping, so that a unit where the model is not finite does not shorten the steps of
+        others. A kink that moves with what is shared ends as MAX_STEPS: no step along it lowers every side.
         """
         units = len(self.y)
         z, w = np.tile(start[self.split.own_columns], (units, 1)), start[self.split.shared_columns]
@@ -260,7 +260,7 @@ def joint_mode(
 
     Args:
         problem: of one unit.
-        split: into own and shared elements.
+        split: into separate and shared elements.
         y: data of all units (units, m).
         points: starts.
         max_steps: most steps from each.

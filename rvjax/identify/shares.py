@@ -1,4 +1,4 @@
-"""Whose fault is it: the part of each field in the explained observation, along the straight way from no error.
+"""Contribution of each field to the explained observation, along the straight path from zero error.
 
 c_F = integral_0^1 (df/de_F)(t e) e_F dt, so that the contributions sum to f(e) - f(0); in a group of the observation
 the share of F is <c_F, sum c>/<sum c, sum c>, weighed by 1/sd^2.

@@ -1,4 +1,4 @@
-"""`solve`: from the measurement of one unit back to the errors of its parts."""
+"""`solve`: errors of the parts of one unit from its measurement."""
 
 import dataclasses
 from collections.abc import Iterable
@@ -38,19 +38,20 @@ def solve(
     confidence: float = 0.95,
     limits: PyTree = None,
 ) -> Posterior:
-    """The errors that made one unit's measurement.
+    """Identify the errors of one unit from its measurement.
 
     Args:
         model: pure function, values of the prior's structure -> observation.
         prior: record or dict (nested ones too) with a `Tolerance`, a constant or None in each field.
         data: measured observation, NaN where missing.
         noise: of the observation.
-        nuisance: names of fields or elements nobody asks about; what they can do does not judge the model.
+        nuisance: names of fields or elements that are not of interest; the model check does not count what they
+            explain.
         correlation: {(field or element, field or element): correlation of their u}.
-        starts: the middle of the prior, and units drawn from it.
+        starts: the middle of the prior, and units sampled from it.
         seed: of starts and draws.
         max_steps: most steps of the solver.
-        draws: that judge Laplace's method, at least 40.
+        draws: that check Laplace's method, at least 40.
         confidence: of the intervals.
         limits: structure of the prior with the drawing's `Tolerance` in each field; None: the prior's own.
 
@@ -121,7 +122,7 @@ def _found(
 
 
 def _lost(problem: Problem, y: np.ndarray, info: SolveInfo) -> Posterior:
-    """No mode: every number is NaN, and the status says why."""
+    """No mode: every number is NaN, and the status gives the reason."""
     elements, layout, p = problem.elements, problem.layout, problem.elements.count
     nothing = np.full(p, np.nan)
     values, numbers = elements.structure(nothing), {name: np.nan for name in elements.names}
