@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from rvjax import catalogue, cli, designs, study
-from rvjax.commands import speak
-from rvjax.report import check
-from rvjax.study import answer, plausible, template
+from rvjax.commands import module, speak
+from rvjax.commands.init.compute import written as template
+from rvjax.study import answer, facts, plausible
 from rvjax.study.design import BASES
 from rvjax.units import mm
 
@@ -77,7 +77,7 @@ def test_least_curvature_radius_is_where_the_offset_flank_gets_its_cusp(pins, sh
     t = np.linspace(0, 2 * np.pi / (pins - 1), 20001)
     path = np.exp(1j * t) - shortening / pins * np.exp(1j * pins * t)
     along = 1j * (np.exp(1j * t) - shortening * np.exp(1j * pins * t))
-    least = check.least_curvature_radius(shortening, pins)
+    least = facts.least_curvature_radius(shortening, pins)
     for factor, turns in ((0.999, False), (1.001, True)):
         flank = path + 1j * along / np.abs(along) * factor * least
         forward = np.real(np.diff(flank) * np.conj(along[:-1] + along[1:]))
@@ -88,12 +88,12 @@ def test_contact_ratio_of_standard_gears():
     """20 and 40 teeth, 20 deg: by hand, lengths in modules: tips 11 and 21, bases 9.3969 and 18.7939, centres 30."""
     stage = designs.InvoluteStage.from_teeth(20, 40, module=2 * mm)
     by_hand = (np.sqrt(11**2 - 9.396926**2) + np.sqrt(21**2 - 18.793852**2) - 30 * np.sin(np.pi / 9)) / 2.952131
-    assert check.contact_ratio(stage) == pytest.approx(by_hand, rel=1e-6)
+    assert facts.contact_ratio(stage) == pytest.approx(by_hand, rel=1e-6)
 
 
 @pytest.mark.parametrize("base", sorted(BASES))
 def test_a_written_study_is_the_known_reducer(base):
-    text = template.written(base)
+    text = template(base)
     made = study.parse_study(text, name=base, solve=False)
     due, given = dict(plausible.numbers(BASES[base])), dict(plausible.numbers(made.design))
     for name, (value, _) in due.items():
@@ -169,10 +169,11 @@ def test_what_is_assumed_is_named_until_it_is_given():
     assert "cycloid.disc_count" in asked(DESIGN, DESIGN).assumed
     given = asked(DESIGN, DESIGN + '\ncranks.bearing_stiffness = "5e8 N/m"').assumed
     assert "cranks.bearing_stiffness" not in given and "cycloid.disc_count" in given
-    written = study.parse_study(template.written("rv-80e"), name="x", solve=False).assumed
+    written = study.parse_study(template("rv-80e"), name="x", solve=False).assumed
     modified = ["cycloid.equidistant_modification", "cycloid.shift_modification"]
     assert sorted(written) == sorted(catalogue.assumed("rv-80e") + modified)  # the file marks them
-    text = check.checked(asked(DESIGN, DESIGN))
+    inputs = module("check", "inputs").Inputs(asked(DESIGN, DESIGN), None)
+    text = module("check", "report").report(inputs, module("check", "compute").compute(inputs)).text()
     assert "Assumed, for nobody printed them: involute.pressure_angle, cycloid.disc_count, cycloid.equi" in text
 
 

@@ -14,12 +14,12 @@ import numpy as np
 import pytest
 
 from rvjax import levels, lost_motion, models, study
+from rvjax.commands import forecast
 from rvjax.levels.choice import design_numbers, reach
 from rvjax.levels.measure import evaluate, limits
 from rvjax.levels.table import Level, Model, Table, stored
 from rvjax.loaded.cases import MACHINE, WHOLE, cases
 from rvjax.outputs import Cases, Way
-from rvjax.report import check
 from rvjax.status import succeeded
 from rvjax.study.response import Response
 from rvjax.tolerances import Tolerance, for_design, sample
@@ -172,7 +172,7 @@ def test_a_study_says_what_its_level_leaves_out():
         (narrow, "error below 1.5 arcmin; it leaves out"),
     ):
         asked = study.parse_study(text, name="x", solve=False)
-        assert words in next(line for line in check.level_lines(asked) if line.startswith(NAME))
+        assert words in next(line for line in forecast.level_lines(asked) if line.startswith(NAME))
 
 
 @pytest.mark.long

@@ -9,39 +9,11 @@ from pathlib import Path
 from rvjax.commands import EXIT_NO_ANSWER, EXIT_OK, READING, WRITING, check_files, forewarn, say, tell
 
 
-def init(options: argparse.Namespace) -> int:
-    """A commented study file to change."""
-    from rvjax.files import check_writable, write_atomically
-    from rvjax.study import template
-
-    check_files(options, file=".toml")
-    path = Path(options.file)
-    if path.exists():
-        raise ValueError(f"{options.file}: exists already; name a new file")
-    check_writable(path)
-    write_atomically(path, template.written(options.base).encode("utf-8"))
-    said = f"{options.file}: a study of the {options.base} to change. Next: rvjax check {options.file}"
-    tell(options, lambda: said, lambda: {"study": options.file, "base": options.base})
-    return EXIT_OK
-
-
-def check_study(options: argparse.Namespace) -> int:
-    """What follows from a study, before anything is computed."""
-    from rvjax import study
-    from rvjax.report import check
-
-    check_files(options, picture=".png")
-    question = study.load(options.study, solve=False)
-    tell(options, lambda: check.checked(question), lambda: check.as_json(question))
-    if options.picture:
-        check.drawn(question, options.picture)
-    return EXIT_OK
-
-
 def allocate(options: argparse.Namespace) -> int:
     """The cheapest tolerances that still meet the requirements."""
     from rvjax import progress, study
-    from rvjax.report import again, check, folders, text
+    from rvjax.commands import forecast
+    from rvjax.report import again, folders, text
     from rvjax.study.answer import answer
 
     asked = study.load(options.study, solve=False)
@@ -55,7 +27,7 @@ def allocate(options: argparse.Namespace) -> int:
     forewarn(asked)
     memo = again.memo(asked, folder)
     options.begun = lambda: memo.folder if memo and memo.folder.exists() else None
-    with progress.shown(check.phases_of(asked, READING, WRITING), quiet=options.quiet):
+    with progress.shown(forecast.phases_of(asked, READING, WRITING), quiet=options.quiet):
         progress.begin(READING)
         # The answer itself refuses a nominal unit without a solution.
         found = answer(asked, progress=not options.quiet, memo=memo)
@@ -72,9 +44,9 @@ def allocate(options: argparse.Namespace) -> int:
 def report(options: argparse.Namespace) -> int:
     """The same answer as one page."""
     from rvjax import progress, study
-    from rvjax.commands import module
+    from rvjax.commands import forecast, module
     from rvjax.files import check_writable, write_atomically
-    from rvjax.report import check, folders, page, text
+    from rvjax.report import folders, page, text
     from rvjax.report.surrogate import surrogate
     from rvjax.study.answer import answer
 
@@ -85,7 +57,7 @@ def report(options: argparse.Namespace) -> int:
     check_writable(path)
     forewarn(asked)
     sliders, writing = "numbers behind the sliders", "the page"
-    with progress.shown(check.phases_of(asked, READING, sliders, writing), quiet=options.quiet):
+    with progress.shown(forecast.phases_of(asked, READING, sliders, writing), quiet=options.quiet):
         progress.begin(READING)
         found = answer(asked, progress=not options.quiet)
         progress.begin(sliders)

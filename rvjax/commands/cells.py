@@ -5,6 +5,7 @@ from typing import Any
 
 from rvjax.outputs import Output
 from rvjax.render import Quantity
+from rvjax.study import Study
 from rvjax.tolerances import Limits, Statistics, Verdict
 
 
@@ -61,3 +62,12 @@ def limits_data(tolerance: Any) -> dict[str, Any]:
     """Limits and distribution of a tolerance as JSON values, SI."""
     lower, upper, cp, shift = (float(getattr(tolerance, name)) for name in ("lower", "upper", "cp", "shift"))
     return {"lower": lower, "upper": upper, "distribution": tolerance.distribution, "cp": cp, "shift": shift}
+
+
+def assumed_text(study: Study) -> str:
+    """The numbers that nobody printed; a part of which that holds for all stands for them."""
+    stated = [number for number in study.numbers if number.origin != "default"]
+    known = {number.path.rpartition(".")[0] for number in stated if not number.assumed} | {""}
+    paths = (number.path for number in stated if number.assumed)
+    parts = (path if path.rpartition(".")[0] in known else path.rpartition(".")[0] for path in paths)
+    return ", ".join(dict.fromkeys(parts))

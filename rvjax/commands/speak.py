@@ -44,12 +44,12 @@ def tell(options: argparse.Namespace, text: Callable[[], str], data: Callable[[]
 
 def forewarn(question: Any) -> None:
     """Before any work: numbers that look like a slip, and how each response with an accuracy will be computed."""
-    from rvjax.report import check
+    from rvjax.commands import forecast
 
     for line in question.doubts:
         say(f"rvjax: warning: {line}", file=sys.stderr)
     if question.accuracy:
-        for line in [*check.level_lines(question), check.expected(question)]:
+        for line in [*forecast.level_lines(question), forecast.expected(question)]:
             say(f"rvjax: {line}", file=sys.stderr)
 
 

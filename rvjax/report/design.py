@@ -6,9 +6,9 @@ from typing import Any
 from rvjax import catalogue
 from rvjax.designs import RVReducer
 from rvjax.plotting.style import words
-from rvjax.report.check import facts
 from rvjax.report.html import figure, micro, section, table
 from rvjax.report.pictures import Picture, saved
+from rvjax.study.facts import facts_of
 from rvjax.study.plausible import shown
 from rvjax.study.question import Study
 
@@ -21,7 +21,7 @@ def design_section(study: Study) -> str:
         title = f"{escape(words(number.path.replace('.', ' ')))}<small>{escape(number.meaning)}</small>"
         mark = "<strong>assumed</strong>" if number.assumed else ""
         cells.append([title, _typed(value_text(number.value, number.unit)), escape(number.origin), mark])
-    for name, value in facts(study.design):
+    for name, value in facts_of(study.design):
         cells.append([escape(name), _typed(value), "follows from the numbers above", ""])
     assumed = (
         "<p>Nobody printed the numbers marked <strong>assumed</strong>: the answer holds as far as they do.</p>"

@@ -4,10 +4,10 @@ import dataclasses
 from typing import Any
 
 from rvjax import progress
+from rvjax.commands import forecast
 from rvjax.commands.compare.crossed import Crossed, crossed
 from rvjax.commands.compare.inputs import Inputs
 from rvjax.commands.compare.results import compared
-from rvjax.report import check
 
 
 @dataclasses.dataclass(frozen=True)
@@ -31,7 +31,7 @@ def phases(asked: Inputs) -> dict[str, float]:
     """
     if asked.study is None:
         return {}
-    seconds = 5.0 + (check.unit_seconds(asked.study) or 0.0) * (asked.samples or asked.study.certificate_samples)
+    seconds = 5.0 + (forecast.unit_seconds(asked.study) or 0.0) * (asked.samples or asked.study.certificate_samples)
     return dict.fromkeys(map(_drawing, asked.answers), seconds)
 
 

@@ -6,16 +6,27 @@ from collections.abc import Iterator
 from typing import Any
 
 from rvjax import catalogue
+from rvjax.commands.init.inputs import Inputs
 from rvjax.designs import InvoluteStage, RVReducer
-from rvjax.study.design import BASES
-from rvjax.study.plausible import RATED, shown
-from rvjax.study.question import StudyError
-from rvjax.study.read import EMBEDDED, load, parse_study
-from rvjax.study.values import choice
+from rvjax.study import BASES, EMBEDDED, RATED, StudyError, choice, load, parse_study, shown
 from rvjax.units import KNOWN
 
 FOLLOWS = ("centre_distance", "sun_radius", "sun_base_radius", "planet_base_radius")  # of standard gears
 QUESTIONS = {"rv": "rv-40e", "oscillatory-roller": "corr"}
+
+
+def phases(asked: Inputs) -> dict[str, float]:
+    """No phases: a second of work.
+
+    Args:
+        asked: what is computed.
+    """
+    return {}
+
+
+def compute(asked: Inputs) -> str:
+    """Text of the new study."""
+    return written(asked.base)
 
 
 def written(base: str) -> str:

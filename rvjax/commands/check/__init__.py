@@ -1,0 +1,1 @@
+"""`rvjax check`: the values that follow from a study, before anything is computed."""

@@ -1,0 +1,62 @@
+"""Values of a study next to those of known reducers, and the levels of its responses."""
+
+import dataclasses
+from typing import Any
+
+from rvjax import models
+from rvjax.commands.check.inputs import Inputs
+from rvjax.commands.forecast import choices
+from rvjax.designs import RVReducer
+from rvjax.levels import Choice
+from rvjax.study import KNOWN_DESIGNS, TORQUE, Study, facts_of, numbers, shown
+
+
+@dataclasses.dataclass(frozen=True)
+class Checked:
+    """What follows from a study.
+
+    Attributes:
+        facts: (name, value) of what follows from the design.
+        magnitudes: (number, value, range of known reducers or None), as text in suited units.
+        levels: of each response.
+    """
+
+    facts: list[tuple[str, str]]
+    magnitudes: list[tuple[str, str, str | None]]
+    levels: dict[str, Choice]
+
+
+def phases(asked: Inputs) -> dict[str, float]:
+    """No phases: a second of work.
+
+    Args:
+        asked: what is computed.
+    """
+    return {}
+
+
+def compute(asked: Inputs) -> Checked:
+    """What follows from the study."""
+    question = asked.study
+    return Checked(list(facts_of(question.design)), _magnitudes(question), choices(question))
+
+
+def _magnitudes(question: Study) -> list[tuple[str, str, str | None]]:
+    known = [dict(numbers(one)) for one in KNOWN_DESIGNS if type(one) is type(question.design)]
+    rows: list[tuple[str, str, str | None]] = []
+    for name, (value, unit) in numbers(question.design):
+        seen = [one[name][0] for one in known if name in one]
+        span = f"{shown(min(seen), unit)} to {shown(max(seen), unit)}" if seen else None
+        rows.append((name, shown(value, unit), span))
+    kind = models.kind(question.design)
+    for f in dataclasses.fields(kind.conditions):
+        value = getattr(question.conditions, f.name)
+        if f.name in kind.conditions_of(tuple(question.requirements)) and value is not None:
+            number = shown(value, f.metadata["unit"]) if isinstance(value, float) else str(value)
+            span = f"up to {shown(TORQUE[1], 'N m')}" if _rated(question, f) else None
+            rows.append((f"conditions.{f.name}", number, span))
+    return rows
+
+
+def _rated(question: Study, condition: dataclasses.Field[Any]) -> bool:
+    return bool(condition.metadata["torque"]) and isinstance(question.design, RVReducer)

@@ -1,0 +1,84 @@
+"""What `rvjax check` says: facts, magnitudes, limits, levels, time, warnings."""
+
+import dataclasses
+from typing import Any
+
+from rvjax.commands.cells import assumed_text, limits_data, limits_of
+from rvjax.commands.check.compute import Checked
+from rvjax.commands.check.inputs import Inputs
+from rvjax.commands.forecast import expected, level_lines
+from rvjax.render import Figure, Limits, Note, Report, Table, Text
+from rvjax.study import Study, numbers
+
+
+def report(asked: Inputs, found: Checked) -> Report:
+    """The report on a study.
+
+    Args:
+        asked: inputs of the command.
+        found: its result.
+    """
+    return Report(
+        title=f"{asked.study.name}: check",
+        content=tuple(_content(asked.study, found)),
+        data=_data(asked.study, found),
+        exports={asked.picture: drawing(asked.study.design).content()} if asked.picture else {},
+    )
+
+
+def _content(study: Study, found: Checked) -> list[Note | Table]:
+    head = [f"Study {study.name}: {type(study.design).__name__}", *filter(None, [study.about.line()])]
+    magnitudes = Table("numbers", [Text(t) for t in ("number", "this study", "known reducers")], found.magnitudes)
+    rows = [(getattr(study.tolerances, field), field) for field in study.fields]
+    tolerances = Table(
+        "tolerances",
+        [Text("error"), Limits("limits"), Text("law")],
+        [[field, limits_of(tolerance, study.unit(field)), tolerance.distribution] for tolerance, field in rows],
+    )
+    how = [f"  {line}" for line in [*level_lines(study), expected(study)]]
+    left = ["Not in the models asked:", *(f"  {line}" for line in study.left_out)]
+    said: list[Note | Table] = [
+        Note("\n".join(head)),
+        Note("\n".join(f"{name:32} {value}" for name, value in found.facts)),
+        magnitudes,
+        tolerances,
+        Note("\n".join(["How it will be computed:", *how])),
+        *([Note(f"Assumed, for nobody printed them: {assumed_text(study)}")] if study.assumed else []),
+        Note("\n".join(left)),
+        Note("\n".join(f"doubtful: {line}" for line in study.doubts) or "No doubts."),
+    ]
+    return [part for part in said if not isinstance(part, Note) or part.text]
+
+
+def _data(study: Study, found: Checked) -> dict[str, Any]:
+    return {
+        "study": study.name,
+        "about": study.about,
+        "design": type(study.design).__name__,
+        "facts": dict(found.facts),
+        "numbers": {name: {"value": value, "unit": unit} for name, (value, unit) in numbers(study.design)},
+        "conditions": dataclasses.asdict(study.conditions),
+        "tolerances": {
+            field: {"unit": study.unit(field)} | limits_data(getattr(study.tolerances, field)) for field in study.fields
+        },
+        "levels": {
+            name: {"level": choice.level, "error": choice.bound, "unit": study.output(name).unit, "why": choice.why}
+            for name, choice in found.levels.items()
+        },
+        "time": expected(study),
+        "left_out": study.left_out,
+        "doubts": study.doubts,
+    }
+
+
+def drawing(design: Any) -> Figure:
+    """A drawing of an RV reducer to scale."""
+
+    def draw() -> Any:
+        import matplotlib.pyplot as plt
+
+        from rvjax.plotting import drawings
+
+        return drawings.reducer(design, axes=plt.figure(figsize=(7, 7), layout="constrained").add_subplot())
+
+    return Figure("design", "The reducer to scale", draw)

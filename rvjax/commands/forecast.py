@@ -1,0 +1,51 @@
+"""How and how long a study will be computed: levels, phases, seconds."""
+
+from rvjax import levels
+from rvjax.levels import Choice
+from rvjax.progress import spelled
+from rvjax.study import Study
+from rvjax.study.answer import CERTIFYING, PRICING, SAMPLING, SEARCHING, solved_units
+
+CHUNK = 32_768  # units at once
+
+
+def choices(question: Study) -> dict[str, Choice]:
+    """How each response will be computed: as the accuracy asks, else as the conditions say."""
+    outputs = tuple(question.requirements)
+    given = levels.as_given(question.design, outputs, question.conditions, tolerances=question.tolerances)
+    return given | question.choices()
+
+
+def level_lines(question: Study) -> list[str]:
+    """One line for each response: its level, that level's error, and why."""
+    lines = []
+    for name, choice in choices(question).items():
+        unit, size = question.output(name).shown
+        error = "" if choice.bound is None else f"error < {choice.bound / size:.2g} {unit}; "
+        lines.append(f"{name}: {choice.level} ({error}{choice.why})")
+    return lines
+
+
+def expected(question: Study) -> str:
+    """Time and memory of an allocation, from the measured time of a unit, in words."""
+    unit = unit_seconds(question)
+    if unit is None:
+        return "time: unknown, for nobody has measured these levels"
+    return (
+        f"time: about {spelled(unit * sum(solved_units(question).values()))} of computation on the two cores of the "
+        "measured table, besides tracing and compilation (20 s for an RV-40E, 45 s at the first run); "
+        f"chunks of {CHUNK:,} units, memory does not grow with their number"
+    )
+
+
+def phases_of(question: Study, before: str, *after: str) -> dict[str, float]:
+    """Seconds of each phase of an answer, on the machine of the measured table, its compilation included."""
+    unit, compiling = unit_seconds(question) or 0.0, {SEARCHING: 20.0, CERTIFYING: 1.0, SAMPLING: 16.0, PRICING: 12.0}
+    spent = {phase: compiling[phase] + unit * units for phase, units in solved_units(question).items()}
+    return {before: 6.0} | spent | dict.fromkeys(after, 10.0)
+
+
+def unit_seconds(question: Study) -> float | None:
+    """Time of one unit on two cores, or None where a level was never measured."""
+    found = [choice.ns for choice in choices(question).values()]
+    return None if None in found else 1e-9 * sum(ns for ns in found if ns is not None)

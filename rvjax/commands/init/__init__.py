@@ -1,0 +1,1 @@
+"""`rvjax init`: a commented study file to change."""

@@ -1,0 +1,34 @@
+"""What `rvjax init` reads: the name of the new file, and a known reducer."""
+
+import argparse
+from dataclasses import dataclass
+from pathlib import Path
+
+from rvjax.commands.speak import check_files
+from rvjax.files import check_writable
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """What the command needs.
+
+    Attributes:
+        file: new one, as named.
+        base: known reducer.
+    """
+
+    file: str
+    base: str
+
+
+def inputs(options: argparse.Namespace) -> Inputs:
+    """The inputs that the options name.
+
+    Raises:
+        ValueError: the file exists, or cannot be written.
+    """
+    check_files(options, file=".toml")
+    if Path(options.file).exists():
+        raise ValueError(f"{options.file}: exists already; name a new file")
+    check_writable(Path(options.file))
+    return Inputs(options.file, options.base)

@@ -1,0 +1,23 @@
+"""What `rvjax init` says: where the study is, and what to do next."""
+
+from pathlib import Path
+
+from rvjax.commands.init.inputs import Inputs
+from rvjax.render import Report
+
+
+def report(asked: Inputs, found: str) -> Report:
+    """The report on a new study.
+
+    Args:
+        asked: inputs of the command.
+        found: text of the study.
+    """
+    file, base = asked.file, asked.base
+    return Report(
+        title=file,
+        content=(),
+        data={"study": file, "base": base},
+        exports={Path(file): found.encode("utf-8")},
+        closing=(f"{file}: a study of the {base} to change. Next: rvjax check {file}",),
+    )
