@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax.compile_cache import quick
+from rvjax.compile_cache import ONCE, quick
 from rvjax.designs import RVReducer
 from rvjax.errors import RVErrors
 from rvjax.loaded.balance import attach, balance, compliance, forces
@@ -73,7 +73,7 @@ def equilibrium(
     return _equilibrium(layout, design, errors, input_angle, output_torque)
 
 
-@quick(0)
+@quick(0, options=ONCE)
 def _equilibrium(layout: Layout, design: RVReducer, errors: RVErrors, input_angle: Any, output_torque: Any) -> Loaded:
     read = admit(layout, design, errors, output_torque, input_angle)
     case = prepare(layout, read, read.angle).loaded(read.torque)

@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 
 from rvjax import models
+from rvjax.compile_cache import ONCE
 from rvjax.errors import described
 from rvjax.levels import Choice
 from rvjax.outputs import Reading, Solved, Source
@@ -110,7 +111,7 @@ def followed_bounds(tolerances: Any) -> tuple[str, ...]:
     return tuple(name for name, bound in bounds.items() if bound.placed in given and name not in given)
 
 
-@per_response(options=(("xla_backend_optimization_level", 0),))  # for one call; compiles in half the time
+@per_response(options=ONCE)
 def _status(response: Callable[[Any], Outcome], errors: Any) -> jax.Array:
     return response(errors).status
 
