@@ -1,6 +1,6 @@
 """Progress of a run of the command line: one line with its phase, its time so far and the estimated rest.
 
-Whoever works calls `begin` and `detail`; without somebody who watches (`shown`) both do nothing.
+Computations call `begin` and `detail`. Outside `shown` both do nothing.
 """
 
 import contextlib
@@ -9,59 +9,71 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextvars import ContextVar
 from typing import Any, TextIO
-
-TICK = 0.5  # s between two looks of a terminal
-TRUSTED = 15.0  # s of what is expected: a phase of a second does not show the pace
-HEARD = 4.0  # s after which a file or pipe, which has no line to write over, hears of a phase: bad input ends before
-STILL = 20.0  # s after which it hears of the same phase again
 
 
 class Phases:
     """The phases of one run and how far it is."""
 
-    def __init__(self, expected: Mapping[str, float], stream: TextIO, counted: str = "") -> None:
-        """Nothing has begun.
+    def __init__(
+        self,
+        expected: Mapping[str, float],
+        stream: TextIO,
+        counted: str = "",
+        *,
+        clock: Callable[[], float] = time.monotonic,
+        tick: float = 0.5,
+        trusted: float = 15.0,
+        first: float = 4.0,
+        again: float = 20.0,
+    ) -> None:
+        """Prepare the line; no phase has begun.
 
         Args:
             expected: seconds of each phase, in their order, on some computer; only their ratios count later.
             stream: where the line goes.
-            counted: the phase whose details say how much of it is done.
+            counted: the phase whose details contain the finished part of it.
+            clock: s, of the run.
+            tick: s between two updates on a terminal.
+            trusted: s of expected time before the pace counts: a phase of a second does not show it.
+            first: s until a file or pipe gets the line of a phase; bad input ends earlier and stays one line.
+            again: s until it gets the line of the same phase again.
         """
         self.expected, self.stream, self.counted = dict(expected), stream, counted
+        self.clock, self.tick, self.trusted, self.first, self.again = clock, tick, trusted, first, again
         self.names = list(expected)
         self.terminal = stream.isatty()
         self.spent: dict[str, float] = {}
-        self.name, self.since, self.said, self.note, self.part = "", time.monotonic(), 0.0, "", 0.0
+        self.name, self.since, self.said, self.note, self.part = "", self.clock(), 0.0, "", 0.0
         self._lock, self._over = threading.Lock(), threading.Event()
         self._watch = threading.Thread(target=self._tick, daemon=True)
 
     def begin(self, name: str) -> None:
-        """The phase before ends here; a name that is not expected belongs to the phase that it happens in."""
+        """Begin a phase and end the one before; a name that is not expected is a detail of the current phase."""
         if name not in self.expected:
             return self.detail(name)
         with self._lock:
             self._end()
-            self.name, self.since, self.note, self.part = name, time.monotonic(), "", 0.0
-            self.said = self.since - STILL + HEARD
+            self.name, self.since, self.note, self.part = name, self.clock(), "", 0.0
+            self.said = self.since - self.again + self.first
             if self.terminal:
                 self._show()
 
     def detail(self, note: str, part: float = 0.0) -> None:
-        """What the phase does now, such as "certifying 40 %", for the next look at it; `part` of it is done."""
+        """Note the current work, such as "certifying 40 %", for the next update; `part` of the phase is done."""
         self.note, self.part = note, part
 
     def left(self) -> float | None:
-        """Seconds until the end: what is expected, at the pace so far; None where nothing was expected."""
+        """Seconds until the end: the expected rest at the pace so far; None without expected times."""
         done = sum(self.expected[name] for name in self.spent)
-        here, now = self.expected.get(self.name, 0.0), time.monotonic() - self.since
+        here, now = self.expected.get(self.name, 0.0), self.clock() - self.since
         if self.name == self.counted and self.part > 0.01:
             return now * (1 / self.part - 1)
         if not any(self.expected.values()):
             return None
-        pace = (sum(self.spent.values()) + TRUSTED) / (done + TRUSTED)
+        pace = (sum(self.spent.values()) + self.trusted) / (done + self.trusted)
         rest = sum(seconds for name, seconds in self.expected.items() if name not in self.spent and name != self.name)
         # A phase that takes longer than expected lengthens the estimate of the rest.
         return max(0.0, pace * here - now) + max(pace, now / here if here else 0.0) * rest
@@ -70,17 +82,17 @@ class Phases:
         """Current text of the line."""
         number = self.names.index(self.name) + 1
         note = f", {self.note}" if self.note else ""
-        left, taken = self.left(), spelled(time.monotonic() - self.since)
+        left, taken = self.left(), spelled(self.clock() - self.since)
         rest = "" if left is None else f"about {spelled(left)} left, "
         return f"phase {number} of {len(self.names)}, {rest}{taken} in: {self.name}{note}"
 
     def _end(self) -> None:
         if self.name:
-            self.spent[self.name] = time.monotonic() - self.since
+            self.spent[self.name] = self.clock() - self.since
 
     @contextlib.contextmanager
     def aside(self) -> Iterator[None]:
-        """The line makes way for what is printed inside."""
+        """Clear the line while something else is printed inside."""
         with self._lock:
             self._wipe()
             yield
@@ -88,7 +100,7 @@ class Phases:
     def _show(self) -> None:
         if not self.name:
             return
-        self.said = time.monotonic()
+        self.said = self.clock()
         if self.terminal:
             width = shutil.get_terminal_size((80, 24)).columns - 1
             self._write(f"\r{self.line()[:width]:<{width}}")
@@ -105,9 +117,9 @@ class Phases:
             self.stream.flush()
 
     def _tick(self) -> None:
-        while not self._over.wait(TICK):
+        while not self._over.wait(self.tick):
             with self._lock:
-                if self.terminal or time.monotonic() - self.said > STILL:
+                if self.terminal or self.clock() - self.said > self.again:
                     self._show()
 
     def __enter__(self) -> "Phases":
@@ -136,8 +148,15 @@ def shown(expected: Mapping[str, float], *, counted: str = "", quiet: bool = Fal
     if quiet:
         yield
         return
-    with Phases(expected, sys.stderr, counted) as watched:
-        token = _WATCHED.set(watched)
+    with watched(Phases(expected, sys.stderr, counted)):
+        yield
+
+
+@contextlib.contextmanager
+def watched(phases: Phases) -> Iterator[None]:
+    """Show these phases of what runs inside."""
+    with phases:
+        token = _WATCHED.set(phases)
         try:
             yield
         finally:
@@ -145,18 +164,18 @@ def shown(expected: Mapping[str, float], *, counted: str = "", quiet: bool = Fal
 
 
 def begin(name: str) -> None:
-    """A phase begins; its name is one that is expected, or a detail of the one that runs."""
-    if (watched := _WATCHED.get()) is not None:
-        watched.begin(name)
+    """Begin a phase. A name that is not expected is a detail of the current phase."""
+    if (phases := _WATCHED.get()) is not None:
+        phases.begin(name)
 
 
 def detail(note: str, part: float = 0.0) -> bool:
     """Report what the phase does now; False without a progress line."""
     _go_on()
-    watched = _WATCHED.get()
-    if watched is not None:
-        watched.detail(note, part)
-    return watched is not None
+    phases = _WATCHED.get()
+    if phases is not None:
+        phases.detail(note, part)
+    return phases is not None
 
 
 _ASKED: list[BaseException] = []
@@ -164,9 +183,9 @@ _ASKED: list[BaseException] = []
 
 @contextlib.contextmanager
 def ended_by(number: int, error: BaseException) -> Iterator[None]:
-    """What runs inside is ended by a signal: an error is raised there, at the latest where work goes one step on.
+    """End what runs inside by a signal: raise an error there, at the latest at its next step.
 
-    An exception out of a callback of the garbage collector, of which JAX has one, is lost.
+    Python drops an exception from a callback of the garbage collector; JAX has such a callback.
 
     Args:
         number: of the signal; without effect outside the main thread.
@@ -195,9 +214,9 @@ def _go_on() -> None:
 
 @contextlib.contextmanager
 def progress_bar(shown: bool, total: int | None, description: str, unit: str, *, initial: int = 0) -> Iterator[Any]:
-    """A function that advances a tqdm bar, or does nothing; the bar says "compiling" until its first call.
+    """A function that advances a tqdm bar, or does nothing; the bar shows "compiling" until its first call.
 
-    Where a command shows its phases, it becomes a detail of the phase, whether required or not.
+    If a command shows its phases, the bar is a detail of the phase, also with `shown=False`.
 
     Args:
         shown: whether there is a bar.
@@ -236,7 +255,7 @@ def progress_bar(shown: bool, total: int | None, description: str, unit: str, *,
 @contextlib.contextmanager
 def aside() -> Iterator[None]:
     """Print on a separate line inside."""
-    with contextlib.nullcontext() if (watched := _WATCHED.get()) is None else watched.aside():
+    with contextlib.nullcontext() if (phases := _WATCHED.get()) is None else phases.aside():
         yield
 
 

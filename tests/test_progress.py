@@ -18,49 +18,48 @@ class Terminal(io.StringIO):
         return True
 
 
-@pytest.fixture
-def clock(monkeypatch):
+class Clock:
     """Seconds that pass when the test says so."""
-    now = [0.0]
-    monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
-    monkeypatch.setattr(progress, "TRUSTED", 1e-9)
-    return now
+
+    now = 0.0
+
+    def __call__(self):
+        return self.now
 
 
-def test_what_is_left_follows_the_pace_so_far(clock):
-    run = progress.Phases(EXPECTED, io.StringIO())
+def test_what_is_left_follows_the_pace_so_far():
+    clock = Clock()
+    run = progress.Phases(EXPECTED, io.StringIO(), clock=clock, trusted=1e-9)
     run.begin("reading")
     assert run.left() == pytest.approx(50)
-    clock[0] = 5
+    clock.now = 5
     assert run.left() == pytest.approx(45)
-    clock[0] = 20  # twice as slow
+    clock.now = 20  # twice as slow
     run.begin("searching")
     assert run.left() == pytest.approx(60 + 20)
-    clock[0] = 110  # 90 s in a phase of 30: its end is due, and the rest takes three times as long
+    clock.now = 110  # 90 s in a phase of 30: its end is due, and the rest takes three times as long
     assert run.left() == pytest.approx(30)
     run.detail("7 steps")
     assert run.line() == "phase 2 of 3, about 30 s left, 90 s in: searching, 7 steps"
 
 
-def test_a_phase_that_counts_knows_its_end(clock):
-    run = progress.Phases({"reading": 5.0, "drawing": 0.0}, io.StringIO(), "drawing")
+def test_the_rest_of_a_counted_phase_follows_from_its_part():
+    clock = Clock()
+    run = progress.Phases({"reading": 5.0, "drawing": 0.0}, io.StringIO(), "drawing", clock=clock)
     run.begin("reading")
     run.begin("drawing")
-    clock[0] = 30
+    clock.now = 30
     run.detail("drawing 25 %", 0.25)
     assert run.left() == pytest.approx(90)
-    nobody = progress.Phases({"fit": 0.0}, io.StringIO())
-    nobody.begin("fit")
-    assert nobody.left() is None and nobody.line() == "phase 1 of 1, 0 s in: fit"
+    unknown = progress.Phases({"fit": 0.0}, io.StringIO(), clock=clock)
+    unknown.begin("fit")
+    assert unknown.left() is None and unknown.line() == "phase 1 of 1, 0 s in: fit"
 
 
 @pytest.mark.parametrize("stream", [io.StringIO(), Terminal()])
 def test_a_file_gets_a_line_for_each_phase_and_a_terminal_one_that_fits(stream, monkeypatch):
-    monkeypatch.setattr(progress, "TICK", 0.005)
-    monkeypatch.setattr(progress.sys, "stderr", stream)
-    monkeypatch.setattr(progress, "HEARD", 0.01)
     monkeypatch.setenv("COLUMNS", "40")
-    with progress.shown(EXPECTED):
+    with progress.watched(progress.Phases(EXPECTED, stream, tick=0.005, first=0.01)):
         progress.begin("reading")
         progress.begin("no phase of this run, but a detail")
         time.sleep(0.05)
@@ -74,30 +73,35 @@ def test_a_file_gets_a_line_for_each_phase_and_a_terminal_one_that_fits(stream, 
         assert text.count("\r") > 4 and "\r" + 39 * " " + "\rtold\n" in text and text.endswith("\r")
     else:
         assert [line[:19] for line in text.splitlines()] == ["rvjax: phase 1 of 3", "rvjax: phase 3 of 3", "told"]
-    assert not progress.detail("nobody watches")
+    assert not progress.detail("outside")
 
 
-def test_a_long_phase_is_heard_of_again_in_a_file(monkeypatch):
-    monkeypatch.setattr(progress, "TICK", 0.005)
-    monkeypatch.setattr(progress, "STILL", 0.02)
-    monkeypatch.setattr(progress, "HEARD", 0.01)
+def test_a_file_gets_the_line_of_a_long_phase_again():
     stream = io.StringIO()
-    with progress.Phases(EXPECTED, stream) as run:
+    with progress.Phases(EXPECTED, stream, tick=0.005, first=0.01, again=0.02) as run:
         run.begin("searching")
         time.sleep(0.2)
     assert stream.getvalue().count("phase 2 of 3") > 1
 
 
-def test_a_run_of_units_says_how_far_it_is(monkeypatch):
-    seen, stream = [], io.StringIO()
-    monkeypatch.setattr(progress.sys, "stderr", stream)
-    monkeypatch.setattr(progress.Phases, "detail", lambda self, note, part=0.0: seen.append((note, part)))
-    one = {"x": tolerances.Tolerance.symmetric(1.0)}
-    with progress.shown({"drawing": 1.0}):
+class Kept(progress.Phases):
+    """Phases that keep their details."""
+
+    def __init__(self, *arguments):
+        super().__init__(*arguments)
+        self.details = []
+
+    def detail(self, note, part=0.0):
+        self.details.append((note, part))
+
+
+def test_a_run_of_units_reports_its_part():
+    one, kept = {"x": tolerances.Tolerance.symmetric(1.0)}, Kept({"drawing": 1.0}, io.StringIO())
+    with progress.watched(kept):
         progress.begin("drawing")
         tolerances.monte_carlo(lambda e: e["x"], one, samples=200, seed=0, chunk=100)
     whole = ("Monte Carlo 100 %", 1.0)
-    assert seen == [("compiling", 0.0), ("Monte Carlo 50 %", 0.5), whole, whole]
+    assert kept.details == [("compiling", 0.0), ("Monte Carlo 50 %", 0.5), whole, whole]
 
 
 def test_a_signal_whose_exception_is_lost_ends_the_next_step(monkeypatch):
@@ -134,12 +138,12 @@ def test_bad_input_stays_one_line_in_a_file():
     assert stream.getvalue() == ""
 
 
-def test_quiet_shows_nothing(monkeypatch):
-    stream = Terminal()
-    monkeypatch.setattr(progress.sys, "stderr", stream)
-    with progress.shown(EXPECTED, quiet=True):
-        progress.begin("reading")
-    assert stream.getvalue() == ""
+def test_quiet_shows_nothing(capsys):
+    with progress.shown({"reading": 10.0}, quiet=True):
+        assert not progress.detail("a detail")
+    with progress.shown({"reading": 10.0}):
+        assert progress.detail("a detail")
+    assert capsys.readouterr().err == ""  # a phase of no time stays silent in a file
 
 
 @pytest.mark.parametrize(("seconds", "said"), [(0.4, "0 s"), (99, "99 s"), (150, "2 min"), (7200, "2.0 h")])
