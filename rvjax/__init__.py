@@ -35,7 +35,7 @@ _HOMES = {
         "Stiffness"
     ),
     "dynamics": (
-        "Block Blocks DynamicError EnergyShares ErrorExcitation ErrorStatistics Floquet Lumped Modes Periodic "
+        "Block Blocks DynamicError ErrorExcitation ErrorStatistics Floquet Lumped Modes Periodic "
         "Response SpeedSweep Static System"
     ),
     "errors": "CamRollerErrors RVErrors",

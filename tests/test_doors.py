@@ -98,10 +98,6 @@ CALLS = {  # name: one call of the door for each way that is decided before the 
         for law in ("linear",)
     ],
     "mesh_force.contact_pressure": [lambda x: mesh_force.contact_pressure(CORR, pressed(x), output_angle=x)],
-    "mesh_force.load_sharing": [lambda x: mesh_force.load_sharing(CORR, pressed(x), output_angle=x)],
-    "mesh_force.mesh_stiffness": [
-        lambda x: mesh_force.mesh_stiffness(CORR, rollers(x), input_torque=100 * x, output_angle=x)
-    ],
     "mesh_force.cycle_statistics": [
         lambda x: mesh_force.cycle_statistics(
             CORR, CamRollerErrors(x * um, 0.0, 0.0), input_torque=100 * x, contact="linear", samples=2
@@ -127,7 +123,6 @@ CALLS = {  # name: one call of the door for each way that is decided before the 
     "dynamics.lump": [lambda x: dynamics.lump(sounder(x))],
     "dynamics.with_deviations": [lambda x: dynamics.with_deviations(RV_320E, {"inertia.sun_mass": x})],
     "dynamics.modes": [lambda x: dynamics.modes(sounder(x))],
-    "dynamics.energy_shares": [lambda x: dynamics.energy_shares(sounder(x), dynamics.modes(sounder(x)))],
     "dynamics.static": [lambda x: dynamics.static(sounder(x), output_torque=x)],
     "dynamics.response": [lambda x: dynamics.response(sounder(x), harmonics=1, **SPIN)],
     "dynamics.constant_forcing": [lambda x: dynamics.constant_forcing(sounder(x), harmonics=1, **SPIN)],
@@ -237,7 +232,6 @@ WRONG = {  # doors that take a design, each called with one of another kind
     "mesh_force.solve": lambda d, e: mesh_force.solve(d, e, input_torque=1.0, output_angle=0.0),
     "mesh_force.cycle_statistics": lambda d, e: mesh_force.cycle_statistics(d, e, input_torque=1.0),
     "mesh_force.sweep": lambda d, e: mesh_force.sweep(d, e, "eccentricity", np.ones(2), input_torque=1.0),
-    "mesh_force.mesh_stiffness": lambda d, e: mesh_force.mesh_stiffness(d, e, input_torque=1.0, output_angle=0.0),
     "mesh_force.tooth_profile": lambda d, e: mesh_force.tooth_profile(d, 0.0),
     "mesh_force.undercut_margin": lambda d, e: mesh_force.undercut_margin(d),
     "mesh_force.largest_roller_radius": lambda d, e: mesh_force.largest_roller_radius(d),

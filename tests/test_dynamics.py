@@ -222,26 +222,6 @@ def test_a_free_input_carries_the_same_forces():
     assert frequency[0] == 0 and frequency[1] > 700
 
 
-def test_energy_shares():
-    found = dynamics.modes(RV_320E)
-    shares = dynamics.energy_shares(RV_320E, found)
-    np.testing.assert_allclose(np.sum(shares.strain, axis=1), 1, rtol=1e-12)
-    np.testing.assert_allclose(np.sum(shares.kinetic, axis=1), 1, rtol=1e-12)
-    # d ln f^2 / d ln k is the share of that spring, minus d ln f^2 / d ln m the share of that part.
-    names = ("stiffness.sun_torsion", "stiffness.disc_pin_mesh", "inertia.disc_mass", "inertia.disc_inertia")
-    relative = jax.jit(
-        jax.jacfwd(lambda d: 2 * jnp.log(dynamics.modes(dynamics.with_deviations(RV_320E, d)).frequency))
-    )
-    slope = relative(dict.fromkeys(names, 0.0))
-    for name in ("sun_torsion", "disc_pin_mesh"):
-        share = shares.strain[:, shares.springs.index(name)]
-        np.testing.assert_allclose(slope[f"stiffness.{name}"], share, atol=1e-9)
-    rate = slope["inertia.disc_mass"] + slope["inertia.disc_inertia"]
-    np.testing.assert_allclose(-rate, shares.kinetic[:, shares.parts.index("disc")], atol=1e-9)
-    free = stiffness(sun_torsion=0.0)
-    assert np.all(dynamics.energy_shares(free, dynamics.modes(free)).strain[0] == 0)
-
-
 def test_mesh_frequencies_and_wave(cases):
     """What `response` makes of them is tested there; here the numbers of the reference, backwards."""
     speed, lumped = cases[17]["out"], jax.tree.map(jnp.asarray, dynamics.lump(RV_320E))

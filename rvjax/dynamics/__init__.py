@@ -15,7 +15,7 @@ from rvjax.dynamics.error_peaks import SpeedRange, speed_range
 from rvjax.dynamics.error_response import DynamicError, SpeedSweep, speed_sweep, transmission_error
 from rvjax.dynamics.error_statistics import ErrorStatistics, error_statistics
 from rvjax.dynamics.error_transfer import error_transfer
-from rvjax.dynamics.modes import EnergyShares, Modes, energy_shares, modes
+from rvjax.dynamics.modes import Modes, modes
 from rvjax.dynamics.periodic import Floquet, Periodic, floquet, periodic
 from rvjax.dynamics.response import Response, constant_forcing, response
 from rvjax.dynamics.sensitivity import log_sensitivities
@@ -26,7 +26,6 @@ __all__ = [
     "Block",
     "Blocks",
     "DynamicError",
-    "EnergyShares",
     "ErrorExcitation",
     "ErrorStatistics",
     "Floquet",
@@ -41,7 +40,6 @@ __all__ = [
     "assemble",
     "blocks",
     "constant_forcing",
-    "energy_shares",
     "error_excitation",
     "error_statistics",
     "error_transfer",

@@ -1,4 +1,4 @@
-"""Natural frequencies, mode shapes, their kinds, and where their energy sits."""
+"""Natural frequencies, mode shapes and their kinds."""
 
 import jax
 import jax.numpy as jnp
@@ -6,19 +6,15 @@ import numpy as np
 
 from rvjax.designs import RVReducer
 from rvjax.dynamics.assembly import (
-    PARTS,
-    SPRINGS,
     Lumped,
     admitted,
     deflections,
     lump,
-    mass_vector,
     spring_stiffness,
-    spring_table,
 )
 from rvjax.dynamics.modal import stacked
 from rvjax.dynamics.symmetry import KINDS, WHOLE, kinds, sector, sector_mass, sector_rows, sector_stiffness
-from rvjax.records import Array, PyTree, Record, field, record, text
+from rvjax.records import Array, PyTree, Record, field, record
 from rvjax.status import SolveInfo, Status, at_once
 
 
@@ -35,16 +31,6 @@ class Modes(Record):
     def kind(self) -> np.ndarray:
         """Kind of each mode as text: rotational, translational, planetary, disc or coupled (outside jit)."""
         return np.array(KINDS)[np.asarray(self.kind_index)]
-
-
-@record
-class EnergyShares(Record):
-    """Where the energy of each mode sits; each row sums to one (strain of a rigid motion: zero)."""
-
-    strain: Array = field("-", "share of each kind of spring", shape=("modes", "springs"))
-    kinetic: Array = field("-", "share of each kind of part", shape=("modes", "parts"))
-    springs: tuple[str, ...] = text("kinds of springs, fields of Stiffness", default=SPRINGS)
-    parts: tuple[str, ...] = text("kinds of parts", default=PARTS)
 
 
 def modes(design: RVReducer | Lumped) -> Modes:
@@ -93,35 +79,6 @@ def _modes(lumped: Lumped) -> Modes:
     overflow = (~jnp.all(jnp.isfinite(frequency)), Status.NONFINITE)
     (frequency, shape), info = gate.close((frequency, shape), overflow, info=at_once(square[0]))
     return Modes(frequency, shape, kind_index=jnp.asarray(codes, jnp.int32)[order], info=info)
-
-
-def energy_shares(design: RVReducer | Lumped, found: Modes) -> EnergyShares:
-    """Shares of strain energy by kind of spring and of kinetic energy by kind of part.
-
-    Args:
-        design: what `found` was computed from.
-        found: modes of that design.
-    """
-    return _energy_shares(lump(design), found.shape)
-
-
-@jax.jit
-def _energy_shares(lumped: Lumped, shape: jax.Array) -> EnergyShares:
-    lumped, _, _ = admitted(lumped)
-    table = spring_table(lumped.cranks, lumped.discs)
-    shape = shape.astype(jnp.result_type(lumped.eccentricity))
-    strain = spring_stiffness(lumped)[:, None] * (deflections(lumped, table.rows) @ shape) ** 2
-    kinetic = mass_vector(lumped)[:, None] * shape**2
-
-    def grouped(energy: jax.Array, group: np.ndarray, number: int) -> jax.Array:
-        member = jnp.asarray(group[:, None] == np.arange(number), energy.dtype)
-        sums = energy.T @ member
-        total = jnp.sum(sums, axis=1, keepdims=True)
-        return sums / jnp.where(total > 0, total, 1)
-
-    rigid = jnp.sum(strain, axis=0) <= jnp.finfo(strain.dtype).eps * jnp.max(jnp.sum(strain, axis=0))
-    strain = jnp.where(rigid, 0, strain)
-    return EnergyShares(grouped(strain, table.kind, len(SPRINGS)), grouped(kinetic, table.part, len(PARTS)))
 
 
 @jax.custom_jvp

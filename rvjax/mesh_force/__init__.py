@@ -10,7 +10,7 @@ Source: Wei et al. 2021, Chin. J. Mech. Eng. 34:84.
 from rvjax.mesh_force.cycle import CycleStatistics, cycle_angles, cycle_statistics, sweep
 from rvjax.mesh_force.equilibrium import MeshForces, solve
 from rvjax.mesh_force.geometry import ToothProfile, largest_roller_radius, tooth_profile, undercut_margin
-from rvjax.mesh_force.loads import ContactPressure, contact_pressure, load_sharing, mesh_stiffness
+from rvjax.mesh_force.loads import ContactPressure, contact_pressure
 
 __all__ = [
     "ContactPressure",
@@ -21,8 +21,6 @@ __all__ = [
     "cycle_angles",
     "cycle_statistics",
     "largest_roller_radius",
-    "load_sharing",
-    "mesh_stiffness",
     "solve",
     "sweep",
     "tooth_profile",
