@@ -75,7 +75,7 @@ class CentralMoments:
         return skewed(self.mean_or_nan, error, skewness, self.n, deviate_of(confidence))
 
     def sd_estimate(self, confidence: float) -> Estimate:
-        """The standard deviation; its error holds for any law, its interval is that of the mean square."""
+        """The standard deviation; its error holds for any distribution, its interval is that of the mean square."""
         sd, n = self.sd, self.n
         if n < 2:
             return Estimate.about(math.nan, math.nan, 0.0)

@@ -15,7 +15,7 @@ Active = Mapping[str, Tolerance]
 
 
 def mixing_matrix(active: Active, correlation: Mapping[tuple[str, str], float]) -> np.ndarray:
-    """Cholesky factor of the correlation of all elements' z, batches included; a ValueError says what is wrong."""
+    """Cholesky factor of the correlation of all elements' z, batches included; a ValueError names the input error."""
     matrix = batch_correlation(active)
     for pair, value in correlation.items():
         if not (isinstance(pair, tuple) and len(pair) == 2):

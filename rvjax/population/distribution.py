@@ -1,7 +1,7 @@
 """What a distribution is: a record that maps standard normal numbers to errors, registered by its name.
 
-A new law is one class: `@record class Mine(Distribution)` with `name`, its own parameters as fields, `deviate` and
-`moments`. Tolerances, studies, saved files and checkpoints take it from `DISTRIBUTIONS`.
+A new distribution is one class: `@record class Mine(Distribution)` with `name`, its own parameters as fields, `deviate`
+and `moments`. Tolerances, studies, saved files and checkpoints take it from `DISTRIBUTIONS`.
 """
 
 import dataclasses
@@ -19,15 +19,15 @@ Moments = tuple[Any, Any, Any, Any]
 """Mean, variance, third and fourth central moment of an error: floats, or arrays of the shape of its field."""
 
 DISTRIBUTIONS: dict[str, type["Distribution"]] = {}
-"""Every law by its name."""
+"""Every distribution by its name."""
 
 
 class Distribution(Record):
     """How parts spread between limits; its fields are the parameters that belong to it alone.
 
-    A law may hold more in class variables: `shifts` (it honours `Tolerance.shift`), `capable` (and `Tolerance.cp`),
-    `of_vectors` (a field of pairs [radial, tangential] gets vectors, not numbers of their own) and `couples` (the
-    errors along the last axis, as the two components of a vector, depend on each other: `correlation`).
+    A distribution may hold more in class variables: `shifts` (it honours `Tolerance.shift`), `capable` (and
+    `Tolerance.cp`), `of_vectors` (a field of pairs [radial, tangential] gets vectors, not numbers of their own) and
+    `couples` (the errors along the last axis, as the two components of a vector, depend on each other: `correlation`).
     """
 
     name: ClassVar[str] = ""
@@ -43,7 +43,7 @@ class Distribution(Record):
         """Errors q(Phi(z)).
 
         Args:
-            tolerance: whose law this is.
+            tolerance: whose distribution this is.
             z: standard normal (*shape, *batch) or, outside vectors, any shape.
         """
         raise NotImplementedError
@@ -60,7 +60,7 @@ class Distribution(Record):
         """What changes in a tolerance that gets another half-width; here its limits, about their middle.
 
         Args:
-            tolerance: whose law this is.
+            tolerance: whose distribution this is.
             half_width: the new one, unit of the error.
         """
         return dict(lower=tolerance.middle - half_width, upper=tolerance.middle + half_width)
@@ -70,28 +70,28 @@ class Distribution(Record):
         return 0.0
 
     def correlation(self, tolerance: Any) -> np.ndarray:
-        """Correlation of the errors along the last axis, where the law couples them."""
+        """Correlation of the errors along the last axis, where the distribution couples them."""
         return np.array([[1.0, self.coupling(tolerance)], [self.coupling(tolerance), 1.0]])
 
     def check(self, tolerance: Any) -> None:
-        """Refuse limits or parameters that do not fit, with a ValueError; numbers may be tracers."""
+        """Raise a ValueError for limits or parameters that do not fit; numbers may be tracers."""
 
     def check_field(self, name: str, tolerance: Any) -> None:
-        """Refuse a field that this law does not fit, once its shape is known.
+        """Raise a ValueError for a field that this distribution does not fit, once its shape is known.
 
         Args:
             name: of the field.
-            tolerance: whose law this is.
+            tolerance: whose distribution this is.
         """
 
     @classmethod
     def parameters(cls) -> tuple[str, ...]:
-        """Names of the parameters that belong to this law alone."""
+        """Names of the parameters that belong to this distribution alone."""
         return tuple(f.name for f in _fields(cls))
 
     @classmethod
     def parsed(cls, key: str, value: Any, unit: str) -> Any:
-        """A parameter from what stands in a study file; a ValueError if it is not in its unit.
+        """Parse a parameter of a study file; a ValueError if it is not in its unit.
 
         Args:
             key: its name.
@@ -115,7 +115,7 @@ class Distribution(Record):
 
 
 def distribution_of(distribution: Any, parameters: Mapping[str, Any]) -> Distribution:
-    """A law from its name, class or an instance; a ValueError names a parameter that belongs to another one."""
+    """Make a distribution from its name, class or an instance; a ValueError names a parameter of another one."""
     if isinstance(distribution, str) and distribution in DISTRIBUTIONS:
         distribution = DISTRIBUTIONS[distribution]
     given = {name: value for name, value in parameters.items() if value is not None}

@@ -14,12 +14,12 @@ FEW = 160
 """With fewer hits or misses than this a share counts as no better than one of independent units: ten per
 scramble are too few to show by their spread that it is."""
 
-_UNSEEN_SKEWNESS = 2.0  # times that of 16 figures; held 94 % of chi-square and lognormal laws where 1 held 90 %
+_UNSEEN_SKEWNESS = 2.0  # times that of 16 values: covers 94 % of chi-square and lognormal cases, 1 covers 90 %
 
 
 @dataclasses.dataclass(frozen=True)
 class Estimate:
-    """A sampled figure.
+    """A sampled statistic.
 
     Attributes:
         value: the figure.
@@ -106,9 +106,9 @@ def skewed(value: float, error: float, skewness: float, n: float, deviate: float
 
 
 def of_groups(figures: np.ndarray, value: float, confidence: float) -> Estimate:
-    """A figure with the error and interval of the mean of a few independent ones (scrambles), their law unknown.
+    """Estimate a statistic, with error and interval, from a few independent values (scrambles) of any distribution.
 
-    A handful shows less than half of the skewness of its law, for which the interval makes up.
+    A few values show less than half of the skewness of their distribution; the interval compensates for it.
     """
     n = figures.size
     if n < 2 or not np.isfinite(figures).all():

@@ -1,4 +1,4 @@
-"""Measured parts as tolerances: what a lot has shown of its errors, with how well so many parts can tell."""
+"""Tolerances from measured parts: distributions of their errors, with confidence intervals for the sample size."""
 
 import dataclasses
 import itertools
@@ -19,12 +19,12 @@ from rvjax.records import axis_sizes
 from rvjax.units import KNOWN, spelling
 
 NATURAL = 3.0
-"""Standard deviations to each side of the mean that are the limits of an error whose limits nobody gives."""
+"""Standard deviations to each side of the mean that are the limits of an error without given limits."""
 
 
 @dataclasses.dataclass(frozen=True)
 class MeasuredColumn:
-    """What one column says of an error, or of one of its elements; SI. Intervals are those of normal errors.
+    """Statistics of one column: an error or one of its elements; SI. Intervals are those of normal errors.
 
     Attributes:
         unit: SI unit.
@@ -50,10 +50,11 @@ class MeasuredColumn:
 
 @dataclasses.dataclass(frozen=True)
 class MeasuredParts:
-    """What a table of measured parts says.
+    """Tolerances and statistics of a table of measured parts.
 
     Attributes:
-        tolerances: {field: `Tolerance` of the law "empirical"}; columns of several elements of a field make one law.
+        tolerances: {field: `Tolerance` of the distribution "empirical"}; columns of several elements of a field make
+            one law.
         columns: figures by field or element.
         together: parts of which all columns were measured.
         pairs: correlation of the normal scores of two columns over these parts, with Fisher's interval.
@@ -70,7 +71,7 @@ class MeasuredParts:
     def correlation(self) -> dict[tuple[str, str], float]:
         """{(field or element, field or element): correlation of their z}, as `correlation=` takes it.
 
-        A column that stands for all elements of a field takes no part: it does not say which of them was measured.
+        A column that stands for all elements of a field takes no part: the measured element is unknown.
 
         Raises:
             ValueError: too few parts for so many columns, or columns that follow from each other.
@@ -112,7 +113,7 @@ def measured(
 ) -> MeasuredParts:
     """Tolerances that follow measured parts, from a CSV file with a row for each part.
 
-    The limits of an error whose limits nobody gives are mean -+ 3 sd. A law never goes beyond the values it was
+    The limits of an error without given limits are mean -+ 3 sd. A distribution never goes beyond the values it was
     measured at: n parts say nothing of what fewer than one in 2 n parts does.
 
     Args:
@@ -120,7 +121,7 @@ def measured(
             empty cell was not measured.
         columns: {field or element, such as "disc_bore[0,1,0]": header of its column, or {"column", "unit"} where that
             says no unit}; None: every column whose header is a name and a known unit.
-        design: whose error record knows names, units and shapes; without it every known unit is taken as it stands.
+        design: whose error record declares names, units and shapes; without it every known unit is used as given.
         limits: record or dict with a `Tolerance`, (lower, upper) or None by field, for Cpk and the tolerances.
         confidence: of every interval.
 
@@ -244,11 +245,11 @@ def _tolerance(
 
 
 def _pairs(names: list[str], values: np.ndarray, confidence: float) -> dict[tuple[str, str], Estimate]:
-    """Correlation of normal scores, which estimates that of a Gaussian copula whatever the laws of the columns are.
+    """Correlation of normal scores, which estimates that of a Gaussian copula for any distributions of the columns.
 
     Boudt, Cornelissen and Croux (2012); the interval is that of atanh r, whose error is 1/sqrt(n - 3) (Fisher 1921).
     """
-    from scipy import stats  # dear to import
+    from scipy import stats  # slow to import
 
     n, found = values.shape[1], {}
     scores = special.ndtri((stats.rankdata(values, axis=1) - 0.5) / max(n, 1))

@@ -34,8 +34,8 @@ class Population(Record):
         """A population from what users give: checked, and a constant 0 as None, which costs nothing.
 
         Raises:
-            ValueError: a leaf that is neither a `Tolerance`, nor None, nor a number; no structure at all; a law
-                that does not fit its field; or a bad correlation.
+            ValueError: a leaf that is neither a `Tolerance`, nor None, nor a number; no structure at all; a
+                distribution that does not fit its field; or a bad correlation.
         """
         if isinstance(tolerances, cls):
             return tolerances if not correlation else cls.of(tolerances.tolerances, correlation)
@@ -84,7 +84,7 @@ class Population(Record):
     def draw(self, key: jax.Array, index: jax.Array) -> jax.Array:
         """The z of units `index` (n,): (numbers, n), units last so that every number is a vector of units.
 
-        Unit i depends on the key and i alone, whatever stands beside it in the batch.
+        Unit i depends on the key and i only, independent of the rest of the batch.
         """
         return jax.vmap(lambda i: jax.random.normal(jax.random.fold_in(key, i), (self.numbers,)), out_axes=-1)(index)
 

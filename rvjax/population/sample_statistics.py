@@ -1,4 +1,4 @@
-"""What a run has seen of one response, as figures with their errors, whatever the units depend on."""
+"""Statistics of one response over the units of a run, with their errors."""
 
 import dataclasses
 import functools
@@ -23,7 +23,7 @@ class Sampled:
         seen: (streams,) units.
         confidence: of every interval.
         extremes: smallest and largest response within the limits of all errors, nan where it fails there; not sampled,
-            and computed only where a requirement judges it.
+            and computed only where a requirement needs it.
     """
 
     streams: list[CentralMoments]
@@ -82,7 +82,7 @@ class Sampled:
             value = of(m)
             if not math.isfinite(value):  # no spread, or no two units
                 return Estimate(value, 0.0 if math.isinf(value) else math.nan, value, value)
-            # d Cpk = (-o dm - 3 Cpk ds)/(3 s), with var m = m2/n, var s of any law, cov(m, s) = m3/(2 s n).
+            # d Cpk = (-o dm - 3 Cpk ds)/(3 s), with var m = m2/n, var s of any distribution, cov(m, s) = m3/(2 s n).
             s, spread = m.sd, m.sd_estimate(self.confidence).error
             o = float(limits.outward(m.mean))  # +1 where room falls with the mean, -1 where it grows
             variance = s**2 / m.n + (3 * value * spread) ** 2 + 2 * o * 3 * value * m.s3 / m.n / (2 * s * m.n)

@@ -20,7 +20,7 @@ def for_design(design: Any, **tolerances: Tolerance | None) -> Any:
         **tolerances: a `Tolerance` or None per field of that record; absent fields are exactly nominal.
 
     Raises:
-        ValueError: unknown field, not a tolerance, or a shape or a law that does not fit the design.
+        ValueError: unknown field, not a tolerance, or a shape or a distribution that does not fit the design.
     """
     cls, filled = design.error_record, {}
     declared = {f.name: f.metadata["shape"] for f in dataclasses.fields(cls)}
@@ -51,7 +51,7 @@ METHODS = ("random", "sobol")
 
 
 def check_method(method: str) -> None:
-    """Refuse an unknown way to draw units."""
+    """Raise a ValueError for an unknown way to draw units."""
     if method not in METHODS:
         raise ValueError(f"method = {method!r}: must be one of {', '.join(METHODS)}")
 

@@ -1,4 +1,4 @@
-"""`Tolerance`: limits of one manufacturing error and the law that parts follow between them.
+"""`Tolerance`: limits of one manufacturing error and the distribution that parts follow between them.
 
 Every variate is a map e = q(Phi(z)) of standard normal numbers z, which belong to the sample while
 the tolerance only shapes and scales them: the same z serve every tolerance (common random numbers).
@@ -21,7 +21,7 @@ from rvjax.records import Record, Scalar, concrete, field, record, text
 __all__ = ["DISTRIBUTIONS", "Distribution", "Tolerance", "classic", "empirical", "spectrum", "von_mises"]
 
 COMMON = ("cp", "shift", "batch")
-"""Plain numbers that every law may be given."""
+"""Plain numbers that every distribution may be given."""
 
 
 @record
@@ -29,7 +29,7 @@ class Tolerance(Record):
     """Limits of an error and its distribution between them; the unit is that of the error.
 
     Middle m = (lower + upper)/2, half-width h = (upper - lower)/2, mean m + shift h, and for the
-    normal law sigma = h/(3 cp), so that the capability of the process is Cp = cp and
+    normal distribution sigma = h/(3 cp), so that the capability of the process is Cp = cp and
     Cpk = cp (1 - |shift|). h = 0 is a constant error m.
 
     - "normal": N(m + shift h, sigma^2), not cut at the limits.
@@ -79,18 +79,18 @@ class Tolerance(Record):
         Args:
             lower: lower limit, unit of the error.
             upper: upper limit, unit of the error.
-            distribution: name of a law, or a `Distribution`.
+            distribution: name of a distribution, or a `Distribution`.
             cp: process capability (normal, truncated_normal, lognormal, rayleigh, von_mises).
             shift: mean or mode off the middle, in half-widths.
             batch: correlation of the elements of one field, 0 to below 1.
             size: nominal size of the part, m, for grades.
             shape: of the error, () is a scalar.
             vector: whether the last axis is [radial, tangential]; None: if its length is 2.
-            **parameters: that belong to the law alone: `beta`, `log_sd`, `concentration`, `direction`, `spectrum`,
-                `values`.
+            **parameters: that belong to the distribution alone: `beta`, `log_sd`, `concentration`, `direction`,
+                `spectrum`, `values`.
 
         Raises:
-            ValueError: limits, law or parameters that do not fit each other.
+            ValueError: limits, distribution or parameters that do not fit each other.
         """
         law = distribution_of(distribution, parameters)
         values = dict(lower=lower, upper=upper, law=law, cp=cp, shift=shift)
@@ -120,7 +120,7 @@ class Tolerance(Record):
         return cls.symmetric(it_width(grade, size) / 2, size=size, **options)
 
     def replace(self, **changes: Any) -> Self:
-        """A copy with some arguments changed, checked like a new tolerance; another law brings its own parameters."""
+        """Copy with some arguments changed, checked like a new tolerance; another distribution needs its parameters."""
         kept = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
         law = kept.pop("law")
         return type(self)(**(kept | dict(distribution=law) | changes))
@@ -132,7 +132,7 @@ class Tolerance(Record):
 
     @property
     def beta(self) -> tuple[float, float] | None:
-        """Shape (p, q) of the beta law, None for the others."""
+        """Shape (p, q) of the beta distribution, None for the others."""
         return getattr(self.law, "beta", None)
 
     @property
@@ -147,12 +147,12 @@ class Tolerance(Record):
 
     @property
     def is_vector(self) -> bool:
-        """True for a field of vectors (laws rayleigh and von_mises), False for one of numbers."""
+        """True for a field of vectors (distributions rayleigh and von_mises), False for one of numbers."""
         last_is_pair = bool(self.shape) and self.shape[-1] == 2
         return self.law.of_vectors and (last_is_pair if self.vector is None else self.vector)
 
     def with_half_width(self, half_width: Scalar) -> Self:
-        """The same law scaled about the middle of its limits, or about where it begins; shift and cp stay."""
+        """The same distribution scaled about the middle of its limits, or about where it begins; shift and cp stay."""
         return self.replace(**self.law.scaled(self, half_width))
 
     def deviate(self, z: jax.Array) -> jax.Array:

@@ -27,7 +27,7 @@ from rvjax.tolerances.requirements.kinds import Limits
 
 _TERMS = 23  # of Hermite series
 _PROBES = 256  # units whose gradients decide whether the response has a kink, and stand in for it
-_STEP = 1e-3  # of a unit's deviations: so near the mean a smooth gradient has hardly moved
+_STEP = 1e-3  # of a unit's deviations: a smooth gradient is nearly constant so near the mean
 
 
 @dataclasses.dataclass(frozen=True)
@@ -63,9 +63,9 @@ def rss(
     curvature and the third and fourth moments of the errors: exact for a quadratic response of
     independent errors, or of normal errors with batch factors.
 
-    A peak-to-peak value has a kink where its errors vanish: the gradient there says nothing about its
+    A peak-to-peak value has a kink where its errors vanish: the gradient there does not describe its
     neighbourhood. Where gradients of random units close to the mean show such a jump, mean and sd come
-    from 16384 units and the shares from mean squared gradients; `method` then says "sampled".
+    from 16384 units and the shares from mean squared gradients; `method` is then "sampled".
 
     Args:
         response: pure function of the errors of one unit; a scalar, a dict or record of scalars, or `Outcome`.
@@ -113,7 +113,7 @@ def influences(response: Response, tolerances: Any) -> tuple[Any, Any]:
 def _by_name(
     response: Response, population: Population, names: tuple[str, ...], law: "_Spread", order: int
 ) -> dict[str, "_Propagated"]:
-    """What the gradients say of each response; mean and sd of one with a kink are left open."""
+    """Moments of each response from the gradients; NaN mean and sd of a response with a kink."""
     value, at_mean, near, far = _derivatives(response, population, law.mean, names)
     found = {}
     for k, name in enumerate(names):
@@ -229,7 +229,7 @@ def _second_order(value: float, g: np.ndarray, h: np.ndarray, law: _Spread) -> _
     if not (law.independent or normal):
         raise ValueError("order = 2: correlated errors must be normal; use order = 1 or monte_carlo")
     rows = 0.5 * ((h @ covariance) * (h @ covariance).T).sum(axis=1)  # tr(H Sigma H Sigma)/2, by element
-    # What the third and fourth moments add to the normal law, for independent elements.
+    # What the third and fourth moments add to the normal distribution, for independent elements.
     rows += g * curvature * law.third + 0.25 * curvature**2 * (law.fourth - 3 * law.variance**2) * law.independent
     bent = law.sums(rows)
     variances = {n: share + bent[n] for n, share in law.shares(g).items()}

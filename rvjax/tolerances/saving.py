@@ -28,12 +28,12 @@ RESULTS: list[type] = []
 
 @dataclasses.dataclass(frozen=True)
 class Origin:
-    """Where a saved result comes from.
+    """Origin of a saved result.
 
     Attributes:
         kind: name of the result's class.
         seed: of its random numbers; None where there are none.
-        study: what was asked.
+        study: its inputs.
         versions: of rvjax and JAX that made it.
     """
 
@@ -49,7 +49,7 @@ def save(result: Any, path: str | Path, *, study: Any = None, seed: int | None =
     Args:
         result: `Statistics`, `Allocation`, `Moments`, `WorstCase` ...: any dataclass or record.
         path: ends with .json (everything as text) or .npz (arrays in binary form).
-        study: what was asked, text or a dict of text; by default what the result itself carries.
+        study: inputs of the study, text or a dict of text; by default those of the result.
         seed: by default what the result itself carries.
 
     Raises:
@@ -90,7 +90,7 @@ def load(path: str | Path) -> Any:
 
 
 def origin(path: str | Path) -> Origin:
-    """Where the result in a file comes from.
+    """Read the origin of the result in a file.
 
     Raises:
         ValueError: as `load`.
@@ -123,7 +123,7 @@ def _read(path: str | Path) -> tuple[Any, dict[str, np.ndarray]]:
 
 
 def _encode(value: Any, arrays: dict[str, np.ndarray] | None) -> Any:
-    """JSON values; whatever JSON has not is a dict with the one key that begins with "$"."""
+    """Encode as JSON values; other types are a dict with one key that begins with "$"."""
     again = lambda item: _encode(item, arrays)  # noqa: E731
     if value is None or (isinstance(value, (str, bool, int)) and not isinstance(value, np.generic)):
         return value

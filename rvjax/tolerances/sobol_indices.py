@@ -61,7 +61,7 @@ def sobol_indices(
     (Saltelli et al. 2010, Comput. Phys. Commun. 181, 259). An array field is one group. A and B are the
     two halves of the coordinates of 16 independently scrambled Sobol sequences, unit j being point
     j // 16 of sequence j mod 16. Standard errors come from the scatter of the 16 sequences, intervals
-    (95 %) from Student's law with 15 degrees of freedom. A field that the response does not read has
+    (95 %) from Student's distribution with 15 degrees of freedom. A field that the response does not read has
     indices of exactly 0; a constant response gives 0 for all.
 
     Args:

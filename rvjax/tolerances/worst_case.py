@@ -16,7 +16,7 @@ from rvjax.status import succeeded
 _ALL_CORNERS = 12  # up to so many coordinates every corner is looked at
 _STARTS = 16  # else: corners of gradient signs at the middle and at random points
 _BLOCK = 64  # points evaluated at once, padded, so that one program serves every question
-_ROUNDS = 20  # gradient signs taken anew; every round must improve, so this is a limit seldom met
+_ROUNDS = 20  # gradient signs taken again; every round must improve, so this is a limit seldom met
 
 
 @dataclasses.dataclass(frozen=True)
@@ -39,10 +39,10 @@ class WorstCase:
 
 
 def worst_case(response: Response, tolerances: Any, *, refine: bool = True) -> WorstCase:
-    """Smallest and largest response when every error may stand anywhere between its limits.
+    """Smallest and largest response when every error may lie anywhere between its limits.
 
     The search starts at the corner that the gradient signs at the middle point to. With `refine` it
-    starts from several corners (all of them up to 12 coordinates), takes the signs anew and flips
+    starts from several corners (all of them up to 12 coordinates), takes the signs again and flips
     single coordinates until nothing improves, and looks for an interior extremum from there. Exact for
     responses monotone in each error; otherwise the true range may be wider. The limits of a Rayleigh
     vector are a disc of radius `upper`.

@@ -1,4 +1,4 @@
-"""The laws of tolerance stacks: normal, cut normal, lognormal, uniform, triangular, beta, Rayleigh."""
+"""The distributions of tolerance stacks: normal, cut normal, lognormal, uniform, triangular, beta, Rayleigh."""
 
 import functools
 import math
@@ -38,7 +38,7 @@ class Normal(Distribution):
 
 @record
 class TruncatedNormal(Distribution):
-    """The normal law cut at the limits and renormalised."""
+    """The normal distribution cut at the limits and renormalised."""
 
     name = "truncated_normal"
     shifts = True

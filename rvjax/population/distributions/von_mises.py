@@ -21,7 +21,7 @@ from rvjax.roots import bisect
 class VonMises(Rayleigh):
     """A Rayleigh magnitude whose direction has the density exp(k cos(a - a0))/(2 pi I0(k)).
 
-    Only for fields of vectors [radial, tangential]; k = 0 is the Rayleigh law of vectors. The first number of
+    Only for fields of vectors [radial, tangential]; k = 0 is the Rayleigh distribution of vectors. The first number of
     a pair draws the magnitude, the second the direction.
     """
 
@@ -86,8 +86,9 @@ class VonMises(Rayleigh):
 def _table(concentration: float) -> tuple[np.ndarray, np.ndarray]:
     """Angles from the preferred direction at the nodes, and their slopes to z.
 
-    The share beyond an angle, S(a) = integral of the density from a to pi, is solved for Phi(-z), z >= 0 (the law
-    is symmetric), by bisection to 3e-6 and Newton steps: relative digits everywhere, whatever the concentration.
+    The share beyond an angle, S(a) = integral of the density from a to pi, is solved for Phi(-z), z >= 0 (the
+    distribution is symmetric), by bisection to 3e-6 and Newton steps: relative digits everywhere, for any
+    concentration.
     """
     k, z = float(concentration), NODES[NODES >= 0]
     points, weights = np.polynomial.legendre.leggauss(48)
@@ -95,7 +96,7 @@ def _table(concentration: float) -> tuple[np.ndarray, np.ndarray]:
     density = lambda a: np.exp(-2 * k * np.sin(a / 2) ** 2) / (2 * np.pi * special.i0e(k))  # noqa: E731
 
     def beyond(a: np.ndarray) -> np.ndarray:
-        span = np.minimum(np.pi - a, 12 / math.sqrt(max(k, 1.0)))  # 12 standard deviations of a narrow law
+        span = np.minimum(np.pi - a, 12 / math.sqrt(max(k, 1.0)))  # 12 standard deviations of a narrow distribution
         return span * (density(a[:, None] + span[:, None] * points) @ weights)
 
     target = special.ndtr(-z)

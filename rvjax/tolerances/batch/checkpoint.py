@@ -80,7 +80,7 @@ class Checkpoint:
             if chunk < 0 or about["digest"] != digest(arrays):
                 raise ValueError("its contents are not those that were written")
         except FileNotFoundError:
-            self._write(0, {})  # a place that cannot be written is refused before anything is computed
+            self._write(0, {})  # a place that cannot be written raises an error before anything is computed
             return 0, {}
         except DAMAGE as error:
             raise self.damaged(error) from None
@@ -125,7 +125,7 @@ class Checkpoint:
 
 
 def of_process(path: str | Path, process: int, processes: int) -> Path:
-    """The checkpoint of one process; refuses those of another number of processes, which would begin anew."""
+    """Return the checkpoint of one process; raise an error for those of another number of processes."""
     whole = Path(path)
     all_of = [of_number(whole, number, processes) for number in range(processes)]
     all_of = [whole] if processes == 1 else all_of

@@ -60,7 +60,7 @@ def monte_carlo(
     Unit i depends on the seed, i, the method and the active fields only. Another chunk size, or another
     number of devices, gives equal counts and values equal to round-off; the same chunk gives the same
     bits, also after an interruption and in any number of processes. Device memory holds two chunks,
-    whatever `samples`.
+    for any `samples`.
 
     All local devices share every chunk. Where `jax.distributed.initialize` was called, every process
     must call this function alike: each takes every n-th chunk, and all return the same result.
@@ -85,7 +85,7 @@ def monte_carlo(
             after an interruption, to identical bits; a larger `samples` continues a finished one. Several
             processes write one file each, with the number of the process behind the name.
         keep: keep the response of every unit (host memory, and the checkpoint, grow with `samples`).
-        save: table of every unit, .csv or .parquet, or a `UnitFile` that says what stands in it; memory does not grow
+        save: table of every unit, .csv or .parquet, or a `UnitFile` with the choice of columns; memory does not grow
             with `samples`. Units that a checkpoint has counted already are computed again, to the same bits. Several
             processes write one file each, with the number of the process behind the name.
         progress: show a progress bar.
@@ -203,7 +203,7 @@ class Run:
         )
 
     def _extremes(self, name: str) -> tuple[float, float]:
-        """The range of a response over the limits of all errors, where its requirement judges that."""
+        """The range of a response over the limits of all errors, where its requirement needs it."""
         if name not in self.requirements or not self.requirements[name].of_extremes:
             return math.nan, math.nan
         low, high = extremes(self.response, self.population, self.names, name).values

@@ -17,8 +17,8 @@ COARSE = 16  # bins that are one where the scrambles are counted apart
 class Order:
     """Order statistics: exact up to `PILOT` values, then from a histogram, within one of its bins.
 
-    The range comes from the first `PILOT` values in the order of the units, whatever the chunks and
-    processes they arrive in, and is half their span wider on each side; what falls outside is
+    The range comes from the first `PILOT` values in the order of the units, independent of chunks and
+    processes, and is half their span wider on each side; what falls outside is
     counted apart.
     """
 

@@ -1,4 +1,4 @@
-"""The figures of a Monte Carlo run, each with its standard error and confidence interval."""
+"""Statistics of a Monte Carlo run, each with its standard error and confidence interval."""
 
 import dataclasses
 from typing import Any
@@ -9,7 +9,7 @@ from rvjax.population import Estimate
 
 @dataclasses.dataclass(frozen=True)
 class Statistics:
-    """What a batch of units does.
+    """Statistics of a sample of units.
 
     Fields that depend on the response have its structure: plain for a scalar response, a dict of the
     same names otherwise (quantiles: {p: ...}). A failed unit is a reject in every yield, and takes no
@@ -41,7 +41,7 @@ class Statistics:
         joint_yield: `Estimate` of the share of units that meet all requirements.
         verdicts: `Verdict` on each requirement; None without.
         values: response of every unit, nan for failed ones, if `keep`; else None.
-        study: what was asked, as text: tolerances, requirements, response (its hash, with a checkpoint) ...
+        study: inputs, as text: tolerances, requirements, response (its hash, with a checkpoint) ...
         versions: of rvjax and what the numbers come from.
     """
 

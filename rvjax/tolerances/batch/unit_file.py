@@ -20,7 +20,7 @@ from rvjax.status import SUCCESS, Status
 ENDINGS = (".csv", ".parquet")
 FORMAT = 1
 ABOUT = b"rvjax"
-"""Key of the JSON in a Parquet file's metadata that says seed, versions and study."""
+"""Key of the JSON in a Parquet file's metadata, with seed, versions and study."""
 
 Columns = Mapping[str, np.ndarray]
 Write = Callable[[int, Columns, np.ndarray, Columns], None]
@@ -29,7 +29,7 @@ Write = Callable[[int, Columns, np.ndarray, Columns], None]
 
 @dataclasses.dataclass(frozen=True)
 class UnitFile:
-    """Where `monte_carlo` puts every unit, a row each, in SI: number, status, responses and, if wanted, drawn errors.
+    """File of all units of `monte_carlo`, one row each, in SI: number, status, responses and, if required, errors.
 
     A unit that failed has no response: an empty cell (CSV), NaN (Parquet). The elements of an error are columns such as
     "disc_bore[0,1,0]". CSV has units in its header; Parquet in the metadata of each column, with seed, versions and
@@ -38,8 +38,8 @@ class UnitFile:
     Attributes:
         path: ends with .csv or .parquet (needs the extra parquet).
         errors: the drawn errors, a column for each element.
-        units: SI unit by name of a response, or of an error whose record tells none.
-        about: what the Parquet file says of the study beside what was asked, texts by name.
+        units: SI unit by name of a response, or of an error whose record has none.
+        about: further texts of the study in the Parquet file, by name.
 
     Raises:
         ValueError: another ending.
@@ -194,7 +194,7 @@ _TABLES: dict[str, type[_Csv] | type[_Parquet]] = {".csv": _Csv, ".parquet": _Pa
 
 
 def parquet_origin(path: Path) -> dict[str, Any]:
-    """What a Parquet file of units says of itself: kind, seed, study, versions.
+    """Read kind, seed, study and versions of a Parquet file of units.
 
     Raises:
         ValueError: no file of units of rvjax, or damaged.
