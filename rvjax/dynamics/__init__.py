@@ -1,11 +1,11 @@
 """Plane vibration of an RV reducer as a lumped model: modes, forced response, stability, sensitivities.
 
 Rigid sun, planets, cranks, discs and output wheel on linear springs; the mesh stiffness of one stage varies
-periodically under a constant load torque; every manufacturing error displaces the spring that it sits in. Left out:
+periodically under a constant load torque; every manufacturing error displaces the spring that it sits in. Not modelled:
 gyroscopic terms, clearance, loss of contact, the pin ring.
 
 Source: Yang, Chen, Wang, "Response Sensitivity to Design Parameters of RV Reducer", Chin. J. Mech. Eng. 31:49
-(2018), doi 10.1186/s10033-018-0249-y. Harmonic balance, periodic solution and derivatives are our own.
+(2018), doi 10.1186/s10033-018-0249-y. Harmonic balance, periodic solution and derivatives are derived in this project.
 """
 
 from rvjax.dynamics.assembly import Lumped, System, assemble, lump

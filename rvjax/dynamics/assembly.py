@@ -139,9 +139,9 @@ def _check_members(part: Inertia | Stiffness, counts: dict[str, int]) -> None:
 
 
 def admitted(lumped: Lumped, *conditions: PyTree) -> tuple[Lumped, tuple[PyTree, ...], Gate]:
-    """Everything in one dtype, a lane outside the model's domain replaced by a harmless one, and its gate.
+    """Promote to one dtype, replace a case outside the model's domain by a harmless one, and return its gate.
 
-    Design and conditions are judged apart, so that a sweep of conditions leaves the design, and with it the
+    Design and conditions are checked separately, so that a sweep of conditions leaves the design, and with it the
     eigenproblem, one.
     """
     lumped, conditions = promote(lumped, conditions)

@@ -1,7 +1,7 @@
 """Harmonic balance of errors, load and the varying mesh stiffness of one stage.
 
 The stiffness of P orders per output turn, P = planet_teeth pins or disc_teeth pins, ties an error of order r to the
-orders r + l P. Each residue r in [0, P/2] is a system of its own, l = -H .. H; negative orders are conjugates. With the
+orders r + l P. Each residue r in [0, P/2] is a separate system, l = -H .. H; negative orders are conjugates. With the
 deflections d_il = v_i.Q_l - delta_il of the varying meshes (mesh form, as in harmonic_balance.py)
 
     d_il - sum_m G_l[i, m] u_ml = v_i.Q0_l - delta_il,   u_il = -k sum_{j != l} a_|l-j|/2 e^{i (l - j) ph_i} d_ij,

@@ -24,7 +24,8 @@ from rvjax.status import SolveInfo
 
 BESIDE = np.arange(-2, 3) / 4
 """Places about a crossing, in widths of the peak. A lone mode of a loss factor peaks at the crossing; a peak that its
-neighbours or other damping move by up to half a width lies an eighth beside a place and is met to 3 % of its height."""
+neighbours or other damping move by up to half a width is at most an eighth of a width from a place: its height is met
+to 3 %."""
 MODES = 3  # of each order, the lowest that it meets within the range; higher ones move the output too little to count
 JUDGED = 8  # speeds whose peak to peak is computed: those where the sizes of all lines have the largest sum
 
@@ -59,7 +60,7 @@ def speed_range(
         slowest_sun_speed: one end of the range, () rad/s, of either sign.
         fastest_sun_speed: the other end, () rad/s.
         load_inertia: as in `transmission_error`.
-        speeds: of the even grid over the range, beside which stand the crossings of orders and modes within it.
+        speeds: of the even grid over the range; crossings of orders and modes within it are added.
         pin_harmonics: as in `error_excitation`.
 
     Returns:
@@ -117,7 +118,7 @@ def refined(
 ) -> jax.Array:
     """Speeds of the sun between both ends, ascending: an even grid, and crossings with their neighbours.
 
-    What lies beyond the range stands at its ends. Where it passes through rest both senses of rotation have theirs.
+    Crossings beyond the range move to its ends. A range through rest has crossings in both senses of rotation.
     """
     low, high = jnp.minimum(first, second), jnp.maximum(first, second)
     even = low + (high - low) * jnp.asarray(np.linspace(0, 1, count), low.dtype)

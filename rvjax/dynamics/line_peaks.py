@@ -90,7 +90,7 @@ def _of_units(of_block: Callable[[jax.Array], jax.Array]) -> Callable[[jax.Array
 
     @batched.def_vmap
     def _rule(size: int, is_batched: list[bool], rows: jax.Array, columns: jax.Array) -> tuple[jax.Array, bool]:
-        if is_batched[0]:  # designs of their own
+        if is_batched[0]:  # different designs
             return jax.vmap(function, (0, 0 if is_batched[1] else None))(rows, columns), True
         found = batched(rows, columns.reshape(-1, *columns.shape[2:]))
         return found.reshape(size, -1, *found.shape[1:]), True

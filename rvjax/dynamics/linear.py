@@ -32,7 +32,7 @@ def solve(matrix: jax.Array, rhs: jax.Array) -> tuple[jax.Array, jax.Array]:
 def eliminate(matrix: jax.Array, rhs: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Gauss-Jordan elimination with row pivoting: the solution (n, m) and the smallest pivot.
 
-    A zero pivot is replaced by one, so that a singular system gives numbers, not NaN; the smallest pivot tells.
+    A zero pivot is replaced by one, so that a singular system gives numbers, not NaN; the smallest pivot shows it.
     """
     size = matrix.shape[0]
     rows = jnp.arange(size)

@@ -37,7 +37,7 @@ class ModalSector(NamedTuple):
 
 def modal_sectors(lumped: Lumped, keys: Sequence[Key]) -> dict[Key, ModalSector]:
     """The sectors of `keys` with their eigenvectors, all from one batched eigenproblem."""
-    if not keys:  # nothing that is excited moves what is asked for
+    if not keys:  # no excited sector moves the required outputs
         return {}
     kinds = list(dict.fromkeys(kind for kind, _ in keys))
     first = [next(key for key in keys if key[0] == kind) for kind in kinds]

@@ -1,4 +1,4 @@
-"""What studies may ask of the dynamic model."""
+"""Outputs of the dynamic model for studies."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -31,7 +31,7 @@ Evaluate = Callable[[RVReducer, Any, Any], Solved]
 
 @dataclass(frozen=True)
 class Conditions:
-    """At which speeds and under which load an RV reducer vibrates."""
+    """Speeds and load of a vibrating RV reducer."""
 
     output_torque: float = condition(0.0, "torque of the discs on the carrier", unit="N m", torque=True)
     sun_speed: float | None = condition(None, "speed at which the vibration is judged", unit="rad/s")

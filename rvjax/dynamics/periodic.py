@@ -82,7 +82,7 @@ def periodic(
 def floquet(design: RVReducer | Lumped, *, sun_speed: Scalar, stage: str = "planetary") -> Floquet:
     """Largest Floquet multiplier of the vibration under the periodic mesh stiffness of one stage.
 
-    Harmonic balance returns a periodic solution also where it repels; this tells.
+    Harmonic balance returns a periodic solution also where it is unstable; the multiplier shows it.
 
     Args:
         design: as in `periodic`.

@@ -11,7 +11,7 @@ from numpy.polynomial.legendre import leggauss
 
 from rvjax.dynamics.assembly import Lumped, circle
 
-NODES = 256  # of the quadrature beside one for each harmonic: K1 = 0.99 to 1e-9, K1 <= 0.95 to rounding
+NODES = 256  # of the quadrature, and one more for each harmonic: K1 = 0.99 to 1e-9, K1 <= 0.95 to rounding
 
 
 def in_phase(highest: int, members: int) -> list[int]:

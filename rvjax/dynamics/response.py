@@ -55,7 +55,7 @@ def response(
     The first-order solution (Eqs. 5 to 9 of Yang et al. 2018) applies the stiffness variation to the mean
     deflection only; harmonic balance keeps its product with the vibration. By symmetry each harmonic excites one
     kind of motion: what `outputs` cannot show is not solved, and is exactly zero. One disc, or members given one by
-    one, leave no symmetry, and the whole model is solved; `form` says which.
+    one, leave no symmetry, and the whole model is solved; `form` names the equations.
 
     Args:
         design: a reducer with inertia, stiffness and mesh variation, or its lumped parameters.

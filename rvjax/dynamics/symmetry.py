@@ -66,7 +66,7 @@ class Sector(NamedTuple):
 def sector(cranks: int, discs: int, kind: str, label: int = 0) -> Sector:
     """The sector of one kind; `label` k chooses the copy of a planetary or disc sector.
 
-    The label WHOLE stands for all copies of a kind together, on a real basis.
+    The label WHOLE selects all copies of a kind together, on a real basis.
     """
     if label == WHOLE:
         return Sector(kind, _real_basis(cranks, discs, kind))

@@ -54,7 +54,7 @@ class Links(NamedTuple):
 
 
 class Resting(NamedTuple):
-    """Coupler at rest, NaN where there is none; the status in `info` says why."""
+    """Coupler at rest, NaN where there is none; the status in `info` gives the reason."""
 
     angle: jax.Array
     misfit: jax.Array
@@ -71,7 +71,7 @@ def _at_rest(
 ) -> Resting:
     """What a solve found, under its status: NONFINITE where no root was found or numbers overflow.
 
-    `nowhere` says where the geometry itself leaves no angle, `shown` where numbers are shown all the same.
+    `nowhere` is true where the geometry allows no angle, `shown` where numbers are kept nevertheless.
     """
     unsolved, failed = info.status == Status.MAX_STEPS, info.status != Status.CONVERGED
     missing = ~(jnp.isfinite(angle) & ~failed | unsolved)
@@ -119,7 +119,7 @@ def free(links: Links, seen: View, *, closure: str, branch: str) -> Resting:
     # Lengths are known to a rounding of l2' and L, which on the scale of the cranks is a wider band.
     eps = float(jnp.finfo(d.dtype).eps)
     band = 8 * eps * (seen.length + l2) / (l1 + l3) * (b**2 + jnp.abs(4 * a * c) + c**2)
-    too_short = gap(links, seen) > 32 * eps * links.size  # knows better where the cranks are next to nothing
+    too_short = gap(links, seen) > 32 * eps * links.size  # more accurate for tiny cranks
     open_chain = (d < -band) | too_short  # the links are too short to meet
     change_point = jnp.abs(seen.sine) < (1e-6 if eps < 1e-10 else 1e-3)  # crank 1 in line with the frame
     fold = (jnp.abs(d) <= band) & ~too_short  # the two branches meet
@@ -245,7 +245,7 @@ def geared(links: Links, ratio: jax.Array, *, closure: str) -> Resting:
         bound = jax.lax.stop_gradient(1.01 * widest * l3 / stiff) + jnp.abs(jax.lax.stop_gradient(slip))
         found = roots.bracketed(_slip_residual, (links, ratio), -bound, bound, start=jax.lax.stop_gradient(slip))
         solved, info = found.info.status == Status.CONVERGED, found.info
-        slip = jnp.where(solved, found.value, slip)  # what follows keeps finite derivatives; the status tells
+        slip = jnp.where(solved, found.value, slip)  # derivatives stay finite; the status reports the failure
     x, y = _offset(links, links.psi + slip)
     misfit = stretch(links.l, x, y) - links.d2
     if closure == "first_order":

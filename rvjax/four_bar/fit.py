@@ -1,7 +1,7 @@
 """Phase-locked cranks, two or more: a disc settles where it fits its crank pins best (planar Procrustes).
 
-A pin stands at R er + D with D = K + A u + B n + d: carrier bore K, crank errors A along and B across the
-eccentric direction u, joint shift d. The bore stands at Q = R er + q in the disc, mean removed. The disc
+A pin lies at R er + D with D = K + A u + B n + d: carrier bore K, crank errors A along and B across the
+eccentric direction u, joint shift d. The bore lies at Q = R er + q in the disc, mean removed. The disc
 turns by the angle of the vector (C, S), S = sum Q x (R er + D), C = sum Q . (R er + D), whose coefficients
 in u belong to the unit: in a batch over shared angles each angle costs a few multiplications.
 """

@@ -167,7 +167,7 @@ def close(
         possible &= (e > 0) & (ratio > 0)
         # A slip without an angle: see the bound of the slip in `geared`.
         finite &= ~possible | (4 * lengths * (lengths + 2 * spacing) < 0.25 * LARGEST_ANGLE * ratio * e**2)
-    # A lane outside the model is solved as a nominal linkage of unit size.
+    # A case outside the model is solved as a nominal linkage of unit size.
     refusals = ((~finite, Status.NONFINITE), (~possible, Status.INVALID_GEOMETRY))
     numbers = (d1, d2, d3, d4, psi, b4, gx, gy, e, spacing, ratio, lengths)
     numbers, gate = admit(numbers, (0, 0, 0, 0, 0, 0, 0, 0, 0.02, 1, 1, 0.02), *refusals)

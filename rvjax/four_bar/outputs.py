@@ -1,4 +1,4 @@
-"""What studies may ask of the four-bar model."""
+"""Outputs of the four-bar model for studies."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ CRANKS = tuple(dict.fromkeys(cranks for cranks, _ in ALLOWED))
 
 @dataclass(frozen=True)
 class Conditions:
-    """How an RV reducer runs while its second stage is judged."""
+    """Operating conditions of the second stage of an RV reducer."""
 
     output_torque: float = condition(0.0, "torque of the discs on the carrier", unit="N m", torque=True)
     angles: int = condition(64, "uniform crank angles over one crank turn", minimum=8, maximum=100_000)

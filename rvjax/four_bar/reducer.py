@@ -51,7 +51,7 @@ def transmission_error(
     Args:
         design: the reducer; its `cranks.bearing_stiffness` is needed under load.
         errors: of its parts; crank eccentricity and phase, bores, bearing clearance and eccentricity are read.
-        crank_angle: eccentric direction of the first disc, () rad; crank i of c stands at pi + 2 pi i / c.
+        crank_angle: eccentric direction of the first disc, () rad; crank i of c lies at pi + 2 pi i / c.
         output_torque: torque the discs exert on the carrier, counter-clockwise, () N m.
         cranks: "phase_locked", "free" or "geared" as in `solve_closure`; the last two for two cranks only.
         gear_stiffness_ratio: as in `solve_closure`; for "geared" only.

@@ -1,4 +1,4 @@
-"""A whole crank turn: the transmission error curve and its figures."""
+"""A whole crank turn: transmission error curve and its statistics."""
 
 import functools
 from collections.abc import Callable
@@ -72,7 +72,7 @@ def revolution(
         branch: as in `transmission_error`.
 
     Returns:
-        Revolution. One failed angle makes the figures NaN; `info` says why. Figures that are not used cost
+        Revolution. One failed angle makes the figures NaN; `info` gives the reason. Figures that are not used cost
         nothing under `jax.jit`. A large batch runs fastest with the units on the last axis of every error,
         `jax.vmap(..., in_axes=-1)`: its derivatives then are assembled from contiguous rows.
 
@@ -95,7 +95,7 @@ def figures(
     branch: str = "open",
     only: str | None = None,
 ) -> Figures:
-    """What `revolution` says of a crank turn, without the curve: no spectrum, and by default no angle, is traced.
+    """Compute the statistics of a crank turn without the curve: no spectrum, and by default no angle, is traced.
 
     Args:
         design: as in `revolution`.
@@ -278,7 +278,7 @@ def first_wave(discs: list[tuple[Vector, Vector]]) -> Wave:
 
     With disc k at still_k + turning_k u_k and w_k = turning_k / still_k the sum is constant plus the imaginary part
     of sum_k log(1 + w_k u_k): first harmonic sum_k w_k u_k = u a1 / a0 in the coefficients of the product, and
-    sum_m m |m-th| <= sum_k |w_k|^2 / (1 - |w_k|). Both times |a0|^2 here, to spare the division.
+    sum_m m |m-th| <= sum_k |w_k|^2 / (1 - |w_k|). Both times |a0|^2 here, to avoid the division.
     """
     (x0, y0), (x1, y1) = _product(discs).coefficients[:2]
     small, squares = np.True_, 0
@@ -325,7 +325,7 @@ def _times(first: Vector, second: Vector) -> Vector:
 
 
 def _angle(score: jax.Array) -> jax.Array:
-    """The angle that a value of `monotone_angle` stands for."""
+    """Angle of a value of `monotone_angle`."""
     beyond = jnp.abs(score) > 1
     half_turn = jnp.where(beyond, jnp.sign(score), 0)
     within = jnp.where(beyond, score - 2 * half_turn, score)  # beyond a right angle: of the opposite direction

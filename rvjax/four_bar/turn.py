@@ -1,7 +1,7 @@
 """Largest and smallest value over a crank turn; its derivative is that at the place where they occur.
 
 A forward pass searches values alone, of a score that rises with what is wanted but costs less. Its result is one
-complex number: XLA evaluates for each result anew all that leads to it. A derivative searches the places and is
+complex number: XLA repeats for each result everything that leads to it. A derivative searches the places and is
 taken there, of what is wanted itself.
 """
 
@@ -127,7 +127,7 @@ def _all(along: Callable[[Crank], jax.Array], angles: int, places: bool, togethe
 
 
 def _at_once(along: Callable[[Crank], jax.Array], angles: int, places: bool) -> jax.Array:
-    """As `_all`, all angles side by side: for few lanes, where starting a kernel costs more than what it does."""
+    """As `_all`, all angles at once: for few batch elements, where starting a kernel costs more than its work."""
     index = np.arange(angles)
     every = settle(along(Crank(np.cos(2 * np.pi / angles * index), np.sin(2 * np.pi / angles * index))))
     most, least = jnp.max(every), jnp.min(every)
@@ -140,7 +140,7 @@ def _at_once(along: Callable[[Crank], jax.Array], angles: int, places: bool) -> 
 def _near(along: Callable[[Crank], jax.Array], wave: Wave, angles: int, places: bool) -> jax.Array:
     """As `_all`, of the angles beside the crest and the trough of the first harmonic; NaN unless these decide.
 
-    One number, for XLA evaluates for each result anew all that leads to it.
+    One number, for XLA repeats for each result everything that leads to it.
     """
     step = 2 * np.pi / angles
     sure = wave.rest**2 < (wave.cosine**2 + wave.sine**2) * np.sin(_BESIDE * step / 2) ** 2  # false for NaN

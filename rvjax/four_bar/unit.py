@@ -85,7 +85,7 @@ def is_loaded(design: RVReducer, output_torque: Scalar) -> bool:
 def take_apart(
     design: RVReducer, errors: RVErrors, output_torque: Array, *others: PyTree, loaded: bool
 ) -> tuple[PyTree, ...]:
-    """The unit, and `others` in its dtype. An impossible lane becomes a nominal unit.
+    """The unit, and `others` in its dtype. An impossible case becomes a nominal unit.
 
     Raises:
         ValueError: errors whose shapes do not fit the design.
@@ -94,7 +94,7 @@ def take_apart(
     cycloid, cranks, errors, torque, others = numbers
     stiffness = cranks.bearing_stiffness if loaded else jnp.ones_like(cycloid.eccentricity)
     stage = Stage(cycloid.eccentricity, cranks.circle_radius, cycloid.shortening_coefficient, stiffness, torque)
-    # Design and load are judged apart from the errors: a batch over errors then leaves them unbatched.
+    # Design and load are checked separately from the errors: a batch over errors then leaves them unbatched.
     stage, gate = admit(stage, HARMLESS, *_judge_stage(stage, loaded))
     parts = _unroll(design, errors)
     parts, gate = admit(parts, 0, *_judge_parts(parts, stage.radius), after=gate)
@@ -128,7 +128,7 @@ def _judge_stage(stage: Stage, loaded: bool) -> tuple[Check, Check]:
     force = torque / jnp.where(possible & (e > 0), jnp.minimum(e, size), 1) if loaded else 0
     ratio = (jnp.abs(e) + jnp.abs(force) / jnp.where(possible, stiffness, 1)) / size
     finite = jnp.isfinite(ratio**4 + force * force + radius**4 + shortening + stiffness + torque)
-    finite &= size > window(size, 0.25)[0]  # nor vanish; as squares of forces must not, which tell their direction
+    finite &= size > window(size, 0.25)[0]  # nor vanish; as squares of forces must not, which give their direction
     finite &= (torque == 0) | (jnp.abs(torque) > 1e6 * window(size, 0.5)[0] * jnp.maximum(size, 1))
     return (~finite, Status.NONFINITE), (~possible, Status.INVALID_GEOMETRY)
 

@@ -128,7 +128,7 @@ def _place(flank: Flank) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
         new = (*_descend(flank, (start, start)), jnp.zeros((), bool))
         return jax.tree.map(lambda after, before: jnp.where(state[2], after, before), new, state)
 
-    # A loop, so that a batch pays for it only where one of its lanes needs it.
+    # A loop, so that a batch runs it only where one of its cases needs it.
     best, converged, _ = jax.lax.while_loop(lambda state: state[2], once_more, (best, converged, ~converged))
     return best.position, best.slope, converged, jnp.isfinite(best.rotation)
 
@@ -216,7 +216,7 @@ def _descend(flank: Flank, starts: tuple[jax.Array, jax.Array]) -> tuple[_Point,
     def body(_: PyTree, states: PyTree) -> PyTree:
         return tuple(step(state) for state in states)
 
-    # The first step stands still and evaluates the start.
+    # The first step has length zero and evaluates the start.
     zero, one = jnp.zeros_like(size), jnp.ones_like(size)
     states = tuple((_Point(start, jnp.full_like(size, jnp.inf), zero, zero), one) for start in starts)
     (near, _), (far, _) = jax.lax.fori_loop(0, STEPS, body, states)

@@ -1,4 +1,4 @@
-"""What studies may ask of the lost-motion model."""
+"""Outputs of the lost-motion model for studies."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

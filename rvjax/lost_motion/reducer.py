@@ -1,4 +1,4 @@
-"""Free angle of the output, input locked, when the load reverses: what is read, what is valid, what comes out."""
+"""Free angle of the output, input locked, when the load reverses."""
 
 from functools import partial
 
@@ -44,7 +44,7 @@ def geometric(
         errors: of its parts; bearing clearance, the eccentricity of discs and cranks alike, and every
             error of pins, disc profile and base tangent are read.
         reading: "consistent" puts every term in radians; "as_printed" follows Eq. 16, 17 and 21 to the
-            letter, slips of units and brackets included, to reproduce what was printed.
+            letter, including its errors of units and brackets, to reproduce the published value.
         profile: "first_order", the sum of the paper; "closed_form", the first-order minimum over the flank, with
             K1 in proportion to the eccentricity, error included; "contact", the exact minimum over the flank, with
             K1 = e z_p / r_p even where the design overrides it.
@@ -91,7 +91,7 @@ def _geometric(numbers: PyTree, *, reading: str, profile: str) -> LostMotion:
     smallest = jnp.minimum(jnp.minimum(unit.e, unit.rp), jnp.minimum(unit.r1, unit.a0 + unit.a1))
     smallest = jnp.where(smallest > 0, smallest, 1)
     of_unit, of_parts = jax.tree.leaves(unit), [getattr(parts, name) for name in read_by(parts, "lost_motion")]
-    # Design and errors are judged apart where only terms are summed: a batch over errors leaves the design unbatched.
+    # Where only terms are summed, design and errors are checked separately: a batch of errors leaves the design unbatched.
     apart = profile == "first_order"
     alone = RVErrors() if apart else parts
     possible = (~_possible(unit, alone, teeth, profile), Status.INVALID_GEOMETRY)
@@ -110,7 +110,7 @@ def _geometric(numbers: PyTree, *, reading: str, profile: str) -> LostMotion:
     steps, residual = 0, jnp.zeros_like(total)
     if profile != "first_order":
         flank = _flank(unit, parts, teeth, profile)
-        assembles = flank.d <= flank.D  # else tooth tips or roots interfere whatever the rotation
+        assembles = flank.d <= flank.D  # else tooth tips or roots interfere at any rotation
         found_wrong += [(~assembles, Status.NOT_ASSEMBLABLE)]
         flank = flank._replace(D=jnp.where(assembles, flank.D, 0), d=jnp.where(assembles, flank.d, 0))
         if profile == "contact":

@@ -14,8 +14,8 @@ from rvjax.errors import RVErrors
 from rvjax.records import Array, PyTree, Record, field, record
 from rvjax.units import arcmin, mm
 
-# Eq. 11 needs planet mass times planet speed squared, which nobody printed. This value, kg/s^2, makes a
-# normal force of 0.5075 N return the printed 0.5467 arcmin of the RV-20E; it confirms nothing.
+# Eq. 11 needs planet mass times planet speed squared, which is not published. This value, kg/s^2, makes a
+# normal force of 0.5075 N return the printed 0.5467 arcmin of the RV-20E; it is no confirmation.
 CALIBRATED_INERTIA = 24.1786361758745
 
 

@@ -1,7 +1,7 @@
 """One case in numbers without units, and its rollers, one at a time or all at once.
 
 Lengths are in roller radii, the geometry in lengths of the link Rj + r, loads in units of pi l r / (4 C); the
-windup tau stands for windup times eccentricity over roller radius, so that tau * arm + gap is an approach.
+windup tau is windup times eccentricity over roller radius, so that tau * arm + gap is an approach.
 """
 
 from typing import NamedTuple
@@ -69,7 +69,7 @@ def take_apart(
 
 
 def roller(teeth: int, case: Case, sine: Scalar, cosine: Scalar, radius_error: jax.Array) -> Roller:
-    """A roller whose ray stands at an angle of given sine and cosine over the first one.
+    """Compute a roller whose ray has an angle of given sine and cosine to the first one.
 
     Args:
         teeth: z.

@@ -45,7 +45,7 @@ def cycle_angles(gear_teeth: int, *, samples: int = 8, roller_by_roller: bool = 
     Args:
         gear_teeth: z.
         samples: angles in the time in which a roller takes the place of the next.
-        roller_by_roller: whether every roller has an error of its own.
+        roller_by_roller: whether every roller has a separate error.
     """
     points = samples * (gear_teeth + 1 if roller_by_roller else 1)
     return (np.arange(points) + 0.5) * (2 * math.pi / (gear_teeth * (gear_teeth + 1) * samples))

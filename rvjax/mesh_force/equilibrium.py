@@ -20,7 +20,7 @@ from rvjax.status import SolveInfo, Status, admit, converged, window
 
 @record
 class MeshForces(Record):
-    """Forces on rollers i = 0 .. z, which stand at output_angle + 2 pi i / (z + 1)."""
+    """Forces on rollers i = 0 .. z, which lie at output_angle + 2 pi i / (z + 1)."""
 
     cam: Array = field("N", "force of the cam, >= 0", shape=("rollers",))
     cage: Array = field("N", "force of the cage, signed like sin psi", shape=("rollers",))
@@ -47,7 +47,7 @@ def solve(
         design: the stage.
         errors: of its parts, m; `roller_radius` is () or one number per roller (z + 1,).
         input_torque: torque M0 on the crank, of which one cam carries `cam_share`, () N m; < 0 drives the other way.
-        output_angle: angle theta of the cage, () rad; at 0 roller 0 stands at dead centre.
+        output_angle: angle theta of the cage, () rad; at 0 roller 0 is at dead centre.
         contact: "hertz", "linear" (its small-load limit) or "palmgren" (softer, for errors of many micrometres).
 
     Returns:

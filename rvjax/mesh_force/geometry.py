@@ -21,7 +21,7 @@ from rvjax.records import Array, Record, Scalar, field, promote, record
 
 
 class Rollers(NamedTuple):
-    """Where rollers stand and how their forces act; every entry has the shape of psi."""
+    """Positions of rollers and directions of their forces; every entry has the shape of psi."""
 
     cos_g: jax.Array
     sin_g: jax.Array
@@ -137,7 +137,7 @@ def largest_roller_radius(design: CamRollerReducer) -> jax.Array:
 
 @jax.jit
 def tooth_profile(design: CamRollerReducer, angle: Scalar) -> ToothProfile:
-    """Point of the inner gear where a roller stands at `angle`.
+    """Compute the point of the inner gear for a roller at `angle`.
 
     Args:
         design: the stage.

@@ -1,4 +1,4 @@
-"""How one roller yields: the laws between its cam force and the approach of its three contacts.
+"""Contact laws of one roller: cam force and approach of its three contacts.
 
 Dimensionless: load u in units of pi l r / (4 C), approach in roller radii. The cage and the gear carry
 |rs| and rn times the cam load, and by virtual work their approaches enter with the same weights
@@ -22,7 +22,7 @@ _INVERSE_STEPS = 40  # at most; 3 or 4 at ordinary loads, 10 at the limit
 
 
 class Compliance(NamedTuple):
-    """What the laws need of a roller or of all; the two that are alike for all may be scalars."""
+    """Inputs of the contact laws for one roller or all; values common to all may be scalars."""
 
     cage: jax.Array  # |Fs / Fj|
     gear: jax.Array  # Fn / Fj

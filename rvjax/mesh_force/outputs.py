@@ -1,4 +1,4 @@
-"""What studies may ask of the mesh-force model."""
+"""Outputs of the mesh-force model for studies."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ from rvjax.units import um
 
 @dataclass(frozen=True)
 class Conditions:
-    """How an oscillatory roller stage runs while it is judged."""
+    """Operating conditions of an oscillatory roller stage."""
 
     input_torque: float = condition(0.0, "torque on the crank", unit="N m", torque=True)
     contact: str = condition("palmgren", "law of the contacts", choices=CONTACTS)

@@ -55,14 +55,14 @@ def _bracketed(law: str, rollers: Roller, torque: jax.Array, start: jax.Array) -
         bracket, target = _advance(state["bracket"], x, missing, slope)
         finite, overload = jnp.isfinite(target) & jnp.isfinite(scale), jnp.any(beyond, axis=0, keepdims=True)
         done = (jnp.abs(missing) <= tolerance * scale) | (jnp.abs(target - x) <= tolerance * jnp.abs(target)) | ~finite
-        # A step below the rounding of the depths themselves ends nowhere: they may be small beside gap and windup.
+        # A step below the rounding of the depths never ends: depths may be small compared with gap and windup.
         done |= jnp.any(load > 0, axis=0, keepdims=True) & ~jnp.any(
             (load > 0) & (jnp.abs(arm * (target - x)) > depth_rounding), axis=0, keepdims=True
         )
         # What rounding of x leaves is shared out along the stiffness.
         rest = jnp.where(slope > 0, missing / jnp.where(slope > 0, slope, 1), 0)
         corrected = jnp.maximum(load - rate * arm * rest, 0)
-        good = finite & ~overload  # a failed lane returns zeros, so that no derivative of it is NaN
+        good = finite & ~overload  # a failed case returns zeros, so that no derivative of it is NaN
         new = {
             "x": jnp.where(done, jnp.where(good, x, 0), target),
             "load": jnp.where(done, jnp.where(good, corrected, 0), load),
@@ -121,7 +121,7 @@ def _advance(bracket: _Bracket, x: jax.Array, missing: jax.Array, slope: jax.Arr
 
     A step that does not stay strictly inside the bracket, or follows one that did not halve the residual, is
     replaced by the middle of the bracket; while one end is open, by a stride that doubles. At the root, where
-    rounding decides, Newton steps stand.
+    rounding decides, Newton steps are kept.
     """
     low, high = jnp.where(missing <= 0, x, bracket.low), jnp.where(missing >= 0, x, bracket.high)
     closed = jnp.isfinite(low) & jnp.isfinite(high)

@@ -1,4 +1,4 @@
-"""Pictures: functions that take numbers and results in SI and return Axes. The models never import this package."""
+"""Plots: functions that take numbers and results in SI and return Axes. The models never import this package."""
 
 from rvjax.plotting import assembly, compensation, dynamic_error, dynamics, four_bar, loaded, mesh_force
 from rvjax.plotting.allocation import cost_bars

@@ -1,4 +1,4 @@
-"""Picture of an error budget: who owns the error, and at which orders of the output turn."""
+"""Plot of an error budget: contributors, and orders of the output revolution."""
 
 from typing import Protocol
 

@@ -1,4 +1,4 @@
-"""Pictures of the dynamic model: natural frequencies, responses, sensitivities, accuracy."""
+"""Plots of the dynamic model: natural frequencies, responses, sensitivities, accuracy."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -130,7 +130,7 @@ def sensitivity_bars(
     labels: tuple[str, str],
     axes: Axes | None = None,
 ) -> Axes:
-    """Log-sensitivities as bars, largest first, beside those of another formula; below a hundredth left out.
+    """Log-sensitivities as bars, largest first, next to those of another formula; below a hundredth not drawn.
 
     Args:
         shares: {field: relative change of the amplitude per relative change of the field}; real parts count.
@@ -181,7 +181,7 @@ def sensitivity_curves(
 
 
 def spread(values: Any, *, mean: float, sd: float, unit: str, name: str, axes: Axes | None = None) -> Axes:
-    """How a response is distributed over random units, beside the normal law that first order predicts.
+    """Distribution of a response over random units, and the normal distribution of the first-order prediction.
 
     Args:
         values: of the response, SI (samples,), from Monte Carlo.

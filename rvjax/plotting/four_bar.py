@@ -1,4 +1,4 @@
-"""Pictures of the crank linkage: its two branches, angles over a link error, the error over a crank turn."""
+"""Plots of the crank linkage: its two branches, angles over a link error, the error over a crank turn."""
 
 from collections.abc import Mapping
 from typing import Any

@@ -1,4 +1,4 @@
-"""Pictures of an identification: the curve, what it leaves over, and each element before and after."""
+"""Plots of an identification: curve, residual, and each element before and after."""
 
 from collections.abc import Mapping, Sequence
 
@@ -9,7 +9,7 @@ from rvjax.plotting.style import AFTER, BEFORE, LIMIT, PALETTE, new_axes, words
 from rvjax.units import arcmin, arcsec, deg
 
 MOST = 40
-"""Elements of one picture; of more, those that the data move most."""
+"""Most elements of one plot: those that the data move most."""
 
 
 def measured_curve(
@@ -23,7 +23,7 @@ def measured_curve(
     title: str,
     axes: Axes | None = None,
 ) -> Axes:
-    """A measured transmission error beside that of the identified unit.
+    """A measured transmission error and that of the identified unit.
 
     Args:
         angle: of the output, rad (n,).
@@ -47,7 +47,7 @@ def measured_curve(
 
 
 def residual_orders(residual: Mapping[str, np.ndarray], sd: float, *, axes: Axes | None = None) -> Axes:
-    """What the identified unit leaves over of each order, beside the noise.
+    """Residual of each order of the identified unit, and the noise.
 
     Args:
         residual: {order: complex amplitude of each run, rad (runs,)}.
@@ -72,7 +72,7 @@ def residual_orders(residual: Mapping[str, np.ndarray], sd: float, *, axes: Axes
 def loop(
     torque: np.ndarray, midline: np.ndarray, width: np.ndarray, predicted: np.ndarray, *, axes: Axes | None = None
 ) -> Axes:
-    """Midline and branches of a measured torque-angle loop beside the identified unit.
+    """Midline and branches of a measured torque-angle loop and the identified unit.
 
     Args:
         torque: of the bench, N m (n,).
@@ -163,11 +163,11 @@ def shares(groups: Mapping[str, Mapping[str, float]], *, least: float = 0.01, ax
 def known_numbers(
     numbers: Mapping[str, int], benches: Mapping[str, Mapping[str, float]], *, axes: Axes | None = None
 ) -> Axes:
-    """Which share of the numbers of each error some benches know.
+    """Share of the parameters of each error that benches identify.
 
     Args:
         numbers: {field: how many numbers it has}.
-        benches: {bench: {field: how many of them it knows}}.
+        benches: {bench: {field: how many of them it identifies}}.
         axes: where to draw; a new figure by default.
     """
     axes = new_axes(axes)

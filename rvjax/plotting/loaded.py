@@ -1,4 +1,4 @@
-"""Pictures of the loaded reducer: forces on discs, load sharing, torque-angle curve, transmission error and orders."""
+"""Plots of the loaded reducer: forces on discs, load sharing, torque-angle curve, transmission error and orders."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -19,7 +19,7 @@ def pin_forces(
 ) -> Axes:
     """A disc in its ring, seen along the axis in the frame of the carrier, with every force on it as an arrow.
 
-    Arrows of pins and bearings have scales of their own; those of pins are alike for all discs of `result`.
+    Arrows of pins and bearings have different scales; those of pins are alike for all discs of `result`.
 
     Args:
         design: as solved.
@@ -199,7 +199,7 @@ def output_orders(
     Args:
         turns: {name: of `loaded.revolution` with turns = 1}.
         named: orders to name, of the first curve.
-        highest: order shown, by default all that the samples tell.
+        highest: order shown, by default all that the samples resolve.
         axes: where to draw; a new figure by default.
     """
     axes = new_axes(axes)
@@ -233,7 +233,7 @@ def measured_curve(
     stiffness: float | None = None,
     axes: Axes | None = None,
 ) -> Axes:
-    """Measured wind-up against torque beside curves of a model, and which points these were fitted to.
+    """Measured wind-up over torque, curves of a model, and the points of their fit.
 
     Args:
         torque: N m (n,).

@@ -1,4 +1,4 @@
-"""Pictures of the oscillatory roller stage: the tooth with its undercut limit, and the parametric studies."""
+"""Plots of the oscillatory roller stage: the tooth with its undercut limit, and the parametric studies."""
 
 from collections.abc import Mapping
 from typing import Any

@@ -1,4 +1,4 @@
-"""Picture of the comparison with the literature: how many printed figures hold."""
+"""Plot of the comparison with the literature: how many published values hold."""
 
 from collections import Counter
 from collections.abc import Iterable, Mapping

@@ -1,4 +1,4 @@
-"""Pictures of an allocation: before is always the light dashed one, after the dark solid one."""
+"""Plots of an allocation: before is always the light dashed one, after the dark solid one."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -51,7 +51,7 @@ def response_histogram(
     read_in: str | None = None,
     axes: Axes | None = None,
 ) -> Axes:
-    """How a response is distributed before and after, with its limits.
+    """Distribution of a response before and after, with its limits.
 
     Args:
         before: values of the response, SI (samples,), with the tolerances of the study.

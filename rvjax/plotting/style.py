@@ -1,4 +1,4 @@
-"""The one style of all pictures: readable in print and with colour-vision deficiency."""
+"""Style of all plots: readable in print and with colour-vision deficiency."""
 
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -29,7 +29,7 @@ _STYLE: Any = {
 
 @contextmanager
 def style() -> Iterator[None]:
-    """The one style of all pictures."""
+    """Style of all plots."""
     # Not rc_context: the first figure of a notebook, drawn inside, makes pyplot interactive, and that has to stay.
     before = {key: plt.rcParams[key] for key in _STYLE}
     plt.rcParams.update(_STYLE)
@@ -40,7 +40,7 @@ def style() -> Iterator[None]:
 
 
 def use_style() -> None:
-    """The one style for all pictures to come, of a size that keeps notebooks small."""
+    """Set the style for all further plots, of a size that keeps notebooks small."""
     plt.rcParams.update(_STYLE | {"figure.dpi": 100})
 
 

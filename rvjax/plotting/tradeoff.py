@@ -15,7 +15,7 @@ def pareto(model: Model, *, axes: Axes | None = None) -> Axes:
     """Largest error against time per case of the levels of one model, both logarithmic.
 
     Filled: float64, hollow: float32. The line joins the levels that no other beats in both; the reference, whose
-    error is zero by definition, stands at the bottom.
+    error is zero by definition, is at the bottom.
 
     Args:
         model: measured.
@@ -41,9 +41,9 @@ def pareto(model: Model, *, axes: Axes | None = None) -> Axes:
     named: list[Level] = []
     for level in front:
         if named and model.relative(level) > 0.6 * model.relative(named[-1]):
-            continue  # hardly better than its neighbour: the names would cover each other
+            continue  # little better than its neighbour: the names would cover each other
         named.append(level)
-        # The front falls to the right: above it there is room on the right, below it on the left.
+        # The front falls to the right: above it there is space on the right, below it on the left.
         right = (level.ns / fastest) ** 2 < slowest / fastest
         axes.annotate(
             level.name.rsplit(", float", 1)[0],
@@ -63,7 +63,7 @@ def pareto(model: Model, *, axes: Axes | None = None) -> Axes:
 
 
 def tradeoff(table: Table) -> Figure:
-    """All models of a table, one picture each."""
+    """All models of a table, one plot each."""
     models = list(table.models.values())
     rows = math.ceil(len(models) / 2)
     with style():

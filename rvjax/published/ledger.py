@@ -1,19 +1,19 @@
-"""The literature's figures as data, held against what the models give now.
+"""Published values as data, compared with the results of the models.
 
 One TOML file per source. Fields of a `[[figure]]`:
 
     id               source.section.short_name, unique
-    where, claim     place in the source, the figure or statement in own words
-    value, unit      as printed; true for a statement that is either right or wrong (unit "bool")
+    where, claim     place in the source, the value or statement in other words
+    value, unit      as published; true for a statement that is either right or wrong (unit "bool")
     inputs           what to set to obtain our_value
-    compute          where several figures are formed alike: how, and of what, as the module of the source says
+    compute          where several figures are formed alike: how, and of what, as the module of the source defines
     our_value        what the right model gives, in `our_unit` where present, else `unit`
     tolerance        absolute tolerance on our_value, element by element
-    rounding         half the last printed digit
+    rounding         half the last published digit
     expected_status  the verdict the tests hold the computed one against
     reading          the interpretation under which the figure comes out; not evidence for it
-    contradicted_by  what the figure cannot stand beside, where our value lies outside the band about it
-    judging_value    our number that judges a figure which has no counterpart of its own; in the note, not beside it
+    contradicted_by  what contradicts the value, where our value lies outside the band about it
+    judging_value    our number that tests a value without a direct counterpart; in the note only
     judging_unit     its unit where it is another one
     presupposes      what it is held against instead of the figure, in that unit
     missing          what the source leaves out
@@ -21,7 +21,7 @@ One TOML file per source. Fields of a `[[figure]]`:
     note             anything else a reader should know
 
 Status words: reproduced (within rounding), reproduced_with_reading, close (within 10 %), not_computable; contradicted
-(our value is further from the figure than rounding and tolerance together, and `contradicted_by` says why the figure
+(our value is further from the figure than rounding and tolerance together, and `contradicted_by` says why the value
 is at fault); not_reproduced (further than 10 % and nothing says why). The last one is a defect of rvjax or a reading
 that was never found: the ledger holds no such figure, and a test forbids it. Every verdict but not_computable follows
 from the computed number, `contradicted` too: a model that moves into the band ends it, and the test turns red.
@@ -43,7 +43,7 @@ CLOSE = 0.10
 
 @dataclass(frozen=True)
 class Comparison:
-    """One published figure beside the computed one.
+    """One published value and the computed one.
 
     `right` is the physically right value where the published figure follows only under a reading.
     """
@@ -81,7 +81,7 @@ def reproduce(
 
     Args:
         sources: names.
-        say: is told which source comes next.
+        say: receives the name of the next source.
     """
     rows = []
     for number, source in enumerate(sources):
@@ -100,12 +100,12 @@ def ours(figure: dict[str, Any]) -> Any:
 
 
 def compare(figure: dict[str, Any], computed: Any, right: Any = None) -> Comparison:
-    """Judge one figure.
+    """Compare one value.
 
     Args:
         figure: of the ledger.
         computed: our value; None where the source does not allow one.
-        right: the physically right value, where another reading was asked for.
+        right: the physically right value, where another reading was required.
     """
     unit = figure.get("our_unit", figure["unit"])
     notes = [figure[key] for key in ("contradicted_by", "missing", "reading", "calibrated", "note") if key in figure]
@@ -165,7 +165,7 @@ def _status(figure: dict[str, Any], computed: Any) -> str:
 
 
 def _bands(figure: dict[str, Any], computed: Any) -> list[tuple[Any, Any, Any, Any]]:
-    """Of every element: computed, published, half the last printed digit, tolerance of the computed one."""
+    """Of every element: computed, published, half the last published digit, tolerance of the computed one."""
     published = _list(figure.get("presupposes", figure["value"]))
     ours, rounding, tolerance = _list(computed), _list(figure.get("rounding", 0.0)), _list(figure.get("tolerance", 0.0))
     rounding, tolerance = (x * len(published) if len(x) == 1 else x for x in (rounding, tolerance))

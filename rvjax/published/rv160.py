@@ -1,8 +1,8 @@
-"""A measured RV reducer of ratio 81 beside the loaded equilibrium of a machine of its teeth.
+"""A measured RV reducer of ratio 81, and the loaded equilibrium of a reducer with its teeth.
 
 Only teeth, cranks and ratio of the measured reducer are known (22, 44, 39, 40; three cranks; a comment in the source
 calls it an RV-160N). Everything else of `MACHINE` is assumed: lengths are those of the RV-320E, times the cube root of
-the ratio of the rated torques (1/2), rounded; springs are its printed ones times the same, torsional ones the cube.
+the ratio of the rated torques (1/2), rounded; springs are its published ones times the same, torsional ones the cube.
 """
 
 from collections.abc import Callable, Sequence
@@ -52,11 +52,11 @@ FITTED = np.arange(len(TORQUE)) % 2 == 0
 AMPLITUDE = {2: 0.98, 3: 2.84, 39: 3.81, 40: 3.02, 78: 3.38, 80: 0.74, 81: 1.08, 120: 0.61, 159: 1.03}
 
 ANGLES = 8
-"""Input angles over an output turn whose mean stands for the turn."""
+"""Input angles over an output revolution for its mean."""
 
 
 FREE = ("factor", "gears", "clearance", "play", "scatter")
-"""What a fit may move: factor on all springs, factor on the gears beside it, radial clearance of the arm bearings, play
+"""What a fit may move: factor on all springs, factor on the gears, radial clearance of the arm bearings, play
 of the pins, standard deviation of `pattern`; lengths in um."""
 
 
@@ -80,7 +80,7 @@ NONE = RVErrors(**{name: np.zeros(shape) for name, shape in SHAPES.items()})
 
 
 def pattern(seed: int = 0) -> RVErrors:
-    """Scatter of pins, teeth and crank journals of a unit that nobody measured, standard deviation 1 um."""
+    """Scatter of pins, teeth and crank journals of an assumed unit, standard deviation 1 um."""
     draw = np.random.default_rng(seed).normal
     drawn = ("pin_offset", "disc_pitch", "crank_eccentricity")
     return NONE.replace(**{name: um * draw(size=SHAPES[name]) for name in drawn})
