@@ -91,7 +91,7 @@ def _geometric(numbers: PyTree, *, reading: str, profile: str) -> LostMotion:
     smallest = jnp.minimum(jnp.minimum(unit.e, unit.rp), jnp.minimum(unit.r1, unit.a0 + unit.a1))
     smallest = jnp.where(smallest > 0, smallest, 1)
     of_unit, of_parts = jax.tree.leaves(unit), [getattr(parts, name) for name in read_by(parts, "lost_motion")]
-    # Where only terms are summed, design and errors are checked separately: a batch of errors leaves the design unbatched.
+    # Where only terms are summed, design and errors are checked separately: the design stays unbatched.
     apart = profile == "first_order"
     alone = RVErrors() if apart else parts
     possible = (~_possible(unit, alone, teeth, profile), Status.INVALID_GEOMETRY)
