@@ -174,7 +174,7 @@ def place_of(name: str) -> tuple[str, tuple[int, ...]]:
     Raises:
         ValueError: the name is no such name.
     """
-    match = re.fullmatch(r"(\w+)((?:\[\d+(?:, ?\d+)*\])*)", name)
+    match = re.fullmatch(r"([\w.]+)((?:\[\d+(?:, ?\d+)*\])*)", name)
     if match is None:
         raise ValueError(f"{name!r}: must be the name of an error or of an element, such as disc_bore[0,1]")
     return match[1], tuple(map(int, re.findall(r"\d+", match[2])))

@@ -13,8 +13,8 @@ import pytest
 
 import rvjax
 from rvjax import catalogue, cli, four_bar, study
+from rvjax.commands.identify import in_words
 from rvjax.errors import RVErrors
-from rvjax.report.identified import in_words
 from rvjax.study import bench, measured, problem
 from rvjax.study.measured import Conditions
 from rvjax.units import arcsec, deg, um

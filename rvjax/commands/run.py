@@ -29,9 +29,7 @@ def run(name: str, options: argparse.Namespace) -> int:
     with progress.shown(work.phases(asked), counted=getattr(work, "COUNTED", ""), quiet=quiet):
         progress.begin(READING)
         found = report(asked, work.compute(asked))
-        if (
-            not as_json and found.content
-        ):  # before the folder is made: whatever fails there, the result has been printed
+        if not as_json and found.content:  # before the folder is made: a failure there leaves the printed result
             say(found.text())
         if folder is not None:
             progress.begin(WRITING)

@@ -1,6 +1,6 @@
 """Plots: functions that take numbers and results in SI and return Axes. The models never import this package."""
 
-from rvjax.plotting import assembly, compensation, dynamic_error, dynamics, four_bar, loaded, mesh_force
+from rvjax.plotting import assembly, compensation, dynamic_error, dynamics, four_bar, identified, loaded, mesh_force
 from rvjax.plotting.allocation import cost_bars
 from rvjax.plotting.batches import batch_histograms, rejects_against_limit
 from rvjax.plotting.budget import error_budget
@@ -28,6 +28,7 @@ __all__ = [
     "dynamics",
     "error_budget",
     "four_bar",
+    "identified",
     "loaded",
     "mesh_force",
     "new_axes",

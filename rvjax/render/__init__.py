@@ -3,7 +3,7 @@
 from rvjax.render.figure import Figure, saved
 from rvjax.render.folders import new_folder, numbered_folders, results_folder, write_files
 from rvjax.render.quantity import Quantity, number
-from rvjax.render.report import Content, Note, Report, Section, as_json, plain, versions
+from rvjax.render.report import Content, Note, Report, Section, as_json, leading_comment, plain, versions
 from rvjax.render.table import (
     CSV,
     EVERYWHERE,
@@ -41,6 +41,7 @@ __all__ = [
     "aligned",
     "as_csv",
     "as_json",
+    "leading_comment",
     "new_folder",
     "number",
     "numbered_folders",

@@ -1,6 +1,7 @@
 """The HTML page of a report: one file, nothing is fetched. Every value is escaped by Jinja2."""
 
 import base64
+import itertools
 import re
 from functools import cache
 from importlib import resources
@@ -35,7 +36,7 @@ def _environment() -> Environment:
     made = Environment(
         loader=FunctionLoader(source), autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=StrictUndefined
     )
-    made.filters |= {"typeset": typeset, "micro": micro, "svg": svg, "words": lambda name: name.replace("_", " ")}
+    made.filters |= {"typeset": typeset, "micro": micro, "svg": svg, "label": label, "groupby_indent": _by_indent}
     made.tests |= {
         "note": lambda part: isinstance(part, Note) and PAGE in part.on,
         "table": lambda part: isinstance(part, Table) and PAGE in part.on,
@@ -44,6 +45,17 @@ def _environment() -> Environment:
         "nil": nil,
     }
     return made
+
+
+def label(name: str) -> Markup:
+    """The name of an error as words; the place of an element may be on a separate line."""
+    return Markup(str(escape(name.replace("_", " "))).replace("[", "<wbr>["))
+
+
+def _by_indent(lines: list[str]) -> list[tuple[bool, list[str]]]:
+    """Indented lines, which are a list, apart from the others."""
+    groups = itertools.groupby(lines, lambda line: line.startswith("  "))
+    return [(indented, [line.strip() for line in own]) for indented, own in groups]
 
 
 ZERO = Markup('<span class="none">0</span>')

@@ -1,6 +1,7 @@
 """A report: what a command has to say. Text, tables of numbers, JSON and the HTML page follow from it."""
 
 import dataclasses
+import itertools
 import json
 import math
 import sys
@@ -101,6 +102,12 @@ class Report:
             from rvjax.render.page import page
 
             yield "report.html", page(self).encode()
+
+
+def leading_comment(text: str) -> str:
+    """What the author wrote above a study: its leading comment."""
+    lines = itertools.takewhile(lambda line: line.startswith("#"), text.splitlines())
+    return " ".join(line.lstrip("# ") for line in lines)
 
 
 def versions() -> dict[str, str]:

@@ -1,35 +1,51 @@
 """Studies: a question about one design, in Python or as a TOML file."""
 
+from rvjax.study.bench import NUISANCES, order_name
 from rvjax.study.design import BASES
 from rvjax.study.facts import facts_of
-from rvjax.study.measured import Conditions, Run
+from rvjax.study.identification import field_unit
+from rvjax.study.measured import Conditions, Loop, Measured, Run
 from rvjax.study.measured import read as read_measured
 from rvjax.study.plausible import KNOWN_DESIGNS, RATED, TORQUE, numbers, shown
+from rvjax.study.problem import Problem, Wide
+from rvjax.study.problem import asked_of as identification_of
+from rvjax.study.problem import problem as inverse_problem
+from rvjax.study.problem import wide as with_candidates
 from rvjax.study.question import Study, StudyError
 from rvjax.study.read import EMBEDDED, embedded_names, load, parse_study
 from rvjax.study.values import choice, integer, known, naming, quantity, subtable
 
 __all__ = [
     "BASES",
+    "Conditions",
     "EMBEDDED",
     "KNOWN_DESIGNS",
+    "Loop",
+    "Measured",
+    "NUISANCES",
+    "Problem",
     "RATED",
-    "TORQUE",
-    "Conditions",
     "Run",
     "Study",
     "StudyError",
+    "TORQUE",
+    "Wide",
     "choice",
     "embedded_names",
     "facts_of",
+    "field_unit",
+    "identification_of",
     "integer",
+    "inverse_problem",
     "known",
     "load",
     "naming",
     "numbers",
+    "order_name",
     "parse_study",
     "quantity",
     "read_measured",
     "shown",
     "subtable",
+    "with_candidates",
 ]

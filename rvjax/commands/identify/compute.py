@@ -7,10 +7,9 @@ from typing import Any
 import numpy as np
 
 from rvjax import identify, progress
-from rvjax.study.bench import order_name
-from rvjax.study.measured import Measured, Run
-from rvjax.study.problem import Problem, Wide, problem, wide
-from rvjax.study.question import Study
+from rvjax.commands.identify.inputs import Inputs
+from rvjax.commands.speak import READING, WRITING
+from rvjax.study import Measured, Problem, Run, Study, Wide, inverse_problem, order_name, with_candidates
 
 REJECTED = ("REJECTED", "MAX_STEPS", "NONFINITE")
 """Statuses that are no answer."""
@@ -19,7 +18,7 @@ PITCHES = 3  # of the ring that a curve is drawn over
 WITHOUT = 1e-4
 """Resolution below which the data say nothing of an element."""
 
-PHASES = SEEING, FITTING, RANKING = ("what the data can tell apart", "most probable values", "what to measure next")
+SEEING, FITTING, RANKING = "what the data can tell apart", "most probable values", "what to measure next"
 
 
 @dataclass(frozen=True)
@@ -84,6 +83,23 @@ class Identified:
         return [name for name in self.check.names if self.check.resolution[name] < WITHOUT]
 
 
+def phases(asked: Inputs) -> dict[str, float]:
+    """Phases of the command; their times are not known before.
+
+    Args:
+        asked: what is computed.
+    """
+    coming = (SEEING, RANKING) if asked.check else (SEEING, FITTING, RANKING, WRITING)
+    return dict.fromkeys((READING, *coming), 0.0)
+
+
+def compute(asked: Inputs) -> "Identified":
+    """What the data can distinguish, and most probable values where there are data."""
+    if asked.check or asked.data is None:
+        return check(asked.study, asked.data)
+    return answer(asked.study, asked.data, draws=asked.sample)
+
+
 def check(study: Study, measured: Measured | None = None) -> Identified:
     """What a bench can tell apart, and which run to measure next; needs no values, and no data where noise is known.
 
@@ -92,11 +108,11 @@ def check(study: Study, measured: Measured | None = None) -> Identified:
         measured: runs that stand for those that the study plans.
 
     Raises:
-        ValueError: as `problem`.
+        ValueError: as `rvjax.study.inverse_problem`.
     """
     progress.begin(SEEING)
-    asked = problem(study, measured)
-    everything = wide(asked)
+    asked = inverse_problem(study, measured)
+    everything = with_candidates(asked)
     return Identified(asked, _seen(asked, everything), gains=_gains(asked, everything, None))
 
 
@@ -109,11 +125,11 @@ def answer(study: Study, measured: Measured, *, draws: bool = False) -> Identifi
         draws: sample the posterior of a unit too.
 
     Raises:
-        ValueError: as `problem`; draws of a batch.
+        ValueError: as `rvjax.study.inverse_problem`; draws of a batch.
     """
     progress.begin(SEEING)
-    asked = problem(study, measured)
-    everything = wide(asked)
+    asked = inverse_problem(study, measured)
+    everything = with_candidates(asked)
     seen = _seen(asked, everything)
     progress.begin(FITTING)
     options: dict[str, Any] = dict(noise=asked.noise, nuisance=asked.nuisance, seed=study.seed)

@@ -1,0 +1,96 @@
+"""Plots of an identification: curve, residual orders, elements, shares."""
+
+from collections.abc import Iterator
+from functools import partial
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from rvjax.commands.identify.compute import Band, Identified
+from rvjax.commands.identify.words import elements, field_of
+from rvjax.render import Figure
+from rvjax.study import Loop
+from rvjax.tolerances import Tolerance
+
+RUNS = 4  # curves that are drawn
+SIDES = np.array([-1.959964, 1.959964])  # of a 95 % interval
+
+
+def figures(found: Identified) -> Iterator[Figure]:
+    """The plots of an identification; none of a check or a batch."""
+    posterior, asked = found.posterior, found.problem
+    if posterior is None:
+        return
+    for k, band in enumerate(found.bands[:RUNS], 1):
+        caption = f"Measured and identified transmission error, {band.run.at.text()}"
+        yield Figure(f"curve_{k}", caption, partial(_curve, band))
+    if asked.kind == "curve":
+        yield Figure("orders", "What is left over of each order, beside the noise", partial(_orders, found))
+    if asked.kind == "loop" and isinstance(loop := asked.items[0][0], Loop):
+        predicted = np.asarray(posterior.prediction["angle"])
+        yield Figure("loop", "Midline of the measured loop and of the identified unit", partial(_loop, loop, predicted))
+    caption = "Every element: prior (grey), posterior, and the limits of the drawing"
+    yield Figure("elements", caption, partial(_elements, found))
+    yield Figure("shares", "Who makes the curve; a negative share cancels others", partial(_shares, found))
+
+
+def _curve(band: Band) -> Any:
+    from rvjax import plotting
+
+    mean, cosine, sine = band.taken
+    return plotting.identified.measured_curve(
+        band.run.angle,
+        band.run.error - mean - cosine * np.cos(band.run.angle) - sine * np.sin(band.run.angle),
+        predicted_angle=band.angle,
+        predicted=band.value,
+        lower=band.lower,
+        upper=band.upper,
+        title=band.run.at.text(),
+    )
+
+
+def _orders(found: Identified) -> Any:
+    from rvjax import plotting
+
+    assert found.posterior is not None
+    residual = {name: np.asarray(x) for name, x in found.posterior.residual.items() if name != "mean"}
+    return plotting.identified.residual_orders(residual, found.problem.sd)
+
+
+def _loop(loop: Loop, predicted: np.ndarray) -> Any:
+    from rvjax import plotting
+
+    return plotting.identified.loop(loop.torque, loop.midline, loop.width, predicted)
+
+
+def _elements(found: Identified) -> Any:
+    from rvjax import plotting
+
+    posterior, asked = found.posterior, found.problem
+    assert posterior is not None
+    prior = {name: tolerance for name, tolerance in asked.prior.items() if name not in asked.nuisance}
+    ends = [_at(prior, side) for side in SIDES]
+    sides = (posterior.value, posterior.lower, posterior.upper)
+    value, lower, upper = (elements({f: side[f] for f in prior}) for side in sides)
+    limits = {f: (float(t.lower), float(t.upper)) for f, t in prior.items()}
+    names = sorted(value, key=lambda name: -found.check.resolution[name])
+    return plotting.identified.elements(
+        names,
+        before={name: (ends[0][name], ends[1][name]) for name in names},
+        after={name: (value[name], lower[name], upper[name]) for name in names},
+        limits={name: limits[field_of(name)] for name in names},
+        verdict=found.check.verdict,
+    )
+
+
+def _shares(found: Identified) -> Any:
+    from rvjax import plotting
+
+    assert found.posterior is not None
+    return plotting.identified.shares(found.posterior.shares)
+
+
+def _at(prior: dict[str, Tolerance], side: float) -> dict[str, float]:
+    """{element: value} of every element at a quantile of its distribution."""
+    return elements({f: t.deviate(jnp.full(t.shape, side)) for f, t in prior.items()})

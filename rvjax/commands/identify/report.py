@@ -1,0 +1,309 @@
+"""What `rvjax identify` says: verdict, combinations, elements with intervals, shares, next measurement; one page."""
+
+import shlex
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from rvjax.columns import place_of
+from rvjax.commands.identify.compute import Identified
+from rvjax.commands.identify.figures import figures
+from rvjax.commands.identify.inputs import Inputs
+from rvjax.commands.identify.words import (
+    direction_lines,
+    elements,
+    field_of,
+    headline,
+    next_lines,
+    shares_text,
+    verdict_line,
+)
+from rvjax.render import (
+    CSV,
+    EVERYWHERE,
+    PAGE,
+    TEXT,
+    Column,
+    Content,
+    Figure,
+    Interval,
+    Note,
+    Number,
+    Quantity,
+    Report,
+    Section,
+    Share,
+    Table,
+    Text,
+    leading_comment,
+    versions,
+)
+from rvjax.study import NUISANCES, field_unit
+from rvjax.units import KNOWN, arcsec, readable
+
+MOST_ROWS, MOST_ON_PAGE, MOST_UNITS = 60, 40, 6
+SEEN = 1e-3  # resolution of the elements that a table of text lists
+NIL = 1e-4  # share of an interval, or chance, that is rounding
+RUNS = 4  # curves that are drawn
+
+
+def report(asked: Inputs, found: Identified) -> Report:
+    """The report on an identification.
+
+    Args:
+        asked: inputs of the command.
+        found: its result.
+    """
+    study, drawn = asked.study, {figure.name: figure for figure in figures(found)}
+    mark = {None: "", True: "✔ ", False: "✘ "}[found.adequate]
+    title, *more = headline(found).split("\n")
+    command = " ".join(["rvjax identify", *(shlex.quote(name) for name in (asked.source, *asked.paths))])
+    return Report(
+        title=f"{study.name}: what made this curve",
+        content=tuple(_content(found, drawn)),
+        status=f"{mark}{title}",
+        ok=found.adequate is not False,
+        data=_data(found) | {"data": asked.paths},
+        files={"study.toml": study.text.encode()},
+        page="",
+        facts={
+            "heading": f"{study.name}: what made this curve?",
+            "intro": leading_comment(study.text),
+            "said": " ".join([*more, f"{verdict_line(found)}."]),
+            "boxes": _boxes(found),
+            "origin": {"command": command, "seed": str(study.seed)},
+            "study": study.text,
+        },
+    )
+
+
+def _boxes(found: Identified) -> list[tuple[str, str, str]]:
+    boxes = []
+    if found.posterior is not None:
+        fit = found.posterior.fit
+        boxes = [
+            ("can any part do this?", f"p = {fit.p_model:.3g}", f"chi² {fit.chi2_model:.4g} of {fit.dof_model:g}"),
+            ("a part of this drawing?", f"p = {fit.p_prior:.3g}", f"chi² {fit.chi2_prior:.4g} of {fit.dof_prior:g}"),
+        ]
+    boxes.append(("information", f"{found.check.information:.3g} nats", f"{len(found.check.directions)} directions"))
+    if found.problem.kind == "curve":
+        boxes.append(("noise", f"{found.problem.sd / arcsec:.3g} arcsec", "of a real number"))
+    return boxes
+
+
+def _content(found: Identified, drawn: dict[str, Figure]) -> list[Content]:
+    only_text, only_page = frozenset({TEXT}), frozenset({PAGE})
+    silent = sorted({field_of(name) for name in found.silent} - set(found.problem.nuisance))
+    unknown = f"The data say nothing of {', '.join(silent)}: the drawing is all that is known of them."
+    said = [verdict_line(found), *([unknown] if silent else [])]
+    content: list[Content] = [Note(headline(found), only_text), Note("\n".join(said), only_text)]
+    if curves := [figure for name, figure in drawn.items() if name.startswith(("curve_", "loop"))]:
+        points = (
+            "Points: what was measured, without order 1 and, where no offset is asked for, without its mean. The band "
+            "holds what the identified unit does, not the noise of a reading."
+        )
+        left = len(found.bands) - RUNS
+        parts: list[Note | Table | Figure] = [Note(points, only_page), *curves]
+        parts += [Note(f"{left} more runs are not drawn.", only_page)] if left > 0 else []
+        content.append(Section("Measured and identified", (*parts, *_named(drawn, "orders"))))
+    content.append(
+        Section("What the data can tell apart", (_seen(found), *([Note(unknown, only_page)] if silent else [])))
+    )
+    content.append(Section("Every element", (*_named(drawn, "elements"), *_elements(found))))
+    if found.batch is not None:
+        content.append(Section("Units", (_units(found),)))
+    if found.posterior is not None:
+        shares = [f"  {group}: {shares_text(fields)}" for group, fields in found.posterior.shares.items()]
+        text = Note("\n".join(["Who makes the curve (shares; negative: cancels others):", *shares]), only_text)
+        content.append(Section("Who makes the curve", (text, *_named(drawn, "shares"))))
+    if rest := _doubts(found):
+        content.append(Note("\n".join(rest), only_text))
+    if coming := next_lines(found):
+        more = "One more run, and how much it would tell about the parts (a nat: some uncertainty divided by 2.7):"
+        listed = [f"  {line}" for line in coming]
+        notes = Note("\n".join(["Measure next:", *listed]), only_text), Note("\n".join([more, *listed]), only_page)
+        content.append(Section("What to measure next", notes))
+    return content
+
+
+def _named(drawn: dict[str, Figure], name: str) -> list[Figure]:
+    return [drawn[name]] if name in drawn else []
+
+
+def _seen(found: Identified) -> Note:
+    """Combinations that the data see, and pairs that they cannot separate."""
+    lines = [f"  only {line}" for line in direction_lines(found)] or ["  nothing beyond the drawing"]
+    lines.insert(0, "What the data see, strongest first:")
+    if pairs := found.check.inseparable:
+        shown = [f"{a} and {b} ({r:+.3f})" for a, b, r in pairs[:5]]
+        lines.append(f"Cannot be told apart: {', '.join(shown)}{', ..' if len(pairs) > 5 else ''}")
+    return Note("\n".join(lines))
+
+
+def _doubts(found: Identified) -> list[str]:
+    """Largest residuals, and what speaks against the intervals."""
+    lines = []
+    if found.posterior is not None:
+        lines.append(f"Largest residuals: {', '.join(map(str, found.posterior.fit.worst[:3]))}")
+        if found.posterior.status == "LAPLACE_DOUBTFUL":
+            lines.append("The intervals are doubtful (a kink or a bound is near): run again with --sample.")
+    if found.draws is not None:
+        fine = "agree" if found.draws.trusted else "do NOT agree: another mode, or more draws are needed"
+        lines.append(f"Sampled: chains {fine}, largest r_hat {np.max(found.draws.r_hat):.4f}")
+    return lines
+
+
+@dataclass(frozen=True)
+class _Value(Number):
+    """Most probable values; one that is 0 but for rounding is shown as 0."""
+
+    def _said(self, cell: Quantity) -> str:
+        name, size = cell.shown
+        return f"{_rounded(cell, cell.value, size)} {name}"
+
+
+@dataclass(frozen=True)
+class _Span(Column):
+    """Both ends of intervals."""
+
+    def headers(self) -> list[str]:
+        """Headers in a CSV file."""
+        return ["lower", "upper"]
+
+    def _said(self, cell: Quantity) -> str:
+        assert cell.lower is not None and cell.upper is not None
+        return " .. ".join(_rounded(cell, end, cell.shown[1]) for end in (cell.lower, cell.upper))
+
+    def _given(self, cell: Quantity) -> list[Any]:
+        return list(cell.numbers()[1:])
+
+
+def _rounded(cell: Quantity, value: float, size: float) -> str:
+    assert cell.lower is not None and cell.upper is not None
+    return f"{0.0 if abs(value) < NIL * (cell.upper - cell.lower) else value / size:.4g}"
+
+
+@dataclass(frozen=True)
+class _Chance(Share):
+    """Chances; those of rounding are not shown."""
+
+    def _said(self, cell: float) -> str:
+        return super()._said(cell) if cell >= NIL else self.missing
+
+
+def _elements(found: Identified) -> list[Table | Note]:
+    """Every element, those that the data move most first: all in the file, those that matter in text and page."""
+    check, posterior = found.check, found.posterior
+    valued = EVERYWHERE if posterior is not None else frozenset({CSV})
+    columns = [
+        Text("element"),
+        Text("unit", on=frozenset({CSV})),
+        Text("verdict"),
+        Share("known better by"),
+        _Value("value", on=valued),
+        _Span("95 % interval", on=valued),
+        _Chance("beyond limit", on=valued, file_title="chance beyond limit", form=".3g"),
+    ]
+    fields = posterior and [elements(x) for x in (posterior.value, posterior.lower, posterior.upper)]
+    rows = []
+    for name in sorted(check.names, key=lambda name: -check.resolution[name]):
+        row: list[Any] = [name, _unit(found, name)[1], str(check.verdict[name]), max(check.resolution[name], 0.0)]
+        if posterior is not None and fields:
+            value = _quantity(found, name, *(values[name] for values in fields))
+            row += [value, value, posterior.broken.get(name, 0.0)]
+        rows.append(row if posterior is not None else [*row, None, None, None])
+    seen = [row for row in rows if check.resolution[row[0]] >= SEEN][:MOST_ROWS]
+    left = len(rows) - len(seen)
+    rest = f"{left} more elements: as the drawing has them" if left else ""
+    more = f"{len(rows) - MOST_ON_PAGE} elements of which the data say less are in elements.csv."
+    return [
+        Table("elements", columns, rows, on=frozenset({CSV})),
+        Table("elements", columns, seen, note=rest, on=frozenset({TEXT})),
+        Table("elements", columns, rows[:MOST_ON_PAGE], on=frozenset({PAGE})),
+        *([Note(more, frozenset({PAGE}))] if len(rows) > MOST_ON_PAGE else []),
+    ]
+
+
+def _unit(found: Identified, name: str) -> tuple[str, str, float]:
+    """SI unit of an element, and name and size of the unit in which a person reads it."""
+    field = field_of(name)
+    unit = field_unit(found.study.design, field)
+    if field in NUISANCES:
+        return unit, "arcsec", arcsec
+    return (unit, "N/um", KNOWN["N/m"]["N/um"]) if unit == "N/m" else (unit, *readable(unit))
+
+
+def _quantity(found: Identified, name: str, value: float, lower: float, upper: float) -> Quantity:
+    unit, shown, _ = _unit(found, name)
+    return Quantity(value, unit, lower, upper, shown)
+
+
+def _units(found: Identified) -> Table:
+    """Every unit of a batch: status, fit, and the elements that are identified; all of these in the file."""
+    batch = found.batch
+    assert batch is not None
+    own = [n for n in found.check.names if found.check.verdict[n] == "identified"]
+    own = [n for n in own if field_of(n) not in found.problem.nuisance]
+    columns: list[Column] = [Text("unit"), Text("status"), Number("p model", form=".3g"), Number("p prior", form=".3g")]
+    for k, name in enumerate(own):
+        shown = _unit(found, name)[1]
+        ends = f"{name} lower [{shown}]", f"{name} upper [{shown}]"
+        on = EVERYWHERE if k < MOST_UNITS else frozenset({CSV})
+        columns.append(Interval(name, ends=ends, file_title=f"{name} [{shown}]", on=on))
+    rows = []
+    for k, unit in enumerate(found.problem.units):
+        chances = (float(np.asarray(p)[k]) for p in (batch.fit.p_model, batch.fit.p_prior))
+        row: list[Any] = [unit or "-", str(batch.status[k]), *chances]
+        for name in own:
+            field, at = place_of(name)
+            numbers = (float(np.asarray(x[field])[(k, *at)]) for x in (batch.value, batch.lower, batch.upper))
+            row.append(_quantity(found, name, *numbers))
+        rows.append(row)
+    return Table("units", columns, rows)
+
+
+def _data(found: Identified) -> dict[str, Any]:
+    """Everything about an identification as JSON values, SI."""
+    check, posterior, batch = found.check, found.posterior, found.batch
+    said: dict[str, Any] = {"study": found.study.name, "model": found.problem.asked.model, "kind": found.problem.kind}
+    if posterior is not None:
+        said |= {"status": posterior.status, "adequate": found.adequate}
+    elif batch is not None:
+        worst = next((str(s) for s in batch.status if s != "CONVERGED"), "CONVERGED")
+        said |= {"status": worst, "adequate": found.adequate}
+    said |= {
+        "verdict": check.verdict,
+        "resolution": check.resolution,
+        "directions": [{"information": d.information, "loadings": d.loadings} for d in check.directions],
+        "inseparable": check.inseparable,
+        "silent": found.silent,
+        "unit": {name: field_unit(found.study.design, field_of(name)) for name in check.names},
+    }
+    if posterior is not None:
+        said |= {key: elements(getattr(posterior, key)) for key in ("value", "lower", "upper")}
+        said |= {"shares": posterior.shares, "broken": posterior.broken, "fit": _fit(posterior.fit)}
+        said["laplace"] = posterior.laplace
+        said["modes"] = [{"value": elements(mode.value), "weight": mode.weight} for mode in posterior.modes]
+    if batch is not None:
+        said["units"] = {unit: _of_unit(batch, k) for k, unit in enumerate(found.problem.units)}
+        said["shared"] = list(batch.shared_names)
+    if found.draws is not None:
+        said["draws"] = {key: getattr(found.draws, key) for key in ("trusted", "r_hat", "ess", "divergences")}
+    best = next(iter(found.gains or {}), None)
+    said["next"] = None if best is None else {"chosen": best, "gains": found.gains}
+    said |= {"noise": found.problem.sd, "runs": [run.text() for run in found.problem.runs]}
+    return said | {"seed": found.study.seed, "versions": versions()}
+
+
+def _fit(fit: Any, k: int | None = None) -> dict[str, Any]:
+    keys = ("chi2_model", "dof_model", "p_model", "chi2_prior", "dof_prior", "p_prior", "p_total")
+    said = {key: getattr(fit, key) if k is None else np.asarray(getattr(fit, key))[k] for key in keys}
+    return said | ({"worst": list(fit.worst)} if k is None else {})
+
+
+def _of_unit(batch: Any, k: int) -> dict[str, Any]:
+    said: dict[str, Any] = {"status": str(batch.status[k]), "fit": _fit(batch.fit, k)}
+    for key in ("value", "lower", "upper"):
+        said[key] = elements({field: np.asarray(values)[k] for field, values in getattr(batch, key).items()})
+    return said
