@@ -151,7 +151,12 @@ def _check_parts(model: str, observations: Mapping[str, Observation], design: An
 
 
 def field_unit(design: Any, name: str) -> str:
-    """SI unit of a field of the values of a unit: an error, an unknown number or a nuisance."""
+    """SI unit of a field of the values of a unit: an error, an unknown number or a nuisance.
+
+    Args:
+        design: of the unit.
+        name: of the field.
+    """
     units = {f.name: f.metadata["unit"] for f in dataclasses.fields(design.error_record)}
     if name in NUISANCES:
         return "rad"

@@ -91,6 +91,10 @@ def asked_of(study: Study) -> Identification:
 def problem(study: Study, measured: Measured | None = None) -> Problem:
     """The problem of a study and its data; without data, of the runs that the study plans.
 
+    Args:
+        study: with [identify].
+        measured: what a bench measured.
+
     Raises:
         ValueError: data of a kind that the model does not predict, runs from which the orders cannot be told, or
             a floor that nothing measures.
