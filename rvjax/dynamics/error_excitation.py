@@ -54,6 +54,15 @@ class ErrorExcitation(Record):
     info: SolveInfo = field("-", "CONVERGED, INVALID_GEOMETRY or NONFINITE", kind="record")
 
 
+class Case(NamedTuple):
+    """A unit as given, checked."""
+
+    lumped: Lumped
+    pin_circle: Array  # radius, () m
+    errors: RVErrors
+    load_inertia: Array  # of what the output drives, () kg m2
+
+
 class Unit(NamedTuple):
     """Numbers of a reducer and its errors, harmless where they were not finite or not possible."""
 
@@ -78,13 +87,12 @@ def error_excitation(design: RVReducer, errors: RVErrors, *, pin_harmonics: int 
     Raises:
         ValueError: one disc, members that differ, errors that do not fit the design, or as `rvjax.dynamics.lump`.
     """
-    lumped = checked(design, errors, pin_harmonics)
-    return _excitation(lumped, design.cycloid.pin_circle_radius, errors, pin_harmonics)
+    return _excitation(case_of(design, errors, pin_harmonics), pin_harmonics)
 
 
-@partial(jax.jit, static_argnums=3)
-def _excitation(lumped: Lumped, pin_circle: Array, errors: RVErrors, pin_harmonics: int) -> ErrorExcitation:
-    unit, _ = read(lumped, pin_circle, errors)
+@partial(jax.jit, static_argnums=1)
+def _excitation(case: Case, pin_harmonics: int) -> ErrorExcitation:
+    unit, _ = read(case)
     orders = error_orders(unit, pin_harmonics)
     amplitude, mean = generators(unit, orders, pin_harmonics)
     order = jnp.asarray([float(n) for n in orders], mean.dtype)
@@ -92,8 +100,8 @@ def _excitation(lumped: Lumped, pin_circle: Array, errors: RVErrors, pin_harmoni
     return ErrorExcitation(order, amplitude, mean, SPRINGS, info)
 
 
-def checked(design: RVReducer, errors: RVErrors, pin_harmonics: int = 0) -> Lumped:
-    """The lumped parameters of a reducer whose errors can be told as eight signals.
+def case_of(design: RVReducer, errors: RVErrors, pin_harmonics: int, load_inertia: Scalar = 0.0) -> Case:
+    """Check a unit whose errors act as eight signals.
 
     Raises:
         ValueError: see `error_excitation`.
@@ -112,7 +120,7 @@ def checked(design: RVReducer, errors: RVErrors, pin_harmonics: int = 0) -> Lump
         value = getattr(errors, name)
         if np.ndim(value) == 0 and not isinstance(value, jax.core.Tracer) and value != 0:
             raise ValueError(f"RVErrors.{name} = {value} m: a series needs (orders, 2) coefficients; 0.0 is none")
-    return lumped
+    return Case(lumped, design.cycloid.pin_circle_radius, errors, load_inertia)
 
 
 def symmetric(design: RVReducer | Lumped) -> Lumped:
@@ -129,17 +137,22 @@ def symmetric(design: RVReducer | Lumped) -> Lumped:
     return lumped
 
 
-def read(lumped: Lumped, pin_circle: Array, errors: RVErrors, *conditions: PyTree) -> tuple[Unit, tuple[PyTree, ...]]:
-    """Everything in one dtype and judged; design, errors and conditions apart, so that a batch of errors leaves the
-    design one.
+def loaded(lumped: Lumped, load_inertia: Array) -> Lumped:
+    """The reducer with the inertia that it drives."""
+    inertia = lumped.inertia
+    return lumped.replace(inertia=inertia.replace(output_inertia=inertia.output_inertia + load_inertia))
+
+
+def read(case: Case, *conditions: PyTree) -> tuple[Unit, tuple[PyTree, ...]]:
+    """Promote everything to one dtype and check it; design, errors and conditions separately, so that a batch of errors
+    leaves the design unbatched.
 
     Args:
-        lumped: of a design that `checked` let pass.
-        pin_circle: radius of the pin circle, () m.
-        errors: of its parts.
+        case: of `case_of`.
         *conditions: further numbers that are read.
     """
-    own = {name: getattr(errors, name) for name in read_by(errors, "dynamics")}
+    lumped, pin_circle = loaded(case.lumped, case.load_inertia), case.pin_circle
+    own = {name: getattr(case.errors, name) for name in read_by(case.errors, "dynamics")}
     lumped, pin_circle, own, conditions = promote(lumped, pin_circle, own, conditions)
     lumped, conditions, gate = admitted(lumped, *conditions)
     shortening = lumped.eccentricity * (lumped.disc_teeth + 1) / jnp.where(pin_circle != 0, pin_circle, 1)
@@ -147,13 +160,8 @@ def read(lumped: Lumped, pin_circle: Array, errors: RVErrors, *conditions: PyTre
     _, largest = window(pin_circle, 0.4)
     finite = jnp.all(jnp.stack([jnp.all(jnp.abs(value) < largest) for value in own.values()]))
     known = jnp.abs(pin_circle) < largest
-    gate = Gate(
-        (
-            *gate.refused,
-            (~known | ~finite, Status.NONFINITE),
-            (known & ~proper, Status.INVALID_GEOMETRY),
-        )
-    )
+    refused = ((~known | ~finite, Status.NONFINITE), (known & ~proper, Status.INVALID_GEOMETRY))
+    gate = Gate((*gate.refused, *refused))
     own = {name: jnp.where(finite, value, 0) for name, value in own.items()}
     return Unit(lumped, jnp.where(proper, shortening, 0.5), own, gate), conditions
 

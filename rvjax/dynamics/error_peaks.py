@@ -13,9 +13,9 @@ import numpy as np
 
 from rvjax.designs import RVReducer
 from rvjax.dynamics.assembly import Lumped
-from rvjax.dynamics.error_excitation import Orders, checked, error_orders, generators, read
+from rvjax.dynamics.error_excitation import Case, Orders, case_of, error_orders, generators, read
 from rvjax.dynamics.error_response import curve_range
-from rvjax.dynamics.error_transfer import KEY, close, loaded, output_rows, output_speed, transfer
+from rvjax.dynamics.error_transfer import KEY, close, output_rows, output_speed, transfer
 from rvjax.dynamics.modal import modal_sectors
 from rvjax.elementary import root
 from rvjax.errors import RVErrors
@@ -70,28 +70,17 @@ def speed_range(
     Raises:
         ValueError: fewer than two speeds, or as `transmission_error`.
     """
-    lumped = checked(design, errors, pin_harmonics)
+    case = case_of(design, errors, pin_harmonics, load_inertia)
     if speeds < 2:
         raise ValueError(f"speeds = {speeds}: a range needs at least 2")
     ends = (slowest_sun_speed, fastest_sun_speed)
     one_sense = concrete(*ends) and float(slowest_sun_speed) * float(fastest_sun_speed) >= 0
-    circle = design.cycloid.pin_circle_radius
-    return _range(lumped, circle, errors, *ends, load_inertia, speeds, pin_harmonics, one_sense)
+    return _range(case, *ends, speeds, pin_harmonics, one_sense)
 
 
-@partial(jax.jit, static_argnums=(6, 7, 8))
-def _range(
-    lumped: Lumped,
-    pin_circle: Array,
-    errors: RVErrors,
-    slowest: Array,
-    fastest: Array,
-    load_inertia: Array,
-    count: int,
-    pin_harmonics: int,
-    one_sense: bool,
-) -> SpeedRange:
-    unit, (slowest, fastest) = read(loaded(lumped, load_inertia), pin_circle, errors, slowest, fastest)
+@partial(jax.jit, static_argnums=(3, 4, 5))
+def _range(case: Case, slowest: Array, fastest: Array, count: int, pin_harmonics: int, one_sense: bool) -> SpeedRange:
+    unit, (slowest, fastest) = read(case, slowest, fastest)
     orders = error_orders(unit, pin_harmonics)
     sun_speeds = refined(unit.lumped, orders, slowest, fastest, count, one_sense)
     n = jnp.asarray([float(order) for order in orders], sun_speeds.dtype)

@@ -13,14 +13,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax.designs import RVReducer
-from rvjax.dynamics.assembly import Lumped
 from rvjax.dynamics.error_balance import balance
-from rvjax.dynamics.error_excitation import Orders, Unit, checked, error_orders, generators, read
+from rvjax.dynamics.error_excitation import Case, Orders, Unit, case_of, error_orders, generators, read
 from rvjax.dynamics.error_transfer import (
     Balanced,
     check_outputs,
     close,
-    loaded,
     output_rows,
     output_speed,
     static_deflection,
@@ -96,33 +94,28 @@ def transmission_error(
         ValueError: unknown output, method or stage, harmonics below 1 or below those of an error, one disc, members
             that differ, errors that do not fit the design, or as `rvjax.dynamics.lump`.
     """
-    lumped, outputs = checked(design, errors, pin_harmonics), check_outputs(outputs)
+    case, outputs = case_of(design, errors, pin_harmonics, load_inertia), check_outputs(outputs)
     check_stage(stage)
     if method not in METHODS:
         raise ValueError(f"method = {method!r}: must be one of {', '.join(METHODS)}")
     if harmonics < 1:
         raise ValueError(f"harmonics = {harmonics}: must be at least 1")
-    of_unit = (lumped, design.cycloid.pin_circle_radius, errors, sun_speed, load_inertia)
     if method == "first_order":  # the other conditions are not read
-        return _transmission_error(*of_unit, 0.0, outputs, pin_harmonics, None, 1)
-    return _transmission_error(*of_unit, output_torque, outputs, pin_harmonics, stage, harmonics)
+        return _transmission_error(case, sun_speed, 0.0, outputs, pin_harmonics, None, 1)
+    return _transmission_error(case, sun_speed, output_torque, outputs, pin_harmonics, stage, harmonics)
 
 
-@partial(jax.jit, static_argnums=(6, 7, 8, 9))
+@partial(jax.jit, static_argnums=(3, 4, 5, 6))
 def _transmission_error(
-    lumped: Lumped,
-    pin_circle: Array,
-    errors: RVErrors,
+    case: Case,
     sun_speed: Array,
-    load_inertia: Array,
     output_torque: Array,
     outputs: tuple[str, ...],
     pin_harmonics: int,
     stage: str | None,
     harmonics: int,
 ) -> DynamicError:
-    conditions = (sun_speed, output_torque)
-    unit, (sun_speed, output_torque) = read(loaded(lumped, load_inertia), pin_circle, errors, *conditions)
+    unit, (sun_speed, output_torque) = read(case, sun_speed, output_torque)
     speed = output_speed(unit.lumped, sun_speed)
     if stage is None:
         found = _first_order(unit, speed, outputs, pin_harmonics)
@@ -183,24 +176,15 @@ def speed_sweep(
     Raises:
         ValueError: sun_speeds that are no row of numbers, or as `transmission_error`.
     """
-    lumped, outputs = checked(design, errors, pin_harmonics), check_outputs(outputs)
+    case, outputs = case_of(design, errors, pin_harmonics, load_inertia), check_outputs(outputs)
     if np.ndim(sun_speeds) != 1 or np.shape(sun_speeds)[0] == 0:
         raise ValueError(f"sun_speeds: shape {np.shape(sun_speeds)}, expected (speeds,), at least one")
-    circle = design.cycloid.pin_circle_radius
-    return _sweep(lumped, circle, errors, sun_speeds, load_inertia, outputs, pin_harmonics)
+    return _sweep(case, sun_speeds, outputs, pin_harmonics)
 
 
-@partial(jax.jit, static_argnums=(5, 6))
-def _sweep(
-    lumped: Lumped,
-    pin_circle: Array,
-    errors: RVErrors,
-    sun_speeds: Array,
-    load_inertia: Array,
-    outputs: tuple[str, ...],
-    pin_harmonics: int,
-) -> SpeedSweep:
-    unit, (speeds,) = read(loaded(lumped, load_inertia), pin_circle, errors, sun_speeds)
+@partial(jax.jit, static_argnums=(2, 3))
+def _sweep(case: Case, sun_speeds: Array, outputs: tuple[str, ...], pin_harmonics: int) -> SpeedSweep:
+    unit, (speeds,) = read(case, sun_speeds)
     orders = error_orders(unit, pin_harmonics)
     n = jnp.asarray([float(order) for order in orders], speeds.dtype)
     excitation, _ = generators(unit, orders, pin_harmonics)

@@ -12,9 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax.designs import RVReducer
-from rvjax.dynamics.assembly import Lumped
-from rvjax.dynamics.error_excitation import checked, error_orders, generators, read
-from rvjax.dynamics.error_transfer import check_outputs, close, loaded, output_rows, output_speed, transfer
+from rvjax.dynamics.error_excitation import Case, case_of, error_orders, generators, read
+from rvjax.dynamics.error_transfer import check_outputs, close, output_rows, output_speed, transfer
 from rvjax.errors import RVErrors, described, read_by
 from rvjax.records import Array, Record, Scalar, axis_sizes, field, is_concrete, record, text
 from rvjax.status import SolveInfo
@@ -62,10 +61,9 @@ def error_statistics(
     Raises:
         ValueError: a negative standard deviation, or as `transmission_error`.
     """
-    lumped, outputs = checked(design, sigma, pin_harmonics), check_outputs(outputs)
-    independent = _by_member(design, sigma)
-    circle = design.cycloid.pin_circle_radius
-    return _statistics(lumped, circle, independent, sun_speed, load_inertia, outputs, pin_harmonics)
+    case, outputs = case_of(design, sigma, pin_harmonics, load_inertia), check_outputs(outputs)
+    independent = case._replace(errors=_by_member(design, sigma))
+    return _statistics(independent, sun_speed, outputs, pin_harmonics)
 
 
 def _by_member(design: RVReducer, sigma: RVErrors) -> RVErrors:
@@ -82,17 +80,9 @@ def _by_member(design: RVReducer, sigma: RVErrors) -> RVErrors:
     return sigma.replace(**full)
 
 
-@partial(jax.jit, static_argnums=(5, 6))
-def _statistics(
-    lumped: Lumped,
-    pin_circle: Array,
-    sigma: RVErrors,
-    sun_speed: Array,
-    load_inertia: Array,
-    outputs: tuple[str, ...],
-    pin_harmonics: int,
-) -> ErrorStatistics:
-    unit, (sun_speed,) = read(loaded(lumped, load_inertia), pin_circle, sigma, sun_speed)
+@partial(jax.jit, static_argnums=(2, 3))
+def _statistics(case: Case, sun_speed: Array, outputs: tuple[str, ...], pin_harmonics: int) -> ErrorStatistics:
+    unit, (sun_speed,) = read(case, sun_speed)
     orders = error_orders(unit, pin_harmonics)
     n = jnp.asarray([float(order) for order in orders], sun_speed.dtype)
     found = transfer(unit.lumped, n * output_speed(unit.lumped, sun_speed), output_rows(unit.lumped, outputs))

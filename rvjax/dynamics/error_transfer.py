@@ -14,7 +14,7 @@ import jax.numpy as jnp
 
 from rvjax.designs import RVReducer
 from rvjax.dynamics.assembly import Lumped, admitted
-from rvjax.dynamics.error_excitation import Orders, Unit, symmetric
+from rvjax.dynamics.error_excitation import Orders, Unit, loaded, symmetric
 from rvjax.dynamics.modal import dynamic_stiffness, matrix_root, modal_sectors, modal_solve, on_resonance, residual
 from rvjax.dynamics.static import MeanState, linear_ratio, mean_state, mesh_rows
 from rvjax.dynamics.symmetry import sector_mass
@@ -87,12 +87,6 @@ def check_outputs(outputs: Sequence[str]) -> tuple[str, ...]:
         if name not in ROTATIONS:
             raise ValueError(f"unknown output {name!r}; errors as excitation have {', '.join(ROTATIONS)}")
     return tuple(outputs)
-
-
-def loaded(lumped: Lumped, load_inertia: Array) -> Lumped:
-    """The reducer with the inertia that it drives."""
-    inertia = lumped.inertia
-    return lumped.replace(inertia=inertia.replace(output_inertia=inertia.output_inertia + load_inertia))
 
 
 def output_speed(lumped: Lumped, sun_speed: Array) -> jax.Array:
