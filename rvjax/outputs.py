@@ -235,6 +235,7 @@ class Description:
         unknown: what the model leaves out, one line for a person who reads its results.
         observations: what a bench can measure of it.
         compiler_options: of programs that compute an output of it, such as `rvjax.compile_cache.QUICK`.
+        costly: whether a unit takes so long that an allocation solves only the units that decide.
     """
 
     name: str
@@ -246,3 +247,4 @@ class Description:
     unknown: str = ""
     observations: tuple[Observation, ...] = ()
     compiler_options: tuple[tuple[str, Any], ...] = ()
+    costly: bool = False

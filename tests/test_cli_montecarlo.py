@@ -126,11 +126,11 @@ def test_each_core_is_a_device_unless_told_otherwise(monkeypatch, cores, process
     monkeypatch.setattr(jax.config, "update", told.__setitem__)
     monkeypatch.setattr(units.os, "sched_getaffinity", lambda _: set(range(cores)), raising=False)
     monkeypatch.delenv("JAX_NUM_CPU_DEVICES")
-    units._share_cores(processes)
+    units.share_cores(processes)
     assert told == {"jax_num_cpu_devices": devices}
     for name, value in (("JAX_NUM_CPU_DEVICES", "1"), ("XLA_FLAGS", "--xla_force_host_platform_device_count=2")):
         with monkeypatch.context() as patch:
             patch.setenv(name, value)
             told.clear()
-            units._share_cores(processes)
+            units.share_cores(processes)
             assert not told

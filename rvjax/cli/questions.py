@@ -17,6 +17,10 @@ def allocate(options: argparse.Namespace) -> int:
     from rvjax.study.answer import answer
 
     asked = study.load(options.study, solve=False)
+    if asked.costly:
+        from rvjax.commands.montecarlo.inputs import share_cores
+
+        share_cores(1)
     kept = None if options.fresh else again.folder(asked, options.results)
     if kept is not None:
         said = f"Unchanged since {kept} was written, which holds this answer; --fresh computes it anew."
@@ -52,6 +56,10 @@ def report(options: argparse.Namespace) -> int:
 
     check_files(options, output=".html")
     asked = study.load(options.study, solve=False)
+    if asked.costly:
+        from rvjax.commands.montecarlo.inputs import share_cores
+
+        share_cores(1)
     given = options.output is not None
     path = Path(options.output) if given else folders.results_folder(None, asked.name) / "report.html"
     check_writable(path)

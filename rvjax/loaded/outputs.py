@@ -266,4 +266,5 @@ DESCRIPTION = Description(
     observations=(CURVE, LOOP),
     unknown="friction, inertia, tilting; errors without a place (pin position, runout and pitch as bounds)",
     compiler_options=QUICK,
+    costly=True,
 )  # fmt: skip

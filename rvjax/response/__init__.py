@@ -2,6 +2,7 @@
 
 from rvjax.response.devices import Evaluator, gathered, place
 from rvjax.response.gradients import LANES, elements, elements_and_rates, gradients, nominal_status
+from rvjax.response.parts import AT_ONCE, Part, parts, status_without_errors
 from rvjax.response.response import (
     BLOCK,
     PLAIN,

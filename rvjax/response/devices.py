@@ -15,8 +15,8 @@ from rvjax.population import Population, SobolPoints, drawn, root_key
 from rvjax.records import Record
 from rvjax.response.response import Response, Values, per_response, respond
 
-_UNITS = jax.sharding.PartitionSpec("units")
-_NUMBERS = jax.sharding.PartitionSpec(None, "units")
+UNITS = jax.sharding.PartitionSpec("units")
+NUMBERS = jax.sharding.PartitionSpec(None, "units")
 _EVERYWHERE = jax.sharding.PartitionSpec()
 
 
@@ -48,7 +48,7 @@ class Evaluator:
             z = self._points.z(first, self._count).astype(jnp.result_type(float))
             if self._mesh is None:
                 return jnp.asarray(z)
-            return jax.device_put(z, jax.sharding.NamedSharding(self._mesh, _NUMBERS))
+            return jax.device_put(z, jax.sharding.NamedSharding(self._mesh, NUMBERS))
         if self._mesh is None:
             return drawn(self._population, self._key, jnp.uint32(first), count=self._count)
         return _drawn_on(self._mesh, self._count, self._population, self._key, jnp.uint32(first))
@@ -69,21 +69,42 @@ def _drawn_on(
         return population.draw(key, begin + jnp.arange(own, dtype=jnp.uint32))
 
     specs = (_EVERYWHERE, _EVERYWHERE, _EVERYWHERE)
-    return jax.shard_map(part, mesh=mesh, in_specs=specs, out_specs=_NUMBERS, check_vma=False)(population, key, first)
+    return jax.shard_map(part, mesh=mesh, in_specs=specs, out_specs=NUMBERS, check_vma=False)(population, key, first)
 
 
 @per_response(static=("mesh",))
 def _respond_on(
     response: Response, population: Population, z: jax.Array, *, mesh: jax.sharding.Mesh
 ) -> tuple[Values, jax.Array]:
+    return shared_out(respond, mesh, UNITS, response, population, z)
+
+
+def shared_out(
+    function: Any, mesh: jax.sharding.Mesh, out: Any, response: Response, population: Population, *rows: jax.Array
+) -> Any:
+    """A function of a response, a population and arrays (numbers, units) whose units the devices share.
+
+    Args:
+        function: of all that follows.
+        mesh: devices, by `mesh_of`.
+        out: where units are in its results.
+        response: of one unit.
+        population: of the units.
+        *rows: arrays with units last.
+    """
     if isinstance(response, Record):  # its numbers go in like those of the population; a plain function is none
         given: Any = response, population
-        part: Any = lambda both, z: respond(*both, z)  # noqa: E731
+        part: Any = lambda both, *rows: function(*both, *rows)  # noqa: E731
     else:
-        given, part = population, functools.partial(respond, response)
-    return jax.shard_map(
-        part, mesh=mesh, in_specs=(_EVERYWHERE, _NUMBERS), out_specs=(_UNITS, _UNITS), check_vma=False
-    )(given, z)
+        given, part = population, functools.partial(function, response)
+    specs = (_EVERYWHERE, *(NUMBERS for _ in rows))
+    return jax.shard_map(part, mesh=mesh, in_specs=specs, out_specs=out, check_vma=False)(given, *rows)
+
+
+def mesh_of(units: int) -> jax.sharding.Mesh | None:
+    """All local devices, where they can share so many units evenly; None for one alone."""
+    devices = jax.local_devices()
+    return jax.sharding.Mesh(np.array(devices), ("units",)) if len(devices) > 1 and units % len(devices) == 0 else None
 
 
 def place() -> tuple[int, int]:

@@ -1,5 +1,6 @@
 """Gradients of a response to the errors of single units: one program, whoever asks."""
 
+import functools
 import math
 
 import jax
@@ -7,10 +8,25 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax.population import Population
+from rvjax.response.devices import NUMBERS, UNITS, mesh_of, shared_out
 from rvjax.response.response import Response, evaluate, per_response, response_names
 
 LANES = 256
 """Units at once: few, for a reverse pass keeps all that a unit needs on its way; the last ones are padded."""
+
+
+@per_response(static=("names", "mesh"))
+def _pulled_on(
+    response: Response,
+    population: Population,
+    errors: jax.Array,
+    cotangents: jax.Array,
+    *,
+    names: tuple[str, ...],
+    mesh: jax.sharding.Mesh,
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    of_names = functools.partial(pulled, names=names)
+    return shared_out(of_names, mesh, (NUMBERS, UNITS, NUMBERS), response, population, errors, cotangents)
 
 
 @per_response(static=("names",))
@@ -33,6 +49,15 @@ def pulled(
     return jax.vmap(one, in_axes=-1, out_axes=-1)(errors, cotangents)
 
 
+def _on_all_devices(
+    response: Response, population: Population, errors: jax.Array, cotangents: jax.Array, *, names: tuple[str, ...]
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    mesh = mesh_of(errors.shape[1])
+    if mesh is None:
+        return pulled(response, population, errors, cotangents, names=names)
+    return _pulled_on(response, population, errors, cotangents, names=names, mesh=mesh)
+
+
 def gradients(
     response: Response, population: Population, errors: np.ndarray, cotangents: np.ndarray, names: tuple[str, ...]
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -50,7 +75,7 @@ def gradients(
         units = np.arange(start, min(start + LANES, errors.shape[1]))
         lanes = np.resize(units, LANES)
         arrays = (jnp.asarray(rows[:, lanes], dtype) for rows in (errors, cotangents))
-        found, _, slope = pulled(response, population, *arrays, names=names)
+        found, _, slope = _on_all_devices(response, population, *arrays, names=names)
         value, slope = (np.asarray(rows, float)[:, : len(units)] for rows in (found, slope))
         values.append(value)
         slopes.append(slope)
@@ -61,7 +86,7 @@ def nominal_status(response: Response, population: Population) -> int:
     """Status of the unit without errors, by the program of the gradients."""
     names, count = response_names(response, population), sum(math.prod(t.shape) for t in population.active.values())
     lanes = (jnp.zeros((rows, LANES), jnp.result_type(float)) for rows in (count, len(names)))
-    return int(pulled(response, population, *lanes, names=names)[1][0])
+    return int(_on_all_devices(response, population, *lanes, names=names)[1][0])
 
 
 @jax.jit

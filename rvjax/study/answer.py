@@ -14,6 +14,7 @@ from rvjax.response import (  # chunks of the certificate's size: the response c
     BLOCK,
     nominal_status,
     response_names,
+    status_without_errors,
 )
 from rvjax.study.question import Study
 from rvjax.study.response import refuse
@@ -23,8 +24,9 @@ from rvjax.tolerances import (
     Memo,
     Requirement,
     Run,
+    Solved,
     Statistics,
-    allocate,
+    allocated,
     block,
     cost_of_yields,
     influences,
@@ -45,6 +47,8 @@ YIELD_SWEEP = (0.9, 0.95, 0.99, 0.995, 0.999)
 PASSES = {True: 108, False: 49}  # of a search over its learning sample, with and without middles
 CERTIFICATES = {True: 6, False: 4}
 PASSES_A_POINT = 6  # of the cost curve
+# The same of rv-40e-whole, whose units are costly: passes solve those that decide, certificates share a sample.
+COSTLY_PASSES, COSTLY_CERTIFICATES, COSTLY_PART_OF_A_POINT = 8, 1.8, 0.6
 
 
 @dataclass(frozen=True)
@@ -108,9 +112,10 @@ def answer(study: Study, *, progress: bool = False, memo: Memo | None = None) ->
     response = study.response()
     begin(SEARCHING)
     with progress_bar(progress, None, "checked", "unit") as advance:  # compiles the gradients: the longest wait
-        refuse(nominal_status(response, Population.of(study.tolerances)))
+        status_of = status_without_errors if response.costly else nominal_status
+        refuse(status_of(response, Population.of(study.tolerances)))
         advance(1)
-    allocation = allocate(
+    allocation, solved = allocated(
         response,
         study.tolerances,
         study.requirements,
@@ -126,18 +131,22 @@ def answer(study: Study, *, progress: bool = False, memo: Memo | None = None) ->
     )
     certificate = allocation.certificate
     begin(CERTIFYING)
-    before = Run(
-        response,
-        Population.of(study.tolerances),
-        response_names(response, Population.of(study.tolerances)),
-        study.requirements,
-        certificate.samples,
-        certificate.seed,  # each certificate of a search has another one
-        block(study.samples, certificate.samples),
-        keep=certificate.values is not None,
-        progress=progress,
-        memo=memo,
-    ).statistics()
+    before = (
+        solved.given(study.tolerances, study.requirements)
+        if solved
+        else Run(
+            response,
+            Population.of(study.tolerances),
+            response_names(response, Population.of(study.tolerances)),
+            study.requirements,
+            certificate.samples,
+            certificate.seed,  # each certificate of a search has another one
+            block(study.samples, certificate.samples),
+            keep=certificate.values is not None,
+            progress=progress,
+            memo=memo,
+        ).statistics()
+    )
     begin(SAMPLING)
     curves = _curves(study)
     sides = [
@@ -151,19 +160,27 @@ def answer(study: Study, *, progress: bool = False, memo: Memo | None = None) ->
         certificate_before=before,
         before=sides[0],
         after=sides[1],
-        cost_curve=_cost_curve(study, response, allocation, memo),
+        cost_curve=_cost_curve(study, response, allocation, memo, solved),
     )
 
 
 def solved_units(study: Study) -> dict[str, int]:
     """Units that an answer solves, about, in each of its phases."""
-    middles, drawn = bool(study.middles), study.certificate_samples
-    return {
-        SEARCHING: PASSES[middles] * study.samples + CERTIFICATES[middles] * drawn,
-        CERTIFYING: drawn,
-        SAMPLING: 2 * SHOWN_VALUES if drawn > KEPT else 0,
-        PRICING: len(_targets(study)) * (PASSES_A_POINT * study.samples + shown_values(study)),
-    }
+    middles, drawn, points = bool(study.middles), study.certificate_samples, len(_targets(study))
+    shown = 2 * SHOWN_VALUES if drawn > KEPT else 0
+    if study.costly:
+        found = {
+            SEARCHING: COSTLY_PASSES * study.samples + COSTLY_CERTIFICATES * drawn,
+            CERTIFYING: 0,  # units of the search
+            PRICING: points * COSTLY_PART_OF_A_POINT * (study.samples + drawn / 2),
+        }
+    else:
+        found = {
+            SEARCHING: PASSES[middles] * study.samples + CERTIFICATES[middles] * drawn,
+            CERTIFYING: drawn,
+            PRICING: points * (PASSES_A_POINT * study.samples + shown_values(study)),
+        }
+    return {phase: int(units) for phase, units in found.items()} | {SAMPLING: shown}
 
 
 def _side(
@@ -217,7 +234,11 @@ def _curves(study: Study) -> _Curves:
 
 
 def _cost_curve(
-    study: Study, response: Callable[[Any], Any], found: Allocation, memo: Memo | None
+    study: Study,
+    response: Callable[[Any], Any],
+    found: Allocation,
+    memo: Memo | None,
+    solved: Solved | None = None,
 ) -> list[tuple[float, float]]:
     targets = _targets(study)
     if not found.feasible or not targets:
@@ -233,6 +254,7 @@ def _cost_curve(
         seed=study.seed,
         units=shown_values(study),
         memo=memo,
+        solved=solved,
     )
     points = [(share, cost + moved) for share, cost in curve]
     goals = {item.target for item in study.requirements.values() if isinstance(item, Requirement)}

@@ -94,6 +94,11 @@ class Study:
     def _solved(self) -> None:
         self.check_nominal()
 
+    @property
+    def costly(self) -> bool:
+        """Whether a unit takes so long that only those which decide are solved."""
+        return bool(self.requirements) and self.response().costly
+
     def response_of(self, name: str) -> Response:
         """errors -> Outcome of one response that the requirements name."""
         return Response.of(

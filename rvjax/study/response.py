@@ -83,8 +83,33 @@ class Response(Record):
     @property
     def compiler_options(self) -> Settings:
         """Those of the models that are asked."""
+        return models.kind(self.design).compiler_options(self._sources().values())
+
+    @property
+    def costly(self) -> bool:
+        """Whether a unit takes so long that only those which decide are worth solving."""
+        return any(models.kind(self.design).described[source].costly for source in self._sources().values())
+
+    def parts(self) -> list[Self]:
+        """Its outputs in groups that share no result: each a response of its own."""
+        outputs, sources = models.kind(self.design).outputs, self._sources()
+        groups: list[tuple[set[Any], list[str]]] = []
+        for name in self.outputs:
+            evaluate = outputs[sources[name]].evaluate
+            level = next((level[1:] for level in self.levels if level[0] == name), None)
+            own = {(level, s) for s in evaluate.sources} if isinstance(evaluate, Reading) else {name}
+            joined = [group for group in groups if group[0] & own]
+            groups = [group for group in groups if not group[0] & own]
+            groups.append((own.union(*(g[0] for g in joined)), [n for g in joined for n in g[1]] + [name]))
+        return [
+            self.replace(outputs=tuple(names), levels=tuple(lv for lv in self.levels if lv[0] in names))
+            for _, names in groups
+        ]
+
+    def _sources(self) -> dict[str, str]:
+        """The output that is computed for each that is wanted."""
         instead = {level[0]: level[3] for level in self.levels if level[3] is not None}
-        return models.kind(self.design).compiler_options(instead.get(name, name) for name in self.outputs)
+        return {name: instead.get(name, name) for name in self.outputs}
 
     def _one(self, name: str, errors: Any, shared: dict[Any, dict[Source, Any]]) -> Solved:
         level = next((level[1:] for level in self.levels if level[0] == name), None)

@@ -9,7 +9,7 @@ import dataclasses
 
 from rvjax.population import Estimate, MeasuredColumn, MeasuredParts, Tolerance, for_design, it_width, measured, sample
 from rvjax.response import Outcome
-from rvjax.tolerances.allocation.allocation import FEWEST, KEPT, Allocation, allocate, block
+from rvjax.tolerances.allocation.allocation import FEWEST, KEPT, Allocation, Solved, allocate, allocated, block
 from rvjax.tolerances.allocation.cost import COSTS, Cost, Exponential, ReciprocalPower, Table
 from rvjax.tolerances.allocation.cost_curve import CostCurve, cost_curve, cost_of_yields, least_yield
 from rvjax.tolerances.allocation.design_centring import Middle, check_middles

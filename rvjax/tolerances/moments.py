@@ -18,6 +18,7 @@ from rvjax.response import (
     elements,
     evaluate,
     gradients,
+    parts,
     per_response,
     respond_units,
     response_names,
@@ -26,7 +27,7 @@ from rvjax.status import succeeded
 from rvjax.tolerances.requirements.kinds import Limits
 
 _TERMS = 23  # of Hermite series
-_PROBES = 256  # units whose gradients decide whether the response has a kink, and stand in for it
+_PROBES = 255  # units whose gradients decide whether the response has a kink, and stand in for it
 _STEP = 1e-3  # of a unit's deviations: a smooth gradient is nearly constant so near the mean
 
 
@@ -104,7 +105,9 @@ def influences(response: Response, tolerances: Any) -> tuple[Any, Any]:
     """
     population = Population.of(tolerances)
     law = _Spread(population)
-    found = _by_name(response, population, response_names(response, population), law, 1)
+    found: dict[str, _Propagated] = {}
+    for part in parts(response, population):  # each by the program of its own gradients, as a search compiles it
+        found |= _by_name(part.response, population, part.names, law, 1)
     figures = {name: _figures(item, None, law) for name, item in found.items()}
     shares, slopes = ({n: each[of] for n, each in figures.items()} for of in ("contributions", "sensitivities"))
     return shares, slopes

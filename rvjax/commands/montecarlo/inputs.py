@@ -43,11 +43,11 @@ def inputs(options: argparse.Namespace) -> Inputs:
         raise ValueError(f"--save-errors: needs --save FILE with {' or '.join(ENDINGS)}, not {options.save}")
     if table is not None:
         UnitFile(table)  # raises an error for a missing extra before any work
-    _share_cores(int(options.worker[2]) if options.worker else 1)
+    share_cores(int(options.worker[2]) if options.worker else 1)
     return Inputs(options, table, time.perf_counter(), options.quiet or options.processes > 1)
 
 
-def _share_cores(processes: int) -> None:
+def share_cores(processes: int) -> None:
     """A device of JAX for each core, among `processes`; JAX_NUM_CPU_DEVICES says otherwise."""
     if "JAX_NUM_CPU_DEVICES" in os.environ or "host_platform_device_count" in os.environ.get("XLA_FLAGS", ""):
         return

@@ -30,6 +30,22 @@ DEARER = 0.2  # than learned, as a part of that cost: what is certified at more 
 KEPT = 65_536  # units of a certificate whose responses are kept, at most
 
 
+class Solved:
+    """Costly units of a search and its certificate, as far as they are solved."""
+
+    def __init__(self, training: Training, certifier: Certifier) -> None:
+        self.training, self.certifier = training, certifier
+
+    def given(self, tolerances: Any, requirements: dict[str, Limits]) -> Statistics:
+        """Statistics of the units of the search with the tolerances from which it began."""
+        units, run = self.training.followed, self.certifier.run
+        population = Population.of(tolerances)
+        asked = dataclasses.replace(
+            run, population=population, requirements=requirements, samples=units.samples, seed=units.seed
+        )
+        return asked.of_units(*units.exactly(population))
+
+
 @dataclasses.dataclass(frozen=True)
 class Allocation:
     """The cheapest tolerances found and how sure they are.
@@ -150,6 +166,33 @@ def allocate(
     Raises:
         ValueError: no requirement, no cost, or names that do not fit.
     """
+    return allocated(
+        response, tolerances, requirements, costs=costs, samples=samples, seed=seed, joint_target=joint_target,
+        correlation=correlation, certificate_samples=certificate_samples, confidence=confidence, grades=grades,
+        max_steps=max_steps, middles=middles, cheap=cheap, memo=memo, progress=progress,
+    )[0]  # fmt: skip
+
+
+def allocated(
+    response: Response,
+    tolerances: Any,
+    requirements: Any,
+    *,
+    costs: Any,
+    samples: int,
+    seed: int,
+    joint_target: float | None,
+    certificate_samples: int,
+    grades: bool,
+    correlation: Correlation = None,
+    confidence: float = 0.95,
+    max_steps: int = 300,
+    middles: Mapping[str, Middle] | None = None,
+    cheap: Response | None = None,
+    memo: Memo | None = None,
+    progress: bool = False,
+) -> tuple[Allocation, Solved | None]:
+    """What `allocate` finds, and the units that it solved where they are costly: what is asked next needs few more."""
     population = Population.of(tolerances, correlation)
     names = response_names(response, population)
     required = by_response(requirements, names, Limits, "requirements")
@@ -170,7 +213,7 @@ def allocate(
             response, training.population, names, required, *drawn, confidence=confidence, progress=progress,
             keep=certificate_samples <= KEPT, label="certifying", memo=memo,
         )  # fmt: skip
-        certifier = Certifier(run, joint_target)
+        certifier = Certifier(run, joint_target, follows=training.followed is not None)
         search = Search(training, priced, max_steps, advance)
         if cheap is not None:
             model = Training(cheap, training.population, *learned_from)
@@ -180,13 +223,14 @@ def allocate(
         found = _cheapest(search, certifier, point, start) if possible else _finest(search, certifier)
     given = names, start, moving, certifier
     result = _result(search, found, *given)
+    solved = None if training.followed is None else Solved(training, certifier)
     if not grades or not result.feasible:
-        return unwrapped(result)
+        return unwrapped(result), solved
     t, chosen, certificate = Snapping(search, certifier, priced).snap(found.half_widths, found.certificate)
     status = "OPTIMAL" if certifier.holds(certificate) else "NOT_CERTIFIED"
     snapped = dataclasses.replace(found, status=status, half_widths=t, certificate=certificate)
     graded = dataclasses.replace(_result(search, snapped, *given), grades=chosen)
-    return unwrapped(dataclasses.replace(result, graded=graded))
+    return unwrapped(dataclasses.replace(result, graded=graded)), solved
 
 
 def block(samples: int, certificate_samples: int) -> int:
@@ -230,7 +274,7 @@ class _Found:
 def _cheapest(search: Search, certifier: Certifier, point: Point, start: np.ndarray) -> _Found:
     training, run = search.training, certifier.run
     point, settled = search.find(point, start)
-    if run.samples > training.samples:  # a larger sample knows the figures better: tell the smaller one
+    if run.samples > training.samples and training.followed is None:  # a larger sample knows the figures better
         seen = certifier.draw(training.with_half_widths(point.half_widths))
         point, settled = search.find(training.correct(point, certifier.factors(seen, training.distance)), start)
     prices = search.prices(point)
@@ -308,7 +352,7 @@ def _result(
         history=search.history,
         evaluations={
             "search": training.evaluated[0],
-            "certificates": certifier.drawn * certifier.run.samples,
+            "certificates": certifier.solved,
             "cheap": cheap.cheap.evaluated[0] if cheap else 0,
         },
         cheap_refused=cheap.refused if cheap else None,

@@ -1,16 +1,18 @@
 """The certificate: fresh random units decide whether a set of tolerances meets its requirements."""
 
 import dataclasses
+import math
 
 import numpy as np
 
 from rvjax.population import Population, deviate_of, wilson
 from rvjax.response import PLAIN
+from rvjax.tolerances.allocation.followed import Followed
 from rvjax.tolerances.allocation.sample_average import Point
 from rvjax.tolerances.allocation.search import Search
 from rvjax.tolerances.batch.monte_carlo import Run, Statistics
 from rvjax.tolerances.failure.failure import failure_probability
-from rvjax.tolerances.requirements.factors import share_factor
+from rvjax.tolerances.requirements.factors import CUSHION, share_factor
 from rvjax.tolerances.requirements.limits import Verdict
 
 DRAWS = 8  # certificates in one search; every one is a new chance to pass by luck
@@ -27,13 +29,34 @@ class Certifier:
     run: Run
     joint_target: float | None
     drawn: int = 0
+    follows: bool = False
+    units: Followed | None = None
+    """Costly units, which serve every certificate of a search: looser and looser tolerances are then tested in turn on
+    one sample, and the last that holds is as sure as a single test."""
+
+    @property
+    def solved(self) -> int:
+        """Units solved so far."""
+        return self.units.solved if self.units is not None else self.drawn * self.run.samples
 
     def draw(self, population: Population, *, keep: bool | None = None) -> Statistics:
         """Statistics of fresh units; a target beyond what they can show is judged by a probability of failure."""
-        self.run, self.drawn = dataclasses.replace(self.run, seed=self.run.seed + 1), self.drawn + 1
-        keep = self.run.keep if keep is None else keep
-        found = dataclasses.replace(self.run, population=population, keep=keep).statistics()
+        self.drawn += 1
+        if self.units is None:
+            self.run = dataclasses.replace(self.run, seed=self.run.seed + 1)
+        asked = dataclasses.replace(self.run, population=population, keep=self.run.keep if keep is None else keep)
+        found = self._followed(asked) if self.follows else asked.statistics()
         return dataclasses.replace(found, verdicts=found.verdicts | self.rare(population)) if found.verdicts else found
+
+    def _followed(self, asked: Run) -> Statistics:
+        """Statistics of the units of the first certificate, those near a limit solved."""
+        if self.units is None:
+            self.units = Followed(asked.response, asked.population, asked.samples, asked.seed, asked.memo)
+        ends = {
+            name: [end for end in (item.lower, item.upper) if math.isfinite(end)]
+            for name, item in asked.requirements.items()
+        }
+        return asked.of_units(*self.units.at(asked.population, lambda values: ends))
 
     def rare(self, population: Population) -> dict[str, Verdict]:
         """Verdicts on the targets that the units of a certificate are too few for."""
@@ -68,6 +91,7 @@ class Certifier:
     def factors(self, statistics: Statistics, distance: np.ndarray) -> np.ndarray:
         """Of each constraint: the common factor on all half-widths after which a draw should just hold."""
         n, z = self.run.samples, deviate_of(self.run.confidence)
+        z -= CUSHION if self.units is not None else 0.0  # the same units hold no surprise
         found = [
             item.factor(statistics.verdicts[name].estimate, n, z, float(d))
             for (name, item), d in zip(self.run.requirements.items(), distance)

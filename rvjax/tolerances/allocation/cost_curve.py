@@ -9,7 +9,7 @@ import numpy as np
 
 from rvjax.population import Population
 from rvjax.response import Response
-from rvjax.tolerances.allocation.allocation import Allocation, allocate, block
+from rvjax.tolerances.allocation.allocation import Allocation, Solved, allocate, block
 from rvjax.tolerances.allocation.cost import Cost
 from rvjax.tolerances.allocation.sample_average import Training
 from rvjax.tolerances.allocation.search import NOISE, Search
@@ -141,6 +141,7 @@ def cost_of_yields(
     seed: int,
     units: int,
     memo: Memo | None = None,
+    solved: Solved | None = None,
 ) -> list[tuple[float, float]]:
     """What other targets would cost, one search each: (least yield of a requirement, cost) of where it ended.
 
@@ -156,21 +157,29 @@ def cost_of_yields(
         seed: of these units; the fresh ones have the one after it.
         units: fresh ones behind each yield.
         memo: keeps what took long to compute.
+        solved: units of the allocation whose tolerances these are, if they are costly; they serve here too.
     """
     population, points = Population.of(tolerances), []
     priced = {name: costs[name] for name in population.active if name in costs}
     t = np.array([float(population.active[name].half_width) for name in priced])
     for target in targets:
         required = _moved(requirements, "target", None, target)
-        training = Training(response, population, tuple(priced), required, None, samples, seed, memo)
+        if solved is not None:
+            training = solved.training.aimed(required)
+        else:
+            training = Training(response, population, tuple(priced), required, None, samples, seed, memo)
         search = Search(training, priced, _STEPS)
         point, _ = search.run(search.begin(t))
         if not (point.margins <= NOISE * training.distance).all():
             continue
         t = point.half_widths
-        drawn = units, seed + 1, block(samples, units)
-        run = Run(response, training.with_half_widths(t), training.names, required, *drawn, memo=memo)
-        points.append((least_yield(run.statistics()), search.cost(t)))
+        made = training.with_half_widths(t)
+        if solved is not None:
+            fresh = solved.certifier.draw(made)
+        else:
+            drawn = units, seed + 1, block(samples, units)
+            fresh = Run(response, made, training.names, required, *drawn, memo=memo).statistics()
+        points.append((least_yield(fresh), search.cost(t)))
     return points
 
 

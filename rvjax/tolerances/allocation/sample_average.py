@@ -16,8 +16,10 @@ import numpy as np
 from rvjax.population import Population, Tolerance, drawn, root_key
 from rvjax.response import BLOCK, LANES, Response, elements_and_rates, gradients, respond, response_names
 from rvjax.status import succeeded
+from rvjax.tolerances.allocation.followed import Followed
 from rvjax.tolerances.batch.checkpoint import describe
 from rvjax.tolerances.batch.memo import Memo
+from rvjax.tolerances.requirements.kinds import Requirement
 from rvjax.tolerances.requirements.limits import Limits, Pull, along_reach
 from rvjax.tolerances.requirements.tails import nearest, tail_quantile
 from rvjax.tolerances.worst_case import Extremes, extremes
@@ -25,6 +27,9 @@ from rvjax.tolerances.worst_case import Extremes, extremes
 # Slopes come from the units nearest the quantile: few enough to stand near it, where the response bends; cheap, too.
 # Of many fields each owns little of the spread, and a slope errs by about sqrt(fields/(10 units)).
 _FEWEST_LANES, _LANES_PART, _LANES_OF_A_FIELD = 256, 32, 8
+_MEASURED = 256  # costly units behind the way of a nominal unit to its limit
+_NEARBY = 0.1  # logarithm of a half-width, within which costly units keep their slopes
+IDLE = 0.4  # part of the way to a limit, beyond which no costly unit is solved on its account
 _REMEMBERED = 8  # sets of half-widths whose values are kept: what was asked for is often asked for again
 
 
@@ -46,6 +51,11 @@ class Point:
     margins: np.ndarray
     slopes: np.ndarray
     weights: np.ndarray
+
+
+def followable(response: Response, requirements: dict[str, Limits]) -> bool:
+    """Whether units are costly, and all that is asked of them are shares within limits."""
+    return getattr(response, "costly", False) and all(isinstance(r, Requirement) for r in requirements.values())
 
 
 class Training:
@@ -71,14 +81,21 @@ class Training:
         self.evaluated = [0]  # units, with or without a gradient, by this sample and its copies
         self._made: dict[str, tuple[float, Tolerance]] = {}  # the latest tolerance of each field, by its half-width
         self.lanes = min(samples, max(_FEWEST_LANES, samples // _LANES_PART, _LANES_OF_A_FIELD * len(fields)))
-        key, block = root_key(seed), min(samples, BLOCK)
-        self.blocks = [drawn(population, key, jnp.uint32(start), count=block) for start in range(0, samples, block)]
+        self._slopes: dict[int, tuple[np.ndarray, np.ndarray]] = {}  # where they were computed, and of s^power
+        self.followed: Followed | None = None
+        """Its units where they are costly; the others are all solved at every set of half-widths."""
+        if followable(response, requirements):
+            self.followed = Followed(response, population, samples, seed, memo)
+            self.lanes = min(samples, _FEWEST_LANES)
+        else:
+            key, block = root_key(seed), min(samples, BLOCK)
+            self.blocks = [drawn(population, key, jnp.uint32(start), count=block) for start in range(0, samples, block)]
         self._measure()
 
     def _measure(self) -> None:
         """How far the nominal response stays from each limit; margins are measured from there."""
         requirements, joint_target = self.requirements, self.joint_target
-        values = self.values(np.zeros(len(self.fields)))
+        values = self._nominal()
         own = self._unit_margins(values)
         nominal = np.array([item.distance(row) for row, item in zip(values, requirements.values())])
         finite = np.where(np.isfinite(own), np.abs(own), 0.0).max(axis=1)
@@ -92,10 +109,26 @@ class Training:
         self.powers = np.full(len(self.distance), 2.0)  # by which the half-widths of each constraint add up
         self.powers[: len(requirements)] = [item.power for item in requirements.values()]
 
+    def _nominal(self) -> np.ndarray:
+        """Required responses (k, n) of units whose only errors are those without a cost: all, or enough of them."""
+        nothing = np.zeros(len(self.fields))
+        if self.followed is None:
+            return self.values(nothing)
+        found = self.followed.first_at(self.with_half_widths(nothing), _MEASURED)
+        self.evaluated[0] += _MEASURED
+        return np.stack([found[name] for name in self.requirements])
+
+    def aimed(self, requirements: dict[str, Limits]) -> Self:
+        """The same units for other targets of the same limits."""
+        other = copy.copy(self)
+        other.requirements, other._seen, other._slopes = requirements, {}, {}
+        return other
+
     def with_tolerances(self, changed: dict[str, Tolerance]) -> Self:
         """The same units where some fields have other tolerances, with margins measured as here."""
         other = copy.copy(self)
         other.population, other._made, other._seen = self.population.with_tolerances(changed), {}, {}
+        other._slopes = {}
         return other
 
     def measured(self) -> Self:
@@ -129,6 +162,8 @@ class Training:
             if item.of_extremes:
                 pull = item.pull(ranges[name].values, margins[k], self.distance[k], self.lanes)
                 slopes.append(pull.cotangents @ ranges[name].slopes[pull.units][:, self._priced])
+            elif self.followed is not None:
+                slopes.append(self._slope_near(half_widths, k, row, float(margins[k])))
             else:
                 pull = item.pull(row, margins[k], self.distance[k], self.lanes)
                 slopes.append(self._slope(half_widths, pull, np.full(self.samples, k)))
@@ -165,15 +200,41 @@ class Training:
         if asked in self._seen:
             return self._seen[asked]
         population, rows = self.with_half_widths(half_widths), []
+        if self.followed is not None:
+            before = self.followed.solved
+            found, _ = self.followed.at(population, self._aims)
+            self.evaluated[0] += self.followed.solved - before
+            return self._remembered(asked, np.stack([found[name] for name in self.requirements]))
         self.evaluated[0] += self.samples
         for k, z in enumerate(self.blocks):
             values, status = self._block(population, k, z)
             found = np.stack([np.asarray(values[name], float) for name in self.requirements])
             rows.append(np.where(np.asarray(succeeded(status)), found, np.nan))
+        return self._remembered(asked, np.concatenate(rows, axis=1)[:, : self.samples])
+
+    def _remembered(self, asked: bytes, values: np.ndarray) -> np.ndarray:
         while len(self._seen) >= _REMEMBERED:
             self._seen.pop(next(iter(self._seen)))
-        self._seen[asked] = np.concatenate(rows, axis=1)[:, : self.samples]
-        return self._seen[asked]
+        self._seen[asked] = values
+        return values
+
+    def _aims(self, values: dict[str, np.ndarray]) -> dict[str, list[float]]:
+        """Values at the quantiles that are asked for, where a limit is not far beyond."""
+        rows = np.stack([values[name] for name in self.requirements])
+        joint = None if self.joint_target is None else float(np.quantile(self._joint(rows)[0], self.joint_target))
+        found = {}
+        for (name, item), row, scale, distance in zip(self.requirements.items(), rows, self.scales, self.distance):
+            margins = item.margins(row)
+            levels = [tail_quantile(margins, item.target, float(distance))]
+            levels += [] if joint is None else [joint * scale]
+            found[name] = [
+                end + sign * level
+                for level in levels
+                if np.isfinite(level) and level > -IDLE * distance
+                for end, sign in ((item.upper, 1.0), (item.lower, -1.0))
+                if np.isfinite(end)
+            ]
+        return found
 
     def _block(self, population: Population, k: int, z: jax.Array) -> tuple[Any, Any]:
         """Values and status of the units of a block."""
@@ -216,27 +277,54 @@ class Training:
     def _corrected(self, margins: np.ndarray) -> np.ndarray:
         return (margins + self.distance) * self.correction - self.distance
 
+    def _slope_near(self, half_widths: np.ndarray, k: int, row: np.ndarray, margin: float) -> np.ndarray:
+        """The slope of a requirement; 0 far from its limit, and by the model of `conlin` where one is known nearby."""
+        if margin <= -IDLE * self.distance[k]:
+            return np.zeros(len(self.fields))
+        reach, place, power = (
+            max(margin + self.distance[k], 1e-3 * self.distance[k]),
+            np.log(half_widths),
+            self.powers[k],
+        )
+        if k not in self._slopes or np.abs(self._slopes[k][0] - place).max() > _NEARBY:
+            name = list(self.requirements)[k]
+            pull = self.requirements[name].pull(row, margin, self.distance[k], self.lanes)
+            slope = self._slope(half_widths, pull, np.full(self.samples, k))
+            self._slopes[k] = place, slope * reach ** (power - 1)
+        there, known = self._slopes[k]
+        return known * np.exp(power * (place - there)) / reach ** (power - 1)
+
     def _slope(self, half_widths: np.ndarray, pull: Pull, of: np.ndarray) -> np.ndarray:
         """Derivative of a margin to the logarithms of the half-widths (j,); `of`: each unit's requirement."""
         if not len(pull.units):
             return np.zeros(len(self.fields))
-        z = np.concatenate([np.asarray(block) for block in self.blocks], axis=1)
+        if self.followed is not None:
+            z, parts = self.followed.z, [(part.response, part.names) for part in self.followed.parts]
+        else:
+            z, parts = np.concatenate([np.asarray(b) for b in self.blocks], axis=1), [(self.response, self.names)]
         given = dict(zip(self.fields, jnp.asarray(half_widths, z.dtype)))
         padded = np.resize(pull.units, -(-len(pull.units) // LANES) * LANES)  # one program, however many units
         found = (np.asarray(rows) for rows in elements_and_rates(self.population, given, z[:, padded]))
         errors, rates = (rows[:, : len(pull.units)] for rows in found)
-        rows = np.array([self.names.index(name) for name in self.requirements])
-        cotangents = np.eye(len(self.names))[rows[of[pull.units]]].T * pull.cotangents
+        required = np.array(list(self.requirements))[of[pull.units]]
         self.evaluated[0] += len(pull.units)
-        slopes = self._gradients(errors, cotangents)
+        slopes = np.empty(errors.shape)
+        for response, names in parts:
+            mine = np.isin(required, names)
+            if mine.any():
+                rows = np.array([names.index(name) for name in required[mine]])
+                cotangents = np.eye(len(names))[rows].T * pull.cotangents[mine]
+                slopes[:, mine] = self._gradients(response, names, errors[:, mine], cotangents)
         used = np.isfinite(slopes).all(axis=0)
         by_field = self.population.by_field((slopes * rates)[:, used].sum(axis=1))
         total, norm = np.array([by_field[name].sum() for name in self.fields]), pull.norms[used].sum()
         return total / norm * half_widths if norm > 0 else np.zeros(len(self.fields))
 
-    def _gradients(self, errors: np.ndarray, cotangents: np.ndarray) -> np.ndarray:
+    def _gradients(
+        self, response: Response, names: tuple[str, ...], errors: np.ndarray, cotangents: np.ndarray
+    ) -> np.ndarray:
         """Gradients (elements, n) of weighted responses."""
-        compute = lambda: gradients(self.response, self.population, errors, cotangents, self.names)[1]  # noqa: E731
+        compute = lambda: gradients(response, self.population, errors, cotangents, names)[1]  # noqa: E731
         if self._memo is None:
             return compute()
         weighted = hashlib.sha256(errors.tobytes() + cotangents.tobytes()).hexdigest()

@@ -18,6 +18,7 @@ RADIUS = 1.5  # first step, at most, in logarithms of the half-widths
 SETTLED = 2e-3  # steps and violations (as parts of the way to the limit) smaller than this end the search
 NOISE = 0.02  # violation that the sample itself may err by; the certificate takes care of it
 GAIN = 1e-4  # and so does a step that saves less of the cost
+_COARSE = 5.0  # times these where units are costly: what a sample of them knows of the optimum is no better
 
 _BINDING = 0.1  # a constraint with more room, in parts of the way to its limit, plays no part
 
@@ -49,6 +50,8 @@ class Search:
         self.history: list[dict[str, Any]] = []
         self.rays: Rays | None = None  # once derivatives have misled
         self.audited = False  # they have not
+        coarse = 1.0 if training.followed is None else _COARSE
+        self.settled, self.gain = coarse * SETTLED, coarse * GAIN
         beyond = min(training.samples * (1 - getattr(r, "target", 0.0)) for r in training.requirements.values())
         self.doubt = math.sqrt(max(1.0, _MANY / max(beyond, _FEWEST)))  # few units beyond a limit know a slope badly
 
@@ -113,8 +116,8 @@ class Search:
             wanted, prices = self.model_optimum(best, radius)
             step = float(np.abs(np.log(wanted / best.half_widths)).max())
             excess = self.excess(best.margins)
-            met = excess <= SETTLED
-            if radius < SETTLED or (met and step < SETTLED):
+            met = excess <= self.settled
+            if radius < self.settled or (met and step < self.settled):
                 return best, excess <= NOISE
             new, penalty = self.look(wanted), np.maximum(self.cost(best.half_widths) / distance, 2 * prices)
             gain = self._merit(best, penalty) - self._merit(new, penalty)
@@ -122,7 +125,7 @@ class Search:
                 radius = step / 3
                 continue
             best, radius = new, max(radius, 2 * step)
-            if met and gain < GAIN * self.cost(best.half_widths) and self.excess(best.margins) <= SETTLED:
+            if met and gain < self.gain * self.cost(best.half_widths) and self.excess(best.margins) <= self.settled:
                 return best, True
         return best, False
 

@@ -154,6 +154,19 @@ class Run:
                 counted.merge(part)
         return self._figures(counted, study)
 
+    def of_units(self, values: dict[str, np.ndarray], status: np.ndarray) -> Statistics:
+        """Statistics of units that are solved.
+
+        Args:
+            values: (n,) by name.
+            status: (n,).
+        """
+        study = describe(self.population, self.requirements)
+        study |= {"seed": str(self.seed), "method": self.method, "chunk": str(self.chunk)}
+        counted = self._empty(keeps=self.keep)
+        counted.add(0, 0, values, status)
+        return self._figures(counted, study)
+
     def _figures(self, counted: Accumulator, study: dict[str, str]) -> Statistics:
         """Statistics of all units, as dicts by name of the response."""
         named = [status for status in PRECEDENCE if int(status) in counted.failures]

@@ -1,0 +1,85 @@
+"""A response in parts, and any of its units: outputs that share no computation are solved for different units."""
+
+from collections.abc import Sequence
+from math import prod
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rvjax.population import Population
+from rvjax.response.devices import UNITS, mesh_of, shared_out
+from rvjax.response.gradients import elements
+from rvjax.response.response import Response, Values, evaluate, per_response, response_names
+from rvjax.status import worst
+
+AT_ONCE = 128
+"""Units of one call: a few blocks of a slow model, so that little is wasted where few units decide."""
+
+
+class Part:
+    """Some outputs of a response, as a response of their own."""
+
+    def __init__(self, response: Response, population: Population) -> None:
+        self.response, self.names = response, response_names(response, population)
+        self._mesh = mesh_of(AT_ONCE)
+        self.solved = 0
+        """Units solved so far."""
+
+    def solve(self, population: Population, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Values (k, n) by `names`, and status (n,), of the units with random numbers z (numbers, n)."""
+        return self._of(population, z.shape[1], lambda lanes: elements(population, jnp.asarray(z[:, lanes])))
+
+    def nominal_status(self, population: Population) -> int:
+        """Status of the unit without errors, by the program of all the others."""
+        count = sum(prod(t.shape) for t in population.active.values())
+        nothing = jnp.zeros((count, AT_ONCE), jnp.result_type(float))
+        return int(self._of(population, 1, lambda lanes: nothing)[1][0])
+
+    def _of(self, population: Population, count: int, errors: Any) -> tuple[np.ndarray, np.ndarray]:
+        running = []
+        for start in range(0, count, AT_ONCE):
+            lanes = np.resize(np.arange(start, min(start + AT_ONCE, count)), AT_ONCE)
+            running.append(solved(self.response, population, errors(lanes), self._mesh))
+        self.solved += count
+        rows = [np.stack([np.asarray(values[name], float) for name in self.names]) for values, _ in running]
+        status = np.concatenate([np.asarray(status) for _, status in running])[:count]
+        return np.concatenate(rows, axis=1)[:, :count], status
+
+
+def parts(response: Response, population: Population) -> list[Part]:
+    """A `costly` response in the `parts` that it names; another is a whole."""
+    split = getattr(response, "costly", False) and hasattr(response, "parts")
+    own: Sequence[Response] = response.parts() if split else [response]
+    return [Part(part, population) for part in own]
+
+
+def status_without_errors(response: Response, population: Population) -> int:
+    """Status of the unit without errors, the worst of all parts."""
+    return int(worst(jnp.asarray([part.nominal_status(population) for part in parts(response, population)])))
+
+
+def solved(
+    response: Response, population: Population, errors: jax.Array, mesh: jax.sharding.Mesh | None
+) -> tuple[Values, jax.Array]:
+    """Values by name (n,) and status (n,) of units by their errors (elements, n) of the active fields.
+
+    The population says only which elements are which fields.
+    """
+    if mesh is None:
+        return _solved(response, population, errors)
+    return _solved_on(response, population, errors, mesh=mesh)
+
+
+@per_response()
+def _solved(response: Response, population: Population, errors: jax.Array) -> tuple[Values, jax.Array]:
+    one = lambda vector: evaluate(response, population.fill(population.by_field(vector)))  # noqa: E731
+    return jax.vmap(one, in_axes=-1)(errors)
+
+
+@per_response(static=("mesh",))
+def _solved_on(
+    response: Response, population: Population, errors: jax.Array, *, mesh: jax.sharding.Mesh
+) -> tuple[Values, jax.Array]:
+    return shared_out(_solved, mesh, UNITS, response, population, errors)

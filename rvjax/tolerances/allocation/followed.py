@@ -1,0 +1,236 @@
+"""One sample of units, followed from one set of tolerances to the next: only the units that may decide are solved.
+
+A share of units within a limit, and the limit that a share keeps, depend on the units near that limit alone. From a set
+of tolerances where all units are known, values at a neighbouring set are predicted by a line, v' = a + b v, fitted to
+units that are solved there: those nearest the limit and some at random. What the line leaves over is the spread of the
+prediction; every unit is solved that lies near the limit by that measure, until less than a tenth of a unit is expected
+to be on the wrong side. The random units check it: they count by the largest deviation among them.
+"""
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import jax.numpy as jnp
+import numpy as np
+from scipy import special
+
+from rvjax.population import Population, drawn, root_key
+from rvjax.response import AT_ONCE, BLOCK, Response, parts
+from rvjax.status import succeeded, worst
+from rvjax.tolerances.batch.memo import Memo
+
+WRONG = 0.1  # units expected on the wrong side of a limit, at most
+_RANDOM = 32  # of the first units solved at a new set
+_FAR = 1.0  # change of a limit, in half-widths, beyond which nothing is predicted
+_LARGEST = 3.0  # standard deviations of the largest of 32 deviations, more than it has by chance (2.1)
+_CAUTION = 1.2  # on the spread, which comes from few units
+_KEPT = 24  # sets of tolerances that are remembered
+
+Aims = Callable[[dict[str, np.ndarray]], dict[str, list[float]]]
+"""Values (n,) of all units by name, nan where one failed -> values at which a unit of each may decide."""
+
+
+@dataclass(frozen=True)
+class _Known:
+    """All units at one set of tolerances: `doubt` is the standard deviation of a predicted value, 0 of a solved one."""
+
+    place: np.ndarray
+    values: dict[str, np.ndarray]
+    doubt: dict[str, np.ndarray]
+    status: list[np.ndarray]
+
+
+class Followed:
+    """Units of one sample."""
+
+    def __init__(
+        self, response: Response, population: Population, samples: int, seed: int, memo: Memo | None = None
+    ) -> None:
+        self.samples, self.seed, self._memo = samples, seed, memo
+        self.parts = parts(response, population)
+        self.names = [name for part in self.parts for name in part.names]
+        self._known: list[_Known] = []
+        self._random = np.random.default_rng(seed)
+        key, block = root_key(seed), min(samples, BLOCK)
+        blocks = [np.asarray(drawn(population, key, jnp.uint32(i), count=block)) for i in range(0, samples, block)]
+        self.z = np.concatenate(blocks, axis=1)[:, :samples]
+
+    @property
+    def solved(self) -> int:
+        """Units solved so far, the most of any part."""
+        return max(part.solved for part in self.parts)
+
+    def at(self, population: Population, aims: Aims) -> tuple[dict[str, np.ndarray], np.ndarray]:
+        """Values (n,) by name, nan where a unit failed, and status (n,): exact where a unit may decide.
+
+        Args:
+            population: tolerances of the units.
+            aims: values at which units decide.
+        """
+        place = _place(population)
+        known = min(self._known, key=lambda item: _distance(item.place, place), default=None)
+        if known is None or _distance(known.place, place) > _FAR:
+            return self.all_at(population)
+        if not _distance(known.place, place) and self._settled(known, aims):
+            return _whole(known.values, known.status)
+        found = _Step(self, known, population)
+        found.begin(aims)
+        while found.widen(aims):
+            pass
+        new = _Known(place, found.values, found.doubt, found.status)
+        self._remember(new)
+        return _whole(new.values, new.status)
+
+    def all_at(self, population: Population) -> tuple[dict[str, np.ndarray], np.ndarray]:
+        """The same, every unit solved."""
+        values, doubt, status = {}, {}, []
+        for number in range(len(self.parts)):
+            rows, found = self.solve(number, population, np.arange(self.samples))
+            values |= rows
+            doubt |= {name: np.zeros(self.samples) for name in rows}
+            status.append(found)
+        self._remember(_Known(_place(population), values, doubt, status))
+        return _whole(values, status)
+
+    def exactly(self, population: Population) -> tuple[dict[str, np.ndarray], np.ndarray]:
+        """The same, as it is known already where every unit was solved there."""
+        place = _place(population)
+        for known in self._known:
+            if not _distance(known.place, place) and not any(row.any() for row in known.doubt.values()):
+                return _whole(known.values, known.status)
+        return self.all_at(population)
+
+    def first_at(self, population: Population, count: int) -> dict[str, np.ndarray]:
+        """Values (count,) by name of the first units."""
+        units = np.arange(min(count, self.samples))
+        found = [self.solve(number, population, units)[0] for number in range(len(self.parts))]
+        return {name: row for rows in found for name, row in rows.items()}
+
+    def solve(self, number: int, population: Population, units: np.ndarray) -> tuple[dict[str, np.ndarray], np.ndarray]:
+        """Values by name and status of some units of one part."""
+        part = self.parts[number]
+
+        def compute() -> np.ndarray:
+            values, status = part.solve(population, self.z[:, units])
+            return np.concatenate([np.where(np.asarray(succeeded(status)), values, np.nan), status[None]])
+
+        if self._memo is None:
+            rows = compute()
+        else:
+            text = repr((part.names, self.seed, _place(population).tolist())).encode()
+            rows = self._memo.recall({"followed": hashlib.sha256(text + units.tobytes()).hexdigest()}, compute)
+        return dict(zip(part.names, rows)), rows[-1].astype(np.int32)
+
+    def drawn(self, count: int) -> np.ndarray:
+        """Some units at random."""
+        return self._random.choice(self.samples, min(count, self.samples), replace=False)
+
+    def _settled(self, known: _Known, aims: Aims) -> bool:
+        """Whether what is known of a set answers another question at it."""
+        wanted = aims(known.values)
+        wrong = [_wrong(known.values[n], known.doubt[n], wanted.get(n, [])).sum() for n in self.names]
+        return max(wrong) <= WRONG
+
+    def _remember(self, known: _Known) -> None:
+        others = [item for item in self._known if _distance(item.place, known.place)]
+        self._known = [*others[:1], *others[1:][-_KEPT:], known]  # the first one is asked for at the end again
+
+
+class _Step:
+    """From one set of tolerances to another."""
+
+    def __init__(self, units: Followed, known: _Known, population: Population) -> None:
+        self.units, self.known, self.population = units, known, population
+        self.values = {name: row.copy() for name, row in known.values.items()}
+        self.doubt = {name: row.copy() for name, row in known.doubt.items()}
+        self.status = [row.copy() for row in known.status]
+        self.solved = [np.zeros(units.samples, bool) for _ in units.parts]
+        self.random = units.drawn(_RANDOM)
+
+    def begin(self, aims: Aims) -> None:
+        """Solve the units nearest where they decide, some at random, and all that failed."""
+        wanted = aims(self.known.values)
+        for number, part in enumerate(self.units.parts):
+            first = np.zeros(self.units.samples, bool)
+            first[self.random] = True
+            for name in part.names:
+                row = self.known.values[name]
+                first |= np.isnan(row)
+                for level in wanted.get(name, []):
+                    if np.isfinite(level):
+                        first[np.argsort(np.abs(row - level))[: (AT_ONCE - _RANDOM) // len(part.names)]] = True
+            self._solve(number, np.flatnonzero(first))
+            if any(np.isnan(self.values[n] - self.known.values[n])[self.random].any() for n in part.names):
+                self._solve(number, np.flatnonzero(~self.solved[number]))  # a line foresees no failures
+
+    def widen(self, aims: Aims) -> bool:
+        """Solve the units whose side is in doubt; False if there are none."""
+        wanted, more = aims(self.values), False
+        for number, part in enumerate(self.units.parts):
+            wrong = np.zeros(self.units.samples)
+            for name in part.names:
+                wrong = np.maximum(wrong, _wrong(self.values[name], self.doubt[name], wanted.get(name, [])))
+            if wrong.sum() <= WRONG:
+                continue
+            order = np.argsort(-wrong, kind="stable")
+            left = wrong.sum() - np.cumsum(wrong[order])
+            count = int(np.argmax(left <= WRONG)) + 1
+            count = min(-(-count // AT_ONCE) * AT_ONCE, int((wrong > 0).sum()))
+            self._solve(number, order[:count])
+            more = True
+        return more
+
+    def _solve(self, number: int, units: np.ndarray) -> None:
+        """Solve some units of a part, and predict the others by all that are solved."""
+        rows, self.status[number][units] = self.units.solve(number, self.population, units)
+        self.solved[number][units] = True
+        others = ~self.solved[number]
+        for name, row in rows.items():
+            self.values[name][units], self.doubt[name][units] = row, 0.0
+            self._predict(name, self.solved[number], others)
+
+    def _predict(self, name: str, solved: np.ndarray, others: np.ndarray) -> None:
+        """Values of units that are not solved, by a line through those that are, and the spread about it."""
+        before, now = self.known.values[name], self.values[name]
+        both = solved & np.isfinite(before) & np.isfinite(now)
+        x, y = before[both], now[both]
+        if len(x) < 3:
+            return
+        spread = float(((x - x.mean()) ** 2).sum())
+        slope = float((x - x.mean()) @ (y - y.mean())) / spread if spread > 0 else 0.0
+        predicted = y.mean() + slope * (before - x.mean())
+        left = np.where(both, now - predicted, 0.0)
+        largest = float(np.abs(left[self.random]).max()) / _LARGEST
+        sd = _CAUTION * max(float(np.sqrt((left**2).sum() / (len(x) - 2))), largest)
+        now[others] = predicted[others]
+        self.doubt[name][others] = np.hypot(sd, slope * self.known.doubt[name][others])
+
+
+def _wrong(values: np.ndarray, doubt: np.ndarray, levels: list[float]) -> np.ndarray:
+    """Probability (n,) that a unit lies on the other side of one of the levels than its value says."""
+    found = np.zeros(len(values))
+    for level in levels:
+        off = np.abs(values - level)
+        ratio = np.divide(off, doubt, out=np.full(len(values), np.inf), where=(doubt > 0) & np.isfinite(off))
+        found = np.maximum(found, special.ndtr(-ratio))
+    return found
+
+
+def _whole(values: dict[str, np.ndarray], status: list[np.ndarray]) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """Values, nan where any part of a unit failed, and its worst status."""
+    whole = np.asarray(worst(np.stack(status), axis=0))
+    good = np.asarray(succeeded(whole))
+    return {name: np.where(good, row, np.nan) for name, row in values.items()}, whole
+
+
+def _place(population: Population) -> np.ndarray:
+    """Lower and upper limit (fields, 2) of the tolerances."""
+    return np.array([(float(t.lower), float(t.upper)) for t in population.active.values()])
+
+
+def _distance(one: np.ndarray, other: np.ndarray) -> float:
+    """Largest change of a limit, in parts of the larger half-width."""
+    half = np.maximum(one[:, 1] - one[:, 0], other[:, 1] - other[:, 0]) / 2
+    moved = np.abs(one - other).max(axis=1)
+    return float(np.max(moved / np.where(half > 0, half, 1.0), initial=0.0))

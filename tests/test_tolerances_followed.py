@@ -1,0 +1,133 @@
+"""Units that are followed from one set of tolerances to the next: who is solved, and what is known of the others.
+
+Oracles: every unit solved; the normal law, by which the yield of certified half-widths is known exactly.
+"""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import stats
+
+from rvjax.population import Population
+from rvjax.status import Status
+from rvjax.tolerances import Outcome, ReciprocalPower, Requirement, Tolerance, allocate
+from rvjax.tolerances.allocation.followed import Followed
+
+UNITS = 4096
+WAVES = {
+    "x": Tolerance.symmetric(1.0, shape=(6,)),
+    "y": Tolerance.symmetric(1.0, shape=(6,)),
+    "z": Tolerance.symmetric(1.0),
+}
+
+
+class Costly:
+    """A response that says its units are costly."""
+
+    costly = True
+
+    def __init__(self, function):
+        self.function = function
+
+    def __call__(self, errors):
+        return self.function(errors)
+
+
+def peaks(e):
+    """Peak to peak of two waves, with a kink wherever another angle takes over; and a gap that opens and closes."""
+    phase, angle = jnp.arange(6.0), jnp.linspace(0, 2 * jnp.pi, 12, endpoint=False)
+    curve = e["x"] @ jnp.cos(angle[None] + phase[:, None]) + e["y"] @ jnp.cos(2 * angle[None] + phase[:, None])
+    return {"peak": jnp.max(curve) - jnp.min(curve), "gap": jnp.maximum(jnp.abs(e["z"]) - 0.3, 0.1 * e["x"][0])}
+
+
+def population(factor, **own):
+    return Population.of({n: t.with_half_width(factor * own.get(n, 1.0)) for n, t in WAVES.items()})
+
+
+AIMS = {"peak": [3.5], "gap": [0.6]}
+
+
+def followed(function, *places, aims=AIMS, seed=0):
+    units = Followed(Costly(function), places[0], UNITS, seed)
+    for place in places:
+        values, status = units.at(place, lambda values: aims)
+    exact = Followed(Costly(function), places[-1], UNITS, seed).all_at(places[-1])
+    return units, values, status, exact
+
+
+@pytest.mark.parametrize("steps", [(1.0, 1.03), (1.0, 1.2, 0.9), (1.0, 0.9, 0.8, 0.7)])
+def test_every_unit_is_on_its_side_of_the_limits(steps):
+    """A tenth of a unit may be on the wrong side at each limit and step: over six places two would be a wonder."""
+    wrong, solved = 0, 0
+    for seed in range(3):
+        places = [population(step, x=1.1 if k else 1.0, y=0.9 if k > 1 else 1.0) for k, step in enumerate(steps)]
+        units, values, _, (exact, _) = followed(peaks, *places, seed=seed)
+        wrong += sum(int(((values[n] > AIMS[n][0]) != (exact[n] > AIMS[n][0])).sum()) for n in AIMS)
+        solved += (units.solved - UNITS) / (len(steps) - 1)
+        near = np.abs(exact["peak"] - 3.5) < 0.02
+        np.testing.assert_allclose(values["peak"][near], exact["peak"][near], rtol=1e-12)
+    assert wrong <= 1
+    assert solved / 3 < UNITS / 3
+
+
+def test_a_response_that_no_line_foresees_is_solved_whole():
+    """Each step draws the lots anew, so that what a unit did before says nothing."""
+    lots = lambda e: {"y": jnp.sin(1e4 * e["z"] + 1e3 * e["x"][0])}  # noqa: E731
+    units, values, _, (exact, _) = followed(lots, population(1.0), population(1.1), aims={"y": [0.9]})
+    assert units.solved > 1.9 * UNITS
+    assert ((values["y"] > 0.9) != (exact["y"] > 0.9)).sum() <= 1
+
+
+def test_failures_are_not_foreseen():
+    """Units with |z| > 0.8 fail: none of three sigma 0.7, 5 % of 1.2, and these are found."""
+
+    def breaks(e):
+        bad = jnp.abs(e["z"]) > 0.8
+        return Outcome({"y": e["x"][0]}, jnp.where(bad, int(Status.NOT_ASSEMBLABLE), int(Status.CONVERGED)))
+
+    places = population(0.7), population(1.2)
+    _, values, status, (exact, whole) = followed(breaks, *places, aims={"y": [1.0]})
+    assert 0.03 < np.isnan(exact["y"]).mean() < 0.07
+    np.testing.assert_array_equal(status, whole)
+    np.testing.assert_array_equal(np.isnan(values["y"]), np.isnan(exact["y"]))
+
+
+def test_what_is_known_is_not_solved_again():
+    units = Followed(Costly(peaks), population(1.0), UNITS, 0)
+    for factor in (1.0, 1.1, 1.0, 1.1):
+        units.at(population(factor), lambda values: AIMS)
+    before = units.solved
+    values, _ = units.exactly(population(1.0))
+    assert units.solved == before < 1.5 * UNITS
+    exact, _ = Followed(Costly(peaks), population(1.0), UNITS, 0).all_at(population(1.0))
+    np.testing.assert_array_equal(values["peak"], exact["peak"])
+
+
+COSTS = {n: ReciprocalPower(reference=1.0, finest=0.05, coarsest=20.0) for n in ("a", "b")}
+PAIR = {"a": Tolerance.symmetric(1.0), "b": Tolerance.symmetric(1.0)}
+WANTED = Requirement(lower=-1.0, upper=1.0, target=0.95)
+
+
+def pair(e):
+    return e["a"] + 2 * e["b"]
+
+
+def reached(found):
+    """Share of normal units within the limits."""
+    sd = np.hypot(found.half_widths["a"], 2 * found.half_widths["b"]) / 3
+    return 1 - 2 * stats.norm.sf(1 / sd)
+
+
+def test_certificates_on_units_that_are_followed_hold(thorough):
+    """Of 95 % intervals one end in 40 may miss. Of 40 certificates five or more would miss once in 500 trials."""
+    runs = 200 if thorough else 40
+    options = dict(costs=COSTS, samples=512, certificate_samples=1024)
+    costly = Costly(pair)  # compiled once
+    found = [allocate(costly, PAIR, WANTED, seed=7 * seed, **options) for seed in range(runs)]
+    assert all(item.status == "OPTIMAL" for item in found)
+    missed = sum(reached(item) < 0.95 for item in found)
+    assert missed <= stats.binom.ppf(0.998, runs, 0.025)
+    plain = [allocate(pair, PAIR, WANTED, seed=7 * seed, **options) for seed in range(8)]
+    assert np.mean([item.cost for item in found]) < 1.005 * np.mean([item.cost for item in plain])
+    solved = [sum(item.evaluations[k] for k in ("search", "certificates")) for item in (found[0], plain[0])]
+    assert solved[0] < 0.8 * solved[1]
