@@ -13,7 +13,7 @@ import pytest
 
 from rvjax import cli, study
 from rvjax.commands.montecarlo import batch
-from rvjax.commands.montecarlo import inputs as units
+from rvjax.commands import cores as units
 from rvjax.tolerances import load, monte_carlo, origin
 
 GOOD = (resources.files("rvjax.study") / "embedded" / "rv-40e.toml").read_text("utf-8")

@@ -103,6 +103,24 @@ def test_what_is_known_is_not_solved_again():
     np.testing.assert_array_equal(values["peak"], exact["peak"])
 
 
+def test_parts_that_decide_nothing_wait_until_tolerances_have_changed_by_half():
+    class Two(Costly):
+        def parts(self):
+            return [Costly(lambda e: {"near": e["x"][0]}), Costly(lambda e: {"idle": e["y"][0]})]
+
+    two = Two(lambda e: {"near": e["x"][0], "idle": e["y"][0]})
+    units = Followed(two, population(1.0), UNITS, 0)
+    solved = []
+    for factor in (1.0, 1.2, 1.4, 2.4):
+        values, _ = units.at(population(factor), lambda values: {"near": [1.0], "idle": []})
+        solved.append([part.solved for part in units.parts])
+    assert solved[0] == [UNITS, UNITS]
+    assert [row[1] - UNITS for row in solved[:3]] == [0, 0, 0] and 0 < solved[3][1] - UNITS < UNITS / 2
+    assert np.diff([row[0] for row in solved]).min() > 0
+    exact = Followed(two, population(2.0), UNITS, 0).all_at(population(2.4))[0]["idle"]
+    np.testing.assert_allclose(values["idle"], exact, rtol=1e-9)  # a line foresees a linear part exactly
+
+
 COSTS = {n: ReciprocalPower(reference=1.0, finest=0.05, coarsest=20.0) for n in ("a", "b")}
 PAIR = {"a": Tolerance.symmetric(1.0), "b": Tolerance.symmetric(1.0)}
 WANTED = Requirement(lower=-1.0, upper=1.0, target=0.95)
@@ -121,10 +139,10 @@ def reached(found):
 def test_certificates_on_units_that_are_followed_hold(thorough):
     """Of 95 % intervals one end in 40 may miss. Of 40 certificates five or more would miss once in 500 trials."""
     runs = 200 if thorough else 40
-    options = dict(costs=COSTS, samples=512, certificate_samples=1024)
+    options = dict(costs=COSTS, samples=1024, certificate_samples=1024)
     costly = Costly(pair)  # compiled once
     found = [allocate(costly, PAIR, WANTED, seed=7 * seed, **options) for seed in range(runs)]
-    assert all(item.status == "OPTIMAL" for item in found)
+    assert all(item.status in ("OPTIMAL", "SUBOPTIMAL") for item in found)  # by few units it may have cost much less
     missed = sum(reached(item) < 0.95 for item in found)
     assert missed <= stats.binom.ppf(0.998, runs, 0.025)
     plain = [allocate(pair, PAIR, WANTED, seed=7 * seed, **options) for seed in range(8)]

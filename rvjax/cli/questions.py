@@ -6,7 +6,7 @@ import sys
 import time
 from pathlib import Path
 
-from rvjax.commands import EXIT_NO_ANSWER, EXIT_OK, READING, WRITING, check_files, forewarn, say, tell
+from rvjax.commands import EXIT_NO_ANSWER, EXIT_OK, READING, WRITING, check_files, forewarn, say, share_cores, tell
 
 
 def allocate(options: argparse.Namespace) -> int:
@@ -18,8 +18,6 @@ def allocate(options: argparse.Namespace) -> int:
 
     asked = study.load(options.study, solve=False)
     if asked.costly:
-        from rvjax.commands.montecarlo.inputs import share_cores
-
         share_cores(1)
     kept = None if options.fresh else again.folder(asked, options.results)
     if kept is not None:
@@ -57,8 +55,6 @@ def report(options: argparse.Namespace) -> int:
     check_files(options, output=".html")
     asked = study.load(options.study, solve=False)
     if asked.costly:
-        from rvjax.commands.montecarlo.inputs import share_cores
-
         share_cores(1)
     given = options.output is not None
     path = Path(options.output) if given else folders.results_folder(None, asked.name) / "report.html"

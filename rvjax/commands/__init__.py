@@ -4,6 +4,7 @@ Its `command.toml` holds its options and help; `inputs.py` reads options, study 
 `report.py` says what was found. `table` in `command.toml` names a table of study files that the command reads.
 """
 
+from rvjax.commands.cores import share_cores
 from rvjax.commands.registry import about, module, section
 from rvjax.commands.run import run
 from rvjax.commands.speak import (
@@ -48,5 +49,6 @@ __all__ = [
     "run",
     "say",
     "section",
+    "share_cores",
     "tell",
 ]

@@ -17,6 +17,7 @@ from rvjax.tolerances.batch.memo import Memo
 from rvjax.tolerances.batch.monte_carlo import Run, Statistics
 from rvjax.tolerances.requirements.limits import Limits
 
+_DRAWN_TO = 0.01  # part of a cost, or of the way to a limit, to which a point of costly units is searched
 _STEPS = 30  # sets of half-widths that a search for one yield looks at, at most
 
 
@@ -169,6 +170,8 @@ def cost_of_yields(
         else:
             training = Training(response, population, tuple(priced), required, None, samples, seed, memo)
         search = Search(training, priced, _STEPS)
+        if solved is not None:
+            search.settled, search.gain = _DRAWN_TO, _DRAWN_TO
         point, _ = search.run(search.begin(t))
         if not (point.margins <= NOISE * training.distance).all():
             continue

@@ -22,6 +22,7 @@ from rvjax.tolerances.batch.memo import Memo
 
 WRONG = 0.1  # units expected on the wrong side of a limit, at most
 _RANDOM = 32  # of the first units solved at a new set
+_IDLE = 0.5  # the same within which values that decide nothing are left as they were
 _FAR = 1.0  # change of a limit, in half-widths, beyond which nothing is predicted
 _LARGEST = 3.0  # standard deviations of the largest of 32 deviations, more than it has by chance (2.1)
 _CAUTION = 1.2  # on the spread, which comes from few units
@@ -33,12 +34,16 @@ Aims = Callable[[dict[str, np.ndarray]], dict[str, list[float]]]
 
 @dataclass(frozen=True)
 class _Known:
-    """All units at one set of tolerances: `doubt` is the standard deviation of a predicted value, 0 of a solved one."""
+    """All units at one set of tolerances: `doubt` is the standard deviation of a predicted value, 0 of a solved one.
+
+    `seen` is the latest set at which units of each part were solved.
+    """
 
     place: np.ndarray
     values: dict[str, np.ndarray]
     doubt: dict[str, np.ndarray]
     status: list[np.ndarray]
+    seen: list[np.ndarray]
 
 
 class Followed:
@@ -78,7 +83,7 @@ class Followed:
         found.begin(aims)
         while found.widen(aims):
             pass
-        new = _Known(place, found.values, found.doubt, found.status)
+        new = _Known(place, found.values, found.doubt, found.status, found.seen)
         self._remember(new)
         return _whole(new.values, new.status)
 
@@ -90,7 +95,8 @@ class Followed:
             values |= rows
             doubt |= {name: np.zeros(self.samples) for name in rows}
             status.append(found)
-        self._remember(_Known(_place(population), values, doubt, status))
+        place = _place(population)
+        self._remember(_Known(place, values, doubt, status, [place] * len(self.parts)))
         return _whole(values, status)
 
     def exactly(self, population: Population) -> tuple[dict[str, np.ndarray], np.ndarray]:
@@ -145,6 +151,7 @@ class _Step:
         self.values = {name: row.copy() for name, row in known.values.items()}
         self.doubt = {name: row.copy() for name, row in known.doubt.items()}
         self.status = [row.copy() for row in known.status]
+        self.seen, self.place = list(known.seen), _place(population)
         self.solved = [np.zeros(units.samples, bool) for _ in units.parts]
         self.random = units.drawn(_RANDOM)
 
@@ -152,6 +159,9 @@ class _Step:
         """Solve the units nearest where they decide, some at random, and all that failed."""
         wanted = aims(self.known.values)
         for number, part in enumerate(self.units.parts):
+            idle = not any(wanted.get(name) for name in part.names)
+            if idle and _distance(self.seen[number], self.place) <= _IDLE:
+                continue
             first = np.zeros(self.units.samples, bool)
             first[self.random] = True
             for name in part.names:
@@ -184,7 +194,7 @@ class _Step:
     def _solve(self, number: int, units: np.ndarray) -> None:
         """Solve some units of a part, and predict the others by all that are solved."""
         rows, self.status[number][units] = self.units.solve(number, self.population, units)
-        self.solved[number][units] = True
+        self.solved[number][units], self.seen[number] = True, self.place
         others = ~self.solved[number]
         for name, row in rows.items():
             self.values[name][units], self.doubt[name][units] = row, 0.0

@@ -86,7 +86,7 @@ class Training:
         """Its units where they are costly; the others are all solved at every set of half-widths."""
         if followable(response, requirements):
             self.followed = Followed(response, population, samples, seed, memo)
-            self.lanes = min(samples, _FEWEST_LANES)
+            self.lanes = min(samples, max(_FEWEST_LANES, _LANES_OF_A_FIELD * len(fields)))
         else:
             key, block = root_key(seed), min(samples, BLOCK)
             self.blocks = [drawn(population, key, jnp.uint32(start), count=block) for start in range(0, samples, block)]
