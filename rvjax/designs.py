@@ -7,13 +7,13 @@ an inner gear; the cage is the output.
 """
 
 import math
-from typing import Any, ClassVar, Self
+from typing import ClassVar, Self
 
 import jax
 import numpy as np
 
 from rvjax.errors import CamRollerErrors, RVErrors
-from rvjax.records import Record, Scalar, concrete, count, field, quantity, record
+from rvjax.records import Array, Record, Scalar, concrete, count, field, quantity, record
 from rvjax.units import deg
 
 
@@ -35,15 +35,17 @@ class InvoluteStage(Record):
 
     sun_teeth: int = count("teeth of the sun, z1")
     planet_teeth: int = count("teeth of a planet, z2")
-    module: Any = field("m", "module", sign="positive")
-    pressure_angle: Any = field("rad", "pressure angle", sign="positive")
-    centre_distance: Any = field("m", "sun axis to planet axis, a0", sign="positive")
-    sun_radius: Any = field("m", "reference radius of the sun, r1", sign="positive")
-    sun_base_radius: Any = field("m", "base radius of the sun", sign="positive")
-    planet_base_radius: Any = field("m", "base radius of a planet", sign="positive")
+    module: Scalar = field("m", "module", sign="positive")
+    pressure_angle: Scalar = field("rad", "pressure angle", sign="positive")
+    centre_distance: Scalar = field("m", "sun axis to planet axis, a0", sign="positive")
+    sun_radius: Scalar = field("m", "reference radius of the sun, r1", sign="positive")
+    sun_base_radius: Scalar = field("m", "base radius of the sun", sign="positive")
+    planet_base_radius: Scalar = field("m", "base radius of a planet", sign="positive")
 
     @classmethod
-    def from_teeth(cls, sun_teeth: int, planet_teeth: int, *, module: Any, pressure_angle: Any = 20 * deg) -> Self:
+    def from_teeth(
+        cls, sun_teeth: int, planet_teeth: int, *, module: Scalar, pressure_angle: Scalar = 20 * deg
+    ) -> Self:
         """Standard spur gears without profile shift: every radius follows from teeth and module.
 
         Args:
@@ -65,7 +67,7 @@ class InvoluteStage(Record):
         )
 
 
-def _traced_cos(angle: Any) -> Any:
+def _traced_cos(angle: Scalar) -> Array:
     import jax.numpy as jnp  # only a traced angle needs it
 
     return jnp.cos(angle)
@@ -82,22 +84,22 @@ class CycloidStage(Record):
     disc_teeth: int = count("teeth of a disc, zc")
     pin_count: int = count("pins of the ring, zp")
     disc_count: int = count("discs, nd", maximum=64)
-    eccentricity: Any = field("m", "nominal eccentricity of cranks and discs, e", sign="positive")
-    pin_circle_radius: Any = field("m", "radius of the pin circle, rp", sign="positive")
-    pin_radius: Any = field("m", "radius of a pin, rrp", sign="positive")
-    equidistant_modification: Any = field("m", "profile modification; > 0 removes flank material", default=0.0)
-    shift_modification: Any = field("m", "profile modification; < 0 removes flank material", default=0.0)
-    force_angle: Any = field("rad", "direction of the disc-pin mesh force (dynamics)", default=30 * deg)
-    disc_phase: Any = field("rad", "eccentric direction of disc 1 (dynamics)", default=0.0)
-    shortening: Any = field("-", "K1 where it is given, not derived", default=None)
+    eccentricity: Scalar = field("m", "nominal eccentricity of cranks and discs, e", sign="positive")
+    pin_circle_radius: Scalar = field("m", "radius of the pin circle, rp", sign="positive")
+    pin_radius: Scalar = field("m", "radius of a pin, rrp", sign="positive")
+    equidistant_modification: Scalar = field("m", "profile modification; > 0 removes flank material", default=0.0)
+    shift_modification: Scalar = field("m", "profile modification; < 0 removes flank material", default=0.0)
+    force_angle: Scalar = field("rad", "direction of the disc-pin mesh force (dynamics)", default=30 * deg)
+    disc_phase: Scalar = field("rad", "eccentric direction of disc 1 (dynamics)", default=0.0)
+    shortening: Scalar | None = field("-", "K1 where it is given, not derived", default=None)
 
     @property
-    def shortening_coefficient(self) -> Any:
+    def shortening_coefficient(self) -> Scalar:
         """K1, dimensionless; a proper cycloid needs 0 < K1 < 1."""
         return self.derived_shortening if self.shortening is None else self.shortening
 
     @property
-    def derived_shortening(self) -> Any:
+    def derived_shortening(self) -> Scalar:
         """K1 where none is given."""
         return self.eccentricity * self.pin_count / self.pin_circle_radius
 
@@ -117,24 +119,24 @@ class CrankStage(Record):
     """Crankshafts, equally spaced on a circle; two cranks are 2 * circle_radius apart."""
 
     count: int = count("crankshafts, each with its planet", minimum=2, maximum=64)
-    circle_radius: Any = field("m", "radius of the circle of crank axes, R", sign="positive")
-    bearing_stiffness: Any = field("N/m", "crank arm and bearings in series", default=None, sign="positive")
+    circle_radius: Scalar = field("m", "radius of the circle of crank axes, R", sign="positive")
+    bearing_stiffness: Scalar | None = field("N/m", "crank arm and bearings in series", default=None, sign="positive")
 
 
 @record
 class Inertia(Record):
     """Masses and polar moments of inertia of the parts (dynamics); arrays where members differ."""
 
-    sun_mass: Any = field("kg", "sun", sign="positive")
-    sun_inertia: Any = field("kg m2", "sun", sign="positive")
-    planet_mass: Any = field("kg", "one planet", shape=("cranks",), sign="positive")
-    planet_inertia: Any = field("kg m2", "one planet", shape=("cranks",), sign="positive")
-    crank_mass: Any = field("kg", "one crankshaft", shape=("cranks",), sign="positive")
-    crank_inertia: Any = field("kg m2", "one crankshaft", shape=("cranks",), sign="positive")
-    disc_mass: Any = field("kg", "one disc", shape=("discs",), sign="positive")
-    disc_inertia: Any = field("kg m2", "one disc", shape=("discs",), sign="positive")
-    output_mass: Any = field("kg", "output wheel", sign="positive")
-    output_inertia: Any = field("kg m2", "output wheel", sign="positive")
+    sun_mass: Scalar = field("kg", "sun", sign="positive")
+    sun_inertia: Scalar = field("kg m2", "sun", sign="positive")
+    planet_mass: Scalar = field("kg", "one planet", shape=("cranks",), sign="positive")
+    planet_inertia: Scalar = field("kg m2", "one planet", shape=("cranks",), sign="positive")
+    crank_mass: Scalar = field("kg", "one crankshaft", shape=("cranks",), sign="positive")
+    crank_inertia: Scalar = field("kg m2", "one crankshaft", shape=("cranks",), sign="positive")
+    disc_mass: Scalar = field("kg", "one disc", shape=("discs",), sign="positive")
+    disc_inertia: Scalar = field("kg m2", "one disc", shape=("discs",), sign="positive")
+    output_mass: Scalar = field("kg", "output wheel", sign="positive")
+    output_inertia: Scalar = field("kg m2", "output wheel", sign="positive")
 
 
 @record
@@ -144,51 +146,51 @@ class Stiffness(Record):
     Meshes as mean values over their period.
     """
 
-    sun_support: Any = field("N/m", "radial support of the sun", sign="nonnegative")
-    sun_torsion: Any = field("N m/rad", "input shaft", sign="nonnegative")
-    planet_crank_bending: Any = field("N/m", "planet on its crankshaft", shape=("cranks",), sign="nonnegative")
-    planet_crank_torsion: Any = field("N m/rad", "planet on its crankshaft", shape=("cranks",), sign="nonnegative")
-    support_bearing: Any = field("N/m", "crankshaft in the output wheel", shape=("cranks",), sign="nonnegative")
-    turning_arm_bearing: Any = field("N/m", "disc on the crankshaft", shape=("discs", "cranks"), sign="nonnegative")
-    sun_planet_mesh: Any = field("N/m", "one involute mesh", shape=("cranks",), sign="nonnegative")
-    disc_pin_mesh: Any = field("N/m", "one disc in the pin ring", shape=("discs",), sign="nonnegative")
-    output_support: Any = field("N/m", "radial support of the output wheel", default=0.0, sign="nonnegative")
-    output_torsion: Any = field("N m/rad", "output shaft", default=0.0, sign="nonnegative")
+    sun_support: Scalar = field("N/m", "radial support of the sun", sign="nonnegative")
+    sun_torsion: Scalar = field("N m/rad", "input shaft", sign="nonnegative")
+    planet_crank_bending: Scalar = field("N/m", "planet on its crankshaft", shape=("cranks",), sign="nonnegative")
+    planet_crank_torsion: Scalar = field("N m/rad", "planet on its crankshaft", shape=("cranks",), sign="nonnegative")
+    support_bearing: Scalar = field("N/m", "crankshaft in the output wheel", shape=("cranks",), sign="nonnegative")
+    turning_arm_bearing: Scalar = field("N/m", "disc on the crankshaft", shape=("discs", "cranks"), sign="nonnegative")
+    sun_planet_mesh: Scalar = field("N/m", "one involute mesh", shape=("cranks",), sign="nonnegative")
+    disc_pin_mesh: Scalar = field("N/m", "one disc in the pin ring", shape=("discs",), sign="nonnegative")
+    output_support: Scalar = field("N/m", "radial support of the output wheel", default=0.0, sign="nonnegative")
+    output_torsion: Scalar = field("N m/rad", "output shaft", default=0.0, sign="nonnegative")
 
 
 @record
 class MeshVariation(Record):
     """Periodic part of the mesh stiffness: swing (peak to peak over mean), duty, ramp width over period."""
 
-    planetary_swing: Any = field("-", "sun-planet mesh", sign="nonnegative")
-    planetary_duty: Any = field("-", "sun-planet mesh", sign="nonnegative")
-    planetary_ramp: Any = field("-", "sun-planet mesh", sign="nonnegative")
-    cycloid_swing: Any = field("-", "disc-pin mesh", sign="nonnegative")
-    cycloid_duty: Any = field("-", "disc-pin mesh", sign="nonnegative")
-    cycloid_ramp: Any = field("-", "disc-pin mesh", sign="nonnegative")
+    planetary_swing: Scalar = field("-", "sun-planet mesh", sign="nonnegative")
+    planetary_duty: Scalar = field("-", "sun-planet mesh", sign="nonnegative")
+    planetary_ramp: Scalar = field("-", "sun-planet mesh", sign="nonnegative")
+    cycloid_swing: Scalar = field("-", "disc-pin mesh", sign="nonnegative")
+    cycloid_duty: Scalar = field("-", "disc-pin mesh", sign="nonnegative")
+    cycloid_ramp: Scalar = field("-", "disc-pin mesh", sign="nonnegative")
 
 
 @record
 class Damping(Record):
     """Damping of the whole reducer; every kind may be zero."""
 
-    loss_factor: Any = field("-", "structural loss factor", default=0.0, sign="nonnegative")
-    rayleigh_mass: Any = field("1/s", "share of the mass matrix", default=0.0, sign="nonnegative")
-    rayleigh_stiffness: Any = field("s", "share of the stiffness matrix", default=0.0, sign="nonnegative")
-    modal_ratio: Any = field("-", "damping ratio of every mode", default=0.0, sign="nonnegative")
+    loss_factor: Scalar = field("-", "structural loss factor", default=0.0, sign="nonnegative")
+    rayleigh_mass: Scalar = field("1/s", "share of the mass matrix", default=0.0, sign="nonnegative")
+    rayleigh_stiffness: Scalar = field("s", "share of the stiffness matrix", default=0.0, sign="nonnegative")
+    modal_ratio: Scalar = field("-", "damping ratio of every mode", default=0.0, sign="nonnegative")
 
 
 @record
 class Contact(Record):
     """Contact of a disc with the pins (loaded equilibrium). Discs and pins are of one material."""
 
-    young_modulus: Any = field("Pa", "Young's modulus, E", sign="positive")
-    poisson_ratio: Any = field("-", "Poisson's ratio, nu")
-    face_width: Any = field("m", "width of a disc, L", sign="positive")
-    pin_stiffness: Any = field(
+    young_modulus: Scalar = field("Pa", "Young's modulus, E", sign="positive")
+    poisson_ratio: Scalar = field("-", "Poisson's ratio, nu")
+    face_width: Scalar = field("m", "width of a disc, L", sign="positive")
+    pin_stiffness: Scalar | None = field(
         "N/m", "one pin, linear law; None: 4 cos^2(force_angle) disc_pin_mesh / pins", default=None, sign="positive"
     )
-    pin_support: Any = field(
+    pin_support: Scalar | None = field(
         "N/m", "a pin in its groove and bending, in series, hertz law; None: rigid", default=None, sign="positive"
     )
 
@@ -246,13 +248,13 @@ class CamRollerReducer(Record):
     error_record: ClassVar[type[CamRollerErrors]] = CamRollerErrors
 
     gear_teeth: int = count("teeth of the fixed inner gear, z; there are z + 1 rollers", minimum=2, maximum=2000)
-    cam_radius: Any = field("m", "radius of the disc cam, Rj", sign="positive")
-    roller_radius: Any = field("m", "radius of a roller, r", sign="positive")
-    roller_length: Any = field("m", "length of a roller, lH", sign="positive")
-    eccentricity: Any = field("m", "eccentricity of the cam, e", sign="positive")
-    young_modulus: Any = field("Pa", "Young's modulus of all parts, E", sign="positive")
-    poisson_ratio: Any = field("-", "Poisson's ratio of all parts")
-    cam_share: Any = field("-", "part of the torque carried by one of the two cams", default=0.55)
+    cam_radius: Scalar = field("m", "radius of the disc cam, Rj", sign="positive")
+    roller_radius: Scalar = field("m", "radius of a roller, r", sign="positive")
+    roller_length: Scalar = field("m", "length of a roller, lH", sign="positive")
+    eccentricity: Scalar = field("m", "eccentricity of the cam, e", sign="positive")
+    young_modulus: Scalar = field("Pa", "Young's modulus of all parts, E", sign="positive")
+    poisson_ratio: Scalar = field("-", "Poisson's ratio of all parts")
+    cam_share: Scalar = field("-", "part of the torque carried by one of the two cams", default=0.55)
 
     @property
     def counts(self) -> dict[str, int]:

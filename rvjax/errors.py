@@ -81,7 +81,7 @@ def deviation(
         breaks_pitch: with it, one turn of the cranks is not like the next.
         series: a Fourier series, which brings its own length.
     """
-    about = dict(read_by=read_by, vector=vector, placed=placed, bounds=bounds, carried_by=carried_by)
+    about: dict[str, Any] = dict(read_by=read_by, vector=vector, placed=placed, bounds=bounds, carried_by=carried_by)
     about |= dict(mirrored=mirrored, breaks_pitch=breaks_pitch, series=series)
     return field(unit, meaning, shape=shape, default=0.0, sign=sign, of=of, part=part, **about)
 

@@ -14,6 +14,8 @@ from typing import Any
 
 import jax
 import jax.export
+import jax.numpy as jnp
+import jaxlib.version
 import numpy as np
 
 from rvjax.files import write_atomically
@@ -39,7 +41,7 @@ def exported(
     leaves, tree = jax.tree.flatten(arguments)
     types = [jax.typeof(leaf) for leaf in leaves]
     key = repr((function.__module__, function.__qualname__, sorted(static.items()), tree, types, _setting()))
-    if " at 0x" in key or any(jax.dtypes.issubdtype(t.dtype, jax.dtypes.extended) for t in types):
+    if " at 0x" in key or any(jnp.issubdtype(t.dtype, jax.dtypes.extended) for t in types):
         return None
     path = folder / f"{function.__name__}-{hashlib.sha256(key.encode()).hexdigest()[:32]}{SUFFIX}"
     try:
@@ -84,7 +86,14 @@ def _spread(leaf: Any) -> Any:
 
 def _setting() -> tuple[Any, ...]:
     own = [jax.config.values[name] for name in SETTINGS]
-    return (*own, jax.__version__, jax.lib.__version__, jax.default_backend(), jax.local_device_count(), _source())
+    return (
+        *own,
+        jax.__version__,
+        jaxlib.version.__version__,
+        jax.default_backend(),
+        jax.local_device_count(),
+        _source(),
+    )
 
 
 @functools.cache

@@ -1,7 +1,7 @@
 """Largest factor on all tolerances at which matched parts keep the yield of random assembly."""
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import jax
@@ -113,7 +113,7 @@ class _Virtual:
             if isinstance(found := at_path(self.tolerances, path, None), Tolerance)
         }
         rng = np.random.default_rng([seed % 2**64, 4, number])
-        size = lambda place: (sets, 2, *self.given[0][place].shape, len(kind.parts))  # noqa: E731
+        size: Callable[[int], tuple[int, ...]] = lambda place: (sets, 2, *self.given[0][place].shape, len(kind.parts))  # noqa: E731
         self.z = {place: rng.standard_normal(size(place)) for place in self.moving}
 
     def parts(self, factor: float, number: int) -> tuple[Kind, list[list[Any]]]:

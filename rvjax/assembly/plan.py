@@ -6,9 +6,10 @@ from collections.abc import Hashable, Mapping
 
 import numpy as np
 
-from rvjax.assembly.choice import CLOSE, Build, Supply, least_largest, least_sum
+from rvjax.assembly.choice import CLOSE, least_largest, least_sum
 from rvjax.assembly.costs import Costs, Machine, UnitResponse, costs, good
 from rvjax.assembly.parts import Kind, Known, known
+from rvjax.assembly.supply import Build, Supply
 from rvjax.tolerances import Estimate, Requirement
 
 OBJECTIVES = ("mean", "bottleneck", "yield")

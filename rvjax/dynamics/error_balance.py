@@ -125,7 +125,7 @@ def balance(
         orders=lines,
         amplitude=rows,
         static=jnp.zeros_like(rows).at[places].set(amplitude @ standing),
-        singular=linear.singular | ~(pivot > 16 * jnp.finfo(pivot.dtype).eps) | (speed == 0),
+        singular=linear.singular | jnp.logical_not(pivot > 16 * float(jnp.finfo(pivot.dtype).eps)) | (speed == 0),
         residual=linear.residual,
     )
 

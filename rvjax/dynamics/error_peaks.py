@@ -97,9 +97,9 @@ def _range(case: Case, slowest: Array, fastest: Array, count: int, pin_harmonics
     worst = jnp.argmax(whole)
     power = jnp.sum(square * frequency**4, axis=1) / 2
     loudest = jnp.argmax(power)
-    values = (whole[worst], sun_speeds[places[worst]], root(power[loudest]), sun_speeds[loudest], sun_speeds)
-    values, info = close(unit, values, amplitude, found)
-    return SpeedRange(*values, info)
+    figures = (whole[worst], sun_speeds[places[worst]], root(power[loudest]), sun_speeds[loudest], sun_speeds)
+    (peak, at, loud, loud_at, speeds), info = close(unit, figures, amplitude, found)
+    return SpeedRange(peak, at, loud, loud_at, speeds, info)
 
 
 def refined(

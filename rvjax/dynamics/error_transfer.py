@@ -124,10 +124,10 @@ def close(unit: Unit, values: PyTree, lines: jax.Array, found: "Transfer | Balan
 def forcing(lumped: Lumped) -> jax.Array:
     """Forces on the rotational coordinates for unit displacement of each spring (11, springs), Eq. 12."""
     stiffness, m, n = lumped.stiffness, lumped.cranks, lumped.discs
-    arm, root_m, root_n = stiffness.turning_arm_bearing, m**0.5, n**0.5
+    arm, root_m, root_n = jnp.asarray(stiffness.turning_arm_bearing), m**0.5, n**0.5
 
-    def springs(mesh: str, k: Array, start: int = 0, step: int = 1) -> jax.Array:
-        return k * jnp.sum(mesh_rows(lumped, mesh, *KEY)[start::step], axis=0)
+    def springs(mesh: str, k: Scalar, start: int = 0, step: int = 1) -> jax.Array:
+        return jnp.sum(mesh_rows(lumped, mesh, *KEY)[start::step], axis=0) * k
 
     def column(*entries: tuple[int, Array]) -> jax.Array:
         values = jnp.zeros(11, arm.dtype)

@@ -133,4 +133,4 @@ def _coupling(
 
 
 def _is_singular(pivot: jax.Array) -> jax.Array:
-    return ~(pivot > 16 * jnp.finfo(pivot.dtype).eps)
+    return jnp.logical_not(pivot > 16 * float(jnp.finfo(pivot.dtype).eps))

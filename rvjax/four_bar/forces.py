@@ -7,7 +7,7 @@ import jax.numpy as jnp
 
 from rvjax.designs import RVReducer
 from rvjax.four_bar.closures import Crank
-from rvjax.records import Array, PyTree
+from rvjax.records import Array, PyTree, Scalar
 
 Vector = tuple[jax.Array, jax.Array]
 
@@ -56,7 +56,7 @@ def pin_force(load: DiscLoad, crank: Crank, tangent: tuple[PyTree, PyTree], coun
     )
 
 
-def joint_shift(force: Vector, clearance: jax.Array, stiffness: jax.Array) -> Vector:
+def joint_shift(force: Vector, clearance: Scalar, stiffness: Scalar) -> Vector:
     """Bore against pin: the clearance taken up in the direction of the load, and the elastic approach.
 
     No load takes up no clearance: T = 0 is a jump of the clearance part, whose derivatives there are zero.

@@ -42,8 +42,8 @@ class Parts(NamedTuple):
     psi: list[Any]  # [i] crank phases
     disc: list[list[Vector]]  # [k][i] bores, (radial, tangential)
     carrier: list[Vector]  # [i] bores, (radial, tangential)
-    clearance: Array
-    eccentricity: Array
+    clearance: Scalar
+    eccentricity: Scalar
 
 
 class Unit(NamedTuple):

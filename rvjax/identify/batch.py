@@ -156,8 +156,8 @@ def _separate(problem: Problem, y: np.ndarray, points: np.ndarray, max_steps: in
     """The heaviest modes of units y (k, m) that share nothing; one program however many units the last chunk has."""
     padded = np.concatenate([y, np.repeat(y[:1], together - len(y), axis=0)])
     starts = len(points)
-    rows, at = jnp.asarray(np.repeat(padded, starts, axis=0)), jnp.asarray(np.tile(points, (together, 1)))
-    found = modes(problem.model, problem.device, rows, at, jnp.int32(max_steps))
+    data, at = jnp.asarray(np.repeat(padded, starts, axis=0)), jnp.asarray(np.tile(points, (together, 1)))
+    found = modes(problem.model, problem.device, data, at, jnp.int32(max_steps))
     lanes = jax.tree.map(lambda leaf: np.asarray(leaf).reshape(together, starts, *leaf.shape[1:])[: len(y)], found)
     good = lanes.info.status == Status.CONVERGED
     z = np.where(good[..., None], lanes.z, 0.0)

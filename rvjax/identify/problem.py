@@ -122,7 +122,7 @@ def slopes(function: Callable[[jax.Array], Any], u: jax.Array, size: int) -> tup
 
 
 def _forward(function: Callable[[jax.Array], Any], u: jax.Array) -> tuple[jax.Array, jax.Array, Any]:
-    push = lambda tangent: jax.jvp(function, (u,), (tangent,), has_aux=True)  # noqa: E731
+    push: Callable[[jax.Array], Any] = lambda tangent: jax.jvp(function, (u,), (tangent,), has_aux=True)  # noqa: E731
     value, jacobian, aux = jax.vmap(push, out_axes=(None, -1, None))(jnp.eye(u.shape[0], dtype=u.dtype))
     return value, jacobian, aux
 

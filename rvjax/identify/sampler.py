@@ -6,6 +6,7 @@ different modes disagree; r_hat shows it.
 """
 
 import dataclasses
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -159,7 +160,7 @@ def _density(apart: Any, dof: jax.Array | None, size: int) -> Any:
         return jax.value_and_grad(lambda z: phi(apart(z)[0]))(z)
 
     def forward(z: jax.Array) -> tuple[jax.Array, jax.Array]:
-        push = lambda tangent: jax.jvp(lambda z: apart(z)[0], (z,), (tangent,))  # noqa: E731
+        push: Callable[[jax.Array], Any] = lambda tangent: jax.jvp(lambda z: apart(z)[0], (z,), (tangent,))  # noqa: E731
         residual, slopes = jax.vmap(push, out_axes=(None, -1))(jnp.eye(size, dtype=z.dtype))
         value, pull = jax.value_and_grad(phi)(residual)
         return value, pull @ slopes

@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 from scipy import special
@@ -127,7 +128,7 @@ def _lost(problem: Problem, y: np.ndarray, info: SolveInfo) -> Posterior:
     nothing = np.full(p, np.nan)
     values, numbers = elements.structure(nothing), {name: np.nan for name in elements.names}
     fields = dict.fromkeys(elements.population.active, np.nan)
-    return Posterior(
+    lost: dict[str, Any] = dict(
         **dict.fromkeys(("directions", "inseparable", "modes", "peaks"), ()),
         **dict.fromkeys(("value", "lower", "upper"), values),
         **dict.fromkeys(("prediction", "residual"), layout.tree(np.full(y.size, np.nan))),
@@ -147,6 +148,7 @@ def _lost(problem: Problem, y: np.ndarray, info: SolveInfo) -> Posterior:
         problem=problem,
         data=y,
     )
+    return Posterior(**lost)
 
 
 def _fitted(problem: Problem, y: np.ndarray, residual: np.ndarray, slopes: np.ndarray, u: np.ndarray) -> Fit:

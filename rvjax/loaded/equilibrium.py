@@ -15,7 +15,7 @@ from rvjax.loaded.geometry import curvature, geometry
 from rvjax.loaded.newton import Found
 from rvjax.loaded.reading import Read, admit, check_input, mesh_stiffness, pin_compliance
 from rvjax.loaded.system import Layout, System, bearing_rows, directions, gear_rows
-from rvjax.records import Record, field, record
+from rvjax.records import Array, Record, Scalar, field, record
 from rvjax.status import SolveInfo, Status, succeeded
 
 
@@ -24,15 +24,15 @@ class Loaded(Record):
     """Equilibrium of a whole reducer. Bearing forces in the frame of the ideal carrier; for c = 2 its x axis runs from
     crank 0 to crank 1."""
 
-    error: Any = field("rad", "rotation of the carrier against the ideal motion, > 0 ahead")
-    pins: Any = field("N", "force of each pin on each disc, >= 0", shape=("discs", "pins"))
-    pressure: Any = field("Pa", "largest Hertzian pressure of each pin", shape=("discs", "pins"))
-    disc_bearing: Any = field("N", "crank on disc, x, y", shape=("discs", "cranks", 2))
-    support_bearing: Any = field("N", "crank on carrier, x, y", shape=("cranks", 2))
-    gear: Any = field("N", "sun on each planet, driving flank less coasting flank", shape=("cranks",))
-    input_torque: Any = field("N m", "torque on the sun")
-    disc_torque: Any = field("N m", "moment of the pins about the centre of each disc", shape=("discs",))
-    stiffness: Any = field("N m/rad", "tangent stiffness at the carrier, input held")
+    error: Array = field("rad", "rotation of the carrier against the ideal motion, > 0 ahead")
+    pins: Array = field("N", "force of each pin on each disc, >= 0", shape=("discs", "pins"))
+    pressure: Array = field("Pa", "largest Hertzian pressure of each pin", shape=("discs", "pins"))
+    disc_bearing: Array = field("N", "crank on disc, x, y", shape=("discs", "cranks", 2))
+    support_bearing: Array = field("N", "crank on carrier, x, y", shape=("cranks", 2))
+    gear: Array = field("N", "sun on each planet, driving flank less coasting flank", shape=("cranks",))
+    input_torque: Array = field("N m", "torque on the sun")
+    disc_torque: Array = field("N m", "moment of the pins about the centre of each disc", shape=("discs",))
+    stiffness: Array = field("N m/rad", "tangent stiffness at the carrier, input held")
     info: SolveInfo = field("-", "residual: largest unbalanced force over the largest force", kind="record")
 
 
@@ -123,7 +123,7 @@ def prepare(layout: Layout, read: Read, input_angle: jax.Array) -> Case:
     squeeze = plane / (2 * jnp.pi * contact.face_width**2)  # Eq. 24: p^2 = F E / (2 pi L (1 - nu^2) R*)
     arms = jnp.broadcast_to(springs.turning_arm_bearing, (layout.discs, layout.cranks))
     centring = 1e-8 * jnp.mean(arms)
-    held = [0.0] * (layout.carried + 1)
+    held: list[Scalar] = [0.0] * (layout.carried + 1)
     if layout.carrier == "floating":
         held += [springs.output_support] * 2
     if layout.sun == "floating":
@@ -202,9 +202,9 @@ def outcome(layout: Layout, read: Read, case: Case, found: Found, info: SolveInf
         disc_bearing=-arm.reshape(layout.discs, layout.cranks, 2),
         support_bearing=seat,
         gear=gear,
-        input_torque=design.involute.sun_base_radius * jnp.sum(gear),
+        input_torque=jnp.sum(gear) * design.involute.sun_base_radius,
         disc_torque=-jnp.sum(case.lever * pins, axis=1),
-        stiffness=radius**2 / compliance(layout, system, q, unit)[layout.carried],
+        stiffness=jnp.square(radius) / compliance(layout, system, q, unit)[layout.carried],
         info=None,  # type: ignore[arg-type]
     )
     fine = succeeded(info.status)

@@ -68,7 +68,7 @@ def _pins(design: RVReducer, errors: RVErrors, at: Geometry) -> jax.Array:
     if jnp.ndim(errors.disc_pitch):
         pitch = jnp.take_along_axis(_full(errors.disc_pitch, (discs, zc)), at.tooth, axis=1, mode="clip")
     else:
-        pitch = errors.disc_pitch
+        pitch = jnp.asarray(errors.disc_pitch)
     total += pitch * (zp / (zc * cycloid.pin_circle_radius)) * at.lever
     if jnp.ndim(errors.disc_profile):
         waves = _full(errors.disc_profile, (discs, 5, 2))

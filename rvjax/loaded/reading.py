@@ -14,7 +14,7 @@ from rvjax.errors import RVErrors, read_by
 from rvjax.loaded import laws
 from rvjax.loaded.geometry import largest_curvature
 from rvjax.loaded.system import Layout
-from rvjax.records import axis_sizes, promote
+from rvjax.records import Scalar, axis_sizes, promote
 from rvjax.status import Gate, Status
 
 SUPPORTS = ("fixed", "floating")
@@ -174,10 +174,10 @@ def pin_compliance(layout: Layout, design: RVReducer) -> jax.Array:
     assert contact is not None and springs is not None
     if layout.law == "linear":
         if contact.pin_stiffness is not None:
-            return contact.pin_stiffness
+            return jnp.asarray(contact.pin_stiffness)
         cosine = jnp.cos(design.cycloid.force_angle)
         return 4 * cosine * cosine * jnp.mean(springs.disc_pin_mesh) / layout.pins
-    plane = 2 * (1 - contact.poisson_ratio**2) / (jnp.pi * contact.young_modulus)
+    plane = jnp.asarray(2 * (1 - contact.poisson_ratio**2) / (jnp.pi * contact.young_modulus))
     if layout.law == "palmgren":
         return 3.81 * plane**0.9 / contact.face_width**0.8
     return plane / contact.face_width
@@ -185,10 +185,10 @@ def pin_compliance(layout: Layout, design: RVReducer) -> jax.Array:
 
 def mesh_stiffness(design: RVReducer) -> jax.Array:
     """Of gear, planet seat and its torsion in series at the line of action, () or (c,) N/m. Eq. 8."""
-    springs, base = design.stiffness, design.involute.planet_base_radius
+    springs, base = design.stiffness, jnp.asarray(design.involute.planet_base_radius)
     assert springs is not None
     torsion = base * base / springs.planet_crank_torsion
-    return 1 / (1 / springs.sun_planet_mesh + 1 / springs.planet_crank_bending + torsion)
+    return 1 / (torsion + 1 / springs.sun_planet_mesh + 1 / springs.planet_crank_bending)
 
 
 def _top(number: jax.Array) -> float:
@@ -207,12 +207,12 @@ def _pushes_away(layout: Layout, design: RVReducer) -> jax.Array:
     """Whether a floating part is held by a spring of negative stiffness; nothing need hold it but its neighbours."""
     springs = design.stiffness
     assert springs is not None
-    held = [jnp.zeros_like(springs.output_support)]
+    held: list[Scalar] = [jnp.zeros_like(springs.output_support)]
     if layout.carrier == "floating":
         held.append(springs.output_support)
     if layout.sun == "floating":
         held += [springs.sun_support, springs.sun_torsion]
-    return jnp.any(jnp.stack(held) < 0)
+    return jnp.any(jnp.stack([jnp.asarray(spring) for spring in held]) < 0)
 
 
 def _positive(layout: Layout, design: RVReducer) -> jax.Array:

@@ -14,7 +14,7 @@ from rvjax.loaded.equilibrium import Case, judge, placed, prepare, pressures
 from rvjax.loaded.newton import Found
 from rvjax.loaded.reading import Read, admit, check_input
 from rvjax.loaded.system import Layout
-from rvjax.records import Record, field, record
+from rvjax.records import Array, Record, field, record
 from rvjax.status import SolveInfo, succeeded, worst_of
 
 HARMONICS = 5
@@ -24,18 +24,18 @@ HARMONICS = 5
 class Revolution(Record):
     """Transmission error at n input angles, equally spaced from 0 on."""
 
-    error: Any = field("rad", "rotation of the carrier against the ideal motion", shape=("n",))
-    peak_to_peak: Any = field("rad", "of the error")
-    mean: Any = field("rad", "of the error")
-    harmonics: Any = field(
+    error: Array = field("rad", "rotation of the carrier against the ideal motion", shape=("n",))
+    peak_to_peak: Array = field("rad", "of the error")
+    mean: Array = field("rad", "of the error")
+    harmonics: Array = field(
         "rad", "complex amplitudes X_k of order k / turns, error = Re sum X_k e^(2 pi i k j / n)", shape=(HARMONICS,)
     )
-    largest_pin: Any = field("N", "largest force of any pin at any angle")
-    largest_pressure: Any = field("Pa", "largest Hertzian pressure of any pin at any angle")
-    largest_arm_bearing: Any = field("N", "largest force of a crank on a disc at any angle")
-    largest_support_bearing: Any = field("N", "largest force of a crank on the carrier at any angle")
-    crank_sharing: Any = field("-", "most loaded planet over the mean of all, at the worst angle; 0 without torque")
-    disc_sharing: Any = field("-", "most loaded disc over the mean of all, at the worst angle; 0 without torque")
+    largest_pin: Array = field("N", "largest force of any pin at any angle")
+    largest_pressure: Array = field("Pa", "largest Hertzian pressure of any pin at any angle")
+    largest_arm_bearing: Array = field("N", "largest force of a crank on a disc at any angle")
+    largest_support_bearing: Array = field("N", "largest force of a crank on the carrier at any angle")
+    crank_sharing: Array = field("-", "most loaded planet over the mean of all, at the worst angle; 0 without torque")
+    disc_sharing: Array = field("-", "most loaded disc over the mean of all, at the worst angle; 0 without torque")
     info: SolveInfo = field("-", "the worst of the angles; steps: all", kind="record")
 
 

@@ -14,7 +14,7 @@ from rvjax.loaded.equilibrium import Case, judge, placed, prepare
 from rvjax.loaded.newton import Found
 from rvjax.loaded.reading import Read, admit, check_input
 from rvjax.loaded.system import Layout
-from rvjax.records import Record, field, record
+from rvjax.records import Array, Record, field, record
 from rvjax.status import SolveInfo, succeeded, worst_of
 
 SHARES = (1.0, 0.5, 0.03, 1e-3)
@@ -25,11 +25,11 @@ SHARES = (1.0, 0.5, 0.03, 1e-3)
 class Torsion(Record):
     """Torque-angle curve at one input angle."""
 
-    torque: Any = field("N m", "torque of the discs on the carrier, ascending", shape=(8,))
-    angle: Any = field("rad", "rotation of the carrier against the ideal motion", shape=(8,))
-    backlash: Any = field("rad", "error(-probe) - error(+probe), probe = 1e-3 of rated")
-    lost_motion: Any = field("rad", "error(-3 %) - error(+3 %)")
-    stiffness: Any = field("N m/rad", "secant between half and full rated torque")
+    torque: Array = field("N m", "torque of the discs on the carrier, ascending", shape=(8,))
+    angle: Array = field("rad", "rotation of the carrier against the ideal motion", shape=(8,))
+    backlash: Array = field("rad", "error(-probe) - error(+probe), probe = 1e-3 of rated")
+    lost_motion: Array = field("rad", "error(-3 %) - error(+3 %)")
+    stiffness: Array = field("N m/rad", "secant between half and full rated torque")
     info: SolveInfo = field("-", "the worst of the eight; steps: all", kind="record")
 
 

@@ -51,18 +51,19 @@ def take_apart(
         torque: on the crank, N m.
         angle: of the output, rad.
     """
-    r, e, link = design.roller_radius, design.eccentricity, design.cam_radius + design.roller_radius
+    r, e = jnp.asarray(design.roller_radius), jnp.asarray(design.eccentricity)
+    link = design.cam_radius + r
     unit = line_contact.load_unit(design.young_modulus, design.poisson_ratio, design.roller_length, r)
     sine, cosine = sin_cos(design.gear_teeth * angle)
     case = Case(
         eccentricity=e / link,
         roller_radius=r / link,
-        palmgren=3.81 / 4**0.9 * (design.roller_length / r) ** 0.1,
+        palmgren=3.81 / 4**0.9 * jnp.power(design.roller_length / r, 0.1),
         sine=sine,
         cosine=cosine,
-        cam_error=errors.cam_radius / r,
-        throw_error=errors.eccentricity / r,
-        radius_error=errors.roller_radius / r,
+        cam_error=jnp.asarray(errors.cam_radius / r),
+        throw_error=jnp.asarray(errors.eccentricity / r),
+        radius_error=jnp.asarray(errors.roller_radius / r),
         torque=design.cam_share * torque / (unit * e),
     )
     return case, unit

@@ -46,7 +46,7 @@ class ToothProfile(Record):
     undercut: Array = field("-", "True where the design has no complete working profile", kind="integer")
 
 
-def rollers(eccentricity: jax.Array, link: Scalar, teeth: int, sin_psi: jax.Array, cos_psi: jax.Array) -> Rollers:
+def rollers(eccentricity: Scalar, link: Scalar, teeth: int, sin_psi: jax.Array, cos_psi: jax.Array) -> Rollers:
     """Geometry of rollers from the cam lead psi over their rays; elementwise in any shape.
 
     Args:
@@ -56,9 +56,9 @@ def rollers(eccentricity: jax.Array, link: Scalar, teeth: int, sin_psi: jax.Arra
         sin_psi: sine of the cam lead.
         cos_psi: cosine of the cam lead.
     """
-    sin_g = eccentricity / link * sin_psi  # (6)
+    sin_g = jnp.asarray(eccentricity / link * sin_psi)  # (6)
     cos_g = jnp.sqrt(1 - sin_g**2)
-    distance = eccentricity * cos_psi + link * cos_g  # (7)
+    distance = jnp.asarray(eccentricity * cos_psi + link * cos_g)  # (7)
     square = cos_g**2 + teeth**2 * sin_g**2
     root = jnp.sqrt(square)
     return Rollers(
@@ -106,7 +106,7 @@ def _sine_of_half_turns(numerator: int, denominator: int) -> float:
     return float(np.sin(np.pi * numerator / denominator))
 
 
-def undercut_margin(design: CamRollerReducer) -> jax.Array:
+def undercut_margin(design: CamRollerReducer) -> Scalar:
     """1 + r kc at the tooth crest, where the centre curve is most convex; the profile exists where it is > 0.
 
     Args:
@@ -162,7 +162,7 @@ def tooth_profile(design: CamRollerReducer, angle: Scalar) -> ToothProfile:
         pressure_angle=pressure_angle,
         centre_curvature=place.centre_curvature,
         flank_curvature=place.centre_curvature / (1 + r * place.centre_curvature),
-        undercut=undercut_margin(design) <= 0,
+        undercut=jnp.asarray(undercut_margin(design)) <= 0,
     )
 
 

@@ -32,7 +32,7 @@ def contact_pressure(design: CamRollerReducer, forces: MeshForces, *, output_ang
     r, link = design.roller_radius, design.cam_radius + design.roller_radius
     place = geometry.rollers(design.eccentricity, link, design.gear_teeth, *geometry.cam_lead(design.gear_teeth, angle))
 
-    def pressure(force: jax.Array, radius: jax.Array) -> jax.Array:
+    def pressure(force: jax.Array, radius: Scalar) -> jax.Array:
         return line_contact.pressure(force, design.young_modulus, design.poisson_ratio, design.roller_length, radius)
 
     return ContactPressure(

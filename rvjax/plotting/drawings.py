@@ -25,13 +25,13 @@ def reducer(design: RVReducer, *, crank_angle: float = np.pi / 4, axes: Axes | N
     angle = pitch * round(crank_angle / pitch)  # where the disc meshes as it does at zero
     for pin in pitch * np.arange(cycloid.pin_count):
         middle = tuple(cycloid.pin_circle_radius / mm * unit_vector(pin))
-        axes.add_patch(Circle(middle, cycloid.pin_radius / mm, fc="0.85", ec=GREY, lw=0.8))
+        axes.add_patch(Circle(middle, float(cycloid.pin_radius) / mm, fc="0.85", ec=GREY, lw=0.8))
     centre = cycloid.eccentricity * unit_vector(angle)
     axes.plot(*(turned(flank(design), angle).T + centre[:, None]) / mm, color=AFTER, lw=1.6, label="disc 0")
     for k, place in enumerate(crank_axes(design)):
-        axes.add_patch(Circle(tuple(place / mm), 0.14 * cranks.circle_radius / mm, fc="white", ec=GREY, lw=1.2))
+        axes.add_patch(Circle(tuple(place / mm), 0.14 * float(cranks.circle_radius) / mm, fc="white", ec=GREY, lw=1.2))
         bore = place + centre
-        axes.add_patch(Circle(tuple(bore / mm), 0.2 * cranks.circle_radius / mm, fill=False, ec=AFTER, lw=1.2))
+        axes.add_patch(Circle(tuple(bore / mm), 0.2 * float(cranks.circle_radius) / mm, fill=False, ec=AFTER, lw=1.2))
         axes.plot(*place / mm, "o", color=LIMIT, ms=4, label="axis of a crank in the carrier" if k == 0 else None)
         axes.annotate(f"crank {k}", tuple(place / mm), xytext=(0, -32), textcoords="offset points", ha="center")
     axes.plot(0, 0, "+", color="black", ms=9)
@@ -41,8 +41,9 @@ def reducer(design: RVReducer, *, crank_angle: float = np.pi / 4, axes: Axes | N
         axes.annotate("", end, (0, 0), arrowprops=dict(arrowstyle="-|>", color="black", lw=1.2))
         axes.annotate(text, end, xytext=shift, textcoords="offset points", va="center")
     arc = np.array([unit_vector(a) for a in np.radians(np.linspace(20, 115, 40))])
-    _sense(axes, 0.3 * cycloid.pin_circle_radius / mm * arc, 1.2)
-    axes.annotate("+", 0.34 * cycloid.pin_circle_radius / mm * unit_vector(np.radians(70)), fontsize=14, ha="center")
+    radius = float(cycloid.pin_circle_radius) / mm
+    _sense(axes, 0.3 * radius * arc, 1.2)
+    axes.annotate("+", tuple(0.34 * radius * unit_vector(np.radians(70))), fontsize=14, ha="center")
     axes.set_aspect("equal")
     axes.set(xlabel="x (mm)", ylabel="y (mm)", title="Second stage along its axis; angles counter-clockwise")
     axes.grid(visible=False)
@@ -125,7 +126,7 @@ def turned(points: np.ndarray, angle: float) -> np.ndarray:
 def crank_axes(design: RVReducer) -> list[np.ndarray]:
     """Axes of the cranks in the carrier: crank 0 on the negative x axis, the others counter-clockwise."""
     count = design.cranks.count
-    return [design.cranks.circle_radius * unit_vector(np.pi + 2 * np.pi * k / count) for k in range(count)]
+    return [float(design.cranks.circle_radius) * unit_vector(np.pi + 2 * np.pi * k / count) for k in range(count)]
 
 
 def flank(design: RVReducer) -> np.ndarray:

@@ -38,7 +38,9 @@ def pin_forces(
 
     places = 2 * np.pi * np.arange(cycloid.pin_count) / cycloid.pin_count - output
     for place in places:
-        axes.add_patch(Circle(tuple(radius / mm * unit_vector(place)), cycloid.pin_radius / mm, fc="0.8", ec="0.5"))
+        axes.add_patch(
+            Circle(tuple(radius / mm * unit_vector(place)), float(cycloid.pin_radius) / mm, fc="0.8", ec="0.5")
+        )
     # The force on the disc points from a pin's centre through the pitch point.
     pitch_point = cycloid.eccentricity * cycloid.pin_count * unit_vector(crank)
     pins = radius * np.stack([np.cos(places), np.sin(places)], axis=1)
@@ -63,7 +65,7 @@ def pin_forces(
     size = np.linalg.norm(bearing, axis=1)
     journals = (np.array(crank_axes(design)) + centre) / mm
     for place in journals:
-        axes.add_patch(Circle(tuple(place), 0.2 * design.cranks.circle_radius / mm, fc="white", ec="0.45"))
+        axes.add_patch(Circle(tuple(place), 0.2 * float(design.cranks.circle_radius) / mm, fc="white", ec="0.45"))
     greatest = max(float(np.linalg.norm(np.asarray(result.disc_bearing), axis=-1).max()), 1e-300)
     axes.quiver(
         *journals.T, *(bearing.T * 0.4 * radius / mm / greatest), angles="xy", scale_units="xy", scale=1, color=LIMIT,

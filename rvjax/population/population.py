@@ -8,7 +8,7 @@ correlation mixes the fields, the shared factors of its batch behind them.
 import functools
 import math
 import operator
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Self
 
 import jax
@@ -17,14 +17,16 @@ import numpy as np
 
 from rvjax.population.correlation import Correlation, mixing_matrix
 from rvjax.population.tolerance import Tolerance
-from rvjax.records import Array, Record, Scalar, field, is_concrete, record
+from rvjax.records import Array, PyTree, Record, Scalar, field, is_concrete, record
 
 
 @record
 class Population(Record):
     """Units whose errors follow tolerances; wherever tolerances pass, a population may."""
 
-    tolerances: Any = field("-", "record or dict with a `Tolerance`, a constant or None in each field", kind="record")
+    tolerances: PyTree = field(
+        "-", "record or dict with a `Tolerance`, a constant or None in each field", kind="record"
+    )
     mixing: Any = field(
         "-", "Cholesky factor of the correlation of z, batches included", shape=("numbers", "numbers"), default=None
     )
@@ -73,7 +75,7 @@ class Population(Record):
     @functools.cached_property
     def numbers_by_field(self) -> dict[str, int]:
         """Random numbers of each active field, shared factors included where no correlation mixes the fields."""
-        shared = lambda t: 1 + t.is_vector if t.batch and self.mixing is None else 0  # noqa: E731
+        shared: Callable[[Tolerance], int] = lambda t: 1 + t.is_vector if t.batch and self.mixing is None else 0  # noqa: E731
         return {name: math.prod(t.shape) + shared(t) for name, t in self.active.items()}
 
     @property

@@ -4,6 +4,7 @@ The crank torque is not published; it is set so that the mean cam force of Table
 forces are weak evidence and changes are the stronger one. Linear contacts: the exact ones differ by 2e-5.
 """
 
+import math
 from collections.abc import Callable, Mapping
 from functools import cache, partial
 from types import MappingProxyType
@@ -36,7 +37,8 @@ PUBLISHED_STUDIES: Mapping[str, tuple[str, float, float]] = MappingProxyType(
 
 TORQUE = round(CALIBRATED_TORQUE, 2)  # [method.corr_cycle] of the ledger, as the next one
 SAMPLES = 40
-Z, N, E, R, LINK = CORR.gear_teeth, CORR.gear_teeth + 1, CORR.eccentricity, CORR.roller_radius, 0.143
+Z, N, LINK = CORR.gear_teeth, CORR.gear_teeth + 1, 0.143
+E, R = float(CORR.eccentricity), float(CORR.roller_radius)
 
 # What is varied and the values at which a figure asks for forces; the first two are the ends of its range.
 VALUES: dict[str, tuple[float, ...]] = {name: (first, last) for name, first, last in PUBLISHED_STUDIES.values()}
@@ -224,7 +226,7 @@ COMPUTED: dict[str, Callable[[], Any]] = {
     "corr.eq8.moment_arm": _moment_arm,
     "corr.eq8.index_set": _fixed_index_set,
     # Eq. 11 with the roller length in the radical of the half-width vanishes without force?
-    "corr.eq11.approach": lambda: abs(R - np.sqrt(R**2 - (CORR.roller_length / 2) ** 2)) < 1e-9,
+    "corr.eq11.approach": lambda: abs(R - math.sqrt(R**2 - (float(CORR.roller_length) / 2) ** 2)) < 1e-9,
     "corr.eq14.cage_projection": _printed_cage_projection,
     "corr.eq15.gear_projection": _gear_projection,
     "corr.eq16.windup": _printed_windup,

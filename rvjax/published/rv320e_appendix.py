@@ -7,6 +7,7 @@ the bearings, which no rigid motion can; +sin(psi) makes the printed matrices eq
 import numpy as np
 
 from rvjax.designs import RVReducer
+from rvjax.records import Scalar
 
 
 def printed_stiffness(design: RVReducer, *, corrected: bool = False) -> np.ndarray:
@@ -32,7 +33,8 @@ def printed_stiffness(design: RVReducer, *, corrected: bool = False) -> np.ndarr
     sun, planet, crank, disc, output = 0, 3, 3 + 3 * m, 3 + 6 * m, 3 + 6 * m + 3 * n
     matrix = np.zeros((output + 3, output + 3))
 
-    def put(row: int, column: int, block: np.ndarray) -> None:
+    def put(row: int, column: int, block: Scalar) -> None:
+        block = np.asarray(block)
         matrix[row : row + 3, column : column + 3] += block
         if row != column:
             matrix[column : column + 3, row : row + 3] += block.T

@@ -106,13 +106,15 @@ def _field(name: str, found: Surrogate, answer: Answer) -> dict[str, Any]:
     unit, size = readable(study.unit(name))
     places = {p.place: k for k, p in enumerate(found.parameters) if p.field == name}
     given, cost = getattr(study.tolerances, name), study.costs.get(name)
-    priced = None
+    priced: dict[str, Any] | None = None
     if cost is not None:
         if isinstance(cost, Exponential):
             priced = {"fixed": float(cost.fixed), "scale": float(cost.scale), "decay": float(cost.decay) / size}
         elif isinstance(cost, ReciprocalPower):
-            priced = {"fixed": float(cost.fixed), "scale": float(cost.scale)}
-            priced |= {"reference": float(cost.reference) / size, "power": float(cost.power)}
+            priced = {"fixed": float(cost.fixed), "scale": float(cost.scale)} | {
+                "reference": float(cost.reference) / size,
+                "power": float(cost.power),
+            }
         else:  # any other law: points, between which the page interpolates as `tolerances.Table` does
             points = np.union1d(np.geomspace(cost.finest, cost.coarsest, 129), getattr(cost, "half_widths", ()))
             priced = {"points": [[float(t) / size, float(cost(t))] for t in points]}

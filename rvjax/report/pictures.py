@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from rvjax.render import saved as saved
-from rvjax.study.answer import Answer, least_yield
+from rvjax.study.answer import Answer
+from rvjax.tolerances import least_yield
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 
 from rvjax.compile_cache import Options, inside, kept_folder, understood
 from rvjax.population import Population, drawn
-from rvjax.records import Record, field, record
+from rvjax.records import Array, PyTree, Record, field, record
 from rvjax.status import Status, succeeded, worst
 
 BLOCK = 16384
@@ -111,8 +111,8 @@ class Outcome(Record):
     value is not finite; a bare nan counts as NONFINITE.
     """
 
-    value: Any = field("-", "scalar, or dict or record of scalars", kind="record")
-    status: Any = field("-", "`Status` values, any shape (angles, discs)", kind="integer")
+    value: PyTree = field("-", "scalar, or dict or record of scalars", kind="record")
+    status: Array = field("-", "`Status` values, any shape (angles, discs)", kind="integer")
 
 
 def evaluate(response: Response, errors: Any) -> tuple[Values, jax.Array]:
@@ -185,7 +185,7 @@ def by_response(given: Any, names: tuple[str, ...], kind: type, argument: str) -
 @per_response()
 def respond(response: Response, population: Population, z: jax.Array) -> tuple[Values, jax.Array]:
     """Values (n,) by name and status (n,) of the units whose random numbers are z (numbers, n)."""
-    one = lambda active: evaluate(response, population.fill(active))  # noqa: E731
+    one: Callable[[Any], Any] = lambda active: evaluate(response, population.fill(active))  # noqa: E731
     return jax.vmap(one, in_axes=-1, axis_size=z.shape[-1])(population.deviations(z))
 
 

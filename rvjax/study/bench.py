@@ -59,7 +59,9 @@ def number_of_design(design: Any, name: str) -> tuple[str, ...]:
     """
     if name == "stiffness" and hasattr(design, "stiffer"):
         return ()
-    found = {f.name: (f.name,) for f in dataclasses.fields(design) if f.metadata["kind"] == "real"}
+    found: dict[str, tuple[str, ...]] = {
+        f.name: (f.name,) for f in dataclasses.fields(design) if f.metadata["kind"] == "real"
+    }
     for part in dataclasses.fields(design):
         record = getattr(design, part.name)
         for f in dataclasses.fields(record) if dataclasses.is_dataclass(record) else ():

@@ -18,7 +18,7 @@ def facts_of(design: Any) -> Iterator[tuple[str, str]]:
         return
     cycloid, stage = design.cycloid, design.involute
     gap = 2 * (cycloid.pin_circle_radius * math.sin(math.pi / cycloid.pin_count) - cycloid.pin_radius)
-    least = least_curvature_radius(cycloid.shortening_coefficient, cycloid.pin_count) * cycloid.pin_circle_radius
+    least = least_curvature_radius(float(cycloid.shortening_coefficient), cycloid.pin_count) * cycloid.pin_circle_radius
     yield "ratio", f"{design.ratio:.6g}"
     yield "K1", f"{float(cycloid.shortening_coefficient):.4g}"
     yield "gap between pins", shown(gap, "m")

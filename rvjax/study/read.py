@@ -239,7 +239,7 @@ def _costs(error_record: Any, tolerances: Any, table: dict[str, Any]) -> dict[st
         if field not in {f.name for f in dataclasses.fields(error_record)} or getattr(tolerances, field) is None:
             raise ValueError(f"{where}: there is no [tolerances.{field}] for it")
         law = COSTS[choice(entry.pop("model", "reciprocal_power"), COSTS, f"{where}.model")]
-        declared = {f.name: f for f in dataclasses.fields(law)}
+        declared = {f.name: f for f in dataclasses.fields(law)}  # type: ignore[arg-type]  # laws are records
         known(entry, declared, where)
         units = {name: f.metadata["unit"] for name, f in declared.items()}
         units |= {n: _metadata(error_record, field)["unit"] for n, unit in units.items() if unit == IN_ERROR_UNIT}

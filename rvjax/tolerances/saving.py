@@ -7,7 +7,7 @@ Floats keep their bits.
 import dataclasses
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -124,7 +124,7 @@ def _read(path: str | Path) -> tuple[Any, dict[str, np.ndarray]]:
 
 def _encode(value: Any, arrays: dict[str, np.ndarray] | None) -> Any:
     """Encode as JSON values; other types are a dict with one key that begins with "$"."""
-    again = lambda item: _encode(item, arrays)  # noqa: E731
+    again: Callable[[Any], Any] = lambda item: _encode(item, arrays)  # noqa: E731
     if value is None or (isinstance(value, (str, bool, int)) and not isinstance(value, np.generic)):
         return value
     if isinstance(value, float) and not isinstance(value, np.generic):
@@ -154,7 +154,7 @@ def _encode(value: Any, arrays: dict[str, np.ndarray] | None) -> Any:
 
 
 def _decode(value: Any, arrays: dict[str, np.ndarray]) -> Any:
-    again = lambda item: _decode(item, arrays)  # noqa: E731
+    again: Callable[[Any], Any] = lambda item: _decode(item, arrays)  # noqa: E731
     if isinstance(value, list):
         return [again(item) for item in value]
     if not isinstance(value, dict):

@@ -3,6 +3,7 @@
 import dataclasses
 import itertools
 import math
+from collections.abc import Callable
 from typing import Any
 
 import jax.numpy as jnp
@@ -138,7 +139,7 @@ class _Sums:
         if self.origin is None:
             self.origin = float(a[0])
         a, b = a - self.origin, b - self.origin
-        summed = lambda values: np.bincount(scramble, values, SCRAMBLES)  # noqa: E731
+        summed: Callable[[np.ndarray], np.ndarray] = lambda values: np.bincount(scramble, values, SCRAMBLES)  # noqa: E731
         self.own += [summed(v) for v in (np.ones(len(a)), a, b, a * a, b * b)]
         for i, row in enumerate(mixed):
             step = row - self.origin - a

@@ -9,7 +9,7 @@ from jax.scipy.special import ndtr
 
 from rvjax.columns import read_table
 from rvjax.population.distribution import Distribution, Moments, bad
-from rvjax.records import IN_ERROR_UNIT, Scalar, concrete, field, is_concrete, record
+from rvjax.records import IN_ERROR_UNIT, Array, Scalar, concrete, field, is_concrete, record
 from rvjax.units import KNOWN
 
 
@@ -24,7 +24,7 @@ class Empirical(Distribution):
 
     name = "empirical"
     capable = False
-    values: Any = field(IN_ERROR_UNIT, "the measured values", shape=("parts",))
+    values: Array | np.ndarray = field(IN_ERROR_UNIT, "the measured values", shape=("parts",))
 
     def deviate(self, tolerance: Any, z: jax.Array) -> jax.Array:
         """Order statistics at n Phi(z) + 1/2."""

@@ -13,7 +13,7 @@ from scipy import special
 from rvjax.population.distribution import Moments, bad, central, raw_rayleigh
 from rvjax.population.distributions.classic import Rayleigh
 from rvjax.population.distributions.table import NODES, interpolate
-from rvjax.records import field, record, text
+from rvjax.records import Scalar, field, record, text
 from rvjax.roots import bisect
 
 
@@ -28,7 +28,7 @@ class VonMises(Rayleigh):
     name = "von_mises"
     couples = True
     concentration: float = text("the concentration k of the direction, 0 for none")
-    direction: Any = field("rad", "preferred direction a0, from radial towards tangential", default=0.0)
+    direction: Scalar = field("rad", "preferred direction a0, from radial towards tangential", default=0.0)
 
     def deviate(self, tolerance: Any, z: jax.Array) -> jax.Array:
         """(rho cos a, rho sin a)."""
@@ -93,7 +93,9 @@ def _table(concentration: float) -> tuple[np.ndarray, np.ndarray]:
     k, z = float(concentration), NODES[NODES >= 0]
     points, weights = np.polynomial.legendre.leggauss(48)
     points, weights = (points + 1) / 2, weights / 2
-    density = lambda a: np.exp(-2 * k * np.sin(a / 2) ** 2) / (2 * np.pi * special.i0e(k))  # noqa: E731
+
+    def density(a: np.ndarray) -> np.ndarray:
+        return np.exp(-2 * k * np.sin(a / 2) ** 2) / (2 * np.pi * special.i0e(k))
 
     def beyond(a: np.ndarray) -> np.ndarray:
         span = np.minimum(np.pi - a, 12 / math.sqrt(max(k, 1.0)))  # 12 standard deviations of a narrow distribution

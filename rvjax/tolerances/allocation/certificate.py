@@ -2,6 +2,8 @@
 
 import dataclasses
 import math
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -66,7 +68,7 @@ class Certifier:
         for name, item in beyond.items():
             count = min(max(n, _RARE[0]), _RARE[1])
             found = failure_probability(self.run.response, population, {name: item}, samples=count, seed=self.run.seed)
-            of = lambda figure: figure if name == PLAIN else figure[name]  # noqa: B023, E731
+            of: Callable[[Any], Any] = lambda figure: figure if name == PLAIN else figure[name]  # noqa: B023, E731
             failing, reasons = of(found.probability), set(of(found.status).split(", "))
             if failing.value > 0:  # its interval is one of 95 %
                 wider = (failing.upper / failing.value) ** (deviate_of(confidence) / deviate_of(0.95))

@@ -64,7 +64,7 @@ class ReciprocalPower(_Process):
 
     def __call__(self, half_width: Scalar) -> Array:
         """Cost of a half-width."""
-        return self.fixed + self.scale * (self.reference / half_width) ** self.power
+        return jnp.asarray(self.fixed + self.scale * (self.reference / half_width) ** self.power)
 
 
 @record
@@ -78,7 +78,7 @@ class Exponential(_Process):
 
     def __call__(self, half_width: Scalar) -> Array:
         """Cost of a half-width."""
-        return self.fixed + self.scale * jnp.exp(-half_width / self.decay)
+        return jnp.asarray(self.fixed + self.scale * jnp.exp(-half_width / self.decay))
 
 
 @record

@@ -97,7 +97,7 @@ class Snapping:
         if not trials:
             return []
         sets = np.stack([self.fitted(trial, point) for trial in trials])
-        met = (predicted(point, training.distance, training.powers, sets) <= 1 + _NEAR).all(axis=1)
+        met = np.all(predicted(point, training.distance, training.powers, sets) <= 1 + _NEAR, axis=1)
         priced = [(self.cost(t), k) for k, t in enumerate(sets) if met[k]]
         return [trials[k] for cost, k in sorted(priced) if cost < now * (1 - 1e-9)]
 

@@ -324,7 +324,10 @@ class Training:
         self, response: Response, names: tuple[str, ...], errors: np.ndarray, cotangents: np.ndarray
     ) -> np.ndarray:
         """Gradients (elements, n) of weighted responses."""
-        compute = lambda: gradients(response, self.population, errors, cotangents, names)[1]  # noqa: E731
+
+        def compute() -> Any:
+            return gradients(response, self.population, errors, cotangents, names)[1]
+
         if self._memo is None:
             return compute()
         weighted = hashlib.sha256(errors.tobytes() + cotangents.tobytes()).hexdigest()

@@ -20,10 +20,12 @@ class Linearised(Record):
     Its numbers are traced: one compiled program serves every linearised response of the same structure.
     """
 
-    value: Any = field("-", "numbers or arrays at the mean errors, as the response gives them", kind="record")
-    slope: Any = field("-", "their derivatives to all active elements, the last axis", kind="record")
-    curvature: Any = field("-", "their second derivatives to each element alone, like `slope`; or None", kind="record")
-    mean: Any = field("-", "mean error of each active element", shape=("elements",))
+    value: PyTree = field("-", "numbers or arrays at the mean errors, as the response gives them", kind="record")
+    slope: PyTree = field("-", "their derivatives to all active elements, the last axis", kind="record")
+    curvature: PyTree = field(
+        "-", "their second derivatives to each element alone, like `slope`; or None", kind="record"
+    )
+    mean: Array = field("-", "mean error of each active element", shape=("elements",))
     fields: tuple[str, ...] = text("names of the active fields, in the order of their elements")
     then: Any = text("function of the values; None for themselves", default=None)
 
