@@ -6,6 +6,7 @@ from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from rvjax.records import PyTree
 
@@ -142,3 +143,22 @@ def stored(compute: Callable[..., Any], *arguments: Any) -> Any:
     return jax.lax.cond(
         always, compute, lambda *_: jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes), *arguments
     )
+
+
+def in_blocks(function: Callable[..., PyTree], size: int, *arrays: np.ndarray) -> PyTree:
+    """Evaluate rows block by block on the host: one program for any number of rows, bounded memory.
+
+    Args:
+        function: of arrays with `size` rows each, to a pytree of arrays with as many.
+        size: rows of a block; the last one is padded with its last row.
+        *arrays: (rows, ...), at least one row.
+
+    Returns:
+        The pytree of NumPy arrays with all rows.
+    """
+    rows, parts = len(arrays[0]), []
+    for first in range(0, rows, size):
+        index = np.minimum(first + np.arange(size), rows - 1)
+        found = jax.device_get(function(*(array[index] for array in arrays)))
+        parts.append(jax.tree.map(lambda leaf, first=first: leaf[: rows - first], found))
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)

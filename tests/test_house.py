@@ -80,7 +80,17 @@ def test_the_top_level_holds_what_belongs_there():
 
 def test_statistics_know_no_gears():
     """The package itself is named for its version alone."""
-    ground = {"__version__", "columns", "files", "progress", "compile_cache", "exported", "records", "roots"}
+    ground = {
+        "__version__",
+        "columns",
+        "files",
+        "progress",
+        "compile_cache",
+        "exported",
+        "records",
+        "roots",
+        "batching",
+    }
     ground |= {"status", "frames", "units", "population", "response", "tolerances"}
     for room in ("population", "response", "tolerances", "identify", "assembly", "compensation"):
         for path in (PACKAGE / room).rglob("*.py"):

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax.assembly.parts import Known
+from rvjax.batching import in_blocks
 from rvjax.response import evaluate, per_response
 from rvjax.status import succeeded
 from rvjax.tolerances import Requirement
@@ -118,15 +119,12 @@ class Machine:
         """
         lanes = len(place)
         block = BLOCKS[lanes > BLOCKS[0]]
-        found = np.empty(lanes)
-        for start in range(0, lanes, block):
-            chosen = np.minimum(np.arange(start, start + block), lanes - 1)
-            leaves = {
-                slot: [leaf[place[chosen, k], draw[chosen]] for leaf in drawn[slot]]
-                for k, slot in enumerate(self.slots)
-            }
-            found[start : start + block] = self._block(leaves, index[chosen])[: lanes - start]
-        return found
+
+        def of_block(place: np.ndarray, index: np.ndarray, draw: np.ndarray) -> np.ndarray:
+            leaves = {slot: [leaf[place[:, k], draw] for leaf in drawn[slot]] for k, slot in enumerate(self.slots)}
+            return self._block(leaves, index)
+
+        return in_blocks(of_block, block, place, index, draw)
 
     def _block(self, leaves: dict[str, list[np.ndarray]], index: np.ndarray) -> np.ndarray:
         by_slot = {slot: index[:, k] for k, slot in enumerate(self.slots)}

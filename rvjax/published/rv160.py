@@ -6,7 +6,7 @@ the ratio of the rated torques (1/2), rounded; springs are its published ones ti
 """
 
 from collections.abc import Callable, Sequence
-from functools import cache, lru_cache
+from functools import cache, lru_cache, partial
 from typing import Any, NamedTuple
 
 import jax
@@ -15,6 +15,7 @@ import numpy as np
 from scipy import optimize
 
 from rvjax import loaded
+from rvjax.batching import in_blocks
 from rvjax.designs import Contact, CrankStage, CycloidStage, InvoluteStage, RVReducer, Stiffness
 from rvjax.errors import RVErrors
 from rvjax.units import arcmin, mm, um
@@ -106,13 +107,7 @@ LANES = 2 * len(TORQUE) * ANGLES  # of a call
 
 def _solved(values: Any, errors: RVErrors, angle: np.ndarray, torque: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Transmission error at angles and torques (n,), and its slopes to the logarithms of `FREE`."""
-    log, parts = jnp.log(jnp.asarray(values, float)), []
-    for first in range(0, len(angle), LANES):
-        index = np.minimum(first + np.arange(LANES), len(angle) - 1)
-        found = jax.device_get(_with_slopes(log, errors, angle[index], torque[index]))
-        parts.append([x[: len(angle) - first] for x in found])
-    error, slope = (np.concatenate(part) for part in zip(*parts))
-    return error, slope
+    return in_blocks(partial(_with_slopes, jnp.log(jnp.asarray(values, float)), errors), LANES, angle, torque)
 
 
 def half_difference(values: Any, errors: RVErrors, torque: Any = TORQUE) -> tuple[np.ndarray, np.ndarray]:

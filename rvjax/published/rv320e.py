@@ -13,6 +13,7 @@ import jax
 import numpy as np
 
 from rvjax import dynamics
+from rvjax.batching import in_blocks
 from rvjax.catalogue import RV_320E
 from rvjax.designs import InvoluteStage, RVReducer
 from rvjax.published.rv320e_appendix import printed_stiffness
@@ -113,13 +114,7 @@ def _lanes(name: str, values: Any, speed: Any = RATED) -> tuple[np.ndarray, np.n
     numbers = np.tile(NOMINAL, (len(values), 1))
     numbers[:, MOVED.index(name)] = values
     along = np.broadcast_to(np.eye(len(MOVED))[MOVED.index(name)], numbers.shape)
-    parts = []
-    for first in range(0, len(values), LANES):
-        index = np.minimum(first + np.arange(LANES), len(values) - 1)
-        found = jax.device_get(_moved(numbers[index], along[index], speed[index]))
-        parts.append([x[: len(values) - first] for x in found])
-    amplitude, slope = (np.concatenate(part) for part in zip(*parts))
-    return amplitude, slope
+    return in_blocks(_moved, LANES, numbers, along, speed)
 
 
 @cache

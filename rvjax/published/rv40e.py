@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax.batching import in_blocks
 from rvjax.catalogue import RV_40E
 from rvjax.errors import RVErrors
 from rvjax.four_bar import LinkDeviations, solve_closure, transmission_error
@@ -59,8 +60,7 @@ def printed(
     """|coupler angle| in rad under the reading that gives the source's figures; arrays of errors in m."""
     options = dict(closure="quadratic", branch="crossed") | options
     lanes = np.stack(np.broadcast_arrays(*np.atleast_1d(crank_1, coupler, crank_3, frame, 0.0, crank_angle)), axis=1)
-    filled = lanes[np.minimum(np.arange(len(SWEEP)), len(lanes) - 1)]  # one shape, one program a reading
-    return np.abs(np.asarray(_kernel(**options)(filled[:, :5], filled[:, 5])))[: len(lanes)]
+    return np.abs(in_blocks(_kernel(**options), len(SWEEP), lanes[:, :5], lanes[:, 5]))
 
 
 right = partial(printed, closure="newton", branch="open")  # the parallelogram's own root, exact closure

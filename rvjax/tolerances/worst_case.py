@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax.batching import in_blocks
 from rvjax.population import Population
 from rvjax.response import Response, by_name, evaluate, per_response, response_names
 from rvjax.status import succeeded
@@ -124,16 +125,13 @@ class _Search:
 
     def look(self, points: np.ndarray, k: int, sign: float) -> tuple[np.ndarray, np.ndarray]:
         """Values (nan where failed) and gradients of sign * response k at points (m, n)."""
-        values, gradients = [], []
-        for start in range(0, len(points), _BLOCK):
-            part = points[start : start + _BLOCK]
-            padded = np.concatenate([part, np.repeat(part[:1], _BLOCK - len(part), axis=0)])
-            v, g = _values_and_gradients(self.response, self.population, jnp.asarray(padded), k, names=self.names)
-            values.append(np.asarray(v)[: len(part)])
-            gradients.append(np.asarray(g)[: len(part)])
-        value = sign * np.concatenate(values)
-        self.failed += int(np.isnan(value).sum())
-        return value, np.nan_to_num(sign * np.concatenate(gradients))
+
+        def of_block(points: np.ndarray) -> tuple[jax.Array, jax.Array]:
+            return _values_and_gradients(self.response, self.population, jnp.asarray(points), k, names=self.names)
+
+        values, gradients = in_blocks(of_block, _BLOCK, points)
+        self.failed += int(np.isnan(values).sum())
+        return sign * values, np.nan_to_num(sign * gradients)
 
     def extreme(self, k: int, sign: float, refine: bool) -> tuple[float, np.ndarray, int]:
         """Largest sign * response k: value, place, and failed points on the way."""
