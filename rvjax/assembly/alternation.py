@@ -1,24 +1,40 @@
 """Plans of many slots: one slot after the other is assigned exactly; a Lagrangian bounds what any plan can reach."""
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from rvjax.assembly.supply import Build, Supply, assigned, beyond, copies
+from rvjax.progress import detail
 
 ROUNDS = 150  # of the Lagrangian
+
+Price = Callable[[tuple[np.ndarray, ...]], np.ndarray]
+"""Places of the parts of each slot, broadcast against each other -> finite costs of these combinations."""
 
 
 def alternated(cost: np.ndarray, supply: Supply, starts: int, rng: np.random.Generator) -> Build:
     """All slots fixed but one, that one assigned exactly, in turn, until none improves; the best of several starts."""
-    best, least = None, np.inf
     big = beyond(cost, supply.units)
     priced = np.where(np.isfinite(cost), cost, big)
-    for _ in range(starts):
-        places = _random_plan(supply, rng)
-        total, waiting = priced[tuple(places)].sum(), len(places)
+    return alternated_by(priced.__getitem__, supply, starts, rng)
+
+
+def alternated_by(price: Price, supply: Supply, starts: int, rng: np.random.Generator) -> Build:
+    """`alternated`, by a function of the combinations.
+
+    Args:
+        price: of combinations.
+        supply: stocks.
+        starts: random plans to begin with.
+        rng: of these.
+    """
+    best, least = None, np.inf
+    for number in range(starts):
+        places = random_plan(supply, rng)
+        total, waiting = price(tuple(places)).sum(), len(places)
         for slot in itertools.cycle(range(len(places))):
             left = supply.pieces[slot].copy()
             for other in supply.slots(supply.group[slot]):
@@ -26,21 +42,27 @@ def alternated(cost: np.ndarray, supply: Supply, starts: int, rng: np.random.Gen
                     np.subtract.at(left, places[other], 1)
             pool = copies(left)
             at = tuple(row[:, None] if k != slot else pool[None] for k, row in enumerate(places))
-            places[slot] = pool[linear_sum_assignment(priced[at])[1]]
-            now = priced[tuple(places)].sum()
+            places[slot] = pool[linear_sum_assignment(price(at))[1]]
+            now = price(tuple(places)).sum()
             waiting, total = (len(places) - 1, now) if now < total - 1e-15 * abs(total) else (waiting - 1, now)
             if waiting <= 0:
                 break
         if supply.shared:
-            places, total = _exchanged(priced, supply, places)
+            places, total = _exchanged(price, supply, places)
         if total < least:
             least, best = total, places.copy()
+        detail(f"plan {number + 1} of {starts}")
     assert best is not None  # `starts` is at least 1 and every price is finite
     return [tuple(map(int, unit)) for unit in best.T]
 
 
-def _random_plan(supply: Supply, rng: np.random.Generator) -> np.ndarray:
-    """Parts of each slot (slots, units)."""
+def random_plan(supply: Supply, rng: np.random.Generator) -> np.ndarray:
+    """Parts of each slot (slots, units), taken by chance.
+
+    Args:
+        supply: stocks.
+        rng: of the choice.
+    """
     places = np.empty((len(supply.shape), supply.units), int)
     for group in set(supply.group):
         slots = supply.slots(group)
@@ -50,7 +72,7 @@ def _random_plan(supply: Supply, rng: np.random.Generator) -> np.ndarray:
     return places
 
 
-def _exchanged(cost: np.ndarray, supply: Supply, places: np.ndarray) -> tuple[np.ndarray, float]:
+def _exchanged(price: Price, supply: Supply, places: np.ndarray) -> tuple[np.ndarray, float]:
     """Exchange parts of one stock between slots of any two units while that lowers the sum."""
     units = supply.units
     improved = True
@@ -63,13 +85,14 @@ def _exchanged(cost: np.ndarray, supply: Supply, places: np.ndarray) -> tuple[np
                     mine[second] = places[first, i]
                     theirs[first] = places[second]
                     theirs[second, i] = places[first, i]
-                    gain = cost[tuple(places)] + cost[tuple(places[:, i])] - cost[tuple(mine)] - cost[tuple(theirs)]
-                    gain[i] = cost[tuple(places[:, i])] - cost[tuple(theirs[:, i])]
+                    now, changed, other = (price(tuple(x)) for x in (places, mine, theirs))
+                    gain = now + now[i] - changed - other
+                    gain[i] = now[i] - other[i]
                     j = int(gain.argmax())
-                    if gain[j] > 1e-12 * abs(cost[tuple(places)]).max():
+                    if gain[j] > 1e-12 * abs(now).max():
                         places[first, i], places[second, j] = places[second, j], places[first, i]
                         improved = True
-    return places, float(cost[tuple(places)].sum())
+    return places, float(price(tuple(places)).sum())
 
 
 def lagrangian(cost: np.ndarray, supply: Supply, upper: float) -> float:

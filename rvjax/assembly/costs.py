@@ -99,10 +99,18 @@ class Machine:
     """A response and the parts of its slots, ready to value any units."""
 
     def __init__(self, response: UnitResponse, slots: Mapping[str, Known]) -> None:
-        """Slots in the order in which combinations name their parts."""
+        """Slots in the order in which combinations name their parts.
+
+        Raises:
+            ValueError: more combinations than fit side by side.
+        """
         self.response, self.slots = response, dict(slots)
         self.counts = tuple(known.kind.indices for known in slots.values())
         self.indices = np.array(list(itertools.product(*map(range, self.counts))), np.int32)
+        self.shape = tuple(len(known.order) for known in slots.values())
+        if math.prod(self.shape) > MOST:
+            shown = " x ".join(map(str, self.shape))
+            raise ValueError(f"kinds: {shown} combinations are more than {MOST}; plan fewer slots at once")
         self._structures = Structures(tuple((s, Shape(k.structure, k.still)) for s, k in slots.items()))
         self._traced: bool | None = None
 
@@ -171,6 +179,16 @@ class Costs:
     every_good: np.ndarray | None
     level: bool
 
+    @property
+    def count(self) -> int:
+        """Combinations, all of which are valued."""
+        return self.mean.size
+
+    def of(self, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Expected response and number of the best position of some combinations (cells, slots), each (cells,)."""
+        at = tuple(place.T)
+        return self.mean[at], self.index[at]
+
 
 def costs(
     machine: Machine, drawn: Mapping[str, list[np.ndarray]], draws: int, requirement: Requirement | None, by_yield: bool
@@ -183,29 +201,11 @@ def costs(
         draws: their count.
         requirement: limits of a good unit, or None.
         by_yield: the best position is that of the most good units, else that of the least mean.
-
-    Raises:
-        ValueError: more combinations than fit side by side.
     """
-    shape = tuple(len(known.order) for known in machine.slots.values())
-    total = math.prod(shape)
-    if total > MOST:
-        raise ValueError(
-            f"kinds: {' x '.join(map(str, shape))} combinations are more than {MOST}; plan fewer slots at once"
-        )
-    turns = len(machine.indices)
-    mean, outside = np.empty((total, turns)), np.empty((total, turns))
-    at_once = max(1, (1 << 20) // (turns * draws))
-    for start in range(0, total, at_once):
-        cells = np.arange(start, min(start + at_once, total))
-        cell, turn, draw = (x.ravel() for x in np.meshgrid(cells, np.arange(turns), np.arange(draws), indexing="ij"))
-        place = np.stack(np.unravel_index(cell, shape), axis=1)
-        values = machine.values(drawn, place, machine.indices[turn], draw).reshape(len(cells), turns, draws)
-        mean[cells] = np.where(np.isnan(values).any(axis=2), np.inf, values.mean(axis=2))
-        outside[cells] = 1 - good(values, requirement).mean(axis=2)
+    shape, total = machine.shape, math.prod(machine.shape)
+    mean, outside = valued(machine, drawn, draws, requirement, np.arange(total))
     finite = np.isfinite(mean)
-    # by yield: the fewest bad draws first, then the least mean
-    best = np.lexsort((mean, outside), axis=1)[:, 0] if by_yield else mean.argmin(axis=1)
+    best = best_turn(mean, outside, by_yield)
     rows = np.arange(total)
     with np.errstate(invalid="ignore"):
         every = np.where(finite, mean, 0).sum(axis=1) / finite.sum(axis=1)
@@ -219,6 +219,46 @@ def costs(
         every_good=None if requirement is None else (1 - outside.mean(axis=1)).reshape(shape),
         level=level,
     )
+
+
+def valued(
+    machine: Machine,
+    drawn: Mapping[str, list[np.ndarray]],
+    draws: int,
+    requirement: Requirement | None,
+    cells: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Expected response, inf where a unit fails, and share of draws in which it is no good, each (cells, positions).
+
+    Args:
+        machine: response and parts.
+        drawn: errors of each slot.
+        draws: their count.
+        requirement: limits of a good unit, or None.
+        cells: flat numbers of combinations (cells,).
+    """
+    turns = len(machine.indices)
+    mean, outside = np.empty((len(cells), turns)), np.empty((len(cells), turns))
+    at_once = max(1, (1 << 20) // (turns * draws))
+    for start in range(0, len(cells), at_once):
+        part = cells[start : start + at_once]
+        cell, turn, draw = (x.ravel() for x in np.meshgrid(part, np.arange(turns), np.arange(draws), indexing="ij"))
+        place = np.stack(np.unravel_index(cell, machine.shape), axis=1)
+        values = machine.values(drawn, place, machine.indices[turn], draw).reshape(len(part), turns, draws)
+        mean[start : start + at_once] = np.where(np.isnan(values).any(axis=2), np.inf, values.mean(axis=2))
+        outside[start : start + at_once] = 1 - good(values, requirement).mean(axis=2)
+    return mean, outside
+
+
+def best_turn(mean: np.ndarray, outside: np.ndarray, by_yield: bool) -> np.ndarray:
+    """Number of the best position of each combination (cells,).
+
+    Args:
+        mean: of the response (cells, positions).
+        outside: share of draws that are no good (cells, positions).
+        by_yield: the fewest bad draws first, then the least mean; else the least mean.
+    """
+    return np.lexsort((mean, outside), axis=1)[:, 0] if by_yield else mean.argmin(axis=1)
 
 
 def good(values: np.ndarray, requirement: Requirement | None) -> np.ndarray:

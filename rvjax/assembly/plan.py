@@ -1,6 +1,7 @@
 """Assembly plan: units to build from measured parts, their gain on independent draws, and a bound of all plans."""
 
 import dataclasses
+import math
 import zlib
 from collections.abc import Hashable, Mapping
 
@@ -8,6 +9,7 @@ import numpy as np
 
 from rvjax.assembly.choice import CLOSE, least_largest, least_sum
 from rvjax.assembly.costs import Costs, Machine, UnitResponse, costs, good
+from rvjax.assembly.on_demand import OnDemand, chosen_on_demand, too_many
 from rvjax.assembly.parts import Kind, Known, known
 from rvjax.assembly.supply import Build, Supply
 from rvjax.tolerances import Estimate, Requirement
@@ -31,7 +33,7 @@ class Plan:
         values: expected response of each unit (n,), inf where it fails.
         objective: their mean or the largest of them; for "yield" the expected share of good units.
         lower_bound: no plan has a lower objective; for "yield" none has a higher share.
-        gap: (objective - bound)/|objective| of the choice, 0 where it is proved optimal.
+        gap: (objective - bound)/|objective| of the choice, 0 where it is proved optimal, inf without a bound.
         status: "OPTIMAL", "BOUNDED" or "INFEASIBLE".
         left_over: pieces that no unit takes: {slot: (id, ...)}.
         random: mean response of all combinations in all positions; those that fail are left out.
@@ -39,6 +41,8 @@ class Plan:
         yield_: share of good units; None without a requirement.
         random_yield: of all combinations in all positions; None without a requirement.
         failing: units that fail; more than none only where every complete plan has as many.
+        valued: combinations of parts that were evaluated for the choice.
+        combinations: all of them.
     """
 
     build: tuple[dict[str, Hashable], ...]
@@ -54,6 +58,8 @@ class Plan:
     yield_: Estimate | None
     random_yield: Estimate | None
     failing: tuple[int, ...]
+    valued: int = 0
+    combinations: int = 0
 
 
 def plan(
@@ -71,7 +77,8 @@ def plan(
     """Choose the part and the position of every slot of every unit.
 
     Two slots are assigned exactly; more, and two slots fed by one stock, by HiGHS up to 20,000 combinations; beyond by
-    alternation, with a Lagrangian bound.
+    alternation, with a Lagrangian bound. If combinations, positions and draws multiply to more than 2**26 responses,
+    the alternation evaluates only the combinations it needs; `lower_bound` is then -inf (1 for "yield").
 
     Args:
         response: (parts {slot: errors}, index {slot: int}) -> scalar or `Outcome` of one unit, a pure JAX function;
@@ -95,18 +102,24 @@ def plan(
     machine, supply = Machine(response, slots), supply_of(slots)
     certain = all(one.certain for one in slots.values())
     draws, fresh = (1, 1) if certain else (draws, certificate_draws)
-    found = costs(machine, draw(slots, seed, 0, draws, alike=True), draws, requirement, objective == "yield")
-    build, bound, reached, proved = chosen(found, supply, objective, starts, np.random.default_rng([seed % 2**64, 2]))
+    rng, asked = np.random.default_rng([seed % 2**64, 2]), (draws, requirement, objective == "yield")
+    found: Costs | OnDemand
+    if too_many(machine, draws):
+        found = OnDemand(machine, draw(slots, seed, 0, draws, alike=True), *asked)
+        build, bound, reached, proved = chosen_on_demand(found, supply, objective, starts, rng)
+    else:
+        found = costs(machine, draw(slots, seed, 0, draws, alike=True), *asked)
+        build, bound, reached, proved = chosen(found, supply, objective, starts, rng)
     if found.level:  # nothing to choose by: in the given order
         build = _as_they_lie(slots, supply)
     build = _in_order(build, slots)
     # Valued on fresh draws, next to random assembly on the same ones.
     place = np.array(build)
-    turn = machine.indices[found.index[tuple(place.T)]]
+    own, best = found.of(place)
+    turn = machine.indices[best]
     drawn = draw(slots, seed, 1, fresh, alike=False)
     units = len(build)
     if fresh == 1:  # all is known: the costs that chose are the values
-        own = found.mean[tuple(place.T)]
         values = np.where(np.isinf(own), np.nan, own)[:, None]
     else:
         lanes = np.repeat(np.arange(units), fresh), np.tile(np.arange(fresh), units)
@@ -133,6 +146,8 @@ def plan(
         yield_=None if requirement is None else _estimate(share, confidence),
         random_yield=None if requirement is None else _estimate(random_good, confidence),
         failing=tuple(map(int, np.flatnonzero(failed))) if infeasible else (),
+        valued=found.count,
+        combinations=math.prod(machine.shape),
     )
 
 
@@ -255,7 +270,7 @@ def _in_order(build: Build, slots: Mapping[str, Known]) -> Build:
 def _random(
     machine: Machine,
     supply: Supply,
-    found: Costs,
+    found: Costs | OnDemand,
     drawn: Mapping[str, list[np.ndarray]],
     requirement: Requirement | None,
     seed: int,
@@ -263,7 +278,7 @@ def _random(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Mean response and share of good units of random assembly, for every fresh draw."""
     weight = supply.weight()
-    if fresh == 1:
+    if fresh == 1 and isinstance(found, Costs):
         every = np.nan_to_num(found.every_mean)
         succeeds = weight * np.isfinite(found.every_mean)
         mean = (succeeds * every).sum() / succeeds.sum() if succeeds.any() else np.nan
@@ -272,13 +287,14 @@ def _random(
     cells, turns = np.argwhere(weight > 0), len(machine.indices)
     likely = weight[weight > 0] / weight.sum()
     most = max(1, MOST_FRESH // fresh)
-    rng, results = np.random.default_rng([seed % 2**64, 3]), []
+    rng, results, sums = np.random.default_rng([seed % 2**64, 3]), [], np.cumsum(likely)
     for k in range(fresh):
         if len(cells) * turns <= most:
             cell, turn = (x.ravel() for x in np.meshgrid(np.arange(len(cells)), np.arange(turns), indexing="ij"))
             share = likely[cell] / turns
         else:
-            cell, turn = rng.choice(len(cells), most, p=likely), rng.integers(turns, size=most)
+            cell = np.searchsorted(sums / sums[-1], rng.random(most), side="right")
+            turn = rng.integers(turns, size=most)
             share = np.full(most, 1 / most)
         values = machine.values(drawn, cells[cell], machine.indices[turn], np.full(len(cell), k))
         right = ~np.isnan(values)

@@ -59,7 +59,12 @@ def _verdict(study: Study, plan: Plan, name: str) -> list[str]:
         units = (plan.build[k].items() for k in plan.failing)
         failing = "; ".join(", ".join(f"{slot} {part}" for slot, part in unit if slot != REST) for unit in units)
         lines.append(f"Every complete plan has at least {len(plan.failing)} units that fail: {failing}")
-    if plan.status == "BOUNDED":
+    if plan.valued < plan.combinations:
+        left = plan.combinations - plan.valued
+        lines.append(
+            f"The search evaluated {plan.valued:,} combinations of parts; {left:,} others may hold better plans."
+        )
+    elif plan.status == "BOUNDED":
         lines.append(f"No plan can be better by more than {100 * plan.gap:.3g} % of its objective.")
     return lines
 

@@ -1,0 +1,139 @@
+"""Plans where only the combinations that the search needs are evaluated, against those that evaluate all of them."""
+
+import itertools
+import math
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from assembly_cases import kind
+
+from rvjax import Status
+from rvjax.assembly import costs, on_demand, plan
+from rvjax.tolerances import Outcome, Requirement
+
+LIMIT = Requirement(upper=0.6)
+
+
+def turned(parts, index):
+    """Length of three vectors, the second in one of two positions; lengths above 4 fail."""
+    sign = 1 - 2 * index["b"]
+    x = parts["a"]["x"] + sign * parts["b"]["x"] - 1.3 * parts["c"]["x"]
+    failed = jnp.where(jnp.abs(x) > 4, int(Status.NOT_ASSEMBLABLE), int(Status.CONVERGED))
+    return Outcome(jnp.abs(x), failed)
+
+
+def kinds_of(seed, counts=(5, 6, 7), **options):
+    rng = np.random.default_rng(seed)
+    return {
+        slot: kind(rng.standard_normal(count), indices=2 if slot == "b" else 1, **options)
+        for slot, count in zip("abc", counts)
+    }
+
+
+@pytest.fixture
+def few(monkeypatch):
+    """Any number of combinations counts as too many."""
+    monkeypatch.setattr(on_demand, "MOST_VALUED", 0)
+    return monkeypatch
+
+
+@pytest.mark.parametrize("objective", ["mean", "bottleneck", "yield"])
+def test_it_finds_what_valuing_all_finds(objective, monkeypatch):
+    for seed in range(4):
+        kinds, options = kinds_of(seed), dict(objective=objective, requirement=LIMIT)
+        monkeypatch.setattr(on_demand, "MOST_VALUED", 2**26)
+        best = plan(turned, kinds, **options)
+        monkeypatch.setattr(on_demand, "MOST_VALUED", 0)
+        found = plan(turned, kinds, **options)
+        assert best.status == "OPTIMAL" and best.valued == best.combinations == 210
+        if objective == "yield":
+            assert best.objective - 0.21 < found.objective <= best.objective
+            assert found.lower_bound == 1 and found.gap == pytest.approx((1 - found.objective) / found.objective)
+        else:
+            assert best.objective - 1e-12 <= found.objective <= 1.1 * best.objective
+            assert found.lower_bound == -math.inf and found.gap == math.inf
+        assert found.status == ("OPTIMAL" if found.gap == 0 else "BOUNDED")
+        for unit, index, value in zip(found.build, found.index, found.values):
+            x = {slot: own.parts[int(unit[slot][1:])].errors for slot, own in kinds.items()}
+            assert float(turned(x, index).value) == pytest.approx(value, rel=1e-12)
+            other = float(turned(x, index | {"b": 1 - index["b"]}).value)
+            assert value <= other * (1 + 1e-12)  # the better position
+        for slot in kinds:
+            assert len({unit[slot] for unit in found.build}) == 5
+
+
+def test_each_combination_is_valued_once_and_few_of_them(few):
+    lanes, real = [], costs.valued
+    few.setattr(on_demand, "PILOTS", 20)
+
+    def counted(machine, drawn, draws, requirement, cells):
+        lanes.extend(cells)
+        return real(machine, drawn, draws, requirement, cells)
+
+    few.setattr(on_demand, "valued", counted)
+    found = plan(turned, kinds_of(1, (12, 13, 14)), starts=2)
+    assert found.valued == len(lanes) == len(set(lanes))
+    assert found.combinations == 12 * 13 * 14 and 12 * 14 <= found.valued < 0.8 * found.combinations
+
+
+def test_one_stock_for_two_slots_on_demand(few):
+    rng = np.random.default_rng(3)
+    stock, third = kind(rng.standard_normal(8)), kind(rng.standard_normal(4))
+    kinds = {"a": stock, "b": stock, "c": third}
+
+    def response(parts, index):
+        return jnp.abs(parts["a"]["x"] + 0.5 * parts["b"]["x"] - parts["c"]["x"])
+
+    found = plan(response, kinds)
+    few.setattr(on_demand, "MOST_VALUED", 2**26)
+    best = plan(response, kinds)
+    assert best.objective - 1e-12 <= found.objective <= 1.1 * best.objective + 1e-9
+    assert len({unit[slot] for unit in found.build for slot in "ab"}) == 8
+
+
+@pytest.mark.parametrize("objective", ["mean", "bottleneck", "yield"])
+def test_failing_units_are_avoided_or_named(few, objective):
+    x = {"a": [3.5, 0.0], "b": [3.6, 0.1], "c": [0.0, 9.0]}  # a unit with 9.0 always fails
+    options = dict(objective=objective, requirement=Requirement(upper=3.9))
+    kinds = {slot: kind(values, indices=2 if slot == "b" else 1) for slot, values in x.items()}
+    found = plan(turned, kinds, **options)
+    assert found.status == "INFEASIBLE" and len(found.failing) == 1
+    kinds["c"] = kind([0.0, 0.1])
+    found = plan(turned, kinds, **options)
+    assert found.status in ("BOUNDED", "OPTIMAL") and not found.failing and np.isfinite(found.values).all()
+
+    # With 4.5 and 0 one unit fails; 3 and 1.5 have the larger sum.
+    kinds = {slot: kind(values) for slot, values in {"a": [3.0, 0.0], "b": [1.5, 0.0], "c": [0.0, 0.0]}.items()}
+    assert sorted(plan(turned, kinds, **options).values) == [1.5, 3.0]
+
+
+def test_good_units_come_before_the_mean(few):
+    """3 and 3 have the least sum of squares, 0 and 6 the one good unit."""
+    kinds = {"a": kind([0.0, 3.0]), "b": kind([0.0, 3.0]), "c": kind([0.0, 0.0])}
+
+    def response(parts, index):
+        return (parts["a"]["x"] + parts["b"]["x"] + parts["c"]["x"]) ** 2
+
+    options = dict(requirement=Requirement(upper=1.0))
+    assert sorted(plan(response, kinds, **options).values) == [9.0, 9.0]
+    found = plan(response, kinds, objective="yield", **options)
+    assert sorted(found.values) == [0.0, 36.0] and found.objective == 0.5 and found.gap == 1.0
+
+
+def test_random_assembly_is_drawn_where_all_parts_are_known(few):
+    kinds = kinds_of(2)
+    every = [
+        float(turned(dict(zip("abc", parts)), {"a": 0, "b": k, "c": 0}).value)
+        for *parts, k in itertools.product(*([p.errors for p in own.parts] for own in kinds.values()), (0, 1))
+    ]
+    kept = [value for value in every if value <= 4]
+    assert plan(turned, kinds).random.value == pytest.approx(np.mean(kept), rel=1e-9)
+
+
+def test_the_number_decides(few):
+    class Few:
+        shape, indices = (10, 10), np.zeros((3, 2))
+
+    few.setattr(on_demand, "MOST_VALUED", 300 * 7)
+    assert not on_demand.too_many(Few, 7) and on_demand.too_many(Few, 8)
