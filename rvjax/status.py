@@ -107,7 +107,7 @@ class SolveError(RuntimeError):
     """Raised by `check`: more cases failed than allowed."""
 
 
-def worst(status: Array, axis: int | tuple[int, ...] | None = None) -> jax.Array:
+def worst(status: Array | np.ndarray, axis: int | tuple[int, ...] | None = None) -> jax.Array:
     """Return the worst of several statuses, by `PRECEDENCE`.
 
     Args:
@@ -214,9 +214,9 @@ def window(like: Array, power: float) -> tuple[float, float]:
     return float(limits.tiny) ** power, float(limits.max) ** power
 
 
-def succeeded(status: Array) -> jax.Array:
+def succeeded(status: Array | np.ndarray) -> jax.Array:
     """True where a status counts as success: CONVERGED and UNLOADED."""
-    return (status == Status.CONVERGED) | (status == Status.UNLOADED)
+    return jnp.logical_or(status == Status.CONVERGED, status == Status.UNLOADED)
 
 
 def check(result: Result, max_failed_fraction: float = 0.0) -> Result:

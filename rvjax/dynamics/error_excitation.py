@@ -58,9 +58,9 @@ class Case(NamedTuple):
     """A unit as given, checked."""
 
     lumped: Lumped
-    pin_circle: Array  # radius, () m
+    pin_circle: Scalar  # radius, () m
     errors: RVErrors
-    load_inertia: Array  # of what the output drives, () kg m2
+    load_inertia: Scalar  # of what the output drives, () kg m2
 
 
 class Unit(NamedTuple):
@@ -137,7 +137,7 @@ def symmetric(design: RVReducer | Lumped) -> Lumped:
     return lumped
 
 
-def loaded(lumped: Lumped, load_inertia: Array) -> Lumped:
+def loaded(lumped: Lumped, load_inertia: Scalar) -> Lumped:
     """The reducer with the inertia that it drives."""
     inertia = lumped.inertia
     return lumped.replace(inertia=inertia.replace(output_inertia=inertia.output_inertia + load_inertia))

@@ -76,9 +76,8 @@ def gradients(
         lanes = np.resize(units, LANES)
         arrays = (jnp.asarray(rows[:, lanes], dtype) for rows in (errors, cotangents))
         found, _, slope = _on_all_devices(response, population, *arrays, names=names)
-        value, slope = (np.asarray(rows, float)[:, : len(units)] for rows in (found, slope))
-        values.append(value)
-        slopes.append(slope)
+        values.append(np.asarray(found, float)[:, : len(units)])
+        slopes.append(np.asarray(slope, float)[:, : len(units)])
     return np.concatenate(values, axis=1), np.concatenate(slopes, axis=1)
 
 

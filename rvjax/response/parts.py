@@ -1,6 +1,6 @@
 """A response in parts, and any of its units: outputs that share no computation are solved for different units."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from math import prod
 from typing import Any
 
@@ -50,8 +50,8 @@ class Part:
 
 def parts(response: Response, population: Population) -> list[Part]:
     """A `costly` response in the `parts` that it names; another is a whole."""
-    split = getattr(response, "costly", False) and hasattr(response, "parts")
-    own: Sequence[Response] = response.parts() if split else [response]
+    split = getattr(response, "parts", None) if getattr(response, "costly", False) else None
+    own: Sequence[Response] = [response] if split is None else split()
     return [Part(part, population) for part in own]
 
 
@@ -74,7 +74,7 @@ def solved(
 
 @per_response()
 def _solved(response: Response, population: Population, errors: jax.Array) -> tuple[Values, jax.Array]:
-    one = lambda vector: evaluate(response, population.fill(population.by_field(vector)))  # noqa: E731
+    one: Callable[[jax.Array], Any] = lambda vector: evaluate(response, population.fill(population.by_field(vector)))  # noqa: E731
     return jax.vmap(one, in_axes=-1)(errors)
 
 

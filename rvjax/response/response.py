@@ -8,7 +8,7 @@ import dataclasses
 import functools
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import jax
 import jax.numpy as jnp
@@ -28,8 +28,13 @@ PLAIN = ""
 PROGRAMS = 32
 """Plain functions whose programs are kept, the latest ones."""
 
-Response = Callable[..., Any]
 Values = dict[str, jax.Array]
+
+
+class Response(Protocol):
+    """A pure function of the errors of one unit: a number, a dict of numbers by name, or an `Outcome`."""
+
+    def __call__(self, errors: PyTree, /) -> PyTree: ...
 
 
 class Compiled:
@@ -48,19 +53,19 @@ class Compiled:
         def shared(options: Options) -> Any:
             return jax.jit(function, static_argnames=static, compiler_options=understood(options))
 
-        def own(response: Response, options: Options) -> Any:
+        def own(response: Callable[..., Any], options: Options) -> Any:
             whole = functools.partial(function, response)
             return jax.jit(whole, static_argnames=static, compiler_options=understood(options))
 
         self._flat: dict[Any, Any] = {}
         self._shared, self._own = functools.lru_cache(PROGRAMS)(shared), functools.lru_cache(PROGRAMS)(own)
 
-    def _program(self, response: Response, options: Options = ()) -> tuple[Any, tuple[Any, ...]]:
+    def _program(self, response: Callable[..., Any], options: Options = ()) -> tuple[Any, tuple[Any, ...]]:
         """The compiled function and its first arguments."""
         shared = isinstance(response, Record)
         return (self._shared(options), (response,)) if shared else (self._own(response, options), ())
 
-    def __call__(self, response: Response, *arguments: Any, **static: Any) -> Any:
+    def __call__(self, response: Callable[..., Any], *arguments: Any, **static: Any) -> Any:
         """The function's value."""
         if inside(response, arguments):
             jitted, first = self._program(response)
@@ -87,7 +92,7 @@ class Compiled:
         call, put_together = program
         return put_together(call(*plain(leaves)))
 
-    def lowered(self, response: Response, *arguments: Any, **static: Any) -> str:
+    def lowered(self, response: Callable[..., Any], *arguments: Any, **static: Any) -> str:
         """Text of the program."""
         jitted, first = self._program(response)
         return str(jitted.lower(*first, *arguments, **static).as_text())

@@ -39,6 +39,7 @@ class Solved:
     def given(self, tolerances: Any, requirements: dict[str, Limits]) -> Statistics:
         """Statistics of the units of the search with the tolerances from which it began."""
         units, run = self.training.followed, self.certifier.run
+        assert units is not None
         population = Population.of(tolerances)
         asked = dataclasses.replace(
             run, population=population, requirements=requirements, samples=units.samples, seed=units.seed

@@ -89,7 +89,9 @@ class Followed:
 
     def all_at(self, population: Population) -> tuple[dict[str, np.ndarray], np.ndarray]:
         """The same, every unit solved."""
-        values, doubt, status = {}, {}, []
+        values: dict[str, np.ndarray] = {}
+        doubt: dict[str, np.ndarray] = {}
+        status: list[np.ndarray] = []
         for number in range(len(self.parts)):
             rows, found = self.solve(number, population, np.arange(self.samples))
             values |= rows

@@ -202,9 +202,9 @@ class Training:
         population, rows = self.with_half_widths(half_widths), []
         if self.followed is not None:
             before = self.followed.solved
-            found, _ = self.followed.at(population, self._aims)
+            by_name, _ = self.followed.at(population, self._aims)
             self.evaluated[0] += self.followed.solved - before
-            return self._remembered(asked, np.stack([found[name] for name in self.requirements]))
+            return self._remembered(asked, np.stack([by_name[name] for name in self.requirements]))
         self.evaluated[0] += self.samples
         for k, z in enumerate(self.blocks):
             values, status = self._block(population, k, z)
@@ -224,6 +224,7 @@ class Training:
         joint = None if self.joint_target is None else float(np.quantile(self._joint(rows)[0], self.joint_target))
         found = {}
         for (name, item), row, scale, distance in zip(self.requirements.items(), rows, self.scales, self.distance):
+            assert isinstance(item, Requirement)
             margins = item.margins(row)
             levels = [tail_quantile(margins, item.target, float(distance))]
             levels += [] if joint is None else [joint * scale]
