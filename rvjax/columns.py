@@ -44,7 +44,7 @@ def read_table(
 
     Args:
         path: the file; a byte order mark is skipped.
-        columns: foreign names by quantity: the header of the column, or {column, unit} where it says no unit.
+        columns: foreign names by quantity: the header of the column, or {column, unit} where it has no unit.
         units: quantities that are wanted, each with its units.
         words: columns of text that are wanted.
 
@@ -149,7 +149,7 @@ def _places(
 
 
 def element(field: str, place: Sequence[int]) -> str:
-    """The name of an element of an error, such as "disc_bore[0,1]"; the field itself without a place.
+    """Return the name of an element of an error, such as "disc_bore[0,1]"; the field itself without a place.
 
     Args:
         field: name.
@@ -187,7 +187,7 @@ def split(header: str) -> tuple[str, str | None]:
 
 
 def number_of(source: str, name: str, unit: str, row: int, cell: str, comma: bool) -> float:
-    """The number in a cell, in the unit of the cell; NaN for an empty one.
+    """Return the number in a cell, in the unit of the cell; NaN for an empty one.
 
     Args:
         source: name of the file, for the message.

@@ -39,7 +39,7 @@ def understood(options: Options) -> dict[str, Any] | None:
 
 
 def inside(*arguments: Any) -> bool:
-    """Whether another program is being made, whose options count: an argument is traced, or whatever is computed."""
+    """Whether another program is being traced, whose options count."""
     if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(arguments)):
         return True
     return isinstance(jax.lax.neg(np.float32(0)), jax.core.Tracer)

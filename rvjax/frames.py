@@ -20,7 +20,7 @@ class Column(NamedTuple):
 
 
 def data_set(record: Any, batch: Sequence[str] = ()) -> Any:
-    """An `xarray.Dataset` of a record: a variable for each field, SI, with `units` and `long_name`.
+    """Return an `xarray.Dataset` of a record: a variable for each field, SI, with `units` and `long_name`.
 
     Args:
         record: whose fields declare unit, shape and meaning.
@@ -41,7 +41,7 @@ def data_set(record: Any, batch: Sequence[str] = ()) -> Any:
 
 
 def frame(record: Any, batch: Sequence[str] = (), along: str | None = None) -> Any:
-    """A `pandas.DataFrame` of a record, SI: one row for each unit, one column for each number of it.
+    """Return a `pandas.DataFrame` of a record, SI: one row for each unit, one column for each number of it.
 
     Args:
         record: whose fields declare unit, shape and meaning.
@@ -80,13 +80,13 @@ def frame(record: Any, batch: Sequence[str] = (), along: str | None = None) -> A
 
 
 def tidy(rows: Iterable[Mapping[str, Any]], index: Sequence[str]) -> Any:
-    """A `pandas.DataFrame` of rows by name."""
+    """Return a `pandas.DataFrame` of rows by name."""
     pandas = needed("pandas", "to_pandas")
     return pandas.DataFrame(list(rows)).set_index(list(index))
 
 
 def spread(name: str, estimate: Any) -> dict[str, float]:
-    """An estimate as columns: value, standard error, ends of its interval.
+    """Return an estimate as columns: value, standard error, ends of its interval.
 
     Args:
         name: of the value.
@@ -106,7 +106,7 @@ class MissingExtra(ImportError):
 
 
 def needed(package: str, what: str, extra: str = "tables") -> Any:
-    """An optional package.
+    """Return an optional package.
 
     Args:
         package: or module of it.

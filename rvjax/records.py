@@ -1,7 +1,7 @@
 """`@record`: frozen dataclasses that are JAX pytrees and declare unit, shape and meaning of every field.
 
 Counts are static (part of the compiled program); everything else is traced. A constructor checks
-concrete numbers; tracers, nested records and whatever `jax.tree` rebuilds pass through untouched,
+concrete numbers; tracers, nested records and records rebuilt by `jax.tree` pass unchanged,
 so that records can be stacked, vmapped and differentiated.
 """
 
@@ -28,7 +28,7 @@ IN_ERROR_UNIT = "error"  # unit of a field that is measured like the error that 
 
 
 class Design(Protocol):
-    """What statistics and error records need to know of a design."""
+    """Attributes of a design that statistics and error records need."""
 
     @property
     def counts(self) -> dict[str, int]:
@@ -97,7 +97,7 @@ class Record:
     """Base of all records; `@record` does the work."""
 
     def replace(self, **changes: Any) -> Self:
-        """A copy with some fields changed, checked like a new record."""
+        """Return a copy with some fields changed, checked like a new record."""
         known = {f.name for f in dataclasses.fields(self)}  # type: ignore[arg-type]
         for name in changes:
             if name not in known:
@@ -173,7 +173,7 @@ def record(cls: Class) -> Class:
 
 
 def signs_hold(item: Record) -> jax.Array:
-    """Whether every number of a record, and of those in it, has the sign its field declares; () bool.
+    """Return whether every number of a record, and of those in it, has the sign its field declares; () bool.
 
     A constructor checks concrete numbers only; this function checks traced ones. NaN passes, as there.
     """
@@ -188,19 +188,19 @@ def signs_hold(item: Record) -> jax.Array:
 
 
 def is_concrete(value: Any) -> bool:
-    """True for a number or an array whose value can be looked at now."""
+    """Return true for a number or an array whose value can be looked at now."""
     return isinstance(value, (float, int, np.ndarray, np.generic)) or (
         isinstance(value, jax.Array) and not isinstance(value, jax.core.Tracer)
     )
 
 
 def concrete(*values: Any) -> bool:
-    """True if every value is a concrete number, so that a constructor may check it."""
+    """Return true if every value is a concrete number, so that a constructor may check it."""
     return all(is_concrete(v) for v in values)
 
 
 def quantity(value: Any, unit: str) -> str:
-    """A value with its unit, for messages.
+    """Return a value with its unit, for messages.
 
     Args:
         value: number or array.

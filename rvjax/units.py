@@ -43,13 +43,13 @@ _NUMBER_AND_UNIT = re.compile(r"([-+]?(?:\d[\d_]*\.?\d*|\.\d+|\d*inf|nan)(?:[eE]
 
 
 def spelling(name: str) -> str:
-    """A unit as this module spells it: "µm" is "um", "Nm" and "N·m" are "N m", "arcsec" stays."""
+    """Return a unit as this module spells it: "µm" is "um", "Nm" and "N·m" are "N m", "arcsec" stays."""
     name = name.strip().replace("\u00b5", "u").replace("\u03bc", "u").replace("\u00b2", "2")
     return re.sub(r"N\s*[·*.]?\s*m(?!m)\b", "N m", name)
 
 
 def parse(value: Any, unit: str) -> float:
-    """A number in SI from text such as "3.5 mm"; `unit` is the SI unit that is expected.
+    """Return a number in SI from text such as "3.5 mm"; `unit` is the SI unit that is expected.
 
     Args:
         value: text with a unit, or a plain number where `unit` is "-".
@@ -84,7 +84,7 @@ def parse(value: Any, unit: str) -> float:
 
 
 def unit_of(value: str, unit: str) -> str:
-    """The unit that a text was written in, as this module spells it.
+    """Return the unit that a text was written in, as this module spells it.
 
     Args:
         value: text that `parse` takes.
@@ -111,7 +111,7 @@ def readable(unit: str, read_in: str | None = None) -> tuple[str, float]:
 
     Args:
         unit: SI.
-        read_in: another unit that was asked for; None: the usual one.
+        read_in: another unit; None: the usual one.
     """
     name = READ_IN.get(unit, unit) if read_in is None else read_in
     return name, KNOWN.get(unit, {}).get(name, 1.0)

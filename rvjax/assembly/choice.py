@@ -51,7 +51,7 @@ class Choice:
 def least_sum(
     layers: Sequence[np.ndarray], supply: Supply, starts: int, rng: np.random.Generator, *, asked: int = -1
 ) -> Choice:
-    """The plan with the least sums, layer by layer.
+    """Return the plan with the least sums, layer by layer.
 
     Args:
         layers: finite costs of every combination, the first counts most.
@@ -75,7 +75,7 @@ def least_sum(
 
 
 def least_largest(cost: np.ndarray, supply: Supply, starts: int, rng: np.random.Generator) -> Choice:
-    """The plan whose largest cost is least, and among these the one with the least sum."""
+    """Return the plan whose largest cost is least, and among these the one with the least sum."""
     levels = np.unique(cost)
     if len(supply.shape) == 2 and not supply.shared:
         level = _least_level(cost, supply, levels)
@@ -136,7 +136,7 @@ def _sum(cost: np.ndarray, build: Build) -> float:
 
 
 def _least_level(cost: np.ndarray, supply: Supply, levels: np.ndarray) -> float:
-    """The least cost below which a plan exists."""
+    """Return the least cost below which a plan exists."""
     rows, columns = map(copies, supply.pieces)
     full = cost[np.ix_(rows, columns)]
 
@@ -165,7 +165,7 @@ def _columns(supply: Supply, allowed: np.ndarray) -> int:
 
 
 def _proved(layers: Sequence[np.ndarray], supply: Supply, allowed: np.ndarray) -> Build | None:
-    """The best plan by HiGHS; None where there is none, or it is too large to prove.
+    """Return the best plan by HiGHS; None where there is none, or it is too large to prove.
 
     Raises:
         _TooLong: it took more than `PATIENCE`.

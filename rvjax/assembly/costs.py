@@ -63,7 +63,7 @@ def respond(
 
 
 def _weak(index: jax.Array, count: int) -> Any:
-    """A traced index that mixes with numbers of any type, as a plain integer does."""
+    """Return a traced index that mixes with numbers of any type, as a plain integer does."""
     return sum(jnp.where(index == k, k, 0) for k in range(1, count)) if count > 1 else 0
 
 
@@ -262,7 +262,7 @@ def best_turn(mean: np.ndarray, outside: np.ndarray, by_yield: bool) -> np.ndarr
 
 
 def good(values: np.ndarray, requirement: Requirement | None) -> np.ndarray:
-    """Whether units keep the limits; failed ones do not.
+    """Return whether units keep the limits; failed ones do not.
 
     Args:
         values: responses, nan where a unit failed.

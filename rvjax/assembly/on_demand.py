@@ -19,7 +19,7 @@ PILOTS = 256  # random combinations that give the scale of the response
 
 
 def too_many(machine: Machine, draws: int) -> bool:
-    """Whether all combinations in all positions are too many to value."""
+    """Return whether all combinations in all positions are too many to value."""
     return math.prod(machine.shape) * len(machine.indices) * draws > MOST_VALUED
 
 

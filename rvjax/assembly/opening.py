@@ -36,7 +36,7 @@ class Opening:
     target: float
 
     def opened(self, tolerances: Any) -> Any:
-        """The same structure with every half-width times the factor, as `allocate` takes it."""
+        """Return the same structure with every half-width times the factor, as `allocate` takes it."""
         return _widened(tolerances, self.factor)
 
 
@@ -49,7 +49,7 @@ def opening(
     sets: int = 64,
     seed: int = 0,
 ) -> Opening:
-    """The largest factor on all half-widths at which plans keep the yield of random assembly.
+    """Return the largest factor on all half-widths at which plans keep the yield of random assembly.
 
     Sets of virtual parts as many as there are, drawn with the same random numbers at every factor, measured with the
     standard deviations of the parts, planned for the most good units, and valued with their true errors. Errors
@@ -82,7 +82,7 @@ def opening(
     tried: dict[float, tuple[float, float]] = {}
 
     def kept(power: Any) -> bool:
-        """Whether plans keep the yield at this power of two as factor."""
+        """Return whether plans keep the yield at this power of two as factor."""
         factor = 2.0 ** float(power)
         found = [_yields(response, kinds, stocks, requirement, factor, number, seed) for number in range(sets)]
         matched, random = np.mean(found, axis=0)
@@ -117,7 +117,7 @@ class _Virtual:
         self.z = {place: rng.standard_normal(size(place)) for place in self.moving}
 
     def parts(self, factor: float, number: int) -> tuple[Kind, list[list[Any]]]:
-        """A set as it is measured, and its true errors by part and leaf."""
+        """Return a set as it is measured, and its true errors by part and leaf."""
         truth: list[list[Any]] = [list(own) for own in self.given]
         seen: list[list[Any]] = [list(own) for own in self.given]
         for place, tolerance in self.moving.items():

@@ -121,7 +121,7 @@ def at_path(structure: Any, path: Path, absent: Any) -> Any:
 
 
 def _left_out(value: Any, part: Part) -> bool:
-    """Whether a field of a record is not measured: the default 0.0, without a standard deviation."""
+    """Return whether a field of a record is not measured: the default 0.0, without a standard deviation."""
     return isinstance(value, float) and value == 0.0 and isinstance(part.sd, (int, float))
 
 

@@ -249,7 +249,7 @@ def chosen(
 
 
 def _as_they_lie(slots: Mapping[str, Known], supply: Supply) -> Build:
-    """The first pieces of every stock with each other; of a shared one the first go into the first slot."""
+    """Return the first pieces of every stock with each other; of a shared one the first go into the first slot."""
     rows: list[np.ndarray] = [np.empty(0)] * len(slots)
     for group in set(supply.group):
         own = supply.slots(group)

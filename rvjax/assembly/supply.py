@@ -71,6 +71,6 @@ def assigned(cost: np.ndarray, supply: Supply) -> Build:
 
 
 def beyond(cost: np.ndarray, units: int) -> float:
-    """A price that no plan pays if it need not."""
+    """Return a price that no plan pays if it need not."""
     finite = cost[np.isfinite(cost)]
     return float(finite.max() + (units + 1) * (np.ptp(finite) + 1e-9 * np.abs(finite).max() + 1e-300))

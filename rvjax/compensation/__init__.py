@@ -1,7 +1,7 @@
 """Compensation: what a controller takes off the transmission error of one measured unit. Knows no gears.
 
 An error is a curve over one output turn, given by its orders: d(theta) = Re sum v_k exp(i k theta), and the output
-stands at theta_in/ratio + d.
+is at theta_in/ratio + d.
 """
 
 from rvjax.compensation.correction import Correction, Left, Residual, correction, phase_residual, predicted, residual

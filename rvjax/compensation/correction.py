@@ -61,7 +61,7 @@ class Correction:
         return found if isinstance(angle, jax.Array) or np.ndim(found) else float(found)
 
     def input(self, angle: Array | np.ndarray | float) -> Any:
-        """The same at the input, rad: ratio * output(angle).
+        """Return the same at the input, rad: ratio * output(angle).
 
         Args:
             angle: of the output, rad, any shape.

@@ -52,7 +52,7 @@ def export(table: Table, path: str | Path, *, joint: Joint | None = None, seed: 
 
 
 def exported(table: Table, ending: str, *, joint: Joint | None = None, seed: int | None = None) -> bytes:
-    """The content of the file that `export` writes.
+    """Return the content of the file that `export` writes.
 
     Args:
         table: to write.
@@ -72,7 +72,7 @@ def exported(table: Table, ending: str, *, joint: Joint | None = None, seed: int
 
 
 def read(path: str | Path) -> Table:
-    """The table in a file that `export` wrote, with all bits.
+    """Return the table in a file that `export` wrote, with all bits.
 
     Raises:
         ValueError: another ending, or a file that holds no such table.

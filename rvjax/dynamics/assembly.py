@@ -67,7 +67,7 @@ class Lumped(Record):
 
     @property
     def alike(self) -> bool:
-        """True if one number stands for all members of a kind, so that equal spacing makes the model symmetric."""
+        """True if all members of a kind share one number, so that equal spacing makes the model symmetric."""
         return all(jnp.ndim(leaf) == 0 for leaf in jax.tree.leaves((self.inertia, self.stiffness)))
 
 
@@ -81,7 +81,7 @@ class System(Record):
 
 
 def lump(design: RVReducer | Lumped) -> Lumped:
-    """The lumped parameters of a reducer; a Lumped passes through.
+    """Return the lumped parameters of a reducer; a Lumped passes through.
 
     Args:
         design: a reducer with inertia and stiffness; without mesh_variation its meshes are constant, without
@@ -218,7 +218,7 @@ def _by_member(lumped: Lumped, part: Inertia | Stiffness, names: Sequence[str]) 
 
 
 def geometry_numbers(lumped: Lumped) -> jax.Array:
-    """The thirteen numbers in which all deflection vectors are linear."""
+    """Return the thirteen numbers in which all deflection vectors are linear."""
     ca, sa = jnp.cos(lumped.pressure_angle), jnp.sin(lumped.pressure_angle)
     cp, sp = jnp.cos(lumped.disc_phase), jnp.sin(lumped.disc_phase)
     cb, sb = jnp.cos(lumped.force_angle), jnp.sin(lumped.force_angle)

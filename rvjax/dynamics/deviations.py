@@ -11,7 +11,7 @@ from rvjax.records import PyTree, Record, Scalar
 
 
 def with_deviations(design: RVReducer | Lumped, deviations: Mapping[str, PyTree]) -> PyTree:
-    """A design some of whose numbers deviate by a share of themselves: x (1 + deviation).
+    """Return a design some of whose numbers deviate by a share of themselves: x (1 + deviation).
 
     The names serve as names of tolerances: `monte_carlo(lambda d: f(with_deviations(design, d)),
     {"stiffness.disc_pin_mesh": Tolerance.symmetric(0.1)}, ...)`.

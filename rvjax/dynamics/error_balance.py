@@ -74,7 +74,7 @@ class Lattice(NamedTuple):
 
 
 def lattice(orders: Orders, period: int, harmonics: int) -> Lattice:
-    """The residues that lines at `orders` and the stiffness excite."""
+    """Return the residues that lines at `orders` and the stiffness excite."""
     residues = {min(n % period, -n % period) for n in orders}
     return Lattice(period, (Fraction(0), *sorted(residues - {Fraction(0)})), harmonics)
 

@@ -94,5 +94,5 @@ def resonance_distance(modal: ModalSector, frequency: jax.Array) -> jax.Array:
 
 
 def constants(values: PyTree, like: jax.Array) -> jax.Array:
-    """A constant array as complex numbers of the precision of `like`."""
+    """Return a constant array as complex numbers of the precision of `like`."""
     return jnp.asarray(values, np.result_type(like.dtype, np.complex64))

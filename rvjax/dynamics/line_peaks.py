@@ -30,7 +30,7 @@ def factors(value: jax.Array, excitation: jax.Array) -> tuple[jax.Array, jax.Arr
 
 
 def lines(rows: jax.Array, columns: jax.Array) -> jax.Array:
-    """The product (orders, 2, speeds, outputs).
+    """Return the product (orders, 2, speeds, outputs).
 
     Args:
         rows: of `factors`.
@@ -63,7 +63,7 @@ def place_of_largest(rows: jax.Array, columns: jax.Array) -> jax.Array:
 
 
 def _of_units(of_block: Callable[[jax.Array], jax.Array]) -> Callable[[jax.Array, jax.Array], jax.Array]:
-    """A function of all |line|^2 of a batch of units, in blocks of units whose lines stay in the cache.
+    """Return a function of all |line|^2 of a batch of units, in blocks of units whose lines stay in the cache.
 
     Args:
         of_block: of (orders, speeds, outputs, units) to (orders, outputs, units).

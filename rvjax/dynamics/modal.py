@@ -36,7 +36,7 @@ class ModalSector(NamedTuple):
 
 
 def modal_sectors(lumped: Lumped, keys: Sequence[Key]) -> dict[Key, ModalSector]:
-    """The sectors of `keys` with their eigenvectors, all from one batched eigenproblem."""
+    """Return the sectors of `keys` with their eigenvectors, all from one batched eigenproblem."""
     if not keys:  # no excited sector moves the required outputs
         return {}
     kinds = list(dict.fromkeys(kind for kind, _ in keys))
@@ -116,7 +116,7 @@ def modal_solve(modal: ModalSector, z: DynamicStiffness, rhs: jax.Array) -> jax.
 
 
 def on_resonance(modal: ModalSector, z: DynamicStiffness) -> jax.Array:
-    """True where an undamped frequency meets a mode to rounding."""
+    """Return true where an undamped frequency meets a mode to rounding."""
     value, size = _diagonal(modal, z)
     return jnp.any(jnp.abs(value.real) + jnp.abs(value.imag) <= _floor(size))
 

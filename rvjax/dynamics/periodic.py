@@ -237,7 +237,7 @@ def _exponential(matrices: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 
 def _product(steps: jax.Array) -> jax.Array:
-    """The map of a whole period."""
+    """Return the map of a whole period."""
     one = jnp.eye(steps.shape[-1], dtype=steps.dtype)
     return jax.lax.scan(lambda whole, step: (step @ whole, None), one, steps)[0]
 

@@ -64,7 +64,7 @@ class Sector(NamedTuple):
 
 @lru_cache
 def sector(cranks: int, discs: int, kind: str, label: int = 0) -> Sector:
-    """The sector of one kind; `label` k chooses the copy of a planetary or disc sector.
+    """Return the sector of one kind; `label` k chooses the copy of a planetary or disc sector.
 
     The label WHOLE selects all copies of a kind together, on a real basis.
     """
@@ -121,12 +121,12 @@ def sector(cranks: int, discs: int, kind: str, label: int = 0) -> Sector:
 
 
 def is_split(cranks: int, discs: int) -> bool:
-    """True where labels +1 and -1 are distinct for cranks and discs, so that conjugate sectors part."""
+    """Return true where labels +1 and -1 are distinct for cranks and discs, so that conjugate sectors part."""
     return cranks >= 3 and discs >= 3
 
 
 def is_symmetric(lumped: Lumped) -> bool:
-    """True where central parts, or members alike, split off; one disc or unequal members couple everything."""
+    """Return true where central parts, or members alike, split off; one disc or unequal members couple everything."""
     return lumped.discs > 1 and lumped.alike
 
 
@@ -168,7 +168,7 @@ def sector_stiffness(lumped: Lumped, kind: str, label: int = 0) -> jax.Array:
 
 
 def blocks(design: RVReducer | Lumped) -> Blocks:
-    """The symmetry-reduced systems of a reducer with three or more cranks and discs.
+    """Return the symmetry-reduced systems of a reducer with three or more cranks and discs.
 
     Args:
         design: a reducer with inertia and stiffness, or its lumped parameters.

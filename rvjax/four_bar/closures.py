@@ -176,7 +176,7 @@ def _root(x: jax.Array) -> jax.Array:
 
 
 def _nonzero(x: jax.Array) -> jax.Array:
-    """A denominator whose numerator is zero too where it vanishes."""
+    """Return a denominator whose numerator is zero too where it vanishes."""
     return jnp.where(x == 0, 1, x)
 
 

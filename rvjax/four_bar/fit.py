@@ -165,7 +165,7 @@ def first_order_angle(unit: Unit, k: int, crank: Crank) -> PyTree:
 
 
 def _moves(unit: Unit, k: int) -> list[Vector]:
-    """A and B of each crank: (e + delta) exp(i psi) - e without its cancellation."""
+    """Return A and B of each crank: (e + delta) exp(i psi) - e without its cancellation."""
     moves = []
     for delta, psi in zip(unit.parts.delta[k], unit.parts.psi):
         half_sine, half_cosine = sin_cos(psi / 2)
@@ -175,7 +175,7 @@ def _moves(unit: Unit, k: int) -> list[Vector]:
 
 
 def _cartesian(axis: Vector, polar: Vector) -> Vector:
-    """A (radial, tangential) vector of the crank at `axis` in x and y."""
+    """Return a (radial, tangential) vector of the crank at `axis` in x and y."""
     return polar[0] * axis[0] - polar[1] * axis[1], polar[0] * axis[1] + polar[1] * axis[0]
 
 

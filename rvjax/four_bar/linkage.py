@@ -98,7 +98,7 @@ def _solve_closure(numbers: PyTree, **methods: str) -> Closure:
 def check_methods(
     cranks: str, gear_stiffness_ratio: Scalar | None, closure: str, branch: str, *, count: int = 2
 ) -> dict[str, str]:
-    """The methods by name.
+    """Return the methods by name.
 
     Raises:
         ValueError: they do not fit together, or not `count` cranks.

@@ -169,7 +169,7 @@ def _figures(numbers: Numbers, *, angles: int, loaded: bool, only: str | None, *
 
 
 def _is_direct(*, cranks: str, closure: str, branch: str) -> bool:
-    """Whether the extremes can be had without the curve."""
+    """Return whether the extremes can be had without the curve."""
     return cranks == "phase_locked" and closure == "closed_form"
 
 
@@ -263,7 +263,7 @@ def _mean_angle(vectors: list[Vector]) -> jax.Array:
 
 
 def monotone_angle(vector: Vector) -> jax.Array:
-    """A number that falls as the discs turn: -1 to 1 up to a right angle of all together, to +-2 beyond.
+    """Return a number that falls as the discs turn: -1 to 1 up to a right angle of all together, to +-2 beyond.
 
     Their vectors C + i S were turned one after the other by multiplication, so no angle is needed.
     """

@@ -138,7 +138,7 @@ def _at_once(along: Callable[[Crank], jax.Array], angles: int, places: bool) -> 
 
 
 def _near(along: Callable[[Crank], jax.Array], wave: Wave, angles: int, places: bool) -> jax.Array:
-    """As `_all`, of the angles beside the crest and the trough of the first harmonic; NaN unless these decide.
+    """As `_all`, of the angles next to the crest and the trough of the first harmonic; NaN unless these decide.
 
     One number, for XLA repeats for each result everything that leads to it.
     """

@@ -85,7 +85,7 @@ def is_loaded(design: RVReducer, output_torque: Scalar) -> bool:
 def take_apart(
     design: RVReducer, errors: RVErrors, output_torque: Array, *others: PyTree, loaded: bool
 ) -> tuple[PyTree, ...]:
-    """The unit, and `others` in its dtype. An impossible case becomes a nominal unit.
+    """Return the unit, and `others` in its dtype. An impossible case becomes a nominal unit.
 
     Raises:
         ValueError: errors whose shapes do not fit the design.

@@ -1,4 +1,4 @@
-"""What made this curve? From measured observations back to the errors of the parts, with what the data cannot tell.
+"""Identification: errors of the parts from measured observations, with what the data do not determine.
 
 Knows no gear: a model is any pure function of values to an observation, a prior a record or dict of tolerances.
 """

@@ -25,12 +25,12 @@ _HALVINGS = 64  # of the interval (-FAR, FAR): to the last bit
 
 
 def values_of(population: Population, u: jax.Array) -> PyTree:
-    """The structure of the prior with the values that belong to standard numbers u (p,)."""
+    """Return the structure of the prior with the values that belong to standard numbers u (p,)."""
     return population.fill({n: population.active[n].deviate(part) for n, part in population.by_field(u).items()})
 
 
 def elementwise(population: Population, u: jax.Array) -> jax.Array:
-    """The values of all elements (p,) as one vector."""
+    """Return the values of all elements (p,) as one vector."""
     parts = [population.active[n].deviate(part).reshape(-1) for n, part in population.by_field(u).items()]
     return jnp.concatenate(parts)
 
@@ -75,7 +75,7 @@ class Elements:
 
     @classmethod
     def of(cls, prior: PyTree, correlation: Correlation = None) -> "Elements":
-        """The elements of what users give as a prior.
+        """Return the elements of what users give as a prior.
 
         Raises:
             ValueError: no field has a tolerance, or as `Population.of`.
@@ -137,7 +137,7 @@ class Elements:
         return np.array(sorted(found), int)
 
     def structure(self, values: np.ndarray) -> PyTree:
-        """The structure of the prior with values (..., p): arrays (..., *shape), one number as a float."""
+        """Return the structure of the prior with values (..., p): arrays (..., *shape), one number as a float."""
         parts: Mapping[str, Any] = {}
         ends = np.cumsum([math.prod(t.shape) for t in self.population.active.values()])
         pieces = np.split(np.asarray(values, float), ends[:-1], axis=-1)
@@ -149,7 +149,7 @@ class Elements:
         return self.population.fill(parts)
 
     def vector(self, argument: str, values: PyTree) -> np.ndarray:
-        """The active elements (p,) of a structure of values.
+        """Return the active elements (p,) of a structure of values.
 
         Raises:
             ValueError: another structure or shape.

@@ -136,7 +136,7 @@ def _along(columns: np.ndarray, vectors: np.ndarray) -> np.ndarray:
 def judged(
     slopes: np.ndarray, mixing: np.ndarray, nuisance: np.ndarray, data: np.ndarray, seen: np.ndarray, dof: float
 ) -> Judged:
-    """The figures of units with linearised data d (..., m)."""
+    """Return the figures of units with linearised data d (..., m)."""
     if np.isinf(dof):  # normal noise stays what it is when rows are turned
         rows = compressed(np.concatenate([slopes, data[..., None]], axis=-1))
         slopes, data = rows[..., :-1], rows[..., -1]

@@ -81,7 +81,7 @@ def roots_of_weights(residual: jax.Array, dof: jax.Array | None) -> jax.Array:
 def damped_step(
     z: jax.Array, residual: jax.Array, slopes: jax.Array, damping: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """The step (n,) of weighted residuals and slopes, and its length in posterior standard deviations."""
+    """Return the step (n,) of weighted residuals and slopes, and its length in posterior standard deviations."""
     n, root = z.shape[0], jnp.sqrt(1 + damping)
     above = jnp.concatenate([slopes, -residual[:, None]], axis=1)
     below = jnp.concatenate([root * jnp.eye(n, dtype=z.dtype), -(z / root)[:, None]], axis=1)
@@ -106,7 +106,7 @@ def mixed(mixing: jax.Array, z: jax.Array) -> jax.Array:
 def mode(
     linearise: Linearise, mixing: jax.Array, start: jax.Array, dof: jax.Array | None, max_steps: jax.Array
 ) -> Mode:
-    """The mode reached from one start; under `vmap` every batch element stops separately.
+    """Return the mode reached from one start; under `vmap` every batch element stops separately.
 
     Args:
         linearise: residuals and slopes.

@@ -36,7 +36,7 @@ class Spectrum(NamedTuple):
 
     @classmethod
     def of(cls, slopes: np.ndarray) -> "Spectrum":
-        """The spectrum of finite slopes."""
+        """Return the spectrum of finite slopes."""
         n = slopes.shape[-1]
         _, singular, right = np.linalg.svd(compressed(slopes), full_matrices=True)
         missing = np.zeros((*singular.shape[:-1], n - singular.shape[-1]))

@@ -61,7 +61,7 @@ def _generalised_pareto(x: np.ndarray) -> float:
 
 
 def judged(log_weights: np.ndarray, modes: int) -> Laplace:
-    """The verdict on draws.
+    """Return the verdict on draws.
 
     Args:
         log_weights: of draws from the normal distribution; -inf where the model is not finite.

@@ -37,7 +37,7 @@ class Layout:
 
     @classmethod
     def of(cls, observation: PyTree) -> "Layout":
-        """The layout of an observation, or of its shapes.
+        """Return the layout of an observation, or of its shapes.
 
         Raises:
             ValueError: it holds no number.
@@ -133,7 +133,7 @@ class Layout:
         return np.concatenate(rows)
 
     def tree(self, vector: np.ndarray) -> PyTree:
-        """The observation of a vector (..., m), leaves (..., *shape)."""
+        """Return the observation of a vector (..., m), leaves (..., *shape)."""
         leaves = []
         for shape, pairs, part in zip(self.shapes, self.complex, self._split(vector)):
             part = part.reshape((*vector.shape[:-1], *shape, *([2] if pairs else [])))
@@ -165,7 +165,7 @@ def _is_complex(leaf: Any) -> bool:
 
 
 def _numbers(name: str, leaf: Any, pairs: bool) -> np.ndarray:
-    """A leaf of the data as an array of the model's kind of numbers; None is missing."""
+    """Return a leaf of the data as an array of the model's kind of numbers; None is missing."""
     try:
         given = np.asarray(leaf)
         number = given.astype(complex if pairs else float) if given.dtype.kind in "fiuO" else given

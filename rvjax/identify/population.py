@@ -46,7 +46,7 @@ class Process:
 
 
 def process(elements: Elements, names: tuple[str, ...], factors: np.ndarray) -> Process:
-    """The process behind units.
+    """Return the process behind units.
 
     Args:
         elements: of the prior.

@@ -21,7 +21,7 @@ def predict(
     requirement: Limits | dict[str, Limits] | None = None,
     confidence: float = 0.95,
 ) -> Estimate | dict[str, Estimate]:
-    """A response of the unit that was measured, or the chance that it keeps a requirement.
+    """Return a response of the unit that was measured, or the chance that it keeps a requirement.
 
     The figure is the mean of the response over the posterior, its error the standard deviation, and its interval holds
     the response with the given confidence. With a requirement it is the probability that the response lies within it,

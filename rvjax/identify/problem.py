@@ -64,7 +64,7 @@ class Problem:
         nuisance: str | Iterable[str] = (),
         correlation: Correlation = None,
     ) -> "Problem":
-        """The problem of what users give.
+        """Return the problem of what users give.
 
         Raises:
             ValueError: as the parts of it.
@@ -141,14 +141,14 @@ def linearised(
 
 @per_response()
 def linearise(model: Model, given: Given, u: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """The whitened observation (m,) and its slopes over u (m, p) at one u."""
+    """Return the whitened observation (m,) and its slopes over u (m, p) at one u."""
     observation, jacobian, _ = linearised(model, given, jnp.zeros_like(given.sd), u)
     return observation, jacobian
 
 
 @per_response()
 def modes(model: Model, given: Given, y: jax.Array, starts: jax.Array, max_steps: jax.Array) -> Mode:
-    """The modes of units y (k, m) from starts (k, n)."""
+    """Return the modes of units y (k, m) from starts (k, n)."""
 
     def one(y: jax.Array, start: jax.Array) -> Mode:
         return mode(partial(linearised, model, given, y), given.mixing, start, given.dof, max_steps)
@@ -175,7 +175,7 @@ def counted(name: str, value: int, least: int) -> None:
 
 
 def integer(name: str, value: int) -> int:
-    """An integer; a ValueError names what is none."""
+    """Return an integer; a ValueError names what is none."""
     try:
         if isinstance(value, bool):
             raise TypeError

@@ -173,7 +173,7 @@ class _Gain:
         return _nats(rows) - (_nats(rows @ self.open) if self.open.size else 0.0)
 
     def best(self, sets: Iterable[tuple[int, ...]]) -> tuple[tuple[int, ...], float]:
-        """The set of largest gain; the empty one where there is none."""
+        """Return the set of largest gain; the empty one where there is none."""
         found: tuple[tuple[int, ...], float] = ((), 0.0)
         for _, same in itertools.groupby(sets, len):
             while block := list(itertools.islice(same, BLOCK)):
@@ -190,7 +190,7 @@ def _nats(rows: np.ndarray) -> np.ndarray:
 def _chosen(
     gain: _Gain, sets: Iterable[tuple[int, ...]], number: int, exhaustive: int, prices: np.ndarray, budget: float
 ) -> tuple[tuple[int, ...], float, bool]:
-    """The best set within a budget, its gain, and whether all were tried."""
+    """Return the best set within a budget, its gain, and whether all were tried."""
     if number <= exhaustive:
         return *gain.best(sets), True
     fits: Callable[[Iterable[int]], bool] = lambda places: prices[list(places)].sum() <= budget * (1 + 1e-12)  # noqa: E731

@@ -56,7 +56,7 @@ def evidence_of(
 def search(
     problem: Problem, y: np.ndarray, rng: np.random.Generator, starts: int, max_steps: int, draws: int
 ) -> tuple[tuple[Peak, ...], SolveInfo]:
-    """The distinct modes, heaviest first, and how the solver ended at the first; none where it found none."""
+    """Return the distinct modes, heaviest first, and how the solver ended at the first; none where it found none."""
     points = rng.standard_normal((starts, problem.elements.mixing.shape[1]))
     points[0] = 0.0
     rows = jnp.asarray(np.tile(y, (starts, 1)))

@@ -50,7 +50,7 @@ class Split:
 
     @classmethod
     def of(cls, elements: Elements, shared: str | Iterable[str]) -> "Split":
-        """The split of what users name.
+        """Return the split of what users name.
 
         Raises:
             ValueError: an unknown name, or a correlation between shared and separate elements.
@@ -91,7 +91,7 @@ def linear_rows(problem: Problem, slopes: np.ndarray, u: np.ndarray, residual: n
 
 
 def triangular(rows: np.ndarray) -> np.ndarray:
-    """The factor R of rows (..., m, n), at least n of them."""
+    """Return the factor R of rows (..., m, n), at least n of them."""
     return np.asarray(np.linalg.qr(rows, mode="r"))
 
 
@@ -107,7 +107,7 @@ class _Step(NamedTuple):
 
 
 def _step(factors: np.ndarray, z: np.ndarray, w: np.ndarray, damping: np.ndarray) -> _Step:
-    """The step with a damping of each unit, and of what is shared (units + 1,)."""
+    """Return the step with a damping of each unit, and of what is shared (units + 1,)."""
     units, no = z.shape
     ns, root, own = w.size, np.sqrt(1 + damping[-1]), np.sqrt(1 + damping[:-1, None])
     prior = np.zeros((units, no, no + ns + 1))
@@ -256,7 +256,7 @@ class Joint:
 def joint_mode(
     problem: Problem, split: Split, y: np.ndarray, points: np.ndarray, max_steps: int, rows: list[slice]
 ) -> Joint:
-    """The lowest joint mode from starts (k, n).
+    """Return the lowest joint mode from starts (k, n).
 
     Args:
         problem: of one unit.

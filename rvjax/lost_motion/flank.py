@@ -195,7 +195,7 @@ def _at(position: jax.Array, flank: Flank) -> _Point:
 
 
 def _descend(flank: Flank, starts: tuple[jax.Array, jax.Array]) -> tuple[_Point, jax.Array]:
-    """The lower of the two minima, and whether what remains to descend is negligible.
+    """Return the lower of the two minima, and whether what remains to descend is negligible.
 
     Where the curvature vanishes or is negative the step goes down the slope; a step that does not
     descend is taken back and shortened.

@@ -69,7 +69,7 @@ def _attach_jvp(law: str, primals: PyTree, tangents: PyTree) -> PyTree:
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0, 1))
 def equilibrium(law: str, teeth: int, case: Case) -> Found:
-    """The equilibrium of a case, (n,) loads; carries no derivative.
+    """Return the equilibrium of a case, (n,) loads; carries no derivative.
 
     Args:
         law: one of `laws.CONTACTS`.

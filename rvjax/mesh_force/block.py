@@ -210,7 +210,7 @@ def _newton(law: str, rows: _Rows, torque: jax.Array, windup: jax.Array) -> tupl
         *before, fine, steps = state
         start = before[0] + before[1]
         after = (start, *_newton_step(law, rows, torque, start, steps == 0))
-        # A case that is done stays, whatever its neighbours need.
+        # A finished case does not change while its neighbours iterate.
         kept = [jnp.where(fine if new.ndim == 1 else fine[None], old, new) for old, new in zip((*before, fine), after)]
         return *kept, steps + 1
 

@@ -43,7 +43,7 @@ class Roller(NamedTuple):
 def take_apart(
     design: CamRollerReducer, errors: CamRollerErrors, torque: Array, angle: Array
 ) -> tuple[Case, jax.Array]:
-    """The case, and the unit of its loads in N.
+    """Return the case, and the unit of its loads in N.
 
     Args:
         design: a possible stage, as arrays of one dtype.

@@ -69,7 +69,7 @@ class CentralMoments:
         return self.mean if self.n else math.nan
 
     def mean_estimate(self, confidence: float) -> Estimate:
-        """The mean; its error sd/sqrt(n)."""
+        """Return the mean; its error sd/sqrt(n)."""
         error = self.sd / math.sqrt(self.n) if self.n else math.nan
         skewness = math.sqrt(self.n) * self.s3 / self.s2**1.5 if self.s2 > 0 else 0.0
         return skewed(self.mean_or_nan, error, skewness, self.n, deviate_of(confidence))
@@ -92,8 +92,8 @@ class CentralMoments:
 class Pairwise:
     """Moments of a row of blocks, merged in pairs of neighbours, then pairs of pairs.
 
-    The tree depends on the numbers of the blocks alone: in whatever order, or in however many
-    processes, the blocks come, the sum has the same bits. It holds one node for each bit of the count
+    The tree depends on the numbers of the blocks only: the sum is bit-identical for any order of the
+    blocks and any number of processes. It holds one node for each bit of the count
     while the blocks come in order.
     """
 

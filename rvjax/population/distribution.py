@@ -53,7 +53,7 @@ class Distribution(Record):
         raise NotImplementedError
 
     def is_normal(self, tolerance: Any) -> bool:
-        """True where the errors are linear in z."""
+        """Return true where the errors are linear in z."""
         return False
 
     def scaled(self, tolerance: Any, half_width: Scalar) -> dict[str, Any]:
@@ -141,7 +141,7 @@ def _fields(law: type[Distribution]) -> tuple[dataclasses.Field[Any], ...]:
 
 
 def bad(name: str, value: Any, reason: str) -> ValueError:
-    """The error that names a field of a tolerance and its value."""
+    """Return the error that names a field of a tolerance and its value."""
     shown = f"{value:.6g}" if isinstance(value, float) else repr(value)
     return ValueError(f"Tolerance.{name} = {shown}: {reason}")
 

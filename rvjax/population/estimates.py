@@ -1,7 +1,7 @@
 """Figures with their uncertainty: estimates and intervals.
 
 The units of one scramble of Sobol points depend on each other, which is the point of them; the scrambles do not, so the
-spread between the figures of the scrambles tells the error of their mean (Owen 1997).
+spread between the figures of the scrambles gives the error of their mean (Owen 1997).
 """
 
 import dataclasses
@@ -35,7 +35,7 @@ class Estimate:
 
     @classmethod
     def about(cls, value: float, error: float, deviate: float) -> "Estimate":
-        """A figure with an interval of equal sides.
+        """Return a figure with an interval of equal sides.
 
         Args:
             value: of the figure.
@@ -61,7 +61,7 @@ def score_interval(share: float, n: float, deviate: float) -> tuple[float, float
 
 
 def wilson(successes: int, samples: int, confidence: float) -> Estimate:
-    """A share of independent units with the score interval."""
+    """Return a share of independent units with the score interval."""
     share = successes / samples
     lower, upper = score_interval(share, samples, deviate_of(confidence))
     return Estimate(share, math.sqrt(share * (1 - share) / samples), lower, upper)
@@ -80,7 +80,7 @@ def student(confidence: float, scrambles: int) -> float:
 
 
 def skewed(value: float, error: float, skewness: float, n: float, deviate: float) -> Estimate:
-    """A mean of n independent terms: an interval that holds both the symmetric one and Hall's.
+    """Return a mean of n independent terms: an interval that holds both the symmetric one and Hall's.
 
     Where the terms are skewed, a sample without the rare large ones has a low mean and a low error together; the
     transformation of Hall (1992, J. R. Stat. Soc. B 54, 221) moves the interval towards the long tail.
@@ -133,7 +133,7 @@ def share_error(hits: np.ndarray, totals: np.ndarray) -> tuple[float, int]:
 
 
 def share_estimate(hits: np.ndarray, totals: np.ndarray, confidence: float) -> Estimate:
-    """A share with the score interval of as many independent units as would have its standard error."""
+    """Return a share with the score interval of as many independent units as would have its standard error."""
     n, share = int(totals.sum()), float(hits.sum() / totals.sum())
     error, scrambles = share_error(hits, totals)
     effective = share * (1 - share) / error**2 if error > 0 else n

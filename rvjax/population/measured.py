@@ -71,7 +71,7 @@ class MeasuredParts:
     def correlation(self) -> dict[tuple[str, str], float]:
         """{(field or element, field or element): correlation of their z}, as `correlation=` takes it.
 
-        A column that stands for all elements of a field takes no part: the measured element is unknown.
+        A column for all elements of a field is excluded: the measured element is unknown.
 
         Raises:
             ValueError: too few parts for so many columns, or columns that follow from each other.
@@ -90,7 +90,7 @@ class MeasuredParts:
         return found
 
     def to_pandas(self) -> Any:
-        """A `pandas.DataFrame`, SI: one row for each column, every figure with its error and interval."""
+        """Return a `pandas.DataFrame`, SI: one row for each column, every figure with its error and interval."""
 
         def row(name: str, found: MeasuredColumn) -> dict[str, Any]:
             lower, upper = found.limits or (math.nan, math.nan)
@@ -120,7 +120,7 @@ def measured(
         path: the file: a header "name [unit]"; commas, semicolons or tabs, decimal commas where no comma separates; an
             empty cell was not measured.
         columns: {field or element, such as "disc_bore[0,1,0]": header of its column, or {"column", "unit"} where that
-            says no unit}; None: every column whose header is a name and a known unit.
+            has no unit}; None: every column whose header is a name and a known unit.
         design: whose error record declares names, units and shapes; without it every known unit is used as given.
         limits: record or dict with a `Tolerance`, (lower, upper) or None by field, for Cpk and the tolerances.
         confidence: of every interval.

@@ -33,7 +33,7 @@ class Population(Record):
 
     @classmethod
     def of(cls, tolerances: Any, correlation: Correlation = None) -> Self:
-        """A population from what users give: checked, and a constant 0 as None, which costs nothing.
+        """Return a population from what users give: checked, and a constant 0 as None, which costs nothing.
 
         Raises:
             ValueError: a leaf that is neither a `Tolerance`, nor None, nor a number; no structure at all; a
@@ -84,7 +84,7 @@ class Population(Record):
         return sum(self.numbers_by_field.values())
 
     def draw(self, key: jax.Array, index: jax.Array) -> jax.Array:
-        """The z of units `index` (n,): (numbers, n), units last so that every number is a vector of units.
+        """Return the z of units `index` (n,): (numbers, n), units last so that every number is a vector of units.
 
         Unit i depends on the key and i only, independent of the rest of the batch.
         """
@@ -112,15 +112,15 @@ class Population(Record):
         return self.fill(self.deviations(z))
 
     def fill(self, values: Mapping[str, Any]) -> Any:
-        """The error structure with `values` in the active fields."""
+        """Return the error structure with `values` in the active fields."""
         return self._with(values, absent=0.0)
 
     def with_half_widths(self, half_widths: Mapping[str, Scalar]) -> Self:
-        """The same population with some half-widths changed, by name of the field."""
+        """Return the same population with some half-widths changed, by name of the field."""
         return self.with_tolerances({name: self.active[name].with_half_width(t) for name, t in half_widths.items()})
 
     def with_tolerances(self, changed: Mapping[str, Tolerance]) -> Self:
-        """The same population with other tolerances in some of its active fields."""
+        """Return the same population with other tolerances in some of its active fields."""
         return self.replace(tolerances=self._with(changed, absent=None))
 
     def _with(self, values: Mapping[str, Any], *, absent: Any) -> Any:
@@ -144,7 +144,7 @@ class Population(Record):
             yield name, library.concatenate([one[:start], other[start:stop], one[stop:]])
 
     def by_field(self, values: Array | np.ndarray) -> dict[str, Any]:
-        """A vector over all active elements (n,) as arrays by field."""
+        """Return a vector over all active elements (n,) as arrays by field."""
         # Split, not sliced: its transpose is one concatenation, which compiles for hundreds of fields too.
         ends = np.cumsum([math.prod(t.shape) for t in self.active.values()])
         library: Any = np if isinstance(values, np.ndarray) else jnp
@@ -154,12 +154,12 @@ class Population(Record):
 
 @functools.partial(jax.jit, static_argnames="count")
 def drawn(population: Population, key: jax.Array, start: jax.Array, *, count: int) -> jax.Array:
-    """The z of units start .. start + count - 1 (numbers, count)."""
+    """Return the z of units start .. start + count - 1 (numbers, count)."""
     return population.draw(key, start + jnp.arange(count, dtype=jnp.uint32))
 
 
 def root_key(seed: int) -> jax.Array:
-    """The key of a study."""
+    """Return the key of a study."""
     try:
         return jax.random.key(operator.index(seed))
     except TypeError:

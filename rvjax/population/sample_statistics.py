@@ -50,11 +50,11 @@ class Sampled:
         return of_groups(figures, value, self.confidence)
 
     def mean(self) -> Estimate:
-        """The mean."""
+        """Return the mean."""
         return self._figure(lambda m: m.mean_or_nan, lambda m: m.mean_estimate(self.confidence))
 
     def sd(self) -> Estimate:
-        """The standard deviation."""
+        """Return the standard deviation."""
         return self._figure(lambda m: m.sd, lambda m: m.sd_estimate(self.confidence))
 
     def cp(self, limits: Any) -> Estimate:
@@ -92,11 +92,11 @@ class Sampled:
         return self._figure(of, alone)
 
     def failed(self) -> Estimate:
-        """The share of failed units."""
+        """Return the share of failed units."""
         return self.share(self.seen - np.array([part.n for part in self.streams]))
 
     def share(self, passed: np.ndarray | None = None) -> Estimate:
-        """The share of units within the limits, or of others that are counted."""
+        """Return the share of units within the limits, or of others that are counted."""
         hits = self.passed if passed is None else passed
         assert hits is not None
         if len(self.seen) == 1:

@@ -57,7 +57,7 @@ def check_method(method: str) -> None:
 
 
 def sample(tolerances: Any, index: Any, *, seed: int, method: str = "random", correlation: Correlation = None) -> Any:
-    """The errors of unit number `index`; vmaps over `index` for random units.
+    """Return the errors of unit number `index`; vmaps over `index` for random units.
 
     The unit depends on seed, index and method, on which fields are active (each draws its own
     numbers); not on the limits, which only scale the numbers, nor on chunks or devices.

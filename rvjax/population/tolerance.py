@@ -156,7 +156,7 @@ class Tolerance(Record):
         return self.replace(**self.law.scaled(self, half_width))
 
     def deviate(self, z: jax.Array) -> jax.Array:
-        """The errors that belong to standard normal numbers z (any shape; of vectors (*shape, *batch))."""
+        """Return the errors that belong to standard normal numbers z (any shape; of vectors (*shape, *batch))."""
         return self.law.deviate(self, z)
 
     def moments(self) -> Moments:

@@ -40,7 +40,7 @@ SAMPLES = 40
 Z, N, LINK = CORR.gear_teeth, CORR.gear_teeth + 1, 0.143
 E, R = float(CORR.eccentricity), float(CORR.roller_radius)
 
-# What is varied and the values at which a figure asks for forces; the first two are the ends of its range.
+# What is varied and the values at which a figure shows forces; the first two are the ends of its range.
 VALUES: dict[str, tuple[float, ...]] = {name: (first, last) for name, first, last in PUBLISHED_STUDIES.values()}
 VALUES["roller_radius"] = (7.0 * mm, 10.0 * mm)  # no flank beyond 10.05 mm
 VALUES["errors.cam_radius"] += (0.0, 2 * um)
@@ -167,7 +167,7 @@ def _moment_arm() -> bool:
 
 
 def _fixed_index_set() -> bool:
-    """The rollers loaded at an angle are those loaded half a tooth later."""
+    """Return the rollers loaded at an angle are those loaded half a tooth later."""
     angles = 0.001 + np.pi / Z * (np.arange(SAMPLES) % 2)
     loaded = _forces(angles).cam > 0
     return bool((loaded == loaded[0]).all())
@@ -202,7 +202,7 @@ def _strongest() -> bool:
 
 
 def _centre_circle_change() -> float:
-    """The mean cage force is 2 T / (Rj + r) by statics; roller radius 7 to 20 mm, %."""
+    """Return the mean cage force is 2 T / (Rj + r) by statics; roller radius 7 to 20 mm, %."""
     return 100 * ((135 + 7) / (135 + 20) - 1)
 
 

@@ -22,7 +22,7 @@ One TOML file per source. Fields of a `[[figure]]`:
 
 Status words: reproduced (within rounding), reproduced_with_reading, close (within 10 %), not_computable; contradicted
 (our value is further from the figure than rounding and tolerance together, and `contradicted_by` says why the value
-is at fault); not_reproduced (further than 10 % and nothing says why). The last one is a defect of rvjax or a reading
+is at fault); not_reproduced (further than 10 % without an explanation). The last one is a defect of rvjax or a reading
 that was never found: the ledger holds no such figure, and a test forbids it. Every verdict but not_computable follows
 from the computed number, `contradicted` too: a model that moves into the band ends it, and the test turns red.
 """
@@ -58,19 +58,19 @@ class Comparison:
     right: Any = None
 
     def as_json(self) -> dict[str, Any]:
-        """The fields meant for machines."""
+        """Return the fields meant for machines."""
         names = ("id", "published", "computed", "unit", "status", "note")
         return {name: getattr(self, name) for name in names}
 
 
 def figures(source: str) -> list[dict[str, Any]]:
-    """The figures of one source, as in its TOML file."""
+    """Return the figures of one source, as in its TOML file."""
     return parse(source)["figure"]
 
 
 @cache
 def parse(source: str) -> dict[str, Any]:
-    """The whole ledger file of one source, read once: not to be changed."""
+    """Return the whole ledger file of one source, read once: not to be changed."""
     return tomllib.loads((resources.files("rvjax.published") / f"{source}.toml").read_text("utf-8"))
 
 
@@ -95,7 +95,7 @@ def reproduce(
 
 
 def ours(figure: dict[str, Any]) -> Any:
-    """The number that the ledger holds a computed one against; None where the source does not allow one."""
+    """Return the number that the ledger holds a computed one against; None where the source does not allow one."""
     return figure.get("our_value", figure.get("judging_value"))
 
 
@@ -127,7 +127,7 @@ def compare(figure: dict[str, Any], computed: Any, right: Any = None) -> Compari
 
 
 def show(value: Any) -> str:
-    """A figure as short text: numbers to six digits, lists with spaces, yes and no for statements."""
+    """Return a figure as short text: numbers to six digits, lists with spaces, yes and no for statements."""
     if value is None:
         return "-"
     if isinstance(value, bool):
@@ -173,7 +173,7 @@ def _bands(figure: dict[str, Any], computed: Any) -> list[tuple[Any, Any, Any, A
 
 
 def _where(figure: dict[str, Any], computed: Any) -> str:
-    """The numbers that make a contradiction."""
+    """Return the numbers that make a contradiction."""
     if isinstance(figure.get("presupposes", figure["value"]), bool):
         return f"computed: {show(computed)}"
     unit = figure.get("judging_unit", figure.get("our_unit", figure["unit"]))

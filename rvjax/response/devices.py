@@ -82,7 +82,7 @@ def _respond_on(
 def shared_out(
     function: Any, mesh: jax.sharding.Mesh, out: Any, response: Response, population: Population, *rows: jax.Array
 ) -> Any:
-    """A function of a response, a population and arrays (numbers, units) whose units the devices share.
+    """Return a function of a response, a population and arrays (numbers, units) whose units the devices share.
 
     Args:
         function: of all that follows.
@@ -113,7 +113,7 @@ def place() -> tuple[int, int]:
 
 
 def gathered(state: Arrays) -> list[dict[str, np.ndarray]]:
-    """The states of all processes, in their order, in every process; waits until all have come here."""
+    """Return the states of all processes, in their order, in every process; waits until all have come here."""
     from jax.experimental import multihost_utils
 
     content = np.frombuffer(pack(state), np.uint8)

@@ -1,4 +1,4 @@
-"""Gradients of a response to the errors of single units: one program, whoever asks."""
+"""Gradients of a response to the errors of single units, by one program."""
 
 import functools
 import math
@@ -35,7 +35,7 @@ def pulled(
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Values (k, n), status (n,) and gradients (elements, n) of sum_k cotangent_k y_k of units: one reverse pass.
 
-    The population says only which elements are which fields; its numbers play no part.
+    The population only maps elements to fields; its numbers have no effect.
     """
 
     def values(vector: jax.Array) -> tuple[jax.Array, jax.Array]:

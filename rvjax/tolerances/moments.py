@@ -27,7 +27,7 @@ from rvjax.status import succeeded
 from rvjax.tolerances.requirements.kinds import Limits
 
 _TERMS = 23  # of Hermite series
-_PROBES = 255  # units whose gradients decide whether the response has a kink, and stand in for it
+_PROBES = 255  # units whose gradients decide whether the response has a kink, and replace it
 _STEP = 1e-3  # of a unit's deviations: a smooth gradient is nearly constant so near the mean
 
 
@@ -264,7 +264,7 @@ def _seen(response: Response, population: Population, name: str) -> tuple[float,
 
 
 def _flat(response: Response, population: Population, names: tuple[str, ...]) -> Callable[[jax.Array], jax.Array]:
-    """The named values, stacked, as a function of all active elements in one vector."""
+    """Return the named values, stacked, as a function of all active elements in one vector."""
 
     def function(vector: jax.Array) -> jax.Array:
         values, _ = evaluate(response, population.fill(population.by_field(vector)))

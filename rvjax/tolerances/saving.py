@@ -23,7 +23,7 @@ _FORMAT = 2
 _ABOUT = "about"
 
 RESULTS: list[type] = []
-"""Dataclasses that a file may hold beside the records; the package lists its own when it is imported."""
+"""Dataclasses that a file may hold in addition to records; the package lists its classes when it is imported."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -81,7 +81,7 @@ class Extremes:
 
 
 def extremes(response: Response, population: Population, names: tuple[str, ...], name: str) -> Extremes:
-    """The range of one of the responses, and how it grows with the half-widths.
+    """Return the range of one of the responses, and how it grows with the half-widths.
 
     At an end of the range the place within the limits is the best already: the end moves as the errors there do while
     the limits scale (envelope theorem).
@@ -157,7 +157,7 @@ class _Search:
         return top, place, self.failed
 
     def corner(self, gradients: np.ndarray) -> np.ndarray:
-        """The point of the box (and discs) that a linear response with these gradients prefers."""
+        """Return the point of the box (and discs) that a linear response with these gradients prefers."""
         signs = np.where(gradients < 0, -1.0, 1.0)
         discs = gradients[:, self.in_disc].reshape(len(gradients), -1, 2)
         norms = np.linalg.norm(discs, axis=2, keepdims=True)
@@ -222,7 +222,7 @@ class _Search:
 
 
 def _better(place: np.ndarray, top: float, candidates: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, float]:
-    """The best candidate, or the old place where none is better."""
+    """Return the best candidate, or the old place where none is better."""
     best = int(np.argmax(np.nan_to_num(values, nan=-np.inf)))
     return (candidates[best], float(values[best])) if values[best] > top else (place, top)
 

@@ -44,7 +44,7 @@ class TruncatedNormal(Distribution):
     shifts = True
 
     def deviate(self, tolerance: Any, z: jax.Array) -> jax.Array:
-        """The upper half is mirrored, where Phi keeps its digits."""
+        """Return the upper half is mirrored, where Phi keeps its digits."""
         cp, shift = tolerance.cp, tolerance.shift
         low, high, upper = -3 * cp * (1 + shift), 3 * cp * (1 - shift), z > 0
         side, start, end = jnp.where(upper, -z, z), jnp.where(upper, -high, low), jnp.where(upper, -low, high)
@@ -76,7 +76,7 @@ class Lognormal(Distribution):
             raise bad("log_sd", self.log_sd, "must be at most 9: beyond, its moments exceed every float")
 
     def deviate(self, tolerance: Any, z: jax.Array) -> jax.Array:
-        """The upper limit lies at z = 3 cp."""
+        """Return the upper limit lies at z = 3 cp."""
         return tolerance.lower + 2 * tolerance.half_width * jnp.exp(self.log_sd * (z - 3 * tolerance.cp))
 
     def moments(self, tolerance: Any) -> Moments:
@@ -120,7 +120,7 @@ class Triangular(Distribution):
     shifts = True
 
     def deviate(self, tolerance: Any, z: jax.Array) -> jax.Array:
-        """The quantile from the nearer end, where Phi keeps its digits."""
+        """Return the quantile from the nearer end, where Phi keeps its digits."""
         mode, below, above = (1 + tolerance.shift) / 2, ndtr(z), ndtr(-z)
         share = jnp.where(below < mode, jnp.sqrt(below * mode), 1 - jnp.sqrt(above * (1 - mode)))
         return tolerance.lower + 2 * tolerance.half_width * share
@@ -195,7 +195,7 @@ class Rayleigh(Distribution):
         return central(*raw_rayleigh(scale))
 
     def is_normal(self, tolerance: Any) -> bool:
-        """The components of a vector are."""
+        """Return the components of a vector are."""
         return tolerance.is_vector
 
     def scaled(self, tolerance: Any, half_width: Scalar) -> dict[str, Any]:

@@ -15,11 +15,11 @@ from rvjax.units import KNOWN
 
 @record
 class Empirical(Distribution):
-    """Measured values: the k-th of n stands for the share (k - 1/2)/n, linear between them (Hazen 1914).
+    """Measured values: the k-th of n is the quantile (k - 1/2)/n, linear between them (Hazen 1914).
 
     The values need not keep within the limits. Another half-width scales them about the middle of the limits.
     In a study file, `values` is a list of texts with units, or {file = "...", column = "...", unit = "..."}; no unit is
-    needed where the header of the column says it.
+    needed where the header of the column gives it.
     """
 
     name = "empirical"

@@ -98,7 +98,7 @@ class Checkpoint:
         return chunk, arrays
 
     def damaged(self, error: Exception) -> ValueError:
-        """The error of a file that cannot be gone on from."""
+        """Return the error of a file that cannot be gone on from."""
         where = f"checkpoint = {str(self._path)!r}"
         return ValueError(f"{where}: damaged, or no checkpoint ({error}); delete it to begin anew")
 
@@ -139,5 +139,5 @@ def of_process(path: str | Path, process: int, processes: int) -> Path:
 
 
 def of_number(whole: Path, process: int, processes: int) -> Path:
-    """The file of one of several processes."""
+    """Return the file of one of several processes."""
     return whole.with_name(f"{whole.name}.{process}-of-{processes}")

@@ -65,10 +65,10 @@ def monte_carlo(
     All local devices share every chunk. Where `jax.distributed.initialize` was called, every process
     must call this function alike: each takes every n-th chunk, and all return the same result.
 
-    Method "sobol" takes unit i as point i // 16 of scramble i mod 16 of Sobol points. The mean then comes
-    nearer with the same number of units, extreme quantiles hardly; all standard errors and intervals
-    come from the spread of the 16 scrambles (a yield or quantile with fewer than 160 units beyond it
-    counts as no better than one of independent units).
+    Method "sobol" takes unit i as point i // 16 of scramble i mod 16 of Sobol points. The error of the mean is then
+    smaller for the same number of units, that of extreme quantiles is not; all standard errors and intervals come from
+    the spread of the 16 scrambles (a yield or quantile with fewer than 160 units beyond it counts as no better than one
+    of independent units).
 
     Args:
         response: pure function of the errors of one unit; a scalar, a dict or record of scalars, or `Outcome`.
@@ -216,7 +216,7 @@ class Run:
         )
 
     def _extremes(self, name: str) -> tuple[float, float]:
-        """The range of a response over the limits of all errors, where its requirement needs it."""
+        """Return the range of a response over the limits of all errors, where its requirement needs it."""
         if name not in self.requirements or not self.requirements[name].of_extremes:
             return math.nan, math.nan
         low, high = extremes(self.response, self.population, self.names, name).values
@@ -299,7 +299,7 @@ class Run:
 
 
 def _check_memory(samples: int, responses: int) -> None:
-    """Refuse to keep more numbers than half the memory of this machine holds: what is kept is also sorted and saved."""
+    """Raise a ValueError for more values than half the memory holds: they are also sorted and saved."""
     if not hasattr(os, "sysconf"):  # Windows does not say
         return
     memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")

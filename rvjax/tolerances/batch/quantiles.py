@@ -82,7 +82,7 @@ class Order:
             self._coarse += np.bincount(streams * slots + coarse, minlength=self._coarse.size).reshape(-1, slots)
 
     def at(self, rank: float) -> float:
-        """The value of a (fractional) rank, 1 .. n."""
+        """Return the value of a (fractional) rank, 1 .. n."""
         if not self.settled:
             return self._exact().at(rank)
         k = min(max(int(rank), 1), self.n)
@@ -151,7 +151,7 @@ class ExactOrder:
         self._streams = np.zeros(self.n, np.int64) if streams is None or count == 1 else streams
 
     def at(self, rank: float) -> float:
-        """The value of a (fractional) rank, 1 .. n."""
+        """Return the value of a (fractional) rank, 1 .. n."""
         k = min(max(int(rank), 1), self.n)
         low, high = float(self._sorted[k - 1]), float(self._sorted[min(k, self.n - 1)])
         return low + (high - low) * min(max(rank - k, 0.0), 1.0)
@@ -163,7 +163,7 @@ class ExactOrder:
 
 
 def quantile_estimate(order: Order | ExactOrder, p: float, confidence: float) -> Estimate:
-    """The p-quantile, linear between order statistics.
+    """Return the p-quantile, linear between order statistics.
 
     Its interval is the distribution-free binomial one of independent units; with several scrambles it
     comes from the spread, between them, of the share of units below the quantile. Where the sample is

@@ -72,7 +72,7 @@ class Statistics:
     versions: dict[str, str]
 
     def to_pandas(self) -> Any:
-        """A `pandas.DataFrame`, SI: one row for each response, every estimate with its error and interval."""
+        """Return a `pandas.DataFrame`, SI: one row for each response, every estimate with its error and interval."""
         some = isinstance(self.mean, dict)
 
         def of(item: Any, name: str) -> Any:

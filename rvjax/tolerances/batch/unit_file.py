@@ -213,7 +213,7 @@ def parquet_origin(path: Path) -> dict[str, Any]:
 
 
 def parquet_frame(path: Path) -> Any:
-    """The units of a Parquet file as a `pandas.DataFrame`, SI, indexed by unit; units in `attrs["units"]`.
+    """Return the units of a Parquet file as a `pandas.DataFrame`, SI, indexed by unit; units in `attrs["units"]`.
 
     Raises:
         ValueError: as `parquet_origin`.
