@@ -25,8 +25,8 @@ from rvjax.tolerances.requirements.tails import nearest, tail_quantile
 from rvjax.tolerances.worst_case import Extremes, extremes
 
 # Slopes come from the units nearest the quantile: few enough to stand near it, where the response bends; cheap, too.
-# Of many fields each owns little of the spread, and a slope errs by about sqrt(fields/(10 units)).
-_FEWEST_LANES, _LANES_PART, _LANES_OF_A_FIELD = 256, 32, 8
+# Of many fields each owns little of the spread, and a slope errs by about sqrt(fields/units)/3.
+_FEWEST_LANES, _LANES_PART, _LANES_OF_A_FIELD = 256, 32, 16
 _MEASURED = 256  # costly units behind the way of a nominal unit to its limit
 _NEARBY = 0.1  # logarithm of a half-width, within which costly units keep their slopes
 IDLE = 0.4  # part of the way to a limit, beyond which no costly unit is solved on its account
