@@ -203,6 +203,10 @@ def judge(
             gap = np.abs(np.asarray(value)[lanes] - found[name]).reshape(len(lanes), -1).max(1)
             apart = np.maximum(apart, gap / force_over)
         off[lanes] = np.where(certain & (status[lanes] == due[lanes]), apart, 0)
+    # A torque that the centring springs carry, or whose forces are below the rounding of the gaps, is no load.
+    faint, pins = np.sqrt(np.finfo(float).eps), np.abs(np.asarray(out["values"][1])).reshape(size, -1).max(1)
+    lost = (np.asarray(out["residual"]) > faint) | (pins <= faint * np.abs(case["torque"]) / case["circle_radius"])
+    due = np.where(lost & (status == Status.UNLOADED) & (due == Status.CONVERGED), -1, due)
     # Far out the steps may run out: a reason, and no other due.
     due = np.where(~within & (status == Status.MAX_STEPS), -1, due)
     return due, off
