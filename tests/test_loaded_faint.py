@@ -66,7 +66,7 @@ def minima(case):
 
 @pytest.mark.long  # another layout is another program, half a minute to compile
 def test_what_is_converged_has_its_forces_and_what_is_not_still_its_error():
-    """A clearance of 10 um holds a part by 1e-8 of a spring: its rounding moves the part by 1e-13 m, or 1e-11 rad."""
+    """A clearance of 10 um holds a part by 1e-8 of a spring: rounding moves it by up to 1e-9 rad."""
     solve = jax.jit(jax.vmap(lambda case: census.run(case, **LAYOUT, given=False)))
     lost = known = 0
     for seed in SEEDS:
@@ -83,7 +83,7 @@ def test_what_is_converged_has_its_forces_and_what_is_not_still_its_error():
         sure = certain & (status == Status.CONVERGED)
         assert (off[sure] < 1e-6).all()
         assert (out["residual"][status == Status.CONVERGED] < 1.5e-8).all()
-        np.testing.assert_allclose(out["windup"][0][certain], due["error"][certain], rtol=1e-6, atol=1e-11)
+        np.testing.assert_allclose(out["windup"][0][certain], due["error"][certain], rtol=1e-6, atol=1e-9)
         lost, known = lost + np.sum(status == Status.UNLOADED), known + np.sum(sure)
     assert lost > 0 and known > 0.9 * LANES * len(SEEDS)
 
