@@ -28,9 +28,8 @@ SMALL = {
     "monte_carlo": ["--units", "1e6"],
     "rare_failures": ["--units", "1000000"],
     "choices": ["--scenes", "200"],
-    "multi_fidelity_models": ["--samples", "200", "--cheap-samples", "8000", "--seeds", "2", "--reference", "20000"],
 }
-LAST = ("allocation", "choices", "dynamics", "monte_carlo", "multi_fidelity_models", "rare_failures")  # the slow ones
+LAST = ("allocation", "choices", "dynamics", "monte_carlo", "rare_failures")  # the slow ones
 
 
 def scripts() -> list[str]:

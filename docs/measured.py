@@ -1,4 +1,4 @@
-"""Tables of the docs from what scripts of `benchmarks` measured: coverage, multi-fidelity, assembly, the bench."""
+"""Tables of the docs from what scripts of `benchmarks` measured: coverage, assembly, the bench."""
 
 from scipy import special
 from stored import stored, table
@@ -59,41 +59,6 @@ def coverage_intervals():
         for law, found in kept.items()
     ]
     return table(["law, method", *names], rows)
-
-
-def coverage_multi_fidelity():
-    kept = stored("multi_fidelity")
-    rows = []
-    for name, found in kept.items():
-        for figure in ("mean", "sd", "yield"):
-            of, case = found[figure], name.rpartition(",")[0] if figure == "mean" else ""
-            held = _percent(of["held"], found["seeds"]), _percent(of["lower end held"], found["seeds"], 0.975)
-            spared = f"{of['evaluations of plain for the same width']:.1f}"
-            rows.append((case, figure, *held, f"{of['bias, standard errors']:+.1f}", spared))
-    return table(["response", "figure", "held, %", "lower end held, %", "off", "evaluations spared, times"], rows)
-
-
-def multi_fidelity_loaded():
-    blocks = []
-    for torque, kept in stored("multi_fidelity_loaded").items():
-        rows = []
-        sets = [key.removesuffix("status") for key in kept if key.endswith("status")]
-        for prefix in sorted(sets, key=lambda prefix: (prefix == "", prefix.count("+"))):
-            spared = [
-                f"{kept[f'{prefix}{figure}, evaluations of plain for the same width']:.1f}"
-                for figure in ("mean", "sd", "yield")
-            ]
-            correlation = kept[f"{prefix}correlation, all"]
-            cost = kept[f"{prefix}cost of a dear unit, cheap ones together"]
-            shown = prefix.removesuffix(": ") or "all"
-            rows.append((shown, f"{correlation:.3f}", *spared, f"{1 / cost:.4f}", kept[f"{prefix}status"]))
-        heads = ["cheap levels", "correlation", "mean", "sd", "yield", "cost of a cheap unit", "status"]
-        sizes = f"{kept['dear units']} dear units, {kept['cheap units']:,} cheap ones, {kept['seeds']} seeds"
-        limit = (
-            f"limit {kept['limit']:.3f} arcmin, beyond which 1 % fall; reference of {kept['reference units']:,} units"
-        )
-        blocks.append(f"At {torque} N m ({sizes}; {limit}):\n\n{table(heads, rows)}")
-    return "\n\n".join(blocks)
 
 
 def assembly_gauge():

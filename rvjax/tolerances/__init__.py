@@ -31,8 +31,7 @@ from rvjax.tolerances.batch.unit_file import ENDINGS as ENDINGS
 from rvjax.tolerances.batch.unit_file import UnitFile
 from rvjax.tolerances.batch.unit_file import joined as joined
 from rvjax.tolerances.failure.failure import FailureProbability, failure_probability
-from rvjax.tolerances.fidelity.linearised import Linearised, linearised
-from rvjax.tolerances.fidelity.multi_fidelity import MultiFidelity, multi_fidelity
+from rvjax.tolerances.linearised import Linearised, linearised
 from rvjax.tolerances.moments import Moments, rss
 from rvjax.tolerances.moments import influences as influences
 from rvjax.tolerances.requirements.kinds import (
@@ -67,7 +66,6 @@ __all__ = [
     "MeasuredParts",
     "Middle",
     "Moments",
-    "MultiFidelity",
     "Origin",
     "Outcome",
     "ReciprocalPower",
@@ -90,7 +88,6 @@ __all__ = [
     "load",
     "measured",
     "monte_carlo",
-    "multi_fidelity",
     "origin",
     "rss",
     "sample",

@@ -1,1 +1,0 @@
-"""Statistics of a high-fidelity response with the help of low-fidelity ones."""
