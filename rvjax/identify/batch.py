@@ -10,7 +10,7 @@ import numpy as np
 
 from rvjax.identify import fit as fits
 from rvjax.identify.elements import mapped_values
-from rvjax.identify.fit import ADEQUATE, Fit, Judged
+from rvjax.identify.fit import ADEQUATE, Fit
 from rvjax.identify.information import Spectrum
 from rvjax.identify.noise import Noise
 from rvjax.identify.population import Process, process
@@ -135,8 +135,7 @@ def solve_many(
         shared_u=shared_u,
         shared_u_sd=shared_sd,
         fit=Fit(
-            **{name: whole[name] for name in Judged._fields},
-            weights=whole["weights"],
+            **{f.name: whole[f.name] for f in dataclasses.fields(Fit) if f.name != "worst"},
             worst=tuple(names for part in parts for names in part["worst"]),
         ),
         status=whole["outcome"],
@@ -197,12 +196,12 @@ def _figures(problem: Problem, split: Split, y: np.ndarray, units: Units, deviat
     if not np.isinf(problem.dof):
         own = np.sqrt(weights)[..., None] * own
     factors = triangular(np.pad(own, ((0, 0), (0, max(own.shape[-1] - own.shape[-2], 0)), (0, 0))))
-    adequate = judged.p_model >= ADEQUATE
+    adequate = judged["p_model"] >= ADEQUATE
 
     def known(numbers: np.ndarray) -> np.ndarray:
         return np.where(good.reshape(-1, *[1] * (np.ndim(numbers) - 1)), numbers, np.nan)
 
-    figures = {name: known(item) if item.dtype.kind == "f" else item for name, item in judged._asdict().items()}
+    figures = {name: known(item) if item.dtype.kind == "f" else item for name, item in judged.items()}
     names = problem.layout.names
     return figures | dict(
         u=known(u),

@@ -7,7 +7,6 @@ exactly so in the linear normal case. The part that nuisances explain is project
 """
 
 import dataclasses
-from typing import NamedTuple
 
 import numpy as np
 from scipy import special
@@ -51,18 +50,6 @@ class Fit:
     p_total: float | np.ndarray
     weights: np.ndarray
     worst: tuple[str, ...] | tuple[tuple[str, ...], ...]
-
-
-class Judged(NamedTuple):
-    """The figures of `Fit` as arrays (...)."""
-
-    chi2_model: np.ndarray
-    dof_model: np.ndarray
-    p_model: np.ndarray
-    chi2_prior: np.ndarray
-    dof_prior: np.ndarray
-    p_prior: np.ndarray
-    p_total: np.ndarray
 
 
 @dataclasses.dataclass(frozen=True)
@@ -135,8 +122,8 @@ def _along(columns: np.ndarray, vectors: np.ndarray) -> np.ndarray:
 
 def judged(
     slopes: np.ndarray, mixing: np.ndarray, nuisance: np.ndarray, data: np.ndarray, seen: np.ndarray, dof: float
-) -> Judged:
-    """Return the figures of units with linearised data d (..., m)."""
+) -> dict[str, np.ndarray]:
+    """Compute the statistics of `Fit` for units with linearised data d (..., m)."""
     if np.isinf(dof):  # normal noise stays what it is when rows are turned
         rows = compressed(np.concatenate([slopes, data[..., None]], axis=-1))
         slopes, data = rows[..., :-1], rows[..., -1]
@@ -149,7 +136,10 @@ def judged(
         )
     else:
         p_model, p_prior, p_total = _simulated_chances(components, model, prior, dof)
-    return Judged(model, dof_model, p_model, prior, dof_prior, p_prior, p_total)
+    return dict(
+        chi2_model=model, dof_model=dof_model, p_model=p_model, chi2_prior=prior, dof_prior=dof_prior, p_prior=p_prior,
+        p_total=p_total,
+    )  # fmt: skip
 
 
 def _chance(chi2: np.ndarray, dof: np.ndarray) -> np.ndarray:

@@ -156,7 +156,7 @@ def _fitted(problem: Problem, y: np.ndarray, residual: np.ndarray, slopes: np.nd
     mixing, seen = problem.elements.mixing, ~np.isnan(y)
     found = fits.judged(slopes, mixing, problem.nuisance, slopes @ u - residual, seen, problem.dof)
     return Fit(
-        **{name: number.item() for name, number in found._asdict().items()},
+        **{name: number.item() for name, number in found.items()},
         weights=fits.weights(residual, seen, problem.dof),
         worst=fits.largest(residual, problem.layout.names),
     )

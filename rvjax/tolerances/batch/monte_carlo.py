@@ -272,10 +272,14 @@ class Run:
         process, processes = place()
         count = min(chunk, samples)
         evaluator = Evaluator(self.response, self.population, self.seed, self.method, count)
-        start = evaluator.start
-        if self.memo is not None:
-            asked = describe(self.population, {}) | {"seed": str(self.seed), "method": self.method, "count": str(count)}
-            start = functools.partial(_recalled, self.memo, self.names, asked, evaluator)
+        asked = describe(self.population, {}) | {"seed": str(self.seed), "method": self.method, "count": str(count)}
+
+        def start(first: int) -> tuple[dict[str, Any], Any]:
+            if self.memo is None:
+                return evaluator.start(first)
+            compute = functools.partial(evaluator.start, first)
+            return self.memo.units(self.names, asked | {"first": str(first)}, compute)
+
         label = self.label if processes == 1 else f"{self.label}, process {process + 1} of {processes}"
         reached = first * chunk
         with progress_bar(self.progress, samples, label, "unit", initial=reached) as advance:
@@ -308,12 +312,6 @@ def _check_memory(samples: int, responses: int) -> None:
             f"keep = True: {samples} units need {8 * samples * responses / 2**30:.3g} GiB, more than half of this "
             f"machine's {memory / 2**30:.3g} GiB; without keep memory does not grow with samples"
         )
-
-
-def _recalled(
-    memo: Memo, names: tuple[str, ...], asked: dict[str, str], evaluator: Evaluator, first: int
-) -> tuple[dict[str, Any], Any]:
-    return memo.units(names, asked | {"first": str(first)}, functools.partial(evaluator.start, first))
 
 
 def _chunks(
