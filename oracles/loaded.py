@@ -123,7 +123,8 @@ def positive(case: Case) -> Any:
     )
     parts += [getattr(case.stiffness, name).reshape(len(e), -1).min(1) for name in names]
     parts += [1 - e * case.zp / case.cycloid.pin_circle_radius, 1 - case.contact.poisson_ratio**2]
-    parts += [x for x in (case.contact.pin_stiffness, case.contact.pin_support) if x is not None]
+    contact = case.contact
+    parts += [x.reshape(len(e), -1).min(1) for x in (contact.pin_stiffness, contact.pin_support) if x is not None]
     held = [getattr(case.stiffness, name) for name in ("output_support", "sun_support", "sun_torsion")]
     return np.all([part > 0 for part in parts], axis=0) & np.all([spring >= 0 for spring in held], axis=0)
 

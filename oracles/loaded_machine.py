@@ -26,7 +26,7 @@ STAGES = {
         "turning_arm_bearing": "dc", "support_bearing": "c", "sun_planet_mesh": "c", "planet_crank_bending": "c",
         "planet_crank_torsion": "c", "sun_support": "", "sun_torsion": "", "disc_pin_mesh": "d", "output_support": "",
     },
-    "contact": {"young_modulus": "", "poisson_ratio": "", "face_width": "", "pin_stiffness": "", "pin_support": ""},
+    "contact": {"young_modulus": "", "poisson_ratio": "", "face_width": "", "pin_stiffness": "", "pin_support": "p"},
 }  # fmt: skip
 ERRORS = {
     "crank_eccentricity": "dc", "crank_phase": "c", "disc_bore": "dc2", "carrier_bore": "c2", "bearing_clearance": "",
@@ -245,10 +245,14 @@ class Machine:
             self.a_pin = np.log(2 * PI * width * modulus * rr**2)[:, None] - np.log(self.bend)
             self.a_pin = self.a_pin - (1 / (2 * (1 - contact.poisson_ratio)))[:, None]
             if contact.pin_support is not None:
-                self.a_pin = self.a_pin + 1 / (self.c_pin * contact.pin_support[:, None])
+                self.a_pin = self.a_pin + 1 / (self.c_pin * np.tile(contact.pin_support, nd))
         elif case.law == "linear":
             k = contact.pin_stiffness
             self.k_pin = (4 * np.cos(cy.force_angle) ** 2 * st.disc_pin_mesh.mean(1) / zp if k is None else k)[:, None]
+            if contact.pin_support is not None:
+                soft = 1 / np.tile(contact.pin_support, nd)
+                mean = soft.mean(1, keepdims=True) if k is None else 0  # a mesh stiffness includes it
+                self.k_pin = 1 / (1 / self.k_pin + soft - mean)
         else:
             self.c_pin = (
                 REAL("3.81") * (2 / (PI * modulus)) ** REAL("0.9") / width ** REAL("0.8")

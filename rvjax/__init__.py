@@ -40,7 +40,7 @@ _HOMES = {
     ),
     "errors": "CamRollerErrors RVErrors",
     "four_bar": "Closure LinkDeviations Revolution TransmissionError",
-    "loaded": "Loaded Torsion",
+    "loaded": "Loaded Reading Torsion",
     "lost_motion": "LoopFigures LostMotion LostMotionTerms",
     "mesh_force": "ContactPressure CycleStatistics MeshForces ToothProfile",
     "records": "Record",
@@ -78,5 +78,6 @@ def __dir__() -> list[str]:
     """What a person types: models and tools, and what goes into them; what comes out of them shows itself."""
     typed = (name for name, home in _LAZY.items() if home in (None, "designs", "errors", "status"))
     return sorted(
-        {"__version__", "enable_x64", "LinkDeviations", *typed} - {"models", "mounting", "roots", "SolveInfo"}
+        {"__version__", "enable_x64", "LinkDeviations", "Reading", *typed}
+        - {"models", "mounting", "roots", "SolveInfo"}
     )

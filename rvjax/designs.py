@@ -190,8 +190,13 @@ class Contact(Record):
     pin_stiffness: Scalar | None = field(
         "N/m", "one pin, linear law; None: 4 cos^2(force_angle) disc_pin_mesh / pins", default=None, sign="positive"
     )
-    pin_support: Scalar | None = field(
-        "N/m", "a pin in its groove and bending, in series, hertz law; None: rigid", default=None, sign="positive"
+    pin_support: Array | None = field(
+        "N/m",
+        "each pin in its groove and bending, in series with its contact (hertz, linear); None: rigid. disc_pin_mesh "
+        "includes the mean support: only the differences of the pins count there. Not used: palmgren",
+        shape=("pins",),
+        default=None,
+        sign="positive",
     )
 
     def _check(self) -> None:

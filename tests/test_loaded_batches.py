@@ -9,7 +9,7 @@ from loaded_cases import NAMED, assert_same, at, design_of, errors_of, solve
 from rvjax import Status, loaded
 from rvjax.loaded.balance import balance
 from rvjax.loaded.equilibrium import prepare
-from rvjax.loaded.reading import admit, check_input
+from rvjax.loaded.inputs import admit, check_input
 
 CASE = NAMED["rv40: all errors, rated, hertz"]
 DESIGN = design_of(CASE)

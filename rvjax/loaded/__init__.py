@@ -4,8 +4,19 @@ One convex energy; its minimum gives transmission error, torque-angle curve, bac
 Derived in this project: docs/models/loaded.md.
 """
 
+from rvjax.loaded.encoder import Reading, housing_orders, reading
 from rvjax.loaded.equilibrium import Loaded, equilibrium
 from rvjax.loaded.revolution import Revolution, revolution
 from rvjax.loaded.torsion import Torsion, torsion
 
-__all__ = ["Loaded", "Revolution", "Torsion", "equilibrium", "revolution", "torsion"]
+__all__ = [
+    "Loaded",
+    "Reading",
+    "Revolution",
+    "Torsion",
+    "equilibrium",
+    "housing_orders",
+    "reading",
+    "revolution",
+    "torsion",
+]

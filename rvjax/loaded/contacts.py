@@ -45,7 +45,7 @@ def contacts(layout: Layout, s: System, q: jax.Array) -> Contacts:
     gear_depth, held = joints(s, q)
     return Contacts(
         depth=depth,
-        pins=laws.force(layout.law, depth, s.compliance[None, None], s.level),
+        pins=laws.force(layout.law, depth, s.compliance[None], s.level),
         gear_depth=gear_depth,
         gear=s.gear_stiffness[:, None] * jnp.maximum(gear_depth, 0),
         bearing=held,
@@ -119,7 +119,7 @@ def gradient(layout: Layout, s: System, q: jax.Array, at: Contacts | None = None
 
 def energy(layout: Layout, s: System, q: jax.Array, at: Contacts) -> jax.Array:
     """Energy (l,) J, Eq. 21."""
-    pins = folded(laws.energy(layout.law, at.depth, at.pins, s.compliance[None, None]), 0, 1)
+    pins = folded(laws.energy(layout.law, at.depth, at.pins, s.compliance[None]), 0, 1)
     gear = folded(at.gear * at.gear_depth, 0, 1) / 2
     own = folded(s.support * q * q, 0) / 2 + s.load * q[layout.carried]
     return pins + folded(at.bearing.energy, 0) + gear + own
@@ -179,7 +179,7 @@ def hessian(
     discs, cranks, lanes = layout.discs, layout.cranks, at.depth.shape[-1]
     rows = frame(layout, s) if at_rest is None else at_rest
     if pin_slope is None:
-        pin_slope = laws.slope(layout.law, at.depth, at.pins, s.compliance[None, None])
+        pin_slope = laws.slope(layout.law, at.depth, at.pins, s.compliance[None])
     if gear_slope is None:
         gear_slope = jnp.where(at.gear_depth > 0, s.gear_stiffness[:, None], 0)
     split = discs * cranks

@@ -13,8 +13,8 @@ from rvjax.errors import RVErrors
 from rvjax.loaded.balance import attach, balance, compliance, forces
 from rvjax.loaded.gaps import gaps
 from rvjax.loaded.geometry import curvature, geometry
+from rvjax.loaded.inputs import Read, admit, check_input, mesh_stiffness, pin_compliance
 from rvjax.loaded.newton import Found
-from rvjax.loaded.reading import Read, admit, check_input, mesh_stiffness, pin_compliance
 from rvjax.loaded.system import Layout, System, bearing_rows, directions, gear_rows
 from rvjax.records import Array, Record, Scalar, field, record
 from rvjax.status import SolveInfo, Status, succeeded
@@ -121,7 +121,7 @@ def prepare(layout: Layout, read: Read, input_angle: jax.Array) -> Case:
     if layout.law == "hertz":  # Eq. 17
         level = jnp.log(2 * jnp.pi * plane * rounding) - 1 / (2 * (1 - contact.poisson_ratio))
         if contact.pin_support is not None:
-            level = level + 1 / (yielding * contact.pin_support)
+            level = level + 1 / (yielding * jnp.atleast_1d(contact.pin_support)[None])
     squeeze = plane / (2 * jnp.pi * contact.face_width**2)  # Eq. 24: p^2 = F E / (2 pi L (1 - nu^2) R*)
     arms = jnp.broadcast_to(springs.turning_arm_bearing, (layout.discs, layout.cranks))
     centring = 1e-8 * jnp.mean(arms)
@@ -134,7 +134,7 @@ def prepare(layout: Layout, read: Read, input_angle: jax.Array) -> Case:
     system = System(
         rows=jnp.stack([-at.normal[0], -at.normal[1], at.lever / cranks.circle_radius]),
         level=level,
-        compliance=yielding,
+        compliance=jnp.atleast_1d(yielding),
         gear_rows=gear_rows(layout, flank),
         bearing_rows=bearing_rows(layout, swing),
         gear_stiffness=jnp.broadcast_to(mesh_stiffness(design), (layout.cranks,)),

@@ -65,8 +65,8 @@ def approach(layout: Layout, s: System, wanted: jax.Array) -> tuple[jax.Array, j
         depth, gear_depth, w = _moved(layout, s, at.q)
         x, y = w[:, 0], w[:, 1]
         z, gear_z = at.s - depth, at.gear - gear_depth
-        law = laws.force(layout.law, at.s, s.compliance[None, None], s.level)
-        slope = laws.slope(layout.law, at.s, law, s.compliance[None, None])
+        law = laws.force(layout.law, at.s, s.compliance[None], s.level)
+        slope = laws.slope(layout.law, at.s, law, s.compliance[None])
         f0, fx, fy = at.cone
         inside = at.reach * f0 + x * fx + y * fy
         total = _sum(at.f * z) + _sum(at.gear_f * gear_z) + _sum(jnp.where(free, inside, 0))
@@ -121,7 +121,7 @@ def approach(layout: Layout, s: System, wanted: jax.Array) -> tuple[jax.Array, j
             for a, b in (((at.reach, x, y), (dreach, dx, dy)), (at.cone, dcone))
         ]
         if layout.law == "hertz":
-            most.append(_until(laws.largest_depth(s.compliance[None, None], s.level) - at.s, -ds))
+            most.append(_until(laws.largest_depth(s.compliance[None], s.level) - at.s, -ds))
         share = jnp.minimum(1, _SHARE * jnp.min(jnp.stack(most), axis=0))
         step = _Point(dq, ds, df, dgear, dgear_f, dreach, dcone)
         moved_to = jax.tree.map(
@@ -145,7 +145,7 @@ def _begin(layout: Layout, s: System, lanes: int) -> _Point:
         wide = jnp.maximum(wide, other)
     wide = jnp.maximum(jnp.maximum(wide, jnp.max(s.clearance, axis=0)), jnp.abs(s.load) / stiffest)
     if layout.law == "hertz":
-        wide = jnp.minimum(wide, jnp.min(laws.largest_depth(s.compliance[None, None], s.level), axis=(0, 1)) / 4)
+        wide = jnp.minimum(wide, jnp.min(laws.largest_depth(s.compliance[None], s.level), axis=(0, 1)) / 4)
     pin = jnp.maximum(depth, 0) + wide[None, None]
     gear = jnp.maximum(gear_depth, 0) + wide[None, None]
     reach = jnp.maximum(jnp.sqrt(w[:, 0] * w[:, 0] + w[:, 1] * w[:, 1]), s.clearance) + wide[None]
@@ -153,7 +153,7 @@ def _begin(layout: Layout, s: System, lanes: int) -> _Point:
     return _Point(
         q=q,
         s=pin,
-        f=laws.force(layout.law, pin, s.compliance[None, None], s.level),
+        f=laws.force(layout.law, pin, s.compliance[None], s.level),
         gear=gear,
         gear_f=s.gear_stiffness[:, None] * gear,
         reach=reach,

@@ -141,7 +141,7 @@ def _begin(layout: Layout, s: System, start: jax.Array, seated: jax.Array, steps
 
 
 def _overloaded(s: System, depth: jax.Array) -> jax.Array:
-    return folded(depth >= laws.largest_depth(s.compliance[None, None], s.level), 0, 1, by=jnp.logical_or)
+    return folded(depth >= laws.largest_depth(s.compliance[None], s.level), 0, 1, by=jnp.logical_or)
 
 
 def _iterate(layout: Layout, s: System, state: State, leave: jax.Array, again: jax.Array) -> State:
@@ -156,15 +156,15 @@ def _iterate(layout: Layout, s: System, state: State, leave: jax.Array, again: j
     widest = _most(s.gap, s.gear_gap, s.bearing_gap)
     # The linear start: a slope for the mean force of the working pins, half of all, with the mean of their levers.
     lever = jnp.sum(jnp.abs(s.rows[2]), axis=(0, 1)) / 2
-    typical = laws.typical_slope(layout.law, (jnp.abs(s.load) / lever)[None, None], s.compliance[None, None], s.level)
+    typical = laws.typical_slope(layout.law, (jnp.abs(s.load) / lever)[None, None], s.compliance[None], s.level)
     working = jnp.where((s.rows[2] < 0) == (s.load > 0)[None, None], typical, 0)
     driving = jnp.broadcast_to(jnp.stack([s.load > 0, s.load <= 0])[None], (layout.cranks, 2, s.load.shape[-1]))
 
     at_rest = frame(layout, s)
 
     def law(depth: jax.Array, level: jax.Array | None) -> tuple[jax.Array, jax.Array]:
-        force = laws.force(layout.law, depth, s.compliance[None, None], level)
-        return force, laws.slope(layout.law, depth, force, s.compliance[None, None])
+        force = laws.force(layout.law, depth, s.compliance[None], level)
+        return force, laws.slope(layout.law, depth, force, s.compliance[None])
 
     def pressed(q: jax.Array, cold: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
         """Depths, forces and slopes of the pins; those that the torque does not press are rarely pressed at all."""

@@ -17,9 +17,9 @@ from rvjax.compile_cache import QUICK
 from rvjax.designs import Contact, RVReducer, Stiffness
 from rvjax.loaded.cases import cases
 from rvjax.loaded.equilibrium import equilibrium
+from rvjax.loaded.inputs import SUPPORTS, check_input
 from rvjax.loaded.laws import CONTACTS
 from rvjax.loaded.observation import CURVE, LOOP
-from rvjax.loaded.reading import SUPPORTS, check_input
 from rvjax.loaded.revolution import Revolution, revolution
 from rvjax.loaded.torsion import SHARES, secant, twisted
 from rvjax.outputs import Curve, Description, Output, Reading, Solved, condition

@@ -60,7 +60,7 @@ class System(NamedTuple):
 
     rows: Any  # (3, d, p) pin depth per displacement of its disc: -n_x, -n_y, lever / R; Eq. 9
     level: Any  # (d, p) A of the hertz law, else None
-    compliance: Any  # () of the pin law
+    compliance: Any  # (1,) of the pin law; (p,) where the supports of linear pins differ
     gear_rows: Any  # (c, 2, n) depth of the [driving, coasting] flank per unknown; Eq. 10
     bearing_rows: Any  # (b, 2, n) displacement x, y of a bearing per unknown; Eqs. 11, 12
     gear_stiffness: Any  # (c,)

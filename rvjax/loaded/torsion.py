@@ -11,8 +11,8 @@ from rvjax.designs import RVReducer
 from rvjax.errors import RVErrors
 from rvjax.loaded.balance import balance
 from rvjax.loaded.equilibrium import Case, judge, placed, prepare
+from rvjax.loaded.inputs import Read, admit, check_input
 from rvjax.loaded.newton import Found
-from rvjax.loaded.reading import Read, admit, check_input
 from rvjax.loaded.system import Layout
 from rvjax.records import Array, Record, field, record
 from rvjax.status import SolveInfo, succeeded, worst_of

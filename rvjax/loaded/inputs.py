@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax import status
-from rvjax.designs import RVReducer, expect
+from rvjax.designs import Contact, RVReducer, expect
 from rvjax.elementary import LARGEST_ANGLE
 from rvjax.errors import RVErrors, read_by
 from rvjax.loaded import laws
@@ -141,7 +141,7 @@ def _only_read(layout: Layout, design: RVReducer) -> RVReducer:
         unread |= {"disc_pin_mesh"}
     contact = contact.replace(
         pin_stiffness=contact.pin_stiffness if layout.law == "linear" else None,
-        pin_support=contact.pin_support if layout.law == "hertz" else None,
+        pin_support=contact.pin_support if _reads_support(layout, contact) else None,
     )
     return design.replace(
         involute=design.involute.replace(module=1.0, centre_distance=1.0, sun_radius=1.0),
@@ -155,6 +155,13 @@ def _only_read(layout: Layout, design: RVReducer) -> RVReducer:
     )
 
 
+def _reads_support(layout: Layout, contact: Contact) -> bool:
+    """Whether the law reads the support of the pins; the mesh stiffness of the linear law contains its mean."""
+    if layout.law == "linear" and contact.pin_stiffness is None:
+        return np.ndim(contact.pin_support) > 0
+    return layout.law != "palmgren"
+
+
 def _unchecked(part: Any, **changes: Any) -> Any:
     """A copy that is not judged: whether its numbers fit together is a status here."""
     copy = jax.tree.map(lambda leaf: leaf, part)
@@ -164,7 +171,7 @@ def _unchecked(part: Any, **changes: Any) -> Any:
 
 
 def pin_compliance(layout: Layout, design: RVReducer) -> jax.Array:
-    """c of the hertz law, k of the linear, C of Palmgren's (Eqs. 17-19).
+    """c of the hertz law (), k of the linear () or (pins,), C of Palmgren's () (Eqs. 17-19).
 
     Args:
         layout: counts and methods.
@@ -173,10 +180,12 @@ def pin_compliance(layout: Layout, design: RVReducer) -> jax.Array:
     contact, springs = design.contact, design.stiffness
     assert contact is not None and springs is not None
     if layout.law == "linear":
+        soft = None if contact.pin_support is None else 1 / contact.pin_support
         if contact.pin_stiffness is not None:
-            return jnp.asarray(contact.pin_stiffness)
+            return jnp.asarray(contact.pin_stiffness if soft is None else 1 / (1 / contact.pin_stiffness + soft))
         cosine = jnp.cos(design.cycloid.force_angle)
-        return 4 * cosine * cosine * jnp.mean(springs.disc_pin_mesh) / layout.pins
+        whole = 4 * cosine * cosine * jnp.mean(springs.disc_pin_mesh) / layout.pins
+        return whole if soft is None else 1 / (1 / whole + (soft - jnp.mean(soft)))
     plane = jnp.asarray(2 * (1 - contact.poisson_ratio**2) / (jnp.pi * contact.young_modulus))
     if layout.law == "palmgren":
         return 3.81 * plane**0.9 / contact.face_width**0.8

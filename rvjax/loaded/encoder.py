@@ -1,0 +1,162 @@
+"""Reading of an encoder at the output: the transmission error and what the deformed housing adds to it.
+
+The head is fixed to the ring of pins. The pins ovalise the ring, the couple of the discs tilts the carrier, and the
+cranks dent its flange, so that head and scale move although the output does not. Derivation: docs/models/reading.md.
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rvjax.compile_cache import quick
+from rvjax.designs import RVReducer, expect
+from rvjax.loaded.equilibrium import Loaded
+from rvjax.loaded.geometry import Geometry, Turn, geometry, turn
+from rvjax.records import Record, field, is_concrete, quantity, record
+from rvjax.status import succeeded
+
+
+@record
+class Reading(Record):
+    """Encoder at the output: the place of its heads, and gains from forces to motions of head and scale."""
+
+    radius: Any = field("m", "radius of the scale", sign="positive")
+    heads: Any = field(
+        "rad",
+        "direction of each head, fixed to the ring, counter-clockwise from pin 0; their mean is read",
+        shape=("heads",),
+        default=(0.0,),
+    )
+    ring_gain: Any = field("m/N", "radial amplitude of the oval ring per modal force, 1/k_2", default=0.0)
+    tilt_gain: Any = field("rad/(N m)", "tilt of the carrier per couple of the discs, 1/K_t", default=0.0)
+    height: Any = field("m", "height of the scale above the centre of tilt", default=0.0)
+    disc_position: Any = field(
+        "m", "axial place of each disc; needed where tilt_gain is given", shape=("discs",), default=None
+    )
+    dent: Any = field("rad/(N m)", "order 3 per output torque, three cranks that dent the flange, c3", default=0.0)
+    scale_eccentricity: Any = field(
+        "m", "centre of the scale against the axis of the carrier, x, y in its frame", shape=(2,), kind="pair",
+        default=(0.0, 0.0),
+    )  # fmt: skip
+
+    def _check(self) -> None:
+        if 0 in np.shape(self.heads):
+            raise ValueError("Reading.heads = []: must have one angle or more, rad; give one for each head")
+        if self.disc_position is None and is_concrete(self.tilt_gain) and np.any(np.asarray(self.tilt_gain) != 0):
+            raise ValueError(
+                f"Reading.tilt_gain = {quantity(self.tilt_gain, 'rad/(N m)')}: must have disc_position beside it; "
+                "give the axial place of each disc, m"
+            )
+
+
+def reading(found: Loaded, design: RVReducer, reading: Reading, *, input_angle: Any, output_torque: Any) -> jax.Array:
+    """Angle that an encoder reads in an equilibrium, less the ideal motion: () rad, > 0 ahead.
+
+    The deformation of the housing is evaluated from the forces of the equilibrium and does not change them. The
+    direction of a pin force is taken with the nominal eccentricity. Derived in this project: docs/models/reading.md,
+    Eqs. 2-7.
+
+    Args:
+        found: of `equilibrium`, one case; batches come from `jax.vmap`.
+        design: that of `found`.
+        reading: the encoder.
+        input_angle: that of `found`, () rad.
+        output_torque: that of `found`, () N m.
+
+    Returns:
+        NaN where `found` has no value, where a number of the encoder is not finite or its radius not positive, and
+        where a traced `tilt_gain` other than 0 lacks `disc_position`.
+
+    Raises:
+        ValueError: an argument of another kind, or an array whose shape does not fit the design.
+    """
+    expect(design, "loaded.reading", RVReducer)
+    for name, value, kind in (("found", found, Loaded), ("reading", reading, Reading)):
+        if not isinstance(value, kind):
+            raise ValueError(f"{name} = {type(value).__name__}: must be of kind rvjax.loaded.{kind.__name__}")
+    reading._check()
+    discs, pins = design.cycloid.disc_count, design.cycloid.pin_count
+    for name, value, sizes, alone in (
+        ("Loaded.pins", found.pins, (discs, pins), False),
+        ("Reading.heads", reading.heads, np.shape(reading.heads)[-1:], True),
+        ("Reading.disc_position", reading.disc_position, (discs,), discs == 1),
+    ):
+        shape = np.shape(value)
+        if value is not None and shape != sizes and not (alone and shape == ()):
+            raise ValueError(f"{name}: shape {shape}: must be {sizes} for this design; batches come from jax.vmap")
+    return _reading(found.error, found.pins, found.info.status, design, reading, input_angle, output_torque)
+
+
+@quick()
+def _reading(
+    error: Any, pins: Any, status: Any, design: RVReducer, reading: Reading, input_angle: Any, output_torque: Any
+) -> jax.Array:
+    cycloid, dtype = design.cycloid, jnp.result_type(float, error, pins)
+    numbers = (cycloid.eccentricity, cycloid.pin_circle_radius, error, pins, reading, input_angle, output_torque)
+    good = succeeded(status) & (jnp.asarray(reading.radius) > 0)
+    for leaf in jax.tree.leaves(numbers):
+        good &= jnp.all(jnp.isfinite(leaf))
+    if reading.disc_position is None:
+        good &= jnp.asarray(reading.tilt_gain) == 0
+    # Harmless numbers where there is no reading: no derivative of a failed case meets 0 * inf.
+    numbers = jax.tree.map(lambda leaf: jnp.where(good, jnp.asarray(leaf, dtype), 0), numbers)
+    e, circle, error, pins, reading, input_angle, output_torque = numbers
+    circle = jnp.where(good, circle, cycloid.pin_count)
+    e, radius = jnp.where(good, e, 0.5), jnp.where(good, reading.radius, 1)
+    at = geometry(design.replace(cycloid=cycloid.replace(pin_circle_radius=circle)), e, input_angle)
+
+    # Force of the discs on a pin along -n, its parts outward and along J u.
+    outward = -(at.normal[0] * at.pin.cosine[None] + at.normal[1] * at.pin.sine[None])
+    along = at.normal[0] * at.pin.sine[None] - at.normal[1] * at.pin.cosine[None]
+    place = 4 * np.pi * np.arange(cycloid.pin_count) / cycloid.pin_count  # 2 phi
+    cosine, sine = (jnp.asarray(x, dtype)[None] for x in (np.cos(place), np.sin(place)))
+    oval = (  # Eq. 4
+        reading.ring_gain * jnp.sum(pins * (outward * cosine - along * sine / 2)),
+        reading.ring_gain * jnp.sum(pins * (outward * sine + along * cosine / 2)),
+    )
+    tilt = jnp.zeros((2,), dtype)
+    if reading.disc_position is not None:  # Eq. 5: the force of a disc on the ring is that on its pins, -n F
+        disc_on_ring = -jnp.stack([jnp.sum(normal * pins, axis=1) for normal in at.normal])
+        tilt = -reading.tilt_gain * jnp.sum(jnp.atleast_1d(reading.disc_position)[None] * disc_on_ring, axis=1)
+    return jnp.where(good, error + _mean_of_heads(reading, radius, at, oval, tilt, output_torque), jnp.nan)
+
+
+def _mean_of_heads(
+    reading: Reading, radius: jax.Array, at: Geometry, oval: tuple[Any, Any], tilt: jax.Array, torque: jax.Array
+) -> jax.Array:
+    """What the heads add to the error, Eqs. 2, 3, 6, 7."""
+    head = turn(jnp.atleast_1d(reading.heads))
+    seen = Turn(*at.carrier.back.of(head.cosine, head.sine))  # u(head - th)
+    double_cosine, double_sine = head.cosine * head.cosine - head.sine * head.sine, 2 * head.sine * head.cosine
+    ring = (oval[1] * double_cosine - oval[0] * double_sine) / 2
+    moved = [reading.height * t + s for t, s in zip(tilt, reading.scale_eccentricity)]
+    scale = moved[1] * seen.cosine - moved[0] * seen.sine  # . J u(head - th)
+    dent = reading.dent * torque * seen.cosine * (4 * seen.cosine * seen.cosine - 3)  # cos 3x = 4 cos^3 x - 3 cos x
+    return jnp.mean((scale - ring) / radius - dent)
+
+
+def housing_orders(design: RVReducer, harmonic: int, most: int = 240) -> tuple[int, ...]:
+    """Orders of the output turn that a harmonic of the housing excites with equal cranks, ascending.
+
+    A reducer without errors of parts is the same after a turn of carrier and cranks by 360 deg / cranks. What stands
+    still in the housing with m periods round it therefore appears at the orders |zp P - m| with P = m (mod cranks)
+    only. Eq. 1 of docs/models/reading.md.
+
+    Args:
+        design: counts of pins and cranks are read.
+        harmonic: m, periods round the housing: stiffness, shift, ovality, or a place such as that of a head.
+        most: largest order.
+
+    Raises:
+        ValueError: a design of another kind, harmonic < 0 or most < 0, or one that is no integer.
+    """
+    expect(design, "loaded.housing_orders", RVReducer)
+    for name, value in (("harmonic", harmonic), ("most", most)):
+        if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 0:
+            raise ValueError(f"{name} = {value!r}: must be an integer of at least 0, unit -")
+    pins, cranks = design.cycloid.pin_count, design.cranks.count
+    farthest = (most + harmonic) // pins + 1
+    turns = (p for p in range(-farthest, farthest + 1) if (p - harmonic) % cranks == 0)
+    return tuple(sorted({order for p in turns if (order := abs(pins * p - int(harmonic))) <= most}))
