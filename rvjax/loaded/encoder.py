@@ -82,8 +82,9 @@ def reading(found: Loaded, design: RVReducer, reading: Reading, *, input_angle: 
         ("Loaded.pins", found.pins, (discs, pins), False),
         ("Reading.heads", reading.heads, np.shape(reading.heads)[-1:], True),
         ("Reading.disc_position", reading.disc_position, (discs,), discs == 1),
+        ("Reading.scale_eccentricity", reading.scale_eccentricity, (2,), False),
     ):
-        shape = np.shape(value)
+        shape = (len(value),) if isinstance(value, tuple) else np.shape(value)  # a pair may hold tracers
         if value is not None and shape != sizes and not (alone and shape == ()):
             raise ValueError(f"{name}: shape {shape}: must be {sizes} for this design; batches come from jax.vmap")
     return _reading(found.error, found.pins, found.info.status, design, reading, input_angle, output_torque)

@@ -1,0 +1,447 @@
+"""Reading of an encoder and stiffness of each pin's support: closed forms, symmetries, limits and derivatives.
+
+The reducer is that of `published.rv160`: three cranks, 39 teeth, 40 pins. 480 angles of an output turn are a multiple
+of 120, so that orders above 240 alias onto orders of the same harmonic of the housing.
+"""
+
+from functools import cache, partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from loaded_cases import NAMED, design_of, errors_of, plain, solve
+
+import rvjax
+from rvjax import Status, loaded
+from rvjax.published.rv160 import MACHINE, NONE
+from rvjax.status import succeeded
+from rvjax.units import arcsec, mm
+
+SAMPLES, ORDERS = 480, np.arange(241)
+TURN = 2 * np.pi * np.arange(SAMPLES) / SAMPLES  # of the carrier
+PINS = 2 * np.pi * np.arange(40) / 40
+ENCODER = loaded.Reading(radius=75 * mm, disc_position=(-11 * mm, 11 * mm), height=50 * mm)
+RING, TILT = ENCODER.replace(ring_gain=2e-9), ENCODER.replace(tilt_gain=1e-7)
+ALL = ENCODER.replace(ring_gain=2e-9, tilt_gain=1e-7, dent=5.4e-9, scale_eccentricity=(3e-6, -2e-6))
+
+
+SUPPORT = np.full(40, 1e8)
+
+
+def sprung(support=SUPPORT, stiffness=MACHINE.stiffness, **contact):
+    """The reducer on other supports of its pins, by default an array: one program serves most tests."""
+    springs = stiffness.replace(turning_arm_bearing=np.broadcast_to(stiffness.turning_arm_bearing, (2, 3)))
+    held = MACHINE.contact.replace(pin_support=support, **contact)
+    return plain(MACHINE.replace(stiffness=springs, contact=held))
+
+
+def harmonics(y):
+    """Complex amplitudes A_n of y = Re sum A_n e^(i n th), rad."""
+    return np.fft.rfft(np.asarray(y)) * 2 / SAMPLES
+
+
+@partial(jax.jit, static_argnums=3)
+def _found(design, errors, torque, law):
+    one = partial(loaded.equilibrium, design, errors, output_torque=torque, contact=law)
+    return jax.vmap(lambda angle: one(input_angle=angle))(TURN * MACHINE.ratio)
+
+
+def found_over_a_turn(design, torque, law="hertz", errors=NONE):
+    found = _found(design, plain(errors), float(torque), law)
+    assert succeeded(found.info.status).all()
+    return found
+
+
+@jax.jit
+def _read(found, reading, torque):
+    one = partial(loaded.reading, design=MACHINE, output_torque=torque, reading=reading)
+    return jax.vmap(lambda found, angle: one(found, input_angle=angle))(found, TURN * MACHINE.ratio)
+
+
+def orders_read(found, reading, torque):
+    return harmonics(_read(found, plain(reading), float(torque)))
+
+
+@cache
+def loaded_turn(torque=1000.0):
+    return found_over_a_turn(sprung(), torque)
+
+
+def in_the_housing(found, reading, angle, torque):
+    """Equations of the page, each vector in the frame of the housing; nothing shared with the model."""
+    th, cycloid = angle / MACHINE.ratio, MACHINE.cycloid
+    unit = lambda x: np.stack([np.cos(x), np.sin(x)], axis=-1)  # noqa: E731
+    quarter = lambda v: np.stack([-v[..., 1], v[..., 0]], axis=-1)  # noqa: E731
+    a = b = 0.0
+    couple = np.zeros(2)
+    for k in range(2):
+        pitch = cycloid.eccentricity * 40 * unit(-39 * th + np.pi * k)
+        push = cycloid.pin_circle_radius * unit(PINS) - pitch
+        force = np.asarray(found.pins)[k][:, None] * push / np.linalg.norm(push, axis=1, keepdims=True)
+        radial = np.sum(force * unit(PINS), axis=1)
+        tangential = np.sum(force * quarter(unit(PINS)), axis=1)
+        # virtual work of w = a cos 2 phi + b sin 2 phi, v = -(a sin 2 phi - b cos 2 phi) / 2
+        a += np.sum(radial * np.cos(2 * PINS) - tangential * np.sin(2 * PINS) / 2)
+        b += np.sum(radial * np.sin(2 * PINS) + tangential * np.cos(2 * PINS) / 2)
+        couple += np.asarray(reading.disc_position)[k] * force.sum(axis=0)
+    turned = np.array([[np.cos(th), -np.sin(th)], [np.sin(th), np.cos(th)]])
+    shift = -reading.tilt_gain * couple * reading.height + turned @ np.asarray(reading.scale_eccentricity)
+    read = []
+    for head in np.atleast_1d(reading.heads):
+        back = -reading.ring_gain * (a * np.sin(2 * head) - b * np.cos(2 * head)) / 2
+        seen = shift @ quarter(unit(head)) - back
+        read.append(seen / reading.radius - reading.dent * torque * np.cos(3 * (head - th)))
+    return float(found.error) + np.mean(read)
+
+
+def test_the_reading_is_that_of_vectors_in_the_housing():
+    reading = ALL.replace(heads=(0.4, 2.9), ring_gain=1e-9)
+    for angle, torque in ((3.7, 800.0), (411.0, -500.0)):
+        found = loaded.equilibrium(sprung(), plain(NONE), input_angle=angle, output_torque=torque)
+        read = loaded.reading(found, MACHINE, reading, input_angle=angle, output_torque=torque)
+        due = in_the_housing(found, reading, angle, torque) - found.error
+        assert abs(due) > 0.2 * arcsec
+        np.testing.assert_allclose(read - found.error, due, rtol=1e-9)
+
+
+def test_without_gains_the_reading_is_the_error():
+    found = loaded_turn()
+    np.testing.assert_array_equal(_read(found, plain(ENCODER), 1000.0), found.error)
+
+
+def test_no_torque_leaves_the_eccentricity_of_the_scale():
+    """Order 1 of amplitude s / r; no pin is pressed."""
+    found = found_over_a_turn(sprung(), 0.0)
+    reading = ALL.replace(heads=(0.4,))
+    x, y = reading.scale_eccentricity
+    due = (y * np.cos(0.4 - TURN) - x * np.sin(0.4 - TURN)) / reading.radius
+    np.testing.assert_allclose(_read(found, plain(reading), 0.0), due, atol=1e-20)
+
+
+# --- orders
+
+
+def test_orders_of_the_table():
+    """Written out by hand: P = m (mod 3) in |40 P - m|."""
+    orders = partial(loaded.housing_orders, MACHINE, most=165)
+    assert orders(0) == (0, 120) and orders(1) == (39, 81, 159) and orders(2) == (42, 78, 162)
+    assert orders(3) == (3, 117, 123) and orders(4) == (36, 84, 156)
+    twice = loaded.housing_orders(rvjax.catalogue.RV_40E, 1, most=130)  # two cranks: P odd
+    assert twice == (39, 41, 119, 121)
+
+
+def wave(harmonic, stiffness=MACHINE.stiffness):
+    """Spectrum of d alpha / d eps for a wave 1 + eps cos(m phi) of the support's compliance, arcsec."""
+
+    def error(eps):
+        support = 1e8 / (1 + eps * jnp.cos(harmonic * PINS))
+        return _found(
+            base.replace(contact=base.contact.replace(pin_support=support)), plain(NONE), 1000.0, "hertz"
+        ).error
+
+    base = sprung(stiffness=stiffness)
+    return np.abs(harmonics(jax.jit(partial(jax.jvp, error))((0.0,), (1.0,))[1])) / arcsec
+
+
+UNLIKE = MACHINE.stiffness.replace(turning_arm_bearing=np.array([[7e8] * 3, [8e8] * 3]))
+
+
+@pytest.mark.parametrize("harmonic", [1, 2, 3])
+def test_a_wave_of_the_housing_appears_at_its_orders_only(harmonic):
+    """Unequal discs, that odd P is seen; all of 1e-5 of the largest and more, those below 1e-10 are rounding."""
+    found, allowed = wave(harmonic, UNLIKE), list(loaded.housing_orders(MACHINE, harmonic))
+    top = found.max()
+    assert top > 0.1
+    assert np.delete(found, allowed).max() < 1e-9 * top
+    low = [order for order in allowed if order <= 100]
+    assert found[low].min() > 1e-5 * top
+
+
+def test_equal_opposed_discs_cancel_odd_multiples():
+    """The sum of both discs has P = 0, 2, 4 ..; with unequal ones the same wave gives 0.9 arcsec of order 39."""
+    assert wave(1).max() < 1e-12 and wave(1, UNLIKE)[39] > 0.5
+
+
+def test_an_unequal_crank_breaks_the_rule():
+    """What the tests above are to see."""
+    seats = MACHINE.stiffness.replace(support_bearing=np.array([8e8, 7e8, 7e8]))
+    found, allowed = wave(2, seats), list(loaded.housing_orders(MACHINE, 2))
+    assert np.delete(found, allowed).max() > 1e-4 * found.max()
+
+
+# --- pins on supports of their own
+
+
+def at_one_angle(support, law="linear", torque=1000.0, **contact):
+    design = sprung(np.broadcast_to(support, (40,)), **contact)
+    return loaded.equilibrium(design, plain(NONE), input_angle=3.7, output_torque=torque, contact=law)
+
+
+@pytest.mark.parametrize("law", ["linear", "hertz"])
+def test_yielding_of_a_pin_turns_the_output_by_its_work(law):
+    """d alpha = -sum dC_j F_j dF_j/dT, for any added compliance dC_j of the pins, against differences."""
+    stiff = dict(pin_stiffness=5e7) if law == "linear" else {}
+    random = np.random.default_rng(0).uniform(-1, 1, 40) / 1e8
+    for added in (np.cos(2 * PINS) / 1e8, random):
+        error = lambda eps: float(at_one_angle(1 / (1e-8 + eps * added), law, **stiff).error)  # noqa: B023, E731
+        near, far = (error(step) - error(-step) for step in (1e-3, 2e-3))
+        pins = lambda torque: np.asarray(at_one_angle(1e8, law, torque, **stiff).pins)  # noqa: E731
+        low, high = (pins(1000.0 + step) - pins(1000.0 - step) for step in (0.5, 1.0))
+        due = -np.sum(added * pins(1000.0) * (8 * low - high) / 6)
+        assert abs(due) > 0.05 * arcsec
+        np.testing.assert_allclose((8 * near - far) / 12e-3, due, rtol=2e-8)
+
+
+def rigid_bearings(support, torque):
+    """(Stiffness factor, equilibria over a turn): bearings yield as 1/factor, and the centring springs grow with it."""
+    for factor in (500.0, 1000.0, 2000.0):
+        springs = jax.tree.map(lambda k: factor * k, MACHINE.stiffness)  # noqa: B023
+        yield factor, found_over_a_turn(sprung(support, springs, pin_stiffness=1e14), torque, "linear")
+
+
+def at_rigid(factors, values):
+    """Of values a + b / factor + c factor the number a."""
+    rows = np.array([[1.0, 1 / factor, factor] for factor in factors])
+    return np.linalg.solve(rows * [1, 1e3, 1e-3], np.array(values))[0]
+
+
+K1 = MACHINE.cycloid.eccentricity * 40 / MACHINE.cycloid.pin_circle_radius
+Q = (1 + K1**2) / (2 * K1)
+LOG = np.log((Q + 1) / (Q - 1))
+
+
+def test_a_wave_of_the_support_has_its_closed_form():
+    """Linear pins with 1/k_j = (1 + eps cos 2 phi_j)/k0: order 78 is -eps a0 W, and eps a0 W* backward."""
+    k0, eps, torque, throw = 5e7, 1e-3, 1000.0, MACHINE.cycloid.eccentricity
+    tau = 39 / (40 + 22 / 44)
+    a0 = torque * tau**2 / (2 * k0 * (throw * 39) ** 2 * 40 / 4)
+    w = -(1 - K1**2) / 2 + 2j / (np.pi * K1) * (2 / 3 + 2 * (Q**2 - 1) - Q * (Q**2 - 1) * LOG)
+    for signed, due in ((torque, -eps * a0 * w), (-torque, eps * a0 * np.conj(w))):
+        support = k0 / (1 + eps * np.cos(2 * PINS))
+        factors, turns = zip(*rigid_bearings(support, signed))
+        found = at_rigid(factors, [harmonics(turn.error)[78] for turn in turns])
+        assert abs(due) > 1e-2 * arcsec
+        assert abs(found / due - 1) < 2e-5  # eps^2, and 40 pins in place of an integral
+
+
+def test_the_couple_of_the_discs_tilts_the_scale_by_its_closed_form():
+    """Order 39 is h |z1 - z2| |F| / (r K_t); |F| of rigid bearings and linear pins from integrals over the lobe."""
+    torque, throw = 1000.0, MACHINE.cycloid.eccentricity
+    reading = ENCODER.replace(tilt_gain=1e-9, height=0.75 * 75 * mm)
+    factors, turns = zip(*rigid_bearings(5e7, torque))
+    found = at_rigid(factors, [abs(orders_read(turn, reading, torque)[39]) for turn in turns])
+    across = torque / (2 * throw * (40 + 22 / 44))  # the moment of a disc over its throw
+    force = across * np.hypot(1, (2 + (K1 - Q) * LOG) / (np.pi * K1))
+    np.testing.assert_allclose(found, 0.75 * 22 * mm * force * 1e-9, rtol=2e-4)  # 40 pins in place of an integral
+
+
+@pytest.mark.parametrize(("law", "more"), [("hertz", {}), ("linear", {}), ("linear", dict(pin_stiffness=5e7))])
+def test_equal_supports_are_one_support(law, more):
+    """To rounding; the mesh stiffness includes the mean support, so that only differences count beside it."""
+    one, many = (solve(sprung(support, **more), NONE, 3.7, 900.0, contact=law) for support in (2e8, np.full(40, 2e8)))
+    np.testing.assert_allclose(many.error, one.error, rtol=1e-13)
+    np.testing.assert_allclose(many.pins, one.pins, atol=1e-10 * np.max(one.pins))
+    none = solve(sprung(None, **more), NONE, 3.7, 900.0, contact=law)
+    same = law == "linear" and not more
+    assert (none.error == one.error) if same else abs(none.error / one.error - 1) > 0.01
+
+
+def test_a_very_stiff_support_is_none():
+    """Rigid ring: results as without a support."""
+    none, stiff = (solve(sprung(k), NONE, 3.7, 900.0) for k in (None, np.full(40, 1e20)))
+    np.testing.assert_allclose(stiff.error, none.error, rtol=1e-10)
+
+
+def test_softer_than_the_mesh_has_no_answer():
+    """A pin whose support alone yields less than the mean of all by more than the whole mesh."""
+    support = np.full(40, 1e6)
+    support[0] = 1e9
+    found = solve(sprung(support), NONE, 3.7, 900.0, contact="linear")
+    assert Status(int(found.info.status)) == Status.INVALID_GEOMETRY and np.isnan(found.error)
+
+
+# --- the place of the heads
+
+
+def test_a_turned_head_turns_the_phase_of_an_order_by_its_harmonic():
+    """Amplitudes stay; order 39 has m = 1, 78 and 42 have 2 and -2, 120 and 240 come from the error itself."""
+    by, found = 0.3, loaded_turn()
+    first, second = (orders_read(found, ALL.replace(heads=(head,)), 1000.0) for head in (0.0, by))
+    assert (abs(first[[1, 3, 39, 42, 78, 120]]) > 0.02 * arcsec).all()
+    for order, harmonic in ((39, 1), (78, 2), (42, -2), (3, -3), (1, -1), (120, 0), (240, 0)):
+        np.testing.assert_allclose(
+            second[order], first[order] * np.exp(1j * harmonic * by), rtol=1e-9, err_msg=str(order)
+        )
+
+
+def test_two_heads_cancel_orders():
+    found, place = loaded_turn(), 0.1
+    one, opposed, crossed = (
+        abs(orders_read(found, ALL.replace(heads=heads), 1000.0))
+        for heads in ((place,), (place, place + np.pi), (place, place + np.pi / 2))
+    )
+    assert max(opposed[[1, 3, 39]]) < 1e-12 * one[39] and crossed[78] < 1e-12 * one[78]
+    np.testing.assert_allclose(opposed[78], one[78], rtol=1e-12)
+    np.testing.assert_allclose(crossed[39], one[39] / np.sqrt(2), rtol=1e-9)
+
+
+def test_order_78_grows_with_torque_and_the_error_does_not_have_it():
+    """Published curve: 4.09 arcsec per kN m of order 78 and 2.23 of 39; the gains are of that size."""
+    reading = ALL.replace(heads=(0.3,), ring_gain=6e-10)
+    read = {torque: orders_read(loaded_turn(torque), reading, torque) for torque in (500.0, 1000.0)}
+    for order, slope in ((78, 4.09), (39, 2.23), (3, 1.11)):
+        low, high = (abs(read[torque][order]) / arcsec for torque in read)
+        assert abs(high - slope) < 0.1 * slope and abs(high / low - 2) < 0.02
+    assert abs(harmonics(loaded_turn().error)[[3, 39, 78]]).max() < 1e-9 * arcsec
+
+
+def test_the_mirror_image_reads_the_opposite():
+    """A_n(-T, mirrored housing) = -conj A_n(T): pins, head and scale mirrored at the x axis."""
+    support, mirror = 1e8 / (1 + 0.2 * np.cos(2 * PINS - 1) + 0.1 * np.sin(PINS)), -np.arange(40) % 40
+    ahead = orders_read(found_over_a_turn(sprung(support), 700.0), ALL.replace(heads=(0.3,)), 700.0)
+    image = ALL.replace(heads=(-0.3,), scale_eccentricity=(3e-6, 2e-6))
+    back = orders_read(found_over_a_turn(sprung(support[mirror]), -700.0), image, -700.0)
+    assert np.sum(abs(ahead) > 1e-3 * arcsec) > 8
+    np.testing.assert_allclose(back, -np.conj(ahead), atol=1e-8 * abs(ahead).max())
+
+
+# --- derivatives, programs, bad input
+
+CASE = NAMED["rv40: all errors, rated, hertz"]
+SHORT = loaded.Reading(
+    radius=60 * mm, heads=(0.3, 2.0), ring_gain=3e-9, tilt_gain=2e-7, height=40 * mm, disc_position=(-7 * mm, 9 * mm),
+    dent=6e-9, scale_eccentricity=(2e-6, 1e-6),
+)  # fmt: skip
+DESIGN = design_of(CASE)
+DESIGN = DESIGN.replace(contact=DESIGN.contact.replace(pin_support=np.linspace(1e8, 2e8, 40)))
+START = plain((DESIGN, errors_of(CASE, DESIGN), SHORT, 412.0, 576.525))
+
+
+@jax.jit
+def added(inputs):
+    """What the reading adds to the error."""
+    design, errors, reading, torque, angle = inputs
+    found = loaded.equilibrium(design, errors, input_angle=angle, output_torque=torque)
+    return loaded.reading(found, design, reading, input_angle=angle, output_torque=torque) - found.error
+
+
+with_slopes = jax.jit(jax.value_and_grad(added))
+
+
+def test_derivatives_to_every_number_agree_with_differences():
+    """Central differences of fourth order; the bound as in test_loaded_derivatives.py."""
+    slopes, random = jax.tree.leaves(with_slopes(START)[1]), np.random.default_rng(0)
+    leaves, tree = jax.tree.flatten(START)
+    named = jax.tree_util.tree_leaves_with_path(START)
+    value, moved = abs(float(added(START))), set()
+    for number, (path, leaf) in enumerate(named):
+        direction = random.standard_normal(np.shape(leaf))
+        slope = float(np.vdot(slopes[number], direction))
+        step = max(1e-5 * float(np.max(np.abs(leaf))), 1e-9)
+
+        def along(size):
+            changed = [*leaves[:number], leaf + size * direction, *leaves[number + 1 :]]  # noqa: B023
+            return float(added(plain(jax.tree.unflatten(tree, changed))))
+
+        due = (8 * (along(step) - along(-step)) - (along(2 * step) - along(-2 * step))) / (12 * step)
+        assert abs(due - slope) <= 1e-5 * abs(slope) + 1e-11 * value / step, (path, slope, due)
+        moved |= {path[-1].name} if slope != 0 and hasattr(path[-1], "name") else set()
+    assert {f for f in vars(SHORT)} - {"scale_eccentricity"} <= moved and "pin_support" in moved
+
+
+def test_a_batch_is_its_cases():
+    found = loaded_turn()
+    read = _read(found, plain(ALL), 1000.0)
+    for k in (0, 7):
+        one = jax.tree.map(lambda leaf: leaf[k], found)  # noqa: B023
+        angle = TURN[k] * MACHINE.ratio
+        alone = loaded.reading(one, MACHINE, ALL, input_angle=angle, output_torque=1000.0)
+        assert np.shape(alone) == () and abs(alone / read[k] - 1) < 1e-14
+
+
+def test_a_second_reading_compiles_nothing(compiled):
+    def call(x):
+        reading = ALL.replace(heads=(x,), radius=x)
+        return loaded.reading(
+            jax.tree.map(lambda leaf: leaf[1], found), MACHINE, reading, input_angle=x, output_torque=x
+        )
+
+    found = jax.device_get(loaded_turn())
+    call(0.3)
+    compiled.clear()
+    call(0.7)
+    assert not compiled
+
+
+def test_float32_stays_float32():
+    found = jax.tree.map(lambda leaf: leaf[1], jax.device_get(loaded_turn()))
+    small = jax.tree.map(lambda leaf: np.float32(leaf) if leaf.dtype == float else leaf, found)
+    one, other = (loaded.reading(case, MACHINE, ALL, input_angle=1.0, output_torque=1000.0) for case in (small, found))
+    assert one.dtype == np.float32 and abs(float(one) / float(other) - 1) < 1e-6
+
+
+def test_a_case_without_a_value_has_no_reading_and_spoils_no_gradient():
+    design, errors, reading, torque, angle = START
+    failed = errors.replace(pin_radius=np.nan)
+    spoilt = [(design, failed, reading, torque, angle)]
+    for change in (dict(radius=np.nan), dict(ring_gain=np.inf), dict(heads=np.array([0.1, np.nan]))):
+        spoilt.append((design, errors, reading.replace(**change), torque, angle))
+    unchecked = jax.tree.map(lambda leaf: leaf, reading)  # as a sampler makes it
+    object.__setattr__(unchecked, "radius", -0.06)
+    spoilt.append((design, errors, unchecked, torque, angle))
+    for inputs in spoilt:
+        value, slopes = with_slopes(plain(inputs))
+        assert np.isnan(value) and all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(slopes))
+
+
+def test_a_tilt_without_places_is_no_reading():
+    """Eager: an error. Traced, the gain is not known before it is too late: no value."""
+    found, at = jax.tree.map(lambda leaf: leaf[1], loaded_turn()), dict(input_angle=1.0, output_torque=1000.0)
+
+    def read(gain):
+        return loaded.reading(found, MACHINE, loaded.Reading(radius=0.075, tilt_gain=gain), **at)
+
+    assert np.isnan(jax.jit(read)(1e-7)) and np.isfinite(jax.jit(read)(0.0)) and np.isfinite(read(0.0))
+    with pytest.raises(ValueError, match=r"Reading.tilt_gain = 1e-07 rad/\(N m\): must have disc_position"):
+        read(1e-7)
+
+
+WRONG = [
+    (dict(radius=0.0), r"Reading.radius = 0 m: must be positive"),
+    (dict(radius=-0.075), r"Reading.radius = -0.075 m: must be positive"),
+    (dict(heads=()), r"Reading.heads = \[\]: must have one angle or more"),
+    (dict(heads=np.zeros((2, 2))), r"Reading.heads: shape \(2, 2\)"),
+    (dict(disc_position=(0.0, 1e-3, 2e-3)), r"Reading.disc_position: shape \(3,\): must be \(2,\)"),
+    (dict(disc_position=0.01), r"Reading.disc_position: shape \(\): must be \(2,\)"),
+    (dict(scale_eccentricity=np.zeros(3)), r"Reading.scale_eccentricity: shape \(3,\)"),
+    (dict(scale_eccentricity=1e-6), r"Reading.scale_eccentricity: shape \(\)"),
+]
+
+
+@pytest.mark.parametrize(("change", "told"), WRONG)
+def test_bad_encoders_are_one_line(change, told):
+    found = jax.tree.map(lambda leaf: leaf[1], loaded_turn())
+    with pytest.raises(ValueError, match=told) as refused:
+        loaded.reading(found, MACHINE, ALL.replace(**change), input_angle=1.0, output_torque=1.0)
+    assert "\n" not in str(refused.value)
+
+
+def test_other_arguments_are_refused_by_name():
+    found, at = jax.tree.map(lambda leaf: leaf[1], loaded_turn()), dict(input_angle=1.0, output_torque=1.0)
+    with pytest.raises(ValueError, match="takes a design of kind RVReducer, got Reading"):
+        loaded.reading(found, ALL, MACHINE, **at)
+    with pytest.raises(ValueError, match=r"reading = RVReducer: must be of kind rvjax\.loaded\.Reading"):
+        loaded.reading(found, MACHINE, MACHINE, **at)
+    with pytest.raises(ValueError, match=r"found = Reading: must be of kind rvjax\.loaded\.Loaded"):
+        loaded.reading(ALL, MACHINE, ALL, **at)
+    with pytest.raises(ValueError, match=r"Loaded.pins: shape \(480, 2, 40\): must be \(2, 40\)"):
+        loaded.reading(loaded_turn(), MACHINE, ALL, **at)
+    support = MACHINE.contact.replace(pin_support=np.ones(39))
+    with pytest.raises(ValueError, match=r"Contact.pin_support: shape \(39,\) .*\(pins,\) = \(40,\)"):
+        loaded.equilibrium(MACHINE.replace(contact=support), NONE, **at)
+    for name, value in (("harmonic", -1), ("harmonic", 1.5), ("most", True), ("most", -1)):
+        with pytest.raises(ValueError, match=f"{name} = .*: must be an integer of at least 0"):
+            loaded.housing_orders(MACHINE, **dict(harmonic=1) | {name: value})
+    with pytest.raises(ValueError, match="takes a design of kind RVReducer"):
+        loaded.housing_orders(ALL, 1)
