@@ -18,7 +18,7 @@ from rvjax import loaded
 from rvjax.batching import in_blocks
 from rvjax.designs import Contact, CrankStage, CycloidStage, InvoluteStage, RVReducer, Stiffness
 from rvjax.errors import RVErrors
-from rvjax.units import arcmin, mm, um
+from rvjax.units import arcmin, arcsec, mm, um
 
 RATED = 1600.0  # assumed: torque of an RV-160, N m
 MACHINE = RVReducer(
@@ -249,9 +249,55 @@ def _unmoved() -> bool:
     return bool(abs(high / low - 1) < 0.05)
 
 
+READ = MACHINE.replace(contact=MACHINE.contact.replace(pin_support=1e8))  # assumed; 5e7 to 2e8 fit the phases
+ENCODER = loaded.Reading(
+    radius=75 * mm,  # assumed
+    ring_gain=5.87e-10,  # fitted to the growth of order 78; m/N
+    tilt_gain=1 / 1.01e7,  # moment rigidity of the main bearings of a reducer of this size, recalled
+    height=50 * mm,  # assumed
+    disc_position=(-11 * mm, 11 * mm),  # assumed
+    dent=5.4e-9,  # fitted to the growth of order 3; rad/(N m)
+)
+READ_ANGLES = 240
+"""Of an output turn: orders up to 119; higher ones fall on orders of the same harmonic of the housing."""
+
+
+@jax.jit
+def _read(torque: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Reading and transmission error over an output turn without errors of parts, (angles,) rad."""
+
+    def at(angle: jax.Array) -> tuple[jax.Array, jax.Array]:
+        found = loaded.equilibrium(READ, NONE, input_angle=angle, output_torque=torque)
+        return loaded.reading(found, READ, ENCODER, input_angle=angle, output_torque=torque), found.error
+
+    return jax.vmap(at)(2 * jnp.pi * READ.ratio * jnp.arange(READ_ANGLES) / READ_ANGLES)
+
+
+@cache
+def read_orders() -> np.ndarray:
+    """Amplitudes at 500 and 1000 N m of the orders of [reading, transmission error], (2, 2, orders) rad."""
+    curves = np.stack([jax.device_get(_read(torque)) for torque in (500.0, 1000.0)])
+    return 2 / READ_ANGLES * np.abs(np.fft.rfft(curves))
+
+
+def _growth() -> list[float]:
+    """Orders 78, 39 and 3 of the reading, arcsec per kN m."""
+    low, high = read_orders()[:, 0] / arcsec
+    return list(2 * (high - low)[[78, 39, 3]])
+
+
+def _grows(order: int) -> bool:
+    """In proportion to the torque within 2 %, in the reading only."""
+    (low, _), (high, error) = read_orders()[..., order]
+    return bool(abs(high / low - 2) < 0.04 and error < 1e-6 * high)
+
+
 COMPUTED: dict[str, Callable[[], Any]] = {
     "rv160.windup.fitted": lambda: (_fit().angle / arcmin)[FITTED],
     "rv160.windup.predicted": lambda: (_fit().angle / arcmin)[~FITTED],
     "rv160.windup.stiffness": _stiffness,
     "rv160.orders.40_stays": _unmoved,
+    "rv160.orders.78_grows": lambda: _grows(78),
+    "rv160.orders.39_grows": lambda: _grows(39),
+    "rv160.orders.growth": _growth,
 }

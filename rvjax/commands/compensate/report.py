@@ -37,6 +37,7 @@ def report(asked: Inputs, found: Corrections) -> Report:
             _curves(curves, left),
             *_crossed(curves),
             Note(rest),
+            Note("warning: this correction holds for the encoder head that measured the curve only."),
             _orders(curves),
             *(_figure(curve, end) for curve, end in zip(curves, _ends(curves))),
         ),
