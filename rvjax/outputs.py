@@ -146,6 +146,8 @@ class Observation:
         samples: of a curve, the condition with the number of angles in a period.
         period: of a curve, (design) -> its periods in a turn of the output while all of them are alike.
         sided: without load its value depends on the side to which the play lies.
+        head: of a curve, (design, conditions, torques, orders) -> effect of an encoder head per element of the nuisance
+            "reading", (torques, orders, 6, 2) rad; None without such a nuisance.
     """
 
     kind: str
@@ -154,6 +156,7 @@ class Observation:
     samples: str = ""
     period: Callable[[Any], int] = _once
     sided: bool = False
+    head: Callable[..., Any] | None = None
 
 
 @dataclass(frozen=True)

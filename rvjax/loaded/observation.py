@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from rvjax.designs import RVReducer
 from rvjax.errors import RVErrors
 from rvjax.loaded.equilibrium import equilibrium
+from rvjax.loaded.head import effects_of_a_head
 from rvjax.loaded.revolution import revolution
 from rvjax.outputs import Observation, Spectrum
 from rvjax.records import Array, Scalar
@@ -45,6 +46,12 @@ def _angle(design: RVReducer, errors: RVErrors, given: Any, torques: Array) -> A
 
 
 CURVE = Observation(
-    "curve", _spectrum, NEEDS, samples="samples", period=lambda design: int(design.cycloid.pin_count), sided=True
+    "curve",
+    _spectrum,
+    NEEDS,
+    samples="samples",
+    period=lambda design: int(design.cycloid.pin_count),
+    sided=True,
+    head=effects_of_a_head,
 )
 LOOP = Observation("loop", _angle, NEEDS)

@@ -270,7 +270,7 @@ def _read(torque: jax.Array) -> tuple[jax.Array, jax.Array]:
         found = loaded.equilibrium(READ, NONE, input_angle=angle, output_torque=torque)
         return loaded.reading(found, READ, ENCODER, input_angle=angle, output_torque=torque), found.error
 
-    return jax.vmap(at)(2 * jnp.pi * READ.ratio * jnp.arange(READ_ANGLES) / READ_ANGLES)
+    return jax.vmap(at)(2 * np.pi * READ.ratio * np.arange(READ_ANGLES) / READ_ANGLES)
 
 
 @cache

@@ -5,7 +5,7 @@ The values are one flat dict: errors of the study by field, unknown numbers of t
 
 import dataclasses
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import jax
@@ -29,6 +29,7 @@ NUISANCES: dict[str, str] = {
     "offset": "zero of the angle readings, one for all runs; with it the means of the runs count",
     "mounting": "eccentricity of the encoders, [cosine, sine] of order 1; with it order 1 counts",
     "phase": "angle of the index mark, where there is none",
+    "reading": "motion of a head against the scale under load: oval ring, tilt, dent, each [cosine, sine] of the head",
 }
 PROBE = 1e-3
 """Share of the largest torque that stands for none: the side to which the play lies needs a sign."""
@@ -44,7 +45,22 @@ def nuisance(name: str, orders: Sequence[int]) -> Tolerance:
     if name == "phase":
         half = math.pi / math.gcd(*orders)
         return Tolerance(-half, half, distribution="uniform")
-    return Tolerance.symmetric(WIDE, shape=(2,), vector=False) if name == "mounting" else Tolerance.symmetric(WIDE)
+    shape = {"mounting": (2,), "reading": (6,)}.get(name, ())
+    return Tolerance.symmetric(WIDE, shape=shape, vector=False) if shape else Tolerance.symmetric(WIDE)
+
+
+def part_orders(design: Any, orders: Iterable[int]) -> tuple[int, ...]:
+    """The orders that only errors of parts or the mounting of the scale make: no harmonic of the housing has them.
+
+    |zp P - m| with P = m + c s is zc P + c s but for its sign (`loaded.housing_orders`).
+
+    Args:
+        design: the reducer; its cranks are equal.
+        orders: of the output turn.
+    """
+    counts = getattr(design, "counts", {})
+    common = math.gcd(counts.get("teeth", 1), counts.get("cranks", 1))
+    return tuple(order for order in orders if order % common)
 
 
 def number_of_design(design: Any, name: str) -> tuple[str, ...]:
@@ -123,6 +139,9 @@ class Curves(Record):
     nuisances: tuple[str, ...] = text("of NUISANCES that the prior has")
     alike: bool = text("one turn of the cranks is like the next")
     idle: bool = text("no run has a torque")
+    reading: Array | np.ndarray | None = field(
+        "-", "real and imaginary part per element of the nuisance", shape=("torques", "orders", 6, 2), default=None
+    )
 
     def __call__(self, values: Values) -> Seen:
         """What the bench would see of one unit."""
@@ -133,6 +152,9 @@ class Curves(Record):
         seen: Seen = {}
         for k, order in enumerate(self.orders):
             seen[order_name(order)] = found[place, k]
+            if self.reading is not None:
+                moved = jnp.einsum("tec,e->ct", jnp.asarray(self.reading)[place, k], values["reading"])
+                seen[order_name(order)] += jax.lax.complex(*moved)
             if "phase" in self.nuisances:
                 turn = order * values["phase"]
                 seen[order_name(order)] *= jax.lax.complex(jnp.cos(turn), -jnp.sin(turn))
@@ -182,6 +204,7 @@ def curve_model(
         load = np.maximum(np.abs(signed := signed_torques(runs, conditions)), least)
         negative = np.where(signed == 0, np.array([run.sign for run in runs]) < 0, signed < 0)
         distinct, place = np.unique(np.where(negative, -load, load), return_inverse=True)
+    head = observation.head
     return Curves(
         design=design,
         torques=np.asarray(distinct, float),
@@ -192,6 +215,7 @@ def curve_model(
         nuisances=tuple(name for name in nuisances if name in NUISANCES),
         alike=alike,
         idle=not np.any(distinct),
+        reading=head(design, conditions, distinct, tuple(orders)) if head and "reading" in nuisances else None,
     )
 
 

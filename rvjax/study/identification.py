@@ -92,7 +92,8 @@ def parse_identification(
     bench = [name for name in nuisances if name in NUISANCES]
     data = KINDS[planned_kind(observations, orders)]
     for name in bench:
-        if name not in data.nuisances:
+        has = name != "reading" or any(seen.head for seen in observations.values())
+        if name not in data.nuisances or not has:
             raise ValueError(f"identify.nuisance = {name!r}: nothing that model {model!r} predicts here has one")
     shared = tuple(choice(name, own, "identify.shared") for name in _list(table, "shared"))
     torques = tuple(quantity(t, "N m", "identify.torques") for t in _list(table, "torques"))

@@ -335,7 +335,7 @@ class Kind:
 
 
 KINDS = {
-    "curve": Kind(("angle", "error"), _run, "rad", "0.2 arcsec", ("offset", "mounting", "phase")),
+    "curve": Kind(("angle", "error"), _run, "rad", "0.2 arcsec", ("offset", "mounting", "phase", "reading")),
     "loop": Kind(("torque", "angle"), _loop, "rad", "0.2 arcsec", ("offset",)),
     "frequencies": Kind(("frequency",), _tones, "Hz", "1 Hz", ()),
 }

@@ -109,8 +109,10 @@ def problem(study: Study, measured: Measured | None = None) -> Problem:
         raise ValueError(f"{study.name}: identify.noise = 'floor': is read from data; give a number to check without")
     if kind == "curve" and not asked.orders:
         raise ValueError(f"{study.name}: identify.orders is missing: orders of the output turn, such as [40, 80]")
-    if kind == "loop" and set(asked.nuisance) & {"mounting", "phase"}:
-        raise ValueError(f"{study.name}: identify.nuisance: mounting and phase belong to curves, the data holds a loop")
+    if kind == "loop" and set(asked.nuisance) & {"mounting", "phase", "reading"}:
+        raise ValueError(
+            f"{study.name}: identify.nuisance: mounting, phase and reading belong to curves, the data holds a loop"
+        )
     return {"curve": _curves, "loop": _loops, "frequencies": _frequencies}[kind](study, asked, measured)
 
 

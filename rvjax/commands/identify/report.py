@@ -39,7 +39,7 @@ from rvjax.render import (
     leading_comment,
     versions,
 )
-from rvjax.study import NUISANCES, field_unit
+from rvjax.study import NUISANCES, field_unit, part_orders
 from rvjax.units import KNOWN, arcsec, readable
 
 MOST_ROWS, MOST_ON_PAGE, MOST_UNITS = 60, 40, 6
@@ -135,6 +135,9 @@ def _seen(found: Identified) -> Note:
     """Combinations that the data see, and pairs that they cannot separate."""
     lines = [f"  only {line}" for line in direction_lines(found)] or ["  nothing beyond the drawing"]
     lines.insert(0, "What the data see, strongest first:")
+    if alone := part_orders(found.study.design, found.problem.asked.orders):
+        orders = ", ".join(map(str, alone))
+        lines.append(f"Only errors of parts or the mounting make order {orders}; the housing cannot.")
     if pairs := found.check.inseparable:
         shown = [f"{a} and {b} ({r:+.3f})" for a, b, r in pairs[:5]]
         lines.append(f"Cannot be told apart: {', '.join(shown)}{', ..' if len(pairs) > 5 else ''}")

@@ -1,0 +1,92 @@
+"""The nuisance "reading": what one encoder head adds is never an error of a part. Data: `loaded.reading` itself."""
+
+import jax
+import numpy as np
+import pytest
+
+from rvjax import catalogue, identify, loaded, models
+from rvjax.published.rv160 import ENCODER, NONE, READ
+from rvjax.study import bench
+from rvjax.study.measured import Conditions
+from rvjax.tolerances import Tolerance
+from rvjax.units import arcsec, um
+
+GIVEN = models.kind(READ).conditions(rated_torque=1600.0, samples=16)
+RUNS = [Conditions(torque=torque, direction=way) for torque in (500.0, 1200.0) for way in ("forward", "backward")]
+TORQUES = bench.signed_torques(RUNS, GIVEN)
+ORDERS, SAMPLES = (3, 39, 40, 78), 240
+THROW = np.array([[2.0, -1.0, 0.5], [1.5, 0.0, -2.5]]) * um
+NAMES = [bench.order_name(order) for order in ORDERS]
+
+
+@pytest.fixture(scope="module")
+def measured():
+    """Orders of a unit with unequal throws, read by a head at 0.7 rad; {name: (runs,) complex}."""
+    errors, encoder = NONE.replace(crank_eccentricity=THROW), ENCODER.replace(heads=(0.7,))
+
+    @jax.jit
+    def curve(torque):
+        def at(angle):
+            found = loaded.equilibrium(READ, errors, input_angle=angle, output_torque=torque)
+            return loaded.reading(found, READ, encoder, input_angle=angle, output_torque=torque)
+
+        return jax.vmap(at)(2 * np.pi * READ.ratio * np.arange(SAMPLES) / SAMPLES)
+
+    waves = np.stack([2 / SAMPLES * np.fft.rfft(curve(torque)) for torque in TORQUES])
+    return dict(zip(NAMES, waves[:, ORDERS].T))
+
+
+def model(nuisances):
+    return bench.curve_model("loaded", READ, GIVEN, RUNS, ORDERS, nuisances, ("crank_eccentricity",))
+
+
+def test_six_numbers_make_every_run(measured):
+    """Linear in them; both directions and both torques to 1 % of the largest, for the forces are of equal throws."""
+    made = model(("reading",))
+    found = {}
+    for k in range(7):
+        element = np.eye(7)[k, :6]
+        seen = jax.device_get(made({"crank_eccentricity": THROW, "reading": element}))
+        found[k] = np.stack([seen[name] for name in NAMES])
+    without, slopes = found[6], np.stack([found[k] - found[6] for k in range(6)], axis=-1)
+    due = np.stack([measured[name] for name in NAMES])
+    assert np.abs(due - without)[[1, 3]].max() > 2 * arcsec  # orders 39 and 78
+    rows, right = slopes.reshape(-1, 6), (due - without).ravel()
+    real = lambda x: np.concatenate([x.real, x.imag])  # noqa: E731
+    best = np.linalg.lstsq(real(rows), real(right), rcond=None)[0]
+    assert np.abs(rows @ best - right).max() < 0.02 * np.abs(right).max()
+    ring, tilt = best[0] + 1j * best[1], best[2] + 1j * best[3]
+    assert abs(np.angle(ring * np.exp(-2j * 0.7))) < 0.02 and abs(np.angle(tilt * np.exp(-0.7j))) < 0.02
+
+
+@pytest.mark.long  # three programs with derivatives of the whole reducer: a minute
+def test_a_reading_is_no_error_of_a_part(measured):
+    """Without the nuisance the model check refuses the curves; with it the throws are those of the unit."""
+    prior = {"crank_eccentricity": Tolerance.symmetric(6 * um, shape=(2, 3))}
+    asked = dict(noise=identify.Noise(0.1 * arcsec), starts=2)
+    rejected = identify.solve(model(()), prior, measured, **asked)
+    assert rejected.status == "REJECTED" and not rejected.adequate
+    wide = prior | {"reading": bench.nuisance("reading", ORDERS)}
+    found = identify.solve(model(("reading",)), wide, measured, nuisance="reading", **asked)
+    assert found.adequate and found.status == "CONVERGED"
+    alone = {name: value if name == NAMES[2] else 0 * value for name, value in measured.items()}  # order 40
+    due = identify.solve(model(()), prior, alone, **asked)
+    np.testing.assert_allclose(
+        found.value["crank_eccentricity"], due.value["crank_eccentricity"], atol=0.02 * um
+    )  # fmt: skip
+
+
+def test_orders_of_parts_alone():
+    """Three cranks and 39 teeth: the housing makes multiples of three only; two cranks and 39 teeth: every order."""
+    by_rule = {order for m in range(120) for order in loaded.housing_orders(READ, m)}
+    assert set(bench.part_orders(READ, range(241))) == set(range(241)) - by_rule
+    assert bench.part_orders(READ, (39, 40, 78, 80)) == (40, 80)
+    assert bench.part_orders(catalogue.RV_40E, (39, 40, 78, 80)) == ()
+
+
+def test_only_the_loaded_model_has_a_reading():
+    prior = bench.nuisance("reading", ORDERS)
+    assert prior.shape == (6,) and prior.upper == pytest.approx(3000 * arcsec)
+    assert "reading" in bench.NUISANCES
+    plain = bench.curve_model("four_bar", READ, GIVEN, RUNS, (40,), (), ())
+    assert plain.reading is None
