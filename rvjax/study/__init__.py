@@ -1,6 +1,6 @@
 """Studies: a question about one design, in Python or as a TOML file."""
 
-from rvjax.study.bench import NUISANCES, part_orders, order_name
+from rvjax.study.bench import NUISANCES, order_name, part_orders
 from rvjax.study.design import BASES
 from rvjax.study.facts import facts_of
 from rvjax.study.identification import field_unit
