@@ -28,8 +28,9 @@ SMALL = {
     "monte_carlo": ["--units", "1e6"],
     "rare_failures": ["--units", "1000000"],
     "choices": ["--scenes", "200"],
+    "whole": ["--only", "study.load", "first"],
 }
-LAST = ("allocation", "choices", "dynamics", "monte_carlo", "rare_failures")  # the slow ones
+LAST = ("allocation", "choices", "dynamics", "monte_carlo", "rare_failures", "whole")  # the slow ones
 
 
 def scripts() -> list[str]:
