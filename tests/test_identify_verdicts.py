@@ -9,7 +9,7 @@ import pytest
 import rvjax
 from rvjax import identify
 from rvjax.identify.laplace import pareto_shape
-from rvjax.identify.sampler import diagnosed
+from rvjax.identify.sampler import diagnose
 from tests.identify_models import THREE, G, Noise, line, many, solved, unit
 
 
@@ -62,7 +62,7 @@ def test_diagnostics_of_chains():
         slow[:, k] = 0.9 * slow[:, k - 1] + normal[:, k]
     apart = normal + np.array([3.0, 3.0, -3.0, -3.0])[:, None, None]
     wide = normal * np.array([1.0, 1.0, 3.0, 3.0])[:, None, None]
-    r_hat, ess = diagnosed(np.concatenate([normal, slow, apart, wide], axis=-1))
+    r_hat, ess = diagnose(np.concatenate([normal, slow, apart, wide], axis=-1))
     assert r_hat[0] < 1.005 and r_hat[2] > 1.5 and r_hat[3] > 1.1
     assert ess[0] == pytest.approx(8000, rel=0.15) and ess[1] == pytest.approx(8000 / 19, rel=0.3) and ess[2] < 20
 

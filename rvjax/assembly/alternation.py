@@ -15,7 +15,7 @@ Price = Callable[[tuple[np.ndarray, ...]], np.ndarray]
 """Places of the parts of each slot, broadcast against each other -> finite costs of these combinations."""
 
 
-def alternated(cost: np.ndarray, supply: Supply, starts: int, rng: np.random.Generator) -> Build:
+def alternate(cost: np.ndarray, supply: Supply, starts: int, rng: np.random.Generator) -> Build:
     """All slots fixed but one, that one assigned exactly, in turn, until none improves; the best of several starts."""
     big = beyond(cost, supply.units)
     priced = np.where(np.isfinite(cost), cost, big)
@@ -23,7 +23,7 @@ def alternated(cost: np.ndarray, supply: Supply, starts: int, rng: np.random.Gen
 
 
 def alternated_by(price: Price, supply: Supply, starts: int, rng: np.random.Generator) -> Build:
-    """`alternated`, by a function of the combinations.
+    """`alternate`, by a function of the combinations.
 
     Args:
         price: of combinations.
@@ -48,7 +48,7 @@ def alternated_by(price: Price, supply: Supply, starts: int, rng: np.random.Gene
             if waiting <= 0:
                 break
         if supply.shared:
-            places, total = _exchanged(price, supply, places)
+            places, total = _exchange(price, supply, places)
         if total < least:
             least, best = total, places.copy()
         detail(f"plan {number + 1} of {starts}")
@@ -72,7 +72,7 @@ def random_plan(supply: Supply, rng: np.random.Generator) -> np.ndarray:
     return places
 
 
-def _exchanged(price: Price, supply: Supply, places: np.ndarray) -> tuple[np.ndarray, float]:
+def _exchange(price: Price, supply: Supply, places: np.ndarray) -> tuple[np.ndarray, float]:
     """Exchange parts of one stock between slots of any two units while that lowers the sum."""
     units = supply.units
     improved = True

@@ -14,7 +14,7 @@ from scipy.optimize import Bounds, LinearConstraint, milp
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import maximum_bipartite_matching
 
-from rvjax.assembly.alternation import alternated, lagrangian
+from rvjax.assembly.alternation import alternate, lagrangian
 from rvjax.assembly.supply import Build, Supply, assigned, copies
 
 EXACT = 20_000
@@ -60,15 +60,15 @@ def least_sum(
         rng: of its random plans.
         asked: layer whose bound is required.
     """
-    cost = weighed(layers, supply.units)
+    cost = weigh(layers, supply.units)
     if len(supply.shape) == 2 and not supply.shared:
         build = assigned(cost, supply)
         return Choice(build, _sum(layers[asked], build), True)
     allowed = supply.allowed()
     with contextlib.suppress(_TooLong):
-        if (found := _proved(layers, supply, allowed)) is not None:
+        if (found := _prove(layers, supply, allowed)) is not None:
             return Choice(found, _sum(layers[asked], found), True)
-    build = alternated(np.where(allowed, cost, np.inf), supply, starts, rng)
+    build = alternate(np.where(allowed, cost, np.inf), supply, starts, rng)
     reached = _sum(layers[asked], build)
     bound = lagrangian(layers[asked], supply, reached)
     return Choice(build, bound, reached - bound <= CLOSE * abs(reached))
@@ -79,33 +79,33 @@ def least_largest(cost: np.ndarray, supply: Supply, starts: int, rng: np.random.
     levels = np.unique(cost)
     if len(supply.shape) == 2 and not supply.shared:
         level = _least_level(cost, supply, levels)
-        return Choice(assigned(weighed([cost > level, cost], supply.units), supply), float(level), True)
+        return Choice(assigned(weigh([cost > level, cost], supply.units), supply), float(level), True)
     allowed = supply.allowed()
     floor = _pair_level(np.where(allowed, cost, np.inf), supply)
     with contextlib.suppress(_TooLong):
-        if (best := _least_proved(cost, supply, allowed, levels, floor)) is not None:
+        if (best := _prove_least(cost, supply, allowed, levels, floor)) is not None:
             return Choice(best, max(float(cost[unit]) for unit in best), True)
     # Each step forbids what is as bad as the worst unit so far.
-    build = alternated(np.where(allowed, cost, np.inf), supply, starts, rng)
+    build = alternate(np.where(allowed, cost, np.inf), supply, starts, rng)
     while True:
         worst = max(cost[unit] for unit in build)
-        trial = alternated(np.where(allowed, weighed([cost >= worst, cost], supply.units), np.inf), supply, starts, rng)
+        trial = alternate(np.where(allowed, weigh([cost >= worst, cost], supply.units), np.inf), supply, starts, rng)
         if max(cost[unit] for unit in trial) >= worst:
             return Choice(build, float(floor), worst - floor <= CLOSE * abs(worst))
         build = trial
 
 
-def _least_proved(
+def _prove_least(
     cost: np.ndarray, supply: Supply, allowed: np.ndarray, levels: np.ndarray, floor: float
 ) -> Build | None:
     """By bisection over the levels of cost, each step a program; None where it is too large to prove."""
-    best = _proved([cost], supply, allowed)
+    best = _prove([cost], supply, allowed)
     if best is None:
         return None
     plans = {}
 
     def possible(level: float) -> bool:
-        plans[level] = _proved([cost], supply, allowed & (cost <= level))
+        plans[level] = _prove([cost], supply, allowed & (cost <= level))
         return plans[level] is not None
 
     low, high = (int(np.searchsorted(levels, end)) for end in (floor, max(cost[unit] for unit in best)))
@@ -113,7 +113,7 @@ def _least_proved(
     return plans.get(level, best)
 
 
-def weighed(layers: Sequence[np.ndarray], units: int) -> np.ndarray:
+def weigh(layers: Sequence[np.ndarray], units: int) -> np.ndarray:
     """One cost whose sums order like the sums of the layers, one after the other; the last layer alone is as it is.
 
     Args:
@@ -164,7 +164,7 @@ def _columns(supply: Supply, allowed: np.ndarray) -> int:
     return int(allowed.sum()) // (2 if supply.shared else 1)
 
 
-def _proved(layers: Sequence[np.ndarray], supply: Supply, allowed: np.ndarray) -> Build | None:
+def _prove(layers: Sequence[np.ndarray], supply: Supply, allowed: np.ndarray) -> Build | None:
     """Return the best plan by HiGHS; None where there is none, or it is too large to prove.
 
     Raises:
@@ -173,7 +173,7 @@ def _proved(layers: Sequence[np.ndarray], supply: Supply, allowed: np.ndarray) -
     if _columns(supply, allowed) > EXACT:
         return None
     combos = np.argwhere(allowed)
-    one_cost = weighed(layers, supply.units)
+    one_cost = weigh(layers, supply.units)
     if supply.shared:  # of the orders of a pair only the better one
         ordered = combos.copy()
         for group in set(supply.group):

@@ -37,7 +37,7 @@ class Opening:
 
     def opened(self, tolerances: Any) -> Any:
         """Return the same structure with every half-width times the factor, as `allocate` takes it."""
-        return _widened(tolerances, self.factor)
+        return _widen(tolerances, self.factor)
 
 
 def opening(
@@ -122,12 +122,12 @@ class _Virtual:
         seen: list[list[Any]] = [list(own) for own in self.given]
         for place, tolerance in self.moving.items():
             z, noise = self.z[place][number]
-            errors = np.moveaxis(np.asarray(_drawn(_widened(tolerance, factor), jnp.asarray(z)), float), -1, 0)
+            errors = np.moveaxis(np.asarray(_drawn(_widen(tolerance, factor), jnp.asarray(z)), float), -1, 0)
             for k, error in enumerate(errors):
                 sd = np.where(np.isfinite(self.sd[k][place]), self.sd[k][place], 0.0)
                 truth[k][place], seen[k][place] = error, error + sd * noise[..., k]
         parts = [Part(p.id, self.structure.unflatten(own), p.sd) for p, own in zip(self.kind.parts, seen)]
-        population = _widened(self.tolerances, factor)
+        population = _widen(self.tolerances, factor)
         return Kind(parts, indices=self.kind.indices, stock=self.kind.stock, population=population), truth
 
 
@@ -136,7 +136,7 @@ def _drawn(tolerance: Tolerance, z: jax.Array) -> jax.Array:
     return tolerance.deviate(z)
 
 
-def _widened(tolerances: Any, factor: float) -> Any:
+def _widen(tolerances: Any, factor: float) -> Any:
     """Every tolerance of a structure with its half-width times a factor."""
 
     def wider(leaf: Any) -> Any:

@@ -98,19 +98,19 @@ def _form(path: str | Path) -> Form:
     return FORMS[ending]
 
 
-def _shown(number: float) -> str:
+def _digits(number: float) -> str:
     return f"{float(number):.16e}"
 
 
-def _listed(numbers: np.ndarray, between: str) -> str:
-    return between.join(_shown(number) for number in numbers)
+def _join(numbers: np.ndarray, between: str) -> str:
+    return between.join(_digits(number) for number in numbers)
 
 
 def _write_csv(table: Table, joint: Joint, seed: int | None) -> str:
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
     rows.writerow(COLUMNS)
-    rows.writerows(map(_shown, row) for row in zip(table.angle, table.correction))
+    rows.writerows(map(_digits, row) for row in zip(table.angle, table.correction))
     return text.getvalue()
 
 
@@ -133,8 +133,8 @@ def _write_json(table: Table, joint: Joint, seed: int | None) -> str:
         "versions": versions("jax"),
     }
     lines = [f' "{key}": {json.dumps(value)},' for key, value in about.items()]
-    lines += [f' "angle": {numbers.format(_listed(table.angle, ", "))},']
-    lines += [f' "correction": {numbers.format(_listed(table.correction, ", "))}']
+    lines += [f' "angle": {numbers.format(_join(table.angle, ", "))},']
+    lines += [f' "correction": {numbers.format(_join(table.correction, ", "))}']
     return "\n".join(["{", *lines, "}", ""])
 
 
@@ -147,7 +147,7 @@ def _read_json(text: str) -> Parsed:
 
 
 def _write_modelica(table: Table, joint: Joint, seed: int | None) -> str:
-    rows = [f"{_shown(angle)} {_shown(value)}" for angle, value in zip(table.angle, table.correction)]
+    rows = [f"{_digits(angle)} {_digits(value)}" for angle, value in zip(table.angle, table.correction)]
     return "\n".join(["#1", f"double {table.name}({len(rows)},2)", *rows, ""])
 
 
@@ -167,10 +167,10 @@ def _write_mjcf(table: Table, joint: Joint, seed: int | None) -> str:
     if joint:  # a separate class: other joints of the model stay unchanged
         outer = ElementTree.SubElement(root, "default")
         own = ElementTree.SubElement(outer, "default", {"class": table.name})
-        ElementTree.SubElement(own, "joint", {key: _shown(joint[key]) for key in JOINT if key in joint})
+        ElementTree.SubElement(own, "joint", {key: _digits(joint[key]) for key in JOINT if key in joint})
     custom = ElementTree.SubElement(root, "custom")
     for name, numbers in ((f"{table.name}_angle", table.angle), (table.name, table.correction)):
-        data = _listed(numbers, " ")
+        data = _join(numbers, " ")
         ElementTree.SubElement(custom, "numeric", name=name, size=str(len(numbers)), data=data)
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode") + "\n"
@@ -188,7 +188,7 @@ def _read_mjcf(text: str) -> Parsed:
 def _write_structured_text(table: Table, joint: Joint, seed: int | None) -> str:
     lines = ["VAR_GLOBAL CONSTANT"]
     for name, numbers in ((f"{table.name}_angle", table.angle), (table.name, table.correction)):
-        values = _listed(numbers, ",\n        ")
+        values = _join(numbers, ",\n        ")
         lines.append(f"    {name} : ARRAY[0..{len(numbers) - 1}] OF LREAL := [\n        {values}];")
     return "\n".join([*lines, "END_VAR", ""])
 

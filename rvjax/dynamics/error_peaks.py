@@ -82,7 +82,7 @@ def speed_range(
 def _range(case: Case, slowest: Array, fastest: Array, count: int, pin_harmonics: int, one_sense: bool) -> SpeedRange:
     unit, (slowest, fastest) = read(case, slowest, fastest)
     orders = error_orders(unit, pin_harmonics)
-    sun_speeds = refined(unit.lumped, orders, slowest, fastest, count, one_sense)
+    sun_speeds = refine_speeds(unit.lumped, orders, slowest, fastest, count, one_sense)
     n = jnp.asarray([float(order) for order in orders], sun_speeds.dtype)
     frequency = output_speed(unit.lumped, sun_speeds)[:, None] * n[None, :]
     found = transfer(unit.lumped, frequency.ravel(), output_rows(unit.lumped, ("output.rotation",)))
@@ -102,7 +102,7 @@ def _range(case: Case, slowest: Array, fastest: Array, count: int, pin_harmonics
     return SpeedRange(peak, at, loud, loud_at, speeds, info)
 
 
-def refined(
+def refine_speeds(
     lumped: Lumped, orders: Orders, first: jax.Array, second: jax.Array, count: int, one_sense: bool
 ) -> jax.Array:
     """Speeds of the sun between both ends, ascending: an even grid, and crossings with their neighbours.

@@ -139,13 +139,13 @@ def solve_many(
             worst=tuple(names for part in parts for names in part["worst"]),
         ),
         status=whole["outcome"],
-        info=_stacked(whole["status"], whole["steps"], whole["away"]),
+        info=_stack_info(whole["status"], whole["steps"], whole["away"]),
         problem=problem,
         factors=whole["factors"],
     )
 
 
-def _stacked(status: np.ndarray, steps: np.ndarray, away: np.ndarray) -> SolveInfo:
+def _stack_info(status: np.ndarray, steps: np.ndarray, away: np.ndarray) -> SolveInfo:
     """One info for many units; a constructor takes one case."""
     one = SolveInfo(jnp.int32(0))
     return jax.tree.unflatten(jax.tree.structure(one), [jnp.asarray(item) for item in (status, steps, away)])
@@ -186,7 +186,7 @@ def _figures(problem: Problem, split: Split, y: np.ndarray, units: Units, deviat
     elements, seen, good = problem.elements, ~np.isnan(y), units.status == Status.CONVERGED
     u = np.where(good[:, None], units.u, 0.0)
     slopes, datum = units.rows[..., :-1], units.rows[..., -1]
-    judged = fits.judged(slopes, elements.mixing, problem.nuisance, datum, seen, problem.dof)
+    judged = fits.goodness(slopes, elements.mixing, problem.nuisance, datum, seen, problem.dof)
     weights = fits.weights(units.residual, seen, problem.dof)
     middle, one, other = (
         mapped_values(elements, u + sign * deviate * np.where(good[:, None], units.u_sd, 1.0)) for sign in (0, -1, 1)

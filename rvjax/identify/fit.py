@@ -11,7 +11,7 @@ import dataclasses
 import numpy as np
 from scipy import special
 
-from rvjax.identify.information import compressed
+from rvjax.identify.information import compress_rows
 
 REACHED = 0.01
 """Least lambda of a component that parts within the prior can move."""
@@ -120,12 +120,12 @@ def _along(columns: np.ndarray, vectors: np.ndarray) -> np.ndarray:
     return _back(columns, _dot(columns, vectors))
 
 
-def judged(
+def goodness(
     slopes: np.ndarray, mixing: np.ndarray, nuisance: np.ndarray, data: np.ndarray, seen: np.ndarray, dof: float
 ) -> dict[str, np.ndarray]:
     """Compute the statistics of `Fit` for units with linearised data d (..., m)."""
     if np.isinf(dof):  # normal noise stays what it is when rows are turned
-        rows = compressed(np.concatenate([slopes, data[..., None]], axis=-1))
+        rows = compress_rows(np.concatenate([slopes, data[..., None]], axis=-1))
         slopes, data = rows[..., :-1], rows[..., -1]
     components = Components.of(slopes, mixing, nuisance, seen)
     model, prior = components.sums(data)

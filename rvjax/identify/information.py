@@ -23,7 +23,7 @@ INSEPARABLE = 0.95
 """Least posterior correlation, by size, of two elements that are not distinguishable."""
 
 
-def compressed(rows: np.ndarray) -> np.ndarray:
+def compress_rows(rows: np.ndarray) -> np.ndarray:
     """Rows (..., m, n) turned into at most n of the same lengths and angles between columns: their factor R."""
     return np.asarray(np.linalg.qr(rows, mode="r")) if rows.shape[-2] > rows.shape[-1] else rows
 
@@ -38,7 +38,7 @@ class Spectrum(NamedTuple):
     def of(cls, slopes: np.ndarray) -> "Spectrum":
         """Return the spectrum of finite slopes."""
         n = slopes.shape[-1]
-        _, singular, right = np.linalg.svd(compressed(slopes), full_matrices=True)
+        _, singular, right = np.linalg.svd(compress_rows(slopes), full_matrices=True)
         missing = np.zeros((*singular.shape[:-1], n - singular.shape[-1]))
         eigenvalues = np.concatenate([singular, missing], axis=-1) ** 2
         return cls(eigenvalues, np.swapaxes(right, -1, -2))

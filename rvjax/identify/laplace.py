@@ -60,7 +60,7 @@ def _generalised_pareto(x: np.ndarray) -> float:
     return (n * k + 5.0) / (n + 10.0)
 
 
-def judged(log_weights: np.ndarray, modes: int) -> Laplace:
+def reliability(log_weights: np.ndarray, modes: int) -> Laplace:
     """Return the verdict on draws.
 
     Args:

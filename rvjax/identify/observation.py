@@ -88,7 +88,7 @@ class Layout:
             ValueError: another structure or shape, unequal counts of units, infinite, or nothing measured.
         """
         rows, counts = [], {}
-        for name, shape, pairs, leaf in self._matched("data", data):
+        for name, shape, pairs, leaf in self._match("data", data):
             number = _numbers(f"data{name}", leaf, pairs)
             lead = np.shape(number)[:1] if batched else ()
             if np.shape(number) != lead + shape or (batched and not lead):
@@ -123,7 +123,7 @@ class Layout:
         if jax.tree_util.all_leaves([sd]) and np.ndim(sd) == 0:
             return np.full(self.size, float(sd))
         rows = []
-        for name, shape, pairs, leaf in self._matched("noise.sd", sd):
+        for name, shape, pairs, leaf in self._match("noise.sd", sd):
             number = np.asarray(leaf, float)
             try:
                 number = np.broadcast_to(number, shape)
@@ -147,7 +147,7 @@ class Layout:
         named = (jax.tree_util.keystr(path, simple=True, separator=".") for path in self.paths)
         return [name or "data" for name in named]
 
-    def _matched(self, argument: str, tree: PyTree) -> Iterator[tuple[str, tuple[int, ...], bool, Any]]:
+    def _match(self, argument: str, tree: PyTree) -> Iterator[tuple[str, tuple[int, ...], bool, Any]]:
         """Yield name, shape and kind of each leaf of the observation with the same leaf of `tree`."""
         try:
             leaves = self.treedef.flatten_up_to(tree)

@@ -60,7 +60,7 @@ def process(elements: Elements, names: tuple[str, ...], factors: np.ndarray) -> 
         raise ValueError(f"population: {len(factors)} units with a mode, a spread needs at least 2")
     places = [elements.names.index(name) for name in names]
     mixing = elements.mixing[places]
-    mean, spread = _maximised(factors[:, :-1, :-1], factors[:, :-1, -1], mixing)
+    mean, spread = _maximise(factors[:, :-1, :-1], factors[:, :-1, -1], mixing)
     every = np.zeros((3, elements.count))
     every[:, places] = mean + np.array([[0.0], [-1.0], [1.0]]) * spread
     values = mapped_values(elements, every)[:, places]
@@ -84,7 +84,7 @@ def process(elements: Elements, names: tuple[str, ...], factors: np.ndarray) -> 
     )
 
 
-def _maximised(slopes: np.ndarray, data: np.ndarray, mixing: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _maximise(slopes: np.ndarray, data: np.ndarray, mixing: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     mean, spread = np.zeros(len(mixing)), np.ones(len(mixing))
     eye = np.eye(mixing.shape[1])
     for _ in range(ROUNDS):

@@ -44,7 +44,7 @@ def predict(
     if not source.peaks:
         raise ValueError(f"posterior: status {source.status}, there is no mode to predict from")
     rng = np.random.default_rng(integer("seed", seed) % 2**64)
-    z = _picked(posterior, draws, rng) if isinstance(posterior, Draws) else _drawn(posterior, draws, rng)
+    z = _pick(posterior, draws, rng) if isinstance(posterior, Draws) else _drawn(posterior, draws, rng)
     values, status = respond(response, source.problem.elements.population, jnp.asarray(z.T))
     good = np.asarray(succeeded(status))
     required = by_response(requirement, tuple(values), Limits, "requirement")
@@ -78,7 +78,7 @@ def _drawn(posterior: Posterior, draws: int, rng: np.random.Generator) -> np.nda
     return z
 
 
-def _picked(sampled: Draws, draws: int, rng: np.random.Generator) -> np.ndarray:
+def _pick(sampled: Draws, draws: int, rng: np.random.Generator) -> np.ndarray:
     """z (draws, n) of those sampled, each at most once where there are enough."""
     every = sampled.z.reshape(-1, sampled.z.shape[-1])
     return np.asarray(every[rng.choice(len(every), draws, replace=len(every) < draws)])

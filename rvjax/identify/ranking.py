@@ -82,7 +82,7 @@ def rank_measurements(
             raise ValueError(f"count = {count!r}: there are only {len(names)} candidates, unit -")
         number = int(count)
         sets: Iterable[tuple[int, ...]] = itertools.combinations(range(len(names)), number)
-        chosen, total, proved = _chosen(
+        chosen, total, proved = _choose(
             gain, sets, math.comb(len(names), number), exhaustive, np.ones(len(names)), float(number)
         )
     else:
@@ -94,7 +94,7 @@ def rank_measurements(
             chosen, total, proved = (best,), float(gains[best]), True
         else:
             sets = _affordable(prices, float(count))
-            chosen, total, proved = _chosen(gain, sets, 2 ** len(names) - 1, exhaustive, prices, float(count))
+            chosen, total, proved = _choose(gain, sets, 2 ** len(names) - 1, exhaustive, prices, float(count))
     order = sorted(chosen, key=lambda k: -gains[k])
     return Ranking(dict(zip(names, map(float, gains))), tuple(names[k] for k in order), total, proved)
 
@@ -187,7 +187,7 @@ def _nats(rows: np.ndarray) -> np.ndarray:
     return np.asarray(np.log1p(np.linalg.svd(rows, compute_uv=False) ** 2).sum(axis=-1) / 2)
 
 
-def _chosen(
+def _choose(
     gain: _Gain, sets: Iterable[tuple[int, ...]], number: int, exhaustive: int, prices: np.ndarray, budget: float
 ) -> tuple[tuple[int, ...], float, bool]:
     """Return the best set within a budget, its gain, and whether all were tried."""

@@ -95,7 +95,7 @@ def sample(posterior: Posterior, *, chains: int = 4, warmup: int = 500, draws: i
             draws=draws,
         )
     z = peak.z + np.asarray(v) @ root.T
-    r_hat, ess = diagnosed(z)
+    r_hat, ess = diagnose(z)
     divergences = int(np.asarray(divergent).sum())
     flat = mapped_values(problem.elements, z.reshape(-1, z.shape[-1]) @ problem.elements.mixing.T)
     trusted = r_hat.max() < R_HAT and ess.min() > ESS and divergences < DIVERGENT * chains * draws
@@ -181,7 +181,7 @@ def _density(apart: Any, dof: jax.Array | None, size: int) -> Any:
     return density
 
 
-def diagnosed(z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def diagnose(z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Split r_hat and effective draws of rank-normalised chains z (chains, draws, n).
 
     After Vehtari, Gelman, Simpson, Carpenter and Buerkner (2021, Bayesian Analysis 16, 667): ranks of the draws, and of
@@ -190,11 +190,11 @@ def diagnosed(z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     half = z.shape[1] // 2
     split = np.concatenate([z[:, :half], z[:, -half:]])
     folded = np.abs(split - np.median(split, axis=(0, 1)))
-    first, second = (_normalised(item) for item in (split, folded))
+    first, second = (_normalise(item) for item in (split, folded))
     return np.maximum(_r_hat(first), _r_hat(second)), _effective(first)
 
 
-def _normalised(chains: np.ndarray) -> np.ndarray:
+def _normalise(chains: np.ndarray) -> np.ndarray:
     from scipy import stats  # slow to import
 
     ranks = stats.rankdata(chains.reshape(-1, chains.shape[-1]), axis=0).reshape(chains.shape)

@@ -79,10 +79,10 @@ def search(
             beside = _lower_beside(problem, y, peak, draws)
             (saddles if beside else peaks).append(peak)
             pending += beside
-    return tuple(sorted(peaks, key=lambda peak: -peak.evidence)), _ended(ended, bool(peaks))
+    return tuple(sorted(peaks, key=lambda peak: -peak.evidence)), _final_info(ended, bool(peaks))
 
 
-def _ended(ended: list[Any], found: bool) -> SolveInfo:
+def _final_info(ended: list[Any], found: bool) -> SolveInfo:
     """Return the status of the solver at the lowest usable point."""
     phi = np.concatenate([item.phi for item in ended])
     status = np.concatenate([item.info.status for item in ended])

@@ -17,7 +17,7 @@ import numpy as np
 
 from rvjax.identify.elements import Elements
 from rvjax.identify.gauss_newton import LONGEST, ROUNDINGS, TOLERANCE, half_square, mixed, roots_of_weights
-from rvjax.identify.information import compressed
+from rvjax.identify.information import compress_rows
 from rvjax.identify.problem import Given, Model, Problem, linearised
 from rvjax.response import per_response
 from rvjax.status import Status
@@ -68,7 +68,7 @@ class Split:
 
 
 @per_response()
-def factored(model: Model, given: Given, y: jax.Array, z: jax.Array, order: jax.Array) -> tuple[jax.Array, ...]:
+def factor_rows(model: Model, given: Given, y: jax.Array, z: jax.Array, order: jax.Array) -> tuple[jax.Array, ...]:
     """Of units y (k, m) at z (k, n): triangular factors (k, n + 1, n + 1) of the weighted rows [J, -r] with the columns
     in this order, what the data add to Phi (k,), residuals, slopes over u, and the size of the numbers behind them."""
 
@@ -87,7 +87,7 @@ def linear_rows(problem: Problem, slopes: np.ndarray, u: np.ndarray, residual: n
     """Slopes (..., m, p) and linearised data J u - r (..., m, p + 1); of normal noise turned into fewer rows."""
     datum = (slopes @ u[..., None])[..., 0] - residual
     rows = np.concatenate([slopes, datum[..., None]], axis=-1)
-    return compressed(rows) if np.isinf(problem.dof) else rows
+    return compress_rows(rows) if np.isinf(problem.dof) else rows
 
 
 def triangular(rows: np.ndarray) -> np.ndarray:
@@ -118,12 +118,12 @@ def _step(factors: np.ndarray, z: np.ndarray, w: np.ndarray, damping: np.ndarray
     common = np.concatenate([root * np.eye(ns), -(w / root)[:, None]], axis=1)
     rest = triangular(np.concatenate([triangle[:, no:, no:].reshape(-1, ns + 1), common]))
     shared, below = rest[:ns, :ns], rest[:ns, -1]
-    dw = _limited(np.linalg.solve(shared, below)[None])[0]
-    dz = _limited(np.linalg.solve(upper, (right - across @ dw)[..., None])[..., 0])
+    dw = _limit(np.linalg.solve(shared, below)[None])[0]
+    dz = _limit(np.linalg.solve(upper, (right - across @ dw)[..., None])[..., 0])
     return _Step(dz, dw, float(np.sqrt((right**2).sum() + below @ below)), upper, across, shared)
 
 
-def _limited(steps: np.ndarray) -> np.ndarray:
+def _limit(steps: np.ndarray) -> np.ndarray:
     """Steps (units, n) none of whose numbers exceeds `LONGEST`."""
     if not steps.size:
         return steps
@@ -144,7 +144,7 @@ class Joint:
         self.u_sd, self.shared_u, self.shared_sd = np.zeros((len(y), len(self.mixing))), self.w, self.w
 
     def evaluate(self, part: slice, z: np.ndarray, w: np.ndarray) -> list[np.ndarray]:
-        """Evaluate `factored` for a chunk."""
+        """Evaluate `factor_rows` for a chunk."""
         together = self.rows[0].stop
         numbers = np.zeros((together, self.mixing.shape[1]))
         own = z[part]
@@ -152,7 +152,7 @@ class Joint:
         numbers[:, self.split.shared_columns] = w
         y = np.concatenate([self.y[part], np.repeat(self.y[:1], together - len(own), axis=0)])
         arrays = map(jnp.asarray, (y, numbers, self.order))
-        found = factored(self.problem.model, self.problem.device, *arrays)
+        found = factor_rows(self.problem.model, self.problem.device, *arrays)
         return [np.asarray(item)[: len(own)] for item in found]
 
     def all(self, z: np.ndarray, w: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -209,7 +209,7 @@ class Joint:
 
     def finish(self) -> None:
         """The covariances at the mode."""
-        factors = self.all(self.z, self.w)[0] if np.isinf(self.problem.dof) else self._expected()
+        factors = self.all(self.z, self.w)[0] if np.isinf(self.problem.dof) else self._expected_factors()
         step = _step(np.where(self.active[:, None, None], factors, 0.0), self.z, self.w, np.zeros(len(self.y) + 1))
         own, common = self.split.own, self.split.shared
         of_own = self.mixing[np.ix_(own, self.split.own_columns)]
@@ -223,7 +223,7 @@ class Joint:
         if self.status != Status.CONVERGED:
             self.shared_u, self.shared_sd = (np.full(common.size, np.nan) for _ in range(2))
 
-    def _expected(self) -> np.ndarray:
+    def _expected_factors(self) -> np.ndarray:
         """Factors with the expected information of Student noise."""
         found = []
         for part in self.rows:

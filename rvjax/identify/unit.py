@@ -92,11 +92,11 @@ def _found(
     heavy = int((weights > FAINT).sum())
     picked = rng.standard_normal((draws, mixing.shape[1]))
     log_weights = (picked**2).sum(axis=1) / 2 - phi_at(problem, y, peak.z + picked @ peak.spectrum.root.T)
-    laplace = checks.judged(log_weights, heavy)
+    laplace = checks.reliability(log_weights, heavy)
     rows = [u, u - deviate * about.u_sd, u + deviate * about.u_sd, *(mixing @ item.z for item in peaks)]
     rows += [u] * (-len(peaks) % padding)  # one program however many modes there are
     values = mapped_values(elements, np.stack(rows))
-    fit = _fitted(problem, y, peak.residual, peak.slopes, u)
+    fit = _goodness(problem, y, peak.residual, peak.slopes, u)
     adequate = bool(fit.p_model >= ADEQUATE)
     return Posterior(
         **{field.name: getattr(about, field.name) for field in dataclasses.fields(about)},
@@ -151,10 +151,10 @@ def _lost(problem: Problem, y: np.ndarray, info: SolveInfo) -> Posterior:
     return Posterior(**lost)
 
 
-def _fitted(problem: Problem, y: np.ndarray, residual: np.ndarray, slopes: np.ndarray, u: np.ndarray) -> Fit:
+def _goodness(problem: Problem, y: np.ndarray, residual: np.ndarray, slopes: np.ndarray, u: np.ndarray) -> Fit:
     """How well model and prior explain one unit."""
     mixing, seen = problem.elements.mixing, ~np.isnan(y)
-    found = fits.judged(slopes, mixing, problem.nuisance, slopes @ u - residual, seen, problem.dof)
+    found = fits.goodness(slopes, mixing, problem.nuisance, slopes @ u - residual, seen, problem.dof)
     return Fit(
         **{name: number.item() for name, number in found.items()},
         weights=fits.weights(residual, seen, problem.dof),

@@ -151,7 +151,7 @@ def central(m1: float, m2: float, m3: float, m4: float) -> Moments:
     return m1, m2 - m1**2, m3 - 3 * m1 * m2 + 2 * m1**3, m4 - 4 * m1 * m3 + 6 * m1**2 * m2 - 3 * m1**4
 
 
-def stretched(moments: Moments, origin: float, scale: float) -> Moments:
+def stretch(moments: Moments, origin: float, scale: float) -> Moments:
     """Moments of origin + scale x from those of x."""
     mean, variance, third, fourth = moments
     return origin + scale * mean, scale**2 * variance, scale**3 * third, scale**4 * fourth

@@ -10,7 +10,7 @@ import numpy as np
 from jax.scipy.special import erf, log_ndtr, ndtr, ndtri
 from scipy import special
 
-from rvjax.population.distribution import Distribution, Moments, bad, central, raw_rayleigh, stretched
+from rvjax.population.distribution import Distribution, Moments, bad, central, raw_rayleigh, stretch
 from rvjax.population.distributions.table import NODES, interpolate
 from rvjax.records import Scalar, concrete, field, record, text
 
@@ -29,7 +29,7 @@ class Normal(Distribution):
     def moments(self, tolerance: Any) -> Moments:
         """Mean m + shift h, variance sigma^2, 0, 3 sigma^4."""
         sigma = 1 / (3 * float(tolerance.cp))
-        return stretched((float(tolerance.shift), sigma**2, 0.0, 3 * sigma**4), *_placed(tolerance))
+        return stretch((float(tolerance.shift), sigma**2, 0.0, 3 * sigma**4), *_placement(tolerance))
 
     def is_normal(self, tolerance: Any) -> bool:
         """Always."""
@@ -60,8 +60,8 @@ class TruncatedNormal(Distribution):
         raw = [1.0, at_a - at_b]
         for k in (2, 3, 4):
             raw.append((k - 1) * raw[k - 2] + a ** (k - 1) * at_a - b ** (k - 1) * at_b)
-        middle, half = _placed(tolerance)
-        return stretched(central(*raw[1:]), middle + shift * half, half / (3 * cp))
+        middle, half = _placement(tolerance)
+        return stretch(central(*raw[1:]), middle + shift * half, half / (3 * cp))
 
 
 @record
@@ -88,7 +88,7 @@ class Lognormal(Distribution):
         q = 1 + w
         fourth = mean**4 * w**2 * (q**4 + 2 * q**3 + 3 * q**2 - 3)
         scale = 2 * float(tolerance.half_width) * math.exp(-3 * cp * s)
-        return stretched((mean, mean**2 * w, third, fourth), float(tolerance.lower), scale)
+        return stretch((mean, mean**2 * w, third, fourth), float(tolerance.lower), scale)
 
     def scaled(self, tolerance: Any, half_width: Scalar) -> dict[str, Any]:
         """About the lower limit, which is a bound of nature."""
@@ -108,7 +108,7 @@ class Uniform(Distribution):
 
     def moments(self, tolerance: Any) -> Moments:
         """m, h^2/3, 0, h^4/5."""
-        return stretched((0.0, 1 / 3, 0.0, 1 / 5), *_placed(tolerance))
+        return stretch((0.0, 1 / 3, 0.0, 1 / 5), *_placement(tolerance))
 
 
 @record
@@ -129,7 +129,7 @@ class Triangular(Distribution):
         """Of the triangle over -1 .. 1 with mode c: c/3, (3 + c^2)/18, c (c^2 - 9)/135, 2.4 v^2."""
         c = float(tolerance.shift)
         variance = (3 + c**2) / 18
-        return stretched((c / 3, variance, c * (c**2 - 9) / 135, 2.4 * variance**2), *_placed(tolerance))
+        return stretch((c / 3, variance, c * (c**2 - 9) / 135, 2.4 * variance**2), *_placement(tolerance))
 
 
 @record
@@ -153,7 +153,7 @@ class Beta(Distribution):
         third = 2 * variance * skew / (total + 2)
         fourth = 3 * variance * (2 + mean * below * (total - 6)) / ((total + 2) * (total + 3))
         moments = mean, variance, third, fourth
-        return stretched(moments, float(tolerance.lower), 2 * float(tolerance.half_width))
+        return stretch(moments, float(tolerance.lower), 2 * float(tolerance.half_width))
 
     def _check(self) -> None:
         try:
@@ -208,5 +208,5 @@ class Rayleigh(Distribution):
             raise bad("lower", tolerance.lower, f"must be 0 for {self.name}, a magnitude")
 
 
-def _placed(tolerance: Any) -> tuple[float, float]:
+def _placement(tolerance: Any) -> tuple[float, float]:
     return float(tolerance.middle), float(tolerance.half_width)
