@@ -13,7 +13,6 @@ from assembly_cases import cases, kind, measured, square
 
 from rvjax import RVErrors, Status
 from rvjax.assembly import Kind, Part, plan
-from rvjax.assembly import choice as choosing
 from rvjax.tolerances import Outcome, Requirement
 
 
@@ -173,7 +172,7 @@ def test_a_unit_that_fails_is_avoided_and_what_cannot_be_is_named(objective):
 
 
 @pytest.mark.parametrize("objective", ["mean", "yield", "bottleneck"])
-def test_beyond_the_exact_size_the_bound_holds(monkeypatch, objective):
+def test_beyond_the_exact_size_the_bound_holds(objective):
     """Six units from 6, 8 and 8 parts: bound <= optimum (HiGHS) <= plan, and the gap is what lies between."""
     rng = np.random.default_rng(8)
     kinds = {slot: kind(rng.standard_normal(count)) for slot, count in zip("abc", (6, 8, 8))}
@@ -183,8 +182,7 @@ def test_beyond_the_exact_size_the_bound_holds(monkeypatch, objective):
 
     options = dict(objective=objective, requirement=Requirement(upper=0.05))
     best = plan(response, kinds, **options)
-    monkeypatch.setattr(choosing, "EXACT", 0)
-    found = plan(response, kinds, **options)
+    found = plan(response, kinds, **options, exact_up_to=1)
     sign = -1 if objective == "yield" else 1
     assert best.status == "OPTIMAL" and sign * found.objective >= sign * best.objective - 1e-12
     assert sign * found.lower_bound <= sign * best.objective + 1e-12
@@ -195,12 +193,11 @@ def test_beyond_the_exact_size_the_bound_holds(monkeypatch, objective):
         assert found.lower_bound > 0.3 * best.objective
 
 
-def test_one_stock_beyond_the_exact_size(monkeypatch):
+def test_one_stock_beyond_the_exact_size():
     x = np.random.default_rng(9).standard_normal(12)
     stock = kind(x)
     best = plan(square, {"a": stock, "b": stock})
-    monkeypatch.setattr(choosing, "EXACT", 0)
-    found = plan(square, {"a": stock, "b": stock}, starts=8)
+    found = plan(square, {"a": stock, "b": stock}, starts=8, exact_up_to=1)
     assert found.objective == pytest.approx(best.objective, rel=1e-9)
     assert found.lower_bound <= best.objective * (1 + 1e-12)
     assert len({unit[slot] for unit in found.build for slot in "ab"}) == 12

@@ -55,8 +55,6 @@ def test_units_that_fit_no_memory_are_refused():
 
 def test_a_full_disk_where_warnings_are_errors(tmp_path, monkeypatch, capsys):
     """The study ends with the same numbers, and the older checkpoint stays."""
-    monkeypatch.setattr(checkpoint, "EVERY", 0)
-    monkeypatch.setattr(checkpoint, "_SHARE", 0)
     options = dict(samples=4000, seed=1, chunk=1000)
     expected = monte_carlo(lambda e: e["a"], ONE, **options)
     calls = []
@@ -70,7 +68,7 @@ def test_a_full_disk_where_warnings_are_errors(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(checkpoint, "write_atomically", full)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        found = monte_carlo(lambda e: e["a"], ONE, checkpoint=tmp_path / "c", **options)
+        found = monte_carlo(lambda e: e["a"], ONE, checkpoint=tmp_path / "c", checkpoint_every=0, **options)
     assert found.mean == expected.mean and len(calls) > 3
     assert [path.name for path in tmp_path.iterdir()] == ["c"]
 
@@ -133,9 +131,10 @@ def test_a_folder_that_cannot_be_written(tmp_path, monkeypatch):
     expected = monte_carlo(lambda e: e["a"], ONE, checkpoint=tmp_path / "c", **options)
     before = (tmp_path / "c").read_bytes()
     monkeypatch.setattr(checkpoint, "write_atomically", read_only)
-    monkeypatch.setattr(checkpoint, "EVERY", 0)
     with pytest.warns(RuntimeWarning, match="cannot be written"):
-        found = monte_carlo(lambda e: e["a"], ONE, checkpoint=tmp_path / "c", **(options | {"samples": 6000}))
+        found = monte_carlo(
+            lambda e: e["a"], ONE, checkpoint=tmp_path / "c", checkpoint_every=0, **(options | {"samples": 6000})
+        )
     assert found.samples == 6000 and (tmp_path / "c").read_bytes() == before
     assert expected.samples == 3000
 

@@ -84,7 +84,7 @@ def test_shares_are_those_of_the_linear_response(question, found):
     assert not found.variance["loaded"]["pin_radius"].any()  # of the flank, which the linkage does not know
 
 
-def test_what_errors_do_together_is_bounded(monkeypatch):
+def test_what_errors_do_together_is_bounded():
     """Oracle: f = a x + b y + c x y + d x y z of normal numbers has the variance a^2 + b^2 + c^2 + d^2, of which c^2 +
     d^2 is together; the bound counts a term of three twice. Five standard errors."""
     a, b, units = 2.0, 1.0, Population.of(dict.fromkeys("xyz", Tolerance.symmetric(1.0)))
@@ -95,12 +95,12 @@ def test_what_errors_do_together_is_bounded(monkeypatch):
             wave = a * x + b * y + c * x * y + d * x * y * z
             return np.stack([np.full_like(x, 7.0), 1j * wave], axis=1)
 
-        load = budget._of_load(solve, lambda first, *, count: draws[:, first : first + count], units, count)
+        draw = lambda first, *, count: draws[:, first : first + count]  # noqa: E731
+        load = budget._of_load(solve, draw, units, count, block=20_000)
         assert load.total[1] == pytest.approx(0.5 * (a**2 + b**2 + c**2 + d**2), rel=5 * np.sqrt(20 / count))
         assert load.failed == 0 and load.alike[0] == pytest.approx(49.0)
         return load.together
 
-    monkeypatch.setattr(budget, "BLOCK", 20_000)
     draws = jnp.asarray(np.random.default_rng(3).standard_normal((3, 41_000)))
     assert share(0.0, 0.0)[0] < 1e-28
     for c, d, due in ((0.5, 0.0, 0.25 / 5.25), (0.0, 0.5, 2 * 0.25 / 5.25)):
@@ -108,7 +108,7 @@ def test_what_errors_do_together_is_bounded(monkeypatch):
         assert 0 < error < 0.1 * due and abs(found - due) < 5 * error
 
 
-def test_blocks_of_units_change_nothing(question, monkeypatch):
+def test_blocks_of_units_change_nothing():
     def solve(z):
         return np.stack([np.asarray(z).sum(0), np.asarray(z).prod(0) + 1j], axis=1)
 
@@ -116,8 +116,7 @@ def test_blocks_of_units_change_nothing(question, monkeypatch):
     units = Population.of(dict.fromkeys("xy", Tolerance.symmetric(1.0)))
     found = []
     for block in (40, 16):
-        monkeypatch.setattr(budget, "BLOCK", block)
-        found.append(budget._solved(solve, lambda first, *, count: draws[:, first : first + count], units, 40))
+        found.append(budget._solved(solve, lambda first, *, count: draws[:, first : first + count], units, 40, block))
     jax.tree.map(np.testing.assert_array_equal, *found)
     assert found[0][0].shape == (40, 2)
 

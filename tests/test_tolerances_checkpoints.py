@@ -63,13 +63,6 @@ class Stop(BaseException):
     """Stands for whatever ends a process."""
 
 
-@pytest.fixture
-def always(monkeypatch):
-    """A file after every chunk, not only once a second."""
-    monkeypatch.setattr(checkpoint, "EVERY", 0.0)
-    monkeypatch.setattr(checkpoint, "_SHARE", 0)
-
-
 def interrupted(after, *arguments, **options):
     """A study that ends without warning when `after` chunks are counted."""
     left, add = [after], accumulator.Accumulator.add
@@ -88,11 +81,11 @@ def interrupted(after, *arguments, **options):
 @pytest.mark.parametrize(
     "options", [{}, {"method": "sobol"}, {"keep": True}, {"samples": 3500}], ids=["random", "sobol", "kept", "few"]
 )
-def test_a_resumed_study_ends_with_identical_bits(tmp_path, always, options):
+def test_a_resumed_study_ends_with_identical_bits(tmp_path, options):
     expected = run(**options)
     for _ in range(3):
         with pytest.raises(Stop):
-            interrupted(1, checkpoint=tmp_path / "c", **options)
+            interrupted(1, checkpoint=tmp_path / "c", checkpoint_every=0, **options)
     assert bits(run(checkpoint=tmp_path / "c", **options)) == bits(expected)
     assert bits(run(checkpoint=tmp_path / "c", **options)) == bits(expected)  # finished already
     assert [file.name for file in tmp_path.iterdir()] == ["c"]
@@ -175,7 +168,7 @@ def test_a_damaged_checkpoint_is_named(tmp_path, damage):
         run(3000, checkpoint=path)
 
 
-def test_a_full_disk_is_a_warning_and_loses_nothing(tmp_path, always, monkeypatch):
+def test_a_full_disk_is_a_warning_and_loses_nothing(tmp_path, monkeypatch):
     expected, write = bits(run()), checkpoint.write_atomically
     calls = []
 
@@ -187,7 +180,7 @@ def test_a_full_disk_is_a_warning_and_loses_nothing(tmp_path, always, monkeypatc
 
     monkeypatch.setattr(checkpoint, "write_atomically", full)
     with pytest.warns(RuntimeWarning, match=r"cannot be written \(.*No space left.*\); the study goes on without"):
-        found = run(checkpoint=tmp_path / "c")
+        found = run(checkpoint=tmp_path / "c", checkpoint_every=0)
     assert bits(found) == expected
     assert bits(run(checkpoint=tmp_path / "c")) == expected  # the disk had room again: the file is complete
     for path in (tmp_path / "absent" / "c", tmp_path):
@@ -200,7 +193,6 @@ def slow_study(path, samples):
     jax.config.update("jax_enable_x64", True)
     jax.config.update("jax_compilation_cache_dir", f"{path}.programs")  # compile once for all processes
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
-    checkpoint.EVERY = checkpoint._SHARE = 0
     add = accumulator.Accumulator.add
 
     def slow(*arguments, **options):
@@ -209,7 +201,7 @@ def slow_study(path, samples):
         add(*arguments, **options)
 
     accumulator.Accumulator.add = slow
-    run(samples, checkpoint=path)
+    run(samples, checkpoint=path, checkpoint_every=0)
 
 
 def test_killed_at_ten_random_moments_and_resumed(tmp_path):

@@ -7,7 +7,6 @@ from oracles.linear_pair import COSTS, LIMIT, PAIR, linear
 from rvjax.response import devices
 from rvjax.tolerances import Requirement, allocate
 from rvjax.tolerances.allocation import sample_average
-from rvjax.tolerances.batch import memo
 from rvjax.tolerances.batch.memo import Memo
 
 NEED = Requirement(lower=-LIMIT, upper=LIMIT, target=0.99)
@@ -15,7 +14,7 @@ NEED = Requirement(lower=-LIMIT, upper=LIMIT, target=0.99)
 
 @pytest.fixture
 def counted(monkeypatch):
-    """Blocks of units that were computed; everything is worth keeping, and `counted.stop` is one block too many."""
+    """Blocks of units that were computed; `counted.stop` is one block too many."""
 
     class Counted:
         blocks, stop = 0, 10**9
@@ -31,7 +30,6 @@ def counted(monkeypatch):
 
         return counting
 
-    monkeypatch.setattr(memo, "_WORTH", 0.0)
     for module in (sample_average, devices):
         monkeypatch.setattr(module, "respond", count(module.respond))
     return counted
@@ -46,21 +44,21 @@ def test_what_was_interrupted_goes_on_to_the_same_bits(counted, tmp_path):
     blocks, counted.blocks = counted.blocks, 0
     counted.stop = blocks // 2
     with pytest.raises(KeyboardInterrupt):
-        found(Memo(tmp_path / "part", {"study": "one"}))
+        found(Memo(tmp_path / "part", {"study": "one"}, worth=0))
     counted.blocks, counted.stop = 0, 10**9
-    again = found(Memo(tmp_path / "part", {"study": "one"}))
+    again = found(Memo(tmp_path / "part", {"study": "one"}, worth=0))
     assert counted.blocks == blocks - (blocks // 2 - 1)  # nothing twice
     assert (again.cost, again.half_widths, again.history) == (whole.cost, whole.half_widths, whole.history)
     assert again.certificate.yield_ == whole.certificate.yield_
     counted.blocks = 0
-    found(Memo(tmp_path / "part", {"study": "one"}))
+    found(Memo(tmp_path / "part", {"study": "one"}, worth=0))
     assert counted.blocks == 0
-    found(Memo(tmp_path / "part", {"study": "another"}))  # its numbers are no answer to this one
+    found(Memo(tmp_path / "part", {"study": "another"}, worth=0))  # its numbers are no answer to this one
     assert counted.blocks == blocks
 
 
-def test_damage_costs_time_alone(counted, tmp_path):
-    kept = Memo(tmp_path / "part", {})
+def test_a_damaged_array_is_computed_again(tmp_path):
+    kept = Memo(tmp_path / "part", {}, worth=0)
     assert kept.recall({"what": "a"}, lambda: np.arange(3.0)).tolist() == [0, 1, 2]
     (path,) = kept.folder.iterdir()
     path.write_bytes(path.read_bytes()[:-5])

@@ -49,7 +49,13 @@ class Choice:
 
 
 def least_sum(
-    layers: Sequence[np.ndarray], supply: Supply, starts: int, rng: np.random.Generator, *, asked: int = -1
+    layers: Sequence[np.ndarray],
+    supply: Supply,
+    starts: int,
+    rng: np.random.Generator,
+    *,
+    asked: int = -1,
+    exact_up_to: int = EXACT,
 ) -> Choice:
     """Return the plan with the least sums, layer by layer.
 
@@ -59,6 +65,7 @@ def least_sum(
         starts: of the alternation.
         rng: of its random plans.
         asked: layer whose bound is required.
+        exact_up_to: combinations up to which HiGHS proves the plan.
     """
     cost = weigh(layers, supply.units)
     if len(supply.shape) == 2 and not supply.shared:
@@ -66,7 +73,7 @@ def least_sum(
         return Choice(build, _sum(layers[asked], build), True)
     allowed = supply.allowed()
     with contextlib.suppress(_TooLong):
-        if (found := _prove(layers, supply, allowed)) is not None:
+        if (found := _prove(layers, supply, allowed, exact_up_to)) is not None:
             return Choice(found, _sum(layers[asked], found), True)
     build = alternate(np.where(allowed, cost, np.inf), supply, starts, rng)
     reached = _sum(layers[asked], build)
@@ -74,8 +81,18 @@ def least_sum(
     return Choice(build, bound, reached - bound <= CLOSE * abs(reached))
 
 
-def least_largest(cost: np.ndarray, supply: Supply, starts: int, rng: np.random.Generator) -> Choice:
-    """Return the plan whose largest cost is least, and among these the one with the least sum."""
+def least_largest(
+    cost: np.ndarray, supply: Supply, starts: int, rng: np.random.Generator, *, exact_up_to: int = EXACT
+) -> Choice:
+    """Return the plan whose largest cost is least, and among these the one with the least sum.
+
+    Args:
+        cost: of every combination.
+        supply: stocks.
+        starts: of the alternation.
+        rng: of its random plans.
+        exact_up_to: combinations up to which HiGHS proves the plan.
+    """
     levels = np.unique(cost)
     if len(supply.shape) == 2 and not supply.shared:
         level = _least_level(cost, supply, levels)
@@ -83,7 +100,7 @@ def least_largest(cost: np.ndarray, supply: Supply, starts: int, rng: np.random.
     allowed = supply.allowed()
     floor = _pair_level(np.where(allowed, cost, np.inf), supply)
     with contextlib.suppress(_TooLong):
-        if (best := _prove_least(cost, supply, allowed, levels, floor)) is not None:
+        if (best := _prove_least(cost, supply, allowed, levels, floor, exact_up_to)) is not None:
             return Choice(best, max(float(cost[unit]) for unit in best), True)
     # Each step forbids what is as bad as the worst unit so far.
     build = alternate(np.where(allowed, cost, np.inf), supply, starts, rng)
@@ -96,16 +113,16 @@ def least_largest(cost: np.ndarray, supply: Supply, starts: int, rng: np.random.
 
 
 def _prove_least(
-    cost: np.ndarray, supply: Supply, allowed: np.ndarray, levels: np.ndarray, floor: float
+    cost: np.ndarray, supply: Supply, allowed: np.ndarray, levels: np.ndarray, floor: float, exact_up_to: int
 ) -> Build | None:
     """By bisection over the levels of cost, each step a program; None where it is too large to prove."""
-    best = _prove([cost], supply, allowed)
+    best = _prove([cost], supply, allowed, exact_up_to)
     if best is None:
         return None
     plans = {}
 
     def possible(level: float) -> bool:
-        plans[level] = _prove([cost], supply, allowed & (cost <= level))
+        plans[level] = _prove([cost], supply, allowed & (cost <= level), exact_up_to)
         return plans[level] is not None
 
     low, high = (int(np.searchsorted(levels, end)) for end in (floor, max(cost[unit] for unit in best)))
@@ -164,13 +181,13 @@ def _columns(supply: Supply, allowed: np.ndarray) -> int:
     return int(allowed.sum()) // (2 if supply.shared else 1)
 
 
-def _prove(layers: Sequence[np.ndarray], supply: Supply, allowed: np.ndarray) -> Build | None:
+def _prove(layers: Sequence[np.ndarray], supply: Supply, allowed: np.ndarray, exact_up_to: int) -> Build | None:
     """Return the best plan by HiGHS; None where there is none, or it is too large to prove.
 
     Raises:
         _TooLong: it took more than `PATIENCE`.
     """
-    if _columns(supply, allowed) > EXACT:
+    if _columns(supply, allowed) > exact_up_to:
         return None
     combos = np.argwhere(allowed)
     one_cost = weigh(layers, supply.units)

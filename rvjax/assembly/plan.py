@@ -7,7 +7,7 @@ from collections.abc import Hashable, Mapping
 
 import numpy as np
 
-from rvjax.assembly.choice import CLOSE, least_largest, least_sum
+from rvjax.assembly.choice import CLOSE, EXACT, least_largest, least_sum
 from rvjax.assembly.costs import Costs, Machine, UnitResponse, costs, good
 from rvjax.assembly.on_demand import OnDemand, chosen_on_demand, too_many
 from rvjax.assembly.parts import Kind, Known, known
@@ -72,12 +72,13 @@ def plan(
     certificate_draws: int = 1024,
     seed: int = 0,
     starts: int = 32,
+    exact_up_to: int = EXACT,
     confidence: float = 0.95,
 ) -> Plan:
     """Choose the part and the position of every slot of every unit.
 
-    Two slots are assigned exactly; more, and two slots fed by one stock, by HiGHS up to 20,000 combinations; beyond by
-    alternation, with a Lagrangian bound. If combinations, positions and draws multiply to more than 2**26 responses,
+    Two slots are assigned exactly; more, and two slots fed by one stock, by HiGHS up to `exact_up_to` combinations; beyond
+    by alternation, with a Lagrangian bound. If combinations, positions and draws multiply to more than 2**26 responses,
     the alternation evaluates only the combinations it needs; `lower_bound` is then -inf (1 for "yield").
 
     Args:
@@ -90,13 +91,15 @@ def plan(
         certificate_draws: fresh ones, to value by.
         seed: of both.
         starts: random plans from which the alternation begins.
+        exact_up_to: combinations up to which HiGHS proves that no plan is better.
         confidence: of the intervals.
 
     Raises:
         ValueError: fewer than two slots, an unknown objective, "yield" without a requirement, counts below 1, parts
             that do not fit each other, or more than 2**24 combinations.
     """
-    _check(kinds, objective, requirement, confidence, draws=draws, certificate_draws=certificate_draws, starts=starts)
+    counts = dict(draws=draws, certificate_draws=certificate_draws, starts=starts, exact_up_to=exact_up_to)
+    _check(kinds, objective, requirement, confidence, **counts)
     by_kind = {id(kind): known(kind, slot) for slot, kind in kinds.items()}
     slots = {slot: by_kind[id(kind)] for slot, kind in kinds.items()}
     machine, supply = Machine(response, slots), supply_of(slots)
@@ -109,7 +112,7 @@ def plan(
         build, bound, reached, proved = chosen_on_demand(found, supply, objective, starts, rng)
     else:
         found = costs(machine, draw(slots, seed, 0, draws, alike=True), *asked)
-        build, bound, reached, proved = chosen(found, supply, objective, starts, rng)
+        build, bound, reached, proved = chosen(found, supply, objective, starts, rng, exact_up_to)
     if found.level:  # nothing to choose by: in the given order
         build = _as_they_lie(slots, supply)
     build = _in_order(build, slots)
@@ -212,7 +215,12 @@ def draw(
 
 
 def chosen(
-    found: Costs, supply: Supply, objective: str, starts: int, rng: np.random.Generator
+    found: Costs,
+    supply: Supply,
+    objective: str,
+    starts: int,
+    rng: np.random.Generator,
+    exact_up_to: int = EXACT,
 ) -> tuple[Build, float, float, bool]:
     """Build, bound and objective on the draws that chose (inf if it fails), and whether it is proved."""
     single = [slot for slot, size in enumerate(supply.shape) if size == 1]
@@ -224,7 +232,7 @@ def chosen(
             outside=None if found.outside is None else found.outside.squeeze(tuple(single)),
         )
         fewer = Supply(tuple(supply.pieces[k] for k in kept), tuple(supply.group[k] for k in kept), supply.units)
-        build, bound, reached, proved = chosen(lean, fewer, objective, starts, rng)
+        build, bound, reached, proved = chosen(lean, fewer, objective, starts, rng, exact_up_to)
         full = [tuple(dict(zip(kept, unit)).get(k, 0) for k in range(len(supply.shape))) for unit in build]
         return full, bound, reached, proved
     failing = ~np.isfinite(found.mean)
@@ -232,19 +240,19 @@ def chosen(
     mean = np.where(failing, finite.max(initial=0.0), found.mean)
     units = supply.units
     if failing.any():
-        fewest = least_sum([failing, mean], supply, starts, rng, asked=0)
+        fewest = least_sum([failing, mean], supply, starts, rng, asked=0, exact_up_to=exact_up_to)
         if any(failing[unit] for unit in fewest.build):
             return fewest.build, np.inf, np.inf, fewest.exact
     if objective == "bottleneck":
         worst = np.where(failing, finite.max() + 1 + np.ptp(finite), found.mean)
-        choice = least_largest(worst, supply, starts, rng)
+        choice = least_largest(worst, supply, starts, rng, exact_up_to=exact_up_to)
         return choice.build, choice.bound, max(found.mean[unit] for unit in choice.build), choice.exact
     if objective == "yield":
         assert found.outside is not None
-        choice = least_sum([failing, found.outside, mean], supply, starts, rng, asked=1)
+        choice = least_sum([failing, found.outside, mean], supply, starts, rng, asked=1, exact_up_to=exact_up_to)
         share = 1 - sum(found.outside[unit] for unit in choice.build) / units
         return choice.build, 1 - max(choice.bound, 0.0) / units, share, choice.exact
-    choice = least_sum([failing, mean], supply, starts, rng)
+    choice = least_sum([failing, mean], supply, starts, rng, exact_up_to=exact_up_to)
     return choice.build, choice.bound / units, sum(mean[unit] for unit in choice.build) / units, choice.exact
 
 

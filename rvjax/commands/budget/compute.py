@@ -211,8 +211,10 @@ class _Load:
     failed: int
 
 
-def _of_load(solve: Solve, draw: Callable[..., jax.Array], population: Population, samples: int) -> _Load:
-    one, other, changed = _solved(solve, draw, population, samples)
+def _of_load(
+    solve: Solve, draw: Callable[..., jax.Array], population: Population, samples: int, block: int = BLOCK
+) -> _Load:
+    one, other, changed = _solved(solve, draw, population, samples, block)
     good = np.isfinite(one).all(1) & np.isfinite(other).all(1)
     for values in changed.values():
         good &= np.isfinite(values).all(1)
@@ -238,10 +240,10 @@ def _of_load(solve: Solve, draw: Callable[..., jax.Array], population: Populatio
 
 
 def _solved(
-    solve: Solve, draw: Callable[..., jax.Array], population: Population, samples: int
+    solve: Solve, draw: Callable[..., jax.Array], population: Population, samples: int, block: int
 ) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
     """Waves (units, k) of units, of other units, and of the first with one error of the others, by that error."""
-    block = min(BLOCK, samples)
+    block = min(block, samples)
     parts: list[list[np.ndarray]] = []
     for first in range(0, samples, block):
         own, new = (draw(first + start, count=block) for start in (0, samples))

@@ -21,8 +21,7 @@ from rvjax.records import Record
 from rvjax.response import Response, respond
 from rvjax.tolerances.requirements.kinds import Limits
 
-EVERY = 1.0  # s, at most one file in this time
-_SHARE = 10  # and ten times as long computing as writing
+_SHARE = 10  # times as long computing as writing
 _FORMAT = 2
 LARGEST = 2**26
 """Bytes of a state for each response, at most: 16 histograms and what waits for one are 16 MiB."""
@@ -59,8 +58,15 @@ def response_hash(response: Response, population: Population) -> str:
 class Checkpoint:
     """The file of one study (and process): read once, then written now and again."""
 
-    def __init__(self, path: str | Path, fingerprint: Mapping[str, str]) -> None:
-        self._path, self._fingerprint = Path(path), dict(fingerprint)
+    def __init__(self, path: str | Path, fingerprint: Mapping[str, str], *, every: float = 1.0) -> None:
+        """Name the file.
+
+        Args:
+            path: of the file.
+            fingerprint: all that the state depends on.
+            every: least time between two files, s, or ten times the time to write one; 0 writes after each chunk.
+        """
+        self._path, self._fingerprint, self._every = Path(path), dict(fingerprint), every
         self._next, self._warned = 0.0, False
 
     def load(self, largest: int) -> tuple[int, dict[str, np.ndarray]]:
@@ -117,7 +123,7 @@ class Checkpoint:
                     warnings.warn(message, RuntimeWarning, stacklevel=3)
             self._warned = True
         end = time.monotonic()
-        self._next = end + max(EVERY, _SHARE * (end - start))
+        self._next = end + (max(self._every, _SHARE * (end - start)) if self._every else 0.0)
 
     def _write(self, chunk: int, arrays: Arrays) -> None:
         about = {"format": _FORMAT, "fingerprint": self._fingerprint, "next": chunk, "digest": digest(arrays)}

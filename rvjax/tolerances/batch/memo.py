@@ -16,21 +16,21 @@ import numpy as np
 from rvjax.files import DAMAGE, pack, unpack, write_atomically
 from rvjax.response import Values
 
-_WORTH = 0.1  # s of computing, below which an array is not stored
 _DIGITS = 32
 
 
 class Memo:
     """Arrays in a folder. An allocation is deterministic: a second run requires the same arrays and reads them here."""
 
-    def __init__(self, folder: str | Path, fingerprint: Mapping[str, str]) -> None:
+    def __init__(self, folder: str | Path, fingerprint: Mapping[str, str], *, worth: float = 0.1) -> None:
         """Name the folder; the first array makes it.
 
         Args:
             folder: that holds nothing else.
             fingerprint: all that a response depends on: the study, its files, the versions of rvjax, JAX and SciPy.
+            worth: time of computing below which an array is not stored, s.
         """
-        self.folder = Path(folder)
+        self.folder, self._worth = Path(folder), worth
         self._about = repr(sorted(fingerprint.items()))
 
     def recall(self, asked: Mapping[str, str], compute: Callable[[], np.ndarray]) -> np.ndarray:
@@ -41,7 +41,7 @@ class Memo:
             return unpack(path.read_bytes())["found"]
         start = time.monotonic()
         found = np.asarray(compute())
-        if time.monotonic() - start >= _WORTH:
+        if time.monotonic() - start >= self._worth:
             with contextlib.suppress(OSError):  # a full disk costs the next run time, not this one its result
                 self.folder.mkdir(parents=True, exist_ok=True)
                 write_atomically(path, pack({"found": found}))

@@ -51,6 +51,7 @@ def monte_carlo(
     correlation: Correlation = None,
     confidence: float = 0.95,
     checkpoint: str | Path | None = None,
+    checkpoint_every: float = 1.0,
     keep: bool = False,
     save: str | Path | UnitFile | None = None,
     progress: bool = False,
@@ -81,9 +82,10 @@ def monte_carlo(
         quantiles: shares whose quantiles are wanted.
         correlation: {(field or element, field or element): correlation of their z}.
         confidence: of every interval.
-        checkpoint: file to which the state goes at most once a second, and from which the same study goes on
-            after an interruption, to identical bits; a larger `samples` continues a finished one. Several
-            processes write one file each, with the number of the process behind the name.
+        checkpoint: file to which the state goes now and again, and from which the same study goes on after an
+            interruption, to identical bits; a larger `samples` continues a finished one. Several processes write one
+            file each, with the number of the process behind the name.
+        checkpoint_every: least time between two states of the checkpoint, s; 0 writes one after each chunk.
         keep: keep the response of every unit (host memory, and the checkpoint, grow with `samples`).
         save: table of every unit, .csv or .parquet, or a `UnitFile` with the choice of columns; memory does not grow
             with `samples`. Units that a checkpoint has counted already are computed again, to the same bits. Several
@@ -102,6 +104,8 @@ def monte_carlo(
     check_method(method)
     deviate_of(confidence)
     samples, chunk = _positive("samples", samples), _positive("chunk", chunk)
+    if not checkpoint_every >= 0:
+        raise ValueError(f"checkpoint_every = {checkpoint_every!r} s: must not be negative")
     if samples > 2**32:
         raise ValueError(f"samples = {samples}: units are numbered with 32 bits")
     for p in quantiles:
@@ -115,7 +119,7 @@ def monte_carlo(
     table = UnitFile(save) if isinstance(save, (str, Path)) else save
     run = Run(
         response, population, names, required, samples, seed, chunk, method, tuple(quantiles), confidence, checkpoint,
-        keep, table, progress,
+        checkpoint_every, keep, table, progress,
     )  # fmt: skip
     return unwrapped(run.statistics())
 
@@ -135,6 +139,7 @@ class Run:
     quantiles: tuple[float, ...] = (0.00135, 0.5, 0.99865)
     confidence: float = 0.95
     checkpoint: str | Path | None = None
+    checkpoint_every: float = 1.0
     keep: bool = False
     save: UnitFile | None = None
     progress: bool = False
@@ -246,7 +251,8 @@ class Run:
         process, processes = place()
         study["response"] = response_hash(self.response, self.population)
         mine = {"process": f"{process} of {processes}"}
-        file = Checkpoint(of_process(self.checkpoint, process, processes), study | mine | versions())
+        path, about = of_process(self.checkpoint, process, processes), study | mine | versions()
+        file = Checkpoint(path, about, every=self.checkpoint_every)
         done, state = file.load(LARGEST * (1 + len(self.names)) + 16 * self.samples * len(self.names))
         if done * self.chunk > self.samples:
             where = f"checkpoint = {str(self.checkpoint)!r} holds {done * self.chunk} already"
