@@ -68,6 +68,17 @@ def compiled():
     return EVENTS
 
 
+@pytest.fixture
+def traced_option(tmp_path):
+    """An option of XLA that leaves a trace, and what counts the programs of a name that XLA compiled with it."""
+    folder = tmp_path / "xla"
+
+    def count(name):
+        return len({path.name.split(".")[0] for path in folder.glob(f"*.jit_{name}.*")})
+
+    return (("xla_dump_to", str(folder)),), count
+
+
 @pytest.fixture(scope="session")
 def reference():
     """Independent high-precision cases: reference("four_bar") is the parsed file of that model."""

@@ -193,6 +193,20 @@ def test_beyond_the_exact_size_the_bound_holds(objective):
         assert found.lower_bound > 0.3 * best.objective
 
 
+def test_a_plan_beyond_the_exact_size_is_not_called_optimal():
+    """Random costs, whose Lagrangian bound lies below the optimum."""
+    table = jnp.asarray(np.random.default_rng(1).uniform(0, 1, (6, 6, 6)))
+
+    def response(parts, index):
+        return table[tuple(parts[slot]["x"].astype(int) for slot in "abc")]
+
+    kinds = {slot: kind(range(6)) for slot in "abc"}
+    proved, bounded = plan(response, kinds), plan(response, kinds, exact_up_to=100)
+    assert (proved.status, proved.gap) == ("OPTIMAL", 0)
+    assert bounded.status == "BOUNDED" and bounded.gap > 0.1
+    assert bounded.lower_bound < proved.objective <= bounded.objective
+
+
 def test_one_stock_beyond_the_exact_size():
     x = np.random.default_rng(9).standard_normal(12)
     stock = kind(x)

@@ -119,13 +119,12 @@ def test_only_the_command_line_keeps_and_only_what_has_a_name(folder, monkeypatc
     assert not list(folder.iterdir())
 
 
-def test_options_of_the_compiler_are_given_to_a_kept_program(folder, monkeypatch):
-    asked, plain = [], jax.jit
-    monkeypatch.setattr(jax, "jit", lambda f, **k: asked.append(k.get("compiler_options")) or plain(f, **k))
-    for _ in range(2):  # traced, and found
-        asked.clear()
-        Compiled(computed, ("names",), compile_cache.QUICK)(Power(3.0, 2), np.ones(3), names=("a",))
-        assert dict(compile_cache.QUICK) in asked
+def test_options_of_the_compiler_are_given_to_a_kept_program(folder, traced_option):
+    options, count = traced_option
+    for runs in (1, 2):  # traced, and found
+        found = Compiled(computed, ("names",), options)(Power(3.0, 2), np.ones(3), names=("a",))[0]["a"]
+        np.testing.assert_array_equal(found, 3.0)
+        assert len(TRACED) == 1 and count("*") > runs  # one is the trial of the options
 
 
 def test_keep_says_where(monkeypatch, folder):

@@ -135,27 +135,28 @@ def test_the_fingerprint_sees_the_numbers_of_a_record():
     assert len({of(lever(1.0)), of(lever(1.0 + 2e-16)), of(lever(1.0, 2)), of(lever(1.0).replace(arm=2.0))}) == 4
 
 
-@record
-class Told(Lever):
-    """A lever that says how its programs are compiled."""
+def test_a_response_has_its_own_compiler_options(traced_option):
+    options, count = traced_option
 
-    compiler_options = (*QUICK, ("xla_cpu_enable_fast_math", True))
+    @record
+    class Told(Lever):
+        """A lever with options of the compiler."""
 
+        compiler_options = options
 
-def test_a_response_says_how_it_is_compiled(monkeypatch):
-    asked = []
-    plain = jax.jit
-    monkeypatch.setattr(jax, "jit", lambda *a, **k: asked.append(k.get("compiler_options")) or plain(*a, **k))
-    value = per_response()(lambda response, errors: response(errors))
+    @per_response()
+    def value_of_lever(response, errors):
+        return response(errors)
+
     errors = {"a": 2.0, "b": 3.0}
-    told = Told(1.0, np.array([0.5, 0.5]), 2)
-    assert value(told, errors) == value(lever(1.0, 2), errors) == 11.0
-    assert {None, tuple(dict(told.compiler_options))} == {o and tuple(o) for o in asked}
-    # Within another program, whose options count, and with an option that no XLA knows.
-    assert (
-        plain(lambda a: value(told, errors | {"a": a}))(2.0)
-        == plain(lambda a: a / 2 * value(told, errors))(2.0)
-        == 11.0
-    )
+    plain, told = lever(1.0, 2), Told(1.0, np.array([0.5, 0.5]), 2)
+    assert value_of_lever(plain, errors) == 11.0 and count("value_of_lever") == 0
+    assert value_of_lever(told, errors) == 11.0 and count("value_of_lever") == 1
+    assert jax.jit(lambda a: value_of_lever(told, errors | {"a": a}))(2.0) == 11.0  # there the outer options count
+    assert jax.jit(lambda a: a / 2 * value_of_lever(told, errors))(2.0) == 11.0
+    assert count("value_of_lever") == 1
+
+
+def test_an_option_that_xla_lacks_is_dropped():
     assert understood((("xla_cpu_made_up", True),)) is None
     assert understood(QUICK) == dict(QUICK)

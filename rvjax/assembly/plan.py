@@ -77,9 +77,9 @@ def plan(
 ) -> Plan:
     """Choose the part and the position of every slot of every unit.
 
-    Two slots are assigned exactly; more, and two slots fed by one stock, by HiGHS up to `exact_up_to` combinations; beyond
-    by alternation, with a Lagrangian bound. If combinations, positions and draws multiply to more than 2**26 responses,
-    the alternation evaluates only the combinations it needs; `lower_bound` is then -inf (1 for "yield").
+    Two slots are assigned exactly; more, and two slots fed by one stock, by HiGHS up to `exact_up_to` combinations;
+    beyond by alternation, with a Lagrangian bound. If combinations, positions and draws multiply to more than 2**26
+    responses, the alternation evaluates only the combinations it needs; `lower_bound` is then -inf (1 for "yield").
 
     Args:
         response: (parts {slot: errors}, index {slot: int}) -> scalar or `Outcome` of one unit, a pure JAX function;
