@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax.records import Design, Record, Scalar, Shape, broadcast_fields, field, record, remind_of_precision
+from rvjax.records import Design, PyTree, Record, Scalar, Shape, broadcast_fields, field, record, remind_of_precision
 
 STAGES: dict[str, str] = {}
 """Stage of each part that errors belong to; of an RV reducer as in its design."""
@@ -86,7 +86,7 @@ def deviation(
     return field(unit, meaning, shape=shape, default=0.0, sign=sign, of=of, part=part, **about)
 
 
-def described(errors: Any, key: str) -> dict[str, Any]:
+def described(errors: PyTree, key: str) -> dict[str, Any]:
     """Metadata of the fields that have it, by field: `described(RVErrors, "placed")`.
 
     Args:
@@ -101,7 +101,7 @@ def _described(cls: Any, key: str) -> dict[str, Any]:
     return {f.name: f.metadata[key] for f in dataclasses.fields(cls) if f.metadata.get(key)}
 
 
-def read_by(errors: Any, model: str) -> tuple[str, ...]:
+def read_by(errors: PyTree, model: str) -> tuple[str, ...]:
     """Names of the errors that a model reads.
 
     Args:
@@ -111,7 +111,7 @@ def read_by(errors: Any, model: str) -> tuple[str, ...]:
     return tuple(name for name, models in described(errors, "read_by").items() if model in models)
 
 
-def placed_by(errors: Any, model: str) -> tuple[str, ...]:
+def placed_by(errors: PyTree, model: str) -> tuple[str, ...]:
     """Names of the errors with a place that a model reads, or knows a bound for.
 
     Args:

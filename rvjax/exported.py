@@ -74,11 +74,11 @@ def plain(leaves: list[Any]) -> list[Any]:
     return [leaf if isinstance(leaf, jax.Array) else np.asarray(leaf, jax.typeof(leaf).dtype) for leaf in leaves]
 
 
-def _put_together(shape: Any, leaves: list[Any]) -> Any:
+def _put_together(shape: object, leaves: list[Any]) -> Any:
     return jax.tree.map(lambda number: leaves[number], shape)
 
 
-def _spread(leaf: Any) -> Any:
+def _spread(leaf: object) -> Any:
     """Sharding of an array over several devices."""
     sharding = getattr(leaf, "sharding", None)
     return sharding if sharding is not None and sharding.num_devices > 1 else None

@@ -40,7 +40,7 @@ def data_set(record: Any, batch: Sequence[str] = ()) -> Any:
     return made.assign_attrs(record=type(record).__name__, **plain)
 
 
-def frame(record: Any, batch: Sequence[str] = (), along: str | None = None) -> Any:
+def frame(record: object, batch: Sequence[str] = (), along: str | None = None) -> Any:
     """Return a `pandas.DataFrame` of a record, SI: one row for each unit, one column for each number of it.
 
     Args:

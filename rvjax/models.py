@@ -57,7 +57,7 @@ def kinds() -> dict[str, type]:
     return {description.design.kind: description.design for description in descriptions()}  # type: ignore[attr-defined]
 
 
-def kind(design: Any) -> Kind:
+def kind(design: object) -> Kind:
     """What can be asked of a design.
 
     Raises:

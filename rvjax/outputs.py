@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from rvjax.records import Design, PyTree
 from rvjax.units import KNOWN, readable
 
 Solved = tuple[Any, Any]  # value and status
@@ -17,7 +18,7 @@ Source = Callable[[Any, Any, Any], Any]  # (design, errors, conditions) -> a res
 
 
 def condition(
-    default: Any,
+    default: object,
     meaning: str,
     *,
     unit: str | None = None,
@@ -60,11 +61,11 @@ class Reading:
     sources: tuple[Source, ...]
     take: Callable[..., Solved]
 
-    def __call__(self, design: Any, errors: Any, given: Any) -> Solved:
+    def __call__(self, design: Design, errors: PyTree, given: object) -> Solved:
         """The output alone."""
         return self.within({}, design, errors, given)
 
-    def within(self, found: dict[Source, Any], design: Any, errors: Any, given: Any) -> Solved:
+    def within(self, found: dict[Source, Any], design: Design, errors: PyTree, given: object) -> Solved:
         """The output among others of the same question.
 
         Args:
@@ -126,7 +127,7 @@ class Curve:
     turns: Callable[[Any, Any], float] | None = None
 
 
-def _once(_: Any) -> int:
+def _once(_: object) -> int:
     """One period in a turn of the output."""
     return 1
 

@@ -47,7 +47,7 @@ def field(
     meaning: str,
     *,
     shape: Shape = (),
-    default: Any = dataclasses.MISSING,
+    default: object = dataclasses.MISSING,
     sign: str = "any",
     kind: str = "real",
     of: str = "",
@@ -83,7 +83,7 @@ def count(meaning: str, *, minimum: int = 1, maximum: int = 1_000_000) -> Any:
     return dataclasses.field(metadata=dict(unit="-", meaning=meaning, minimum=minimum, maximum=maximum, kind="count"))
 
 
-def text(meaning: str, *, default: Any = dataclasses.MISSING) -> Any:
+def text(meaning: str, *, default: object = dataclasses.MISSING) -> Any:
     """Declare a static text field, such as the names of a result's columns.
 
     Args:
@@ -155,10 +155,10 @@ def record(cls: Class) -> Class:
     if fields:
         made.__doc__ = f"{inspect.cleandoc(cls.__doc__ or '')}\n\n{_field_table(fields)}"
 
-    def flatten(item: Any) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
+    def flatten(item: object) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
         return tuple(getattr(item, n) for n in traced), tuple(getattr(item, n) for n in static)
 
-    def flatten_with_keys(item: Any) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
+    def flatten_with_keys(item: object) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
         children, aux = flatten(item)
         return tuple((jax.tree_util.GetAttrKey(n), c) for n, c in zip(traced, children)), aux
 
@@ -187,7 +187,7 @@ def signs_hold(item: Record) -> jax.Array:
     return sound
 
 
-def is_concrete(value: Any) -> bool:
+def is_concrete(value: object) -> bool:
     """Return true for a number or an array whose value can be looked at now."""
     return isinstance(value, (float, int, np.ndarray, np.generic)) or (
         isinstance(value, jax.Array) and not isinstance(value, jax.core.Tracer)
@@ -307,7 +307,7 @@ def _field_table(fields: tuple[dataclasses.Field[Any], ...]) -> str:
     return "Fields (name, unit, shape, meaning)::\n\n" + "\n".join("    " + line for line in lines)
 
 
-def _number(owner: str, f: dataclasses.Field[Any], value: Any) -> Any:
+def _number(owner: str, f: dataclasses.Field[Any], value: object) -> Any:
     """Python numbers become floats (NumPy scalars would promote float32 programs), sequences arrays."""
     if isinstance(value, (bool, str, bytes)):
         raise ValueError(f"{owner}.{f.name} = {value!r}: must be a number in {f.metadata['unit']}")
@@ -346,7 +346,7 @@ def _checked(owner: str, f: dataclasses.Field[Any], value: Any) -> Any:
     return value
 
 
-def _check_sign(owner: str, f: dataclasses.Field[Any], value: Any) -> None:
+def _check_sign(owner: str, f: dataclasses.Field[Any], value: object) -> None:
     sign, values = f.metadata["sign"], np.asarray(value)
     if sign != "any" and np.any(values <= 0 if sign == "positive" else values < 0):  # NaN passes: a status names it
         rule = "positive" if sign == "positive" else "zero or positive"

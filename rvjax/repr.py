@@ -56,7 +56,7 @@ def value_text(value: Any, unit: str) -> str:
     return f"{array.shape} {low:.4g}{f' .. {high:.4g}' if high != low else ''}{unit}{nan}"
 
 
-def numbers_of(value: Any) -> np.ndarray | None:
+def numbers_of(value: object) -> np.ndarray | None:
     """The numbers, or None for what has none to look at: tracers, arrays elsewhere or given away, other things."""
     if isinstance(value, jax.Array):
         if isinstance(value, jax.core.Tracer) or value.is_deleted() or not value.is_fully_addressable:

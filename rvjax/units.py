@@ -6,7 +6,6 @@ N m, kg, s, Pa); text with units ("3.5 mm") is for study files and reports only.
 
 import math
 import re
-from typing import Any
 
 mm = 1e-3
 um = 1e-6
@@ -48,7 +47,7 @@ def spelling(name: str) -> str:
     return re.sub(r"N\s*[·*.]?\s*m(?!m)\b", "N m", name)
 
 
-def parse(value: Any, unit: str) -> float:
+def parse(value: object, unit: str) -> float:
     """Return a number in SI from text such as "3.5 mm"; `unit` is the SI unit that is expected.
 
     Args:

@@ -1,5 +1,6 @@
 """Lint, format and types of the whole tree, side by side with the other tests: they take one core half a minute."""
 
+import ast
 import subprocess
 import sys
 from pathlib import Path
@@ -16,3 +17,34 @@ def test_the_code_is_clean(command):
     """As on the command line, by the settings in pyproject.toml."""
     done = subprocess.run([sys.executable, "-m", *command], cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
+
+
+TYPED = ("identify", "dynamics", "four_bar", "mesh_force", "lost_motion", "outputs", "units", "progress")
+"""Layers whose signatures name what they take and return."""
+
+
+def annotations(path):
+    """Of every parameter and result of every function of a file."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
+            given = node.args
+            every = [*given.posonlyargs, *given.args, *given.kwonlyargs, given.vararg, given.kwarg]
+            yield from (one.annotation for one in every if one is not None and one.annotation is not None)
+            yield from [] if node.returns is None else [node.returns]
+
+
+def says_any(annotation):
+    return any(isinstance(node, ast.Name) and node.id == "Any" for node in ast.walk(annotation))
+
+
+@pytest.mark.parametrize(("layers", "most"), [(TYPED, 0.04), (("*",), 0.09)], ids=["typed layers", "everything"])
+def test_few_signatures_say_any(layers, most):
+    """`Any` tells an editor nothing; a named type or `object` does."""
+    package = ROOT / "rvjax"
+    files = [
+        path
+        for path in package.rglob("*.py")
+        if {path.relative_to(package).parts[0].removesuffix(".py"), "*"} & {*layers}
+    ]
+    found = [says_any(annotation) for path in files for annotation in annotations(path)]
+    assert len(found) > 500 and sum(found) <= most * len(found), f"{sum(found)} of {len(found)}"

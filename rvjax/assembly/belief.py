@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import special
 
+from rvjax.records import PyTree
 from rvjax.tolerances import Tolerance
 
 NODES = 129
@@ -56,7 +57,7 @@ class Belief:
         return np.moveaxis(np.stack(found, axis=1).reshape(draws, *self.mean.shape), 0, 1)
 
 
-def believed(value: Any, sd: Any, tolerance: Tolerance | None) -> tuple[Any, Any]:
+def believed(value: object, sd: PyTree, tolerance: Tolerance | None) -> tuple[Any, Any]:
     """Mean and standard deviation of an error that was measured.
 
     Of a normal population N(mu, s0^2) measured with s: g = s0^2/(s0^2 + s^2), mean mu + g (value - mu), sd

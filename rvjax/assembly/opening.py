@@ -11,6 +11,7 @@ import numpy as np
 from rvjax.assembly.costs import Machine, UnitResponse, costs, good
 from rvjax.assembly.parts import Kind, Part, at_path, known
 from rvjax.assembly.plan import chosen, draw, supply_of
+from rvjax.records import PyTree
 from rvjax.roots import bisect
 from rvjax.tolerances import Requirement, Tolerance
 
@@ -35,7 +36,7 @@ class Opening:
     curve: np.ndarray
     target: float
 
-    def opened(self, tolerances: Any) -> Any:
+    def opened(self, tolerances: PyTree) -> Any:
         """Return the same structure with every half-width times the factor, as `allocate` takes it."""
         return _widen(tolerances, self.factor)
 
@@ -101,7 +102,7 @@ def opening(
 class _Virtual:
     """Virtual parts of one stock: the random numbers are drawn once."""
 
-    def __init__(self, kind: Kind, tolerances: Any, sets: int, seed: int, number: int) -> None:
+    def __init__(self, kind: Kind, tolerances: PyTree, sets: int, seed: int, number: int) -> None:
         self.kind, self.tolerances = kind, getattr(tolerances, "tolerances", tolerances)
         self.structure: Any
         leaves, self.structure = jax.tree_util.tree_flatten_with_path(kind.parts[0].errors)
@@ -136,10 +137,10 @@ def _drawn(tolerance: Tolerance, z: jax.Array) -> jax.Array:
     return tolerance.deviate(z)
 
 
-def _widen(tolerances: Any, factor: float) -> Any:
+def _widen(tolerances: PyTree, factor: float) -> Any:
     """Every tolerance of a structure with its half-width times a factor."""
 
-    def wider(leaf: Any) -> Any:
+    def wider(leaf: object) -> Any:
         return leaf.with_half_width(factor * float(leaf.half_width)) if isinstance(leaf, Tolerance) else leaf
 
     return jax.tree.map(wider, tolerances, is_leaf=lambda leaf: leaf is None or isinstance(leaf, Tolerance))

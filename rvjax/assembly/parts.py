@@ -99,7 +99,7 @@ def _whole(number: Any) -> int:
         return -1
 
 
-def at_path(structure: Any, path: Path, absent: Any) -> Any:
+def at_path(structure: object, path: Path, absent: object) -> Any:
     """What a structure holds for a leaf of another one: its own leaf, or the one above it.
 
     Args:
@@ -120,7 +120,7 @@ def at_path(structure: Any, path: Path, absent: Any) -> Any:
     return structure
 
 
-def _left_out(value: Any, part: Part) -> bool:
+def _left_out(value: object, part: Part) -> bool:
     """Return whether a field of a record is not measured: the default 0.0, without a standard deviation."""
     return isinstance(value, float) and value == 0.0 and isinstance(part.sd, (int, float))
 

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax.records import Array
+from rvjax.records import Array, Scalar
 from rvjax.tolerances import Estimate
 
 BLOCK = 256  # draws at once: their curves stay small
@@ -222,7 +222,7 @@ def judged(
     )
 
 
-def _curve(order: Any, value: Any) -> tuple[np.ndarray, np.ndarray]:
+def _curve(order: Any, value: object) -> tuple[np.ndarray, np.ndarray]:
     """Orders as integers and values as complex numbers, in the order given."""
     orders, values = np.asarray(order), np.asarray(value, complex)
     if orders.ndim != 1 or orders.shape != values.shape:
@@ -240,7 +240,7 @@ def _curve(order: Any, value: Any) -> tuple[np.ndarray, np.ndarray]:
     return whole, values
 
 
-def residual(correction: Correction, order: Any, value: Any, *, shift: float = 0.0) -> Residual:
+def residual(correction: Correction, order: Any, value: object, *, shift: float = 0.0) -> Residual:
     """Compute the residual of a curve if the table is turned by `shift`: v_k - stored_k exp(i k shift).
 
     Args:
@@ -262,7 +262,7 @@ def residual(correction: Correction, order: Any, value: Any, *, shift: float = 0
     return Residual(both, left, float(np.sqrt(np.sum(np.abs(left) ** 2) / 2)))
 
 
-def phase_residual(order: Any, shift: Any) -> Any:
+def phase_residual(order: Any, shift: Scalar) -> Any:
     """Compute the share of an order's amplitude that remains if its exact correction is turned: 2 |sin(order shift/2)|.
 
     Above 60 degrees of phase it exceeds 1: the correction makes the error worse.

@@ -11,7 +11,7 @@ Derivation, orders and equation numbers: docs/models/dynamic_error.md.
 from collections.abc import Iterable
 from fractions import Fraction
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -308,5 +308,5 @@ def _complex(real: jax.Array, imaginary: jax.Array | None = None) -> jax.Array:
     return jax.lax.complex(real, jnp.zeros_like(real) if imaginary is None else imaginary)
 
 
-def _constant(values: Any, like: jax.Array) -> jax.Array:
+def _constant(values: PyTree, like: jax.Array) -> jax.Array:
     return jnp.asarray(values, like.dtype)

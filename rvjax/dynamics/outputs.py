@@ -21,6 +21,7 @@ from rvjax.dynamics.periodic import periodic
 from rvjax.dynamics.response import METHODS, response
 from rvjax.dynamics.symmetry import KINDS
 from rvjax.elementary import root
+from rvjax.errors import RVErrors
 from rvjax.outputs import Cases, Description, Output, Solved, Way, condition
 from rvjax.records import Scalar
 from rvjax.units import rpm
@@ -49,7 +50,7 @@ class Conditions:
     method: str = condition("first_order", "of the vibration", choices=METHODS)
 
 
-def _vibration(design: RVReducer, errors: Any, given: Any) -> Solved:
+def _vibration(design: RVReducer, errors: RVErrors, given: Any) -> Solved:
     """Root mean square of the output's rotation about its mean; the load on the output is the carrier's reversed."""
     found = response(
         _with_load(lump(errors.stiffened(design)), given),
@@ -64,7 +65,7 @@ def _vibration(design: RVReducer, errors: Any, given: Any) -> Solved:
     return root(square), found.info.status
 
 
-def _resonance_margin(design: RVReducer, errors: Any, given: Any) -> Solved:
+def _resonance_margin(design: RVReducer, errors: RVErrors, given: Any) -> Solved:
     """How far the mesh frequency stays from every torsional mode, over the mode; < 0: a mode lies within the range."""
     lumped = _with_load(lump(errors.stiffened(design)), given)
     found = modes(lumped)
@@ -86,7 +87,7 @@ def _with_load(lumped: Lumped, given: Any) -> Lumped:
 def _at_worst(at_speed: Callable[[DynamicError], Scalar], over_range: Callable[[SpeedRange], Scalar]) -> Evaluate:
     """What errors excite at `sun_speed`, or at the worst of the range of speeds where one is given."""
 
-    def evaluate(design: RVReducer, errors: Any, given: Any) -> Solved:
+    def evaluate(design: RVReducer, errors: RVErrors, given: Any) -> Solved:
         options = dict(load_inertia=given.load_inertia, pin_harmonics=given.pin_harmonics)
         ends = dict(slowest_sun_speed=given.slowest_sun_speed, fastest_sun_speed=given.fastest_sun_speed)
         missing = [name for name, end in ends.items() if end is None]
@@ -110,7 +111,7 @@ def _acceleration(found: DynamicError) -> jax.Array:
     return root(square)
 
 
-def _standing(design: RVReducer, errors: Any, given: Any) -> Solved:
+def _standing(design: RVReducer, errors: RVErrors, given: Any) -> Solved:
     found = transmission_error(errors.stiffened(design), errors, sun_speed=0.0, pin_harmonics=given.pin_harmonics)
     return found.peak_to_peak[0], found.info.status
 
@@ -119,7 +120,7 @@ POINTS = 64  # of the compared vibration in a mesh period
 SWING, SPEEDS = 0.3, (200 * rpm, 4000 * rpm)
 
 
-def _over_a_period(settings: Any, design: Any, errors: Any, extra: Any) -> Any:
+def _over_a_period(settings: Any, design: Any, errors: RVErrors, extra: Any) -> Any:
     """Rotation of the output wheel about its mean over one mesh period."""
     swing, speed, torque = extra
     design = design.replace(mesh_variation=design.mesh_variation.replace(planetary_swing=swing))

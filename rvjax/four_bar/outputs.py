@@ -6,6 +6,7 @@ from typing import Any
 
 from rvjax.catalogue import RV_40E
 from rvjax.designs import RVReducer
+from rvjax.errors import RVErrors
 from rvjax.four_bar.linkage import ALLOWED
 from rvjax.four_bar.observation import CURVE
 from rvjax.four_bar.revolution import figures, revolution
@@ -27,23 +28,23 @@ class Conditions:
     closure: str | None = condition(None, "of the crank linkages; the exact one by default", choices=CLOSURES)
 
 
-def _turn(given: Any, *, loaded: bool = True) -> dict[str, Any]:
+def _turn(given: Conditions, *, loaded: bool = True) -> dict[str, Any]:
     torque = given.output_torque if loaded else 0.0
     ways = dict(cranks=given.cranks, gear_stiffness_ratio=given.gear_stiffness_ratio, closure=given.closure)
     return dict(ways, angles=given.angles, output_torque=torque)
 
 
-def _transmission_error(design: RVReducer, errors: Any, given: Any) -> Solved:
+def _transmission_error(design: RVReducer, errors: RVErrors, given: Conditions) -> Solved:
     found = figures(design, errors, **_turn(given), only="error")
     return found.peak_to_peak, found.info.status
 
 
-def _misfit(design: RVReducer, errors: Any, given: Any) -> Solved:
+def _misfit(design: RVReducer, errors: RVErrors, given: Conditions) -> Solved:
     found = figures(design, errors, **_turn(given, loaded=False), only="misfit")
     return found.largest_misfit, found.info.status
 
 
-def _curve(design: RVReducer, errors: Any, given: Any) -> tuple[Any, Any]:
+def _curve(design: RVReducer, errors: RVErrors, given: Conditions) -> tuple[Any, Any]:
     loaded = design.cranks.bearing_stiffness is not None  # a study of the misfit alone needs none
     found = revolution(design, errors, **_turn(given, loaded=loaded))
     return found.crank_angle, found.error

@@ -48,7 +48,7 @@ def standard(population: Population, values: jax.Array) -> jax.Array:
     -FAR and FAR where the distribution does not reach the value.
     """
 
-    def halve(_: Any, ends: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+    def halve(_: object, ends: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         middle = (ends[0] + ends[1]) / 2
         below = jax.vmap(partial(elementwise, population))(middle) < values
         return jnp.where(below, middle, ends[0]), jnp.where(below, ends[1], middle)

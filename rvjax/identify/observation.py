@@ -160,11 +160,11 @@ class Layout:
         yield from zip(names, self.shapes, self.complex, leaves)
 
 
-def _is_complex(leaf: Any) -> bool:
+def _is_complex(leaf: object) -> bool:
     return bool(np.issubdtype(leaf.dtype if hasattr(leaf, "dtype") else np.asarray(leaf).dtype, np.complexfloating))
 
 
-def _numbers(name: str, leaf: Any, pairs: bool) -> np.ndarray:
+def _numbers(name: str, leaf: object, pairs: bool) -> np.ndarray:
     """Return a leaf of the data as an array of the model's kind of numbers; None is missing."""
     try:
         given = np.asarray(leaf)

@@ -140,7 +140,7 @@ def run(
         (state, parameters), _ = adaptation.run(adapting, start, num_steps=warmup)
         step = blackjax.nuts(logarithm, **parameters).step
 
-        def advance(state: Any, key: jax.Array) -> tuple[Any, tuple[jax.Array, jax.Array]]:
+        def advance(state: PyTree, key: jax.Array) -> tuple[Any, tuple[jax.Array, jax.Array]]:
             state, info = step(key, state)
             return state, (state.position, info.is_divergent)
 

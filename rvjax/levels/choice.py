@@ -10,7 +10,7 @@ import numpy as np
 
 from rvjax.levels.table import Model, Table, stored
 from rvjax.population import Tolerance
-from rvjax.records import is_concrete
+from rvjax.records import Design, PyTree, is_concrete
 from rvjax.units import readable
 
 
@@ -42,11 +42,11 @@ class Choice:
 
 
 def choose(
-    design: Any,
+    design: Design,
     outputs: Sequence[str],
-    conditions: Any,
+    conditions: object,
     *,
-    tolerances: Any,
+    tolerances: PyTree,
     accuracy: Mapping[str, float],
     table: Table | None = None,
 ) -> dict[str, Choice]:
@@ -110,7 +110,7 @@ def choose(
     return {name: found[name] for name in outputs if name in found}
 
 
-def as_given(design: Any, outputs: Sequence[str], conditions: Any, *, tolerances: Any) -> dict[str, Choice]:
+def as_given(design: Design, outputs: Sequence[str], conditions: object, *, tolerances: PyTree) -> dict[str, Choice]:
     """The level that the conditions themselves select for each output, and what is measured of it.
 
     Args:
@@ -152,11 +152,11 @@ def _unmeasured(output: str) -> Choice:
     return Choice(output, "as in the conditions", (), "float64", None, None, why)
 
 
-def _differs(model: Model, conditions: Any) -> list[str]:
+def _differs(model: Model, conditions: object) -> list[str]:
     return [name for name, value in model.conditions.items() if getattr(conditions, name) != value]
 
 
-def _known(models: Iterable[Model], output: str, conditions: Any) -> list[Model]:
+def _known(models: Iterable[Model], output: str, conditions: object) -> list[Model]:
     """Models with this output of the very question that the conditions ask."""
     return [
         model
@@ -165,7 +165,7 @@ def _known(models: Iterable[Model], output: str, conditions: Any) -> list[Model]
     ]
 
 
-def _model(known: Sequence[Model], design: Any, conditions: Any, tolerances: Any) -> tuple[Model, str]:
+def _model(known: Sequence[Model], design: object, conditions: Any, tolerances: Any) -> tuple[Model, str]:
     """The model that fits the conditions and, of these, the errors; and why its measurements do not hold."""
     numbers = design_numbers(design)
     given = {*reach(tolerances), *numbers}
@@ -206,7 +206,7 @@ def _overridden(design: Any, prefix: str = "") -> dict[str, Any]:
     return found
 
 
-def _size(model: Model, tolerances: Any) -> tuple[float, str]:
+def _size(model: Model, tolerances: PyTree) -> tuple[float, str]:
     """Size of the errors in units of those measured, the largest of all fields; and why it was not measured."""
     # A field that is not in the table is one that the model does not read.
     shares = {name: value / model.errors[name] for name, value in reach(tolerances).items() if name in model.errors}
@@ -216,7 +216,7 @@ def _size(model: Model, tolerances: Any) -> tuple[float, str]:
     return size, ""
 
 
-def reach(tolerances: Any) -> dict[str, float]:
+def reach(tolerances: PyTree) -> dict[str, float]:
     """How far each error reaches: |mean| + 3 standard deviations of every active field, SI.
 
     Args:

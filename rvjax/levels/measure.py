@@ -15,6 +15,7 @@ from rvjax.levels.choice import design_numbers, reach
 from rvjax.levels.table import Level, Model, Table
 from rvjax.levels.timing import alternate, compiled, machine
 from rvjax.outputs import Cases, Reading, Way
+from rvjax.records import Design, PyTree
 from rvjax.status import succeeded, worst
 from rvjax.tolerances import Tolerance, for_design, sample
 
@@ -43,7 +44,7 @@ def measured(*, quick: bool = False) -> list[Cases]:
     return [cases for d in models.descriptions() if d.cases for cases in d.cases(quick)]
 
 
-def limits(errors: Mapping[str, Any], design: Any) -> Any:
+def limits(errors: Mapping[str, Any], design: Design) -> Any:
     """Tolerances from the limits of described cases.
 
     Args:
@@ -73,9 +74,9 @@ def draw(cases: Cases, call: int, size: float, seed: int) -> tuple[Any, Any, Any
 def evaluate(
     cases: Cases,
     settings: Mapping[str, Any],
-    design: Any,
-    errors: Any,
-    extra: Any,
+    design: Design,
+    errors: PyTree,
+    extra: object,
     instead: Mapping[str, str] | None = None,
 ) -> Any:
     """Values of all outputs of one case and their worst status, under the conditions of the cases and a level.
@@ -173,7 +174,7 @@ def measure_model(cases: Cases, *, seed: int, seconds: float = 0.3) -> Model:
     )
 
 
-def _cast(tree: Any, precision: str) -> Any:
+def _cast(tree: PyTree, precision: str) -> Any:
     return jax.tree.map(lambda x: jnp.asarray(x, precision), tree)
 
 

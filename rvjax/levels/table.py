@@ -204,7 +204,7 @@ def stored() -> Table:
     return Table.load(resources.files("rvjax.levels") / "table.json")
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: object) -> Any:
     """JSON knows no infinity: a level that fails has null for its error."""
     if isinstance(value, dict):
         return {key: _plain(item) for key, item in value.items()}

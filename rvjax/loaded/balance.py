@@ -10,6 +10,7 @@ from rvjax.loaded.contacts import contacts, gradient, hessian
 from rvjax.loaded.elimination import solve
 from rvjax.loaded.newton import Found, minimise
 from rvjax.loaded.system import Layout, System
+from rvjax.records import PyTree
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
@@ -25,7 +26,7 @@ def balance(layout: Layout, system: System, start: jax.Array) -> Found:
 
 
 @balance.defjvp
-def _balance_jvp(layout: Layout, primals: Any, tangents: Any) -> Any:
+def _balance_jvp(layout: Layout, primals: PyTree, tangents: PyTree) -> Any:
     found = balance(layout, *primals)
     return found, jax.custom_derivatives.zero_from_primal(found)
 
@@ -51,7 +52,7 @@ def forces(layout: Layout, system: System, q: jax.Array) -> Forces:
 
 
 @forces.defjvp
-def _forces_jvp(layout: Layout, primals: Any, tangents: Any) -> Any:
+def _forces_jvp(layout: Layout, primals: PyTree, tangents: PyTree) -> Any:
     def of_one(system: System, q: jax.Array) -> Forces:
         at = contacts(layout, jax.tree.map(lambda leaf: leaf[..., None], system), q[:, None])
         return jax.tree.map(lambda x: x[..., 0], Forces(at.pins, at.gear, at.bearing.force))
@@ -85,7 +86,7 @@ def compliance(layout: Layout, system: System, q: jax.Array, load: jax.Array) ->
     def times(v: jax.Array) -> jax.Array:
         return jax.jvp(lambda x: residual(layout, system, x), (q,), (v,))[1]
 
-    def divided(_: Any, b: jax.Array) -> jax.Array:
+    def divided(_: object, b: jax.Array) -> jax.Array:
         return in_lanes(_compliance, layout)(jax.lax.stop_gradient(system), jax.lax.stop_gradient(q), b)
 
     return jax.lax.custom_linear_solve(times, load, divided, symmetric=True)
@@ -111,7 +112,7 @@ def attach(layout: Layout, system: System, q: jax.Array) -> jax.Array:
 
 
 @attach.defjvp
-def _attach_jvp(layout: Layout, primals: Any, tangents: Any) -> Any:
+def _attach_jvp(layout: Layout, primals: PyTree, tangents: PyTree) -> Any:
     system, q = primals
     q = attach(layout, system, q)
     _, change = jax.jvp(lambda s: residual(layout, s, q), (system,), (tangents[0],))

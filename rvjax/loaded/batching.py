@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 
 from rvjax.loaded.system import Layout, System
+from rvjax.records import PyTree
 
 Kernel = Callable[..., Any]
 
@@ -85,7 +86,7 @@ def _over_groups(kernel: Kernel, layout: Layout, system: System, *arrays: Any) -
     return jax.lax.map(group, [leaf for leaf, is_own in zip(leaves, own) if is_own])
 
 
-def take(tree: Any, index: jax.Array) -> Any:
+def take(tree: PyTree, index: jax.Array) -> Any:
     """The cases `index` of leaves (cases or 1, ...), lanes last; what all share stays one lane."""
     return jax.tree.map(lambda leaf: jnp.moveaxis(leaf if len(leaf) == 1 else leaf[index], 0, -1), tree)
 

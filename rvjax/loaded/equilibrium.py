@@ -1,7 +1,7 @@
 """One equilibrium of a whole reducer: what is read, what is valid, what comes out."""
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -41,8 +41,8 @@ def equilibrium(
     design: RVReducer,
     errors: RVErrors,
     *,
-    input_angle: Any,
-    output_torque: Any,
+    input_angle: Scalar,
+    output_torque: Scalar,
     contact: str = "hertz",
     carrier: str = "fixed",
     sun: str = "fixed",
@@ -76,7 +76,9 @@ def equilibrium(
 
 
 @quick(0, options=ONCE)
-def _equilibrium(layout: Layout, design: RVReducer, errors: RVErrors, input_angle: Any, output_torque: Any) -> Loaded:
+def _equilibrium(
+    layout: Layout, design: RVReducer, errors: RVErrors, input_angle: Scalar, output_torque: Scalar
+) -> Loaded:
     read = admit(layout, design, errors, output_torque, input_angle)
     case = prepare(layout, read, read.angle).loaded(read.torque)
     found = balance(layout, case.system, jnp.full((layout.unknowns,), jnp.nan, read.torque.dtype))

@@ -9,6 +9,7 @@ from rvjax.designs import RVReducer
 from rvjax.errors import RVErrors
 from rvjax.loaded.geometry import Geometry
 from rvjax.loaded.system import directions
+from rvjax.records import Scalar
 
 
 class Gaps(NamedTuple):
@@ -20,7 +21,7 @@ class Gaps(NamedTuple):
     seat: jax.Array  # (c, 2)
 
 
-def gaps(design: RVReducer, errors: RVErrors, at: Geometry, eccentricity: Any, flank: jax.Array) -> Gaps:
+def gaps(design: RVReducer, errors: RVErrors, at: Geometry, eccentricity: Scalar, flank: jax.Array) -> Gaps:
     """All gaps of one angle.
 
     Args:
@@ -94,7 +95,7 @@ def _gear(design: RVReducer, errors: RVErrors, at: Geometry, flank: jax.Array) -
     return thinner + flank[:, :, 0] * (sun_x - planet_x)[:, None] + flank[:, :, 1] * (sun_y - planet_y)[:, None]
 
 
-def _arm(design: RVReducer, errors: RVErrors, at: Geometry, eccentricity: Any) -> jax.Array:
+def _arm(design: RVReducer, errors: RVErrors, at: Geometry, eccentricity: Scalar) -> jax.Array:
     """Eq. 15: bore of the disc less the journal that the crank carries there, x, y."""
     discs, cranks = design.cycloid.disc_count, design.cranks.count
     bore = _placed(_full(errors.disc_bore, (discs, cranks, 2)), cranks)

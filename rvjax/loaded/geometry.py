@@ -12,6 +12,7 @@ import numpy as np
 
 from rvjax.designs import RVReducer
 from rvjax.elementary import sin_cos
+from rvjax.records import Scalar
 
 
 class Turn(NamedTuple):
@@ -25,7 +26,7 @@ class Turn(NamedTuple):
         c, s = (jnp.asarray(x, self.cosine.dtype) for x in (np.cos(angle), np.sin(angle)))
         return Turn(self.cosine * c - self.sine * s, self.sine * c + self.cosine * s)
 
-    def of(self, x: Any, y: Any) -> tuple[Any, Any]:
+    def of(self, x: Scalar, y: Any) -> tuple[Any, Any]:
         """The vector (x, y) turned by the angle."""
         return self.cosine * x - self.sine * y, self.sine * x + self.cosine * y
 

@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 
 from rvjax.elementary import log, power
+from rvjax.records import PyTree
 
 CONTACTS = ("hertz", "linear", "palmgren")
 
@@ -93,7 +94,7 @@ def _hertz(depth: jax.Array, compliance: jax.Array, level: jax.Array) -> jax.Arr
 
 
 @_hertz.defjvp
-def _hertz_jvp(primals: Any, tangents: Any) -> Any:
+def _hertz_jvp(primals: PyTree, tangents: PyTree) -> Any:
     (depth, compliance, level), (ddepth, dcompliance, dlevel) = primals, tangents
     load = _hertz(depth, compliance, level)
     reserve = jnp.maximum(depth - compliance * load, _LEAST * depth)  # c F (y - 1)

@@ -15,6 +15,7 @@ import numpy as np
 
 from rvjax.compile_cache import QUICK
 from rvjax.designs import Contact, RVReducer, Stiffness
+from rvjax.errors import RVErrors
 from rvjax.loaded.cases import cases
 from rvjax.loaded.equilibrium import equilibrium
 from rvjax.loaded.inputs import SUPPORTS, check_input
@@ -57,24 +58,24 @@ def _turns(design: RVReducer, given: Any) -> float:
     return 1.0 if given.span == "output_turn" else 1 / design.cycloid.pin_count
 
 
-def _along(design: RVReducer, errors: Any, given: Any, torque: Any) -> Revolution:
+def _along(design: RVReducer, errors: RVErrors, given: Any, torque: Any) -> Revolution:
     turns = _turns(design, given)
     return revolution(
         errors.stiffened(design), errors, output_torque=torque, turns=turns, samples=given.samples, **_ways(given)
     )
 
 
-def turn(design: RVReducer, errors: Any, given: Any) -> Revolution:
+def turn(design: RVReducer, errors: RVErrors, given: Any) -> Revolution:
     """Along the span under the output torque."""
     return _along(design, errors, given, given.output_torque)
 
 
-def second_turn(design: RVReducer, errors: Any, given: Any) -> Revolution:
+def second_turn(design: RVReducer, errors: RVErrors, given: Any) -> Revolution:
     """Along the span under the second torque."""
     return _along(design, errors, given, given.second_torque)
 
 
-def unloaded_turn(design: RVReducer, errors: Any, given: Any) -> Revolution:
+def unloaded_turn(design: RVReducer, errors: RVErrors, given: Any) -> Revolution:
     """Along the span at the probe torque: the limit of no load."""
     return _along(design, errors, given, PROBE * given.rated_torque)
 
@@ -82,7 +83,7 @@ def unloaded_turn(design: RVReducer, errors: Any, given: Any) -> Revolution:
 def _bench(shares: tuple[float, ...]) -> Callable[[RVReducer, Any, Any], tuple[jax.Array, SolveInfo]]:
     """Rotations (angles, shares, 2) at the input angles of the bench, and the worst info."""
 
-    def twist(design: RVReducer, errors: Any, given: Any) -> tuple[jax.Array, SolveInfo]:
+    def twist(design: RVReducer, errors: RVErrors, given: Any) -> tuple[jax.Array, SolveInfo]:
         """At the shares of the rated torque that this bench takes."""
         design = errors.stiffened(design)
         layout = check_input(design, errors, *_ways(given).values())
@@ -134,7 +135,7 @@ def _amplitude(found: Revolution, design: RVReducer, given: Any) -> Solved:
     return jnp.where(square == 0, 0, jnp.sqrt(jnp.where(square == 0, 1, square))), found.info.status
 
 
-def _pressure(design: RVReducer, errors: Any, given: Any) -> Solved:
+def _pressure(design: RVReducer, errors: RVErrors, given: Any) -> Solved:
     found = equilibrium(
         errors.stiffened(design),
         errors,
@@ -145,7 +146,7 @@ def _pressure(design: RVReducer, errors: Any, given: Any) -> Solved:
     return jnp.max(found.pressure), found.info.status
 
 
-def _curve(design: RVReducer, errors: Any, given: Any) -> tuple[Any, Any]:
+def _curve(design: RVReducer, errors: RVErrors, given: Any) -> tuple[Any, Any]:
     return 2 * np.pi * np.arange(given.samples) / given.samples, turn(design, errors, given).error
 
 

@@ -14,7 +14,7 @@ from rvjax.loaded.equilibrium import Case, judge, placed, prepare
 from rvjax.loaded.inputs import Read, admit, check_input
 from rvjax.loaded.newton import Found
 from rvjax.loaded.system import Layout
-from rvjax.records import Array, Record, field, record
+from rvjax.records import Array, Record, Scalar, field, record
 from rvjax.status import SolveInfo, succeeded, worst_of
 
 SHARES = (1.0, 0.5, 0.03, 1e-3)
@@ -37,8 +37,8 @@ def torsion(
     design: RVReducer,
     errors: RVErrors,
     *,
-    input_angle: Any,
-    rated_torque: Any,
+    input_angle: Scalar,
+    rated_torque: Scalar,
     contact: str = "hertz",
     carrier: str = "fixed",
     sun: str = "fixed",
@@ -65,7 +65,7 @@ def torsion(
 
 
 @quick(0)
-def _torsion(layout: Layout, design: RVReducer, errors: RVErrors, input_angle: Any, rated_torque: Any) -> Torsion:
+def _torsion(layout: Layout, design: RVReducer, errors: RVErrors, input_angle: Scalar, rated_torque: Scalar) -> Torsion:
     error, info = twisted(layout, design, errors, input_angle, rated_torque, SHARES)
     rated = jnp.asarray(rated_torque, error.dtype)
     torque = rated * jnp.asarray([[-share, share] for share in SHARES], error.dtype)
@@ -93,7 +93,7 @@ def secant(at_rated: jax.Array, at_half: jax.Array, rated_torque: Any) -> jax.Ar
 
 @quick(0)
 def twisted(
-    layout: Layout, design: RVReducer, errors: RVErrors, input_angle: Any, rated_torque: Any, shares: Any
+    layout: Layout, design: RVReducer, errors: RVErrors, input_angle: Scalar, rated_torque: Scalar, shares: Any
 ) -> tuple[jax.Array, SolveInfo]:
     """Rotation of the carrier at some shares of the rated torque, of either sign, each from the one before.
 

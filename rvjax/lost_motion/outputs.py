@@ -2,10 +2,10 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from rvjax.catalogue import RV_20E
 from rvjax.designs import RVReducer
+from rvjax.errors import RVErrors
 from rvjax.lost_motion.reducer import PROFILES, geometric
 from rvjax.outputs import Cases, Description, Output, Solved, Way, condition
 from rvjax.units import um
@@ -18,7 +18,7 @@ class Conditions:
     lost_motion_profile: str = condition("first_order", "of the play between flanks and pins", choices=PROFILES)
 
 
-def _lost_motion(design: RVReducer, errors: Any, given: Any) -> Solved:
+def _lost_motion(design: RVReducer, errors: RVErrors, given: Conditions) -> Solved:
     found = geometric(design, errors, profile=given.lost_motion_profile)
     return found.total, found.info.status
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from rvjax.catalogue import CORR
 from rvjax.designs import CamRollerReducer
+from rvjax.errors import CamRollerErrors
 from rvjax.mesh_force.cycle import CycleStatistics, cycle_statistics
 from rvjax.mesh_force.equilibrium import solve
 from rvjax.mesh_force.laws import CONTACTS
@@ -28,22 +29,22 @@ class Conditions:
     )
 
 
-def _cycle(design: CamRollerReducer, errors: Any, given: Any) -> CycleStatistics:
+def _cycle(design: CamRollerReducer, errors: CamRollerErrors, given: Conditions) -> CycleStatistics:
     torque, contact = given.input_torque, given.contact
     return cycle_statistics(design, errors, input_torque=torque, contact=contact, samples=given.angles)
 
 
-def _cam_force(design: CamRollerReducer, errors: Any, given: Any) -> Solved:
+def _cam_force(design: CamRollerReducer, errors: CamRollerErrors, given: Conditions) -> Solved:
     found = _cycle(design, errors, given)
     return found.cam_peak, found.info.status
 
 
-def _contact_pressure(design: CamRollerReducer, errors: Any, given: Any) -> Solved:
+def _contact_pressure(design: CamRollerReducer, errors: CamRollerErrors, given: Conditions) -> Solved:
     found = _cycle(design, errors, given)
     return found.pressure_peak, found.info.status
 
 
-def _curve(design: CamRollerReducer, errors: Any, given: Any) -> tuple[Any, Any]:
+def _curve(design: CamRollerReducer, errors: CamRollerErrors, given: Conditions) -> tuple[Any, Any]:
     """Largest cam force of all rollers while the output turns by one tooth of the gear."""
     angles = np.linspace(0, 2 * np.pi / design.gear_teeth, 8 * (design.gear_teeth + 1), endpoint=False)
 

@@ -7,13 +7,16 @@ and `moments`. Tolerances, studies, saved files and checkpoints take it from `DI
 import dataclasses
 import math
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import jax
 import numpy as np
 
 from rvjax.records import IN_ERROR_UNIT, Record, Scalar
 from rvjax.units import parse
+
+if TYPE_CHECKING:
+    from rvjax.population.tolerance import Tolerance
 
 Moments = tuple[Any, Any, Any, Any]
 """Mean, variance, third and fourth central moment of an error: floats, or arrays of the shape of its field."""
@@ -39,7 +42,7 @@ class Distribution(Record):
     def __init_subclass__(cls) -> None:
         DISTRIBUTIONS[cls.name] = cls
 
-    def deviate(self, tolerance: Any, z: jax.Array) -> jax.Array:
+    def deviate(self, tolerance: "Tolerance", z: jax.Array) -> Scalar:
         """Errors q(Phi(z)).
 
         Args:
@@ -48,15 +51,15 @@ class Distribution(Record):
         """
         raise NotImplementedError
 
-    def moments(self, tolerance: Any) -> Moments:
+    def moments(self, tolerance: "Tolerance") -> Moments:
         """Moments of a concrete tolerance, on the host."""
         raise NotImplementedError
 
-    def is_normal(self, tolerance: Any) -> bool:
+    def is_normal(self, tolerance: "Tolerance") -> bool:
         """Return true where the errors are linear in z."""
         return False
 
-    def scaled(self, tolerance: Any, half_width: Scalar) -> dict[str, Any]:
+    def scaled(self, tolerance: "Tolerance", half_width: Scalar) -> dict[str, Any]:
         """What changes in a tolerance that gets another half-width; here its limits, about their middle.
 
         Args:
@@ -65,18 +68,18 @@ class Distribution(Record):
         """
         return dict(lower=tolerance.middle - half_width, upper=tolerance.middle + half_width)
 
-    def coupling(self, tolerance: Any) -> float:
+    def coupling(self, tolerance: "Tolerance") -> float:
         """Correlation of the two components of one vector."""
         return 0.0
 
-    def correlation(self, tolerance: Any) -> np.ndarray:
+    def correlation(self, tolerance: "Tolerance") -> np.ndarray:
         """Correlation of the errors along the last axis, where the distribution couples them."""
         return np.array([[1.0, self.coupling(tolerance)], [self.coupling(tolerance), 1.0]])
 
-    def check(self, tolerance: Any) -> None:
+    def check(self, tolerance: "Tolerance") -> None:
         """Raise a ValueError for limits or parameters that do not fit; numbers may be tracers."""
 
-    def check_field(self, name: str, tolerance: Any) -> None:
+    def check_field(self, name: str, tolerance: "Tolerance") -> None:
         """Raise a ValueError for a field that this distribution does not fit, once its shape is known.
 
         Args:
@@ -90,7 +93,7 @@ class Distribution(Record):
         return tuple(f.name for f in _fields(cls))
 
     @classmethod
-    def parsed(cls, key: str, value: Any, unit: str) -> Any:
+    def parsed(cls, key: str, value: object, unit: str) -> Any:
         """Parse a parameter of a study file; a ValueError if it is not in its unit.
 
         Args:
@@ -114,7 +117,7 @@ class Distribution(Record):
         return {n: v if isinstance(v, (tuple, str, type(None))) else np.asarray(v).tolist() for n, v in values.items()}
 
 
-def distribution_of(distribution: Any, parameters: Mapping[str, Any]) -> Distribution:
+def distribution_of(distribution: object, parameters: Mapping[str, Any]) -> Distribution:
     """Make a distribution from its name, class or an instance; a ValueError names a parameter of another one."""
     if isinstance(distribution, str) and distribution in DISTRIBUTIONS:
         distribution = DISTRIBUTIONS[distribution]
@@ -140,7 +143,7 @@ def _fields(law: type[Distribution]) -> tuple[dataclasses.Field[Any], ...]:
     return dataclasses.fields(law)  # type: ignore[arg-type]  # the base alone is no dataclass
 
 
-def bad(name: str, value: Any, reason: str) -> ValueError:
+def bad(name: str, value: object, reason: str) -> ValueError:
     """Return the error that names a field of a tolerance and its value."""
     shown = f"{value:.6g}" if isinstance(value, float) else repr(value)
     return ValueError(f"Tolerance.{name} = {shown}: {reason}")

@@ -32,7 +32,7 @@ class Population(Record):
     )
 
     @classmethod
-    def of(cls, tolerances: Any, correlation: Correlation = None) -> Self:
+    def of(cls, tolerances: PyTree, correlation: Correlation = None) -> Self:
         """Return a population from what users give: checked, and a constant 0 as None, which costs nothing.
 
         Raises:

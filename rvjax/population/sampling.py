@@ -9,10 +9,10 @@ from rvjax.population.correlation import Correlation
 from rvjax.population.population import Population, root_key
 from rvjax.population.sobol import SobolPoints
 from rvjax.population.tolerance import Tolerance
-from rvjax.records import axis_sizes, is_concrete
+from rvjax.records import Design, axis_sizes, is_concrete
 
 
-def for_design(design: Any, **tolerances: Tolerance | None) -> Any:
+def for_design(design: Design, **tolerances: Tolerance | None) -> Any:
     """Tolerances of a design: its error record with a `Tolerance` or None in each field, shapes filled in.
 
     Args:

@@ -8,7 +8,7 @@ import dataclasses
 import hashlib
 import math
 import operator
-from typing import Any, Self
+from typing import Any, Self, cast
 
 import jax
 import numpy as np
@@ -16,7 +16,7 @@ import numpy as np
 from rvjax.population.distribution import DISTRIBUTIONS, Distribution, Moments, bad, distribution_of
 from rvjax.population.distributions import classic, empirical, spectrum, von_mises
 from rvjax.population.grades import it_width
-from rvjax.records import Record, Scalar, concrete, field, record, text
+from rvjax.records import Array, Record, Scalar, concrete, field, record, text
 
 __all__ = ["DISTRIBUTIONS", "Distribution", "Tolerance", "classic", "empirical", "spectrum", "von_mises"]
 
@@ -155,9 +155,9 @@ class Tolerance(Record):
         """The same distribution scaled about the middle of its limits, or about where it begins; shift and cp stay."""
         return self.replace(**self.law.scaled(self, half_width))
 
-    def deviate(self, z: jax.Array) -> jax.Array:
+    def deviate(self, z: jax.Array) -> Array:
         """Return the errors that belong to standard normal numbers z (any shape; of vectors (*shape, *batch))."""
-        return self.law.deviate(self, z)
+        return cast(Array, self.law.deviate(self, z))  # of the kind of z
 
     def moments(self) -> Moments:
         """Mean, variance, third and fourth central moment, on the host: floats, or arrays of the field's shape."""

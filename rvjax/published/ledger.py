@@ -99,7 +99,7 @@ def ours(figure: dict[str, Any]) -> Any:
     return figure.get("our_value", figure.get("judging_value"))
 
 
-def compare(figure: dict[str, Any], computed: Any, right: Any = None) -> Comparison:
+def compare(figure: dict[str, Any], computed: object, right: object = None) -> Comparison:
     """Compare one value.
 
     Args:
@@ -126,7 +126,7 @@ def compare(figure: dict[str, Any], computed: Any, right: Any = None) -> Compari
     )
 
 
-def show(value: Any) -> str:
+def show(value: object) -> str:
     """Return a figure as short text: numbers to six digits, lists with spaces, yes and no for statements."""
     if value is None:
         return "-"
@@ -142,14 +142,14 @@ def _call(function: Callable[[], Any] | None) -> Any:
     return None if function is None else _plain(function())
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: object) -> Any:
     """Arrays and NumPy scalars as Python numbers, fit for JSON."""
     if isinstance(value, (list, tuple)):
         return [_plain(v) for v in value]
     return value.tolist() if hasattr(value, "tolist") else value
 
 
-def _status(figure: dict[str, Any], computed: Any) -> str:
+def _status(figure: dict[str, Any], computed: object) -> str:
     if computed is None:
         return "not_computable"
     bands = _bands(figure, computed)
@@ -164,7 +164,7 @@ def _status(figure: dict[str, Any], computed: Any) -> str:
     return "not_reproduced"
 
 
-def _bands(figure: dict[str, Any], computed: Any) -> list[tuple[Any, Any, Any, Any]]:
+def _bands(figure: dict[str, Any], computed: object) -> list[tuple[Any, Any, Any, Any]]:
     """Of every element: computed, published, half the last published digit, tolerance of the computed one."""
     published = _list(figure.get("presupposes", figure["value"]))
     ours, rounding, tolerance = _list(computed), _list(figure.get("rounding", 0.0)), _list(figure.get("tolerance", 0.0))
@@ -172,7 +172,7 @@ def _bands(figure: dict[str, Any], computed: Any) -> list[tuple[Any, Any, Any, A
     return list(zip(ours, published, rounding, tolerance, strict=True))
 
 
-def _where(figure: dict[str, Any], computed: Any) -> str:
+def _where(figure: dict[str, Any], computed: object) -> str:
     """Return the numbers that make a contradiction."""
     if isinstance(figure.get("presupposes", figure["value"]), bool):
         return f"computed: {show(computed)}"
@@ -183,5 +183,5 @@ def _where(figure: dict[str, Any], computed: Any) -> str:
     return f"computed: {where}{more}"
 
 
-def _list(value: Any) -> list[Any]:
+def _list(value: object) -> list[Any]:
     return list(value) if isinstance(value, (list, tuple)) else [value]

@@ -17,7 +17,7 @@ from rvjax.catalogue import RV_20E, RV_20E_ERRORS
 from rvjax.designs import InvoluteStage
 from rvjax.lost_motion import geometric, shaft_tilt
 from rvjax.published.ledger import parse
-from rvjax.records import promote
+from rvjax.records import Scalar, promote
 from rvjax.units import arcmin, deg, mm, um
 
 RATIO = RV_20E.ratio
@@ -32,7 +32,7 @@ _unit = partial(geometric, RV_20E, RV_20E_ERRORS)
 
 
 @jax.jit
-def empirical_normal_force(output_torque: Any) -> jax.Array:
+def empirical_normal_force(output_torque: Scalar) -> jax.Array:
     """Normal force that makes "as_printed" return the tilted rows of Table 10 of Liu et al. 2022: a fit.
 
     Not a prediction: each printed total implies its own force through Eq. 11, and a straight line goes through

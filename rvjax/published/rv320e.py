@@ -17,6 +17,7 @@ from rvjax.batching import in_blocks
 from rvjax.catalogue import RV_320E
 from rvjax.designs import InvoluteStage, RVReducer
 from rvjax.published.rv320e_appendix import printed_stiffness
+from rvjax.records import PyTree, Scalar
 from rvjax.units import deg, mm, rpm
 
 TORQUE = -3136.0
@@ -108,7 +109,7 @@ def _moved(values: jax.Array, along: jax.Array, speed: jax.Array) -> tuple[jax.A
 LANES = 200  # a call, so that all figures share one program
 
 
-def _lanes(name: str, values: Any, speed: Any = RATED) -> tuple[np.ndarray, np.ndarray]:
+def _lanes(name: str, values: PyTree, speed: Scalar = RATED) -> tuple[np.ndarray, np.ndarray]:
     """B (n, 9, OUTPUTS) and dB/dxi over the values of one number and speeds in rad/s, all else nominal."""
     values, speed = (np.asarray(x, float) for x in np.broadcast_arrays(np.atleast_1d(values), speed))
     numbers = np.tile(NOMINAL, (len(values), 1))

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax.population import Population
+from rvjax.records import PyTree
 from rvjax.response.devices import UNITS, mesh_of, shared_out
 from rvjax.response.gradients import elements
 from rvjax.response.response import Response, Values, evaluate, per_response, response_names
@@ -37,7 +38,7 @@ class Part:
         nothing = jnp.zeros((count, AT_ONCE), jnp.result_type(float))
         return int(self._of(population, 1, lambda lanes: nothing)[1][0])
 
-    def _of(self, population: Population, count: int, errors: Any) -> tuple[np.ndarray, np.ndarray]:
+    def _of(self, population: Population, count: int, errors: PyTree) -> tuple[np.ndarray, np.ndarray]:
         running = []
         for start in range(0, count, AT_ONCE):
             lanes = np.resize(np.arange(start, min(start + AT_ONCE, count)), AT_ONCE)

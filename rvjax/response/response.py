@@ -120,7 +120,7 @@ class Outcome(Record):
     status: Array = field("-", "`Status` values, any shape (angles, discs)", kind="integer")
 
 
-def evaluate(response: Response, errors: Any) -> tuple[Values, jax.Array]:
+def evaluate(response: Response, errors: PyTree) -> tuple[Values, jax.Array]:
     """Values by name and the status of one unit.
 
     Raises:
@@ -141,7 +141,7 @@ def evaluate(response: Response, errors: Any) -> tuple[Values, jax.Array]:
     return values, jnp.where(succeeded(status) & ~finite, jnp.int32(int(Status.NONFINITE)), status)
 
 
-def _named(result: Any) -> dict[str, Any]:
+def _named(result: object) -> dict[str, Any]:
     if isinstance(result, Record):
         result = {path[-1].name: leaf for path, leaf in jax.tree_util.tree_flatten_with_path(result)[0]}
     if not isinstance(result, Mapping):
@@ -151,7 +151,7 @@ def _named(result: Any) -> dict[str, Any]:
     return dict(result)
 
 
-def unwrapped(result: Any) -> Any:
+def unwrapped(result: object) -> Any:
     """A result whose figures are dicts by name of the response, with plain ones where it is a plain scalar."""
     if dataclasses.is_dataclass(result) and not isinstance(result, (type, Record)):
         fields = {f.name: unwrapped(getattr(result, f.name)) for f in dataclasses.fields(result)}
@@ -170,7 +170,7 @@ def by_name(kind: type, found: Mapping[str, Mapping[str, Any]]) -> Any:
     return unwrapped(kind(**columns))
 
 
-def by_response(given: Any, names: tuple[str, ...], kind: type, argument: str) -> dict[str, Any]:
+def by_response(given: object, names: tuple[str, ...], kind: type, argument: str) -> dict[str, Any]:
     """Requirements (one, a dict, or None) as a dict by response; a ValueError names another type or an unknown name."""
     if given is None:
         return {}

@@ -39,7 +39,7 @@ def parse_about(table: dict[str, Any]) -> About:
     return About(**{key: _line(value, f"about.{key}") for key, value in table.items()})
 
 
-def _line(value: Any, where: str) -> str:
+def _line(value: object, where: str) -> str:
     if isinstance(value, int) and not isinstance(value, bool):  # a revision that is counted
         value = str(value)
     if not isinstance(value, str) or not value.strip() or not value.isprintable() or len(value) > LONGEST:

@@ -10,6 +10,7 @@ import numpy as np
 
 from rvjax.population import Population, drawn, root_key
 from rvjax.progress import begin, progress_bar
+from rvjax.records import PyTree
 from rvjax.response import (  # chunks of the certificate's size: the response compiles once
     BLOCK,
     nominal_status,
@@ -184,7 +185,7 @@ def solved_units(study: Study) -> dict[str, int]:
 
 
 def _side(
-    study: Study, response: Callable[[Any], Any], tolerances: Any, certificate: Statistics, curves: _Curves
+    study: Study, response: Callable[[Any], Any], tolerances: PyTree, certificate: Statistics, curves: _Curves
 ) -> Side:
     shares, sensitivities = influences(response, tolerances)
     kept = certificate
@@ -225,7 +226,7 @@ def _curves(study: Study) -> _Curves:
 
     units = jax.jit(jax.vmap(of_unit, in_axes=(None, -1)))
 
-    def drawn_units(tolerances: Any, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    def drawn_units(tolerances: PyTree, seed: int) -> tuple[np.ndarray, np.ndarray]:
         population = Population.of(tolerances)
         angles, values = units(population, drawn(population, root_key(seed), jnp.uint32(0), count=SHOWN_UNITS))
         return np.asarray(angles)[0], np.asarray(values)

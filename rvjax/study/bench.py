@@ -15,7 +15,7 @@ import numpy as np
 from rvjax import models
 from rvjax.errors import described, read_by
 from rvjax.outputs import Observation
-from rvjax.records import Array, Record, field, record, text
+from rvjax.records import Array, Design, Record, field, record, text
 from rvjax.study.measured import Conditions
 from rvjax.tolerances import Tolerance
 from rvjax.units import arcsec
@@ -169,8 +169,8 @@ class Curves(Record):
 
 def curve_model(
     model: str,
-    design: Any,
-    conditions: Any,
+    design: Design,
+    conditions: object,
     runs: Sequence[Conditions],
     orders: Sequence[int],
     nuisances: Sequence[str],
@@ -224,7 +224,7 @@ def order_name(order: int) -> str:
     return f"order {order:03d}"
 
 
-def signed_torques(runs: Sequence[Conditions], conditions: Any) -> np.ndarray:
+def signed_torques(runs: Sequence[Conditions], conditions: object) -> np.ndarray:
     """Torque of the discs on the carrier in each run, N m: load opposes motion, so its sign is the direction.
 
     Args:
@@ -241,7 +241,7 @@ def study_torque(conditions: Any) -> float:
     return float(next(getattr(conditions, f.name) for f in dataclasses.fields(conditions) if f.metadata["torque"]))
 
 
-def rated_torque(conditions: Any) -> float:
+def rated_torque(conditions: object) -> float:
     """N m; 0 where the conditions know none."""
     return float(getattr(conditions, "rated_torque", None) or 0.0)
 
@@ -285,7 +285,7 @@ class Frequencies(Record):
 
 
 def frequency_model(
-    observation: Observation, design: Any, conditions: Any, measured: np.ndarray, start: Values
+    observation: Observation, design: Design, conditions: object, measured: np.ndarray, start: Values
 ) -> Frequencies:
     """Natural frequencies of the modes that were measured.
 

@@ -85,5 +85,5 @@ def _values(cls: Any, table: Any, where: str, base: Any) -> dict[str, Any]:
     return values
 
 
-def _number(value: Any, unit: str, where: str) -> Any:
+def _number(value: object, unit: str, where: str) -> Any:
     return [_number(item, unit, where) for item in value] if isinstance(value, list) else quantity(value, unit, where)

@@ -2,15 +2,15 @@
 
 import math
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 
 from rvjax.designs import CamRollerReducer, InvoluteStage, RVReducer
+from rvjax.records import Design
 from rvjax.study.plausible import shown
 
 
-def facts_of(design: Any) -> Iterator[tuple[str, str]]:
+def facts_of(design: Design) -> Iterator[tuple[str, str]]:
     """(name, value) of what follows from the numbers of a design; nothing for a kind that is not in the catalogue."""
     if isinstance(design, CamRollerReducer):
         yield "rollers", str(design.gear_teeth + 1)

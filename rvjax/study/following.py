@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from rvjax.designs import InvoluteStage, RVReducer
+from rvjax.records import Design
 
 GEARS = ("sun_teeth", "planet_teeth", "module", "pressure_angle")
 PROFILE = ("eccentricity", "pin_count", "pin_circle_radius")
@@ -18,7 +19,7 @@ AGREE = {"sun_radius": 2e-3, "sun_base_radius": 2e-3, "planet_base_radius": 2e-3
 AGREE_CIRCLE = 0.02
 
 
-def followed(design: Any, given: dict[str, Any]) -> Any:
+def followed(design: Design, given: dict[str, Any]) -> Any:
     """The design, with what follows from the numbers that a study gives.
 
     Raises:

@@ -10,6 +10,7 @@ from typing import Any
 
 from rvjax import models
 from rvjax.outputs import Observation
+from rvjax.records import Design, PyTree
 from rvjax.study.bench import NUISANCES, nuisance, unit_of_number
 from rvjax.study.measured import DIRECTIONS, KINDS, Kind
 from rvjax.study.values import choice, integer, known, naming_field, quantity, subtable
@@ -46,7 +47,7 @@ class Identification:
     directions: tuple[str, ...] = tuple(DIRECTIONS)
     columns: dict[str, Any] = dataclasses.field(default_factory=dict)
 
-    def prior(self, tolerances: Any) -> dict[str, Tolerance]:
+    def prior(self, tolerances: PyTree) -> dict[str, Tolerance]:
         """All fields of the values of a unit: errors that vary, unknown numbers, nuisances of the bench."""
         names = [f.name for f in dataclasses.fields(tolerances)]
         errors = {n: getattr(tolerances, n) for n in names if isinstance(getattr(tolerances, n), Tolerance)}
@@ -144,14 +145,14 @@ def _noise(table: Mapping[str, Any], data: Kind) -> float | None:
     return noise
 
 
-def _check_parts(model: str, observations: Mapping[str, Observation], design: Any) -> None:
+def _check_parts(model: str, observations: Mapping[str, Observation], design: object) -> None:
     needs = dict.fromkeys(part for observation in observations.values() for part in observation.needs)
     missing = [part for part in needs if getattr(design, part) is None]
     if missing:
         raise ValueError(f"identify.model = {model!r}: the design has no {' and no '.join(missing)}")
 
 
-def field_unit(design: Any, name: str) -> str:
+def field_unit(design: Design, name: str) -> str:
     """SI unit of a field of the values of a unit: an error, an unknown number or a nuisance.
 
     Args:

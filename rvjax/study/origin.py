@@ -32,7 +32,7 @@ class Number:
     assumed: bool
 
 
-def design_numbers(design: Any, given: dict[str, Any], text: str) -> list[Number]:
+def design_numbers(design: object, given: dict[str, Any], text: str) -> list[Number]:
     """Every number of a design, with where it comes from.
 
     Args:
@@ -87,13 +87,13 @@ def _same(value: Any, other: Any) -> bool:
     return other is not None and bool((value == other) if not hasattr(value, "shape") else (value == other).all())
 
 
-def _at(record: Any, path: str) -> Any:
+def _at(record: object, path: str) -> Any:
     for name in path.split("."):
         record = getattr(record, name, None)
     return record
 
 
-def _given(table: Any, path: str) -> bool:
+def _given(table: object, path: str) -> bool:
     for name in path.split("."):
         if not isinstance(table, dict) or name not in table:
             return False

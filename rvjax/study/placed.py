@@ -10,6 +10,7 @@ from typing import Any
 from rvjax import models
 from rvjax.errors import described, placed_by
 from rvjax.population import DISTRIBUTIONS
+from rvjax.records import Design, PyTree
 from rvjax.study.values import choice, known, naming_field, quantity, subtable
 
 WORDS = ("runout", "position", "cumulative")
@@ -17,7 +18,7 @@ RING = "pin_ring"  # positions and radii of all pins, as one field
 LIMITS = {"lower", "upper", "half_width", "grade"}
 
 
-def spelled(design: Any, table: dict[str, Any]) -> dict[str, Any]:
+def spelled(design: Design, table: dict[str, Any]) -> dict[str, Any]:
     """The table [tolerances] with the words of drawings as limits and laws.
 
     Raises:
@@ -49,7 +50,7 @@ def _ring(table: dict[str, Any]) -> dict[str, Any]:
     return made
 
 
-def _limits(error_record: Any, field: str, table: dict[str, Any]) -> dict[str, Any]:
+def _limits(error_record: object, field: str, table: dict[str, Any]) -> dict[str, Any]:
     """One tolerance with limits in the place of a word."""
     where, words = f"tolerances.{field}", [word for word in WORDS if word in table]
     if "spectrum" in table:
@@ -74,7 +75,7 @@ def _limits(error_record: Any, field: str, table: dict[str, Any]) -> dict[str, A
     return _vector(size) | rest
 
 
-def _length(value: Any, where: str, before: str = "") -> float:
+def _length(value: object, where: str, before: str = "") -> float:
     """A length, not negative, that may have to begin with a word that says how it is meant."""
     if before:
         words = value.split(maxsplit=1) if isinstance(value, str) else []
@@ -97,7 +98,7 @@ def _text(value: float) -> str:
     return f"{value!r} m"
 
 
-def refuse_unplaced(kind: models.Kind, outputs: Sequence[str], tolerances: Any) -> None:
+def refuse_unplaced(kind: models.Kind, outputs: Sequence[str], tolerances: PyTree) -> None:
     """Refuse a tolerance with a place that no model asked can place.
 
     Raises:

@@ -13,6 +13,7 @@ import numpy as np
 from rvjax import catalogue
 from rvjax.designs import RVReducer
 from rvjax.errors import described
+from rvjax.records import Design, PyTree
 from rvjax.tolerances import Middle, Tolerance
 from rvjax.units import suited
 
@@ -25,7 +26,7 @@ TORQUE = min(RATED.values()), max(RATED.values())
 HALF_WIDTH = {"m": (0.5e-6, 40e-6), "rad": (1e-4, 9e-3), "-": (0.01, 0.3)}  # of the studies and sources in this package
 
 
-def refuse_impossible(design: Any, tolerances: Any, costs: dict[str, Any], middles: dict[str, Middle]) -> None:
+def refuse_impossible(design: Design, tolerances: PyTree, costs: dict[str, Any], middles: dict[str, Middle]) -> None:
     """Refuse parts that do not fit into each other, and errors as large as the part.
 
     Raises:
@@ -51,7 +52,7 @@ def refuse_impossible(design: Any, tolerances: Any, costs: dict[str, Any], middl
                 raise ValueError(f"{name}: {span}, as large as the part itself, {shown(part, unit)}")
 
 
-def doubts(design: Any, conditions: Any, tolerances: Any) -> list[str]:
+def doubts(design: object, conditions: Any, tolerances: Any) -> list[str]:
     """Numbers that are far from those of every known reducer, a line each."""
     known = [dict(numbers(one)) for one in KNOWN_DESIGNS if type(one) is type(design)]
     found = []
@@ -129,7 +130,7 @@ def _collisions(design: RVReducer) -> list[str]:
     ]
 
 
-def _part(design: Any, path: str) -> float | None:
+def _part(design: Design, path: str) -> float | None:
     """The size of what an error deviates from, or None."""
     if not path:
         return None
@@ -138,7 +139,7 @@ def _part(design: Any, path: str) -> float | None:
     return abs(float(np.max(np.asarray(design))))
 
 
-def _toleranced(tolerances: Any) -> Iterator[tuple[str, Tolerance, Any]]:
+def _toleranced(tolerances: PyTree) -> Iterator[tuple[str, Tolerance, Any]]:
     for f in dataclasses.fields(tolerances):
         if (tolerance := getattr(tolerances, f.name)) is not None:
             yield f.name, tolerance, f.metadata

@@ -10,7 +10,7 @@ from typing import Any
 from rvjax import models
 from rvjax.outputs import Output
 from rvjax.population import COMMON, DISTRIBUTIONS
-from rvjax.records import IN_ERROR_UNIT, Shape, axis_sizes, remind_of_precision
+from rvjax.records import IN_ERROR_UNIT, Design, Shape, axis_sizes, remind_of_precision
 from rvjax.study.about import parse_about
 from rvjax.study.design import parse_design
 from rvjax.study.identification import Identification, parse_identification
@@ -159,7 +159,7 @@ def _conditions(
     return kind.conditions(**{key: _condition(value, fields[key], f"conditions.{key}") for key, value in given.items()})
 
 
-def _condition(value: Any, about: Mapping[str, Any], where: str) -> Any:
+def _condition(value: object, about: Mapping[str, Any], where: str) -> Any:
     """A condition as it is declared by `outputs.condition`."""
     if about["choices"] is not None:
         return choice(value, about["choices"], where)
@@ -173,7 +173,7 @@ def _condition(value: Any, about: Mapping[str, Any], where: str) -> Any:
     return found
 
 
-def _tolerances(design: Any, table: dict[str, Any], folder: Path) -> Any:
+def _tolerances(design: Design, table: dict[str, Any], folder: Path) -> Any:
     fields = {f.name for f in dataclasses.fields(design.error_record)}
     known(table, fields, "tolerances")
     made = {}
@@ -251,7 +251,7 @@ def _costs(error_record: Any, tolerances: Any, table: dict[str, Any]) -> dict[st
     return costs
 
 
-def _numbers(value: Any, unit: str, where: str) -> Any:
+def _numbers(value: object, unit: str, where: str) -> Any:
     """One number, or a list of them."""
     return [quantity(v, unit, where) for v in value] if isinstance(value, list) else quantity(value, unit, where)
 

@@ -16,7 +16,7 @@ from rvjax.compile_cache import ONCE
 from rvjax.errors import described
 from rvjax.levels import Choice
 from rvjax.outputs import Reading, Solved, Source
-from rvjax.records import Record, field, record, text
+from rvjax.records import Design, PyTree, Record, field, record, text
 from rvjax.response import per_response
 from rvjax.status import SUCCESS, Status, worst
 from rvjax.tolerances import Outcome
@@ -42,9 +42,9 @@ class Response(Record):
     @classmethod
     def of(
         cls,
-        design: Any,
+        design: Design,
         outputs: Sequence[str],
-        conditions: Any,
+        conditions: object,
         choices: Mapping[str, Choice] | None = None,
         bounds: Sequence[str] = (),
     ) -> Self:
@@ -72,7 +72,7 @@ class Response(Record):
         chosen = tuple((c.output, c.settings, c.precision, c.instead) for c in (choices or {}).values())
         return cls(design, tuple(outputs), conditions, chosen, tuple(bounds))
 
-    def __call__(self, errors: Any) -> Outcome:
+    def __call__(self, errors: PyTree) -> Outcome:
         """Values and the worst status of one unit."""
         errors = errors.bounded(self.bounds) if self.bounds else errors
         shared: dict[Any, dict[Source, Any]] = {}  # by level; outputs of one level read the same results
@@ -111,7 +111,7 @@ class Response(Record):
         instead = {level[0]: level[3] for level in self.levels if level[3] is not None}
         return {name: instead.get(name, name) for name in self.outputs}
 
-    def _one(self, name: str, errors: Any, shared: dict[Any, dict[Source, Any]]) -> Solved:
+    def _one(self, name: str, errors: PyTree, shared: dict[Any, dict[Source, Any]]) -> Solved:
         level = next((level[1:] for level in self.levels if level[0] == name), None)
         source = name if level is None or level[2] is None else level[2]
         evaluate = models.kind(self.design).outputs[source].evaluate
@@ -129,7 +129,7 @@ class Response(Record):
         return value, status
 
 
-def followed_bounds(tolerances: Any) -> tuple[str, ...]:
+def followed_bounds(tolerances: PyTree) -> tuple[str, ...]:
     """Errors without a place that have no tolerance of their own and follow from an error with one."""
     given = {f.name for f in dataclasses.fields(tolerances) if getattr(tolerances, f.name) is not None}
     bounds = described(tolerances, "bounds")
@@ -137,11 +137,11 @@ def followed_bounds(tolerances: Any) -> tuple[str, ...]:
 
 
 @per_response(options=ONCE)
-def _status(response: Callable[[Any], Outcome], errors: Any) -> jax.Array:
+def _status(response: Callable[[Any], Outcome], errors: PyTree) -> jax.Array:
     return response(errors).status
 
 
-def check_nominal(response: Callable[[Any], Outcome], errors: Any) -> None:
+def check_nominal(response: Callable[[Any], Outcome], errors: PyTree) -> None:
     """Refuse a question whose error-free unit already fails.
 
     Args:

@@ -48,7 +48,7 @@ def known(table: dict[str, Any], keys: Iterable[str], where: str) -> None:
             raise ValueError(f"unknown key {name}{meant(key, keys)}; known here: {', '.join(sorted(keys))}")
 
 
-def meant(word: Any, words: Iterable[str]) -> str:
+def meant(word: object, words: Iterable[str]) -> str:
     """The nearest of the words, where one is near."""
     near = difflib.get_close_matches(str(word), list(words), 1)
     return f" (did you mean {near[0]}?)" if near else ""
@@ -67,14 +67,14 @@ def subtable(parent: dict[str, Any], key: str) -> dict[str, Any]:
     return value
 
 
-def share(value: Any, where: str) -> float:
+def share(value: object, where: str) -> float:
     """A share of units, between 0 and 1."""
     if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < 1:
         raise ValueError(f"{where} = {value!r}: must lie between 0 and 1, such as 0.9973")
     return float(value)
 
 
-def integer(value: Any, where: str, minimum: float, maximum: float) -> int:
+def integer(value: object, where: str, minimum: float, maximum: float) -> int:
     """A whole number within limits.
 
     Args:
@@ -105,7 +105,7 @@ def finite(text: str, where: str) -> float:
     return value
 
 
-def quantity(value: Any, unit: str, where: str) -> float:
+def quantity(value: object, unit: str, where: str) -> float:
     """A number in SI.
 
     Args:
@@ -119,7 +119,7 @@ def quantity(value: Any, unit: str, where: str) -> float:
         raise ValueError(f"{where} = {error}") from None
 
 
-def choice(value: Any, choices: Iterable[str], where: str) -> str:
+def choice(value: object, choices: Iterable[str], where: str) -> str:
     """One of several words.
 
     Args:

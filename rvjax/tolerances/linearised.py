@@ -29,7 +29,7 @@ class Linearised(Record):
     fields: tuple[str, ...] = text("names of the active fields, in the order of their elements")
     then: Any = text("function of the values; None for themselves", default=None)
 
-    def __call__(self, errors: Any) -> PyTree:
+    def __call__(self, errors: PyTree) -> PyTree:
         """The values of one unit."""
         leaves = jax.tree_util.tree_flatten_with_path(errors)[0]
         given = {jax.tree_util.keystr(path, simple=True, separator="."): leaf for path, leaf in leaves}
@@ -42,7 +42,7 @@ class Linearised(Record):
 
 def linearised(
     response: Response,
-    tolerances: Any,
+    tolerances: PyTree,
     *,
     curvature: bool = False,
     then: Callable[[Any], Any] | None = None,

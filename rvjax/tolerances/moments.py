@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax.population import Correlation, Population, batch_correlation, drawn, root_key
+from rvjax.records import PyTree
 from rvjax.response import (
     BLOCK,
     Response,
@@ -56,7 +57,12 @@ class Moments:
 
 
 def rss(
-    response: Response, tolerances: Any, *, order: int = 1, requirements: Any = None, correlation: Correlation = None
+    response: Response,
+    tolerances: PyTree,
+    *,
+    order: int = 1,
+    requirements: object = None,
+    correlation: Correlation = None,
 ) -> Moments:
     """Moments of a response by propagation of the errors' moments.
 
@@ -96,7 +102,7 @@ def rss(
     return moments
 
 
-def influences(response: Response, tolerances: Any) -> tuple[Any, Any]:
+def influences(response: Response, tolerances: PyTree) -> tuple[Any, Any]:
     """Contributions and sensitivities as `rss` has them, each by name of the response, at the price of gradients alone.
 
     Args:

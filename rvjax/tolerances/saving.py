@@ -43,7 +43,7 @@ class Origin:
     versions: dict[str, str]
 
 
-def save(result: Any, path: str | Path, *, study: Any = None, seed: int | None = None) -> None:
+def save(result: object, path: str | Path, *, study: object = None, seed: int | None = None) -> None:
     """Write a result of this package to a file, whole or not at all.
 
     Args:
@@ -122,7 +122,7 @@ def _read(path: str | Path) -> tuple[Any, dict[str, np.ndarray]]:
     return content, arrays
 
 
-def _encode(value: Any, arrays: dict[str, np.ndarray] | None) -> Any:
+def _encode(value: object, arrays: dict[str, np.ndarray] | None) -> Any:
     """Encode as JSON values; other types are a dict with one key that begins with "$"."""
     again: Callable[[Any], Any] = lambda item: _encode(item, arrays)  # noqa: E731
     if value is None or (isinstance(value, (str, bool, int)) and not isinstance(value, np.generic)):
@@ -153,7 +153,7 @@ def _encode(value: Any, arrays: dict[str, np.ndarray] | None) -> Any:
     raise ValueError(f"save: {type(value).__name__} fits no file")
 
 
-def _decode(value: Any, arrays: dict[str, np.ndarray]) -> Any:
+def _decode(value: object, arrays: dict[str, np.ndarray]) -> Any:
     again: Callable[[Any], Any] = lambda item: _decode(item, arrays)  # noqa: E731
     if isinstance(value, list):
         return [again(item) for item in value]

@@ -11,6 +11,7 @@ import numpy as np
 
 from rvjax import frames
 from rvjax.population import SCRAMBLES, Correlation, Estimate, Population, SobolPoints, of_groups
+from rvjax.records import PyTree
 from rvjax.response import Response, respond, response_names, unwrapped
 from rvjax.status import succeeded
 
@@ -54,7 +55,13 @@ class SobolIndices:
 
 
 def sobol_indices(
-    response: Response, tolerances: Any, *, samples: int, seed: int, chunk: int = 65536, correlation: Correlation = None
+    response: Response,
+    tolerances: PyTree,
+    *,
+    samples: int,
+    seed: int,
+    chunk: int = 65536,
+    correlation: Correlation = None,
 ) -> SobolIndices:
     """Variance-based sensitivity indices of every field, in constant memory.
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from rvjax.batching import in_blocks
 from rvjax.population import Population
+from rvjax.records import PyTree
 from rvjax.response import Response, by_name, evaluate, per_response, response_names
 from rvjax.status import succeeded
 
@@ -39,7 +40,7 @@ class WorstCase:
     failed: Any
 
 
-def worst_case(response: Response, tolerances: Any, *, refine: bool = True) -> WorstCase:
+def worst_case(response: Response, tolerances: PyTree, *, refine: bool = True) -> WorstCase:
     """Smallest and largest response when every error may lie anywhere between its limits.
 
     The search starts at the corner that the gradient signs at the middle point to. With `refine` it

@@ -2,7 +2,7 @@
 
 import functools
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import jax
 import jax.numpy as jnp
@@ -14,6 +14,9 @@ from rvjax.population.distribution import Distribution, Moments, bad, central, r
 from rvjax.population.distributions.table import NODES, interpolate
 from rvjax.records import Scalar, concrete, field, record, text
 
+if TYPE_CHECKING:
+    from rvjax.population.tolerance import Tolerance
+
 
 @record
 class Normal(Distribution):
@@ -22,16 +25,16 @@ class Normal(Distribution):
     name = "normal"
     shifts = True
 
-    def deviate(self, tolerance: Any, z: jax.Array) -> jax.Array:
+    def deviate(self, tolerance: "Tolerance", z: jax.Array) -> Scalar:
         """m + h (shift + z/(3 cp))."""
         return tolerance.middle + tolerance.half_width * (tolerance.shift + z / (3 * tolerance.cp))
 
-    def moments(self, tolerance: Any) -> Moments:
+    def moments(self, tolerance: "Tolerance") -> Moments:
         """Mean m + shift h, variance sigma^2, 0, 3 sigma^4."""
         sigma = 1 / (3 * float(tolerance.cp))
         return stretch((float(tolerance.shift), sigma**2, 0.0, 3 * sigma**4), *_placement(tolerance))
 
-    def is_normal(self, tolerance: Any) -> bool:
+    def is_normal(self, tolerance: "Tolerance") -> bool:
         """Always."""
         return True
 
@@ -43,7 +46,7 @@ class TruncatedNormal(Distribution):
     name = "truncated_normal"
     shifts = True
 
-    def deviate(self, tolerance: Any, z: jax.Array) -> jax.Array:
+    def deviate(self, tolerance: "Tolerance", z: jax.Array) -> Scalar:
         """Return the upper half is mirrored, where Phi keeps its digits."""
         cp, shift = tolerance.cp, tolerance.shift
         low, high, upper = -3 * cp * (1 + shift), 3 * cp * (1 - shift), z > 0
@@ -51,7 +54,7 @@ class TruncatedNormal(Distribution):
         cut = ndtri(ndtr(start) + ndtr(side) * (ndtr(end) - ndtr(start)))
         return tolerance.middle + tolerance.half_width * (shift + jnp.where(upper, -cut, cut) / (3 * cp))
 
-    def moments(self, tolerance: Any) -> Moments:
+    def moments(self, tolerance: "Tolerance") -> Moments:
         """Of the standard normal cut to [a, b]: M_k = (k-1) M_{k-2} + (a^(k-1) phi(a) - b^(k-1) phi(b))/Z."""
         cp, shift = float(tolerance.cp), float(tolerance.shift)
         a, b = -3 * cp * (1 + shift), 3 * cp * (1 - shift)
@@ -75,11 +78,11 @@ class Lognormal(Distribution):
         if concrete(self.log_sd) and np.any(np.greater(self.log_sd, 9)):  # fourth moment: exp(8 log_sd^2)
             raise bad("log_sd", self.log_sd, "must be at most 9: beyond, its moments exceed every float")
 
-    def deviate(self, tolerance: Any, z: jax.Array) -> jax.Array:
+    def deviate(self, tolerance: "Tolerance", z: jax.Array) -> Scalar:
         """Return the upper limit lies at z = 3 cp."""
         return tolerance.lower + 2 * tolerance.half_width * jnp.exp(self.log_sd * (z - 3 * tolerance.cp))
 
-    def moments(self, tolerance: Any) -> Moments:
+    def moments(self, tolerance: "Tolerance") -> Moments:
         """E exp(k s z) = exp(k^2 s^2/2)."""
         s, cp = float(self.log_sd), float(tolerance.cp)
         w = math.expm1(s**2)  # central moments from w: differences of raw ones lose all digits of a small s
@@ -90,7 +93,7 @@ class Lognormal(Distribution):
         scale = 2 * float(tolerance.half_width) * math.exp(-3 * cp * s)
         return stretch((mean, mean**2 * w, third, fourth), float(tolerance.lower), scale)
 
-    def scaled(self, tolerance: Any, half_width: Scalar) -> dict[str, Any]:
+    def scaled(self, tolerance: "Tolerance", half_width: Scalar) -> dict[str, Any]:
         """About the lower limit, which is a bound of nature."""
         return dict(upper=tolerance.lower + 2 * half_width)
 
@@ -102,11 +105,11 @@ class Uniform(Distribution):
     name = "uniform"
     capable = False
 
-    def deviate(self, tolerance: Any, z: jax.Array) -> jax.Array:
+    def deviate(self, tolerance: "Tolerance", z: jax.Array) -> Scalar:
         """m + h (2 Phi(z) - 1)."""
         return tolerance.middle + tolerance.half_width * erf(z / math.sqrt(2))
 
-    def moments(self, tolerance: Any) -> Moments:
+    def moments(self, tolerance: "Tolerance") -> Moments:
         """m, h^2/3, 0, h^4/5."""
         return stretch((0.0, 1 / 3, 0.0, 1 / 5), *_placement(tolerance))
 
@@ -119,13 +122,13 @@ class Triangular(Distribution):
     capable = False
     shifts = True
 
-    def deviate(self, tolerance: Any, z: jax.Array) -> jax.Array:
+    def deviate(self, tolerance: "Tolerance", z: jax.Array) -> Scalar:
         """Return the quantile from the nearer end, where Phi keeps its digits."""
         mode, below, above = (1 + tolerance.shift) / 2, ndtr(z), ndtr(-z)
         share = jnp.where(below < mode, jnp.sqrt(below * mode), 1 - jnp.sqrt(above * (1 - mode)))
         return tolerance.lower + 2 * tolerance.half_width * share
 
-    def moments(self, tolerance: Any) -> Moments:
+    def moments(self, tolerance: "Tolerance") -> Moments:
         """Of the triangle over -1 .. 1 with mode c: c/3, (3 + c^2)/18, c (c^2 - 9)/135, 2.4 v^2."""
         c = float(tolerance.shift)
         variance = (3 + c**2) / 18
@@ -140,11 +143,11 @@ class Beta(Distribution):
     capable = False
     beta: tuple[float, float] = text("(p, q)")
 
-    def deviate(self, tolerance: Any, z: jax.Array) -> jax.Array:
+    def deviate(self, tolerance: "Tolerance", z: jax.Array) -> Scalar:
         """From a table of the quantile: JAX has no inverse incomplete beta function."""
         return tolerance.lower + 2 * tolerance.half_width * interpolate(z, *_beta_table(*self.beta))
 
-    def moments(self, tolerance: Any) -> Moments:
+    def moments(self, tolerance: "Tolerance") -> Moments:
         """Central moments of B(p, q) in closed form: differences of raw ones lose all digits of a narrow law."""
         p, q = self.beta
         total = p + q
@@ -180,33 +183,33 @@ class Rayleigh(Distribution):
     name = "rayleigh"
     of_vectors = True
 
-    def deviate(self, tolerance: Any, z: jax.Array) -> jax.Array:
+    def deviate(self, tolerance: "Tolerance", z: jax.Array) -> Scalar:
         """s sqrt(-2 ln(1 - u)); a vector is two independent N(0, s^2)."""
         scale = tolerance.upper / (3 * tolerance.cp)
         if tolerance.is_vector:
             return scale * z
         return scale * jnp.sqrt(-2 * log_ndtr(-z))  # 1 - u = Phi(-z)
 
-    def moments(self, tolerance: Any) -> Moments:
+    def moments(self, tolerance: "Tolerance") -> Moments:
         """Of the magnitude, or of one component."""
         scale = float(tolerance.upper) / (3 * float(tolerance.cp))
         if tolerance.is_vector:
             return 0.0, scale**2, 0.0, 3 * scale**4
         return central(*raw_rayleigh(scale))
 
-    def is_normal(self, tolerance: Any) -> bool:
+    def is_normal(self, tolerance: "Tolerance") -> bool:
         """Return the components of a vector are."""
         return tolerance.is_vector
 
-    def scaled(self, tolerance: Any, half_width: Scalar) -> dict[str, Any]:
+    def scaled(self, tolerance: "Tolerance", half_width: Scalar) -> dict[str, Any]:
         """About 0."""
         return dict(upper=2 * half_width)
 
-    def check(self, tolerance: Any) -> None:
+    def check(self, tolerance: "Tolerance") -> None:
         """A magnitude begins at 0."""
         if concrete(tolerance.lower) and tolerance.lower != 0:
             raise bad("lower", tolerance.lower, f"must be 0 for {self.name}, a magnitude")
 
 
-def _placement(tolerance: Any) -> tuple[float, float]:
+def _placement(tolerance: "Tolerance") -> tuple[float, float]:
     return float(tolerance.middle), float(tolerance.half_width)

@@ -1,6 +1,6 @@
 """Measured parts: an error that follows the values someone has measured."""
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import jax
 import jax.numpy as jnp
@@ -11,6 +11,9 @@ from rvjax.columns import read_table
 from rvjax.population.distribution import Distribution, Moments, bad
 from rvjax.records import IN_ERROR_UNIT, Array, Scalar, concrete, field, is_concrete, record
 from rvjax.units import KNOWN
+
+if TYPE_CHECKING:
+    from rvjax.population.tolerance import Tolerance
 
 
 @record
@@ -26,7 +29,7 @@ class Empirical(Distribution):
     capable = False
     values: Array | np.ndarray = field(IN_ERROR_UNIT, "the measured values", shape=("parts",))
 
-    def deviate(self, tolerance: Any, z: jax.Array) -> jax.Array:
+    def deviate(self, tolerance: "Tolerance", z: jax.Array) -> Scalar:
         """Order statistics at n Phi(z) + 1/2."""
         values = jnp.asarray(self.values, jnp.result_type(z))
         n = len(values)
@@ -35,7 +38,7 @@ class Empirical(Distribution):
         low, high = values[left], values[jnp.minimum(left + 1, n - 1)]
         return low + (position - left.astype(position.dtype)) * (high - low)
 
-    def moments(self, tolerance: Any) -> Moments:
+    def moments(self, tolerance: "Tolerance") -> Moments:
         """Exact moments of the distribution as it is drawn: the mean is that of the data.
 
         A piece from a to b holds 1/n of the parts with the central moments sum_i a^i b^(k-i)/(k+1), the ends 1/(2n).
@@ -50,7 +53,7 @@ class Empirical(Distribution):
             found.append(float(np.sum(pieces) + (x[0] ** k + x[-1] ** k) / 2) / n)
         return found[0], found[1], found[2], found[3]
 
-    def scaled(self, tolerance: Any, half_width: Scalar) -> dict[str, Any]:
+    def scaled(self, tolerance: "Tolerance", half_width: Scalar) -> dict[str, Any]:
         """Limits and values about the middle of the limits."""
         old = tolerance.half_width
         if is_concrete(old) and old == 0:
@@ -67,7 +70,7 @@ class Empirical(Distribution):
         object.__setattr__(self, "values", np.sort(values))
 
     @classmethod
-    def parsed(cls, key: str, value: Any, unit: str) -> Any:
+    def parsed(cls, key: str, value: object, unit: str) -> Any:
         """Values from a list, or from a column of a CSV file, whose header may say the unit."""
         if not isinstance(value, dict):
             if not isinstance(value, list):

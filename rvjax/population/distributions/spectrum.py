@@ -1,6 +1,6 @@
 """Errors round a circle whose waves are known: the pitch of teeth, of which slow waves are the larger ones."""
 
-from typing import Any
+from typing import TYPE_CHECKING
 
 import jax
 import jax.numpy as jnp
@@ -8,7 +8,10 @@ import numpy as np
 
 from rvjax.population.distribution import bad
 from rvjax.population.distributions.classic import Normal
-from rvjax.records import record, text
+from rvjax.records import Scalar, record, text
+
+if TYPE_CHECKING:
+    from rvjax.population.tolerance import Tolerance
 
 
 @record
@@ -24,24 +27,24 @@ class Spectrum(Normal):
     couples = True
     spectrum: tuple[float, ...] = text("the relative sizes of the waves of 1, 2, .. periods in a turn")
 
-    def deviate(self, tolerance: Any, z: jax.Array) -> jax.Array:
+    def deviate(self, tolerance: "Tolerance", z: jax.Array) -> Scalar:
         """m + h C z/(3 cp), with the symmetric matrix of rows of length 1 that leaves those waves of white noise."""
         axis = len(tolerance.shape) - 1
         waves = jnp.asarray(self._filter(tolerance.shape[-1]), z.dtype)
         along = jnp.moveaxis(jnp.tensordot(waves, z, (1, axis), precision="highest"), 0, axis)
         return tolerance.middle + tolerance.half_width * along / (3 * tolerance.cp)
 
-    def correlation(self, tolerance: Any) -> np.ndarray:
+    def correlation(self, tolerance: "Tolerance") -> np.ndarray:
         """C C' of the errors round one circle."""
         waves = self._filter(tolerance.shape[-1])
         return waves @ waves.T
 
-    def check(self, tolerance: Any) -> None:
+    def check(self, tolerance: "Tolerance") -> None:
         """An own correlation leaves no place for a batch."""
         if tolerance.batch:
             raise bad("batch", tolerance.batch, "must be 0 for spectrum, whose errors are correlated by it")
 
-    def check_field(self, name: str, tolerance: Any) -> None:
+    def check_field(self, name: str, tolerance: "Tolerance") -> None:
         """A circle resolves fewer waves than half its errors."""
         pair = tolerance.vector or tolerance.shape[-1:] == (2,)
         most = (tolerance.shape[-1] - 1) // 2 if tolerance.shape else 0

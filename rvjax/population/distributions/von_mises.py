@@ -2,7 +2,7 @@
 
 import functools
 import math
-from typing import Any
+from typing import TYPE_CHECKING
 
 import jax
 import jax.numpy as jnp
@@ -15,6 +15,9 @@ from rvjax.population.distributions.classic import Rayleigh
 from rvjax.population.distributions.table import NODES, interpolate
 from rvjax.records import Scalar, field, record, text
 from rvjax.roots import bisect
+
+if TYPE_CHECKING:
+    from rvjax.population.tolerance import Tolerance
 
 
 @record
@@ -30,7 +33,7 @@ class VonMises(Rayleigh):
     concentration: float = text("the concentration k of the direction, 0 for none")
     direction: Scalar = field("rad", "preferred direction a0, from radial towards tangential", default=0.0)
 
-    def deviate(self, tolerance: Any, z: jax.Array) -> jax.Array:
+    def deviate(self, tolerance: "Tolerance", z: jax.Array) -> Scalar:
         """(rho cos a, rho sin a)."""
         axis = len(tolerance.shape) - 1
         first, second = (jax.lax.index_in_dim(z, k, axis, keepdims=False) for k in (0, 1))
@@ -38,7 +41,7 @@ class VonMises(Rayleigh):
         angle = self.direction + interpolate(second, *_table(self.concentration))
         return jnp.stack([size * jnp.cos(angle), size * jnp.sin(angle)], axis)
 
-    def moments(self, tolerance: Any) -> Moments:
+    def moments(self, tolerance: "Tolerance") -> Moments:
         """Of both components, in the shape of the field."""
         powers = [1.0, *raw_rayleigh(float(tolerance.upper) / (3 * float(tolerance.cp)))]
         pairs = []
@@ -48,11 +51,11 @@ class VonMises(Rayleigh):
         first, second, third, fourth = (np.broadcast_to(np.array(both), tolerance.shape) for both in zip(*pairs))
         return first, second, third, fourth
 
-    def is_normal(self, tolerance: Any) -> bool:
+    def is_normal(self, tolerance: "Tolerance") -> bool:
         """Never, for a concentration of 0 either: the numbers of a pair are mapped together."""
         return False
 
-    def coupling(self, tolerance: Any) -> float:
+    def coupling(self, tolerance: "Tolerance") -> float:
         """E[rho^2 cos a sin a] - E x E y over both standard deviations."""
         first, second = (np.reshape(m, (-1, 2))[0] for m in self.moments(tolerance)[:2])
         square = raw_rayleigh(float(tolerance.upper) / (3 * float(tolerance.cp)))[1]
@@ -60,13 +63,13 @@ class VonMises(Rayleigh):
         spread = math.sqrt(second[0] * second[1])
         return shared / spread if spread else 0.0
 
-    def check(self, tolerance: Any) -> None:
+    def check(self, tolerance: "Tolerance") -> None:
         """As for Rayleigh, and a concentration that is a number."""
         super().check(tolerance)
         if not isinstance(self.concentration, (int, float)) or not 0 <= self.concentration <= 1e6:
             raise bad("concentration", self.concentration, "must be a number from 0 to 1e6")
 
-    def check_field(self, name: str, tolerance: Any) -> None:
+    def check_field(self, name: str, tolerance: "Tolerance") -> None:
         """A direction belongs to a vector."""
         if not tolerance.is_vector:
             raise ValueError(f"{name}: von_mises is for vectors [radial, tangential], this field has {tolerance.shape}")

@@ -17,7 +17,7 @@ import numpy as np
 from rvjax import files
 from rvjax.files import DAMAGE, PARTIAL, Arrays, digest, pack, unpack, write_atomically
 from rvjax.population import Population
-from rvjax.records import Record
+from rvjax.records import PyTree, Record
 from rvjax.response import Response, respond
 from rvjax.tolerances.requirements.kinds import Limits
 
@@ -108,7 +108,7 @@ class Checkpoint:
         where = f"checkpoint = {str(self._path)!r}"
         return ValueError(f"{where}: damaged, or no checkpoint ({error}); delete it to begin anew")
 
-    def save(self, chunk: int, state: Any, *, now: bool = False) -> None:
+    def save(self, chunk: int, state: PyTree, *, now: bool = False) -> None:
         """Write what `state()` gives before chunk number `chunk`, if it is time or `now`; a failure only warns."""
         start = time.monotonic()
         if start < self._next and not now:

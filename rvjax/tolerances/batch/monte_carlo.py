@@ -16,6 +16,7 @@ import numpy as np
 from rvjax.files import DAMAGE
 from rvjax.population import SCRAMBLES, Correlation, Estimate, Population, Sampled, check_method, deviate_of
 from rvjax.progress import progress_bar
+from rvjax.records import PyTree
 from rvjax.response import Evaluator, Response, by_response, gathered, place, response_names, unwrapped
 from rvjax.status import PRECEDENCE
 from rvjax.tolerances.batch.accumulator import Accumulator
@@ -40,13 +41,13 @@ __all__ = ["Run", "Statistics", "monte_carlo"]
 
 def monte_carlo(
     response: Response,
-    tolerances: Any,
+    tolerances: PyTree,
     *,
     samples: int,
     seed: int,
     method: str = "random",
     chunk: int = 65536,
-    requirements: Any = None,
+    requirements: object = None,
     quantiles: tuple[float, ...] = (0.00135, 0.5, 0.99865),
     correlation: Correlation = None,
     confidence: float = 0.95,

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax.population import Correlation, Estimate, Population, deviate_of, rare, student, wilson
+from rvjax.records import PyTree
 from rvjax.response import PLAIN, Response, by_name, by_response, response_names
 from rvjax.tolerances.failure.form import BATCH, LANES, Found, LimitState, Units, design_points
 from rvjax.tolerances.failure.importance_sampling import Mixture, apart
@@ -61,8 +62,8 @@ class FailureProbability:
 
 def failure_probability(
     response: Response,
-    tolerances: Any,
-    requirement: Any,
+    tolerances: PyTree,
+    requirement: object,
     *,
     samples: int,
     seed: int,
