@@ -73,11 +73,12 @@ def reading(found: Loaded, design: RVReducer, reading: Reading, *, input_angle: 
         ValueError: an argument of another kind, or an array whose shape does not fit the design.
     """
     expect(design, "loaded.reading", RVReducer)
-    for name, value, kind in (("found", found, Loaded), ("reading", reading, Reading)):
-        if not isinstance(value, kind):
-            raise ValueError(f"{name} = {type(value).__name__}: must be of kind rvjax.loaded.{kind.__name__}")
+    for name, given, kind in (("found", found, Loaded), ("reading", reading, Reading)):
+        if not isinstance(given, kind):
+            raise ValueError(f"{name} = {type(given).__name__}: must be of kind rvjax.loaded.{kind.__name__}")
     reading._check()
     discs, pins = design.cycloid.disc_count, design.cycloid.pin_count
+    value: object
     for name, value, sizes, alone in (
         ("Loaded.pins", found.pins, (discs, pins), False),
         ("Reading.heads", reading.heads, np.shape(reading.heads)[-1:], True),

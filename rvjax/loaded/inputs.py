@@ -158,7 +158,7 @@ def _only_read(layout: Layout, design: RVReducer) -> RVReducer:
 def _reads_support(layout: Layout, contact: Contact) -> bool:
     """Whether the law reads the support of the pins; the mesh stiffness of the linear law contains its mean."""
     if layout.law == "linear" and contact.pin_stiffness is None:
-        return np.ndim(contact.pin_support) > 0
+        return contact.pin_support is not None and np.ndim(contact.pin_support) > 0
     return layout.law != "palmgren"
 
 

@@ -249,6 +249,7 @@ def _unmoved() -> bool:
     return bool(abs(high / low - 1) < 0.05)
 
 
+assert MACHINE.contact is not None
 READ = MACHINE.replace(contact=MACHINE.contact.replace(pin_support=1e8))  # assumed; 5e7 to 2e8 fit the phases
 ENCODER = loaded.Reading(
     radius=75 * mm,  # assumed
@@ -270,7 +271,7 @@ def _read(torque: jax.Array) -> tuple[jax.Array, jax.Array]:
         found = loaded.equilibrium(READ, NONE, input_angle=angle, output_torque=torque)
         return loaded.reading(found, READ, ENCODER, input_angle=angle, output_torque=torque), found.error
 
-    return jax.vmap(at)(2 * np.pi * READ.ratio * np.arange(READ_ANGLES) / READ_ANGLES)
+    return jax.vmap(at)(jnp.asarray(2 * np.pi * READ.ratio * np.arange(READ_ANGLES) / READ_ANGLES))
 
 
 @cache

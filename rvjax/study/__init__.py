@@ -1,6 +1,7 @@
 """Studies: a question about one design, in Python or as a TOML file."""
 
-from rvjax.study.bench import NUISANCES, order_name, part_orders
+from rvjax.study.bench import NUISANCES, order_name
+from rvjax.study.bench import part_orders as part_orders
 from rvjax.study.design import BASES
 from rvjax.study.facts import facts_of
 from rvjax.study.identification import field_unit
