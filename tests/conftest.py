@@ -15,6 +15,7 @@ second run finds them.
 """
 
 import gc
+import importlib
 import json
 import os
 import resource
@@ -41,6 +42,7 @@ from cli_study import answered, answers, here, undrawn  # noqa: F401  (fixtures 
 from hypothesis import settings
 
 import rvjax
+from rvjax import models
 
 gc.set_threshold(200_000, 20, 100)  # tracing makes millions of objects; looking through them all cost a tenth
 rvjax.enable_x64()
@@ -83,6 +85,13 @@ def traced_option(tmp_path):
 def reference():
     """Independent high-precision cases: reference("four_bar") is the parsed file of that model."""
     return lambda model: json.loads((REFERENCE / f"{model}.json").read_text())
+
+
+@pytest.fixture
+def fake_model(monkeypatch):
+    """The outputs of `tests/fake_model`, which is listed among the models for the length of a test."""
+    monkeypatch.setattr(models, "MODELS", (*models.MODELS, "tests.fake_model"))
+    return importlib.import_module("tests.fake_model.outputs")
 
 
 @pytest.fixture

@@ -1,11 +1,10 @@
 """What a change costs: a model, an output, a condition of its own, each in one place, up to the page of its answer.
 
-Oracle: the closed form of the fake model (`key_joint`): its twist is linear in its errors, so that mean, spread, yield
-and the cheapest tolerances follow with pencil and paper.
+Oracle: the closed form of the fake model (`tests/fake_model`): its twist is linear in its errors, so that mean, spread,
+yield and the cheapest tolerances follow with pencil and paper.
 """
 
 import dataclasses
-import importlib
 import math
 
 import jax
@@ -57,13 +56,6 @@ certificate_samples = 65536
 
 
 @pytest.fixture
-def key_joint(monkeypatch):
-    """The one line beside the package."""
-    monkeypatch.setattr(models, "MODELS", (*models.MODELS, "tests.key_joint"))
-    return importlib.import_module("tests.key_joint.outputs")
-
-
-@pytest.fixture
 def answered_once(monkeypatch):
     """Both commands share one answer, whose page has fewer points of its surrogate."""
     found, real = {}, rvjax.study.answer.answer
@@ -77,7 +69,7 @@ def answered_once(monkeypatch):
     monkeypatch.setattr(rvjax.report.surrogate, "_POINTS", 2)
 
 
-def test_a_model_costs_one_package_and_one_line(key_joint, answered_once, tmp_path, capsys):
+def test_a_model_costs_one_package_and_one_line(fake_model, answered_once, tmp_path, capsys):
     """A study, an allocation and a page of it."""
     (tmp_path / "joint.toml").write_text(TEXT)
     page, folder = tmp_path / "joint.html", tmp_path / "joint"
@@ -109,7 +101,7 @@ def test_a_curve_needs_no_more_of_the_design_than_what_is_asked():
     assert np.isfinite(values).all()
 
 
-def test_a_design_from_nothing_names_what_is_missing(key_joint):
+def test_a_design_from_nothing_names_what_is_missing(fake_model):
     made = study.parse_study(TEXT, name="x").design
     assert (made.keys, made.radius, made.stiffness) == (4, 0.02, 1e9)
     for line, words in (("radius", r"design: radius in m missing"), ("keys", "design: keys missing")):
@@ -122,9 +114,9 @@ def test_a_design_from_nothing_names_what_is_missing(key_joint):
         study.parse_study(TEXT.replace("[conditions]", "[conditions]\nside = 'left'"), name="x")
 
 
-def test_an_output_costs_one_place(key_joint, monkeypatch):
-    more = {**key_joint.DESCRIPTION.outputs, "twice": Output("rad", "two twists", lambda *case: (2.0, 0))}
-    monkeypatch.setattr(key_joint, "DESCRIPTION", dataclasses.replace(key_joint.DESCRIPTION, outputs=more))
+def test_an_output_costs_one_place(fake_model, monkeypatch):
+    more = {**fake_model.DESCRIPTION.outputs, "twice": Output("rad", "two twists", lambda *case: (2.0, 0))}
+    monkeypatch.setattr(fake_model, "DESCRIPTION", dataclasses.replace(fake_model.DESCRIPTION, outputs=more))
     asked = study.parse_study(TEXT + '\n[requirement.twice]\nupper = "3 rad"\n', name="x")
     assert float(asked.response()(asked.design.error_record()).value["twice"]) == 2.0
     assert (
@@ -152,7 +144,7 @@ def test_conditions_of_two_models_agree():
         models.kind(1.0)
 
 
-def test_one_program_serves_every_design(key_joint):
+def test_one_program_serves_every_design(fake_model):
     """The response is a record: its numbers are arguments."""
     asked = study.parse_study(TEXT, name="x")
     run = jax.jit(lambda response, errors: response(errors).value["twist"])

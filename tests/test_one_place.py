@@ -1,11 +1,10 @@
 """What a further error, cost law or observation costs: one place, and every layer that reads it sees it.
 
-The fakes are declared here, once each; nothing else of rvjax or of the fake model (`key_joint`) is patched.
+The fakes are declared here, once each; nothing else of rvjax or of the fake model (`tests/fake_model`) is patched.
 """
 
 import csv
 import dataclasses
-import importlib
 import re
 from typing import ClassVar
 
@@ -14,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rvjax import cli, errors, models, mounting, study
+from rvjax import cli, errors, mounting, study
 from rvjax.catalogue import RV_40E
 from rvjax.commands import identify as identified
 from rvjax.designs import RVReducer
@@ -42,23 +41,17 @@ upper = "100 arcsec"
 """
 
 
-@pytest.fixture
-def key_joint(monkeypatch):
-    monkeypatch.setattr(models, "MODELS", (*models.MODELS, "tests.key_joint"))
-    return importlib.import_module("tests.key_joint.outputs")
-
-
-def test_an_error_is_one_place(key_joint, monkeypatch, tmp_path, capsys):
+def test_an_error_is_one_place(fake_model, monkeypatch, tmp_path, capsys):
     """A runout of the hub: read from a study, drawn, saved by element, reported; refused where none reads it."""
 
     @record
-    class Errors(key_joint.KeyJointErrors):
+    class Errors(fake_model.KeyJointErrors):
         hub_centre: Scalar = deviation(
             "m", "teeth of the hub, x, y", shape=(2,), part=errors.part("hub", stage="shaft"), vector="xy",
             placed=True, read_by=("key_joint",),
         )  # fmt: skip
 
-    monkeypatch.setattr(key_joint.KeyJoint, "error_record", Errors)
+    monkeypatch.setattr(fake_model.KeyJoint, "error_record", Errors)
     (tmp_path / "joint.toml").write_text(JOINT)
     asked = study.load(str(tmp_path / "joint.toml"))
     assert (float(asked.tolerances.hub_centre.upper), asked.tolerances.hub_centre.shape) == (5 * um, (2,))
@@ -77,10 +70,10 @@ def test_an_error_is_one_place(key_joint, monkeypatch, tmp_path, capsys):
     assert errors.STAGES["hub"] == "shaft" and errors.described(Errors, "part")["hub_centre"] == "hub"
 
     @record
-    class Unread(key_joint.KeyJointErrors):
+    class Unread(fake_model.KeyJointErrors):
         hub_centre: Scalar = deviation("m", "x, y", shape=(2,), part="hub", vector="xy", placed=True)
 
-    monkeypatch.setattr(key_joint.KeyJoint, "error_record", Unread)
+    monkeypatch.setattr(fake_model.KeyJoint, "error_record", Unread)
     with pytest.raises(study.StudyError, match=r"tolerances\.hub_centre: no response required here can place it"):
         study.parse_study(JOINT, name="x")
 
@@ -131,7 +124,7 @@ certificate_samples = 65536
 """
 
 
-def test_a_cost_law_is_one_place(key_joint, monkeypatch, tmp_path):
+def test_a_cost_law_is_one_place(fake_model, monkeypatch, tmp_path):
     """A law in steps of a currency per micron: read from a study, allocated, on the page of the answer; a table too.
 
     Oracle: Lagrange for the two errors of a linear response, as in `test_models`.
@@ -199,7 +192,7 @@ distribution = "uniform"
 """
 
 
-def test_an_observation_is_one_place(key_joint, monkeypatch, tmp_path, capsys):
+def test_an_observation_is_one_place(fake_model, monkeypatch, tmp_path, capsys):
     """The loop of a joint under a rising and falling torque: its keys are as stiff as those that made the data.
 
     Oracle: least squares of a straight line through the same data.
@@ -207,7 +200,7 @@ def test_an_observation_is_one_place(key_joint, monkeypatch, tmp_path, capsys):
 
     def angle(design, errors, given, torques):
         return jax.vmap(
-            lambda torque: key_joint.DESCRIPTION.outputs["twist"].evaluate(
+            lambda torque: fake_model.DESCRIPTION.outputs["twist"].evaluate(
                 design, errors, dataclasses.replace(given, torque=torque)
             )[0]
         )(torques)
@@ -215,8 +208,8 @@ def test_an_observation_is_one_place(key_joint, monkeypatch, tmp_path, capsys):
     text = JOINT.replace('[tolerances.hub_centre]\nrunout = "10 um"', "").partition("[requirement")[0] + JOINT_BENCH
     with pytest.raises(study.StudyError, match=r"no model of a design of kind 'key-joint' can be measured"):
         study.parse_study(text, name="x")
-    described = dataclasses.replace(key_joint.DESCRIPTION, observations=(Observation("loop", angle),))
-    monkeypatch.setattr(key_joint, "DESCRIPTION", described)
+    described = dataclasses.replace(fake_model.DESCRIPTION, observations=(Observation("loop", angle),))
+    monkeypatch.setattr(fake_model, "DESCRIPTION", described)
     (tmp_path / "joint.toml").write_text(text)
     rising = np.linspace(-100.0, 100.0, 120)
     torque = np.concatenate([rising, rising[::-1]])
