@@ -4,9 +4,9 @@ import numpy as np
 from stored import stored, table
 
 from rvjax import plotting, study
+from rvjax.commands.allocate import tolerance_text
 from rvjax.commands.budget import Budget
 from rvjax.plotting.style import AFTER, BEFORE
-from rvjax.report.text import tolerance_text
 
 JUDGED = {
     "optimum of the four-bar, its errors alone": "optimum of rv-40e, the errors of the four-bar alone",

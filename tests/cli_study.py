@@ -23,8 +23,8 @@ FOUND: dict = {}  # answers by the text of their study
 @contextlib.contextmanager
 def answered_once() -> Iterator[dict]:
     """Every study is answered once, whichever command asks."""
-    import rvjax.report.surrogate
     import rvjax.study.answer
+    from rvjax.commands import module
 
     real = rvjax.study.answer.answer
 
@@ -37,7 +37,7 @@ def answered_once() -> Iterator[dict]:
         patch.setattr(rvjax.study.answer, "answer", once)
         # Few points, and units in blocks of those of the search, for which the response is compiled already.
         for name, few in dict(_POINTS=2, UNITS=1024, BLOCK=1024, FRESH=8192).items():
-            patch.setattr(rvjax.report.surrogate, name, few)
+            patch.setattr(module("report", "surrogate"), name, few)
         yield FOUND
 
 
@@ -62,12 +62,10 @@ def answered(tmp_path_factory):
 
 @pytest.fixture
 def undrawn(monkeypatch):
-    """Pages and folders with empty pictures, two seconds sooner each: for tests of their words."""
-    from rvjax.report import folders, page
-    from rvjax.report.pictures import Picture
+    """Pages and folders with empty plots, two seconds sooner each: for tests of their words."""
+    from rvjax.render import Figure
 
-    for place in (page, folders):
-        monkeypatch.setattr(place, "pictures", lambda *_: [Picture(name, name, b"") for name in PICTURES])
+    monkeypatch.setattr(Figure, "content", lambda *_: b"")
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import pytest
 
 from rvjax import study
-from rvjax.report import surrogate
+from rvjax.commands.report import surrogate
 from rvjax.response.response import BLOCK
 from rvjax.study.answer import Answer, answer
 

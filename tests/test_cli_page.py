@@ -14,12 +14,14 @@ import pytest
 from cli_study import PICTURES, SMALL, UNITS
 
 import rvjax
-import rvjax.report.worst_units
 import rvjax.study.answer
 from rvjax import cli
+from rvjax.commands.allocate import report_on
+from rvjax.commands.report import Shown, page_of
+from rvjax.commands.report.worst_units import worst_units
 from rvjax.population.central_moments import CentralMoments
 from rvjax.population.sample_statistics import Sampled
-from rvjax.report import folders, page, text
+from rvjax.render import write_files
 from rvjax.study.about import About
 
 pytestmark = pytest.mark.usefixtures("answers")
@@ -92,9 +94,38 @@ def test_the_page_holds_the_answer_and_needs_nothing_else(written, answered):
             assert f"{found['value']:.4g}</span><small>[{found['lower']:.4g}, {found['upper']:.4g}]" in text
 
 
+def test_the_page_of_a_stored_answer_computes_no_answer_and_makes_no_folder(
+    answered, undrawn, here, capsys, monkeypatch
+):
+    def no_answer(*_, **__):
+        raise ValueError("computed again")
+
+    (here / "small.toml").write_text(SMALL)
+    shutil.copytree(answered[1], here / "results" / "small")
+    monkeypatch.setattr(rvjax.study.answer, "answer", no_answer)
+    assert cli.main(["report", "small.toml", "--quiet"]) == 0
+    assert capsys.readouterr().out.splitlines()[-1] == "Report: results/small/report.html"
+    assert [path.name for path in (here / "results").iterdir()] == ["small"]
+    result = json.loads((here / "results" / "small" / "result.json").read_text())
+    page = (here / "results" / "small" / "report.html").read_text("utf-8")
+    assert f"{result['cost']['after']:.3f}" in page and "What if" in page and "Worst units" in page
+    (here / "results" / "small" / "answer.npz").write_bytes(b"damaged")
+    assert cli.main(["report", "small.toml", "--quiet"]) == 2
+    assert "computed again" in capsys.readouterr().err
+
+
+def test_a_new_answer_and_its_page_share_a_folder(answers, undrawn, here, capsys):
+    (here / "small.toml").write_text(SMALL)
+    assert cli.main(["report", "small.toml", "--quiet", "--format", "json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["report"] == "results/small/report.html" and (here / told["report"]).is_file()
+    assert cli.main(["allocate", "small.toml", "--quiet"]) == 0
+    assert "Unchanged since results/small was written" in capsys.readouterr().out
+
+
 def test_the_worst_units_are_the_worst_and_can_be_replayed(answers, answered, undrawn):
     answer = answers[SMALL]
-    found = rvjax.report.worst_units.worst_units(answer)
+    found = worst_units(answer)
     assert [unit.requirement for unit in found] == [n for n in answer.study.requirements for _ in range(2)]
     side = answer.after
     for name in answer.study.requirements:
@@ -104,7 +135,7 @@ def test_the_worst_units_are_the_worst_and_can_be_replayed(answers, answered, un
     np.testing.assert_allclose(unit.errors["crank_phase"], errors.crank_phase, rtol=1e-12)
     assert {f: values.size for f, values in unit.errors.items()}["disc_bore"] == 8
     failed = dataclasses.replace(side, failed={"NOT_ASSEMBLABLE": 7})
-    text = page.page(dataclasses.replace(answer, after=failed), "x.toml")
+    text = page_of(Shown(dataclasses.replace(answer, after=failed)), "x.toml")
     assert "Unit 7 failed" in text and "cannot be put together" in text
 
 
@@ -117,12 +148,12 @@ def test_an_answer_whose_units_all_fail_is_written_and_says_so(answers, answered
     unknown = {name: dict.fromkeys(of_field, math.nan) for name, of_field in old.after.shares.items()}
     after = dataclasses.replace(old.after, values=failed, shares=unknown, sensitivities=unknown)
     new = dataclasses.replace(old, allocation=allocation, after=after, cost_curve=[])
-    folders.write(new, here / "failed")
+    write_files(report_on(new).folder(), here / "failed")
     result = json.loads((here / "failed" / "result.json").read_text())
     assert set(result["shortfall"].values()) == {None} == set(result["shares"]["after"]["misfit"].values())
     assert "limit of misfit would do at no value: too many units fail" in (here / "failed" / "summary.txt").read_text()
     request.getfixturevalue("undrawn")
-    assert "The limit of misfit would do at no value: too many units fail." in page.page(new, "small.toml")
+    assert "The limit of misfit would do at no value: too many units fail." in page_of(Shown(new), "small.toml")
 
 
 @pytest.mark.long
@@ -156,9 +187,9 @@ def test_a_study_that_asks_for_no_share_of_units_has_a_page(answers, answered, h
     curve = rvjax.study.answer._cost_curve(question, question.response(), allocation, None)
     before = judged(old.certificate_before, old.before.values)
     new = dataclasses.replace(old, study=question, allocation=allocation, certificate_before=before, cost_curve=curve)
-    found = page.page(new, "elsewhere/able.toml")
+    found = page_of(Shown(new), "elsewhere/able.toml")
     assert curve == [] and "Cheapest cost for each yield" not in found and "✔ met" in found
-    assert found.count("mean, &lt; 0.27 % failed") == 3 == text.summary(new).count("mean, < 0.27 % failed")
+    assert found.count("mean, &lt; 0.27 % failed") == 3 == report_on(new).text().count("mean, < 0.27 % failed")
 
 
 def test_an_answer_says_how_many_units_failed_why_and_how_they_count(answers, answered, undrawn):
@@ -169,9 +200,9 @@ def test_an_answer_says_how_many_units_failed_why_and_how_they_count(answers, an
     certificate = dataclasses.replace(found.allocation.certificate, **failures)
     found = dataclasses.replace(found, allocation=dataclasses.replace(found.allocation, certificate=certificate))
     kinds = "2 CONTACT_OVERLOAD (unit 4), 3 MAX_STEPS (unit 612)"
-    assert f"{UNITS:,} fresh units, 5 failed, each a reject in every yield: {kinds}" in text.summary(found)
-    assert {key: text.as_json(found)["certificate"][key] for key in failures} == failures
-    html = page.page(found, "x.toml")
+    assert f"{UNITS:,} fresh units, 5 failed, each a reject in every yield: {kinds}" in report_on(found).text()
+    assert {key: report_on(found).json()["certificate"][key] for key in failures} == failures
+    html = page_of(Shown(found), "x.toml")
     assert "5 failed, each a reject in every yield: 2 CONTACT_OVERLOAD (" in html and "the first is unit 612)" in html
 
 
@@ -179,11 +210,11 @@ def test_text_of_the_user_is_escaped(answers, answered, undrawn):
     answer, hostile = answers[SMALL], """</pre><script>alert("1")</script>&amp;'"""
     about = About(title=hostile, author=hostile, revision=hostile)
     question = dataclasses.replace(answer.study, name=hostile, text=f"# {hostile}\n{SMALL}", about=about)
-    text = page.page(dataclasses.replace(answer, study=question), f"{hostile}.toml")
+    text = page_of(Shown(dataclasses.replace(answer, study=question)), f"{hostile}.toml")
     tags = Tags(text)
     assert "script" not in {tag for tag, _ in tags.seen}
     assert tags.headings[0] == hostile
-    assert text.count("&lt;/pre&gt;&lt;script&gt;alert(&quot;1&quot;)&lt;/script&gt;&amp;amp;&#x27;") >= 7
+    assert text.count("&lt;/pre&gt;&lt;script&gt;alert(&#34;1&#34;)&lt;/script&gt;&amp;amp;&#39;") >= 7
 
 
 def test_the_page_in_a_browser(written, tmp_path):

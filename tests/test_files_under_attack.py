@@ -19,7 +19,7 @@ import pytest
 from rvjax import cli
 from rvjax.commands.montecarlo import batch
 from rvjax.files import digest, pack, unpack, write_atomically
-from rvjax.report import folders, numbers, text
+from rvjax.render import Note, Report, new_folder, results_folder, write_files
 from rvjax.tolerances import Requirement, Tolerance, load, monte_carlo, origin
 from tests.test_cli_montecarlo import SMALL
 
@@ -140,21 +140,12 @@ def test_two_who_write_one_file_at_once_do_not_mix(tmp_path, monkeypatch):
 def test_two_runs_of_one_study_keep_both_answers(tmp_path, monkeypatch):
     """Both chose the same folder when they began."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(text, "summary", lambda found: found.study.text)
-    monkeypatch.setattr(text, "as_json", lambda found: {"study": found.study.text})
-    monkeypatch.setattr(folders, "pictures", lambda found: [])
-    monkeypatch.setattr(numbers, "tables", lambda found: [("a", (["b"], []))])
-
-    class Found:
-        def __init__(self, said):
-            self.study = type("S", (), {"text": said})
-
-    wanted = folders.results_folder(None, "s")
-    first, second = (folders.write(Found(said), wanted) for said in ("one", "two"))
+    wanted = results_folder(None, "s")
+    first, second = (write_files(Report("s", (Note(said),)).folder(), wanted) for said in ("one", "two"))
     assert (first, second) == (Path("results/s"), Path("results/s-2"))
     assert [(folder / "summary.txt").read_text() for folder in (first, second)] == ["one\n", "two\n"]
     assert sorted(path.name for path in Path("results").iterdir()) == ["s", "s-2"]
-    assert folders.new_folder(wanted) == Path("results/s-3")
+    assert new_folder(wanted) == Path("results/s-3")
 
 
 def test_a_study_edited_during_a_run_labels_nothing(tmp_path, monkeypatch):

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
-import rvjax.report.surrogate
 import rvjax.study.answer
 from oracles.dynamics import Oracle
 from rvjax import cli, levels, models, study
 from rvjax.catalogue import CORR, RV_20E, RV_40E, RV_320E
+from rvjax.commands import module
 from rvjax.designs import RVReducer
 from rvjax.dynamics import assemble
 from rvjax.errors import RVErrors
@@ -66,7 +66,7 @@ def answered_once(monkeypatch):
         return dataclasses.replace(found[question.text], study=question)
 
     monkeypatch.setattr(rvjax.study.answer, "answer", once)
-    monkeypatch.setattr(rvjax.report.surrogate, "_POINTS", 2)
+    monkeypatch.setattr(module("report", "surrogate"), "_POINTS", 2)
 
 
 def test_a_model_costs_one_package_and_one_line(fake_model, answered_once, tmp_path, capsys):

@@ -8,8 +8,8 @@ import json
 import pytest
 
 from rvjax import catalogue, cli, published
+from rvjax.commands.reproduce.report import report_on
 from rvjax.published import rv160
-from rvjax.report.text import comparison_table
 from rvjax.units import arcmin, mm, parse
 
 VERDICTS = {"reproduced", "reproduced_with_reading", "close", "contradicted", "not_computable"}
@@ -183,7 +183,7 @@ def test_reproduce_prints_a_table_with_the_right_values(capsys, monkeypatch, row
     corr = sum(name.startswith("corr.") for name in wrong)
     assert f"the error is the source's ({corr} in corr, " in text.splitlines()[-1] and corr < len(wrong)
     fine = [row for row in rows.values() if row.status == "reproduced"]
-    assert "contradicted" not in comparison_table(fine)
+    assert "contradicted" not in report_on(fine).text()
 
 
 def test_reproduce_says_which_source_it_computes(capsys, monkeypatch):

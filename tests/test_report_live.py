@@ -19,7 +19,8 @@ from live_study import PLAY, played
 
 import rvjax
 from rvjax import study
-from rvjax.report import live, page, surrogate
+from rvjax.commands.report import Shown, live, page_of, surrogate
+from rvjax.render import Report
 from rvjax.study import rewrite
 
 
@@ -52,7 +53,7 @@ def in_node(program, *inputs):
     node = shutil.which("node")
     if node is None:
         pytest.skip("no node on PATH: the arithmetic of the page is not run")
-    code = (resources.files("rvjax.report") / "live.js").read_text("utf-8")
+    code = (resources.files("rvjax.commands.report") / "live.js").read_text("utf-8")
     run = "const input = JSON.parse(require('fs').readFileSync(0, 'utf-8'));\n"
     command = [node, "-e", f"{code}\n{run}console.log(JSON.stringify((() => {{{program}}})()));"]
     done = subprocess.run(command, input=json.dumps(inputs), capture_output=True, text=True, timeout=60, check=False)
@@ -238,7 +239,7 @@ addEventListener("error", (event) => { document.title = JSON.stringify({ error: 
 def test_the_sliders_in_a_browser(answered, tmp_path):
     """At 390 pixels, in a frame, for no window of the browser is that narrow."""
     program, (found, made) = browser(), answered
-    text = page.page(found, "play.toml", made)
+    text = page_of(Shown(found, made), "play.toml")
     assert "<script>" in text and 'id="live-data"' in text
     (tmp_path / "page.html").write_text(text.replace("</body>", f"<script>{LOOK}</script></body>"), "utf-8")
     frame = '<iframe src="page.html" width="390" height="800"></iframe><script>setInterval(() => '
@@ -267,6 +268,7 @@ def test_the_sliders_in_a_browser(answered, tmp_path):
 
 def test_without_scripts_nothing_of_it_is_seen(answered):
     found, made = answered
-    without = page.page(found, "play.toml")
+    without = page_of(Shown(found), "play.toml")
     assert "<script" not in without and "What if" not in without
-    assert re.match(r'<section id="live"[^>]* hidden>', live.section(made, found))
+    with_sliders = Report("x", (live.block(made, found),)).html()
+    assert re.search(r'<section id="live"[^>]* hidden>', with_sliders)

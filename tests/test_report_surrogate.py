@@ -10,7 +10,7 @@ from live_study import fewer_points
 
 import rvjax
 from rvjax import tolerances
-from rvjax.report import live, surrogate
+from rvjax.commands.report import surrogate
 from rvjax.response.response import BLOCK
 from rvjax.study.answer import SHOWN_VALUES
 
@@ -152,4 +152,3 @@ def test_units_that_fail_at_one_end_go_on_from_the_other():
     nothing = SimpleNamespace(**vars(question) | {"after": SimpleNamespace(
         tolerances=question.after.tolerances, values={"y": np.full(UNITS, np.nan)}, seed=2)})  # fmt: skip
     assert surrogate.surrogate(nothing) is None
-    assert live.section(None, question) == "" == live.script(None, question)

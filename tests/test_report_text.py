@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from rvjax import Status
+from rvjax.commands import allocate
+from rvjax.commands.cells import failures_text, judged, share
 from rvjax.commands.montecarlo import report_on
 from rvjax.population.estimates import Estimate
-from rvjax.report import text
 from rvjax.study import load
 from rvjax.study.about import About
 from rvjax.tolerances import Outcome, Requirement, monte_carlo
@@ -30,11 +31,11 @@ def headline(**changes):
     study = SimpleNamespace(
         name="s", about=About(), joint_target=target, output=lambda name: SimpleNamespace(shown=("arcmin", arcmin))
     )
-    return text.headline(SimpleNamespace(study=study, allocation=allocation(**changes))).split("\n")
+    return allocate.headline(SimpleNamespace(study=study, allocation=allocation(**changes))).split("\n")
 
 
 def test_a_yield_has_both_ends_of_its_interval():
-    assert text.yield_text(Estimate(0.99, 0.002, 0.985, 0.9951)) == "99.000 % [98.500, 99.510]"
+    assert share(Estimate(0.99, 0.002, 0.985, 0.9951)).text() == "99.000 % [98.500, 99.510]"
 
 
 def test_a_batch_says_how_many_units_failed_why_and_how_they_count():
@@ -58,7 +59,7 @@ def test_a_batch_says_how_many_units_failed_why_and_how_they_count():
         assert f"{count} {status} (unit {found.examples[status]})" in line
     told = report_on(found, question).json()
     assert (told["failed"], told["failures"], told["examples"]) == (found.failed, counts, found.examples)
-    assert text.failures_text(SimpleNamespace(failed=0)) == "0 failed"
+    assert failures_text(SimpleNamespace(failed=0)) == "0 failed"
 
 
 def test_a_saving_is_a_negative_change():
@@ -88,4 +89,5 @@ def test_a_shortfall_is_told_in_the_unit_of_its_limit():
 )
 def test_a_figure_is_told_in_its_own_unit(kind, shown):
     verdict = SimpleNamespace(kind=kind, estimate=Estimate(0.9, 0.05, 0.8, 0.95))
-    assert text.figure_text(verdict, "arcmin", arcmin) == shown
+    output = SimpleNamespace(unit="rad", read_in="arcmin")
+    assert judged(verdict, output).text() == shown

@@ -1,4 +1,4 @@
-"""The command line: `cli.toml` lists the commands, the function that runs each, its options and its help.
+"""The command line: one parser for all commands, whose packages hold their options and help.
 
 Bad input ends with one line on standard error and exit code 2; a question that has no answer
 (infeasible requirements) with exit code 1.
@@ -6,7 +6,6 @@ Bad input ends with one line on standard error and exit code 2; a question that 
 
 import argparse
 import functools
-import importlib
 import io
 import logging
 import os
@@ -67,15 +66,11 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
     types: dict[str, Any] = {"count": _count, "int": int}
     for name in listed.COMMANDS:
-        command, chosen = listed.about(name), functools.partial(run, name)
-        if command is None:  # it has no package yet
-            command = about["command"][name]
-            module, function = command.pop("run").split(".")
-            chosen = getattr(importlib.import_module(f"rvjax.cli.{module}"), function)
+        command = listed.about(name)
         command.pop("table", None)
         options = command.pop("options")
         subparser = commands.add_parser(name, formatter_class=as_written, **command)
-        subparser.set_defaults(run=chosen)
+        subparser.set_defaults(run=functools.partial(run, name))
         for flag, option in options.items():
             subparser.add_argument(flag, **option | ({"type": types[option["type"]]} if "type" in option else {}))
     return parser

@@ -3,8 +3,7 @@
 from rvjax import levels
 from rvjax.levels import Choice
 from rvjax.progress import spelled
-from rvjax.study import Study
-from rvjax.study.answer import CERTIFYING, PRICING, SAMPLING, SEARCHING, solved_units
+from rvjax.study import CERTIFYING, PRICING, SAMPLING, SEARCHING, Study, solved_units
 
 CHUNK = 32_768  # units at once
 

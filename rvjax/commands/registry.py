@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import Any
 
 
-def about(name: str) -> dict[str, Any] | None:
-    """Options and help of a command, its `command.toml`; None without a package of this name."""
+def about(name: str) -> dict[str, Any]:
+    """Options and help of a command: its `command.toml`."""
     found = find_spec(f"rvjax.commands.{name}")
-    if found is None or not found.submodule_search_locations:
-        return None
+    assert found is not None and found.submodule_search_locations, f"{name}: no package of rvjax.commands"
     return tomllib.loads((Path(found.submodule_search_locations[0]) / "command.toml").read_text("utf-8"))
 
 
@@ -30,5 +29,5 @@ def section(table: str) -> Callable[[dict[str, Any], Any], Any] | None:
     """The function (table, study) -> value that reads a table of study files, None where no command reads it."""
     from rvjax import commands
 
-    found = next((name for name in commands.COMMANDS if (about(name) or {}).get("table") == table), None)
+    found = next((name for name in commands.COMMANDS if about(name).get("table") == table), None)
     return None if found is None else module(found, "inputs").section

@@ -30,15 +30,17 @@ def run(name: str, options: argparse.Namespace) -> int:
         progress.begin(READING)
         found = report(asked, work.compute(asked))
         if not as_json and found.content:  # before the folder is made: a failure there leaves the printed result
-            say(found.text())
+            say(found.text() if found.brief is None else found.brief)
         if folder is not None:
             progress.begin(WRITING)
             folder = write_files(found.folder(), folder)
     for path, content in found.exports.items():
         write_atomically(path, content)
+    getattr(asked, "finished", lambda: None)()
+    wrote = {} if folder is None else {"report": folder / found.main} if found.main else {"results": folder}
     if as_json:
-        more = dict(found.told) | ({"results": str(folder)} if folder else {})
+        more = dict(found.told) | {name: str(path) for name, path in wrote.items()}
         print(json.dumps(plain(found.data | more if more else found.data), indent=1, allow_nan=False))
-    elif closing := [*found.closing, *([f"\nResults: {folder}"] if folder else [])]:
+    elif closing := [*found.closing, *(f"{'' if found.main else chr(10)}{n.title()}: {p}" for n, p in wrote.items())]:
         say("\n".join(closing))
     return EXIT_OK if found.ok else EXIT_NO_ANSWER

@@ -3,7 +3,7 @@
 from rvjax.render.figure import Figure, saved
 from rvjax.render.folders import new_folder, numbered_folders, results_folder, write_files
 from rvjax.render.quantity import Quantity, number
-from rvjax.render.report import Content, Note, Report, Section, as_json, leading_comment, plain, versions
+from rvjax.render.report import Block, Content, Note, Report, Section, as_json, leading_comment, plain, versions
 from rvjax.render.table import (
     CSV,
     EVERYWHERE,
@@ -16,12 +16,14 @@ from rvjax.render.table import (
     Share,
     Table,
     Text,
+    Titled,
     aligned,
     as_csv,
 )
 
 __all__ = [
     "CSV",
+    "Block",
     "EVERYWHERE",
     "PAGE",
     "TEXT",
@@ -38,6 +40,7 @@ __all__ = [
     "Share",
     "Table",
     "Text",
+    "Titled",
     "aligned",
     "as_csv",
     "as_json",

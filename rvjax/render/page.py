@@ -12,7 +12,7 @@ from markupsafe import Markup, escape
 
 import rvjax
 from rvjax.render.figure import Figure
-from rvjax.render.report import Note, Report, Section, versions
+from rvjax.render.report import Block, Note, Report, Section, versions
 from rvjax.render.table import PAGE, Table
 
 
@@ -36,20 +36,32 @@ def _environment() -> Environment:
     made = Environment(
         loader=FunctionLoader(source), autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=StrictUndefined
     )
-    made.filters |= {"typeset": typeset, "micro": micro, "svg": svg, "label": label, "groupby_indent": _by_indent}
+    made.filters |= {
+        "typeset": typeset,
+        "micro": micro,
+        "svg": svg,
+        "label": label,
+        "groupby_indent": _by_indent,
+        "block": _block,
+    }
     made.tests |= {
         "note": lambda part: isinstance(part, Note) and PAGE in part.on,
         "table": lambda part: isinstance(part, Table) and PAGE in part.on,
         "figure": lambda part: isinstance(part, Figure),
         "section": lambda part: isinstance(part, Section),
+        "block": lambda part: isinstance(part, Block),
         "nil": nil,
     }
     return made
 
 
+def _block(part: Block) -> Markup:
+    return Markup(_environment().get_template(part.template).render(**part.facts))
+
+
 def label(name: str) -> Markup:
     """The name of an error as words; the place of an element may be on a separate line."""
-    return Markup(str(escape(name.replace("_", " "))).replace("[", "<wbr>["))
+    return Markup(re.sub(r"\[(?=\d)", "<wbr>[", str(escape(name.replace("_", " ")))))
 
 
 def _by_indent(lines: list[str]) -> list[tuple[bool, list[str]]]:
@@ -58,6 +70,7 @@ def _by_indent(lines: list[str]) -> list[tuple[bool, list[str]]]:
     return [(indented, [line.strip() for line in own]) for indented, own in groups]
 
 
+MUTED = ("not seen",)
 ZERO = Markup('<span class="none">0</span>')
 
 
@@ -68,6 +81,12 @@ def typeset(cell: Any) -> Markup:
     text, _, interval = str(cell).partition(" [")
     if re.match(r"0\.00+ ", text) or text == "0.0 %":
         return ZERO
+    if text.startswith(("✔", "✘")):
+        return Markup('<span class="{}">{}</span>').format("met" if text[0] == "✔" else "missed-mark", text)
+    if text in MUTED:
+        return Markup('<span class="none">{}</span>').format(text)
+    if text == "assumed":
+        return Markup("<strong>assumed</strong>")
     said = micro(escape(text.replace("+-", "±").replace("<=", "≤").replace(">=", "≥")))
     said = Markup(str(said).replace(" and ", "<br>"))
     if said in ("", "-"):

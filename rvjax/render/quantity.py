@@ -47,7 +47,7 @@ class Quantity:
 
     def numbers(self) -> list[float | None]:
         """Value, lower end and upper end in the unit that is read; None for what is not finite."""
-        size = self.shown[1]
+        size = 1.0 if self.read_in == "%" else self.shown[1]  # a share is a part of one in files
         return [number(x, size) for x in (self.value, self.lower, self.upper)]
 
     def text(self, form: str = ".4g", *, named: bool = True) -> str:

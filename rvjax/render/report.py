@@ -5,7 +5,7 @@ import itertools
 import json
 import math
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -35,15 +35,30 @@ class Section:
     """A part of a page under its own heading; the text shows its paragraphs and tables without the heading.
 
     Attributes:
-        title: heading.
+        title: heading, "" for a group without one.
         content: in reading order.
+        style: class of the style sheet for all of it, "" for none.
     """
 
     title: str
-    content: tuple["Note | Table | Figure", ...]
+    content: tuple["Content", ...]
+    style: str = ""
 
 
-Content = Note | Table | Figure | Section
+@dataclass(frozen=True)
+class Block:
+    """A part of a page with a template; the text and the folder do not contain it.
+
+    Attributes:
+        template: "package:file".
+        facts: values for it.
+    """
+
+    template: str
+    facts: Mapping[str, Any]
+
+
+Content = Note | Table | Figure | Section | Block
 
 
 @dataclass(frozen=True)
@@ -60,6 +75,8 @@ class Report:
         page: template of the page of the results folder, None for no page; other values that it needs are in `facts`.
         facts: values for the template.
         exports: files outside the folder that options name, with their content.
+        brief: text for standard output where it is shorter than summary.txt, None: the whole text.
+        main: file of the folder that is named after the run, "" for the folder itself.
         told: further JSON values for standard output only, such as the paths of exports.
         closing: further lines of text for standard output only.
     """
@@ -73,13 +90,14 @@ class Report:
     page: str | None = None
     facts: Mapping[str, Any] = field(default_factory=dict)
     exports: Mapping[Path, bytes] = field(default_factory=dict)
+    brief: str | None = None
+    main: str = ""
     told: Mapping[str, Any] = field(default_factory=dict)
     closing: tuple[str, ...] = ()
 
     def parts(self) -> Iterator[Note | Table | Figure]:
         """Paragraphs, tables and figures in reading order, those of sections too."""
-        for part in self.content:
-            yield from part.content if isinstance(part, Section) else (part,)
+        yield from _flat(self.content)
 
     def text(self) -> str:
         """The report for a person, with an empty line between paragraphs and tables."""
@@ -99,9 +117,21 @@ class Report:
         yield from ((f"{part.name}.csv", part.csv()) for part in parts if isinstance(part, Table) and CSV in part.on)
         yield from ((f"{part.name}.png", part.content()) for part in parts if isinstance(part, Figure))
         if self.page is not None:
-            from rvjax.render.page import page
+            yield "report.html", self.html().encode()
 
-            yield "report.html", page(self).encode()
+    def html(self) -> str:
+        """The page: one file that needs no other."""
+        from rvjax.render.page import page
+
+        return page(self)
+
+
+def _flat(content: Iterable[Content]) -> Iterator[Note | Table | Figure]:
+    for part in content:
+        if isinstance(part, Section):
+            yield from _flat(part.content)
+        elif not isinstance(part, Block):
+            yield part
 
 
 def leading_comment(text: str) -> str:

@@ -5,6 +5,7 @@ A column turns a cell into one text and into one or several numbers. None is the
 
 import csv
 import io
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -27,15 +28,19 @@ class Column:
         missing: text of a cell without a value.
         on: where the column is shown.
         file_title: header in the CSV file; None: the title.
+        wraps: the page may break a cell into lines, as prose.
     """
 
     title: str
     missing: str = "-"
     on: frozenset[str] = EVERYWHERE
     file_title: str | None = None
+    wraps: bool = False
 
     def text(self, cell: Any) -> str:
-        """The cell for a person."""
+        """The cell for a person; words are shown as they are, also in a column of numbers."""
+        if isinstance(cell, str):
+            return cell
         return self.missing if cell is None else self._said(cell)
 
     def headers(self) -> list[str]:
@@ -44,13 +49,25 @@ class Column:
 
     def values(self, cell: Any) -> list[Value]:
         """The cell in a CSV file, a value for each header."""
-        return [None] * len(self.headers()) if cell is None else self._given(cell)
+        return [None] * len(self.headers()) if cell is None or cell == "" else self._given(cell)
 
     def _said(self, cell: Any) -> str:
         return cell.text() if isinstance(cell, Quantity) else str(cell)
 
     def _given(self, cell: Any) -> list[Value]:
         return list(cell.numbers()[:1]) if isinstance(cell, Quantity) else [cell]
+
+
+class Titled(str):
+    """A word with a remark, which the page shows in small letters below it."""
+
+    remark: str
+
+    def __new__(cls, word: str, remark: str) -> "Titled":
+        """A word and its remark."""
+        made = super().__new__(cls, word)
+        made.remark = remark
+        return made
 
 
 @dataclass(frozen=True)
@@ -77,6 +94,8 @@ class Number(Column):
         return self._quantity(cell).text(self.form, named=self.named and isinstance(cell, Quantity))
 
     def _given(self, cell: Any) -> list[Value]:
+        if self.unit == "-" and not isinstance(cell, Quantity):  # nothing to convert: all digits
+            return [float(cell) if math.isfinite(cell) else None]
         return list(self._quantity(cell).numbers()[:1])
 
 

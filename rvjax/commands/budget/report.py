@@ -78,8 +78,8 @@ def _shares(budget: Budget, levels: tuple[str, ...] = LEVELS, *, errors: bool = 
     columns: list[Column] = [Text("owner" if errors else "part"), *([Text("of")] if errors else [])]
     for load in budget.torque:
         columns.append(Number(f"{load} rms {unit}", form=".3g", unit=budget.unit, read_in=unit))
-        columns.append(Number(f"{load} share %", form=".1f", read_in="%"))
-        columns += [Number(f"{load} +-", missing="", form=".1f", read_in="%")] if errors else []
+        columns.append(Number(f"{load} share %", form=".1f"))
+        columns += [Number(f"{load} +-", missing="", form=".1f")] if errors else []
     return Table("shares", columns, list(_share_rows(budget, levels, errors)))
 
 
@@ -92,9 +92,9 @@ def _share_rows(budget: Budget, levels: tuple[str, ...], errors: bool) -> Iterat
             for load, owned in sums.items():
                 whole = sum(float(values[1:].sum()) for values in owned.values())
                 square = float(owned[name][1:].sum())
-                row += [np.sqrt(square) if square > NOTHING * whole else 0.0, shares[load][name]]
+                row += [np.sqrt(square) if square > NOTHING * whole else 0.0, 100 * shares[load][name]]
                 known = level == "field" and whole > 0
-                row += [budget.error[load][name] / whole if known else None] if errors else []
+                row += [100 * budget.error[load][name] / whole if known else None] if errors else []
             yield row
 
 

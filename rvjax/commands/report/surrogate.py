@@ -21,7 +21,7 @@ import numpy as np
 
 from rvjax.population import Population, root_key
 from rvjax.response import BLOCK, Response, respond
-from rvjax.study.answer import Answer
+from rvjax.study import Answer
 from rvjax.tolerances import Estimate, Limits, Statistics, Tolerance, monte_carlo
 
 UNITS = 2048

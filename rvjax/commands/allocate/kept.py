@@ -2,13 +2,15 @@
 
 import json
 import os
+import tempfile
 import tomllib
 from pathlib import Path
 from typing import Any
 
 import rvjax
-from rvjax.report.folders import numbered_folders
-from rvjax.study import Study
+from rvjax import tolerances
+from rvjax.render import numbered_folders
+from rvjax.study import Answer, Side, Study
 from rvjax.tolerances import Memo, versions
 
 
@@ -33,6 +35,33 @@ def memo(study: Study, place: Path) -> Memo | None:
         return None
     about = {"study": study.text, "flags": os.environ.get("XLA_FLAGS", "")}
     return Memo(place.with_name(place.name + ".part"), about | versions())
+
+
+FILE = "answer.npz"
+"""What the page of an answer needs beside its study; the tables and plots follow from it."""
+
+
+def stored(answer: Answer) -> bytes:
+    """An answer as the content of a file."""
+    sides = {name: dict(vars(getattr(answer, name))) for name in ("before", "after")}
+    found = {name: getattr(answer, name) for name in ("allocation", "certificate_before", "cost_curve")} | sides
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, FILE)
+        tolerances.save(found, path, study={"name": answer.study.name}, seed=answer.study.seed)
+        return path.read_bytes()
+
+
+def restored_from(study: Study) -> tuple[Path, Answer] | tuple[None, None]:
+    """The latest results folder that holds the answer to a study, and the answer; None where there is none."""
+    place = folder(study, None)
+    if place is None:
+        return None, None
+    try:
+        found: dict[str, Any] = tolerances.load(place / FILE)
+        found |= {name: Side(**found[name]) for name in ("before", "after")}
+        return place, Answer(study=study, **found)
+    except (OSError, ValueError, TypeError, KeyError):  # without the file, or by another rvjax
+        return None, None
 
 
 def status(place: Path) -> str:

@@ -4,45 +4,49 @@ import base64
 import json
 import math
 import re
-from html import escape
 from importlib import resources
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 
-from rvjax.plotting.style import words
-from rvjax.report.surrogate import Surrogate, grows_from_lower, placed
-from rvjax.study.answer import Answer
-from rvjax.study.rewrite import template
+from rvjax.commands.report.surrogate import Surrogate, grows_from_lower, placed
+from rvjax.plotting import words
+from rvjax.render import Block
+from rvjax.study import Answer, study_template
 from rvjax.tolerances import CpkAtLeast, Exponential, Limits, MeanWithin, ReciprocalPower, Requirement, SdAtMost
 from rvjax.units import readable
 
 KINDS: dict[type[Limits], str] = {Requirement: "share", CpkAtLeast: "cpk", MeanWithin: "mean", SdAtMost: "sd"}
 
 
-def section(found: Surrogate | None, answer: Answer) -> str:
-    """The section as HTML: hidden until its script runs.
+def block(found: Surrogate, answer: Answer) -> Block:
+    """The section of the page, hidden until its script runs.
 
     Args:
-        found: from `surrogate`; None gives a page without it.
+        found: from `surrogate`.
         answer: that it belongs to.
     """
-    if found is None:
-        return ""
-    heads = "".join(f'<th scope="col">{name}</th>' for name in _COLUMNS)
-    graded = _GRADED if answer.allocation.graded else ""
-    return _SECTION.format(heads=heads, units=len(found.weights), graded=graded, checks=_checks(found, answer))
+    facts = {
+        "units": len(found.weights),
+        "graded": answer.allocation.graded is not None,
+        "checks": _checks(found, answer),
+    }
+    return Block("rvjax.commands.report:live.html.j2", facts)
 
 
-def script(found: Surrogate | None, answer: Answer) -> str:
-    """Numbers and script of the section, for the end of the page."""
-    if found is None:
-        return ""
+def script(found: Surrogate, answer: Answer) -> Markup:
+    """Numbers and script of the section, for the end of the page.
+
+    Args:
+        found: from `surrogate`.
+        answer: that it belongs to.
+    """
     # Text of the user stands inside: nothing in it may end the element.
     numbers = json.dumps(data(found, answer), allow_nan=False).replace("<", "\\u003c").replace("&", "\\u0026")
-    files = resources.files("rvjax.report")
+    files = resources.files("rvjax.commands.report")
     code = "".join((files / name).read_text("utf-8") for name in ("live.js", "live_page.js"))
-    return f'<script type="application/json" id="live-data">{numbers}</script>\n<script>\n{code}</script>'
+    return Markup(f'<script type="application/json" id="live-data">{numbers}</script>\n<script>\n{code}</script>')
 
 
 def data(found: Surrogate, answer: Answer) -> dict[str, Any]:
@@ -72,7 +76,7 @@ def data(found: Surrogate, answer: Answer) -> dict[str, Any]:
         "priced": bool(study.costs),
         "other_cost": sum(cost for name, cost in answer.after.cost.items() if name not in places),
         "error": error_text(found),
-        "template": template(study.text, study.requirements, places),
+        "template": study_template(study.text, study.requirements, places),
     }
 
 
@@ -181,45 +185,17 @@ def _integers(values: np.ndarray) -> dict[str, Any]:
     return {"scale": scale, "data": base64.b64encode(numbers.tobytes()).decode()}
 
 
-def _checks(found: Surrogate, answer: Answer) -> str:
+def _checks(found: Surrogate, answer: Answer) -> list[tuple[str, list[str]]]:
+    """Surrogate / independent units at each point: name of the row, and a text for yield, mean and sd."""
     rows = []
     for check in found.checks:
         for name, figures in check.figures.items():
             unit, size = answer.study.output(name).shown
             unit = re.sub("^u(?=m)", "µ", unit)
-            cells = []
-            for key, scale, shown in (("yield", 0.01, "%"), ("mean", size, unit), ("sd", size, unit)):
-                ours, true = figures[key]
-                cells.append(f"<td>{ours / scale:.4g} / {true / scale:.4g} {escape(shown)}</td>")
-            rows.append(f'<tr><th scope="row">{escape(check.where)}: {escape(words(name))}</th>{"".join(cells)}</tr>')
-    heads = "".join(f'<th scope="col">{name}</th>' for name in ("point", "yield", "mean", "sd"))
-    return f"<table><thead><tr>{heads}</tr></thead><tbody>{''.join(rows)}</tbody></table>"
-
-
-_COLUMNS = ("requirement", "figure", "asked", "mean", "sd", "Cpk", "verdict")
-_GRADED = '\n<button type="button" data-begin="graded">with ISO 286 grades</button>'
-_SECTION = """<section id="live" class="live as-allocated" hidden>
-<h2>What if</h2>
-<p class="live-intro">Move half-widths, middles and limits; the figures follow at once, from {units:,} weighted units.
-As allocated, they are those of the certificate; elsewhere they come near to it, as said here, and certify nothing.</p>
-<p class="live-region" data-live="region"></p>
-<p class="unseen" role="status" data-live="spoken"></p>
-<p class="live-bar" aria-hidden="true" data-live="bar"></p>
-<dl class="key"><div><dt>cost now</dt><dd><span data-live="cost"></span><small data-live="change"></small></dd></div>
-<div><dt>all requirements at once</dt><dd data-live="joint"></dd></div></dl>
-<div class="wide"><table class="cards"><thead><tr>{heads}</tr></thead><tbody data-live="figures"></tbody></table></div>
-<div class="live-buttons"><button type="button" data-begin="centre">as allocated</button>
-<button type="button" data-begin="own">as in the study</button>{graded}</div>
-<div class="live-sliders">
-<fieldset data-live="half-widths"><legend>Half-widths</legend></fieldset>
-<fieldset data-live="limits"><legend>Limits of the requirements</legend></fieldset>
-<details><summary>Nominal values: where the limits of an error stand</summary><fieldset data-live="middles">
-<legend>Middles</legend></fieldset></details>
-</div>
-<div class="pair" data-live="pictures"></div>
-<details class="live-study"><summary>This as a study file, for rvjax to compute</summary>
-<textarea data-live="study" readonly rows="16" aria-label="study file with these tolerances and limits"></textarea>
-<p><button type="button" data-live="download">save the study file</button></p></details>
-<details class="live-checks"><summary>How far off it was: surrogate / computed with units of their own</summary>
-<div class="wide">{checks}</div></details>
-</section>"""
+            shown = {"yield": (0.01, "%"), "mean": (size, unit), "sd": (size, unit)}
+            cells = [
+                f"{figures[key][0] / scale:.4g} / {figures[key][1] / scale:.4g} {word}"
+                for key, (scale, word) in shown.items()
+            ]
+            rows.append((f"{check.where}: {words(name)}", cells))
+    return rows

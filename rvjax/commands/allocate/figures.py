@@ -1,0 +1,85 @@
+"""Plots of an answer: curves of sample units, a histogram for each requirement, variance shares, cost against yield."""
+
+import math
+from collections.abc import Iterator
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from rvjax.render import Figure
+from rvjax.study import Answer
+from rvjax.tolerances import least_yield
+
+
+def figures(answer: Answer) -> Iterator[Figure]:
+    """The plots of an answer."""
+    study = answer.study
+    if study.curve is not None:
+        yield Figure("curves", f"{study.curve.title} of sample units, before and after", partial(_curves, answer))
+    for name in study.requirements:
+        yield Figure(f"histogram_{name}", _caption(answer, name), partial(_histogram, answer, name))
+    yield Figure(
+        "variance_shares", "Share of each error in the variance of each response, after", partial(_shares, answer)
+    )
+    if answer.cost_curve:
+        ends = [f"{cost:.3g} at {100 * share:.5g} %" for share, cost in (answer.cost_curve[0], answer.cost_curve[-1])]
+        caption = f"Cheapest cost for each yield, from {' to '.join(ends)}, with this study and the start"
+        yield Figure("cost_against_yield", caption, partial(_costs, answer))
+
+
+def _curves(answer: Answer) -> Any:
+    from rvjax import plotting
+
+    study, curve = answer.study, answer.study.curve
+    assert curve is not None
+    alike = (output for name in study.requirements if (output := study.output(name)).unit == curve.unit)
+    read_in = next((output.read_in for output in alike), None)
+    sides = answer.before.curves, answer.after.curves
+    return plotting.unit_curves(answer.after.angle, *sides, curve.title, curve.unit, read_in=read_in)
+
+
+def _caption(answer: Answer, name: str) -> str:
+    study, certificate, values = answer.study, answer.allocation.certificate, answer.after.values[name]
+    caption = f"Distribution of {name.replace('_', ' ')} before and after, with its limits"
+    valid = values[np.isfinite(values)]
+    if not valid.size:
+        return caption
+    unit, size = study.output(name).shown
+    caption += f"; after: mean {valid.mean() / size:.3g} {unit}, sd {valid.std() / size:.3g} {unit}"
+    known = (("Cp", certificate.cp_estimate), ("Cpk", certificate.cpk_estimate))
+    return caption + "".join(
+        f", {label} {found[name].value:.3g}" for label, found in known if found and math.isfinite(found[name].value)
+    )
+
+
+def _histogram(answer: Answer, name: str) -> Any:
+    from rvjax import plotting
+
+    output, requirement = answer.study.output(name), answer.study.requirements[name]
+    of_values = requirement.limits_values
+    return plotting.response_histogram(
+        answer.before.values[name],
+        answer.after.values[name],
+        unit=output.unit,
+        read_in=output.read_in,
+        name=name,
+        upper=requirement.upper if of_values else math.inf,
+        lower=requirement.lower if of_values else -math.inf,
+    )
+
+
+def _shares(answer: Answer) -> Any:
+    from rvjax import plotting
+
+    return plotting.variance_shares(answer.after.shares, title="Who causes the variance, after")
+
+
+def _costs(answer: Answer) -> Any:
+    from rvjax import plotting
+
+    return plotting.cost_against_yield(
+        *zip(*answer.cost_curve),
+        chosen=(least_yield(answer.allocation.certificate), answer.allocation.cost),
+        start=(least_yield(answer.certificate_before), answer.allocation.start_cost),
+    )

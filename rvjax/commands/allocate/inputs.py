@@ -1,0 +1,54 @@
+"""What `rvjax allocate` reads: a study, and results folders that may hold its answer already."""
+
+import argparse
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from rvjax import study
+from rvjax.commands.allocate import kept
+from rvjax.commands.speak import forewarn
+from rvjax.render import results_folder
+from rvjax.study import Study
+from rvjax.tolerances import Memo
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """What the command needs.
+
+    Attributes:
+        study: the question.
+        kept: folder that holds the answer already, or None.
+        folder: of the results, None where they are kept.
+        memo: keeps what took long until the folder exists, or None.
+        quiet: show no progress.
+    """
+
+    study: Study
+    kept: Path | None
+    folder: Path | None
+    memo: Memo | None
+    quiet: bool
+
+    @property
+    def finished(self) -> Callable[[], None]:
+        """Called once the folder is written."""
+        return self.memo.clear if self.memo else lambda: None
+
+
+def inputs(options: argparse.Namespace) -> Inputs:
+    """The inputs that the options name.
+
+    Raises:
+        ValueError: one line that names the option or the key.
+    """
+    asked = study.load(options.study, solve=False)
+    found = None if options.fresh else kept.folder(asked, options.results)
+    if found is not None:
+        return Inputs(asked, found, None, None, True)
+    folder = results_folder(options.results, asked.name)
+    forewarn(asked)
+    memo = kept.memo(asked, folder)
+    options.begun = lambda: memo.folder if memo and memo.folder.exists() else None
+    return Inputs(asked, None, folder, memo, options.quiet)

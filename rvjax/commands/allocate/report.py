@@ -1,0 +1,325 @@
+"""What `rvjax allocate` says: verdict, cost, tolerances, influence of each error, requirements, certificate."""
+
+import dataclasses
+import json
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from rvjax.commands.allocate import kept
+from rvjax.commands.allocate.figures import figures
+from rvjax.commands.allocate.inputs import Inputs
+from rvjax.commands.cells import assumed_text, failures_text, judged, limit_text, limits_data, limits_of, share
+from rvjax.outputs import Output
+from rvjax.render import (
+    CSV,
+    EVERYWHERE,
+    PAGE,
+    Column,
+    Interval,
+    Limits,
+    Note,
+    Number,
+    Report,
+    Table,
+    Text,
+    Titled,
+    number,
+    versions,
+)
+from rvjax.study import Answer, Study
+from rvjax.tolerances import Allocation
+from rvjax.units import readable
+
+UNMOVED = "not seen"
+UNMOVED_MEANS = "the model asked does not read this error, or not to first order; it may matter all the same"
+MOVED = "middles moved"
+"""Row of the cost of moving middles, beside that of the half-widths: columns of costs add up to the cost."""
+NOT_IN_FILE, IN_FILE = EVERYWHERE - {CSV}, frozenset({CSV})
+
+
+def report(asked: Inputs, found: Answer | None) -> Report:
+    """The report on an answer, or what the folder that keeps it says.
+
+    Args:
+        asked: inputs of the command.
+        found: its result, None where a folder keeps it.
+    """
+    if found is not None:
+        return report_on(found)
+    place = asked.kept
+    assert place is not None
+    said = f"Unchanged since {place} was written, which holds this answer; --fresh computes it anew."
+    return Report(
+        title=asked.study.name,
+        content=(Note((place / "summary.txt").read_text("utf-8") + said),),
+        ok=kept.status(place) == "OPTIMAL",
+        data=json.loads((place / "result.json").read_text()) | {"results": str(place)},
+    )
+
+
+def report_on(answer: Answer) -> Report:
+    """The report on an answer."""
+    certificate = answer.allocation.certificate
+    fresh = f"Certificate: {certificate.samples:,} fresh units, {failures_text(certificate)}"
+    return Report(
+        title=answer.study.name,
+        content=(
+            Note(headline(answer)),
+            *tolerance_tables(answer),
+            *influence_tables(answer),
+            requirement_table(answer),
+            Note("\n".join([fresh, *limits_of_the_answer(answer)])),
+            *figures(answer),
+        ),
+        status=answer.allocation.status,
+        ok=answer.allocation.status == "OPTIMAL",
+        data=_data(answer),
+        files={"study.toml": answer.study.text.encode(), kept.FILE: kept.stored(answer)},
+    )
+
+
+def headline(answer: Answer) -> str:
+    """Verdict with the yield of all requirements at once, and cost, or why there is no answer."""
+    study, allocation = answer.study, answer.allocation
+    lines = [f"Study {study.name}: {allocation.status}", *filter(None, [study.about.line()])]
+    if (joint := allocation.certificate.joint_yield) is not None:
+        asked = "no joint_target asks for it" if study.joint_target is None else f"asked {100 * study.joint_target:g} %"
+        lines.append(f"all requirements at once: {share(joint).text()}, {asked}")
+    lines.append("")
+    if allocation.feasible:
+        change = 100 * (allocation.cost / allocation.start_cost - 1)
+        lines.append(f"cost {allocation.start_cost:.3f} -> {allocation.cost:.3f} ({change:+.1f} %)")
+        if graded := allocation.graded:
+            lines.append(f"with ISO 286 grades: cost {graded.cost:.3f} ({graded.status})")
+    else:
+        lines.append("No tolerances within the process ranges were found to meet the requirements; at the finest ones")
+        for name, shortfall in allocation.shortfall.items():
+            if shortfall > 0:
+                lines.append(f"  the limit of {name} {shortfall_text(shortfall, study.output(name))}")
+    return "\n".join(lines)
+
+
+def shortfall_text(shortfall: float, output: Output) -> str:
+    """What a limit that cannot be met would have to do.
+
+    Args:
+        shortfall: by how much it is missed, SI.
+        output: what is limited.
+    """
+    if math.isinf(shortfall):
+        return "would do at no value: too many units fail"
+    unit, size = output.shown
+    return f"would have to move by {shortfall / size:.4g} {unit}"
+
+
+def limits_of_the_answer(answer: Answer) -> list[str]:
+    """What a reader must know beside the numbers, a line each: warnings, negative values, what is left out."""
+    study = answer.study
+    lines = [f"Doubtful: {line}" for line in study.doubts]
+    lines += [f"Assumed, for nobody printed them: {assumed_text(study)}"] if study.assumed else []
+    for name, values in answer.after.values.items():
+        below = float(np.mean(np.asarray(values) < 0))
+        if (meaning := study.output(name).below_zero) and below > 0:
+            lines.append(f"Below zero: {name} of {100 * below:.3g} % of the units, {meaning}")
+    return lines + [f"Left out: {line}" for line in study.left_out]
+
+
+def tolerance_text(tolerance: Any, unit: str) -> str:
+    """Limits in the unit in which a person reads them, such as "+-6.50 um" or "8.00 +-4.00 um".
+
+    Args:
+        tolerance: of an error.
+        unit: SI unit of the error.
+    """
+    return Limits("").text(limits_of(tolerance, unit))
+
+
+def moved(allocation: Allocation) -> float:
+    """Cost of having moved middles; 0 where that is rounding."""
+    found = allocation.cost - sum(allocation.costs.values())
+    return found if found > 1e-9 * allocation.cost else 0.0
+
+
+def tolerance_tables(answer: Answer) -> list[Table]:
+    """Limits and cost of each error, and of moved middles: before, after, and in grades if required.
+
+    With the sums in text and page, without them in the file.
+    """
+    study, allocation = answer.study, answer.allocation
+    graded = allocation.graded
+    columns: list[Column] = [
+        Text("error"),
+        Text("unit", on=IN_FILE),
+        Limits("before"),
+        Limits("after"),
+        Number("cost before", form=".3f"),
+        Number("cost after", form=".3f"),
+    ]
+    columns += [Limits("graded"), Text("grade"), Number("cost graded", form=".3f")] if graded else []
+    rows: list[list[Any]] = []
+    for field in study.fields:
+        unit, elements = study.unit(field), math.prod(getattr(study.tolerances, field).shape)
+        name = Titled(field, f"{elements} elements, each its own" if elements > 1 else "")
+        row: list[Any] = [name, readable(unit)[0]]
+        row += [limits_of(getattr(side, field), unit) for side in (study.tolerances, allocation.tolerances)]
+        row += [side.cost.get(field) for side in (answer.before, answer.after)]
+        if graded:
+            row += [limits_of(getattr(graded.tolerances, field), unit), (graded.grades or {}).get(field)]
+            row.append(graded.costs.get(field))
+        rows.append(row)
+    if price := moved(allocation):
+        rows.append([MOVED, "", "", "", "", price, *(["", "", price] if graded else [])])
+    total = ["sum", "", "", "", allocation.start_cost, allocation.cost, *(["", "", graded.cost] if graded else [])]
+    return [
+        Table("tolerances", columns, rows, on=IN_FILE),
+        Table("tolerances", columns, [*rows, total], on=NOT_IN_FILE, total=True),
+    ]
+
+
+def influence_tables(answer: Answer) -> list[Table]:
+    """Slope of each response along each error (root mean square over its elements) and share of the variance, after.
+
+    A row for each error in text and page, for each error and response in the file.
+    """
+    study, side = answer.study, answer.after
+    columns: list[Column] = [Text("error")]
+    for name in study.requirements:
+        columns += [Text(f"d {name} / d error"), Text("share")]
+    wide, long = [], []
+    for field in study.fields:
+        error_unit, error_size = readable(study.unit(field))
+        row = [field]
+        for name in study.requirements:
+            unit, size = study.output(name).shown
+            slope, part = side.sensitivities[name][field] * error_size / size, side.shares[name][field]
+            seen, per = slope != 0 or part != 0, f"{unit}/{error_unit}"
+            row += [f"{slope:.{_decimals(study, name)}f} {per}", f"{100 * part:.1f} %"] if seen else [UNMOVED, "-"]
+            long.append([field, name, number(slope) if seen else None, per, number(part) if seen else None])
+        wide.append(row)
+    titles = ("error", "response", "slope", "unit of the slope", "share of variance")
+    return [
+        Table("influence", [Column(title) for title in titles], long, on=IN_FILE),
+        Table("influence", columns, wide, note=f"{UNMOVED}: {UNMOVED_MEANS}", on=NOT_IN_FILE),
+    ]
+
+
+def _decimals(study: Study, name: str) -> int:
+    """Four in the usual unit of a response; in another unit, as many as say the same."""
+    output = study.output(name)
+    return max(2, 4 + round(math.log10(output.shown[1] / readable(output.unit)[1])))
+
+
+@dataclass(frozen=True)
+class _Limit(Column):
+    """Limits of a response: one text, two numbers in a file; cells are (requirement, output)."""
+
+    def headers(self) -> list[str]:
+        """Headers in a CSV file."""
+        return ["lower limit", "upper limit"]
+
+    def _said(self, cell: Any) -> str:
+        return limit_text(*cell)
+
+    def _given(self, cell: Any) -> list[Any]:
+        requirement, output = cell
+        return [number(limit, output.shown[1]) for limit in (requirement.lower, requirement.upper)]
+
+
+@dataclass(frozen=True)
+class _Price(Column):
+    """Shadow prices per unit of the response: cells are (price per SI unit, output)."""
+
+    def _said(self, cell: Any) -> str:
+        price, (unit, size) = cell[0], cell[1].shown
+        return f"{price * size:.4g} /{unit}" if price else "not binding"
+
+    def _given(self, cell: Any) -> list[Any]:
+        return [number(cell[0] * cell[1].shown[1])]
+
+
+@dataclass(frozen=True)
+class _Met(Text):
+    """Whether a requirement is met: 1 or 0 in a file."""
+
+    def _said(self, cell: bool) -> str:
+        return "✔ met" if cell else "✘ not met"
+
+    def _given(self, cell: bool) -> list[Any]:
+        return [int(cell)]
+
+
+def requirement_table(answer: Answer) -> Table:
+    """Limits, the values that are evaluated with their intervals, shadow prices, verdicts."""
+    study, allocation = answer.study, answer.allocation
+    graded, on_page = allocation.graded, frozenset({PAGE})
+    columns = [
+        Text("requirement"),
+        Text("unit", on=IN_FILE),
+        _Limit("limit"),
+        Text("target", on=NOT_IN_FILE),
+        Number("target", on=IN_FILE),
+        Text("requires", on=IN_FILE),
+        Text("unit of the figure", on=IN_FILE),
+        Interval("yield before [interval]", file_title="before"),
+        Interval("yield after [interval]", file_title="after"),
+        _Met("met after", on=IN_FILE),
+        _Price("shadow price", file_title="shadow price per unit"),
+        *([Interval("yield graded [interval]", on=on_page)] if graded else []),
+        _Met("verdict", on=on_page),
+    ]
+    rows = []
+    for name, requirement in study.requirements.items():
+        output = study.output(name)
+        verdicts = [side.verdicts[name] for side in (answer.certificate_before, allocation.certificate)]
+        cells = [judged(verdict, output) for verdict in verdicts]
+        figure_unit = output.shown[0] if verdicts[0].kind == "response" else "-"
+        goal = getattr(requirement, requirement.goal) if requirement.goal else None
+        row: list[Any] = [
+            Titled(name, output.meaning),
+            output.shown[0],
+            (requirement, output),
+            requirement.text(),
+            goal,
+        ]
+        row += [requirement.text(), figure_unit, *cells, verdicts[1].met, (allocation.multipliers[name], output)]
+        row += [judged(graded.certificate.verdicts[name], output)] if graded else []
+        rows.append([*row, verdicts[1].met])
+    return Table("requirements", columns, rows)
+
+
+def _data(answer: Answer) -> dict[str, Any]:
+    """Everything about an answer except single units, as JSON values; SI."""
+    study, allocation = answer.study, answer.allocation
+    graded = allocation.graded
+    return {
+        "study": study.name,
+        "about": study.about,
+        "status": allocation.status,
+        "feasible": allocation.feasible,
+        "seed": study.seed,
+        "samples": study.samples,
+        "versions": versions(),
+        "conditions": dataclasses.asdict(study.conditions),
+        "cost": {"before": allocation.start_cost, "after": allocation.cost, "middles": moved(allocation)},
+        "tolerances": {
+            field: {
+                "unit": study.unit(field),
+                "before": limits_data(getattr(study.tolerances, field)),
+                "after": limits_data(getattr(allocation.tolerances, field)),
+                "graded": limits_data(getattr(graded.tolerances, field)) if graded else None,
+            }
+            for field in study.fields
+        },
+        "shares": {"before": answer.before.shares, "after": answer.after.shares},
+        "sensitivities": answer.after.sensitivities,
+        "limits": {name: limit_text(item, study.output(name)) for name, item in study.requirements.items()},
+        "multipliers": allocation.multipliers,
+        "shortfall": allocation.shortfall,
+        "certificate": allocation.certificate,
+        "certificate_before": answer.certificate_before,
+        "graded": {"status": graded.status, "cost": graded.cost} if graded else None,
+        "cost_curve": answer.cost_curve,
+    }

@@ -1,0 +1,6 @@
+"""`rvjax report`: the answer to a study as one HTML page with sliders."""
+
+from rvjax.commands.report.compute import Shown
+from rvjax.commands.report.report import page_of
+
+__all__ = ["Shown", "page_of"]

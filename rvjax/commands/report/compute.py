@@ -1,0 +1,49 @@
+"""What a page shows beside an answer: the numbers behind the sliders, and the error budget."""
+
+from dataclasses import dataclass
+
+from rvjax import progress
+from rvjax.commands import forecast
+from rvjax.commands.budget import Budget, budget_if_any
+from rvjax.commands.report import surrogate as behind
+from rvjax.commands.report.inputs import Inputs
+from rvjax.commands.speak import READING
+from rvjax.study import Answer, answer
+
+SLIDERS, WRITING = "numbers behind the sliders", "the page"
+
+
+@dataclass(frozen=True)
+class Shown:
+    """An answer and what its page shows beside it.
+
+    Attributes:
+        answer: of the study.
+        surrogate: behind the sliders, None where nothing can move.
+        budget: of the allocated tolerances, None where the study has none.
+    """
+
+    answer: Answer
+    surrogate: behind.Surrogate | None = None
+    budget: Budget | None = None
+
+
+def phases(asked: Inputs) -> dict[str, float]:
+    """Phases of the command with their seconds.
+
+    Args:
+        asked: what is computed.
+    """
+    if asked.answer is None:
+        return forecast.phases_of(asked.study, READING, SLIDERS, WRITING)
+    return {READING: 6.0, SLIDERS: 10.0, WRITING: 10.0}
+
+
+def compute(asked: Inputs) -> Shown:
+    """The answer, computed unless a folder holds it, with surrogate and budget."""
+    found = asked.answer or answer.answer(asked.study, progress=not asked.quiet)
+    progress.begin(SLIDERS)
+    moved = behind.surrogate(found)
+    budget = budget_if_any(asked.study, found.allocation.tolerances)
+    progress.begin(WRITING)
+    return Shown(found, moved, budget)

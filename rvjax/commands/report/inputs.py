@@ -1,0 +1,54 @@
+"""What `rvjax report` reads: a study, and the folder that may hold its answer already."""
+
+import argparse
+from dataclasses import dataclass
+from pathlib import Path
+
+from rvjax import study
+from rvjax.commands.allocate import restored_from
+from rvjax.commands.speak import check_files, forewarn
+from rvjax.files import check_writable
+from rvjax.render import results_folder
+from rvjax.study import Answer, Study
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """What the command needs.
+
+    Attributes:
+        study: the question.
+        source: of the study, as named.
+        answer: that a folder holds already, or None.
+        kept: this folder, or None.
+        output: file of the page, None for `report.html` in the folder of the answer.
+        folder: of the results, made for a new answer without `output`.
+        quiet: show no progress.
+    """
+
+    study: Study
+    source: str
+    answer: Answer | None
+    kept: Path | None
+    output: Path | None
+    folder: Path | None
+    quiet: bool
+
+
+def inputs(options: argparse.Namespace) -> Inputs:
+    """The inputs that the options name.
+
+    Raises:
+        ValueError: one line that names the option or the key.
+    """
+    check_files(options, output=".html")
+    asked = study.load(options.study, solve=False)
+    kept, answer = restored_from(asked)
+    output = None if options.output is None else Path(options.output)
+    if output is None and kept is not None:
+        output = kept / "report.html"
+    folder = results_folder(None, asked.name) if output is None else None
+    if output is not None:
+        check_writable(output)
+    forewarn(asked)
+    return Inputs(asked, options.study, answer, kept, output, folder, options.quiet)

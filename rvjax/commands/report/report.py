@@ -1,0 +1,310 @@
+"""The answer to a study as one HTML page: plots inside, nothing fetched; for screen, phone and paper.
+
+Scripts only add a section with sliders; without them the page says everything else.
+"""
+
+import dataclasses
+import shlex
+import time
+from typing import Any
+
+import numpy as np
+
+from rvjax import catalogue, levels, models
+from rvjax.commands.allocate import (
+    figures,
+    headline,
+    influence_tables,
+    limits_of_the_answer,
+    report_on,
+    requirement_table,
+    shortfall_text,
+    tolerance_tables,
+)
+from rvjax.commands.budget import section_on
+from rvjax.commands.cells import share
+from rvjax.commands.report import live
+from rvjax.commands.report.compute import Shown
+from rvjax.commands.report.inputs import Inputs
+from rvjax.commands.report.worst_units import WorstUnit, worst_units
+from rvjax.designs import RVReducer
+from rvjax.render import (
+    Block,
+    Column,
+    Content,
+    Figure,
+    Note,
+    Quantity,
+    Report,
+    Section,
+    Table,
+    Text,
+    Titled,
+    leading_comment,
+)
+from rvjax.status import MEANING, Status
+from rvjax.study import Answer, Study, facts_of, shown, shown_values
+from rvjax.tolerances import Estimate
+from rvjax.units import readable
+
+SHARE_SHOWN = 0.01  # of the variance: errors below it are not listed for a worst unit
+
+
+def report(asked: Inputs, found: Shown) -> Report:
+    """The report on a page: on the terminal its headline, and where it is.
+
+    Args:
+        asked: inputs of the command.
+        found: its result.
+    """
+    made = report_on(found.answer)
+    content = page_of(found, asked.source, date=time.strftime("%Y-%m-%d")).encode("utf-8")
+    brief = headline(found.answer)
+    if asked.output is not None:
+        path = asked.output
+        return dataclasses.replace(
+            made, brief=brief, exports={path: content}, told={"report": str(path)}, closing=(f"Report: {path}",)
+        )
+    return dataclasses.replace(made, brief=brief, main="report.html", files={**made.files, "report.html": content})
+
+
+def page_of(found: Shown, source: str, *, date: str = "") -> str:
+    """The whole page; without a surrogate or a budget it lacks their sections, without a date it says none.
+
+    Args:
+        found: answer, surrogate and budget.
+        source: of the study, as named.
+        date: of the answer.
+    """
+    answer, drawn = found.answer, {figure.name: figure for figure in figures(found.answer)}
+    study = answer.study
+    sections: list[Content] = [_requirements(answer, drawn), _tolerances(answer, drawn)]
+    sections += [live.block(found.surrogate, answer)] if found.surrogate else []
+    sections += [design_section(study), _influence(answer, drawn)]
+    sections += [section_on(found.budget)] if found.budget else []
+    sections += [_worst(answer, drawn), _levels(answer)]
+    about = dict(study=study.name, author=study.about.author, revision=study.about.revision, computed=date)
+    certificate = answer.allocation.certificate
+    seeds = f"{study.seed} (certificate {certificate.seed}, sample units {answer.after.seed})"
+    units = f"{study.samples:,} for the optimiser, {study.certificate_samples:,} for each certificate"
+    return Report(
+        title=study.about.title or f"{study.name}: tolerances",
+        content=tuple(sections),
+        status=_verdict(answer),
+        ok=answer.allocation.status == "OPTIMAL",
+        facts={
+            "heading": study.about.title or study.name,
+            "about": {name: text for name, text in about.items() if text},
+            "intro": leading_comment(study.text),
+            "code": answer.allocation.status,
+            "said": " ".join(_shortfalls(answer)),
+            "boxes": _boxes(answer),
+            "caveats": limits_of_the_answer(answer),
+            "origin": {"command": f"rvjax report {shlex.quote(source)}", "seed": seeds, "units": units},
+            "study": study.text,
+            "script": live.script(found.surrogate, answer) if found.surrogate else None,
+        },
+    ).html()
+
+
+def _verdict(answer: Answer) -> str:
+    allocation = answer.allocation
+    if allocation.status == "OPTIMAL":
+        return "✔ The requirements can be met, and these are the cheapest tolerances."
+    if allocation.feasible:
+        return f"✘ Tolerances were found, but not with certainty: {allocation.status}."
+    return "✘ No tolerances within the process ranges were found to meet the requirements."
+
+
+def _shortfalls(answer: Answer) -> list[str]:
+    lines = [
+        f"The limit of {_words(name)} {shortfall_text(shortfall, answer.study.output(name))}."
+        for name, shortfall in answer.allocation.shortfall.items()
+        if shortfall > 0
+    ]
+    infeasible = "All columns “after” show the finest tolerances of the processes."
+    return lines + ([] if answer.allocation.feasible else [infeasible])
+
+
+def _words(name: str) -> str:
+    return name.replace("_", " ")
+
+
+def _boxes(answer: Answer) -> list[tuple[str, str, str]]:
+    allocation = answer.allocation
+    certificate = allocation.certificate
+    change = 100 * (allocation.cost / allocation.start_cost - 1)
+    boxes = [
+        ("cost before", f"{allocation.start_cost:.3f}", "tolerances of the study"),
+        ("cost after", f"{allocation.cost:.3f}", f"{change:+.1f} %"),
+    ]
+    if graded := allocation.graded:
+        sure = "certified" if graded.status == "OPTIMAL" else graded.status
+        boxes.append(("cost with ISO 286 grades", f"{graded.cost:.3f}", sure))
+    if (joint := certificate.joint_yield) is not None:
+        value, _, interval = share(joint).text().partition(" [")
+        boxes.append(("all requirements at once", value, f"[{interval}"))
+    return [*boxes, ("units certified", f"{certificate.samples:,}", f"{certificate.failed:,} failed")]
+
+
+def _requirements(answer: Answer, drawn: dict[str, Figure]) -> Section:
+    certificate = answer.allocation.certificate
+    failures = [
+        f"{count:,} {status} ({MEANING[Status[status]]}; the first is unit {certificate.examples[status]:,})"
+        for status, count in certificate.failures.items()
+    ]
+    certified = (
+        f"Certificate: {certificate.samples:,} fresh units with seed {certificate.seed}, {certificate.failed:,} failed"
+        + (f", each a reject in every yield: {', '.join(failures)}" if failures else "")
+        + f". Intervals hold with {100 * certificate.confidence:g} % confidence; a requirement is met when the lower "
+        "end of its yield reaches the target. A shadow price is the change of the cost when the limit moves outwards."
+    )
+    capability = (
+        "Of the certified units. Cp = (upper - lower)/(6 sd) needs two limits; Cpk = distance of the mean from the "
+        "nearer limit/(3 sd). Both speak of rejects only where the distribution is normal; the yield does for any."
+    )
+    histograms = tuple(drawn[f"histogram_{name}"] for name in answer.study.requirements)
+    parts = (requirement_table(answer), Note(certified), _capability(answer), Note(capability))
+    return Section("Requirements", (*parts, Section("", histograms, style="pair")))
+
+
+def _capability(answer: Answer) -> Table:
+    """Mean, spread and capability of each response that has limits for single units."""
+    study, certificate = answer.study, answer.allocation.certificate
+    rows = []
+    for name in study.requirements:
+        output = study.output(name)
+        sides = [Quantity.of(x[name], output.unit, output.read_in) for x in (certificate.mean, certificate.sd)]
+        capable: list[dict[str, Estimate] | None] = [certificate.cp_estimate, certificate.cpk_estimate]
+        rows.append([name, *sides, *(Quantity.of(found[name]) if found else None for found in capable)])
+    columns = [Text("response"), *(Column(title) for title in ("mean", "sd", "Cp", "Cpk"))]
+    return Table("capability", columns, rows)
+
+
+def _tolerances(answer: Answer, drawn: dict[str, Figure]) -> Section:
+    text = Note(
+        "An error without a cost keeps the tolerance of the study. The cost of an error is that of all its elements "
+        "together."
+    )
+    curve = [drawn["cost_against_yield"]] if "cost_against_yield" in drawn else []
+    return Section("Tolerances and cost", (*tolerance_tables(answer), text, *curve))
+
+
+def _influence(answer: Answer, drawn: dict[str, Figure]) -> Section:
+    text = Note(
+        "With the tolerances after: the derivative of each response to one element of an error (root mean square over "
+        "its elements), and the share of the error in the variance of the response."
+    )
+    return Section("Which error matters", (text, *influence_tables(answer), drawn["variance_shares"]))
+
+
+def design_section(study: Study) -> Section:
+    """Every number of the design and where it comes from, and a drawing to scale."""
+    rows: list[list[Any]] = []
+    for one in study.numbers:
+        name = Titled(one.path.replace(".", " "), one.meaning)
+        rows.append([name, _value(one.value, one.unit), one.origin, "assumed" if one.assumed else ""])
+    rows += [[name, value, "follows from the numbers above", ""] for name, value in facts_of(study.design)]
+    parts: list[Note | Table | Figure] = []
+    if isinstance(study.design, RVReducer):
+        parts.append(Figure("design", _drawn(study.design), lambda: _draw(study.design)))
+    if study.assumed:
+        parts.append(Note("Nobody printed the numbers marked assumed: the answer holds as far as they do."))
+    if study.base:
+        parts.append(Note(f"{study.base} is {catalogue.citation(study.base)}"))
+    columns = [Text("number"), Text("value", wraps=True), Text("from", wraps=True), Text("note")]
+    listed = Table("design", columns, rows)
+    return Section("The reducer", (Section("", (*parts, listed), style="reducer"),))
+
+
+def _value(value: Any, unit: str) -> str:
+    """A number of a design with its unit; of an array the elements."""
+    if getattr(value, "shape", ()) or isinstance(value, list | tuple):
+        return ", ".join(_value(item, unit) for item in value)
+    return shown(value, unit) if unit != "-" else f"{float(value):.6g}"
+
+
+def _drawn(design: RVReducer) -> str:
+    cycloid = design.cycloid
+    return (
+        f"Second stage along its axis, to scale; diameters: {cycloid.pin_count} pins of "
+        f"{shown(2 * cycloid.pin_radius, 'm')} on a circle of {shown(2 * cycloid.pin_circle_radius, 'm')}, one of "
+        f"{cycloid.disc_count} discs, {design.cranks.count} cranks on a circle of "
+        f"{shown(2 * design.cranks.circle_radius, 'm')}"
+    )
+
+
+def _draw(design: RVReducer) -> Any:
+    import matplotlib.pyplot as plt
+
+    from rvjax.plotting import drawings
+
+    axes = plt.figure(figsize=(7, 7)).add_subplot()
+    drawings.reducer(design, axes=axes)
+    return axes
+
+
+def _worst(answer: Answer, drawn: dict[str, Figure]) -> Section:
+    text = (
+        f"Of {shown_values(answer.study):,} sample units with the tolerances after (seed {answer.after.seed}). The bar "
+        "is the tolerance, the tick its middle, every dot one element of the error. Errors that explain less than "
+        f"{100 * SHARE_SHOWN:g} % of the variance are left out."
+    )
+    units = Block(
+        "rvjax.commands.report:worst_units.html.j2", {"units": [_unit(answer, u) for u in worst_units(answer)]}
+    )
+    return Section("Worst units", (Note(text), units, *([drawn["curves"]] if "curves" in drawn else [])))
+
+
+def _unit(answer: Answer, unit: WorstUnit) -> dict[str, Any]:
+    """A worst unit for its template: title, responses, and the place of every error in its tolerance."""
+    study, side = answer.study, answer.after
+    if unit.requirement:
+        shares = side.shares[unit.requirement]
+        fields = sorted((f for f in study.fields if shares[f] >= SHARE_SHOWN), key=lambda f: -shares[f])
+        name, size = study.output(unit.requirement).shown
+        margin = study.requirements[unit.requirement].margin(unit.values[unit.requirement]) / size
+        place = f"{abs(margin):.3g} {name} {'beyond' if margin > 0 else 'within'} the limit"
+        title, reason = f"Unit {unit.index:,}: {_words(unit.requirement)}, {place}", f"status {unit.status}"
+    else:
+        fields, title = study.fields, f"Unit {unit.index:,} failed"
+        reason = f"status {unit.status}: {MEANING[Status[unit.status]]}"
+    responses = "; ".join(
+        f"{_words(name)} {value / size:.4g} {shown}" if np.isfinite(value) else f"{_words(name)} -"
+        for name, value in unit.values.items()
+        for shown, size in [study.output(name).shown]
+    )
+    rows = []
+    for field in fields:
+        tolerance, values = getattr(side.tolerances, field), unit.errors[field]
+        middle, half = float(tolerance.middle), float(tolerance.half_width)
+        shown, size = readable(study.unit(field))
+        places = (values - middle) / half if half > 0 else np.zeros_like(values)
+        largest = f"{values[int(np.argmax(np.abs(places)))] / size:+.2f} {shown}"
+        rows.append({"name": field, "places": [float(x) for x in places], "value": largest})
+    return {"title": title, "said": f"{responses}; {reason}", "rows": rows}
+
+
+def _levels(answer: Answer) -> Section:
+    study = answer.study
+    outputs = tuple(study.requirements)
+    given = levels.as_given(study.design, outputs, study.conditions, tolerances=study.tolerances)
+    rows = []
+    for name, choice in (given | study.choices()).items():
+        unit, size = study.output(name).shown
+        wanted = f"{study.accuracy[name] / size:.3g} {unit}" if name in study.accuracy else None
+        bound = None if choice.bound is None else f"< {float(f'{choice.bound / size:.2g}'):g} {unit}"
+        spent = None if choice.ns is None else f"{choice.ns / 1e3:.3g} us"
+        rows.append([Titled(name, study.output(name).meaning), choice.level, wanted, bound, spent, choice.why])
+    short = [Text(title) for title in ("accuracy asked", "its error", "time of a unit")]
+    columns = [Text("response"), Text("level", wraps=True), *short, Text("why", wraps=True)]
+    conditions = ", ".join(
+        f"{_words(key)} = {value}"
+        for key in models.kind(study.design).conditions_of(outputs)
+        if (value := getattr(study.conditions, key)) is not None
+    )
+    text = (
+        "A level is one way to compute a response. Errors and times are measured ones, from the table that comes with "
+        f"rvjax; times belong to its machine and serve for comparison.\nConditions, SI: {conditions}."
+    )
+    return Section("How exactly it was computed", (Table("levels", columns, rows), Note(text)))

@@ -1,0 +1,1 @@
+"""`rvjax reproduce`: published values beside computed ones, with a verdict."""

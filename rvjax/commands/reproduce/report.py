@@ -1,0 +1,53 @@
+"""What `rvjax reproduce` says: a table, counts of the verdicts, whose error a contradiction is."""
+
+from collections.abc import Sequence
+
+from rvjax.commands.reproduce.inputs import Inputs
+from rvjax.published import Comparison, show
+from rvjax.render import Note, Report, Table, Text
+
+
+def report(asked: Inputs, found: Sequence[Comparison]) -> Report:
+    """The report on the comparisons.
+
+    Args:
+        asked: inputs of the command.
+        found: its result.
+    """
+    return report_on(found, notes=asked.notes)
+
+
+def report_on(rows: Sequence[Comparison], *, notes: bool = False) -> Report:
+    """Published values beside computed ones, and how many there are of each verdict.
+
+    Args:
+        rows: comparisons.
+        notes: with the claim and the note under each row.
+    """
+    columns = [Text(t) for t in ("figure", "published", "computed", "unit", "physically right", "verdict")]
+    cells = [[row.id, show(row.published), show(row.computed), row.unit, show(row.right), row.status] for row in rows]
+    table = Table("comparison", columns, cells)
+    lines = table.text().split("\n")
+    if notes:
+        under = [f"    {row.claim}" + (f" -- {row.note}" if row.note else "") for row in rows]
+        lines = lines[:2] + [line for pair in zip(lines[2:], under) for line in pair]
+    verdicts = sorted({row.status for row in rows})
+    counts = ", ".join(f"{sum(row.status == verdict for row in rows)} {verdict}" for verdict in verdicts)
+    said = [f"{len(rows)} figures: {counts}", *_whose_error(rows)]
+    return Report(
+        title="Published values",
+        content=(Note("\n".join(lines)) if notes else table, Note("\n".join(said))),
+        data=[row.as_json() for row in rows],
+    )
+
+
+def _whose_error(rows: Sequence[Comparison]) -> list[str]:
+    """Of contradicted values, for a reader who takes them for errors of this package."""
+    wrong = [row.id.split(".")[0] for row in rows if row.status == "contradicted"]
+    if not wrong:
+        return []
+    sources = ", ".join(f"{wrong.count(source)} in {source}" for source in dict.fromkeys(wrong))
+    return [
+        f"contradicted: the error is the source's ({sources}), not that of rvjax: such a figure cannot stand beside "
+        "the source's own numbers, geometry or equilibrium; --notes names what each of them contradicts"
+    ]

@@ -1,0 +1,1 @@
+"""`rvjax tradeoff`: time and error of the levels of every model, measured here."""

@@ -1,0 +1,27 @@
+"""Levels, measured."""
+
+import sys
+import time
+
+from rvjax import levels
+from rvjax.commands.tradeoff.inputs import Inputs
+
+
+def phases(asked: Inputs) -> dict[str, float]:
+    """No phases: a line for each measurement.
+
+    Args:
+        asked: what is computed.
+    """
+    return {}
+
+
+def compute(asked: Inputs) -> tuple[levels.Table, float]:
+    """The table of levels, and the seconds that it took."""
+    started = time.perf_counter()
+    table = levels.measure(
+        quick=not asked.full,
+        seed=asked.seed,
+        say=lambda name: print(f"measuring {name}", file=sys.stderr, flush=True),
+    )
+    return table, time.perf_counter() - started

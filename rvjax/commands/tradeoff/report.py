@@ -1,0 +1,32 @@
+"""What `rvjax tradeoff` says: the table of levels and advice, a plot."""
+
+from pathlib import Path
+from typing import Any
+
+from rvjax import levels
+from rvjax.commands.tradeoff.inputs import Inputs
+from rvjax.render import Figure, Note, Report, as_json
+
+
+def report(asked: Inputs, found: tuple[levels.Table, float]) -> Report:
+    """The report on the levels.
+
+    Args:
+        asked: inputs of the command.
+        found: its result.
+    """
+    table, seconds = found
+
+    def draw() -> Any:
+        from rvjax import plotting
+
+        return plotting.tradeoff(table).axes[0]
+
+    files: dict[Path, bytes] = {asked.json: as_json(table.as_json()) + b"\n"} if asked.json else {}
+    files |= {asked.picture: Figure("tradeoff", "Error against time", draw).content()} if asked.picture else {}
+    return Report(
+        title="Levels",
+        content=(Note(levels.report(table)), Note(f"{seconds:.1f} s, compilation included")),
+        data=table.as_json(),
+        exports=files,
+    )
