@@ -52,8 +52,6 @@ def test_imports_run_downwards():
             assert FLOOR[other] < FLOOR[room], f"{path.relative_to(ROOT)} imports {other}"
 
 
-
-
 def test_packages_are_imported_through_their_init():
     """Another package takes a name from `rvjax.population`, never from a file below it; models give their outputs."""
     deep = []

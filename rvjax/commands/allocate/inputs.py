@@ -7,6 +7,7 @@ from pathlib import Path
 
 from rvjax import study
 from rvjax.commands.allocate import kept
+from rvjax.commands.cores import share_cores
 from rvjax.commands.speak import forewarn
 from rvjax.render import results_folder
 from rvjax.study import Study
@@ -44,6 +45,8 @@ def inputs(options: argparse.Namespace) -> Inputs:
         ValueError: one line that names the option or the key.
     """
     asked = study.load(options.study, solve=False)
+    if asked.costly:
+        share_cores(1)
     found = None if options.fresh else kept.folder(asked, options.results)
     if found is not None:
         return Inputs(asked, found, None, None, True)

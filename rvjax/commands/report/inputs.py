@@ -6,6 +6,7 @@ from pathlib import Path
 
 from rvjax import study
 from rvjax.commands.allocate import restored_from
+from rvjax.commands.cores import share_cores
 from rvjax.commands.speak import check_files, forewarn
 from rvjax.files import check_writable
 from rvjax.render import results_folder
@@ -43,6 +44,8 @@ def inputs(options: argparse.Namespace) -> Inputs:
     """
     check_files(options, output=".html")
     asked = study.load(options.study, solve=False)
+    if asked.costly:
+        share_cores(1)
     kept, answer = restored_from(asked)
     output = None if options.output is None else Path(options.output)
     if output is None and kept is not None:
