@@ -5,9 +5,11 @@ JAX and the settings of JAX. A file that does not load is traced and written aga
 """
 
 import contextlib
+import dataclasses
 import functools
 import hashlib
 import pickle
+import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -40,12 +42,16 @@ def exported(
     """
     leaves, tree = jax.tree.flatten(arguments)
     types = [jax.typeof(leaf) for leaf in leaves]
-    key = repr((function.__module__, function.__qualname__, sorted(static.items()), tree, types, _setting()))
-    if " at 0x" in key or any(jnp.issubdtype(t.dtype, jax.dtypes.extended) for t in types):
+    if any(jnp.issubdtype(t.dtype, jax.dtypes.extended) for t in types):
+        return None
+    try:
+        key = _spelled((function.__module__, function.__qualname__, sorted(static.items()), tree, types, _setting()))
+    except _Unnamed:
         return None
     path = folder / f"{function.__name__}-{hashlib.sha256(key.encode()).hexdigest()[:32]}{SUFFIX}"
     try:
         shape, blob = pickle.loads(path.read_bytes())
+        _linear_algebra()
         return jax.export.deserialize(blob).call, functools.partial(_put_together, shape)
     except FileNotFoundError:
         pass
@@ -67,6 +73,50 @@ def exported(
     with contextlib.suppress(OSError):  # a full disk: traced again next time
         write_atomically(path, pickle.dumps((shape, program.serialize())))
     return program.call, functools.partial(_put_together, shape)
+
+
+@functools.cache
+def _linear_algebra() -> None:
+    """Let JAX load LAPACK, which it does when it lowers such an operation; a program from a file would call nothing."""
+    jax.jit(jnp.linalg.cholesky).lower(jax.ShapeDtypeStruct((1, 1), jnp.float32))
+
+
+class _Unnamed(Exception):
+    """Another process would not find what this means."""
+
+
+def _spelled(value: Any) -> str:
+    """Text that means the same value in every process.
+
+    Raises:
+        _Unnamed: a function that is no attribute of a module, or an object that prints its address.
+    """
+    if isinstance(value, type(jax.tree.structure(0))):
+        data = value.node_data()
+        inside = () if data is None else (*data, *value.children())
+        return f"{value.num_leaves}{_spelled(inside)}"
+    if isinstance(value, functools.partial):
+        return f"partial{_spelled((value.func, value.args, value.keywords))}"
+    if isinstance(value, (tuple, list)):
+        return f"{type(value).__name__}({', '.join(map(_spelled, value))})"
+    if isinstance(value, dict):
+        return f"dict({', '.join(f'{_spelled(key)}: {_spelled(item)}' for key, item in value.items())})"
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        fields = [(f.name, getattr(value, f.name)) for f in dataclasses.fields(value)]
+        return f"{type(value).__module__}.{type(value).__qualname__}{_spelled(fields)}"
+    if callable(value) and value is not type(None):
+        name, found = getattr(value, "__qualname__", ""), sys.modules.get(getattr(value, "__module__", None) or "")
+        for part in name.split("."):
+            found = getattr(found, part, None)
+        if found is value:
+            return f"{value.__module__}.{name}"
+        code = getattr(value, "__code__", None)  # a lambda of this package, whose source is part of the key
+        if code is None or value.__closure__ or value.__defaults__ or not value.__module__.startswith("rvjax."):
+            raise _Unnamed
+        return _spelled((value.__module__, name, code.co_firstlineno, code.co_code, code.co_consts, code.co_names))
+    if " at 0x" in (text := repr(value)):
+        raise _Unnamed
+    return text
 
 
 def plain(leaves: list[Any]) -> list[Any]:

@@ -1,5 +1,9 @@
 """Traced programs that the command line keeps: found again, traced again when anything differs, never in the way."""
 
+import functools
+import subprocess
+import sys
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,6 +13,7 @@ from rvjax import compile_cache, exported
 from rvjax.records import Record, field, record, text
 from rvjax.response import per_response
 from rvjax.response.response import Compiled
+from rvjax.study.measured import Conditions
 
 TRACED = []  # of the function below
 
@@ -117,6 +122,90 @@ def test_only_the_command_line_keeps_and_only_what_has_a_name(folder, monkeypatc
     monkeypatch.setattr(compile_cache, "_folder", [])
     another_process()(Power(3.0, 2), np.ones(3), names=("a",))
     assert not list(folder.iterdir())
+
+
+def double(x):
+    return 2 * x
+
+
+@record
+class Through(Record):
+    """x -> function(size x)."""
+
+    size: object = field("-", "factor", shape=(3,))
+    function: object = text("of the product")
+
+    def __call__(self, x):
+        return self.function(self.size * x)
+
+
+def test_functions_count_by_their_name_in_a_module(folder):
+    """A model may hold functions: those of a module are found again, others, also of the same name, are not kept."""
+    other = type(double)(double.__code__.replace(co_consts=(None, 5)), {}, "double")
+    other.__module__, other.__qualname__ = double.__module__, "double"
+    for function, kept, factor in (
+        (double, 1, 2), (double, 1, 2), (other, 1, 5), (lambda x: 7 * x, 1, 7),
+        (functools.partial(scaled, factor=3), 2, 3), (functools.partial(scaled, factor=4), 3, 4), (jnp.sin, 4, None),
+    ):  # fmt: skip
+        found = another_process()(Through(1.0, function), np.ones(3), names=("a",))[0]["a"]
+        np.testing.assert_allclose(found, np.sin(1.0) if factor is None else factor)
+        assert len(list(folder.iterdir())) == kept
+
+
+def test_lambdas_of_the_package_count_by_their_code(folder, monkeypatch):
+    """Models hold such functions; the digest of the source says what else they read."""
+    triple, five = (lambda x: 3 * x), (lambda x: 5 * x)
+    size = 7
+    for function in (triple, five, within := lambda x: size * x):
+        monkeypatch.setattr(function, "__module__", "rvjax.somewhere")
+    for function, kept, factor in ((triple, 1, 3), (triple, 1, 3), (five, 2, 5), (within, 2, 7)):
+        found = another_process()(Through(1.0, function), np.ones(3), names=("a",))[0]["a"]
+        np.testing.assert_allclose(found, factor)
+        assert len(list(folder.iterdir())) == kept
+
+
+def scaled(x, *, factor):
+    return factor * x
+
+
+def test_studies_and_bench_models_have_names():
+    """What the commands compile; only numbers and names are in the text, in any process."""
+    from rvjax import study
+    from rvjax.study import bench
+
+    whole = study.load("rv-40e-whole", solve=False)
+    curve = bench.curve_model("four_bar", whole.design, whole.conditions, (Conditions(torque=412.0),), (40,), (), ())
+    for model in (whole.response(), study.load("corr", solve=False).response(), curve):
+        spelled = exported._spelled(jax.tree.structure(model))
+        assert type(model).__qualname__ in spelled and " at 0x" not in spelled
+
+
+LAPACK = """
+import sys
+from pathlib import Path
+import jax.numpy as jnp
+import numpy as np
+from rvjax import compile_cache
+from rvjax.catalogue import CORR
+from rvjax.response import per_response
+compile_cache._folder[:] = [Path(sys.argv[1])]
+
+def both(design, x):
+    return jnp.linalg.eigh(x)[0], jnp.linalg.svd(x)[1], jnp.linalg.solve(x, x), jnp.linalg.qr(x)[0]
+
+found = per_response()(both)(CORR, np.diag([1.0, 2.0, 3.0]))
+print(*np.asarray(found[0]), *np.asarray(found[1]))
+"""
+
+
+def test_linear_algebra_of_another_process(tmp_path):
+    """JAX loads LAPACK while it lowers; without that a program from a file ends in a segmentation fault."""
+    for files in (1, 1):
+        run = [sys.executable, "-c", LAPACK, str(tmp_path)]
+        done = subprocess.run(run, capture_output=True, text=True, timeout=120)
+        assert done.returncode == 0, done.stderr
+        assert [float(x) for x in done.stdout.split()] == pytest.approx([1, 2, 3, 3, 2, 1])
+        assert len(list(tmp_path.glob("*.traced"))) == files
 
 
 def test_options_of_the_compiler_are_given_to_a_kept_program(folder, traced_option):
