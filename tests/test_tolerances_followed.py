@@ -9,9 +9,12 @@ import pytest
 from scipy import stats
 
 from rvjax.population import Population
+from rvjax.response import Part
 from rvjax.status import Status
 from rvjax.tolerances import Outcome, ReciprocalPower, Requirement, Tolerance, allocate
 from rvjax.tolerances.allocation.followed import Followed
+from rvjax.tolerances.batch import memo as memo_module
+from rvjax.tolerances.batch.memo import Memo
 
 UNITS = 4096
 WAVES = {
@@ -149,3 +152,29 @@ def test_certificates_on_units_that_are_followed_hold(thorough):
     assert np.mean([item.cost for item in found]) < 1.005 * np.mean([item.cost for item in plain])
     solved = [sum(item.evaluations[k] for k in ("search", "certificates")) for item in (found[0], plain[0])]
     assert solved[0] < 0.8 * solved[1]
+
+
+def test_an_interrupted_search_goes_on_to_the_same_bits(monkeypatch, tmp_path):
+    """Everything is worth keeping; half way through the calls of the whole run it is stopped."""
+    calls, stop, solve, costly = [0], [10**9], Part.solve, Costly(pair)
+
+    def counted(*arguments):
+        calls[0] += 1
+        if calls[0] >= stop[0]:
+            raise KeyboardInterrupt
+        return solve(*arguments)
+
+    def found(memo):
+        return allocate(costly, PAIR, WANTED, costs=COSTS, samples=1024, certificate_samples=2048, memo=memo)
+
+    monkeypatch.setattr(Part, "solve", counted)
+    monkeypatch.setattr(memo_module, "_WORTH", 0.0)
+    whole = found(None)
+    total, calls[0], stop[0] = calls[0], 0, calls[0] // 2
+    with pytest.raises(KeyboardInterrupt):
+        found(Memo(tmp_path, {"study": "one"}))
+    calls[0], stop[0] = 0, 10**9
+    again = found(Memo(tmp_path, {"study": "one"}))
+    assert calls[0] == total - (total // 2 - 1) > 2  # nothing twice
+    assert (again.cost, again.half_widths, again.history) == (whole.cost, whole.half_widths, whole.history)
+    assert again.certificate.yield_ == whole.certificate.yield_
