@@ -119,12 +119,16 @@ class Curve:
         evaluate: (design, errors, conditions) -> (angle in rad (n,), values (n,)).
         turns: (design, conditions) -> turns of the output in the cycle, by which its orders are counted; None where
             they mean nothing.
+        source: a result that outputs read too, and what of it are the values; None where there is none.
+        angles: (conditions) -> angle in rad (n,), where there is a source.
     """
 
     title: str
     unit: str
     evaluate: Callable[[Any, Any, Any], tuple[Any, Any]]
     turns: Callable[[Any, Any], float] | None = None
+    source: tuple[Source, Callable[[Any], Any]] | None = None
+    angles: Callable[[Any], Any] | None = None
 
 
 def _once(_: object) -> int:

@@ -43,7 +43,8 @@ def test_three_cranks_of_ratio_121_have_limits_on_forces(folder):
     assert {"pin_force", "arm_bearing_force"} < set(question.requirements)
     parts = [set(part.outputs) for part in question.response().parts()]
     turn = {"pin_force", "arm_bearing_force", "loaded_transmission_error"}
-    assert sorted(map(len, parts)) == [1, 3] and turn in parts  # one turn gives three of them
+    assert sorted(map(len, parts)) == [1, 3] and turn in parts  # one turn gives three of them, and the curve
+    assert [part.curve for part in question.response().parts()] == [turn == outputs for outputs in parts]
 
 
 def test_every_command_is_timed_or_tells_its_seconds():

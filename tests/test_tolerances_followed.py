@@ -13,7 +13,6 @@ from rvjax.response import Part
 from rvjax.status import Status
 from rvjax.tolerances import Outcome, ReciprocalPower, Requirement, Tolerance, allocate
 from rvjax.tolerances.allocation.followed import Followed
-from rvjax.tolerances.batch import memo as memo_module
 from rvjax.tolerances.batch.memo import Memo
 
 UNITS = 4096
@@ -168,13 +167,12 @@ def test_an_interrupted_search_goes_on_to_the_same_bits(monkeypatch, tmp_path):
         return allocate(costly, PAIR, WANTED, costs=COSTS, samples=1024, certificate_samples=2048, memo=memo)
 
     monkeypatch.setattr(Part, "solve", counted)
-    monkeypatch.setattr(memo_module, "_WORTH", 0.0)
     whole = found(None)
     total, calls[0], stop[0] = calls[0], 0, calls[0] // 2
     with pytest.raises(KeyboardInterrupt):
-        found(Memo(tmp_path, {"study": "one"}))
+        found(Memo(tmp_path, {"study": "one"}, worth=0))
     calls[0], stop[0] = 0, 10**9
-    again = found(Memo(tmp_path, {"study": "one"}))
+    again = found(Memo(tmp_path, {"study": "one"}, worth=0))
     assert calls[0] == total - (total // 2 - 1) > 2  # nothing twice
     assert (again.cost, again.half_widths, again.history) == (whole.cost, whole.half_widths, whole.history)
     assert again.certificate.yield_ == whole.certificate.yield_

@@ -146,8 +146,12 @@ def _pressure(design: RVReducer, errors: RVErrors, given: Any) -> Solved:
     return jnp.max(found.pressure), found.info.status
 
 
+def _angles(given: Any) -> np.ndarray:
+    return 2 * np.pi * np.arange(given.samples) / given.samples
+
+
 def _curve(design: RVReducer, errors: RVErrors, given: Any) -> tuple[Any, Any]:
-    return 2 * np.pi * np.arange(given.samples) / given.samples, turn(design, errors, given).error
+    return _angles(given), turn(design, errors, given).error
 
 
 def _carrying(outputs: dict[str, Output]) -> dict[str, Output]:
@@ -262,7 +266,10 @@ DESCRIPTION = Description(
             Reading((STIFFNESS,), _stiffness), NEEDS, "N m/arcmin", refuse=_rated,
         ),
     }),
-    curve=Curve("Transmission error of the loaded reducer over the span", "rad", _curve, _turns),
+    curve=Curve(
+        "Transmission error of the loaded reducer over the span", "rad", _curve, _turns,
+        (turn, lambda found: found.error), _angles,
+    ),
     cases=cases,
     observations=(CURVE, LOOP),
     unknown="friction, inertia, tilting; errors without a place (pin position, runout and pitch as bounds)",

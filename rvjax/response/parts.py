@@ -32,6 +32,14 @@ class Part:
         """Values (k, n) by `names`, and status (n,), of the units with random numbers z (numbers, n)."""
         return self._of(population, z.shape[1], lambda lanes: elements(population, jnp.asarray(z[:, lanes])))
 
+    def rows(self, population: Population, z: np.ndarray, name: str) -> np.ndarray:
+        """Numbers name[0], name[1] ... (n, numbers) among the values of units with random numbers z (numbers, n)."""
+        count = z.shape[1]
+        found = self._run(population, count, lambda lanes: elements(population, jnp.asarray(z[:, lanes])))
+        length = sum(key.startswith(f"{name}[") for key in found[0][0])
+        rows = [np.stack([np.asarray(values[f"{name}[{k}]"]) for k in range(length)]) for values, _ in found]
+        return np.concatenate(rows, axis=1)[:, :count].T
+
     def nominal_status(self, population: Population) -> int:
         """Status of the unit without errors, by the program of all the others."""
         count = sum(prod(t.shape) for t in population.active.values())
@@ -39,14 +47,16 @@ class Part:
         return int(self._of(population, 1, lambda lanes: nothing)[1][0])
 
     def _of(self, population: Population, count: int, errors: PyTree) -> tuple[np.ndarray, np.ndarray]:
-        running = []
-        for start in range(0, count, AT_ONCE):
-            lanes = np.resize(np.arange(start, min(start + AT_ONCE, count)), AT_ONCE)
-            running.append(solved(self.response, population, errors(lanes), self._mesh))
-        self.solved += count
+        running = self._run(population, count, errors)
         rows = [np.stack([np.asarray(values[name], float) for name in self.names]) for values, _ in running]
         status = np.concatenate([np.asarray(status) for _, status in running])[:count]
         return np.concatenate(rows, axis=1)[:, :count], status
+
+    def _run(self, population: Population, count: int, errors: PyTree) -> list[tuple[Values, jax.Array]]:
+        self.solved += count
+        starts = range(0, count, AT_ONCE)
+        lanes = (np.resize(np.arange(start, min(start + AT_ONCE, count)), AT_ONCE) for start in starts)
+        return [solved(self.response, population, errors(units), self._mesh) for units in lanes]
 
 
 def parts(response: Response, population: Population) -> list[Part]:

@@ -18,7 +18,7 @@ from rvjax.response import (  # chunks of the certificate's size: the response c
     status_without_errors,
 )
 from rvjax.study.question import Study
-from rvjax.study.response import refuse
+from rvjax.study.response import CURVE, refuse
 from rvjax.tolerances import (
     KEPT,
     Allocation,
@@ -149,7 +149,7 @@ def answer(study: Study, *, progress: bool = False, memo: Memo | None = None) ->
         ).statistics()
     )
     begin(SAMPLING)
-    curves = _curves(study)
+    curves = _curves(study, solved)
     sides = [
         _side(study, response, study.tolerances, before, curves),
         _side(study, response, allocation.tolerances, certificate, curves),
@@ -214,11 +214,21 @@ def shown_values(study: Study) -> int:
     return min(SHOWN_VALUES, study.certificate_samples)
 
 
-def _curves(study: Study) -> _Curves:
+def _curves(study: Study, solved: Solved | None = None) -> _Curves:
     """Angles (n,) and the curves of sample units (units, n) of some tolerances and a seed, by one program for all."""
     curve = study.curve
     if curve is None:
         return lambda tolerances, seed: (np.empty(0), np.empty((0, 0)))  # no model draws one
+    drawing = [part for part in solved.parts if part.response.curve] if solved is not None else []
+    if drawing:
+        angle = np.asarray(curve.angles(study.conditions))
+
+        def solved_units(tolerances: PyTree, seed: int) -> tuple[np.ndarray, np.ndarray]:
+            population = Population.of(tolerances)
+            z = np.asarray(drawn(population, root_key(seed), jnp.uint32(0), count=SHOWN_UNITS))
+            return angle, drawing[0].rows(population, z, CURVE)
+
+        return solved_units
 
     def of_unit(population: Population, z: jax.Array) -> tuple[jax.Array, jax.Array]:
         angle, values = curve.evaluate(study.design, population.errors(z), study.conditions)

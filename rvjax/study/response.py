@@ -24,6 +24,10 @@ from rvjax.tolerances import Outcome
 Settings = tuple[tuple[str, Any], ...]
 
 
+CURVE = "curve"
+"""Of the names of its numbers among the values of a response."""
+
+
 @record
 class Response(Record):
     """errors -> Outcome({output: value}, status) of one unit, with no output but those asked for.
@@ -38,6 +42,7 @@ class Response(Record):
         "(output, settings, precision, output of another model that stands in) where a level was chosen"
     )
     bounds: tuple[str, ...] = text("errors without a place that follow from those with one", default=())
+    curve: bool = text("whether the numbers of the curve that its outputs read are wanted too", default=False)
 
     @classmethod
     def of(
@@ -78,7 +83,12 @@ class Response(Record):
         shared: dict[Any, dict[Source, Any]] = {}  # by level; outputs of one level read the same results
         found = {name: self._one(name, errors, shared) for name in self.outputs}
         statuses = jnp.stack([jnp.asarray(status) for _, status in found.values()])
-        return Outcome({name: value for name, (value, _) in found.items()}, worst(statuses))
+        values = {name: value for name, (value, _) in found.items()}
+        if self.curve:  # which a program of the outputs computes anyway
+            source, take = models.kind(self.design).curve(self.outputs).source
+            row = take(shared[None][source])
+            values |= {f"{CURVE}[{k}]": row[k] for k in range(row.shape[0])}
+        return Outcome(values, worst(statuses))
 
     @property
     def compiler_options(self) -> Settings:
@@ -91,8 +101,10 @@ class Response(Record):
         return any(models.kind(self.design).described[source].costly for source in self._sources().values())
 
     def parts(self) -> list[Self]:
-        """Its outputs in groups that share no result: each a response of its own."""
+        """Its outputs in groups that share no result: each a response of its own, one with the curve."""
         outputs, sources = models.kind(self.design).outputs, self._sources()
+        drawn = models.kind(self.design).curve(self.outputs)
+        curve = None if drawn is None else drawn.source
         groups: list[tuple[set[Any], list[str]]] = []
         for name in self.outputs:
             evaluate = outputs[sources[name]].evaluate
@@ -102,8 +114,12 @@ class Response(Record):
             groups = [group for group in groups if not group[0] & own]
             groups.append((own.union(*(g[0] for g in joined)), [n for g in joined for n in g[1]] + [name]))
         return [
-            self.replace(outputs=tuple(names), levels=tuple(lv for lv in self.levels if lv[0] in names))
-            for _, names in groups
+            self.replace(
+                outputs=tuple(names),
+                levels=tuple(level for level in self.levels if level[0] in names),
+                curve=curve is not None and (None, curve[0]) in own,
+            )
+            for own, names in groups
         ]
 
     def _sources(self) -> dict[str, str]:

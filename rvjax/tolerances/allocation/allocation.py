@@ -34,7 +34,7 @@ class Solved:
     """Costly units of a search and its certificate, as far as they are solved."""
 
     def __init__(self, training: Training, certifier: Certifier) -> None:
-        self.training, self.certifier = training, certifier
+        self.training, self.certifier, self.parts = training, certifier, training.followed.parts
 
     def given(self, tolerances: Any, requirements: dict[str, Limits]) -> Statistics:
         """Statistics of the units of the search with the tolerances from which it began."""
