@@ -3,14 +3,12 @@
 import json
 import subprocess
 import sys
-import tomllib
-from importlib import resources
 
 import pytest
 from cli_study import SMALL
 
 import rvjax
-from rvjax import cli, published
+from rvjax import cli, commands, published
 
 
 @pytest.mark.parametrize(
@@ -55,9 +53,8 @@ def test_version_and_module_entry():
 
 def test_every_command_answers_machines(here, capsys, monkeypatch):
     """`--format json` everywhere; the older `--json` of two commands says the same."""
-    about = tomllib.loads((resources.files("rvjax.cli") / "cli.toml").read_text())["command"]
-    for name, command in about.items():
-        assert command["options"]["--format"]["choices"] == ["text", "json"], name
+    for name in commands.COMMANDS:
+        assert commands.about(name)["options"]["--format"]["choices"] == ["text", "json"], name
     assert cli.main(["init", "new.toml", "--base", "rv-80e", "--format", "json"]) == 0
     assert json.loads(capsys.readouterr().out) == {"study": "new.toml", "base": "rv-80e"}
     row = published.Comparison("a.b", "", 2.0, 2.0, "mm", "reproduced", "")

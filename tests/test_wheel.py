@@ -20,7 +20,7 @@ def test_the_wheel_holds_every_file_of_the_package(tmp_path):
         if file.is_file() and "__pycache__" not in file.parts
     }
     assert found == there
-    assert {".py", ".toml", ".json", ".css", ".js", ".typed"} == {Path(name).suffix for name in found}
+    assert {".py", ".toml", ".json", ".css", ".js", ".j2", ".typed"} == {Path(name).suffix for name in found}
     assert "rvjax/py.typed" in found  # the annotations count for users
     (entry,) = (name for name in names if name.endswith("entry_points.txt"))
     assert "rvjax = rvjax.cli:main" in zipfile.ZipFile(path).read(entry).decode()
