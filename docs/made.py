@@ -63,7 +63,10 @@ def _conditions():
         rows = []
         for f in dataclasses.fields(models.kind_of(design).conditions):
             choices = ", ".join(f"`{choice}`" for choice in f.metadata["choices"] or ())
-            what = choices or f.metadata["unit"] or f"count, {f.metadata['minimum']} to {f.metadata['maximum']}"
+            columns = ", ".join(f"`{key}` [{unit}]" for key, unit in (f.metadata["columns"] or {}).items())
+            what = (
+                choices or f.metadata["unit"] or columns or f"count, {f.metadata['minimum']} to {f.metadata['maximum']}"
+            )
             rows.append((f"`{f.name}`", what, "-" if f.default is None else f"`{f.default}`", f.metadata["meaning"]))
         blocks += [f"For designs of kind `{name}`:\n", table(["key", "unit or choices", "default", "meaning"], rows)]
     return "\n".join(blocks)

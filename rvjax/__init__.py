@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from rvjax import catalogue, units
     from rvjax.designs import (
+        Bearings,
         CamRollerReducer,
         Contact,
         CrankStage,
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
         Inertia,
         InvoluteStage,
         MeshVariation,
+        RollerBearing,
         RVReducer,
         Stiffness,
     )
@@ -31,8 +33,8 @@ __version__ = "0.1.0"
 # Homes of names that are loaded when first asked for, because importing JAX takes a second.
 _HOMES = {
     "designs": (
-        "CamRollerReducer Contact CrankStage CycloidStage Damping Inertia InvoluteStage MeshVariation RVReducer "
-        "Stiffness"
+        "Bearings CamRollerReducer Contact CrankStage CycloidStage Damping Inertia InvoluteStage MeshVariation "
+        "RVReducer RollerBearing Stiffness"
     ),
     "dynamics": (
         "Block Blocks DynamicError ErrorExcitation ErrorStatistics Floquet Lumped Modes Periodic "
@@ -40,6 +42,7 @@ _HOMES = {
     ),
     "errors": "CamRollerErrors RVErrors",
     "four_bar": "Closure LinkDeviations Revolution TransmissionError",
+    "life": "BearingLife Duty RatedTorque Rating",
     "loaded": "Loaded Reading Torsion",
     "lost_motion": "LoopFigures LostMotion LostMotionTerms",
     "mesh_force": "ContactPressure CycleStatistics MeshForces ToothProfile",
@@ -48,7 +51,7 @@ _HOMES = {
     "status": "SolveError SolveInfo Status check",
 }
 _MODULES = (
-    "assembly catalogue compensation dynamics four_bar identify levels loaded lost_motion mesh_force models "
+    "assembly catalogue compensation dynamics four_bar identify levels life loaded lost_motion mesh_force models "
     "mounting plotting published roots study tolerances units "
 )
 _LAZY = {name: home for home, names in _HOMES.items() for name in names.split()} | dict.fromkeys(_MODULES.split())

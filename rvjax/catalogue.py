@@ -18,13 +18,17 @@ def part_class(cls: type, name: str) -> Any:
     return next(item for item in (*typing.get_args(hint), hint) if item is not type(None))
 
 
+def _number(value: Any, unit: str) -> Any:
+    return [_number(item, unit) for item in value] if isinstance(value, list) else parse(value, unit)
+
+
 def _record(cls: Any, table: dict[str, Any]) -> Any:
     about, values = {f.name: f.metadata for f in dataclasses.fields(cls)}, dict[str, Any]()
     for name, value in table.items():
         if isinstance(value, dict):
             values[name] = _record(part_class(cls, name), value)
         else:
-            values[name] = value if about[name]["kind"] == "count" else parse(value, about[name]["unit"])
+            values[name] = value if about[name]["kind"] == "count" else _number(value, about[name]["unit"])
     return cls(**values)
 
 

@@ -12,6 +12,8 @@ from typing import ClassVar, Self
 import jax
 import numpy as np
 
+from rvjax.bearings import Bearings as Bearings
+from rvjax.bearings import RollerBearing as RollerBearing
 from rvjax.errors import CamRollerErrors, RVErrors
 from rvjax.records import Array, Record, Scalar, concrete, count, field, quantity, record
 from rvjax.units import deg
@@ -206,7 +208,8 @@ class Contact(Record):
 
 @record
 class RVReducer(Record):
-    """An RV reducer. Stiffness is read by the dynamic and the loaded model, contact by the loaded model only."""
+    """An RV reducer. Stiffness is read by the dynamic and the loaded model, contact by the loaded model only,
+    bearings by the life only."""
 
     kind: ClassVar[str] = "rv"  # in study files
     error_record: ClassVar[type[RVErrors]] = RVErrors
@@ -219,6 +222,7 @@ class RVReducer(Record):
     mesh_variation: MeshVariation | None = field("-", "periodic mesh stiffness", kind="record", default=None)
     damping: Damping | None = field("-", "damping", kind="record", default=None)
     contact: Contact | None = field("-", "contact of discs and pins", kind="record", default=None)
+    bearings: Bearings | None = field("-", "bearings of the cranks", kind="record", default=None)
 
     @property
     def ratio(self) -> float:

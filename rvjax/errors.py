@@ -198,7 +198,7 @@ class RVErrors(Errors):
         shape=("discs", "cranks"),
         of="cycloid.eccentricity",
         part=CRANKS,
-        read_by=("four_bar", "dynamics", "loaded"),
+        read_by=("four_bar", "dynamics", "loaded", "life"),
         carried_by="crank",
     )
     crank_phase: Scalar = deviation(
@@ -206,7 +206,7 @@ class RVErrors(Errors):
         "angle of each crankshaft",
         shape=("cranks",),
         part=CRANKS,
-        read_by=("four_bar", "dynamics", "loaded"),
+        read_by=("four_bar", "dynamics", "loaded", "life"),
         carried_by="crank",
     )
     disc_bore: Scalar = deviation(
@@ -215,7 +215,7 @@ class RVErrors(Errors):
         shape=("discs", "cranks", 2),
         of="cranks.circle_radius",
         part=DISCS,
-        read_by=("four_bar", "dynamics", "loaded"),
+        read_by=("four_bar", "dynamics", "loaded", "life"),
         vector="polar",
         carried_by="disc",
         mirrored=(1, -1),
@@ -226,7 +226,7 @@ class RVErrors(Errors):
         shape=("cranks", 2),
         of="cranks.circle_radius",
         part=CARRIER,
-        read_by=("four_bar", "dynamics", "loaded"),
+        read_by=("four_bar", "dynamics", "loaded", "life"),
         vector="polar",
         carried_by="carrier",
     )
@@ -235,28 +235,28 @@ class RVErrors(Errors):
         "radial clearance of the crank bearings, half the play",
         sign="nonnegative",
         part=BEARINGS,
-        read_by=("four_bar", "lost_motion", "loaded"),
+        read_by=("four_bar", "lost_motion", "loaded", "life"),
     )
     eccentricity: Scalar = deviation(
         "m",
         "eccentricity of discs and cranks alike",
         of="cycloid.eccentricity",
         part=CRANKS,
-        read_by=("four_bar", "lost_motion", "loaded"),
+        read_by=("four_bar", "lost_motion", "loaded", "life"),
     )
     pin_circle_radius: Scalar = deviation(
         "m",
         "radius of the pin circle; > 0 is play",
         of="cycloid.pin_circle_radius",
         part=RING,
-        read_by=("lost_motion", "loaded"),
+        read_by=("lost_motion", "loaded", "life"),
     )
     pin_radius: Scalar = deviation(
         "m",
         "radius of the pins; < 0 is play",
         of="cycloid.pin_radius",
         part=RING,
-        read_by=("lost_motion", "loaded"),
+        read_by=("lost_motion", "loaded", "life"),
     )
     pin_hole_clearance: Scalar = deviation(
         "m",
@@ -264,7 +264,7 @@ class RVErrors(Errors):
         sign="nonnegative",
         of="cycloid.pin_radius",
         part=RING,
-        read_by=("lost_motion", "loaded"),
+        read_by=("lost_motion", "loaded", "life"),
     )
     pin_position: Scalar = deviation(
         "m",
@@ -288,29 +288,29 @@ class RVErrors(Errors):
         bounds=Bound("disc_pitch", _range),
     )
     equidistant_modification: Scalar = deviation(
-        "m", "deviation of the equidistant modification", part=DISCS, read_by=("lost_motion", "loaded")
+        "m", "deviation of the equidistant modification", part=DISCS, read_by=("lost_motion", "loaded", "life")
     )
     shift_modification: Scalar = deviation(
-        "m", "deviation of the shift modification", part=DISCS, read_by=("lost_motion", "loaded")
+        "m", "deviation of the shift modification", part=DISCS, read_by=("lost_motion", "loaded", "life")
     )
     base_tangent_upper: Scalar = deviation(
         "m",
         "upper deviation of the base tangent length; < 0 thins the tooth",
         part=GEARS,
-        read_by=("lost_motion", "loaded"),
+        read_by=("lost_motion", "loaded", "life"),
     )
     base_tangent_lower: Scalar = deviation(
         "m",
         "lower deviation of the base tangent length; < 0 thins the tooth",
         part=GEARS,
-        read_by=("lost_motion", "loaded"),
+        read_by=("lost_motion", "loaded", "life"),
     )
     support_clearance: Scalar = deviation(
         "m",
         "radial clearance of the cranks in the carrier",
         sign="nonnegative",
         part=BEARINGS,
-        read_by=("loaded",),
+        read_by=("loaded", "life"),
         placed=True,
     )
     pin_offset: Scalar = deviation(
@@ -318,7 +318,7 @@ class RVErrors(Errors):
         "position of each pin in the housing",
         shape=("pins", 2),
         part=RING,
-        read_by=("dynamics", "loaded"),
+        read_by=("dynamics", "loaded", "life"),
         placed=True,
         vector="polar",
         breaks_pitch=True,
@@ -329,7 +329,7 @@ class RVErrors(Errors):
         shape=("pins",),
         of="cycloid.pin_radius",
         part=RING,
-        read_by=("dynamics", "loaded"),
+        read_by=("dynamics", "loaded", "life"),
         placed=True,
         breaks_pitch=True,
     )
@@ -338,7 +338,7 @@ class RVErrors(Errors):
         "pin circle against the main bearings, housing x, y",
         shape=(2,),
         part=RING,
-        read_by=("dynamics", "loaded"),
+        read_by=("dynamics", "loaded", "life"),
         placed=True,
         vector="xy",
         breaks_pitch=True,
@@ -348,7 +348,7 @@ class RVErrors(Errors):
         "teeth against bores, x, y at input angle 0",
         shape=("discs", 2),
         part=DISCS,
-        read_by=("dynamics", "loaded"),
+        read_by=("dynamics", "loaded", "life"),
         placed=True,
         vector="xy",
         carried_by="disc",
@@ -358,7 +358,7 @@ class RVErrors(Errors):
         "position of each tooth on its circle, counter-clockwise",
         shape=("discs", "teeth"),
         part=DISCS,
-        read_by=("loaded",),
+        read_by=("loaded", "life"),
         placed=True,
         carried_by="disc",
         mirrored=(-1,),
@@ -368,7 +368,7 @@ class RVErrors(Errors):
         "material normal to the flank, [cosine, sine] of 0 to 4 times the angle of a lobe",
         shape=("discs", 5, 2),
         part=DISCS,
-        read_by=("loaded",),
+        read_by=("loaded", "life"),
         placed=True,
         carried_by="disc",
         mirrored=(1, -1),
@@ -378,7 +378,7 @@ class RVErrors(Errors):
         "eccentricity of the sun teeth, x, y at input angle 0",
         shape=(2,),
         part=SUN,
-        read_by=("dynamics", "loaded"),
+        read_by=("dynamics", "loaded", "life"),
         placed=True,
         vector="xy",
         breaks_pitch=True,
@@ -388,7 +388,7 @@ class RVErrors(Errors):
         "eccentricity of the planet teeth",
         shape=("cranks", 2),
         part=PLANETS,
-        read_by=("dynamics", "loaded"),
+        read_by=("dynamics", "loaded", "life"),
         placed=True,
         vector="polar",
         carried_by="crank",

@@ -8,7 +8,7 @@ from typing import Any
 
 from rvjax.outputs import Curve, Description, Observation, Output
 
-MODELS = ("rvjax.four_bar", "rvjax.lost_motion", "rvjax.mesh_force", "rvjax.dynamics", "rvjax.loaded")
+MODELS = ("rvjax.four_bar", "rvjax.lost_motion", "rvjax.mesh_force", "rvjax.dynamics", "rvjax.loaded", "rvjax.life")
 """Packages, each with `outputs.DESCRIPTION`; of the outputs asked, the first whose model has a curve draws it."""
 
 
@@ -50,6 +50,11 @@ class Kind:
 def descriptions() -> tuple[Description, ...]:
     """Of all models."""
     return tuple(importlib.import_module(f"{name}.outputs").DESCRIPTION for name in MODELS)
+
+
+def tables() -> set[str]:
+    """Names of the conditions that a study gives as tables."""
+    return {f.name for one in descriptions() for f in dataclasses.fields(one.conditions) if f.metadata["columns"]}
 
 
 def kinds() -> dict[str, type]:

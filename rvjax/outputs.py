@@ -26,8 +26,9 @@ def condition(
     minimum: float | None = None,
     maximum: float | None = None,
     torque: bool = False,
+    columns: Mapping[str, str] | None = None,
 ) -> Any:
-    """Declare a condition under which a unit is judged: a quantity, one of several words, or a count.
+    """Declare a condition under which a unit is judged: a quantity, one of several words, a count, or a table.
 
     Args:
         default: None for one that only some outputs need.
@@ -37,15 +38,20 @@ def condition(
         minimum: least value; a condition with neither unit nor choices is a count and needs it.
         maximum: largest value; of a count too, beyond which a program neither compiles in time nor fits into memory.
         torque: the load whose measured range decides whether a measured level holds.
+        columns: SI unit of each column of a table, which a study gives as tables of the condition's name; the value
+            is a tuple of rows.
 
     Raises:
         ValueError: a condition that no study file could give.
     """
-    if unit is not None and unit != "-" and unit not in KNOWN:
-        raise ValueError(f"condition {meaning!r}: unit {unit!r} is none of {', '.join(KNOWN)}")
-    if unit is None and choices is None and (minimum is None or maximum is None):
+    for name in (unit, *(columns or {}).values()):
+        if name is not None and name != "-" and name not in KNOWN:
+            raise ValueError(f"condition {meaning!r}: unit {name!r} is none of {', '.join(KNOWN)}")
+    if unit is None and choices is None and columns is None and (minimum is None or maximum is None):
         raise ValueError(f"condition {meaning!r}: needs a unit, choices, or a minimum and a maximum for a count")
-    about = dict(meaning=meaning, unit=unit, choices=choices, minimum=minimum, maximum=maximum, torque=torque)
+    about = dict(
+        meaning=meaning, unit=unit, choices=choices, minimum=minimum, maximum=maximum, torque=torque, columns=columns
+    )
     return dataclasses.field(default=default, metadata=about)
 
 
@@ -244,6 +250,7 @@ class Description:
         observations: what a bench can measure of it.
         compiler_options: of programs that compute an output of it, such as `rvjax.compile_cache.QUICK`.
         costly: whether a unit takes so long that an allocation solves only the units that decide.
+        parts: optional parts of a design that no other model reads.
     """
 
     name: str
@@ -256,3 +263,4 @@ class Description:
     observations: tuple[Observation, ...] = ()
     compiler_options: tuple[tuple[str, Any], ...] = ()
     costly: bool = False
+    parts: tuple[str, ...] = ()

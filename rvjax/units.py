@@ -29,7 +29,7 @@ KNOWN: dict[str, dict[str, float]] = {
     "Pa": {"Pa": 1.0, "MPa": MPa, "GPa": GPa},
     "kg": {"kg": 1.0},
     "kg m2": {"kg m2": 1.0},
-    "s": {"s": 1.0},
+    "s": {"s": 1.0, "h": 3600.0},
     "1/s": {"1/s": 1.0},
     "Hz": {"Hz": 1.0, "kHz": 1e3},
 }

@@ -89,7 +89,7 @@ def test_every_key_of_a_study_is_explained():
     keys += ["cost", "per", "seed", "samples", "certificate_samples"]
     for key in keys:
         assert f"`{key}`" in text, key
-    for table in ("accuracy", "assembly", "conditions", "cost", "design", "requirement", "run", "tolerances"):
+    for table in ("accuracy", "assembly", "conditions", "cost", "design", "[duty]", "requirement", "run", "tolerances"):
         assert f"## `[{table}" in text, table
 
 

@@ -15,23 +15,30 @@ import pytest
 from rvjax import (
     CamRollerErrors,
     LinkDeviations,
+    RollerBearing,
     RVErrors,
     dynamics,
     four_bar,
+    life,
     loaded,
     lost_motion,
     mesh_force,
     roots,
 )
 from rvjax.catalogue import CORR, RV_20E, RV_40E, RV_320E
+from rvjax.loaded.cases import MACHINE
 from rvjax.status import SolveInfo
 from rvjax.units import deg, mm, rpm, um
 
-ROOMS = (four_bar, lost_motion, mesh_force, dynamics, roots)
+ROOMS = (four_bar, lost_motion, mesh_force, dynamics, life, roots)
 
 
 def residual(x, p):
     return x**3 - p
+
+
+def roller(x):
+    return RollerBearing(14, 5 * mm, x * 10 * mm, 32 * mm)
 
 
 def units(x):
@@ -150,6 +157,14 @@ CALLS = {  # name: one call of the door for each way that is decided before the 
     "dynamics.error_statistics": [
         lambda x: dynamics.error_statistics(sounder(x), placed(x), sun_speed=100 * x, load_inertia=x)
     ],
+    "life.dynamic_rating": [lambda x: life.dynamic_rating(roller(x))],
+    "life.static_rating": [lambda x: life.static_rating(roller(x))],
+    "life.bearing_life": [
+        lambda x, method=method: life.bearing_life(roller(x), np.full((4, 2), 100 * x), method=method)
+        for method in ("basic", "raceway", "slices")
+    ],
+    "life.rating": [lambda x: life.rating(MACHINE, units(x), life.Duty([100 * x], [x], [1.0]), samples=2)],
+    "life.rated_torque": [lambda x: life.rated_torque(MACHINE, units(x), life=1e7 * x, output_speed=x, samples=2)],
     "roots.bracketed": [lambda x: roots.bracketed(residual, x, 0.0, 2.0)],
 }
 
@@ -222,6 +237,8 @@ WRONG = {  # doors that take a design, each called with one of another kind
     "loaded.equilibrium": lambda d, e: loaded.equilibrium(d, e, input_angle=0.0, output_torque=1.0),
     "loaded.revolution": lambda d, e: loaded.revolution(d, e, output_torque=1.0),
     "loaded.torsion": lambda d, e: loaded.torsion(d, e, input_angle=0.0, rated_torque=1.0),
+    "life.rating": lambda d, e: life.rating(d, e, life.Duty(1.0, 1.0, 1.0)),
+    "life.rated_torque": lambda d, e: life.rated_torque(d, e, life=1.0, output_speed=1.0),
     "dynamics.modes": lambda d, e: dynamics.modes(d),
     "dynamics.response": lambda d, e: dynamics.response(d, **SPIN),
     "dynamics.periodic": lambda d, e: dynamics.periodic(d, **SPIN),

@@ -12,7 +12,7 @@ from rvjax.commands.reproduce.report import report_on
 from rvjax.published import rv160
 from rvjax.units import arcmin, mm, parse
 
-VERDICTS = {"reproduced", "reproduced_with_reading", "close", "contradicted", "not_computable"}
+VERDICTS = {"reproduced", "reproduced_with_reading", "close", "consistent", "contradicted", "not_computable"}
 
 
 def as_list(value):
@@ -61,6 +61,13 @@ def test_rigid_ranges_of_the_rv40e_to_their_last_digit_beside_the_right_values(r
         row = rows[f"rv40e.{name}.rigid_range"]
         assert [round(value, digits) for value in row.computed] == printed
         assert row.right[0] == 0.0 and row.right[1] == pytest.approx(largest, rel=2e-3, abs=0.0)
+
+
+def test_an_inequality_is_consistent_and_no_prediction():
+    figure = dict(id="x", claim="c", value=True, unit="bool", type="consistent", grade="B")
+    assert published.compare(figure, True).status == "consistent"
+    assert published.compare(figure, False).status == "not_reproduced"
+    assert published.compare(figure, True).note == "type: consistent; grade: B"
 
 
 def test_the_judge_is_not_blind():
@@ -192,4 +199,4 @@ def test_reproduce_says_which_source_it_computes(capsys, monkeypatch):
     captured = capsys.readouterr()
     assert json.loads(captured.out) == []
     said = [line.split(":")[0] for line in captured.err.splitlines()]
-    assert said == [f"computing {source}, {k} of 5" for k, source in enumerate(published.SOURCES, 1)]
+    assert said == [f"computing {source}, {k} of 6" for k, source in enumerate(published.SOURCES, 1)]

@@ -145,10 +145,11 @@ def _only_read(layout: Layout, design: RVReducer) -> RVReducer:
     )
     return design.replace(
         involute=design.involute.replace(module=1.0, centre_distance=1.0, sun_radius=1.0),
-        cycloid=_unchecked(design.cycloid, disc_phase=0.0, shortening=None),
+        cycloid=unchecked(design.cycloid, disc_phase=0.0, shortening=None),
         cranks=design.cranks.replace(bearing_stiffness=None),
         inertia=None,
         mesh_variation=None,
+        bearings=None,
         damping=None,
         stiffness=springs.replace(**dict.fromkeys(unread, 1.0)),
         contact=contact,
@@ -162,8 +163,13 @@ def _reads_support(layout: Layout, contact: Contact) -> bool:
     return layout.law != "palmgren"
 
 
-def _unchecked(part: Any, **changes: Any) -> Any:
-    """A copy that is not judged: whether its numbers fit together is a status here."""
+def unchecked(part: Any, **changes: Any) -> Any:
+    """A copy of a record that is not judged: whether its numbers fit together is a status here.
+
+    Args:
+        part: a record.
+        **changes: fields by name.
+    """
     copy = jax.tree.map(lambda leaf: leaf, part)
     for name, value in changes.items():
         object.__setattr__(copy, name, value)

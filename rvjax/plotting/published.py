@@ -13,6 +13,7 @@ VERDICTS = {
     "reproduced": PALETTE[2],
     "reproduced_with_reading": PALETTE[4],
     "close": PALETTE[1],
+    "consistent": PALETTE[0],
     "contradicted": PALETTE[5],
     "not_computable": "0.75",
 }

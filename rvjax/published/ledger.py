@@ -18,11 +18,15 @@ One TOML file per source. Fields of a `[[figure]]`:
     presupposes      what it is held against instead of the figure, in that unit
     missing          what the source leaves out
     calibrated       an input was chosen so that the figure comes out: close at best, never reproduced
+    type             "predict": no number of the figure entered the model, as where nothing is said;
+                     "consistent": an inequality with stated assumptions, which can fail and confirms nothing
+    grade            of a source that was not read itself: B two independent quotes agree, C one quote, or recalled
     note             anything else a reader should know
 
-Status words: reproduced (within rounding), reproduced_with_reading, close (within 10 %), not_computable; contradicted
-(our value is further from the figure than rounding and tolerance together, and `contradicted_by` says why the value
-is at fault); not_reproduced (further than 10 % without an explanation). The last one is a defect of rvjax or a reading
+Status words: reproduced (within rounding), reproduced_with_reading, close (within 10 %), consistent (an inequality
+holds), not_computable; contradicted (our value is further from the figure than rounding and tolerance together, and
+`contradicted_by` says why the value is at fault); not_reproduced (further than 10 % without an explanation). The last
+one is a defect of rvjax or a reading
 that was never found: the ledger holds no such figure, and a test forbids it. Every verdict but not_computable follows
 from the computed number, `contradicted` too: a model that moves into the band ends it, and the test turns red.
 """
@@ -35,7 +39,7 @@ from functools import cache
 from importlib import resources
 from typing import Any
 
-SOURCES = ("corr", "rv20e", "rv320e", "rv40e", "rv160")
+SOURCES = ("corr", "rv20e", "rv320e", "rv40e", "rv160", "catalogue")
 """Sources in the ledger; each has a TOML file and a module of the same name with a dict `COMPUTED`."""
 
 CLOSE = 0.10
@@ -109,6 +113,7 @@ def compare(figure: dict[str, Any], computed: object, right: object = None) -> C
     """
     unit = figure.get("our_unit", figure["unit"])
     notes = [figure[key] for key in ("contradicted_by", "missing", "reading", "calibrated", "note") if key in figure]
+    notes = [f"{key}: {figure[key]}" for key in ("type", "grade") if key in figure] + notes
     status = _status(figure, computed)
     if status == "contradicted":
         notes.append(_where(figure, computed))
@@ -152,6 +157,8 @@ def _plain(value: object) -> Any:
 def _status(figure: dict[str, Any], computed: object) -> str:
     if computed is None:
         return "not_computable"
+    if figure.get("type") == "consistent":
+        return "consistent" if computed == figure["value"] else "not_reproduced"
     bands = _bands(figure, computed)
     if "contradicted_by" in figure and any(abs(a - b) > r + t for a, b, r, t in bands):
         return "contradicted"

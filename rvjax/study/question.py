@@ -151,8 +151,12 @@ class Study:
 
     @property
     def numbers(self) -> list[Number]:
-        """Every number of the design, with where it comes from."""
-        return design_numbers(self.design, tomllib.loads(self.text)["design"], self.text)
+        """Numbers of the design, with where each comes from; without parts that only responses not required read."""
+        described = models.kind(self.design).described
+        unread = {part for one in described.values() for part in one.parts}
+        unread -= {part for name in self.requirements for part in described[name].parts}
+        found = design_numbers(self.design, tomllib.loads(self.text)["design"], self.text)
+        return [number for number in found if number.path.partition(".")[0] not in unread]
 
     @property
     def left_out(self) -> list[str]:

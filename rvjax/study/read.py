@@ -80,7 +80,7 @@ def parse_study(text: str, *, name: str, folder: Path = Path(), solve: bool = Tr
         except (tomllib.TOMLDecodeError, RecursionError) as error:
             raise ValueError(f"not valid TOML: {error}") from None
         sections = {table: section for table in tables if table not in TABLES and (section := _section(table))}
-        known(tables, TABLES | set(sections), "")
+        known(tables, TABLES | set(sections) | models.tables(), "")
         for key in ("design", "tolerances", *(() if "identify" in tables else ("requirement",))):
             if not subtable(tables, key):
                 raise ValueError(f"[{key}] is missing or empty")
@@ -107,7 +107,7 @@ def parse_study(text: str, *, name: str, folder: Path = Path(), solve: bool = Tr
             name=name,
             text=text,
             design=design,
-            conditions=_conditions(kind, requirements, identification, subtable(tables, "conditions")),
+            conditions=_conditions(kind, requirements, identification, tables),
             tolerances=tolerances,
             costs=costs,
             requirements=requirements,
@@ -146,21 +146,41 @@ def _metadata(record: Any, field: str) -> Any:
 
 
 def _conditions(
-    kind: models.Kind, requirements: Mapping[str, Any], identification: Identification | None, given: dict[str, Any]
+    kind: models.Kind, requirements: Mapping[str, Any], identification: Identification | None, tables: dict[str, Any]
 ) -> Any:
     fields = {f.name: f.metadata for f in dataclasses.fields(kind.conditions)}
-    known(given, set(fields), "conditions")
+    given = subtable(tables, "conditions")
+    known(given, {name for name, about in fields.items() if not about["columns"]}, "conditions")
+    given = given | {name: tables[name] for name in models.tables() if name in tables}
     read = set(kind.conditions_of(tuple(requirements)))
     if identification:
         read |= {f.name for f in dataclasses.fields(kind.observed[identification.model].conditions)}
     for key in sorted(given.keys() - read):
         readers = ", ".join(name for name in kind.outputs if key in kind.conditions_of((name,)))
-        raise ValueError(f"conditions.{key} = {given[key]!r}: no response required here reads it, only {readers}")
-    return kind.conditions(**{key: _condition(value, fields[key], f"conditions.{key}") for key, value in given.items()})
+        named = f"[[{key}]]" if key in tables else f"conditions.{key} = {given[key]!r}"
+        raise ValueError(f"{named}: no response required here reads it, only {readers or 'those of another design'}")
+    return kind.conditions(**{key: _condition(value, fields[key], key) for key, value in given.items()})
 
 
-def _condition(value: object, about: Mapping[str, Any], where: str) -> Any:
+def _rows(value: object, columns: Mapping[str, str], where: str) -> tuple[tuple[float, ...], ...]:
+    """Rows of a table, SI, in the order of its columns."""
+    if not isinstance(value, list) or not value or not all(isinstance(row, dict) for row in value):
+        raise ValueError(f"{where}: must be one or more tables [[{where}]] with {', '.join(columns)}")
+    rows = []
+    for number, row in enumerate(value):
+        known(row, columns, f"{where}[{number}]")
+        for key, unit in columns.items():
+            if key not in row:
+                raise ValueError(f"{where}[{number}].{key} is missing: every phase has one, in {unit}")
+        rows.append(tuple(quantity(row[key], unit, f"{where}[{number}].{key}") for key, unit in columns.items()))
+    return tuple(rows)
+
+
+def _condition(value: object, about: Mapping[str, Any], key: str) -> Any:
     """A condition as it is declared by `outputs.condition`."""
+    if about["columns"]:
+        return _rows(value, about["columns"], key)
+    where = f"conditions.{key}"
     if about["choices"] is not None:
         return choice(value, about["choices"], where)
     if about["unit"] is None:

@@ -13,6 +13,7 @@ from rvjax.units import KNOWN
 
 FOLLOWS = ("centre_distance", "sun_radius", "sun_base_radius", "planet_base_radius")  # of standard gears
 QUESTIONS = {"rv": "rv-40e", "oscillatory-roller": "corr"}
+UNASKED = ("inertia", "stiffness", "mesh_variation", "damping", "contact", "bearings")  # its question reads none
 
 
 def phases(asked: Inputs) -> dict[str, float]:
@@ -75,7 +76,7 @@ def _lines(record: Any, known: Any, unprinted: frozenset[str], prefix: str = "")
     for f in dataclasses.fields(record):
         value, about, name = getattr(record, f.name), f.metadata, prefix + f.name
         if about["kind"] == "record":
-            if value is not None and f.name not in ("inertia", "stiffness", "mesh_variation", "damping", "contact"):
+            if value is not None and f.name not in UNASKED:
                 yield ""
                 yield from _lines(value, getattr(known, f.name), unprinted, f"{name}.")
         elif value is not None and not (standard and f.name in FOLLOWS):

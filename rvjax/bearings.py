@@ -1,0 +1,104 @@
+"""Roller bearings of the cranks: their rollers, their ratings where a maker gives them, and where they sit."""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from rvjax.records import Record, concrete, count, field, quantity, record
+
+
+@record
+class RollerBearing(Record):
+    """A radial roller bearing. Both ratings follow from the rollers (ISO 281, ISO 76) unless they are given."""
+
+    rollers: int = count("rollers of a row, Z", minimum=3, maximum=1000)
+    roller_diameter: Any = field("m", "diameter of a roller at its middle, Dwe", sign="positive")
+    roller_length: Any = field("m", "length of a roller that carries, Lwe; two rows: the sum", sign="positive")
+    pitch_diameter: Any = field("m", "diameter of the circle of roller axes, Dpw", sign="positive")
+    contact_angle: Any = field("rad", "between roller load and radial plane; > 0 tapered", default=0.0)
+    rating_factor: Any = field(
+        "-", "bm: 1.1 cylindrical, tapered, machined needle; 1.0 drawn cup", default=1.1, sign="positive"
+    )
+    capacity: Any = field("N", "dynamic rating C where it is given", default=None, sign="positive")
+    static_capacity: Any = field("N", "static rating C0 where it is given", default=None, sign="positive")
+
+    def _check(self) -> None:
+        if concrete(self.roller_diameter, self.pitch_diameter):
+            roller, circle = np.asarray(self.roller_diameter), np.asarray(self.pitch_diameter)
+            given = f"RollerBearing.roller_diameter = {quantity(self.roller_diameter, 'm')}"
+            if np.any(roller >= circle):
+                raise ValueError(f"{given}: must be less than pitch_diameter = {quantity(self.pitch_diameter, 'm')}")
+            if np.any(roller > largest_roller(self.rollers, circle) * (1 + 1e-12)):
+                most = quantity(largest_roller(self.rollers, self.pitch_diameter), "m")
+                raise ValueError(
+                    f"{given}: must be at most {most}; {self.rollers} rollers overlap "
+                    f"on pitch_diameter = {quantity(self.pitch_diameter, 'm')}"
+                )
+        angle = np.asarray(self.contact_angle) if concrete(self.contact_angle) else np.zeros(())
+        if np.any((angle < 0) | (angle >= math.pi / 2)):
+            raise ValueError(
+                f"RollerBearing.contact_angle = {quantity(self.contact_angle, 'rad')}: must lie between 0 and pi/2; "
+                f"multiply degrees by rvjax.units.deg"
+            )
+
+
+def largest_roller(rollers: int, pitch_diameter: Any) -> Any:
+    """Diameter of rollers that touch their neighbours, m: Z asin(Dwe / Dpw) = pi.
+
+    Args:
+        rollers: Z.
+        pitch_diameter: Dpw, m.
+    """
+    return pitch_diameter * math.sin(math.pi / rollers)
+
+
+@record
+class Bearings(Record):
+    """Bearings of every crank: one in each disc (arm), two in the carrier (support).
+
+    Axial positions count from support 0; all three are given, or none. Without them each support carries half.
+    A preload means tapered support bearings that are set against each other.
+    """
+
+    arm: RollerBearing = field("-", "crank in a disc", kind="record")
+    support: RollerBearing | None = field("-", "crank in the carrier; None: not rated", kind="record", default=None)
+    disc_position: Any = field("m", "of each disc from support 0", shape=("discs",), default=None)
+    planet_position: Any = field("m", "of the planet from support 0, < 0 outside", default=None)
+    support_span: Any = field("m", "from support 0 to support 1", default=None, sign="positive")
+    preload: Any = field("N", "axial preload of tapered supports", default=None, sign="nonnegative")
+
+    @property
+    def placed(self) -> bool:
+        """Whether the axial positions are given."""
+        return self.disc_position is not None
+
+    def _check(self) -> None:
+        arm, support = self.arm, self.support
+        if _angled(arm):
+            raise ValueError(
+                f"Bearings.arm.contact_angle = {quantity(arm.contact_angle, 'rad')}: must be 0; "
+                f"the plane model has no axial force for an arm bearing"
+            )
+        places = ("disc_position", "planet_position", "support_span")
+        missing = [name for name in places if getattr(self, name) is None]
+        if missing and len(missing) < len(places):
+            raise ValueError(f"Bearings.{missing[0]} = None: give all of {', '.join(places)} in m, or none")
+        if self.preload is None and _angled(support):
+            assert support is not None
+            raise ValueError(
+                f"Bearings.support.contact_angle = {quantity(support.contact_angle, 'rad')}: "
+                f"tapered supports need preload in N"
+            )
+        if self.preload is None:
+            return
+        if support is None:
+            raise ValueError("Bearings.preload: is of tapered supports; give support with its contact_angle")
+        if concrete(support.contact_angle) and not _angled(support):
+            raise ValueError("Bearings.support.contact_angle = 0 rad: must be positive; preload is of tapered supports")
+
+
+def _angled(bearing: Any) -> bool:
+    """Whether a bearing has a contact angle that can be looked at and is not 0."""
+    angle = getattr(bearing, "contact_angle", None)
+    return angle is not None and concrete(angle) and bool(np.any(np.asarray(angle) != 0))

@@ -1,0 +1,229 @@
+"""All crank bearings of one reducer: what is read, what may be, and the damage that its forces do."""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rvjax import status
+from rvjax.bearings import Bearings
+from rvjax.designs import RVReducer
+from rvjax.elementary import power
+from rvjax.errors import RVErrors
+from rvjax.life.bearing import Looseness, check_method, damaged
+from rvjax.life.histories import WEIBULL, Damage, basic, magnitude
+from rvjax.life.ratings import harmless, ratings, unfit
+from rvjax.life.supports import Equivalent, shared, tapered
+from rvjax.loaded import BearingForces, Layout, check_input, ratio, unchecked
+from rvjax.records import axis_sizes, concrete, quantity
+from rvjax.status import Check, Gate, SolveInfo, Status, worst_of
+
+_GOLDEN = (np.sqrt(5) - 1) / 2
+
+
+class Plan(NamedTuple):
+    """What is decided before a program runs."""
+
+    layout: Layout
+    samples: int
+    crank_turns: int
+    method: str
+
+
+def check_plan(
+    design: RVReducer,
+    errors: RVErrors,
+    samples: int,
+    turns: float,
+    method: str,
+    reliability: Any,
+    tilt: Any,
+    supports: tuple[str, str, str],
+) -> Plan:
+    """The plan of a call.
+
+    Args:
+        design: the reducer.
+        errors: of its parts.
+        samples: as in `rating`.
+        turns: as in `rating`.
+        method: as in `rating`.
+        reliability: as in `rating`.
+        tilt: as in `rating`.
+        supports: contact, carrier and sun, as in `loaded.equilibrium`.
+
+    Raises:
+        ValueError: see `rating`.
+    """
+    layout = check_input(design, errors, *supports)
+    check_method(method, tilt)
+    bearings = design.bearings
+    if bearings is None:
+        raise ValueError("RVReducer.bearings = None: the life needs them; give Bearings(arm=RollerBearing(...))")
+    for name in ("disc_position", "planet_position", "support_span", "preload"):
+        shape = np.shape(getattr(bearings, name) if getattr(bearings, name) is not None else 0.0)
+        due = axis_sizes(("discs",) if name == "disc_position" else (), design.counts)
+        if shape not in ((), due):
+            raise ValueError(f"Bearings.{name}: shape {shape} does not fit this design, expected {due or 'a scalar'}")
+    if bearings.preload is not None and method != "basic":
+        raise ValueError(
+            f'method = {method!r}: must be "basic" with tapered supports (Bearings.preload, support.contact_angle > 0)'
+        )
+    if isinstance(samples, bool) or not isinstance(samples, (int, np.integer)) or samples < 1:
+        raise ValueError(f"samples = {samples!r}: must be an integer of at least 1")
+    crank_turns = round(float(turns) * layout.pins) if np.isfinite(turns) else 0
+    if crank_turns < 1 or abs(float(turns) * layout.pins - crank_turns) > 1e-6:
+        raise ValueError(
+            f"turns = {turns:g}: must be a whole number of crank turns, k / {layout.pins} of the output with k >= 1"
+        )
+    if concrete(reliability) and not np.all((np.asarray(reliability) > 0) & (np.asarray(reliability) < 1)):
+        raise ValueError(f"reliability = {quantity(reliability, '-')}: must lie between 0 and 1")
+    return Plan(layout, int(samples), crank_turns, method)
+
+
+def input_angles(plan: Plan, design: RVReducer, dtype: Any) -> jax.Array:
+    """Input angles over the turn of the output, (n,) rad: every crank angle once, each in a crank turn of its own.
+
+    Equally spaced angles alias with the errors, whose loads have the orders of pins and teeth. Eq. 11.
+
+    Args:
+        plan: samples and crank turns.
+        design: its gear ratio is read.
+        dtype: of the result.
+    """
+    order = np.arange(plan.samples)
+    lap = np.floor(plan.crank_turns * ((order * _GOLDEN) % 1))
+    return jnp.asarray(ratio(design) * 2 * np.pi * (lap + order / plan.samples) / plan.layout.pins, dtype)
+
+
+def inner_angles(plan: Plan, dtype: Any) -> jax.Array:
+    """Angle of each crank against disc and carrier at the samples, without whole turns, (n,) rad.
+
+    Args:
+        plan: samples.
+        dtype: of the result.
+    """
+    return jnp.asarray(-2 * np.pi * np.arange(plan.samples) / plan.samples, dtype)
+
+
+class Judged(NamedTuple):
+    """Numbers that a life reads besides those of the loaded equilibrium, harmless where they cannot be."""
+
+    bearings: Bearings
+    others: Any
+    gate: Gate
+
+
+def judge(bearings: Bearings, others: Any, spare: Any, *checks: Check, after: Gate) -> Judged:
+    """The bearings and other numbers, judged.
+
+    Args:
+        bearings: numbers as arrays.
+        others: pytree of further numbers.
+        spare: harmless ones.
+        *checks: of those.
+        after: gate of the loaded equilibrium.
+    """
+    support, tapered_supports = bearings.support, bearings.preload is not None
+    refused = [*checks, *unfit(bearings.arm), (~(bearings.arm.contact_angle == 0), Status.INVALID_GEOMETRY)]
+    if support is not None:
+        angled = support.contact_angle > 0 if tapered_supports else support.contact_angle == 0
+        refused += [*unfit(support), (~angled, Status.INVALID_GEOMETRY)]
+    if bearings.support_span is not None:
+        refused.append((~(bearings.support_span > 0), Status.INVALID_GEOMETRY))
+    if tapered_supports:
+        refused.append((bearings.preload < 0, Status.INVALID_GEOMETRY))
+    rest = unchecked(bearings, arm=None, support=None)
+    for number in jax.tree.leaves((others, rest)):
+        refused.append((~jnp.all(jnp.isfinite(number)), Status.NONFINITE))
+
+    safe = {"arm": harmless(bearings.arm, 0.0)}
+    safe |= {} if support is None else {"support": harmless(support, 0.1 if tapered_supports else 0.0)}
+    safe_bearings = jax.tree.map(
+        lambda x, y: jnp.asarray(y, x.dtype), bearings, unchecked(jax.tree.map(jnp.ones_like, rest), **safe)
+    )
+    (bearings, others), gate = status.admit((bearings, others), (safe_bearings, spare), *refused, after=after)
+    return Judged(bearings, others, gate)
+
+
+class Damages(NamedTuple):
+    """By one cycle, a million revolutions long."""
+
+    arm: Damage  # (d, c)
+    support: Damage | None  # (c, 2)
+    hardest: jax.Array  # largest P0 / C0 of any bearing at any instant
+    info: SolveInfo
+
+    @property
+    def whole(self) -> jax.Array:
+        """Rate of the system of all bearings. Eq. 24."""
+        rates = [jnp.ravel(one.rate) for one in (self.arm, self.support) if one is not None]
+        return system(jnp.concatenate(rates))
+
+
+def system(rates: jax.Array) -> jax.Array:
+    """Rate of a series system of Weibull slope 9/8, () of rates (n,). Eq. 24.
+
+    Args:
+        rates: one over the life of each part.
+    """
+    largest = jax.lax.stop_gradient(jnp.max(rates))
+    largest = jnp.where(largest > 0, largest, 1)
+    return largest * power(jnp.sum(power(rates / largest, WEIBULL)), 1 / WEIBULL)
+
+
+def damages(
+    plan: Plan, bearings: Bearings, errors: RVErrors, forces: BearingForces, share: jax.Array, tilt: jax.Array
+) -> Damages:
+    """What the forces of one cycle do to every crank bearing.
+
+    Args:
+        plan: samples and method.
+        bearings: that exist.
+        errors: clearances are read.
+        forces: (n, phases, ...).
+        share: of the revolutions in each phase, (phases,).
+        tilt: rad.
+    """
+    samples, phases = forces.arm.shape[:2]
+    weight = jnp.broadcast_to(share / samples, (samples, phases)).ravel()
+    angle = jnp.repeat(inner_angles(plan, forces.arm.dtype), phases)
+    arm = forces.arm.reshape(samples * phases, *forces.arm.shape[2:])
+    supports = forces.support.reshape(samples * phases, *forces.support.shape[2:])
+
+    def by_bearing(bearing: Any, force: jax.Array, clearance: Any) -> tuple[Damage, SolveInfo]:
+        """Of bearings (rows, columns) with forces (n, rows, columns, 2)."""
+        rated, loose = ratings(bearing), Looseness(clearance, tilt, True)
+
+        def one(own: jax.Array) -> tuple[Damage, SolveInfo]:
+            return damaged(plan.method, bearing, rated, own, angle, weight, loose)
+
+        return jax.vmap(jax.vmap(one, 1), 1)(force)
+
+    found, info = by_bearing(bearings.arm, arm, errors.bearing_clearance)
+    infos = [worst_of(info)]
+    hardest = [jnp.max(magnitude(arm)) / ratings(bearings.arm).static]
+    other = None
+    if bearings.support is not None:
+        force, rated = shared(bearings, arm, supports), ratings(bearings.support)
+        if bearings.preload is None:
+            other, info = by_bearing(bearings.support, force, errors.support_clearance)
+            infos.append(worst_of(info))
+            static = magnitude(force)
+        else:
+            loads: Equivalent = tapered(bearings, force)
+            other = jax.vmap(jax.vmap(lambda size: basic(size, weight, rated), 1), 1)(loads.dynamic)
+            static = loads.static
+        hardest.append(jnp.max(static) / rated.static)
+    whole = worst_of(jax.tree.map(lambda *x: jnp.stack(x), *infos))
+    return Damages(found, other, jnp.max(jnp.stack(hardest)), whole)
+
+
+def reliability_factor(reliability: jax.Array) -> jax.Array:
+    """a1: life at a reliability over that at 90 %. Eq. 23.
+
+    Args:
+        reliability: between 0 and 1.
+    """
+    return power(-jnp.log(reliability) / -np.log(0.9), 1 / 1.5)

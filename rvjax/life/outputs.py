@@ -1,0 +1,161 @@
+"""What studies may ask of the life of the crank bearings: one rating under the duty, and the torque for a life."""
+
+import dataclasses
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rvjax.compile_cache import QUICK
+from rvjax.designs import Contact, RVReducer, Stiffness
+from rvjax.life.duty import Duty
+from rvjax.life.histories import METHODS
+from rvjax.life.rated import RatedTorque, rated_torque
+from rvjax.life.rating import Rating, rating
+from rvjax.loaded import CONTACTS, SUPPORTS
+from rvjax.outputs import Description, Output, Reading, Solved, condition
+
+COLUMNS = {"output_torque": "N m", "output_speed": "rad/s", "time": "s"}
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """Under which duty, and how, the bearings are rated. The turn is always a whole one of the output."""
+
+    samples: int = condition(48, "input angles over the span", minimum=4, maximum=100_000)
+    pin_contact: str = condition("hertz", "law of discs and pins", choices=CONTACTS)
+    carrier: str = condition("fixed", "centre of the carrier", choices=SUPPORTS)
+    sun: str = condition("fixed", "centre of the sun", choices=SUPPORTS)
+    life_method: str = condition("basic", "of a bearing life; methods differ in level", choices=METHODS)
+    reliability: float = condition(
+        0.9, "share of the bearings, under the loads of one unit, that reach its life", unit="-", minimum=0, maximum=1
+    )
+    rated_life: float | None = condition(None, "that the rated torque gives", unit="s")
+    rated_speed: float | None = condition(None, "of the output, at which the rated torque is sought", unit="rad/s")
+    duty: tuple[tuple[float, ...], ...] | None = condition(None, "phases of a cycle", columns=COLUMNS)
+
+
+def _ways(given: Any) -> dict[str, Any]:
+    return dict(
+        samples=given.samples,
+        method=given.life_method,
+        reliability=given.reliability,
+        contact=given.pin_contact,
+        carrier=given.carrier,
+        sun=given.sun,
+    )
+
+
+def rated(design: RVReducer, errors: Any, given: Any) -> Rating:
+    """Under the duty."""
+    columns = np.asarray(given.duty, float).T
+    dtype = jnp.result_type(float, *jax.tree.leaves(errors))
+    duty = Duty(*(jnp.asarray(column, dtype) for column in columns))
+    return rating(errors.stiffened(design), errors, duty, **_ways(given))
+
+
+def sought(design: RVReducer, errors: Any, given: Any) -> RatedTorque:
+    """At the rated speed, for the rated life."""
+    return rated_torque(
+        errors.stiffened(design), errors, life=given.rated_life, output_speed=given.rated_speed, **_ways(given)
+    )
+
+
+def _life(found: Rating, design: RVReducer, given: Any) -> Solved:
+    return found.life, found.info.status
+
+
+def _arm(found: Rating, design: RVReducer, given: Any) -> Solved:
+    return jnp.min(found.arm), found.info.status
+
+
+def _safety(found: Rating, design: RVReducer, given: Any) -> Solved:
+    return found.static_safety, found.info.status
+
+
+def _torque(found: RatedTorque, design: RVReducer, given: Any) -> Solved:
+    return found.torque, found.info.status
+
+
+def _refusing(name: str, own: Callable[[Any], None]) -> Callable[[Any, Any], None]:
+    """Refuses a design that lacks a part, a reliability and bearings that do not fit the method, then its own."""
+
+    def refuse(design: RVReducer, given: Any) -> None:
+        for part, cls in (("stiffness", Stiffness), ("contact", Contact)):
+            if getattr(design, part) is None:
+                keys = ", ".join(f.name for f in dataclasses.fields(cls) if f.default is dataclasses.MISSING)
+                raise ValueError(f"design.{part} is missing: {name} needs it, with {keys}")
+        if design.bearings is None:
+            raise ValueError(
+                f"design.bearings is missing: {name} needs [design.bearings.arm], with rollers, roller_diameter, "
+                f"roller_length, pitch_diameter"
+            )
+        if not 0 < given.reliability < 1:
+            raise ValueError(f"conditions.reliability = {given.reliability:g}: must lie between 0 and 1")
+        if design.bearings.preload is not None and given.life_method != "basic":
+            raise ValueError(
+                f'conditions.life_method = "{given.life_method}": must be "basic" with tapered supports '
+                f"(design.bearings.preload)"
+            )
+        own(given)
+
+    return refuse
+
+
+def _with_duty(given: Any) -> None:
+    if given.duty is None:
+        told = ", ".join(f"{name} in {unit}" for name, unit in COLUMNS.items())
+        raise ValueError(f"[[duty]] is missing: life and static safety need at least one phase, with {told}")
+    times = [phase[2] for phase in given.duty]
+    for number, time in enumerate(times):
+        if time < 0:
+            raise ValueError(f"duty[{number}].time = {time:g} s: must not be negative")
+    if not sum(times) > 0:
+        raise ValueError("duty.time = 0 s in all phases: must have a positive sum")
+
+
+def _with_life(given: Any) -> None:
+    if given.rated_life <= 0:
+        raise ValueError(f"conditions.rated_life = {given.rated_life:g} s: must be positive")
+    if given.rated_speed == 0:
+        raise ValueError("conditions.rated_speed = 0 rad/s: must not be 0; at rest no bearing has a life")
+
+
+def _of_duty(name: str, unit: str, meaning: str, take: Callable[..., Solved], read_in: str | None = None) -> Output:
+    return Output(unit, meaning, Reading((rated,), take), (), read_in, refuse=_refusing(name, _with_duty))
+
+
+UNKNOWN = (
+    "bearing life (plane model): tilt and edge load (1 mrad costs a quarter of the life), axial forces and preload, "
+    "lubricant and dirt, oscillation below a crank turn, wear; gears, flanks and main bearings have no life here; "
+    "ratings hold as far as the bearings of the design, which makers of reducers do not publish"
+)
+DESCRIPTION = Description(
+    name="life",
+    design=RVReducer,
+    conditions=Conditions,
+    outputs={
+        "life": _of_duty(
+            "life", "s", "that all crank bearings of a unit reach at the reliability, under the duty", _life, "h"
+        ),
+        "arm_bearing_life": _of_duty(
+            "arm_bearing_life", "s", "least of a crank bearing in a disc, under the duty", _arm, "h"
+        ),
+        "static_safety": _of_duty(
+            "static_safety", "-", "least C0 / P0 of a crank bearing, phase and angle, under the duty", _safety
+        ),
+        "rated_torque": Output(
+            "N m",
+            "at the rated speed, for the rated life of all crank bearings",
+            Reading((sought,), _torque),
+            ("rated_life", "rated_speed"),
+            refuse=_refusing("rated_torque", _with_life),
+        ),
+    },
+    unknown=UNKNOWN,
+    compiler_options=QUICK,
+    parts=("bearings",),
+)

@@ -1,0 +1,146 @@
+"""The torque for a given life: the inverse of `rating` at one speed."""
+
+import functools
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rvjax.compile_cache import quick
+from rvjax.designs import RVReducer, expect
+from rvjax.errors import RVErrors
+from rvjax.life.histories import LIFE
+from rvjax.life.machine import Plan, check_plan, damages, input_angles, judge, reliability_factor
+from rvjax.life.ratings import ratings
+from rvjax.life.search import largest_root
+from rvjax.loaded import Read, admit, bearing_forces
+from rvjax.records import Record, concrete, field, promote, quantity, record
+from rvjax.status import Gate, SolveInfo, Status, succeeded, worst
+
+
+@record
+class RatedTorque(Record):
+    """Torque for a given life."""
+
+    torque: Any = field("N m", "of the discs on the carrier, > 0")
+    info: SolveInfo = field("-", "residual: |0.3 ln(life / wanted)|; steps: of all equilibria", kind="record")
+
+
+def rated_torque(
+    design: RVReducer,
+    errors: RVErrors,
+    *,
+    life: Any,
+    output_speed: Any,
+    samples: int = 48,
+    turns: float = 1.0,
+    method: str = "basic",
+    reliability: Any = 0.9,
+    tilt: Any = 0.0,
+    contact: str = "hertz",
+    carrier: str = "fixed",
+    sun: str = "fixed",
+) -> RatedTorque:
+    """Largest constant torque under which all crank bearings as a system reach a life, at one speed.
+
+    Args:
+        design: as in `rating`.
+        errors: as in `rating`.
+        life: of the system at `reliability`, () s, > 0.
+        output_speed: of the carrier against the ring, () rad/s, either sign, not 0.
+        samples: as in `rating`.
+        turns: as in `rating`.
+        method: as in `rating`.
+        reliability: as in `rating`.
+        tilt: as in `rating`.
+        contact: as in `rating`.
+        carrier: as in `rating`.
+        sun: as in `rating`.
+
+    Returns:
+        RatedTorque. With NaN: NO_BRACKET (no torque gives such a life: interference alone takes more of it),
+        CONTACT_OVERLOAD (the torque lies beyond the contact law), or a status of `rating`.
+
+    Raises:
+        ValueError: life <= 0, output_speed 0, and as `rating`.
+    """
+    expect(design, "life.rated_torque", RVReducer)
+    plan = check_plan(design, errors, samples, turns, method, reliability, tilt, (contact, carrier, sun))
+    if concrete(life) and np.any(np.asarray(life) <= 0):
+        raise ValueError(f"life = {quantity(life, 's')}: must be positive")
+    if concrete(output_speed) and np.any(np.asarray(output_speed) == 0):
+        raise ValueError("output_speed = 0 rad/s: must not be 0; at rest no bearing has a life")
+    return _rated_torque(plan, design, errors, life, output_speed, reliability, tilt)
+
+
+class Given(NamedTuple):
+    """Numbers that the root depends on."""
+
+    design: Any
+    errors: Any
+    eccentricity: Any
+    bearings: Any
+    budget: Any  # revolutions that are wanted, of 90 % of the machines
+    tilt: Any
+    sound: Any  # 1, or 0 where the case was refused
+
+
+@quick(0)
+def _rated_torque(
+    plan: Plan, design: RVReducer, errors: RVErrors, life: Any, speed: Any, reliability: Any, tilt: Any
+) -> RatedTorque:
+    read = admit(plan.layout, design, errors, 0.0, 0.0)
+    bearings, *others = promote(design.bearings, life, speed, reliability, tilt, read.torque)[:5]
+    life, speed, reliability, tilt = others
+    judged = judge(
+        bearings,
+        (life, speed, reliability, tilt),
+        (jnp.ones_like(life), jnp.ones_like(speed), jnp.full_like(reliability, 0.9), jnp.zeros_like(tilt)),
+        (~(life > 0) | (speed == 0), Status.INVALID_GEOMETRY),
+        (~((reliability > 0) & (reliability < 1)), Status.INVALID_GEOMETRY),
+        after=read.gate,
+    )
+    life, speed, reliability, tilt = judged.others
+    budget = life * jnp.abs(speed) * plan.layout.pins / (2 * jnp.pi * reliability_factor(reliability))
+    sound = judged.gate.good.astype(budget.dtype)
+    given = Given(read.design, read.errors, read.eccentricity, judged.bearings, budget, tilt, sound)
+    x, _, info = _solve(plan, given)
+    torque, info = judged.gate.close(jnp.exp(x), info=info)
+    return RatedTorque(jnp.where(succeeded(info.status), torque, jnp.nan), info)
+
+
+def _missing(plan: Plan, given: Given, x: jax.Array, start: jax.Array) -> Any:
+    """0.3 ln(life / wanted) at the torque e^x, status, steps and displacements."""
+    refused = Gate(((given.sound < 0.5, Status.NONFINITE),))
+    torque = jnp.exp(x)[None]
+    read = Read(given.design, given.errors, given.eccentricity, torque, jnp.zeros_like(x), refused)
+    forces = bearing_forces(plan.layout, read, torque, input_angles(plan, given.design, x.dtype), start)
+    found = damages(plan, given.bearings, given.errors, forces, jnp.ones_like(torque), given.tilt)
+    share = found.whole * given.budget / 1e6  # of the life that the wanted revolutions take
+    loaded = share > 0
+    value = jnp.where(loaded, -jnp.log(jnp.where(loaded, share, 1)) / LIFE, 1)
+    status = worst(jnp.append(jnp.ravel(forces.info.status), found.info.status))
+    return value, status, jnp.sum(forces.info.steps), forces.displacements
+
+
+@functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
+def _solve(plan: Plan, given: Given) -> tuple[jax.Array, jax.Array, SolveInfo]:
+    """ln torque, displacements there, and how it was found."""
+    cranks, discs = plan.layout.cranks, plan.layout.discs
+    first = ratings(given.bearings.arm).dynamic * given.design.cranks.circle_radius * cranks * discs / 5
+    cold = jnp.full((plan.samples, 1, plan.layout.unknowns), jnp.nan, first.dtype)
+    return largest_root(lambda x, start: _missing(plan, given, x, start), jnp.log(first), cold)
+
+
+@_solve.defjvp
+def _solve_jvp(plan: Plan, primals: Any, tangents: Any) -> Any:
+    """dx = -(dv / d given) dgiven / (dv / dx)."""
+    (given,), (change,) = primals, tangents
+    x, start, info = _solve(plan, given)
+    _, linear = jax.linearize(lambda x, given: _missing(plan, given, x, start)[0], x, given)
+    slope = linear(jnp.ones_like(x), jax.tree.map(jnp.zeros_like, given))
+    regular = succeeded(info.status) & (slope != 0)
+    dx = -linear(jnp.zeros_like(x), change) / jnp.where(regular, slope, 1)
+    still = jax.custom_derivatives.zero_from_primal((start, info))
+    return (x, start, info), (jnp.where(regular, dx, 0), *still)

@@ -1,0 +1,131 @@
+"""Dynamic and static rating of a roller bearing: ISO 281, ISO 76. Formulae of the standards are in N and mm."""
+
+import math
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from rvjax.bearings import RollerBearing
+from rvjax.designs import expect
+from rvjax.elementary import power
+from rvjax.records import promote
+from rvjax.status import Check, Status
+from rvjax.units import mm
+
+REDUCTION = 0.83  # lambda nu of ISO 281: the rating of a whole bearing against that of its laminae
+_FACTOR = 551.13373 * 0.377 * REDUCTION  # Eq. 2
+_INNER, _OUTER = 0.378, 0.364  # Eq. 5
+
+
+class Ratings(NamedTuple):
+    """What the rollers of one bearing stand, N."""
+
+    dynamic: jax.Array  # C
+    static: jax.Array  # C0
+    inner: jax.Array  # Qi, of one roller on the inner ring
+    outer: jax.Array  # Qe
+
+
+def dynamic_rating(bearing: RollerBearing) -> jax.Array:
+    """Basic dynamic radial load rating C: 90 % of such bearings reach a million revolutions under it. ISO 281.
+
+    Args:
+        bearing: its `capacity` if given, else its rollers.
+
+    Returns:
+        () N; NaN where traced dimensions are not finite or do not fit.
+
+    Raises:
+        ValueError: `bearing` is no RollerBearing.
+    """
+    expect(bearing, "life.dynamic_rating", RollerBearing)
+    return _rated(bearing)[0]
+
+
+def static_rating(bearing: RollerBearing) -> jax.Array:
+    """Basic static radial load rating C0: a permanent dent of 1e-4 of the roller diameter. ISO 76.
+
+    Args:
+        bearing: its `static_capacity` if given, else its rollers.
+
+    Returns:
+        () N; NaN where traced dimensions are not finite or do not fit.
+
+    Raises:
+        ValueError: `bearing` is no RollerBearing.
+    """
+    expect(bearing, "life.static_rating", RollerBearing)
+    return _rated(bearing)[1]
+
+
+@jax.jit
+def _rated(bearing: RollerBearing) -> tuple[jax.Array, jax.Array]:
+    bearing = promote(bearing)
+    failed = [failed for failed, _ in unfit(bearing)]
+    good = ~(failed[0] | failed[1])
+    found = ratings(jax.tree.map(lambda x, spare: jnp.where(good, x, spare), bearing, harmless(bearing)))
+    return jnp.where(good, found.dynamic, jnp.nan), jnp.where(good, found.static, jnp.nan)
+
+
+def unfit(bearing: RollerBearing) -> tuple[Check, Check]:
+    """Conditions under which no such bearing exists, each with its status.
+
+    Args:
+        bearing: numbers as arrays.
+    """
+    numbers = jax.tree.leaves(bearing)
+    finite = jnp.all(jnp.stack([jnp.all(jnp.abs(x) < _largest(x)) for x in numbers]))
+    given = (bearing.capacity, bearing.static_capacity)
+    positive = [bearing.roller_diameter, bearing.roller_length, bearing.pitch_diameter, bearing.rating_factor]
+    positive += [x for x in given if x is not None]
+    fits = jnp.all(jnp.stack([x > 0 for x in positive]))
+    fits &= bearing.roller_diameter < bearing.pitch_diameter
+    most = bearing.pitch_diameter * math.sin(math.pi / bearing.rollers)
+    fits &= bearing.roller_diameter <= most * (1 + 1e-6)  # float32 too
+    fits &= (bearing.contact_angle >= 0) & (bearing.contact_angle < math.pi / 2)
+    return (~finite, Status.NONFINITE), (~fits, Status.INVALID_GEOMETRY)
+
+
+def _largest(x: jax.Array) -> float:
+    return float(jnp.finfo(x.dtype).max) ** (1 / 3)  # products of three stay in the arithmetic
+
+
+def harmless(bearing: RollerBearing, contact_angle: float = 0.0) -> RollerBearing:
+    """A bearing of the same structure that exists.
+
+    Args:
+        bearing: numbers as arrays.
+        contact_angle: rad.
+    """
+    spare = dict(roller_diameter=1e-3, roller_length=1e-3, contact_angle=contact_angle)
+    spare |= dict(pitch_diameter=2e-3 / math.sin(math.pi / bearing.rollers))
+    return jax.tree_util.tree_map_with_path(lambda path, _: spare.get(path[-1].name, 1.0), bearing)
+
+
+def ratings(bearing: RollerBearing) -> Ratings:
+    """All ratings of a bearing that exists.
+
+    Args:
+        bearing: numbers as arrays.
+    """
+    z, cosine = bearing.rollers, jnp.cos(bearing.contact_angle)
+    diameter, length = bearing.roller_diameter / mm, bearing.roller_length / mm
+    g = bearing.roller_diameter * cosine / bearing.pitch_diameter  # Eq. 1
+    ratio = power((1 - g) / (1 + g), 143 / 108)
+    shape = power(1 + power(1.04 * ratio, 4.5), -2 / 9)
+    fc = _FACTOR * power(g, 2 / 9) * power(1 - g, 29 / 27) * power(1 + g, -1 / 4) * shape  # Eq. 2
+    dynamic = bearing.capacity
+    if dynamic is None:  # Eq. 3
+        dynamic = bearing.rating_factor * fc * power(length * cosine, 7 / 9) * z**0.75 * power(diameter, 29 / 27)
+    static = bearing.static_capacity
+    if static is None:
+        static = 44 * (1 - g) * z * length * diameter * cosine  # Eq. 4
+    t = power(1.038 * ratio, 4.5)
+    roller = dynamic / (REDUCTION * z * cosine)
+    return Ratings(
+        dynamic=dynamic,
+        static=static,
+        inner=roller / _INNER * power(1 + t, 2 / 9),  # Eq. 5
+        outer=roller / _OUTER * power(1 + 1 / t, 2 / 9),
+    )

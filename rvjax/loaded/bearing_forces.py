@@ -1,0 +1,74 @@
+"""Forces of the crank bearings at several input angles and torques: what a bearing life is computed from."""
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from rvjax.loaded.balance import balance, forces
+from rvjax.loaded.equilibrium import judge, placed, prepare
+from rvjax.loaded.newton import Found
+from rvjax.loaded.reading import Read
+from rvjax.loaded.system import Layout
+from rvjax.status import SolveInfo, Status, succeeded
+
+
+class BearingForces(NamedTuple):
+    """At n angles under t torques, in the frame of the ideal carrier; 0 where an equilibrium failed or carries nothing.
+
+    The displacements carry no derivative; they are a start for torques near these.
+    """
+
+    arm: jax.Array  # (n, t, d, c, 2) N, crank on disc
+    support: jax.Array  # (n, t, c, 2) N, crank on carrier
+    info: SolveInfo  # (n, t)
+    displacements: jax.Array  # (n, t, unknowns), NaN where an equilibrium failed
+
+
+def bearing_forces(
+    layout: Layout, read: Read, torques: jax.Array, input_angles: jax.Array, start: jax.Array | None = None
+) -> BearingForces:
+    """Equilibria at every angle under every torque.
+
+    Args:
+        layout: counts and methods.
+        read: finite and possible numbers; its torque and angle are not read.
+        torques: of the discs on the carrier, (t,) N m.
+        input_angles: of the sun, (n,) rad, constants. Far from each other the angle before is no better start than the
+            linear step.
+        start: displacements (n, t, unknowns) to start from; None: the linear step.
+    """
+    none = jnp.full((layout.unknowns,), jnp.nan, torques.dtype)
+
+    def at(angle: jax.Array, start: jax.Array | None) -> tuple[Found, SolveInfo]:
+        case = jax.lax.stop_gradient(prepare(layout, read, angle))
+
+        def solve(torque: jax.Array, start: jax.Array) -> tuple[Found, SolveInfo]:
+            loaded = case.loaded(torque)
+            found = balance(layout, loaded.system, start)
+            return found, judge(read, loaded, found)
+
+        of_torques = jax.lax.stop_gradient(torques)
+        return jax.vmap(solve, (0, None if start is None else 0))(of_torques, none if start is None else start)
+
+    found, info = jax.lax.map(lambda x: at(*x), (input_angles, start))
+    measure = jax.checkpoint(partial(_measure, layout))
+    arm, support = jax.lax.map(lambda x: measure(read, torques, *x), (input_angles, found, info.status))
+    q = jnp.where(succeeded(info.status)[..., None], found.q, jnp.nan)
+    return BearingForces(arm, support, info, jax.lax.stop_gradient(q))
+
+
+def _measure(
+    layout: Layout, read: Read, torques: jax.Array, angle: jax.Array, found: Found, status: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """Of one angle under every torque, with their derivatives."""
+    case = prepare(layout, read, angle)
+
+    def of_one(torque: jax.Array, found: Found, status: jax.Array) -> tuple[jax.Array, jax.Array]:
+        loaded = case.loaded(torque)
+        q = placed(layout, loaded, found, status)
+        bearing = jnp.where(status == Status.CONVERGED, forces(layout, loaded.system, q).bearing, 0)
+        return -bearing[: -layout.cranks].reshape(layout.discs, layout.cranks, 2), bearing[-layout.cranks :]
+
+    return jax.vmap(of_one)(torques, found, status)

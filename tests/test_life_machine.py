@@ -1,0 +1,202 @@
+"""All crank bearings of one reducer: invariants, derivatives against differences, extremes. One program serves most."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from life_cases import BASIC, NAMED, PLAN, duty_of, rate, unit_of
+
+import rvjax
+from rvjax import RVErrors, Status, life
+from rvjax.units import rpm
+
+CASE = NAMED[BASIC]
+DESIGN, ERRORS = unit_of(CASE)
+DUTY = duty_of(CASE)
+FIELDS = ("life", "arm", "support", "arm_load", "support_load", "static_safety")
+
+
+@pytest.fixture(scope="module")
+def rated():
+    return rvjax.check(rate(DESIGN, ERRORS, DUTY))
+
+
+def assert_same(found, due, factor=1.0, rtol=1e-11):
+    for name in ("life", "arm", "support"):
+        np.testing.assert_allclose(getattr(found, name), factor * np.asarray(getattr(due, name)), rtol=rtol)
+    for name in ("arm_load", "support_load", "static_safety"):
+        np.testing.assert_allclose(getattr(found, name), getattr(due, name), rtol=rtol)
+
+
+def test_phases_may_be_split_and_in_any_order(rated):
+    """Two phases of one, with the rest last; a phase of zero time is read by the static safety alone."""
+    assert_same(rate(DESIGN, ERRORS, jax.tree.map(lambda x: x[[2, 3, 0, 1]], DUTY)), rated)
+    torque, speed = (np.r_[x[:3], x[0]] for x in (DUTY.output_torque, DUTY.output_speed))
+    split = life.Duty(torque, speed, [0.05, 0.5, 0.2, 0.15])
+    whole = life.Duty(torque, speed, [0.2, 0.5, 0.2, 0.0])
+    assert_same(rate(DESIGN, ERRORS, split), rate(DESIGN, ERRORS, whole))
+    peak = DUTY.replace(output_torque=np.r_[DUTY.output_torque[:3], 2060.0], time=np.r_[0.2, 0.5, 0.3, 0.0])
+    calm = peak.replace(output_torque=np.r_[DUTY.output_torque[:3], 0.0])
+    high, low = rate(DESIGN, ERRORS, peak), rate(DESIGN, ERRORS, calm)
+    assert float(high.life) == pytest.approx(float(low.life), rel=1e-12)
+    assert float(high.static_safety) < 0.6 * float(low.static_safety)
+
+
+def test_lives_are_of_revolutions(rated):
+    """Only shares of the time count; speed shortens lives in proportion; its sign does not matter; rest lengthens."""
+    assert_same(rate(DESIGN, ERRORS, DUTY.replace(time=7 * DUTY.time)), rated)
+    assert_same(rate(DESIGN, ERRORS, DUTY.replace(output_speed=-3 * DUTY.output_speed)), rated, 1 / 3)
+    longer = DUTY.replace(time=np.r_[DUTY.time[:3], 1.1])
+    assert_same(rate(DESIGN, ERRORS, longer), rated, 2.0)
+
+
+def test_bearings_are_a_series_system(rated):
+    """Eq. 24, and the powers of the ratings."""
+    share = np.sum((rated.life / rated.arm) ** 1.125) + np.sum((rated.life / rated.support) ** 1.125)
+    assert float(share) == pytest.approx(1, rel=1e-12)
+    strong = jax.tree.map(lambda x: x, DESIGN)
+    arm = strong.bearings.arm.replace(rating_factor=2.2)
+    support = strong.bearings.support.replace(rating_factor=2.2)
+    strong = strong.replace(bearings=strong.bearings.replace(arm=arm, support=support))
+    assert_same(rate(strong, ERRORS, DUTY), rated, 2 ** (10 / 3))
+
+
+def test_reliability_scales_all_lives_alike(rated):
+    """Eq. 23: the factors of 1977, 0.62 at 95 % and 0.21 at 99 %."""
+    for reliability, factor in ((0.95, 0.62), (0.99, 0.21)):
+        found = rate(DESIGN, ERRORS, DUTY, reliability=reliability)
+        a1 = (np.log(1 / reliability) / np.log(1 / 0.9)) ** (1 / 1.5)
+        assert_same(found, rated, a1)
+        assert a1 == pytest.approx(factor, abs=0.005)
+
+
+@pytest.mark.long  # compiles the gradient to every number
+def test_derivatives_are_those_of_the_plain_value():
+    """A unit whose contacts stay closed near this torque; a step of 1e-9 m, 1e-5 of the rest: 1e-4 of the value."""
+    number = jax.jit(lambda d, e, u, r: jnp.log(rate(d, e, u, reliability=r).life))
+    given = jax.tree.map(jnp.asarray, (DESIGN, ERRORS, DUTY, 0.95))
+    slope = jax.jit(jax.grad(number, argnums=(0, 1, 2, 3)))(*given)
+    rng = np.random.default_rng(0)
+    for part in range(4):
+        sizes = jax.tree.map(lambda x, part=part: 1e-9 if part == 1 else 1e-6 * np.abs(x), given[part])
+        step = jax.tree.map(lambda x, s: s * rng.choice([-1.0, 1.0], np.shape(x)), given[part], sizes)
+        ends = [
+            number(
+                *given[:part], jax.tree.map(lambda x, s, side=side: x + side * s, given[part], step), *given[part + 1 :]
+            )
+            for side in (-1, 1)
+        ]
+        due = sum(np.sum(a * b) for a, b in zip(*map(jax.tree.leaves, (slope[part], step))))
+        assert float(ends[1] - ends[0]) / 2 == pytest.approx(float(due), rel=1e-3, abs=1e-9), part
+    for name in ("pin_position", "disc_runout", "disc_cumulative_pitch", "sun_flank"):
+        assert not np.any(getattr(slope[1], name)), name  # bounds, and errors of other models
+    assert float(slope[3]) < 0
+
+
+def test_nothing_that_turns_under_load_is_an_infinite_life():
+    still = DUTY.replace(output_speed=np.zeros(4))
+    torque = jnp.asarray(DUTY.output_torque)
+    slope = jax.grad(lambda t: rate(DESIGN, ERRORS, still.replace(output_torque=t)).life)(torque)
+    assert not np.any(slope)
+    found = rate(DESIGN, ERRORS, still)
+    assert int(found.info.status) == Status.UNLOADED and np.isinf(found.arm).all() and np.isinf(found.support).all()
+    assert not np.any(found.arm_load) and np.isfinite(found.static_safety)
+
+
+def test_a_bad_number_is_a_status_and_leaves_its_neighbours(rated):
+    """In any column, of a phase at rest too; a bearing that cannot be, a negative time, nothing but zero times."""
+    column = {name: np.tile(getattr(DUTY, name), (8, 1)) for name in ("output_torque", "output_speed", "time")}
+    column["output_torque"][1, 3] = np.nan
+    column["output_speed"][2, 3] = np.inf
+    column["time"][3, 0] = -0.1
+    column["time"][4] = 0.0
+    diameter = np.full(8, 6e-3)
+    diameter[5], diameter[6] = 33e-3, np.nan
+    errors = jax.tree.map(lambda x: np.tile(x, (8,) + (1,) * np.ndim(x)), ERRORS)
+    errors.pin_radius[7] = np.nan
+
+    def one(duty, diameter, errors):
+        arm = DESIGN.bearings.arm.replace(roller_diameter=diameter)
+        return rate(DESIGN.replace(bearings=DESIGN.bearings.replace(arm=arm)), errors, duty)
+
+    made = jax.vmap(lambda a, b, c, d, e: one(life.Duty(a, b, c), d, e))
+    found = made(*jax.tree.map(jnp.asarray, (*column.values(), diameter, errors)))
+    finite, fits = Status.NONFINITE, Status.INVALID_GEOMETRY
+    assert [int(s) for s in found.info.status] == [Status.CONVERGED, finite, finite, fits, fits, fits, finite, finite]
+    for name in FIELDS:
+        values = np.asarray(getattr(found, name))
+        assert np.isnan(values[1:]).all(), name
+        np.testing.assert_allclose(values[0], getattr(rated, name), rtol=1e-9)
+
+
+def test_a_torque_for_a_life_gives_it_back(rated):
+    """And falls with life and speed; its derivatives are those of its differences."""
+    options = PLAN | dict(life=2e7, output_speed=15 * rpm)
+    found = rvjax.check(life.rated_torque(DESIGN, ERRORS, **options))
+    duty = life.Duty(np.full(4, float(found.torque)), np.full(4, -15 * rpm), np.ones(4))
+    assert float(rate(DESIGN, ERRORS, duty).life) == pytest.approx(2e7, rel=1e-9)
+    twice = life.rated_torque(DESIGN, ERRORS, **(options | dict(life=1e7, output_speed=30 * rpm)))
+    assert float(twice.torque) == pytest.approx(float(found.torque), rel=1e-9)  # as many revolutions
+    slope = jax.grad(lambda x: life.rated_torque(DESIGN, ERRORS, **(options | dict(life=x))).torque)(2e7)
+    ends = [life.rated_torque(DESIGN, ERRORS, **(options | dict(life=2e7 * s))).torque for s in (1 - 1e-4, 1 + 1e-4)]
+    assert float(slope) == pytest.approx(float(ends[1] - ends[0]) / 4e3, rel=1e-4) and float(slope) < 0
+
+
+def test_no_torque_gives_more_than_interference_leaves():
+    found = life.rated_torque(DESIGN, ERRORS, **(PLAN | dict(life=1e15, output_speed=15 * rpm)))
+    assert int(found.info.status) == Status.NO_BRACKET and np.isnan(found.torque)
+    found = life.rated_torque(DESIGN, ERRORS, **(PLAN | dict(life=1e-6, output_speed=15 * rpm)))
+    assert int(found.info.status) == Status.CONTACT_OVERLOAD and np.isnan(found.torque)
+
+
+def lacking(**changes):
+    return DESIGN.replace(bearings=DESIGN.bearings.replace(**changes))
+
+
+ARM, SUPPORT = DESIGN.bearings.arm, DESIGN.bearings.support
+TAPERED = dict(support=SUPPORT.replace(contact_angle=0.2), preload=900.0)
+
+
+@pytest.mark.parametrize(
+    ("call", "told"),
+    [
+        (lambda: rate(DESIGN.replace(bearings=None), ERRORS, DUTY), "RVReducer.bearings = None"),
+        (lambda: rate(DESIGN, ERRORS, DUTY, method="iso"), "method = 'iso'"),
+        (lambda: rate(DESIGN, ERRORS, DUTY, reliability=1.0), "reliability = 1: must lie between 0 and 1"),
+        (lambda: rate(DESIGN, ERRORS, DUTY, reliability=-0.5), "reliability = -0.5"),
+        (lambda: rate(DESIGN, ERRORS, DUTY, samples=0), "samples = 0: must be an integer of at least 1"),
+        (lambda: rate(DESIGN, ERRORS, DUTY, turns=0.51), "turns = 0.51: must be a whole number of crank turns"),
+        (lambda: rate(DESIGN, ERRORS, DUTY, turns=0.0), "turns = 0: must be"),
+        (lambda: rate(DESIGN, ERRORS, DUTY, tilt=1e-3), "tilt = 0.001 rad"),
+        (lambda: rate(DESIGN, ERRORS, (412.0, 1.0, 1.0)), "duty: must be a Duty"),
+        (lambda: life.Duty([1.0, 2.0], [1.0], [1.0, 1.0]), "output_speed: shape .1,. has 1 phases"),
+        (lambda: life.Duty([], [], []), "output_torque = .* must have at least one phase"),
+        (lambda: life.Duty([1.0], [1.0], [-1.0]), "Duty.time = .*: must be zero or positive"),
+        (lambda: life.Duty([1.0, 1.0], [1.0, 1.0], [0.0, 0.0]), "Duty.time = .*: must have a positive sum"),
+        (lambda: lacking(arm=ARM.replace(contact_angle=0.1)), "Bearings.arm.contact_angle = 0.1 rad: must be 0"),
+        (lambda: lacking(support=SUPPORT.replace(contact_angle=0.1)), "tapered supports need preload in N"),
+        (lambda: lacking(support_span=None), "Bearings.support_span = None: give all of"),
+        (lambda: lacking(preload=900.0), "support.contact_angle = 0 rad: must be positive"),
+        (lambda: rate(lacking(**TAPERED), ERRORS, DUTY, method="raceway"), "method = 'raceway': must be \"basic\""),
+        (lambda: rate(lacking(disc_position=np.ones(3)), ERRORS, DUTY), r"Bearings.disc_position: shape \(3,\)"),
+        (lambda: life.rated_torque(DESIGN, ERRORS, life=0.0, output_speed=1.0), "life = 0 s: must be positive"),
+        (lambda: life.rated_torque(DESIGN, ERRORS, life=1.0, output_speed=0.0), "output_speed = 0 rad/s"),
+    ],
+)
+def test_what_cannot_be_is_one_line(call, told):
+    with pytest.raises(ValueError, match=told) as raised:
+        call()
+    assert "\n" not in str(raised.value)
+
+
+@pytest.mark.long
+def test_the_example_of_the_page():
+    """RV-40E with the bearings of the catalogue: docs/models/life.md prints these numbers."""
+    none, duty = RVErrors(), life.Duty([412.0], [15 * rpm], [1.0])
+    hours = {m: float(life.rating(DESIGN, none, duty, method=m).life) / 3600 for m in ("basic", "raceway", "slices")}
+    assert hours["basic"] == pytest.approx(9688, rel=1e-3)
+    assert hours["raceway"] == pytest.approx(8469, rel=1e-3)
+    assert hours["slices"] == pytest.approx(33495, rel=5e-3)
+    rated = [life.rated_torque(DESIGN, none, life=6000 * 3600.0, output_speed=n * rpm) for n in (5, 15, 60)]
+    torques = [float(found.torque) for found in rated]
+    np.testing.assert_allclose(torques, [661.5, 475.7, 313.8], rtol=2e-4)
