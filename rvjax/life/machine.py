@@ -15,7 +15,7 @@ from rvjax.life.bearing import Looseness, check_method, damaged
 from rvjax.life.histories import WEIBULL, Damage, basic, magnitude
 from rvjax.life.ratings import harmless, ratings, unfit
 from rvjax.life.supports import Equivalent, shared, tapered
-from rvjax.loaded import BearingForces, Layout, check_input, ratio, unchecked
+from rvjax.loaded import BearingForces, Layout, check_input, unchecked
 from rvjax.records import axis_sizes, concrete, quantity
 from rvjax.status import Check, Gate, SolveInfo, Status, worst_of
 
@@ -94,7 +94,7 @@ def input_angles(plan: Plan, design: RVReducer, dtype: Any) -> jax.Array:
     """
     order = np.arange(plan.samples)
     lap = np.floor(plan.crank_turns * ((order * _GOLDEN) % 1))
-    return jnp.asarray(ratio(design) * 2 * np.pi * (lap + order / plan.samples) / plan.layout.pins, dtype)
+    return jnp.asarray(design.ratio * 2 * np.pi * (lap + order / plan.samples) / plan.layout.pins, dtype)
 
 
 def inner_angles(plan: Plan, dtype: Any) -> jax.Array:

@@ -7,7 +7,6 @@ Derived in this project: docs/models/loaded.md.
 from rvjax.loaded.encoder import Reading, housing_orders, reading
 from rvjax.loaded.bearing_forces import BearingForces, bearing_forces
 from rvjax.loaded.equilibrium import Loaded, equilibrium
-from rvjax.loaded.geometry import ratio
 from rvjax.loaded.laws import CONTACTS
 from rvjax.loaded.inputs import SUPPORTS, Read, admit, check_input, unchecked
 from rvjax.loaded.revolution import Revolution, revolution
