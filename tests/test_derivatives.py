@@ -18,7 +18,7 @@ import pytest
 from loaded_cases import NAMED, design_of
 
 from rvjax import CrankStage, Damping, models
-from rvjax.catalogue import CORR, RV_320E
+from rvjax.catalogue import CORR, RV_40E, RV_320E
 from rvjax.status import succeeded
 from rvjax.study.response import Response
 from rvjax.units import rpm
@@ -46,6 +46,8 @@ LOADED = ("loaded_transmission_error", "pin_force")
 BENCH = ("pin_pressure", "backlash", "bench_lost_motion", "torsional_stiffness")
 TURN = ("second_transmission_error", "unloaded_transmission_error", "mean_shift", "order_amplitude")
 TURN += ("turn_pin_pressure", "arm_bearing_force", "support_bearing_force", "crank_sharing", "disc_sharing")
+LIFE = ("life", "arm_bearing_life", "static_safety", "rated_torque")
+RATED = dict(duty=((412.0, 1.5, 1.0),), rated_life=2e7, rated_speed=1.5)
 SPINNING = ("static_transmission_error", "dynamic_transmission_error", "dynamic_vibration")
 CASES = {  # design, outputs, conditions
     "four bar": (WHOLE, ("transmission_error",), RUN),
@@ -59,11 +61,12 @@ CASES = {  # design, outputs, conditions
     "loaded": (WHOLE, LOADED, RUN),
     "bench": (WHOLE, BENCH, RUN),
     "turn": (WHOLE, TURN, RUN | dict(second_torque=200.0, order=40)),
+    "life": (WHOLE.replace(bearings=RV_40E.bearings), LIFE, RUN | RATED),
     "speed": (WHOLE, SPINNING, RUN | dict(load_inertia=10.0, speeds=4)),
 }
 # These compile long; a quicker way through most of the same model runs by default.
 LONG = ("four bar, misfit", "four bar, curve", "lost motion, contact", "dynamics", "balance")
-LONG += ("loaded", "bench", "turn", "speed")
+LONG += ("loaded", "bench", "turn", "life", "speed")
 
 
 def test_no_output_is_left_out():
@@ -91,7 +94,7 @@ def drawn(design, random):
 @pytest.mark.parametrize("case", [pytest.param(c, marks=pytest.mark.long) if c in LONG else c for c in CASES])
 def test_gradients_are_slopes_of_the_plain_value(case):
     design, outputs, given = CASES[case]
-    h = 1e-4 if case in ("loaded", "bench", "turn", "speed") else 1e-3
+    h = 1e-4 if case in ("loaded", "bench", "turn", "life", "speed") else 1e-3
     response = Response.of(design, outputs, models.kind(design).conditions(**given))
 
     def values(errors):
