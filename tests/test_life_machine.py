@@ -129,6 +129,14 @@ def test_a_bad_number_is_a_status_and_leaves_its_neighbours(rated):
         np.testing.assert_allclose(values[0], getattr(rated, name), rtol=1e-9)
 
 
+def test_single_precision_is_good_to_a_percent(rated):
+    small = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), (DESIGN, ERRORS, DUTY))
+    found = rate(*small)
+    for name in FIELDS:
+        assert getattr(found, name).dtype == jnp.float32, name
+        np.testing.assert_allclose(getattr(found, name), getattr(rated, name), rtol=0.01)
+
+
 def test_a_torque_for_a_life_gives_it_back(rated):
     """And falls with life and speed; its derivatives are those of its differences."""
     options = PLAN | dict(life=2e7, output_speed=15 * rpm)

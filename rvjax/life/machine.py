@@ -1,5 +1,6 @@
 """All crank bearings of one reducer: what is read, what may be, and the damage that its forces do."""
 
+import math
 from typing import Any, NamedTuple
 
 import jax
@@ -226,4 +227,4 @@ def reliability_factor(reliability: jax.Array) -> jax.Array:
     Args:
         reliability: between 0 and 1.
     """
-    return power(-jnp.log(reliability) / -np.log(0.9), 1 / 1.5)
+    return power(jnp.log(reliability) / math.log(0.9), 1 / 1.5)
