@@ -157,5 +157,6 @@ DESCRIPTION = Description(
     },
     unknown=UNKNOWN,
     compiler_options=QUICK,
+    costly=True,
     parts=("bearings",),
 )
