@@ -47,7 +47,7 @@ def test_the_page_shows_the_last_score():
     kept = json.loads((ROOT / "census" / "mutants.json").read_text("utf-8"))
     page = (ROOT / "docs" / "stability.md").read_text("utf-8")
     of_group = [m.group for m in mutants.table()]
-    assert set(kept["groups"]) == set(of_group)
+    assert set(kept["groups"]) <= set(of_group)
     for group, (killed, count) in kept["groups"].items():
         assert f"| {group} | {killed} of {count} |" in page and count <= of_group.count(group)
     killed, count = (sum(column) for column in zip(*kept["groups"].values()))

@@ -4,11 +4,11 @@ One convex energy; its minimum gives transmission error, torque-angle curve, bac
 Derived in this project: docs/models/loaded.md.
 """
 
-from rvjax.loaded.encoder import Reading, housing_orders, reading
 from rvjax.loaded.bearing_forces import BearingForces, bearing_forces
+from rvjax.loaded.encoder import Reading, housing_orders, reading
 from rvjax.loaded.equilibrium import Loaded, equilibrium
-from rvjax.loaded.laws import CONTACTS
 from rvjax.loaded.inputs import SUPPORTS, Read, admit, check_input, unchecked
+from rvjax.loaded.laws import CONTACTS
 from rvjax.loaded.revolution import Revolution, revolution
 from rvjax.loaded.system import Layout
 from rvjax.loaded.torsion import Torsion, torsion

@@ -8,8 +8,8 @@ import jax.numpy as jnp
 
 from rvjax.loaded.balance import balance, forces
 from rvjax.loaded.equilibrium import judge, placed, prepare
+from rvjax.loaded.inputs import Read
 from rvjax.loaded.newton import Found
-from rvjax.loaded.reading import Read
 from rvjax.loaded.system import Layout
 from rvjax.status import SolveInfo, Status, succeeded
 
