@@ -31,7 +31,7 @@ class Search(NamedTuple):
     value: jax.Array  # there
     pace: jax.Array  # multiple of the value that a step without bracket takes
     status: jax.Array  # -1 while it runs
-    count: jax.Array
+    evaluations: jax.Array
     steps: jax.Array  # of the equilibria
 
 
@@ -59,7 +59,7 @@ def largest_root(evaluate: Evaluate, start: jax.Array, memory: Any) -> tuple[jax
         usable = fine & (slope < 0) & jnp.isfinite(secant)
         bracketed = jnp.isfinite(lower) & jnp.isfinite(upper)
         middle = 0.5 * (lower + upper)
-        inside = usable & (secant > lower) & (secant < upper) & (state.count % 8 != 7)
+        inside = usable & (secant > lower) & (secant < upper) & (state.evaluations % 8 != 7)
         # Without bracket: from above the value undershoots where life falls less steeply, so the root is not passed.
         stuck = jnp.abs(value) > 0.5 * jnp.abs(state.value)
         pace = jnp.where(stuck, 2 * state.pace, 1)
@@ -71,7 +71,7 @@ def largest_root(evaluate: Evaluate, start: jax.Array, memory: Any) -> tuple[jax
         reached = fine & ((jnp.abs(value) <= accuracy) | (upper - lower <= accuracy))
         ended = jnp.where(bracketed & beyond & (upper - lower <= _EDGE), int(Status.CONTACT_OVERLOAD), -1)
         ended = jnp.where(target < start - _RANGE, int(Status.NO_BRACKET), ended)
-        ended = jnp.where(state.count + 1 >= EVALUATIONS, int(Status.MAX_STEPS), ended)
+        ended = jnp.where(state.evaluations + 1 >= EVALUATIONS, int(Status.MAX_STEPS), ended)
         ended = jnp.where(reached, int(Status.CONVERGED), ended)
         ended = jnp.where(fine | over, ended, status).astype(jnp.int32)
         return Search(
@@ -84,7 +84,7 @@ def largest_root(evaluate: Evaluate, start: jax.Array, memory: Any) -> tuple[jax
             value=value,
             pace=pace,
             status=ended,
-            count=state.count + 1,
+            evaluations=state.evaluations + 1,
             steps=state.steps + steps.astype(jnp.int32),
         )
 

@@ -84,8 +84,8 @@ def approach_under(rollers: Rollers, number: int, size: jax.Array) -> tuple[jax.
         size: of the load, () N.
     """
     half = np.arange(number // 2 + 1)  # rollers left and right of the load carry alike
-    count = np.where((half == 0) | (2 * half == number), 1.0, 2.0)
-    cosine, count = (jnp.asarray(x, size.dtype) for x in (np.cos(2 * np.pi * half / number), count))
+    like = np.where((half == 0) | (2 * half == number), 1.0, 2.0)
+    cosine, count = (jnp.asarray(x, size.dtype) for x in (np.cos(2 * np.pi * half / number), like))
     load = size / rollers.spring
     lean = jnp.abs(rollers.place * jnp.tan(rollers.tilt))
     alone = jnp.max(rollers.gap + lean) + power(load, 1 / _LINE)  # every lamina of roller 0 carries more than the load
