@@ -205,7 +205,8 @@ def test_missing_files_and_names(tmp_path):
 
 def test_a_dear_unit_without_errors_is_solved_at_the_first_response(monkeypatch):
     """Compiling it takes seconds; who only reads the study does not wait, who computes is told."""
-    from rvjax.study import batch, question
+    from rvjax.commands.montecarlo import batch
+    from rvjax.study import question
 
     solved = []
 
