@@ -39,37 +39,3 @@ def answered_once() -> Iterator[dict]:
         for name, few in dict(_POINTS=2, UNITS=1024, BLOCK=1024, FRESH=8192).items():
             patch.setattr(module("report", "surrogate"), name, few)
         yield FOUND
-
-
-@pytest.fixture(scope="module")
-def answers():
-    """Answers by the text of their study; in this module each is computed once."""
-    with answered_once() as found:
-        yield found
-
-
-@pytest.fixture(scope="session")
-def answered(tmp_path_factory):
-    """One allocation through the command line, shared by the tests that look at what it wrote."""
-    from rvjax import cli
-
-    folder = tmp_path_factory.mktemp("allocate")
-    (folder / "small.toml").write_text(SMALL)
-    with answered_once():
-        code = cli.main(["allocate", str(folder / "small.toml"), "--results", str(folder / "out"), "--quiet"])
-    return code, folder / "out"
-
-
-@pytest.fixture
-def undrawn(monkeypatch):
-    """Pages and folders with empty plots, two seconds sooner each: for tests of their words."""
-    from rvjax.render import Figure
-
-    monkeypatch.setattr(Figure, "content", lambda *_: b"")
-
-
-@pytest.fixture
-def here(tmp_path, monkeypatch):
-    """An empty folder to work in."""
-    monkeypatch.chdir(tmp_path)
-    return tmp_path

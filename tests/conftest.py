@@ -38,11 +38,12 @@ os.environ.setdefault("JAX_TRACEBACK_IN_LOCATIONS_LIMIT", "0")  # no line of sou
 import jax
 import matplotlib
 import pytest
-from cli_study import answered, answers, here, undrawn  # noqa: F401  (fixtures of the commands' tests)
+from cli_study import SMALL, answered_once
 from hypothesis import settings
 
 import rvjax
-from rvjax import models
+from rvjax import cli, models
+from rvjax.render import Figure
 
 gc.set_threshold(200_000, 20, 100)  # tracing makes millions of objects; looking through them all cost a tenth
 rvjax.enable_x64()
@@ -92,6 +93,36 @@ def fake_model(monkeypatch):
     """The outputs of `tests/fake_model`, which is listed among the models for the length of a test."""
     monkeypatch.setattr(models, "MODELS", (*models.MODELS, "tests.fake_model"))
     return importlib.import_module("tests.fake_model.outputs")
+
+
+@pytest.fixture(scope="module")
+def answers():
+    """Answers by the text of their study; in this module each is computed once."""
+    with answered_once() as found:
+        yield found
+
+
+@pytest.fixture(scope="session")
+def answered(tmp_path_factory):
+    """One allocation through the command line, shared by the tests that look at what it wrote."""
+    folder = tmp_path_factory.mktemp("allocate")
+    (folder / "small.toml").write_text(SMALL)
+    with answered_once():
+        code = cli.main(["allocate", str(folder / "small.toml"), "--results", str(folder / "out"), "--quiet"])
+    return code, folder / "out"
+
+
+@pytest.fixture
+def undrawn(monkeypatch):
+    """Pages and folders with empty plots, two seconds sooner each: for tests of their words."""
+    monkeypatch.setattr(Figure, "content", lambda *_: b"")
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    """An empty folder to work in."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
 
 
 @pytest.fixture

@@ -5,7 +5,6 @@ the file itself: a checkpoint of this study is below 2 MB, so 64 MB of growth le
 """
 
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -18,7 +17,7 @@ import pytest
 
 from rvjax import cli
 from rvjax.commands.montecarlo import batch
-from rvjax.files import digest, pack, unpack, write_atomically
+from rvjax.files import digest, pack, unpack
 from rvjax.render import Note, Report, new_folder, results_folder, write_files
 from rvjax.tolerances import Requirement, Tolerance, load, monte_carlo, origin
 from tests.test_cli_montecarlo import SMALL
@@ -120,21 +119,22 @@ def test_a_result_that_was_compressed_is_refused(whole, tmp_path):
         load(tmp_path / "a.npz")
 
 
-def test_two_who_write_one_file_at_once_do_not_mix(tmp_path, monkeypatch):
-    path, mine = tmp_path / "a.json", os.getpid()
-    sync = os.fsync
-
-    def other_writes_meanwhile(file):
-        monkeypatch.setattr(os, "fsync", sync)
-        monkeypatch.setattr(os, "getpid", lambda: mine + 1)
-        write_atomically(path, b"other" * 1000)
-        monkeypatch.setattr(os, "getpid", lambda: mine)
-        sync(file)
-
-    monkeypatch.setattr(os, "fsync", other_writes_meanwhile)
-    write_atomically(path, b"mine" * 100)
-    assert path.read_bytes() == b"mine" * 100
-    assert [file.name for file in tmp_path.iterdir()] == ["a.json"]
+def test_two_processes_that_write_one_file_do_not_mix(tmp_path):
+    """Each writes its own letter, longer every time; whoever reads meanwhile finds the whole of one of them."""
+    path = tmp_path / "a"
+    script = (
+        "import sys; from pathlib import Path; from rvjax.files import write_atomically\n"
+        "for k in range(1, 200): write_atomically(Path(sys.argv[1]), sys.argv[2].encode() * 1000 * k)"
+    )
+    writers = [subprocess.Popen([sys.executable, "-c", script, str(path), letter]) for letter in "ab"]
+    seen = set()
+    while any(writer.poll() is None for writer in writers):
+        if path.exists():
+            content = path.read_bytes()
+            assert len(set(content)) == 1 and len(content) % 1000 == 0
+            seen.add(content[:1])
+    assert [writer.returncode for writer in writers] == [0, 0] and seen
+    assert len(path.read_bytes()) == 199_000 and [file.name for file in tmp_path.iterdir()] == ["a"]
 
 
 def test_two_runs_of_one_study_keep_both_answers(tmp_path, monkeypatch):
