@@ -133,7 +133,7 @@ def test_outside_what_was_measured_the_exact_level(change, word):
     assert choice.bound is None and word in choice.why and dict(choice.settings)["closure"] is None
 
 
-def test_what_an_output_does_not_read_does_not_matter():
+def test_an_output_ignores_errors_that_it_does_not_read():
     design = RV_40E.replace(cycloid=RV_40E.cycloid.replace(equidistant_modification=-20 * um, pin_radius=4e-3))
     tolerances = for_design(design, **LINKS, disc_runout=Tolerance(0.0, 500 * um))
     assert chosen(30 * arcsec, design, tolerances=tolerances).bound is not None
@@ -215,7 +215,7 @@ def test_measuring_a_model(lost_motion):
     assert made.errors["disc_runout"] == pytest.approx(15 * um)
 
 
-def test_what_is_timed_may_be_units_of_one_design(lost_motion, monkeypatch):
+def test_units_of_one_design_can_be_timed(lost_motion, monkeypatch):
     small = dataclasses.replace(lost_motion, ways=lost_motion.ways[:1], batch=8, calls=1, timed=32)
     given = []
 

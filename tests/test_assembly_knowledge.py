@@ -23,7 +23,7 @@ def test_unmeasured_parts_gain_nothing():
     assert abs(found.objective - 2.0) < 0.4 and abs(found.random.value - 2.0) < 0.4
 
 
-def test_many_parts_leave_what_the_gauge_does_not_see():
+def test_many_parts_leave_the_error_that_the_gauge_does_not_measure():
     """Spread left as a share of random: sqrt(s^2/(s0^2 + s^2)); a hundred parts miss their match by little.
 
     The promise is an expectation; what is left by chance is the unequal mean of both lots, (4/100)/2 of the square.

@@ -39,7 +39,7 @@ def few(monkeypatch):
 
 
 @pytest.mark.parametrize("objective", ["mean", "bottleneck", "yield"])
-def test_it_finds_what_valuing_all_finds(objective, monkeypatch):
+def test_the_plan_on_demand_equals_the_plan_of_all_combinations(objective, monkeypatch):
     for seed in range(4):
         kinds, options = kinds_of(seed), dict(objective=objective, requirement=LIMIT)
         monkeypatch.setattr(on_demand, "MOST_VALUED", 2**26)

@@ -76,7 +76,7 @@ def test_the_study_of_the_new_model_is_a_study(monkeypatch):
     assert float(found) == float(module.twist(errors, torque=500.0).angle)
 
 
-def test_the_first_study_of_the_first_page_can_be_asked():
+def test_the_first_study_of_the_first_page_runs():
     (text,) = blocks("index.md", "toml")
     question = study.parse_study(text, name="docs")
     assert question.doubts == [] and list(question.costs) == ["crank_eccentricity"]

@@ -94,7 +94,7 @@ LIES = {
 
 
 @pytest.mark.parametrize("lie", LIES)
-def test_a_malformed_checkpoint_is_refused(whole, tmp_path, lie):
+def test_a_malformed_checkpoint_is_an_error(whole, tmp_path, lie):
     make, words = LIES[lie]
     (tmp_path / "c").write_bytes(make(whole))
     tracemalloc.start()
@@ -107,7 +107,7 @@ def test_a_malformed_checkpoint_is_refused(whole, tmp_path, lie):
     assert "damaged, or no checkpoint" in str(caught.value) and "delete it to begin anew" in str(caught.value)
 
 
-def test_the_whole_one_goes_on_to_the_same_bits(whole, tmp_path):
+def test_an_intact_checkpoint_resumes_to_the_same_bits(whole, tmp_path):
     (tmp_path / "c").write_bytes(changed(whole))
     found = monte_carlo(units, ONE, checkpoint=tmp_path / "c", **OPTIONS)
     assert found.mean == monte_carlo(units, ONE, **OPTIONS).mean
@@ -137,7 +137,7 @@ def test_two_processes_that_write_one_file_do_not_mix(tmp_path):
     assert len(path.read_bytes()) == 199_000 and [file.name for file in tmp_path.iterdir()] == ["a"]
 
 
-def test_two_runs_of_one_study_keep_both_answers(tmp_path, monkeypatch):
+def test_two_runs_of_one_study_write_two_folders(tmp_path, monkeypatch):
     """Both chose the same folder when they began."""
     monkeypatch.chdir(tmp_path)
     wanted = results_folder(None, "s")
@@ -148,7 +148,7 @@ def test_two_runs_of_one_study_keep_both_answers(tmp_path, monkeypatch):
     assert new_folder(wanted) == Path("results/s-3")
 
 
-def test_a_study_edited_during_a_run_labels_nothing(tmp_path, monkeypatch):
+def test_a_result_names_the_study_as_it_was_read(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "small.toml").write_text(SMALL)
     run = batch.run

@@ -16,7 +16,7 @@ from rvjax.tolerances import Requirement, Tolerance
 from tests.identify_models import THREE, G, Noise, line, solved, unit
 
 
-def test_equal_slopes_show_their_sum_alone():
+def test_errors_with_equal_slopes_are_identified_by_their_sum_only():
     """lambda = 2 g'g, correlation -g'g/(1 + g'g), the sum known to 1/sqrt(1 + lambda)."""
     found = solved(np.array([1.0, 0.4, 0.3, -0.6]))
     square = (G[:, 0] @ G[:, 0]) / 0.5**2

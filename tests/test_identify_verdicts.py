@@ -37,7 +37,7 @@ def test_noise_far_from_its_truth(sd):
         assert set(found.verdict.values()) == {"unseen"} and found.fit.p_model > 0.99
 
 
-def test_student_noise_shrugs_off_an_outlier():
+def test_an_outlier_hardly_moves_a_fit_with_student_noise():
     data = G @ np.array([0.5, 0.5, 0.0]) + np.array([0.0, 0.0, 0.0, 30.0])
     normal, student = solved(data), solved(data, noise=Noise(0.5, dof=4.0))
     assert abs(student.u[:2].sum() - 1.0) < 0.2 < abs(normal.u[:2].sum() - 1.0)

@@ -65,7 +65,7 @@ def minima(case):
 
 
 @pytest.mark.long  # another layout is another program, half a minute to compile
-def test_what_is_converged_has_its_forces_and_what_is_not_still_its_error():
+def test_converged_cases_have_forces_and_failed_cases_keep_their_error():
     """A clearance of 10 um holds a part by 1e-8 of a spring: rounding moves it by up to 1e-9 rad."""
     solve = jax.jit(jax.vmap(lambda case: census.run(case, **LAYOUT, given=False)))
     lost = known = 0

@@ -43,7 +43,7 @@ def test_force_slope_and_energy_belong_together(law):
 
 
 @pytest.mark.parametrize("law", laws.CONTACTS)
-def test_what_does_not_touch_carries_nothing(law):
+def test_contacts_that_do_not_touch_carry_no_force(law):
     apart, compliance = jnp.asarray([-1e-6, 0.0]), jnp.asarray(CASES[law][0])
     load = force(law, apart)
     assert np.all(load == 0) and np.all(laws.slope(law, apart, load, compliance) == 0)

@@ -78,7 +78,7 @@ def test_overrides_units_and_cost_models():
     assert float(s.costs["crank_phase"](5 * arcmin)) == pytest.approx(2 / np.e)
 
 
-def test_what_follows_from_changed_teeth_follows():
+def test_derived_numbers_follow_changed_teeth():
     """An RV-80E on the base of an RV-40E: every radius of its gears, and its cranks on the axes of the planets."""
     changes = """
 involute.sun_teeth = 10
@@ -203,7 +203,7 @@ def test_missing_files_and_names(tmp_path):
         study.load(str(tmp_path / "empty.toml"))
 
 
-def test_a_dear_unit_without_errors_is_solved_at_the_first_response(monkeypatch):
+def test_a_costly_nominal_unit_is_solved_at_the_first_response(monkeypatch):
     """Compiling it takes seconds; who only reads the study does not wait, who computes is told."""
     from rvjax.commands.montecarlo import batch
     from rvjax.study import question

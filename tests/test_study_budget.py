@@ -84,7 +84,7 @@ def test_shares_are_those_of_the_linear_response(question, found):
     assert not found.variance["loaded"]["pin_radius"].any()  # of the flank, which the linkage does not know
 
 
-def test_what_errors_do_together_is_bounded():
+def test_interactions_of_errors_are_bounded():
     """Oracle: f = a x + b y + c x y + d x y z of normal numbers has the variance a^2 + b^2 + c^2 + d^2, of which c^2 +
     d^2 is together; the bound counts a term of three twice. Five standard errors."""
     a, b, units = 2.0, 1.0, Population.of(dict.fromkeys("xyz", Tolerance.symmetric(1.0)))
@@ -191,7 +191,7 @@ def test_the_command_writes_a_folder(found, tmp_path, monkeypatch, capsys):
     assert "--torque = '412': unit '' is not one of" in capsys.readouterr().err
 
 
-def test_the_report_says_who_owns_the_error(found):
+def test_the_report_lists_the_contributors_to_the_error(found):
     section = section_on(found)
     (table,) = (part for part in section.content if isinstance(part, Table))
     headers, rows = table.texts("page")
@@ -219,6 +219,6 @@ def test_which_studies_have_a_budget(question, monkeypatch):
         ("angles", "angles", dict(output="lost_motion"), "no response required here has a curve"),
     ],
 )
-def test_what_cannot_be_budgeted_is_refused(old, new, options, words):
+def test_studies_without_a_budget_raise_an_error(old, new, options, words):
     with pytest.raises(ValueError, match=words):
         error_budget(parse_study(TEXT.replace(old, new), name="x", solve=False), **options)

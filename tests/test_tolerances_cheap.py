@@ -38,7 +38,7 @@ def test_the_optimum_is_that_of_the_response(alone):
     assert found.evaluations["cheap"] > 0 == alone.evaluations["cheap"]
 
 
-def test_a_cheap_response_that_is_right_is_asked_most():
+def test_an_accurate_low_fidelity_response_gets_most_evaluations():
     """A length of two sums of eight errors: no root sum of squares, and eight fields to loosen in an audit. What is
     left to the response is to say where it stands: nominal, finest, start, and after two or three mapped searches."""
     weights = np.random.default_rng(0).normal(size=(2, 8))
@@ -68,7 +68,7 @@ def test_one_that_goes_the_other_way_is_given_up(alone):
     assert found.cost == allocate(linear, PAIR, above, costs=COSTS, **FEW).cost
 
 
-def test_a_slope_of_the_wrong_sign_misleads_nobody():
+def test_a_low_fidelity_slope_of_the_wrong_sign_still_gives_the_optimum():
     """With errors that go together the cheap response correlates, and yet it says that a wider b does good."""
     together = {("a", "b"): 0.9}
     cheap = lambda e: 4 * e["a"] - 0.5 * e["b"]  # noqa: E731
@@ -81,7 +81,7 @@ def test_a_slope_of_the_wrong_sign_misleads_nobody():
         assert found.half_widths[name] == pytest.approx(t, rel=0.03)
 
 
-def test_one_whose_units_fail_is_given_up(alone):
+def test_a_low_fidelity_response_whose_units_fail_is_dropped(alone):
     found = allocate(linear, PAIR, NEED, costs=COSTS, cheap=lambda e: linear(e) * jnp.sqrt(e["a"] - 1.0), **FEW)
     assert found.cheap_refused is not None and found.cost == alone.cost
 

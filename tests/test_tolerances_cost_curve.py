@@ -112,7 +112,7 @@ def test_each_point_starts_from_the_last(of_bent):
     assert max(of_bent.evaluations[1:]) <= of_bent.evaluations[0]
 
 
-def test_a_curve_compiles_nothing_anew(of_bent):
+def test_a_cost_curve_compiles_no_further_program(of_bent):
     count = lambda: [programs(respond, bent), programs(pulled, bent), conlin._minima._cache_size()]  # noqa: E731
     before = count()
     first = of_bent.allocations[0]

@@ -60,7 +60,7 @@ def test_an_error_without_a_cost_moves_too_and_ranges_hold():
     assert float(result.tolerances["a"].middle) == 0.0
 
 
-def test_what_no_half_width_makes_feasible_a_middle_may():
+def test_a_moved_middle_can_meet_what_no_half_width_meets():
     far = Tolerance(3.5, 4.5)
     assert found(None, tolerance=far).status == "INFEASIBLE"
     result = found({"a": Middle(-3.0, 5.0)}, tolerance=far)

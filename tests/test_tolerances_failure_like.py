@@ -65,7 +65,7 @@ def test_a_cheap_response_spares_most_units_and_biases_nothing():
         pytest.param(lambda e: jnp.nan * e["v"][0], flat, FLAT, id="no value"),
     ],
 )
-def test_what_the_cheap_response_does_not_know_is_noticed(like, response, exact):
+def test_failures_missing_in_the_low_fidelity_response_are_noticed(like, response, exact):
     run = asked(response, like)
     assert "UNLIKE" in run.status
     assert abs(run.probability.value - exact) < 5 * run.probability.error < exact

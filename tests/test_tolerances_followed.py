@@ -72,7 +72,7 @@ def test_every_unit_is_on_its_side_of_the_limits(steps):
     assert solved / 3 < UNITS / 3
 
 
-def test_a_response_that_no_line_foresees_is_solved_whole():
+def test_a_response_far_from_linear_is_solved_for_all_units():
     """Each step draws the lots anew, so that what a unit did before says nothing."""
     lots = lambda e: {"y": jnp.sin(1e4 * e["z"] + 1e3 * e["x"][0])}  # noqa: E731
     units, values, _, (exact, _) = followed(lots, population(1.0), population(1.1), aims={"y": [0.9]})
@@ -94,7 +94,7 @@ def test_failures_are_not_foreseen():
     np.testing.assert_array_equal(np.isnan(values["y"]), np.isnan(exact["y"]))
 
 
-def test_what_is_known_is_not_solved_again():
+def test_known_units_are_not_solved_again():
     units = Followed(Costly(peaks), population(1.0), UNITS, 0)
     for factor in (1.0, 1.1, 1.0, 1.1):
         units.at(population(factor), lambda values: AIMS)

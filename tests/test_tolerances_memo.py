@@ -39,7 +39,7 @@ def found(kept):
     return allocate(linear, PAIR, NEED, costs=COSTS, samples=512, certificate_samples=2048, memo=kept)
 
 
-def test_what_was_interrupted_goes_on_to_the_same_bits(counted, tmp_path):
+def test_an_interrupted_allocation_resumes_to_the_same_bits(counted, tmp_path):
     whole = found(None)
     blocks, counted.blocks = counted.blocks, 0
     counted.stop = blocks // 2

@@ -89,7 +89,7 @@ def test_ten_thousand_designs_share_one_program_and_none_is_kept():
 
 
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="memory is read from /proc")
-def test_plain_functions_are_let_go():
+def test_plain_functions_are_released():
     added = per_response()(lambda response, x: response(x))  # a program of one addition: 130 compile in seconds
     alive, settled = [], 0.0
     for k in range(130):

@@ -136,7 +136,7 @@ def test_damaged_files_are_named(saved, tmp_path, ending, damage):
             read(path)
 
 
-def test_what_cannot_be_read_or_written_is_named(saved, tmp_path, monkeypatch):
+def test_files_that_cannot_be_read_or_written_are_named(saved, tmp_path, monkeypatch):
     path = tmp_path / "a.json"
     save(saved["one unit"], path)
     whole = path.read_text()

@@ -150,7 +150,7 @@ def test_an_interrupted_run_leaves_no_half_table(tmp_path, monkeypatch):
     assert [file.name for file in tmp_path.iterdir()] == ["u.csv"] and (tmp_path / "u.csv").read_text() == "older"
 
 
-def test_what_no_table_can_be_is_said_before_any_work(tmp_path, monkeypatch, capsys):
+def test_an_impossible_table_is_an_error_before_any_unit_is_solved(tmp_path, monkeypatch, capsys):
     with pytest.raises(ValueError, match=r"u\.txt: must end with \.csv or \.parquet"):
         UnitFile(tmp_path / "u.txt")
     target = UnitFile(tmp_path / "u.csv", errors=True)
