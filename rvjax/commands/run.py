@@ -12,7 +12,8 @@ def run(name: str, options: argparse.Namespace) -> int:
     """Run a command; returns the exit code.
 
     `inputs.inputs(options)` checks everything before any work; its result may have a `folder` for the results.
-    `compute.compute(inputs)` works, in phases that `compute.phases(inputs)` lists with their expected seconds.
+    `compute.compute(inputs)` works, in phases that `compute.phases(inputs)` lists with their expected seconds, if it
+    has any; `compute.COUNTED` is the phase that reports which part of it is done.
     `report.report(inputs, found)` describes what was found.
 
     Args:
@@ -26,7 +27,8 @@ def run(name: str, options: argparse.Namespace) -> int:
     work, report = module(name, "compute"), module(name, "report").report
     folder, quiet = getattr(asked, "folder", None), getattr(asked, "quiet", getattr(options, "quiet", True))
     as_json = options.format == "json" or getattr(options, "json", None) is True  # `--json` that names no file
-    with progress.shown(work.phases(asked), counted=getattr(work, "COUNTED", ""), quiet=quiet):
+    phases = work.phases(asked) if hasattr(work, "phases") else {}
+    with progress.shown(phases, counted=getattr(work, "COUNTED", ""), quiet=quiet):
         progress.begin(READING)
         found = report(asked, work.compute(asked))
         if not as_json and found.content:  # before the folder is made: a failure there leaves the printed result

@@ -26,15 +26,6 @@ class Checked:
     levels: dict[str, Choice]
 
 
-def phases(asked: Inputs) -> dict[str, float]:
-    """No phases: a second of work.
-
-    Args:
-        asked: what is computed.
-    """
-    return {}
-
-
 def compute(asked: Inputs) -> Checked:
     """What follows from the study."""
     question = asked.study

@@ -16,15 +16,6 @@ QUESTIONS = {"rv": "rv-40e", "oscillatory-roller": "corr"}
 UNASKED = ("inertia", "stiffness", "mesh_variation", "damping", "contact", "bearings")  # its question reads none
 
 
-def phases(asked: Inputs) -> dict[str, float]:
-    """No phases: a second of work.
-
-    Args:
-        asked: what is computed.
-    """
-    return {}
-
-
 def compute(asked: Inputs) -> str:
     """Text of the new study."""
     return written(asked.base)

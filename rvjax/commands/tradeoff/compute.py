@@ -7,15 +7,6 @@ from rvjax import levels
 from rvjax.commands.tradeoff.inputs import Inputs
 
 
-def phases(asked: Inputs) -> dict[str, float]:
-    """No phases: a line for each measurement.
-
-    Args:
-        asked: what is computed.
-    """
-    return {}
-
-
 def compute(asked: Inputs) -> tuple[levels.Table, float]:
     """The table of levels, and the seconds that it took."""
     started = time.perf_counter()
