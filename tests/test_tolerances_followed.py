@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from rvjax import tolerances
 from rvjax.population import Population
-from rvjax.response import Part
+from rvjax.response import Part, status_without_errors
 from rvjax.status import Status
 from rvjax.tolerances import Outcome, ReciprocalPower, Requirement, Tolerance, allocate
 from rvjax.tolerances.allocation.followed import Followed
@@ -121,6 +122,33 @@ def test_parts_that_decide_nothing_wait_until_tolerances_have_changed_by_half():
     assert np.diff([row[0] for row in solved]).min() > 0
     exact = Followed(two, population(2.0), UNITS, 0).all_at(population(2.4))[0]["idle"]
     np.testing.assert_allclose(values["idle"], exact, rtol=1e-9)  # a line foresees a linear part exactly
+
+
+def test_statistics_and_the_unit_without_errors_come_from_the_same_parts():
+    """Two parts, of which the second fails in some units: the statistics of the whole, and its worst status."""
+
+    def second(e):
+        bad = jnp.abs(e["z"]) > 0.8
+        return Outcome({"b": e["y"][0]}, jnp.where(bad, int(Status.NOT_ASSEMBLABLE), int(Status.CONVERGED)))
+
+    class Two(Costly):
+        def parts(self):
+            return [Costly(lambda e: {"a": e["x"][0]}), Costly(second)]
+
+    two = Two(lambda e: Outcome({"a": e["x"][0], "b": e["y"][0]}, second(e).status))
+    options = dict(samples=3000, chunk=1000, seed=3, requirements={"a": Requirement(upper=0.5)})
+    found, whole = (tolerances.monte_carlo(of, WAVES, **options) for of in (two, two.function))
+    assert found.failures == whole.failures and found.failed > 0 and found.yield_ == whole.yield_
+    np.testing.assert_allclose(found.mean["b"].value, whole.mean["b"].value, rtol=1e-12)
+    assert status_without_errors(two, population(1.0)) == int(Status.CONVERGED)
+    broken = Costly(lambda e: Outcome({"b": e["z"]}, jnp.int32(int(Status.SINGULAR))))
+    assert status_without_errors(broken, population(1.0)) == int(Status.SINGULAR)
+
+
+def test_numbers_beside_the_outputs_are_read_by_name():
+    part = Part(Costly(lambda e: {"curve[0]": e["x"][0], "curve[1]": 2 * e["y"][1], "peak": e["z"]}), population(1.0))
+    z = np.random.default_rng(0).normal(size=(13, 5))
+    np.testing.assert_allclose(part.rows(population(3.0), z, "curve"), np.stack([z[0], 2 * z[7]], axis=1))
 
 
 COSTS = {n: ReciprocalPower(reference=1.0, finest=0.05, coarsest=20.0) for n in ("a", "b")}

@@ -10,6 +10,7 @@ from rvjax.response.gradients import gradients as gradients
 from rvjax.response.gradients import nominal_status as nominal_status
 from rvjax.response.parts import AT_ONCE as AT_ONCE
 from rvjax.response.parts import Part as Part
+from rvjax.response.parts import evaluator as evaluator
 from rvjax.response.parts import parts as parts
 from rvjax.response.parts import status_without_errors as status_without_errors
 from rvjax.response.response import (

@@ -10,7 +10,7 @@ import numpy as np
 
 from rvjax.population import Population
 from rvjax.records import PyTree
-from rvjax.response.devices import UNITS, mesh_of, shared_out
+from rvjax.response.devices import UNITS, Evaluator, mesh_of, shared_out
 from rvjax.response.gradients import elements
 from rvjax.response.response import Response, Values, evaluate, per_response, response_names
 from rvjax.status import worst
@@ -64,6 +64,37 @@ def parts(response: Response, population: Population) -> list[Part]:
     split = getattr(response, "parts", None) if getattr(response, "costly", False) else None
     own: Sequence[Response] = [response] if split is None else split()
     return [Part(part, population) for part in own]
+
+
+class InParts(Evaluator):
+    """Chunks of a costly response, by the programs of its parts: those of an allocation, if one was run before."""
+
+    def __init__(self, response: Response, population: Population, seed: int, method: str, chunk: int) -> None:
+        super().__init__(response, population, seed, method, chunk)
+        self._parts = parts(response, population)
+
+    def start(self, first: int) -> tuple[Values, jax.Array]:
+        """Values and status of the chunk that begins with unit `first`."""
+        z, values, status = np.asarray(self._z(first)), {}, []
+        for part in self._parts:
+            rows, own = part.solve(self._population, z)
+            values |= dict(zip(part.names, rows))
+            status.append(own)
+        return values, worst(jnp.asarray(np.stack(status)), axis=0)
+
+
+def evaluator(response: Response, population: Population, seed: int, method: str, chunk: int) -> Evaluator:
+    """What evaluates chunks of one study.
+
+    Args:
+        response: of one unit.
+        population: of the units.
+        seed: of the random numbers.
+        method: of the random numbers.
+        chunk: units at once.
+    """
+    kind = InParts if getattr(response, "costly", False) else Evaluator
+    return kind(response, population, seed, method, chunk)
 
 
 def status_without_errors(response: Response, population: Population) -> int:

@@ -9,10 +9,12 @@ from typing import TYPE_CHECKING, Any
 from rvjax import models
 from rvjax.levels import Choice, choose
 from rvjax.outputs import Curve, Output
+from rvjax.population import Population
+from rvjax.response import status_without_errors
 from rvjax.study.about import About
 from rvjax.study.origin import Number, design_numbers
 from rvjax.study.plausible import doubts
-from rvjax.study.response import Response, check_nominal, followed_bounds
+from rvjax.study.response import Response, check_nominal, followed_bounds, refuse
 from rvjax.study.values import StudyError as StudyError  # other modules take it from here
 from rvjax.study.values import naming
 from rvjax.tolerances import Limits, Middle
@@ -88,7 +90,10 @@ class Study:
             StudyError: it has no solution.
         """
         with naming(self.name):
-            check_nominal(self.response(solve=False), self.design.error_record())
+            if self.costly and self.fields:  # by the programs of all other units
+                refuse(status_without_errors(self.response(solve=False), Population.of(self.tolerances)))
+            else:
+                check_nominal(self.response(solve=False), self.design.error_record())
 
     @functools.cached_property
     def _solved(self) -> None:
@@ -97,7 +102,7 @@ class Study:
     @property
     def costly(self) -> bool:
         """Whether a unit takes so long that only those which decide are solved."""
-        return bool(self.requirements) and self.response().costly
+        return bool(self.requirements) and self.response(solve=False).costly
 
     def response_of(self, name: str) -> Response:
         """errors -> Outcome of one response that the requirements name."""

@@ -17,7 +17,7 @@ from rvjax.files import DAMAGE
 from rvjax.population import SCRAMBLES, Correlation, Estimate, Population, Sampled, check_method, deviate_of
 from rvjax.progress import progress_bar
 from rvjax.records import PyTree
-from rvjax.response import Evaluator, Response, by_response, gathered, place, response_names, unwrapped
+from rvjax.response import Response, by_response, evaluator, gathered, place, response_names, unwrapped
 from rvjax.status import PRECEDENCE
 from rvjax.tolerances.batch.accumulator import Accumulator
 from rvjax.tolerances.batch.checkpoint import (
@@ -278,13 +278,13 @@ class Run:
         samples, chunk = self.samples, self.chunk
         process, processes = place()
         count = min(chunk, samples)
-        evaluator = Evaluator(self.response, self.population, self.seed, self.method, count)
+        evaluated = evaluator(self.response, self.population, self.seed, self.method, count)
         asked = describe(self.population, {}) | {"seed": str(self.seed), "method": self.method, "count": str(count)}
 
         def start(first: int) -> tuple[dict[str, Any], Any]:
             if self.memo is None:
-                return evaluator.start(first)
-            compute = functools.partial(evaluator.start, first)
+                return evaluated.start(first)
+            compute = functools.partial(evaluated.start, first)
             return self.memo.units(self.names, asked | {"first": str(first)}, compute)
 
         label = self.label if processes == 1 else f"{self.label}, process {process + 1} of {processes}"
@@ -299,7 +299,7 @@ class Run:
                     if file is not None and self.keep and number + 1 == done:  # the next run finds them
                         file.save(done, functools.partial(counted.state, done * chunk), now=True)
                 if write and own:
-                    write(unit, values, status, evaluator.errors(unit) if self.save and self.save.errors else {})
+                    write(unit, values, status, evaluated.errors(unit) if self.save and self.save.errors else {})
                 # A larger study evaluates a shorter last chunk whole.
                 if file is not None and own and number >= done and len(status) == chunk:
                     last = (number + 1 + processes) * chunk > samples
