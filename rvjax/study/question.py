@@ -9,12 +9,10 @@ from typing import TYPE_CHECKING, Any
 from rvjax import models
 from rvjax.levels import Choice, choose
 from rvjax.outputs import Curve, Output
-from rvjax.population import Population
-from rvjax.response import status_without_errors
 from rvjax.study.about import About
 from rvjax.study.origin import Number, design_numbers
 from rvjax.study.plausible import doubts
-from rvjax.study.response import Response, check_nominal, followed_bounds, refuse
+from rvjax.study.response import Response, check_nominal, followed_bounds
 from rvjax.study.values import StudyError as StudyError  # other modules take it from here
 from rvjax.study.values import naming
 from rvjax.tolerances import Limits, Middle
@@ -90,10 +88,7 @@ class Study:
             StudyError: it has no solution.
         """
         with naming(self.name):
-            if self.costly and self.fields:  # by the programs of all other units
-                refuse(status_without_errors(self.response(solve=False), Population.of(self.tolerances)))
-            else:
-                check_nominal(self.response(solve=False), self.design.error_record())
+            check_nominal(self.response(solve=False), self.design.error_record())
 
     @functools.cached_property
     def _solved(self) -> None:
