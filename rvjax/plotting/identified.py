@@ -156,7 +156,8 @@ def shares(groups: Mapping[str, Mapping[str, float]], *, least: float = 0.01, ax
     axes.axvline(0, color=BEFORE, lw=1)
     axes.set(xlabel="share of the curve (%)")
     axes.grid(axis="y", visible=False)
-    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3, fontsize=8)
+    if axes.get_legend_handles_labels()[0]:  # nothing was found, nothing is named
+        axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3, fontsize=8)
     return axes
 
 
