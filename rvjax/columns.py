@@ -136,7 +136,7 @@ def _places(
         if k not in foreign and name in [taken for taken, _ in foreign.values()]:
             continue  # [columns] names another column for this quantity
         if name in found:
-            raise ValueError(f"{source}: column {text!r}: {name} stands in two columns")
+            raise ValueError(f"{source}: column {text!r}: {name} is in two columns")
         unit = spelling(unit) if unit else unit
         if name in units and unit not in units[name]:
             said = "says no unit" if not unit else f"unit {unit!r} is not known"

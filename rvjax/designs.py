@@ -190,7 +190,10 @@ class Contact(Record):
     poisson_ratio: Scalar = field("-", "Poisson's ratio, nu")
     face_width: Scalar = field("m", "width of a disc, L", sign="positive")
     pin_stiffness: Scalar | None = field(
-        "N/m", "one pin, linear law; None: 4 cos^2(force_angle) disc_pin_mesh / pins", default=None, sign="positive"
+        "N/m",
+        "one pin, linear contact law; None: 4 cos^2(force_angle) disc_pin_mesh / pins",
+        default=None,
+        sign="positive",
     )
     pin_support: Array | None = field(
         "N/m",

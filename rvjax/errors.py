@@ -325,7 +325,7 @@ class RVErrors(Errors):
     )
     pin_radii: Scalar = deviation(
         "m",
-        "radius of each pin, beside the common one",
+        "radius of each pin, added to the common one",
         shape=("pins",),
         of="cycloid.pin_radius",
         part=RING,

@@ -150,7 +150,7 @@ def unit_errors(design: RVReducer, parts: Mapping[str, Mapping[str, Any]], index
         else:
             for name, value in errors.items():
                 if name in fields:
-                    raise ValueError(f"{slot}: {name} stands in another slot already")
+                    raise ValueError(f"{slot}: {name} is in another slot already")
                 if slot == "carrier" and name in of_carrier:
                     places = (jnp.arange(cranks) - index[slot]) % cranks
                     value = jnp.broadcast_to(jnp.asarray(value), of_carrier[name])

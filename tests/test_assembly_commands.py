@@ -160,7 +160,7 @@ BAD_PARTS = [
     ("kind,id,gear [um]\npins,a,1\n", "column 'gear [um]': parts of kind 'pins' have "),
     ("kind,id,crank_eccentricity[2] [um]\ncrank,a,1\n", "crank_eccentricity of this part has the shape (2,)"),
     ("kind,id,stock,pin_radius [um]\npins,a,-1,1\n", "pins 'a': stock = '-1': must be a whole number, 0 or more"),
-    ("kind,id,pin_radius [um]\npins,a,1\npins,a,2\n", "pins: part 'a': this id stands there twice"),
+    ("kind,id,pin_radius [um]\npins,a,1\npins,a,2\n", "pins: part 'a': duplicate id"),
     ("kind,id,pin_radius [um]\npins,,1\n", "a part of kind 'pins' has no id"),
     ("kind,id,pin_radius [um]\npins,a,1\n", "parts of pins alone; at least two slots are matched"),
     ("kind,id,pin_radius [um]\npins,a,1,2\n", "row 2 has 4 cells, the header 3"),
@@ -294,8 +294,8 @@ BAD_CURVES = [
     ("angle [deg],error [arcsec]\n1,x\n", "row 2, error = 'x': must be a number in arcsec"),
     ("angle [deg],error [arcsec]\n,3\n", "row 2, angle is empty"),
     ("angle [deg],error [arcsec]\n1,2,3\n", "row 2 has 3 cells, the header 2 (decimal commas?"),
-    ("angle [deg],error [arcsec]\n1,2\n", "1 samples cannot tell 1 numbers apart"),
-    ("angle [deg],error [arcsec]\n" + "5,1\n" * 40, "40 samples cannot tell 9 numbers apart"),
+    ("angle [deg],error [arcsec]\n1,2\n", "1 samples cannot determine 1 numbers"),
+    ("angle [deg],error [arcsec]\n" + "5,1\n" * 40, "40 samples cannot determine 9 numbers"),
 ]
 
 

@@ -12,7 +12,7 @@ ONE = kind([1.0, 2.0])
 
 
 BAD = [
-    (lambda: Kind([Part("a", 1.0), Part("a", 2.0)]), "part 'a': this id stands there twice"),
+    (lambda: Kind([Part("a", 1.0), Part("a", 2.0)]), "part 'a': duplicate id"),
     (lambda: Kind([]), "parts: there are none"),
     (lambda: kind([1.0], indices=0), "indices = 0: must be a whole number of at least 1"),
     (lambda: kind([1.0], indices=1.5), "indices = 1.5: must be a whole number of at least 1"),

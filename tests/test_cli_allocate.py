@@ -84,12 +84,12 @@ def test_allocate_writes_tables_and_pictures(answered):
         "+-6.50 um",
         "8.00 +-4.00 um",
         "shadow price",
-        f"{UNITS:,} fresh units, 0 failed",
-        "all requirements at once: 99.",
-        "no joint_target asks for it",
+        f"{UNITS:,} independent units, 0 failed",
+        "joint yield: 99.",
+        "no joint_target set",
         "not seen: the model asked does not read this error",
         "% of the units, interference: no play at all",
-        "Left out: pins, flanks and the first stage",
+        "Not modelled: pins, flanks and the first stage",
     ):
         assert words in text
     assert "Doubtful" not in text

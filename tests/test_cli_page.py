@@ -66,7 +66,7 @@ def test_the_page_holds_the_answer_and_needs_nothing_else(written, answered):
     text = written.read_text("utf-8")
     tags = Tags(text)
     sections = ["Requirements", "Tolerances and cost", "What if", "The reducer", "Which error matters"]
-    sections += ["Who owns the error", "Worst units", "How exactly it was computed", "How to get this page again"]
+    sections += ["Error budget", "Worst units", "How exactly it was computed", "How to get this page again"]
     assert tags.headings == ["small", *sections]
     images = [attrs for tag, attrs in tags.seen if tag == "img"]
     assert len(images) == len(PICTURES) + 2  # that of the error budget, and the drawing of the reducer
@@ -200,7 +200,7 @@ def test_an_answer_says_how_many_units_failed_why_and_how_they_count(answers, an
     certificate = dataclasses.replace(found.allocation.certificate, **failures)
     found = dataclasses.replace(found, allocation=dataclasses.replace(found.allocation, certificate=certificate))
     kinds = "2 CONTACT_OVERLOAD (unit 4), 3 MAX_STEPS (unit 612)"
-    assert f"{UNITS:,} fresh units, 5 failed, each a reject in every yield: {kinds}" in report_on(found).text()
+    assert f"{UNITS:,} independent units, 5 failed, each a reject in every yield: {kinds}" in report_on(found).text()
     assert {key: report_on(found).json()["certificate"][key] for key in failures} == failures
     html = page_of(Shown(found), "x.toml")
     assert "5 failed, each a reject in every yield: 2 CONTACT_OVERLOAD (" in html and "the first is unit 612)" in html

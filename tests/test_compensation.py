@@ -280,7 +280,7 @@ def test_a_file_without_a_table_is_refused_in_one_line(tmp_path, ending, content
 GOOD = dict(order=[3, 40], value=[1e-6, 2e-6], ratio=RATIO)
 BAD = [
     (dict(value=[1e-6]), "value: 1 numbers in rad for 2 orders"),
-    (dict(order=[3, 3]), "order = 3: stands there twice"),
+    (dict(order=[3, 3]), "order = 3: duplicate"),
     (dict(order=[0, 3]), "order = 0: must be a whole number per output turn, at least 1"),
     (dict(order=[2.5, 3]), "order = 2.5: must be a whole number"),
     (dict(order=[math.nan, 3]), "order = nan: must be a whole number"),

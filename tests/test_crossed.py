@@ -108,7 +108,7 @@ def test_an_answer_is_judged_by_another_study(folder, capsys, monkeypatch):
         "A: answer has no tolerance for crank_eccentricity: those of judge are kept",
         "A: judge has no tolerance for pin_radius: left out",
         "A: the design is that of judge, and tolerances deviate from it: cycloid.equidistant_modification is",
-        "A: 4,096 fresh units, 0 failed",
+        "A: 4,096 independent units, 0 failed",
         "all at once",
     ):
         assert words in told, words
@@ -122,20 +122,22 @@ def test_what_cannot_be_judged_is_one_line(folder, capsys):
         return message
 
     assert "B is missing: name two results folders" in refused("a")
-    assert "--samples 20: units are drawn for --on STUDY alone" in refused("a", "a", "--samples", "20")
-    assert "study corr: asks after CamRollerErrors, the answer is about RVErrors" in refused("a", "--on", "corr")
+    assert "--samples 20: only with --on STUDY" in refused("a", "a", "--samples", "20")
+    assert "study corr: has requirements on CamRollerErrors, the result is about RVErrors" in refused(
+        "a", "--on", "corr"
+    )
     other = JUDGE.replace("tolerances.disc_bore", "tolerances.crank_phase").replace("1 um", "1 arcmin", 1)
     other = other.replace('[tolerances.carrier_bore]\nhalf_width = "1 um"\n', "")
     other = other[: other.index("[cost")] + other[other.index("[requirement") :]
     (folder.parent / "other.toml").write_text(other)
-    assert "study other: has none of the errors of the answer" in refused("a", "--on", "other.toml")
+    assert "study other: has none of the errors of the result" in refused("a", "--on", "other.toml")
     (folder / "study.toml").unlink()
     assert "a: there is no study.toml beside the result" in refused("a/result.json", "--on", "judge.toml")
 
 
 def test_elements_must_agree():
     question = parse_study(JUDGE, name="judge", solve=False)
-    with pytest.raises(ValueError, match=r"tolerances.disc_bore: .* elements in the answer, .* in study judge"):
+    with pytest.raises(ValueError, match=r"tolerances.disc_bore: .* elements in the result, .* in study judge"):
         put_into(question, question.tolerances.replace(disc_bore=Tolerance.symmetric(1 * um)))
 
 

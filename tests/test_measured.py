@@ -100,7 +100,7 @@ def test_rows_of_equal_conditions_are_a_run(write):
             "column 'angle': says no unit; write \"angle [rad]\" (rad, deg, arcmin, arcsec)",
         ),
         ("angle [grad],error [arcsec]\n1,2\n", "column 'angle [grad]': unit 'grad' is not known"),
-        ("angle [deg],angle [rad]\n1,2\n", "column 'angle [rad]': angle stands in two columns"),
+        ("angle [deg],angle [rad]\n1,2\n", "column 'angle [rad]': angle is in two columns"),
         ("angle [deg],error [arcsec]\n1,2\n3,abc\n", "row 3, error = 'abc': must be a number in arcsec"),
         ("angle [deg],error [arcsec]\n1,inf\n", "row 2, error = 'inf': must be finite, in arcsec"),
         ("angle [deg],error [arcsec]\n1,5,2,5\n", "row 2 has 4 cells, the header 2 (decimal commas?"),

@@ -138,7 +138,7 @@ def test_what_no_such_part_has_is_refused():
         unit_errors(RV_40E, {"crank_1": {"disc_bore": 0.0}}, {"crank_1": 0})
     with pytest.raises(ValueError, match="disc_2: this design has 2 of them, counted from 0"):
         unit_errors(RV_40E, {"disc_2": {}}, {"disc_2": 0})
-    with pytest.raises(ValueError, match="pins: pin_radius stands in another slot already"):
+    with pytest.raises(ValueError, match="pins: pin_radius is in another slot already"):
         unit_errors(RV_40E, {"ring": {"pin_radius": 0.0}, "pins": {"pin_radius": 0.0}}, {"ring": 0, "pins": 0})
     with pytest.raises(ValueError, match="disc_1: a disc made for slot 0 does not fit there"):
         mounted_disc(design_of(39, 2, 3), {}, 1, 0)

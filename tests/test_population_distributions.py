@@ -172,7 +172,7 @@ def test_correlated_laws_are_known_to_rss_or_refused():
     expected = by_quadrature(first)[1] + by_quadrature(second)[1] + 2 * covariance
     # Kinks of the measured law: quadrature and the 23 Hermite terms agree to parts in a thousand.
     assert linear.sd**2 == pytest.approx(expected, rel=2e-3)
-    with pytest.raises(ValueError, match="runout: rss knows no correlated von_mises vectors"):
+    with pytest.raises(ValueError, match="runout: rss does not include correlated von_mises vectors"):
         rss(response, MIXED, correlation={("runout[0,0]", "skew"): 0.3})
     with pytest.raises(ValueError, match="order = 2: correlated errors must be normal"):
         rss(response, MIXED, order=2)

@@ -112,7 +112,7 @@ def test_columns_of_elements_are_one_law_and_correlate(write):
 def test_too_few_parts_tell_no_correlation(write):
     found = measured(write("a [um],b [um],c [um]\n1,2,3\n2,1,5\n4,4,4\n"))
     assert found.pairs["a", "b"].lower == -1 and found.pairs["a", "b"].upper == 1  # three parts say nothing
-    with pytest.raises(ValueError, match=r"lot\.csv: 3 parts with all of a, b, c do not tell a correlation of 3"):
+    with pytest.raises(ValueError, match=r"lot\.csv: 3 parts with all of a, b, c do not give a correlation of 3"):
         _ = found.correlation
     same = measured(write("a [um],b [um]\n1,2\n2,4\n4,8\n5,1\n"))
     assert 0 < abs(same.correlation["a", "b"]) < 1

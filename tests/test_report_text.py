@@ -70,9 +70,9 @@ def test_a_saving_is_a_negative_change():
 
 def test_the_verdict_says_the_yield_of_all_requirements_at_once():
     joint = Estimate(0.99, 0.002, 0.985, 0.9951)
-    words = "all requirements at once: 99.000 % [98.500, 99.510], "
-    assert headline(joint=joint)[:2] == ["Study s: OPTIMAL", words + "no joint_target asks for it"]
-    assert headline(joint=joint, target=0.9973)[1] == words + "asked 99.73 %"
+    words = "joint yield: 99.000 % [98.500, 99.510] "
+    assert headline(joint=joint)[:2] == ["Study s: OPTIMAL", words + "(no joint_target set)"]
+    assert headline(joint=joint, target=0.9973)[1] == words + "(joint_target 99.73 %)"
 
 
 def test_a_shortfall_is_told_in_the_unit_of_its_limit():

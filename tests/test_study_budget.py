@@ -176,7 +176,7 @@ def test_the_command_writes_a_folder(found, tmp_path, monkeypatch, capsys):
     asked = ["budget", "x.toml", "--samples", str(UNITS), "--seed", "7"]
     assert cli.main([*asked, "--torque", "412 N m", "--torque", "0.412 N m", "--format", "json"]) == 0
     told = json.loads(capsys.readouterr().out)
-    assert ("who owns the error", "solving 50 %") in seen and seen[-1][1] == "solving 100 %"
+    assert ("error budget", "solving 50 %") in seen and seen[-1][1] == "solving 100 %"
     folder = tmp_path / told.pop("results")
     assert folder.name == "x-budget" and json.loads((folder / "result.json").read_text()) == told
     assert {file.name for file in folder.iterdir()} == {
@@ -199,7 +199,7 @@ def test_the_report_lists_the_contributors_to_the_error(found):
     share = found.shares("part", "unloaded")["cranks"]
     assert {row[0]: row[4] for row in rows}["cranks"] == f"{100 * share:.1f}"
     said = " ".join(part.text for part in section.content if isinstance(part, Note))
-    assert "412 N m" in said and "at most" in said and section.title == "Who owns the error"
+    assert "412 N m" in said and "at most" in said and section.title == "Error budget"
 
 
 def test_which_studies_have_a_budget(question, monkeypatch):

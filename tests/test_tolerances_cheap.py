@@ -87,7 +87,7 @@ def test_a_low_fidelity_response_whose_units_fail_is_dropped(alone):
 
 
 def test_a_cheap_response_has_what_is_required():
-    with pytest.raises(ValueError, match="cheap: has no 'y', which a requirement judges; it has x"):
+    with pytest.raises(ValueError, match="cheap: has no 'y', which a requirement names; it has x"):
         allocate(lambda e: {"y": linear(e)}, PAIR, {"y": NEED}, costs=COSTS, cheap=lambda e: {"x": linear(e)}, **FEW)
 
 

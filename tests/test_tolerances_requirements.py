@@ -125,7 +125,7 @@ def test_kinds_stand_beside_each_other_and_a_joint_target():
     found = allocate(both, PAIR, asked, joint_target=0.985, **FEW)
     assert found.status == "OPTIMAL" and all(v.met for v in found.certificate.verdicts.values())
     assert found.certificate.joint_yield.lower >= 0.985
-    with pytest.raises(ValueError, match=r"joint_target = 0.9: no requirement judges single units"):
+    with pytest.raises(ValueError, match=r"joint_target = 0.9: no requirement is for single units"):
         allocate(linear, PAIR, MeanWithin(upper=1.0), joint_target=0.9, **FEW)
 
 

@@ -73,7 +73,7 @@ class Kind:
         seen = set()
         for part in self.parts:
             if part.id in seen:
-                raise ValueError(f"part {part.id!r}: this id stands there twice")
+                raise ValueError(f"part {part.id!r}: duplicate id")
             seen.add(part.id)
         if _whole(self.indices) < 1:
             raise ValueError(f"indices = {self.indices!r}: must be a whole number of at least 1")

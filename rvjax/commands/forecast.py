@@ -29,7 +29,7 @@ def expected(question: Study) -> str:
     """Time and memory of an allocation, from the measured time of a unit, in words."""
     unit = unit_seconds(question)
     if unit is None:
-        return "time: unknown, for nobody has measured these levels"
+        return "time: unknown, these levels are not measured"
     return (
         f"time: about {spelled(unit * sum(solved_units(question).values()))} of computation on the two cores of the "
         "measured table, besides tracing and compilation (20 s for an RV-40E, 45 s at the first run); "

@@ -233,7 +233,7 @@ def _curve(order: Any, value: object) -> tuple[np.ndarray, np.ndarray]:
             raise ValueError(f"order = {given}: must be a whole number per output turn, at least 1")
     kinds, times = np.unique(whole, return_counts=True)
     if (times > 1).any():
-        raise ValueError(f"order = {kinds[times > 1][0]}: stands there twice")
+        raise ValueError(f"order = {kinds[times > 1][0]}: duplicate")
     if not np.isfinite(values).all():
         place = int(np.argmin(np.isfinite(values)))
         raise ValueError(f"value = {values[place]} rad of order {whole[place]}: must be finite")

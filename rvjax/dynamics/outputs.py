@@ -35,11 +35,11 @@ class Conditions:
     """Speeds and load of a vibrating RV reducer."""
 
     output_torque: float = condition(0.0, "torque of the discs on the carrier", unit="N m", torque=True)
-    sun_speed: float | None = condition(None, "speed at which the vibration is judged", unit="rad/s")
+    sun_speed: float | None = condition(None, "speed of the vibration", unit="rad/s")
     slowest_sun_speed: float | None = condition(None, "lower end of the range of speeds", unit="rad/s")
     fastest_sun_speed: float | None = condition(None, "upper end of the range of speeds", unit="rad/s")
     speeds: int = condition(
-        40, "of the range that errors excite at, beside the resonances within it", minimum=2, maximum=10_000
+        40, "of the range of excitation, in addition to the resonances within it", minimum=2, maximum=10_000
     )
     load_inertia: float | None = condition(
         None, "of what the output drives; it decides where the joint resonates", unit="kg m2", minimum=0.0

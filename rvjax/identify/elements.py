@@ -186,7 +186,9 @@ class Elements:
         wanted = self.vector(argument, values)
         for name, tolerance in self.population.active.items():
             if tolerance.law.couples:
-                raise ValueError(f"{argument}.{name}: vectors of the law {tolerance.distribution} cannot be placed")
+                raise ValueError(
+                    f"{argument}.{name}: vectors of the distribution {tolerance.distribution} cannot be placed"
+                )
         u = np.asarray(standard(self.population, jnp.asarray(wanted[None])))[0]
         found = np.asarray(mapped(self.population, jnp.asarray(u[None]))[0])[0]
         widths = np.asarray([float(self.population.active[field].half_width) for field in self.fields])
@@ -194,5 +196,5 @@ class Elements:
         off = np.abs(found - wanted) > 1e-6 * np.maximum(widths, 1e-9 * np.abs(wanted))
         if off.any():
             worst = int(np.argmax(off))
-            raise ValueError(f"{argument}.{self.names[worst]} = {wanted[worst]:.6g}: outside its law, in SI")
+            raise ValueError(f"{argument}.{self.names[worst]} = {wanted[worst]:.6g}: outside its distribution, in SI")
         return np.where(constant, 0.0, u)

@@ -63,7 +63,7 @@ def orders(
     numbers = matrix.shape[1]
     left, singular, right = np.linalg.svd(matrix, full_matrices=False)
     if x.size <= numbers or singular[-1] < DEPENDENT * singular[0]:
-        raise ValueError(f"orders = {asked.tolist()}: {x.size} samples cannot tell {numbers} numbers apart, per turn")
+        raise ValueError(f"orders = {asked.tolist()}: {x.size} samples cannot determine {numbers} numbers per turn")
     found = right.T @ ((left.T @ y) / singular)
     residual_sd = float(np.sqrt(((y - matrix @ found) ** 2).sum() / (x.size - numbers)))
     variance = ((right.T / singular) ** 2).sum(axis=1)

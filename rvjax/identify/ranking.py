@@ -152,7 +152,7 @@ class _Gain:
         elements, places = problems[0].elements, problems[0].nuisance
         asked = np.setdiff1d(np.arange(elements.count), places)
         if not asked.size:
-            raise ValueError(f"nuisance = {nuisance!r}: no element is left to ask about")
+            raise ValueError(f"nuisance = {nuisance!r}: no element is left")
         u, root = np.zeros(elements.count), np.eye(elements.mixing.shape[1])
         if given is not None:
             if given.names != elements.names:

@@ -70,7 +70,7 @@ def choose(
     """
     for name, value in accuracy.items():
         if name not in outputs:
-            raise ValueError(f"accuracy of {name!r}: it is not asked for; asked are {', '.join(outputs)}")
+            raise ValueError(f"accuracy of {name!r}: it is not required; required are {', '.join(outputs)}")
         if not (is_concrete(value) and value > 0):
             raise ValueError(f"accuracy of {name!r} = {value!r}: must be a positive number")
     models = (table or stored()).models.values()
@@ -148,7 +148,7 @@ def _no_fewer(value: Any, asked: Any) -> Any:
 
 
 def _unmeasured(output: str) -> Choice:
-    why = "no level of it like this was measured: it is computed as the conditions say, whatever the accuracy"
+    why = "no level of it like this was measured: it is computed as the conditions define, at any accuracy"
     return Choice(output, "as in the conditions", (), "float64", None, None, why)
 
 

@@ -26,7 +26,7 @@ class Conditions:
     """Under which duty, and how, the bearings are rated. The turn is always a whole one of the output."""
 
     samples: int = condition(48, "input angles over the span", minimum=4, maximum=100_000)
-    pin_contact: str = condition("hertz", "law of discs and pins", choices=CONTACTS)
+    pin_contact: str = condition("hertz", "contact law of discs and pins", choices=CONTACTS)
     carrier: str = condition("fixed", "centre of the carrier", choices=SUPPORTS)
     sun: str = condition("fixed", "centre of the sun", choices=SUPPORTS)
     life_method: str = condition("basic", "of a bearing life; methods differ in level", choices=METHODS)

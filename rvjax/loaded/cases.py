@@ -63,7 +63,7 @@ WHOLE: dict[str, Limits] = LINKAGE | dict(
 FIXED, FLOATING = dict(carrier="fixed", sun="fixed"), dict(carrier="floating", sun="floating")
 LINEAR, RIGID = "the flattening of pins (linear pins)", "floating carrier and sun"
 FOUR_BAR = "the first stage, pins and flanks with all their errors, and the yielding of all but the crank bearings"
-PLAY = "load and deformation: play alone, summed with signs, in whatever order parts touch"
+PLAY = "load and deformation; backlash is a signed sum, in any contact sequence"
 ONLY = ("float64",)
 
 
@@ -120,7 +120,7 @@ def cases(quick: bool) -> Sequence[Cases]:
 def _cases(name: str, ways: tuple[Way, ...], batch: int, calls: int, **changes: Any) -> Cases:
     turn = Cases(
         name=name,
-        case="unit of the RV-40E, a whole crank turn of the whole machine",
+        case="unit of the RV-40E, a crank revolution of the loaded reducer",
         outputs={"loaded_transmission_error": "rad", "pin_force": "N", "arm_bearing_force": "N"},
         design=MACHINE,
         errors=WHOLE,

@@ -46,7 +46,7 @@ class Reading(Record):
             raise ValueError("Reading.heads = []: must have one angle or more, rad; give one for each head")
         if self.disc_position is None and is_concrete(self.tilt_gain) and np.any(np.asarray(self.tilt_gain) != 0):
             raise ValueError(
-                f"Reading.tilt_gain = {quantity(self.tilt_gain, 'rad/(N m)')}: must have disc_position beside it; "
+                f"Reading.tilt_gain = {quantity(self.tilt_gain, 'rad/(N m)')}: needs disc_position; "
                 "give the axial place of each disc, m"
             )
 

@@ -35,7 +35,7 @@ class Conditions:
     """How a whole reducer runs, and how a test bench measures it."""
 
     output_torque: float = condition(0.0, "torque of the discs on the carrier", unit="N m", torque=True)
-    second_torque: float | None = condition(None, "of the discs on the carrier, beside the first", unit="N m")
+    second_torque: float | None = condition(None, "of the discs on the carrier, the second one", unit="N m")
     rated_torque: float | None = condition(None, "of which a test bench takes shares", unit="N m")
     input_angle: float = condition(0.0, "of the sun, at which the bench twists the output", unit="rad")
     probe_angles: int = condition(
@@ -44,7 +44,7 @@ class Conditions:
     span: str = condition("crank_turn", "along which the reducer turns", choices=SPANS)
     samples: int = condition(48, "input angles over the span", minimum=4, maximum=100_000)
     order: int | None = condition(None, "periods in one turn of the output", minimum=1, maximum=50_000)
-    pin_contact: str = condition("hertz", "law of discs and pins", choices=CONTACTS)
+    pin_contact: str = condition("hertz", "contact law of discs and pins", choices=CONTACTS)
     carrier: str = condition("fixed", "centre of the carrier", choices=SUPPORTS)
     sun: str = condition("fixed", "centre of the sun", choices=SUPPORTS)
 

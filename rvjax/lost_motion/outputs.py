@@ -65,9 +65,9 @@ DESCRIPTION = Description(
             "rad",
             "free angle of the output, < 0: interference",
             _lost_motion,
-            below_zero="interference: no play at all, teeth and bearings are pressed together by this angle",
+            below_zero="interference, no backlash: teeth and bearings are preloaded by this angle",
         )
     },
     cases=_cases,
-    unknown="the order in which parts touch: contributions are summed with their signs; load and deformation",
+    unknown="contact sequence (signed contributions are summed); load and deformation",
 )

@@ -152,7 +152,7 @@ def _check_methods(design: RVReducer, reading: str, profile: str, normal_force: 
     if profile not in PROFILES:
         raise ValueError(f"profile = {profile!r}: must be one of {', '.join(PROFILES)}")
     if reading == "as_printed" and profile != "first_order":
-        raise ValueError(f"profile = {profile!r}: reading 'as_printed' knows the sum of terms only, 'first_order'")
+        raise ValueError(f"profile = {profile!r}: reading 'as_printed' has the sum of terms only, 'first_order'")
     if reading == "consistent" and normal_force is not None:
         raise ValueError("normal_force: only reading 'as_printed' derives a pressure angle from a force")
     difference = design.cycloid.pin_count - design.cycloid.disc_teeth

@@ -23,7 +23,7 @@ class Conditions:
     """Operating conditions of an oscillatory roller stage."""
 
     input_torque: float = condition(0.0, "torque on the crank", unit="N m", torque=True)
-    contact: str = condition("palmgren", "law of the contacts", choices=CONTACTS)
+    contact: str = condition("palmgren", "contact law", choices=CONTACTS)
     angles: int = condition(
         1, "output angles in the time in which a roller takes the place of the next", minimum=1, maximum=100_000
     )

@@ -133,7 +133,7 @@ def studies(
         axes.set_visible(False)
     handles, labels = grid.flat[0].get_legend_handles_labels()
     if printed:
-        for mark, label in (("x", "printed mean"), ("+", "printed peak")):
+        for mark, label in (("x", "published mean"), ("+", "published peak")):
             handles += grid.flat[0].plot([], [], mark, color="0.3", ms=8, mew=1.8)
             labels.append(label)
     figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))

@@ -38,7 +38,7 @@ def verdicts(statuses: Mapping[str, Iterable[str]], *, axes: Axes | None = None)
                 axes.text(start + number / 2, row, str(number), ha="center", va="center", fontsize=9, bbox=box)
         left += width
     axes.set_yticks(rows, list(counts))
-    axes.set(xlabel="printed figures and statements (number)")
+    axes.set(xlabel="published values and statements (number)")
     axes.grid(axis="y", visible=False)
     axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
     return axes

@@ -84,7 +84,7 @@ class MeasuredParts:
             matrix[i, j] = matrix[j, i] = value
         if found and not (np.isfinite(matrix).all() and np.linalg.eigvalsh(matrix)[0] > 1e-9 * len(matrix)):
             raise ValueError(
-                f"{self.source}: {self.together} parts with all of {', '.join(single)} do not tell a correlation of "
+                f"{self.source}: {self.together} parts with all of {', '.join(single)} do not give a correlation of "
                 f"{len(single)} columns: more parts than columns are needed, and none that follows from others"
             )
         return found

@@ -82,5 +82,5 @@ def sample(tolerances: Any, index: Any, *, seed: int, method: str = "random", co
     elif is_concrete(index):
         z = jnp.asarray(SobolPoints(population.numbers, seed).z(int(index), 1)[:, 0], jnp.result_type(float))
     else:
-        raise ValueError("index: must be a number for method 'sobol', whose points are drawn on the host")
+        raise ValueError("index: must be a number for method 'sobol', whose points are computed on the host")
     return population.errors(z)

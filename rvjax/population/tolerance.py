@@ -52,7 +52,7 @@ class Tolerance(Record):
 
     lower: Scalar = field("-", "lower limit, unit of the error")
     upper: Scalar = field("-", "upper limit, unit of the error")
-    law: Distribution = field("-", "law between the limits, with the parameters of its own", kind="record")
+    law: Distribution = field("-", "distribution between the limits, with its parameters", kind="record")
     cp: Scalar = field("-", "process capability", sign="positive")
     shift: Scalar = field("-", "mean or mode off the middle, in half-widths")
     batch: float = text("correlation of the elements of one field, 0 to below 1")

@@ -39,7 +39,7 @@ class Response(Record):
     outputs: tuple[str, ...] = text("names")
     conditions: Any = text("how the reducer runs")
     levels: tuple[tuple[str, Settings, str, str | None], ...] = text(
-        "(output, settings, precision, output of another model that stands in) where a level was chosen"
+        "(output, settings, precision, output of another model) where a level was chosen"
     )
     bounds: tuple[str, ...] = text("errors without a place that follow from those with one", default=())
     curve: bool = text("whether the numbers of the curve that its outputs read are wanted too", default=False)

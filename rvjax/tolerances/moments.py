@@ -183,7 +183,9 @@ def _of_errors(z_matrix: np.ndarray, population: Population) -> np.ndarray:
         stop = start + math.prod(tolerance.shape)
         if tolerance.law.couples:
             if np.delete(z_matrix[start:stop], np.arange(start, stop), axis=1).any() or tolerance.batch:
-                raise ValueError(f"{name}: rss knows no correlated {tolerance.distribution} vectors; use monte_carlo")
+                raise ValueError(
+                    f"{name}: rss does not include correlated {tolerance.distribution} vectors; use monte_carlo"
+                )
             block = tolerance.law.correlation(tolerance)
             for first in range(start, stop, len(block)):
                 found[first : first + len(block), first : first + len(block)] = block

@@ -34,7 +34,7 @@ from rvjax.tolerances import Allocation
 from rvjax.units import readable
 
 UNMOVED = "not seen"
-UNMOVED_MEANS = "the model asked does not read this error, or not to first order; it may matter all the same"
+UNMOVED_MEANS = "the model ignores this error, or its first-order effect is zero; it may still matter"
 MOVED = "middles moved"
 """Row of the cost of moving middles, beside that of the half-widths: columns of costs add up to the cost."""
 NOT_IN_FILE, IN_FILE = EVERYWHERE - {CSV}, frozenset({CSV})
@@ -51,7 +51,7 @@ def report(asked: Inputs, found: Answer | None) -> Report:
         return report_on(found)
     place = asked.kept
     assert place is not None
-    said = f"Unchanged since {place} was written, which holds this answer; --fresh computes it anew."
+    said = f"Unchanged since {place} was written, which contains this result; --fresh recomputes it."
     return Report(
         title=asked.study.name,
         content=(Note((place / "summary.txt").read_text("utf-8") + said),),
@@ -63,7 +63,7 @@ def report(asked: Inputs, found: Answer | None) -> Report:
 def report_on(answer: Answer) -> Report:
     """The report on an answer."""
     certificate = answer.allocation.certificate
-    fresh = f"Certificate: {certificate.samples:,} fresh units, {failures_text(certificate)}"
+    fresh = f"Certificate: {certificate.samples:,} independent units, {failures_text(certificate)}"
     return Report(
         title=answer.study.name,
         content=(
@@ -86,8 +86,8 @@ def headline(answer: Answer) -> str:
     study, allocation = answer.study, answer.allocation
     lines = [f"Study {study.name}: {allocation.status}", *filter(None, [study.about.line()])]
     if (joint := allocation.certificate.joint_yield) is not None:
-        asked = "no joint_target asks for it" if study.joint_target is None else f"asked {100 * study.joint_target:g} %"
-        lines.append(f"all requirements at once: {share(joint).text()}, {asked}")
+        target = "no joint_target set" if study.joint_target is None else f"joint_target {100 * study.joint_target:g} %"
+        lines.append(f"joint yield: {share(joint).text()} ({target})")
     lines.append("")
     if allocation.feasible:
         change = 100 * (allocation.cost / allocation.start_cost - 1)
@@ -119,12 +119,12 @@ def limits_of_the_answer(answer: Answer) -> list[str]:
     """What a reader must know beside the numbers, a line each: warnings, negative values, what is left out."""
     study = answer.study
     lines = [f"Doubtful: {line}" for line in study.doubts]
-    lines += [f"Assumed, for nobody printed them: {assumed_text(study)}"] if study.assumed else []
+    lines += [f"Assumed (not published): {assumed_text(study)}"] if study.assumed else []
     for name, values in answer.after.values.items():
         below = float(np.mean(np.asarray(values) < 0))
         if (meaning := study.output(name).below_zero) and below > 0:
             lines.append(f"Below zero: {name} of {100 * below:.3g} % of the units, {meaning}")
-    return lines + [f"Left out: {line}" for line in study.left_out]
+    return lines + [f"Not modelled: {line}" for line in study.left_out]
 
 
 def tolerance_text(tolerance: Any, unit: str) -> str:

@@ -124,7 +124,7 @@ def position(design: Any, slot: str, index: int) -> str:
         turn, over = disc_mountings(design, int(number), made_for=drawing(design, int(number)))[index]
     words = ["turned over"] if over else []
     words += [f"{360 * turn / design.cranks.count:g} deg"] if turn else []
-    return ", ".join(words) or "as drawn"
+    return ", ".join(words) or "as on the drawing"
 
 
 def price_table(prices: Sequence[Price]) -> Table:

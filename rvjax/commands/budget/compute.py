@@ -33,7 +33,7 @@ UNLOADED = 1e-3  # of the torque: the limit of no load, as on a test bench
 FEWEST, MOST = 16, 2**16
 BLOCK = 256  # units at once: all angles of a turn of each are solved together
 LEVELS = ("field", "part", "stage")
-COUNTED = "who owns the error"
+COUNTED = "error budget"
 """Phase whose part done is known."""
 Solve = Callable[[jax.Array], np.ndarray]  # random numbers of units -> their waves
 

@@ -56,9 +56,7 @@ def section_on(budget: Budget) -> Section:
         "one error is drawn anew."
     )
     lines = Note("\n".join(f"{line}." for line in _load_lines(budget)))
-    return Section(
-        "Who owns the error", (Note(about), _figure(budget), lines, _shares(budget, ("part",), errors=False))
-    )
+    return Section("Error budget", (Note(about), _figure(budget), lines, _shares(budget, ("part",), errors=False)))
 
 
 def _read_in(budget: Budget) -> tuple[str, float]:
@@ -172,4 +170,4 @@ def _figure(budget: Budget) -> Figure:
     for load in budget.torque:
         part, share = next(iter(budget.shares("part", load).items()), ("nothing", 0.0))
         largest.append(f"{load} {part} with {100 * share:.0f} %")
-    return Figure("budget", f"Who owns the error, by part and by order: first of all {', '.join(largest)}", draw)
+    return Figure("budget", f"Error budget by part and by order; largest: {', '.join(largest)}", draw)

@@ -33,5 +33,5 @@ def inputs(options: argparse.Namespace) -> Inputs:
     question = study.load(options.study, solve=False)
     if options.picture and not isinstance(question.design, RVReducer):
         kind = type(question.design).__name__
-        raise ValueError(f"--picture {options.picture}: only RV reducers are drawn, not a {kind}")
+        raise ValueError(f"--picture {options.picture}: draws RV reducers only, not a {kind}")
     return Inputs(question, Path(options.picture) if options.picture else None)

@@ -36,16 +36,16 @@ def _content(study: Study, found: Checked) -> list[Note | Table]:
         [[field, limits_of(tolerance, study.unit(field)), tolerance.distribution] for tolerance, field in rows],
     )
     how = [f"  {line}" for line in [*level_lines(study), expected(study)]]
-    left = ["Not in the models asked:", *(f"  {line}" for line in study.left_out)]
+    left = ["Ignored by the required models:", *(f"  {line}" for line in study.left_out)]
     said: list[Note | Table] = [
         Note("\n".join(head)),
         Note("\n".join(f"{name:32} {value}" for name, value in found.facts)),
         magnitudes,
         tolerances,
         Note("\n".join(["How it will be computed:", *how])),
-        *([Note(f"Assumed, for nobody printed them: {assumed_text(study)}")] if study.assumed else []),
+        *([Note(f"Assumed (not published): {assumed_text(study)}")] if study.assumed else []),
         Note("\n".join(left)),
-        Note("\n".join(f"doubtful: {line}" for line in study.doubts) or "No doubts."),
+        Note("\n".join(f"warning: {line}" for line in study.doubts) or "No warnings."),
     ]
     return [part for part in said if not isinstance(part, Note) or part.text]
 

@@ -20,7 +20,7 @@ class Crossed:
         own: fields that the answer has not: they keep the tolerance of the study.
         left: fields that the study has not: it does not ask after them, and they have no part in its figures.
         cost: in the costs of the study.
-        statistics: of fresh units, with the yield of each requirement and of all at once.
+        statistics: of independent units, with the yield of each requirement and of all at once.
     """
 
     study: Study
@@ -84,13 +84,13 @@ def put_into(study: Study, tolerances: Any) -> Any:
     """
     if type(tolerances) is not type(study.tolerances):
         theirs, ours = (type(record).__name__ for record in (tolerances, study.tolerances))
-        raise ValueError(f"study {study.name}: asks after {ours}, the answer is about {theirs}")
+        raise ValueError(f"study {study.name}: has requirements on {ours}, the result is about {theirs}")
     found = {name: one for name in study.fields if (one := getattr(tolerances, name)) is not None}
     if not found:
-        raise ValueError(f"study {study.name}: has none of the errors of the answer")
+        raise ValueError(f"study {study.name}: has none of the errors of the result")
     for name, one in found.items():
         if one.shape != (shape := getattr(study.tolerances, name).shape):
-            raise ValueError(f"tolerances.{name}: {one.shape} elements in the answer, {shape} in study {study.name}")
+            raise ValueError(f"tolerances.{name}: {one.shape} elements in the result, {shape} in study {study.name}")
     return study.tolerances.replace(**found)
 
 

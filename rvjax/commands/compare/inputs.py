@@ -37,9 +37,9 @@ def inputs(options: argparse.Namespace) -> Inputs:
         ValueError: one line that names the option or the folder.
     """
     if options.second is None and options.on is None:
-        raise ValueError("B is missing: name two results folders, or one and with --on the study that judges it")
+        raise ValueError("B is missing: name two results folders, or one folder and --on STUDY")
     if options.samples is not None and options.on is None:
-        raise ValueError(f"--samples {options.samples}: units are drawn for --on STUDY alone")
+        raise ValueError(f"--samples {options.samples}: only with --on STUDY")
     paths = {letter: path for letter, path in zip("AB", (options.first, options.second)) if path is not None}
     results = {letter: result(path) for letter, path in paths.items()}
     if options.on is None:
@@ -64,7 +64,7 @@ def answered(path: str) -> tuple[Study, Any]:
     try:
         written = (folder / "study.toml").read_text("utf-8")
     except (OSError, UnicodeDecodeError):
-        raise ValueError(f"{folder}: there is no study.toml beside the result, which says the laws") from None
+        raise ValueError(f"{folder}: there is no study.toml next to the result, which has the distributions") from None
     question = study.parse_study(written, name=str(found["study"]), folder=folder, solve=False)
     try:
         limits = {name: (one["after"]["lower"], one["after"]["upper"]) for name, one in found["tolerances"].items()}
@@ -73,5 +73,5 @@ def answered(path: str) -> tuple[Study, Any]:
             for name, (lower, upper) in limits.items()
         }
     except (KeyError, TypeError, AttributeError) as error:
-        raise ValueError(f"{path}: no result of the study beside it ({error!r})") from None
+        raise ValueError(f"{path}: no result of the study next to it ({error!r})") from None
     return question, question.tolerances.replace(**tolerances)

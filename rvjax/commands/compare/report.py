@@ -99,7 +99,7 @@ def _explained(found: dict[str, Crossed], answers: dict[str, Study]) -> list[str
     lines = []
     for letter, one in found.items():
         answer, name = answers[letter].name, one.study.name
-        lines.append(f"{letter}: {one.statistics.samples:,} fresh units, {failures_text(one.statistics)}")
+        lines.append(f"{letter}: {one.statistics.samples:,} independent units, {failures_text(one.statistics)}")
         if one.own:
             lines.append(f"{letter}: {answer} has no tolerance for {', '.join(one.own)}: those of {name} are kept")
         if one.left:

@@ -28,7 +28,7 @@ def report(asked: Inputs, found: Corrections) -> Report:
     left = [predicted(curve.correction, seed=study.seed) for curve in curves]
     noise = max(curve.found.residual_sd for curve in curves)
     head = f"Compensation {study.name}: ratio {curves[0].correction.ratio:g}, arcsec at the output"
-    rest = f"Beside the orders the curves hold {noise / arcsec:.3g} arcsec (rms) that no table takes off."
+    rest = f"Besides the orders the curves contain {noise / arcsec:.3g} arcsec (rms) that no table corrects."
     paths = [] if asked.export is None else _paths(asked.export, curves)
     return Report(
         title=f"{study.name}: compensation",

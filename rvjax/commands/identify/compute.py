@@ -1,4 +1,4 @@
-"""The answer to "what made this curve?": what the data can tell apart, most probable values, what to measure next."""
+"""The answer to "what made this curve?": what the data can identify, most probable values, what to measure next."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ PITCHES = 3  # of the ring that a curve is drawn over
 WITHOUT = 1e-4
 """Resolution below which the data say nothing of an element."""
 
-SEEING, FITTING, RANKING = "what the data can tell apart", "most probable values", "what to measure next"
+SEEING, FITTING, RANKING = "identifiability", "most probable values", "what to measure next"
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class Identified:
 
     Attributes:
         problem: the question with its data.
-        check: what the data can tell apart, without them.
+        check: what the data can identify, without them.
         posterior: of one unit, or None.
         batch: of several units, or None.
         draws: of the sampler, or None.
@@ -101,7 +101,7 @@ def compute(asked: Inputs) -> "Identified":
 
 
 def check(study: Study, measured: Measured | None = None) -> Identified:
-    """What a bench can tell apart, and which run to measure next; needs no values, and no data where noise is known.
+    """What a bench can identify, and which run to measure next; needs no values, and no data where noise is known.
 
     Args:
         study: with [identify].

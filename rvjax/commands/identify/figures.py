@@ -26,7 +26,7 @@ def figures(found: Identified) -> Iterator[Figure]:
         caption = f"Measured and identified transmission error, {band.run.at.text()}"
         yield Figure(f"curve_{k}", caption, partial(_curve, band))
     if asked.kind == "curve":
-        yield Figure("orders", "What is left over of each order, beside the noise", partial(_orders, found))
+        yield Figure("orders", "Residual of each order, and the noise", partial(_orders, found))
     if asked.kind == "loop" and isinstance(loop := asked.items[0][0], Loop):
         predicted = np.asarray(posterior.prediction["angle"])
         yield Figure("loop", "Midline of the measured loop and of the identified unit", partial(_loop, loop, predicted))

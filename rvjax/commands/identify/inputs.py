@@ -42,6 +42,6 @@ def inputs(options: argparse.Namespace) -> Inputs:
     asked = identification_of(question)
     data = read_measured(options.data, asked.columns) if options.data else None
     if data is None and not options.check:
-        raise ValueError("no data: name at least one CSV file, or ask with --check what a bench could tell apart")
+        raise ValueError("no data: name at least one CSV file, or use --check for the identifiability")
     folder = None if options.check else results_folder(options.results, question.name)
     return Inputs(question, options.study, options.data, data, options.check, options.sample, folder)

@@ -105,11 +105,9 @@ def _content(found: Identified, drawn: dict[str, Figure]) -> list[Content]:
         )
         left = len(found.bands) - RUNS
         parts: list[Note | Table | Figure] = [Note(points, only_page), *curves]
-        parts += [Note(f"{left} more runs are not drawn.", only_page)] if left > 0 else []
+        parts += [Note(f"{left} more runs are not plotted.", only_page)] if left > 0 else []
         content.append(Section("Measured and identified", (*parts, *_named(drawn, "orders"))))
-    content.append(
-        Section("What the data can tell apart", (_seen(found), *([Note(unknown, only_page)] if silent else [])))
-    )
+    content.append(Section("Identifiable errors", (_seen(found), *([Note(unknown, only_page)] if silent else []))))
     content.append(Section("Every element", (*_named(drawn, "elements"), *_elements(found))))
     if found.batch is not None:
         content.append(Section("Units", (_units(found),)))
@@ -120,7 +118,7 @@ def _content(found: Identified, drawn: dict[str, Figure]) -> list[Content]:
     if rest := _doubts(found):
         content.append(Note("\n".join(rest), only_text))
     if coming := next_lines(found):
-        more = "One more run, and how much it would tell about the parts (a nat: some uncertainty divided by 2.7):"
+        more = "One more run, and its information about the parts (a nat: some uncertainty divided by 2.7):"
         listed = [f"  {line}" for line in coming]
         notes = Note("\n".join(["Measure next:", *listed]), only_text), Note("\n".join([more, *listed]), only_page)
         content.append(Section("What to measure next", notes))
@@ -140,7 +138,7 @@ def _seen(found: Identified) -> Note:
         lines.append(f"Only errors of parts or the mounting make order {orders}; the housing cannot.")
     if pairs := found.check.inseparable:
         shown = [f"{a} and {b} ({r:+.3f})" for a, b, r in pairs[:5]]
-        lines.append(f"Cannot be told apart: {', '.join(shown)}{', ..' if len(pairs) > 5 else ''}")
+        lines.append(f"Not distinguishable: {', '.join(shown)}{', ..' if len(pairs) > 5 else ''}")
     return Note("\n".join(lines))
 
 

@@ -69,7 +69,7 @@ def headline(answer: Identified) -> str:
     """The verdict on the data in a line or two."""
     name = answer.study.name
     if answer.posterior is None and answer.batch is None:
-        return f"Study {name}: what {_what(answer)} can tell apart"
+        return f"Study {name}: what {_what(answer)} can identify"
     if answer.batch is not None:
         wrong = sum(status != "CONVERGED" for status in answer.batch.status)
         return f"Study {name}: {len(answer.problem.units)} units, {wrong} with another status than CONVERGED"
@@ -81,7 +81,7 @@ def headline(answer: Identified) -> str:
     lines.append(f"{'The model can explain the data' if found.adequate else cannot} (p = {p:.3g}).")
     if prior < 1e-3:
         lines.append(
-            f"Parts of this drawing hardly make such a curve (p = {prior:.3g}): something is out of tolerance."
+            f"Parts of this drawing rarely give such a curve (p = {prior:.3g}): something is out of tolerance."
         )
     return "\n".join(lines)
 

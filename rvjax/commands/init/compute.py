@@ -45,7 +45,7 @@ def written(base: str) -> str:
         parse_study(head + named + "\n\n" + asked, name=base, solve=False)
     except StudyError as contradiction:  # published so: possible by name alone
         own = "\n".join(_lines(design.cranks, known.cranks, unprinted, "cranks."))
-        named = f'base = "{base}" # its printed numbers contradict each other: {contradiction}\n{own}'
+        named = f'base = "{base}" # its published values contradict each other: {contradiction}\n{own}'
     return head + named + "\n\n" + asked
 
 

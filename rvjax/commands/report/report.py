@@ -154,14 +154,14 @@ def _requirements(answer: Answer, drawn: dict[str, Figure]) -> Section:
         for status, count in certificate.failures.items()
     ]
     certified = (
-        f"Certificate: {certificate.samples:,} fresh units with seed {certificate.seed}, {certificate.failed:,} failed"
+        f"Certificate: {certificate.samples:,} independent units with seed {certificate.seed}, {certificate.failed:,} failed"
         + (f", each a reject in every yield: {', '.join(failures)}" if failures else "")
         + f". Intervals hold with {100 * certificate.confidence:g} % confidence; a requirement is met when the lower "
         "end of its yield reaches the target. A shadow price is the change of the cost when the limit moves outwards."
     )
     capability = (
         "Of the certified units. Cp = (upper - lower)/(6 sd) needs two limits; Cpk = distance of the mean from the "
-        "nearer limit/(3 sd). Both speak of rejects only where the distribution is normal; the yield does for any."
+        "nearer limit/(3 sd). Both give the rejects only if the distribution is normal; the yield does for any."
     )
     histograms = tuple(drawn[f"histogram_{name}"] for name in answer.study.requirements)
     parts = (requirement_table(answer), Note(certified), _capability(answer), Note(capability))
@@ -209,7 +209,7 @@ def design_section(study: Study) -> Section:
     if isinstance(study.design, RVReducer):
         parts.append(Figure("design", _drawn(study.design), lambda: _draw(study.design)))
     if study.assumed:
-        parts.append(Note("Nobody printed the numbers marked assumed: the answer holds as far as they do."))
+        parts.append(Note("Values marked assumed are not published: the result depends on them."))
     if study.base:
         parts.append(Note(f"{study.base} is {catalogue.citation(study.base)}"))
     columns = [Text("number"), Text("value", wraps=True), Text("from", wraps=True), Text("note")]
@@ -296,7 +296,7 @@ def _levels(answer: Answer) -> Section:
         bound = None if choice.bound is None else f"< {float(f'{choice.bound / size:.2g}'):g} {unit}"
         spent = None if choice.ns is None else f"{choice.ns / 1e3:.3g} us"
         rows.append([Titled(name, study.output(name).meaning), choice.level, wanted, bound, spent, choice.why])
-    short = [Text(title) for title in ("accuracy asked", "its error", "time of a unit")]
+    short = [Text(title) for title in ("required accuracy", "its error", "time of a unit")]
     columns = [Text("response"), Text("level", wraps=True), *short, Text("why", wraps=True)]
     conditions = ", ".join(
         f"{_words(key)} = {value}"
@@ -305,6 +305,6 @@ def _levels(answer: Answer) -> Section:
     )
     text = (
         "A level is one way to compute a response. Errors and times are measured ones, from the table that comes with "
-        f"rvjax; times belong to its machine and serve for comparison.\nConditions, SI: {conditions}."
+        f"rvjax; times are those of its computer, for comparison.\nConditions, SI: {conditions}."
     )
     return Section("How exactly it was computed", (Table("levels", columns, rows), Note(text)))

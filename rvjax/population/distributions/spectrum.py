@@ -50,7 +50,7 @@ class Spectrum(Normal):
         most = (tolerance.shape[-1] - 1) // 2 if tolerance.shape else 0
         if pair or len(self.spectrum) > most:
             raise ValueError(
-                f"{name}: spectrum of {len(self.spectrum)} waves, but a field of shape {tolerance.shape} has room for "
+                f"{name}: spectrum of {len(self.spectrum)} waves, but a field of shape {tolerance.shape} has at most "
                 f"{0 if pair else most} round its last axis"
             )
 

@@ -243,7 +243,7 @@ def _check_cheap(cheap: Response, population: Population, required: dict[str, Li
     have = response_names(cheap, population)
     for name in required:
         if name not in have:
-            raise ValueError(f"cheap: has no {name!r}, which a requirement judges; it has {', '.join(have)}")
+            raise ValueError(f"cheap: has no {name!r}, which a requirement names; it has {', '.join(have)}")
 
 
 def _check(required: dict[str, Limits], joint_target: float | None, **counts: int) -> None:
@@ -252,7 +252,7 @@ def _check(required: dict[str, Limits], joint_target: float | None, **counts: in
     if joint_target is not None and not 0 < joint_target < 1:
         raise ValueError(f"joint_target = {joint_target!r}: must lie between 0 and 1")
     if joint_target is not None and not any(item.of_units for item in required.values()):
-        raise ValueError(f"joint_target = {joint_target!r}: no requirement judges single units")
+        raise ValueError(f"joint_target = {joint_target!r}: no requirement is for single units")
     for name, value in counts.items():
         least = FEWEST if name == "samples" else 1
         if value < least:

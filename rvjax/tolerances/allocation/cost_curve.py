@@ -146,7 +146,7 @@ def cost_of_yields(
 ) -> list[tuple[float, float]]:
     """What other targets would cost, one search each: (least yield of a requirement, cost) of where it ended.
 
-    Nothing is certified: the yield is that of fresh units, whatever the target was.
+    Nothing is certified: the yield is that of independent units, whatever the target was.
 
     Args:
         response: pure function of the errors of one unit; a dict of scalars, or an `Outcome` of these.

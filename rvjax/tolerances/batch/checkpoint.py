@@ -99,14 +99,14 @@ class Checkpoint:
         if different:
             raise ValueError(
                 f"checkpoint = {str(self._path)!r}: belongs to another study: {'; '.join(different)}; "
-                "name another file, or delete it to begin anew"
+                "name another file, or delete it to start again"
             )
         return chunk, arrays
 
     def damaged(self, error: Exception) -> ValueError:
         """Return the error of a file that cannot be gone on from."""
         where = f"checkpoint = {str(self._path)!r}"
-        return ValueError(f"{where}: damaged, or no checkpoint ({error}); delete it to begin anew")
+        return ValueError(f"{where}: damaged, or no checkpoint ({error}); delete it to start again")
 
     def save(self, chunk: int, state: PyTree, *, now: bool = False) -> None:
         """Write what `state()` gives before chunk number `chunk`, if it is time or `now`; a failure only warns."""
@@ -139,7 +139,7 @@ def of_process(path: str | Path, process: int, processes: int) -> Path:
         if found.suffix != PARTIAL and found not in all_of and found.is_file():
             raise ValueError(
                 f"checkpoint = {str(path)!r}: {found.name} is of another number of processes than {processes}; "
-                "name another file, or delete it to begin anew"
+                "name another file, or delete it to start again"
             )
     return all_of[process]
 
