@@ -118,7 +118,7 @@ def test_commands(tmp_path, monkeypatch, capsys):
     assert cli.main(["check", "mine.toml", "--picture", "mine.png"]) == 0
     said = capsys.readouterr().out
     for words in ("ratio                            153", "gap between pins                 5.24 mm", "No warnings",
-                  "no undercut", "closed form, 64 angles", "Not in the models asked", "784 N m"):  # fmt: skip
+                  "no undercut", "closed form, 64 angles", "Ignored by the required models", "784 N m"):  # fmt: skip
         assert words in said
     assert (tmp_path / "mine.png").stat().st_size > 10_000
     assert cli.main(["check", "corr", "--picture", "mine.png"]) == 2

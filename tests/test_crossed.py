@@ -123,7 +123,7 @@ def test_what_cannot_be_judged_is_one_line(folder, capsys):
 
     assert "B is missing: name two results folders" in refused("a")
     assert "--samples 20: only with --on STUDY" in refused("a", "a", "--samples", "20")
-    assert "study corr: has requirements on CamRollerErrors, the result is about RVErrors" in refused(
+    assert "study corr: has requirements on CamRollerErrors, the result is about RV" in refused(
         "a", "--on", "corr"
     )
     other = JUDGE.replace("tolerances.disc_bore", "tolerances.crank_phase").replace("1 um", "1 arcmin", 1)
@@ -132,7 +132,7 @@ def test_what_cannot_be_judged_is_one_line(folder, capsys):
     (folder.parent / "other.toml").write_text(other)
     assert "study other: has none of the errors of the result" in refused("a", "--on", "other.toml")
     (folder / "study.toml").unlink()
-    assert "a: there is no study.toml beside the result" in refused("a/result.json", "--on", "judge.toml")
+    assert "a: there is no study.toml next to the result" in refused("a/result.json", "--on", "judge.toml")
 
 
 def test_elements_must_agree():

@@ -21,9 +21,9 @@ def test_orders_of_an_uneven_curve():
     found = identify.orders(angle, curve, [40, 39], drift=True)
     assert found.value[0] == pytest.approx(2 - 1j, rel=1e-10) and abs(found.value[1]) < 1e-10
     assert found.residual_sd < 1e-12
-    with pytest.raises(ValueError, match="samples cannot tell"):
+    with pytest.raises(ValueError, match="samples cannot determine"):
         identify.orders(np.linspace(0, 2 * np.pi, 40, endpoint=False), np.ones(40), [3, 37])  # aliases
-    with pytest.raises(ValueError, match="samples cannot tell"):
+    with pytest.raises(ValueError, match="samples cannot determine"):
         identify.orders(angle[:5], curve[:5], [1, 2])
     for bad in ([0], [1, 1], [-2], [np.inf]):
         with pytest.raises(ValueError, match="orders"):

@@ -186,9 +186,7 @@ class Elements:
         wanted = self.vector(argument, values)
         for name, tolerance in self.population.active.items():
             if tolerance.law.couples:
-                raise ValueError(
-                    f"{argument}.{name}: vectors of the distribution {tolerance.distribution} cannot be placed"
-                )
+                raise ValueError(f"{argument}.{name}: {tolerance.distribution} vectors cannot be placed")
         u = np.asarray(standard(self.population, jnp.asarray(wanted[None])))[0]
         found = np.asarray(mapped(self.population, jnp.asarray(u[None]))[0])[0]
         widths = np.asarray([float(self.population.active[field].half_width) for field in self.fields])

@@ -89,7 +89,7 @@ class Answer:
         certificate_before: statistics of the study's own tolerances, on the certificate's random numbers.
         before: the study's own tolerances.
         after: the allocated tolerances.
-        cost_curve: (least yield of a requirement among independent units, cheapest cost), ascending; the certified allocation
+        cost_curve: (least yield of a requirement, cheapest cost), ascending; the certified allocation
             itself among them where all its targets are one; empty where the study is infeasible or asks for no share
             of units.
     """

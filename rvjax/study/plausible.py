@@ -70,8 +70,8 @@ def doubts(design: object, conditions: Any, tolerances: Any) -> list[str]:
             found += _doubt(f"tolerances.{field}: half-width", half, unit, *HALF_WIDTH[unit])
     given = {name for name, _, _ in _toleranced(tolerances)}
     found += [
-        f"tolerances.{name}: {bound.placed} is the same error with its place, and sampled separately; without {name} the one "
-        "follows"
+        f"tolerances.{name}: {bound.placed} is the same error with its place, and sampled separately; without {name} "
+        "the one follows"
         for name, bound in described(tolerances, "bounds").items()
         if {name, bound.placed} <= given
     ]
