@@ -123,9 +123,7 @@ def test_what_cannot_be_judged_is_one_line(folder, capsys):
 
     assert "B is missing: name two results folders" in refused("a")
     assert "--samples 20: only with --on STUDY" in refused("a", "a", "--samples", "20")
-    assert "study corr: has requirements on CamRollerErrors, the result is about RV" in refused(
-        "a", "--on", "corr"
-    )
+    assert "study corr: has requirements on CamRollerErrors, the result is about RV" in refused("a", "--on", "corr")
     other = JUDGE.replace("tolerances.disc_bore", "tolerances.crank_phase").replace("1 um", "1 arcmin", 1)
     other = other.replace('[tolerances.carrier_bore]\nhalf_width = "1 um"\n', "")
     other = other[: other.index("[cost")] + other[other.index("[requirement") :]

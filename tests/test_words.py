@@ -13,7 +13,7 @@ PRIVATE = re.compile(
     re.IGNORECASE,
 )
 ALLOWED = re.compile(r"contact laws?|drawn to scale|room temperature|machine-readable", re.IGNORECASE)
-CODE = re.compile(r"```.*?```|<!--.*?-->|`[^`]*`|\]\([^)]*\)|\$[^$]*\$|<[^>]*>", re.DOTALL)
+CODE = re.compile(r"```.*?```|<!--.*?-->|`[^`]*`|\]\([^)]*\)|\$[^$]*\$|<[^>]*>|--[a-z-]+", re.DOTALL)
 
 UNFINISHED = {"add_a_model.md", "speed.md"}
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md")]
