@@ -104,6 +104,8 @@ def _spelled(value: Any) -> str:
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         fields = [(f.name, getattr(value, f.name)) for f in dataclasses.fields(value)]
         return f"{type(value).__module__}.{type(value).__qualname__}{_spelled(fields)}"
+    if isinstance(value, jax.sharding.Mesh):  # its number of devices is that of the process, see `_setting`
+        return f"Mesh{_spelled((value.axis_names, value.axis_sizes))}"
     if callable(value) and value is not type(None):
         name, found = getattr(value, "__qualname__", ""), sys.modules.get(getattr(value, "__module__", None) or "")
         for part in name.split("."):

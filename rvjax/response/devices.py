@@ -107,6 +107,11 @@ def mesh_of(units: int) -> jax.sharding.Mesh | None:
     return jax.sharding.Mesh(np.array(devices), ("units",)) if len(devices) > 1 and units % len(devices) == 0 else None
 
 
+def on(mesh: jax.sharding.Mesh, rows: jax.Array) -> jax.Array:
+    """Rows (numbers, units) shared out: a kept program takes them so."""
+    return jax.device_put(rows, jax.sharding.NamedSharding(mesh, NUMBERS))
+
+
 def place() -> tuple[int, int]:
     """Number of this process, and of all; (0, 1) unless `jax.distributed.initialize` was called."""
     return jax.process_index(), jax.process_count()

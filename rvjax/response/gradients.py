@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax.population import Population
-from rvjax.response.devices import NUMBERS, UNITS, mesh_of, shared_out
+from rvjax.response.devices import NUMBERS, UNITS, mesh_of, on, shared_out
 from rvjax.response.response import Response, evaluate, per_response, response_names
 
 LANES = 256
@@ -55,7 +55,7 @@ def _on_all_devices(
     mesh = mesh_of(errors.shape[1])
     if mesh is None:
         return pulled(response, population, errors, cotangents, names=names)
-    return _pulled_on(response, population, errors, cotangents, names=names, mesh=mesh)
+    return _pulled_on(response, population, on(mesh, errors), on(mesh, cotangents), names=names, mesh=mesh)
 
 
 def gradients(

@@ -10,7 +10,7 @@ import numpy as np
 
 from rvjax.population import Population
 from rvjax.records import PyTree
-from rvjax.response.devices import UNITS, Evaluator, mesh_of, shared_out
+from rvjax.response.devices import UNITS, Evaluator, mesh_of, on, shared_out
 from rvjax.response.gradients import elements
 from rvjax.response.response import Response, Values, evaluate, per_response, response_names
 from rvjax.status import worst
@@ -111,7 +111,7 @@ def solved(
     """
     if mesh is None:
         return _solved(response, population, errors)
-    return _solved_on(response, population, errors, mesh=mesh)
+    return _solved_on(response, population, on(mesh, errors), mesh=mesh)
 
 
 @per_response()
