@@ -51,7 +51,7 @@ def judged(verdict: Verdict, output: Output) -> Quantity:
 
 
 def failures_text(found: Statistics) -> str:
-    """How many units failed, why, how they count, and one unit of each kind."""
+    """Text on failed units: number, statuses, and one unit of each status."""
     if not found.failed:
         return "0 failed"
     kinds = (f"{count:,} {name} (unit {found.examples[name]})" for name, count in found.failures.items())
@@ -65,7 +65,7 @@ def limits_data(tolerance: Any) -> dict[str, Any]:
 
 
 def assumed_text(study: Study) -> str:
-    """The numbers that nobody printed; a part of which that holds for all stands for them."""
+    """List the assumed values; a part is listed alone if all its values are assumed."""
     stated = [number for number in study.numbers if number.origin != "default"]
     known = {number.path.rpartition(".")[0] for number in stated if not number.assumed} | {""}
     paths = (number.path for number in stated if number.assumed)

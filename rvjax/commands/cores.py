@@ -15,5 +15,5 @@ def share_cores(processes: int) -> None:
     import jax
 
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    with contextlib.suppress(RuntimeError):  # whoever called `main` uses JAX already
+    with contextlib.suppress(RuntimeError):  # the caller of `main` already uses JAX
         jax.config.update("jax_num_cpu_devices", max(1, min(cores // processes, _MOST_DEVICES)))

@@ -1,4 +1,4 @@
-"""How and how long a study will be computed: levels, phases, seconds."""
+"""Forecast of a computation: levels, phases, seconds."""
 
 from rvjax import levels
 from rvjax.levels import Choice
@@ -9,7 +9,7 @@ CHUNK = 32_768  # units at once
 
 
 def choices(question: Study) -> dict[str, Choice]:
-    """How each response will be computed: as the accuracy asks, else as the conditions say."""
+    """Level of each response: selected by its accuracy, else by the conditions."""
     outputs = tuple(question.requirements)
     given = levels.as_given(question.design, outputs, question.conditions, tolerances=question.tolerances)
     return given | question.choices()
@@ -38,7 +38,7 @@ def expected(question: Study) -> str:
 
 
 def phases_of(question: Study, before: str, *after: str) -> dict[str, float]:
-    """Seconds of each phase of an answer, on the machine of the measured table, its compilation included."""
+    """Seconds of each phase of a run, on the computer of the measured table, including compilation."""
     unit, compiling = unit_seconds(question) or 0.0, {SEARCHING: 20.0, CERTIFYING: 1.0, SAMPLING: 16.0, PRICING: 12.0}
     spent = {phase: compiling[phase] + unit * units for phase, units in solved_units(question).items()}
     return {before: 6.0} | spent | dict.fromkeys(after, 10.0)

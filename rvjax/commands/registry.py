@@ -1,4 +1,4 @@
-"""What the package of a command holds, read when it is needed: a command that nobody runs is not imported."""
+"""Parts of the package of a command, imported when first used."""
 
 import importlib
 import tomllib

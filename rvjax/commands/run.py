@@ -31,7 +31,7 @@ def run(name: str, options: argparse.Namespace) -> int:
     with progress.shown(phases, counted=getattr(work, "COUNTED", ""), quiet=quiet):
         progress.begin(READING)
         found = report(asked, work.compute(asked))
-        if not as_json and found.content:  # before the folder is made: a failure there leaves the printed result
+        if not as_json and found.content:  # before the folder is made, which may fail
             say(found.text() if found.brief is None else found.brief)
         if folder is not None:
             progress.begin(WRITING)

@@ -1,4 +1,4 @@
-"""What all commands share: printing, checks before any work, exit codes."""
+"""Functions of all commands: printing, checks before any work, exit codes."""
 
 import argparse
 import json
@@ -43,7 +43,7 @@ def tell(options: argparse.Namespace, text: Callable[[], str], data: Callable[[]
 
 
 def forewarn(question: Any) -> None:
-    """Before any work: numbers that look like a slip, and how each response with an accuracy will be computed."""
+    """Print warnings on input values and the level of each response with an accuracy, before any work."""
     from rvjax.commands import forecast
 
     for line in question.doubts:

@@ -1,4 +1,4 @@
-"""The answer to a study, unless a folder holds it."""
+"""Result of a study, computed or read from a results folder."""
 
 from rvjax.commands import forecast
 from rvjax.commands.allocate.inputs import Inputs
@@ -16,5 +16,5 @@ def phases(asked: Inputs) -> dict[str, float]:
 
 
 def compute(asked: Inputs) -> Answer | None:
-    """The answer, which also solves the unit without errors; None where it is kept."""
+    """Compute the result and solve the unit without errors; None if the result is stored."""
     return answer.answer(asked.study, progress=not asked.quiet, memo=asked.memo) if asked.kept is None else None

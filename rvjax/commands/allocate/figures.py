@@ -1,4 +1,4 @@
-"""Plots of an answer: curves of sample units, a histogram for each requirement, variance shares, cost against yield."""
+"""Plots of a result: curves of sample units, a histogram for each requirement, variance shares, cost against yield."""
 
 import math
 from collections.abc import Iterator
@@ -13,7 +13,7 @@ from rvjax.tolerances import least_yield
 
 
 def figures(answer: Answer) -> Iterator[Figure]:
-    """The plots of an answer."""
+    """Draw the plots of a result."""
     study = answer.study
     if study.curve is not None:
         yield Figure("curves", f"{study.curve.title} of sample units, before and after", partial(_curves, answer))

@@ -1,4 +1,4 @@
-"""What `rvjax allocate` reads: a study, and results folders that may hold its answer already."""
+"""Inputs of `rvjax allocate`: a study, and results folders that may hold its result."""
 
 import argparse
 from collections.abc import Callable
@@ -16,11 +16,11 @@ from rvjax.tolerances import Memo
 
 @dataclass(frozen=True)
 class Inputs:
-    """What the command needs.
+    """Inputs of the command.
 
     Attributes:
         study: the question.
-        kept: folder that holds the answer already, or None.
+        kept: folder that holds the result, or None.
         folder: of the results, None where they are kept.
         memo: keeps what took long until the folder exists, or None.
         quiet: show no progress.

@@ -1,4 +1,4 @@
-"""An answer that a results folder holds already: the same study, answered by the same rvjax."""
+"""Stored result of a study: same study, same version of rvjax."""
 
 import json
 import os
@@ -15,13 +15,13 @@ from rvjax.tolerances import Memo, versions
 
 
 def folder(study: Study, option: str | None) -> Path | None:
-    """The latest results folder that holds the answer to a study, or None.
+    """Find the latest results folder that holds the result of a study, or None.
 
-    A study that names other files is never answered so: they may have changed.
+    A study that names other files is always recomputed, because the files may have changed.
 
     Args:
         study: the question.
-        option: folder that was asked for; None for those under `results` that bear the name of the study.
+        option: folder of the command line; None for all under `results` with the name of the study.
     """
     if _names_files(tomllib.loads(study.text)):
         return None
@@ -30,7 +30,7 @@ def folder(study: Study, option: str | None) -> Path | None:
 
 
 def memo(study: Study, place: Path) -> Memo | None:
-    """Where an allocation keeps what took long until its folder is there; None if the study names other files."""
+    """Folder for intermediate results of an allocation; None if the study names other files."""
     if _names_files(tomllib.loads(study.text)):
         return None
     about = {"study": study.text, "flags": os.environ.get("XLA_FLAGS", "")}
@@ -38,11 +38,11 @@ def memo(study: Study, place: Path) -> Memo | None:
 
 
 FILE = "answer.npz"
-"""What the page of an answer needs beside its study; the tables and plots follow from it."""
+"""Stored part of a result: with the study, it determines all tables and plots."""
 
 
 def stored(answer: Answer) -> bytes:
-    """An answer as the content of a file."""
+    """Write a result as the content of a file."""
     sides = {name: dict(vars(getattr(answer, name))) for name in ("before", "after")}
     found = {name: getattr(answer, name) for name in ("allocation", "certificate_before", "cost_curve")} | sides
     with tempfile.TemporaryDirectory() as folder:
@@ -52,7 +52,7 @@ def stored(answer: Answer) -> bytes:
 
 
 def restored_from(study: Study) -> tuple[Path, Answer] | tuple[None, None]:
-    """The latest results folder that holds the answer to a study, and the answer; None where there is none."""
+    """Find the latest results folder with the result of a study, and read the result; None without a folder."""
     place = folder(study, None)
     if place is None:
         return None, None
@@ -65,7 +65,7 @@ def restored_from(study: Study) -> tuple[Path, Answer] | tuple[None, None]:
 
 
 def status(place: Path) -> str:
-    """How the allocation in a results folder ended."""
+    """Read the final status of the allocation in a results folder."""
     return str(json.loads((place / "result.json").read_text("utf-8"))["status"])
 
 

@@ -1,4 +1,4 @@
-"""What `rvjax allocate` says: verdict, cost, tolerances, influence of each error, requirements, certificate."""
+"""Report of `rvjax allocate`: verdict, cost, tolerances, influence of each error, requirements, certificate."""
 
 import dataclasses
 import json
@@ -36,12 +36,12 @@ from rvjax.units import readable
 UNMOVED = "not seen"
 UNMOVED_MEANS = "the model ignores this error, or its first-order effect is zero; it may still matter"
 MOVED = "middles moved"
-"""Row of the cost of moving middles, beside that of the half-widths: columns of costs add up to the cost."""
+"""Row with the cost of moved mid-points: with it, the column of costs adds up to the total."""
 NOT_IN_FILE, IN_FILE = EVERYWHERE - {CSV}, frozenset({CSV})
 
 
 def report(asked: Inputs, found: Answer | None) -> Report:
-    """The report on an answer, or what the folder that keeps it says.
+    """Report on a result, computed or read from a results folder.
 
     Args:
         asked: inputs of the command.
@@ -61,7 +61,7 @@ def report(asked: Inputs, found: Answer | None) -> Report:
 
 
 def report_on(answer: Answer) -> Report:
-    """The report on an answer."""
+    """Report on a result."""
     certificate = answer.allocation.certificate
     fresh = f"Certificate: {certificate.samples:,} independent units, {failures_text(certificate)}"
     return Report(
@@ -82,7 +82,7 @@ def report_on(answer: Answer) -> Report:
 
 
 def headline(answer: Answer) -> str:
-    """Verdict with the yield of all requirements at once, and cost, or why there is no answer."""
+    """Status with joint yield and cost, or the reason why there is no result."""
     study, allocation = answer.study, answer.allocation
     lines = [f"Study {study.name}: {allocation.status}", *filter(None, [study.about.line()])]
     if (joint := allocation.certificate.joint_yield) is not None:
@@ -103,7 +103,7 @@ def headline(answer: Answer) -> str:
 
 
 def shortfall_text(shortfall: float, output: Output) -> str:
-    """What a limit that cannot be met would have to do.
+    """Text on a limit that cannot be met, with the limit that could be met.
 
     Args:
         shortfall: by how much it is missed, SI.
@@ -116,7 +116,7 @@ def shortfall_text(shortfall: float, output: Output) -> str:
 
 
 def limits_of_the_answer(answer: Answer) -> list[str]:
-    """What a reader must know beside the numbers, a line each: warnings, negative values, what is left out."""
+    """Notes on the values, a line each: warnings, negative values, what is not modelled."""
     study = answer.study
     lines = [f"Doubtful: {line}" for line in study.doubts]
     lines += [f"Assumed (not published): {assumed_text(study)}"] if study.assumed else []
@@ -242,7 +242,7 @@ class _Price(Column):
 
 @dataclass(frozen=True)
 class _Met(Text):
-    """Whether a requirement is met: 1 or 0 in a file."""
+    """Column for a met requirement: 1 or 0 in a file."""
 
     def _said(self, cell: bool) -> str:
         return "✔ met" if cell else "✘ not met"
@@ -291,7 +291,7 @@ def requirement_table(answer: Answer) -> Table:
 
 
 def _data(answer: Answer) -> dict[str, Any]:
-    """Everything about an answer except single units, as JSON values; SI."""
+    """Result as JSON values in SI, without single units."""
     study, allocation = answer.study, answer.allocation
     graded = allocation.graded
     return {

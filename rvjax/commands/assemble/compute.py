@@ -19,7 +19,7 @@ class Assembled:
     Attributes:
         parts: measured ones.
         plan: which of them make which unit.
-        prices: what tolerances cost; empty where nobody asked.
+        prices: cost of tolerances; empty without the option.
     """
 
     parts: Bench
@@ -37,7 +37,7 @@ def phases(asked: Inputs) -> dict[str, float]:
 
 
 def compute(asked: Inputs) -> Assembled:
-    """The plan, and prices if they are asked for."""
+    """Compute the plan, and prices if required."""
     study, how = asked.study, table_of(asked.study)
     parts = bench(study, asked.source)
     progress.begin(MATCHING)

@@ -1,4 +1,4 @@
-"""What `rvjax assemble` reads: the table [assembly] of a study and a list of measured parts."""
+"""Inputs of `rvjax assemble`: the table [assembly] of a study and a list of measured parts."""
 
 import argparse
 import dataclasses
@@ -14,7 +14,7 @@ from rvjax.study import Study, choice, integer, known, quantity, subtable
 
 @dataclasses.dataclass(frozen=True)
 class Assembly:
-    """How measured parts are matched: the table [assembly].
+    """Options for matching measured parts: the table [assembly].
 
     Attributes:
         response: that decides; None: the only requirement.
@@ -35,7 +35,7 @@ class Assembly:
 
 @dataclasses.dataclass(frozen=True)
 class Inputs:
-    """What the command needs.
+    """Inputs of the command.
 
     Attributes:
         study: design, tolerances, requirements and [assembly].

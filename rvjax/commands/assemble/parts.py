@@ -22,7 +22,7 @@ from rvjax.units import KNOWN, spelling
 
 WORDS = ("kind", "id", "stock")
 REST = "rest"
-"""Slot of all errors that have a tolerance and no parts: each unit has its own, nobody measured them."""
+"""Slot of all errors with a tolerance and without parts: not measured, independent in each unit."""
 
 
 def table_of(study: Study) -> Assembly:
@@ -107,7 +107,7 @@ def bench(study: Study, path: str | Path) -> Bench:
 
 
 def unit_values(found: Bench, seed: int, plan: Plan | None = None, count: int = 1024) -> np.ndarray:
-    """Responses of units with all that is not known of their parts drawn; nan where one fails (count,).
+    """Responses of units with the unmeasured errors of their parts sampled; nan for a failed unit (count,).
 
     Args:
         found: parts.

@@ -1,4 +1,4 @@
-"""What `rvjax assemble` says: the plan beside random assembly, the list for the bench, a plot of the units."""
+"""Report of `rvjax assemble`: the plan compared with random assembly, the list for the bench, a plot of the units."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -70,7 +70,7 @@ def _verdict(study: Study, plan: Plan, name: str) -> list[str]:
 
 
 def _compared(plan: Plan, unit: str, size: float) -> Table:
-    """Random units beside those of the plan."""
+    """Statistics of random units and of the units of the plan."""
     assert plan.random_yield is not None and plan.yield_ is not None  # a list of parts has a requirement
     rows = [
         [f"mean ({unit})", plan.random.value / size, np.mean(plan.values) / size],

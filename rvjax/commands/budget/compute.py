@@ -1,9 +1,9 @@
-"""Who owns the error: the variance of a curve over units, by error, part and stage, and by order of the output turn.
+"""Error budget: variance of a curve over units, by error, part, stage and order of the output revolution.
 
-Every share is a total effect (Sobol): half the mean square by which a wave changes when one error is drawn anew and all
-others stay (Jansen, Comput. Phys. Commun. 117, 1999). No slope is taken, so kinks and play do no harm.
+Every share is a total effect (Sobol): half the mean square change of a harmonic when one error is resampled and all
+others stay (Jansen, Comput. Phys. Commun. 117, 1999). No derivative is used, so kinks and clearance are allowed.
 
-What errors do together, no linear share knows. From a unit a to another one, b, a wave changes by what each error
+Linear shares do not include interactions. From a unit a to another unit b, a harmonic changes by what each error
 changes alone, and a rest R = f(b) - f(a) - sum_i (f(a with b_i) - f(a)), zero for every unit where errors only add up.
 Terms of the variance decomposition (ANOVA) of m errors, of variance V, are orthogonal at these points and leave
 E R^2 = (m^2 - m + 2) V: 4 V of pairs and more of others, so that E R^2 / 4 bounds what is together from above.
@@ -53,7 +53,7 @@ class Budget:
         total: {load: (k,) variance of each wave over the units}. The shares sum to more where errors act together.
         together: {load: (share of the variance that errors have together, at most, its standard error)}.
         alike: {load: (k,) mean square of each wave that all units have in common}, of the design and its load.
-        part: {error: part of the machine}.
+        part: {error: part of the reducer}.
         samples: units, of which `failed` have no curve and are left out.
         failed: {load: units without a curve, or with a neighbour without one}.
     """
@@ -136,7 +136,7 @@ def error_budget(
         output: of the study, whose model has a curve along the output; by default the first that has one.
         tolerances: other than those of the study, such as allocated ones.
         loads: torques by name, N m; by default "loaded", that of the study, and "unloaded", a thousandth of it.
-        samples: units, each of which is solved twice, and once for every error. 256 know a share of 10 % to a tenth.
+        samples: units; each is solved twice, and once for every error. 256 units give a share of 10 % within 1 %.
         seed: by default that of the study.
         progress: show a progress bar.
 
@@ -201,7 +201,7 @@ def torque_condition(given: Any) -> str:
 
 @dataclass(frozen=True)
 class _Load:
-    """What a `Budget` holds of one load."""
+    """Results of one load, for a `Budget`."""
 
     variance: dict[str, np.ndarray]
     error: dict[str, float]

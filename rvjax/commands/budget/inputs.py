@@ -1,4 +1,4 @@
-"""What `rvjax budget` reads: a study, an output, torques."""
+"""Inputs of `rvjax budget`: a study, an output, torques."""
 
 import argparse
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from rvjax.study import Study, quantity
 
 @dataclass(frozen=True)
 class Inputs:
-    """What the command needs.
+    """Inputs of the command.
 
     Attributes:
         study: design, conditions and tolerances.

@@ -1,4 +1,4 @@
-"""What `rvjax budget` says: shares of errors, parts and stages, the largest orders, one plot."""
+"""Report of `rvjax budget`: shares of errors, parts and stages, the largest orders, one plot."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -52,8 +52,8 @@ def report_on(budget: Budget, study: Study) -> Report:
 def section_on(budget: Budget) -> Section:
     """The budget on the page of other results: a plot, and the shares of the parts."""
     about = (
-        f"{budget.title}, with the tolerances after: of {budget.samples:,} units, by how much its waves change when "
-        "one error is drawn anew."
+        f"{budget.title}, with the tolerances after: change of the harmonics of {budget.samples:,} units when "
+        "one error is resampled."
     )
     lines = Note("\n".join(f"{line}." for line in _load_lines(budget)))
     return Section("Error budget", (Note(about), _figure(budget), lines, _shares(budget, ("part",), errors=False)))
@@ -97,7 +97,7 @@ def _share_rows(budget: Budget, levels: tuple[str, ...], errors: bool) -> Iterat
 
 
 def _orders(budget: Budget) -> Table:
-    """Root mean square of the largest orders over the units, and who owns each, under each load."""
+    """Root mean square of the largest orders over the units, and the main contributor to each, under each load."""
     unit, _ = _read_in(budget)
     size: dict[str, Any] = {"form": ".3g", "unit": budget.unit, "read_in": unit}
     columns: list[Column] = [Number("order")]
@@ -128,7 +128,7 @@ def _largest_orders(budget: Budget, shown: int) -> list[int]:
 
 
 def _everything(budget: Budget) -> tuple[list[Column], list[list[Any]]]:
-    """Every number, one in a row; `total` and `alike` beside the errors."""
+    """All values, one in a row: errors, `total` and `alike`."""
     titles = ("load", "torque N m", "order", "error", "part", f"mean square ({budget.unit})^2")
     rows: list[list[Any]] = []
     for load, torque in budget.torque.items():
@@ -139,7 +139,7 @@ def _everything(budget: Budget) -> tuple[list[Column], list[list[Any]]]:
 
 
 def _load_lines(budget: Budget) -> list[str]:
-    """Under each load: how much varies, what errors do together, which no share contains, and units that failed."""
+    """Variation under each load, bound of the interactions and failed units, a line each."""
     unit, size = _read_in(budget)
     lines = []
     for load, torque in budget.torque.items():
@@ -151,9 +151,9 @@ def _load_lines(budget: Budget) -> list[str]:
         failed = budget.failed[load]
         lines.append(
             f"{load if load == named else f'{load}, {named}'}: {spread:.3g} {unit} rms over units and angles; "
-            f"at most {share:.2g} +- {error:.1g} % of its square are errors together, which no linear share knows; "
+            f"at most {share:.2g} +- {error:.1g} % of its square are interactions, not included in linear shares; "
             f"single errors, each with its part in that, sum to {sums:.0f} %"
-            + (f"; {failed} of {budget.samples} units failed and are left out" if failed else "")
+            + (f"; {failed} of {budget.samples} units failed and are excluded" if failed else "")
         )
     return lines
 

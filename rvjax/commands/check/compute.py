@@ -13,7 +13,7 @@ from rvjax.study import KNOWN_DESIGNS, TORQUE, Study, facts_of, numbers, shown
 
 @dataclasses.dataclass(frozen=True)
 class Checked:
-    """What follows from a study.
+    """Derived values of a study.
 
     Attributes:
         facts: (name, value) of what follows from the design.
@@ -27,7 +27,7 @@ class Checked:
 
 
 def compute(asked: Inputs) -> Checked:
-    """What follows from the study."""
+    """Compute the derived values of a study."""
     question = asked.study
     return Checked(list(facts_of(question.design)), _magnitudes(question), choices(question))
 

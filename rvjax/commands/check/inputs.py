@@ -1,4 +1,4 @@
-"""What `rvjax check` reads: a study, and where to draw its reducer."""
+"""Inputs of `rvjax check`: a study, and the file of the drawing."""
 
 import argparse
 from dataclasses import dataclass
@@ -12,11 +12,11 @@ from rvjax.study import Study
 
 @dataclass(frozen=True)
 class Inputs:
-    """What the command needs.
+    """Inputs of the command.
 
     Attributes:
         study: to check.
-        picture: file of a drawing, or None.
+        picture: file of the drawing, or None.
     """
 
     study: Study
@@ -33,5 +33,5 @@ def inputs(options: argparse.Namespace) -> Inputs:
     question = study.load(options.study, solve=False)
     if options.picture and not isinstance(question.design, RVReducer):
         kind = type(question.design).__name__
-        raise ValueError(f"--picture {options.picture}: draws RV reducers only, not a {kind}")
+        raise ValueError(f"--picture {options.picture}: plots RV reducers only, not a {kind}")
     return Inputs(question, Path(options.picture) if options.picture else None)

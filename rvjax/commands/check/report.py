@@ -1,4 +1,4 @@
-"""What `rvjax check` says: facts, magnitudes, limits, levels, time, warnings."""
+"""Report of `rvjax check`: facts, magnitudes, limits, levels, time, warnings."""
 
 import dataclasses
 from typing import Any

@@ -1,4 +1,4 @@
-"""The tolerances of one answer under the question of another study, of the same errors of the same parts."""
+"""Tolerances of one result, certified under another study with the same errors and parts."""
 
 import dataclasses
 from dataclasses import dataclass
@@ -11,14 +11,14 @@ from rvjax.tolerances import Statistics, monte_carlo
 
 @dataclass(frozen=True)
 class Crossed:
-    """An answer certified under another study.
+    """Result certified under another study.
 
     Attributes:
-        study: that asks.
-        tolerances: with which it was asked, a record with a Tolerance or None in each field.
-        taken: fields whose tolerance is that of the answer.
-        own: fields that the answer has not: they keep the tolerance of the study.
-        left: fields that the study has not: it does not ask after them, and they have no part in its figures.
+        study: with the requirements.
+        tolerances: that are certified, a record with a Tolerance or None in each field.
+        taken: fields with the tolerance of the result.
+        own: fields without a tolerance in the result: they keep the tolerance of the study.
+        left: fields without a tolerance in the study: they are excluded from its statistics.
         cost: in the costs of the study.
         statistics: of independent units, with the yield of each requirement and of all at once.
     """
@@ -38,10 +38,10 @@ def crossed(
     """Certify tolerances under the requirements, conditions, design and models of a study.
 
     Args:
-        study: that asks.
-        tolerances: of an answer to another study, a record with a Tolerance or None in each field.
-        samples: fresh units; by default as many as the study certifies with.
-        seed: of the units; by default the one after that of the study, which its answers learn from.
+        study: with the requirements.
+        tolerances: of the result of another study, a record with a Tolerance or None in each field.
+        samples: independent units; by default as many as the study certifies with.
+        seed: of the units; by default the one after the seed of the study, which the allocation uses.
         progress: show a progress bar.
 
     Raises:
@@ -70,14 +70,14 @@ def crossed(
 
 
 def put_into(study: Study, tolerances: Any) -> Any:
-    """The tolerances of a study with those of an answer in their place, where both have one.
+    """Replace the tolerances of a study by those of a result, where both have one.
 
-    Limits, law and capability of an error are taken as they are, as deviations from the nominal numbers of the study's
+    Limits, distribution and capability of an error are kept as deviations from the nominal values of the study's
     design.
 
     Args:
         study: whose other tolerances stay.
-        tolerances: of the answer, a record with a Tolerance or None in each field.
+        tolerances: of the result, a record with a Tolerance or None in each field.
 
     Raises:
         ValueError: tolerances of another kind of reducer, or none that the study has.

@@ -1,4 +1,4 @@
-"""What `rvjax compare` reads: results folders of `rvjax allocate`, and the study that certifies them."""
+"""Inputs of `rvjax compare`: results folders of `rvjax allocate`, and the study that certifies them."""
 
 import argparse
 import dataclasses
@@ -13,7 +13,7 @@ from rvjax.study import Study
 
 @dataclasses.dataclass(frozen=True)
 class Inputs:
-    """What the command needs.
+    """Inputs of the command.
 
     Attributes:
         paths: of the results, by letter.

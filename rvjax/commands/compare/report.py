@@ -1,4 +1,4 @@
-"""What `rvjax compare` says: topic by topic what two results hold, and their yields under one study."""
+"""Report of `rvjax compare`: two results topic by topic, and their yields under one study."""
 
 import dataclasses
 import math
@@ -37,7 +37,7 @@ def report(asked: Inputs, found: Comparison) -> Report:
 
 
 def _topic(topic: str, rows: dict[str, Any]) -> Table:
-    """What both results hold of one topic, and how far the second is from the first."""
+    """Table of one topic: values of both results, and the change from the first to the second."""
     cells = []
     for name, row in rows.items():
         a, b, unit = row["a"], row["b"], row["unit"]

@@ -9,7 +9,7 @@ _DAMAGE = (OSError, ValueError, RecursionError)
 
 
 def result(path: str) -> dict[str, Any]:
-    """What stands in a results folder.
+    """Read the content of a results folder.
 
     Args:
         path: of the folder, or of the result.json in it.
@@ -77,7 +77,7 @@ def _rows(first: dict[str, Any], second: dict[str, Any]) -> Iterator[tuple[str, 
                 yield f"tolerances {when}", f"{name}, middle", unit, a and _middle(a), b and _middle(b)
     for name in _names(first, second, "certificate", "verdicts"):
         yield both("requirements", f"{name}, limits", "text", "limits", name)
-        yield both("requirements", f"{name}, asked", "text", "certificate", "verdicts", name, "wanted")
+        yield both("requirements", f"{name}, required", "text", "certificate", "verdicts", name, "wanted")
         yield both("requirements", f"{name}, met", "text", "certificate", "verdicts", name, "met")
         yield both("requirements", f"{name}, yield", "share", "certificate", "yield_", name, "value")
         yield both("requirements", f"{name}, Cpk", "number", "certificate", "cpk", name)

@@ -1,4 +1,4 @@
-"""What `rvjax compensate` reads: a study for ratio and pins, a bench file, options."""
+"""Inputs of `rvjax compensate`: a study for ratio and pins, a bench file, options."""
 
 import argparse
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ POINTS = 720
 
 @dataclass(frozen=True)
 class Inputs:
-    """What the command needs.
+    """Inputs of the command.
 
     Attributes:
         study: its design gives ratio and pins.

@@ -1,4 +1,4 @@
-"""What `rvjax compensate` says: orders stored and errors left, tables for the controller, plots before and after."""
+"""Report of `rvjax compensate`: orders stored and errors left, tables for the controller, plots before and after."""
 
 import re
 from collections.abc import Sequence
@@ -64,7 +64,7 @@ def _paths(export: Path, curves: Sequence[Curve]) -> list[Path]:
 
 
 def _curves(curves: Sequence[Curve], left: Sequence[Left]) -> Table:
-    """What each curve is, what is stored, and what stays."""
+    """Notes on each curve: stored orders and remaining error."""
     rows = []
     for curve, stays in zip(curves, left):
         made = curve.correction

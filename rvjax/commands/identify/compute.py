@@ -1,4 +1,4 @@
-"""The answer to "what made this curve?": what the data can identify, most probable values, what to measure next."""
+"""Identification from a measured curve: identifiable errors, most probable values, next measurement."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,9 +12,9 @@ from rvjax.commands.speak import READING, WRITING
 from rvjax.study import Measured, Problem, Run, Study, Wide, inverse_problem, order_name, with_candidates
 
 REJECTED = ("REJECTED", "MAX_STEPS", "NONFINITE")
-"""Statuses that are no answer."""
-POINTS = 181  # of the drawn curve
-PITCHES = 3  # of the ring that a curve is drawn over
+"""Statuses without a result."""
+POINTS = 181  # of the plotted curve
+PITCHES = 3  # of the ring over which a curve is plotted
 WITHOUT = 1e-4
 """Resolution below which the data say nothing of an element."""
 
@@ -23,7 +23,7 @@ SEEING, FITTING, RANKING = "identifiability", "most probable values", "what to m
 
 @dataclass(frozen=True)
 class Band:
-    """One measured run beside what the identified unit does.
+    """One measured run and the prediction of the identified unit.
 
     Attributes:
         run: as measured.
@@ -31,7 +31,7 @@ class Band:
         value: predicted error, rad (n,).
         lower: of the 95 % band.
         upper: of the same.
-        taken: of the measurement and not drawn: its mean, without an offset in the prior, and order 1; rad, as a
+        taken: from the measurement before plotting: its mean, without an offset in the prior, and order 1; rad, as a
             function of the angle through its coefficients [mean, cosine, sine].
     """
 
@@ -45,7 +45,7 @@ class Band:
 
 @dataclass(frozen=True)
 class Identified:
-    """What `rvjax identify` found.
+    """Result of `rvjax identify`.
 
     Attributes:
         problem: the question with its data.
@@ -72,7 +72,7 @@ class Identified:
 
     @property
     def adequate(self) -> bool | None:
-        """Whether the model can explain the data and the solver has found how; None for a check."""
+        """True if the model explains the data and the solver converged; None for a check."""
         if self.posterior is not None:
             return bool(self.posterior.adequate) and self.posterior.status not in REJECTED
         return None if self.batch is None else not any(status in REJECTED for status in self.batch.status)
@@ -94,18 +94,18 @@ def phases(asked: Inputs) -> dict[str, float]:
 
 
 def compute(asked: Inputs) -> "Identified":
-    """What the data can distinguish, and most probable values where there are data."""
+    """Identify what the data can distinguish, and most probable values if there are data."""
     if asked.check or asked.data is None:
         return check(asked.study, asked.data)
     return answer(asked.study, asked.data, draws=asked.sample)
 
 
 def check(study: Study, measured: Measured | None = None) -> Identified:
-    """What a bench can identify, and which run to measure next; needs no values, and no data where noise is known.
+    """Evaluate what a bench can identify and the next run; requires no values, and no data if the noise is known.
 
     Args:
         study: with [identify].
-        measured: runs that stand for those that the study plans.
+        measured: runs that replace those of the study.
 
     Raises:
         ValueError: as `rvjax.study.inverse_problem`.
@@ -157,7 +157,7 @@ def _seen(asked: Problem, everything: Wide) -> identify.Identifiability:
 
 
 def _gains(asked: Problem, everything: Wide, given: identify.Posterior | None) -> dict[str, float]:
-    """What each candidate would add, best first: to the posterior, or to the runs that stand in the question."""
+    """Gain of each candidate, best first: over the posterior, or over the runs of the study."""
     progress.begin(RANKING)
     if not everything.added or (given is not None and not given.modes):
         return {}
@@ -169,7 +169,7 @@ def _gains(asked: Problem, everything: Wide, given: identify.Posterior | None) -
 
 
 def _bands(asked: Problem, found: identify.Posterior) -> tuple[Band, ...]:
-    """The measured runs beside the identified unit, over a few pitches of the ring.
+    """Compare the measured runs with the identified unit, over a few pitches of the ring.
 
     The band is that of Laplace's method: an observation is linear in u about the mode, a curve in its observation.
     """

@@ -13,7 +13,7 @@ from rvjax.render import Figure
 from rvjax.study import Loop
 from rvjax.tolerances import Tolerance
 
-RUNS = 4  # curves that are drawn
+RUNS = 4  # curves that are plotted
 SIDES = np.array([-1.959964, 1.959964])  # of a 95 % interval
 
 

@@ -1,4 +1,4 @@
-"""What `rvjax identify` reads: a study with [identify], and what a bench measured."""
+"""Inputs of `rvjax identify`: a study with [identify], and what a bench measured."""
 
 import argparse
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from rvjax.study import Measured, Study, identification_of, read_measured
 
 @dataclass(frozen=True)
 class Inputs:
-    """What the command needs.
+    """Inputs of the command.
 
     Attributes:
         study: with [identify].

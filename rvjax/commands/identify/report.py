@@ -1,4 +1,4 @@
-"""What `rvjax identify` says: verdict, combinations, elements with intervals, shares, next measurement; one page."""
+"""Report of `rvjax identify`: verdict, combinations, elements with intervals, shares, next measurement; one page."""
 
 import shlex
 from dataclasses import dataclass
@@ -45,7 +45,7 @@ from rvjax.units import KNOWN, arcsec, readable
 MOST_ROWS, MOST_ON_PAGE, MOST_UNITS = 60, 40, 6
 SEEN = 1e-3  # resolution of the elements that a table of text lists
 NIL = 1e-4  # share of an interval, or chance, that is rounding
-RUNS = 4  # curves that are drawn
+RUNS = 4  # curves that are plotted
 
 
 def report(asked: Inputs, found: Identified) -> Report:
@@ -100,8 +100,8 @@ def _content(found: Identified, drawn: dict[str, Figure]) -> list[Content]:
     content: list[Content] = [Note(headline(found), only_text), Note("\n".join(said), only_text)]
     if curves := [figure for name, figure in drawn.items() if name.startswith(("curve_", "loop"))]:
         points = (
-            "Points: what was measured, without order 1 and, where no offset is asked for, without its mean. The band "
-            "holds what the identified unit does, not the noise of a reading."
+            "Points: measured values without order 1 (and without their mean, if the study has no offset). The band "
+            "contains the curve of the identified unit, not the noise of a reading."
         )
         left = len(found.bands) - RUNS
         parts: list[Note | Table | Figure] = [Note(points, only_page), *curves]
@@ -143,7 +143,7 @@ def _seen(found: Identified) -> Note:
 
 
 def _doubts(found: Identified) -> list[str]:
-    """Largest residuals, and what speaks against the intervals."""
+    """Largest residuals, and warnings on the intervals."""
     lines = []
     if found.posterior is not None:
         lines.append(f"Largest residuals: {', '.join(map(str, found.posterior.fit.worst[:3]))}")

@@ -47,7 +47,7 @@ def elements(structure: Mapping[str, Any]) -> dict[str, float]:
 
 
 def direction_lines(answer: Identified) -> list[str]:
-    """What the data see, strongest first, in words."""
+    """Describe what the data identify, strongest first."""
     lines = []
     for direction in answer.check.directions:
         left = 1 / math.sqrt(1 + direction.information)
@@ -56,7 +56,7 @@ def direction_lines(answer: Identified) -> list[str]:
 
 
 def verdict_line(answer: Identified) -> str:
-    """How many elements the data identify, and how many combinations."""
+    """Count the elements and the combinations that the data identify."""
     own = [name for name in answer.check.names if field_of(name) not in answer.problem.nuisance]
     counts = {
         kind: sum(answer.check.verdict[n] == kind for n in own) for kind in ("identified", "combination", "unseen")
@@ -94,10 +94,10 @@ def _what(answer: Identified) -> str:
 
 
 def next_lines(answer: Identified, most: int = 3) -> list[str]:
-    """What to measure next, best first.
+    """List the next measurements, best first.
 
     Args:
-        answer: with its gains.
+        answer: result with gains.
         most: lines.
     """
     return [f"{name}: {gain:.3g} nats" for name, gain in list((answer.gains or {}).items())[:most]]

@@ -22,7 +22,7 @@ def compute(asked: Inputs) -> str:
 
 
 def written(base: str) -> str:
-    """Text of a study of a known reducer whose numbers all stand in the file.
+    """Write the text of a study of a known reducer, with all its values.
 
     Raises:
         ValueError: an unknown name.
@@ -50,7 +50,7 @@ def written(base: str) -> str:
 
 
 def _completed(design: RVReducer) -> RVReducer:
-    """With what the question needs and nobody printed, assumed as in the study of the RV-40E."""
+    """Add the unpublished values that the study requires, assumed as in the study of the RV-40E."""
     example = load("rv-40e", solve=False).design
     cycloid, cranks = design.cycloid, design.cranks
     if not cycloid.equidistant_modification and not cycloid.shift_modification:
@@ -62,7 +62,7 @@ def _completed(design: RVReducer) -> RVReducer:
 
 
 def _lines(record: Any, known: Any, unprinted: frozenset[str], prefix: str = "") -> Iterator[str]:
-    """`key = value # meaning` of every number that is given, with a word where nobody printed it."""
+    """`key = value # meaning` of every given value; unpublished values are marked."""
     standard = _standard(record)
     for f in dataclasses.fields(record):
         value, about, name = getattr(record, f.name), f.metadata, prefix + f.name
@@ -80,7 +80,7 @@ def _lines(record: Any, known: Any, unprinted: frozenset[str], prefix: str = "")
 
 
 def _standard(record: Any) -> bool:
-    """Whether the radii of these gears follow from teeth and module."""
+    """True if the radii of these gears follow from teeth and module."""
     if not isinstance(record, InvoluteStage):
         return False
     due = InvoluteStage.from_teeth(

@@ -1,4 +1,4 @@
-"""What `rvjax init` reads: the name of the new file, and a known reducer."""
+"""Inputs of `rvjax init`: the name of the new file, and a known reducer."""
 
 import argparse
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from rvjax.files import check_writable
 
 @dataclass(frozen=True)
 class Inputs:
-    """What the command needs.
+    """Inputs of the command.
 
     Attributes:
         file: new one, as named.

@@ -1,4 +1,4 @@
-"""What `rvjax init` says: where the study is, and what to do next."""
+"""Report of `rvjax init`: path of the study, and next steps."""
 
 from pathlib import Path
 

@@ -21,7 +21,7 @@ CHUNK = 32768  # keeps the temporaries of a turn of 64 angles near the cache
 
 @dataclasses.dataclass(frozen=True)
 class Batch:
-    """What to run.
+    """Arguments of a run.
 
     Attributes:
         study: the question.
@@ -72,7 +72,7 @@ def question(source: str, worker: Sequence[str] | None = None) -> study.Study:
 
     Args:
         source: file, or name of an embedded study.
-        worker: of one of several processes: the text that the first process has read stands beside its target.
+        worker: of one of several processes: the text that the first process read is next to its target.
     """
     if worker is None or not (copy := Path(worker[-1]).with_name(_STUDY)).is_file():
         return study.load(source)
@@ -89,14 +89,14 @@ def question(source: str, worker: Sequence[str] | None = None) -> study.Study:
 def table_of(
     path: str, question: study.Study, source: str, *, errors: bool, worker: Sequence[str] | None = None
 ) -> UnitFile:
-    """The table of units that a command line asks for.
+    """Table of units that a command line requires.
 
     Args:
         path: of the table.
-        question: tells the units of the responses.
+        question: study, with the measurement units of the responses.
         source: of the study, as it was named.
-        errors: the drawn errors too.
-        worker: of one of several processes: its part stands beside its target.
+        errors: write the sampled errors too.
+        worker: of one of several processes: its part is next to its target.
     """
     units = {name: question.output(name).unit for name in question.requirements}
     own = path if worker is None else Path(worker[-1]).with_name(Path(path).name)
@@ -118,7 +118,7 @@ def run_in_processes(
     Raises:
         ValueError: a process ended without a result; the others are ended too.
     """
-    beside = None if table is None else Path(table).absolute().parent  # where there is room for all units
+    beside = None if table is None else Path(table).absolute().parent  # a disk with space for all units
     with tempfile.TemporaryDirectory(prefix="rvjax-", dir=beside) as folder:
         # The first one's progress and complaints are for everybody; its result comes as a file, since the
         # libraries below print to standard output.
@@ -182,7 +182,7 @@ def work(asked: Callable[[], Batch], address: str, number: int, processes: int, 
 
 
 def _end_with(parent: int) -> None:
-    """End this process when its parent is gone: nobody waits for it, and the next run needs its checkpoint."""
+    """End this process when its parent has ended: the next run needs its checkpoint."""
     while os.getppid() == parent:
         time.sleep(0.2)
     os._exit(1)

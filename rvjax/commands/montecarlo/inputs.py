@@ -1,4 +1,4 @@
-"""What `rvjax montecarlo` reads: a study and how its units are sampled and stored."""
+"""Inputs of `rvjax montecarlo`: a study and how its units are sampled and stored."""
 
 import argparse
 import time
@@ -11,7 +11,7 @@ from rvjax.tolerances import ENDINGS, UnitFile
 
 @dataclass(frozen=True)
 class Inputs:
-    """What the command needs.
+    """Inputs of the command.
 
     Attributes:
         options: of the command line, checked.

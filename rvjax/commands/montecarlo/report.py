@@ -1,4 +1,4 @@
-"""What `rvjax montecarlo` says: statistics, yields and rejects of each response."""
+"""Report of `rvjax montecarlo`: statistics, yields and rejects of each response."""
 
 import dataclasses
 import time

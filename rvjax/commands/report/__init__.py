@@ -1,4 +1,4 @@
-"""`rvjax report`: the answer to a study as one HTML page with sliders."""
+"""`rvjax report`: the result of a study as one HTML page with sliders."""
 
 from rvjax.commands.report.compute import Shown
 from rvjax.commands.report.report import page_of

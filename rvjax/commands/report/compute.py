@@ -1,4 +1,4 @@
-"""What a page shows beside an answer: the numbers behind the sliders, and the error budget."""
+"""Content of a page beyond the result: the surrogate behind the sliders, and the error budget."""
 
 from dataclasses import dataclass
 
@@ -15,10 +15,10 @@ SLIDERS, WRITING = "numbers behind the sliders", "the page"
 
 @dataclass(frozen=True)
 class Shown:
-    """An answer and what its page shows beside it.
+    """Result with the surrogate and the error budget of its page.
 
     Attributes:
-        answer: of the study.
+        answer: result of the study.
         surrogate: behind the sliders, None where nothing can move.
         budget: of the allocated tolerances, None where the study has none.
     """
@@ -40,7 +40,7 @@ def phases(asked: Inputs) -> dict[str, float]:
 
 
 def compute(asked: Inputs) -> Shown:
-    """The answer, computed unless a folder holds it, with surrogate and budget."""
+    """Compute or read the result; compute surrogate and budget."""
     found = asked.answer or answer.answer(asked.study, progress=not asked.quiet)
     progress.begin(SLIDERS)
     moved = behind.surrogate(found)

@@ -1,4 +1,4 @@
-"""What `rvjax report` reads: a study, and the folder that may hold its answer already."""
+"""Inputs of `rvjax report`: a study, and the folder that may hold its result."""
 
 import argparse
 from dataclasses import dataclass
@@ -15,15 +15,15 @@ from rvjax.study import Answer, Study
 
 @dataclass(frozen=True)
 class Inputs:
-    """What the command needs.
+    """Inputs of the command.
 
     Attributes:
         study: the question.
         source: of the study, as named.
-        answer: that a folder holds already, or None.
+        answer: stored result, or None.
         kept: this folder, or None.
-        output: file of the page, None for `report.html` in the folder of the answer.
-        folder: of the results, made for a new answer without `output`.
+        output: file of the page, None for `report.html` in the folder of the result.
+        folder: of the results, made for a new result without `output`.
         quiet: show no progress.
     """
 

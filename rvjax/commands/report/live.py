@@ -1,4 +1,4 @@
-"""The live section of the page: sliders over the surrogate of an answer, its numbers and its words."""
+"""Section of the page with sliders: surrogate of a result, values and texts."""
 
 import base64
 import json
@@ -25,7 +25,7 @@ def block(found: Surrogate, answer: Answer) -> Block:
 
     Args:
         found: from `surrogate`.
-        answer: that it belongs to.
+        answer: result that it belongs to.
     """
     facts = {
         "units": len(found.weights),
@@ -40,9 +40,9 @@ def script(found: Surrogate, answer: Answer) -> Markup:
 
     Args:
         found: from `surrogate`.
-        answer: that it belongs to.
+        answer: result that it belongs to.
     """
-    # Text of the user stands inside: nothing in it may end the element.
+    # The text of the user is inside: it must not end the element.
     numbers = json.dumps(data(found, answer), allow_nan=False).replace("<", "\\u003c").replace("&", "\\u0026")
     files = resources.files("rvjax.commands.report")
     code = "".join((files / name).read_text("utf-8") for name in ("live.js", "live_page.js"))
@@ -50,7 +50,7 @@ def script(found: Surrogate, answer: Answer) -> Markup:
 
 
 def data(found: Surrogate, answer: Answer) -> dict[str, Any]:
-    """What the script reads; in the units in which a person does."""
+    """Data of the script, in the measurement units of the page."""
     study, allocation = answer.study, answer.allocation
     graded = found.place(allocation.graded.tolerances) if allocation.graded else None
     own = found.place(study.tolerances)
@@ -81,7 +81,7 @@ def data(found: Surrogate, answer: Answer) -> dict[str, Any]:
 
 
 def error_text(found: Surrogate) -> str:
-    """How far the surrogate was off, in words."""
+    """Text on the measured error of the surrogate."""
     share, mean, sd = (100 * found.error(figure) for figure in ("yield", "mean", "sd"))
     return (
         f"yields were within {share:.2g} % of the units of computed ones at {len(found.checks)} points of it, means "
@@ -119,7 +119,7 @@ def _field(name: str, found: Surrogate, answer: Answer) -> dict[str, Any]:
                 "reference": float(cost.reference) / size,
                 "power": float(cost.power),
             }
-        else:  # any other law: points, between which the page interpolates as `tolerances.Table` does
+        else:  # any other distribution: points, between which the page interpolates as `tolerances.Table` does
             points = np.union1d(np.geomspace(cost.finest, cost.coarsest, 129), getattr(cost, "half_widths", ()))
             priced = {"points": [[float(t) / size, float(cost(t))] for t in points]}
     moving = None

@@ -1,4 +1,4 @@
-"""The answer to a study as one HTML page: plots inside, nothing fetched; for screen, phone and paper.
+"""Result of a study as one HTML page: plots inside, nothing fetched; for screen, phone and paper.
 
 Scripts only add a section with sliders; without them the page says everything else.
 """
@@ -72,9 +72,9 @@ def page_of(found: Shown, source: str, *, date: str = "") -> str:
     """The whole page; without a surrogate or a budget it lacks their sections, without a date it says none.
 
     Args:
-        found: answer, surrogate and budget.
+        found: result, surrogate and budget.
         source: of the study, as named.
-        date: of the answer.
+        date: of the result.
     """
     answer, drawn = found.answer, {figure.name: figure for figure in figures(found.answer)}
     study = answer.study

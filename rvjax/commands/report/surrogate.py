@@ -5,7 +5,7 @@ A sample of units keeps its random numbers while half-widths and places of the l
     y_i(x) = y_i(0) + sum_k s_ik x_k + sum_{j <= k} b_ijk x_j x_k,   x_k = (p_k - allocated p_k)/reach_k,
 
 with slopes and bends from responses at x_k = +-1, not from derivatives: they hold over the region |x_k| <= 1 and pass
-over the kinks of extremes. A linear response is met exactly. Few units must tell rare rejects, so the sample is thinned
+over the kinks of extremes. A linear response is exact. Rare rejects need few units in the sample, so it is thinned
 with a chance that grows towards the tails (Horvitz and Thompson 1952) and weighted so that the figures at x = 0 are
 those of the certificate (Deville and Sarndal 1992). What is left is measured at points of the region, with fresh units.
 """
@@ -27,7 +27,7 @@ from rvjax.tolerances import Estimate, Limits, Statistics, Tolerance, monte_carl
 UNITS = 2048
 REACH = 0.4  # of a half-width: how far it moves within the region, either way
 SHIFT = 0.25  # the same of the place of its limits, in half-widths
-_FLOOR = 0.5  # of the units are drawn evenly, the others from the tails
+_FLOOR = 0.5  # of the units are sampled evenly, the others from the tails
 _KNOWN = 0.01  # of a standard deviation: a smaller misfit at a probe needs no mixed bends
 _FELT = 2e-3  # of a standard deviation: columns that move no unit by more, root mean square, are left out
 _MIXED = 12  # parameters of a response, the strongest, that get mixed bends
@@ -40,7 +40,7 @@ Columns = dict[tuple[int, ...], np.ndarray]
 
 @dataclasses.dataclass(frozen=True)
 class Parameter:
-    """A half-width, or the place of the limits of an error: their middle, or the lower one where the law begins.
+    """A half-width, or the place of the limits of an error: mid-point, or lower limit where the distribution begins.
 
     Attributes:
         field: name of the error.
@@ -57,7 +57,7 @@ class Parameter:
 
 @dataclasses.dataclass(frozen=True)
 class Check:
-    """The surrogate beside the responses themselves, at one point.
+    """Surrogate compared with the responses, at one point.
 
     Attributes:
         where: what the point is.
@@ -113,7 +113,7 @@ class Surrogate:
         return {"yield": (1 - self.failed) * within, "mean": mean, "sd": sd}
 
     def place(self, tolerances: Any) -> np.ndarray:
-        """Where tolerances lie, in reaches (p,).
+        """Parameters of tolerances, in reaches (p,).
 
         Args:
             tolerances: record of the study's errors.
@@ -138,7 +138,7 @@ class Surrogate:
 
 
 def surrogate(answer: Answer) -> Surrogate | None:
-    """The surrogate of an answer with its measured error; None where no unit is valid or nothing can move."""
+    """Surrogate of a result with its measured error; None if no unit is valid or nothing can move."""
     study, side = answer.study, answer.after
     names, response = tuple(study.requirements), study.response()
     parameters = tuple(_parameters(answer))
@@ -160,12 +160,12 @@ def surrogate(answer: Answer) -> Surrogate | None:
 
 
 def placed(tolerance: Tolerance) -> float:
-    """Where the limits stand: their middle, or the lower one if the law grows from there."""
+    """Place of the limits: mid-point, or the lower limit if the distribution begins there."""
     return float(tolerance.lower if grows_from_lower(tolerance) else tolerance.middle)
 
 
 def grows_from_lower(tolerance: Tolerance) -> bool:
-    """Whether a larger half-width leaves the lower limit where it is."""
+    """True if a larger half-width does not move the lower limit."""
     return float(tolerance.with_half_width(2 * tolerance.half_width).lower) == float(tolerance.lower)
 
 
@@ -309,7 +309,7 @@ class _Design:
 
 
 def _checks(found: Surrogate, answer: Answer, design: _Design, response: Response) -> list[Check]:
-    """The surrogate beside fresh units: all finer, all coarser, random points, and the study's own if they are near."""
+    """Compare the surrogate with independent units: all finer, all coarser, random points, the study if it is near."""
     study = answer.study
     judged = {name: item for name, item in study.requirements.items() if item.limits_values}
     width = np.array([not p.place for p in found.parameters], float)

@@ -1,1 +1,1 @@
-"""`rvjax reproduce`: published values beside computed ones, with a verdict."""
+"""`rvjax reproduce`: published and computed values, with a verdict."""

@@ -8,5 +8,5 @@ from rvjax.published import Comparison
 
 
 def compute(asked: Inputs) -> list[Comparison]:
-    """Every published value beside the computed one."""
+    """Compare every published value with the computed value."""
     return published.reproduce(say=lambda text: print(text, file=sys.stderr, flush=True))

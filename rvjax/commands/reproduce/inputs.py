@@ -1,4 +1,4 @@
-"""What `rvjax reproduce` reads: one option."""
+"""Inputs of `rvjax reproduce`: one option."""
 
 import argparse
 from dataclasses import dataclass
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Inputs:
-    """What the command needs.
+    """Inputs of the command.
 
     Attributes:
         notes: print the reading or the reason under each value.

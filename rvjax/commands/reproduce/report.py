@@ -1,4 +1,4 @@
-"""What `rvjax reproduce` says: a table, counts of the verdicts, whose error a contradiction is."""
+"""Report of `rvjax reproduce`: table, counts of the verdicts, sources of contradictions."""
 
 from collections.abc import Sequence
 
@@ -18,7 +18,7 @@ def report(asked: Inputs, found: Sequence[Comparison]) -> Report:
 
 
 def report_on(rows: Sequence[Comparison], *, notes: bool = False) -> Report:
-    """Published values beside computed ones, and how many there are of each verdict.
+    """Published and computed values, with the counts of the verdicts.
 
     Args:
         rows: comparisons.
@@ -48,6 +48,6 @@ def _whose_error(rows: Sequence[Comparison]) -> list[str]:
         return []
     sources = ", ".join(f"{wrong.count(source)} in {source}" for source in dict.fromkeys(wrong))
     return [
-        f"contradicted: the error is the source's ({sources}), not that of rvjax: such a figure cannot stand beside "
-        "the source's own numbers, geometry or equilibrium; --notes names what each of them contradicts"
+        f"contradicted: the error is the source's ({sources}), not the error of rvjax: such a value contradicts "
+        "other values of the source, geometry or equilibrium; --notes names what each value contradicts"
     ]

@@ -1,4 +1,4 @@
-"""What `rvjax tradeoff` reads: which levels to measure, and where to write."""
+"""Inputs of `rvjax tradeoff`: the levels to measure, and the output files."""
 
 import argparse
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ from rvjax.commands.speak import check_files
 
 @dataclass(frozen=True)
 class Inputs:
-    """What the command needs.
+    """Inputs of the command.
 
     Attributes:
         full: all levels, and more cases.

@@ -1,4 +1,4 @@
-"""What `rvjax tradeoff` says: the table of levels and advice, a plot."""
+"""Report of `rvjax tradeoff`: the table of levels and advice, a plot."""
 
 from pathlib import Path
 from typing import Any
