@@ -92,9 +92,10 @@ def _spelled(value: Any) -> str:
         _Unnamed: a function that is no attribute of a module, or an object that prints its address.
     """
     if isinstance(value, type(jax.tree.structure(0))):
-        data = value.node_data()
-        inside = () if data is None else (*data, *value.children())
-        return f"{value.num_leaves}{_spelled(inside)}"
+        tree: Any = value  # its methods have no types
+        data = tree.node_data()
+        inside = () if data is None else (*data, *tree.children())
+        return f"{tree.num_leaves}{_spelled(inside)}"
     if isinstance(value, functools.partial):
         return f"partial{_spelled((value.func, value.args, value.keywords))}"
     if isinstance(value, (tuple, list)):

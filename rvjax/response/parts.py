@@ -75,7 +75,7 @@ class InParts(Evaluator):
 
     def start(self, first: int) -> tuple[Values, jax.Array]:
         """Values and status of the chunk that begins with unit `first`."""
-        z, values, status = np.asarray(self._z(first)), {}, []
+        z, values, status = np.asarray(self._z(first)), dict[str, Any](), []
         for part in self._parts:
             rows, own = part.solve(self._population, z)
             values |= dict(zip(part.names, rows))

@@ -219,8 +219,8 @@ def _curves(study: Study, solved: Solved | None = None) -> _Curves:
     curve = study.curve
     if curve is None:
         return lambda tolerances, seed: (np.empty(0), np.empty((0, 0)))  # no model draws one
-    drawing = [part for part in solved.parts if part.response.curve] if solved is not None else []
-    if drawing:
+    drawing = [part for part in solved.parts if getattr(part.response, "curve", ())] if solved is not None else []
+    if drawing and curve.angles is not None:
         angle = np.asarray(curve.angles(study.conditions))
 
         def solved_units(tolerances: PyTree, seed: int) -> tuple[np.ndarray, np.ndarray]:

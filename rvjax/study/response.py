@@ -85,7 +85,9 @@ class Response(Record):
         statuses = jnp.stack([jnp.asarray(status) for _, status in found.values()])
         values = {name: value for name, (value, _) in found.items()}
         if self.curve:  # which a program of the outputs computes anyway
-            source, take = models.kind(self.design).curve(self.outputs).source
+            described = models.kind(self.design).curve(self.outputs)
+            assert described is not None and described.source is not None
+            source, take = described.source
             row = take(shared[None][source])
             values |= {f"{CURVE}[{k}]": row[k] for k in range(row.shape[0])}
         return Outcome(values, worst(statuses))

@@ -34,6 +34,7 @@ class Solved:
     """Costly units of a search and its certificate, as far as they are solved."""
 
     def __init__(self, training: Training, certifier: Certifier) -> None:
+        assert training.followed is not None
         self.training, self.certifier, self.parts = training, certifier, training.followed.parts
 
     def given(self, tolerances: Any, requirements: dict[str, Limits]) -> Statistics:
