@@ -16,6 +16,7 @@ Units = Mapping[str, Mapping[str, float]]
 """By quantity: what it may be written in, with its size in SI."""
 
 DELIMITERS = ";\t,"
+LARGEST, SMALLEST = 1e12, 1e-100  # in any unit: beyond every size of a part, below every rounding error of a zero
 
 
 @dataclass(frozen=True)
@@ -186,7 +187,7 @@ def split(header: str) -> tuple[str, str | None]:
     return (match[1], match[2]) if match else (header, None)
 
 
-def number_of(source: str, name: str, unit: str, row: int, cell: str, comma: bool) -> float:
+def number_of(source: str, name: str, unit: str, row: int, cell: str, comma: bool, *, missing: bool = True) -> float:
     """Return the number in a cell, in the unit of the cell; NaN for an empty one.
 
     Args:
@@ -196,16 +197,24 @@ def number_of(source: str, name: str, unit: str, row: int, cell: str, comma: boo
         row: line of the file.
         cell: text.
         comma: whether decimals may have a comma.
+        missing: "nan" is a missing reading too, as an empty cell is.
 
     Raises:
-        ValueError: no number, or not finite.
+        ValueError: no number, not finite, or larger or smaller than any number of a part.
     """
-    if cell == "" or cell.lower() == "nan":
+    text = (cell.replace(",", ".") if comma else cell).lower()
+    if text == "" or (missing and text == "nan"):
         return math.nan
+    where = f"{source}: row {row}, {name} = {cell[:40]!r}"
     try:
-        value = float(cell.replace(",", ".") if comma else cell)
+        value = float(text)
     except ValueError:
-        raise ValueError(f"{source}: row {row}, {name} = {cell[:40]!r}: must be a number in {unit}") from None
-    if not math.isfinite(value):
-        raise ValueError(f"{source}: row {row}, {name} = {cell[:40]!r}: must be finite, in {unit}")
+        raise ValueError(f"{where}: must be a number in {unit}") from None
+    digits = re.search("[1-9]", text.partition("e")[0])
+    if math.isnan(value) or (math.isinf(value) and not digits):
+        raise ValueError(f"{where}: must be finite, in {unit}; leave the cell empty if nothing was measured")
+    if abs(value) > LARGEST:
+        raise ValueError(f"{where}: too large, must be at most {LARGEST:g} {unit}; correct the number")
+    if digits and abs(value) < SMALLEST:  # also one that is 0 in double precision
+        raise ValueError(f"{where}: too small, must be 0 or at least {SMALLEST:g} {unit}; correct the number")
     return value

@@ -129,7 +129,7 @@ CALLS = {  # name: one call of the door for each way that is decided before the 
     "dynamics.blocks": [lambda x: dynamics.blocks(sounder(x))],
     "dynamics.lump": [lambda x: dynamics.lump(sounder(x))],
     "dynamics.with_deviations": [lambda x: dynamics.with_deviations(RV_320E, {"inertia.sun_mass": x})],
-    "dynamics.modes": [lambda x: dynamics.modes(sounder(x))],
+    "dynamics.modes": [lambda x: dynamics.modes(sounder(x), load_inertia=x)],
     "dynamics.static": [lambda x: dynamics.static(sounder(x), output_torque=x)],
     "dynamics.response": [lambda x: dynamics.response(sounder(x), harmonics=1, **SPIN)],
     "dynamics.constant_forcing": [lambda x: dynamics.constant_forcing(sounder(x), harmonics=1, **SPIN)],

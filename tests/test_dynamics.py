@@ -74,6 +74,19 @@ def test_natural_frequencies_are_those_of_the_reference(cases, number):
     np.testing.assert_allclose(shape.T @ system.stiffness @ shape, np.diag(square), atol=1e-12 * square[-1])
 
 
+def test_the_inertia_that_the_output_drives_is_of_the_modes():
+    """Oracle: the eigenvalues of the assembled matrices, with the mass of the output's rotation increased."""
+    load, system = 2.5, dynamics.assemble(RV_320E)
+    mass = np.array(system.mass)
+    mass[system.labels.index("output.rotation")] += load
+    root = 1 / np.sqrt(mass)
+    square = np.linalg.eigvalsh(root[:, None] * np.asarray(system.stiffness) * root)
+    found = dynamics.modes(RV_320E, load_inertia=load)
+    np.testing.assert_allclose(found.frequency, np.sqrt(np.maximum(square, 0)) / (2 * np.pi), rtol=1e-8, atol=1e-2)
+    assert found.frequency[1] < 0.99 * dynamics.modes(RV_320E).frequency[1]
+    assert int(dynamics.modes(RV_320E, load_inertia=np.nan).info.status) == Status.NONFINITE
+
+
 def test_the_appendix_is_the_assembled_matrix_but_for_one_sign():
     """With the printed sign a rigid translation strains the bearings, and they leave 5 rigid motions, not 7."""
     ours = np.asarray(dynamics.assemble(RV_320E).stiffness)

@@ -103,6 +103,10 @@ def test_rows_of_equal_conditions_are_a_run(write):
         ("angle [deg],angle [rad]\n1,2\n", "column 'angle [rad]': angle is in two columns"),
         ("angle [deg],error [arcsec]\n1,2\n3,abc\n", "row 3, error = 'abc': must be a number in arcsec"),
         ("angle [deg],error [arcsec]\n1,inf\n", "row 2, error = 'inf': must be finite, in arcsec"),
+        ("angle [deg],error [arcsec]\n1,1e308\n", "row 2, error = '1e308': too large, must be at most 1e+12 arcsec"),
+        ("angle [deg],error [arcsec]\n1,-1e400\n", "row 2, error = '-1e400': too large"),
+        ("angle [deg],error [arcsec]\n1,1e-400\n", "row 2, error = '1e-400': too small, must be 0 or at least 1e-100"),
+        ("angle [deg],error [arcsec]\n1,2\n-1E-320,0\n", "row 3, angle = '-1E-320': too small"),
         ("angle [deg],error [arcsec]\n1,5,2,5\n", "row 2 has 4 cells, the header 2 (decimal commas?"),
         ("angle [deg],error [arcsec]\n,2\n", "row 2, angle is empty"),
         ("angle [deg],error [arcsec],direction\n1,2,left\n", "row 2, direction = 'left': must be forward or backward"),
@@ -120,6 +124,11 @@ def test_rows_of_equal_conditions_are_a_run(write):
 )
 def test_a_bad_table_is_said_in_one_line(write, text, message):
     assert message in refused(write(text))
+
+
+def test_a_zero_and_its_rounding_error_are_numbers(write):
+    path = write("angle [deg],error [arcsec]\n0e-400,0.0\n1,-3e-17\n2,1e12\n")
+    assert list(read_table(path).numbers["error"] / arcsec) == pytest.approx([0.0, -3e-17, 1e12])
 
 
 def test_bad_names_of_columns(write):

@@ -138,6 +138,17 @@ def _check_members(part: Inertia | Stiffness, counts: dict[str, int]) -> None:
             raise ValueError(f"{type(part).__name__}.{f.name}: shape {shape}, expected {expected} a scalar")
 
 
+def loaded(lumped: Lumped, load_inertia: Scalar) -> Lumped:
+    """Add the inertia that the output drives.
+
+    Args:
+        lumped: parameters of the reducer.
+        load_inertia: () kg m2.
+    """
+    inertia = lumped.inertia
+    return lumped.replace(inertia=inertia.replace(output_inertia=inertia.output_inertia + load_inertia))
+
+
 def admitted(lumped: Lumped, *conditions: PyTree) -> tuple[Lumped, tuple[PyTree, ...], Gate]:
     """Promote to one dtype, replace a case outside the model's domain by a harmless one, and return its gate.
 

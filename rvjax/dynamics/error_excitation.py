@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax.designs import RVReducer, expect
-from rvjax.dynamics.assembly import Lumped, admitted, circle, lump
+from rvjax.dynamics.assembly import Lumped, admitted, circle, loaded, lump
 from rvjax.dynamics.pin_series import in_phase, series
 from rvjax.errors import RVErrors, described, read_by
 from rvjax.records import Array, PyTree, Record, Scalar, axis_sizes, field, promote, record, text
@@ -135,12 +135,6 @@ def symmetric(design: RVReducer | Lumped) -> Lumped:
     if not lumped.alike:
         raise ValueError("Inertia, Stiffness: errors as excitation need members alike, one number each, not an array")
     return lumped
-
-
-def loaded(lumped: Lumped, load_inertia: Scalar) -> Lumped:
-    """The reducer with the inertia that it drives."""
-    inertia = lumped.inertia
-    return lumped.replace(inertia=inertia.replace(output_inertia=inertia.output_inertia + load_inertia))
 
 
 def read(case: Case, *conditions: PyTree) -> tuple[Unit, tuple[PyTree, ...]]:

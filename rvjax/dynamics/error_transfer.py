@@ -13,8 +13,8 @@ import jax
 import jax.numpy as jnp
 
 from rvjax.designs import RVReducer
-from rvjax.dynamics.assembly import Lumped, admitted
-from rvjax.dynamics.error_excitation import Orders, Unit, loaded, symmetric
+from rvjax.dynamics.assembly import Lumped, admitted, loaded
+from rvjax.dynamics.error_excitation import Orders, Unit, symmetric
 from rvjax.dynamics.modal import dynamic_stiffness, matrix_root, modal_sectors, modal_solve, on_resonance, residual
 from rvjax.dynamics.static import MeanState, linear_ratio, mean_state, mesh_rows
 from rvjax.dynamics.symmetry import sector_mass

@@ -9,12 +9,13 @@ from rvjax.dynamics.assembly import (
     Lumped,
     admitted,
     deflections,
+    loaded,
     lump,
     spring_stiffness,
 )
 from rvjax.dynamics.modal import stacked
 from rvjax.dynamics.symmetry import KINDS, WHOLE, kinds, sector, sector_mass, sector_rows, sector_stiffness
-from rvjax.records import Array, PyTree, Record, field, record
+from rvjax.records import Array, PyTree, Record, Scalar, field, record
 from rvjax.status import SolveInfo, Status, at_once
 
 
@@ -33,7 +34,7 @@ class Modes(Record):
         return np.array(KINDS)[np.asarray(self.kind_index)]
 
 
-def modes(design: RVReducer | Lumped) -> Modes:
+def modes(design: RVReducer | Lumped, *, load_inertia: Scalar = 0.0) -> Modes:
     """Natural frequencies and mode shapes of the mean system (Eq. 2), by kind.
 
     With three or more cranks and discs modes are rotational, translational (in pairs), planetary (planets and
@@ -44,6 +45,7 @@ def modes(design: RVReducer | Lumped) -> Modes:
 
     Args:
         design: a reducer with inertia and stiffness, or its lumped parameters.
+        load_inertia: of what the output drives, () kg m2.
 
     Returns:
         Modes; NaN for INVALID_GEOMETRY (radii or masses not positive) and NONFINITE input.
@@ -51,12 +53,12 @@ def modes(design: RVReducer | Lumped) -> Modes:
     Raises:
         ValueError: as `rvjax.dynamics.lump`.
     """
-    return _modes(lump(design))
+    return _modes(lump(design), load_inertia)
 
 
 @jax.jit
-def _modes(lumped: Lumped) -> Modes:
-    lumped, _, gate = admitted(lumped)
+def _modes(lumped: Lumped, load_inertia: Array) -> Modes:
+    lumped, _, gate = admitted(loaded(lumped, load_inertia))
     keys = [(kind, WHOLE) for kind in kinds(lumped)]
     scaled, roots = [], []
     for key in keys:

@@ -10,8 +10,7 @@ import numpy as np
 
 from rvjax.catalogue import RV_320E
 from rvjax.designs import Damping, RVReducer
-from rvjax.dynamics.assembly import Lumped, lump
-from rvjax.dynamics.error_excitation import loaded
+from rvjax.dynamics.assembly import Lumped, loaded, lump
 from rvjax.dynamics.error_peaks import SpeedRange, speed_range
 from rvjax.dynamics.error_response import DynamicError, transmission_error
 from rvjax.dynamics.excitation import STAGES, mesh_frequency

@@ -209,7 +209,8 @@ def _kind(
             for element, column in elements.items():
                 if text := row.cells[column]:
                     name, size = columns.element(field, element), KNOWN[study.unit(field)][units[column]]
-                    found = columns.number_of(str(path), name, units[column], row.number, text, row.comma)
+                    unit, at = units[column], row.number
+                    found = columns.number_of(str(path), name, unit, at, text, row.comma, missing=False)
                     value[element] = found * size
                     sd[element] = table_of(study).sd.get(field, 0.0)
             if np.isinf(sd).any() and getattr(study.tolerances, field) is None:
