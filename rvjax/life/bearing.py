@@ -78,7 +78,7 @@ def _floats(values: Any) -> Any:
 
 
 def check_method(method: str, tilt: Any) -> None:
-    """Refuse a method that does not exist, and a tilt that it does not read.
+    """Raise ValueError for an unknown method, and for a tilt that it does not read.
 
     Args:
         method: by name.
@@ -94,7 +94,7 @@ def check_method(method: str, tilt: Any) -> None:
 
 
 class Looseness(NamedTuple):
-    """What only `slices` reads."""
+    """Inputs of `slices` only."""
 
     clearance: Any  # m
     tilt: Any  # rad

@@ -1,4 +1,4 @@
-"""What a reducer does: phases of torque, speed and time, and the revolutions of its crank bearings."""
+"""Duty of a reducer: phases of torque, speed and time, and the revolutions of its crank bearings."""
 
 from typing import Any, NamedTuple
 

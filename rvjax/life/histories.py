@@ -24,7 +24,7 @@ def mean_cosine(m: float) -> float:
     return math.gamma((m + 1) / 2) / (2 * math.sqrt(math.pi) * math.gamma(m / 2 + 1))
 
 
-J4, J45 = mean_cosine(40 / 9) ** (1 / 4), mean_cosine(5.0) ** (2 / 9)  # load that passes over a point; that stands
+J4, J45 = mean_cosine(40 / 9) ** (1 / 4), mean_cosine(5.0) ** (2 / 9)  # moving load; stationary load
 
 
 def _power_coefficients() -> list[float]:

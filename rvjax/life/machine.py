@@ -24,7 +24,7 @@ _GOLDEN = (np.sqrt(5) - 1) / 2
 
 
 class Plan(NamedTuple):
-    """What is decided before a program runs."""
+    """Static settings of a program."""
 
     layout: Layout
     samples: int
@@ -117,7 +117,7 @@ class Judged(NamedTuple):
 
 
 def judge(bearings: Bearings, others: Any, spare: Any, *checks: Check, after: Gate) -> Judged:
-    """The bearings and other numbers, judged.
+    """Check the bearings and other numbers.
 
     Args:
         bearings: numbers as arrays.
@@ -177,7 +177,7 @@ def system(rates: jax.Array) -> jax.Array:
 def damages(
     plan: Plan, bearings: Bearings, errors: RVErrors, forces: BearingForces, share: jax.Array, tilt: jax.Array
 ) -> Damages:
-    """What the forces of one cycle do to every crank bearing.
+    """Effect of the forces of one cycle on every crank bearing.
 
     Args:
         plan: samples and method.

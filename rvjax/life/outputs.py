@@ -1,4 +1,4 @@
-"""What studies may ask of the life of the crank bearings: one rating under the duty, and the torque for a life."""
+"""Outputs of the life of the crank bearings for studies: one rating under the duty, and the torque for a life."""
 
 import dataclasses
 from collections.abc import Callable
@@ -81,7 +81,7 @@ def _torque(found: RatedTorque, design: RVReducer, given: Any) -> Solved:
 
 
 def _refusing(name: str, own: Callable[[Any], None]) -> Callable[[Any, Any], None]:
-    """Refuses a design that lacks a part, a reliability and bearings that do not fit the method, then its own."""
+    """Check the parts of a design, the reliability and the bearings of the method, then run the check `own`."""
 
     def refuse(design: RVReducer, given: Any) -> None:
         for part, cls in (("stiffness", Stiffness), ("contact", Contact)):

@@ -83,7 +83,7 @@ class Given(NamedTuple):
     bearings: Any
     budget: Any  # revolutions that are wanted, of 90 % of the machines
     tilt: Any
-    sound: Any  # 1, or 0 where the case was refused
+    sound: Any  # 1, or 0 where the case is invalid
 
 
 @quick(0)

@@ -19,7 +19,7 @@ _INNER, _OUTER = 0.378, 0.364  # Eq. 5
 
 
 class Ratings(NamedTuple):
-    """What the rollers of one bearing stand, N."""
+    """Load ratings of the rollers of one bearing, N."""
 
     dynamic: jax.Array  # C
     static: jax.Array  # C0

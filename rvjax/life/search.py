@@ -20,13 +20,13 @@ Evaluate = Callable[[jax.Array, Any], tuple[jax.Array, jax.Array, jax.Array, Any
 
 
 class Search(NamedTuple):
-    """How far it is."""
+    """State of the search."""
 
     x: jax.Array  # next
     memory: Any  # of the evaluations, from which the next one starts
     lower: jax.Array  # highest x with a value >= 0; -inf: none yet
-    upper: jax.Array  # lowest x with a value < 0, or beyond a law; inf: none yet
-    beyond: jax.Array  # whether `upper` is beyond a law
+    upper: jax.Array  # lowest x with a value < 0, or beyond a contact law; inf: none yet
+    beyond: jax.Array  # whether `upper` is beyond a contact law
     last: jax.Array  # x before, NaN at first
     value: jax.Array  # there
     pace: jax.Array  # multiple of the value that a step without bracket takes

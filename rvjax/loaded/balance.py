@@ -32,7 +32,7 @@ def _balance_jvp(layout: Layout, primals: PyTree, tangents: PyTree) -> Any:
 
 
 class Forces(NamedTuple):
-    """What the contacts of one case carry, N."""
+    """Contact forces of one case, N."""
 
     pins: jax.Array  # (d, p)
     gear: jax.Array  # (c, 2)
@@ -41,7 +41,7 @@ class Forces(NamedTuple):
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
 def forces(layout: Layout, system: System, q: jax.Array) -> Forces:
-    """Forces of one case at q (n,), for many at once: computed with the lanes last.
+    """Forces of one case at q (n,); `jax.vmap` of it computes with the batch axis last.
 
     Args:
         layout: counts and methods.

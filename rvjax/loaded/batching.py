@@ -1,8 +1,8 @@
-"""How batches of cases are laid out: groups that share a geometry, lanes within a group, lanes last.
+"""Layout of batches: groups that share a geometry, the elements of a group along the last axis.
 
 `jax.vmap` alone would put the cases first, where sums over eighty pins cost several times as much, and would copy the
 geometry of an angle for every unit. The rule of `in_lanes` lets it be shared: an axis over which the geometry does not
-vary becomes lanes, any other becomes groups.
+vary becomes elements, any other becomes groups.
 """
 
 import functools
@@ -17,8 +17,8 @@ from rvjax.records import PyTree
 
 Kernel = Callable[..., Any]
 
-BLOCK = 64  # lanes; a block's arrays stay in the cache of one core
-_FEW = 8  # lanes of a group; with fewer all cases are lanes, each with its own geometry
+BLOCK = 64  # batch elements; a block's arrays stay in the cache of one core
+_FEW = 8  # elements of a group; with fewer each case is an element with a separate geometry
 
 
 @functools.lru_cache(maxsize=64)
@@ -67,7 +67,7 @@ def in_lanes(kernel: Kernel, layout: Layout) -> Callable[..., Any]:
 
 
 def _over_groups(kernel: Kernel, layout: Layout, system: System, *arrays: Any) -> Any:
-    """Arguments (groups or 1, lanes or 1, ...) -> results (groups, lanes, ...)."""
+    """Arguments (groups or 1, elements or 1, ...) -> results (groups, elements, ...)."""
     leaves, tree = jax.tree.flatten((system, *arrays))
     groups, lanes = (max(leaf.shape[axis] for leaf in leaves) for axis in (0, 1))
     if groups > 1 and lanes < _FEW:
@@ -87,15 +87,15 @@ def _over_groups(kernel: Kernel, layout: Layout, system: System, *arrays: Any) -
 
 
 def take(tree: PyTree, index: jax.Array) -> Any:
-    """The cases `index` of leaves (cases or 1, ...), lanes last; what all share stays one lane."""
+    """The cases `index` of leaves (cases or 1, ...), batch axis last; a shared leaf keeps length 1."""
     return jax.tree.map(lambda leaf: jnp.moveaxis(leaf if len(leaf) == 1 else leaf[index], 0, -1), tree)
 
 
 def in_blocks(kernel: Kernel, arguments: tuple[Any, ...]) -> Any:
-    """`kernel` of arguments with leaves (cases or 1, ...), a block of lanes at a time; results have the cases first.
+    """Apply `kernel` to leaves (cases or 1, ...), a block of cases at a time; results have the cases first.
 
     Args:
-        kernel: takes the arguments lanes last, all but the first (the system) in as many lanes as the block has.
+        kernel: takes the arguments, batch axis last; all but the first (the system) fill the block.
         arguments: system and arrays.
     """
     cases = max(len(leaf) for leaf in jax.tree.leaves(arguments))

@@ -1,7 +1,7 @@
-"""Random units on which the levels of the loaded model are measured, and what stands in for it.
+"""Random units on which the levels of the loaded model are measured, and its substitutes.
 
-The linkage and the lost motion are levels of the whole machine: other models that answer a part of the same question.
-What they leave out decides for which errors and loads they hold; the table says how far.
+The linkage and the lost motion are levels of the whole reducer: other models that compute a part of its results.
+Their simplifications limit the errors and loads for which they hold; the table lists these limits.
 """
 
 import dataclasses
@@ -39,7 +39,7 @@ LINKAGE: dict[str, Limits] = dict(
     carrier_bore=(-6.5 * um, 6.5 * um),
     bearing_clearance=(0.0, 3 * um),
 )
-"""Errors of the linkage that the four-bar picture knows."""
+"""Errors of the linkage that the four-bar model reads."""
 
 WHOLE: dict[str, Limits] = LINKAGE | dict(
     sun_runout=_direction(10 * um),

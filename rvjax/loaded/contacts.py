@@ -1,6 +1,6 @@
 """Forces, energy and stiffness of all contacts at displacements q: the energy of docs/models/loaded.md, Eq. 21.
 
-Arrays have their lanes (independent cases) last; a leaf of the system that all lanes share has one lane.
+Arrays have the batch axis (independent cases) last; a leaf of the system that all cases share has length 1 there.
 """
 
 import functools
@@ -38,7 +38,7 @@ def contacts(layout: Layout, s: System, q: jax.Array) -> Contacts:
 
     Args:
         layout: counts and methods.
-        s: the system, lanes last.
+        s: the system, batch axis last.
         q: (n, l).
     """
     depth = depths(layout, s, q)
@@ -57,7 +57,7 @@ def depths(layout: Layout, s: System, q: jax.Array) -> jax.Array:
 
     Args:
         layout: counts and methods.
-        s: the system, lanes last.
+        s: the system, batch axis last.
         q: (n, l).
     """
     discs = q[: layout.inner].reshape(layout.discs, 3, 1, -1)
@@ -68,7 +68,7 @@ def joints(s: System, q: jax.Array) -> tuple[jax.Array, Bearing]:
     """Depths of the flanks (c, 2, l), and the bearings.
 
     Args:
-        s: the system, lanes last.
+        s: the system, batch axis last.
         q: (n, l).
     """
     held = bearing(s.bearing_gap + moved(s.bearing_rows, q), s.bearing_stiffness, s.clearance)
@@ -104,7 +104,7 @@ def gradient(layout: Layout, s: System, q: jax.Array, at: Contacts | None = None
 
     Args:
         layout: counts and methods.
-        s: the system, lanes last.
+        s: the system, batch axis last.
         q: (n, l).
         at: its contacts, where they are known.
     """
@@ -126,7 +126,7 @@ def energy(layout: Layout, s: System, q: jax.Array, at: Contacts) -> jax.Array:
 
 
 class Frame(NamedTuple):
-    """What the second derivatives need of the geometry, lanes last; rows of x and y, or of both flanks, first."""
+    """Geometry in the second derivatives, batch axis last; rows of x and y, or of both flanks, first."""
 
     pins: jax.Array  # (6, d, p, l) products of two rows: 00, 10, 11, 20, 21, 22
     disc: jax.Array  # (2, 3, d, c, l) an arm on its disc
@@ -146,7 +146,7 @@ def frame(layout: Layout, s: System) -> Frame:
 
     Args:
         layout: counts and methods.
-        s: the system, lanes last.
+        s: the system, batch axis last.
     """
     discs, cranks, split = layout.discs, layout.cranks, layout.discs * layout.cranks
     arms = s.bearing_rows[:split].reshape(discs, cranks, 2, layout.unknowns, -1)
@@ -162,7 +162,7 @@ def frame(layout: Layout, s: System) -> Frame:
     return Frame(pins, disc, (first, second), crank, *held)
 
 
-@functools.partial(jax.jit, static_argnums=0)  # traced once for all who ask for as many lanes
+@functools.partial(jax.jit, static_argnums=0)  # traced once for each batch size
 def hessian(
     layout: Layout, s: System, at: Contacts, pin_slope: Any = None, gear_slope: Any = None, at_rest: Frame | None = None
 ) -> Hessian:
@@ -170,9 +170,9 @@ def hessian(
 
     Args:
         layout: counts and methods.
-        s: the system, lanes last.
+        s: the system, batch axis last.
         at: contacts at q.
-        pin_slope: (d, p, l), by default that of the law.
+        pin_slope: (d, p, l), by default that of the contact law.
         gear_slope: (c, 2, l), by default the stiffness of the flanks of positive depth.
         at_rest: `frame(layout, s)`, where it is known.
     """

@@ -1,7 +1,7 @@
 """Newton's linear system, eliminated part by part: discs touch cranks only, so that what is dense is small.
 
-Arrays have their lanes (independent cases) last; arithmetic runs along them. Every part has up to three unknowns and is
-factored as L D L', which stays exact to rounding where a part is held by its centring springs alone.
+Arrays have the batch axis (independent cases) last; arithmetic runs along it. Every part has up to three unknowns and
+is factored as L D L', which stays exact to rounding where a part is held by its centring springs alone.
 """
 
 import functools
@@ -16,7 +16,7 @@ from rvjax.loaded.system import Layout
 
 
 class Hessian(NamedTuple):
-    """Second derivatives of the energy, lanes last; symmetric blocks are full but that of the discs."""
+    """Second derivatives of the energy, batch axis last; symmetric blocks are full but that of the discs."""
 
     disc: jax.Array  # (6, d, l): 00, 10, 11, 20, 21, 22
     disc_crank: jax.Array  # (3, d, c, 3, l)
@@ -28,7 +28,7 @@ class Hessian(NamedTuple):
 _Block = list[list[jax.Array]]  # rows of the lower triangle of a small symmetric block
 
 
-@functools.partial(jax.jit, static_argnums=0)  # traced once for all who ask for as many lanes
+@functools.partial(jax.jit, static_argnums=0)  # traced once for each batch size
 def solve(layout: Layout, hessian: Hessian, rhs: jax.Array) -> jax.Array:
     """x with H x = rhs.
 
@@ -82,7 +82,7 @@ def _border(layout: Layout, matrix: jax.Array) -> jax.Array:
 
 
 def _reduced(size: int, matrix: jax.Array, inverse: list[jax.Array]) -> tuple[jax.Array, jax.Array]:
-    """L^-1 times what stands right of the first block, and what the block leaves of the rows below."""
+    """L^-1 times the columns right of the first block, and the Schur complement in the rows below."""
     forward = _forward(_corner(matrix, size), inverse, matrix[:size, size:])
     rest = matrix[size:, size:]
     for a in range(size if len(rest) else 0):

@@ -128,7 +128,7 @@ def _reading(
 def _mean_of_heads(
     reading: Reading, radius: jax.Array, at: Geometry, oval: tuple[Any, Any], tilt: jax.Array, torque: jax.Array
 ) -> jax.Array:
-    """What the heads add to the error, Eqs. 2, 3, 6, 7."""
+    """Contribution of the heads to the error, Eqs. 2, 3, 6, 7."""
     head = turn(jnp.atleast_1d(reading.heads))
     seen = Turn(*at.carrier.back.of(head.cosine, head.sine))  # u(head - th)
     double_cosine, double_sine = head.cosine * head.cosine - head.sine * head.sine, 2 * head.sine * head.cosine
@@ -142,9 +142,9 @@ def _mean_of_heads(
 def housing_orders(design: RVReducer, harmonic: int, most: int = 240) -> tuple[int, ...]:
     """Orders of the output turn that a harmonic of the housing excites with equal cranks, ascending.
 
-    A reducer without errors of parts is the same after a turn of carrier and cranks by 360 deg / cranks. What stands
-    still in the housing with m periods round it therefore appears at the orders |zp P - m| with P = m (mod cranks)
-    only. Eq. 1 of docs/models/reading.md.
+    A reducer without errors of parts is the same after a turn of carrier and cranks by 360 deg / cranks. A
+    disturbance fixed in the housing with m periods round it therefore appears only at the orders |zp P - m| with
+    P = m (mod cranks). Eq. 1 of docs/models/reading.md.
 
     Args:
         design: counts of pins and cranks are read.

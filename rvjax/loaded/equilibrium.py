@@ -58,14 +58,14 @@ def equilibrium(
             not read, negative clearances count as 0.
         input_angle: of the sun, () rad, ring fixed; forward is counter-clockwise, and so is the output.
         output_torque: that the discs exert on the carrier, () N m; the external load is its opposite.
-        contact: law of the pins, "hertz", "linear" or "palmgren".
+        contact: contact law of the pins, "hertz", "linear" or "palmgren".
         carrier: "fixed" centre, or "floating" on `stiffness.output_support`.
         sun: "fixed", or "floating" on `stiffness.sun_support` and `sun_torsion`; below zero these are INVALID_GEOMETRY.
 
     Returns:
         Loaded. Status CONVERGED; UNLOADED: no pin pressed, with a torque of zero or one that the centring springs
         carry, or forces lost in the rounding of the gaps (residual above 1.5e-8, in float32 3.5e-4); or with NaN values
-        NONFINITE, INVALID_GEOMETRY, UNDERCUT, CONTACT_OVERLOAD (hertz: a pin as deep as its law ends), MAX_STEPS.
+        NONFINITE, INVALID_GEOMETRY, UNDERCUT, CONTACT_OVERLOAD (hertz: pin depth at its limit), MAX_STEPS.
 
     Raises:
         ValueError: unknown methods, a design without stiffness or contact or with another tooth difference than one,
@@ -150,7 +150,7 @@ def prepare(layout: Layout, read: Read, input_angle: jax.Array) -> Case:
         load=1 / cranks.circle_radius,
     )
     # rr^2 / R* is `rounding`, so that 1 / R* = rounding / rr^2.
-    # XLA computes cheap operations anew for every reader, but a division once. Half of the program was such copies.
+    # XLA copies cheap operations into every consumer, but computes a division once. Half of the program was copies.
     one, one_of_errors = jnp.where(e > 0, 1.0, 2.0).astype(dtype), jnp.where(read.gate.good, 1.0, 2.0).astype(dtype)
     of_angle = {"rows", "level", "gear_rows", "bearing_rows"}
     kept = {
@@ -162,10 +162,10 @@ def prepare(layout: Layout, read: Read, input_angle: jax.Array) -> Case:
 
 
 def judge(read: Read, case: Case, found: Found) -> SolveInfo:
-    """How the solve of a case ended.
+    """Status, steps and residual of the solve of a case.
 
-    A torque so small that the centring springs carry it inside the clearances loads no contact. Where the rounding of
-    the gaps, times the stiffest spring, is not small beside all forces, these are not known.
+    A torque so small that the centring springs carry it inside the clearances loads no contact. The forces are
+    undetermined where the rounding of the gaps, times the stiffest spring, is not small compared with all forces.
     """
     faint = math.sqrt(float(jnp.finfo(found.residual.dtype).eps))
     idle = (case.system.load == 0) & (found.largest <= case.system.centring * read.design.cycloid.pin_radius)

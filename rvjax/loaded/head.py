@@ -18,7 +18,7 @@ READ_AT = 1000.0
 
 
 def effects_of_a_head(design: RVReducer, conditions: Any, torques: np.ndarray, orders: Sequence[int]) -> np.ndarray:
-    """What a head adds to the orders at each torque, per element of "reading", (torques, k, 6, 2).
+    """Contribution of a head to the orders at each torque, per element of "reading", (torques, k, 6, 2).
 
     Of the reducer without errors of parts, whose forces those of a unit resemble to 1 %. An element is the largest
     amplitude of its effect, of any order, at the rated torque.

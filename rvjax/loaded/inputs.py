@@ -1,4 +1,4 @@
-"""What the model reads of a design and its errors, and whether such a reducer can exist."""
+"""Inputs of the model from a design and its errors, and the check that such a reducer can exist."""
 
 import dataclasses
 from typing import Any, NamedTuple
@@ -73,8 +73,10 @@ def _check_shapes(part: Any, counts: dict[str, int]) -> None:
 
 
 def admit(layout: Layout, design: RVReducer, errors: RVErrors, torque: Any, angle: Any) -> Read:
-    """The numbers that are read, judged. Design, eccentricity, errors, torque and angle are judged and replaced apart:
-    in a batch over errors the geometry stays that of all units.
+    """Check the numbers that are read.
+
+    Design, eccentricity, errors, torque and angle are checked and replaced separately, so that all units of a batch
+    over errors keep one geometry.
 
     Args:
         layout: counts and methods.
@@ -111,7 +113,7 @@ def admit(layout: Layout, design: RVReducer, errors: RVErrors, torque: Any, angl
     largest = cycloid.pin_circle_radius / cycloid.pin_count  # K1 = 1
     proper = (e > 0) & (e < largest)
     e = jnp.where(of_design.good & proper, e, 0.6 * largest)
-    sharpest = jax.lax.stop_gradient(largest_curvature(used, e / largest))  # a judge, no part of the answer
+    sharpest = jax.lax.stop_gradient(largest_curvature(used, e / largest))  # for a check only, no part of the result
     undercut = of_design.good & (cycloid.pin_radius * sharpest >= 1)
     cycloid = cycloid.replace(pin_radius=jnp.where(undercut, 0.1 / sharpest, cycloid.pin_radius))
     gate = Gate((*refused, (~proper, Status.INVALID_GEOMETRY), (undercut, Status.UNDERCUT)))
@@ -125,7 +127,7 @@ _HARMLESS = {
     "equidistant_modification": 0.0,
     "shift_modification": 0.0,
 }
-"""What a number of a design becomes that cannot be computed with; any other becomes 1."""
+"""Replacements of numbers of a design that the computation cannot use; any other becomes 1."""
 
 
 def _only_read(layout: Layout, design: RVReducer) -> RVReducer:
@@ -157,14 +159,14 @@ def _only_read(layout: Layout, design: RVReducer) -> RVReducer:
 
 
 def _reads_support(layout: Layout, contact: Contact) -> bool:
-    """Whether the law reads the support of the pins; the mesh stiffness of the linear law contains its mean."""
+    """True if the contact law reads the support of the pins; the linear mesh stiffness contains its mean."""
     if layout.law == "linear" and contact.pin_stiffness is None:
         return contact.pin_support is not None and np.ndim(contact.pin_support) > 0
     return layout.law != "palmgren"
 
 
 def unchecked(part: Any, **changes: Any) -> Any:
-    """A copy of a record that is not judged: whether its numbers fit together is a status here.
+    """Copy of a record without its checks: inconsistent numbers give a status here, no error.
 
     Args:
         part: a record.
@@ -177,7 +179,7 @@ def unchecked(part: Any, **changes: Any) -> Any:
 
 
 def pin_compliance(layout: Layout, design: RVReducer) -> jax.Array:
-    """c of the hertz law (), k of the linear () or (pins,), C of Palmgren's () (Eqs. 17-19).
+    """Coefficient of the contact law (Eqs. 17-19): c of hertz (), k of linear () or (pins,), C of Palmgren ().
 
     Args:
         layout: counts and methods.
@@ -219,7 +221,7 @@ def _finite(tree: Any) -> jax.Array:
 
 
 def _pushes_away(layout: Layout, design: RVReducer) -> jax.Array:
-    """Whether a floating part is held by a spring of negative stiffness; nothing need hold it but its neighbours."""
+    """True if a spring of negative stiffness holds a floating part; zero is allowed, because its neighbours hold it."""
     springs = design.stiffness
     assert springs is not None
     held: list[Scalar] = [jnp.zeros_like(springs.output_support)]
@@ -231,7 +233,7 @@ def _pushes_away(layout: Layout, design: RVReducer) -> jax.Array:
 
 
 def _positive(layout: Layout, design: RVReducer) -> jax.Array:
-    """Lengths and stiffnesses that must be positive; the eccentricity is judged apart."""
+    """Lengths and stiffnesses that must be positive; the eccentricity is checked separately."""
     involute, cycloid, springs, contact = design.involute, design.cycloid, design.stiffness, design.contact
     assert springs is not None and contact is not None
     positive = [

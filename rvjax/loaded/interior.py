@@ -2,14 +2,14 @@
 
 Newton's method loses its way where a journal slides round its clearance and barely touches: a full step leaves the
 circle by the second order, and contacts open and close in turns. Here no contact opens or closes. Each is a spring,
-compressed by s, that keeps a gap z > 0 to what it presses on and has a force f > 0 of its own. All products f z = mu
+compressed by s, that keeps a gap z > 0 to its counterpart and has a separate force f > 0. All products f z = mu
 fall together, and with them the forces become those of the contacts:
 
     pin, flank    z = s - depth(q) > 0,  f > 0
     journal       Z = (clearance + s, w(q)) in the cone |Z_xy| < Z_0, its force F in the same cone
 
 The step of the cones is that of Nesterov and Todd (Mathematics of Operations Research 22, 1997, 1-42): in Newton's
-linear system each contact is a spring of finite stiffness. Arrays have their lanes last.
+linear system each contact is a spring of finite stiffness. Arrays have the batch axis last.
 """
 
 import functools
@@ -46,14 +46,14 @@ class _Loop(NamedTuple):
     open: jax.Array  # (l,)
 
 
-@functools.partial(jax.jit, static_argnums=0)  # traced once, though asked for its shapes too
+@functools.partial(jax.jit, static_argnums=0)  # traced once, for shapes and values
 def approach(layout: Layout, s: System, wanted: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Displacements (n, l) near the minimum, not finite where there are none, and the steps it took (l,).
 
     Args:
         layout: counts and methods.
-        s: the system, lanes last.
-        wanted: (l,) lanes to solve; others stay at zero.
+        s: the system, batch axis last.
+        wanted: (l,) elements to solve; others stay at zero.
     """
     lanes = wanted.shape[0]
     free = jnp.broadcast_to(s.clearance > 0, (layout.bearings, lanes))  # without clearance a journal is a linear spring
@@ -75,7 +75,7 @@ def approach(layout: Layout, s: System, wanted: jax.Array) -> tuple[jax.Array, j
         going = loop.open & (mu > _CLOSED * eps * first) & (loop.steps < STEPS)
         goal = mu * jnp.where(loop.share > 0.9, 0.1, jnp.where(loop.share > 0.5, 0.3, 0.5))
 
-        # Pins and flanks: the force that closes f z = goal along the law, and its slope in the depth.
+        # Pins and flanks: the force that closes f z = goal along the contact law, and its slope in the depth.
         room = z + at.f / slope
         pins, pin_slope = (goal[None, None] + at.f * law / slope) / room, at.f / room
         room = gear_z + at.gear_f / s.gear_stiffness[:, None]
@@ -191,7 +191,7 @@ def _until(value: jax.Array, change: jax.Array) -> jax.Array:
 
 
 def _like(lanes: jax.Array, value: jax.Array) -> jax.Array:
-    """A number of each lane (l,) beside a value (..., l)."""
+    """A number of each batch element (l,), shaped to broadcast with a value (..., l)."""
     return lanes.reshape((1,) * (value.ndim - 1) + lanes.shape)
 
 

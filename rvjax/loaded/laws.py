@@ -1,11 +1,11 @@
-"""How a pin and a disc yield: force at a depth d > 0, its slope and its energy (docs/models/loaded.md, Eqs. 17-20).
+"""Contact laws of a pin and a disc: force at a depth d > 0, slope and energy (docs/models/loaded.md, Eqs. 17-20).
 
     hertz     d = c F (A - ln F), c = 2 (1 - nu^2) / (pi E L): line contact of a cylinder and a disc
     linear    F = k d
     palmgren  d = C F^0.9
 
-`compliance` is c, k or C by law; `level` is A of every pin, hertz only. All functions are elementwise, force and energy
-are 0 where d <= 0.
+`compliance` is c, k or C by contact law; `level` is A of every pin, hertz only. All functions are elementwise, force
+and energy are 0 where d <= 0.
 """
 
 import math
@@ -69,7 +69,7 @@ def typical_slope(law: str, load: jax.Array, compliance: jax.Array, level: jax.A
 
 
 def largest_depth(compliance: jax.Array, level: jax.Array) -> jax.Array:
-    """Depth at which the force of the hertz law has no finite slope any more, m."""
+    """Depth at which the force of the hertz contact law has no finite slope any more, m."""
     return compliance * jnp.exp(level - 1)
 
 

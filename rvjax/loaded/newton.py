@@ -1,12 +1,12 @@
-"""The minimum of the energy: Newton's method for many cases at once, lanes last.
+"""The minimum of the energy: Newton's method for many cases at once, batch axis last.
 
 It begins with the contacts that a torque of this sign closes, linear and without clearance. Then full steps; only after
-four without a new lowest energy a lane returns to its best point and searches the line from there (its slope is
+four without a new lowest energy a case returns to its best point and searches the line from there (its slope is
 monotone, because the energy is convex). An immediate search fails where a journal slides round its clearance: it leaves
 the circle by the second order, so that the energy of good steps rises for a while.
 
-A block has a fixed number of lanes. Once a quarter of them is done, cases that wait take their places, so that slow
-cases do not hold up the others.
+A block has a fixed number of places. Once a quarter of its cases is done, waiting cases replace them, so that slow
+cases do not delay the others.
 """
 
 import functools
@@ -29,14 +29,14 @@ _DIRECT = 80  # of them before the interior point method
 
 
 class Found(NamedTuple):
-    """Where the iteration ended; in this module lanes last."""
+    """Result of the iteration; in this module with the batch axis last."""
 
     q: jax.Array  # (n, l)
     steps: jax.Array  # (l,)
     residual: jax.Array  # (l,) gradient over the largest force
     largest: jax.Array  # (l,) force of any pin, N
     converged: jax.Array  # (l,)
-    overload: jax.Array  # (l,) a pin beyond its law, at the start or on the way
+    overload: jax.Array  # (l,) a pin beyond its contact law, at the start or on the way
     finite: jax.Array  # (l,)
 
 
@@ -104,7 +104,7 @@ def minimise(layout: Layout, system: System, start: jax.Array) -> Found:
 
         place = jnp.zeros((width,), jnp.int32)
         shapes = jax.eval_shape(lambda: seated(place, place == 0)[2])
-        empty = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)  # every lane is free
+        empty = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)  # every place is free
         found = jax.lax.while_loop(unfinished, refill, (place, empty, jnp.int32(0), tour.found))[-1]
         lost = ~found.converged & found.finite & (found.steps >= _DIRECT)
         return _Tour(tour.number + 1, lost, found)
@@ -145,9 +145,9 @@ def _overloaded(s: System, depth: jax.Array) -> jax.Array:
 
 
 def _iterate(layout: Layout, s: System, state: State, leave: jax.Array, again: jax.Array) -> State:
-    """Steps of all open lanes until no more than `leave` are open; `again`: in the second round."""
+    """Steps of all open cases until no more than `leave` are open; `again`: in the second round."""
     limit = jnp.where(again, MAX_STEPS, _DIRECT)
-    # A part sums up to some ten contacts, each with its rounding: what does not get below that in 80 steps never will.
+    # A part sums up to some ten contacts, each with its rounding: a case above that after 80 steps never gets below.
     slack = jnp.where(again, 8.0, 1.0).astype(state.q.dtype)
     lanes = state.q.shape[-1]
     eps = float(jnp.finfo(state.q.dtype).eps)
@@ -173,7 +173,7 @@ def _iterate(layout: Layout, s: System, state: State, leave: jax.Array, again: j
             force, slope = law(depth, None)
         else:
             half = layout.pins // 2 + 1
-            level = depth if s.level is None else s.level  # read by the hertz law alone
+            level = depth if s.level is None else s.level  # read by the hertz contact law only
             near = stored(law, depth[:, :half], level[:, :half])
             far = jax.lax.cond(
                 jnp.any(depth[:, half:] > 0),
@@ -225,6 +225,6 @@ def _iterate(layout: Layout, s: System, state: State, leave: jax.Array, again: j
 
 
 def _most(*values: Any) -> jax.Array:
-    """Largest absolute value of each lane."""
+    """Largest absolute value of each batch element."""
     largest = [folded(jnp.abs(value), *range(value.ndim - 1), by=jnp.maximum) for value in values]
     return functools.reduce(jnp.maximum, largest)

@@ -1,4 +1,4 @@
-"""What a bench can measure of the loaded reducer: orders of the transmission error, and the torque-angle loop."""
+"""Bench observations of the loaded reducer: orders of the transmission error, and the hysteresis curve."""
 
 from typing import Any
 

@@ -1,6 +1,6 @@
-"""What studies may ask of the whole reducer under load.
+"""Outputs of the whole reducer under load for studies.
 
-Outputs read a few results, each computed once for all that are asked: a turn under one of three torques, and the twist
+Outputs read a few results, each computed once for all required ones: a turn under one of three torques, and the twist
 that a test bench measures at some input angles.
 """
 
@@ -32,7 +32,7 @@ RATED, HALF, SLIGHT, PROBE = SHARES
 
 @dataclass(frozen=True)
 class Conditions:
-    """How a whole reducer runs, and how a test bench measures it."""
+    """Operating conditions of a whole reducer and of its test bench."""
 
     output_torque: float = condition(0.0, "torque of the discs on the carrier", unit="N m", torque=True)
     second_torque: float | None = condition(None, "of the discs on the carrier, the second one", unit="N m")
@@ -155,7 +155,7 @@ def _curve(design: RVReducer, errors: RVErrors, given: Any) -> tuple[Any, Any]:
 
 
 def _carrying(outputs: dict[str, Output]) -> dict[str, Output]:
-    """Each refuses a design that lacks a part which carries load, before what it refuses itself."""
+    """Add to each output a check for missing load-carrying parts of the design, before its other checks."""
 
     def refusing(own: Callable[[Any, Any], None] | None) -> Callable[[Any, Any], None]:
         def refuse(design: RVReducer, given: Any) -> None:

@@ -79,7 +79,7 @@ def _revolution(
     layout: Layout, samples: int, design: RVReducer, errors: RVErrors, output_torque: Any, turns: Any
 ) -> Revolution:
     read = admit(layout, design, errors, output_torque, turns)
-    step = 2 * jnp.pi * design.ratio * read.angle / samples  # `admit` judged the turns in the place of the angle
+    step = 2 * jnp.pi * design.ratio * read.angle / samples  # `admit` checked the turns in the place of the angle
 
     def onward(known: tuple[jax.Array, jax.Array], j: jax.Array) -> Any:
         last, before = known  # NaN where there is none
@@ -112,7 +112,7 @@ def _revolution(
 
 
 class Loads(NamedTuple):
-    """What the parts of one angle carry; fields as in `Revolution`."""
+    """Forces on the parts at one angle; fields as in `Revolution`."""
 
     largest_pin: jax.Array
     largest_pressure: jax.Array

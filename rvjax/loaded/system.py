@@ -1,4 +1,4 @@
-"""What one equilibrium depends on: numbers of one angle, of the springs and of the gaps, and the order of the unknowns.
+"""Data of one equilibrium: numbers of one angle, of the springs and of the gaps, and the order of the unknowns.
 
 Unknowns q are lengths, deviations from the ideal motion in the frame of the ideal carrier:
 
@@ -59,8 +59,8 @@ class System(NamedTuple):
     """Numbers of one case, lengths in m, forces in N. d discs, c cranks, p pins, b bearings, n unknowns."""
 
     rows: Any  # (3, d, p) pin depth per displacement of its disc: -n_x, -n_y, lever / R; Eq. 9
-    level: Any  # (d, p) A of the hertz law, else None
-    compliance: Any  # (1,) of the pin law; (p,) where the supports of linear pins differ
+    level: Any  # (d, p) A of the hertz contact law, else None
+    compliance: Any  # (1,) of the pin contact law; (p,) where the supports of linear pins differ
     gear_rows: Any  # (c, 2, n) depth of the [driving, coasting] flank per unknown; Eq. 10
     bearing_rows: Any  # (b, 2, n) displacement x, y of a bearing per unknown; Eqs. 11, 12
     gear_stiffness: Any  # (c,)
@@ -75,7 +75,7 @@ class System(NamedTuple):
 
 
 def directions(cranks: int) -> tuple[np.ndarray, np.ndarray]:
-    """Radial and tangential unit vectors of the crank axes, (c, 2): crank i stands at pi + 2 pi i / c. Eq. 3.
+    """Radial and tangential unit vectors of the crank axes, (c, 2): crank i is at pi + 2 pi i / c. Eq. 3.
 
     Args:
         cranks: c.

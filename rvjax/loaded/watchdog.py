@@ -1,7 +1,7 @@
-"""What a lane of Newton's method remembers of its points, and which point it takes next.
+"""State of one batch element of Newton's method, and the choice of its next point.
 
-Full steps, until four of them have brought no new lowest energy; then the lane returns to its best point and searches
-the line from there between two slopes.
+Full steps, until four of them have brought no new lowest energy; then the element returns to its best point and
+searches the line from there between two slopes.
 """
 
 from typing import Any, NamedTuple
@@ -14,9 +14,9 @@ SEARCHES = 30  # points on a line at most
 
 
 class State(NamedTuple):
-    """Of a block. Numbers and marks of a lane are one array each: every array of a loop is copied by a kernel."""
+    """State of a block. Numbers and marks are one array each, because a kernel copies every array of a loop."""
 
-    q: jax.Array  # (n, l); of a lane that is not open: where it ended
+    q: jax.Array  # (n, l); the last point once an element is not open
     best: jax.Array  # (n, l)
     step: jax.Array  # (n, l) Newton's step from the best point
     lanes: jax.Array  # (10, l) numbers of `Lane`
@@ -49,7 +49,7 @@ class Lane(NamedTuple):
 
 
 class Judged(NamedTuple):
-    """What a point is worth, each (l,)."""
+    """Merit of a point, each (l,)."""
 
     value: jax.Array  # energy
     miss: jax.Array  # largest component of the gradient
@@ -59,42 +59,42 @@ class Judged(NamedTuple):
     descent: jax.Array  # and along Newton's step from here
     small: jax.Array  # the gradient is
     fine: jax.Array  # all is finite
-    over: jax.Array  # a pin is beyond its law
+    over: jax.Array  # a pin is beyond its contact law
 
 
 _NUMBERS, _COUNTS = 10, 12  # of the fields of `Lane`: where counts begin, and marks
 
 
 def fresh(lanes: int, dtype: Any) -> Lane:
-    """Of a lane that has not begun: all zero, no energy yet."""
+    """State before the first step: all zero, no energy yet."""
     lane = Lane(*[jnp.zeros((lanes,), dtype)] * _NUMBERS, *[jnp.zeros((lanes,), bool)] * (len(Lane._fields) - _NUMBERS))
     return lane._replace(lowest=lane.lowest + jnp.inf)
 
 
 def packed(lane: Lane, dtype: Any) -> tuple[jax.Array, jax.Array]:
-    """Numbers, and counts with marks, of a lane."""
+    """Numbers, and counts with marks, of `lane`."""
     lanes = lane.open.shape
     numbers = [jnp.broadcast_to(x, lanes).astype(dtype) for x in lane[:_NUMBERS]]
     return jnp.stack(numbers), jnp.stack([jnp.broadcast_to(x, lanes).astype(jnp.int32) for x in lane[_NUMBERS:]])
 
 
 def unpacked(numbers: jax.Array, marks: jax.Array) -> Lane:
-    """The lane that `packed` made them of."""
+    """Inverse of `packed`."""
     counts = _COUNTS - _NUMBERS
     return Lane(*numbers, *marks[:counts], *(marks[counts:] != 0))
 
 
 def is_open(state: State) -> jax.Array:
-    """Lanes (l,) that have not ended."""
+    """Mark of each element (l,) that has not ended."""
     return unpacked(state.lanes, state.marks).open
 
 
 def decided(numbers: jax.Array, marks: jax.Array, at: Judged, limit: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Numbers and marks of every lane after a point, from those before it."""
+    """Numbers and marks of every element after a point, from those before it."""
     last = unpacked(numbers, marks)
     live, cold = last.open, last.cold
     usable = at.fine & ~at.over
-    again = last.given & ~usable  # a given start beyond the law of a pin: the linear one instead
+    again = last.given & ~usable  # a given start beyond the contact law of a pin: the linear one instead
     done = usable & at.small & ~cold
     lower = usable & (at.value < last.lowest)
     slope = jnp.where(usable, at.along, jnp.inf)
@@ -144,11 +144,11 @@ def decided(numbers: jax.Array, marks: jax.Array, at: Judged, limit: jax.Array) 
 def onward(
     last: State, newton: jax.Array, numbers: jax.Array, marks: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """The next point of every open lane, its best one and the step from there; at its end the point that it ends at."""
+    """Next point of every open element, its best point and the step from there; the final point once it has ended."""
     lane = unpacked(numbers, marks)
     best, step = (jnp.where(lane.better[None], new, old) for new, old in ((last.q, last.best), (newton, last.step)))
     whole = last.q + newton
-    # Without a best point there is no finite energy: such a lane has failed.
+    # Without a best point there is no finite energy: such an element has failed.
     ended = jnp.where(lane.converged[None], whole, jnp.where(jnp.isinf(lane.lowest)[None], 0, best))
     point = jnp.where(lane.searching[None], best + lane.share[None] * step, whole)
     point = jnp.where(lane.cold[None], 0, point)

@@ -1,4 +1,4 @@
-"""What a distribution is: a record that maps standard normal numbers to errors, registered by its name.
+"""Base class of a distribution: a record that maps standard normal numbers to errors, registered by its name.
 
 A new distribution is one class: `@record class Mine(Distribution)` with `name`, its own parameters as fields, `deviate`
 and `moments`. Tolerances, studies, saved files and checkpoints take it from `DISTRIBUTIONS`.
@@ -26,7 +26,7 @@ DISTRIBUTIONS: dict[str, type["Distribution"]] = {}
 
 
 class Distribution(Record):
-    """How parts spread between limits; its fields are the parameters that belong to it alone.
+    """Distribution of parts between limits; its fields are its specific parameters.
 
     A distribution may hold more in class variables: `shifts` (it honours `Tolerance.shift`), `capable` (and
     `Tolerance.cp`), `of_vectors` (a field of pairs [radial, tangential] gets vectors, not numbers of their own) and
@@ -60,7 +60,7 @@ class Distribution(Record):
         return False
 
     def scaled(self, tolerance: "Tolerance", half_width: Scalar) -> dict[str, Any]:
-        """What changes in a tolerance that gets another half-width; here its limits, about their middle.
+        """Changed fields of a tolerance with another half-width; here its limits, about their mid-point.
 
         Args:
             tolerance: whose distribution this is.

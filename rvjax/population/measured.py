@@ -54,8 +54,8 @@ class MeasuredParts:
 
     Attributes:
         tolerances: {field: `Tolerance` of the distribution "empirical"}; columns of several elements of a field make
-            one law.
-        columns: figures by field or element.
+            one distribution.
+        columns: statistics by field or element.
         together: parts of which all columns were measured.
         pairs: correlation of the normal scores of two columns over these parts, with Fisher's interval.
         source: name of the file.

@@ -73,7 +73,7 @@ class Sampled:
         return self._figure(of, alone)
 
     def cpk(self, limits: Any) -> Estimate:
-        """Cpk = room/(3 sd) of limits."""
+        """Cpk = margin/(3 sd) of limits."""
 
         def of(m: CentralMoments) -> float:
             return limits.capability(m.mean, m.sd)[1] if m.n > 1 else math.nan
@@ -84,7 +84,7 @@ class Sampled:
                 return Estimate(value, 0.0 if math.isinf(value) else math.nan, value, value)
             # d Cpk = (-o dm - 3 Cpk ds)/(3 s), with var m = m2/n, var s of any distribution, cov(m, s) = m3/(2 s n).
             s, spread = m.sd, m.sd_estimate(self.confidence).error
-            o = float(limits.outward(m.mean))  # +1 where room falls with the mean, -1 where it grows
+            o = float(limits.outward(m.mean))  # +1 where the margin falls with the mean, -1 where it grows
             variance = s**2 / m.n + (3 * value * spread) ** 2 + 2 * o * 3 * value * m.s3 / m.n / (2 * s * m.n)
             error = math.sqrt(max(0.0, variance)) / (3 * s)
             return Estimate.about(value, error, deviate_of(self.confidence))

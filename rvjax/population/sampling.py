@@ -66,7 +66,7 @@ def sample(tolerances: Any, index: Any, *, seed: int, method: str = "random", co
         tolerances: record or dict with a `Tolerance` or None in each field.
         index: number of the unit, 0 or more.
         seed: of the study.
-        method: "random", or "sobol": drawn on the host, so that `index` must be a number.
+        method: "random", or "sobol": sampled on the host, so that `index` must be a number.
         correlation: {(field or element, field or element): correlation of their z}, such as
             {("pin_radius", "disc_bore[0,1,0]"): 0.5}.
 

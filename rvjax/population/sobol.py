@@ -1,4 +1,4 @@
-"""Scrambled Sobol points as the random numbers of units, drawn on the host.
+"""Scrambled Sobol points as the random numbers of units, computed on the host.
 
 Unit i is point i // 16 of scramble i mod 16: every 16 neighbours are one point of each of 16 independent
 scrambles (Owen 1995), whose spread gives standard errors.

@@ -74,7 +74,7 @@ class Tolerance(Record):
         vector: bool | None = None,
         **parameters: Any,
     ) -> None:
-        """Limits and a law.
+        """Limits and a distribution.
 
         Args:
             lower: lower limit, unit of the error.
@@ -127,7 +127,7 @@ class Tolerance(Record):
 
     @property
     def distribution(self) -> str:
-        """Name of the law."""
+        """Name of the distribution."""
         return self.law.name
 
     @property

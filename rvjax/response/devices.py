@@ -24,7 +24,7 @@ class Evaluator:
     """Evaluates chunks of one study; devices compute while the host goes on."""
 
     def __init__(self, response: Response, population: Population, seed: int, method: str, chunk: int) -> None:
-        """What to evaluate, as in `monte_carlo`, checked; `chunk` units at once."""
+        """Checked inputs of an evaluation, as in `monte_carlo`; `chunk` units at once."""
         self._response, self._population, self._key = response, population, root_key(seed)
         self._points = SobolPoints(population.numbers, seed) if method == "sobol" else None
         devices = jax.local_devices()
@@ -40,7 +40,7 @@ class Evaluator:
         return _respond_on(self._response, self._population, z, mesh=self._mesh)
 
     def errors(self, first: int) -> dict[str, np.ndarray]:
-        """Drawn errors of the chunk that begins with unit `first`, by field (*shape, n)."""
+        """Sampled errors of the chunk that begins with unit `first`, by field (*shape, n)."""
         return {field: np.asarray(drawn) for field, drawn in _deviations(self._population, self._z(first)).items()}
 
     def _z(self, first: int) -> jax.Array:

@@ -84,7 +84,7 @@ class InParts(Evaluator):
 
 
 def evaluator(response: Response, population: Population, seed: int, method: str, chunk: int) -> Evaluator:
-    """What evaluates chunks of one study.
+    """Evaluator of the chunks of one study.
 
     Args:
         response: of one unit.

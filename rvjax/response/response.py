@@ -19,11 +19,11 @@ from rvjax.records import Array, PyTree, Record, field, record
 from rvjax.status import Status, succeeded, worst
 
 BLOCK = 16384
-"""Units at once where nobody chose: the same everywhere, so that a response is compiled for it once; temporaries of
-a response over many angles then stay near the cache."""
+"""Default number of units at once: the same everywhere, so that a response is compiled for it once; temporaries of
+a response over many angles then nearly fit the cache."""
 
 PLAIN = ""
-"""Name of the only scalar of a response that returns no dict."""
+"""Name of the value of a response that returns one scalar."""
 
 PROGRAMS = 32
 """Plain functions whose programs are kept, the latest ones."""
@@ -197,18 +197,17 @@ def respond(response: Response, population: Population, z: jax.Array) -> tuple[V
 def respond_units(
     response: Response, population: Population, key: jax.Array, start: int, *, count: int
 ) -> tuple[Values, jax.Array]:
-    """Values and status of units start .. start + count - 1; one compilation whatever the start.
+    """Values and status of units start .. start + count - 1; one compilation for any start.
 
-    Drawing is a program of its own, so that the response is compiled once for one number of units, whoever asks.
+    Sampling is a separate program, so that the response is compiled once for each number of units.
     """
     return respond(response, population, drawn(population, key, jnp.uint32(start), count=count))
 
 
 def response_names(response: Response, population: Population) -> tuple[str, ...]:
-    """Names of the response's values, found without computing any: a record with `outputs` says them itself.
+    """Names of the response's values, found without computing any: a record with `outputs` lists them.
 
-    Another is traced for as many units as will be asked for where nobody chose: JAX remembers, and need not trace it
-    again.
+    Any other response is traced for the default number of units, because JAX then need not trace it again.
     """
     if isinstance(response, Record) and hasattr(response, "outputs"):
         return tuple(sorted(response.outputs))  # as JAX sorts the keys of a dict

@@ -69,7 +69,7 @@ class TruncatedNormal(Distribution):
 
 @record
 class Lognormal(Distribution):
-    """lower + 2 h exp(log_sd (z - 3 cp)), so that P(e > upper) = Phi(-3 cp) as for a centred normal law."""
+    """lower + 2 h exp(log_sd (z - 3 cp)), so that P(e > upper) = Phi(-3 cp) as for a centred normal distribution."""
 
     name = "lognormal"
     log_sd: Scalar = field("-", "the standard deviation of the logarithm of the error above `lower`", sign="positive")
@@ -148,7 +148,7 @@ class Beta(Distribution):
         return tolerance.lower + 2 * tolerance.half_width * interpolate(z, *_beta_table(*self.beta))
 
     def moments(self, tolerance: "Tolerance") -> Moments:
-        """Central moments of B(p, q) in closed form: differences of raw ones lose all digits of a narrow law."""
+        """Central moments of B(p, q) in closed form: differences of raw ones lose all digits where it is narrow."""
         p, q = self.beta
         total = p + q
         mean, below, skew = p / total, q / total, (q - p) / total

@@ -39,7 +39,7 @@ class Empirical(Distribution):
         return low + (position - left.astype(position.dtype)) * (high - low)
 
     def moments(self, tolerance: "Tolerance") -> Moments:
-        """Exact moments of the distribution as it is drawn: the mean is that of the data.
+        """Exact moments of the distribution as sampled: the mean is that of the data.
 
         A piece from a to b holds 1/n of the parts with the central moments sum_i a^i b^(k-i)/(k+1), the ends 1/(2n).
         """

@@ -16,10 +16,10 @@ if TYPE_CHECKING:
 
 @record
 class Spectrum(Normal):
-    """Normal errors along the last axis of a field, closed to a circle, with waves of given relative size.
+    """Normal errors along the last axis of a field, closed to a circle, with harmonics of given relative size.
 
     e_j = sum_h w_h (u_h cos(2 pi h j / n) + v_h sin(2 pi h j / n)), u and v normal, w_h in the ratios of `spectrum`
-    and such that every error has the standard deviation h/(3 cp) of the normal law. No direction is preferred.
+    and such that every error has the standard deviation h/(3 cp) of the normal distribution. No direction is preferred.
     """
 
     name = "spectrum"
