@@ -1,6 +1,6 @@
 """Allocations whose optimum is known without sampling: from the literature, or by Lagrange's conditions.
 
-Normal laws with limits of 3 standard deviations throughout. For a linear response y = sum a_j e_j within +-L the share
+Normal distributions, limits of 3 standard deviations. For a linear response y = sum a_j e_j within +-L the share
 within the limits is the target where sum (a_j t_j)^2 = (3 L / z)^2, z = Phi^-1((1 + target)/2); for limits of the
 worst case sum |a_j| t_j = L. The least cost under such constraints, which are explicit in the half-widths, is found by
 SLSQP in logarithms, and by the closed form t_j ~ (k_j b_j / a_j^2)^(1/(k_j + 2)) where one is published.
@@ -32,7 +32,7 @@ class Case:
         requirements: of the response.
         costs: by field.
         optimum: least cost.
-        published: least cost in print, as printed; None where there is none.
+        published: least cost as published; None where there is none.
     """
 
     source: str

@@ -22,10 +22,10 @@ def newton_step(s: SimpleNamespace) -> Any:
 
 
 def minimise(machine: Machine, q: Any = None, steps: int = 400) -> tuple[Any, Any]:
-    """Positions of least energy of all lanes, by Newton; four steps without a lower energy lead back to a line search.
+    """Positions of least energy of all cases, by Newton; four steps without a lower energy lead back to a line search.
 
     Returns:
-        q (lanes, n) in metres and the number of steps of each lane (`steps`: not converged).
+        q (cases, n) in metres and the number of steps of each case (`steps`: not converged).
     """
     lanes = len(machine.load)
     final = np.zeros((lanes, machine.n), REAL) if q is None else np.array(q, REAL)
@@ -82,7 +82,7 @@ def line_minimum(machine: Machine, q: Any, direction: Any) -> Any:
 
 
 def trust_exact(machine: Machine, start: Any = None) -> Any:
-    """Position of least energy of one lane by SciPy's trust region; its accuracy is that of float64 energies."""
+    """Position of least energy of one case by SciPy's trust region; its accuracy is that of float64 energies."""
     at_zero = machine.state(np.zeros((1, machine.n), REAL))
     full = np.einsum("lmn,lm->n", machine.gear_rows**2, machine.mesh)
     full = full + np.einsum("lban,lb->n", machine.bearing_rows**2, machine.bearing) + machine.spring[0]
@@ -109,7 +109,7 @@ def trust_exact(machine: Machine, start: Any = None) -> Any:
 
 
 def positive(case: Case) -> Any:
-    """Lanes whose lengths, moduli and stiffnesses can be those of a reducer."""
+    """Mark cases whose lengths, moduli and stiffnesses can be those of a reducer."""
     e = case.cycloid.eccentricity + case.errors.eccentricity
     parts = [e, case.cycloid.pin_circle_radius, case.cycloid.pin_radius]
     parts += [case.cranks.circle_radius, case.involute.sun_base_radius, case.involute.planet_base_radius]
@@ -138,7 +138,7 @@ def undercut(case: Case) -> Any:
 
 
 def finite(case: Case) -> Any:
-    """Lanes whose numbers are all finite."""
+    """Mark cases whose numbers are all finite."""
     good = np.isfinite(case.theta) & np.isfinite(case.torque)
     for part in (case.involute, case.cycloid, case.cranks, case.stiffness, case.contact, case.errors):
         for value in vars(part).values():
@@ -148,7 +148,7 @@ def finite(case: Case) -> Any:
 
 
 def results(machine: Machine, q: Any, steps: Any) -> dict[str, Any]:
-    """What `rvjax.loaded.equilibrium` promises, in float64 with the lanes first, and how sure it is.
+    """Results of `rvjax.loaded.equilibrium` in float64 with the batch axis first, and their allowed errors.
 
     `residual` is the largest gradient over the largest force, in 80-bit numbers; `slack` the distance in metres to
     the equilibrium that this leaves (a Newton step). `error_allowed` and `force_allowed` are what a gradient of 1e-13
@@ -207,7 +207,7 @@ def equilibrium(design: Any, errors: Any, **options: Any) -> dict[str, Any]:
 
 
 def equilibria(design: Any, errors: Any, lanes: int, steps: int = 400, **options: Any) -> dict[str, Any]:
-    """A batch, whose numbers carry the lanes first; lanes that no reducer can have are not to be used (`usable`)."""
+    """Results of a batch, batch axis first; impossible cases are excluded (`usable`)."""
     case = read(design, errors, lanes=lanes, **options)
     with np.errstate(all="ignore"):
         usable = finite(case) & positive(case)
@@ -247,7 +247,7 @@ def slope(design: Any, errors: Any, change: Any, **options: Any) -> float:
 
 
 def gradient_at(design: Any, errors: Any, q: Any, **options: Any) -> tuple[float, Any, float]:
-    """Energy, gradient and largest force at a position of one case, in 80-bit numbers: the judge of any solution.
+    """Energy, gradient and largest force at a position of one case, in 80-bit numbers: the check of any solution.
 
     Args:
         design: the reducer.

@@ -2,7 +2,7 @@
 
 Nothing here is shared with rvjax. Every contact, gear flank and bearing is a row (a pair of rows) of displacements, the
 energy a sum over the rows; its gradient in 80-bit numbers says of any position how far it is from the equilibrium.
-Records of rvjax and plain dicts are read alike; numbers may carry a leading axis of lanes.
+Records of rvjax and plain dicts are read alike; numbers may have a leading batch axis.
 """
 
 from types import SimpleNamespace
@@ -12,7 +12,7 @@ import numpy as np
 
 REAL = np.longdouble
 PI = REAL("3.14159265358979323846264338327950288")
-LAST_BEND = 1.02  # y below which the Hertz law goes on as a straight line; y = 1 is overload
+LAST_BEND = 1.02  # y below which the Hertz contact law continues as a straight line; y = 1 is overload
 
 # Fields that are read, with their shapes: d discs, c cranks, p pins, t disc teeth.
 STAGES = {
@@ -43,14 +43,14 @@ def item(record: Any, name: str, default: Any = None) -> Any:
 
 
 class Case(SimpleNamespace):
-    """All numbers of a batch of cases, each with the lanes first, in one floating type."""
+    """All numbers of a batch of cases, each with the batch axis first, in one floating type."""
 
 
 def read(
     design: Any, errors: Any, *, input_angle: Any, output_torque: Any, contact: str = "hertz", carrier: str = "fixed",
     sun: str = "fixed", lanes: int | None = None,
 ) -> Case:  # fmt: skip
-    """Numbers of one case (`lanes` None) or of a batch whose numbers carry the lanes first."""
+    """Numbers of one case (`lanes` None) or of a batch whose numbers have the batch axis first."""
     gears, cycloid = item(design, "involute"), item(design, "cycloid")
     case = Case(
         z1=item(gears, "sun_teeth"), z2=item(gears, "planet_teeth"), zc=item(cycloid, "disc_teeth"),
@@ -104,7 +104,7 @@ def flank_curvature(case: Case, square: Any) -> Any:
 
 
 class Machine:
-    """Rows, gaps and laws of a batch; positions q are (lanes, n) in metres: angles times `length`."""
+    """Rows, gaps and contact laws of a batch; positions q are (cases, n) in metres: angles times `length`."""
 
     def __init__(self, case: Case) -> None:
         with np.errstate(all="ignore"):
@@ -142,8 +142,8 @@ class Machine:
         # --- directions in the frame of the ideal carrier
         a = PI + 2 * PI * np.arange(c, dtype=REAL) / c
         er_i, et_i = u(a), J(u(a))
-        b = -zp * th[:, None] + 2 * PI * np.arange(nd, dtype=REAL) / nd  # (lanes, nd)
-        gj = 2 * PI * np.arange(zp, dtype=REAL) / zp - th[:, None]  # (lanes, zp)
+        b = -zp * th[:, None] + 2 * PI * np.arange(nd, dtype=REAL) / nd  # (cases, nd)
+        gj = 2 * PI * np.arange(zp, dtype=REAL) / zp - th[:, None]  # (cases, zp)
         psi = gj[:, None, :] - b[:, :, None]
         k1 = (e * zp / rp)[:, None, None]
         square = (1 - k1) ** 2 + 4 * k1 * np.sin(psi / 2) ** 2
@@ -154,7 +154,7 @@ class Machine:
 
         # --- pins
         def in_frame(vector: Any, angle: Any) -> Any:
-            """A vector (lanes, 2) turned by an angle."""
+            """A vector (cases, 2) turned by an angle."""
             return vector[:, :1] * u(angle) + vector[:, 1:] * J(u(angle))
 
         rows = np.zeros((lanes, nd, zp, n), REAL)
@@ -234,7 +234,7 @@ class Machine:
         self.load = np.zeros((lanes, n), REAL)
         self.load[:, 0] = case.torque / R
 
-        # --- the law of a pin
+        # --- the contact law of a pin
         contact = case.contact
         modulus = contact.young_modulus / (1 - contact.poisson_ratio**2)
         self.bend = rr[:, None] * (1 - rr[:, None] * flank_curvature(case, square).reshape(lanes, -1))  # R*
@@ -259,7 +259,7 @@ class Machine:
             )[:, None]  # fmt: skip
 
     def lanes(self, chosen: Any) -> "Machine":
-        """Some of the lanes."""
+        """Select some of the cases."""
         part = object.__new__(Machine)
         for name, value in vars(self).items():
             whole = isinstance(value, np.ndarray) and name not in ("disc", "crank") and len(value) == len(self.load)
@@ -299,7 +299,7 @@ class Machine:
         return tuple(np.where(on, v, z) for v, z in ((force, 0), (slope, 0), (energy, 0), (y, np.inf)))
 
     def state(self, q: Any, hessian: bool = True) -> SimpleNamespace:
-        """Energy, gradient (N, as q is in metres), and Hessian of positions (lanes, n), with all forces."""
+        """Energy, gradient (N, as q is in metres), and Hessian of positions (cases, n), with all forces."""
         s = SimpleNamespace()
         d = np.einsum("lmn,ln->lm", self.pin_rows, q) + self.pin_gaps
         s.depth = d

@@ -1,4 +1,4 @@
-"""How many programs JAX has compiled for a response, for the tests that count them."""
+"""Number of programs that JAX has compiled for a response, for the tests that count them."""
 
 from typing import Any
 

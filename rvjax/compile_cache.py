@@ -1,4 +1,4 @@
-"""How programs are compiled, and those that the command line keeps for its next run, in the cache folder of the user.
+"""Compilation of programs, and those that the command line keeps for its next run, in the cache folder of the user.
 
 A kept program is found by what it computes, by the versions of JAX and XLA and by their flags; the folder is that of
 one version of rvjax on one kind of processor. One that another run is just writing is compiled again.
@@ -39,7 +39,7 @@ def understood(options: Options) -> dict[str, Any] | None:
 
 
 def inside(*arguments: Any) -> bool:
-    """Whether another program is being traced, whose options count."""
+    """True if another program is being traced, whose options count."""
     if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(arguments)):
         return True
     return isinstance(jax.lax.neg(np.float32(0)), jax.core.Tracer)

@@ -1,4 +1,4 @@
-"""What a reducer is: its parts as explicit numbers. Classmethods derive them from teeth and module.
+"""Designs of reducers: their parts as explicit numbers. Classmethods derive them from teeth and module.
 
 An RV reducer is an involute stage (sun, planets), cranks carried by the planets, and cycloid discs
 on the cranks that roll in a ring of pins; the carrier is the output. A cam roller reducer is the second
@@ -288,7 +288,7 @@ class CamRollerReducer(Record):
 
 
 def expect(design: object, where: str, *kinds: type) -> None:
-    """Refuse a design of another kind than a function takes; the class decides, so that a compiled call pays nothing.
+    """Raise ValueError for a design of the wrong class; only the class is read, so that a compiled call costs nothing.
 
     Args:
         design: as given.

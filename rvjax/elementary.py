@@ -148,8 +148,8 @@ def _arctan2_jvp(primals: PyTree, tangents: PyTree) -> PyTree:
 def divide(x: jax.Array, y: jax.Array) -> jax.Array:
     """x / y in multiplications, 0 for y = 0; within one unit in the last place.
 
-    XLA ends a kernel behind a division whose result is used more than once, and evaluates in the next one
-    anew what both need. Plain where the numbers are not float64.
+    XLA ends a kernel behind a division whose result is used more than once, and recomputes in the
+    next kernel what both need. Plain where the numbers are not float64.
 
     Args:
         x: in size below 1e150.

@@ -1,8 +1,8 @@
-"""How the parts of a reducer deviate from nominal. Every field is a deviation and defaults to zero.
+"""Errors of the parts of a reducer. Every field is a deviation from nominal and defaults to zero.
 
 One physical error has one home: each model reads the fields it depends on, and the derivative of a
-model to a field it does not read is exactly zero. What other layers need to know of an error stands in the metadata of
-its field (`deviation`): a new error is one field.
+model to a field it does not read is exactly zero. The metadata of its field (`deviation`) describe an error
+to the other layers: a new error is one field.
 """
 
 import dataclasses
@@ -21,7 +21,7 @@ STAGES: dict[str, str] = {}
 
 
 def part(name: str, *, stage: str) -> str:
-    """Declare a part of the machine.
+    """Declare a part of the reducer.
 
     Args:
         name: of the part.
@@ -38,7 +38,7 @@ CAM, ROLLERS = (part(name, stage="rollers") for name in ("cam", "rollers"))
 
 
 class Bound(NamedTuple):
-    """How an error without a place follows from one with a place."""
+    """Rule that derives an error without a place from one with a place."""
 
     placed: str  # name of the error with a place
     size: Callable[[jax.Array], jax.Array]  # its values -> the error without a place
@@ -61,12 +61,12 @@ def deviation(
     breaks_pitch: bool = False,
     series: bool = False,
 ) -> Any:
-    """Declare an error: a field that defaults to zero, with all that other layers need to know of it.
+    """Declare an error: a field that defaults to zero, with the metadata that other layers need.
 
     Args:
         unit: SI unit, "-" for none.
         meaning: one line.
-        part: of the machine, from `part`.
+        part: of the reducer, from `part`.
         read_by: models that read the field, such as "four_bar". A share of a stiffness is read by none: see
             `RVErrors.stiffened`.
         of: what it deviates from, by its path in the design; "" where that is no number of it.
@@ -74,7 +74,7 @@ def deviation(
         sign: "positive", "nonnegative" or "any".
         vector: what its last axis is: "xy" in the frame of the housing, "polar" [radial, tangential], or "" (no
             displacement).
-        placed: it has a place on its part, and only models that know places read it.
+        placed: it has a place on its part, and only models with places read it.
         bounds: for an error without a place, the error with a place that it is a bound of.
         carried_by: "disc", "crank" or "carrier" where one part carries it from slot to slot.
         mirrored: factors on the last axis when a disc is turned over; not for "xy".
@@ -112,7 +112,7 @@ def read_by(errors: PyTree, model: str) -> tuple[str, ...]:
 
 
 def placed_by(errors: PyTree, model: str) -> tuple[str, ...]:
-    """Names of the errors with a place that a model reads, or knows a bound for.
+    """Names of the errors with a place that a model reads, or has a bound for.
 
     Args:
         errors: error record, or its class.
@@ -140,7 +140,7 @@ class Errors(Record):
         """Errors with full array shapes; a scalar for an array field is broadcast.
 
         Args:
-            design: tells the counts of the shapes.
+            design: gives the counts of the shapes.
             **errors: fields by name; absent ones are zero, those with a place as a plain number.
 
         Raises:

@@ -55,7 +55,7 @@ def exported(
         return jax.export.deserialize(blob).call, functools.partial(_put_together, shape)
     except FileNotFoundError:
         pass
-    except Exception:  # whatever is wrong with the file: it is written again
+    except Exception:  # a file with any defect is written again
         path.unlink(missing_ok=True)
 
     def flat(*leaves: Any) -> list[Any]:

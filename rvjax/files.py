@@ -22,7 +22,7 @@ PARTIAL = ".partial"
 
 DAMAGE = (ValueError, KeyError, TypeError, AttributeError, IndexError, EOFError, OverflowError, RecursionError,
           NotImplementedError, zipfile.BadZipFile, zlib.error)  # fmt: skip
-"""What reading a malformed file may end in."""
+"""Exceptions that reading a malformed file may raise."""
 
 Arrays = Mapping[str, np.ndarray]
 

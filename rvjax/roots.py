@@ -78,7 +78,7 @@ def bracketed(
         upper: the other end, above or below it.
         start: first iterate, clipped to the bracket; the middle by default.
         max_steps: residual evaluations at most.
-        tolerance: largest last step relative to the root; 8 machine epsilons by default.
+        tolerance: largest last step relative to the root; 8 epsilons of the dtype by default.
 
     Returns:
         Root with status CONVERGED, NO_BRACKET, MAX_STEPS or NONFINITE.

@@ -86,7 +86,7 @@ Check = tuple[Any, Status]  # a condition, and what it is called where it holds
 
 @record
 class SolveInfo(Record):
-    """How a solve ended; vmaps like any record."""
+    """Status, iterations and residual of a solve; vmaps like any record."""
 
     status: Array = field("-", "a Status value", kind="integer")
     steps: Array = field("-", "iterations taken (0 for closed forms)", default=0, kind="integer")

@@ -56,7 +56,7 @@ class Lattice(NamedTuple):
         return self.residues[residue] + (place - self.harmonics) * self.period
 
     def places(self, order: Fraction) -> Iterator[tuple[int, int, bool]]:
-        """Where a line acts: residue, place, and whether as its conjugate (at minus its order).
+        """Positions at which a line acts: residue, place, and True for its conjugate (at minus its order).
 
         Raises:
             ValueError: too far from the others.

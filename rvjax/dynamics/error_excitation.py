@@ -42,7 +42,7 @@ Orders = tuple[Fraction, ...]  # per output turn, ascending
 
 @record
 class ErrorExcitation(Record):
-    """What the errors of one unit do to its springs: delta(theta) = mean + Re sum_n amplitude_n e^{i n theta}.
+    """Effect of the errors of one unit on its springs: delta(theta) = mean + Re sum_n amplitude_n e^{i n theta}.
 
     theta is the angle of the output, rad; a component is > 0 where the error lengthens what the spring measures.
     """
@@ -196,7 +196,7 @@ def length(value: jax.Array, axis: int) -> int:
 
 
 def positions(among: Orders, orders: Iterable[Fraction | int]) -> np.ndarray:
-    """Where each of `orders` stands."""
+    """Index of each of `orders`."""
     return np.array([among.index(Fraction(n)) for n in orders], int)
 
 
@@ -275,7 +275,7 @@ def planet_series(unit: Unit) -> jax.Array:
 
 
 def vector(value: jax.Array) -> jax.Array:
-    """[x, y], [radial, tangential] or [a, b] as one complex number; a scalar stands for both components."""
+    """[x, y], [radial, tangential] or [a, b] as one complex number; a scalar gives both components."""
     return _complex(value, value) if jnp.ndim(value) == 0 else _complex(value[..., 0], value[..., 1])
 
 

@@ -78,7 +78,7 @@ def _error_transfer(lumped: Lumped, frequency: Array, load_inertia: Array, outpu
 
 
 def check_outputs(outputs: Sequence[str]) -> tuple[str, ...]:
-    """Refuse an output that the rotational coordinates do not hold.
+    """Raise ValueError for an output that the rotational coordinates do not contain.
 
     Raises:
         ValueError: names those they do.

@@ -1,4 +1,4 @@
-"""What excites the reducer: mesh frequencies, mesh phases and the Fourier series of the mesh stiffness."""
+"""Excitation of the reducer: mesh frequencies, mesh phases and the Fourier series of the mesh stiffness."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -12,7 +12,7 @@ from rvjax.records import Array, PyTree
 
 
 class Stage(NamedTuple):
-    """What excites a stage. A further one is an entry of `_STAGES`, and its swing, duty and ramp in `MeshVariation`."""
+    """Excitation of a stage. A new stage is an entry of `_STAGES`, and its swing, duty and ramp in `MeshVariation`."""
 
     mesh: str  # its springs
     sector: str  # of the symmetry, in which its meshes work against each other
@@ -37,7 +37,7 @@ SECTOR = {name: stage.sector for name, stage in _STAGES.items()}
 
 
 def check_stage(stage: str) -> None:
-    """Refuse a stage that does not exist.
+    """Raise ValueError for an unknown stage.
 
     Raises:
         ValueError: names the stages.

@@ -1,4 +1,4 @@
-"""Which sector each mesh harmonic excites, and the rows of several sectors put back in order."""
+"""Sector that each mesh harmonic excites, and the rows of several sectors put back in order."""
 
 from collections.abc import Sequence
 from functools import lru_cache
@@ -38,7 +38,7 @@ class Share(NamedTuple):
 
 
 def shares(lumped: Lumped, stage: str, harmonics: int) -> tuple[Share, ...]:
-    """Which sector each mesh harmonic excites: label k = l teeth mod members of the stage; else the whole model."""
+    """Sector that each mesh harmonic excites: label k = l teeth mod members of the stage; else the whole model."""
     symmetric = is_symmetric(lumped)
     split = is_split(lumped.cranks, lumped.discs)
     return _shares(mesh_count(lumped, stage), SECTOR[stage], symmetric, split, mesh_teeth(lumped, stage), harmonics)
@@ -62,7 +62,7 @@ def _shares(number: int, own: str, symmetric: bool, split: bool, teeth: int, har
 
 
 class Solved(NamedTuple):
-    """What a method of solution hands back."""
+    """Result of a method of solution."""
 
     amplitude: jax.Array  # (H, k) complex
     mean: jax.Array  # (k,)

@@ -34,7 +34,7 @@ def lines(rows: jax.Array, columns: jax.Array) -> jax.Array:
 
     Args:
         rows: of `factors`.
-        columns: likewise (orders, 2 springs), or (orders, 2 springs, lanes), which become the last axis.
+        columns: likewise (orders, 2 springs), or (orders, 2 springs, batch), which becomes the last axis.
     """
     return jax.lax.dot_general(rows, columns, (((4,), (1,)), ((0,), (0,))))
 
@@ -57,7 +57,7 @@ def _largest_jvp(primals: PyTree, tangents: PyTree) -> PyTree:
 
 
 def place_of_largest(rows: jax.Array, columns: jax.Array) -> jax.Array:
-    """Which of the speeds, the first of equal ones."""
+    """Index of the speed, the first of equal values."""
     rows, columns = jax.lax.stop_gradient((rows, columns))
     return _place(rows, columns[None])[0].astype(int)
 
@@ -99,7 +99,7 @@ def _of_units(of_block: Callable[[jax.Array], jax.Array]) -> Callable[[jax.Array
 
 
 def _first(square: jax.Array) -> jax.Array:
-    """Which is the largest along axis 1, the first of equal ones."""
+    """Index of the largest value along axis 1, the first of equal values."""
     last = square.shape[1] - 1
     number = jnp.arange(last + 1, dtype=square.dtype)[:, None, None]
     highest = folded(square, 1, by=jnp.maximum)[:, None]

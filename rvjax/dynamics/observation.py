@@ -1,4 +1,4 @@
-"""What a bench can measure of the dynamic model: natural frequencies."""
+"""Bench observations of the dynamic model: natural frequencies."""
 
 from typing import Any
 

@@ -65,7 +65,7 @@ def _vibration(design: RVReducer, errors: RVErrors, given: Any) -> Solved:
 
 
 def _resonance_margin(design: RVReducer, errors: RVErrors, given: Any) -> Solved:
-    """How far the mesh frequency stays from every torsional mode, over the mode; < 0: a mode lies within the range."""
+    """Least distance of the mesh frequency from the torsional modes, over the mode; < 0: a mode lies within the range."""
     lumped = _with_load(lump(errors.stiffened(design)), given)
     found = modes(lumped)
     speeds = sorted((given.slowest_sun_speed, given.fastest_sun_speed))
@@ -84,7 +84,7 @@ def _with_load(lumped: Lumped, given: Any) -> Lumped:
 
 
 def _at_worst(at_speed: Callable[[DynamicError], Scalar], over_range: Callable[[SpeedRange], Scalar]) -> Evaluate:
-    """What errors excite at `sun_speed`, or at the worst of the range of speeds where one is given."""
+    """Vibration that errors excite at `sun_speed`, or at the worst of the range of speeds where one is given."""
 
     def evaluate(design: RVReducer, errors: RVErrors, given: Any) -> Solved:
         options = dict(load_inertia=given.load_inertia, pin_harmonics=given.pin_harmonics)

@@ -1,4 +1,4 @@
-"""Where the coupler of a four-bar linkage comes to rest, for free, phase-locked and geared cranks.
+"""Rest position of the coupler of a four-bar linkage, for free, phase-locked and geared cranks.
 
 Every function takes finite numbers of a possible geometry; `linkage` sees to that.
 """
@@ -69,7 +69,7 @@ def _at_rest(
     nowhere: Array | np.bool = np.False_,
     shown: Array | bool = True,
 ) -> Resting:
-    """What a solve found, under its status: NONFINITE where no root was found or numbers overflow.
+    """Result of a solve under its status: NONFINITE where no root was found or numbers overflow.
 
     `nowhere` is true where the geometry allows no angle, `shown` where numbers are kept nevertheless.
     """
@@ -232,7 +232,7 @@ def _direction_residual(b: Array, params: PyTree) -> jax.Array:
 
 
 def geared(links: Links, ratio: jax.Array, *, closure: str) -> Resting:
-    """Gears of finite stiffness: crank 3 slips by delta so that m^2/2 + ratio e^2 delta^2/2 is least."""
+    """Gears of finite stiffness: crank 3 lags by delta so that m^2/2 + ratio e^2 delta^2/2 is least."""
     e, cosine, sine = links.e, links.cosine, links.sine
     m = links.axial - links.d2 + (links.d3 - links.d1) * cosine - e * links.psi * sine  # first order
     slip = sine * m / (e * (sine**2 + ratio))
@@ -258,7 +258,7 @@ def _misfit(links: Links, slip: jax.Array) -> jax.Array:
 
 
 def _slip_residual(slip: Array, params: PyTree) -> jax.Array:
-    """Derivative of the energy with respect to the slip, divided by e^2."""
+    """Derivative of the energy with respect to the lag of crank 3, divided by e^2."""
     links, ratio = params
     m, slope = jax.jvp(lambda s: _misfit(links, s), (slip,), (jnp.ones_like(slip),))
     return m * slope / links.e**2 + ratio * slip

@@ -18,7 +18,7 @@ from rvjax.records import Array, PyTree
 
 
 class Fit(NamedTuple):
-    """What does not depend on the crank angle; lists run over cranks."""
+    """Quantities that do not depend on the crank angle; lists run over cranks."""
 
     seats: list[Vector]  # Q
     bores: list[Vector]  # q, mean included
@@ -61,7 +61,7 @@ def fit(unit: Unit, k: int) -> Fit:
 
 
 class Turning(NamedTuple):
-    """What the angles of unloaded discs depend on; vectors are complex, at a crank less those at the last crank.
+    """Inputs of the angles of unloaded discs; vectors are complex, at a crank less those at the last crank.
 
     Their mean over the cranks does not turn a disc. So few numbers are left that a derivative passes through them
     on its way to the errors, and each error is read once; see `settle` in turn.py.

@@ -123,7 +123,7 @@ def check_methods(
 
 
 def _check_lengths(cranks: str, eccentricity: Scalar, spacing: Scalar, deviations: LinkDeviations) -> None:
-    """Judge concrete lengths; a zero crank is a limit that a status describes."""
+    """Check concrete lengths; a zero crank is a limit that a status describes."""
     lengths = {
         "spacing": (spacing,),
         "spacing + coupler": (spacing, deviations.coupler),
@@ -165,7 +165,7 @@ def close(
         possible &= (e + d1 > 0) & (e + d3 > 0)
     if cranks == "geared":
         possible &= (e > 0) & (ratio > 0)
-        # A slip without an angle: see the bound of the slip in `geared`.
+        # A lag without an angle: see the bound of `slip` in `geared`.
         finite &= ~possible | (4 * lengths * (lengths + 2 * spacing) < 0.25 * LARGEST_ANGLE * ratio * e**2)
     # A case outside the model is solved as a nominal linkage of unit size.
     refusals = ((~finite, Status.NONFINITE), (~possible, Status.INVALID_GEOMETRY))

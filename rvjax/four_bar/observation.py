@@ -1,4 +1,4 @@
-"""What a bench can measure of the four-bar model: orders of the transmission error along a turn of the output."""
+"""Bench observations of the four-bar model: orders of the transmission error along a turn of the output."""
 
 from typing import Any
 

@@ -126,7 +126,7 @@ def _ways(
     branch: str,
     angles: int,
 ) -> dict[str, PyTree]:
-    """What is decided before the program runs."""
+    """Static settings of the program."""
     expect(design, "four_bar.revolution", RVReducer)
     if closure is None:
         closure = "newton" if cranks == "geared" else "closed_form"

@@ -23,7 +23,7 @@ Vector = tuple[Any, Any]
 
 
 class Stage(NamedTuple):
-    """What is read of design and load."""
+    """Inputs from design and load."""
 
     eccentricity: Scalar
     radius: Scalar  # of the circle of crank axes

@@ -1,6 +1,7 @@
 """Identification: errors of the parts from measured observations, with what the data do not determine.
 
-Knows no gear: a model is any pure function of values to an observation, a prior a record or dict of tolerances.
+This package is independent of gears: a model is any pure function of values to an observation. A prior is a record or
+dict of tolerances.
 """
 
 from rvjax.identify.batch import Batch, solve_many

@@ -90,7 +90,7 @@ def solve_many(
         prior: record or dict (nested ones too) with a `Tolerance`, a constant or None in each field.
         data: measured observations, the units on axis 0 of every leaf, NaN where missing.
         noise: of the observation of one unit.
-        shared: names of fields that all units have in common, such as the stiffness of one test stand.
+        shared: names of fields that all units have in common, such as the stiffness of one test bench.
         nuisance: names of fields or elements that are not of interest; the model check does not count what they
             explain.
         correlation: {(field or element, field or element): correlation of their u}.

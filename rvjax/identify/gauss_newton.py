@@ -36,7 +36,7 @@ Linearise = Callable[[jax.Array], tuple[jax.Array, jax.Array, tuple[jax.Array, j
 
 
 class Mode(NamedTuple):
-    """Where the steps ended."""
+    """Result of the steps."""
 
     z: Array  # (n,)
     residual: Array  # (m,)
@@ -65,7 +65,7 @@ class _State(NamedTuple):
 
 
 def half_square(residual: jax.Array, dof: jax.Array | None) -> jax.Array:
-    """What the data add to Phi: minus the logarithm of their density, up to a constant."""
+    """Contribution of the data to Phi: minus the logarithm of their density, up to a constant."""
     if dof is None:
         return jnp.sum(residual**2) / 2
     return (dof + 1) / 2 * jnp.sum(jnp.log1p(residual**2 / dof))
@@ -91,7 +91,7 @@ def damped_step(
 
 
 def _stretch(step: jax.Array, before: jax.Array) -> jax.Array:
-    """How much longer a step (n,) must be that is what the one before it left over; 1 where they are not in line."""
+    """Factor on a step (n,) that continues the step before it; 1 where they are not in line."""
     square, along = jnp.sum(before**2), jnp.sum(step * before)
     share = along / jnp.maximum(square, jnp.finfo(step.dtype).tiny)
     in_line = along**2 > IN_LINE * square * jnp.sum(step**2)

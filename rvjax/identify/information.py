@@ -69,7 +69,7 @@ class Direction:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Identifiability:
-    """Which elements of a prior a measurement identifies.
+    """Elements of a prior that a measurement identifies.
 
     Attributes:
         names: of the elements, (p,).

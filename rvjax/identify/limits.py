@@ -1,4 +1,4 @@
-"""Which limit is broken: the chance that each element lies outside its drawing."""
+"""Broken limits: the probability that each element lies outside its limits on the drawing."""
 
 import itertools
 import math

@@ -23,7 +23,7 @@ class Noise:
     dof: float = dataclasses.field(default=math.inf, kw_only=True)
 
     def __post_init__(self) -> None:
-        """Refuse what is no standard deviation."""
+        """Raise ValueError for a value that is no standard deviation."""
         leaves = jax.tree_util.tree_flatten_with_path(self.sd, is_leaf=lambda item: item is None)[0]
         if not leaves:
             raise ValueError(f"Noise.sd = {self.sd!r}: must hold a number, unit of the observation")

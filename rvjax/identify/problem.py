@@ -78,7 +78,7 @@ class Problem:
 
     @property
     def discount(self) -> float:
-        """What the expected information of Student noise is of that of normal noise, (dof + 1)/(dof + 3)."""
+        """Expected information of Student noise over the information of normal noise, (dof + 1)/(dof + 3)."""
         return 1.0 if math.isinf(self.dof) else (self.dof + 1) / (self.dof + 3)
 
     @cached_property
@@ -169,7 +169,7 @@ def densities(model: Model, given: Given, y: jax.Array, z: jax.Array) -> jax.Arr
 
 
 def counted(name: str, value: int, least: int) -> None:
-    """Refuse what is no count; a ValueError names it."""
+    """Raise ValueError for a value that is no count."""
     if integer(name, value) < least:
         raise ValueError(f"{name} = {value!r}: must be at least {least}, unit -")
 

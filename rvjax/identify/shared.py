@@ -41,7 +41,7 @@ class Units(NamedTuple):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Split:
-    """Which elements and which columns of M belong to the units, and which to all of them."""
+    """Elements and columns of M of the single units, and those common to all units."""
 
     own: np.ndarray
     shared: np.ndarray

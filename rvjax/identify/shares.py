@@ -18,7 +18,7 @@ NODES = 8
 
 @per_response(static=("size",))
 def contributions(model: Model, population: Population, values: dict[str, jax.Array], *, size: int) -> jax.Array:
-    """What each field adds (m, fields) to the observation of `values`."""
+    """Contribution of each field (m, fields) to the observation of `values`."""
 
     def along(parts: jax.Array) -> tuple[jax.Array, None]:
         scaled = {name: parts[k] * value for k, (name, value) in enumerate(values.items())}

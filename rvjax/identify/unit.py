@@ -152,7 +152,7 @@ def _lost(problem: Problem, y: np.ndarray, info: SolveInfo) -> Posterior:
 
 
 def _goodness(problem: Problem, y: np.ndarray, residual: np.ndarray, slopes: np.ndarray, u: np.ndarray) -> Fit:
-    """How well model and prior explain one unit."""
+    """Goodness of fit of model and prior for one unit."""
     mixing, seen = problem.elements.mixing, ~np.isnan(y)
     found = fits.goodness(slopes, mixing, problem.nuisance, slopes @ u - residual, seen, problem.dof)
     return Fit(

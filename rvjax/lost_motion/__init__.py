@@ -2,9 +2,9 @@
 
 `geometric` adds up the play of involute stage, cycloid stage and crank bearings, every contribution by
 name. Positive is free play, negative interference; both the signed `total` and `play` = max(0, total)
-are reported. `hysteresis_loop` turns the play into a torque-angle loop, `loop_figures` reads it off.
+are reported. `hysteresis_loop` computes the hysteresis curve from the backlash, `loop_figures` its values.
 
-Source: Liu et al. 2022, Mech. Sci. 13, 855, doi 10.5194/ms-13-855-2022 (RV-20E). Its printed total of
+Source: Liu et al. 2022, Mech. Sci. 13, 855, doi 10.5194/ms-13-855-2022 (RV-20E). Its published total of
 0.5467 arcmin rests on terms in radians added to terms in arcmin: with one unit throughout its own tables
 give 1.757 arcmin. `reading="as_printed"` keeps the input errors and returns 0.5487 arcmin; 0.5467 itself comes
 back only with a `normal_force` through an inertia calibrated to that end, and then needs a pressure angle

@@ -156,7 +156,7 @@ def _size(flank: Flank) -> jax.Array:
 
 
 def _starts(flank: Flank) -> tuple[jax.Array, jax.Array]:
-    """Positions of the two first-order minima, drawn apart where they coincide."""
+    """Positions of the two first-order minima, separated where they coincide."""
     k, D, d = flank.k, flank.D, flank.d
     s = jnp.sqrt((1 - k) * (1 + k))
     twofold = d > s * D

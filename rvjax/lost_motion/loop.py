@@ -13,7 +13,7 @@ from rvjax.records import Array, PyTree, Record, Scalar, concrete, field, promot
 
 @record
 class LoopFigures(Record):
-    """What a test bench reads off the loop of a torque cycled between two equal limits."""
+    """Values of the hysteresis curve of a torque cycled between two equal limits, as on a test bench."""
 
     lost_motion: Array = field("rad", "mid-line of the loop at +threshold less that at -threshold")
     zero_torque_width: Array = field("rad", "width of the loop at zero torque")

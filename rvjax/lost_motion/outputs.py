@@ -13,7 +13,7 @@ from rvjax.units import um
 
 @dataclass(frozen=True)
 class Conditions:
-    """How the free angle is computed."""
+    """Method of the free angle."""
 
     lost_motion_profile: str = condition("first_order", "of the play between flanks and pins", choices=PROFILES)
 

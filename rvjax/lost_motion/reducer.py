@@ -165,7 +165,7 @@ def _check_methods(design: RVReducer, reading: str, profile: str, normal_force: 
 
 
 def _finite(numbers: list[jax.Array], smallest: jax.Array) -> jax.Array:
-    """Whether all are finite, and their squares over the smallest radius: a NaN or an infinity survives the sum."""
+    """True if all are finite, and their squares over the smallest radius: a NaN or an infinity survives the sum."""
     read = jax.lax.stop_gradient(_stored(sum(jnp.abs(x) for x in numbers) / smallest))
     return read < window(read, 0.5)[1]
 

@@ -15,7 +15,7 @@ from rvjax.records import Array, PyTree, Record, field, record
 from rvjax.units import arcmin, mm
 
 # Eq. 11 needs planet mass times planet speed squared, which is not published. This value, kg/s^2, makes a
-# normal force of 0.5075 N return the printed 0.5467 arcmin of the RV-20E; it is no confirmation.
+# normal force of 0.5075 N return the published 0.5467 arcmin of the RV-20E; it is no confirmation.
 CALIBRATED_INERTIA = 24.1786361758745
 
 
@@ -67,7 +67,7 @@ class Teeth(NamedTuple):
 
 
 class Unit(NamedTuple):
-    """What is read of a design and of the conditions, in m, rad, N; None where something is not read."""
+    """Inputs from a design and its conditions, in m, rad, N; None where something is not read."""
 
     alpha: PyTree  # pressure angle of the involute stage
     force: PyTree  # normal force, in place of the pressure angle
@@ -113,14 +113,14 @@ def contributions(unit: Unit, parts: RVErrors, teeth: Teeth, reading: str) -> tu
         planet_radius = centres * (teeth.z2 / (teeth.z1 + teeth.z2)) / cos_tilt  # Eq. 7, mended: / not * (Z1 + Z2)
         cosine = CALIBRATED_INERTIA * planet_radius / unit.force  # Eq. 11
     if reading == "consistent":
-        # Eq. 17, mended: -1/2 d(Eq. 14 + Eq. 15)/de at fixed rp; printed it mixes 1/mm^3 with 1/mm.
+        # Eq. 17, mended: -1/2 d(Eq. 14 + Eq. 15)/de at fixed rp; the published form mixes 1/mm^3 with 1/mm.
         k_n = unit.equidistant / (e * e * zc)
         k_n = k_n - (teeth.zp * teeth.zp / (zc * s) / (rp * rp) + s / (e * e * zc)) * unit.shift
         rest, nominal = 1.0, 2 * per_length  # Eq. 16, mended: the factor into arcmin belongs to every term
     else:
-        k_n = unit.equidistant / (e * e * zc)  # Eq. 17 as printed, lengths in mm
+        k_n = unit.equidistant / (e * e * zc)  # Eq. 17 as published, lengths in mm
         k_n = k_n - (zc * mm / (e * rp * rp * s) + s / (e * zc * mm)) * unit.shift
-        rest, nominal = arcmin, 2 * s * per_length  # Eq. 16 as printed: nine terms stay in rad, s on all the bracket
+        rest, nominal = arcmin, 2 * s * per_length  # Eq. 16 as published: nine terms stay in rad, s on all the bracket
     terms = LostMotionTerms(
         base_tangent=-(parts.base_tangent_upper + parts.base_tangent_lower)
         / (2 * teeth.ratio * unit.r1 * cosine),  # Eq. 12

@@ -7,15 +7,15 @@ The moment of the loads is a nondecreasing function of the windup tau with slope
 of a loaded roller. Three stages, each of which may fail without harm but for the last:
 
 1. `_linear`: Newton steps on the windup with linear contacts, which end exactly once the set of loaded
-   rollers is right; for laws with an approximate inverse more steps with that.
-2. `_newton`: Newton steps on the windup and all loads together, with the exact law, from there.
+   rollers is right; for contact laws with an approximate inverse more steps with it.
+2. `_newton`: Newton steps on the windup and all loads together, with the exact contact law, from there.
 3. `safe.solve` for the cases that this left open: a bracket for the windup, every load solved exactly.
 
 The last two count the windup from where they begin, depths being x a_i + (tau_0 a_i + g_i). The shift x is as
 small as the elastic approach, so nothing cancels even where a clearance is many orders larger.
 
-Arrays are (rollers, cases). What all steps need of a roller is formed once, as the loops read it: XLA forms
-anew in every kernel what is not the operand of a loop. Sums over the rollers are unrolled, which makes one kernel
+Arrays are (rollers, cases). What all steps need of a roller is formed once, as the loops read it: XLA
+recomputes in every kernel what is not the operand of a loop. Sums over the rollers are unrolled, which makes one kernel
 along the cases of a step.
 """
 
@@ -34,7 +34,7 @@ from rvjax.records import PyTree
 from rvjax.status import window
 
 _LINEAR_STEPS = 8  # at most; 3 to 5 are usual
-_GUESS_STEPS = 8  # at most; 1 or 2 are usual, 4 for Palmgren's law
+_GUESS_STEPS = 8  # at most; 1 or 2 are usual, 4 for "palmgren"
 _NEWTON_STEPS = 4  # at most; 1 is usual
 _CHUNK = 256  # cases that `safe.solve` gets at a time
 
@@ -51,11 +51,11 @@ class Found(NamedTuple):
 
 
 class _Rows(NamedTuple):
-    """What all stages need of every roller (n, cases)."""
+    """Quantities of every roller (n, cases) for all stages."""
 
     arm: jax.Array
     gap: jax.Array
-    stiffness: jax.Array  # load over approach, for Palmgren's law at a typical load
+    stiffness: jax.Array  # load over approach, for "palmgren" at a typical load
     bends: tuple[jax.Array, ...]  # for "hertz", of `laws.series`
     typical: jax.Array  # load of a case (1, cases)
     compliance: Compliance
@@ -180,7 +180,7 @@ def _inverse(law: str, rows: _Rows, depth: jax.Array) -> tuple[jax.Array, jax.Ar
 
 def _guess(law: str, rows: _Rows, torque: jax.Array, windup: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Windup after Newton steps with `_inverse`, and the steps taken."""
-    # `_newton` squares what is left. For "hertz" one step leaves little; for Palmgren's law the inverse is exact.
+    # `_newton` squares what is left. For "hertz" one step leaves little; for "palmgren" the inverse is exact.
     at_most = {"linear": 0, "hertz": 1, "palmgren": _GUESS_STEPS}[law]
 
     def running(state: PyTree) -> jax.Array:

@@ -18,11 +18,11 @@ from rvjax.records import Array, Scalar
 
 
 class Case(NamedTuple):
-    """What decides the equilibrium; leaves are (), or (cases,) in a batch; `radius_error` also one per roller."""
+    """Inputs of the equilibrium; leaves are (), or (cases,) in a batch; `radius_error` also one per roller."""
 
     eccentricity: jax.Array  # over the link Rj + r
     roller_radius: jax.Array  # over the link
-    palmgren: jax.Array  # factor of Palmgren's law
+    palmgren: jax.Array  # factor of the contact law "palmgren"
     sine: jax.Array  # of z theta
     cosine: jax.Array
     cam_error: jax.Array  # over r, like the next two

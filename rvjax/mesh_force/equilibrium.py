@@ -103,7 +103,7 @@ def solve(
 
 
 def _in_range(design: CamRollerReducer, errors: CamRollerErrors, torque: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Whether no product on the way overflows, and whether only the load does; squares of the ratios are formed."""
+    """True if no product overflows, and True if only the load does; squares of the ratios are formed."""
     r, e, link = design.roller_radius, design.eccentricity, design.cam_radius + design.roller_radius
     _, root = window(torque, 0.5)
     unit = line_contact.load_unit(design.young_modulus, design.poisson_ratio, design.roller_length, r)

@@ -6,7 +6,7 @@ normal has sin g = (e/L) sin psi. All forms are exact on both flanks and need no
 
 Source: Wei et al. 2021, Chin. J. Mech. Eng. 34:84, Eqs. 1-7. Eqs. 1-3 are missing from the text at hand
 and follow from the envelope construction it describes; in Eqs. 6 and 7 the link has the length L that its
-section 2 defines (with Rj, as printed, the roller radius could not change the cage force).
+section 2 defines (with Rj, as published, the roller radius could not change the cage force).
 """
 
 from typing import NamedTuple

@@ -5,7 +5,7 @@ Dimensionless: load u in units of pi l r / (4 C), approach in roller radii. The 
 (Wei et al. 2021, Eqs. 13-15). Linear stiffness: approach = weight u / 2.
 
 "hertz" is the depth of the flats (Eqs. 11, 12), "linear" its small-load limit, "palmgren" the empirical
-law of roller bearings, 3.84e-5 F^0.9 / l^0.8 (mm, N, steel).
+formula of roller bearings, 3.84e-5 F^0.9 / l^0.8 (mm, N, steel).
 """
 
 from typing import NamedTuple
@@ -28,7 +28,7 @@ class Compliance(NamedTuple):
     gear: jax.Array  # Fn / Fj
     cam_radius: jax.Array  # relative radius of the cam contact over r, Rj / (Rj + r)
     gear_radius: jax.Array  # relative radius of the gear contact over r, 1 + r kc
-    palmgren: jax.Array  # factor of Palmgren's law
+    palmgren: jax.Array  # factor of the contact law "palmgren"
 
     @property
     def weight(self) -> jax.Array:
@@ -72,7 +72,7 @@ def approach_near(load: jax.Array, roller: Compliance) -> tuple[jax.Array, jax.A
 
 
 def slope(law: str, load: jax.Array, roller: Compliance) -> jax.Array:
-    """Derivative of `approach` to the load; for Palmgren's law infinite at zero load, here 1.
+    """Derivative of `approach` to the load; for "palmgren" infinite at zero load, here 1.
 
     Args:
         law: one of `CONTACTS`.
@@ -179,8 +179,8 @@ def series_error(bend: jax.Array) -> jax.Array:
     """Bound of the relative error of the stiffness of `series`.
 
     The first term left out is 4 b4 y^3 with b4 = 5 a2 a3 - 5 a2^3 - a4 (reversion), and bend = 2 a2 y: their ratio
-    to bend^3 is at most 3.7 for all rollers with a gear contact of relative radius 0.1 to 5. The factor 27 leaves
-    room for the terms behind it.
+    to bend^3 is at most 3.7 for all rollers with a gear contact of relative radius 0.1 to 5. The factor 27 also
+    covers the further terms.
 
     Args:
         bend: |stiffness at this load over that of small loads - 1|.

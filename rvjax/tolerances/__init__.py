@@ -2,7 +2,7 @@
 
     Design + Tolerances --sample--> Errors --response--> Statistics --gradient--> new Tolerances
 
-Nothing here knows a gear: a response is any pure function of the errors of one unit.
+This package is independent of gears: a response is any pure function of the errors of one unit.
 """
 
 import dataclasses

@@ -1,4 +1,4 @@
-"""A cheap response from a dear one: its value and derivatives at the mean errors."""
+"""Linear low-fidelity response: value and derivatives of a response at the mean errors."""
 
 from collections.abc import Callable
 from typing import Any

@@ -288,7 +288,7 @@ def _derivatives(
     units = np.asarray(elements(population, drawn(population, root_key(0), jnp.uint32(0), count=_PROBES)))
     away = units - mean[:, None]
     points = np.concatenate([mean[:, None], mean[:, None] + _STEP * away, units], axis=1)
-    # One lane per point and value: one reverse pass, units last, compiles in half the time of a Jacobian per unit.
+    # One batch element per point and value: one reverse pass, units last, compiles in half the time of a Jacobian.
     count, cotangents = points.shape[1], np.repeat(np.eye(len(names)), points.shape[1], axis=1)
     values, found = gradients(response, population, np.tile(points, len(names)), cotangents, names)
     found = found.reshape(-1, len(names), count).transpose(1, 2, 0)

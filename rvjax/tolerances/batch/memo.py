@@ -28,7 +28,7 @@ class Memo:
         Args:
             folder: that holds nothing else.
             fingerprint: all that a response depends on: the study, its files, the versions of rvjax, JAX and SciPy.
-            worth: time of computing below which an array is not stored, s.
+            worth: computing time below which an array is not stored, s.
         """
         self.folder, self._worth = Path(folder), worth
         self._about = repr(sorted(fingerprint.items()))

@@ -233,7 +233,7 @@ class Run:
         return Accumulator(self.names, self.requirements, streams, kept)
 
     def _saving(self, study: dict[str, str]) -> contextlib.AbstractContextManager[Write | None]:
-        """What writes every unit, or None."""
+        """Context that returns the writer of every unit, or None."""
         if self.save is None:
             return contextlib.nullcontext()
         path, (process, processes) = Path(self.save.path), place()
@@ -242,10 +242,10 @@ class Run:
         return writing(self.save, own, self.names, self.population, about)
 
     def _begun(self, study: dict[str, str]) -> tuple[Accumulator, Checkpoint | None, int, bool]:
-        """What is counted already, the checkpoint it goes to, number of the next chunk; its units need no second look.
+        """Counts so far, their checkpoint, number of the next chunk, and True if its units need no further check.
 
-        Counts are the same whether a checkpoint keeps the units or not. One that keeps them goes on to do so, asked or
-        not; one that has none gets them.
+        Counts are equal with and without kept units. A checkpoint that keeps units continues to do so, with or without
+        `keep`; a checkpoint without units gets them.
         """
         if self.checkpoint is None:
             return self._empty(keeps=self.keep), None, 0, True
@@ -317,7 +317,7 @@ def _check_memory(samples: int, responses: int) -> None:
     if 8 * samples * responses > memory / 2:
         raise ValueError(
             f"keep = True: {samples} units need {8 * samples * responses / 2**30:.3g} GiB, more than half of this "
-            f"machine's {memory / 2**30:.3g} GiB; without keep memory does not grow with samples"
+            f"computer's {memory / 2**30:.3g} GiB; without keep memory does not grow with samples"
         )
 
 

@@ -27,7 +27,7 @@ class Statistics:
         examples: index of the first failed unit by status name; `sample` replays it.
         worst_index: index of the first unit that failed for the worst reason, None without failures.
         mean: `Estimate` of the mean, unit of the response.
-        sd: `Estimate` of the standard deviation; its error holds for any law.
+        sd: `Estimate` of the standard deviation; its error holds for any distribution.
         quantiles: {p: `Estimate`}, linear between order statistics; exact with `keep` or up to 4096 units,
             else within one histogram bin. Intervals are binomial for independent units.
         minimum: smallest value.
@@ -37,7 +37,7 @@ class Statistics:
         cp: (U - L)/(6 sd); nan for a one-sided requirement.
         cpk: min(U - mean, mean - L)/(3 sd).
         cp_estimate: `Estimate` of cp, nan where there is none.
-        cpk_estimate: `Estimate` of cpk, by the delta method for any law.
+        cpk_estimate: `Estimate` of cpk, by the delta method for any distribution.
         joint_yield: `Estimate` of the share of units that meet all requirements.
         verdicts: `Verdict` on each requirement; None without.
         values: response of every unit, nan for failed ones, if `keep`; else None.

@@ -37,7 +37,7 @@ class UnitFile:
 
     Attributes:
         path: ends with .csv or .parquet (needs the extra parquet).
-        errors: the drawn errors, a column for each element.
+        errors: the sampled errors, a column for each element.
         units: SI unit by name of a response, or of an error whose record has none.
         about: further texts of the study in the Parquet file, by name.
 

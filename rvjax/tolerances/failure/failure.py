@@ -20,32 +20,32 @@ _ROUNDS = 12  # most batches of searches
 _ORBITS = 4  # new points of a batch whose images are tried
 _HEAVY = 3.0  # mean weight of failed units of the second estimate, over that of the first, which makes them disagree
 _FEWEST_EFFECTIVE = 100
-_CHECKING = 32  # units of an island of the second estimate where a cheap response has found the points
-_ON_RAYS = 32  # points whose place on the dear limit is found, the nearest ones; the others move as these do
-_ALONG = (0.4, 0.6, 0.75, 0.9, 1.0, 1.15, 1.35, 1.6)  # of a cheap point, one of which must differ from the middle too
+_CHECKING = 32  # units of an island of the second estimate with a low-fidelity response
+_ON_RAYS = 32  # nearest points, searched on the high-fidelity limit; the others move likewise
+_ALONG = (0.4, 0.6, 0.75, 0.9, 1.0, 1.15, 1.35, 1.6)  # of a low-fidelity point; one must differ from the mid-point
 
 
 @dataclasses.dataclass(frozen=True)
 class FailureProbability:
-    """How rarely a unit fails; fields have the structure of the response.
+    """Probability of failure of a unit; fields have the structure of the response.
 
     Attributes:
         probability: `Estimate` of the share of units beyond the limits or without a valid value.
-        reliability_index: distance of the nearest point of failure from the middle of the standard normal
-            numbers; -Phi^-1(P) if the limit is flat. Negative if the middle itself fails, inf without a point. Where a
-            cheap response led, of a point moved along its ray: no less than that of the nearest.
+        reliability_index: distance of the nearest point of failure from the origin of the standard normal
+            numbers; -Phi^-1(P) if the limit is flat. Negative if the origin itself fails, inf without a point. With a
+            low-fidelity response, of a point moved along its ray: no less than the index of the nearest.
         point: errors of that point, the most likely failure; None if none was found.
         evaluations: units evaluated in all; a value with its gradient counts as three.
-        cheap_evaluations: the same of the cheap response; 0 without one.
-        effective_samples: (sum w)^2 / sum w^2 of the weights of the failed units; of the good ones if the middle fails.
+        cheap_evaluations: evaluations of the low-fidelity response; 0 without one.
+        effective_samples: (sum w)^2 / sum w^2 of the weights of the failed units; of the good ones if the origin fails.
         points: points of failure that the sampling is centred at.
-        second: `Estimate` of the same probability by another way, subset simulation, which needs neither points nor
+        second: `Estimate` of the same probability by subset simulation, which needs neither points nor
             slopes; its standard error is mostly 15 to 30 %.
-        status: "OK", or reasons to look twice, joined by ", ": "FEW_EFFECTIVE_SAMPLES" (below 100),
-            "ESTIMATES_DISAGREE" (the second stands apart, or its failures lie where the first hardly draws; with
-            either of these two, the interval of the probability holds both intervals),
-            "UNLIKE" (the cheap response did not know the failures: all was searched on the response itself),
-            "SEVERAL_POINTS" (of similar distance: the flat-limit figure Phi(-index) misses the others),
+        status: "OK", or warnings, joined by ", ": "FEW_EFFECTIVE_SAMPLES" (below 100),
+            "ESTIMATES_DISAGREE" (the second differs, or its failures lie where draws of the first are rare; with
+            either of these two, the interval of the probability contains both intervals),
+            "UNLIKE" (the low-fidelity response misses failures: the search used the response itself),
+            "SEVERAL_POINTS" (of similar distance: the flat-limit value Phi(-index) misses the others),
             "KINKED_POINT" (no slope at the nearest point: the index may be a little too large), "NO_POINT".
     """
 
@@ -72,38 +72,38 @@ def failure_probability(
 ) -> FailureProbability:
     """Probability that a unit violates a requirement, by importance sampling about its design points.
 
-    A second estimate comes first: subset simulation, which asks of a unit only whether it fails, and ends
-    with units of the failing region, every way to fail in proportion. From these, and from units near a
-    limit, the points of the failing region nearest to the middle of the random numbers are searched (the
-    first-order reliability method; every limit has points of its own), until a batch of searches finds
+    A second estimate comes first: subset simulation, which uses only whether a unit fails, and ends
+    with units of the failing region, every failure mode in proportion. From these, and from units near a
+    limit, the points of the failing region nearest to the origin of the random numbers are searched (the
+    first-order reliability method; every limit has separate points), until a batch of searches finds
     nothing new, 12 batches at most. Images of a point by exchange of like parts are points too where the
-    response fails there. Then units are drawn from unit normals centred there, each weighted by the ratio
-    of the densities (Melchers 1989); a tenth is drawn about the middle, so that no weight exceeds 20.
-    Where the two estimates disagree, the status says so and the interval holds both.
+    response fails there. Then units are sampled from unit normals centred there, each weighted by the ratio
+    of the densities (Melchers 1989); a tenth is sampled about the origin, so that no weight exceeds 20.
+    Where the two estimates disagree, the status is "ESTIMATES_DISAGREE" and the interval contains both.
 
-    With a cheap response that is `like` this one, the points are searched on it, and moved along their rays to where
-    this one begins to fail. Draws and weights are as before, so that the estimate is unbiased whatever the cheap
-    response says. Failures that it does not know are noticed by a second estimate of a quarter the usual size, which is
-    of this response alone: if its failed units lie where the draws hardly reach, if the estimates stand apart, or if
-    the draws count for little, everything is done anew on this response (status "UNLIKE").
+    With a low-fidelity response `like`, the points are searched on it, and moved along their rays to the failure
+    boundary of `response`. Draws and weights do not change, so that the estimate is unbiased for any `like`. A second
+    estimate of a quarter the usual size, with `response` only, detects failures that `like` misses. The search repeats
+    without `like` (status "UNLIKE") if the failing units of this check lie where draws are rare, if the two estimates
+    disagree, or if the effective number of draws is small.
 
     Args:
         response: pure function of the errors of one unit; a scalar, a dict or record of scalars, or `Outcome`.
         tolerances: record or dict with a `Tolerance` or None in each field.
-        requirement: `Requirement`, or a dict of them by name of the response, each judged alone; its target
-            plays no part.
+        requirement: `Requirement`, or a dict of them by name of the response, each evaluated separately;
+            its target has no effect.
         samples: units of the final draw; the second estimate and the searches add some 20 000 to 80 000 evaluations,
-            with a cheap response that knows the failures 2000 to 10 000.
+            with a low-fidelity response that predicts the failures 2000 to 10 000.
         seed: of the random numbers.
         correlation: {(field or element, field or element): correlation of their z}.
-        like: a cheap response that fails in much the same way, such as `linearised`; its value of the same name is
-            used, or its only one.
+        like: a low-fidelity response that fails for nearly the same units, such as `linearised`; its value of the same
+            name is used, or its only value.
 
     Returns:
         `FailureProbability`. A unit without a valid value fails.
 
     Raises:
-        ValueError: no requirement, too few samples, or a cheap response without the value.
+        ValueError: no requirement, too few samples, or a low-fidelity response without the value.
     """
     if samples < 2:
         raise ValueError(f"samples = {samples!r}: must be at least 2")
@@ -143,7 +143,7 @@ def _searched(search: "_Search", random: np.random.Generator, samples: int) -> d
 
 
 def _guided(search: "_Search", guide: "_Search", random: np.random.Generator, samples: int) -> dict[str, Any]:
-    """The same, with points that a search on a cheap response has found; anew where these do not serve."""
+    """Estimate with points found on a low-fidelity response; search without it where these do not suffice."""
     guide.explore(random, sequential(guide.differ, guide.numbers, random).failing)
     found: dict[str, Any] = {}
     sure = False
@@ -160,7 +160,7 @@ def _guided(search: "_Search", guide: "_Search", random: np.random.Generator, sa
 def _judged(
     search: "_Search", second: Sequential, random: np.random.Generator, samples: int
 ) -> tuple[dict[str, Any], bool]:
-    """The fields of the result from draws about the points of a search, and whether nothing speaks against them."""
+    """Fields of the result from draws about the points of a search, and True if no check contradicts them."""
     mixture = search.mixture
     first, effective, typical = search.draw(random, samples)
     reasons = mixture.reasons()
@@ -191,7 +191,7 @@ def _complement(share: Estimate) -> Estimate:
 
 
 def _disagree(first: Estimate, second: Sequential, mixture: Mixture, typical: float) -> bool:
-    """Whether the second estimate stands apart, or failed units of its own are rare among the draws of the first."""
+    """True if the two estimates differ, or if draws of the first are rare near failed units of the second."""
     if not (first.value and second.probability.value):
         return first.value != second.probability.value
     # By ratios: a low estimate has a low error.
@@ -203,7 +203,7 @@ def _disagree(first: Estimate, second: Sequential, mixture: Mixture, typical: fl
 
 
 def _both(first: Estimate, second: Estimate) -> Estimate:
-    """The first figure with an interval that holds both intervals."""
+    """The first value with an interval that contains both intervals."""
     lower, upper = min(first.lower, second.lower), max(first.upper, second.upper)
     return Estimate(first.value, max(first.error, (upper - lower) / (2 * deviate_of(0.95))), lower, upper)
 
@@ -211,7 +211,7 @@ def _both(first: Estimate, second: Estimate) -> Estimate:
 class _Search:
     """The points of failure of all limits of one requirement, and the draws about them.
 
-    Where the middle itself fails, good units are the rare ones, and everything here is about them.
+    Where the origin itself fails, good units are the rare ones, and the search is for these.
     """
 
     def __init__(self, units: Units, requirement: Limits) -> None:
@@ -223,15 +223,15 @@ class _Search:
         self.middle_fails = bool(self.differ(np.zeros((self.numbers, 1)))[0])
 
     def differ(self, z: np.ndarray) -> np.ndarray:
-        """Which units (numbers, n) fail, for want of a value too, unlike the middle; or do not, unlike the middle."""
+        """Mark units (numbers, n) whose failure differs from the origin; a unit without a value fails."""
         good = self.requirement.margin(self.units.values(z)) <= 0
         return good if self.middle_fails else ~good
 
     def explore(self, random: np.random.Generator, differing: np.ndarray) -> None:
-        """Find the points: from plain units near a limit, then from failures that no point stands near.
+        """Find the points: from plain units near a limit, then from failures far from every point.
 
-        Failures are those of the second estimate and those that the mixture draws as it stands; each starts a search
-        as often as its weight says. Ends when a batch of searches finds nothing new.
+        Failures come from the second estimate and from draws of the current mixture; each starts searches in
+        proportion to its weight. Ends when a batch of searches finds nothing new.
         """
         plain = random.standard_normal((len(differing), BATCH))
         values = self.units.values(plain)
@@ -248,7 +248,7 @@ class _Search:
             starts = pool[:, random.choice(pool.shape[1], count, replace=False, p=weights / weights.sum())]
             values, new = self.units.values(starts), False
             for state in self.states:
-                # A unit without a value fails whichever limit one asks.
+                # A unit without a value fails at every limit.
                 lost = np.isnan(values) if state is self.states[0] else False
                 own = np.full(count, True) if self.middle_fails else (state.g(values) > 0) | lost
                 new |= self._take(state, design_points(state, starts[:, own], pool))

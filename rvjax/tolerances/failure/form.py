@@ -82,11 +82,11 @@ class LimitState:
     sign: float
 
     def g(self, values: np.ndarray) -> np.ndarray:
-        """How far values lie beyond the limit."""
+        """Distance of values beyond the limit."""
         return self.sign * (values - self.limit)
 
     def fails(self, z: np.ndarray) -> np.ndarray:
-        """Which units (numbers, n) fail."""
+        """Mark the failing units (numbers, n)."""
         return ~(self.g(self.units.values(z)) <= 0)
 
     def slopes(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -104,11 +104,11 @@ class Found:
 
 
 def design_points(state: LimitState, starts: np.ndarray, failing: np.ndarray) -> Found:
-    """The limit's nearest points to 0, found from starts (numbers, n <= LANES), with points near the starts.
+    """The limit's nearest points to 0, found from starts (numbers, n <= `LANES`), with points near the starts.
 
-    Where a search ends at a kink, the edge of failure on its ray stands in for it. Starts without a slope (plateaus,
-    units without value) lose the numbers that do not matter, and known failures (numbers, m) near them say where the
-    middle of their region is.
+    Where a search ends at a kink, the edge of failure on its ray replaces it. Starts without a slope (plateaus, units
+    without value) lose the numbers without effect, and known failures (numbers, m) near them give the centre of their
+    region.
     """
     if not starts.shape[1]:
         return Found(starts, np.zeros(0, bool))
@@ -148,14 +148,14 @@ def _middles(centres: np.ndarray, failing: np.ndarray) -> np.ndarray:
 
 
 def _edges(state: LimitState, ends: np.ndarray, middle_fails: bool) -> np.ndarray:
-    """Where failure begins (or ends) on the rays from 0 to `ends` (numbers, n), for those on which it does."""
+    """Points where failure begins (or ends) on the rays from 0 to `ends` (numbers, n); other rays are dropped."""
     ends = ends[:, state.fails(ends) != middle_fails]
     near, far = np.zeros(ends.shape[1]), np.ones(ends.shape[1])
     return ends * bisect(lambda at: state.fails(ends * at) == middle_fails, near, far, steps=_BISECTIONS)[1]
 
 
 def _search(state: LimitState, starts: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Where each search ends, whether at a design point, and where its first full step leads.
+    """End of each search, True if it is a design point, and the point after its first full step.
 
     A step goes to the point of the linearised limit nearest to 0, shortened until the merit |z|^2/2 + c |g|
     falls (Zhang and Der Kiureghian 1995).

@@ -1,4 +1,4 @@
-"""What importance sampling draws from: unit normals about points of failure, and wider ones about the middle."""
+"""Proposal of importance sampling: unit normals about points of failure, and wider ones about the origin."""
 
 import math
 
@@ -7,17 +7,17 @@ from scipy import special
 
 from rvjax.tolerances.failure.form import Found
 
-_APART = 0.8  # least distance of two points that both stand for themselves
+_APART = 0.8  # least distance of two separate points
 _MOST_POINTS = 512
-_FAR = 1e-4  # points less likely than this, beside the nearest, are left to their neighbours
-_MIDDLE = ((1.0, 0.05), (2.0, 0.05))  # spread and share of what is drawn about the middle
+_FAR = 1e-4  # points less likely than this, relative to the nearest, are covered by their neighbours
+_MIDDLE = ((1.0, 0.05), (2.0, 0.05))  # spread and share of the draws about the origin
 _SIMILAR = 0.5  # difference of reliability index
 
 
 class Mixture:
-    """Normals of unit spread about points of failure; a tenth is drawn about the middle, half of it twice as wide.
+    """Normals of unit spread about points of failure; a tenth of the draws is about the origin, half of these wider.
 
-    The share about the middle bounds every weight by 20, and reaches failures near the middle that no point stands for.
+    The share about the origin bounds every weight by 20, and reaches failures near the origin that no point covers.
     """
 
     def __init__(self, numbers: int) -> None:
@@ -32,7 +32,7 @@ class Mixture:
 
     @property
     def distances(self) -> np.ndarray:
-        """Of the points from the middle."""
+        """Distances of the points from the origin."""
         return np.linalg.norm(self.centres, axis=0)
 
     @property
@@ -41,7 +41,7 @@ class Mixture:
         return int(np.argmin(self.distances))
 
     def reasons(self) -> list[str]:
-        """What a reader should know about the points."""
+        """Warnings about the points."""
         if not self.count:
             return ["NO_POINT"]
         alike = self.distances < self.distances[self.nearest] + _SIMILAR
@@ -53,7 +53,7 @@ class Mixture:
         return found
 
     def add(self, found: Found) -> np.ndarray:
-        """Keep points that stand apart, nearest first; (numbers, n) those where none stood before."""
+        """Keep separate points, nearest first; return the new ones (numbers, n)."""
         before = self.centres
         points = np.concatenate([before, found.points], axis=1)
         converged = np.concatenate([self.converged, found.converged])
@@ -98,5 +98,5 @@ class Mixture:
 
 
 def apart(point: np.ndarray, points: np.ndarray) -> bool:
-    """Whether a point (numbers,) stands apart from all points (numbers, n)."""
+    """True if a point (numbers,) is separate from all points (numbers, n)."""
     return bool((np.linalg.norm(points - point[:, None], axis=0) > _APART).all())

@@ -1,9 +1,9 @@
-"""The probability of failure from failing units alone: spread until they fail, then drawn together step by step.
+"""Probability of failure from failing units: spread until they fail, then contracted step by step.
 
 Subset simulation (Au and Beck 2001) over the sets F(s) = {z: s z fails}, from a spread s at which failures are common
-down to 1. It asks of a unit only whether it fails: no slope, no point, no value that tells near from far; and its
-scatter does not grow with the number of random numbers. What it ends with are units of the failing region itself, each
-way to fail in proportion to its probability.
+down to 1. It uses only whether a unit fails: no slope, no point, no distance to the limit. Its spread does not
+grow with the number of random numbers. It ends with units of the failing region, each failure mode in proportion to
+its probability.
 """
 
 import dataclasses
@@ -16,7 +16,7 @@ from scipy import special
 from rvjax.population import Estimate, rare, student
 
 ISLANDS = 8
-"""Populations that know nothing of each other: the spread of their estimates is the error of the mean."""
+"""Independent populations: the spread of their estimates gives the error of the mean."""
 EACH = 128
 """Units of an island."""
 _SPREADS = (1.25, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0)  # tried in turn
@@ -33,11 +33,11 @@ Fails = Callable[[np.ndarray], np.ndarray]
 
 @dataclasses.dataclass(frozen=True)
 class Sequential:
-    """What the failing units say.
+    """Result of the failing units.
 
     Attributes:
         probability: of failure; its error from the spread between the islands.
-        failing: (numbers, n) failing units, drawn (nearly) as failures occur; none where no unit failed.
+        failing: (numbers, n) failing units, sampled (nearly) as failures occur; none where no unit failed.
     """
 
     probability: Estimate

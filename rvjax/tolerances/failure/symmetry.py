@@ -1,6 +1,6 @@
 """Points of failure that like parts have in common: one found point, exchanged, turned and mirrored.
 
-Whether an exchange of parts leaves the failing region as it is, the response says, at each image; nothing is assumed.
+The response is evaluated at each image; no symmetry of the failing region is assumed.
 """
 
 import math
@@ -16,7 +16,7 @@ _SAME = 0.01  # failure begins at an image within this of where it begins at the
 _ALIKE = 0.25  # the same for parts that differ a little
 _HALVINGS = 6
 _MATTERS = 0.3  # of the largest number of a point
-_FEW = 8  # numbers that matter; with more, a change of one sign is no way of its own
+_FEW = 8  # numbers that matter; with more, a change of one sign is no separate failure mode
 
 
 def orbit(state: LimitState, point: np.ndarray, converged: bool) -> Found:
@@ -36,7 +36,7 @@ def orbit(state: LimitState, point: np.ndarray, converged: bool) -> Found:
 
 
 def _begins(state: LimitState, images: np.ndarray) -> np.ndarray:
-    """Where failure begins on the rays to images (numbers, n), for those on which it does not far away."""
+    """Points where failure begins on the rays to images (numbers, n), where these are near the images."""
     near, far = np.full(images.shape[1], 1 - _ALIKE), np.full(images.shape[1], 1 + _ALIKE)
     inside = state.fails(near * images)
     begins = inside != state.fails(far * images)

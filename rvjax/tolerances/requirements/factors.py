@@ -1,4 +1,4 @@
-"""Common factors on all half-widths after which a figure should just hold: where the next certificate is drawn."""
+"""Common factors on all half-widths that should just meet a requirement: start of the next certificate."""
 
 import math
 

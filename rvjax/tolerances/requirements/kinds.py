@@ -1,4 +1,4 @@
-"""What a response must keep to: share of units within limits, their mean, spread or capability, or the worst case."""
+"""Requirements on a response: share of units within limits, their mean, spread or capability, or the worst case."""
 
 import dataclasses
 import math
@@ -77,7 +77,7 @@ class Requirement(Limits):
         return share_factor(estimate, self.target, samples, deviate)
 
     def hopeless(self, samples: int, confidence: float) -> bool:
-        """Where no sample can, a probability of failure may."""
+        """False: where no sample can certify the target, a probability of failure may."""
         return False
 
     def beyond(self, samples: int, confidence: float) -> bool:
@@ -141,7 +141,7 @@ class MeanWithin(Limits):
         return bounded(wanted / way) if way > 0 else MOST_FACTOR
 
     def text(self) -> str:
-        """Which figure keeps the limits."""
+        """Name of the limited statistic."""
         return f"mean, {_FEW_FAILED}"
 
 
@@ -200,16 +200,16 @@ class SdAtMost(Limits):
         return bounded(self.upper / seen) if seen > 0 else MOST_FACTOR
 
     def text(self) -> str:
-        """Which figure keeps the limit."""
+        """Name of the limited statistic."""
         return f"standard deviation, {_FEW_FAILED}"
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class WorstCaseWithin(Limits):
-    """Limits of a response whatever the errors within their limits: arithmetic tolerancing.
+    """Limits of a response for all errors within their limits: arithmetic tolerancing.
 
-    The figure is that end of the range of `worst_case` that comes nearest to its limit, or lies furthest beyond it.
-    No law plays a part. For a linear response the half-widths times the sizes of its slopes add up.
+    The value is the end of the range of `worst_case` that is nearest to its limit, or furthest beyond it.
+    Distributions have no effect. For a linear response the half-widths times the sizes of its slopes add up.
 
     Attributes:
         lower: lower limit, unit of the response; -inf for none.
@@ -219,7 +219,7 @@ class WorstCaseWithin(Limits):
     of_units: ClassVar[bool] = False
     of_extremes: ClassVar[bool] = True
     power: ClassVar[float] = 1.0
-    most_failed: ClassVar[float] = math.inf  # a law's units may lie beyond the limits of the errors
+    most_failed: ClassVar[float] = math.inf  # sampled units may lie beyond the limits of the errors
     judges: ClassVar[str] = "response"
     prefix: ClassVar[str] = "worst_"
 
@@ -257,7 +257,7 @@ class WorstCaseWithin(Limits):
         return False
 
     def text(self) -> str:
-        """Which figure keeps the limits."""
+        """Name of the limited statistic."""
         return "worst case"
 
 
@@ -298,7 +298,7 @@ class CpkAtLeast(Limits):
         return Pull(units, self.outward(valid.mean()) + 3 * self.cpk * _spread_pull(valid), np.ones(units.size))
 
     def figure(self, sampled: Sampled) -> Estimate:
-        """Cpk; its error by the delta method from the covariance of mean and sd, for any law."""
+        """Cpk; its error by the delta method from the covariance of mean and sd, for any distribution."""
         return sampled.cpk(self)
 
     def holds(self, estimate: Estimate) -> bool:

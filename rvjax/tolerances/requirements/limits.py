@@ -1,8 +1,8 @@
-"""What every kind of requirement shares: limits, a margin on a sample, a verdict.
+"""Base of all kinds of requirements: limits, a margin on a sample, a verdict.
 
-A new kind of requirement is one class that derives from `Limits`: it knows its margin on a sample and how
-that moves with the responses of the units (allocation), its figure with interval (Monte Carlo, certificate)
-and its text. Study files find it by the names of its fields.
+A new kind of requirement is one class that derives from `Limits`: it defines its margin on a sample, the
+derivative to the responses of the units (allocation), its value with interval (Monte Carlo, certificate) and its
+text. Study files find it by the names of its fields.
 """
 
 import dataclasses
@@ -18,12 +18,12 @@ KINDS: list[type["Limits"]] = []
 """Every kind of requirement."""
 
 MOST_FAILED = 0.0027
-"""Share of failed units that a figure of the valid ones may leave out: what lies beyond 3 sd of a capable process."""
+"""Share of failed units that a statistic of the valid units may exclude: the share beyond 3 sd of a capable process."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Pull:
-    """How a margin moves with some units: d margin = sum(cotangents dy) / sum(norms), over those with a slope.
+    """Derivative of a margin to some units: d margin = sum(cotangents dy) / sum(norms), over those with a slope.
 
     Attributes:
         units: (m,) numbers of units.
@@ -38,14 +38,14 @@ class Pull:
 
 @dataclasses.dataclass(frozen=True)
 class Verdict:
-    """Whether a requirement is met, for certain.
+    """Result of the check of a requirement, with confidence.
 
     Attributes:
         wanted: the requirement as text.
-        kind: what the figure is: "share" of units, "response" (in its unit) or "number".
-        estimate: the figure it judges.
-        met: True if the whole confidence interval meets it, or the end of it that counts; and, for a figure of the
-            valid units alone (a mean, Cpk), the upper end of the share of failed units lies below 0.27 %.
+        kind: of the value: "share" of units, "response" (in its unit) or "number".
+        estimate: the limited value.
+        met: True if the whole confidence interval meets it, or the end of it that counts; and, for a statistic of
+            the valid units only (a mean, Cpk), the upper end of the share of failed units lies below 0.27 %.
     """
 
     wanted: str
@@ -56,7 +56,7 @@ class Verdict:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Limits:
-    """Limits of a response, and what every kind of requirement does with them.
+    """Limits of a response, with the methods of every kind of requirement.
 
     Attributes:
         lower: lower limit, unit of the response; -inf for none.
@@ -65,10 +65,10 @@ class Limits:
 
     of_units: ClassVar[bool] = True  # a unit beyond the limits is a reject
     limits_values: ClassVar[bool] = True  # its limits are values of the response: a histogram shows them
-    of_extremes: ClassVar[bool] = False  # it judges the worst case; units play no part
+    of_extremes: ClassVar[bool] = False  # it limits the worst case; units have no effect
     power: ClassVar[float] = 2.0  # of half-widths that add up: 2 as squares, 1 as they are
-    most_failed: ClassVar[float] = MOST_FAILED  # share of failed units that its figure leaves out
-    goal: ClassVar[str | None] = None  # the field that says how much is enough
+    most_failed: ClassVar[float] = MOST_FAILED  # share of failed units that its value excludes
+    goal: ClassVar[str | None] = None  # the field of the target
     judges: ClassVar[str] = "number"  # "share" of units, "response" in its unit, or a plain number
     prefix: ClassVar[str] = ""  # of the limits in study files
 
@@ -91,7 +91,7 @@ class Limits:
             raise ValueError(f"{owner}: needs a lower or an upper limit")
 
     def margin(self, value: Any) -> Any:
-        """How far a value lies outside the nearer limit, negative inside; floats and arrays of any library."""
+        """Distance of a value outside the nearer limit, negative inside; floats and arrays of any library."""
         above, below = value - self.upper, self.lower - value
         if math.isinf(self.lower):
             return above
@@ -154,7 +154,7 @@ class Limits:
 
     @classmethod
     def file_keys(cls) -> dict[str, str]:
-        """Keys in a study file and the fields they stand for; the kind of a table is the first that knows its keys."""
+        """Keys in a study file and their fields; the kind of a table is the first that has all its keys."""
         limits = dict(zip(cls.limit_keys(), ("lower", "upper")))
         return limits | {f.name: f.name for f in dataclasses.fields(cls) if f.name not in limits.values()}
 
@@ -164,10 +164,10 @@ class Limits:
         return cls.prefix + "lower", cls.prefix + "upper"
 
     def distance(self, values: np.ndarray) -> float:
-        """How far a batch stays from the limit whose `values`, as for `learned`, have only errors without a cost."""
+        """Distance of a sample from the limit if only errors without a cost vary; `values` as for `learned`."""
         return float(-np.median(np.where(np.isnan(values), np.inf, self.margin(values))))
 
-    # What a kind must know.
+    # Methods that each kind must define.
 
     def learned(self, values: np.ndarray, distance: float) -> float:
         """Margin of the whole requirement on a sample, unit of the response: <= 0 is met.
@@ -179,29 +179,29 @@ class Limits:
         raise NotImplementedError
 
     def pull(self, values: np.ndarray, margin: float, distance: float, lanes: int) -> Pull:
-        """How the margin moves with the units.
+        """Derivative of the margin to the units.
 
         Args:
             values: as for `learned`.
             margin: as `learned` gave it.
             distance: as for `learned`.
-            lanes: units that are enough where only some matter.
+            lanes: sufficient number of units where only some matter.
         """
         raise NotImplementedError
 
     def figure(self, sampled: Sampled) -> Estimate:
-        """What it judges, with its confidence interval."""
+        """Limited value with its confidence interval."""
         raise NotImplementedError
 
     def holds(self, estimate: Estimate) -> bool:
-        """True if the interval of the figure meets the requirement."""
+        """True if the interval of the value meets the requirement."""
         raise NotImplementedError
 
     def factor(self, estimate: Estimate, samples: int, deviate: float, distance: float) -> float:
         """Common factor on all half-widths after which a draw should just hold.
 
         Args:
-            estimate: of the figure, now.
+            estimate: of the current value.
             samples: units of the draw.
             deviate: standard normal one of its confidence.
             distance: as for `learned`.
@@ -209,7 +209,7 @@ class Limits:
         raise NotImplementedError
 
     def verdict(self, sampled: Sampled) -> Verdict:
-        """Its figure, and whether that meets it with few enough failed units."""
+        """Limited value, and True if it meets the limits with few enough failed units."""
         figure = self.figure(sampled)
         met = self.holds(figure) and sampled.failed().upper < self.most_failed
         return Verdict(self.text(), self.judges, figure, met)
@@ -242,7 +242,7 @@ class Limits:
         raise NotImplementedError
 
     def shortfall(self, values: np.ndarray, joint_target: float) -> float:
-        """How far the limits would have to move outwards, 0 if met.
+        """Distance by which the limits must move outwards, 0 if met.
 
         Args:
             values: as for `learned`.
@@ -251,12 +251,12 @@ class Limits:
         return max(0.0, self.learned(values, 1.0))
 
     def text(self) -> str:
-        """What is wanted, without the limits' numbers."""
+        """Text of the requirement, without the limits' numbers."""
         raise NotImplementedError
 
 
 def along_reach(units: np.ndarray, reach: np.ndarray, signs: np.ndarray, wanted: float) -> Pull:
-    """Slopes of units brought from their own distance `reach` from the nominal response to `wanted`."""
+    """Slopes of units brought from their distance `reach` from the nominal response to `wanted`."""
     used = np.isfinite(reach) & (reach > 0) & np.isfinite(wanted)
     reach = np.where(used, reach, 0.0)
     return Pull(units, np.where(used, signs * reach * (wanted if np.isfinite(wanted) else 0.0), 0.0), reach**2)

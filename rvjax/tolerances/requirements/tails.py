@@ -9,7 +9,7 @@ _BEYOND = 8  # units that must lie beyond a sampled quantile; further out the ta
 def tail_quantile(margins: np.ndarray, target: float, distance: float) -> float:
     """Quantile of the units' margins (n,) at a target, failed ones (inf) above all others.
 
-    A far tail is extended from the nominal response, which stands `distance` from the limit.
+    A far tail is extended from the nominal response, at `distance` from the limit.
     """
     level = _reachable(target, len(margins))
     rank = (len(margins) - 1) * level
@@ -23,7 +23,7 @@ def tail_quantile(margins: np.ndarray, target: float, distance: float) -> float:
 
 
 def nearest(margins: np.ndarray, target: float, lanes: int) -> np.ndarray:
-    """The units whose margins stand nearest the quantile, by rank among those that did not fail."""
+    """Units whose margins are nearest the quantile, by rank among those that did not fail."""
     order = np.argsort(margins)
     valid = int(np.isfinite(margins).sum())
     start = round(len(margins) * _reachable(target, len(margins))) - lanes // 2
