@@ -65,7 +65,7 @@ def _vibration(design: RVReducer, errors: RVErrors, given: Any) -> Solved:
 
 
 def _resonance_margin(design: RVReducer, errors: RVErrors, given: Any) -> Solved:
-    """Least distance of the mesh frequency from the torsional modes, over the mode; < 0: a mode lies within the range."""
+    """Least distance of the mesh frequency from the torsional modes, over the mode; < 0: a mode is within the range."""
     lumped = _with_load(lump(errors.stiffened(design)), given)
     found = modes(lumped)
     speeds = sorted((given.slowest_sun_speed, given.fastest_sun_speed))
