@@ -1,4 +1,4 @@
-"""Published reducers, with the source of every number beside it in `catalogue.toml`."""
+"""Published reducers; `catalogue.toml` gives the source of every value."""
 
 import dataclasses
 import re
@@ -36,7 +36,7 @@ _TEXT = (resources.files("rvjax") / "catalogue.toml").read_text("utf-8")
 _PUBLISHED = tomllib.loads(_TEXT)
 
 
-ASSUMED = re.compile(r"\bassumed\b")  # what the comment at a number says where nobody printed it
+ASSUMED = re.compile(r"\bassumed\b")  # in the comment of an unpublished value
 
 
 def _named(base: str) -> str:
@@ -44,7 +44,7 @@ def _named(base: str) -> str:
 
 
 def sources(base: str) -> dict[str, str]:
-    """Where each number of a published reducer comes from, by its path in the design.
+    """Source of each value of a published reducer, by its path in the design.
 
     Args:
         base: as studies name it, such as "rv-40e".
@@ -61,7 +61,7 @@ def sources(base: str) -> dict[str, str]:
 
 
 def assumed(base: str) -> list[str]:
-    """Numbers of a published reducer that nobody printed, by their path in the design."""
+    """Paths of the unpublished values of a published reducer."""
     return [path for path, said in sources(base).items() if ASSUMED.search(said)]
 
 

@@ -140,7 +140,7 @@ def _places(
             raise ValueError(f"{source}: column {text!r}: {name} is in two columns")
         unit = spelling(unit) if unit else unit
         if name in units and unit not in units[name]:
-            said = "says no unit" if not unit else f"unit {unit!r} is not known"
+            said = "has no unit" if not unit else f"unit {unit!r} is not known"
             example = next(iter(units[name]))
             raise ValueError(
                 f'{source}: column {text!r}: {said}; write "{name} [{example}]" ({", ".join(units[name])})'

@@ -1,4 +1,4 @@
-"""The models that studies know. A new one is a package with an `outputs.py`, and a line here."""
+"""Models of studies. A new model is a package with an `outputs.py`, and a line here."""
 
 import dataclasses
 import importlib
@@ -9,12 +9,12 @@ from typing import Any
 from rvjax.outputs import Curve, Description, Observation, Output
 
 MODELS = ("rvjax.four_bar", "rvjax.lost_motion", "rvjax.mesh_force", "rvjax.dynamics", "rvjax.loaded", "rvjax.life")
-"""Packages, each with `outputs.DESCRIPTION`; of the outputs asked, the first whose model has a curve draws it."""
+"""Packages, each with `outputs.DESCRIPTION`; the first required output whose model has a curve gives the plot."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Kind:
-    """What can be asked of one kind of design.
+    """Conditions and outputs of one kind of design.
 
     Attributes:
         conditions: class of all conditions of its models, as one.
@@ -29,11 +29,11 @@ class Kind:
     observed: Mapping[str, Description]
 
     def observations(self, model: str) -> dict[str, Observation]:
-        """What a bench can measure of a model, by kind of data."""
+        """Observations of a model on a bench, by kind of data."""
         return {observation.kind: observation for observation in self.observed[model].observations}
 
     def curve(self, outputs: tuple[str, ...]) -> Curve | None:
-        """The curve of the first output that is asked and has one; another may need what the design lacks."""
+        """Curve of the first required output that has one; other curves may need what the design lacks."""
         asked = [self.described[name].curve for name in outputs]
         return next((c for c in asked if c is not None), None)
 
@@ -63,7 +63,7 @@ def kinds() -> dict[str, type]:
 
 
 def kind(design: object) -> Kind:
-    """What can be asked of a design.
+    """Conditions and outputs of a design.
 
     Raises:
         ValueError: no model takes it.
@@ -72,7 +72,7 @@ def kind(design: object) -> Kind:
 
 
 def kind_of(design: type) -> Kind:
-    """What can be asked of a class of designs.
+    """Conditions and outputs of a class of designs.
 
     Raises:
         ValueError: no model takes it.

@@ -1,12 +1,12 @@
-"""From measured parts to the errors of one unit: where a part can be mounted, and what it carries there.
+"""Errors of one unit from measured parts: possible positions of a part, and its errors in each position.
 
-A disc may be turned by crank spacings, and turned over about the x axis, as far as its teeth then stand where the slot
-wants them. Teeth: the tooth spaces of disc k stand at (t - k/nd) 2 pi/zc at input angle 0, and tooth t lies before its
+A disc may be turned by crank spacings, and turned over about the x axis, if its teeth are then where the slot
+requires them. Teeth: the tooth spaces of disc k are at (t - k/nd) 2 pi/zc at input angle 0, and tooth t is before its
 space (docs/models/loaded.md, Eqs. 2 and 6). So a disc made for slot k0, turned by i crank spacings, fits slot k where
 
     i zc/c + (k -+ k0)/nd   is a whole number of teeth (- as it is, + turned over),
 
-and its tooth t becomes t + i zc/c + (k - k0)/nd, or 1 - t + i zc/c + (k + k0)/nd turned over. A carrier knows no teeth:
+and its tooth t becomes t + i zc/c + (k - k0)/nd, or 1 - t + i zc/c + (k + k0)/nd turned over. A carrier has no teeth:
 it may be turned by any number of crank spacings.
 """
 
@@ -21,7 +21,7 @@ from rvjax.errors import RVErrors, described
 from rvjax.records import axis_sizes
 
 AXES = {"disc": "discs", "crank": "cranks"}
-"""Parts that a reducer has several of, and the axis of errors along which they stand."""
+"""Parts that a reducer has several of, and their axis in the arrays of errors."""
 
 
 class Mounting(NamedTuple):
@@ -66,7 +66,7 @@ def disc_mountings(design: RVReducer, slot: int, *, made_for: int = 0) -> tuple[
 def mounted_disc(
     design: RVReducer, errors: Mapping[str, Any], slot: int, index: Any, *, made_for: int = 0
 ) -> dict[str, Any]:
-    """Errors of a disc as they stand in a slot.
+    """Errors of a disc in a slot.
 
     Args:
         design: counts are read.
@@ -88,7 +88,7 @@ def mounted_disc(
     zc, discs, cranks = design.cycloid.disc_teeth, design.cycloid.disc_count, design.cranks.count
     hand = np.array([-1 if m.over else 1 for m in mountings])
     turn = np.array([m.turn for m in mountings])
-    # The crank, and the tooth, that stood where number q stands now.
+    # The crank, and the tooth, whose place number q has now.
     crank = (hand[:, None] * (np.arange(cranks) - turn[:, None])) % cranks
     start = np.where(hand > 0, -made_for, made_for)
     moved = (turn * zc * discs + (slot + start) * cranks) // (cranks * discs) + (hand < 0)
@@ -125,7 +125,7 @@ def unit_errors(design: RVReducer, parts: Mapping[str, Mapping[str, Any]], index
         index: position of each part; of discs as in `disc_mountings`, of a carrier in crank spacings.
 
     Raises:
-        ValueError: an error that such a part does not have, one that stands in two slots, or a slot that the design
+        ValueError: an error that such a part does not have, an error in two slots, or a slot that the design
             lacks.
     """
     discs, cranks = design.cycloid.disc_count, design.cranks.count
@@ -165,7 +165,7 @@ def unit_errors(design: RVReducer, parts: Mapping[str, Mapping[str, Any]], index
 
 
 def drawing(design: RVReducer, slot: int) -> int:
-    """The slot that a disc is drawn for: 0 where such a disc fits, else its own.
+    """Slot of the drawing of a disc: 0 if such a disc fits, else the slot itself.
 
     Args:
         design: counts are read.

@@ -1,4 +1,4 @@
-"""What a model says of itself in its `outputs.py`: a `Description`, so that studies and reports need to know no model.
+"""Description of a model, declared in its `outputs.py`: studies and reports use it and import no model.
 
 A model lists its conditions, its outputs (one number of one unit each), the curve a person looks at, and the cases and
 ways by which its levels are measured. `rvjax.models` collects what there is for one kind of design.
@@ -28,7 +28,7 @@ def condition(
     torque: bool = False,
     columns: Mapping[str, str] | None = None,
 ) -> Any:
-    """Declare a condition under which a unit is judged: a quantity, one of several words, a count, or a table.
+    """Declare a condition under which a unit is evaluated: a quantity, one of several words, a count, or a table.
 
     Args:
         default: None for one that only some outputs need.
@@ -117,10 +117,10 @@ class Output:
 
 @dataclass(frozen=True)
 class Curve:
-    """What a person looks at over one cycle of one unit.
+    """Curve over one cycle of one unit, for plots.
 
     Attributes:
-        title: of a picture.
+        title: of a plot.
         unit: SI unit of the values.
         evaluate: (design, errors, conditions) -> (angle in rad (n,), values (n,)).
         turns: (design, conditions) -> turns of the output in the cycle, by which its orders are counted; None where
@@ -144,11 +144,11 @@ def _once(_: object) -> int:
 
 @dataclass(frozen=True)
 class Observation:
-    """What a bench can measure of a model, as `[identify]` of a study compares it with data.
+    """Observation of a model on a bench, as `[identify]` of a study compares it with data.
 
     Attributes:
         kind: of data, a key of `rvjax.study.measured.KINDS`.
-        predict: what the bench would see of one unit; arguments and value by kind:
+        predict: measurement of one unit; arguments and value by kind:
             "curve": (design, errors, conditions, torques (t,) N m or None for no load, orders of the output turn,
             whether one turn of the cranks is like the next) -> (mean (t,), complex amplitudes (t, orders)), rad;
             "loop": (design, errors, conditions, torques (n,) N m) -> angle (n,) rad;
@@ -156,7 +156,7 @@ class Observation:
         needs: optional parts of the design that it needs.
         samples: of a curve, the condition with the number of angles in a period.
         period: of a curve, (design) -> its periods in a turn of the output while all of them are alike.
-        sided: without load its value depends on the side to which the play lies.
+        sided: without load its value depends on the side of the backlash.
         head: of a curve, (design, conditions, torques, orders) -> effect of an encoder head per element of the nuisance
             "reading", (torques, orders, 6, 2) rad; None without such a nuisance.
     """
@@ -178,7 +178,7 @@ class Way:
         name: for a person; its precision is added.
         settings: conditions that select it.
         precisions: in which it is measured.
-        instead: output of another model that stands in, by the output that it stands for; others have no value here.
+        instead: substitute output of another model, by the replaced output; other outputs have no value here.
         without: physics that the reference has and this leaves out, for a person.
     """
 
@@ -197,8 +197,8 @@ class Cases:
         name: in the table of levels.
         case: what one case is, for a person.
         outputs: units by name; those of the model where `evaluate` is None.
-        design: about which designs are drawn.
-        errors: of the errors that are drawn, by field: (lower, upper) limits, normal with 3 sigma at the limits, or
+        design: nominal; designs are sampled around it.
+        errors: of the sampled errors, by field: (lower, upper) limits, normal with 3 sigma at the limits, or
             the arguments of a `Tolerance` by name; None where the outputs have none.
         conditions: of every case, by name.
         torque: smallest and largest, N m; None where it does not matter.

@@ -92,7 +92,7 @@ class Phases:
 
     @contextlib.contextmanager
     def aside(self) -> Iterator[None]:
-        """Clear the line while something else is printed inside."""
+        """Clear the line during other output."""
         with self._lock:
             self._wipe()
             yield

@@ -126,7 +126,7 @@ def test_too_few_parts_tell_no_correlation(write):
     ("text", "columns", "words"),
     [
         (LOT, {"pin_radius": "pins"}, "columns.pin_radius = 'pins': no column of the file; it has Teil, pin_radius"),
-        (LOT, {"pin_radius": "Bohrung"}, "column 'Bohrung': says no unit; write \"pin_radius [m]\""),
+        (LOT, {"pin_radius": "Bohrung"}, "column 'Bohrung': has no unit; write \"pin_radius [m]\""),
         (LOT, {"pin_radius": "crank_phase"}, "unit 'arcmin' is not known; write \"pin_radius [m]\" (m, mm, um)"),
         (LOT, {"pin": "pin_radius"}, "columns: 'pin' is no error of this design; it has"),
         (LOT, {"disc_bore[0,1]": COLUMNS["disc_bore[0,1,0]"]}, "'disc_bore[0,1]' is no element of shape (2, 2, 2)"),

@@ -111,7 +111,7 @@ def test_other_natural_slips(tmp_path, monkeypatch):
     with pytest.raises(study.StudyError, match=r"design.base or design.kind is missing"):
         asked('[design]\ncycloid.eccentricity = "1 mm"')
     uniform = HEAD.replace('half_width = "4 um"', 'half_width = "4 um"\ndistribution = "uniform"\ncp = 1.33')
-    with pytest.raises(study.StudyError, match=r"tolerances.pin_radius.cp = 1.33: the law uniform ends at the limits"):
+    with pytest.raises(study.StudyError, match=r"tolerances.pin_radius.cp = 1.33: uniform ends at the limits"):
         study.parse_study(f'[design]\nbase = "rv-40e"\n{uniform}', name="x", solve=False)
     monkeypatch.chdir(tmp_path)
     (tmp_path / "mine.toml").write_text("", "utf-8")

@@ -1,4 +1,4 @@
-"""Assembly: which measured part goes with which, and in which angular position. Knows no gears.
+"""Assembly: best combinations and angular positions of measured parts. Independent of gears.
 
 Parts + measurement uncertainty --believed--> what is known --plan--> build list --fresh draws--> what it gains
 """

@@ -1,4 +1,4 @@
-"""What is known of a part after it was measured: the value, the gauge's spread and the population it comes from.
+"""Posterior of a measured part: from the value, the spread of the gauge and the population.
 
 Without the population a plan chases the noise of the gauge: the best of many noisy values is mostly noise.
 """
@@ -61,7 +61,7 @@ def believed(value: object, sd: PyTree, tolerance: Tolerance | None) -> tuple[An
     """Mean and standard deviation of an error that was measured.
 
     Of a normal population N(mu, s0^2) measured with s: g = s0^2/(s0^2 + s^2), mean mu + g (value - mu), sd
-    s0 sqrt(1 - g). Other laws: the posterior on 129 nodes. A von Mises vector counts by the mean and spread of its
+    s0 sqrt(1 - g). Else: the posterior on 129 nodes. A von Mises vector has the mean and spread of its
     components.
 
     Args:

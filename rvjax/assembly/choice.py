@@ -1,4 +1,4 @@
-"""Which combinations to build: exact assignments, HiGHS for small ones, alternation with a Lagrangian bound beyond.
+"""Choice of combinations: exact assignments, HiGHS for small ones, alternation with a Lagrangian bound beyond.
 
 A cost comes in layers, the first counts most: failing units, then units outside the limits, then the response.
 """
@@ -35,7 +35,7 @@ class _TooLong(Exception):
 
 @dataclasses.dataclass(frozen=True)
 class Choice:
-    """What to build.
+    """Chosen combinations.
 
     Attributes:
         build: parts of each unit.

@@ -36,12 +36,12 @@ def respond(
     counts: tuple[int, ...],
     at: tuple[int, ...] | None,
 ) -> jax.Array:
-    """Responses (lanes,), nan where a unit failed.
+    """Responses (batch,), nan where a unit failed.
 
     Args:
         response: (parts {slot: errors}, index {slot: int}) -> scalar or Outcome.
-        leaves: moving errors of each slot (lanes, *shape).
-        index: angular positions of each slot (lanes,).
+        leaves: moving errors of each slot (batch, *shape).
+        index: angular positions of each slot (batch,).
         structures: of the errors of each slot.
         counts: angular positions that each slot has.
         at: the same plain indices for all units, for a response that cannot take traced ones; None: those in `index`.
@@ -117,13 +117,13 @@ class Machine:
     def values(
         self, drawn: Mapping[str, list[np.ndarray]], place: np.ndarray, index: np.ndarray, draw: np.ndarray
     ) -> np.ndarray:
-        """Responses (lanes,), nan where a unit failed.
+        """Responses (batch,), nan where a unit failed.
 
         Args:
             drawn: errors of each slot by leaf (parts, draws, *shape).
-            place: part of each slot (lanes, slots).
-            index: angular position of each slot (lanes, slots).
-            draw: number of the draw (lanes,).
+            place: part of each slot (batch, slots).
+            index: angular position of each slot (batch, slots).
+            draw: number of the draw (batch,).
         """
         lanes = len(place)
         block = BLOCKS[lanes > BLOCKS[0]]
@@ -161,7 +161,7 @@ class Machine:
 
 @dataclasses.dataclass(frozen=True)
 class Costs:
-    """What every combination of parts costs in its best angular position.
+    """Costs of every combination of parts in its best angular position.
 
     Attributes:
         mean: expected response, inf where it fails (parts of slot 0, parts of slot 1, ...).

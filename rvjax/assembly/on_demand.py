@@ -24,7 +24,7 @@ def too_many(machine: Machine, draws: int) -> bool:
 
 
 class OnDemand:
-    """What the combinations met so far cost in their best angular position, in the place of `Costs`."""
+    """Costs of the combinations evaluated so far in their best angular position; replaces `Costs`."""
 
     level = False
 

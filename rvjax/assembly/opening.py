@@ -52,7 +52,7 @@ def opening(
 ) -> Opening:
     """Return the largest factor on all half-widths at which plans keep the yield of random assembly.
 
-    Sets of virtual parts as many as there are, drawn with the same random numbers at every factor, measured with the
+    Sets of virtual parts, as many as there are, sampled with the same random numbers at every factor, measured with the
     standard deviations of the parts, planned for the most good units, and valued with their true errors. Errors
     without a tolerance stay as they are.
 
@@ -100,7 +100,7 @@ def opening(
 
 
 class _Virtual:
-    """Virtual parts of one stock: the random numbers are drawn once."""
+    """Virtual parts of one stock: the random numbers are sampled once."""
 
     def __init__(self, kind: Kind, tolerances: PyTree, sets: int, seed: int, number: int) -> None:
         self.kind, self.tolerances = kind, getattr(tolerances, "tolerances", tolerances)

@@ -100,7 +100,7 @@ def _whole(number: Any) -> int:
 
 
 def at_path(structure: object, path: Path, absent: object) -> Any:
-    """What a structure holds for a leaf of another one: its own leaf, or the one above it.
+    """Entry of a structure for a leaf of another structure: the leaf at its path, or the leaf above.
 
     Args:
         structure: dict, record, list, tuple, or a leaf for all.
@@ -153,7 +153,7 @@ class Known:
         return all(one.certain for one in self.beliefs)
 
     def id_of(self, place: int) -> Hashable:
-        """What is written on a part."""
+        """Label of a part."""
         return self.kind.parts[int(self.order[place])].id
 
     def drawn(self, rng: np.random.Generator, draws: int, *, alike: bool) -> list[np.ndarray]:
@@ -180,7 +180,7 @@ class Known:
 
 
 def known(kind: Kind, slot: str) -> Known:
-    """What is known of all parts of a kind.
+    """Measured parts of one kind.
 
     Raises:
         ValueError: parts whose errors differ in structure or shape.

@@ -22,7 +22,7 @@ MOST_FRESH = 2**21
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Plan:
-    """What to build and what it gains.
+    """Plan of the units to build, and its gain.
 
     `values`, `objective`, `random`, `gain` and both yields come from fresh draws of what is not known of the parts;
     `lower_bound` and `gap` evaluate the choice, on the draws that chose.

@@ -37,7 +37,7 @@ class Supply:
         return [slot for slot, own in enumerate(self.group) if own == group]
 
     def weight(self) -> np.ndarray:
-        """How often random assembly takes each combination, but for a factor: pieces of its parts (parts, ...)."""
+        """Frequency of each combination in random assembly, up to a factor: pieces of its parts (parts, ...)."""
         places = np.meshgrid(*map(np.arange, self.shape), indexing="ij", sparse=True)
         found = np.ones(self.shape)
         for slot, pieces in enumerate(self.pieces):

@@ -1,3 +1,3 @@
-"""The command line; `main` is its door."""
+"""Command line; entry point `main`."""
 
 from rvjax.cli.main import main as main

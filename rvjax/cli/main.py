@@ -1,6 +1,6 @@
 """The command line: one parser for all commands, whose packages hold their options and help.
 
-Bad input ends with one line on standard error and exit code 2; a question that has no answer
+Bad input ends with one line on standard error and exit code 2; a study without a result
 (infeasible requirements) with exit code 1.
 """
 
@@ -27,7 +27,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         options = parser.parse_args(arguments)
         options.command = list(sys.argv[1:] if arguments is None else arguments)
-    except SystemExit as stop:  # argparse has printed what is wrong, or the help
+    except SystemExit as stop:  # argparse wrote the error or the help
         return int(stop.code or 0)
     _prepare()
     from rvjax.frames import MissingExtra
@@ -38,7 +38,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             code = options.run(options)
             sys.stdout.flush()  # here, and not at the end of the interpreter, which would complain
         return code
-    except BrokenPipeError:  # whoever reads has enough, as `head` has
+    except BrokenPipeError:  # the reader has closed the pipe, as `head` does
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is left in the buffer goes nowhere
         return EXIT_OK
     except (ValueError, OSError, MissingExtra) as error:
@@ -95,7 +95,7 @@ def _prepare() -> None:
     flags += ["--xla_cpu_prefer_vector_width=512"] if _has_avx512() else []
     given = os.environ.get("XLA_FLAGS", "")
     os.environ["XLA_FLAGS"] = " ".join([given, *(flag for flag in flags if flag.split("=")[0] not in given)]).strip()
-    for stream in (sys.stdout, sys.stderr):  # a name with an umlaut is no error where a terminal knows ASCII alone
+    for stream in (sys.stdout, sys.stderr):  # a name with an umlaut is no error on an ASCII terminal
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
     os.environ.setdefault("MPLBACKEND", "Agg")

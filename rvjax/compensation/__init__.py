@@ -1,4 +1,4 @@
-"""Compensation: what a controller takes off the transmission error of one measured unit. Knows no gears.
+"""Compensation: correction of the transmission error of one measured unit. Independent of gears.
 
 An error is a curve over one output turn, given by its orders: d(theta) = Re sum v_k exp(i k theta), and the output
 is at theta_in/ratio + d.

@@ -1,4 +1,4 @@
-"""Which orders of a measured curve are more than noise."""
+"""Orders of a measured curve that are more than noise."""
 
 import numpy as np
 

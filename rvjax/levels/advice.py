@@ -3,7 +3,7 @@
 from rvjax.levels.table import SAFETY, Level, Model, Table
 from rvjax.units import arcsec, readable
 
-STEP = 5.0  # a level is worth a mention when it is so many times as accurate as the last one mentioned
+STEP = 5.0  # a level is mentioned if it is this many times as accurate as the last mentioned level
 
 
 def report(table: Table) -> str:
@@ -14,7 +14,7 @@ def report(table: Table) -> str:
 
 
 def advice(model: Model) -> str:
-    """Which level to use when, from the measured errors at the error size nearest 1 and times."""
+    """Advise on levels, from the measured errors at the error size nearest 1 and times."""
     *mentioned, exact = worth_a_mention(model)
     if not mentioned:
         return f"Only {exact.name} ({_time(exact.ns)}) is of use: no cheaper level comes within its own size of it."
@@ -36,7 +36,7 @@ def worth_a_mention(model: Model) -> list[Level]:
 def _model(model: Model) -> str:
     first = next(iter(model.outputs))
     unit, unit_size = _shown(model.outputs[first])
-    failed = f"; {model.failed[0]} of {model.failed[1]} cases without a reference left out" if model.failed[0] else ""
+    failed = f"; {model.failed[0]} of {model.failed[1]} cases without a reference excluded" if model.failed[0] else ""
     size = min(model.sizes, key=lambda s: abs(s - 1))
     lines = [
         f"{model.name}: {first} per {model.case}",

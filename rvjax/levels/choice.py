@@ -1,4 +1,4 @@
-"""Which level of a model a question takes: the cheapest that is measured to be accurate enough."""
+"""Level of a model for a study: the cheapest that is measured to be accurate enough."""
 
 import dataclasses
 import math
@@ -16,7 +16,7 @@ from rvjax.units import readable
 
 @dataclass(frozen=True)
 class Choice:
-    """How one output is computed.
+    """Selected level of one output.
 
     Attributes:
         output: name.
@@ -24,9 +24,9 @@ class Choice:
         settings: conditions that select it, as (name, value).
         precision: "float64" or "float32".
         bound: its error stays below this, SI; None for the exact level, and where nothing was measured.
-        ns: measured nanoseconds per case, for comparison: they belong to the machine of the table; None likewise.
-        why: one line; it says what the level leaves out.
-        instead: output of another model that stands in, or None.
+        ns: measured nanoseconds per case, for comparison: measured on the computer of the table; None likewise.
+        why: one line, with what the level does not model.
+        instead: substitute output of another model, or None.
         without: physics that the exact level has and this one leaves out; "" for none.
     """
 
@@ -50,23 +50,23 @@ def choose(
     accuracy: Mapping[str, float],
     table: Table | None = None,
 ) -> dict[str, Choice]:
-    """The cheapest level of each output whose error stays below the accuracy asked for.
+    """The cheapest level of each output whose error stays below the required accuracy.
 
     The largest measured error, interpolated in the size of the errors, must meet it with a factor of two. A design,
     an error or a torque that was not measured takes the exact level. `accuracy` decides over the conditions that
-    select a level (angles, closure, profile), whatever `conditions` say of them; where nothing was measured, it takes
-    no fewer angles than they say.
+    select a level (angles, closure, profile), and ignores their values; where nothing was measured, it takes
+    no fewer angles than the conditions.
 
     Args:
         design: the reducer.
-        outputs: that are asked for; those without an accuracy are computed as `conditions` say, and are left out here.
+        outputs: required; outputs without an accuracy are computed by `conditions` and are not in the result.
         conditions: how the reducer runs.
         tolerances: of the units that are to come, the widest if they change; record with a `Tolerance` or None.
         accuracy: largest error allowed of each output, SI.
         table: measured levels; by default those that come with rvjax.
 
     Raises:
-        ValueError: an accuracy that is not positive, or of an output that is not asked for.
+        ValueError: an accuracy that is not positive, or of an output that is not required.
     """
     for name, value in accuracy.items():
         if name not in outputs:
@@ -115,7 +115,7 @@ def as_given(design: Design, outputs: Sequence[str], conditions: object, *, tole
 
     Args:
         design: the reducer.
-        outputs: that are asked for.
+        outputs: required.
         conditions: how the reducer runs.
         tolerances: of the units; record with a `Tolerance` or None.
     """
@@ -157,7 +157,7 @@ def _differs(model: Model, conditions: object) -> list[str]:
 
 
 def _known(models: Iterable[Model], output: str, conditions: object) -> list[Model]:
-    """Models with this output of the very question that the conditions ask."""
+    """Models with this output, measured with the conditions of the study."""
     return [
         model
         for model in models
@@ -217,7 +217,7 @@ def _size(model: Model, tolerances: PyTree) -> tuple[float, str]:
 
 
 def reach(tolerances: PyTree) -> dict[str, float]:
-    """How far each error reaches: |mean| + 3 standard deviations of every active field, SI.
+    """Reach of each error: |mean| + 3 standard deviations of every active field, SI.
 
     Args:
         tolerances: record with a `Tolerance`, a constant or None in each field.

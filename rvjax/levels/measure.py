@@ -24,12 +24,12 @@ Program = Callable[..., Any]
 
 
 def measure(*, quick: bool = False, seed: int = 0, say: Callable[[str], None] = lambda _: None) -> Table:
-    """The table of all models on this machine.
+    """Measure the table of all models on this computer.
 
     Args:
         quick: fewer levels and cases.
         seed: of the cases.
-        say: told what is measured next.
+        say: called with the text of the next measurement.
     """
     found = {}
     for cases in measured(quick=quick):
@@ -87,7 +87,7 @@ def evaluate(
         design: of the case.
         errors: of the case.
         extra: its torque, unless the cases say otherwise.
-        instead: outputs of other models that stand in; what none stands for is nan.
+        instead: substitute outputs of other models; an output without a substitute is nan.
     """
     if cases.evaluate is not None:
         return cases.evaluate(settings, design, errors, extra)

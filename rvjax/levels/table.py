@@ -1,7 +1,7 @@
-"""What a level of a model costs and how far it is off: the measured table, and the cheapest level for an accuracy.
+"""Measured times and errors of the levels of a model, and the cheapest level for an accuracy.
 
-A level is one way to compute the same outputs: an approximation, a number of angles, a precision. Nothing here
-knows a gear; `rvjax tradeoff` measures and writes such a table, a study asks it.
+A level is one way to compute the same outputs: an approximation, a number of angles, a precision. `rvjax tradeoff`
+measures and writes such a table, a study reads it. This file does not depend on gears.
 """
 
 import dataclasses
@@ -33,7 +33,7 @@ class Level:
         compile_s: seconds to compile.
         memory_MB: temporary memory of the program.
         cases: in one call, when it was timed.
-        instead: output of another model that stands in, by the output that it stands for.
+        instead: substitute output of another model, by the replaced output.
         without: physics of the reference that it leaves out.
     """
 
@@ -77,9 +77,9 @@ class Model:
         name: of the model.
         outputs: units of its outputs, by name.
         case: what one case is, for a person.
-        design: numbers of the design that the model reads, about which cases were drawn, by path; counts too.
-        spread: every such number was drawn within this share of its value.
-        errors: reach of each error that was drawn, |mean| + 3 standard deviations at size 1, by field.
+        design: numbers of the design that the model reads, around which cases were sampled, by path; counts too.
+        spread: every such value was sampled within this share of itself.
+        errors: reach of each sampled error, |mean| + 3 standard deviations at size 1, by field.
         sizes: factors on the errors, ascending.
         torque: smallest and largest, N m; None where it does not matter.
         conditions: that every case had, by name.
@@ -89,8 +89,8 @@ class Model:
         levels: measured, the reference among them.
         question: further conditions of every case; with others it is another question, of which nothing is known.
         others: errors, and paths of numbers of the design, that some level reads and that no case had.
-        drawn: cases of each error size; 0 where nobody kept the count.
-        machine: where it was measured, if not on the machine of the table.
+        drawn: cases of each error size; 0 if not counted.
+        machine: processor and cores of the measurement, if not those of the table.
     """
 
     name: str
@@ -116,7 +116,7 @@ class Model:
         return next(level for level in self.levels if level.name == name)
 
     def bound(self, level: Level, output: str, size: float) -> float:
-        """What the error of an output stays below: the largest measured one, interpolated in size, times `SAFETY`.
+        """Bound of the error of an output: the largest measured error, interpolated in size, times `SAFETY`.
 
         Args:
             level: of this model.
@@ -200,12 +200,12 @@ class Table:
 
 @cache
 def stored() -> Table:
-    """The table that comes with rvjax; `rvjax tradeoff --json FILE` measures another on your machine."""
+    """The table that comes with rvjax; `rvjax tradeoff --json FILE` measures another on your computer."""
     return Table.load(resources.files("rvjax.levels") / "table.json")
 
 
 def _plain(value: object) -> Any:
-    """JSON knows no infinity: a level that fails has null for its error."""
+    """Replace infinity, which JSON lacks: a level that fails has null for its error."""
     if isinstance(value, dict):
         return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):

@@ -1,4 +1,4 @@
-"""Times side by side: candidates run in turn and the minimum of each counts, so that a busy machine slows all alike."""
+"""Times of candidates: they run in turn, the minimum of each counts, and other load slows all alike."""
 
 import os
 import platform
@@ -41,7 +41,7 @@ def compiled(function: Callable[..., Any], *arguments: Any, options: Options = (
 
 
 def machine() -> dict[str, Any]:
-    """Where and with what the figures were measured."""
+    """Computer and versions of the measurement."""
     model = ""
     if Path("/proc/cpuinfo").exists():
         lines = Path("/proc/cpuinfo").read_text().splitlines()

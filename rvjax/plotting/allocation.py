@@ -1,4 +1,4 @@
-"""Picture of an allocation: where the money goes, before and after."""
+"""Plot of an allocation: cost of each tolerance, before and after."""
 
 from collections.abc import Mapping
 

@@ -66,7 +66,7 @@ def gain_against_gauge(
         came_true: mean response with the true errors of the same units (k,); None where they are not known.
         chance: mean response of random assembly.
         known: mean response of plans from exact measurements.
-        title: of the picture.
+        title: of the plot.
         axes: where to draw; a new figure by default.
     """
     axes = new_axes(axes)

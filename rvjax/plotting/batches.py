@@ -14,7 +14,7 @@ from rvjax.units import readable
 def batch_histograms(
     batches: Mapping[str, Any], *, unit: str, name: str, limits: Sequence[float] = (), axes: Axes | None = None
 ) -> Axes:
-    """How a response is distributed in one or several batches, with its limits.
+    """Histograms of a response in one or several samples, with its limits.
 
     Args:
         batches: {batch: values, SI (units,)}; failed units, NaN, are missing from the area of their batch.

@@ -12,7 +12,7 @@ from rvjax.units import arcsec
 
 
 class Budget(Protocol):
-    """What is drawn of an error budget, as `rvjax.commands.budget.Budget` has it."""
+    """Plotted content of an error budget, as in `rvjax.commands.budget.Budget`."""
 
     @property
     def title(self) -> str:
@@ -50,7 +50,7 @@ def error_budget(budget: Budget, *, orders: int = 8) -> Figure:
 
     Args:
         budget: from `rvjax.commands.budget.error_budget`.
-        orders: how many of the output turn are drawn.
+        orders: number of plotted orders of the output revolution.
     """
     unit, size = ("arcsec", arcsec) if budget.unit == "rad" else (budget.unit, 1.0)
     loads = list(budget.torque)
@@ -71,7 +71,7 @@ def error_budget(budget: Budget, *, orders: int = 8) -> Figure:
     names = {load: f"{budget.torque[load]:.4g} N m" for load in loads}
     above.set_yticks(rows, [name if load == name else f"{words(load)}\n{name}" for load, name in names.items()])
     above.invert_yaxis()
-    above.set(xlabel="share of the variance (%)", xlim=(0, 100), title=f"Who owns it: {budget.title}")
+    above.set(xlabel="share of the variance (%)", xlim=(0, 100), title=f"Error budget: {budget.title}")
     above.grid(axis="y", visible=False)
     above.legend(loc="upper center", bbox_to_anchor=(0.5, -0.32), ncols=4)
     largest = np.max([budget.total[load] for load in loads], axis=0)[1:]

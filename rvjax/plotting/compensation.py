@@ -1,4 +1,4 @@
-"""Picture of a correction: the curve before and after."""
+"""Plot of a correction: the curve before and after."""
 
 from typing import Any
 
@@ -19,7 +19,7 @@ def before_and_after(
         angle: of the output, rad (n,).
         error: of the output, rad (n,); its mean is taken away.
         correction: added at the output.
-        title: of the picture.
+        title: of the plot.
         axes: where to draw; a new figure by default.
     """
     axes = new_axes(axes)
@@ -31,6 +31,6 @@ def before_and_after(
     axes.set(
         xlabel="output angle (deg)", ylabel="transmission error (arcsec)", title=title or "Error and its correction"
     )
-    axes.set_ylim(top=1.25 * max(1e-12, float(np.max(np.abs(y)))))  # room for the legend
+    axes.set_ylim(top=1.25 * max(1e-12, float(np.max(np.abs(y)))))  # space for the legend
     axes.legend(loc="upper right", ncols=2)
     return axes

@@ -16,7 +16,7 @@ def reducer(design: RVReducer, *, crank_angle: float = np.pi / 4, axes: Axes | N
 
     Args:
         design: of the reducer.
-        crank_angle: of the first disc, rad; drawn at the next multiple of the pin pitch.
+        crank_angle: of the first disc, rad; rounded to the next multiple of the pin pitch.
         axes: where to draw; a new figure by default.
     """
     axes = new_axes(axes)
@@ -52,7 +52,7 @@ def reducer(design: RVReducer, *, crank_angle: float = np.pi / 4, axes: Axes | N
 
 
 def linkage(design: RVReducer, *, crank_angle: float = np.pi / 3, axes: Axes | None = None) -> Axes:
-    """One disc on two cranks as a four-bar linkage, and where each error acts; the cranks are drawn far too long.
+    """One disc on two cranks as a four-bar linkage, and where each error acts; the cranks are not to scale.
 
     Args:
         design: of a reducer with two cranks.

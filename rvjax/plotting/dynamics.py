@@ -90,7 +90,7 @@ def speed_response(
     axes.set(xlabel="mesh frequency (Hz)", ylabel=f"amplitude ({shown})", title=f"Response of {words(name)}")
     axes.set_xlim(np.min(mesh_frequency), np.max(mesh_frequency))
     low, high = axes.get_ylim()
-    axes.set_ylim(low, high * (high / low) ** 0.15)  # room for the legend
+    axes.set_ylim(low, high * (high / low) ** 0.15)  # space for the legend
     axes.legend(ncols=len(harmonics), loc="upper center", title="harmonic")
     return axes
 
@@ -130,7 +130,7 @@ def sensitivity_bars(
     labels: tuple[str, str],
     axes: Axes | None = None,
 ) -> Axes:
-    """Log-sensitivities as bars, largest first, next to those of another formula; below a hundredth not drawn.
+    """Log-sensitivities as bars, largest first, next to those of another formula; without those below 0.01.
 
     Args:
         shares: {field: relative change of the amplitude per relative change of the field}; real parts count.
@@ -199,7 +199,7 @@ def spread(values: Any, *, mean: float, sd: float, unit: str, name: str, axes: A
     normal = np.exp(-(((line - centre) / width) ** 2) / 2) / (width * np.sqrt(2 * np.pi))
     axes.plot(line, normal, color=BEFORE, lw=1.8, label=f"first order, sd {width:.3g} {shown}")
     axes.set(xlabel=f"{words(name)} ({shown})", ylabel=f"density (1/{shown})", title=f"Spread of {words(name)}")
-    axes.set_ylim(0, 1.25 * axes.get_ylim()[1])  # room for the legend
+    axes.set_ylim(0, 1.25 * axes.get_ylim()[1])  # space for the legend
     axes.legend(loc="upper center", ncols=2)
     return axes
 

@@ -32,7 +32,7 @@ def measured_curve(
         predicted: rad (k,).
         lower: of the band, rad (k,).
         upper: of the band, rad (k,).
-        title: of the picture.
+        title: of the plot.
         axes: where to draw; a new figure by default.
     """
     axes = new_axes(axes)
@@ -106,7 +106,7 @@ def elements(
         names: elements, from the top.
         before: {element: 95 % interval of the prior}, in its own unit.
         after: {element: (value, lower, upper)}.
-        limits: {element: limits of the drawing}; every bar is drawn in half-widths about their middle.
+        limits: {element: limits of the drawing}; every bar is in half-widths about their mid-point.
         verdict: {element: "identified", "combination" or "unseen"}.
         axes: where to draw; a new figure by default.
     """
@@ -136,11 +136,11 @@ def elements(
 
 
 def shares(groups: Mapping[str, Mapping[str, float]], *, least: float = 0.01, axes: Axes | None = None) -> Axes:
-    """Which field makes how much of each group of the observation; a negative share cancels others.
+    """Share of each field in each group of the observation; a negative share cancels others.
 
     Args:
         groups: {group: {field: share}}.
-        least: share below which a field is not drawn.
+        least: share below which a field is not plotted.
         axes: where to draw; a new figure by default.
     """
     axes = new_axes(axes)

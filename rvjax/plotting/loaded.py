@@ -83,7 +83,7 @@ def pin_forces(
 
 
 def load_sharing(crank_turn: Any, result: Loaded, *, axes: Axes | None = None) -> Axes:
-    """What each crank and each disc carries, over what it would if all carried alike.
+    """Load of each crank and disc, relative to equal load sharing.
 
     Args:
         crank_turn: turn of the cranks (n,), 0 to 1.
@@ -130,7 +130,7 @@ def pin_map(crank_turn: Any, result: Loaded, *, disc: int = 0, axes: Axes | None
 
 
 def torsion_curve(result: Torsion, *, torque: Any = None, angle: Any = None, axes: Axes | None = None) -> Axes:
-    """Torque-angle curve with backlash, lost motion and stiffness drawn in as a test bench does.
+    """Hysteresis curve with backlash, lost motion and stiffness, evaluated as on a test bench.
 
     The load at the output is the opposite of the torque that the discs exert, and turns the output its own way.
 

@@ -87,8 +87,8 @@ def study(
         parameter: as in `mesh_force.sweep`.
         values: of the parameter, m (k,).
         statistics: of `mesh_force.sweep`, fields (k,); NaN (undercut) leaves a gap.
-        title: of the picture.
-        printed: {statistic: forces in N at the first and the last value} that a source prints, as crosses.
+        title: of the plot.
+        printed: {statistic: forces in N at the first and the last value} published in a source, as crosses.
         axes: where to draw; a new figure by default.
     """
     axes = new_axes(axes)

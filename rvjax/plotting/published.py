@@ -20,7 +20,7 @@ VERDICTS = {
 
 
 def verdicts(statuses: Mapping[str, Iterable[str]], *, axes: Axes | None = None) -> Axes:
-    """Printed figures of each source by verdict, as stacked bars with their numbers.
+    """Published values of each source by verdict, as stacked bars with their numbers.
 
     Args:
         statuses: {source: status word of each of its figures}.

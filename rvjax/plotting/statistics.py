@@ -19,9 +19,9 @@ def unit_curves(
         angle: rad (n,), uniform over the cycle.
         before: values, SI (units, n), with the tolerances of the study.
         after: the same with the allocated tolerances.
-        title: of the picture.
+        title: of the plot.
         unit: SI unit of the values; a mean angle is an offset of assembly and is taken away.
-        read_in: unit of the picture; by default the usual one of responses in `unit`.
+        read_in: measurement unit of the plot; by default the usual one of responses in `unit`.
         axes: where to draw; a new figure by default.
     """
     axes = new_axes(axes)
@@ -60,7 +60,7 @@ def response_histogram(
         name: of the response.
         upper: upper limit, SI.
         lower: lower limit, SI.
-        read_in: unit of the picture; by default the usual one of responses in `unit`.
+        read_in: measurement unit of the plot; by default the usual one of responses in `unit`.
         axes: where to draw; a new figure by default.
     """
     axes = new_axes(axes)
@@ -83,7 +83,7 @@ def variance_shares(shares: Mapping[str, Mapping[str, float]], *, title: str, ax
 
     Args:
         shares: {response: {field: share}}.
-        title: of the picture.
+        title: of the plot.
         axes: where to draw; a new figure by default.
     """
     axes = new_axes(axes)
@@ -128,7 +128,7 @@ def cost_against_yield(
     axes = new_axes(axes)
     rejects = [1 - share for share in (*targets, chosen[0], start[0])]
     seen = [rejected for rejected in rejects[:-1] if rejected > 0]
-    floor = min(seen, default=1e-6) / 3  # yields nearer to 1 than the plot shows are drawn at its edge
+    floor = min(seen, default=1e-6) / 3  # yields beyond the range of the plot are shown at its edge
     *rejects, rejected, rejected_before = np.maximum(rejects, floor)
     axes.plot(rejects, costs, "o-", color=AFTER, label="cheapest tolerances")
     axes.plot(rejected, chosen[1], "*", ms=15, color=LIMIT, label="this study", zorder=3)
@@ -160,7 +160,7 @@ def cost_against_limit(
         costs: cheapest cost for each, nan where the requirements cannot be met.
         unit: SI unit of the limit.
         name: of the response.
-        prices: d cost / d limit at each limit, SI, drawn as short tangents.
+        prices: d cost / d limit at each limit, SI, plotted as short tangents.
         chosen: (limit, cost) of the study, SI.
         axes: where to draw; a new figure by default.
     """

@@ -31,7 +31,7 @@ _STYLE: Any = {
 @contextmanager
 def style() -> Iterator[None]:
     """Style of all plots."""
-    # Not rc_context: the first figure of a notebook, drawn inside, makes pyplot interactive, and that has to stay.
+    # Not rc_context: the first figure of a notebook, made inside, makes pyplot interactive, and that has to stay.
     before = {key: plt.rcParams[key] for key in _STYLE}
     plt.rcParams.update(_STYLE)
     try:

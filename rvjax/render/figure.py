@@ -1,4 +1,4 @@
-"""Plots of a report, drawn when they are written: PNG for a folder, SVG for a page."""
+"""Plots of a report, rendered when they are written: PNG for a folder, SVG for a page."""
 
 import io
 from collections.abc import Callable

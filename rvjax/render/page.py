@@ -96,7 +96,7 @@ def typeset(cell: Any) -> Markup:
 
 
 def nil(cell: str) -> bool:
-    """Whether a narrow screen leaves a typeset cell out."""
+    """True if a narrow screen hides a typeset cell."""
     return cell in ("", "-") or cell.startswith('<span class="none">')
 
 

@@ -63,7 +63,7 @@ Content = Note | Table | Figure | Section | Block
 
 @dataclass(frozen=True)
 class Report:
-    """What a command has to say.
+    """Report of a command.
 
     Attributes:
         title: of the page.
@@ -135,7 +135,7 @@ def _flat(content: Iterable[Content]) -> Iterator[Note | Table | Figure]:
 
 
 def leading_comment(text: str) -> str:
-    """What the author wrote above a study: its leading comment."""
+    """Leading comment of a study file."""
     lines = itertools.takewhile(lambda line: line.startswith("#"), text.splitlines())
     return " ".join(line.lstrip("# ") for line in lines)
 

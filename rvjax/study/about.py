@@ -1,4 +1,4 @@
-"""Who asks a question and which state of it this is, as a study file may say: for the head of reports alone."""
+"""Title, author and revision of a study, for the head of reports."""
 
 import dataclasses
 from typing import Any
@@ -10,12 +10,12 @@ LONGEST = 200  # characters of a line
 
 @dataclasses.dataclass(frozen=True)
 class About:
-    """What a study says of itself; "" for what it does not say.
+    """Title, author and revision of a study; "" for a missing entry.
 
     Attributes:
-        title: of the report; without one the name of the study stands there.
-        author: who answers for the numbers.
-        revision: which state of the study or of the drawing this is.
+        title: of the report; "" for the name of the study.
+        author: person responsible for the values.
+        revision: of the study or of the drawing.
     """
 
     title: str = ""
@@ -23,13 +23,13 @@ class About:
     revision: str = ""
 
     def line(self) -> str:
-        """Everything that is said, in one line; "" without any."""
+        """Join all entries in one line; "" without any."""
         said = [self.title, self.author, f"revision {self.revision}" if self.revision else ""]
         return "; ".join(filter(None, said))
 
 
 def parse_about(table: dict[str, Any]) -> About:
-    """What stands in [about].
+    """Read the table [about].
 
     Raises:
         ValueError: names the key and its value.

@@ -1,4 +1,4 @@
-"""The answer to a study: the allocation, and what a person wants to see beside it."""
+"""Result of a study: the allocation, sample units, shares and cost curve."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -37,14 +37,14 @@ from rvjax.tolerances import (
 
 _Curves = Callable[[Any, int], tuple[np.ndarray, np.ndarray]]
 
-SHOWN_UNITS = 24  # units whose curve is drawn
+SHOWN_UNITS = 24  # units with a plotted curve
 SHOWN_VALUES = KEPT  # units behind a histogram: those of the certificate where it has no more
 FEWEST_BEYOND = 8  # units of the learning sample beyond a limit, below which a point of the cost curve is left out
 SEARCHING, CERTIFYING = "cheapest tolerances", "yield before"  # phases of a run
 SAMPLING, PRICING = "sample units", "cost against yield"
 YIELD_SWEEP = (0.9, 0.95, 0.99, 0.995, 0.999)
 
-# Counted in the answers to rv-40e, whose middles move and whose half-widths are snapped to grades, and rv-40e-whole.
+# Counted in results of rv-40e, with moving mid-points and half-widths rounded to grades, and of rv-40e-whole.
 PASSES = {True: 108, False: 49}  # of a search over its learning sample, with and without middles
 CERTIFICATES = {True: 6, False: 4}
 PASSES_A_POINT = 6  # of the cost curve
@@ -81,7 +81,7 @@ class Side:
 
 @dataclass(frozen=True)
 class Answer:
-    """What `rvjax allocate` and `rvjax report` found.
+    """Result of `rvjax allocate` and `rvjax report`.
 
     Attributes:
         study: the question.
@@ -90,7 +90,7 @@ class Answer:
         before: the study's own tolerances.
         after: the allocated tolerances.
         cost_curve: (least yield of a requirement, cheapest cost), ascending; the certified allocation
-            itself among them where all its targets are one; empty where the study is infeasible or asks for no share
+            itself included if all targets are equal; empty if the study is infeasible or requires no share
             of units.
     """
 
@@ -108,7 +108,7 @@ def answer(study: Study, *, progress: bool = False, memo: Memo | None = None) ->
     Args:
         study: the question.
         progress: show progress bars.
-        memo: keeps what took long to compute, so that an interrupted answer goes on from there.
+        memo: store of intermediate results, from which an interrupted run resumes.
     """
     response = study.response()
     begin(SEARCHING)
@@ -166,7 +166,7 @@ def answer(study: Study, *, progress: bool = False, memo: Memo | None = None) ->
 
 
 def solved_units(study: Study) -> dict[str, int]:
-    """Units that an answer solves, about, in each of its phases."""
+    """Estimate the number of solved units in each phase of a run."""
     middles, drawn, points = bool(study.middles), study.certificate_samples, len(_targets(study))
     shown = 2 * SHOWN_VALUES if drawn > KEPT else 0
     if study.costly:
@@ -269,13 +269,13 @@ def _cost_curve(
     )
     points = [(share, cost + moved) for share, cost in curve]
     goals = {item.target for item in study.requirements.values() if isinstance(item, Requirement)}
-    if len(goals) == 1 and study.joint_target is None:  # an end of the same searches: one asks for what the study asks
+    if len(goals) == 1 and study.joint_target is None:  # the allocation is a point of the curve
         points.append((least_yield(found.certificate), found.cost))
     return sorted(points)
 
 
 def _targets(study: Study) -> list[float]:
-    """Shares of units that the points of the cost curve ask for; none where no requirement asks for a share."""
+    """Target yields of the points of the cost curve; none if no requirement has a target."""
     if all(requirement.goal != "target" for requirement in study.requirements.values()):
         return []
     return [target for target in YIELD_SWEEP if study.samples * (1 - target) >= FEWEST_BEYOND]

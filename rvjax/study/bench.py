@@ -1,4 +1,4 @@
-"""What a bench would see of a unit: from the values of a prior to orders of runs, a torque-angle curve or frequencies.
+"""Predicted measurements of a unit: orders of runs, a hysteresis curve or frequencies, from the values of a prior.
 
 The values are one flat dict: errors of the study by field, unknown numbers of the design, nuisances of the bench.
 """
@@ -32,7 +32,7 @@ NUISANCES: dict[str, str] = {
     "reading": "motion of a head against the scale under load: oval ring, tilt, dent, each [cosine, sine] of the head",
 }
 PROBE = 1e-3
-"""Share of the largest torque that stands for none: the side to which the play lies needs a sign."""
+"""Share of the largest torque that replaces zero: the side of the backlash needs a sign."""
 
 
 def nuisance(name: str, orders: Sequence[int]) -> Tolerance:
@@ -144,7 +144,7 @@ class Curves(Record):
     )
 
     def __call__(self, values: Values) -> Seen:
-        """What the bench would see of one unit."""
+        """Predict the measurement of one unit."""
         unit, errors = _taken(self.design, values)
         torques = None if self.idle else self.torques
         mean, found = self.observation.predict(unit, errors, self.conditions, torques, self.orders, self.alike)
@@ -242,7 +242,7 @@ def study_torque(conditions: Any) -> float:
 
 
 def rated_torque(conditions: object) -> float:
-    """N m; 0 where the conditions know none."""
+    """Rated torque, N m; 0 if the conditions have none."""
     return float(getattr(conditions, "rated_torque", None) or 0.0)
 
 
@@ -259,7 +259,7 @@ class Midline(Record):
     offset: bool = text("the prior has one")
 
     def __call__(self, values: Values) -> Seen:
-        """What the bench would see of one unit."""
+        """Predict the measurement of one unit."""
         unit, errors = _taken(self.design, values)
         angle = self.observation.predict(unit, errors, self.conditions, self.load)
         return {"angle": angle + values["offset"] if self.offset else angle}
@@ -277,7 +277,7 @@ class Frequencies(Record):
     )
 
     def __call__(self, values: Values) -> Seen:
-        """What the bench would see of one unit."""
+        """Predict the measurement of one unit."""
         frequency, shape = self.observation.predict(*_taken(self.design, values), self.conditions)
         alike = jnp.abs(jnp.asarray(self.test) @ shape)
         place = jax.lax.stop_gradient(jnp.argmax(jnp.where(jnp.isfinite(alike), alike, 0.0), axis=1))

@@ -1,4 +1,4 @@
-"""What a bench writes: the columns of measured curves, loops and frequencies."""
+"""Columns of bench files: the columns of measured curves, loops and frequencies."""
 
 from collections.abc import Mapping
 from pathlib import Path

@@ -77,7 +77,7 @@ def _values(cls: Any, table: Any, where: str, base: Any) -> dict[str, Any]:
                 raise ValueError(f"{name} = {value!r}: must be an integer")
             if value > metadata["maximum"]:
                 raise ValueError(f"{name} = {value}: must be at most {metadata['maximum']}")
-            values[key] = value  # the record judges the rest
+            values[key] = value  # the record checks the rest
         elif isinstance(value, list) and metadata.get("shape"):
             values[key] = [_number(item, metadata["unit"], name) for item in value]
         else:

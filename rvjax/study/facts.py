@@ -1,4 +1,4 @@
-"""What follows from the numbers of a design: ratio, gaps, undercut, contact ratio."""
+"""Derived values of a design: ratio, gaps, undercut, contact ratio."""
 
 import math
 from collections.abc import Iterator

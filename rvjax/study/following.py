@@ -14,7 +14,7 @@ from rvjax.records import Design
 GEARS = ("sun_teeth", "planet_teeth", "module", "pressure_angle")
 PROFILE = ("eccentricity", "pin_count", "pin_circle_radius")
 # Share by which a given number may differ from what it follows from: rounding of drawings; profile shift of the gears
-# (one module at ten and thirty teeth); cranks beside the planets' axes by a rounded shift (0.8 % in the RV-320E).
+# (one module at ten and thirty teeth); cranks off the planets' axes by a rounded shift (0.8 % in the RV-320E).
 AGREE = {"sun_radius": 2e-3, "sun_base_radius": 2e-3, "planet_base_radius": 2e-3, "centre_distance": 0.05}
 AGREE_CIRCLE = 0.02
 

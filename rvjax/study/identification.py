@@ -1,6 +1,6 @@
-"""The section [identify] of a study: which model, what is unknown, and how well the bench reads.
+"""Table [identify] of a study: model, unknown values, noise of the bench.
 
-The prior is the tolerances of the study; unknown numbers of the design and nuisances of the bench stand beside them.
+The prior is the tolerances of the study; unknown values of the design and nuisances of the bench are added.
 """
 
 import dataclasses
@@ -18,18 +18,18 @@ from rvjax.tolerances import Tolerance
 
 KEYS = ("model", "orders", "noise", "nuisance", "shared", "unknown", "torques", "directions")
 FINEST = 10_000
-"""Highest order of the output turn that may be asked for."""
+"""Highest order of the output revolution that a study may use."""
 
 
 @dataclass(frozen=True)
 class Identification:
-    """What [identify] asks.
+    """Content of the table [identify].
 
     Attributes:
         model: one that a bench can measure, such as "four_bar".
         orders: of the output turn, ascending; empty for what has none.
         noise: standard deviation of one real number of the observation, rad or Hz; None: the floor of the data.
-        nuisance: names of fields that nobody wants to know.
+        nuisance: names of fields without interest.
         shared: names of fields that all units have in common.
         unknown: {number of the design: its prior}.
         torques: of planned runs and of candidates for the next one, N m.

@@ -1,4 +1,4 @@
-"""What a bench has measured: runs of transmission error, torque-angle loops, natural frequencies. Knows no statistics.
+"""Measured data of a bench: runs of transmission error, hysteresis curves, natural frequencies. Without statistics.
 
 Rows of equal unit, torque, direction and temperature are a run.
 """
@@ -15,7 +15,7 @@ from rvjax.study.columns import read_table
 from rvjax.units import arcmin, deg
 
 DIRECTIONS = {"forward": 1, "backward": -1}
-TURN = 359 * deg  # what a run has to cover; every sample stands for the step before it
+TURN = 359 * deg  # what a run has to cover; every sample represents the step before it
 CLIPPED = 0.03  # share of samples at the extreme torque, from which on a sensor has hit its end
 GRID = 21  # torques of the midline of a loop
 USUAL = {"angle": "deg", "error": "arcsec", "torque": "N m", "frequency": "Hz"}
@@ -134,7 +134,7 @@ class Measured:
 def read(
     paths: Sequence[str | Path], columns: Mapping[str, object] | None = None, *, kind: str | None = None
 ) -> Measured:
-    """What some CSV files hold.
+    """Read the content of CSV files.
 
     Args:
         paths: files with a header "name [unit]": angle, error, torque, temperature, frequency, sd, direction, unit.
@@ -162,7 +162,7 @@ def read(
 
 
 def _kind(table: Table, wanted: str | None) -> str:
-    """Which kind of measurement a table holds."""
+    """Kind of measurement of a table."""
     has = table.numbers.keys()
     for name in KINDS[wanted].needs if wanted else ():
         if name not in has:
@@ -209,7 +209,7 @@ def _where(source: str, at: Conditions) -> str:
 
 def _run(table: Table, at: Conditions, rows: np.ndarray) -> Run:
     angle, error = table.numbers["angle"][rows], table.numbers["error"][rows]
-    kept = ~np.isnan(error)  # a missing reading is no sample; the gap that it leaves is judged with the orders
+    kept = ~np.isnan(error)  # a missing reading is no sample; the gap that it leaves is checked with the orders
     for row, value in zip(table.rows[rows][kept], angle[kept]):
         if np.isnan(value):
             raise ValueError(f"{table.source}: row {row}, angle is empty: every sample needs its angle in deg")
@@ -217,7 +217,7 @@ def _run(table: Table, at: Conditions, rows: np.ndarray) -> Run:
 
 
 def checked(run: Run, finest: int) -> Run:
-    """A run from which orders up to `finest` of the output turn can be told.
+    """Check that a run determines the orders up to `finest` of the output revolution.
 
     Raises:
         ValueError: it covers less than 359 deg, turns back, or has a gap above half the finest order.

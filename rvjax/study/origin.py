@@ -1,4 +1,4 @@
-"""Where each number of a design comes from: the study, the published reducer it begins with, or other numbers."""
+"""Origin of each value of a design: the study, the published reducer it begins with, or other numbers."""
 
 import dataclasses
 import re
@@ -21,7 +21,7 @@ class Number:
         unit: SI unit, "-" for none.
         meaning: of the field.
         origin: where it comes from, in words.
-        assumed: whether its source, or the study, says that nobody printed it.
+        assumed: true if its source, or the study, marks it as not published.
     """
 
     path: str

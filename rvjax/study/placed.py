@@ -1,7 +1,7 @@
 """Tolerances of errors with a place, in the words of a drawing.
 
 A runout of 15 um is an eccentricity of up to 7.5 um in any direction, a position "diametral 20 um" one of up to 10 um.
-The same table serves the models that know no places: their bounds follow from the placed errors of each unit.
+Models without places use the same table: their bounds follow from the placed errors of each unit.
 """
 
 from collections.abc import Sequence
@@ -19,7 +19,7 @@ LIMITS = {"lower", "upper", "half_width", "grade"}
 
 
 def spelled(design: Design, table: dict[str, Any]) -> dict[str, Any]:
-    """The table [tolerances] with the words of drawings as limits and laws.
+    """The table [tolerances] with the words of drawings as limits and distributions.
 
     Raises:
         ValueError: names the key, its value and the unit.
@@ -99,7 +99,7 @@ def _text(value: float) -> str:
 
 
 def refuse_unplaced(kind: models.Kind, outputs: Sequence[str], tolerances: PyTree) -> None:
-    """Refuse a tolerance with a place that no model asked can place.
+    """Raise an error for a tolerance with a place that no required model supports.
 
     Raises:
         ValueError: names the key, and who could.

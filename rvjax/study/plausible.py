@@ -1,6 +1,6 @@
-"""Is this a reducer? What cannot be is refused, what no known reducer comes near is said in a line.
+"""Checks of the input values: impossible values raise an error, unusual values give a warning.
 
-A file with a slipped unit computes as smoothly as a right one; nothing else would notice.
+A wrong unit in a file is not detected elsewhere.
 """
 
 import dataclasses
@@ -27,7 +27,7 @@ HALF_WIDTH = {"m": (0.5e-6, 40e-6), "rad": (1e-4, 9e-3), "-": (0.01, 0.3)}  # of
 
 
 def refuse_impossible(design: Design, tolerances: PyTree, costs: dict[str, Any], middles: dict[str, Middle]) -> None:
-    """Refuse parts that do not fit into each other, and errors as large as the part.
+    """Raise an error for parts that do not fit into each other, and for errors as large as the part.
 
     Raises:
         ValueError: names the key, its value and what it collides with.
@@ -63,7 +63,7 @@ def doubts(design: object, conditions: Any, tolerances: Any) -> list[str]:
     for f in dataclasses.fields(conditions):
         if f.metadata["torque"] and isinstance(design, RVReducer):
             value = abs(getattr(conditions, f.name) or 0.0)
-            found += _doubt(f"conditions.{f.name}", value, "N m", 0.0, TORQUE[1])  # little load is a test, not a slip
+            found += _doubt(f"conditions.{f.name}", value, "N m", 0.0, TORQUE[1])  # small loads are tests
     for field, tolerance, about in _toleranced(tolerances):
         half, unit = float(tolerance.half_width), about["unit"]
         if half and unit in HALF_WIDTH:

@@ -27,8 +27,8 @@ from rvjax.study.question import Study, StudyError
 from rvjax.tolerances import Tolerance
 
 BESIDE = 20  # orders that no model names, for the floor
-MEDIAN = np.sqrt(2 * np.log(2))  # of a Rayleigh law: of the amplitude of noise with sd 1 in real and imaginary part
-UNMEASURED = 1e6  # rad: noise of a run that nobody makes
+MEDIAN = np.sqrt(2 * np.log(2))  # of the Rayleigh-distributed amplitude of noise, sd 1 in real and imaginary part
+UNMEASURED = 1e6  # rad: noise of a run without weight
 LEVELS = (0.1, 0.5, 1.0, 2.0)  # torques of candidates, of the largest one of the data, where the study names none
 
 
@@ -43,7 +43,7 @@ class Problem:
         model: values -> observation.
         noise: of the observation, per real number.
         sd: one number of the same size, for what is not measured yet.
-        nuisance: fields that nobody wants to know.
+        nuisance: fields without interest.
         runs: torque and direction of each run of a curve.
         units: names; () without data.
         data: observation of each unit, in the order of `units`.
@@ -78,7 +78,7 @@ def _model(study: Study, asked: Identification, runs: Sequence[Conditions]) -> M
 
 
 def asked_of(study: Study) -> Identification:
-    """What a study asks of measured units.
+    """Identification problem of a study.
 
     Raises:
         StudyError: it has no [identify].
@@ -96,7 +96,7 @@ def problem(study: Study, measured: Measured | None = None) -> Problem:
         measured: what a bench measured.
 
     Raises:
-        ValueError: data of a kind that the model does not predict, runs from which the orders cannot be told, or
+        ValueError: data of a kind that the model does not predict, runs that do not determine the orders, or
             a floor that nothing measures.
     """
     asked = asked_of(study)
@@ -137,7 +137,7 @@ def _curves(study: Study, asked: Identification, measured: Measured | None) -> P
         own = [_by_place([run for run in measured.runs if run.at.unit == name]) for name in units]
         places = list(dict.fromkeys(place for runs in own for place in runs))
         runs, items = tuple(place[0] for place in places), tuple(tuple(runs.values()) for runs in own)
-        model = _model(study, asked, runs)  # refuses orders that it cannot compute before data that do not fit them
+        model = _model(study, asked, runs)  # checks the orders before the data
         sds = {key: np.full((len(units), len(runs)), np.nan) for key in groups}
         for u, found in enumerate(own):
             seen: Seen = {key: np.full(len(runs), np.nan, float if key == "mean" else complex) for key in groups}
@@ -234,13 +234,13 @@ def candidates(problem: Problem) -> list[Conditions]:
 
 @dataclass(frozen=True)
 class Wide:
-    """The runs of a problem and those that could come next, as one model: one program answers for all of them.
+    """The runs of a problem and those that could come next, as one model, compiled once.
 
     Attributes:
         model: of all runs.
         noise: when only those of the problem are measured.
         again: {candidate: noise when it alone is measured}.
-        added: {candidate: noise when it is measured beside those of the problem}.
+        added: {candidate: noise when it is measured in addition to those of the problem}.
     """
 
     model: Model

@@ -39,7 +39,7 @@ class Study:
         joint_target: share of units that must meet all requirements at once; None: each has a target of its own.
         accuracy: largest error of computation allowed, by response name; without one the conditions decide.
         middles: ranges in which the limits of an error may move as a whole, by name.
-        identification: what [identify] asks of measured units, or None.
+        identification: content of the table [identify], or None.
         read_in: unit in which a response is reported, by its name: that of its limit; without one the usual one.
         about: title, author and revision, if the file says them.
         sections: what further tables of the file hold, by the name of the table; each belongs to a command.
@@ -96,7 +96,7 @@ class Study:
 
     @property
     def costly(self) -> bool:
-        """Whether a unit takes so long that only those which decide are solved."""
+        """True if a unit is so expensive that only the decisive units are solved."""
         return bool(self.requirements) and self.response(solve=False).costly
 
     def response_of(self, name: str) -> Response:
@@ -141,7 +141,7 @@ class Study:
 
     @property
     def assumed(self) -> list[str]:
-        """Numbers of the design that nobody printed, as the base or the study itself says, by their path."""
+        """Paths of the unpublished values of the design, as marked in the base or in the study."""
         return [number.path for number in self.numbers if number.assumed]
 
     @property
@@ -160,16 +160,16 @@ class Study:
 
     @property
     def left_out(self) -> list[str]:
-        """What the models asked do not know, a line each."""
+        """List what the required models do not include, a line each."""
         described = models.kind(self.design).described
         return [line for line in dict.fromkeys(described[name].unknown for name in self.requirements) if line]
 
     @property
     def curve(self) -> Curve | None:
-        """What a person looks at, or None."""
+        """Curve for plots, or None."""
         return models.kind(self.design).curve(tuple(self.requirements))
 
     def output(self, name: str) -> Output:
-        """What a response of this study is, read in the unit that its limit is written in."""
+        """Output of a response, shown in the measurement unit of its limit."""
         output = models.kind(self.design).outputs[name]
         return dataclasses.replace(output, read_in=self.read_in.get(name, output.read_in))

@@ -1,4 +1,4 @@
-"""Studies read from TOML with units in strings; whatever is wrong is one line that names key, value and unit."""
+"""Studies read from TOML with units in strings; an error is one line that names key, value and unit."""
 
 import dataclasses
 import tomllib
@@ -207,7 +207,7 @@ def _tolerances(design: Design, table: dict[str, Any], folder: Path) -> Any:
 
 
 def _series(axes: Shape, counts: Mapping[str, int], table: dict[str, Any], where: str) -> tuple[int, ...]:
-    """Shape of a series, whose number of harmonics is taken out of its table; () where the design tells all sizes."""
+    """Shape of a series, whose number of harmonics is taken out of its table; () where the design defines all sizes."""
     own = [axis for axis in axes if isinstance(axis, str) and axis not in counts]
     if not own:
         return ()
@@ -223,7 +223,7 @@ def _tolerance(
     law = DISTRIBUTIONS[choice(table.get("distribution", "normal"), DISTRIBUTIONS, f"{where}.distribution")]
     known(table, {"lower", "upper", "half_width", "grade", "size", "distribution", *COMMON, *law.parameters()}, where)
     if "cp" in table and not law.capable:
-        raise ValueError(f"{where}.cp = {table['cp']!r}: the law {law.name} ends at the limits and has no capability")
+        raise ValueError(f"{where}.cp = {table['cp']!r}: {law.name} ends at the limits, it has no capability")
     options: dict[str, Any] = {"distribution": law, "shape": shape}
     options |= {key: quantity(table[key], "-", f"{where}.{key}") for key in COMMON if key in table}
     for key in law.parameters():
@@ -259,7 +259,7 @@ def _costs(error_record: Any, tolerances: Any, table: dict[str, Any]) -> dict[st
         if field not in {f.name for f in dataclasses.fields(error_record)} or getattr(tolerances, field) is None:
             raise ValueError(f"{where}: there is no [tolerances.{field}] for it")
         law = COSTS[choice(entry.pop("model", "reciprocal_power"), COSTS, f"{where}.model")]
-        declared = {f.name: f for f in dataclasses.fields(law)}  # type: ignore[arg-type]  # laws are records
+        declared = {f.name: f for f in dataclasses.fields(law)}  # type: ignore[arg-type]  # distributions are records
         known(entry, declared, where)
         units = {name: f.metadata["unit"] for name, f in declared.items()}
         units |= {n: _metadata(error_record, field)["unit"] for n, unit in units.items() if unit == IN_ERROR_UNIT}

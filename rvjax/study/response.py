@@ -1,6 +1,6 @@
-"""What a question needs: from the outputs asked for to one function of the errors that computes just those.
+"""Response of a study: one function of the errors that computes only the required outputs.
 
-Statistics and allocation see the response `errors -> Outcome` and know nothing of gears; models know no statistics.
+Statistics and allocation use only the response `errors -> Outcome`, no gears; models use no statistics.
 """
 
 import dataclasses
@@ -30,7 +30,7 @@ CURVE = "curve"
 
 @record
 class Response(Record):
-    """errors -> Outcome({output: value}, status) of one unit, with no output but those asked for.
+    """errors -> Outcome({output: value}, status) of one unit, with the required outputs only.
 
     Its numbers are those of the design: a program that was compiled for one question serves every design of its kind.
     """
@@ -94,12 +94,12 @@ class Response(Record):
 
     @property
     def compiler_options(self) -> Settings:
-        """Those of the models that are asked."""
+        """Compiler options of the required models."""
         return models.kind(self.design).compiler_options(self._sources().values())
 
     @property
     def costly(self) -> bool:
-        """Whether a unit takes so long that only those which decide are worth solving."""
+        """True if a unit is so expensive that only the decisive units are solved."""
         return any(models.kind(self.design).described[source].costly for source in self._sources().values())
 
     def parts(self) -> list[Self]:
@@ -160,7 +160,7 @@ def _status(response: Callable[[Any], Outcome], errors: PyTree) -> jax.Array:
 
 
 def check_nominal(response: Callable[[Any], Outcome], errors: PyTree) -> None:
-    """Refuse a question whose error-free unit already fails.
+    """Raise an error if the unit without errors fails.
 
     Args:
         response: of the question.
@@ -173,7 +173,7 @@ def check_nominal(response: Callable[[Any], Outcome], errors: PyTree) -> None:
 
 
 def refuse(status: int) -> None:
-    """Refuse a question whose error-free unit has a status that is no success.
+    """Raise an error if the unit without errors has a status other than success.
 
     Raises:
         ValueError: names the status.

@@ -18,8 +18,8 @@ _NO_GAP: tuple[str, int, tuple[str, ...]] = ("", 0, ())
 def template(text: str, requirements: Mapping[str, Limits], fields: Sequence[str]) -> Parts | None:
     """A study's text with gaps for limits: strings, and {"field" or "response": number, "own": its own lines}.
 
-    A file that says its tables in another way than with a header each, or a key over several lines, is written anew;
-    one that says limits in the words of drawings (`runout`, `pin_ring`) is not: None.
+    A file that says its tables in another way than with a header each, or a key over several lines, is rewritten;
+    a file with limits in the words of drawings (`runout`, `pin_ring`) is not: None.
 
     Args:
         text: of the study.
@@ -75,7 +75,7 @@ def _header(line: str) -> tuple[str, ...]:
 
 
 def _fits(parts: Parts, tables: dict[str, Any], gaps: _Gaps) -> bool:
-    """Whether every gap is there once and nothing but the limits goes when it is filled with something else."""
+    """True if every gap occurs once and filling it replaces only the limits."""
     if sum(not isinstance(part, str) for part in parts) != len(gaps):
         return False
     try:

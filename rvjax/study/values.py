@@ -1,4 +1,4 @@
-"""Values of a study file, checked: whatever is wrong is one line that names key, value and unit."""
+"""Checked values of a study file: an error is one line that names key, value and unit."""
 
 import difflib
 import math
