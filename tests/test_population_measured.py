@@ -118,7 +118,7 @@ def test_too_few_parts_tell_no_correlation(write):
     assert 0 < abs(same.correlation["a", "b"]) < 1
     flat = measured(write("a [um],b [um]\n1,2\n1,4\n1,8\n"), limits={"a": (0.0, 2 * um), "b": (0.0, 1 * um)})
     assert flat.columns["a"].cpk.value == math.inf and flat.columns["b"].cpk.value < 0
-    with pytest.raises(ValueError, match="do not tell a correlation"):
+    with pytest.raises(ValueError, match="do not give a correlation"):
         _ = flat.correlation
 
 

@@ -43,7 +43,7 @@ ARMS = RV_40E.replace(bearings=RV_40E.bearings.replace(support=None) if RV_40E.b
 
 @cache
 def _torque_ratio(speed: float) -> float:
-    """Rated torque at a speed, r/min, times that printed at 15 over the one computed there."""
+    """Rated torque at a speed, r/min, times the published torque at 15 over the one computed there."""
     found = [
         life.rated_torque(RV_20E, ERRORS, life=RATED_LIFE, output_speed=n * rpm, samples=SAMPLES).torque
         for n in (speed, 15.0)
@@ -57,7 +57,7 @@ def _duty(phases: tuple[tuple[float, float, float], ...]) -> life.Duty:
 
 
 def _hours_of_duty() -> float:
-    """Life in motion, h, of a machine that lasts 6000 h at its rated torque and 15 r/min; linear pins."""
+    """Life in motion, h, of a reducer that lasts 6000 h at its rated torque and 15 r/min; linear pins."""
     same = _duty(((TORQUE["rv40e"], 15.0, 1.0),) * 4)
     found = [
         life.rating(RV_40E, ERRORS, duty, samples=SAMPLES, contact="linear").life for duty in (_duty(MAKERS_DUTY), same)
@@ -72,7 +72,7 @@ def _arms_rated() -> Any:
 
 
 def _fits_the_disc() -> bool:
-    """Whether the rating that 6000 h of all arm bearings need is one of a caged row between crank and flank."""
+    """True if the rating for 6000 h of all arm bearings fits a caged row between crank and flank."""
     cycloid, arm = RV_40E.cycloid, RV_40E.bearings.arm  # type: ignore[union-attr]
     need = float(life.dynamic_rating(arm)) * float(RATED_LIFE / _arms_rated().life) ** 0.3
     reach = cycloid.pin_circle_radius - cycloid.pin_radius - 2 * cycloid.eccentricity - RV_40E.cranks.circle_radius
@@ -88,7 +88,7 @@ def _fits_the_disc() -> bool:
 
 
 def _safe_at(factor: float, least: float) -> bool:
-    """Whether the crank bearings of the RV-40E have a static safety at a multiple of the rated torque."""
+    """True if the crank bearings of the RV-40E have a static safety at a multiple of the rated torque."""
     duty = life.Duty([factor * TORQUE["rv40e"]], [RATED_SPEED], [1.0])
     found = life.rating(RV_40E, ERRORS, duty, samples=SAMPLES)
     return float(found.static_safety) >= least and int(found.info.status) == 0

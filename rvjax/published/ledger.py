@@ -18,10 +18,10 @@ One TOML file per source. Fields of a `[[figure]]`:
     presupposes      what it is held against instead of the figure, in that unit
     missing          what the source leaves out
     calibrated       an input was chosen so that the figure comes out: close at best, never reproduced
-    type             "predict": no number of the figure entered the model, as where nothing is said;
+    type             "predict": no number of the figure entered the model (the default);
                      "consistent": an inequality with stated assumptions, which can fail and confirms nothing
     grade            of a source that was not read itself: B two independent quotes agree, C one quote, or recalled
-    note             anything else a reader should know
+    note             further remarks
 
 Status words: reproduced (within rounding), reproduced_with_reading, close (within 10 %), consistent (an inequality
 holds), not_computable; contradicted (our value is further from the figure than rounding and tolerance together, and

@@ -1,6 +1,6 @@
 """Figures of Liu et al. 2022 (Mech. Sci. 13, 855) on the lost motion of the RV-20E.
 
-The printed total, 0.5467 arcmin, follows only from Eq. 16 and 21 to the letter, where nine terms in radians
+The published total, 0.5467 arcmin, follows only from Eq. 16 and 21 to the letter, where nine terms in radians
 are added to others in arcminutes; with one unit throughout the same input gives 1.757 arcmin.
 """
 
@@ -24,7 +24,7 @@ RATIO = RV_20E.ratio
 FROM_MODULE = InvoluteStage.from_teeth(12, 42, module=1.5 * mm)  # what Table 8 would be by its own module
 TABLE_5 = parse("rv20e")["inputs"]["rv20e"]["table5"]["rows"]
 SHAFT_LENGTHS = (160 * mm, 120 * mm)  # Section 2: output, input shaft
-TABLE_10 = (0.5462, 0.5976, 0.5982, 0.6018, 0.6029, 0.6032, 0.6063)  # printed totals, arcmin
+TABLE_10 = (0.5462, 0.5976, 0.5982, 0.6018, 0.6029, 0.6032, 0.6063)  # published totals, arcmin
 STEPS = [after - before for before, after in pairwise(TABLE_10)]
 TABLE_10_TORQUES = (50, 80, 110, 140, 170, 200)  # N m, rows 2 to 7
 
@@ -35,7 +35,7 @@ _unit = partial(geometric, RV_20E, RV_20E_ERRORS)
 def empirical_normal_force(output_torque: Scalar) -> jax.Array:
     """Normal force that makes "as_printed" return the tilted rows of Table 10 of Liu et al. 2022: a fit.
 
-    Not a prediction: each printed total implies its own force through Eq. 11, and a straight line goes through
+    Not a prediction: each published total implies a different force through Eq. 11, and a straight line goes through
     these six. Totals come back within 0.001 arcmin (0.0015 arcmin for a row left out of the fit). The row without
     torque does not lie on the line (0.048 arcmin off). For the RV-20E with the errors of Table 9 only.
 
@@ -79,7 +79,7 @@ COMPUTED: dict[str, Callable[[], Any]] = {
     "rv20e.table8.curtate_ratio": lambda: RV_20E.cycloid.replace(shortening=None).shortening_coefficient,
     "rv20e.table8.centre_distance": lambda: FROM_MODULE.centre_distance / mm,
     "rv20e.table8.sun_radius": lambda: FROM_MODULE.sun_radius / mm,
-    "rv20e.eq6.planet_radius": lambda: math.isclose(27.5 * 42 * (12 + 42), 27.5 * 42 / (12 + 42)),  # as printed
+    "rv20e.eq6.planet_radius": lambda: math.isclose(27.5 * 42 * (12 + 42), 27.5 * 42 / (12 + 42)),  # as published
     # With the force that returns 0.5467 arcmin, the cosine of Eq. 11 exceeds 1.
     "rv20e.eq11.pressure_angle": lambda: bool(_unit(reading="as_printed", normal_force=0.5075).valid),
     "rv20e.eq16.single_unit": _printed_terms_have_one_unit,
@@ -88,7 +88,7 @@ COMPUTED: dict[str, Callable[[], Any]] = {
     "rv20e.eq21.bearing_once": lambda: math.isclose(
         sum(float(term) for term in jax.tree.leaves(_unit().terms)), float(_unit().total), rel_tol=1e-12
     ),
-    # Eq. 22 with its minus sign as printed, N/mm^1.5; no part of the model (an external pair needs plus).
+    # Eq. 22 with its minus sign as published, N/mm^1.5; no part of the model (an external pair needs plus).
     "rv20e.table7.contact_stiffness": lambda: 4 / 3 * math.sqrt(1 / (1 / 9 - 1 / 31.5)) * (206e3 / (2 * (1 - 0.3**2))),
     "rv20e.abstract.total": _printed_total,
     "rv20e.sec5_2.total": _printed_total,

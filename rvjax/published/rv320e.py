@@ -207,7 +207,7 @@ def _kinds(cranks: int, discs: int) -> dict[str, int]:
 
 
 def _suppressed() -> bool:
-    """Which harmonics reach which motion."""
+    """Harmonics that reach each motion."""
     planetary, cycloid = _amplitude("planetary") > 0, _amplitude("cycloid") > 0
     order = np.arange(1, 10)
     return bool(

@@ -1,7 +1,7 @@
 """The stiffness matrix as the appendix of Yang, Chen, Wang 2018 prints it, with its sign error.
 
-Entry (1, 2) of the crank-disc coupling is printed -sin(psi). With it a translation of the whole reducer strains
-the bearings, which no rigid motion can; +sin(psi) makes the printed matrices equal to the sum over the springs.
+Entry (1, 2) of the crank-disc coupling is published as -sin(psi). With it a translation of the whole reducer strains
+the bearings, which no rigid motion can; +sin(psi) makes the published matrices equal to the sum over the springs.
 """
 
 import numpy as np
@@ -15,7 +15,7 @@ def printed_stiffness(design: RVReducer, *, corrected: bool = False) -> np.ndarr
 
     Args:
         design: a reducer of concrete numbers with two or more cranks and discs.
-        corrected: +sin(psi) in place of the printed -sin(psi).
+        corrected: +sin(psi) in place of the published -sin(psi).
 
     Raises:
         ValueError: a reducer without stiffness.

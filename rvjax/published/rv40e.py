@@ -1,6 +1,6 @@
 """Figures of the web article on the original errors of the RV-40E's second stage (a four-bar linkage).
 
-Its numbers follow only from the *crossed* root of its quadratic, in radians printed as degrees, with a
+Its numbers follow only from the *crossed* root of its quadratic, in radians published as degrees, with a
 crank spacing of 72 mm, at crank angle 90 deg: at zero error that root is 2 e / l = 0.0361, where a
 parallelogram gives 0. `RIGHT` holds the open branch of the exact closure for the same errors.
 """
@@ -24,7 +24,7 @@ SPACING = 2 * RV_40E.cranks.circle_radius
 RIGHT_ANGLE = 90 * deg
 BAND = 0.1 * mm  # the source varies every error by +-0.1 mm
 
-# Effective elastic lengthening of both cranks, fitted to the printed elastic ranges: the source prints neither
+# Effective elastic lengthening of both cranks, fitted to the published elastic ranges: the source gives neither
 # bearing forces nor displacements, and no single stiffness gives all three.
 ELASTIC_CRANK = 0.00453 * mm
 ELASTIC_TABLE_2_3 = 0.029 * mm
@@ -115,7 +115,7 @@ def _margin(table: str) -> list[float]:
 
 
 def _quadratic_is_the_closure() -> bool:
-    """Printed a, b, c against |l1 + l2 - l4|^2 - l3^2, which differ by terms of third order in the angle only."""
+    """Published a, b, c against |l1 + l2 - l4|^2 - l3^2, which differ by terms of third order in the angle only."""
     rng = np.random.default_rng(0)
     l1, l2, l3, l4 = np.array([[ECCENTRICITY], [SPACING], [ECCENTRICITY], [SPACING]]) + rng.uniform(
         -BAND, BAND, (4, 100)
