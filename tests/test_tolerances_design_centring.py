@@ -93,7 +93,7 @@ def test_bad_ranges_and_laws_that_do_not_move():
         with pytest.raises(ValueError, match="Middle"):
             Middle(lower, upper, scale)
     measured = Tolerance(-1.0, 1.0, distribution="empirical", values=[-0.5, 0.1, 0.4])
-    with pytest.raises(ValueError, match="the law empirical does not move with its limits"):
+    with pytest.raises(ValueError, match="the distribution empirical does not move with its limits"):
         found({"a": Middle(0.0, 1.0)}, tolerance=measured)
 
 

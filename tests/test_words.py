@@ -1,6 +1,8 @@
 """README, docs and CLI texts use the terms of the field: private words must not come back."""
 
+import io
 import re
+import tokenize
 from pathlib import Path
 
 import pytest
@@ -46,3 +48,37 @@ def test_the_command_line_uses_terms_of_the_field():
     for file in files:
         lines = file.read_text("utf-8").splitlines()
         assert private_words("\n".join(line for line in lines if not line.startswith("#"))) == [], file
+
+
+PLAIN = [
+    *("rvjax/tolerances", "rvjax/population", "rvjax/response", "rvjax/loaded", "rvjax/life", "rvjax/mesh_force"),
+    *("rvjax/four_bar", "rvjax/lost_motion", "rvjax/dynamics", "rvjax/identify", "rvjax/status.py", "rvjax/records.py"),
+    *("rvjax/roots.py", "rvjax/batching.py", "rvjax/errors.py", "rvjax/designs.py", "rvjax/files.py", "oracles"),
+    *("rvjax/compile_cache.py", "rvjax/exported.py", "rvjax/elementary.py"),
+]
+"""Packages and modules whose comments, docstrings and messages are rewritten; add others when they are."""
+NAMES = re.compile(r"^\s+\w+: |\{[^{}]*\}|^[rf]*['\"]\w*['\"]$", re.MULTILINE)  # arguments, expressions, keys
+RIDDLE = re.compile(r"\"\"\"(What|Who|Whose|Whether|Which|Where|When|Why|How)\b[^\n]*")
+TEXTS = {tokenize.COMMENT, tokenize.STRING, getattr(tokenize, "FSTRING_MIDDLE", tokenize.STRING)}
+
+
+def private_lines(source):
+    """Lines of Python whose comments or strings have private words or riddles, with these."""
+    found = []
+    for token in tokenize.generate_tokens(io.StringIO(source).readline):
+        if token.type in TEXTS:
+            words = private_words(NAMES.sub("", token.string)) + [m.group(0) for m in RIDDLE.finditer(token.string)]
+            found += [(token.start[0], word) for word in words]
+    return found
+
+
+def test_private_words_of_python_are_found_in_texts_only():
+    source = 'def law(lane):\n    """What it does.\n\n    lane: drawn.\n    """\n    f"{lane} asked", "law"  # dear'
+    assert private_lines(source) == [(2, "drawn"), (2, '"""What it does.'), (6, "asked"), (6, "dear")]
+
+
+@pytest.mark.parametrize("name", PLAIN)
+def test_comments_and_docstrings_use_terms_of_the_field(name):
+    files = sorted((ROOT / name).rglob("*.py")) or [ROOT / name]
+    texts = {str(file.relative_to(ROOT)): file.read_text("utf-8") for file in files}
+    assert {file: found for file, text in texts.items() if (found := private_lines(text))} == {}

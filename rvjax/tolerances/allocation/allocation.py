@@ -31,7 +31,7 @@ KEPT = 65_536  # units of a certificate whose responses are kept, at most
 
 
 class Solved:
-    """Costly units of a search and its certificate, as far as they are solved."""
+    """Solved costly units of a search and its certificate."""
 
     def __init__(self, training: Training, certifier: Certifier) -> None:
         assert training.followed is not None
@@ -50,32 +50,32 @@ class Solved:
 
 @dataclasses.dataclass(frozen=True)
 class Allocation:
-    """The cheapest tolerances found and how sure they are.
+    """Cheapest tolerances found, and their certificate.
 
     Attributes:
         feasible: False if the requirements fail even at the finest tolerances.
         status: "OPTIMAL" (certified), "SUBOPTIMAL" (certified, at more than 1.2 times the learned cost),
             "INFEASIBLE", "MAX_STEPS" (certified, maybe not the cheapest) or "NOT_CERTIFIED".
         tolerances: structure of the given ones.
-        cost: of all half-widths that have one, and of the middles that were moved.
+        cost: of all half-widths that have one, and of the mid-points that were moved.
         start_cost: the same of the given tolerances.
         learned: the same of the half-widths that the search accepted, before certification tightened them.
         costs: {field: cost}.
         half_widths: {field: half-width} of the fields that have a cost.
         multipliers: structure of the response: d cost / d limit when its limits move outwards, <= 0.
-        shortfall: structure of the response: how far the limits would have to move outwards, 0 if met; with a
-            joint target, the least each needs by itself.
-        residual: how far the accepted set is from the conditions of an optimum (Karush, Kuhn and Tucker): the largest
+        shortfall: structure of the response: distance by which the limits must move outwards, 0 if met; with a
+            joint target, the least that each needs separately.
+        residual: of the accepted set in the conditions of an optimum (Karush, Kuhn and Tucker): the largest
             saving of a single field that no price of a requirement accounts for, as a part of all savings; nan where
-            nothing was searched. Sampled slopes know it to a few percent; the cost is off by about its square.
-        certificate: `Statistics` of fresh units at `tolerances`; of up to 65536 with their responses.
-        grades: {field: grade} of a snapped allocation, else None.
-        graded: the allocation snapped to grades, if asked for.
+            nothing was searched. Sampled slopes give it to a few percent; the cost is off by about its square.
+        certificate: `Statistics` of independent units at `tolerances`; of up to 65536 with their responses.
+        grades: {field: grade} of an allocation rounded to grades, else None.
+        graded: the allocation rounded to grades, with `grades=True`; else None.
         history: one dict per evaluated set: cost, margins {constraint: value}, half_widths {field: value}.
         evaluations: units of the response that were solved by the "search", with a gradient or without, and for
-            "certificates"; and those of the "cheap" one.
-        cheap_refused: why the cheap response was given up, and the search went on with the response itself; None
-            where it led the search, or there was none.
+            "certificates"; and those of the "cheap" response.
+        cheap_refused: reason for which the low-fidelity response was discarded and the search continued without it;
+            None where it led the search, or there was none.
     """
 
     feasible: bool
@@ -134,11 +134,11 @@ def allocate(
 ) -> Allocation:
     """The cheapest half-widths with every requirement met: shares of units, means, capabilities.
 
-    Changing a half-width scales the limits about their middle; shift and cp stay. One sample of units
+    Changing a half-width scales the limits about their mid-point; shift and cp stay. One sample of units
     serves all steps. Each step models every constraint as a root sum of squares with the sampled
     margins and slopes, solves that model by an augmented Lagrangian, and is accepted if the sampled
-    cost and violation fall. A larger sample corrects the figures once. Fresh units then certify the
-    result: a figure counts by the worse end of its confidence interval, and half-widths are tightened where
+    cost and violation fall. A larger sample corrects the margins once. Independent units then certify
+    the result: a value counts by the worse end of its confidence interval, and half-widths are tightened where
     that costs least until it holds.
 
     Args:
@@ -151,19 +151,20 @@ def allocate(
         seed: of these units; certificates use the seeds after it.
         joint_target: share of units that must meet all requirements at once, if wanted.
         correlation: {(field or element, field or element): correlation of their z}.
-        certificate_samples: fresh units per certificate.
+        certificate_samples: independent units per certificate.
         confidence: of the certificate's intervals.
-        grades: also snap fields with a `size` to ISO 286 grades and fit the other fields to them.
-        max_steps: sets of half-widths tried, at most, for one set of middles.
-        middles: {field: Middle} of errors whose limits may also move as a whole; the others keep their middle.
-        cheap: the same responses, nearly, at a lower price. The search then walks on them, moved and tilted to agree
-            with the response where it stands, and asks the response itself only where that led. Certificates, and
-            middles, know the response alone. One that does not go with the response is given up.
-        memo: keeps what took long to compute, so that the same allocation, interrupted, goes on from there.
+        grades: also round fields with a `size` to ISO 286 grades and fit the other fields to them.
+        max_steps: sets of half-widths tried, at most, for one set of mid-points.
+        middles: {field: Middle} of errors whose limits may also move as a whole; the others keep their mid-point.
+        cheap: low-fidelity version of the responses. The search then runs on it, moved and tilted to agree with the
+            response at the current point, and evaluates the response only at the end of each such run.
+            Certificates and mid-points use the response only. A poorly correlated version is discarded.
+        memo: stores long computations, so that an interrupted allocation resumes from there.
         progress: show progress bars.
 
     Returns:
-        `Allocation`. A unit that fails is a reject; beside a mean or a Cpk fewer than 0.27 % may fail, for certain.
+        `Allocation`. A unit that fails is a reject; with a requirement on a mean or Cpk fewer than 0.27 % may
+        fail, with confidence.
 
     Raises:
         ValueError: no requirement, no cost, or names that do not fit.
@@ -194,7 +195,7 @@ def allocated(
     memo: Memo | None = None,
     progress: bool = False,
 ) -> tuple[Allocation, Solved | None]:
-    """What `allocate` finds, and the units that it solved where they are costly: what is asked next needs few more."""
+    """Result of `allocate`, and its solved units where these are costly: later evaluations reuse them."""
     population = Population.of(tolerances, correlation)
     names = response_names(response, population)
     required = by_response(requirements, names, Limits, "requirements")
@@ -262,7 +263,7 @@ def _check(required: dict[str, Limits], joint_target: float | None, **counts: in
 
 @dataclasses.dataclass(frozen=True)
 class _Found:
-    """Where a search ended: `prices` and `shortfall` by requirement; `learned`: cost before certification."""
+    """Result of a search: `prices` and `shortfall` by requirement; `learned`: cost before certification."""
 
     status: str
     learned: float
@@ -276,7 +277,7 @@ class _Found:
 def _cheapest(search: Search, certifier: Certifier, point: Point, start: np.ndarray) -> _Found:
     training, run = search.training, certifier.run
     point, settled = search.find(point, start)
-    if run.samples > training.samples and training.followed is None:  # a larger sample knows the figures better
+    if run.samples > training.samples and training.followed is None:  # a larger sample is more accurate
         seen = certifier.draw(training.with_half_widths(point.half_widths))
         point, settled = search.find(training.correct(point, certifier.factors(seen, training.distance)), start)
     prices = search.prices(point)
@@ -309,7 +310,7 @@ def _certified(search: Search, certifier: Certifier, point: Point, start: np.nda
 
 
 def _aimed(search: Search, certifier: Certifier, point: Point, start: np.ndarray) -> tuple[np.ndarray, Statistics]:
-    """The same where smaller half-widths would not help: the sample is told what a draw saw, and searched again."""
+    """Certified set where smaller half-widths do not help: correct the sample by a certificate, search again."""
     certificate = certifier.draw(search.training.with_half_widths(point.half_widths))
     for _ in range(DRAWS - 1):
         if certifier.holds(certificate) or certifier.hopeless():
@@ -321,7 +322,7 @@ def _aimed(search: Search, certifier: Certifier, point: Point, start: np.ndarray
 
 
 def _finest(search: Search, certifier: Certifier) -> _Found:
-    """The learning sample refuses even the finest half-widths: by how much, says a fresh one."""
+    """Result where even the finest half-widths fail on the learning sample; an independent one gives the shortfall."""
     certificate, shortfall = certifier.shortfall(search.training.with_half_widths(search.low))
     refused = certifier.joint_target is not None or any(missing > 0 for missing in shortfall.values())
     status = "INFEASIBLE" if refused else "NOT_CERTIFIED"  # the larger sample may see the limits just met

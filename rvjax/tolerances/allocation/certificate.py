@@ -1,4 +1,4 @@
-"""The certificate: fresh random units decide whether a set of tolerances meets its requirements."""
+"""Certificate: independent random units decide whether a set of tolerances meets its requirements."""
 
 import dataclasses
 import math
@@ -21,12 +21,12 @@ DRAWS = 8  # certificates in one search; every one is a new chance to pass by lu
 _RARE = 20_000, 200_000  # units behind a probability of failure
 _TRUSTED = {"OK", "SEVERAL_POINTS", "KINKED_POINT"}  # the latter two concern the reliability index alone
 _LEAST = 1e-3  # least step of a shrinking half-width, relative
-_WORTH, _ROOM = 2e-3, 0.1  # room in half-widths that is worth another certificate, and the most of it to go for
+_WORTH, _ROOM = 2e-3, 0.1  # least margin in half-widths for another certificate, and the most of it to use
 
 
 @dataclasses.dataclass
 class Certifier:
-    """Draws certificates, each from a seed no one has seen before."""
+    """Certificates, each from a new seed."""
 
     run: Run
     joint_target: float | None
@@ -42,7 +42,7 @@ class Certifier:
         return self.units.solved if self.units is not None else self.drawn * self.run.samples
 
     def draw(self, population: Population, *, keep: bool | None = None) -> Statistics:
-        """Statistics of fresh units; a target beyond what they can show is judged by a probability of failure."""
+        """Statistics of independent units; a target beyond their resolution uses a probability of failure."""
         self.drawn += 1
         if self.units is None:
             self.run = dataclasses.replace(self.run, seed=self.run.seed + 1)
@@ -111,7 +111,7 @@ class Certifier:
         return share_factor(valid, 1 - most, n, deviate_of(self.run.confidence))
 
     def settle(self, search: Search, point: Point, *, draws: int = DRAWS) -> tuple[np.ndarray, Statistics]:
-        """Tighten half-widths, where that costs least, until a certificate holds; the last one drawn otherwise."""
+        """Tighten half-widths, where that costs least, until a certificate holds; the last one otherwise."""
         half_widths, training = point.half_widths, search.training
         statistics = self.draw(training.with_half_widths(half_widths))
         for _ in range(draws - 1):
@@ -126,9 +126,9 @@ class Certifier:
     def polished(
         self, search: Search, point: Point, half_widths: np.ndarray, statistics: Statistics
     ) -> tuple[np.ndarray, Statistics]:
-        """Looser half-widths where a certificate held with room to spare, if theirs holds too.
+        """Looser half-widths where a certificate holds with a margin, if their certificate holds too.
 
-        Tried once, by half of the room: the other half, as draws go, was luck.
+        Tried once, by half of the margin, because the other half may be chance.
         """
         training = search.training
         factors = np.minimum(self.factors(statistics, training.distance), 1 + _ROOM)
@@ -141,7 +141,7 @@ class Certifier:
         return (wider, drawn) if self.holds(drawn) else (half_widths, statistics)
 
     def shortfall(self, population: Population) -> tuple[Statistics, dict[str, float]]:
-        """How far each limit would have to move outwards for these tolerances; 0 where it is met."""
+        """Distance by which each limit must move outwards for these tolerances; 0 where it is met."""
         statistics = self.draw(population, keep=True)
         missing = {
             name: item.shortfall(statistics.values[name], self.joint_target or 0.0)

@@ -1,7 +1,7 @@
-"""What a tolerance costs, as a function of its half-width; one cost covers all elements of a field.
+"""Costs of tolerances as functions of the half-width; one cost covers all elements of a field.
 
-A new law is one class: `@record class Mine(Cost)` with `name`, its parameters as fields, `finest`, `coarsest` and
-`__call__`. Allocation, studies and pages take it from `COSTS`.
+A new cost function is one class: `@record class Mine(Cost)` with `name`, its parameters as fields, `finest`,
+`coarsest` and `__call__`. Allocation, studies and pages take it from `COSTS`.
 """
 
 import dataclasses
@@ -14,11 +14,11 @@ import numpy as np
 from rvjax.records import IN_ERROR_UNIT, Array, Record, Scalar, concrete, field, record
 
 COSTS: dict[str, type["Cost"]] = {}
-"""Every law by the name that study files give it."""
+"""Cost functions by their names in study files."""
 
 
 class Cost(Record):
-    """What a half-width costs, within the range of a process; its fields are the keys of a study file."""
+    """Cost of a half-width, within the range of a process; its fields are the keys of a study file."""
 
     name: ClassVar[str] = ""
     finest: Scalar

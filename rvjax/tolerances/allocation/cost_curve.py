@@ -1,4 +1,4 @@
-"""Requirement curves: what a tighter limit or a higher yield costs."""
+"""Requirement curves: cost of a tighter limit or a higher yield."""
 
 import dataclasses
 import math
@@ -144,9 +144,9 @@ def cost_of_yields(
     memo: Memo | None = None,
     solved: Solved | None = None,
 ) -> list[tuple[float, float]]:
-    """What other targets would cost, one search each: (least yield of a requirement, cost) of where it ended.
+    """Cost of other targets, one search each: (least yield of a requirement, cost) of its result.
 
-    Nothing is certified: the yield is that of independent units, whatever the target was.
+    Nothing is certified: the yield is measured on independent units, for any target.
 
     Args:
         response: pure function of the errors of one unit; a dict of scalars, or an `Outcome` of these.

@@ -1,9 +1,9 @@
-"""Where the limits of an error lie: middles that may move, beside half-widths that may change.
+"""Design centring: mid-points of the limits that may move, in addition to half-widths that may change.
 
-A middle belongs to the nominal value (a profile modification, a class of clearance); moving it costs little or nothing
-and can be worth more than any tightening. At given half-widths the price of each constraint says what room is worth, so
-the middles that gain most minimise (prices . margins + cost of moving); by the envelope theorem this is the slope of
-the least cost itself. Half-widths and middles take turns until a turn gains nothing.
+A mid-point belongs to the nominal value (a profile modification, a class of clearance). Moving it costs little or
+nothing and can save more than any tightening. At given half-widths the price of each constraint is the saving per unit
+of margin, so the best mid-points minimise (prices . margins + cost of moving). By the envelope theorem this is the
+slope of the least cost itself. Half-widths and mid-points are optimised in turn until a turn gains nothing.
 """
 
 import dataclasses
@@ -20,14 +20,14 @@ from rvjax.tolerances.allocation.search import NOISE, Search
 
 _TURNS, _HALVINGS, _SWEEPS = 5, 3, 3
 _GAIN = 1e-3  # of the cost: less ends the turns
-_RADIUS = 1.5  # within which prices are asked for, logarithm of a half-width
-_FAR = 1e3  # margin, in ways to the limit, that stands for infinity
-_KNOWN = 2e-3  # part of its range to which a middle is found in one turn
+_RADIUS = 1.5  # within which prices are computed, logarithm of a half-width
+_FAR = 1e3  # margin, in ways to the limit, used as infinity
+_KNOWN = 2e-3  # part of its range to which a mid-point is found in one turn
 
 
 @dataclasses.dataclass(frozen=True)
 class Middle:
-    """Limits between which the middle of an error's limits may lie.
+    """Limits of the mid-point of an error's limits.
 
     Attributes:
         lower: least middle, unit of the error.
@@ -47,7 +47,7 @@ class Middle:
 
 
 def check_middles(middles: Mapping[str, Middle], active: Mapping[str, Tolerance]) -> None:
-    """Refuse middles of errors that have none to move.
+    """Raise ValueError for mid-points that cannot move.
 
     Raises:
         ValueError: names the field.
@@ -59,7 +59,7 @@ def check_middles(middles: Mapping[str, Middle], active: Mapping[str, Tolerance]
             raise ValueError(f"middles: {name} = {item!r} must be a Middle")
         law = active[name].law
         if law.of_vectors or law.name == "empirical":
-            raise ValueError(f"middles: {name}: the law {law.name} does not move with its limits")
+            raise ValueError(f"middles: {name}: the distribution {law.name} does not move with its limits")
 
 
 def centred(
@@ -70,7 +70,7 @@ def centred(
     middles: Mapping[str, Middle],
     advance: Callable[[int], object],
 ) -> tuple[Training, float]:
-    """The sample with its middles where the cheapest half-widths cost least, and the cost of having moved them."""
+    """Sample with the mid-points at which the cheapest half-widths cost least, and the cost of moving them."""
     names, items = list(middles), list(middles.values())
     given = np.array([float(training.population.active[name].middle) for name in names])
     low, high = (np.array([getattr(item, end) for item in items]) for end in ("lower", "upper"))
@@ -85,7 +85,7 @@ def centred(
         return float(scale @ np.abs(middle - given))
 
     def best(t: np.ndarray, here: np.ndarray, prices: np.ndarray | None) -> tuple[np.ndarray, float]:
-        """Middles of least worth of the margins, and what they gain; without prices the worst margin counts alone."""
+        """Mid-points of least priced margins, and their gain; without prices the worst margin is minimised."""
         way = training.distance
 
         def worth(middle: np.ndarray) -> float:
@@ -100,7 +100,7 @@ def centred(
     here = np.clip(given, low, high)
     search = Search(at(here).measured(), priced, max_steps, advance)
     point, possible = search.opened(start)
-    if not possible:  # nothing can be made: the middles with the most room first, where there is any
+    if not possible:  # infeasible: first the mid-points with the largest margins
         finest = search.excess(search.training.margins(search.low))
         here, _ = best(search.low if finest <= search.excess(point.margins) else point.half_widths, here, None)
         search = Search(at(here).measured(), priced, max_steps, advance)
@@ -127,7 +127,7 @@ def centred(
 
 
 def _swept(worth: Callable[[np.ndarray], float], x: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """The least worth within the ranges, along one middle after the other."""
+    """Minimise `worth` within the ranges, along one mid-point after the other."""
     x = x.copy()
     for _ in range(_SWEEPS if len(x) > 1 else 1):
         for j in range(len(x)):
@@ -142,6 +142,6 @@ def _swept(worth: Callable[[np.ndarray], float], x: np.ndarray, low: np.ndarray,
 
 
 def _moved(tolerance: Tolerance, middle: float) -> Tolerance:
-    """The same limits about another middle."""
+    """The same limits about another mid-point."""
     half = tolerance.half_width
     return tolerance.replace(lower=middle - half, upper=middle + half)

@@ -135,14 +135,14 @@ class Followed:
         return self._random.choice(self.samples, min(count, self.samples), replace=False)
 
     def _settled(self, known: _Known, aims: Aims) -> bool:
-        """Whether what is known of a set answers another question at it."""
+        """True if the stored values of a set suffice for other aims."""
         wanted = aims(known.values)
         wrong = [_wrong(known.values[n], known.doubt[n], wanted.get(n, [])).sum() for n in self.names]
         return max(wrong) <= WRONG
 
     def _remember(self, known: _Known) -> None:
         others = [item for item in self._known if _distance(item.place, known.place)]
-        self._known = [*others[:1], *others[1:][-_KEPT:], known]  # the first one is asked for at the end again
+        self._known = [*others[:1], *others[1:][-_KEPT:], known]  # the first one is evaluated again at the end
 
 
 class _Step:

@@ -1,9 +1,9 @@
-"""A search on a cheap response, mapped to the one that counts where it stands: most steps then cost next to nothing.
+"""Search on a low-fidelity response, mapped to the high-fidelity response: most steps then cost little.
 
-Margins of the cheap sample are moved and tilted so that value and slope agree with those of the response at one point;
-the cheapest half-widths of that model are looked at with the response itself, and the model is mapped anew from there.
-Agreement to first order is what makes a trust region end where the response alone would (Alexandrov, Lewis, Gumbert,
-Green and Newman 2001), however far the cheap response is from it; how far decides only how often it must be mapped.
+Margins of the low-fidelity sample are moved and tilted so that value and slope agree with the response at one point.
+The cheapest half-widths of this model are evaluated with the response itself, and the model is mapped again there.
+Because of the agreement to first order the trust region converges to an optimum of the response (Alexandrov, Lewis,
+Gumbert, Green and Newman 2001) for any low-fidelity response; its quality changes only the number of mappings.
 """
 
 import copy
@@ -17,14 +17,14 @@ from rvjax.tolerances.allocation.cost import Cost
 from rvjax.tolerances.allocation.sample_average import Point, Training
 from rvjax.tolerances.allocation.search import GAIN, NOISE, RADIUS, SETTLED, STATIONARY, Search
 
-_CORRELATED = 0.5  # least correlation of the units' values: below, the cheap response explains a quarter of the spread
+_CORRELATED = 0.5  # least correlation of the units' values: below, `cheap` explains a quarter of the spread
 _REFUSED = 3  # steps in a row that the response did not confirm
-_INNER = 40  # sets of half-widths that one model is asked for, at most
+_INNER = 40  # sets of half-widths evaluated on one model, at most
 _POOR, _GOOD = 0.25, 0.75  # parts of a promised gain, below which the region shrinks and above which it grows
 
 
 class Mapped:
-    """The cheap sample as a model of the response around one of its points."""
+    """Low-fidelity sample as a model of the response around one of its points."""
 
     def __init__(self, cheap: Training, exact: Training, at: Point) -> None:
         self.cheap, self.at = cheap, at
@@ -43,7 +43,7 @@ class Mapped:
 
 
 class MappedSearch(Search):
-    """Finds like a search of the response alone, or becomes one where the cheap response is of no use."""
+    """Search with a low-fidelity response; continues without it where it gives no progress."""
 
     def __init__(
         self,
@@ -56,10 +56,10 @@ class MappedSearch(Search):
         super().__init__(training, priced, max_steps, advance)
         self.cheap, self._priced = cheap, priced
         self.refused: str | None = None
-        """Why the cheap response was given up, if it was."""
+        """Reason for which the low-fidelity response was discarded, or None."""
 
     def find(self, point: Point, start: np.ndarray) -> tuple[Point, bool]:
-        """The cheapest half-widths from a point on, and whether they are an optimum as far as the sample tells."""
+        """Cheapest half-widths from a point on, and True if they are an optimum of the sample."""
         if self.refused is None:
             self.refused = self._unlike(point)
         if self.refused is None:
@@ -70,7 +70,7 @@ class MappedSearch(Search):
         return super().find(point, start)
 
     def _unlike(self, point: Point) -> str | None:
-        """What speaks against the cheap response before any step: units that it sees otherwise."""
+        """Reason against the low-fidelity response before any step: poor correlation of the units."""
         exact, cheap = (of.values(point.half_widths) for of in (self.training, self.cheap))
         for name, one, other in zip(self.training.requirements, exact, cheap):
             both = np.isfinite(one) & np.isfinite(other)
@@ -82,7 +82,7 @@ class MappedSearch(Search):
         return None
 
     def _followed(self, best: Point) -> tuple[Point, bool]:
-        """From a point of the response along mapped models, and whether the end is an optimum of the response."""
+        """End of the steps along mapped models from a point, and True if it is an optimum of the response."""
         distance, radius, refusals = self.training.distance, RADIUS, 0
         while len(self.history) < self.max_steps and refusals < _REFUSED:
             model = Mapped(self.cheap, self.training, best)

@@ -1,4 +1,4 @@
-"""How far half-widths stand from the conditions of an optimum (Karush 1939, Kuhn and Tucker 1951)."""
+"""Residual of half-widths in the conditions of an optimum (Karush 1939, Kuhn and Tucker 1951)."""
 
 import math
 

@@ -1,9 +1,9 @@
-"""Constraints along rays: by how much all half-widths may grow together until one of them no longer holds.
+"""Constraints along rays: common factor on all half-widths at which a constraint fails.
 
-Where units fail, or a response moves in steps, the derivatives of units say nothing of a constraint. Along a ray from
-no error at all every unit leaves its limits at one place or another, so that the factor at which a constraint gives way
-is continuous in the half-widths whatever the response does, and its differences are slopes. They cost a few dozen
-samples where derivatives cost one, and are asked for only where those mislead.
+Where units fail, or a response moves in steps, derivatives of units do not give the slope of a constraint. Along a ray
+from zero errors every unit leaves its limits at its specific factor. The factor at which a constraint fails is
+therefore continuous in the half-widths for any response, and its differences are slopes. They cost a few dozen samples
+where derivatives cost one sample, and are used only where derivatives mislead.
 """
 
 import copy
@@ -13,11 +13,11 @@ import numpy as np
 from rvjax.tolerances.allocation.sample_average import Point, Training
 
 IDLE = 0.5
-"""With more room than this, logarithm of a factor, a constraint does not bind."""
+"""With a larger margin than this, logarithm of a factor, a constraint does not bind."""
 
 _INWARD, _OUTWARD = 5.0, 0.7  # reach of a ray, logarithm of the factor
 _STEP = 0.15  # of differences, logarithm of a half-width: wide enough that several units cross
-_FINE, _COARSE = 1e-3, _STEP / 50  # what a place on a ray and a difference are known to
+_FINE, _COARSE = 1e-3, _STEP / 50  # accuracy of a place on a ray and of a difference
 
 
 class Rays:
@@ -35,12 +35,12 @@ class Rays:
         return Point(half_widths, scale - self.training.distance, scale[:, None] * slopes, weights)
 
     def room(self, half_widths: np.ndarray) -> np.ndarray:
-        """Logarithm of the factor at which each constraint (c,) gives way."""
+        """Logarithm of the factor at which each constraint (c,) fails."""
         ends = np.full(len(self.training.distance), _INWARD), np.full(len(self.training.distance), _OUTWARD)
         return self._room(half_widths, -ends[0], ends[1], _FINE)
 
     def scaled(self, half_widths: np.ndarray) -> np.ndarray:
-        """The half-widths of the ray just before the first constraint gives way."""
+        """Half-widths on the ray just before the first constraint fails."""
         return half_widths * np.exp(self._corrected(self.room(half_widths)).min() - _FINE)
 
     def met(self, half_widths: np.ndarray) -> bool:
@@ -50,7 +50,7 @@ class Rays:
         return all(seen[factor][k] <= 0 for k, factor in enumerate(self.training.correction))
 
     def moved(self, name: str, outward: float) -> "Rays":
-        """The same units where the limits of one requirement stand elsewhere."""
+        """The same units with other limits of one requirement."""
         training = copy.copy(self.training)
         training.requirements = training.requirements | {name: training.requirements[name].widened(outward)}
         return Rays(training)
@@ -62,7 +62,7 @@ class Rays:
         """-d log(factor)/d log(half-width j) of each constraint that may bind."""
         found, open_ = [], np.where(room < IDLE, _STEP, 0.0)
         for sign in (1.0, -1.0):
-            near, far = 0.5 * open_, 1.25 * open_  # a wider field takes from the room, never more than it grows
+            near, far = 0.5 * open_, 1.25 * open_  # a wider field reduces the margin by no more than it grows
             low, high = (room - far, room + near) if sign > 0 else (room - near, room + far)
             moved = half_widths.copy()
             moved[j] *= np.exp(sign * _STEP)
@@ -70,7 +70,7 @@ class Rays:
         return (found[1] - found[0]) / (2 * _STEP)
 
     def _room(self, half_widths: np.ndarray, low: np.ndarray, high: np.ndarray, known: float) -> np.ndarray:
-        """The place of each constraint between `low` and `high`, by halving; every sample serves them all."""
+        """Place of each constraint between `low` and `high`, by bisection; every sample serves all constraints."""
         while (high - low).max() > known:
             k = int(np.argmax(high - low))
             at = (low[k] + high[k]) / 2

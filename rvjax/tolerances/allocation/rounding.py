@@ -18,8 +18,8 @@ from rvjax.tolerances.batch.monte_carlo import Statistics
 
 _DRAWS = 2  # certificates of one set of grades: fields that are free may shrink once
 _EXCHANGES = 6  # certificates of exchanged grades, at most
-_TRIED = 12  # sets of exchanged grades that the learning sample is asked for, at most, after each that was accepted
-_MOVES = 5000  # sets of three or four exchanged grades that the model is asked for, at most
+_TRIED = 12  # sets of exchanged grades evaluated on the learning sample, at most, after each accepted set
+_MOVES = 5000  # sets of three or four exchanged grades evaluated on the model, at most
 _NEAR = 0.01  # beyond a limit, in parts of the way there, within which the model or the sample may err
 
 Places = dict[int, int]  # of graded fields on their ladders
@@ -38,11 +38,11 @@ class Snapping:
         """The loosest grades not wider than certified half-widths, then cheaper ones while a certificate holds.
 
         One grade at a time becomes coarser, by saving. A field without a size, or without a grade within its
-        process range, stays free: it takes up what the grades leave over, and gives way where that lets a
-        grade be coarser at less cost in all. Exchanges end the search: some fields one grade coarser, others finer.
+        process range, stays free: it uses the remaining margin, and is tightened where a coarser grade
+        then reduces the total cost. Exchanges end the search: some fields one grade coarser, others finer.
 
         Returns:
-            Half-widths, {field: grade} of the snapped ones, and the certificate of exactly these.
+            Half-widths, {field: grade} of the rounded ones, and the certificate of exactly these.
         """
         places: Places = {}
         for j, ladder in self.ladders.items():
@@ -156,7 +156,7 @@ class Snapping:
         return t
 
     def saving(self, j: int, place: int) -> float:
-        """What the next coarser grade of a field saves."""
+        """Saving of the next coarser grade of a field."""
         now, then = (float(self.costs[j](jnp.asarray(self.ladders[j][k][1]))) for k in (place, place + 1))
         return now - then
 

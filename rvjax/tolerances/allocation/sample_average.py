@@ -1,7 +1,7 @@
-"""The fixed sample an allocation learns from: margins at the required yield, and their slopes.
+"""Fixed learning sample of an allocation: margins at the required yield, and their slopes.
 
-The random numbers are drawn once and serve every set of tolerances, so that margins are smooth in
-the half-widths. It certifies nothing: the optimum is fitted to these very units.
+All sets of tolerances use the same random numbers, so that margins are smooth in the half-widths.
+The sample certifies nothing, because the optimum is fitted to it.
 """
 
 import copy
@@ -24,21 +24,21 @@ from rvjax.tolerances.requirements.limits import Limits, Pull, along_reach
 from rvjax.tolerances.requirements.tails import nearest, tail_quantile
 from rvjax.tolerances.worst_case import Extremes, extremes
 
-# Slopes come from the units nearest the quantile: few enough to stand near it, where the response bends; cheap, too.
-# Of many fields each owns little of the spread, and a slope errs by about sqrt(fields/units)/3.
+# Slopes come from the units nearest the quantile: few enough to lie near it, where the response bends.
+# Each of many fields contributes little to the spread, and a slope errs by about sqrt(fields/units)/3.
 _FEWEST_LANES, _LANES_PART, _LANES_OF_A_FIELD = 256, 32, 16
 _MEASURED = 256  # costly units behind the way of a nominal unit to its limit
 _NEARBY = 0.1  # logarithm of a half-width, within which costly units keep their slopes
 IDLE = 0.4  # part of the way to a limit, beyond which no costly unit is solved on its account
-_REMEMBERED = 8  # sets of half-widths whose values are kept: what was asked for is often asked for again
+_REMEMBERED = 8  # sets of half-widths whose values are kept, because they are often evaluated again
 
 
 @dataclasses.dataclass(frozen=True)
 class Point:
-    """What the sample says at one set of half-widths.
+    """Margins and slopes of the sample at one set of half-widths.
 
-    Constraints are the requirements, then the share of failed units where any of them is a figure of the valid ones,
-    then the joint one.
+    Constraints are the requirements, then the share of failed units where any of them is a statistic of the valid
+    units, then the joint one.
 
     Attributes:
         half_widths: (j,) of the fields that have a cost.
@@ -54,7 +54,7 @@ class Point:
 
 
 def followable(response: Response, requirements: dict[str, Limits]) -> bool:
-    """Whether units are costly, and all that is asked of them are shares within limits."""
+    """True if units are costly and all requirements are shares within limits."""
     return getattr(response, "costly", False) and all(isinstance(r, Requirement) for r in requirements.values())
 
 
@@ -93,7 +93,7 @@ class Training:
         self._measure()
 
     def _measure(self) -> None:
-        """How far the nominal response stays from each limit; margins are measured from there."""
+        """Measure the distance of the nominal response from each limit, the scale of the margins."""
         requirements, joint_target = self.requirements, self.joint_target
         values = self._nominal()
         own = self._unit_margins(values)
@@ -102,7 +102,7 @@ class Training:
         spread = np.where(finite > 0, finite, 1.0)  # a positive size where the nominal value touches the limit
         self.scales = np.where(np.isfinite(nominal) & (nominal > 0), nominal, spread)
         most = [item.most_failed for item in requirements.values() if item.most_failed < 1]
-        self.most_failed = min(most, default=None)  # beside figures of the valid units failures are a constraint too
+        self.most_failed = min(most, default=None)  # with statistics of the valid units failures are a constraint too
         others = (self.most_failed is not None) + (joint_target is not None)
         self.distance = np.append(self.scales, np.ones(others))
         self.correction = np.ones(len(self.distance))
@@ -149,7 +149,7 @@ class Training:
         return self._corrected(self.uncorrected(half_widths))
 
     def uncorrected(self, half_widths: np.ndarray) -> np.ndarray:
-        """Margins (c,) of this sample, whatever a larger one said."""
+        """Margins (c,) of this sample, without the corrections from a larger sample."""
         return self._margins(self.values(half_widths), self._ranges(half_widths))
 
     def point(self, half_widths: np.ndarray) -> Point:
@@ -183,8 +183,8 @@ class Training:
     def correct(self, point: Point, factors: np.ndarray) -> Point:
         """Learn from a larger sample that half-widths times `factors` would just meet each target.
 
-        A few thousand units know a far quantile to a percent or two only. From now on the way of each
-        active constraint from the nominal response is scaled by what the larger sample saw at `point`.
+        A few thousand units give a far quantile to a percent or two only. From now on the distance of each
+        active constraint from the nominal response is scaled by the result of the larger sample at `point`.
         """
         reach = np.maximum((point.margins + self.distance) / self.distance, 1e-3)
         seen = 1 / (factors * reach)
@@ -219,7 +219,7 @@ class Training:
         return values
 
     def _aims(self, values: dict[str, np.ndarray]) -> dict[str, list[float]]:
-        """Values at the quantiles that are asked for, where a limit is not far beyond."""
+        """Values at the required quantiles, where a limit is not far beyond."""
         rows = np.stack([values[name] for name in self.requirements])
         joint = None if self.joint_target is None else float(np.quantile(self._joint(rows)[0], self.joint_target))
         found = {}
@@ -246,7 +246,7 @@ class Training:
         return self._memo.units(self.names, asked, lambda: respond(self.response, population, z))
 
     def _ranges(self, half_widths: np.ndarray) -> dict[str, Extremes]:
-        """Ranges of the responses whose worst case is judged."""
+        """Ranges of the responses with a requirement on the worst case."""
         judged = [name for name, item in self.requirements.items() if item.of_extremes]
         population = self.with_half_widths(half_widths) if judged else self.population
         return {name: extremes(self.response, population, self.names, name) for name in judged}

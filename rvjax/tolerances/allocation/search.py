@@ -1,4 +1,4 @@
-"""The search for the cheapest half-widths: steps of a separable model in a trust region, and an audit of its end."""
+"""Search for the cheapest half-widths: steps of a separable model in a trust region, and an audit of its end."""
 
 import copy
 import math
@@ -16,25 +16,25 @@ from rvjax.tolerances.allocation.sample_average import Point, Training
 
 RADIUS = 1.5  # first step, at most, in logarithms of the half-widths
 SETTLED = 2e-3  # steps and violations (as parts of the way to the limit) smaller than this end the search
-NOISE = 0.02  # violation that the sample itself may err by; the certificate takes care of it
+NOISE = 0.02  # violation within the error of the sample; the certificate corrects it
 GAIN = 1e-4  # and so does a step that saves less of the cost
-_COARSE = 5.0  # times these where units are costly: what a sample of them knows of the optimum is no better
+_COARSE = 5.0  # times these where units are costly: their sample gives the optimum no better
 
-_BINDING = 0.1  # a constraint with more room, in parts of the way to its limit, plays no part
+_BINDING = 0.1  # a constraint with a larger margin, in parts of the way to its limit, has no effect
 
 _PROBE = 0.1  # of the audit, logarithm of a half-width
 _ASTRAY = 0.4  # part of a probe by which a margin may move otherwise than its slopes say: few units cross
 _MANY, _FEWEST = 40, 8  # units beyond a limit that these bounds are for, and the least that a quantile leaves
 STATIONARY = 0.1  # residual of an optimum by derivatives: costs less than half its square
 _STATIONARY_APART = 0.2  # the same where slopes are differences of a sample
-_TELLING = 0.005  # change of the least cost that is none of the search's own
+_TELLING = 0.005  # change of the least cost that is not an error of the search
 _MOVES = (0.05, 0.2)  # of a limit, parts of the way to it; the second where the first changes nothing
 _INWARD = 0.99  # of a set that is not quite within the constraints
 _LOOSER = (0.3, 0.1, 0.03, 0.01)  # a single field, logarithms of the half-width
 
 
 class Search:
-    """Evaluates sets of half-widths, remembers them, and walks to the cheapest one that meets all constraints."""
+    """Search that evaluates and stores sets of half-widths, and moves to the cheapest that meets all constraints."""
 
     def __init__(
         self,
@@ -53,7 +53,7 @@ class Search:
         coarse = 1.0 if training.followed is None else _COARSE
         self.settled, self.gain = coarse * SETTLED, coarse * GAIN
         beyond = min(training.samples * (1 - getattr(r, "target", 0.0)) for r in training.requirements.values())
-        self.doubt = math.sqrt(max(1.0, _MANY / max(beyond, _FEWEST)))  # few units beyond a limit know a slope badly
+        self.doubt = math.sqrt(max(1.0, _MANY / max(beyond, _FEWEST)))  # few units beyond a limit give poor slopes
 
     def cost(self, half_widths: np.ndarray) -> float:
         """Total cost."""
@@ -76,7 +76,7 @@ class Search:
         return point if np.isfinite(point.margins).all() else self.look(self.low)
 
     def opened(self, start: np.ndarray) -> tuple[Point, bool]:
-        """Where a search begins, and whether the sample knows half-widths that meet every requirement."""
+        """Start of a search, and True if half-widths meet every requirement on the sample."""
         point, finest = self.begin(start), self.excess(self.training.margins(self.low))
         if finest <= 0 or not np.isfinite(point.margins).all():
             return point, finest <= 0
@@ -89,7 +89,7 @@ class Search:
         return float((margins / self.training.distance).max())
 
     def find(self, point: Point, start: np.ndarray) -> tuple[Point, bool]:
-        """The cheapest half-widths from a point on, and whether they are an optimum as far as the sample tells.
+        """Cheapest half-widths from a point on, and True if they are an optimum of the sample.
 
         By derivatives first. Where an audit finds that these mislead, by differences along rays from what was
         found, from the start and from the finest half-widths.
@@ -157,7 +157,7 @@ class Search:
         return True
 
     def residual(self, point: Point) -> float:
-        """How far a point is from the conditions of an optimum, as a part of what looser half-widths save."""
+        """Residual of a point in the conditions of an optimum, as a part of the savings of looser half-widths."""
         return residual(self.costs, point, self.training.distance, self.low, self.high)
 
     def loosened(self, half_widths: np.ndarray) -> np.ndarray:
@@ -189,7 +189,7 @@ class Search:
         return cheapest(self.costs, point, self.training.distance, self.training.powers, low, high)
 
     def prices(self, point: Point) -> np.ndarray:
-        """What the cost changes by, downwards, where the limit of each requirement moves outwards."""
+        """Reduction of the cost per outward move of the limit of each requirement."""
         if self.rays is None:
             return self.model_optimum(point, RADIUS)[1] @ point.weights
         return np.array([self.price(self.rays, point, k) for k in range(len(self.training.requirements))])
@@ -197,7 +197,7 @@ class Search:
     def tightened(self, point: Point, half_widths: np.ndarray, factors: np.ndarray) -> np.ndarray:
         """The cheapest half-widths, none looser, where each constraint keeps what `factors` (c,) on all of them do.
 
-        The slopes of `point` say which fields pay. Where they say nothing (units that fail), all shrink together.
+        The slopes of `point` select the fields. Without slopes (units that fail) all shrink together.
         """
         low = np.minimum(self.low, half_widths)
         found = self._scaled(point, half_widths, factors, low, half_widths)
