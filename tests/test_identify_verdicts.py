@@ -2,6 +2,7 @@
 
 import math
 import sys
+import types
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ import pytest
 import rvjax
 from rvjax import identify
 from rvjax.identify.laplace import pareto_shape
-from rvjax.identify.sampler import diagnose
+from rvjax.identify.sampler import Draws, diagnose
 from tests.identify_models import THREE, G, Noise, line, many, solved, unit
 
 
@@ -142,3 +143,16 @@ def test_bad_input_is_named(call, words):
 
 def ranked(**options):
     return identify.rank_measurements(THREE, {"line": line}, **(dict(noise=Noise(0.5)) | options))
+
+
+def test_draws_go_to_arviz_by_field(monkeypatch):
+    """Stand-in for the package: it keeps what it is given, in the form of its version."""
+    found = solved(np.array([1.0, 0.4, 0.3, -0.6]))
+    value = {name: np.full((2, 3), k) for k, name in enumerate(found.value)}
+    drawn = Draws(value, np.ones(3), np.ones(3), 0, True, np.zeros((2, 3, 3)), found)
+    for version in ("0.20.0", "1.0.0"):
+        made = types.SimpleNamespace(__version__=version, from_dict=lambda *given, **named: (given, named))
+        monkeypatch.setitem(sys.modules, "arviz", made)
+        given, named = drawn.to_arviz()
+        kept = given[0]["posterior"] if version > "1" else named["posterior"]
+        assert list(kept) == list(value) and all((kept[name] == value[name]).all() for name in value)

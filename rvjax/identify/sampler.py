@@ -6,6 +6,7 @@ different modes disagree; r_hat shows it.
 """
 
 import dataclasses
+import importlib
 from collections.abc import Callable
 from typing import Any
 
@@ -52,6 +53,15 @@ class Draws:
     trusted: bool
     z: np.ndarray = dataclasses.field(repr=False)
     posterior: Posterior = dataclasses.field(repr=False)
+
+    def to_arviz(self) -> object:
+        """The draws as ArviZ data (a package to be installed separately), by name of the field."""
+        arviz = importlib.import_module("arviz")
+        elements = self.posterior.problem.elements
+        values = {name: np.asarray(leaf) for name, leaf in elements.beside("value", self.value).items()}
+        if int(arviz.__version__.split(".")[0]) > 0:
+            return arviz.from_dict({"posterior": values})
+        return arviz.from_dict(posterior=values)
 
 
 def sample(posterior: Posterior, *, chains: int = 4, warmup: int = 500, draws: int = 1000, seed: int = 0) -> Draws:
