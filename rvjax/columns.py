@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from rvjax.choices import unknown
 from rvjax.units import spelling
 
 Units = Mapping[str, Mapping[str, float]]
@@ -117,7 +118,7 @@ def _places(
     foreign: dict[int, tuple[str, str | None]] = {}
     for name, about in columns.items():
         if name not in units and name not in words:
-            raise ValueError(f"unknown key columns.{name}; known here: {', '.join(sorted([*units, *words]))}")
+            raise unknown(f"unknown key columns.{name}", name, sorted([*units, *words]), "; known here:")
         given = about if isinstance(about, dict) else {"column": about}
         if not isinstance(given.get("column"), str) or not set(given) <= {"column", "unit"}:
             raise ValueError(

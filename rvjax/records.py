@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax import frames
+from rvjax.choices import unknown
 from rvjax.repr import brief
 
 Array = jax.Array
@@ -101,7 +102,7 @@ class Record:
         known = {f.name for f in dataclasses.fields(self)}  # type: ignore[arg-type]
         for name in changes:
             if name not in known:
-                raise ValueError(f"{type(self).__name__} has no field {name!r}; it has {', '.join(sorted(known))}")
+                raise unknown(f"{type(self).__name__} has no field {name!r}", name, sorted(known), "; it has")
         return dataclasses.replace(self, **changes)  # type: ignore[type-var]
 
     def to_pandas(self, batch: tuple[str, ...] = (), *, along: str | None = None) -> Any:
@@ -270,7 +271,7 @@ def broadcast_fields(cls: Any, counts: Mapping[str, int], values: Mapping[str, A
     fields = {f.name: f for f in dataclasses.fields(cls)}
     for name in values:
         if name not in fields:
-            raise ValueError(f"{cls.__name__} has no field {name!r}; it has {', '.join(sorted(fields))}")
+            raise unknown(f"{cls.__name__} has no field {name!r}", name, sorted(fields), "; it has")
     given = {np.dtype(value.dtype) for value in values.values() if hasattr(value, "dtype")}
     floats = [dtype for dtype in given if jnp.issubdtype(dtype, jnp.floating)]
     own = np.result_type(*floats) if floats else np.float64  # plain numbers take the dtype of the arrays

@@ -12,6 +12,7 @@ from rvjax.assembly.costs import Costs, Machine, UnitResponse, costs, good
 from rvjax.assembly.on_demand import OnDemand, chosen_on_demand, too_many
 from rvjax.assembly.parts import Kind, Known, known
 from rvjax.assembly.supply import Build, Supply
+from rvjax.choices import choose
 from rvjax.tolerances import Estimate, Requirement
 
 OBJECTIVES = ("mean", "bottleneck", "yield")
@@ -162,8 +163,7 @@ def _check(
     for slot, kind in kinds.items():
         if not isinstance(kind, Kind):
             raise ValueError(f"kinds[{slot!r}] = {kind!r}: must be a Kind")
-    if objective not in OBJECTIVES:
-        raise ValueError(f"objective = {objective!r}: must be one of {', '.join(OBJECTIVES)}")
+    choose("objective", objective, OBJECTIVES)
     if requirement is not None and not isinstance(requirement, Requirement):
         raise ValueError(f"requirement = {requirement!r}: must be a Requirement")
     if objective == "yield" and requirement is None:

@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 
+from rvjax.choices import choose
 from rvjax.compensation.correction import Correction
 
 SIDES = ("input", "output")
@@ -47,8 +48,7 @@ def table(correction: Correction, points: int = 720, *, side: str = "input") -> 
     least = 2 * int(correction.order.max(initial=0)) + 1
     if points < least:
         raise ValueError(f"points = {points!r}: must be at least {least}, twice the highest order and one")
-    if side not in SIDES:
-        raise ValueError(f"side = {side!r}: must be one of {', '.join(SIDES)}")
+    choose("side", side, SIDES)
     factor = correction.ratio if side == "input" else 1.0
     # An order turns by 2 pi k i/points; k i is reduced to one turn in integers, so that no digit is lost.
     steps = np.arange(points)

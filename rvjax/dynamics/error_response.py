@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax.choices import choose
 from rvjax.designs import RVReducer
 from rvjax.dynamics.error_balance import balance
 from rvjax.dynamics.error_excitation import Case, Orders, Unit, case_of, error_orders, generators, read
@@ -96,8 +97,7 @@ def transmission_error(
     """
     case, outputs = case_of(design, errors, pin_harmonics, load_inertia), check_outputs(outputs)
     check_stage(stage)
-    if method not in METHODS:
-        raise ValueError(f"method = {method!r}: must be one of {', '.join(METHODS)}")
+    choose("method", method, METHODS)
     if harmonics < 1:
         raise ValueError(f"harmonics = {harmonics}: must be at least 1")
     if method == "first_order":  # the other conditions are not read

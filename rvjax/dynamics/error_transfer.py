@@ -12,6 +12,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from rvjax.choices import unknown
 from rvjax.designs import RVReducer
 from rvjax.dynamics.assembly import Lumped, admitted, loaded
 from rvjax.dynamics.error_excitation import Orders, Unit, symmetric
@@ -85,7 +86,7 @@ def check_outputs(outputs: Sequence[str]) -> tuple[str, ...]:
     """
     for name in outputs:
         if name not in ROTATIONS:
-            raise ValueError(f"unknown output {name!r}; errors as excitation have {', '.join(ROTATIONS)}")
+            raise unknown(f"unknown output {name!r}", name, ROTATIONS, "; errors as excitation have")
     return tuple(outputs)
 
 

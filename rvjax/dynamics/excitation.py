@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax.choices import choose
 from rvjax.dynamics.assembly import Lumped, circle
 from rvjax.records import Array, PyTree
 
@@ -42,8 +43,7 @@ def check_stage(stage: str) -> None:
     Raises:
         ValueError: names the stages.
     """
-    if stage not in STAGES:
-        raise ValueError(f"stage = {stage!r}: must be one of {', '.join(STAGES)}")
+    choose("stage", stage, STAGES)
 
 
 def mesh_count(lumped: Lumped, stage: str) -> int:

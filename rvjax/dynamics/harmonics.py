@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax.choices import unknown
 from rvjax.dynamics.assembly import Lumped, spring_table
 from rvjax.dynamics.excitation import SECTOR, mesh_count, mesh_teeth
 from rvjax.dynamics.modal import Key, ModalSector
@@ -26,7 +27,7 @@ def output_indices(lumped: Lumped, outputs: Sequence[str]) -> np.ndarray:
     labels = spring_table(lumped.cranks, lumped.discs).labels
     for name in outputs:
         if name not in labels:
-            raise ValueError(f"unknown output {name!r}; there are {', '.join(labels)}")
+            raise unknown(f"unknown output {name!r}", name, labels, "; there are")
     return np.array([labels.index(name) for name in outputs], int)
 
 

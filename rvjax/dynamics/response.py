@@ -6,6 +6,7 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 
+from rvjax.choices import choose
 from rvjax.designs import RVReducer
 from rvjax.dynamics.assembly import Lumped, admitted, lump
 from rvjax.dynamics.excitation import check_stage, mesh_frequency
@@ -75,8 +76,7 @@ def response(
         ValueError: unknown stage, method or output, harmonics below 1, or as `rvjax.dynamics.lump`.
     """
     lumped, outputs = _checked(design, stage, outputs)
-    if method not in METHODS:
-        raise ValueError(f"method = {method!r}: must be one of {', '.join(METHODS)}")
+    choose("method", method, METHODS)
     if harmonics < 1:
         raise ValueError(f"harmonics = {harmonics}: must be at least 1")
     return _response(lumped, sun_speed, output_torque, sun_torque, stage, harmonics, method, outputs, False)

@@ -6,6 +6,7 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 
+from rvjax.choices import choose
 from rvjax.designs import RVReducer
 from rvjax.dynamics.assembly import Lumped
 from rvjax.dynamics.harmonics import OUTPUTS
@@ -44,8 +45,7 @@ def log_sensitivities(
     Raises:
         ValueError: unknown formula, or as `response`.
     """
-    if formula not in FORMULAS:
-        raise ValueError(f"formula = {formula!r}: must be one of {', '.join(FORMULAS)}")
+    choose("formula", formula, FORMULAS)
     return _log_sensitivities(design, sun_speed, output_torque, stage, harmonics, tuple(outputs), formula)
 
 

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax.choices import unknown
 from rvjax.designs import RVReducer, expect
 from rvjax.elementary import arctan2, divide
 from rvjax.errors import RVErrors
@@ -113,7 +114,7 @@ def figures(
     """
     ways = _ways(design, output_torque, cranks, gear_stiffness_ratio, closure, branch, angles)
     if only not in (None, *PARTS):
-        raise ValueError(f"only = {only!r}: must be one of {', '.join(PARTS)}, or None for both")
+        raise unknown(f"only = {only!r}", only, PARTS, ": must be None for both, or one of")
     return _figures((design, errors, output_torque, gear_stiffness_ratio), only=only, **ways)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from rvjax import status
 from rvjax.bearings import RollerBearing
+from rvjax.choices import choose
 from rvjax.compile_cache import quick
 from rvjax.designs import expect
 from rvjax.life.histories import METHODS, Damage, basic, magnitude, raceway
@@ -87,8 +88,7 @@ def check_method(method: str, tilt: Any) -> None:
     Raises:
         ValueError: names the argument and its value.
     """
-    if method not in METHODS:
-        raise ValueError(f"method = {method!r}: must be one of {', '.join(METHODS)}")
+    choose("method", method, METHODS)
     if method != "slices" and concrete(tilt) and np.any(np.asarray(tilt) != 0):
         raise ValueError(f'tilt = {quantity(tilt, "rad")}: must be 0; method = "{method}" has no tilt, "slices" has')
 

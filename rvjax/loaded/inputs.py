@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax import status
+from rvjax.choices import choose
 from rvjax.designs import Contact, RVReducer, expect
 from rvjax.elementary import LARGEST_ANGLE
 from rvjax.errors import RVErrors, read_by
@@ -43,8 +44,7 @@ def check_input(design: RVReducer, errors: RVErrors, contact: str, carrier: str,
         ("carrier", carrier, SUPPORTS),
         ("sun", sun, SUPPORTS),
     ):
-        if value not in known:
-            raise ValueError(f"{name} = {value!r}: must be one of {', '.join(known)}")
+        choose(name, value, known)
     for name in ("stiffness", "contact"):
         if getattr(design, name) is None:
             raise ValueError(f"RVReducer.{name} = None: the loaded equilibrium needs it")

@@ -5,6 +5,7 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 
+from rvjax.choices import choose
 from rvjax.designs import RVReducer, expect
 from rvjax.errors import RVErrors, read_by
 from rvjax.lost_motion import flank as flanks
@@ -147,10 +148,8 @@ def shaft_tilt(deflection: Scalar, length: Scalar) -> jax.Array:
 
 def _check_methods(design: RVReducer, reading: str, profile: str, normal_force: Scalar | None) -> None:
     expect(design, "lost_motion.geometric", RVReducer)
-    if reading not in READINGS:
-        raise ValueError(f"reading = {reading!r}: must be one of {', '.join(READINGS)}")
-    if profile not in PROFILES:
-        raise ValueError(f"profile = {profile!r}: must be one of {', '.join(PROFILES)}")
+    choose("reading", reading, READINGS)
+    choose("profile", profile, PROFILES)
     if reading == "as_printed" and profile != "first_order":
         raise ValueError(f"profile = {profile!r}: reading 'as_printed' has the sum of terms only, 'first_order'")
     if reading == "consistent" and normal_force is not None:

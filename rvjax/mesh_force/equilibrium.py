@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import DTypeLike
 
+from rvjax.choices import choose
 from rvjax.designs import CamRollerReducer, expect
 from rvjax.elementary import LARGEST_ANGLE
 from rvjax.errors import CamRollerErrors
@@ -59,8 +60,7 @@ def solve(
         ValueError: unknown `contact`, or a shape of `errors.roller_radius` that does not fit the design.
     """
     expect(design, "mesh_force.solve", CamRollerReducer)
-    if contact not in laws.CONTACTS:
-        raise ValueError(f"contact = {contact!r}: must be one of {', '.join(laws.CONTACTS)}")
+    choose("contact", contact, laws.CONTACTS)
     z = design.gear_teeth
     if np.shape(errors.roller_radius) not in ((), (z + 1,)):
         raise ValueError(

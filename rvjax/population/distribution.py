@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import jax
 import numpy as np
 
+from rvjax.choices import meant
 from rvjax.records import IN_ERROR_UNIT, Record, Scalar
 from rvjax.units import parse
 
@@ -125,7 +126,8 @@ def distribution_of(distribution: object, parameters: Mapping[str, Any]) -> Dist
     if isinstance(distribution, Distribution):
         return distribution.replace(**given) if given else distribution
     if not (isinstance(distribution, type) and issubclass(distribution, Distribution)):
-        raise bad("distribution", distribution, f"unknown, choose from {', '.join(DISTRIBUTIONS)}")
+        near = meant(distribution, DISTRIBUTIONS)
+        raise bad("distribution", distribution, f"unknown{near}, choose from {', '.join(DISTRIBUTIONS)}")
     for f in _fields(distribution):
         if f.default is dataclasses.MISSING and f.name not in given:
             raise bad(f.name, None, f"give {f.metadata['meaning']} with distribution={distribution.name!r}")

@@ -12,6 +12,7 @@ import numpy as np
 from scipy import special
 
 from rvjax import frames
+from rvjax.choices import unknown
 from rvjax.columns import read_cells, read_table, split
 from rvjax.population.estimates import Estimate, deviate_of
 from rvjax.population.tolerance import Tolerance
@@ -176,7 +177,7 @@ def _family(name: str, about: Mapping[str, Any] | None) -> Mapping[str, float]:
     if about is None:
         return {unit: size for family in KNOWN.values() for unit, size in family.items()}
     if _field(name) not in about:
-        raise ValueError(f"columns: {name!r} is no error of this design; it has {', '.join(sorted(about))}")
+        raise unknown(f"columns: {name!r}", name, sorted(about), " is no error of this design; it has")
     return KNOWN[about[_field(name)]["unit"]]
 
 

@@ -5,6 +5,7 @@ from typing import Any
 
 import jax.numpy as jnp
 
+from rvjax.choices import choose, unknown
 from rvjax.population.correlation import Correlation
 from rvjax.population.population import Population, root_key
 from rvjax.population.sobol import SobolPoints
@@ -26,7 +27,7 @@ def for_design(design: Design, **tolerances: Tolerance | None) -> Any:
     declared = {f.name: f.metadata["shape"] for f in dataclasses.fields(cls)}
     for name in tolerances:
         if name not in declared:
-            raise ValueError(f"{cls.__name__} has no field {name!r}; it has {', '.join(sorted(declared))}")
+            raise unknown(f"{cls.__name__} has no field {name!r}", name, sorted(declared), "; it has")
     for name, axes in declared.items():
         tolerance = tolerances.get(name)
         if tolerance is not None:
@@ -52,8 +53,7 @@ METHODS = ("random", "sobol")
 
 def check_method(method: str) -> None:
     """Raise a ValueError for an unknown way to draw units."""
-    if method not in METHODS:
-        raise ValueError(f"method = {method!r}: must be one of {', '.join(METHODS)}")
+    choose("method", method, METHODS)
 
 
 def sample(tolerances: Any, index: Any, *, seed: int, method: str = "random", correlation: Correlation = None) -> Any:

@@ -13,6 +13,7 @@ from typing import Any, Protocol
 import jax
 import jax.numpy as jnp
 
+from rvjax.choices import UnknownWord, meant
 from rvjax.compile_cache import Options, inside, kept_folder, understood
 from rvjax.population import Population, drawn
 from rvjax.records import Array, PyTree, Record, field, record
@@ -181,7 +182,8 @@ def by_response(given: object, names: tuple[str, ...], kind: type, argument: str
     for name, item in given.items():
         if name not in names:
             have = ", ".join(names) if names != (PLAIN,) else "only one scalar; give its value itself"
-            raise ValueError(f"{argument}: {name!r} is no name of the response; it has {have}")
+            near = meant(name, names)
+            raise UnknownWord(f"{argument}: {name!r} is no name of the response{near}; it has {have}")
         if item is not None and not isinstance(item, kind):
             raise ValueError(f"{argument}[{name!r}] = {item!r}: must be a {kind.__name__}")
     return {name: item for name, item in given.items() if item is not None}

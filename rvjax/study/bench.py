@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax import models
+from rvjax.choices import unknown
 from rvjax.errors import described, read_by
 from rvjax.outputs import Observation
 from rvjax.records import Array, Design, Record, field, record, text
@@ -85,7 +86,7 @@ def number_of_design(design: Any, name: str) -> tuple[str, ...]:
                 found[f.name] = (part.name, f.name)
     if name not in found:
         first = ["stiffness (a factor on all springs)"] if hasattr(design, "stiffer") else []
-        raise ValueError(f"no number of this design; there are {', '.join([*first, *found])}")
+        raise unknown("no number of this design", name, [*first, *found], "; there are")
     return found[name]
 
 

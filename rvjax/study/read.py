@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from rvjax import models
+from rvjax.choices import meant
 from rvjax.outputs import Output
 from rvjax.population import COMMON, DISTRIBUTIONS
 from rvjax.records import IN_ERROR_UNIT, Design, Shape, axis_sizes, remind_of_precision
@@ -17,7 +18,7 @@ from rvjax.study.identification import Identification, parse_identification
 from rvjax.study.placed import refuse_unplaced, spelled
 from rvjax.study.plausible import refuse_impossible
 from rvjax.study.question import Study, StudyError
-from rvjax.study.values import choice, integer, known, meant, naming, naming_field, quantity, share, subtable
+from rvjax.study.values import choice, integer, known, naming, naming_field, quantity, share, subtable
 from rvjax.tolerances import COSTS, FEWEST, KINDS, Middle, Tolerance, check_middles, for_design
 from rvjax.units import unit_of
 

@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 
 from rvjax import models
+from rvjax.choices import unknown
 from rvjax.compile_cache import ONCE
 from rvjax.errors import described
 from rvjax.levels import Choice
@@ -69,7 +70,7 @@ class Response(Record):
         known = models.kind(design).outputs
         for name in outputs:
             if name not in known:
-                raise ValueError(f"unknown response {name!r}; there are {', '.join(known)}")
+                raise unknown(f"unknown response {name!r}", name, known, "; there are")
             for missing in (need for need in known[name].needs if getattr(conditions, need) is None):
                 raise ValueError(f"conditions.{missing} is missing: {name} needs it")
             if (refuse := known[name].refuse) is not None:

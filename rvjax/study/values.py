@@ -1,11 +1,11 @@
 """Checked values of a study file: an error is one line that names key, value and unit."""
 
-import difflib
 import math
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from rvjax.choices import UnknownWord, choose, unknown
 from rvjax.units import parse
 
 
@@ -20,7 +20,7 @@ def naming(where: str) -> Iterator[None]:
         yield
     except (ValueError, TypeError) as error:
         message = " ".join(str(error).split())
-        if len(message) > 400:  # a hostile value is not repeated at length
+        if len(message) > 400 and not isinstance(error, UnknownWord):  # a hostile value is not repeated at length
             message = f"{message[:200]} ... {message[-150:]}"
         raise StudyError(f"{where}: {message}") from None
 
@@ -31,7 +31,8 @@ def naming_field(where: str) -> Iterator[None]:
     try:
         yield
     except ValueError as error:
-        raise error if where in str(error) else ValueError(f"{where}: {error}") from None
+        kind = UnknownWord if isinstance(error, UnknownWord) else ValueError
+        raise error if where in str(error) else kind(f"{where}: {error}") from None
 
 
 def known(table: dict[str, Any], keys: Iterable[str], where: str) -> None:
@@ -45,13 +46,7 @@ def known(table: dict[str, Any], keys: Iterable[str], where: str) -> None:
     for key in table:
         if key not in keys:
             name = f"{where}.{key}" if where else f"[{key}]"
-            raise ValueError(f"unknown key {name}{meant(key, keys)}; known here: {', '.join(sorted(keys))}")
-
-
-def meant(word: object, words: Iterable[str]) -> str:
-    """The nearest of the words, where one is near."""
-    near = difflib.get_close_matches(str(word), list(words), 1)
-    return f" (did you mean {near[0]}?)" if near else ""
+            raise unknown(f"unknown key {name}", key, sorted(keys), "; known here:")
 
 
 def subtable(parent: dict[str, Any], key: str) -> dict[str, Any]:
@@ -127,6 +122,4 @@ def choice(value: object, choices: Iterable[str], where: str) -> str:
         choices: that are allowed.
         where: key, for the message.
     """
-    if not isinstance(value, str) or value not in choices:
-        raise ValueError(f"{where} = {value!r}{meant(value, choices)}: must be one of {', '.join(choices)}")
-    return value
+    return choose(where, value, choices)

@@ -21,6 +21,7 @@ import numpy as np
 
 from rvjax import models
 from rvjax import progress as phase
+from rvjax.choices import choose
 from rvjax.commands.budget.inputs import Inputs
 from rvjax.commands.speak import READING, WRITING
 from rvjax.errors import STAGES
@@ -81,8 +82,7 @@ class Budget:
         Raises:
             ValueError: another level.
         """
-        if level not in LEVELS:
-            raise ValueError(f"level = {level!r}: must be one of {', '.join(LEVELS)}")
+        choose("level", level, LEVELS)
         sums: dict[str, np.ndarray] = {}
         for field, values in self.variance[load].items():
             part = self.part[field] or "other"
@@ -255,8 +255,8 @@ def _solved(
 
 def _curve(study: Study, output: str | None) -> Curve:
     """The curve along the output of one model."""
-    if output is not None and output not in study.requirements:
-        raise ValueError(f"output = {output!r}: must be one of {', '.join(study.requirements)}")
+    if output is not None:
+        choose("output", output, study.requirements)
     curve = _curve_along(study, tuple(study.requirements) if output is None else (output,))
     if curve is None:
         raise ValueError(f"study {study.name}: no response required here has a curve along the output")
