@@ -55,9 +55,14 @@ PLAIN = [
     *("rvjax/four_bar", "rvjax/lost_motion", "rvjax/dynamics", "rvjax/identify", "rvjax/status.py", "rvjax/records.py"),
     *("rvjax/roots.py", "rvjax/batching.py", "rvjax/errors.py", "rvjax/designs.py", "rvjax/files.py", "oracles"),
     *("rvjax/compile_cache.py", "rvjax/exported.py", "rvjax/elementary.py"),
+    *("rvjax/assembly", "rvjax/cli", "rvjax/commands", "rvjax/compensation", "rvjax/levels", "rvjax/plotting"),
+    *("rvjax/published", "rvjax/render", "rvjax/study", "rvjax/catalogue.py", "rvjax/columns.py", "rvjax/models.py"),
+    *("rvjax/mounting.py", "rvjax/outputs.py", "rvjax/progress.py"),
 ]
 """Packages and modules whose comments, docstrings and messages are rewritten; add others when they are."""
-NAMES = re.compile(r"^\s+\w+: |\{[^{}]*\}|^[rf]*['\"]\w*['\"]$", re.MULTILINE)  # arguments, expressions, keys
+NAMES = re.compile(r"^\s+\w+: |\{[^{}]*\}|^[rf]*['\"][\w.]*(?: \| \w+)*['\"]$", re.MULTILINE)
+"""Arguments, expressions, keys."""
+KEYS = re.compile(r"^([\w.]+ *=|\[.*\])", re.MULTILINE)
 RIDDLE = re.compile(r"\"\"\"(What|Who|Whose|Whether|Which|Where|When|Why|How)\b[^\n]*")
 TEXTS = {tokenize.COMMENT, tokenize.STRING, getattr(tokenize, "FSTRING_MIDDLE", tokenize.STRING)}
 
@@ -82,3 +87,12 @@ def test_comments_and_docstrings_use_terms_of_the_field(name):
     files = sorted((ROOT / name).rglob("*.py")) or [ROOT / name]
     texts = {str(file.relative_to(ROOT)): file.read_text("utf-8") for file in files}
     assert {file: found for file, text in texts.items() if (found := private_lines(text))} == {}
+
+
+@pytest.mark.parametrize("name", ["catalogue.toml", "published", "study"])
+def test_comments_and_values_of_tables_use_terms_of_the_field(name):
+    """TOML files of reducers, published values and embedded studies; their keys are names."""
+    place = ROOT / "rvjax" / name
+    texts = {file.name: file.read_text("utf-8") for file in [place, *place.rglob("*.toml")] if file.is_file()}
+    assert texts
+    assert {file: found for file, text in texts.items() if (found := private_words(KEYS.sub("", text)))} == {}

@@ -213,4 +213,4 @@ FORMS: dict[str, Form] = {
     ".xml": (_write_mjcf, _read_mjcf),
     ".st": (_write_structured_text, _read_structured_text),
 }
-"""How each ending is written and read."""
+"""Writer and reader of each file name ending."""

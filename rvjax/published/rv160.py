@@ -57,7 +57,7 @@ ANGLES = 8
 
 
 FREE = ("factor", "gears", "clearance", "play", "scatter")
-"""What a fit may move: factor on all springs, factor on the gears, radial clearance of the arm bearings, play
+"""Parameters of a fit: factor on all springs, factor on the gears, radial clearance of the arm bearings, clearance
 of the pins, standard deviation of `pattern`; lengths in um."""
 
 

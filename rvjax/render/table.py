@@ -14,7 +14,7 @@ from rvjax.render.quantity import Quantity
 
 TEXT, CSV, PAGE = "text", "csv", "page"
 EVERYWHERE = frozenset((TEXT, CSV, PAGE))
-"""What a part of a report can be shown on: the terminal, a file of numbers, the HTML page."""
+"""Media of a report: the terminal, a file of numbers, the HTML page."""
 
 Value = str | float | None
 

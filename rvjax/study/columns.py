@@ -14,7 +14,7 @@ UNITS: dict[str, dict[str, float]] = {
     "frequency": KNOWN["Hz"],
     "sd": KNOWN["Hz"],
 }
-"""What a measured quantity may be written in, with its size in SI (temperatures stay in degC)."""
+"""Measurement units of each quantity, with their size in SI (temperatures stay in degC)."""
 WORDS = ("direction", "unit")
 
 

@@ -339,4 +339,4 @@ KINDS = {
     "loop": Kind(("torque", "angle"), _loop, "rad", "0.2 arcsec", ("offset",)),
     "frequencies": Kind(("frequency",), _tones, "Hz", "1 Hz", ()),
 }
-"""What a bench records, by the name that an `rvjax.outputs.Observation` gives it."""
+"""Kinds of measurements, by the name that an `rvjax.outputs.Observation` gives it."""

@@ -102,7 +102,8 @@ def _orders(budget: Budget) -> Table:
     size: dict[str, Any] = {"form": ".3g", "unit": budget.unit, "read_in": unit}
     columns: list[Column] = [Number("order")]
     for load in budget.torque:
-        columns += [Number(f"{load} rms {unit}", **size), Number(f"{load} alike {unit}", **size), Text(f"{load} owner")]
+        columns += [Number(f"{load} {name} {unit}", **size) for name in ("rms", "alike")]
+        columns.append(Text(" ".join((load, "owner"))))
     rows = []
     for k in _largest_orders(budget, ORDERS_SHOWN):
         row: list[Any] = [budget.orders[k]]
