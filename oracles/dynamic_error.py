@@ -3,7 +3,7 @@
 Nothing is averaged, expanded in orders or taken apart by symmetry: at output angle theta each spring is the relative
 motion of two material points (`oracles.dynamics`, discs turned with their eccentrics), each error a displacement of its
 material, each mesh as stiff as the teeth that it meets make it. Coordinates turn with their frames and gyroscopic terms
-are left out, as in rvjax. Damping is proportional to mass, the one kind with equal form in time and frequency.
+are neglected, as in rvjax. Damping is proportional to mass, the one kind with equal form in time and frequency.
 """
 
 import numpy as np

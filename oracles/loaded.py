@@ -188,7 +188,7 @@ def results(machine: Machine, q: Any, steps: Any) -> dict[str, Any]:
 
 
 def equilibrium(design: Any, errors: Any, **options: Any) -> dict[str, Any]:
-    """One case: SciPy's trust region from the ideal position, polished; `status` by name, NaN as the status says."""
+    """One case: SciPy's trust region from the ideal position, polished; `status` by name, NaN if it requires this."""
     case = read(design, errors, **options)
     name = "NONFINITE" if not finite(case)[0] else "INVALID_GEOMETRY" if not positive(case)[0] else ""
     if not name and undercut(case)[0] >= 1:

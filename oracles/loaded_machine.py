@@ -1,7 +1,7 @@
 """Independent NumPy model of the loaded reducer: all springs as rows of dense matrices, in 80-bit numbers.
 
 Nothing here is shared with rvjax. Every contact, gear flank and bearing is a row (a pair of rows) of displacements, the
-energy a sum over the rows; its gradient in 80-bit numbers says of any position how far it is from the equilibrium.
+energy a sum over the rows; its gradient in 80-bit numbers gives the distance of any position from the equilibrium.
 Records of rvjax and plain dicts are read alike; numbers may have a leading batch axis.
 """
 

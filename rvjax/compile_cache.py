@@ -51,7 +51,7 @@ compiled in half the time."""
 
 
 def quick(*static: int, options: Options = QUICK) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """As `jax.jit`; called by itself, and not within another program, it is compiled with options of its own.
+    """As `jax.jit`; called by itself, and not within another program, it is compiled with separate options.
 
     Args:
         static: numbers of the static arguments.

@@ -232,7 +232,7 @@ class RVErrors(Errors):
     )
     bearing_clearance: Scalar = deviation(
         "m",
-        "radial clearance of the crank bearings, half the play",
+        "radial clearance of the crank bearings, half the diametral clearance",
         sign="nonnegative",
         part=BEARINGS,
         read_by=("four_bar", "lost_motion", "loaded", "life"),
@@ -246,14 +246,14 @@ class RVErrors(Errors):
     )
     pin_circle_radius: Scalar = deviation(
         "m",
-        "radius of the pin circle; > 0 is play",
+        "radius of the pin circle; > 0 is clearance",
         of="cycloid.pin_circle_radius",
         part=RING,
         read_by=("lost_motion", "loaded", "life"),
     )
     pin_radius: Scalar = deviation(
         "m",
-        "radius of the pins; < 0 is play",
+        "radius of the pins; < 0 is clearance",
         of="cycloid.pin_radius",
         part=RING,
         read_by=("lost_motion", "loaded", "life"),

@@ -102,7 +102,7 @@ def unpack(content: bytes) -> dict[str, np.ndarray]:
                 read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
                 shape, _, dtype = read(stream)
             if min(shape, default=0) < 0 or math.prod(shape) * dtype.itemsize > member.file_size:
-                raise ValueError(f"{member.filename!r} is shorter than its shape {shape} says")
+                raise ValueError(f"{member.filename!r} is shorter than its shape {shape}")
     with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
         return {name: arrays[name] for name in arrays.files}
 

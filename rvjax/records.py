@@ -22,7 +22,7 @@ from rvjax.repr import brief
 
 Array = jax.Array
 Scalar = float | Array | np.ndarray  # one number; under `jax.vmap` and in a stack of records one for each case
-PyTree = Any  # numbers nested in a way that types cannot say
+PyTree = Any  # numbers nested in a way that types cannot express
 Class = TypeVar("Class", bound=type)
 Shape = tuple[str | int, ...]
 IN_ERROR_UNIT = "error"  # unit of a field that is measured like the error that it belongs to

@@ -28,7 +28,7 @@ __all__ = ["Root", "bracketed"]
 
 Residual = Callable[[Any, Any], jax.Array]
 
-_RUNNING = -1  # not a Status: the loop goes on
+_RUNNING = -1  # not a Status: the loop continues
 
 
 @record
@@ -43,7 +43,7 @@ def bisect(above: Callable[[Any], Any], low: Any, high: Any, *, steps: int) -> t
     """Halve intervals on the host; each keeps the half in which `above` changes from true to false.
 
     Args:
-        above: true of a middle below the place that is looked for; a bool, or one for each interval.
+        above: true of a mid-point below the wanted place; a bool, or one for each interval.
         low: lower ends, a number or an array.
         high: upper ends.
         steps: halvings.
@@ -76,7 +76,7 @@ def bracketed(
         params: pytree of floats the residual depends on.
         lower: one finite end of the bracket.
         upper: the other end, above or below it.
-        start: first iterate, clipped to the bracket; the middle by default.
+        start: first iterate, clipped to the bracket; the mid-point by default.
         max_steps: residual evaluations at most.
         tolerance: largest last step relative to the root; 8 epsilons of the dtype by default.
 
@@ -163,7 +163,7 @@ def _bracketed_iteration(
         target = x - value / jnp.where(slope == 0, 1, slope)
         inside = (slope != 0) & ((target - below) * (target - above) <= 0)
         use = inside & (2 * jnp.abs(value) <= last)
-        # Near the root rounding may keep the residual from halving. The middle of a bracket that is still wide
+        # Near the root rounding may keep the residual from halving. The mid-point of a bracket that is still wide
         # would lead away, to another root perhaps: strides that grow find the sign change next to here.
         half = 0.5 * (jnp.where(value < 0, above, below) - x)
         stride = jnp.where(use, jnp.abs(target - x), 4 * stride)

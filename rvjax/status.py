@@ -170,7 +170,7 @@ class Gate(NamedTuple):
         return functools.reduce(operator.and_, [~failed for failed, _ in self.refused])
 
     def close(self, values: PyTree, *checks: Check, info: SolveInfo | None = None) -> tuple[PyTree, SolveInfo]:
-        """The values as a user sees them, NaN where a status says so, and how the solve ended.
+        """Values for the user, NaN where the status requires it, and the `SolveInfo` of the solve.
 
         Args:
             values: pytree of what the model found.

@@ -147,6 +147,6 @@ def test_limits_that_are_none_are_refused(write):
     with pytest.raises(ValueError, match=r"limits: pin_radius = 3: must be a Tolerance, or \(lower, upper\) in SI"):
         measured(write(LOT), COLUMNS, limits={"pin_radius": 3})
     both = {"disc_bore": COLUMNS["disc_bore[0,1,0]"], "disc_bore[0,1,0]": "pin_radius"}
-    with pytest.raises(ValueError, match="disc_bore has a column of its own and columns of elements"):
+    with pytest.raises(ValueError, match="disc_bore has both a column and columns of elements"):
         measured(write(LOT), both, design=catalogue.RV_40E)
     assert tolerances.measured is measured

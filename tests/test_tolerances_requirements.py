@@ -135,7 +135,7 @@ def test_refusals_say_by_how_much():
     # At the finest, +-1 um each, sd = sqrt(5)/3 um: the limits lack 3 1.33 sd - 2 um.
     assert found.status == "INFEASIBLE"
     assert found.shortfall == pytest.approx((1.33 * math.sqrt(5) - 2) * um, rel=0.03)  # a difference of 3 to 2
-    with pytest.raises(ValueError, match=r"requirement\[''\] = MeanWithin.*: says nothing of one unit"):
+    with pytest.raises(ValueError, match=r"requirement\[''\] = MeanWithin.*: must be a requirement on single units"):
         failure_probability(linear, PAIR, MeanWithin(upper=1.0), samples=10, seed=0)
     with pytest.raises(ValueError, match="against = 'target': MeanWithin has limits only"):
         cost_curve(linear, PAIR, MeanWithin(upper=1.0), values=(0.9,), against="target", **FEW)

@@ -1,6 +1,6 @@
 """Rest position of the coupler of a four-bar linkage, for free, phase-locked and geared cranks.
 
-Every function takes finite numbers of a possible geometry; `linkage` sees to that.
+Every function takes finite numbers of a possible geometry; `linkage` checks them.
 """
 
 from typing import NamedTuple

@@ -24,7 +24,7 @@ from rvjax.status import SolveInfo, Status, at_once, worst_of
 
 @record
 class Figures(Record):
-    """Figures of the transmission error over one crank turn."""
+    """Statistics of the transmission error over one crank turn."""
 
     maximum: Array = field("rad", "largest error")
     minimum: Array = field("rad", "smallest error")
@@ -73,8 +73,8 @@ def revolution(
         branch: as in `transmission_error`.
 
     Returns:
-        Revolution. One failed angle makes the figures NaN; `info` gives the reason. Figures that are not used cost
-        nothing under `jax.jit`. A large batch runs fastest with the units on the last axis of every error,
+        Revolution. One failed angle makes the statistics NaN; `info` gives the reason. Unused statistics cost nothing
+        under `jax.jit`. A large batch runs fastest with the units on the last axis of every error,
         `jax.vmap(..., in_axes=-1)`: its derivatives then are assembled from contiguous rows.
 
     Raises:
@@ -107,7 +107,7 @@ def figures(
         gear_stiffness_ratio: as in `revolution`.
         closure: as in `revolution`.
         branch: as in `revolution`.
-        only: "error" or "misfit" where that is all that is read: the other's figures are NaN, and cost no compilation.
+        only: "error" or "misfit" where only these are read: the other statistics are NaN, and cost no compilation.
 
     Raises:
         ValueError: as in `revolution`; another word for `only`.
@@ -137,7 +137,7 @@ def _ways(
 
 _SMALL = 1 / 64  # displacements over crank circle radius up to which the bound of `first_wave` holds
 
-PARTS = ("error", "misfit")  # of a turn's figures
+PARTS = ("error", "misfit")  # of a turn's statistics
 STATIC = ("angles", "loaded", "cranks", "closure", "branch")
 Numbers = tuple[RVReducer, RVErrors, Any, Any]  # design, errors, torque, ratio of the gears
 
@@ -188,7 +188,7 @@ def _of_curve(curve: TransmissionError) -> Figures:
 
 
 def _on_the_way(unit: Unit, angles: int, wanted: tuple[str, ...] = PARTS) -> Figures:
-    """Figures of phase-locked cranks from the extremes alone; NaN those that are not wanted."""
+    """Statistics of phase-locked cranks from the extremes only; NaN where not required."""
     most = least = largest = unit.radius * jnp.nan
     if "error" in wanted:
         most, least = _without_load(unit, angles) if unit.load is None else _under_load(unit, angles)

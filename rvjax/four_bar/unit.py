@@ -71,7 +71,7 @@ class Unit(NamedTuple):
 
 
 def is_loaded(design: RVReducer, output_torque: Scalar) -> bool:
-    """False for a torque known to be zero: what a load does is then left out of the program.
+    """False for a torque known to be zero: the program then has no effects of load.
 
     Raises:
         ValueError: a load without bearing stiffness.

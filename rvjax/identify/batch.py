@@ -63,7 +63,7 @@ class Batch:
         """Estimate mean and standard deviation of the process, with Cp and Cpk, for every separate element.
 
         The most probable values of the units themselves lean towards the prior, each by as much as its data leave open.
-        Units without a mode are left out. What was shared stays at its most probable value.
+        Units without a mode are excluded. What was shared stays at its most probable value.
         """
         return process(self.problem.elements, self.names, self.factors[np.isfinite(self.u).all(axis=1)])
 
@@ -94,7 +94,7 @@ def solve_many(
         nuisance: names of fields or elements that are not of interest; the model check does not count what they
             explain.
         correlation: {(field or element, field or element): correlation of their u}.
-        starts: the middle of the prior, and units sampled from it; use several where a model may have several modes.
+        starts: the mid-point of the prior, and units sampled from it; use several where a model may have several modes.
         seed: of the starts.
         max_steps: most steps of the solver.
         chunk: units (starts of units) that are in memory at once.

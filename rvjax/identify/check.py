@@ -28,7 +28,7 @@ def identifiability(
         model: pure function, values of the prior's structure -> observation.
         prior: record or dict (nested ones too) with a `Tolerance`, a constant or None in each field.
         noise: of the observation.
-        at: values at which the model is linearised, structure of the prior; None: the middle of the prior.
+        at: values at which the model is linearised, structure of the prior; None: the mid-point of the prior.
         nuisance: names of fields or elements that are not of interest; here they count as all others.
         correlation: {(field or element, field or element): correlation of their u}.
 

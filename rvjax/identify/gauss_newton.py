@@ -7,7 +7,7 @@ the prior next to a wide nuisance. Its length is measured in posterior standard 
 
 Where the model bends, steps fall short or go too far by the same share each time. Two steps along one line give that
 share (Aitken), and the third one ends there; a plain step follows, for what the stretch spoils elsewhere. The damping
-falls by nine after a step that gained what it promised, and stays where one gained half of it (Nielsen 1999).
+falls by nine after a step that gained what was predicted, and stays where one gained half of it (Nielsen 1999).
 """
 
 from collections.abc import Callable
@@ -58,7 +58,7 @@ class _State(NamedTuple):
     enough: jax.Array  # the same, at which it ends
     plain: jax.Array  # the same step before it was stretched or limited
     as_it_is: jax.Array  # whether it was neither
-    promise: jax.Array  # what the step should take off phi
+    promise: jax.Array  # predicted reduction of phi by the step
     damping: jax.Array
     growth: jax.Array
     steps: jax.Array

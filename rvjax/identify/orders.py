@@ -39,7 +39,7 @@ def orders(
         angle: rad (n,).
         value: of the curve (n,), NaN where missing.
         orders: per turn, positive and distinct (k,).
-        drift: whether the curve may also creep in proportion to the angle; that part is fitted and left out.
+        drift: whether the curve may also creep in proportion to the angle; that part is fitted and removed.
 
     Raises:
         ValueError: shapes that do not fit, numbers that are not finite, or more orders than the samples distinguish.
@@ -55,7 +55,7 @@ def orders(
     for name, item, unit in (("angle", x, "rad"), ("value", y, "unit of the curve")):
         if not np.isfinite(item).all():
             raise ValueError(f"{name} = {item[~np.isfinite(item)][0]}: must be finite, {unit}")
-    # Columns of one length, about the middle of the angles: the condition of the matrix is that of the question.
+    # Columns of one length, about the mid-point of the angles: the scale of the angles does not change the condition.
     centred = (x - x.mean()) / max(float(np.ptp(x)), 1e-300) if x.size else x
     extra = [centred] if drift else []
     phase = x[:, None] * asked

@@ -1,8 +1,8 @@
 """Mean and standard deviation of a process, from the measurements of many units.
 
 Expectation maximisation (Dempster, Laird and Rubin 1977, J. R. Stat. Soc. B 39, 1). The elements of unit i are
-u_i = mu + D M z_i; given mu and D, what its linearised data say of it is normal. The next mu is the mean of the units'
-expectations, the next D^2 the mean of their squared distances from mu plus their variances.
+u_i = mu + D M z_i; their distribution given mu, D and the linearised data is normal. The next mu is the mean of the
+units' expectations, the next D^2 the mean of their squared distances from mu plus their variances.
 """
 
 import dataclasses

@@ -23,7 +23,7 @@ def predict(
 ) -> Estimate | dict[str, Estimate]:
     """Return a response of the unit that was measured, or the chance that it keeps a requirement.
 
-    The figure is the mean of the response over the posterior, its error the standard deviation, and its interval holds
+    The value is the mean of the response over the posterior, its error the standard deviation, and its interval holds
     the response with the given confidence. With a requirement it is the probability that the response lies within it,
     with a score interval for the finite number of draws; a draw whose response fails does not keep it.
 

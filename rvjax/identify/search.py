@@ -1,4 +1,4 @@
-"""The modes of one unit's posterior: from the middle of the prior and from units sampled from it."""
+"""Modes of one unit's posterior: from the mid-point of the prior and from units sampled from it."""
 
 from typing import Any, NamedTuple
 

@@ -23,7 +23,7 @@ from rvjax.response import per_response
 from rvjax.status import Status
 
 HOPELESS = 12
-"""Trials in a row that are not finite, after which a unit is left out: its steps are below 1e-9 by then."""
+"""Trials in a row that are not finite, after which a unit is excluded: its steps are below 1e-9 by then."""
 
 
 class Units(NamedTuple):

@@ -49,7 +49,7 @@ def solve(
         nuisance: names of fields or elements that are not of interest; the model check does not count what they
             explain.
         correlation: {(field or element, field or element): correlation of their u}.
-        starts: the middle of the prior, and units sampled from it.
+        starts: the mid-point of the prior, and units sampled from it.
         seed: of starts and draws.
         max_steps: most steps of the solver.
         draws: that check Laplace's method, at least 40.

@@ -50,7 +50,7 @@ def rating(
 
     Args:
         design: as in `loaded.equilibrium`, with bearings.
-        errors: as in `loaded.equilibrium`. "slices" also reads both clearances as play of the rollers.
+        errors: as in `loaded.equilibrium`. "slices" also reads both clearances, for the rollers.
         duty: phases of torque, speed and time.
         samples: angles over the turns.
         turns: of the output, a whole number of crank turns (multiples of 1 / pin_count).

@@ -82,7 +82,7 @@ def _linkage() -> Way:
 def cases(quick: bool) -> Sequence[Cases]:
     """A crank turn and the test bench of the RV-40E; its linkage alone; and with what floats.
 
-    A cold start at every angle gives the same figures for more time, and the first stage is a few rows of the same
+    A cold start at every angle gives the same values for more time, and the first stage is a few rows of the same
     elimination: neither makes a level. A quick run takes a crank turn alone.
 
     Args:

@@ -43,7 +43,7 @@ def torsion(
     carrier: str = "fixed",
     sun: str = "fixed",
 ) -> Torsion:
-    """Equilibria at +-(0.1, 3, 50, 100 %) of the rated torque, and the figures of a test bench.
+    """Equilibria at +-(0.1, 3, 50, 100 %) of the rated torque, and the values of a test bench.
 
     Args:
         design: as in `equilibrium`.

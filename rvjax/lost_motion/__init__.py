@@ -1,7 +1,7 @@
 """Lost motion of an RV reducer: the free angle of its output, input locked, when the load reverses.
 
-`geometric` adds up the play of involute stage, cycloid stage and crank bearings, every contribution by
-name. Positive is free play, negative interference; both the signed `total` and `play` = max(0, total)
+`geometric` adds up the backlash of involute stage, cycloid stage and crank bearings, every contribution by
+name. Positive is backlash, negative interference; both the signed `total` and `play` = max(0, total)
 are reported. `hysteresis_loop` computes the hysteresis curve from the backlash, `loop_figures` its values.
 
 Source: Liu et al. 2022, Mech. Sci. 13, 855, doi 10.5194/ms-13-855-2022 (RV-20E). Its published total of
@@ -11,7 +11,7 @@ back only with a `normal_force` through an inertia calibrated to that end, and t
 of cosine 1.019. The rise with tilt in its Table 10 is explained by none of its equations: at a given force
 tilt and centre shift move the total by less than 6e-5 arcmin. `published.rv20e` has a fit to that table.
 
-Three levels of flank play. Measured on 100,000 units of the RV-20E, errors uniform in the bands of Table 9,
+Three levels of flank backlash. Measured on 100,000 units of the RV-20E, errors uniform in the bands of Table 9,
 K1 derived from eccentricity, pins and pin circle; one busy core, float64:
 
     ===========  =====================  =========  =======  =========================================
@@ -28,7 +28,7 @@ roots interfere at any rotation: a third of these units cannot be assembled with
 "closed_form" and "contact" report as NOT_ASSEMBLABLE. Both are lower bounds over the crank angle; a ring of
 forty pins lies up to half a percent above. In float32 the sum is good to 6e-6 arcmin plus 3e-6 of its terms.
 
-Not modelled: elasticity, carrier bearings, centre-distance play of the involute stage, undercut of the flank.
+Not modelled: elasticity, carrier bearings, centre-distance backlash of the involute stage, undercut of the flank.
 """
 
 from rvjax.lost_motion.loop import LoopFigures, hysteresis_loop, loop_figures

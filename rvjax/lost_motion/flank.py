@@ -4,7 +4,7 @@ All profile and pin deviations act through two lengths. The disc is ground as th
 circle is larger by `d` and whose radius is larger by `D` than those of the pins it runs in; parallel
 curves leave nothing else. A flank point belongs to a flank angle phi, the crank angle (z_c times the pin
 angle) at which it touches its pin nominally; `b(phi)` is the rotation of the disc that brings it into
-contact, and the play of both flanks together is twice its minimum.
+contact, and the backlash of both flanks together is twice its minimum.
 """
 
 from typing import NamedTuple
@@ -30,7 +30,7 @@ class Flank(NamedTuple):
 
 
 def first_order_minimum(flank: Flank) -> jax.Array:
-    """Play of both flanks, rad: minimum over phi of the free rotation to first order in D and d.
+    """Backlash of both flanks, rad: minimum over phi of the free rotation to first order in D and d.
 
     To first order b = [D S - d (1 - K cos phi)] / (e z_c sin phi) with S^2 = 1 + K^2 - 2 K cos phi. Both
     quotients are stationary at cos phi = K, the single minimum while d <= s D. Beyond, two equal minima
@@ -82,7 +82,7 @@ def free_rotation(position: jax.Array, flank: Flank) -> jax.Array:
 
 
 class Minimum(NamedTuple):
-    """Exact play of both flanks and how well its place is known."""
+    """Exact backlash of both flanks and the accuracy of its position."""
 
     play: jax.Array  # rad
     angle: jax.Array  # flank angle of the minimum, rad
@@ -92,14 +92,14 @@ class Minimum(NamedTuple):
 
 
 def minimum(flank: Flank) -> Minimum:
-    """Play of both flanks, exact: twice the minimum of `free_rotation` over the flank.
+    """Backlash of both flanks, exact: twice the minimum of `free_rotation` over the flank.
 
     Guarded Newton steps on b'(position) = 0 descend from the two first-order minima. Where these merge
     (d near s D) the starts are kept apart by as much as higher orders may shift the merging, since b may
     then have two minima where the first order has one.
     """
     position, slope, converged, reaches = _place(flank)
-    # A search without end goes on with an unmodified flank, so that no derivative of it is NaN.
+    # A search without end continues with an unmodified flank, so that no derivative of it is NaN.
     flank = flank._replace(D=jnp.where(converged, flank.D, 0), d=jnp.where(converged, flank.d, 0))
     position = jnp.where(converged, position, 0)
     return Minimum(2 * _lowest(flank, position), 2 * jnp.arctan(jnp.exp(position)), jnp.abs(slope), converged, reaches)
@@ -135,7 +135,7 @@ def _place(flank: Flank) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
 
 @_place.defjvp
 def _place_jvp(primals: PyTree, tangents: PyTree) -> PyTree:
-    """Second derivatives of the play need dposition = -db' / b'', from b' = 0."""
+    """Second derivatives of the backlash need dposition = -db' / b'', from b' = 0."""
     (flank,), (dflank,) = primals, tangents
     position, slope, converged, reaches = _place(flank)
     curvature = _at(position, flank).curvature

@@ -1,4 +1,4 @@
-"""Torque-angle loop of a reducer with its input locked: elastic line, dead zone and dry friction.
+"""Hysteresis curve of a reducer with its input locked: elastic line, dead zone and dry friction.
 
 Rate independent. A play operator of half-width `friction` turns the torque T at the output into the
 torque w that reaches the springs; the angle is g(w) = w / stiffness + (play / 2) tanh(w / smoothing).
@@ -30,7 +30,7 @@ def hysteresis_loop(
         play: free angle in total, rad, >= 0; `LostMotion.play` for one.
         stiffness: of the elastic line, N m/rad.
         friction: torque that dry friction can hold, N m at the output, >= 0.
-        smoothing: torque over which the play is taken up, N m; 0 makes it a jump, with half the play on
+        smoothing: torque over which the backlash closes, N m; 0 makes it a jump, with half the backlash on
             either side of zero.
 
     Returns:
@@ -71,7 +71,7 @@ def loop_figures(
     """Lost motion, zero-torque width and energy of the closed loop, in closed form.
 
     With friction above the threshold and no smoothing the lost motion is 2 threshold / stiffness:
-    friction hides the play.
+    friction hides the backlash.
 
     Args:
         torque_threshold: where lost motion is read, N m; by custom 3 % of the rated torque.

@@ -15,7 +15,7 @@ from rvjax.units import um
 class Conditions:
     """Method of the free angle."""
 
-    lost_motion_profile: str = condition("first_order", "of the play between flanks and pins", choices=PROFILES)
+    lost_motion_profile: str = condition("first_order", "of the backlash between flanks and pins", choices=PROFILES)
 
 
 def _lost_motion(design: RVReducer, errors: RVErrors, given: Conditions) -> Solved:

@@ -55,7 +55,7 @@ def geometric(
             an inertia calibrated for the RV-20E; without it the pressure angle is that of the design.
 
     Returns:
-        LostMotion. Total, play and terms are NaN with status NONFINITE (a number that is read is NaN or inf),
+        LostMotion. `total`, `play` and terms are NaN with status NONFINITE (a number that is read is NaN or inf),
         INVALID_GEOMETRY (K1 outside (0, 1), a radius, force or cosine that must be positive is not, or deviations so
         large that no point of the flank reaches the pins), and, for "closed_form" and "contact", NOT_ASSEMBLABLE
         (tooth tips or roots interfere at any angle) or MAX_STEPS.

@@ -1,6 +1,6 @@
-"""The sum of the paper, term by term: Liu et al. 2022, Eq. 4 to 21, in radians.
+"""Sum of the paper, term by term: Liu et al. 2022, Eq. 4 to 21, in radians.
 
-Rigid parts; positive is free play, negative interference. Where print and units or the derivation of the
+Rigid parts; positive is backlash, negative interference. Where print and units or the derivation of the
 paper disagree, the reading "consistent" follows units and derivation, each place marked "mended".
 """
 

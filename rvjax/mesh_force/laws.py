@@ -109,7 +109,7 @@ def load_limit(law: str, roller: Compliance) -> jax.Array:
 def inverse(law: str, depth: jax.Array, roller: Compliance) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Load, stiffness du/d(depth) and whether the load limit is passed, for a given approach.
 
-    Beyond the limit of "hertz" the load goes on with the linear stiffness, so that sums over rollers stay
+    Beyond the limit of "hertz" the load continues with the linear stiffness, so that sums over rollers stay
     monotone; where the equilibrium needs that, it has no solution.
 
     Args:
@@ -178,7 +178,7 @@ def series(y: jax.Array, b2: jax.Array, b3: jax.Array) -> tuple[jax.Array, jax.A
 def series_error(bend: jax.Array) -> jax.Array:
     """Bound of the relative error of the stiffness of `series`.
 
-    The first term left out is 4 b4 y^3 with b4 = 5 a2 a3 - 5 a2^3 - a4 (reversion), and bend = 2 a2 y: their ratio
+    The first neglected term is 4 b4 y^3 with b4 = 5 a2 a3 - 5 a2^3 - a4 (reversion), and bend = 2 a2 y: their ratio
     to bend^3 is at most 3.7 for all rollers with a gear contact of relative radius 0.1 to 5. The factor 27 also
     covers the further terms.
 

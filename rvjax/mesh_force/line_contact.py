@@ -20,7 +20,7 @@ from rvjax.records import PyTree, Scalar
 NEAR = 0.025
 """Square of a half-width over a radius up to which the series of the approach is good to rounding."""
 
-# 1/2, 1/8, 1/16, ..; the first that is left out adds 0.018 NEAR^9 < 7e-17 of the sum
+# 1/2, 1/8, 1/16, ..; the first neglected one adds 0.018 NEAR^9 < 7e-17 of the sum
 _RISE = list(itertools.accumulate(range(1, 9), lambda c, j: c * (2 * j - 1) / (2 * j + 2), initial=0.5))
 
 

@@ -120,7 +120,7 @@ def _advance(bracket: _Bracket, x: jax.Array, missing: jax.Array, slope: jax.Arr
     """Newton step on a nondecreasing function inside a bracket that opens at infinity.
 
     A step that does not stay strictly inside the bracket, or follows one that did not halve the residual, is
-    replaced by the middle of the bracket; while one end is open, by a stride that doubles. At the root, where
+    replaced by the mid-point of the bracket; while one end is open, by a stride that doubles. At the root, where
     rounding decides, Newton steps are kept.
     """
     low, high = jnp.where(missing <= 0, x, bracket.low), jnp.where(missing >= 0, x, bracket.high)

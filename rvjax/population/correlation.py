@@ -40,7 +40,7 @@ def batch_correlation(active: Active) -> np.ndarray:
         size = math.prod(tolerance.shape)
         start, stop = stop, stop + size
         block = np.full((size, size), float(tolerance.batch))
-        if tolerance.is_vector:  # each component has a shared factor of its own
+        if tolerance.is_vector:  # each component has a separate shared factor
             block *= np.tile(np.eye(2), (size // 2, size // 2))
         np.fill_diagonal(block, 1.0)
         matrix[start:stop, start:stop] = block

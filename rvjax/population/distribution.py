@@ -30,7 +30,7 @@ class Distribution(Record):
     """Distribution of parts between limits; its fields are its specific parameters.
 
     A distribution may hold more in class variables: `shifts` (it honours `Tolerance.shift`), `capable` (and
-    `Tolerance.cp`), `of_vectors` (a field of pairs [radial, tangential] gets vectors, not numbers of their own) and
+    `Tolerance.cp`), `of_vectors` (a field of pairs [radial, tangential] gets vectors, not independent numbers) and
     `couples` (the errors along the last axis, as the two components of a vector, depend on each other: `correlation`).
     """
 

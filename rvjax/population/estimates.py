@@ -1,7 +1,7 @@
-"""Figures with their uncertainty: estimates and intervals.
+"""Estimates: values with standard errors and intervals.
 
 The units of one scramble of Sobol points depend on each other, which is the point of them; the scrambles do not, so the
-spread between the figures of the scrambles gives the error of their mean (Owen 1997).
+spread between the values of the scrambles gives the error of their mean (Owen 1997).
 """
 
 import dataclasses
@@ -22,7 +22,7 @@ class Estimate:
     """A sampled statistic.
 
     Attributes:
-        value: the figure.
+        value: the estimate.
         error: its standard error.
         lower: lower end of its confidence interval.
         upper: upper end.
@@ -35,10 +35,10 @@ class Estimate:
 
     @classmethod
     def about(cls, value: float, error: float, deviate: float) -> "Estimate":
-        """Return a figure with an interval of equal sides.
+        """Return a value with an interval of equal sides.
 
         Args:
-            value: of the figure.
+            value: the estimate.
             error: its standard error.
             deviate: errors to each side.
         """

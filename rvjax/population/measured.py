@@ -91,7 +91,7 @@ class MeasuredParts:
         return found
 
     def to_pandas(self) -> Any:
-        """Return a `pandas.DataFrame`, SI: one row for each column, every figure with its error and interval."""
+        """Return a `pandas.DataFrame`, SI: one row for each column, every statistic with its error and interval."""
 
         def row(name: str, found: MeasuredColumn) -> dict[str, Any]:
             lower, upper = found.limits or (math.nan, math.nan)
@@ -115,7 +115,7 @@ def measured(
     """Tolerances that follow measured parts, from a CSV file with a row for each part.
 
     The limits of an error without given limits are mean -+ 3 sd. A distribution never goes beyond the values it was
-    measured at: n parts say nothing of what fewer than one in 2 n parts does.
+    measured at: n parts do not show what fewer than one in 2 n parts does.
 
     Args:
         path: the file: a header "name [unit]"; commas, semicolons or tabs, decimal commas where no comma separates; an
@@ -152,7 +152,7 @@ def measured(
     made = {}
     for field, names in groups.items():
         if len(names) > 1 and field in names:
-            raise ValueError(f"{path}: {field} has a column of its own and columns of elements: {', '.join(names)}")
+            raise ValueError(f"{path}: {field} has both a column and columns of elements: {', '.join(names)}")
         pooled = np.concatenate([read.numbers[name] for name in names])
         made[field] = _tolerance(field, names, pooled[~np.isnan(pooled)], given.get(field), design, about)
     whole = np.array([read.numbers[name] for name in wanted])
@@ -238,7 +238,7 @@ def _tolerance(
         if place and (len(place) != len(shape) or any(k >= size for k, size in zip(place, shape))):
             raise ValueError(f"columns: {name!r} is no element of shape {shape}")
     if isinstance(given, Tolerance):
-        own = given.batch if names == [field] else 0.0  # elements that were measured say themselves how alike they are
+        own = given.batch if names == [field] else 0.0  # measured elements determine their correlation
         return given.replace(**law, shape=shape, cp=1.0, shift=0.0, batch=own)
     mean, sd = float(values.mean()), float(values.std(ddof=1))
     low, high = given or (mean - NATURAL * sd, mean + NATURAL * sd)

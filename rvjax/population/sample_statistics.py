@@ -40,7 +40,7 @@ class Sampled:
     def _figure(self, of: Callable[[CentralMoments], float], alone: Callable[[CentralMoments], Estimate]) -> Estimate:
         if len(self.streams) == 1:
             return alone(self.whole)
-        # What each scramble adds to the figure (jackknife), so that one which is no mean has no bias of small groups.
+        # Contribution of each scramble to the statistic (jackknife): no bias of small groups where it is no mean.
         filled, value = [part for part in self.streams if part.n], of(self.whole)
         count, none = len(filled), CentralMoments()
         before = itertools.accumulate(filled, CentralMoments.merge, initial=none)

@@ -36,7 +36,7 @@ class SobolPoints:
             points = math.ceil((count - offset) / SCRAMBLES)
             if points > 0:
                 z[:, offset::SCRAMBLES] = self._points(scramble, (start + offset) // SCRAMBLES, points).T
-        # A point represents a cell of width 2^-32: its middle, which is never 0 or 1.
+        # A point represents a cell of width 2^-32: its mid-point, which is never 0 or 1.
         return special.ndtri(z + 0.5 / 2**_BITS)
 
     def _points(self, scramble: int, first: int, points: int) -> np.ndarray:

@@ -28,7 +28,7 @@ COMMON = ("cp", "shift", "batch")
 class Tolerance(Record):
     """Limits of an error and its distribution between them; the unit is that of the error.
 
-    Middle m = (lower + upper)/2, half-width h = (upper - lower)/2, mean m + shift h, and for the
+    Mid-point m = (lower + upper)/2, half-width h = (upper - lower)/2, mean m + shift h, and for the
     normal distribution sigma = h/(3 cp), so that the capability of the process is Cp = cp and
     Cpk = cp (1 - |shift|). h = 0 is a constant error m.
 
@@ -47,14 +47,14 @@ class Tolerance(Record):
 
     `batch` correlates the elements of one field by a shared factor, z_j = sqrt(batch) z_0 +
     sqrt(1 - batch) e_j, as in parts made in one set-up; each component of a vector has a
-    factor of its own, so that its direction stays random.
+    separate factor, so that its direction stays random.
     """
 
     lower: Scalar = field("-", "lower limit, unit of the error")
     upper: Scalar = field("-", "upper limit, unit of the error")
     law: Distribution = field("-", "distribution between the limits, with its parameters", kind="record")
     cp: Scalar = field("-", "process capability", sign="positive")
-    shift: Scalar = field("-", "mean or mode off the middle, in half-widths")
+    shift: Scalar = field("-", "mean or mode off the mid-point, in half-widths")
     batch: float = text("correlation of the elements of one field, 0 to below 1")
     size: Scalar | None = field("m", "nominal size of the part, for grades", sign="positive")
     shape: tuple[int, ...] = text("shape of the error, () is a scalar")
@@ -81,7 +81,7 @@ class Tolerance(Record):
             upper: upper limit, unit of the error.
             distribution: name of a distribution, or a `Distribution`.
             cp: process capability (normal, truncated_normal, lognormal, rayleigh, von_mises).
-            shift: mean or mode off the middle, in half-widths.
+            shift: mean or mode off the mid-point, in half-widths.
             batch: correlation of the elements of one field, 0 to below 1.
             size: nominal size of the part, m, for grades.
             shape: of the error, () is a scalar.
@@ -137,7 +137,7 @@ class Tolerance(Record):
 
     @property
     def middle(self) -> Scalar:
-        """Middle of the limits, unit of the error."""
+        """Mid-point of the limits, unit of the error."""
         return (self.lower + self.upper) / 2
 
     @property
@@ -152,7 +152,7 @@ class Tolerance(Record):
         return self.law.of_vectors and (last_is_pair if self.vector is None else self.vector)
 
     def with_half_width(self, half_width: Scalar) -> Self:
-        """The same distribution scaled about the middle of its limits, or about where it begins; shift and cp stay."""
+        """The same distribution scaled about the mid-point of its limits, or about its start; shift and cp stay."""
         return self.replace(**self.law.scaled(self, half_width))
 
     def deviate(self, z: jax.Array) -> Array:

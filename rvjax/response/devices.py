@@ -21,7 +21,7 @@ _EVERYWHERE = jax.sharding.PartitionSpec()
 
 
 class Evaluator:
-    """Evaluates chunks of one study; devices compute while the host goes on."""
+    """Evaluates chunks of one study; devices compute while the host continues."""
 
     def __init__(self, response: Response, population: Population, seed: int, method: str, chunk: int) -> None:
         """Checked inputs of an evaluation, as in `monte_carlo`; `chunk` units at once."""

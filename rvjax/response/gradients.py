@@ -98,7 +98,7 @@ def elements(population: Population, z: jax.Array) -> jax.Array:
 def elements_and_rates(
     population: Population, half_widths: dict[str, jax.Array], z: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """The same with these half-widths, and their derivatives to the half-width of their own field; 0 for others."""
+    """The same with these half-widths, and their derivatives to the half-width of their field; 0 for others."""
 
     def errors(t: dict[str, jax.Array]) -> jax.Array:
         return _rows(population.with_half_widths(t).deviations(z), z)

@@ -20,7 +20,7 @@ AT_ONCE = 128
 
 
 class Part:
-    """Some outputs of a response, as a response of their own."""
+    """Some outputs of a response, as a separate response."""
 
     def __init__(self, response: Response, population: Population) -> None:
         self.response, self.names = response, response_names(response, population)
@@ -107,7 +107,7 @@ def solved(
 ) -> tuple[Values, jax.Array]:
     """Values by name (n,) and status (n,) of units by their errors (elements, n) of the active fields.
 
-    The population says only which elements are which fields.
+    The population gives only the elements of each field.
     """
     if mesh is None:
         return _solved(response, population, errors)

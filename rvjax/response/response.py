@@ -153,7 +153,7 @@ def _named(result: object) -> dict[str, Any]:
 
 
 def unwrapped(result: object) -> Any:
-    """A result whose figures are dicts by name of the response, with plain ones where it is a plain scalar."""
+    """Result with dicts by name of the response, with plain values where it is a plain scalar."""
     if dataclasses.is_dataclass(result) and not isinstance(result, (type, Record)):
         fields = {f.name: unwrapped(getattr(result, f.name)) for f in dataclasses.fields(result)}
         return dataclasses.replace(result, **fields)

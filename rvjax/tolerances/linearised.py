@@ -47,9 +47,9 @@ def linearised(
     curvature: bool = False,
     then: Callable[[Any], Any] | None = None,
 ) -> Linearised:
-    """A response by its value and derivatives at the mean errors: cheap, and near where the errors are small.
+    """Response by its value and derivatives at the mean errors: low-fidelity, accurate for small errors.
 
-    A peak-to-peak value has a kink where its errors vanish, and no derivative there that says anything of its
+    A peak-to-peak value has a kink where its errors vanish, and no derivative there that predicts its
     neighbourhood. Linearise the curve and read the peak off the line: let the response return the curve, an array,
     and give `then=jnp.ptp`.
 

@@ -1,4 +1,4 @@
-"""Results as files: JSON for figures, NPZ where there are many samples; both give back what was saved.
+"""Results as files: JSON for values, NPZ where there are many samples; both give back what was saved.
 
 Every file carries the kind of result, the study it belongs to, its seed and the versions that made it.
 Floats keep their bits.

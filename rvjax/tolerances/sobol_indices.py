@@ -68,7 +68,7 @@ def sobol_indices(
     Two samples A and B of units, and for each field i the sample AB_i: A with field i taken from B
     (Saltelli et al. 2010, Comput. Phys. Commun. 181, 259). An array field is one group. A and B are the
     two halves of the coordinates of 16 independently scrambled Sobol sequences, unit j being point
-    j // 16 of sequence j mod 16. Standard errors come from the scatter of the 16 sequences, intervals
+    j // 16 of sequence j mod 16. Standard errors come from the spread of the 16 sequences, intervals
     (95 %) from Student's distribution with 15 degrees of freedom. A field that the response does not read has
     indices of exactly 0; a constant response gives 0 for all.
 
@@ -81,7 +81,7 @@ def sobol_indices(
         correlation: must be empty; a share of the variance is defined for independent fields only.
 
     Returns:
-        `SobolIndices`. Rows with a failed unit take no part.
+        `SobolIndices`. Rows with a failed unit are excluded.
 
     Raises:
         ValueError: correlated fields, or too few samples.
@@ -162,14 +162,14 @@ class _Sums:
         mean = (a + b).sum() / (2 * n)
         variance = (aa + bb - 2 * mean * (a + b)) / 2 + rows * mean**2  # times rows, by scramble
         crossed, steps, squares = self.crossed
-        # Saltelli et al. 2010, Table 2: (b) with f_B centred, which takes away most of its scatter, and (f), Jansen's.
+        # Saltelli et al. 2010, Table 2: (b) with f_B centred, which removes most of its variance, and (f), Jansen's.
         first = {name: _share(crossed[i] - mean * steps[i], variance) for i, name in enumerate(fields)}
         total = {name: _share(squares[i] / 2, variance) for i, name in enumerate(fields)}
         return first, total
 
 
 def _share(parts: np.ndarray, variances: np.ndarray) -> Estimate:
-    """Ratio of two sums over scrambles; its error from the scatter of the linearised ratio between them."""
+    """Ratio of two sums over scrambles; its error from the spread of the linearised ratio between them."""
     whole = variances.sum()
     if whole <= 0:
         return Estimate(0.0, 0.0, 0.0, 0.0)

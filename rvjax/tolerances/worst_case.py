@@ -16,7 +16,7 @@ from rvjax.response import Response, by_name, evaluate, per_response, response_n
 from rvjax.status import succeeded
 
 _ALL_CORNERS = 12  # up to so many coordinates every corner is looked at
-_STARTS = 16  # else: corners of gradient signs at the middle and at random points
+_STARTS = 16  # else: corners of gradient signs at the mid-point and at random points
 _BLOCK = 64  # points evaluated at once, padded, so that one program serves every question
 _ROUNDS = 20  # gradient signs taken again; every round must improve, so this is a limit seldom met
 
@@ -43,7 +43,7 @@ class WorstCase:
 def worst_case(response: Response, tolerances: PyTree, *, refine: bool = True) -> WorstCase:
     """Smallest and largest response when every error may lie anywhere between its limits.
 
-    The search starts at the corner that the gradient signs at the middle point to. With `refine` it
+    The search starts at the corner that the gradient signs at the mid-point point to. With `refine` it
     starts from several corners (all of them up to 12 coordinates), takes the signs again and flips
     single coordinates until nothing improves, and looks for an interior extremum from there. Exact for
     responses monotone in each error; otherwise the true range may be wider. The limits of a Rayleigh
@@ -52,7 +52,7 @@ def worst_case(response: Response, tolerances: PyTree, *, refine: bool = True) -
     Args:
         response: pure function of the errors of one unit; a scalar, a dict or record of scalars, or `Outcome`.
         tolerances: record or dict with a `Tolerance` or None in each field.
-        refine: False: only the corner that the gradient at the middle points to.
+        refine: False: only the corner that the gradient at the mid-point points to.
 
     Returns:
         `WorstCase`.
@@ -167,7 +167,7 @@ class _Search:
         return signs
 
     def more_starts(self, k: int, sign: float) -> np.ndarray:
-        """Every corner where there are few, else gradient signs at random points (a kink hides them in the middle)."""
+        """All corners if few, else gradient signs at random points (a kink hides them at the mid-point)."""
         n = len(self.in_disc)
         if n <= _ALL_CORNERS and not self.in_disc.any():
             return np.array(list(itertools.product((-1.0, 1.0), repeat=n)))

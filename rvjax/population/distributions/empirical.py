@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 class Empirical(Distribution):
     """Measured values: the k-th of n is the quantile (k - 1/2)/n, linear between them (Hazen 1914).
 
-    The values need not keep within the limits. Another half-width scales them about the middle of the limits.
+    The values need not keep within the limits. Another half-width scales them about the mid-point of the limits.
     In a study file, `values` is a list of texts with units, or {file = "...", column = "...", unit = "..."}; no unit is
     needed where the header of the column gives it.
     """
@@ -54,7 +54,7 @@ class Empirical(Distribution):
         return found[0], found[1], found[2], found[3]
 
     def scaled(self, tolerance: "Tolerance", half_width: Scalar) -> dict[str, Any]:
-        """Limits and values about the middle of the limits."""
+        """Limits and values about the mid-point of the limits."""
         old = tolerance.half_width
         if is_concrete(old) and old == 0:
             raise bad("half_width", 0.0, "measured values with limits of no width cannot be scaled")
@@ -71,7 +71,7 @@ class Empirical(Distribution):
 
     @classmethod
     def parsed(cls, key: str, value: object, unit: str) -> Any:
-        """Values from a list, or from a column of a CSV file, whose header may say the unit."""
+        """Values from a list, or from a column of a CSV file, whose header may contain the unit."""
         if not isinstance(value, dict):
             if not isinstance(value, list):
                 raise ValueError(f"{key} = {value!r}: must be a list, or a table of file, column and unit")

@@ -105,7 +105,7 @@ class Certifier:
         return np.array(found)
 
     def of_failures(self, statistics: Statistics) -> float:
-        """The common factor after which few enough units should fail for figures of the valid ones to count."""
+        """Common factor after which few enough units should fail for statistics of the valid units to count."""
         n, most = statistics.samples, min(item.most_failed for item in self.run.requirements.values())
         valid = wilson(n - statistics.failed, n, self.run.confidence)
         return share_factor(valid, 1 - most, n, deviate_of(self.run.confidence))

@@ -66,7 +66,7 @@ def cost_curve(
         tolerances: record or dict with a `Tolerance` or None in each field; where the first search starts.
         requirements: `Requirement`, or a dict of them by name of the response.
         costs: record or dict with a cost or None by field.
-        values: of the limit (a one-sided limit itself; half-widths about the middle of two limits) or of the
+        values: of the limit (a one-sided limit itself; half-widths about the mid-point of two limits) or of the
             target, in the order to go through; neighbours should be near each other.
         against: "limit" or "target".
         of: name of the requirement that moves; None moves the only one, or all shares of units (targets).

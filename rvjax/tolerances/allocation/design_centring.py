@@ -30,9 +30,9 @@ class Middle:
     """Limits of the mid-point of an error's limits.
 
     Attributes:
-        lower: least middle, unit of the error.
-        upper: largest middle.
-        scale: cost of moving by one unit of the error (SI) from the middle given, either way; 0 by default.
+        lower: least mid-point, unit of the error.
+        upper: largest mid-point.
+        scale: cost of moving by one unit of the error (SI) from the given mid-point, either way; 0 by default.
     """
 
     lower: float

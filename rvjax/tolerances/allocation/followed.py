@@ -177,7 +177,7 @@ class _Step:
                 self._solve(number, np.flatnonzero(~self.solved[number]))  # a line foresees no failures
 
     def widen(self, aims: Aims) -> bool:
-        """Solve the units whose side is in doubt; False if there are none."""
+        """Solve the units whose side is uncertain; False if there are none."""
         wanted, more = aims(self.values), False
         for number, part in enumerate(self.units.parts):
             wrong = np.zeros(self.units.samples)
@@ -220,7 +220,7 @@ class _Step:
 
 
 def _wrong(values: np.ndarray, doubt: np.ndarray, levels: list[float]) -> np.ndarray:
-    """Probability (n,) that a unit lies on the other side of one of the levels than its value says."""
+    """Probability (n,) that a unit lies on the other side of one of the levels than its value."""
     found = np.zeros(len(values))
     for level in levels:
         off = np.abs(values - level)

@@ -20,7 +20,7 @@ from rvjax.tolerances.allocation.search import GAIN, NOISE, RADIUS, SETTLED, STA
 _CORRELATED = 0.5  # least correlation of the units' values: below, `cheap` explains a quarter of the spread
 _REFUSED = 3  # steps in a row that the response did not confirm
 _INNER = 40  # sets of half-widths evaluated on one model, at most
-_POOR, _GOOD = 0.25, 0.75  # parts of a promised gain, below which the region shrinks and above which it grows
+_POOR, _GOOD = 0.25, 0.75  # parts of a predicted gain, below which the region shrinks and above which it grows
 
 
 class Mapped:

@@ -20,7 +20,7 @@ def residual(costs: tuple[Cost, ...], point: Point, distance: np.ndarray, low: n
 
     Savings are derivatives of the cost to the logarithms of the half-widths; the prices (not negative) are those
     that leave the least of them, found by a linear program. A cost with a kink has two derivatives, and any between
-    them will do. A field at the end of its range may want to go further.
+    them will do. A field at the end of its range may keep a saving beyond it.
 
     Args:
         costs: of the fields.

@@ -91,7 +91,7 @@ class Snapping:
                 return places, best, certificate
 
     def proposed(self, places: Places, point: Point) -> list[Places]:
-        """Exchanged grades that the model around a point calls feasible and cheaper, the cheapest first."""
+        """Exchanged grades that are feasible and cheaper in the model around a point, the cheapest first."""
         training, now = self.training, self.cost(point.half_widths)
         trials = list(self.moves(places))
         if not trials:

@@ -23,7 +23,7 @@ _COARSE = 5.0  # times these where units are costly: their sample gives the opti
 _BINDING = 0.1  # a constraint with a larger margin, in parts of the way to its limit, has no effect
 
 _PROBE = 0.1  # of the audit, logarithm of a half-width
-_ASTRAY = 0.4  # part of a probe by which a margin may move otherwise than its slopes say: few units cross
+_ASTRAY = 0.4  # part of a probe by which a margin may deviate from its slopes: few units cross
 _MANY, _FEWEST = 40, 8  # units beyond a limit that these bounds are for, and the least that a quantile leaves
 STATIONARY = 0.1  # residual of an optimum by derivatives: costs less than half its square
 _STATIONARY_APART = 0.2  # the same where slopes are differences of a sample
@@ -110,7 +110,7 @@ class Search:
         return best, len(self.history) < self.max_steps and self.residual(best) <= _STATIONARY_APART * self.doubt
 
     def run(self, best: Point) -> tuple[Point, bool]:
-        """From a point to the cheapest, and whether the steps settled there."""
+        """Cheapest point from a given one, and True if the steps settled there."""
         distance, radius = self.training.distance, RADIUS
         while len(self.history) < self.max_steps:
             wanted, prices = self.model_optimum(best, radius)
@@ -135,7 +135,7 @@ class Search:
         return bool((point.slopes[binding].sum(axis=1) >= 0).all())
 
     def stands(self, point: Point) -> bool:
-        """The audit of an end: no price explains away a saving, and the sample moves as the slopes say it does.
+        """Audit of an end: prices account for all savings, and the sample moves as its slopes predict.
 
         Every field is loosened alone. Units that fail, or a response in steps, show by margins that jump or stay.
         """
@@ -219,7 +219,7 @@ class Search:
         return cheapest(self.costs, there, distance, self.training.powers, low, high)[0]
 
     def price(self, rays: Rays, point: Point, k: int) -> float:
-        """The same of one requirement, by differences of the least cost: a limit is moved and the search goes on."""
+        """Price of one requirement, by differences of the least cost: a limit is moved and the search continues."""
         name, scale = list(self.training.requirements)[k], float(self.training.scales[k])
         for move in _MOVES:
             ends = []

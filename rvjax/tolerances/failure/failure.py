@@ -114,7 +114,7 @@ def failure_probability(
         raise ValueError("requirement: needs at least one")
     for name, item in required.items():
         if not item.of_units:
-            raise ValueError(f"requirement[{name!r}] = {item!r}: says nothing of one unit")
+            raise ValueError(f"requirement[{name!r}] = {item!r}: must be a requirement on single units")
     found = {}
     for name, item in required.items():
         random = np.random.default_rng(seed)
@@ -287,7 +287,7 @@ class _Search:
         return new.shape[1] > 0
 
     def draw(self, random: np.random.Generator, samples: int) -> tuple[Estimate, float, float]:
-        """The share of units unlike the middle, its effective samples and the mean weight of these units."""
+        """Share of units that differ from the origin, its effective samples and the mean weight of these units."""
         total, squares, hits = 0.0, 0.0, 0
         for start in range(0, samples, BATCH):
             z = self.mixture.sample(random, min(BATCH, samples - start))

@@ -1,4 +1,4 @@
-"""Design points of rare failures: where the failing region comes nearest to the middle of all random numbers.
+"""Design points of rare failures: points of the failing region nearest to the origin of all random numbers.
 
 The first-order reliability method (Hasofer and Lind 1974; Rackwitz and Fiessler 1978) in the space of the
 standard normal numbers z, where the density falls with |z| alone.

@@ -67,7 +67,7 @@ class Mixture:
         return points[:, [k for k in kept if apart(points[:, k], before)]]
 
     def _shares(self) -> np.ndarray:
-        """Of the draws about the middle, then about each point."""
+        """Shares of the draws about the origin, then about each point."""
         middle = np.array([share for _, share in _MIDDLE])
         if not self.count:
             return np.eye(1, len(middle))[0]

@@ -23,7 +23,7 @@ def orbit(state: LimitState, point: np.ndarray, converged: bool) -> Found:
     """Images of a point (numbers,) at which failure begins as well.
 
     Images: the largest number exchanged with each other one, few large numbers of the other sign one at a time, fields
-    turned along axes of one length together (pins round a ring), and each of these through the middle. Where one
+    turned along axes of one length together (pins round a ring), and each of these through the origin. Where one
     number alone makes the point, the parts may differ a little: failure then begins elsewhere on the ray to the image.
     """
     matter = np.flatnonzero(np.abs(point) > _MATTERS * np.abs(point).max())

@@ -7,12 +7,12 @@ from scipy import special
 from rvjax.population import Estimate
 
 CUSHION = 0.7
-"""Standard errors of a figure kept in hand, so that the next draw passes too."""
+"""Margin in standard errors of a value, so that the next draw passes too."""
 
 MOST_FACTOR = 1e3
 """The largest step, and the reciprocal of the smallest."""
 
-_LEAST_SEEN = 1e-3  # of the rejects that are allowed: fewer say no more
+_LEAST_SEEN = 1e-3  # of the allowed rejects: fewer give no further information
 
 
 def share_factor(share: Estimate, target: float, samples: int, deviate: float) -> float:

@@ -85,7 +85,7 @@ class Requirement(Limits):
         return wilson(samples, samples, confidence).lower < self.target
 
     def rarely(self, failing: Estimate, trusted: bool) -> Verdict:
-        """The whole interval keeps the target, and its figure is to be trusted."""
+        """The whole interval keeps the target, and its value is reliable."""
         share = Estimate(1 - failing.value, failing.error, 1 - failing.upper, 1 - failing.lower)
         how = "importance sampling" if trusted else "importance sampling, not to be trusted"
         return Verdict(f"{self.text()}, {how}", self.judges, share, trusted and self.holds(share))
@@ -315,7 +315,7 @@ class CpkAtLeast(Limits):
 
 
 def _valid(values: np.ndarray) -> np.ndarray:
-    """Numbers of the valid units; none where so many failed that a figure of the others says nothing."""
+    """Numbers of the valid units; none where too many failed for a statistic of the others."""
     units = np.flatnonzero(~np.isnan(values))
     return units if values.size - units.size <= MOST_FAILED * values.size else units[:0]
 

@@ -134,7 +134,7 @@ class Limits:
         return float(special.ndtr((self.upper - mean) / sd) - special.ndtr((self.lower - mean) / sd))
 
     def limited(self, value: float) -> "Limits":
-        """The same requirement with its one limit elsewhere, or two limits this far from their middle."""
+        """The same requirement with its one limit elsewhere, or two limits this far from their mid-point."""
         if math.isinf(self.lower):
             return dataclasses.replace(self, upper=value)
         if math.isinf(self.upper):
