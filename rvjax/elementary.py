@@ -106,7 +106,7 @@ _PI, _PI_LOW = 2 * _HALF_PI[0], 2 * (_HALF_PI[1] + _HALF_PI[2])
 
 
 def _arctan_coefficients() -> list[float]:
-    """Of t^3, t^5 .. up to tan(pi/8): the series, cut by interpolation in Chebyshev points instead of at its end."""
+    """Coefficients of t^3, t^5 .. up to tan(pi/8): the series, cut by interpolation in Chebyshev points."""
 
     def tail(z: PyTree) -> PyTree:  # (arctan t - t) / t^3 at z = t^2
         return sum((-1) ** (n + 1) * z**n / (2 * n + 3) for n in range(30))

@@ -141,7 +141,7 @@ def _first_order(unit: Unit, speed: jax.Array, outputs: tuple[str, ...], pin_har
 
 
 def curve_range(orders: Orders, amplitude: jax.Array) -> jax.Array:
-    """Of the sum of all lines (outputs,), on 2^k >= max(256, 16 n_max / g) angles of their common period 2 pi / g."""
+    """Range of the sum of all lines (outputs,), on 2^k >= max(256, 16 n_max / g) angles of the period 2 pi / g."""
     whole = lcm(*(n.denominator for n in orders))
     numbers = [int(n * whole) for n in orders]
     places = np.array(numbers) // gcd(*numbers)

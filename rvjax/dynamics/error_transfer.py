@@ -1,4 +1,4 @@
-"""From the displacement of a spring to the rotations of sun and output, at one frequency after the other.
+"""Transfer from the displacement of a spring to the rotations of sun and output, frequency by frequency.
 
 Eleven coordinates, the rotations of the central parts and what is common to planets, cranks and discs, have constant
 matrices although cranks revolve and eccentrics turn: cos and sin of the angles between them appear squared, in

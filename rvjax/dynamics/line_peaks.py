@@ -16,7 +16,7 @@ _NUMBERS = 2**15  # of the lines of a block of units, a quarter of a megabyte: t
 
 
 def factors(value: jax.Array, excitation: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Of the product of transfer (speeds, orders, outputs, springs) and excitation (orders, springs), as real numbers.
+    """Real factors of the product of transfer (speeds, orders, outputs, springs) and excitation (orders, springs).
 
     Rows (orders, 2, speeds, outputs, 2 springs) give real and imaginary part: one product of real matrices runs several
     times as fast as the complex one.

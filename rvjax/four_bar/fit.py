@@ -74,7 +74,7 @@ class Turning(NamedTuple):
 
 
 def turning(unit: Unit) -> Turning:
-    """Of a unit without load."""
+    """Inputs of the disc angles of a unit without load."""
     parts, discs = unit.parts, range(len(unit.parts.disc))
 
     def less_last(vectors: list[Vector]) -> list[Array]:

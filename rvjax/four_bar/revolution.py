@@ -293,7 +293,7 @@ def first_wave(discs: list[tuple[Vector, Vector]]) -> Wave:
 
 
 def _product(discs: list[tuple[Vector, Vector]]) -> "Polynomial":
-    """Of the discs' vectors without load, in the direction of the first crank."""
+    """Product of the discs' vectors without load, in the direction of the first crank."""
     first, *others = discs
     together = Polynomial(list(first))
     for still, moved in others:

@@ -63,7 +63,7 @@ class Components:
 
     @classmethod
     def of(cls, slopes: np.ndarray, mixing: np.ndarray, nuisance: np.ndarray, seen: np.ndarray) -> "Components":
-        """Of slopes over u (..., m, p) whose columns `nuisance` are projected out."""
+        """Components of slopes over u (..., m, p) whose columns `nuisance` are projected out."""
         columns = _orthonormal(slopes[..., nuisance])
         slopes = slopes - columns @ (np.swapaxes(columns, -1, -2) @ slopes)
         slopes[..., nuisance] = 0.0

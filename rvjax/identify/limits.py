@@ -16,7 +16,7 @@ DRAWS = 20_000
 
 NODES = 96
 REACH = 12.0
-"""Of the integral over a vector's wider axis: nodes for each piece, and standard deviations to each side."""
+"""Integral over a vector's wider axis: nodes for each piece, and standard deviations to each side."""
 
 
 def limits_of(elements: Elements, limits: PyTree) -> np.ndarray:

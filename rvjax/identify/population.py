@@ -105,7 +105,7 @@ def _maximise(slopes: np.ndarray, data: np.ndarray, mixing: np.ndarray) -> tuple
 
 
 def _mean_sd(slopes: np.ndarray, mixing: np.ndarray, spread: np.ndarray) -> np.ndarray:
-    """From the information of all units about the mean, each with its own spread on top; large where there is none."""
+    """Standard deviation of the mean, from the information of all units and their spread; large without information."""
     over = slopes @ (spread[:, None] * mixing)
     inner = np.linalg.inv(np.eye(over.shape[-2]) + over @ np.swapaxes(over, -1, -2))
     information = (np.swapaxes(slopes, -1, -2) @ inner @ slopes).sum(axis=0)

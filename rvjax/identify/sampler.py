@@ -26,7 +26,7 @@ from rvjax.records import PyTree
 from rvjax.response import per_response
 
 SPREAD = 2.0
-"""Of the starts about a mode, in its standard deviations."""
+"""Spread of the starts about a mode, in its standard deviations."""
 
 R_HAT, ESS, DIVERGENT = 1.01, 400.0, 0.01
 """Most disagreement of chains, least effective draws, and largest share of divergent ones, of draws to be trusted."""

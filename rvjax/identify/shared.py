@@ -134,7 +134,7 @@ class Joint:
     """All units at one point, evaluated chunk by chunk."""
 
     def __init__(self, problem: Problem, split: Split, y: np.ndarray, rows: list[slice]) -> None:
-        """Of units y (units, m) in these chunks."""
+        """Create the evaluation of units y (units, m) in the chunks `rows`."""
         self.problem, self.split, self.y, self.rows = problem, split, y, rows
         self.mixing = problem.elements.mixing
         self.order = np.concatenate([split.own_columns, split.shared_columns])

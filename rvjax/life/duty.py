@@ -44,7 +44,7 @@ def check_phases(duty: Duty) -> int:
 
 
 class Revolutions(NamedTuple):
-    """Of every crank bearing against its outer ring, in one cycle."""
+    """Revolutions of every crank bearing against its outer ring, in one cycle."""
 
     share: jax.Array  # of each phase, (phases,), sum 1; 0 where nothing turns
     per_time: jax.Array  # U / tc, () 1/s

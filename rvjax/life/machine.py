@@ -194,7 +194,7 @@ def damages(
     supports = forces.support.reshape(samples * phases, *forces.support.shape[2:])
 
     def by_bearing(bearing: Any, force: jax.Array, clearance: Any) -> tuple[Damage, SolveInfo]:
-        """Of bearings (rows, columns) with forces (n, rows, columns, 2)."""
+        """Damage of bearings (rows, columns) with forces (n, rows, columns, 2)."""
         rated, loose = ratings(bearing), Looseness(clearance, tilt, True)
 
         def one(own: jax.Array) -> tuple[Damage, SolveInfo]:

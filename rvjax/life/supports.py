@@ -27,7 +27,7 @@ def shared(bearings: Bearings, arm: jax.Array, support: jax.Array) -> jax.Array:
 
 
 class Equivalent(NamedTuple):
-    """Of every instant, (...,) N."""
+    """Equivalent loads of every instant, (...,) N."""
 
     dynamic: jax.Array
     static: jax.Array

@@ -62,7 +62,7 @@ def bearing_forces(
 def _measure(
     layout: Layout, read: Read, torques: jax.Array, angle: jax.Array, found: Found, status: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """Of one angle under every torque, with their derivatives."""
+    """Forces at one angle under every torque, with their derivatives."""
     case = prepare(layout, read, angle)
 
     def of_one(torque: jax.Array, found: Found, status: jax.Array) -> tuple[jax.Array, jax.Array]:

@@ -53,7 +53,7 @@ def contacts(layout: Layout, s: System, q: jax.Array) -> Contacts:
 
 
 def depths(layout: Layout, s: System, q: jax.Array) -> jax.Array:
-    """Of the pins in the discs, (d, p, l).
+    """Depths of the pins in the discs, (d, p, l).
 
     Args:
         layout: counts and methods.

@@ -110,7 +110,7 @@ def curvature(design: RVReducer, k1: Any, cosine: Any) -> Any:
 
 
 def largest_curvature(design: RVReducer, k1: Any) -> Any:
-    """Of the whole flank, 1/m: at its inflection or at one of its ends.
+    """Largest curvature of the whole flank, 1/m: at its inflection or at one of its ends.
 
     Args:
         design: pin count and pin circle radius are read.

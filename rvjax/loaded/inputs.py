@@ -201,7 +201,7 @@ def pin_compliance(layout: Layout, design: RVReducer) -> jax.Array:
 
 
 def mesh_stiffness(design: RVReducer) -> jax.Array:
-    """Of gear, planet seat and its torsion in series at the line of action, () or (c,) N/m. Eq. 8."""
+    """Stiffness of gear, planet seat and its torsion in series at the line of action, () or (c,) N/m. Eq. 8."""
     springs, base = design.stiffness, jnp.asarray(design.involute.planet_base_radius)
     assert springs is not None
     torsion = base * base / springs.planet_crank_torsion

@@ -170,7 +170,7 @@ def _moved(layout: Layout, s: System, q: jax.Array, gaps: bool = True) -> tuple[
 
 
 def _det(z0: jax.Array, x: jax.Array, y: jax.Array) -> jax.Array:
-    """Of a vector in the cone, > 0."""
+    """Determinant of a vector in the cone, > 0."""
     size = jnp.sqrt(x * x + y * y)
     return (z0 - size) * (z0 + size)
 

@@ -41,7 +41,7 @@ class Found(NamedTuple):
 
 
 class _Tour(NamedTuple):
-    """Of all cases: those that wait for the next round, and what is found."""
+    """State of all cases: those that wait for the next round, and the results."""
 
     number: jax.Array  # of the round
     queued: jax.Array  # (cases,)

@@ -54,7 +54,7 @@ def _ways(given: Any) -> dict[str, Any]:
 
 
 def _turns(design: RVReducer, given: Any) -> float:
-    """Of the output in the span."""
+    """Turns of the output in the span."""
     return 1.0 if given.span == "output_turn" else 1 / design.cycloid.pin_count
 
 

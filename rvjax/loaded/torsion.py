@@ -18,7 +18,7 @@ from rvjax.records import Array, Record, Scalar, field, record
 from rvjax.status import SolveInfo, succeeded, worst_of
 
 SHARES = (1.0, 0.5, 0.03, 1e-3)
-"""Of the rated torque, at either sign. The least is the probe torque: the limit of no torque."""
+"""Shares of the rated torque, at either sign. The least is the probe torque: the limit of no torque."""
 
 
 @record

@@ -102,7 +102,7 @@ def _moment(rows: _Rows, roller: Callable[[int], tuple[jax.Array, jax.Array]]) -
 
 
 def _largest(rows: jax.Array) -> jax.Array:
-    """Of all rollers, (cases,); NaN where one is."""
+    """Largest value of all rollers, (cases,); NaN where one is NaN."""
     return functools.reduce(jnp.maximum, [rows[i] for i in range(len(rows))])
 
 

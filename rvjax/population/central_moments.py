@@ -40,7 +40,7 @@ class CentralMoments:
 
     @property
     def sums(self) -> tuple[float, ...]:
-        """Of the central powers 0..6."""
+        """Sums of the central powers 0..6."""
         return float(self.n), 0.0, self.s2, self.s3, self.s4, self.s5, self.s6
 
     def merge(self, b: "CentralMoments") -> "CentralMoments":

@@ -164,7 +164,7 @@ class Tolerance(Record):
         return self.law.moments(self)
 
     def described(self) -> str:
-        """As text, exact to the last bit."""
+        """Text of the tolerance, exact to the last bit."""
         shown = f"{self.distribution} {float(self.lower)!r} .. {float(self.upper)!r}, cp {float(self.cp)!r}"
         own = self.law.described()
         own |= {n: hashlib.sha256(repr(v).encode()).hexdigest() for n, v in own.items() if isinstance(v, list)}

@@ -55,7 +55,7 @@ class TruncatedNormal(Distribution):
         return tolerance.middle + tolerance.half_width * (shift + jnp.where(upper, -cut, cut) / (3 * cp))
 
     def moments(self, tolerance: "Tolerance") -> Moments:
-        """Of the standard normal cut to [a, b]: M_k = (k-1) M_{k-2} + (a^(k-1) phi(a) - b^(k-1) phi(b))/Z."""
+        """Moments of the standard normal cut to [a, b]: M_k = (k-1) M_{k-2} + (a^(k-1) phi(a) - b^(k-1) phi(b))/Z."""
         cp, shift = float(tolerance.cp), float(tolerance.shift)
         a, b = -3 * cp * (1 + shift), 3 * cp * (1 - shift)
         mass = float(special.ndtr(b) - special.ndtr(a))
@@ -129,7 +129,7 @@ class Triangular(Distribution):
         return tolerance.lower + 2 * tolerance.half_width * share
 
     def moments(self, tolerance: "Tolerance") -> Moments:
-        """Of the triangle over -1 .. 1 with mode c: c/3, (3 + c^2)/18, c (c^2 - 9)/135, 2.4 v^2."""
+        """Moments of the triangle over -1 .. 1 with mode c: c/3, (3 + c^2)/18, c (c^2 - 9)/135, 2.4 v^2."""
         c = float(tolerance.shift)
         variance = (3 + c**2) / 18
         return stretch((c / 3, variance, c * (c**2 - 9) / 135, 2.4 * variance**2), *_placement(tolerance))
@@ -144,7 +144,7 @@ class Beta(Distribution):
     beta: tuple[float, float] = text("(p, q)")
 
     def deviate(self, tolerance: "Tolerance", z: jax.Array) -> Scalar:
-        """From a table of the quantile: JAX has no inverse incomplete beta function."""
+        """Deviate from a table of the quantile: JAX has no inverse incomplete beta function."""
         return tolerance.lower + 2 * tolerance.half_width * interpolate(z, *_beta_table(*self.beta))
 
     def moments(self, tolerance: "Tolerance") -> Moments:
@@ -191,7 +191,7 @@ class Rayleigh(Distribution):
         return scale * jnp.sqrt(-2 * log_ndtr(-z))  # 1 - u = Phi(-z)
 
     def moments(self, tolerance: "Tolerance") -> Moments:
-        """Of the magnitude, or of one component."""
+        """Moments of the magnitude, or of one component."""
         scale = float(tolerance.upper) / (3 * float(tolerance.cp))
         if tolerance.is_vector:
             return 0.0, scale**2, 0.0, 3 * scale**4

@@ -42,7 +42,7 @@ class VonMises(Rayleigh):
         return jnp.stack([size * jnp.cos(angle), size * jnp.sin(angle)], axis)
 
     def moments(self, tolerance: "Tolerance") -> Moments:
-        """Of both components, in the shape of the field."""
+        """Moments of both components, in the shape of the field."""
         powers = [1.0, *raw_rayleigh(float(tolerance.upper) / (3 * float(tolerance.cp)))]
         pairs = []
         for toward in (0.0, math.pi / 2):  # cos(a - 0) and cos(a - pi/2) = sin a
@@ -64,7 +64,7 @@ class VonMises(Rayleigh):
         return shared / spread if spread else 0.0
 
     def check(self, tolerance: "Tolerance") -> None:
-        """As for Rayleigh, and a concentration that is a number."""
+        """Check as for Rayleigh; the concentration must be a number."""
         super().check(tolerance)
         if not isinstance(self.concentration, (int, float)) or not 0 <= self.concentration <= 1e6:
             raise bad("concentration", self.concentration, "must be a number from 0 to 1e6")

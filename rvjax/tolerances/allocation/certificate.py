@@ -91,7 +91,7 @@ class Certifier:
         return alone or wilson(n, n, confidence).lower < (self.joint_target or 0.0)
 
     def factors(self, statistics: Statistics, distance: np.ndarray) -> np.ndarray:
-        """Of each constraint: the common factor on all half-widths after which a draw should just hold."""
+        """Common factor on all half-widths after which each constraint should just hold."""
         n, z = self.run.samples, deviate_of(self.run.confidence)
         z -= CUSHION if self.units is not None else 0.0  # the same units hold no surprise
         found = [

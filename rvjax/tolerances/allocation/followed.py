@@ -146,7 +146,7 @@ class Followed:
 
 
 class _Step:
-    """From one set of tolerances to another."""
+    """Step from one set of tolerances to another."""
 
     def __init__(self, units: Followed, known: _Known, population: Population) -> None:
         self.units, self.known, self.population = units, known, population

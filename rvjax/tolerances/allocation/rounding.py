@@ -145,7 +145,7 @@ class Snapping:
         return t, self.certifier.draw(self.training.with_half_widths(t))
 
     def promising(self, half_widths: np.ndarray, beyond: float) -> bool:
-        """Not beyond a limit by more than a part of the way there."""
+        """True if no limit is exceeded by more than the part `beyond` of the way there."""
         return bool((self.training.margins(half_widths) <= beyond * self.training.distance).all())
 
     def at(self, places: Places, half_widths: np.ndarray) -> np.ndarray:

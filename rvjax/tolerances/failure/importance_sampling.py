@@ -21,7 +21,7 @@ class Mixture:
     """
 
     def __init__(self, numbers: int) -> None:
-        """Without points, for units of this many random numbers."""
+        """Create a mixture without points, for units of `numbers` random numbers."""
         self.centres = np.zeros((numbers, 0))
         self.converged = np.zeros(0, bool)
 

@@ -71,7 +71,7 @@ class Requirement(Limits):
         return estimate.lower >= self.target
 
     def factor(self, estimate: Estimate, samples: int, deviate: float, distance: float) -> float:
-        """Of a normal response within two limits."""
+        """Factor of a normal response within two limits."""
         if estimate.error < 0.5 * math.sqrt(max(0.0, estimate.value * (1 - estimate.value)) / samples):  # see `rarely`
             return rare_factor(estimate, self.target, deviate)
         return share_factor(estimate, self.target, samples, deviate)
@@ -173,7 +173,7 @@ class SdAtMost(Limits):
         return self.upper
 
     def capability(self, mean: float, sd: float) -> tuple[float, float]:
-        """It has none: its limit is no limit of units."""
+        """NaN: the limit is no limit of units."""
         return math.nan, math.nan
 
     def learned(self, values: np.ndarray, distance: float) -> float:
@@ -224,7 +224,7 @@ class WorstCaseWithin(Limits):
     prefix: ClassVar[str] = "worst_"
 
     def capability(self, mean: float, sd: float) -> tuple[float, float]:
-        """It has none: its limits are no limits of units."""
+        """NaN: the limits are no limits of units."""
         return math.nan, math.nan
 
     def learned(self, values: np.ndarray, distance: float) -> float:
@@ -244,7 +244,7 @@ class WorstCaseWithin(Limits):
         return Estimate(worse, 0.0, worse, worse)
 
     def holds(self, estimate: Estimate) -> bool:
-        """It keeps the limits, but for rounding."""
+        """True if the value keeps the limits, except for rounding."""
         return bool(self.margin(estimate.value) <= 1e-12 * max(abs(self.margin(0.0)), abs(estimate.value)))
 
     def factor(self, estimate: Estimate, samples: int, deviate: float, distance: float) -> float:
@@ -253,7 +253,7 @@ class WorstCaseWithin(Limits):
         return bounded(distance / way) if way > 0 else MOST_FACTOR
 
     def hopeless(self, samples: int, confidence: float) -> bool:
-        """It needs no sample."""
+        """False: the worst case needs no sample."""
         return False
 
     def text(self) -> str:
