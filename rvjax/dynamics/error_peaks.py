@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax.arguments import checked
 from rvjax.designs import RVReducer
 from rvjax.dynamics.assembly import Lumped
 from rvjax.dynamics.error_excitation import Case, Orders, case_of, error_orders, generators, read
@@ -42,6 +43,7 @@ class SpeedRange(Record):
     info: SolveInfo = field("-", "residual of the solves; CONVERGED, SINGULAR, ...", kind="record")
 
 
+@checked
 def speed_range(
     design: RVReducer,
     errors: RVErrors,

@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax.arguments import checked
 from rvjax.choices import choose
 from rvjax.designs import RVReducer
 from rvjax.dynamics.error_balance import balance
@@ -59,6 +60,7 @@ class SpeedSweep(Record):
     info: SolveInfo = field("-", "residual of the solves; CONVERGED, SINGULAR, ...", kind="record")
 
 
+@checked
 def transmission_error(
     design: RVReducer,
     errors: RVErrors,
@@ -151,6 +153,7 @@ def curve_range(orders: Orders, amplitude: jax.Array) -> jax.Array:
     return jnp.max(curve, axis=0) - jnp.min(curve, axis=0)
 
 
+@checked
 def speed_sweep(
     design: RVReducer,
     errors: RVErrors,

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax.arguments import checked
 from rvjax.designs import RVReducer
 from rvjax.dynamics.error_excitation import Case, case_of, error_orders, generators, read
 from rvjax.dynamics.error_transfer import check_outputs, close, output_rows, output_speed, transfer
@@ -35,6 +36,7 @@ class ErrorStatistics(Record):
     info: SolveInfo = field("-", "residual of the solves; CONVERGED, SINGULAR, ...", kind="record")
 
 
+@checked
 def error_statistics(
     design: RVReducer,
     sigma: RVErrors,

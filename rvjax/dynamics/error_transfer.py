@@ -12,6 +12,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from rvjax.arguments import checked
 from rvjax.choices import unknown
 from rvjax.designs import RVReducer
 from rvjax.dynamics.assembly import Lumped, admitted, loaded
@@ -45,6 +46,7 @@ class Transfer(NamedTuple):
     residual: jax.Array  # ()
 
 
+@checked
 def error_transfer(
     design: RVReducer | Lumped,
     *,

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax.arguments import checked
 from rvjax.designs import RVReducer
 from rvjax.dynamics.assembly import (
     Lumped,
@@ -34,6 +35,7 @@ class Modes(Record):
         return np.array(KINDS)[np.asarray(self.kind_index)]
 
 
+@checked
 def modes(design: RVReducer | Lumped, *, load_inertia: Scalar = 0.0) -> Modes:
     """Natural frequencies and mode shapes of the mean system (Eq. 2), by kind.
 

@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax.arguments import checked
 from rvjax.designs import RVReducer
 from rvjax.dynamics.assembly import Lumped, admitted, lump, spring_table
 from rvjax.dynamics.excitation import MESH, check_stage, mesh_frequency, mesh_phases
@@ -45,6 +46,7 @@ class Floquet(Record):
     info: SolveInfo = field("-", "UNSTABLE above 1 + 1e-9", kind="record")
 
 
+@checked
 def periodic(
     design: RVReducer | Lumped,
     *,
@@ -79,6 +81,7 @@ def periodic(
     return _periodic(lumped, sun_speed, output_torque, stage, samples, outputs)
 
 
+@checked
 def floquet(design: RVReducer | Lumped, *, sun_speed: Scalar, stage: str = "planetary") -> Floquet:
     """Largest Floquet multiplier of the vibration under the periodic mesh stiffness of one stage.
 

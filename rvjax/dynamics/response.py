@@ -6,6 +6,7 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 
+from rvjax.arguments import checked
 from rvjax.choices import choose
 from rvjax.designs import RVReducer
 from rvjax.dynamics.assembly import Lumped, admitted, lump
@@ -40,6 +41,7 @@ class Response(Record):
     info: SolveInfo = field("-", "residual of the solves; CONVERGED, SINGULAR, ...", kind="record")
 
 
+@checked
 def response(
     design: RVReducer | Lumped,
     *,
@@ -82,6 +84,7 @@ def response(
     return _response(lumped, sun_speed, output_torque, sun_torque, stage, harmonics, method, outputs, False)
 
 
+@checked
 def constant_forcing(
     design: RVReducer | Lumped,
     *,

@@ -6,6 +6,7 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 
+from rvjax.arguments import checked
 from rvjax.choices import choose
 from rvjax.designs import RVReducer
 from rvjax.dynamics.assembly import Lumped
@@ -16,6 +17,7 @@ from rvjax.records import Array, PyTree, Scalar, promote
 FORMULAS = {"total": response, "constant_forcing": constant_forcing}
 
 
+@checked
 def log_sensitivities(
     design: RVReducer | Lumped,
     *,

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax.arguments import checked
 from rvjax.designs import RVReducer
 from rvjax.dynamics.assembly import Lumped, admitted, deflections, lump, spring_stiffness, spring_table
 from rvjax.dynamics.linear import solve
@@ -99,6 +100,7 @@ def mesh_stiffness(lumped: Lumped, mesh: str) -> jax.Array:
     return spring_stiffness(lumped)[spring_table(lumped.cranks, lumped.discs).of(mesh)]
 
 
+@checked
 def static(design: RVReducer | Lumped, *, output_torque: Scalar, sun_torque: Scalar | None = None) -> Static:
     """Mean deflection under a load torque on the output.
 

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax.arguments import checked
 from rvjax.elementary import LARGEST_ANGLE, sin_cos
 from rvjax.four_bar import closures
 from rvjax.records import Array, PyTree, Record, Scalar, concrete, field, promote, quantity, record
@@ -49,6 +50,7 @@ class Closure(Record):
     info: SolveInfo = field("-", "how the solve ended", kind="record")
 
 
+@checked
 def solve_closure(
     eccentricity: Scalar,
     spacing: Scalar,

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from rvjax.arguments import checked
 from rvjax.designs import RVReducer, expect
 from rvjax.elementary import arctan2, sin_cos
 from rvjax.errors import RVErrors
@@ -35,6 +36,7 @@ class Placed(NamedTuple):
     info: SolveInfo
 
 
+@checked
 def transmission_error(
     design: RVReducer,
     errors: RVErrors,

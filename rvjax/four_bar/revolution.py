@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax.arguments import checked
 from rvjax.choices import unknown
 from rvjax.designs import RVReducer, expect
 from rvjax.elementary import arctan2, divide
@@ -49,6 +50,7 @@ class Revolution(Record):
     info: SolveInfo = field("-", "of the worst angle", kind="record")
 
 
+@checked
 def revolution(
     design: RVReducer,
     errors: RVErrors,
@@ -84,6 +86,7 @@ def revolution(
     return _revolution((design, errors, output_torque, gear_stiffness_ratio), **ways)
 
 
+@checked
 def figures(
     design: RVReducer,
     errors: RVErrors,

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax import status
+from rvjax.arguments import checked
 from rvjax.bearings import RollerBearing
 from rvjax.choices import choose
 from rvjax.compile_cache import quick
@@ -14,7 +15,7 @@ from rvjax.designs import expect
 from rvjax.life.histories import METHODS, Damage, basic, magnitude, raceway
 from rvjax.life.ratings import Ratings, harmless, ratings, unfit
 from rvjax.life.slices import laminae, slices
-from rvjax.records import Record, concrete, field, promote, quantity, record
+from rvjax.records import Array, Record, Scalar, concrete, field, promote, quantity, record
 from rvjax.status import SolveInfo, Status, succeeded
 
 
@@ -27,15 +28,16 @@ class BearingLife(Record):
     info: SolveInfo = field("-", "UNLOADED: no revolution carries load", kind="record")
 
 
+@checked
 def bearing_life(
     bearing: RollerBearing,
-    force: Any,
+    force: Array | np.ndarray,
     *,
-    angle: Any = None,
-    weight: Any = None,
+    angle: Array | np.ndarray | None = None,
+    weight: Array | np.ndarray | None = None,
     method: str = "basic",
-    clearance: Any = 0.0,
-    tilt: Any = 0.0,
+    clearance: Scalar = 0.0,
+    tilt: Scalar = 0.0,
     crowned: bool = True,
 ) -> BearingLife:
     """Life under a history of loads (ISO 281; ISO/TS 16281). Lives of different methods differ in level by design.

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax.arguments import checked
 from rvjax.compile_cache import quick
 from rvjax.designs import RVReducer, expect
 from rvjax.errors import RVErrors
@@ -15,7 +16,7 @@ from rvjax.life.machine import Plan, check_plan, damages, input_angles, judge, r
 from rvjax.life.ratings import ratings
 from rvjax.life.search import largest_root
 from rvjax.loaded import Read, admit, bearing_forces
-from rvjax.records import Record, concrete, field, promote, quantity, record
+from rvjax.records import Record, Scalar, concrete, field, promote, quantity, record
 from rvjax.status import Gate, SolveInfo, Status, succeeded, worst
 
 
@@ -27,17 +28,18 @@ class RatedTorque(Record):
     info: SolveInfo = field("-", "residual: |0.3 ln(life / wanted)|; steps: of all equilibria", kind="record")
 
 
+@checked
 def rated_torque(
     design: RVReducer,
     errors: RVErrors,
     *,
-    life: Any,
-    output_speed: Any,
+    life: Scalar,
+    output_speed: Scalar,
     samples: int = 48,
     turns: float = 1.0,
     method: str = "basic",
-    reliability: Any = 0.9,
-    tilt: Any = 0.0,
+    reliability: Scalar = 0.9,
+    tilt: Scalar = 0.0,
     contact: str = "hertz",
     carrier: str = "fixed",
     sun: str = "fixed",

@@ -5,6 +5,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from rvjax.arguments import checked
 from rvjax.compile_cache import quick
 from rvjax.designs import RVReducer, expect
 from rvjax.errors import RVErrors
@@ -12,7 +13,7 @@ from rvjax.life.bearing import inverse
 from rvjax.life.duty import Duty, check_phases, revolutions
 from rvjax.life.machine import Plan, check_plan, damages, input_angles, judge, reliability_factor
 from rvjax.loaded import admit, bearing_forces
-from rvjax.records import Record, field, promote, record
+from rvjax.records import Record, Scalar, field, promote, record
 from rvjax.status import SolveInfo, Status, succeeded, worst
 
 
@@ -29,6 +30,7 @@ class Rating(Record):
     info: SolveInfo = field("-", "worst equilibrium; steps: all. UNLOADED: no revolution carries load", kind="record")
 
 
+@checked
 def rating(
     design: RVReducer,
     errors: RVErrors,
@@ -37,8 +39,8 @@ def rating(
     samples: int = 48,
     turns: float = 1.0,
     method: str = "basic",
-    reliability: Any = 0.9,
-    tilt: Any = 0.0,
+    reliability: Scalar = 0.9,
+    tilt: Scalar = 0.0,
     contact: str = "hertz",
     carrier: str = "fixed",
     sun: str = "fixed",

@@ -10,11 +10,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax.arguments import checked
 from rvjax.compile_cache import quick
 from rvjax.designs import RVReducer, expect
 from rvjax.loaded.equilibrium import Loaded
 from rvjax.loaded.geometry import Geometry, Turn, geometry, turn
-from rvjax.records import Record, field, is_concrete, quantity, record
+from rvjax.records import Record, Scalar, field, is_concrete, quantity, record
 from rvjax.status import succeeded
 
 
@@ -51,7 +52,10 @@ class Reading(Record):
             )
 
 
-def reading(found: Loaded, design: RVReducer, reading: Reading, *, input_angle: Any, output_torque: Any) -> jax.Array:
+@checked
+def reading(
+    found: Loaded, design: RVReducer, reading: Reading, *, input_angle: Scalar, output_torque: Scalar
+) -> jax.Array:
     """Angle that an encoder reads in an equilibrium, less the ideal motion: () rad, > 0 ahead.
 
     The deformation of the housing is evaluated from the forces of the equilibrium and does not change them. The

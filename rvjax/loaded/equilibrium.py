@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax.arguments import checked
 from rvjax.compile_cache import ONCE, quick
 from rvjax.designs import RVReducer
 from rvjax.errors import RVErrors
@@ -37,6 +38,7 @@ class Loaded(Record):
     info: SolveInfo = field("-", "residual: largest unbalanced force over the largest force", kind="record")
 
 
+@checked
 def equilibrium(
     design: RVReducer,
     errors: RVErrors,

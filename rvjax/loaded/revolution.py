@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from rvjax.arguments import checked
 from rvjax.compile_cache import quick
 from rvjax.designs import RVReducer
 from rvjax.errors import RVErrors
@@ -14,7 +15,7 @@ from rvjax.loaded.equilibrium import Case, judge, placed, prepare, pressures
 from rvjax.loaded.inputs import Read, admit, check_input
 from rvjax.loaded.newton import Found
 from rvjax.loaded.system import Layout
-from rvjax.records import Array, Record, field, record
+from rvjax.records import Array, Record, Scalar, field, record
 from rvjax.status import SolveInfo, succeeded, worst_of
 
 HARMONICS = 5
@@ -39,11 +40,12 @@ class Revolution(Record):
     info: SolveInfo = field("-", "the worst of the angles; steps: all", kind="record")
 
 
+@checked
 def revolution(
     design: RVReducer,
     errors: RVErrors,
     *,
-    output_torque: Any,
+    output_torque: Scalar,
     turns: float | None = None,
     samples: int = 48,
     contact: str = "hertz",

@@ -6,6 +6,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from rvjax.arguments import checked
 from rvjax.compile_cache import quick
 from rvjax.designs import RVReducer
 from rvjax.errors import RVErrors
@@ -33,6 +34,7 @@ class Torsion(Record):
     info: SolveInfo = field("-", "the worst of the eight; steps: all", kind="record")
 
 
+@checked
 def torsion(
     design: RVReducer,
     errors: RVErrors,

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax.arguments import checked
 from rvjax.records import Array, PyTree, Record, Scalar, concrete, field, promote, quantity, record
 
 
@@ -20,8 +21,9 @@ class LoopFigures(Record):
     energy: Array = field("N m", "dissipated in one cycle, the area of the loop (N m rad)")
 
 
+@checked
 def hysteresis_loop(
-    torque: Scalar, *, play: Scalar, stiffness: Scalar, friction: Scalar, smoothing: Scalar
+    torque: Array | np.ndarray, *, play: Scalar, stiffness: Scalar, friction: Scalar, smoothing: Scalar
 ) -> jax.Array:
     """Angle of the output as the torque on it runs through a sequence; no torque before the first sample.
 
@@ -59,6 +61,7 @@ def _hysteresis_loop(*numbers: PyTree) -> jax.Array:
     return _angle(passed, play, stiffness, smoothing)
 
 
+@checked
 def loop_figures(
     *,
     torque_threshold: Scalar,

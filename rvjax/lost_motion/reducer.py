@@ -5,6 +5,7 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 
+from rvjax.arguments import checked
 from rvjax.choices import choose
 from rvjax.designs import RVReducer, expect
 from rvjax.errors import RVErrors, read_by
@@ -28,6 +29,7 @@ class LostMotion(Record):
     info: SolveInfo = field("-", "steps and slope left are those of the contact search", kind="record")
 
 
+@checked
 def geometric(
     design: RVReducer,
     errors: RVErrors,
@@ -129,6 +131,7 @@ def _geometric(numbers: PyTree, *, reading: str, profile: str) -> LostMotion:
     return LostMotion(total, jnp.maximum(total, 0), terms, info.status == Status.CONVERGED, info)
 
 
+@checked
 @jax.jit
 def shaft_tilt(deflection: Scalar, length: Scalar) -> jax.Array:
     """Tilt of a shaft from its radial deflection over a length: arcsin(Y / L), Liu et al. 2022, Eq. 1.

@@ -14,12 +14,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax.arguments import checked
 from rvjax.designs import CamRollerReducer, expect
 from rvjax.errors import CamRollerErrors
 from rvjax.mesh_force import geometry
 from rvjax.mesh_force.equilibrium import MeshForces, solve
 from rvjax.mesh_force.loads import contact_pressure
-from rvjax.records import Array, PyTree, Record, Scalar, field, promote, record
+from rvjax.records import Array, Record, Scalar, field, promote, record
 from rvjax.status import SolveInfo, worst_of
 
 
@@ -51,6 +52,7 @@ def cycle_angles(gear_teeth: int, *, samples: int = 8, roller_by_roller: bool = 
     return (np.arange(points) + 0.5) * (2 * math.pi / (gear_teeth * (gear_teeth + 1) * samples))
 
 
+@checked
 @partial(jax.jit, static_argnames=("contact", "samples"))
 def cycle_statistics(
     design: CamRollerReducer, errors: CamRollerErrors, *, input_torque: Scalar, contact: str = "hertz", samples: int = 8
@@ -98,12 +100,13 @@ def cycle_statistics(
     )
 
 
+@checked
 @partial(jax.jit, static_argnames=("parameter", "contact", "samples"))
 def sweep(
     design: CamRollerReducer,
     errors: CamRollerErrors,
     parameter: str,
-    values: PyTree,
+    values: Array | np.ndarray,
     *,
     input_torque: Scalar,
     contact: str = "hertz",

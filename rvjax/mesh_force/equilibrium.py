@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import DTypeLike
 
+from rvjax.arguments import checked
 from rvjax.choices import choose
 from rvjax.designs import CamRollerReducer, expect
 from rvjax.elementary import LARGEST_ANGLE
@@ -30,6 +31,7 @@ class MeshForces(Record):
     info: SolveInfo = field("-", "residual: moment missing, relative", kind="record")
 
 
+@checked
 @functools.partial(jax.jit, static_argnames="contact")
 def solve(
     design: CamRollerReducer,

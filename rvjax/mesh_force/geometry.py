@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import DTypeLike
 
+from rvjax.arguments import checked
 from rvjax.designs import CamRollerReducer, expect
 from rvjax.records import Array, Record, Scalar, field, promote, record
 
@@ -135,6 +136,7 @@ def largest_roller_radius(design: CamRollerReducer) -> jax.Array:
     return jnp.where(exists, root, jnp.inf)
 
 
+@checked
 @jax.jit
 def tooth_profile(design: CamRollerReducer, angle: Scalar) -> ToothProfile:
     """Compute the point of the inner gear for a roller at `angle`.

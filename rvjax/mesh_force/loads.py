@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 
+from rvjax.arguments import checked
 from rvjax.designs import CamRollerReducer, expect
 from rvjax.mesh_force import geometry, line_contact
 from rvjax.mesh_force.equilibrium import MeshForces
@@ -18,6 +19,7 @@ class ContactPressure(Record):
     gear: Array = field("Pa", "at the inner gear", shape=("rollers",))
 
 
+@checked
 @jax.jit
 def contact_pressure(design: CamRollerReducer, forces: MeshForces, *, output_angle: Scalar) -> ContactPressure:
     """Hertzian line-contact pressure of the forces that `solve` returned.

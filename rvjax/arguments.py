@@ -1,0 +1,69 @@
+"""Numbers that a public function takes: checked before JAX sees them, so that an error names the argument."""
+
+import functools
+import inspect
+import types
+import typing
+from collections.abc import Callable
+from typing import Any, ParamSpec, TypeVar
+
+import jax
+import numpy as np
+
+from rvjax.records import Array, Scalar
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def checked(function: Callable[P, R]) -> Callable[P, R]:
+    """Check the arguments that a function declares as `Scalar` or as arrays of numbers; tracers pass.
+
+    Raises:
+        ValueError: where a call gives text, complex numbers, or an array for a `Scalar`; it names the argument.
+    """
+    parameters = inspect.signature(function).parameters
+    kinds = {name: kind for name, p in parameters.items() if (kind := _kind(p.annotation)) is not None}
+    places = tuple((place, name) for place, name in enumerate(parameters) if name in kinds)
+
+    @functools.wraps(function)
+    def call(*arguments: P.args, **named: P.kwargs) -> R:
+        for place, name in places:
+            value: Any = arguments[place] if place < len(arguments) else named.get(name, 0.0)
+            if type(value) is not float and not isinstance(value, jax.core.Tracer):
+                _check(name, value, *kinds[name])
+        return function(*arguments, **named)
+
+    return call
+
+
+def _kind(annotation: Any) -> tuple[bool, bool] | None:
+    """Whether an argument is one number, and whether None is allowed; None for an argument that is no number."""
+    union = isinstance(annotation, types.UnionType) or typing.get_origin(annotation) is typing.Union
+    members = set(typing.get_args(annotation)) if union else {annotation}
+    optional = type(None) in members
+    members.discard(type(None))
+    if members == set(typing.get_args(Scalar)):
+        return True, optional
+    return (False, optional) if members and members <= {Array, np.ndarray} else None
+
+
+def _check(name: str, value: Any, single: bool, optional: bool) -> None:
+    if value is None and optional:
+        return
+    if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(value)):
+        return  # a list of tracers
+    wanted = "one real number" if single else "an array of real numbers"
+    try:
+        array = value if isinstance(value, (jax.Array, np.ndarray, np.generic)) else np.asarray(value)
+    except (TypeError, ValueError):
+        raise ValueError(f"{name} = {_short(value)}: must be {wanted}") from None
+    if np.dtype(array.dtype).kind in "cOSUMmV":
+        raise ValueError(f"{name} = {_short(value)}: must be {wanted}")
+    if single and array.ndim:
+        raise ValueError(f"{name}: shape {array.shape}, must be {wanted}; sweep arrays with jax.vmap")
+
+
+def _short(value: Any) -> str:
+    text = " ".join(repr(value).split())
+    return text if len(text) <= 60 else f"{text[:56]} ..."

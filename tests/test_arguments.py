@@ -1,0 +1,94 @@
+"""Public functions of the models that get an array, text or a complex number for a number name the argument."""
+
+import inspect
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import test_doors
+
+from rvjax import RVErrors, four_bar, loaded
+from rvjax.catalogue import RV_40E
+from rvjax.loaded.cases import MACHINE
+
+LOADED = {
+    "equilibrium": lambda: loaded.equilibrium(MACHINE, RVErrors(), input_angle=0.1, output_torque=100.0),
+    "torsion": lambda: loaded.torsion(MACHINE, RVErrors(), input_angle=0.1, rated_torque=100.0),
+    "revolution": lambda: loaded.revolution(MACHINE, RVErrors(), output_torque=100.0),
+    "reading": lambda: loaded.reading(None, MACHINE, loaded.Reading(0.1, [0.0]), input_angle=0.1, output_torque=9.0),
+}
+ROOMS = {room.__name__.removeprefix("rvjax."): room for room in (*test_doors.ROOMS, loaded)}
+CALLS = {name: calls for name, calls in test_doors.CALLS.items() if not name.startswith("roots.")}
+CALLS |= {f"loaded.{name}": [lambda x, call=call: call()] for name, call in LOADED.items()}
+BAD = {
+    "array": np.array([0.1, 0.2]),
+    "list": [0.1, 0.2],
+    "array of JAX": jnp.ones(3),
+    "text": "0.3",
+    "complex": 0.3 + 1j,
+    "complex of JAX": jnp.asarray(1j),
+    "object": object(),
+}
+
+
+class Seen(Exception):
+    """A function was called."""
+
+
+def numbers_of(name, monkeypatch):
+    """The function, and its bound arguments of each way to call it with the names of those that are one number."""
+    room, _, short = name.partition(".")
+    function, found = getattr(ROOMS[room], short), []
+
+    def spy(*arguments, **named):
+        found.append((arguments, named))
+        raise Seen
+
+    with monkeypatch.context() as patch:
+        patch.setattr(ROOMS[room], short, spy)
+        for call in CALLS[name]:
+            with pytest.raises(Seen):
+                call(0.3)
+    bound = [inspect.signature(function).bind(*arguments, **named) for arguments, named in found]
+    return function, [(one, [k for k, v in one.arguments.items() if isinstance(v, float)]) for one in bound]
+
+
+@pytest.mark.parametrize("bad", BAD)
+@pytest.mark.parametrize("name", CALLS)
+def test_a_number_that_is_none_is_refused_by_name(name, bad, monkeypatch):
+    function, ways = numbers_of(name, monkeypatch)
+    for bound, numbers in ways:
+        for argument in numbers:
+            wrong = {**bound.arguments, argument: BAD[bad]}
+            with pytest.raises(ValueError, match=rf"^{argument}( =|:) .*must be one real number") as error:
+                function(**wrong)
+            message = str(error.value)
+            assert "\n" not in message and len(message) < 150
+            assert ("jax.vmap" in message) == (np.ndim(BAD[bad]) > 0)
+
+
+@pytest.mark.parametrize(
+    ("call", "argument"),
+    [
+        ("lost_motion.hysteresis_loop", "torque"),
+        ("life.bearing_life", "force"),
+        ("dynamics.speed_sweep", "sun_speeds"),
+        ("mesh_force.sweep", "values"),
+    ],
+)
+@pytest.mark.parametrize("bad", [["a", "b"], np.array([1j, 2.0]), [[1.0], [1.0, 2.0]], "text"])
+def test_an_array_of_something_else_is_refused_by_name(call, argument, bad, monkeypatch):
+    function, ((bound, _), *_) = numbers_of(call, monkeypatch)
+    with pytest.raises(ValueError, match=rf"^{argument} = .*must be an array of real numbers$"):
+        function(**{**bound.arguments, argument: bad})
+
+
+def test_tracers_and_numbers_of_every_kind_pass():
+    def error(angle):
+        return four_bar.transmission_error(RV_40E, RVErrors(), crank_angle=angle).error
+
+    for angle in (1, 0.5, np.float32(0.5), np.array(0.5), jnp.asarray(0.5)):
+        assert error(angle).shape == ()
+    assert jax.vmap(error)(jnp.arange(3.0)).shape == (3,)
+    assert jax.eval_shape(lambda x: four_bar.transmission_error(RV_40E, RVErrors(), crank_angle=x), 1.0)
