@@ -127,7 +127,7 @@ class Snapping:
     ) -> tuple[np.ndarray, Statistics | None]:
         """The free fields fitted to some grades, and a certificate unless the learning sample sees it is no use.
 
-        `beyond` a limit by more than this part of the way there, it sees that.
+        `beyond` a limit by more than this part of the way there, it is of no use.
         """
         t, free = self.at(places, half_widths), len(places) < len(self.priced)
         if free:
