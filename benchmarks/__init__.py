@@ -1,1 +1,1 @@
-"""Speed, measured beside references in one process: `python -m benchmarks.run`."""
+"""Speed, measured together with references in one process: `python -m benchmarks.run`."""

@@ -1,4 +1,4 @@
-"""Allocation by gradients beside derivative-free optimisers: units evaluated until the cheapest tolerances are found.
+"""Allocation by gradients and by derivative-free optimisers: units evaluated until the cheapest tolerances are found.
 
 First the closed form: linear responses, whose optimum is known. Then two races, the RV-40E study with its five fields
 and a linear response with forty. All optimisers minimise the same cost under the same sampled constraints (the same

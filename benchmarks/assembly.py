@@ -58,7 +58,7 @@ def seated(parts, index):
 
 
 def whole(parts, index):
-    """Transmission error of the whole machine under rated torque, peak to peak over a crank turn."""
+    """Transmission error of the loaded reducer under rated torque, peak to peak over a crank turn."""
     found = loaded.revolution(DESIGN, unit_errors(DESIGN, parts, index), output_torque=RATED, samples=SAMPLES)
     return Outcome(found.peak_to_peak, found.info.status)
 
@@ -122,7 +122,7 @@ TRUE = _true()
 
 
 def levers(count=10, sets=8):
-    """Good units and mean peak to peak of the loaded machine, by what is allowed to be chosen."""
+    """Good units and mean peak to peak of the loaded reducer, by what is allowed to be chosen."""
     names = ("random", "turned over", "turned over and paired", "with classes of bearings")
     good, mean, limit = {n: [] for n in names}, {n: [] for n in names}, None
     for number in range(sets):
@@ -182,7 +182,7 @@ def times(count):
 
 
 def main() -> None:
-    """Run what was asked for and keep its figures."""
+    """Run the selected parts and store their values."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", choices=["gauge", "levers", "times"])
     parser.add_argument("--parts", type=int, default=200, help="discs of each slot whose plan is timed")

@@ -1,7 +1,7 @@
-"""Which errors of an RV-40E a bench can tell apart: orders of the output turn at one, two and three torques, noise
-1 arcsec. `python -m benchmarks.bench_table` computes the table anew, `--keep` stores it for docs/identify_bench.md.
+"""Errors of an RV-40E that a bench can distinguish: orders of the output turn at one, two and three torques, noise
+1 arcsec. `python -m benchmarks.bench_table` recomputes the table, `--keep` stores it for docs/identify_bench.md.
 
-The loaded model is linearised at units drawn from the tolerances. What a bench knows of a field is counted in numbers:
+The loaded model is linearised at units sampled from the tolerances. The information of a bench on a field, in numbers:
 the sum over its elements of 1 - (posterior sd / prior sd)^2, which over all fields is the sum of lambda / (1 + lambda).
 """
 
@@ -63,11 +63,11 @@ def prior() -> dict[str, Tolerance]:
 
 
 def known(finest: int, units: int, seed: int = 0) -> dict[str, Any]:
-    """What each bench knows of each field.
+    """Information of each bench on each field.
 
     Args:
         finest: highest order of the output turn that is measured.
-        units: drawn units, whose mean is told.
+        units: sampled units, whose mean is returned.
         seed: of them.
     """
     fields, orders = prior(), tuple(range(1, finest + 1))
@@ -108,7 +108,7 @@ def known(finest: int, units: int, seed: int = 0) -> dict[str, Any]:
 
 
 def table(found: dict[str, Any]) -> list[list[str]]:
-    """Headers and rows: numbers of a field that each bench knows.
+    """Headers and rows: numbers of a field that each bench identifies.
 
     Args:
         found: as kept.
@@ -124,7 +124,7 @@ def table(found: dict[str, Any]) -> list[list[str]]:
 
 
 def main() -> None:
-    """Print the table, and keep it where asked to."""
+    """Print the table, and store it with --keep."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--keep", action="store_true", help=f"write {KEPT.name}")
     parser.add_argument("--finest", type=int, default=100)

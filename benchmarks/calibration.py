@@ -2,7 +2,7 @@
 
 What is unknown is a prior, not a guess: a factor on all springs, the clearance of the crank bearings, the modification
 of the flanks, and the scatter of pins, teeth and journals, each known to a factor only. `python -m
-benchmarks.calibration` computes the surface anew, `--keep` stores it.
+benchmarks.calibration` recomputes the surface, `--keep` stores it.
 """
 
 import argparse
@@ -36,7 +36,7 @@ MEDIAN = {
 }
 """Median of each number, and standard deviation of its logarithm; assumed, as all of `MACHINE` is."""
 CENTRE, SCALE = np.array([0.8, 0.1, 0.1, -0.65]), np.array([0.7, 0.9, 0.6, 0.12])
-"""Where the surface is drawn, in standard numbers; in the order of `MEDIAN`."""
+"""Points of the surface, in standard numbers; in the order of `MEDIAN`."""
 DEGREE = 4
 BLOCK = 50
 
@@ -59,14 +59,14 @@ def factor_about(median: float, log_sd: float) -> Tolerance:
     """A positive number that is known to a factor only: lognormal.
 
     Args:
-        median: of the law, unit of the number.
+        median: of the distribution, unit of the number.
         log_sd: standard deviation of its logarithm.
     """
     return Tolerance(0.0, median * math.exp(3 * log_sd), distribution="lognormal", log_sd=log_sd)
 
 
 def prior() -> dict[str, Tolerance]:
-    """What is known of the reducer before anything is measured."""
+    """Prior of the reducer before any measurement."""
     return {name: factor_about(*about) for name, about in MEDIAN.items()}
 
 
@@ -76,7 +76,7 @@ def windup(torque: np.ndarray, *, seed: int = 0, angles: int = ANGLES) -> Callab
     Args:
         torque: N m (n,); none counts as the probe torque, a thousandth of the rated one.
         seed: of the pattern of pins, teeth and journals.
-        angles: input angles over an output turn whose mean stands for the turn.
+        angles: input angles over an output revolution, averaged.
     """
     load = jnp.asarray(np.maximum(torque, PROBE))
     turns = jnp.asarray(2 * np.pi * MACHINE.ratio * np.arange(angles) / angles)
@@ -122,7 +122,7 @@ class Surface(Record):
             values: of `prior`.
         """
         fields = prior()
-        # A lognormal law: its logarithm is linear in u.
+        # A lognormal distribution: its logarithm is linear in u.
         u = jnp.stack([jnp.log(values[n] / MEDIAN[n][0]) / MEDIAN[n][1] for n in sorted(fields)])
         return {"windup": self.at(u)}
 
@@ -183,7 +183,7 @@ def fitted(u: np.ndarray, angle: np.ndarray) -> tuple[Surface, float]:
 
 @dataclasses.dataclass(frozen=True)
 class Calibrated:
-    """What half of the torques tell.
+    """Results from half of the torques.
 
     Attributes:
         posterior: of the four numbers.
@@ -202,7 +202,7 @@ class Calibrated:
 
     @property
     def covered(self) -> int:
-        """How many of these lie within the band."""
+        """Number of these values within the band."""
         return int(np.sum(np.abs(self.missed) <= self.half[~FITTED]))
 
 
@@ -221,7 +221,7 @@ def calibrated(surface: Surface) -> Calibrated:
 
 
 def main() -> None:
-    """Draw equilibria, fit the surface, identify, predict; keep it where asked to."""
+    """Sample equilibria, fit the surface, identify, predict; store the result with --keep."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--keep", action="store_true", help=f"write {KEPT.name}")
     parser.add_argument("--count", type=int, default=600)

@@ -1,4 +1,4 @@
-"""How often the intervals hold the truth: every interval that the library prints, over many seeds.
+"""Coverage of the intervals: every interval that the library prints, over many seeds.
 
 `python -m benchmarks.coverage` re-makes the tables of the docs (an hour and a half on one core); `--only` a case alone,
 whose figures replace the kept ones.
@@ -37,7 +37,7 @@ def plain(case, units):
 
 
 def rare(case, exact, seeds):
-    """Coverage of the interval of a failure probability, and what else tells right from wrong."""
+    """Coverage of the interval of a failure probability, and other tests of it."""
     need = Requirement(upper=case.limit)
     runs = [
         failure_probability(case.response, case.tolerances, need, samples=case.samples, seed=seed, like=case.like)

@@ -102,7 +102,7 @@ def _plane(e):
 
 
 def _rough(e):
-    """What a cheap level knows of `_plane`: nine tenths of it, and some noise of its own."""
+    """Low-fidelity version of `_plane`: nine tenths of it, and independent noise."""
     return 0.9 * _plane(e) + 0.1 * e["v"][7]
 
 
@@ -121,4 +121,4 @@ LIKE = {
     ),
     "nothing in common": Rare(_plane, _fields(10), 4.5, SF(4.5), 1000, lambda e: e["v"][5]),
 }
-"""Failures of a dear response, searched on a cheap one."""
+"""Failures of a high-fidelity response, searched on a low-fidelity response."""

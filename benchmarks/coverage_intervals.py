@@ -1,4 +1,4 @@
-"""Coverage of the intervals of `monte_carlo` and `sobol_indices` on laws whose figures are known."""
+"""Coverage of the intervals of `monte_carlo` and `sobol_indices` on distributions with known statistics."""
 
 import dataclasses
 import functools

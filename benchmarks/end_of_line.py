@@ -1,4 +1,4 @@
-"""A virtual end of line: units are drawn, measured with noise, identified; how often the intervals hold the truth, and
+"""A virtual end of line: units are sampled, measured with noise, identified; coverage of the intervals, and
 how many broken parts are found at a stated rate of false alarms. `python -m benchmarks.end_of_line`, `--keep` for the
 docs.
 
@@ -55,7 +55,7 @@ def question(angles: int = 16) -> tuple[Any, dict[str, Tolerance]]:
 @jax.jit
 @jax.vmap
 def _measured(model: Any, values: Any, key: jax.Array) -> Any:
-    """What the bench writes of one unit."""
+    """Measurement of one unit."""
     leaves, structure = jax.tree.flatten(model(values))
     noisy = []
     for leaf, own in zip(leaves, jax.random.split(key, len(leaves))):
@@ -113,8 +113,8 @@ def alarms(found: identify.Batch) -> np.ndarray:
 def due(off: float) -> float:
     """Share of broken units that are to be expected among the alarms.
 
-    The curve shows two numbers of the parts: e00 - e01 - e10 + e11, of standard deviation 2 sigma, and the play. Nobody
-    knows which part is broken, so both count: a chi square of two numbers, off centre by (off / 2)^2.
+    The curve shows two numbers of the parts: e00 - e01 - e10 + e11, of standard deviation 2 sigma, and backlash. It is
+    unknown which part is broken, so both count: a chi square of two numbers, off centre by (off / 2)^2.
 
     Args:
         off: in standard deviations of the drawing.
@@ -125,7 +125,7 @@ def due(off: float) -> float:
 
 
 def main() -> None:
-    """Print the figures, and keep them where asked to."""
+    """Print the values, and store them with --keep."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--keep", action="store_true", help=f"write {KEPT.name}")
     parser.add_argument("--units", type=int, default=1000)

@@ -1,8 +1,8 @@
-"""What was measured when, where and with what: one file a day and machine in `benchmarks/history`, and two compared.
+"""History of measurements: one file a day and computer in `benchmarks/history`, and a comparison of two files.
 
 A figure is a speed if its name says so: a time (`ns`, `ms`, `s`; less is faster), memory (`MB`), or a ratio `a / b` or
-`a_over_b` of two contenders that alternated in one process. Times of others (C, NumPy, SciPy, Numba) tell how fast the
-machine was that day. Times and memory are compared on one machine only, ratios between any two.
+`a_over_b` of two contenders that alternated in one process. Times of others (C, NumPy, SciPy, Numba) show how fast the
+computer was that day. Times and memory are compared on one computer only, ratios between any two.
 """
 
 import datetime
@@ -55,7 +55,7 @@ def newest(folder: Path = HISTORY) -> dict[str, Any]:
 
 
 def keep(name: str, script: dict[str, Any], label: str = "", folder: Path = HISTORY) -> Path:
-    """Put the figures of a script into today's file of its machine, and say where that is."""
+    """Store the values of a script in today's file of its computer, and return the path."""
     now, machine = datetime.datetime.now().isoformat(timespec="seconds"), script["machine"]["processor"] or "unknown"
     parts = [now[:10], re.sub(r"[^a-z0-9]+", "-", machine.lower()).strip("-"), *([label] if label else [])]
     path = folder / f"{'-'.join(parts)}.json"
@@ -119,7 +119,7 @@ def versions(entry: dict[str, Any]) -> str:
 
 
 def report(before: dict[str, Any], after: dict[str, Any]) -> str:
-    """What got slower or faster, in words."""
+    """List slower and faster values."""
     found = list(changes(before, after))
     beyond = [change for change in found if change.beyond]
     lines = [" -> ".join(f"{e['date']} ({e['machine']}; {versions(e)})" for e in (before, after))]

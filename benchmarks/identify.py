@@ -1,4 +1,4 @@
-"""`rvjax.identify.solve_many` beside SciPy: 1000 units of 40 errors, each from 500 observations, compilation included.
+"""`rvjax.identify.solve_many` and SciPy: 1000 units of 40 errors, each from 500 observations, compilation included.
 
 SciPy's `least_squares` gets the residuals and the Jacobian from JAX, compiled, and the prior as rows of its own; it
 runs unit after unit on --reference units and its time is scaled. Optimistix joins where it can be imported.

@@ -78,7 +78,7 @@ def solved(data):
 
 
 def figures(count, seed):
-    """What 1000 units must show: coverage, and the Kolmogorov p-values of ranks and of three chances.
+    """Criteria of 1000 units: coverage, and the Kolmogorov p-values of ranks and of three chances.
 
     Args:
         count: units.

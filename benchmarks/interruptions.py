@@ -1,7 +1,7 @@
-"""What befalls a run: signals, a full and a read-only disk, other devices and threads; each with its outcome.
+"""Interruptions of a run: signals, a full and a read-only disk, other devices and threads; each with its outcome.
 
 Every case is a process of its own that counts units of one study. Its figures, to the last bit, are compared with those
-of a run that nothing befell: the table of docs/stability.md.
+of an undisturbed run: the table of docs/stability.md.
 
     python -m benchmarks.interruptions
 """
@@ -64,7 +64,7 @@ def start(checkpoint=None, *, flags="", threads=None, full=False):
 
 
 def ended(process):
-    """Digests of all figures and of the counts, and what it said."""
+    """Digests of all values and counts, and the messages."""
     said, complained = process.communicate(timeout=500)
     figures = [line.split()[1:] for line in said.splitlines() if line.startswith("figures")]
     notes = [line for line in said.splitlines() if line.startswith("warned")]

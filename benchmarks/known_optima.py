@@ -1,4 +1,4 @@
-"""Allocations beside optima that are known without sampling: the table of docs/tolerances.md.
+"""Allocations compared with optima that are known without sampling: the table of docs/tolerances.md.
 
 python -m benchmarks.known_optima [--only NAME] [--certificate 16e6]
 """

@@ -1,4 +1,4 @@
-"""Levels of some models measured anew into the table that comes with rvjax: the others keep their figures.
+"""Levels of some models measured again into the table that comes with rvjax: the others keep their figures.
 
 `python -m benchmarks.levels --only loaded_turn` takes minutes; `--list` names what there is.
 """

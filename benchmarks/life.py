@@ -84,7 +84,7 @@ def share():
 
 
 def histories(seed=0):
-    """Forces (cases, samples, 2) N: a part that stands, one that turns with the inner ring, and noise."""
+    """Forces (cases, samples, 2) N: a constant part, a part that turns with the inner ring, and noise."""
     rng = np.random.default_rng(seed)
     fixed, turning = rng.uniform(500, 3000, (2, HISTORIES, 1))
     angle = ANGLE[None] + rng.uniform(0, 2 * np.pi, (HISTORIES, 1))

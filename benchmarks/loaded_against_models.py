@@ -1,4 +1,4 @@
-"""What the cheap models of a reducer are, held against the loaded equilibrium of the whole machine.
+"""Comparison of the low-fidelity models of a reducer with the loaded equilibrium.
 
     python -m benchmarks.loaded_against_models [--oracle] [--json FILE]
 
@@ -182,7 +182,7 @@ PLAY = ("bearing_clearance", "eccentricity", "pin_circle_radius", "pin_radius", 
 
 
 def against_static(solve):
-    """Stiffness of the RV-320E beside `dynamics.static`, and the largest difference of gear forces."""
+    """Stiffness of the RV-320E compared with `dynamics.static`, and the largest difference of gear forces."""
     torque = RATED["RV-320E"]
     found = dynamics.static(RV_320E, output_torque=-torque)
     turned = -float(found.deflection[-1])

@@ -1,4 +1,4 @@
-"""Failures of a few units in a million: importance sampling about design points beside plain Monte Carlo.
+"""Failures of a few units in a million: importance sampling about design points, and plain Monte Carlo.
 
 The RV-40E study with its own tolerances: how often the misfit of a disc exceeds 24, 25 and 27 um. Plain Monte
 Carlo counts among --units fresh units (10^8 take about five minutes on two cores); its own error is a few percent.
@@ -26,7 +26,7 @@ OUTPUT, LIMITS, SAMPLES = "misfit", (24 * um, 25 * um, 27 * um), 65_536
 
 
 def counted(response, tolerances, units):
-    """Units beyond each limit among the first `units` (whole blocks), failed ones included; and how many were drawn."""
+    """Units beyond each limit among the first `units` (whole blocks), with failed units, and the number of units."""
     beyond, drawn, key = np.zeros(len(LIMITS), int), 0, root_key(2026)
     while drawn < units:
         values, status = respond_units(response, Population.of(tolerances), key, drawn, count=BLOCK)

@@ -1,6 +1,6 @@
 """Shared by all benchmarks: settings, JSON, C compiled on the spot, and the clock of `rvjax tradeoff`.
 
-Candidates are run in turn and the minimum of each is kept, so that a busy machine slows all alike;
+Candidates are run in turn and the minimum of each is kept, so that other load slows all alike;
 the ratios of the minima are the figures to compare.
 """
 
@@ -20,7 +20,7 @@ __all__ = ["alternate", "arguments", "c_library", "compiled", "machine", "publis
 
 
 def settings() -> None:
-    """What every benchmark runs with: float64, the command line's flags of XLA and memory. Call before JAX is used."""
+    """Settings of every benchmark: float64, the command line's flags of XLA and memory. Call before JAX is used."""
     flags = ["--xla_disable_hlo_passes=tree_reduction_rewriter"]
     if "avx512f" in (Path("/proc/cpuinfo").read_text() if Path("/proc/cpuinfo").exists() else ""):
         flags.append("--xla_cpu_prefer_vector_width=512")
@@ -33,7 +33,7 @@ def settings() -> None:
 
 
 def c_library(source: str) -> ctypes.CDLL | None:
-    """C source compiled with the machine's gcc and loaded; None where there is no gcc."""
+    """C source compiled with the local gcc and loaded; None where there is no gcc."""
     compiler = shutil.which("gcc")
     if compiler is None:
         return None
@@ -52,7 +52,7 @@ def arguments(description: str) -> argparse.Namespace:
 
 
 def publish(name: str, figures: dict[str, Any], path: Path | None) -> None:
-    """Print the figures and, where a path is given, write them as JSON with the machine they belong to."""
+    """Print the figures and, where a path is given, write them as JSON with the computer of the measurement."""
     for key, value in figures.items():
         print(f"{key:48s} {value:.4g}" if isinstance(value, float) else f"{key:48s} {value}")
     if path is not None:

@@ -1,8 +1,8 @@
-"""The four-bar picture and the whole machine, side by side: what tolerances certified in one do in the other.
+"""Comparison of the four-bar model and the loaded model: tolerances certified in one, evaluated in the other.
 
-`python -m benchmarks.two_studies` answers rv-40e and rv-40e-whole, judges both answers on the whole machine, at rated
+`python -m benchmarks.two_studies` solves rv-40e and rv-40e-whole, evaluates both results on the loaded model, at rated
 torque and at the torque of a test bench, 3 % of it, and keeps what it found in `benchmarks/two_studies.json`, which the
-docs show: ten minutes on an idle core. What is kept stays; `--fresh` begins anew.
+docs show: ten minutes on an idle core. What is kept stays; `--fresh` starts again.
 """
 
 import dataclasses
@@ -47,7 +47,7 @@ target = 0.99
 OWN = ("loaded_transmission_error", "misfit", "bench_lost_motion")
 """Responses that rv-40e-whole requires."""
 LINKAGE = ("crank_eccentricity", "crank_phase", "disc_bore", "carrier_bore", "bearing_clearance")
-"""Errors that the four-bar picture knows."""
+"""Errors of the four-bar model."""
 
 
 def observed() -> study.Study:
@@ -59,7 +59,7 @@ def observed() -> study.Study:
 
 
 def optimum(name: str) -> dict[str, Any]:
-    """The answer of `rvjax allocate`, without what a report shows beside it."""
+    """Result of `rvjax allocate`, without the other content of a report."""
     asked = study.load(name, solve=False)
     found = allocate(
         asked.response(), asked.tolerances, asked.requirements, costs=asked.costs, samples=asked.samples,
@@ -76,14 +76,14 @@ def optimum(name: str) -> dict[str, Any]:
 
 
 def with_limits(tolerances: Any, limits: dict[str, list[float]]) -> Any:
-    """Tolerances with the limits of an answer."""
+    """Tolerances with the limits of a result."""
     return tolerances.replace(
         **{name: getattr(tolerances, name).replace(lower=low, upper=high) for name, (low, high) in limits.items()}
     )
 
 
 def judged(asked: study.Study, answer: Any) -> dict[str, Any]:
-    """Yields with intervals, 99 % quantiles, and the correlation of the four-bar with the machine."""
+    """Yields with intervals, 99 % quantiles, and the correlation of both models."""
     whole = put_into(asked, answer)
     found = monte_carlo(
         asked.response(), whole, samples=UNITS, seed=SEED, chunk=BLOCK, requirements=asked.requirements, keep=True

@@ -1,1 +1,1 @@
-"""Random inputs over the domain of every model and beyond it, each judged: `python -m census.extremes`."""
+"""Random inputs over the domain of every model and beyond it, each checked: `python -m census.extremes`."""

@@ -5,7 +5,7 @@
 
 From random inputs the best are kept and changed again, by steps that shrink where nothing better comes. Climbed are,
 one after the other: float32 against float64, the residual, the error that an independent computation sees, the
-derivative against differences. The worst corners are printed so that they can be run again; one above its bound
+derivative against differences. The worst corners are written out so that they can be run again; one above its bound
 becomes a test.
 """
 

@@ -1,4 +1,4 @@
-"""What the models of the census share: how numbers are drawn and spoiled, and what a model must offer."""
+"""Common parts of the models of the census: random and invalid inputs, and the interface of a model."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -6,13 +6,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 Case = dict[str, Any]
-REAL = np.longdouble  # of the judges
+REAL = np.longdouble  # of the reference computations
 
 
 class Model(NamedTuple):
     """One model with its static options; `run` gives values, status, residual and the scale of the values."""
 
-    group: str  # models of one group share the inputs asked for
+    group: str  # models of one group share the number of inputs
     name: str
     draw: Callable[[Any, int], Case]
     run: Callable[[Case], dict[str, Any]]
@@ -20,7 +20,7 @@ class Model(NamedTuple):
     step: Callable[[str, Any], Any]  # size of a change of an input that matters
     ordinary: Callable[[Case], Any]  # where derivatives are compared and float32 is promised a bound
     judged: float = 1.0  # share of the inputs that the independent computation sees
-    faint: float = 0.0  # values below this share of the scale are too small for differences of what is beside them
+    faint: float = 0.0  # values below this share of the scale are too small for differences of larger values
     sound: Callable[[Case], Any] = lambda case: moderate(case)  # where the residual has a bound
 
 
@@ -38,7 +38,7 @@ def deviations(rng: Any, shape: tuple[int, ...], part: np.ndarray) -> np.ndarray
 
 
 def spoiled(case: Case, rng: Any, share: float = 0.03) -> Case:
-    """A few lanes with one number that is not one, or far outside the domain."""
+    """Replace one number in a few batch elements by NaN, infinity or a value far outside the domain."""
     names, lanes = list(case), len(next(iter(case.values())))
     for lane in np.flatnonzero(rng.uniform(size=lanes) < share):
         value = case[names[rng.integers(len(names))]][lane : lane + 1].reshape(-1)
@@ -52,7 +52,7 @@ def nonfinite(case: Case) -> np.ndarray:
 
 
 def moderate(case: Case, top: float = 1e12) -> np.ndarray:
-    """Lanes without numbers so large that their squares or products overflow."""
+    """Batch elements whose squares and products do not overflow."""
     return np.all([(np.abs(v.reshape(len(v), -1)) < top).all(1) for v in case.values()], axis=0)
 
 

@@ -13,7 +13,7 @@ WIDTHS = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6)  # of the step of the model
 
 
 def flat(values: Any) -> np.ndarray:
-    """Values of every lane in one row."""
+    """Values of every batch element in one row."""
     parts = []
     for leaf in jax.tree.leaves(values):
         leaf = np.asarray(leaf)
@@ -47,7 +47,7 @@ def derivatives(model: Model, run: Any, lanes: Case, rng: Any, chunk: int) -> tu
 
     Differences of several widths, each extrapolated twice (Richardson). Where the two sides differ, as at a kink or
     where several angles share the largest value, the derivative must be that of one side or lie between them. What
-    differences of two widths disagree by is their rounding; a lane off by less than ten times that does not count.
+    differences of two widths disagree by is their rounding; an element off by less than ten times that is not counted.
     """
     change = {
         k: model.step(k, v) * rng.choice([-1.0, 1.0], v.shape) * rng.uniform(0.3, 1, v.shape) for k, v in lanes.items()
@@ -92,7 +92,7 @@ def derivatives(model: Model, run: Any, lanes: Case, rng: Any, chunk: int) -> tu
 
 
 def poisoned(model: Model, lanes: Case) -> int:
-    """Lanes, most of them failed, with a gradient backwards through all finite values that is not finite."""
+    """Batch elements, most of them failed, with a gradient backwards through all finite values that is not finite."""
 
     def total(case: Any) -> Any:
         out = model.run(case)

@@ -1,6 +1,6 @@
-"""The dynamic transmission error for the census, judged by the springs of all parts, displaced angle by angle.
+"""The dynamic transmission error for the census, checked by the springs of all parts, displaced angle by angle.
 
-The judge knows neither signals nor orders: `oracles.dynamic_error` says where the material of every spring is at every
+The reference uses no signals and orders: `oracles.dynamic_error` gives the material place of every spring at every
 angle of a turn of the output; the Fourier coefficients of the forces meet the dense equations of motion.
 """
 
@@ -18,7 +18,7 @@ from rvjax import RVErrors
 from rvjax.status import Status
 
 OUTPUTS, SHOWN = ("output.rotation", "sun.rotation"), [-1, 2]
-SCALE = np.array([1.0, 1e-2])  # a turn of the sun beside one of the output: where the sun is free, it takes the error
+SCALE = np.array([1.0, 1e-2])  # a revolution of the sun, and of the output: where the sun is free, it takes the error
 READ = ("torque", *SWINGS)  # of the reducers of the census, what errors as excitation do not read
 
 

@@ -1,4 +1,4 @@
-"""The dynamic model for the census, judged by equations of motion that NumPy puts together and solves."""
+"""The dynamic model for the census, checked by equations of motion that NumPy puts together and solves."""
 
 from typing import Any
 
@@ -66,7 +66,7 @@ def build_reducer(case: Case, cranks: int, discs: int) -> rvjax.RVReducer:
 
 
 def physical(case: Case, status: np.ndarray) -> np.ndarray:
-    """Lanes that a judge can follow: parts with mass and springs, in sizes that 64 bits resolve, and a solution."""
+    """Batch elements that the reference solves: parts with mass and springs, sizes that 64 bits resolve, a solution."""
     positive = [case[name] > 0 for name in (*SPRINGS[2:8], *MASSES, "e", "radius", "sun_base", "planet_base")]
     whole = np.all(positive, axis=0) & moderate(case, 1e15) & (np.min([case[n] for n in MASSES], axis=0) > 1e-12)
     whole &= np.all([case[name] >= 0 for name in SPRINGS], axis=0) & np.isin(status, (0, Status.SINGULAR))

@@ -1,14 +1,14 @@
-"""Census of the extremes: random inputs over the domain of every model and beyond it, each judged.
+"""Census of the extremes: random inputs over the domain of every model and beyond it, each checked.
 
     python -m census.extremes --inputs 1e6          one million inputs for each group of models
     python -m census.extremes --budget 5            what fits into five minutes
     python -m census.extremes --model mesh_force    groups or models whose name begins so
     python -m census.extremes --page                only write the table of docs/stability.md
 
-Printed and kept in census.json, per model: how many inputs ended with which status; silent NaN or infinity, and
+Result on screen and in census.json, per model: how many inputs ended with which status; silent NaN or infinity, and
 finite values where NaN is due; statuses and values against an independent computation; the largest residual;
 derivatives against differences; single against double precision. An interrupted census goes on where it was, model
-by model; `--fresh` begins anew. The worst inputs are kept so that they can be run again.
+by model; `--fresh` starts again. The worst inputs are kept so that they can be run again.
 """
 
 import argparse

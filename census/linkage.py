@@ -1,4 +1,4 @@
-"""Four-bar linkages for the census, judged by closure in 80-bit numbers."""
+"""Four-bar linkages for the census, checked by closure in 80-bit numbers."""
 
 import functools
 from typing import Any
@@ -51,7 +51,7 @@ def linkage(cranks: str, branch: str, closure: str) -> Model:
             pull = sum(jnp.abs(case[name]) for name in ("crank_1", "coupler", "crank_3", "frame"))
             pull = (pull + jnp.sum(jnp.abs(case["joint"]))) * jnp.abs(case["e"] + case["crank_3"]) / case["e"] ** 2
             pull = jnp.where(jnp.isfinite(pull), pull, 0)
-            out["residual_scale"] = 1 + pull * (1 + pull / case["ratio"])  # a slip of many turns is rounded as such
+            out["residual_scale"] = 1 + pull * (1 + pull / case["ratio"])  # many revolutions round coarsely
         return out
 
     return Model(

@@ -1,6 +1,6 @@
-"""The loaded reducer for the census: draws to overload and interference, judged by minima certified in 80-bit numbers.
+"""The loaded reducer for the census: draws to overload and interference, checked by minima certified in 80-bit numbers.
 
-The judge minimises the energy itself and keeps a minimum only where its gradient in 80-bit numbers has vanished: the
+The reference minimises the energy and keeps a minimum only where its gradient in 80-bit numbers has vanished: the
 energy is convex, so there is no other. What a model returns may be off by what its rule to stop leaves.
 """
 
@@ -17,7 +17,7 @@ from rvjax import RVErrors, RVReducer, catalogue, loaded
 from rvjax.designs import Contact
 from rvjax.status import Status
 
-LANES = 1024  # that the judge holds at once
+LANES = 1024  # that the reference holds at once
 RATED = 7e-5  # of E L rr a pin carries at rated torque: 500 N in an RV-40E
 RESIDUAL = 1e-10  # bound of the page, where rounding allows it
 RESULTS = ("pins", "disc_bearing", "support_bearing", "gear")
@@ -140,7 +140,7 @@ def run(
         design, errors, input_angle=case["angle"], output_torque=case["torque"], contact=contact, carrier=carrier,
         sun=sun,
     )  # fmt: skip
-    # The error as the force of a bearing that it would bend, beside the forces; all over the largest of them.
+    # The error as the force of a bearing that it would deflect, and the forces; all over the largest of them.
     stiff, radius = (jnp.where(jnp.isfinite(case[n]), case[n], 1) for n in ("turning_arm_bearing", "circle_radius"))
     force = jnp.mean(stiff) * radius
     largest = jnp.max(jnp.stack([jnp.max(jnp.abs(getattr(got, name))) for name in RESULTS]))
@@ -213,7 +213,7 @@ def judge(
 
 
 def statuses(part: Case, found: dict[str, Any], design: Any, errors: Any, read: dict[str, Any]) -> tuple[Any, Any]:
-    """Status due of every lane, -1 where it is not known, and where the minimum is certain."""
+    """Expected status of every batch element, -1 where it is not known, and where the minimum is certain."""
     numbers = oracle.read(design, errors, lanes=len(part["torque"]), **read)
     possible, thick = oracle.positive(numbers), oracle.undercut(numbers)
     certain = found["usable"] & (found["residual"] < 1e-14) & tame(part)
@@ -221,7 +221,7 @@ def statuses(part: Case, found: dict[str, Any], design: Any, errors: Any, read: 
     largest = np.abs(found["pins"]).reshape(len(due), -1).max(1)
     edge = 1e-8 * part["turning_arm_bearing"].reshape(len(due), -1).mean(1) * part["pin_radius_of_design"]
     due = np.where((part["torque"] == 0) & (np.abs(largest - edge) < 0.1 * edge), -1, due)
-    # Where the start is overloaded, or nearly, CONTACT_OVERLOAD is as good an answer as the solution.
+    # Where the start is overloaded, or nearly, CONTACT_OVERLOAD is as valid as the solution.
     due = np.where(found["bend"] <= 1, Status.CONTACT_OVERLOAD, due)
     due = np.where((found["bend"] > 1) & (found["bend"] < 3), -1, due)
     due = np.where(certain, due, -1)
@@ -229,13 +229,13 @@ def statuses(part: Case, found: dict[str, Any], design: Any, errors: Any, read: 
     due = np.where(np.abs(thick - 1) < 1e-9, -1, due)
     due = np.where(possible, due, Status.INVALID_GEOMETRY)
     due = np.where(tame(part) | (due == Status.INVALID_GEOMETRY), due, -1)
-    # Finite numbers too large or too small for the arithmetic may be named NONFINITE before the geometry is judged.
+    # Finite numbers too large or too small for the arithmetic may be named NONFINITE before the geometry is checked.
     due = np.where((~moderate(part) | vanishing(part)) & (due == Status.INVALID_GEOMETRY), -1, due)
     return np.where(nonfinite(part), Status.NONFINITE, due), certain
 
 
 def tame(case: Case) -> np.ndarray:
-    """Numbers far from overflow and underflow, and stiffnesses that 80-bit numbers can tell apart."""
+    """Numbers far from overflow and underflow, and stiffnesses that 80-bit numbers can distinguish."""
     good = moderate(case, 1e15) & ~vanishing(case)
     stiff = [case[n].reshape(len(good), -1) for n in ("turning_arm_bearing", "support_bearing", "sun_planet_mesh")]
     together = np.abs(np.concatenate(stiff, 1))
@@ -251,7 +251,7 @@ def vanishing(case: Case) -> np.ndarray:
 
 
 def sound(case: Case, teeth: int) -> np.ndarray:
-    """What machines may have: errors up to a fiftieth of a pin, stiffnesses within 1e4 of each other."""
+    """Admissible reducers: errors up to a fiftieth of a pin, stiffnesses within 1e4 of each other."""
     good = tame(case) & ~nonfinite(case)
     for name in ERRORS:
         size = 0.02 if name == "crank_phase" else 0.02 * np.minimum(

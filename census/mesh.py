@@ -1,4 +1,4 @@
-"""The roller stage for the census: draws to the undercut limit and beyond, judged by statics from the forces."""
+"""The roller stage for the census: draws to the undercut limit and beyond, checked by statics from the forces."""
 
 import functools
 from typing import Any
@@ -173,7 +173,7 @@ def moderate(case: Case) -> np.ndarray:
 
 
 def dead_band(g: Case) -> np.ndarray:
-    """Whether some windup leaves every roller without load, sure by a margin."""
+    """True if some windup leaves every roller without load, with a margin."""
     edge = -g["gap"] / np.where(g["arm"] == 0, 1, g["arm"])
     ahead, behind = g["arm"] > 1e-6 * g["eccentricity"], g["arm"] < -1e-6 * g["eccentricity"]
     upper, lower = np.where(ahead, edge, np.inf).min(1), np.where(behind, edge, -np.inf).max(1)
@@ -182,7 +182,7 @@ def dead_band(g: Case) -> np.ndarray:
 
 
 def overloaded(g: Case, torque: Any) -> np.ndarray:
-    """1 where the equilibrium passes a limit, -1 where it does not, 0 where that is too close to tell: bisection."""
+    """1 where the equilibrium passes a limit, -1 where it does not, 0 where that is too close to decide: bisection."""
     lanes = len(torque)
 
     def loads(windup: Any) -> tuple[Any, Any]:
@@ -231,7 +231,7 @@ def overloaded(g: Case, torque: Any) -> np.ndarray:
 
 
 def ordinary(teeth: int, case: Case) -> np.ndarray:
-    """Where single precision has a bound: gaps of at most a hundred elastic approaches, z theta up to 150 rad."""
+    """Cases with a bound in single precision: gaps of at most a hundred elastic approaches, z theta up to 150 rad."""
     stiff = case["young_modulus"] * case["roller_length"]
     elastic = np.abs(case["torque"]) / (case["eccentricity"] * stiff * teeth)
     gap = np.abs(case["error_cam"]) + np.abs(case["error_throw"]) + np.abs(case["error_rollers"]).max(1) * teeth

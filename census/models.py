@@ -1,6 +1,6 @@
-"""All models of the census, in groups that share the inputs asked for.
+"""All models of the census, in groups that share the number of inputs.
 
-The one place where a family joins: its own module makes a `cases.Model`, a loop here says which cases are drawn.
+The one place where a family joins: its own module makes a `cases.Model`, a loop here selects the sampled cases.
 """
 
 from collections.abc import Iterator

@@ -1,4 +1,4 @@
-"""Census of one model: random inputs drawn, run and judged, a chunk at a time so that memory stays flat."""
+"""Census of one model: random inputs sampled, run and checked, a chunk at a time so that memory stays flat."""
 
 import json
 import time
@@ -101,7 +101,7 @@ def census(model: Model, inputs: int, seed: int, until: float, progress: Callabl
 
 
 def in_single(model: Model, run: Any, case: Case) -> tuple[int, np.ndarray, Case]:
-    """Silent lanes of single precision, its gap to double precision on the same numbers, and these numbers."""
+    """Silent failures of single precision, its gap to double precision on the same numbers, and these numbers."""
     few = {k: v[:SINGLE].astype(np.float32) for k, v in case.items()}
     single = jax.tree.map(np.asarray, run(few))
     wide = {k: v.astype(np.float64) for k, v in few.items()}

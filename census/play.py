@@ -1,4 +1,4 @@
-"""Lost motion for the census, judged by the paper's sum and a search over the flank in 80-bit numbers."""
+"""Lost motion for the census, checked by the paper's sum and a search over the flank in 80-bit numbers."""
 
 import functools
 from typing import Any

@@ -1,4 +1,4 @@
-"""Whole reducers and crank turns for the census, judged by full-length vectors in 80-bit numbers."""
+"""Whole reducers and crank turns for the census, checked by full-length vectors in 80-bit numbers."""
 
 from typing import Any
 
@@ -36,7 +36,7 @@ def build(case: Case, cranks: int, discs: int) -> tuple[RVReducer, RVErrors]:
 
 
 def vanishing(case: Case) -> np.ndarray:
-    """A torque whose square, which tells the direction of a force, is below the smallest number."""
+    """A torque whose square, which determines the direction of a force, is below the smallest number."""
     return (case["torque"] != 0) & (np.abs(case["torque"]) < 1e-200)
 
 

@@ -1,4 +1,4 @@
-"""What a census found, as the tables of the page on stability."""
+"""Results of a census, as the tables of the page on stability."""
 
 import json
 from pathlib import Path

@@ -142,7 +142,7 @@ def torsion_curve(result: Torsion, *, torque: Any = None, angle: Any = None, axe
     """
     axes = new_axes(axes)
     points, twist = np.asarray(result.torque), np.asarray(result.angle) / arcmin
-    zero = (twist[3] + twist[4]) / 2  # the middle of the play
+    zero = (twist[3] + twist[4]) / 2  # the mid-point of the backlash
     load, twist = -points, twist - zero
     line = (load, twist) if torque is None else (-np.asarray(torque), np.asarray(angle) / arcmin - zero)
     rated, stiffness = float(points[-1]), float(result.stiffness) * arcmin

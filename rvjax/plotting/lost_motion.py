@@ -11,7 +11,7 @@ from rvjax.units import arcmin
 
 
 def contributions(result: LostMotion, *, axes: Axes | None = None) -> Axes:
-    """Every contribution to the lost motion as a bar, play to the right and interference to the left.
+    """Every contribution to the lost motion as a bar, clearance to the right and interference to the left.
 
     Args:
         result: of `lost_motion.geometric`, one unit.
@@ -62,7 +62,7 @@ def torque_angle_loop(
         play: free angle in total, rad.
         stiffness: of the elastic line, N m/rad.
         friction: torque that dry friction can hold, N m.
-        smoothing: torque over which the play is taken up, N m.
+        smoothing: torque over which the backlash closes, N m.
         axes: where to draw; a new figure by default.
     """
     axes = new_axes(axes)

@@ -45,7 +45,7 @@ SAMPLING, PRICING = "sample units", "cost against yield"
 YIELD_SWEEP = (0.9, 0.95, 0.99, 0.995, 0.999)
 
 # Counted in results of rv-40e, with moving mid-points and half-widths rounded to grades, and of rv-40e-whole.
-PASSES = {True: 108, False: 49}  # of a search over its learning sample, with and without middles
+PASSES = {True: 108, False: 49}  # of a search over its learning sample, with and without moving mid-points
 CERTIFICATES = {True: 6, False: 4}
 PASSES_A_POINT = 6  # of the cost curve
 # The same of rv-40e-whole, whose units are costly: passes solve those that decide, certificates share a sample.
@@ -254,7 +254,7 @@ def _cost_curve(
     targets = _targets(study)
     if not found.feasible or not targets:
         return []  # no place to start from
-    moved = found.cost - sum(found.costs.values())  # the curve begins with moved middles, and must pay for them
+    moved = found.cost - sum(found.costs.values())  # the curve includes the cost of moved mid-points
     curve = cost_of_yields(
         response,
         found.tolerances,

@@ -200,7 +200,7 @@ def curve_model(
         raise ValueError(
             f"identify.orders: order {max(orders)} is crank order {finest}, too fine for conditions.{key} = {count}"
         )
-    if observation.sided:  # without any torque the play has two sides, and the direction says which
+    if observation.sided:  # at zero torque the direction selects the side of the backlash
         least = PROBE * max(np.max(np.abs(distinct)), rated_torque(conditions))
         load = np.maximum(np.abs(signed := signed_torques(runs, conditions)), least)
         negative = np.where(signed == 0, np.array([run.sign for run in runs]) < 0, signed < 0)

@@ -77,7 +77,7 @@ class Loop:
         at: under which conditions; torque is None.
         torque: of the bench on the output, a grid, N m (n,).
         midline: mean of the rising and the falling branch, rad (n,).
-        width: falling less rising branch, rad (n,): friction and play.
+        width: falling less rising branch, rad (n,): friction and backlash.
         sd: of the midline, from the scatter about the branches, rad (n,).
         clipped: the torque sensor has hit its end; what lies there is cut off.
     """

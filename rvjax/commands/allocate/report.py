@@ -138,13 +138,13 @@ def tolerance_text(tolerance: Any, unit: str) -> str:
 
 
 def moved(allocation: Allocation) -> float:
-    """Cost of having moved middles; 0 where that is rounding."""
+    """Cost of moved mid-points; 0 if it is rounding."""
     found = allocation.cost - sum(allocation.costs.values())
     return found if found > 1e-9 * allocation.cost else 0.0
 
 
 def tolerance_tables(answer: Answer) -> list[Table]:
-    """Limits and cost of each error, and of moved middles: before, after, and in grades if required.
+    """Limits and cost of each error, and of moved mid-points: before, after, and in grades if required.
 
     With the sums in text and page, without them in the file.
     """

@@ -90,7 +90,7 @@ def error_text(found: Surrogate) -> str:
 
 
 def _range(found: Surrogate, k: int, answer: Answer) -> tuple[float, float]:
-    """Ends of a slider: the process range, the range of the middle, or what makes sense around the allocated value."""
+    """Ends of a slider: the process range, the range of the mid-point, or a range around the allocated value."""
     p, study = found.parameters[k], answer.study
     tolerance = getattr(study.tolerances, p.field)
     own = placed(tolerance) if p.place else float(tolerance.half_width)
