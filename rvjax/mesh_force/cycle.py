@@ -132,10 +132,10 @@ def sweep(
     expect(design, "mesh_force.sweep", CamRollerReducer)
     name = parameter.removeprefix("errors.")
     of_errors = name != parameter
-    design, errors, values, torque = promote(design, errors, values, input_torque)
+    design, errors, swept, torque = promote(design, errors, values, input_torque)
 
     def at(value: jax.Array) -> CycleStatistics:
         unit = (design, errors.replace(**{name: value})) if of_errors else (design.replace(**{name: value}), errors)
         return cycle_statistics(*unit, input_torque=torque, contact=contact, samples=samples)
 
-    return jax.vmap(at)(values)
+    return jax.vmap(at)(swept)
