@@ -50,7 +50,7 @@ def test_a_part_of_which_all_is_assumed_is_named_as_one():
 
 def test_sources_are_whole_sentences():
     shortening = catalogue.sources("rv-20e")["cycloid.shortening"]
-    assert shortening.endswith("the printed lost motion needs 0.72")  # goes on in a second line
+    assert shortening.endswith("the published lost motion needs 0.72")  # goes on in a second line
     assert catalogue.sources("rv-320e")["inertia.sun_mass"] == "Table 1"  # of the whole part
     assert catalogue.citation("rv-320e").startswith("RV-320E: Yang, Chen, Wang") and catalogue.citation("x") == ""
 

@@ -1,4 +1,4 @@
-"""Comparison with the literature: the ledger of published figures and their computation."""
+"""Comparison with the literature: the ledger of published values and their computation."""
 
 from rvjax.published.ledger import SOURCES, Comparison, compare, figures, ours, parse, reproduce, show
 

@@ -1,6 +1,6 @@
-"""Figures of makers' catalogues on rated torque and life of RV reducers, held against the life of the crank bearings.
+"""Published values of makers' catalogues on rated torque and life of RV reducers, and the life of the crank bearings.
 
-Makers print no crank bearing, so nothing here confirms a size. Ratios of torques and the form of a duty formula do not
+No crank bearing is published, so nothing here confirms a size. Ratios of torques and the form of a duty formula do not
 depend on the bearing; the rest are inequalities with the bearings that `catalogue.toml` assumes.
 """
 

@@ -1,4 +1,4 @@
-"""Figures of Wei et al. 2021 (Chin. J. Mech. Eng. 34:84) on the mesh forces of the oscillatory roller stage.
+"""Published values of Wei et al. 2021 (Chin. J. Mech. Eng. 34:84) on the mesh forces of the oscillatory roller stage.
 
 The crank torque is not published; it is set so that the mean cam force of Table 1 comes out, hence absolute
 forces are weak evidence and changes are the stronger one. Linear contacts: the exact ones differ by 2e-5.

@@ -1,4 +1,4 @@
-"""Figures of Liu et al. 2022 (Mech. Sci. 13, 855) on the lost motion of the RV-20E.
+"""Published values of Liu et al. 2022 (Mech. Sci. 13, 855) on the lost motion of the RV-20E.
 
 The published total, 0.5467 arcmin, follows only from Eq. 16 and 21 to the letter, where nine terms in radians
 are added to others in arcminutes; with one unit throughout the same input gives 1.757 arcmin.

@@ -1,4 +1,4 @@
-"""Figures of Yang, Chen, Wang 2018 on the response sensitivity of an RV-320E.
+"""Published values of Yang, Chen, Wang 2018 on the response sensitivity of an RV-320E.
 
 Readings: four cranks, three discs, force angle 30 deg, mesh stiffness variation assumed, no damping, first order,
 nine harmonics, 1000 r/min and -3136 N m unless an entry defines others. The eccentricity is varied alone, the

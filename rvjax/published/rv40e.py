@@ -1,4 +1,4 @@
-"""Figures of the web article on the original errors of the RV-40E's second stage (a four-bar linkage).
+"""Published values of the web article on the original errors of the RV-40E's second stage (a four-bar linkage).
 
 Its numbers follow only from the *crossed* root of its quadratic, in radians published as degrees, with a
 crank spacing of 72 mm, at crank angle 90 deg: at zero error that root is 2 e / l = 0.0361, where a

@@ -6,7 +6,7 @@ A sample of units keeps its random numbers while half-widths and places of the l
 
 with slopes and bends from responses at x_k = +-1, not from derivatives: they hold over the region |x_k| <= 1 and pass
 over the kinks of extremes. A linear response is exact. Rare rejects need few units in the sample, so it is thinned
-with a chance that grows towards the tails (Horvitz and Thompson 1952) and weighted so that the figures at x = 0 are
+with a chance that grows towards the tails (Horvitz and Thompson 1952) and weighted so that the values at x = 0 are
 those of the certificate (Deville and Sarndal 1992). What is left is measured at points of the region, with fresh units.
 """
 
@@ -126,7 +126,7 @@ class Surrogate:
         return np.array(found)
 
     def error(self, figure: str) -> float:
-        """The largest miss of a figure at the points of the region; of mean and sd as a part of the sd."""
+        """The largest error of a statistic at the points of the region; of mean and sd as a part of the sd."""
         misses = [
             abs(ours - true) / (1.0 if figure == "yield" else each["sd"][1] or 1.0)
             for check in self.checks
