@@ -77,7 +77,7 @@ def _rows(first: dict[str, Any], second: dict[str, Any]) -> Iterator[tuple[str, 
                 yield f"tolerances {when}", f"{name}, middle", unit, a and _middle(a), b and _middle(b)
     for name in _names(first, second, "certificate", "verdicts"):
         yield both("requirements", f"{name}, limits", "text", "limits", name)
-        yield both("requirements", f"{name}, required", "text", "certificate", "verdicts", name, "wanted")
+        yield both("requirements", ", ".join((name, "asked")), "text", "certificate", "verdicts", name, "wanted")
         yield both("requirements", f"{name}, met", "text", "certificate", "verdicts", name, "met")
         yield both("requirements", f"{name}, yield", "share", "certificate", "yield_", name, "value")
         yield both("requirements", f"{name}, Cpk", "number", "certificate", "cpk", name)
