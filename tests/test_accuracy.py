@@ -152,7 +152,7 @@ def test_a_number_given_in_place_of_the_derived_one_was_not_measured():
 def test_an_accuracy_must_make_sense():
     with pytest.raises(ValueError, match="positive"):
         chosen(0.0)
-    with pytest.raises(ValueError, match="not asked for"):
+    with pytest.raises(ValueError, match="not required"):
         levels.choose(RV_40E, ("misfit",), LOADED, tolerances=for_design(RV_40E), accuracy={"lost_motion": 1.0})
 
 

@@ -87,8 +87,8 @@ def test_allocate_writes_tables_and_pictures(answered):
         f"{UNITS:,} independent units, 0 failed",
         "joint yield: 99.",
         "no joint_target set",
-        "not seen: the model asked does not read this error",
-        "% of the units, interference: no play at all",
+        "not seen: the model ignores this error",
+        "% of the units, interference, no backlash",
         "Not modelled: pins, flanks and the first stage",
     ):
         assert words in text

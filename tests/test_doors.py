@@ -37,6 +37,9 @@ def residual(x, p):
     return x**3 - p
 
 
+RATED = MACHINE.replace(bearings=RV_40E.bearings)
+
+
 def roller(x):
     return RollerBearing(14, 5 * mm, x * 10 * mm, 32 * mm)
 
@@ -163,8 +166,8 @@ CALLS = {  # name: one call of the door for each way that is decided before the 
         lambda x, method=method: life.bearing_life(roller(x), np.full((4, 2), 100 * x), method=method)
         for method in ("basic", "raceway", "slices")
     ],
-    "life.rating": [lambda x: life.rating(MACHINE, units(x), life.Duty([100 * x], [x], [1.0]), samples=2)],
-    "life.rated_torque": [lambda x: life.rated_torque(MACHINE, units(x), life=1e7 * x, output_speed=x, samples=2)],
+    "life.rating": [lambda x: life.rating(RATED, units(x), life.Duty([100 * x], [x], [1.0]), samples=2)],
+    "life.rated_torque": [lambda x: life.rated_torque(RATED, units(x), life=1e7 * x, output_speed=x, samples=2)],
     "roots.bracketed": [lambda x: roots.bracketed(residual, x, 0.0, 2.0)],
 }
 

@@ -104,7 +104,7 @@ def test_a_malformed_checkpoint_is_an_error(whole, tmp_path, lie):
         assert tracemalloc.get_traced_memory()[1] < 2**26
     finally:
         tracemalloc.stop()
-    assert "damaged, or no checkpoint" in str(caught.value) and "delete it to begin anew" in str(caught.value)
+    assert "damaged, or no checkpoint" in str(caught.value) and "delete it to start again" in str(caught.value)
 
 
 def test_an_intact_checkpoint_resumes_to_the_same_bits(whole, tmp_path):

@@ -97,12 +97,13 @@ def test_the_exact_level_takes_no_fewer_angles_than_asked():
 def test_another_span_is_another_question():
     """96 angles of a crank turn are exact, of an output turn of forty they are nothing."""
     choice = chosen(given=dataclasses.replace(GIVEN, span="output_turn", samples=4000))
-    assert choice.settings == () and choice.bound is None and "as the conditions say" in choice.why
+    assert choice.settings == () and choice.bound is None and "as the conditions define" in choice.why
 
 
 def test_cases_are_the_study_of_the_whole_machine():
     question = study.load("rv-40e-whole", solve=False)
-    assert design_numbers(MACHINE) == pytest.approx(design_numbers(question.design))
+    whole = question.design.replace(bearings=None)  # which no measured output reads
+    assert design_numbers(MACHINE) == pytest.approx(design_numbers(whole))
     measured, asked = (reach(tolerances) for tolerances in (limits(WHOLE, MACHINE), question.tolerances))
     assert measured == pytest.approx(asked)
     for name in measured:

@@ -110,7 +110,7 @@ def test_a_tilt_without_places_is_no_reading():
         return loaded.reading(found, MACHINE, loaded.Reading(radius=0.075, tilt_gain=gain), **at)
 
     assert np.isnan(jax.jit(read)(1e-7)) and np.isfinite(jax.jit(read)(0.0)) and np.isfinite(read(0.0))
-    with pytest.raises(ValueError, match=r"Reading.tilt_gain = 1e-07 rad/\(N m\): must have disc_position"):
+    with pytest.raises(ValueError, match=r"Reading.tilt_gain = 1e-07 rad/\(N m\): needs disc_position"):
         read(1e-7)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from rvjax import dynamics, four_bar, mesh_force, plotting
+from rvjax.plotting.published import VERDICTS
 from rvjax.status import SolveInfo
 from rvjax.tolerances import Estimate
 from rvjax.units import arcmin, um
@@ -128,7 +129,7 @@ def test_verdicts_count_every_figure():
     axes = plotting.verdicts({"a": ["reproduced", "close", "close"], "b": ["contradicted"]})
     assert sum(bar.get_width() for bar in axes.patches) == 4
     assert sorted(text.get_text() for text in axes.texts) == ["1", "1", "2"]
-    assert len({(bar.get_facecolor(), bar.get_hatch()) for bar in axes.patches}) == 5
+    assert len({(bar.get_facecolor(), bar.get_hatch()) for bar in axes.patches}) == len(VERDICTS)
 
 
 def test_the_style_stays_only_where_it_is_asked_to():

@@ -164,7 +164,7 @@ def test_a_damaged_checkpoint_is_named(tmp_path, damage):
     raw = bytearray(path.read_bytes())
     raw[len(raw) // 2] ^= 1
     path.write_bytes({"cut": bytes(raw[:-300]), "empty": b"", "text": b"hello", "bit": bytes(raw)}[damage])
-    with pytest.raises(ValueError, match=r"checkpoint = .*/c': damaged, or no checkpoint .* delete it to begin anew"):
+    with pytest.raises(ValueError, match=r"checkpoint = .*/c': damaged, or no checkpoint .* delete it to start again"):
         run(3000, checkpoint=path)
 
 

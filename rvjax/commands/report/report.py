@@ -154,7 +154,8 @@ def _requirements(answer: Answer, drawn: dict[str, Figure]) -> Section:
         for status, count in certificate.failures.items()
     ]
     certified = (
-        f"Certificate: {certificate.samples:,} independent units, seed {certificate.seed}: {certificate.failed:,} fail"
+        f"Certificate: {certificate.samples:,} independent units, seed {certificate.seed}, "
+        f"{certificate.failed:,} failed"
         + (f", each a reject in every yield: {', '.join(failures)}" if failures else "")
         + f". Intervals hold with {100 * certificate.confidence:g} % confidence; a requirement is met when the lower "
         "end of its yield reaches the target. A shadow price is the change of the cost when the limit moves outwards."
