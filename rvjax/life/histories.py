@@ -4,11 +4,12 @@ A damage of 1 is that of a million revolutions at the rating. It is finite and 0
 """
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import DTypeLike
 
 from rvjax.elementary import power
 from rvjax.life.ratings import Ratings
@@ -125,7 +126,7 @@ def raceway(force: jax.Array, angle: jax.Array, weight: jax.Array, ratings: Rati
     return by_load(largest * power((inner + x * outer) / (1 + x), 2 / 9), ratings)
 
 
-def points(number: int, dtype: Any) -> jax.Array:
+def points(number: int, dtype: DTypeLike) -> jax.Array:
     """Unit vectors to points of a ring, (2, number).
 
     Args:

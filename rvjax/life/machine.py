@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import DTypeLike
 
 from rvjax import status
 from rvjax.bearings import Bearings
@@ -83,7 +84,7 @@ def check_plan(
     return Plan(layout, int(samples), crank_turns, method)
 
 
-def input_angles(plan: Plan, design: RVReducer, dtype: Any) -> jax.Array:
+def input_angles(plan: Plan, design: RVReducer, dtype: DTypeLike) -> jax.Array:
     """Input angles over the turn of the output, (n,) rad: every crank angle once, each in a crank turn of its own.
 
     Equally spaced angles alias with the errors, whose loads have the orders of pins and teeth. Eq. 11.
@@ -98,7 +99,7 @@ def input_angles(plan: Plan, design: RVReducer, dtype: Any) -> jax.Array:
     return jnp.asarray(design.ratio * 2 * np.pi * (lap + order / plan.samples) / plan.layout.pins, dtype)
 
 
-def inner_angles(plan: Plan, dtype: Any) -> jax.Array:
+def inner_angles(plan: Plan, dtype: DTypeLike) -> jax.Array:
     """Angle of each crank against disc and carrier at the samples, without whole turns, (n,) rad.
 
     Args:

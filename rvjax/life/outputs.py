@@ -11,6 +11,7 @@ import numpy as np
 
 from rvjax.compile_cache import QUICK
 from rvjax.designs import Contact, RVReducer, Stiffness
+from rvjax.errors import RVErrors
 from rvjax.life.duty import Duty
 from rvjax.life.histories import METHODS
 from rvjax.life.rated import RatedTorque, rated_torque
@@ -49,7 +50,7 @@ def _ways(given: Any) -> dict[str, Any]:
     )
 
 
-def rated(design: RVReducer, errors: Any, given: Any) -> Rating:
+def rated(design: RVReducer, errors: RVErrors, given: Any) -> Rating:
     """Under the duty."""
     columns = np.asarray(given.duty, float).T
     dtype = jnp.result_type(float, *jax.tree.leaves(errors))
@@ -57,26 +58,26 @@ def rated(design: RVReducer, errors: Any, given: Any) -> Rating:
     return rating(errors.stiffened(design), errors, duty, **_ways(given))
 
 
-def sought(design: RVReducer, errors: Any, given: Any) -> RatedTorque:
+def sought(design: RVReducer, errors: RVErrors, given: Any) -> RatedTorque:
     """At the rated speed, for the rated life."""
     return rated_torque(
         errors.stiffened(design), errors, life=given.rated_life, output_speed=given.rated_speed, **_ways(given)
     )
 
 
-def _life(found: Rating, design: RVReducer, given: Any) -> Solved:
+def _life(found: Rating, design: RVReducer, given: object) -> Solved:
     return found.life, found.info.status
 
 
-def _arm(found: Rating, design: RVReducer, given: Any) -> Solved:
+def _arm(found: Rating, design: RVReducer, given: object) -> Solved:
     return jnp.min(found.arm), found.info.status
 
 
-def _safety(found: Rating, design: RVReducer, given: Any) -> Solved:
+def _safety(found: Rating, design: RVReducer, given: object) -> Solved:
     return found.static_safety, found.info.status
 
 
-def _torque(found: RatedTorque, design: RVReducer, given: Any) -> Solved:
+def _torque(found: RatedTorque, design: RVReducer, given: object) -> Solved:
     return found.torque, found.info.status
 
 

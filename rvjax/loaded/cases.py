@@ -17,6 +17,7 @@ from rvjax.units import GPa, arcmin, mm, um
 RATED = 412.0  # N m
 # No maker prints these; they are those of the study rv-40e-whole, which a test compares.
 MACHINE = RV_40E.replace(
+    bearings=None,  # no output of the loaded reducer reads their ratings
     cycloid=RV_40E.cycloid.replace(equidistant_modification=-2 * um),
     stiffness=Stiffness(
         sun_support=4e7, sun_torsion=1e4, planet_crank_bending=2e8, planet_crank_torsion=5e4, support_bearing=9e8,

@@ -4,10 +4,11 @@ Full steps, until four of them have brought no new lowest energy; then the eleme
 searches the line from there between two slopes.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax.typing import DTypeLike
 
 PATIENCE = 4  # full steps without a new lowest energy
 SEARCHES = 30  # points on a line at most
@@ -65,13 +66,13 @@ class Judged(NamedTuple):
 _NUMBERS, _COUNTS = 10, 12  # of the fields of `Lane`: where counts begin, and marks
 
 
-def fresh(lanes: int, dtype: Any) -> Lane:
+def fresh(lanes: int, dtype: DTypeLike) -> Lane:
     """State before the first step: all zero, no energy yet."""
     lane = Lane(*[jnp.zeros((lanes,), dtype)] * _NUMBERS, *[jnp.zeros((lanes,), bool)] * (len(Lane._fields) - _NUMBERS))
     return lane._replace(lowest=lane.lowest + jnp.inf)
 
 
-def packed(lane: Lane, dtype: Any) -> tuple[jax.Array, jax.Array]:
+def packed(lane: Lane, dtype: DTypeLike) -> tuple[jax.Array, jax.Array]:
     """Numbers, and counts with marks, of `lane`."""
     lanes = lane.open.shape
     numbers = [jnp.broadcast_to(x, lanes).astype(dtype) for x in lane[:_NUMBERS]]
