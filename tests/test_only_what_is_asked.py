@@ -63,7 +63,7 @@ def test_error_alone_and_misfit_alone_equal_both_together(closure):
     nothing = errors.replace(crank_eccentricity=jnp.full_like(errors.crank_eccentricity, jnp.nan))
     for o in ("error", "misfit"):
         assert int(four_bar.figures(STUDY.design, nothing, only=o, **turn).info.status) == Status.NONFINITE
-    with pytest.raises(ValueError, match="only = 'mean': must be one of error, misfit, or None for both"):
+    with pytest.raises(ValueError, match="only = 'mean': must be None for both, or one of error, misfit"):
         four_bar.figures(STUDY.design, errors, only="mean")
 
 
