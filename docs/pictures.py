@@ -23,10 +23,13 @@ from rvjax import (
 )
 from rvjax.errors import RVErrors
 from rvjax.levels import table
-from rvjax.plotting import drawings, dynamic_error
-from rvjax.plotting import dynamics as dynamic_pictures
-from rvjax.plotting import identified as identified_pictures
-from rvjax.plotting import mesh_force as mesh_pictures
+from rvjax.plotting import (
+    drawings,
+    dynamic_error,
+    dynamics as dynamic_pictures,
+    identified as identified_pictures,
+    mesh_force as mesh_pictures,
+)
 from rvjax.plotting.style import AFTER, BEFORE
 from rvjax.published import rv160
 from rvjax.units import arcmin, arcsec, rpm, um

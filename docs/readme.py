@@ -16,7 +16,7 @@ PICTURES = Path(__file__).parent / "pictures"
 
 def answer() -> None:
     """What the embedded study answers: two requirements before and after, and what the tolerances cost."""
-    from rvjax.study.answer import answer
+    from rvjax.commands.allocate.answer import answer
 
     found = answer(study.load("rv-40e"), progress=False)
     with plotting.style():

@@ -23,10 +23,10 @@ FOUND: dict = {}  # answers by the text of their study
 @contextlib.contextmanager
 def answered_once() -> Iterator[dict]:
     """Every study is answered once, whichever command asks."""
-    import rvjax.study.answer
+    import rvjax.commands.allocate.answer
     from rvjax.commands import module
 
-    real = rvjax.study.answer.answer
+    real = rvjax.commands.allocate.answer.answer
 
     def once(question, *, progress=False, memo=None):
         if question.text not in FOUND:
@@ -34,7 +34,7 @@ def answered_once() -> Iterator[dict]:
         return dataclasses.replace(FOUND[question.text], study=question)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(rvjax.study.answer, "answer", once)
+        patch.setattr(rvjax.commands.allocate.answer, "answer", once)
         # Few points, and units in blocks of those of the search, for which the response is compiled already.
         for name, few in dict(_POINTS=2, UNITS=1024, BLOCK=1024, FRESH=8192).items():
             patch.setattr(module("report", "surrogate"), name, few)

@@ -7,9 +7,9 @@ from collections.abc import Iterator
 import pytest
 
 from rvjax import study
+from rvjax.commands.allocate.answer import Answer, answer
 from rvjax.commands.report import surrogate
 from rvjax.response.response import BLOCK
-from rvjax.study.answer import Answer, answer
 
 PLAY = """# the play of an RV-20E
 [design]

@@ -13,9 +13,9 @@ import pytest
 
 from rvjax import catalogue, cli, designs, study
 from rvjax.commands import module, speak
-from rvjax.commands.init.compute import UNASKED
-from rvjax.commands.init.compute import written as template
-from rvjax.study import answer, facts, plausible
+from rvjax.commands.allocate import answer
+from rvjax.commands.init.compute import UNASKED, written as template
+from rvjax.study import facts, plausible
 from rvjax.study.design import BASES
 from rvjax.units import mm
 

@@ -11,12 +11,11 @@ import pytest
 from cli_study import PICTURES, SMALL, UNITS
 
 import rvjax
-import rvjax.study.answer
+import rvjax.commands.allocate.answer
 from rvjax import cli
-from rvjax.commands.allocate import kept as again
-from rvjax.commands.allocate import report_on
+from rvjax.commands.allocate import kept as again, report_on
+from rvjax.commands.allocate.answer import CERTIFICATES, CERTIFYING, PASSES, PRICING, SAMPLING, SEARCHING, solved_units
 from rvjax.render import Report, results_folder, write_files
-from rvjax.study.answer import CERTIFICATES, CERTIFYING, PASSES, PRICING, SAMPLING, SEARCHING, solved_units
 
 pytestmark = pytest.mark.usefixtures("answers")
 
@@ -126,7 +125,7 @@ def test_an_unchanged_study_is_answered_from_its_folder(answered, undrawn, here,
     (here / "small.toml").write_text(SMALL)
     assert cli.main(["allocate", "small.toml", "--quiet", "--results", "results/small-2"]) == 0
     first = capsys.readouterr().out
-    monkeypatch.setattr(rvjax.study.answer, "answer", no_answer)
+    monkeypatch.setattr(rvjax.commands.allocate.answer, "answer", no_answer)
     assert cli.main(["allocate", "small.toml", "--results", "results/small-2"]) == 0
     (here / "results" / "small").mkdir()
     (here / "results" / "small" / "study.toml").write_text(SMALL)  # half a folder is none

@@ -14,7 +14,7 @@ import pytest
 from cli_study import PICTURES, SMALL, UNITS
 
 import rvjax
-import rvjax.study.answer
+import rvjax.commands.allocate.answer
 from rvjax import cli
 from rvjax.commands.allocate import report_on
 from rvjax.commands.report import Shown, page_of
@@ -102,7 +102,7 @@ def test_the_page_of_a_stored_answer_computes_no_answer_and_makes_no_folder(
 
     (here / "small.toml").write_text(SMALL)
     shutil.copytree(answered[1], here / "results" / "small")
-    monkeypatch.setattr(rvjax.study.answer, "answer", no_answer)
+    monkeypatch.setattr(rvjax.commands.allocate.answer, "answer", no_answer)
     assert cli.main(["report", "small.toml", "--quiet"]) == 0
     assert capsys.readouterr().out.splitlines()[-1] == "Report: results/small/report.html"
     assert [path.name for path in (here / "results").iterdir()] == ["small"]
@@ -184,7 +184,7 @@ def test_a_study_that_asks_for_no_share_of_units_has_a_page(answers, answered, h
 
     certificate = judged(old.allocation.certificate, old.after.values)
     allocation = dataclasses.replace(old.allocation, certificate=certificate, graded=None)
-    curve = rvjax.study.answer._cost_curve(question, question.response(), allocation, None)
+    curve = rvjax.commands.allocate.answer._cost_curve(question, question.response(), allocation, None)
     before = judged(old.certificate_before, old.before.values)
     new = dataclasses.replace(old, study=question, allocation=allocation, certificate_before=before, cost_curve=curve)
     found = page_of(Shown(new), "elsewhere/able.toml")

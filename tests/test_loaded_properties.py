@@ -12,8 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from loaded_cases import NAMED, design_of, errors_of, plain
-from loaded_cases import solve as solve_case
+from loaded_cases import NAMED, design_of, errors_of, plain, solve as solve_case
 
 import rvjax
 from rvjax import Status, loaded

@@ -10,8 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from loaded_cases import NAMED, assert_same, at, errors_of, plain
-from loaded_cases import solve as solve_alone
+from loaded_cases import NAMED, assert_same, at, errors_of, plain, solve as solve_alone
 
 from oracles import loaded as oracle
 from rvjax import Status, loaded, study

@@ -16,8 +16,7 @@ import pytest
 
 from rvjax import RVErrors
 from rvjax.catalogue import RV_20E
-from rvjax.lost_motion import flank as flanks
-from rvjax.lost_motion import geometric
+from rvjax.lost_motion import flank as flanks, geometric
 from rvjax.units import arcmin, mm, um
 
 E, RING, TEETH = 0.9 * mm, 52 * mm, 39

@@ -14,8 +14,7 @@ import rvjax
 from oracles import cam_roller
 from oracles.cam_roller import corr, geometry, half_widths
 from rvjax import CamRollerErrors, Status, mesh_force
-from rvjax.published.corr import CALIBRATED_TORQUE as TORQUE
-from rvjax.published.corr import PUBLISHED_STUDIES
+from rvjax.published.corr import CALIBRATED_TORQUE as TORQUE, PUBLISHED_STUDIES
 
 CORR = rvjax.catalogue.CORR
 

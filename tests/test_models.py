@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-import rvjax.study.answer
+import rvjax.commands.allocate.answer
 from oracles.dynamics import Oracle
 from rvjax import cli, levels, models, study
 from rvjax.catalogue import CORR, RV_20E, RV_40E, RV_320E
@@ -58,14 +58,14 @@ certificate_samples = 65536
 @pytest.fixture
 def answered_once(monkeypatch):
     """Both commands share one answer, whose page has fewer points of its surrogate."""
-    found, real = {}, rvjax.study.answer.answer
+    found, real = {}, rvjax.commands.allocate.answer.answer
 
     def once(question, *, progress=False, memo=None):
         if question.text not in found:
             found[question.text] = real(question, progress=progress)
         return dataclasses.replace(found[question.text], study=question)
 
-    monkeypatch.setattr(rvjax.study.answer, "answer", once)
+    monkeypatch.setattr(rvjax.commands.allocate.answer, "answer", once)
     monkeypatch.setattr(module("report", "surrogate"), "_POINTS", 2)
 
 

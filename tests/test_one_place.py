@@ -16,12 +16,13 @@ import pytest
 from rvjax import cli, errors, mounting, study
 from rvjax.catalogue import RV_40E
 from rvjax.commands import identify as identified
+from rvjax.commands.allocate import answer
 from rvjax.commands.report import surrogate
 from rvjax.designs import RVReducer
 from rvjax.errors import Bound, RVErrors, deviation, read_by
 from rvjax.outputs import Observation
 from rvjax.records import IN_ERROR_UNIT, Scalar, field, record
-from rvjax.study import answer, measured
+from rvjax.study import measured
 from rvjax.tolerances import sample
 from rvjax.tolerances.allocation import cost
 from rvjax.units import arcsec, um

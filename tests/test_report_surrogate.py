@@ -10,9 +10,9 @@ from live_study import fewer_points
 
 import rvjax
 from rvjax import tolerances
+from rvjax.commands.allocate.answer import SHOWN_VALUES
 from rvjax.commands.report import surrogate
 from rvjax.response.response import BLOCK
-from rvjax.study.answer import SHOWN_VALUES
 
 UNITS = 2 * BLOCK
 

@@ -10,8 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import optimistix
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from rvjax import Status, roots
 

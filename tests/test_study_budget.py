@@ -16,8 +16,7 @@ import numpy as np
 import pytest
 
 from rvjax import RVErrors, cli, four_bar, plotting, progress, study
-from rvjax.commands.budget import compute as budget
-from rvjax.commands.budget import error_budget, report_on, section_on
+from rvjax.commands.budget import compute as budget, error_budget, report_on, section_on
 from rvjax.errors import STAGES
 from rvjax.population import Population, Tolerance, drawn, root_key
 from rvjax.render import Note, Table, write_files

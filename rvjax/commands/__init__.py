@@ -4,19 +4,18 @@ Its `command.toml` holds its options and help; `inputs.py` reads options, study 
 `report.py` says what was found. `table` in `command.toml` names a table of study files that the command reads.
 """
 
-from rvjax.commands.cores import share_cores
-from rvjax.commands.registry import about, module, section
-from rvjax.commands.run import run
+from rvjax.commands.cores import share_cores as share_cores
+from rvjax.commands.registry import about as about, module as module, section as section
+from rvjax.commands.run import run as run
 from rvjax.commands.speak import (
-    EXIT_BAD_INPUT,
-    EXIT_NO_ANSWER,
-    EXIT_OK,
-    READING,
-    WRITING,
-    check_files,
-    forewarn,
-    say,
-    tell,
+    EXIT_BAD_INPUT as EXIT_BAD_INPUT,
+    EXIT_NO_ANSWER as EXIT_NO_ANSWER,
+    EXIT_OK as EXIT_OK,
+    READING as READING,
+    WRITING as WRITING,
+    check_files as check_files,
+    forewarn as forewarn,
+    say as say,
 )
 
 COMMANDS = [
@@ -34,21 +33,3 @@ COMMANDS = [
     "compensate",
 ]
 """Every command, in the order of the help."""
-
-__all__ = [
-    "COMMANDS",
-    "EXIT_BAD_INPUT",
-    "EXIT_NO_ANSWER",
-    "EXIT_OK",
-    "READING",
-    "WRITING",
-    "about",
-    "check_files",
-    "forewarn",
-    "module",
-    "run",
-    "say",
-    "section",
-    "share_cores",
-    "tell",
-]

@@ -1,9 +1,10 @@
 """Forecast of a computation: levels, phases, seconds."""
 
 from rvjax import levels
+from rvjax.commands.allocate import CERTIFYING, PRICING, SAMPLING, SEARCHING, solved_units
 from rvjax.levels import Choice
 from rvjax.progress import spelled
-from rvjax.study import CERTIFYING, PRICING, SAMPLING, SEARCHING, Study, solved_units
+from rvjax.study import Study
 
 CHUNK = 32_768  # units at once
 

@@ -1,9 +1,7 @@
 """Functions of all commands: printing, checks before any work, exit codes."""
 
 import argparse
-import json
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -26,20 +24,6 @@ def say(text: str, file: Any = None) -> None:
     )
     with progress.aside():
         print("\n".join(lines), file=file)
-
-
-def tell(options: argparse.Namespace, text: Callable[[], str], data: Callable[[], dict[str, Any] | list[Any]]) -> None:
-    """The result on standard output, as the option requires: for a person, or as one JSON value and nothing else.
-
-    Args:
-        options: of the command line.
-        text: for a person.
-        data: JSON values.
-    """
-    if options.format == "json" or getattr(options, "json", None) is True:  # the older `--json` where it names no file
-        print(json.dumps(data(), indent=1, allow_nan=False))
-    else:
-        say(text())
 
 
 def forewarn(question: Any) -> None:

@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 from scipy import special
 
-from rvjax.identify import fit as fits
-from rvjax.identify import laplace as checks
+from rvjax.identify import fit as fits, laplace as checks
 from rvjax.identify.elements import mapped_values
 from rvjax.identify.fit import ADEQUATE, Fit
 from rvjax.identify.information import findings

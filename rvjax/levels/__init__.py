@@ -3,9 +3,7 @@
 from rvjax.levels.advice import advice, report
 from rvjax.levels.choice import Choice, as_given, choose
 from rvjax.levels.measure import measure, measure_model, measured
-from rvjax.levels.table import Level as Level
-from rvjax.levels.table import Model as Model
-from rvjax.levels.table import Table, stored
+from rvjax.levels.table import Level as Level, Model as Model, Table, stored
 
 __all__ = [
     "Table",

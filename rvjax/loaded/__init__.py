@@ -4,15 +4,16 @@ One convex energy; its minimum gives transmission error, torque-angle curve, bac
 Derived in this project: docs/models/loaded.md.
 """
 
-from rvjax.loaded.bearing_forces import BearingForces as BearingForces
-from rvjax.loaded.bearing_forces import bearing_forces as bearing_forces
+from rvjax.loaded.bearing_forces import BearingForces as BearingForces, bearing_forces as bearing_forces
 from rvjax.loaded.encoder import Reading, housing_orders, reading
 from rvjax.loaded.equilibrium import Loaded, equilibrium
-from rvjax.loaded.inputs import SUPPORTS as SUPPORTS
-from rvjax.loaded.inputs import Read as Read
-from rvjax.loaded.inputs import admit as admit
-from rvjax.loaded.inputs import check_input as check_input
-from rvjax.loaded.inputs import unchecked as unchecked
+from rvjax.loaded.inputs import (
+    SUPPORTS as SUPPORTS,
+    Read as Read,
+    admit as admit,
+    check_input as check_input,
+    unchecked as unchecked,
+)
 from rvjax.loaded.laws import CONTACTS as CONTACTS
 from rvjax.loaded.revolution import Revolution, revolution
 from rvjax.loaded.system import Layout as Layout

@@ -1,56 +1,37 @@
 """Reports of commands: tables whose cells are numbers in SI, and the text, CSV, JSON and HTML that follow from them."""
 
-from rvjax.render.figure import Figure, saved
-from rvjax.render.folders import new_folder, numbered_folders, results_folder, write_files
-from rvjax.render.quantity import Quantity, number
-from rvjax.render.report import Block, Content, Note, Report, Section, as_json, leading_comment, plain, versions
-from rvjax.render.table import (
-    CSV,
-    EVERYWHERE,
-    PAGE,
-    TEXT,
-    Column,
-    Interval,
-    Limits,
-    Number,
-    Share,
-    Table,
-    Text,
-    Titled,
-    aligned,
-    as_csv,
+from rvjax.render.figure import Figure as Figure, saved as saved
+from rvjax.render.folders import (
+    new_folder as new_folder,
+    numbered_folders as numbered_folders,
+    results_folder as results_folder,
+    write_files as write_files,
 )
-
-__all__ = [
-    "CSV",
-    "Block",
-    "EVERYWHERE",
-    "PAGE",
-    "TEXT",
-    "Column",
-    "Content",
-    "Figure",
-    "Interval",
-    "Limits",
-    "Note",
-    "Number",
-    "Quantity",
-    "Report",
-    "Section",
-    "Share",
-    "Table",
-    "Text",
-    "Titled",
-    "aligned",
-    "as_csv",
-    "as_json",
-    "leading_comment",
-    "new_folder",
-    "number",
-    "numbered_folders",
-    "plain",
-    "results_folder",
-    "saved",
-    "versions",
-    "write_files",
-]
+from rvjax.render.quantity import Quantity as Quantity, number as number
+from rvjax.render.report import (
+    Block as Block,
+    Content as Content,
+    Note as Note,
+    Report as Report,
+    Section as Section,
+    as_json as as_json,
+    leading_comment as leading_comment,
+    plain as plain,
+    versions as versions,
+)
+from rvjax.render.table import (
+    CSV as CSV,
+    EVERYWHERE as EVERYWHERE,
+    PAGE as PAGE,
+    TEXT as TEXT,
+    Column as Column,
+    Interval as Interval,
+    Limits as Limits,
+    Number as Number,
+    Share as Share,
+    Table as Table,
+    Text as Text,
+    Titled as Titled,
+    aligned as aligned,
+    as_csv as as_csv,
+)

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure as Drawn
-    from matplotlib.figure import SubFigure
+    from matplotlib.figure import Figure as Drawn, SubFigure
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,10 @@ from rvjax.study.about import About
 from rvjax.study.origin import Number, design_numbers
 from rvjax.study.plausible import doubts
 from rvjax.study.response import Response, check_nominal, followed_bounds
-from rvjax.study.values import StudyError as StudyError  # other modules take it from here
-from rvjax.study.values import naming
+from rvjax.study.values import (
+    StudyError as StudyError,  # other modules take it from here
+    naming,
+)
 from rvjax.tolerances import Limits, Middle
 
 if TYPE_CHECKING:  # it reads values, whose errors are those of studies

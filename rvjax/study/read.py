@@ -2,7 +2,7 @@
 
 import dataclasses
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,7 @@ from rvjax.choices import meant
 from rvjax.outputs import Output
 from rvjax.population import COMMON, DISTRIBUTIONS
 from rvjax.records import IN_ERROR_UNIT, Design, Shape, axis_sizes, remind_of_precision
+from rvjax.sections import reader as sections_reader
 from rvjax.study.about import parse_about
 from rvjax.study.design import parse_design
 from rvjax.study.identification import Identification, parse_identification
@@ -80,7 +81,7 @@ def parse_study(text: str, *, name: str, folder: Path = Path(), solve: bool = Tr
             tables = tomllib.loads(text)
         except (tomllib.TOMLDecodeError, RecursionError) as error:
             raise ValueError(f"not valid TOML: {error}") from None
-        sections = {table: section for table in tables if table not in TABLES and (section := _section(table))}
+        sections = {table: read for table in tables if table not in TABLES and (read := sections_reader(table))}
         known(tables, TABLES | set(sections) | models.tables(), "")
         for key in ("design", "tolerances", *(() if "identify" in tables else ("requirement",))):
             if not subtable(tables, key):
@@ -124,8 +125,8 @@ def parse_study(text: str, *, name: str, folder: Path = Path(), solve: bool = Tr
             joint_target=None if "joint_target" not in run else share(run["joint_target"], "run.joint_target"),
             identification=identification,
         )
-        read = {table: section(subtable(tables, table), study) for table, section in sections.items()}
-        study = dataclasses.replace(study, sections=read)
+        own = {table: read(subtable(tables, table), study) for table, read in sections.items()}
+        study = dataclasses.replace(study, sections=own)
         refuse_impossible(design, tolerances, costs, study.middles)
         if requirements:
             response = study.response()  # raises an error for what these conditions cannot give
@@ -134,12 +135,6 @@ def parse_study(text: str, *, name: str, folder: Path = Path(), solve: bool = Tr
     if requirements and solve:
         study.check_nominal()
     return study
-
-
-def _section(table: str) -> Callable[[dict[str, Any], Study], Any] | None:
-    from rvjax.commands import section  # a command may read a table that no other part of a study uses
-
-    return section(table)
 
 
 def _metadata(record: Any, field: str) -> Any:

@@ -9,35 +9,32 @@ import dataclasses
 
 from rvjax.population import Estimate, MeasuredColumn, MeasuredParts, Tolerance, for_design, it_width, measured, sample
 from rvjax.response import Outcome
-from rvjax.tolerances.allocation.allocation import FEWEST as FEWEST
-from rvjax.tolerances.allocation.allocation import KEPT as KEPT
-from rvjax.tolerances.allocation.allocation import Allocation, allocate
-from rvjax.tolerances.allocation.allocation import Solved as Solved
-from rvjax.tolerances.allocation.allocation import allocated as allocated
-from rvjax.tolerances.allocation.allocation import block as block
-from rvjax.tolerances.allocation.cost import COSTS as COSTS
-from rvjax.tolerances.allocation.cost import Cost as Cost
-from rvjax.tolerances.allocation.cost import Exponential, ReciprocalPower, Table
-from rvjax.tolerances.allocation.cost_curve import CostCurve, cost_curve
-from rvjax.tolerances.allocation.cost_curve import cost_of_yields as cost_of_yields
-from rvjax.tolerances.allocation.cost_curve import least_yield as least_yield
-from rvjax.tolerances.allocation.design_centring import Middle
-from rvjax.tolerances.allocation.design_centring import check_middles as check_middles
+from rvjax.tolerances.allocation.allocation import (
+    FEWEST as FEWEST,
+    KEPT as KEPT,
+    Allocation,
+    Solved as Solved,
+    allocate,
+    allocated as allocated,
+    block as block,
+)
+from rvjax.tolerances.allocation.cost import COSTS as COSTS, Cost as Cost, Exponential, ReciprocalPower, Table
+from rvjax.tolerances.allocation.cost_curve import (
+    CostCurve,
+    cost_curve,
+    cost_of_yields as cost_of_yields,
+    least_yield as least_yield,
+)
+from rvjax.tolerances.allocation.design_centring import Middle, check_middles as check_middles
 from rvjax.tolerances.batch.checkpoint import versions as versions
 from rvjax.tolerances.batch.memo import Memo as Memo
-from rvjax.tolerances.batch.monte_carlo import Run as Run
-from rvjax.tolerances.batch.monte_carlo import Statistics, monte_carlo
-from rvjax.tolerances.batch.unit_file import ENDINGS as ENDINGS
-from rvjax.tolerances.batch.unit_file import UnitFile
-from rvjax.tolerances.batch.unit_file import joined as joined
+from rvjax.tolerances.batch.monte_carlo import Run as Run, Statistics, monte_carlo
+from rvjax.tolerances.batch.unit_file import ENDINGS as ENDINGS, UnitFile, joined as joined
 from rvjax.tolerances.failure.failure import FailureProbability, failure_probability
 from rvjax.tolerances.linearised import Linearised, linearised
-from rvjax.tolerances.moments import Moments, rss
-from rvjax.tolerances.moments import influences as influences
+from rvjax.tolerances.moments import Moments, influences as influences, rss
 from rvjax.tolerances.requirements.kinds import (
     KINDS as KINDS,
-)
-from rvjax.tolerances.requirements.kinds import (
     CpkAtLeast,
     MeanWithin,
     Requirement,
@@ -46,8 +43,7 @@ from rvjax.tolerances.requirements.kinds import (
     WorstCaseWithin,
 )
 from rvjax.tolerances.requirements.limits import Limits as Limits
-from rvjax.tolerances.saving import RESULTS as RESULTS
-from rvjax.tolerances.saving import Origin, load, origin, save
+from rvjax.tolerances.saving import RESULTS as RESULTS, Origin, load, origin, save
 from rvjax.tolerances.sobol_indices import SobolIndices, sobol_indices
 from rvjax.tolerances.worst_case import WorstCase, worst_case
 

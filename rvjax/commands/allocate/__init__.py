@@ -1,27 +1,24 @@
 """`rvjax allocate`: the cheapest tolerances that meet the requirements of a study."""
 
-from rvjax.commands.allocate.figures import figures
-from rvjax.commands.allocate.kept import restored_from
-from rvjax.commands.allocate.report import (
-    headline,
-    influence_tables,
-    limits_of_the_answer,
-    report_on,
-    requirement_table,
-    shortfall_text,
-    tolerance_tables,
-    tolerance_text,
+from rvjax.commands.allocate.answer import (
+    CERTIFYING as CERTIFYING,
+    PRICING as PRICING,
+    SAMPLING as SAMPLING,
+    SEARCHING as SEARCHING,
+    Answer as Answer,
+    Side as Side,
+    shown_values as shown_values,
+    solved_units as solved_units,
 )
-
-__all__ = [
-    "figures",
-    "headline",
-    "influence_tables",
-    "limits_of_the_answer",
-    "report_on",
-    "requirement_table",
-    "restored_from",
-    "shortfall_text",
-    "tolerance_tables",
-    "tolerance_text",
-]
+from rvjax.commands.allocate.figures import figures as figures
+from rvjax.commands.allocate.kept import restored_from as restored_from
+from rvjax.commands.allocate.report import (
+    headline as headline,
+    influence_tables as influence_tables,
+    limits_of_the_answer as limits_of_the_answer,
+    report_on as report_on,
+    requirement_table as requirement_table,
+    shortfall_text as shortfall_text,
+    tolerance_tables as tolerance_tables,
+    tolerance_text as tolerance_text,
+)

@@ -1,9 +1,10 @@
 """Result of a study, computed or read from a results folder."""
 
 from rvjax.commands import forecast
+from rvjax.commands.allocate import answer
+from rvjax.commands.allocate.answer import Answer
 from rvjax.commands.allocate.inputs import Inputs
 from rvjax.commands.speak import READING, WRITING
-from rvjax.study import Answer, answer
 
 
 def phases(asked: Inputs) -> dict[str, float]:

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from rvjax.commands.allocate.answer import Answer
 from rvjax.render import Figure
-from rvjax.study import Answer
 from rvjax.tolerances import least_yield
 
 

@@ -9,8 +9,9 @@ from typing import Any
 
 import rvjax
 from rvjax import tolerances
+from rvjax.commands.allocate.answer import Answer, Side
 from rvjax.render import numbered_folders
-from rvjax.study import Answer, Side, Study
+from rvjax.study import Study
 from rvjax.tolerances import Memo, versions
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from rvjax.commands.allocate import kept
+from rvjax.commands.allocate.answer import Answer
 from rvjax.commands.allocate.figures import figures
 from rvjax.commands.allocate.inputs import Inputs
 from rvjax.commands.cells import assumed_text, failures_text, judged, limit_text, limits_data, limits_of, share
@@ -29,7 +30,7 @@ from rvjax.render import (
     number,
     versions,
 )
-from rvjax.study import Answer, Study
+from rvjax.study import Study
 from rvjax.tolerances import Allocation
 from rvjax.units import readable
 

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from rvjax import columns
-from rvjax.assembly import Kind, Machine, Part, Plan, draw, supply_of
-from rvjax.assembly import known as known_parts
+from rvjax.assembly import Kind, Machine, Part, Plan, draw, known as known_parts, supply_of
 from rvjax.commands.assemble.inputs import Assembly
 from rvjax.designs import RVReducer
 from rvjax.mounting import carried, disc_mountings, drawing, unit_errors

@@ -19,8 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax import models
-from rvjax import progress as phase
+from rvjax import models, progress as phase
 from rvjax.choices import choose
 from rvjax.commands.budget.inputs import Inputs
 from rvjax.commands.speak import READING, WRITING

@@ -1,5 +1,3 @@
 """`rvjax compensate`: from measured curves of the transmission error to the tables of a controller."""
 
-from rvjax.commands.compensate.compute import Corrections, Curve, corrections
-
-__all__ = ["Corrections", "Curve", "corrections"]
+from rvjax.commands.compensate.compute import Corrections as Corrections, Curve as Curve, corrections as corrections

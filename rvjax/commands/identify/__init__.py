@@ -1,16 +1,11 @@
 """`rvjax identify`: from what a bench measured of a unit to the errors of its parts."""
 
-from rvjax.commands.identify.compute import Identified, answer, check
-from rvjax.commands.identify.words import direction_lines, elements, headline, in_words, next_lines, verdict_line
-
-__all__ = [
-    "Identified",
-    "answer",
-    "check",
-    "direction_lines",
-    "elements",
-    "headline",
-    "in_words",
-    "next_lines",
-    "verdict_line",
-]
+from rvjax.commands.identify.compute import Identified as Identified, answer as answer, check as check
+from rvjax.commands.identify.words import (
+    direction_lines as direction_lines,
+    elements as elements,
+    headline as headline,
+    in_words as in_words,
+    next_lines as next_lines,
+    verdict_line as verdict_line,
+)

@@ -1,5 +1,3 @@
 """`rvjax montecarlo`: statistics of a sample of units, any size."""
 
-from rvjax.commands.montecarlo.report import report_on
-
-__all__ = ["report_on"]
+from rvjax.commands.montecarlo.report import report_on as report_on

@@ -1,6 +1,4 @@
 """`rvjax report`: the result of a study as one HTML page with sliders."""
 
-from rvjax.commands.report.compute import Shown
-from rvjax.commands.report.report import page_of
-
-__all__ = ["Shown", "page_of"]
+from rvjax.commands.report.compute import Shown as Shown
+from rvjax.commands.report.report import page_of as page_of

@@ -4,11 +4,11 @@ from dataclasses import dataclass
 
 from rvjax import progress
 from rvjax.commands import forecast
+from rvjax.commands.allocate import Answer, answer
 from rvjax.commands.budget import Budget, budget_if_any
 from rvjax.commands.report import surrogate as behind
 from rvjax.commands.report.inputs import Inputs
 from rvjax.commands.speak import READING
-from rvjax.study import Answer, answer
 
 SLIDERS, WRITING = "numbers behind the sliders", "the page"
 

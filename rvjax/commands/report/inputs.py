@@ -5,12 +5,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rvjax import study
-from rvjax.commands.allocate import restored_from
+from rvjax.commands.allocate import Answer, restored_from
 from rvjax.commands.cores import share_cores
 from rvjax.commands.speak import check_files, forewarn
 from rvjax.files import check_writable
 from rvjax.render import results_folder
-from rvjax.study import Answer, Study
+from rvjax.study import Study
 
 
 @dataclass(frozen=True)

@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
+from rvjax.commands.allocate import Answer
 from rvjax.commands.report.surrogate import Surrogate, grows_from_lower, placed
 from rvjax.plotting import words
 from rvjax.render import Block
-from rvjax.study import Answer, study_template
+from rvjax.study import study_template
 from rvjax.tolerances import CpkAtLeast, Exponential, Limits, MeanWithin, ReciprocalPower, Requirement, SdAtMost
 from rvjax.units import readable
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from rvjax import catalogue, levels, models
 from rvjax.commands.allocate import (
+    Answer,
     figures,
     headline,
     influence_tables,
@@ -19,6 +20,7 @@ from rvjax.commands.allocate import (
     report_on,
     requirement_table,
     shortfall_text,
+    shown_values,
     tolerance_tables,
 )
 from rvjax.commands.budget import section_on
@@ -43,7 +45,7 @@ from rvjax.render import (
     leading_comment,
 )
 from rvjax.status import MEANING, Status
-from rvjax.study import Answer, Study, facts_of, shown, shown_values
+from rvjax.study import Study, facts_of, shown
 from rvjax.tolerances import Estimate
 from rvjax.units import readable
 

@@ -19,9 +19,9 @@ from typing import Any
 import jax
 import numpy as np
 
+from rvjax.commands.allocate import Answer
 from rvjax.population import Population, root_key
 from rvjax.response import BLOCK, Response, respond
-from rvjax.study import Answer
 from rvjax.tolerances import Estimate, Limits, Statistics, Tolerance, monte_carlo
 
 UNITS = 2048

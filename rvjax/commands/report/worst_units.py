@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import jax
 import numpy as np
 
-from rvjax.study import Answer
+from rvjax.commands.allocate import Answer
 from rvjax.tolerances import sample
 
 EACH = 2  # worst units of a requirement

@@ -17,8 +17,7 @@ from rvjax.response import (  # chunks of the certificate's size: the response c
     response_names,
     status_without_errors,
 )
-from rvjax.study.question import Study
-from rvjax.study.response import CURVE, refuse
+from rvjax.study import CURVE, Study, refuse
 from rvjax.tolerances import (
     KEPT,
     Allocation,
