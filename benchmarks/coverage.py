@@ -16,7 +16,7 @@ from benchmarks.timing import settings
 
 settings()
 
-from benchmarks.coverage_cases import LIKE, PIN, RARE  # noqa: E402  (after the flags)
+from benchmarks.coverage_cases import PIN, RARE  # noqa: E402  (after the flags)
 from benchmarks.coverage_intervals import LAWS, held  # noqa: E402
 from rvjax.population.population import Population, root_key  # noqa: E402
 from rvjax.response.response import respond_units  # noqa: E402
@@ -40,24 +40,13 @@ def rare(case, exact, seeds):
     """Coverage of the interval of a failure probability, and other tests of it."""
     need = Requirement(upper=case.limit)
     runs = [
-        failure_probability(case.response, case.tolerances, need, samples=case.samples, seed=seed, like=case.like)
+        failure_probability(case.response, case.tolerances, need, samples=case.samples, seed=seed)
         for seed in range(seeds)
     ]
     held = [run.probability.lower <= exact <= run.probability.upper for run in runs]
     second = [run.second.lower <= exact <= run.second.upper for run in runs]
     values = np.array([run.probability.value for run in runs])
-    guided = (
-        {}
-        if case.like is None
-        else {
-            "searched anew": float(np.mean(["UNLIKE" in run.status for run in runs])),
-            "cheap evaluations": int(np.median([run.cheap_evaluations for run in runs])),
-            "evaluations without": failure_probability(
-                case.response, case.tolerances, need, samples=case.samples, seed=0
-            ).evaluations,
-        }
-    )
-    return guided | {
+    return {
         "exact": float(exact),
         "seeds": seeds,
         "samples": case.samples,
@@ -84,9 +73,6 @@ def main():
             exact, units = plain(case, options.units) if name == PIN else (case.exact, None)
             found = rare(case, exact, options.seeds) | ({"plain units": units} if units else {})
             keep("rare", name, found)
-    for name, case in LIKE.items():
-        if options.only is None or name in options.only:
-            keep("like", name, rare(case, case.exact, options.seeds))
     for law, method in itertools.product(LAWS, ("random", "sobol")):
         name = f"{law}, {method}"
         if options.only is None or name in options.only:

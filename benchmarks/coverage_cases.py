@@ -26,7 +26,6 @@ class Rare:
     limit: float
     exact: float
     samples: int = 4000
-    like: Callable[[Any], Any] | None = None  # cheap response on which the points are searched
 
 
 def _fields(n):
@@ -95,30 +94,3 @@ RARE = {
     ),
     PIN: Rare(_pin, PIN_TOLERANCES, PIN_LIMIT, math.nan, 1000),
 }
-
-
-def _plane(e):
-    return (e["v"][0] + e["v"][1]) / math.sqrt(2)
-
-
-def _rough(e):
-    """Low-fidelity version of `_plane`: nine tenths of it, and independent noise."""
-    return 0.9 * _plane(e) + 0.1 * e["v"][7]
-
-
-LIKE = {
-    "known, nine tenths of the value": Rare(_plane, _fields(10), 4.5, SF(4.5), 1000, _rough),
-    "half of the failures unknown": Rare(
-        lambda e: jnp.maximum(_plane(e), e["v"][3]), _fields(10), 4.5, _any_of(2), 1000, _rough
-    ),
-    "a tenth of the failures unknown": Rare(
-        lambda e: jnp.maximum(_plane(e), e["v"][3] - 0.46),
-        _fields(10),
-        4.5,
-        -math.expm1(stats.norm.logcdf(4.5) + stats.norm.logcdf(4.96)),
-        1000,
-        _rough,
-    ),
-    "nothing in common": Rare(_plane, _fields(10), 4.5, SF(4.5), 1000, lambda e: e["v"][5]),
-}
-"""Failures of a high-fidelity response, searched on a low-fidelity response."""

@@ -137,7 +137,6 @@ TEXTS = {
     "end_of_line": measured.end_of_line,
     "conditions": _conditions,
     "coverage_intervals": measured.coverage_intervals,
-    "coverage_like": measured.coverage_like,
     "coverage_rare": measured.coverage_rare,
     "errors_cam_roller": lambda: _errors(CamRollerErrors),
     "errors_rv": lambda: _errors(RVErrors),

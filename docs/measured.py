@@ -32,24 +32,6 @@ def coverage_rare():
     return table([*heads, "error, %", "disagree, %", "units beside `samples`"], rows)
 
 
-def coverage_like():
-    rows = [
-        (
-            name,
-            f["seeds"],
-            _percent(f["held"], f["seeds"]),
-            f"{f['mean over exact']:.3f}",
-            f"{f['worst over exact']:.2f}",
-            f"{100 * f['searched anew']:.1f}",
-            f"{f['evaluations']:,}",
-            f"{f['evaluations without']:,}",
-        )
-        for name, f in stored("coverage")["like"].items()
-    ]
-    heads = ["failures of the cheap response", "seeds", "held, %", "mean / exact", "worst / exact", "searched anew, %"]
-    return table([*heads, "units", "without a cheap response"], rows)
-
-
 def coverage_intervals():
     kept = stored("coverage")["intervals"]
     due = {"yield, lower end": 0.975}

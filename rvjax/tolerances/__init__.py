@@ -31,7 +31,6 @@ from rvjax.tolerances.batch.memo import Memo as Memo
 from rvjax.tolerances.batch.monte_carlo import Run as Run, Statistics, monte_carlo
 from rvjax.tolerances.batch.unit_file import ENDINGS as ENDINGS, UnitFile, joined as joined
 from rvjax.tolerances.failure.failure import FailureProbability, failure_probability
-from rvjax.tolerances.linearised import Linearised, linearised
 from rvjax.tolerances.moments import Moments, influences as influences, rss
 from rvjax.tolerances.requirements.kinds import (
     KINDS as KINDS,
@@ -56,7 +55,6 @@ __all__ = [
     "Estimate",
     "Exponential",
     "FailureProbability",
-    "Linearised",
     "MeanWithin",
     "MeasuredColumn",
     "MeasuredParts",
@@ -80,7 +78,6 @@ __all__ = [
     "failure_probability",
     "for_design",
     "it_width",
-    "linearised",
     "load",
     "measured",
     "monte_carlo",

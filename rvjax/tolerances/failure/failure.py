@@ -9,7 +9,7 @@ import numpy as np
 
 from rvjax.population import Correlation, Estimate, Population, deviate_of, rare, student, wilson
 from rvjax.records import PyTree
-from rvjax.response import PLAIN, Response, by_name, by_response, response_names
+from rvjax.response import Response, by_name, by_response, response_names
 from rvjax.tolerances.failure.form import BATCH, LANES, Found, LimitState, Units, design_points
 from rvjax.tolerances.failure.importance_sampling import Mixture, apart
 from rvjax.tolerances.failure.subset_simulation import ISLANDS, Sequential, sequential
@@ -20,9 +20,6 @@ _ROUNDS = 12  # most batches of searches
 _ORBITS = 4  # new points of a batch whose images are tried
 _HEAVY = 3.0  # mean weight of failed units of the second estimate, over that of the first, which makes them disagree
 _FEWEST_EFFECTIVE = 100
-_CHECKING = 32  # units of an island of the second estimate with a low-fidelity response
-_ON_RAYS = 32  # nearest points, searched on the high-fidelity limit; the others move likewise
-_ALONG = (0.4, 0.6, 0.75, 0.9, 1.0, 1.15, 1.35, 1.6)  # of a low-fidelity point; one must differ from the mid-point
 
 
 @dataclasses.dataclass(frozen=True)
@@ -32,11 +29,9 @@ class FailureProbability:
     Attributes:
         probability: `Estimate` of the share of units beyond the limits or without a valid value.
         reliability_index: distance of the nearest point of failure from the origin of the standard normal
-            numbers; -Phi^-1(P) if the limit is flat. Negative if the origin itself fails, inf without a point. With a
-            low-fidelity response, of a point moved along its ray: no less than the index of the nearest.
+            numbers; -Phi^-1(P) if the limit is flat. Negative if the origin itself fails, inf without a point.
         point: errors of that point, the most likely failure; None if none was found.
         evaluations: units evaluated in all; a value with its gradient counts as three.
-        cheap_evaluations: evaluations of the low-fidelity response; 0 without one.
         effective_samples: (sum w)^2 / sum w^2 of the weights of the failed units; of the good ones if the origin fails.
         points: points of failure that the sampling is centred at.
         second: `Estimate` of the same probability by subset simulation, which needs neither points nor
@@ -44,7 +39,6 @@ class FailureProbability:
         status: "OK", or warnings, joined by ", ": "FEW_EFFECTIVE_SAMPLES" (below 100),
             "ESTIMATES_DISAGREE" (the second differs, or its failures lie where draws of the first are rare; with
             either of these two, the interval of the probability contains both intervals),
-            "UNLIKE" (the low-fidelity response misses failures: the search used the response itself),
             "SEVERAL_POINTS" (of similar distance: the flat-limit value Phi(-index) misses the others),
             "KINKED_POINT" (no slope at the nearest point: the index may be a little too large), "NO_POINT".
     """
@@ -53,7 +47,6 @@ class FailureProbability:
     reliability_index: Any
     point: Any
     evaluations: Any
-    cheap_evaluations: Any
     effective_samples: Any
     points: Any
     second: Any
@@ -68,7 +61,6 @@ def failure_probability(
     samples: int,
     seed: int,
     correlation: Correlation = None,
-    like: Response | None = None,
 ) -> FailureProbability:
     """Probability that a unit violates a requirement, by importance sampling about its design points.
 
@@ -81,29 +73,20 @@ def failure_probability(
     of the densities (Melchers 1989); a tenth is sampled about the origin, so that no weight exceeds 20.
     Where the two estimates disagree, the status is "ESTIMATES_DISAGREE" and the interval contains both.
 
-    With a low-fidelity response `like`, the points are searched on it, and moved along their rays to the failure
-    boundary of `response`. Draws and weights do not change, so that the estimate is unbiased for any `like`. A second
-    estimate of a quarter the usual size, with `response` only, detects failures that `like` misses. The search repeats
-    without `like` (status "UNLIKE") if the failing units of this check lie where draws are rare, if the two estimates
-    disagree, or if the effective number of draws is small.
-
     Args:
         response: pure function of the errors of one unit; a scalar, a dict or record of scalars, or `Outcome`.
         tolerances: record or dict with a `Tolerance` or None in each field.
         requirement: `Requirement`, or a dict of them by name of the response, each evaluated separately;
             its target has no effect.
-        samples: units of the final draw; the second estimate and the searches add some 20 000 to 80 000 evaluations,
-            with a low-fidelity response that predicts the failures 2000 to 10 000.
+        samples: units of the final draw; the second estimate and the searches add some 20 000 to 80 000 evaluations.
         seed: of the random numbers.
         correlation: {(field or element, field or element): correlation of their z}.
-        like: a low-fidelity response that fails for nearly the same units, such as `linearised`; its value of the same
-            name is used, or its only value.
 
     Returns:
         `FailureProbability`. A unit without a valid value fails.
 
     Raises:
-        ValueError: no requirement, too few samples, or a low-fidelity response without the value.
+        ValueError: no requirement, or too few samples.
     """
     if samples < 2:
         raise ValueError(f"samples = {samples!r}: must be at least 2")
@@ -117,73 +100,33 @@ def failure_probability(
             raise ValueError(f"requirement[{name!r}] = {item!r}: must be a requirement on single units")
     found = {}
     for name, item in required.items():
-        random = np.random.default_rng(seed)
-        if like is None:
-            found[name] = _searched(_Search(Units(response, population, name), item), random, samples)
-        else:
-            guide = _Search(Units(like, population, _name_like(like, population, name)), item)
-            found[name] = _guided(
-                _Search(Units(response, population, name, ISLANDS * _CHECKING), item), guide, random, samples
-            )
+        search = _Search(Units(response, population, name), item)
+        found[name] = _searched(search, np.random.default_rng(seed), samples)
     return by_name(FailureProbability, found)
 
 
-def _name_like(like: Response, population: Population, name: str) -> str:
-    names = response_names(like, population)
-    if name not in names and names != (PLAIN,):
-        raise ValueError(f"like: has no value {name!r} as the response has; it has {', '.join(names)}")
-    return name if name in names else PLAIN
-
-
-def _searched(search: "_Search", random: np.random.Generator, samples: int) -> dict[str, Any]:
-    """The fields of the result."""
+def _searched(search: "_Search", random: np.random.Generator, samples: int) -> dict[str, PyTree]:
+    """The fields of the result from the second estimate, the search and draws about its points."""
     second = sequential(search.differ, search.numbers, random)
     search.explore(random, second.failing)
-    return _judged(search, second, random, samples)[0]
-
-
-def _guided(search: "_Search", guide: "_Search", random: np.random.Generator, samples: int) -> dict[str, Any]:
-    """Estimate with points found on a low-fidelity response; search without it where these do not suffice."""
-    guide.explore(random, sequential(guide.differ, guide.numbers, random).failing)
-    found: dict[str, Any] = {}
-    sure = False
-    if guide.middle_fails == search.middle_fails and search.follow(guide.mixture):
-        found, sure = _judged(
-            search, sequential(search.differ, search.numbers, random, each=_CHECKING), random, samples
-        )
-    if not sure:
-        found = _searched(search, random, samples)
-        found["status"] = ", ".join(["UNLIKE", *(found["status"].split(", ") if found["status"] != "OK" else [])])
-    return found | dict(cheap_evaluations=guide.units.evaluations)
-
-
-def _judged(
-    search: "_Search", second: Sequential, random: np.random.Generator, samples: int
-) -> tuple[dict[str, Any], bool]:
-    """Fields of the result from draws about the points of a search, and True if no check contradicts them."""
     mixture = search.mixture
     first, effective, typical = search.draw(random, samples)
     reasons = mixture.reasons()
-    if _disagree(first, second, mixture, typical):
-        reasons.insert(0, "ESTIMATES_DISAGREE")
-    if effective < _FEWEST_EFFECTIVE:
-        reasons.insert(0, "FEW_EFFECTIVE_SAMPLES")
-    doubtful = bool({"ESTIMATES_DISAGREE", "FEW_EFFECTIVE_SAMPLES"} & set(reasons))
-    shown = _both(first, second.probability) if doubtful and first.value > 0 else first
+    disagree, few = _disagree(first, second, mixture, typical), effective < _FEWEST_EFFECTIVE
+    reasons = ["FEW_EFFECTIVE_SAMPLES"] * few + ["ESTIMATES_DISAGREE"] * disagree + reasons
+    shown = _both(first, second.probability) if (disagree or few) and first.value > 0 else first
     distance = float(mixture.distances.min()) if mixture.count else math.inf
     population = search.units.population
-    found = dict(
+    return dict(
         probability=_complement(shown) if search.middle_fails else shown,
         reliability_index=-distance if search.middle_fails else distance,
         point=population.errors(jnp.asarray(mixture.centres[:, mixture.nearest])) if mixture.count else None,
         evaluations=search.units.evaluations,
-        cheap_evaluations=0,
         effective_samples=effective,
         points=mixture.count,
         second=_complement(second.probability) if search.middle_fails else second.probability,
         status=", ".join(reasons) or "OK",
     )
-    return found, not doubtful
 
 
 def _complement(share: Estimate) -> Estimate:
@@ -254,25 +197,6 @@ class _Search:
                 new |= self._take(state, design_points(state, starts[:, own], pool))
             if not new:
                 break
-
-    def follow(self, guide: Mixture) -> int:
-        """Take the points of another response, moved along their rays to where this one changes; how many there are."""
-        order = np.argsort(guide.distances)
-        points, converged = guide.centres[:, order], guide.converged[order]
-        tried = points[:, :_ON_RAYS]
-        grid = np.repeat(np.array(_ALONG)[:, None], tried.shape[1], axis=1)
-        for _ in range(2):  # the second grid is of the gap that the first has left
-            beyond = self.differ((grid[:, None] * tried).swapaxes(0, 1).reshape(self.numbers, -1)).reshape(grid.shape)
-            first = np.argmax(beyond, axis=0)
-            far = np.take_along_axis(grid, first[None], axis=0)[0]
-            near = np.take_along_axis(grid, np.maximum(first - 1, 0)[None], axis=0)[0]
-            found = beyond.any(axis=0)
-            grid = np.linspace(np.where(first > 0, near, 0.0), far, len(_ALONG) + 1)[1:]
-        factors = np.full(points.shape[1], np.median(far[found]) if found.any() else np.nan)
-        factors[: len(far)] = np.where(found, far, np.nan)
-        kept = np.isfinite(factors)
-        self.mixture.add(Found((factors * points)[:, kept], converged[kept]))
-        return self.mixture.count
 
     def _take(self, state: LimitState, found: Found) -> bool:
         """Add points and what their exchange of like parts leads to; whether anything was new."""

@@ -37,19 +37,18 @@ class Units:
     response: Response
     population: Population
     name: str
-    batch: int = BATCH  # units at once
     evaluations: int = 0
 
     def values(self, z: np.ndarray) -> np.ndarray:
         """Values (n,) of units (numbers, n), nan where a unit has none."""
         self.evaluations += z.shape[1]
         found = np.full(z.shape[1], np.nan)
-        for start in range(0, z.shape[1], self.batch):
-            part = z[:, start : start + self.batch]
-            padded = np.pad(part, ((0, 0), (0, self.batch - part.shape[1])))
+        for start in range(0, z.shape[1], BATCH):
+            part = z[:, start : start + BATCH]
+            padded = np.pad(part, ((0, 0), (0, BATCH - part.shape[1])))
             values, status = respond(self.response, self.population, jnp.asarray(padded, jnp.result_type(float)))
             valid = np.where(np.asarray(succeeded(status)), np.asarray(values[self.name], float), np.nan)
-            found[start : start + self.batch] = valid[: part.shape[1]]
+            found[start : start + BATCH] = valid[: part.shape[1]]
         return found
 
     def slopes(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

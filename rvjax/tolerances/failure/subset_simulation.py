@@ -44,9 +44,7 @@ class Sequential:
     failing: np.ndarray
 
 
-def sequential(
-    fails: Fails, numbers: int, random: np.random.Generator, confidence: float = 0.95, each: int = EACH
-) -> Sequential:
+def sequential(fails: Fails, numbers: int, random: np.random.Generator, confidence: float = 0.95) -> Sequential:
     """Probability of failure by subset simulation over spreads.
 
     A failing region that ends further out, on the ray through its units, is seen only as far as it does not.
@@ -56,13 +54,12 @@ def sequential(
         numbers: random numbers of a unit.
         random: where the units come from.
         confidence: of the interval.
-        each: units of an island.
     """
 
     def fail(z: np.ndarray, spread: float) -> np.ndarray:
-        return fails(spread * z.reshape(numbers, ISLANDS * each)).reshape(ISLANDS, each)
+        return fails(spread * z.reshape(numbers, ISLANDS * EACH)).reshape(ISLANDS, EACH)
 
-    z = random.standard_normal((numbers, ISLANDS, each))
+    z = random.standard_normal((numbers, ISLANDS, EACH))
     shares, noise, reach = np.ones(ISLANDS), 0.0, 0.5
     failed, spread = fail(z, 1.0), 1.0
     for wider in _SPREADS:
@@ -84,7 +81,7 @@ def sequential(
             z = np.where(taken, trial, z)
             reach = min(1.0, 1.4 * reach) if taken.mean() > _HIGH else reach / 1.4 if taken.mean() < _LOW else reach
         if spread == 1:
-            return Sequential(_estimate(shares, noise, confidence), z[:, alive].reshape(numbers, each * alive.sum()))
+            return Sequential(_estimate(shares, noise, confidence), z[:, alive].reshape(numbers, EACH * alive.sum()))
         before, spread = spread, _next(float(shares.mean()), spread)
         failed = fail(z, spread) & alive[:, None]
         while failed.mean() < _LEAST and before - spread > _CLOSE:
