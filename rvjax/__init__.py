@@ -53,8 +53,8 @@ _HOMES = {
     "status": "SolveError SolveInfo Status check",
 }
 _MODULES = (
-    "assembly catalogue compensation dynamics four_bar identify levels life loaded lost_motion mesh_force models "
-    "mounting plotting published roots study tolerances units "
+    "assembly catalogue compensation dynamics four_bar geometry identify levels life loaded lost_motion mesh_force "
+    "models mounting plotting published roots study tolerances units "
 )
 _LAZY = {name: home for home, names in _HOMES.items() for name in names.split()} | dict.fromkeys(_MODULES.split())
 

@@ -90,6 +90,13 @@ class CycloidStage(Record):
     pin_radius: Scalar = field("m", "radius of a pin, rrp", sign="positive")
     equidistant_modification: Scalar = field("m", "profile modification; > 0 removes flank material", default=0.0)
     shift_modification: Scalar = field("m", "profile modification; < 0 removes flank material", default=0.0)
+    profile_modification: Array | None = field(
+        "m",
+        "profile modification a_f cos(f psi), f = 1 .. 4, over the lobe angle psi, 0 in a tooth space; > 0 adds flank "
+        "material; None: none",
+        shape=(4,),
+        default=None,
+    )
     force_angle: Scalar = field("rad", "direction of the disc-pin mesh force (dynamics)", default=30 * deg)
     disc_phase: Scalar = field("rad", "eccentric direction of disc 1 (dynamics)", default=0.0)
     shortening: Scalar | None = field("-", "K1 where it is given, not derived", default=None)

@@ -8,7 +8,15 @@ from typing import Any
 
 from rvjax.outputs import Curve, Description, Observation, Output
 
-MODELS = ("rvjax.four_bar", "rvjax.lost_motion", "rvjax.mesh_force", "rvjax.dynamics", "rvjax.loaded", "rvjax.life")
+MODELS = (
+    "rvjax.four_bar",
+    "rvjax.lost_motion",
+    "rvjax.mesh_force",
+    "rvjax.dynamics",
+    "rvjax.loaded",
+    "rvjax.life",
+    "rvjax.geometry",
+)
 """Packages, each with `outputs.DESCRIPTION`; the first required output whose model has a curve gives the plot."""
 
 

@@ -19,6 +19,7 @@ GPa = 1e9
 # For each SI unit, the units a person may write.
 KNOWN: dict[str, dict[str, float]] = {
     "m": {"m": 1.0, "mm": mm, "um": um},
+    "m3": {"m3": 1.0, "cm3": 1e-6, "mm3": 1e-9},
     "rad": {"rad": 1.0, "deg": deg, "arcmin": arcmin, "arcsec": arcsec},
     "rad/s": {"rad/s": 1.0, "rpm": rpm},
     "rad/s2": {"rad/s2": 1.0},
@@ -35,7 +36,7 @@ KNOWN: dict[str, dict[str, float]] = {
 }
 
 # The unit in which a person reads a manufacturing error or a response.
-READ_IN = {"m": "um", "rad": "arcmin", "Pa": "MPa"}
+READ_IN = {"m": "um", "m3": "cm3", "rad": "arcmin", "Pa": "MPa"}
 
 
 _NUMBER_AND_UNIT = re.compile(r"([-+]?(?:\d[\d_]*\.?\d*|\.\d+|\d*inf|nan)(?:[eE][-+]?\d+)?)\s*([^\W\d_].*|)")

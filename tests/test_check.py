@@ -8,14 +8,13 @@ import tomllib
 from importlib import resources
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
 
 from rvjax import catalogue, cli, designs, study
 from rvjax.commands import module, speak
 from rvjax.commands.allocate import answer
 from rvjax.commands.init.compute import UNASKED, written as template
-from rvjax.study import facts, plausible
+from rvjax.study import plausible
 from rvjax.study.design import BASES
 from rvjax.units import mm
 
@@ -69,27 +68,6 @@ def test_known_reducers_and_the_studies_raise_no_doubt():
     question = study.load("rv-40e", solve=False)
     for design in (d for d in plausible.KNOWN_DESIGNS if isinstance(d, designs.RVReducer)):
         assert plausible.doubts(design, question.conditions, question.tolerances) == []
-
-
-@pytest.mark.parametrize("pins", [12, 40])
-@pytest.mark.parametrize("shortening", [0.3, 0.6923, 0.95])
-def test_least_curvature_radius_is_where_the_offset_flank_gets_its_cusp(pins, shortening):
-    """Along the offset curve the way forward is (1 - rrp curvature) of that along the path: it turns back at a cusp."""
-    t = np.linspace(0, 2 * np.pi / (pins - 1), 20001)
-    path = np.exp(1j * t) - shortening / pins * np.exp(1j * pins * t)
-    along = 1j * (np.exp(1j * t) - shortening * np.exp(1j * pins * t))
-    least = facts.least_curvature_radius(shortening, pins)
-    for factor, turns in ((0.999, False), (1.001, True)):
-        flank = path + 1j * along / np.abs(along) * factor * least
-        forward = np.real(np.diff(flank) * np.conj(along[:-1] + along[1:]))
-        assert (forward.min() < 0) == turns
-
-
-def test_contact_ratio_of_standard_gears():
-    """20 and 40 teeth, 20 deg: by hand, lengths in modules: tips 11 and 21, bases 9.3969 and 18.7939, centres 30."""
-    stage = designs.InvoluteStage.from_teeth(20, 40, module=2 * mm)
-    by_hand = (np.sqrt(11**2 - 9.396926**2) + np.sqrt(21**2 - 18.793852**2) - 30 * np.sin(np.pi / 9)) / 2.952131
-    assert facts.contact_ratio(stage) == pytest.approx(by_hand, rel=1e-6)
 
 
 @pytest.mark.parametrize("base", sorted(BASES))

@@ -19,6 +19,7 @@ from rvjax import (
     RVErrors,
     dynamics,
     four_bar,
+    geometry,
     life,
     loaded,
     lost_motion,
@@ -30,7 +31,7 @@ from rvjax.loaded.cases import MACHINE
 from rvjax.status import SolveInfo
 from rvjax.units import deg, mm, rpm, um
 
-ROOMS = (four_bar, lost_motion, mesh_force, dynamics, life, roots)
+ROOMS = (four_bar, lost_motion, mesh_force, dynamics, life, geometry, roots)
 
 
 def residual(x, p):
@@ -168,6 +169,7 @@ CALLS = {  # name: one call of the door for each way that is decided before the 
     ],
     "life.rating": [lambda x: life.rating(RATED, units(x), life.Duty([100 * x], [x], [1.0]), samples=2)],
     "life.rated_torque": [lambda x: life.rated_torque(RATED, units(x), life=1e7 * x, output_speed=x, samples=2)],
+    "geometry.figures": [lambda x: geometry.figures(MACHINE, 100 * x)],
     "roots.bracketed": [lambda x: roots.bracketed(residual, x, 0.0, 2.0)],
 }
 

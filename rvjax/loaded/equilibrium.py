@@ -12,8 +12,8 @@ from rvjax.compile_cache import ONCE, quick
 from rvjax.designs import RVReducer
 from rvjax.errors import RVErrors
 from rvjax.loaded.balance import attach, balance, compliance, forces
-from rvjax.loaded.gaps import gaps
-from rvjax.loaded.geometry import curvature, geometry
+from rvjax.loaded.gaps import flank_rounding, gaps
+from rvjax.loaded.geometry import geometry
 from rvjax.loaded.inputs import Read, admit, check_input, mesh_stiffness, pin_compliance
 from rvjax.loaded.newton import Found
 from rvjax.loaded.system import Layout, System, bearing_rows, directions, gear_rows
@@ -120,7 +120,7 @@ def prepare(layout: Layout, read: Read, input_angle: jax.Array) -> Case:
     swing = e / involute.planet_base_radius * jnp.stack([-at.eccentric.sine, at.eccentric.cosine], axis=-1)
     yielding = pin_compliance(layout, design)
     plane = contact.young_modulus * contact.face_width / (1 - contact.poisson_ratio**2)
-    rounding = cycloid.pin_radius / (1 - cycloid.pin_radius * curvature(design, at.shortening, at.lobe.cosine))
+    rounding = flank_rounding(cycloid, at)
     level = None
     if layout.law == "hertz":  # Eq. 17
         level = jnp.log(2 * jnp.pi * plane * rounding) - 1 / (2 * (1 - contact.poisson_ratio))

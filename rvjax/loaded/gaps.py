@@ -5,9 +5,10 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rvjax.designs import RVReducer
+from rvjax.designs import CycloidStage, RVReducer
 from rvjax.errors import RVErrors
-from rvjax.loaded.geometry import Geometry
+from rvjax.geometry import curvature
+from rvjax.loaded.geometry import Geometry, Turn
 from rvjax.loaded.system import directions
 from rvjax.records import Scalar
 
@@ -71,6 +72,8 @@ def _pins(design: RVReducer, errors: RVErrors, at: Geometry) -> jax.Array:
     else:
         pitch = jnp.asarray(errors.disc_pitch)
     total += pitch * (zp / (zc * cycloid.pin_circle_radius)) * at.lever
+    if cycloid.profile_modification is not None:
+        total += profile(cycloid.profile_modification, at.lobe)[0]
     if jnp.ndim(errors.disc_profile):
         waves = _full(errors.disc_profile, (discs, 5, 2))
         cosine, sine = jnp.ones_like(at.size), jnp.zeros_like(at.size)
@@ -83,6 +86,46 @@ def _pins(design: RVReducer, errors: RVErrors, at: Geometry) -> jax.Array:
             total += errors.disc_profile * (cosine + sine)
             cosine, sine = at.lobe.of(cosine, sine)
     return total
+
+
+def profile(amplitudes: Any, lobe: Turn) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Material of the profile modification over the lobe angle, m, and its first two derivatives.
+
+    Args:
+        amplitudes: of cos(f psi), f = 1 .. 4, (4,) m.
+        lobe: lobe angle.
+    """
+    cosine, sine = lobe.cosine, lobe.sine
+    found = [jnp.zeros_like(cosine)] * 3
+    for f, a in enumerate(_full(amplitudes, (4,)), start=1):
+        found = [total + a * wave for total, wave in zip(found, (cosine, -f * sine, -f * f * cosine))]
+        cosine, sine = lobe.of(cosine, sine)
+    return found[0], found[1], found[2]
+
+
+def flank_rounding(cycloid: CycloidStage, at: Geometry) -> jax.Array:
+    """rr^2 / R* of a pin and the flank, m, R* = rr (1 - rr kc), with the curvature of the profile modification.
+
+    Material m on a flank of curvature kd = kc/(1 - rr kc) and arc length s changes its curvature by -m kd^2 - m''
+    (Eq. 17a). Along the flank ds = sigma dpsi, sigma = rp S (1 - rr kc)/zc: m'' = (m_pp - m_p sigma_p/sigma)/sigma^2.
+
+    Args:
+        cycloid: its numbers.
+        at: geometry of the angle.
+    """
+    rr, rp = jnp.asarray(cycloid.pin_radius), jnp.asarray(cycloid.pin_circle_radius)
+    k1, pins = at.shortening, cycloid.pin_count
+    bend = curvature(at.lobe.cosine, pins=pins, shortening=k1, pin_circle_radius=rp)
+    if cycloid.profile_modification is None:
+        return rr / (1 - rr * bend)
+    m, m_p, m_pp = profile(cycloid.profile_modification, at.lobe)
+    size_p = k1 * at.lobe.sine / at.size  # dS/dpsi
+    bend_p = k1 * (1 + pins) * at.lobe.sine / (rp * at.size**3) - 3 * bend * size_p / at.size
+    slack = 1 - rr * bend
+    sigma = rp * at.size * slack / cycloid.disc_teeth
+    sigma_p = rp * (size_p * slack - at.size * rr * bend_p) / cycloid.disc_teeth
+    own = bend / slack
+    return rr + rr * rr * (own - m * own * own - (m_pp - m_p * sigma_p / sigma) / sigma**2)
 
 
 def _gear(design: RVReducer, errors: RVErrors, at: Geometry, flank: jax.Array) -> jax.Array:

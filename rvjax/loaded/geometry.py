@@ -94,30 +94,3 @@ def geometry(design: RVReducer, eccentricity: jax.Array, input_angle: jax.Array)
         ),
         tooth=jnp.mod(jnp.arange(zp, dtype=jnp.int32)[None] - laps.astype(jnp.int32), zc),  # Eq. 6
     )
-
-
-def curvature(design: RVReducer, k1: Any, cosine: Any) -> Any:
-    """Curvature of the line of pin centres at a lobe angle, > 0 convex, 1/m. Eq. 7.
-
-    Args:
-        design: pin count and pin circle radius are read.
-        k1: shortening K1.
-        cosine: of the lobe angle psi.
-    """
-    zp = design.cycloid.pin_count
-    size = jnp.sqrt(1 + k1 * k1 - 2 * k1 * cosine)
-    return (1 + zp * k1 * k1 - k1 * (1 + zp) * cosine) / (design.cycloid.pin_circle_radius * size**3)
-
-
-def largest_curvature(design: RVReducer, k1: Any) -> Any:
-    """Largest curvature of the whole flank, 1/m: at its inflection or at one of its ends.
-
-    Args:
-        design: pin count and pin circle radius are read.
-        k1: shortening K1, between 0 and 1.
-    """
-    zp = design.cycloid.pin_count
-    a, b = 1 + zp * k1 * k1, k1 * (1 + zp)
-    inside = jnp.clip((3 * k1 * a - b * (1 + k1 * k1)) / (k1 * b), -1, 1)
-    ends = [curvature(design, k1, jnp.asarray(x, k1.dtype)) for x in (-1.0, 1.0)]
-    return jnp.maximum(jnp.maximum(*ends), curvature(design, k1, inside))

@@ -12,8 +12,8 @@ from rvjax.choices import choose
 from rvjax.designs import Contact, RVReducer, expect
 from rvjax.elementary import LARGEST_ANGLE
 from rvjax.errors import RVErrors, read_by
+from rvjax.geometry import least_convex_radius
 from rvjax.loaded import laws
-from rvjax.loaded.geometry import largest_curvature
 from rvjax.loaded.system import Layout
 from rvjax.records import Scalar, axis_sizes, promote
 from rvjax.status import Gate, Status
@@ -113,9 +113,10 @@ def admit(layout: Layout, design: RVReducer, errors: RVErrors, torque: Any, angl
     largest = cycloid.pin_circle_radius / cycloid.pin_count  # K1 = 1
     proper = (e > 0) & (e < largest)
     e = jnp.where(of_design.good & proper, e, 0.6 * largest)
-    sharpest = jax.lax.stop_gradient(largest_curvature(used, e / largest))  # for a check only, no part of the result
-    undercut = of_design.good & (cycloid.pin_radius * sharpest >= 1)
-    cycloid = cycloid.replace(pin_radius=jnp.where(undercut, 0.1 / sharpest, cycloid.pin_radius))
+    convex = cycloid.pin_circle_radius * least_convex_radius(e / largest, pins=cycloid.pin_count)
+    convex = jax.lax.stop_gradient(convex)  # for a check only, no part of the result
+    undercut = of_design.good & (cycloid.pin_radius >= convex)
+    cycloid = cycloid.replace(pin_radius=jnp.where(undercut, 0.1 * convex, cycloid.pin_radius))
     gate = Gate((*refused, (~proper, Status.INVALID_GEOMETRY), (undercut, Status.UNDERCUT)))
     return Read(used.replace(cycloid=cycloid), parts, e, torque, angle, gate)
 
@@ -126,6 +127,7 @@ _HARMLESS = {
     "pin_radius": 1e-6,
     "equidistant_modification": 0.0,
     "shift_modification": 0.0,
+    "profile_modification": 0.0,
 }
 """Replacements of numbers of a design that the computation cannot use; any other becomes 1."""
 

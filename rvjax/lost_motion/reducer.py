@@ -7,7 +7,7 @@ import jax.numpy as jnp
 
 from rvjax.arguments import checked
 from rvjax.choices import choose
-from rvjax.designs import RVReducer, expect
+from rvjax.designs import CycloidStage, RVReducer, expect
 from rvjax.errors import RVErrors, read_by
 from rvjax.lost_motion import flank as flanks
 from rvjax.lost_motion.terms import FLANK_TERMS, LostMotionTerms, Teeth, Unit, contributions, harmless
@@ -86,7 +86,7 @@ def _geometric(numbers: PyTree, *, reading: str, profile: str) -> LostMotion:
         e=cycloid.eccentricity,
         rp=cycloid.pin_circle_radius,
         given_k1=None if profile == "contact" else cycloid.shortening,
-        equidistant=cycloid.equidistant_modification,
+        equidistant=cycloid.equidistant_modification - _profile_at_contact(cycloid),
         shift=cycloid.shift_modification,
         tilt=tilt,
     )
@@ -157,6 +157,11 @@ def _check_methods(design: RVReducer, reading: str, profile: str, normal_force: 
         raise ValueError(f"profile = {profile!r}: reading 'as_printed' has the sum of terms only, 'first_order'")
     if reading == "consistent" and normal_force is not None:
         raise ValueError("normal_force: only reading 'as_printed' derives a pressure angle from a force")
+    if design.cycloid.profile_modification is not None and (reading, profile) != ("consistent", "first_order"):
+        raise ValueError(
+            f"profile = {profile!r}, reading = {reading!r}: CycloidStage.profile_modification is read by reading "
+            "'consistent' with 'first_order' only"
+        )
     difference = design.cycloid.pin_count - design.cycloid.disc_teeth
     if profile != "first_order" and difference != 1:
         raise ValueError(f"profile = {profile!r}: needs one pin more than disc teeth, not {difference}")
@@ -164,6 +169,16 @@ def _check_methods(design: RVReducer, reading: str, profile: str, normal_force: 
         raise ValueError(
             f"CycloidStage.pin_count = {design.cycloid.pin_count}: must exceed disc_teeth = {design.cycloid.disc_teeth}"
         )
+
+
+def _profile_at_contact(cycloid: CycloidStage) -> Scalar:
+    """Material of the profile modification where pins touch first: cos(psi) = K1, the least of S/sin(psi)."""
+    if cycloid.profile_modification is None:
+        return 0.0
+    waves = [1.0, cycloid.shortening_coefficient]  # cos(f psi)
+    for _ in range(3):
+        waves.append(2 * waves[1] * waves[-1] - waves[-2])
+    return jnp.stack(waves[1:]) @ jnp.broadcast_to(cycloid.profile_modification, (4,))
 
 
 def _finite(numbers: list[jax.Array], smallest: jax.Array) -> jax.Array:

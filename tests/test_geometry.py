@@ -1,0 +1,243 @@
+"""Figures of a design without errors, against closed forms, the curve itself and an independent optimum."""
+
+import json
+import math
+from pathlib import Path
+from types import SimpleNamespace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import optimize
+
+from rvjax import RVErrors, geometry, lost_motion
+from rvjax.catalogue import CORR, RV_40E, RV_320E
+from rvjax.designs import Contact, CrankStage, CycloidStage, InvoluteStage
+from rvjax.geometry import contact_ratio, least_convex_radius
+from rvjax.loaded.cases import MACHINE
+from rvjax.loaded.gaps import flank_rounding, gaps
+from rvjax.loaded.geometry import Turn
+from rvjax.loaded.geometry import geometry as geometry_at
+from rvjax.status import Status
+from rvjax.units import MPa, mm
+
+CASES = json.loads((Path(__file__).parent / "reference" / "codesign.json").read_text())["cases"]
+FIGURES = [case for case in CASES if case["kind"] == "geometry"]
+TORQUE = 206 * 2 * (40 + 10 / 26) / 39  # N m at the output for 206 N m on a disc of the RV-40E
+
+
+def reducer(e, ring, pin, width, **contact):
+    cycloid = CycloidStage(39, 40, 2, e, ring, pin)
+    return RV_40E.replace(cycloid=cycloid, contact=Contact(206e9, 0.3, width), **contact)
+
+
+@pytest.mark.parametrize("case", FIGURES, ids=[case["id"] for case in FIGURES])
+def test_figures_of_the_reference(case):
+    given = case["given"]
+    design = RV_40E.replace(
+        involute=InvoluteStage.from_teeth(given["z1"], given["z2"], module=2 * mm),
+        cycloid=CycloidStage(*(given[name] for name in ("zc", "zp", "nd", "e", "rp", "rr"))),
+        cranks=CrankStage(2, given["R"]),
+        contact=Contact(given["young_modulus"], given["poisson_ratio"], given["width"]),
+    )
+    found = geometry.figures(design, given["torque"])
+    assert found.info.status == Status.CONVERGED
+    for name, due in case["expected"].items():
+        assert getattr(found, name) == pytest.approx(due, rel=1e-9), name
+
+
+def test_pressure_and_crank_force_over_the_shortening():
+    """Nominal design of an RV-40E: the lowest pressure lies at K1 = 0.637."""
+    due = {0.5: 1034, 0.6: 1004, 0.637: 1001, 0.7: 1012, 0.75: 1040, 0.8125: 1127, 0.85: 1254}  # MPa
+    found = jax.vmap(lambda k1: geometry.figures(reducer(k1 * 64 * mm / 40, 64 * mm, 3.07 * mm, 10.411 * mm), TORQUE))(
+        jnp.array(list(due))
+    )
+    np.testing.assert_allclose(found.pin_pressure / MPa, list(due.values()), atol=0.6)
+
+
+def test_the_largest_pressure_is_that_of_a_fine_search_over_a_pitch():
+    """Plain NumPy: every pin at 4000 positions of the cranks."""
+    e, ring, pin, width = 1.3 * mm, 64 * mm, 3 * mm, 12 * mm
+    k1, disc = e * 40 / ring, 412 * 39 / (2 * (40 + 10 / 26))
+    psi = np.linspace(0, 2 * np.pi / 40, 4000)[:, None] + 2 * np.pi * np.arange(40) / 40
+    size = np.sqrt(1 + k1**2 - 2 * k1 * np.cos(psi))
+    lever = e * 39 * np.maximum(np.sin(psi), 0) / size
+    force = disc * lever / np.sum(lever**2, axis=1, keepdims=True)
+    bend = (1 + 40 * k1**2 - 41 * k1 * np.cos(psi)) / (ring * size**3)
+    square = force * 206e9 / (2 * np.pi * width * (1 - 0.09) * pin * (1 - pin * bend))
+    found = geometry.figures(reducer(e, ring, pin, width), -412.0)
+    assert found.pin_pressure == pytest.approx(np.sqrt(square.max()), rel=1e-7)
+
+
+def test_the_least_volume_for_a_pressure():
+    """Optimum of the nominal problem: 294,913.7 mm3 at K1 near 0.637, whatever the pin circle radius."""
+
+    def read(x):
+        ring, k1, share, width = 64 * mm, *x
+        found = geometry.figures(reducer(k1 * ring / 40, ring, share * ring, width * ring), TORQUE)
+        room = ring * math.sin(math.pi / 40) / (share * ring)
+        rest = [1 - found.pin_pressure / 1e9, found.convex_radius / (share * ring) - 0.2, room - 1.25]
+        return jnp.stack([found.envelope_volume * 1e3, *rest])
+
+    value = jax.jit(read)
+    slope = jax.jit(jax.jacfwd(read))
+
+    def read_as(part):
+        return lambda x: np.asarray(part(x)[1:])
+
+    found = optimize.minimize(
+        lambda x: float(value(x)[0]),
+        [0.7, 0.045, 0.17],
+        jac=lambda x: np.asarray(slope(x)[0]),
+        bounds=[(0.5, 0.85), (1.5 / 64, 0.08), (0.1, 0.24)],
+        constraints={"type": "ineq", "fun": read_as(value), "jac": read_as(slope)},
+        options={"ftol": 1e-12, "maxiter": 200},
+    )
+    assert found.success
+    assert found.x[0] == pytest.approx(0.637, abs=0.01)
+    assert found.fun * 1e6 == pytest.approx(294_913.7, rel=2e-3)
+
+
+@pytest.mark.parametrize("pins", [12, 40])
+@pytest.mark.parametrize("shortening", [0.3, 0.6923, 0.95])
+def test_least_convex_radius_is_where_the_offset_flank_gets_its_cusp(pins, shortening):
+    """Along the offset curve the way forward is (1 - rrp curvature) of that along the path: it turns back at a cusp."""
+    t = np.linspace(0, 2 * np.pi / (pins - 1), 20001)
+    path = np.exp(1j * t) - shortening / pins * np.exp(1j * pins * t)
+    along = 1j * (np.exp(1j * t) - shortening * np.exp(1j * pins * t))
+    least = float(least_convex_radius(shortening, pins=pins))
+    for factor, turns in ((0.999, False), (1.001, True)):
+        flank = path + 1j * along / np.abs(along) * factor * least
+        forward = np.real(np.diff(flank) * np.conj(along[:-1] + along[1:]))
+        assert (forward.min() < 0) == turns
+
+
+def test_contact_ratio_of_standard_gears():
+    """20 and 40 teeth, 20 deg: by hand, lengths in modules: tips 11 and 21, bases 9.3969 and 18.7939, centres 30."""
+    stage = InvoluteStage.from_teeth(20, 40, module=2 * mm)
+    by_hand = (np.sqrt(11**2 - 9.396926**2) + np.sqrt(21**2 - 18.793852**2) - 30 * np.sin(np.pi / 9)) / 2.952131
+    assert contact_ratio(stage) == pytest.approx(by_hand, rel=1e-6)
+
+
+def test_slopes_are_those_of_the_plain_value():
+    names = ("convex_radius", "crank_room", "envelope_volume", "pin_pressure", "mass")
+
+    def read(x):
+        e, ring, pin, width, disc = x
+        inertia = RV_320E.inertia.replace(disc_mass=disc)
+        found = geometry.figures(reducer(e, ring, pin, width, inertia=inertia), 412.0)
+        return jnp.stack([getattr(found, name) for name in names])
+
+    at = jnp.array([1.3 * mm, 64 * mm, 3 * mm, 12 * mm, 1.0])
+    plain = jax.jit(read)
+    for k in range(5):
+        step = jnp.zeros(5).at[k].set(1e-5 * at[k])
+        due = (plain(at + step) - plain(at - step)) / (2e-5 * at[k])
+        np.testing.assert_allclose(jax.jacrev(read)(at)[:, k], due, rtol=2e-5, atol=1e-9)
+
+
+def test_float32_gives_the_same_to_its_rounding():
+    design = reducer(1.3 * mm, 64 * mm, 3 * mm, 12 * mm)
+    single = geometry.figures(jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), design), jnp.float32(412))
+    for name in ("convex_radius", "pin_pressure", "contact_ratio"):
+        assert getattr(single, name).dtype == jnp.float32
+        assert getattr(single, name) == pytest.approx(float(getattr(geometry.figures(design, 412.0), name)), rel=1e-4)
+
+
+def test_a_batch_gives_each_its_own_status():
+    """An undercut flank keeps its figures; a design that cannot be has none, and harms no neighbour."""
+    ring = jnp.array([64 * mm, 64 * mm, 50 * mm, jnp.nan])
+    pin = jnp.array([3 * mm, 7 * mm, 3 * mm, 3 * mm])
+    found = jax.vmap(lambda ring, pin: geometry.figures(reducer(1.3 * mm, ring, pin, 12 * mm), 412.0))(ring, pin)
+    due = [Status.CONVERGED, Status.UNDERCUT, Status.INVALID_GEOMETRY, Status.NONFINITE]
+    assert found.info.status.tolist() == due
+    assert np.isfinite(found.convex_radius).tolist() == [True, True, False, False]
+    assert np.isfinite(found.pin_pressure).tolist() == [True, False, False, False]
+    assert found.convex_radius[1] < 0
+
+    def pressure(e):
+        return geometry.figures(reducer(e, 64 * mm, 7 * mm, 12 * mm), 412.0).convex_radius
+
+    assert jnp.isfinite(jax.grad(pressure)(1.3 * mm))
+
+
+def test_no_torque_no_pressure_and_a_finite_slope():
+    slope = jax.grad(lambda torque: geometry.figures(MACHINE, torque).pin_pressure)
+    assert geometry.figures(MACHINE).pin_pressure == 0
+    assert jnp.isfinite(slope(0.0))
+
+
+def test_what_a_design_lacks_is_none():
+    found = geometry.figures(RV_40E, 412.0)
+    assert found.pin_pressure is None and found.envelope_volume is None and found.mass is None
+    assert found.envelope_diameter == pytest.approx(134 * mm)
+
+
+def test_bad_input_is_one_line():
+    with pytest.raises(ValueError, match="takes a design of kind RVReducer"):
+        geometry.figures(CORR)
+    with pytest.raises(ValueError, match="pin_count = 41: must be disc_teeth"):
+        geometry.figures(RV_40E.replace(cycloid=RV_40E.cycloid.replace(pin_count=41)))
+
+
+AMPLITUDES = np.array([2e-6, -3e-6, 1.5e-6, -1e-6])
+
+
+def test_the_rounding_of_a_waved_flank_is_that_of_the_curve_itself():
+    """Flank points from path and normal, its curvature by differences: rr^2 (1/rr + curvature)."""
+    e, ring, pin = 1.3 * mm, 64 * mm, 3 * mm
+    k1, teeth = e * 40 / ring, 39
+    psi = np.linspace(0.02, np.pi - 0.02, 60)
+
+    def flank(psi):
+        """Disc frame, t = psi / zc; the normal from the pin centre into the disc."""
+        t = psi / teeth
+        path = ring * np.exp(1j * t) - e * np.exp(1j * 40 * t)
+        along = 1j * (np.exp(1j * t) - k1 * np.exp(1j * 40 * t))
+        material = sum(a * np.cos(f * psi) for f, a in enumerate(AMPLITUDES, start=1))
+        return path + 1j * along / np.abs(along) * (pin - material)
+
+    h = 1e-3
+    first = (flank(psi + h) - flank(psi - h)) / (2 * h)
+    second = (flank(psi + h) - 2 * flank(psi) + flank(psi - h)) / h**2
+    bend = np.imag(np.conj(first) * second) / np.abs(first) ** 3
+    lobe = Turn(jnp.cos(psi), jnp.sin(psi))
+    size = jnp.sqrt(1 + k1**2 - 2 * k1 * jnp.cos(psi))
+    cycloid = CycloidStage(39, 40, 2, e, ring, pin, profile_modification=AMPLITUDES)
+    found = flank_rounding(cycloid, SimpleNamespace(lobe=lobe, size=size, shortening=jnp.asarray(k1)))
+    np.testing.assert_allclose(found, pin + pin**2 * bend, rtol=2e-3)
+    plain = flank_rounding(
+        cycloid.replace(profile_modification=None), SimpleNamespace(lobe=lobe, size=size, shortening=jnp.asarray(k1))
+    )
+    assert np.max(np.abs(found / plain - 1)) > 0.02  # the waves count
+
+
+def test_a_profile_modification_is_material_of_every_disc():
+    """The depth of every pin is that of a disc profile error of the same terms."""
+    waves = np.zeros((5, 2))
+    waves[1:, 0] = AMPLITUDES
+    designed = MACHINE.replace(cycloid=MACHINE.cycloid.replace(profile_modification=AMPLITUDES))
+    errors = [RVErrors(disc_profile=waves[None] * np.ones((2, 1, 1))), RVErrors(disc_profile=np.zeros((2, 5, 2)))]
+    e, flank = jnp.asarray(MACHINE.cycloid.eccentricity), jnp.ones((2, 2, 2))
+    at = geometry_at(MACHINE, e, jnp.asarray(0.3))
+    due, found = (gaps(d, own, at, e, flank).pins for d, own in zip((MACHINE, designed), errors))
+    np.testing.assert_allclose(found, due, rtol=1e-12, atol=1e-18)
+    assert np.max(np.abs(due)) > 5e-6
+
+
+def test_a_profile_modification_takes_lost_motion_where_the_pins_touch():
+    """The least of (D S - m)/(e zc sin psi) over the flank, for a modification small against the backlash."""
+    e, ring, play = 1.3 * mm, 64 * mm, 100e-6
+    k1, small = e * 40 / ring, 1e-3 * AMPLITUDES
+    psi = np.linspace(0.3, 2.8, 200_001)
+    size = np.sqrt(1 + k1**2 - 2 * k1 * np.cos(psi))
+    material = sum(a * np.cos(f * psi) for f, a in enumerate(small, start=1))
+    least = [np.min((play - m) * size / (e * 39 * np.sin(psi))) for m in (0, material)]
+    cycloid = RV_40E.cycloid.replace(equidistant_modification=play)
+    designs = (RV_40E.replace(cycloid=cycloid.replace(profile_modification=a)) for a in (None, small))
+    found = [float(lost_motion.geometric(design, RVErrors()).total) for design in designs]
+    assert found[1] - found[0] == pytest.approx(2 * (least[1] - least[0]), rel=1e-3)
+    with pytest.raises(ValueError, match="profile_modification is read by"):
+        lost_motion.geometric(RV_40E.replace(cycloid=cycloid.replace(profile_modification=small)), RVErrors(),
+                              profile="contact")  # fmt: skip
