@@ -17,8 +17,7 @@ from rvjax.designs import Contact, CrankStage, CycloidStage, InvoluteStage
 from rvjax.geometry import contact_ratio, least_convex_radius
 from rvjax.loaded.cases import MACHINE
 from rvjax.loaded.gaps import flank_rounding, gaps
-from rvjax.loaded.geometry import Turn
-from rvjax.loaded.geometry import geometry as geometry_at
+from rvjax.loaded.geometry import Turn, geometry as geometry_at
 from rvjax.status import Status
 from rvjax.units import MPa, mm
 
