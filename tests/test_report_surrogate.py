@@ -11,7 +11,7 @@ from live_study import fewer_points
 import rvjax
 from rvjax import tolerances
 from rvjax.commands.allocate.answer import SHOWN_VALUES
-from rvjax.commands.report import surrogate
+from rvjax.commands.report import region, regression, surrogate
 from rvjax.response.response import BLOCK
 
 UNITS = 2 * BLOCK
@@ -101,7 +101,7 @@ def test_a_quadratic_response_is_met_to_what_is_left_out():
     assert any(key[0] != key[-1] for key in found.columns["y"])
     values = direct(found, bent)
     miss = np.sqrt(np.mean((found.values("y", X) - values) ** 2))
-    assert miss < 21 * surrogate._FELT * values.std()
+    assert miss < 21 * region.FELT * values.std()
     assert miss < 0.1 * np.sqrt(np.mean((found.base["y"] - values) ** 2))  # and the sliders do move it
 
 
@@ -152,3 +152,35 @@ def test_units_that_fail_at_one_end_go_on_from_the_other():
     nothing = SimpleNamespace(**vars(question) | {"after": SimpleNamespace(
         tolerances=question.after.tolerances, values={"y": np.full(UNITS, np.nan)}, seed=2)})  # fmt: skip
     assert surrogate.surrogate(nothing) is None
+
+
+def costly_linear(errors):
+    return linear(errors)
+
+
+def costly_bent(errors):
+    """A sum of errors and the square of one of them."""
+    x, y, z = 1e6 * errors.pin_radius, 1e6 * errors.eccentricity, 1e6 * errors.carrier_bore[0, 0]
+    return {"y": x + z + y + 0.1 * z * z}
+
+
+costly_linear.costly = costly_bent.costly = True  # type: ignore[attr-defined]
+
+
+def test_a_costly_linear_response_is_met_by_the_derivatives_alone():
+    found = surrogate.surrogate(made(costly_linear, 14e-6))
+    assert len(found.weights) == regression.UNITS and found.compared == "own"
+    assert set(found.columns["y"]) == {(k,) for k in range(6)}
+    values = direct(found, linear)
+    np.testing.assert_allclose(found.values("y", X), values, atol=1e-9 * np.abs(values).max())
+    assert found.error("yield") < 1e-6 and found.error("mean") < 1e-6 and len(found.checks) == surrogate._POINTS
+
+
+def test_bends_that_all_units_share_are_found_at_random_places():
+    """z = m + h u has the square m^2 + 2 m h u + h^2 u^2: the first is a bend of the mid-point that all units share."""
+    found = surrogate.surrogate(made(costly_bent, 6.0))
+    (place,) = (k for k, p in enumerate(found.parameters) if p.field == "carrier_bore" and p.place)
+    reach = 1e6 * found.parameters[place].reach
+    # The products 2 m h u act as noise on it, of which 768 units at three places leave a twentieth
+    assert found.columns["y"][place, place].mean() == pytest.approx(0.1 * reach**2, rel=0.15)
+    assert found.error("mean") < 0.05 and found.error("yield") < 0.02

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from rvjax import RVErrors, cli, four_bar, plotting, progress, study
-from rvjax.commands.budget import compute as budget, error_budget, report_on, section_on
+from rvjax.commands.budget import compute as budget, error_budget, regression, report_on, section_on
 from rvjax.errors import STAGES
 from rvjax.population import Population, Tolerance, drawn, root_key
 from rvjax.render import Note, Table, write_files
@@ -125,6 +125,32 @@ def test_a_batch_in_which_nothing_can_be_solved_has_no_budget(question):
         error_budget(question, samples=UNITS, seed=7, loads={"strange": float("nan")})
 
 
+def test_the_budget_of_a_regression_is_that_of_its_linear_part():
+    """Waves 3 x1 + 4i x2 + noise, and 40 elements that move nothing: variances 4.5 and 8, halved as of waves, and 0."""
+    rng, units = np.random.default_rng(4), 2000
+    errors = rng.standard_normal((42, units)) * np.array([1.0, 1.0, *[1e-6] * 40])[:, None]
+    noise = (rng.standard_normal(units) + 1j * rng.standard_normal(units)) / np.sqrt(2)
+    waves = np.stack([np.full(units, 7.0), 3 * errors[0] + 4j * errors[1] + 2 * noise], axis=1)
+    found = regression.fitted(errors, waves, {"x": 1, "y": 1, "idle": 40})
+    spread = 5 * np.sqrt(2 / units)  # five standard errors of a variance
+    assert found["variance"]["x"][1] == pytest.approx(4.5, rel=spread)
+    assert found["variance"]["y"][1] == pytest.approx(8.0, rel=spread)
+    assert found["variance"]["idle"][1] < 0.3 * 40 * 2 / units  # its coefficients alone would give 40 times 2/units
+    assert found["total"][1] == pytest.approx(14.5, rel=spread) and found["alike"][0] == pytest.approx(49)
+    share, error = found["together"]
+    assert abs(share - 2 / 14.5) < 5 * error and 0 < error < 0.02
+    for name, true in (("x", 4.5), ("y", 8.0)):
+        assert abs(found["variance"][name][1] - true) < 4 * found["error"][name] < true
+
+
+def test_waves_of_curves_are_their_amplitudes():
+    angle = np.arange(16) / 16 * 2 * np.pi
+    curves = np.stack([2 + 3 * np.cos(2 * angle - 0.4), np.where(angle > 1, np.nan, angle)])
+    waves = budget.waves_of(curves)
+    np.testing.assert_allclose(waves[0], [2, 0, 3 * np.exp(-0.4j), *[0] * 5], atol=1e-12)
+    assert np.isnan(waves[1]).all()
+
+
 def test_fields_add_up_to_parts_and_stages(found):
     assert found.part == {
         "crank_eccentricity": "cranks", "disc_bore": "discs", "carrier_bore": "carrier", "pin_radius": "ring"
@@ -202,10 +228,11 @@ def test_the_report_lists_the_contributors_to_the_error(found):
 
 
 def test_which_studies_have_a_budget(question, monkeypatch):
-    monkeypatch.setattr(budget, "error_budget", lambda one, *, tolerances: one.name)
+    monkeypatch.setattr(regression, "error_budget", lambda one, *, tolerances: one.name)
+    monkeypatch.setattr(regression, "linear_budget", lambda one, tolerances: None)
     asked = [study.load(name, solve=False) for name in ("rv-40e", "rv-40e-whole", "corr")]
     still = parse_study(TEXT.replace('"412 N m"', '"0 N m"'), name="still", solve=False)
-    found = [budget.budget_if_any(one) for one in (*asked, question, still)]
+    found = [regression.budget_if_any(one) for one in (*asked, question, still)]
     assert found == ["rv-40e", "rv-40e-whole", None, "x", None]
 
 

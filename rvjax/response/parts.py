@@ -13,7 +13,7 @@ from rvjax.records import PyTree
 from rvjax.response.devices import UNITS, Evaluator, mesh_of, on, shared_out
 from rvjax.response.gradients import elements
 from rvjax.response.response import Response, Values, evaluate, per_response, response_names
-from rvjax.status import worst
+from rvjax.status import succeeded, worst
 
 AT_ONCE = 128
 """Units of one call: a few blocks of a slow model, so that little is wasted where few units decide."""
@@ -31,6 +31,11 @@ class Part:
     def solve(self, population: Population, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Values (k, n) by `names`, and status (n,), of the units with random numbers z (numbers, n)."""
         return self._of(population, z.shape[1], lambda lanes: elements(population, jnp.asarray(z[:, lanes])))
+
+    def of_elements(self, population: Population, errors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Values (k, n) by `names`, nan where a unit failed, and status (n,), of units with errors (elements, n)."""
+        values, status = self._of(population, errors.shape[1], lambda lanes: jnp.asarray(errors[:, lanes]))
+        return np.where(np.asarray(succeeded(status)), values, np.nan), status
 
     def rows(self, population: Population, z: np.ndarray, name: str) -> np.ndarray:
         """Numbers name[0], name[1] ... (n, numbers) among the values of units with random numbers z (numbers, n)."""

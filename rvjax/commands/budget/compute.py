@@ -56,6 +56,7 @@ class Budget:
         part: {error: part of the reducer}.
         samples: units, of which `failed` have no curve and are left out.
         failed: {load: units without a curve, or with a neighbour without one}.
+        linear: variances are those of a linear regression, not of units with one error resampled.
     """
 
     title: str
@@ -70,6 +71,7 @@ class Budget:
     part: dict[str, str]
     samples: int
     failed: dict[str, int]
+    linear: bool = False
 
     def by(self, level: str, load: str) -> dict[str, np.ndarray]:
         """Variances (k,) of the errors, or summed over those of a part or stage, the largest first.
@@ -168,6 +170,9 @@ def error_budget(
                 found[load] = _of_load(partial(solve, torque), draw, population, samples)
     waves = len(next(iter(found.values())).total)
     assert curve.turns is not None
+    by_load: dict[str, Any] = {
+        f.name: {load: getattr(one, f.name) for load, one in found.items()} for f in dataclasses.fields(_Load)
+    }
     return Budget(
         title=curve.title,
         unit=curve.unit,
@@ -175,22 +180,8 @@ def error_budget(
         torque=dict(loads),
         part={field: about[field]["part"] for field in population.active},
         samples=samples,
-        **{f.name: {load: getattr(one, f.name) for load, one in found.items()} for f in dataclasses.fields(_Load)},
+        **by_load,
     )
-
-
-def budget_if_any(study: Study, tolerances: Any = None) -> Budget | None:
-    """The budget of a study with a torque and a response that has a curve along the output; None for another study.
-
-    Args:
-        study: design, conditions and tolerances.
-        tolerances: other than those of the study.
-    """
-    if _curve_along(study, tuple(study.requirements)) is None or not getattr(
-        study.conditions, torque_condition(study.conditions)
-    ):
-        return None
-    return error_budget(study, tolerances=tolerances)
 
 
 def torque_condition(given: Any) -> str:
@@ -220,7 +211,7 @@ def _of_load(
     if not good.any():
         raise ValueError(f"none of {samples} units can be solved")
     one, other, count = one[good], other[good], int(good.sum())
-    waves = np.where(np.arange(one.shape[1]) > 0, 0.5, 1.0)  # mean square of a wave of amplitude 1
+    waves = squares(one.shape[1])
     moved = {field: values[good] - one for field, values in changed.items()}
     square = {field: 0.5 * waves * np.abs(values) ** 2 for field, values in moved.items()}
     mean = one.sum(0) / count
@@ -236,6 +227,27 @@ def _of_load(
         alike=waves * np.abs(mean) ** 2,
         failed=int(samples - good.sum()),
     )
+
+
+def squares(count: int) -> np.ndarray:
+    """Mean squares (count,) of waves of amplitude 1; the first is a constant.
+
+    Args:
+        count: of the waves.
+    """
+    return np.where(np.arange(count) > 0, 0.5, 1.0)
+
+
+def waves_of(curves: np.ndarray) -> np.ndarray:
+    """Amplitudes of the waves (units, k) of curves (units, n), as `_waves` has them; NaN of a failed unit.
+
+    Args:
+        curves: over one cycle.
+    """
+    count = (curves.shape[1] + 1) // 2
+    waves = np.fft.rfft(curves, axis=1)[:, :count] / curves.shape[1]
+    waves[:, 1:] *= 2
+    return np.where(np.isfinite(curves).all(axis=1)[:, None], waves, np.nan)
 
 
 def _solved(
@@ -256,13 +268,19 @@ def _curve(study: Study, output: str | None) -> Curve:
     """The curve along the output of one model."""
     if output is not None:
         choose("output", output, study.requirements)
-    curve = _curve_along(study, tuple(study.requirements) if output is None else (output,))
+    curve = curve_along(study, tuple(study.requirements) if output is None else (output,))
     if curve is None:
         raise ValueError(f"study {study.name}: no response required here has a curve along the output")
     return curve
 
 
-def _curve_along(study: Study, outputs: Sequence[str]) -> Curve | None:
+def curve_along(study: Study, outputs: Sequence[str]) -> Curve | None:
+    """The first curve along the output of one model; None where no output has one.
+
+    Args:
+        study: with the design.
+        outputs: their names.
+    """
     described = models.kind(study.design).described
     curves = (described[name].curve for name in outputs)
     return next((curve for curve in curves if curve is not None and curve.turns is not None), None)

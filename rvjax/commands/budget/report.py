@@ -51,10 +51,10 @@ def report_on(budget: Budget, study: Study) -> Report:
 
 def section_on(budget: Budget) -> Section:
     """The budget on the page of other results: a plot, and the shares of the parts."""
-    about = (
-        f"{budget.title}, with the tolerances after: change of the harmonics of {budget.samples:,} units when "
-        "one error is resampled."
-    )
+    how = "change of the harmonics of {:,} units when one error is resampled."
+    if budget.linear:
+        how = "regression of the harmonics of {:,} units on their errors. `rvjax budget` adds the unloaded reducer."
+    about = f"{budget.title}, with the tolerances after: {how.format(budget.samples)}"
     lines = Note("\n".join(f"{line}." for line in _load_lines(budget)))
     return Section("Error budget", (Note(about), _figure(budget), lines, _shares(budget, ("part",), errors=False)))
 

@@ -11,7 +11,7 @@ import numpy as np
 from markupsafe import Markup
 
 from rvjax.commands.allocate import Answer
-from rvjax.commands.report.surrogate import Surrogate, grows_from_lower, placed
+from rvjax.commands.report.surrogate import COMPARED, Surrogate, grows_from_lower, placed
 from rvjax.plotting import words
 from rvjax.render import Block
 from rvjax.study import study_template
@@ -32,6 +32,7 @@ def block(found: Surrogate, answer: Answer) -> Block:
         "units": len(found.weights),
         "graded": answer.allocation.graded is not None,
         "checks": _checks(found, answer),
+        "own": found.compared == "own",
     }
     return Block("rvjax.commands.report:live.html.j2", facts)
 
@@ -84,8 +85,10 @@ def data(found: Surrogate, answer: Answer) -> dict[str, Any]:
 def error_text(found: Surrogate) -> str:
     """Text on the measured error of the surrogate."""
     share, mean, sd = (100 * found.error(figure) for figure in ("yield", "mean", "sd"))
+    where = f"{len(found.checks)} points of it"
+    where += f" with {COMPARED} of the same units" if found.compared == "own" else ""
     return (
-        f"yields were within {share:.2g} % of the units of computed ones at {len(found.checks)} points of it, means "
+        f"yields were within {share:.2g} % of the units of computed ones at {where}, means "
         f"within {mean:.2g} % of a standard deviation, standard deviations within {sd:.2g} %"
     )
 

@@ -11,48 +11,28 @@ those of the certificate (Deville and Sarndal 1992). What is left is measured at
 """
 
 import dataclasses
-import itertools
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Self
 
 import jax
 import numpy as np
 
 from rvjax.commands.allocate import Answer
+from rvjax.commands.report import regression
+from rvjax.commands.report.region import Parameter, Region
+from rvjax.commands.report.regression import Columns
 from rvjax.population import Population, root_key
-from rvjax.response import BLOCK, Response, respond
+from rvjax.response import BLOCK, Response, parts
 from rvjax.tolerances import Estimate, Limits, Statistics, Tolerance, monte_carlo
 
 UNITS = 2048
 REACH = 0.4  # of a half-width: how far it moves within the region, either way
 SHIFT = 0.25  # the same of the place of its limits, in half-widths
 _FLOOR = 0.5  # of the units are sampled evenly, the others from the tails
-_KNOWN = 0.01  # of a standard deviation: a smaller misfit at a probe needs no mixed bends
-_FELT = 2e-3  # of a standard deviation: columns that move no unit by more, root mean square, are left out
-_MIXED = 12  # parameters of a response, the strongest, that get mixed bends
 _POINTS = 8  # of the region at which the error is measured
 FRESH = 2 * BLOCK  # units that measure it, at each point
-
-Columns = dict[tuple[int, ...], np.ndarray]
-"""(k,): slopes, (j, k): bends, each (units,) in the unit of the response."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Parameter:
-    """A half-width, or the place of the limits of an error: mid-point, or lower limit where the distribution begins.
-
-    Attributes:
-        field: name of the error.
-        place: False for its half-width.
-        centre: as allocated, unit of the error.
-        reach: how far it may move within the region, either way.
-    """
-
-    field: str
-    place: bool
-    centre: float
-    reach: float
+COMPARED = 256  # of its own units, of which a costly response is computed at each point
 
 
 @dataclasses.dataclass(frozen=True)
@@ -79,6 +59,7 @@ class Surrogate:
         columns: {response: slopes and bends}.
         failed: share of units that fail as allocated.
         checks: how far off it was.
+        compared: units of which these checks are: "fresh", or "own" for some of its units.
     """
 
     parameters: tuple[Parameter, ...]
@@ -87,6 +68,7 @@ class Surrogate:
     columns: Mapping[str, Columns]
     failed: float
     checks: tuple[Check, ...] = ()
+    compared: str = "fresh"
 
     def values(self, name: str, x: np.ndarray) -> np.ndarray:
         """Responses of the units (units,).
@@ -111,6 +93,17 @@ class Surrogate:
         within = float(w @ (np.asarray(limits.margin(values)) <= 0))
         sd = math.sqrt(max(0.0, float(w @ (values - mean) ** 2)))
         return {"yield": (1 - self.failed) * within, "mean": mean, "sd": sd}
+
+    def of_units(self, units: np.ndarray) -> Self:
+        """The same of some of its units.
+
+        Args:
+            units: their numbers.
+        """
+        columns = {name: {key: c[units] for key, c in own.items()} for name, own in self.columns.items()}
+        base = {name: row[units] for name, row in self.base.items()}
+        weights = self.weights[units] / self.weights[units].sum()
+        return dataclasses.replace(self, weights=weights, base=base, columns=columns)
 
     def place(self, tolerances: Any) -> np.ndarray:
         """Parameters of tolerances, in reaches (p,).
@@ -141,22 +134,31 @@ def surrogate(answer: Answer) -> Surrogate | None:
     """Surrogate of a result with its measured error; None if no unit is valid or nothing can move."""
     study, side = answer.study, answer.after
     names, response = tuple(study.requirements), study.response()
+    costly = getattr(response, "costly", False)
+    count = regression.UNITS if costly else UNITS
     parameters = tuple(_parameters(answer))
     full = np.stack([np.asarray(side.values[name], float) for name in names])
     valid = np.flatnonzero(np.isfinite(full).all(axis=0))
-    if len(valid) < UNITS or not parameters:
+    if len(valid) < count or not parameters:
         return None
-    chance = _chances(full[:, valid], UNITS)
-    chosen = _thinned(chance, UNITS, np.random.default_rng(study.seed))
+    chance = _chances(full[:, valid], count)
+    chosen = _thinned(chance, count, np.random.default_rng(study.seed))
     population = Population.of(side.tolerances)
     z = jax.jit(lambda units: population.draw(root_key(side.seed), units))(valid[chosen].astype(np.uint32))
-    design = _Design(response, population, parameters, z)
-    base, columns = design.fitted(names)
+    designs = [Region(part, population, parameters, z) for part in parts(response, population)]
+    base, columns = dict[str, np.ndarray](), dict[str, Columns]()
+    for design in designs:
+        own_base, own_columns = design.fitted(np.random.default_rng(study.seed + 1))
+        base, columns = base | own_base, columns | own_columns
+    good = np.isfinite(np.stack([base[name] for name in names])).all(axis=0)
     certificate = answer.allocation.certificate
     failed = certificate.failed / certificate.samples
-    weights = _calibrated(1 / chance[chosen], base, study.requirements, certificate, failed)
-    found = Surrogate(parameters, weights, base, columns, failed)
-    return dataclasses.replace(found, checks=tuple(_checks(found, answer, design, response)))
+    found = Surrogate(parameters, 1 / chance[chosen], base, columns, failed, compared="own" if costly else "fresh")
+    found = found.of_units(np.flatnonzero(good))
+    weights = _calibrated(found.weights, found.base, study.requirements, certificate, failed)
+    found = dataclasses.replace(found, weights=weights)
+    checks = _own_checks(found, answer, designs, good) if costly else _checks(found, answer, designs[0], response)
+    return dataclasses.replace(found, checks=tuple(checks))
 
 
 def placed(tolerance: Tolerance) -> float:
@@ -236,90 +238,11 @@ def _calibrated(
     return moved if (moved > 0).all() else weights
 
 
-class _Design:
-    """Responses of chosen units at points of the region, and the quadratic functions through them."""
-
-    def __init__(
-        self, response: Response, population: Population, parameters: Sequence[Parameter], z: jax.Array
-    ) -> None:
-        self.response, self.population, self.parameters, self.z = response, population, parameters, z
-
-    def tolerances(self, x: np.ndarray) -> dict[str, Tolerance]:
-        """Tolerances of the fields that move, x in reaches."""
-        made: dict[str, Tolerance] = {}
-        for p, step in zip(self.parameters, map(float, x)):
-            tolerance = made.get(p.field, self.population.active[p.field])
-            if p.place:
-                way = step * p.reach
-                made[p.field] = tolerance.replace(lower=tolerance.lower + way, upper=tolerance.upper + way)
-            else:
-                made[p.field] = tolerance.with_half_width(p.centre + step * p.reach)
-        return made
-
-    def at(self, x: np.ndarray) -> dict[str, np.ndarray]:
-        """Responses (units,), nan where one failed."""
-        values, _ = respond(self.response, self.population.with_tolerances(self.tolerances(x)), self.z)
-        return {name: np.asarray(column, float) for name, column in values.items()}
-
-    def fitted(self, names: tuple[str, ...]) -> tuple[dict[str, np.ndarray], dict[str, Columns]]:
-        """Values as allocated, and slopes and bends by response."""
-        count = len(self.parameters)
-        unit = np.eye(count)
-        base = self.at(np.zeros(count))
-        ends = [(self.at(row), self.at(-row)) for row in unit]
-        columns: dict[str, Columns] = {name: {} for name in names}
-        for name, (k, (up, down)) in itertools.product(names, enumerate(ends)):
-            # A unit that fails at one end goes on as from the other; where it fails at both, nothing is known.
-            rise = np.where(np.isnan(up[name]), base[name] - down[name], up[name] - base[name])
-            fall = np.where(np.isnan(down[name]), rise, base[name] - down[name])
-            rise, fall = np.nan_to_num(rise), np.nan_to_num(fall)
-            columns[name] |= {(k,): (rise + fall) / 2, (k, k): (rise - fall) / 2}
-        spread = {name: float(base[name].std()) or 1.0 for name in names}
-        pairs = self._pairs(base, columns, spread)
-        for i, k in sorted(set().union(*pairs.values())):
-            both, against = self.at(unit[i] + unit[k]), self.at(-unit[i] - unit[k])
-            for name in (name for name in names if (i, k) in pairs[name]):
-                seen = both[name] + against[name] - 2 * base[name]
-                alone = 2 * (columns[name][i, i] + columns[name][k, k])
-                columns[name][i, k] = np.nan_to_num((seen - alone) / 2)
-        felt = {
-            name: {key: c for key, c in own.items() if np.sqrt(np.mean(c**2)) > _FELT * spread[name]}
-            for name, own in columns.items()
-        }
-        return base, felt
-
-    def _pairs(
-        self, base: dict[str, np.ndarray], columns: dict[str, Columns], spread: dict[str, float]
-    ) -> dict[str, set[tuple[int, int]]]:
-        """Pairs of parameters whose mixed bends each response needs: none where the sum of the single ones will do."""
-        width = np.array([0.0 if p.place else 1.0 for p in self.parameters])
-        probes = [width, (1 - width) * 0.5 + width * np.where(np.arange(len(width)) % 4 < 2, 1.0, -1.0)]
-        seen, found = [self.at(x) for x in probes], {}
-        for name, own in columns.items():
-            misses = [
-                y[name] - base[name] - sum(c * np.prod(x[list(key)]) for key, c in own.items())
-                for x, y in zip(probes, seen)
-            ]
-            strength = [float(np.sqrt(np.mean(own[k,] ** 2 + own[k, k] ** 2))) for k in range(len(width))]
-            felt = [k for k, size in enumerate(strength) if size > 5 * _FELT * spread[name]]
-            strongest = sorted(sorted(felt, key=lambda k: -strength[k])[:_MIXED])
-            bent = max(float(np.sqrt(np.nanmean(miss**2))) for miss in misses) > _KNOWN * spread[name]
-            found[name] = set(itertools.combinations(strongest, 2)) if bent else set()
-        return found
-
-
-def _checks(found: Surrogate, answer: Answer, design: _Design, response: Response) -> list[Check]:
-    """Compare the surrogate with independent units: all finer, all coarser, random points, the study if it is near."""
-    study = answer.study
-    judged = {name: item for name, item in study.requirements.items() if item.limits_values}
-    width = np.array([not p.place for p in found.parameters], float)
-    rng = np.random.default_rng(study.seed + 1)
-    points = [("all half-widths finer", -width), ("all half-widths coarser", width)]
-    for number in range(_POINTS - len(points)):
-        points.append((f"random point {number + 1}", rng.uniform(-1, 1, len(width))))
-    checks = []
-    for where, x in points:
-        tolerances = design.population.with_tolerances(design.tolerances(x)).tolerances
+def _checks(found: Surrogate, answer: Answer, region: Region, response: Response) -> list[Check]:
+    """Compare the surrogate with independent units, at points of the region and at the study if it is near."""
+    study, checks, judged = answer.study, [], _judged(answer)
+    for where, x in _points(found, study.seed):
+        tolerances = region.population.with_tolerances(region.tolerances(x)).tolerances
         true = monte_carlo(
             response, tolerances, samples=FRESH, seed=study.seed + 3, chunk=BLOCK, requirements=study.requirements
         )
@@ -328,6 +251,35 @@ def _checks(found: Surrogate, answer: Answer, design: _Design, response: Respons
     if (np.abs(own) <= 1).all():
         checks.append(_check("the study's own tolerances", found, own, judged, answer.certificate_before))
     return checks
+
+
+def _own_checks(found: Surrogate, answer: Answer, regions: Sequence[Region], good: np.ndarray) -> list[Check]:
+    """Compare the surrogate with the responses of some of its own units, at points of the region."""
+    place = np.arange(0, len(found.weights), -(-len(found.weights) // COMPARED))
+    ours, some, checks = found.of_units(place), np.flatnonzero(good)[place], []
+    for where, x in _points(found, answer.study.seed):
+        exact = {name: row for region in regions for name, row in region.at(x, some).items()}
+        here = np.isfinite(np.stack(list(exact.values()))).all(axis=0)
+        figures = {}
+        for name, limits in _judged(answer).items():
+            both = ours.of_units(np.flatnonzero(here))
+            truth = dataclasses.replace(both, base={name: exact[name][here]}, columns={name: {}})
+            mine, true = both.figures(name, x, limits), truth.figures(name, x, limits)
+            figures[name] = {key: (mine[key], true[key]) for key in mine}
+        checks.append(Check(where, figures))
+    return checks
+
+
+def _judged(answer: Answer) -> dict[str, Limits]:
+    return {name: item for name, item in answer.study.requirements.items() if item.limits_values}
+
+
+def _points(found: Surrogate, seed: int) -> list[tuple[str, np.ndarray]]:
+    """Points of the region: all finer, all coarser, random ones."""
+    width = np.array([not p.place for p in found.parameters], float)
+    rng = np.random.default_rng(seed + 1)
+    points = [("all half-widths finer", -width), ("all half-widths coarser", width)]
+    return points + [(f"random point {n + 1}", rng.uniform(-1, 1, len(width))) for n in range(_POINTS - len(points))]
 
 
 def _check(where: str, found: Surrogate, x: np.ndarray, judged: Mapping[str, Limits], true: Statistics) -> Check:

@@ -1,0 +1,129 @@
+"""Responses of a sample of units at points of a region round the allocated tolerances, and functions through them."""
+
+import dataclasses
+import itertools
+from collections.abc import Sequence
+
+import jax
+import numpy as np
+
+from rvjax.commands.report.regression import Columns, errors_of, regressed
+from rvjax.population import Population, Tolerance
+from rvjax.response import Part, respond
+
+_KNOWN = 0.01  # of a standard deviation: a smaller misfit at a probe needs no mixed bends
+FELT = 2e-3  # of a standard deviation: columns that move no unit by more, root mean square, are left out
+_MIXED = 12  # parameters of a response, the strongest, that get mixed bends
+
+
+@dataclasses.dataclass(frozen=True)
+class Parameter:
+    """A half-width, or the place of the limits of an error: mid-point, or lower limit where the distribution begins.
+
+    Attributes:
+        field: name of the error.
+        place: False for its half-width.
+        centre: as allocated, unit of the error.
+        reach: how far it may move within the region, either way.
+    """
+
+    field: str
+    place: bool
+    centre: float
+    reach: float
+
+
+class Region:
+    """Responses of chosen units at points of the region, and the quadratic functions through them.
+
+    Args:
+        part: outputs.
+        population: of the allocated tolerances.
+        parameters: what may move.
+        z: random numbers of the units (numbers, units).
+    """
+
+    def __init__(self, part: Part, population: Population, parameters: Sequence[Parameter], z: jax.Array) -> None:
+        self.part, self.population, self.parameters, self.z = part, population, parameters, z
+
+    def tolerances(self, x: np.ndarray) -> dict[str, Tolerance]:
+        """Tolerances of the fields that move, x in reaches."""
+        made: dict[str, Tolerance] = {}
+        for p, step in zip(self.parameters, map(float, x)):
+            tolerance = made.get(p.field, self.population.active[p.field])
+            if p.place:
+                way = step * p.reach
+                made[p.field] = tolerance.replace(lower=tolerance.lower + way, upper=tolerance.upper + way)
+            else:
+                made[p.field] = tolerance.with_half_width(p.centre + step * p.reach)
+        return made
+
+    def at(self, x: np.ndarray, units: np.ndarray | None = None) -> dict[str, np.ndarray]:
+        """Responses (units,), nan where one failed.
+
+        Args:
+            x: parameters (p,) in reaches.
+            units: their numbers; by default all.
+        """
+        population = self.population.with_tolerances(self.tolerances(x))
+        if getattr(self.part.response, "costly", False):
+            z = np.asarray(self.z if units is None else self.z[:, units])
+            return dict(zip(self.part.names, self.part.of_elements(population, errors_of(population, z))[0]))
+        values, _ = respond(self.part.response, population, self.z)
+        return {name: np.asarray(column, float)[... if units is None else units] for name, column in values.items()}
+
+    def fitted(self, rng: np.random.Generator) -> tuple[dict[str, np.ndarray], dict[str, Columns]]:
+        """Values as allocated, and slopes and bends by response."""
+        if getattr(self.part.response, "costly", False):
+            width = np.array([not p.place for p in self.parameters], float)
+            found = regressed(self.part, self.population, self.tolerances, width, np.asarray(self.z), rng)
+        else:
+            found = self._quadratic()
+        base, columns = found
+        felt = {
+            name: {key: c for key, c in own.items() if np.sqrt(np.mean(c**2)) > FELT * (np.nanstd(base[name]) or 1.0)}
+            for name, own in columns.items()
+        }
+        return base, felt
+
+    def _quadratic(self) -> tuple[dict[str, np.ndarray], dict[str, Columns]]:
+        """The quadratic functions through the responses at both ends of each parameter, and of pairs."""
+        names, count = self.part.names, len(self.parameters)
+        unit = np.eye(count)
+        base = self.at(np.zeros(count))
+        ends = [(self.at(row), self.at(-row)) for row in unit]
+        columns: dict[str, Columns] = {name: {} for name in names}
+        for name, (k, (up, down)) in itertools.product(names, enumerate(ends)):
+            # A unit that fails at one end goes on as from the other; where it fails at both, nothing is known.
+            rise = np.where(np.isnan(up[name]), base[name] - down[name], up[name] - base[name])
+            fall = np.where(np.isnan(down[name]), rise, base[name] - down[name])
+            rise, fall = np.nan_to_num(rise), np.nan_to_num(fall)
+            columns[name] |= {(k,): (rise + fall) / 2, (k, k): (rise - fall) / 2}
+        spread = {name: float(base[name].std()) or 1.0 for name in names}
+        pairs = self._pairs(base, columns, spread)
+        for i, k in sorted(set().union(*pairs.values())):
+            both, against = self.at(unit[i] + unit[k]), self.at(-unit[i] - unit[k])
+            for name in (name for name in names if (i, k) in pairs[name]):
+                seen = both[name] + against[name] - 2 * base[name]
+                alone = 2 * (columns[name][i, i] + columns[name][k, k])
+                columns[name][i, k] = np.nan_to_num((seen - alone) / 2)
+        return base, columns
+
+    def _pairs(
+        self, base: dict[str, np.ndarray], columns: dict[str, Columns], spread: dict[str, float]
+    ) -> dict[str, set[tuple[int, int]]]:
+        """Pairs of parameters whose mixed bends each response needs: none where the sum of the single ones will do."""
+        width = np.array([0.0 if p.place else 1.0 for p in self.parameters])
+        probes = [width, (1 - width) * 0.5 + width * np.where(np.arange(len(width)) % 4 < 2, 1.0, -1.0)]
+        seen, found = [self.at(x) for x in probes], {}
+        for name, own in columns.items():
+            misses = [
+                y[name] - base[name] - sum(c * np.prod(x[list(key)]) for key, c in own.items())
+                for x, y in zip(probes, seen)
+            ]
+            strength = [float(np.sqrt(np.mean(own[k,] ** 2 + own[k, k] ** 2))) for k in range(len(width))]
+            felt = [k for k, size in enumerate(strength) if size > 5 * FELT * spread[name]]
+            strongest = sorted(sorted(felt, key=lambda k: -strength[k])[:_MIXED])
+            bent = max(float(np.sqrt(np.nanmean(miss**2))) for miss in misses) > _KNOWN * spread[name]
+            found[name] = set(itertools.combinations(strongest, 2)) if bent else set()
+        return found
