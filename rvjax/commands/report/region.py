@@ -33,18 +33,21 @@ class Parameter:
     reach: float
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
 class Region:
     """Responses of chosen units at points of the region, and the quadratic functions through them.
 
-    Args:
+    Attributes:
         part: outputs.
         population: of the allocated tolerances.
         parameters: what may move.
         z: random numbers of the units (numbers, units).
     """
 
-    def __init__(self, part: Part, population: Population, parameters: Sequence[Parameter], z: jax.Array) -> None:
-        self.part, self.population, self.parameters, self.z = part, population, parameters, z
+    part: Part
+    population: Population
+    parameters: Sequence[Parameter]
+    z: jax.Array
 
     def tolerances(self, x: np.ndarray) -> dict[str, Tolerance]:
         """Tolerances of the fields that move, x in reaches."""
