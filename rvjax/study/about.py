@@ -1,7 +1,7 @@
 """Title, author and revision of a study, for the head of reports."""
 
 import dataclasses
-from typing import Any
+from collections.abc import Mapping
 
 from rvjax.study.values import known
 
@@ -28,7 +28,7 @@ class About:
         return "; ".join(filter(None, said))
 
 
-def parse_about(table: dict[str, Any]) -> About:
+def parse_about(table: Mapping[str, object]) -> About:
     """Read the table [about].
 
     Raises:

@@ -6,7 +6,7 @@ The values are one flat dict: errors of the study by field, unknown numbers of t
 import dataclasses
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING
 
 import jax
 import jax.numpy as jnp
@@ -16,13 +16,16 @@ from rvjax import models
 from rvjax.choices import unknown
 from rvjax.errors import described, read_by
 from rvjax.outputs import Observation
-from rvjax.records import Array, Design, Record, field, record, text
+from rvjax.records import Array, Design, PyTree, Record, Scalar, field, record, text
 from rvjax.study.measured import Conditions
 from rvjax.tolerances import Tolerance
 from rvjax.units import arcsec
 
-Values = Mapping[str, Any]
-Seen = dict[str, Any]
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+Values = Mapping[str, PyTree]
+Seen = dict[str, PyTree]
 Model = Callable[[Values], Seen]
 
 WIDE = 3000 * arcsec
@@ -50,7 +53,7 @@ def nuisance(name: str, orders: Sequence[int]) -> Tolerance:
     return Tolerance.symmetric(WIDE, shape=shape, vector=False) if shape else Tolerance.symmetric(WIDE)
 
 
-def part_orders(design: Any, orders: Iterable[int]) -> tuple[int, ...]:
+def part_orders(design: object, orders: Iterable[int]) -> tuple[int, ...]:
     """The orders that only errors of parts or the mounting of the scale make: no harmonic of the housing has them.
 
     |zp P - m| with P = m + c s is zc P + c s but for its sign (`loaded.housing_orders`).
@@ -64,55 +67,46 @@ def part_orders(design: Any, orders: Iterable[int]) -> tuple[int, ...]:
     return tuple(order for order in orders if order % common)
 
 
-def number_of_design(design: Any, name: str) -> tuple[str, ...]:
-    """Path of a number of a design.
+def number_of_design(design: PyTree, name: str) -> tuple[tuple[str, ...], str]:
+    """Path and SI unit of a number of a design.
 
     Args:
         design: the reducer.
-        name: of a field of one of its parts; "stiffness" is a factor on all its springs.
+        name: of a field of one of its parts; "stiffness" is a factor on all its springs, whose path is empty.
 
     Raises:
         ValueError: no part has such a number.
     """
-    if name == "stiffness" and hasattr(design, "stiffer"):
-        return ()
-    found: dict[str, tuple[str, ...]] = {
-        f.name: (f.name,) for f in dataclasses.fields(design) if f.metadata["kind"] == "real"
-    }
+    springs = hasattr(design, "stiffer")
+    if name == "stiffness" and springs:
+        return (), "-"
+    found: dict[str, tuple[tuple[str, ...], str]] = {}
     for part in dataclasses.fields(design):
-        record = getattr(design, part.name)
+        record, kind = getattr(design, part.name), part.metadata["kind"]
+        if kind == "real":
+            found[part.name] = (part.name,), part.metadata["unit"]
         for f in dataclasses.fields(record) if dataclasses.is_dataclass(record) else ():
             if f.metadata["kind"] not in ("count", "text", "record"):
-                found[f.name] = (part.name, f.name)
+                found[f.name] = (part.name, f.name), f.metadata["unit"]
     if name not in found:
-        first = ["stiffness (a factor on all springs)"] if hasattr(design, "stiffer") else []
+        first = ["stiffness (a factor on all springs)"] if springs else []
         raise unknown("no number of this design", name, [*first, *found], "; there are")
     return found[name]
 
 
-def unit_of_number(design: Any, name: str) -> str:
-    """SI unit of a number of a design, "-" for the factor on all springs."""
-    path = number_of_design(design, name)
-    if not path:
-        return "-"
-    for name in path[:-1]:
-        design = getattr(design, name)
-    return str(next(f.metadata["unit"] for f in dataclasses.fields(design) if f.name == path[-1]))
-
-
-def _taken(design: Any, values: Values) -> tuple[Any, Any]:
+def _taken(design: PyTree, values: Values) -> tuple[PyTree, PyTree]:
     """Design and errors of one unit."""
     fields = {f.name for f in dataclasses.fields(design.error_record)}
     errors = design.error_record.for_design(design, **{n: v for n, v in values.items() if n in fields})
     for name, value in values.items():
         if name in fields or name in NUISANCES:
             continue
-        path = number_of_design(design, name)
+        path, _ = number_of_design(design, name)
         design = _with(design, path, value) if path else design.stiffer(value)
     return design, errors
 
 
-def _with(record: Any, path: tuple[str, ...], value: Any) -> Any:
+def _with(record: PyTree, path: tuple[str, ...], value: Scalar) -> PyTree:
     """The record with another number at a path, in the shape of what is there."""
     name, rest = path[0], path[1:]
     now = getattr(record, name)
@@ -129,13 +123,13 @@ class Curves(Record):
     torques: one program serves every design of a kind.
     """
 
-    design: Any = field("-", "the reducer", kind="record")
+    design: PyTree = field("-", "the reducer", kind="record")
     torques: Array | np.ndarray = field(
         "N m", "of the discs on the carrier, one for each distinct run", shape=("torques",)
     )
     place: tuple[int, ...] = text("which torque each run has")
     observation: Observation = text("of the model")
-    conditions: Any = text("how the models are computed")
+    conditions: PyTree = text("how the models are computed")
     orders: tuple[int, ...] = text("of the output turn")
     nuisances: tuple[str, ...] = text("of NUISANCES that the prior has")
     alike: bool = text("one turn of the cranks is like the next")
@@ -171,7 +165,7 @@ class Curves(Record):
 def curve_model(
     model: str,
     design: Design,
-    conditions: object,
+    conditions: PyTree,
     runs: Sequence[Conditions],
     orders: Sequence[int],
     nuisances: Sequence[str],
@@ -225,7 +219,7 @@ def order_name(order: int) -> str:
     return f"order {order:03d}"
 
 
-def signed_torques(runs: Sequence[Conditions], conditions: object) -> np.ndarray:
+def signed_torques(runs: Sequence[Conditions], conditions: PyTree) -> np.ndarray:
     """Torque of the discs on the carrier in each run, N m: load opposes motion, so its sign is the direction.
 
     Args:
@@ -237,12 +231,12 @@ def signed_torques(runs: Sequence[Conditions], conditions: object) -> np.ndarray
     return np.array([run.sign for run in runs]) * given
 
 
-def study_torque(conditions: Any) -> float:
+def study_torque(conditions: "DataclassInstance") -> float:
     """The condition that is the load, N m."""
     return float(next(getattr(conditions, f.name) for f in dataclasses.fields(conditions) if f.metadata["torque"]))
 
 
-def rated_torque(conditions: object) -> float:
+def rated_torque(conditions: PyTree) -> float:
     """Rated torque, N m; 0 if the conditions have none."""
     return float(getattr(conditions, "rated_torque", None) or 0.0)
 
@@ -251,12 +245,12 @@ def rated_torque(conditions: object) -> float:
 class Midline(Record):
     """The midline of a torque-angle loop, input held: `values -> {"angle": (n,)}`."""
 
-    design: Any = field("-", "the reducer, with stiffness and contact", kind="record")
+    design: PyTree = field("-", "the reducer, with stiffness and contact", kind="record")
     load: Array | np.ndarray = field(
         "N m", "of the discs on the carrier, against the torque of the bench", shape=("torques",)
     )
     observation: Observation = text("of the model")
-    conditions: Any = text("how the model is computed")
+    conditions: PyTree = text("how the model is computed")
     offset: bool = text("the prior has one")
 
     def __call__(self, values: Values) -> Seen:
@@ -270,9 +264,9 @@ class Midline(Record):
 class Frequencies(Record):
     """Natural frequencies of modes that are followed by their shape: `values -> {"frequency": (n,)}`."""
 
-    design: Any = field("-", "the reducer, with inertia and stiffness", kind="record")
+    design: PyTree = field("-", "the reducer, with inertia and stiffness", kind="record")
     observation: Observation = text("of the model")
-    conditions: Any = text("how the model is computed")
+    conditions: PyTree = text("how the model is computed")
     test: Array | np.ndarray = field(
         "sqrt(kg)", "rows that are 1 for the own mode and 0 for the others", shape=("tones", "n")
     )
@@ -286,7 +280,7 @@ class Frequencies(Record):
 
 
 def frequency_model(
-    observation: Observation, design: Design, conditions: object, measured: np.ndarray, start: Values
+    observation: Observation, design: Design, conditions: PyTree, measured: np.ndarray, start: Values
 ) -> Frequencies:
     """Natural frequencies of the modes that were measured.
 

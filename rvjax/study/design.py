@@ -1,13 +1,18 @@
 """The design of a study: a published one with changes, or every number of a kind of design."""
 
 import dataclasses
-from typing import Any
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING
 
 from rvjax import catalogue, models
 from rvjax.catalogue import part_class
 from rvjax.designs import InvoluteStage
+from rvjax.records import PyTree, Record
 from rvjax.study.following import followed
-from rvjax.study.values import choice, known, naming_field, quantity
+from rvjax.study.values import Metadata, Toml, choice, integer, known, naming_field, quantities
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
 
 BASES = {
     "corr": catalogue.CORR,
@@ -18,7 +23,7 @@ BASES = {
 }
 
 
-def parse_design(table: dict[str, Any]) -> Any:
+def parse_design(table: Toml) -> PyTree:
     """A design from the table [design].
 
     Args:
@@ -41,49 +46,53 @@ def parse_design(table: dict[str, Any]) -> Any:
     return followed(_made(kinds[choice(table["kind"], kinds, "design.kind")], numbers, "design"), numbers)
 
 
-def _changed(record: Any, changes: Any, where: str) -> Any:
+def walk(record: "DataclassInstance", prefix: str = "") -> Iterator[tuple[str, PyTree, Metadata]]:
+    """(path, value, metadata of the field) of every given value of a design, such as "cycloid.pin_count".
+
+    Args:
+        record: a record of numbers and records.
+        prefix: of the paths.
+    """
+    for f in dataclasses.fields(record):
+        value = getattr(record, f.name)
+        if f.metadata["kind"] == "record" and value is not None:
+            yield from walk(value, f"{prefix}{f.name}.")
+        elif value is not None:
+            yield prefix + f.name, value, f.metadata
+
+
+def _changed(record: Record, changes: object, where: str) -> PyTree:
     """A record with some fields changed; a part that it lacks is made from nothing."""
     return record.replace(**_values(type(record), changes, where, record))
 
 
-def _made(cls: Any, numbers: Any, where: str) -> Any:
+def _made(cls: type, numbers: object, where: str) -> PyTree:
     values = _values(cls, numbers, where, None)
-    needed = [f.name for f in dataclasses.fields(cls) if f.default is dataclasses.MISSING]
-    missing = [name for name in needed if name not in values]
-    if cls is InvoluteStage and {"sun_teeth", "planet_teeth", "module"} <= set(values) <= {*needed[:4]}:
+    needed = [f for f in dataclasses.fields(cls) if f.default is dataclasses.MISSING]
+    missing = [(f.name, f.metadata["unit"]) for f in needed if f.name not in values]
+    if cls is InvoluteStage and {"sun_teeth", "planet_teeth", "module"} <= set(values) <= {f.name for f in needed[:4]}:
         return InvoluteStage.from_teeth(**values)  # standard gears: the rest follows
     if missing:
-        units = {f.name: f.metadata["unit"] for f in dataclasses.fields(cls)}
-        listed = ", ".join(name if units[name] == "-" else f"{name} in {units[name]}" for name in missing)
+        listed = ", ".join(name if unit == "-" else f"{name} in {unit}" for name, unit in missing)
         raise ValueError(f"{where}: {listed} missing")
+    make: Callable[..., PyTree] = cls
     with naming_field(where):
-        return cls(**values)
+        return make(**values)
 
 
-def _values(cls: Any, table: Any, where: str, base: Any) -> dict[str, Any]:
+def _values(cls: type, table: object, where: str, base: Record | None) -> dict[str, PyTree]:
     """Values of the fields of a class of records."""
     if not isinstance(table, dict):
         raise ValueError(f"{where} = {table!r}: must be a table")
-    fields = {f.name: f for f in dataclasses.fields(cls)}
+    fields = {f.name: f.metadata for f in dataclasses.fields(cls)}
     known(table, set(fields) | ({"base", "kind"} if where == "design" else set()), where)
-    values: dict[str, Any] = {}
+    values: dict[str, PyTree] = {}
     for key, value in table.items():
-        metadata, name = fields[key].metadata, f"{where}.{key}"
-        own = getattr(base, key, None)
-        if metadata["kind"] == "record":
+        about, name, own = fields[key], f"{where}.{key}", getattr(base, key, None)
+        if about["kind"] == "record":
             values[key] = _made(part_class(cls, key), value, name) if own is None else _changed(own, value, name)
-        elif metadata["kind"] == "count":
-            if isinstance(value, bool) or not isinstance(value, int):
-                raise ValueError(f"{name} = {value!r}: must be an integer")
-            if value > metadata["maximum"]:
-                raise ValueError(f"{name} = {value}: must be at most {metadata['maximum']}")
-            values[key] = value  # the record checks the rest
-        elif isinstance(value, list) and metadata.get("shape"):
-            values[key] = [_number(item, metadata["unit"], name) for item in value]
+        elif about["kind"] == "count":
+            values[key] = integer(value, name, about["minimum"], about["maximum"])
         else:
-            values[key] = _number(value, metadata["unit"], name)
+            values[key] = quantities(value, about["unit"], name)
     return values
-
-
-def _number(value: object, unit: str, where: str) -> Any:
-    return [_number(item, unit, where) for item in value] if isinstance(value, list) else quantity(value, unit, where)

@@ -4,12 +4,11 @@ Where a study changes what a number follows from, the number follows; where it g
 design that contradicts itself keeps its numbers as long as nothing of that part is changed.
 """
 
-from typing import Any
-
 import numpy as np
 
 from rvjax.designs import InvoluteStage, RVReducer
-from rvjax.records import Design
+from rvjax.records import Design, Scalar
+from rvjax.study.values import Toml, subtable
 
 GEARS = ("sun_teeth", "planet_teeth", "module", "pressure_angle")
 PROFILE = ("eccentricity", "pin_count", "pin_circle_radius")
@@ -19,7 +18,7 @@ AGREE = {"sun_radius": 2e-3, "sun_base_radius": 2e-3, "planet_base_radius": 2e-3
 AGREE_CIRCLE = 0.02
 
 
-def followed(design: Design, given: dict[str, Any]) -> Any:
+def followed(design: Design, given: Toml) -> Design:
     """The design, with what follows from the numbers that a study gives.
 
     Raises:
@@ -27,7 +26,7 @@ def followed(design: Design, given: dict[str, Any]) -> Any:
     """
     if not isinstance(design, RVReducer):
         return design
-    gears, profile, cranks = (set(given.get(part, ())) for part in ("involute", "cycloid", "cranks"))
+    gears, profile, cranks = (set(subtable(given, part)) for part in ("involute", "cycloid", "cranks"))
     involute = design.involute
     standard = InvoluteStage.from_teeth(**{name: getattr(involute, name) for name in GEARS})
     if gears & set(GEARS):
@@ -48,7 +47,7 @@ def followed(design: Design, given: dict[str, Any]) -> Any:
     return design.replace(involute=involute, cranks=circle, cycloid=cycloid)
 
 
-def _agree(name: str, value: Any, source: str, due: Any, share: float, why: str = "") -> None:
+def _agree(name: str, value: Scalar, source: str, due: Scalar, share: float, why: str = "") -> None:
     if np.any(np.abs(value - due) > share * np.abs(due)):
         reason = f"; {why}" if why else ""
         raise ValueError(

@@ -4,16 +4,17 @@ The prior is the tolerances of the study; unknown values of the design and nuisa
 """
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
 
 from rvjax import models
 from rvjax.outputs import Observation
 from rvjax.records import Design, PyTree
-from rvjax.study.bench import NUISANCES, nuisance, unit_of_number
+from rvjax.study.bench import NUISANCES, nuisance, number_of_design
 from rvjax.study.measured import DIRECTIONS, KINDS, Kind
-from rvjax.study.values import choice, integer, known, naming_field, quantity, subtable
+from rvjax.study.toleranced import parse_tolerance
+from rvjax.study.values import Toml, choice, integer, known, naming_field, quantity, subtable
 from rvjax.tolerances import Tolerance
 
 KEYS = ("model", "orders", "noise", "nuisance", "shared", "unknown", "torques", "directions")
@@ -45,7 +46,7 @@ class Identification:
     unknown: dict[str, Tolerance] = dataclasses.field(default_factory=dict)
     torques: tuple[float, ...] = ()
     directions: tuple[str, ...] = tuple(DIRECTIONS)
-    columns: dict[str, Any] = dataclasses.field(default_factory=dict)
+    columns: Toml = dataclasses.field(default_factory=dict)
 
     def prior(self, tolerances: PyTree) -> dict[str, Tolerance]:
         """All fields of the values of a unit: errors that vary, unknown numbers, nuisances of the bench."""
@@ -56,13 +57,16 @@ class Identification:
 
 
 def parse_identification(
-    table: dict[str, Any],
-    columns: dict[str, Any],
-    design: Any,
-    tolerances: Any,
-    tolerance: Callable[[dict[str, Any], str, str], Tolerance],
+    table: Toml, columns: Toml, design: PyTree, tolerances: PyTree, folder: Path
 ) -> Identification:
-    """The section as it is read.
+    """Read the table [identify].
+
+    Args:
+        table: as written.
+        columns: the table [columns].
+        design: the reducer.
+        tolerances: of its errors.
+        folder: that files named in the study are relative to.
 
     Raises:
         ValueError: one line that names the key, its value and the unit.
@@ -79,12 +83,12 @@ def parse_identification(
         raise ValueError(f"identify.orders = {table['orders']!r}: names an order twice")
     if list(observations) == ["curve"] and not orders:
         raise ValueError("identify.orders is missing: orders of the output turn, such as [40, 80]")
-    unknown = {}
-    for name in subtable(table, "unknown"):
+    unknown, given = {}, subtable(table, "unknown")
+    for name in given:
         where = f"identify.unknown.{name}"
         with naming_field(where):
-            unit = unit_of_number(design, name)
-            unknown[name] = tolerance(subtable(table["unknown"], name), unit, where)
+            unit = number_of_design(design, name)[1]
+            unknown[name] = parse_tolerance(subtable(given, name), unit, where, folder)
         if isinstance(getattr(tolerances, name, None), Tolerance):
             raise ValueError(f"{where}: [tolerances.{name}] names an error so; only one of them can vary")
     fields = [f.name for f in dataclasses.fields(tolerances) if isinstance(getattr(tolerances, f.name), Tolerance)]
@@ -114,7 +118,7 @@ def parse_identification(
     )
 
 
-def _list(table: Mapping[str, Any], key: str) -> list[Any]:
+def _list(table: Mapping[str, object], key: str) -> list[object]:
     value = table.get(key, [])
     if not isinstance(value, list):
         raise ValueError(f"identify.{key} = {value!r}: must be a list")
@@ -131,7 +135,7 @@ def planned_kind(observations: Mapping[str, Observation], orders: tuple[int, ...
     return "curve" if orders and "curve" in observations else list(observations)[-1]
 
 
-def _noise(table: Mapping[str, Any], data: Kind) -> float | None:
+def _noise(table: Mapping[str, object], data: Kind) -> float | None:
     given = table.get("noise")
     if given is None:
         raise ValueError(
@@ -162,4 +166,4 @@ def field_unit(design: Design, name: str) -> str:
     units = {f.name: f.metadata["unit"] for f in dataclasses.fields(design.error_record)}
     if name in NUISANCES:
         return "rad"
-    return units[name] if name in units else unit_of_number(design, name)
+    return units[name] if name in units else number_of_design(design, name)[1]

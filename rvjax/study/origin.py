@@ -2,13 +2,13 @@
 
 import dataclasses
 import re
-from collections.abc import Iterator
-from typing import Any
 
 from rvjax import catalogue
 from rvjax.designs import RVReducer
-from rvjax.study.design import BASES
+from rvjax.records import PyTree
+from rvjax.study.design import BASES, walk
 from rvjax.study.following import AGREE
+from rvjax.study.values import Toml
 
 
 @dataclasses.dataclass(frozen=True)
@@ -25,14 +25,14 @@ class Number:
     """
 
     path: str
-    value: Any
+    value: PyTree
     unit: str
     meaning: str
     origin: str
     assumed: bool
 
 
-def design_numbers(design: object, given: dict[str, Any], text: str) -> list[Number]:
+def design_numbers(design: PyTree, given: Toml, text: str) -> list[Number]:
     """Every number of a design, with where it comes from.
 
     Args:
@@ -40,11 +40,11 @@ def design_numbers(design: object, given: dict[str, Any], text: str) -> list[Num
         given: the table [design] of its study.
         text: of the study, whose comments may say that a number is assumed.
     """
-    base = given.get("base", "")
+    base = str(given.get("base", ""))
     sources, own = catalogue.sources(base), comments(text)
     published = BASES.get(base)
     found = []
-    for path, value, about in _fields(design):
+    for path, value, about in walk(design):
         # A number that is neither given nor the published one has followed from others.
         kept = published is not None and path in sources and _same(value, _at(published, path))
         if _given(given, path):
@@ -74,20 +74,11 @@ def comments(text: str) -> dict[str, str]:
     return found
 
 
-def _fields(record: Any, prefix: str = "") -> Iterator[tuple[str, Any, Any]]:
-    for f in dataclasses.fields(record):
-        value, about = getattr(record, f.name), f.metadata
-        if about["kind"] == "record":
-            yield from _fields(value, f"{prefix}{f.name}.") if value is not None else ()
-        elif value is not None:
-            yield prefix + f.name, value, about
-
-
-def _same(value: Any, other: Any) -> bool:
+def _same(value: PyTree, other: PyTree) -> bool:
     return other is not None and bool((value == other) if not hasattr(value, "shape") else (value == other).all())
 
 
-def _at(record: object, path: str) -> Any:
+def _at(record: object, path: str) -> PyTree:
     for name in path.split("."):
         record = getattr(record, name, None)
     return record

@@ -5,20 +5,19 @@ Models without places use the same table: their bounds follow from the placed er
 """
 
 from collections.abc import Sequence
-from typing import Any
 
 from rvjax import models
 from rvjax.errors import described, placed_by
 from rvjax.population import DISTRIBUTIONS
 from rvjax.records import Design, PyTree
-from rvjax.study.values import choice, known, naming_field, quantity, subtable
+from rvjax.study.values import Toml, choice, known, naming_field, quantity, subtable
 
 WORDS = ("runout", "position", "cumulative")
 RING = "pin_ring"  # positions and radii of all pins, as one field
 LIMITS = {"lower", "upper", "half_width", "grade"}
 
 
-def spelled(design: Design, table: dict[str, Any]) -> dict[str, Any]:
+def spelled(design: Design, table: Toml) -> Toml:
     """The table [tolerances] with the words of drawings as limits and distributions.
 
     Raises:
@@ -34,14 +33,14 @@ def spelled(design: Design, table: dict[str, Any]) -> dict[str, Any]:
     return {name: _limits(own, name, entry) if isinstance(entry, dict) else entry for name, entry in fields.items()}
 
 
-def _ring(table: dict[str, Any]) -> dict[str, Any]:
+def _ring(table: Toml) -> Toml:
     """Every pin of the ring with its own part and the share `batch` that all have in common."""
     where = f"tolerances.{RING}"
     known(table, {"position", "radius", "batch", "cp"}, where)
     if not {"position", "radius"} & set(table):
         raise ValueError(f"{where}: give position, radius or both")
     common = {key: table[key] for key in ("batch", "cp") if key in table}
-    made: dict[str, Any] = {}
+    made: Toml = {}
     with naming_field(where):
         if "position" in table:
             made["pin_offset"] = common | _vector(_length(table["position"], f"{where}.position", "diametral"))
@@ -50,7 +49,7 @@ def _ring(table: dict[str, Any]) -> dict[str, Any]:
     return made
 
 
-def _limits(error_record: object, field: str, table: dict[str, Any]) -> dict[str, Any]:
+def _limits(error_record: object, field: str, table: Toml) -> Toml:
     """One tolerance with limits in the place of a word."""
     where, words = f"tolerances.{field}", [word for word in WORDS if word in table]
     if "spectrum" in table:
@@ -89,7 +88,7 @@ def _length(value: object, where: str, before: str = "") -> float:
     return found
 
 
-def _vector(diameter: float) -> dict[str, Any]:
+def _vector(diameter: float) -> Toml:
     """Vectors of any direction, of a length up to half of a runout or of the diameter of a zone."""
     return {"distribution": "rayleigh", "lower": _text(0.0), "upper": _text(diameter / 2)}
 

@@ -6,16 +6,21 @@ A wrong unit in a file is not detected elsewhere.
 import dataclasses
 import math
 from collections.abc import Iterator
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from rvjax import catalogue
 from rvjax.designs import RVReducer
 from rvjax.errors import described
-from rvjax.records import Design, PyTree
-from rvjax.tolerances import Middle, Tolerance
+from rvjax.records import Design, PyTree, Scalar
+from rvjax.study.design import walk
+from rvjax.study.values import Metadata
+from rvjax.tolerances import Cost, Middle, Tolerance
 from rvjax.units import suited
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
 
 MOST_PRESSURE = math.radians(45)  # beyond, no tooth has a tip
 FAR = 30.0  # factor from every known reducer beyond which a number is doubted
@@ -26,7 +31,7 @@ TORQUE = min(RATED.values()), max(RATED.values())
 HALF_WIDTH = {"m": (0.5e-6, 40e-6), "rad": (1e-4, 9e-3), "-": (0.01, 0.3)}  # of the studies and sources in this package
 
 
-def refuse_impossible(design: Design, tolerances: PyTree, costs: dict[str, Any], middles: dict[str, Middle]) -> None:
+def refuse_impossible(design: Design, tolerances: PyTree, costs: dict[str, Cost], middles: dict[str, Middle]) -> None:
     """Raise an error for parts that do not fit into each other, and for errors as large as the part.
 
     Raises:
@@ -52,7 +57,7 @@ def refuse_impossible(design: Design, tolerances: PyTree, costs: dict[str, Any],
                 raise ValueError(f"{name}: {span}, as large as the part itself, {shown(part, unit)}")
 
 
-def doubts(design: object, conditions: Any, tolerances: Any) -> list[str]:
+def doubts(design: PyTree, conditions: "DataclassInstance", tolerances: PyTree) -> list[str]:
     """Numbers that are far from those of every known reducer, a line each."""
     known = [dict(numbers(one)) for one in KNOWN_DESIGNS if type(one) is type(design)]
     found = []
@@ -139,34 +144,26 @@ def _part(design: Design, path: str) -> float | None:
     return abs(float(np.max(np.asarray(design))))
 
 
-def _toleranced(tolerances: PyTree) -> Iterator[tuple[str, Tolerance, Any]]:
+def _toleranced(tolerances: PyTree) -> Iterator[tuple[str, Tolerance, Metadata]]:
     for f in dataclasses.fields(tolerances):
         if (tolerance := getattr(tolerances, f.name)) is not None:
             yield f.name, tolerance, f.metadata
 
 
-def numbers(record: Any, prefix: str = "") -> Iterator[tuple[str, tuple[float, str]]]:
-    """(name, (value of the largest size, SI unit)) of every quantity with a unit in a record of records.
-
-    Args:
-        record: such as a design.
-        prefix: of the names.
-    """
-    for f in dataclasses.fields(record):
-        value, about = getattr(record, f.name), f.metadata
-        if about["kind"] == "record" and value is not None:
-            yield from numbers(value, f"{prefix}{f.name}.")
-        elif value is not None and about["kind"] != "count" and about["unit"] not in ("-", "rad"):
+def numbers(design: PyTree) -> Iterator[tuple[str, tuple[float, str]]]:
+    """(path, (value of the largest size, SI unit)) of every quantity with a unit in a design."""
+    for path, value, about in walk(design):
+        if about["kind"] != "count" and about["unit"] not in ("-", "rad"):
             flat = np.ravel(np.asarray(value, float))
-            yield prefix + f.name, (float(flat[np.argmax(np.abs(flat))]), about["unit"])
+            yield path, (float(flat[np.argmax(np.abs(flat))]), about["unit"])
 
 
-def shown(value: Any, unit: str) -> str:
+def shown(value: Scalar, unit: str) -> str:
     """A number with the largest unit in which it is at least one.
 
     Args:
         value: SI.
         unit: its SI unit.
     """
-    name, size = suited(value, unit)
+    name, size = suited(float(value), unit)
     return f"{float(value) / size:.4g} {name}" if unit != "-" else f"{float(value):.4g}"

@@ -3,13 +3,13 @@
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from rvjax import identify, models
 from rvjax.designs import RVReducer
 from rvjax.outputs import Observation
+from rvjax.records import PyTree
 from rvjax.study.bench import (
     Midline,
     Model,
@@ -116,12 +116,29 @@ def problem(study: Study, measured: Measured | None = None) -> Problem:
     return {"curve": _curves, "loop": _loops, "frequencies": _frequencies}[kind](study, asked, measured)
 
 
+def _made(
+    study: Study,
+    kind: str,
+    model: Model,
+    sd: PyTree,
+    key: str,
+    units: tuple[str, ...],
+    data: Sequence[Seen],
+    items: tuple[tuple[Run | Loop | Tones, ...], ...],
+    runs: tuple[Conditions, ...] = (),
+) -> Problem:
+    """The problem with its prior; `key` names the part of the observation whose noise is the usual one."""
+    asked = asked_of(study)
+    usual, prior = float(asked.noise or np.median(sd[key])), asked.prior(study.tolerances)
+    noise = identify.Noise(sd)
+    return Problem(study, kind, prior, model, noise, usual, asked.nuisance, runs, units, tuple(data), items)
+
+
 def _observation(study: Study, asked: Identification, kind: str) -> Observation:
     return models.kind(study.design).observations(asked.model)[kind]
 
 
 def _curves(study: Study, asked: Identification, measured: Measured | None) -> Problem:
-    prior = asked.prior(study.tolerances)
     wanted = sorted({*asked.orders, *([1] if "mounting" in asked.nuisance else [])})
     groups = [order_name(k) for k in wanted] + (["mean"] if "offset" in asked.nuisance else [])
     data: list[Seen] = []
@@ -152,22 +169,10 @@ def _curves(study: Study, asked: Identification, measured: Measured | None) -> P
                     sds[key][u, r] = asked.noise or fitted.floor
             data.append(seen)
     if asked.noise is not None:
-        sd: Any = asked.noise
+        sd: PyTree = asked.noise
     else:  # of each run; of several units the mean square, since one noise serves all
         sd = {key: np.sqrt(np.nanmean(values**2, axis=0)) for key, values in sds.items()}
-    return Problem(
-        study=study,
-        kind="curve",
-        prior=prior,
-        model=model,
-        noise=identify.Noise(sd),
-        sd=float(asked.noise or np.median(sd[groups[0]])),
-        nuisance=asked.nuisance,
-        runs=tuple(runs),
-        units=units,
-        data=tuple(data),
-        items=items,
-    )
+    return _made(study, "curve", model, sd, groups[0], units, data, items, tuple(runs))
 
 
 def _by_place(runs: Sequence[Run]) -> dict[tuple[Conditions, int], Run]:
@@ -278,7 +283,6 @@ def wide(problem: Problem) -> Wide:
 
 
 def _loops(study: Study, asked: Identification, measured: Measured | None) -> Problem:
-    prior = asked.prior(study.tolerances)
     units: tuple[str, ...] = ()
     items: tuple[tuple[Loop, ...], ...] = ()
     data: list[Seen] = []
@@ -289,7 +293,7 @@ def _loops(study: Study, asked: Identification, measured: Measured | None) -> Pr
                 f"{study.name}: identify.torques is missing: the torque to which a loop goes, such as 412 N m"
             )
         torque = np.linspace(-most, most, GRID)
-        sd: Any = asked.noise
+        sd: PyTree = asked.noise
     else:
         loops = [item for item in measured.items if isinstance(item, Loop)]
         units = tuple(loop.at.unit for loop in loops)
@@ -306,16 +310,12 @@ def _loops(study: Study, asked: Identification, measured: Measured | None) -> Pr
     model = Midline(
         study.design, -torque, _observation(study, asked, "loop"), study.conditions, "offset" in asked.nuisance
     )
-    middle = float(asked.noise or np.median(sd["angle"]))
-    return Problem(
-        study, "loop", prior, model, identify.Noise(sd), middle, asked.nuisance, (), units, tuple(data), items
-    )  # fmt: skip
+    return _made(study, "loop", model, sd, "angle", units, data, items)
 
 
 def _frequencies(study: Study, asked: Identification, measured: Measured | None) -> Problem:
-    prior = asked.prior(study.tolerances)
     observation = _observation(study, asked, "frequencies")
-    start = {name: np.broadcast_to(float(t.middle), t.shape) for name, t in prior.items()}
+    start = {name: np.broadcast_to(float(t.middle), t.shape) for name, t in asked.prior(study.tolerances).items()}
     units: tuple[str, ...] = ()
     items: tuple[tuple[Tones, ...], ...] = ()
     data: list[Seen] = []
@@ -323,7 +323,7 @@ def _frequencies(study: Study, asked: Identification, measured: Measured | None)
         nominal = observation.predict(study.design, study.design.error_record(), study.conditions)
         found = np.asarray(nominal[0])
         frequency = found[found > 0]
-        sd: Any = asked.noise
+        sd: PyTree = asked.noise
     else:
         tones = [item for item in measured.items if isinstance(item, Tones)]
         units = tuple(tone.at.unit for tone in tones)
@@ -343,7 +343,4 @@ def _frequencies(study: Study, asked: Identification, measured: Measured | None)
     except ValueError as error:
         source = measured.items[0].source if measured else study.name
         raise ValueError(f"{source}: {error}") from None
-    middle = float(asked.noise or np.median(sd["frequency"]))
-    return Problem(
-        study, "frequencies", prior, model, identify.Noise(sd), middle, asked.nuisance, (), units, tuple(data), items
-    )  # fmt: skip
+    return _made(study, "frequencies", model, sd, "frequency", units, data, items)

@@ -4,12 +4,13 @@ import dataclasses
 import functools
 import tomllib
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
 
 from rvjax import models
 from rvjax.levels import Choice, choose
 from rvjax.outputs import Curve, Output
+from rvjax.records import PyTree
 from rvjax.study.about import About
+from rvjax.study.identification import Identification
 from rvjax.study.origin import Number, design_numbers
 from rvjax.study.plausible import doubts
 from rvjax.study.response import Response, check_nominal, followed_bounds
@@ -17,10 +18,7 @@ from rvjax.study.values import (
     StudyError as StudyError,  # other modules take it from here
     naming,
 )
-from rvjax.tolerances import Limits, Middle
-
-if TYPE_CHECKING:  # it reads values, whose errors are those of studies
-    from rvjax.study.identification import Identification
+from rvjax.tolerances import Cost, Limits, Middle
 
 
 @dataclass(frozen=True)
@@ -50,10 +48,10 @@ class Study:
 
     name: str
     text: str
-    design: Any
-    conditions: Any
-    tolerances: Any
-    costs: dict[str, Any]
+    design: PyTree
+    conditions: PyTree
+    tolerances: PyTree
+    costs: dict[str, Cost]
     requirements: dict[str, Limits]
     seed: int = 0
     samples: int = 16384
@@ -61,10 +59,10 @@ class Study:
     joint_target: float | None = None
     accuracy: dict[str, float] = dataclasses.field(default_factory=dict)
     middles: dict[str, Middle] = dataclasses.field(default_factory=dict)
-    identification: "Identification | None" = None
+    identification: Identification | None = None
     read_in: dict[str, str] = dataclasses.field(default_factory=dict)
     about: About = dataclasses.field(default_factory=About)
-    sections: dict[str, Any] = dataclasses.field(default_factory=dict)
+    sections: dict[str, object] = dataclasses.field(default_factory=dict)
     to_solve: bool = dataclasses.field(default=False, compare=False)
 
     def response(self, *, solve: bool = True) -> Response:

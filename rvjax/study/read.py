@@ -5,22 +5,33 @@ import tomllib
 from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
-from typing import Any
 
 from rvjax import models
 from rvjax.choices import meant
 from rvjax.outputs import Output
-from rvjax.population import COMMON, DISTRIBUTIONS
-from rvjax.records import IN_ERROR_UNIT, Design, Shape, axis_sizes, remind_of_precision
+from rvjax.records import IN_ERROR_UNIT, PyTree, remind_of_precision
 from rvjax.sections import reader as sections_reader
 from rvjax.study.about import parse_about
 from rvjax.study.design import parse_design
 from rvjax.study.identification import Identification, parse_identification
-from rvjax.study.placed import refuse_unplaced, spelled
+from rvjax.study.placed import refuse_unplaced
 from rvjax.study.plausible import refuse_impossible
 from rvjax.study.question import Study, StudyError
-from rvjax.study.values import choice, integer, known, naming, naming_field, quantity, share, subtable
-from rvjax.tolerances import COSTS, FEWEST, KINDS, Middle, Tolerance, check_middles, for_design
+from rvjax.study.toleranced import metadata, parse_tolerances
+from rvjax.study.values import (
+    Metadata,
+    Toml,
+    choice,
+    integer,
+    known,
+    naming,
+    naming_field,
+    quantities,
+    quantity,
+    share,
+    subtable,
+)
+from rvjax.tolerances import COSTS, FEWEST, KINDS, Cost, Limits, Middle, check_middles
 from rvjax.units import unit_of
 
 TABLES = {"about", "accuracy", "columns", "conditions", "cost", "design", "identify", "middle"}
@@ -88,19 +99,16 @@ def parse_study(text: str, *, name: str, folder: Path = Path(), solve: bool = Tr
                 raise ValueError(f"[{key}] is missing or empty")
         design = parse_design(subtable(tables, "design"))
         error_record = design.error_record
-        tolerances = _tolerances(design, spelled(design, subtable(tables, "tolerances")), folder)
+        tolerances = parse_tolerances(design, subtable(tables, "tolerances"), folder)
         costs = _costs(error_record, tolerances, subtable(tables, "cost"))
         run = subtable(tables, "run")
         known(run, {"seed", "samples", "certificate_samples", "joint_target"}, "run")
         kind = models.kind(design)
-        asked = subtable(tables, "requirement")
-        requirements = _requirements(kind.outputs, asked)
+        requirements, read_in = _requirements(kind.outputs, subtable(tables, "requirement"))
         identification = None
         if "identify" in tables:
-            identification = parse_identification(
-                subtable(tables, "identify"), subtable(tables, "columns"), design, tolerances,
-                lambda table, unit, where: _tolerance(table, unit, where, folder),
-            )  # fmt: skip
+            columns = subtable(tables, "columns")
+            identification = parse_identification(subtable(tables, "identify"), columns, design, tolerances, folder)
         elif "columns" in tables:
             raise ValueError("[columns]: names columns of measured data, but there is no [identify]")
         if requirements:
@@ -113,7 +121,7 @@ def parse_study(text: str, *, name: str, folder: Path = Path(), solve: bool = Tr
             tolerances=tolerances,
             costs=costs,
             requirements=requirements,
-            read_in=_read_in(kind.outputs, asked),
+            read_in=read_in,
             accuracy=_accuracy(kind.outputs, requirements, subtable(tables, "accuracy")),
             middles=_middles(error_record, tolerances, subtable(tables, "middle")),
             about=parse_about(subtable(tables, "about")),
@@ -137,13 +145,9 @@ def parse_study(text: str, *, name: str, folder: Path = Path(), solve: bool = Tr
     return study
 
 
-def _metadata(record: Any, field: str) -> Any:
-    return next(f.metadata for f in dataclasses.fields(record) if f.name == field)
-
-
 def _conditions(
-    kind: models.Kind, requirements: Mapping[str, Any], identification: Identification | None, tables: dict[str, Any]
-) -> Any:
+    kind: models.Kind, requirements: Mapping[str, Limits], identification: Identification | None, tables: Toml
+) -> PyTree:
     fields = {f.name: f.metadata for f in dataclasses.fields(kind.conditions)}
     given = subtable(tables, "conditions")
     known(given, {name for name, about in fields.items() if not about["columns"]}, "conditions")
@@ -172,7 +176,7 @@ def _rows(value: object, columns: Mapping[str, str], where: str) -> tuple[tuple[
     return tuple(rows)
 
 
-def _condition(value: object, about: Mapping[str, Any], key: str) -> Any:
+def _condition(value: object, about: Metadata, key: str) -> PyTree:
     """A condition as it is declared by `outputs.condition`."""
     if about["columns"]:
         return _rows(value, about["columns"], key)
@@ -189,67 +193,8 @@ def _condition(value: object, about: Mapping[str, Any], key: str) -> Any:
     return found
 
 
-def _tolerances(design: Design, table: dict[str, Any], folder: Path) -> Any:
-    fields = {f.name for f in dataclasses.fields(design.error_record)}
-    known(table, fields, "tolerances")
-    made = {}
-    for field in table:
-        where = f"tolerances.{field}"
-        with naming_field(where):
-            about, own = _metadata(design.error_record, field), dict(subtable(table, field))
-            shape = _series(about["shape"], design.counts, own, where)
-            made[field] = _tolerance(own, about["unit"], where, folder, shape)
-    return for_design(design, **made)
-
-
-def _series(axes: Shape, counts: Mapping[str, int], table: dict[str, Any], where: str) -> tuple[int, ...]:
-    """Shape of a series, whose number of harmonics is taken out of its table; () where the design defines all sizes."""
-    own = [axis for axis in axes if isinstance(axis, str) and axis not in counts]
-    if not own:
-        return ()
-    if "harmonics" not in table:
-        raise ValueError(f"{where}.harmonics is missing: an integer, the number of terms of the series")
-    harmonics = integer(table.pop("harmonics"), f"{where}.harmonics", 1, 1000)
-    return axis_sizes(axes, {**counts, **dict.fromkeys(own, harmonics)}, (0,) * len(axes))
-
-
-def _tolerance(
-    table: dict[str, Any], unit: str, where: str, folder: Path = Path(), shape: tuple[int, ...] = ()
-) -> Tolerance:
-    law = DISTRIBUTIONS[choice(table.get("distribution", "normal"), DISTRIBUTIONS, f"{where}.distribution")]
-    known(table, {"lower", "upper", "half_width", "grade", "size", "distribution", *COMMON, *law.parameters()}, where)
-    if "cp" in table and not law.capable:
-        raise ValueError(f"{where}.cp = {table['cp']!r}: {law.name} ends at the limits, it has no capability")
-    options: dict[str, Any] = {"distribution": law, "shape": shape}
-    options |= {key: quantity(table[key], "-", f"{where}.{key}") for key in COMMON if key in table}
-    for key in law.parameters():
-        if key in table:
-            value = table[key]
-            if isinstance(value, dict) and isinstance(value.get("file"), str):
-                value = value | {"file": str(folder / value["file"])}
-            options[key] = law.parsed(key, value, unit)
-    size = quantity(table["size"], "m", f"{where}.size") if "size" in table else None
-    ways = [{"lower", "upper"}, {"half_width"}, {"grade", "size"}]
-    given = set(table) & {"lower", "upper", "half_width", "grade"}
-    chosen = next((way for way in ways if given and given == way - {"size"}), None)
-    if chosen is None or (chosen == ways[2] and size is None):
-        raise ValueError(f"{where}: give lower and upper, or half_width, or grade and size")
-    if chosen == ways[2] and size is not None:
-        if unit != "m":
-            raise ValueError(f"{where}.grade = {table['grade']!r}: grades are for lengths, this error is in {unit}")
-        return Tolerance.grade(table["grade"], size, **options)
-    if size is not None and unit != "m":
-        raise ValueError(f"{where}.size = {table['size']!r}: sizes are for lengths, this error is in {unit}")
-    limits = {key: quantity(table[key], unit, f"{where}.{key}") for key in sorted(given)}
-    if chosen == ways[1]:
-        if limits["half_width"] < 0:
-            raise ValueError(f"{where}.half_width = {table['half_width']!r}: must not be negative")
-        return Tolerance.symmetric(limits["half_width"], size=size, **options)
-    return Tolerance(limits["lower"], limits["upper"], size=size, **options)
-
-
-def _costs(error_record: Any, tolerances: Any, table: dict[str, Any]) -> dict[str, Any]:
-    costs = {}
+def _costs(error_record: PyTree, tolerances: PyTree, table: Toml) -> dict[str, Cost]:
+    costs: dict[str, Cost] = {}
     for field in table:
         where, entry = f"cost.{field}", dict(subtable(table, field))
         if field not in {f.name for f in dataclasses.fields(error_record)} or getattr(tolerances, field) is None:
@@ -258,21 +203,16 @@ def _costs(error_record: Any, tolerances: Any, table: dict[str, Any]) -> dict[st
         declared = {f.name: f for f in dataclasses.fields(law)}  # type: ignore[arg-type]  # distributions are records
         known(entry, declared, where)
         units = {name: f.metadata["unit"] for name, f in declared.items()}
-        units |= {n: _metadata(error_record, field)["unit"] for n, unit in units.items() if unit == IN_ERROR_UNIT}
+        units |= {n: metadata(error_record, field)["unit"] for n, unit in units.items() if unit == IN_ERROR_UNIT}
         for key, f in declared.items():
             if f.default is dataclasses.MISSING and key not in entry:
                 raise ValueError(f"{where}.{key} is missing: {f.metadata['meaning']}, in {units[key]}")
         with naming_field(where):
-            costs[field] = law(**{key: _numbers(value, units[key], f"{where}.{key}") for key, value in entry.items()})
+            costs[field] = law(**{key: quantities(value, units[key], f"{where}.{key}") for key, value in entry.items()})
     return costs
 
 
-def _numbers(value: object, unit: str, where: str) -> Any:
-    """One number, or a list of them."""
-    return [quantity(v, unit, where) for v in value] if isinstance(value, list) else quantity(value, unit, where)
-
-
-def _middles(error_record: Any, tolerances: Any, table: dict[str, Any]) -> dict[str, Middle]:
+def _middles(error_record: PyTree, tolerances: PyTree, table: Toml) -> dict[str, Middle]:
     found = {}
     active = {f.name: t for f in dataclasses.fields(error_record) if (t := getattr(tolerances, f.name)) is not None}
     for name in table:
@@ -280,7 +220,7 @@ def _middles(error_record: Any, tolerances: Any, table: dict[str, Any]) -> dict[
         if name not in active:
             raise ValueError(f"{where}: there is no [tolerances.{name}] for it")
         known(entry, {"lower", "upper", "cost", "per"}, where)
-        unit = _metadata(error_record, name)["unit"]
+        unit = metadata(error_record, name)["unit"]
         for key in ("lower", "upper", *(("per",) if "cost" in entry else ())):
             if key not in entry:
                 raise ValueError(f"{where}.{key} is missing: a middle lies between lower and upper, in {unit}")
@@ -294,9 +234,7 @@ def _middles(error_record: Any, tolerances: Any, table: dict[str, Any]) -> dict[
     return found
 
 
-def _accuracy(
-    outputs: Mapping[str, Output], requirements: Mapping[str, Any], table: dict[str, Any]
-) -> dict[str, float]:
+def _accuracy(outputs: Mapping[str, Output], requirements: Mapping[str, Limits], table: Toml) -> dict[str, float]:
     found = {}
     for name, value in table.items():
         where = f"accuracy.{name}"
@@ -307,8 +245,10 @@ def _accuracy(
     return found
 
 
-def _requirements(outputs: Mapping[str, Output], table: dict[str, Any]) -> dict[str, Any]:
-    requirements = {}
+def _requirements(outputs: Mapping[str, Output], table: Toml) -> tuple[dict[str, Limits], dict[str, str]]:
+    """The requirements, and the unit of the first limit of each response."""
+    requirements: dict[str, Limits] = {}
+    read_in: dict[str, str] = {}
     for name in table:
         where, entry = f"requirement.{name}", subtable(table, name)
         known(entry, {"response", *(key for kind in KINDS for key in kind.file_keys())}, where)
@@ -321,22 +261,14 @@ def _requirements(outputs: Mapping[str, Output], table: dict[str, Any]) -> dict[
         if not kinds:
             ways = "; or ".join(", ".join(kind.file_keys()) for kind in KINDS)
             raise ValueError(f"{where}: give upper or lower in {unit} (of these keys: {ways})")
+        limits = kinds[0].limit_keys()
         values = {
-            field: quantity(given[key], unit if key in kinds[0].limit_keys() else "-", f"{where}.{key}")
+            field: quantity(given[key], unit if key in limits else "-", f"{where}.{key}")
             for key, field in kinds[0].file_keys().items()
             if key in given
         }
         with naming_field(where):
             requirements[response] = kinds[0](**values)
-    return requirements
-
-
-def _read_in(outputs: Mapping[str, Output], table: dict[str, Any]) -> dict[str, str]:
-    """The unit of the first limit of each response; limits are texts with units, they have been read before."""
-    asked = {}
-    for name, entry in table.items():
-        response = entry.get("response", name)
-        limits = (entry[key] for key in entry if any(key in kind.limit_keys() for kind in KINDS))
-        if (unit := outputs[response].unit) != "-":
-            asked[response] = unit_of(next(limits), unit)
-    return asked
+        if unit != "-":  # limits are texts with units, they have been read before
+            read_in[response] = unit_of(str(next(given[key] for key in given if key in limits)), unit)
+    return requirements, read_in

@@ -4,9 +4,9 @@ Statistics and allocation use only the response `errors -> Outcome`, no gears; m
 """
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, Self
+from typing import Self
 
 import jax
 import jax.numpy as jnp
@@ -22,8 +22,8 @@ from rvjax.response import per_response
 from rvjax.status import SUCCESS, Status, worst
 from rvjax.tolerances import Outcome
 
-Settings = tuple[tuple[str, Any], ...]
-
+Settings = tuple[tuple[str, PyTree], ...]
+Level = tuple[Settings, str, str | None] | None  # settings, precision, output of another model
 
 CURVE = "curve"
 """Of the names of its numbers among the values of a response."""
@@ -36,9 +36,9 @@ class Response(Record):
     Its numbers are those of the design: a program that was compiled for one question serves every design of its kind.
     """
 
-    design: Any = field("-", "the reducer", kind="record")
+    design: PyTree = field("-", "the reducer", kind="record")
     outputs: tuple[str, ...] = text("names")
-    conditions: Any = text("how the reducer runs")
+    conditions: PyTree = text("how the reducer runs")
     levels: tuple[tuple[str, Settings, str, str | None], ...] = text(
         "(output, settings, precision, output of another model) where a level was chosen"
     )
@@ -81,7 +81,7 @@ class Response(Record):
     def __call__(self, errors: PyTree) -> Outcome:
         """Values and the worst status of one unit."""
         errors = errors.bounded(self.bounds) if self.bounds else errors
-        shared: dict[Any, dict[Source, Any]] = {}  # by level; outputs of one level read the same results
+        shared: dict[Level, dict[Source, PyTree]] = {}  # by level; outputs of one level read the same results
         found = {name: self._one(name, errors, shared) for name in self.outputs}
         statuses = jnp.stack([jnp.asarray(status) for _, status in found.values()])
         values = {name: value for name, (value, _) in found.items()}
@@ -108,7 +108,7 @@ class Response(Record):
         outputs, sources = models.kind(self.design).outputs, self._sources()
         drawn = models.kind(self.design).curve(self.outputs)
         curve = None if drawn is None else drawn.source
-        groups: list[tuple[set[Any], list[str]]] = []
+        groups: list[tuple[set[object], list[str]]] = []
         for name in self.outputs:
             evaluate = outputs[sources[name]].evaluate
             level = next((level[1:] for level in self.levels if level[0] == name), None)
@@ -130,7 +130,7 @@ class Response(Record):
         instead = {level[0]: level[3] for level in self.levels if level[3] is not None}
         return {name: instead.get(name, name) for name in self.outputs}
 
-    def _one(self, name: str, errors: PyTree, shared: dict[Any, dict[Source, Any]]) -> Solved:
+    def _one(self, name: str, errors: PyTree, shared: dict[Level, dict[Source, PyTree]]) -> Solved:
         level = next((level[1:] for level in self.levels if level[0] == name), None)
         source = name if level is None or level[2] is None else level[2]
         evaluate = models.kind(self.design).outputs[source].evaluate
@@ -156,11 +156,11 @@ def followed_bounds(tolerances: PyTree) -> tuple[str, ...]:
 
 
 @per_response(options=ONCE)
-def _status(response: Callable[[Any], Outcome], errors: PyTree) -> jax.Array:
+def _status(response: Response, errors: PyTree) -> jax.Array:
     return response(errors).status
 
 
-def check_nominal(response: Callable[[Any], Outcome], errors: PyTree) -> None:
+def check_nominal(response: Response, errors: PyTree) -> None:
     """Raise an error if the unit without errors fails.
 
     Args:

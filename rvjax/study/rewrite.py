@@ -4,12 +4,12 @@ import json
 import re
 import tomllib
 from collections.abc import Mapping, Sequence
-from typing import Any
 
+from rvjax.records import PyTree
 from rvjax.tolerances import Limits
 
 _LIMITS = ("half_width", "lower", "upper", "grade")  # keys that say where the limits of an error are
-Parts = list[str | dict[str, Any]]
+Parts = list[str | dict[str, PyTree]]
 _Gaps = dict[tuple[str, ...], tuple[str, int, tuple[str, ...]]]
 """{names of the header: (kind of gap, its number, keys that go into it)}"""
 _NO_GAP: tuple[str, int, tuple[str, ...]] = ("", 0, ())
@@ -43,7 +43,7 @@ def template(text: str, requirements: Mapping[str, Limits], fields: Sequence[str
 def _with_gaps(text: str, gaps: _Gaps) -> Parts:
     parts: Parts = []
     kind, number, keys = _NO_GAP
-    gap: dict[str, Any] | None = None
+    gap: dict[str, PyTree] | None = None
     for line in (f"{line}\n" for line in text.removesuffix("\n").split("\n")):
         if line.lstrip().startswith("["):
             kind, number, keys = gaps.get(_header(line), _NO_GAP)
@@ -64,7 +64,7 @@ def _with_gaps(text: str, gaps: _Gaps) -> Parts:
 def _header(line: str) -> tuple[str, ...]:
     """Names of the header of a table; none for another line that begins so."""
     try:
-        table: Any = tomllib.loads(line)
+        table: PyTree = tomllib.loads(line)
     except tomllib.TOMLDecodeError:
         return ()
     names = []
@@ -74,7 +74,7 @@ def _header(line: str) -> tuple[str, ...]:
     return tuple(names)
 
 
-def _fits(parts: Parts, tables: dict[str, Any], gaps: _Gaps) -> bool:
+def _fits(parts: Parts, tables: dict[str, PyTree], gaps: _Gaps) -> bool:
     """True if every gap occurs once and filling it replaces only the limits."""
     if sum(not isinstance(part, str) for part in parts) != len(gaps):
         return False
@@ -93,7 +93,7 @@ def _fits(parts: Parts, tables: dict[str, Any], gaps: _Gaps) -> bool:
     return filled == tables
 
 
-def canonical(tables: dict[str, Any]) -> str:
+def canonical(tables: dict[str, PyTree]) -> str:
     """Tables of a study as TOML, a header for each table of two names."""
     lines = []
     for name, table in tables.items():

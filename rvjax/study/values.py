@@ -1,12 +1,19 @@
 """Checked values of a study file: an error is one line that names key, value and unit."""
 
-import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
 from rvjax.choices import UnknownWord, choose, unknown
 from rvjax.units import parse
+
+Toml = dict[str, object]
+"""A table of a study file."""
+
+Metadata = Mapping[str, Any]
+"""Of a field of a record: unit, meaning, shape, kind ..."""
+
+Numbers = float | list["Numbers"]
 
 
 class StudyError(ValueError):
@@ -35,7 +42,7 @@ def naming_field(where: str) -> Iterator[None]:
         raise error if where in str(error) else kind(f"{where}: {error}") from None
 
 
-def known(table: dict[str, Any], keys: Iterable[str], where: str) -> None:
+def known(table: Iterable[str], keys: Iterable[str], where: str) -> None:
     """Raise an error for keys that are not read.
 
     Args:
@@ -49,7 +56,7 @@ def known(table: dict[str, Any], keys: Iterable[str], where: str) -> None:
             raise unknown(f"unknown key {name}", key, sorted(keys), "; known here:")
 
 
-def subtable(parent: dict[str, Any], key: str) -> dict[str, Any]:
+def subtable(parent: Mapping[str, object], key: str) -> Toml:
     """A table, empty where it is missing.
 
     Args:
@@ -85,21 +92,6 @@ def integer(value: object, where: str, minimum: float, maximum: float) -> int:
     return value
 
 
-def finite(text: str, where: str) -> float:
-    """A number of a table.
-
-    Raises:
-        StudyError: it is none, or not finite.
-    """
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise StudyError(f"{where} = {text!r}: must be a finite number")
-    return value
-
-
 def quantity(value: object, unit: str, where: str) -> float:
     """A number in SI.
 
@@ -112,6 +104,19 @@ def quantity(value: object, unit: str, where: str) -> float:
         return parse(value, unit)
     except ValueError as error:
         raise ValueError(f"{where} = {error}") from None
+
+
+def quantities(value: object, unit: str, where: str) -> Numbers:
+    """A number in SI, or a list of them, nested as written.
+
+    Args:
+        value: as for `quantity`, or a list.
+        unit: SI unit.
+        where: key, for the message.
+    """
+    return (
+        [quantities(item, unit, where) for item in value] if isinstance(value, list) else quantity(value, unit, where)
+    )
 
 
 def choice(value: object, choices: Iterable[str], where: str) -> str:

@@ -26,7 +26,8 @@ REST = "rest"
 
 def table_of(study: Study) -> Assembly:
     """The table [assembly] of a study, or what holds without it."""
-    return study.sections.get("assembly", Assembly())
+    found = study.sections.get("assembly")
+    return found if isinstance(found, Assembly) else Assembly()
 
 
 @dataclasses.dataclass(frozen=True)

@@ -101,7 +101,7 @@ def _range(found: Surrogate, k: int, answer: Answer) -> tuple[float, float]:
     ends = [p.centre, own]
     if not p.place:
         cost = study.costs.get(p.field)
-        ends += [cost.finest, cost.coarsest] if cost else [0.25 * p.centre, 2 * p.centre]
+        ends += [float(cost.finest), float(cost.coarsest)] if cost else [0.25 * p.centre, 2 * p.centre]
     elif p.field in study.middles and not grows_from_lower(tolerance):
         ends += [study.middles[p.field].lower, study.middles[p.field].upper]
     else:
