@@ -37,7 +37,7 @@ def checked(function: Callable[P, R]) -> Callable[P, R]:
     return call
 
 
-def _kind(annotation: Any) -> tuple[bool, bool] | None:
+def _kind(annotation: object) -> tuple[bool, bool] | None:
     """Whether an argument is one number, and whether None is allowed; None for an argument that is no number."""
     union = isinstance(annotation, types.UnionType) or typing.get_origin(annotation) is typing.Union
     members = set(typing.get_args(annotation)) if union else {annotation}
@@ -48,7 +48,7 @@ def _kind(annotation: Any) -> tuple[bool, bool] | None:
     return (False, optional) if members and members <= {Array, np.ndarray} else None
 
 
-def _check(name: str, value: Any, single: bool, optional: bool) -> None:
+def _check(name: str, value: object, single: bool, optional: bool) -> None:
     if value is None and optional:
         return
     if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(value)):
@@ -64,6 +64,6 @@ def _check(name: str, value: Any, single: bool, optional: bool) -> None:
         raise ValueError(f"{name}: shape {array.shape}, must be {wanted}; sweep arrays with jax.vmap")
 
 
-def _short(value: Any) -> str:
+def _short(value: object) -> str:
     text = " ".join(repr(value).split())
     return text if len(text) <= 60 else f"{text[:56]} ..."

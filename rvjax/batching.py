@@ -2,7 +2,7 @@
 
 import functools
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -126,7 +126,7 @@ def folded(x: jax.Array, *axes: int, by: Callable[..., jax.Array] = jnp.add) -> 
     return x
 
 
-def stored(compute: Callable[..., Any], *arguments: Any) -> Any:
+def stored(compute: Callable[..., Result], *arguments: PyTree) -> Result:
     """Return compute(*arguments), written to memory: by a branch that is always taken, which XLA cannot see.
 
     Without it, and with `optimization_barrier` too, XLA computes what several results share again for each of them: a

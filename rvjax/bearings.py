@@ -1,11 +1,13 @@
 """Roller bearings of the cranks: their rollers, their ratings where a maker gives them, and where they sit."""
 
 import math
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
-from rvjax.records import Record, concrete, count, field, quantity, record
+from rvjax.records import Array, Record, concrete, count, field, quantity, record
+
+Number = TypeVar("Number", float, Array, np.ndarray)
 
 
 @record
@@ -43,7 +45,7 @@ class RollerBearing(Record):
             )
 
 
-def largest_roller(rollers: int, pitch_diameter: Any) -> Any:
+def largest_roller(rollers: int, pitch_diameter: Number) -> Number:
     """Diameter of rollers that touch their neighbours, m: Z asin(Dwe / Dpw) = pi.
 
     Args:
@@ -98,7 +100,7 @@ class Bearings(Record):
             raise ValueError("Bearings.support.contact_angle = 0 rad: must be positive; preload is of tapered supports")
 
 
-def _angled(bearing: Any) -> bool:
+def _angled(bearing: RollerBearing | None) -> bool:
     """Whether a bearing has a contact angle that can be looked at and is not 0."""
     angle = getattr(bearing, "contact_angle", None)
     return angle is not None and concrete(angle) and bool(np.any(np.asarray(angle) != 0))

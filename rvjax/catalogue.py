@@ -4,25 +4,29 @@ import dataclasses
 import re
 import tomllib
 import typing
+from collections.abc import Mapping
 from importlib import resources
-from typing import Any
+from typing import Any, TypeVar
 
 from rvjax.designs import CamRollerReducer, RVReducer
 from rvjax.errors import RVErrors
+from rvjax.records import PyTree, Record
 from rvjax.units import parse
 
+Read = TypeVar("Read", bound=Record)
 
-def part_class(cls: type, name: str) -> Any:
+
+def part_class(cls: type, name: str) -> type[Record]:
     """The class of a field that is a record, optional or not."""
     hint = typing.get_type_hints(cls)[name]
     return next(item for item in (*typing.get_args(hint), hint) if item is not type(None))
 
 
-def _number(value: Any, unit: str) -> Any:
+def _number(value: object, unit: str) -> PyTree:
     return [_number(item, unit) for item in value] if isinstance(value, list) else parse(value, unit)
 
 
-def _record(cls: Any, table: dict[str, Any]) -> Any:
+def _record(cls: type[Read], table: Mapping[str, object]) -> Read:
     about, values = {f.name: f.metadata for f in dataclasses.fields(cls)}, dict[str, Any]()
     for name, value in table.items():
         if isinstance(value, dict):

@@ -12,15 +12,17 @@ import sys
 import warnings
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import ParamSpec, TypeVar
 
 import jax
 import numpy as np
 
+P = ParamSpec("P")
+R = TypeVar("R")
 OFF = "RVJAX_KEEP_PROGRAMS"  # "0": nothing is kept
 LARGEST = 1_000_000_000  # bytes; beyond, the programs that were used longest ago go
 
-Options = tuple[tuple[str, Any], ...]  # (option of XLA, value)
+Options = tuple[tuple[str, bool | int], ...]  # (option of XLA, value)
 
 QUICK: Options = (("xla_cpu_use_fusion_emitters", False), ("xla_llvm_disable_expensive_passes", True))
 """For `jax.jit(..., compiler_options=dict(QUICK))` round hundreds of small kernels, such as a batch of `loaded`. XLA's
@@ -29,7 +31,7 @@ twice as long."""
 
 
 @functools.lru_cache(maxsize=16)
-def understood(options: Options) -> dict[str, Any] | None:
+def understood(options: Options) -> dict[str, bool | int] | None:
     """Options for `jax.jit`; None where this version of XLA lacks one of them, or none are given."""
     try:
         jax.jit(lambda x: x, compiler_options=dict(options)).lower(0.0).compile()
@@ -38,7 +40,7 @@ def understood(options: Options) -> dict[str, Any] | None:
     return dict(options) or None
 
 
-def inside(*arguments: Any) -> bool:
+def inside(*arguments: object) -> bool:
     """True if another program is being traced, whose options count."""
     if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(arguments)):
         return True
@@ -50,7 +52,7 @@ ONCE: Options = (*QUICK, ("xla_backend_optimization_level", 0))
 compiled in half the time."""
 
 
-def quick(*static: int, options: Options = QUICK) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+def quick(*static: int, options: Options = QUICK) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """As `jax.jit`; called by itself, and not within another program, it is compiled with separate options.
 
     Args:
@@ -58,15 +60,15 @@ def quick(*static: int, options: Options = QUICK) -> Callable[[Callable[..., Any
         options: of the compiler.
     """
 
-    def made(function: Callable[..., Any]) -> Callable[..., Any]:
+    def made(function: Callable[P, R]) -> Callable[P, R]:
         part = jax.jit(function, static_argnums=static)
         alone = functools.cache(
             lambda: jax.jit(function, static_argnums=static, compiler_options=understood(options))
         )  # compiled at the first call
 
         @functools.wraps(function)
-        def call(*arguments: Any) -> Any:
-            return (part if inside(arguments) else alone())(*arguments)
+        def call(*arguments: P.args, **named: P.kwargs) -> R:
+            return (part if inside(arguments, named) else alone())(*arguments, **named)
 
         return call
 

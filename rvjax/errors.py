@@ -86,7 +86,7 @@ def deviation(
     return field(unit, meaning, shape=shape, default=0.0, sign=sign, of=of, part=part, **about)
 
 
-def described(errors: PyTree, key: str) -> dict[str, Any]:
+def described(errors: PyTree, key: str) -> dict[str, PyTree]:
     """Metadata of the fields that have it, by field: `described(RVErrors, "placed")`.
 
     Args:
@@ -97,7 +97,7 @@ def described(errors: PyTree, key: str) -> dict[str, Any]:
 
 
 @lru_cache(maxsize=256)
-def _described(cls: Any, key: str) -> dict[str, Any]:
+def _described(cls: type[Record], key: str) -> dict[str, PyTree]:
     return {f.name: f.metadata[key] for f in dataclasses.fields(cls) if f.metadata.get(key)}
 
 
@@ -136,7 +136,7 @@ class Errors(Record):
             remind_of_precision()
 
     @classmethod
-    def for_design(cls, design: Design, **errors: Any) -> Self:
+    def for_design(cls, design: Design, **errors: PyTree) -> Self:
         """Errors with full array shapes; a scalar for an array field is broadcast.
 
         Args:

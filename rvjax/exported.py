@@ -12,7 +12,7 @@ import pickle
 import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import jax
 import jax.export
@@ -21,14 +21,16 @@ import jaxlib.version
 import numpy as np
 
 from rvjax.files import write_atomically
+from rvjax.records import Array, PyTree, Scalar
 
 SETTINGS = ("jax_enable_x64", "jax_default_matmul_precision", "jax_debug_nans", "jax_numpy_dtype_promotion")
+R = TypeVar("R")
 SUFFIX = ".traced"
 
 
 def exported(
-    folder: Path, function: Callable[..., Any], static: Mapping[str, Any], arguments: tuple[Any, ...]
-) -> tuple[Callable[..., Any], Callable[[Any], Any]] | None:
+    folder: Path, function: Callable[..., R], static: Mapping[str, object], arguments: tuple[PyTree, ...]
+) -> tuple[Callable[..., list[Array]], Callable[[list[Array]], R]] | None:
     """The function of flat arrays that a traced program computes, and what puts its results together again.
 
     Args:
@@ -58,7 +60,7 @@ def exported(
     except Exception:  # a file with any defect is written again
         path.unlink(missing_ok=True)
 
-    def flat(*leaves: Any) -> list[Any]:
+    def flat(*leaves: Array) -> list[Array]:
         found, shape = jax.tree.flatten(function(*jax.tree.unflatten(tree, leaves), **static))
         flat.tree = shape  # type: ignore[attr-defined]
         return found
@@ -85,7 +87,7 @@ class _Unnamed(Exception):
     """Another process would not find what this means."""
 
 
-def _spelled(value: Any) -> str:
+def _spelled(value: PyTree) -> str:
     """Text that means the same value in every process.
 
     Raises:
@@ -122,22 +124,22 @@ def _spelled(value: Any) -> str:
     return text
 
 
-def plain(leaves: list[Any]) -> list[Any]:
+def plain(leaves: list[Scalar]) -> list[Array | np.ndarray]:
     """Python numbers as arrays: a kept program has no weak types."""
     return [leaf if isinstance(leaf, jax.Array) else np.asarray(leaf, jax.typeof(leaf).dtype) for leaf in leaves]
 
 
-def _put_together(shape: object, leaves: list[Any]) -> Any:
+def _put_together(shape: object, leaves: list[Array]) -> PyTree:
     return jax.tree.map(lambda number: leaves[number], shape)
 
 
-def _spread(leaf: object) -> Any:
+def _spread(leaf: object) -> jax.sharding.Sharding | None:
     """Sharding of an array over several devices."""
     sharding = getattr(leaf, "sharding", None)
     return sharding if sharding is not None and sharding.num_devices > 1 else None
 
 
-def _setting() -> tuple[Any, ...]:
+def _setting() -> tuple[object, ...]:
     own = [jax.config.values[name] for name in SETTINGS]
     return (
         *own,

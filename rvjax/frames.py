@@ -4,9 +4,28 @@ import dataclasses
 import importlib
 import itertools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from types import ModuleType
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+    from pandas import DataFrame as DataFrame
+    from xarray import Dataset as Dataset
+
+
+class Interval(Protocol):
+    """A value with its standard error and the ends of its interval."""
+
+    @property
+    def value(self) -> float: ...
+    @property
+    def error(self) -> float: ...
+    @property
+    def lower(self) -> float: ...
+    @property
+    def upper(self) -> float: ...
 
 
 class Column(NamedTuple):
@@ -19,7 +38,7 @@ class Column(NamedTuple):
     meaning: str
 
 
-def data_set(record: Any, batch: Sequence[str] = ()) -> Any:
+def data_set(record: "DataclassInstance", batch: Sequence[str] = ()) -> "Dataset":
     """Return an `xarray.Dataset` of a record: a variable for each field, SI, with `units` and `long_name`.
 
     Args:
@@ -40,7 +59,7 @@ def data_set(record: Any, batch: Sequence[str] = ()) -> Any:
     return made.assign_attrs(record=type(record).__name__, **plain)
 
 
-def frame(record: object, batch: Sequence[str] = (), along: str | None = None) -> Any:
+def frame(record: "DataclassInstance", batch: Sequence[str] = (), along: str | None = None) -> "DataFrame":
     """Return a `pandas.DataFrame` of a record, SI: one row for each unit, one column for each number of it.
 
     Args:
@@ -79,13 +98,13 @@ def frame(record: object, batch: Sequence[str] = (), along: str | None = None) -
     return made
 
 
-def tidy(rows: Iterable[Mapping[str, Any]], index: Sequence[str]) -> Any:
+def tidy(rows: Iterable[Mapping[str, object]], index: Sequence[str]) -> "DataFrame":
     """Return a `pandas.DataFrame` of rows by name."""
     pandas = needed("pandas", "to_pandas")
     return pandas.DataFrame(list(rows)).set_index(list(index))
 
 
-def spread(name: str, estimate: Any) -> dict[str, float]:
+def spread(name: str, estimate: Interval | None) -> dict[str, float]:
     """Return an estimate as columns: value, standard error, ends of its interval.
 
     Args:
@@ -105,7 +124,7 @@ class MissingExtra(ImportError):
     """An optional package is not installed; the message names the extra that does it."""
 
 
-def needed(package: str, what: str, extra: str = "tables") -> Any:
+def needed(package: str, what: str, extra: str = "tables") -> ModuleType:
     """Return an optional package.
 
     Args:
@@ -125,7 +144,9 @@ def needed(package: str, what: str, extra: str = "tables") -> Any:
         raise MissingExtra(f"{what} needs {name}: pip install 'rvjax[{extra}]'") from None
 
 
-def _columns(record: Any, batch: tuple[str, ...], prefix: str = "") -> Iterator[Column]:
+def _columns(
+    record: "DataclassInstance | type[DataclassInstance]", batch: tuple[str, ...], prefix: str = ""
+) -> Iterator[Column]:
     for f in dataclasses.fields(record):
         value, about, name = getattr(record, f.name), f.metadata, prefix + f.name
         if value is None or about["kind"] in _STATIC:

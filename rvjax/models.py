@@ -31,7 +31,7 @@ class Kind:
         observed: descriptions of the models that a bench can measure, by the name of the model.
     """
 
-    conditions: Any
+    conditions: type
     outputs: Mapping[str, Output]
     described: Mapping[str, Description]
     observed: Mapping[str, Description]
@@ -50,7 +50,7 @@ class Kind:
         read = {f.name for name in outputs for f in dataclasses.fields(self.described[name].conditions)}
         return [f.name for f in dataclasses.fields(self.conditions) if f.name in read]
 
-    def compiler_options(self, outputs: Iterable[str]) -> tuple[tuple[str, Any], ...]:
+    def compiler_options(self, outputs: Iterable[str]) -> tuple[tuple[str, bool | int], ...]:
         """Of a program that computes some outputs: those of all their models."""
         return tuple(dict.fromkeys(o for name in outputs for o in self.described[name].compiler_options))
 
@@ -89,7 +89,7 @@ def kind_of(design: type) -> Kind:
 
 
 @lru_cache(maxsize=16)
-def _kind(design: Any, known: tuple[Description, ...]) -> Kind:
+def _kind(design: type, known: tuple[Description, ...]) -> Kind:
     mine = [description for description in known if issubclass(design, description.design)]
     if not mine:
         raise ValueError(f"no model takes a {design.__name__}")
@@ -103,7 +103,7 @@ def _kind(design: Any, known: tuple[Description, ...]) -> Kind:
     return Kind(_joined(mine), outputs, described, {one.name: one for one in mine if one.observations})
 
 
-def _joined(known: list[Description]) -> Any:
+def _joined(known: list[Description]) -> type:
     """One class of all conditions; a condition that two models read is declared alike by both."""
     fields: dict[str, dataclasses.Field[Any]] = {}
     for f in (f for description in known for f in dataclasses.fields(description.conditions)):

@@ -11,14 +11,14 @@ it may be turned by any number of crank spacings.
 """
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 
 from rvjax.designs import RVReducer
 from rvjax.errors import RVErrors, described
-from rvjax.records import axis_sizes
+from rvjax.records import Array, Scalar, axis_sizes
 
 AXES = {"disc": "discs", "crank": "cranks"}
 """Parts that a reducer has several of, and their axis in the arrays of errors."""
@@ -64,8 +64,8 @@ def disc_mountings(design: RVReducer, slot: int, *, made_for: int = 0) -> tuple[
 
 
 def mounted_disc(
-    design: RVReducer, errors: Mapping[str, Any], slot: int, index: Any, *, made_for: int = 0
-) -> dict[str, Any]:
+    design: RVReducer, errors: Mapping[str, Scalar], slot: int, index: int | Array, *, made_for: int = 0
+) -> dict[str, Array]:
     """Errors of a disc in a slot.
 
     Args:
@@ -95,7 +95,7 @@ def mounted_disc(
     tooth = (hand[:, None] * (np.arange(zc) - moved[:, None])) % zc
     angle = 2 * np.pi * turn / cranks
     turned = np.stack([np.cos(angle), -hand * np.sin(angle), np.sin(angle), hand * np.cos(angle)], 1).reshape(-1, 2, 2)
-    found: dict[str, Any] = {}
+    found: dict[str, Array] = {}
     record = design.error_record
     axes, vectors, mirrored = (described(record, key) for key in ("shape", "vector", "mirrored"))
     for name, value in errors.items():
@@ -113,7 +113,9 @@ def mounted_disc(
     return found
 
 
-def unit_errors(design: RVReducer, parts: Mapping[str, Mapping[str, Any]], index: Mapping[str, Any]) -> RVErrors:
+def unit_errors(
+    design: RVReducer, parts: Mapping[str, Mapping[str, Scalar]], index: Mapping[str, int | Array]
+) -> RVErrors:
     """Errors of a unit from its parts.
 
     Slots: "disc_0", "disc_1" .. (made for slot 0 where such a disc fits, else for their own), "crank_0" .., "carrier",
@@ -131,16 +133,16 @@ def unit_errors(design: RVReducer, parts: Mapping[str, Mapping[str, Any]], index
     discs, cranks = design.cycloid.disc_count, design.cranks.count
     of_crank, of_carrier = carried(design, "crank"), carried(design, "carrier")
     axes = described(design.error_record, "shape")
-    fields: dict[str, Any] = {}
-    by_disc: dict[str, dict[int, Any]] = {}
-    by_crank: dict[str, dict[int, Any]] = {}
+    fields: dict[str, Scalar] = {}
+    by_disc: dict[str, dict[int, Array]] = {}
+    by_crank: dict[str, dict[int, Array]] = {}
     for slot, errors in parts.items():
         kind, _, number = slot.rpartition("_")
         if kind == "disc" and number.isdigit():
             place = _place(slot, number, discs)
             own = mounted_disc(design, errors, place, index[slot], made_for=drawing(design, place))
-            for name, value in own.items():
-                by_disc.setdefault(name, {})[place] = value
+            for name, moved in own.items():
+                by_disc.setdefault(name, {})[place] = moved
         elif kind == "crank" and number.isdigit():
             place = _place(slot, number, cranks)
             for name, value in errors.items():
@@ -151,11 +153,11 @@ def unit_errors(design: RVReducer, parts: Mapping[str, Mapping[str, Any]], index
             for name, value in errors.items():
                 if name in fields:
                     raise ValueError(f"{slot}: {name} is in another slot already")
+                fields[name] = value
                 if slot == "carrier" and name in of_carrier:
                     places = (jnp.arange(cranks) - index[slot]) % cranks
-                    value = jnp.broadcast_to(jnp.asarray(value), of_carrier[name])
-                    value = jnp.take(value, places, axis=axes[name].index("cranks"))
-                fields[name] = value
+                    spread = jnp.broadcast_to(jnp.asarray(value), of_carrier[name])
+                    fields[name] = jnp.take(spread, places, axis=axes[name].index("cranks"))
     for groups, along in ((by_disc, "discs"), (by_crank, "cranks")):
         for name, values in groups.items():
             absent = jnp.zeros_like(next(iter(values.values())))

@@ -71,7 +71,7 @@ class Reading:
         """The output alone."""
         return self.within({}, design, errors, given)
 
-    def within(self, found: dict[Source, Any], design: Design, errors: PyTree, given: object) -> Solved:
+    def within(self, found: dict[Source, PyTree], design: Design, errors: PyTree, given: object) -> Solved:
         """The output among others of the same question.
 
         Args:
@@ -261,6 +261,6 @@ class Description:
     cases: Callable[[bool], Sequence[Cases]] | None = None
     unknown: str = ""
     observations: tuple[Observation, ...] = ()
-    compiler_options: tuple[tuple[str, Any], ...] = ()
+    compiler_options: tuple[tuple[str, bool | int], ...] = ()
     costly: bool = False
     parts: tuple[str, ...] = ()

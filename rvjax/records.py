@@ -10,7 +10,7 @@ import inspect
 import operator
 import warnings
 from collections.abc import Iterable, Mapping
-from typing import Any, Protocol, Self, TypeVar, dataclass_transform
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self, TypeVar, dataclass_transform
 
 import jax
 import jax.numpy as jnp
@@ -20,11 +20,16 @@ from rvjax import frames
 from rvjax.choices import unknown
 from rvjax.repr import brief
 
+if TYPE_CHECKING:
+    from rvjax.frames import DataFrame, Dataset
+
 Array = jax.Array
 Scalar = float | Array | np.ndarray  # one number; under `jax.vmap` and in a stack of records one for each case
 PyTree = Any  # numbers nested in a way that types cannot express
 Class = TypeVar("Class", bound=type)
 Shape = tuple[str | int, ...]
+Metadata = Mapping[str, Any]  # of a field: unit, meaning, shape, sign, kind ..
+Field = dataclasses.Field[Any]
 IN_ERROR_UNIT = "error"  # unit of a field that is measured like the error that it belongs to
 
 
@@ -36,10 +41,10 @@ class Design(Protocol):
         """Sizes of the named axes in the shapes of its errors."""
 
     @property
-    def error_record(self) -> Any:
+    def error_record(self) -> type:
         """Class of the record of its manufacturing errors."""
 
-    def replace(self, **changes: Any) -> Self:
+    def replace(self, **changes: object) -> Self:
         """A copy with some fields changed."""
 
 
@@ -97,15 +102,17 @@ def text(meaning: str, *, default: object = dataclasses.MISSING) -> Any:
 class Record:
     """Base of all records; `@record` does the work."""
 
-    def replace(self, **changes: Any) -> Self:
+    __dataclass_fields__: ClassVar[dict[str, Field]]  # `@record` makes it a dataclass
+
+    def replace(self, **changes: object) -> Self:
         """Return a copy with some fields changed, checked like a new record."""
-        known = {f.name for f in dataclasses.fields(self)}  # type: ignore[arg-type]
+        known = {f.name for f in dataclasses.fields(self)}
         for name in changes:
             if name not in known:
                 raise unknown(f"{type(self).__name__} has no field {name!r}", name, sorted(known), "; it has")
-        return dataclasses.replace(self, **changes)  # type: ignore[type-var]
+        return dataclasses.replace(self, **changes)
 
-    def to_pandas(self, batch: tuple[str, ...] = (), *, along: str | None = None) -> Any:
+    def to_pandas(self, batch: tuple[str, ...] = (), *, along: str | None = None) -> "DataFrame":
         """A `pandas.DataFrame`, SI: one row for each unit, one column for each number; units in `attrs["units"]`.
 
         Args:
@@ -118,7 +125,7 @@ class Record:
         """
         return frames.frame(self, batch, along)
 
-    def to_xarray(self, batch: tuple[str, ...] = ()) -> Any:
+    def to_xarray(self, batch: tuple[str, ...] = ()) -> "Dataset":
         """An `xarray.Dataset`, SI: axes such as unit, angle, disc, crank, pin; unit and meaning in the attributes.
 
         Args:
@@ -134,7 +141,7 @@ class Record:
         return brief(self)
 
     def __post_init__(self) -> None:
-        for f in dataclasses.fields(self):  # type: ignore[arg-type]
+        for f in dataclasses.fields(self):
             object.__setattr__(self, f.name, _checked(type(self).__name__, f, getattr(self, f.name)))
         _check_axes(self)
         self._check()
@@ -156,14 +163,14 @@ def record(cls: Class) -> Class:
     if fields:
         made.__doc__ = f"{inspect.cleandoc(cls.__doc__ or '')}\n\n{_field_table(fields)}"
 
-    def flatten(item: object) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
+    def flatten(item: object) -> tuple[tuple[PyTree, ...], tuple[object, ...]]:
         return tuple(getattr(item, n) for n in traced), tuple(getattr(item, n) for n in static)
 
-    def flatten_with_keys(item: object) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
+    def flatten_with_keys(item: object) -> tuple[tuple[PyTree, ...], tuple[object, ...]]:
         children, aux = flatten(item)
         return tuple((jax.tree_util.GetAttrKey(n), c) for n, c in zip(traced, children)), aux
 
-    def unflatten(aux: tuple[Any, ...], children: Iterable[Any]) -> Any:
+    def unflatten(aux: tuple[object, ...], children: Iterable[PyTree]) -> Record:
         item = object.__new__(made)  # no checks: jax.tree rebuilds records from tracers and stacks
         for name, value in (*zip(traced, children), *zip(static, aux)):
             object.__setattr__(item, name, value)
@@ -179,7 +186,7 @@ def signs_hold(item: Record) -> jax.Array:
     A constructor checks concrete numbers only; this function checks traced ones. NaN passes, as there.
     """
     sound = jnp.asarray(True)
-    for f in dataclasses.fields(item):  # type: ignore[arg-type]
+    for f in dataclasses.fields(item):
         value, sign = getattr(item, f.name), f.metadata.get("sign", "any")
         if isinstance(value, Record):
             sound &= signs_hold(value)
@@ -195,12 +202,12 @@ def is_concrete(value: object) -> bool:
     )
 
 
-def concrete(*values: Any) -> bool:
+def concrete(*values: object) -> bool:
     """Return true if every value is a concrete number, so that a constructor may check it."""
     return all(is_concrete(v) for v in values)
 
 
-def quantity(value: Any, unit: str) -> str:
+def quantity(value: Scalar, unit: str) -> str:
     """Return a value with its unit, for messages.
 
     Args:
@@ -211,7 +218,7 @@ def quantity(value: Any, unit: str) -> str:
     return number if unit in ("-", IN_ERROR_UNIT) else f"{number} {unit}"
 
 
-def promote(*trees: Any) -> Any:
+def promote(*trees: PyTree) -> PyTree:
     """Bring every number in `trees` to their common floating dtype.
 
     Python floats are weak: they take the dtype of the other arrays, or the default
@@ -257,7 +264,7 @@ def remind_of_precision() -> None:
     )
 
 
-def broadcast_fields(cls: Any, counts: Mapping[str, int], values: Mapping[str, Any]) -> dict[str, Any]:
+def broadcast_fields(cls: type[Record], counts: Mapping[str, int], values: Mapping[str, PyTree]) -> dict[str, PyTree]:
     """Fill every traced field of a record to its full shape: scalars are broadcast, absent fields take the default.
 
     Args:
@@ -300,7 +307,7 @@ def _shape_text(shape: Shape) -> str:
     return "(" + ", ".join(map(str, shape)) + ("," if len(shape) == 1 else "") + ")"
 
 
-def _field_table(fields: tuple[dataclasses.Field[Any], ...]) -> str:
+def _field_table(fields: tuple[Field, ...]) -> str:
     rows = [(f.name, f.metadata["unit"], _shape_text(f.metadata.get("shape", ()))) for f in fields]
     widths = [max(map(len, column)) for column in zip(*rows)]
     cells = [[cell.ljust(width) for cell, width in zip(row, widths)] for row in rows]
@@ -308,7 +315,7 @@ def _field_table(fields: tuple[dataclasses.Field[Any], ...]) -> str:
     return "Fields (name, unit, shape, meaning)::\n\n" + "\n".join("    " + line for line in lines)
 
 
-def _number(owner: str, f: dataclasses.Field[Any], value: object) -> Any:
+def _number(owner: str, f: Field, value: object) -> PyTree:
     """Python numbers become floats (NumPy scalars would promote float32 programs), sequences arrays."""
     if isinstance(value, (bool, str, bytes)):
         raise ValueError(f"{owner}.{f.name} = {value!r}: must be a number in {f.metadata['unit']}")
@@ -329,7 +336,7 @@ def _number(owner: str, f: dataclasses.Field[Any], value: object) -> Any:
     return value
 
 
-def _checked(owner: str, f: dataclasses.Field[Any], value: Any) -> Any:
+def _checked(owner: str, f: Field, value: PyTree) -> PyTree:
     kind = f.metadata["kind"]
     if kind == "count":
         try:
@@ -347,14 +354,14 @@ def _checked(owner: str, f: dataclasses.Field[Any], value: Any) -> Any:
     return value
 
 
-def _check_sign(owner: str, f: dataclasses.Field[Any], value: object) -> None:
+def _check_sign(owner: str, f: Field, value: Scalar) -> None:
     sign, values = f.metadata["sign"], np.asarray(value)
     if sign != "any" and np.any(values <= 0 if sign == "positive" else values < 0):  # NaN passes: a status names it
         rule = "positive" if sign == "positive" else "zero or positive"
         raise ValueError(f"{owner}.{f.name} = {quantity(value, f.metadata['unit'])}: must be {rule}")
 
 
-def _check_axes(item: Any) -> None:
+def _check_axes(item: Record) -> None:
     """Ranks, literal axes, and one size for each named axis across the record's fields."""
     sizes: dict[str, tuple[int, str]] = {}
     owner = type(item).__name__

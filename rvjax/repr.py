@@ -1,17 +1,20 @@
 """Records in one short line: numbers in the unit that suits them, arrays by shape and range, tracers as they are."""
 
 import dataclasses
-from typing import Any
+from typing import TYPE_CHECKING
 
 import jax
 import numpy as np
 
 from rvjax.units import KNOWN, suited
 
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
 _LONGEST = 60  # characters of a text or a tuple, beyond which its middle is left out
 
 
-def brief(record: Any) -> str:
+def brief(record: "DataclassInstance") -> str:
     """`Name(field=value unit, ...)` of a record; what is None, or the plain number that is its default, is left out.
 
     Args:
@@ -25,7 +28,7 @@ def brief(record: Any) -> str:
     return f"{type(record).__name__}({', '.join(fields)})"
 
 
-def value_text(value: Any, unit: str) -> str:
+def value_text(value: object, unit: str) -> str:
     """A number with its unit, an array as its shape and range; anything else as Python writes it.
 
     Args:
@@ -34,8 +37,9 @@ def value_text(value: Any, unit: str) -> str:
     """
     array = numbers_of(value)
     if array is None:
-        gone = isinstance(value, jax.Array) and not isinstance(value, jax.core.Tracer) and value.is_deleted()
-        text = f"deleted {value.shape}" if gone else repr(value)
+        text = repr(value)
+        if isinstance(value, jax.Array) and not isinstance(value, jax.core.Tracer) and value.is_deleted():
+            text = f"deleted {value.shape}"
         return text if len(text) <= _LONGEST or dataclasses.is_dataclass(value) else f"{text[:40]}...{text[-15:]}"
     if array.size == 0:
         return f"{array.shape} empty"

@@ -14,7 +14,6 @@ derivative zero, and leaves its neighbours as they are.
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -26,7 +25,7 @@ from rvjax.status import SolveInfo, Status, succeeded
 
 __all__ = ["Root", "bracketed"]
 
-Residual = Callable[[Any, Any], jax.Array]
+Residual = Callable[[Array, PyTree], jax.Array]
 
 _RUNNING = -1  # not a Status: the loop continues
 
@@ -39,7 +38,9 @@ class Root(Record):
     info: SolveInfo = field("-", "residual is |residual(value)|", kind="record")
 
 
-def bisect(above: Callable[[Any], Any], low: Any, high: Any, *, steps: int) -> tuple[Any, Any]:
+def bisect(
+    above: Callable[[np.ndarray], bool | np.ndarray], low: float | np.ndarray, high: float | np.ndarray, *, steps: int
+) -> tuple[np.ndarray, np.ndarray]:
     """Halve intervals on the host; each keeps the half in which `above` changes from true to false.
 
     Args:
@@ -48,6 +49,7 @@ def bisect(above: Callable[[Any], Any], low: Any, high: Any, *, steps: int) -> t
         high: upper ends.
         steps: halvings.
     """
+    low, high = np.asarray(low), np.asarray(high)
     for _ in range(steps):
         middle = (low + high) / 2
         beyond = above(middle)

@@ -82,7 +82,7 @@ def opening(
         raise ValueError("tolerances: none of the parts' errors has one")
     tried: dict[float, tuple[float, float]] = {}
 
-    def kept(power: Any) -> bool:
+    def kept(power: float | np.ndarray) -> bool:
         """Return whether plans keep the yield at this power of two as factor."""
         factor = 2.0 ** float(power)
         found = [_yields(response, kinds, stocks, requirement, factor, number, seed) for number in range(sets)]
@@ -94,9 +94,9 @@ def opening(
     if kept(best):
         while 2**worst <= WIDEST and kept(worst):
             best, worst = worst, worst + 1
-        best, _ = bisect(kept, best, worst, steps=STEPS if 2**worst <= WIDEST else 0)
+        best = float(bisect(kept, best, worst, steps=STEPS if 2**worst <= WIDEST else 0)[0])
     curve = np.array([(k, *tried[k]) for k in sorted(tried)])
-    return Opening(2.0 ** float(best), curve, tried[1.0][1])
+    return Opening(2.0**best, curve, tried[1.0][1])
 
 
 class _Virtual:

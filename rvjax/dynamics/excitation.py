@@ -9,7 +9,7 @@ import numpy as np
 
 from rvjax.choices import choose
 from rvjax.dynamics.assembly import Lumped, circle
-from rvjax.records import Array, PyTree
+from rvjax.records import PyTree, Scalar
 
 
 class Stage(NamedTuple):
@@ -56,7 +56,7 @@ def mesh_teeth(lumped: Lumped, stage: str) -> int:
     return _STAGES[stage].teeth(lumped)
 
 
-def mesh_frequency(lumped: Lumped, sun_speed: Array, stage: str) -> PyTree:
+def mesh_frequency(lumped: Lumped, sun_speed: Scalar, stage: str) -> PyTree:
     """Angular mesh frequency with the sign of the speed, rad/s: pin ring fixed, carrier out, sun at `sun_speed`."""
     return sun_speed * _STAGES[stage].frequency(lumped, lumped.ratio)
 

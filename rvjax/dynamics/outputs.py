@@ -1,8 +1,7 @@
 """Outputs of the dynamic model for studies."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -22,21 +21,21 @@ from rvjax.dynamics.symmetry import KINDS
 from rvjax.elementary import root
 from rvjax.errors import RVErrors
 from rvjax.outputs import Cases, Description, Output, Solved, Way, condition
-from rvjax.records import Scalar
+from rvjax.records import Array, PyTree, Scalar
 from rvjax.units import rpm
 
 ROTATION = "output.rotation"
-Evaluate = Callable[[RVReducer, Any, Any], Solved]
+Evaluate = Callable[[RVReducer, RVErrors, "Conditions"], Solved]
 
 
 @dataclass(frozen=True)
 class Conditions:
-    """Speeds and load of a vibrating RV reducer."""
+    """Speeds and load of a vibrating RV reducer; a speed is None only where no output needs it."""
 
     output_torque: float = condition(0.0, "torque of the discs on the carrier", unit="N m", torque=True)
-    sun_speed: float | None = condition(None, "speed of the vibration", unit="rad/s")
-    slowest_sun_speed: float | None = condition(None, "lower end of the range of speeds", unit="rad/s")
-    fastest_sun_speed: float | None = condition(None, "upper end of the range of speeds", unit="rad/s")
+    sun_speed: float = condition(None, "speed of the vibration", unit="rad/s")
+    slowest_sun_speed: float = condition(None, "lower end of the range of speeds", unit="rad/s")
+    fastest_sun_speed: float = condition(None, "upper end of the range of speeds", unit="rad/s")
     speeds: int = condition(
         40, "of the range of excitation, in addition to the resonances within it", minimum=2, maximum=10_000
     )
@@ -49,7 +48,7 @@ class Conditions:
     method: str = condition("first_order", "of the vibration", choices=METHODS)
 
 
-def _vibration(design: RVReducer, errors: RVErrors, given: Any) -> Solved:
+def _vibration(design: RVReducer, errors: RVErrors, given: Conditions) -> Solved:
     """Root mean square of the output's rotation about its mean; the load on the output is the carrier's reversed."""
     found = response(
         _with_load(lump(errors.stiffened(design)), given),
@@ -64,7 +63,7 @@ def _vibration(design: RVReducer, errors: RVErrors, given: Any) -> Solved:
     return root(square), found.info.status
 
 
-def _resonance_margin(design: RVReducer, errors: RVErrors, given: Any) -> Solved:
+def _resonance_margin(design: RVReducer, errors: RVErrors, given: Conditions) -> Solved:
     """Least distance of the mesh frequency from the torsional modes, over the mode; < 0: a mode is within the range."""
     lumped = _with_load(lump(errors.stiffened(design)), given)
     found = modes(lumped)
@@ -79,16 +78,18 @@ def _resonance_margin(design: RVReducer, errors: RVErrors, given: Any) -> Solved
     return jnp.where(jnp.isfinite(found.frequency[0]), margin, jnp.nan), found.info.status
 
 
-def _with_load(lumped: Lumped, given: Any) -> Lumped:
+def _with_load(lumped: Lumped, given: Conditions) -> Lumped:
     return lumped if given.load_inertia is None else loaded(lumped, given.load_inertia)
 
 
 def _at_worst(at_speed: Callable[[DynamicError], Scalar], over_range: Callable[[SpeedRange], Scalar]) -> Evaluate:
     """Vibration that errors excite at `sun_speed`, or at the worst of the range of speeds where one is given."""
 
-    def evaluate(design: RVReducer, errors: RVErrors, given: Any) -> Solved:
-        options = dict(load_inertia=given.load_inertia, pin_harmonics=given.pin_harmonics)
-        ends = dict(slowest_sun_speed=given.slowest_sun_speed, fastest_sun_speed=given.fastest_sun_speed)
+    def evaluate(design: RVReducer, errors: RVErrors, given: Conditions) -> Solved:
+        options: dict[str, PyTree] = dict(load_inertia=given.load_inertia, pin_harmonics=given.pin_harmonics)
+        ends: dict[str, PyTree] = dict(
+            slowest_sun_speed=given.slowest_sun_speed, fastest_sun_speed=given.fastest_sun_speed
+        )
         missing = [name for name, end in ends.items() if end is None]
         stiffened = errors.stiffened(design)
         if not missing:
@@ -110,7 +111,7 @@ def _acceleration(found: DynamicError) -> jax.Array:
     return root(square)
 
 
-def _standing(design: RVReducer, errors: RVErrors, given: Any) -> Solved:
+def _standing(design: RVReducer, errors: RVErrors, given: Conditions) -> Solved:
     found = transmission_error(errors.stiffened(design), errors, sun_speed=0.0, pin_harmonics=given.pin_harmonics)
     return found.peak_to_peak[0], found.info.status
 
@@ -119,11 +120,14 @@ POINTS = 64  # of the compared vibration in a mesh period
 SWING, SPEEDS = 0.3, (200 * rpm, 4000 * rpm)
 
 
-def _over_a_period(settings: Any, design: Any, errors: RVErrors, extra: Any) -> Any:
+def _over_a_period(
+    settings: Mapping[str, PyTree], design: RVReducer, errors: RVErrors | None, extra: tuple[Array, Array, Array]
+) -> tuple[dict[str, Array], Array]:
     """Rotation of the output wheel about its mean over one mesh period."""
     swing, speed, torque = extra
+    assert design.mesh_variation is not None
     design = design.replace(mesh_variation=design.mesh_variation.replace(planetary_swing=swing))
-    asked = dict(sun_speed=speed, output_torque=torque, outputs=(ROTATION,))
+    asked: dict[str, PyTree] = dict(sun_speed=speed, output_torque=torque, outputs=(ROTATION,))
     if settings["method"] == "periodic":
         exact = periodic(design, samples=POINTS, **asked)
         curve, status = exact.deflection[:, 0], exact.info.status
@@ -145,7 +149,7 @@ def _cases(quick: bool) -> Sequence[Cases]:
         for h in orders[: 2 if method == "first_order" else 3]
     ]
 
-    def extra(rng: Any, cases: int, size: float) -> Any:
+    def extra(rng: np.random.Generator, cases: int, size: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         return size * SWING * np.ones(cases), rng.uniform(*SPEEDS, cases), rng.uniform(-3136.0, -313.6, cases)
 
     return [

@@ -1,6 +1,6 @@
 """Bench observations of the four-bar model: orders of the transmission error along a turn of the output."""
 
-from typing import Any
+from typing import Protocol
 
 import jax
 import jax.numpy as jnp
@@ -9,17 +9,32 @@ from rvjax.designs import RVReducer
 from rvjax.errors import RVErrors
 from rvjax.four_bar.revolution import revolution
 from rvjax.outputs import Observation, Spectrum
-from rvjax.records import Array
+from rvjax.records import Array, PyTree, Scalar
+
+
+class Ways(Protocol):
+    """Conditions that select how a turn of the cranks is computed."""
+
+    @property
+    def angles(self) -> int: ...
+    @property
+    def cranks(self) -> str: ...
+    @property
+    def gear_stiffness_ratio(self) -> float | None: ...
+    @property
+    def closure(self) -> str | None: ...
 
 
 def _spectrum(
-    design: RVReducer, errors: RVErrors, given: Any, torques: Array | None, orders: tuple[int, ...], alike: bool
+    design: RVReducer, errors: RVErrors, given: Ways, torques: Array | None, orders: tuple[int, ...], alike: bool
 ) -> Spectrum:
     """Every turn of the cranks is like the next, so that only multiples of the pin count are not zero."""
     pins = design.cycloid.pin_count
 
-    def turn(torque: Any) -> Array:
-        ways = dict(cranks=given.cranks, gear_stiffness_ratio=given.gear_stiffness_ratio, closure=given.closure)
+    def turn(torque: Scalar) -> Array:
+        ways: dict[str, PyTree] = dict(
+            cranks=given.cranks, gear_stiffness_ratio=given.gear_stiffness_ratio, closure=given.closure
+        )
         return revolution(design, errors, output_torque=torque, angles=given.angles, **ways).harmonics
 
     waves = turn(0.0)[None] if torques is None else jax.vmap(turn)(torques)

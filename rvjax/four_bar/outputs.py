@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from rvjax.catalogue import RV_40E
 from rvjax.designs import RVReducer
@@ -11,6 +10,7 @@ from rvjax.four_bar.linkage import ALLOWED
 from rvjax.four_bar.observation import CURVE
 from rvjax.four_bar.revolution import figures, revolution
 from rvjax.outputs import Cases, Curve, Description, Output, Solved, Way, condition
+from rvjax.records import Array, PyTree
 from rvjax.units import arcmin, um
 
 CLOSURES = tuple(dict.fromkeys(closure for allowed in ALLOWED.values() for closure in allowed))
@@ -28,7 +28,7 @@ class Conditions:
     closure: str | None = condition(None, "of the crank linkages; the exact one by default", choices=CLOSURES)
 
 
-def _turn(given: Conditions, *, loaded: bool = True) -> dict[str, Any]:
+def _turn(given: Conditions, *, loaded: bool = True) -> dict[str, PyTree]:
     torque = given.output_torque if loaded else 0.0
     ways = dict(cranks=given.cranks, gear_stiffness_ratio=given.gear_stiffness_ratio, closure=given.closure)
     return dict(ways, angles=given.angles, output_torque=torque)
@@ -44,7 +44,7 @@ def _misfit(design: RVReducer, errors: RVErrors, given: Conditions) -> Solved:
     return found.largest_misfit, found.info.status
 
 
-def _curve(design: RVReducer, errors: RVErrors, given: Conditions) -> tuple[Any, Any]:
+def _curve(design: RVReducer, errors: RVErrors, given: Conditions) -> tuple[Array, Array]:
     loaded = design.cranks.bearing_stiffness is not None  # a study of the misfit alone needs none
     found = revolution(design, errors, **_turn(given, loaded=loaded))
     return found.crank_angle, found.error

@@ -2,7 +2,6 @@
 
 import dataclasses
 from collections.abc import Iterable
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -181,7 +180,7 @@ def _separate(problem: Problem, y: np.ndarray, points: np.ndarray, max_steps: in
     return Units(z @ mixing.T, u_sd, residual, rows, several, info.status, info.steps, info.residual)
 
 
-def _figures(problem: Problem, split: Split, y: np.ndarray, units: Units, deviate: float) -> dict[str, Any]:
+def _figures(problem: Problem, split: Split, y: np.ndarray, units: Units, deviate: float) -> dict[str, PyTree]:
     """Compute all results of some units of a batch."""
     elements, seen, good = problem.elements, ~np.isnan(y), units.status == Status.CONVERGED
     u = np.where(good[:, None], units.u, 0.0)

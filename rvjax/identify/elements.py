@@ -163,12 +163,12 @@ class Elements:
                 raise ValueError(f"{argument}.{name}: must be numbers of shape {tolerance.shape}, in SI") from None
         return np.concatenate(parts)
 
-    def beside(self, argument: str, other: PyTree) -> dict[str, Any]:
+    def beside(self, argument: str, other: PyTree) -> dict[str, PyTree]:
         """Leaves of `other`, a structure like the prior, by active field."""
         leaves = self._beside(argument, other)
         return {name: leaves[name] for name in self.population.active}
 
-    def _beside(self, argument: str, other: PyTree) -> dict[str, Any]:
+    def _beside(self, argument: str, other: PyTree) -> dict[str, PyTree]:
         _, treedef = self.population._flat
         try:
             leaves = treedef.flatten_up_to(other)

@@ -89,7 +89,7 @@ class Problem:
 
 
 @lru_cache(PROGRAMS)
-def _layouts(model: Model) -> dict[Any, Layout]:
+def _layouts(model: Model) -> dict[object, Layout]:
     """Layouts of a model's observation by structure of its prior; a model is traced once for each."""
     return {}
 
@@ -109,7 +109,10 @@ def residuals(model: Model, given: Given, y: jax.Array, u: jax.Array) -> tuple[j
     return found - y, (observation, jnp.linalg.norm(jnp.abs(found) + jnp.abs(y)))
 
 
-def slopes(function: Callable[[jax.Array], Any], u: jax.Array, size: int) -> tuple[jax.Array, jax.Array, Any]:
+Residual = Callable[[jax.Array], tuple[jax.Array, PyTree]]  # value, and what else it gives
+
+
+def slopes(function: Residual, u: jax.Array, size: int) -> tuple[jax.Array, jax.Array, PyTree]:
     """Value (m,), Jacobian (m, p) and what else a function gives, by the cheaper of forward and reverse mode.
 
     A tangent costs about half of a cotangent. If a model supports only one of the two, that one is used.
@@ -121,13 +124,13 @@ def slopes(function: Callable[[jax.Array], Any], u: jax.Array, size: int) -> tup
         return ways[1](function, u)
 
 
-def _forward(function: Callable[[jax.Array], Any], u: jax.Array) -> tuple[jax.Array, jax.Array, Any]:
+def _forward(function: Residual, u: jax.Array) -> tuple[jax.Array, jax.Array, PyTree]:
     push: Callable[[jax.Array], Any] = lambda tangent: jax.jvp(function, (u,), (tangent,), has_aux=True)  # noqa: E731
     value, jacobian, aux = jax.vmap(push, out_axes=(None, -1, None))(jnp.eye(u.shape[0], dtype=u.dtype))
     return value, jacobian, aux
 
 
-def _reverse(function: Callable[[jax.Array], Any], u: jax.Array) -> tuple[jax.Array, jax.Array, Any]:
+def _reverse(function: Residual, u: jax.Array) -> tuple[jax.Array, jax.Array, PyTree]:
     value, pull, aux = jax.vjp(function, u, has_aux=True)
     return value, jax.vmap(lambda cotangent: pull(cotangent)[0])(jnp.eye(value.shape[0], dtype=value.dtype)), aux
 

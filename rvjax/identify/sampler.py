@@ -19,7 +19,7 @@ from rvjax import frames
 from rvjax.identify.elements import mapped_values
 from rvjax.identify.gauss_newton import half_square, mixed
 from rvjax.identify.posterior import Posterior
-from rvjax.identify.problem import Given, Model, counted, residuals
+from rvjax.identify.problem import Given, Model, Residual, counted, residuals
 from rvjax.identify.search import FAINT
 from rvjax.population import root_key
 from rvjax.records import PyTree
@@ -136,7 +136,7 @@ def run(
     """v (chains, draws, n) and which of them diverged (chains, draws)."""
     import blackjax
 
-    def apart(z: jax.Array) -> tuple[jax.Array, Any]:
+    def apart(z: jax.Array) -> tuple[jax.Array, PyTree]:
         return residuals(model, given, y, mixed(given.mixing, z))
 
     density = _density(apart, given.dof, centre.shape[0])
@@ -150,7 +150,7 @@ def run(
         (state, parameters), _ = adaptation.run(adapting, start, num_steps=warmup)
         step = blackjax.nuts(logarithm, **parameters).step
 
-        def advance(state: PyTree, key: jax.Array) -> tuple[Any, tuple[jax.Array, jax.Array]]:
+        def advance(state: PyTree, key: jax.Array) -> tuple[PyTree, tuple[jax.Array, jax.Array]]:
             state, info = step(key, state)
             return state, (state.position, info.is_divergent)
 
@@ -160,7 +160,7 @@ def run(
     return jax.vmap(chain)(keys, starts)
 
 
-def _density(apart: Any, dof: jax.Array | None, size: int) -> Any:
+def _density(apart: Residual, dof: jax.Array | None, size: int) -> Callable[[jax.Array], jax.Array]:
     """Logarithm of the posterior's density over z, differentiable also where the model supports only tangents."""
 
     def phi(residual: jax.Array) -> jax.Array:

@@ -10,7 +10,7 @@ import numpy as np
 
 from rvjax.levels.table import Model, Table, stored
 from rvjax.population import Tolerance
-from rvjax.records import Design, PyTree, is_concrete
+from rvjax.records import Design, PyTree, Record, Scalar, is_concrete
 from rvjax.units import readable
 
 
@@ -141,7 +141,7 @@ def as_given(design: Design, outputs: Sequence[str], conditions: object, *, tole
     return found
 
 
-def _no_fewer(value: Any, asked: Any) -> Any:
+def _no_fewer(value: PyTree, asked: PyTree) -> PyTree:
     """A count of the exact level, or that of the conditions where it is larger: more angles are never less exact."""
     counts = isinstance(value, int) and isinstance(asked, int) and not isinstance(value, bool)
     return max(value, asked) if counts else value
@@ -165,7 +165,7 @@ def _known(models: Iterable[Model], output: str, conditions: object) -> list[Mod
     ]
 
 
-def _model(known: Sequence[Model], design: object, conditions: Any, tolerances: Any) -> tuple[Model, str]:
+def _model(known: Sequence[Model], design: PyTree, conditions: PyTree, tolerances: PyTree) -> tuple[Model, str]:
     """The model that fits the conditions and, of these, the errors; and why its measurements do not hold."""
     numbers = design_numbers(design)
     given = {*reach(tolerances), *numbers}
@@ -182,9 +182,9 @@ def _model(known: Sequence[Model], design: object, conditions: Any, tolerances: 
         value = numbers.get(name, math.nan)
         if not abs(value - model.design[name]) <= model.spread * abs(model.design[name]) * (1 + 1e-9):  # also NaN
             return model, f"{name} = {value:.4g}"
-    for name, value in _overridden(design).items():
+    for name, own in _overridden(design).items():
         if name not in model.design:  # it was measured as derived
-            return model, f"{name} = {value}"
+            return model, f"{name} = {own}"
     if model.torque is not None:
         torque = next(getattr(conditions, f.name) for f in dataclasses.fields(conditions) if f.metadata["torque"])
         if not (is_concrete(torque) and model.torque[0] <= torque <= model.torque[1]):
@@ -192,12 +192,12 @@ def _model(known: Sequence[Model], design: object, conditions: Any, tolerances: 
     return model, ""
 
 
-def _overridden(design: Any, prefix: str = "") -> dict[str, Any]:
+def _overridden(design: PyTree, prefix: str = "") -> dict[str, Scalar]:
     """Numbers by path that differ beyond rounding from what the design would derive for them (`derived_NAME`)."""
-    found: dict[str, Any] = {}
+    found: dict[str, Scalar] = {}
     for f in dataclasses.fields(design):
         value, derived = getattr(design, f.name), getattr(design, f"derived_{f.name}", None)
-        if dataclasses.is_dataclass(value):
+        if isinstance(value, Record):
             found |= _overridden(value, f"{prefix}{f.name}.")
         elif value is None or derived is None:
             continue
@@ -233,12 +233,12 @@ def reach(tolerances: PyTree) -> dict[str, float]:
     return found
 
 
-def design_numbers(design: Any, prefix: str = "") -> dict[str, float]:
+def design_numbers(design: PyTree, prefix: str = "") -> dict[str, float]:
     """Every number of a design by path, counts included; an array is not a design that was measured: NaN."""
     found: dict[str, float] = {}
     for f in dataclasses.fields(design):
         value = getattr(design, f.name)
-        if dataclasses.is_dataclass(value):
+        if isinstance(value, Record):
             found |= design_numbers(value, f"{prefix}{f.name}.")
         elif value is not None:
             single = is_concrete(value) and np.ndim(value) == 0

@@ -15,12 +15,13 @@ from rvjax.levels.choice import design_numbers, reach
 from rvjax.levels.table import Level, Model, Table
 from rvjax.levels.timing import alternate, compiled, machine
 from rvjax.outputs import Cases, Reading, Way
-from rvjax.records import Design, PyTree
+from rvjax.records import Array, Design, PyTree
 from rvjax.status import succeeded, worst
 from rvjax.tolerances import Tolerance, for_design, sample
 
 SPREAD = 0.05  # of every number of the design
-Program = Callable[..., Any]
+Program = Callable[..., PyTree]
+Rows = list[list[float]]
 
 
 def measure(*, quick: bool = False, seed: int = 0, say: Callable[[str], None] = lambda _: None) -> Table:
@@ -44,7 +45,7 @@ def measured(*, quick: bool = False) -> list[Cases]:
     return [cases for d in models.descriptions() if d.cases for cases in d.cases(quick)]
 
 
-def limits(errors: Mapping[str, Any], design: Design) -> Any:
+def limits(errors: Mapping[str, tuple[float, float] | Mapping[str, PyTree]], design: Design) -> PyTree:
     """Tolerances from the limits of described cases.
 
     Args:
@@ -55,7 +56,7 @@ def limits(errors: Mapping[str, Any], design: Design) -> Any:
     return for_design(design, **made)
 
 
-def draw(cases: Cases, call: int, size: float, seed: int) -> tuple[Any, Any, Any]:
+def draw(cases: Cases, call: int, size: float, seed: int) -> tuple[PyTree, PyTree, PyTree]:
     """Designs, errors and the rest of a batch of cases, float64, the same at every error size but for the scale."""
     rng = np.random.default_rng([seed, call])
     design = jax.tree.map(lambda x: x * (1 + rng.uniform(-SPREAD, SPREAD, cases.batch)), cases.design)
@@ -73,12 +74,12 @@ def draw(cases: Cases, call: int, size: float, seed: int) -> tuple[Any, Any, Any
 
 def evaluate(
     cases: Cases,
-    settings: Mapping[str, Any],
+    settings: Mapping[str, object],
     design: Design,
     errors: PyTree,
     extra: object,
     instead: Mapping[str, str] | None = None,
-) -> Any:
+) -> tuple[dict[str, Array], Array]:
     """Values of all outputs of one case and their worst status, under the conditions of the cases and a level.
 
     Args:
@@ -174,11 +175,11 @@ def measure_model(cases: Cases, *, seed: int, seconds: float = 0.3) -> Model:
     )
 
 
-def _cast(tree: PyTree, precision: str) -> Any:
+def _cast(tree: PyTree, precision: str) -> PyTree:
     return jax.tree.map(lambda x: jnp.asarray(x, precision), tree)
 
 
-def _read(cases: Cases, programs: Sequence[Program], case: Any) -> dict[str, float]:
+def _read(cases: Cases, programs: Sequence[Program], case: PyTree) -> dict[str, float]:
     """Numbers of the design that matter: those whose change changes an output of some level, and all counts."""
     design, *rest = case
     leaves, tree = jax.tree_util.tree_flatten_with_path(design)
@@ -195,7 +196,9 @@ def _read(cases: Cases, programs: Sequence[Program], case: Any) -> dict[str, flo
     return {name: value for name, value in design_numbers(cases.design).items() if name not in unread}
 
 
-def _compiled(cases: Cases, way: Way, given: Sequence[Any], own_design: bool = True) -> tuple[Any, dict[str, float]]:
+def _compiled(
+    cases: Cases, way: Way, given: Sequence[PyTree], own_design: bool = True
+) -> tuple[Program, dict[str, float]]:
     """A level for a batch whose cases have a design of their own or one for all, compiled as studies do."""
     asked = [(way.instead or {}).get(name, name) for name in cases.outputs] if cases.evaluate is None else []
     one = lambda d, e, extra: evaluate(cases, way.settings, d, e, extra, way.instead)  # noqa: E731
@@ -205,7 +208,7 @@ def _compiled(cases: Cases, way: Way, given: Sequence[Any], own_design: bool = T
 
 def _errors(
     cases: Cases, programs: Sequence[Program], precisions: Sequence[str], reference: int, seed: int
-) -> tuple[dict[str, Any], dict[str, list[float]], tuple[int, int]]:
+) -> tuple[dict[str, tuple[Rows, Rows]], dict[str, list[float]], tuple[int, int]]:
     """{output: (largest, rms), each (levels, sizes)}, rms of the reference, cases without reference."""
     shape = (len(programs), len(cases.sizes))
     largest = {o: np.zeros(shape) for o in cases.outputs}

@@ -11,10 +11,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
+from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
+
+from rvjax.records import PyTree
 
 SAFETY = 2.0  # times the largest error that was measured
 
@@ -178,12 +181,12 @@ class Table:
         """Write as JSON."""
         Path(path).write_text(json.dumps(self.as_json(), indent=1, allow_nan=False) + "\n", "utf-8")
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> dict[str, object]:
         """As JSON values; an error without bound is null."""
         return _plain(dataclasses.asdict(self))
 
     @classmethod
-    def load(cls, path: Any) -> Self:
+    def load(cls, path: str | Path | Traversable) -> Self:
         """Read what `save` wrote."""
         data = json.loads(path.read_text("utf-8") if hasattr(path, "read_text") else Path(path).read_text("utf-8"))
         models = {}
@@ -204,7 +207,7 @@ def stored() -> Table:
     return Table.load(resources.files("rvjax.levels") / "table.json")
 
 
-def _plain(value: object) -> Any:
+def _plain(value: PyTree) -> PyTree:
     """Replace infinity, which JSON lacks: a level that fails has null for its error."""
     if isinstance(value, dict):
         return {key: _plain(item) for key, item in value.items()}

@@ -10,10 +10,11 @@ from typing import Any
 import jax
 
 from rvjax.compile_cache import Options, understood
+from rvjax.records import PyTree
 
 
 def alternate(
-    candidates: Mapping[str, Callable[[], Any]], *, seconds: float = 2.0, rounds: int = 25
+    candidates: Mapping[str, Callable[[], PyTree]], *, seconds: float = 2.0, rounds: int = 25
 ) -> dict[str, float]:
     """Minimum seconds of each candidate, run in turn for `rounds` and `seconds` each, or 10 x `seconds` together."""
     for run in candidates.values():
@@ -31,7 +32,9 @@ def alternate(
     return best
 
 
-def compiled(function: Callable[..., Any], *arguments: Any, options: Options = ()) -> tuple[Any, dict[str, float]]:
+def compiled(
+    function: Callable[..., PyTree], *arguments: PyTree, options: Options = ()
+) -> tuple[jax.stages.Compiled, dict[str, float]]:
     """A function compiled for `arguments` with options of XLA, with compile seconds and temporary memory in MB."""
     start = time.perf_counter()
     program = jax.jit(function, compiler_options=understood(options)).lower(*arguments).compile()
@@ -40,7 +43,7 @@ def compiled(function: Callable[..., Any], *arguments: Any, options: Options = (
     return program, {"compile_s": round(seconds, 3), "temporary_MB": round(memory.temp_size_in_bytes / 2**20, 2)}
 
 
-def machine() -> dict[str, Any]:
+def machine() -> dict[str, str | int | None]:
     """Computer and versions of the measurement."""
     model = ""
     if Path("/proc/cpuinfo").exists():

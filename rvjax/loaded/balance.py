@@ -1,7 +1,7 @@
 """Equilibrium of a case: found by Newton's method for many at once, differentiated by the implicit function theorem."""
 
 import functools
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 
@@ -26,7 +26,7 @@ def balance(layout: Layout, system: System, start: jax.Array) -> Found:
 
 
 @balance.defjvp
-def _balance_jvp(layout: Layout, primals: PyTree, tangents: PyTree) -> Any:
+def _balance_jvp(layout: Layout, primals: PyTree, tangents: PyTree) -> tuple[Found, PyTree]:
     found = balance(layout, *primals)
     return found, jax.custom_derivatives.zero_from_primal(found)
 
@@ -52,7 +52,7 @@ def forces(layout: Layout, system: System, q: jax.Array) -> Forces:
 
 
 @forces.defjvp
-def _forces_jvp(layout: Layout, primals: PyTree, tangents: PyTree) -> Any:
+def _forces_jvp(layout: Layout, primals: PyTree, tangents: PyTree) -> tuple[Forces, Forces]:
     def of_one(system: System, q: jax.Array) -> Forces:
         at = contacts(layout, jax.tree.map(lambda leaf: leaf[..., None], system), q[:, None])
         return jax.tree.map(lambda x: x[..., 0], Forces(at.pins, at.gear, at.bearing.force))
@@ -112,7 +112,7 @@ def attach(layout: Layout, system: System, q: jax.Array) -> jax.Array:
 
 
 @attach.defjvp
-def _attach_jvp(layout: Layout, primals: PyTree, tangents: PyTree) -> Any:
+def _attach_jvp(layout: Layout, primals: PyTree, tangents: PyTree) -> tuple[jax.Array, jax.Array]:
     system, q = primals
     q = attach(layout, system, q)
     _, change = jax.jvp(lambda s: residual(layout, s, q), (system,), (tangents[0],))

@@ -7,7 +7,6 @@ vary becomes elements, any other becomes groups.
 
 import functools
 from collections.abc import Callable
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -15,14 +14,14 @@ import jax.numpy as jnp
 from rvjax.loaded.system import Layout, System
 from rvjax.records import PyTree
 
-Kernel = Callable[..., Any]
+Kernel = Callable[..., PyTree]
 
 BLOCK = 64  # batch elements; a block's arrays stay in the cache of one core
 _FEW = 8  # elements of a group; with fewer each case is an element with a separate geometry
 
 
 @functools.lru_cache(maxsize=64)
-def in_lanes(kernel: Kernel, layout: Layout) -> Callable[..., Any]:
+def in_lanes(kernel: Kernel, layout: Layout) -> Kernel:
     """The function (system, *arrays) of one case that `kernel` computes for many.
 
     Args:
@@ -32,7 +31,7 @@ def in_lanes(kernel: Kernel, layout: Layout) -> Callable[..., Any]:
     grouped = jax.custom_batching.custom_vmap(jax.jit(functools.partial(_over_groups, kernel, layout)))
 
     @grouped.def_vmap
-    def _rule(size: int, batched: list[Any], *arguments: Any) -> tuple[Any, Any]:
+    def _rule(size: int, batched: list[PyTree], *arguments: PyTree) -> tuple[PyTree, PyTree]:
         leaves, tree = jax.tree.flatten(arguments)
         flags = jax.tree.leaves(batched)
         groups = max(leaf.shape[flag] for leaf, flag in zip(leaves, flags))
@@ -59,14 +58,14 @@ def in_lanes(kernel: Kernel, layout: Layout) -> Callable[..., Any]:
         found = jax.tree.map(split, found)
         return found, jax.tree.map(lambda _: True, found)
 
-    def of_one(*arguments: Any) -> Any:
+    def of_one(*arguments: PyTree) -> PyTree:
         found = grouped(*jax.tree.map(lambda leaf: leaf[None, None], arguments))
         return jax.tree.map(lambda leaf: leaf[0, 0], found)
 
     return of_one
 
 
-def _over_groups(kernel: Kernel, layout: Layout, system: System, *arrays: Any) -> Any:
+def _over_groups(kernel: Kernel, layout: Layout, system: System, *arrays: jax.Array) -> PyTree:
     """Arguments (groups or 1, elements or 1, ...) -> results (groups, elements, ...)."""
     leaves, tree = jax.tree.flatten((system, *arrays))
     groups, lanes = (max(leaf.shape[axis] for leaf in leaves) for axis in (0, 1))
@@ -77,7 +76,7 @@ def _over_groups(kernel: Kernel, layout: Layout, system: System, *arrays: Any) -
         return jax.tree.map(lambda leaf: leaf.reshape(groups, lanes, *leaf.shape[1:]), found)
     own = [len(leaf) > 1 for leaf in leaves]
 
-    def group(given: list[jax.Array]) -> Any:
+    def group(given: list[jax.Array]) -> PyTree:
         rest = iter(given)
         return kernel(layout, *jax.tree.unflatten(tree, [next(rest) if o else x[0] for x, o in zip(leaves, own)]))
 
@@ -86,12 +85,12 @@ def _over_groups(kernel: Kernel, layout: Layout, system: System, *arrays: Any) -
     return jax.lax.map(group, [leaf for leaf, is_own in zip(leaves, own) if is_own])
 
 
-def take(tree: PyTree, index: jax.Array) -> Any:
+def take(tree: PyTree, index: jax.Array) -> PyTree:
     """The cases `index` of leaves (cases or 1, ...), batch axis last; a shared leaf keeps length 1."""
     return jax.tree.map(lambda leaf: jnp.moveaxis(leaf if len(leaf) == 1 else leaf[index], 0, -1), tree)
 
 
-def in_blocks(kernel: Kernel, arguments: tuple[Any, ...]) -> Any:
+def in_blocks(kernel: Kernel, arguments: tuple[PyTree, ...]) -> PyTree:
     """Apply `kernel` to leaves (cases or 1, ...), a block of cases at a time; results have the cases first.
 
     Args:
@@ -101,7 +100,7 @@ def in_blocks(kernel: Kernel, arguments: tuple[Any, ...]) -> Any:
     cases = max(len(leaf) for leaf in jax.tree.leaves(arguments))
     width = min(cases, BLOCK)
 
-    def block(first: jax.Array) -> Any:
+    def block(first: jax.Array) -> PyTree:
         def part(leaf: jax.Array) -> jax.Array:
             own = leaf if len(leaf) == 1 else jax.lax.dynamic_slice_in_dim(leaf, first, width)
             return jnp.moveaxis(own, 0, -1)
@@ -113,7 +112,7 @@ def in_blocks(kernel: Kernel, arguments: tuple[Any, ...]) -> Any:
     if cases == width:
         return block(jnp.zeros((), jnp.int32))
 
-    def write(number: jax.Array, results: Any) -> Any:
+    def write(number: jax.Array, results: PyTree) -> PyTree:
         first = jnp.minimum(number * width, cases - width)  # the last block is whole
         return jax.tree.map(
             lambda all_, new: jax.lax.dynamic_update_slice_in_dim(all_, new, first, 0), results, block(first)

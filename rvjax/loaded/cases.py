@@ -27,7 +27,7 @@ MACHINE = RV_40E.replace(
 )  # fmt: skip
 
 
-def _direction(diameter: float, **more: float) -> dict[str, Any]:
+def _direction(diameter: float, **more: float) -> dict[str, float | str]:
     return dict(lower=0.0, upper=diameter / 2, distribution="rayleigh", **more)
 
 
@@ -118,7 +118,7 @@ def cases(quick: bool) -> Sequence[Cases]:
     ]  # fmt: skip
 
 
-def _cases(name: str, ways: tuple[Way, ...], batch: int, calls: int, **changes: Any) -> Cases:
+def _cases(name: str, ways: tuple[Way, ...], batch: int, calls: int, **changes: object) -> Cases:
     turn = Cases(
         name=name,
         case="unit of the RV-40E, a crank revolution of the loaded reducer",
@@ -133,6 +133,6 @@ def _cases(name: str, ways: tuple[Way, ...], batch: int, calls: int, **changes: 
         question=dict(span="crank_turn"),
         timed=1024,
     )
-    made = dataclasses.replace(turn, **changes)
+    made = dataclasses.replace(turn, **changes)  # type: ignore[arg-type]
     unknown = [field for field in (*read_by(RVErrors, "loaded"), *made.bounds) if field not in (made.errors or ())]
     return dataclasses.replace(made, others=(*unknown, "contact.pin_stiffness", "contact.pin_support"))

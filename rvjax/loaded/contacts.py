@@ -4,7 +4,7 @@ Arrays have the batch axis (independent cases) last; a leaf of the system that a
 """
 
 import functools
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -164,7 +164,12 @@ def frame(layout: Layout, s: System) -> Frame:
 
 @functools.partial(jax.jit, static_argnums=0)  # traced once for each batch size
 def hessian(
-    layout: Layout, s: System, at: Contacts, pin_slope: Any = None, gear_slope: Any = None, at_rest: Frame | None = None
+    layout: Layout,
+    s: System,
+    at: Contacts,
+    pin_slope: jax.Array | None = None,
+    gear_slope: jax.Array | None = None,
+    at_rest: Frame | None = None,
 ) -> Hessian:
     """Second derivatives of the energy, in the blocks of the elimination.
 

@@ -4,8 +4,6 @@ The head is fixed to the ring of pins. The pins ovalise the ring, the couple of 
 cranks dent its flange, so that head and scale move although the output does not. Derivation: docs/models/reading.md.
 """
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -15,7 +13,7 @@ from rvjax.compile_cache import quick
 from rvjax.designs import RVReducer, expect
 from rvjax.loaded.equilibrium import Loaded
 from rvjax.loaded.geometry import Geometry, Turn, geometry, turn
-from rvjax.records import Record, Scalar, field, is_concrete, quantity, record
+from rvjax.records import Array, PyTree, Record, Scalar, field, is_concrete, quantity, record
 from rvjax.status import succeeded
 
 
@@ -23,21 +21,21 @@ from rvjax.status import succeeded
 class Reading(Record):
     """Encoder at the output: the place of its heads, and gains from forces to motions of head and scale."""
 
-    radius: Any = field("m", "radius of the scale", sign="positive")
-    heads: Any = field(
+    radius: Scalar = field("m", "radius of the scale", sign="positive")
+    heads: PyTree = field(
         "rad",
         "direction of each head, fixed to the ring, counter-clockwise from pin 0; their mean is read",
         shape=("heads",),
         default=(0.0,),
     )
-    ring_gain: Any = field("m/N", "radial amplitude of the oval ring per modal force, 1/k_2", default=0.0)
-    tilt_gain: Any = field("rad/(N m)", "tilt of the carrier per couple of the discs, 1/K_t", default=0.0)
-    height: Any = field("m", "height of the scale above the centre of tilt", default=0.0)
-    disc_position: Any = field(
+    ring_gain: Scalar = field("m/N", "radial amplitude of the oval ring per modal force, 1/k_2", default=0.0)
+    tilt_gain: Scalar = field("rad/(N m)", "tilt of the carrier per couple of the discs, 1/K_t", default=0.0)
+    height: Scalar = field("m", "height of the scale above the centre of tilt", default=0.0)
+    disc_position: PyTree = field(
         "m", "axial place of each disc; needed where tilt_gain is given", shape=("discs",), default=None
     )
-    dent: Any = field("rad/(N m)", "order 3 per output torque, three cranks that dent the flange, c3", default=0.0)
-    scale_eccentricity: Any = field(
+    dent: Scalar = field("rad/(N m)", "order 3 per output torque, three cranks that dent the flange, c3", default=0.0)
+    scale_eccentricity: PyTree = field(
         "m", "centre of the scale against the axis of the carrier, x, y in its frame", shape=(2,), kind="pair",
         default=(0.0, 0.0),
     )  # fmt: skip
@@ -97,10 +95,17 @@ def reading(
 
 @quick()
 def _reading(
-    error: Any, pins: Any, status: Any, design: RVReducer, reading: Reading, input_angle: Any, output_torque: Any
+    error: Array,
+    pins: Array,
+    status: Array,
+    design: RVReducer,
+    reading: Reading,
+    input_angle: Scalar,
+    output_torque: Scalar,
 ) -> jax.Array:
     cycloid, dtype = design.cycloid, jnp.result_type(float, error, pins)
-    numbers = (cycloid.eccentricity, cycloid.pin_circle_radius, error, pins, reading, input_angle, output_torque)
+    given = (cycloid.eccentricity, cycloid.pin_circle_radius, error, pins, reading, input_angle, output_torque)
+    numbers: PyTree = given
     good = succeeded(status) & (jnp.asarray(reading.radius) > 0)
     for leaf in jax.tree.leaves(numbers):
         good &= jnp.all(jnp.isfinite(leaf))
@@ -108,29 +113,32 @@ def _reading(
         good &= jnp.asarray(reading.tilt_gain) == 0
     # Harmless numbers where there is no reading: no derivative of a failed case meets 0 * inf.
     numbers = jax.tree.map(lambda leaf: jnp.where(good, jnp.asarray(leaf, dtype), 0), numbers)
-    e, circle, error, pins, reading, input_angle, output_torque = numbers
+    e, circle, error, pins, reading, angle, torque = numbers
     circle = jnp.where(good, circle, cycloid.pin_count)
     e, radius = jnp.where(good, e, 0.5), jnp.where(good, reading.radius, 1)
-    at = geometry(design.replace(cycloid=cycloid.replace(pin_circle_radius=circle)), e, input_angle)
+    at = geometry(design.replace(cycloid=cycloid.replace(pin_circle_radius=circle)), e, angle)
 
     # Force of the discs on a pin along -n, its parts outward and along J u.
     outward = -(at.normal[0] * at.pin.cosine[None] + at.normal[1] * at.pin.sine[None])
     along = at.normal[0] * at.pin.sine[None] - at.normal[1] * at.pin.cosine[None]
     place = 4 * np.pi * np.arange(cycloid.pin_count) / cycloid.pin_count  # 2 phi
     cosine, sine = (jnp.asarray(x, dtype)[None] for x in (np.cos(place), np.sin(place)))
+    gain = jnp.asarray(reading.ring_gain)
     oval = (  # Eq. 4
-        reading.ring_gain * jnp.sum(pins * (outward * cosine - along * sine / 2)),
-        reading.ring_gain * jnp.sum(pins * (outward * sine + along * cosine / 2)),
+        gain * jnp.sum(pins * (outward * cosine - along * sine / 2)),
+        gain * jnp.sum(pins * (outward * sine + along * cosine / 2)),
     )
     tilt = jnp.zeros((2,), dtype)
     if reading.disc_position is not None:  # Eq. 5: the force of a disc on the ring is that on its pins, -n F
         disc_on_ring = -jnp.stack([jnp.sum(normal * pins, axis=1) for normal in at.normal])
-        tilt = -reading.tilt_gain * jnp.sum(jnp.atleast_1d(reading.disc_position)[None] * disc_on_ring, axis=1)
-    return jnp.where(good, error + _mean_of_heads(reading, radius, at, oval, tilt, output_torque), jnp.nan)
+        tilt = -jnp.asarray(reading.tilt_gain) * jnp.sum(
+            jnp.atleast_1d(reading.disc_position)[None] * disc_on_ring, axis=1
+        )
+    return jnp.where(good, error + _mean_of_heads(reading, radius, at, oval, tilt, torque), jnp.nan)
 
 
 def _mean_of_heads(
-    reading: Reading, radius: jax.Array, at: Geometry, oval: tuple[Any, Any], tilt: jax.Array, torque: jax.Array
+    reading: Reading, radius: jax.Array, at: Geometry, oval: tuple[Array, Array], tilt: jax.Array, torque: jax.Array
 ) -> jax.Array:
     """Contribution of the heads to the error, Eqs. 2, 3, 6, 7."""
     head = turn(jnp.atleast_1d(reading.heads))

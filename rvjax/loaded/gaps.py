@@ -1,6 +1,6 @@
 """Manufacturing errors as penetrations of the contacts at the ideal position, m (docs/models/loaded.md, Eqs. 13-16)."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -40,7 +40,7 @@ def gaps(design: RVReducer, errors: RVErrors, at: Geometry, eccentricity: Scalar
     )
 
 
-def _full(value: Any, shape: tuple[int, ...]) -> jax.Array:
+def _full(value: Scalar, shape: tuple[int, ...]) -> jax.Array:
     return jnp.broadcast_to(value, shape)
 
 
@@ -85,10 +85,10 @@ def _pins(design: RVReducer, errors: RVErrors, at: Geometry) -> jax.Array:
         for _ in range(5):
             total += errors.disc_profile * (cosine + sine)
             cosine, sine = at.lobe.of(cosine, sine)
-    return total
+    return jnp.asarray(total)
 
 
-def profile(amplitudes: Any, lobe: Turn) -> tuple[jax.Array, jax.Array, jax.Array]:
+def profile(amplitudes: Scalar, lobe: Turn) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Material of the profile modification over the lobe angle, m, and its first two derivatives.
 
     Args:
@@ -135,7 +135,9 @@ def _gear(design: RVReducer, errors: RVErrors, at: Geometry, flank: jax.Array) -
     sun_x, sun_y = at.sun.of(*_full(errors.sun_runout, (2,)))
     planet = _placed(_full(errors.planet_runout, (cranks, 2)), cranks)
     planet_x, planet_y = at.crank.of(planet[:, 0], planet[:, 1])
-    return thinner + flank[:, :, 0] * (sun_x - planet_x)[:, None] + flank[:, :, 1] * (sun_y - planet_y)[:, None]
+    return jnp.asarray(
+        thinner + flank[:, :, 0] * (sun_x - planet_x)[:, None] + flank[:, :, 1] * (sun_y - planet_y)[:, None]
+    )
 
 
 def _arm(design: RVReducer, errors: RVErrors, at: Geometry, eccentricity: Scalar) -> jax.Array:
@@ -143,6 +145,6 @@ def _arm(design: RVReducer, errors: RVErrors, at: Geometry, eccentricity: Scalar
     discs, cranks = design.cycloid.disc_count, design.cranks.count
     bore = _placed(_full(errors.disc_bore, (discs, cranks, 2)), cranks)
     longer = _full(errors.crank_eccentricity, (discs, cranks))
-    ahead = eccentricity * _full(errors.crank_phase, (cranks,))[None]
+    ahead = jnp.asarray(eccentricity * _full(errors.crank_phase, (cranks,))[None])
     bx, by = at.eccentric.cosine[:, None], at.eccentric.sine[:, None]
     return bore - jnp.stack([longer * bx - ahead * by, longer * by + ahead * bx], axis=-1)

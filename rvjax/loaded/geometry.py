@@ -4,7 +4,7 @@ Forward is counter-clockwise, and so is the output. Pin 0 and eccentric 0 lie on
 Derivation and equation numbers: docs/models/loaded.md.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -12,21 +12,20 @@ import numpy as np
 
 from rvjax.designs import RVReducer
 from rvjax.elementary import sin_cos
-from rvjax.records import Scalar
 
 
 class Turn(NamedTuple):
     """Cosine and sine of an angle."""
 
-    cosine: Any
-    sine: Any
+    cosine: jax.Array
+    sine: jax.Array
 
     def plus(self, angle: np.ndarray) -> "Turn":
         """The angle and a constant one."""
         c, s = (jnp.asarray(x, self.cosine.dtype) for x in (np.cos(angle), np.sin(angle)))
         return Turn(self.cosine * c - self.sine * s, self.sine * c + self.cosine * s)
 
-    def of(self, x: Scalar, y: Any) -> tuple[Any, Any]:
+    def of(self, x: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
         """The vector (x, y) turned by the angle."""
         return self.cosine * x - self.sine * y, self.sine * x + self.cosine * y
 
@@ -54,7 +53,7 @@ class Geometry(NamedTuple):
     size: jax.Array  # S, (d, p)
     shortening: jax.Array  # K1, ()
     lever: jax.Array  # e zc sin(psi) / S, (d, p) m
-    normal: tuple[jax.Array, jax.Array]  # n, x and y (d, p): from the pin centre into the disc
+    normal: tuple[jax.Array, ...]  # n, x and y (d, p): from the pin centre into the disc
     tooth: jax.Array  # tooth of disc k that pin j meets, (d, p) integer
 
 

@@ -1,7 +1,6 @@
 """Effects of one encoder head on the orders of a measured curve: the nuisance "reading" of identification."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -10,6 +9,7 @@ import numpy as np
 from rvjax.compile_cache import quick
 from rvjax.designs import RVReducer
 from rvjax.errors import RVErrors
+from rvjax.loaded.conditions import Conditions, ways
 from rvjax.loaded.encoder import Reading, reading
 from rvjax.loaded.equilibrium import equilibrium
 
@@ -17,7 +17,9 @@ READ_AT = 1000.0
 """Torque at which the amplitudes are given where the conditions have none, N m."""
 
 
-def effects_of_a_head(design: RVReducer, conditions: Any, torques: np.ndarray, orders: Sequence[int]) -> np.ndarray:
+def effects_of_a_head(
+    design: RVReducer, conditions: Conditions, torques: np.ndarray, orders: Sequence[int]
+) -> np.ndarray:
     """Contribution of a head to the orders at each torque, per element of "reading", (torques, k, 6, 2).
 
     Of the reducer without errors of parts, whose forces those of a unit resemble to 1 %. An element is the largest
@@ -32,8 +34,8 @@ def effects_of_a_head(design: RVReducer, conditions: Any, torques: np.ndarray, o
     rated = abs(conditions.rated_torque or conditions.output_torque or READ_AT)
     turn, k = 2 * np.pi * design.ratio, design.cycloid.pin_count * design.cranks.count
     angle = turn * np.arange(samples := k * -(-4 * max(*orders, k) // k)) / samples
-    ways = (conditions.pin_contact, conditions.carrier, conditions.sun)
-    curves = np.stack([jax.device_get(_effects(design, angle, torque, *ways)) for torque in (rated, *torques)])
+    methods = ways(conditions).values()
+    curves = np.stack([jax.device_get(_effects(design, jnp.asarray(angle), x, *methods)) for x in (rated, *torques)])
     waves = 2 / samples * np.fft.rfft(curves)[..., 1:]  # (torques, 6, orders)
     largest = np.abs(waves[0]).reshape(3, -1).max(axis=1)
     waves = waves[1:] / np.repeat(np.where(largest > 0, largest, 1.0), 2)[:, None]
@@ -42,17 +44,22 @@ def effects_of_a_head(design: RVReducer, conditions: Any, torques: np.ndarray, o
 
 
 @quick(3, 4, 5)
-def _effects(design: RVReducer, angle: Any, torque: Any, contact: str, carrier: str, sun: str) -> jax.Array:
+def _effects(design: RVReducer, angle: jax.Array, torque: float, contact: str, carrier: str, sun: str) -> jax.Array:
     """Readings less the error for unit gains: cosine and sine of the head for ring, tilt and dent, (6, angles)."""
     discs = design.cycloid.disc_count
-    ring, tilt, dent = (dict(zip(("ring_gain", "tilt_gain", "dent"), row)) for row in np.eye(3).tolist())
-    ways = [(gains, np.pi * part / 2 / m) for gains, m in ((ring, 2), (tilt, 1), (dent, 3)) for part in (0, 1)]
     position = np.linspace(-1.0, 1.0, discs) if discs > 1 else np.zeros(1)
+    gains = zip(np.eye(3).tolist(), (2, 1, 3))  # of ring, tilt and dent, and periods of the head in a turn
+    heads = [
+        Reading(1.0, (np.pi * part / 2 / m,), ring, tilt, 1.0, position, dent)
+        for (ring, tilt, dent), m in gains
+        for part in (0, 1)
+    ]
 
-    def at(x: Any) -> jax.Array:
-        held = dict(input_angle=x, output_torque=torque)
-        found = equilibrium(design, RVErrors(), contact=contact, carrier=carrier, sun=sun, **held)
-        heads = [Reading(1.0, heads=(head,), height=1.0, disc_position=position, **gains) for gains, head in ways]
-        return jnp.stack([reading(found, design, head, **held) - found.error for head in heads])
+    def at(x: jax.Array) -> jax.Array:
+        found = equilibrium(
+            design, RVErrors(), input_angle=x, output_torque=torque, contact=contact, carrier=carrier, sun=sun
+        )
+        seen = [reading(found, design, head, input_angle=x, output_torque=torque) for head in heads]
+        return jnp.stack([value - found.error for value in seen])
 
     return jax.vmap(at, out_axes=1)(angle)

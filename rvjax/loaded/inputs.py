@@ -1,7 +1,7 @@
 """Inputs of the model from a design and its errors, and the check that such a reducer can exist."""
 
 import dataclasses
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -15,9 +15,10 @@ from rvjax.errors import RVErrors, read_by
 from rvjax.geometry import least_convex_radius
 from rvjax.loaded import laws
 from rvjax.loaded.system import Layout
-from rvjax.records import Scalar, axis_sizes, promote
+from rvjax.records import PyTree, Record, Scalar, axis_sizes, promote
 from rvjax.status import Gate, Status
 
+Part = TypeVar("Part", bound=Record)
 SUPPORTS = ("fixed", "floating")
 
 
@@ -53,12 +54,14 @@ def check_input(design: RVReducer, errors: RVErrors, contact: str, carrier: str,
         raise ValueError(
             f"CycloidStage.pin_count = {cycloid.pin_count}: must be disc_teeth + 1 = {cycloid.disc_teeth + 1}"
         )
-    for part in (design.involute, cycloid, design.cranks, design.stiffness, design.contact, errors):
+    assert design.stiffness is not None and design.contact is not None
+    parts: list[Record] = [design.involute, cycloid, design.cranks, design.stiffness, design.contact, errors]
+    for part in parts:
         _check_shapes(part, design.counts)
     return Layout(cycloid.disc_count, design.cranks.count, cycloid.pin_count, contact, carrier, sun)
 
 
-def _check_shapes(part: Any, counts: dict[str, int]) -> None:
+def _check_shapes(part: Record, counts: dict[str, int]) -> None:
     for f in dataclasses.fields(part):
         if f.metadata["kind"] != "real":
             continue
@@ -72,7 +75,7 @@ def _check_shapes(part: Any, counts: dict[str, int]) -> None:
             )
 
 
-def admit(layout: Layout, design: RVReducer, errors: RVErrors, torque: Any, angle: Any) -> Read:
+def admit(layout: Layout, design: RVReducer, errors: RVErrors, torque: Scalar, angle: Scalar) -> Read:
     """Check the numbers that are read.
 
     Design, eccentricity, errors, torque and angle are checked and replaced separately, so that all units of a batch
@@ -167,7 +170,7 @@ def _reads_support(layout: Layout, contact: Contact) -> bool:
     return layout.law != "palmgren"
 
 
-def unchecked(part: Any, **changes: Any) -> Any:
+def unchecked(part: Part, **changes: object) -> Part:
     """Copy of a record without its checks: inconsistent numbers give a status here, no error.
 
     Args:
@@ -215,7 +218,7 @@ def _top(number: jax.Array) -> float:
     return float(jnp.finfo(number.dtype).max) ** (1 / 3)
 
 
-def _finite(tree: Any) -> jax.Array:
+def _finite(tree: PyTree) -> jax.Array:
     finite = jnp.asarray(True)
     for leaf in jax.tree.leaves(tree):
         finite &= jnp.all(jnp.abs(leaf) < _top(leaf))  # false for NaN

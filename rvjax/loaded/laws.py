@@ -9,7 +9,6 @@ and energy are 0 where d <= 0.
 """
 
 import math
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -94,7 +93,7 @@ def _hertz(depth: jax.Array, compliance: jax.Array, level: jax.Array) -> jax.Arr
 
 
 @_hertz.defjvp
-def _hertz_jvp(primals: PyTree, tangents: PyTree) -> Any:
+def _hertz_jvp(primals: PyTree, tangents: PyTree) -> tuple[jax.Array, jax.Array]:
     (depth, compliance, level), (ddepth, dcompliance, dlevel) = primals, tangents
     load = _hertz(depth, compliance, level)
     reserve = jnp.maximum(depth - compliance * load, _LEAST * depth)  # c F (y - 1)

@@ -10,7 +10,7 @@ cases do not delay the others.
 """
 
 import functools
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -46,6 +46,9 @@ class _Tour(NamedTuple):
     number: jax.Array  # of the round
     queued: jax.Array  # (cases,)
     found: Found
+
+
+_Loop = tuple[jax.Array, State, jax.Array, Found]  # case in each place, their states, next in the queue, results
 
 
 def _found(state: State) -> Found:
@@ -84,11 +87,11 @@ def minimise(layout: Layout, system: System, start: jax.Array) -> Found:
             )
             return index, part, _begin(layout, part, begin, taken, jnp.where(again, steps, 0) + more)
 
-        def unfinished(loop: Any) -> jax.Array:
+        def unfinished(loop: _Loop) -> jax.Array:
             _, state, cursor, _ = loop
             return jnp.any(is_open(state)) | (cursor < many)
 
-        def refill(loop: Any) -> Any:
+        def refill(loop: _Loop) -> _Loop:
             place, state, cursor, results = loop
             free = ~is_open(state)
             place = jnp.where(free, cursor + jnp.cumsum(free, dtype=place.dtype) - 1, place)
@@ -224,7 +227,7 @@ def _iterate(layout: Layout, s: System, state: State, leave: jax.Array, again: j
     return jax.lax.while_loop(lambda state: jnp.sum(is_open(state), dtype=leave.dtype) > leave, body, state)
 
 
-def _most(*values: Any) -> jax.Array:
+def _most(*values: jax.Array) -> jax.Array:
     """Largest absolute value of each batch element."""
     largest = [folded(jnp.abs(value), *range(value.ndim - 1), by=jnp.maximum) for value in values]
     return functools.reduce(jnp.maximum, largest)

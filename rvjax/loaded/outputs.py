@@ -6,8 +6,7 @@ that a test bench measures at some input angles.
 
 import dataclasses
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
@@ -17,80 +16,57 @@ from rvjax.compile_cache import QUICK
 from rvjax.designs import Contact, RVReducer, Stiffness
 from rvjax.errors import RVErrors
 from rvjax.loaded.cases import cases
+from rvjax.loaded.conditions import Conditions, ways
 from rvjax.loaded.equilibrium import equilibrium
-from rvjax.loaded.inputs import SUPPORTS, check_input
-from rvjax.loaded.laws import CONTACTS
+from rvjax.loaded.inputs import check_input
 from rvjax.loaded.observation import CURVE, LOOP
 from rvjax.loaded.revolution import Revolution, revolution
 from rvjax.loaded.torsion import SHARES, secant, twisted
-from rvjax.outputs import Curve, Description, Output, Reading, Solved, condition
+from rvjax.outputs import Curve, Description, Output, Reading, Solved
 from rvjax.status import SolveInfo, worst, worst_of
 
-SPANS = ("crank_turn", "output_turn")
+Refuse = Callable[[RVReducer, Conditions], None]
 RATED, HALF, SLIGHT, PROBE = SHARES
 
 
-@dataclass(frozen=True)
-class Conditions:
-    """Operating conditions of a whole reducer and of its test bench."""
-
-    output_torque: float = condition(0.0, "torque of the discs on the carrier", unit="N m", torque=True)
-    second_torque: float | None = condition(None, "of the discs on the carrier, the second one", unit="N m")
-    rated_torque: float | None = condition(None, "of which a test bench takes shares", unit="N m")
-    input_angle: float = condition(0.0, "of the sun, at which the bench twists the output", unit="rad")
-    probe_angles: int = condition(
-        1, "input angles of the bench, equally spaced over the span from the input angle on", minimum=1, maximum=1000
-    )
-    span: str = condition("crank_turn", "along which the reducer turns", choices=SPANS)
-    samples: int = condition(48, "input angles over the span", minimum=4, maximum=100_000)
-    order: int | None = condition(None, "periods in one turn of the output", minimum=1, maximum=50_000)
-    pin_contact: str = condition("hertz", "contact law of discs and pins", choices=CONTACTS)
-    carrier: str = condition("fixed", "centre of the carrier", choices=SUPPORTS)
-    sun: str = condition("fixed", "centre of the sun", choices=SUPPORTS)
-
-
-def _ways(given: Any) -> dict[str, Any]:
-    return dict(contact=given.pin_contact, carrier=given.carrier, sun=given.sun)
-
-
-def _turns(design: RVReducer, given: Any) -> float:
+def _turns(design: RVReducer, given: Conditions) -> float:
     """Turns of the output in the span."""
     return 1.0 if given.span == "output_turn" else 1 / design.cycloid.pin_count
 
 
-def _along(design: RVReducer, errors: RVErrors, given: Any, torque: Any) -> Revolution:
+def _along(design: RVReducer, errors: RVErrors, given: Conditions, torque: float) -> Revolution:
     turns = _turns(design, given)
     return revolution(
-        errors.stiffened(design), errors, output_torque=torque, turns=turns, samples=given.samples, **_ways(given)
+        errors.stiffened(design), errors, output_torque=torque, turns=turns, samples=given.samples, **ways(given)
     )
 
 
-def turn(design: RVReducer, errors: RVErrors, given: Any) -> Revolution:
+def turn(design: RVReducer, errors: RVErrors, given: Conditions) -> Revolution:
     """Along the span under the output torque."""
     return _along(design, errors, given, given.output_torque)
 
 
-def second_turn(design: RVReducer, errors: RVErrors, given: Any) -> Revolution:
+def second_turn(design: RVReducer, errors: RVErrors, given: Conditions) -> Revolution:
     """Along the span under the second torque."""
     return _along(design, errors, given, given.second_torque)
 
 
-def unloaded_turn(design: RVReducer, errors: RVErrors, given: Any) -> Revolution:
+def unloaded_turn(design: RVReducer, errors: RVErrors, given: Conditions) -> Revolution:
     """Along the span at the probe torque: the limit of no load."""
     return _along(design, errors, given, PROBE * given.rated_torque)
 
 
-def _bench(shares: tuple[float, ...]) -> Callable[[RVReducer, Any, Any], tuple[jax.Array, SolveInfo]]:
+def _bench(shares: tuple[float, ...]) -> Callable[[RVReducer, RVErrors, Conditions], tuple[jax.Array, SolveInfo]]:
     """Rotations (angles, shares, 2) at the input angles of the bench, and the worst info."""
 
-    def twist(design: RVReducer, errors: RVErrors, given: Any) -> tuple[jax.Array, SolveInfo]:
+    def twist(design: RVReducer, errors: RVErrors, given: Conditions) -> tuple[jax.Array, SolveInfo]:
         """At the shares of the rated torque that this bench takes."""
         design = errors.stiffened(design)
-        layout = check_input(design, errors, *_ways(given).values())
+        layout = check_input(design, errors, *ways(given).values())
         span = 2 * np.pi * design.ratio * _turns(design, given)
         angles = given.input_angle + span * np.arange(given.probe_angles) / given.probe_angles
 
-        def at(angle: Any) -> tuple[jax.Array, SolveInfo]:
+        def at(angle: jax.Array) -> tuple[jax.Array, SolveInfo]:
             return twisted(layout, design, errors, angle, given.rated_torque, shares)
 
         rotation, infos = jax.vmap(at)(jnp.asarray(angles, jnp.result_type(float, *jax.tree.leaves((design, errors)))))
@@ -102,28 +78,28 @@ def _bench(shares: tuple[float, ...]) -> Callable[[RVReducer, Any, Any], tuple[j
 BACKLASH, LOST_MOTION, STIFFNESS = _bench((PROBE,)), _bench((SLIGHT,)), _bench((RATED, HALF))
 
 
-def _play(twist: tuple[jax.Array, SolveInfo], design: RVReducer, given: Any) -> Solved:
+def _play(twist: tuple[jax.Array, SolveInfo], design: RVReducer, given: Conditions) -> Solved:
     rotation, info = twist
     return jnp.max(rotation[:, 0, 0] - rotation[:, 0, 1]), info.status
 
 
-def _stiffness(twist: tuple[jax.Array, SolveInfo], design: RVReducer, given: Any) -> Solved:
+def _stiffness(twist: tuple[jax.Array, SolveInfo], design: RVReducer, given: Conditions) -> Solved:
     rotation, info = twist
     return jnp.min(secant(rotation[:, 0, 1], rotation[:, 1, 1], given.rated_torque)), info.status
 
 
 def _figure(name: str) -> Callable[..., Solved]:
-    def take(found: Revolution, design: RVReducer, given: Any) -> Solved:
+    def take(found: Revolution, design: RVReducer, given: Conditions) -> Solved:
         return getattr(found, name), found.info.status
 
     return take
 
 
-def _shift(first: Revolution, second: Revolution, design: RVReducer, given: Any) -> Solved:
+def _shift(first: Revolution, second: Revolution, design: RVReducer, given: Conditions) -> Solved:
     return second.mean - first.mean, worst(jnp.stack([first.info.status, second.info.status]))
 
 
-def _amplitude(found: Revolution, design: RVReducer, given: Any) -> Solved:
+def _amplitude(found: Revolution, design: RVReducer, given: Conditions) -> Solved:
     """|X_k| of error = Re sum X_k e^(2 pi i k j / n), from its one line of the transform."""
     k = round(given.order * _turns(design, given))
     angle = 2 * np.pi * ((k * np.arange(given.samples)) % given.samples) / given.samples
@@ -135,30 +111,30 @@ def _amplitude(found: Revolution, design: RVReducer, given: Any) -> Solved:
     return jnp.where(square == 0, 0, jnp.sqrt(jnp.where(square == 0, 1, square))), found.info.status
 
 
-def _pressure(design: RVReducer, errors: RVErrors, given: Any) -> Solved:
+def _pressure(design: RVReducer, errors: RVErrors, given: Conditions) -> Solved:
     found = equilibrium(
         errors.stiffened(design),
         errors,
         input_angle=given.input_angle,
         output_torque=given.output_torque,
-        **_ways(given),
+        **ways(given),
     )
     return jnp.max(found.pressure), found.info.status
 
 
-def _angles(given: Any) -> np.ndarray:
+def _angles(given: Conditions) -> np.ndarray:
     return 2 * np.pi * np.arange(given.samples) / given.samples
 
 
-def _curve(design: RVReducer, errors: RVErrors, given: Any) -> tuple[Any, Any]:
+def _curve(design: RVReducer, errors: RVErrors, given: Conditions) -> tuple[np.ndarray, jax.Array]:
     return _angles(given), turn(design, errors, given).error
 
 
 def _carrying(outputs: dict[str, Output]) -> dict[str, Output]:
     """Add to each output a check for missing load-carrying parts of the design, before its other checks."""
 
-    def refusing(own: Callable[[Any, Any], None] | None) -> Callable[[Any, Any], None]:
-        def refuse(design: RVReducer, given: Any) -> None:
+    def refusing(own: Refuse | None) -> Refuse:
+        def refuse(design: RVReducer, given: Conditions) -> None:
             for part, cls in (("stiffness", Stiffness), ("contact", Contact)):
                 if getattr(design, part) is None:
                     keys = ", ".join(f.name for f in dataclasses.fields(cls) if f.default is dataclasses.MISSING)
@@ -171,24 +147,24 @@ def _carrying(outputs: dict[str, Output]) -> dict[str, Output]:
     return {name: replace(output, refuse=refusing(output.refuse)) for name, output in outputs.items()}
 
 
-def _apart(design: RVReducer, given: Any) -> None:
+def _apart(design: RVReducer, given: Conditions) -> None:
     if given.second_torque == given.output_torque:
         raise ValueError(
             f"conditions.second_torque = {given.second_torque:g} N m: must differ from conditions.output_torque"
         )
 
 
-def _rated(design: RVReducer, given: Any) -> None:
+def _rated(design: RVReducer, given: Conditions) -> None:
     if given.rated_torque <= 0:
         raise ValueError(f"conditions.rated_torque = {given.rated_torque:g} N m: must be positive")
 
 
-def _loaded(design: RVReducer, given: Any) -> None:
+def _loaded(design: RVReducer, given: Conditions) -> None:
     if given.output_torque == 0:
         raise ValueError("conditions.output_torque = 0 N m: without torque there is no load to share")
 
 
-def _resolved(design: RVReducer, given: Any) -> None:
+def _resolved(design: RVReducer, given: Conditions) -> None:
     """An order that the span holds in full periods and the samples resolve."""
     where, zp = f"conditions.order = {given.order}", design.cycloid.pin_count
     if given.span == "crank_turn" and given.order % zp:
@@ -200,7 +176,7 @@ def _resolved(design: RVReducer, given: Any) -> None:
         )
 
 
-def _of_turn(unit: str, meaning: str, name: str, refuse: Any = None) -> Output:
+def _of_turn(unit: str, meaning: str, name: str, refuse: Refuse | None = None) -> Output:
     return Output(unit, meaning, Reading((turn,), _figure(name)), refuse=refuse)
 
 

@@ -1,7 +1,7 @@
 """Transmission error of a whole reducer along its turn, under load."""
 
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -18,6 +18,7 @@ from rvjax.loaded.system import Layout
 from rvjax.records import Array, Record, Scalar, field, record
 from rvjax.status import SolveInfo, succeeded, worst_of
 
+Pair = tuple[jax.Array, jax.Array]
 HARMONICS = 5
 
 
@@ -78,12 +79,12 @@ def revolution(
 
 @quick(0, 1)
 def _revolution(
-    layout: Layout, samples: int, design: RVReducer, errors: RVErrors, output_torque: Any, turns: Any
+    layout: Layout, samples: int, design: RVReducer, errors: RVErrors, output_torque: Scalar, turns: Scalar
 ) -> Revolution:
     read = admit(layout, design, errors, output_torque, turns)
     step = 2 * jnp.pi * design.ratio * read.angle / samples  # `admit` checked the turns in the place of the angle
 
-    def onward(known: tuple[jax.Array, jax.Array], j: jax.Array) -> Any:
+    def onward(known: Pair, j: jax.Array) -> tuple[Pair, tuple[Found, SolveInfo]]:
         last, before = known  # NaN where there is none
         start = jnp.where(jnp.isfinite(before), 2 * last - before, last)
         case = prepare(layout, read, jax.lax.stop_gradient(step * j)).loaded(read.torque)

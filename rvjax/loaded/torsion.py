@@ -1,7 +1,7 @@
 """Torque-angle curve of a whole reducer, with backlash and lost motion as makers measure them."""
 
+from collections.abc import Sequence
 from functools import partial
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -82,7 +82,7 @@ def _torsion(layout: Layout, design: RVReducer, errors: RVErrors, input_angle: S
     )
 
 
-def secant(at_rated: jax.Array, at_half: jax.Array, rated_torque: Any) -> jax.Array:
+def secant(at_rated: jax.Array, at_half: jax.Array, rated_torque: Scalar) -> jax.Array:
     """Stiffness between half and full rated torque, N m/rad.
 
     Args:
@@ -90,12 +90,17 @@ def secant(at_rated: jax.Array, at_half: jax.Array, rated_torque: Any) -> jax.Ar
         at_half: rotation under half of it, rad.
         rated_torque: N m.
     """
-    return 0.5 * rated_torque / (at_half - at_rated)
+    return jnp.asarray(0.5 * rated_torque / (at_half - at_rated))
 
 
 @quick(0)
 def twisted(
-    layout: Layout, design: RVReducer, errors: RVErrors, input_angle: Scalar, rated_torque: Scalar, shares: Any
+    layout: Layout,
+    design: RVReducer,
+    errors: RVErrors,
+    input_angle: Scalar,
+    rated_torque: Scalar,
+    shares: Sequence[float],
 ) -> tuple[jax.Array, SolveInfo]:
     """Rotation of the carrier at some shares of the rated torque, of either sign, each from the one before.
 
@@ -116,7 +121,7 @@ def twisted(
     sides = read.torque * jnp.asarray([-1.0, 1.0], read.torque.dtype)
     sizes = jnp.asarray(shares, read.torque.dtype)
 
-    def lower(start: jax.Array, share: jax.Array) -> Any:
+    def lower(start: jax.Array, share: jax.Array) -> tuple[jax.Array, tuple[Found, SolveInfo]]:
         """Both signs at one size of the torque, from the solutions at the one before."""
         found, info = jax.vmap(partial(_solved, layout, read, case))(sides * share, start)
         return jnp.where(succeeded(info.status)[:, None], found.q, jnp.nan), (found, info)

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -15,6 +14,7 @@ from rvjax.mesh_force.cycle import CycleStatistics, cycle_statistics
 from rvjax.mesh_force.equilibrium import solve
 from rvjax.mesh_force.laws import CONTACTS
 from rvjax.outputs import Cases, Curve, Description, Output, Solved, Way, condition
+from rvjax.records import Array
 from rvjax.units import um
 
 
@@ -44,7 +44,7 @@ def _contact_pressure(design: CamRollerReducer, errors: CamRollerErrors, given: 
     return found.pressure_peak, found.info.status
 
 
-def _curve(design: CamRollerReducer, errors: CamRollerErrors, given: Conditions) -> tuple[Any, Any]:
+def _curve(design: CamRollerReducer, errors: CamRollerErrors, given: Conditions) -> tuple[np.ndarray, Array]:
     """Largest cam force of all rollers while the output turns by one tooth of the gear."""
     angles = np.linspace(0, 2 * np.pi / design.gear_teeth, 8 * (design.gear_teeth + 1), endpoint=False)
 

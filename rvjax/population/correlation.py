@@ -4,7 +4,6 @@ import itertools
 import math
 import re
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 
@@ -47,10 +46,10 @@ def batch_correlation(active: Active) -> np.ndarray:
     return matrix
 
 
-def _elements(active: Active, name: Any) -> list[int]:
+def _elements(active: Active, name: object) -> list[int]:
     """Places of a field "pin_radius" or of one of its elements "disc_bore[0,1,0]" in z."""
     match = re.fullmatch(r"([^\[\]]+)(?:\[([\d,\s]+)\])?", str(name))
-    field, index = match.groups() if match else (name, None)
+    field, index = match.groups() if match else (str(name), None)
     if field not in active:
         raise ValueError(f"correlation: {name!r} has no tolerance; these have: {', '.join(active)}")
     before = itertools.takewhile(lambda other: other != field, active)

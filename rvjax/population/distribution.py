@@ -60,7 +60,7 @@ class Distribution(Record):
         """Return true where the errors are linear in z."""
         return False
 
-    def scaled(self, tolerance: "Tolerance", half_width: Scalar) -> dict[str, Any]:
+    def scaled(self, tolerance: "Tolerance", half_width: Scalar) -> dict[str, Scalar]:
         """Changed fields of a tolerance with another half-width; here its limits, about their mid-point.
 
         Args:
@@ -91,10 +91,10 @@ class Distribution(Record):
     @classmethod
     def parameters(cls) -> tuple[str, ...]:
         """Names of the parameters that belong to this distribution alone."""
-        return tuple(f.name for f in _fields(cls))
+        return tuple(f.name for f in dataclasses.fields(cls))
 
     @classmethod
-    def parsed(cls, key: str, value: object, unit: str) -> Any:
+    def parsed(cls, key: str, value: object, unit: str) -> object:
         """Parse a parameter of a study file; a ValueError if it is not in its unit.
 
         Args:
@@ -102,7 +102,7 @@ class Distribution(Record):
             value: as read.
             unit: of the error.
         """
-        about = next(f.metadata for f in _fields(cls) if f.name == key)
+        about = next(f.metadata for f in dataclasses.fields(cls) if f.name == key)
         wanted = unit if about["unit"] == IN_ERROR_UNIT else about["unit"]
         try:
             if isinstance(value, list):
@@ -112,13 +112,13 @@ class Distribution(Record):
         except ValueError as error:
             raise ValueError(f"{key} = {error}") from None
 
-    def described(self) -> dict[str, Any]:
+    def described(self) -> dict[str, object]:
         """Parameters as plain values, exact to the last bit."""
         values = {name: getattr(self, name) for name in self.parameters()}
         return {n: v if isinstance(v, (tuple, str, type(None))) else np.asarray(v).tolist() for n, v in values.items()}
 
 
-def distribution_of(distribution: object, parameters: Mapping[str, Any]) -> Distribution:
+def distribution_of(distribution: object, parameters: Mapping[str, object]) -> Distribution:
     """Make a distribution from its name, class or an instance; a ValueError names a parameter of another one."""
     if isinstance(distribution, str) and distribution in DISTRIBUTIONS:
         distribution = DISTRIBUTIONS[distribution]
@@ -128,7 +128,7 @@ def distribution_of(distribution: object, parameters: Mapping[str, Any]) -> Dist
     if not (isinstance(distribution, type) and issubclass(distribution, Distribution)):
         near = meant(distribution, DISTRIBUTIONS)
         raise bad("distribution", distribution, f"unknown{near}, choose from {', '.join(DISTRIBUTIONS)}")
-    for f in _fields(distribution):
+    for f in dataclasses.fields(distribution):
         if f.default is dataclasses.MISSING and f.name not in given:
             raise bad(f.name, None, f"give {f.metadata['meaning']} with distribution={distribution.name!r}")
     for name, value in given.items():
@@ -136,13 +136,9 @@ def distribution_of(distribution: object, parameters: Mapping[str, Any]) -> Dist
             owners = [law for law, cls in DISTRIBUTIONS.items() if name in cls.parameters()]
             if not owners:
                 raise TypeError(f"Tolerance got an unexpected argument {name!r}")
-            known = next(f.metadata["meaning"] for f in _fields(DISTRIBUTIONS[owners[0]]) if f.name == name)
+            known = next(f.metadata["meaning"] for f in dataclasses.fields(DISTRIBUTIONS[owners[0]]) if f.name == name)
             raise bad(name, value, f"give {known} with distribution={owners[0]!r}, and only there")
     return distribution(**given)
-
-
-def _fields(law: type[Distribution]) -> tuple[dataclasses.Field[Any], ...]:
-    return dataclasses.fields(law)  # type: ignore[arg-type]  # the base alone is no dataclass
 
 
 def bad(name: str, value: object, reason: str) -> ValueError:

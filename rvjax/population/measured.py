@@ -16,9 +16,10 @@ from rvjax.choices import unknown
 from rvjax.columns import read_cells, read_table, split
 from rvjax.population.estimates import Estimate, deviate_of
 from rvjax.population.tolerance import Tolerance
-from rvjax.records import axis_sizes
+from rvjax.records import Design, Metadata, PyTree, axis_sizes
 from rvjax.units import KNOWN, spelling
 
+Limit = Tolerance | tuple[float, float]
 NATURAL = 3.0
 """Standard deviations to each side of the mean that are the limits of an error without given limits."""
 
@@ -90,10 +91,10 @@ class MeasuredParts:
             )
         return found
 
-    def to_pandas(self) -> Any:
+    def to_pandas(self) -> "frames.DataFrame":
         """Return a `pandas.DataFrame`, SI: one row for each column, every statistic with its error and interval."""
 
-        def row(name: str, found: MeasuredColumn) -> dict[str, Any]:
+        def row(name: str, found: MeasuredColumn) -> dict[str, object]:
             lower, upper = found.limits or (math.nan, math.nan)
             said = {"error": name, "unit": found.unit, "n": found.n, "lower_limit": lower, "upper_limit": upper}
             said |= {"minimum": found.minimum, "maximum": found.maximum}
@@ -106,10 +107,10 @@ class MeasuredParts:
 
 def measured(
     path: str | Path,
-    columns: Mapping[str, Any] | None = None,
+    columns: Mapping[str, str | Mapping[str, str]] | None = None,
     *,
-    design: Any = None,
-    limits: Any = None,
+    design: Design | None = None,
+    limits: PyTree = None,
     confidence: float = 0.95,
 ) -> MeasuredParts:
     """Tolerances that follow measured parts, from a CSV file with a row for each part.
@@ -160,7 +161,7 @@ def measured(
     return MeasuredParts(made, figures, whole.shape[1], _pairs(list(wanted), whole, confidence), str(path))
 
 
-def _found(path: str | Path, about: Mapping[str, Any] | None) -> dict[str, str]:
+def _found(path: str | Path, about: Mapping[str, Metadata] | None) -> dict[str, str]:
     """Every column whose header is a name and a known unit, by the name."""
     everything = {unit for family in KNOWN.values() for unit in family}
     heads = {text: split(text) for text in read_cells(path)[0]}
@@ -172,7 +173,7 @@ def _found(path: str | Path, about: Mapping[str, Any] | None) -> dict[str, str]:
     return found
 
 
-def _family(name: str, about: Mapping[str, Any] | None) -> Mapping[str, float]:
+def _family(name: str, about: Mapping[str, Metadata] | None) -> Mapping[str, float]:
     """Units that a column may have."""
     if about is None:
         return {unit: size for family in KNOWN.values() for unit, size in family.items()}
@@ -185,7 +186,7 @@ def _field(name: str) -> str:
     return name.partition("[")[0]
 
 
-def _limits(limits: Any) -> dict[str, Tolerance | tuple[float, float]]:
+def _limits(limits: PyTree) -> dict[str, Limit]:
     given = limits or {}
     if not isinstance(given, Mapping):
         given = {f.name: getattr(given, f.name) for f in dataclasses.fields(given)}
@@ -199,7 +200,7 @@ def _limits(limits: Any) -> dict[str, Tolerance | tuple[float, float]]:
     return found
 
 
-def _figures(values: np.ndarray, unit: str, given: Any, confidence: float) -> MeasuredColumn:
+def _figures(values: np.ndarray, unit: str, given: Limit | None, confidence: float) -> MeasuredColumn:
     n, mean, sd = len(values), float(values.mean()), float(values.std(ddof=1))
     tail, error = (1 - confidence) / 2, sd / math.sqrt(n)
     middle = Estimate.about(mean, error, float(special.stdtrit(n - 1, 1 - tail)))
@@ -225,7 +226,12 @@ def _capability(mean: float, sd: float, n: int, limits: tuple[float, float], con
 
 
 def _tolerance(
-    field: str, names: list[str], values: np.ndarray, given: Any, design: Any, about: Mapping[str, Any] | None
+    field: str,
+    names: list[str],
+    values: np.ndarray,
+    given: Limit | None,
+    design: Design | None,
+    about: Mapping[str, Metadata] | None,
 ) -> Tolerance:
     law: dict[str, Any] = dict(distribution="empirical", values=values)
     places = [tuple(map(int, re.findall(r"\d+", name[len(field) :]))) for name in names]

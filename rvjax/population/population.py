@@ -9,7 +9,7 @@ import functools
 import math
 import operator
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -17,7 +17,9 @@ import numpy as np
 
 from rvjax.population.correlation import Correlation, mixing_matrix
 from rvjax.population.tolerance import Tolerance
-from rvjax.records import Array, PyTree, Record, Scalar, field, is_concrete, record
+from rvjax.records import PyTree, Record, Scalar, field, is_concrete, record
+
+Numbers = TypeVar("Numbers", jax.Array, np.ndarray)
 
 
 @record
@@ -54,12 +56,12 @@ class Population(Record):
         return made.replace(mixing=mixing_matrix(made.active, correlation)) if correlation else made
 
     @functools.cached_property
-    def _flat(self) -> tuple[list[tuple[Any, Any]], Any]:
+    def _flat(self) -> tuple[list[tuple[PyTree, PyTree]], PyTree]:
         is_leaf = lambda item: item is None or isinstance(item, Tolerance)  # noqa: E731
         return jax.tree_util.tree_flatten_with_path(self.tolerances, is_leaf=is_leaf)
 
     @functools.cached_property
-    def _leaves(self) -> dict[str, Any]:
+    def _leaves(self) -> dict[str, PyTree]:
         return {jax.tree_util.keystr(path, simple=True, separator="."): leaf for path, leaf in self._flat[0]}
 
     @functools.cached_property
@@ -68,7 +70,7 @@ class Population(Record):
         return {name: leaf for name, leaf in self._leaves.items() if isinstance(leaf, Tolerance)}
 
     @property
-    def constants(self) -> dict[str, Any]:
+    def constants(self) -> dict[str, Scalar]:
         """Fields with a constant error other than 0."""
         return {n: leaf for n, leaf in self._leaves.items() if leaf is not None and n not in self.active}
 
@@ -107,11 +109,11 @@ class Population(Record):
             errors[name] = tolerance.deviate(own)
         return errors
 
-    def errors(self, z: jax.Array) -> Any:
+    def errors(self, z: jax.Array) -> PyTree:
         """The error structure of units from z (numbers, *batch); inactive fields are plain 0.0 and cost nothing."""
         return self.fill(self.deviations(z))
 
-    def fill(self, values: Mapping[str, Any]) -> Any:
+    def fill(self, values: Mapping[str, PyTree]) -> PyTree:
         """Return the error structure with `values` in the active fields."""
         return self._with(values, absent=0.0)
 
@@ -123,12 +125,12 @@ class Population(Record):
         """Return the same population with other tolerances in some of its active fields."""
         return self.replace(tolerances=self._with(changed, absent=None))
 
-    def _with(self, values: Mapping[str, Any], *, absent: Any) -> Any:
+    def _with(self, values: Mapping[str, PyTree], *, absent: float | None) -> PyTree:
         return self._flat[1].unflatten(
             [values.get(name, absent if leaf is None else leaf) for name, leaf in self._leaves.items()]
         )
 
-    def exchanged(self, one: Any, other: Any) -> Iterator[tuple[str, Any]]:
+    def exchanged(self, one: Numbers, other: Numbers) -> Iterator[tuple[str, Numbers]]:
         """Units with the random numbers of one field from other units, field by field: name and z (numbers, n).
 
         Differences to the first units give total effects (Jansen, Comput. Phys. Commun. 117, 1999).
@@ -143,7 +145,7 @@ class Population(Record):
             start, stop = stop, stop + size
             yield name, library.concatenate([one[:start], other[start:stop], one[stop:]])
 
-    def by_field(self, values: Array | np.ndarray) -> dict[str, Any]:
+    def by_field(self, values: Numbers) -> dict[str, Numbers]:
         """Return a vector over all active elements (n,) as arrays by field."""
         # Split, not sliced: its transpose is one concatenation, which compiles for hundreds of fields too.
         ends = np.cumsum([math.prod(t.shape) for t in self.active.values()])

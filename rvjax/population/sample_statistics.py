@@ -5,12 +5,22 @@ import functools
 import itertools
 import math
 from collections.abc import Callable
-from typing import Any
+from typing import Protocol
 
 import numpy as np
 
 from rvjax.population.central_moments import CentralMoments
 from rvjax.population.estimates import Estimate, deviate_of, of_groups, share_estimate, wilson
+
+
+class Capable(Protocol):
+    """Limits of one response."""
+
+    def capability(self, mean: float, sd: float) -> tuple[float, float]:
+        """Cp and Cpk."""
+
+    def outward(self, value: float) -> float:
+        """+1 where the margin falls with the value, -1 where it grows."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -57,7 +67,7 @@ class Sampled:
         """Return the standard deviation."""
         return self._figure(lambda m: m.sd, lambda m: m.sd_estimate(self.confidence))
 
-    def cp(self, limits: Any) -> Estimate:
+    def cp(self, limits: Capable) -> Estimate:
         """Cp = (U - L)/(6 sd) of two limits; its ends are those of the sd."""
 
         def of(m: CentralMoments) -> float:
@@ -72,7 +82,7 @@ class Sampled:
 
         return self._figure(of, alone)
 
-    def cpk(self, limits: Any) -> Estimate:
+    def cpk(self, limits: Capable) -> Estimate:
         """Cpk = margin/(3 sd) of limits."""
 
         def of(m: CentralMoments) -> float:

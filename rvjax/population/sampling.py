@@ -1,7 +1,6 @@
 """Tolerances of a design, and the errors of one unit."""
 
 import dataclasses
-from typing import Any
 
 import jax.numpy as jnp
 
@@ -10,10 +9,10 @@ from rvjax.population.correlation import Correlation
 from rvjax.population.population import Population, root_key
 from rvjax.population.sobol import SobolPoints
 from rvjax.population.tolerance import Tolerance
-from rvjax.records import Design, axis_sizes, is_concrete
+from rvjax.records import Design, PyTree, Scalar, axis_sizes, is_concrete
 
 
-def for_design(design: Design, **tolerances: Tolerance | None) -> Any:
+def for_design(design: Design, **tolerances: Tolerance | None) -> PyTree:
     """Tolerances of a design: its error record with a `Tolerance` or None in each field, shapes filled in.
 
     Args:
@@ -56,7 +55,9 @@ def check_method(method: str) -> None:
     choose("method", method, METHODS)
 
 
-def sample(tolerances: Any, index: Any, *, seed: int, method: str = "random", correlation: Correlation = None) -> Any:
+def sample(
+    tolerances: PyTree, index: Scalar, *, seed: int, method: str = "random", correlation: Correlation = None
+) -> PyTree:
     """Return the errors of unit number `index`; vmaps over `index` for random units.
 
     The unit depends on seed, index and method, on which fields are active (each draws its own

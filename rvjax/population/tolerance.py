@@ -72,7 +72,7 @@ class Tolerance(Record):
         size: Scalar | None = None,
         shape: tuple[int, ...] = (),
         vector: bool | None = None,
-        **parameters: Any,
+        **parameters: object,
     ) -> None:
         """Limits and a distribution.
 
@@ -119,7 +119,7 @@ class Tolerance(Record):
         """
         return cls.symmetric(it_width(grade, size) / 2, size=size, **options)
 
-    def replace(self, **changes: Any) -> Self:
+    def replace(self, **changes: object) -> Self:
         """Copy with some arguments changed, checked like a new tolerance; another distribution needs its parameters."""
         kept = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
         law = kept.pop("law")

@@ -67,7 +67,7 @@ def _hours_of_duty() -> float:
 
 
 @cache
-def _arms_rated() -> Any:
+def _arms_rated() -> life.Rating:
     return life.rating(ARMS, ERRORS, life.Duty([TORQUE["rv40e"]], [RATED_SPEED], [1.0]), samples=SAMPLES)
 
 

@@ -39,8 +39,12 @@ from functools import cache
 from importlib import resources
 from typing import Any
 
+from rvjax.records import PyTree
+
 SOURCES = ("corr", "rv20e", "rv320e", "rv40e", "rv160", "catalogue")
 """Sources in the ledger; each has a TOML file and a module of the same name with a dict `COMPUTED`."""
+
+Figure = dict[str, Any]  # as in the TOML file of a source
 
 CLOSE = 0.10
 
@@ -54,26 +58,26 @@ class Comparison:
 
     id: str
     claim: str
-    published: Any
-    computed: Any
+    published: object
+    computed: object
     unit: str
     status: str
     note: str
-    right: Any = None
+    right: object = None
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> dict[str, object]:
         """Return the fields meant for machines."""
         names = ("id", "published", "computed", "unit", "status", "note")
         return {name: getattr(self, name) for name in names}
 
 
-def figures(source: str) -> list[dict[str, Any]]:
+def figures(source: str) -> list[Figure]:
     """Return the figures of one source, as in its TOML file."""
     return parse(source)["figure"]
 
 
 @cache
-def parse(source: str) -> dict[str, Any]:
+def parse(source: str) -> Figure:
     """Return the whole ledger file of one source, read once: not to be changed."""
     return tomllib.loads((resources.files("rvjax.published") / f"{source}.toml").read_text("utf-8"))
 
@@ -98,12 +102,12 @@ def reproduce(
     return rows
 
 
-def ours(figure: dict[str, Any]) -> Any:
+def ours(figure: Figure) -> object:
     """Return the number that the ledger holds a computed one against; None where the source does not allow one."""
     return figure.get("our_value", figure.get("judging_value"))
 
 
-def compare(figure: dict[str, Any], computed: object, right: object = None) -> Comparison:
+def compare(figure: Figure, computed: object, right: object = None) -> Comparison:
     """Compare one value.
 
     Args:
@@ -111,7 +115,7 @@ def compare(figure: dict[str, Any], computed: object, right: object = None) -> C
         computed: our value; None where the source does not allow one.
         right: the physically right value, where another reading was required.
     """
-    unit = figure.get("our_unit", figure["unit"])
+    unit = str(figure.get("our_unit", figure["unit"]))
     notes = [figure[key] for key in ("contradicted_by", "missing", "reading", "calibrated", "note") if key in figure]
     notes = [f"{key}: {figure[key]}" for key in ("type", "grade") if key in figure] + notes
     status = _status(figure, computed)
@@ -143,18 +147,18 @@ def show(value: object) -> str:
     return value if isinstance(value, str) else f"{value:.6g}"
 
 
-def _call(function: Callable[[], Any] | None) -> Any:
+def _call(function: Callable[[], object] | None) -> object:
     return None if function is None else _plain(function())
 
 
-def _plain(value: object) -> Any:
+def _plain(value: object) -> object:
     """Arrays and NumPy scalars as Python numbers, fit for JSON."""
     if isinstance(value, (list, tuple)):
         return [_plain(v) for v in value]
     return value.tolist() if hasattr(value, "tolist") else value
 
 
-def _status(figure: dict[str, Any], computed: object) -> str:
+def _status(figure: Figure, computed: object) -> str:
     if computed is None:
         return "not_computable"
     if figure.get("type") == "consistent":
@@ -171,7 +175,7 @@ def _status(figure: dict[str, Any], computed: object) -> str:
     return "not_reproduced"
 
 
-def _bands(figure: dict[str, Any], computed: object) -> list[tuple[Any, Any, Any, Any]]:
+def _bands(figure: Figure, computed: object) -> list[tuple[float, float, float, float]]:
     """Of every element: computed, published, half the last published digit, tolerance of the computed one."""
     published = _list(figure.get("presupposes", figure["value"]))
     ours, rounding, tolerance = _list(computed), _list(figure.get("rounding", 0.0)), _list(figure.get("tolerance", 0.0))
@@ -179,7 +183,7 @@ def _bands(figure: dict[str, Any], computed: object) -> list[tuple[Any, Any, Any
     return list(zip(ours, published, rounding, tolerance, strict=True))
 
 
-def _where(figure: dict[str, Any], computed: object) -> str:
+def _where(figure: Figure, computed: object) -> str:
     """Return the numbers that make a contradiction."""
     if isinstance(figure.get("presupposes", figure["value"]), bool):
         return f"computed: {show(computed)}"
@@ -190,5 +194,5 @@ def _where(figure: dict[str, Any], computed: object) -> str:
     return f"computed: {where}{more}"
 
 
-def _list(value: object) -> list[Any]:
+def _list(value: PyTree) -> list[float]:
     return list(value) if isinstance(value, (list, tuple)) else [value]

@@ -18,6 +18,7 @@ from rvjax import loaded
 from rvjax.batching import in_blocks
 from rvjax.designs import Contact, CrankStage, CycloidStage, InvoluteStage, RVReducer, Stiffness
 from rvjax.errors import RVErrors
+from rvjax.records import Scalar
 from rvjax.units import arcmin, arcsec, mm, um
 
 RATED = 1600.0  # assumed: torque of an RV-160, N m
@@ -56,6 +57,7 @@ ANGLES = 8
 """Input angles over an output revolution for its mean."""
 
 
+Numbers = Sequence[Scalar] | np.ndarray
 FREE = ("factor", "gears", "clearance", "play", "scatter")
 """Parameters of a fit: factor on all springs, factor on the gears, radial clearance of the arm bearings, clearance
 of the pins, standard deviation of `pattern`; lengths in um."""
@@ -87,7 +89,7 @@ def pattern(seed: int = 0) -> RVErrors:
     return NONE.replace(**{name: um * draw(size=SHAPES[name]) for name in drawn})
 
 
-def _error(log: jax.Array, errors: RVErrors, angle: Any, torque: Any) -> jax.Array:
+def _error(log: jax.Array, errors: RVErrors, angle: jax.Array, torque: jax.Array) -> jax.Array:
     """Transmission error for the logarithms of `FREE`."""
     factor, gears, clearance, play, scatter = jnp.exp(log)
     springs = jax.tree.map(lambda k: k * factor, MACHINE.stiffness)
@@ -105,12 +107,14 @@ _with_slopes = jax.jit(jax.vmap(jax.value_and_grad(_error), (None, None, 0, 0)))
 LANES = 2 * len(TORQUE) * ANGLES  # of a call
 
 
-def _solved(values: Any, errors: RVErrors, angle: np.ndarray, torque: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _solved(values: Numbers, errors: RVErrors, angle: np.ndarray, torque: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Transmission error at angles and torques (n,), and its slopes to the logarithms of `FREE`."""
-    return in_blocks(partial(_with_slopes, jnp.log(jnp.asarray(values, float)), errors), LANES, angle, torque)
+    return in_blocks(
+        partial(_with_slopes, jnp.log(jnp.asarray(np.asarray(values, float))), errors), LANES, angle, torque
+    )
 
 
-def half_difference(values: Any, errors: RVErrors, torque: Any = TORQUE) -> tuple[np.ndarray, np.ndarray]:
+def half_difference(values: Numbers, errors: RVErrors, torque: Numbers = TORQUE) -> tuple[np.ndarray, np.ndarray]:
     """Half of backward less forward transmission error, (n,) rad, and its slopes to the logarithms, (n, 5).
 
     Args:
@@ -123,7 +127,7 @@ def half_difference(values: Any, errors: RVErrors, torque: Any = TORQUE) -> tupl
     angle, signed = np.meshgrid(turn * np.arange(ANGLES) / ANGLES, np.concatenate([-load, load]))
     error, slope = _solved(values, errors, angle.ravel(), signed.ravel())
 
-    def half(x: Any) -> np.ndarray:
+    def half(x: np.ndarray) -> np.ndarray:
         backward, forward = np.asarray(x).reshape(2, len(load), ANGLES, -1).mean(axis=2)
         return (backward - forward) / 2
 
@@ -210,7 +214,7 @@ def classes(size: float = 3 * um, seed: int = 1, clearance: float = 0.0) -> dict
     return {"none": none} | alone | {"all": none.replace(**parts)}
 
 
-def spectra(units: dict[str, RVErrors], torque: Any, factor: float) -> dict[str, np.ndarray]:
+def spectra(units: dict[str, RVErrors], torque: Numbers, factor: float) -> dict[str, np.ndarray]:
     """Amplitudes (torques, SAMPLES / 2) of the orders of an output turn, rad.
 
     Args:
@@ -219,7 +223,7 @@ def spectra(units: dict[str, RVErrors], torque: Any, factor: float) -> dict[str,
         factor: on every spring.
     """
     turn = 2 * np.pi * MACHINE.ratio * np.arange(SAMPLES) / SAMPLES
-    load, angle = np.meshgrid(torque, turn, indexing="ij")
+    load, angle = np.meshgrid(np.asarray(torque, float), turn, indexing="ij")
     found = {}
     for name, errors in units.items():
         values = dict(factor=factor, gears=1.0, clearance=errors.bearing_clearance / um, play=NO_PLAY, scatter=1.0)

@@ -17,7 +17,7 @@ from rvjax.catalogue import RV_20E, RV_20E_ERRORS
 from rvjax.designs import InvoluteStage
 from rvjax.lost_motion import geometric, shaft_tilt
 from rvjax.published.ledger import parse
-from rvjax.records import Scalar, promote
+from rvjax.records import PyTree, Scalar, promote
 from rvjax.units import arcmin, deg, mm, um
 
 RATIO = RV_20E.ratio
@@ -50,7 +50,7 @@ def empirical_normal_force(output_torque: Scalar) -> jax.Array:
     return jnp.where(inside, 1.5081 + 0.2373 * torque / 200, jnp.nan)
 
 
-def _total(**options: Any) -> float:
+def _total(**options: PyTree) -> float:
     return float(_unit(**options).total) / arcmin
 
 

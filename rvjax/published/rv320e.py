@@ -30,7 +30,7 @@ FROM_TEETH = InvoluteStage.from_teeth(15, 69, module=1.5 * mm, pressure_angle=20
 TOO_SMALL = 1e-9  # a relative derivative that is zero to rounding
 
 
-def _with(name: str, value: Any, design: Any = LUMPED) -> Any:
+def _with(name: str, value: Scalar, design: dynamics.Lumped = LUMPED) -> dynamics.Lumped:
     part, _, field = name.rpartition(".")
     return design.replace(**{part: getattr(design, part).replace(**{field: value})} if part else {field: value})
 

@@ -17,6 +17,7 @@ from rvjax.batching import in_blocks
 from rvjax.catalogue import RV_40E
 from rvjax.errors import RVErrors
 from rvjax.four_bar import LinkDeviations, solve_closure, transmission_error
+from rvjax.records import PyTree, Scalar
 from rvjax.units import arcmin, deg, mm, um
 
 ECCENTRICITY = RV_40E.cycloid.eccentricity
@@ -31,13 +32,13 @@ ELASTIC_TABLE_2_3 = 0.029 * mm
 ELASTIC_OUTPUT = 0.0929 * mm
 
 
-def _coupler_angle(links: jax.Array, crank_angle: Any = RIGHT_ANGLE, **options: Any) -> jax.Array:
+def _coupler_angle(links: jax.Array, crank_angle: Scalar = RIGHT_ANGLE, **options: PyTree) -> jax.Array:
     """For deviations of crank 1, coupler, crank 3, frame and of a joint across the frame, (5,) m."""
     crank_1, coupler, crank_3, frame, across = links
     deviations = LinkDeviations(
         crank_1=crank_1, coupler=coupler, crank_3=crank_3, frame=frame, joint=(jnp.zeros_like(across), across)
     )
-    chosen: dict[str, Any] = dict(cranks="free") | options
+    chosen: dict[str, PyTree] = dict(cranks="free") | options
     return solve_closure(ECCENTRICITY, SPACING, deviations, crank_angle=crank_angle, **chosen).coupler_angle
 
 
@@ -45,17 +46,17 @@ SWEEP = np.linspace(-BAND, BAND, 2001)
 
 
 @cache
-def _kernel(**options: Any) -> Callable[..., jax.Array]:
+def _kernel(**options: PyTree) -> Callable[..., jax.Array]:
     return jax.jit(jax.vmap(partial(_coupler_angle, **options)))
 
 
 def printed(
-    crank_1: Any = 0.0,
-    coupler: Any = 0.0,
-    crank_3: Any = 0.0,
-    frame: Any = 0.0,
-    crank_angle: Any = RIGHT_ANGLE,
-    **options: Any,
+    crank_1: Scalar = 0.0,
+    coupler: Scalar = 0.0,
+    crank_3: Scalar = 0.0,
+    frame: Scalar = 0.0,
+    crank_angle: Scalar = RIGHT_ANGLE,
+    **options: PyTree,
 ) -> np.ndarray:
     """|coupler angle| in rad under the reading that gives the source's figures; arrays of errors in m."""
     options = dict(closure="quadratic", branch="crossed") | options
@@ -78,7 +79,7 @@ PARTS: dict[str, tuple[tuple[str, ...], float]] = {
 }
 
 
-def _lengthened(elastic: float, solve: Callable[..., np.ndarray], **errors: Any) -> np.ndarray:
+def _lengthened(elastic: float, solve: Callable[..., np.ndarray], **errors: Scalar) -> np.ndarray:
     return solve(**errors | {crank: errors.get(crank, 0.0) + elastic for crank in ("crank_1", "crank_3")})
 
 

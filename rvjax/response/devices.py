@@ -4,6 +4,7 @@ Several processes, or hosts, share a study chunk by chunk; JAX's distributed run
 """
 
 import functools
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -12,8 +13,8 @@ import numpy as np
 
 from rvjax.files import Arrays, pack, unpack
 from rvjax.population import Population, SobolPoints, drawn, root_key
-from rvjax.records import Record
-from rvjax.response.response import Response, Values, per_response, respond
+from rvjax.records import PyTree, Record
+from rvjax.response.response import R, Response, Values, per_response, respond
 
 UNITS = jax.sharding.PartitionSpec("units")
 NUMBERS = jax.sharding.PartitionSpec(None, "units")
@@ -80,8 +81,13 @@ def _respond_on(
 
 
 def shared_out(
-    function: Any, mesh: jax.sharding.Mesh, out: Any, response: Response, population: Population, *rows: jax.Array
-) -> Any:
+    function: Callable[..., R],
+    mesh: jax.sharding.Mesh,
+    out: PyTree,
+    response: Response,
+    population: Population,
+    *rows: jax.Array,
+) -> R:
     """Return a function of a response, a population and arrays (numbers, units) whose units the devices share.
 
     Args:

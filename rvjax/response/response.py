@@ -8,7 +8,7 @@ import dataclasses
 import functools
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Generic, Protocol, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -30,6 +30,8 @@ PROGRAMS = 32
 """Plain functions whose programs are kept, the latest ones."""
 
 Values = dict[str, jax.Array]
+Function = Callable[..., PyTree]  # a response, or a function that also takes an index
+R = TypeVar("R")
 
 
 class Response(Protocol):
@@ -38,7 +40,7 @@ class Response(Protocol):
     def __call__(self, errors: PyTree, /) -> PyTree: ...
 
 
-class Compiled:
+class Compiled(Generic[R]):
     """A function of a response and arrays, compiled.
 
     A response that is a record is an argument like the others: its numbers are traced, so that ten thousand
@@ -47,26 +49,27 @@ class Compiled:
     those of its programs, but within another program. The command line keeps the traced programs of records.
     """
 
-    def __init__(self, function: Callable[..., Any], static: tuple[str, ...] = (), options: Options = ()) -> None:
+    def __init__(self, function: Callable[..., R], static: tuple[str, ...] = (), options: Options = ()) -> None:
         functools.update_wrapper(self, function)
         self._options = options
 
-        def shared(options: Options) -> Any:
+        def shared(options: Options) -> jax.stages.Wrapped:
             return jax.jit(function, static_argnames=static, compiler_options=understood(options))
 
-        def own(response: Callable[..., Any], options: Options) -> Any:
+        def own(response: Function, options: Options) -> jax.stages.Wrapped:
             whole = functools.partial(function, response)
             return jax.jit(whole, static_argnames=static, compiler_options=understood(options))
 
         self._flat: dict[Any, Any] = {}
         self._shared, self._own = functools.lru_cache(PROGRAMS)(shared), functools.lru_cache(PROGRAMS)(own)
 
-    def _program(self, response: Callable[..., Any], options: Options = ()) -> tuple[Any, tuple[Any, ...]]:
+    def _program(self, response: Function, options: Options = ()) -> tuple[jax.stages.Wrapped, tuple[Record, ...]]:
         """The compiled function and its first arguments."""
-        shared = isinstance(response, Record)
-        return (self._shared(options), (response,)) if shared else (self._own(response, options), ())
+        if isinstance(response, Record):
+            return self._shared(options), (response,)
+        return self._own(response, options), ()
 
-    def __call__(self, response: Callable[..., Any], *arguments: Any, **static: Any) -> Any:
+    def __call__(self, response: Function, *arguments: PyTree, **static: object) -> R:
         """The function's value."""
         if inside(response, arguments):
             jitted, first = self._program(response)
@@ -77,7 +80,7 @@ class Compiled:
         jitted, first = self._program(response, options)
         return jitted(*first, *arguments, **static)
 
-    def _kept(self, folder: Path, options: Options, arguments: tuple[Any, ...], static: dict[str, Any]) -> Any:
+    def _kept(self, folder: Path, options: Options, arguments: PyTree, static: dict[str, object]) -> R:
         """The function's value, by a program that this or an earlier process has traced."""
         from rvjax.exported import exported, plain
 
@@ -93,13 +96,13 @@ class Compiled:
         call, put_together = program
         return put_together(call(*plain(leaves)))
 
-    def lowered(self, response: Callable[..., Any], *arguments: Any, **static: Any) -> str:
+    def lowered(self, response: Function, *arguments: PyTree, **static: object) -> str:
         """Text of the program."""
         jitted, first = self._program(response)
         return str(jitted.lower(*first, *arguments, **static).as_text())
 
 
-def per_response(*, static: tuple[str, ...] = (), options: Options = ()) -> Callable[[Callable[..., Any]], Compiled]:
+def per_response(*, static: tuple[str, ...] = (), options: Options = ()) -> Callable[[Callable[..., R]], Compiled[R]]:
     """Compile a function whose first argument is a response.
 
     Args:
@@ -142,7 +145,7 @@ def evaluate(response: Response, errors: PyTree) -> tuple[Values, jax.Array]:
     return values, jnp.where(succeeded(status) & ~finite, jnp.int32(int(Status.NONFINITE)), status)
 
 
-def _named(result: object) -> dict[str, Any]:
+def _named(result: object) -> dict[str, PyTree]:
     if isinstance(result, Record):
         result = {path[-1].name: leaf for path, leaf in jax.tree_util.tree_flatten_with_path(result)[0]}
     if not isinstance(result, Mapping):
@@ -152,7 +155,7 @@ def _named(result: object) -> dict[str, Any]:
     return dict(result)
 
 
-def unwrapped(result: object) -> Any:
+def unwrapped(result: object) -> PyTree:
     """Result with dicts by name of the response, with plain values where it is a plain scalar."""
     if dataclasses.is_dataclass(result) and not isinstance(result, (type, Record)):
         fields = {f.name: unwrapped(getattr(result, f.name)) for f in dataclasses.fields(result)}
@@ -165,13 +168,13 @@ def unwrapped(result: object) -> Any:
     return {key: unwrapped(item) for key, item in result.items()} if by_number else result
 
 
-def by_name(kind: type, found: Mapping[str, Mapping[str, Any]]) -> Any:
+def by_name(kind: type, found: Mapping[str, Mapping[str, PyTree]]) -> PyTree:
     """A result of this kind, every field a dict by name, from what was found of each response; unwrapped."""
     columns = {f.name: {n: each[f.name] for n, each in found.items()} for f in dataclasses.fields(kind)}
     return unwrapped(kind(**columns))
 
 
-def by_response(given: object, names: tuple[str, ...], kind: type, argument: str) -> dict[str, Any]:
+def by_response(given: object, names: tuple[str, ...], kind: type, argument: str) -> dict[str, PyTree]:
     """Requirements (one, a dict, or None) as a dict by response; a ValueError names another type or an unknown name."""
     if given is None:
         return {}

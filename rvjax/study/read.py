@@ -200,7 +200,7 @@ def _costs(error_record: PyTree, tolerances: PyTree, table: Toml) -> dict[str, C
         if field not in {f.name for f in dataclasses.fields(error_record)} or getattr(tolerances, field) is None:
             raise ValueError(f"{where}: there is no [tolerances.{field}] for it")
         law = COSTS[choice(entry.pop("model", "reciprocal_power"), COSTS, f"{where}.model")]
-        declared = {f.name: f for f in dataclasses.fields(law)}  # type: ignore[arg-type]  # distributions are records
+        declared = {f.name: f for f in dataclasses.fields(law)}
         known(entry, declared, where)
         units = {name: f.metadata["unit"] for name, f in declared.items()}
         units |= {n: metadata(error_record, field)["unit"] for n, unit in units.items() if unit == IN_ERROR_UNIT}

@@ -233,7 +233,8 @@ def _unit_errors(population: Population, u: jax.Array) -> dict[str, jax.Array]:
     placed = {}
     for name, own in population.by_field(u).items():
         tolerance = population.active[name]
-        placed[name] = tolerance.upper * own if tolerance.is_vector else tolerance.middle + tolerance.half_width * own
+        value = tolerance.upper * own if tolerance.is_vector else tolerance.middle + tolerance.half_width * own
+        placed[name] = jnp.asarray(value)
     return placed
 
 

@@ -2,7 +2,7 @@
 
 import functools
 import math
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import jax
 import jax.numpy as jnp
@@ -93,7 +93,7 @@ class Lognormal(Distribution):
         scale = 2 * float(tolerance.half_width) * math.exp(-3 * cp * s)
         return stretch((mean, mean**2 * w, third, fourth), float(tolerance.lower), scale)
 
-    def scaled(self, tolerance: "Tolerance", half_width: Scalar) -> dict[str, Any]:
+    def scaled(self, tolerance: "Tolerance", half_width: Scalar) -> dict[str, Scalar]:
         """About the lower limit, which is a bound of nature."""
         return dict(upper=tolerance.lower + 2 * half_width)
 
@@ -201,7 +201,7 @@ class Rayleigh(Distribution):
         """Return the components of a vector are."""
         return tolerance.is_vector
 
-    def scaled(self, tolerance: "Tolerance", half_width: Scalar) -> dict[str, Any]:
+    def scaled(self, tolerance: "Tolerance", half_width: Scalar) -> dict[str, Scalar]:
         """About 0."""
         return dict(upper=2 * half_width)
 

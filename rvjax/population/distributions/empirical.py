@@ -1,6 +1,6 @@
 """Measured parts: an error that follows the values someone has measured."""
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import jax
 import jax.numpy as jnp
@@ -53,7 +53,7 @@ class Empirical(Distribution):
             found.append(float(np.sum(pieces) + (x[0] ** k + x[-1] ** k) / 2) / n)
         return found[0], found[1], found[2], found[3]
 
-    def scaled(self, tolerance: "Tolerance", half_width: Scalar) -> dict[str, Any]:
+    def scaled(self, tolerance: "Tolerance", half_width: Scalar) -> dict[str, Scalar]:
         """Limits and values about the mid-point of the limits."""
         old = tolerance.half_width
         if is_concrete(old) and old == 0:
@@ -70,7 +70,7 @@ class Empirical(Distribution):
         object.__setattr__(self, "values", np.sort(values))
 
     @classmethod
-    def parsed(cls, key: str, value: object, unit: str) -> Any:
+    def parsed(cls, key: str, value: object, unit: str) -> object:
         """Values from a list, or from a column of a CSV file, whose header may contain the unit."""
         if not isinstance(value, dict):
             if not isinstance(value, list):
