@@ -37,9 +37,9 @@ def value_text(value: object, unit: str) -> str:
     """
     array = numbers_of(value)
     if array is None:
-        text = repr(value)
         if isinstance(value, jax.Array) and not isinstance(value, jax.core.Tracer) and value.is_deleted():
-            text = f"deleted {value.shape}"
+            return f"deleted {value.shape}"
+        text = repr(value)
         return text if len(text) <= _LONGEST or dataclasses.is_dataclass(value) else f"{text[:40]}...{text[-15:]}"
     if array.size == 0:
         return f"{array.shape} empty"
