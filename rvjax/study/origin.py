@@ -43,11 +43,11 @@ def design_numbers(design: PyTree, given: Toml, text: str) -> list[Number]:
     base = str(given.get("base", ""))
     sources, own = catalogue.sources(base), comments(text)
     published = BASES.get(base)
-    found = []
+    found, stated = [], given_paths(given)
     for path, value, about in walk(design):
         # A number that is neither given nor the published one has followed from others.
         kept = published is not None and path in sources and _same(value, _at(published, path))
-        if _given(given, path):
+        if path in stated:
             origin, said = "this study", own.get(path, "")
         elif kept:
             said = sources[path]
@@ -84,9 +84,9 @@ def _at(record: object, path: str) -> PyTree:
     return record
 
 
-def _given(table: object, path: str) -> bool:
-    for name in path.split("."):
-        if not isinstance(table, dict) or name not in table:
-            return False
-        table = table[name]
-    return True
+def given_paths(table: Toml, prefix: str = "") -> set[str]:
+    """Paths of the numbers that a table [design] gives."""
+    found = set[str]()
+    for key, value in table.items():
+        found |= given_paths(value, f"{prefix}{key}.") if isinstance(value, dict) else {prefix + key}
+    return found

@@ -3,17 +3,20 @@
 import dataclasses
 import functools
 import tomllib
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from rvjax import models
+from rvjax.choices import unknown
 from rvjax.levels import Choice, choose
 from rvjax.outputs import Curve, Output
-from rvjax.records import PyTree
+from rvjax.records import PyTree, Scalar
 from rvjax.study.about import About
 from rvjax.study.identification import Identification
-from rvjax.study.origin import Number, design_numbers
+from rvjax.study.origin import Number, design_numbers, given_paths
 from rvjax.study.plausible import doubts
 from rvjax.study.response import Response, check_nominal, followed_bounds
+from rvjax.study.similarity import changed, fields_of
 from rvjax.study.values import (
     StudyError as StudyError,  # other modules take it from here
     naming,
@@ -143,6 +146,27 @@ class Study:
     def assumed(self) -> list[str]:
         """Paths of the unpublished values of the design, as marked in the base or in the study."""
         return [number.path for number in self.numbers if number.assumed]
+
+    def design_with(self, values: Mapping[str, Scalar], *, similar: bool = True) -> PyTree:
+        """The design with other numbers, and with all that follows from them.
+
+        Args:
+            values: {path: value}, such as {"cycloid.eccentricity": 1.4e-3}, SI; they may be traced.
+            similar: False: no law of similarity holds; gears, crank circle and K1 follow all the same.
+
+        Raises:
+            ValueError: an unknown path, or a number that no such design has.
+        """
+        known = dict(fields_of(self.design))
+        for path in values:
+            if (plain := path.partition("[")[0]) not in known:
+                raise unknown("unknown number of the design", plain, sorted(known), "; known here:")
+        return changed(self.design, values, self.given, similar=similar)
+
+    @functools.cached_property
+    def given(self) -> frozenset[str]:
+        """Paths of the numbers of the design that the study gives; they do not follow others."""
+        return frozenset(given_paths(tomllib.loads(self.text)["design"]))
 
     @property
     def base(self) -> str:

@@ -1,0 +1,195 @@
+"""Laws of similarity: what follows a number of a design that changes (`similarity.toml`).
+
+The ratio of a number to that of the study gives the ratio of the numbers that follow. A number that the study gives
+stands. Without these laws an optimum would buy stiffness that no bearing of its size has.
+"""
+
+import dataclasses
+import math
+import re
+import tomllib
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass
+from importlib import resources
+from typing import Any
+
+import jax.numpy as jnp
+
+from rvjax.choices import unknown
+from rvjax.designs import RVReducer
+from rvjax.records import Design, Scalar
+
+_FILE: dict[str, Any] = tomllib.loads((resources.files("rvjax.study") / "similarity.toml").read_text("utf-8"))
+ANGLE = "involute.pressure_angle"
+BASE_RADII = ("involute.sun_base_radius", "involute.planet_base_radius")
+PROFILE = ("cycloid.eccentricity", "cycloid.pin_circle_radius")  # the shortening coefficient follows
+
+
+@dataclass(frozen=True)
+class Law:
+    """One law of similarity.
+
+    Attributes:
+        name: of what follows.
+        numbers: paths in the design that follow.
+        follows: {path of the number that changes: exponent of its ratio}.
+        interval: ratios of these numbers within which the law is used.
+        source: of the law.
+    """
+
+    name: str
+    numbers: tuple[str, ...]
+    follows: Mapping[str, float]
+    interval: tuple[float, float]
+    source: str
+
+
+LAWS = tuple(
+    Law(
+        entry["name"],
+        tuple(entry["numbers"]),
+        {_FILE["numbers"][key]: float(power) for key, power in entry["follows"].items()},
+        (float(entry["interval"][0]), float(entry["interval"][1])),
+        entry["source"],
+    )
+    for entry in _FILE["law"]
+)
+"""In an order in which what a law reads is known before."""
+
+GEARS = LAWS[0]  # kinematics: gears that do not obey it do not mesh
+
+
+def number_at(design: object, path: str) -> Any:
+    """Number of a design by its path, such as "cycloid.profile_modification[1]"; None where a part is missing."""
+    names, element = _split(path)
+    for name in names:
+        design = getattr(design, name, None)
+    return design if element is None or design is None else jnp.asarray(design)[element]
+
+
+def _split(path: str) -> tuple[list[str], int | None]:
+    found = re.fullmatch(r"([\w.]+)(?:\[(\d+)\])?", path)
+    if found is None:
+        raise ValueError(f"{path}: must be a path in the design, such as cycloid.eccentricity")
+    return found[1].split("."), None if found[2] is None else int(found[2])
+
+
+def _replaced(record: Any, changes: Mapping[str, Any]) -> Any:
+    """A record of records with numbers replaced, by path: every record is checked once, with all its new numbers."""
+    own: dict[str, Any] = {}
+    parts: dict[str, dict[str, Any]] = {}
+    for path, value in changes.items():
+        name, _, rest = path.partition(".")
+        names, element = _split(name)
+        if rest:
+            parts.setdefault(name, {})[rest] = value
+        elif element is not None:
+            own[names[0]] = jnp.asarray(own.get(names[0], getattr(record, names[0]))).at[element].set(value)
+        else:
+            own[name] = value
+    return record.replace(**own, **{name: _replaced(getattr(record, name), inner) for name, inner in parts.items()})
+
+
+def changed(design: Any, values: Mapping[str, Scalar], given: Collection[str] = (), *, similar: bool = True) -> Any:
+    """The design with other numbers, and with all that follows.
+
+    Args:
+        design: before.
+        values: {path: new value}, SI; they may be traced.
+        given: paths of numbers that the study gives: they do not follow.
+        similar: False: only what geometry itself demands follows (gears, crank circle, K1), no law of similarity.
+    """
+    stands, new = {*values, *given}, dict[str, Any](values)
+    if not isinstance(design, RVReducer):
+        return _replaced(design, new)
+    if set(PROFILE) & set(values) and "cycloid.shortening" not in stands:
+        new["cycloid.shortening"] = None
+    for law in LAWS if similar else (GEARS,):
+        ratios = {p: new[p] / number_at(design, p) for p in law.follows if new.get(p) is not None}
+        for path in law.numbers if ratios else ():
+            own = number_at(design, path)
+            if path not in stands and own is not None:
+                new[path] = own * math.prod(ratio ** law.follows[p] for p, ratio in ratios.items())
+    if ANGLE in values:
+        ratio = jnp.cos(values[ANGLE]) / jnp.cos(design.involute.pressure_angle)
+        new |= {path: new.get(path, number_at(design, path)) * ratio for path in BASE_RADII if path not in stands}
+    return _replaced(design, new)
+
+
+def laws_of(design: Design, paths: Collection[str], given: Collection[str] = ()) -> list[tuple[Law, list[str]]]:
+    """Laws that changes of some numbers call, each with the numbers of the design that follow.
+
+    Args:
+        design: the reducer.
+        paths: of the numbers that change.
+        given: paths of numbers that the study gives: they do not follow.
+    """
+    moving, found = set(paths), []
+    for law in LAWS if isinstance(design, RVReducer) else ():
+        if not moving & set(law.follows):
+            continue
+        numbers = [path for path in law.numbers if path not in {*paths, *given} and number_at(design, path) is not None]
+        moving |= set(numbers)
+        if numbers:
+            found.append((law, numbers))
+    return found
+
+
+def outside(before: Design, after: Design, laws: Collection[Law]) -> list[str]:
+    """Numbers whose ratio lies outside the interval of a law that follows them, a line each.
+
+    Args:
+        before: the design of the study.
+        after: the design that was found.
+        laws: that were used.
+    """
+    found = []
+    for path in dict.fromkeys(path for law in laws for path in law.follows):
+        ratio = float(number_at(after, path) / number_at(before, path))
+        for law in (law for law in laws if path in law.follows and not law.interval[0] <= ratio <= law.interval[1]):
+            found.append(f"{path}: {ratio:.3g} times that of the study; {law.name} follow it up to {law.interval[1]:g}")
+    return found
+
+
+def refuse_variable(design: Design, path: str, given: Collection[str]) -> None:
+    """Raise an error for a path that cannot be a variable.
+
+    Args:
+        design: the reducer.
+        path: as written.
+        given: paths of numbers that the study gives.
+
+    Raises:
+        ValueError: one line.
+    """
+    names, element = _split(path)
+    plain, own = ".".join(names), number_at(design, ".".join(names))
+    known = dict(fields_of(design))
+    if plain not in known:
+        raise unknown(f"variable.{path}: unknown number of the design", plain, sorted(known), "; known here:")
+    if known[plain]["kind"] == "count":
+        raise ValueError(f"variable.{path}: is an integer, {own}; write a study for each value")
+    if plain in GEARS.numbers:
+        raise ValueError(f"variable.{path}: follows from involute.module; vary that one")
+    if plain == "cycloid.shortening":
+        raise ValueError(f"variable.{path}: follows from eccentricity and pin circle radius; vary these")
+    if own is None:
+        raise ValueError(f"variable.{path}: [design] has no {plain}; give its value at the start there")
+    if (size := jnp.shape(own)) and (element is None or element >= size[0] or len(size) > 1):
+        raise ValueError(f"variable.{path}: name one element, {plain}[0] to {plain}[{size[0] - 1}]")
+    if element is not None and not size:
+        raise ValueError(f"variable.{path}: is one number; leave [{element}] out")
+    followers = [*(GEARS.numbers if plain in GEARS.follows else ()), *(BASE_RADII if plain == ANGLE else ())]
+    followers += ["cycloid.shortening"] if plain in PROFILE else []
+    if held := [name for name in followers if name in given]:
+        raise ValueError(f"variable.{path}: design.{held[0]} is given, but follows it; leave it out of [design]")
+
+
+def fields_of(record: Any, prefix: str = "") -> Iterator[tuple[str, Mapping[str, Any]]]:
+    """(path, metadata) of every number of a design, also of those without a value."""
+    for f in dataclasses.fields(record):
+        value, about = getattr(record, f.name), f.metadata
+        if about["kind"] == "record":
+            yield from fields_of(value, f"{prefix}{f.name}.") if value is not None else ()
+        else:
+            yield prefix + f.name, about
