@@ -11,15 +11,14 @@ import tomllib
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from importlib import resources
-from typing import Any
 
 import jax.numpy as jnp
 
 from rvjax.choices import unknown
 from rvjax.designs import RVReducer
-from rvjax.records import Design, Scalar
+from rvjax.records import Design, PyTree, Scalar
 
-_FILE: dict[str, Any] = tomllib.loads((resources.files("rvjax.study") / "similarity.toml").read_text("utf-8"))
+_FILE: dict[str, PyTree] = tomllib.loads((resources.files("rvjax.study") / "similarity.toml").read_text("utf-8"))
 ANGLE = "involute.pressure_angle"
 BASE_RADII = ("involute.sun_base_radius", "involute.planet_base_radius")
 PROFILE = ("cycloid.eccentricity", "cycloid.pin_circle_radius")  # the shortening coefficient follows
@@ -59,7 +58,7 @@ LAWS = tuple(
 GEARS = LAWS[0]  # kinematics: gears that do not obey it do not mesh
 
 
-def number_at(design: object, path: str) -> Any:
+def number_at(design: object, path: str) -> PyTree:
     """Number of a design by its path, such as "cycloid.profile_modification[1]"; None where a part is missing."""
     names, element = _split(path)
     for name in names:
@@ -74,10 +73,10 @@ def _split(path: str) -> tuple[list[str], int | None]:
     return found[1].split("."), None if found[2] is None else int(found[2])
 
 
-def _replaced(record: Any, changes: Mapping[str, Any]) -> Any:
+def _replaced(record: PyTree, changes: Mapping[str, PyTree]) -> PyTree:
     """A record of records with numbers replaced, by path: every record is checked once, with all its new numbers."""
-    own: dict[str, Any] = {}
-    parts: dict[str, dict[str, Any]] = {}
+    own: dict[str, PyTree] = {}
+    parts: dict[str, dict[str, PyTree]] = {}
     for path, value in changes.items():
         name, _, rest = path.partition(".")
         names, element = _split(name)
@@ -90,7 +89,9 @@ def _replaced(record: Any, changes: Mapping[str, Any]) -> Any:
     return record.replace(**own, **{name: _replaced(getattr(record, name), inner) for name, inner in parts.items()})
 
 
-def changed(design: Any, values: Mapping[str, Scalar], given: Collection[str] = (), *, similar: bool = True) -> Any:
+def changed(
+    design: PyTree, values: Mapping[str, Scalar], given: Collection[str] = (), *, similar: bool = True
+) -> PyTree:
     """The design with other numbers, and with all that follows.
 
     Args:
@@ -99,7 +100,7 @@ def changed(design: Any, values: Mapping[str, Scalar], given: Collection[str] = 
         given: paths of numbers that the study gives: they do not follow.
         similar: False: only what geometry itself demands follows (gears, crank circle, K1), no law of similarity.
     """
-    stands, new = {*values, *given}, dict[str, Any](values)
+    stands, new = {*values, *given}, dict[str, PyTree](values)
     if not isinstance(design, RVReducer):
         return _replaced(design, new)
     if set(PROFILE) & set(values) and "cycloid.shortening" not in stands:
@@ -185,7 +186,7 @@ def refuse_variable(design: Design, path: str, given: Collection[str]) -> None:
         raise ValueError(f"variable.{path}: design.{held[0]} is given, but follows it; leave it out of [design]")
 
 
-def fields_of(record: Any, prefix: str = "") -> Iterator[tuple[str, Mapping[str, Any]]]:
+def fields_of(record: PyTree, prefix: str = "") -> Iterator[tuple[str, Mapping[str, PyTree]]]:
     """(path, metadata) of every number of a design, also of those without a value."""
     for f in dataclasses.fields(record):
         value, about = getattr(record, f.name), f.metadata
