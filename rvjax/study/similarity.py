@@ -113,7 +113,8 @@ def changed(
                 new[path] = own * math.prod(ratio ** law.follows[p] for p, ratio in ratios.items())
     if ANGLE in values:
         ratio = jnp.cos(values[ANGLE]) / jnp.cos(design.involute.pressure_angle)
-        new |= {path: new.get(path, number_at(design, path)) * ratio for path in BASE_RADII if path not in stands}
+        for path in (path for path in BASE_RADII if path not in stands):
+            new[path] = (new[path] if path in new else number_at(design, path)) * ratio
     return _replaced(design, new)
 
 
