@@ -14,7 +14,7 @@ PRIVATE = re.compile(
     r"|printed|laws?|hardly|drawn|answer(s|ed)?)\b",
     re.IGNORECASE,
 )
-ALLOWED = re.compile(r"contact laws?|drawn to scale|room temperature|machine-readable", re.IGNORECASE)
+ALLOWED = re.compile(r"contact laws?|scaling laws?|drawn to scale|room temperature|machine-readable", re.IGNORECASE)
 CODE = re.compile(r"```.*?```|<!--.*?-->|`[^`]*`|\]\([^)]*\)|\$[^$]*\$|<[^>]*>|--[a-z-]+", re.DOTALL)
 
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md")]

@@ -16,7 +16,7 @@ from rvjax.study.identification import Identification
 from rvjax.study.origin import Number, design_numbers, given_paths
 from rvjax.study.plausible import doubts
 from rvjax.study.response import Response, check_nominal, followed_bounds
-from rvjax.study.similarity import changed, fields_of
+from rvjax.study.scaling import changed, fields_of
 from rvjax.study.values import (
     StudyError as StudyError,  # other modules take it from here
     naming,
@@ -152,7 +152,7 @@ class Study:
 
         Args:
             values: {path: value}, such as {"cycloid.eccentricity": 1.4e-3}, SI; they may be traced.
-            similar: False: no law of similarity holds; gears, crank circle and K1 follow all the same.
+            similar: False: without scaling laws; only gears, crank circle and K1 follow.
 
         Raises:
             ValueError: an unknown path, or a number that no such design has.

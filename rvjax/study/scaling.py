@@ -1,7 +1,7 @@
-"""Laws of similarity: what follows a number of a design that changes (`similarity.toml`).
+"""Scaling laws: numbers of a design that follow a number that changes (`scaling.toml`).
 
-The ratio of a number to that of the study gives the ratio of the numbers that follow. A number that the study gives
-stands. Without these laws an optimum would buy stiffness that no bearing of its size has.
+The ratio of a number to its value in the study gives the ratio of the numbers that follow. A number that the study
+gives does not follow. Without scaling laws an optimum would buy stiffness that no bearing of its size has.
 """
 
 import dataclasses
@@ -18,7 +18,7 @@ from rvjax.choices import unknown
 from rvjax.designs import RVReducer
 from rvjax.records import Design, PyTree, Scalar
 
-_FILE: dict[str, PyTree] = tomllib.loads((resources.files("rvjax.study") / "similarity.toml").read_text("utf-8"))
+_FILE: dict[str, PyTree] = tomllib.loads((resources.files("rvjax.study") / "scaling.toml").read_text("utf-8"))
 ANGLE = "involute.pressure_angle"
 BASE_RADII = ("involute.sun_base_radius", "involute.planet_base_radius")
 PROFILE = ("cycloid.eccentricity", "cycloid.pin_circle_radius")  # the shortening coefficient follows
@@ -26,14 +26,14 @@ PROFILE = ("cycloid.eccentricity", "cycloid.pin_circle_radius")  # the shortenin
 
 @dataclass(frozen=True)
 class Law:
-    """One law of similarity.
+    """One scaling law.
 
     Attributes:
         name: of what follows.
         numbers: paths in the design that follow.
         follows: {path of the number that changes: exponent of its ratio}.
-        interval: ratios of these numbers within which the law is used.
-        source: of the law.
+        interval: ratios of these numbers within which the scaling law is used.
+        source: of the scaling law.
     """
 
     name: str
@@ -53,7 +53,7 @@ LAWS = tuple(
     )
     for entry in _FILE["law"]
 )
-"""In an order in which what a law reads is known before."""
+"""Ordered: a number that follows comes before the numbers that follow it."""
 
 GEARS = LAWS[0]  # kinematics: gears that do not obey it do not mesh
 
@@ -98,7 +98,7 @@ def changed(
         design: before.
         values: {path: new value}, SI; they may be traced.
         given: paths of numbers that the study gives: they do not follow.
-        similar: False: only what geometry itself demands follows (gears, crank circle, K1), no law of similarity.
+        similar: False: without scaling laws; only gears, crank circle and K1 follow.
     """
     stands, new = {*values, *given}, dict[str, PyTree](values)
     if not isinstance(design, RVReducer):
@@ -119,7 +119,7 @@ def changed(
 
 
 def laws_of(design: Design, paths: Collection[str], given: Collection[str] = ()) -> list[tuple[Law, list[str]]]:
-    """Laws that changes of some numbers call, each with the numbers of the design that follow.
+    """Scaling laws that changes of some numbers call, each with the numbers of the design that follow.
 
     Args:
         design: the reducer.
@@ -138,12 +138,12 @@ def laws_of(design: Design, paths: Collection[str], given: Collection[str] = ())
 
 
 def outside(before: Design, after: Design, laws: Collection[Law]) -> list[str]:
-    """Numbers whose ratio lies outside the interval of a law that follows them, a line each.
+    """Numbers whose ratio lies outside the interval of a scaling law, a line each.
 
     Args:
         before: the design of the study.
         after: the design that was found.
-        laws: that were used.
+        laws: scaling laws that were used.
     """
     found = []
     for path in dict.fromkeys(path for law in laws for path in law.follows):

@@ -1,4 +1,4 @@
-"""What follows a number of a design: gears and crank circle by geometry, the rest by laws of similarity."""
+"""What follows a number of a design: gears and crank circle by geometry, the rest by laws of scaling."""
 
 import json
 from pathlib import Path
@@ -10,7 +10,7 @@ import pytest
 
 from rvjax import study
 from rvjax.catalogue import RV_320E
-from rvjax.study.similarity import LAWS, changed, laws_of, number_at, outside, refuse_variable
+from rvjax.study.scaling import LAWS, changed, laws_of, number_at, outside, refuse_variable
 from rvjax.units import mm
 
 CASES = json.loads((Path(__file__).parent / "reference" / "codesign.json").read_text())["cases"]
