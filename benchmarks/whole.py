@@ -22,6 +22,7 @@ from typing import NamedTuple
 from benchmarks.timing import publish
 
 ROOT = Path(__file__).parents[1]
+ACCURACY = ROOT / "benchmarks" / "accuracy.toml"  # rv-40e-whole as older commits read it: no limits on life and forces
 RVJAX = [sys.executable, "-m", "rvjax"]
 EQUILIBRIUM = """
 import time, rvjax; rvjax.enable_x64()
@@ -59,9 +60,11 @@ def commands() -> list[Command]:
     """All rows."""
     identify = [*RVJAX, "identify", "--quiet"]
     return [
+        _fresh("allocate accuracy", ACCURACY.name),
         _fresh("allocate rv-40e-whole", "rv-40e-whole"),
         _fresh("allocate three cranks", "three-cranks.toml"),
         _fresh("allocate rv-40e", "rv-40e"),
+        _twice("montecarlo accuracy", [*RVJAX, "montecarlo", ACCURACY.name, "--samples", "4096", "--quiet"]),
         _twice("montecarlo rv-40e-whole", [*RVJAX, "montecarlo", "rv-40e-whole", "--samples", "4096", "--quiet"]),
         Command("answer and page", [*RVJAX, "allocate", "rv-40e", "--quiet"], [*RVJAX, "report", "rv-40e", "--quiet"]),
         Command("identify a loaded unit", [*identify, "loaded.toml", "unit.csv"]),
@@ -103,7 +106,7 @@ def seconds(command: Command, checkout: Path, repeat: int) -> list[float]:
 
 def write(folder: Path) -> None:
     """Studies and data of the commands, the same for every checkout."""
-    whole = (ROOT / "rvjax" / "study" / "embedded" / "rv-40e-whole.toml").read_text("utf-8")
+    whole = ACCURACY.read_text("utf-8")
     identified = '[identify]\nmodel = "{}"\norders = [40, 80]\nnoise = "1 arcsec"\nnuisance = ["offset"]\n'
     matched = "[assembly]\ndraws = 50\n"
     three = (
@@ -112,6 +115,7 @@ def write(folder: Path) -> None:
     )
     generator = random.Random(0)
     files = {
+        ACCURACY.name: whole,
         "three-cranks.toml": (ROOT / "tests" / "three-cranks.toml").read_text("utf-8"),
         "loaded.toml": whole + identified.format("loaded"),
         "four-bar.toml": FOUR_BAR + identified.format("four_bar"),

@@ -187,6 +187,8 @@ def test_any_way_to_say_a_study_can_be_written_again(text):
 def test_the_words_of_drawings_are_left_to_the_file():
     question = study.load("rv-40e-whole", solve=False)
     assert rewrite.template(question.text, question.requirements, question.fields) is None
+    tables = tomllib.loads(question.text)
+    assert tables["duty"] and tomllib.loads(rewrite.canonical(tables)) == tables  # phases of a duty too
 
 
 def browser():

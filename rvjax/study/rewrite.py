@@ -97,6 +97,10 @@ def canonical(tables: dict[str, PyTree]) -> str:
     """Tables of a study as TOML, a header for each table of two names."""
     lines = []
     for name, table in tables.items():
+        if isinstance(table, list):
+            for row in table:
+                lines += [f"[[{name}]]", *(f"{_key(key)} = {_value(value)}" for key, value in row.items()), ""]
+            continue
         plain = {key: value for key, value in table.items() if name in ("design", "run") or not isinstance(value, dict)}
         if plain:
             lines += [f"[{name}]", *(f"{_key(key)} = {_value(value)}" for key, value in plain.items()), ""]
