@@ -26,6 +26,7 @@ KNOWN: dict[str, dict[str, float]] = {
     "N": {"N": 1.0, "kN": 1e3},
     "N m": {"N m": 1.0, "kN m": 1e3},
     "N/m": {"N/m": 1.0, "N/mm": 1e3, "N/um": 1e6},
+    "N m s/rad": {"N m s/rad": 1.0},
     "N m/rad": {"N m/rad": 1.0, "N m/arcmin": 1 / arcmin},
     "Pa": {"Pa": 1.0, "MPa": MPa, "GPa": GPa},
     "kg": {"kg": 1.0},

@@ -9,6 +9,7 @@ from rvjax import catalogue, study
 from rvjax.commands.identify import in_words
 from rvjax.study import bench, measured, problem
 from rvjax.study.measured import Conditions
+from rvjax.study.nuisances import nuisance
 from rvjax.units import arcsec, um
 
 THROW = np.array([[4.0, -2.0], [1.0, 3.0]]) * um
@@ -22,7 +23,7 @@ def test_one_direction_of_the_errors_of_a_four_bar_curve():
     """
     question = study.load("rv-40e")
     fields = {name: getattr(question.tolerances, name) for name in question.fields}
-    fields["offset"] = bench.nuisance("offset", (40,))
+    fields["offset"] = nuisance("offset", (40,))
     orders = tuple(range(40, 321, 40))
     runs = [Conditions(torque=412.0)]
     model = bench.curve_model(
@@ -65,7 +66,7 @@ def test_orders_of_the_output_agree_between_the_models():
 
 
 def test_missing_index_mark_and_floor_orders():
-    phase = bench.nuisance("phase", (80, 120))
+    phase = nuisance("phase", (80, 120))
     assert (phase.lower, phase.upper) == pytest.approx((-np.pi / 40, np.pi / 40)) and phase.distribution == "uniform"
     beside = problem.floor_orders(catalogue.RV_40E, (40, 80))
     assert len(beside) == 20 and not {1, 39, 40, 41, 78, 79, 80, 81} & set(beside) and min(beside) > 4

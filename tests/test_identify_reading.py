@@ -8,6 +8,7 @@ from rvjax import catalogue, identify, loaded, models
 from rvjax.published.rv160 import ENCODER, NONE, READ
 from rvjax.study import bench
 from rvjax.study.measured import Conditions
+from rvjax.study.nuisances import NUISANCES, nuisance, part_orders
 from rvjax.tolerances import Tolerance
 from rvjax.units import arcsec, um
 
@@ -66,7 +67,7 @@ def test_a_reading_is_no_error_of_a_part(measured):
     asked = dict(noise=identify.Noise(0.1 * arcsec), starts=2)
     rejected = identify.solve(model(()), prior, measured, **asked)
     assert rejected.status == "REJECTED" and not rejected.adequate
-    wide = prior | {"reading": bench.nuisance("reading", ORDERS)}
+    wide = prior | {"reading": nuisance("reading", ORDERS)}
     found = identify.solve(model(("reading",)), wide, measured, nuisance="reading", **asked)
     assert found.adequate and found.status == "CONVERGED"
     alone = {name: value if name == NAMES[2] else 0 * value for name, value in measured.items()}  # order 40
@@ -79,14 +80,14 @@ def test_a_reading_is_no_error_of_a_part(measured):
 def test_orders_of_parts_alone():
     """Three cranks and 39 teeth: the housing makes multiples of three only; two cranks and 39 teeth: every order."""
     by_rule = {order for m in range(120) for order in loaded.housing_orders(READ, m)}
-    assert set(bench.part_orders(READ, range(241))) == set(range(241)) - by_rule
-    assert bench.part_orders(READ, (39, 40, 78, 80)) == (40, 80)
-    assert bench.part_orders(catalogue.RV_40E, (39, 40, 78, 80)) == ()
+    assert set(part_orders(READ, range(241))) == set(range(241)) - by_rule
+    assert part_orders(READ, (39, 40, 78, 80)) == (40, 80)
+    assert part_orders(catalogue.RV_40E, (39, 40, 78, 80)) == ()
 
 
 def test_only_the_loaded_model_has_a_reading():
-    prior = bench.nuisance("reading", ORDERS)
+    prior = nuisance("reading", ORDERS)
     assert prior.shape == (6,) and prior.upper == pytest.approx(3000 * arcsec)
-    assert "reading" in bench.NUISANCES
+    assert "reading" in NUISANCES
     plain = bench.curve_model("four_bar", READ, GIVEN, RUNS, (40,), (), ())
     assert plain.reading is None

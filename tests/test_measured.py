@@ -136,8 +136,8 @@ def test_bad_names_of_columns(write):
     assert "columns.error = 'TE': no column of the file; it has angle [deg], error [arcsec]" in refused(
         path, {"error": "TE"}
     )
-    with pytest.raises(ValueError, match=r"unknown key columns.speed; known here: angle, direction"):
-        measured.read([path], {"speed": "n"})
+    with pytest.raises(ValueError, match=r"unknown key columns.colour; known here: angle, direction"):
+        measured.read([path], {"colour": "n"})
     with pytest.raises(ValueError, match=r"columns.angle = 3: must be the header of a column"):
         measured.read([path], {"angle": 3})
     with pytest.raises(FileNotFoundError, match="no such data file"):

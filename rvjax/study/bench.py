@@ -4,8 +4,7 @@ The values are one flat dict: errors of the study by field, unknown numbers of t
 """
 
 import dataclasses
-import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import jax
@@ -18,8 +17,7 @@ from rvjax.errors import described, read_by
 from rvjax.outputs import Observation
 from rvjax.records import Array, Design, PyTree, Record, Scalar, field, record, text
 from rvjax.study.measured import Conditions
-from rvjax.tolerances import Tolerance
-from rvjax.units import arcsec
+from rvjax.study.nuisances import DRAGS, NUISANCES
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -28,43 +26,8 @@ Values = Mapping[str, PyTree]
 Seen = dict[str, PyTree]
 Model = Callable[[Values], Seen]
 
-WIDE = 3000 * arcsec
-NUISANCES: dict[str, str] = {
-    "offset": "zero of the angle readings, one for all runs; with it the means of the runs count",
-    "mounting": "eccentricity of the encoders, [cosine, sine] of order 1; with it order 1 counts",
-    "phase": "angle of the index mark, where there is none",
-    "reading": "motion of a head against the scale under load: oval ring, tilt, dent, each [cosine, sine] of the head",
-}
 PROBE = 1e-3
 """Share of the largest torque that replaces zero: the side of the backlash needs a sign."""
-
-
-def nuisance(name: str, orders: Sequence[int]) -> Tolerance:
-    """The prior of a nuisance of the bench.
-
-    Args:
-        name: of `NUISANCES`.
-        orders: of the output turn that are measured; a phase is seen up to their common turn.
-    """
-    if name == "phase":
-        half = math.pi / math.gcd(*orders)
-        return Tolerance(-half, half, distribution="uniform")
-    shape = {"mounting": (2,), "reading": (6,)}.get(name, ())
-    return Tolerance.symmetric(WIDE, shape=shape, vector=False) if shape else Tolerance.symmetric(WIDE)
-
-
-def part_orders(design: object, orders: Iterable[int]) -> tuple[int, ...]:
-    """The orders that only errors of parts or the mounting of the scale make: no harmonic of the housing has them.
-
-    |zp P - m| with P = m + c s is zc P + c s but for its sign (`loaded.housing_orders`).
-
-    Args:
-        design: the reducer; its cranks are equal.
-        orders: of the output turn.
-    """
-    counts = getattr(design, "counts", {})
-    common = math.gcd(counts.get("teeth", 1), counts.get("cranks", 1))
-    return tuple(order for order in orders if order % common)
 
 
 def number_of_design(design: PyTree, name: str) -> tuple[tuple[str, ...], str]:
@@ -137,11 +100,15 @@ class Curves(Record):
     reading: Array | np.ndarray | None = field(
         "-", "real and imaginary part per element of the nuisance", shape=("torques", "orders", 6, 2), default=None
     )
+    speeds: Array | np.ndarray | None = field(
+        "rad/s", "of the input, for the nuisance viscous_drag", shape=("torques",), default=None
+    )
+    least: Array | float = field("N m", "torque at which a run without load or drag is computed", default=0.0)
 
     def __call__(self, values: Values) -> Seen:
         """Predict the measurement of one unit."""
         unit, errors = _taken(self.design, values)
-        torques = None if self.idle else self.torques
+        torques = None if self.idle else self._transmitted(values)
         mean, found = self.observation.predict(unit, errors, self.conditions, torques, self.orders, self.alike)
         place = np.array(self.place)
         seen: Seen = {}
@@ -160,6 +127,14 @@ class Curves(Record):
         if "offset" in self.nuisances:
             seen["mean"] = mean[place] + values["offset"]
         return seen
+
+    def _transmitted(self, values: Values) -> Array | np.ndarray:
+        """Torques of the discs on the carrier, N m: load and drag both oppose the motion."""
+        if not set(DRAGS) & set(self.nuisances):
+            return self.torques
+        load = jnp.asarray(self.torques)
+        drag = values.get("drag", 0.0) + values.get("viscous_drag", 0.0) * jnp.asarray(self.speeds)
+        return jnp.sign(load) * jnp.maximum(jnp.abs(load) + drag, self.least)  # the sense of the motion stays
 
 
 def curve_model(
@@ -186,8 +161,10 @@ def curve_model(
         ValueError: an order too fine for the angles of the conditions.
     """
     observation = models.kind(design).observations(model)["curve"]
-    distinct, place = np.unique(signed_torques(runs, conditions), return_inverse=True)
+    load = signed_torques(runs, conditions)
     record = design.error_record
+    dragged = bool(set(DRAGS) & set(nuisances))
+    least = 0.0
     alike = not set(active) & set(read_by(record, model)) & set(described(record, "breaks_pitch"))
     finest, key = max(orders) // observation.period(design), observation.samples
     if alike and finest >= (count := getattr(conditions, key)) / 2:
@@ -195,10 +172,12 @@ def curve_model(
             f"identify.orders: order {max(orders)} is crank order {finest}, too fine for conditions.{key} = {count}"
         )
     if observation.sided:  # at zero torque the direction selects the side of the backlash
-        least = PROBE * max(np.max(np.abs(distinct)), rated_torque(conditions))
-        load = np.maximum(np.abs(signed := signed_torques(runs, conditions)), least)
-        negative = np.where(signed == 0, np.array([run.sign for run in runs]) < 0, signed < 0)
-        distinct, place = np.unique(np.where(negative, -load, load), return_inverse=True)
+        least = PROBE * max(np.max(np.abs(load)), rated_torque(conditions))
+        negative = np.where(load == 0, np.array([run.sign for run in runs]) < 0, load < 0)
+        floor = np.finfo(float).tiny if dragged else least  # drag moves a run without load
+        load = np.where(negative, -1, 1) * np.maximum(np.abs(load), floor)
+    speed = _speeds(runs) if "viscous_drag" in nuisances else np.zeros(len(runs))
+    (distinct, speeds), place = np.unique(np.stack([load, speed]), axis=1, return_inverse=True)
     head = observation.head
     return Curves(
         design=design,
@@ -211,7 +190,17 @@ def curve_model(
         alike=alike,
         idle=not np.any(distinct),
         reading=head(design, conditions, distinct, tuple(orders)) if head and "reading" in nuisances else None,
+        speeds=speeds if dragged else None,
+        least=least,
     )
+
+
+def _speeds(runs: Sequence[Conditions]) -> np.ndarray:
+    """Speed of the input in each run, rad/s; a run without one, such as a candidate, has the largest of the others."""
+    given = [run.speed for run in runs if run.speed is not None]
+    if not given:
+        raise ValueError('identify.nuisance = "viscous_drag": needs a column "speed [rpm]" of the input in the data')
+    return np.array([max(given) if run.speed is None else run.speed for run in runs])
 
 
 def order_name(order: int) -> str:
@@ -243,7 +232,11 @@ def rated_torque(conditions: PyTree) -> float:
 
 @record
 class Midline(Record):
-    """The midline of a torque-angle loop, input held: `values -> {"angle": (n,)}`."""
+    """The midline of a torque-angle loop, input held: `values -> {"angle": (n,)}`.
+
+    With the nuisance "drag" also its width, `"width": (n,)`: on the rising branch drag is taken off the torque of the
+    bench, on the falling one it is added.
+    """
 
     design: PyTree = field("-", "the reducer, with stiffness and contact", kind="record")
     load: Array | np.ndarray = field(
@@ -251,13 +244,18 @@ class Midline(Record):
     )
     observation: Observation = text("of the model")
     conditions: PyTree = text("how the model is computed")
-    offset: bool = text("the prior has one")
+    nuisances: tuple[str, ...] = text("of NUISANCES that the prior has")
 
     def __call__(self, values: Values) -> Seen:
         """Predict the measurement of one unit."""
         unit, errors = _taken(self.design, values)
-        angle = self.observation.predict(unit, errors, self.conditions, self.load)
-        return {"angle": angle + values["offset"] if self.offset else angle}
+        offset = values["offset"] if "offset" in self.nuisances else 0.0
+        if "drag" not in self.nuisances:
+            return {"angle": self.observation.predict(unit, errors, self.conditions, self.load) + offset}
+        load, drag = jnp.asarray(self.load), values["drag"]
+        both = self.observation.predict(unit, errors, self.conditions, jnp.concatenate([load + drag, load - drag]))
+        rising, falling = jnp.split(both, 2)
+        return {"angle": (rising + falling) / 2 + offset, "width": falling - rising}
 
 
 @record

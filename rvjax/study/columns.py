@@ -11,6 +11,7 @@ UNITS: dict[str, dict[str, float]] = {
     "error": KNOWN["rad"],
     "torque": KNOWN["N m"],
     "temperature": {"degC": 1.0},
+    "speed": KNOWN["rad/s"],
     "frequency": KNOWN["Hz"],
     "sd": KNOWN["Hz"],
 }

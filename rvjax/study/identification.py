@@ -11,8 +11,9 @@ from pathlib import Path
 from rvjax import models
 from rvjax.outputs import Observation
 from rvjax.records import Design, PyTree
-from rvjax.study.bench import NUISANCES, nuisance, number_of_design
+from rvjax.study.bench import number_of_design
 from rvjax.study.measured import DIRECTIONS, KINDS, Kind
+from rvjax.study.nuisances import DRAGS, NUISANCES, nuisance
 from rvjax.study.toleranced import parse_tolerance
 from rvjax.study.values import Toml, choice, integer, known, naming_field, quantity, subtable
 from rvjax.tolerances import Tolerance
@@ -98,6 +99,7 @@ def parse_identification(
     data = KINDS[planned_kind(observations, orders)]
     for name in bench:
         has = name != "reading" or any(seen.head for seen in observations.values())
+        has = has and (name not in DRAGS or any(seen.sided for seen in observations.values()))
         if name not in data.nuisances or not has:
             raise ValueError(f"identify.nuisance = {name!r}: nothing that model {model!r} predicts here has one")
     shared = tuple(choice(name, own, "identify.shared") for name in _list(table, "shared"))
@@ -165,5 +167,5 @@ def field_unit(design: Design, name: str) -> str:
     """
     units = {f.name: f.metadata["unit"] for f in dataclasses.fields(design.error_record)}
     if name in NUISANCES:
-        return "rad"
+        return DRAGS[name][0] if name in DRAGS else "rad"
     return units[name] if name in units else number_of_design(design, name)[1]

@@ -11,15 +11,18 @@ from pathlib import Path
 import numpy as np
 
 from rvjax.columns import Table
+from rvjax.study.branches import branches
 from rvjax.study.columns import read_table
-from rvjax.units import arcmin, deg
+from rvjax.units import deg, rpm
 
 DIRECTIONS = {"forward": 1, "backward": -1}
 TURN = 359 * deg  # what a run has to cover; every sample represents the step before it
-CLIPPED = 0.03  # share of samples at the extreme torque, from which on a sensor has hit its end
-GRID = 21  # torques of the midline of a loop
-USUAL = {"angle": "deg", "error": "arcsec", "torque": "N m", "frequency": "Hz"}
-"""Usual units of the columns that must be there."""
+USUAL = {
+    "angle": "deg",
+    "error": "arcsec",
+    "torque": "N m",
+    "frequency": "Hz",
+}  # units of the columns that must be there
 
 
 @dataclass(frozen=True)
@@ -31,6 +34,7 @@ class Conditions:
         torque: N m, None where the file does not say.
         direction: "forward" or "backward".
         temperature: degC, None where the file does not say.
+        speed: of the input, rad/s, None where the file does not say.
         stated: whether the file has directions; without them every run is forward.
     """
 
@@ -38,6 +42,7 @@ class Conditions:
     torque: float | None = None
     direction: str = "forward"
     temperature: float | None = None
+    speed: float | None = None
     stated: bool = dataclasses.field(default=True, compare=False)
 
     @property
@@ -48,7 +53,8 @@ class Conditions:
     def text(self) -> str:
         """For a person, such as "412 N m forward, 25 degC"."""
         torque = "" if self.torque is None else f"{self.torque:g} N m "
-        return f"{torque}{self.direction}" + ("" if self.temperature is None else f", {self.temperature:g} degC")
+        speed = "" if self.speed is None else f", {self.speed / rpm:g} r/min"
+        return f"{torque}{self.direction}{speed}" + ("" if self.temperature is None else f", {self.temperature:g} degC")
 
 
 @dataclass(frozen=True)
@@ -174,10 +180,8 @@ def _kind(table: Table, wanted: str | None) -> str:
         if set(kind.needs) <= has:
             return name
     lists = "; ".join(f"{name}: {', '.join(kind.needs)}" for name, kind in KINDS.items())
-    found = ", ".join([*has, *table.words]) or "none of them"
-    raise ValueError(
-        f"{table.source}: columns {found}: what is needed is one of {lists} (name foreign ones in [columns])"
-    )
+    found = f"columns {', '.join([*has, *table.words]) or 'none of them'}: what is needed is one of {lists}"
+    raise ValueError(f"{table.source}: {found} (name foreign ones in [columns])")
 
 
 def _groups(table: Table) -> list[tuple[Conditions, np.ndarray]]:
@@ -192,8 +196,9 @@ def _groups(table: Table) -> list[tuple[Conditions, np.ndarray]]:
     empty = np.full(n, np.nan)
     torque = table.numbers.get("torque", empty) if "error" in table.numbers else empty
     found: dict[Conditions, list[int]] = {}
-    for k, about in enumerate(zip(unit, torque, direction, table.numbers.get("temperature", empty))):
-        at = Conditions(about[0], _or_none(about[1]), about[2], _or_none(about[3]), stated)
+    numbers = (table.numbers.get(name, empty) for name in ("temperature", "speed"))
+    for k, (own, load, way, warm, fast) in enumerate(zip(unit, torque, direction, *numbers)):
+        at = Conditions(own, _or_none(load), way, _or_none(warm), _or_none(fast), stated)
         found.setdefault(at, []).append(k)
     return [(at, np.array(rows)) for at, rows in found.items()]
 
@@ -232,9 +237,8 @@ def checked(run: Run, finest: int) -> Run:
     period = 360 * deg / finest
     back = np.max(np.maximum.accumulate(onward) - onward)
     if back > 0.1 * period:  # less is jitter of an encoder
-        raise ValueError(
-            f"{where}: the angle turns back by {back / deg:.4g} deg; a run goes one way, {run.at.direction}"
-        )
+        back_by = f"the angle turns back by {back / deg:.4g} deg"
+        raise ValueError(f"{where}: {back_by}; a run goes one way, {run.at.direction}")
     order = np.argsort(angle, kind="stable")
     gap = np.max(np.diff(angle[order]))
     if gap > 0.5 * period:
@@ -249,56 +253,8 @@ def _loop(table: Table, at: Conditions, rows: np.ndarray) -> Loop:
         if np.any(np.isnan(values)):
             row = table.rows[rows][np.argmax(np.isnan(values))]
             raise ValueError(f"{table.source}: row {row}, {name} is empty: every sample of a loop needs both")
-    return _branches(table.source, at, torque, angle)
-
-
-def _branches(source: str, at: Conditions, torque: np.ndarray, angle: np.ndarray) -> Loop:
-    """Midline and width of a loop in the order of time."""
     unit = f"unit {at.unit!r}, " if at.unit else ""
-    where = f"{source}: {unit}loop"
-    span = np.ptp(torque)
-    if len(torque) < 4 * GRID or span == 0:
-        raise ValueError(f"{where} of {len(torque)} samples over {span:.4g} N m: needs {4 * GRID} samples, both ways")
-    window = max(1, len(torque) // 100)  # the sign of the slope, not of the noise of the sensor
-    ahead = np.clip(np.arange(len(torque)) + window, 0, len(torque) - 1)
-    behind = np.clip(np.arange(len(torque)) - window, 0, len(torque) - 1)
-    rising = torque[ahead] - torque[behind] > 0
-    inside, clipped = np.isfinite(torque), False
-    for extreme in (torque.max(), torque.min()):
-        at_end = np.abs(torque - extreme) <= 1e-3 * span
-        if at_end.mean() >= CLIPPED:
-            inside, clipped = inside & ~at_end, True
-    branches = [inside & rising, inside & ~rising]
-    if min(np.sum(branch) for branch in branches) < 2 * GRID:
-        raise ValueError(f"{where}: only one branch, or too few samples; the torque has to rise and to fall")
-    low = max(np.min(torque[branch]) for branch in branches)
-    high = min(np.max(torque[branch]) for branch in branches)
-    half = (high - low) / (2 * GRID)
-    grid = np.linspace(low + half, high - half, GRID)
-    values = np.array([[_local(where, torque[b], angle[b], t, half) for t in grid] for b in branches])
-    up, down = values[0], values[1]
-    return Loop(
-        source=source,
-        at=at,
-        torque=grid,
-        midline=(up[:, 0] + down[:, 0]) / 2,
-        width=down[:, 0] - up[:, 0],
-        sd=np.hypot(up[:, 1], down[:, 1]) / 2,
-        clipped=clipped,
-    )
-
-
-def _local(where: str, torque: np.ndarray, angle: np.ndarray, at: float, half: float) -> tuple[float, float]:
-    """Value of a branch at one torque from a line through the samples about it, and its standard deviation."""
-    near = np.abs(torque - at) <= half
-    if np.sum(near) < 4:
-        raise ValueError(f"{where}: {np.sum(near)} samples within {half:.4g} N m of {at:.4g} N m on a branch, needs 4")
-    rows = np.stack([np.ones(int(np.sum(near))), (torque[near] - at) / half], axis=1)
-    solution, *_ = np.linalg.lstsq(rows, angle[near], rcond=None)
-    freedom = len(rows) - 2
-    spread = np.sqrt(np.sum((angle[near] - rows @ solution) ** 2) / freedom)
-    covariance = np.linalg.pinv(rows.T @ rows)
-    return float(solution[0]), float(max(spread * np.sqrt(covariance[0, 0]), 1e-6 * arcmin))
+    return Loop(table.source, at, *branches(f"{table.source}: {unit}loop", torque, angle))
 
 
 def _tones(table: Table, at: Conditions, rows: np.ndarray) -> Tones:
@@ -307,10 +263,8 @@ def _tones(table: Table, at: Conditions, rows: np.ndarray) -> Tones:
     for name, values, bad in (("frequency", frequency, ~(frequency > 0)), ("sd", sd, sd <= 0)):
         if np.any(bad):
             k = int(np.argmax(bad))
-            shown = table.shown[name]
-            raise ValueError(
-                f"{table.source}: row {table.rows[rows][k]}, {name} = {values[k]:g}: must be positive, in {shown}"
-            )
+            where = f"{table.source}: row {table.rows[rows][k]}, {name} = {values[k]:g}"
+            raise ValueError(f"{where}: must be positive, in {table.shown[name]}")
     order = np.argsort(frequency, kind="stable")
     return Tones(table.source, at, frequency[order], sd[order])
 
@@ -335,8 +289,14 @@ class Kind:
 
 
 KINDS = {
-    "curve": Kind(("angle", "error"), _run, "rad", "0.2 arcsec", ("offset", "mounting", "phase", "reading")),
-    "loop": Kind(("torque", "angle"), _loop, "rad", "0.2 arcsec", ("offset",)),
+    "curve": Kind(
+        ("angle", "error"),
+        _run,
+        "rad",
+        "0.2 arcsec",
+        ("offset", "mounting", "phase", "reading", "drag", "viscous_drag"),
+    ),
+    "loop": Kind(("torque", "angle"), _loop, "rad", "0.2 arcsec", ("offset", "drag")),
     "frequencies": Kind(("frequency",), _tones, "Hz", "1 Hz", ()),
 }
 """Kinds of measurements, by the name that an `rvjax.outputs.Observation` gives it."""

@@ -21,8 +21,10 @@ from rvjax.study.bench import (
     signed_torques,
     study_torque,
 )
+from rvjax.study.branches import GRID
 from rvjax.study.identification import Identification, planned_kind
-from rvjax.study.measured import GRID, Conditions, Loop, Measured, Run, Tones, checked
+from rvjax.study.measured import KINDS, Conditions, Loop, Measured, Run, Tones, checked
+from rvjax.study.nuisances import NUISANCES
 from rvjax.study.question import Study, StudyError
 from rvjax.tolerances import Tolerance
 
@@ -109,10 +111,8 @@ def problem(study: Study, measured: Measured | None = None) -> Problem:
         raise ValueError(f"{study.name}: identify.noise = 'floor': is read from data; give a number to check without")
     if kind == "curve" and not asked.orders:
         raise ValueError(f"{study.name}: identify.orders is missing: orders of the output turn, such as [40, 80]")
-    if kind == "loop" and set(asked.nuisance) & {"mounting", "phase", "reading"}:
-        raise ValueError(
-            f"{study.name}: identify.nuisance: mounting, phase and reading belong to curves, the data holds a loop"
-        )
+    if alien := [name for name in asked.nuisance if name in NUISANCES and name not in KINDS[kind].nuisances]:
+        raise ValueError(f"{study.name}: identify.nuisance = {alien[0]!r}: belongs to curves, the data holds {kind}")
     return {"curve": _curves, "loop": _loops, "frequencies": _frequencies}[kind](study, asked, measured)
 
 
@@ -289,9 +289,8 @@ def _loops(study: Study, asked: Identification, measured: Measured | None) -> Pr
     if measured is None:
         most = max([*asked.torques, abs(study_torque(study.conditions)), rated_torque(study.conditions)])
         if not most > 0:
-            raise ValueError(
-                f"{study.name}: identify.torques is missing: the torque to which a loop goes, such as 412 N m"
-            )
+            missing = "the torque to which a loop goes, such as 412 N m"
+            raise ValueError(f"{study.name}: identify.torques is missing: {missing}")
         torque = np.linspace(-most, most, GRID)
         sd: PyTree = asked.noise
     else:
@@ -304,12 +303,18 @@ def _loops(study: Study, asked: Identification, measured: Measured | None) -> Pr
         torque, items = loops[0].torque, tuple((loop,) for loop in loops)
         low, high = max(loop.torque[0] for loop in loops), min(loop.torque[-1] for loop in loops)
         torque = np.linspace(low, high, GRID) if len(loops) > 1 else torque
-        data = [{"angle": np.interp(torque, loop.torque, loop.midline)} for loop in loops]
-        floor = np.sqrt(np.mean([np.interp(torque, loop.torque, loop.sd) ** 2 for loop in loops], axis=0))
-        sd = asked.noise or {"angle": floor}
-    model = Midline(
-        study.design, -torque, _observation(study, asked, "loop"), study.conditions, "offset" in asked.nuisance
-    )
+        midline, width, sds = (
+            [np.interp(torque, loop.torque, getattr(loop, name)) for loop in loops]
+            for name in ("midline", "width", "sd")
+        )
+        data = [{"angle": y, "width": w} for y, w in zip(midline, width)]
+        sd = asked.noise or np.sqrt(np.mean(np.square(sds), axis=0))
+    if "drag" in asked.nuisance:  # a width is a difference of branches, a midline half of their sum
+        sd = {"angle": sd, "width": 2 * sd}
+    else:
+        sd, data = {"angle": sd}, [{"angle": seen["angle"]} for seen in data]
+    bench = tuple(name for name in asked.nuisance if name in NUISANCES)
+    model = Midline(study.design, -torque, _observation(study, asked, "loop"), study.conditions, bench)
     return _made(study, "loop", model, sd, "angle", units, data, items)
 
 

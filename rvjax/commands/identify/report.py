@@ -230,7 +230,7 @@ def _unit(found: Identified, name: str) -> tuple[str, str, float]:
     """SI unit of an element, and name and size of the unit in which a person reads it."""
     field = field_of(name)
     unit = field_unit(found.study.design, field)
-    if field in NUISANCES:
+    if field in NUISANCES and unit == "rad":
         return unit, "arcsec", arcsec
     return (unit, "N/um", KNOWN["N/m"]["N/um"]) if unit == "N/m" else (unit, *readable(unit))
 
