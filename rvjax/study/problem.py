@@ -297,9 +297,8 @@ def _loops(study: Study, asked: Identification, measured: Measured | None) -> Pr
         loops = [item for item in measured.items if isinstance(item, Loop)]
         units = tuple(loop.at.unit for loop in loops)
         if len(set(units)) < len(units):
-            raise ValueError(
-                f"{loops[-1].source}: unit {units[-1]!r} has several loops; identify them one after the other"
-            )
+            where = f"{loops[-1].source}: unit {units[-1]!r}"
+            raise ValueError(f"{where} has several loops; identify them one after the other")
         torque, items = loops[0].torque, tuple((loop,) for loop in loops)
         low, high = max(loop.torque[0] for loop in loops), min(loop.torque[-1] for loop in loops)
         torque = np.linspace(low, high, GRID) if len(loops) > 1 else torque
