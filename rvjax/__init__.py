@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from rvjax import sections as _sections
 
 if TYPE_CHECKING:
-    from rvjax import catalogue, units
+    from rvjax import catalogue, plotting, units
     from rvjax.designs import (
         Bearings,
         CamRollerReducer,

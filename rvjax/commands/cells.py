@@ -1,15 +1,14 @@
 """Cells that several commands show: limits of errors, what a requirement evaluates, units that failed."""
 
 import math
-from typing import Any
 
 from rvjax.outputs import Output
 from rvjax.render import Quantity
 from rvjax.study import Study
-from rvjax.tolerances import Limits, Statistics, Verdict
+from rvjax.tolerances import Estimate, Limits, Statistics, Tolerance, Verdict
 
 
-def limits_of(tolerance: Any, unit: str) -> Quantity:
+def limits_of(tolerance: Tolerance, unit: str) -> Quantity:
     """The limits of an error about its mid-point.
 
     Args:
@@ -31,7 +30,7 @@ def limit_text(requirement: Limits, output: Output) -> str:
     return " and ".join(f"{sign} {limit / size:.4g} {unit}" for sign, limit in bounds if math.isfinite(limit))
 
 
-def share(estimate: Any) -> Quantity:
+def share(estimate: Estimate) -> Quantity:
     """A yield with its interval."""
     return Quantity.of(estimate, read_in="%", form=".3f")
 
@@ -58,7 +57,7 @@ def failures_text(found: Statistics) -> str:
     return f"{found.failed:,} failed, each a reject in every yield: {', '.join(kinds)}"
 
 
-def limits_data(tolerance: Any) -> dict[str, Any]:
+def limits_data(tolerance: Tolerance) -> dict[str, object]:
     """Limits and distribution of a tolerance as JSON values, SI."""
     lower, upper, cp, shift = (float(getattr(tolerance, name)) for name in ("lower", "upper", "cp", "shift"))
     return {"lower": lower, "upper": upper, "distribution": tolerance.distribution, "cp": cp, "shift": shift}

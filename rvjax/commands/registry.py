@@ -2,10 +2,12 @@
 
 import importlib
 import tomllib
-from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
+from types import ModuleType
 from typing import Any
+
+from rvjax.sections import Reader
 
 
 def about(name: str) -> dict[str, Any]:
@@ -15,7 +17,7 @@ def about(name: str) -> dict[str, Any]:
     return tomllib.loads((Path(found.submodule_search_locations[0]) / "command.toml").read_text("utf-8"))
 
 
-def module(name: str, part: str) -> Any:
+def module(name: str, part: str) -> ModuleType:
     """A module of a command: "inputs", "compute" or "report".
 
     Args:
@@ -25,7 +27,7 @@ def module(name: str, part: str) -> Any:
     return importlib.import_module(f"rvjax.commands.{name}.{part}")
 
 
-def section(table: str) -> Callable[[dict[str, Any], Any], Any] | None:
+def section(table: str) -> Reader | None:
     """The function (table, study) -> value that reads a table of study files, None where no command reads it."""
     from rvjax import commands
 

@@ -3,13 +3,16 @@
 import argparse
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, TextIO
+
+if TYPE_CHECKING:
+    from rvjax.study import Study
 
 READING, WRITING = "reading the study", "tables and pictures"  # phases
 EXIT_OK, EXIT_NO_ANSWER, EXIT_BAD_INPUT = 0, 1, 2
 
 
-def say(text: str, file: Any = None) -> None:
+def say(text: str, file: TextIO | None = None) -> None:
     """Print text; characters that control a terminal are spelled out.
 
     Args:
@@ -26,7 +29,7 @@ def say(text: str, file: Any = None) -> None:
         print("\n".join(lines), file=file)
 
 
-def forewarn(question: Any) -> None:
+def forewarn(question: "Study") -> None:
     """Print warnings on input values and the level of each response with an accuracy, before any work."""
     from rvjax.commands import forecast
 

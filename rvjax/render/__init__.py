@@ -24,6 +24,7 @@ from rvjax.render.table import (
     EVERYWHERE as EVERYWHERE,
     PAGE as PAGE,
     TEXT as TEXT,
+    Cell as Cell,
     Column as Column,
     Interval as Interval,
     Limits as Limits,
@@ -32,6 +33,7 @@ from rvjax.render.table import (
     Table as Table,
     Text as Text,
     Titled as Titled,
+    Value as Value,
     aligned as aligned,
     as_csv as as_csv,
 )

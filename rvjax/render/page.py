@@ -5,7 +5,6 @@ import itertools
 import re
 from functools import cache
 from importlib import resources
-from typing import Any
 
 from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup, escape
@@ -74,7 +73,7 @@ MUTED = ("not seen",)
 ZERO = Markup('<span class="none">0</span>')
 
 
-def typeset(cell: Any) -> Markup:
+def typeset(cell: object) -> Markup:
     """A text of a cell for the page: numbers stay with their units, an interval is on a separate line."""
     if isinstance(cell, Markup):
         return cell

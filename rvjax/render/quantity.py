@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 from rvjax.units import readable
 
@@ -28,7 +27,7 @@ class Quantity:
     form: str | None = None
 
     @classmethod
-    def of(cls, estimate: Any, unit: str = "-", read_in: str | None = None, form: str | None = None) -> "Quantity":
+    def of(cls, estimate: Interval, unit: str = "-", read_in: str | None = None, form: str | None = None) -> "Quantity":
         """The quantity of an estimate: anything with value, lower and upper.
 
         Args:
@@ -66,7 +65,7 @@ class Quantity:
         return f"{said} [{self.lower / size:{form}}, {self.upper / size:{form}}]"
 
 
-def number(value: Any, size: float = 1.0) -> float | None:
+def number(value: Scalar | None, size: float = 1.0) -> float | None:
     """A number to ten digits in a unit; None for what is not finite.
 
     Args:

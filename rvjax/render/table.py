@@ -17,6 +17,7 @@ EVERYWHERE = frozenset((TEXT, CSV, PAGE))
 """Media of a report: the terminal, a file of numbers, the HTML page."""
 
 Value = str | float | None
+Cell = Any  # whatever the column of the cell can show: words, numbers, quantities, pairs of these
 
 
 @dataclass(frozen=True)
@@ -37,7 +38,7 @@ class Column:
     file_title: str | None = None
     wraps: bool = False
 
-    def text(self, cell: Any) -> str:
+    def text(self, cell: Cell) -> str:
         """The cell for a person; words are shown as they are, also in a column of numbers."""
         if isinstance(cell, str):
             return cell
@@ -47,14 +48,14 @@ class Column:
         """Headers in a CSV file."""
         return [self.title if self.file_title is None else self.file_title]
 
-    def values(self, cell: Any) -> list[Value]:
+    def values(self, cell: Cell) -> list[Value]:
         """The cell in a CSV file, a value for each header."""
         return [None] * len(self.headers()) if cell is None or cell == "" else self._given(cell)
 
-    def _said(self, cell: Any) -> str:
+    def _said(self, cell: Cell) -> str:
         return cell.text() if isinstance(cell, Quantity) else str(cell)
 
-    def _given(self, cell: Any) -> list[Value]:
+    def _given(self, cell: Cell) -> list[Value]:
         return list(cell.numbers()[:1]) if isinstance(cell, Quantity) else [cell]
 
 
@@ -87,13 +88,13 @@ class Number(Column):
     read_in: str | None = None
     named: bool = True
 
-    def _quantity(self, cell: Any) -> Quantity:
+    def _quantity(self, cell: Cell) -> Quantity:
         return cell if isinstance(cell, Quantity) else Quantity(float(cell), self.unit, read_in=self.read_in)
 
-    def _said(self, cell: Any) -> str:
+    def _said(self, cell: Cell) -> str:
         return self._quantity(cell).text(self.form, named=self.named and isinstance(cell, Quantity))
 
-    def _given(self, cell: Any) -> list[Value]:
+    def _given(self, cell: Cell) -> list[Value]:
         if self.unit == "-" and not isinstance(cell, Quantity):  # nothing to convert: all digits
             return [float(cell) if math.isfinite(cell) else None]
         return list(self._quantity(cell).numbers()[:1])
@@ -105,7 +106,7 @@ class Share(Number):
 
     form: str = ".1f"
 
-    def _said(self, cell: Any) -> str:
+    def _said(self, cell: Cell) -> str:
         return f"{100 * float(cell):{self.form}} %"
 
 
@@ -123,10 +124,10 @@ class Interval(Number):
         (title,) = super().headers()
         return [title, *(end.format(title) for end in self.ends)]
 
-    def _said(self, cell: Any) -> str:
+    def _said(self, cell: Cell) -> str:
         return self._quantity(cell).text(self.form, named=self.named)
 
-    def _given(self, cell: Any) -> list[Value]:
+    def _given(self, cell: Cell) -> list[Value]:
         return list(self._quantity(cell).numbers())
 
 
@@ -165,7 +166,7 @@ class Table:
 
     name: str
     columns: Sequence[Column]
-    rows: Sequence[Sequence[Any]]
+    rows: Sequence[Sequence[Cell]]
     caption: str = ""
     note: str = ""
     on: frozenset[str] = EVERYWHERE

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -13,6 +12,7 @@ from rvjax.progress import begin, progress_bar
 from rvjax.records import PyTree
 from rvjax.response import (  # chunks of the certificate's size: the response compiles once
     BLOCK,
+    Response,
     nominal_status,
     response_names,
     status_without_errors,
@@ -34,7 +34,7 @@ from rvjax.tolerances import (
     monte_carlo,
 )
 
-_Curves = Callable[[Any, int], tuple[np.ndarray, np.ndarray]]
+_Curves = Callable[[PyTree, int], tuple[np.ndarray, np.ndarray]]
 
 SHOWN_UNITS = 24  # units with a plotted curve
 SHOWN_VALUES = KEPT  # units behind a histogram: those of the certificate where it has no more
@@ -67,7 +67,7 @@ class Side:
         seed: of the sample units.
     """
 
-    tolerances: Any
+    tolerances: PyTree
     cost: dict[str, float]
     shares: Mapping[str, Mapping[str, float]]
     sensitivities: Mapping[str, Mapping[str, float]]
@@ -183,9 +183,7 @@ def solved_units(study: Study) -> dict[str, int]:
     return {phase: int(units) for phase, units in found.items()} | {SAMPLING: shown}
 
 
-def _side(
-    study: Study, response: Callable[[Any], Any], tolerances: PyTree, certificate: Statistics, curves: _Curves
-) -> Side:
+def _side(study: Study, response: Response, tolerances: PyTree, certificate: Statistics, curves: _Curves) -> Side:
     shares, sensitivities = influences(response, tolerances)
     kept = certificate
     if kept.values is None:  # more units than a histogram shows: some of its own
@@ -245,7 +243,7 @@ def _curves(study: Study, solved: Solved | None = None) -> _Curves:
 
 def _cost_curve(
     study: Study,
-    response: Callable[[Any], Any],
+    response: Response,
     found: Allocation,
     memo: Memo | None,
     solved: Solved | None = None,

@@ -3,13 +3,17 @@
 import math
 from collections.abc import Iterator
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+import rvjax
 from rvjax.commands.allocate.answer import Answer
 from rvjax.render import Figure
 from rvjax.tolerances import least_yield
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 
 def figures(answer: Answer) -> Iterator[Figure]:
@@ -20,7 +24,9 @@ def figures(answer: Answer) -> Iterator[Figure]:
     for name in study.requirements:
         yield Figure(f"histogram_{name}", _caption(answer, name), partial(_histogram, answer, name))
     yield Figure(
-        "variance_shares", "Share of each error in the variance of each response, after", partial(_shares, answer)
+        "variance_shares",
+        "Share of each error in the variance of each response, after",
+        lambda: rvjax.plotting.variance_shares(answer.after.shares, title="Shares of the variance, after"),
     )
     if answer.cost_curve:
         ends = [f"{cost:.3g} at {100 * share:.5g} %" for share, cost in (answer.cost_curve[0], answer.cost_curve[-1])]
@@ -28,15 +34,13 @@ def figures(answer: Answer) -> Iterator[Figure]:
         yield Figure("cost_against_yield", caption, partial(_costs, answer))
 
 
-def _curves(answer: Answer) -> Any:
-    from rvjax import plotting
-
+def _curves(answer: Answer) -> "Axes":
     study, curve = answer.study, answer.study.curve
     assert curve is not None
     alike = (output for name in study.requirements if (output := study.output(name)).unit == curve.unit)
     read_in = next((output.read_in for output in alike), None)
     sides = answer.before.curves, answer.after.curves
-    return plotting.unit_curves(answer.after.angle, *sides, curve.title, curve.unit, read_in=read_in)
+    return rvjax.plotting.unit_curves(answer.after.angle, *sides, curve.title, curve.unit, read_in=read_in)
 
 
 def _caption(answer: Answer, name: str) -> str:
@@ -53,12 +57,10 @@ def _caption(answer: Answer, name: str) -> str:
     )
 
 
-def _histogram(answer: Answer, name: str) -> Any:
-    from rvjax import plotting
-
+def _histogram(answer: Answer, name: str) -> "Axes":
     output, requirement = answer.study.output(name), answer.study.requirements[name]
     of_values = requirement.limits_values
-    return plotting.response_histogram(
+    return rvjax.plotting.response_histogram(
         answer.before.values[name],
         answer.after.values[name],
         unit=output.unit,
@@ -69,16 +71,8 @@ def _histogram(answer: Answer, name: str) -> Any:
     )
 
 
-def _shares(answer: Answer) -> Any:
-    from rvjax import plotting
-
-    return plotting.variance_shares(answer.after.shares, title="Who causes the variance, after")
-
-
-def _costs(answer: Answer) -> Any:
-    from rvjax import plotting
-
-    return plotting.cost_against_yield(
+def _costs(answer: Answer) -> "Axes":
+    return rvjax.plotting.cost_against_yield(
         *zip(*answer.cost_curve),
         chosen=(least_yield(answer.allocation.certificate), answer.allocation.cost),
         start=(least_yield(answer.certificate_before), answer.allocation.start_cost),

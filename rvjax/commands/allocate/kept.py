@@ -5,11 +5,11 @@ import os
 import tempfile
 import tomllib
 from pathlib import Path
-from typing import Any
 
 import rvjax
 from rvjax import tolerances
 from rvjax.commands.allocate.answer import Answer, Side
+from rvjax.records import PyTree
 from rvjax.render import numbered_folders
 from rvjax.study import Study
 from rvjax.tolerances import Memo, versions
@@ -58,7 +58,7 @@ def restored_from(study: Study) -> tuple[Path, Answer] | tuple[None, None]:
     if place is None:
         return None, None
     try:
-        found: dict[str, Any] = tolerances.load(place / FILE)
+        found: dict[str, PyTree] = tolerances.load(place / FILE)
         found |= {name: Side(**found[name]) for name in ("before", "after")}
         return place, Answer(study=study, **found)
     except (OSError, ValueError, TypeError, KeyError):  # without the file, or by another rvjax
@@ -82,7 +82,7 @@ def _holds(place: Path, study: Study) -> bool:
         return False
 
 
-def _names_files(tables: Any) -> bool:
+def _names_files(tables: object) -> bool:
     if isinstance(tables, dict):
         return "file" in tables or any(map(_names_files, tables.values()))
     return isinstance(tables, list) and any(map(_names_files, tables))

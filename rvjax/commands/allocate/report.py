@@ -4,7 +4,6 @@ import dataclasses
 import json
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -18,6 +17,7 @@ from rvjax.render import (
     CSV,
     EVERYWHERE,
     PAGE,
+    Cell,
     Column,
     Interval,
     Limits,
@@ -27,11 +27,12 @@ from rvjax.render import (
     Table,
     Text,
     Titled,
+    Value,
     number,
     versions,
 )
 from rvjax.study import Study
-from rvjax.tolerances import Allocation
+from rvjax.tolerances import Allocation, Tolerance
 from rvjax.units import readable
 
 UNMOVED = "not seen"
@@ -128,7 +129,7 @@ def limits_of_the_answer(answer: Answer) -> list[str]:
     return lines + [f"Not modelled: {line}" for line in study.left_out]
 
 
-def tolerance_text(tolerance: Any, unit: str) -> str:
+def tolerance_text(tolerance: Tolerance, unit: str) -> str:
     """Limits in the unit in which a person reads them, such as "+-6.50 um" or "8.00 +-4.00 um".
 
     Args:
@@ -160,11 +161,11 @@ def tolerance_tables(answer: Answer) -> list[Table]:
         Number("cost after", form=".3f"),
     ]
     columns += [Limits("graded"), Text("grade"), Number("cost graded", form=".3f")] if graded else []
-    rows: list[list[Any]] = []
+    rows: list[list[Cell]] = []
     for field in study.fields:
         unit, elements = study.unit(field), math.prod(getattr(study.tolerances, field).shape)
         name = Titled(field, f"{elements} elements, each its own" if elements > 1 else "")
-        row: list[Any] = [name, readable(unit)[0]]
+        row: list[Cell] = [name, readable(unit)[0]]
         row += [limits_of(getattr(side, field), unit) for side in (study.tolerances, allocation.tolerances)]
         row += [side.cost.get(field) for side in (answer.before, answer.after)]
         if graded:
@@ -221,10 +222,10 @@ class _Limit(Column):
         """Headers in a CSV file."""
         return ["lower limit", "upper limit"]
 
-    def _said(self, cell: Any) -> str:
+    def _said(self, cell: Cell) -> str:
         return limit_text(*cell)
 
-    def _given(self, cell: Any) -> list[Any]:
+    def _given(self, cell: Cell) -> list[Value]:
         requirement, output = cell
         return [number(limit, output.shown[1]) for limit in (requirement.lower, requirement.upper)]
 
@@ -233,11 +234,11 @@ class _Limit(Column):
 class _Price(Column):
     """Shadow prices per unit of the response: cells are (price per SI unit, output)."""
 
-    def _said(self, cell: Any) -> str:
+    def _said(self, cell: Cell) -> str:
         price, (unit, size) = cell[0], cell[1].shown
         return f"{price * size:.4g} /{unit}" if price else "not binding"
 
-    def _given(self, cell: Any) -> list[Any]:
+    def _given(self, cell: Cell) -> list[Value]:
         return [number(cell[0] * cell[1].shown[1])]
 
 
@@ -245,10 +246,10 @@ class _Price(Column):
 class _Met(Text):
     """Column for a met requirement: 1 or 0 in a file."""
 
-    def _said(self, cell: bool) -> str:
+    def _said(self, cell: Cell) -> str:
         return "✔ met" if cell else "✘ not met"
 
-    def _given(self, cell: bool) -> list[Any]:
+    def _given(self, cell: Cell) -> list[Value]:
         return [int(cell)]
 
 
@@ -278,7 +279,7 @@ def requirement_table(answer: Answer) -> Table:
         cells = [judged(verdict, output) for verdict in verdicts]
         figure_unit = output.shown[0] if verdicts[0].kind == "response" else "-"
         goal = getattr(requirement, requirement.goal) if requirement.goal else None
-        row: list[Any] = [
+        row: list[Cell] = [
             Titled(name, output.meaning),
             output.shown[0],
             (requirement, output),
@@ -291,7 +292,7 @@ def requirement_table(answer: Answer) -> Table:
     return Table("requirements", columns, rows)
 
 
-def _data(answer: Answer) -> dict[str, Any]:
+def _data(answer: Answer) -> dict[str, object]:
     """Result as JSON values in SI, without single units."""
     study, allocation = answer.study, answer.allocation
     graded = allocation.graded
