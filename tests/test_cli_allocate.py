@@ -66,7 +66,7 @@ def test_allocate_writes_tables_and_pictures(answered):
     graded = sum(float(row["cost graded"] or 0) for row in (*rows.values(), moved))
     assert graded == pytest.approx(result["graded"]["cost"])
     influence = table("influence", "error", "response")
-    assert influence["disc_runout", "transmission_error"]["slope"] == ""  # not seen, which is not zero
+    assert influence["disc_runout", "transmission_error"]["slope"] == ""  # no slope, which is not zero
     assert float(influence["disc_runout", "lost_motion"]["slope"]) > 0
     row = influence["crank_phase", "transmission_error"]
     assert row["unit of the slope"] == "arcmin/arcmin"
@@ -86,7 +86,7 @@ def test_allocate_writes_tables_and_pictures(answered):
         f"{UNITS:,} independent units, 0 failed",
         "joint yield: 99.",
         "no joint_target set",
-        "not seen: the model ignores this error",
+        "no slope: the model ignores this error",
         "% of the units, interference, no backlash",
         "Not modelled: pins, flanks and the first stage",
     ):

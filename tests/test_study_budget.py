@@ -1,4 +1,4 @@
-"""Error budgets: who owns the error.
+"""Error budgets: the share of each error.
 
 Oracle: the transmission error of the linkage is linear in small errors, so that total effects are sums of squared
 derivatives times the differences of the very errors that were drawn.

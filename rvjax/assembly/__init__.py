@@ -4,7 +4,7 @@ Parts + measurement uncertainty --believed--> what is known --plan--> build list
 """
 
 from rvjax.assembly.belief import believed
-from rvjax.assembly.costs import Machine as Machine
+from rvjax.assembly.costs import Machine as Machine, UnitResponse as UnitResponse
 from rvjax.assembly.opening import Opening, opening
 from rvjax.assembly.parts import Kind, Part, known as known
 from rvjax.assembly.plan import OBJECTIVES as OBJECTIVES, Plan, draw as draw, plan, supply_of as supply_of

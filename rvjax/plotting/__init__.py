@@ -1,6 +1,16 @@
 """Plots: functions that take numbers and results in SI and return Axes. The models never import this package."""
 
-from rvjax.plotting import assembly, compensation, dynamic_error, dynamics, four_bar, identified, loaded, mesh_force
+from rvjax.plotting import (
+    assembly,
+    compensation,
+    drawings,
+    dynamic_error,
+    dynamics,
+    four_bar,
+    identified,
+    loaded,
+    mesh_force,
+)
 from rvjax.plotting.allocation import cost_bars
 from rvjax.plotting.batches import batch_histograms, rejects_against_limit
 from rvjax.plotting.budget import error_budget
@@ -24,6 +34,7 @@ __all__ = [
     "cost_against_limit",
     "cost_against_yield",
     "cost_bars",
+    "drawings",
     "dynamic_error",
     "dynamics",
     "error_budget",

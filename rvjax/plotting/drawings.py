@@ -19,7 +19,7 @@ def reducer(design: RVReducer, *, crank_angle: float = np.pi / 4, axes: Axes | N
         crank_angle: of the first disc, rad; rounded to the next multiple of the pin pitch.
         axes: where to draw; a new figure by default.
     """
-    axes = new_axes(axes)
+    axes = new_axes(axes, (7, 7))
     cycloid, cranks = design.cycloid, design.cranks
     pitch = 2 * np.pi / cycloid.pin_count
     angle = pitch * round(crank_angle / pitch)  # where the disc meshes as it does at zero

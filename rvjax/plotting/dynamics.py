@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 
@@ -142,7 +141,7 @@ def sensitivity_bars(
     beside = {name: float(np.real(value)) for name, value in (other or {}).items()}
     size = {name: max(abs(value), abs(beside.get(name, 0.0))) for name, value in values.items()}
     names = sorted((n for n in values if size[n] >= 0.01 * max(size.values())), key=lambda n: size[n])
-    axes = plt.subplots(figsize=(7, 1.2 + 0.26 * len(names)))[1] if axes is None else axes
+    axes = new_axes(axes, (7, 1.2 + 0.26 * len(names)))
     rows, thick = np.arange(len(names)), 0.75 if other is None else 0.38
     axes.barh(
         rows + (0 if other is None else thick / 2), [values[n] for n in names], thick, color=AFTER, label=labels[0]

@@ -111,10 +111,7 @@ def elements(
         axes: where to draw; a new figure by default.
     """
     names = list(names)[:MOST]
-    if axes is None:
-        import matplotlib.pyplot as plt
-
-        axes = plt.subplots(figsize=(7, 1.3 + 0.22 * len(names)))[1]
+    axes = new_axes(axes, (7, 1.3 + 0.22 * len(names)))
     colours = {"identified": AFTER, "combination": PALETTE[4], "unseen": "0.55"}
     for row, name in enumerate(reversed(names)):
         middle, half = (limits[name][0] + limits[name][1]) / 2, (limits[name][1] - limits[name][0]) / 2

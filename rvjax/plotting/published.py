@@ -3,11 +3,10 @@
 from collections import Counter
 from collections.abc import Iterable, Mapping
 
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 
-from rvjax.plotting.style import HATCHES, PALETTE, words
+from rvjax.plotting.style import HATCHES, PALETTE, new_axes, words
 
 VERDICTS = {
     "reproduced": PALETTE[2],
@@ -26,7 +25,7 @@ def verdicts(statuses: Mapping[str, Iterable[str]], *, axes: Axes | None = None)
         statuses: {source: status word of each of its figures}.
         axes: where to draw; a new figure by default.
     """
-    axes = plt.subplots(figsize=(7, 1.5 + 0.5 * len(statuses)))[1] if axes is None else axes
+    axes = new_axes(axes, (7, 1.5 + 0.5 * len(statuses)))
     counts = {source: Counter(found) for source, found in statuses.items()}
     rows, left = np.arange(len(counts))[::-1], np.zeros(len(counts))
     for (verdict, colour), hatch in zip(VERDICTS.items(), HATCHES):

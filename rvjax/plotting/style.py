@@ -50,9 +50,14 @@ def words(name: str) -> str:
     return name.replace("_", " ")
 
 
-def new_axes(axes: Axes | None = None) -> Axes:
-    """The axes given, or those of a new figure."""
-    return plt.subplots(figsize=(7, 4.2))[1] if axes is None else axes
+def new_axes(axes: Axes | None = None, size: tuple[float, float] = (7, 4.2)) -> Axes:
+    """The axes given, or those of a new figure.
+
+    Args:
+        axes: where to draw, or None.
+        size: width and height of a new figure, inches.
+    """
+    return plt.subplots(figsize=size)[1] if axes is None else axes
 
 
 def limit_lines(axes: Axes, limits: Iterable[float], unit: str, size: float) -> None:

@@ -69,7 +69,7 @@ def _by_indent(lines: list[str]) -> list[tuple[bool, list[str]]]:
     return [(indented, [line.strip() for line in own]) for indented, own in groups]
 
 
-MUTED = ("not seen",)
+MUTED = ("no slope",)
 ZERO = Markup('<span class="none">0</span>')
 
 

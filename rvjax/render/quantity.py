@@ -3,6 +3,8 @@
 import math
 from dataclasses import dataclass
 
+from rvjax.frames import Interval
+from rvjax.records import Scalar
 from rvjax.units import readable
 
 

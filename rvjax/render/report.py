@@ -8,11 +8,11 @@ import sys
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 import rvjax
+from rvjax.records import PyTree
 from rvjax.render.figure import Figure
 from rvjax.render.table import CSV, EVERYWHERE, TEXT, Table
 
@@ -55,7 +55,7 @@ class Block:
     """
 
     template: str
-    facts: Mapping[str, Any]
+    facts: Mapping[str, object]
 
 
 Content = Note | Table | Figure | Section | Block
@@ -85,14 +85,14 @@ class Report:
     content: tuple[Content, ...]
     status: str = ""
     ok: bool = True
-    data: Any = field(default_factory=dict)
+    data: PyTree = field(default_factory=dict)
     files: Mapping[str, bytes] = field(default_factory=dict)
     page: str | None = None
-    facts: Mapping[str, Any] = field(default_factory=dict)
+    facts: Mapping[str, object] = field(default_factory=dict)
     exports: Mapping[Path, bytes] = field(default_factory=dict)
     brief: str | None = None
     main: str = ""
-    told: Mapping[str, Any] = field(default_factory=dict)
+    told: Mapping[str, object] = field(default_factory=dict)
     closing: tuple[str, ...] = ()
 
     def parts(self) -> Iterator[Note | Table | Figure]:
@@ -104,7 +104,7 @@ class Report:
         parts = (part for part in self.parts() if not isinstance(part, Figure) and TEXT in part.on)
         return "\n\n".join(part.text() if isinstance(part, Table) else part.text for part in parts)
 
-    def json(self) -> Any:
+    def json(self) -> PyTree:
         """The report as JSON values."""
         return plain(self.data)
 
@@ -147,7 +147,7 @@ def versions() -> dict[str, str]:
     return {"rvjax": rvjax.__version__, "jax": jax.__version__, "python": sys.version.split()[0]}
 
 
-def plain(value: Any) -> Any:
+def plain(value: PyTree) -> PyTree:
     """Results as JSON values; numbers that JSON cannot hold (inf, nan) become null."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         value = {f.name: getattr(value, f.name) for f in dataclasses.fields(value)}
@@ -160,6 +160,6 @@ def plain(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def as_json(data: Any) -> bytes:
+def as_json(data: object) -> bytes:
     """JSON values as the content of a file."""
     return json.dumps(data, indent=1, allow_nan=False).encode()

@@ -35,7 +35,7 @@ from rvjax.study import Study
 from rvjax.tolerances import Allocation, Tolerance
 from rvjax.units import readable
 
-UNMOVED = "not seen"
+UNMOVED = "no slope"
 UNMOVED_MEANS = "the model ignores this error, or its first-order effect is zero; it may still matter"
 MOVED = "middles moved"
 """Row with the cost of moved mid-points: with it, the column of costs adds up to the total."""

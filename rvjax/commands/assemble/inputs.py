@@ -4,10 +4,10 @@ import argparse
 import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from rvjax import study
 from rvjax.assembly import OBJECTIVES
+from rvjax.records import PyTree
 from rvjax.render import results_folder
 from rvjax.study import Study, choice, integer, known, quantity, subtable
 
@@ -57,7 +57,7 @@ def inputs(options: argparse.Namespace) -> Inputs:
     return Inputs(question, options.parts, options.prices, folder)
 
 
-def section(table: dict[str, Any], question: Study) -> Assembly:
+def section(table: Mapping[str, object], question: Study) -> Assembly:
     """The table [assembly] of a study.
 
     Args:
@@ -68,7 +68,7 @@ def section(table: dict[str, Any], question: Study) -> Assembly:
         ValueError: names the key, its value and the unit.
     """
     known(table, {f.name for f in dataclasses.fields(Assembly)}, "assembly")
-    found: dict[str, Any] = {}
+    found: dict[str, PyTree] = {}
     if "response" in table:
         found["response"] = choice(table["response"], question.requirements, "assembly.response")
     if "objective" in table:

@@ -5,12 +5,11 @@ import math
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from rvjax import columns
-from rvjax.assembly import Kind, Machine, Part, Plan, draw, known as known_parts, supply_of
+from rvjax.assembly import Kind, Machine, Part, Plan, UnitResponse, draw, known as known_parts, supply_of
 from rvjax.commands.assemble.inputs import Assembly
 from rvjax.designs import RVReducer
 from rvjax.mounting import carried, disc_mountings, drawing, unit_errors
@@ -56,7 +55,7 @@ class Bench:
         requirement: on it.
     """
 
-    response: Any
+    response: UnitResponse
     kinds: dict[str, Kind]
     name: str
     requirement: Requirement
@@ -158,7 +157,7 @@ def _rows(path: Path) -> list[Row]:
     return [Row(number, dict(zip(header, map(str.strip, cells))), comma) for number, cells in body]
 
 
-def _slots(design: Any, kind: str, path: str | Path) -> tuple[list[str], dict[str, tuple[int, ...]]]:
+def _slots(design: RVReducer, kind: str, path: str | Path) -> tuple[list[str], dict[str, tuple[int, ...]]]:
     """Slots that a kind of parts feeds, and the errors it may hold with their shapes."""
     discs, cranks = design.cycloid.disc_count, design.cranks.count
     shapes = {f.name: axis_sizes(f.metadata["shape"], design.counts) for f in dataclasses.fields(design.error_record)}

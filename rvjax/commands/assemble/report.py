@@ -1,21 +1,26 @@
 """Report of `rvjax assemble`: the plan compared with random assembly, the list for the bench, a plot of the units."""
 
 import dataclasses
-from collections.abc import Sequence
-from functools import partial
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+import rvjax
 from rvjax.assembly import Plan
 from rvjax.commands.assemble.compute import Assembled
 from rvjax.commands.assemble.inputs import Inputs
 from rvjax.commands.assemble.parts import REST, unit_values
 from rvjax.commands.assemble.prices import Price
+from rvjax.designs import RVReducer
 from rvjax.mounting import disc_mountings, drawing
-from rvjax.render import CSV, TEXT, Figure, Interval, Note, Number, Quantity, Report, Share, Table, Text, versions
+from rvjax.records import PyTree
+from rvjax.render import CSV, TEXT, Cell, Figure, Interval, Note, Number, Quantity, Report, Share, Table, Text, versions
 from rvjax.study import Study
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 
 def report(asked: Inputs, found: Assembled) -> Report:
@@ -27,12 +32,12 @@ def report(asked: Inputs, found: Assembled) -> Report:
     """
     study, plan, parts = asked.study, found.plan, found.parts
     output = study.output(parts.name)
-    unit: dict[str, Any] = {"unit": output.unit, "read_in": output.read_in}
+    unit: Mapping[str, PyTree] = {"unit": output.unit, "read_in": output.read_in}
     gain = Quantity.of(plan.gain, **unit)
     prices = [price_table(found.prices)] if found.prices else []
-    figures = [Figure("units", f"Units of the plan and random units: {parts.name}", partial(_units, asked, found))]
+    figures = [Figure("units", f"Units of the plan and random units: {parts.name}", lambda: _units(study, found))]
     if prices:
-        figures.append(Figure("prices", "Cost against yield, random and matched", partial(_price_plot, found.prices)))
+        figures.append(Figure("prices", "Cost against yield, random and matched", lambda: _price_plot(found.prices)))
     about = {"study": study.name, "response": parts.name, "seed": study.seed, "versions": versions()}
     return Report(
         title=f"{study.name}: assembly",
@@ -91,7 +96,7 @@ def _left(plan: Plan) -> list[str]:
     return lines
 
 
-def _build(study: Study, found: Assembled, unit: dict[str, Any]) -> Table:
+def _build(study: Study, found: Assembled, unit: Mapping[str, PyTree]) -> Table:
     """The list for the bench: unit, part and position of each slot, expected response."""
     plan, kinds = found.plan, found.parts.kinds
     columns: list[Text | Number] = [Text("unit")]
@@ -102,7 +107,7 @@ def _build(study: Study, found: Assembled, unit: dict[str, Any]) -> Table:
     columns.append(Number(name, **unit))
     rows = []
     for number, (parts, index, value) in enumerate(zip(plan.build, plan.index, plan.values), 1):
-        row: list[Any] = [number]
+        row: list[Cell] = [number]
         for slot in slots:
             row.append(str(parts[slot]))
             row += [position(study.design, slot, index[slot])] if kinds[slot].indices > 1 else []
@@ -110,7 +115,7 @@ def _build(study: Study, found: Assembled, unit: dict[str, Any]) -> Table:
     return Table("build", columns, rows, on=frozenset({CSV}))
 
 
-def position(design: Any, slot: str, index: int) -> str:
+def position(design: RVReducer, slot: str, index: int) -> str:
     """A position in words.
 
     Args:
@@ -140,11 +145,9 @@ def price_table(prices: Sequence[Price]) -> Table:
     return Table("prices", columns, rows, on=frozenset({TEXT}))
 
 
-def _units(asked: Inputs, found: Assembled) -> Any:
-    from rvjax import plotting
-
-    parts, study = found.parts, asked.study
-    return plotting.assembly.units(
+def _units(study: Study, found: Assembled) -> "Axes":
+    parts = found.parts
+    return rvjax.plotting.assembly.units(
         unit_values(parts, study.seed, found.plan),
         unit_values(parts, study.seed),
         unit=study.output(parts.name).unit,
@@ -154,7 +157,6 @@ def _units(asked: Inputs, found: Assembled) -> Any:
     )
 
 
-def _price_plot(prices: Sequence[Price]) -> Any:
-    from rvjax import plotting
-
-    return plotting.assembly.price_of_accuracy(*zip(*((price.share, price.alone, price.matched) for price in prices)))
+def _price_plot(prices: Sequence[Price]) -> "Axes":
+    yields = zip(*((price.share, price.alone, price.matched) for price in prices))
+    return rvjax.plotting.assembly.price_of_accuracy(*yields)

@@ -1,13 +1,13 @@
 """Values of a study next to those of known reducers, and the levels of its responses."""
 
 import dataclasses
-from typing import Any
 
 from rvjax import models
 from rvjax.commands.check.inputs import Inputs
 from rvjax.commands.forecast import choices
 from rvjax.designs import RVReducer
 from rvjax.levels import Choice
+from rvjax.records import Field
 from rvjax.study import KNOWN_DESIGNS, TORQUE, Study, facts_of, numbers, shown
 
 
@@ -49,5 +49,5 @@ def _magnitudes(question: Study) -> list[tuple[str, str, str | None]]:
     return rows
 
 
-def _rated(question: Study, condition: dataclasses.Field[Any]) -> bool:
+def _rated(question: Study, condition: Field) -> bool:
     return bool(condition.metadata["torque"]) and isinstance(question.design, RVReducer)

@@ -1,12 +1,13 @@
 """Report of `rvjax check`: facts, magnitudes, limits, levels, time, warnings."""
 
 import dataclasses
-from typing import Any
 
+import rvjax
 from rvjax.commands.cells import assumed_text, limits_data, limits_of
 from rvjax.commands.check.compute import Checked
 from rvjax.commands.check.inputs import Inputs
 from rvjax.commands.forecast import expected, level_lines
+from rvjax.designs import RVReducer
 from rvjax.render import Figure, Limits, Note, Report, Table, Text
 from rvjax.study import Study, numbers
 
@@ -50,7 +51,7 @@ def _content(study: Study, found: Checked) -> list[Note | Table]:
     return [part for part in said if not isinstance(part, Note) or part.text]
 
 
-def _data(study: Study, found: Checked) -> dict[str, Any]:
+def _data(study: Study, found: Checked) -> dict[str, object]:
     return {
         "study": study.name,
         "about": study.about,
@@ -71,14 +72,6 @@ def _data(study: Study, found: Checked) -> dict[str, Any]:
     }
 
 
-def drawing(design: Any) -> Figure:
+def drawing(design: RVReducer) -> Figure:
     """A drawing of an RV reducer to scale."""
-
-    def draw() -> Any:
-        import matplotlib.pyplot as plt
-
-        from rvjax.plotting import drawings
-
-        return drawings.reducer(design, axes=plt.figure(figsize=(7, 7), layout="constrained").add_subplot())
-
-    return Figure("design", "The reducer to scale", draw)
+    return Figure("design", "The reducer to scale", lambda: rvjax.plotting.drawings.reducer(design))

@@ -1,13 +1,12 @@
 """Differences of two results, and their certificates under the requirements of one study."""
 
 import dataclasses
-from typing import Any
 
 from rvjax import progress
 from rvjax.commands import forecast
 from rvjax.commands.compare.crossed import Crossed, crossed
 from rvjax.commands.compare.inputs import Inputs
-from rvjax.commands.compare.results import compared
+from rvjax.commands.compare.results import Topics, compared
 
 
 @dataclasses.dataclass(frozen=True)
@@ -19,7 +18,7 @@ class Comparison:
         crossed: certificates under the study of --on, by letter.
     """
 
-    topics: dict[str, Any]
+    topics: Topics
     crossed: dict[str, Crossed]
 
 

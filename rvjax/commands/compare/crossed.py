@@ -2,8 +2,8 @@
 
 import dataclasses
 from dataclasses import dataclass
-from typing import Any
 
+from rvjax.records import PyTree
 from rvjax.response import BLOCK
 from rvjax.study import Study
 from rvjax.tolerances import Statistics, monte_carlo
@@ -24,7 +24,7 @@ class Crossed:
     """
 
     study: Study
-    tolerances: Any
+    tolerances: PyTree
     taken: tuple[str, ...]
     own: tuple[str, ...]
     left: tuple[str, ...]
@@ -33,7 +33,7 @@ class Crossed:
 
 
 def crossed(
-    study: Study, tolerances: Any, *, samples: int | None = None, seed: int | None = None, progress: bool = False
+    study: Study, tolerances: PyTree, *, samples: int | None = None, seed: int | None = None, progress: bool = False
 ) -> Crossed:
     """Certify tolerances under the requirements, conditions, design and models of a study.
 
@@ -69,7 +69,7 @@ def crossed(
     )
 
 
-def put_into(study: Study, tolerances: Any) -> Any:
+def put_into(study: Study, tolerances: PyTree) -> PyTree:
     """Replace the tolerances of a study by those of a result, where both have one.
 
     Limits, distribution and capability of an error are kept as deviations from the nominal values of the study's
@@ -94,7 +94,7 @@ def put_into(study: Study, tolerances: Any) -> Any:
     return study.tolerances.replace(**found)
 
 
-def cost_of(study: Study, tolerances: Any) -> float:
+def cost_of(study: Study, tolerances: PyTree) -> float:
     """Cost of tolerances in the costs of a study.
 
     Args:

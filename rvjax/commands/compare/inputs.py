@@ -3,11 +3,11 @@
 import argparse
 import dataclasses
 from pathlib import Path
-from typing import Any
 
 from rvjax import study
-from rvjax.commands.compare.results import result
+from rvjax.commands.compare.results import Result, result
 from rvjax.commands.speak import forewarn
+from rvjax.records import PyTree
 from rvjax.study import Study
 
 
@@ -24,9 +24,9 @@ class Inputs:
     """
 
     paths: dict[str, str]
-    results: dict[str, dict[str, Any]]
+    results: dict[str, Result]
     study: Study | None = None
-    answers: dict[str, tuple[Study, Any]] = dataclasses.field(default_factory=dict)
+    answers: dict[str, tuple[Study, PyTree]] = dataclasses.field(default_factory=dict)
     samples: int | None = None
 
 
@@ -50,7 +50,7 @@ def inputs(options: argparse.Namespace) -> Inputs:
     return Inputs(paths, results, question, answers, options.samples)
 
 
-def answered(path: str) -> tuple[Study, Any]:
+def answered(path: str) -> tuple[Study, PyTree]:
     """The study of a results folder, and the tolerances that it found, with their distributions.
 
     Args:

@@ -2,13 +2,14 @@
 
 import dataclasses
 import math
-from typing import Any
+from collections.abc import Mapping
 
 from rvjax.commands.cells import failures_text, judged, limit_text, limits_data, limits_of, share
 from rvjax.commands.compare.compute import Comparison
 from rvjax.commands.compare.crossed import Crossed
 from rvjax.commands.compare.inputs import Inputs
-from rvjax.render import Column, Content, Limits, Note, Number, Quantity, Report, Table, Text
+from rvjax.records import PyTree
+from rvjax.render import Cell, Column, Content, Limits, Note, Number, Quantity, Report, Table, Text
 from rvjax.study import Study, numbers, shown
 
 NEAR = 1e-9  # relative: numbers of two designs that are equal
@@ -23,7 +24,7 @@ def report(asked: Inputs, found: Comparison) -> Report:
     """
     paths = Note("\n".join(f"{letter}: {path}" for letter, path in asked.paths.items()))
     content: list[Content] = [paths, *(_topic(topic, rows) for topic, rows in found.topics.items())]
-    data = dict(found.topics)
+    data: dict[str, object] = dict(found.topics)
     if asked.study is not None:
         own = {letter: answer for letter, (answer, _) in asked.answers.items()}
         content += [
@@ -36,7 +37,7 @@ def report(asked: Inputs, found: Comparison) -> Report:
     return Report("Comparison", tuple(content), data=data)
 
 
-def _topic(topic: str, rows: dict[str, Any]) -> Table:
+def _topic(topic: str, rows: Mapping[str, Mapping[str, PyTree]]) -> Table:
     """Table of one topic: values of both results, and the change from the first to the second."""
     cells = []
     for name, row in rows.items():
@@ -45,7 +46,7 @@ def _topic(topic: str, rows: dict[str, Any]) -> Table:
     return Table(topic, [Text(topic), Column("A"), Column("B"), Text("change")], cells)
 
 
-def _cell(value: Any, unit: str) -> str | Quantity | None:
+def _cell(value: PyTree, unit: str) -> str | Quantity | None:
     if isinstance(value, bool):
         return "yes" if value else "no"
     if value is None or unit == "text":
@@ -55,7 +56,7 @@ def _cell(value: Any, unit: str) -> str | Quantity | None:
     return Quantity(value, "-" if unit == "number" else unit)
 
 
-def _change(a: Any, b: Any, unit: str) -> str:
+def _change(a: PyTree, b: PyTree, unit: str) -> str:
     if unit == "text" or a is None or b is None:
         return "differs"
     if unit == "share":
@@ -71,13 +72,13 @@ def _yields(study: Study, found: dict[str, Crossed]) -> Table:
     rows = []
     for name, requirement in study.requirements.items():
         output = study.output(name)
-        row: list[Any] = [name, limit_text(requirement, output), requirement.text()]
+        row: list[Cell] = [name, limit_text(requirement, output), requirement.text()]
         for one in found.values():
             verdict = one.statistics.verdicts[name]
             row += [judged(verdict, output), "met" if verdict.met else "not met"]
         rows.append(row)
-    joint = [one.statistics.joint_yield for one in found.values()]  # None where no requirement limits single units
-    if all(each is not None for each in joint):
+    joint = [each for one in found.values() if (each := one.statistics.joint_yield) is not None]
+    if len(joint) == len(found):  # none where no requirement limits single units
         rows.append(["all at once", "", "", *(cell for each in joint for cell in (share(each), ""))])
     return Table("yields", columns, rows)
 
@@ -85,7 +86,7 @@ def _yields(study: Study, found: dict[str, Crossed]) -> Table:
 def _tolerances(study: Study, found: dict[str, Crossed]) -> Table:
     """Tolerances and their costs under the study."""
     costs = [Number(f"cost {letter}", form=".3f") for letter in found]
-    rows: list[list[Any]] = []
+    rows: list[list[Cell]] = []
     for name in study.fields:
         used, cost = [getattr(one.tolerances, name) for one in found.values()], study.costs.get(name)
         prices = [float(cost(tolerance.half_width)) if cost else None for tolerance in used]
@@ -125,7 +126,7 @@ def differences(answer: Study, study: Study) -> list[str]:
     ]
 
 
-def _data(study: Study, found: dict[str, Crossed], answers: dict[str, Study]) -> dict[str, Any]:
+def _data(study: Study, found: dict[str, Crossed], answers: dict[str, Study]) -> dict[str, object]:
     sides = {
         letter.lower(): {
             "study": answers[letter].name,

@@ -3,12 +3,19 @@
 import json
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+
+from rvjax.records import PyTree
+
+Result = dict[str, PyTree]
+"""Content of a result.json, as `rvjax allocate` writes it."""
+
+Topics = dict[str, dict[str, dict[str, PyTree]]]
+"""{topic: {name: {"unit", "a", "b", "same"}}}."""
 
 _DAMAGE = (OSError, ValueError, RecursionError)
 
 
-def result(path: str) -> dict[str, Any]:
+def result(path: str) -> Result:
     """Read the content of a results folder.
 
     Args:
@@ -30,7 +37,7 @@ def result(path: str) -> dict[str, Any]:
     return found
 
 
-def compared(first: dict[str, Any], second: dict[str, Any]) -> dict[str, Any]:
+def compared(first: Result, second: Result) -> Topics:
     """Both results by topic: {topic: {name: {"unit", "a", "b", "same"}}}; SI, None for what one does not have.
 
     Args:
@@ -40,7 +47,7 @@ def compared(first: dict[str, Any], second: dict[str, Any]) -> dict[str, Any]:
     Raises:
         ValueError: something in them is not what `rvjax allocate` writes.
     """
-    found: dict[str, Any] = {}
+    found: Topics = {}
     try:
         for topic, name, unit, a, b in _rows(first, second):
             found.setdefault(topic, {})[name] = {"unit": unit, "a": a, "b": b, "same": a == b}
@@ -49,10 +56,10 @@ def compared(first: dict[str, Any], second: dict[str, Any]) -> dict[str, Any]:
     return found
 
 
-def _rows(first: dict[str, Any], second: dict[str, Any]) -> Iterator[tuple[str, str, str, Any, Any]]:
+def _rows(first: Result, second: Result) -> Iterator[tuple[str, str, str, PyTree, PyTree]]:
     """(topic, name, unit, a, b) of everything that is compared; units are SI, "share", "number" or "text"."""
 
-    def both(topic: str, name: str, unit: str, *keys: str) -> tuple[str, str, str, Any, Any]:
+    def both(topic: str, name: str, unit: str, *keys: str) -> tuple[str, str, str, PyTree, PyTree]:
         return topic, name, unit, _at(first, *keys), _at(second, *keys)
 
     yield both("run", "study", "text", "study")
@@ -87,13 +94,13 @@ def _rows(first: dict[str, Any], second: dict[str, Any]) -> Iterator[tuple[str, 
             yield both(f"variance of {name}, after", field, "share", "shares", "after", name, field)
 
 
-def _at(found: Any, *keys: str) -> Any:
+def _at(found: PyTree, *keys: str) -> PyTree:
     for key in keys:
         found = found.get(key) if isinstance(found, dict) else None
     return found
 
 
-def _names(first: Any, second: Any, *keys: str) -> list[str]:
+def _names(first: Result, second: Result, *keys: str) -> list[str]:
     """Names in either, those of the first in its order."""
     return list(dict.fromkeys([*(_at(first, *keys) or ()), *(_at(second, *keys) or ())]))
 

@@ -3,18 +3,19 @@
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+import rvjax
 from rvjax.commands.compensate.compute import Corrections, Curve
 from rvjax.commands.compensate.inputs import Inputs
 from rvjax.compensation import Left, exported, predicted, residual
+from rvjax.records import PyTree
 from rvjax.render import CSV, TEXT, Figure, Interval, Note, Number, Quantity, Report, Table, Text, versions
 from rvjax.units import arcsec
 
-ARCSEC: dict[str, Any] = {"unit": "rad", "read_in": "arcsec"}
-BRIEF: dict[str, Any] = {"form": ".3g", **ARCSEC}
+ARCSEC: dict[str, PyTree] = {"unit": "rad", "read_in": "arcsec"}
+BRIEF: dict[str, PyTree] = {"form": ".3g", **ARCSEC}
 
 
 def report(asked: Inputs, found: Corrections) -> Report:
@@ -69,9 +70,9 @@ def _curves(curves: Sequence[Curve], left: Sequence[Left]) -> Table:
     for curve, stays in zip(curves, left):
         made = curve.correction
         stored = " ".join(map(str, made.order.tolist())) or "none"
-        sides = [stays.rms, stays.before_peak_to_peak.value, stays.peak_to_peak]
-        after, swing, swing_after = (Quantity.of(x, **ARCSEC) if hasattr(x, "lower") else x for x in sides)
-        rows.append([curve.label or "all", stored, made.before_rms, after, swing, swing_after])
+        after, swing = Quantity.of(stays.rms, **ARCSEC), Quantity.of(stays.peak_to_peak, **ARCSEC)
+        before = made.before_rms, after, stays.before_peak_to_peak.value
+        rows.append([curve.label or "all", stored, *before, swing])
     columns = [
         Text("curve"),
         Text("orders stored"),
@@ -120,7 +121,7 @@ def _orders(curves: Sequence[Curve]) -> Table:
     return Table("orders", columns, rows, on=frozenset({CSV}))
 
 
-def _data(asked: Inputs, found: Corrections, left: Sequence[Left]) -> dict[str, Any]:
+def _data(asked: Inputs, found: Corrections, left: Sequence[Left]) -> dict[str, object]:
     curves = [
         {
             "unit": curve.run.at.unit,
@@ -150,9 +151,6 @@ def _figure(curve: Curve, end: str) -> Figure:
         first, title = np.real(value * np.exp(1j * curve.run.angle)), "Error without order 1, and its correction"
     title = f"{title} {curve.label}".rstrip()
 
-    def draw() -> Any:
-        from rvjax.plotting import compensation
-
-        return compensation.before_and_after(curve.run.angle, curve.run.error - first, curve.correction, title=title)
-
+    before, made = curve.run.error - first, curve.correction
+    draw = lambda: rvjax.plotting.compensation.before_and_after(curve.run.angle, before, made, title=title)  # noqa: E731
     return Figure(f"curve{end}", title, draw)

@@ -2,13 +2,13 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from rvjax import identify, progress
 from rvjax.commands.identify.inputs import Inputs
 from rvjax.commands.speak import READING, WRITING
+from rvjax.records import PyTree
 from rvjax.study import Measured, Problem, Run, Study, Wide, inverse_problem, order_name, with_candidates
 
 REJECTED = ("REJECTED", "MAX_STEPS", "NONFINITE")
@@ -132,7 +132,7 @@ def answer(study: Study, measured: Measured, *, draws: bool = False) -> Identifi
     everything = with_candidates(asked)
     seen = _seen(asked, everything)
     progress.begin(FITTING)
-    options: dict[str, Any] = dict(noise=asked.noise, nuisance=asked.nuisance, seed=study.seed)
+    options: dict[str, PyTree] = dict(noise=asked.noise, nuisance=asked.nuisance, seed=study.seed)
     if len(asked.units) > 1 or asked.asked.shared:
         if draws:
             raise ValueError(f"--sample: {len(asked.units)} units; sample one at a time")
@@ -183,7 +183,7 @@ def _bands(asked: Problem, found: identify.Posterior) -> tuple[Band, ...]:
     wave = np.exp(1j * np.outer(orders, angle))
     offset = "offset" in asked.nuisance
 
-    def curve(seen: Any, r: int) -> np.ndarray:
+    def curve(seen: Mapping[str, PyTree], r: int) -> np.ndarray:
         rows = np.stack([np.asarray(seen[order_name(k)])[..., r] for k in orders], axis=-1)
         return np.real(rows @ wave) + (np.asarray(seen["mean"])[..., r, None] if offset else 0.0)
 

@@ -2,16 +2,20 @@
 
 from collections.abc import Iterator
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING
 
 import jax.numpy as jnp
 import numpy as np
 
+import rvjax
 from rvjax.commands.identify.compute import Band, Identified
 from rvjax.commands.identify.words import elements, field_of
 from rvjax.render import Figure
 from rvjax.study import Loop
 from rvjax.tolerances import Tolerance
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 RUNS = 4  # curves that are plotted
 SIDES = np.array([-1.959964, 1.959964])  # of a 95 % interval
@@ -28,18 +32,18 @@ def figures(found: Identified) -> Iterator[Figure]:
     if asked.kind == "curve":
         yield Figure("orders", "Residual of each order, and the noise", partial(_orders, found))
     if asked.kind == "loop" and isinstance(loop := asked.items[0][0], Loop):
-        predicted = np.asarray(posterior.prediction["angle"])
-        yield Figure("loop", "Midline of the measured loop and of the identified unit", partial(_loop, loop, predicted))
+        curves = loop.torque, loop.midline, loop.width, np.asarray(posterior.prediction["angle"])
+        draw = lambda: rvjax.plotting.identified.loop(*curves)  # noqa: E731
+        yield Figure("loop", "Midline of the measured loop and of the identified unit", draw)
     caption = "Every element: prior (grey), posterior, and the limits of the drawing"
     yield Figure("elements", caption, partial(_elements, found))
-    yield Figure("shares", "Who makes the curve; a negative share cancels others", partial(_shares, found))
+    caption = "Share of each error in the curve; a negative share cancels others"
+    yield Figure("shares", caption, lambda: rvjax.plotting.identified.shares(posterior.shares))
 
 
-def _curve(band: Band) -> Any:
-    from rvjax import plotting
-
+def _curve(band: Band) -> "Axes":
     mean, cosine, sine = band.taken
-    return plotting.identified.measured_curve(
+    return rvjax.plotting.identified.measured_curve(
         band.run.angle,
         band.run.error - mean - cosine * np.cos(band.run.angle) - sine * np.sin(band.run.angle),
         predicted_angle=band.angle,
@@ -50,23 +54,13 @@ def _curve(band: Band) -> Any:
     )
 
 
-def _orders(found: Identified) -> Any:
-    from rvjax import plotting
-
+def _orders(found: Identified) -> "Axes":
     assert found.posterior is not None
     residual = {name: np.asarray(x) for name, x in found.posterior.residual.items() if name != "mean"}
-    return plotting.identified.residual_orders(residual, found.problem.sd)
+    return rvjax.plotting.identified.residual_orders(residual, found.problem.sd)
 
 
-def _loop(loop: Loop, predicted: np.ndarray) -> Any:
-    from rvjax import plotting
-
-    return plotting.identified.loop(loop.torque, loop.midline, loop.width, predicted)
-
-
-def _elements(found: Identified) -> Any:
-    from rvjax import plotting
-
+def _elements(found: Identified) -> "Axes":
     posterior, asked = found.posterior, found.problem
     assert posterior is not None
     prior = {name: tolerance for name, tolerance in asked.prior.items() if name not in asked.nuisance}
@@ -75,20 +69,13 @@ def _elements(found: Identified) -> Any:
     value, lower, upper = (elements({f: side[f] for f in prior}) for side in sides)
     limits = {f: (float(t.lower), float(t.upper)) for f, t in prior.items()}
     names = sorted(value, key=lambda name: -found.check.resolution[name])
-    return plotting.identified.elements(
+    return rvjax.plotting.identified.elements(
         names,
         before={name: (ends[0][name], ends[1][name]) for name in names},
         after={name: (value[name], lower[name], upper[name]) for name in names},
         limits={name: limits[field_of(name)] for name in names},
         verdict=found.check.verdict,
     )
-
-
-def _shares(found: Identified) -> Any:
-    from rvjax import plotting
-
-    assert found.posterior is not None
-    return plotting.identified.shares(found.posterior.shares)
 
 
 def _at(prior: dict[str, Tolerance], side: float) -> dict[str, float]:

@@ -2,10 +2,10 @@
 
 import shlex
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
+from rvjax import identify
 from rvjax.columns import place_of
 from rvjax.commands.identify.compute import Identified
 from rvjax.commands.identify.figures import figures
@@ -24,6 +24,7 @@ from rvjax.render import (
     EVERYWHERE,
     PAGE,
     TEXT,
+    Cell,
     Column,
     Content,
     Figure,
@@ -36,6 +37,7 @@ from rvjax.render import (
     Share,
     Table,
     Text,
+    Value,
     leading_comment,
     versions,
 )
@@ -113,8 +115,8 @@ def _content(found: Identified, drawn: dict[str, Figure]) -> list[Content]:
         content.append(Section("Units", (_units(found),)))
     if found.posterior is not None:
         shares = [f"  {group}: {shares_text(fields)}" for group, fields in found.posterior.shares.items()]
-        text = Note("\n".join(["Who makes the curve (shares; negative: cancels others):", *shares]), only_text)
-        content.append(Section("Who makes the curve", (text, *_named(drawn, "shares"))))
+        text = Note("\n".join(["Shares of the errors in the curve (negative: cancels others):", *shares]), only_text)
+        content.append(Section("Shares of the errors", (text, *_named(drawn, "shares"))))
     if rest := _doubts(found):
         content.append(Note("\n".join(rest), only_text))
     if coming := next_lines(found):
@@ -176,7 +178,7 @@ class _Span(Column):
         assert cell.lower is not None and cell.upper is not None
         return " .. ".join(_rounded(cell, end, cell.shown[1]) for end in (cell.lower, cell.upper))
 
-    def _given(self, cell: Quantity) -> list[Any]:
+    def _given(self, cell: Quantity) -> list[Value]:
         return list(cell.numbers()[1:])
 
 
@@ -209,7 +211,7 @@ def _elements(found: Identified) -> list[Table | Note]:
     fields = posterior and [elements(x) for x in (posterior.value, posterior.lower, posterior.upper)]
     rows = []
     for name in sorted(check.names, key=lambda name: -check.resolution[name]):
-        row: list[Any] = [name, _unit(found, name)[1], str(check.verdict[name]), max(check.resolution[name], 0.0)]
+        row: list[Cell] = [name, _unit(found, name)[1], str(check.verdict[name]), max(check.resolution[name], 0.0)]
         if posterior is not None and fields:
             value = _quantity(found, name, *(values[name] for values in fields))
             row += [value, value, posterior.broken.get(name, 0.0)]
@@ -255,7 +257,7 @@ def _units(found: Identified) -> Table:
     rows = []
     for k, unit in enumerate(found.problem.units):
         chances = (float(np.asarray(p)[k]) for p in (batch.fit.p_model, batch.fit.p_prior))
-        row: list[Any] = [unit or "-", str(batch.status[k]), *chances]
+        row: list[Cell] = [unit or "-", str(batch.status[k]), *chances]
         for name in own:
             field, at = place_of(name)
             numbers = (float(np.asarray(x[field])[(k, *at)]) for x in (batch.value, batch.lower, batch.upper))
@@ -264,10 +266,14 @@ def _units(found: Identified) -> Table:
     return Table("units", columns, rows)
 
 
-def _data(found: Identified) -> dict[str, Any]:
+def _data(found: Identified) -> dict[str, object]:
     """Everything about an identification as JSON values, SI."""
     check, posterior, batch = found.check, found.posterior, found.batch
-    said: dict[str, Any] = {"study": found.study.name, "model": found.problem.asked.model, "kind": found.problem.kind}
+    said: dict[str, object] = {
+        "study": found.study.name,
+        "model": found.problem.asked.model,
+        "kind": found.problem.kind,
+    }
     if posterior is not None:
         said |= {"status": posterior.status, "adequate": found.adequate}
     elif batch is not None:
@@ -297,14 +303,14 @@ def _data(found: Identified) -> dict[str, Any]:
     return said | {"seed": found.study.seed, "versions": versions()}
 
 
-def _fit(fit: Any, k: int | None = None) -> dict[str, Any]:
+def _fit(fit: identify.Fit, k: int | None = None) -> dict[str, object]:
     keys = ("chi2_model", "dof_model", "p_model", "chi2_prior", "dof_prior", "p_prior", "p_total")
     said = {key: getattr(fit, key) if k is None else np.asarray(getattr(fit, key))[k] for key in keys}
     return said | ({"worst": list(fit.worst)} if k is None else {})
 
 
-def _of_unit(batch: Any, k: int) -> dict[str, Any]:
-    said: dict[str, Any] = {"status": str(batch.status[k]), "fit": _fit(batch.fit, k)}
+def _of_unit(batch: identify.Batch, k: int) -> dict[str, object]:
+    said: dict[str, object] = {"status": str(batch.status[k]), "fit": _fit(batch.fit, k)}
     for key in ("value", "lower", "upper"):
         said[key] = elements({field: np.asarray(values)[k] for field, values in getattr(batch, key).items()})
     return said

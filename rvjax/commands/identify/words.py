@@ -2,12 +2,12 @@
 
 import math
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 
 from rvjax.columns import element, place_of
 from rvjax.commands.identify.compute import Identified
+from rvjax.records import PyTree
 
 SHOWN = 0.3  # loadings below this share of the largest are not part of a combination in words
 EQUAL = 0.1  # loadings that differ less count as one
@@ -36,7 +36,7 @@ def in_words(loadings: Mapping[str, float]) -> str:
     return said
 
 
-def elements(structure: Mapping[str, Any]) -> dict[str, float]:
+def elements(structure: Mapping[str, PyTree]) -> dict[str, float]:
     """{element: number} of values with the structure of a prior."""
     found = {}
     for name in sorted(structure):

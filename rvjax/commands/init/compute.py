@@ -3,13 +3,17 @@
 import dataclasses
 import re
 from collections.abc import Iterator
-from typing import Any
+from typing import TYPE_CHECKING
 
 from rvjax import catalogue
 from rvjax.commands.init.inputs import Inputs
 from rvjax.designs import InvoluteStage, RVReducer
+from rvjax.records import PyTree
 from rvjax.study import BASES, EMBEDDED, RATED, StudyError, choice, load, parse_study, shown
 from rvjax.units import KNOWN
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
 
 FOLLOWS = ("centre_distance", "sun_radius", "sun_base_radius", "planet_base_radius")  # of standard gears
 QUESTIONS = {"rv": "rv-40e", "oscillatory-roller": "corr"}
@@ -27,7 +31,7 @@ def written(base: str) -> str:
     Raises:
         ValueError: an unknown name.
     """
-    known: Any = BASES[choice(base, BASES, "--base")]
+    known: PyTree = BASES[choice(base, BASES, "--base")]
     design = _completed(known) if isinstance(known, RVReducer) else known
     question = (EMBEDDED / f"{QUESTIONS[design.kind]}.toml").read_text("utf-8")
     asked = question[question.index("[conditions]") :]
@@ -61,7 +65,7 @@ def _completed(design: RVReducer) -> RVReducer:
     return design.replace(cycloid=cycloid, cranks=cranks)
 
 
-def _lines(record: Any, known: Any, unprinted: frozenset[str], prefix: str = "") -> Iterator[str]:
+def _lines(record: "DataclassInstance", known: PyTree, unprinted: frozenset[str], prefix: str = "") -> Iterator[str]:
     """`key = value # meaning` of every given value; unpublished values are marked."""
     standard = _standard(record)
     for f in dataclasses.fields(record):
@@ -79,7 +83,7 @@ def _lines(record: Any, known: Any, unprinted: frozenset[str], prefix: str = "")
             yield f"{name} = {text} # {about['meaning']}{assumed}"
 
 
-def _standard(record: Any) -> bool:
+def _standard(record: object) -> bool:
     """True if the radii of these gears follow from teeth and module."""
     if not isinstance(record, InvoluteStage):
         return False

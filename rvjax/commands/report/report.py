@@ -6,10 +6,10 @@ Scripts only add a section with sliders; without them the page says everything e
 import dataclasses
 import shlex
 import time
-from typing import Any
 
 import numpy as np
 
+import rvjax
 from rvjax import catalogue, levels, models
 from rvjax.commands.allocate import (
     Answer,
@@ -30,8 +30,10 @@ from rvjax.commands.report.compute import Shown
 from rvjax.commands.report.inputs import Inputs
 from rvjax.commands.report.worst_units import WorstUnit, worst_units
 from rvjax.designs import RVReducer
+from rvjax.records import PyTree
 from rvjax.render import (
     Block,
+    Cell,
     Column,
     Content,
     Figure,
@@ -203,14 +205,14 @@ def _influence(answer: Answer, drawn: dict[str, Figure]) -> Section:
 
 def design_section(study: Study) -> Section:
     """Every number of the design and where it comes from, and a drawing to scale."""
-    rows: list[list[Any]] = []
+    rows: list[list[Cell]] = []
     for one in study.numbers:
         name = Titled(one.path.replace(".", " "), one.meaning)
         rows.append([name, _value(one.value, one.unit), one.origin, "assumed" if one.assumed else ""])
     rows += [[name, value, "follows from the numbers above", ""] for name, value in facts_of(study.design)]
     parts: list[Note | Table | Figure] = []
     if isinstance(study.design, RVReducer):
-        parts.append(Figure("design", _drawn(study.design), lambda: _draw(study.design)))
+        parts.append(Figure("design", _drawn(study.design), lambda: rvjax.plotting.drawings.reducer(study.design)))
     if study.assumed:
         parts.append(Note("Values marked assumed are not published: the result depends on them."))
     if study.base:
@@ -220,7 +222,7 @@ def design_section(study: Study) -> Section:
     return Section("The reducer", (Section("", (*parts, listed), style="reducer"),))
 
 
-def _value(value: Any, unit: str) -> str:
+def _value(value: PyTree, unit: str) -> str:
     """A number of a design with its unit; of an array the elements."""
     if getattr(value, "shape", ()) or isinstance(value, list | tuple):
         return ", ".join(_value(item, unit) for item in value)
@@ -237,16 +239,6 @@ def _drawn(design: RVReducer) -> str:
     )
 
 
-def _draw(design: RVReducer) -> Any:
-    import matplotlib.pyplot as plt
-
-    from rvjax.plotting import drawings
-
-    axes = plt.figure(figsize=(7, 7)).add_subplot()
-    drawings.reducer(design, axes=axes)
-    return axes
-
-
 def _worst(answer: Answer, drawn: dict[str, Figure]) -> Section:
     text = (
         f"Of {shown_values(answer.study):,} sample units with the tolerances after (seed {answer.after.seed}). The bar "
@@ -259,7 +251,7 @@ def _worst(answer: Answer, drawn: dict[str, Figure]) -> Section:
     return Section("Worst units", (Note(text), units, *([drawn["curves"]] if "curves" in drawn else [])))
 
 
-def _unit(answer: Answer, unit: WorstUnit) -> dict[str, Any]:
+def _unit(answer: Answer, unit: WorstUnit) -> dict[str, object]:
     """A worst unit for its template: title, responses, and the place of every error in its tolerance."""
     study, side = answer.study, answer.after
     if unit.requirement:

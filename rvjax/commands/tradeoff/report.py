@@ -1,8 +1,8 @@
 """Report of `rvjax tradeoff`: the table of levels and advice, a plot."""
 
 from pathlib import Path
-from typing import Any
 
+import rvjax
 from rvjax import levels
 from rvjax.commands.tradeoff.inputs import Inputs
 from rvjax.render import Figure, Note, Report, as_json
@@ -16,14 +16,9 @@ def report(asked: Inputs, found: tuple[levels.Table, float]) -> Report:
         found: its result.
     """
     table, seconds = found
-
-    def draw() -> Any:
-        from rvjax import plotting
-
-        return plotting.tradeoff(table).axes[0]
-
+    plot = Figure("tradeoff", "Error against time", lambda: rvjax.plotting.tradeoff(table).axes[0])
     files: dict[Path, bytes] = {asked.json: as_json(table.as_json()) + b"\n"} if asked.json else {}
-    files |= {asked.picture: Figure("tradeoff", "Error against time", draw).content()} if asked.picture else {}
+    files |= {asked.picture: plot.content()} if asked.picture else {}
     return Report(
         title="Levels",
         content=(Note(levels.report(table)), Note(f"{seconds:.1f} s, compilation included")),
