@@ -17,7 +17,7 @@ EVERYWHERE = frozenset((TEXT, CSV, PAGE))
 """Media of a report: the terminal, a file of numbers, the HTML page."""
 
 Value = str | float | None
-Cell = Any  # whatever the column of the cell can show: words, numbers, quantities, pairs of these
+Cell = Any  # what the column of the cell can show: words, numbers, quantities, pairs of these
 
 
 @dataclass(frozen=True)
