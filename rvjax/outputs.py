@@ -99,6 +99,7 @@ class Output:
         below_zero: what a negative value of a real unit means, where it is no ordinary one.
         refuse: (design, conditions) -> None; raises ValueError, one line that names the key, where these conditions
             cannot give it.
+        exact: output of a costlier model that is the same quantity of the whole reducer, or None.
     """
 
     unit: str
@@ -108,6 +109,7 @@ class Output:
     read_in: str | None = None
     below_zero: str = ""
     refuse: Callable[[Any, Any], None] | None = None
+    exact: str | None = None
 
     @property
     def shown(self) -> tuple[str, float]:

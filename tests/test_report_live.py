@@ -18,7 +18,9 @@ import pytest
 from live_study import PLAY, played
 
 import rvjax
-from rvjax import study
+from rvjax import study, tolerances
+from rvjax.commands.allocate import kept, whole
+from rvjax.commands.allocate.report import report_on
 from rvjax.commands.report import Shown, live, page_of, surrogate
 from rvjax.render import Report
 from rvjax.study import rewrite
@@ -274,3 +276,18 @@ def test_without_scripts_nothing_of_it_is_seen(answered):
     assert "<script" not in without and "What if" not in without
     with_sliders = Report("x", (live.block(made, found),)).html()
     assert re.search(r'<section id="live"[^>]* hidden>', with_sliders)
+
+
+def test_the_line_on_the_whole_reducer_is_stored_with_its_result(answered, tmp_path):
+    answer, _ = answered
+    share = tolerances.Estimate(0.91, 0.015, 0.88, 0.94)
+    line = whole.Whole(
+        share, 512, {"lost_motion": 0.91}, {"lost_motion": 1e-4}, {"lost_motion": "bench_lost_motion"}, 2, ()
+    )
+    told = dataclasses.replace(answer, whole=line)
+    (tmp_path / kept.FILE).write_bytes(kept.stored(told))
+    loaded = tolerances.load(tmp_path / kept.FILE)
+    assert whole.Whole(**loaded["whole"]) == line
+    report = report_on(told)
+    assert "On the whole reducer 91.000 % [88.000, 94.000]" in report.text() and report.data["whole"] == line
+    assert "2 failed" in report.text() and "On the whole" not in report_on(answer).text()

@@ -100,7 +100,9 @@ DESCRIPTION = Description(
     design=RVReducer,
     conditions=Conditions,
     outputs={
-        "transmission_error": Output("rad", "peak to peak over a crank turn under load", _transmission_error),
+        "transmission_error": Output(
+            "rad", "peak to peak over a crank turn under load", _transmission_error, exact="loaded_transmission_error"
+        ),
         "misfit": Output("m", "largest misfit of a disc on the cranks without load (assembly)", _misfit),
     },
     curve=Curve(

@@ -66,6 +66,7 @@ DESCRIPTION = Description(
             "free angle of the output, < 0: interference",
             _lost_motion,
             below_zero="interference, no backlash: teeth and bearings are preloaded by this angle",
+            exact="bench_lost_motion",
         )
     },
     cases=_cases,

@@ -16,7 +16,7 @@ from rvjax.study.problem import (
 )
 from rvjax.study.question import Study, StudyError
 from rvjax.study.read import EMBEDDED, embedded_names, load, parse_study
-from rvjax.study.response import CURVE as CURVE, refuse as refuse
+from rvjax.study.response import CURVE as CURVE, Response as Response, refuse as refuse
 from rvjax.study.rewrite import template as study_template
 from rvjax.study.values import choice, integer, known, naming, quantity, subtable
 

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax.commands.allocate.whole import Whole, whole
 from rvjax.population import Population, drawn, root_key
 from rvjax.progress import begin, progress_bar
 from rvjax.records import PyTree
@@ -91,6 +92,7 @@ class Answer:
         cost_curve: (least yield of a requirement, cheapest cost), ascending; the certified allocation
             itself included if all targets are equal; empty if the study is infeasible or requires no share
             of units.
+        whole: allocated units on the whole reducer, or None where the study has no such outputs.
     """
 
     study: Study
@@ -99,15 +101,17 @@ class Answer:
     before: Side
     after: Side
     cost_curve: list[tuple[float, float]]
+    whole: Whole | None = None
 
 
-def answer(study: Study, *, progress: bool = False, memo: Memo | None = None) -> Answer:
+def answer(study: Study, *, progress: bool = False, memo: Memo | None = None, measure: bool = True) -> Answer:
     """Allocate the tolerances of a study and collect what the report shows.
 
     Args:
         study: the question.
         progress: show progress bars.
         memo: store of intermediate results, from which an interrupted run resumes.
+        measure: measure the allocated units of a four-bar or lost-motion study on the whole reducer.
     """
     response = study.response()
     begin(SEARCHING)
@@ -161,6 +165,7 @@ def answer(study: Study, *, progress: bool = False, memo: Memo | None = None) ->
         before=sides[0],
         after=sides[1],
         cost_curve=_cost_curve(study, response, allocation, memo, solved),
+        whole=whole(study, allocation.tolerances) if measure else None,
     )
 
 

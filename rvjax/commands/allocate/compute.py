@@ -18,4 +18,6 @@ def phases(asked: Inputs) -> dict[str, float]:
 
 def compute(asked: Inputs) -> Answer | None:
     """Compute the result and solve the unit without errors; None if the result is stored."""
-    return answer.answer(asked.study, progress=not asked.quiet, memo=asked.memo) if asked.kept is None else None
+    if asked.kept is not None:
+        return None
+    return answer.answer(asked.study, progress=not asked.quiet, memo=asked.memo, measure=asked.measure)

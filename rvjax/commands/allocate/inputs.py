@@ -24,6 +24,7 @@ class Inputs:
         folder: of the results, None where they are kept.
         memo: keeps what took long until the folder exists, or None.
         quiet: show no progress.
+        measure: measure the allocated units of a four-bar or lost-motion study on the whole reducer.
     """
 
     study: Study
@@ -31,6 +32,7 @@ class Inputs:
     folder: Path | None
     memo: Memo | None
     quiet: bool
+    measure: bool = True
 
     @property
     def finished(self) -> Callable[[], None]:
@@ -54,4 +56,4 @@ def inputs(options: argparse.Namespace) -> Inputs:
     forewarn(asked)
     memo = kept.memo(asked, folder)
     options.begun = lambda: memo.folder if memo and memo.folder.exists() else None
-    return Inputs(asked, None, folder, memo, options.quiet)
+    return Inputs(asked, None, folder, memo, options.quiet, not options.no_whole)

@@ -9,6 +9,7 @@ from pathlib import Path
 import rvjax
 from rvjax import tolerances
 from rvjax.commands.allocate.answer import Answer, Side
+from rvjax.commands.allocate.whole import Whole
 from rvjax.records import PyTree
 from rvjax.render import numbered_folders
 from rvjax.study import Study
@@ -46,6 +47,8 @@ def stored(answer: Answer) -> bytes:
     """Write a result as the content of a file."""
     sides = {name: dict(vars(getattr(answer, name))) for name in ("before", "after")}
     found = {name: getattr(answer, name) for name in ("allocation", "certificate_before", "cost_curve")} | sides
+    if answer.whole is not None:
+        found["whole"] = dict(vars(answer.whole))
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, FILE)
         tolerances.save(found, path, study={"name": answer.study.name}, seed=answer.study.seed)
@@ -60,6 +63,7 @@ def restored_from(study: Study) -> tuple[Path, Answer] | tuple[None, None]:
     try:
         found: dict[str, PyTree] = tolerances.load(place / FILE)
         found |= {name: Side(**found[name]) for name in ("before", "after")}
+        found |= {"whole": Whole(**found["whole"])} if "whole" in found else {}
         return place, Answer(study=study, **found)
     except (OSError, ValueError, TypeError, KeyError):  # without the file, or by another rvjax
         return None, None

@@ -11,6 +11,7 @@ from rvjax.commands.allocate import kept
 from rvjax.commands.allocate.answer import Answer
 from rvjax.commands.allocate.figures import figures
 from rvjax.commands.allocate.inputs import Inputs
+from rvjax.commands.allocate.whole import Whole
 from rvjax.commands.cells import assumed_text, failures_text, judged, limit_text, limits_data, limits_of, share
 from rvjax.outputs import Output
 from rvjax.render import (
@@ -126,7 +127,28 @@ def limits_of_the_answer(answer: Answer) -> list[str]:
         below = float(np.mean(np.asarray(values) < 0))
         if (meaning := study.output(name).below_zero) and below > 0:
             lines.append(f"Below zero: {name} of {100 * below:.3g} % of the units, {meaning}")
-    return lines + [f"Not modelled: {line}" for line in study.left_out]
+    lines += [f"Not modelled: {line}" for line in study.left_out]
+    return lines + ([whole_text(answer.whole, study)] if answer.whole is not None else [])
+
+
+def whole_text(found: Whole, study: Study) -> str:
+    """One line on the units of a four-bar or lost-motion study on the whole reducer.
+
+    Args:
+        found: what was measured.
+        study: with the limits.
+    """
+    said = []
+    for name, output in found.output.items():
+        unit, size = study.output(name).shown
+        mean = f", mean {found.mean[name] / size:.3g} {unit}" if output != name else ""
+        said.append(f"{output} {100 * found.within[name]:.3g} % within the limit{mean}")
+    known = "errors without a tolerance" + "".join(f", {name} (it has no place)" for name in found.unread)
+    failed = f"; {found.failed} failed" if found.failed else ""
+    return (
+        f"On the whole reducer {share(found.share).text()} of these units meet all limits. Of {found.units} solved "
+        f"units: {'; '.join(said)}{failed}. Not included: {known}."
+    )
 
 
 def tolerance_text(tolerance: Tolerance, unit: str) -> str:
@@ -323,5 +345,6 @@ def _data(answer: Answer) -> dict[str, object]:
         "certificate": allocation.certificate,
         "certificate_before": answer.certificate_before,
         "graded": {"status": graded.status, "cost": graded.cost} if graded else None,
+        **({} if answer.whole is None else {"whole": answer.whole}),
         "cost_curve": answer.cost_curve,
     }

@@ -1,0 +1,133 @@
+"""The measured line on the whole reducer: its interval covers the truth, and it is narrower by a good control."""
+
+from types import SimpleNamespace
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.stats import binom
+
+from rvjax.commands.allocate import whole
+from rvjax.commands.allocate.report import whole_text
+from rvjax.population import wilson
+from rvjax.study import parse_study
+
+UNITS, MANY = 256, 1024
+LOADED = """[design]
+base = "rv-320e"
+[design.contact]
+young_modulus = "206 GPa"
+poisson_ratio = 0.3
+face_width = "12 mm"
+[conditions]
+output_torque = "3136 N m"
+[tolerances.crank_eccentricity]
+half_width = "10 um"
+[tolerances.disc_bore]
+half_width = "10 um"
+[tolerances.disc_runout]
+upper = "10 um"
+lower = "0 um"
+[requirement.transmission_error]
+upper = "1 arcmin"
+[requirement.misfit]
+upper = "30 um"
+"""
+
+
+def replicates(truth, limit, count, control):
+    """Estimates of the share of units within a limit, from `count` samples of units with 8 errors each."""
+    rng = np.random.default_rng(0)
+    found = []
+    for _ in range(count):
+        errors = rng.standard_normal((8, MANY))
+        values = truth(errors, rng)[:UNITS]
+        given = values if control else rng.standard_normal(UNITS)
+        one = whole.Limited(lambda row: row - limit, given)
+        scores = whole.crossed(errors, [one], np.ones(UNITS, bool))
+        found.append(whole.stratified(values <= limit, *scores, confidence=0.95))
+    return found
+
+
+@pytest.mark.parametrize(("limit", "control"), [(0.5, True), (2.0, True), (3.0, True), (2.0, False)])
+def test_the_interval_covers_the_truth(limit, control):
+    """A nearly linear value, and a control that knows it or is noise; 150 samples of units.
+
+    The number of misses is binomial: a coverage of 94 % or more would give more misses than the bound once in 1000.
+    """
+
+    def truth(errors, rng):
+        return errors[0] + 0.8 * errors[1] + 0.2 * errors[2] ** 2 + 0.2 * rng.standard_normal(errors.shape[1])
+
+    rng = np.random.default_rng(9)
+    share = np.mean(truth(rng.standard_normal((8, 1_000_000)), rng) <= limit)
+    found = replicates(truth, limit, 150, control)
+    misses = sum(not one.lower <= share <= one.upper for one in found)
+    assert misses <= binom.ppf(0.999, 150, 0.06)
+    values = np.array([one.value for one in found])
+    assert abs(values.mean() - share) < 5 * values.std() / np.sqrt(150)  # no bias
+    width = np.mean([one.upper - one.lower for one in found])
+    plain = wilson(round(share * UNITS), UNITS, 0.95)
+    assert width < (0.8 if control and limit < 3 else 1.3) * (plain.upper - plain.lower)
+
+
+def test_failed_units_count_as_rejects_and_strata_without_units_join():
+    good = np.array([True] * 90 + [False] * 10)
+    own = np.where(good, -3.0, 3.0)
+    every = np.concatenate([np.full(60, -3.0), np.full(20, -1.0), np.full(20, 3.0)])[None]
+    found = whole.stratified(good, own, every, confidence=0.95)
+    assert found.value == pytest.approx(0.8)  # -1 joins -3: no unit is solved there
+    assert found.lower < 0.8 < found.upper
+    nothing = whole.stratified(np.zeros(8, bool), np.full(8, -np.inf), np.full((4, 50), -np.inf), confidence=0.95)
+    assert nothing.value == 0 and nothing.upper > 0.2
+
+
+def test_a_curve_predicts_its_peak_to_peak():
+    """A wave whose two amplitudes are linear in the errors: its length is not, its curve is."""
+    rng = np.random.default_rng(1)
+    errors, angle = rng.standard_normal((3, MANY)), np.arange(48) / 48 * 2 * np.pi
+    curves = np.outer(errors[0], np.cos(angle)) + np.outer(errors[1], np.sin(angle))
+    values = np.ptp(curves, axis=1)
+    own = {"values": values[:UNITS], "margin": lambda row: row - 3.0}
+    right = [  # of the units on the side that is predicted
+        np.mean((whole.crossed(errors, [one], np.ones(UNITS, bool))[1][0] > 0) == (values > 3.0))
+        for one in (whole.Limited(**own, curves=curves[:UNITS]), whole.Limited(**own))
+    ]
+    assert right[0] > 0.99 > 0.8 > right[1]
+
+
+@pytest.fixture
+def study():
+    return parse_study(LOADED, name="small", solve=False)
+
+
+def faked(limit):
+    def response(errors):
+        size = jnp.sum(errors.crank_eccentricity**2)
+        return {"loaded_transmission_error": 1e6 * size, "misfit": jnp.abs(errors.disc_bore[0, 0, 0])}
+
+    response.costly = True
+    return SimpleNamespace(of=lambda design, names, conditions: response)
+
+
+def test_the_line_names_what_was_measured_and_what_was_not(study, monkeypatch):
+    monkeypatch.setattr(whole, "Response", faked(1.0))
+    found = whole.whole(study, study.tolerances)
+    assert found.output == {"transmission_error": "loaded_transmission_error", "misfit": "misfit"}
+    assert found.unread == ("disc_runout",) and found.units == whole.UNITS and found.failed == 0
+    assert found.share.lower <= found.share.value <= found.share.upper
+    text = whole_text(found, study)
+    assert text.startswith("On the whole reducer ") and "disc_runout (it has no place)" in text
+    assert "loaded_transmission_error" in text and "arcmin" in text
+
+
+def test_studies_that_are_not_measured(study):
+    assert whole.counterparts(study)
+    lacks = LOADED.replace('base = "rv-320e"', 'base = "rv-40e"')
+    for text in (
+        lacks,
+        LOADED.replace("3136 N m", "0 N m"),
+        LOADED.replace("requirement.transmission_error", "requirement.loaded_transmission_error"),
+        LOADED.replace('[requirement.transmission_error]\nupper = "1 arcmin"\n', ""),
+    ):
+        assert whole.counterparts(parse_study(text, name="other", solve=False)) == {}
