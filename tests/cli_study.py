@@ -28,9 +28,9 @@ def answered_once() -> Iterator[dict]:
 
     real = rvjax.commands.allocate.answer.answer
 
-    def once(question, *, progress=False, memo=None):
+    def once(question, *, progress=False, memo=None, measure=True):
         if question.text not in FOUND:
-            FOUND[question.text] = real(question, progress=progress, memo=memo)
+            FOUND[question.text] = real(question, progress=progress, memo=memo, measure=measure)
         return dataclasses.replace(FOUND[question.text], study=question)
 
     with pytest.MonkeyPatch.context() as patch:
