@@ -16,9 +16,10 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax.axes import axis_sizes
 from rvjax.designs import RVReducer
 from rvjax.errors import RVErrors, described
-from rvjax.records import Array, Scalar, axis_sizes
+from rvjax.records import Array, Scalar
 
 AXES = {"disc": "discs", "crank": "cranks"}
 """Parts that a reducer has several of, and their axis in the arrays of errors."""

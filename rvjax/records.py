@@ -8,7 +8,6 @@ so that records can be stacked, vmapped and differentiated.
 import dataclasses
 import inspect
 import operator
-import warnings
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self, TypeVar, dataclass_transform
 
@@ -17,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax import frames
+from rvjax.axes import Shape as Shape, fit, shape_text
 from rvjax.choices import unknown
 from rvjax.repr import brief
 
@@ -27,7 +27,6 @@ Array = jax.Array
 Scalar = float | Array | np.ndarray  # one number; under `jax.vmap` and in a stack of records one for each case
 PyTree = Any  # numbers nested in a way that types cannot express
 Class = TypeVar("Class", bound=type)
-Shape = tuple[str | int, ...]
 Metadata = Mapping[str, Any]  # of a field: unit, meaning, shape, sign, kind ..
 Field = dataclasses.Field[Any]
 IN_ERROR_UNIT = "error"  # unit of a field that is measured like the error that it belongs to
@@ -230,40 +229,6 @@ def promote(*trees: PyTree) -> PyTree:
     return cast[0] if len(trees) == 1 else cast
 
 
-def axis_sizes(shape: Shape, counts: Mapping[str, int], given: tuple[int, ...] = ()) -> tuple[int, ...]:
-    """Sizes of a declared shape.
-
-    Args:
-        shape: names or numbers of axes.
-        counts: sizes of the named axes; one that is not named here, the length of a series, is as long as `given` is.
-        given: shape of the value; () for a scalar, which has no series.
-    """
-    if len(given) != len(shape):
-        if not all(isinstance(axis, int) or axis in counts for axis in shape):
-            return ()
-        given = (0,) * len(shape)
-    return tuple(axis if isinstance(axis, int) else counts.get(axis, own) for axis, own in zip(shape, given))
-
-
-_reminded: list[bool] = []
-
-
-def remind_of_precision() -> None:
-    """Warn once, where plain numbers of microns become float32 because float64 is not enabled."""
-    if jnp.result_type(float) == jnp.float64 or _reminded:
-        return
-    frame, level = inspect.currentframe(), 0
-    while frame is not None and frame.f_globals.get("__name__", "").partition(".")[0] in ("rvjax", "dataclasses"):
-        if frame.f_code.co_name == "<module>":
-            return  # a constant of rvjax, made when it is imported
-        frame, level = frame.f_back, level + 1
-    _reminded.append(True)
-    warnings.warn(
-        "rvjax computes in float32: call rvjax.enable_x64() first, or give arrays of float32 on purpose",
-        stacklevel=level + 1,
-    )
-
-
 def broadcast_fields(cls: type[Record], counts: Mapping[str, int], values: Mapping[str, PyTree]) -> dict[str, PyTree]:
     """Fill every traced field of a record to its full shape: scalars are broadcast, absent fields take the default.
 
@@ -289,12 +254,7 @@ def broadcast_fields(cls: type[Record], counts: Mapping[str, int], values: Mappi
             filled[name] = value
             continue
         value = _number(cls.__name__, f, value)
-        sizes = axis_sizes(f.metadata["shape"], counts, np.shape(value))
-        if np.ndim(value) and np.shape(value) != sizes:
-            raise ValueError(
-                f"{cls.__name__}.{name}: shape {np.shape(value)} does not fit this design, "
-                f"expected {_shape_text(f.metadata['shape'])} = {sizes} or a scalar"
-            )
+        sizes = fit(f"{cls.__name__}.{name}", value, f.metadata["shape"], counts)
         if sizes:  # a series that is not there stays 0.0
             value = np.asarray(value, own) if isinstance(value, float) else value
             library: Any = np if isinstance(value, np.ndarray) else jnp
@@ -303,12 +263,8 @@ def broadcast_fields(cls: type[Record], counts: Mapping[str, int], values: Mappi
     return filled
 
 
-def _shape_text(shape: Shape) -> str:
-    return "(" + ", ".join(map(str, shape)) + ("," if len(shape) == 1 else "") + ")"
-
-
 def _field_table(fields: tuple[Field, ...]) -> str:
-    rows = [(f.name, f.metadata["unit"], _shape_text(f.metadata.get("shape", ()))) for f in fields]
+    rows = [(f.name, f.metadata["unit"], shape_text(f.metadata.get("shape", ()))) for f in fields]
     widths = [max(map(len, column)) for column in zip(*rows)]
     cells = [[cell.ljust(width) for cell, width in zip(row, widths)] for row in rows]
     lines = ["  ".join([*row, f.metadata["meaning"]]) for row, f in zip(cells, fields)]
@@ -372,7 +328,7 @@ def _check_axes(item: Record) -> None:
         shape = np.shape(value)
         if len(shape) != len(declared) or any(isinstance(axis, int) and axis != n for axis, n in zip(declared, shape)):
             also = " or a scalar" if declared else ", a scalar; sweep with jax.vmap"
-            raise ValueError(f"{owner}.{f.name}: shape {shape}, expected {_shape_text(declared)}{also}")
+            raise ValueError(f"{owner}.{f.name}: shape {shape}, expected {shape_text(declared)}{also}")
         for axis, size in zip(declared, shape):
             if isinstance(axis, str) and sizes.setdefault(axis, (size, f.name))[0] != size:
                 raise ValueError(

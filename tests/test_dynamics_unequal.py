@@ -102,7 +102,7 @@ def test_equal_members_given_one_by_one_are_equal():
 
 
 def test_what_is_refused():
-    with pytest.raises(ValueError, match=r"disc_pin_mesh: shape \(4,\), expected one number for each of \(discs\)"):
+    with pytest.raises(ValueError, match=r"disc_pin_mesh: shape \(4,\) does not fit this design, expected \(discs,\)"):
         dynamics.assemble(RV_320E.replace(stiffness=RV_320E.stiffness.replace(disc_pin_mesh=np.full(4, 8.35e8))))
     with pytest.raises(ValueError, match=r"a scalar; sweep with jax\.vmap"):
         RV_320E.stiffness.replace(sun_support=np.full(4, 8.35e8))

@@ -150,7 +150,7 @@ def test_forgotten_float64_is_said_once():
     """In a process of its own, at whatever makes the errors; float32 on purpose is silent."""
     code = """if True:
     import warnings, numpy, rvjax
-    from rvjax import RVErrors, catalogue, records
+    from rvjax import RVErrors, catalogue, deviations
     made = (
         lambda: RVErrors.for_design(catalogue.RV_40E, crank_phase=1e-4),
         lambda: rvjax.lost_motion.geometric(catalogue.RV_20E, RVErrors(bearing_clearance=1e-6)),
@@ -158,7 +158,7 @@ def test_forgotten_float64_is_said_once():
         lambda: rvjax.CamRollerErrors(eccentricity=1e-6),
     )
     for make in made:
-        records._reminded.clear()
+        deviations._reminded.clear()
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             RVErrors.for_design(catalogue.RV_40E, crank_phase=numpy.float32(1e-4))

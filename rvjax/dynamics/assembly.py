@@ -19,6 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax.axes import axis_sizes, fit
 from rvjax.catalogue import RV_320E
 from rvjax.designs import Damping, Inertia, MeshVariation, RVReducer, Stiffness, expect, ratio_of
 from rvjax.records import (
@@ -26,7 +27,6 @@ from rvjax.records import (
     PyTree,
     Record,
     Scalar,
-    axis_sizes,
     concrete,
     count,
     field,
@@ -108,7 +108,8 @@ def lump(design: RVReducer | Lumped) -> Lumped:
         if concrete(value) and np.any(np.asarray(value) == 0):
             raise ValueError(f"Stiffness.{name} = 0: no path for the torque; must be positive")
     for part in (design.inertia, design.stiffness):
-        _check_members(part, design.counts)
+        for f in fields(part):
+            fit(f"{type(part).__name__}.{f.name}", getattr(part, f.name), f.metadata["shape"], design.counts)
     return Lumped(
         cranks=design.cranks.count,
         discs=stage.disc_count,
@@ -128,14 +129,6 @@ def lump(design: RVReducer | Lumped) -> Lumped:
         mesh_variation=design.mesh_variation or MeshVariation(0.0, 0.5, 0.0, 0.0, 0.5, 0.0),
         damping=design.damping or Damping(),
     )
-
-
-def _check_members(part: Inertia | Stiffness, counts: dict[str, int]) -> None:
-    for f in fields(part):
-        shape, sizes = jnp.shape(getattr(part, f.name)), axis_sizes(f.metadata["shape"], counts)
-        if shape not in ((), sizes):
-            expected = f"one number for each of ({', '.join(f.metadata['shape'])}) = {sizes} or" if sizes else "only"
-            raise ValueError(f"{type(part).__name__}.{f.name}: shape {shape}, expected {expected} a scalar")
 
 
 def loaded(lumped: Lumped, load_inertia: Scalar) -> Lumped:

@@ -17,11 +17,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax.axes import fit
 from rvjax.designs import RVReducer, expect
 from rvjax.dynamics.assembly import Lumped, admitted, circle, loaded, lump
 from rvjax.dynamics.pin_series import in_phase, series
 from rvjax.errors import RVErrors, described, read_by
-from rvjax.records import Array, PyTree, Record, Scalar, axis_sizes, field, promote, record, text
+from rvjax.records import Array, PyTree, Record, Scalar, field, promote, record, text
 from rvjax.status import Gate, SolveInfo, Status, at_once, window
 
 SPRINGS = (
@@ -112,10 +113,7 @@ def case_of(design: RVReducer, errors: RVErrors, pin_harmonics: int, load_inerti
         raise ValueError(f"pin_harmonics = {pin_harmonics}: must be zero or positive")
     axes_of = described(errors, "shape")
     for name in read_by(errors, "dynamics"):
-        shape, axes = np.shape(getattr(errors, name)), axes_of.get(name, ())
-        if shape and shape != axis_sizes(axes, design.counts, shape):
-            names = ", ".join(map(str, axes))
-            raise ValueError(f"RVErrors.{name}: shape {shape} does not fit this design, expected ({names}) or a scalar")
+        fit(f"RVErrors.{name}", getattr(errors, name), axes_of.get(name, ()), design.counts)
     for name in described(errors, "series"):
         value = getattr(errors, name)
         if np.ndim(value) == 0 and not isinstance(value, jax.core.Tracer) and value != 0:

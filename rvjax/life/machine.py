@@ -9,6 +9,7 @@ import numpy as np
 from jax.typing import DTypeLike
 
 from rvjax import status
+from rvjax.axes import fit
 from rvjax.bearings import Bearings
 from rvjax.designs import RVReducer
 from rvjax.elementary import power
@@ -18,7 +19,7 @@ from rvjax.life.histories import WEIBULL, Damage, basic, magnitude
 from rvjax.life.ratings import harmless, ratings, unfit
 from rvjax.life.supports import Equivalent, shared, tapered
 from rvjax.loaded import BearingForces, Layout, check_input, unchecked
-from rvjax.records import axis_sizes, concrete, quantity
+from rvjax.records import concrete, quantity
 from rvjax.status import Check, Gate, SolveInfo, Status, worst_of
 
 _GOLDEN = (np.sqrt(5) - 1) / 2
@@ -64,10 +65,8 @@ def check_plan(
     if bearings is None:
         raise ValueError("RVReducer.bearings = None: the life needs them; give Bearings(arm=RollerBearing(...))")
     for name in ("disc_position", "planet_position", "support_span", "preload"):
-        shape = np.shape(getattr(bearings, name) if getattr(bearings, name) is not None else 0.0)
-        due = axis_sizes(("discs",) if name == "disc_position" else (), design.counts)
-        if shape not in ((), due):
-            raise ValueError(f"Bearings.{name}: shape {shape} does not fit this design, expected {due or 'a scalar'}")
+        if (value := getattr(bearings, name)) is not None:
+            fit(f"Bearings.{name}", value, ("discs",) if name == "disc_position" else (), design.counts)
     if bearings.preload is not None and method != "basic":
         raise ValueError(
             f'method = {method!r}: must be "basic" with tapered supports (Bearings.preload, support.contact_angle > 0)'

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax import status
+from rvjax.axes import fit
 from rvjax.choices import choose
 from rvjax.designs import Contact, RVReducer, expect
 from rvjax.elementary import LARGEST_ANGLE
@@ -15,7 +16,7 @@ from rvjax.errors import RVErrors, read_by
 from rvjax.geometry import least_convex_radius
 from rvjax.loaded import laws
 from rvjax.loaded.system import Layout
-from rvjax.records import PyTree, Record, Scalar, axis_sizes, promote
+from rvjax.records import PyTree, Record, Scalar, promote
 from rvjax.status import Gate, Status
 
 Part = TypeVar("Part", bound=Record)
@@ -57,22 +58,10 @@ def check_input(design: RVReducer, errors: RVErrors, contact: str, carrier: str,
     assert design.stiffness is not None and design.contact is not None
     parts: list[Record] = [design.involute, cycloid, design.cranks, design.stiffness, design.contact, errors]
     for part in parts:
-        _check_shapes(part, design.counts)
+        for f in dataclasses.fields(part):
+            if f.metadata["kind"] == "real":
+                fit(f"{type(part).__name__}.{f.name}", getattr(part, f.name), f.metadata["shape"], design.counts)
     return Layout(cycloid.disc_count, design.cranks.count, cycloid.pin_count, contact, carrier, sun)
-
-
-def _check_shapes(part: Record, counts: dict[str, int]) -> None:
-    for f in dataclasses.fields(part):
-        if f.metadata["kind"] != "real":
-            continue
-        shape, axes = np.shape(getattr(part, f.name)), f.metadata["shape"]
-        sizes = axis_sizes(axes, counts, shape)
-        if shape and shape != sizes:
-            names = ", ".join(map(str, axes)) + ("," if len(axes) == 1 else "")
-            expected = f"({names}) = {sizes} or a scalar" if sizes else "a scalar; sweep with jax.vmap"
-            raise ValueError(
-                f"{type(part).__name__}.{f.name}: shape {shape} does not fit this design, expected {expected}"
-            )
 
 
 def admit(layout: Layout, design: RVReducer, errors: RVErrors, torque: Scalar, angle: Scalar) -> Read:

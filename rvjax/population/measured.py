@@ -12,11 +12,12 @@ import numpy as np
 from scipy import special
 
 from rvjax import frames
+from rvjax.axes import axis_sizes
 from rvjax.choices import unknown
 from rvjax.columns import read_cells, read_table, split
 from rvjax.population.estimates import Estimate, deviate_of
 from rvjax.population.tolerance import Tolerance
-from rvjax.records import Design, Metadata, PyTree, axis_sizes
+from rvjax.records import Design, Metadata, PyTree
 from rvjax.units import KNOWN, spelling
 
 Limit = Tolerance | tuple[float, float]

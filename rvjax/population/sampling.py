@@ -4,12 +4,13 @@ import dataclasses
 
 import jax.numpy as jnp
 
+from rvjax.axes import axis_sizes
 from rvjax.choices import choose, unknown
 from rvjax.population.correlation import Correlation
 from rvjax.population.population import Population, root_key
 from rvjax.population.sobol import SobolPoints
 from rvjax.population.tolerance import Tolerance
-from rvjax.records import Design, PyTree, Scalar, axis_sizes, is_concrete
+from rvjax.records import Design, PyTree, Scalar, is_concrete
 
 
 def for_design(design: Design, **tolerances: Tolerance | None) -> PyTree:

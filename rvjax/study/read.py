@@ -8,8 +8,9 @@ from pathlib import Path
 
 from rvjax import models
 from rvjax.choices import meant
+from rvjax.deviations import remind_of_precision
 from rvjax.outputs import Output
-from rvjax.records import IN_ERROR_UNIT, PyTree, remind_of_precision
+from rvjax.records import IN_ERROR_UNIT, PyTree
 from rvjax.sections import reader as sections_reader
 from rvjax.study.about import parse_about
 from rvjax.study.design import parse_design

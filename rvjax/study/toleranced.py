@@ -4,8 +4,9 @@ import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
 
+from rvjax.axes import axis_sizes
 from rvjax.population import COMMON, DISTRIBUTIONS
-from rvjax.records import Design, PyTree, Shape, axis_sizes
+from rvjax.records import Design, PyTree, Shape
 from rvjax.study.placed import spelled
 from rvjax.study.values import Metadata, Toml, choice, integer, known, naming_field, quantity, subtable
 from rvjax.tolerances import Tolerance, for_design

@@ -10,10 +10,10 @@ import numpy as np
 
 from rvjax import columns
 from rvjax.assembly import Kind, Machine, Part, Plan, UnitResponse, draw, known as known_parts, supply_of
+from rvjax.axes import axis_sizes
 from rvjax.commands.assemble.inputs import Assembly
 from rvjax.designs import RVReducer
 from rvjax.mounting import carried, disc_mountings, drawing, unit_errors
-from rvjax.records import axis_sizes
 from rvjax.study import Study, StudyError
 from rvjax.tolerances import Requirement, Tolerance
 from rvjax.units import KNOWN, spelling
