@@ -75,7 +75,7 @@ def test_the_top_level_holds_what_belongs_there():
 
 def test_statistics_know_no_gears():
     """The package itself is named for its version alone."""
-    ground = {"__version__", "batching", "columns", "compile_cache", "exported", "files", "frames", "progress"}
+    ground = {"__version__", "axes", "batching", "columns", "compile_cache", "exported", "files", "frames", "progress"}
     ground |= {"records", "choices", "roots", "status", "units", "population", "response", "tolerances"}
     for room in ("population", "response", "tolerances", "identify", "assembly", "compensation"):
         for path in (PACKAGE / room).rglob("*.py"):
@@ -168,7 +168,7 @@ def overrides(name):
 def test_every_exported_function_of_two_parameters_tells_each():
     """The test above holds that the section names them all, in their order."""
     assert {"rvjax.four_bar.revolution.revolution", "rvjax.records.field", "rvjax.status.worst"} <= set(EXPORTED)
-    assert "rvjax.errors.Errors.for_design" in EXPORTED  # a method of a base of records
+    assert "rvjax.deviations.Errors.for_design" in EXPORTED  # a method of a base of records
     several = [name for name in EXPORTED if len(parameters(PUBLIC[name])) > 1 and not overrides(name)]
     assert [name for name in several if "\nArgs:\n" not in inspect.cleandoc(PUBLIC[name].__doc__)] == []
 
