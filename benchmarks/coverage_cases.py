@@ -52,6 +52,15 @@ def _exact_branches():
     return integrate.quad(lambda x: stats.norm.pdf(x) * beyond(x), -12, 12, points=(-4, 0, 4), limit=200)[0]
 
 
+CORNER = 1.5631  # sixteen corners of a cube of five: 1.145e-5
+
+
+def _parity(e):
+    """Largest in the sixteen corners of a cube in five numbers whose signs have a positive product."""
+    v = e["v"]
+    return jnp.prod(jnp.sign(v)) * jnp.min(jnp.abs(v))
+
+
 def _pin(e):
     found = mesh_force.solve(catalogue.CORR, e, input_torque=CALIBRATED_TORQUE, output_angle=0.3)
     return Outcome(jnp.max(found.gear), found.info.status)
@@ -79,6 +88,10 @@ RARE = {
     "plateau in ten": Rare(lambda e: jnp.where(jnp.max(e["v"]) > 4.5, 1.0, 0.0), _fields(10), 0.5, _any_of(10)),
     "quantised sum of ten": Rare(
         lambda e: jnp.floor(4 * jnp.sum(e["v"]) / math.sqrt(10)) / 4, _fields(10), 3.9, SF(4.0)
+    ),
+    "parity of five signs": Rare(_parity, _fields(5), CORNER, 16 * SF(CORNER) ** 5),
+    "parity of five signs, plateau": Rare(
+        lambda e: jnp.where(_parity(e) > CORNER, 1.0, 0.0), _fields(5), 0.5, 16 * SF(CORNER) ** 5
     ),
     "saturated by tanh": Rare(
         lambda e: jnp.tanh(2 * jnp.sum(e["v"]) / math.sqrt(10)), _fields(10), math.tanh(2 * 3.5), SF(3.5)

@@ -21,6 +21,7 @@ from rvjax.study.response import Response
 from rvjax.tolerances import Outcome, Requirement, Tolerance, failure_probability, for_design, monte_carlo
 from rvjax.tolerances.failure import failure
 from rvjax.tolerances.failure.form import Found, slopes
+from rvjax.tolerances.failure.importance_sampling import Mixture
 from rvjax.units import um
 
 UNIT = Tolerance.symmetric(3.0)  # standard normal
@@ -279,3 +280,27 @@ def test_every_part_has_its_own_failure(case):
     )
     agrees(found, exact, 0.1)
     assert found.points >= ways if case == "plateau" else found.points == ways
+
+
+def test_corners_whose_slopes_lead_away_from_all_failures():
+    """The linearised limit of a corner points along one number, where no unit fails; sixteen corners."""
+    found = failure_probability(
+        lambda e: jnp.prod(jnp.sign(e["v"])) * jnp.min(jnp.abs(e["v"])),
+        {"v": Tolerance.symmetric(3.0, shape=(5,))}, Requirement(upper=1.5631), samples=20_000, seed=0,
+    )  # fmt: skip
+    exact = 16 * stats.norm.sf(1.5631) ** 5
+    assert found.points >= 16
+    assert abs(found.probability.value - exact) < 0.3 * exact
+    assert found.probability.lower < exact < found.probability.upper
+
+
+@pytest.mark.parametrize(("fields", "corner", "samples"), [(5, 2.0, 1000), (3, 2.5, 300)])
+def test_intervals_hold_where_few_heavy_units_decide(fields, corner, samples):
+    """Unit normals about the corner of a cube: intervals of equal factors hold in 79 and 86 % of the draws."""
+    search = object.__new__(failure._Search)
+    search.mixture = Mixture(fields)
+    search.mixture.add(Found(np.full((fields, 1), corner), np.array([True])))
+    search.differ = lambda z: (z > corner).all(axis=0)
+    random, exact = np.random.default_rng(0), stats.norm.sf(corner) ** fields
+    intervals = [search.draw(random, samples)[0] for _ in range(400)]
+    assert np.mean([one.lower <= exact <= one.upper for one in intervals]) > 0.92

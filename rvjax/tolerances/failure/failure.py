@@ -7,7 +7,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax.population import Correlation, Estimate, Population, deviate_of, rare, student, wilson
+from rvjax.population import Correlation, Estimate, Population, deviate_of, rare, skewed, student, wilson
 from rvjax.records import PyTree
 from rvjax.response import Response, by_name, by_response, response_names
 from rvjax.tolerances.failure.form import BATCH, LANES, Found, LimitState, Units, design_points
@@ -146,9 +146,14 @@ def _disagree(first: Estimate, second: Sequential, mixture: Mixture, typical: fl
 
 
 def _both(first: Estimate, second: Estimate) -> Estimate:
+    """The first value with an interval that contains both intervals, and the error of that interval."""
+    both = _widest(first, second)
+    return dataclasses.replace(both, error=max(first.error, (both.upper - both.lower) / (2 * deviate_of(0.95))))
+
+
+def _widest(first: Estimate, second: Estimate) -> Estimate:
     """The first value with an interval that contains both intervals."""
-    lower, upper = min(first.lower, second.lower), max(first.upper, second.upper)
-    return Estimate(first.value, max(first.error, (upper - lower) / (2 * deviate_of(0.95))), lower, upper)
+    return Estimate(first.value, first.error, min(first.lower, second.lower), max(first.upper, second.upper))
 
 
 class _Search:
@@ -212,14 +217,19 @@ class _Search:
 
     def draw(self, random: np.random.Generator, samples: int) -> tuple[Estimate, float, float]:
         """Share of units that differ from the origin, its effective samples and the mean weight of these units."""
-        total, squares, hits = 0.0, 0.0, 0
+        total, squares, cubes, hits = 0.0, 0.0, 0.0, 0
         for start in range(0, samples, BATCH):
             z = self.mixture.sample(random, min(BATCH, samples - start))
             seen = self.mixture.weights(z[:, self.differ(z)])
-            total, squares, hits = total + float(seen.sum()), squares + float((seen**2).sum()), hits + len(seen)
+            total, squares, cubes = (have + float((seen**k).sum()) for k, have in enumerate((total, squares, cubes), 1))
+            hits += len(seen)
         if not hits:
             plain = max(1, int(samples * self.mixture.plain))
             return dataclasses.replace(wilson(0, plain, 0.95), error=0.0), 0.0, math.inf
         share = total / samples
-        error = math.sqrt(max(0.0, squares / samples - share**2) / (samples - 1))
-        return rare(share, error, deviate_of(0.95)), total**2 / squares, squares / total
+        variance = max(0.0, squares / samples - share**2)
+        error, deviate = math.sqrt(variance / (samples - 1)), deviate_of(0.95)
+        third = cubes / samples - 3 * share * squares / samples + 2 * share**3
+        skewness = third / variance**1.5 if variance > 0 else 0.0
+        found = _widest(rare(share, error, deviate), skewed(share, error, skewness, samples, deviate))
+        return found, total**2 / squares, squares / total

@@ -106,21 +106,25 @@ def design_points(state: LimitState, starts: np.ndarray, failing: np.ndarray) ->
     """The limit's nearest points to 0, found from starts (numbers, n <= `LANES`), with points near the starts.
 
     Where a search ends at a kink, the edge of failure on its ray replaces it. Starts without a slope (plateaus, units
-    without value) lose the numbers without effect, and known failures (numbers, m) near them give the centre of their
-    region.
+    without value), and failed starts whose search leads away from all failures (corners), lose the numbers without
+    effect. Known failures (numbers, m) near them give the centre of their region.
     """
     if not starts.shape[1]:
         return Found(starts, np.zeros(0, bool))
     points, converged, first = _search(state, starts)
     middle_fails = state.fails(np.zeros((len(starts), 1)))[0]
     sloped = np.isfinite(first).all(axis=0)
-    ends = np.where(np.isfinite(points).all(axis=0), 1.2 * points, starts)[:, ~converged & sloped]
     # The first steps stay near their starts: they follow a limit that bends away from its design point.
-    ends = np.concatenate([ends, 1.2 * first[:, sloped]], axis=1)
-    flat = starts[:, ~sloped]
+    ends = np.stack([np.where(np.isfinite(points).all(axis=0), 1.2 * points, starts), 1.2 * first])
+    ends = np.where(sloped & np.stack([~converged, sloped])[:, None], ends, np.nan)
+    beyond = state.fails(np.concatenate(list(ends), axis=1)).reshape(2, -1) != middle_fails
+    beyond &= np.isfinite(ends).all(axis=1)
+    flat = starts[:, ~(converged | beyond.any(axis=0))]
+    ends = np.concatenate([end[:, kept] for end, kept in zip(ends, beyond)], axis=1)
     if flat.shape[1] and not middle_fails:
         flat = _shrunk(state, flat[:, state.fails(flat)][:, :_SHRUNK])
-        ends = np.concatenate([ends, flat, 1.2 * _middles(flat, failing)], axis=1)
+        centres = 1.2 * _middles(flat, failing)
+        ends = np.concatenate([ends, flat, centres[:, state.fails(centres)]], axis=1)
     edges = _edges(state, ends, middle_fails)
     kept = np.concatenate([points[:, converged], edges], axis=1)
     return Found(kept, np.arange(kept.shape[1]) < converged.sum())
@@ -147,8 +151,7 @@ def _middles(centres: np.ndarray, failing: np.ndarray) -> np.ndarray:
 
 
 def _edges(state: LimitState, ends: np.ndarray, middle_fails: bool) -> np.ndarray:
-    """Points where failure begins (or ends) on the rays from 0 to `ends` (numbers, n); other rays are dropped."""
-    ends = ends[:, state.fails(ends) != middle_fails]
+    """Points where failure begins (or ends) on the rays from 0 to `ends` (numbers, n), which differ from 0 in it."""
     near, far = np.zeros(ends.shape[1]), np.ones(ends.shape[1])
     return ends * bisect(lambda at: state.fails(ends * at) == middle_fails, near, far, steps=_BISECTIONS)[1]
 
