@@ -10,6 +10,7 @@ from typing import Any, ParamSpec, TypeVar
 import jax
 import numpy as np
 
+from rvjax.plausible import doubt_once
 from rvjax.records import Array, Scalar
 
 P = ParamSpec("P")
@@ -19,15 +20,22 @@ R = TypeVar("R")
 def checked(function: Callable[P, R]) -> Callable[P, R]:
     """Check the arguments that a function declares as `Scalar` or as arrays of numbers; tracers pass.
 
+    A design far from every known reducer gives one `ImplausibleDesign` warning.
+
     Raises:
         ValueError: where a call gives text, complex numbers, or an array for a `Scalar`; it names the argument.
     """
     parameters = inspect.signature(function).parameters
     kinds = {name: kind for name, p in parameters.items() if (kind := _kind(p.annotation)) is not None}
+    where = f"{function.__module__.split('.')[1]}.{function.__name__}"
+    place_of_design = list(parameters).index("design") if "design" in parameters else None
     places = tuple((place, name) for place, name in enumerate(parameters) if name in kinds)
 
     @functools.wraps(function)
     def call(*arguments: P.args, **named: P.kwargs) -> R:
+        if place_of_design is not None:
+            given = arguments[place_of_design] if place_of_design < len(arguments) else named.get("design")
+            doubt_once(given, where)
         for place, name in places:
             value: Any = arguments[place] if place < len(arguments) else named.get(name, 0.0)
             if type(value) is not float and not isinstance(value, jax.core.Tracer):

@@ -10,12 +10,12 @@ from types import SimpleNamespace
 
 import pytest
 
-from rvjax import catalogue, cli, designs, study
+from rvjax import catalogue, cli, designs, plausible, study
 from rvjax.commands import module, speak
 from rvjax.commands.allocate import answer
 from rvjax.commands.init.compute import UNASKED, written as template
-from rvjax.study import plausible
 from rvjax.study.design import BASES
+from rvjax.study.plausible import doubts
 from rvjax.units import mm
 
 GOOD = (resources.files("rvjax.study") / "embedded" / "rv-40e.toml").read_text("utf-8")
@@ -67,7 +67,7 @@ def test_known_reducers_and_the_studies_raise_no_doubt():
         assert study.load(name, solve=False).doubts == []
     question = study.load("rv-40e", solve=False)
     for design in (d for d in plausible.KNOWN_DESIGNS if isinstance(d, designs.RVReducer)):
-        assert plausible.doubts(design, question.conditions, question.tolerances) == []
+        assert doubts(design, question.conditions, question.tolerances) == []
 
 
 @pytest.mark.parametrize("base", sorted(BASES))

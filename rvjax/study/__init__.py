@@ -1,12 +1,13 @@
 """Studies: a question about one design, in Python or as a TOML file."""
 
+from rvjax.plausible import KNOWN_DESIGNS, numbers, shown
 from rvjax.study.bench import order_name
 from rvjax.study.design import BASES
 from rvjax.study.facts import facts_of
 from rvjax.study.identification import field_unit
 from rvjax.study.measured import Conditions, Loop, Measured, Run, read as read_measured
 from rvjax.study.nuisances import NUISANCES, part_orders as part_orders
-from rvjax.study.plausible import KNOWN_DESIGNS, RATED, TORQUE, numbers, shown
+from rvjax.study.plausible import RATED, TORQUE
 from rvjax.study.problem import (
     Problem,
     Wide,

@@ -1,7 +1,7 @@
 """The design of a study: a published one with changes, or every number of a kind of design."""
 
 import dataclasses
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from rvjax import catalogue, models
@@ -9,10 +9,10 @@ from rvjax.catalogue import part_class
 from rvjax.designs import InvoluteStage
 from rvjax.records import PyTree, Record
 from rvjax.study.following import followed
-from rvjax.study.values import Metadata, Toml, choice, integer, known, naming_field, quantities
+from rvjax.study.values import Toml, choice, integer, known, naming_field, quantities
 
 if TYPE_CHECKING:
-    from _typeshed import DataclassInstance
+    pass
 
 BASES = {
     "corr": catalogue.CORR,
@@ -44,21 +44,6 @@ def parse_design(table: Toml) -> PyTree:
         raise ValueError("design.base and design.kind: give one of them")
     kinds = models.kinds()
     return followed(_made(kinds[choice(table["kind"], kinds, "design.kind")], numbers, "design"), numbers)
-
-
-def walk(record: "DataclassInstance", prefix: str = "") -> Iterator[tuple[str, PyTree, Metadata]]:
-    """(path, value, metadata of the field) of every given value of a design, such as "cycloid.pin_count".
-
-    Args:
-        record: a record of numbers and records.
-        prefix: of the paths.
-    """
-    for f in dataclasses.fields(record):
-        value = getattr(record, f.name)
-        if f.metadata["kind"] == "record" and value is not None:
-            yield from walk(value, f"{prefix}{f.name}.")
-        elif value is not None:
-            yield prefix + f.name, value, f.metadata
 
 
 def _changed(record: Record, changes: object, where: str) -> PyTree:

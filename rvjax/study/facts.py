@@ -5,8 +5,8 @@ from collections.abc import Iterator
 
 from rvjax.designs import CamRollerReducer, RVReducer
 from rvjax.geometry import contact_ratio, least_convex_radius
+from rvjax.plausible import shown
 from rvjax.records import Design
-from rvjax.study.plausible import shown
 
 
 def facts_of(design: Design) -> Iterator[tuple[str, str]]:

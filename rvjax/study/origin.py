@@ -5,8 +5,9 @@ import re
 
 from rvjax import catalogue
 from rvjax.designs import RVReducer
+from rvjax.plausible import walk
 from rvjax.records import PyTree
-from rvjax.study.design import BASES, walk
+from rvjax.study.design import BASES
 from rvjax.study.following import AGREE
 from rvjax.study.values import Toml
 

@@ -10,22 +10,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rvjax import catalogue
 from rvjax.designs import RVReducer
 from rvjax.errors import described
-from rvjax.records import Design, PyTree, Scalar
-from rvjax.study.design import walk
+from rvjax.plausible import KNOWN_DESIGNS, doubt, doubtful, shown
+from rvjax.records import Design, PyTree
 from rvjax.study.values import Metadata
 from rvjax.tolerances import Cost, Middle, Tolerance
-from rvjax.units import suited
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
 MOST_PRESSURE = math.radians(45)  # beyond, no tooth has a tip
-FAR = 30.0  # factor from every known reducer beyond which a number is doubted
-FAR_INERTIA = 1000.0  # grows with the fifth power of a length: 50 between the sizes 20 and 320
-KNOWN_DESIGNS = (catalogue.CORR, catalogue.RV_20E, catalogue.RV_40E, catalogue.RV_80E, catalogue.RV_320E)
 RATED = {"rv-20e": 167.0, "rv-40e": 412.0, "rv-80e": 784.0, "rv-320e": 3136.0}  # N m at 15 rpm, as makers print it
 TORQUE = min(RATED.values()), max(RATED.values())
 HALF_WIDTH = {"m": (0.5e-6, 40e-6), "rad": (1e-4, 9e-3), "-": (0.01, 0.3)}  # of the studies and sources in this package
@@ -59,20 +54,15 @@ def refuse_impossible(design: Design, tolerances: PyTree, costs: dict[str, Cost]
 
 def doubts(design: PyTree, conditions: "DataclassInstance", tolerances: PyTree) -> list[str]:
     """Numbers that are far from those of every known reducer, a line each."""
-    known = [dict(numbers(one)) for one in KNOWN_DESIGNS if type(one) is type(design)]
-    found = []
-    for name, (value, unit) in numbers(design):
-        seen = [abs(one[name][0]) for one in known if name in one and one[name][0]]
-        if value and seen:
-            found += _doubt(f"design.{name}", abs(value), unit, min(seen), max(seen))
+    found = [f"design.{line}" for line in doubtful(design)]
     for f in dataclasses.fields(conditions):
         if f.metadata["torque"] and isinstance(design, RVReducer):
             value = abs(getattr(conditions, f.name) or 0.0)
-            found += _doubt(f"conditions.{f.name}", value, "N m", 0.0, TORQUE[1])  # small loads are tests
+            found += doubt(f"conditions.{f.name}", value, "N m", 0.0, TORQUE[1])  # small loads are tests
     for field, tolerance, about in _toleranced(tolerances):
         half, unit = float(tolerance.half_width), about["unit"]
         if half and unit in HALF_WIDTH:
-            found += _doubt(f"tolerances.{field}: half-width", half, unit, *HALF_WIDTH[unit])
+            found += doubt(f"tolerances.{field}: half-width", half, unit, *HALF_WIDTH[unit])
     given = {name for name, _, _ in _toleranced(tolerances)}
     found += [
         f"tolerances.{name}: {bound.placed} is the same error with its place, and sampled separately; without {name} "
@@ -83,14 +73,6 @@ def doubts(design: PyTree, conditions: "DataclassInstance", tolerances: PyTree) 
     if isinstance(design, RVReducer) and (odd := design.cycloid.pin_count - design.cycloid.disc_teeth) != 1:
         found.append(f"design.cycloid.pin_count: {odd} more than disc_teeth; known reducers have one more")
     return found + (_collisions(design) if isinstance(design, RVReducer) else [])
-
-
-def _doubt(name: str, value: float, unit: str, least: float, most: float) -> list[str]:
-    far = FAR_INERTIA if unit == "kg m2" else FAR
-    if least / far <= value <= far * most:
-        return []
-    span = f"{shown(least, unit)} to {shown(most, unit)}" if least else f"up to {shown(most, unit)}"
-    return [f"{name} = {shown(value, unit)}: known reducers have {span}; is the unit right?"]
 
 
 def _fits_together(design: RVReducer) -> None:
@@ -148,22 +130,3 @@ def _toleranced(tolerances: PyTree) -> Iterator[tuple[str, Tolerance, Metadata]]
     for f in dataclasses.fields(tolerances):
         if (tolerance := getattr(tolerances, f.name)) is not None:
             yield f.name, tolerance, f.metadata
-
-
-def numbers(design: PyTree) -> Iterator[tuple[str, tuple[float, str]]]:
-    """(path, (value of the largest size, SI unit)) of every quantity with a unit in a design."""
-    for path, value, about in walk(design):
-        if about["kind"] != "count" and about["unit"] not in ("-", "rad"):
-            flat = np.ravel(np.asarray(value, float))
-            yield path, (float(flat[np.argmax(np.abs(flat))]), about["unit"])
-
-
-def shown(value: Scalar, unit: str) -> str:
-    """A number with the largest unit in which it is at least one.
-
-    Args:
-        value: SI.
-        unit: its SI unit.
-    """
-    name, size = suited(float(value), unit)
-    return f"{float(value) / size:.4g} {name}" if unit != "-" else f"{float(value):.4g}"

@@ -10,6 +10,7 @@ from rvjax import models
 from rvjax.choices import unknown
 from rvjax.levels import Choice, choose
 from rvjax.outputs import Curve, Output
+from rvjax.plausible import accept
 from rvjax.records import PyTree, Scalar
 from rvjax.study.about import About
 from rvjax.study.identification import Identification
@@ -67,6 +68,10 @@ class Study:
     about: About = dataclasses.field(default_factory=About)
     sections: dict[str, object] = dataclasses.field(default_factory=dict)
     to_solve: bool = dataclasses.field(default=False, compare=False)
+
+    def __post_init__(self) -> None:
+        """Keep the models silent about the design, because `doubts` lists its values."""
+        accept(self.design)
 
     def response(self, *, solve: bool = True) -> Response:
         """errors -> Outcome of the responses that the requirements name.

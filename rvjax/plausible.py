@@ -1,0 +1,144 @@
+"""Plausible designs: lengths, stiffnesses and inertias of known reducers, and a warning for a design far from all."""
+
+import dataclasses
+import functools
+import inspect
+import warnings
+import weakref
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Any
+
+import jax
+import numpy as np
+
+from rvjax import catalogue
+from rvjax.records import PyTree, Scalar, concrete
+from rvjax.units import suited
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+FAR = 30.0  # factor from every known reducer beyond which a number is doubted
+FAR_INERTIA = 1000.0  # grows with the fifth power of a length: 50 between the sizes 20 and 320
+KNOWN_DESIGNS = (catalogue.CORR, catalogue.RV_20E, catalogue.RV_40E, catalogue.RV_80E, catalogue.RV_320E)
+
+
+class ImplausibleDesign(UserWarning):
+    """Design with values far from those of every known reducer; mostly a wrong unit."""
+
+
+_seen: "dict[int, weakref.ref[object]]" = {}  # designs by identity: records of arrays have no hash
+
+
+def doubt_once(design: object, where: str) -> None:
+    """Warn of a design that is far from every known reducer, once for each design; tracers pass.
+
+    Args:
+        design: as given.
+        where: the function, for the message.
+    """
+    known = _seen.get(id(design))
+    new = known is None or known() is not design
+    if new and type(design) in _spans() and accept(design) and (found := doubtful(design)):
+        more = f" (and {len(found) - 1} more values)" if len(found) > 1 else ""
+        warnings.warn(f"{where}: design.{found[0]}{more}", ImplausibleDesign, stacklevel=_caller())
+
+
+def accept(design: object) -> bool:
+    """Take note of a design, so that `doubt_once` does not warn of it; False for one of tracers, which is not noted.
+
+    Args:
+        design: such as a study has read and checked.
+    """
+    if not concrete(*jax.tree.leaves(design)):
+        return False
+    key = id(design)
+    _seen[key] = weakref.ref(design, lambda _: _seen.pop(key, None))
+    return True
+
+
+def doubtful(design: PyTree) -> list[str]:
+    """Values of a design that are far from those of every known reducer, a line each.
+
+    Args:
+        design: any; one of a class without known reducers gives none.
+    """
+    spans = _spans().get(type(design), {})
+    return [
+        line
+        for name, (value, unit) in numbers(design)
+        if value and name in spans
+        for line in doubt(name, abs(value), unit, *spans[name])
+    ]
+
+
+@functools.cache
+def _spans() -> dict[type, dict[str, tuple[float, float]]]:
+    """Smallest and largest value of each quantity in known reducers, by class of the design."""
+    found: dict[type, dict[str, tuple[float, float]]] = {}
+    for design in KNOWN_DESIGNS:
+        spans = found.setdefault(type(design), {})
+        for name, (value, _) in numbers(design):
+            if size := abs(value):
+                least, most = spans.get(name, (size, size))
+                spans[name] = min(least, size), max(most, size)
+    return found
+
+
+def doubt(name: str, value: float, unit: str, least: float, most: float) -> list[str]:
+    """Return a line for a value that is far outside a range, else nothing.
+
+    Args:
+        name: of the value.
+        value: SI, positive.
+        unit: SI.
+        least: smallest known value; 0 for none.
+        most: largest known value.
+    """
+    far = FAR_INERTIA if unit == "kg m2" else FAR
+    if least / far <= value <= far * most:
+        return []
+    span = f"{shown(least, unit)} to {shown(most, unit)}" if least else f"up to {shown(most, unit)}"
+    return [f"{name} = {shown(value, unit)}: known reducers have {span}; is the unit right?"]
+
+
+def numbers(design: PyTree) -> Iterator[tuple[str, tuple[float, str]]]:
+    """(path, (value of the largest size, SI unit)) of every quantity with a unit in a design."""
+    for path, value, about in walk(design):
+        if about["kind"] != "count" and about["unit"] not in ("-", "rad"):
+            flat = np.ravel(np.asarray(value, float))
+            yield path, (float(flat[np.argmax(np.abs(flat))]), about["unit"])
+
+
+def walk(record: "DataclassInstance", prefix: str = "") -> Iterator[tuple[str, PyTree, Mapping[str, Any]]]:
+    """(path, value, metadata of the field) of every given value of a design, such as "cycloid.pin_count".
+
+    Args:
+        record: a record of numbers and records.
+        prefix: of the paths.
+    """
+    for f in dataclasses.fields(record):
+        value = getattr(record, f.name)
+        if f.metadata["kind"] == "record" and value is not None:
+            yield from walk(value, f"{prefix}{f.name}.")
+        elif value is not None:
+            yield prefix + f.name, value, f.metadata
+
+
+def shown(value: Scalar, unit: str) -> str:
+    """A number with the largest unit in which it is at least one.
+
+    Args:
+        value: SI.
+        unit: its SI unit.
+    """
+    name, size = suited(float(value), unit)
+    return f"{float(value) / size:.4g} {name}" if unit != "-" else f"{float(value):.4g}"
+
+
+def _caller() -> int:
+    """Level of the first caller outside rvjax, for a warning."""
+    frame, level = inspect.currentframe(), 0
+    while frame is not None and frame.f_globals.get("__name__", "").partition(".")[0] in ("rvjax", "jax"):
+        frame, level = frame.f_back, level + 1
+    return level
