@@ -15,7 +15,12 @@ from rvjax.population.estimates import (
 )
 from rvjax.population.grades import GRADES as GRADES, it_width
 from rvjax.population.measured import MeasuredColumn, MeasuredParts, measured
-from rvjax.population.population import Population as Population, drawn as drawn, root_key as root_key
+from rvjax.population.population import (
+    Given as Given,
+    Population as Population,
+    drawn as drawn,
+    root_key as root_key,
+)
 from rvjax.population.sample_statistics import Sampled as Sampled
 from rvjax.population.sampling import check_method as check_method, for_design, sample
 from rvjax.population.sobol import SCRAMBLES as SCRAMBLES, SobolPoints as SobolPoints

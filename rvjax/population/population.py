@@ -9,7 +9,7 @@ import functools
 import math
 import operator
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any, Self, TypeVar
+from typing import Any, NamedTuple, Self, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -22,6 +22,13 @@ from rvjax.records import PyTree, Record, Scalar, field, is_concrete, record
 Numbers = TypeVar("Numbers", jax.Array, np.ndarray)
 
 
+class Given(NamedTuple):
+    """Arguments of the response of a design with free numbers: errors of a unit, and {name: number of the design}."""
+
+    errors: PyTree
+    values: dict[str, Scalar]
+
+
 @record
 class Population(Record):
     """Units whose errors follow tolerances; wherever tolerances pass, a population may."""
@@ -32,6 +39,7 @@ class Population(Record):
     mixing: Any = field(
         "-", "Cholesky factor of the correlation of z, batches included", shape=("numbers", "numbers"), default=None
     )
+    values: Any = field("-", "numbers of the design by name, None where it has none free", kind="record", default=None)
 
     @classmethod
     def of(cls, tolerances: PyTree, correlation: Correlation = None) -> Self:
@@ -114,8 +122,9 @@ class Population(Record):
         return self.fill(self.deviations(z))
 
     def fill(self, values: Mapping[str, PyTree]) -> PyTree:
-        """Return the error structure with `values` in the active fields."""
-        return self._with(values, absent=0.0)
+        """Return the error structure with `values` in the active fields, and with it the numbers of the design."""
+        errors = self._with(values, absent=0.0)
+        return errors if self.values is None else Given(errors, self.values)
 
     def with_half_widths(self, half_widths: Mapping[str, Scalar]) -> Self:
         """Return the same population with some half-widths changed, by name of the field."""

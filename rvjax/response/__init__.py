@@ -19,6 +19,7 @@ from rvjax.response.response import (
     BLOCK as BLOCK,
     PLAIN as PLAIN,
     PROGRAMS as PROGRAMS,
+    DesignResponse as DesignResponse,
     Outcome,
     Response,
     Values as Values,

@@ -35,16 +35,21 @@ def pulled(
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Values (k, n), status (n,) and gradients (elements, n) of sum_k cotangent_k y_k of units: one reverse pass.
 
-    The population only maps elements to fields; its numbers have no effect.
+    The population maps elements to fields; its tolerances have no effect. Gradients to the numbers of the design, one
+    row each in the order of their names, follow those to the elements.
     """
 
-    def values(vector: jax.Array) -> tuple[jax.Array, jax.Array]:
-        found, status = evaluate(response, population.fill(population.by_field(vector)))
+    def values(vector: jax.Array, free: dict[str, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        there = population.replace(values=free) if free else population
+        found, status = evaluate(response, there.fill(there.by_field(vector)))
         return jnp.stack([found[name] for name in names]), status
 
     def one(vector: jax.Array, cotangent: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-        found, pull, status = jax.vjp(values, vector, has_aux=True)
-        return found, status, pull(cotangent)[0]
+        found, pull, status = jax.vjp(values, vector, free, has_aux=True)
+        slope, to_free = pull(cotangent)
+        return found, status, jnp.concatenate([slope, jnp.stack(list(to_free.values()))]) if to_free else slope
+
+    free = {name: jnp.asarray(value, errors.dtype) for name, value in sorted((population.values or {}).items())}
 
     return jax.vmap(one, in_axes=-1, out_axes=-1)(errors, cotangents)
 
@@ -62,6 +67,8 @@ def gradients(
     response: Response, population: Population, errors: np.ndarray, cotangents: np.ndarray, names: tuple[str, ...]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Values (k, n) and gradients (elements, n) of weighted responses, any number of units by the one program.
+
+    Where the population has numbers of the design, gradients to these follow, as rows in the order of their names.
 
     Args:
         response: of one unit.

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 
 from rvjax.choices import UnknownWord, meant
 from rvjax.compile_cache import Options, inside, kept_folder, understood
-from rvjax.population import Population, drawn
+from rvjax.population import Given, Population, drawn
 from rvjax.records import Array, PyTree, Record, field, record
 from rvjax.status import Status, succeeded, worst
 
@@ -38,6 +38,12 @@ class Response(Protocol):
     """A pure function of the errors of one unit: a number, a dict of numbers by name, or an `Outcome`."""
 
     def __call__(self, errors: PyTree, /) -> PyTree: ...
+
+
+class DesignResponse(Protocol):
+    """A response of a design with free numbers: of the errors of one unit, and of these numbers by name."""
+
+    def __call__(self, errors: PyTree, values: dict[str, Any], /) -> PyTree: ...
 
 
 class Compiled(Generic[R]):
@@ -130,7 +136,8 @@ def evaluate(response: Response, errors: PyTree) -> tuple[Values, jax.Array]:
     Raises:
         ValueError: a value that is not one number.
     """
-    result = response(errors)
+    call: Callable[..., PyTree] = response
+    result = call(*errors) if isinstance(errors, Given) else call(errors)
     status = jnp.int32(int(Status.CONVERGED))
     if isinstance(result, Outcome):
         status, result = worst(jnp.asarray(result.status)).astype(jnp.int32), result.value

@@ -25,11 +25,13 @@ from rvjax.tolerances.allocation.cost_curve import (
     cost_of_yields as cost_of_yields,
     least_yield as least_yield,
 )
-from rvjax.tolerances.allocation.design_centring import Middle, check_middles as check_middles
 from rvjax.tolerances.batch.checkpoint import versions as versions
 from rvjax.tolerances.batch.memo import Memo as Memo
 from rvjax.tolerances.batch.monte_carlo import Run as Run, Statistics, monte_carlo
 from rvjax.tolerances.batch.unit_file import ENDINGS as ENDINGS, UnitFile, joined as joined
+from rvjax.tolerances.codesign.middle import Middle, check_middles as check_middles
+from rvjax.tolerances.codesign.nominal import Nominal
+from rvjax.tolerances.codesign.variable import Variable
 from rvjax.tolerances.failure.failure import FailureProbability, failure_probability
 from rvjax.tolerances.moments import Moments, influences as influences, rss
 from rvjax.tolerances.requirements.kinds import (
@@ -60,6 +62,7 @@ __all__ = [
     "MeasuredParts",
     "Middle",
     "Moments",
+    "Nominal",
     "Origin",
     "Outcome",
     "ReciprocalPower",
@@ -70,6 +73,7 @@ __all__ = [
     "Table",
     "Tolerance",
     "UnitFile",
+    "Variable",
     "Verdict",
     "WorstCase",
     "WorstCaseWithin",

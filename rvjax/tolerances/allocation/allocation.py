@@ -3,7 +3,7 @@
 import dataclasses
 import math
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
@@ -13,16 +13,20 @@ from rvjax import frames
 from rvjax.population import Correlation, Population, Tolerance
 from rvjax.progress import progress_bar
 from rvjax.records import Record
-from rvjax.response import BLOCK, Response, by_response, response_names, unwrapped
+from rvjax.response import BLOCK, DesignResponse, Response, by_response, response_names, unwrapped
 from rvjax.tolerances.allocation.certificate import DRAWS, Certifier
 from rvjax.tolerances.allocation.cost import COSTS, Cost
-from rvjax.tolerances.allocation.design_centring import Middle, centred, check_middles
 from rvjax.tolerances.allocation.mapped import MappedSearch
 from rvjax.tolerances.allocation.rounding import Snapping
 from rvjax.tolerances.allocation.sample_average import Point, Training
 from rvjax.tolerances.allocation.search import Search
 from rvjax.tolerances.batch.memo import Memo
 from rvjax.tolerances.batch.monte_carlo import Run, Statistics
+from rvjax.tolerances.codesign.design import Problem
+from rvjax.tolerances.codesign.middle import Middle, check_middles
+from rvjax.tolerances.codesign.nominal import Nominal
+from rvjax.tolerances.codesign.result import designed
+from rvjax.tolerances.codesign.variable import Variable, with_values
 from rvjax.tolerances.requirements.kinds import Limits
 
 FEWEST = 100  # units a quantile can be learned from
@@ -57,14 +61,16 @@ class Allocation:
         status: "OPTIMAL" (certified), "SUBOPTIMAL" (certified, at more than 1.2 times the learned cost),
             "INFEASIBLE", "MAX_STEPS" (certified, maybe not the cheapest) or "NOT_CERTIFIED".
         tolerances: structure of the given ones.
-        cost: of all half-widths that have one, and of the mid-points that were moved.
+        cost: of all half-widths that have one, of the mid-points that were moved and of the numbers of the design,
+            with the objective.
         start_cost: the same of the given tolerances.
         learned: the same of the half-widths that the search accepted, before certification tightened them.
         costs: {field: cost}.
         half_widths: {field: half-width} of the fields that have a cost.
         multipliers: structure of the response: d cost / d limit when its limits move outwards, <= 0.
         shortfall: structure of the response: distance by which the limits must move outwards, 0 if met; with a
-            joint target, the least that each needs separately.
+            joint target, the least that each needs separately. With variables half-widths are at their finest and
+            numbers where the shortfalls, in parts of their limits, add up to the least.
         residual: of the accepted set in the conditions of an optimum (Karush, Kuhn and Tucker): the largest
             saving of a single field that no price of a requirement accounts for, as a part of all savings; nan where
             nothing was searched. Sampled slopes give it to a few percent; the cost is off by about its square.
@@ -76,6 +82,11 @@ class Allocation:
             "certificates"; and those of the "cheap" response.
         cheap_refused: reason for which the low-fidelity response was discarded and the search continued without it;
             None where it led the search, or there was none.
+        values: {variable: number of the design}.
+        bounds_active: {variable: "lower" or "upper" where it is at a bound, else None}.
+        value_prices: {variable: d cost / d bound of the bound at which it is, else 0}.
+        ranges: {variable: (least, largest) value with which, all else chosen anew, the cost stays within 0.5 %}.
+        reason: of an infeasible problem with variables: what fails by how much, and the bound that would help most.
     """
 
     feasible: bool
@@ -95,6 +106,11 @@ class Allocation:
     history: list[dict[str, Any]]
     evaluations: dict[str, int]
     cheap_refused: str | None
+    values: dict[str, float] = dataclasses.field(default_factory=dict)
+    bounds_active: dict[str, str | None] = dataclasses.field(default_factory=dict)
+    value_prices: dict[str, float] = dataclasses.field(default_factory=dict)
+    ranges: dict[str, tuple[float, float]] = dataclasses.field(default_factory=dict)
+    reason: str | None = None
 
     def to_pandas(self) -> Any:
         """A `pandas.DataFrame`, SI: limits, half-width, cost and grade of each field that has a cost."""
@@ -114,7 +130,7 @@ class Allocation:
 
 
 def allocate(
-    response: Response,
+    response: Response | DesignResponse,
     tolerances: Any,
     requirements: Any,
     *,
@@ -128,6 +144,8 @@ def allocate(
     grades: bool = False,
     max_steps: int = 300,
     middles: Mapping[str, Middle] | None = None,
+    variables: Mapping[str, Variable] | None = None,
+    objective: Mapping[str, float] | None = None,
     cheap: Response | None = None,
     memo: Memo | None = None,
     progress: bool = False,
@@ -156,9 +174,12 @@ def allocate(
         grades: also round fields with a `size` to ISO 286 grades and fit the other fields to them.
         max_steps: sets of half-widths tried, at most, for one set of mid-points.
         middles: {field: Middle} of errors whose limits may also move as a whole; the others keep their mid-point.
+        variables: {name: Variable} of numbers of the design that are chosen too. The response is then
+            response(errors, values), values a dict of scalars by name.
+        objective: {output: price per unit} of outputs without errors that add to the cost.
         cheap: low-fidelity version of the responses. The search then runs on it, moved and tilted to agree with the
             response at the current point, and evaluates the response only at the end of each such run.
-            Certificates and mid-points use the response only. A poorly correlated version is discarded.
+            Certificates, mid-points and variables use the response only. A poorly correlated version is discarded.
         memo: stores long computations, so that an interrupted allocation resumes from there.
         progress: show progress bars.
 
@@ -170,9 +191,10 @@ def allocate(
         ValueError: no requirement, no cost, or names that do not fit.
     """
     return allocated(
-        response, tolerances, requirements, costs=costs, samples=samples, seed=seed, joint_target=joint_target,
-        correlation=correlation, certificate_samples=certificate_samples, confidence=confidence, grades=grades,
-        max_steps=max_steps, middles=middles, cheap=cheap, memo=memo, progress=progress,
+        cast(Response, response), tolerances, requirements, costs=costs, samples=samples, seed=seed,
+        joint_target=joint_target, correlation=correlation, certificate_samples=certificate_samples,
+        confidence=confidence, grades=grades, max_steps=max_steps, middles=middles, variables=variables,
+        objective=objective, cheap=cheap, memo=memo, progress=progress,
     )[0]  # fmt: skip
 
 
@@ -191,26 +213,42 @@ def allocated(
     confidence: float = 0.95,
     max_steps: int = 300,
     middles: Mapping[str, Middle] | None = None,
+    variables: Mapping[str, Variable] | None = None,
+    objective: Mapping[str, float] | None = None,
     cheap: Response | None = None,
     memo: Memo | None = None,
     progress: bool = False,
 ) -> tuple[Allocation, Solved | None]:
     """Result of `allocate`, and its solved units where these are costly: later evaluations reuse them."""
     population = Population.of(tolerances, correlation)
+    if variables or objective:
+        population = with_values(response, population, variables or {})
     names = response_names(response, population)
     required = by_response(requirements, names, Limits, "requirements")
     _check(required, joint_target, samples=samples, certificate_samples=certificate_samples, max_steps=max_steps)
-    priced = _costs_by_field(costs, population.active)
+    priced = _costs_by_field(costs, population.active, needed=not variables)
     check_middles(middles or {}, population.active)
+    if middles or variables or objective or any(isinstance(item, Nominal) for item in required.values()):
+        drawn = certificate_samples, seed, block(samples, certificate_samples)
+        judged = {name: item for name, item in required.items() if not isinstance(item, Nominal)}
+        with progress_bar(progress, None, "searching", "step") as advance:
+            run = Run(
+                response, population, names, judged, *drawn, confidence=confidence, progress=progress,
+                keep=certificate_samples <= KEPT, label="certifying", memo=memo,
+            )  # fmt: skip
+            problem = Problem(
+                response, population, required, priced, middles or {}, variables or {}, objective or {}, joint_target,
+                samples, seed, max_steps, run, memo, advance,
+            )  # fmt: skip
+            results = designed(problem, names, grades=grades)
+        result, *rounded = [Allocation(**fields) for fields in results]
+        return unwrapped(dataclasses.replace(result, graded=rounded[0]) if rounded else result), None
     start = np.array([float(population.active[name].half_width) for name in priced])
     learned_from = tuple(priced), required, joint_target, samples, seed
     training = Training(response, population, *learned_from, memo)
     if cheap is not None:
         _check_cheap(cheap, population, required)
-    moving = 0.0
     with progress_bar(progress, None, "searching", "step") as advance:
-        if middles:
-            training, moving = centred(training, priced, max_steps, start, middles, advance)
         drawn = certificate_samples, seed, block(samples, certificate_samples)
         run = Run(
             response, training.population, names, required, *drawn, confidence=confidence, progress=progress,
@@ -224,7 +262,7 @@ def allocated(
         advance(0)
         point, possible = search.opened(start)
         found = _cheapest(search, certifier, point, start) if possible else _finest(search, certifier)
-    given = names, start, moving, certifier
+    given = names, start, certifier
     result = _result(search, found, *given)
     solved = None if training.followed is None else Solved(training, certifier)
     if not grades or not result.feasible:
@@ -332,7 +370,7 @@ def _finest(search: Search, certifier: Certifier) -> _Found:
 
 
 def _result(
-    search: Search, found: _Found, names: tuple[str, ...], start: np.ndarray, moving: float, certifier: Certifier
+    search: Search, found: _Found, names: tuple[str, ...], start: np.ndarray, certifier: Certifier
 ) -> Allocation:
     cheap = search if isinstance(search, MappedSearch) else None
     t, training, nothing = found.half_widths, search.training, dict.fromkeys(names, 0.0)
@@ -341,9 +379,9 @@ def _result(
         feasible=found.status != "INFEASIBLE",
         status=found.status,
         tolerances=training.with_half_widths(t).tolerances,
-        cost=search.cost(t) + moving,
+        cost=search.cost(t),
         start_cost=search.cost(start),
-        learned=found.learned + moving,
+        learned=found.learned,
         costs={name: float(cost(jnp.asarray(half_width))) for name, cost, half_width in costs},
         half_widths=dict(zip(training.fields, map(float, t))),
         multipliers=nothing | dict(zip(training.requirements, map(float, -found.prices))),
@@ -362,7 +400,7 @@ def _result(
     )
 
 
-def _costs_by_field(costs: Any, active: Mapping[str, Tolerance]) -> dict[str, Cost]:
+def _costs_by_field(costs: Any, active: Mapping[str, Tolerance], *, needed: bool = True) -> dict[str, Cost]:
     """Costs of the active fields, in their order."""
     if not isinstance(costs, (Mapping, Record)) or isinstance(costs, Cost):
         raise ValueError(f"costs: must be a record or a dict of costs by field, got {type(costs).__name__}")
@@ -377,6 +415,6 @@ def _costs_by_field(costs: Any, active: Mapping[str, Tolerance]) -> dict[str, Co
         if name not in active:
             raise ValueError(f"costs: {name!r} has no tolerance; these have: {', '.join(active)}")
     priced = {name: given[name] for name in active if isinstance(given.get(name), Cost)}
-    if not priced:
+    if needed and not priced:
         raise ValueError("costs: no field has a cost, so there is nothing to allocate")
     return priced

@@ -237,8 +237,9 @@ def _whole(values: dict[str, np.ndarray], status: list[np.ndarray]) -> tuple[dic
 
 
 def _place(population: Population) -> np.ndarray:
-    """Lower and upper limit (fields, 2) of the tolerances."""
-    return np.array([(float(t.lower), float(t.upper)) for t in population.active.values()])
+    """Lower and upper limit (fields, 2) of the tolerances; a number of the design as limits of 10 %."""
+    limits = [(float(t.lower), float(t.upper)) for t in population.active.values()]
+    return np.array(limits + [(0.9 * float(v), 1.1 * float(v)) for v in (population.values or {}).values()])
 
 
 def _distance(one: np.ndarray, other: np.ndarray) -> float:

@@ -36,6 +36,7 @@ def describe(population: Population, requirements: Mapping[str, Limits]) -> dict
     """Tolerances, correlation and requirements as text, exact to the last bit."""
     about = {f"tolerances.{name}": tolerance.described() for name, tolerance in population.active.items()}
     about |= {f"tolerances.{n}": repr(np.asarray(value).tolist()) for n, value in population.constants.items()}
+    about |= {f"values.{n}": repr(float(value)) for n, value in (population.values or {}).items()}
     if population.mixing is not None:
         about["correlation"] = hashlib.sha256(np.ascontiguousarray(population.mixing, float).tobytes()).hexdigest()
     about |= {f"requirements.{name}": repr(item) for name, item in requirements.items()}

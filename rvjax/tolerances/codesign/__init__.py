@@ -1,0 +1,1 @@
+"""Half-widths, mid-points and numbers of the design in one programme of least cost."""

@@ -1,0 +1,155 @@
+"""The vector of decisions: logarithms of half-widths, mid-points and numbers of the design, with its cost.
+
+Mid-points and numbers are parts of their range, so that their units do not matter. A mid-point whose move costs
+something is two entries, one for each way, because its cost has a corner at the given mid-point.
+"""
+
+from collections.abc import Mapping
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rvjax.population import Population, Tolerance
+from rvjax.tolerances.allocation.conlin import total_cost
+from rvjax.tolerances.allocation.cost import Cost
+from rvjax.tolerances.codesign.middle import Middle
+from rvjax.tolerances.codesign.variable import Variable
+
+_STEP = 1e-4  # of differences of a cost, logarithm of a half-width or part of a range
+_SAME = 1e-9  # part of a range that is rounding
+_REACH = 0.3  # of a step in a mid-point or a number, where that of a half-width is 1
+
+
+class Decisions:
+    """The choices of an allocation as a vector."""
+
+    def __init__(
+        self,
+        population: Population,
+        priced: Mapping[str, Cost],
+        middles: Mapping[str, Middle],
+        variables: Mapping[str, Variable],
+    ) -> None:
+        self.base, self.priced, self.variables = population, dict(priced), dict(variables)
+        self.middles = dict(middles)
+        self.given = {name: float(population.active[name].middle) for name in middles}
+        self.fields = list(priced)
+        moves = [(n, way) for n, m in middles.items() if m.upper > m.lower for way in ((1, -1) if m.scale else (1,))]
+        self.moves = moves
+        self.free = [name for name, item in variables.items() if item.free]
+        self._low = np.array([float(cost.finest) for cost in priced.values()])
+        self._high = np.array([float(cost.coarsest) for cost in priced.values()])
+        count = len(moves) + len(self.free)
+        self.low = np.concatenate([np.log(self._low), np.zeros(count)])
+        self.high = np.concatenate([np.log(self._high), np.ones(count)])
+        for k, (name, way) in enumerate(moves, len(self.fields)):
+            if self.middles[name].scale:  # away from the given mid-point, or to the nearest that may be
+                item, origin = self.middles[name], self._origin(name)
+                self.high[k] = ((item.upper - origin) if way > 0 else (origin - item.lower)) / (item.upper - item.lower)
+        self.reach = np.concatenate([np.ones(len(self.fields)), np.full(count, _REACH)])
+
+    @property
+    def size(self) -> int:
+        """Entries of the vector."""
+        return len(self.low)
+
+    def _origin(self, name: str) -> float:
+        item = self.middles[name]
+        return min(max(self.given[name], item.lower), item.upper) if item.scale else item.lower
+
+    def vector(self, half_widths: np.ndarray, values: Mapping[str, float]) -> np.ndarray:
+        """The vector of half-widths (j,), the given mid-points and numbers by name."""
+        t = np.clip(half_widths, self._low, self._high)
+        moved = []
+        for name, _ in self.moves:
+            item = self.middles[name]
+            there = min(max(self.given[name], item.lower), item.upper)
+            moved.append(0.0 if item.scale else (there - item.lower) / (item.upper - item.lower))
+        return np.array([*np.log(t), *moved, *(self.part(name, values[name]) for name in self.free)])
+
+    def part(self, name: str, value: float) -> float:
+        """A value of a number as a part of its range."""
+        item = self.variables[name]
+        return (value - item.lower) / (item.upper - item.lower)
+
+    def half_widths(self, x: np.ndarray) -> np.ndarray:
+        """Half-widths (j,) of the fields that have a cost."""
+        logs, count = x[: len(self.fields)], len(self.fields)
+        inner = np.where(logs >= self.high[:count], self._high, np.exp(logs))
+        return np.clip(np.where(logs <= self.low[:count], self._low, inner), self._low, self._high)
+
+    def middles_at(self, x: np.ndarray) -> dict[str, float]:
+        """Mid-points of the limits that may move."""
+        found = {name: self._origin(name) for name in self.middles}
+        for k, (name, way) in enumerate(self.moves, len(self.fields)):
+            found[name] += way * float(x[k]) * (self.middles[name].upper - self.middles[name].lower)
+        return found
+
+    def values(self, x: np.ndarray) -> dict[str, float]:
+        """Numbers of the design by name, constant ones too."""
+        found = {name: item.among[0] if item.among else item.lower for name, item in self.variables.items()}
+        first = len(self.fields) + len(self.moves)
+        for name, part in zip(self.free, map(float, x[first:])):
+            item = self.variables[name]
+            value = item.upper if part >= 1 else item.lower + part * (item.upper - item.lower)
+            near = min(item.among, key=lambda listed: abs(listed - value), default=value)
+            found[name] = near if abs(near - value) <= _SAME * (item.upper - item.lower) else value
+        return found
+
+    def rates(self) -> np.ndarray:
+        """Range of each mid-point (with the sign of its way) and number: what a part of 1 is."""
+        moved = [way * (self.middles[name].upper - self.middles[name].lower) for name, way in self.moves]
+        return np.array([*moved, *(self.variables[n].upper - self.variables[n].lower for n in self.free)])
+
+    def population(self, x: np.ndarray) -> Population:
+        """Units with these half-widths, mid-points and numbers."""
+        moved = {n: _moved(self.base.active[n], m - self.given[n]) for n, m in self.middles_at(x).items()}
+        widths = dict(zip(self.fields, map(float, self.half_widths(x))))
+        active = self.base.active | moved
+        changed = moved | {name: active[name].with_half_width(t) for name, t in widths.items()}
+        there = self.base.with_tolerances(changed)
+        return there.replace(values=self.values(x)) if self.variables else there
+
+    def moving(self, x: np.ndarray) -> float:
+        """Cost of moving mid-points."""
+        return sum(m.scale * abs(self.middles_at(x)[name] - self.given[name]) for name, m in self.middles.items())
+
+    def cost(self, x: np.ndarray) -> float:
+        """Cost of half-widths, of mid-points that moved and of numbers of the design."""
+        widths = 0.0
+        if self.fields:
+            widths = float(total_cost(tuple(self.priced.values()), jnp.asarray(self.half_widths(x))))
+        own = sum(self.variables[name].own_cost(value) for name, value in self.values(x).items())
+        return widths + self.moving(x) + own
+
+    def cost_slopes(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Derivatives (n,) of the cost, and its curvatures (n,)."""
+        slopes, bends = np.zeros(self.size), np.zeros(self.size)
+        for j, cost in enumerate(self.priced.values()):
+            slopes[j], bends[j] = (float(v) for v in _along(cost, float(x[j])))
+        for k, (name, _) in enumerate(self.moves, len(self.fields)):
+            slopes[k] = self.middles[name].scale * (self.middles[name].upper - self.middles[name].lower)
+        for k, name in enumerate(self.free, len(self.fields) + len(self.moves)):
+            item, part = self.variables[name], float(x[k])
+            if item.cost is None:
+                continue
+            at = min(max(part, _STEP), 1 - _STEP)
+            low, here, high = (
+                item.own_cost(item.lower + p * (item.upper - item.lower)) for p in (at - _STEP, at, at + _STEP)
+            )
+            bends[k] = (high - 2 * here + low) / _STEP**2
+            slopes[k] = (high - low) / (2 * _STEP) + bends[k] * (part - at)
+        return slopes, bends
+
+
+@jax.jit
+def _along(cost: Cost, x: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """First and second derivative of a cost to the logarithm of the half-width."""
+    slope = jax.grad(lambda x: cost(jnp.exp(x)))
+    return slope(x), jax.grad(slope)(x)
+
+
+def _moved(tolerance: Tolerance, by: float) -> Tolerance:
+    """The same limits elsewhere."""
+    return tolerance.replace(lower=tolerance.lower + by, upper=tolerance.upper + by)

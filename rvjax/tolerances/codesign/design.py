@@ -1,0 +1,351 @@
+"""Half-widths, mid-points and numbers of the design together: search, certificate, or the reason for none."""
+
+import dataclasses
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from rvjax.population import Population, deviate_of
+from rvjax.response import Response
+from rvjax.tolerances.allocation.certificate import DRAWS, Certifier
+from rvjax.tolerances.allocation.cost import Cost
+from rvjax.tolerances.allocation.rounding import Snapping
+from rvjax.tolerances.allocation.sample_average import Training
+from rvjax.tolerances.allocation.search import Search
+from rvjax.tolerances.batch.memo import Memo
+from rvjax.tolerances.batch.monte_carlo import Run, Statistics
+from rvjax.tolerances.codesign.decisions import Decisions
+from rvjax.tolerances.codesign.feasibility import Shortage, least_shortage
+from rvjax.tolerances.codesign.lists import Lists, Places
+from rvjax.tolerances.codesign.margins import JOINT, Local, Margins
+from rvjax.tolerances.codesign.middle import Middle
+from rvjax.tolerances.codesign.nominal import Nominal
+from rvjax.tolerances.codesign.programme import End, Programme
+from rvjax.tolerances.codesign.starts import COARSE, starts, valleys
+from rvjax.tolerances.codesign.variable import Variable
+from rvjax.tolerances.requirements.factors import CUSHION
+from rvjax.tolerances.requirements.kinds import Requirement
+from rvjax.tolerances.requirements.limits import Limits
+
+FINE = 4096
+"""Units in the tails, at most."""
+
+_COSTLY = 4  # times fewer units where they are costly
+_ROUNDS = 3  # of searches, each with its units placed at the end of the one before, at most
+_STILL = 2e-3  # change of the cost between rounds that ends them, as a part of it
+_MET = 0.01  # excess within the error of the sample
+_CORRECTED = 0.25  # largest correction by a certificate, logarithm of a factor
+_NEAR = 0.1  # a margin nearer to its limit than this part of its way may bind
+_CHANCE = 5e-3  # logarithm of a factor that a certificate may see by chance
+_AGAIN = 0.2  # radius of the first step of a search that is repeated
+_WORTH = 2e-3  # margin of a certificate, in half-widths, above which another one is computed
+
+
+@dataclasses.dataclass(frozen=True)
+class Problem:
+    """Arguments of `allocate`, checked.
+
+    Attributes:
+        response: of the errors of one unit, and of the values of `variables` if there are any.
+        population: of the units, at the start.
+        requirements: by name of the response.
+        priced: costs by field.
+        middles: by field.
+        variables: by name.
+        objective: {output: price per unit}.
+        joint_target: share of units that meet all limits, or None.
+        samples: units to learn from, at most.
+        seed: of these.
+        max_steps: vectors of decisions tried by a search, at most.
+        run: of the certificates.
+        memo: of long computations.
+        advance: of a progress bar.
+    """
+
+    response: Response
+    population: Population
+    requirements: dict[str, Limits]
+    priced: dict[str, Cost]
+    middles: Mapping[str, Middle]
+    variables: Mapping[str, Variable]
+    objective: Mapping[str, float]
+    joint_target: float | None
+    samples: int
+    seed: int
+    max_steps: int
+    run: Run
+    memo: Memo | None
+    advance: Callable[[int], object]
+
+    @property
+    def costly(self) -> bool:
+        """True if units are."""
+        return bool(getattr(self.response, "costly", False))
+
+    def decisions(self) -> Decisions:
+        """The vector of what is chosen."""
+        return Decisions(self.population, self.priced, self.middles, self.variables)
+
+    def start(self, decisions: Decisions) -> np.ndarray:
+        """Its given value."""
+        half_widths = np.array([float(self.population.active[name].half_width) for name in self.priced])
+        return decisions.vector(half_widths, {name: item.first for name, item in self.variables.items()})
+
+    def margins(self, decisions: Decisions, most: int, *, aimed: bool = True) -> Margins:
+        """Constraints on a sample of at most so many units, with targets that a certificate should confirm."""
+        count = min(self.samples, most // _COSTLY if self.costly else most)
+        judged = self._aimed() if aimed else self.requirements
+        return Margins(
+            self.response, decisions, judged, dict(self.objective), self.joint_target, count, self.seed, self.memo
+        )  # fmt: skip
+
+    def _aimed(self) -> dict[str, Limits]:
+        """Requirements with targets beyond what a certificate may see by chance."""
+        n, z = self.run.samples, deviate_of(self.run.confidence) + CUSHION
+        found: dict[str, Limits] = {}
+        for name, item in self.requirements.items():
+            if isinstance(item, Requirement) and not item.beyond(n, self.run.confidence):
+                share = item.target + z * math.sqrt(item.target * (1 - item.target) / n)
+                found[name] = dataclasses.replace(item, target=min(share, 1 - 0.5 / n))
+            else:
+                found[name] = item
+        return found
+
+
+@dataclasses.dataclass(frozen=True)
+class Found:
+    """Solution of a problem.
+
+    Attributes:
+        status: as in `Allocation`.
+        decisions: whose vector `x` is.
+        x: (n,) the solution.
+        end: of the search; None where the problem is infeasible.
+        margins: with the correction that the certificate called for.
+        certificate: of the solution.
+        learned: cost before certification.
+        shortage: of an infeasible problem.
+        history: one dict per vector.
+    """
+
+    status: str
+    decisions: Decisions
+    x: np.ndarray
+    end: End | None
+    margins: Margins
+    certificate: Statistics
+    learned: float
+    shortage: Shortage | None
+    history: list[dict[str, Any]]
+
+
+class Designer:
+    """Solves one problem."""
+
+    def __init__(self, problem: Problem) -> None:
+        self.problem, self.decisions = problem, problem.decisions()
+        self.low, self.high = self.decisions.low, self.decisions.high
+        self.history: list[dict[str, Any]] = []
+        self.certifier = Certifier(
+            problem.run, problem.joint_target, follows=problem.costly and self._only_shares(problem)
+        )
+
+    @staticmethod
+    def _only_shares(problem: Problem) -> bool:
+        return all(isinstance(item, (Requirement, Nominal)) for item in problem.requirements.values())
+
+    def solution(self) -> Found:
+        """The cheapest certified vector, or the least shortage."""
+        decisions, lists = self.decisions, Lists(self.decisions)
+        start = self.problem.start(decisions)
+        if lists.entries:
+            self.low, self.high = lists.relaxed(decisions.low, decisions.high)
+        margins = self.problem.margins(decisions, FINE)
+        rivals = self._rivals(start)
+        margins.begin(rivals[0])
+        end = self._best([self._searched(margins, x) for x in rivals])
+        if lists.entries:
+            end = self._listed(margins, lists, end.point.x)
+        if end.excess > _MET:
+            shortage = self._shortage(margins, [end.point.x, start])
+            if shortage.total > _MET:
+                return self._refused(margins, shortage)
+            end = self._searched(margins, shortage.x)
+        return self._certified(margins, end)
+
+    def _listed(self, margins: Margins, lists: Lists, x: np.ndarray) -> End:
+        """The best end with numbers of lists, from the end x without them."""
+        free = self.low, self.high
+
+        def solved(places: Places, again: bool = False) -> End:
+            self.low, self.high = lists.fixed(places, *free)
+            return self._searched(margins, x) if again else self._run(margins, x, 1.0)
+
+        def worth(end: End) -> tuple[bool, float]:
+            met = end.excess <= _MET
+            return not met, end.point.total if met else end.excess
+
+        if np.isfinite(margins.look(x).margins).all():
+            margins.replace_sample(x)
+        rivals = lists.cheapest(x, solved, worth)
+        ends = [solved(places, again=True) for places in rivals]
+        best = min(range(len(ends)), key=lambda i: worth(ends[i]))
+        self.low, self.high = lists.fixed(rivals[best], *free)
+        if best < len(ends) - 1:
+            margins.replace_sample(ends[best].point.x)
+        return ends[best]
+
+    def _rivals(self, start: np.ndarray) -> list[np.ndarray]:
+        """Vectors from which the search on the large sample begins."""
+        several = starts(self.decisions, start, self.low, self.high)
+        if len(several) == 1:
+            return several
+        coarse = self.problem.margins(self.decisions, COARSE)
+        coarse.begin(start)
+        return [end.point.x for end in valleys(coarse, several, self.low, self.high, self.decisions.reach)]
+
+    def _shortage(self, margins: Margins, several: list[np.ndarray]) -> Shortage:
+        """The least shortage of the requirements as they are."""
+        exact = self.problem.margins(self.decisions, FINE, aimed=False)
+        exact.begin(several[0])
+        exact.ways = margins.ways
+        return least_shortage(exact, self.decisions, several, self.low, self.high, self.problem.max_steps)
+
+    def _searched(self, margins: Margins, x: np.ndarray) -> End:
+        """End of a search that is repeated with its units placed at its end, until that changes nothing."""
+        curvature, radius, before = None, 1.0, math.inf
+        for number in range(_ROUNDS):
+            if number:
+                margins.replace_sample(x)
+            end = self._run(margins, x, radius, curvature)
+            x, curvature, radius = end.point.x, end.curvature, _AGAIN
+            if (number and abs(end.point.total - before) <= _STILL * abs(before)) or not len(margins.names):
+                break
+            before = end.point.total
+        return end
+
+    def _run(self, margins: Margins, x: np.ndarray, radius: float = _AGAIN, curvature: np.ndarray | None = None) -> End:
+        search = Programme(
+            lambda x: self._noted(margins, x), self.low, self.high, self.decisions.reach, self.problem.max_steps
+        )
+        return search.run(x, radius, curvature)
+
+    def _noted(self, margins: Margins, x: np.ndarray) -> Local:
+        """Evaluate a vector and note it."""
+        point, decisions = margins.look(x), self.decisions
+        self.problem.advance(1)
+        named = {name or "response": float(m) for name, m in zip(margins.names, point.margins * margins.ways)}
+        widths = dict(zip(decisions.fields, map(float, decisions.half_widths(x))))
+        self.history.append(dict(cost=point.total, margins=named, half_widths=widths, values=decisions.values(x)))
+        return point
+
+    @staticmethod
+    def _best(ends: list[End]) -> End:
+        met = [end for end in ends if end.excess <= _MET]
+        return min(met, key=lambda end: end.point.total) if met else min(ends, key=lambda end: end.excess)
+
+    # Certificates.
+
+    def _certified(self, margins: Margins, end: End) -> Found:
+        """The end of a search, corrected by certificates until one holds with a small margin."""
+        certifier, decisions, learned = self.certifier, self.decisions, end.point.total
+        kept: tuple[End, Statistics] | None = None
+        certificate = self._drawn(end.point.x)
+        for _ in range(DRAWS - 1):
+            held = certifier.holds(certificate)
+            if held and (kept is None or end.point.total < kept[0].point.total):
+                kept = end, certificate
+            if not self._corrected(margins, end, certificate, held) or (not held and certifier.hopeless()):
+                break
+            if held and certifier.drawn > 2:
+                break
+            end = self._run(margins, end.point.x, _AGAIN, end.curvature)
+            certificate = self._drawn(end.point.x)
+        if certifier.holds(certificate) and (kept is None or end.point.total < kept[0].point.total):
+            kept = end, certificate
+        if kept is not None:
+            end, certificate = kept
+        x = end.point.x
+        if kept is None and not certifier.hopeless():
+            x, certificate = self._tightened(x, certificate)
+        status = "OPTIMAL" if end.settled and end.excess <= _MET else "MAX_STEPS"
+        if margins.total(x) > learned + 0.2 * abs(learned):
+            status = "SUBOPTIMAL"
+        if not certifier.holds(certificate) or end.excess > _MET:
+            status = "NOT_CERTIFIED"
+        return Found(status, decisions, x, end, margins, certificate, learned, None, self.history)
+
+    def _drawn(self, x: np.ndarray) -> Statistics:
+        return self.certifier.draw(self.decisions.population(x))
+
+    def _corrected(self, margins: Margins, end: End, certificate: Statistics, held: bool) -> bool:
+        """Move the margins to what a certificate saw; False where that is nothing new."""
+        if certificate.verdicts is None:
+            return False
+        ways, judged = margins.central_ways(end.point.x), list(self.certifier.run.requirements)
+        by_name = dict(zip(margins.names, ways * margins.ways))
+        factors = self.certifier.factors(certificate, np.array([by_name[name] for name in judged]))
+        named = dict(zip(judged, factors)) | ({} if self.problem.joint_target is None else {JOINT: factors[-1]})
+        changed = False
+        for k, name in enumerate(margins.names):
+            here = float(end.point.margins[k])
+            if name not in named or here < -_NEAR * ways[k]:
+                continue
+            factor = math.exp(float(np.clip(math.log(max(named[name], 1e-3)), -_CORRECTED, _CORRECTED)))
+            if held or abs(math.log(factor)) < _CHANCE:
+                factor = math.sqrt(factor)  # half of what a certificate sees may be chance
+            seen = ways[k] * (1 / factor - 1)
+            if not held and seen <= here and name in self._failing(certificate):
+                seen = here + _WORTH * ways[k]
+            margins.offsets[k] += (seen - here) * margins.ways[k]
+            changed = changed or abs(seen - here) > _WORTH * ways[k] or (not held and seen > here)
+        return changed
+
+    @staticmethod
+    def _failing(certificate: Statistics) -> set[str]:
+        return {name for name, verdict in (certificate.verdicts or {}).items() if not verdict.met} | {JOINT}
+
+    def _tightened(self, x: np.ndarray, certificate: Statistics) -> tuple[np.ndarray, Statistics]:
+        """Half-widths made smaller at these numbers until a certificate holds; the last one otherwise."""
+        if not self.decisions.fields:
+            return x, certificate
+        search = self._search(x)
+        point = search.look(self.decisions.half_widths(x))
+        if not np.isfinite(point.margins).all():
+            return x, certificate
+        half_widths, drawn = self.certifier.settle(search, point)
+        return self._with(x, half_widths), drawn
+
+    def _with(self, x: np.ndarray, half_widths: np.ndarray) -> np.ndarray:
+        found = x.copy()
+        found[: len(half_widths)] = np.log(half_widths)
+        return found
+
+    def _search(self, x: np.ndarray) -> Search:
+        """Search for half-widths alone, at these mid-points and numbers."""
+        problem = self.problem
+        judged = {n: i for n, i in problem.requirements.items() if not isinstance(i, Nominal)}
+        training = Training(
+            problem.response, self.decisions.population(x), tuple(problem.priced), judged, problem.joint_target,
+            problem.samples, problem.seed, problem.memo,
+        )  # fmt: skip
+        return Search(training, problem.priced, problem.max_steps, problem.advance)
+
+    def graded(self, found: Found) -> tuple[Found, dict[str, str]]:
+        """The solution with half-widths rounded to grades at its mid-points and numbers."""
+        search = self._search(found.x)
+        half_widths = self.decisions.half_widths(found.x)
+        t, grades, certificate = Snapping(search, self.certifier, self.problem.priced).snap(
+            half_widths, found.certificate
+        )
+        status = "OPTIMAL" if self.certifier.holds(certificate) else "NOT_CERTIFIED"
+        there = dataclasses.replace(found, x=self._with(found.x, t), certificate=certificate, status=status)
+        return there, grades
+
+    def _refused(self, margins: Margins, shortage: Shortage) -> Found:
+        """The solution where no vector meets all requirements."""
+        x, certificate = shortage.x, self._drawn(shortage.x)
+        total = margins.total(x)
+        return Found("INFEASIBLE", self.decisions, x, None, margins, certificate, total, shortage, self.history)

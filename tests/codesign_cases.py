@@ -1,0 +1,101 @@
+"""Reference problems of design and tolerances together, as responses of the library."""
+
+import functools
+import json
+import math
+from pathlib import Path
+
+import jax.numpy as jnp
+
+from rvjax.tolerances import CpkAtLeast, Middle, Nominal, ReciprocalPower, Requirement, Tolerance, Variable
+
+CASES = {
+    case["id"]: case
+    for case in json.loads((Path(__file__).parent / "reference" / "codesign.json").read_text())["cases"]
+}
+PROGRAMMES = [name for name, case in CASES.items() if case["given"].get("family") in ("sums", "larger", "flank")]
+
+
+def total(terms, values):
+    """Sum of c prod d^p."""
+    return sum(c * math.prod(values[name] ** power for name, power in powers.items()) for c, powers in terms)
+
+
+def sums(given, errors, values):
+    """Responses that are linear in the errors, with coefficients of the numbers."""
+    found = {}
+    for name, output in given["outputs"].items():
+        if "nominal" in output:
+            pieces = output["nominal"] if "largest_of" not in output else None
+            found[name] = total(pieces, values) + 0.0 * sum(errors.values())
+        elif "largest_of" in output:
+            found[name] = functools.reduce(jnp.maximum, [total(terms, values) for terms in output["largest_of"]])
+        else:
+            slopes = sum(total(terms, values) * errors[field] for field, terms in output["errors"].items())
+            if "swell" in output:
+                swell = output["swell"]
+                phase = 2 * jnp.pi * (values[swell["of"]] - swell["at"]) / swell["period"]
+                slopes = slopes * (1 + swell["height"] * (1 - jnp.cos(phase)))
+            found[name] = total(output.get("mean", []), values) + slopes
+    for name, several in given.get("larger", {}).items():
+        found[name] = functools.reduce(jnp.maximum, [found[each] for each in several])
+    return found
+
+
+def convex_radius(zp, short, ring):
+    """Least radius of curvature of the convex part of the path of pin centres."""
+    root = jnp.sqrt(27 * (zp - 1) * jnp.maximum(1 - short**2, 1e-12) / (zp + 1) ** 3)
+    return ring * jnp.where(short >= (zp - 2) / (2 * zp - 1), root, (1 + short) ** 2 / (1 + zp * short))
+
+
+def flank(given, errors, values):
+    """Lost motion of a cycloid flank."""
+    known = given["constants"] | values
+    short = known["e"] * known["zp"] / known["R"]
+    s = jnp.sqrt(1 - short**2)
+    play = s * errors["ring"] - errors["pin"] + errors["profile"] + values.get("offset", 0.0)
+    return {
+        "lost_motion": 2 * play / (known["e"] * known["zc"]) + 2 * errors["bearing"] / known["a0"],
+        "convex_radius": convex_radius(known["zp"], short, known["R"]) - known["rr"],
+        "diameter": 2 * (known["R"] + known["rr"]),
+    }
+
+
+def response_of(given):
+    """The response (errors, values) of a problem."""
+    family = {"sums": sums, "larger": sums, "flank": flank}[given["family"]]
+    return functools.partial(family, given)
+
+
+def variable(item):
+    """A number with its own cost weight * value^power."""
+    cost = (lambda value: item["weight"] * value ** item["power"]) if item["weight"] else None
+    among = {"among": item["among"]} if "among" in item else {}
+    return Variable(item["lower"], item["upper"], item["start"], cost=cost, **among)
+
+
+def requirement(item):
+    """A requirement of its kind."""
+    limits = {key: item[key] for key in ("lower", "upper") if key in item}
+    if item["kind"] == "nominal":
+        return Nominal(**limits)
+    if item["kind"] == "cpk":
+        return CpkAtLeast(cpk=item["cpk"], **limits)
+    return Requirement(target=item["target"], **limits)
+
+
+def arguments(given):
+    """Arguments of `allocate`."""
+    tolerances = {}
+    for name, item in given["fields"].items():
+        middle, half, cp = item.get("middle", 0.0), item["half_width"], item.get("cp", 1.0)
+        tolerances[name] = Tolerance(middle - half, middle + half, cp=cp)
+    return dict(
+        response=response_of(given),
+        tolerances=tolerances,
+        requirements={name: requirement(item) for name, item in given["requirements"].items()},
+        costs={name: ReciprocalPower(**item) for name, item in given["costs"].items()},
+        variables={name: variable(item) for name, item in given["variables"].items()},
+        middles={name: Middle(**item) for name, item in given.get("middles", {}).items()},
+        objective=given.get("objective"),
+    )

@@ -1,0 +1,153 @@
+"""Numbers of the design, mid-points and half-widths in one programme: exact optima, invariants, refusals."""
+
+import numpy as np
+import pytest
+from codesign_cases import CASES, arguments
+
+from rvjax.tolerances import Middle, Nominal, ReciprocalPower, Requirement, Tolerance, Variable, allocate
+
+UNITS = 200_000  # of a certificate: their error of the 99.73 % quantile costs about 1 %
+
+
+def solved(name, **changes):
+    given = arguments(CASES[name]["given"]) | {"certificate_samples": UNITS} | changes
+    return allocate(given.pop("response"), given.pop("tolerances"), given.pop("requirements"), **given)
+
+
+@pytest.mark.parametrize("name", ["bound-0", "middle-0", "capability-0"])
+def test_reference_problems(name):
+    """Cost, values, active bounds and prices of exact optima; the rest of the table is in the benchmark."""
+    found, expected = solved(name), CASES[name]["expected"]
+    assert found.status == "OPTIMAL"
+    assert 0.999 * expected["cost"] < found.cost < 1.02 * expected["cost"]
+    assert found.bounds_active == expected["bounds_active"]
+    for value, (least, most) in expected["ranges"].items():
+        assert least * (1 - 1e-6) <= found.values[value] <= most * (1 + 1e-6)
+    for output, price in expected["prices"].items():
+        assert found.multipliers[output] == pytest.approx(price, rel=0.05)
+    for value, price in expected["value_prices"].items():
+        assert found.value_prices[value] == pytest.approx(price, rel=0.05)
+    for field, middle in expected["middles"].items():
+        assert float(found.tolerances[field].middle) == pytest.approx(middle, abs=0.03)
+
+
+def test_a_list_takes_the_cheapest_of_its_values():
+    found, expected = solved("listed-0"), CASES["listed-0"]["expected"]
+    assert found.values == expected["values"]
+    assert found.cost < 1.02 * expected["cost"] and found.learned < expected["nearest"]
+
+
+def test_an_infeasible_problem_names_what_fails_and_what_would_help():
+    found, expected = solved("refused-0"), CASES["refused-0"]["expected"]
+    assert (found.feasible, found.status) == (False, "INFEASIBLE")
+    assert found.shortfall == pytest.approx(expected["shortfall"], rel=0.01, abs=1e-3)
+    assert found.values["arm"] == pytest.approx(expected["values"]["arm"])
+    assert found.half_widths == {"a": 0.05, "b": 0.05}
+    assert "y misses its limit by 0.36" in found.reason and "upper bound of arm" in found.reason
+
+
+def lever(errors, values):
+    return {"y": values["arm"] * errors["a"] + errors["b"] / values["arm"], "size": 10.0 * values["arm"]}
+
+
+PARTS = {"a": Tolerance.symmetric(0.1), "b": Tolerance.symmetric(0.1)}
+COSTS = dict.fromkeys("ab", ReciprocalPower(reference=1.0, finest=0.05, coarsest=5.0))
+NEED = {"y": Requirement(lower=-1.0, upper=1.0)}
+ARM = Variable(0.4, 3.0, 2.0)
+
+
+def levered(response=lever, variables=None, **changes):
+    options = {"costs": COSTS, "certificate_samples": 20_000, "samples": 2048} | changes
+    return allocate(response, PARTS, NEED, variables=variables or {"arm": ARM}, **options)
+
+
+def test_another_unit_of_a_number_changes_nothing():
+    """Millimetres for metres: the numbers are parts of their ranges."""
+
+    def in_millimetres(errors, values):
+        return lever(errors, {"arm": values["arm"] / 1000})
+
+    one, other = levered(), levered(in_millimetres, variables={"arm": Variable(400.0, 3000.0, 2000.0)})
+    assert other.values["arm"] == pytest.approx(1000 * one.values["arm"], rel=1e-3)
+    assert other.cost == pytest.approx(one.cost, rel=1e-4)
+
+
+def test_a_variable_without_room_is_a_constant():
+    found = levered(variables={"arm": Variable(1.5, 1.5)})
+    assert found.values == {"arm": 1.5} and found.bounds_active == {"arm": None}
+    fixed = allocate(
+        lambda e: lever(e, {"arm": 1.5}), PARTS, NEED, costs=COSTS, certificate_samples=20_000, samples=2048
+    )
+    assert found.cost == pytest.approx(fixed.cost, rel=0.02)
+
+
+def test_a_variable_that_shifts_an_error_is_a_middle():
+    limits = {"y": Requirement(lower=-1.0, upper=2.0)}
+    options = dict(costs=COSTS, certificate_samples=20_000, samples=2048)
+    moved = allocate(
+        lambda e, v: {"y": e["a"] + e["b"] + v["offset"]}, PARTS, limits,
+        variables={"offset": Variable(-1.0, 1.0, 0.0)}, **options,
+    )  # fmt: skip
+    middle = allocate(
+        lambda e: {"y": e["a"] + e["b"]}, PARTS, limits, middles={"a": Middle(-1.0, 1.0)}, **options
+    )  # fmt: skip
+    assert moved.values["offset"] == pytest.approx(0.5, abs=0.03)
+    assert float(middle.tolerances["a"].middle) == pytest.approx(moved.values["offset"], abs=0.01)
+    assert middle.cost == pytest.approx(moved.cost, rel=0.01)
+
+
+def test_an_objective_and_nominal_limits_without_units():
+    """Least 10 arm with arm^2 >= 2 and no tolerances at all: a nominal programme, exact."""
+    found = allocate(
+        lambda e, v: {"square": v["arm"] ** 2 + 0.0 * e["a"], "size": 10.0 * v["arm"]}, {"a": Tolerance(0.0, 0.0)},
+        {"square": Nominal(lower=2.0)}, costs={}, variables={"arm": ARM}, objective={"size": 1.5},
+    )  # fmt: skip
+    assert (found.status, found.values["arm"]) == ("OPTIMAL", pytest.approx(np.sqrt(2.0), rel=1e-4))
+    assert found.cost == pytest.approx(15 * np.sqrt(2.0), rel=1e-4) and found.start_cost == pytest.approx(30.0)
+    assert found.multipliers["square"] == pytest.approx(-15 / (2 * np.sqrt(2.0)), rel=1e-3)  # 15 d arm/d limit
+
+
+def test_where_all_half_widths_are_finest_a_number_makes_the_room():
+    """Error c has no cost and takes nearly all of the limit; only a longer arm leaves more room."""
+    parts = {"a": Tolerance.symmetric(0.1), "c": Tolerance.symmetric(0.8)}
+    found = allocate(
+        lambda e, v: {"y": (e["a"] + e["c"]) / v["arm"]}, parts, NEED,
+        costs={"a": ReciprocalPower(reference=1.0, finest=0.3, coarsest=0.3001)}, samples=2048,
+        variables={"arm": Variable(0.5, 3.0, 0.6, cost=lambda arm: 10 * arm)}, certificate_samples=UNITS,
+    )  # fmt: skip
+    assert found.status == "OPTIMAL"
+    assert found.values["arm"] == pytest.approx(1.006 * np.hypot(0.3, 0.8), rel=0.012)  # 0.6 % for the certificate
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"variables": {"leg": ARM}, "response": lambda e, v: e["a"]}, "leg: the response does not read it"),
+        ({"response": lambda e: {"y": e["a"]}}, "takes no values"),
+        ({"objective": {"mass": 1.0}}, "'mass' is no output of the response; it has size, y"),
+        ({"objective": {"size": np.inf}}, "the price of size = inf: must be finite"),
+        ({"variables": {"arm": (0.4, 3.0)}}, "must be a Variable"),
+    ],
+)
+def test_bad_problems(changes, words):
+    with pytest.raises(ValueError, match=words):
+        levered(**changes)
+
+
+@pytest.mark.parametrize(
+    ("made", "words"),
+    [
+        (lambda: Variable(2.0, 1.0), "Variable.lower = 2: lies above upper = 1"),
+        (lambda: Variable(0.0, np.inf), "Variable.upper = inf: must be finite"),
+        (lambda: Variable(0.0, 1.0, 2.0), "Variable.start = 2: lies outside the bounds 0 and 1"),
+        (lambda: Variable(0.0, 1.0, among=[]), "Variable.among: the list is empty"),
+        (lambda: Variable(0.0, 1.0, among=[0.5, 3.0]), "Variable.among = 3: lies outside"),
+        (lambda: Variable(0.0, "long"), "Variable.upper = 'long': must be a number"),
+        (lambda: Variable(0.0, 1.0, cost=3.0), "Variable.cost = 3.0: must be a function"),
+        (lambda: Nominal(), "Nominal: needs a lower or an upper limit"),
+        (lambda: Nominal(lower=2.0, upper=1.0), "Nominal.lower = 2: lies above upper = 1"),
+    ],
+)
+def test_bad_variables(made, words):
+    with pytest.raises(ValueError, match=words):
+        made()
