@@ -41,7 +41,7 @@ from typing import Any
 
 from rvjax.records import PyTree
 
-SOURCES = ("corr", "rv20e", "rv320e", "rv40e", "rv160", "catalogue")
+SOURCES = ("corr", "rv20e", "rv320e", "rv40e", "rv160", "catalogue", "sizes")
 """Sources in the ledger; each has a TOML file and a module of the same name with a dict `COMPUTED`."""
 
 Figure = dict[str, Any]  # as in the TOML file of a source

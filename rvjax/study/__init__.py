@@ -19,6 +19,7 @@ from rvjax.study.question import Study, StudyError
 from rvjax.study.read import EMBEDDED, embedded_names, load, parse_study
 from rvjax.study.response import CURVE as CURVE, Response as Response, refuse as refuse
 from rvjax.study.rewrite import template as study_template
+from rvjax.study.scaling import changed as scaled
 from rvjax.study.values import choice, integer, known, naming, quantity, subtable
 
 __all__ = [
@@ -50,6 +51,7 @@ __all__ = [
     "order_name",
     "parse_study",
     "quantity",
+    "scaled",
     "read_measured",
     "shown",
     "study_template",
