@@ -10,11 +10,12 @@ import numpy as np
 from rvjax.commands.allocate.whole import Whole, whole
 from rvjax.population import Population, drawn, root_key
 from rvjax.progress import begin, progress_bar
-from rvjax.records import PyTree
+from rvjax.records import PyTree, Record, field, record, text
 from rvjax.response import (  # chunks of the certificate's size: the response compiles once
     BLOCK,
     Response,
     nominal_status,
+    per_response,
     response_names,
     status_without_errors,
 )
@@ -232,18 +233,35 @@ def _curves(study: Study, solved: Solved | None = None) -> _Curves:
 
         return solved_units
 
-    def of_unit(population: Population, z: jax.Array) -> tuple[jax.Array, jax.Array]:
-        angle, values = curve.evaluate(study.design, population.errors(z), study.conditions)
-        return jnp.asarray(angle), values
-
-    units = jax.jit(jax.vmap(of_unit, in_axes=(None, -1)))
+    unit = _Drawn(study.design, study.conditions, curve.evaluate)
 
     def drawn_units(tolerances: PyTree, seed: int) -> tuple[np.ndarray, np.ndarray]:
         population = Population.of(tolerances)
-        angles, values = units(population, drawn(population, root_key(seed), jnp.uint32(0), count=SHOWN_UNITS))
+        z = drawn(population, root_key(seed), jnp.uint32(0), count=SHOWN_UNITS)
+        angles, values = _drawn_curves(unit, population, z)
         return np.asarray(angles)[0], np.asarray(values)
 
     return drawn_units
+
+
+@record
+class _Drawn(Record):
+    """errors -> angles and curve of one unit."""
+
+    design: Any = field("-", "the reducer", kind="record")
+    conditions: Any = text("how the reducer runs")
+    evaluate: Callable[[Any, Any, Any], tuple[Any, Any]] = text("of a model")
+
+    def __call__(self, errors: PyTree) -> tuple[jax.Array, jax.Array]:
+        """Angles and values (n,)."""
+        angle, values = self.evaluate(self.design, errors, self.conditions)
+        return jnp.asarray(angle), values
+
+
+@per_response()
+def _drawn_curves(unit: Callable[[Any], Any], population: Population, z: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Angles and curves (units, n) of the units with random numbers z (numbers, units)."""
+    return jax.vmap(lambda one: unit(population.errors(one)), in_axes=-1)(z)
 
 
 def _cost_curve(

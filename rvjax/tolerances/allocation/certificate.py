@@ -90,9 +90,9 @@ class Certifier:
         alone = any(item.hopeless(n, confidence) for item in self.run.requirements.values())
         return alone or wilson(n, n, confidence).lower < (self.joint_target or 0.0)
 
-    def factors(self, statistics: Statistics, distance: np.ndarray) -> np.ndarray:
-        """Common factor on all half-widths after which each constraint should just hold."""
-        n, z = self.run.samples, deviate_of(self.run.confidence)
+    def factors(self, statistics: Statistics, distance: np.ndarray, more: float = 0.0) -> np.ndarray:
+        """Common factor on all half-widths after which each constraint should just hold; `more`: standard errors."""
+        n, z = self.run.samples, deviate_of(self.run.confidence) + more
         z -= CUSHION if self.units is not None else 0.0  # the same units hold no surprise
         found = [
             item.factor(statistics.verdicts[name].estimate, n, z, float(d))

@@ -5,10 +5,12 @@ Around a known point each constraint is modelled as a root sum of squares, s^2 =
 responses without mean shift, and right to first order for all; worst cases as a sum, with power 1 for 2.
 The model is separable, so its dual function is a sum over the fields (convex linearization, Fleury 1989):
 at given prices of the constraints every field has its own minimum between its bounds, found by a grid and
-bisection. The prices that maximise the dual function are those of the optimum. With reciprocal costs a field
-inside its bounds has the closed form t_j ~ (c_j k_j / b_j)^(1/(k_j+2)).
+bisection. The prices that maximise the dual function are those of the optimum: by Newton's method, and where minima
+of the fields jump by a quasi-Newton method. With reciprocal costs a field inside its bounds has the closed form
+t_j ~ (c_j k_j / b_j)^(1/(k_j+2)).
 """
 
+import bisect
 from collections.abc import Callable
 from typing import Any
 
@@ -23,6 +25,8 @@ from rvjax.tolerances.allocation.sample_average import Point
 _CELLS, _HALVINGS = 32, 45  # of the range of a field: a table of costs may have several minima
 _MOST = 1e5  # price of a constraint, in total costs, that no half-widths within the bounds can meet
 _KNOWN = 1e-7  # of a constraint of the model
+_TRIALS = 2.0 ** np.arange(-12, 17)  # prices common to all constraints, one of which is near the largest of the optimum
+_STEPS, _SHORTEST = 30, 1e-3  # of Newton's method, and the least part of a step
 _GROWTH = 1e-6  # of prices that leave a constraint violated, where the minimum of a field jumps; doubled at each trial
 
 
@@ -41,25 +45,72 @@ def cheapest(
     they let it be.
     """
     constant, weights = _model(point, distance, powers)
-    total = float(total_cost(costs, jnp.asarray(point.half_widths)))
-    model = [np.log(point.half_widths), np.log(low), np.log(high), constant, weights, powers]
+    model = _Model(costs, np.log(point.half_widths), np.log(low), np.log(high), constant, weights, powers)
+    first = model.first()
+    prices = model.by_newton(first)
+    if prices is None:
 
-    def dual(prices: np.ndarray) -> tuple[float, np.ndarray]:
-        value, excess, _ = _minima(costs, total, prices, *model)
-        return -float(value), -np.asarray(excess, float)
+        def dual(prices: np.ndarray) -> tuple[float, np.ndarray]:
+            value, excess, _, _ = model.minima(prices)
+            return -value, -excess
 
-    bounds = [(0.0, _MOST)] * len(distance)
-    options = dict(ftol=1e-15, gtol=_KNOWN, maxiter=200, maxcor=20)
-    prices = optimize.minimize(dual, _begin(dual, len(distance)), jac=True, bounds=bounds, options=options).x
+        bounds = [(0.0, _MOST)] * len(distance)
+        options = dict(ftol=1e-15, gtol=_KNOWN, maxiter=200, maxcor=20)
+        prices = optimize.minimize(dual, first, jac=True, bounds=bounds, options=options).x
     growth = _GROWTH
     while True:
-        _, excess, found = _minima(costs, total, prices, *model)
-        violated = np.asarray(excess) > 10 * _KNOWN
+        _, excess, found, _ = model.minima(prices)
+        violated = excess > 10 * _KNOWN
         if not (violated & (prices < _MOST)).any():
             break
         prices = np.where(violated, np.minimum((1 + growth) * np.maximum(prices, _GROWTH), _MOST), prices)
         growth *= 2
-    return np.clip(np.exp(np.asarray(found)), low, high), prices * powers * total / distance
+    return np.clip(np.exp(found), low, high), prices * powers * model.total / distance
+
+
+class _Model:
+    """The separable model, in logarithms of half-widths and parts of the total cost."""
+
+    def __init__(self, costs: tuple[Any, ...], start: np.ndarray, *limits: np.ndarray) -> None:
+        self.total = float(total_cost(costs, jnp.asarray(np.exp(start))))
+        self._given = jax.device_put((costs, self.total, start, *limits))
+
+    def minima(self, prices: np.ndarray) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
+        """Value of the dual function, excess (c,), logarithms of the half-widths (j,) and -Hessian (c, c) at prices."""
+        value, excess, x, bent = jax.device_get(_minima(prices, *self._given))
+        return float(value), excess, x, bent
+
+    def first(self) -> np.ndarray:
+        """A common price of all constraints from which the dual function falls either way, to a factor of 2."""
+        count = len(self._given[-1])
+
+        def falls(trial: float) -> bool:
+            return bool(self.minima(np.full(count, trial))[1].sum() <= 0)
+
+        return np.full(count, _TRIALS[bisect.bisect_left(_TRIALS[:-1], True, key=falls)])
+
+    def by_newton(self, prices: np.ndarray) -> np.ndarray | None:
+        """Prices of the optimum from others on, by Newton steps within the bounds; None where these do not arrive."""
+        value, excess, _, bent = self.minima(prices)
+        for _ in range(_STEPS):
+            free = ((prices > 0) | (excess > 0)) & ((prices < _MOST) | (excess < 0))
+            if not (np.abs(excess[free]) > _KNOWN).any():
+                return prices
+            step = np.zeros(len(prices))
+            curvature = bent[np.ix_(free, free)]
+            curvature += 1e-12 * max(float(np.trace(curvature)), 1e-12) * np.eye(len(curvature))
+            step[free] = np.linalg.solve(curvature, excess[free])
+            part = 1.0
+            while True:
+                trial = np.clip(prices + part * step, 0.0, _MOST)
+                found = self.minima(trial)
+                if found[0] >= value + 1e-4 * float(excess @ (trial - prices)) - 1e-14 * abs(value):
+                    break
+                part /= 4
+                if part < _SHORTEST:
+                    return None
+            prices, (value, excess, _, bent) = trial, found
+        return None
 
 
 def predicted(point: Point, distance: np.ndarray, powers: np.ndarray, half_widths: np.ndarray) -> np.ndarray:
@@ -74,12 +125,6 @@ def _model(point: Point, distance: np.ndarray, powers: np.ndarray) -> tuple[np.n
     reach = np.maximum(point.margins + distance, 1e-3 * distance)
     constant = (reach / distance) ** powers
     return constant, (constant / reach)[:, None] * point.slopes
-
-
-def _begin(dual: Callable[[np.ndarray], tuple[float, np.ndarray]], count: int) -> np.ndarray:
-    """A common price of all constraints from which the dual function falls either way, to a factor of 2."""
-    trials = 2.0 ** np.arange(-12, 17)
-    return np.full(count, trials[int(np.argmin([dual(np.full(count, trial))[0] for trial in trials]))])
 
 
 @jax.jit
@@ -110,9 +155,9 @@ def _each(costs: tuple[Any, ...]) -> Callable[[jax.Array], jax.Array]:
 
 @jax.jit
 def _minima(
-    costs: Any, total: Any, prices: Any, start: Any, low: Any, high: Any, constant: Any, weights: Any, powers: Any
-) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Dual function at prices (c,), excess of each constraint (c,), and the logarithms of the half-widths there."""
+    prices: Any, costs: Any, total: Any, start: Any, low: Any, high: Any, constant: Any, weights: Any, powers: Any
+) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
+    """Dual function at prices (c,), excess (c,), logarithms of the half-widths there, and -d excess/d prices (c, c)."""
     cost = _each(costs)
 
     def grown(x: jax.Array) -> jax.Array:
@@ -137,4 +182,10 @@ def _minima(
     left, right = jax.lax.fori_loop(0, _HALVINGS, halve, cell)
     x = jnp.where(left <= low, low, jnp.where(right >= high, high, (left + right) / 2))
     excess = constant + jnp.sum(weights * grown(x), axis=1) - 1
-    return jnp.sum(cost(jnp.exp(x))) / total + prices @ excess, excess, x
+    # A field between its bounds gives way to a price by its reach over its curvature.
+    curvature = jax.jvp(slope, (x,), (jnp.ones_like(x),))[1]
+    moves = (x > low) & (x < high) & (curvature > 0)
+    reach = powers[:, None] * weights * (grown(x) + 1)
+    gives = jnp.where(moves, 1 / jnp.where(moves, curvature, 1.0), 0.0)
+    bent = jnp.einsum("cj,j,dj->cd", reach, gives, reach)
+    return jnp.sum(cost(jnp.exp(x))) / total + prices @ excess, excess, x, bent

@@ -15,8 +15,9 @@ from rvjax.tolerances.allocation.cost import Cost
 from rvjax.tolerances.allocation.sample_average import Point
 from rvjax.tolerances.allocation.search import Search
 from rvjax.tolerances.batch.monte_carlo import Statistics
+from rvjax.tolerances.requirements.factors import CUSHION
 
-_DRAWS = 2  # certificates of one set of grades: fields that are free may shrink once
+_DRAWS = 2  # certificates of one set of grades, whose free fields shrink between them
 _EXCHANGES = 6  # certificates of exchanged grades, at most
 _TRIED = 12  # sets of exchanged grades evaluated on the learning sample, at most, after each accepted set
 _MOVES = 5000  # sets of three or four exchanged grades evaluated on the model, at most
@@ -33,6 +34,8 @@ class Snapping:
         self.costs, self.cost, self.max_steps = search.costs, search.cost, search.max_steps
         active = search.training.population.active
         self.ladders = {j: _ladder(active[name].size, cost) for j, (name, cost) in enumerate(priced.items())}
+        self.known: list[tuple[np.ndarray, Statistics]] = []
+        """Certified half-widths, whether their certificate holds or not."""
 
     def snap(self, half_widths: np.ndarray, certificate: Statistics) -> tuple[np.ndarray, dict[str, str], Statistics]:
         """The loosest grades not wider than certified half-widths, then cheaper ones while a certificate holds.
@@ -45,6 +48,7 @@ class Snapping:
             Half-widths, {field: grade} of the rounded ones, and the certificate of exactly these.
         """
         places: Places = {}
+        self.known = [(half_widths, certificate)]
         for j, ladder in self.ladders.items():
             fitting = sum(t <= half_widths[j] * (1 + 1e-9) for _, t in ladder)
             if fitting:
@@ -125,24 +129,41 @@ class Snapping:
     def certified(
         self, places: Places, half_widths: np.ndarray, beyond: float = 0.05
     ) -> tuple[np.ndarray, Statistics | None]:
-        """The free fields fitted to some grades, and a certificate unless the learning sample sees it is no use.
+        """The free fields fitted to some grades, and a certificate unless it is foreseen that it would not hold.
 
-        `beyond` a limit by more than this part of the way there, it is of no use.
+        `beyond` a limit by more than this part of the way there, the learning sample alone decides.
         """
         t, free = self.at(places, half_widths), len(places) < len(self.priced)
+        search = Search(self.training, self.priced, self.max_steps)
         if free:
-            search = Search(self.training, self.priced, self.max_steps)
             held = np.array([j in places for j in range(len(t))])
             search.low, search.high = np.where(held, t, search.low), np.where(held, t, search.high)
             if not self.promising(search.low, beyond):
                 return t, None
             point, _ = search.run(search.look(t))
             t = point.half_widths
-        if not self.promising(t, beyond) or self.cost(t) >= self.cost(half_widths):
-            return t, None
-        if free:
-            return self.certifier.settle(search, point, draws=_DRAWS)
-        return t, self.certifier.draw(self.training.with_half_widths(t))
+        drawn: Statistics | None = None
+        for _ in range(_DRAWS if free else 1):
+            if free and (ways := self.foreseen(t)).max() > 1:
+                t = search.tightened(point, t, 1 / ways)
+            refused = self.foreseen(t, -CUSHION).max() > 1 or not self.promising(t, beyond)
+            if refused or self.cost(t) >= self.cost(half_widths):
+                break
+            drawn = self.certifier.draw(self.training.with_half_widths(t))
+            self.known.append((t, drawn))
+            if self.certifier.holds(drawn):
+                break
+        return t, drawn
+
+    def foreseen(self, half_widths: np.ndarray, more: float = 0.0) -> np.ndarray:
+        """Way of each constraint (c,) to its limit, 1 where a certificate would just hold.
+
+        It is that of the certificate with the nearest half-widths, changed as the learning sample changes.
+        """
+        near, statistics = min(self.known, key=lambda item: float(np.abs(np.log(item[0] / half_widths)).max()))
+        seen = 1 / self.certifier.factors(statistics, self.training.distance, more)
+        here, there = (1 + self.training.margins(t) / self.training.distance for t in (half_widths, near))
+        return seen * np.maximum(here, 1e-3) / np.maximum(there, 1e-3)
 
     def promising(self, half_widths: np.ndarray, beyond: float) -> bool:
         """True if no limit is exceeded by more than the part `beyond` of the way there."""
