@@ -26,7 +26,9 @@ _CELLS, _HALVINGS = 32, 45  # of the range of a field: a table of costs may have
 _MOST = 1e5  # price of a constraint, in total costs, that no half-widths within the bounds can meet
 _KNOWN = 1e-7  # of a constraint of the model
 _TRIALS = 2.0 ** np.arange(-12, 17)  # prices common to all constraints, one of which is near the largest of the optimum
-_STEPS, _SHORTEST = 30, 1e-3  # of Newton's method, and the least part of a step
+_STEPS, _LEAST = 60, 1e-9  # of Newton's method, and the least damping, in parts of the curvature
+_LONGEST, _NEXT = 5.0, 0.01  # growth of a price in a step, and the price after 0 over that
+_FLAT = 1e-9  # a smaller curvature of the dual function is none
 _GROWTH = 1e-6  # of prices that leave a constraint violated, where the minimum of a field jumps; doubled at each trial
 
 
@@ -90,27 +92,23 @@ class _Model:
         return np.full(count, _TRIALS[bisect.bisect_left(_TRIALS[:-1], True, key=falls)])
 
     def by_newton(self, prices: np.ndarray) -> np.ndarray | None:
-        """Prices of the optimum from others on, by Newton steps within the bounds; None where these do not arrive."""
+        """Prices of the optimum from others on, by damped Newton steps; None where these do not arrive."""
         value, excess, _, bent = self.minima(prices)
+        damping = _LEAST
         for _ in range(_STEPS):
             free = ((prices > 0) | (excess > 0)) & ((prices < _MOST) | (excess < 0))
             if not (np.abs(excess[free]) > _KNOWN).any():
                 return prices
-            step = np.zeros(len(prices))
-            curvature = bent[np.ix_(free, free)]
-            curvature += 1e-12 * max(float(np.trace(curvature)), 1e-12) * np.eye(len(curvature))
-            step[free] = np.linalg.solve(curvature, excess[free])
-            part = 1.0
-            while True:
-                trial = np.clip(prices + part * step, 0.0, _MOST)
-                found = self.minima(trial)
-                if found[0] >= value + 1e-4 * float(excess @ (trial - prices)) - 1e-14 * abs(value):
-                    break
-                part /= 4
-                if part < _SHORTEST:
-                    return None
-            prices, (value, excess, _, bent) = trial, found
-        return None
+            damped = (bent + damping * np.diag(np.maximum(np.diag(bent), _FLAT)))[np.ix_(free, free)]
+            trial = prices.copy()
+            trial[free] += np.linalg.solve(damped, excess[free])
+            trial = np.clip(trial, 0.0, np.minimum(_LONGEST * (prices + _NEXT), _MOST))
+            rise, found = float(excess @ (trial - prices)), self.minima(trial)
+            if rise > 0 and found[0] >= value + 1e-4 * rise - 1e-14 * abs(value):
+                prices, damping, (value, excess, _, bent) = trial, max(damping / 10, _LEAST), found
+            else:
+                damping = max(10 * damping, 1e-2)
+        return prices if (prices == _MOST).any() else None  # the rest of what cannot be met
 
 
 def predicted(point: Point, distance: np.ndarray, powers: np.ndarray, half_widths: np.ndarray) -> np.ndarray:
