@@ -10,7 +10,7 @@ import numpy as np
 from rvjax.commands.allocate.whole import Whole, whole
 from rvjax.population import Population, drawn, root_key
 from rvjax.progress import begin, progress_bar
-from rvjax.records import PyTree, Record, field, record, text
+from rvjax.records import Design, PyTree, Record, field, record, text
 from rvjax.response import (  # chunks of the certificate's size: the response compiles once
     BLOCK,
     Response,
@@ -248,9 +248,9 @@ def _curves(study: Study, solved: Solved | None = None) -> _Curves:
 class _Drawn(Record):
     """errors -> angles and curve of one unit."""
 
-    design: Any = field("-", "the reducer", kind="record")
-    conditions: Any = text("how the reducer runs")
-    evaluate: Callable[[Any, Any, Any], tuple[Any, Any]] = text("of a model")
+    design: Design = field("-", "the reducer", kind="record")
+    conditions: object = text("how the reducer runs")
+    evaluate: Callable[..., tuple[jax.Array, jax.Array]] = text("of a model")
 
     def __call__(self, errors: PyTree) -> tuple[jax.Array, jax.Array]:
         """Angles and values (n,)."""
@@ -259,7 +259,9 @@ class _Drawn(Record):
 
 
 @per_response()
-def _drawn_curves(unit: Callable[[Any], Any], population: Population, z: jax.Array) -> tuple[jax.Array, jax.Array]:
+def _drawn_curves(
+    unit: Callable[..., tuple[jax.Array, jax.Array]], population: Population, z: jax.Array
+) -> tuple[jax.Array, jax.Array]:
     """Angles and curves (units, n) of the units with random numbers z (numbers, units)."""
     return jax.vmap(lambda one: unit(population.errors(one)), in_axes=-1)(z)
 
