@@ -4,14 +4,13 @@ Without the population a plan chases the noise of the gauge: the best of many no
 """
 
 import dataclasses
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy import special
 
-from rvjax.records import PyTree
+from rvjax.records import PyTree, Scalar
 from rvjax.tolerances import Tolerance
 
 NODES = 129
@@ -57,7 +56,7 @@ class Belief:
         return np.moveaxis(np.stack(found, axis=1).reshape(draws, *self.mean.shape), 0, 1)
 
 
-def believed(value: object, sd: PyTree, tolerance: Tolerance | None) -> tuple[Any, Any]:
+def believed(value: object, sd: PyTree, tolerance: Tolerance | None) -> tuple[Scalar, Scalar]:
     """Mean and standard deviation of an error that was measured.
 
     Of a normal population N(mu, s0^2) measured with s: g = s0^2/(s0^2 + s^2), mean mu + g (value - mu), sd

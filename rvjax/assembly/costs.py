@@ -4,7 +4,6 @@ import dataclasses
 import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -12,11 +11,12 @@ import numpy as np
 
 from rvjax.assembly.parts import Known
 from rvjax.batching import in_blocks
+from rvjax.records import PyTree, Scalar
 from rvjax.response import evaluate, per_response
 from rvjax.status import succeeded
 from rvjax.tolerances import Requirement
 
-UnitResponse = Callable[[dict[str, Any], dict[str, Any]], Any]
+UnitResponse = Callable[[dict[str, PyTree], dict[str, PyTree]], PyTree]
 """(parts {slot: errors}, index {slot: int}) -> scalar or Outcome."""
 
 BLOCKS = 64, 4096
@@ -50,7 +50,7 @@ def respond(
     def one(leaves: Mapping[str, Sequence[jax.Array]], index: Mapping[str, jax.Array]) -> jax.Array:
         parts = {slot: known.assembled(leaves[slot]) for slot, known in structures.of.items()}
         if at is not None:
-            turned: dict[str, Any] = dict(zip(structures.of, at))
+            turned: dict[str, PyTree] = dict(zip(structures.of, at))
         else:
             turned = {s: _weak(index[s], count) for s, count in zip(structures.of, counts)}
         values, status = evaluate(lambda _: response(parts, turned), None)
@@ -62,7 +62,7 @@ def respond(
     return jax.vmap(one)(leaves, index)
 
 
-def _weak(index: jax.Array, count: int) -> Any:
+def _weak(index: jax.Array, count: int) -> Scalar:
     """Return a traced index that mixes with numbers of any type, as a plain integer does."""
     return sum(jnp.where(index == k, k, 0) for k in range(1, count)) if count > 1 else 0
 
@@ -72,10 +72,10 @@ def _weak(index: jax.Array, count: int) -> Any:
 class Shape:
     """Structure of the errors of one part, without numbers."""
 
-    structure: Any
+    structure: PyTree
     still: frozenset[int]
 
-    def assembled(self, leaves: Sequence[Any]) -> Any:
+    def assembled(self, leaves: Sequence[jax.Array]) -> PyTree:
         """Errors of one part from its moving leaves."""
         moving = iter(leaves)
         count = len(leaves) + len(self.still)

@@ -2,7 +2,6 @@
 
 import dataclasses
 from collections.abc import Callable, Mapping
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -36,7 +35,7 @@ class Opening:
     curve: np.ndarray
     target: float
 
-    def opened(self, tolerances: PyTree) -> Any:
+    def opened(self, tolerances: PyTree) -> PyTree:
         """Return the same structure with every half-width times the factor, as `allocate` takes it."""
         return _widen(tolerances, self.factor)
 
@@ -44,7 +43,7 @@ class Opening:
 def opening(
     response: UnitResponse,
     kinds: Mapping[str, Kind],
-    tolerances: Any,
+    tolerances: PyTree,
     *,
     requirement: Requirement,
     sets: int = 64,
@@ -104,7 +103,7 @@ class _Virtual:
 
     def __init__(self, kind: Kind, tolerances: PyTree, sets: int, seed: int, number: int) -> None:
         self.kind, self.tolerances = kind, getattr(tolerances, "tolerances", tolerances)
-        self.structure: Any
+        self.structure: PyTree
         leaves, self.structure = jax.tree_util.tree_flatten_with_path(kind.parts[0].errors)
         self.given = [[np.asarray(leaf) for leaf in jax.tree.leaves(part.errors)] for part in kind.parts]
         self.sd = [[np.asarray(at_path(part.sd, path, 0.0), float) for path, _ in leaves] for part in kind.parts]
@@ -117,10 +116,10 @@ class _Virtual:
         size: Callable[[int], tuple[int, ...]] = lambda place: (sets, 2, *self.given[0][place].shape, len(kind.parts))  # noqa: E731
         self.z = {place: rng.standard_normal(size(place)) for place in self.moving}
 
-    def parts(self, factor: float, number: int) -> tuple[Kind, list[list[Any]]]:
+    def parts(self, factor: float, number: int) -> tuple[Kind, list[list[PyTree]]]:
         """Return a set as it is measured, and its true errors by part and leaf."""
-        truth: list[list[Any]] = [list(own) for own in self.given]
-        seen: list[list[Any]] = [list(own) for own in self.given]
+        truth: list[list[PyTree]] = [list(own) for own in self.given]
+        seen: list[list[PyTree]] = [list(own) for own in self.given]
         for place, tolerance in self.moving.items():
             z, noise = self.z[place][number]
             errors = np.moveaxis(np.asarray(_drawn(_widen(tolerance, factor), jnp.asarray(z)), float), -1, 0)
@@ -137,10 +136,10 @@ def _drawn(tolerance: Tolerance, z: jax.Array) -> jax.Array:
     return tolerance.deviate(z)
 
 
-def _widen(tolerances: PyTree, factor: float) -> Any:
+def _widen(tolerances: PyTree, factor: float) -> PyTree:
     """Every tolerance of a structure with its half-width times a factor."""
 
-    def wider(leaf: object) -> Any:
+    def wider(leaf: object) -> PyTree:
         return leaf.with_half_width(factor * float(leaf.half_width)) if isinstance(leaf, Tolerance) else leaf
 
     return jax.tree.map(wider, tolerances, is_leaf=lambda leaf: leaf is None or isinstance(leaf, Tolerance))

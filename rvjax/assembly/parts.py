@@ -3,7 +3,7 @@
 import dataclasses
 import operator
 from collections.abc import Hashable, Sequence
-from typing import Any
+from typing import SupportsIndex
 
 import jax
 import numpy as np
@@ -12,7 +12,7 @@ from rvjax.assembly.belief import Belief, belief
 from rvjax.records import PyTree, Record
 from rvjax.tolerances import Tolerance
 
-Path = tuple[Any, ...]
+Path = tuple[PyTree, ...]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -28,7 +28,7 @@ class Part:
 
     id: Hashable
     errors: PyTree
-    sd: Any = 0.0
+    sd: PyTree = 0.0
 
     def __post_init__(self) -> None:
         leaves = jax.tree_util.tree_flatten_with_path(self.errors)[0]
@@ -64,7 +64,7 @@ class Kind:
     _: dataclasses.KW_ONLY
     indices: int = 1
     stock: Sequence[int] | None = None
-    population: Any = None
+    population: PyTree = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "parts", tuple(self.parts))
@@ -92,14 +92,14 @@ class Kind:
         return np.ones(len(self.parts), int) if self.stock is None else np.array(self.stock, int)
 
 
-def _whole(number: Any) -> int:
+def _whole(number: SupportsIndex) -> int:
     try:
         return operator.index(number)
     except TypeError:
         return -1
 
 
-def at_path(structure: object, path: Path, absent: object) -> Any:
+def at_path(structure: object, path: Path, absent: object) -> PyTree:
     """Entry of a structure for a leaf of another structure: the leaf at its path, or the leaf above.
 
     Args:
@@ -145,7 +145,7 @@ class Known:
     pieces: np.ndarray
     beliefs: tuple[Belief, ...]
     still: frozenset[int]
-    structure: Any
+    structure: PyTree
 
     @property
     def certain(self) -> bool:

@@ -5,13 +5,13 @@ Numbers of one unit on the host; only `Correction.output` and `.input` work insi
 
 import dataclasses
 import math
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import ArrayLike
 
-from rvjax.records import Array, Scalar
+from rvjax.records import PyTree, Scalar
 from rvjax.tolerances import Estimate
 
 BLOCK = 256  # draws at once: their curves stay small
@@ -47,20 +47,20 @@ class Correction:
     sd: np.ndarray
     angle_sd: float
 
-    def output(self, angle: Array | np.ndarray | float) -> Any:
+    def output(self, angle: Scalar) -> PyTree:
         """-Re sum value exp(i k angle), rad at the output.
 
         Args:
             angle: of the output, rad, any shape; of JAX inside jit.
         """
-        library: Any = jnp if isinstance(angle, jax.Array) else np
+        library: PyTree = jnp if isinstance(angle, jax.Array) else np
         dtype = jnp.result_type(float, angle) if isinstance(angle, jax.Array) else np.dtype(float)
         turned = library.asarray(angle, dtype)[..., None] * library.asarray(self.order, dtype)
         cosine, sine = (library.asarray(part, dtype) for part in (self.value.real, self.value.imag))
         found = library.sum(sine * library.sin(turned) - cosine * library.cos(turned), axis=-1)
         return found if isinstance(angle, jax.Array) or np.ndim(found) else float(found)
 
-    def input(self, angle: Array | np.ndarray | float) -> Any:
+    def input(self, angle: Scalar) -> PyTree:
         """Return the same at the input, rad: ratio * output(angle).
 
         Args:
@@ -108,11 +108,11 @@ class Left:
 
 
 def correction(
-    order: Any,
-    value: Any,
+    order: ArrayLike,
+    value: PyTree,
     *,
     ratio: float,
-    sd: Any = 0.0,
+    sd: ArrayLike = 0.0,
     angle_sd: float = 0.0,
     count: int | None = None,
     shrink: bool = True,
@@ -222,7 +222,7 @@ def judged(
     )
 
 
-def _curve(order: Any, value: object) -> tuple[np.ndarray, np.ndarray]:
+def _curve(order: ArrayLike, value: object) -> tuple[np.ndarray, np.ndarray]:
     """Orders as integers and values as complex numbers, in the order given."""
     orders, values = np.asarray(order), np.asarray(value, complex)
     if orders.ndim != 1 or orders.shape != values.shape:
@@ -240,7 +240,7 @@ def _curve(order: Any, value: object) -> tuple[np.ndarray, np.ndarray]:
     return whole, values
 
 
-def residual(correction: Correction, order: Any, value: object, *, shift: float = 0.0) -> Residual:
+def residual(correction: Correction, order: ArrayLike, value: object, *, shift: float = 0.0) -> Residual:
     """Compute the residual of a curve if the table is turned by `shift`: v_k - stored_k exp(i k shift).
 
     Args:
@@ -262,7 +262,7 @@ def residual(correction: Correction, order: Any, value: object, *, shift: float 
     return Residual(both, left, float(np.sqrt(np.sum(np.abs(left) ** 2) / 2)))
 
 
-def phase_residual(order: Any, shift: Scalar) -> Any:
+def phase_residual(order: ArrayLike, shift: Scalar) -> np.ndarray:
     """Compute the share of an order's amplitude that remains if its exact correction is turned: 2 |sin(order shift/2)|.
 
     Above 60 degrees of phase it exceeds 1: the correction makes the error worse.

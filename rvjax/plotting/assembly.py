@@ -1,18 +1,17 @@
 """Pictures of matched parts: what matching does to the units, and how much of it the gauge lets through."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 
-from rvjax.plotting.style import AFTER, BEFORE, LIMIT, limit_lines, new_axes, words
+from rvjax.plotting.style import AFTER, BEFORE, LIMIT, Numbers, limit_lines, new_axes, words
 from rvjax.units import readable
 
 
 def units(
-    planned: Any,
-    random: Any,
+    planned: Numbers,
+    random: Numbers,
     *,
     unit: str,
     name: str,
@@ -50,8 +49,8 @@ def units(
 
 def gain_against_gauge(
     sd: Sequence[float],
-    promised: Any,
-    came_true: Any | None = None,
+    promised: Numbers,
+    came_true: Numbers | None = None,
     *,
     chance: float,
     known: float,

@@ -6,13 +6,13 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from rvjax.plotting.style import AFTER, BEFORE, PALETTE, limit_lines, new_axes, words
+from rvjax.plotting.style import AFTER, BEFORE, PALETTE, Numbers, limit_lines, new_axes, words
 from rvjax.tolerances import Estimate
 from rvjax.units import readable
 
 
 def batch_histograms(
-    batches: Mapping[str, Any], *, unit: str, name: str, limits: Sequence[float] = (), axes: Axes | None = None
+    batches: Mapping[str, Numbers], *, unit: str, name: str, limits: Sequence[float] = (), axes: Axes | None = None
 ) -> Axes:
     """Histograms of a response in one or several samples, with its limits.
 
@@ -44,7 +44,7 @@ def batch_histograms(
 
 
 def rejects_against_limit(
-    values: Any,
+    values: Numbers,
     rare: Mapping[float, Estimate],
     *,
     unit: str,

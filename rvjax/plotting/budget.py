@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from rvjax.plotting.style import HATCHES, PALETTE, words
+from rvjax.plotting.style import look, stacked_bars, words
 from rvjax.units import arcsec
 
 
@@ -55,24 +55,15 @@ def error_budget(budget: Budget, *, orders: int = 8) -> Figure:
     unit, size = ("arcsec", arcsec) if budget.unit == "rad" else (budget.unit, 1.0)
     loads = list(budget.torque)
     parts = sorted({*budget.part.values()}, key=lambda part: -sum(budget.shares("part", load)[part] for load in loads))
-    style = {part: (PALETTE[k % len(PALETTE)], HATCHES[k % len(HATCHES)]) for k, part in enumerate(parts)}
+    style = {part: look(k) for k, part in enumerate(parts)}
     figure, (above, below) = plt.subplots(2, 1, figsize=(7.6, 6.8), height_ratios=(1, 1.6))
     rows = np.arange(len(loads), dtype=float)
-    left = np.zeros(len(loads))
-    for part in parts:
-        width = np.array([100 * budget.shares("part", load)[part] for load in loads])
-        colour, hatch = style[part]
-        above.barh(rows, width, left=left, color=colour, hatch=hatch, edgecolor="white", height=0.6, label=words(part))
-        for row, share, start in zip(rows, width, left):
-            if share >= 6:
-                box = dict(facecolor="white", edgecolor="none", pad=1.0, alpha=0.85)
-                above.text(start + share / 2, row, f"{share:.0f}", ha="center", va="center", bbox=box, fontsize=9)
-        left += width
+    widths = {part: np.array([100 * budget.shares("part", load)[part] for load in loads]) for part in parts}
+    stacked_bars(above, rows, widths, style.values(), least=6)
     names = {load: f"{budget.torque[load]:.4g} N m" for load in loads}
     above.set_yticks(rows, [name if load == name else f"{words(load)}\n{name}" for load, name in names.items()])
     above.invert_yaxis()
     above.set(xlabel="share of the variance (%)", xlim=(0, 100), title=f"Error budget: {budget.title}")
-    above.grid(axis="y", visible=False)
     above.legend(loc="upper center", bbox_to_anchor=(0.5, -0.32), ncols=4)
     largest = np.max([budget.total[load] for load in loads], axis=0)[1:]
     shown = np.sort(1 + np.argsort(-largest, kind="stable")[:orders])

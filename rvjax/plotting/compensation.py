@@ -1,17 +1,15 @@
 """Plot of a correction: the curve before and after."""
 
-from typing import Any
-
 import numpy as np
 from matplotlib.axes import Axes
 
 from rvjax.compensation import Correction
-from rvjax.plotting.style import AFTER, BEFORE, new_axes
+from rvjax.plotting.style import AFTER, BEFORE, Numbers, new_axes
 from rvjax.units import arcsec
 
 
 def before_and_after(
-    angle: Any, error: Any, correction: Correction, *, title: str = "", axes: Axes | None = None
+    angle: Numbers, error: Numbers, correction: Correction, *, title: str = "", axes: Axes | None = None
 ) -> Axes:
     """A measured error over the output angle, and what stays of it with the correction.
 

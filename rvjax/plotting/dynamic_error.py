@@ -9,7 +9,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import LogNorm
 
 from rvjax.dynamics import SpeedSweep
-from rvjax.plotting.style import AFTER, LIMIT, PALETTE, new_axes, words
+from rvjax.plotting.style import AFTER, LIMIT, PALETTE, Numbers, new_axes, words
 from rvjax.units import readable, rpm
 
 DECADES = 3  # of amplitude that colours and spectra show below the largest
@@ -17,7 +17,7 @@ DECADES = 3  # of amplitude that colours and spectra show below the largest
 
 def campbell_amplitudes(
     sweep: SpeedSweep,
-    sun_speeds: Any,
+    sun_speeds: Numbers,
     *,
     ratio: float,
     modes: Sequence[float] = (),
@@ -71,7 +71,13 @@ def campbell_amplitudes(
 
 
 def batch_over_speed(
-    output_speed: Any, values: Any, *, unit: str, name: str, limit: float | None = None, axes: Axes | None = None
+    output_speed: Numbers,
+    values: Numbers,
+    *,
+    unit: str,
+    name: str,
+    limit: float | None = None,
+    axes: Axes | None = None,
 ) -> Axes:
     """Spread of a response over a batch of units at every speed: median, 90 % and 99.73 % of the units, the worst.
 
@@ -102,7 +108,7 @@ def batch_over_speed(
 
 
 def _lines(
-    sweep: SpeedSweep, sun_speeds: Any, ratio: float, output: int
+    sweep: SpeedSweep, sun_speeds: Numbers, ratio: float, output: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, str]:
     """Speeds of the output rad/s, orders, amplitudes (speeds, orders) in the unit that is read, and its name."""
     shown, size = readable("rad")

@@ -1,13 +1,12 @@
 """Plots of the dynamic model: natural frequencies, responses, sensitivities, accuracy."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 
 from rvjax.dynamics import Modes, Periodic, Response
-from rvjax.plotting.style import AFTER, BEFORE, DASHES, PALETTE, new_axes, words
+from rvjax.plotting.style import AFTER, BEFORE, DASHES, PALETTE, Numbers, new_axes, words
 from rvjax.units import readable, rpm
 
 KIND_STYLES = {
@@ -21,8 +20,8 @@ KIND_STYLES = {
 
 def campbell(
     found: Modes,
-    speed: Any,
-    mesh_frequency: Any,
+    speed: Numbers,
+    mesh_frequency: Numbers,
     *,
     harmonics: Mapping[int, str],
     highest: float = 2500.0,
@@ -68,7 +67,13 @@ def campbell(
 
 
 def speed_response(
-    mesh_frequency: Any, amplitude: Any, *, harmonics: Sequence[int], unit: str, name: str, axes: Axes | None = None
+    mesh_frequency: Numbers,
+    amplitude: Numbers,
+    *,
+    harmonics: Sequence[int],
+    unit: str,
+    name: str,
+    axes: Axes | None = None,
 ) -> Axes:
     """Amplitudes of harmonics over the mesh frequency.
 
@@ -123,9 +128,9 @@ def one_period(
 
 
 def sensitivity_bars(
-    shares: Mapping[str, Any],
+    shares: Mapping[str, Numbers],
     *,
-    other: Mapping[str, Any] | None = None,
+    other: Mapping[str, Numbers] | None = None,
     labels: tuple[str, str],
     axes: Axes | None = None,
 ) -> Axes:
@@ -157,7 +162,7 @@ def sensitivity_bars(
 
 
 def sensitivity_curves(
-    values: Any, slopes: Mapping[str, Any], *, field: str, unit: str, ylabel: str, axes: Axes | None = None
+    values: Numbers, slopes: Mapping[str, Numbers], *, field: str, unit: str, ylabel: str, axes: Axes | None = None
 ) -> Axes:
     """Magnitude of a sensitivity over the field itself, one curve for each condition.
 
@@ -179,7 +184,7 @@ def sensitivity_curves(
     return axes
 
 
-def spread(values: Any, *, mean: float, sd: float, unit: str, name: str, axes: Axes | None = None) -> Axes:
+def spread(values: Numbers, *, mean: float, sd: float, unit: str, name: str, axes: Axes | None = None) -> Axes:
     """Distribution of a response over random units, and the normal distribution of the first-order prediction.
 
     Args:
@@ -204,7 +209,7 @@ def spread(values: Any, *, mean: float, sd: float, unit: str, name: str, axes: A
 
 
 def error_against_harmonics(
-    harmonics: Mapping[str, Any], errors: Mapping[str, Any], *, axes: Axes | None = None
+    harmonics: Mapping[str, Numbers], errors: Mapping[str, Numbers], *, axes: Axes | None = None
 ) -> Axes:
     """Error of truncated solutions against the exact one over the number of harmonics.
 

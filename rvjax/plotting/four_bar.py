@@ -1,13 +1,12 @@
 """Plots of the crank linkage: its two branches, angles over a link error, the error over a crank turn."""
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 
 from rvjax.four_bar import Closure, Revolution
-from rvjax.plotting.style import DASHES, PALETTE, new_axes
+from rvjax.plotting.style import DASHES, PALETTE, Numbers, new_axes
 from rvjax.units import arcmin, um
 
 
@@ -44,7 +43,7 @@ def linkages(
     return axes
 
 
-def angles_over_error(errors: Any, angles: Mapping[str, Any], *, name: str, axes: Axes | None = None) -> Axes:
+def angles_over_error(errors: Numbers, angles: Mapping[str, Numbers], *, name: str, axes: Axes | None = None) -> Axes:
     """Magnitudes of angles over the error of one link, logarithmic: readings that lie decades apart.
 
     Args:

@@ -1,7 +1,6 @@
 """Plots of the loaded reducer: forces on discs, load sharing, torque-angle curve, transmission error and orders."""
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -10,7 +9,7 @@ from matplotlib.patches import Circle
 from rvjax.designs import RVReducer
 from rvjax.loaded import Loaded, Revolution, Torsion
 from rvjax.plotting.drawings import crank_axes, flank, turned, unit_vector
-from rvjax.plotting.style import AFTER, BEFORE, DASHES, LIMIT, PALETTE, new_axes
+from rvjax.plotting.style import AFTER, BEFORE, DASHES, LIMIT, PALETTE, Numbers, new_axes
 from rvjax.units import arcmin, arcsec, mm
 
 
@@ -82,7 +81,7 @@ def pin_forces(
     return axes
 
 
-def load_sharing(crank_turn: Any, result: Loaded, *, axes: Axes | None = None) -> Axes:
+def load_sharing(crank_turn: Numbers, result: Loaded, *, axes: Axes | None = None) -> Axes:
     """Load of each crank and disc, relative to equal load sharing.
 
     Args:
@@ -105,7 +104,7 @@ def load_sharing(crank_turn: Any, result: Loaded, *, axes: Axes | None = None) -
     return axes
 
 
-def pin_map(crank_turn: Any, result: Loaded, *, disc: int = 0, axes: Axes | None = None) -> Axes:
+def pin_map(crank_turn: Numbers, result: Loaded, *, disc: int = 0, axes: Axes | None = None) -> Axes:
     """Force of every pin on a disc over the turn of the cranks; the load walks round the ring.
 
     Args:
@@ -129,7 +128,9 @@ def pin_map(crank_turn: Any, result: Loaded, *, disc: int = 0, axes: Axes | None
     return axes
 
 
-def torsion_curve(result: Torsion, *, torque: Any = None, angle: Any = None, axes: Axes | None = None) -> Axes:
+def torsion_curve(
+    result: Torsion, *, torque: Numbers | None = None, angle: Numbers | None = None, axes: Axes | None = None
+) -> Axes:
     """Hysteresis curve with backlash, lost motion and stiffness, evaluated as on a test bench.
 
     The load at the output is the opposite of the torque that the discs exert, and turns the output its own way.
@@ -227,10 +228,10 @@ def output_orders(
 
 
 def measured_curve(
-    torque: Any,
-    measured: Any,
-    fitted: Any,
-    curves: Mapping[str, Any],
+    torque: Numbers,
+    measured: Numbers,
+    fitted: Numbers,
+    curves: Mapping[str, Numbers],
     *,
     stiffness: float | None = None,
     axes: Axes | None = None,

@@ -1,16 +1,16 @@
 """Plots of the oscillatory roller stage: the tooth with its undercut limit, and the parametric studies."""
 
 from collections.abc import Mapping
-from typing import Any
 
 import jax
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from rvjax.designs import CamRollerReducer
 from rvjax.mesh_force import CycleStatistics, MeshForces, largest_roller_radius, tooth_profile
-from rvjax.plotting.style import AFTER, BEFORE, LIMIT, PALETTE, new_axes, words
+from rvjax.plotting.style import AFTER, BEFORE, LIMIT, PALETTE, Numbers, new_axes, words
 from rvjax.units import mm, um
 
 
@@ -74,7 +74,7 @@ def roller_forces(units: Mapping[str, MeshForces], *, part: str = "cam", axes: A
 
 def study(
     parameter: str,
-    values: Any,
+    values: Numbers,
     statistics: CycleStatistics,
     *,
     title: str,
@@ -113,9 +113,9 @@ def study(
 
 
 def studies(
-    results: Mapping[str, tuple[str, Any, CycleStatistics]],
+    results: Mapping[str, tuple[str, Numbers, CycleStatistics]],
     printed: Mapping[str, Mapping[str, tuple[float, float]]] | None = None,
-) -> Any:
+) -> Figure:
     """Several parametric studies side by side, three in a row.
 
     Args:

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 from matplotlib.axes import Axes
 
-from rvjax.plotting.style import HATCHES, PALETTE, new_axes, words
+from rvjax.plotting.style import HATCHES, PALETTE, new_axes, stacked_bars
 
 VERDICTS = {
     "reproduced": PALETTE[2],
@@ -27,17 +27,10 @@ def verdicts(statuses: Mapping[str, Iterable[str]], *, axes: Axes | None = None)
     """
     axes = new_axes(axes, (7, 1.5 + 0.5 * len(statuses)))
     counts = {source: Counter(found) for source, found in statuses.items()}
-    rows, left = np.arange(len(counts))[::-1], np.zeros(len(counts))
-    for (verdict, colour), hatch in zip(VERDICTS.items(), HATCHES):
-        width = np.array([found[verdict] for found in counts.values()])
-        axes.barh(rows, width, 0.6, left, color=colour, hatch=hatch, edgecolor="white", label=words(verdict))
-        for row, number, start in zip(rows, width, left):
-            if number:
-                box = dict(facecolor="white", edgecolor="none", pad=1.0, alpha=0.85)
-                axes.text(start + number / 2, row, str(number), ha="center", va="center", fontsize=9, bbox=box)
-        left += width
+    rows = np.arange(len(counts))[::-1]
+    widths = {verdict: np.array([found[verdict] for found in counts.values()]) for verdict in VERDICTS}
+    stacked_bars(axes, rows, widths, zip(VERDICTS.values(), HATCHES), least=1)
     axes.set_yticks(rows, list(counts))
     axes.set(xlabel="published values and statements (number)")
-    axes.grid(axis="y", visible=False)
     axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
     return axes

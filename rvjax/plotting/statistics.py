@@ -6,12 +6,19 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from rvjax.plotting.style import AFTER, BEFORE, HATCHES, LIMIT, PALETTE, limit_lines, new_axes, words
+from rvjax.plotting.style import AFTER, BEFORE, LIMIT, Numbers, limit_lines, look, new_axes, stacked_bars, words
 from rvjax.units import readable
 
 
 def unit_curves(
-    angle: Any, before: Any, after: Any, title: str, unit: str, *, read_in: str | None = None, axes: Axes | None = None
+    angle: Numbers,
+    before: Numbers,
+    after: Numbers,
+    title: str,
+    unit: str,
+    *,
+    read_in: str | None = None,
+    axes: Axes | None = None,
 ) -> Axes:
     """A response of sample units over one cycle, before and after; angles about their own mean.
 
@@ -41,8 +48,8 @@ def unit_curves(
 
 
 def response_histogram(
-    before: Any,
-    after: Any,
+    before: Numbers,
+    after: Numbers,
     *,
     unit: str,
     name: str,
@@ -87,23 +94,11 @@ def variance_shares(shares: Mapping[str, Mapping[str, float]], *, title: str, ax
         axes: where to draw; a new figure by default.
     """
     axes = new_axes(axes)
-    fields = list(next(iter(shares.values())))
-    rows = [float(row) for row in range(len(shares))]
-    left = np.zeros(len(shares))
-    for k, field in enumerate(fields):
-        width = np.array([100 * shares[name][field] for name in shares])
-        colour = PALETTE[k % len(PALETTE)]
-        hatch = HATCHES[(k + k // len(PALETTE)) % len(HATCHES)]  # another pairing in the second round of colours
-        axes.barh(rows, width, left=left, color=colour, hatch=hatch, edgecolor="white", label=words(field), height=0.6)
-        for row, part, start in zip(rows, width, left):
-            if part >= 6:
-                box = dict(facecolor="white", edgecolor="none", pad=1.0, alpha=0.85)
-                middle = start + part / 2
-                axes.text(middle, row, f"{part:.0f}", ha="center", va="center", bbox=box, fontsize=9)
-        left += width
+    fields, rows = next(iter(shares.values())), np.arange(len(shares))
+    widths = {field: np.array([100 * shares[name][field] for name in shares]) for field in fields}
+    stacked_bars(axes, rows, widths, map(look, range(len(widths))), least=6)
     axes.set_yticks(rows, [words(name) for name in shares])
     axes.set(xlabel="share of variance (%)", xlim=(0, 100), title=title)
-    axes.grid(axis="y", visible=False)
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.18), ncols=3)
     return axes
 

@@ -1,6 +1,6 @@
 """Style of all plots: readable in print and with colour-vision deficiency."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -8,6 +8,11 @@ import matplotlib.pyplot as plt
 import numpy as np
 from cycler import cycler
 from matplotlib.axes import Axes
+
+from rvjax.records import Array
+
+Numbers = Array | np.ndarray | Sequence[float]
+"""Numbers to plot, of any library."""
 
 BEFORE, AFTER, LIMIT = "#E69F00", "#0072B2", "#D55E00"
 PALETTE = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#F0E442", "#000000")
@@ -58,6 +63,34 @@ def new_axes(axes: Axes | None = None, size: tuple[float, float] = (7, 4.2)) -> 
         size: width and height of a new figure, inches.
     """
     return plt.subplots(figsize=size)[1] if axes is None else axes
+
+
+def look(k: int) -> tuple[str, str]:
+    """Colour and hatch of part `k`; the second round of colours has other hatches."""
+    return PALETTE[k % len(PALETTE)], HATCHES[(k + k // len(PALETTE)) % len(HATCHES)]
+
+
+def stacked_bars(
+    axes: Axes, rows: np.ndarray, widths: Mapping[str, np.ndarray], looks: Iterable[tuple[str, str]], *, least: float
+) -> None:
+    """Horizontal bars of several parts, with the number of each large part in it.
+
+    Args:
+        axes: where to draw.
+        rows: places of the bars (n,).
+        widths: {part: its width in each bar (n,)}.
+        looks: colour and hatch of each part.
+        least: width from which on a part shows its number.
+    """
+    left = np.zeros(len(rows))
+    for (name, width), (colour, hatch) in zip(widths.items(), looks):
+        axes.barh(rows, width, 0.6, left, color=colour, hatch=hatch, edgecolor="white", label=words(name))
+        for row, size, start in zip(rows, width, left):
+            if size >= least:
+                box = dict(facecolor="white", edgecolor="none", pad=1.0, alpha=0.85)
+                axes.text(start + size / 2, row, f"{size:.0f}", ha="center", va="center", bbox=box, fontsize=9)
+        left = left + width
+    axes.grid(axis="y", visible=False)
 
 
 def limit_lines(axes: Axes, limits: Iterable[float], unit: str, size: float) -> None:

@@ -27,7 +27,9 @@ from rvjax.tolerances.allocation.cost_curve import (
 )
 from rvjax.tolerances.batch.checkpoint import versions as versions
 from rvjax.tolerances.batch.memo import Memo as Memo
-from rvjax.tolerances.batch.monte_carlo import Run as Run, Statistics, monte_carlo
+from rvjax.tolerances.batch.monte_carlo import monte_carlo
+from rvjax.tolerances.batch.run import Run as Run
+from rvjax.tolerances.batch.statistics import Statistics
 from rvjax.tolerances.batch.unit_file import ENDINGS as ENDINGS, UnitFile, joined as joined
 from rvjax.tolerances.codesign.middle import Middle, check_middles as check_middles
 from rvjax.tolerances.codesign.nominal import Nominal

@@ -3,7 +3,6 @@
 import dataclasses
 import math
 from collections.abc import Callable
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -47,13 +46,13 @@ class Moments:
         method: "first order", "second order", or "sampled" where the response has a kink at the mean.
     """
 
-    mean: Any
-    sd: Any
-    cpk: Any
-    yield_: Any
-    contributions: Any
-    sensitivities: Any
-    method: Any
+    mean: PyTree
+    sd: PyTree
+    cpk: PyTree
+    yield_: PyTree
+    contributions: PyTree
+    sensitivities: PyTree
+    method: PyTree
 
 
 def rss(
@@ -102,7 +101,7 @@ def rss(
     return moments
 
 
-def influences(response: Response, tolerances: PyTree) -> tuple[Any, Any]:
+def influences(response: Response, tolerances: PyTree) -> tuple[PyTree, PyTree]:
     """Contributions and sensitivities as `rss` has them, each by name of the response, at the price of gradients alone.
 
     Args:
@@ -217,7 +216,7 @@ class _Propagated:
     total: float | None = None  # variance where it is not the sum of the shares
 
 
-def _figures(item: _Propagated, requirement: Limits | None, law: _Spread) -> dict[str, Any]:
+def _figures(item: _Propagated, requirement: Limits | None, law: _Spread) -> dict[str, PyTree]:
     shared = sum(item.variances.values())
     sd = math.sqrt(max(0.0, shared if item.total is None else item.total))
     limits = requirement if requirement is not None and requirement.of_units else None

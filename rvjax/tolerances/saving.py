@@ -9,13 +9,12 @@ import json
 import math
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import jax
 import numpy as np
 
 from rvjax.files import DAMAGE, pack, unpack, write_atomically
-from rvjax.records import Record
+from rvjax.records import PyTree, Record
 from rvjax.tolerances.batch.checkpoint import versions
 from rvjax.tolerances.batch.unit_file import parquet_frame, parquet_origin
 
@@ -39,7 +38,7 @@ class Origin:
 
     kind: str
     seed: int | None
-    study: Any
+    study: PyTree
     versions: dict[str, str]
 
 
@@ -71,7 +70,7 @@ def save(result: object, path: str | Path, *, study: object = None, seed: int | 
     write_atomically(target, text)
 
 
-def load(path: str | Path) -> Any:
+def load(path: str | Path) -> PyTree:
     """The result that `save` wrote, with arrays as NumPy arrays; of the .parquet that `monte_carlo` wrote a DataFrame.
 
     The frame has a row for each unit, SI; its `attrs` hold units, seed and versions.
@@ -95,7 +94,7 @@ def origin(path: str | Path) -> Origin:
     Raises:
         ValueError: as `load`.
     """
-    about: Any = parquet_origin(Path(path)) if Path(path).suffix == ".parquet" else _read(path)[0]["rvjax"]
+    about: PyTree = parquet_origin(Path(path)) if Path(path).suffix == ".parquet" else _read(path)[0]["rvjax"]
     return Origin(*(about.get(name) for name in ("kind", "seed", "study", "versions")))
 
 
@@ -106,7 +105,7 @@ def _ending(path: str | Path) -> str:
     return ending
 
 
-def _read(path: str | Path) -> tuple[Any, dict[str, np.ndarray]]:
+def _read(path: str | Path) -> tuple[PyTree, dict[str, np.ndarray]]:
     arrays: dict[str, np.ndarray] = {}
     ending, raw = _ending(path), Path(path).read_bytes()
     try:
@@ -122,9 +121,9 @@ def _read(path: str | Path) -> tuple[Any, dict[str, np.ndarray]]:
     return content, arrays
 
 
-def _encode(value: object, arrays: dict[str, np.ndarray] | None) -> Any:
+def _encode(value: object, arrays: dict[str, np.ndarray] | None) -> object:
     """Encode as JSON values; other types are a dict with one key that begins with "$"."""
-    again: Callable[[Any], Any] = lambda item: _encode(item, arrays)  # noqa: E731
+    again: Callable[[object], PyTree] = lambda item: _encode(item, arrays)  # noqa: E731
     if value is None or (isinstance(value, (str, bool, int)) and not isinstance(value, np.generic)):
         return value
     if isinstance(value, float) and not isinstance(value, np.generic):
@@ -153,8 +152,8 @@ def _encode(value: object, arrays: dict[str, np.ndarray] | None) -> Any:
     raise ValueError(f"save: {type(value).__name__} fits no file")
 
 
-def _decode(value: object, arrays: dict[str, np.ndarray]) -> Any:
-    again: Callable[[Any], Any] = lambda item: _decode(item, arrays)  # noqa: E731
+def _decode(value: object, arrays: dict[str, np.ndarray]) -> PyTree:
+    again: Callable[[object], PyTree] = lambda item: _decode(item, arrays)  # noqa: E731
     if isinstance(value, list):
         return [again(item) for item in value]
     if not isinstance(value, dict):
@@ -175,7 +174,7 @@ def _decode(value: object, arrays: dict[str, np.ndarray]) -> Any:
     return {key: again(item) for key, item in value.items()}
 
 
-def _rebuild(name: str, fields: dict[str, Any]) -> Any:
+def _rebuild(name: str, fields: dict[str, PyTree]) -> object:
     known = {cls.__name__: cls for cls in _classes()}
     if name not in known:
         raise ValueError(f"load: this version of rvjax has no result {name!r}")
@@ -184,7 +183,7 @@ def _rebuild(name: str, fields: dict[str, Any]) -> Any:
     if set(fields) != expected:
         different = ", ".join(sorted(set(fields) ^ expected))
         raise ValueError(f"load: {name} has other fields in this version of rvjax: {different}")
-    made: Any = object.__new__(cls)  # as it was saved: nothing is checked or filled in again
+    made: object = object.__new__(cls)  # as it was saved: nothing is checked or filled in again
     for field, value in fields.items():
         object.__setattr__(made, field, value)
     return made

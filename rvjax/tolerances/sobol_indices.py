@@ -4,7 +4,7 @@ import dataclasses
 import itertools
 import math
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING
 
 import jax.numpy as jnp
 import numpy as np
@@ -14,6 +14,9 @@ from rvjax.population import SCRAMBLES, Correlation, Estimate, Population, Sobol
 from rvjax.records import PyTree
 from rvjax.response import Response, respond, response_names, unwrapped
 from rvjax.status import succeeded
+
+if TYPE_CHECKING:
+    from rvjax.frames import DataFrame
 
 _FEWEST = 2 * SCRAMBLES
 
@@ -32,15 +35,15 @@ class SobolIndices:
         seed: of the scrambles.
     """
 
-    first: Any
-    total: Any
+    first: PyTree
+    total: PyTree
     samples: int
     used: int
     failed: int
     evaluations: int
     seed: int
 
-    def to_pandas(self) -> Any:
+    def to_pandas(self) -> "DataFrame":
         """A `pandas.DataFrame`: one row for each field and response, both shares with their errors and intervals."""
         plain = any(isinstance(item, Estimate) for item in self.first.values())
         first, total = ({"response": shares} if plain else shares for shares in (self.first, self.total))

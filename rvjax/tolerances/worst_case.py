@@ -3,7 +3,6 @@
 import dataclasses
 import itertools
 import math
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -33,11 +32,11 @@ class WorstCase:
         failed: looked-at points where the response failed; the range holds for the others.
     """
 
-    lower: Any
-    upper: Any
-    at_lower: Any
-    at_upper: Any
-    failed: Any
+    lower: PyTree
+    upper: PyTree
+    at_lower: PyTree
+    at_upper: PyTree
+    failed: PyTree
 
 
 def worst_case(response: Response, tolerances: PyTree, *, refine: bool = True) -> WorstCase:
@@ -120,7 +119,7 @@ class _Search:
         self.in_disc = np.concatenate([np.zeros(0, bool), *pairs])
         self.failed = 0
 
-    def errors(self, u: np.ndarray) -> Any:
+    def errors(self, u: np.ndarray) -> PyTree:
         """Errors of unit coordinates."""
         return self.population.fill(_unit_errors(self.population, jnp.asarray(u)))
 
@@ -174,7 +173,9 @@ class _Search:
         random = np.random.default_rng(0).uniform(-0.7, 0.7, (_STARTS, n))
         return self.corner(self.look(random, k, sign)[1])
 
-    def by_signs(self, points: Any, values: Any, gradients: Any, k: int, sign: float) -> tuple[Any, Any, Any]:
+    def by_signs(
+        self, points: np.ndarray, values: np.ndarray, gradients: np.ndarray, k: int, sign: float
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Take gradient signs at each corner until no corner improves."""
         for _ in range(_ROUNDS):
             after = self.corner(gradients)

@@ -1,7 +1,6 @@
 """Host side of a Monte Carlo run: moments, histograms and counts of all chunks, in constant memory."""
 
 import math
-from typing import Any
 
 import numpy as np
 
@@ -78,9 +77,9 @@ class Accumulator:
         for name, kept in self.values.items():
             kept[start : start + len(status)][good] = values[name][good]
 
-    def _count(self, hits: np.ndarray, streams: np.ndarray | None) -> Any:
+    def _count(self, hits: np.ndarray, streams: np.ndarray | None) -> np.ndarray | int:
         if streams is None:
-            return np.count_nonzero(hits)
+            return int(np.count_nonzero(hits))
         return np.bincount(streams[hits], minlength=self.streams)
 
     def _fail(self, code: int, units: int, example: int) -> None:

@@ -1,10 +1,14 @@
 """Statistics of a Monte Carlo run, each with its standard error and confidence interval."""
 
 import dataclasses
-from typing import Any
+from typing import TYPE_CHECKING
 
 from rvjax import frames
 from rvjax.population import Estimate
+from rvjax.records import PyTree
+
+if TYPE_CHECKING:
+    from rvjax.frames import DataFrame
 
 
 @dataclasses.dataclass(frozen=True)
@@ -54,32 +58,32 @@ class Statistics:
     failures: dict[str, int]
     examples: dict[str, int]
     worst_index: int | None
-    mean: Any
-    sd: Any
-    quantiles: dict[float, Any]
-    minimum: Any
-    maximum: Any
-    yield_: Any
-    ppm: Any
-    cp: Any
-    cpk: Any
-    cp_estimate: Any
-    cpk_estimate: Any
+    mean: PyTree
+    sd: PyTree
+    quantiles: dict[float, PyTree]
+    minimum: PyTree
+    maximum: PyTree
+    yield_: PyTree
+    ppm: PyTree
+    cp: PyTree
+    cpk: PyTree
+    cp_estimate: PyTree
+    cpk_estimate: PyTree
     joint_yield: Estimate | None
-    verdicts: Any
-    values: Any
+    verdicts: PyTree
+    values: PyTree
     study: dict[str, str]
     versions: dict[str, str]
 
-    def to_pandas(self) -> Any:
+    def to_pandas(self) -> "DataFrame":
         """Return a `pandas.DataFrame`, SI: one row for each response, every estimate with its error and interval."""
         some = isinstance(self.mean, dict)
 
-        def of(item: Any, name: str) -> Any:
+        def of(item: PyTree, name: str) -> PyTree:
             return item[name] if some and item is not None else item
 
-        def row(name: str) -> dict[str, Any]:
-            found = {"response": name, **frames.spread("mean", of(self.mean, name))}
+        def row(name: str) -> dict[str, object]:
+            found: dict[str, object] = {"response": name, **frames.spread("mean", of(self.mean, name))}
             found |= frames.spread("sd", of(self.sd, name))
             found |= {"minimum": of(self.minimum, name), "maximum": of(self.maximum, name)}
             for p, quantile in self.quantiles.items():

@@ -7,7 +7,7 @@ import itertools
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, TextIO
 
 import numpy as np
 
@@ -15,7 +15,14 @@ from rvjax import frames
 from rvjax.columns import elements
 from rvjax.files import check_writable, replacing
 from rvjax.population import Population
+from rvjax.records import PyTree
 from rvjax.status import SUCCESS, Status
+
+if TYPE_CHECKING:
+    from pyarrow import Schema
+    from pyarrow.parquet import ParquetWriter
+
+    from rvjax.frames import DataFrame
 
 ENDINGS = (".csv", ".parquet")
 FORMAT = 1
@@ -82,7 +89,7 @@ class UnitFile:
 
 @contextlib.contextmanager
 def writing(
-    target: UnitFile, path: Path, names: Sequence[str], population: Population, about: Mapping[str, Any]
+    target: UnitFile, path: Path, names: Sequence[str], population: Population, about: Mapping[str, PyTree]
 ) -> Iterator[Write]:
     """A function that adds a chunk; the file is there once the block has ended well, whole or not at all."""
     columns = target.columns(names, population)
@@ -120,12 +127,12 @@ _NAMES = {int(status): status.name for status in Status}
 class _Csv:
     """Numbers as the shortest text that gives all bits back; an empty cell where there is none."""
 
-    def __init__(self, file: Any) -> None:
+    def __init__(self, file: TextIO) -> None:
         self._rows = csv.writer(file, lineterminator="\n")
 
     @classmethod
     @contextlib.contextmanager
-    def begun(cls, path: Path, columns: Mapping[str, str], about: Mapping[str, Any]) -> "Iterator[_Csv]":
+    def begun(cls, path: Path, columns: Mapping[str, str], about: Mapping[str, PyTree]) -> "Iterator[_Csv]":
         with path.open("w", encoding="utf-8", newline="") as file:
             made = cls(file)
             heads = (f"{name} [{unit}]" if unit else name for name, unit in columns.items())
@@ -152,12 +159,12 @@ class _Csv:
 class _Parquet:
     """Each chunk is a row group."""
 
-    def __init__(self, writer: Any, schema: Any) -> None:
+    def __init__(self, writer: "ParquetWriter", schema: "Schema") -> None:
         self._writer, self._schema = writer, schema
 
     @classmethod
     @contextlib.contextmanager
-    def begun(cls, path: Path, columns: Mapping[str, str], about: Mapping[str, Any]) -> "Iterator[_Parquet]":
+    def begun(cls, path: Path, columns: Mapping[str, str], about: Mapping[str, PyTree]) -> "Iterator[_Parquet]":
         import pyarrow
         from pyarrow import parquet
 
@@ -193,7 +200,7 @@ class _Parquet:
 _TABLES: dict[str, type[_Csv] | type[_Parquet]] = {".csv": _Csv, ".parquet": _Parquet}
 
 
-def parquet_origin(path: Path) -> dict[str, Any]:
+def parquet_origin(path: Path) -> dict[str, PyTree]:
     """Read kind, seed, study and versions of a Parquet file of units.
 
     Raises:
@@ -212,7 +219,7 @@ def parquet_origin(path: Path) -> dict[str, Any]:
     return about
 
 
-def parquet_frame(path: Path) -> Any:
+def parquet_frame(path: Path) -> "DataFrame":
     """Return the units of a Parquet file as a `pandas.DataFrame`, SI, indexed by unit; units in `attrs["units"]`.
 
     Raises:

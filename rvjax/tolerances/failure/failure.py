@@ -2,7 +2,6 @@
 
 import dataclasses
 import math
-from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -43,14 +42,14 @@ class FailureProbability:
             "KINKED_POINT" (no slope at the nearest point: the index may be a little too large), "NO_POINT".
     """
 
-    probability: Any
-    reliability_index: Any
-    point: Any
-    evaluations: Any
-    effective_samples: Any
-    points: Any
-    second: Any
-    status: Any
+    probability: PyTree
+    reliability_index: PyTree
+    point: PyTree
+    evaluations: PyTree
+    effective_samples: PyTree
+    points: PyTree
+    second: PyTree
+    status: PyTree
 
 
 def failure_probability(

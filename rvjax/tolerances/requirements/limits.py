@@ -7,12 +7,16 @@ text. Study files find it by the names of its fields.
 
 import dataclasses
 import math
-from typing import Any, ClassVar
+from typing import ClassVar, TypeVar
 
+import jax
 import numpy as np
 from scipy import special
 
 from rvjax.population import Estimate, Sampled, wilson
+from rvjax.records import PyTree
+
+Value = TypeVar("Value", float, np.ndarray, jax.Array)
 
 KINDS: list[type["Limits"]] = []
 """Every kind of requirement."""
@@ -90,7 +94,7 @@ class Limits:
         if math.isinf(self.lower) and math.isinf(self.upper):
             raise ValueError(f"{owner}: needs a lower or an upper limit")
 
-    def margin(self, value: Any) -> Any:
+    def margin(self, value: Value) -> Value:
         """Distance of a value outside the nearer limit, negative inside; floats and arrays of any library."""
         above, below = value - self.upper, self.lower - value
         if math.isinf(self.lower):
@@ -100,7 +104,7 @@ class Limits:
         middle, half = (self.lower + self.upper) / 2, (self.upper - self.lower) / 2
         return abs(value - middle) - half
 
-    def outward(self, value: Any) -> Any:
+    def outward(self, value: np.ndarray | float) -> PyTree:
         """Derivative of the margin to the value, +1 or -1; NumPy arrays."""
         if math.isinf(self.lower) or math.isinf(self.upper):
             return np.full(np.shape(value), 1.0 if math.isinf(self.lower) else -1.0)
