@@ -1,4 +1,4 @@
-"""A Monte Carlo run: units drawn, evaluated and counted chunk by chunk, with its checkpoint and its table of units."""
+"""A Monte Carlo run: units sampled, evaluated and counted chunk by chunk, with its checkpoint and its table of units."""
 
 import contextlib
 import dataclasses
@@ -62,7 +62,7 @@ class Run:
     memo: Memo | None = None
 
     def statistics(self) -> Statistics:
-        """Draw, evaluate and count all units."""
+        """Sample, evaluate and count all units."""
         study = self._described()
         with self._saving(study) as write:
             counted, file, done, kept = self._begun(study)
