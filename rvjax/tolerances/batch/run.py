@@ -1,4 +1,4 @@
-"""A Monte Carlo run: units sampled, evaluated and counted chunk by chunk, with its checkpoint and its table of units."""
+"""A Monte Carlo run: units sampled, evaluated and counted chunk by chunk; its checkpoint and table of units."""
 
 import contextlib
 import dataclasses
