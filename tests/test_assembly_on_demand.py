@@ -53,7 +53,8 @@ def test_the_plan_on_demand_equals_the_plan_of_all_combinations(objective, monke
         else:
             assert best.objective - 1e-12 <= found.objective <= 1.1 * best.objective
             assert found.lower_bound == -math.inf and found.gap == math.inf
-        assert found.status == ("OPTIMAL" if found.gap == 0 else "BOUNDED")
+        bounded = "BOUNDED" if objective == "yield" else "SEARCHED"
+        assert found.status == ("OPTIMAL" if found.gap == 0 else bounded)
         for unit, index, value in zip(found.build, found.index, found.values):
             x = {slot: own.parts[int(unit[slot][1:])].errors for slot, own in kinds.items()}
             assert float(turned(x, index).value) == pytest.approx(value, rel=1e-12)
@@ -101,7 +102,7 @@ def test_failing_units_are_avoided_or_named(few, objective):
     assert found.status == "INFEASIBLE" and len(found.failing) == 1
     kinds["c"] = kind([0.0, 0.1])
     found = plan(turned, kinds, **options)
-    assert found.status in ("BOUNDED", "OPTIMAL") and not found.failing and np.isfinite(found.values).all()
+    assert found.status in ("BOUNDED", "SEARCHED", "OPTIMAL") and not found.failing and np.isfinite(found.values).all()
 
     # With 4.5 and 0 one unit fails; 3 and 1.5 have the larger sum.
     kinds = {slot: kind(values) for slot, values in {"a": [3.0, 0.0], "b": [1.5, 0.0], "c": [0.0, 0.0]}.items()}
@@ -137,3 +138,33 @@ def test_the_number_decides(few):
 
     few.setattr(on_demand, "MOST_VALUED", 300 * 7)
     assert not on_demand.too_many(Few, 7) and on_demand.too_many(Few, 8)
+
+
+def interrupting(monkeypatch, after):
+    """Ctrl-C at this evaluation of prices."""
+    calls, real = itertools.count(), on_demand.OnDemand.look
+
+    def look(self, at):
+        if next(calls) == after:
+            raise KeyboardInterrupt
+        return real(self, at)
+
+    monkeypatch.setattr(on_demand.OnDemand, "look", look)
+
+
+@pytest.mark.parametrize("after", [2, 30])
+def test_an_interrupted_search_keeps_its_best_plan(few, after):
+    kinds = kinds_of(2, (12, 13, 14))
+    interrupting(few, after)
+    found = plan(turned, kinds, keep_best=True)
+    assert found.status == "SEARCHED" and 0 < found.unsearched <= on_demand.STARTS
+    assert (found.unsearched == on_demand.STARTS) == (after == 2)
+    assert len(found.build) == 12 and all(len({unit[slot] for unit in found.build}) == 12 for slot in kinds)
+    whole = plan(turned, kinds, keep_best=True)
+    assert whole.unsearched == 0 and whole.objective <= found.objective
+
+
+def test_an_interruption_passes_where_no_plan_is_kept(few):
+    interrupting(few, 5)
+    with pytest.raises(KeyboardInterrupt):
+        plan(turned, kinds_of(2, (12, 13, 14)))

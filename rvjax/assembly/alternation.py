@@ -1,7 +1,9 @@
 """Plans of many slots: one slot after the other is assigned exactly; a Lagrangian bounds what any plan can reach."""
 
+import contextlib
 import itertools
 from collections.abc import Callable, Iterator
+from contextvars import ContextVar
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -13,6 +15,28 @@ ROUNDS = 150  # of the Lagrangian
 
 Price = Callable[[tuple[np.ndarray, ...]], np.ndarray]
 """Places of the parts of each slot, broadcast against each other -> finite costs of these combinations."""
+
+_UNSEARCHED: ContextVar[list[int] | None] = ContextVar("unsearched", default=None)
+
+
+@contextlib.contextmanager
+def best_so_far(wanted: bool) -> Iterator[list[int]]:
+    """Let an interruption inside end the search with its best plan; yields the counts of random plans left then.
+
+    Args:
+        wanted: False lets it pass as always.
+    """
+    left: list[int] = []
+    token = _UNSEARCHED.set(left if wanted else None)
+    try:
+        yield left
+    finally:
+        _UNSEARCHED.reset(token)
+
+
+def stopped() -> bool:
+    """Return whether the search was interrupted."""
+    return bool(_UNSEARCHED.get())
 
 
 def alternate(cost: np.ndarray, supply: Supply, starts: int, rng: np.random.Generator) -> Build:
@@ -34,26 +58,39 @@ def alternated_by(price: Price, supply: Supply, starts: int, rng: np.random.Gene
     best, least = None, np.inf
     for number in range(starts):
         places = random_plan(supply, rng)
-        total, waiting = price(tuple(places)).sum(), len(places)
-        for slot in itertools.cycle(range(len(places))):
-            left = supply.pieces[slot].copy()
-            for other in supply.slots(supply.group[slot]):
-                if other != slot:
-                    np.subtract.at(left, places[other], 1)
-            pool = copies(left)
-            at = tuple(row[:, None] if k != slot else pool[None] for k, row in enumerate(places))
-            places[slot] = pool[linear_sum_assignment(price(at))[1]]
-            now = price(tuple(places)).sum()
-            waiting, total = (len(places) - 1, now) if now < total - 1e-15 * abs(total) else (waiting - 1, now)
-            if waiting <= 0:
-                break
-        if supply.shared:
-            places, total = _exchange(price, supply, places)
+        left = _UNSEARCHED.get()
+        try:
+            total = _improved(price, supply, places)
+        except KeyboardInterrupt:  # `places` is a complete plan after every step
+            if left is None:
+                raise
+            left.append(starts - number)
+            total = price(tuple(places)).sum()
         if total < least:
             least, best = total, places.copy()
+        if left:
+            break
         detail(f"plan {number + 1} of {starts}")
     assert best is not None  # `starts` is at least 1 and every price is finite
     return [tuple(map(int, unit)) for unit in best.T]
+
+
+def _improved(price: Price, supply: Supply, places: np.ndarray) -> float:
+    """Sum of prices after all slots but one are fixed, that one assigned exactly, in turn; changes `places`."""
+    total, waiting = price(tuple(places)).sum(), len(places)
+    for slot in itertools.cycle(range(len(places))):
+        left = supply.pieces[slot].copy()
+        for other in supply.slots(supply.group[slot]):
+            if other != slot:
+                np.subtract.at(left, places[other], 1)
+        pool = copies(left)
+        at = tuple(row[:, None] if k != slot else pool[None] for k, row in enumerate(places))
+        places[slot] = pool[linear_sum_assignment(price(at))[1]]
+        now = price(tuple(places)).sum()
+        waiting, total = (len(places) - 1, now) if now < total - 1e-15 * abs(total) else (waiting - 1, now)
+        if waiting <= 0:
+            break
+    return _exchanged(price, supply, places) if supply.shared else float(total)
 
 
 def random_plan(supply: Supply, rng: np.random.Generator) -> np.ndarray:
@@ -72,8 +109,8 @@ def random_plan(supply: Supply, rng: np.random.Generator) -> np.ndarray:
     return places
 
 
-def _exchange(price: Price, supply: Supply, places: np.ndarray) -> tuple[np.ndarray, float]:
-    """Exchange parts of one stock between slots of any two units while that lowers the sum."""
+def _exchanged(price: Price, supply: Supply, places: np.ndarray) -> float:
+    """Sum after exchanges of parts of one stock between slots of any two units while they lower it; changes `places`."""
     units = supply.units
     improved = True
     while improved:
@@ -90,9 +127,9 @@ def _exchange(price: Price, supply: Supply, places: np.ndarray) -> tuple[np.ndar
                     gain[i] = now[i] - other[i]
                     j = int(gain.argmax())
                     if gain[j] > 1e-12 * abs(now).max():
-                        places[first, i], places[second, j] = places[second, j], places[first, i]
+                        places[[first, second], [i, j]] = places[[second, first], [j, i]]
                         improved = True
-    return places, float(price(tuple(places)).sum())
+    return float(price(tuple(places)).sum())
 
 
 def lagrangian(cost: np.ndarray, supply: Supply, upper: float) -> float:

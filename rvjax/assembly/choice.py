@@ -14,7 +14,7 @@ from scipy.optimize import Bounds, LinearConstraint, milp
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import maximum_bipartite_matching
 
-from rvjax.assembly.alternation import alternate, lagrangian
+from rvjax.assembly.alternation import alternate, lagrangian, stopped
 from rvjax.assembly.supply import Build, Supply, assigned, copies
 
 EXACT = 20_000
@@ -107,7 +107,7 @@ def least_largest(
     while True:
         worst = max(cost[unit] for unit in build)
         trial = alternate(np.where(allowed, weigh([cost >= worst, cost], supply.units), np.inf), supply, starts, rng)
-        if max(cost[unit] for unit in trial) >= worst:
+        if stopped() or max(cost[unit] for unit in trial) >= worst:
             return Choice(build, float(floor), worst - floor <= CLOSE * abs(worst))
         build = trial
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from rvjax.assembly.alternation import alternated_by, random_plan
+from rvjax.assembly.alternation import alternated_by, random_plan, stopped
 from rvjax.assembly.costs import Machine, best_turn, valued
 from rvjax.assembly.supply import Build, Supply
 from rvjax.tolerances import Requirement
@@ -98,7 +98,7 @@ def chosen_on_demand(
 
     starts = min(starts, STARTS)
     build = alternated_by(price, supply, starts, rng)
-    while objective == "bottleneck":  # each step forbids what is as bad as the worst unit so far
+    while objective == "bottleneck" and not stopped():  # each step forbids what is as bad as the worst unit so far
         worst = found.of(np.array(build))[0].max()
         trial = alternated_by(functools.partial(price, forbidden=worst), supply, starts, rng)
         if not found.of(np.array(trial))[0].max() < worst:

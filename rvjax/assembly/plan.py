@@ -7,6 +7,7 @@ from collections.abc import Hashable, Mapping
 
 import numpy as np
 
+from rvjax.assembly.alternation import best_so_far
 from rvjax.assembly.choice import CLOSE, EXACT, least_largest, least_sum
 from rvjax.assembly.costs import Costs, Machine, UnitResponse, costs, good
 from rvjax.assembly.on_demand import OnDemand, chosen_on_demand, too_many
@@ -35,7 +36,7 @@ class Plan:
         objective: their mean or the largest of them; for "yield" the expected share of good units.
         lower_bound: no plan has a lower objective; for "yield" none has a higher share.
         gap: (objective - bound)/|objective| of the choice, 0 where it is proved optimal, inf without a bound.
-        status: "OPTIMAL", "BOUNDED" or "INFEASIBLE".
+        status: "OPTIMAL", "BOUNDED", "SEARCHED" (no bound exists: better plans are possible) or "INFEASIBLE".
         left_over: pieces that no unit takes: {slot: (id, ...)}.
         random: mean response of all combinations in all positions; those that fail are left out.
         gain: random less the mean response of the plan.
@@ -44,6 +45,7 @@ class Plan:
         failing: units that fail; more than none only where every complete plan has as many.
         valued: combinations of parts that were evaluated for the choice.
         combinations: all of them.
+        unsearched: random plans from which an interrupted search did not begin or end; 0 otherwise.
     """
 
     build: tuple[dict[str, Hashable], ...]
@@ -61,6 +63,7 @@ class Plan:
     failing: tuple[int, ...]
     valued: int = 0
     combinations: int = 0
+    unsearched: int = 0
 
 
 def plan(
@@ -75,6 +78,7 @@ def plan(
     starts: int = 32,
     exact_up_to: int = EXACT,
     confidence: float = 0.95,
+    keep_best: bool = False,
 ) -> Plan:
     """Choose the part and the position of every slot of every unit.
 
@@ -94,6 +98,7 @@ def plan(
         starts: random plans from which the alternation begins.
         exact_up_to: combinations up to which HiGHS proves that no plan is better.
         confidence: of the intervals.
+        keep_best: an interruption (Ctrl-C) of the search ends it with the best plan so far.
 
     Raises:
         ValueError: fewer than two slots, an unknown objective, "yield" without a requirement, counts below 1, parts
@@ -108,12 +113,13 @@ def plan(
     draws, fresh = (1, 1) if certain else (draws, certificate_draws)
     rng, asked = np.random.default_rng([seed % 2**64, 2]), (draws, requirement, objective == "yield")
     found: Costs | OnDemand
-    if too_many(machine, draws):
-        found = OnDemand(machine, draw(slots, seed, 0, draws, alike=True), *asked)
-        build, bound, reached, proved = chosen_on_demand(found, supply, objective, starts, rng)
-    else:
-        found = costs(machine, draw(slots, seed, 0, draws, alike=True), *asked)
-        build, bound, reached, proved = chosen(found, supply, objective, starts, rng, exact_up_to)
+    with best_so_far(keep_best) as unsearched:
+        if too_many(machine, draws):
+            found = OnDemand(machine, draw(slots, seed, 0, draws, alike=True), *asked)
+            build, bound, reached, proved = chosen_on_demand(found, supply, objective, starts, rng)
+        else:
+            found = costs(machine, draw(slots, seed, 0, draws, alike=True), *asked)
+            build, bound, reached, proved = chosen(found, supply, objective, starts, rng, exact_up_to)
     if found.level:  # nothing to choose by: in the given order
         build = _as_they_lie(slots, supply)
     build = _in_order(build, slots)
@@ -143,7 +149,7 @@ def plan(
         objective=float(worst),
         lower_bound=float(bound),
         gap=float(gap),
-        status="INFEASIBLE" if infeasible else "OPTIMAL" if gap <= CLOSE else "BOUNDED",
+        status=_status(infeasible, gap),
         left_over=_left_over(slots, supply, place),
         random=_estimate(random, confidence),
         gain=_estimate(random - own, confidence),
@@ -152,7 +158,14 @@ def plan(
         failing=tuple(map(int, np.flatnonzero(failed))) if infeasible else (),
         valued=found.count,
         combinations=math.prod(machine.shape),
+        unsearched=sum(unsearched),
     )
+
+
+def _status(infeasible: bool, gap: float) -> str:
+    if infeasible or gap <= CLOSE:
+        return "INFEASIBLE" if infeasible else "OPTIMAL"
+    return "BOUNDED" if math.isfinite(gap) else "SEARCHED"
 
 
 def _check(

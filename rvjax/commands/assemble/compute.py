@@ -49,6 +49,7 @@ def compute(asked: Inputs) -> Assembled:
         draws=how.draws,
         certificate_draws=how.certificate_draws,
         seed=study.seed,
+        keep_best=True,
     )
     if plan.status == "INFEASIBLE":
         study.check_nominal()  # the message is clearer if this unit fails too

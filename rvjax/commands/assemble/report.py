@@ -50,7 +50,7 @@ def report(asked: Inputs, found: Assembled) -> Report:
             *figures,
         ),
         status=plan.status,
-        ok=plan.status != "INFEASIBLE",
+        ok=plan.status != "INFEASIBLE" and not plan.unsearched,
         data=about
         | {"requirement": parts.requirement, "prices": found.prices}
         | {f.name: getattr(plan, f.name) for f in dataclasses.fields(plan)},
@@ -64,11 +64,17 @@ def _verdict(study: Study, plan: Plan, name: str) -> list[str]:
         units = (plan.build[k].items() for k in plan.failing)
         failing = "; ".join(", ".join(f"{slot} {part}" for slot, part in unit if slot != REST) for unit in units)
         lines.append(f"Every complete plan has at least {len(plan.failing)} units that fail: {failing}")
+    if plan.unsearched:
+        lines.append(
+            f"Interrupted: the best plan so far. {plan.unsearched} random plans from which the search begins are left."
+        )
     if plan.valued < plan.combinations:
         left = plan.combinations - plan.valued
         lines.append(
             f"The search evaluated {plan.valued:,} combinations of parts; {left:,} others may hold better plans."
         )
+        if plan.status == "SEARCHED":
+            lines.append("No bound exists: how much better other plans can be is unknown.")
     elif plan.status == "BOUNDED":
         lines.append(f"No plan can be better by more than {100 * plan.gap:.3g} % of its objective.")
     return lines
