@@ -110,7 +110,7 @@ def random_plan(supply: Supply, rng: np.random.Generator) -> np.ndarray:
 
 
 def _exchanged(price: Price, supply: Supply, places: np.ndarray) -> float:
-    """Sum after exchanges of parts of one stock between slots of any two units while they lower it; changes `places`."""
+    """Sum after exchanges of parts of one stock between slots of any two units; changes `places`."""
     units = supply.units
     improved = True
     while improved:
