@@ -1,4 +1,4 @@
-"""Numbers that a public function takes: checked before JAX sees them, so that an error names the argument."""
+"""Numbers and counts that public functions take: checked before JAX sees them, so that errors name the argument."""
 
 import functools
 import inspect
@@ -18,18 +18,20 @@ R = TypeVar("R")
 
 
 def checked(function: Callable[P, R]) -> Callable[P, R]:
-    """Check the arguments that a function declares as `Scalar` or as arrays of numbers; tracers pass.
+    """Check the arguments that a function declares as `int`, `Scalar` or arrays of numbers; tracers pass.
 
     A design far from every known reducer gives one `ImplausibleDesign` warning.
 
     Raises:
-        ValueError: where a call gives text, complex numbers, or an array for a `Scalar`; it names the argument.
+        ValueError: where a call gives text, complex numbers, an array for a `Scalar`, or for an `int` anything but a
+            whole number of at least 0; it names the argument.
     """
     parameters = inspect.signature(function).parameters
     kinds = {name: kind for name, p in parameters.items() if (kind := _kind(p.annotation)) is not None}
     where = f"{function.__module__.split('.')[1]}.{function.__name__}"
     place_of_design = list(parameters).index("design") if "design" in parameters else None
     places = tuple((place, name) for place, name in enumerate(parameters) if name in kinds)
+    counts = [(place, name) for place, name in enumerate(parameters) if _is_count(parameters[name].annotation)]
 
     @functools.wraps(function)
     def call(*arguments: P.args, **named: P.kwargs) -> R:
@@ -40,9 +42,21 @@ def checked(function: Callable[P, R]) -> Callable[P, R]:
             value: Any = arguments[place] if place < len(arguments) else named.get(name, 0.0)
             if type(value) is not float and not isinstance(value, jax.core.Tracer):
                 _check(name, value, *kinds[name])
+        for place, name in counts:
+            count: Any = arguments[place] if place < len(arguments) else named.get(name, 0)
+            if count is not None and not (_is_whole(count) and count >= 0):
+                raise ValueError(f"{name} = {_short(count)}: must be a whole number of at least 0")
         return function(*arguments, **named)
 
     return call
+
+
+def _is_count(annotation: object) -> bool:
+    return annotation is int or annotation == int | None
+
+
+def _is_whole(value: object) -> bool:
+    return isinstance(value, (int, np.integer)) and not isinstance(value, bool)
 
 
 def _kind(annotation: object) -> tuple[bool, bool] | None:

@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax.axes import axis_sizes
+from rvjax.choices import unknown
 from rvjax.designs import RVReducer
 from rvjax.errors import RVErrors, described
 from rvjax.records import Array, Scalar
@@ -85,7 +86,7 @@ def mounted_disc(
     shapes = carried(design, "disc")
     for name in errors:
         if name not in shapes:
-            raise ValueError(f"disc_{slot}: {name} is no error of one disc; there are {', '.join(shapes)}")
+            raise unknown(f"disc_{slot}: {name} is no error of one disc", name, shapes, "; there are")
     zc, discs, cranks = design.cycloid.disc_teeth, design.cycloid.disc_count, design.cranks.count
     hand = np.array([-1 if m.over else 1 for m in mountings])
     turn = np.array([m.turn for m in mountings])
@@ -148,7 +149,7 @@ def unit_errors(
             place = _place(slot, number, cranks)
             for name, value in errors.items():
                 if name not in of_crank:
-                    raise ValueError(f"{slot}: {name} is no error of one crank; there are {', '.join(of_crank)}")
+                    raise unknown(f"{slot}: {name} is no error of one crank", name, of_crank, "; there are")
                 by_crank.setdefault(name, {})[place] = jnp.broadcast_to(jnp.asarray(value), of_crank[name])
         else:
             for name, value in errors.items():

@@ -7,6 +7,8 @@ N m, kg, s, Pa); text with units ("3.5 mm") is for study files and reports only.
 import math
 import re
 
+from rvjax.choices import unknown
+
 mm = 1e-3
 um = 1e-6
 deg = math.pi / 180
@@ -78,7 +80,7 @@ def parse(value: object, unit: str) -> float:
         raise ValueError(f"{value!r}: {example}{hint}")
     result, name = float(split[1]), spelling(split[2])
     if name not in units:
-        raise ValueError(f"{value!r}: unit {name!r} is not one of {', '.join(units)}")
+        raise unknown(f"{value!r}: unit {name!r}", name, units, " is not one of")
     if not math.isfinite(result * units[name]):
         raise ValueError(f"{value!r}: must be finite, in {unit} too")
     return result * units[name]

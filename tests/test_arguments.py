@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import test_doors
 
-from rvjax import RVErrors, four_bar, loaded
-from rvjax.catalogue import RV_40E
+from rvjax import RVErrors, dynamics, four_bar, loaded, mesh_force, tolerances
+from rvjax.catalogue import RV_40E, RV_320E
 from rvjax.loaded.cases import MACHINE
 
 LOADED = {
@@ -92,3 +92,32 @@ def test_tracers_and_numbers_of_every_kind_pass():
         assert error(angle).shape == ()
     assert jax.vmap(error)(jnp.arange(3.0)).shape == (3,)
     assert jax.eval_shape(lambda x: four_bar.transmission_error(RV_40E, RVErrors(), crank_angle=x), 1.0)
+
+
+COUNTS = {
+    "four_bar.revolution": ("angles", lambda n: four_bar.revolution(RV_40E, RVErrors(), angles=n)),
+    "loaded.revolution": ("samples", lambda n: loaded.revolution(MACHINE, RVErrors(), output_torque=1.0, samples=n)),
+    "dynamics.response": (
+        "harmonics",
+        lambda n: dynamics.response(RV_320E, sun_speed=1.0, output_torque=1.0, harmonics=n),
+    ),
+    "mesh_force.cycle_angles": ("samples", lambda n: mesh_force.cycle_angles(25, samples=n)),
+    "monte_carlo": ("samples", lambda n: tolerances.monte_carlo(None, None, samples=n, seed=0)),
+    "monte_carlo, chunk": ("chunk", lambda n: tolerances.monte_carlo(None, None, samples=9, seed=0, chunk=n)),
+    "sobol_indices": ("seed", lambda n: tolerances.sobol_indices(None, None, samples=9, seed=n)),
+    "failure_probability": ("samples", lambda n: tolerances.failure_probability(None, None, 0, samples=n, seed=0)),
+    "sample": ("seed", lambda n: tolerances.sample(None, seed=n, indices=0)),
+}
+
+
+@pytest.mark.parametrize("bad", [2.5, "3", -1, True, 1e3, np.array([1, 2])], ids=str)
+@pytest.mark.parametrize("name", COUNTS)
+def test_a_count_that_is_none_is_refused_by_name(name, bad):
+    argument, call = COUNTS[name]
+    with pytest.raises(ValueError, match=rf"^{argument} = .*: must be a whole number of at least 0$") as error:
+        call(bad)
+    assert "\n" not in str(error.value)
+
+
+def test_a_count_of_numpy_passes():
+    assert len(mesh_force.cycle_angles(np.int64(5), samples=np.int32(3))) == len(mesh_force.cycle_angles(5, samples=3))

@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from rvjax import RVErrors, dynamics, four_bar, models, study
+from rvjax import RVErrors, dynamics, four_bar, levels, models, mounting, study, units
 from rvjax.catalogue import RV_40E, RV_320E
 
 STUDY = """
@@ -69,4 +69,33 @@ def test_a_long_wrong_word_is_not_repeated(tmp_path):
 )
 def test_a_wrong_word_in_python(call, near, listed):
     with pytest.raises(ValueError, match=rf"\(did you mean {re.escape(near)}.*{re.escape(listed)}"):
+        call()
+
+
+def _close(**words):
+    return lambda: four_bar.transmission_error(RV_40E, RVErrors(), crank_angle=0.1, **words)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: units.parse("3 mmm", "m"), "'3 mmm': unit 'mmm' (did you mean mm"),
+        (
+            _close(cranks="phase_loked"),
+            "cranks = 'phase_loked' (did you mean phase_locked?): must be one of",
+        ),
+        (_close(branch="opn"), "branch = 'opn' (did you mean open?): must be one of open, crossed"),
+        (_close(closure="newtn"), "branch = 'open': cranks = 'phase_locked' (did you mean newton?) has the closures"),
+        (
+            lambda: mounting.mounted_disc(RV_40E, {"disc_bor": 0.0}, 0, index=0),
+            "disc_0: disc_bor is no error of one disc (did you mean disc_bore",
+        ),
+        (
+            lambda: levels.choose(RV_40E, ("lost_motion",), None, tolerances=None, accuracy={"lost_moton": 1.0}),
+            "accuracy of 'lost_moton': it is not required (did you mean lost_motion?); required are lost_motion",
+        ),
+    ],
+)
+def test_wrong_words_of_every_kind(call, message):
+    with pytest.raises(ValueError, match=re.escape(message)):
         call()

@@ -289,7 +289,7 @@ BAD = [
     (dict(sd=-1e-6), "sd = -1e-06 rad: must be finite, zero or positive"),
     (dict(sd=[1e-6]), "sd: 1 numbers in rad for 2 orders"),
     (dict(ratio=0.0), "ratio = 0.0: must be finite and not 0"),
-    (dict(count=-1), "count = -1: must be zero or positive"),
+    (dict(count=-1), "count = -1: must be a whole number of at least 0"),
 ]
 
 

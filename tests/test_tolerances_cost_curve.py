@@ -163,7 +163,7 @@ def test_curve_against_one_of_two_limits():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (dict(against="cost"), "against = 'cost': must be 'limit' or 'target'"),
+        (dict(against="cost"), "against = 'cost': must be one of limit, target"),
         (dict(of="y"), "there is only one requirement"),
         (dict(values=()), "values: needs at least one"),
     ],

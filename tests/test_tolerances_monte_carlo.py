@@ -322,7 +322,7 @@ def test_a_sampled_preload_passes_where_an_eager_one_is_refused():
         (lambda: sample({"a": "IT6"}, 0, seed=0), "tolerances: a = 'IT6' must be a Tolerance or None"),
         (lambda: sample(STACK["a"], 0, seed=0), "tolerances: must be a record or a dict"),
         (lambda: sample(STACK, -1, seed=0), "index = -1"),
-        (lambda: sample(STACK, 0, seed=1.5), "seed = 1.5: must be an integer"),
+        (lambda: sample(STACK, 0, seed=1.5), "seed = 1.5: must be a whole number"),
         (lambda: sample(STACK, 0, seed=2**70), "seed = 1180591620717411303424: .* at most 64 bits"),
         (lambda: sample(STACK, 0, seed=0, method="latin"), "method = 'latin'"),
         (lambda: monte_carlo(linear, STACK, samples=0, seed=0), "samples = 0: must be at least 1"),

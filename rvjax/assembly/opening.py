@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax.arguments import checked
 from rvjax.assembly.costs import Machine, UnitResponse, costs, good
 from rvjax.assembly.parts import Kind, Part, at_path, known
 from rvjax.assembly.plan import chosen, draw, supply_of
@@ -40,6 +41,7 @@ class Opening:
         return _widen(tolerances, self.factor)
 
 
+@checked
 def opening(
     response: UnitResponse,
     kinds: Mapping[str, Kind],

@@ -7,6 +7,7 @@ from collections.abc import Hashable, Mapping
 
 import numpy as np
 
+from rvjax.arguments import checked
 from rvjax.assembly.alternation import best_so_far
 from rvjax.assembly.choice import CLOSE, EXACT, least_largest, least_sum
 from rvjax.assembly.costs import Costs, Machine, UnitResponse, costs, good
@@ -66,6 +67,7 @@ class Plan:
     unsearched: int = 0
 
 
+@checked
 def plan(
     response: UnitResponse,
     kinds: Mapping[str, Kind],

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
+from rvjax.arguments import checked
 from rvjax.records import PyTree, Scalar
 from rvjax.tolerances import Estimate
 
@@ -107,6 +108,7 @@ class Left:
     before_peak_to_peak: Estimate
 
 
+@checked
 def correction(
     order: ArrayLike,
     value: PyTree,
@@ -149,8 +151,6 @@ def correction(
         raise ValueError(f"angle_sd = {angle_sd!r} rad: must be finite, zero or positive")
     if not (math.isfinite(ratio) and ratio != 0):
         raise ValueError(f"ratio = {ratio!r}: must be finite and not 0")
-    if count is not None and count < 0:
-        raise ValueError(f"count = {count!r}: must be zero or positive")
     gain = kept_cosine(orders, angle_sd) if shrink else np.ones(len(orders))
     saved = saved_by(values, gain * values, orders, angle_sd)
     best = np.argsort(-saved, kind="stable")[: len(saved) if count is None else count]
@@ -274,6 +274,7 @@ def phase_residual(order: ArrayLike, shift: Scalar) -> np.ndarray:
     return 2 * np.abs(np.sin(np.asarray(order) * np.asarray(shift) / 2))
 
 
+@checked
 def predicted(correction: Correction, *, draws: int = 4096, seed: int = 0, confidence: float = 0.95) -> Left:
     """Predict the residual when the unit is measured again, with intervals.
 

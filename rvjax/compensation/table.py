@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 
+from rvjax.arguments import checked
 from rvjax.choices import choose
 from rvjax.compensation.correction import Correction
 
@@ -32,6 +33,7 @@ class Table:
     orders: tuple[int, ...] = ()
 
 
+@checked
 def table(correction: Correction, points: int = 720, *, side: str = "input") -> Table:
     """Sample a correction.
 

@@ -17,6 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax.arguments import checked
 from rvjax.axes import fit
 from rvjax.designs import RVReducer, expect
 from rvjax.dynamics.assembly import Lumped, admitted, circle, loaded, lump
@@ -73,6 +74,7 @@ class Unit(NamedTuple):
     gate: Gate
 
 
+@checked
 def error_excitation(design: RVReducer, errors: RVErrors, *, pin_harmonics: int = 8) -> ErrorExcitation:
     """The errors of one unit as excitation of its springs, order by order.
 

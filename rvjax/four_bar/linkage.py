@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax.arguments import checked
+from rvjax.choices import choose, unknown
 from rvjax.elementary import LARGEST_ANGLE, sin_cos
 from rvjax.four_bar import closures
 from rvjax.records import Array, PyTree, Record, Scalar, concrete, field, promote, quantity, record
@@ -107,14 +108,14 @@ def check_methods(
     """
     if count > 2 and cranks != "phase_locked":
         raise ValueError(f"cranks = {cranks!r}: {count} cranks can only be 'phase_locked'")
-    if (cranks, "open") not in ALLOWED:
-        raise ValueError(f"cranks = {cranks!r}: must be 'phase_locked', 'free' or 'geared'")
-    if branch not in ("open", "crossed"):
-        raise ValueError(f"branch = {branch!r}: must be 'open' or 'crossed'")
+    choose("cranks", cranks, dict.fromkeys(kind for kind, _ in ALLOWED))
+    choose("branch", branch, ("open", "crossed"))
     allowed = ALLOWED.get((cranks, branch), ())
+    if not allowed:
+        raise ValueError(f"branch = {branch!r}: cranks = {cranks!r} has the open branch only")
     if closure not in allowed:
-        offered = f"closures {', '.join(allowed)}" if allowed else "the open branch only"
-        raise ValueError(f"closure = {closure!r}, branch = {branch!r}: cranks = {cranks!r} has {offered}")
+        where = f"closure = {closure!r}, branch = {branch!r}: cranks = {cranks!r}"
+        raise unknown(where, closure, allowed, " has the closures")
     if cranks != "geared" and gear_stiffness_ratio is not None:
         raise ValueError(f"gear_stiffness_ratio: cranks = {cranks!r} has no use for it; it belongs to 'geared'")
     if cranks == "geared" and gear_stiffness_ratio is None:

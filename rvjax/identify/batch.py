@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax.arguments import checked
 from rvjax.identify import fit as fits
 from rvjax.identify.elements import mapped_values
 from rvjax.identify.fit import ADEQUATE, Fit
@@ -67,6 +68,7 @@ class Batch:
         return process(self.problem.elements, self.names, self.factors[np.isfinite(self.u).all(axis=1)])
 
 
+@checked
 def solve_many(
     model: Model,
     prior: PyTree,

@@ -3,6 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax.arguments import checked
 from rvjax.identify.posterior import Posterior
 from rvjax.identify.problem import counted, integer
 from rvjax.identify.sampler import Draws
@@ -12,6 +13,7 @@ from rvjax.status import succeeded
 from rvjax.tolerances import Limits
 
 
+@checked
 def predict(
     posterior: Posterior | Draws,
     response: Response,

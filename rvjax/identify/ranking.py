@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 
 import numpy as np
 
+from rvjax.arguments import checked
 from rvjax.identify.check import slopes_at
 from rvjax.identify.noise import Noise
 from rvjax.identify.posterior import Posterior
@@ -42,6 +43,7 @@ class Ranking:
     proved: bool
 
 
+@checked
 def rank_measurements(
     prior: PyTree,
     candidates: Mapping[str, Model],

@@ -16,6 +16,7 @@ import numpy as np
 from scipy import special
 
 from rvjax import frames
+from rvjax.arguments import checked
 from rvjax.identify.elements import mapped_values
 from rvjax.identify.gauss_newton import half_square, mixed
 from rvjax.identify.posterior import Posterior
@@ -64,6 +65,7 @@ class Draws:
         return arviz.from_dict(posterior=values)
 
 
+@checked
 def sample(posterior: Posterior, *, chains: int = 4, warmup: int = 500, draws: int = 1000, seed: int = 0) -> Draws:
     """Sample a posterior; needs the extra `sampler`.
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from scipy import special
 
+from rvjax.arguments import checked
 from rvjax.identify import fit as fits, laplace as checks
 from rvjax.identify.elements import mapped_values
 from rvjax.identify.fit import ADEQUATE, Fit
@@ -23,6 +24,7 @@ from rvjax.records import PyTree
 from rvjax.status import SolveInfo, Status
 
 
+@checked
 def solve(
     model: Model,
     prior: PyTree,

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from rvjax.choices import unknown
 from rvjax.levels.table import Model, Table, stored
 from rvjax.population import Tolerance
 from rvjax.records import Design, PyTree, Record, Scalar, is_concrete
@@ -70,7 +71,7 @@ def choose(
     """
     for name, value in accuracy.items():
         if name not in outputs:
-            raise ValueError(f"accuracy of {name!r}: it is not required; required are {', '.join(outputs)}")
+            raise unknown(f"accuracy of {name!r}: it is not required", name, outputs, "; required are")
         if not (is_concrete(value) and value > 0):
             raise ValueError(f"accuracy of {name!r} = {value!r}: must be a positive number")
     models = (table or stored()).models.values()

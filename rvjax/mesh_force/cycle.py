@@ -40,6 +40,7 @@ class CycleStatistics(Record):
     info: SolveInfo = field("-", "of the worst angle", kind="record")
 
 
+@checked
 def cycle_angles(gear_teeth: int, *, samples: int = 8, roller_by_roller: bool = False) -> np.ndarray:
     """Output angles of one work cycle, rad: (samples,), or (samples n,) where the rollers differ.
 

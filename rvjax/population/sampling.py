@@ -4,6 +4,7 @@ import dataclasses
 
 import jax.numpy as jnp
 
+from rvjax.arguments import checked
 from rvjax.axes import axis_sizes
 from rvjax.choices import choose, unknown
 from rvjax.population.correlation import Correlation
@@ -56,6 +57,7 @@ def check_method(method: str) -> None:
     choose("method", method, METHODS)
 
 
+@checked
 def sample(
     tolerances: PyTree, index: Scalar, *, seed: int, method: str = "random", correlation: Correlation = None
 ) -> PyTree:

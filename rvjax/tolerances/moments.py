@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax.arguments import checked
 from rvjax.population import Correlation, Population, batch_correlation, drawn, root_key
 from rvjax.records import PyTree
 from rvjax.response import (
@@ -55,6 +56,7 @@ class Moments:
     method: PyTree
 
 
+@checked
 def rss(
     response: Response,
     tolerances: PyTree,

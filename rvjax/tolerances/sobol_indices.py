@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax import frames
+from rvjax.arguments import checked
 from rvjax.population import SCRAMBLES, Correlation, Estimate, Population, SobolPoints, of_groups
 from rvjax.records import PyTree
 from rvjax.response import Response, respond, response_names, unwrapped
@@ -57,6 +58,7 @@ class SobolIndices:
         return frames.tidy(rows, ["field", "response"])
 
 
+@checked
 def sobol_indices(
     response: Response,
     tolerances: PyTree,

@@ -11,6 +11,7 @@ import numpy as np
 from rvjax import columns
 from rvjax.assembly import Kind, Machine, Part, Plan, UnitResponse, draw, known as known_parts, supply_of
 from rvjax.axes import axis_sizes
+from rvjax.choices import unknown
 from rvjax.commands.assemble.inputs import Assembly
 from rvjax.designs import RVReducer
 from rvjax.mounting import carried, disc_mountings, drawing, unit_errors
@@ -252,7 +253,7 @@ def _column(
         raise StudyError(f"{path}: column {column!r}: parts of kind {kind!r} have {', '.join(shapes)}")
     units, unit = KNOWN[study.unit(field)], spelling(unit)
     if unit not in units:
-        raise StudyError(f"{path}: column {column!r}: unit {unit!r} is not one of {', '.join(units)}")
+        raise StudyError(str(unknown(f"{path}: column {column!r}: unit {unit!r}", unit, units, " is not one of")))
     shape = shapes[field]
     if len(place) != len(shape) or any(k >= size for k, size in zip(place, shape)):
         raise StudyError(f"{path}: column {column!r}: {field} of this part has the shape {shape}")

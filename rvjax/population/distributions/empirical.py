@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import ndtr
 
+from rvjax.choices import unknown
 from rvjax.columns import read_table
 from rvjax.population.distribution import Distribution, Moments, bad
 from rvjax.records import IN_ERROR_UNIT, Array, Scalar, concrete, field, is_concrete, record
@@ -82,7 +83,7 @@ class Empirical(Distribution):
             raise ValueError(f"{key}: give file, column and unit as texts, not {', '.join(value)}")
         units = {"-": 1.0} if unit == "-" else KNOWN[unit]
         if "unit" in value and value["unit"] not in units:
-            raise ValueError(f"{key}.unit = {value['unit']!r}: is not one of {', '.join(units)}")
+            raise unknown(f"{key}.unit = {value['unit']!r}", value["unit"], units, ": is not one of")
         column = {name: value[name] for name in ("column", "unit") if name in value}
         try:
             read = read_table(value["file"], {key: column}, units={key: units}).numbers[key]

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax import frames
+from rvjax.arguments import checked
 from rvjax.population import Correlation, Population, Tolerance
 from rvjax.progress import progress_bar
 from rvjax.records import Record
@@ -129,6 +130,7 @@ class Allocation:
         return frames.tidy(rows, ["field"])
 
 
+@checked
 def allocate(
     response: Response | DesignResponse,
     tolerances: Any,

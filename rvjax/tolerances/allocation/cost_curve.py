@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from rvjax.choices import choose
 from rvjax.population import Population
 from rvjax.response import Response
 from rvjax.tolerances.allocation.allocation import Allocation, Solved, allocate, block
@@ -78,8 +79,7 @@ def cost_curve(
     Raises:
         ValueError: no values, an unknown `against` or `of`, or several limits and no `of`.
     """
-    if against not in ("limit", "target"):
-        raise ValueError(f"against = {against!r}: must be 'limit' or 'target'")
+    choose("against", against, ("limit", "target"))
     if not len(values):
         raise ValueError("values: needs at least one")
     _check_of(requirements, against, of)

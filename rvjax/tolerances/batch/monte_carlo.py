@@ -1,9 +1,8 @@
 """Monte Carlo: the distribution of a response over units with random errors, in constant memory."""
 
-import operator
 from pathlib import Path
-from typing import SupportsIndex
 
+from rvjax.arguments import checked
 from rvjax.population import Correlation, Population, check_method, deviate_of
 from rvjax.records import PyTree
 from rvjax.response import Response, by_response, response_names, unwrapped
@@ -15,6 +14,7 @@ from rvjax.tolerances.requirements.kinds import Limits
 __all__ = ["Run", "Statistics", "monte_carlo"]
 
 
+@checked
 def monte_carlo(
     response: Response,
     tolerances: PyTree,
@@ -101,11 +101,7 @@ def monte_carlo(
     return unwrapped(run.statistics())
 
 
-def _positive(name: str, value: SupportsIndex) -> int:
-    try:
-        number = operator.index(value)
-    except TypeError:
-        raise ValueError(f"{name} = {value!r}: must be an integer") from None
-    if number < 1:
-        raise ValueError(f"{name} = {number}: must be at least 1")
-    return number
+def _positive(name: str, value: int) -> int:
+    if value < 1:
+        raise ValueError(f"{name} = {value}: must be at least 1")
+    return int(value)

@@ -6,6 +6,7 @@ import math
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax.arguments import checked
 from rvjax.population import Correlation, Estimate, Population, deviate_of, rare, skewed, student, wilson
 from rvjax.records import PyTree
 from rvjax.response import Response, by_name, by_response, response_names
@@ -52,6 +53,7 @@ class FailureProbability:
     status: PyTree
 
 
+@checked
 def failure_probability(
     response: Response,
     tolerances: PyTree,
