@@ -10,17 +10,18 @@ from typing import Any, ParamSpec, TypeVar
 import jax
 import numpy as np
 
-from rvjax.plausible import doubt_once
 from rvjax.records import Array, Scalar
 
 P = ParamSpec("P")
 R = TypeVar("R")
 
 
-def checked(function: Callable[P, R]) -> Callable[P, R]:
+def checked(function: Callable[P, R], of_design: Callable[[object, str], None] | None = None) -> Callable[P, R]:
     """Check the arguments that a function declares as `int`, `Scalar` or arrays of numbers; tracers pass.
 
-    A design far from every known reducer gives one `ImplausibleDesign` warning.
+    Args:
+        function: public function.
+        of_design: gets its argument `design` and its name.
 
     Raises:
         ValueError: where a call gives text, complex numbers, an array for a `Scalar`, or for an `int` anything but a
@@ -35,9 +36,9 @@ def checked(function: Callable[P, R]) -> Callable[P, R]:
 
     @functools.wraps(function)
     def call(*arguments: P.args, **named: P.kwargs) -> R:
-        if place_of_design is not None:
+        if of_design is not None and place_of_design is not None:
             given = arguments[place_of_design] if place_of_design < len(arguments) else named.get("design")
-            doubt_once(given, where)
+            of_design(given, where)
         for place, name in places:
             value: Any = arguments[place] if place < len(arguments) else named.get(name, 0.0)
             if type(value) is not float and not isinstance(value, jax.core.Tracer):

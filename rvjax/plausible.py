@@ -5,18 +5,21 @@ import functools
 import inspect
 import warnings
 import weakref
-from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterator, Mapping
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 import jax
 import numpy as np
 
-from rvjax import catalogue
+from rvjax import arguments, catalogue
 from rvjax.records import PyTree, Scalar, concrete
 from rvjax.units import suited
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
+
+P = ParamSpec("P")
+R = TypeVar("R")
 
 FAR = 30.0  # factor from every known reducer beyond which a number is doubted
 FAR_INERTIA = 1000.0  # grows with the fifth power of a length: 50 between the sizes 20 and 320
@@ -28,6 +31,11 @@ class ImplausibleDesign(UserWarning):
 
 
 _seen: "dict[int, weakref.ref[object]]" = {}  # designs by identity: records of arrays have no hash
+
+
+def checked(function: Callable[P, R]) -> Callable[P, R]:
+    """Check the arguments of a model as `arguments.checked` does, and doubt its design."""
+    return arguments.checked(function, doubt_once)
 
 
 def doubt_once(design: object, where: str) -> None:

@@ -76,7 +76,7 @@ def test_the_top_level_holds_what_belongs_there():
 def test_statistics_know_no_gears():
     """The package itself is named for its version alone."""
     ground = {"__version__", "axes", "batching", "columns", "compile_cache", "exported", "files", "frames", "progress"}
-    ground |= {"records", "choices", "roots", "status", "units", "population", "response", "tolerances"}
+    ground |= {"arguments", "records", "choices", "roots", "status", "units", "population", "response", "tolerances"}
     for room in ("population", "response", "tolerances", "identify", "assembly", "compensation"):
         for path in (PACKAGE / room).rglob("*.py"):
             below = {"identify"} if room == "compensation" else set()  # orders of a curve

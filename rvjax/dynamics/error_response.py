@@ -12,7 +12,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax.arguments import checked
 from rvjax.choices import choose
 from rvjax.designs import RVReducer
 from rvjax.dynamics.error_balance import balance
@@ -31,6 +30,7 @@ from rvjax.dynamics.line_peaks import factors, largest, lines, place_of_largest
 from rvjax.dynamics.response import METHODS
 from rvjax.elementary import root
 from rvjax.errors import RVErrors
+from rvjax.plausible import checked
 from rvjax.records import Array, Record, Scalar, field, record, text
 from rvjax.status import SolveInfo
 

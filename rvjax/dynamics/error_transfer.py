@@ -12,7 +12,6 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rvjax.arguments import checked
 from rvjax.choices import unknown
 from rvjax.designs import RVReducer
 from rvjax.dynamics.assembly import Lumped, admitted, loaded
@@ -20,6 +19,7 @@ from rvjax.dynamics.error_excitation import Orders, Unit, symmetric
 from rvjax.dynamics.modal import dynamic_stiffness, matrix_root, modal_sectors, modal_solve, on_resonance, residual
 from rvjax.dynamics.static import MeanState, linear_ratio, mean_state, mesh_rows
 from rvjax.dynamics.symmetry import sector_mass
+from rvjax.plausible import checked
 from rvjax.records import Array, PyTree, Scalar
 from rvjax.status import SolveInfo, Status, converged
 

@@ -6,7 +6,6 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 
-from rvjax.arguments import checked
 from rvjax.choices import choose
 from rvjax.designs import RVReducer
 from rvjax.dynamics.assembly import Lumped, admitted, lump
@@ -16,6 +15,7 @@ from rvjax.dynamics.harmonic_balance import solve_cyclic, solve_mesh
 from rvjax.dynamics.harmonics import OUTPUTS, output_indices
 from rvjax.dynamics.static import Torques, balancing_torque
 from rvjax.dynamics.symmetry import is_symmetric
+from rvjax.plausible import checked
 from rvjax.records import Array, Record, Scalar, field, record, text
 from rvjax.status import SolveInfo, Status, converged
 

@@ -6,12 +6,12 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 
-from rvjax.arguments import checked
 from rvjax.choices import choose
 from rvjax.designs import RVReducer
 from rvjax.dynamics.assembly import Lumped
 from rvjax.dynamics.harmonics import OUTPUTS
 from rvjax.dynamics.response import constant_forcing, response
+from rvjax.plausible import checked
 from rvjax.records import Array, PyTree, Scalar, promote
 
 FORMULAS = {"total": response, "constant_forcing": constant_forcing}

@@ -8,7 +8,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax.arguments import checked
 from rvjax.choices import unknown
 from rvjax.designs import RVReducer, expect
 from rvjax.elementary import arctan2, divide
@@ -19,6 +18,7 @@ from rvjax.four_bar.linkage import check_methods
 from rvjax.four_bar.reducer import TransmissionError, error_at
 from rvjax.four_bar.turn import Score, Wave, largest_and_smallest
 from rvjax.four_bar.unit import Unit, Vector, is_loaded, take_apart
+from rvjax.plausible import checked
 from rvjax.records import Array, PyTree, Record, Scalar, field, record
 from rvjax.status import SolveInfo, Status, at_once, worst_of
 

@@ -8,9 +8,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax.arguments import checked
 from rvjax.designs import Contact, CycloidStage, InvoluteStage, RVReducer, expect
 from rvjax.geometry.flank import curvature, least_convex_radius, relative_radius
+from rvjax.plausible import checked
 from rvjax.records import Array, PyTree, Record, Scalar, field, promote, record
 from rvjax.status import SolveInfo, Status, admit
 

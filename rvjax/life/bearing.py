@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax import status
-from rvjax.arguments import checked
 from rvjax.bearings import RollerBearing
 from rvjax.choices import choose
 from rvjax.compile_cache import quick
@@ -15,6 +14,7 @@ from rvjax.designs import expect
 from rvjax.life.histories import METHODS, Damage, basic, magnitude, raceway
 from rvjax.life.ratings import Ratings, harmless, ratings, unfit
 from rvjax.life.slices import laminae, slices
+from rvjax.plausible import checked
 from rvjax.records import Array, Record, Scalar, concrete, field, promote, quantity, record
 from rvjax.status import SolveInfo, Status, succeeded
 

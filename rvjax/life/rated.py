@@ -7,7 +7,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax.arguments import checked
 from rvjax.compile_cache import quick
 from rvjax.designs import RVReducer, expect
 from rvjax.errors import RVErrors
@@ -16,6 +15,7 @@ from rvjax.life.machine import Plan, check_plan, damages, input_angles, judge, r
 from rvjax.life.ratings import ratings
 from rvjax.life.search import largest_root
 from rvjax.loaded import Read, admit, bearing_forces
+from rvjax.plausible import checked
 from rvjax.records import Record, Scalar, concrete, field, promote, quantity, record
 from rvjax.status import Gate, SolveInfo, Status, succeeded, worst
 

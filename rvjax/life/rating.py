@@ -5,7 +5,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from rvjax.arguments import checked
 from rvjax.compile_cache import quick
 from rvjax.designs import RVReducer, expect
 from rvjax.errors import RVErrors
@@ -13,6 +12,7 @@ from rvjax.life.bearing import inverse
 from rvjax.life.duty import Duty, check_phases, revolutions
 from rvjax.life.machine import Plan, check_plan, damages, input_angles, judge, reliability_factor
 from rvjax.loaded import admit, bearing_forces
+from rvjax.plausible import checked
 from rvjax.records import Record, Scalar, field, promote, record
 from rvjax.status import SolveInfo, Status, succeeded, worst
 

@@ -7,7 +7,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax.arguments import checked
 from rvjax.compile_cache import ONCE, quick
 from rvjax.designs import RVReducer
 from rvjax.errors import RVErrors
@@ -17,6 +16,7 @@ from rvjax.loaded.geometry import geometry
 from rvjax.loaded.inputs import Read, admit, check_input, mesh_stiffness, pin_compliance
 from rvjax.loaded.newton import Found
 from rvjax.loaded.system import Layout, System, bearing_rows, directions, gear_rows
+from rvjax.plausible import checked
 from rvjax.records import Array, Record, Scalar, field, record
 from rvjax.status import SolveInfo, Status, succeeded
 

@@ -6,7 +6,6 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rvjax.arguments import checked
 from rvjax.compile_cache import quick
 from rvjax.designs import RVReducer
 from rvjax.errors import RVErrors
@@ -15,6 +14,7 @@ from rvjax.loaded.equilibrium import Case, judge, placed, prepare, pressures
 from rvjax.loaded.inputs import Read, admit, check_input
 from rvjax.loaded.newton import Found
 from rvjax.loaded.system import Layout
+from rvjax.plausible import checked
 from rvjax.records import Array, Record, Scalar, field, record
 from rvjax.status import SolveInfo, succeeded, worst_of
 

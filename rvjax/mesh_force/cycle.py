@@ -14,12 +14,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax.arguments import checked
 from rvjax.designs import CamRollerReducer, expect
 from rvjax.errors import CamRollerErrors
 from rvjax.mesh_force import geometry
 from rvjax.mesh_force.equilibrium import MeshForces, solve
 from rvjax.mesh_force.loads import contact_pressure
+from rvjax.plausible import checked
 from rvjax.records import Array, Record, Scalar, field, promote, record
 from rvjax.status import SolveInfo, worst_of
 

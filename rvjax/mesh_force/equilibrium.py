@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import DTypeLike
 
-from rvjax.arguments import checked
 from rvjax.choices import choose
 from rvjax.designs import CamRollerReducer, expect
 from rvjax.elementary import LARGEST_ANGLE
@@ -16,6 +15,7 @@ from rvjax.errors import CamRollerErrors
 from rvjax.mesh_force import geometry, laws, line_contact
 from rvjax.mesh_force.batch import attach, equilibrium
 from rvjax.mesh_force.case import all_rollers, take_apart
+from rvjax.plausible import checked
 from rvjax.records import Array, Record, Scalar, field, promote, record, signs_hold
 from rvjax.status import SolveInfo, Status, admit, converged, window
 

@@ -3,10 +3,10 @@
 import jax
 import jax.numpy as jnp
 
-from rvjax.arguments import checked
 from rvjax.designs import CamRollerReducer, expect
 from rvjax.mesh_force import geometry, line_contact
 from rvjax.mesh_force.equilibrium import MeshForces
+from rvjax.plausible import checked
 from rvjax.records import Array, Record, Scalar, field, promote, record
 
 
