@@ -1,12 +1,12 @@
 """Allocation by gradients and by derivative-free optimisers: units evaluated until the cheapest tolerances are found.
 
-First the closed form: linear responses, whose optimum is known. Then two races, the RV-40E study with its five fields
-and a linear response with forty. All optimisers minimise the same cost under the same sampled constraints (the same
+First linear responses, with an optimum in closed form. Then two races, the RV-40E study with its five fields and a
+linear response with forty. All optimisers minimise the same cost under the same sampled constraints (the same
 units, the same quantiles), from the same start, in logarithms of the half-widths. One look costs `samples` units; a
 unit's value with its gradient counts as three. An optimiser has arrived when its best tolerances so far cost at most
 1 % more than the optimum, with no requirement violated by more than 0.2 % of the way from the nominal response to the
-limit. The optimum is the cheapest such set any of them found; most of them do not know that they have arrived, so the
-units until each stops by itself stand beside.
+limit. The optimum is the cheapest such set of all optimisers. Most of them cannot detect that they have arrived: the
+table also has the units until each of them stops.
 """
 
 import math

@@ -5,10 +5,10 @@
 
 gauge: 24 crankshafts in pairs, 30 measured sets for every measurement uncertainty: what plans promise, and what comes
 true with the true errors of the same parts; and the promise of plans that take the measured values for true.
-levers: the loaded machine with assumed tolerances, exact measurements: good units of random assembly, of discs turned
+levers: the loaded reducer with assumed tolerances, exact measurements: good units of random assembly, of discs turned
 over as they come, of discs turned over and paired, and with classes of bearings besides. The limit is the mean of
 random assembly of the first set. times: 200 x 200 discs in 4 positions, compilation included; they mean nothing on a
-busy machine. Figures are kept in `benchmarks/assembly.json`.
+busy computer. Figures are kept in `benchmarks/assembly.json`.
 """
 
 import argparse
@@ -40,7 +40,7 @@ DESIGN = catalogue.RV_40E.replace(
 )
 CENTRE, PITCH, PROFILE, BORE = 3 * um, 1 * um, 0.5 * um, 2 * um  # standard deviations of one disc
 CLASSES = np.array([2, 4, 6, 8]) * um  # of bearing clearance
-SETS, SAMPLES = 30, 8  # samples: input angles over one crank turn of the loaded machine
+SETS, SAMPLES = 30, 8  # samples: input angles over one crank turn of the loaded reducer
 
 
 def unloaded(parts, index):
@@ -163,7 +163,7 @@ def levers(count=10, sets=8):
 
 def times(count):
     """Seconds of a plan of count x count discs in 4 positions, compilation included."""
-    found = {"parts": count, "angles of the loaded machine": SAMPLES}
+    found = {"parts": count, "angles of the loaded reducer": SAMPLES}
     for name, response in (("four_bar", seated), ("loaded", whole)):
         rng = np.random.default_rng(0)
         given = {"disc_0": discs(rng, count), "disc_1": discs(rng, count)}

@@ -31,7 +31,7 @@ PROBE = 1e-3 * RATED
 MEDIAN = {
     "clearance": (3 * um, 0.7),  # radial, of the crank bearings
     "modification": (2 * um, 1.0),  # equidistant: play of the pins
-    "scatter": (2 * um, 0.7),  # standard deviation of the drawn pattern of pins, teeth and journals
+    "scatter": (2 * um, 0.7),  # standard deviation of the sampled pattern of pins, teeth and journals
     "stiffness": (0.7, 0.5),  # factor on all springs
 }
 """Median of each number, and standard deviation of its logarithm; assumed, as all of `MACHINE` is."""
@@ -112,7 +112,7 @@ class Surface(Record):
     """
 
     coefficients: Any = field("rad", "of every term, at each torque", shape=("terms", "torques"))
-    centre: Any = field("-", "of the drawn u", shape=("numbers",))
+    centre: Any = field("-", "of the sampled u", shape=("numbers",))
     scale: Any = field("-", "of the same", shape=("numbers",))
 
     def __call__(self, values: Mapping[str, Any]) -> dict[str, Any]:

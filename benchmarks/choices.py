@@ -1,9 +1,9 @@
 """Does the level that `scene.choose` takes keep the accuracy it promises? Held-out random scenes.
 
 A scene is a random output, design (within the measured spread), torque, size of every tolerance by itself, and
-accuracy over five decades. Its units are drawn afresh; the truth is computed with twice the angles of the exact level
-in float64. Programs are compiled once for each level; designs and torques are arguments. The whole machine is left out,
-a unit takes it milliseconds: `tests/test_levels_loaded.py` has scenes of its own in the long profile.
+accuracy over five decades. Its units are new samples; the truth is computed with twice the angles of the exact level
+in float64. Programs are compiled once for each level; designs and torques are arguments. The whole reducer is excluded,
+because a unit takes milliseconds: `tests/test_levels_loaded.py` has scenes of its own in the long profile.
 """
 
 import argparse

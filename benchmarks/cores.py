@@ -1,4 +1,4 @@
-"""Models whose batches are loops over blocks, on all cores: a device of JAX for each, beside C and Numba with threads.
+"""Models whose batches are loops over blocks, on all cores: a device of JAX for each, next to C and Numba with threads.
 
 `jax.shard_map` gives each device its part of the batch, as `rvjax montecarlo` does. Mesh forces (hertz) as in
 `mesh_force`, peaks of lines over 40 speeds as in `dynamic_error`; results are compared before anything is timed.

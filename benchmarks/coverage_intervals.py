@@ -55,7 +55,7 @@ class Law:
 
 
 def _of_sum(function, law, inverse):
-    """A law of s = (a + b)/sqrt 2, which is independent of (a - b)/sqrt 2."""
+    """Distribution of s = (a + b)/sqrt 2, which is independent of (a - b)/sqrt 2."""
     return Law(lambda a, b: function((a + b) / ROOT), law, lambda u, d: inverse(u))
 
 

@@ -1,7 +1,7 @@
 """Dynamic transmission error of a batch: peak of every line over 40 speeds, units x 40 speeds x 3 orders.
 
-The joint of the embedded study, 36 errors a unit, orders 40, 78 and 80 per output turn. rvjax goes through the public
-door, `jax.vmap(speed_sweep)` over errors, in chunks, its transfer included. NumPy and C (gcc -O3 -march=native
+The joint of the embedded study, 36 errors a unit, orders 40, 78 and 80 per output turn. rvjax uses the public
+function, `jax.vmap(speed_sweep)` over errors, in chunks, with its transfer. NumPy and C (gcc -O3 -march=native
 -ffast-math, on one thread and on all) are given the sensitivities and the transfer and do what is left, the same
 algorithm: excitation of every order from the errors, lines at every speed from the excitation, the largest of each.
 """
@@ -78,8 +78,8 @@ def peaks(design, chunks):
 
 
 def contenders(units: int) -> tuple[dict, tuple]:
-    """What runs, by name, returning the peaks (units, orders) of the same random errors, and what ours compiled to; and
-    the arguments of `peaks`."""
+    """Contenders by name: each returns the peaks (units, orders) of the same random errors. Also the compiled program
+    of the library, and the arguments of `peaks`."""
     design, given, speeds = asked()
     errors = int(sum(np.prod(shape) for shape in SHAPES.values()))
     x = 1e-6 * np.random.default_rng(0).normal(size=(units, errors))

@@ -1,4 +1,4 @@
-"""Does `rvjax.elementary` still pay on the installed JAX? Each function beside that of JAX, float64, one element each.
+"""Does `rvjax.elementary` still pay on the installed JAX? Each function next to that of JAX, float64, one element each.
 
 Each is used as in the models: its result feeds arithmetic that uses it twice. Run on one core (`taskset -c 0`).
 """

@@ -29,7 +29,7 @@ KEPT = Path(__file__).with_suffix(".json")
 ALARM = 0.01
 """Share of good units that may be called broken."""
 SIZES = (3.0, 6.0, 9.0, 12.0)
-"""How far the journal of a broken unit is off, in standard deviations of the drawing."""
+"""Error of the journal of a broken unit, in standard deviations of the drawing."""
 NOISE = 0.2 * arcsec
 
 
@@ -139,7 +139,7 @@ def main() -> None:
     figures["status"] = {
         str(s): int(n) for s, n in zip(*np.unique(np.asarray(found.status).astype(str), return_counts=True))
     }
-    figures["numbers judged"] = float(np.mean(np.asarray(found.fit.dof_prior)))
+    figures["numbers evaluated"] = float(np.mean(np.asarray(found.fit.dof_prior)))
     figures["alarms"] = {"0": float(np.mean(alarms(found)))}
     figures["due"] = {"0": due(0.0)}
     for size in SIZES:

@@ -1,9 +1,9 @@
 """Peak-to-peak transmission error of RV-40E units over one crank turn of 64 angles, phase-locked, unloaded.
 
-A million freshly drawn units run through `monte_carlo` in chunks. A chunk of units, alternating in one process,
+A million newly sampled units run through `monte_carlo` in chunks. A chunk of units, alternating in one process,
 runs through the library's bare kernel and through what one would write without it: C (gcc -O3 -march=native
 -ffast-math; the same polynomial, and the extreme tangents, of all angles and, with the library's shortcut, of those
-beside the crest), NumPy vectorised in chunks, and a
+next to the crest), NumPy vectorised in chunks, and a
 loop over `scipy.optimize.brentq` for each unit, angle and disc. The results are compared first. Run on one core
 (`taskset -c 0`) for the ratio to C.
 """
@@ -37,8 +37,8 @@ C_SOURCE = r"""
 #include <math.h>
 #define N 512
 static void block(const double *restrict x, long stride, int angles, const double *cosine, const double *sine,
-                  double *restrict out, int beside)
-{   /* x[j * stride + u]: number j of unit u; N units at once, the angle loop outside; beside: of the crest alone */
+                  double *restrict out, int crest)
+{   /* x[j * stride + u]: number j of unit u; N units at once, the angle loop outside; crest: angles next to it alone */
     const double R = 36e-3, E = 1.3e-3;
     double g[2][4][N], top[N], low[N];
     for (int k = 0; k < 2; k++)
@@ -83,7 +83,7 @@ static void block(const double *restrict x, long stride, int angles, const doubl
         g[1][1][u] = -A * Q - B * P;
     }
     int open = 0;
-    if (beside) {
+    if (crest) {
         double step = 6.283185307179586 / angles, reach = sin(step);
         int last = angles - 1;   /* angles a power of two */
         for (int u = 0; u < N; u++) {   /* first harmonic Im(a1 / a0 z) */
@@ -215,7 +215,7 @@ def root_loop(x):
 
 
 def million_units():
-    """Statistics of freshly drawn units, chunk by chunk: time and the growth of the process's memory."""
+    """Statistics of newly sampled units, chunk by chunk: time and the growth of the process's memory."""
     tolerances = for_design(
         catalogue.RV_40E,
         crank_eccentricity=Tolerance.symmetric(6.5 * um),

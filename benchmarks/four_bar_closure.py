@@ -1,6 +1,6 @@
 """One linkage at one crank angle, phase-locked, closed form: coupler angle of a batch and its gradient.
 
-Beside the library, alternating in one process: C (gcc -O3 -march=native -ffast-math, sine, cosine and inverse tangent
+In one process with the library, in turn: C (gcc -O3 -march=native -ffast-math, sine, cosine and inverse tangent
 as branch-free polynomials, for library calls would not vectorise) and NumPy. The results are compared first. Run on
 one core (`taskset -c 0`) for the ratio to C.
 """

@@ -20,7 +20,7 @@ OTHERS = re.compile(
     r"|COBY\w+|Nelder-Mead|Powell|differential evolution)\b",
     re.IGNORECASE,
 )
-# Largest over smallest of a figure when a script runs again on an idle machine: assumed, and replaced where several
+# Largest over smallest of a figure when a script runs again on an idle computer: assumed, and replaced where several
 # runs (`--repeat`) scattered more. Of two entries the factors multiply, for each may lie at either end of its own.
 SCATTER = {"ratio": 1.1, "time": 1.2, "memory": 1.05}
 
@@ -79,7 +79,7 @@ def together(runs: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def kind(figure: str) -> tuple[str, bool] | None:
-    """What a figure is and whether less of it is faster; None if it is no speed of ours."""
+    """Kind of a statistic, and true if less of it is faster; None if it is no speed of the library."""
     words = figure.replace("_", " ")
     if re.search(r"error|cost|accuracy|optimum", words):
         return None

@@ -107,7 +107,7 @@ def main():
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
             row(f"{signal.Signals(number).name} and go on", *interrupted(folder, number))
         figures, code, notes = ended(start(folder / "full", full=True))
-        row("no room for the checkpoint", figures, f"ended with {code}; {' '.join(notes)[:150]}")
+        row("no space for the checkpoint", figures, f"ended with {code}; {' '.join(notes)[:150]}")
         figures, code, notes = ended(start(Path("/proc/no/checkpoint")))
         row("a place that takes no files", figures, f"ended with {code}; {' '.join(notes)[-110:]}")
     for count in (2, 3, 4):

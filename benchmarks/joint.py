@@ -1,7 +1,7 @@
 """Tolerances of the embedded joint against standstill, against the worst speed, and against both at once.
 
-    python -m benchmarks.joint           the table of docs/models/dynamic_error.md, printed and put there
-    python -m benchmarks.joint --print   only printed
+    python -m benchmarks.joint           print the table of docs/models/dynamic_error.md and put it there
+    python -m benchmarks.joint --print   only print it
 
 No speeds are measured. The shares are quantiles of units that the allocation has not seen.
 """
@@ -44,7 +44,7 @@ def rows() -> list[list[str]]:
             shown, size = readable(question.output(name).unit)
             reached.append(f"{np.quantile(units.values[name], 0.9973) / size:.2f} {shown}")
         found.append([label, f"{float(best.cost):.2f}", *widths, *reached])
-    heads = ["asked for", "cost", *(f"`{name}`" for name in question.fields), "99.73 % at standstill", "at worst speed"]
+    heads = ["required", "cost", *(f"`{name}`" for name in question.fields), "99.73 % at standstill", "at worst speed"]
     return [heads, ["---"] + ["---:"] * (len(heads) - 1), *found]
 
 

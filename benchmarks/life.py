@@ -1,8 +1,8 @@
-"""Bearing life of RV-40E units: the damage integral of 8 bearings, and the whole rating beside a revolution.
+"""Bearing life of RV-40E units: the damage integral of 8 bearings, and the whole rating next to a revolution.
 
 The damage of 48 forces by size (`basic`) and by point of both rings (`raceway`, 48 each) runs in the library, in C (gcc
 -O3 -march=native -ffast-math, one thread) and in SciPy (a quadrature over the ring for each bearing); all are compared
-before anything is timed. `taskset -c 0` for the ratio on one core. The rating stands next to a crank turn of as many
+before anything is timed. `taskset -c 0` for the ratio on one core. The rating is compared with a crank turn of as many
 angles, in which every equilibrium starts from those before.
 """
 

@@ -1,6 +1,6 @@
-// The loaded RV-40E in C: lanes are units, one vector of them at a time; pins enter by nine sums a disc, discs are eliminated
+// The loaded RV-40E in C: the elements of a vector are units, one vector at a time; pins enter by nine sums a disc, discs are eliminated
 // before carrier and cranks; three logarithms a Hertz pin, by polynomial, one of them rough. Units that twelve Newton steps
-// leave are packed anew and go on with best points and line searches. AT_... are the rows of the errors, defined by
+// leave are packed again and go on with best points and line searches. AT_... are the rows of the errors, defined by
 // loaded_others.py.
 #include <math.h>
 #include <stdlib.h>
@@ -292,7 +292,7 @@ static inline I settled(const Design *s, const Pack *p, const Q *q, const Q *G, 
     EACH(n) g = vmax(g, vabs(((V *)G)[n])), size = vmax(size, vabs(((V *)q)[n]));
     return g <= vmax(1e-13 * top, 4e-16 * s->kh * size);
 }
-/* Newton from q; lanes that `limit` steps leave stay 0 in the result. Lanes that are done stand still. */
+/* Newton from q; elements that `limit` steps leave stay 0 in the result. Finished elements do not move. */
 static inline __attribute__((always_inline)) I newton(
     const Design *s, const Angle *o, const Pack *p, Q *q, int hertz, int limit, double *pins, long stride, I *steps)
 {
@@ -329,7 +329,7 @@ static __attribute__((noinline)) I watched(
         if (!any(back)) continue;
         evaluate(s, o, p, &best, hertz, 1, 0, &G, &step, &E, &top, NULL, 0);
         V low = all(0), high = all(1);
-        I found = ~back;   /* lanes whose minimum lies beyond `low`; before, `high` shrinks */
+        I found = ~back;   /* elements whose minimum lies beyond `low`; before, `high` shrinks */
         for (int m = 0; m < 20; m++) {
             V t = sel(found, (low + high) / 2, high);
             EACH(k) ((V *)&at)[k] = ((V *)&best)[k] - t * ((V *)&step)[k];
@@ -375,7 +375,7 @@ static inline __attribute__((always_inline)) void block(
                 if (!done[l]) late[many++] = u + l;
             }
         }
-        for (long f = 0; f < many; f += W) {   /* what is left, packed anew */
+        for (long f = 0; f < many; f += W) {   /* what is left, packed again */
             long id[W];
             double some[80 * W] __attribute__((aligned(64)));
             I n = (I){};

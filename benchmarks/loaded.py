@@ -1,8 +1,8 @@
 """Loaded equilibrium of RV-40E units, 2 x 40 pins, Hertz and linear: error and all pin forces of every unit and angle.
 
 A batch of units with errors of every part at one angle under rated torque, at 3 % of it with all clearances, and over
-a crank turn of 48 angles, each from those before. Beside the library run C (gcc -O3 -march=native -ffast-math, lanes
-are units), Numba, NumPy over all units and SciPy's trust region unit by unit; all are compared with the oracle of
+a crank turn of 48 angles, each from those before. Next to the library run C (gcc -O3 -march=native -ffast-math, vectors
+of units), Numba, NumPy over all units and SciPy's trust region unit by unit. All are compared with the oracle of
 80-bit numbers before anything is timed. The gradient is that of the mean error to one shared tolerance a field.
 Stiffnesses and face width are assumed. `taskset -c 0` for the ratio on one core.
 
@@ -14,10 +14,10 @@ Tried for the solver, and what it gave (steps per angle or unit, means; 2 x 40 p
     forces of journals as unknowns               3 % torque: more units than before need more than 12 steps
     dense elimination of the interior steps      18 of 437 kernels less, compiles no faster
     results of a step stored, sums in halves     linear 6 -> 3.8 times C, hertz 3 -> 2.1 with idle pins left out: kept
-    blocks of 128 and 256 lanes, refilled later  no difference beyond noise
-    blurred contacts, not the interior method    kernels 399 -> 289, compiles in 9.5 of 14.1 s (busy machine); at 0.1 %
+    blocks of 128 and 256 cases, refilled later  no difference beyond noise
+    blurred contacts, not the interior method    kernels 399 -> 289, compiles in 9.5 of 14.1 s (busy computer); at 0.1 %
                                                  torque 2 of 65,536 units need more than 300 steps: not kept
-    turn / cold turn of the C program, linear    0.70 (last angle as start) beside 0.58 here
+    turn / cold turn of the C program, linear    0.70 (last angle as start); 0.58 here
     XLA's older generator of code                compiles in half to two thirds; hertz 2.0 -> 1.8 times C: kept
 """
 
@@ -143,7 +143,7 @@ def judged(x, contact, torque, error, pins):
 
 
 def figures_of(contact, library):
-    """Everything of one law."""
+    """All statistics of one contact law."""
     x = draw(UNITS)
     errors = jax.device_put(fields(x))
     light, design = 0.03 * RATED, numbers(plain(), RATED, contact)

@@ -43,7 +43,7 @@ def numbers(design, torque, contact):
 
 
 def geometry(design, theta):
-    """Of one angle: normals (2, 40, 2), levers over R, shift factors, A of the Hertz law, and eccentric directions."""
+    """Of one angle: normals (2, 40, 2), levers over R, shift factors, A of the Hertz contact law, directions."""
     e, rp, rr, R = design[:4]
     modulus, width = design[12] / (1 - design[13] ** 2), design[14]
     th, pins, pi = theta / 105, 40, np.pi

@@ -1,6 +1,6 @@
-"""Lost motion: ten million units of the consistent sum beside NumPy and C, and what the three levels cost.
+"""Lost motion: ten million units of the consistent sum next to NumPy and C, and the cost of the three levels.
 
-Every contender reads twelve errors of every unit and returns one angle; the mean over all units stands for the use
+Every contender reads twelve errors of every unit and returns one angle; the mean over all units represents the use
 in statistics. Results are compared before anything is timed. One core: `taskset -c 0 python -m benchmarks.lost_motion`.
 """
 
@@ -77,7 +77,7 @@ def totals(errors):
 
 def measure_sum():
     """Ten million units in chunks: C, NumPy, the library, and the gradient of the mean to twelve shared widths."""
-    chunks = [draw(CHUNK, seed) for seed in range(4)]  # in turn; all drawn before the clock starts
+    chunks = [draw(CHUNK, seed) for seed in range(4)]  # in turn; all sampled before the clock starts
     repeats = UNITS // CHUNK
     on_device = [columns(chunk) for chunk in chunks]
     linear = coefficients()

@@ -1,4 +1,4 @@
-"""Mesh forces of CORR units: all forces, windup and status of every case, beside C, Numba, NumPy and SciPy.
+"""Mesh forces of CORR units: all forces, windup and status of every case, next to C, Numba, NumPy and SciPy.
 
 Every case has errors of the cam and 26 roller radii, a torque of 10 to 100 % and an angle of its own (hertz,
 float64). All contenders return the cam, cage and gear forces and the windup, compared before anything is timed. The

@@ -1,7 +1,7 @@
 """The mesh-force model in C, Numba, NumPy and SciPy, each written as well as its language allows.
 
 C, Numba and NumPy: geometry once, linear contacts by Newton on the set of loaded rollers, then Newton on all
-loads and the windup together with the exact law, from the power series of the local inverse. SciPy solves one
+loads and the windup together with the exact contact law, from the power series of the local inverse. SciPy solves one
 case: brentq for the windup around brentq for every roller.
 """
 
@@ -58,7 +58,7 @@ void solve(long cases, const double *restrict design, const double *restrict dca
             tau -= M / J;
             if (fabs(M) <= 1e-6 * fabs(tau * J)) break;
         }
-        for (int step = 0; step < 10; step++) {   /* all loads and the windup together, exact law */
+        for (int step = 0; step < 10; step++) {   /* all loads and the windup together, exact contact law */
             M = -T, J = 0;
             for (int i = 0; i < P; i++) {
                 const double y = K[i] * fmax(tau * a[i] + g[i], 0), b = fabs(rs[i]), n1 = 1 - m[i], k2 = n1 * n1 / m[i];

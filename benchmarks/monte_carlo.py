@@ -1,9 +1,9 @@
-"""A hundred million RV-40E units in one run: rate beside the bare jitted kernel, memory against units.
+"""A hundred million RV-40E units in one run: rate next to the bare jitted kernel, memory against units.
 
 The response is the four-bar part of the embedded study: peak-to-peak transmission error over a crank turn of 64
 angles under load, with the study's tolerances and requirement. The bare kernel is the same two jitted programs
 (random numbers, response) called chunk after chunk with nothing read by the host; the two alternate, in batches of a
-few hundred thousand units, so that a busy machine slows both alike. Memory is the largest resident set in every tenth
+few hundred thousand units, so that other load slows both alike. Memory is the largest resident set in every tenth
 of the run.
 
     python -m benchmarks.monte_carlo --units 1e8 [--method sobol] [--checkpoint FILE] [--json FILE]

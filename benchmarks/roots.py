@@ -1,6 +1,6 @@
-"""Cost of the derivative of a root: implicit against unrolled, beside the primal.
+"""Cost of the derivative of a root: implicit against unrolled, next to the primal.
 
-Kepler's equation, 100,000 lanes.
+Kepler's equation, 100,000 batch elements.
 Target: gradient of the batch mean <= 2 x the batch mean.
 """
 
@@ -14,7 +14,7 @@ settings()
 
 from rvjax import roots  # noqa: E402  (after the flags)
 
-STEPS = 12  # of the unrolled iteration, as many as the slowest lane needs
+STEPS = 12  # of the unrolled iteration, as many as the slowest element needs
 
 
 def kepler(x, params):

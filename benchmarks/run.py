@@ -6,8 +6,8 @@
     python -m benchmarks.run --compare             the last two entries of the history: what got slower or faster
     python -m benchmarks.run --compare A B         two entries by name
 
-The figures go into `benchmarks/history`, one file a day and machine; `--label` keeps two states of one day apart. The
-newest figures of every script are those of the README. A script that ran several times knows its own scatter.
+The figures go into `benchmarks/history`, one file a day and computer; `--label` keeps two states of one day apart. The
+newest figures of every script are those of the README. A script that ran several times has a measured scatter.
 """
 
 import argparse

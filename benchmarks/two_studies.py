@@ -118,7 +118,7 @@ def main() -> None:
             print(f"{name}: {time.perf_counter() - started:.0f} s", flush=True)
         return kept[name]
 
-    picture = keep("answer to rv-40e", lambda: optimum("rv-40e"))
+    picture = keep("result of rv-40e", lambda: optimum("rv-40e"))
     asked, four = observed(), study.load("rv-40e", solve=False)
     cheap = with_limits(four.tolerances, picture["limits"])
     alone = asked.tolerances.replace(**dict.fromkeys((f for f in asked.fields if f not in LINKAGE), None))
@@ -131,8 +131,8 @@ def main() -> None:
     keep("optimum of the four-bar, with its flanks", lambda: judged(pressed, cheap))
     keep("tolerances of rv-40e-whole", lambda: judged(asked, asked.tolerances))
     keep("budget of rv-40e-whole", lambda: plain(error_budget(study.load("rv-40e-whole", solve=False))))
-    machine = keep("answer to rv-40e-whole", lambda: optimum("rv-40e-whole"))
-    keep("optimum of the machine", lambda: judged(asked, with_limits(asked.tolerances, machine["limits"])))
+    machine = keep("result of rv-40e-whole", lambda: optimum("rv-40e-whole"))
+    keep("optimum of the whole reducer", lambda: judged(asked, with_limits(asked.tolerances, machine["limits"])))
 
 
 if __name__ == "__main__":

@@ -5,7 +5,7 @@
     python -m benchmarks.whole --only study                  some of them, by the beginning of their names
 
 Every command runs first with an empty folder of kept programs and then, where its row says so, again with what that run
-has kept. Run it on an idle machine: the clock is that of the wall.
+has kept. Run it on an idle computer: the times are wall times.
 """
 
 import argparse
@@ -66,7 +66,7 @@ def commands() -> list[Command]:
         _fresh("allocate rv-40e", "rv-40e"),
         _twice("montecarlo accuracy", [*RVJAX, "montecarlo", ACCURACY.name, "--samples", "4096", "--quiet"]),
         _twice("montecarlo rv-40e-whole", [*RVJAX, "montecarlo", "rv-40e-whole", "--samples", "4096", "--quiet"]),
-        Command("answer and page", [*RVJAX, "allocate", "rv-40e", "--quiet"], [*RVJAX, "report", "rv-40e", "--quiet"]),
+        Command("result and page", [*RVJAX, "allocate", "rv-40e", "--quiet"], [*RVJAX, "report", "rv-40e", "--quiet"]),
         Command("identify a loaded unit", [*identify, "loaded.toml", "unit.csv"]),
         _twice("identify a four-bar unit", [*identify, "four-bar.toml", "unit.csv"]),
         Command("assemble 200 loaded sets", [*RVJAX, "assemble", "loaded-sets.toml", "sets.csv", "--quiet"]),
@@ -98,7 +98,7 @@ def seconds(command: Command, checkout: Path, repeat: int) -> list[float]:
                 start = time.perf_counter()
                 done = subprocess.run(line, cwd=folder, env=environment, check=False, capture_output=True, text=True)
                 taken = float(done.stdout) if command.timed else time.perf_counter() - start
-                if done.returncode not in (0, 1):  # 1: a question without an answer
+                if done.returncode not in (0, 1):  # 1: a study without a result
                     raise RuntimeError(f"{command.name}: exit code {done.returncode}\n{done.stderr}")
                 found[number] = min(found[number], taken)
     return found

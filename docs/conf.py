@@ -28,7 +28,7 @@ html_title = f"rvjax {release}"
 html_show_sourcelink = False
 
 autodoc_member_order = "bysource"
-autodoc_typehints = "none"  # units and shapes say more; they stand in the docstrings
+autodoc_typehints = "none"  # units and shapes say more; they are in the docstrings
 autodoc_preserve_defaults = True
 napoleon_use_ivar = True
 napoleon_numpy_docstring = False

@@ -1,4 +1,4 @@
-"""What the docs show of rvjax itself, made while they are built: tables that never go stale, and the drawings."""
+"""Tables and drawings of rvjax itself, made while the docs are built."""
 
 import dataclasses
 from pathlib import Path

@@ -29,7 +29,7 @@ def coverage_rare():
         for name, f in stored("coverage")["rare"].items()
     ]
     heads = ["failures", "probability", "seeds", "held, %", "second held, %", "mean / exact", "worst / exact"]
-    return table([*heads, "error, %", "disagree, %", "units beside `samples`"], rows)
+    return table([*heads, "error, %", "disagree, %", "units next to `samples`"], rows)
 
 
 def coverage_intervals():
@@ -40,7 +40,7 @@ def coverage_intervals():
         (law, *(_percent(found[n], found["seeds"], due.get(n, 0.95)) if n in found else "-" for n in names))
         for law, found in kept.items()
     ]
-    return table(["law, method", *names], rows)
+    return table(["distribution, method", *names], rows)
 
 
 def assembly_gauge():

@@ -1,4 +1,4 @@
-"""Draw the picture of the README from the result of its study: `python docs/readme.py`, a minute."""
+"""Draw the figure of the README from the result of its study: `python docs/readme.py`, a minute."""
 
 from pathlib import Path
 
@@ -15,7 +15,7 @@ PICTURES = Path(__file__).parent / "pictures"
 
 
 def answer() -> None:
-    """What the embedded study answers: two requirements before and after, and what the tolerances cost."""
+    """Draw the result of the embedded study: two requirements before and after, and the cost of the tolerances."""
     from rvjax.commands.allocate.answer import answer
 
     found = answer(study.load("rv-40e"), progress=False)

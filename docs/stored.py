@@ -1,11 +1,11 @@
-"""What scripts of `benchmarks` stored, and tables in Markdown."""
+"""Stored results of the scripts of `benchmarks`, and tables in Markdown."""
 
 import json
 from pathlib import Path
 
 
 def stored(name):
-    """What a script of `benchmarks` stored."""
+    """Stored results of a script of `benchmarks`."""
     return json.loads((Path(__file__).parents[1] / "benchmarks" / f"{name}.json").read_text())
 
 

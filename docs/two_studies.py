@@ -1,4 +1,4 @@
-"""The two studies of the RV-40E side by side: tables and pictures of what a script of `benchmarks` stored."""
+"""The two studies of the RV-40E side by side: tables and figures from stored results of `benchmarks`."""
 
 import numpy as np
 from stored import stored, table
@@ -13,9 +13,9 @@ JUDGED = {
     "optimum of the four-bar": "optimum of rv-40e, all errors",
     "optimum of the four-bar, with its flanks": "the same with the flanks of rv-40e",
     "tolerances of rv-40e-whole": "tolerances of rv-40e-whole",
-    "optimum of the machine": "optimum of rv-40e-whole",
+    "optimum of the whole reducer": "optimum of rv-40e-whole",
 }
-"""Sets of tolerances judged on the whole machine, and how the docs call them."""
+"""Sets of tolerances evaluated on the whole reducer, and their names in the docs."""
 
 
 def yields():
@@ -58,7 +58,7 @@ def models():
 
 def tolerances():
     kept = stored("two_studies")
-    picture, machine = (kept[f"answer to {name}"]["limits"] for name in ("rv-40e", "rv-40e-whole"))
+    picture, machine = (kept[f"result of {name}"]["limits"] for name in ("rv-40e", "rv-40e-whole"))
     start = study.load("rv-40e-whole", solve=False)
     four = study.load("rv-40e", solve=False)
     rows = []
@@ -95,7 +95,7 @@ def picture(axes):
     axes.invert_yaxis()
     axes.grid(axis="y", visible=False)
     axes.set_xlabel("units above 1 arcmin (%); dotted: 0.27, dashed: 1")
-    axes.set_title("Transmission error: the picture and the machine")
+    axes.set_title("Transmission error: four-bar model and whole reducer")
     axes.legend(loc="upper left")
     return axes
 

@@ -4,7 +4,7 @@ Models (`four_bar` ...) turn a design and its manufacturing errors into a respon
 part tolerances into the distribution of a response and a required yield into the cheapest tolerances.
 """
 
-# ruff: noqa: F401  (type checkers read the imports below; all others get these names when they ask)
+# ruff: noqa: F401  (type checkers read the imports below; all others load these names at first use)
 import importlib
 from typing import TYPE_CHECKING, Any
 
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 
-# Homes of names that are loaded when first asked for, because importing JAX takes a second.
+# Homes of names that are loaded at first use, because importing JAX takes a second.
 _HOMES = {
     "designs": (
         "Bearings CamRollerReducer Contact CrankStage CycloidStage Damping Inertia InvoluteStage MeshVariation "
@@ -84,7 +84,7 @@ _sections.LOOKUPS.append(lambda table: importlib.import_module("rvjax.commands")
 
 
 def __dir__() -> list[str]:
-    """What a person types: models and tools, and what goes into them; what comes out of them shows itself."""
+    """Names for completion: models, tools and their inputs; results list their own fields."""
     typed = (name for name, home in _LAZY.items() if home in (None, "designs", "errors", "status"))
     return sorted(
         {"__version__", "enable_x64", "LinkDeviations", "Reading", *typed}

@@ -61,7 +61,7 @@ def _is_whole(value: object) -> bool:
 
 
 def _kind(annotation: object) -> tuple[bool, bool] | None:
-    """Whether an argument is one number, and whether None is allowed; None for an argument that is no number."""
+    """(the argument is one number, None is allowed); None for an argument that is no number."""
     union = isinstance(annotation, types.UnionType) or typing.get_origin(annotation) is typing.Union
     members = set(typing.get_args(annotation)) if union else {annotation}
     optional = type(None) in members

@@ -72,7 +72,7 @@ class Bearings(Record):
 
     @property
     def placed(self) -> bool:
-        """Whether the axial positions are given."""
+        """True if the axial positions are given."""
         return self.disc_position is not None
 
     def _check(self) -> None:
@@ -101,6 +101,6 @@ class Bearings(Record):
 
 
 def _angled(bearing: RollerBearing | None) -> bool:
-    """Whether a bearing has a contact angle that can be looked at and is not 0."""
+    """True if a bearing has a concrete contact angle other than 0."""
     angle = getattr(bearing, "contact_angle", None)
     return angle is not None and concrete(angle) and bool(np.any(np.asarray(angle) != 0))

@@ -17,7 +17,7 @@ def unknown(what: str, word: object, words: Iterable[str], rule: str = ": must b
         what: argument or key with its value, as the message begins.
         word: as given.
         words: that are allowed.
-        rule: what stands before the list.
+        rule: text before the list.
     """
     words = list(words)
     what = what if len(what) <= 3 * _LONGEST else f"{what[:_LONGEST]} ... {what[-_LONGEST:]}"

@@ -72,3 +72,12 @@ def test_a_function_has_its_compiler_options_alone_and_none_within_another_progr
     assert jax.grad(lambda x: power(3, x))(2.0) == 12.0
     assert power(2, 4.0) == 16.0
     assert count("power") == 1
+
+
+def test_a_quick_function_is_compiled_with_the_quick_options():
+    """Its first call looks the default options up; JAX does not show those of a compiled function."""
+    compile_cache.understood.cache_clear()
+    square = compile_cache.quick()(lambda x: x * x)
+    assert square(3.0) == 9.0 and compile_cache.understood.cache_info().misses == 1
+    compile_cache.understood(compile_cache.QUICK)
+    assert compile_cache.understood.cache_info().misses == 1

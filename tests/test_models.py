@@ -20,7 +20,7 @@ from rvjax.commands import module
 from rvjax.designs import RVReducer
 from rvjax.dynamics import assemble
 from rvjax.errors import RVErrors
-from rvjax.outputs import Output, condition
+from rvjax.outputs import Output, Reading, condition
 from rvjax.study.response import Response
 from rvjax.units import arcsec, rpm, um
 
@@ -126,6 +126,26 @@ def test_an_output_costs_one_place(fake_model, monkeypatch):
         asked.design, ["twice"], asked.conditions, tolerances=asked.tolerances, accuracy={"twice": 1e-3}
     )
     assert kept["twice"].settings == () and "was measured" in kept["twice"].why
+
+
+def test_an_output_that_is_not_required_is_not_computed(fake_model, monkeypatch):
+    """Two outputs that raise an error as soon as they are computed: directly, and through a shared result."""
+
+    def computed(*_):
+        raise RuntimeError("computed")
+
+    more = {
+        "alone": Output("rad", "raises", computed),
+        "shared": Output("rad", "raises", Reading((computed,), computed)),
+    }
+    described = dataclasses.replace(fake_model.DESCRIPTION, outputs={**fake_model.DESCRIPTION.outputs, **more})
+    monkeypatch.setattr(fake_model, "DESCRIPTION", described)
+    asked = study.parse_study(TEXT, name="x")
+    errors = asked.design.error_record()
+    assert set(asked.response()(errors).value) == {"twist"}
+    for name in more:
+        with pytest.raises(RuntimeError, match="computed"):
+            Response.of(asked.design, ("twist", name), asked.conditions)(errors)
 
 
 def test_a_condition_says_how_it_is_read():

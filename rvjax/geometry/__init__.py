@@ -1,4 +1,4 @@
-"""Geometry of an RV reducer without errors: curvature of the flank, room between the parts, size, nominal pressure."""
+"""Geometry of an RV reducer without errors: curvature of the flank, space between the parts, size, nominal pressure."""
 
 from rvjax.geometry.figures import Figures, contact_ratio as contact_ratio, figures
 from rvjax.geometry.flank import (

@@ -19,7 +19,7 @@ PLACES = 2048  # of a pin along a flank, of which the one with the largest press
 
 @record
 class Figures(Record):
-    """Size, room and nominal load of a design."""
+    """Size, space and nominal load of a design."""
 
     shortening: Array = field("-", "K1")
     convex_radius: Array = field("m", "least radius of the convex flank; <= 0 is undercut")
