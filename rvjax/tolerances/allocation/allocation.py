@@ -17,7 +17,6 @@ from rvjax.records import Record
 from rvjax.response import BLOCK, DesignResponse, Response, by_response, response_names, unwrapped
 from rvjax.tolerances.allocation.certificate import DRAWS, Certifier
 from rvjax.tolerances.allocation.cost import COSTS, Cost
-from rvjax.tolerances.allocation.mapped import MappedSearch
 from rvjax.tolerances.allocation.rounding import Snapping
 from rvjax.tolerances.allocation.sample_average import Point, Training
 from rvjax.tolerances.allocation.search import Search
@@ -80,9 +79,7 @@ class Allocation:
         graded: the allocation rounded to grades, with `grades=True`; else None.
         history: one dict per evaluated set: cost, margins {constraint: value}, half_widths {field: value}.
         evaluations: units of the response that were solved by the "search", with a gradient or without, and for
-            "certificates"; and those of the "cheap" response.
-        cheap_refused: reason for which the low-fidelity response was discarded and the search continued without it;
-            None where it led the search, or there was none.
+            "certificates".
         values: {variable: number of the design}.
         bounds_active: {variable: "lower" or "upper" where it is at a bound, else None}.
         value_prices: {variable: d cost / d bound of the bound at which it is, else 0}.
@@ -106,7 +103,6 @@ class Allocation:
     graded: "Allocation | None"
     history: list[dict[str, Any]]
     evaluations: dict[str, int]
-    cheap_refused: str | None
     values: dict[str, float] = dataclasses.field(default_factory=dict)
     bounds_active: dict[str, str | None] = dataclasses.field(default_factory=dict)
     value_prices: dict[str, float] = dataclasses.field(default_factory=dict)
@@ -148,7 +144,6 @@ def allocate(
     middles: Mapping[str, Middle] | None = None,
     variables: Mapping[str, Variable] | None = None,
     objective: Mapping[str, float] | None = None,
-    cheap: Response | None = None,
     memo: Memo | None = None,
     progress: bool = False,
 ) -> Allocation:
@@ -179,9 +174,6 @@ def allocate(
         variables: {name: Variable} of numbers of the design that are chosen too. The response is then
             response(errors, values), values a dict of scalars by name.
         objective: {output: price per unit} of outputs without errors that add to the cost.
-        cheap: low-fidelity version of the responses. The search then runs on it, moved and tilted to agree with the
-            response at the current point, and evaluates the response only at the end of each such run.
-            Certificates, mid-points and variables use the response only. A poorly correlated version is discarded.
         memo: stores long computations, so that an interrupted allocation resumes from there.
         progress: show progress bars.
 
@@ -196,7 +188,7 @@ def allocate(
         cast(Response, response), tolerances, requirements, costs=costs, samples=samples, seed=seed,
         joint_target=joint_target, correlation=correlation, certificate_samples=certificate_samples,
         confidence=confidence, grades=grades, max_steps=max_steps, middles=middles, variables=variables,
-        objective=objective, cheap=cheap, memo=memo, progress=progress,
+        objective=objective, memo=memo, progress=progress,
     )[0]  # fmt: skip
 
 
@@ -217,7 +209,6 @@ def allocated(
     middles: Mapping[str, Middle] | None = None,
     variables: Mapping[str, Variable] | None = None,
     objective: Mapping[str, float] | None = None,
-    cheap: Response | None = None,
     memo: Memo | None = None,
     progress: bool = False,
 ) -> tuple[Allocation, Solved | None]:
@@ -246,10 +237,7 @@ def allocated(
         result, *rounded = [Allocation(**fields) for fields in results]
         return unwrapped(dataclasses.replace(result, graded=rounded[0]) if rounded else result), None
     start = np.array([float(population.active[name].half_width) for name in priced])
-    learned_from = tuple(priced), required, joint_target, samples, seed
-    training = Training(response, population, *learned_from, memo)
-    if cheap is not None:
-        _check_cheap(cheap, population, required)
+    training = Training(response, population, tuple(priced), required, joint_target, samples, seed, memo)
     with progress_bar(progress, None, "searching", "step") as advance:
         drawn = certificate_samples, seed, block(samples, certificate_samples)
         run = Run(
@@ -258,9 +246,6 @@ def allocated(
         )  # fmt: skip
         certifier = Certifier(run, joint_target, follows=training.followed is not None)
         search = Search(training, priced, max_steps, advance)
-        if cheap is not None:
-            model = Training(cheap, training.population, *learned_from)
-            search = MappedSearch(training, priced, max_steps, advance, model)
         advance(0)
         point, possible = search.opened(start)
         found = _cheapest(search, certifier, point, start) if possible else _finest(search, certifier)
@@ -279,13 +264,6 @@ def allocated(
 def block(samples: int, certificate_samples: int) -> int:
     """Units of a certificate evaluated at once: as many as the search does where that needs no second program."""
     return min(samples, BLOCK) if certificate_samples < BLOCK else BLOCK
-
-
-def _check_cheap(cheap: Response, population: Population, required: dict[str, Limits]) -> None:
-    have = response_names(cheap, population)
-    for name in required:
-        if name not in have:
-            raise ValueError(f"cheap: has no {name!r}, which a requirement names; it has {', '.join(have)}")
 
 
 def _check(required: dict[str, Limits], joint_target: float | None, **counts: int) -> None:
@@ -374,7 +352,6 @@ def _finest(search: Search, certifier: Certifier) -> _Found:
 def _result(
     search: Search, found: _Found, names: tuple[str, ...], start: np.ndarray, certifier: Certifier
 ) -> Allocation:
-    cheap = search if isinstance(search, MappedSearch) else None
     t, training, nothing = found.half_widths, search.training, dict.fromkeys(names, 0.0)
     costs = zip(training.fields, search.costs, t)
     return Allocation(
@@ -393,12 +370,7 @@ def _result(
         grades=None,
         graded=None,
         history=search.history,
-        evaluations={
-            "search": training.evaluated[0],
-            "certificates": certifier.solved,
-            "cheap": cheap.cheap.evaluated[0] if cheap else 0,
-        },
-        cheap_refused=cheap.refused if cheap else None,
+        evaluations={"search": training.evaluated[0], "certificates": certifier.solved},
     )
 
 

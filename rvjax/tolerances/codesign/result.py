@@ -64,12 +64,7 @@ def figures(designer: Designer, found: Found, names: tuple[str, ...]) -> dict[st
         grades=None,
         graded=None,
         history=found.history,
-        evaluations={
-            "search": margins.evaluated[0],
-            "certificates": designer.certifier.solved,
-            "cheap": 0,
-        },
-        cheap_refused=None,
+        evaluations={"search": margins.evaluated[0], "certificates": designer.certifier.solved},
         values=decisions.values(found.x),
         bounds_active=bounds_active(found),
         value_prices=value_prices(found),
