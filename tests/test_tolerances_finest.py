@@ -13,8 +13,8 @@ from rvjax.tolerances import ReciprocalPower, Requirement, Tolerance, allocate
 def test_finer_need_not_be_better():
     """Error b takes up the clearance of another part: |b| >= 0.1 in 90 % of the units, so t_b >= 3 * 0.1 / q, q the
     10 % quantile of |z|; |a + b| within 3 cp R/z leaves t_a = sqrt(R^2 - t_b^2). The finest tolerances miss the first.
-    The certificate's 10 % quantile of |b| is known to sqrt(0.09/n)/(f(q) q) = 1 % at n = 90,000: two of these inside the
-    limit, to which one for the luck of the draw and the step of the search are added."""
+    The certificate's 10 % quantile of |b| is known to sqrt(0.09/n)/(f(q) q) = 1 % at n = 90,000: two of these inside
+    the limit, to which one for the luck of the draw and the step of the search are added."""
     q = 0.1256613  # of |z| at 10 %; at 90 % it is 1.6448536
     reach = 3.0
     response = lambda e: {"play": 1 - jnp.abs(e["b"]), "sum": e["a"] + e["b"]}  # noqa: E731
