@@ -18,9 +18,9 @@ STARTS = 16  # random plans at most: each meets thousands of combinations
 PILOTS = 256  # random combinations that give the scale of the response
 
 
-def too_many(machine: Machine, draws: int) -> bool:
-    """Return whether all combinations in all positions are too many to value."""
-    return math.prod(machine.shape) * len(machine.indices) * draws > MOST_VALUED
+def too_many(machine: Machine, draws: int, most: int) -> bool:
+    """Return true if all combinations in all positions are too many to evaluate."""
+    return math.prod(machine.shape) * len(machine.indices) * draws > most
 
 
 class OnDemand:

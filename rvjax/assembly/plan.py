@@ -11,7 +11,7 @@ from rvjax.arguments import checked
 from rvjax.assembly.alternation import best_so_far
 from rvjax.assembly.choice import CLOSE, EXACT, least_largest, least_sum
 from rvjax.assembly.costs import Costs, Machine, UnitResponse, costs, good
-from rvjax.assembly.on_demand import OnDemand, chosen_on_demand, too_many
+from rvjax.assembly.on_demand import MOST_VALUED, OnDemand, chosen_on_demand, too_many
 from rvjax.assembly.parts import Kind, Known, known
 from rvjax.assembly.supply import Build, Supply
 from rvjax.choices import choose
@@ -79,14 +79,15 @@ def plan(
     seed: int = 0,
     starts: int = 32,
     exact_up_to: int = EXACT,
+    most_valued: int = MOST_VALUED,
     confidence: float = 0.95,
     keep_best: bool = False,
 ) -> Plan:
     """Choose the part and the position of every slot of every unit.
 
     Two slots are assigned exactly; more, and two slots fed by one stock, by HiGHS up to `exact_up_to` combinations;
-    beyond by alternation, with a Lagrangian bound. If combinations, positions and draws multiply to more than 2**26
-    responses, the alternation evaluates only the combinations it needs; `lower_bound` is then -inf (1 for "yield").
+    beyond by alternation, with a Lagrangian bound. Beyond `most_valued` responses the alternation evaluates only the
+    combinations it needs; `lower_bound` is then -inf (1 for "yield").
 
     Args:
         response: (parts {slot: errors}, index {slot: int}) -> scalar or `Outcome` of one unit, a pure JAX function;
@@ -99,6 +100,7 @@ def plan(
         seed: of both.
         starts: random plans from which the alternation begins.
         exact_up_to: combinations up to which HiGHS proves that no plan is better.
+        most_valued: responses at most, combinations x positions x draws, if all combinations are evaluated.
         confidence: of the intervals.
         keep_best: an interruption (Ctrl-C) of the search ends it with the best plan so far.
 
@@ -107,7 +109,7 @@ def plan(
             that do not fit each other, or more than 2**24 combinations.
     """
     counts = dict(draws=draws, certificate_draws=certificate_draws, starts=starts, exact_up_to=exact_up_to)
-    _check(kinds, objective, requirement, confidence, **counts)
+    _check(kinds, objective, requirement, confidence, **counts, most_valued=most_valued)
     by_kind = {id(kind): known(kind, slot) for slot, kind in kinds.items()}
     slots = {slot: by_kind[id(kind)] for slot, kind in kinds.items()}
     machine, supply = Machine(response, slots), supply_of(slots)
@@ -116,7 +118,7 @@ def plan(
     rng, asked = np.random.default_rng([seed % 2**64, 2]), (draws, requirement, objective == "yield")
     found: Costs | OnDemand
     with best_so_far(keep_best) as unsearched:
-        if too_many(machine, draws):
+        if too_many(machine, draws, most_valued):
             found = OnDemand(machine, draw(slots, seed, 0, draws, alike=True), *asked)
             build, bound, reached, proved = chosen_on_demand(found, supply, objective, starts, rng)
         else:

@@ -161,7 +161,11 @@ START = dict(factor=0.5, gears=1.0, clearance=3.0, play=1e-3, scatter=2.0)
 
 
 def fit(
-    free: Sequence[str] = ("factor", "clearance", "scatter"), seed: int = 0, steps: int = 20, **fixed: float
+    free: Sequence[str] = ("factor", "clearance", "scatter"),
+    seed: int = 0,
+    steps: int = 20,
+    measured: np.ndarray = MEASURED,
+    **fixed: float,
 ) -> Fit:
     """Fit the logarithms by least squares, so that every value stays positive; held against half of the torques.
 
@@ -169,6 +173,7 @@ def fit(
         free: names of `FREE` that move.
         seed: of `pattern`.
         steps: at most.
+        measured: windup at each torque, rad; the fit uses `FITTED`.
         **fixed: values of others, or where the free ones start; by default those of `START`.
     """
     errors, moves = pattern(seed), np.array([name in free for name in FREE])
@@ -180,7 +185,7 @@ def fit(
         return half_difference(np.exp(log), errors)
 
     found = optimize.least_squares(
-        lambda moved: (at(*moved)[0] - MEASURED)[FITTED] / arcmin,
+        lambda moved: (at(*moved)[0] - measured)[FITTED] / arcmin,
         log[moves],
         jac=lambda moved: at(*moved)[1][FITTED][:, moves] / arcmin,
         xtol=1e-5,
@@ -189,7 +194,7 @@ def fit(
     angle, slope = at(*found.x)
     rows = slope[FITTED][:, moves]
     freedom = FITTED.sum() - moves.sum()
-    covariance = np.sum((angle - MEASURED)[FITTED] ** 2) / freedom * np.linalg.inv(rows.T @ rows)
+    covariance = np.sum((angle - measured)[FITTED] ** 2) / freedom * np.linalg.inv(rows.T @ rows)
     sd = np.sqrt(np.diag(covariance))
     return Fit(np.exp(log), sd, covariance / np.outer(sd, sd), angle)
 
