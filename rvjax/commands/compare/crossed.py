@@ -32,17 +32,13 @@ class Crossed:
     statistics: Statistics
 
 
-def crossed(
-    study: Study, tolerances: PyTree, *, samples: int | None = None, seed: int | None = None, progress: bool = False
-) -> Crossed:
+def crossed(study: Study, tolerances: PyTree, *, samples: int | None = None) -> Crossed:
     """Certify tolerances under the requirements, conditions, design and models of a study.
 
     Args:
         study: with the requirements.
         tolerances: of the result of another study, a record with a Tolerance or None in each field.
         samples: independent units; by default as many as the study certifies with.
-        seed: of the units; by default the one after the seed of the study, which the allocation uses.
-        progress: show a progress bar.
 
     Raises:
         ValueError: tolerances of another kind of reducer, or none that the study has.
@@ -61,10 +57,9 @@ def crossed(
             study.response(),
             together,
             samples=study.certificate_samples if samples is None else samples,
-            seed=study.seed + 1 if seed is None else seed,
+            seed=study.seed + 1,  # the allocation uses that of the study
             chunk=BLOCK,
             requirements=study.requirements,
-            progress=progress,
         ),
     )
 

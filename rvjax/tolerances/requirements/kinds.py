@@ -172,10 +172,6 @@ class SdAtMost(Limits):
         """A batch without errors has no spread."""
         return self.upper
 
-    def capability(self, mean: float, sd: float) -> tuple[float, float]:
-        """NaN: the limit is no limit of units."""
-        return math.nan, math.nan
-
     def learned(self, values: np.ndarray, distance: float) -> float:
         """The standard deviation beyond its limit."""
         valid = values[_valid(values)]
@@ -222,10 +218,6 @@ class WorstCaseWithin(Limits):
     most_failed: ClassVar[float] = math.inf  # sampled units may lie beyond the limits of the errors
     judges: ClassVar[str] = "response"
     prefix: ClassVar[str] = "worst_"
-
-    def capability(self, mean: float, sd: float) -> tuple[float, float]:
-        """NaN: the limits are no limits of units."""
-        return math.nan, math.nan
 
     def learned(self, values: np.ndarray, distance: float) -> float:
         """Margin of the worse of both ends of the range; inf where the response fails within the limits."""

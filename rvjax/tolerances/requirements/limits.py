@@ -111,7 +111,7 @@ class Limits:
         return np.where(value < (self.lower + self.upper) / 2, -1.0, 1.0)
 
     def capability(self, mean: float, sd: float) -> tuple[float, float]:
-        """Cp and Cpk of a response; without two limits Cp is nan.
+        """Cp and Cpk of a response whose units have these limits; without two limits Cp is nan.
 
         Args:
             mean: of the response.
