@@ -183,6 +183,14 @@ def test_single_precision_is_good_to_a_percent(method):
         (lambda: RollerBearing(14, 5e-3, 0.0, 32e-3), "roller_length = 0 m: must be positive"),
         (lambda: RollerBearing(14, 5e-3, 1e-2, 32e-3, contact_angle=14), "contact_angle = 14 rad: .*degrees"),
         (lambda: RollerBearing(14, 5e-3, 1e-2, 32e-3, capacity=-1.0), "capacity = -1 N: must be positive"),
+        (
+            lambda: life.bearing_life(EXAMPLE.replace(capacity=24.0), fixed(1.0)),
+            "capacity = 24 N: must be at least 11879.* N, 0.5 of what ISO 281 and ISO 76 give .* C0 = 25987.5 N; check",
+        ),
+        (
+            lambda: life.bearing_life(EXAMPLE.replace(static_capacity=52e3), fixed(1.0)),
+            "static_capacity = 52000 N: needs a dynamic rating of at least 23771",
+        ),
         (lambda: life.bearing_life(EXAMPLE, fixed(1.0), method="iso"), "method = 'iso': must be one of basic, raceway"),
         (lambda: life.bearing_life(EXAMPLE, fixed(1.0), tilt=1e-3), "tilt = 0.001 rad: must be 0"),
         (lambda: life.bearing_life(EXAMPLE, [1.0, 2.0]), r"force: shape \(2,\), must be \(n, 2\) in N"),

@@ -183,6 +183,7 @@ TAPERED = dict(support=SUPPORT.replace(contact_angle=0.2), preload=900.0)
         (lambda: life.Duty([1.0, 1.0], [1.0, 1.0], [0.0, 0.0]), "Duty.time = .*: must have a positive sum"),
         (lambda: lacking(arm=ARM.replace(contact_angle=0.1)), "Bearings.arm.contact_angle = 0.1 rad: must be 0"),
         (lambda: lacking(support=SUPPORT.replace(contact_angle=0.1)), "tapered supports need preload in N"),
+        (lambda: rate(lacking(arm=ARM.replace(capacity=31.0)), ERRORS, DUTY), "Bearings.arm.capacity = 31 N: must be"),
         (lambda: lacking(support_span=None), "Bearings.support_span = None: give all of"),
         (lambda: lacking(preload=900.0), "support.contact_angle = 0 rad: must be positive"),
         (lambda: rate(lacking(**TAPERED), ERRORS, DUTY, method="raceway"), "method = 'raceway': must be \"basic\""),

@@ -235,13 +235,16 @@ def reach(tolerances: PyTree) -> dict[str, float]:
 
 
 def design_numbers(design: PyTree, prefix: str = "") -> dict[str, float]:
-    """Every number of a design by path, counts included; an array is not a design that was measured: NaN."""
+    """Every number of a design by path, counts included; each of an array by its place, NaN of one that is traced."""
     found: dict[str, float] = {}
     for f in dataclasses.fields(design):
         value = getattr(design, f.name)
         if isinstance(value, Record):
             found |= design_numbers(value, f"{prefix}{f.name}.")
         elif value is not None:
-            single = is_concrete(value) and np.ndim(value) == 0
-            found[prefix + f.name] = float(value) if single else math.nan
+            path = prefix + f.name
+            if is_concrete(value) and np.ndim(value) == 1:
+                found |= {f"{path}[{k}]": float(x) for k, x in enumerate(value)}
+            else:
+                found[path] = float(value) if is_concrete(value) and np.ndim(value) == 0 else math.nan
     return found

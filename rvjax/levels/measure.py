@@ -59,7 +59,12 @@ def limits(errors: Mapping[str, tuple[float, float] | Mapping[str, PyTree]], des
 def draw(cases: Cases, call: int, size: float, seed: int) -> tuple[PyTree, PyTree, PyTree]:
     """Designs, errors and the rest of a batch of cases, float64, the same at every error size but for the scale."""
     rng = np.random.default_rng([seed, call])
-    design = jax.tree.map(lambda x: x * (1 + rng.uniform(-SPREAD, SPREAD, cases.batch)), cases.design)
+
+    def around(x: Array) -> Array:
+        """Numbers of the batch about one of the design, or about each of an array."""
+        return x * (1 + rng.uniform(-SPREAD, SPREAD, (cases.batch, *np.shape(x))))
+
+    design = jax.tree.map(around, cases.design)
     if cases.extra is not None:
         extra = cases.extra(rng, cases.batch, size)
     else:
@@ -193,7 +198,7 @@ def _read(cases: Cases, programs: Sequence[Program], case: PyTree) -> dict[str, 
             after = jax.device_get(program(jax.tree.unflatten(tree, changed), *rest)[0])
             if not all(np.array_equal(before[o], after[o], equal_nan=True) for o in before):
                 del unread[name]
-    return {name: value for name, value in design_numbers(cases.design).items() if name not in unread}
+    return {k: value for k, value in design_numbers(cases.design).items() if k.partition("[")[0] not in unread}
 
 
 def _compiled(

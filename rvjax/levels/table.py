@@ -197,6 +197,7 @@ class Table:
             )
             model |= {"torque": model["torque"] and tuple(model["torque"]), "failed": tuple(model["failed"])}
             model["others"] = tuple(model.get("others", ()))
+            model["conditions"] = {name: _tuples(value) for name, value in model["conditions"].items()}
             models[name] = Model(**model, levels=levels)
         return cls(data["machine"], data["seed"], models)
 
@@ -205,6 +206,11 @@ class Table:
 def stored() -> Table:
     """The table that comes with rvjax; `rvjax tradeoff --json FILE` measures another on your computer."""
     return Table.load(resources.files("rvjax.levels") / "table.json")
+
+
+def _tuples(value: PyTree) -> PyTree:
+    """A table of a condition as conditions hold it."""
+    return tuple(map(_tuples, value)) if isinstance(value, list) else value
 
 
 def _plain(value: PyTree) -> PyTree:

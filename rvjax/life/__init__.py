@@ -4,6 +4,11 @@ ISO 281 (rating, life), ISO 76 (static), ISO/TS 16281 (laminae): docs/models/lif
 """
 
 from rvjax.life.bearing import BearingLife, bearing_life
+from rvjax.life.causes import (
+    first_failures as first_failures,
+    force_orders as force_orders,
+    phase_shares as phase_shares,
+)
 from rvjax.life.duty import Duty
 from rvjax.life.rated import RatedTorque, rated_torque
 from rvjax.life.rating import Rating, rating

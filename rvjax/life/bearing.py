@@ -12,7 +12,7 @@ from rvjax.choices import choose
 from rvjax.compile_cache import quick
 from rvjax.designs import expect
 from rvjax.life.histories import METHODS, Damage, basic, magnitude, raceway
-from rvjax.life.ratings import Ratings, harmless, ratings, unfit
+from rvjax.life.ratings import Ratings, check_ratings, harmless, ratings, unfit
 from rvjax.life.slices import laminae, slices
 from rvjax.plausible import checked
 from rvjax.records import Array, Record, Scalar, concrete, field, promote, quantity, record
@@ -59,10 +59,12 @@ def bearing_life(
         that cannot exist, a weight < 0).
 
     Raises:
-        ValueError: unknown method, tilt without "slices", arrays whose shapes do not fit.
+        ValueError: unknown method, tilt without "slices", a dynamic rating too small for the static one, shapes that
+            do not fit.
     """
     expect(bearing, "life.bearing_life", RollerBearing)
     check_method(method, tilt)
+    check_ratings(bearing, "RollerBearing")
     shape = np.shape(force)
     if len(shape) != 2 or shape[1] != 2 or not shape[0]:
         raise ValueError(f"force: shape {shape}, must be (n, 2) in N")
@@ -74,13 +76,13 @@ def bearing_life(
     return _bearing_life(method, bool(crowned), bearing, *given, *slicing)
 
 
-def _floats(values: Any) -> Any:
+def _floats(values: Array | np.ndarray) -> Array | np.ndarray:
     """Arrays as they are; lists and whole numbers as floats."""
     dtype = getattr(values, "dtype", None)
     return values if dtype is not None and jnp.issubdtype(dtype, jnp.floating) else np.asarray(values, float)
 
 
-def check_method(method: str, tilt: Any) -> None:
+def check_method(method: str, tilt: Scalar) -> None:
     """Raise ValueError for an unknown method, and for a tilt that it does not read.
 
     Args:
@@ -98,24 +100,22 @@ def check_method(method: str, tilt: Any) -> None:
 class Looseness(NamedTuple):
     """Inputs of `slices` only."""
 
-    clearance: Any  # m
-    tilt: Any  # rad
+    clearance: jax.Array  # m
+    tilt: jax.Array  # rad
     crowned: bool
 
 
 @quick(0, 1)
-def _bearing_life(
-    method: str, crowned: bool, bearing: Any, force: Any, angle: Any, weight: Any, clearance: Any, tilt: Any
-) -> BearingLife:
-    bearing, force, angle, weight, clearance, tilt = promote(bearing, force, angle, weight, clearance, tilt)
+def _bearing_life(method: str, crowned: bool, bearing: RollerBearing, *given: Scalar) -> BearingLife:
+    bearing, *numbers = promote(bearing, *given)
+    force, angle, weight, clearance, tilt = numbers
     angle, weight = (jnp.broadcast_to(x, force.shape[:1]) for x in (angle, weight))
     total = jnp.sum(weight)
-    numbers = (force, angle, weight, clearance, tilt)
+    numbers = [force, angle, weight, clearance, tilt]
     fine = jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in numbers])) & jnp.isfinite(total)
     refused = (*unfit(bearing), (~fine, Status.NONFINITE), (jnp.any(weight < 0), Status.INVALID_GEOMETRY))
-    given = (bearing, *numbers)
-    spare = (harmless(bearing), *(jax.tree.map(jnp.zeros_like, numbers)))
-    (bearing, force, angle, weight, clearance, tilt), gate = status.admit(given, spare, *refused)
+    spare = (harmless(bearing), *jax.tree.map(jnp.zeros_like, numbers))
+    (bearing, force, angle, weight, clearance, tilt), gate = status.admit((bearing, *numbers), spare, *refused)
     weight = weight / jnp.where(total > 0, total, 1)
     loose = Looseness(clearance, tilt, crowned)
     damage, info = damaged(method, bearing, ratings(bearing), force, angle, weight, loose)

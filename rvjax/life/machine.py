@@ -1,7 +1,8 @@
 """All crank bearings of one reducer: what is read, what may be, and the damage that its forces do."""
 
 import math
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -10,17 +11,17 @@ from jax.typing import DTypeLike
 
 from rvjax import status
 from rvjax.axes import fit
-from rvjax.bearings import Bearings
+from rvjax.bearings import Bearings, RollerBearing
 from rvjax.designs import RVReducer
 from rvjax.elementary import power
 from rvjax.errors import RVErrors
 from rvjax.life.bearing import Looseness, check_method, damaged
 from rvjax.life.histories import WEIBULL, Damage, basic, magnitude
-from rvjax.life.ratings import harmless, ratings, unfit
+from rvjax.life.ratings import check_ratings, harmless, ratings, unfit
 from rvjax.life.supports import Equivalent, shared, tapered
-from rvjax.loaded import BearingForces, Layout, check_input, unchecked
-from rvjax.records import concrete, quantity
-from rvjax.status import Check, Gate, SolveInfo, Status, worst_of
+from rvjax.loaded import BearingForces, Layout, Read, check_input, unchecked
+from rvjax.records import Scalar, concrete, promote, quantity
+from rvjax.status import Gate, SolveInfo, Status, worst_of
 
 _GOLDEN = (np.sqrt(5) - 1) / 2
 
@@ -40,8 +41,8 @@ def check_plan(
     samples: int,
     turns: float,
     method: str,
-    reliability: Any,
-    tilt: Any,
+    reliability: Scalar,
+    tilt: Scalar,
     supports: tuple[str, str, str],
 ) -> Plan:
     """The plan of a call.
@@ -64,6 +65,9 @@ def check_plan(
     bearings = design.bearings
     if bearings is None:
         raise ValueError("RVReducer.bearings = None: the life needs them; give Bearings(arm=RollerBearing(...))")
+    for name, bearing in (("arm", bearings.arm), ("support", bearings.support)):
+        if bearing is not None:
+            check_ratings(bearing, f"Bearings.{name}")
     for name in ("disc_position", "planet_position", "support_span", "preload"):
         if (value := getattr(bearings, name)) is not None:
             fit(f"Bearings.{name}", value, ("discs",) if name == "disc_position" else (), design.counts)
@@ -108,26 +112,46 @@ def inner_angles(plan: Plan, dtype: DTypeLike) -> jax.Array:
     return jnp.asarray(-2 * np.pi * np.arange(plan.samples) / plan.samples, dtype)
 
 
-class Judged(NamedTuple):
+class Entered(NamedTuple):
     """Numbers that a life reads besides those of the loaded equilibrium, harmless where they cannot be."""
 
     bearings: Bearings
-    others: Any
+    speed: jax.Array  # rad/s
+    time: jax.Array  # s
+    factor: jax.Array  # a1: life at the reliability over that at 90 %
+    tilt: jax.Array  # rad
     gate: Gate
 
 
-def judge(bearings: Bearings, others: Any, spare: Any, *checks: Check, after: Gate) -> Judged:
-    """Check the bearings and other numbers.
+def entered(
+    design: RVReducer,
+    read: Read,
+    speed: Scalar,
+    time: Scalar,
+    reliability: Scalar,
+    tilt: Scalar,
+    impossible: Callable[[jax.Array, jax.Array], jax.Array],
+) -> Entered:
+    """Check the bearings and the other numbers of a call.
 
     Args:
-        bearings: numbers as arrays.
-        others: pytree of further numbers.
-        spare: harmless ones.
-        *checks: of those.
-        after: gate of the loaded equilibrium.
+        design: its bearings are read.
+        read: numbers of the loaded equilibrium.
+        speed: of the output, rad/s.
+        time: of the phases, or a life, s.
+        reliability: share of the bearings.
+        tilt: rad.
+        impossible: whether a speed and a time cannot be.
     """
+    bearings, *others = promote(design.bearings, speed, time, reliability, tilt, read.torque)[:5]
+    of_speed, of_time, share, lean = others
     support, tapered_supports = bearings.support, bearings.preload is not None
-    refused = [*checks, *unfit(bearings.arm), (~(bearings.arm.contact_angle == 0), Status.INVALID_GEOMETRY)]
+    refused = [
+        (impossible(of_speed, of_time), Status.INVALID_GEOMETRY),
+        (~((share > 0) & (share < 1)), Status.INVALID_GEOMETRY),
+        *unfit(bearings.arm),
+        (~(bearings.arm.contact_angle == 0), Status.INVALID_GEOMETRY),
+    ]
     if support is not None:
         angled = support.contact_angle > 0 if tapered_supports else support.contact_angle == 0
         refused += [*unfit(support), (~angled, Status.INVALID_GEOMETRY)]
@@ -144,8 +168,10 @@ def judge(bearings: Bearings, others: Any, spare: Any, *checks: Check, after: Ga
     safe_bearings = jax.tree.map(
         lambda x, y: jnp.asarray(y, x.dtype), bearings, unchecked(jax.tree.map(jnp.ones_like, rest), **safe)
     )
-    (bearings, others), gate = status.admit((bearings, others), (safe_bearings, spare), *refused, after=after)
-    return Judged(bearings, others, gate)
+    spare = [jnp.ones_like(of_speed), jnp.ones_like(of_time), jnp.full_like(share, 0.9), jnp.zeros_like(lean)]
+    (bearings, others), gate = status.admit((bearings, others), (safe_bearings, spare), *refused, after=read.gate)
+    of_speed, of_time, share, lean = others
+    return Entered(bearings, of_speed, of_time, reliability_factor(share), lean, gate)
 
 
 class Damages(NamedTuple):
@@ -193,9 +219,9 @@ def damages(
     arm = forces.arm.reshape(samples * phases, *forces.arm.shape[2:])
     supports = forces.support.reshape(samples * phases, *forces.support.shape[2:])
 
-    def by_bearing(bearing: Any, force: jax.Array, clearance: Any) -> tuple[Damage, SolveInfo]:
+    def by_bearing(bearing: RollerBearing, force: jax.Array, clearance: Scalar) -> tuple[Damage, SolveInfo]:
         """Damage of bearings (rows, columns) with forces (n, rows, columns, 2)."""
-        rated, loose = ratings(bearing), Looseness(clearance, tilt, True)
+        rated, loose = ratings(bearing), Looseness(jnp.asarray(clearance), tilt, True)
 
         def one(own: jax.Array) -> tuple[Damage, SolveInfo]:
             return damaged(plan.method, bearing, rated, own, angle, weight, loose)

@@ -12,10 +12,12 @@ import numpy as np
 from rvjax.compile_cache import QUICK
 from rvjax.designs import Contact, RVReducer, Stiffness
 from rvjax.errors import RVErrors
+from rvjax.life.cases import cases
 from rvjax.life.duty import Duty
 from rvjax.life.histories import METHODS
 from rvjax.life.rated import RatedTorque, rated_torque
 from rvjax.life.rating import Rating, rating
+from rvjax.life.ratings import check_ratings
 from rvjax.loaded import CONTACTS, SUPPORTS
 from rvjax.outputs import Description, Output, Reading, Solved, condition
 
@@ -39,7 +41,7 @@ class Conditions:
     duty: tuple[tuple[float, ...], ...] | None = condition(None, "phases of a cycle", columns=COLUMNS)
 
 
-def _ways(given: Any) -> dict[str, Any]:
+def _ways(given: Conditions) -> dict[str, Any]:
     return dict(
         samples=given.samples,
         method=given.life_method,
@@ -50,7 +52,7 @@ def _ways(given: Any) -> dict[str, Any]:
     )
 
 
-def rated(design: RVReducer, errors: RVErrors, given: Any) -> Rating:
+def rated(design: RVReducer, errors: RVErrors, given: Conditions) -> Rating:
     """Under the duty."""
     columns = np.asarray(given.duty, float).T
     dtype = jnp.result_type(float, *jax.tree.leaves(errors))
@@ -58,8 +60,9 @@ def rated(design: RVReducer, errors: RVErrors, given: Any) -> Rating:
     return rating(errors.stiffened(design), errors, duty, **_ways(given))
 
 
-def sought(design: RVReducer, errors: RVErrors, given: Any) -> RatedTorque:
+def sought(design: RVReducer, errors: RVErrors, given: Conditions) -> RatedTorque:
     """At the rated speed, for the rated life."""
+    assert given.rated_life is not None and given.rated_speed is not None
     return rated_torque(
         errors.stiffened(design), errors, life=given.rated_life, output_speed=given.rated_speed, **_ways(given)
     )
@@ -81,10 +84,10 @@ def _torque(found: RatedTorque, design: RVReducer, given: object) -> Solved:
     return found.torque, found.info.status
 
 
-def _refusing(name: str, own: Callable[[Any], None]) -> Callable[[Any, Any], None]:
+def _refusing(name: str, own: Callable[[Conditions], None]) -> Callable[[RVReducer, Conditions], None]:
     """Check the parts of a design, the reliability and the bearings of the method, then run the check `own`."""
 
-    def refuse(design: RVReducer, given: Any) -> None:
+    def refuse(design: RVReducer, given: Conditions) -> None:
         for part, cls in (("stiffness", Stiffness), ("contact", Contact)):
             if getattr(design, part) is None:
                 keys = ", ".join(f.name for f in dataclasses.fields(cls) if f.default is dataclasses.MISSING)
@@ -94,6 +97,9 @@ def _refusing(name: str, own: Callable[[Any], None]) -> Callable[[Any, Any], Non
                 f"design.bearings is missing: {name} needs [design.bearings.arm], with rollers, roller_diameter, "
                 f"roller_length, pitch_diameter"
             )
+        for place, bearing in (("arm", design.bearings.arm), ("support", design.bearings.support)):
+            if bearing is not None:
+                check_ratings(bearing, f"design.bearings.{place}")
         if not 0 < given.reliability < 1:
             raise ValueError(f"conditions.reliability = {given.reliability:g}: must lie between 0 and 1")
         if design.bearings.preload is not None and given.life_method != "basic":
@@ -106,7 +112,7 @@ def _refusing(name: str, own: Callable[[Any], None]) -> Callable[[Any, Any], Non
     return refuse
 
 
-def _with_duty(given: Any) -> None:
+def _with_duty(given: Conditions) -> None:
     if given.duty is None:
         told = ", ".join(f"{name} in {unit}" for name, unit in COLUMNS.items())
         raise ValueError(f"[[duty]] is missing: life and static safety need at least one phase, with {told}")
@@ -118,7 +124,8 @@ def _with_duty(given: Any) -> None:
         raise ValueError("duty.time = 0 s in all phases: must have a positive sum")
 
 
-def _with_life(given: Any) -> None:
+def _with_life(given: Conditions) -> None:
+    assert given.rated_life is not None
     if given.rated_life <= 0:
         raise ValueError(f"conditions.rated_life = {given.rated_life:g} s: must be positive")
     if given.rated_speed == 0:
@@ -156,6 +163,7 @@ DESCRIPTION = Description(
             refuse=_refusing("rated_torque", _with_life),
         ),
     },
+    cases=cases,
     unknown=UNKNOWN,
     compiler_options=QUICK,
     costly=True,

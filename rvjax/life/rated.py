@@ -7,16 +7,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax.bearings import Bearings
 from rvjax.compile_cache import quick
 from rvjax.designs import RVReducer, expect
 from rvjax.errors import RVErrors
 from rvjax.life.histories import LIFE
-from rvjax.life.machine import Plan, check_plan, damages, input_angles, judge, reliability_factor
+from rvjax.life.machine import Plan, check_plan, damages, entered, input_angles
 from rvjax.life.ratings import ratings
-from rvjax.life.search import largest_root
+from rvjax.life.search import Evaluated, Root, largest_root
 from rvjax.loaded import Read, admit, bearing_forces
 from rvjax.plausible import checked
-from rvjax.records import Record, Scalar, concrete, field, promote, quantity, record
+from rvjax.records import Record, Scalar, concrete, field, quantity, record
 from rvjax.status import Gate, SolveInfo, Status, succeeded, worst
 
 
@@ -79,40 +80,30 @@ def rated_torque(
 class Given(NamedTuple):
     """Numbers that the root depends on."""
 
-    design: Any
-    errors: Any
-    eccentricity: Any
-    bearings: Any
-    budget: Any  # revolutions that are wanted, of 90 % of the machines
-    tilt: Any
-    sound: Any  # 1, or 0 where the case is invalid
+    design: RVReducer
+    errors: RVErrors
+    eccentricity: jax.Array
+    bearings: Bearings
+    budget: jax.Array  # revolutions that 90 % of the bearings must reach
+    tilt: jax.Array
+    sound: jax.Array  # 1, or 0 where the case is invalid
 
 
 @quick(0)
 def _rated_torque(
-    plan: Plan, design: RVReducer, errors: RVErrors, life: Any, speed: Any, reliability: Any, tilt: Any
+    plan: Plan, design: RVReducer, errors: RVErrors, life: Scalar, speed: Scalar, reliability: Scalar, tilt: Scalar
 ) -> RatedTorque:
     read = admit(plan.layout, design, errors, 0.0, 0.0)
-    bearings, *others = promote(design.bearings, life, speed, reliability, tilt, read.torque)[:5]
-    life, speed, reliability, tilt = others
-    judged = judge(
-        bearings,
-        (life, speed, reliability, tilt),
-        (jnp.ones_like(life), jnp.ones_like(speed), jnp.full_like(reliability, 0.9), jnp.zeros_like(tilt)),
-        (~(life > 0) | (speed == 0), Status.INVALID_GEOMETRY),
-        (~((reliability > 0) & (reliability < 1)), Status.INVALID_GEOMETRY),
-        after=read.gate,
-    )
-    life, speed, reliability, tilt = judged.others
-    budget = life * jnp.abs(speed) * plan.layout.pins / (2 * jnp.pi * reliability_factor(reliability))
-    sound = judged.gate.good.astype(budget.dtype)
-    given = Given(read.design, read.errors, read.eccentricity, judged.bearings, budget, tilt, sound)
+    call = entered(design, read, speed, life, reliability, tilt, lambda speed, life: ~(life > 0) | (speed == 0))
+    budget = call.time * jnp.abs(call.speed) * plan.layout.pins / (2 * jnp.pi * call.factor)
+    sound = call.gate.good.astype(budget.dtype)
+    given = Given(read.design, read.errors, read.eccentricity, call.bearings, budget, call.tilt, sound)
     x, _, info = _solve(plan, given)
-    torque, info = judged.gate.close(jnp.exp(x), info=info)
+    torque, info = call.gate.close(jnp.exp(x), info=info)
     return RatedTorque(jnp.where(succeeded(info.status), torque, jnp.nan), info)
 
 
-def _missing(plan: Plan, given: Given, x: jax.Array, start: jax.Array) -> Any:
+def _missing(plan: Plan, given: Given, x: jax.Array, start: jax.Array) -> Evaluated:
     """0.3 ln(life / wanted) at the torque e^x, status, steps and displacements."""
     refused = Gate(((given.sound < 0.5, Status.NONFINITE),))
     torque = jnp.exp(x)[None]
@@ -127,7 +118,7 @@ def _missing(plan: Plan, given: Given, x: jax.Array, start: jax.Array) -> Any:
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _solve(plan: Plan, given: Given) -> tuple[jax.Array, jax.Array, SolveInfo]:
+def _solve(plan: Plan, given: Given) -> Root:
     """ln torque, displacements there, and how it was found."""
     cranks, discs = plan.layout.cranks, plan.layout.discs
     first = ratings(given.bearings.arm).dynamic * given.design.cranks.circle_radius * cranks * discs / 5
@@ -136,7 +127,7 @@ def _solve(plan: Plan, given: Given) -> tuple[jax.Array, jax.Array, SolveInfo]:
 
 
 @_solve.defjvp
-def _solve_jvp(plan: Plan, primals: Any, tangents: Any) -> Any:
+def _solve_jvp(plan: Plan, primals: tuple[Given], tangents: tuple[Given]) -> tuple[Root, Root]:
     """dx = -(dv / d given) dgiven / (dv / dx)."""
     (given,), (change,) = primals, tangents
     x, start, info = _solve(plan, given)

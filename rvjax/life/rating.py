@@ -10,10 +10,10 @@ from rvjax.designs import RVReducer, expect
 from rvjax.errors import RVErrors
 from rvjax.life.bearing import inverse
 from rvjax.life.duty import Duty, check_phases, revolutions
-from rvjax.life.machine import Plan, check_plan, damages, input_angles, judge, reliability_factor
+from rvjax.life.machine import Plan, check_plan, damages, entered, input_angles
 from rvjax.loaded import admit, bearing_forces
 from rvjax.plausible import checked
-from rvjax.records import Record, Scalar, field, promote, record
+from rvjax.records import Record, Scalar, field, record
 from rvjax.status import SolveInfo, Status, succeeded, worst
 
 
@@ -82,26 +82,17 @@ def rating(
 
 @quick(0, 1)
 def _rating(
-    plan: Plan, phases: int, design: RVReducer, errors: RVErrors, duty: Duty, reliability: Any, tilt: Any
+    plan: Plan, phases: int, design: RVReducer, errors: RVErrors, duty: Duty, reliability: Scalar, tilt: Scalar
 ) -> Rating:
     torque, speed, time = (jnp.broadcast_to(x, (phases,)) for x in (duty.output_torque, duty.output_speed, duty.time))
     read = admit(plan.layout, design, errors, torque, 0.0)
-    bearings, *others = promote(design.bearings, speed, time, reliability, tilt, read.torque)[:5]
-    speed, time, reliability, tilt = others
-    cycle = jnp.sum(time)
-    judged = judge(
-        bearings,
-        (speed, time, reliability, tilt),
-        (jnp.ones_like(speed), jnp.ones_like(time), jnp.full_like(reliability, 0.9), jnp.zeros_like(tilt)),
-        (jnp.any(time < 0) | ~(cycle > 0), Status.INVALID_GEOMETRY),
-        (~((reliability > 0) & (reliability < 1)), Status.INVALID_GEOMETRY),
-        after=read.gate,
+    given = entered(
+        design, read, speed, time, reliability, tilt, lambda _, time: jnp.any(time < 0) | ~(jnp.sum(time) > 0)
     )
-    speed, time, reliability, tilt = judged.others
     forces = bearing_forces(plan.layout, read, read.torque, input_angles(plan, design, read.torque.dtype))
-    turned = revolutions(plan.layout.pins, speed, time)
-    found = damages(plan, judged.bearings, read.errors, forces, turned.share, tilt)
-    per_time = turned.per_time / (1e6 * reliability_factor(reliability))  # Eq. 22
+    turned = revolutions(plan.layout.pins, given.speed, given.time)
+    found = damages(plan, given.bearings, read.errors, forces, turned.share, given.tilt)
+    per_time = turned.per_time / (1e6 * given.factor)  # Eq. 22
 
     values = dict(
         life=inverse(found.whole * per_time),
@@ -118,7 +109,7 @@ def _rating(
         jnp.sum(forces.info.steps),
         jnp.max(forces.info.residual),
     )
-    values, info = judged.gate.close(values, info=info)
+    values, info = given.gate.close(values, info=info)
     fine = succeeded(info.status)
     values = jax.tree.map(lambda x: jnp.where(fine, x, jnp.nan), values)
     return Rating(**({"support": None, "support_load": None} | values), info=info)

@@ -5,17 +5,21 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from rvjax.bearings import RollerBearing
 from rvjax.designs import expect
 from rvjax.elementary import power
-from rvjax.records import promote
+from rvjax.records import concrete, promote, quantity
 from rvjax.status import Check, Status
 from rvjax.units import mm
 
 REDUCTION = 0.83  # lambda nu of ISO 281: the rating of a whole bearing against that of its laminae
 _FACTOR = 551.13373 * 0.377 * REDUCTION  # Eq. 2
 _INNER, _OUTER = 0.378, 0.364  # Eq. 5
+
+
+LEAST = 0.5  # of C / C0 of the rollers: makers' ratings of one bearing differ less
 
 
 class Ratings(NamedTuple):
@@ -66,6 +70,34 @@ def _rated(bearing: RollerBearing) -> tuple[jax.Array, jax.Array]:
     good = ~(failed[0] | failed[1])
     found = ratings(jax.tree.map(lambda x, spare: jnp.where(good, x, spare), bearing, harmless(bearing)))
     return jnp.where(good, found.dynamic, jnp.nan), jnp.where(good, found.static, jnp.nan)
+
+
+def check_ratings(bearing: RollerBearing, name: str) -> None:
+    """Raise ValueError for a dynamic rating that is too small for the static rating.
+
+    Both are ratings of the same rollers, which fix C / C0 (Eqs. 3, 4). No standard bounds the ratings that a maker
+    gives; less than half of that ratio is an input error here, such as a wrong unit. Traced numbers are not checked.
+
+    Args:
+        bearing: with or without given ratings.
+        name: of the bearing, for the message.
+
+    Raises:
+        ValueError: names the rating, its value and its unit.
+    """
+    if (bearing.capacity is None and bearing.static_capacity is None) or not concrete(*jax.tree.leaves(bearing)):
+        return
+    of_rollers = _rated(bearing.replace(capacity=None, static_capacity=None))
+    dynamic, static = (np.asarray(x) for x in _rated(bearing))
+    least = LEAST * static * np.asarray(of_rollers[0] / of_rollers[1])
+    if np.any(dynamic < least):
+        given = "capacity" if bearing.capacity is not None else "static_capacity"
+        value, bound = (quantity(x, "N") for x in (getattr(bearing, given), least))
+        rule = f"must be at least {bound}" if given == "capacity" else f"needs a dynamic rating of at least {bound}"
+        raise ValueError(
+            f"{name}.{given} = {value}: {rule}, {LEAST:g} of what ISO 281 and ISO 76 give these rollers for C0 = "
+            f"{quantity(static, 'N')}; check the unit"
+        )
 
 
 def unfit(bearing: RollerBearing) -> tuple[Check, Check]:

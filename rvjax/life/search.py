@@ -5,7 +5,7 @@ where life falls with the exponent 10/3 the value is the step to the root.
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -16,14 +16,16 @@ EVALUATIONS = 64
 _RANGE = 16.0  # below the start, in the logarithm: a ten millionth of it is no load
 _EDGE = 1e-4  # of the torque: from here on a root lies where a contact law ends
 
-Evaluate = Callable[[jax.Array, Any], tuple[jax.Array, jax.Array, jax.Array, Any]]
+Evaluated = tuple[jax.Array, jax.Array, jax.Array, jax.Array]  # value, status, steps of the equilibria, memory
+Evaluate = Callable[[jax.Array, jax.Array], Evaluated]
+Root = tuple[jax.Array, jax.Array, SolveInfo]
 
 
 class Search(NamedTuple):
     """State of the search."""
 
     x: jax.Array  # next
-    memory: Any  # of the evaluations, from which the next one starts
+    memory: jax.Array  # of the evaluations, from which the next one starts
     lower: jax.Array  # highest x with a value >= 0; -inf: none yet
     upper: jax.Array  # lowest x with a value < 0, or beyond a contact law; inf: none yet
     beyond: jax.Array  # whether `upper` is beyond a contact law
@@ -35,7 +37,7 @@ class Search(NamedTuple):
     steps: jax.Array  # of the equilibria
 
 
-def largest_root(evaluate: Evaluate, start: jax.Array, memory: Any) -> tuple[jax.Array, Any, SolveInfo]:
+def largest_root(evaluate: Evaluate, start: jax.Array, memory: jax.Array) -> Root:
     """The root, what the evaluations remember of it, and how the search ended.
 
     Args:

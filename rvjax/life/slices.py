@@ -1,6 +1,6 @@
 """Damage lamina by lamina, after ISO/TS 16281: profile of the rollers, clearance, tilt. In N and mm."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -124,7 +124,7 @@ def slices(
         """Sum of the laminae of a ring."""
         cosine = (force / safe[:, None]) @ points(_RING, force.dtype)  # (n, points)
 
-        def block(total: jax.Array, given: Any) -> tuple[jax.Array, None]:
+        def block(total: jax.Array, given: tuple[jax.Array, jax.Array, jax.Array]) -> tuple[jax.Array, None]:
             part, own, share = given
             loads = lamina_loads(rollers, jnp.broadcast_to(own[:, None], part.shape), part) * (lamina / rating)
             return total + jnp.tensordot(share, loads**4, 1), None

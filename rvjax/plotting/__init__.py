@@ -8,6 +8,7 @@ from rvjax.plotting import (
     dynamics,
     four_bar,
     identified,
+    life,
     loaded,
     mesh_force,
 )
@@ -40,6 +41,7 @@ __all__ = [
     "error_budget",
     "four_bar",
     "identified",
+    "life",
     "loaded",
     "mesh_force",
     "new_axes",

@@ -7,7 +7,6 @@ depend on the bearing; the rest are inequalities with the bearings that `catalog
 import math
 from collections.abc import Callable
 from functools import cache
-from typing import Any
 
 import numpy as np
 
@@ -18,7 +17,8 @@ from rvjax.units import GPa, mm, rpm
 
 HOUR = 3600.0
 RATED_LIFE, RATED_SPEED = 6000 * HOUR, 15 * rpm
-TORQUE = {"rv20e": 167.0, "rv40e": 412.0}  # N m at 15 r/min
+TORQUE = {"rv20e": 167.0, "rv40e": 412.0, "rv320e": 3136.0}  # N m at 15 r/min
+SPEEDS = (5.0, 10.0, 20.0, 25.0, 30.0, 40.0, 50.0, 60.0)  # r/min, of the table of the RV-40E besides 15
 ERRORS = RVErrors()
 SAMPLES = 12  # error-free machines need no more
 WALL = 3.5 * mm  # of a disc round a bearing: assumed
@@ -38,17 +38,20 @@ def _nominal(design: RVReducer) -> RVReducer:
 
 
 RV_20E, RV_40E = (_nominal(design) for design in (catalogue.RV_20E, catalogue.RV_40E))
-ARMS = RV_40E.replace(bearings=RV_40E.bearings.replace(support=None) if RV_40E.bearings else None)
+RATIO = {"rv20e": RV_20E, "rv40e": RV_40E.replace(bearings=RV_20E.bearings)}  # ratios are free of the bearings
+ARM = RollerBearing(14, 6 * mm, 11 * mm, 32 * mm)  # its load is free of its size
 
 
 @cache
-def _torque_ratio(speed: float) -> float:
-    """Rated torque at a speed, r/min, times the published torque at 15 over the one computed there."""
-    found = [
-        life.rated_torque(RV_20E, ERRORS, life=RATED_LIFE, output_speed=n * rpm, samples=SAMPLES).torque
-        for n in (speed, 15.0)
-    ]
-    return TORQUE["rv20e"] * float(found[0] / found[1])
+def _torque(size: str, speed: float) -> float:
+    """Torque for the rated life at a speed in r/min, without errors."""
+    found = life.rated_torque(RATIO[size], ERRORS, life=RATED_LIFE, output_speed=speed * rpm, samples=SAMPLES)
+    return float(found.torque)
+
+
+def _torque_at(size: str, speed: float) -> float:
+    """Published torque at 15 r/min times the ratio of the computed torques."""
+    return TORQUE[size] * _torque(size, speed) / _torque(size, 15.0)
 
 
 def _duty(phases: tuple[tuple[float, float, float], ...]) -> life.Duty:
@@ -66,25 +69,44 @@ def _hours_of_duty() -> float:
     return 6000 * moving * float(found[0] / found[1])
 
 
-@cache
-def _arms_rated() -> life.Rating:
-    return life.rating(ARMS, ERRORS, life.Duty([TORQUE["rv40e"]], [RATED_SPEED], [1.0]), samples=SAMPLES)
+def _rating_needed(design: RVReducer, torque: float) -> float:
+    """Least C of an arm bearing, N, for the rated life of all of them, without errors.
+
+    The force has a part M/(c R), fixed in the carrier, and a part M/(c e zc), which turns with the crank; what pins
+    press along the eccentric only adds to it.
+    """
+    cycloid, gears, cranks = design.cycloid, design.involute, design.cranks
+    moment = torque * cycloid.disc_teeth
+    moment /= cycloid.disc_count * (cycloid.pin_count + gears.sun_teeth / gears.planet_teeth)
+    fixed = moment / (cranks.count * cranks.circle_radius)
+    turning = moment / (cranks.count * cycloid.eccentricity * cycloid.disc_teeth)
+    angle = 2 * np.pi * np.arange(48) / 48
+    force = np.stack([fixed + turning * np.cos(angle), turning * np.sin(angle)], axis=-1)
+    load = float(life.bearing_life(ARM, force).load)
+    revolutions = RATED_LIFE * RATED_SPEED / (2 * np.pi) * cycloid.pin_count
+    bearings = cycloid.disc_count * cranks.count
+    return float(load * (revolutions * bearings ** (8 / 9) / 1e6) ** 0.3)
 
 
-def _fits_the_disc() -> bool:
-    """True if the rating for 6000 h of all arm bearings fits a caged row between crank and flank."""
-    cycloid, arm = RV_40E.cycloid, RV_40E.bearings.arm  # type: ignore[union-attr]
-    need = float(life.dynamic_rating(arm)) * float(RATED_LIFE / _arms_rated().life) ** 0.3
-    reach = cycloid.pin_circle_radius - cycloid.pin_radius - 2 * cycloid.eccentricity - RV_40E.cranks.circle_radius
+def _rating_that_fits(design: RVReducer, length: float) -> float:
+    """Largest C of a caged row between crank and flank of a disc, N; rollers of a length in m."""
+    cycloid = design.cycloid
+    reach = cycloid.pin_circle_radius - cycloid.pin_radius - 2 * cycloid.eccentricity - design.cranks.circle_radius
     outside = 2 * (reach - WALL)
     strongest = 0.0
-    for diameter in np.arange(3, 12, 0.5) * mm:
+    for diameter in np.arange(3, 16, 0.5) * mm:
         circle = outside - diameter
         rollers = math.floor(math.pi / math.asin(min(CAGE * diameter / circle, 1.0)))
         if rollers >= 3:
-            row = RollerBearing(rollers, diameter, arm.roller_length, circle)
+            row = RollerBearing(rollers, diameter, length, circle)
             strongest = max(strongest, float(life.dynamic_rating(row)))
-    return need <= strongest
+    return strongest
+
+
+def _fits_the_disc(design: RVReducer, torque: float) -> bool:
+    """True if the rating for 6000 h of all arm bearings fits a caged row between crank and flank."""
+    assert design.bearings is not None
+    return _rating_needed(design, torque) <= _rating_that_fits(design, design.bearings.arm.roller_length)
 
 
 def _safe_at(factor: float, least: float) -> bool:
@@ -94,11 +116,13 @@ def _safe_at(factor: float, least: float) -> bool:
     return float(found.static_safety) >= least and int(found.info.status) == 0
 
 
-COMPUTED: dict[str, Callable[[], Any]] = {
-    "catalogue.rv20e.torque_at_5": lambda: _torque_ratio(5.0),
-    "catalogue.rv20e.torque_at_60": lambda: _torque_ratio(60.0),
+COMPUTED: dict[str, Callable[[], float | bool | list[float]]] = {
+    "catalogue.rv20e.torque_at_5": lambda: _torque_at("rv20e", 5.0),
+    "catalogue.rv20e.torque_at_60": lambda: _torque_at("rv20e", 60.0),
+    "catalogue.rv40e.torques": lambda: [_torque_at("rv40e", speed) for speed in SPEEDS],
     "catalogue.rv40e.duty_formula": _hours_of_duty,
-    "catalogue.rv40e.bearing_fits_disc": _fits_the_disc,
+    "catalogue.rv40e.bearing_fits_disc": lambda: _fits_the_disc(RV_40E, TORQUE["rv40e"]),
+    "catalogue.rv320e.bearing_fits_disc": lambda: _fits_the_disc(catalogue.RV_320E, TORQUE["rv320e"]),
     "catalogue.rv40e.start_stop_torque": lambda: _safe_at(2.5, 2.0),
     "catalogue.rv40e.momentary_torque": lambda: _safe_at(5.0, 1.0),
 }

@@ -1,4 +1,4 @@
-"""Content of a page beyond the result: the surrogate behind the sliders, and the error budget."""
+"""Content of a page beyond the result: the surrogate behind the sliders, error budget, bearing lives."""
 
 from dataclasses import dataclass
 
@@ -8,6 +8,7 @@ from rvjax.commands.allocate import Answer, answer
 from rvjax.commands.budget import Budget, budget_if_any
 from rvjax.commands.report import surrogate as behind
 from rvjax.commands.report.inputs import Inputs
+from rvjax.commands.report.lives import Lives, lives_if_any
 from rvjax.commands.speak import READING
 
 SLIDERS, WRITING = "numbers behind the sliders", "the page"
@@ -15,17 +16,19 @@ SLIDERS, WRITING = "numbers behind the sliders", "the page"
 
 @dataclass(frozen=True)
 class Shown:
-    """Result with the surrogate and the error budget of its page.
+    """Result with the surrogate, the error budget and the bearing lives of its page.
 
     Attributes:
         answer: result of the study.
         surrogate: behind the sliders, None where nothing can move.
         budget: of the allocated tolerances, None where the study has none.
+        lives: of the bearings with the allocated tolerances, None where the study requires none.
     """
 
     answer: Answer
     surrogate: behind.Surrogate | None = None
     budget: Budget | None = None
+    lives: Lives | None = None
 
 
 def phases(asked: Inputs) -> dict[str, float]:
@@ -40,10 +43,11 @@ def phases(asked: Inputs) -> dict[str, float]:
 
 
 def compute(asked: Inputs) -> Shown:
-    """Compute or read the result; compute surrogate and budget."""
+    """Compute or read the result; compute surrogate, budget and bearing lives."""
     found = asked.answer or answer.answer(asked.study, progress=not asked.quiet)
     progress.begin(SLIDERS)
     moved = behind.surrogate(found)
     budget = budget_if_any(asked.study, found.allocation.tolerances)
+    lives = lives_if_any(asked.study, found.allocation.tolerances)
     progress.begin(WRITING)
-    return Shown(found, moved, budget)
+    return Shown(found, moved, budget, lives)

@@ -26,6 +26,7 @@ from rvjax.commands.allocate import (
 from rvjax.commands.budget import section_on
 from rvjax.commands.cells import share
 from rvjax.commands.report import live
+from rvjax.commands.report.bearings import bearing_section
 from rvjax.commands.report.compute import Shown
 from rvjax.commands.report.inputs import Inputs
 from rvjax.commands.report.worst_units import WorstUnit, worst_units
@@ -73,10 +74,10 @@ def report(asked: Inputs, found: Shown) -> Report:
 
 
 def page_of(found: Shown, source: str, *, date: str = "") -> str:
-    """The whole page; without a surrogate or a budget it lacks their sections, without a date it says none.
+    """The whole page; it lacks the sections of what was not found, and a date if none is given.
 
     Args:
-        found: result, surrogate and budget.
+        found: result, surrogate, budget and bearing lives.
         source: of the study, as named.
         date: of the result.
     """
@@ -86,6 +87,7 @@ def page_of(found: Shown, source: str, *, date: str = "") -> str:
     sections += [live.block(found.surrogate, answer)] if found.surrogate else []
     sections += [design_section(study), _influence(answer, drawn)]
     sections += [section_on(found.budget)] if found.budget else []
+    sections += [bearing_section(found.lives, study)] if found.lives else []
     sections += [_worst(answer, drawn), _levels(answer)]
     about = dict(study=study.name, author=study.about.author, revision=study.about.revision, computed=date)
     certificate = answer.allocation.certificate

@@ -1,0 +1,124 @@
+"""Why a bearing fails, and the section of the page.
+
+Oracles: closed forms of the plane model without errors, the makers' duty formula, and lives made by hand.
+"""
+
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from life_cases import BASIC, NAMED, unit_of
+
+from rvjax import RVErrors, Status, life, study
+from rvjax.commands.report.bearings import bearing_section
+from rvjax.commands.report.lives import Lives, lives_if_any
+from rvjax.render import Figure, Note, Table
+from rvjax.status import at_once
+from rvjax.units import rpm
+
+HOUR = 3600.0
+
+
+def rated(arm, support=None):
+    """A rating whose system life follows from its bearings."""
+    parts = [np.ravel(part) for part in (arm, support) if part is not None]
+    rates = np.concatenate([1 / part for part in parts])
+    whole = 1 / np.sum(rates**1.125) ** (1 / 1.125) if rates.any() else np.inf
+    none = jnp.zeros(())
+    return life.Rating(jnp.asarray(whole), jnp.asarray(arm), support, none, none, none, at_once(none))
+
+
+def test_shares_of_the_failures_are_those_of_a_weibull_system():
+    found = life.first_failures(rated(np.full((2, 3), 7.0)))
+    np.testing.assert_allclose(found.arm, np.full((2, 3), 1 / 6), rtol=1e-12)
+    mixed = life.first_failures(rated(np.array([[1.0, 2.0]]), np.array([[4.0, np.inf], [3.0, 3.0]])))
+    assert float(np.sum(mixed.arm) + np.sum(mixed.support)) == pytest.approx(1, rel=1e-12)
+    assert float(mixed.arm[0, 0] / mixed.arm[0, 1]) == pytest.approx(2**1.125, rel=1e-12)
+    assert float(mixed.support[0, 1]) == 0
+    assert not np.any(life.first_failures(rated(np.full((1, 2), np.inf))).arm)
+
+
+def test_a_phase_has_its_share_of_the_damage():
+    """By the makers' formula: |n| t T^(10/3); a phase at rest does no damage; two units have separate shares."""
+    duty = life.Duty(np.array([412.0, 200.0, 800.0]), np.array([1.5, -3.0, 0.0]), np.array([1.0, 2.0, 5.0]))
+    size = np.array([[1.0], [1.2]])  # of the loads of two units, with another exponent for the second
+    exponent = np.array([10 / 3, 4.0])
+
+    def of(duty):
+        return 1 / np.sum(np.abs(duty.output_speed) * duty.time * (size * duty.output_torque) ** exponent[:, None], 1)
+
+    due = np.abs(duty.output_speed) * duty.time * duty.output_torque ** exponent[:, None]
+    np.testing.assert_allclose(life.phase_shares(of, duty).T, due / due.sum(1, keepdims=True), rtol=1e-6, atol=0)
+
+
+def test_the_orders_of_the_force_without_errors():
+    """M/(c R) is fixed in the carrier, M/(c e zc) across the eccentric turns with the crank; the rest is ripple."""
+    design, _ = unit_of(NAMED[BASIC])
+    pins, cranks = design.cycloid.pin_count, design.cranks.count
+    found = life.force_orders(design, RVErrors(), output_torque=412.0, samples=4 * pins, contact="linear")
+    assert int(found.info.status) == Status.CONVERGED and found.amplitude.shape == (2, cranks, 4 * pins)
+    teeth = design.cycloid.disc_teeth
+    moment = 412.0 * teeth / (2 * (pins + design.involute.sun_teeth / design.involute.planet_teeth))
+    size = dict(zip(found.order.tolist(), np.abs(found.amplitude[0, 0])))
+    assert size[0] == pytest.approx(moment / (cranks * float(design.cranks.circle_radius)), rel=2e-2)
+    across = moment / (cranks * float(design.cycloid.eccentricity) * teeth)
+    assert across < size[-pins] < 1.1 * across
+    assert max(value for order, value in size.items() if order % pins) < 1e-6 * size[0]
+
+
+def made(phases=2, **changes):
+    """Lives of four units with two arm bearings and a support."""
+    each = HOUR * np.array([[9e3, 8e3, 9e4], [8e3, 7e3, 9e4], [9e3, 9e3, 9e4], [7e3, 6e3, 9e4]])
+    names = ("disc 0, crank 0", "disc 1, crank 0", "support 0, crank 0")
+    duty = np.array([[412.0, 15 * rpm, 2.0], [-100.0, 30 * rpm, 6.0]])[:phases]
+    orders = np.array([0, 1, 40, -40, -1])
+    force = np.array([[2e3, 2e3], [0, 300.0], [0, 10.0], [1e3, 1e3], [0, 200.0]])
+    lives = Lives(
+        method="raceway", reliability=0.95, life=np.array([4e3, 3e3, 5e3, 2e3]) * HOUR, failed=3, bearings=names,
+        centre=each[0], each=each, load=each / HOUR, first=np.array([0.3, 0.6, 0.1]),
+        held={"pin_ring": (10 * HOUR, 5 * HOUR), "disc_bore": (90 * HOUR, 70 * HOUR)}, duty=duty,
+        phases=np.array([0.9, 0.1])[:phases], torque=np.array([200.0, 400.0]), speed=15 * rpm,
+        of_torque=np.array([[9.0, 5, 7, 8], [0.9, 0.5, 0.7, 0.8]]) * 1e3 * HOUR, orders=orders, force=force, pins=40,
+    )  # fmt: skip
+    return dataclasses.replace(lives, **changes)
+
+
+@pytest.fixture(scope="module")
+def question():
+    return study.load("rv-40e-whole", solve=False)
+
+
+def test_the_page_says_which_bearing_fails_first_and_why(question):
+    found = bearing_section(made(), question)
+    assert found.title == "Bearing life"
+    tables = {part.name: part.texts("page")[1] for part in found.content if isinstance(part, Table)}
+    assert [row[1] for row in tables["bearing_lives"]] == ["30.0 %", "60.0 %", "10.0 %"]
+    assert tables["bearing_lives"][1][2] == "8,000"  # h
+    orders = {row[0]: row[1] for row in tables["bearing_orders"]}
+    assert list(orders) == ["0", "-40", "1", "-1", "40"]
+    assert orders["0"] == "fixed in the carrier" and orders["-40"] == "turns with the crank"
+    assert orders["40"] == "pins and teeth" and orders["1"] == "errors of the parts"
+    assert [row[0] for row in tables["bearing_errors"]] == ["disc bore", "pin ring"]
+    assert tables["duty_phases"] == [
+        ["412 N m, 15 r/min", "25.0 %", "90.0 %"],
+        ["-100 N m, 30 r/min", "75.0 %", "10.0 %"],
+    ]
+    figures = [part for part in found.content if isinstance(part, Figure)]
+    assert len(figures) == 3 and all(figure.content("png").startswith(b"\x89PNG") for figure in figures)
+    assert "disc 1, crank 0 with 60 %" in figures[0].caption
+
+
+def test_a_share_of_bearings_is_no_share_of_units(question):
+    """The reliability counts bearings of one unit, a quantile counts units; one phase needs no shares."""
+    found = bearing_section(made(1), question)
+    first, last = (part.text for part in found.content if isinstance(part, Note))
+    assert "95 % of the bearings reach the rated life of their unit" in first
+    assert "4 sample units" in first and "half have a rated life above 3,500 h" in first and "3 further units" in first
+    assert "no tilt" in last and "differ in level" in last
+    assert not any(isinstance(part, (Table, Figure)) and part.name == "duty_phases" for part in found.content)
+
+
+def test_a_study_without_a_life_has_no_section():
+    other = study.load("rv-40e", solve=False)
+    assert lives_if_any(other, other.tolerances) is None
