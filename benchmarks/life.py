@@ -1,4 +1,4 @@
-"""Bearing life of RV-40E units: the damage integral of 8 bearings, and the whole rating next to a revolution.
+"""Bearing life of RV-40E units: the damage integral of 8 bearings, a rating next to a revolution, a batch of a study.
 
 The damage of 48 forces by size (`basic`) and by point of both rings (`raceway`, 48 each) runs in the library, in C (gcc
 -O3 -march=native -ffast-math, one thread) and in SciPy (a quadrature over the ring for each bearing); all are compared
@@ -20,14 +20,18 @@ import jax.numpy as jnp  # noqa: E402
 from scipy.integrate import quad_vec  # noqa: E402
 
 from benchmarks.loaded import draw, fields  # noqa: E402
-from rvjax import RollerBearing, RVErrors, catalogue, life, loaded  # noqa: E402
+from benchmarks.whole import ACCURACY  # noqa: E402
+from rvjax import RollerBearing, RVErrors, catalogue, life, loaded, study  # noqa: E402
 from rvjax.compile_cache import QUICK  # noqa: E402
 from rvjax.life.histories import J4, J45  # noqa: E402
 from rvjax.life.ratings import ratings  # noqa: E402
 from rvjax.loaded.cases import MACHINE  # noqa: E402
 from rvjax.records import promote  # noqa: E402
+from rvjax.response.response import BLOCK  # noqa: E402
+from rvjax.tolerances import monte_carlo  # noqa: E402
 
 HISTORIES, SAMPLES, POINTS, LOOP, UNITS = 512 * 8, 48, 48, 4, 256  # bearings; forces; of a ring; SciPy; rating
+BATCH = 4096  # units of a study
 BEARING = RollerBearing(14, 6e-3, 11e-3, 32e-3)
 DESIGN = MACHINE.replace(bearings=catalogue.RV_40E.bearings)
 ANGLE = -2 * np.pi * np.arange(SAMPLES) / SAMPLES
@@ -168,10 +172,27 @@ def of_rating():
     return figures | ratios
 
 
+def of_batch():
+    """Seconds of a batch of rv-40e-whole, and of the same study without limits on life and forces."""
+    studies = {name: study.load(name, solve=False) for name in (str(ACCURACY), "rv-40e-whole")}
+
+    def run(asked):
+        return lambda: monte_carlo(
+            asked.response(), asked.tolerances, samples=BATCH, seed=1, chunk=BLOCK, requirements=asked.requirements
+        )
+
+    runs = {asked.name: run(asked) for asked in studies.values()}
+    for each in runs.values():
+        each()  # compiles
+    best = alternate(runs, rounds=3, seconds=0.1)
+    figures = {f"{BATCH} units, {name}, s": seconds for name, seconds in best.items()}
+    return figures | {"rv-40e-whole / without life and forces": best["rv-40e-whole"] / best[ACCURACY.stem]}
+
+
 def main():
     path = arguments(__doc__.splitlines()[0]).json
     figures = {"histories": HISTORIES, "forces of a history": SAMPLES, "units of the rating": UNITS}
-    publish("life", figures | of_damage(c_library(SOURCE)) | of_rating(), path)
+    publish("life", figures | of_damage(c_library(SOURCE)) | of_rating() | of_batch(), path)
 
 
 if __name__ == "__main__":

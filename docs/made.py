@@ -147,5 +147,6 @@ TEXTS = {
     "two_models": two_studies.models,
     "two_studies": two_studies.yields,
     "two_tolerances": two_studies.tolerances,
+    "two_forces": two_studies.forces,
     "units": _units,
 }

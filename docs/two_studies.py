@@ -13,9 +13,11 @@ JUDGED = {
     "optimum of the four-bar": "optimum of rv-40e, all errors",
     "optimum of the four-bar, with its flanks": "the same with the flanks of rv-40e",
     "tolerances of rv-40e-whole": "tolerances of rv-40e-whole",
+    "optimum without limits on forces": "optimum of rv-40e-whole without limits on life and forces",
     "optimum of the whole reducer": "optimum of rv-40e-whole",
 }
 """Sets of tolerances evaluated on the whole reducer, and their names in the docs."""
+FORCES = ("life", "turn_pin_pressure", "arm_bearing_force")
 
 
 def yields():
@@ -25,11 +27,26 @@ def yields():
     for name, text in JUDGED.items():
         found = kept[name]
         yields = ("{:.1f} [{:.1f}, {:.1f}]".format(*(100 * x for x in found["yield"][n])) for n in shown)
-        joint = "{:.1f}".format(100 * found["yield"]["all of rv-40e-whole"][0])
+        joint = "{:.1f}".format(100 * found["yield"]["accuracy"][0])
         cost = "-" if name.endswith("alone") else f"{found['cost']:.1f}"
-        rows.append((text, *yields, joint, f"{found['99 % quantile']['pin_force']:.1f}", cost))
-    heads = ["tolerances", "412 N m", "12.4 N m", "lost motion", "misfit", "all but 12.4 N m", "pins, kN", "cost"]
+        rows.append((text, *yields, joint, cost))
+    heads = ["tolerances", "412 N m", "12.4 N m", "lost motion", "misfit", "all but 12.4 N m", "cost"]
     return table(heads, rows)
+
+
+def forces():
+    """Life and forces of the two optima of the loaded reducer and of its initial tolerances."""
+    kept = stored("two_studies")
+    rows = []
+    for name in ("tolerances of rv-40e-whole", "optimum without limits on forces", "optimum of the whole reducer"):
+        found = kept[name]
+        far, shares = found["99 % quantile"], found["yield"]
+        reach = ["{:.1f} [{:.1f}, {:.1f}]".format(*(100 * x for x in shares[n])) for n in FORCES]
+        sizes = [f"{far['life']:.0f}", f"{far['turn_pin_pressure']:.0f}", f"{far['pin_force']:.1f}"]
+        sizes += [f"{far['arm_bearing_force']:.1f}", "{:.1f}".format(100 * shares["all of rv-40e-whole"][0])]
+        rows.append((JUDGED[name], *reach, *sizes, f"{found['cost']:.1f}"))
+    heads = ["tolerances", "6000 h, %", "2800 MPa, %", "8.8 kN, %", "life of 1 %, h", "pressure, MPa", "pins, kN"]
+    return table([*heads, "arm bearings, kN", "all six, %", "cost"], rows)
 
 
 def models():
@@ -58,18 +75,18 @@ def models():
 
 def tolerances():
     kept = stored("two_studies")
-    picture, machine = (kept[f"result of {name}"]["limits"] for name in ("rv-40e", "rv-40e-whole"))
+    limits = [kept[f"result {name}"]["limits"] for name in ("of rv-40e", "without limits on forces", "of rv-40e-whole")]
     start = study.load("rv-40e-whole", solve=False)
     four = study.load("rv-40e", solve=False)
     rows = []
     for name in dict.fromkeys([*four.costs, *start.costs]):
         cells = []
-        for asked, limits in ((four, picture), (start, machine)):
+        for asked, sets in ((four, limits[:1]), (start, limits[1:])):
             before = getattr(asked.tolerances, name)
-            after = before and before.replace(**dict(zip(("lower", "upper"), limits[name])))
-            cells += [tolerance_text(one, asked.unit(name)) if one else "-" for one in (before, after)]
+            after = [before.replace(**dict(zip(("lower", "upper"), x[name]))) if name in x else before for x in sets]
+            cells += [tolerance_text(one, asked.unit(name)) if one else "-" for one in (before, *after)]
         rows.append((f"`{name}`", *cells))
-    heads = ["error", "rv-40e", "its optimum", "rv-40e-whole", "its optimum"]
+    heads = ["error", "rv-40e", "its optimum", "rv-40e-whole", "without limits on forces", "its optimum"]
     return table(heads, rows)
 
 
@@ -80,7 +97,7 @@ def picture(axes):
         "412 N m": "loaded_transmission_error",
         "12.4 N m": "second_transmission_error",
     }
-    names = [name for name in JUDGED if not name.endswith("flanks")]
+    names = [name for name in JUDGED if not name.endswith(("with its flanks", "on forces"))]
     for k, (model, response) in enumerate(responses.items()):
         at = np.arange(len(names)) + 0.22 * (k - 1)
         value, lower, upper = np.array([kept[name]["yield"][response] for name in names]).T

@@ -18,6 +18,8 @@ from rvjax.commands import forecast
 from rvjax.levels.choice import design_numbers, reach
 from rvjax.levels.measure import evaluate, limits
 from rvjax.levels.table import Level, Model, Table, stored
+from rvjax.life.cases import cases as life_cases
+from rvjax.life.histories import METHODS
 from rvjax.loaded.cases import MACHINE, WHOLE, cases
 from rvjax.outputs import Cases, Way
 from rvjax.status import succeeded
@@ -109,6 +111,27 @@ def test_cases_are_the_study_of_the_whole_machine():
     for name in measured:
         mine, theirs = getattr(limits(WHOLE, MACHINE), name), getattr(question.tolerances, name)
         assert type(mine.law) is type(theirs.law) and (mine.batch, mine.shape) == (theirs.batch, theirs.shape)
+
+
+def test_each_method_of_the_life_is_a_question_of_its_own():
+    """No level changes the method, whose lives differ by design; places of bearings are numbers of the design."""
+    areas = {area.question["life_method"]: area for area in life_cases(False)}
+    assert tuple(areas) == METHODS
+    for method, area in areas.items():
+        assert all(set(way.settings) == {"samples"} and way.name.startswith(method) for way in area.ways)
+        samples = [way.settings["samples"] for way in area.ways]
+        assert samples == sorted(samples)  # the last one is the reference
+    numbers = design_numbers(next(iter(areas.values())).design)
+    assert [numbers[f"bearings.disc_position[{k}]"] for k in range(2)] == pytest.approx([0.014, 0.026])
+
+
+def test_a_table_of_a_condition_is_read_as_it_was_measured(tmp_path):
+    made = stored()
+    duty = ((412.0, 1.5, 3600.0),)
+    model = dataclasses.replace(made.models["loaded_bench"], conditions={"duty": duty, "carrier": "fixed"})
+    dataclasses.replace(made, models={"x": model}).save(tmp_path / "table.json")
+    read = type(made).load(tmp_path / "table.json").models["x"]
+    assert read.conditions == {"duty": duty, "carrier": "fixed"}
 
 
 def test_a_level_of_another_model_is_computed_by_it():

@@ -1,4 +1,4 @@
-"""Why a crank bearing fails: its share of the failures, the shares of the phases, and the orders of its force."""
+"""Causes of a bearing failure: share of the failures, shares of the phases of a duty, orders of the force."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -83,8 +83,8 @@ def force_orders(
 ) -> Orders:
     """Orders of the output revolution in the force of a crank on a disc, in the frame of the carrier.
 
-    Order 0 stands in the outer ring and passes over the inner ring. Order -zp turns with the crank: it stands in the
-    inner ring. Errors make the others.
+    Order 0 is fixed in the outer ring and passes over the inner ring. Order -zp turns with the crank: it is fixed in
+    the inner ring. Errors make the others.
 
     Args:
         design: the reducer.
