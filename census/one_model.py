@@ -3,7 +3,7 @@
 import json
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -21,9 +21,17 @@ KEPT = (
     Status.PRESSURE_ANGLE,
 )
 GOOD = (Status.CONVERGED, Status.UNLOADED)
-CHUNK = 8_192
-SINGLE = 1_024  # inputs of a chunk that run in single precision too
-SAMPLE = 2_000  # inputs whose derivatives are compared
+
+
+class Sizes(NamedTuple):
+    """Inputs of a chunk, those of them that run in single precision too, and those whose derivatives are compared."""
+
+    chunk: int = 8_192
+    single: int = 1_024
+    sample: int = 2_000
+
+
+FULL = Sizes()
 
 
 class Worst:
@@ -43,7 +51,9 @@ class Worst:
         return {"figure": self.size, "status": self.status, "input": self.case}
 
 
-def census(model: Model, inputs: int, seed: int, until: float, progress: Callable[[int], None]) -> dict[str, Any]:
+def census(
+    model: Model, inputs: int, seed: int, until: float, progress: Callable[[int], None], sizes: Sizes = FULL
+) -> dict[str, Any]:
     """Figures of `inputs` random inputs, or of fewer if the clock passes `until`."""
     rng = np.random.default_rng([seed, *model.name.encode()])
     run = jax.jit(jax.vmap(model.run))
@@ -52,8 +62,8 @@ def census(model: Model, inputs: int, seed: int, until: float, progress: Callabl
     worst = {name: Worst() for name in ("residual", "value", "float32", "silent", "wrong status", "derivative")}
     begin, start = 0, time.perf_counter()
     while begin < inputs and (begin == 0 or time.perf_counter() < until):
-        size = min(CHUNK, inputs - begin)
-        case = spoiled(model.draw(rng, CHUNK), rng)
+        size = min(sizes.chunk, inputs - begin)
+        case = spoiled(model.draw(rng, sizes.chunk), rng)
         whole = jax.tree.map(np.asarray, run(case))
         case, out = first(case, size), first(whole, size)
         status, values = out["status"], flat((out["values"], out.get("windup", ())))
@@ -77,15 +87,15 @@ def census(model: Model, inputs: int, seed: int, until: float, progress: Callabl
         worst["wrong status"].take(wrong.astype(float), some, status)
         worst["value"].take(np.where(good[:seen], error, 0), some, status)
 
-        if begin // CHUNK % 4 == 0:
-            silent, gap, few = in_single(model, run, case)
+        if begin // sizes.chunk % 4 == 0:
+            silent, gap, few = in_single(model, run, case, sizes)
             counted["float32 silent"] += silent
             worst["float32"].take(gap, few, status)
         begin += size
         progress(size)
-    lanes = model.draw(rng, SAMPLE)
-    off, compared = derivatives(model, run, lanes, rng, CHUNK)
-    worst["derivative"].take(off, lanes, np.zeros(SAMPLE, int))
+    lanes = model.draw(rng, sizes.sample)
+    off, compared = derivatives(model, run, lanes, rng, sizes.chunk)
+    worst["derivative"].take(off, lanes, np.zeros(sizes.sample, int))
     return {
         "group": model.group,
         "model": model.name,
@@ -95,17 +105,17 @@ def census(model: Model, inputs: int, seed: int, until: float, progress: Callabl
         **counted,
         "derivatives": int(compared.sum()),
         "derivatives above 1e-6": int((off > 1e-6).sum()),
-        "poisoned gradients": poisoned(model, spoiled(model.draw(rng, SAMPLE), rng, 1.0)),
+        "poisoned gradients": poisoned(model, spoiled(model.draw(rng, sizes.sample), rng, 1.0)),
         "worst": {name: item.record() for name, item in worst.items() if item.size > 0},
     }
 
 
-def in_single(model: Model, run: Any, case: Case) -> tuple[int, np.ndarray, Case]:
+def in_single(model: Model, run: Any, case: Case, sizes: Sizes) -> tuple[int, np.ndarray, Case]:
     """Silent failures of single precision, its gap to double precision on the same numbers, and these numbers."""
-    few = {k: v[:SINGLE].astype(np.float32) for k, v in case.items()}
+    few = {k: v[: sizes.single].astype(np.float32) for k, v in case.items()}
     single = jax.tree.map(np.asarray, run(few))
     wide = {k: v.astype(np.float64) for k, v in few.items()}
-    status, scale, values = evaluate(run, [wide], CHUNK)[0]
+    status, scale, values = evaluate(run, [wide], sizes.chunk)[0]
     silent = np.isin(single["status"], KEPT) & ~np.isfinite(flat(single["values"])).all(1)
     both = np.isin(status, GOOD) & np.isin(single["status"], GOOD) & model.ordinary(wide)
     gap = np.abs(flat(single["values"]).astype(float) - values).max(1) / scale

@@ -48,17 +48,15 @@ SMALL = [  # the quickest, and in the long profile one of every group
 
 
 @pytest.mark.parametrize("name", SMALL)
-def test_a_small_census_is_clean(name, monkeypatch):
+def test_a_small_census_is_clean(name):
     """Two thousand fresh inputs (five hundred of a whole reducer), other ones than those of the file: statuses,
     finiteness, float32, derivatives."""
     inputs = 512 if name.startswith("loaded") else 2048
-    for size in ("CHUNK", "SINGLE"):
-        monkeypatch.setattr(one_model, size, inputs)
-    monkeypatch.setattr(one_model, "SAMPLE", max(64, inputs // 8))
+    sizes = one_model.Sizes(inputs, inputs, max(64, inputs // 8))
     # The census's own arithmetic beside the models promotes as NumPy does.
     with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"), np.errstate(all="ignore"):
         model = next(m for m in models() if m.name == name)
-        entry = one_model.census(model, inputs, seed=7, until=np.inf, progress=lambda _: None)
+        entry = one_model.census(model, inputs, seed=7, until=np.inf, progress=lambda _: None, sizes=sizes)
     for figure in ("silent", "finite where NaN is due", "wrong status", "float32 silent", "poisoned gradients"):
         assert entry[figure] == 0, figure
     assert entry["statuses"]["CONVERGED"] > 200 and len(entry["statuses"]) > 1 and entry["derivatives"] > 0

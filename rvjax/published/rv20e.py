@@ -11,13 +11,12 @@ from itertools import pairwise
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 
 from rvjax.catalogue import RV_20E, RV_20E_ERRORS
 from rvjax.designs import InvoluteStage
 from rvjax.lost_motion import geometric, shaft_tilt
 from rvjax.published.ledger import parse
-from rvjax.records import PyTree, Scalar, promote
+from rvjax.records import PyTree
 from rvjax.units import arcmin, deg, mm, um
 
 RATIO = RV_20E.ratio
@@ -29,25 +28,6 @@ STEPS = [after - before for before, after in pairwise(TABLE_10)]
 TABLE_10_TORQUES = (50, 80, 110, 140, 170, 200)  # N m, rows 2 to 7
 
 _unit = partial(geometric, RV_20E, RV_20E_ERRORS)
-
-
-@jax.jit
-def empirical_normal_force(output_torque: Scalar) -> jax.Array:
-    """Normal force that makes "as_printed" return the tilted rows of Table 10 of Liu et al. 2022: a fit.
-
-    Not a prediction: each published total implies a different force through Eq. 11, and a straight line goes through
-    these six. Totals come back within 0.001 arcmin (0.0015 arcmin for a row left out of the fit). The row without
-    torque does not lie on the line (0.048 arcmin off). For the RV-20E with the errors of Table 9 only.
-
-    Args:
-        output_torque: at the output, () N m, 50 to 200.
-
-    Returns:
-        Force, () N; NaN outside the range of the fit.
-    """
-    torque = promote(output_torque)
-    inside = (torque >= 50) & (torque <= 200)
-    return jnp.where(inside, 1.5081 + 0.2373 * torque / 200, jnp.nan)
 
 
 def _total(**options: PyTree) -> float:
