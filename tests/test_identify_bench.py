@@ -7,6 +7,7 @@ import pytest
 import rvjax
 from rvjax import catalogue, study
 from rvjax.commands.identify import in_words
+from rvjax.identify.observation import Layout
 from rvjax.study import bench, measured, problem
 from rvjax.study.measured import Conditions
 from rvjax.study.nuisances import nuisance
@@ -73,3 +74,20 @@ def test_missing_index_mark_and_floor_orders():
     assert not [k for k in beside if min(k % 40, 40 - k % 40) <= 1 or min(k % 39, 39 - k % 39) <= 1]
     run = measured.Run("a.csv", Conditions(), np.arange(0, 2 * np.pi, 1e-3), np.zeros(6284))
     assert measured.checked(run, 80).at.sign == 1
+
+
+def test_a_curve_states_the_shapes_of_its_measurement():
+    """A model that is not traced has the layout of the one that is."""
+    question = study.load("rv-40e", solve=False)
+    for asked in (("offset", "mounting"), ("phase",), ()):
+        fields = {"disc_bore": question.tolerances.disc_bore} | {name: nuisance(name, (40, 80)) for name in asked}
+        runs = [Conditions(torque=torque) for torque in (412.0, 200.0, 412.0)]
+        model = bench.curve_model(
+            "four_bar", question.design, question.conditions, runs, (40, 80), asked, tuple(fields)
+        )
+        values = {name: np.full(t.shape, float(t.middle)) for name, t in fields.items()}
+        traced = jax.eval_shape(model, values)
+        assert Layout.of(model.shapes(np.dtype(float))) == Layout.of(traced)
+        assert {key: row.dtype for key, row in model.shapes(np.dtype(float)).items()} == {
+            key: row.dtype for key, row in traced.items()
+        }

@@ -104,18 +104,18 @@ def mixed(mixing: jax.Array, z: jax.Array) -> jax.Array:
 
 
 def mode(
-    linearise: Linearise, mixing: jax.Array, start: jax.Array, dof: jax.Array | None, max_steps: jax.Array
+    linearise: Linearise, size: int, mixing: jax.Array, start: jax.Array, dof: jax.Array | None, max_steps: jax.Array
 ) -> Mode:
     """Return the mode reached from one start; under `vmap` every batch element stops separately.
 
     Args:
         linearise: residuals and slopes.
+        size: count of the residuals m.
         mixing: M (p, n), u = M z.
         start: z (n,).
         dof: of Student noise; None is normal noise.
         max_steps: most evaluations of `linearise` behind the first one.
     """
-    first = jax.eval_shape(linearise, mixing[:, 0])
     dtype = start.dtype
     least = ROUNDINGS * jnp.finfo(dtype).eps
 
@@ -160,9 +160,9 @@ def mode(
         advance,
         _State(
             start,
-            jnp.zeros(first[0].shape, dtype),
-            jnp.zeros(first[1].shape, dtype),
-            jnp.zeros(first[0].shape, dtype),
+            jnp.zeros(size, dtype),
+            jnp.zeros((size, mixing.shape[0]), dtype),
+            jnp.zeros(size, dtype),
             number(jnp.inf),
             number(0.0),
             jnp.zeros_like(start),

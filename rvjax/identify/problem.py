@@ -98,7 +98,12 @@ def _layout(model: Model, elements: Elements) -> Layout:
     u = jax.ShapeDtypeStruct((elements.count,), jnp.result_type(float))
     known, key = _layouts(model), (jax.tree.structure(elements.population), u.dtype)
     if key not in known:
-        known[key] = Layout.of(jax.eval_shape(lambda p, u: model(values_of(p, u)), elements.population, u))
+        stated: Callable[[np.dtype], PyTree] | None = getattr(model, "shapes", None)
+        if stated is None:
+            seen = jax.eval_shape(lambda p, u: model(values_of(p, u)), elements.population, u)
+        else:  # such a model need not be traced
+            seen = stated(u.dtype)
+        known[key] = Layout.of(seen)
     return known[key]
 
 
@@ -154,7 +159,8 @@ def modes(model: Model, given: Given, y: jax.Array, starts: jax.Array, max_steps
     """Return the modes of units y (k, m) from starts (k, n)."""
 
     def one(y: jax.Array, start: jax.Array) -> Mode:
-        return mode(partial(linearised, model, given, y), given.mixing, start, given.dof, max_steps)
+        linearise = partial(linearised, model, given, y)
+        return mode(linearise, y.shape[0], given.mixing, start, given.dof, max_steps)
 
     return jax.vmap(one)(y, starts)
 

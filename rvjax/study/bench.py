@@ -128,6 +128,17 @@ class Curves(Record):
             seen["mean"] = mean[place] + values["offset"]
         return seen
 
+    def shapes(self, dtype: np.dtype) -> Seen:
+        """Shapes and types of a measurement, without tracing a model.
+
+        Args:
+            dtype: of real numbers.
+        """
+        runs, paired = (len(self.place),), np.result_type(dtype, np.complex64)
+        orders = {*self.orders, *([1] if "mounting" in self.nuisances else [])}
+        seen: Seen = {order_name(k): jax.ShapeDtypeStruct(runs, paired) for k in orders}
+        return seen | ({"mean": jax.ShapeDtypeStruct(runs, dtype)} if "offset" in self.nuisances else {})
+
     def _transmitted(self, values: Values) -> Array | np.ndarray:
         """Torques of the discs on the carrier, N m: load and drag both oppose the motion."""
         if not set(DRAGS) & set(self.nuisances):
