@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from codesign_cases import CASES, arguments
 
-from rvjax.tolerances import Middle, Nominal, ReciprocalPower, Requirement, Tolerance, Variable, allocate
+from rvjax.tolerances import Memo, Middle, Nominal, ReciprocalPower, Requirement, Tolerance, Variable, allocate
+from rvjax.tolerances.codesign import margins
 
 UNITS = 200_000  # of a certificate: their error of the 99.73 % quantile costs about 1 %
 
@@ -27,6 +28,8 @@ def test_reference_problems(name):
         assert found.multipliers[output] == pytest.approx(price, rel=0.05)
     for value, price in expected["value_prices"].items():
         assert found.value_prices[value] == pytest.approx(price, rel=0.05)
+    for value, (least, most) in expected["ranges"].items():  # a part of their widths
+        assert found.ranges[value] == pytest.approx((least, most), abs=0.2 * (most - least))
     for field, middle in expected["middles"].items():
         assert float(found.tolerances[field].middle) == pytest.approx(middle, abs=0.03)
 
@@ -151,3 +154,30 @@ def test_bad_problems(changes, words):
 def test_bad_variables(made, words):
     with pytest.raises(ValueError, match=words):
         made()
+
+
+def test_a_killed_run_continues_from_its_memo(tmp_path, monkeypatch):
+    """The second run finds all values and gradients of units; the numbers of the design are part of their keys."""
+
+    def gone(*_):
+        raise AssertionError("computed again")
+
+    options = dict(certificate_samples=4096, samples=512, memo=Memo(tmp_path, {}, worth=0.0))
+    first = levered(**options)
+    monkeypatch.setattr(margins, "respond", gone)
+    monkeypatch.setattr(margins, "gradients", gone)
+    again = levered(**options)
+    assert (again.values, again.cost, again.history) == (first.values, first.cost, first.history)
+
+
+def test_costly_units_are_followed_between_designs():
+    """Units of a costly response: fewer in the search, and certificates that solve those near a limit."""
+
+    def costly(errors, values):
+        return lever(errors, values)
+
+    costly.costly = True
+    found, plain = levered(costly, certificate_samples=20_000), levered()
+    assert found.status == "OPTIMAL" and found.cost == pytest.approx(plain.cost, rel=0.03)
+    assert found.evaluations["search"] < 0.6 * plain.evaluations["search"]
+    assert found.ranges == {} and plain.ranges["arm"][0] < plain.values["arm"] < plain.ranges["arm"][1]

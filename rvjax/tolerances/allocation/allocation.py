@@ -83,7 +83,8 @@ class Allocation:
         values: {variable: number of the design}.
         bounds_active: {variable: "lower" or "upper" where it is at a bound, else None}.
         value_prices: {variable: d cost / d bound of the bound at which it is, else 0}.
-        ranges: {variable: (least, largest) value with which, all else chosen anew, the cost stays within 0.5 %}.
+        ranges: {variable: (least, largest) value with which, all else chosen anew, the cost stays within 0.5 %};
+            empty where units are costly.
         reason: of an infeasible problem with variables: what fails by how much, and the bound that would help most.
     """
 

@@ -23,6 +23,7 @@ from rvjax.tolerances.codesign.margins import JOINT, Local, Margins
 from rvjax.tolerances.codesign.middle import Middle
 from rvjax.tolerances.codesign.nominal import Nominal
 from rvjax.tolerances.codesign.programme import End, Programme
+from rvjax.tolerances.codesign.ranges import ranges
 from rvjax.tolerances.codesign.starts import COARSE, starts, valleys
 from rvjax.tolerances.codesign.variable import Variable
 from rvjax.tolerances.requirements.factors import CUSHION
@@ -40,6 +41,7 @@ _CORRECTED = 0.25  # largest correction by a certificate, logarithm of a factor
 _NEAR = 0.1  # a margin nearer to its limit than this part of its way may bind
 _CHANCE = 5e-3  # logarithm of a factor that a certificate may see by chance
 _AGAIN = 0.2  # radius of the first step of a search that is repeated
+_ROOMY = 6e-3  # margin of a certificate that holds, above which another one is computed
 _WORTH = 2e-3  # margin of a certificate, in half-widths, above which another one is computed
 
 
@@ -300,7 +302,8 @@ class Designer:
             if not held and seen <= here and name in self._failing(certificate):
                 seen = here + _WORTH * ways[k]
             margins.offsets[k] += (seen - here) * margins.ways[k]
-            changed = changed or abs(seen - here) > _WORTH * ways[k] or (not held and seen > here)
+            least = _ROOMY / 2 if held else _WORTH
+            changed = changed or abs(seen - here) > least * ways[k] or (not held and seen > here)
         return changed
 
     @staticmethod
@@ -332,6 +335,14 @@ class Designer:
             problem.samples, problem.seed, problem.memo,
         )  # fmt: skip
         return Search(training, problem.priced, problem.max_steps, problem.advance)
+
+    def ranges(self, found: Found) -> dict[str, tuple[float, float]]:
+        """Values of each number with which the cost stays within 0.5 %; none where units are costly."""
+        if found.end is None or self.problem.costly or not self.problem.variables:
+            return {}
+        coarse = self.problem.margins(self.decisions, COARSE)
+        coarse.begin(found.end.point.x)
+        return ranges(coarse, self.decisions, found.end, self.low, self.high)
 
     def graded(self, found: Found) -> tuple[Found, dict[str, str]]:
         """The solution with half-widths rounded to grades at its mid-points and numbers."""

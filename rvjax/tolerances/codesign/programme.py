@@ -23,6 +23,7 @@ MET = 1e-4
 
 _RADIUS, _LARGEST, _LEAST = 1.0, 2.0, 1e-6
 _POOR, _GOOD = 0.1, 0.7  # parts of a predicted gain
+_ROUNDING = 1e-7  # of a bound
 _PLANES = 3  # slopes of earlier points that a margin keeps
 _NEAR = 0.3  # of the radius of a step, by which such a point may lie away, and more
 _DEAREST = 1e5  # price of an excess, in costs
@@ -121,11 +122,11 @@ class Programme:
                     continue
                 settled = promise <= 10 * self.settled_at * size
                 break
-            trial = self.look(np.clip(best.x + plan.step, self.low, self.high))
+            trial = self.look(self._reached(best, plan))
             gain = self._merit(best, elastic) - self._merit(trial, elastic)
             if not gain > _POOR * promise and np.isfinite(trial.margins).all() and self.looks < self.most:
                 again = self._plan(best, hessian, elastic, radius, trial)
-                other = self.look(np.clip(best.x + again.step, self.low, self.high))
+                other = self.look(self._reached(best, again))
                 better = self._merit(best, elastic) - self._merit(other, elastic)
                 if better > gain or not np.isfinite(gain):
                     trial, gain, plan = other, better, again
@@ -145,6 +146,12 @@ class Programme:
                 elastic = np.maximum(elastic, 2 * plan.prices[:count])
             plan = self._plan(best, hessian, elastic, radius)
         return self._end(best, hessian, elastic, settled)
+
+    def _reached(self, best: Local, plan: Minimum) -> np.ndarray:
+        """End of a step, at a bound where it is a rounding error away."""
+        x = best.x + plan.step
+        x = np.where(x < self.low + _ROUNDING, self.low, x)
+        return np.where(x > self.high - _ROUNDING, self.high, x)
 
     def _end(self, best: Local, hessian: np.ndarray, elastic: np.ndarray, settled: bool) -> End:
         """The end, with prices where the step is free to go."""

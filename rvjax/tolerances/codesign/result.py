@@ -21,10 +21,10 @@ def designed(problem: Problem, names: tuple[str, ...], *, grades: bool) -> list[
     check_objective(problem.objective, names)
     designer = Designer(problem)
     found = designer.solution()
-    results = [figures(designer, found, names)]
+    results = [figures(designer, found, names, designer.ranges(found))]
     if grades and results[0]["feasible"] and problem.priced:
         rounded, chosen = designer.graded(found)
-        results.append(figures(designer, rounded, names) | {"grades": chosen})
+        results.append(figures(designer, rounded, names, {}) | {"grades": chosen})
     return results
 
 
@@ -41,7 +41,9 @@ def check_objective(objective: Mapping[str, float], names: tuple[str, ...]) -> N
             raise ValueError(f"objective: the price of {name} = {price!r}: must be finite")
 
 
-def figures(designer: Designer, found: Found, names: tuple[str, ...]) -> dict[str, Any]:
+def figures(
+    designer: Designer, found: Found, names: tuple[str, ...], ranges: dict[str, tuple[float, float]]
+) -> dict[str, Any]:
     """Fields of the `Allocation` of a solution."""
     problem, decisions, margins = designer.problem, found.decisions, found.margins
     t = decisions.half_widths(found.x)
@@ -68,6 +70,6 @@ def figures(designer: Designer, found: Found, names: tuple[str, ...]) -> dict[st
         values=decisions.values(found.x),
         bounds_active=bounds_active(found),
         value_prices=value_prices(found),
-        ranges={},
+        ranges=ranges,
         reason=reason(found),
     )
