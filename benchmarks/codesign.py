@@ -1,4 +1,4 @@
-"""Numbers of the design, mid-points and half-widths together, beside a baseline: cost, evaluations, CPU seconds.
+"""Numbers of the design, mid-points and half-widths together, and a baseline: cost, evaluations, CPU seconds.
 
 The reference problems of `tests/reference/codesign.json` have exact optima. The baseline is SLSQP of SciPy on 16384
 Sobol units with derivatives of the sampled quantiles, from three starts; its margins are corrected four times by a
