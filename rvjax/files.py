@@ -10,6 +10,7 @@ import importlib
 import io
 import math
 import os
+import platform
 import zipfile
 import zlib
 from collections.abc import Iterator, Mapping
@@ -117,5 +118,6 @@ def digest(arrays: Arrays) -> str:
 
 
 def versions(*packages: str) -> dict[str, str]:
-    """Versions of rvjax and of packages, by name: what a result in a file depends on."""
-    return {name: importlib.import_module(name).__version__ for name in ("rvjax", *packages)}
+    """Versions of rvjax and of packages or "python", by name: what a result in a file depends on."""
+    found = {"python": platform.python_version()}
+    return {n: found.get(n) or importlib.import_module(n).__version__ for n in ("rvjax", *packages)}

@@ -4,14 +4,13 @@ import dataclasses
 import itertools
 import json
 import math
-import sys
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
-import rvjax
+import rvjax.files
 from rvjax.records import PyTree
 from rvjax.render.figure import Figure
 from rvjax.render.table import CSV, EVERYWHERE, TEXT, Table
@@ -142,9 +141,7 @@ def leading_comment(text: str) -> str:
 
 def versions() -> dict[str, str]:
     """Versions that made a result."""
-    import jax
-
-    return {"rvjax": rvjax.__version__, "jax": jax.__version__, "python": sys.version.split()[0]}
+    return rvjax.files.versions("jax", "python")
 
 
 def plain(value: PyTree) -> PyTree:
