@@ -39,7 +39,9 @@ def checked(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def doubt_once(design: object, where: str) -> None:
-    """Warn of a design that is far from every known reducer, once for each design; tracers pass.
+    """Warn of a design whose lengths are far from every known reducer, once for each design; tracers pass.
+
+    Stiffnesses and inertias vary more, and calibrations move them: only studies list those.
 
     Args:
         design: as given.
@@ -47,7 +49,7 @@ def doubt_once(design: object, where: str) -> None:
     """
     known = _seen.get(id(design))
     new = known is None or known() is not design
-    if new and type(design) in _spans() and accept(design) and (found := doubtful(design)):
+    if new and type(design) in _spans() and accept(design) and (found := doubtful(design, ("m",))):
         more = f" (and {len(found) - 1} more values)" if len(found) > 1 else ""
         warnings.warn(f"{where}: design.{found[0]}{more}", ImplausibleDesign, stacklevel=_caller())
 
@@ -65,17 +67,18 @@ def accept(design: object) -> bool:
     return True
 
 
-def doubtful(design: PyTree) -> list[str]:
+def doubtful(design: PyTree, units: tuple[str, ...] = ()) -> list[str]:
     """Values of a design that are far from those of every known reducer, a line each.
 
     Args:
         design: any; one of a class without known reducers gives none.
+        units: of the values that are checked; all without one.
     """
     spans = _spans().get(type(design), {})
     return [
         line
         for name, (value, unit) in numbers(design)
-        if value and name in spans
+        if value and name in spans and (not units or unit in units)
         for line in doubt(name, abs(value), unit, *spans[name])
     ]
 

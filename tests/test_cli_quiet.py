@@ -15,6 +15,22 @@ FLAT = FLAT.replace("samples = 16384", "samples = 1024").replace("certificate_sa
 FLAT = re.sub(r"\[cost\.(crank|disc|carrier)_(?s:.*?)\n\n", "", FLAT)
 FLAT += "certificate_samples = 4096\n"
 CURVE = "angle [deg],error [arcsec]\n" + "".join(f"{k},{10 * (k % 9)}\n" for k in range(360))
+UNIT = """
+[design]
+base = "rv-40e"
+[conditions]
+angles = 8
+closure = "first_order"
+[tolerances.crank_eccentricity]
+half_width = "6.5 um"
+[requirement.transmission_error]
+upper = "60 arcmin"
+[identify]
+model = "four_bar"
+orders = [40, 80]
+noise = "2 arcsec"
+nuisance = ["offset"]
+"""
 PARTS = "kind,id,disc_runout [um],pin_radius [um]\n" + "".join(
     f"flanks,f{k},{3 * k},\npins,p{k},,{k / 2 - 1}\n" for k in range(4)
 )
@@ -24,17 +40,25 @@ COMMANDS = {
     "allocate": ["flat.toml", "--fresh"],
     "compensate": ["flat.toml", "curve.csv"],
     "assemble": ["flat.toml", "parts.csv"],
+    "identify": ["unit.toml", "--check"],
+    "budget": ["unit.toml", "--samples", "16", "--torque", "10 N m"],
+    "report": ["flat.toml"],
+    "compare": ["results/flat", "results/flat"],
+    "reproduce": [],
 }
+LOUD = ("check", "reproduce")  # without the option --quiet
 RUN = """
 import sys
 import jax
-from rvjax import cli
+import functools
+from rvjax import cli, published
+published.reproduce = functools.partial(published.reproduce, ("sizes",))  # the others take a minute
 hits = []
 jax.monitoring.register_event_listener(lambda event, **_: hits.append(event) if "cache_hits" in event else None)
 for run in (1, 2):
     for command, arguments in {commands!r}.items():
         print("begin", run, command, file=sys.stderr, flush=True)
-        code = cli.main([command, *arguments, *(["--quiet"] if command != "check" else [])])
+        code = cli.main([command, *arguments, *(["--quiet"] if command not in {loud!r} else [])])
         assert code == 0, (command, code)
     assert run == 1 or len(hits) > 5, hits
     hits.clear()
@@ -44,7 +68,7 @@ for run in (1, 2):
 
 def test_nothing_of_a_library_reaches_the_terminal(tmp_path):
     """JAX leaves "1" in the environment of whatever a notebook or script starts, and here it is loaded before."""
-    for name, text in {"flat.toml": FLAT, "curve.csv": CURVE, "parts.csv": PARTS}.items():
+    for name, text in {"flat.toml": FLAT, "unit.toml": UNIT, "curve.csv": CURVE, "parts.csv": PARTS}.items():
         (tmp_path / name).write_text(text)
     own = {
         "JAX_COMPILATION_CACHE_DIR": str(tmp_path / "kept"),
@@ -52,10 +76,10 @@ def test_nothing_of_a_library_reaches_the_terminal(tmp_path):
         "TF_CPP_MIN_LOG_LEVEL": "1",
     }
     done = subprocess.run(
-        [sys.executable, "-c", RUN.format(commands=COMMANDS)],
-        cwd=tmp_path, env=os.environ | own, capture_output=True, text=True, timeout=300,
+        [sys.executable, "-c", RUN.format(commands=COMMANDS, loud=LOUD)],
+        cwd=tmp_path, env=os.environ | own, capture_output=True, text=True, timeout=590,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     said = done.stderr.splitlines()
     assert sum(line.startswith("begin ") for line in said) == 2 * len(COMMANDS)
-    assert [line for line in said if not line.startswith(("begin ", "rvjax: warning: "))] == []
+    assert [line for line in said if not line.startswith(("begin ", "rvjax: warning: ", "computing sizes, "))] == []

@@ -1,0 +1,46 @@
+"""A few of the mutated studies and CSV files of `census.inputs`, which runs 500: each ends as a command should."""
+
+import numpy as np
+
+from census import inputs
+
+
+def test_a_mutated_input_ends_with_one_line():
+    counts, wrong = inputs.run(studies=36, files=24, seed=7, commands=("check", "compensate"))
+    assert wrong == []
+    assert sum(counts.values()) == 16 and {"check 2", "compensate 2", "compensate 0"} <= set(counts)
+
+
+def test_mutations_change_the_files_and_the_sound_ones_pass(tmp_path, monkeypatch):
+    random = np.random.default_rng(0)
+    studies = {inputs.mutated_study(inputs.STUDY, random) for _ in range(50)}
+    files = {inputs.mutated_file(inputs.CURVE, random) for _ in range(50)}
+    assert min(len(studies), len(files)) > 45
+    monkeypatch.chdir(tmp_path)
+    for name, text in {"study.toml": inputs.STUDY, "curve.csv": inputs.CURVE}.items():
+        (tmp_path / name).write_text(text)
+    assert inputs.ends(["check", "study.toml"])[0] == 0
+    assert inputs.ends(["compensate", "study.toml", "curve.csv", "--quiet"]) == (0, [], "")
+
+
+def test_a_fault_is_seen(monkeypatch):
+    """A traceback, another exit code, two lines, no end."""
+    from rvjax import cli
+
+    def fails(_arguments):
+        raise KeyError("x")
+
+    def two_lines(_arguments):
+        import sys
+
+        print("rvjax: error: a\nb", file=sys.stderr)
+        return 2
+
+    def endless(_arguments):
+        while True:
+            pass
+
+    for main, word in ((fails, "KeyError"), (lambda _: 3, "exit code 3"), (two_lines, "2 lines"), (endless, "no end")):
+        monkeypatch.setattr(cli, "main", main)
+        monkeypatch.setattr(inputs, "LIMIT", 0.2)
+        assert word in inputs.ends([])[2]
