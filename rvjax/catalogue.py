@@ -54,12 +54,13 @@ def sources(base: str) -> dict[str, str]:
         base: as studies name it, such as "rv-40e".
     """
     found, reducer, section, all_of_it = dict[str, str](), _named(base), "", ""
+    reducers = {reducer, reducer.removesuffix("_WHOLE")}
     for line in re.sub(r"\n#   (?=\S)", " ", _TEXT).splitlines():  # a comment may go on in the next line
         if header := re.fullmatch(r"\[(.*)\](?:  # )?(.*)", line):
             section, all_of_it = header.groups()
         owner, _, part = section.partition(".")
         key, equals, rest = line.partition(" = ")
-        if owner == reducer and equals and not key.startswith("#"):
+        if owner in reducers and equals and not key.startswith("#"):
             found[f"{part}.{key}" if part else key] = rest.partition("# ")[2] or all_of_it
     return found
 
@@ -78,6 +79,9 @@ def citation(base: str) -> str:
 
 CORR: CamRollerReducer = _record(CamRollerReducer, _PUBLISHED["CORR"])
 RV_40E: RVReducer = _record(RVReducer, _PUBLISHED["RV_40E"])
+RV_40E_WHOLE: RVReducer = _record(
+    RVReducer, {**_PUBLISHED["RV_40E"], **_PUBLISHED["RV_40E_WHOLE"]}
+)  # RV-40E with assumed stiffnesses, contact and masses
 RV_20E: RVReducer = _record(RVReducer, _PUBLISHED["RV_20E"])
 RV_20E_ERRORS: RVErrors = _record(RVErrors, _PUBLISHED["RV_20E_ERRORS"])
 RV_80E: RVReducer = _record(RVReducer, _PUBLISHED["RV_80E"])

@@ -22,6 +22,7 @@ COMMANDS = [
     "init",
     "check",
     "allocate",
+    "design",
     "report",
     "budget",
     "compare",

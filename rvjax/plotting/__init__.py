@@ -21,6 +21,7 @@ from rvjax.plotting.statistics import (
     cost_against_limit,
     cost_against_yield,
     response_histogram,
+    trade_front,
     unit_curves,
     variance_shares,
 )
@@ -50,6 +51,7 @@ __all__ = [
     "response_histogram",
     "style",
     "torque_angle_loop",
+    "trade_front",
     "tradeoff",
     "unit_curves",
     "use_style",

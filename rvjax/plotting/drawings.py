@@ -51,6 +51,52 @@ def reducer(design: RVReducer, *, crank_angle: float = np.pi / 4, axes: Axes | N
     return axes
 
 
+def before_and_after(before: RVReducer, after: RVReducer) -> Axes:
+    """Sections of two designs of the second stage side by side, to one scale.
+
+    Args:
+        before: on the left.
+        after: on the right; a dashed circle is the envelope of the other design.
+    """
+    import matplotlib.pyplot as plt
+
+    _, both = plt.subplots(1, 2, figsize=(11, 5.8), sharex=True, sharey=True)
+    for axes, design, other, name in zip(both, (before, after), (after, before), ("before", "after")):
+        _section(design, axes)
+        for one, style in ((design, "-"), (other, "--")):
+            radius = float(one.cycloid.pin_circle_radius + one.cycloid.pin_radius) / mm
+            axes.add_patch(Circle((0, 0), radius, fill=False, ls=style, ec=GREY, lw=1))
+        cycloid = design.cycloid
+        axes.set_title(
+            f"{name}: {2 * float(cycloid.pin_circle_radius + cycloid.pin_radius) / mm:.2f} mm over the pins, "
+            f"e = {float(cycloid.eccentricity) / mm:.3f} mm",
+            fontsize=10,
+        )
+        axes.set(xlabel="x (mm)", aspect="equal")
+        axes.grid(visible=False)
+    both[0].set_ylabel("y (mm)")
+    both[0].autoscale_view()
+    return both[0]
+
+
+def _section(design: RVReducer, axes: Axes) -> None:
+    """Pins, first disc, cranks and planets' reference circles."""
+    cycloid, cranks, gears = design.cycloid, design.cranks, design.involute
+    for pin in 2 * np.pi * np.arange(cycloid.pin_count) / cycloid.pin_count:
+        middle = tuple(cycloid.pin_circle_radius / mm * unit_vector(pin))
+        axes.add_patch(Circle(middle, float(cycloid.pin_radius) / mm, fc="0.85", ec=GREY, lw=0.8))
+    centre = float(cycloid.eccentricity) * unit_vector(0.0)
+    axes.plot(*(flank(design).T + centre[:, None]) / mm, color=AFTER, lw=1.2)
+    planet = float(gears.module) * gears.planet_teeth / 2 / mm
+    for place in crank_axes(design):
+        axes.add_patch(Circle(tuple(place / mm), planet, fill=False, ls=":", ec=BEFORE, lw=1))
+        axes.plot(*place / mm, "o", color=LIMIT, ms=4)
+        axes.add_patch(
+            Circle(tuple((place + centre) / mm), 0.2 * float(cranks.circle_radius) / mm, fill=False, ec=AFTER)
+        )
+    axes.plot(0, 0, "+", color="black", ms=9)
+
+
 def linkage(design: RVReducer, *, crank_angle: float = np.pi / 3, axes: Axes | None = None) -> Axes:
     """One disc on two cranks as a four-bar linkage, and where each error acts; the cranks are not to scale.
 

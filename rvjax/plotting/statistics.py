@@ -138,6 +138,36 @@ def cost_against_yield(
     return axes
 
 
+def trade_front(
+    points: Sequence[tuple[float, float]],
+    *,
+    chosen: tuple[float, float],
+    others: Mapping[str, tuple[float, float]],
+    start: tuple[float, float],
+    label: str,
+    axes: Axes | None = None,
+) -> Axes:
+    """Cost of the tolerances against the cost of priced outputs, for optima at several prices.
+
+    Args:
+        points: (priced outputs, tolerances) of each optimum.
+        chosen: the optimum at the prices of the study.
+        others: further points, by name.
+        start: the design and tolerances of the study.
+        label: of the priced outputs.
+        axes: where to draw; a new figure by default.
+    """
+    axes = new_axes(axes)
+    axes.plot(*zip(*sorted(points)), "o-", color=AFTER, label="optima at other prices")
+    axes.plot(*chosen, "*", ms=15, color=LIMIT, label="this study", zorder=3)
+    axes.plot(*start, "s", ms=8, color=BEFORE, label="before", zorder=3)
+    for name, point in others.items():
+        axes.plot(*point, "D", ms=7, color=look(2)[0], label=name, zorder=3)
+    axes.set(xlabel=f"cost of {label}", ylabel="cost of the tolerances", title="Trade front")
+    axes.legend()
+    return axes
+
+
 def cost_against_limit(
     limits: Sequence[float],
     costs: Sequence[float],

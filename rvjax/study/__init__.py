@@ -19,7 +19,14 @@ from rvjax.study.question import Study, StudyError
 from rvjax.study.read import EMBEDDED, embedded_names, load, parse_study
 from rvjax.study.response import CURVE as CURVE, Response as Response, refuse as refuse
 from rvjax.study.rewrite import template as study_template
-from rvjax.study.scaling import changed as scaled
+from rvjax.study.scaling import (
+    Law as Law,
+    changed as scaled,
+    fields_of as fields_of,
+    laws_of as laws_of,
+    number_at as number_at,
+    outside as outside,
+)
 from rvjax.study.values import choice, integer, known, naming, quantity, subtable
 
 __all__ = [

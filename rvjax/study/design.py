@@ -18,6 +18,7 @@ BASES = {
     "corr": catalogue.CORR,
     "rv-20e": catalogue.RV_20E,
     "rv-40e": catalogue.RV_40E,
+    "rv-40e-whole": catalogue.RV_40E_WHOLE,
     "rv-80e": catalogue.RV_80E,
     "rv-320e": catalogue.RV_320E,
 }

@@ -16,13 +16,14 @@ from rvjax.study.about import About
 from rvjax.study.identification import Identification
 from rvjax.study.origin import Number, design_numbers, given_paths
 from rvjax.study.plausible import doubts
-from rvjax.study.response import Response, check_nominal, followed_bounds
+from rvjax.study.response import DesignResponse, Response, check_nominal, followed_bounds
 from rvjax.study.scaling import changed, fields_of
 from rvjax.study.values import (
     StudyError as StudyError,  # other modules take it from here
     naming,
 )
-from rvjax.tolerances import Cost, Limits, Middle
+from rvjax.study.variables import Price
+from rvjax.tolerances import Cost, Limits, Middle, Nominal, Variable
 
 
 @dataclass(frozen=True)
@@ -47,6 +48,9 @@ class Study:
         read_in: unit in which a response is reported, by its name: that of its limit; without one the usual one.
         about: title, author and revision, if the file says them.
         sections: what further tables of the file hold, by the name of the table; each belongs to a command.
+        variables: numbers of the design that `rvjax design` may choose, by path.
+        objective: prices of outputs without errors, by name.
+        nominal: limits of outputs without errors, by name.
         to_solve: whether the first `response` checks that the unit without errors can be solved.
     """
 
@@ -67,6 +71,9 @@ class Study:
     read_in: dict[str, str] = dataclasses.field(default_factory=dict)
     about: About = dataclasses.field(default_factory=About)
     sections: dict[str, object] = dataclasses.field(default_factory=dict)
+    variables: dict[str, Variable] = dataclasses.field(default_factory=dict)
+    objective: dict[str, Price] = dataclasses.field(default_factory=dict)
+    nominal: dict[str, Nominal] = dataclasses.field(default_factory=dict)
     to_solve: bool = dataclasses.field(default=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -88,6 +95,36 @@ class Study:
             self._solved  # noqa: B018  (once)
         bounds = followed_bounds(self.tolerances)
         return Response.of(self.design, tuple(self.requirements), self.conditions, self.choices(), bounds)
+
+    def design_response(self, *, similar: bool = True) -> DesignResponse:
+        """(errors, values of the variables) -> Outcome of all limited and priced outputs.
+
+        Args:
+            similar: False: without scaling laws.
+
+        Raises:
+            StudyError: no unit is required to keep a limit.
+        """
+        if not self.requirements:
+            raise StudyError(f"{self.name}: [requirement] limits no response of the units")
+        outputs = tuple(dict.fromkeys((*self.requirements, *self.without_errors)))
+        bounds = followed_bounds(self.tolerances)
+        response = Response.of(self.design, outputs, self.conditions, self.choices(), bounds)
+        return DesignResponse(response, tuple(sorted(self.given)), similar)
+
+    @property
+    def without_errors(self) -> tuple[str, ...]:
+        """Outputs that are limited or priced without errors."""
+        return tuple(dict.fromkeys((*self.nominal, *self.objective)))
+
+    def nominal_response(self, *, similar: bool = True) -> DesignResponse:
+        """(errors, values of the variables) -> Outcome of the outputs that are limited or priced without errors.
+
+        Args:
+            similar: False: without scaling laws.
+        """
+        response = Response.of(self.design, self.without_errors, self.conditions)
+        return DesignResponse(response, tuple(sorted(self.given)), similar)
 
     def check_nominal(self) -> None:
         """Solve the unit without errors.

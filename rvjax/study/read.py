@@ -15,6 +15,7 @@ from rvjax.sections import reader as sections_reader
 from rvjax.study.about import parse_about
 from rvjax.study.design import parse_design
 from rvjax.study.identification import Identification, parse_identification
+from rvjax.study.origin import given_paths
 from rvjax.study.placed import refuse_unplaced
 from rvjax.study.plausible import refuse_impossible
 from rvjax.study.question import Study, StudyError
@@ -32,11 +33,13 @@ from rvjax.study.values import (
     share,
     subtable,
 )
-from rvjax.tolerances import COSTS, FEWEST, KINDS, Cost, Limits, Middle, check_middles
+from rvjax.study.variables import parse_objective, parse_variables
+from rvjax.tolerances import COSTS, FEWEST, KINDS, Cost, Limits, Middle, Nominal, check_middles
 from rvjax.units import unit_of
 
 TABLES = {"about", "accuracy", "columns", "conditions", "cost", "design", "identify", "middle"}
-TABLES |= {"requirement", "run", "tolerances"}
+TABLES |= {"objective", "requirement", "run", "tolerances", "variable"}
+LIMITS: tuple[type[Limits], ...] = (*KINDS, Nominal)
 EMBEDDED = resources.files("rvjax.study") / "embedded"
 
 
@@ -105,7 +108,11 @@ def parse_study(text: str, *, name: str, folder: Path = Path(), solve: bool = Tr
         run = subtable(tables, "run")
         known(run, {"seed", "samples", "certificate_samples", "joint_target"}, "run")
         kind = models.kind(design)
-        requirements, read_in = _requirements(kind.outputs, subtable(tables, "requirement"))
+        limited, read_in = _requirements(kind.outputs, subtable(tables, "requirement"))
+        nominal = {name: item for name, item in limited.items() if isinstance(item, Nominal)}
+        requirements = {name: item for name, item in limited.items() if name not in nominal}
+        variables = parse_variables(subtable(tables, "variable"), design, given_paths(subtable(tables, "design")))
+        objective = parse_objective(subtable(tables, "objective"), kind.outputs)
         identification = None
         if "identify" in tables:
             columns = subtable(tables, "columns")
@@ -118,7 +125,7 @@ def parse_study(text: str, *, name: str, folder: Path = Path(), solve: bool = Tr
             name=name,
             text=text,
             design=design,
-            conditions=_conditions(kind, requirements, identification, tables),
+            conditions=_conditions(kind, (*limited, *objective), identification, tables),
             tolerances=tolerances,
             costs=costs,
             requirements=requirements,
@@ -133,7 +140,13 @@ def parse_study(text: str, *, name: str, folder: Path = Path(), solve: bool = Tr
             ),
             joint_target=None if "joint_target" not in run else share(run["joint_target"], "run.joint_target"),
             identification=identification,
+            variables=variables,
+            objective=objective,
+            nominal=nominal,
         )
+        for path in variables:
+            if (field := path.rpartition(".")[2]) in study.middles:
+                raise ValueError(f'variable."{path}": [middle.{field}] moves the same; give one of them')
         own = {table: read(subtable(tables, table), study) for table, read in sections.items()}
         study = dataclasses.replace(study, sections=own)
         refuse_impossible(design, tolerances, costs, study.middles)
@@ -147,13 +160,13 @@ def parse_study(text: str, *, name: str, folder: Path = Path(), solve: bool = Tr
 
 
 def _conditions(
-    kind: models.Kind, requirements: Mapping[str, Limits], identification: Identification | None, tables: Toml
+    kind: models.Kind, outputs: tuple[str, ...], identification: Identification | None, tables: Toml
 ) -> PyTree:
     fields = {f.name: f.metadata for f in dataclasses.fields(kind.conditions)}
     given = subtable(tables, "conditions")
     known(given, {name for name, about in fields.items() if not about["columns"]}, "conditions")
     given = given | {name: tables[name] for name in models.tables() if name in tables}
-    read = set(kind.conditions_of(tuple(requirements)))
+    read = set(kind.conditions_of(outputs))
     if identification:
         read |= {f.name for f in dataclasses.fields(kind.observed[identification.model].conditions)}
     for key in sorted(given.keys() - read):
@@ -252,15 +265,15 @@ def _requirements(outputs: Mapping[str, Output], table: Toml) -> tuple[dict[str,
     read_in: dict[str, str] = {}
     for name in table:
         where, entry = f"requirement.{name}", subtable(table, name)
-        known(entry, {"response", *(key for kind in KINDS for key in kind.file_keys())}, where)
+        known(entry, {"response", *(key for kind in LIMITS for key in kind.file_keys())}, where)
         response = choice(entry.get("response", name), outputs, f"{where}.response")
         if response in requirements:
             raise ValueError(f"{where}.response = {response!r}: already has a requirement")
         given = {key: value for key, value in entry.items() if key != "response"}
         unit = outputs[response].unit
-        kinds = [kind for kind in KINDS if set(given) <= set(kind.file_keys()) and set(given) & set(kind.limit_keys())]
+        kinds = [kind for kind in LIMITS if set(given) <= set(kind.file_keys()) and set(given) & set(kind.limit_keys())]
         if not kinds:
-            ways = "; or ".join(", ".join(kind.file_keys()) for kind in KINDS)
+            ways = "; or ".join(", ".join(kind.file_keys()) for kind in LIMITS)
             raise ValueError(f"{where}: give upper or lower in {unit} (of these keys: {ways})")
         limits = kinds[0].limit_keys()
         values = {

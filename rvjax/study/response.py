@@ -17,9 +17,10 @@ from rvjax.compile_cache import ONCE
 from rvjax.errors import described
 from rvjax.levels import Choice
 from rvjax.outputs import Reading, Solved, Source
-from rvjax.records import Design, PyTree, Record, field, record, text
+from rvjax.records import Design, PyTree, Record, Scalar, field, record, text
 from rvjax.response import per_response
 from rvjax.status import SUCCESS, Status, worst
+from rvjax.study.scaling import changed
 from rvjax.tolerances import Outcome
 
 Settings = tuple[tuple[str, PyTree], ...]
@@ -146,6 +147,34 @@ class Response(Record):
         if level is not None:
             value = value.astype(jnp.result_type(float, *jax.tree.leaves(errors)))
         return value, status
+
+
+@record
+class DesignResponse(Record):
+    """(errors, {path: value}) -> Outcome of one unit of the design with other numbers."""
+
+    response: Response = field("-", "with the design of the study", kind="record")
+    given: tuple[str, ...] = text("paths of the numbers that do not follow")
+    similar: bool = text("whether scaling laws hold", default=True)
+
+    def __call__(self, errors: PyTree, values: Mapping[str, Scalar] | None = None) -> Outcome:
+        """Values and the worst status of one unit."""
+        design = changed(self.response.design, values or {}, self.given, similar=self.similar)
+        return self.response.replace(design=design)(errors)
+
+    @property
+    def compiler_options(self) -> Settings:
+        """Compiler options of the required models."""
+        return self.response.compiler_options
+
+    @property
+    def costly(self) -> bool:
+        """True if a unit is so expensive that only the decisive units are solved."""
+        return self.response.costly
+
+    def parts(self) -> list[Self]:
+        """Its outputs in groups that share no result: each a separate response."""
+        return [self.replace(response=part) for part in self.response.parts()]
 
 
 def followed_bounds(tolerances: PyTree) -> tuple[str, ...]:

@@ -130,11 +130,17 @@ def laws_of(design: Design, paths: Collection[str], given: Collection[str] = ())
     for law in LAWS if isinstance(design, RVReducer) else ():
         if not moving & set(law.follows):
             continue
-        numbers = [path for path in law.numbers if path not in {*paths, *given} and number_at(design, path) is not None]
+        numbers = [path for path in law.numbers if path not in {*paths, *given} and _there(design, path)]
         moving |= set(numbers)
         if numbers:
             found.append((law, numbers))
     return found
+
+
+def _there(design: Design, path: str) -> bool:
+    """True if the design has this number and it is not 0."""
+    own = number_at(design, path)
+    return own is not None and bool(jnp.any(jnp.asarray(own) != 0))
 
 
 def outside(before: Design, after: Design, laws: Collection[Law]) -> list[str]:
@@ -147,7 +153,9 @@ def outside(before: Design, after: Design, laws: Collection[Law]) -> list[str]:
     """
     found = []
     for path in dict.fromkeys(path for law in laws for path in law.follows):
-        ratio = float(number_at(after, path) / number_at(before, path))
+        if (was := number_at(before, path)) is None:
+            continue
+        ratio = float(number_at(after, path) / was)
         for law in (law for law in laws if path in law.follows and not law.interval[0] <= ratio <= law.interval[1]):
             found.append(f"{path}: {ratio:.3g} times that of the study; {law.name} follow it up to {law.interval[1]:g}")
     return found

@@ -22,7 +22,19 @@ UNASKED = ("inertia", "stiffness", "mesh_variation", "damping", "contact", "bear
 
 def compute(asked: Inputs) -> str:
     """Text of the new study."""
-    return written(asked.base)
+    return with_variables() if asked.design else written(asked.base)
+
+
+def with_variables() -> str:
+    """Write the text of a study for `rvjax design`, with comments."""
+    question = (EMBEDDED / "rv-40e-design.toml").read_text("utf-8")
+    head = (
+        "# A study to change, with the numbers of an RV-40E: replace them by those of your drawing, then run\n"
+        "# rvjax design on this file. Tolerances, costs, prices, limits, stiffnesses and masses are assumed.\n\n"
+        '[about] # for the head of reports; every line may go\nrevision = "A"\n'
+        '# title = "..."\n# author = "..."\n\n'
+    )
+    return head + question[question.index("[design]") :]
 
 
 def written(base: str) -> str:

@@ -15,10 +15,12 @@ class Inputs:
     Attributes:
         file: new one, as named.
         base: known reducer.
+        design: a study for `rvjax design`.
     """
 
     file: str
     base: str
+    design: bool
 
 
 def inputs(options: argparse.Namespace) -> Inputs:
@@ -31,4 +33,6 @@ def inputs(options: argparse.Namespace) -> Inputs:
     if Path(options.file).exists():
         raise ValueError(f"{options.file}: exists already; name a new file")
     check_writable(Path(options.file))
-    return Inputs(options.file, options.base)
+    if options.design and options.base != "rv-40e":
+        raise ValueError(f"--design --base {options.base}: the study with variables is of the rv-40e only")
+    return Inputs(options.file, options.base, options.design)

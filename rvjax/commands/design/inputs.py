@@ -1,0 +1,65 @@
+"""Inputs of `rvjax design`: a study with variables."""
+
+import argparse
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from rvjax import study
+from rvjax.commands.allocate import kept
+from rvjax.commands.cores import share_cores
+from rvjax.commands.speak import forewarn
+from rvjax.render import results_folder
+from rvjax.study import Study, StudyError
+from rvjax.tolerances import Memo
+
+FRONT, MOST = 4, 16  # points of the trade front
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """Inputs of the command.
+
+    Attributes:
+        study: with variables.
+        front: points of the trade front.
+        alone: no optimum but the one in question.
+        folder: of the results.
+        memo: keeps what took long until the folder exists, or None.
+        quiet: show no progress.
+    """
+
+    study: Study
+    front: int
+    alone: bool
+    folder: Path
+    memo: Memo | None
+    quiet: bool
+
+    @property
+    def finished(self) -> Callable[[], None]:
+        """Called once the folder is written."""
+        return self.memo.clear if self.memo else lambda: None
+
+
+def inputs(options: argparse.Namespace) -> Inputs:
+    """The inputs that the options name.
+
+    Raises:
+        ValueError: one line that names the option or the key.
+    """
+    asked = study.load(options.study, solve=False)
+    if not asked.variables:
+        raise StudyError(f'{asked.name}: [variable] is missing; add one, such as [variable."cycloid.eccentricity"]')
+    if options.front is not None and not 0 <= options.front <= MOST:
+        raise ValueError(f"--front {options.front}: must lie between 0 and {MOST}")
+    asked.design_response()  # raises an error for what these conditions cannot give
+    if asked.costly:
+        share_cores(1)
+    usual = 0 if asked.costly else FRONT
+    front = 0 if options.alone or not asked.objective else usual if options.front is None else options.front
+    folder = results_folder(options.results, f"{asked.name}-design")
+    forewarn(asked)
+    memo = kept.memo(asked, folder)
+    options.begun = lambda: memo.folder if memo and memo.folder.exists() else None
+    return Inputs(asked, front, options.alone, folder, memo, options.quiet)

@@ -1,0 +1,379 @@
+"""Report of `rvjax design`: verdict, numbers, prices in one currency, requirements, other optima, scaling laws."""
+
+import math
+import shlex
+from collections.abc import Iterator
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from rvjax.commands.allocate import shortfall_text
+from rvjax.commands.cells import assumed_text, failures_text, judged, limit_text, limits_data, limits_of, share
+from rvjax.commands.design.compute import Designed, Point
+from rvjax.commands.design.figures import figures
+from rvjax.commands.design.inputs import Inputs
+from rvjax.render import (
+    Column,
+    Interval,
+    Limits,
+    Note,
+    Number,
+    Report,
+    Section,
+    Table,
+    Text,
+    Titled,
+    leading_comment,
+    versions,
+)
+from rvjax.study import Study, fields_of, number_at, outside, shown
+from rvjax.units import arcmin, mm, readable
+
+BINDING = 1e-6  # least change of the cost, per doubled limit, of a binding limit
+PER = {"m": "mm", "rad": "arcmin", "s": "1000 h"}  # unit of a price of a design number or of a limit
+SIZES = {"mm": mm, "arcmin": arcmin, "1000 h": 3.6e6}
+
+
+def report(asked: Inputs, found: Designed) -> Report:
+    """The report on an optimum of design and tolerances.
+
+    Args:
+        asked: inputs of the command.
+        found: its result.
+    """
+    study, joint = asked.study, found.joint.found
+    certificate = joint.certificate
+    fresh = f"Certificate: {certificate.samples:,} independent units, {failures_text(certificate)}"
+    head = headline(study, found)
+    return Report(
+        title=f"{study.name}: design and tolerances",
+        content=(
+            Note(head, frozenset({"text"})),
+            Section("Numbers of the design", (_numbers(study, found), *_named(asked, found, "section"))),
+            Section("Tolerances", (_tolerances(study, found),)),
+            Section("Requirements", (*_requirements(study, found), Note(fresh))),
+            Section("Prices in one currency", (_prices(study, found),)),
+            Section("Other optima", (*_others(study, found), *_named(asked, found, "front"))),
+            Section("Scaling laws", tuple(_laws(study, found))),
+            Note("\n".join(_notes(study, found))),
+        ),
+        status=joint.status,
+        ok=joint.status == "OPTIMAL",
+        data=_data(study, found),
+        files={"study.toml": study.text.encode()},
+        page="",
+        facts={
+            "intro": leading_comment(study.text),
+            "said": " ".join(line.strip() for line in head.split("\n")[1:] if line),
+            "boxes": _boxes(study, found),
+            "origin": {"command": f"rvjax design {shlex.quote(study.name)}", "seed": str(study.seed)},
+            "study": study.text,
+        },
+        main="report.html",
+    )
+
+
+def _named(asked: Inputs, found: Designed, name: str) -> Iterator[Any]:
+    yield from (figure for figure in figures(asked.study, found) if figure.name == name)
+
+
+def headline(study: Study, found: Designed) -> str:
+    """Status, cost and saving, or the reason why there is no result.
+
+    Args:
+        study: with variables.
+        found: result of the command.
+    """
+    joint = found.joint.found
+    lines = [f"Study {study.name}: {joint.status}", *filter(None, [study.about.line()])]
+    if (yielded := joint.certificate.joint_yield) is not None:
+        lines.append(f"joint yield: {share(yielded).text()}")
+    if not joint.feasible:
+        lines.append(joint.reason or "No design and tolerances within the bounds were found to meet the requirements.")
+        for name, shortfall in joint.shortfall.items():
+            if shortfall > 0:
+                lines.append(f"  the limit of {name} {shortfall_text(shortfall, study.output(name))}")
+        return "\n".join(lines)
+    lines.append(f"cost {joint.start_cost:.3f} -> {joint.cost:.3f} ({_percent(joint.cost, joint.start_cost)})")
+    if found.two_step is not None:
+        steps = found.two_step.found
+        if steps.feasible:
+            lines.append(
+                f"in two steps, geometry first: {steps.cost:.3f} ({steps.status}); together saves "
+                f"{steps.cost - joint.cost:.3f} ({100 * (1 - joint.cost / steps.cost):.1f} %)"
+            )
+        else:
+            lines.append("in two steps, geometry first: no tolerances meet the requirements")
+    if found.unscaled is not None and found.unscaled.found.feasible:
+        lines.append(f"without scaling laws: {found.unscaled.found.cost:.3f} (stiffness and mass would not follow)")
+    return "\n".join(lines)
+
+
+def _percent(after: float, before: float) -> str:
+    return f"{100 * (after / before - 1):+.1f} %" if before else "-"
+
+
+def _unit(study: Study, path: str) -> str:
+    return str(dict(fields_of(study.design))[path.partition("[")[0]]["unit"])
+
+
+def _priced_per(unit: str, read_in: str | None = None) -> tuple[str, float]:
+    """Name and SI size of the unit of a price."""
+    return (PER[unit], SIZES[PER[unit]]) if unit in PER else readable(unit, read_in)
+
+
+def _numbers(study: Study, found: Designed) -> Table:
+    """Variables before and after, with range, active bound and price."""
+    joint = found.joint.found
+    ranges = [Text("cost within 0.5 %")] if joint.ranges else []
+    columns: list[Column] = [
+        Text("variable"),
+        Text("before"),
+        Text("after"),
+        Text("bounds"),
+        *ranges,
+        Text("active bound"),
+        Text("price of the bound"),
+    ]
+    rows = []
+    meanings = dict(fields_of(study.design))
+    for path, item in study.variables.items():
+        unit, value = _unit(study, path), joint.values.get(path, math.nan)
+        name, size = _priced_per(unit)
+        price, bound = joint.value_prices.get(path, 0.0), joint.bounds_active.get(path)
+        kept = joint.ranges.get(path)
+        rows.append(
+            [
+                Titled(path, str(meanings[path.partition("[")[0]]["meaning"])),
+                shown(number_at(study.design, path), unit),
+                shown(value, unit) if math.isfinite(value) else "-",
+                f"{shown(item.lower, unit)} to {shown(item.upper, unit)}",
+                *(["-" if kept is None else f"{shown(kept[0], unit)} to {shown(kept[1], unit)}"] if ranges else []),
+                bound or "-",
+                f"{price * size:.3g} /{name}" if bound and price else "-",
+            ]
+        )
+    return Table("variables", columns, rows)
+
+
+def _slope(study: Study, found: Point, field: str) -> float:
+    """d cost / d half-width of an error, per SI unit."""
+    cost, half_width = study.costs[field], float(getattr(found.found.tolerances, field).half_width)
+    return float(jax.grad(lambda t: jnp.asarray(cost(t)))(half_width))
+
+
+def _tolerances(study: Study, found: Designed) -> Table:
+    """Limits and cost of each error, before and after, and the price of a unit of half-width."""
+    joint = found.joint.found
+    columns: list[Column] = [
+        Text("error"),
+        Limits("before"),
+        Limits("after"),
+        Number("cost after", form=".3f"),
+        Text("price"),
+    ]
+    rows: list[list[Any]] = []
+    for field in study.fields:
+        unit = study.unit(field)
+        name, size = readable(unit)
+        limits = [limits_of(getattr(side, field), unit) for side in (study.tolerances, joint.tolerances)]
+        price = f"{-_slope(study, found.joint, field) * size:.3g} /{name}" if field in joint.costs else "-"
+        rows.append([field, *limits, joint.costs.get(field), price])
+    return Table("tolerances", columns, rows)
+
+
+def _requirements(study: Study, found: Designed) -> Iterator[Table]:
+    """Requirements on units with what the certificate found, then limits without errors."""
+    joint = found.joint.found
+    columns: list[Column] = [
+        Text("requirement"), Text("limit"), Text("requires"), Interval("independent units"), Text("met"), Text("price"),
+    ]  # fmt: skip
+    rows: list[list[Any]] = []
+    for name, requirement in study.requirements.items():
+        output = study.output(name)
+        verdict = joint.certificate.verdicts[name]
+        met = "yes" if verdict.met else "no"
+        price = _limit_price(study, found.joint, name)
+        said = [limit_text(requirement, output), requirement.text(), judged(verdict, output)]
+        rows.append([Titled(name, output.meaning), *said, met, price])
+    yield Table("requirements", columns, rows)
+    if names := study.without_errors:
+        columns = [Text("without errors"), Text("limit"), Text("before"), Text("after"), Text("price")]
+        rows = []
+        for name in names:
+            output = study.output(name)
+            unit, size = output.shown
+            limit = limit_text(study.nominal[name], output) if name in study.nominal else "-"
+            price = _limit_price(study, found.joint, name)
+            values = [
+                f"{side[name] / size:.5g} {unit}".removesuffix(" -") for side in (found.start, found.joint.outputs)
+            ]
+            if name in study.objective:
+                named, size = _priced_per(output.unit, output.read_in)
+                price = f"{study.objective[name](size):.3g} /{named}"
+            rows.append([Titled(name, output.meaning), limit, *values, price])
+        yield Table("nominal", columns, rows)
+
+
+def _multiplier(study: Study, point: Point, name: str) -> float:
+    """d cost / d limit, outwards >= 0; 0 for a limit that is not binding but for rounding."""
+    price = abs(point.found.multipliers.get(name, 0.0))
+    limits = {**study.requirements, **study.nominal}.get(name)
+    sizes = [abs(x) for x in (limits.lower, limits.upper) if math.isfinite(x)] if limits else []
+    return price if price * max(sizes, default=1.0) > BINDING * abs(point.found.cost) else 0.0
+
+
+def _limit_price(study: Study, point: Point, name: str) -> str:
+    price = _multiplier(study, point, name)
+    output = study.output(name)
+    unit, size = _priced_per(output.unit, output.read_in)
+    return f"{price * size:.3g} /{unit}".removesuffix(" /-") if price else "not binding"
+
+
+def _prices(study: Study, found: Designed) -> Note:
+    """Prices of one unit each of half-widths, limits, priced outputs and active bounds, in the unit of cost."""
+    joint, said = found.joint, []
+    for field in joint.found.costs:
+        name, size = readable(study.unit(field))
+        said.append((f"1 {name} of {field}", -_slope(study, joint, field) * size))
+    for name in joint.found.multipliers:
+        output = study.output(name)
+        unit, size = _priced_per(output.unit, output.read_in)
+        said.append((f"{_one(unit)} of the limit of {name}", _multiplier(study, joint, name) * size))
+    for name, per in study.objective.items():
+        output = study.output(name)
+        unit, size = _priced_per(output.unit, output.read_in)
+        said.append((f"{_one(unit)} of {name}", per(size)))
+    for path, price in joint.found.value_prices.items():
+        name, size = _priced_per(_unit(study, path))
+        said.append((f"1 {name} of the bound of {path}", abs(price) * size))
+    lines = [f"  {what}: {price:.3g}" for what, price in said if price]
+    return Note("\n".join(["At the optimum, in the unit of the costs:", *lines]))
+
+
+def _one(unit: str) -> str:
+    """One of a unit, as text: "1 mm", "1000 h", "1"."""
+    return unit if unit[0].isdigit() else f"1 {unit}".removesuffix(" -")
+
+
+def _others(study: Study, found: Designed) -> Iterator[Table | Note]:
+    """Start, optimum in two steps, joint optimum, optimum without scaling laws, front: costs and numbers."""
+    paths = list(study.variables)
+    columns: list[Column] = [
+        Text("optimum"), Text("status"), Number("cost", form=".3f"), Number("tolerances", form=".3f"),
+        Number("priced outputs", form=".3f"), *(Text(path) for path in paths),
+    ]  # fmt: skip
+    points = [("joint", found.joint)]
+    points += [("geometry first, tolerances after", found.two_step)] if found.two_step else []
+    points += [("without scaling laws", found.unscaled)] if found.unscaled else []
+    points += [(f"prices of the objective times {point.factor:.3g}", point) for point in found.front]
+    rows: list[list[Any]] = []
+    for name, point in points:
+        values = [shown(point.found.values[path], _unit(study, path)) for path in paths]
+        priced, tolerances = point.priced(study), point.of_tolerances(study)
+        total = point.found.cost + (1 - point.factor) * priced
+        rows.append([name, point.found.status, total, tolerances, priced, *values])
+    yield Table("optima", columns, rows)
+    if found.two_step is not None:
+        yield Note(
+            "Geometry first: least own cost and priced outputs within the limits without errors, nearest to the start; "
+            "then the cheapest tolerances for that geometry. It never costs less than the joint optimum."
+        )
+    if found.front:
+        yield Note("Costs are at the prices of the study.")
+
+
+def _laws(study: Study, found: Designed) -> Iterator[Table | Note]:
+    """Scaling laws that were used, with their sources and what they changed."""
+    if not found.laws:
+        yield Note("No number of the design follows the variables.")
+        return
+    columns: list[Column] = [Text("follows"), Text("as"), Text("factor here"), Text("source", wraps=True)]
+    rows = []
+    for law, numbers in found.laws:
+        powers = " ".join(f"{path}^{power:.3g}" if power != 1 else path for path, power in law.follows.items())
+        before, after = (number_at(design, numbers[0]) for design in (study.design, found.joint.design))
+        ratio = float(jnp.ravel(jnp.asarray(after))[0] / jnp.ravel(jnp.asarray(before))[0])
+        rows.append([", ".join(numbers), powers, f"{ratio:.4g}", law.source])
+    yield Table("scaling", columns, rows)
+    if found.unscaled is not None:
+        cost, joint = found.unscaled.found.cost, found.joint.found.cost
+        yield Note(f"Without scaling laws the optimum would cost {cost:.3f} ({_percent(cost, joint)}).")
+
+
+def _notes(study: Study, found: Designed) -> list[str]:
+    lines = [f"warning: {line}" for line in study.doubts]
+    used = [law for law, _ in found.laws]
+    if found.joint.found.feasible:
+        lines += [f"warning: {line}" for line in outside(study.design, found.joint.design, used)]
+    lines += [f"Assumed (not published): {assumed_text(study)}"] if study.assumed else []
+    lines += ["Costs and prices are those of the study: compare ranges and prices, not one optimum only."]
+    return lines + [f"Not modelled: {line}" for line in study.left_out]
+
+
+def _boxes(study: Study, found: Designed) -> list[tuple[str, str, str]]:
+    joint = found.joint.found
+    boxes = [("cost", f"{joint.cost:.4g}", f"start {joint.start_cost:.4g}")]
+    if found.two_step is not None and found.two_step.found.feasible and joint.feasible:
+        saved = 100 * (1 - joint.cost / found.two_step.found.cost)
+        boxes.append(("together saves", f"{saved:.1f} %", f"in two steps {found.two_step.found.cost:.4g}"))
+    for path, value in joint.values.items():
+        unit = _unit(study, path)
+        before = shown(number_at(study.design, path), unit)
+        boxes.append((path.rpartition(".")[2].replace("_", " "), shown(value, unit), f"from {before}"))
+    return boxes
+
+
+def _point(study: Study, point: Point | None) -> dict[str, Any] | None:
+    if point is None:
+        return None
+    found = point.found
+    return {
+        "status": found.status, "cost": found.cost, "tolerance_cost": point.of_tolerances(study),
+        "priced_outputs": point.priced(study), "values": found.values, "half_widths": found.half_widths,
+        "outputs_without_errors": point.outputs, "price_factor": point.factor,
+    }  # fmt: skip
+
+
+def _data(study: Study, found: Designed) -> dict[str, Any]:
+    """Result as JSON values in SI."""
+    joint = found.joint.found
+    return {
+        "study": study.name,
+        "about": study.about,
+        "status": joint.status,
+        "feasible": joint.feasible,
+        "reason": joint.reason,
+        "seed": study.seed,
+        "samples": study.samples,
+        "versions": versions(),
+        "cost": {"before": joint.start_cost, "after": joint.cost},
+        "values": joint.values,
+        "bounds_active": joint.bounds_active,
+        "value_prices": joint.value_prices,
+        "ranges": joint.ranges,
+        "multipliers": joint.multipliers,
+        "shortfall": joint.shortfall,
+        "tolerances": {
+            field: {"unit": study.unit(field), "after": limits_data(getattr(joint.tolerances, field))}
+            | ({"price": -_slope(study, found.joint, field)} if field in joint.costs else {})
+            for field in study.fields
+        },
+        "joint": _point(study, found.joint),
+        "two_step": _point(study, found.two_step),
+        "fixed_in_the_first_step": found.fixed,
+        "without_scaling_laws": _point(study, found.unscaled),
+        "front": [_point(study, point) for point in found.front],
+        "scaling_laws": [
+            {
+                "name": law.name,
+                "numbers": numbers,
+                "follows": law.follows,
+                "interval": law.interval,
+                "source": law.source,
+            }
+            for law, numbers in found.laws
+        ],
+        "certificate": joint.certificate,
+    }

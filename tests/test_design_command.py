@@ -1,0 +1,241 @@
+"""`rvjax design` and its tables: numbers of the design and tolerances in one study, from the file to the page."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rvjax import cli, study
+from rvjax.commands.design.geometry_first import geometry_first
+from rvjax.tolerances import allocate
+from rvjax.units import mm, um
+
+CASE = next(
+    case
+    for case in json.loads((Path(__file__).parent / "reference" / "codesign.json").read_text())["cases"]
+    if case["kind"] == "rv"
+)
+SMALL = """
+[design]
+base = "rv-40e-whole"
+[variable."cycloid.eccentricity"]
+lower = "1.1 mm"
+upper = "1.5 mm"
+[variable."cycloid.pin_circle_radius"]
+lower = "62 mm"
+upper = "68 mm"
+[variable."cycloid.equidistant_modification"]
+lower = "-20 um"
+upper = "20 um"
+[objective]
+mass = {price = 2.0, per = "1 kg"}
+[tolerances.pin_circle_radius]
+half_width = "5 um"
+[tolerances.pin_radius]
+half_width = "2 um"
+[cost.pin_circle_radius]
+scale = 2
+reference = "5 um"
+finest = "1 um"
+coarsest = "40 um"
+[cost.pin_radius]
+scale = 1
+reference = "2 um"
+finest = "0.5 um"
+coarsest = "20 um"
+[requirement.lost_motion]
+lower = "-0.6 arcmin"
+upper = "0.6 arcmin"
+target = 0.99
+[requirement.convex_radius]
+nominal_lower = "1 mm"
+[requirement.crank_room]
+nominal_lower = "23.5 mm"
+[run]
+samples = 2048
+certificate_samples = 8192
+"""
+
+
+def parsed(text=SMALL):
+    return study.parse_study(text, name="x", solve=False)
+
+
+def replaced(old, new):
+    assert old in SMALL
+    return SMALL.replace(old, new, 1)
+
+
+def reference_study(certificate_samples):
+    """The mechanical problem of the reference as a study file, lengths in m."""
+    given = CASE["given"]
+    torque = f'output_torque = "{given["constants"]["torque"]} N m"'
+    lines = [f'[design]\nbase = "rv-40e"\n[conditions]\n{torque}\nangles = 64']
+    for name, field in given["fields"].items():
+        middle, half = field.get("middle", 0.0), field["half_width"]
+        lines.append(f'[tolerances.{name}]\nlower = "{middle - half} m"\nupper = "{middle + half} m"')
+    for name, cost in given["costs"].items():
+        lines.append(f"[cost.{name}]\nscale = {cost['scale']}\npower = {cost['power']}")
+        lines += [f'{key} = "{cost[key]} m"' for key in ("reference", "finest", "coarsest")]
+    for name, item in given["variables"].items():
+        lines += [f'[variable."{name}"]', *(f'{key} = "{item[key]} m"' for key in ("lower", "upper", "start"))]
+    for name, item in given["requirements"].items():
+        nominal = "nominal_" if item["kind"] == "nominal" else ""
+        unit = "m" if nominal else "rad"
+        lines += [f"[requirement.{name}]", *([] if nominal else [f"target = {item['target']}"])]
+        lines += [f'{nominal}{key} = "{item[key]} {unit}"' for key in ("lower", "upper") if key in item]
+    for name, price in given["objective"].items():
+        lines.append(f'[objective]\n{name} = {{price = {price}, per = "1 m"}}')
+    return parsed("\n".join([*lines, f"[run]\ncertificate_samples = {certificate_samples}"]))
+
+
+def test_the_tables_are_read():
+    made = parsed()
+    item = made.variables["cycloid.eccentricity"]
+    assert (item.lower, item.upper, item.first) == pytest.approx((1.1 * mm, 1.5 * mm, 1.3 * mm))
+    assert made.objective["mass"](3.0) == 6.0 and set(made.nominal) == {"convex_radius", "crank_room"}
+    assert set(made.requirements) == {"lost_motion"} and made.without_errors == ("convex_radius", "crank_room", "mass")
+    more = 'among = ["1.2 mm", "1.3 mm"]\nstart = "1.2 mm"\ncost = {price = 3.0, per = "0.1 mm"}\n'
+    after = '[variable."cycloid.pin_circle'
+    listed = parsed(replaced(after, more + after)).variables["cycloid.eccentricity"]
+    assert listed.among == pytest.approx((1.2 * mm, 1.3 * mm)) and listed.first == pytest.approx(1.2 * mm)
+    assert listed.own_cost(1.2 * mm) == pytest.approx(36.0)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("cycloid.eccentricity", "cycloid.excentricity", "unknown number of the design.*did you mean"),
+        ('lower = "1.1 mm"', 'lower = "1.6 mm"', "lower = '1.6 mm': must not exceed upper = '1.5 mm'"),
+        ('lower = "1.1 mm"', 'start = "1.6 mm"\nlower = "1.1 mm"', "start = '1.6 mm': must lie between"),
+        ('lower = "1.1 mm"', 'lower = "1.4 mm"', "start = 0.0013 m, that of .design., must lie|start = .*must lie"),
+        ('lower = "1.1 mm"', 'lower = "-inf mm"', "must be finite"),
+        ('lower = "1.1 mm"', 'among = []\nlower = "1.1 mm"', "must be a list of one or more values in m"),
+        ('lower = "1.1 mm"', 'among = ["2 mm"]\nlower = "1.1 mm"', "among = '2 mm': must lie between"),
+        ('lower = "1.1 mm"', "", "lower is missing"),
+        ('lower = "1.1 mm"', 'lower = "1.1 mm"\nmost = 1', "unknown key variable"),
+        ("cycloid.eccentricity", "cycloid.pin_count", "is an integer, 40"),
+        ("cycloid.eccentricity", "cranks.circle_radius", "follows from involute.module"),
+        ('whole"', 'whole"\ncycloid.shortening = 0.8', "shortening is given, but follows it"),
+        ("mass =", "weight =", "objective.weight: output"),
+        ("price = 2.0, per", "price = 2.0, pre", "unknown key objective.mass.pre"),
+        ('per = "1 kg"', 'per = "0 kg"', "per = '0 kg': must be positive"),
+        ('nominal_lower = "1 mm"', "", "requirement.convex_radius: give upper or lower"),
+        ('nominal_lower = "1 mm"', 'nominal_lower = "2 mm"\nnominal_upper = "1 mm"', "requirement.convex_radius"),
+        ("[run]", '[middle.equidistant_modification]\nlower = "0 um"\nupper = "1 um"\n'
+         '[tolerances.equidistant_modification]\nhalf_width = "1 um"\n[run]', "moves the same; give one of them"),
+    ],
+)  # fmt: skip
+def test_bad_input_is_one_line(old, new, words):
+    with pytest.raises(study.StudyError, match=words) as caught:
+        parsed(replaced(old, new))
+    assert "\n" not in str(caught.value)
+
+
+def test_geometry_first_is_that_of_the_reference():
+    due = CASE["expected"]["two_step"]
+    found = geometry_first(reference_study(1000))
+    assert set(found) == set(due["fixed"])  # the modification does not change size or room
+    for name, value in found.items():
+        assert value == pytest.approx(due["values"][name], rel=1e-4), name
+
+
+def test_the_mechanical_problem_of_the_reference():
+    """Four-bar and lost motion with what follows the variables: cost within 1 %, numbers within their ranges."""
+    made, due = reference_study(400_000), CASE["expected"]
+    found = allocate(
+        made.design_response(),
+        made.tolerances,
+        made.requirements | made.nominal,
+        costs=made.costs,
+        variables=made.variables,
+        objective={name: price(1.0) for name, price in made.objective.items()},
+        samples=made.samples,
+        certificate_samples=made.certificate_samples,
+    )
+    assert found.status == "OPTIMAL"
+    assert found.cost == pytest.approx(due["cost"], rel=0.01)
+    for name, (low, high) in due["ranges"].items():
+        assert low - 1e-9 <= found.values[name] <= high + 1e-9, name
+    assert found.bounds_active == due["bounds_active"]
+
+
+@pytest.fixture(scope="module")
+def designed(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("design")
+    (folder / "small.toml").write_text(SMALL)
+    code = cli.main(["design", str(folder / "small.toml"), "--front", "2", "--results", str(folder / "out"), "--quiet"])
+    return code, folder / "out", json.loads((folder / "out" / "result.json").read_text())
+
+
+def test_the_command_answers(designed):
+    code, out, result = designed
+    assert code == 0 and result["status"] == "OPTIMAL" and result["certificate"]["samples"] == 8192
+    for name in ("report.html", "summary.txt", "variables.csv", "tolerances.csv", "requirements.csv", "nominal.csv",
+                 "optima.csv", "scaling.csv", "section.png", "front.png", "study.toml"):  # fmt: skip
+        assert (out / name).stat().st_size > 0, name
+
+
+def test_two_steps_never_beat_the_joint_optimum(designed):
+    _, _, result = designed
+    joint, steps = result["joint"], result["two_step"]
+    assert joint["cost"] <= steps["cost"] * 1.01
+    assert joint["cost"] == pytest.approx(joint["tolerance_cost"] + joint["priced_outputs"])
+    assert joint["priced_outputs"] == pytest.approx(2 * joint["outputs_without_errors"]["mass"])
+    assert set(result["fixed_in_the_first_step"]) == {"cycloid.eccentricity", "cycloid.pin_circle_radius"}
+
+
+def test_without_scaling_laws_the_mass_does_not_follow(designed):
+    _, _, result = designed
+    assert result["without_scaling_laws"]["outputs_without_errors"]["mass"] == pytest.approx(6.94)
+    ratio = result["values"]["cycloid.pin_circle_radius"] / (64 * mm)
+    due = 6.94 + (ratio**2 - 1) * (2 * 0.75 + 4.5)  # discs and output follow the pin circle
+    assert result["joint"]["outputs_without_errors"]["mass"] == pytest.approx(due, rel=1e-9)
+    assert "mass of discs and output" in {law["name"] for law in result["scaling_laws"]}
+
+
+def test_dearer_mass_makes_a_lighter_reducer(designed):
+    _, _, result = designed
+    cheap, dear = result["front"]
+    assert cheap["price_factor"] < 1 < dear["price_factor"]
+    assert dear["priced_outputs"] <= cheap["priced_outputs"] * (1 + 1e-6)
+    assert cheap["tolerance_cost"] <= dear["tolerance_cost"] * 1.01
+
+
+def test_prices_are_in_one_currency(designed):
+    """A micron of a half-width is worth the slope of its cost: 2 (5 um / t) / t."""
+    _, out, result = designed
+    half = result["joint"]["half_widths"]["pin_circle_radius"]
+    price = 2 * 5 * um / half**2
+    assert result["tolerances"]["pin_circle_radius"]["price"] == pytest.approx(price, rel=1e-6)
+    text = (out / "summary.txt").read_text()
+    assert f"1 um of pin_circle_radius: {price * um:.3g}" in text and "1 kg of mass: 2" in text
+    assert "arcmin of the limit of lost_motion" in text and "together saves" in text
+
+
+def test_values_keep_bounds_and_limits(designed):
+    _, _, result = designed
+    made = parsed()
+    for path, item in made.variables.items():
+        assert item.lower - 1e-12 <= result["values"][path] <= item.upper + 1e-12
+    found = result["joint"]["outputs_without_errors"]
+    assert found["convex_radius"] >= 1 * mm * (1 - 1e-3) and found["crank_room"] >= 23.5 * mm * (1 - 1e-3)
+    assert np.isfinite(result["cost"]["after"]) and result["cost"]["after"] < result["cost"]["before"]
+
+
+def test_what_the_command_refuses(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["design", "rv-40e"]) == 2 and "[variable] is missing" in capsys.readouterr().err
+    assert cli.main(["design", "rv-40e-design", "--front", "99"]) == 2
+    assert "--front 99: must lie between 0 and 16" in capsys.readouterr().err
+
+
+def test_init_writes_a_study_with_variables(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["init", "mine.toml", "--design"]) == 0
+    made = study.load("mine.toml", solve=False)
+    assert set(made.variables) == set(study.load("rv-40e-design", solve=False).variables)
+    assert made.about.revision == "A" and "rvjax design" in (tmp_path / "mine.toml").read_text()
+    assert cli.main(["init", "other.toml", "--design", "--base", "rv-80e"]) == 2
+    assert "is of the rv-40e only" in capsys.readouterr().err
