@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from scipy import special, stats
 
-from rvjax.study.read import _tolerance
+from rvjax.study.toleranced import parse_tolerance
 from rvjax.tolerances import Requirement, Tolerance, load, monte_carlo, rss, sample, save, worst_case
 from rvjax.units import um
 
@@ -209,24 +209,26 @@ def test_a_direction_needs_a_vector_and_no_argument_is_forgotten():
 
 def test_study_files_read_every_parameter(tmp_path):
     where = "tolerances.x"
-    skew = _tolerance(dict(half_width="2 um", distribution="lognormal", log_sd=0.3, cp=1.2), "m", where)
+    skew = parse_tolerance(dict(half_width="2 um", distribution="lognormal", log_sd=0.3, cp=1.2), "m", where)
     assert (skew.distribution, skew.law.log_sd, skew.cp, skew.upper) == ("lognormal", 0.3, 1.2, pytest.approx(2 * um))
     turn = dict(lower="0 um", upper="9 um", distribution="von_mises", concentration=2.0, direction="30 deg")
-    assert _tolerance(turn, "m", where).law.direction == pytest.approx(math.pi / 6)
+    assert parse_tolerance(turn, "m", where).law.direction == pytest.approx(math.pi / 6)
     limits = dict(lower="0 um", upper="9 um", distribution="empirical")
-    np.testing.assert_allclose(_tolerance(limits | dict(values=["3 um", "1 um"]), "m", where).law.values, [1e-6, 3e-6])
+    np.testing.assert_allclose(
+        parse_tolerance(limits | dict(values=["3 um", "1 um"]), "m", where).law.values, [1e-6, 3e-6]
+    )
     file = tmp_path / "parts.csv"
     file.write_text("part,deviation\nA,2.5\nB,-1\n")
     column = dict(file=str(file), column="deviation", unit="um")
-    np.testing.assert_allclose(_tolerance(limits | dict(values=column), "m", where).law.values, [-1e-6, 2.5e-6])
+    np.testing.assert_allclose(parse_tolerance(limits | dict(values=column), "m", where).law.values, [-1e-6, 2.5e-6])
     file.write_text("deviation\n2.5\n-1\n", "utf-8-sig")  # as Excel begins a file
-    np.testing.assert_allclose(_tolerance(limits | dict(values=column), "m", where).law.values, [-1e-6, 2.5e-6])
+    np.testing.assert_allclose(parse_tolerance(limits | dict(values=column), "m", where).law.values, [-1e-6, 2.5e-6])
     file.write_text("Teil;Abmaß [µm]\nA;2,5\nB;\nC;-1,0\n", "utf-8-sig")  # a part that was not measured
     german = dict(file=str(file), column="Abmaß")
-    np.testing.assert_allclose(_tolerance(limits | dict(values=german), "m", where).law.values, [-1e-6, 2.5e-6])
+    np.testing.assert_allclose(parse_tolerance(limits | dict(values=german), "m", where).law.values, [-1e-6, 2.5e-6])
     file.write_text("deviation\n2.5\n-1\n")
     plain = dict(half_width=3, distribution="empirical", values=column | dict(unit="-"))
-    np.testing.assert_allclose(_tolerance(plain, "-", where).law.values, [-1.0, 2.5])
+    np.testing.assert_allclose(parse_tolerance(plain, "-", where).law.values, [-1.0, 2.5])
     file.write_text("part,deviation\nA,2.5\nB,-1\n")
     for change, message in [
         (dict(column="x"), r"columns.values = 'x': no column of the file; it has part, deviation"),
@@ -235,10 +237,10 @@ def test_study_files_read_every_parameter(tmp_path):
         (dict(file="absent.csv"), r"values.file = 'absent.csv': cannot be read"),
     ]:
         with pytest.raises(ValueError, match=message):
-            _tolerance(limits | dict(values=column | change), "m", where)
+            parse_tolerance(limits | dict(values=column | change), "m", where)
     with pytest.raises(ValueError, match="log_sd = 'much': must be a plain finite number"):
-        _tolerance(dict(half_width="2 um", distribution="lognormal", log_sd="much"), "m", where)
+        parse_tolerance(dict(half_width="2 um", distribution="lognormal", log_sd="much"), "m", where)
     with pytest.raises(ValueError, match="values = '3 um': must be a list"):
-        _tolerance(limits | dict(values="3 um"), "m", where)
+        parse_tolerance(limits | dict(values="3 um"), "m", where)
     with pytest.raises(ValueError, match=r"unknown key tolerances.x.log_sd"):
-        _tolerance(limits | dict(values=["3 um"], log_sd=1.0), "m", where)
+        parse_tolerance(limits | dict(values=["3 um"], log_sd=1.0), "m", where)

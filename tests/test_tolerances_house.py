@@ -14,7 +14,8 @@ import pytest
 
 from rvjax.population.distribution import DISTRIBUTIONS, Distribution
 from rvjax.records import field, record
-from rvjax.study.read import _requirements, _tolerance
+from rvjax.study.read import _requirements
+from rvjax.study.toleranced import parse_tolerance
 from rvjax.tolerances import (
     ReciprocalPower,
     Requirement,
@@ -106,7 +107,7 @@ def test_a_law_has_one_place(tmp_path):
     again = load(tmp_path / "a.json")
     assert again["a"].law.weight == 0.5 and again["a"].distribution == "arch"
     assert sample(again, 3, seed=1)["a"] == sample(PAIR, 3, seed=1)["a"]
-    read = _tolerance(dict(half_width="2 um", distribution="arch", weight=0.5), "m", "tolerances.x")
+    read = parse_tolerance(dict(half_width="2 um", distribution="arch", weight=0.5), "m", "tolerances.x")
     assert (read.upper, read.law.weight) == (pytest.approx(2 * um), 0.5)
     scaled = Tolerance(-1.0, 3.0, distribution="arch").with_half_width(1.0)
     assert (scaled.lower, scaled.upper) == (0.0, 2.0)
@@ -128,13 +129,13 @@ def test_a_kind_of_requirement_has_one_place():
     assert best.status == "OPTIMAL" and a / b == pytest.approx(4 ** (1 / 3), rel=0.04)
     assert math.hypot(a, 2 * b) == pytest.approx(1.5, rel=0.02)
     outputs = {"te": type("Output", (), {"unit": "rad"})}
-    read = _requirements(outputs, {"te": dict(upper="1 arcmin", sd=0.1)})["te"]
+    read = _requirements(outputs, {"te": dict(upper="1 arcmin", sd=0.1)})[0]["te"]
     assert isinstance(read, SdBelow) and read.sd == 0.1
 
 
 def test_study_files_know_every_kind():
     outputs = {"te": type("Output", (), {"unit": "rad"})}
-    one = lambda **entry: repr(_requirements(outputs, {"te": entry})["te"])  # noqa: E731
+    one = lambda **entry: repr(_requirements(outputs, {"te": entry})[0]["te"])  # noqa: E731
     assert one(upper="1 rad") == "Requirement(lower=-inf, upper=1.0, target=0.9973)"
     assert one(upper="1 rad", cpk=1.5) == "CpkAtLeast(lower=-inf, upper=1.0, cpk=1.5)"
     assert one(mean_lower="-1 rad", mean_upper="2 rad") == "MeanWithin(lower=-1.0, upper=2.0)"
