@@ -184,3 +184,14 @@ def test_bends_that_all_units_share_are_found_at_random_places():
     # The products 2 m h u act as noise on it, of which 768 units at three places leave a twentieth
     assert found.columns["y"][place, place].mean() == pytest.approx(0.1 * reach**2, rel=0.15)
     assert found.error("mean") < 0.05 and found.error("yield") < 0.02
+
+
+def test_a_failed_unit_does_not_change_the_regression_of_the_others():
+    rng = np.random.default_rng(2)
+    rise, places = rng.standard_normal((2, 400)), [rng.uniform(-1, 1, (2, 400)) for _ in range(2)]
+    base = rng.standard_normal(400)
+    changes = [(rise * x).sum(0) + 0.3 * x[0] ** 2 for x in places]
+    base[7], changes[0][7], changes[1][7], changes[1][9] = np.nan, np.nan, np.nan, np.inf
+    found = regression._corrected(base, rise, places, changes)
+    np.testing.assert_allclose(found[0, 0], 0.3, atol=2e-3)
+    np.testing.assert_allclose(found[1,], rise[1], atol=1e-2)

@@ -63,7 +63,7 @@ def regressed(
         weights = np.zeros((len(part.names), units))
         weights[number] = 1.0
         slopes = gradients(part.response, population, here, weights, part.names)[1]
-        rise = np.nan_to_num(np.einsum("keu,eu->ku", rates, slopes))
+        rise = np.nan_to_num(np.einsum("keu,eu->ku", rates, slopes), posinf=0.0, neginf=0.0)
         rest = [row[number] - base[number] for row in seen]
         values_by_name[name] = base[number]
         columns[name] = _corrected(base[number], rise, places, rest)
@@ -72,7 +72,7 @@ def regressed(
 
 def _corrected(base: np.ndarray, rise: np.ndarray, places: list[np.ndarray], rest: list[np.ndarray]) -> Columns:
     """Columns of one output: its derivatives `rise` (p, units), and its changes `rest` at the places."""
-    sd, count = float(base.std()) or 1.0, len(rise)
+    sd, count = float(base[np.isfinite(base)].std()) or 1.0, len(rise)
     terms = [np.concatenate([rise * x / sd, x**2, np.abs(rise) * x**2 / sd]) for x in places]
     rows = np.concatenate(terms, axis=1)
     target = np.concatenate([(change - (rise * x).sum(0)) / sd for change, x in zip(rest, places)])
