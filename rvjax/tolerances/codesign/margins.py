@@ -28,6 +28,7 @@ from rvjax.tolerances.worst_case import Extremes, extremes
 
 WIDTH = 0.06  # of the smoothing of quantiles, standard deviations of the response along its gradient
 _STEP = 1e-4  # of differences of a worst case, part of a range
+_AT_ONCE = 2048  # units of a call, so that the coarse and the fine search share one program
 _MOST_LANES = 2 * LANES  # units behind the slope of a quantile
 JOINT = "joint"
 """Name of the constraint on units that meet all limits."""
@@ -327,10 +328,12 @@ class Margins:
             if self._costly:
                 values, status = part.solve(population, z)
             else:
-                padded = np.resize(np.arange(z.shape[1]), max(self.samples, z.shape[1]))
-                by_name, flags = respond(part.response, population, jnp.asarray(z[:, padded], jnp.result_type(float)))
-                values = np.stack([np.asarray(by_name[name], float) for name in part.names])[:, : z.shape[1]]
-                status = np.asarray(flags)[: z.shape[1]]
+                padded = z[:, np.resize(np.arange(z.shape[1]), -(-z.shape[1] // _AT_ONCE) * _AT_ONCE)]
+                blocks = np.split(padded, padded.shape[1] // _AT_ONCE, axis=1)
+                found = [respond(part.response, population, jnp.asarray(b, jnp.result_type(float))) for b in blocks]
+                rows = [np.stack([np.asarray(values[name], float) for name in part.names]) for values, _ in found]
+                values = np.concatenate(rows, axis=1)[:, : z.shape[1]]
+                status = np.concatenate([np.asarray(flags) for _, flags in found])[: z.shape[1]]
             return np.where(np.asarray(succeeded(status)) & np.isfinite(values), values, np.nan)
 
         if self._memo is None:
