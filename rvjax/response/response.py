@@ -138,7 +138,7 @@ class Compiled(Generic[R]):
 
     def _traced(
         self, folder: Path, options: Options, arguments: PyTree, static: dict[str, object]
-    ) -> "tuple[_Traced | None, list[Array]]":
+    ) -> "tuple[_Traced | None, list[PyTree]]":
         """A traced program, or None where none can be kept, and its arguments."""
         from rvjax.exported import exported, plain
 
