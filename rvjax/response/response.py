@@ -57,7 +57,7 @@ class _Traced:
 
 
 class _Compiling(threading.Thread):
-    """Compilation of a program beside the main thread, one at a time; a call waits for it."""
+    """Compilation of a program in another thread, one at a time; a call waits for it."""
 
     _turn = threading.Lock()
 
