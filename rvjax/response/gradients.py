@@ -88,16 +88,6 @@ def gradients(
     return np.concatenate(values, axis=1), np.concatenate(slopes, axis=1)
 
 
-def begin_gradients(response: Response, population: Population, names: tuple[str, ...]) -> None:
-    """Trace the program of gradients, and compile it while the caller goes on; for a command, which keeps programs."""
-    count, mesh = sum(math.prod(t.shape) for t in population.active.values()), mesh_of(LANES)
-    arrays = [jnp.zeros((rows, LANES), jnp.result_type(float)) for rows in (count, len(names))]
-    if mesh is None:
-        pulled.begin(response, population, *arrays, names=names)
-    else:
-        _pulled_on.begin(response, population, *(on(mesh, rows) for rows in arrays), names=names, mesh=mesh)
-
-
 def nominal_status(response: Response, population: Population) -> int:
     """Status of the unit without errors, by the program of the gradients."""
     names, count = response_names(response, population), sum(math.prod(t.shape) for t in population.active.values())

@@ -11,7 +11,7 @@ import numpy as np
 from rvjax.population import Population
 from rvjax.records import PyTree
 from rvjax.response.devices import UNITS, Evaluator, mesh_of, on, shared_out
-from rvjax.response.gradients import begin_gradients, elements
+from rvjax.response.gradients import elements
 from rvjax.response.response import Response, Values, evaluate, per_response, response_names
 from rvjax.status import succeeded, worst
 
@@ -100,19 +100,6 @@ def evaluator(response: Response, population: Population, seed: int, method: str
     """
     kind = InParts if getattr(response, "costly", False) else Evaluator
     return kind(response, population, seed, method, chunk)
-
-
-def begin_programs(response: Response, population: Population) -> None:
-    """Trace the programs of a costly response, values first, and compile each while the next is traced."""
-    own, count = parts(response, population), sum(prod(t.shape) for t in population.active.values())
-    mesh, nothing = mesh_of(AT_ONCE), jnp.zeros((count, AT_ONCE), jnp.result_type(float))
-    for part in own:
-        if mesh is None:
-            _solved.begin(part.response, population, nothing)
-        else:
-            _solved_on.begin(part.response, population, on(mesh, nothing), mesh=mesh)
-    for part in own:
-        begin_gradients(part.response, population, part.names)
 
 
 def status_without_errors(response: Response, population: Population) -> int:

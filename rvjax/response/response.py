@@ -4,10 +4,8 @@ It returns a scalar, a dict or record of scalars, or an `Outcome` that names why
 package its values are always a dict; a plain scalar is wrapped in `evaluate` and unwrapped in `unwrapped`.
 """
 
-import contextlib
 import dataclasses
 import functools
-import threading
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
@@ -46,36 +44,6 @@ class DesignResponse(Protocol):
     """A response of a design with free numbers: of the errors of one unit, and of these numbers by name."""
 
     def __call__(self, errors: PyTree, values: dict[str, Any], /) -> PyTree: ...
-
-
-@dataclasses.dataclass
-class _Traced:
-    """A program of flat arrays, and what puts its results together."""
-
-    call: "jax.stages.Wrapped | _Compiling"
-    put_together: Callable[[Any], Any]
-
-
-class _Compiling(threading.Thread):
-    """Compilation of a program in another thread, one at a time; a call waits for it."""
-
-    _turn = threading.Lock()
-
-    def __init__(self, program: jax.stages.Wrapped, lowered: jax.stages.Lowered) -> None:
-        super().__init__()
-        self._program, self._lowered = program, lowered
-        self._compiled: jax.stages.Compiled | None = None
-        self.start()
-
-    def run(self) -> None:
-        """Compile."""
-        with self._turn, contextlib.suppress(Exception):  # the call meets the same error
-            self._compiled = self._lowered.compile()
-
-    def __call__(self, *leaves: Array) -> Any:
-        """The program's values."""
-        self.join()
-        return (self._compiled or self._program)(*leaves)
 
 
 class Compiled(Generic[R]):
@@ -118,28 +86,8 @@ class Compiled(Generic[R]):
         jitted, first = self._program(response, options)
         return jitted(*first, *arguments, **static)
 
-    def begin(self, response: Function, *arguments: PyTree, **static: object) -> None:
-        """Trace a program that will be called with such arguments, and compile it while the caller goes on.
-
-        Does nothing where no traced programs are kept.
-        """
-        options = (*getattr(response, "compiler_options", ()), *self._options)
-        if isinstance(response, Record) and (folder := kept_folder()) is not None:
-            program, leaves = self._traced(folder, options, (response, *arguments), static)
-            if program is not None and not isinstance(program.call, _Compiling):
-                program.call = _Compiling(program.call, program.call.lower(*leaves))
-
     def _kept(self, folder: Path, options: Options, arguments: PyTree, static: dict[str, object]) -> R:
         """The function's value, by a program that this or an earlier process has traced."""
-        program, leaves = self._traced(folder, options, arguments, static)
-        if program is None:
-            return self._shared(options)(*arguments, **static)
-        return program.put_together(program.call(*leaves))
-
-    def _traced(
-        self, folder: Path, options: Options, arguments: PyTree, static: dict[str, object]
-    ) -> "tuple[_Traced | None, list[PyTree]]":
-        """A traced program, or None where none can be kept, and its arguments."""
         from rvjax.exported import exported, plain
 
         leaves, tree = jax.tree.flatten(arguments)
@@ -147,8 +95,12 @@ class Compiled(Generic[R]):
         key = (folder, options, tree, types, tuple(sorted(static.items())))
         if key not in self._flat:
             found = exported(folder, self.__wrapped__, static, arguments)  # type: ignore[attr-defined]
-            self._flat[key] = found and _Traced(jax.jit(found[0], compiler_options=understood(options)), found[1])
-        return self._flat[key], plain(leaves)
+            self._flat[key] = found and (jax.jit(found[0], compiler_options=understood(options)), found[1])
+        program = self._flat[key]
+        if program is None:
+            return self._shared(options)(*arguments, **static)
+        call, put_together = program
+        return put_together(call(*plain(leaves)))
 
     def lowered(self, response: Function, *arguments: PyTree, **static: object) -> str:
         """Text of the program."""
