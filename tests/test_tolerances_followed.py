@@ -14,6 +14,7 @@ from rvjax.response import Part, status_without_errors
 from rvjax.status import Status
 from rvjax.tolerances import Outcome, ReciprocalPower, Requirement, Tolerance, allocate
 from rvjax.tolerances.allocation.followed import Followed
+from rvjax.tolerances.allocation.sample_average import Training
 from rvjax.tolerances.batch.memo import Memo
 
 UNITS = 4096
@@ -104,6 +105,21 @@ def test_known_units_are_not_solved_again():
     assert units.solved == before < 1.5 * UNITS
     exact, _ = Followed(Costly(peaks), population(1.0), UNITS, 0).all_at(population(1.0))
     np.testing.assert_array_equal(values["peak"], exact["peak"])
+
+
+@pytest.mark.parametrize(("factor", "known"), [(0.1, True), (0.785, False), (3.0, True)])
+def test_few_units_tell_where_tolerances_stand_that_are_far_from_their_limit(factor, known):
+    """All units say the same, where the few say anything; next to the limit they say nothing."""
+    need = {"peak": Requirement(upper=3.5, target=0.98), "gap": Requirement(upper=2.0, target=0.98)}
+    training = Training(Costly(peaks), population(1.0), tuple(WAVES), need, None, UNITS, 0)
+    half_widths, before = np.full(3, factor), training.followed.solved
+    few = training.margins_of_few(half_widths)
+    assert training.followed.solved - before == 300
+    whole = training.margins(half_widths)
+    if known:
+        assert (few.max() <= 0) == (whole.max() <= 0)
+    else:
+        assert few is None and abs(whole.max()) < 0.2
 
 
 def test_parts_that_decide_nothing_wait_until_tolerances_have_changed_by_half():

@@ -7,6 +7,7 @@ The sample certifies nothing, because the optimum is fitted to it.
 import copy
 import dataclasses
 import hashlib
+import math
 from typing import Any, Self
 
 import jax
@@ -30,6 +31,7 @@ _FEWEST_LANES, _LANES_PART, _LANES_OF_A_FIELD = 256, 32, 16
 _MEASURED = 256  # costly units behind the way of a nominal unit to its limit
 _NEARBY = 0.1  # logarithm of a half-width, within which costly units keep their slopes
 IDLE = 0.4  # part of the way to a limit, beyond which no costly unit is solved on its account
+_SEEN, _CLEARLY = 6, 4  # few units: beyond a limit at the target, and so many times more where it is clearly missed
 _REMEMBERED = 8  # sets of half-widths whose values are kept, because they are often evaluated again
 
 
@@ -151,6 +153,19 @@ class Training:
     def uncorrected(self, half_widths: np.ndarray) -> np.ndarray:
         """Margins (c,) of this sample, without the corrections from a larger sample."""
         return self._margins(self.values(half_widths), self._ranges(half_widths))
+
+    def margins_of_few(self, half_widths: np.ndarray) -> np.ndarray | None:
+        """Margins (c,) of the first of the costly units, where these show which requirements are met; else None."""
+        allowed = np.array([1 - getattr(r, "target", 1.0) for r in self.requirements.values()])
+        count = math.ceil(_SEEN / max(allowed.min(), 1e-9))
+        if self.followed is None or self.joint_target is not None or count > self.samples // 2:
+            return None
+        found = self.followed.first_at(self.with_half_widths(half_widths), count)
+        self.evaluated[0] += count
+        values = np.stack([found[name] for name in self.requirements])
+        beyond = (self._unit_margins(values) > 0).sum(axis=1)
+        met, missed = beyond == 0, beyond >= _CLEARLY * allowed * count
+        return self._corrected(self._margins(values, {})) if met.all() or missed.any() else None
 
     def point(self, half_widths: np.ndarray) -> Point:
         """Margins and slopes."""

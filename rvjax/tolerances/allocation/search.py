@@ -77,7 +77,8 @@ class Search:
 
     def opened(self, start: np.ndarray) -> tuple[Point, bool]:
         """Start of a search, and True if half-widths meet every requirement on the sample."""
-        point, finest = self.begin(start), self.excess(self.training.margins(self.low))
+        point, few = self.begin(start), self.training.margins_of_few(self.low)
+        finest = self.excess(self.training.margins(self.low) if few is None else few)
         if finest <= 0 or not np.isfinite(point.margins).all():
             return point, finest <= 0
         point, _ = self.run(point)  # finer need not be better: errors may take up errors
