@@ -39,7 +39,6 @@ from rvjax.units import unit_of
 
 TABLES = {"about", "accuracy", "columns", "conditions", "cost", "design", "identify", "middle"}
 TABLES |= {"objective", "requirement", "run", "tolerances", "variable"}
-LIMITS: tuple[type[Limits], ...] = (*KINDS, Nominal)
 EMBEDDED = resources.files("rvjax.study") / "embedded"
 
 
@@ -263,17 +262,18 @@ def _requirements(outputs: Mapping[str, Output], table: Toml) -> tuple[dict[str,
     """The requirements, and the unit of the first limit of each response."""
     requirements: dict[str, Limits] = {}
     read_in: dict[str, str] = {}
+    every: tuple[type[Limits], ...] = (*KINDS, Nominal)
     for name in table:
         where, entry = f"requirement.{name}", subtable(table, name)
-        known(entry, {"response", *(key for kind in LIMITS for key in kind.file_keys())}, where)
+        known(entry, {"response", *(key for kind in every for key in kind.file_keys())}, where)
         response = choice(entry.get("response", name), outputs, f"{where}.response")
         if response in requirements:
             raise ValueError(f"{where}.response = {response!r}: already has a requirement")
         given = {key: value for key, value in entry.items() if key != "response"}
         unit = outputs[response].unit
-        kinds = [kind for kind in LIMITS if set(given) <= set(kind.file_keys()) and set(given) & set(kind.limit_keys())]
+        kinds = [kind for kind in every if set(given) <= set(kind.file_keys()) and set(given) & set(kind.limit_keys())]
         if not kinds:
-            ways = "; or ".join(", ".join(kind.file_keys()) for kind in LIMITS)
+            ways = "; or ".join(", ".join(kind.file_keys()) for kind in every)
             raise ValueError(f"{where}: give upper or lower in {unit} (of these keys: {ways})")
         limits = kinds[0].limit_keys()
         values = {

@@ -12,7 +12,6 @@ from rvjax.response import Outcome
 from rvjax.tolerances.allocation.allocation import (
     FEWEST as FEWEST,
     KEPT as KEPT,
-    Allocation,
     Solved as Solved,
     allocate,
     allocated as allocated,
@@ -25,6 +24,7 @@ from rvjax.tolerances.allocation.cost_curve import (
     cost_of_yields as cost_of_yields,
     least_yield as least_yield,
 )
+from rvjax.tolerances.allocation.result import Allocation
 from rvjax.tolerances.batch.checkpoint import versions as versions
 from rvjax.tolerances.batch.memo import Memo as Memo
 from rvjax.tolerances.batch.monte_carlo import monte_carlo

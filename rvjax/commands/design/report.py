@@ -5,7 +5,6 @@ import shlex
 from collections.abc import Iterator
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 
 from rvjax.commands.allocate import shortfall_text
@@ -13,6 +12,7 @@ from rvjax.commands.cells import assumed_text, failures_text, judged, limit_text
 from rvjax.commands.design.compute import Designed, Point
 from rvjax.commands.design.figures import figures
 from rvjax.commands.design.inputs import Inputs
+from rvjax.commands.design.prices import limit_price, priced_per, prices, slope, unit_of_number
 from rvjax.render import (
     Column,
     Interval,
@@ -28,11 +28,7 @@ from rvjax.render import (
     versions,
 )
 from rvjax.study import Study, fields_of, number_at, outside, shown
-from rvjax.units import arcmin, mm, readable
-
-BINDING = 1e-6  # least change of the cost, per doubled limit, of a binding limit
-PER = {"m": "mm", "rad": "arcmin", "s": "1000 h"}  # unit of a price of a design number or of a limit
-SIZES = {"mm": mm, "arcmin": arcmin, "1000 h": 3.6e6}
+from rvjax.units import readable
 
 
 def report(asked: Inputs, found: Designed) -> Report:
@@ -53,7 +49,7 @@ def report(asked: Inputs, found: Designed) -> Report:
             Section("Numbers of the design", (_numbers(study, found), *_named(asked, found, "section"))),
             Section("Tolerances", (_tolerances(study, found),)),
             Section("Requirements", (*_requirements(study, found), Note(fresh))),
-            Section("Prices in one currency", (_prices(study, found),)),
+            Section("Prices in one currency", (prices(study, found),)),
             Section("Other optima", (*_others(study, found), *_named(asked, found, "front"))),
             Section("Scaling laws", tuple(_laws(study, found))),
             Note("\n".join(_notes(study, found))),
@@ -114,15 +110,6 @@ def _percent(after: float, before: float) -> str:
     return f"{100 * (after / before - 1):+.1f} %" if before else "-"
 
 
-def _unit(study: Study, path: str) -> str:
-    return str(dict(fields_of(study.design))[path.partition("[")[0]]["unit"])
-
-
-def _priced_per(unit: str, read_in: str | None = None) -> tuple[str, float]:
-    """Name and SI size of the unit of a price."""
-    return (PER[unit], SIZES[PER[unit]]) if unit in PER else readable(unit, read_in)
-
-
 def _numbers(study: Study, found: Designed) -> Table:
     """Variables before and after, with range, active bound and price."""
     joint = found.joint.found
@@ -139,8 +126,8 @@ def _numbers(study: Study, found: Designed) -> Table:
     rows = []
     meanings = dict(fields_of(study.design))
     for path, item in study.variables.items():
-        unit, value = _unit(study, path), joint.values.get(path, math.nan)
-        name, size = _priced_per(unit)
+        unit, value = unit_of_number(study, path), joint.values.get(path, math.nan)
+        name, size = priced_per(unit)
         price, bound = joint.value_prices.get(path, 0.0), joint.bounds_active.get(path)
         kept = joint.ranges.get(path)
         rows.append(
@@ -155,12 +142,6 @@ def _numbers(study: Study, found: Designed) -> Table:
             ]
         )
     return Table("variables", columns, rows)
-
-
-def _slope(study: Study, found: Point, field: str) -> float:
-    """d cost / d half-width of an error, per SI unit."""
-    cost, half_width = study.costs[field], float(getattr(found.found.tolerances, field).half_width)
-    return float(jax.grad(lambda t: jnp.asarray(cost(t)))(half_width))
 
 
 def _tolerances(study: Study, found: Designed) -> Table:
@@ -178,7 +159,7 @@ def _tolerances(study: Study, found: Designed) -> Table:
         unit = study.unit(field)
         name, size = readable(unit)
         limits = [limits_of(getattr(side, field), unit) for side in (study.tolerances, joint.tolerances)]
-        price = f"{-_slope(study, found.joint, field) * size:.3g} /{name}" if field in joint.costs else "-"
+        price = f"{-slope(study, found.joint, field) * size:.3g} /{name}" if field in joint.costs else "-"
         rows.append([field, *limits, joint.costs.get(field), price])
     return Table("tolerances", columns, rows)
 
@@ -194,7 +175,7 @@ def _requirements(study: Study, found: Designed) -> Iterator[Table]:
         output = study.output(name)
         verdict = joint.certificate.verdicts[name]
         met = "yes" if verdict.met else "no"
-        price = _limit_price(study, found.joint, name)
+        price = limit_price(study, found.joint, name)
         said = [limit_text(requirement, output), requirement.text(), judged(verdict, output)]
         rows.append([Titled(name, output.meaning), *said, met, price])
     yield Table("requirements", columns, rows)
@@ -205,56 +186,15 @@ def _requirements(study: Study, found: Designed) -> Iterator[Table]:
             output = study.output(name)
             unit, size = output.shown
             limit = limit_text(study.nominal[name], output) if name in study.nominal else "-"
-            price = _limit_price(study, found.joint, name)
+            price = limit_price(study, found.joint, name)
             values = [
                 f"{side[name] / size:.5g} {unit}".removesuffix(" -") for side in (found.start, found.joint.outputs)
             ]
             if name in study.objective:
-                named, size = _priced_per(output.unit, output.read_in)
+                named, size = priced_per(output.unit, output.read_in)
                 price = f"{study.objective[name](size):.3g} /{named}"
             rows.append([Titled(name, output.meaning), limit, *values, price])
         yield Table("nominal", columns, rows)
-
-
-def _multiplier(study: Study, point: Point, name: str) -> float:
-    """d cost / d limit, outwards >= 0; 0 for a limit that is not binding but for rounding."""
-    price = abs(point.found.multipliers.get(name, 0.0))
-    limits = {**study.requirements, **study.nominal}.get(name)
-    sizes = [abs(x) for x in (limits.lower, limits.upper) if math.isfinite(x)] if limits else []
-    return price if price * max(sizes, default=1.0) > BINDING * abs(point.found.cost) else 0.0
-
-
-def _limit_price(study: Study, point: Point, name: str) -> str:
-    price = _multiplier(study, point, name)
-    output = study.output(name)
-    unit, size = _priced_per(output.unit, output.read_in)
-    return f"{price * size:.3g} /{unit}".removesuffix(" /-") if price else "not binding"
-
-
-def _prices(study: Study, found: Designed) -> Note:
-    """Prices of one unit each of half-widths, limits, priced outputs and active bounds, in the unit of cost."""
-    joint, said = found.joint, []
-    for field in joint.found.costs:
-        name, size = readable(study.unit(field))
-        said.append((f"1 {name} of {field}", -_slope(study, joint, field) * size))
-    for name in joint.found.multipliers:
-        output = study.output(name)
-        unit, size = _priced_per(output.unit, output.read_in)
-        said.append((f"{_one(unit)} of the limit of {name}", _multiplier(study, joint, name) * size))
-    for name, per in study.objective.items():
-        output = study.output(name)
-        unit, size = _priced_per(output.unit, output.read_in)
-        said.append((f"{_one(unit)} of {name}", per(size)))
-    for path, price in joint.found.value_prices.items():
-        name, size = _priced_per(_unit(study, path))
-        said.append((f"1 {name} of the bound of {path}", abs(price) * size))
-    lines = [f"  {what}: {price:.3g}" for what, price in said if price]
-    return Note("\n".join(["At the optimum, in the unit of the costs:", *lines]))
-
-
-def _one(unit: str) -> str:
-    """One of a unit, as text: "1 mm", "1000 h", "1"."""
-    return unit if unit[0].isdigit() else f"1 {unit}".removesuffix(" -")
 
 
 def _others(study: Study, found: Designed) -> Iterator[Table | Note]:
@@ -270,7 +210,7 @@ def _others(study: Study, found: Designed) -> Iterator[Table | Note]:
     points += [(f"prices of the objective times {point.factor:.3g}", point) for point in found.front]
     rows: list[list[Any]] = []
     for name, point in points:
-        values = [shown(point.found.values[path], _unit(study, path)) for path in paths]
+        values = [shown(point.found.values[path], unit_of_number(study, path)) for path in paths]
         priced, tolerances = point.priced(study), point.of_tolerances(study)
         total = point.found.cost + (1 - point.factor) * priced
         rows.append([name, point.found.status, total, tolerances, priced, *values])
@@ -319,7 +259,7 @@ def _boxes(study: Study, found: Designed) -> list[tuple[str, str, str]]:
         saved = 100 * (1 - joint.cost / found.two_step.found.cost)
         boxes.append(("together saves", f"{saved:.1f} %", f"in two steps {found.two_step.found.cost:.4g}"))
     for path, value in joint.values.items():
-        unit = _unit(study, path)
+        unit = unit_of_number(study, path)
         before = shown(number_at(study.design, path), unit)
         boxes.append((path.rpartition(".")[2].replace("_", " "), shown(value, unit), f"from {before}"))
     return boxes
@@ -357,7 +297,7 @@ def _data(study: Study, found: Designed) -> dict[str, Any]:
         "shortfall": joint.shortfall,
         "tolerances": {
             field: {"unit": study.unit(field), "after": limits_data(getattr(joint.tolerances, field))}
-            | ({"price": -_slope(study, found.joint, field)} if field in joint.costs else {})
+            | ({"price": -slope(study, found.joint, field)} if field in joint.costs else {})
             for field in study.fields
         },
         "joint": _point(study, found.joint),

@@ -10,8 +10,9 @@ import numpy as np
 from rvjax.choices import choose
 from rvjax.population import Population
 from rvjax.response import Response
-from rvjax.tolerances.allocation.allocation import Allocation, Solved, allocate, block
+from rvjax.tolerances.allocation.allocation import Solved, allocate, block
 from rvjax.tolerances.allocation.cost import Cost
+from rvjax.tolerances.allocation.result import Allocation
 from rvjax.tolerances.allocation.sample_average import Training
 from rvjax.tolerances.allocation.search import NOISE, Search
 from rvjax.tolerances.batch.memo import Memo

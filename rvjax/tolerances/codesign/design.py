@@ -2,38 +2,29 @@
 
 import dataclasses
 import math
-from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 
-from rvjax.population import Population, deviate_of
-from rvjax.response import Response
 from rvjax.tolerances.allocation.certificate import DRAWS, Certifier
-from rvjax.tolerances.allocation.cost import Cost
 from rvjax.tolerances.allocation.rounding import Snapping
 from rvjax.tolerances.allocation.sample_average import Training
 from rvjax.tolerances.allocation.search import Search
-from rvjax.tolerances.batch.memo import Memo
-from rvjax.tolerances.batch.monte_carlo import Run, Statistics
+from rvjax.tolerances.batch.monte_carlo import Statistics
 from rvjax.tolerances.codesign.decisions import Decisions
 from rvjax.tolerances.codesign.feasibility import Shortage, least_shortage
 from rvjax.tolerances.codesign.lists import Lists, Places
 from rvjax.tolerances.codesign.margins import JOINT, Local, Margins
-from rvjax.tolerances.codesign.middle import Middle
 from rvjax.tolerances.codesign.nominal import Nominal
+from rvjax.tolerances.codesign.problem import Problem
 from rvjax.tolerances.codesign.programme import End, Programme
 from rvjax.tolerances.codesign.ranges import ranges
 from rvjax.tolerances.codesign.starts import COARSE, starts, valleys
-from rvjax.tolerances.codesign.variable import Variable
-from rvjax.tolerances.requirements.factors import CUSHION
 from rvjax.tolerances.requirements.kinds import Requirement
-from rvjax.tolerances.requirements.limits import Limits
 
 FINE = 4096
 """Units in the tails, at most."""
 
-_COSTLY = 4  # times fewer units where they are costly
 _ROUNDS = 3  # of searches, each with its units placed at the end of the one before, at most
 _STILL = 2e-3  # change of the cost between rounds that ends them, as a part of it
 _MET = 0.01  # excess within the error of the sample
@@ -43,77 +34,6 @@ _CHANCE = 5e-3  # logarithm of a factor that a certificate may see by chance
 _AGAIN = 0.2  # radius of the first step of a search that is repeated
 _ROOMY = 6e-3  # margin of a certificate that holds, above which another one is computed
 _WORTH = 2e-3  # margin of a certificate, in half-widths, above which another one is computed
-
-
-@dataclasses.dataclass(frozen=True)
-class Problem:
-    """Arguments of `allocate`, checked.
-
-    Attributes:
-        response: of the errors of one unit, and of the values of `variables` if there are any.
-        population: of the units, at the start.
-        requirements: by name of the response.
-        priced: costs by field.
-        middles: by field.
-        variables: by name.
-        objective: {output: price per unit}.
-        joint_target: share of units that meet all limits, or None.
-        samples: units to learn from, at most.
-        seed: of these.
-        max_steps: vectors of decisions tried by a search, at most.
-        run: of the certificates.
-        memo: of long computations.
-        advance: of a progress bar.
-    """
-
-    response: Response
-    population: Population
-    requirements: dict[str, Limits]
-    priced: dict[str, Cost]
-    middles: Mapping[str, Middle]
-    variables: Mapping[str, Variable]
-    objective: Mapping[str, float]
-    joint_target: float | None
-    samples: int
-    seed: int
-    max_steps: int
-    run: Run
-    memo: Memo | None
-    advance: Callable[[int], object]
-
-    @property
-    def costly(self) -> bool:
-        """True if units are."""
-        return bool(getattr(self.response, "costly", False))
-
-    def decisions(self) -> Decisions:
-        """The vector of what is chosen."""
-        return Decisions(self.population, self.priced, self.middles, self.variables)
-
-    def start(self, decisions: Decisions) -> np.ndarray:
-        """Its given value."""
-        half_widths = np.array([float(self.population.active[name].half_width) for name in self.priced])
-        return decisions.vector(half_widths, {name: item.first for name, item in self.variables.items()})
-
-    def margins(self, decisions: Decisions, most: int, *, aimed: bool = True) -> Margins:
-        """Constraints on a sample of at most so many units, with targets that a certificate should confirm."""
-        count = min(self.samples, most // _COSTLY if self.costly else most)
-        judged = self._aimed() if aimed else self.requirements
-        return Margins(
-            self.response, decisions, judged, dict(self.objective), self.joint_target, count, self.seed, self.memo
-        )  # fmt: skip
-
-    def _aimed(self) -> dict[str, Limits]:
-        """Requirements with targets beyond what a certificate may see by chance."""
-        n, z = self.run.samples, deviate_of(self.run.confidence) + CUSHION
-        found: dict[str, Limits] = {}
-        for name, item in self.requirements.items():
-            if isinstance(item, Requirement) and not item.beyond(n, self.run.confidence):
-                share = item.target + z * math.sqrt(item.target * (1 - item.target) / n)
-                found[name] = dataclasses.replace(item, target=min(share, 1 - 0.5 / n))
-            else:
-                found[name] = item
-        return found
 
 
 @dataclasses.dataclass(frozen=True)

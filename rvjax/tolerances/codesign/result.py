@@ -6,8 +6,9 @@ from typing import Any
 
 import jax.numpy as jnp
 
-from rvjax.tolerances.codesign.design import Designer, Found, Problem
+from rvjax.tolerances.codesign.design import Designer, Found
 from rvjax.tolerances.codesign.prices import bounds_active, multipliers, reason, value_prices
+from rvjax.tolerances.codesign.problem import Problem
 
 
 def designed(problem: Problem, names: tuple[str, ...], *, grades: bool) -> list[dict[str, Any]]:
@@ -66,7 +67,7 @@ def figures(
         grades=None,
         graded=None,
         history=found.history,
-        evaluations={"search": margins.evaluated[0], "certificates": designer.certifier.solved},
+        evaluations={"search": margins.evaluated, "certificates": designer.certifier.solved},
         values=decisions.values(found.x),
         bounds_active=bounds_active(found),
         value_prices=value_prices(found),

@@ -1,0 +1,106 @@
+"""Prices of an optimum in the unit of the costs: of half-widths, limits, priced outputs and bounds."""
+
+import math
+
+import jax
+import jax.numpy as jnp
+
+from rvjax.commands.design.compute import Designed, Point
+from rvjax.render import Note
+from rvjax.study import Study, fields_of
+from rvjax.units import arcmin, mm, readable
+
+BINDING = 1e-6  # least change of the cost, per doubled limit, of a binding limit
+PER = {"m": "mm", "rad": "arcmin", "s": "1000 h"}  # unit of a price of a design number or of a limit
+SIZES = {"mm": mm, "arcmin": arcmin, "1000 h": 3.6e6}
+
+
+def unit_of_number(study: Study, path: str) -> str:
+    """SI unit of a number of a design.
+
+    Args:
+        study: with variables.
+        path: of the number.
+    """
+    return str(dict(fields_of(study.design))[path.partition("[")[0]]["unit"])
+
+
+def priced_per(unit: str, read_in: str | None = None) -> tuple[str, float]:
+    """Name and SI size of the unit of a price.
+
+    Args:
+        unit: SI unit.
+        read_in: unit in which a person reads it, or None.
+    """
+    return (PER[unit], SIZES[PER[unit]]) if unit in PER else readable(unit, read_in)
+
+
+def slope(study: Study, found: Point, field: str) -> float:
+    """d cost / d half-width of an error, per SI unit.
+
+    Args:
+        study: with variables.
+        found: an optimum.
+        field: name of the error.
+    """
+    cost, half_width = study.costs[field], float(getattr(found.found.tolerances, field).half_width)
+    return float(jax.grad(lambda t: jnp.asarray(cost(t)))(half_width))
+
+
+def multiplier(study: Study, point: Point, name: str) -> float:
+    """d cost / d limit, outwards >= 0; 0 for a limit that is not binding but for rounding.
+
+    Args:
+        study: with variables.
+        point: an optimum.
+        name: of the requirement.
+    """
+    price = abs(point.found.multipliers.get(name, 0.0))
+    limits = {**study.requirements, **study.nominal}.get(name)
+    sizes = [abs(x) for x in (limits.lower, limits.upper) if math.isfinite(x)] if limits else []
+    return price if price * max(sizes, default=1.0) > BINDING * abs(point.found.cost) else 0.0
+
+
+def limit_price(study: Study, point: Point, name: str) -> str:
+    """Price of a limit with its unit, as text.
+
+    Args:
+        study: with variables.
+        point: an optimum.
+        name: of the requirement.
+    """
+    price = multiplier(study, point, name)
+    output = study.output(name)
+    unit, size = priced_per(output.unit, output.read_in)
+    return f"{price * size:.3g} /{unit}".removesuffix(" /-") if price else "not binding"
+
+
+def prices(study: Study, found: Designed) -> Note:
+    """Prices of one unit each of half-widths, limits, priced outputs and active bounds, in the unit of cost.
+
+    Args:
+        study: with variables.
+        found: the optima.
+    """
+    joint, said = found.joint, []
+    for field in joint.found.costs:
+        name, size = readable(study.unit(field))
+        said.append((f"1 {name} of {field}", -slope(study, joint, field) * size))
+    for name in joint.found.multipliers:
+        output = study.output(name)
+        unit, size = priced_per(output.unit, output.read_in)
+        said.append((f"{_one(unit)} of the limit of {name}", multiplier(study, joint, name) * size))
+    for name, per in study.objective.items():
+        output = study.output(name)
+        unit, size = priced_per(output.unit, output.read_in)
+        said.append((f"{_one(unit)} of {name}", per(size)))
+    for path, price in joint.found.value_prices.items():
+        name, size = priced_per(unit_of_number(study, path))
+        said.append((f"1 {name} of the bound of {path}", abs(price) * size))
+    lines = [f"  {what}: {price:.3g}" for what, price in said if price]
+    return Note("\n".join(["At the optimum, in the unit of the costs:", *lines]))
+
+
+def _one(unit: str) -> str:
+    """One of a unit, as text: "1 mm", "1000 h", "1"."""
+    return unit if unit[0].isdigit() else f"1 {unit}".removesuffix(" -")

@@ -1,0 +1,93 @@
+"""Arguments of an allocation that chooses more than half-widths, and what follows from them."""
+
+import dataclasses
+import math
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from rvjax.population import Population, deviate_of
+from rvjax.response import Response
+from rvjax.tolerances.allocation.cost import Cost
+from rvjax.tolerances.batch.memo import Memo
+from rvjax.tolerances.batch.monte_carlo import Run
+from rvjax.tolerances.codesign.decisions import Decisions
+from rvjax.tolerances.codesign.margins import Margins
+from rvjax.tolerances.codesign.middle import Middle
+from rvjax.tolerances.codesign.variable import Variable
+from rvjax.tolerances.requirements.factors import CUSHION
+from rvjax.tolerances.requirements.kinds import Requirement
+from rvjax.tolerances.requirements.limits import Limits
+
+_COSTLY = 4  # times fewer units where they are costly
+
+
+@dataclasses.dataclass(frozen=True)
+class Problem:
+    """Arguments of `allocate`, checked.
+
+    Attributes:
+        response: of the errors of one unit, and of the values of `variables` if there are any.
+        population: of the units, at the start.
+        requirements: by name of the response.
+        priced: costs by field.
+        middles: by field.
+        variables: by name.
+        objective: {output: price per unit}.
+        joint_target: share of units that meet all limits, or None.
+        samples: units to learn from, at most.
+        seed: of these.
+        max_steps: vectors of decisions tried by a search, at most.
+        run: of the certificates.
+        memo: of long computations.
+        advance: of a progress bar.
+    """
+
+    response: Response
+    population: Population
+    requirements: dict[str, Limits]
+    priced: dict[str, Cost]
+    middles: Mapping[str, Middle]
+    variables: Mapping[str, Variable]
+    objective: Mapping[str, float]
+    joint_target: float | None
+    samples: int
+    seed: int
+    max_steps: int
+    run: Run
+    memo: Memo | None
+    advance: Callable[[int], object]
+
+    @property
+    def costly(self) -> bool:
+        """True if units are."""
+        return bool(getattr(self.response, "costly", False))
+
+    def decisions(self) -> Decisions:
+        """The vector of what is chosen."""
+        return Decisions(self.population, self.priced, self.middles, self.variables)
+
+    def start(self, decisions: Decisions) -> np.ndarray:
+        """Its given value."""
+        half_widths = np.array([float(self.population.active[name].half_width) for name in self.priced])
+        return decisions.vector(half_widths, {name: item.first for name, item in self.variables.items()})
+
+    def margins(self, decisions: Decisions, most: int, *, aimed: bool = True) -> Margins:
+        """Constraints on a sample of at most so many units, with targets that a certificate should confirm."""
+        count = min(self.samples, most // _COSTLY if self.costly else most)
+        judged = self._aimed() if aimed else self.requirements
+        return Margins(
+            self.response, decisions, judged, dict(self.objective), self.joint_target, count, self.seed, self.memo
+        )  # fmt: skip
+
+    def _aimed(self) -> dict[str, Limits]:
+        """Requirements with targets beyond what a certificate may see by chance."""
+        n, z = self.run.samples, deviate_of(self.run.confidence) + CUSHION
+        found: dict[str, Limits] = {}
+        for name, item in self.requirements.items():
+            if isinstance(item, Requirement) and not item.beyond(n, self.run.confidence):
+                share = item.target + z * math.sqrt(item.target * (1 - item.target) / n)
+                found[name] = dataclasses.replace(item, target=min(share, 1 - 0.5 / n))
+            else:
+                found[name] = item
+        return found
