@@ -60,7 +60,7 @@ def answered_once(monkeypatch):
     """Both commands share one answer, whose page has fewer points of its surrogate."""
     found, real = {}, rvjax.commands.allocate.answer.answer
 
-    def once(question, *, progress=False, memo=None):
+    def once(question, *, progress=False, memo=None, measure=True):
         if question.text not in found:
             found[question.text] = real(question, progress=progress)
         return dataclasses.replace(found[question.text], study=question)

@@ -30,7 +30,8 @@ def template(text: str, requirements: Mapping[str, Limits], fields: Sequence[str
     gaps: _Gaps = {("tolerances", name): ("field", k, _LIMITS) for k, name in enumerate(fields)}
     responses = list(requirements)
     for key, entry in tables["requirement"].items():
-        name = entry.get("response", key)
+        if (name := entry.get("response", key)) not in requirements:
+            continue  # of the nominal design: no unit decides it
         keys = tuple(requirements[name].prefix + end for end in ("lower", "upper"))
         gaps["requirement", key] = ("response", responses.index(name), keys)
     for written in (text, canonical(tables)):
