@@ -165,6 +165,7 @@ def test_check_needs_no_data_where_the_noise_is_known(here, capsys):
     assert not {"status", "adequate", "value", "lower", "upper", "fit"} & set(found)
     assert found["runs"] == [f"{t} N m {d}" for t in (412, 100) for d in ("forward", "backward")]
     assert found["verdict"]["bearing_clearance"] == "identified" and found["next"]["chosen"] in found["runs"]
+    assert found["part_orders"] == []  # two cranks and 39 teeth: the housing makes every order
     code, _, said = run(capsys, "unit.toml", "--check")
     assert code == 2 and said == (
         "rvjax: error: unit: identify.noise = 'floor': is read from data; give a number to check without\n"

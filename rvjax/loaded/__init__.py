@@ -8,6 +8,7 @@ from rvjax.loaded.bearing_forces import BearingForces as BearingForces, bearing_
 from rvjax.loaded.cases import MACHINE as MACHINE, RATED as RATED, WHOLE as WHOLE
 from rvjax.loaded.encoder import Reading, housing_orders, reading
 from rvjax.loaded.equilibrium import Loaded, equilibrium
+from rvjax.loaded.head import HEAD_PARTS as HEAD_PARTS
 from rvjax.loaded.inputs import (
     SUPPORTS as SUPPORTS,
     Read as Read,

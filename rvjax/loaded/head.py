@@ -13,6 +13,8 @@ from rvjax.loaded.conditions import Conditions, ways
 from rvjax.loaded.encoder import Reading, reading
 from rvjax.loaded.equilibrium import equilibrium
 
+HEAD_PARTS = {"ring": 2, "tilt": 1, "dent": 3}
+"""Effects in the order of the elements of "reading", and their periods in a revolution of the head."""
 READ_AT = 1000.0
 """Torque at which the amplitudes are given where the conditions have none, N m."""
 
@@ -48,7 +50,7 @@ def _effects(design: RVReducer, angle: jax.Array, torque: float, contact: str, c
     """Readings less the error for unit gains: cosine and sine of the head for ring, tilt and dent, (6, angles)."""
     discs = design.cycloid.disc_count
     position = np.linspace(-1.0, 1.0, discs) if discs > 1 else np.zeros(1)
-    gains = zip(np.eye(3).tolist(), (2, 1, 3))  # of ring, tilt and dent, and periods of the head in a turn
+    gains = zip(np.eye(3).tolist(), HEAD_PARTS.values())
     heads = [
         Reading(1.0, (np.pi * part / 2 / m,), ring, tilt, 1.0, position, dent)
         for (ring, tilt, dent), m in gains

@@ -6,7 +6,7 @@ depend on the bearing; the rest are inequalities with the bearings that `catalog
 
 import math
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from rvjax.units import GPa, mm, rpm
 
 HOUR = 3600.0
 RATED_LIFE, RATED_SPEED = 6000 * HOUR, 15 * rpm
-TORQUE = {"rv20e": 167.0, "rv40e": 412.0, "rv320e": 3136.0}  # N m at 15 r/min
+TORQUE = {"rv20e": 167.0, "rv40e": 412.0, "rv80e": 784.0, "rv320e": 3136.0}  # N m at 15 r/min
 SPEEDS = (5.0, 10.0, 20.0, 25.0, 30.0, 40.0, 50.0, 60.0)  # r/min, of the table of the RV-40E besides 15
 ERRORS = RVErrors()
 SAMPLES = 12  # error-free machines need no more
@@ -38,6 +38,12 @@ def _nominal(design: RVReducer) -> RVReducer:
 
 
 RV_20E, RV_40E = (_nominal(design) for design in (catalogue.RV_20E, catalogue.RV_40E))
+SIZES = {
+    "rv20e": RV_20E,
+    "rv40e": RV_40E,
+    "rv80e": _nominal(catalogue.RV_80E),
+    "rv320e": _nominal(catalogue.RV_320E).replace(stiffness=catalogue.RV_320E.stiffness),
+}
 RATIO = {"rv20e": RV_20E, "rv40e": RV_40E.replace(bearings=RV_20E.bearings)}  # ratios are free of the bearings
 ARM = RollerBearing(14, 6 * mm, 11 * mm, 32 * mm)  # its load is free of its size
 
@@ -109,10 +115,10 @@ def _fits_the_disc(design: RVReducer, torque: float) -> bool:
     return _rating_needed(design, torque) <= _rating_that_fits(design, design.bearings.arm.roller_length)
 
 
-def _safe_at(factor: float, least: float) -> bool:
-    """True if the crank bearings of the RV-40E have a static safety at a multiple of the rated torque."""
-    duty = life.Duty([factor * TORQUE["rv40e"]], [RATED_SPEED], [1.0])
-    found = life.rating(RV_40E, ERRORS, duty, samples=SAMPLES)
+def _safe_at(size: str, factor: float, least: float) -> bool:
+    """True if the crank bearings of a size have a static safety at a multiple of the rated torque."""
+    duty = life.Duty([factor * TORQUE[size]], [RATED_SPEED], [1.0])
+    found = life.rating(SIZES[size], ERRORS, duty, samples=SAMPLES)
     return float(found.static_safety) >= least and int(found.info.status) == 0
 
 
@@ -123,6 +129,8 @@ COMPUTED: dict[str, Callable[[], float | bool | list[float]]] = {
     "catalogue.rv40e.duty_formula": _hours_of_duty,
     "catalogue.rv40e.bearing_fits_disc": lambda: _fits_the_disc(RV_40E, TORQUE["rv40e"]),
     "catalogue.rv320e.bearing_fits_disc": lambda: _fits_the_disc(catalogue.RV_320E, TORQUE["rv320e"]),
-    "catalogue.rv40e.start_stop_torque": lambda: _safe_at(2.5, 2.0),
-    "catalogue.rv40e.momentary_torque": lambda: _safe_at(5.0, 1.0),
+    "catalogue.sizes.start_stop_torque": lambda: [2.5 * TORQUE[size] for size in ("rv20e", "rv40e", "rv80e")],
+    "catalogue.sizes.momentary_torque": lambda: [5.0 * TORQUE[size] for size in ("rv20e", "rv40e")],
+    **{f"catalogue.{size}.start_stop_torque": partial(_safe_at, size, 2.5, 2.0) for size in SIZES},
+    **{f"catalogue.{size}.momentary_torque": partial(_safe_at, size, 5.0, 1.0) for size in SIZES},
 }

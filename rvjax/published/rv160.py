@@ -300,21 +300,29 @@ def _read(torque: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 
 @cache
-def read_orders() -> np.ndarray:
-    """Amplitudes at 500 and 1000 N m of the orders of [reading, transmission error], (2, 2, orders) rad."""
-    curves = np.stack([jax.device_get(_read(torque)) for torque in (500.0, 1000.0)])
-    return 2 / READ_ANGLES * np.abs(np.fft.rfft(curves))
+def read_orders(*torques: float) -> np.ndarray:
+    """Orders of [reading, transmission error] of an output turn: complex a in Re(a exp(i n th)), rad.
+
+    Args:
+        torques: of the bench; < 0 for the backward direction, N m (n,).
+
+    Returns:
+        Shape (n, 2, orders).
+    """
+    curves = np.stack([jax.device_get(_read(torque)) for torque in torques])
+    waves: np.ndarray = 2 / READ_ANGLES * np.fft.rfft(curves)
+    return waves
 
 
 def _growth() -> list[float]:
     """Orders 78, 39 and 3 of the reading, arcsec per kN m."""
-    low, high = read_orders()[:, 0] / arcsec
+    low, high = np.abs(read_orders(500.0, 1000.0))[:, 0] / arcsec
     return list(2 * (high - low)[[78, 39, 3]])
 
 
 def _grows(order: int) -> bool:
     """In proportion to the torque within 2 %, in the reading only."""
-    (low, _), (high, error) = read_orders()[..., order]
+    (low, _), (high, error) = np.abs(read_orders(500.0, 1000.0))[..., order]
     return bool(abs(high / low - 2) < 0.04 and error < 1e-6 * high)
 
 

@@ -1,5 +1,6 @@
 """Report of `rvjax identify`: verdict, combinations, elements with intervals, shares, next measurement; one page."""
 
+import dataclasses
 import shlex
 from dataclasses import dataclass
 
@@ -9,11 +10,13 @@ from rvjax import identify
 from rvjax.columns import place_of
 from rvjax.commands.identify.compute import Identified
 from rvjax.commands.identify.figures import figures
+from rvjax.commands.identify.head import head_of
 from rvjax.commands.identify.inputs import Inputs
 from rvjax.commands.identify.words import (
     direction_lines,
     elements,
     field_of,
+    head_lines,
     headline,
     next_lines,
     shares_text,
@@ -89,6 +92,8 @@ def _boxes(found: Identified) -> list[tuple[str, str, str]]:
             ("a part of this drawing?", f"p = {fit.p_prior:.3g}", f"chi² {fit.chi2_prior:.4g} of {fit.dof_prior:g}"),
         ]
     boxes.append(("information", f"{found.check.information:.3g} nats", f"{len(found.check.directions)} directions"))
+    if alone := _part_orders(found):
+        boxes.append(("orders of parts alone", ", ".join(map(str, alone)), "the housing cannot make them"))
     if found.problem.kind == "curve":
         boxes.append(("noise", f"{found.problem.sd / arcsec:.3g} arcsec", "of a real number"))
     return boxes
@@ -135,13 +140,20 @@ def _seen(found: Identified) -> Note:
     """Combinations that the data see, and pairs that they cannot separate."""
     lines = [f"  only {line}" for line in direction_lines(found)] or ["  nothing beyond the drawing"]
     lines.insert(0, "What the data see, strongest first:")
-    if alone := part_orders(found.study.design, found.problem.asked.orders):
+    if alone := _part_orders(found):
         orders = ", ".join(map(str, alone))
         lines.append(f"Only errors of parts or the mounting make order {orders}; the housing cannot.")
+    if found.posterior is not None and (head := head_of(found.posterior)):
+        lines += head_lines(head)
     if pairs := found.check.inseparable:
         shown = [f"{a} and {b} ({r:+.3f})" for a, b, r in pairs[:5]]
         lines.append(f"Not distinguishable: {', '.join(shown)}{', ..' if len(pairs) > 5 else ''}")
     return Note("\n".join(lines))
+
+
+def _part_orders(found: Identified) -> tuple[int, ...]:
+    """Orders of a curve that no effect of the housing and no head makes."""
+    return part_orders(found.study.design, found.problem.asked.orders) if found.problem.kind == "curve" else ()
 
 
 def _doubts(found: Identified) -> list[str]:
@@ -285,12 +297,14 @@ def _data(found: Identified) -> dict[str, object]:
         "directions": [{"information": d.information, "loadings": d.loadings} for d in check.directions],
         "inseparable": check.inseparable,
         "silent": found.silent,
+        "part_orders": _part_orders(found),
         "unit": {name: field_unit(found.study.design, field_of(name)) for name in check.names},
     }
     if posterior is not None:
         said |= {key: elements(getattr(posterior, key)) for key in ("value", "lower", "upper")}
         said |= {"shares": posterior.shares, "broken": posterior.broken, "fit": _fit(posterior.fit)}
         said["laplace"] = posterior.laplace
+        said["head"] = (head := head_of(posterior)) and dataclasses.asdict(head)
         said["modes"] = [{"value": elements(mode.value), "weight": mode.weight} for mode in posterior.modes]
     if batch is not None:
         said["units"] = {unit: _of_unit(batch, k) for k, unit in enumerate(found.problem.units)}

@@ -7,7 +7,9 @@ import numpy as np
 
 from rvjax.columns import element, place_of
 from rvjax.commands.identify.compute import Identified
+from rvjax.commands.identify.head import CONSISTENT, Head
 from rvjax.records import PyTree
+from rvjax.units import arcsec, deg
 
 SHOWN = 0.3  # loadings below this share of the largest are not part of a combination in words
 EQUAL = 0.1  # loadings that differ less count as one
@@ -101,6 +103,24 @@ def next_lines(answer: Identified, most: int = 3) -> list[str]:
         most: lines.
     """
     return [f"{name}: {gain:.3g} nats" for name, gain in list((answer.gains or {}).items())[:most]]
+
+
+def head_lines(head: Head) -> list[str]:
+    """The encoder head that the data describe: direction, amplitudes, and whether one head explains them."""
+    value, lower, upper = (x / deg for x in head.angle)
+    several = "its direction is not determined"
+    placed = several if math.isnan(value) else f"at {value:.1f} deg from pin 0 [{lower:.1f} .. {upper:.1f}]"
+    sizes = [
+        f"{n} {g / arcsec:.3g} arcsec [{a / arcsec:.3g} .. {b / arcsec:.3g}]"
+        for n, (g, a, b) in head.amplitudes.items()
+    ]
+    lines = [f"Head: {placed}; at the rated torque {', '.join(sizes)}."]
+    if not math.isnan(value):
+        lines.append("The scale is taken to lie on the side of the last disc; on the other side add 180 deg.")
+    if not math.isnan(head.p):
+        fits = f"One head explains these numbers (p = {head.p:.3g})."
+        lines.append(fits if head.p >= CONSISTENT else f"No single head explains these numbers (p = {head.p:.3g}).")
+    return lines
 
 
 def shares_text(fields: Mapping[str, float]) -> str:
