@@ -8,8 +8,10 @@ import re
 import numpy as np
 import pytest
 
+from rvjax import study
 from rvjax.study import measured
 from rvjax.study.columns import read_table
+from rvjax.study.problem import problem
 from rvjax.units import arcmin, arcsec, deg
 
 
@@ -175,6 +177,23 @@ def test_frequencies_are_sorted_with_their_scatter(write):
     assert tones.at.unit == "a"
 
 
+LOOP = """
+[design]
+base = "rv-40e-whole"
+[conditions]
+rated_torque = "412 N m"
+[tolerances.bearing_clearance]
+lower = "0 um"
+upper = "12 um"
+[requirement.torsional_stiffness]
+lower = "50 N m/arcmin"
+[identify]
+model = "loaded"
+noise = "floor"
+nuisance = ["offset", "drag"]
+"""
+
+
 def hysteresis(samples=4000, cut=np.inf, noise=0.0, sine=False):
     """angle = 2 T/100 + 0.5 sign(T) T^2/1e4 -+ 0.3 arcmin on the branches; a sensor that ends at `cut`."""
     time = np.linspace(0, 2, samples, endpoint=False)
@@ -208,6 +227,17 @@ def test_the_scatter_of_a_midline_is_known(write):
     due = 2 * loop.torque / 100 + 0.5 * np.sign(loop.torque) * loop.torque**2 / 1e4
     score = np.sum(((loop.midline / arcmin - due) / (loop.sd / arcmin)) ** 2)
     assert 5.9 < score < 46.8  # chi square of 21: 0.05 % on either side
+
+
+def test_the_scatter_of_a_width_is_known(write, tmp_path):
+    """A width is the difference of two branches. Its scatter is twice that of their mean; chi square as above."""
+    path = tmp_path / "loop.toml"
+    path.write_text(LOOP)
+    question = study.load(path, solve=False)
+    found = problem(question, measured.read([write(hysteresis(noise=0.05))]))
+    (loop,) = found.items[0]
+    score = np.sum(((loop.width / arcmin - 0.6) / (found.noise.sd["width"] / arcmin)) ** 2)
+    assert 5.9 < score < 46.8
 
 
 def test_half_a_loop_is_refused(write):

@@ -17,6 +17,22 @@ def test_the_size_of_the_base_is_the_base():
     assert found.contact.young_modulus == pytest.approx(206 * GPa)
 
 
+def test_the_rated_torque_twists_the_gears_of_every_size_alike():
+    """Torque grows as the length cubed, a force as its square. Hence k L^2/T of every spring in N/m, and k/T of shafts.
+
+    Roller bearings are softer in proportion: k grows as the length to the power of 0.8.
+    """
+    for size in ("20e", "320e"):
+        grown, torque = sizes.similar(sizes.TORQUE[size]).stiffness, sizes.TORQUE[size] / sizes.TORQUE["40e"]
+        base, length = sizes.similar(sizes.TORQUE["40e"]).stiffness, torque ** (1 / 3)
+        for name in ("sun_planet_mesh", "disc_pin_mesh", "sun_support", "planet_crank_bending"):
+            assert getattr(grown, name) / getattr(base, name) * length**2 / torque == pytest.approx(1.0), name
+        for name in ("sun_torsion", "planet_crank_torsion"):
+            assert getattr(grown, name) / getattr(base, name) / torque == pytest.approx(1.0), name
+        for name in ("support_bearing", "turning_arm_bearing"):
+            assert getattr(grown, name) / getattr(base, name) == pytest.approx(length**0.8), name
+
+
 def test_stiffness_grows_between_bearings_and_shafts():
     """Every spring that turns the output grows as the length to the power of 2.8 (bearings) to 3 (shafts, flanks)."""
     assert sizes.stiffness("40e") == pytest.approx(sizes.PUBLISHED, rel=1e-4)

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from oracles.known_optima import CASES
+from oracles.known_optima import CASES, many_fields
 from oracles.linear_pair import COSTS, LIMIT, PAIR, linear, radius
 from rvjax.population.population import Population
 from rvjax.status import Status
@@ -148,6 +148,34 @@ def test_an_optimum_in_print(name):
     found = allocate(case.response, case.tolerances, case.requirements, costs=case.costs, **options)
     assert found.status == "OPTIMAL"
     assert 1.0 <= found.cost / case.optimum < 1.003
+
+
+def test_a_hinge_pin_enters_both_leaves():
+    """A gap that is not linear. The certificate keeps 2.7 errors of 1e-4 of the 1 % that may fail.
+
+    The share that fails goes like exp(-R^2/(2 s^2)) = 0.01. 2.7 % of it are 0.3 % of the half-widths and of the cost.
+    """
+    case = CASES["door hinge"]()
+    found = allocate(case.response, case.tolerances, case.requirements, costs=case.costs, certificate_samples=1_000_000)
+    assert found.status == "OPTIMAL"
+    assert 1.0 <= found.cost / case.optimum < 1.005
+
+
+def test_many_fields_of_unlike_cost():
+    """The least cost for the share that the found half-widths really have: what the certificate keeps is no loss.
+
+    A slope of the sample errs by about sqrt(fields/units nearby)/3 = 8 %, a half-width by a third of it, and a cost by
+    1.5 squares of that: 0.1 %, and twice as much with units above the quantile only.
+    """
+    case = many_fields(24)
+    found = allocate(
+        case.response, case.tolerances, case.requirements, costs=case.costs, samples=8192, certificate_samples=100_000
+    )
+    t = np.array([float(found.tolerances[name].half_width) for name in case.costs])
+    sd = np.linalg.norm(np.linspace(0.2, 3.0, 24) * t) / 3
+    share = 2 * stats.norm.cdf(case.requirements.upper / sd) - 1
+    assert found.status == "OPTIMAL" and share > case.requirements.target
+    assert 1.0 <= found.cost / many_fields(24, target=share).optimum < 1.003
 
 
 def test_the_ends_of_a_range_grow_with_the_half_widths():

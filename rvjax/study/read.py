@@ -262,18 +262,17 @@ def _requirements(outputs: Mapping[str, Output], table: Toml) -> tuple[dict[str,
     """The requirements, and the unit of the first limit of each response."""
     requirements: dict[str, Limits] = {}
     read_in: dict[str, str] = {}
-    every: tuple[type[Limits], ...] = (*KINDS, Nominal)
     for name in table:
         where, entry = f"requirement.{name}", subtable(table, name)
-        known(entry, {"response", *(key for kind in every for key in kind.file_keys())}, where)
+        known(entry, {"response", *(key for kind in KINDS for key in kind.file_keys())}, where)
         response = choice(entry.get("response", name), outputs, f"{where}.response")
         if response in requirements:
             raise ValueError(f"{where}.response = {response!r}: already has a requirement")
         given = {key: value for key, value in entry.items() if key != "response"}
         unit = outputs[response].unit
-        kinds = [kind for kind in every if set(given) <= set(kind.file_keys()) and set(given) & set(kind.limit_keys())]
+        kinds = [kind for kind in KINDS if set(given) <= set(kind.file_keys()) and set(given) & set(kind.limit_keys())]
         if not kinds:
-            ways = "; or ".join(", ".join(kind.file_keys()) for kind in every)
+            ways = "; or ".join(", ".join(kind.file_keys()) for kind in KINDS)
             raise ValueError(f"{where}: give upper or lower in {unit} (of these keys: {ways})")
         limits = kinds[0].limit_keys()
         values = {
