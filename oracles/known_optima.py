@@ -165,14 +165,14 @@ def exponential_costs() -> Case:
     )
 
 
-def door_hinge() -> Case:
+def pin_hinge() -> Case:
     """A hinge pin must enter the holes of both leaves: 99 % of the hinges. Dimensions and costs assumed here.
 
     The gap is the radial clearance of pin and hole, less the distance between the axes of the holes. The holes of the
     leaves have errors across and along. With standard deviations sx and sy of their differences the distance is at
     most R for a share 1 - mean exp(-R^2/(2 (sx^2 cos^2 + sy^2 sin^2))) over all angles; R is normal.
     """
-    nominal, scales = 60e-6, dict(body_x=1.0, body_y=4.0, door_x=2.0, door_y=0.5, hole=3.0, pin=1.0)
+    nominal, scales = 60e-6, dict(body_x=1.0, body_y=4.0, leaf_x=2.0, leaf_y=0.5, hole=3.0, pin=1.0)
     costs = {
         name: ReciprocalPower(scale=scale, power=power, reference=20e-6, finest=1e-6, coarsest=1e-3)
         for (name, scale), power in zip(scales.items(), (1.0, 0.7, 1.3, 1.0, 0.8, 1.2))
@@ -188,8 +188,8 @@ def door_hinge() -> Case:
         return float(weights @ beyond / weights.sum())
 
     return Case(
-        "hinge of two leaves and a pin, dimensions and costs assumed",
-        lambda e: nominal + e["hole"] - e["pin"] - jnp.hypot(e["body_x"] - e["door_x"], e["body_y"] - e["door_y"]),
+        "pin and two leaves, dimensions and costs assumed",
+        lambda e: nominal + e["hole"] - e["pin"] - jnp.hypot(e["body_x"] - e["leaf_x"], e["body_y"] - e["leaf_y"]),
         {name: Tolerance.symmetric(20e-6) for name in scales},
         Requirement(lower=0.0, target=0.99),
         costs,
@@ -224,7 +224,7 @@ CASES = {
     "overrunning clutch": overrunning_clutch,
     "shared chains": shared_chains,
     "exponential costs": exponential_costs,
-    "door hinge": door_hinge,
+    "hinge of two leaves": pin_hinge,
     "200 fields": many_fields,
 }
 """Each makes its case."""

@@ -42,8 +42,18 @@ def understood(options: Options) -> dict[str, bool | int] | None:
 
 def inside(*arguments: object) -> bool:
     """True if another program is being traced, whose options count."""
-    if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(arguments)):
-        return True
+    return any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(arguments)) or _traced()
+
+
+def batched_alone(*arguments: object) -> bool:
+    """True under `jax.vmap` outside any other program; derivatives accept no options of the compiler."""
+    leaves = jax.tree.leaves(arguments)
+    while any(hasattr(leaf, "batch_dim") for leaf in leaves):  # JAX exports no type of these tracers
+        leaves = [leaf.val if hasattr(leaf, "batch_dim") else leaf for leaf in leaves]
+    return not any(isinstance(leaf, jax.core.Tracer) for leaf in leaves) and not _traced()
+
+
+def _traced() -> bool:
     return isinstance(jax.lax.neg(np.float32(0)), jax.core.Tracer)
 
 
@@ -55,20 +65,24 @@ compiled in half the time."""
 def quick(*static: int, options: Options = QUICK) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """As `jax.jit`; called by itself, and not within another program, it is compiled with separate options.
 
+    Under `jax.vmap` the options are `QUICK`: a batch of `loaded.torsion` compiles in 9 instead of 17 s.
+
     Args:
         static: numbers of the static arguments.
-        options: of the compiler.
+        options: of the compiler, for one case.
     """
 
     def made(function: Callable[P, R]) -> Callable[P, R]:
         part = jax.jit(function, static_argnums=static)
         alone = functools.cache(
-            lambda: jax.jit(function, static_argnums=static, compiler_options=understood(options))
+            lambda used: jax.jit(function, static_argnums=static, compiler_options=understood(used))
         )  # compiled at the first call
 
         @functools.wraps(function)
         def call(*arguments: P.args, **named: P.kwargs) -> R:
-            return (part if inside(arguments, named) else alone())(*arguments, **named)
+            if not inside(arguments, named):
+                return alone(options)(*arguments, **named)
+            return (alone(QUICK) if batched_alone(arguments, named) else part)(*arguments, **named)
 
         return call
 

@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
 import pytest
 
 from rvjax import compile_cache
@@ -72,6 +73,19 @@ def test_a_function_has_its_compiler_options_alone_and_none_within_another_progr
     assert jax.grad(lambda x: power(3, x))(2.0) == 12.0
     assert power(2, 4.0) == 16.0
     assert count("power") == 1
+
+
+def test_a_batch_of_a_quick_function_is_compiled_with_the_quick_options(monkeypatch):
+    """`jax.vmap` without a program of its own: options of one case (`ONCE`) would make a batch slow."""
+    seen, real = [], compile_cache.understood
+    monkeypatch.setattr(compile_cache, "understood", lambda options: seen.append(options) or real(options))
+    power = compile_cache.quick(0, options=compile_cache.ONCE)(lambda number, x: x**number)
+    assert jax.vmap(lambda x: power(2, x))(jnp.arange(3.0)).tolist() == [0.0, 1.0, 4.0]
+    assert seen == [compile_cache.QUICK]
+    assert jax.vmap(jax.grad(lambda x: power(3, x)))(jnp.arange(3.0)).tolist() == [0.0, 3.0, 12.0]
+    assert jax.jit(jax.vmap(lambda x: power(2, x)))(jnp.arange(3.0)).tolist() == [0.0, 1.0, 4.0]
+    assert seen == [compile_cache.QUICK]
+    assert power(2, 3.0) == 9.0 and seen == [compile_cache.QUICK, compile_cache.ONCE]
 
 
 def test_a_quick_function_is_compiled_with_the_quick_options():

@@ -155,7 +155,7 @@ def test_a_hinge_pin_enters_both_leaves():
 
     The share that fails goes like exp(-R^2/(2 s^2)) = 0.01. 2.7 % of it are 0.3 % of the half-widths and of the cost.
     """
-    case = CASES["door hinge"]()
+    case = CASES["hinge of two leaves"]()
     found = allocate(case.response, case.tolerances, case.requirements, costs=case.costs, certificate_samples=1_000_000)
     assert found.status == "OPTIMAL"
     assert 1.0 <= found.cost / case.optimum < 1.005
