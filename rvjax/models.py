@@ -50,6 +50,11 @@ class Kind:
         read = {f.name for name in outputs for f in dataclasses.fields(self.described[name].conditions)}
         return [f.name for f in dataclasses.fields(self.conditions) if f.name in read]
 
+    def costly(self, name: str) -> bool:
+        """True if a unit of an output takes so long that only the units that decide are solved."""
+        own = self.outputs[name].costly
+        return self.described[name].costly if own is None else own
+
     def compiler_options(self, outputs: Iterable[str]) -> tuple[tuple[str, bool | int], ...]:
         """Of a program that computes some outputs: those of all their models."""
         return tuple(dict.fromkeys(o for name in outputs for o in self.described[name].compiler_options))

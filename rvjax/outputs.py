@@ -100,6 +100,7 @@ class Output:
         refuse: (design, conditions) -> None; raises ValueError, one line that names the key, where these conditions
             cannot give it.
         exact: output of a costlier model that is the same quantity of the whole reducer, or None.
+        costly: as in `Description`; None: as its model.
     """
 
     unit: str
@@ -110,6 +111,7 @@ class Output:
     below_zero: str = ""
     refuse: Callable[[Any, Any], None] | None = None
     exact: str | None = None
+    costly: bool | None = None
 
     @property
     def shown(self) -> tuple[str, float]:

@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 import inspect
+import math
 import warnings
 import weakref
 from collections.abc import Callable, Iterator, Mapping
@@ -11,7 +12,7 @@ from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 import jax
 import numpy as np
 
-from rvjax import arguments, catalogue
+from rvjax import arguments, catalogue, flank
 from rvjax.records import PyTree, Scalar, concrete
 from rvjax.units import suited
 
@@ -49,7 +50,7 @@ def doubt_once(design: object, where: str) -> None:
     """
     known = _seen.get(id(design))
     new = known is None or known() is not design
-    if new and type(design) in _spans() and accept(design) and (found := doubtful(design, ("m",))):
+    if new and type(design) in _spans() and accept(design) and (found := steep(design) + doubtful(design, ("m",))):
         more = f" (and {len(found) - 1} more values)" if len(found) > 1 else ""
         warnings.warn(f"{where}: design.{found[0]}{more}", ImplausibleDesign, stacklevel=_caller())
 
@@ -81,6 +82,20 @@ def doubtful(design: PyTree, units: tuple[str, ...] = ()) -> list[str]:
         if value and name in spans and (not units or unit in units)
         for line in doubt(name, abs(value), unit, *spans[name])
     ]
+
+
+def steep(design: PyTree) -> list[str]:
+    """A line for harmonics of a profile modification that are too steep for models of first order, else nothing.
+
+    Args:
+        design: numbers, not traced.
+    """
+    cycloid = getattr(design, "cycloid", None)
+    slope = 0.0 if cycloid is None else flank.steepest(cycloid)
+    if slope <= 1.001 * flank.STEEPEST:  # optima are at the limit
+        return []
+    found = "the flank is undercut" if math.isnan(slope) else f"slope of the flank {slope:.2g}"
+    return [f"cycloid.profile_modification: {found}; the models are of first order, up to a slope of {flank.STEEPEST}"]
 
 
 @functools.cache

@@ -18,6 +18,7 @@ from rvjax.geometry import contact_ratio, least_convex_radius
 from rvjax.loaded.cases import MACHINE
 from rvjax.loaded.gaps import flank_rounding, gaps
 from rvjax.loaded.geometry import Turn, geometry as geometry_at
+from rvjax.plausible import ImplausibleDesign
 from rvjax.status import Status
 from rvjax.units import MPa, mm
 
@@ -181,6 +182,63 @@ def test_bad_input_is_one_line():
 
 
 AMPLITUDES = np.array([2e-6, -3e-6, 1.5e-6, -1e-6])
+
+
+def curve_of(cycloid):
+    """Curvature of the ground flank by differences: the offset of wheel centres on the shifted pin circle."""
+    e, ring, teeth, pins = cycloid.eccentricity, cycloid.pin_circle_radius, cycloid.disc_teeth, cycloid.pin_count
+    ring, wheel = ring + cycloid.shift_modification, cycloid.pin_radius + cycloid.equidistant_modification
+
+    def flank(psi):
+        t = psi / teeth
+        along = 1j * (np.exp(1j * t) - e * pins / ring * np.exp(1j * pins * t))
+        material = sum(a * np.cos(f * psi) for f, a in enumerate(cycloid.profile_modification, start=1))
+        path = ring * np.exp(1j * t) - e * np.exp(1j * pins * t)
+        return path + 1j * along / np.abs(along) * (wheel - material)
+
+    psi, h = np.linspace(0.01, np.pi - 0.01, 4001), 1e-3
+    first = (flank(psi + h) - flank(psi - h)) / (2 * h)
+    second = (flank(psi + h) - 2 * flank(psi) + flank(psi - h)) / h**2
+    return psi, np.imag(np.conj(first) * second) / np.abs(first) ** 3
+
+
+@pytest.mark.parametrize(
+    ("equidistant", "shift", "amplitude"), [(30e-6, 0, 0), (0, -50e-6, 0), (-20e-6, 40e-6, 0.3e-6)]
+)
+def test_the_curvature_of_a_modified_flank_is_that_of_the_curve_itself(equidistant, shift, amplitude):
+    """Least convex radius and pressure follow equidistant and shift modification and harmonics."""
+    design = reducer(1.3 * mm, 64 * mm, 3 * mm, 12 * mm)
+    cycloid = design.cycloid.replace(
+        equidistant_modification=equidistant, shift_modification=shift, profile_modification=amplitude * np.ones(4)
+    )
+    found = geometry.figures(design.replace(cycloid=cycloid), 412.0)
+    psi, bend = curve_of(cycloid)
+    assert found.convex_radius == pytest.approx(1 / bend.max(), rel=2e-4)
+    plain = geometry.figures(design, 412.0)
+    assert abs(float(found.convex_radius - plain.convex_radius)) > 10e-6
+    # p^2 goes with 1/R*, R* = 1/(1/rr + curvature), forces are those of the rigid nominal discs
+    _, nominal = curve_of(design.cycloid.replace(profile_modification=np.zeros(4)))
+    k1, places = 0.8125, 2 * np.pi * np.arange(40) / 40
+    angles = psi[:, None] + places
+    lever = np.maximum(np.sin(angles), 0) / np.sqrt(1 + k1**2 - 2 * k1 * np.cos(angles))
+    force = lever[:, 0] / np.sum(lever**2, axis=1)
+    due = np.sqrt(np.max(force * (1 / 3e-3 + bend)) / np.max(force * (1 / 3e-3 + nominal)))
+    assert found.pin_pressure / plain.pin_pressure == pytest.approx(due, rel=2e-4)
+
+
+def test_harmonics_that_are_too_steep_give_a_warning_and_their_slope():
+    """The slope of the material along the flank, by differences of the curve; the models are of first order in it."""
+    cycloid = RV_40E.cycloid.replace(profile_modification=np.array([0.0, 2e-6, 0.0, 0.0]))
+    psi = np.linspace(0, np.pi, 20001)
+    t = psi / 39
+    path = 64e-3 * np.exp(1j * t) - 1.3e-3 * np.exp(40j * t)
+    along = 1j * (np.exp(1j * t) - 0.8125 * np.exp(40j * t))
+    way = np.abs(np.diff(path + 1j * along / np.abs(along) * 3e-3))
+    due = np.max(np.abs(np.diff(2e-6 * np.cos(2 * psi))) / way)
+    with pytest.warns(ImplausibleDesign, match="slope of the flank 0.0.*up to a slope of 0.005"):
+        found = geometry.figures(RV_40E.replace(cycloid=cycloid))
+    assert found.flank_slope == pytest.approx(due, rel=1e-3) and due > 0.005
+    assert geometry.figures(RV_40E).flank_slope == 0.0
 
 
 def test_the_rounding_of_a_waved_flank_is_that_of_the_curve_itself():

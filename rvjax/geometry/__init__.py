@@ -1,10 +1,10 @@
 """Geometry of an RV reducer without errors: curvature of the flank, space between the parts, size, nominal pressure."""
 
-from rvjax.geometry.figures import Figures, contact_ratio as contact_ratio, figures
-from rvjax.geometry.flank import (
+from rvjax.flank import (
     curvature as curvature,
     least_convex_radius as least_convex_radius,
     relative_radius as relative_radius,
 )
+from rvjax.geometry.figures import Figures, contact_ratio as contact_ratio, figures
 
 __all__ = ["Figures", "figures"]

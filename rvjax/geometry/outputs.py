@@ -61,6 +61,7 @@ DESCRIPTION = Description(
         "convex_radius": _figure("m", "least radius of the convex flank, <= 0: undercut", "convex_radius", "mm"),
         "pin_gap": _figure("m", "gap between neighbouring pins", "pin_gap", "mm"),
         "crank_room": _figure("m", "from the crank axes to the roots of the disc teeth", "crank_room", "mm"),
+        "flank_slope": _figure("-", "largest slope of the harmonics of the profile modification", "flank_slope"),
         "envelope_diameter": _figure("m", "diameter over the pins of the ring", "envelope_diameter", "mm"),
         "contact_ratio": _figure("-", "transverse contact ratio of sun and planet, no profile shift", "contact_ratio"),
         "envelope_volume": _figure("m3", "over the pins, along all discs", "envelope_volume", part="contact"),

@@ -7,8 +7,8 @@ import jax.numpy as jnp
 
 from rvjax.designs import CycloidStage, RVReducer
 from rvjax.errors import RVErrors
-from rvjax.geometry import curvature
-from rvjax.loaded.geometry import Geometry, Turn
+from rvjax.flank import Ground, curvature, modified, profile
+from rvjax.loaded.geometry import Geometry
 from rvjax.loaded.system import directions
 from rvjax.records import Scalar
 
@@ -33,7 +33,7 @@ def gaps(design: RVReducer, errors: RVErrors, at: Geometry, eccentricity: Scalar
         flank: directions of the gear flanks (c, 2, 2).
     """
     return Gaps(
-        pins=_pins(design, errors, at),
+        pins=pin_depths(design, errors, at),
         gear=_gear(design, errors, at, flank),
         arm=_arm(design, errors, at, eccentricity),
         seat=-_placed(_full(errors.carrier_bore, (design.cranks.count, 2)), design.cranks.count),
@@ -52,8 +52,14 @@ def _placed(bore: jax.Array, cranks: int) -> jax.Array:
     return bore[..., :1] * radial + bore[..., 1:] * tangential
 
 
-def _pins(design: RVReducer, errors: RVErrors, at: Geometry) -> jax.Array:
-    """Eq. 13, term by term."""
+def pin_depths(design: RVReducer, errors: RVErrors, at: Geometry) -> jax.Array:
+    """Depth of every pin in its disc at the ideal position, (d, p) m: Eq. 13, term by term.
+
+    Args:
+        design: modifications of the cycloid stage are read.
+        errors: array fields in full shape or scalars.
+        at: geometry of the angle.
+    """
     cycloid = design.cycloid
     zc, zp, discs = cycloid.disc_teeth, cycloid.pin_count, cycloid.disc_count
     equidistant = cycloid.equidistant_modification + errors.equidistant_modification
@@ -73,7 +79,7 @@ def _pins(design: RVReducer, errors: RVErrors, at: Geometry) -> jax.Array:
         pitch = jnp.asarray(errors.disc_pitch)
     total += pitch * (zp / (zc * cycloid.pin_circle_radius)) * at.lever
     if cycloid.profile_modification is not None:
-        total += profile(cycloid.profile_modification, at.lobe)[0]
+        total += profile(cycloid.profile_modification, at.lobe.cosine, at.lobe.sine)[0]
     if jnp.ndim(errors.disc_profile):
         waves = _full(errors.disc_profile, (discs, 5, 2))
         cosine, sine = jnp.ones_like(at.size), jnp.zeros_like(at.size)
@@ -88,44 +94,19 @@ def _pins(design: RVReducer, errors: RVErrors, at: Geometry) -> jax.Array:
     return jnp.asarray(total)
 
 
-def profile(amplitudes: Scalar, lobe: Turn) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Material of the profile modification over the lobe angle, m, and its first two derivatives.
-
-    Args:
-        amplitudes: of cos(f psi), f = 1 .. 4, (4,) m.
-        lobe: lobe angle.
-    """
-    cosine, sine = lobe.cosine, lobe.sine
-    found = [jnp.zeros_like(cosine)] * 3
-    for f, a in enumerate(_full(amplitudes, (4,)), start=1):
-        found = [total + a * wave for total, wave in zip(found, (cosine, -f * sine, -f * f * cosine))]
-        cosine, sine = lobe.of(cosine, sine)
-    return found[0], found[1], found[2]
-
-
 def flank_rounding(cycloid: CycloidStage, at: Geometry) -> jax.Array:
-    """rr^2 / R* of a pin and the flank, m, R* = rr (1 - rr kc), with the curvature of the profile modification.
-
-    Material m on a flank of curvature kd = kc/(1 - rr kc) and arc length s changes its curvature by -m kd^2 - m''
-    (Eq. 17a). Along the flank ds = sigma dpsi, sigma = rp S (1 - rr kc)/zc: m'' = (m_pp - m_p sigma_p/sigma)/sigma^2.
+    """rr^2 / R* of a pin and the flank, m, R* = rr (1 - rr kc), with the curvature of the profile modification (17a).
 
     Args:
         cycloid: its numbers.
         at: geometry of the angle.
     """
     rr, rp = jnp.asarray(cycloid.pin_radius), jnp.asarray(cycloid.pin_circle_radius)
-    k1, pins = at.shortening, cycloid.pin_count
-    bend = curvature(at.lobe.cosine, pins=pins, shortening=k1, pin_circle_radius=rp)
     if cycloid.profile_modification is None:
+        bend = curvature(at.lobe.cosine, pins=cycloid.pin_count, shortening=at.shortening, pin_circle_radius=rp)
         return rr / (1 - rr * bend)
-    m, m_p, m_pp = profile(cycloid.profile_modification, at.lobe)
-    size_p = k1 * at.lobe.sine / at.size  # dS/dpsi
-    bend_p = k1 * (1 + pins) * at.lobe.sine / (rp * at.size**3) - 3 * bend * size_p / at.size
-    slack = 1 - rr * bend
-    sigma = rp * at.size * slack / cycloid.disc_teeth
-    sigma_p = rp * (size_p * slack - at.size * rr * bend_p) / cycloid.disc_teeth
-    own = bend / slack
-    return rr + rr * rr * (own - m * own * own - (m_pp - m_p * sigma_p / sigma) / sigma**2)
+    bend, _ = modified(Ground(at.shortening, rp, rr), cycloid, at.lobe.cosine, at.lobe.sine)
+    return rr + rr * rr * bend
 
 
 def _gear(design: RVReducer, errors: RVErrors, at: Geometry, flank: jax.Array) -> jax.Array:

@@ -10,7 +10,7 @@ import numpy as np
 from rvjax import status
 from rvjax.axes import fit
 from rvjax.choices import choose
-from rvjax.designs import Contact, RVReducer, expect
+from rvjax.designs import Contact, CycloidStage, RVReducer, expect
 from rvjax.elementary import LARGEST_ANGLE
 from rvjax.errors import RVErrors, read_by
 from rvjax.geometry import least_convex_radius
@@ -51,10 +51,7 @@ def check_input(design: RVReducer, errors: RVErrors, contact: str, carrier: str,
         if getattr(design, name) is None:
             raise ValueError(f"RVReducer.{name} = None: the loaded equilibrium needs it")
     cycloid = design.cycloid
-    if cycloid.pin_count != cycloid.disc_teeth + 1:
-        raise ValueError(
-            f"CycloidStage.pin_count = {cycloid.pin_count}: must be disc_teeth + 1 = {cycloid.disc_teeth + 1}"
-        )
+    check_teeth(cycloid)
     assert design.stiffness is not None and design.contact is not None
     parts: list[Record] = [design.involute, cycloid, design.cranks, design.stiffness, design.contact, errors]
     for part in parts:
@@ -62,6 +59,18 @@ def check_input(design: RVReducer, errors: RVErrors, contact: str, carrier: str,
             if f.metadata["kind"] == "real":
                 fit(f"{type(part).__name__}.{f.name}", getattr(part, f.name), f.metadata["shape"], design.counts)
     return Layout(cycloid.disc_count, design.cranks.count, cycloid.pin_count, contact, carrier, sun)
+
+
+def check_teeth(cycloid: CycloidStage) -> None:
+    """Raise an error for another tooth difference than one.
+
+    Args:
+        cycloid: its counts.
+    """
+    if cycloid.pin_count != cycloid.disc_teeth + 1:
+        raise ValueError(
+            f"CycloidStage.pin_count = {cycloid.pin_count}: must be disc_teeth + 1 = {cycloid.disc_teeth + 1}"
+        )
 
 
 def admit(layout: Layout, design: RVReducer, errors: RVErrors, torque: Scalar, angle: Scalar) -> Read:

@@ -16,9 +16,10 @@ from rvjax.compile_cache import QUICK
 from rvjax.designs import Contact, RVReducer, Stiffness
 from rvjax.errors import RVErrors
 from rvjax.loaded.cases import cases
+from rvjax.loaded.clearance import clearance
 from rvjax.loaded.conditions import Conditions, ways
 from rvjax.loaded.equilibrium import equilibrium
-from rvjax.loaded.inputs import check_input
+from rvjax.loaded.inputs import check_input, check_teeth
 from rvjax.loaded.observation import CURVE, LOOP
 from rvjax.loaded.revolution import Revolution, revolution
 from rvjax.loaded.torsion import SHARES, secant, twisted
@@ -120,6 +121,15 @@ def _pressure(design: RVReducer, errors: RVErrors, given: Conditions) -> Solved:
         **ways(given),
     )
     return jnp.max(found.pressure), found.info.status
+
+
+def _clearance(design: RVReducer, errors: RVErrors, given: Conditions) -> Solved:
+    found = clearance(design, errors, turns=_turns(design, given), samples=given.samples)
+    return found.least, found.info.status
+
+
+def _one_more(design: RVReducer, given: Conditions) -> None:
+    check_teeth(design.cycloid)
 
 
 def _angles(given: Conditions) -> np.ndarray:
@@ -241,7 +251,13 @@ DESCRIPTION = Description(
             "N m/rad", "between half and full rated torque, least of the probe angles",
             Reading((STIFFNESS,), _stiffness), NEEDS, "N m/arcmin", refuse=_rated,
         ),
-    }),
+    }) | {
+        "flank_clearance": Output(
+            "m", "least clearance of flanks and pins over the span, discs turned to where it is largest", _clearance,
+            below_zero="interference: at least two pins are pressed at any rotation of the discs", refuse=_one_more,
+            costly=False,
+        )
+    },
     curve=Curve(
         "Transmission error of the loaded reducer over the span", "rad", _curve, _turns,
         (turn, lambda found: found.error), _angles,

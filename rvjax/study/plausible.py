@@ -12,7 +12,7 @@ import numpy as np
 
 from rvjax.designs import RVReducer
 from rvjax.errors import described
-from rvjax.plausible import KNOWN_DESIGNS, doubt, doubtful, shown
+from rvjax.plausible import KNOWN_DESIGNS, doubt, doubtful, shown, steep
 from rvjax.records import Design, PyTree
 from rvjax.study.values import Metadata
 from rvjax.tolerances import Cost, Middle, Tolerance
@@ -54,7 +54,7 @@ def refuse_impossible(design: Design, tolerances: PyTree, costs: dict[str, Cost]
 
 def doubts(design: PyTree, conditions: "DataclassInstance", tolerances: PyTree) -> list[str]:
     """Numbers that are far from those of every known reducer, a line each."""
-    found = [f"design.{line}" for line in doubtful(design)]
+    found = [f"design.{line}" for line in steep(design) + doubtful(design)]
     for f in dataclasses.fields(conditions):
         if f.metadata["torque"] and isinstance(design, RVReducer):
             value = abs(getattr(conditions, f.name) or 0.0)

@@ -102,7 +102,7 @@ class Response(Record):
     @property
     def costly(self) -> bool:
         """True if a unit is so expensive that only the decisive units are solved."""
-        return any(models.kind(self.design).described[source].costly for source in self._sources().values())
+        return any(models.kind(self.design).costly(source) for source in self._sources().values())
 
     def parts(self) -> list[Self]:
         """Its outputs in groups that share no result: each a response of its own, one with the curve."""

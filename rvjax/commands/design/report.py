@@ -13,6 +13,7 @@ from rvjax.commands.design.compute import Designed, Point
 from rvjax.commands.design.figures import figures
 from rvjax.commands.design.inputs import Inputs
 from rvjax.commands.design.prices import limit_price, priced_per, prices, slope, unit_of_number
+from rvjax.plausible import steep
 from rvjax.render import (
     Column,
     Interval,
@@ -247,6 +248,7 @@ def _notes(study: Study, found: Designed) -> list[str]:
     used = [law for law, _ in found.laws]
     if found.joint.found.feasible:
         lines += [f"warning: {line}" for line in outside(study.design, found.joint.design, used)]
+        lines += [f"warning: {line}" for line in steep(found.joint.design)]
     lines += [f"Assumed (not published): {assumed_text(study)}"] if study.assumed else []
     lines += ["Costs and prices are those of the study: compare ranges and prices, not one optimum only."]
     return lines + [f"Not modelled: {line}" for line in study.left_out]

@@ -26,6 +26,7 @@ _POOR, _GOOD = 0.1, 0.7  # parts of a predicted gain
 _ROUNDING = 1e-7  # of a bound
 _PLANES = 3  # slopes of earlier points that a margin keeps
 _NEAR = 0.3  # of the radius of a step, by which such a point may lie away, and more
+_NOTHING = 1e-3  # of the sum of slopes, a cost that is next to nothing
 _DEAREST = 1e5  # price of an excess, in costs
 
 
@@ -250,7 +251,9 @@ class Programme:
 
     @staticmethod
     def _size(point: Local) -> float:
-        return max(abs(point.cost), abs(point.total), 1e-300)
+        """Cost by which gains count; where it is next to nothing, a part of what a range of a number may change."""
+        slopes = float(np.abs(point.slopes).sum() + np.abs(point.objective_slopes).sum())
+        return max(abs(point.cost), abs(point.total), _NOTHING * slopes, 1e-300)
 
     @staticmethod
     def _broken(point: Local) -> np.ndarray:

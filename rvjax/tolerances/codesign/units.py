@@ -13,7 +13,7 @@ from rvjax.tolerances.batch.checkpoint import describe
 from rvjax.tolerances.batch.memo import Memo
 from rvjax.tolerances.codesign.decisions import Decisions
 
-_AT_ONCE = 2048  # units of a call, so that the coarse and the fine search share one program
+_AT_ONCE = 512  # units of a call, at most: the coarse and the fine search share one program
 
 
 class Units:
@@ -44,8 +44,9 @@ class Units:
             if self._costly:
                 values, status = part.solve(population, z)
             else:
-                padded = z[:, np.resize(np.arange(z.shape[1]), -(-z.shape[1] // _AT_ONCE) * _AT_ONCE)]
-                blocks = np.split(padded, padded.shape[1] // _AT_ONCE, axis=1)
+                block = min(_AT_ONCE, LANES * -(-z.shape[1] // LANES))
+                padded = z[:, np.resize(np.arange(z.shape[1]), -(-z.shape[1] // block) * block)]
+                blocks = np.split(padded, padded.shape[1] // block, axis=1)
                 found = [respond(part.response, population, jnp.asarray(b, jnp.result_type(float))) for b in blocks]
                 rows = [np.stack([np.asarray(values[name], float) for name in part.names]) for values, _ in found]
                 values = np.concatenate(rows, axis=1)[:, : z.shape[1]]
