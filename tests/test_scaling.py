@@ -72,6 +72,19 @@ def test_the_module_moves_gears_crank_circle_and_what_follows_it():
         assert number_at(found, path) / number_at(RV_320E, path) == pytest.approx(1.1**power, rel=1e-12), path
 
 
+def test_wider_discs_do_not_overlap_on_their_cranks():
+    """The spacing of the discs grows as their width, and the shares of the supports stay; given places refuse it."""
+    made = asked(base="rv-40e-whole")
+    wider = made.design_with({"contact.face_width": 16 * mm})
+    places, before = wider.bearings, made.design.bearings
+    assert float(np.diff(places.disc_position)[0]) == pytest.approx(16 * mm)
+    for name in ("disc_position", "planet_position"):
+        ratio = np.asarray(getattr(places, name)) / places.support_span
+        np.testing.assert_allclose(ratio, np.asarray(getattr(before, name)) / before.support_span, rtol=1e-12)
+    with pytest.raises(ValueError, match=r"bearings.disc_position is given, but follows it"):
+        refuse_variable(made.design, "contact.face_width", {"bearings.disc_position"})
+
+
 def test_a_given_number_stands():
     made = asked("stiffness.turning_arm_bearing = '5e8 N/m'\n" + CONTACT)
     wider = made.design_with({"contact.face_width": 30 * mm})

@@ -56,6 +56,7 @@ LAWS = tuple(
 """Ordered: a number that follows comes before the numbers that follow it."""
 
 GEARS = LAWS[0]  # kinematics: gears that do not obey it do not mesh
+AXIAL = next(law for law in LAWS if "bearings.disc_position" in law.numbers)  # discs of another width have other places
 
 
 def number_at(design: object, path: str) -> PyTree:
@@ -157,7 +158,8 @@ def outside(before: Design, after: Design, laws: Collection[Law]) -> list[str]:
             continue
         ratio = float(number_at(after, path) / was)
         for law in (law for law in laws if path in law.follows and not law.interval[0] <= ratio <= law.interval[1]):
-            found.append(f"{path}: {ratio:.3g} times that of the study; {law.name} follow it up to {law.interval[1]:g}")
+            most = f"from {law.interval[0]:g} to {law.interval[1]:g} times (assumed)"
+            found.append(f"{path}: {ratio:.3g} times that of the study; {law.name} follow it {most}")
     return found
 
 
@@ -191,6 +193,7 @@ def refuse_variable(design: Design, path: str, given: Collection[str]) -> None:
         raise ValueError(f"variable.{path}: is one number; leave [{element}] out")
     followers = [*(GEARS.numbers if plain in GEARS.follows else ()), *(BASE_RADII if plain == ANGLE else ())]
     followers += ["cycloid.shortening"] if plain in PROFILE else []
+    followers += AXIAL.numbers if plain in AXIAL.follows else ()
     if held := [name for name in followers if name in given]:
         raise ValueError(f"variable.{path}: design.{held[0]} is given, but follows it; leave it out of [design]")
 

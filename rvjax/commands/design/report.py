@@ -230,13 +230,16 @@ def _laws(study: Study, found: Designed) -> Iterator[Table | Note]:
     if not found.laws:
         yield Note("No number of the design follows the variables.")
         return
-    columns: list[Column] = [Text("follows"), Text("as"), Text("factor here"), Text("source", wraps=True)]
+    columns: list[Column] = [
+        Text("follows"), Text("as"), Text("factor here"), Text("interval (assumed)"), Text("source", wraps=True),
+    ]  # fmt: skip
     rows = []
     for law, numbers in found.laws:
         powers = " ".join(f"{path}^{power:.3g}" if power != 1 else path for path, power in law.follows.items())
         before, after = (number_at(design, numbers[0]) for design in (study.design, found.joint.design))
         ratio = float(jnp.ravel(jnp.asarray(after))[0] / jnp.ravel(jnp.asarray(before))[0])
-        rows.append([", ".join(numbers), powers, f"{ratio:.4g}", law.source])
+        interval = f"{law.interval[0]:g} to {law.interval[1]:g} times"
+        rows.append([", ".join(numbers), powers, f"{ratio:.4g}", interval, law.source])
     yield Table("scaling", columns, rows)
     if found.unscaled is not None:
         cost, joint = found.unscaled.found.cost, found.joint.found.cost
