@@ -80,7 +80,10 @@ def allocated(costs, limits, target, sizes=None, **options):
     return allocate(chains, parts, required, costs=costs, certificate_samples=UNITS, **options)
 
 
-@pytest.mark.parametrize("seed", range(12))
+LATER = [pytest.param(seed, marks=pytest.mark.long) for seed in range(6, 12)]  # random problems of the same kind
+
+
+@pytest.mark.parametrize("seed", [*range(6), *LATER])
 def test_active_bounds(seed):
     costs, limits, target = problem(seed)
     found = allocated(costs, limits, target)
