@@ -2,17 +2,21 @@
 
 A program is found by its function, the structure and types of its arguments, the source of rvjax, the versions of
 JAX and the settings of JAX. A file that does not load is traced and written again.
+
+The numbers of a response, about a hundred Python floats, reach the program as one array. One by one they cost up to a
+third of a call of 128 units of the loaded reducer, because JAX places each of them on each device.
 """
 
 import contextlib
 import dataclasses
 import functools
 import hashlib
+import math
 import pickle
 import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.export
@@ -26,12 +30,21 @@ from rvjax.records import Array, PyTree, Scalar
 SETTINGS = ("jax_enable_x64", "jax_default_matmul_precision", "jax_debug_nans", "jax_numpy_dtype_promotion")
 R = TypeVar("R")
 SUFFIX = ".traced"
+_FEW = 64  # numbers of a leaf that travels with others
+
+
+class Kept(NamedTuple):
+    """A traced program."""
+
+    call: Callable[..., list[Array]]  # of the arrays that `given` returns
+    given: Callable[[list[Scalar]], list[Array | np.ndarray]]  # of the leaves of the arguments
+    put_together: Callable[[list[Array]], Any]  # of the results
 
 
 def exported(
     folder: Path, function: Callable[..., R], static: Mapping[str, object], arguments: tuple[PyTree, ...]
-) -> tuple[Callable[..., list[Array]], Callable[[list[Array]], R]] | None:
-    """The function of flat arrays that a traced program computes, and what puts its results together again.
+) -> Kept | None:
+    """The traced program of a function.
 
     Args:
         folder: of kept programs.
@@ -46,35 +59,80 @@ def exported(
     types = [jax.typeof(leaf) for leaf in leaves]
     if any(jnp.issubdtype(t.dtype, jax.dtypes.extended) for t in types):
         return None
+    packed = _packed(leaves, types)
+    rest = tuple(i for i in range(len(leaves)) if i not in packed)
     try:
-        key = _spelled((function.__module__, function.__qualname__, sorted(static.items()), tree, types, _setting()))
+        key = _spelled(
+            (function.__module__, function.__qualname__, sorted(static.items()), tree, types, packed, _setting())
+        )
     except _Unnamed:
         return None
     path = folder / f"{function.__name__}-{hashlib.sha256(key.encode()).hexdigest()[:32]}{SUFFIX}"
+    given = functools.partial(_given, packed, rest)
     try:
         shape, blob = pickle.loads(path.read_bytes())
         _linear_algebra()
-        return jax.export.deserialize(blob).call, functools.partial(_put_together, shape)
+        return Kept(jax.export.deserialize(blob).call, given, functools.partial(_put_together, shape))
     except FileNotFoundError:
         pass
     except Exception:  # a file with any defect is written again
         path.unlink(missing_ok=True)
 
-    def flat(*leaves: Array) -> list[Array]:
-        found, shape = jax.tree.flatten(function(*jax.tree.unflatten(tree, leaves), **static))
+    def flat(*arrays: Array) -> list[Array]:
+        found, shape = jax.tree.flatten(function(*jax.tree.unflatten(tree, _unpacked(packed, types, arrays)), **static))
         flat.tree = shape  # type: ignore[attr-defined]
         return found
 
-    given = [
+    shapes = [
         jax.ShapeDtypeStruct(t.shape, t.dtype, weak_type=t.weak_type, sharding=_spread(leaf))
-        for t, leaf in zip(types, leaves)
+        for t, leaf in ((types[i], leaves[i]) for i in rest)
     ]
-    program = jax.export.export(jax.jit(flat))(*given)
+    if packed:
+        count = sum(math.prod(types[i].shape) for i in packed)
+        shapes.insert(0, jax.ShapeDtypeStruct((count,), jnp.result_type(float)))
+    program = jax.export.export(jax.jit(flat))(*shapes)
     results: Any = flat.tree  # type: ignore[attr-defined]
     shape = jax.tree.unflatten(results, range(results.num_leaves))
     with contextlib.suppress(OSError):  # a full disk: traced again next time
         write_atomically(path, pickle.dumps((shape, program.serialize())))
-    return program.call, functools.partial(_put_together, shape)
+    return Kept(program.call, given, functools.partial(_put_together, shape))
+
+
+def _packed(leaves: list[Scalar], types: list[jax.core.ShapedArray]) -> tuple[int, ...]:
+    """Leaves that travel in one array: few numbers each, not on a device, all of the default precision."""
+    default = jnp.result_type(float)
+    inexact = [t.dtype for t in types if jnp.issubdtype(t.dtype, jnp.inexact)]
+    if any(dtype != default for dtype in inexact):  # a Python number takes the precision of an array that it meets
+        return ()
+    return tuple(
+        i
+        for i, (leaf, t) in enumerate(zip(leaves, types))
+        if not isinstance(leaf, jax.Array) and t.dtype == default and math.prod(t.shape) <= _FEW
+    )
+
+
+def _given(packed: tuple[int, ...], rest: tuple[int, ...], leaves: list[Scalar]) -> list[Array | np.ndarray]:
+    """Arrays of a call: the packed leaves, then the others; a kept program has no weak types."""
+    others = [
+        leaf if isinstance(leaf, jax.Array) else np.asarray(leaf, jax.typeof(leaf).dtype)
+        for leaf in (leaves[i] for i in rest)
+    ]
+    numbers = [np.ravel(leaves[i]) for i in packed]
+    return [np.concatenate(numbers).astype(jnp.result_type(float)), *others] if numbers else others
+
+
+def _unpacked(packed: tuple[int, ...], types: list[jax.core.ShapedArray], arrays: tuple[Array, ...]) -> list[Array]:
+    """The leaves again."""
+    others = iter(arrays[1:] if packed else arrays)
+    found, start = [], 0
+    for i, t in enumerate(types):
+        if i not in packed:
+            found.append(next(others))
+            continue
+        count = math.prod(t.shape)
+        found.append(jax.lax.slice_in_dim(arrays[0], start, start + count).reshape(t.shape))
+        start += count
+    return found
 
 
 @functools.cache
@@ -122,11 +180,6 @@ def _spelled(value: PyTree) -> str:
     if " at 0x" in (text := repr(value)):
         raise _Unnamed
     return text
-
-
-def plain(leaves: list[Scalar]) -> list[Array | np.ndarray]:
-    """Python numbers as arrays: a kept program has no weak types."""
-    return [leaf if isinstance(leaf, jax.Array) else np.asarray(leaf, jax.typeof(leaf).dtype) for leaf in leaves]
 
 
 def _put_together(shape: object, leaves: list[Array]) -> PyTree:

@@ -88,19 +88,18 @@ class Compiled(Generic[R]):
 
     def _kept(self, folder: Path, options: Options, arguments: PyTree, static: dict[str, object]) -> R:
         """The function's value, by a program that this or an earlier process has traced."""
-        from rvjax.exported import exported, plain
+        from rvjax.exported import exported
 
         leaves, tree = jax.tree.flatten(arguments)
         types = tuple((jax.typeof(leaf), getattr(leaf, "sharding", None)) for leaf in leaves)
         key = (folder, options, tree, types, tuple(sorted(static.items())))
         if key not in self._flat:
             found = exported(folder, self.__wrapped__, static, arguments)  # type: ignore[attr-defined]
-            self._flat[key] = found and (jax.jit(found[0], compiler_options=understood(options)), found[1])
-        program = self._flat[key]
-        if program is None:
+            self._flat[key] = found and found._replace(call=jax.jit(found.call, compiler_options=understood(options)))
+        kept = self._flat[key]
+        if kept is None:
             return self._shared(options)(*arguments, **static)
-        call, put_together = program
-        return put_together(call(*plain(leaves)))
+        return kept.put_together(kept.call(*kept.given(leaves)))
 
     def lowered(self, response: Function, *arguments: PyTree, **static: object) -> str:
         """Text of the program."""
