@@ -109,11 +109,23 @@ class Followed:
                 return _whole(known.values, known.status)
         return self.all_at(population)
 
-    def first_at(self, population: Population, count: int) -> dict[str, np.ndarray]:
-        """Values (count,) by name of the first units."""
-        units = np.arange(min(count, self.samples))
+    def some_at(self, population: Population, units: np.ndarray) -> dict[str, np.ndarray]:
+        """Values by name of some units."""
         found = [self.solve(number, population, units)[0] for number in range(len(self.parts))]
         return {name: row for rows in found for name, row in rows.items()}
+
+    def of_few(
+        self, population: Population, count: int, decided: Callable[[dict[str, np.ndarray]], bool]
+    ) -> dict[str, np.ndarray] | None:
+        """Values of the first `count` units, or of twice as many and so on, that decide; None if half of all do not."""
+        values: dict[str, np.ndarray] = {name: np.empty(0) for name in self.names}
+        while count <= self.samples // 2:
+            more = self.some_at(population, np.arange(len(values[self.names[0]]), count))
+            values = {name: np.append(row, more[name]) for name, row in values.items()}
+            if decided(values):
+                return values
+            count *= 2
+        return None
 
     def solve(self, number: int, population: Population, units: np.ndarray) -> tuple[dict[str, np.ndarray], np.ndarray]:
         """Values by name and status of some units of one part."""

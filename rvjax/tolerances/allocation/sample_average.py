@@ -13,6 +13,7 @@ from typing import Any, Self
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy import special
 
 from rvjax.population import Population, Tolerance, drawn, root_key
 from rvjax.response import BLOCK, LANES, Response, elements_and_rates, gradients, respond, response_names
@@ -31,7 +32,8 @@ _FEWEST_LANES, _LANES_PART, _LANES_OF_A_FIELD = 256, 32, 16
 _MEASURED = 256  # costly units behind the way of a nominal unit to its limit
 _NEARBY = 0.1  # logarithm of a half-width, within which costly units keep their slopes
 IDLE = 0.4  # part of the way to a limit, beyond which no costly unit is solved on its account
-_SEEN, _CLEARLY = 6, 4  # few units: beyond a limit at the target, and so many times more where it is clearly missed
+_SEEN = 6  # units beyond a limit at the target, among the first few that are solved; their number doubles
+_BY_CHANCE = 2.5e-3  # probability of what few units show, above which they decide nothing
 _REMEMBERED = 8  # sets of half-widths whose values are kept, because they are often evaluated again
 
 
@@ -116,27 +118,14 @@ class Training:
         nothing = np.zeros(len(self.fields))
         if self.followed is None:
             return self.values(nothing)
-        found = self.followed.first_at(self.with_half_widths(nothing), _MEASURED)
+        found = self.followed.some_at(self.with_half_widths(nothing), np.arange(min(_MEASURED, self.samples)))
         self.evaluated[0] += _MEASURED
-        return np.stack([found[name] for name in self.requirements])
+        return self._rows(found)
 
     def aimed(self, requirements: dict[str, Limits]) -> Self:
         """The same units for other targets of the same limits."""
         other = copy.copy(self)
         other.requirements, other._seen, other._slopes = requirements, {}, {}
-        return other
-
-    def with_tolerances(self, changed: dict[str, Tolerance]) -> Self:
-        """The same units where some fields have other tolerances, with margins measured as here."""
-        other = copy.copy(self)
-        other.population, other._made, other._seen = self.population.with_tolerances(changed), {}, {}
-        other._slopes = {}
-        return other
-
-    def measured(self) -> Self:
-        """The same with margins measured from its own nominal response."""
-        other = copy.copy(self)
-        other._measure()
         return other
 
     def with_half_widths(self, half_widths: np.ndarray) -> Population:
@@ -157,15 +146,23 @@ class Training:
     def margins_of_few(self, half_widths: np.ndarray) -> np.ndarray | None:
         """Margins (c,) of the first of the costly units, where these show which requirements are met; else None."""
         allowed = np.array([1 - getattr(r, "target", 1.0) for r in self.requirements.values()])
-        count = math.ceil(_SEEN / max(allowed.min(), 1e-9))
-        if self.followed is None or self.joint_target is not None or count > self.samples // 2:
+        if self.followed is None or self.joint_target is not None or not allowed.all():
             return None
-        found = self.followed.first_at(self.with_half_widths(half_widths), count)
-        self.evaluated[0] += count
-        values = np.stack([found[name] for name in self.requirements])
-        beyond = (self._unit_margins(values) > 0).sum(axis=1)
-        met, missed = beyond == 0, beyond >= _CLEARLY * allowed * count
-        return self._corrected(self._margins(values, {})) if met.all() or missed.any() else None
+
+        def decided(values: dict[str, np.ndarray]) -> bool:
+            margins = self._unit_margins(self._rows(values))
+            beyond, count = (margins > 0).sum(axis=1), margins.shape[1]
+            met = special.bdtr(beyond, count, allowed) <= _BY_CHANCE
+            missed = special.bdtrc(beyond - 1, count, allowed) <= _BY_CHANCE
+            return bool(met.all() or missed.any())
+
+        before, count = self.followed.solved, math.ceil(_SEEN / allowed.min())
+        found = self.followed.of_few(self.with_half_widths(half_widths), count, decided)
+        self.evaluated[0] += self.followed.solved - before
+        return None if found is None else self._corrected(self._margins(self._rows(found), {}))
+
+    def _rows(self, values: dict[str, np.ndarray]) -> np.ndarray:
+        return np.stack([values[name] for name in self.requirements])
 
     def point(self, half_widths: np.ndarray) -> Point:
         """Margins and slopes."""
@@ -219,7 +216,7 @@ class Training:
             before = self.followed.solved
             by_name, _ = self.followed.at(population, self._aims)
             self.evaluated[0] += self.followed.solved - before
-            return self._remembered(asked, np.stack([by_name[name] for name in self.requirements]))
+            return self._remembered(asked, self._rows(by_name))
         self.evaluated[0] += self.samples
         for k, z in enumerate(self.blocks):
             values, status = self._block(population, k, z)
@@ -235,7 +232,7 @@ class Training:
 
     def _aims(self, values: dict[str, np.ndarray]) -> dict[str, list[float]]:
         """Values at the required quantiles, where a limit is not far beyond."""
-        rows = np.stack([values[name] for name in self.requirements])
+        rows = self._rows(values)
         joint = None if self.joint_target is None else float(np.quantile(self._joint(rows)[0], self.joint_target))
         found = {}
         for (name, item), row, scale, distance in zip(self.requirements.items(), rows, self.scales, self.distance):
