@@ -33,7 +33,7 @@ _MEASURED = 256  # costly units behind the way of a nominal unit to its limit
 _NEARBY = 0.1  # logarithm of a half-width, within which costly units keep their slopes
 IDLE = 0.4  # part of the way to a limit, beyond which no costly unit is solved on its account
 _SEEN = 6  # units beyond a limit at the target, among the first few that are solved; their number doubles
-_BY_CHANCE = 2.5e-3  # probability of what few units show, above which they decide nothing
+_MET, _MISSED = 0.02, 2.5e-3  # probability of what few units show at the target, above which they decide nothing
 _REMEMBERED = 8  # sets of half-widths whose values are kept, because they are often evaluated again
 
 
@@ -152,8 +152,8 @@ class Training:
         def decided(values: dict[str, np.ndarray]) -> bool:
             margins = self._unit_margins(self._rows(values))
             beyond, count = (margins > 0).sum(axis=1), margins.shape[1]
-            met = special.bdtr(beyond, count, allowed) <= _BY_CHANCE
-            missed = special.bdtrc(beyond - 1, count, allowed) <= _BY_CHANCE
+            met = special.bdtr(beyond, count, allowed) <= _MET
+            missed = special.bdtrc(beyond - 1, count, allowed) <= _MISSED
             return bool(met.all() or missed.any())
 
         before, count = self.followed.solved, math.ceil(_SEEN / allowed.min())
