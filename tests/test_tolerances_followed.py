@@ -108,7 +108,7 @@ def test_known_units_are_not_solved_again():
 
 
 @pytest.mark.parametrize(
-    ("factor", "known", "solved"), [(0.1, True, 300), (0.7, True, 1200), (0.785, False, 1200), (3.0, True, 300)]
+    ("factor", "known", "solved"), [(0.1, True, 300), (0.7, True, 600), (0.785, False, 1200), (3.0, True, 300)]
 )
 def test_few_units_tell_where_tolerances_stand_that_are_far_from_their_limit(factor, known, solved):
     """All units say the same, where the few say anything; next to the limit they say nothing."""

@@ -11,6 +11,7 @@ from rvjax.response.gradients import (
 from rvjax.response.parts import (
     AT_ONCE as AT_ONCE,
     Part as Part,
+    begin_programs as begin_programs,
     evaluator as evaluator,
     parts as parts,
     status_without_errors as status_without_errors,

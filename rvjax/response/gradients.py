@@ -88,6 +88,17 @@ def gradients(
     return np.concatenate(values, axis=1), np.concatenate(slopes, axis=1)
 
 
+def begin_gradients(response: Response, population: Population) -> None:
+    """Begin the program of the gradients, see `Compiled.begin`."""
+    names, mesh, dtype = response_names(response, population), mesh_of(LANES), jnp.result_type(float)
+    count = sum(math.prod(t.shape) for t in population.active.values())
+    arrays = [jnp.zeros((rows, LANES), dtype) for rows in (count, len(names))]
+    if mesh is None:
+        pulled.begin(response, population, *arrays, names=names)
+    else:
+        _pulled_on.begin(response, population, *(on(mesh, rows) for rows in arrays), names=names, mesh=mesh)
+
+
 def nominal_status(response: Response, population: Population) -> int:
     """Status of the unit without errors, by the program of the gradients."""
     names, count = response_names(response, population), sum(math.prod(t.shape) for t in population.active.values())

@@ -11,7 +11,7 @@ import numpy as np
 from rvjax.population import Population
 from rvjax.records import PyTree
 from rvjax.response.devices import UNITS, Evaluator, mesh_of, on, shared_out
-from rvjax.response.gradients import elements
+from rvjax.response.gradients import begin_gradients, elements
 from rvjax.response.response import Response, Values, evaluate, per_response, response_names
 from rvjax.status import succeeded, worst
 
@@ -45,11 +45,17 @@ class Part:
         rows = [np.stack([np.asarray(values[f"{name}[{k}]"]) for k in range(length)]) for values, _ in found]
         return np.concatenate(rows, axis=1)[:, :count].T
 
+    def begin(self, population: Population) -> None:
+        """Begin the program, see `Compiled.begin`."""
+        nothing = _nothing(population)
+        if self._mesh is None:
+            _solved.begin(self.response, population, nothing)
+        else:
+            _solved_on.begin(self.response, population, on(self._mesh, nothing), mesh=self._mesh)
+
     def nominal_status(self, population: Population) -> int:
         """Status of the unit without errors, by the program of all the others."""
-        count = sum(prod(t.shape) for t in population.active.values())
-        nothing = jnp.zeros((count, AT_ONCE), jnp.result_type(float))
-        return int(self._of(population, 1, lambda lanes: nothing)[1][0])
+        return int(self._of(population, 1, lambda lanes: _nothing(population))[1][0])
 
     def _of(self, population: Population, count: int, errors: PyTree) -> tuple[np.ndarray, np.ndarray]:
         running = self._run(population, count, errors)
@@ -62,6 +68,11 @@ class Part:
         starts = range(0, count, AT_ONCE)
         lanes = (np.resize(np.arange(start, min(start + AT_ONCE, count)), AT_ONCE) for start in starts)
         return [solved(self.response, population, errors(units), self._mesh) for units in lanes]
+
+
+def _nothing(population: Population) -> jax.Array:
+    """Errors (elements, `AT_ONCE`) of units without errors."""
+    return jnp.zeros((sum(prod(t.shape) for t in population.active.values()), AT_ONCE), jnp.result_type(float))
 
 
 def parts(response: Response, population: Population) -> list[Part]:
@@ -77,6 +88,7 @@ class InParts(Evaluator):
     def __init__(self, response: Response, population: Population, seed: int, method: str, chunk: int) -> None:
         super().__init__(response, population, seed, method, chunk)
         self._parts = parts(response, population)
+        begin_programs(response, population)
 
     def start(self, first: int) -> tuple[Values, jax.Array]:
         """Values and status of the chunk that begins with unit `first`."""
@@ -100,6 +112,21 @@ def evaluator(response: Response, population: Population, seed: int, method: str
     """
     kind = InParts if getattr(response, "costly", False) else Evaluator
     return kind(response, population, seed, method, chunk)
+
+
+def begin_programs(response: Response, population: Population, *, slopes: bool = False) -> None:
+    """Begin the programs of a costly response, see `Compiled.begin`: each is compiled while the next is traced.
+
+    Args:
+        response: in parts.
+        population: of the units.
+        slopes: with those of the gradients.
+    """
+    own = parts(response, population)
+    for part in own:
+        part.begin(population)
+    for part in own if slopes else ():
+        begin_gradients(part.response, population)
 
 
 def status_without_errors(response: Response, population: Population) -> int:

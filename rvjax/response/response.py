@@ -7,8 +7,9 @@ package its values are always a dict; a plain scalar is wrapped in `evaluate` an
 import dataclasses
 import functools
 from collections.abc import Callable, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
-from typing import Any, Generic, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -18,6 +19,9 @@ from rvjax.compile_cache import Options, inside, kept_folder, understood
 from rvjax.population import Given, Population, drawn
 from rvjax.records import Array, PyTree, Record, field, record
 from rvjax.status import Status, succeeded, worst
+
+if TYPE_CHECKING:
+    from rvjax.exported import Kept
 
 BLOCK = 16384
 """Default number of units at once: the same everywhere, so that a response is compiled for it once; temporaries of
@@ -52,8 +56,11 @@ class Compiled(Generic[R]):
     A response that is a record is an argument like the others: its numbers are traced, so that ten thousand
     designs share one program and none of them is kept alive. A plain function is a constant of a program of
     its own; of these the last `PROGRAMS` are kept. `compiler_options` of a response, ((option of XLA, value), ...), are
-    those of its programs, but within another program. The command line keeps the traced programs of records.
+    those of its programs, but within another program. The command line keeps the traced programs of records, and
+    `begin` compiles them beside the thread that traces the next ones.
     """
+
+    _beside = ThreadPoolExecutor(1, "compile")  # one: XLA compiles a large program on several cores itself
 
     def __init__(self, function: Callable[..., R], static: tuple[str, ...] = (), options: Options = ()) -> None:
         functools.update_wrapper(self, function)
@@ -67,6 +74,7 @@ class Compiled(Generic[R]):
             return jax.jit(whole, static_argnames=static, compiler_options=understood(options))
 
         self._flat: dict[Any, Any] = {}
+        self._begun: dict[Any, Future[Any]] = {}
         self._shared, self._own = functools.lru_cache(PROGRAMS)(shared), functools.lru_cache(PROGRAMS)(own)
 
     def _program(self, response: Function, options: Options = ()) -> tuple[jax.stages.Wrapped, tuple[Record, ...]]:
@@ -86,8 +94,36 @@ class Compiled(Generic[R]):
         jitted, first = self._program(response, options)
         return jitted(*first, *arguments, **static)
 
+    def begin(self, response: Function, *arguments: PyTree, **static: object) -> None:
+        """Trace the program of such arguments and compile it while the caller goes on; later calls wait for it.
+
+        Only where the command line keeps programs. An error is raised by the call that waits.
+
+        Args:
+            response: as in the call.
+            arguments: likewise; their values do not count, and the program computes them once.
+            static: likewise.
+        """
+        options = (*getattr(response, "compiler_options", ()), *self._options)
+        if not isinstance(response, Record) or (folder := kept_folder()) is None:
+            return
+        key, kept, leaves = self._traced(folder, options, (response, *arguments), static)
+        if kept is not None and key not in self._begun:
+            self._begun[key] = self._beside.submit(lambda: jax.block_until_ready(kept.call(*kept.given(leaves))))
+
     def _kept(self, folder: Path, options: Options, arguments: PyTree, static: dict[str, object]) -> R:
         """The function's value, by a program that this or an earlier process has traced."""
+        key, kept, leaves = self._traced(folder, options, arguments, static)
+        if kept is None:
+            return self._shared(options)(*arguments, **static)
+        if key in self._begun:
+            self._begun.pop(key).result()
+        return kept.put_together(kept.call(*kept.given(leaves)))
+
+    def _traced(
+        self, folder: Path, options: Options, arguments: PyTree, static: dict[str, object]
+    ) -> "tuple[object, Kept | None, list[Any]]":
+        """Key of a program, the program, or None where none can be kept, and its leaves."""
         from rvjax.exported import exported
 
         leaves, tree = jax.tree.flatten(arguments)
@@ -96,10 +132,7 @@ class Compiled(Generic[R]):
         if key not in self._flat:
             found = exported(folder, self.__wrapped__, static, arguments)  # type: ignore[attr-defined]
             self._flat[key] = found and found._replace(call=jax.jit(found.call, compiler_options=understood(options)))
-        kept = self._flat[key]
-        if kept is None:
-            return self._shared(options)(*arguments, **static)
-        return kept.put_together(kept.call(*kept.given(leaves)))
+        return key, self._flat[key], leaves
 
     def lowered(self, response: Function, *arguments: PyTree, **static: object) -> str:
         """Text of the program."""

@@ -14,6 +14,7 @@ from rvjax.records import Design, PyTree, Record, field, record, text
 from rvjax.response import (  # chunks of the certificate's size: the response compiles once
     BLOCK,
     Response,
+    begin_programs,
     nominal_status,
     per_response,
     response_names,
@@ -117,6 +118,8 @@ def answer(study: Study, *, progress: bool = False, memo: Memo | None = None, me
     response = study.response()
     begin(SEARCHING)
     with progress_bar(progress, None, "checked", "unit") as advance:  # compiles the gradients: the longest wait
+        if response.costly:
+            begin_programs(response, Population.of(study.tolerances), slopes=True)
         status_of = status_without_errors if response.costly else nominal_status
         refuse(status_of(response, Population.of(study.tolerances)))
         advance(1)
