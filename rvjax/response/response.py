@@ -60,7 +60,7 @@ class Compiled(Generic[R]):
     `begin` compiles them beside the thread that traces the next ones.
     """
 
-    _beside = ThreadPoolExecutor(1, "compile")  # one: XLA compiles a large program on several cores itself
+    _beside = ThreadPoolExecutor(2, "compile")  # as many as two cores can use beside the tracing
 
     def __init__(self, function: Callable[..., R], static: tuple[str, ...] = (), options: Options = ()) -> None:
         functools.update_wrapper(self, function)

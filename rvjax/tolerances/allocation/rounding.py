@@ -138,9 +138,11 @@ class Snapping:
         if free:
             held = np.array([j in places for j in range(len(t))])
             search.low, search.high = np.where(held, t, search.low), np.where(held, t, search.high)
-            if not self.promising(search.low, beyond):
+            point = search.look(t)
+            finest = predicted(point, self.training.distance, self.training.powers, search.low[None])
+            if not (finest <= 1 + beyond).all():
                 return t, None
-            point, _ = search.run(search.look(t))
+            point, _ = search.run(point)
             t = point.half_widths
         drawn: Statistics | None = None
         for _ in range(_DRAWS if free else 1):
