@@ -57,10 +57,10 @@ class Compiled(Generic[R]):
     designs share one program and none of them is kept alive. A plain function is a constant of a program of
     its own; of these the last `PROGRAMS` are kept. `compiler_options` of a response, ((option of XLA, value), ...), are
     those of its programs, but within another program. The command line keeps the traced programs of records, and
-    `begin` compiles them beside the thread that traces the next ones.
+    `begin` compiles them in other threads while the next ones are traced.
     """
 
-    _beside = ThreadPoolExecutor(2, "compile")  # as many as two cores can use beside the tracing
+    _threads = ThreadPoolExecutor(2, "compile")  # 88.8 -> 83.5 s of the loaded study with one more
 
     def __init__(self, function: Callable[..., R], static: tuple[str, ...] = (), options: Options = ()) -> None:
         functools.update_wrapper(self, function)
@@ -109,7 +109,7 @@ class Compiled(Generic[R]):
             return
         key, kept, leaves = self._traced(folder, options, (response, *arguments), static)
         if kept is not None and key not in self._begun:
-            self._begun[key] = self._beside.submit(lambda: jax.block_until_ready(kept.call(*kept.given(leaves))))
+            self._begun[key] = self._threads.submit(lambda: jax.block_until_ready(kept.call(*kept.given(leaves))))
 
     def _kept(self, folder: Path, options: Options, arguments: PyTree, static: dict[str, object]) -> R:
         """The function's value, by a program that this or an earlier process has traced."""
