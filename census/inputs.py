@@ -1,7 +1,8 @@
 """Mutated studies and CSV files through every command: `python -m census.inputs [--studies 300] [--files 200]`.
 
-Each input is a sound file with one to three changes: values that no part can have, wrong units and types, lines and
-keys that are missing, twice or misspelt, cut files, bytes that are no text. A command must end within a minute with
+Each input is a sound file with one to three changes. In two of three they are gentle: numbers up to a factor of two
+away, other units and allowed words, tables that are left out. The others are values that no part can have, wrong types,
+lines that are missing, twice or misspelt, cut files, bytes that are no text. A command must end within a minute with
 exit code 0, 1 or 2. With code 2 standard error is one line. A traceback is never allowed.
 """
 
@@ -23,6 +24,7 @@ from types import FrameType
 import numpy as np
 
 LIMIT = 60  # s of the processor
+GENTLE = 2 / 3  # of the inputs
 
 STUDY = """[design]
 base = "rv-40e"
@@ -53,7 +55,11 @@ upper = "4 um"
 lower = "-60 arcmin"
 upper = "60 arcmin"
 target = 0.99
+[requirement.transmission_error]
+upper = "200 arcsec"
+target = 0.9
 [assembly]
+response = "lost_motion"
 draws = 2
 [identify]
 model = "four_bar"
@@ -65,11 +71,18 @@ seed = 0
 samples = 256
 certificate_samples = 1024
 """
+DESIGN = (
+    STUDY
+    + """[variable."cycloid.equidistant_modification"]
+lower = "-60 um"
+upper = "-5 um"
+"""
+)
 CURVE = "angle [deg],error [arcsec]\n" + "".join(f"{k},{10 * (k % 9)}\n" for k in range(360))
 BENCH = "angle [deg],error [arcsec],torque [N m],direction\n" + "".join(
     f"{k},{50 + 30 * (-1) ** k},{torque},{word}\n"
     for torque, word in ((412, "forward"), (-412, "backward"))
-    for k in range(0, 360, 2)
+    for k in range(360)
 )
 PARTS = "kind,id,disc_runout [um],pin_radius [um]\n" + "".join(
     f"flanks,f{k},{3 * k},\npins,p{k},,{k / 2 - 1}\n" for k in range(4)
@@ -78,6 +91,7 @@ OF_STUDY = {
     "check": [],
     "montecarlo": ["--samples", "200"],
     "allocate": [],
+    "design": [],
     "report": ["--output", "page.html"],
     "budget": ["--samples", "16", "--torque", "10 N m"],
     "identify": ["--check"],
@@ -93,32 +107,100 @@ VALUES = (
     "1979-05-27", '"\\u0000"', '"\\u001b[31m"', "1_000", "0x10", '"ä um"', '"3,5 um"', '"1e3000 um"',
 )  # fmt: skip
 CELLS = (
-    "nan",
-    "inf",
-    "-1",
-    "1e308",
-    "1e-400",
-    "",
-    "x",
-    "0",
-    "1,5",
-    '"',
-    "ä",
-    "\0",
-    "1e30",
-    "0x1",
-    " 3 ",
-    "-0.0",
-    "TRUE",
-)
+    "nan", "inf", "-1", "1e308", "1e-400", "", "x", "0", "1,5", '"', "ä", "\0", "1e30", "0x1", " 3 ", "-0.0", "TRUE",
+)  # fmt: skip
+WORDS = {
+    "grade": [f'"IT{n}"' for n in range(3, 12)],
+    "base": [f'"rv-{size}e"' for size in (20, 40, 80, 320)],
+    "closure": ['"first_order"', '"quadratic"', '"closed_form"', '"newton"'],
+    "orders": ["[40]", "[39, 40]", "[1, 80]", "[80, 40, 120]"],
+    "nuisance": ["[]", '["offset"]', '["mounting"]', '["phase", "offset"]'],
+    "angles": ["1", "2", "3", "16"],
+    "draws": ["1", "3"],
+    "seed": ["1", "12345"],
+}
+UNITS = {"um": ("mm", 1e-3), "mm": ("um", 1e3), "arcmin": ("deg", 1 / 60), "arcsec": ("arcmin", 1 / 60)}
+LINES = (
+    'distribution = "uniform"', 'distribution = "lognormal"', "shift = 0.2", "cp = 1.1", 'output_torque = "100 N m"',
+    'cranks = "free"', 'power = 0.7', 'fixed = 2.0', "joint_target = 0.8", "confidence = 0.9", "grades = true",
+)  # fmt: skip
 
 
 class TooLong(Exception):
     """A command did not end within the limit."""
 
 
+def gently_changed_study(text: str, random: np.random.Generator) -> bytes:
+    """A study file with one to three changes that a user could mean."""
+    lines = text.splitlines()
+    for _ in range(random.integers(1, 4)):
+        k, kind = int(random.integers(len(lines))), int(random.integers(10))
+        key, equals, value = lines[k].partition(" = ")
+        if kind <= 6 and key in WORDS:
+            lines[k] = f"{key} = {random.choice(WORDS[key])}"
+        elif kind <= 4 and equals:
+            lines[k] = f"{key} = {scaled(value, float(random.uniform(0.5, 2.0)))}"
+        elif kind == 5 and equals:
+            lines[k] = f"{key} = {in_other_unit(value)}"
+        elif kind == 7 and equals:
+            del lines[k]
+        elif kind == 8:
+            lines.insert(k + 1, str(random.choice(LINES)))
+        elif kind == 9:
+            lines = without_table(lines, k)
+    return ("\n".join(lines) + "\n").encode()
+
+
+def scaled(value: str, factor: float) -> str:
+    """A text with its first number times a factor; whole numbers stay whole."""
+    whole = re.fullmatch(r"\d+", value)
+    return re.sub(
+        r"(?<![\w.])-?\d+(\.\d+)?",
+        lambda m: f"{round(float(m[0]) * factor) if whole else float(m[0]) * factor:g}",
+        value,
+        count=1,
+    )
+
+
+def in_other_unit(value: str) -> str:
+    """A quantity in another unit, as large as before."""
+    found = re.fullmatch(r'"(-?[\d.]+) (\w+)"', value)
+    if found is None or found[2] not in UNITS:
+        return value
+    unit, factor = UNITS[found[2]]
+    return f'"{float(found[1]) * factor:.9g} {unit}"'
+
+
+def without_table(lines: list[str], k: int) -> list[str]:
+    """The lines without the table around line k."""
+    heads = [i for i, line in enumerate(lines) if line.startswith("[")]
+    first = max((i for i in heads if i <= k), default=0)
+    return lines[:first] + lines[min((i for i in heads if i > k), default=len(lines)) :]
+
+
+def gently_changed_file(text: str, random: np.random.Generator) -> bytes:
+    """A CSV file with one to three changes as a bench could make them."""
+    header, *rows = text.splitlines()
+    for _ in range(random.integers(1, 4)):
+        k, kind = int(random.integers(len(rows))), int(random.integers(7))
+        if kind <= 2:
+            first, *cells = rows[k].split(",")
+            rows[k] = ",".join([first, *(scaled(cell, float(random.uniform(0.5, 2.0))) for cell in cells)])
+        elif kind == 3:
+            rows = rows[::-1]
+        elif kind == 4:
+            del rows[k]
+        elif kind == 5:
+            header = header.replace("arcsec", "arcmin") if "arcsec" in header else header.replace("um", "mm")
+        else:
+            header, rows = header.replace(",", ";"), [row.replace(",", ";") for row in rows]
+    return ("\n".join([header, *rows]) + "\n").encode()
+
+
 def mutated_study(text: str, random: np.random.Generator) -> bytes:
     """A study file with one to three changes."""
+    if random.random() < GENTLE:
+        return gently_changed_study(text, random)
     lines = text.splitlines()
     for _ in range(random.integers(1, 4)):
         k, kind = int(random.integers(len(lines))), int(random.integers(10))
@@ -145,6 +227,8 @@ def mutated_study(text: str, random: np.random.Generator) -> bytes:
 
 def mutated_file(text: str, random: np.random.Generator) -> bytes:
     """A CSV file with one to three changes."""
+    if random.random() < GENTLE:
+        return gently_changed_file(text, random)
     rows = [line.split(",") for line in text.splitlines()]
     for _ in range(random.integers(1, 4)):
         k, kind = int(random.integers(len(rows))), int(random.integers(9))
@@ -215,7 +299,8 @@ def cases(studies: int, files: int, seed: int) -> Iterator[tuple[str, dict[str, 
     for k in range(studies):
         command = list(OF_STUDY)[k % len(OF_STUDY)]
         arguments = [*BEFORE.get(command, []), "study.toml", *OF_STUDY[command]]
-        yield command, sound | {"study.toml": mutated_study(STUDY, random)}, arguments
+        text = DESIGN if command == "design" else STUDY
+        yield command, sound | {"study.toml": mutated_study(text, random)}, arguments
     for k in range(files):
         command = list(OF_FILE)[k % len(OF_FILE)]
         name, text = OF_FILE[command]

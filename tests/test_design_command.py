@@ -8,6 +8,7 @@ import pytest
 
 from rvjax import cli, study
 from rvjax.commands.design.geometry_first import geometry_first
+from rvjax.commands.design.report import saved_part
 from rvjax.tolerances import allocate
 from rvjax.units import mm, um
 
@@ -184,6 +185,10 @@ def test_two_steps_never_beat_the_joint_optimum(designed):
     assert joint["cost"] == pytest.approx(joint["tolerance_cost"] + joint["priced_outputs"])
     assert joint["priced_outputs"] == pytest.approx(2 * joint["outputs_without_errors"]["mass"])
     assert set(result["fixed_in_the_first_step"]) == {"cycloid.eccentricity", "cycloid.pin_circle_radius"}
+
+
+def test_a_study_without_prices_saves_no_part():
+    assert saved_part(0.0, 0.0) == "-" and saved_part(3.0, 4.0) == "25.0 %"
 
 
 def test_without_scaling_laws_the_mass_does_not_follow(designed):

@@ -164,18 +164,18 @@ def test_a_hinge_pin_enters_both_leaves():
 def test_many_fields_of_unlike_cost():
     """The least cost for the share that the found half-widths really have: what the certificate keeps is no loss.
 
-    A slope of the sample errs by about sqrt(fields/units nearby)/3 = 8 %, a half-width by a third of it, and a cost by
-    1.5 squares of that: 0.1 %, and twice as much with units above the quantile only.
+    A slope by the 640 units near the limit errs by sqrt(fields/units)/1.75 = 14 %, a half-width by a third of that, and
+    the cost by 1.5 squares: 0.35 %. The model of the slopes leaves nearly nothing of it.
     """
-    case = many_fields(24)
+    case = many_fields(40)
     found = allocate(
-        case.response, case.tolerances, case.requirements, costs=case.costs, samples=8192, certificate_samples=100_000
+        case.response, case.tolerances, case.requirements, costs=case.costs, samples=4096, certificate_samples=100_000
     )
     t = np.array([float(found.tolerances[name].half_width) for name in case.costs])
-    sd = np.linalg.norm(np.linspace(0.2, 3.0, 24) * t) / 3
+    sd = np.linalg.norm(np.linspace(0.2, 3.0, 40) * t) / 3
     share = 2 * stats.norm.cdf(case.requirements.upper / sd) - 1
     assert found.status == "OPTIMAL" and share > case.requirements.target
-    assert 1.0 <= found.cost / many_fields(24, target=share).optimum < 1.003
+    assert 1.0 <= found.cost / many_fields(40, target=share).optimum < 1.001
 
 
 def test_the_ends_of_a_range_grow_with_the_half_widths():

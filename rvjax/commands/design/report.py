@@ -98,7 +98,7 @@ def headline(study: Study, found: Designed) -> str:
         if steps.feasible:
             lines.append(
                 f"in two steps, geometry first: {steps.cost:.3f} ({steps.status}); together saves "
-                f"{steps.cost - joint.cost:.3f} ({100 * (1 - joint.cost / steps.cost):.1f} %)"
+                f"{steps.cost - joint.cost:.3f} ({saved_part(joint.cost, steps.cost)})"
             )
         else:
             lines.append("in two steps, geometry first: no tolerances meet the requirements")
@@ -109,6 +109,16 @@ def headline(study: Study, found: Designed) -> str:
 
 def _percent(after: float, before: float) -> str:
     return f"{100 * (after / before - 1):+.1f} %" if before else "-"
+
+
+def saved_part(together: float, in_steps: float) -> str:
+    """Part of a cost that the joint search saves, as text; a study without prices has none.
+
+    Args:
+        together: cost of the joint optimum.
+        in_steps: cost of the optimum in two steps.
+    """
+    return f"{100 * (1 - together / in_steps):.1f} %" if in_steps else "-"
 
 
 def _numbers(study: Study, found: Designed) -> Table:
@@ -261,8 +271,8 @@ def _boxes(study: Study, found: Designed) -> list[tuple[str, str, str]]:
     joint = found.joint.found
     boxes = [("cost", f"{joint.cost:.4g}", f"start {joint.start_cost:.4g}")]
     if found.two_step is not None and found.two_step.found.feasible and joint.feasible:
-        saved = 100 * (1 - joint.cost / found.two_step.found.cost)
-        boxes.append(("together saves", f"{saved:.1f} %", f"in two steps {found.two_step.found.cost:.4g}"))
+        steps = found.two_step.found.cost
+        boxes.append(("together saves", saved_part(joint.cost, steps), f"in two steps {steps:.4g}"))
     for path, value in joint.values.items():
         unit = unit_of_number(study, path)
         before = shown(number_at(study.design, path), unit)

@@ -19,6 +19,8 @@ from rvjax.population import Population, drawn, root_key
 from rvjax.response import AT_ONCE, BLOCK, Response, parts
 from rvjax.status import succeeded, worst
 from rvjax.tolerances.batch.memo import Memo
+from rvjax.tolerances.requirements.kinds import Requirement
+from rvjax.tolerances.requirements.limits import Limits
 
 WRONG = 0.1  # units expected on the wrong side of a limit, at most
 _RANDOM = 32  # of the first units solved at a new set
@@ -44,6 +46,11 @@ class _Known:
     doubt: dict[str, np.ndarray]
     status: list[np.ndarray]
     seen: list[np.ndarray]
+
+
+def followable(response: Response, requirements: dict[str, Limits]) -> bool:
+    """True if units are costly and all requirements are shares within limits."""
+    return getattr(response, "costly", False) and all(isinstance(r, Requirement) for r in requirements.values())
 
 
 class Followed:

@@ -1,7 +1,6 @@
 """Fixed learning sample of an allocation: margins at the required yield, and their slopes.
 
-All sets of tolerances use the same random numbers, so that margins are smooth in the half-widths.
-The sample certifies nothing, because the optimum is fitted to it.
+All tolerances see the same random numbers, so margins are smooth. It certifies nothing: the optimum is fitted to it.
 """
 
 import copy
@@ -18,7 +17,8 @@ from scipy import special
 from rvjax.population import Population, Tolerance, drawn, root_key
 from rvjax.response import BLOCK, LANES, Response, elements_and_rates, gradients, respond, response_names
 from rvjax.status import succeeded
-from rvjax.tolerances.allocation.followed import Followed
+from rvjax.tolerances.allocation.followed import Followed, followable
+from rvjax.tolerances.allocation.shrinkage import MANY, total_of_many
 from rvjax.tolerances.batch.checkpoint import describe
 from rvjax.tolerances.batch.memo import Memo
 from rvjax.tolerances.requirements.kinds import Requirement
@@ -55,11 +55,6 @@ class Point:
     margins: np.ndarray
     slopes: np.ndarray
     weights: np.ndarray
-
-
-def followable(response: Response, requirements: dict[str, Limits]) -> bool:
-    """True if units are costly and all requirements are shares within limits."""
-    return getattr(response, "costly", False) and all(isinstance(r, Requirement) for r in requirements.values())
 
 
 class Training:
@@ -186,9 +181,8 @@ class Training:
             units = nearest(joint, self.joint_target, self.lanes)
             outward = np.stack([item.outward(row) for row, item in zip(values, self.requirements.values())])
             signs = (outward / self.scales[:, None])[leading[units], units]
-            slopes.append(
-                self._slope(half_widths, along_reach(units, joint[units] + 1, signs, margins[-1] + 1), leading)
-            )
+            pull = along_reach(units, joint[units] + 1, signs, margins[-1] + 1)
+            slopes.append(self._slope(half_widths, pull, leading))
             weights[-1] = (np.eye(len(values))[leading[units]] / self.scales).mean(axis=0)
         return Point(half_widths, self._corrected(margins), self.correction[:, None] * np.stack(slopes), weights)
 
@@ -225,10 +219,9 @@ class Training:
         return self._remembered(asked, np.concatenate(rows, axis=1)[:, : self.samples])
 
     def _remembered(self, asked: bytes, values: np.ndarray) -> np.ndarray:
-        while len(self._seen) >= _REMEMBERED:
-            self._seen.pop(next(iter(self._seen)))
-        self._seen[asked] = values
-        return values
+        if len(self._seen) >= _REMEMBERED:
+            del self._seen[next(iter(self._seen))]
+        return self._seen.setdefault(asked, values)
 
     def _aims(self, values: dict[str, np.ndarray]) -> dict[str, list[float]]:
         """Values at the required quantiles, where a limit is not far beyond."""
@@ -294,11 +287,8 @@ class Training:
         """The slope of a requirement; 0 far from its limit, and by the model of `conlin` where one is known nearby."""
         if margin <= -IDLE * self.distance[k]:
             return np.zeros(len(self.fields))
-        reach, place, power = (
-            max(margin + self.distance[k], 1e-3 * self.distance[k]),
-            np.log(half_widths),
-            self.powers[k],
-        )
+        reach = max(margin + self.distance[k], 1e-3 * self.distance[k])
+        place, power = np.log(half_widths), self.powers[k]
         if k not in self._slopes or np.abs(self._slopes[k][0] - place).max() > _NEARBY:
             name = list(self.requirements)[k]
             pull = self.requirements[name].pull(row, margin, self.distance[k], self.lanes)
@@ -329,9 +319,19 @@ class Training:
                 cotangents = np.eye(len(names))[rows].T * pull.cotangents[mine]
                 slopes[:, mine] = self._gradients(response, names, errors[:, mine], cotangents)
         used = np.isfinite(slopes).all(axis=0)
-        by_field = self.population.by_field((slopes * rates)[:, used].sum(axis=1))
-        total, norm = np.array([by_field[name].sum() for name in self.fields]), pull.norms[used].sum()
+        norm, of_units = pull.norms[used].sum(), (slopes * rates)[:, used]
+        if len(self.fields) < MANY:
+            total = self._by_field(of_units.sum(axis=1))
+        else:
+            widely = np.asarray(elements_and_rates(self.population, given, z[:, : padded.size])[1])
+            model = half_widths * self._by_field((slopes[:, used] @ pull.cotangents[used]) ** 2 * widely.var(axis=1))
+            total = total_of_many(np.stack([self._by_field(row) for row in of_units.T]), model)
         return total / norm * half_widths if norm > 0 else np.zeros(len(self.fields))
+
+    def _by_field(self, elements: np.ndarray) -> np.ndarray:
+        """Sums over the elements of each field that has a cost (j,)."""
+        found = self.population.by_field(elements)
+        return np.array([found[name].sum() for name in self.fields])
 
     def _gradients(
         self, response: Response, names: tuple[str, ...], errors: np.ndarray, cotangents: np.ndarray
