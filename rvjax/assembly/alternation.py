@@ -34,6 +34,18 @@ def best_so_far(wanted: bool) -> Iterator[list[int]]:
         _UNSEARCHED.reset(token)
 
 
+@contextlib.contextmanager
+def keeps_best() -> Iterator[None]:
+    """An interruption inside ends the search, where `best_so_far` wants its best plan."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        left = _UNSEARCHED.get()
+        if left is None:
+            raise
+        left.append(1)
+
+
 def stopped() -> bool:
     """Return whether the search was interrupted."""
     return bool(_UNSEARCHED.get())
@@ -46,7 +58,9 @@ def alternate(cost: np.ndarray, supply: Supply, starts: int, rng: np.random.Gene
     return alternated_by(priced.__getitem__, supply, starts, rng)
 
 
-def alternated_by(price: Price, supply: Supply, starts: int, rng: np.random.Generator) -> Build:
+def alternated_by(
+    price: Price, supply: Supply, starts: int, rng: np.random.Generator, begin: Build | None = None
+) -> Build:
     """`alternate`, by a function of the combinations.
 
     Args:
@@ -54,10 +68,11 @@ def alternated_by(price: Price, supply: Supply, starts: int, rng: np.random.Gene
         supply: stocks.
         starts: random plans to begin with.
         rng: of these.
+        begin: a plan that replaces the first of them.
     """
     best, least = None, np.inf
     for number in range(starts):
-        places = random_plan(supply, rng)
+        places = random_plan(supply, rng) if begin is None or number else np.array(begin).T.copy()
         left = _UNSEARCHED.get()
         try:
             total = _improved(price, supply, places)

@@ -224,27 +224,31 @@ def costs(
 def valued(
     machine: Machine,
     drawn: Mapping[str, list[np.ndarray]],
-    draws: int,
+    draws: int | np.ndarray,
     requirement: Requirement | None,
     cells: np.ndarray,
+    turns: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Expected response, inf where a unit fails, and share of draws in which it is no good, each (cells, positions).
 
     Args:
         machine: response and parts.
         drawn: errors of each slot.
-        draws: their count.
+        draws: their count, or the numbers of those that are taken.
         requirement: limits of a good unit, or None.
         cells: flat numbers of combinations (cells,).
+        turns: numbers of the positions; None: all.
     """
-    turns = len(machine.indices)
-    mean, outside = np.empty((len(cells), turns)), np.empty((len(cells), turns))
-    at_once = max(1, (1 << 20) // (turns * draws))
+    turns = np.arange(len(machine.indices)) if turns is None else turns
+    taken = np.arange(draws) if isinstance(draws, int) else draws
+    each = len(turns) * len(taken)
+    mean, outside = np.empty((len(cells), len(turns))), np.empty((len(cells), len(turns)))
+    at_once = max(1, (1 << 20) // each)
     for start in range(0, len(cells), at_once):
         part = cells[start : start + at_once]
-        cell, turn, draw = (x.ravel() for x in np.meshgrid(part, np.arange(turns), np.arange(draws), indexing="ij"))
+        cell, turn, draw = (x.ravel() for x in np.meshgrid(part, turns, taken, indexing="ij"))
         place = np.stack(np.unravel_index(cell, machine.shape), axis=1)
-        values = machine.values(drawn, place, machine.indices[turn], draw).reshape(len(part), turns, draws)
+        values = machine.values(drawn, place, machine.indices[turn], draw).reshape(len(part), len(turns), len(taken))
         mean[start : start + at_once] = np.where(np.isnan(values).any(axis=2), np.inf, values.mean(axis=2))
         outside[start : start + at_once] = 1 - good(values, requirement).mean(axis=2)
     return mean, outside

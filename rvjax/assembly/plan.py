@@ -13,14 +13,14 @@ from rvjax.assembly.choice import CLOSE, EXACT, least_largest, least_sum
 from rvjax.assembly.costs import Costs, Machine, UnitResponse, costs, good
 from rvjax.assembly.on_demand import MOST_VALUED, OnDemand, chosen_on_demand, too_many
 from rvjax.assembly.parts import Kind, Known, known
+from rvjax.assembly.random_assembly import MOST_FRESH, random_assembly
 from rvjax.assembly.supply import Build, Supply
 from rvjax.choices import choose
 from rvjax.tolerances import Estimate, Requirement
 
 OBJECTIVES = ("mean", "bottleneck", "yield")
 
-MOST_FRESH = 2**21
-"""Units of random assembly on fresh draws: all combinations where they are no more, else a random part of them."""
+LEAST_FRESH = 32  # draws of a unit on which every plan is valued
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -47,6 +47,8 @@ class Plan:
         valued: combinations of parts that were evaluated for the choice.
         combinations: all of them.
         unsearched: random plans from which an interrupted search did not begin or end; 0 otherwise.
+        checks: combinations whose exact values were compared with their estimates, where the bound rests on estimates:
+            none of them lies further below its estimate than the bound allows. 0: the bound rests on exact values.
     """
 
     build: tuple[dict[str, Hashable], ...]
@@ -65,6 +67,7 @@ class Plan:
     valued: int = 0
     combinations: int = 0
     unsearched: int = 0
+    checks: int = 0
 
 
 @checked
@@ -80,14 +83,15 @@ def plan(
     starts: int = 32,
     exact_up_to: int = EXACT,
     most_valued: int = MOST_VALUED,
+    most_fresh: int = MOST_FRESH,
     confidence: float = 0.95,
     keep_best: bool = False,
 ) -> Plan:
     """Choose the part and the position of every slot of every unit.
 
     Two slots are assigned exactly; more, and two slots fed by one stock, by HiGHS up to `exact_up_to` combinations;
-    beyond by alternation, with a Lagrangian bound. Beyond `most_valued` responses the alternation evaluates only the
-    combinations it needs; `lower_bound` is then -inf (1 for "yield").
+    beyond by alternation, with a Lagrangian bound. Beyond `most_valued` responses estimates of all combinations lead,
+    and only those that come into a plan are evaluated; the bound then rests on `checks` comparisons (1 for "yield").
 
     Args:
         response: (parts {slot: errors}, index {slot: int}) -> scalar or `Outcome` of one unit, a pure JAX function;
@@ -101,6 +105,8 @@ def plan(
         starts: random plans from which the alternation begins.
         exact_up_to: combinations up to which HiGHS proves that no plan is better.
         most_valued: responses at most, combinations x positions x draws, if all combinations are evaluated.
+        most_fresh: responses at most to value the plan, and as many for random assembly; `certificate_draws` are fewer
+            where the plan has many units.
         confidence: of the intervals.
         keep_best: an interruption (Ctrl-C) of the search ends it with the best plan so far.
 
@@ -109,18 +115,20 @@ def plan(
             that do not fit each other, or more than 2**24 combinations.
     """
     counts = dict(draws=draws, certificate_draws=certificate_draws, starts=starts, exact_up_to=exact_up_to)
-    _check(kinds, objective, requirement, confidence, **counts, most_valued=most_valued)
+    _check(kinds, objective, requirement, confidence, **counts, most_valued=most_valued, most_fresh=most_fresh)
     by_kind = {id(kind): known(kind, slot) for slot, kind in kinds.items()}
     slots = {slot: by_kind[id(kind)] for slot, kind in kinds.items()}
     machine, supply = Machine(response, slots), supply_of(slots)
     certain = all(one.certain for one in slots.values())
-    draws, fresh = (1, 1) if certain else (draws, certificate_draws)
+    fewest = min(certificate_draws, LEAST_FRESH)
+    fresh = 1 if certain else max(fewest, min(certificate_draws, most_fresh // supply.units))
+    draws = 1 if certain else draws
     rng, asked = np.random.default_rng([seed % 2**64, 2]), (draws, requirement, objective == "yield")
     found: Costs | OnDemand
     with best_so_far(keep_best) as unsearched:
         if too_many(machine, draws, most_valued):
             found = OnDemand(machine, draw(slots, seed, 0, draws, alike=True), *asked)
-            build, bound, reached, proved = chosen_on_demand(found, supply, objective, starts, rng)
+            build, bound, reached, proved = chosen_on_demand(found, supply, objective, starts, rng, most_valued)
         else:
             found = costs(machine, draw(slots, seed, 0, draws, alike=True), *asked)
             build, bound, reached, proved = chosen(found, supply, objective, starts, rng, exact_up_to)
@@ -138,7 +146,7 @@ def plan(
     else:
         lanes = np.repeat(np.arange(units), fresh), np.tile(np.arange(fresh), units)
         values = machine.values(drawn, place[lanes[0]], turn[lanes[0]], lanes[1]).reshape(units, fresh)
-    random, random_good = _random(machine, supply, found, drawn, requirement, seed, fresh)
+    random, random_good = random_assembly(machine, supply, found, drawn, requirement, seed, fresh, most_fresh)
     failed = np.isnan(values).any(axis=1)
     expected = np.where(failed, np.inf, values.mean(axis=1))
     share = good(values, requirement).mean(axis=0)
@@ -146,6 +154,7 @@ def plan(
     infeasible = not np.isfinite(reached)
     gap = 0.0 if proved or reached == bound or infeasible else abs(reached - bound) / max(abs(reached), 1e-300)
     own = np.where(np.isnan(values).any(axis=0), np.nan, values.mean(axis=0))
+    checks = 0 if isinstance(found, Costs) or not math.isfinite(bound) else found.checks
     return Plan(
         build=tuple({s: one.id_of(k) for (s, one), k in zip(slots.items(), unit)} for unit in build),
         index=tuple(dict(zip(slots, map(int, at))) for at in turn),
@@ -153,7 +162,7 @@ def plan(
         objective=float(worst),
         lower_bound=float(bound),
         gap=float(gap),
-        status=_status(infeasible, gap),
+        status=_status(infeasible, gap, checks),
         left_over=_left_over(slots, supply, place),
         random=_estimate(random, confidence),
         gain=_estimate(random - own, confidence),
@@ -163,11 +172,12 @@ def plan(
         valued=found.count,
         combinations=math.prod(machine.shape),
         unsearched=sum(unsearched),
+        checks=checks,
     )
 
 
-def _status(infeasible: bool, gap: float) -> str:
-    if infeasible or gap <= CLOSE:
+def _status(infeasible: bool, gap: float, checks: int) -> str:
+    if infeasible or (gap <= CLOSE and not checks):
         return "INFEASIBLE" if infeasible else "OPTIMAL"
     return "BOUNDED" if math.isfinite(gap) else "SEARCHED"
 
@@ -240,15 +250,14 @@ def chosen(
     exact_up_to: int = EXACT,
 ) -> tuple[Build, float, float, bool]:
     """Build, bound and objective on the draws that chose (inf if it fails), and whether it is proved."""
-    single = [slot for slot, size in enumerate(supply.shape) if size == 1]
-    kept = [slot for slot in range(len(supply.shape)) if slot not in single]
-    if single and len(kept) >= 2:  # what is the same in every unit is no choice, and two slots are exact
+    kept, fewer = supply.lean()
+    single = [slot for slot in range(len(supply.shape)) if slot not in kept]
+    if single:  # what is the same in every unit is no choice, and two slots are exact
         lean = dataclasses.replace(
             found,
             mean=found.mean.squeeze(tuple(single)),
             outside=None if found.outside is None else found.outside.squeeze(tuple(single)),
         )
-        fewer = Supply(tuple(supply.pieces[k] for k in kept), tuple(supply.group[k] for k in kept), supply.units)
         build, bound, reached, proved = chosen(lean, fewer, objective, starts, rng, exact_up_to)
         full = [tuple(dict(zip(kept, unit)).get(k, 0) for k in range(len(supply.shape))) for unit in build]
         return full, bound, reached, proved
@@ -290,43 +299,6 @@ def _in_order(build: Build, slots: Mapping[str, Known]) -> Build:
     """Units in the order in which the parts of the first slot lie there, then those of the second."""
     orders = [one.order for one in slots.values()]
     return sorted(build, key=lambda unit: tuple(int(order[place]) for order, place in zip(orders, unit)))
-
-
-def _random(
-    machine: Machine,
-    supply: Supply,
-    found: Costs | OnDemand,
-    drawn: Mapping[str, list[np.ndarray]],
-    requirement: Requirement | None,
-    seed: int,
-    fresh: int,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Mean response and share of good units of random assembly, for every fresh draw."""
-    weight = supply.weight()
-    if fresh == 1 and isinstance(found, Costs):
-        every = np.nan_to_num(found.every_mean)
-        succeeds = weight * np.isfinite(found.every_mean)
-        mean = (succeeds * every).sum() / succeeds.sum() if succeeds.any() else np.nan
-        share = np.nan if found.every_good is None else (weight * found.every_good).sum() / weight.sum()
-        return np.array([mean]), np.array([share])
-    cells, turns = np.argwhere(weight > 0), len(machine.indices)
-    likely = weight[weight > 0] / weight.sum()
-    most = max(1, MOST_FRESH // fresh)
-    rng, results, sums = np.random.default_rng([seed % 2**64, 3]), [], np.cumsum(likely)
-    for k in range(fresh):
-        if len(cells) * turns <= most:
-            cell, turn = (x.ravel() for x in np.meshgrid(np.arange(len(cells)), np.arange(turns), indexing="ij"))
-            share = likely[cell] / turns
-        else:
-            cell = np.searchsorted(sums / sums[-1], rng.random(most), side="right")
-            turn = rng.integers(turns, size=most)
-            share = np.full(most, 1 / most)
-        values = machine.values(drawn, cells[cell], machine.indices[turn], np.full(len(cell), k))
-        right = ~np.isnan(values)
-        mean = (share[right] * values[right]).sum() / share[right].sum() if right.any() else np.nan
-        results.append((mean, (share * good(values, requirement)).sum()))
-    mean, share = np.array(results).T
-    return mean, share
 
 
 def _estimate(values: np.ndarray, confidence: float) -> Estimate:

@@ -46,6 +46,13 @@ class Supply:
             found = found * np.maximum(left, 0)
         return found
 
+    def lean(self) -> tuple[list[int], "Supply"]:
+        """Slots with a choice of parts, two at least, and the stocks of these."""
+        kept = [slot for slot, size in enumerate(self.shape) if size > 1]
+        kept = kept if len(kept) >= 2 else list(range(len(self.shape)))
+        pieces, group = tuple(self.pieces[k] for k in kept), tuple(self.group[k] for k in kept)
+        return kept, Supply(pieces, group, self.units)
+
     def allowed(self) -> np.ndarray:
         """Combinations that one unit can be: never more of a part than there are pieces."""
         return self.weight() > 0

@@ -9,6 +9,8 @@ from rvjax.commands.assemble.parts import Bench, bench, table_of
 from rvjax.commands.assemble.prices import Price, prices
 from rvjax.commands.speak import READING, WRITING
 
+COSTLY = {"most_valued": 2**18, "most_fresh": 2**14}
+"""Responses at most of a response whose units are expensive: to choose, and to value the plan."""
 MATCHING, PRICING = "which part goes with which", "prices of tolerances"
 
 
@@ -50,6 +52,7 @@ def compute(asked: Inputs) -> Assembled:
         certificate_draws=how.certificate_draws,
         seed=study.seed,
         keep_best=True,
+        **(COSTLY if parts.costly else {}),
     )
     if plan.status == "INFEASIBLE":
         study.check_nominal()  # the message is clearer if this unit fails too

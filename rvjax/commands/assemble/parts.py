@@ -54,12 +54,14 @@ class Bench:
         kinds: parts by slot.
         name: of the response.
         requirement: on it.
+        costly: a unit is so expensive that only those are solved that can enter the plan.
     """
 
     response: UnitResponse
     kinds: dict[str, Kind]
     name: str
     requirement: Requirement
+    costly: bool = False
 
 
 def bench(study: Study, path: str | Path) -> Bench:
@@ -103,7 +105,9 @@ def bench(study: Study, path: str | Path) -> Bench:
         kinds[REST] = Kind([Part("any", zeros, math.inf)], stock=[pieces], population=rest)
     outcome = study.response_of(name)
     design = study.design
-    return Bench(lambda parts, index: outcome(unit_errors(design, parts, index)), kinds, name, requirement)
+    return Bench(
+        lambda parts, index: outcome(unit_errors(design, parts, index)), kinds, name, requirement, outcome.costly
+    )
 
 
 def unit_values(found: Bench, seed: int, plan: Plan | None = None, count: int = 1024) -> np.ndarray:

@@ -70,13 +70,12 @@ def _verdict(study: Study, plan: Plan, name: str) -> list[str]:
         )
     if plan.valued < plan.combinations:
         left = plan.combinations - plan.valued
-        lines.append(
-            f"The search evaluated {plan.valued:,} combinations of parts; {left:,} others may hold better plans."
-        )
-        if plan.status == "SEARCHED":
-            lines.append("No bound exists: how much better other plans can be is unknown.")
+        lines.append(f"{plan.valued:,} combinations of parts are evaluated; {left:,} others are estimated.")
+    if plan.status == "SEARCHED":
+        lines.append("No bound exists: how much better other plans can be is unknown.")
     elif plan.status == "BOUNDED":
-        lines.append(f"No plan can be better by more than {100 * plan.gap:.3g} % of its objective.")
+        checked = f", if no estimate is further off than in {plan.checks:,} comparisons" if plan.checks else ""
+        lines.append(f"No plan can be better by more than {100 * plan.gap:.3g} % of its objective{checked}.")
     return lines
 
 
