@@ -18,6 +18,7 @@ MOST_VALUED = 2**26
 """Responses for the choice, over combinations, positions and draws; beyond, they are valued on demand."""
 
 ROUNDS = 24  # of plans whose units are then valued exactly
+WORTH = 0.1  # gain of a unit, in margins of the estimates, below which a further plan is not valued
 SHARE = 16  # of the responses that would be too many: what the estimate of all combinations may take
 
 
@@ -173,6 +174,8 @@ def chosen_on_demand(
             break
         detail(f"plan {number + 1}: {found.count} combinations evaluated")
         build = planned(best)
+        if total(best)[0] - total(build)[0] < WORTH * found.margin * (1 if objective == "bottleneck" else supply.units):
+            break
     mean, outside, _ = found.look(tuple(np.array(best).T))
     if not np.isfinite(mean).all():
         return best, np.inf, np.inf, False

@@ -11,7 +11,7 @@ from rvjax.assembly.costs import Machine, valued
 PILOTS = 256  # exact combinations at least: three in four to fit, the others to check
 PER_FEATURE = 4  # pilots for each coefficient of a regression
 MOST_FEATURES = 512  # of a regression with products of all pairs; beyond, with squares only
-ALIKE = 1e-2  # difference of two positions over the spread of all combinations, below which one stands for both
+ALIKE = 1e-2  # difference of two positions over the spread of all combinations, below which one is estimated for both
 AT_ONCE = 2**18  # combinations
 
 Estimate = Callable[[np.ndarray], np.ndarray]
@@ -86,7 +86,7 @@ def screen(
 
 
 def _distinct(mean: np.ndarray) -> np.ndarray:
-    """Positions of which none stands for another, by the pilots."""
+    """Positions that differ from each other, by the pilots."""
     size, kept = ALIKE * np.std(mean.min(axis=1)), [0]
     for turn in range(1, mean.shape[1]):
         if np.abs(mean[:, kept] - mean[:, [turn]]).max(axis=0).min() > size:
