@@ -45,18 +45,23 @@ def random_assembly(
     cells, turns = np.argwhere(weight > 0), len(machine.indices)
     likely = weight[weight > 0] / weight.sum()
     most = max(1, most_fresh // fresh)
-    rng, results, sums = np.random.default_rng([seed % 2**64, 3]), [], np.cumsum(likely)
-    for k in range(fresh):
-        if len(cells) * turns <= most:
-            cell, turn = (x.ravel() for x in np.meshgrid(np.arange(len(cells)), np.arange(turns), indexing="ij"))
-            share = likely[cell] / turns
-        else:
-            cell = np.searchsorted(sums / sums[-1], rng.random(most), side="right")
-            turn = rng.integers(turns, size=most)
-            share = np.full(most, 1 / most)
-        values = machine.values(drawn, cells[cell], machine.indices[turn], np.full(len(cell), k))
-        right = ~np.isnan(values)
-        mean = (share[right] * values[right]).sum() / share[right].sum() if right.any() else np.nan
-        results.append((mean, (share * good(values, requirement)).sum()))
-    mean, share = np.array(results).T
-    return mean, share
+    rng, sums = np.random.default_rng([seed % 2**64, 3]), np.cumsum(likely)
+    if len(cells) * turns <= most:
+        cell, turn = (x.ravel() for x in np.meshgrid(np.arange(len(cells)), np.arange(turns), indexing="ij"))
+        chosen = [(cell, turn)] * fresh
+        share = likely[cell] / turns
+    else:
+        chosen = [
+            (np.searchsorted(sums / sums[-1], rng.random(most), side="right"), rng.integers(turns, size=most))
+            for _ in range(fresh)
+        ]
+        share = np.full(most, 1 / most)
+    # All draws at once: a call of few units costs as much as one of many.
+    cell, turn = (np.concatenate(x) for x in zip(*chosen))
+    draw = np.repeat(np.arange(fresh), len(share))
+    values = machine.values(drawn, cells[cell], machine.indices[turn], draw).reshape(fresh, -1)
+    right = ~np.isnan(values)
+    weighed = np.where(right, share * np.nan_to_num(values), 0.0).sum(axis=1)
+    with np.errstate(invalid="ignore"):
+        mean = weighed / (share * right).sum(axis=1)
+    return mean, (share * good(values, requirement)).sum(axis=1)
