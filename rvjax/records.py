@@ -24,7 +24,8 @@ if TYPE_CHECKING:
     from rvjax.frames import DataFrame, Dataset
 
 Array = jax.Array
-Scalar = float | Array | np.ndarray  # one number; under `jax.vmap` and in a stack of records one for each case
+# One number; under `jax.vmap` and in a stack of records one for each case. An ndarray of any type doubled mypy's time.
+Scalar = float | Array | np.ndarray[tuple[int, ...], np.dtype[np.floating]]
 PyTree = Any  # numbers nested in a way that types cannot express
 Class = TypeVar("Class", bound=type)
 Metadata = Mapping[str, Any]  # of a field: unit, meaning, shape, sign, kind ..
