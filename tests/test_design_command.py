@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 
 from rvjax import cli, study
+from rvjax.commands.allocate import kept
 from rvjax.commands.design.geometry_first import geometry_first
 from rvjax.commands.design.report import saved_part
-from rvjax.tolerances import allocate
+from rvjax.tolerances import Memo, allocate
+from rvjax.tolerances.codesign import units
 from rvjax.units import mm, um
 
 CASE = next(
@@ -227,6 +229,27 @@ def test_values_keep_bounds_and_limits(designed):
     found = result["joint"]["outputs_without_errors"]
     assert found["convex_radius"] >= 1 * mm * (1 - 1e-3) and found["crank_room"] >= 23.5 * mm * (1 - 1e-3)
     assert np.isfinite(result["cost"]["after"]) and result["cost"]["after"] < result["cost"]["before"]
+
+
+def test_a_killed_command_continues_from_its_journal(designed, tmp_path, monkeypatch):
+    """Killed at its tenth gradient, it computes none of the nine again, and ends as a run that was never killed."""
+    study_file, out, journal = designed[1].with_name("small.toml"), tmp_path / "out", tmp_path / "out.part"
+    call = ["design", str(study_file), "--alone", "--results", str(out), "--quiet"]
+    monkeypatch.setattr(kept, "memo", lambda study, place: Memo(place.with_name("out.part"), {}, worth=0.0))
+    plain, asked = units.gradients, []
+
+    def killed(response, population, errors, cotangents, names):
+        asked.append((errors.tobytes(), cotangents.tobytes(), repr(population.values)))
+        if len(asked) == 10:
+            raise KeyboardInterrupt
+        return plain(response, population, errors, cotangents, names)
+
+    monkeypatch.setattr(units, "gradients", killed)
+    assert cli.main(call) == 130 and not out.exists() and len(list(journal.iterdir())) > 9
+    assert cli.main(call) == 0 and not journal.exists()
+    assert not set(asked[:9]) & set(asked[10:]) and asked[9] == asked[10]
+    result = json.loads((out / "result.json").read_text())
+    assert result["values"] == designed[2]["values"] and result["cost"] == designed[2]["cost"]
 
 
 def test_what_the_command_refuses(tmp_path, monkeypatch, capsys):

@@ -122,6 +122,8 @@ def _optimum(
     asked: Inputs, variables: Mapping[str, Variable], *, similar: bool = True, factor: float = 1.0, memo: Memo | None
 ) -> Point:
     study, units = asked.study, asked.study.certificate_samples
+    if memo is not None and not similar:
+        memo = memo.apart("without scaling laws")  # the same numbers of a design mean another reducer
     try:
         found = allocate(
             study.design_response(similar=similar),

@@ -33,6 +33,14 @@ class Memo:
         self.folder, self._worth = Path(folder), worth
         self._about = repr(sorted(fingerprint.items()))
 
+    def apart(self, what: str) -> "Memo":
+        """The same folder for another response of the same study.
+
+        Args:
+            what: in which it differs.
+        """
+        return Memo(self.folder, {"of": self._about, "apart": what}, worth=self._worth)
+
     def recall(self, asked: Mapping[str, str], compute: Callable[[], np.ndarray]) -> np.ndarray:
         """Return the stored array, or compute and store it."""
         name = hashlib.sha256((self._about + repr(sorted(asked.items()))).encode()).hexdigest()[:_DIGITS]
