@@ -13,6 +13,8 @@ from assembly_cases import cases, kind, measured, square
 
 from rvjax import RVErrors, Status
 from rvjax.assembly import Kind, Part, plan
+from rvjax.assembly.choice import weigh
+from rvjax.assembly.costs import best_turn, costs, good
 from rvjax.tolerances import Outcome, Requirement
 
 
@@ -256,3 +258,47 @@ def test_a_second_plan_compiles_nothing(compiled):
         kinds = {"a": measured(a, 0 * a, 0.5), "b": measured(b, 0 * b, 0.5)}
         plan(square, kinds, certificate_draws=32)
     assert not compiled
+
+
+def test_a_good_unit_lies_between_both_limits():
+    values = np.array([-2.0, -1.0, 0.0, 1.0, 2.0, np.nan])
+    assert good(values, Requirement(lower=-1.0, upper=1.0)).tolist() == [False, True, True, True, False, False]
+    assert good(values, None).tolist() == [True] * 5 + [False]
+
+
+def test_positions_of_equal_yield_are_chosen_by_the_least_mean():
+    mean = np.array([[3.0, 1.0, 2.0], [3.0, 1.0, 2.0]])
+    outside = np.array([[0.0, 0.5, 0.0], [0.1, 0.1, 0.1]])
+    assert best_turn(mean, outside, by_yield=True).tolist() == [2, 1]
+    assert best_turn(mean, outside, by_yield=False).tolist() == [1, 1]
+
+
+def test_sums_of_weighed_layers_order_like_the_layers():
+    """Ten units: one bad unit less counts more than whatever the second layer saves on all of them."""
+    rng = np.random.default_rng(0)
+    first, second = rng.integers(0, 3, 60).astype(float), rng.uniform(-5.0, 100.0, 60)
+    cost = weigh([first, second], 10)
+    plans = [rng.choice(60, 10) for _ in range(2000)]
+    ranks = np.array([[first[p].sum(), second[p].sum(), cost[p].sum()] for p in plans])
+    by_layers, by_cost = np.lexsort((ranks[:, 1], ranks[:, 0])), np.argsort(ranks[:, 2])
+    np.testing.assert_allclose(ranks[by_layers, 2], ranks[by_cost, 2], rtol=1e-12)
+
+
+class _Given:
+    """A machine of two parts, one slot, with the responses of its positions and draws."""
+
+    def __init__(self, responses):
+        self.responses = np.asarray(responses, float)  # (parts, positions, draws)
+        self.shape, self.indices = (len(self.responses),), np.arange(self.responses.shape[1])[:, None]
+
+    def values(self, _, place, index, draw):
+        return self.responses[place[:, 0], index[:, 0], draw]
+
+
+def test_a_combination_that_fails_in_one_draw_has_no_mean():
+    """Its position is not chosen, and the mean of a random assembly is that of the positions that work."""
+    machine = _Given([[[1.0, np.nan], [4.0, 6.0]], [[1.0, 3.0], [7.0, 9.0]]])
+    found = costs(machine, {}, 2, Requirement(upper=8.0), by_yield=False)
+    assert found.index.tolist() == [1, 0] and found.mean.tolist() == [5.0, 2.0]
+    assert found.every_mean.tolist() == [5.0, 5.0]
+    assert found.outside.tolist() == [0.0, 0.0] and found.every_good.tolist() == [0.75, 0.75]

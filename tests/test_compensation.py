@@ -192,6 +192,33 @@ def test_a_schedule_follows_the_load_where_one_table_does_not():
         found.at(1.0, 0)
 
 
+def test_the_peak_to_peak_is_that_of_the_curve():
+    """Two orders, certain amplitudes: the curve has peaks of 2 and of 1.125, its Hilbert transform has other ones."""
+    order, value = np.array([1, 2]), np.array([1.0, 1.0]) * arcsec
+    left = predicted(correction(order, value, ratio=RATIO, count=0), draws=4)
+    due = np.ptp(curve(order, value, TURN))
+    assert left.before_peak_to_peak.value == pytest.approx(due, rel=0.02) == 3.125 * arcsec
+    assert left.before_rms.value == pytest.approx(rms(curve(order, value, TURN)), rel=1e-9)
+
+
+def test_an_input_that_turns_against_the_output_has_the_table_of_the_other_sign():
+    order, value = unit({3: 10.0, 40: 5.0})
+    there, back = (table(correction(order, value, ratio=ratio)) for ratio in (RATIO, -RATIO))
+    np.testing.assert_allclose(back.correction, -there.correction, rtol=1e-12)
+    assert back.error_bound == pytest.approx(there.error_bound) and there.error_bound > 0
+
+
+def test_between_two_torques_independent_errors_average():
+    """Half of each: variances add up with the squares of the weights, so that a mean of two is known better."""
+    order, value = unit({3: 10.0})
+    made = {
+        (torque, 1): correction(order, value, ratio=RATIO, sd=sd * arcsec) for torque, sd in ((0.0, 3.0), (100.0, 4.0))
+    }
+    found = schedule(made)
+    assert found.at(50.0, 1).sd / arcsec == pytest.approx([2.5])
+    assert found.at(25.0, 1).sd / arcsec == pytest.approx([np.hypot(0.75 * 3.0, 0.25 * 4.0)])
+
+
 def test_prediction_holds_at_another_temperature():
     """Repeated curves, amplitudes and zero drawn anew: 95 % intervals of rms and peak to peak hold 95 % of them.
 

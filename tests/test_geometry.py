@@ -120,6 +120,14 @@ def test_contact_ratio_of_standard_gears():
     assert contact_ratio(stage) == pytest.approx(by_hand, rel=1e-6)
 
 
+def test_the_mass_is_that_of_every_part_that_turns():
+    """Of the RV-320E: one sun and one output, a planet for each crank, a disc for each phase."""
+    parts, cranks, discs = RV_320E.inertia, RV_320E.cranks.count, RV_320E.cycloid.disc_count
+    due = parts.sun_mass + parts.output_mass + cranks * (parts.planet_mass + parts.crank_mass) + discs * parts.disc_mass
+    assert cranks > 1 and discs > 1
+    assert geometry.figures(RV_320E).mass == pytest.approx(float(due), rel=1e-6)
+
+
 def test_slopes_are_those_of_the_plain_value():
     names = ("convex_radius", "crank_room", "envelope_volume", "pin_pressure", "mass")
 

@@ -11,6 +11,7 @@ from scipy import optimize
 from rvjax import identify
 from rvjax.identify.elements import Elements
 from rvjax.identify.problem import slopes
+from rvjax.identify.shares import contributions
 from rvjax.population.population import Population
 from rvjax.tolerances import Requirement, Tolerance
 from tests.identify_models import THREE, G, Noise, line, solved, unit
@@ -194,6 +195,25 @@ def test_shares_sum_to_one_and_follow_the_curve():
     whole = a + b * c
     assert found.shares["te"] == pytest.approx({"a": a / whole, "b": b * c / 2 / whole, "c": b * c / 2 / whole})
     assert found.shares["loop"] == pytest.approx({"a": 0, "b": 0, "c": 1}, abs=1e-12)
+
+
+def test_shares_weigh_each_measurement_by_its_noise():
+    """f = (a, b): the share of a is a^2/s_a^2 over both. A reading ten times as noisy explains a hundredth."""
+    sd = np.array([0.01, 0.1])
+    model = lambda values: {"te": jnp.stack([values["a"], values["b"]])}  # noqa: E731
+    prior = {"a": unit(3.0), "b": unit(3.0)}
+    found = identify.solve(model, prior, {"te": [1.0, 2.0]}, noise=Noise({"te": sd}), draws=128)
+    a, b = (found.value[name] / s for name, s in zip("ab", sd))
+    assert found.shares["te"] == pytest.approx({"a": a**2 / (a**2 + b**2), "b": b**2 / (a**2 + b**2)})
+
+
+def test_contributions_sum_to_the_whole_observation():
+    """f(e) - f(0) of a polynomial of degree 3, which eight nodes integrate exactly."""
+    model = lambda values: jnp.stack([values["a"] * values["b"] ** 2 + values["c"], values["c"] ** 3])  # noqa: E731
+    values = {"a": jnp.asarray(0.7), "b": jnp.asarray(-1.3), "c": jnp.asarray(2.0)}
+    found = contributions(model, Population.of(THREE), values, size=2)
+    np.testing.assert_allclose(found.sum(axis=1), model(values), rtol=1e-10)
+    np.testing.assert_allclose(found[1], [0.0, 0.0, 8.0], atol=1e-10)
 
 
 def test_complex_observations_count_twice():
