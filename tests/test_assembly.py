@@ -13,8 +13,9 @@ from assembly_cases import cases, kind, measured, square
 
 from rvjax import RVErrors, Status
 from rvjax.assembly import Kind, Part, plan
-from rvjax.assembly.choice import weigh
+from rvjax.assembly.choice import least_largest, least_sum, weigh
 from rvjax.assembly.costs import best_turn, costs, good
+from rvjax.assembly.supply import Supply
 from rvjax.tolerances import Outcome, Requirement
 
 
@@ -302,3 +303,20 @@ def test_a_combination_that_fails_in_one_draw_has_no_mean():
     assert found.index.tolist() == [1, 0] and found.mean.tolist() == [5.0, 2.0]
     assert found.every_mean.tolist() == [5.0, 5.0]
     assert found.outside.tolist() == [0.0, 0.0] and found.every_good.tolist() == [0.75, 0.75]
+
+
+def test_the_bound_of_three_slots_is_that_of_the_pair_which_binds():
+    """The cost depends on the first two slots alone: their matching is exact, and a pair with the third bounds less."""
+    cost = np.array([[1.0, 5.0], [1.5, 4.0]])[:, :, None] + np.zeros((2, 2, 2))
+    supply = Supply((np.ones(2, int), np.ones(2, int), np.ones(2, int)), (0, 1, 2), 2)
+    found = least_largest(cost, supply, 2, np.random.default_rng(0), exact_up_to=0)
+    assert found.bound == 4.0 and max(cost[unit] for unit in found.build) == 4.0 and found.exact
+
+
+def test_a_class_of_several_pieces_may_be_used_several_times():
+    """Two pieces of each first class fit best together: both units are of them, which HiGHS proves."""
+    cost = np.ones((2, 2, 2))
+    cost[0, 0, 0] = 0.0
+    supply = Supply((np.array([2, 2]),) * 3, (0, 1, 2), 2)
+    found = least_sum([cost], supply, 1, np.random.default_rng(0))
+    assert found.exact and sorted(found.build) == [(0, 0, 0), (0, 0, 0)]

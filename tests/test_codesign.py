@@ -6,6 +6,7 @@ from codesign_cases import CASES, arguments
 
 from rvjax.tolerances import Memo, Middle, Nominal, ReciprocalPower, Requirement, Tolerance, Variable, allocate
 from rvjax.tolerances.codesign import units
+from rvjax.tolerances.codesign.tail_sample import smooth_quantile
 
 UNITS = 200_000  # of a certificate: their error of the 99.73 % quantile costs about 1 %
 
@@ -181,3 +182,13 @@ def test_costly_units_are_followed_between_designs():
     assert found.status == "OPTIMAL" and found.cost == pytest.approx(plain.cost, rel=0.03)
     assert found.evaluations["search"] < 0.6 * plain.evaluations["search"]
     assert found.ranges == {} and plain.ranges["arm"][0] < plain.values["arm"] < plain.ranges["arm"][1]
+
+
+def test_failed_units_are_rejects_of_a_quantile():
+    """5 % may be rejects. With 2 % failed, 3 % of all units lie beyond; with 5 % failed no limit is left."""
+    margins, weights = np.arange(1000) / 1000.0, np.ones(1000)
+    assert smooth_quantile(margins, weights, 0.05, 1e-4) == pytest.approx(0.9495, abs=6e-4)
+    margins[:20] = np.inf  # the best of them
+    assert smooth_quantile(margins, weights, 0.05, 1e-4) == pytest.approx(0.9695, abs=6e-4)
+    margins[:50] = np.inf
+    assert smooth_quantile(margins, weights, 0.05, 1e-4) == np.inf

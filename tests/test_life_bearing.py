@@ -36,6 +36,14 @@ def test_a_rating_is_a_million_revolutions():
     assert float(found.life) == pytest.approx(2 ** (10 / 3) * 1e6, rel=1e-6)
 
 
+def test_the_static_rating_of_inclined_rollers():
+    """ISO 76: C0 = 44 (1 - Dw cos(a)/Dpw) Z Lw Dw cos(a), lengths in mm."""
+    tilted = EXAMPLE.replace(contact_angle=0.4)
+    d, length, pitch = (1e3 * x for x in (EXAMPLE.roller_diameter, EXAMPLE.roller_length, EXAMPLE.pitch_diameter))
+    due = 44 * (1 - d * np.cos(0.4) / pitch) * EXAMPLE.rollers * length * d * np.cos(0.4)
+    assert float(life.static_rating(tilted)) == pytest.approx(due, rel=1e-9)
+
+
 @pytest.mark.parametrize(("a", "b"), [(2763.1, 1961.9), (1000.0, 1000.0), (1.0, 500.0)])
 def test_a_fixed_and_a_turning_load_have_a_closed_form(a, b):
     """Eq. 26, whatever the phase; neither the largest load nor the cubic mean."""

@@ -85,6 +85,16 @@ def test_wider_discs_do_not_overlap_on_their_cranks():
         refuse_variable(made.design, "contact.face_width", {"bearings.disc_position"})
 
 
+def test_base_circles_follow_the_pressure_angle():
+    """r_b = m z cos(alpha)/2 at a centre distance that stands: a steeper flank has a smaller base circle."""
+    gears = changed(RV_320E, {"involute.pressure_angle": np.radians(25.0)}).involute
+    before = RV_320E.involute
+    for name in ("sun_base_radius", "planet_base_radius"):
+        pitch = getattr(before, name) / np.cos(before.pressure_angle)
+        assert getattr(gears, name) == pytest.approx(pitch * np.cos(np.radians(25.0)), rel=1e-6)
+    assert gears.sun_base_radius < before.sun_base_radius
+
+
 def test_a_given_number_stands():
     made = asked("stiffness.turning_arm_bearing = '5e8 N/m'\n" + CONTACT)
     wider = made.design_with({"contact.face_width": 30 * mm})
