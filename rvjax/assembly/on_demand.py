@@ -123,7 +123,7 @@ def chosen_on_demand(
     """Build, bound, objective on the draws that chose (inf if it fails), and False: nothing is proved.
 
     Plans of the estimates are valued exactly until the best plan holds exact units only. The bound takes the estimates
-    less the largest excess that any exact value showed; for "yield" it is 1.
+    less their margin; for "yield" it is 1.
 
     Args:
         found: combinations, valued on demand.

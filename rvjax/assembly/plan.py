@@ -47,8 +47,8 @@ class Plan:
         valued: combinations of parts that were evaluated for the choice.
         combinations: all of them.
         unsearched: random plans from which an interrupted search did not begin or end; 0 otherwise.
-        checks: combinations whose exact values were compared with their estimates, where the bound rests on estimates:
-            none of them lies further below its estimate than the bound allows. 0: the bound rests on exact values.
+        checks: combinations whose exact values were compared with their estimates, where the bound rests on estimates;
+            it is no proof then. 0: the bound rests on exact values.
     """
 
     build: tuple[dict[str, Hashable], ...]

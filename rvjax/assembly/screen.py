@@ -23,7 +23,8 @@ class Screen:
 
     Attributes:
         mean: expected response in the best position (combinations,).
-        margin: largest excess over an exact value of the combinations that check; inf where none does.
+        margin: largest excess over an exact value: of the combinations that check, or, if more, that expected of all
+            combinations with normal errors of the same spread; inf where none checks.
         checks: their count.
     """
 
@@ -82,7 +83,9 @@ def screen(
     chosen = int(np.argmin([np.mean(error**2) for error in errors]))
     parts = np.split(np.arange(total), range(AT_ONCE, total, AT_ONCE))
     found = np.concatenate([estimates[chosen](part) for part in parts])
-    return Screen(found, float(max(errors[chosen].max(initial=0.0), 0.0)), int(check.sum()))
+    error = errors[chosen]
+    farthest = error.mean() + error.std() * math.sqrt(2 * math.log(total))  # of so many normal errors
+    return Screen(found, float(max(error.max(), farthest, 0.0)), int(check.sum()))
 
 
 def _distinct(mean: np.ndarray) -> np.ndarray:

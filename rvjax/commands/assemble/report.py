@@ -74,7 +74,7 @@ def _verdict(study: Study, plan: Plan, name: str) -> list[str]:
     if plan.status == "SEARCHED":
         lines.append("No bound exists: how much better other plans can be is unknown.")
     elif plan.status == "BOUNDED":
-        checked = f", if no estimate is further off than in {plan.checks:,} comparisons" if plan.checks else ""
+        checked = f", if all estimates are as good as in {plan.checks:,} comparisons" if plan.checks else ""
         lines.append(f"No plan can be better by more than {100 * plan.gap:.3g} % of its objective{checked}.")
     return lines
 
