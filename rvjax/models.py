@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from functools import lru_cache
 from typing import Any
 
-from rvjax.outputs import Curve, Description, Observation, Output
+from rvjax.outputs import Curve, Description, Joint, Observation, Output
 
 MODELS = (
     "rvjax.four_bar",
@@ -29,12 +29,14 @@ class Kind:
         outputs: by name.
         described: description of the model that has an output, by its name.
         observed: descriptions of the models that a bench can measure, by the name of the model.
+        joints: results that are cheaper computed together.
     """
 
     conditions: type
     outputs: Mapping[str, Output]
     described: Mapping[str, Description]
     observed: Mapping[str, Description]
+    joints: tuple[Joint, ...] = ()
 
     def observations(self, model: str) -> dict[str, Observation]:
         """Observations of a model on a bench, by kind of data."""
@@ -105,7 +107,8 @@ def _kind(design: type, known: tuple[Description, ...]) -> Kind:
                 raise ValueError(f"output {name!r} is described twice")
             described[name] = description
     outputs = {name: description.outputs[name] for name, description in described.items()}
-    return Kind(_joined(mine), outputs, described, {one.name: one for one in mine if one.observations})
+    observed = {one.name: one for one in mine if one.observations}
+    return Kind(_joined(mine), outputs, described, observed, tuple(joint for one in mine for joint in one.joints))
 
 
 def _joined(known: list[Description]) -> type:

@@ -87,6 +87,19 @@ class Reading:
 
 
 @dataclass(frozen=True)
+class Joint:
+    """One computation of several results, in the place of one for each where a question needs them all.
+
+    Attributes:
+        sources: of the results.
+        evaluate: (design, errors, conditions) -> the results, in the order of the sources.
+    """
+
+    sources: tuple[Source, ...]
+    evaluate: Callable[[Any, Any, Any], tuple[Any, ...]]
+
+
+@dataclass(frozen=True)
 class Output:
     """One scalar of one unit.
 
@@ -255,6 +268,7 @@ class Description:
         compiler_options: of programs that compute an output of it, such as `rvjax.compile_cache.QUICK`.
         costly: whether a unit takes so long that an allocation solves only the units that decide.
         parts: optional parts of a design that no other model reads.
+        joints: results, its own and those of models above it, that are cheaper computed together.
     """
 
     name: str
@@ -268,3 +282,4 @@ class Description:
     compiler_options: tuple[tuple[str, bool | int], ...] = ()
     costly: bool = False
     parts: tuple[str, ...] = ()
+    joints: tuple[Joint, ...] = ()

@@ -63,11 +63,12 @@ CASES = {  # design, outputs, conditions
     "bench": (WHOLE, BENCH, RUN),
     "turn": (WHOLE, TURN, RUN | dict(second_torque=200.0, order=40)),
     "life": (WHOLE.replace(bearings=RV_40E.bearings), LIFE, RUN | RATED),
+    "turn and life": (WHOLE.replace(bearings=RV_40E.bearings), ("loaded_transmission_error", "life"), RUN | RATED),
     "speed": (WHOLE, SPINNING, RUN | dict(load_inertia=10.0, speeds=4)),
 }
 # These compile long; a quicker way through most of the same model runs by default.
 LONG = ("four bar, misfit", "four bar, curve", "lost motion, contact", "dynamics", "balance")
-LONG += ("loaded", "bench", "turn", "life", "speed")
+LONG += ("loaded", "bench", "turn", "life", "turn and life", "speed")
 
 
 def test_no_output_is_left_out():
@@ -97,7 +98,7 @@ def drawn(design, random):
 @pytest.mark.parametrize("case", [pytest.param(c, marks=pytest.mark.long) if c in LONG else c for c in CASES])
 def test_gradients_are_slopes_of_the_plain_value(case):
     design, outputs, given = CASES[case]
-    h = 1e-4 if case in ("loaded", "bench", "turn", "life", "speed") else 1e-3
+    h = 1e-4 if case in ("loaded", "bench", "turn", "life", "turn and life", "speed") else 1e-3
     response = Response.of(design, outputs, models.kind(design).conditions(**given))
 
     def values(errors):

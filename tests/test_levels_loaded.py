@@ -118,8 +118,8 @@ def test_each_method_of_the_life_is_a_question_of_its_own():
     areas = {area.question["life_method"]: area for area in life_cases(False)}
     assert tuple(areas) == METHODS
     for method, area in areas.items():
-        assert all(set(way.settings) == {"samples"} and way.name.startswith(method) for way in area.ways)
-        samples = [way.settings["samples"] for way in area.ways]
+        assert all(set(way.settings) == {"life_samples"} and way.name.startswith(method) for way in area.ways)
+        samples = [way.settings["life_samples"] for way in area.ways]
         assert samples == sorted(samples)  # the last one is the reference
     numbers = design_numbers(next(iter(areas.values())).design)
     assert [numbers[f"bearings.disc_position[{k}]"] for k in range(2)] == pytest.approx([0.014, 0.026])

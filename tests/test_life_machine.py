@@ -1,5 +1,7 @@
 """All crank bearings of one reducer: invariants, derivatives against differences, extremes. One program serves most."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,7 +9,9 @@ import pytest
 from life_cases import BASIC, NAMED, PLAN, duty_of, rate, unit_of
 
 import rvjax
-from rvjax import RVErrors, Status, life
+from rvjax import RVErrors, Status, life, study
+from rvjax.population import Population, drawn, root_key
+from rvjax.study import Response
 from rvjax.units import rpm
 
 CASE = NAMED[BASIC]
@@ -209,3 +213,30 @@ def test_the_example_of_the_page():
     rated = [life.rated_torque(DESIGN, none, life=6000 * 3600.0, output_speed=n * rpm) for n in (5, 15, 60)]
     torques = [float(found.torque) for found in rated]
     np.testing.assert_allclose(torques, [661.5, 475.7, 313.8], rtol=2e-4)
+
+
+ASKED = ("loaded_transmission_error", "arm_bearing_force", "life", "static_safety")
+PHASES = ((412.0, 1.5, 1.0), (-200.0, 3.0, 0.5))
+
+
+def test_a_crank_turn_and_a_life_are_one_part():
+    """With a level of its own, or alone, either is a part for itself."""
+    asked = study.load("rv-40e-whole", solve=False)
+    groups = [set(part.outputs) for part in asked.response().parts()]
+    turn = {"loaded_transmission_error", "turn_pin_pressure", "arm_bearing_force"}
+    assert sorted(groups, key=len) == [{"misfit"}, {"bench_lost_motion"}, turn | {"life"}]
+    alone = asked.response().replace(levels=(("life", (("life_samples", 24),), "float64", None),))
+    assert {"life"} in [set(part.outputs) for part in alone.parts()]
+    assert [part.curve for part in alone.parts()].count(True) == 1
+
+
+@pytest.mark.long
+def test_a_crank_turn_and_a_life_in_one_loop_are_what_they_are_apart():
+    asked = study.load("rv-40e-whole", solve=False)
+    given = dataclasses.replace(asked.conditions, samples=4, life_samples=6, duty=PHASES)
+    population = Population.of(asked.tolerances)
+    errors = population.errors(drawn(population, root_key(1), jnp.uint32(0), count=1)[:, 0])
+    whole, turn, life_ = (jax.jit(Response.of(asked.design, names, given)) for names in (ASKED, ASKED[:2], ASKED[2:]))
+    apart = turn(errors).value | life_(errors).value
+    for name, value in whole(errors).value.items():
+        np.testing.assert_allclose(value, apart[name], rtol=1e-9, err_msg=name)

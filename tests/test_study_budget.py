@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from rvjax import RVErrors, cli, four_bar, plotting, progress, study
-from rvjax.commands.budget import compute as budget, error_budget, regression, report_on, section_on
+from rvjax.commands.budget import compute as budget, effects, error_budget, regression, report_on, scalar, section_on
 from rvjax.errors import STAGES
 from rvjax.population import Population, Tolerance, drawn, root_key
 from rvjax.render import Note, Table, write_files
@@ -95,7 +95,7 @@ def test_interactions_of_errors_are_bounded():
             return np.stack([np.full_like(x, 7.0), 1j * wave], axis=1)
 
         draw = lambda first, *, count: draws[:, first : first + count]  # noqa: E731
-        load = budget._of_load(solve, draw, units, count, block=20_000)
+        load = effects.of_load(solve, draw, units, count, block=20_000)
         assert load.total[1] == pytest.approx(0.5 * (a**2 + b**2 + c**2 + d**2), rel=5 * np.sqrt(20 / count))
         assert load.failed == 0 and load.alike[0] == pytest.approx(49.0)
         return load.together
@@ -115,7 +115,7 @@ def test_blocks_of_units_change_nothing():
     units = Population.of(dict.fromkeys("xy", Tolerance.symmetric(1.0)))
     found = []
     for block in (40, 16):
-        found.append(budget._solved(solve, lambda first, *, count: draws[:, first : first + count], units, 40, block))
+        found.append(effects._solved(solve, lambda first, *, count: draws[:, first : first + count], units, 40, block))
     jax.tree.map(np.testing.assert_array_equal, *found)
     assert found[0][0].shape == (40, 2)
 
@@ -248,3 +248,25 @@ def test_which_studies_have_a_budget(question, monkeypatch):
 def test_studies_without_a_budget_raise_an_error(old, new, options, words):
     with pytest.raises(ValueError, match=words):
         error_budget(parse_study(TEXT.replace(old, new), name="x", solve=False), **options)
+
+
+def test_a_response_without_a_curve_has_shares_and_slopes(question):
+    """The lost motion is a sum: of each error the variance is that of its elements times the square of the slope."""
+    found = scalar.scalar_budget(question, "lost_motion", samples=512)
+    population = Population.of(question.tolerances)
+    for name, tolerance in population.active.items():
+        _, variance, *_ = (np.broadcast_to(moment, tolerance.shape) for moment in tolerance.moments())
+        expected = found.slope[name] ** 2 * float(np.sum(variance))
+        assert abs(found.variance[name] - expected) <= 4 * found.error[name] + 1e-9 * found.sd**2, name
+    assert sum(found.variance.values()) == pytest.approx(found.sd**2, rel=0.15) and found.failed == 0
+
+
+def test_slopes_of_a_life_are_hours_per_micrometre():
+    asked = study.load("rv-40e-whole", solve=False)
+    numbers = dict.fromkeys(Population.of(asked.tolerances).active, 3600.0**2)
+    made = scalar.ScalarBudget(
+        "life", 6000 * 3600.0, 3600.0, numbers, numbers, (0.0, 0.0), dict.fromkeys(numbers, 250 * 3600 / 1e-6),
+        dict.fromkeys(numbers, "disc"), 64, 0,
+    )  # fmt: skip
+    text = scalar.report_on_scalar(made, asked).text()
+    assert "mean 6000 h, standard deviation 1 h" in text and "250 h/um" in text and "sd h" in text

@@ -10,7 +10,7 @@ from scipy import stats
 
 from rvjax import tolerances
 from rvjax.population import Population
-from rvjax.response import Part, status_without_errors
+from rvjax.response import Part, elements, gradients, status_without_errors
 from rvjax.status import Status
 from rvjax.tolerances import Outcome, ReciprocalPower, Requirement, Tolerance, allocate
 from rvjax.tolerances.allocation.followed import Followed
@@ -48,13 +48,14 @@ def population(factor, **own):
     return Population.of({n: t.with_half_width(factor * own.get(n, 1.0)) for n, t in WAVES.items()})
 
 
+WHOLE_WAY = Requirement(upper=6.45, target=0.98)
 AIMS = {"peak": [3.5], "gap": [0.6]}
 
 
 def followed(function, *places, aims=AIMS, seed=0):
     units = Followed(Costly(function), places[0], UNITS, seed)
     for place in places:
-        values, status = units.at(place, lambda values: aims)
+        values, status = units.at(place, lambda values, moved: aims)
     exact = Followed(Costly(function), places[-1], UNITS, seed).all_at(places[-1])
     return units, values, status, exact
 
@@ -72,6 +73,43 @@ def test_every_unit_is_on_its_side_of_the_limits(steps):
         np.testing.assert_allclose(values["peak"][near], exact["peak"][near], rtol=1e-12)
     assert wrong <= 1
     assert solved / 3 < UNITS / 3
+
+
+def test_units_with_gradients_are_predicted_by_them():
+    """To second order: less than half of the units are solved that lines alone need, and every side is right."""
+    response, before, after = Costly(peaks), population(1.0), population(1.04, x=1.06)
+    solved = {}
+    for known in (False, True):
+        units = Followed(response, before, UNITS, 0)
+        values, _ = units.at(before, lambda values, moved: AIMS)
+        if known:
+            near = np.argsort(np.abs(values["peak"] - AIMS["peak"][0]))[:512]
+            errors = np.asarray(elements(before, jnp.asarray(units.z[:, near])))
+            weights = np.stack([np.zeros(512), np.ones(512)])
+            slopes = gradients(response, before, errors, weights, ("gap", "peak"))[1]
+            units.learn("peak", near, slopes)
+        first = units.solved
+        values, _ = units.at(after, lambda values, moved: {"peak": AIMS["peak"]})
+        solved[known] = units.solved - first
+        exact, _ = Followed(response, after, UNITS, 0).all_at(after)
+        assert ((values["peak"] > 3.5) == (exact["peak"] > 3.5)).all()
+    assert 2 * solved[True] < solved[False]
+    off = values["peak"][near] - exact["peak"][near]  # a unit whose peak moves to another angle is off by more
+    assert 0 < off.std() < 0.01 * exact["peak"].std()
+
+
+def test_a_limit_counts_once_half_widths_may_have_grown_to_it():
+    """At 70 % of the way a response that grows with the half-widths needs 30 % more of these to reach its limit."""
+    training = Training(Costly(peaks), population(1.0), tuple(WAVES), {"peak": WHOLE_WAY}, None, UNITS, 0)
+    units, ones = training.followed, np.ones(3)
+    way = 1 + training.margins(ones)[0] / training.distance[0]
+    assert 0.65 < way < 0.75
+    solved = []
+    for factor in (1.1, 1.25, 1.35):
+        training.margins(factor * ones)
+        solved.append(units.solved)
+    assert solved[0] == solved[1] == UNITS + 256 < solved[2]  # 256: the way of the nominal unit
+    assert abs(training.margins(1.45 * ones)[0]) < 0.05 * training.distance[0]
 
 
 def test_a_response_far_from_linear_is_solved_for_all_units():
@@ -99,7 +137,7 @@ def test_failures_are_not_foreseen():
 def test_known_units_are_not_solved_again():
     units = Followed(Costly(peaks), population(1.0), UNITS, 0)
     for factor in (1.0, 1.1, 1.0, 1.1):
-        units.at(population(factor), lambda values: AIMS)
+        units.at(population(factor), lambda values, moved: AIMS)
     before = units.solved
     values, _ = units.exactly(population(1.0))
     assert units.solved == before < 1.5 * UNITS
@@ -133,7 +171,7 @@ def test_parts_that_decide_nothing_wait_until_tolerances_have_changed_by_half():
     units = Followed(two, population(1.0), UNITS, 0)
     solved = []
     for factor in (1.0, 1.2, 1.4, 2.4):
-        values, _ = units.at(population(factor), lambda values: {"near": [1.0], "idle": []})
+        values, _ = units.at(population(factor), lambda values, moved: {"near": [1.0], "idle": []})
         solved.append([part.solved for part in units.parts])
     assert solved[0] == [UNITS, UNITS]
     assert [row[1] - UNITS for row in solved[:3]] == [0, 0, 0] and 0 < solved[3][1] - UNITS < UNITS / 2

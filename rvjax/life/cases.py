@@ -37,7 +37,7 @@ def _cases(method: str) -> Cases:
         errors=WHOLE,
         conditions=dict(duty=DUTY, reliability=0.9, pin_contact="hertz", carrier="fixed", sun="fixed"),
         torque=None,
-        ways=tuple(Way(f"{method}, {n} angles", {"samples": n}, ("float64",)) for n in ANGLES[method]),
+        ways=tuple(Way(f"{method}, {n} angles", {"life_samples": n}, ("float64",)) for n in ANGLES[method]),
         batch=64,
         calls=2,
         question={"life_method": method},

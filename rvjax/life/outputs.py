@@ -15,11 +15,13 @@ from rvjax.errors import RVErrors
 from rvjax.life.cases import cases
 from rvjax.life.duty import Duty
 from rvjax.life.histories import METHODS
+from rvjax.life.machine import check_plan, input_angles
 from rvjax.life.rated import RatedTorque, rated_torque
-from rvjax.life.rating import Rating, rating
+from rvjax.life.rating import Rating, by_forces, rating, under
 from rvjax.life.ratings import check_ratings
-from rvjax.loaded import CONTACTS, SUPPORTS
-from rvjax.outputs import Description, Output, Reading, Solved, condition
+from rvjax.loaded import CONTACTS, SUPPORTS, BearingForces, Revolution, admit, instants, summary, turn, turns_of
+from rvjax.outputs import Description, Joint, Output, Reading, Solved, condition
+from rvjax.records import PyTree
 
 COLUMNS = {"output_torque": "N m", "output_speed": "rad/s", "time": "s"}
 
@@ -29,6 +31,9 @@ class Conditions:
     """Under which duty, and how, the bearings are rated. The turn is always a whole one of the output."""
 
     samples: int = condition(48, "input angles over the span", minimum=4, maximum=100_000)
+    life_samples: int | None = condition(
+        None, "input angles of a bearing life; samples where it is not given", minimum=4, maximum=100_000
+    )
     pin_contact: str = condition("hertz", "contact law of discs and pins", choices=CONTACTS)
     carrier: str = condition("fixed", "centre of the carrier", choices=SUPPORTS)
     sun: str = condition("fixed", "centre of the sun", choices=SUPPORTS)
@@ -43,7 +48,7 @@ class Conditions:
 
 def _ways(given: Conditions) -> dict[str, Any]:
     return dict(
-        samples=given.samples,
+        samples=given.life_samples or given.samples,
         method=given.life_method,
         reliability=given.reliability,
         contact=given.pin_contact,
@@ -52,12 +57,39 @@ def _ways(given: Conditions) -> dict[str, Any]:
     )
 
 
+def _duty(errors: RVErrors, given: Conditions) -> Duty:
+    dtype = jnp.result_type(float, *jax.tree.leaves(errors))
+    return Duty(*(jnp.asarray(column, dtype) for column in np.asarray(given.duty, float).T))
+
+
 def rated(design: RVReducer, errors: RVErrors, given: Conditions) -> Rating:
     """Under the duty."""
-    columns = np.asarray(given.duty, float).T
-    dtype = jnp.result_type(float, *jax.tree.leaves(errors))
-    duty = Duty(*(jnp.asarray(column, dtype) for column in columns))
-    return rating(errors.stiffened(design), errors, duty, **_ways(given))
+    return rating(errors.stiffened(design), errors, _duty(errors, given), **_ways(given))
+
+
+def turned_and_rated(design: RVReducer, errors: RVErrors, given: PyTree) -> tuple[Revolution, Rating]:
+    """Along the span under the output torque, and under the duty: one loop over all equilibria, half of the program."""
+    design, ways, duty = errors.stiffened(design), _ways(given), _duty(errors, given)
+    supports = given.pin_contact, given.carrier, given.sun
+    plan = check_plan(design, errors, ways["samples"], 1.0, given.life_method, given.reliability, 0.0, supports)
+    phases, n = len(given.duty), given.samples
+    read = admit(plan.layout, design, errors, jnp.append(duty.output_torque, given.output_torque), 0.0)
+    numbers = under(duty, phases, design, read, given.reliability, 0.0)
+
+    along = 2 * np.pi * design.ratio * turns_of(design, given) * np.arange(n) / n
+    spread = input_angles(plan, design, read.torque.dtype)
+    torques = jnp.concatenate([jnp.full(n, read.torque[-1]), jnp.tile(read.torque[:-1], plan.samples)])
+    angles = jnp.concatenate([jnp.asarray(along, read.torque.dtype), jnp.repeat(spread, phases)])
+    first = np.concatenate([np.arange(n) == 0, np.ones(plan.samples * phases, bool)])
+    found = instants(plan.layout, read, torques, angles, first)
+
+    around, rest = jax.tree.map(lambda x: x[:n], found), jax.tree.map(lambda x: x[n:], found)
+
+    def each(x: jax.Array) -> jax.Array:
+        return x.reshape(plan.samples, phases, *x.shape[1:])
+
+    forces = BearingForces(each(rest.arm), each(rest.support), jax.tree.map(each, rest.info), None)
+    return summary(around), by_forces(plan, numbers, read.errors, forces)
 
 
 def sought(design: RVReducer, errors: RVErrors, given: Conditions) -> RatedTorque:
@@ -168,4 +200,5 @@ DESCRIPTION = Description(
     compiler_options=QUICK,
     costly=True,
     parts=("bearings",),
+    joints=(Joint((turn, rated), turned_and_rated),),
 )

@@ -114,6 +114,7 @@ def _missing(plan: Plan, given: Given, x: jax.Array, start: jax.Array) -> Evalua
     loaded = share > 0
     value = jnp.where(loaded, -jnp.log(jnp.where(loaded, share, 1)) / LIFE, 1)
     status = worst(jnp.append(jnp.ravel(forces.info.status), found.info.status))
+    assert forces.displacements is not None
     return value, status, jnp.sum(forces.info.steps), forces.displacements
 
 

@@ -10,8 +10,8 @@ from rvjax.designs import RVReducer, expect
 from rvjax.errors import RVErrors
 from rvjax.life.bearing import inverse
 from rvjax.life.duty import Duty, check_phases, revolutions
-from rvjax.life.machine import Plan, check_plan, damages, entered, input_angles
-from rvjax.loaded import admit, bearing_forces
+from rvjax.life.machine import Entered, Plan, check_plan, damages, entered, input_angles
+from rvjax.loaded import BearingForces, Read, admit, bearing_forces
 from rvjax.plausible import checked
 from rvjax.records import Record, Scalar, field, record
 from rvjax.status import SolveInfo, Status, succeeded, worst
@@ -84,14 +84,40 @@ def rating(
 def _rating(
     plan: Plan, phases: int, design: RVReducer, errors: RVErrors, duty: Duty, reliability: Scalar, tilt: Scalar
 ) -> Rating:
-    torque, speed, time = (jnp.broadcast_to(x, (phases,)) for x in (duty.output_torque, duty.output_speed, duty.time))
-    read = admit(plan.layout, design, errors, torque, 0.0)
-    given = entered(
+    read = admit(plan.layout, design, errors, jnp.broadcast_to(duty.output_torque, (phases,)), 0.0)
+    given = under(duty, phases, design, read, reliability, tilt)
+    forces = bearing_forces(plan.layout, read, read.torque, input_angles(plan, design, read.torque.dtype))
+    return by_forces(plan, given, read.errors, forces)
+
+
+def under(duty: Duty, phases: int, design: RVReducer, read: Read, reliability: Scalar, tilt: Scalar) -> Entered:
+    """The numbers of a duty, checked.
+
+    Args:
+        duty: its speeds and times are read.
+        phases: their number.
+        design: its bearings are read.
+        read: numbers of the loaded equilibrium.
+        reliability: share of the bearings.
+        tilt: rad.
+    """
+    speed, time = (jnp.broadcast_to(x, (phases,)) for x in (duty.output_speed, duty.time))
+    return entered(
         design, read, speed, time, reliability, tilt, lambda _, time: jnp.any(time < 0) | ~(jnp.sum(time) > 0)
     )
-    forces = bearing_forces(plan.layout, read, read.torque, input_angles(plan, design, read.torque.dtype))
+
+
+def by_forces(plan: Plan, given: Entered, errors: RVErrors, forces: BearingForces) -> Rating:
+    """Lives by the forces of a duty.
+
+    Args:
+        plan: samples and method.
+        given: bearings, speeds and times of the phases.
+        errors: clearances are read.
+        forces: (samples, phases, ...).
+    """
     turned = revolutions(plan.layout.pins, given.speed, given.time)
-    found = damages(plan, given.bearings, read.errors, forces, turned.share, given.tilt)
+    found = damages(plan, given.bearings, errors, forces, turned.share, given.tilt)
     per_time = turned.per_time / (1e6 * given.factor)  # Eq. 22
 
     values = dict(

@@ -17,8 +17,10 @@ from rvjax.loaded.inputs import (
     check_input as check_input,
     unchecked as unchecked,
 )
+from rvjax.loaded.instants import instants as instants
 from rvjax.loaded.laws import CONTACTS as CONTACTS
-from rvjax.loaded.revolution import Revolution, revolution
+from rvjax.loaded.revolution import Revolution, revolution, summary as summary
+from rvjax.loaded.sources import turn as turn, turns_of as turns_of
 from rvjax.loaded.system import Layout as Layout
 from rvjax.loaded.torsion import Torsion, torsion
 

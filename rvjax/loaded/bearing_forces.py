@@ -23,7 +23,7 @@ class BearingForces(NamedTuple):
     arm: jax.Array  # (n, t, d, c, 2) N, crank on disc
     support: jax.Array  # (n, t, c, 2) N, crank on carrier
     info: SolveInfo  # (n, t)
-    displacements: jax.Array  # (n, t, unknowns), NaN where an equilibrium failed
+    displacements: jax.Array | None  # (n, t, unknowns), NaN where an equilibrium failed; None: not needed
 
 
 def bearing_forces(

@@ -21,40 +21,13 @@ from rvjax.loaded.conditions import Conditions, ways
 from rvjax.loaded.equilibrium import equilibrium
 from rvjax.loaded.inputs import check_input, check_teeth
 from rvjax.loaded.observation import CURVE, LOOP
-from rvjax.loaded.revolution import Revolution, revolution
-from rvjax.loaded.torsion import SHARES, secant, twisted
+from rvjax.loaded.revolution import Revolution
+from rvjax.loaded.sources import HALF, PROBE, RATED, SLIGHT, second_turn, turn, turns_of, unloaded_turn
+from rvjax.loaded.torsion import secant, twisted
 from rvjax.outputs import Curve, Description, Output, Reading, Solved
 from rvjax.status import SolveInfo, worst, worst_of
 
 Refuse = Callable[[RVReducer, Conditions], None]
-RATED, HALF, SLIGHT, PROBE = SHARES
-
-
-def _turns(design: RVReducer, given: Conditions) -> float:
-    """Turns of the output in the span."""
-    return 1.0 if given.span == "output_turn" else 1 / design.cycloid.pin_count
-
-
-def _along(design: RVReducer, errors: RVErrors, given: Conditions, torque: float) -> Revolution:
-    turns = _turns(design, given)
-    return revolution(
-        errors.stiffened(design), errors, output_torque=torque, turns=turns, samples=given.samples, **ways(given)
-    )
-
-
-def turn(design: RVReducer, errors: RVErrors, given: Conditions) -> Revolution:
-    """Along the span under the output torque."""
-    return _along(design, errors, given, given.output_torque)
-
-
-def second_turn(design: RVReducer, errors: RVErrors, given: Conditions) -> Revolution:
-    """Along the span under the second torque."""
-    return _along(design, errors, given, given.second_torque)
-
-
-def unloaded_turn(design: RVReducer, errors: RVErrors, given: Conditions) -> Revolution:
-    """Along the span at the probe torque: the limit of no load."""
-    return _along(design, errors, given, PROBE * given.rated_torque)
 
 
 def _bench(shares: tuple[float, ...]) -> Callable[[RVReducer, RVErrors, Conditions], tuple[jax.Array, SolveInfo]]:
@@ -64,7 +37,7 @@ def _bench(shares: tuple[float, ...]) -> Callable[[RVReducer, RVErrors, Conditio
         """At the shares of the rated torque that this bench takes."""
         design = errors.stiffened(design)
         layout = check_input(design, errors, *ways(given).values())
-        span = 2 * np.pi * design.ratio * _turns(design, given)
+        span = 2 * np.pi * design.ratio * turns_of(design, given)
         angles = given.input_angle + span * np.arange(given.probe_angles) / given.probe_angles
 
         def at(angle: jax.Array) -> tuple[jax.Array, SolveInfo]:
@@ -102,7 +75,7 @@ def _shift(first: Revolution, second: Revolution, design: RVReducer, given: Cond
 
 def _amplitude(found: Revolution, design: RVReducer, given: Conditions) -> Solved:
     """|X_k| of error = Re sum X_k e^(2 pi i k j / n), from its one line of the transform."""
-    k = round(given.order * _turns(design, given))
+    k = round(given.order * turns_of(design, given))
     angle = 2 * np.pi * ((k * np.arange(given.samples)) % given.samples) / given.samples
     parts = [
         2 / given.samples * jnp.sum(found.error * jnp.asarray(wave(angle), found.error.dtype))
@@ -124,7 +97,7 @@ def _pressure(design: RVReducer, errors: RVErrors, given: Conditions) -> Solved:
 
 
 def _clearance(design: RVReducer, errors: RVErrors, given: Conditions) -> Solved:
-    found = clearance(design, errors, turns=_turns(design, given), samples=given.samples)
+    found = clearance(design, errors, turns=turns_of(design, given), samples=given.samples)
     return found.least, found.info.status
 
 
@@ -179,8 +152,8 @@ def _resolved(design: RVReducer, given: Conditions) -> None:
     where, zp = f"conditions.order = {given.order}", design.cycloid.pin_count
     if given.span == "crank_turn" and given.order % zp:
         raise ValueError(f'{where}: a crank turn shows multiples of {zp} only; set conditions.span = "output_turn"')
-    if 2 * given.order * _turns(design, given) >= given.samples:
-        least = round(2 * given.order * _turns(design, given)) + 1
+    if 2 * given.order * turns_of(design, given) >= given.samples:
+        least = round(2 * given.order * turns_of(design, given)) + 1
         raise ValueError(
             f"{where}: beyond half of conditions.samples = {given.samples} over the span, {least} at least"
         )
@@ -259,7 +232,7 @@ DESCRIPTION = Description(
         )
     },
     curve=Curve(
-        "Transmission error of the loaded reducer over the span", "rad", _curve, _turns,
+        "Transmission error of the loaded reducer over the span", "rad", _curve, turns_of,
         (turn, lambda found: found.error), _angles,
     ),
     cases=cases,

@@ -1,24 +1,18 @@
 """Transmission error of a whole reducer along its turn, under load."""
 
-from functools import partial
-from typing import NamedTuple
-
-import jax
 import jax.numpy as jnp
+import numpy as np
 
 from rvjax.compile_cache import quick
 from rvjax.designs import RVReducer
 from rvjax.errors import RVErrors
-from rvjax.loaded.balance import balance, forces
-from rvjax.loaded.equilibrium import Case, judge, placed, prepare, pressures
-from rvjax.loaded.inputs import Read, admit, check_input
-from rvjax.loaded.newton import Found
+from rvjax.loaded.inputs import admit, check_input
+from rvjax.loaded.instants import Instants, instants
 from rvjax.loaded.system import Layout
 from rvjax.plausible import checked
 from rvjax.records import Array, Record, Scalar, field, record
 from rvjax.status import SolveInfo, succeeded, worst_of
 
-Pair = tuple[jax.Array, jax.Array]
 HARMONICS = 5
 
 
@@ -82,25 +76,23 @@ def _revolution(
     layout: Layout, samples: int, design: RVReducer, errors: RVErrors, output_torque: Scalar, turns: Scalar
 ) -> Revolution:
     read = admit(layout, design, errors, output_torque, turns)
-    step = 2 * jnp.pi * design.ratio * read.angle / samples  # `admit` checked the turns in the place of the angle
-
-    def onward(known: Pair, j: jax.Array) -> tuple[Pair, tuple[Found, SolveInfo]]:
-        last, before = known  # NaN where there is none
-        start = jnp.where(jnp.isfinite(before), 2 * last - before, last)
-        case = prepare(layout, read, jax.lax.stop_gradient(step * j)).loaded(read.torque)
-        case = jax.lax.stop_gradient(case)
-        found = balance(layout, case.system, start)
-        info = judge(read, case, found)
-        return (jnp.where(succeeded(info.status), found.q, jnp.nan), last), (found, info)
-
     order = jnp.arange(samples, dtype=read.torque.dtype)
-    none = jnp.full((layout.unknowns,), jnp.nan, order.dtype)
-    _, (found, infos) = jax.lax.scan(onward, (none, none), order)
-    measure = jax.checkpoint(partial(_measure, layout), static_argnums=())
-    error, loads = jax.lax.map(lambda x: measure(read, step, *x), (order, found, infos.status))
-    whole = worst_of(infos)
+    step = 2 * jnp.pi * design.ratio * read.angle / samples  # `admit` checked the turns in the place of the angle
+    return summary(
+        instants(layout, read, jnp.broadcast_to(read.torque, order.shape), step * order, np.arange(samples) == 0)
+    )
+
+
+def summary(found: Instants) -> Revolution:
+    """The revolution of equally spaced instants.
+
+    Args:
+        found: (n,) of one turn.
+    """
+    samples = len(found.error)
+    whole = worst_of(found.info)
     fine = succeeded(whole.status)
-    error = jnp.where(fine, error, jnp.nan)
+    error = jnp.where(fine, found.error, jnp.nan)
     wave = jnp.fft.fft(jnp.where(fine, error, 0))[:HARMONICS] / samples
     wave = jnp.pad(wave, (0, HARMONICS - len(wave)))
     wave = wave + wave.at[0].set(0)  # X_0 once, all others twice
@@ -109,43 +101,6 @@ def _revolution(
         peak_to_peak=jnp.max(error) - jnp.min(error),
         mean=jnp.mean(error),
         harmonics=jnp.where(fine, wave, jnp.nan),
-        **{name: jnp.where(fine, jnp.max(load), jnp.nan) for name, load in loads._asdict().items()},
-        info=whole.replace(steps=jnp.sum(infos.steps)),
+        **{name: jnp.where(fine, jnp.max(load), jnp.nan) for name, load in found.loads._asdict().items()},
+        info=whole.replace(steps=jnp.sum(found.info.steps)),
     )
-
-
-class Loads(NamedTuple):
-    """Forces on the parts at one angle; fields as in `Revolution`."""
-
-    largest_pin: jax.Array
-    largest_pressure: jax.Array
-    largest_arm_bearing: jax.Array
-    largest_support_bearing: jax.Array
-    crank_sharing: jax.Array
-    disc_sharing: jax.Array
-
-
-def _measure(
-    layout: Layout, read: Read, step: jax.Array, j: jax.Array, found: Found, status: jax.Array
-) -> tuple[jax.Array, Loads]:
-    """Error and loads of angle j, with their derivatives."""
-    case: Case = prepare(layout, read, step * j).loaded(read.torque)
-    q = placed(layout, case, found, status)
-    pins, flanks, bearings = forces(layout, case.system, q)
-    square = jnp.sum(bearings * bearings, axis=-1)
-    carried = jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1)), 0)
-    loads = Loads(
-        largest_pin=jnp.max(pins),
-        largest_pressure=jnp.max(pressures(case, pins)),
-        largest_arm_bearing=jnp.max(carried[: -layout.cranks]),
-        largest_support_bearing=jnp.max(carried[-layout.cranks :]),
-        crank_sharing=_sharing(flanks[:, 0] - flanks[:, 1]),
-        disc_sharing=_sharing(jnp.sum(case.lever * pins, axis=1)),
-    )
-    return q[layout.carried] / read.design.cranks.circle_radius, loads
-
-
-def _sharing(load: jax.Array) -> jax.Array:
-    """Largest of some loads over their mean; 0 where they sum to nothing."""
-    total = jnp.abs(jnp.sum(load))
-    return jnp.where(total > 0, load.size * jnp.max(jnp.abs(load)) / jnp.where(total > 0, total, 1), 0)

@@ -16,7 +16,7 @@ from rvjax.choices import unknown
 from rvjax.compile_cache import ONCE
 from rvjax.errors import described
 from rvjax.levels import Choice
-from rvjax.outputs import Reading, Solved, Source
+from rvjax.outputs import Joint, Reading, Solved, Source
 from rvjax.records import Design, PyTree, Record, Scalar, field, record, text
 from rvjax.response import per_response
 from rvjax.status import SUCCESS, Status, worst
@@ -83,6 +83,9 @@ class Response(Record):
         """Values and the worst status of one unit."""
         errors = errors.bounded(self.bounds) if self.bounds else errors
         shared: dict[Level, dict[Source, PyTree]] = {}  # by level; outputs of one level read the same results
+        for joint in self._joints():
+            results = joint.evaluate(self.design, errors, self.conditions)
+            shared.setdefault(None, {}).update(zip(joint.sources, results))
         found = {name: self._one(name, errors, shared) for name in self.outputs}
         statuses = jnp.stack([jnp.asarray(status) for _, status in found.values()])
         values = {name: value for name, (value, _) in found.items()}
@@ -106,14 +109,13 @@ class Response(Record):
 
     def parts(self) -> list[Self]:
         """Its outputs in groups that share no result: each a response of its own, one with the curve."""
-        outputs, sources = models.kind(self.design).outputs, self._sources()
+        joints = [{(None, source) for source in joint.sources} for joint in self._joints()]
         drawn = models.kind(self.design).curve(self.outputs)
         curve = None if drawn is None else drawn.source
         groups: list[tuple[set[object], list[str]]] = []
         for name in self.outputs:
-            evaluate = outputs[sources[name]].evaluate
-            level = next((level[1:] for level in self.levels if level[0] == name), None)
-            own = {(level, s) for s in evaluate.sources} if isinstance(evaluate, Reading) else {name}
+            own = self._read(name) or {name}
+            own = own.union(*(joint for joint in joints if joint & own))
             joined = [group for group in groups if group[0] & own]
             groups = [group for group in groups if not group[0] & own]
             groups.append((own.union(*(g[0] for g in joined)), [n for g in joined for n in g[1]] + [name]))
@@ -125,6 +127,17 @@ class Response(Record):
             )
             for own, names in groups
         ]
+
+    def _read(self, name: str) -> set[object]:
+        """Results, each with its level, that an output shares with others."""
+        evaluate = models.kind(self.design).outputs[self._sources()[name]].evaluate
+        level = next((level[1:] for level in self.levels if level[0] == name), None)
+        return {(level, source) for source in evaluate.sources} if isinstance(evaluate, Reading) else set()
+
+    def _joints(self) -> list[Joint]:
+        """Results without a level that are computed together."""
+        needed = set().union(*(self._read(name) for name in self.outputs))
+        return [j for j in models.kind(self.design).joints if all((None, source) in needed for source in j.sources)]
 
     def _sources(self) -> dict[str, str]:
         """The output that is computed for each that is wanted."""

@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -210,6 +211,7 @@ def influence_tables(answer: Answer) -> list[Table]:
     """
     study, side = answer.study, answer.after
     columns: list[Column] = [Text("error")]
+    decimals = {name: _decimals(study, name, side.sensitivities[name]) for name in study.requirements}
     for name in study.requirements:
         columns += [Text(f"d {name} / d error"), Text("share")]
     wide, long = [], []
@@ -220,7 +222,7 @@ def influence_tables(answer: Answer) -> list[Table]:
             unit, size = study.output(name).shown
             slope, part = side.sensitivities[name][field] * error_size / size, side.shares[name][field]
             seen, per = slope != 0 or part != 0, f"{unit}/{error_unit}"
-            row += [f"{slope:.{_decimals(study, name)}f} {per}", f"{100 * part:.1f} %"] if seen else [UNMOVED, "-"]
+            row += [f"{slope:.{decimals[name]}f} {per}", f"{100 * part:.1f} %"] if seen else [UNMOVED, "-"]
             long.append([field, name, number(slope) if seen else None, per, number(part) if seen else None])
         wide.append(row)
     titles = ("error", "response", "slope", "unit of the slope", "share of variance")
@@ -230,10 +232,11 @@ def influence_tables(answer: Answer) -> list[Table]:
     ]
 
 
-def _decimals(study: Study, name: str) -> int:
-    """Four in the usual unit of a response; in another unit, as many as say the same."""
-    output = study.output(name)
-    return max(2, 4 + round(math.log10(output.shown[1] / readable(output.unit)[1])))
+def _decimals(study: Study, name: str, slopes: Mapping[str, float]) -> int:
+    """Four, fewer where the largest slope then still has four digits."""
+    size = study.output(name).shown[1]
+    shown = [abs(slope) * readable(study.unit(field))[1] / size for field, slope in slopes.items()]
+    return min(4, max(0, 3 - math.floor(math.log10(max(shown, default=0.0) or 1.0))))
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ E R^2 = (m^2 - m + 2) V: 4 V of pairs and more of others, so that E R^2 / 4 boun
 """
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -21,21 +21,18 @@ import numpy as np
 
 from rvjax import models, progress as phase
 from rvjax.choices import choose
+from rvjax.commands.budget.effects import BLOCK, FEWEST, MOST, Load, by_level, of_load
 from rvjax.commands.budget.inputs import Inputs
+from rvjax.commands.budget.scalar import ScalarBudget, scalar_budget
 from rvjax.commands.speak import READING, WRITING
-from rvjax.errors import STAGES
 from rvjax.outputs import Curve
 from rvjax.population import Population, drawn, root_key
 from rvjax.progress import progress_bar
 from rvjax.study import Study, naming
 
 UNLOADED = 1e-3  # of the torque: the limit of no load, as on a test bench
-FEWEST, MOST = 16, 2**16
-BLOCK = 256  # units at once: all angles of a turn of each are solved together
-LEVELS = ("field", "part", "stage")
 COUNTED = "error budget"
 """Phase whose part done is known."""
-Solve = Callable[[jax.Array], np.ndarray]  # random numbers of units -> their waves
 
 
 @dataclass(frozen=True)
@@ -83,13 +80,7 @@ class Budget:
         Raises:
             ValueError: another level.
         """
-        choose("level", level, LEVELS)
-        sums: dict[str, np.ndarray] = {}
-        for field, values in self.variance[load].items():
-            part = self.part[field] or "other"
-            name = {"field": field, "part": part, "stage": STAGES.get(part, "other")}[level]
-            sums[name] = sums.get(name, np.zeros(len(self.orders))) + values
-        return dict(sorted(sums.items(), key=lambda item: -item[1][1:].sum()))
+        return by_level(level, self.variance[load], self.part)
 
     def shares(self, level: str, load: str) -> dict[str, float]:
         """Of the sum of all variances but those of the mean; they sum to 1, or are all 0 where nothing varies.
@@ -112,10 +103,15 @@ def phases(asked: Inputs) -> dict[str, float]:
     return dict.fromkeys((READING, COUNTED, WRITING), 0.0)
 
 
-def compute(asked: Inputs) -> Budget:
+def compute(asked: Inputs) -> Budget | ScalarBudget:
     """The budget of the tolerances of the study."""
     asked.study.check_nominal()
     phase.begin(COUNTED)
+    named = tuple(asked.study.requirements) if asked.output is None else (asked.output,)
+    if set(named) <= set(asked.study.requirements) and curve_along(asked.study, named) is None:
+        if asked.loads:
+            raise ValueError(f"--torque: {named[0]} has no curve along the output; its torque is that of the study")
+        return scalar_budget(asked.study, named[0], samples=asked.samples, seed=asked.seed)
     return error_budget(asked.study, output=asked.output, loads=asked.loads, samples=asked.samples, seed=asked.seed)
 
 
@@ -167,11 +163,11 @@ def error_budget(
 
         for load, torque in loads.items():
             with naming(f"study {study.name}, {load}, {torque:g} N m"):
-                found[load] = _of_load(partial(solve, torque), draw, population, samples)
+                found[load] = of_load(partial(solve, torque), draw, population, samples)
     waves = len(next(iter(found.values())).total)
     assert curve.turns is not None
     by_load: dict[str, Any] = {
-        f.name: {load: getattr(one, f.name) for load, one in found.items()} for f in dataclasses.fields(_Load)
+        f.name: {load: getattr(one, f.name) for load, one in found.items()} for f in dataclasses.fields(Load)
     }
     return Budget(
         title=curve.title,
@@ -189,55 +185,6 @@ def torque_condition(given: Any) -> str:
     return next(f.name for f in dataclasses.fields(given) if f.metadata["torque"])
 
 
-@dataclass(frozen=True)
-class _Load:
-    """Results of one load, for a `Budget`."""
-
-    variance: dict[str, np.ndarray]
-    error: dict[str, float]
-    total: np.ndarray
-    together: tuple[float, float]
-    alike: np.ndarray
-    failed: int
-
-
-def _of_load(
-    solve: Solve, draw: Callable[..., jax.Array], population: Population, samples: int, block: int = BLOCK
-) -> _Load:
-    one, other, changed = _solved(solve, draw, population, samples, block)
-    good = np.isfinite(one).all(1) & np.isfinite(other).all(1)
-    for values in changed.values():
-        good &= np.isfinite(values).all(1)
-    if not good.any():
-        raise ValueError(f"none of {samples} units can be solved")
-    one, other, count = one[good], other[good], int(good.sum())
-    waves = squares(one.shape[1])
-    moved = {field: values[good] - one for field, values in changed.items()}
-    square = {field: 0.5 * waves * np.abs(values) ** 2 for field, values in moved.items()}
-    mean = one.sum(0) / count
-    total = waves * (np.abs(one - mean) ** 2).sum(0) / max(1, count - 1)
-    rest = 0.25 * (waves * np.abs(other - one - sum(moved.values())) ** 2)[:, 1:].sum(1)
-    whole = total[1:].sum()
-    share, spread = (float(x / whole) if whole > 0 else 0.0 for x in (rest.sum() / count, rest.std() / np.sqrt(count)))
-    return _Load(
-        variance={field: values.sum(0) / count for field, values in square.items()},
-        error={field: float(v[:, 1:].sum(1).std() / np.sqrt(count)) for field, v in square.items()},
-        total=total,
-        together=(share, spread),
-        alike=waves * np.abs(mean) ** 2,
-        failed=int(samples - good.sum()),
-    )
-
-
-def squares(count: int) -> np.ndarray:
-    """Mean squares (count,) of waves of amplitude 1; the first is a constant.
-
-    Args:
-        count: of the waves.
-    """
-    return np.where(np.arange(count) > 0, 0.5, 1.0)
-
-
 def waves_of(curves: np.ndarray) -> np.ndarray:
     """Amplitudes of the waves (units, k) of curves (units, n), as `_waves` has them; NaN of a failed unit.
 
@@ -248,20 +195,6 @@ def waves_of(curves: np.ndarray) -> np.ndarray:
     waves = np.fft.rfft(curves, axis=1)[:, :count] / curves.shape[1]
     waves[:, 1:] *= 2
     return np.where(np.isfinite(curves).all(axis=1)[:, None], waves, np.nan)
-
-
-def _solved(
-    solve: Solve, draw: Callable[..., jax.Array], population: Population, samples: int, block: int
-) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
-    """Waves (units, k) of units, of other units, and of the first with one error of the others, by that error."""
-    block = min(block, samples)
-    parts: list[list[np.ndarray]] = []
-    for first in range(0, samples, block):
-        own, new = (draw(first + start, count=block) for start in (0, samples))
-        batches = [own, new, *(mixed for _, mixed in population.exchanged(own, new))]
-        parts.append([solve(batch)[: samples - first] for batch in batches])
-    one, another, *changed = (np.concatenate(values) for values in zip(*parts))
-    return one, another, dict(zip(population.active, changed))
 
 
 def _curve(study: Study, output: str | None) -> Curve:

@@ -5,8 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from rvjax.commands.budget.compute import LEVELS, Budget
+from rvjax.commands.budget.compute import Budget
+from rvjax.commands.budget.effects import LEVELS
 from rvjax.commands.budget.inputs import Inputs
+from rvjax.commands.budget.scalar import ScalarBudget, report_on_scalar
 from rvjax.render import CSV, EVERYWHERE, Column, Figure, Note, Number, Report, Section, Table, Text, versions
 from rvjax.study import Study
 from rvjax.units import arcsec, readable
@@ -15,14 +17,14 @@ ORDERS_SHOWN = 8  # of the output turn, the largest
 NOTHING = 1e-20  # of the mean square: rounding
 
 
-def report(asked: Inputs, found: Budget) -> Report:
+def report(asked: Inputs, found: Budget | ScalarBudget) -> Report:
     """The report on a budget.
 
     Args:
         asked: inputs of the command.
         found: its result.
     """
-    return report_on(found, asked.study)
+    return report_on_scalar(found, asked.study) if isinstance(found, ScalarBudget) else report_on(found, asked.study)
 
 
 def report_on(budget: Budget, study: Study) -> Report:

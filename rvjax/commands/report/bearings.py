@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 ORDERS_SHOWN = 6
 ERRORS_SHOWN = 8
 HOUR = 3600.0
+SPREAD = {4: 5.3, 6: 2.7, 8: 2.2, 12: 1.5, 24: 0.5}
+"""By the number of angles: standard deviation of the life of a unit in percent, rv-40e-whole, against 960 angles."""
 LIMITS = (
     "The model is plane: it has no tilt of crank or disc (1 mrad costs a quarter of the life), no moment load, no "
     "axial force and no edge load, so the lives are optimistic. Lives of different methods differ in level: at the "
@@ -44,7 +46,17 @@ def bearing_section(lives: Lives, study: Study) -> Section:
     parts.append(_against_torque(lives, limit if np.isfinite(limit) and shown[0] == "life" else None))
     if len(lives.duty) > 1:
         parts += [_phase_figure(lives), _phases(lives)]
-    return Section("Bearing life", (*parts, Note(LIMITS)))
+    return Section("Bearing life", (*parts, Note(f"{_angles(lives.samples)} {LIMITS}")))
+
+
+def _angles(samples: int) -> str:
+    """Error by the number of angles."""
+    spread = SPREAD[max(count for count in SPREAD if count <= max(samples, min(SPREAD)))]
+    return (
+        f"Forces are computed at {samples} angles of a revolution of the output. In the study rv-40e-whole so many "
+        f"angles change the life of a unit by at most {spread:g} % (standard deviation over the units), and the mean "
+        f"life by less than 0.1 %."
+    )
 
 
 def _size(title: str, unit: str, read_in: str, form: str = ",.0f") -> Number:

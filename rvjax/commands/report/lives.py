@@ -26,6 +26,7 @@ class Lives:
 
     Attributes:
         method: of the lives, which sets their level.
+        samples: angles of a revolution of the output at which forces are computed.
         reliability: share of the bearings, under the loads of one unit, that reach its life.
         life: of all bearings of each unit (units,); units without a life are excluded.
         failed: number of units without a life.
@@ -46,6 +47,7 @@ class Lives:
     """
 
     method: str
+    samples: int
     reliability: float
     life: Values
     failed: int
@@ -87,7 +89,8 @@ def lives_if_any(study: Study, tolerances: PyTree, *, units: int = UNITS) -> Liv
     given, population = study.conditions, Population.of(tolerances)
     duty = life.Duty(*np.asarray(given.duty, float).T)
     supports = dict(contact=given.pin_contact, carrier=given.carrier, sun=given.sun)
-    ways = dict(samples=given.samples, method=given.life_method, reliability=given.reliability) | supports
+    ways = dict(samples=given.life_samples or given.samples, method=given.life_method, reliability=given.reliability)
+    ways |= supports
     pins, torque = study.design.cycloid.pin_count, float(np.max(np.abs(duty.output_torque)))
 
     @jax.jit
@@ -135,6 +138,7 @@ def lives_if_any(study: Study, tolerances: PyTree, *, units: int = UNITS) -> Liv
     wave = wave[:, int(np.argmax(share[: discs * cranks]))]
     return Lives(
         method=given.life_method,
+        samples=ways["samples"],
         reliability=given.reliability,
         life=rated.life[fine],
         failed=int(units - fine.sum()),

@@ -247,9 +247,10 @@ def _certified(search: Search, certifier: Certifier, point: Point, start: np.nda
     for other in sorted(others, key=search.cost):
         if certifier.hopeless():
             break
-        drawn = certifier.draw(training.with_half_widths(other))
-        if certifier.holds(drawn):
-            return other, drawn
+        if search.promising(other):
+            drawn = certifier.draw(training.with_half_widths(other))
+            if certifier.holds(drawn):
+                return other, drawn
     return best, certificate
 
 

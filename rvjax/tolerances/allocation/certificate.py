@@ -9,7 +9,7 @@ import numpy as np
 
 from rvjax.population import Population, deviate_of, wilson
 from rvjax.response import PLAIN
-from rvjax.tolerances.allocation.followed import Followed
+from rvjax.tolerances.allocation.followed import WRONG, Followed
 from rvjax.tolerances.allocation.sample_average import Point
 from rvjax.tolerances.allocation.search import Search
 from rvjax.tolerances.batch.monte_carlo import Run, Statistics
@@ -41,16 +41,16 @@ class Certifier:
         """Units solved so far."""
         return self.units.solved if self.units is not None else self.drawn * self.run.samples
 
-    def draw(self, population: Population, *, keep: bool | None = None) -> Statistics:
+    def draw(self, population: Population, *, keep: bool | None = None, wrong: float = WRONG) -> Statistics:
         """Statistics of independent units; a target beyond their resolution uses a probability of failure."""
         self.drawn += 1
         if self.units is None:
             self.run = dataclasses.replace(self.run, seed=self.run.seed + 1)
         asked = dataclasses.replace(self.run, population=population, keep=self.run.keep if keep is None else keep)
-        found = self._followed(asked) if self.follows else asked.statistics()
+        found = self._followed(asked, wrong) if self.follows else asked.statistics()
         return dataclasses.replace(found, verdicts=found.verdicts | self.rare(population)) if found.verdicts else found
 
-    def _followed(self, asked: Run) -> Statistics:
+    def _followed(self, asked: Run, wrong: float) -> Statistics:
         """Statistics of the units of the first certificate, those near a limit solved."""
         if self.units is None:
             self.units = Followed(asked.response, asked.population, asked.samples, asked.seed, asked.memo)
@@ -58,7 +58,7 @@ class Certifier:
             name: [end for end in (item.lower, item.upper) if math.isfinite(end)]
             for name, item in asked.requirements.items()
         }
-        return asked.of_units(*self.units.at(asked.population, lambda values: ends))
+        return asked.of_units(*self.units.at(asked.population, lambda values, moved: ends, wrong))
 
     def rare(self, population: Population) -> dict[str, Verdict]:
         """Verdicts on the targets that the units of a certificate are too few for."""

@@ -20,6 +20,7 @@ from rvjax.tolerances.batch.monte_carlo import Run, Statistics
 from rvjax.tolerances.requirements.limits import Limits
 
 _DRAWN_TO = 0.01  # part of a cost, or of the way to a limit, to which a point of costly units is searched
+_WRONG = 2.0  # costly units on the wrong side of a limit: a quarter of the standard error at 99 % of 8,192 units
 _STEPS = 30  # sets of half-widths that a search for one yield looks at, at most
 
 
@@ -179,7 +180,7 @@ def cost_of_yields(
         t = point.half_widths
         made = training.with_half_widths(t)
         if solved is not None:
-            fresh = solved.certifier.draw(made)
+            fresh = solved.certifier.draw(made, wrong=_WRONG)
         else:
             drawn = units, seed + 1, block(samples, units)
             fresh = Run(response, made, training.names, required, *drawn, memo=memo).statistics()

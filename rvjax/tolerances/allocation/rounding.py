@@ -13,7 +13,7 @@ from rvjax.tolerances.allocation.certificate import Certifier
 from rvjax.tolerances.allocation.conlin import cheapest, predicted
 from rvjax.tolerances.allocation.cost import Cost
 from rvjax.tolerances.allocation.sample_average import Point
-from rvjax.tolerances.allocation.search import Search
+from rvjax.tolerances.allocation.search import BEYOND, Search
 from rvjax.tolerances.batch.monte_carlo import Statistics
 from rvjax.tolerances.requirements.factors import CUSHION
 
@@ -127,7 +127,7 @@ class Snapping:
         return cheapest(self.costs, point, self.training.distance, self.training.powers, low, high)[0]
 
     def certified(
-        self, places: Places, half_widths: np.ndarray, beyond: float = 0.05
+        self, places: Places, half_widths: np.ndarray, beyond: float = BEYOND
     ) -> tuple[np.ndarray, Statistics | None]:
         """The free fields fitted to some grades, and a certificate unless it is foreseen that it would not hold.
 
@@ -148,7 +148,7 @@ class Snapping:
         for _ in range(_DRAWS if free else 1):
             if free and (ways := self.foreseen(t)).max() > 1:
                 t = search.tightened(point, t, 1 / ways)
-            refused = self.foreseen(t, -CUSHION).max() > 1 or not self.promising(t, beyond)
+            refused = self.foreseen(t, -CUSHION).max() > 1 or not self.search.promising(t, beyond)
             if refused or self.cost(t) >= self.cost(half_widths):
                 break
             drawn = self.certifier.draw(self.training.with_half_widths(t))
@@ -166,10 +166,6 @@ class Snapping:
         seen = 1 / self.certifier.factors(statistics, self.training.distance, more)
         here, there = (1 + self.training.margins(t) / self.training.distance for t in (half_widths, near))
         return seen * np.maximum(here, 1e-3) / np.maximum(there, 1e-3)
-
-    def promising(self, half_widths: np.ndarray, beyond: float) -> bool:
-        """True if no limit is exceeded by more than the part `beyond` of the way there."""
-        return bool((self.training.margins(half_widths) <= beyond * self.training.distance).all())
 
     def at(self, places: Places, half_widths: np.ndarray) -> np.ndarray:
         """Half-widths with these grades, the free fields as they are."""

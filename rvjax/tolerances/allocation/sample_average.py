@@ -31,7 +31,8 @@ from rvjax.tolerances.worst_case import Extremes, extremes
 _FEWEST_LANES, _LANES_PART, _LANES_OF_A_FIELD = 256, 32, 16
 _MEASURED = 256  # costly units behind the way of a nominal unit to its limit
 _NEARBY = 0.1  # logarithm of a half-width, within which costly units keep their slopes
-IDLE = 0.4  # part of the way to a limit, beyond which no costly unit is solved on its account
+IDLE = 0.25  # part of the way to a limit, beyond which costly units need no slopes
+_REACHED = 0.9  # of the way to a limit, within which no costly unit is solved on its account
 _SEEN = 6  # units beyond a limit at the target, among the first few that are solved; their number doubles
 _MET, _MISSED = 0.02, 2.5e-3  # probability of what few units show at the target, above which they decide nothing
 _REMEMBERED = 8  # sets of half-widths whose values are kept, because they are often evaluated again
@@ -223,8 +224,8 @@ class Training:
             del self._seen[next(iter(self._seen))]
         return self._seen.setdefault(asked, values)
 
-    def _aims(self, values: dict[str, np.ndarray]) -> dict[str, list[float]]:
-        """Values at the required quantiles, where a limit is not far beyond."""
+    def _aims(self, values: dict[str, np.ndarray], moved: float) -> dict[str, list[float]]:
+        """Values at the required quantiles that may have reached a limit: the way there grows as half-widths do."""
         rows = self._rows(values)
         joint = None if self.joint_target is None else float(np.quantile(self._joint(rows)[0], self.joint_target))
         found = {}
@@ -236,7 +237,7 @@ class Training:
             found[name] = [
                 end + sign * level
                 for level in levels
-                if np.isfinite(level) and level > -IDLE * distance
+                if np.isfinite(level) and 1 + level / distance > _REACHED * (1 - moved)
                 for end, sign in ((item.upper, 1.0), (item.lower, -1.0))
                 if np.isfinite(end)
             ]
@@ -318,6 +319,10 @@ class Training:
                 rows = np.array([names.index(name) for name in required[mine]])
                 cotangents = np.eye(len(names))[rows].T * pull.cotangents[mine]
                 slopes[:, mine] = self._gradients(response, names, errors[:, mine], cotangents)
+        for name in np.unique(required):
+            mine = (required == name) & (pull.cotangents != 0) & np.isfinite(slopes).all(axis=0)
+            if self.followed is not None:
+                self.followed.learn(name, pull.units[mine], slopes[:, mine] / pull.cotangents[mine])
         used = np.isfinite(slopes).all(axis=0)
         norm, of_units = pull.norms[used].sum(), (slopes * rates)[:, used]
         if len(self.fields) < MANY:

@@ -17,6 +17,7 @@ from rvjax.tolerances.allocation.sample_average import Point, Training
 RADIUS = 1.5  # first step, at most, in logarithms of the half-widths
 SETTLED = 2e-3  # steps and violations (as parts of the way to the limit) smaller than this end the search
 NOISE = 0.02  # violation within the error of the sample; the certificate corrects it
+BEYOND = 0.05  # beyond a limit by this part of the way there no certificate is tried
 GAIN = 1e-4  # and so does a step that saves less of the cost
 _COARSE = 5.0  # times these where units are costly: their sample gives the optimum no better
 
@@ -84,6 +85,10 @@ class Search:
         point, _ = self.run(point)  # finer need not be better: errors may take up errors
         reached = self.excess(point.margins)
         return point, reached <= NOISE and reached < finest / 2
+
+    def promising(self, half_widths: np.ndarray, beyond: float = BEYOND) -> bool:
+        """True if a certificate may hold: the sample exceeds no limit by more than `beyond` of the way there."""
+        return self.excess(self.training.margins(half_widths)) <= beyond
 
     def excess(self, margins: np.ndarray) -> float:
         """The worst margin, in parts of the way to its limit."""

@@ -1,0 +1,98 @@
+"""Equilibria of one reducer at several instants: each has a torque and an input angle."""
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from rvjax.loaded.balance import balance, forces
+from rvjax.loaded.equilibrium import Case, judge, placed, prepare, pressures
+from rvjax.loaded.inputs import Read
+from rvjax.loaded.newton import Found
+from rvjax.loaded.system import Layout
+from rvjax.status import SolveInfo, Status, succeeded
+
+Pair = tuple[jax.Array, jax.Array]
+
+
+class Loads(NamedTuple):
+    """Forces on the parts at one instant; fields as in `Revolution`."""
+
+    largest_pin: jax.Array
+    largest_pressure: jax.Array
+    largest_arm_bearing: jax.Array
+    largest_support_bearing: jax.Array
+    crank_sharing: jax.Array
+    disc_sharing: jax.Array
+
+
+class Instants(NamedTuple):
+    """Results at n instants."""
+
+    error: jax.Array  # rotation of the carrier against the ideal motion, (n,) rad
+    loads: Loads  # (n,)
+    arm: jax.Array  # (n, d, c, 2) N, crank on disc; 0 where an equilibrium failed or carries nothing
+    support: jax.Array  # (n, c, 2) N, crank on carrier; likewise
+    info: SolveInfo  # (n,)
+
+
+def instants(
+    layout: Layout, read: Read, torques: jax.Array, input_angles: jax.Array, first: NDArray[np.bool_]
+) -> Instants:
+    """Equilibria one after the other, each from the line through the two before.
+
+    Args:
+        layout: counts and methods.
+        read: finite and possible numbers; its torque and angle are not read.
+        torques: of the discs on the carrier, (n,) N m.
+        input_angles: of the sun, (n,) rad.
+        first: (n,); True: from the linear step, because the instant before is far away.
+    """
+
+    def onward(known: Pair, at: tuple[jax.Array, ...]) -> tuple[Pair, tuple[Found, SolveInfo]]:
+        (last, before), (torque, angle, new) = known, at  # NaN where there is none
+        start = jnp.where(jnp.isfinite(before), 2 * last - before, last)
+        case = prepare(layout, read, jax.lax.stop_gradient(angle)).loaded(torque)
+        case = jax.lax.stop_gradient(case)
+        found = balance(layout, case.system, jnp.where(new, jnp.nan, start))
+        info = judge(read, case, found)
+        here = jnp.where(succeeded(info.status), found.q, jnp.nan)
+        return (here, jnp.where(new, jnp.nan, last)), (found, info)
+
+    none = jnp.full((layout.unknowns,), jnp.nan, torques.dtype)
+    _, (found, info) = jax.lax.scan(onward, (none, none), (torques, input_angles, jnp.asarray(first)))
+    measure = jax.checkpoint(partial(_measure, layout), static_argnums=())
+    error, loads, arm, support = jax.lax.map(lambda x: measure(read, *x), (torques, input_angles, found, info.status))
+    return Instants(error, loads, arm, support, info)
+
+
+def _measure(
+    layout: Layout, read: Read, torque: jax.Array, angle: jax.Array, found: Found, status: jax.Array
+) -> tuple[jax.Array, Loads, jax.Array, jax.Array]:
+    """Error, loads and forces of an instant, with their derivatives."""
+    case: Case = prepare(layout, read, angle).loaded(torque)
+    q = placed(layout, case, found, status)
+    pins, flanks, bearings = forces(layout, case.system, q)
+    square = jnp.sum(bearings * bearings, axis=-1)
+    carried = jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1)), 0)
+    loads = Loads(
+        largest_pin=jnp.max(pins),
+        largest_pressure=jnp.max(pressures(case, pins)),
+        largest_arm_bearing=jnp.max(carried[: -layout.cranks]),
+        largest_support_bearing=jnp.max(carried[-layout.cranks :]),
+        crank_sharing=_sharing(flanks[:, 0] - flanks[:, 1]),
+        disc_sharing=_sharing(jnp.sum(case.lever * pins, axis=1)),
+    )
+    error = q[layout.carried] / read.design.cranks.circle_radius
+    bearings = jnp.where(status == Status.CONVERGED, bearings, 0)
+    arm = -bearings[: -layout.cranks].reshape(layout.discs, layout.cranks, 2)
+    return error, loads, arm, bearings[-layout.cranks :]
+
+
+def _sharing(load: jax.Array) -> jax.Array:
+    """Largest of some loads over their mean; 0 where they sum to nothing."""
+    total = jnp.abs(jnp.sum(load))
+    return jnp.where(total > 0, load.size * jnp.max(jnp.abs(load)) / jnp.where(total > 0, total, 1), 0)
