@@ -1,4 +1,4 @@
-"""Draw the figure of the README from the result of its study: `python docs/readme.py`, a minute."""
+"""Draw the figure of the README from the result of its study: `python docs/readme.py`, some minutes."""
 
 from pathlib import Path
 
@@ -15,19 +15,21 @@ PICTURES = Path(__file__).parent / "pictures"
 
 
 def answer() -> None:
-    """Draw the result of the embedded study: two requirements before and after, and the cost of the tolerances."""
+    """Draw the result of the embedded study: two of its requirements before and after, and the cost of the tolerances."""
     from rvjax.commands.allocate.answer import answer
 
-    found = answer(study.load("rv-40e"), progress=False)
+    found = answer(study.load("rv-40e-whole"), progress=False)
     with plotting.style():
         figure, axes = plt.subplots(1, 3, figsize=(13, 3.6))
-        for name, place in zip(("transmission_error", "lost_motion"), axes):
+        for name, place in zip(("loaded_transmission_error", "life"), axes):
             plotting.response_histogram(
                 found.before.values[name],
                 found.after.values[name],
                 unit=found.study.output(name).unit,
                 name=name,
+                lower=found.study.requirements[name].lower,
                 upper=found.study.requirements[name].upper,
+                read_in=found.study.output(name).read_in,
                 axes=place,
             )
         plotting.cost_bars(found.before.cost, found.after.cost, axes=axes[2])
