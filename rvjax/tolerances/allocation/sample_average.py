@@ -103,8 +103,7 @@ class Training:
         self.scales = np.where(np.isfinite(nominal) & (nominal > 0), nominal, spread)
         most = [item.most_failed for item in requirements.values() if item.most_failed < 1]
         self.most_failed = min(most, default=None)  # with statistics of the valid units failures are a constraint too
-        others = (self.most_failed is not None) + (joint_target is not None)
-        self.distance = np.append(self.scales, np.ones(others))
+        self.distance = np.append(self.scales, np.ones((self.most_failed is not None) + (joint_target is not None)))
         self.correction = np.ones(len(self.distance))
         self.powers = np.full(len(self.distance), 2.0)  # by which the half-widths of each constraint add up
         self.powers[: len(requirements)] = [item.power for item in requirements.values()]
@@ -148,12 +147,11 @@ class Training:
         def decided(values: dict[str, np.ndarray]) -> bool:
             margins = self._unit_margins(self._rows(values))
             beyond, count = (margins > 0).sum(axis=1), margins.shape[1]
-            met = special.bdtr(beyond, count, allowed) <= _MET
-            missed = special.bdtrc(beyond - 1, count, allowed) <= _MISSED
-            return bool(met.all() or missed.any())
+            met, missed = special.bdtr(beyond, count, allowed), special.bdtrc(beyond - 1, count, allowed)
+            return bool((met <= _MET).all() or (missed <= _MISSED).any())
 
-        before, count = self.followed.solved, math.ceil(_SEEN / allowed.min())
-        found = self.followed.of_few(self.with_half_widths(half_widths), count, decided)
+        before, population = self.followed.solved, self.with_half_widths(half_widths)
+        found = self.followed.of_few(population, math.ceil(_SEEN / allowed.min()), decided)
         self.evaluated[0] += self.followed.solved - before
         return None if found is None else self._corrected(self._margins(self._rows(found), {}))
 
