@@ -15,7 +15,7 @@ PICTURES = Path(__file__).parent / "pictures"
 
 
 def answer() -> None:
-    """Draw the result of the embedded study: two of its requirements before and after, and the cost of the tolerances."""
+    """Draw the result of the embedded study: two requirements before and after, and the cost of the tolerances."""
     from rvjax.commands.allocate.answer import answer
 
     found = answer(study.load("rv-40e-whole"), progress=False)

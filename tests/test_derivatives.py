@@ -60,6 +60,7 @@ CASES = {  # design, outputs, conditions
     "balance": (WHOLE, ("vibration",), RUN | dict(method="harmonic_balance", harmonics=3)),
     "mesh force": (CORR.replace(gear_teeth=8), ("cam_force", "contact_pressure"), dict(input_torque=110.0, angles=2)),
     "loaded": (WHOLE, LOADED, RUN),
+    "clearance": (WHOLE, ("flank_clearance",), RUN),
     "bench": (WHOLE, BENCH, RUN),
     "turn": (WHOLE, TURN, RUN | dict(second_torque=200.0, order=40)),
     "life": (WHOLE.replace(bearings=RV_40E.bearings), LIFE, RUN | RATED),

@@ -75,8 +75,8 @@ def made(phases=2, **changes):
     orders = np.array([0, 1, 40, -40, -1])
     force = np.array([[2e3, 2e3], [0, 300.0], [0, 10.0], [1e3, 1e3], [0, 200.0]])
     lives = Lives(
-        method="raceway", reliability=0.95, life=np.array([4e3, 3e3, 5e3, 2e3]) * HOUR, failed=3, bearings=names,
-        centre=each[0], each=each, load=each / HOUR, first=np.array([0.3, 0.6, 0.1]),
+        method="raceway", samples=12, reliability=0.95, life=np.array([4e3, 3e3, 5e3, 2e3]) * HOUR, failed=3,
+        bearings=names, centre=each[0], each=each, load=each / HOUR, first=np.array([0.3, 0.6, 0.1]),
         held={"pin_ring": (10 * HOUR, 5 * HOUR), "disc_bore": (90 * HOUR, 70 * HOUR)}, duty=duty,
         phases=np.array([0.9, 0.1])[:phases], torque=np.array([200.0, 400.0]), speed=15 * rpm,
         of_torque=np.array([[9.0, 5, 7, 8], [0.9, 0.5, 0.7, 0.8]]) * 1e3 * HOUR, orders=orders, force=force, pins=40,

@@ -8,7 +8,7 @@ import pytest
 from scipy.stats import binom
 
 from rvjax.commands.allocate import whole
-from rvjax.commands.allocate.report import whole_text
+from rvjax.commands.allocate.whole import whole_text
 from rvjax.population import wilson
 from rvjax.study import parse_study
 

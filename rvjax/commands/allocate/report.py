@@ -12,7 +12,7 @@ from rvjax.commands.allocate import kept
 from rvjax.commands.allocate.answer import Answer
 from rvjax.commands.allocate.figures import figures
 from rvjax.commands.allocate.inputs import Inputs
-from rvjax.commands.allocate.whole import Whole
+from rvjax.commands.allocate.whole import whole_text
 from rvjax.commands.cells import assumed_text, failures_text, judged, limit_text, limits_data, limits_of, share
 from rvjax.outputs import Output
 from rvjax.render import (
@@ -132,26 +132,6 @@ def limits_of_the_answer(answer: Answer) -> list[str]:
     return lines + ([whole_text(answer.whole, study)] if answer.whole is not None else [])
 
 
-def whole_text(found: Whole, study: Study) -> str:
-    """One line on the units of a four-bar or lost-motion study on the whole reducer.
-
-    Args:
-        found: what was measured.
-        study: with the limits.
-    """
-    said = []
-    for name, output in found.output.items():
-        unit, size = study.output(name).shown
-        mean = f", mean {found.mean[name] / size:.3g} {unit}" if output != name else ""
-        said.append(f"{output} {100 * found.within[name]:.3g} % within the limit{mean}")
-    known = "errors without a tolerance" + "".join(f", {name} (it has no place)" for name in found.unread)
-    failed = f"; {found.failed} failed" if found.failed else ""
-    return (
-        f"On the whole reducer {share(found.share).text()} of these units meet all limits. Of {found.units} solved "
-        f"units: {'; '.join(said)}{failed}. Not included: {known}."
-    )
-
-
 def tolerance_text(tolerance: Tolerance, unit: str) -> str:
     """Limits in the unit in which a person reads them, such as "+-6.50 um" or "8.00 +-4.00 um".
 
@@ -236,7 +216,8 @@ def _decimals(study: Study, name: str, slopes: Mapping[str, float]) -> int:
     """Four, fewer where the largest slope then still has four digits."""
     size = study.output(name).shown[1]
     shown = [abs(slope) * readable(study.unit(field))[1] / size for field, slope in slopes.items()]
-    return min(4, max(0, 3 - math.floor(math.log10(max(shown, default=0.0) or 1.0))))
+    largest = max((slope for slope in shown if math.isfinite(slope) and slope > 0), default=1.0)
+    return min(4, max(0, 3 - math.floor(math.log10(largest))))
 
 
 @dataclass(frozen=True)

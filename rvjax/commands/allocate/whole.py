@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax import models
+from rvjax.commands.cells import share
 from rvjax.errors import described
 from rvjax.population import Estimate, Population, deviate_of, drawn, root_key, score_interval
 from rvjax.response import AT_ONCE, elements, parts
@@ -190,3 +191,23 @@ def stratified(good: np.ndarray, own: np.ndarray, every: np.ndarray, *, confiden
     sizes_unknown = z**2 * max(spread - value**2, 0.0) / every.shape[1]
     below, above = math.sqrt(below + sizes_unknown), math.sqrt(above + sizes_unknown)
     return Estimate(value, (below + above) / (2 * z), max(0.0, value - below), min(1.0, value + above))
+
+
+def whole_text(found: Whole, study: Study) -> str:
+    """One line on the units of a four-bar or lost-motion study on the whole reducer.
+
+    Args:
+        found: what was measured.
+        study: with the limits.
+    """
+    said = []
+    for name, output in found.output.items():
+        unit, size = study.output(name).shown
+        mean = f", mean {found.mean[name] / size:.3g} {unit}" if output != name else ""
+        said.append(f"{output} {100 * found.within[name]:.3g} % within the limit{mean}")
+    known = "errors without a tolerance" + "".join(f", {name} (it has no place)" for name in found.unread)
+    failed = f"; {found.failed} failed" if found.failed else ""
+    return (
+        f"On the whole reducer {share(found.share).text()} of these units meet all limits. Of {found.units} solved "
+        f"units: {'; '.join(said)}{failed}. Not included: {known}."
+    )
