@@ -3,8 +3,8 @@
 A program is found by its function, the structure and types of its arguments, the source of rvjax, the versions of
 JAX and the settings of JAX. A file that does not load is traced and written again.
 
-The numbers of a response, about a hundred Python floats, reach the program as one array. One by one they cost up to a
-third of a call of 128 units of the loaded reducer, because JAX places each of them on each device.
+The numbers of a response, about a hundred Python floats, reach the program as one array. One by one, JAX placed each of
+them on each device at every call: 137,000 times in one result of the loaded study.
 """
 
 import contextlib
