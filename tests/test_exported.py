@@ -220,3 +220,25 @@ def test_keep_says_where(monkeypatch, folder):
     assert compile_cache.kept_folder() == folder
     monkeypatch.setenv(compile_cache.OFF, "0")
     assert compile_cache.keep("1") is None and compile_cache.kept_folder() is None
+
+
+@record
+class Weighted(Record):
+    """x -> sum of weights x^k, times size."""
+
+    weights: object = field("-", "of the powers", shape=(3,))
+    size: object = field("-", "factor")
+    long: object = field("-", "added element by element", shape=(70,))
+
+    def __call__(self, x):
+        return self.size * (self.weights[0] + self.weights[1] * x + self.weights[2] * x**2) + jnp.sum(self.long)
+
+
+def test_numbers_of_several_fields_arrive_each_in_its_place(folder):
+    """Fields of three numbers, of one and of many: the program of one record serves another."""
+    x = jnp.linspace(0.0, 2.0, 5)
+    another_process()(Weighted(np.ones(3), 1.0, np.zeros(70)), x, names=("a",))
+    long = np.arange(70.0)
+    found = another_process()(Weighted(np.array([2.0, 3.0, 5.0]), 7.0, long), x, names=("a",))[0]["a"]
+    assert len(TRACED) == 1
+    np.testing.assert_allclose(found, 7.0 * (2.0 + 3.0 * x + 5.0 * x**2) + long.sum(), rtol=1e-14)
