@@ -11,7 +11,6 @@ import collections
 import contextlib
 import io
 import json
-import os
 import re
 import signal
 import tempfile
@@ -312,28 +311,23 @@ def run(studies: int, files: int, seed: int = 0, commands: tuple[str, ...] = ())
     from rvjax import cli
 
     counts, wrong = collections.Counter[str](), []
-    here = Path.cwd()
-    with tempfile.TemporaryDirectory() as folder:
-        os.chdir(folder)
-        try:
-            if studies and (not commands or "compare" in commands):
-                Path("sound.toml").write_text(STUDY)
-                cli.main(["allocate", "sound.toml", "--results", "answer", "--quiet"])
-            for command, contents, arguments in cases(studies, files, seed):
-                if commands and command not in commands:
-                    continue
-                for name, data in contents.items():
-                    Path(name).write_bytes(data)
-                quiet = [] if command == "check" else ["--quiet"]
-                begun = time.process_time()
-                code, said, fault = ends([command, *arguments, *quiet])
-                counts[f"{command} {code}"] += 1
-                if fault:
-                    print(command, fault[-1500:], said[:3], f"{time.process_time() - begun:.0f} s", flush=True)
-                    changed = next(data for name, data in contents.items() if name in arguments and data)
-                    wrong.append(f"{command} {' '.join(arguments)}: {fault[-300:]}\n{said[:3]}\n{changed!r}")
-        finally:
-            os.chdir(here)
+    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
+        if studies and (not commands or "compare" in commands):
+            Path("sound.toml").write_text(STUDY)
+            cli.main(["allocate", "sound.toml", "--results", "answer", "--quiet"])
+        for command, contents, arguments in cases(studies, files, seed):
+            if commands and command not in commands:
+                continue
+            for name, data in contents.items():
+                Path(name).write_bytes(data)
+            quiet = [] if command == "check" else ["--quiet"]
+            begun = time.process_time()
+            code, said, fault = ends([command, *arguments, *quiet])
+            counts[f"{command} {code}"] += 1
+            if fault:
+                print(command, fault[-1500:], said[:3], f"{time.process_time() - begun:.0f} s", flush=True)
+                changed = next(data for name, data in contents.items() if name in arguments and data)
+                wrong.append(f"{command} {' '.join(arguments)}: {fault[-300:]}\n{said[:3]}\n{changed!r}")
     return dict(sorted(counts.items())), wrong
 
 

@@ -1,33 +1,68 @@
 """Do the tests notice mistakes? Semantic mutants, one at a time, against the tests that must fail.
 
-    python -m census.mutants [--group loaded] [--only "place of the smallest"] [--keep census/mutants.json]
+    python -m census.mutants [--group loaded] [--only "place of the smallest"] [--processes 2]
+    python -m census.mutants --journal rows.jsonl --keep census/mutants.json
 
 Each mutant of `mutants.toml` is one change that a person could make by mistake: a sign, a factor, a missing term, a
 bound. It goes into a copy of the tree. The tests named in its row run, up to the first failure. Before, the same tests
 must pass on the unchanged tree. General tools (mutmut, cosmic-ray) change every operator and run every test. That takes
 days, because programs compile for seconds; these mutants take an hour. They are not part of continuous integration,
 but a fast test compares the table with the code.
+
+Every run forks from a process that has imported JAX, SciPy and pytest but nothing of rvjax: 3 s of the processor less
+for each row. A run that was interrupted goes on with the rows that its journal lacks.
 """
 
 import argparse
 import ast
+import contextlib
+import functools
+import hashlib
 import json
+import multiprocessing
 import os
+import queue
+import resource
 import shlex
 import shutil
-import subprocess
+import signal
 import sys
 import tempfile
 import time
 import tomllib
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import astuple, dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 TABLE = ROOT / "census" / "mutants.toml"
-LIMIT = 600  # s for the tests of one mutant; one that hangs is noticed, too
+LIMIT = 300  # s of the processor for the tests of one mutant; one that hangs is noticed, too
+FIRST = ["tests.environment", "jax", "jax.export", "scipy.optimize", "scipy.stats", "matplotlib.pyplot", "pandas"]
+FIRST += ["mpmath", "pytest", "hypothesis.strategies", "jaxtyping", "execnet", "jinja2"]
+FRESH = multiprocessing.get_context("forkserver")
 COPIED = ("rvjax", "tests", "oracles", "census", "benchmarks", "docs", "notebooks", "pyproject.toml")
+
+
+Parsed = tuple[ast.Module, dict[str, list[ast.AST]]]
+
+
+@functools.lru_cache(1024)
+def parsed(text: str) -> Parsed:
+    """Syntax tree of a module, and its functions and classes by name."""
+    tree, named = ast.parse(text), dict[str, list[ast.AST]]()
+    for name, node in functions(tree):
+        named.setdefault(name, []).append(node)
+    return tree, named
+
+
+def functions(node: ast.AST, prefix: str = "") -> Iterator[tuple[str, ast.AST]]:
+    """Functions and classes below a node with their full names."""
+    for child in ast.iter_child_nodes(node):
+        named = isinstance(child, ast.FunctionDef | ast.ClassDef)
+        if named:
+            yield f"{prefix}{child.name}", child
+        yield from functions(child, f"{prefix}{child.name}." if named else prefix)
 
 
 @dataclass(frozen=True)
@@ -42,35 +77,34 @@ class Mutant:
     tests: str
     survives: str = ""  # why no test can notice, for one that is known to live
 
-    def places(self, root: Path = ROOT) -> list[tuple[Path, ast.Module, ast.AST]]:
+    @property
+    def key(self) -> str:
+        """Name of the row in a journal; a row that has changed is another one."""
+        return hashlib.sha256(repr(astuple(self)[:-1]).encode()).hexdigest()[:16]
+
+    def places(
+        self, root: Path = ROOT, parse: Callable[[str], Parsed] = parsed
+    ) -> list[tuple[Path, ast.Module, ast.AST]]:
         """Every place of the expression in the function: file, its syntax tree, and the node."""
         where, name = self.function.split(":")
         path = root / "rvjax" / where.replace(".", "/")
         files = sorted(path.rglob("*.py")) if path.is_dir() else [path.with_suffix(".py")]
-        wanted, found = ast.unparse(ast.parse(self.expression)), []
+        (wanted,), found = ast.parse(self.expression).body, []
         for file in files:
             text = file.read_text("utf-8")
             if name.split(".")[-1] not in text:
                 continue  # parsing every file of a package for every row took ten seconds
-            tree = ast.parse(text)
-            for function in [tree] if not name else [node for full, node in functions(tree) if full == name]:
+            tree, named = parse(text)
+            for function in named.get(name, []) if name else [tree]:
                 found += [(file, tree, node) for node in matches(function, wanted)]
         return found
 
 
-def functions(node: ast.AST, prefix: str = "") -> Iterator[tuple[str, ast.AST]]:
-    """Functions and classes below a node with their full names."""
-    for child in ast.iter_child_nodes(node):
-        named = isinstance(child, ast.FunctionDef | ast.ClassDef)
-        if named:
-            yield f"{prefix}{child.name}", child
-        yield from functions(child, f"{prefix}{child.name}." if named else prefix)
-
-
-def matches(node: ast.AST, wanted: str) -> Iterator[ast.AST]:
+def matches(node: ast.AST, wanted: ast.stmt) -> Iterator[ast.AST]:
     """The outermost expressions and statements below a node that read as wanted."""
+    kinds, text = (type(wanted), type(getattr(wanted, "value", wanted))), ast.unparse(wanted)
     for child in ast.iter_child_nodes(node):
-        if isinstance(child, ast.expr | ast.stmt) and ast.unparse(child) == wanted:
+        if isinstance(child, kinds) and ast.unparse(child) == text:
             yield child
         else:
             yield from matches(child, wanted)
@@ -104,34 +138,109 @@ def copied(folder: Path) -> None:
         )
 
 
+def session(folder: Path, tests: str, said: Path) -> None:
+    """Run pytest in this process, in a copy of the tree, and end the process with pytest's code."""
+    resource.setrlimit(resource.RLIMIT_CPU, (LIMIT, LIMIT + 1))
+    with said.open("w") as file:
+        for stream in (1, 2):
+            os.dup2(file.fileno(), stream)
+    for name in [n for n in sys.modules if n.split(".")[0] in ("rvjax", "census", "tests", "oracles", "benchmarks")]:
+        del sys.modules[name]
+    os.chdir(folder)
+    sys.path[:] = [str(folder), *(place for place in sys.path if place and Path(place) not in (ROOT, folder))]
+    os.environ["PYTHONPATH"] = str(folder)
+    sys.dont_write_bytecode = False  # a third of a short run
+    import pytest
+
+    rewritten = "ignore::pytest.PytestAssertRewriteWarning"  # of hypothesis, which is imported already
+    code = pytest.main(["-n", "0", "-p", "no:cacheprovider", "-W", rewritten, "-x", *shlex.split(tests)])
+    sys.stdout.flush()
+    os._exit(code)
+
+
 def run(folder: Path, tests: str) -> str:
     """ "passed", "failed", "hangs", or what kept pytest from running them."""
-    command = [sys.executable, "-m", "pytest", "-n", "0", "-p", "no:cacheprovider", "-x", *shlex.split(tests)]
-    kept = os.environ.get("JAX_COMPILATION_CACHE_DIR", str(ROOT / ".pytest_cache" / "jax"))
-    here = {**os.environ, "PYTHONPATH": str(folder), "JAX_COMPILATION_CACHE_DIR": kept}
-    try:
-        found = subprocess.run(command, cwd=folder, env=here, capture_output=True, text=True, timeout=LIMIT)
-    except subprocess.TimeoutExpired:
+    said = folder / "said.txt"
+    process = FRESH.Process(target=session, args=(folder, tests, said))
+    process.start()
+    process.join(10 * LIMIT)  # one that sleeps
+    if process.exitcode is None:
+        process.kill()
+        process.join()
+    if process.exitcode in (-signal.SIGKILL, -signal.SIGXCPU):
         return "hangs"
-    if found.returncode in (0, 1):
-        return ("passed", "failed")[found.returncode]
-    return f"pytest ended with {found.returncode}: {(found.stdout + found.stderr).strip()[-300:]}"
+    if process.exitcode in (0, 1):
+        return ("passed", "failed")[process.exitcode]
+    return f"pytest ended with {process.exitcode}: {said.read_text('utf-8', 'replace').strip()[-300:]}"
 
 
 def verdict(folder: Path, mutant: Mutant) -> str:
     """ "killed", "survived", or what is wrong with the row of the table."""
-    places = mutant.places(folder)
+    places = mutant.places(folder, parsed.__wrapped__)  # a tree of its own, which it changes
     if len(places) != 1:
         return f"{mutant.function} has the expression {len(places)} times"
     path, tree, node = places[0]
     whole = path.read_text("utf-8")
     changed = Replacement(node, mutant.becomes).visit(tree)
-    path.write_text(ast.unparse(ast.fix_missing_locations(changed)), "utf-8")
     try:
+        _write(path, ast.unparse(ast.fix_missing_locations(changed)))
         found = run(folder, mutant.tests)
     finally:
-        path.write_text(whole, "utf-8")
+        _write(path, whole)
     return {"failed": "killed", "hangs": "killed", "passed": "survived"}.get(found, found)
+
+
+def together(mutants: Sequence[Mutant]) -> str:
+    """Arguments of pytest for all tests of some rows, which name one file."""
+    file, *_ = shlex.split(mutants[0].tests)
+    chosen = {tuple(shlex.split(mutant.tests)[1:]) for mutant in mutants}
+    if () in chosen:
+        return file
+    return shlex.join([file, "-k", " or ".join(f"({expression})" for _, expression in sorted(chosen))])
+
+
+def _write(path: Path, text: str) -> None:
+    """Write a module, and forget what Python compiled of it: Python compares seconds and sizes only."""
+    path.write_text(text, "utf-8")
+    for compiled in (path.parent / "__pycache__").glob(f"{path.stem}.*.pyc"):
+        compiled.unlink()
+
+
+def outcomes(mutants: Sequence[Mutant], processes: int, trust: bool) -> Iterator[tuple[Mutant, str, float]]:
+    """Each mutant with its verdict and seconds, as they end; every process has a copy of the tree."""
+    os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(ROOT / ".pytest_cache" / "jax"))
+    sys.path.insert(0, str(ROOT))  # the first process finds `tests.environment` there
+    FRESH.set_forkserver_preload(FIRST)
+    folders, done = queue.SimpleQueue[Path](), queue.SimpleQueue[tuple[Mutant, str, float]]()
+    by_file: dict[str, list[Mutant]] = {}
+    for mutant in mutants:
+        by_file.setdefault(shlex.split(mutant.tests)[0], []).append(mutant)
+
+    def look(file: str) -> None:
+        folder = folders.get()
+        try:
+            before = "passed" if trust else run(folder, together(by_file[file]))
+            for mutant in by_file[file]:
+                begun = time.perf_counter()
+                found = verdict(folder, mutant) if before == "passed" else f"without the mutant: {before}"
+                done.put((mutant, found, time.perf_counter() - begun))
+        finally:
+            folders.put(folder)
+
+    with contextlib.ExitStack() as stack:
+        for _ in range(processes):
+            folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="rvjax-mutants-")))
+            copied(folder)
+            folders.put(folder)
+        pool = stack.enter_context(ThreadPoolExecutor(processes))
+        jobs = [pool.submit(look, file) for file in by_file]
+        for _ in mutants:
+            while done.empty():
+                for job in jobs:
+                    if job.done():
+                        job.result()  # what it raised
+                time.sleep(0.05)
+            yield done.get()
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -140,40 +249,40 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--group", help="this group alone")
     parser.add_argument("--only", help="mutants whose `breaks` holds this text")
     parser.add_argument("--keep", help="JSON file for the score")
+    parser.add_argument("--journal", help="file with one line for each row; rows in it are not run again")
+    parser.add_argument("--processes", type=int, default=1, help="rows at once (default 1)")
     parser.add_argument("--trust", action="store_true", help="the tests are known to pass on the tree as it is")
     options = parser.parse_args(arguments)
     mutants = [m for m in table() if options.group in (None, m.group) and (options.only or "") in m.breaks]
-    started, score = time.perf_counter(), dict[str, list[int]]()
-    survivors, wrong = [], []
-    with tempfile.TemporaryDirectory(prefix="rvjax-mutants-") as name:
-        folder = Path(name)
-        copied(folder)
-        sound: dict[str, str] = {}
-        for mutant in mutants:
-            if not options.trust and mutant.tests not in sound:
-                sound[mutant.tests] = run(folder, mutant.tests)
-            begun = time.perf_counter()
-            before = sound.get(mutant.tests, "passed")
-            found = verdict(folder, mutant) if before == "passed" else f"without the mutant: {before}"
-            print(f"{mutant.group:12} {found:9.200} {time.perf_counter() - begun:4.0f} s  {mutant.breaks}", flush=True)
-            if found not in ("killed", "survived"):
-                wrong.append(mutant)
-                continue
+    journal = Path(options.journal or os.devnull)
+    lines = journal.read_text("utf-8").splitlines() if journal.exists() else []
+    found = {row["key"]: row for row in map(json.loads, lines)}
+    rest = [mutant for mutant in mutants if mutant.key not in found]
+    for mutant, outcome, seconds in outcomes(rest, options.processes, options.trust):
+        print(f"{mutant.group:12} {outcome:9.200} {seconds:4.0f} s  {mutant.breaks}", flush=True)
+        if outcome in ("killed", "survived"):
+            row = {"key": mutant.key, "breaks": mutant.breaks, "outcome": outcome, "seconds": round(seconds, 1)}
+            found[mutant.key] = row
+            with journal.open("a", encoding="utf-8") as file:
+                print(json.dumps(row), file=file)
+    score = dict[str, list[int]]()
+    for mutant in mutants:
+        if mutant.key in found:
             count = score.setdefault(mutant.group, [0, 0])
-            count[0] += found == "killed"
+            count[0] += found[mutant.key]["outcome"] == "killed"
             count[1] += 1
-            survivors += [mutant] if found == "survived" else []
-    minutes = (time.perf_counter() - started) / 60
+    minutes = sum(found[mutant.key]["seconds"] for mutant in mutants if mutant.key in found) / 60
     for group, (killed, count) in score.items():
         print(f"{group:12} {killed:3} of {count:3}")
     killed, count = (sum(column) for column in zip(*score.values())) if score else (0, 0)
     print(f"all          {killed:3} of {count:3}, {minutes:.0f} min")
+    survivors = [m for m in mutants if m.key in found and found[m.key]["outcome"] == "survived"]
     for mutant in survivors:
         print(f"survived: {mutant.group}: {mutant.breaks}: {mutant.survives or 'no reason known'}")
     if options.keep:
         kept = {"groups": score, "survivors": [m.breaks for m in survivors], "minutes": round(minutes)}
         Path(options.keep).write_text(json.dumps(kept, indent=1) + "\n", "utf-8")
-    return int(bool(wrong) or any(not m.survives for m in survivors))
+    return int(count < len(mutants) or any(not m.survives for m in survivors))
 
 
 if __name__ == "__main__":

@@ -22,19 +22,7 @@ import resource
 import sys
 from pathlib import Path
 
-os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path(__file__).parents[1] / ".pytest_cache" / "jax"))
-os.environ.setdefault("JAX_NUM_CPU_DEVICES", "1")  # not one a core from whichever test runs a command first
-os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")  # XLA logs two lines for every kept program it loads
-if "xla_backend_optimization_level" not in os.environ.get("XLA_FLAGS", ""):
-    # XLA's older code generator, in one piece, no optimisation: 15 s of compilation -> 3 s in a mix of three models.
-    quick = (
-        "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true "
-        "--xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1"
-    )
-    os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {quick}".strip()
-os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")  # hundreds of small ones cost a quarter
-os.environ.setdefault("JAX_TRACEBACK_IN_LOCATIONS_LIMIT", "0")  # no line of source beside every operation
-
+import environment  # noqa: F401  before JAX
 import jax
 import matplotlib
 import pytest

@@ -54,3 +54,23 @@ def test_the_page_shows_the_last_score():
     assert f"| all | {killed} of {count} |" in page and killed >= 0.95 * count
     assert set(kept["survivors"]) <= {m.breaks for m in mutants.table() if m.survives}
     assert all(breaks in page for breaks in kept["survivors"])
+
+
+def test_rows_of_one_file_are_checked_together_and_a_journal_goes_on(tmp_path, monkeypatch, capsys):
+    """Three rows: the first is noticed, the second not, the tests of the third fail without it."""
+    rows = [mutants.Mutant("a", f"row {k}", "m:f", "1", "2", f"tests/test_{'bad' if k == 2 else 'x'}.py -k 'x{k}'")
+            for k in range(3)]  # fmt: skip
+    ran = []
+    monkeypatch.setattr(mutants, "table", lambda: rows)
+    monkeypatch.setattr(mutants, "copied", lambda folder: None)
+    tried = lambda folder, tests: ran.append(tests) or ("failed" if "bad" in tests else "passed")  # noqa: E731
+    monkeypatch.setattr(mutants, "run", tried)
+    monkeypatch.setattr(mutants, "verdict", lambda folder, row: "killed" if row is rows[0] else "survived")
+    options = ["--journal", str(tmp_path / "rows"), "--keep", str(tmp_path / "kept.json")]
+    assert mutants.main(options) == 1
+    assert sorted(ran) == ["tests/test_bad.py -k '(x2)'", "tests/test_x.py -k '(x0) or (x1)'"]
+    kept = json.loads((tmp_path / "kept.json").read_text())
+    assert (kept["groups"], kept["survivors"]) == ({"a": [1, 2]}, ["row 1"])
+    assert "without the mutant: failed" in capsys.readouterr().out
+    ran.clear()
+    assert mutants.main(options) == 1 and ran == ["tests/test_bad.py -k '(x2)'"]
