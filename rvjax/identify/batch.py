@@ -114,7 +114,7 @@ def solve_many(
     points[0] = 0.0
     split = Split.of(problem.elements, shared)
     together = min(len(y), max(1, chunk // starts))
-    rows = [slice(start, min(start + together, len(y))) for start in range(0, len(y), together)]
+    rows = [slice(start, start + together) for start in range(0, len(y), together)]
     if split.shared.size:
         joint = joint_mode(problem, split, y, points, max_steps, rows)
         found = (joint.units(part) for part in rows)
