@@ -41,8 +41,9 @@ class Snapping:
         """The loosest grades not wider than certified half-widths, then cheaper ones while a certificate holds.
 
         One grade at a time becomes coarser, by saving. A field without a size, or without a grade within its
-        process range, stays free: it uses the remaining margin, and is tightened where a coarser grade
-        then reduces the total cost. Exchanges end the search: some fields one grade coarser, others finer.
+        process range that is as fine as its half-width, stays free: it uses the remaining margin, and is tightened
+        where a coarser grade then reduces the total cost. Exchanges end the search: some fields one grade coarser,
+        others finer.
 
         Returns:
             Half-widths, {field: grade} of the rounded ones, and the certificate of exactly these.
