@@ -37,7 +37,8 @@ def effects_of_a_head(
     turn, k = 2 * np.pi * design.ratio, design.cycloid.pin_count * design.cranks.count
     angle = turn * np.arange(samples := k * -(-4 * max(*orders, k) // k)) / samples
     methods = ways(conditions).values()
-    curves = np.stack([jax.device_get(_effects(design, jnp.asarray(angle), x, *methods)) for x in (rated, *torques)])
+    loads = map(float, (rated, *torques))  # of one type: one program
+    curves = np.stack([jax.device_get(_effects(design, jnp.asarray(angle), load, *methods)) for load in loads])
     waves = 2 / samples * np.fft.rfft(curves)[..., 1:]  # (torques, 6, orders)
     largest = np.abs(waves[0]).reshape(3, -1).max(axis=1)
     waves = waves[1:] / np.repeat(np.where(largest > 0, largest, 1.0), 2)[:, None]

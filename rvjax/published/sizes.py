@@ -5,6 +5,7 @@ factor. Every other size is the RV-40E with all lengths times the cube root of t
 springs that follow them by the scaling laws of studies. Teeth and cranks of the other sizes are those of the RV-40E.
 """
 
+import math
 from collections.abc import Callable
 from functools import cache, partial
 
@@ -63,9 +64,9 @@ def _secant(design: RVReducer, torque: float) -> float:
 def factor() -> float:
     """Factor on the springs of the RV-40E with which it is as stiff as published."""
     log = brentq(
-        lambda x: _secant(similar(TORQUE["40e"]).stiffer(np.exp(x)), TORQUE["40e"]) - PUBLISHED, -3, 3, xtol=1e-6
+        lambda x: _secant(similar(TORQUE["40e"]).stiffer(math.exp(x)), TORQUE["40e"]) - PUBLISHED, -3, 3, xtol=1e-6
     )
-    return float(np.exp(log))
+    return math.exp(log)
 
 
 def stiffness(size: str) -> float:
