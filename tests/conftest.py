@@ -113,7 +113,7 @@ def here(tmp_path, monkeypatch):
     return tmp_path
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def thorough():
     """Whether the long profile runs: for the dear half of a test whose other half runs by default."""
     return PROFILE == "long"
@@ -152,8 +152,9 @@ def forgotten():
 
 # Dearest first, so that the end is many small files and no worker waits for the other.
 FAMILIES = (
-    *("code", "tolerances", "dynamics", "loaded", "four_bar", "mesh_force", "cli", "docs", "lost_motion"),
-    *("published", "doors", "extremes", "identify", "report", "notebooks", "models", "derivatives", "plotting"),
+    *("loaded", "tolerances", "dynamics", "cli", "four_bar", "identify", "code", "published", "mesh_force", "docs"),
+    *("extremes", "lost_motion", "design", "assembly", "doors", "derivatives", "report", "models", "notebooks"),
+    "plotting",
 )
 
 
