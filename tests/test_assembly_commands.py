@@ -243,7 +243,7 @@ def test_a_measured_curve_becomes_a_table(files, capsys):
     assert with_first.correction.order.tolist() == [1]
 
 
-def test_every_load_and_direction_has_a_table(files, capsys):
+def test_every_load_and_direction_has_a_table(files, undrawn, capsys):
     forth, back = points(count=400), points(count=400, way=-1.0, seed=1)
     written(files / "curves.csv", (*forth, "100", "forward"), (*back, "100", "backward"))
     assert cli.main(["compensate", "my.toml", "curves.csv", "--export", "t.csv", "--angle-sd", "10 arcsec"]) == 0
@@ -267,7 +267,7 @@ def test_a_curve_in_other_units_with_decimal_commas_is_the_same_curve(files):
     np.testing.assert_allclose(other.run.error, one.run.error, rtol=1e-15)
 
 
-def test_every_unit_of_a_file_has_a_table(files, capsys):
+def test_every_unit_of_a_file_has_a_table(files, undrawn, capsys):
     """Two units whose errors of order 40 oppose each other: merged they would leave nothing to correct."""
     angle = np.arange(0.0, 360.0, 0.5)
     rows = [

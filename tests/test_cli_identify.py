@@ -172,7 +172,7 @@ def test_check_needs_no_data_where_the_noise_is_known(here, capsys):
     )
 
 
-def test_a_curve_that_no_part_can_make_is_rejected(here, capsys):
+def test_a_curve_that_no_part_can_make_is_rejected(here, undrawn, capsys):
     """An order 80 of 60 arcsec that is alike both ways: play makes opposite ones."""
     angle, error = turn(np.random.default_rng(1), 1)
     more = (angle, error + 60 * np.cos(80 * angle * deg))
@@ -187,7 +187,7 @@ def test_a_curve_that_no_part_can_make_is_rejected(here, capsys):
     assert "cannot explain the data" in (here / "odd" / "summary.txt").read_text()
 
 
-def test_a_throw_out_of_tolerance_is_told_from_a_wrong_model(here, capsys):
+def test_a_throw_out_of_tolerance_is_told_from_a_wrong_model(here, undrawn, capsys):
     wrong = THROW + np.array([[40.0, 0.0], [0.0, 0.0]]) * um
     (here / "broken.csv").write_text(both(np.random.default_rng(3), throw=wrong))
     code, out, _ = run(capsys, "unit.toml", "broken.csv", "--json", "--results", "broken")

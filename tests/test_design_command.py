@@ -71,10 +71,14 @@ def replaced(old, new):
 
 
 def reference_study(certificate_samples):
-    """The mechanical problem of the reference as a study file, lengths in m."""
+    """The mechanical problem of the reference as a study file, lengths in m.
+
+    Its limit of the transmission error has a fifth of the cost; 16 angles see 0.6 % less of it on average, that is
+    0.1 % of the cost.
+    """
     given = CASE["given"]
     torque = f'output_torque = "{given["constants"]["torque"]} N m"'
-    lines = [f'[design]\nbase = "rv-40e"\n[conditions]\n{torque}\nangles = 64']
+    lines = [f'[design]\nbase = "rv-40e"\n[conditions]\n{torque}\nangles = 16']
     for name, field in given["fields"].items():
         middle, half = field.get("middle", 0.0), field["half_width"]
         lines.append(f'[tolerances.{name}]\nlower = "{middle - half} m"\nupper = "{middle + half} m"')
@@ -145,8 +149,12 @@ def test_geometry_first_is_that_of_the_reference():
 
 
 def test_the_mechanical_problem_of_the_reference():
-    """Four-bar and lost motion with what follows the variables: cost within 1 %, numbers within their ranges."""
-    made, due = reference_study(400_000), CASE["expected"]
+    """Four-bar and lost motion with what follows the variables: cost within 1 %, numbers within their ranges.
+
+    A certificate of 200,000 units keeps 2.7 errors of 1.2e-4 beside a density of 0.0089, over 3: 1.2 % of half-widths,
+    which are half of the cost.
+    """
+    made, due = reference_study(200_000), CASE["expected"]
     found = allocate(
         made.design_response(),
         made.tolerances,
@@ -168,7 +176,7 @@ def test_the_mechanical_problem_of_the_reference():
 def designed(tmp_path_factory):
     folder = tmp_path_factory.mktemp("design")
     (folder / "small.toml").write_text(SMALL)
-    code = cli.main(["design", str(folder / "small.toml"), "--front", "2", "--results", str(folder / "out"), "--quiet"])
+    code = cli.main(["design", str(folder / "small.toml"), "--front", "1", "--results", str(folder / "out"), "--quiet"])
     return code, folder / "out", json.loads((folder / "out" / "result.json").read_text())
 
 
@@ -204,10 +212,10 @@ def test_without_scaling_laws_the_mass_does_not_follow(designed):
 
 def test_dearer_mass_makes_a_lighter_reducer(designed):
     _, _, result = designed
-    cheap, dear = result["front"]
-    assert cheap["price_factor"] < 1 < dear["price_factor"]
-    assert dear["priced_outputs"] <= cheap["priced_outputs"] * (1 + 1e-6)
-    assert cheap["tolerance_cost"] <= dear["tolerance_cost"] * 1.01
+    (dear,), joint = result["front"], result["joint"]
+    assert dear["price_factor"] > 1
+    assert dear["priced_outputs"] <= joint["priced_outputs"] * (1 + 1e-6)
+    assert joint["tolerance_cost"] <= dear["tolerance_cost"] * 1.01
 
 
 def test_prices_are_in_one_currency(designed):

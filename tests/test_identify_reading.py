@@ -3,6 +3,7 @@
 import jax
 import numpy as np
 import pytest
+from loaded_turns import found_over_a_turn, orders_read, sprung
 
 from rvjax import catalogue, identify, loaded, models
 from rvjax.published.rv160 import ENCODER, NONE, READ
@@ -15,7 +16,7 @@ from rvjax.units import arcsec, um
 GIVEN = models.kind(READ).conditions(rated_torque=1600.0, samples=16)
 RUNS = [Conditions(torque=torque, direction=way) for torque in (500.0, 1200.0) for way in ("forward", "backward")]
 TORQUES = bench.signed_torques(RUNS, GIVEN)
-ORDERS, SAMPLES = (3, 39, 40, 78), 240
+ORDERS = (3, 39, 40, 78)
 THROW = np.array([[2.0, -1.0, 0.5], [1.5, 0.0, -2.5]]) * um
 NAMES = [bench.order_name(order) for order in ORDERS]
 
@@ -24,17 +25,9 @@ NAMES = [bench.order_name(order) for order in ORDERS]
 def measured():
     """Orders of a unit with unequal throws, read by a head at 0.7 rad; {name: (runs,) complex}."""
     errors, encoder = NONE.replace(crank_eccentricity=THROW), ENCODER.replace(heads=(0.7,))
-
-    @jax.jit
-    def curve(torque):
-        def at(angle):
-            found = loaded.equilibrium(READ, errors, input_angle=angle, output_torque=torque)
-            return loaded.reading(found, READ, encoder, input_angle=angle, output_torque=torque)
-
-        return jax.vmap(at)(2 * np.pi * READ.ratio * np.arange(SAMPLES) / SAMPLES)
-
-    waves = np.stack([2 / SAMPLES * np.fft.rfft(curve(torque)) for torque in TORQUES])
-    return dict(zip(NAMES, waves[:, ORDERS].T))
+    turns = [found_over_a_turn(sprung(), torque, errors=errors) for torque in TORQUES]
+    waves = [orders_read(found, encoder, torque) for found, torque in zip(turns, TORQUES)]
+    return dict(zip(NAMES, np.stack(waves)[:, ORDERS].T))
 
 
 def model(nuisances):

@@ -201,7 +201,10 @@ def test_the_couple_of_the_discs_tilts_the_scale_by_its_closed_form():
     np.testing.assert_allclose(found, 0.75 * 22 * mm * force * 1e-9, rtol=2e-4)  # 40 pins in place of an integral
 
 
-@pytest.mark.parametrize(("law", "more"), [("hertz", {}), ("linear", {}), ("linear", dict(pin_stiffness=5e7))])
+@pytest.mark.parametrize(
+    ("law", "more"),
+    [("hertz", {}), ("linear", {}), pytest.param("linear", dict(pin_stiffness=5e7), marks=pytest.mark.long)],
+)
 def test_equal_supports_are_one_support(law, more):
     """To rounding; the mesh stiffness includes the mean support, so that only differences count beside it."""
     one, many = (solve(sprung(support, **more), NONE, 3.7, 900.0, contact=law) for support in (2e8, np.full(40, 2e8)))
