@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from rvjax import cli, study
 from rvjax.commands.allocate import kept
 from rvjax.commands.design.geometry_first import geometry_first
 from rvjax.commands.design.report import saved_part
-from rvjax.tolerances import Memo, allocate
+from rvjax.tolerances import Memo, Nominal, Variable, allocate
 from rvjax.tolerances.codesign import units
 from rvjax.units import mm, um
 
@@ -146,6 +147,20 @@ def test_geometry_first_is_that_of_the_reference():
     assert set(found) == set(due["fixed"])  # the modification does not change size or room
     for name, value in found.items():
         assert value == pytest.approx(due["values"][name], rel=1e-4), name
+
+
+@pytest.mark.parametrize(("limits", "price", "due"), [({"upper": 2.0}, -1.0, 2.0), ({"lower": 3.0}, 1.0, 3.0)])
+def test_geometry_first_ends_at_the_limit_that_its_price_leads_to(limits, price, due):
+    """One output that is the number itself, between 0 and 4."""
+    study = SimpleNamespace(
+        variables={"x": Variable(0.0, 4.0, 1.0)},
+        without_errors=("size",),
+        nominal_response=lambda: lambda _, values: SimpleNamespace(value={"size": values["x"]}),
+        design=SimpleNamespace(error_record=lambda: None),
+        objective={"size": lambda value: price * value},
+        nominal={"size": Nominal(**limits)},
+    )
+    assert geometry_first(study) == pytest.approx({"x": due}, rel=1e-6)
 
 
 def test_the_mechanical_problem_of_the_reference():

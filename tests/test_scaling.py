@@ -182,3 +182,10 @@ def test_an_element_must_be_named():
 def test_an_unknown_path_is_one_line():
     with pytest.raises(ValueError, match="unknown number of the design"):
         asked().design_with({"cycloid.excentricity": 1.0})
+
+
+def test_laws_are_called_by_what_follows_another_law():
+    """The crank circle follows the module of the gears; bearings and masses of the cranks follow the crank circle."""
+    used = {law.name for law, _ in laws_of(study.load("rv-40e-whole", solve=False).design, ["involute.module"])}
+    circle = {law.name for law in LAWS if "cranks.circle_radius" in law.follows}
+    assert "gears" in used and "support bearings" in used & circle
