@@ -67,7 +67,7 @@ def commands() -> list[Command]:
         _twice("montecarlo accuracy", [*RVJAX, "montecarlo", ACCURACY.name, "--samples", "4096", "--quiet"]),
         _twice("montecarlo rv-40e-whole", [*RVJAX, "montecarlo", "rv-40e-whole", "--samples", "4096", "--quiet"]),
         Command("result and page", [*RVJAX, "allocate", "rv-40e", "--quiet"], [*RVJAX, "report", "rv-40e", "--quiet"]),
-        Command("identify a loaded unit", [*identify, "loaded.toml", "unit.csv"]),
+        Command("identify a loaded unit", [*identify, "loaded.toml", "loaded-unit.csv"]),
         _twice("identify a four-bar unit", [*identify, "four-bar.toml", "unit.csv"]),
         Command("assemble 200 loaded sets", [*RVJAX, "assemble", "loaded-sets.toml", "sets.csv", "--quiet"]),
         Command("assemble three cranks", [*RVJAX, "assemble", "four-bar-sets.toml", "three.csv", "--quiet"]),
@@ -121,8 +121,9 @@ def write(folder: Path) -> None:
         "four-bar.toml": FOUR_BAR + identified.format("four_bar"),
         "loaded-sets.toml": whole + matched + 'response = "loaded_transmission_error"\n',
         "four-bar-sets.toml": three + matched,
-        "unit.csv": _curve(generator),
+        "unit.csv": _curve(generator, {way: FOUR_BAR_UNIT for way in ("forward", "backward")}),
         "sets.csv": _parts(generator, {"crank": 400}, 2),
+        "loaded-unit.csv": _curve(random.Random(1), LOADED_UNIT),
         "three.csv": _parts(generator, {"crank": 21, "disc": 14, "carrier": 5}, 3),
     }
     for name, content in files.items():
@@ -145,14 +146,22 @@ upper = "12 um"
 """
 
 
-def _curve(generator: random.Random) -> str:
+Wave = tuple[float, float]  # size in arcsec, phase in rad
+FOUR_BAR_UNIT: tuple[float, Wave, Wave] = (50, (12, 0.3), (2, -1))  # mean, orders 40 and 80
+LOADED_UNIT: dict[str, tuple[float, Wave, Wave]] = {  # unit 5 of seed 1 by the loaded model, offset by 50 arcsec
+    "forward": (-20.967, (2.787, -1.358), (1.199, -0.059)),
+    "backward": (163.794, (2.663, -1.123), (2.701, 2.452)),
+}
+
+
+def _curve(generator: random.Random, unit: dict[str, tuple[float, Wave, Wave]]) -> str:
     """A measured turn both ways: orders 40 and 80 and noise of 1 arcsec, sampled at 1800 angles."""
     lines = ["angle [deg],error [arcsec],torque [N m],direction"]
-    for direction in ("forward", "backward"):
+    for direction, (mean, *waves) in unit.items():
         for k in range(1800):
-            angle = math.radians(0.2 * k)
-            error = 50 + 12 * math.cos(40 * angle + 0.3) + 2 * math.cos(80 * angle - 1) + generator.gauss(0, 1)
-            lines.append(f"{0.2 * k:.6f},{error:.6f},412,{direction}")
+            turned = math.radians(0.2 * k)
+            error = mean + sum(size * math.cos(n * turned + at) for n, (size, at) in zip((40, 80), waves))
+            lines.append(f"{0.2 * k:.6f},{error + generator.gauss(0, 1):.6f},412,{direction}")
     return "\n".join(lines) + "\n"
 
 

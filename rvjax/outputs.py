@@ -176,6 +176,7 @@ class Observation:
         sided: without load its value depends on the side of the backlash.
         head: of a curve, (design, conditions, torques, orders) -> effect of an encoder head per element of the nuisance
             "reading", (torques, orders, 6, 2) rad; None without such a nuisance.
+        compiler_options: of programs that compute it, such as `rvjax.compile_cache.QUICK`.
     """
 
     kind: str
@@ -185,6 +186,7 @@ class Observation:
     period: Callable[[Any], int] = _once
     sided: bool = False
     head: Callable[..., Any] | None = None
+    compiler_options: tuple[tuple[str, bool | int], ...] = ()
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax.arguments import checked
-from rvjax.identify import fit as fits
+from rvjax.identify import fit as fits, gauss_newton
 from rvjax.identify.elements import mapped_values
 from rvjax.identify.fit import ADEQUATE, Fit
 from rvjax.identify.information import Spectrum
@@ -16,11 +16,14 @@ from rvjax.identify.noise import Noise
 from rvjax.identify.population import Process, process
 from rvjax.identify.posterior import outcome
 from rvjax.identify.problem import Model, Problem, counted, integer, modes
-from rvjax.identify.search import APART, FAINT, evidence_of
+from rvjax.identify.search import APART, FAINT, ended_near, evidence_of, lower_beside
 from rvjax.identify.shared import Split, Units, joint_mode, linear_rows, triangular
 from rvjax.population import Correlation, deviate_of
 from rvjax.records import PyTree
 from rvjax.status import SolveInfo, Status
+
+SIDES = 512
+"""Points in a call of the density next to a kink."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -158,7 +161,8 @@ def _separate(problem: Problem, y: np.ndarray, points: np.ndarray, max_steps: in
     starts = len(points)
     data, at = jnp.asarray(np.repeat(padded, starts, axis=0)), jnp.asarray(np.tile(points, (together, 1)))
     found = modes(problem.model, problem.device, data, at, jnp.int32(max_steps))
-    lanes = jax.tree.map(lambda leaf: np.asarray(leaf).reshape(together, starts, *leaf.shape[1:])[: len(y)], found)
+    lanes = jax.tree.map(lambda leaf: np.array(leaf).reshape(together, starts, *leaf.shape[1:])[: len(y)], found)
+    _accept_kinks(problem, y, lanes)
     good = lanes.info.status == Status.CONVERGED
     z = np.where(good[..., None], lanes.z, 0.0)
     slopes = np.where(good[..., None, None], lanes.slopes, 0.0)
@@ -180,6 +184,18 @@ def _separate(problem: Problem, y: np.ndarray, points: np.ndarray, max_steps: in
     mixing = problem.elements.mixing
     u_sd = np.linalg.norm(mixing @ spectrum.root, axis=-1)
     return Units(z @ mixing.T, u_sd, residual, rows, several, info.status, info.steps, info.residual)
+
+
+def _accept_kinks(problem: Problem, y: np.ndarray, lanes: gauss_newton.Mode) -> None:
+    """Accept the lowest end of a unit (k, starts) without a mode, where it is the lowest point of a kink."""
+    near = ended_near(lanes.info)
+    wanting = near.any(axis=1) & (lanes.info.status != Status.CONVERGED).all(axis=1)
+    for unit in np.flatnonzero(wanting):
+        lane = int(np.argmin(np.where(near[unit], lanes.phi[unit], np.inf)))
+        spectrum = Spectrum.of(np.sqrt(problem.discount) * lanes.slopes[unit, lane] @ problem.elements.mixing)
+        z, phi = np.asarray(lanes.z[unit, lane]), float(lanes.phi[unit, lane])
+        if not lower_beside(problem, y[unit], z, phi, spectrum.root, SIDES, bent=True):
+            lanes.info.status[unit, lane] = Status.CONVERGED
 
 
 def _figures(problem: Problem, split: Split, y: np.ndarray, units: Units, deviate: float) -> dict[str, PyTree]:

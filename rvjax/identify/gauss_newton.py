@@ -8,6 +8,10 @@ the prior next to a wide nuisance. Its length is measured in posterior standard 
 Where the model bends, steps fall short or go too far by the same share each time. Two steps along one line give that
 share (Aitken), and the third one ends there; a plain step follows, for what the stretch spoils elsewhere. The damping
 falls by nine after a step that gained what was predicted, and stays where one gained half of it (Nielsen 1999).
+
+Where hundreds of contacts open and close, Phi has bends every few hundredths of a standard deviation: steps that cross
+one gain nothing, and no point has the gradient zero. So the undamped distance says how far the mode is, and a few steps
+in vain near it end the search; `rvjax.identify.search` then looks to all sides of that point.
 """
 
 from collections.abc import Callable
@@ -27,6 +31,12 @@ LONGEST = 2.0
 
 IN_LINE = 0.8
 """Least squared cosine of two steps along one line."""
+
+NEAR = 0.15
+"""Posterior standard deviations from a mode that are few: a 95 % interval so far off holds the truth in 94.7 %."""
+
+VAIN = 3
+"""Steps in vain so near a mode that end the search."""
 
 ROUNDINGS = 8.0
 """Units in the last place of the whitened observation that a residual may be off."""
@@ -54,13 +64,14 @@ class _State(NamedTuple):
     phi: jax.Array
     slack: jax.Array  # what rounding may add to phi
     step: jax.Array
-    away: jax.Array  # length of the step in posterior standard deviations
+    away: jax.Array  # length of the undamped step in posterior standard deviations
     enough: jax.Array  # the same, at which it ends
     plain: jax.Array  # the same step before it was stretched or limited
     as_it_is: jax.Array  # whether it was neither
     promise: jax.Array  # predicted reduction of phi by the step
     damping: jax.Array
     growth: jax.Array
+    vain: jax.Array  # steps without a gain
     steps: jax.Array
 
 
@@ -108,6 +119,9 @@ def mode(
 ) -> Mode:
     """Return the mode reached from one start; under `vmap` every batch element stops separately.
 
+    `info.residual` is the undamped distance from the mode in posterior standard deviations. MAX_STEPS with a residual
+    below NEAR: the steps ended at a kink, which may be a mode.
+
     Args:
         linearise: residuals and slopes.
         size: count of the residuals m.
@@ -123,8 +137,9 @@ def mode(
         return jnp.asarray(value, dtype)
 
     def going(state: _State) -> jax.Array:
+        ended = (state.vain >= VAIN) & (state.away < NEAR)
         lost = (state.steps > 0) & jnp.isinf(state.phi)
-        return (state.away > state.enough) & (state.steps <= max_steps) & ~lost
+        return (state.away > state.enough) & (state.steps <= max_steps) & ~lost & ~ended
 
     def advance(state: _State) -> _State:
         trial = state.z + state.step
@@ -144,16 +159,21 @@ def mode(
         eased = state.damping * jnp.maximum(1 / 9, 1 - (2 * jnp.clip(gain, 0, 1) - 1) ** 3)
         damping = jnp.where(better, eased, jnp.maximum(state.damping, 1e-3) * state.growth)
         root = roots_of_weights(residual, dof)
-        step, away = damped_step(z, root * residual, root[:, None] * mixed(slopes, mixing), damping)
+        weighted = root * residual, root[:, None] * mixed(slopes, mixing)
+        step, length = damped_step(z, *weighted, damping)
+        _, away = damped_step(z, *weighted, number(0.0))
         stretch = jnp.where(better & state.as_it_is, _stretch(step, state.plain), 1.0)
         longer = stretch * step
         limit = jnp.minimum(1.0, LONGEST / jnp.maximum(jnp.max(jnp.abs(longer)), LONGEST / 2))
         as_it_is = (stretch == 1) & (limit == 1)
         part = limit * stretch
-        promise = part * away**2 - part**2 * (away**2 - damping * jnp.sum(step**2)) / 2
+        promise = part * length**2 - part**2 * (length**2 - damping * jnp.sum(step**2)) / 2
         enough = jnp.where(better, TOLERANCE + rounding, state.enough)
+        missed = ~better | (gain < 0.25)
+        vain = jnp.where(state.phi - phi > NEAR**2 / 4, 0, state.vain + jnp.where(missed, 1, 0))
         at = (z, residual, slopes, observation, phi, slack)
-        return _State(*at, limit * longer, away, enough, step, as_it_is, promise, damping, growth, state.steps + 1)
+        next_one = (limit * longer, away, enough, step, as_it_is, promise, damping, growth, vain)
+        return _State(*at, *next_one, state.steps + 1)
 
     state = jax.lax.while_loop(
         going,
@@ -173,6 +193,7 @@ def mode(
             number(0.0),
             number(0.0),
             number(2.0),
+            jnp.int32(0),
             jnp.int32(0),
         ),
     )

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import special
 
+from rvjax.identify.gauss_newton import NEAR
 from rvjax.identify.information import Spectrum
 from rvjax.identify.problem import Problem, densities, modes
 from rvjax.status import SolveInfo, Status
@@ -68,18 +69,27 @@ def search(
         block, pending = pending[:starts], pending[starts:]
         at = jnp.asarray(np.stack(block + block[-1:] * (starts - len(block))))
         found = modes(problem.model, problem.device, rows, at, jnp.int32(max_steps))
-        found = jax.tree.map(np.asarray, found)
+        found = jax.tree.map(np.array, found)
         ended.append(found)
         for lane in np.argsort(found.phi):
-            if found.info.status[lane] != Status.CONVERGED:
+            if not ended_near(found.info)[lane]:
                 continue
             peak = _peak(problem, y, *(item[lane] for item in found[:5]))
             if any(_near(peak, other, APART) for other in peaks) or any(_near(peak, s, SAME) for s in saddles):
                 continue
-            beside = _lower_beside(problem, y, peak, draws)
+            bent = found.info.status[lane] != Status.CONVERGED
+            beside = lower_beside(problem, y, peak.z, peak.phi, peak.spectrum.root, draws, bent)
             (saddles if beside else peaks).append(peak)
             pending += beside
+            if not beside:  # at a kink too
+                found.info.status[lane] = Status.CONVERGED
     return tuple(sorted(peaks, key=lambda peak: -peak.evidence)), _final_info(ended, bool(peaks))
+
+
+def ended_near(info: SolveInfo) -> np.ndarray:
+    """Where the steps ended at a mode, or at a kink that may be one: see `lower_beside`."""
+    status, away = np.asarray(info.status), np.asarray(info.residual)
+    return (status == Status.CONVERGED) | ((status == Status.MAX_STEPS) & (away <= NEAR))
 
 
 def _final_info(ended: list[Any], found: bool) -> SolveInfo:
@@ -115,18 +125,30 @@ def _near(one: Peak, other: Peak, distance: float) -> bool:
     return bool(min(squares) < distance**2)
 
 
-def _lower_beside(problem: Problem, y: np.ndarray, peak: Peak, draws: int) -> list[np.ndarray]:
-    """Return two points next to a saddle, where slopes vanish but Phi is lower to the side; none for a minimum."""
-    weakest = peak.spectrum.root[:, ::-1][:, : draws // 2]
-    step = STEP_ASIDE * weakest
-    points = np.concatenate([peak.z + step.T, peak.z - step.T])
-    phi = phi_at(problem, y, np.concatenate([points, np.tile(peak.z, (draws - len(points), 1))]))[: len(points)]
+def lower_beside(
+    problem: Problem, y: np.ndarray, z: np.ndarray, phi: float, root: np.ndarray, draws: int, bent: bool
+) -> list[np.ndarray]:
+    """Return two points next to a saddle or a kink, where Phi is lower to the side; none for a minimum.
+
+    Args:
+        problem: what is solved.
+        y: data of one unit (m,).
+        z: the point (n,).
+        phi: its Phi.
+        root: of its posterior covariance (n, n), the least known combination last.
+        draws: points of a call.
+        bent: the steps ended among bends of Phi, as far from a mode as `NEAR`.
+    """
+    step = STEP_ASIDE * root[:, ::-1][:, : draws // 2]
+    points = np.concatenate([z + step.T, z - step.T])
+    found = phi_at(problem, y, np.concatenate([points, np.tile(z, (draws - len(points), 1))]))[: len(points)]
     # At a minimum Phi rises by step^2/2; rounding of Phi is far below that.
-    lower = phi < peak.phi - 1e-3 * STEP_ASIDE**2 / 2 - 1e-12 * abs(peak.phi)
+    least = NEAR**2 / 2 if bent else 1e-3 * STEP_ASIDE**2 / 2
+    lower = found < phi - least - 1e-12 * abs(phi)
     if not lower.any():
         return []
     half = len(step.T)
-    k = int(np.argmin(phi)) % half
+    k = int(np.argmin(found)) % half
     return [points[k], points[k + half]]
 
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from rvjax import models
 from rvjax.choices import unknown
+from rvjax.compile_cache import Options
 from rvjax.errors import described, read_by
 from rvjax.outputs import Observation
 from rvjax.records import Array, Design, PyTree, Record, Scalar, field, record, text
@@ -104,6 +105,11 @@ class Curves(Record):
         "rad/s", "of the input, for the nuisance viscous_drag", shape=("torques",), default=None
     )
     least: Array | float = field("N m", "torque at which a run without load or drag is computed", default=0.0)
+
+    @property
+    def compiler_options(self) -> Options:
+        """Of programs that evaluate it."""
+        return self.observation.compiler_options
 
     def __call__(self, values: Values) -> Seen:
         """Predict the measurement of one unit."""
@@ -256,6 +262,11 @@ class Midline(Record):
     observation: Observation = text("of the model")
     conditions: PyTree = text("how the model is computed")
     nuisances: tuple[str, ...] = text("of NUISANCES that the prior has")
+
+    @property
+    def compiler_options(self) -> Options:
+        """Of programs that evaluate it."""
+        return self.observation.compiler_options
 
     def __call__(self, values: Values) -> Seen:
         """Predict the measurement of one unit."""

@@ -78,6 +78,8 @@ def headline(answer: Identified) -> str:
     found = answer.posterior
     assert found is not None
     lines = [f"Study {name}: {found.status}"]
+    if not found.modes:
+        return f"{lines[0]}\nThe solver found no mode; the data may still fit. Other orders or a larger noise may help."
     p, prior = found.fit.p_model, found.fit.p_prior
     cannot = "The model cannot explain the data: another reducer, a missing effect, or noise understated"
     lines.append(f"{'The model can explain the data' if found.adequate else cannot} (p = {p:.3g}).")
