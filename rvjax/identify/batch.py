@@ -16,7 +16,7 @@ from rvjax.identify.noise import Noise
 from rvjax.identify.population import Process, process
 from rvjax.identify.posterior import outcome
 from rvjax.identify.problem import Model, Problem, counted, integer, modes
-from rvjax.identify.search import APART, FAINT, ended_near, evidence_of, lower_beside
+from rvjax.identify.search import APART, FAINT, ended_near, evidence_of, lower_points
 from rvjax.identify.shared import Split, Units, joint_mode, linear_rows, triangular
 from rvjax.population import Correlation, deviate_of
 from rvjax.records import PyTree
@@ -194,7 +194,7 @@ def _accept_kinks(problem: Problem, y: np.ndarray, lanes: gauss_newton.Mode) -> 
         lane = int(np.argmin(np.where(near[unit], lanes.phi[unit], np.inf)))
         spectrum = Spectrum.of(np.sqrt(problem.discount) * lanes.slopes[unit, lane] @ problem.elements.mixing)
         z, phi = np.asarray(lanes.z[unit, lane]), float(lanes.phi[unit, lane])
-        if not lower_beside(problem, y[unit], z, phi, spectrum.root, SIDES, bent=True):
+        if not lower_points(problem, y[unit], z, phi, spectrum.root, SIDES, bent=True):
             lanes.info.status[unit, lane] = Status.CONVERGED
 
 

@@ -78,7 +78,7 @@ def search(
             if any(_near(peak, other, APART) for other in peaks) or any(_near(peak, s, SAME) for s in saddles):
                 continue
             bent = found.info.status[lane] != Status.CONVERGED
-            beside = lower_beside(problem, y, peak.z, peak.phi, peak.spectrum.root, draws, bent)
+            beside = lower_points(problem, y, peak.z, peak.phi, peak.spectrum.root, draws, bent)
             (saddles if beside else peaks).append(peak)
             pending += beside
             if not beside:  # at a kink too
@@ -87,7 +87,7 @@ def search(
 
 
 def ended_near(info: SolveInfo) -> np.ndarray:
-    """Where the steps ended at a mode, or at a kink that may be one: see `lower_beside`."""
+    """Where the steps ended at a mode, or at a kink that may be one: see `lower_points`."""
     status, away = np.asarray(info.status), np.asarray(info.residual)
     return (status == Status.CONVERGED) | ((status == Status.MAX_STEPS) & (away <= NEAR))
 
@@ -125,7 +125,7 @@ def _near(one: Peak, other: Peak, distance: float) -> bool:
     return bool(min(squares) < distance**2)
 
 
-def lower_beside(
+def lower_points(
     problem: Problem, y: np.ndarray, z: np.ndarray, phi: float, root: np.ndarray, draws: int, bent: bool
 ) -> list[np.ndarray]:
     """Return two points next to a saddle or a kink, where Phi is lower to the side; none for a minimum.
