@@ -87,7 +87,7 @@ def search(
 
 
 def ended_near(info: SolveInfo) -> np.ndarray:
-    """Where the steps ended at a mode, or at a kink that may be one: see `lower_points`."""
+    """Find starts whose steps reached a mode, or a kink close to one."""
     status, away = np.asarray(info.status), np.asarray(info.residual)
     return (status == Status.CONVERGED) | ((status == Status.MAX_STEPS) & (away <= NEAR))
 
