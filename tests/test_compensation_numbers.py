@@ -39,7 +39,7 @@ def test_an_order_that_the_curve_lacks_is_left_by_its_table():
 
 TORQUES = {
     (100.0, 1): correction([3, 40], np.array([8, 6j]) * arcsec, ratio=RATIO, angle_sd=0.01),
-    (0.0, 1): correction([3, 40], np.array([8j, 0.1]) * arcsec, ratio=RATIO, angle_sd=0.03, count=1),
+    (0.0, 1): correction([3, 40], np.array([8j, 5]) * arcsec, ratio=RATIO, angle_sd=0.03, count=1),
     (50.0, 1): correction([3], [2 * arcsec], ratio=RATIO),
 }
 

@@ -1,13 +1,15 @@
 """Drag of a bench is no lost motion of a reducer. Data: equilibria at the torque that the discs transmit."""
 
+import dataclasses
+
 import jax
 import numpy as np
 import pytest
 
-from rvjax import RVErrors, identify, loaded, models
+from rvjax import RVErrors, identify, loaded, models, study
 from rvjax.published.rv160 import READ
-from rvjax.study import bench
-from rvjax.study.measured import Conditions
+from rvjax.study import bench, problem
+from rvjax.study.measured import Conditions, Loop, Measured
 from rvjax.study.nuisances import nuisance
 from rvjax.tolerances import Tolerance
 from rvjax.units import arcsec, rpm, um
@@ -52,6 +54,33 @@ def test_a_loop_is_as_wide_as_its_drag(data):
     seen = midline(("offset", "drag"))(known)
     np.testing.assert_allclose(seen["angle"], data["angle"], atol=1e-12)
     np.testing.assert_allclose(seen["width"], data["width"], atol=1e-12)
+
+
+STUDY = """
+[design]
+base = "rv-40e-whole"
+[conditions]
+rated_torque = "412 N m"
+[tolerances.bearing_clearance]
+lower = "0 um"
+upper = "12 um"
+[identify]
+model = "loaded"
+noise = "0.2 arcsec"
+nuisance = ["offset", "drag"]
+"""
+
+
+def test_a_measured_loop_is_that_of_its_unit(data):
+    """The model of a study predicts the loop of a unit where the bench measured it, at the torque of the bench."""
+    asked = dataclasses.replace(study.parse_study(STUDY, name="loop", solve=False), design=READ, conditions=GIVEN)
+    seen = {"midline": np.asarray(data["angle"]), "width": np.asarray(data["width"]), "sd": np.full(7, arcsec)}
+    loop = Loop("loop.csv", Conditions(), TORQUE, **seen, clipped=False)
+    made = problem.problem(asked, Measured("loop", (loop,)))
+    (measured,) = made.data
+    predicted = made.model(dict(bearing_clearance=CLEARANCE, stiffness=STIFFNESS, offset=0.0, drag=DRAG))
+    for name in ("angle", "width"):
+        np.testing.assert_allclose(predicted[name], measured[name], atol=1e-12)
 
 
 @pytest.mark.long  # compiles the derivatives to every number; the model of the loop is tested above

@@ -342,9 +342,9 @@ class Training:
         """Gradients (elements, n) of weighted responses."""
 
         def compute() -> Any:
-            return gradients(response, self.population, errors, cotangents, names)[1]
+            return gradients(response, self.population, errors, cotangents, names)[1][: len(errors)]
 
         if self._memo is None:
             return compute()
-        weighted = hashlib.sha256(errors.tobytes() + cotangents.tobytes()).hexdigest()
-        return self._memo.recall({"gradients of": weighted}, compute)
+        about = repr(sorted((self.population.values or {}).items())).encode() + errors.tobytes() + cotangents.tobytes()
+        return self._memo.recall({"gradients of": hashlib.sha256(about).hexdigest()}, compute)
