@@ -60,9 +60,9 @@ NEED = {"y": Requirement(lower=-1.0, upper=1.0)}
 ARM = Variable(0.4, 3.0, 2.0)
 
 
-def levered(response=lever, variables=None, **changes):
+def levered(response=lever, variables=None, requirements=None, **changes):
     options = {"costs": COSTS, "certificate_samples": 20_000, "samples": 2048} | changes
-    return allocate(response, PARTS, NEED, variables=variables or {"arm": ARM}, **options)
+    return allocate(response, PARTS, requirements or NEED, variables=variables or {"arm": ARM}, **options)
 
 
 def test_another_unit_of_a_number_changes_nothing():
@@ -182,6 +182,33 @@ def test_costly_units_are_followed_between_designs():
     assert found.status == "OPTIMAL" and found.cost == pytest.approx(plain.cost, rel=0.03)
     assert found.evaluations["search"] < 0.6 * plain.evaluations["search"]
     assert found.ranges == {} and plain.ranges["arm"][0] < plain.values["arm"] < plain.ranges["arm"][1]
+
+
+def test_half_widths_of_costly_units_are_rounded_to_grades():
+    """Gradients of units have rows for the numbers of the design, which half-widths alone do not read."""
+
+    def costly(errors, values):
+        return lever(errors, values)
+
+    costly.costly = True
+    sized = {name: Tolerance.symmetric(0.1, size=0.02) for name in "ab"}
+    widths = dict.fromkeys("ab", ReciprocalPower(reference=1e-5, finest=1e-6, coarsest=1e-3))
+    found = allocate(
+        costly, sized, {"y": Requirement(lower=-3e-5, upper=3e-5)}, costs=widths, variables={"arm": ARM},
+        certificate_samples=8192, samples=2048, grades=True,
+    )  # fmt: skip
+    assert found.graded.status == "OPTIMAL" and found.graded.cost >= found.cost * 0.99
+    assert set(found.graded.grades) == {"a", "b"}
+
+
+def test_prices_are_differences_of_solved_problems_on_both_sides():
+    """The price of a limit lies between the differences to a wider and a narrower one, and within 5 % of each."""
+    wide, here, narrow = (
+        levered(requirements={"y": Requirement(lower=-limit, upper=limit)}) for limit in (1.02, 1.0, 0.98)
+    )
+    gained, lost = (wide.learned - here.learned) / 0.02, (here.learned - narrow.learned) / 0.02
+    for price in (gained, lost):
+        assert here.multipliers["y"] == pytest.approx(price, rel=0.05)
 
 
 def test_failed_units_are_rejects_of_a_quantile():

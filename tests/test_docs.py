@@ -160,3 +160,19 @@ def test_the_drawn_linkage_is_a_parallelogram_in_the_frames_of_its_cranks(axes):
     assert carrier[0, 0] == -36.0 and np.diff(carrier, axis=0)[0, 0] == 72.0  # crank 0 on the negative x axis
     arm = disc[0] - carrier[0]
     assert np.arctan2(arm[1], arm[0]) == pytest.approx(1.0)
+
+
+def test_the_discs_before_and_after_are_drawn_as_wide_as_they_are():
+    before = study.load("rv-40e-design", solve=False)
+    after = before.design_with({"contact.face_width": 9 * mm})
+    figure = drawings.before_and_after(before.design, after).figure
+    sides = figure.axes[2:]
+    for axes, width in zip(sides, (12.0, 9.0)):
+        discs = [patch for patch in axes.patches if patch.get_fill()]
+        assert [disc.get_height() for disc in discs] == pytest.approx(2 * [width])
+        assert discs[1].get_y() > discs[0].get_y() + width  # beside each other
+        apart = discs[0].get_x() - discs[1].get_x()
+        assert apart == pytest.approx(2 * 1.3)  # opposed eccentricities
+    plain = drawings.before_and_after(catalogue.RV_40E, catalogue.RV_40E).figure  # has no width
+    assert len(plain.axes) == 2
+    plt.close("all")

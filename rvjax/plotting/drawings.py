@@ -2,7 +2,7 @@
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.patches import Circle
+from matplotlib.patches import Circle, Rectangle
 
 from rvjax.designs import RVReducer
 from rvjax.plotting.style import AFTER, BEFORE, LIMIT, PALETTE, new_axes
@@ -52,15 +52,23 @@ def reducer(design: RVReducer, *, crank_angle: float = np.pi / 4, axes: Axes | N
 
 
 def before_and_after(before: RVReducer, after: RVReducer) -> Axes:
-    """Sections of two designs of the second stage side by side, to one scale.
+    """Sections of two designs of the second stage side by side, to one scale; below, their discs seen from the side.
 
     Args:
         before: on the left.
-        after: on the right; a dashed circle is the envelope of the other design.
+        after: on the right; a dashed line is the envelope of the other design.
     """
     import matplotlib.pyplot as plt
 
-    _, both = plt.subplots(1, 2, figsize=(11, 5.8), sharex=True, sharey=True)
+    widths = [_disc_width(design) for design in (before, after)]
+    if None in widths:
+        _, both = plt.subplots(1, 2, figsize=(11, 5.8), sharex=True, sharey=True)
+    else:
+        _, rows = plt.subplots(2, 2, figsize=(11, 7.6), sharex=True, sharey="row", height_ratios=(3.6, 1))
+        both = rows[0]
+        for axes, design, other in zip(rows[1], (before, after), (after, before)):
+            _from_the_side(design, other, axes)
+        rows[1][0].set_ylabel("z (mm)")
     for axes, design, other, name in zip(both, (before, after), (after, before), ("before", "after")):
         _section(design, axes)
         for one, style in ((design, "-"), (other, "--")):
@@ -72,11 +80,36 @@ def before_and_after(before: RVReducer, after: RVReducer) -> Axes:
             f"e = {float(cycloid.eccentricity) / mm:.3f} mm",
             fontsize=10,
         )
-        axes.set(xlabel="x (mm)", aspect="equal")
+        axes.set(xlabel="x (mm)" if None in widths else "", aspect="equal")
         axes.grid(visible=False)
     both[0].set_ylabel("y (mm)")
     both[0].autoscale_view()
     return both[0]
+
+
+def _disc_width(design: RVReducer) -> float | None:
+    """Width of a disc, m; None where the design has none."""
+    width = None if design.contact is None else design.contact.face_width
+    return None if width is None else float(width)
+
+
+def _from_the_side(design: RVReducer, other: RVReducer, axes: Axes) -> None:
+    """Discs between the pins seen along y, half a millimetre apart; the other design's discs dashed."""
+    for one, style, filled in ((other, "--", False), (design, "-", True)):
+        cycloid, width = one.cycloid, (_disc_width(one) or 0.0) / mm
+        outer = float(cycloid.pin_circle_radius + cycloid.pin_radius) / mm
+        count, apart = int(cycloid.disc_count), 0.5
+        length = count * width + (count - 1) * apart
+        axes.add_patch(Rectangle((-outer, -length / 2), 2 * outer, length, fill=False, ls=style, ec=GREY, lw=1))
+        for disc in range(count if filled else 0):
+            low = -length / 2 + disc * (width + apart)
+            aside = float(cycloid.eccentricity) * np.cos(2 * np.pi * disc / count) / mm
+            radius = outer - 2 * float(cycloid.pin_radius) / mm
+            axes.add_patch(Rectangle((aside - radius, low), 2 * radius, width, fc="0.85", ec=AFTER, lw=1.2))
+    axes.set(xlabel="x (mm)", aspect="equal", title=f"{design.cycloid.disc_count} discs of {width:.2f} mm")
+    axes.title.set_fontsize(10)
+    axes.grid(visible=False)
+    axes.autoscale_view()
 
 
 def _section(design: RVReducer, axes: Axes) -> None:

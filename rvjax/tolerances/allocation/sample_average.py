@@ -306,8 +306,8 @@ class Training:
             z, parts = np.concatenate([np.asarray(b) for b in self.blocks], axis=1), [(self.response, self.names)]
         given = dict(zip(self.fields, jnp.asarray(half_widths, z.dtype)))
         padded = np.resize(pull.units, -(-len(pull.units) // LANES) * LANES)  # one program, however many units
-        found = (np.asarray(rows) for rows in elements_and_rates(self.population, given, z[:, padded]))
-        errors, rates = (rows[:, : len(pull.units)] for rows in found)
+        both = (np.asarray(rows) for rows in elements_and_rates(self.population, given, z[:, padded]))
+        errors, rates = (rows[:, : len(pull.units)] for rows in both)
         required = np.array(list(self.requirements))[of[pull.units]]
         self.evaluated[0] += len(pull.units)
         slopes = np.empty(errors.shape)
@@ -316,7 +316,7 @@ class Training:
             if mine.any():
                 rows = np.array([names.index(name) for name in required[mine]])
                 cotangents = np.eye(len(names))[rows].T * pull.cotangents[mine]
-                slopes[:, mine] = self._gradients(response, names, errors[:, mine], cotangents)
+                slopes[:, mine] = self._gradients(response, names, errors[:, mine], cotangents)[: len(errors)]
         for name in np.unique(required):
             mine = (required == name) & (pull.cotangents != 0) & np.isfinite(slopes).all(axis=0)
             if self.followed is not None:
