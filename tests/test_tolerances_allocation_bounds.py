@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from census import grades
 from oracles.known_optima import least, squares
 from rvjax.population import GRADES
 from rvjax.tolerances import Middle, ReciprocalPower, Requirement, Tolerance, allocate, it_width
@@ -110,6 +111,15 @@ def test_the_cheapest_grades_by_brute_force(seed):
     found = allocated(costs, limits, target, sizes=sizes, grades=True).graded
     assert found.status == "OPTIMAL"
     enough, nearly = (cheapest_grades(costs, sizes, limits, with_errors(target, k)) for k in (5, 0))
+    assert nearly * (1 - 1e-9) <= found.cost <= enough * (1 + 1e-9)
+
+
+@pytest.mark.parametrize("seed", [11, 14])  # without exchanges 44 and 14 % above
+def test_the_cheapest_grades_by_tables_of_costs(seed):
+    """Every combination of grades with measured costs, for a mildly curved response and a linear one."""
+    given, drawn = grades.problem(seed), np.random.default_rng(1).standard_normal((3, 500_000))
+    found, (nearly, enough) = grades.allocated(given).graded, grades.bounds(given, drawn)
+    assert found.status == "OPTIMAL"
     assert nearly * (1 - 1e-9) <= found.cost <= enough * (1 + 1e-9)
 
 
