@@ -1,9 +1,9 @@
 """Cheapest grades against every combination of them: `python -m census.grades [--problems 60]`.
 
 Random problems of 3 to 5 fields with 3 or 4 grades each and tables of costs, for a linear response and for one that is
-mildly curved. Combinations are evaluated from the cheapest on. A result is too dear if it costs more than the cheapest
-combination whose share of good units a certificate shows for certain; it is not good enough if it costs less than the
-cheapest one that meets the requirement at all.
+mildly curved. Combinations are evaluated from the cheapest on. A result costs too much if it costs more than the
+cheapest combination whose share of good units a certificate shows for certain. It is not good enough if it costs less
+than the cheapest one that meets the requirement at all.
 """
 
 import argparse
@@ -53,7 +53,7 @@ class Problem:
         return sum(terms) * (1 + self.curved * terms[0] / self.limit)
 
     def share(self, half_widths: np.ndarray, drawn: np.ndarray) -> float:
-        """Share of good units: closed form of the linear response, else of drawn units."""
+        """Share of good units: closed form of the linear response, else of sampled units."""
         if not self.curved:
             spread = float(np.linalg.norm(self.slopes * half_widths)) / 3
             return 1 - 2 * float(stats.norm.sf(self.limit / spread))
@@ -119,25 +119,28 @@ def main() -> None:
     options = parser.parse_args()
     rvjax.enable_x64()
     drawn = np.random.default_rng(0).standard_normal((5, DRAWN))
-    dear, short, refused = [], [], []
+    above_certain, below, other = [], [], []
     for seed in range(options.first, options.first + options.problems):
         given = problem(seed)
         found, (nearly, enough) = allocated(given), bounds(given, drawn)
         if found.graded is None or found.graded.status != "OPTIMAL":
             status = found.status if found.graded is None else found.graded.status
-            refused.append(seed)
+            other.append(seed)
             print(f"{seed:4} {status}: cheapest for certain {enough:.4f}", flush=True)
             continue
         above = found.graded.cost / enough - 1
         if above > 1e-9:
-            dear.append(above)
+            above_certain.append(above)
         if found.graded.cost < nearly * (1 - 1e-9):
-            short.append(seed)
+            below.append(seed)
         print(
             f"{seed:4} {len(given.sizes)} fields {nearly:.4f} {enough:.4f} {found.graded.cost:.4f} {above:+.2%}",
             flush=True,
         )
-    print(f"too dear {len(dear)}, at most by {max(dear, default=0.0):.2%}; not good enough {short}; refused {refused}")
+    print(
+        f"above the certain optimum {len(above_certain)}, at most by {max(above_certain, default=0.0):.2%}; "
+        f"below the target {below}; not OPTIMAL {other}"
+    )
 
 
 if __name__ == "__main__":
