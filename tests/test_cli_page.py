@@ -8,6 +8,7 @@ import os
 import re
 import shutil
 import subprocess
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,10 +16,10 @@ from cli_study import PICTURES, SMALL, UNITS
 
 import rvjax
 import rvjax.commands.allocate.answer
-from rvjax import cli
+from rvjax import cli, study
 from rvjax.commands.allocate import report_on
 from rvjax.commands.report import Shown, page_of
-from rvjax.commands.report.worst_units import worst_units
+from rvjax.commands.report.worst_units import WorstUnit, rows_of, worst_units
 from rvjax.population.central_moments import CentralMoments
 from rvjax.population.sample_statistics import Sampled
 from rvjax.render import write_files
@@ -139,6 +140,16 @@ def test_the_worst_units_are_the_worst_and_can_be_replayed(answers, answered, un
     failed = dataclasses.replace(side, failed={"NOT_ASSEMBLABLE": 7})
     text = page_of(Shown(dataclasses.replace(answer, after=failed)), "x.toml")
     assert "Unit 7 failed" in text and "cannot be put together" in text
+
+
+def test_a_vector_is_shown_by_its_length():
+    """A place of 5 um diametral: [1.5, 2] um is 2.5 um long, in the middle of 0 .. 5 um, and its mirror image too."""
+    asked = study.load("rv-40e-whole", solve=False)
+    errors = {f: np.zeros(2) for f in asked.fields} | {"pin_offset": np.array([1.5, 2.0, -1.5, -2.0, 3.0, 4.0]) * 1e-6}
+    unit = WorstUnit(0, "", "MAX_STEPS", {}, errors)
+    shown = rows_of(SimpleNamespace(study=asked, after=SimpleNamespace(tolerances=asked.tolerances)), unit)
+    row = next(row for row in shown["rows"] if row["name"] == "pin_offset")
+    assert row["places"] == pytest.approx([0.0, 0.0, 1.0], abs=1e-9) and row["value"] == "+5.00 um"
 
 
 def test_an_answer_whose_units_all_fail_is_written_and_says_so(answers, answered, here, request):

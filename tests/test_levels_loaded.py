@@ -169,6 +169,18 @@ def test_what_has_no_value_is_never_taken():
     assert made.cheapest({"b": 1.0}, 1.0).name == "fine, float64"
 
 
+def test_a_study_of_lives_finds_the_levels_of_its_method():
+    """Its duty is the measured one to the digits of the file. Smaller errors have a bound; another duty has none."""
+    question = study.load("rv-40e-whole", solve=False)
+    small = for_design(MACHINE, crank_eccentricity=Tolerance.symmetric(3 * um))
+    given = levels.as_given(question.design, ("life",), question.conditions, tolerances=small)["life"]
+    assert given.level.startswith("basic, 12 angles") and 0 < given.bound < 1000 * 3600
+    speed = dataclasses.replace(question.conditions, duty=((412.0, 2.0, 3600.0),))
+    assert levels.as_given(question.design, ("life",), speed, tolerances=small)["life"].bound is None
+    own = levels.as_given(question.design, ("life",), question.conditions, tolerances=question.tolerances)["life"]
+    assert own.bound is None and "failed" in own.why  # at three times its errors a unit has a life only with 96 angles
+
+
 FAMILIES = [name for name in stored().models if name.startswith("loaded")]
 
 

@@ -137,6 +137,8 @@ def as_given(design: Design, outputs: Sequence[str], conditions: object, *, tole
                 continue
             bound = None if reason or level.name == model.reference else model.bound(level, name, size)
             why = f"the study says so; its error here was not measured ({reason})" if reason else "the study says so"
+            if bound == math.inf:
+                bound, why = None, f"{why}; with larger errors it failed for a unit that the exact level solves"
             why += f"; it leaves out {level.without}" if level.without else ""
             found[name] = Choice(name, level.name, settings, level.precision, bound, level.ns, why, None, level.without)
     return found
@@ -154,7 +156,15 @@ def _unmeasured(output: str) -> Choice:
 
 
 def _differs(model: Model, conditions: object) -> list[str]:
-    return [name for name, value in model.conditions.items() if getattr(conditions, name) != value]
+    return [name for name, value in model.conditions.items() if not _same(getattr(conditions, name), value)]
+
+
+def _same(given: object, measured: object) -> bool:
+    """Equal; numbers of a table to the digits that the file of levels keeps."""
+    if not isinstance(measured, tuple):
+        return given == measured
+    one, other = np.asarray(given, object), np.asarray(measured, object)
+    return one.shape == other.shape and np.allclose(one.astype(float), other.astype(float), rtol=1e-4)
 
 
 def _known(models: Iterable[Model], output: str, conditions: object) -> list[Model]:

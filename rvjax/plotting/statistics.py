@@ -99,7 +99,9 @@ def variance_shares(shares: Mapping[str, Mapping[str, float]], *, title: str, ax
     stacked_bars(axes, rows, widths, map(look, range(len(widths))), least=6)
     axes.set_yticks(rows, [words(name) for name in shares])
     axes.set(xlabel="share of variance (%)", xlim=(0, 100), title=title)
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.18), ncols=3)
+    axes.legend(
+        loc="upper center", bbox_to_anchor=(0.36, -0.18), ncols=3, fontsize=9
+    )  # below the names of the rows too
     return axes
 
 

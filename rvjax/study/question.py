@@ -226,9 +226,13 @@ class Study:
 
     @property
     def left_out(self) -> list[str]:
-        """List what the required models do not include, a line each."""
+        """List what the required models do not include, a line each; of several models, each with its responses."""
         described = models.kind(self.design).described
-        return [line for line in dict.fromkeys(described[name].unknown for name in self.requirements) if line]
+        lines: dict[str, list[str]] = {}
+        for name in self.requirements:
+            lines.setdefault(described[name].unknown, []).append(name)
+        lines.pop("", None)
+        return [f"{line} (for {', '.join(names)})" if len(lines) > 1 else line for line, names in lines.items()]
 
     @property
     def curve(self) -> Curve | None:

@@ -94,7 +94,7 @@ def _meaning(order: int, pins: int) -> str:
 def _orders(lives: Lives) -> Table:
     columns = [
         Number("order", form=".0f"),
-        Text("load"),
+        Text("load", wraps=True),
         _size("at the centre, N", "N", "N"),
         _size("rms of the units, N", "N", "N"),
     ]

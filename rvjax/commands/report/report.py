@@ -7,8 +7,6 @@ import dataclasses
 import shlex
 import time
 
-import numpy as np
-
 import rvjax
 from rvjax import catalogue, levels, models
 from rvjax.commands.allocate import (
@@ -29,7 +27,7 @@ from rvjax.commands.report import live
 from rvjax.commands.report.bearings import bearing_section
 from rvjax.commands.report.compute import Shown
 from rvjax.commands.report.inputs import Inputs
-from rvjax.commands.report.worst_units import WorstUnit, worst_units
+from rvjax.commands.report.worst_units import SHARE_SHOWN, rows_of, worst_units
 from rvjax.designs import RVReducer
 from rvjax.records import PyTree
 from rvjax.render import (
@@ -50,9 +48,6 @@ from rvjax.render import (
 from rvjax.status import MEANING, Status
 from rvjax.study import Study, facts_of, shown
 from rvjax.tolerances import Estimate
-from rvjax.units import readable
-
-SHARE_SHOWN = 0.01  # of the variance: errors below it are not listed for a worst unit
 
 
 def report(asked: Inputs, found: Shown) -> Report:
@@ -244,42 +239,13 @@ def _drawn(design: RVReducer) -> str:
 def _worst(answer: Answer, drawn: dict[str, Figure]) -> Section:
     text = (
         f"Of {shown_values(answer.study):,} sample units with the tolerances after (seed {answer.after.seed}). The bar "
-        "is the tolerance, the tick its middle, every dot one element of the error. Errors that explain less than "
+        "is the tolerance, the tick its middle, every dot one element of the error, or the length of a vector. Errors that explain less than "
         f"{100 * SHARE_SHOWN:g} % of the variance are left out."
     )
     units = Block(
-        "rvjax.commands.report:worst_units.html.j2", {"units": [_unit(answer, u) for u in worst_units(answer)]}
+        "rvjax.commands.report:worst_units.html.j2", {"units": [rows_of(answer, u) for u in worst_units(answer)]}
     )
     return Section("Worst units", (Note(text), units, *([drawn["curves"]] if "curves" in drawn else [])))
-
-
-def _unit(answer: Answer, unit: WorstUnit) -> dict[str, object]:
-    """A worst unit for its template: title, responses, and the place of every error in its tolerance."""
-    study, side = answer.study, answer.after
-    if unit.requirement:
-        shares = side.shares[unit.requirement]
-        fields = sorted((f for f in study.fields if shares[f] >= SHARE_SHOWN), key=lambda f: -shares[f])
-        name, size = study.output(unit.requirement).shown
-        margin = study.requirements[unit.requirement].margin(unit.values[unit.requirement]) / size
-        place = f"{abs(margin):.3g} {name} {'beyond' if margin > 0 else 'within'} the limit"
-        title, reason = f"Unit {unit.index:,}: {_words(unit.requirement)}, {place}", f"status {unit.status}"
-    else:
-        fields, title = study.fields, f"Unit {unit.index:,} failed"
-        reason = f"status {unit.status}: {MEANING[Status[unit.status]]}"
-    responses = "; ".join(
-        f"{_words(name)} {value / size:.4g} {shown}" if np.isfinite(value) else f"{_words(name)} -"
-        for name, value in unit.values.items()
-        for shown, size in [study.output(name).shown]
-    )
-    rows = []
-    for field in fields:
-        tolerance, values = getattr(side.tolerances, field), unit.errors[field]
-        middle, half = float(tolerance.middle), float(tolerance.half_width)
-        shown, size = readable(study.unit(field))
-        places = (values - middle) / half if half > 0 else np.zeros_like(values)
-        largest = f"{values[int(np.argmax(np.abs(places)))] / size:+.2f} {shown}"
-        rows.append({"name": field, "places": [float(x) for x in places], "value": largest})
-    return {"title": title, "said": f"{responses}; {reason}", "rows": rows}
 
 
 def _levels(answer: Answer) -> Section:
@@ -296,7 +262,7 @@ def _levels(answer: Answer) -> Section:
     short = [Text(title) for title in ("required accuracy", "its error", "time of a unit")]
     columns = [Text("response"), Text("level", wraps=True), *short, Text("why", wraps=True)]
     conditions = ", ".join(
-        f"{_words(key)} = {value}"
+        f"{_words(key)} = {_plain(value)}"
         for key in models.kind(study.design).conditions_of(outputs)
         if (value := getattr(study.conditions, key)) is not None
     )
@@ -305,3 +271,10 @@ def _levels(answer: Answer) -> Section:
         f"rvjax; times are those of its computer, for comparison.\nConditions, SI: {conditions}."
     )
     return Section("How exactly it was computed", (Table("levels", columns, rows), Note(text)))
+
+
+def _plain(value: object) -> str:
+    """A condition as text: a table by its rows."""
+    if isinstance(value, tuple):
+        return "; ".join(_plain(row) if isinstance(row, tuple) else f"{row:.4g}" for row in value)
+    return str(value)

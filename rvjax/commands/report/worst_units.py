@@ -6,9 +6,12 @@ import jax
 import numpy as np
 
 from rvjax.commands.allocate import Answer
+from rvjax.status import MEANING, Status
 from rvjax.tolerances import sample
+from rvjax.units import readable
 
 EACH = 2  # worst units of a requirement
+SHARE_SHOWN = 0.01  # of the variance: errors below it are not listed for a worst unit
 
 
 @dataclass(frozen=True)
@@ -54,3 +57,39 @@ def worst_units(answer: Answer) -> list[WorstUnit]:
         )
         for k, (index, name, status) in enumerate(found)
     ]
+
+
+def rows_of(answer: Answer, unit: WorstUnit) -> dict[str, object]:
+    """Title, responses, and the place of every error in its tolerance; of a vector, that of its length.
+
+    Args:
+        answer: of a study.
+        unit: one of its worst.
+    """
+    study, side = answer.study, answer.after
+    if unit.requirement:
+        shares = side.shares[unit.requirement]
+        fields = sorted((f for f in study.fields if shares[f] >= SHARE_SHOWN), key=lambda f: -shares[f])
+        name, size = study.output(unit.requirement).shown
+        margin = study.requirements[unit.requirement].margin(unit.values[unit.requirement]) / size
+        place = f"{abs(margin):.3g} {name} {'beyond' if margin > 0 else 'within'} the limit"
+        title, reason = f"Unit {unit.index:,}: {unit.requirement.replace('_', ' ')}, {place}", f"status {unit.status}"
+    else:
+        fields, title = study.fields, f"Unit {unit.index:,} failed"
+        reason = f"status {unit.status}: {MEANING[Status[unit.status]]}"
+    responses = "; ".join(
+        f"{name.replace('_', ' ')} {value / size:.4g} {shown}" if np.isfinite(value) else f"{name.replace('_', ' ')} -"
+        for name, value in unit.values.items()
+        for shown, size in [study.output(name).shown]
+    )
+    rows = []
+    for field in fields:
+        tolerance, values = getattr(side.tolerances, field), unit.errors[field]
+        if tolerance.is_vector:  # its tolerance limits the length
+            values = np.hypot(*values.reshape(-1, 2).T)
+        middle, half = float(tolerance.middle), float(tolerance.half_width)
+        shown, size = readable(study.unit(field))
+        places = (values - middle) / half if half > 0 else np.zeros_like(values)
+        largest = f"{values[int(np.argmax(np.abs(places)))] / size:+.2f} {shown}"
+        rows.append({"name": field, "places": [float(x) for x in places], "value": largest})
+    return {"title": title, "said": f"{responses}; {reason}", "rows": rows}
