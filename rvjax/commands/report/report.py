@@ -239,8 +239,8 @@ def _drawn(design: RVReducer) -> str:
 def _worst(answer: Answer, drawn: dict[str, Figure]) -> Section:
     text = (
         f"Of {shown_values(answer.study):,} sample units with the tolerances after (seed {answer.after.seed}). The bar "
-        "is the tolerance, the tick its middle, every dot one element of the error, or the length of a vector. Errors that explain less than "
-        f"{100 * SHARE_SHOWN:g} % of the variance are left out."
+        "is the tolerance, the tick its middle, every dot one element of the error, or the length of a vector. Errors "
+        f"that explain less than {100 * SHARE_SHOWN:g} % of the variance are left out."
     )
     units = Block(
         "rvjax.commands.report:worst_units.html.j2", {"units": [rows_of(answer, u) for u in worst_units(answer)]}

@@ -93,3 +93,7 @@ def rows_of(answer: Answer, unit: WorstUnit) -> dict[str, object]:
         largest = f"{values[int(np.argmax(np.abs(places)))] / size:+.2f} {shown}"
         rows.append({"name": field, "places": [float(x) for x in places], "value": largest})
     return {"title": title, "said": f"{responses}; {reason}", "rows": rows}
+
+
+def _words(name: str) -> str:
+    return name.replace("_", " ")
