@@ -316,7 +316,7 @@ class Training:
             if mine.any():
                 rows = np.array([names.index(name) for name in required[mine]])
                 cotangents = np.eye(len(names))[rows].T * pull.cotangents[mine]
-                slopes[:, mine] = self._gradients(response, names, errors[:, mine], cotangents)[: len(errors)]
+                slopes[:, mine] = self._gradients(response, names, errors[:, mine], cotangents)
         for name in np.unique(required):
             mine = (required == name) & (pull.cotangents != 0) & np.isfinite(slopes).all(axis=0)
             if self.followed is not None:
