@@ -9,6 +9,7 @@ import jax.numpy as jnp
 
 from rvjax.commands.allocate import shortfall_text
 from rvjax.commands.cells import assumed_text, failures_text, judged, limit_text, limits_data, limits_of, share
+from rvjax.commands.design import live
 from rvjax.commands.design.compute import Designed, Point
 from rvjax.commands.design.figures import figures
 from rvjax.commands.design.inputs import Inputs
@@ -51,6 +52,7 @@ def report(asked: Inputs, found: Designed) -> Report:
             Section("Tolerances", (_tolerances(study, found),)),
             Section("Requirements", (*_requirements(study, found), Note(fresh))),
             Section("Prices in one currency", (prices(study, found),)),
+            *((live.block(),) if joint.margins else ()),
             Section("Other optima", (*_others(study, found), *_named(asked, found, "front"))),
             Section("Scaling laws", tuple(_laws(study, found))),
             Note("\n".join(_notes(study, found))),
@@ -66,6 +68,7 @@ def report(asked: Inputs, found: Designed) -> Report:
             "boxes": _boxes(study, found),
             "origin": {"command": f"rvjax design {shlex.quote(study.name)}", "seed": str(study.seed)},
             "study": study.text,
+            "script": live.script(study, found) if joint.margins else None,
         },
         main="report.html",
     )

@@ -27,7 +27,7 @@ def compute(asked: Inputs) -> str:
 
 def with_variables() -> str:
     """Write the text of a study for `rvjax design`, with comments."""
-    question = (EMBEDDED / "rv-40e-design.toml").read_text("utf-8")
+    question = (EMBEDDED / "rv-40e-design-four-bar.toml").read_text("utf-8")
     head = (
         "# A study to change, with the numbers of an RV-40E: replace them by those of your drawing, then run\n"
         "# rvjax design on this file. Tolerances, costs, prices, limits, stiffnesses and masses are assumed.\n\n"

@@ -134,7 +134,7 @@ const Live = (() => {
     };
   }
 
-  return { opened, begin, all, study, limitsOf, values, places };
+  return { opened, begin, all, cost, study, limitsOf, values, places };
 })();
 
 if (typeof module !== "undefined") module.exports = Live;

@@ -15,7 +15,7 @@ from rvjax.commands.report.surrogate import COMPARED, Surrogate, grows_from_lowe
 from rvjax.plotting import words
 from rvjax.render import Block
 from rvjax.study import study_template
-from rvjax.tolerances import CpkAtLeast, Exponential, Limits, MeanWithin, ReciprocalPower, Requirement, SdAtMost
+from rvjax.tolerances import Cost, CpkAtLeast, Exponential, Limits, MeanWithin, ReciprocalPower, Requirement, SdAtMost
 from rvjax.units import readable
 
 KINDS: dict[type[Limits], str] = {Requirement: "share", CpkAtLeast: "cpk", MeanWithin: "mean", SdAtMost: "sd"}
@@ -114,18 +114,7 @@ def _field(name: str, found: Surrogate, answer: Answer) -> dict[str, Any]:
     unit, size = readable(study.unit(name))
     places = {p.place: k for k, p in enumerate(found.parameters) if p.field == name}
     given, cost = getattr(study.tolerances, name), study.costs.get(name)
-    priced: dict[str, Any] | None = None
-    if cost is not None:
-        if isinstance(cost, Exponential):
-            priced = {"fixed": float(cost.fixed), "scale": float(cost.scale), "decay": float(cost.decay) / size}
-        elif isinstance(cost, ReciprocalPower):
-            priced = {"fixed": float(cost.fixed), "scale": float(cost.scale)} | {
-                "reference": float(cost.reference) / size,
-                "power": float(cost.power),
-            }
-        else:  # any other distribution: points, between which the page interpolates as `tolerances.Table` does
-            points = np.union1d(np.geomspace(cost.finest, cost.coarsest, 129), getattr(cost, "half_widths", ()))
-            priced = {"points": [[float(t) / size, float(cost(t))] for t in points]}
+    priced = None if cost is None else cost_data(cost, size)
     moving = None
     if name in study.middles:
         moving = {"given": float(given.middle) / size, "scale": study.middles[name].scale * size}
@@ -143,6 +132,25 @@ def _field(name: str, found: Surrogate, answer: Answer) -> dict[str, Any]:
         "cost": priced,
         "moving": moving,
     }
+
+
+def cost_data(cost: Cost, size: float) -> dict[str, Any]:
+    """A cost as data of the script.
+
+    Args:
+        cost: function of the half-width.
+        size: SI size of the unit of the half-width.
+    """
+    if isinstance(cost, Exponential):
+        return {"fixed": float(cost.fixed), "scale": float(cost.scale), "decay": float(cost.decay) / size}
+    if isinstance(cost, ReciprocalPower):
+        return {"fixed": float(cost.fixed), "scale": float(cost.scale)} | {
+            "reference": float(cost.reference) / size,
+            "power": float(cost.power),
+        }
+    # any other distribution: points, between which the page interpolates as `tolerances.Table` does
+    points = np.union1d(np.geomspace(cost.finest, cost.coarsest, 129), getattr(cost, "half_widths", ()))
+    return {"points": [[float(t) / size, float(cost(t))] for t in points]}
 
 
 def _response(name: str, found: Surrogate, answer: Answer) -> dict[str, Any]:

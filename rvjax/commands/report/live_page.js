@@ -191,6 +191,6 @@ function startLive(section, data) {
 }
 
 if (typeof document !== "undefined") {
-  const data = document.getElementById("live-data");
-  if (data) startLive(document.getElementById("live"), Live.opened(JSON.parse(data.textContent)));
+  const data = document.getElementById("live-data"), section = document.getElementById("live");
+  if (data && section) startLive(section, Live.opened(JSON.parse(data.textContent)));
 }

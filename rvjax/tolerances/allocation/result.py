@@ -41,6 +41,9 @@ class Allocation:
         value_prices: {variable: d cost / d bound of the bound at which it is, else 0}.
         ranges: {variable: (least, largest) value with which, all else chosen anew, the cost stays within 0.5 %};
             empty where units are costly.
+        margins: {requirement: distance beyond the limit of what it judges at the end of the search, <= 0 within it}
+            of an allocation with variables or mid-points, with the corrections of its certificate.
+        margin_slopes: {requirement: {field or variable: derivative of this margin to a half-width or number}}.
         reason: of an infeasible problem with variables: what fails by how much, and the bound that would help most.
     """
 
@@ -64,6 +67,8 @@ class Allocation:
     bounds_active: dict[str, str | None] = dataclasses.field(default_factory=dict)
     value_prices: dict[str, float] = dataclasses.field(default_factory=dict)
     ranges: dict[str, tuple[float, float]] = dataclasses.field(default_factory=dict)
+    margins: dict[str, float] = dataclasses.field(default_factory=dict)
+    margin_slopes: dict[str, dict[str, float]] = dataclasses.field(default_factory=dict)
     reason: str | None = None
 
     def to_pandas(self) -> Any:

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from rvjax.response import begin_programs
 from rvjax.tolerances.allocation.certificate import DRAWS, Certifier
 from rvjax.tolerances.allocation.rounding import Snapping
 from rvjax.tolerances.allocation.sample_average import Training
@@ -20,6 +21,7 @@ from rvjax.tolerances.codesign.problem import Problem
 from rvjax.tolerances.codesign.programme import End, Programme
 from rvjax.tolerances.codesign.ranges import ranges
 from rvjax.tolerances.codesign.starts import COARSE, starts, valleys
+from rvjax.tolerances.codesign.steps import followed
 from rvjax.tolerances.requirements.kinds import Requirement
 
 FINE = 4096
@@ -70,9 +72,8 @@ class Designer:
         self.problem, self.decisions = problem, problem.decisions()
         self.low, self.high = self.decisions.low, self.decisions.high
         self.history: list[dict[str, Any]] = []
-        self.certifier = Certifier(
-            problem.run, problem.joint_target, follows=problem.costly and self._only_shares(problem)
-        )
+        self.follows = problem.costly and self._only_shares(problem)
+        self.certifier = Certifier(problem.run, problem.joint_target, follows=self.follows)
 
     @staticmethod
     def _only_shares(problem: Problem) -> bool:
@@ -85,6 +86,8 @@ class Designer:
         if lists.entries:
             self.low, self.high = lists.relaxed(decisions.low, decisions.high)
         margins = self.problem.margins(decisions, FINE)
+        if self.problem.costly:
+            begin_programs(self.problem.response, decisions.population(start), slopes=True)
         rivals = self._rivals(start)
         margins.begin(rivals[0])
         end = self._best([self._searched(margins, x) for x in rivals])
@@ -121,7 +124,7 @@ class Designer:
 
     def _rivals(self, start: np.ndarray) -> list[np.ndarray]:
         """Vectors from which the search on the large sample begins."""
-        several = starts(self.decisions, start, self.low, self.high)
+        several = [start] if self.follows else starts(self.decisions, start, self.low, self.high)
         if len(several) == 1:
             return several
         coarse = self.problem.margins(self.decisions, COARSE)
@@ -133,12 +136,15 @@ class Designer:
         exact = self.problem.margins(self.decisions, FINE, aimed=False)
         exact.begin(several[0])
         exact.ways = margins.ways
-        return least_shortage(exact, self.decisions, several, self.low, self.high, self.problem.max_steps)
+        return least_shortage(
+            exact, self.decisions, several[: 1 if self.follows else None], self.low, self.high, self.problem.max_steps,
+            follows=self.follows,
+        )  # fmt: skip
 
     def _searched(self, margins: Margins, x: np.ndarray) -> End:
         """End of a search that is repeated with its units placed at its end, until that changes nothing."""
         curvature, radius, before = None, 1.0, math.inf
-        for number in range(_ROUNDS):
+        for number in range(_ROUNDS - self.follows):
             if number:
                 margins.replace_sample(x)
             end = self._run(margins, x, radius, curvature)
@@ -149,6 +155,9 @@ class Designer:
         return end
 
     def _run(self, margins: Margins, x: np.ndarray, radius: float = _AGAIN, curvature: np.ndarray | None = None) -> End:
+        if self.follows:
+            look = lambda x: self._noted(margins, x)  # noqa: E731
+            return followed(margins, look, self.low, self.high, x, self.problem.max_steps, curvature)
         search = Programme(
             lambda x: self._noted(margins, x), self.low, self.high, self.decisions.reach, self.problem.max_steps
         )
@@ -181,7 +190,7 @@ class Designer:
                 kept = end, certificate
             if not self._corrected(margins, end, certificate, held) or (not held and certifier.hopeless()):
                 break
-            if held and certifier.drawn > 2:
+            if held and certifier.drawn > 2 - self.follows:
                 break
             end = self._run(margins, end.point.x, _AGAIN, end.curvature)
             certificate = self._drawn(end.point.x)

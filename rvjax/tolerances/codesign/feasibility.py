@@ -27,10 +27,21 @@ class Shortage:
     helps: tuple[str, str] | None
 
 
+_SAMPLES, _ANCHORS = 2, 6  # searches from a start: units placed again for each, or followed from its end
+_LOOKS = 30  # vectors of a programme on followed units
+
+
 def least_shortage(
-    margins: Margins, decisions: Decisions, starts: list[np.ndarray], low: np.ndarray, high: np.ndarray, most: int
+    margins: Margins,
+    decisions: Decisions,
+    starts: list[np.ndarray],
+    low: np.ndarray,
+    high: np.ndarray,
+    most: int,
+    *,
+    follows: bool = False,
 ) -> Shortage:
-    """Numbers and mid-points of the least shortage, from several starts."""
+    """Numbers and mid-points of the least shortage, from several starts; `follows`: units are costly and followed."""
     high, count = high.copy(), len(decisions.fields)
     high[:count] = low[:count]
     weights = margins.ways / margins.limits()
@@ -46,11 +57,22 @@ def least_shortage(
 
     ends = []
     for start in starts:
-        x = np.clip(start, low, high)
-        for _ in range(2):
-            margins.replace_sample(x)
-            search = Programme(look, low, high, decisions.reach, most, elastic=weights)
-            end = search.run(x)
+        x, size, kept, solved = np.clip(start, low, high), 1.0, margins.anchor, np.inf
+        for turn in range(_ANCHORS if follows else _SAMPLES):
+            inside, looks = (low, high), most
+            if not follows or not turn:
+                margins.replace_sample(x)
+            if follows:
+                margins.follow(x)
+                here = float(weights @ np.maximum(look(x).margins, 0.0))
+                if here > solved and kept is not None:  # the step was too long
+                    margins.anchor, size = kept, size / 3
+                kept, solved = margins.anchor, min(here, solved)
+                assert kept is not None
+                room = size * decisions.reach
+                inside, looks = (np.maximum(low, kept.x - room), np.minimum(high, kept.x + room)), _LOOKS
+                x = kept.x
+            end = Programme(look, *inside, decisions.reach, looks, elastic=weights).run(x)
             x = end.point.x
         ends.append(end)
     best = min(ends, key=short)

@@ -14,10 +14,10 @@ from scipy import special
 from rvjax.population import Population, SobolPoints
 from rvjax.response import LANES, Response, response_names
 from rvjax.tolerances.batch.memo import Memo
+from rvjax.tolerances.codesign.anchor import Anchor, AnchoredUnits
 from rvjax.tolerances.codesign.decisions import Decisions
 from rvjax.tolerances.codesign.nominal import Nominal, NominalOutputs
 from rvjax.tolerances.codesign.tail_sample import Centres, TailSample, centres_of, kernel, smooth_quantile
-from rvjax.tolerances.codesign.units import Units
 from rvjax.tolerances.requirements.kinds import Requirement
 from rvjax.tolerances.requirements.limits import Limits
 from rvjax.tolerances.worst_case import Extremes, extremes
@@ -94,7 +94,7 @@ class Margins:
         self.joint_target, self.samples, self.seed = joint_target, samples, seed
         self.response = response
         wanted = {name for name, item in requirements.items() if not isinstance(item, Nominal)}
-        self._units = Units(response, decisions, wanted, memo)
+        self._units = AnchoredUnits(response, decisions, wanted, memo)
         self._outputs = response_names(response, decisions.base)
         self.rows = [Constraint(n, i) for n, i in requirements.items() if isinstance(i, Requirement)]
         self._shares = len(self.rows)
@@ -161,7 +161,29 @@ class Margins:
             found.append(centres_of(self.tails.z[:, units], slopes, weights, float(special.ndtri(max(target, 0.6)))))
         found = [item for item in found if len(item.places)]
         if found:
+            self._units.anchor = None
             self.tails = TailSample(self.decisions.base.numbers, self.samples, self.seed, Centres.joined(found))
+
+    def follow(self, x: np.ndarray) -> None:
+        """Solve the units that decide at x; values elsewhere follow their gradients from there."""
+        values = self._units.values(x, self.tails.z, "tails")
+        away: dict[str, np.ndarray] = {}
+        for number, shared in enumerate(self._shared(values)):
+            width = self.widths[self._row(number)]
+            level = smooth_quantile(shared.margins, self.tails.weights, 1 - shared.target, width)
+            distance = np.abs(shared.margins - (level if math.isfinite(level) else 0.0)) / width
+            distance = np.where(np.isnan(distance), np.inf, distance)
+            away |= {name: np.minimum(away.get(name, np.inf), distance) for name in shared.outward}
+        self._units.drop(x, self.tails.z, away)
+
+    @property
+    def anchor(self) -> Anchor | None:
+        """Vector at which units in the tails were solved, which all follow; None if all are solved."""
+        return self._units.anchor
+
+    @anchor.setter
+    def anchor(self, anchor: Anchor | None) -> None:
+        self._units.anchor = anchor
 
     def _row(self, k: int) -> int:
         return k if k < self._shares else len(self.names) - 1
@@ -257,7 +279,7 @@ class Margins:
             weights = weights[units] / weights[units].sum()
             pulled = {name: pull[units] * weights for name, pull in shared.outward.items()}
             if np.isfinite(weights).all():
-                jacobian[k] = self._units.slope(x, population, self.tails.z[:, units], pulled)
+                jacobian[k] = self._units.slope(x, population, self.tails.z[:, units], pulled, units)
             # A normal tail at distance z, widened by h, is too wide by z h^2/2 (in standard deviations).
             margins[k] -= self.widths[k] * WIDTH * max(float(special.ndtri(target)), 0.0) / 2
 

@@ -1,5 +1,7 @@
 """Prices of limits and of bounds, active bounds, and the reason of an infeasible problem."""
 
+import math
+
 from rvjax.tolerances.codesign.design import Found
 from rvjax.tolerances.codesign.margins import JOINT
 
@@ -44,6 +46,25 @@ def multipliers(found: Found) -> dict[str, float]:
         for name, part in found.margins.leading(found.x).items():
             prices[name] -= float(found.end.prices[-1]) * part
     return prices
+
+
+def margins(found: Found) -> tuple[dict[str, float], dict[str, dict[str, float]]]:
+    """Margins of the requirements at the end of the search, of two sides the larger, and their derivatives."""
+    values, slopes = dict[str, float](), dict[str, dict[str, float]]()
+    if found.end is None:
+        return values, slopes
+    decisions, point = found.decisions, found.end.point
+    first = len(decisions.fields) + len(decisions.moves)
+    widths = decisions.half_widths(point.x)
+    for k, row in enumerate(found.margins.rows):
+        value, rates = point.margins[k] * found.margins.ways[k], point.jacobian[k] * found.margins.ways[k]
+        if not math.isfinite(value) or value <= values.get(row.name, -math.inf):
+            continue
+        values[row.name] = float(value)
+        numbers = rates[first:] / decisions.rates()[len(decisions.moves) :]
+        slopes[row.name] = dict(zip(decisions.fields, map(float, rates[: len(widths)] / widths)))
+        slopes[row.name] |= dict(zip(decisions.free, map(float, numbers)))
+    return values, slopes
 
 
 def reason(found: Found) -> str | None:

@@ -19,7 +19,7 @@ from rvjax.tolerances.requirements.factors import CUSHION
 from rvjax.tolerances.requirements.kinds import Requirement
 from rvjax.tolerances.requirements.limits import Limits
 
-_COSTLY = 4  # times fewer units where they are costly
+_COSTLY = 2  # times fewer units where they are costly
 
 
 @dataclasses.dataclass(frozen=True)

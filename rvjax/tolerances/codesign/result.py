@@ -7,7 +7,7 @@ from typing import Any
 import jax.numpy as jnp
 
 from rvjax.tolerances.codesign.design import Designer, Found
-from rvjax.tolerances.codesign.prices import bounds_active, multipliers, reason, value_prices
+from rvjax.tolerances.codesign.prices import bounds_active, margins, multipliers, reason, value_prices
 from rvjax.tolerances.codesign.problem import Problem
 
 
@@ -46,16 +46,17 @@ def figures(
     designer: Designer, found: Found, names: tuple[str, ...], ranges: dict[str, tuple[float, float]]
 ) -> dict[str, Any]:
     """Fields of the `Allocation` of a solution."""
-    problem, decisions, margins = designer.problem, found.decisions, found.margins
+    problem, decisions = designer.problem, found.decisions
     t = decisions.half_widths(found.x)
     nothing = dict.fromkeys(names, 0.0)
-    start = margins.total(designer.problem.start(decisions)) if math.isfinite(found.learned) else math.nan
+    start = found.margins.total(designer.problem.start(decisions)) if math.isfinite(found.learned) else math.nan
+    judged, slopes = margins(found)
     widths = zip(decisions.fields, problem.priced.values(), t)
     return dict(
         feasible=found.status != "INFEASIBLE",
         status=found.status,
         tolerances=decisions.population(found.x).tolerances,
-        cost=margins.total(found.x),
+        cost=found.margins.total(found.x),
         start_cost=start,
         learned=found.learned,
         costs={name: float(cost(jnp.asarray(half_width))) for name, cost, half_width in widths},
@@ -67,10 +68,12 @@ def figures(
         grades=None,
         graded=None,
         history=found.history,
-        evaluations={"search": margins.evaluated, "certificates": designer.certifier.solved},
+        evaluations={"search": found.margins.evaluated, "certificates": designer.certifier.solved},
         values=decisions.values(found.x),
         bounds_active=bounds_active(found),
         value_prices=value_prices(found),
         ranges=ranges,
+        margins=judged,
+        margin_slopes=slopes,
         reason=reason(found),
     )

@@ -58,7 +58,9 @@ class Units:
         about = repr((part.names, sorted(describe(population, {}).items()))).encode()
         return self._memo.recall({"design": hashlib.sha256(about + z.tobytes()).hexdigest()}, compute)
 
-    def _gradients(self, population: Population, errors: np.ndarray, pulled: dict[str, np.ndarray]) -> np.ndarray:
+    def _gradients(
+        self, population: Population, errors: np.ndarray, pulled: dict[str, np.ndarray], units: np.ndarray | None = None
+    ) -> np.ndarray:
         """Gradients (elements and numbers, n) of sums of responses, with weights (n,) by name."""
         total = np.zeros((errors.shape[0] + len(population.values or {}), errors.shape[1]))
         for part in self.parts:
@@ -79,14 +81,29 @@ class Units:
         self.evaluated += errors.shape[1]
         return total
 
-    def slope(self, x: np.ndarray, population: Population, z: np.ndarray, pulled: dict[str, np.ndarray]) -> np.ndarray:
-        """Derivative (n,) of a weighted sum of responses to the vector of decisions."""
+    def slope(
+        self,
+        x: np.ndarray,
+        population: Population,
+        z: np.ndarray,
+        pulled: dict[str, np.ndarray],
+        units: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """Derivative (n,) of a weighted sum of responses to the vector of decisions.
+
+        Args:
+            x: the vector.
+            population: with these decisions.
+            z: (numbers, n) of the units.
+            pulled: {response: weights (n,)}.
+            units: (n,) their places in the sample of the tails, or None for others.
+        """
         decisions, count = self._decisions, z.shape[1]
         given = dict(zip(decisions.fields, jnp.asarray(decisions.half_widths(x))))
         padded = np.resize(np.arange(count), -(-count // LANES) * LANES)
         both = elements_and_rates(population, given, jnp.asarray(z[:, padded], jnp.result_type(float)))
         errors, rates = (np.asarray(rows, float)[:, :count] for rows in both)
-        slopes = self._gradients(population, errors, pulled)
+        slopes = self._gradients(population, errors, pulled, units)
         used = np.isfinite(slopes).all(axis=0)
         own, free = slopes[: len(errors), used], slopes[len(errors) :, used].sum(axis=1)
         widths = population.by_field((own * rates[:, used]).sum(axis=1))

@@ -1,0 +1,109 @@
+"""Costly units with design variables: solved at one vector of decisions, followed along their gradients from there."""
+
+import numpy as np
+import pytest
+
+from rvjax.population import Population
+from rvjax.tolerances import Nominal, ReciprocalPower, Requirement, Tolerance, Variable, allocate
+from rvjax.tolerances.codesign.decisions import Decisions
+from rvjax.tolerances.codesign.margins import Margins
+
+PARTS = {"a": Tolerance.symmetric(0.1), "b": Tolerance.symmetric(0.1), "c": Tolerance.symmetric(0.02)}
+COSTS = dict.fromkeys("ab", ReciprocalPower(reference=1.0, finest=0.05, coarsest=5.0))
+NEED = {
+    "y": Requirement(lower=-1.0, upper=1.0),
+    "life": Requirement(lower=3.5, target=0.95),
+    "size": Nominal(upper=30.0),
+}
+ARM = Variable(0.4, 3.0, 2.0)
+
+
+def response(errors, values):
+    """A lever with a life: a power of its arm, that scatters little."""
+    arm = values["arm"]
+    y = arm * errors["a"] + errors["b"] / arm + errors["a"] * errors["b"]
+    return {"y": y, "life": 2.5 * arm**-1.5 * (1 + errors["c"] - 0.3 * errors["a"]), "size": 10.0 * arm}
+
+
+response.costly = True
+
+
+def margins(samples=512):
+    decisions = Decisions(Population.of(PARTS).replace(values={"arm": 2.0}), COSTS, {}, {"arm": ARM})
+    made = Margins(response, decisions, NEED, {}, None, samples, 0)
+    x = decisions.vector(np.array([0.3, 0.3]), {"arm": 1.0})
+    made.begin(x)
+    return made, x
+
+
+STEP = np.array([0.05, 0.04, 0.02])
+
+
+def test_followed_margins_err_by_the_square_of_the_step():
+    made, x = margins()
+    solved = [made.look(x + part * STEP).margins for part in (0.0, 0.5, 1.0)]
+    made.follow(x)
+    off = [np.abs(made.look(x + part * STEP).margins - due) for part, due in zip((0.0, 0.5, 1.0), solved)]
+    np.testing.assert_allclose(off[0], 0, atol=1e-9)
+    moved = np.abs(solved[2] - solved[0])
+    assert (off[2][:2] < 0.15 * moved[:2]).all()
+    assert (off[1][:2] < 0.35 * off[2][:2] + 1e-6).all()  # a quarter, and less than a half
+
+
+def test_slopes_of_followed_margins_are_their_differences():
+    made, x = margins()
+    made.follow(x)
+    there = x + STEP  # away from the anchor, where a life does not follow in a line
+    here = made.look(there)
+    for j, step in enumerate(1e-5 * np.eye(len(x))):
+        after, before = made.look(there + step).margins, made.look(there - step).margins
+        np.testing.assert_allclose((after - before) / 2e-5, here.jacobian[:, j], rtol=2e-3, atol=2e-4)
+
+
+def test_a_second_anchor_solves_the_units_that_decide():
+    made, x = margins(2048)
+    made.follow(x)
+    before = made.evaluated
+    made.follow(x + STEP)
+    after, followed = made.evaluated, made.look(x + STEP).margins
+    made.anchor = None
+    np.testing.assert_allclose(followed, made.look(x + STEP).margins, atol=2e-3)
+    assert after - before < 2048  # solved: a part of all units, and the gradients
+
+
+def test_the_optimum_is_that_of_units_which_are_all_solved():
+    def plain(errors, values):
+        return response(errors, values)
+
+    options = dict(costs=COSTS, variables={"arm": ARM}, samples=4096, certificate_samples=20_000)
+    followed, solved = (allocate(made, PARTS, NEED, **options) for made in (response, plain))
+    assert followed.status == solved.status == "OPTIMAL"
+    assert followed.cost == pytest.approx(solved.cost, rel=0.02)
+    assert followed.values["arm"] == pytest.approx(solved.values["arm"], rel=0.03)
+    for name in ("y", "life"):
+        assert followed.multipliers[name] == pytest.approx(solved.multipliers[name], rel=0.15)
+
+
+def test_margins_and_their_slopes_are_reported():
+    """Slopes at the optimum, held against the prices: cost slope + sum of prices times slopes is nothing inside."""
+    found = allocate(
+        lambda e, v: response(e, v), PARTS, NEED, costs=COSTS, variables={"arm": ARM}, samples=4096,
+        certificate_samples=20_000,
+    )  # fmt: skip
+    for name, half in found.half_widths.items():
+        priced = sum(-found.multipliers[r] * found.margin_slopes[r][name] for r in found.margin_slopes)
+        assert priced == pytest.approx(1 / half**2, rel=0.05)  # cost 1/t
+    arm = sum(-found.multipliers[r] * found.margin_slopes[r]["arm"] for r in found.margin_slopes)
+    largest = max(abs(found.multipliers[r] * found.margin_slopes[r]["arm"]) for r in found.margin_slopes)
+    assert abs(arm) < 0.05 * largest
+    assert found.margin_slopes["size"]["arm"] == pytest.approx(10.0) and found.margins["size"] < 0
+
+
+def test_an_infeasible_problem_of_costly_units_has_its_least_shortage():
+    """Finest half-widths leave y a limit of z(0.9973) 0.05 (arm^2 + 1/arm^2)^(1/2) / 3, least at arm = 1: 0.0707."""
+    limits = {"y": Requirement(lower=-0.05, upper=0.05)}
+    found = allocate(
+        response, PARTS, limits, costs=COSTS, variables={"arm": ARM}, samples=4096, certificate_samples=20_000
+    )
+    assert found.status == "INFEASIBLE" and found.values["arm"] == pytest.approx(1.0, abs=0.05)
+    assert found.shortfall["y"] == pytest.approx(0.05 * np.sqrt(2) - 0.05, rel=0.05)
