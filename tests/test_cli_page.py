@@ -110,6 +110,16 @@ def test_the_page_of_a_stored_answer_computes_no_answer_and_makes_no_folder(
     result = json.loads((here / "results" / "small" / "result.json").read_text())
     page = (here / "results" / "small" / "report.html").read_text("utf-8")
     assert f"{result['cost']['after']:.3f}" in page and "What if" in page and "Worst units" in page
+    place = here / "results" / "small" / "report.html"
+    before = place.read_bytes()
+    assert cli.main(["report", "small.toml", "--quiet"]) == 0
+    assert "Unchanged: results/small/report.html shows this result" in capsys.readouterr().out
+    place.write_bytes(before.replace(b"Worst units", b"Worst Units"))  # a mark that a person would not see
+    assert cli.main(["report", "small.toml", "--quiet", "--format", "json"]) == 0
+    assert json.loads(capsys.readouterr().out)["cost"] == result["cost"] and b"Worst Units" in place.read_bytes()
+    assert cli.main(["report", "small.toml", "--quiet", "--fresh"]) == 0 and b"Worst units" in place.read_bytes()
+    place.write_bytes(before[:-100])  # not to its end
+    assert cli.main(["report", "small.toml", "--quiet"]) == 0 and place.read_bytes() == before
     (here / "results" / "small" / "answer.npz").write_bytes(b"damaged")
     assert cli.main(["report", "small.toml", "--quiet"]) == 2
     assert "computed again" in capsys.readouterr().err

@@ -11,7 +11,7 @@ from rvjax.commands.allocate.answer import (
     solved_units as solved_units,
 )
 from rvjax.commands.allocate.figures import figures as figures
-from rvjax.commands.allocate.kept import restored_from as restored_from
+from rvjax.commands.allocate.kept import FILE as FILE, restored_from as restored_from
 from rvjax.commands.allocate.report import (
     headline as headline,
     influence_tables as influence_tables,

@@ -37,13 +37,17 @@ def phases(asked: Inputs) -> dict[str, float]:
     Args:
         asked: what is computed.
     """
+    if asked.shown:
+        return {}
     if asked.answer is None:
         return forecast.phases_of(asked.study, READING, SLIDERS, WRITING)
     return {READING: 6.0, SLIDERS: 10.0, WRITING: 10.0}
 
 
-def compute(asked: Inputs) -> Shown:
-    """Compute or read the result; compute surrogate, budget and bearing lives."""
+def compute(asked: Inputs) -> Shown | None:
+    """Compute or read the result; compute surrogate, budget and bearing lives. None if the page shows all that."""
+    if asked.shown:
+        return None
     found = asked.answer or answer.answer(asked.study, progress=not asked.quiet)
     progress.begin(SLIDERS)
     moved = behind.surrogate(found)

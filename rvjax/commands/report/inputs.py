@@ -1,11 +1,13 @@
 """Inputs of `rvjax report`: a study, and the folder that may hold its result."""
 
 import argparse
+import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
+import rvjax
 from rvjax import study
-from rvjax.commands.allocate import Answer, restored_from
+from rvjax.commands.allocate import FILE, Answer, restored_from
 from rvjax.commands.cores import share_cores
 from rvjax.commands.speak import check_files, forewarn
 from rvjax.files import check_writable
@@ -23,6 +25,7 @@ class Inputs:
         answer: stored result, or None.
         kept: this folder, or None.
         output: file of the page, None for `report.html` in the folder of the result.
+        shown: whether this file shows the stored result already.
         folder: of the results, made for a new result without `output`.
         quiet: show no progress.
     """
@@ -32,6 +35,7 @@ class Inputs:
     answer: Answer | None
     kept: Path | None
     output: Path | None
+    shown: bool
     folder: Path | None
     quiet: bool
 
@@ -54,4 +58,30 @@ def inputs(options: argparse.Namespace) -> Inputs:
     if output is not None:
         check_writable(output)
     forewarn(asked)
-    return Inputs(asked, options.study, answer, kept, output, folder, options.quiet)
+    shown = kept is not None and output is not None and not options.fresh and shows(output, kept, options.study)
+    return Inputs(asked, options.study, answer, kept, output, shown, folder, options.quiet)
+
+
+def mark(result: bytes, source: str) -> bytes:
+    """Last line of a page: which stored result it shows, by which version of rvjax.
+
+    Args:
+        result: content of the stored result.
+        source: of the study, as named.
+    """
+    digest = hashlib.sha256(result + f"{source} {rvjax.__version__}".encode())
+    return f"<!-- result {digest.hexdigest()} -->\n".encode()
+
+
+def shows(page: Path, folder: Path, source: str) -> bool:
+    """True if a page shows the result that a folder stores.
+
+    Args:
+        page: file that may exist.
+        folder: of a result.
+        source: of the study, as named.
+    """
+    try:
+        return page.read_bytes().endswith(mark((folder / FILE).read_bytes(), source))
+    except OSError:
+        return False

@@ -10,6 +10,7 @@ import time
 import rvjax
 from rvjax import catalogue, levels, models
 from rvjax.commands.allocate import (
+    FILE,
     Answer,
     figures,
     headline,
@@ -26,7 +27,7 @@ from rvjax.commands.cells import share
 from rvjax.commands.report import live
 from rvjax.commands.report.bearings import bearing_section
 from rvjax.commands.report.compute import Shown
-from rvjax.commands.report.inputs import Inputs
+from rvjax.commands.report.inputs import Inputs, mark
 from rvjax.commands.report.worst_units import SHARE_SHOWN, rows_of, worst_units
 from rvjax.designs import RVReducer
 from rvjax.records import PyTree
@@ -50,15 +51,24 @@ from rvjax.study import Study, facts_of, shown
 from rvjax.tolerances import Estimate
 
 
-def report(asked: Inputs, found: Shown) -> Report:
+def report(asked: Inputs, found: Shown | None) -> Report:
     """The report on a page: on the terminal its headline, and where it is.
 
     Args:
         asked: inputs of the command.
-        found: its result.
+        found: its result, None where the page shows it already.
     """
+    if found is None:
+        assert asked.answer is not None and asked.output is not None
+        said = f"Unchanged: {asked.output} shows this result; --fresh writes it again."
+        told = {"report": str(asked.output)}
+        return dataclasses.replace(
+            report_on(asked.answer), brief=headline(asked.answer), files={}, told=told, closing=(said,)
+        )
     made = report_on(found.answer)
     content = page_of(found, asked.source, date=time.strftime("%Y-%m-%d")).encode("utf-8")
+    stored = made.files[FILE] if asked.kept is None else (asked.kept / FILE).read_bytes()
+    content += mark(stored, asked.source)
     brief = headline(found.answer)
     if asked.output is not None:
         path = asked.output
