@@ -1,6 +1,8 @@
 """`rvjax design` and its tables: numbers of the design and tolerances in one study, from the file to the page."""
 
 import json
+import re
+import tomllib
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -10,6 +12,7 @@ import pytest
 from rvjax import cli, study
 from rvjax.commands.allocate import kept
 from rvjax.commands.design.geometry_first import geometry_first
+from rvjax.commands.design.prices import multiplier
 from rvjax.commands.design.report import saved_part
 from rvjax.tolerances import Memo, Nominal, Variable, allocate
 from rvjax.tolerances.codesign import units
@@ -212,8 +215,26 @@ def test_two_steps_never_beat_the_joint_optimum(designed):
     assert set(result["fixed_in_the_first_step"]) == {"cycloid.eccentricity", "cycloid.pin_circle_radius"}
 
 
+def test_the_study_of_the_documentation_is_the_embedded_one():
+    page = (Path(__file__).parent.parent / "docs" / "design.md").read_text("utf-8")
+    shown = next(block for block in re.findall(r"```toml\n(.*?)```", page, re.S) if "flank_clearance" in block)
+    assert tomllib.loads(shown) == tomllib.loads(study.load("rv-40e-modified", solve=False).text)
+
+
 def test_a_study_without_prices_saves_no_part():
     assert saved_part(0.0, 0.0) == "-" and saved_part(3.0, 4.0) == "25.0 %"
+
+
+@pytest.mark.parametrize(
+    ("limit", "price", "due"), [(0.0, 2e6, 2e6), (1e-3, 2e3, 2e3), (0.0, 1e-3, 0.0), (1e-3, 1e-6, 0.0)]
+)
+def test_a_limit_of_nothing_binds_as_any_other(limit, price, due):
+    """At a cost of 10: 2 /um at 0 um, 2 /mm at 1 mm; next to nothing is rounding."""
+    asked = SimpleNamespace(
+        requirements={"gap": Nominal(lower=limit)}, nominal={}, output=lambda _: SimpleNamespace(shown=("um", um))
+    )
+    point = SimpleNamespace(found=SimpleNamespace(multipliers={"gap": -price}, cost=10.0))
+    assert multiplier(asked, point, "gap") == due
 
 
 def test_without_scaling_laws_the_mass_does_not_follow(designed):

@@ -10,7 +10,7 @@ from rvjax.render import Note
 from rvjax.study import Study, fields_of
 from rvjax.units import arcmin, mm, readable
 
-BINDING = 1e-6  # least change of the cost, per doubled limit, of a binding limit
+BINDING = 1e-6  # least change of the cost, per doubled limit (from 0: per unit it is read in), of a binding limit
 PER = {"m": "mm", "rad": "arcmin", "s": "1000 h"}  # unit of a price of a design number or of a limit
 SIZES = {"mm": mm, "arcmin": arcmin, "1000 h": 3.6e6}
 
@@ -57,8 +57,9 @@ def multiplier(study: Study, point: Point, name: str) -> float:
     """
     price = abs(point.found.multipliers.get(name, 0.0))
     limits = {**study.requirements, **study.nominal}.get(name)
-    sizes = [abs(x) for x in (limits.lower, limits.upper) if math.isfinite(x)] if limits else []
-    return price if price * max(sizes, default=1.0) > BINDING * abs(point.found.cost) else 0.0
+    sizes = [abs(x) for x in (limits.lower, limits.upper) if math.isfinite(x)] if limits else [1.0]
+    size = max(sizes, default=0.0) or study.output(name).shown[1]
+    return price if price * size > BINDING * abs(point.found.cost) else 0.0
 
 
 def limit_price(study: Study, point: Point, name: str) -> str:
