@@ -5,6 +5,7 @@ import pytest
 
 from rvjax.population import Population
 from rvjax.tolerances import Nominal, ReciprocalPower, Requirement, Tolerance, Variable, allocate
+from rvjax.tolerances.codesign.anchor import Anchor
 from rvjax.tolerances.codesign.decisions import Decisions
 from rvjax.tolerances.codesign.margins import Margins
 
@@ -58,6 +59,21 @@ def test_slopes_of_followed_margins_are_their_differences():
     for j, step in enumerate(1e-5 * np.eye(len(x))):
         after, before = made.look(there + step).margins, made.look(there - step).margins
         np.testing.assert_allclose((after - before) / 2e-5, here.jacobian[:, j], rtol=2e-3, atol=2e-4)
+
+
+def test_gradients_of_followed_units_are_differences_of_their_values():
+    """Also of units without a gradient of their own, which move by the mean of the others."""
+    rng = np.random.default_rng(3)
+    numbers, slopes = rng.normal(size=(3, 6)), rng.normal(size=(3, 4))
+    sloped = np.array([0, 2, 3, 5])
+    for values in (rng.normal(size=6), rng.uniform(2.0, 3.0, size=6)):  # the second ones follow in proportion
+        anchor = Anchor(np.zeros(1), numbers, {"y": values}, {"y": sloped}, {"y": slopes})
+        there = numbers + 0.1 * rng.normal(size=(3, 6))
+        found = anchor.gradients("y", np.arange(6), there)
+        assert np.abs(found[:, [1, 4]]).min() > 0
+        for k, step in enumerate(1e-6 * np.eye(3)):
+            after, before = (anchor.at(there + sign * step[:, None])["y"] for sign in (1, -1))
+            np.testing.assert_allclose((after - before) / 2e-6, found[k], rtol=1e-6, atol=1e-8)
 
 
 def test_a_second_anchor_solves_the_units_that_decide():
