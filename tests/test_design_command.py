@@ -11,6 +11,7 @@ import pytest
 
 from rvjax import cli, study
 from rvjax.commands.allocate import kept
+from rvjax.commands.design.figures import figures
 from rvjax.commands.design.geometry_first import geometry_first
 from rvjax.commands.design.prices import multiplier
 from rvjax.commands.design.report import saved_part
@@ -252,6 +253,25 @@ def test_dearer_mass_makes_a_lighter_reducer(designed):
     assert dear["price_factor"] > 1
     assert dear["priced_outputs"] <= joint["priced_outputs"] * (1 + 1e-6)
     assert joint["tolerance_cost"] <= dear["tolerance_cost"] * 1.01
+
+
+@pytest.mark.parametrize(
+    ("start", "feasible", "missing"), [(20.0, True, 0), (9.0, True, 1), (20.0, False, 1), (9.0, False, 2)]
+)
+def test_points_of_the_front_say_what_misses_limits(start, feasible, missing):
+    """The study before costs less than an optimum only where it misses a limit."""
+
+    def point(cost, feasible=True):
+        ended = SimpleNamespace(cost=cost, feasible=feasible, start_cost=start)
+        return SimpleNamespace(found=ended, priced=lambda _: 4.0, of_tolerances=lambda _: cost - 4.0)
+
+    asked = SimpleNamespace(design=None, costs={}, tolerances=None, objective={"mass": lambda kg: 2.0 * kg})
+    found = SimpleNamespace(
+        front=(point(11.0),), joint=point(10.0), two_step=point(12.0, feasible), start={"mass": 2.0}
+    )
+    (front,) = figures(asked, found)
+    words = [text.get_text() for text in front.draw().get_legend().get_texts()]
+    assert sum("misses limits" in word for word in words) == missing and len(words) == 4
 
 
 def test_prices_are_in_one_currency(designed):

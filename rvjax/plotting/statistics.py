@@ -145,7 +145,6 @@ def trade_front(
     *,
     chosen: tuple[float, float],
     others: Mapping[str, tuple[float, float]],
-    start: tuple[float, float],
     label: str,
     axes: Axes | None = None,
 ) -> Axes:
@@ -154,17 +153,15 @@ def trade_front(
     Args:
         points: (priced outputs, tolerances) of each optimum.
         chosen: the optimum at the prices of the study.
-        others: further points, by name.
-        start: the design and tolerances of the study.
+        others: further points, by name; the first one is the study before.
         label: of the priced outputs.
         axes: where to draw; a new figure by default.
     """
     axes = new_axes(axes)
     axes.plot(*zip(*sorted(points)), "o-", color=AFTER, label="optima at other prices")
     axes.plot(*chosen, "*", ms=15, color=LIMIT, label="this study", zorder=3)
-    axes.plot(*start, "s", ms=8, color=BEFORE, label="before", zorder=3)
-    for name, point in others.items():
-        axes.plot(*point, "D", ms=7, color=look(2)[0], label=name, zorder=3)
+    for number, (name, point) in enumerate(others.items()):
+        axes.plot(*point, "Ds"[number == 0], ms=8, color=look(2)[0] if number else BEFORE, label=name, zorder=3)
     axes.set(xlabel=f"cost of {label}", ylabel="cost of the tolerances", title="Trade front")
     axes.legend()
     return axes

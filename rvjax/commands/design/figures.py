@@ -30,16 +30,23 @@ def figures(study: Study, found: Designed) -> Iterator[Figure]:
             from rvjax import plotting
 
             points = [*found.front, found.joint]
-            others = [("geometry first", found.two_step)] if found.two_step else []
+            before = sum(price(found.start[name]) for name, price in study.objective.items()), _start(study)
+            others = {_named("before", found.joint.found.start_cost >= found.joint.found.cost): before}
+            if (first := found.two_step) is not None:
+                others[_named("geometry first", first.found.feasible)] = first.priced(study), first.of_tolerances(study)
             return plotting.trade_front(
                 [(point.priced(study), point.of_tolerances(study)) for point in points],
                 chosen=(found.joint.priced(study), found.joint.of_tolerances(study)),
-                others={name: (point.priced(study), point.of_tolerances(study)) for name, point in others},
-                start=(sum(price(found.start[name]) for name, price in study.objective.items()), _start(study)),
+                others=others,
                 label=", ".join(name.replace("_", " ") for name in study.objective),
             )
 
         yield Figure("front", "Cost of the tolerances against the priced outputs, at the prices of the study", front)
+
+
+def _named(name: str, meets: bool) -> str:
+    """A point that costs less than the optimum, or is infeasible, misses a limit: its place shows no gain."""
+    return name if meets else f"{name}, misses limits"
 
 
 def _start(study: Study) -> float:

@@ -64,7 +64,7 @@ def report(asked: Inputs, found: Designed) -> Report:
         page="",
         facts={
             "intro": leading_comment(study.text),
-            "said": " ".join(line.strip() for line in head.split("\n")[1:] if line),
+            "said": "; ".join(line.strip() for line in head.split("\n")[1:] if line),
             "boxes": _boxes(study, found),
             "origin": {"command": f"rvjax design {shlex.quote(study.name)}", "seed": str(study.seed)},
             "study": study.text,
