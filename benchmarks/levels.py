@@ -13,7 +13,7 @@ from benchmarks.timing import settings
 settings()
 
 from rvjax import levels  # noqa: E402  (after the flags)
-from rvjax.levels.timing import machine  # noqa: E402
+from rvjax.levels.measure import machine  # noqa: E402
 
 
 def main():

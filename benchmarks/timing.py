@@ -14,7 +14,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from rvjax.levels.timing import alternate, compiled, machine
+from rvjax.levels.measure import alternate, compiled, machine
 
 __all__ = ["alternate", "arguments", "c_library", "compiled", "machine", "publish", "settings"]
 

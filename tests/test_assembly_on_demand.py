@@ -10,7 +10,7 @@ import pytest
 from assembly_cases import kind
 
 from rvjax import Status
-from rvjax.assembly import Kind, Part, costs, on_demand, plan, screen
+from rvjax.assembly import Kind, Part, costs, on_demand, plan
 from rvjax.assembly.costs import Machine
 from rvjax.assembly.parts import known
 from rvjax.assembly.plan import draw
@@ -42,8 +42,8 @@ few = partial(plan, most_valued=1)
 @pytest.mark.parametrize("objective", ["mean", "bottleneck", "yield"])
 def test_the_plan_on_demand_and_its_bound_against_the_plan_of_all_combinations(objective, monkeypatch):
     """A fifth of the combinations is evaluated; the bound lies below the proved optimum."""
-    monkeypatch.setattr(screen, "PILOTS", 12)
-    monkeypatch.setattr(screen, "PER_FEATURE", 3)
+    monkeypatch.setattr(on_demand, "PILOTS", 12)
+    monkeypatch.setattr(on_demand, "PER_FEATURE", 3)
     for seed in range(4):
         kinds, options = kinds_of(seed), dict(objective=objective, requirement=LIMIT)
         best, found = plan(turned, kinds, **options), few(turned, kinds, **options)
@@ -68,7 +68,7 @@ def test_the_plan_on_demand_and_its_bound_against_the_plan_of_all_combinations(o
 
 def test_the_bound_of_rough_estimates_needs_their_margin(monkeypatch):
     """A response that no regression follows: the estimates alone promise more than the proved optimum."""
-    monkeypatch.setattr(screen, "PILOTS", 40)
+    monkeypatch.setattr(on_demand, "PILOTS", 40)
 
     def wavy(parts, index):
         x = parts["a"]["x"] + parts["b"]["x"] - 1.3 * parts["c"]["x"]
@@ -87,7 +87,7 @@ def test_the_bound_of_rough_estimates_needs_their_margin(monkeypatch):
 
 def test_each_combination_is_valued_once_and_few_of_them(monkeypatch):
     lanes, real = [], costs.valued
-    monkeypatch.setattr(screen, "PILOTS", 20)
+    monkeypatch.setattr(on_demand, "PILOTS", 20)
 
     def counted(machine, drawn, draws, requirement, cells):
         lanes.extend(cells)
@@ -202,7 +202,7 @@ def screened(response, kinds, most, draws=8):
     every = np.arange(math.prod(machine.shape))
     exact = costs.valued(machine, drawn, draws, None, every)[0]
     pilots = np.random.default_rng(0).choice(every, 40, replace=False)
-    return exact, screen.screen(machine, drawn, draws, most, pilots, exact[pilots])
+    return exact, on_demand.screen(machine, drawn, draws, most, pilots, exact[pilots])
 
 
 def test_a_quadratic_response_and_the_root_of_one_are_estimated_exactly():
@@ -234,4 +234,4 @@ def test_few_draws_estimate_what_no_regression_does():
 
 def test_positions_that_make_no_difference_are_estimated_once():
     same, other = np.array([[1.0, 1.0, 2.0], [3.0, 3.0, 1.0], [2.0, 2.0, 5.0]]), np.eye(3)
-    assert screen._distinct(same).tolist() == [0, 2] and screen._distinct(other).tolist() == [0, 1, 2]
+    assert on_demand._distinct(same).tolist() == [0, 2] and on_demand._distinct(other).tolist() == [0, 1, 2]

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from rvjax import cli, study
-from rvjax.commands import cores as processors
+from rvjax.commands import speak as processors
 from rvjax.commands.montecarlo import batch
 from rvjax.tolerances import load, monte_carlo, origin
 

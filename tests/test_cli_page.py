@@ -20,10 +20,9 @@ from rvjax import cli, study
 from rvjax.commands.allocate import report_on
 from rvjax.commands.report import Shown, page_of
 from rvjax.commands.report.worst_units import WorstUnit, rows_of, worst_units
-from rvjax.population.central_moments import CentralMoments
-from rvjax.population.sample_statistics import Sampled
+from rvjax.population.sample_statistics import CentralMoments, Sampled
 from rvjax.render import write_files
-from rvjax.study.about import About
+from rvjax.study.question import About
 
 pytestmark = pytest.mark.usefixtures("answers")
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from rvjax.compensation import correction, predicted, read, residual, schedule
-from rvjax.compensation.significant import significant
+from rvjax.compensation.table import significant
 from rvjax.identify import Orders
 from rvjax.units import arcsec
 

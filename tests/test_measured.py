@@ -10,7 +10,7 @@ import pytest
 
 from rvjax import study
 from rvjax.study import measured
-from rvjax.study.columns import read_table
+from rvjax.study.measured import read_table
 from rvjax.study.problem import problem
 from rvjax.units import arcmin, arcsec, deg
 

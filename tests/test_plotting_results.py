@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from rvjax import dynamics, four_bar, mesh_force, plotting
-from rvjax.plotting.published import VERDICTS
+from rvjax.plotting.tradeoff import VERDICTS
 from rvjax.status import SolveInfo
 from rvjax.tolerances import Estimate
 from rvjax.units import arcmin, um

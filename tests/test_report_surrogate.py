@@ -11,7 +11,7 @@ from live_study import fewer_points
 import rvjax
 from rvjax import tolerances
 from rvjax.commands.allocate.answer import SHOWN_VALUES
-from rvjax.commands.report import region, regression, surrogate
+from rvjax.commands.report import region, surrogate
 from rvjax.response.response import BLOCK
 
 UNITS = 2 * BLOCK
@@ -169,7 +169,7 @@ costly_linear.costly = costly_bent.costly = True  # type: ignore[attr-defined]
 
 def test_a_costly_linear_response_is_met_by_the_derivatives_alone():
     found = surrogate.surrogate(made(costly_linear, 14e-6))
-    assert len(found.weights) == regression.UNITS and found.compared == "own"
+    assert len(found.weights) == region.COSTLY_UNITS and found.compared == "own"
     assert set(found.columns["y"]) == {(k,) for k in range(6)}
     values = direct(found, linear)
     np.testing.assert_allclose(found.values("y", X), values, atol=1e-9 * np.abs(values).max())
@@ -192,6 +192,6 @@ def test_a_failed_unit_does_not_change_the_regression_of_the_others():
     base = rng.standard_normal(400)
     changes = [(rise * x).sum(0) + 0.3 * x[0] ** 2 for x in places]
     base[7], changes[0][7], changes[1][7], changes[1][9] = np.nan, np.nan, np.nan, np.inf
-    found = regression._corrected(base, rise, places, changes)
+    found = region._corrected(base, rise, places, changes)
     np.testing.assert_allclose(found[0, 0], 0.3, atol=2e-3)
     np.testing.assert_allclose(found[1,], rise[1], atol=1e-2)

@@ -10,7 +10,7 @@ import pytest
 
 from rvjax import study
 from rvjax.catalogue import RV_320E
-from rvjax.study.scaling import LAWS, changed, laws_of, number_at, outside, refuse_variable
+from rvjax.study.variables import LAWS, changed, laws_of, number_at, outside, refuse_variable
 from rvjax.units import mm
 
 CASES = json.loads((Path(__file__).parent / "reference" / "codesign.json").read_text())["cases"]

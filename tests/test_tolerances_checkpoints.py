@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 from scale_study import LIMITS, STACK, bits, response, run, smooth
 
-from rvjax.population.central_moments import CentralMoments, Pairwise
 from rvjax.population.population import Population
+from rvjax.population.sample_statistics import CentralMoments, Pairwise
 from rvjax.tolerances import Outcome, Tolerance, monte_carlo
 from rvjax.tolerances.batch import accumulator, checkpoint
 from rvjax.tolerances.batch.checkpoint import describe, response_hash

@@ -12,9 +12,8 @@ import numpy as np
 import pytest
 from scipy import special, stats
 
-from rvjax.population.central_moments import CentralMoments
 from rvjax.population.estimates import of_groups, student
-from rvjax.population.sample_statistics import Sampled
+from rvjax.population.sample_statistics import CentralMoments, Sampled
 from rvjax.tolerances import Requirement, Tolerance, failure_probability
 
 RUNS = 1000

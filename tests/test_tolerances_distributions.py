@@ -17,7 +17,7 @@ import pytest
 from scipy import stats
 
 import rvjax
-from rvjax.population.grades import GRADES
+from rvjax.population.tolerance import GRADES
 from rvjax.tolerances import Tolerance, it_width
 from rvjax.units import mm, um
 

@@ -16,8 +16,8 @@ from scipy import stats
 
 import rvjax
 from oracles.programs import programs
-from rvjax.population.central_moments import CentralMoments
 from rvjax.population.estimates import wilson
+from rvjax.population.sample_statistics import CentralMoments
 from rvjax.response.response import respond
 from rvjax.status import Status
 from rvjax.tolerances import Outcome, Requirement, Tolerance, for_design, monte_carlo, sample

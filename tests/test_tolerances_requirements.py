@@ -14,8 +14,7 @@ import pytest
 from scipy import stats
 
 from oracles.linear_pair import COSTS, PAIR, linear
-from rvjax.population.central_moments import CentralMoments
-from rvjax.population.sample_statistics import Sampled
+from rvjax.population.sample_statistics import CentralMoments, Sampled
 from rvjax.status import Status
 from rvjax.tolerances import (
     CpkAtLeast,

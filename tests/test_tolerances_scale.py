@@ -20,7 +20,7 @@ from scale_study import STACK, bits, first, response, run, same_to_roundoff, smo
 from scipy import special
 from scipy.stats import qmc
 
-from rvjax.population.sobol import SCRAMBLES, SobolPoints
+from rvjax.population.sampling import SCRAMBLES, SobolPoints
 from rvjax.status import Status
 from rvjax.tolerances import Requirement, sample
 

@@ -4,9 +4,7 @@ Its `command.toml` holds its options and help; `inputs.py` reads options, study 
 `report.py` says what was found. `table` in `command.toml` names a table of study files that the command reads.
 """
 
-from rvjax.commands.cores import share_cores as share_cores
-from rvjax.commands.registry import about as about, module as module, section as section
-from rvjax.commands.run import run as run
+from rvjax.commands.run import about as about, module as module, run as run, section as section
 from rvjax.commands.speak import (
     EXIT_BAD_INPUT as EXIT_BAD_INPUT,
     EXIT_NO_ANSWER as EXIT_NO_ANSWER,
@@ -16,6 +14,7 @@ from rvjax.commands.speak import (
     check_files as check_files,
     forewarn as forewarn,
     say as say,
+    share_cores as share_cores,
 )
 
 COMMANDS = [

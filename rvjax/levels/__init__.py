@@ -1,9 +1,8 @@
 """Speed against accuracy, measured: every level of every model against its exact one, and the cheapest that holds."""
 
-from rvjax.levels.advice import advice, report
 from rvjax.levels.choice import Choice, as_given, choose
 from rvjax.levels.measure import measure, measure_model, measured
-from rvjax.levels.table import Level as Level, Model as Model, Table, stored
+from rvjax.levels.table import Level as Level, Model as Model, Table, advice, report, stored
 
 __all__ = [
     "Table",

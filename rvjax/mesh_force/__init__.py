@@ -7,10 +7,16 @@ roller and the windup for one unit at one angle.
 Source: Wei et al. 2021, Chin. J. Mech. Eng. 34:84.
 """
 
-from rvjax.mesh_force.cycle import CycleStatistics, cycle_angles, cycle_statistics, sweep
+from rvjax.mesh_force.cycle import (
+    ContactPressure,
+    CycleStatistics,
+    contact_pressure,
+    cycle_angles,
+    cycle_statistics,
+    sweep,
+)
 from rvjax.mesh_force.equilibrium import MeshForces, solve
 from rvjax.mesh_force.geometry import ToothProfile, largest_roller_radius, tooth_profile, undercut_margin
-from rvjax.mesh_force.loads import ContactPressure, contact_pressure
 
 __all__ = [
     "ContactPressure",

@@ -12,21 +12,19 @@ from rvjax.plotting import (
     loaded,
     mesh_force,
 )
-from rvjax.plotting.allocation import cost_bars
-from rvjax.plotting.batches import batch_histograms, rejects_against_limit
-from rvjax.plotting.budget import error_budget
+from rvjax.plotting.batches import batch_histograms, error_budget, rejects_against_limit
 from rvjax.plotting.lost_motion import contributions, torque_angle_loop
-from rvjax.plotting.published import verdicts
 from rvjax.plotting.statistics import (
     cost_against_limit,
     cost_against_yield,
+    cost_bars,
     response_histogram,
     trade_front,
     unit_curves,
     variance_shares,
 )
 from rvjax.plotting.style import new_axes, style, use_style, words
-from rvjax.plotting.tradeoff import pareto, tradeoff
+from rvjax.plotting.tradeoff import pareto, tradeoff, verdicts
 
 __all__ = [
     "assembly",

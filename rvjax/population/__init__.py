@@ -1,7 +1,5 @@
 """Population of units: distributions of part errors, correlation, random numbers and the statistics of samples."""
 
-from rvjax.population.central_moments import CentralMoments as CentralMoments, Pairwise as Pairwise
-from rvjax.population.correlation import Correlation, batch_correlation as batch_correlation
 from rvjax.population.estimates import (
     Estimate,
     deviate_of as deviate_of,
@@ -13,18 +11,34 @@ from rvjax.population.estimates import (
     student as student,
     wilson as wilson,
 )
-from rvjax.population.grades import GRADES as GRADES, it_width
 from rvjax.population.measured import MeasuredColumn, MeasuredParts, measured
 from rvjax.population.population import (
+    Correlation,
     Given as Given,
     Population as Population,
+    batch_correlation as batch_correlation,
     drawn as drawn,
     root_key as root_key,
 )
-from rvjax.population.sample_statistics import Sampled as Sampled
-from rvjax.population.sampling import check_method as check_method, for_design, sample
-from rvjax.population.sobol import SCRAMBLES as SCRAMBLES, SobolPoints as SobolPoints
-from rvjax.population.tolerance import COMMON as COMMON, DISTRIBUTIONS as DISTRIBUTIONS, Tolerance
+from rvjax.population.sample_statistics import (
+    CentralMoments as CentralMoments,
+    Pairwise as Pairwise,
+    Sampled as Sampled,
+)
+from rvjax.population.sampling import (
+    SCRAMBLES as SCRAMBLES,
+    SobolPoints as SobolPoints,
+    check_method as check_method,
+    for_design,
+    sample,
+)
+from rvjax.population.tolerance import (
+    COMMON as COMMON,
+    DISTRIBUTIONS as DISTRIBUTIONS,
+    GRADES as GRADES,
+    Tolerance,
+    it_width,
+)
 
 __all__ = [
     "Correlation",

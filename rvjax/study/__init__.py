@@ -3,10 +3,10 @@
 from rvjax.plausible import KNOWN_DESIGNS, numbers, shown
 from rvjax.study.bench import order_name
 from rvjax.study.design import BASES
-from rvjax.study.facts import facts_of
 from rvjax.study.identification import field_unit
 from rvjax.study.measured import Conditions, Loop, Measured, Run, read as read_measured
 from rvjax.study.nuisances import NUISANCES, part_orders as part_orders
+from rvjax.study.origin import facts_of
 from rvjax.study.plausible import RATED, TORQUE
 from rvjax.study.problem import (
     Problem,
@@ -19,7 +19,8 @@ from rvjax.study.question import Study, StudyError
 from rvjax.study.read import EMBEDDED, embedded_names, load, parse_study
 from rvjax.study.response import CURVE as CURVE, Response as Response, refuse as refuse
 from rvjax.study.rewrite import template as study_template
-from rvjax.study.scaling import (
+from rvjax.study.values import choice, integer, known, naming, quantity, subtable
+from rvjax.study.variables import (
     Law as Law,
     changed as scaled,
     fields_of as fields_of,
@@ -27,7 +28,6 @@ from rvjax.study.scaling import (
     number_at as number_at,
     outside as outside,
 )
-from rvjax.study.values import choice, integer, known, naming, quantity, subtable
 
 __all__ = [
     "BASES",

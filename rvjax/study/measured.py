@@ -1,6 +1,8 @@
 """Measured data of a bench: runs of transmission error, hysteresis curves, natural frequencies. Without statistics.
 
 Rows of equal unit, torque, direction and temperature are a run.
+
+Columns of bench files: the columns of measured curves, loops and frequencies.
 """
 
 import dataclasses
@@ -10,10 +12,28 @@ from pathlib import Path
 
 import numpy as np
 
+from rvjax import columns as cells
 from rvjax.columns import Table
 from rvjax.study.branches import branches
-from rvjax.study.columns import read_table
-from rvjax.units import deg, rpm
+from rvjax.units import KNOWN, deg, rpm
+
+UNITS: dict[str, dict[str, float]] = {
+    "angle": KNOWN["rad"],
+    "error": KNOWN["rad"],
+    "torque": KNOWN["N m"],
+    "temperature": {"degC": 1.0},
+    "speed": KNOWN["rad/s"],
+    "frequency": KNOWN["Hz"],
+    "sd": KNOWN["Hz"],
+}
+"""Measurement units of each quantity, with their size in SI (temperatures stay in degC)."""
+WORDS = ("direction", "unit")
+
+
+def read_table(path: str | Path, columns: Mapping[str, object] | None = None) -> cells.Table:
+    """A table that a bench has written; see `rvjax.columns.read_table`."""
+    return cells.read_table(path, columns, units=UNITS, words=WORDS)
+
 
 DIRECTIONS = {"forward": 1, "backward": -1}
 TURN = 359 * deg  # what a run has to cover; every sample represents the step before it

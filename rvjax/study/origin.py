@@ -1,15 +1,41 @@
-"""Origin of each value of a design: the study, the published reducer it begins with, or other numbers."""
+"""Origin of each value of a design: the study, the published reducer it begins with, or other numbers.
+
+Derived values of a design: ratio, gaps, undercut, contact ratio.
+"""
 
 import dataclasses
+import math
 import re
+from collections.abc import Iterator
 
 from rvjax import catalogue
-from rvjax.designs import RVReducer
-from rvjax.plausible import walk
-from rvjax.records import PyTree
-from rvjax.study.design import BASES
-from rvjax.study.following import AGREE
+from rvjax.designs import CamRollerReducer, RVReducer
+from rvjax.geometry import contact_ratio, least_convex_radius
+from rvjax.plausible import shown, walk
+from rvjax.records import Design, PyTree
+from rvjax.study.design import AGREE, BASES
 from rvjax.study.values import Toml
+
+
+def facts_of(design: Design) -> Iterator[tuple[str, str]]:
+    """(name, value) of what follows from the numbers of a design; nothing for a kind that is not in the catalogue."""
+    if isinstance(design, CamRollerReducer):
+        yield "rollers", str(design.gear_teeth + 1)
+    if not isinstance(design, RVReducer):
+        return
+    cycloid, stage = design.cycloid, design.involute
+    gap = 2 * (cycloid.pin_circle_radius * math.sin(math.pi / cycloid.pin_count) - cycloid.pin_radius)
+    k1 = cycloid.shortening_coefficient
+    least = float(least_convex_radius(k1, pins=cycloid.pin_count)) * cycloid.pin_circle_radius
+    yield "ratio", f"{design.ratio:.6g}"
+    yield "K1", f"{float(k1):.4g}"
+    yield "gap between pins", shown(gap, "m")
+    sharp = "undercut" if cycloid.pin_radius >= least else "no undercut"
+    yield (
+        "largest pin without undercut",
+        f"{shown(least, 'm')} radius; the pins have {shown(cycloid.pin_radius, 'm')}: {sharp}",
+    )
+    yield "contact ratio of the gears", f"{float(contact_ratio(stage)):.3g} (teeth without shift)"
 
 
 @dataclasses.dataclass(frozen=True)

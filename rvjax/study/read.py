@@ -12,14 +12,12 @@ from rvjax.deviations import remind_of_precision
 from rvjax.outputs import Output
 from rvjax.records import IN_ERROR_UNIT, PyTree
 from rvjax.sections import reader as sections_reader
-from rvjax.study.about import parse_about
 from rvjax.study.design import parse_design
 from rvjax.study.identification import Identification, parse_identification
 from rvjax.study.origin import given_paths
-from rvjax.study.placed import refuse_unplaced
 from rvjax.study.plausible import refuse_impossible
-from rvjax.study.question import Study, StudyError
-from rvjax.study.toleranced import metadata, parse_tolerances
+from rvjax.study.question import Study, StudyError, parse_about
+from rvjax.study.toleranced import metadata, parse_tolerances, refuse_unplaced
 from rvjax.study.values import (
     Metadata,
     Toml,

@@ -31,9 +31,8 @@ from rvjax.tolerances.batch.monte_carlo import monte_carlo
 from rvjax.tolerances.batch.run import Run as Run
 from rvjax.tolerances.batch.statistics import Statistics
 from rvjax.tolerances.batch.unit_file import ENDINGS as ENDINGS, UnitFile, joined as joined
-from rvjax.tolerances.codesign.middle import Middle, check_middles as check_middles
 from rvjax.tolerances.codesign.nominal import Nominal
-from rvjax.tolerances.codesign.variable import Variable
+from rvjax.tolerances.codesign.variable import Middle, Variable, check_middles as check_middles
 from rvjax.tolerances.failure.failure import FailureProbability, failure_probability
 from rvjax.tolerances.moments import Moments, influences as influences, rss
 from rvjax.tolerances.requirements.kinds import (

@@ -7,8 +7,7 @@ from pathlib import Path
 
 from rvjax import study
 from rvjax.commands.allocate import kept
-from rvjax.commands.cores import share_cores
-from rvjax.commands.speak import forewarn
+from rvjax.commands.speak import forewarn, share_cores
 from rvjax.render import results_folder
 from rvjax.study import Study
 from rvjax.tolerances import Memo

@@ -1,13 +1,76 @@
-"""The plan of assembly: which part goes into which unit, and what tolerances cost with and without matching."""
+"""The plan of assembly: which part goes into which unit, and what tolerances cost with and without matching.
+
+Tighter tolerances or matching: which is cheaper? The cheapest tolerances for random assembly, and these opened.
+"""
 
 import dataclasses
 
 from rvjax import assembly, progress
-from rvjax.assembly import Plan
+from rvjax.assembly import Plan, opening
 from rvjax.commands.assemble.inputs import Inputs
-from rvjax.commands.assemble.parts import Bench, bench, table_of
-from rvjax.commands.assemble.prices import Price, prices
+from rvjax.commands.assemble.parts import REST, Bench, bench, table_of
 from rvjax.commands.speak import READING, WRITING
+from rvjax.study import Study, StudyError
+from rvjax.tolerances import allocate
+
+YIELDS = (0.9, 0.95, 0.99)
+
+
+@dataclasses.dataclass(frozen=True)
+class Price:
+    """One yield and what it costs.
+
+    Attributes:
+        share: of good units.
+        alone: cheapest cost of tolerances for random assembly.
+        factor: by which matching opens them.
+        matched: cost of the opened tolerances, none beyond the coarsest of its process.
+        status: of the allocation.
+    """
+
+    share: float
+    alone: float
+    factor: float
+    matched: float
+    status: str
+
+
+def prices(study: Study, found: Bench, *, sets: int = 8) -> list[Price]:
+    """Allocate for several yields of the response that decides, and open the tolerances by matching.
+
+    Args:
+        study: tolerances and costs.
+        found: parts.
+        sets: of parts, sampled to find how far matching opens the tolerances.
+
+    Raises:
+        StudyError: no costs, or none for an error of the parts.
+    """
+    held = {name for slot, kind in found.kinds.items() if slot != REST for part in kind.parts for name in part.errors}
+    if not held & set(study.costs):
+        raise StudyError(f"{study.name}: none of the errors of the parts has a [cost]: {', '.join(sorted(held))}")
+    response, rows = study.response_of(found.name), []
+    for share in YIELDS:
+        requirement = dataclasses.replace(found.requirement, target=share)
+        cheapest = allocate(
+            response,
+            study.tolerances,
+            {found.name: requirement},
+            costs=study.costs,
+            samples=study.samples,
+            seed=study.seed,
+            certificate_samples=study.certificate_samples,
+        )
+        by_field = {name: getattr(cheapest.tolerances, name) for name in study.fields}
+        wider = opening(
+            found.response, found.kinds, by_field, requirement=requirement, sets=sets, seed=study.seed
+        ).factor
+        widths = {name: float(by_field[name].half_width) for name in study.costs}
+        opened = {name: min(wider * t, max(study.costs[name].coarsest, t)) for name, t in widths.items()}
+        matched = sum(float(cost(opened[name])) for name, cost in study.costs.items())
+        rows.append(Price(share, float(cheapest.cost), wider, matched, cheapest.status))
+    return rows
+
 
 COSTLY = {"most_valued": 2**18, "most_fresh": 2**14}
 """Responses at most of a response whose units are expensive: to choose, and to value the plan."""

@@ -9,10 +9,9 @@ import numpy as np
 
 import rvjax
 from rvjax.assembly import Plan
-from rvjax.commands.assemble.compute import Assembled
+from rvjax.commands.assemble.compute import Assembled, Price
 from rvjax.commands.assemble.inputs import Inputs
 from rvjax.commands.assemble.parts import REST, unit_values
-from rvjax.commands.assemble.prices import Price
 from rvjax.designs import RVReducer
 from rvjax.mounting import disc_mountings, drawing
 from rvjax.records import PyTree

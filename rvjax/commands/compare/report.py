@@ -5,8 +5,7 @@ import math
 from collections.abc import Mapping
 
 from rvjax.commands.cells import failures_text, judged, limit_text, limits_data, limits_of, share
-from rvjax.commands.compare.compute import Comparison
-from rvjax.commands.compare.crossed import Crossed
+from rvjax.commands.compare.compute import Comparison, Crossed
 from rvjax.commands.compare.inputs import Inputs
 from rvjax.records import PyTree
 from rvjax.render import Cell, Column, Content, Limits, Note, Number, Quantity, Report, Table, Text

@@ -4,8 +4,7 @@ import argparse
 import time
 from dataclasses import dataclass
 
-from rvjax.commands.cores import share_cores
-from rvjax.commands.speak import check_files
+from rvjax.commands.speak import check_files, share_cores
 from rvjax.tolerances import ENDINGS, UnitFile
 
 

@@ -8,8 +8,7 @@ from pathlib import Path
 import rvjax
 from rvjax import study
 from rvjax.commands.allocate import FILE, Answer, restored_from
-from rvjax.commands.cores import share_cores
-from rvjax.commands.speak import check_files, forewarn
+from rvjax.commands.speak import check_files, forewarn, share_cores
 from rvjax.files import check_writable
 from rvjax.render import results_folder
 from rvjax.study import Study

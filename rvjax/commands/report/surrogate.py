@@ -19,9 +19,7 @@ import jax
 import numpy as np
 
 from rvjax.commands.allocate import Answer
-from rvjax.commands.report import regression
-from rvjax.commands.report.region import Parameter, Region
-from rvjax.commands.report.regression import Columns
+from rvjax.commands.report.region import COSTLY_UNITS, Columns, Parameter, Region
 from rvjax.population import Population, root_key
 from rvjax.response import BLOCK, Response, parts
 from rvjax.tolerances import Estimate, Limits, Statistics, Tolerance, monte_carlo
@@ -135,7 +133,7 @@ def surrogate(answer: Answer) -> Surrogate | None:
     study, side = answer.study, answer.after
     names, response = tuple(study.requirements), study.response()
     costly = getattr(response, "costly", False)
-    count = regression.UNITS if costly else UNITS
+    count = COSTLY_UNITS if costly else UNITS
     parameters = tuple(_parameters(answer))
     full = np.stack([np.asarray(side.values[name], float) for name in names])
     valid = np.flatnonzero(np.isfinite(full).all(axis=0))

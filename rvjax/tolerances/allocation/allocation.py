@@ -22,11 +22,10 @@ from rvjax.tolerances.allocation.sample_average import Point, Training
 from rvjax.tolerances.allocation.search import Search
 from rvjax.tolerances.batch.memo import Memo
 from rvjax.tolerances.batch.monte_carlo import Run, Statistics
-from rvjax.tolerances.codesign.middle import Middle, check_middles
 from rvjax.tolerances.codesign.nominal import Nominal
 from rvjax.tolerances.codesign.problem import Problem
 from rvjax.tolerances.codesign.result import designed
-from rvjax.tolerances.codesign.variable import Variable, with_values
+from rvjax.tolerances.codesign.variable import Middle, Variable, check_middles, with_values
 from rvjax.tolerances.requirements.kinds import Limits
 
 FEWEST = 100  # units a quantile can be learned from

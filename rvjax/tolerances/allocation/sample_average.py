@@ -22,8 +22,7 @@ from rvjax.tolerances.allocation.shrinkage import MANY, total_of_many
 from rvjax.tolerances.batch.checkpoint import describe
 from rvjax.tolerances.batch.memo import Memo
 from rvjax.tolerances.requirements.kinds import Requirement
-from rvjax.tolerances.requirements.limits import Limits, Pull, along_reach
-from rvjax.tolerances.requirements.tails import nearest, tail_quantile
+from rvjax.tolerances.requirements.limits import Limits, Pull, along_reach, nearest, tail_quantile
 from rvjax.tolerances.worst_case import Extremes, extremes
 
 # Slopes come from the units nearest the quantile: few enough to lie near it, where the response bends.

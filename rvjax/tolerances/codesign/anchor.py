@@ -3,16 +3,148 @@
 A unit keeps its standard normal numbers, so half-widths, mid-points and numbers of the design move its errors e and its
 numbers d by known amounts: v + g (e' - e) + h (d' - d). The gradients g, h are those of the unit itself for the units
 that are nearest to their limit, which decide a quantile; the others move by the mean gradient of these.
+
+Units of an allocation with design variables: their values and gradients at one vector of decisions.
 """
 
 import dataclasses
+import hashlib
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 from rvjax.population import Population
-from rvjax.response import LANES, elements
-from rvjax.tolerances.codesign.units import Units
+from rvjax.response import LANES, Part, Response, elements, elements_and_rates, gradients, parts, respond
+from rvjax.status import succeeded
+from rvjax.tolerances.batch.checkpoint import describe
+from rvjax.tolerances.batch.memo import Memo
+from rvjax.tolerances.codesign.decisions import Decisions
+
+_AT_ONCE = 512  # units of a call, at most: the coarse and the fine search share one program
+
+
+class Units:
+    """Values of units and their derivatives; what a memo holds is not computed again."""
+
+    def __init__(self, response: Response, decisions: Decisions, wanted: set[str], memo: Memo | None) -> None:
+        self.parts = [p for p in parts(response, decisions.base) if wanted & set(p.names)] if wanted else []
+        self.evaluated = 0
+        self._decisions, self._memo = decisions, memo
+        self._costly = bool(getattr(response, "costly", False))
+
+    def values(self, x: np.ndarray, z: np.ndarray, what: str) -> dict[str, np.ndarray]:
+        """Values (n,) by name of units with these z, nan where one failed."""
+        population = self._decisions.population(x)
+        found: dict[str, np.ndarray] = {}
+        for part in self.parts:
+            found |= dict(zip(part.names, self._solved(part, population, z)))
+        self.evaluated += z.shape[1] if what != "centre" else 1
+        if what != "centre" and len(found) > 1:
+            failed = np.any([np.isnan(row) for row in found.values()], axis=0)
+            found = {name: np.where(failed, np.nan, row) for name, row in found.items()}
+        return found
+
+    def _solved(self, part: Part, population: Population, z: np.ndarray) -> np.ndarray:
+        """Values (k, n) of a part of the response."""
+
+        def compute() -> np.ndarray:
+            if self._costly:
+                values, status = part.solve(population, z)
+            else:
+                block = min(_AT_ONCE, LANES * -(-z.shape[1] // LANES))
+                padded = z[:, np.resize(np.arange(z.shape[1]), -(-z.shape[1] // block) * block)]
+                blocks = np.split(padded, padded.shape[1] // block, axis=1)
+                found = [respond(part.response, population, jnp.asarray(b, jnp.result_type(float))) for b in blocks]
+                rows = [np.stack([np.asarray(values[name], float) for name in part.names]) for values, _ in found]
+                values = np.concatenate(rows, axis=1)[:, : z.shape[1]]
+                status = np.concatenate([np.asarray(flags) for _, flags in found])[: z.shape[1]]
+            return np.where(np.asarray(succeeded(status)) & np.isfinite(values), values, np.nan)
+
+        if self._memo is None:
+            return compute()
+        about = repr((part.names, sorted(describe(population, {}).items()))).encode()
+        return self._memo.recall({"design": hashlib.sha256(about + z.tobytes()).hexdigest()}, compute)
+
+    def _gradients(
+        self, population: Population, errors: np.ndarray, pulled: dict[str, np.ndarray], units: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Gradients (elements and numbers, n) of sums of responses, with weights (n,) by name."""
+        total = np.zeros((errors.shape[0] + len(population.values or {}), errors.shape[1]))
+        for part in self.parts:
+            if not set(part.names) & set(pulled):
+                continue
+            nothing = np.zeros(errors.shape[1])
+            cotangents = np.stack([pulled.get(name, nothing) for name in part.names])
+
+            def compute(part: Part = part, cotangents: np.ndarray = cotangents) -> np.ndarray:
+                return gradients(part.response, population, errors, cotangents, part.names)[1]
+
+            if self._memo is None:
+                total += compute()
+            else:
+                about = repr((part.names, sorted((population.values or {}).items()))).encode()
+                weighted = hashlib.sha256(about + errors.tobytes() + cotangents.tobytes()).hexdigest()
+                total += self._memo.recall({"gradients of": weighted}, compute)
+        self.evaluated += errors.shape[1]
+        return total
+
+    def slope(
+        self,
+        x: np.ndarray,
+        population: Population,
+        z: np.ndarray,
+        pulled: dict[str, np.ndarray],
+        units: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """Derivative (n,) of a weighted sum of responses to the vector of decisions.
+
+        Args:
+            x: the vector.
+            population: with these decisions.
+            z: (numbers, n) of the units.
+            pulled: {response: weights (n,)}.
+            units: (n,) their places in the sample of the tails, or None for others.
+        """
+        decisions, count = self._decisions, z.shape[1]
+        given = dict(zip(decisions.fields, jnp.asarray(decisions.half_widths(x))))
+        padded = np.resize(np.arange(count), -(-count // LANES) * LANES)
+        both = elements_and_rates(population, given, jnp.asarray(z[:, padded], jnp.result_type(float)))
+        errors, rates = (np.asarray(rows, float)[:, :count] for rows in both)
+        slopes = self._gradients(population, errors, pulled, units)
+        used = np.isfinite(slopes).all(axis=0)
+        own, free = slopes[: len(errors), used], slopes[len(errors) :, used].sum(axis=1)
+        widths = population.by_field((own * rates[:, used]).sum(axis=1))
+        places = population.by_field(own.sum(axis=1))
+        to_widths = [float(widths[name].sum()) for name in decisions.fields] * decisions.half_widths(x)
+        to_middles = [float(places[name].sum()) for name, _ in decisions.moves]
+        by_number = dict(zip(sorted(population.values or {}), free))
+        to_numbers = [float(by_number[name]) for name in decisions.free]
+        return np.concatenate([to_widths, np.array([*to_middles, *to_numbers]) * decisions.rates()])
+
+    def slopes_to_z(self, population: Population, z: np.ndarray, pulled: dict[str, np.ndarray]) -> np.ndarray:
+        """Gradients (numbers, n) of responses of units to their z."""
+        padded = np.resize(np.arange(z.shape[1]), -(-z.shape[1] // LANES) * LANES)
+        lanes = jnp.asarray(z[:, padded], jnp.result_type(float))
+        errors = np.asarray(_errors(population, lanes), float)[:, : z.shape[1]]
+        slopes = self._gradients(population, errors, pulled)[: len(errors)]
+        return np.asarray(_to_z(population, lanes, jnp.asarray(slopes[:, padded])), float)[:, : z.shape[1]]
+
+
+def _rows(population: Population, z: jax.Array) -> jax.Array:
+    nothing = jnp.zeros((0, z.shape[-1]), z.dtype)
+    return jnp.concatenate([nothing, *(v.reshape(-1, z.shape[-1]) for v in population.deviations(z).values())])
+
+
+@jax.jit
+def _errors(population: Population, z: jax.Array) -> jax.Array:
+    return _rows(population, z)
+
+
+@jax.jit
+def _to_z(population: Population, z: jax.Array, slopes: jax.Array) -> jax.Array:
+    return jax.vjp(lambda z: _rows(population, z), z)[1](slopes.astype(z.dtype))[0]
+
 
 SOLVED = 512
 """Units of each part of the response that are solved at a new anchor: those that are nearest to their limits."""

@@ -13,8 +13,7 @@ import numpy as np
 from rvjax.population import Population, Tolerance
 from rvjax.tolerances.allocation.conlin import total_cost
 from rvjax.tolerances.allocation.cost import Cost
-from rvjax.tolerances.codesign.middle import Middle
-from rvjax.tolerances.codesign.variable import Variable
+from rvjax.tolerances.codesign.variable import Middle, Variable
 
 _STEP = 1e-4  # of differences of a cost, logarithm of a half-width or part of a range
 _SAME = 1e-9  # part of a range that is rounding

@@ -13,8 +13,7 @@ from rvjax.tolerances.batch.memo import Memo
 from rvjax.tolerances.batch.monte_carlo import Run
 from rvjax.tolerances.codesign.decisions import Decisions
 from rvjax.tolerances.codesign.margins import Margins
-from rvjax.tolerances.codesign.middle import Middle
-from rvjax.tolerances.codesign.variable import Variable
+from rvjax.tolerances.codesign.variable import Middle, Variable
 from rvjax.tolerances.requirements.factors import CUSHION
 from rvjax.tolerances.requirements.kinds import Requirement
 from rvjax.tolerances.requirements.limits import Limits

@@ -8,8 +8,16 @@ import numpy as np
 
 from rvjax.population import Estimate, Sampled, wilson
 from rvjax.tolerances.requirements.factors import CUSHION, MOST_FACTOR, bounded, rare_factor, share_factor
-from rvjax.tolerances.requirements.limits import KINDS, MOST_FAILED, Limits, Pull, Verdict, along_reach
-from rvjax.tolerances.requirements.tails import nearest, tail_quantile
+from rvjax.tolerances.requirements.limits import (
+    KINDS,
+    MOST_FAILED,
+    Limits,
+    Pull,
+    Verdict,
+    along_reach,
+    nearest,
+    tail_quantile,
+)
 
 __all__ = [
     "KINDS",

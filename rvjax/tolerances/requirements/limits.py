@@ -3,6 +3,8 @@
 A new kind of requirement is one class that derives from `Limits`: it defines its margin on a sample, the
 derivative to the responses of the units (allocation), its value with interval (Monte Carlo, certificate) and its
 text. Study files find it by the names of its fields.
+
+Quantiles of margins on a small sample, where the level may lie beyond what the sample holds.
 """
 
 import dataclasses
@@ -15,6 +17,38 @@ from scipy import special
 
 from rvjax.population import Estimate, Sampled, wilson
 from rvjax.records import PyTree
+
+_BEYOND = 8  # units that must lie beyond a sampled quantile; further out the tail is extended as a normal one
+
+
+def tail_quantile(margins: np.ndarray, target: float, distance: float) -> float:
+    """Quantile of the units' margins (n,) at a target, failed ones (inf) above all others.
+
+    A far tail is extended from the nominal response, at `distance` from the limit.
+    """
+    level = _reachable(target, len(margins))
+    rank = (len(margins) - 1) * level
+    low = int(rank)
+    high = min(low + 1, len(margins) - 1)
+    ordered = np.partition(margins, [low, high])
+    a, b = ordered[low], ordered[high]
+    quantile = a + (rank - low) * (b - a) if np.isfinite(b) else b
+    further = special.ndtri((1 + target) / 2) / special.ndtri((1 + level) / 2)
+    return float((quantile + distance) * further - distance)
+
+
+def nearest(margins: np.ndarray, target: float, lanes: int) -> np.ndarray:
+    """Units whose margins are nearest the quantile, by rank among those that did not fail."""
+    order = np.argsort(margins)
+    valid = int(np.isfinite(margins).sum())
+    start = round(len(margins) * _reachable(target, len(margins))) - lanes // 2
+    start = max(0, min(start, valid - lanes))
+    return order[start : start + lanes]
+
+
+def _reachable(target: float, samples: int) -> float:
+    return min(target, 1 - _BEYOND / samples)
+
 
 Value = TypeVar("Value", float, np.ndarray, jax.Array)
 
