@@ -11,8 +11,8 @@ import pytest
 
 from rvjax import cli, study
 from rvjax.commands.allocate import kept
+from rvjax.commands.design.compute import geometry_first
 from rvjax.commands.design.figures import figures
-from rvjax.commands.design.geometry_first import geometry_first
 from rvjax.commands.design.prices import multiplier
 from rvjax.commands.design.report import saved_part
 from rvjax.tolerances import Memo, Nominal, Variable, allocate

@@ -8,7 +8,6 @@ design that contradicts itself keeps its numbers as long as nothing of that part
 
 import dataclasses
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,9 +16,6 @@ from rvjax.catalogue import part_class
 from rvjax.designs import InvoluteStage, RVReducer
 from rvjax.records import Design, PyTree, Record, Scalar
 from rvjax.study.values import Toml, choice, integer, known, naming_field, quantities, subtable
-
-if TYPE_CHECKING:
-    pass
 
 GEARS = ("sun_teeth", "planet_teeth", "module", "pressure_angle")
 PROFILE = ("eccentricity", "pin_count", "pin_circle_radius")

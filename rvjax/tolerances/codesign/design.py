@@ -19,9 +19,7 @@ from rvjax.tolerances.codesign.margins import JOINT, Local, Margins
 from rvjax.tolerances.codesign.nominal import Nominal
 from rvjax.tolerances.codesign.problem import Problem
 from rvjax.tolerances.codesign.programme import End, Programme
-from rvjax.tolerances.codesign.ranges import ranges
-from rvjax.tolerances.codesign.starts import COARSE, starts, valleys
-from rvjax.tolerances.codesign.steps import followed
+from rvjax.tolerances.codesign.steps import COARSE, followed, ranges, starts, valleys
 from rvjax.tolerances.requirements.kinds import Requirement
 
 FINE = 4096

@@ -80,23 +80,14 @@ def minimum(
             break
         ratio = dual / slack
         factor = np.linalg.inv(whole + left.T @ (ratio[:, None] * left))
-
-        def direction(
-            centred: np.ndarray,
-            factor: np.ndarray = factor,
-            ratio: np.ndarray = ratio,
-            off_dual: np.ndarray = off_dual,
-            off_rows: np.ndarray = off_rows,
-            slack: np.ndarray = slack,
-        ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        centred = slack * dual
+        for last in (False, True):  # the affine step, then the step with its correction
             dv = -factor @ (off_dual + left.T @ (ratio * off_rows - centred / slack))
             ds = -off_rows - left @ dv
-            return dv, ds, -(centred + ratio * slack * ds) / slack
-
-        _, ds, dz = direction(slack * dual)
-        affine = float((slack + _way(slack, ds) * ds) @ (dual + _way(dual, dz) * dz)) / len(slack)
-        aim = (affine / gap) ** 3 * gap
-        dv, ds, dz = direction(slack * dual + ds * dz - aim)
+            dz = -(centred + ratio * slack * ds) / slack
+            if not last:
+                affine = float((slack + _way(slack, ds) * ds) @ (dual + _way(dual, dz) * dz)) / len(slack)
+                centred = slack * dual + ds * dz - (affine / gap) ** 3 * gap
         primal, back = _SHORT * _way(slack, ds), _SHORT * _way(dual, dz)
         v, slack, dual = v + primal * dv, slack + primal * ds, dual + back * dz
     return Minimum(np.clip(v[:n], low, high), dual[:m], dual[m + n : m + 2 * n], dual[m : m + n])
