@@ -153,7 +153,7 @@ def forgotten():
 # Dearest first, so that the end is many small files and no worker waits for the other.
 FAMILIES = (
     *("loaded", "tolerances", "dynamics", "cli", "four_bar", "identify", "code", "published", "mesh_force", "docs"),
-    *("extremes", "lost_motion", "design", "assembly", "doors", "derivatives", "report", "models", "notebooks"),
+    *("extremes", "lost_motion", "design", "assembly", "compiled_once", "derivatives", "report", "models", "notebooks"),
     "plotting",
 )
 

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import test_doors
+import test_compiled_once
 
 from rvjax import RVErrors, dynamics, four_bar, loaded, mesh_force, tolerances
 from rvjax.catalogue import RV_40E, RV_320E
@@ -18,8 +18,8 @@ LOADED = {
     "revolution": lambda: loaded.revolution(MACHINE, RVErrors(), output_torque=100.0),
     "reading": lambda: loaded.reading(None, MACHINE, loaded.Reading(0.1, [0.0]), input_angle=0.1, output_torque=9.0),
 }
-ROOMS = {room.__name__.removeprefix("rvjax."): room for room in (*test_doors.ROOMS, loaded)}
-CALLS = {name: calls for name, calls in test_doors.CALLS.items() if not name.startswith("roots.")}
+PACKAGES = {package.__name__.removeprefix("rvjax."): package for package in (*test_compiled_once.PACKAGES, loaded)}
+CALLS = {name: calls for name, calls in test_compiled_once.CALLS.items() if not name.startswith("roots.")}
 CALLS |= {f"loaded.{name}": [lambda x, call=call: call()] for name, call in LOADED.items()}
 BAD = {
     "array": np.array([0.1, 0.2]),
@@ -38,15 +38,15 @@ class Seen(Exception):
 
 def numbers_of(name, monkeypatch):
     """The function, and its bound arguments of each way to call it with the names of those that are one number."""
-    room, _, short = name.partition(".")
-    function, found = getattr(ROOMS[room], short), []
+    package, _, short = name.partition(".")
+    function, found = getattr(PACKAGES[package], short), []
 
     def spy(*arguments, **named):
         found.append((arguments, named))
         raise Seen
 
     with monkeypatch.context() as patch:
-        patch.setattr(ROOMS[room], short, spy)
+        patch.setattr(PACKAGES[package], short, spy)
         for call in CALLS[name]:
             with pytest.raises(Seen):
                 call(0.3)

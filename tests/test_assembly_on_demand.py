@@ -38,15 +38,16 @@ def kinds_of(seed, counts=(5, 6, 7), **options):
 few = partial(plan, most_valued=1)
 """Any number of combinations counts as too many."""
 
+fewer = partial(few, pilots=12)
+"""As few combinations as possible are evaluated to fit the estimates."""
+
 
 @pytest.mark.parametrize("objective", ["mean", "bottleneck", "yield"])
-def test_the_plan_on_demand_and_its_bound_against_the_plan_of_all_combinations(objective, monkeypatch):
-    """A fifth of the combinations is evaluated; the bound lies below the proved optimum."""
-    monkeypatch.setattr(on_demand, "PILOTS", 12)
-    monkeypatch.setattr(on_demand, "PER_FEATURE", 3)
+def test_the_plan_on_demand_and_its_bound_against_the_plan_of_all_combinations(objective):
+    """A part of the combinations is evaluated; the bound lies below the proved optimum."""
     for seed in range(4):
         kinds, options = kinds_of(seed), dict(objective=objective, requirement=LIMIT)
-        best, found = plan(turned, kinds, **options), few(turned, kinds, **options)
+        best, found = plan(turned, kinds, **options), fewer(turned, kinds, **options)
         assert best.status == "OPTIMAL" and best.valued == best.combinations == 210
         if objective == "yield":
             assert best.objective - 0.21 < found.objective <= best.objective
@@ -68,7 +69,6 @@ def test_the_plan_on_demand_and_its_bound_against_the_plan_of_all_combinations(o
 
 def test_the_bound_of_rough_estimates_needs_their_margin(monkeypatch):
     """A response that no regression follows: the estimates alone promise more than the proved optimum."""
-    monkeypatch.setattr(on_demand, "PILOTS", 40)
 
     def wavy(parts, index):
         x = parts["a"]["x"] + parts["b"]["x"] - 1.3 * parts["c"]["x"]
@@ -77,24 +77,23 @@ def test_the_bound_of_rough_estimates_needs_their_margin(monkeypatch):
     promised = []
     for seed in range(4):
         kinds = {slot: Kind(own.parts) for slot, own in kinds_of(seed).items()}
-        best, found = plan(wavy, kinds), few(wavy, kinds)
+        best, found = plan(wavy, kinds), fewer(wavy, kinds)
         assert best.status == "OPTIMAL" and found.lower_bound <= best.objective <= found.objective + 1e-12
         with monkeypatch.context() as patch:
             patch.setattr(on_demand.OnDemand, "margin", property(lambda self: 0.0, lambda self, value: None), False)
-            promised.append(few(wavy, kinds).lower_bound - best.objective)
+            promised.append(fewer(wavy, kinds).lower_bound - best.objective)
     assert max(promised) > 0
 
 
 def test_each_combination_is_valued_once_and_few_of_them(monkeypatch):
     lanes, real = [], costs.valued
-    monkeypatch.setattr(on_demand, "PILOTS", 20)
 
     def counted(machine, drawn, draws, requirement, cells):
         lanes.extend(cells)
         return real(machine, drawn, draws, requirement, cells)
 
     monkeypatch.setattr(on_demand, "valued", counted)  # a Plan counts them; this lists them
-    found = few(turned, kinds_of(1, (12, 13, 14)), starts=2)
+    found = fewer(turned, kinds_of(1, (12, 13, 14)), starts=2)
     assert found.valued == len(lanes) == len(set(lanes))
     assert found.combinations == 12 * 13 * 14 and 53 <= found.valued < 0.2 * found.combinations
 

@@ -11,7 +11,7 @@ from rvjax.arguments import checked
 from rvjax.assembly.alternation import best_so_far
 from rvjax.assembly.choice import CLOSE, EXACT, least_largest, least_sum
 from rvjax.assembly.costs import Costs, Machine, UnitResponse, costs, good
-from rvjax.assembly.on_demand import MOST_VALUED, OnDemand, chosen_on_demand, too_many
+from rvjax.assembly.on_demand import PILOTS, MOST_VALUED, OnDemand, chosen_on_demand, too_many
 from rvjax.assembly.parts import Kind, Known, known
 from rvjax.assembly.random_assembly import MOST_FRESH, random_assembly
 from rvjax.assembly.supply import Build, Supply
@@ -84,6 +84,7 @@ def plan(
     exact_up_to: int = EXACT,
     most_valued: int = MOST_VALUED,
     most_fresh: int = MOST_FRESH,
+    pilots: int = PILOTS,
     confidence: float = 0.95,
     keep_best: bool = False,
 ) -> Plan:
@@ -107,6 +108,7 @@ def plan(
         most_valued: responses at most, combinations x positions x draws, if all combinations are evaluated.
         most_fresh: responses at most to value the plan, and as many for random assembly; `certificate_draws` are fewer
             where the plan has many units.
+        pilots: combinations at least that are evaluated to fit and check the estimates, beyond `most_valued`.
         confidence: of the intervals.
         keep_best: an interruption (Ctrl-C) of the search ends it with the best plan so far.
 
@@ -115,7 +117,8 @@ def plan(
             that do not fit each other, or more than 2**24 combinations.
     """
     counts = dict(draws=draws, certificate_draws=certificate_draws, starts=starts, exact_up_to=exact_up_to)
-    _check(kinds, objective, requirement, confidence, **counts, most_valued=most_valued, most_fresh=most_fresh)
+    counts |= dict(most_valued=most_valued, most_fresh=most_fresh, pilots=pilots)
+    _check(kinds, objective, requirement, confidence, **counts)
     by_kind = {id(kind): known(kind, slot) for slot, kind in kinds.items()}
     slots = {slot: by_kind[id(kind)] for slot, kind in kinds.items()}
     machine, supply = Machine(response, slots), supply_of(slots)
@@ -127,7 +130,7 @@ def plan(
     found: Costs | OnDemand
     with best_so_far(keep_best) as unsearched:
         if too_many(machine, draws, most_valued):
-            found = OnDemand(machine, draw(slots, seed, 0, draws, alike=True), *asked)
+            found = OnDemand(machine, draw(slots, seed, 0, draws, alike=True), *asked, pilots)
             build, bound, reached, proved = chosen_on_demand(found, supply, objective, starts, rng, most_valued)
         else:
             found = costs(machine, draw(slots, seed, 0, draws, alike=True), *asked)

@@ -1,4 +1,4 @@
-"""Every public door of the models and of `roots` is compiled once: other numbers of the same shapes compile nothing.
+"""Every public function of the models and of `roots` is compiled once: other numbers of the same shapes compile nothing.
 
 Oracle: JAX's own events. A program traced or compiled anew reports its duration to `jax.monitoring`, whether or not it
 was found in a cache on disk; a second call with other numbers must report nothing, so it costs what the program costs.
@@ -31,7 +31,7 @@ from rvjax.loaded.cases import MACHINE
 from rvjax.status import SolveInfo
 from rvjax.units import deg, mm, rpm, um
 
-ROOMS = (four_bar, lost_motion, mesh_force, dynamics, life, geometry, roots)
+PACKAGES = (four_bar, lost_motion, mesh_force, dynamics, life, geometry, roots)
 
 
 def residual(x, p):
@@ -67,7 +67,7 @@ def sounder(x):
 
 
 SPIN = dict(sun_speed=1000 * rpm, output_torque=-500.0)
-CALLS = {  # name: one call of the door for each way that is decided before the program runs; x is what differs
+CALLS = {  # name: one call of the function for each way that is decided before the program runs; x is what differs
     "four_bar.solve_closure": [
         lambda x: four_bar.solve_closure(1.3 * mm, 72 * mm, links(x), crank_angle=x),
         lambda x: four_bar.solve_closure(1.3 * mm, 72 * mm, links(x), crank_angle=x, cranks="free"),
@@ -191,10 +191,10 @@ def rectangular(x):
 
 def test_every_exported_function_has_its_calls():
     exported = {
-        f"{room.__name__.removeprefix('rvjax.')}.{name}"
-        for room in ROOMS
-        for name in room.__all__
-        if callable(getattr(room, name)) and not inspect.isclass(getattr(room, name))
+        f"{package.__name__.removeprefix('rvjax.')}.{name}"
+        for package in PACKAGES
+        for name in package.__all__
+        if callable(getattr(package, name)) and not inspect.isclass(getattr(package, name))
     }
     assert set(CALLS) == exported
 
@@ -234,7 +234,7 @@ def test_a_program_that_is_compiled_reports_it(compiled):
         assert len(compiled) == 2
 
 
-WRONG = {  # doors that take a design, each called with one of another kind
+WRONG = {  # functions that take a design, each called with one of another kind
     "four_bar.transmission_error": lambda d, e: four_bar.transmission_error(d, e, crank_angle=0.0),
     "four_bar.revolution": lambda d, e: four_bar.revolution(d, e),
     "four_bar.figures": lambda d, e: four_bar.figures(d, e),
@@ -261,14 +261,14 @@ WRONG = {  # doors that take a design, each called with one of another kind
 }
 
 
-@pytest.mark.parametrize("door", WRONG)
-def test_a_design_of_another_kind_is_refused_by_name(door):
-    of_rollers = door.startswith(("mesh_force", "Cam"))
+@pytest.mark.parametrize("name", WRONG)
+def test_a_design_of_another_kind_is_refused_by_name(name):
+    of_rollers = name.startswith(("mesh_force", "Cam"))
     wrong, errors = (RV_40E, RVErrors()) if of_rollers else (CORR, CamRollerErrors())
     takes, got = ("CamRollerReducer", "RVReducer") if of_rollers else ("RVReducer", "CamRollerReducer")
     with pytest.raises(ValueError, match="takes a design") as refused:
-        WRONG[door](wrong, errors)
-    told = rf"{door.split('.')[0]}\S*: takes a design of kind {takes}( or Lumped)?, got {got}"
+        WRONG[name](wrong, errors)
+    told = rf"{name.split('.')[0]}\S*: takes a design of kind {takes}( or Lumped)?, got {got}"
     assert re.fullmatch(told, str(refused.value))
 
 
