@@ -1,4 +1,4 @@
-"""Every public function of the models and of `roots` is compiled once: other numbers of the same shapes compile nothing.
+"""Every public function of the models and of `roots` is compiled once: equal shapes compile nothing further.
 
 Oracle: JAX's own events. A program traced or compiled anew reports its duration to `jax.monitoring`, whether or not it
 was found in a cache on disk; a second call with other numbers must report nothing, so it costs what the program costs.
