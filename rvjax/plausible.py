@@ -125,7 +125,7 @@ def doubt(name: str, value: float, unit: str, least: float, most: float) -> list
     if least / far <= value <= far * most:
         return []
     span = f"{shown(least, unit)} to {shown(most, unit)}" if least else f"up to {shown(most, unit)}"
-    return [f"{name} = {shown(value, unit)}: known reducers have {span}; is the unit right?"]
+    return [f"{name} = {shown(value, unit)}: known reducers have {span}; check the unit"]
 
 
 def numbers(design: PyTree) -> Iterator[tuple[str, tuple[float, str]]]:

@@ -61,9 +61,9 @@ WITHOUT_VALUE = PRECEDENCE[: PRECEDENCE.index(Status.NOT_ASSEMBLABLE) + 1]
 
 MEANING = {
     Status.NONFINITE: "an input is not finite, or too large or too small for the arithmetic",
-    Status.INVALID_GEOMETRY: "lengths or angles that no such part can have",
+    Status.INVALID_GEOMETRY: "impossible lengths or angles",
     Status.UNDERCUT: "the tooth flank cuts into itself",
-    Status.CONTACT_OVERLOAD: "a contact is wider than its theory holds",
+    Status.CONTACT_OVERLOAD: "a contact is too wide for its theory",
     Status.NO_BRACKET: "no sign change of the equation was found",
     Status.MAX_STEPS: "the solver did not finish in its steps",
     Status.NOT_ASSEMBLABLE: "the parts cannot be put together without deformation",

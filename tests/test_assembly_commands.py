@@ -166,7 +166,7 @@ BAD_PARTS = [
     ("kind,id,stock,pin_radius [um]\npins,a,-1,1\n", "pins 'a': stock = '-1': must be a whole number, 0 or more"),
     ("kind,id,pin_radius [um]\npins,a,1\npins,a,2\n", "pins: part 'a': duplicate id"),
     ("kind,id,pin_radius [um]\npins,,1\n", "a part of kind 'pins' has no id"),
-    ("kind,id,pin_radius [um]\npins,a,1\n", "parts of pins alone; at least two slots are matched"),
+    ("kind,id,pin_radius [um]\npins,a,1\n", "has parts of pins only; list parts of at least two slots"),
     ("kind,id,pin_radius [um]\npins,a,1,2\n", "row 2 has 4 cells, the header 3"),
     ("kind,id,pin_radius [um]\npins,a,\n", "parts of kind 'pins' have no error"),
     ("kind,id,disc_bore[0][0] [um]\ndisc_4,a,1\n", "kind = 'disc_4': this design has 2 discs, counted from 0"),
@@ -249,7 +249,7 @@ def test_every_load_and_direction_has_a_table(files, undrawn, capsys):
     assert cli.main(["compensate", "my.toml", "curves.csv", "--export", "t.csv", "--angle-sd", "10 arcsec"]) == 0
     tables = [compensation.read(f"t-100_N_m_{way}.csv") for way in ("forward", "backward")]
     assert np.abs(tables[0].correction - tables[1].correction).max() > 100 * arcsec
-    assert "rms left by the table of one curve at another" in capsys.readouterr().out
+    assert "rms of a curve with the table of another curve" in capsys.readouterr().out
 
 
 def test_a_curve_in_other_units_with_decimal_commas_is_the_same_curve(files):

@@ -126,7 +126,7 @@ def test_what_is_seen_is_said_in_words(answered):
     text = (out / "summary.txt").read_text()
     assert "only crank eccentricity [0,0] - [0,1] - [1,0] + [1,1]: to" in text
     assert "6 elements: 1 identified, 4 in combinations only, 1 unseen" in text
-    assert "The data say nothing of pin_radius" in text and "Measure next:" in text
+    assert "The data do not determine pin_radius" in text and "Measure next:" in text
 
 
 def test_the_table_of_elements_holds_numbers(answered):

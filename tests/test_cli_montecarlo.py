@@ -115,7 +115,7 @@ def test_an_interrupted_batch_says_how_to_go_on(here, capsys, monkeypatch):
 
     monkeypatch.setattr(batch, "run", interrupted)
     assert cli.main(["montecarlo", "small.toml", "--checkpoint", "c"]) == 130
-    assert "the same command goes on from c" in capsys.readouterr().err
+    assert "the same command resumes from c" in capsys.readouterr().err
     assert cli.main(["montecarlo", "small.toml"]) == 130
     assert "nothing was written" in capsys.readouterr().err
 

@@ -79,7 +79,7 @@ def test_the_page_holds_the_answer_and_needs_nothing_else(written, answered):
     result = json.loads((answered[1] / "result.json").read_text())
     shown = [f"{result['cost']['after']:.3f}", "✔ met", "IT6", "±6.50 µm", f"{UNITS:,}", "seed", rvjax.__version__]
     shown += [
-        "no level of it like this was measured",
+        "no level with these conditions was measured",
         "first order, float64",
         "rvjax report ",
         "certificate_samples = 16_000",
@@ -173,9 +173,9 @@ def test_an_answer_whose_units_all_fail_is_written_and_says_so(answers, answered
     write_files(report_on(new).folder(), here / "failed")
     result = json.loads((here / "failed" / "result.json").read_text())
     assert set(result["shortfall"].values()) == {None} == set(result["shares"]["after"]["misfit"].values())
-    assert "limit of misfit would do at no value: too many units fail" in (here / "failed" / "summary.txt").read_text()
+    assert "limit of misfit cannot be met: too many units fail" in (here / "failed" / "summary.txt").read_text()
     request.getfixturevalue("undrawn")
-    assert "The limit of misfit would do at no value: too many units fail." in page_of(Shown(new), "small.toml")
+    assert "The limit of misfit cannot be met: too many units fail." in page_of(Shown(new), "small.toml")
 
 
 @pytest.mark.long

@@ -105,9 +105,9 @@ def test_an_answer_is_judged_by_another_study(folder, capsys, monkeypatch):
     for words in (
         f"{100 * good:.3f} % [",
         "+-9.00 um",
-        "A: answer has no tolerance for crank_eccentricity: those of judge are kept",
-        "A: judge has no tolerance for pin_radius: left out",
-        "A: the design is that of judge, and tolerances deviate from it: cycloid.equidistant_modification is",
+        "A: answer has no tolerance for crank_eccentricity: the tolerances of judge are used",
+        "A: judge has no tolerance for pin_radius: ignored",
+        "A: the tolerances are applied to the design of judge: cycloid.equidistant_modification is",
         "A: 4,096 independent units, 0 failed",
         "all at once",
     ):

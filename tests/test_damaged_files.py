@@ -197,4 +197,4 @@ def test_a_signal_ends_a_batch_in_order(tmp_path, number, code):
     started.send_signal(number)
     _, said = started.communicate(timeout=30)
     assert started.returncode == code
-    assert "interrupted, the same command goes on from c" in said and "Traceback" not in said
+    assert "interrupted, the same command resumes from c" in said and "Traceback" not in said

@@ -136,7 +136,7 @@ def test_the_tables_are_read():
         ('nominal_lower = "1 mm"', "", "requirement.convex_radius: give upper or lower"),
         ('nominal_lower = "1 mm"', 'nominal_lower = "2 mm"\nnominal_upper = "1 mm"', "requirement.convex_radius"),
         ("[run]", '[middle.equidistant_modification]\nlower = "0 um"\nupper = "1 um"\n'
-         '[tolerances.equidistant_modification]\nhalf_width = "1 um"\n[run]', "moves the same; give one of them"),
+         '[tolerances.equidistant_modification]\nhalf_width = "1 um"\n[run]', "moves the same number; give only one"),
     ],
 )  # fmt: skip
 def test_bad_input_is_one_line(old, new, words):

@@ -64,7 +64,7 @@ def chosen(tolerances=LINKS, accuracy=10 * arcsec, design=MACHINE, given=GIVEN, 
 def test_another_model_stands_in_for_its_own_errors_alone():
     alone, whole = chosen(), chosen(PINS)
     assert (alone.level, alone.instead, alone.without) == ("four-bar", "transmission_error", "pins and flanks")
-    assert "it leaves out pins and flanks" in alone.why and alone.bound == pytest.approx(4 * arcsec)
+    assert "not modelled: pins and flanks" in alone.why and alone.bound == pytest.approx(4 * arcsec)
     assert (whole.level, whole.instead) == ("linear", None) and "the flattening of pins" in whole.why
     assert chosen(PINS, 5 * arcsec).level == "exact"  # twice 3 arcsec is more
     assert chosen(accuracy=3 * arcsec).level == "exact"
@@ -204,7 +204,7 @@ def test_a_study_says_what_its_level_leaves_out():
     wide = study.load("rv-40e-whole", solve=False).text + '\n[accuracy]\nloaded_transmission_error = "90 arcsec"\n'
     narrow = re.sub(r'coarsest = "(\d\d) (um|arcmin)"', r'coarsest = "5 \2"', wide)
     for text, words in (
-        (wide, "outside what was measured (crank_eccentricity of"),
+        (wide, "outside the measured range (crank_eccentricity of"),
         (narrow, "error below 1.5 arcmin; it leaves out"),
     ):
         asked = study.parse_study(text, name="x", solve=False)

@@ -80,7 +80,7 @@ def test_a_shortfall_is_told_in_the_unit_of_its_limit():
     lines = headline(feasible=False, status="INFEASIBLE", shortfall=missing)
     assert lines[0] == "Study s: INFEASIBLE" and len(lines) == 5
     assert lines[3] == "  the limit of error would have to move by 0.3 arcmin"
-    assert lines[4] == "  the limit of lost would do at no value: too many units fail"
+    assert lines[4] == "  the limit of lost cannot be met: too many units fail"
 
 
 @pytest.mark.parametrize(

@@ -179,7 +179,7 @@ def test_a_full_disk_is_a_warning_and_loses_nothing(tmp_path, monkeypatch):
         write(path, content)
 
     monkeypatch.setattr(checkpoint, "write_atomically", full)
-    with pytest.warns(RuntimeWarning, match=r"cannot be written \(.*No space left.*\); the study goes on without"):
+    with pytest.warns(RuntimeWarning, match=r"cannot be written \(.*No space left.*\); the study continues"):
         found = run(checkpoint=tmp_path / "c", checkpoint_every=0)
     assert bits(found) == expected
     assert bits(run(checkpoint=tmp_path / "c")) == expected  # the disk had room again: the file is complete

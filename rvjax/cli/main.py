@@ -46,7 +46,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return EXIT_BAD_INPUT
     except KeyboardInterrupt as stop:
         file = getattr(options, "checkpoint", None) or getattr(options, "begun", lambda: None)()
-        rest = f"the same command goes on from {file}" if file else "nothing was written"
+        rest = f"the same command resumes from {file}" if file else "nothing was written"
         say(f"rvjax: interrupted, {rest}", file=sys.stderr)
         return 143 if isinstance(stop, _Terminated) else 130
 

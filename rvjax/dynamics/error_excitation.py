@@ -133,7 +133,7 @@ def symmetric(design: RVReducer | Lumped) -> Lumped:
     if lumped.discs < 2:
         raise ValueError(f"disc_count = {lumped.discs}: errors as excitation need two or more discs")
     if not lumped.alike:
-        raise ValueError("Inertia, Stiffness: errors as excitation need members alike, one number each, not an array")
+        raise ValueError("Inertia, Stiffness: errors as excitation need one number in each field, not an array")
     return lumped
 
 

@@ -144,7 +144,7 @@ class DynamicError(Record):
     order: Array = field("-", "n of each line, per output turn", shape=("orders",))
     frequency: Array = field("Hz", "of each line", shape=("orders",))
     amplitude: Array = field("rad", "complex amplitude of each line and output", shape=("orders", "outputs"))
-    static: Array = field("rad", "what the errors alone make of it at standstill", shape=("orders", "outputs"))
+    static: Array = field("rad", "transmission error at standstill", shape=("orders", "outputs"))
     peak_to_peak: Array = field("rad", "of all lines together, each output", shape=("outputs",))
     outputs: tuple[str, ...] = text("names of the outputs")
     info: SolveInfo = field("-", "residual of the solves; CONVERGED, SINGULAR, ...", kind="record")

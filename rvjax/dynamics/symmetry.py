@@ -185,7 +185,7 @@ def blocks(design: RVReducer | Lumped) -> Blocks:
     if not is_split(cranks, discs):
         raise ValueError(f"blocks need three or more cranks and discs, got {cranks} cranks and {discs} discs")
     if not lumped.alike:
-        raise ValueError("blocks need members alike: one number for each field of Inertia and Stiffness, not an array")
+        raise ValueError("blocks need one number in each field of Inertia and Stiffness, not an array")
     return _blocks(lumped)
 
 

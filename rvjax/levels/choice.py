@@ -96,14 +96,14 @@ def choose(
         for name in names:
             bound = None if exact else model.bound(level, name, size)
             if reason:
-                why = f"outside what was measured ({reason}): the exact level"
+                why = f"outside the measured range ({reason}): exact level"
             elif exact:
                 why = "no cheaper level is accurate enough"
             else:
                 unit, unit_size = readable(model.outputs[name])
                 limit = f"{wanted[name] / unit_size:.3g} {unit}"
                 why = f"cheapest of {len(model.levels)} levels with twice its measured error below {limit}"
-                why += f"; it leaves out {level.without}" if level.without else ""
+                why += f"; not modelled: {level.without}" if level.without else ""
             instead = level.instead.get(name)
             found[name] = Choice(
                 name, level.name, settings, level.precision, bound, level.ns, why, instead, level.without
@@ -136,10 +136,10 @@ def as_given(design: Design, outputs: Sequence[str], conditions: object, *, tole
             if level.instead or not math.isfinite(level.largest[name][0]):
                 continue
             bound = None if reason or level.name == model.reference else model.bound(level, name, size)
-            why = f"the study says so; its error here was not measured ({reason})" if reason else "the study says so"
+            why = f"set in the study; its error here is not measured ({reason})" if reason else "set in the study"
             if bound == math.inf:
                 bound, why = None, f"{why}; with larger errors it failed for a unit that the exact level solves"
-            why += f"; it leaves out {level.without}" if level.without else ""
+            why += f"; not modelled: {level.without}" if level.without else ""
             found[name] = Choice(name, level.name, settings, level.precision, bound, level.ns, why, None, level.without)
     return found
 
@@ -151,7 +151,7 @@ def _no_fewer(value: PyTree, asked: PyTree) -> PyTree:
 
 
 def _unmeasured(output: str) -> Choice:
-    why = "no level of it like this was measured: it is computed as the conditions define, at any accuracy"
+    why = "no level with these conditions was measured: computed as the conditions define, accuracy ignored"
     return Choice(output, "as in the conditions", (), "float64", None, None, why)
 
 

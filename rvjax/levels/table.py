@@ -245,7 +245,7 @@ def advice(model: Model) -> str:
     """Advise on levels, from the measured errors at the error size nearest 1 and times."""
     *mentioned, exact = worth_a_mention(model)
     if not mentioned:
-        return f"Only {exact.name} ({_time(exact.ns)}) is of use: no cheaper level comes within its own size of it."
+        return f"Only {exact.name} ({_time(exact.ns)}) is useful: faster levels have errors as large as the output."
     parts = [f"for an error below {_error(model, level)} {level.name} ({_time(level.ns)})" for level in mentioned]
     return "Take " + "; ".join([*parts, f"for less {exact.name} ({_time(exact.ns)})"]) + "."
 

@@ -97,7 +97,7 @@ def _fits_together(design: RVReducer) -> None:
     if cranks.circle_radius >= root:
         raise ValueError(
             f"design.cranks.circle_radius = {shown(cranks.circle_radius, 'm')}: the cranks lie outside the discs, "
-            f"whose teeth end {shown(root, 'm')} from the middle"
+            f"whose teeth end {shown(root, 'm')} from the centre"
         )
 
 

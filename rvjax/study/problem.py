@@ -112,7 +112,7 @@ def problem(study: Study, measured: Measured | None = None) -> Problem:
     if kind == "curve" and not asked.orders:
         raise ValueError(f"{study.name}: identify.orders is missing: orders of the output turn, such as [40, 80]")
     if alien := [name for name in asked.nuisance if name in NUISANCES and name not in KINDS[kind].nuisances]:
-        raise ValueError(f"{study.name}: identify.nuisance = {alien[0]!r}: belongs to curves, the data holds {kind}")
+        raise ValueError(f"{study.name}: identify.nuisance = {alien[0]!r}: is for curves; the data holds {kind}")
     return {"curve": _curves, "loop": _loops, "frequencies": _frequencies}[kind](study, asked, measured)
 
 
@@ -289,7 +289,7 @@ def _loops(study: Study, asked: Identification, measured: Measured | None) -> Pr
     if measured is None:
         most = max([*asked.torques, abs(study_torque(study.conditions)), rated_torque(study.conditions)])
         if not most > 0:
-            missing = "the torque to which a loop goes, such as 412 N m"
+            missing = "the largest torque of a loop, such as 412 N m"
             raise ValueError(f"{study.name}: identify.torques is missing: {missing}")
         torque = np.linspace(-most, most, GRID)
         sd: PyTree = asked.noise

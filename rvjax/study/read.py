@@ -143,7 +143,7 @@ def parse_study(text: str, *, name: str, folder: Path = Path(), solve: bool = Tr
         )
         for path in variables:
             if (field := path.rpartition(".")[2]) in study.middles:
-                raise ValueError(f'variable."{path}": [middle.{field}] moves the same; give one of them')
+                raise ValueError(f'variable."{path}": [middle.{field}] moves the same number; give only one')
         own = {table: read(subtable(tables, table), study) for table, read in sections.items()}
         study = dataclasses.replace(study, sections=own)
         refuse_impossible(design, tolerances, costs, study.middles)
@@ -234,7 +234,7 @@ def _middles(error_record: PyTree, tolerances: PyTree, table: Toml) -> dict[str,
         unit = metadata(error_record, name)["unit"]
         for key in ("lower", "upper", *(("per",) if "cost" in entry else ())):
             if key not in entry:
-                raise ValueError(f"{where}.{key} is missing: a middle lies between lower and upper, in {unit}")
+                raise ValueError(f"{where}.{key} is missing: a mid-point lies between lower and upper, in {unit}")
         given = {key: quantity(entry[key], "-" if key == "cost" else unit, f"{where}.{key}") for key in entry}
         per = given.get("per", 1.0)
         if per <= 0:

@@ -68,9 +68,9 @@ def _limits(error_record: object, field: str, table: Toml) -> Toml:
     vectors = described(error_record, "vector")
     teeth = [name for name, axes in described(error_record, "shape").items() if axes[-1] == "teeth"]
     if word == "cumulative" and field not in teeth:
-        raise ValueError(f"{where}.cumulative = {table[word]!r}: is of teeth round a disc, of {', '.join(teeth)} alone")
+        raise ValueError(f"{where}.cumulative = {table[word]!r}: only errors of teeth have it: {', '.join(teeth)}")
     if word != "cumulative" and field not in vectors:
-        raise ValueError(f"{where}.{word} = {table[word]!r}: is of an error with a direction, of {', '.join(vectors)}")
+        raise ValueError(f"{where}.{word} = {table[word]!r}: only vectors have it: {', '.join(vectors)}")
     rest = {key: value for key, value in table.items() if key != word}
     size = _length(table[word], f"{where}.{word}", "diametral" if word == "position" else "")
     if word == "cumulative":  # from the highest to the lowest tooth

@@ -114,7 +114,7 @@ def shortfall_text(shortfall: float, output: Output) -> str:
         output: what is limited.
     """
     if math.isinf(shortfall):
-        return "would do at no value: too many units fail"
+        return "cannot be met: too many units fail"
     unit, size = output.shown
     return f"would have to move by {shortfall / size:.4g} {unit}"
 
@@ -167,7 +167,7 @@ def tolerance_tables(answer: Answer) -> list[Table]:
     rows: list[list[Cell]] = []
     for field in study.fields:
         unit, elements = study.unit(field), math.prod(getattr(study.tolerances, field).shape)
-        name = Titled(field, f"{elements} elements, each its own" if elements > 1 else "")
+        name = Titled(field, f"{elements} elements, each with a separate value" if elements > 1 else "")
         row: list[Cell] = [name, readable(unit)[0]]
         row += [limits_of(getattr(side, field), unit) for side in (study.tolerances, allocation.tolerances)]
         row += [side.cost.get(field) for side in (answer.before, answer.after)]

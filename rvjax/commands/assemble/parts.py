@@ -97,7 +97,7 @@ def bench(study: Study, path: str | Path) -> Bench:
             kinds[slot] = made
         taken |= {field for part in made.parts for field in part.errors}
     if len(kinds) < 2:
-        raise StudyError(f"{path}: parts of {', '.join(kinds)} alone; at least two slots are matched")
+        raise StudyError(f"{path}: has parts of {', '.join(kinds)} only; list parts of at least two slots")
     rest = {f: getattr(study.tolerances, f) for f in study.fields if f not in taken}
     if rest:
         zeros = {f: np.zeros(tolerance.shape) for f, tolerance in rest.items()}
@@ -141,11 +141,11 @@ def _asked(study: Study) -> tuple[str, Requirement]:
     if name is None:
         if len(study.requirements) > 1:
             listed = ", ".join(study.requirements)
-            raise StudyError(f"{study.name}: assembly.response is missing: which of {listed} decides?")
+            raise StudyError(f"{study.name}: assembly.response is missing; name one of {listed}")
         name = next(iter(study.requirements))
     requirement = study.requirements[name]
     if not isinstance(requirement, Requirement):
-        raise StudyError(f"{study.name}: requirement.{name}: parts are matched against limits of each unit")
+        raise StudyError(f"{study.name}: requirement.{name}: parts are matched for limits of single units only")
     return name, requirement
 
 
@@ -177,7 +177,7 @@ def _slots(design: RVReducer, kind: str, path: str | Path) -> tuple[list[str], d
         slots = [f"crank_{k}" for k in range(cranks)] if match[1] is None else [kind]
         return slots, carried(design, "crank")
     if not re.fullmatch(r"[a-z][a-z0-9_]*", kind) or kind == REST:
-        raise StudyError(f"{path}: kind = {kind!r}: must be disc, crank, carrier, or another name in small letters")
+        raise StudyError(f"{path}: kind = {kind!r}: must be disc, crank, carrier, or a name in lower case")
     apart = {*carried(design, "disc"), *carried(design, "crank")}
     return [kind], {name: shape for name, shape in shapes.items() if name not in apart}
 
@@ -218,7 +218,9 @@ def _kind(
                     value[element] = found * size
                     sd[element] = table_of(study).sd.get(field, 0.0)
             if np.isinf(sd).any() and getattr(study.tolerances, field) is None:
-                raise StudyError(f"{where}: {field} is not measured in full, and no tolerance says what it may be")
+                raise StudyError(
+                    f"{where}: not all elements of {field} are measured, and [tolerances.{field}] is missing"
+                )
             errors[field], sds[field] = value, sd
         parts.append(Part(label, errors, sds))
         stock.append(_count(row.cells.get("stock", "") or "1", f"{where}: stock"))

@@ -65,7 +65,7 @@ def _verdict(study: Study, plan: Plan, name: str) -> list[str]:
         lines.append(f"Every complete plan has at least {len(plan.failing)} units that fail: {failing}")
     if plan.unsearched:
         lines.append(
-            f"Interrupted: the best plan so far. {plan.unsearched} random plans from which the search begins are left."
+            f"Interrupted: this is the best plan so far. {plan.unsearched} starts of the search were not used."
         )
     if plan.valued < plan.combinations:
         left = plan.combinations - plan.valued

@@ -33,7 +33,7 @@ def _content(study: Study, found: Checked) -> list[Note | Table]:
     rows = [(getattr(study.tolerances, field), field) for field in study.fields]
     tolerances = Table(
         "tolerances",
-        [Text("error"), Limits("limits"), Text("law")],
+        [Text("error"), Limits("limits"), Text("distribution")],
         [[field, limits_of(tolerance, study.unit(field)), tolerance.distribution] for tolerance, field in rows],
     )
     how = [f"  {line}" for line in [*level_lines(study), expected(study)]]

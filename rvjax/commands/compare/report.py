@@ -65,7 +65,7 @@ def _change(a: PyTree, b: PyTree, unit: str) -> str:
 
 def _yields(study: Study, found: dict[str, Crossed]) -> Table:
     """Yields of the results under the requirements of the study."""
-    columns: list[Column] = [Text("requirement"), Text("limit"), Text("asked")]
+    columns: list[Column] = [Text("requirement"), Text("limit"), Text("required")]
     for letter in found:
         columns += [Column(f"{letter} [interval]"), Text("")]
     rows = []
@@ -101,11 +101,13 @@ def _explained(found: dict[str, Crossed], answers: dict[str, Study]) -> list[str
         answer, name = answers[letter].name, one.study.name
         lines.append(f"{letter}: {one.statistics.samples:,} independent units, {failures_text(one.statistics)}")
         if one.own:
-            lines.append(f"{letter}: {answer} has no tolerance for {', '.join(one.own)}: those of {name} are kept")
+            lines.append(
+                f"{letter}: {answer} has no tolerance for {', '.join(one.own)}: the tolerances of {name} are used"
+            )
         if one.left:
-            lines.append(f"{letter}: {name} has no tolerance for {', '.join(one.left)}: left out")
+            lines.append(f"{letter}: {name} has no tolerance for {', '.join(one.left)}: ignored")
         if apart := differences(answers[letter], one.study):
-            deviate = f"the design is that of {name}, and tolerances deviate from it"
+            deviate = f"the tolerances are applied to the design of {name}"
             lines.append(f"{letter}: {deviate}: {'; '.join(apart)}")
     return lines
 

@@ -97,7 +97,7 @@ def _crossed(curves: Sequence[Curve]) -> list[Table]:
             for made in own
         ]
         columns = [Text("table made at"), *(Number(curve.label or "all", **BRIEF) for curve in own)]
-        caption = "rms left by the table of one curve at another"
+        caption = "rms of a curve with the table of another curve"
         tables += [Table("crossed", columns, rows, caption, on=frozenset({TEXT}))] if len(own) > 1 else []
     return tables
 

@@ -65,7 +65,7 @@ def report(asked: Inputs, found: Identified) -> Report:
     title, *more = headline(found).split("\n")
     command = " ".join(["rvjax identify", *(shlex.quote(name) for name in (asked.source, *asked.paths))])
     return Report(
-        title=f"{study.name}: what made this curve",
+        title=f"{study.name}: cause of this curve",
         content=tuple(_content(found, drawn)),
         status=f"{mark}{title}",
         ok=found.adequate is not False,
@@ -73,7 +73,7 @@ def report(asked: Inputs, found: Identified) -> Report:
         files={"study.toml": study.text.encode()},
         page="",
         facts={
-            "heading": f"{study.name}: what made this curve?",
+            "heading": f"{study.name}: cause of this curve",
             "intro": leading_comment(study.text),
             "said": " ".join([*more, f"{verdict_line(found)}."]),
             "boxes": _boxes(found),
@@ -88,12 +88,12 @@ def _boxes(found: Identified) -> list[tuple[str, str, str]]:
     if found.posterior is not None:
         fit = found.posterior.fit
         boxes = [
-            ("can any part do this?", f"p = {fit.p_model:.3g}", f"chi² {fit.chi2_model:.4g} of {fit.dof_model:g}"),
+            ("can a part cause this?", f"p = {fit.p_model:.3g}", f"chi² {fit.chi2_model:.4g} of {fit.dof_model:g}"),
             ("a part of this drawing?", f"p = {fit.p_prior:.3g}", f"chi² {fit.chi2_prior:.4g} of {fit.dof_prior:g}"),
         ]
     boxes.append(("information", f"{found.check.information:.3g} nats", f"{len(found.check.directions)} directions"))
     if alone := _part_orders(found):
-        boxes.append(("orders of parts alone", ", ".join(map(str, alone)), "the housing cannot make them"))
+        boxes.append(("orders of parts only", ", ".join(map(str, alone)), "the housing cannot make them"))
     if found.problem.kind == "curve":
         boxes.append(("noise", f"{found.problem.sd / arcsec:.3g} arcsec", "of a real number"))
     return boxes
@@ -102,7 +102,7 @@ def _boxes(found: Identified) -> list[tuple[str, str, str]]:
 def _content(found: Identified, drawn: dict[str, Figure]) -> list[Content]:
     only_text, only_page = frozenset({TEXT}), frozenset({PAGE})
     silent = sorted({field_of(name) for name in found.silent} - set(found.problem.nuisance))
-    unknown = f"The data say nothing of {', '.join(silent)}: the drawing is all that is known of them."
+    unknown = f"The data do not determine {', '.join(silent)}: only the limits of the drawing are known."
     said = [verdict_line(found), *([unknown] if silent else [])]
     content: list[Content] = [Note(headline(found), only_text), Note("\n".join(said), only_text)]
     if curves := [figure for name, figure in drawn.items() if name.startswith(("curve_", "loop"))]:
@@ -139,7 +139,7 @@ def _named(drawn: dict[str, Figure], name: str) -> list[Figure]:
 def _seen(found: Identified) -> Note:
     """Combinations that the data see, and pairs that they cannot separate."""
     lines = [f"  only {line}" for line in direction_lines(found)] or ["  nothing beyond the drawing"]
-    lines.insert(0, "What the data see, strongest first:")
+    lines.insert(0, "Combinations that the data determine, strongest first:")
     if alone := _part_orders(found):
         orders = ", ".join(map(str, alone))
         lines.append(f"Only errors of parts or the mounting make order {orders}; the housing cannot.")
@@ -230,8 +230,8 @@ def _elements(found: Identified) -> list[Table | Note]:
         rows.append(row if posterior is not None else [*row, None, None, None])
     seen = [row for row in rows if check.resolution[row[0]] >= SEEN][:MOST_ROWS]
     left = len(rows) - len(seen)
-    rest = f"{left} more elements: as the drawing has them" if left else ""
-    more = f"{len(rows) - MOST_ON_PAGE} elements of which the data say less are in elements.csv."
+    rest = f"{left} more elements: limits of the drawing" if left else ""
+    more = f"{len(rows) - MOST_ON_PAGE} elements that the data determine less are in elements.csv."
     return [
         Table("elements", columns, rows, on=frozenset({CSV})),
         Table("elements", columns, seen, note=rest, on=frozenset({TEXT})),

@@ -53,7 +53,7 @@ def direction_lines(answer: Identified) -> list[str]:
     lines = []
     for direction in answer.check.directions:
         left = 1 / math.sqrt(1 + direction.information)
-        lines.append(f"{in_words(direction.loadings)}: to {100 * left:.3g} % of what the drawing leaves open")
+        lines.append(f"{in_words(direction.loadings)}: to {100 * left:.3g} % of the range of the drawing")
     return lines
 
 
@@ -118,7 +118,7 @@ def head_lines(head: Head) -> list[str]:
     ]
     lines = [f"Head: {placed}; at the rated torque {', '.join(sizes)}."]
     if not math.isnan(value):
-        lines.append("The scale is taken to lie on the side of the last disc; on the other side add 180 deg.")
+        lines.append("Assumed: the scale is on the side of the last disc. On the other side add 180 deg.")
     if not math.isnan(head.p):
         fits = f"One head explains these numbers (p = {head.p:.3g})."
         lines.append(fits if head.p >= CONSISTENT else f"No single head explains these numbers (p = {head.p:.3g}).")

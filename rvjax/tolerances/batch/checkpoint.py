@@ -118,7 +118,7 @@ class Checkpoint:
             self._write(chunk, state())
         except OSError as error:
             if not self._warned:
-                message = f"checkpoint = {str(self._path)!r}: cannot be written ({error}); the study goes on without"
+                message = f"checkpoint = {str(self._path)!r}: cannot be written ({error}); the study continues"
                 with warnings.catch_warnings():  # where warnings are errors, this one must not end the study
                     warnings.simplefilter("always", RuntimeWarning)
                     warnings.warn(message, RuntimeWarning, stacklevel=3)

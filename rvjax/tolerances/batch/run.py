@@ -178,7 +178,7 @@ class Run:
         kept = any(key.endswith("/values") for key in state)
         if kept and not self.keep:
             if processes > 1:  # of which some may have kept them and some not
-                raise ValueError(f"checkpoint = {str(self.checkpoint)!r}: keeps every unit; go on with keep = True")
+                raise ValueError(f"checkpoint = {str(self.checkpoint)!r}: stores every unit; continue with keep = True")
             check_memory(self.samples, len(self.names))
         counted = self._empty(keeps=self.keep or kept)
         if done or state:
