@@ -20,7 +20,7 @@ def folder(tmp_path_factory):
 
 @pytest.mark.parametrize("name", ["loaded", "four-bar"])
 def test_a_measured_unit_is_read(folder, name):
-    asked = problem.asked_of(study.load(str(folder / f"{name}.toml"), solve=False))
+    asked = problem.identification_of(study.load(str(folder / f"{name}.toml"), solve=False))
     found = measured.read([str(folder / "unit.csv")], asked.columns)
     assert (found.kind, len(found.runs)) == ("curve", 2)
 

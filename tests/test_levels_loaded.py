@@ -205,7 +205,7 @@ def test_a_study_says_what_its_level_leaves_out():
     narrow = re.sub(r'coarsest = "(\d\d) (um|arcmin)"', r'coarsest = "5 \2"', wide)
     for text, words in (
         (wide, "outside the measured range (crank_eccentricity of"),
-        (narrow, "error below 1.5 arcmin; it leaves out"),
+        (narrow, "error below 1.5 arcmin; not modelled"),
     ):
         asked = study.parse_study(text, name="x", solve=False)
         assert words in next(line for line in forecast.level_lines(asked) if line.startswith(NAME))

@@ -35,7 +35,7 @@ def share(estimate: Estimate) -> Quantity:
     return Quantity.of(estimate, read_in="%", form=".3f")
 
 
-def judged(verdict: Verdict, output: Output) -> Quantity:
+def evaluated(verdict: Verdict, output: Output) -> Quantity:
     """The value that a requirement evaluates, with its interval.
 
     Args:

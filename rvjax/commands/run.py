@@ -57,14 +57,14 @@ def run(name: str, options: argparse.Namespace) -> int:
     from rvjax.files import write_atomically  # the help does not wait for NumPy
     from rvjax.render import plain, write_files
 
-    asked = module(name, "inputs").inputs(options)
+    inputs = module(name, "inputs").inputs(options)
     work, report = module(name, "compute"), module(name, "report").report
-    folder, quiet = getattr(asked, "folder", None), getattr(asked, "quiet", getattr(options, "quiet", True))
+    folder, quiet = getattr(inputs, "folder", None), getattr(inputs, "quiet", getattr(options, "quiet", True))
     as_json = options.format == "json" or getattr(options, "json", None) is True  # `--json` that names no file
-    phases = work.phases(asked) if hasattr(work, "phases") else {}
+    phases = work.phases(inputs) if hasattr(work, "phases") else {}
     with progress.shown(phases, counted=getattr(work, "COUNTED", ""), quiet=quiet):
         progress.begin(READING)
-        found = report(asked, work.compute(asked))
+        found = report(inputs, work.compute(inputs))
         if not as_json and found.content:  # before the folder is made, which may fail
             say(found.text() if found.brief is None else found.brief)
         if folder is not None:
@@ -72,7 +72,7 @@ def run(name: str, options: argparse.Namespace) -> int:
             folder = write_files(found.folder(), folder)
     for path, content in found.exports.items():
         write_atomically(path, content)
-    getattr(asked, "finished", lambda: None)()
+    getattr(inputs, "finished", lambda: None)()
     wrote = {} if folder is None else {"report": folder / found.main} if found.main else {"results": folder}
     if as_json:
         more = dict(found.told) | {name: str(path) for name, path in wrote.items()}

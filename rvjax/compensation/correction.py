@@ -157,7 +157,7 @@ def correction(
     chosen = best[saved[best] > 0]
     stored = np.zeros(len(values), complex)
     stored[chosen] = (gain * values)[chosen]
-    return judged(orders, values, stored, sds, float(angle_sd), float(ratio), chosen[np.argsort(orders[chosen])], saved)
+    return rated(orders, values, stored, sds, float(angle_sd), float(ratio), chosen[np.argsort(orders[chosen])], saved)
 
 
 def kept_cosine(order: np.ndarray, angle_sd: float) -> np.ndarray:
@@ -182,7 +182,7 @@ def saved_by(value: np.ndarray, stored: np.ndarray, order: np.ndarray, angle_sd:
     return kept_cosine(order, angle_sd) * (value.conj() * stored).real - np.abs(stored) ** 2 / 2
 
 
-def judged(
+def rated(
     order: np.ndarray,
     value: np.ndarray,
     stored: np.ndarray,

@@ -6,7 +6,7 @@ from collections.abc import Hashable, Mapping
 
 import numpy as np
 
-from rvjax.compensation.correction import Correction, judged, saved_by
+from rvjax.compensation.correction import Correction, rated, saved_by
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -57,7 +57,7 @@ def _between(first: Correction, second: Correction, share: float) -> Correction:
     angle_sd = max(first.angle_sd, second.angle_sd)
     chosen = np.flatnonzero(np.isin(order, np.union1d(first.order, second.order)))
     saved = saved_by(value, stored, order, angle_sd)
-    return judged(order, value, stored, np.sqrt(variance), angle_sd, first.ratio, chosen, saved)
+    return rated(order, value, stored, np.sqrt(variance), angle_sd, first.ratio, chosen, saved)
 
 
 def schedule(corrections: Mapping[tuple[float, Hashable], Correction]) -> Schedule:

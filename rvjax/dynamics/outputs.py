@@ -127,12 +127,12 @@ def _over_a_period(
     swing, speed, torque = extra
     assert design.mesh_variation is not None
     design = design.replace(mesh_variation=design.mesh_variation.replace(planetary_swing=swing))
-    asked: dict[str, PyTree] = dict(sun_speed=speed, output_torque=torque, outputs=(ROTATION,))
+    load: dict[str, PyTree] = dict(sun_speed=speed, output_torque=torque, outputs=(ROTATION,))
     if settings["method"] == "periodic":
-        exact = periodic(design, samples=POINTS, **asked)
+        exact = periodic(design, samples=POINTS, **load)
         curve, status = exact.deflection[:, 0], exact.info.status
     else:
-        found = response(design, **settings, **asked)
+        found = response(design, **settings, **load)
         turn = 2 * np.pi * np.outer(np.arange(POINTS), 1 + np.arange(settings["harmonics"])) / POINTS
         amplitude = found.amplitude[:, 0]
         curve = jnp.cos(turn).astype(speed.dtype) @ amplitude.real - jnp.sin(turn).astype(speed.dtype) @ amplitude.imag

@@ -44,8 +44,8 @@ def orders(
     Raises:
         ValueError: shapes that do not fit, numbers that are not finite, or more orders than the samples distinguish.
     """
-    asked = np.asarray(orders, float)
-    if asked.ndim != 1 or not (asked > 0).all() or np.unique(asked).size != asked.size or np.isinf(asked).any():
+    wanted = np.asarray(orders, float)
+    if wanted.ndim != 1 or not (wanted > 0).all() or np.unique(wanted).size != wanted.size or np.isinf(wanted).any():
         raise ValueError(f"orders = {orders!r}: must be positive and distinct, per turn")
     x, y = np.asarray(angle, float), np.asarray(value, float)
     if x.ndim != 1 or x.shape != y.shape:
@@ -58,19 +58,19 @@ def orders(
     # Columns of one length, about the mid-point of the angles: the scale of the angles does not change the condition.
     centred = (x - x.mean()) / max(float(np.ptp(x)), 1e-300) if x.size else x
     extra = [centred] if drift else []
-    phase = x[:, None] * asked
+    phase = x[:, None] * wanted
     matrix = np.concatenate([np.ones((x.size, 1)), *(c[:, None] for c in extra), np.cos(phase), -np.sin(phase)], axis=1)
     numbers = matrix.shape[1]
     left, singular, right = np.linalg.svd(matrix, full_matrices=False)
     if x.size <= numbers or singular[-1] < DEPENDENT * singular[0]:
-        raise ValueError(f"orders = {asked.tolist()}: {x.size} samples cannot determine {numbers} numbers per turn")
+        raise ValueError(f"orders = {wanted.tolist()}: {x.size} samples cannot determine {numbers} numbers per turn")
     found = right.T @ ((left.T @ y) / singular)
     residual_sd = float(np.sqrt(((y - matrix @ found) ** 2).sum() / (x.size - numbers)))
     variance = ((right.T / singular) ** 2).sum(axis=1)
     first = 1 + len(extra)
-    real, imaginary = slice(first, first + asked.size), slice(first + asked.size, None)
+    real, imaginary = slice(first, first + wanted.size), slice(first + wanted.size, None)
     return Orders(
-        order=asked,
+        order=wanted,
         value=found[real] + 1j * found[imaginary],
         sd=residual_sd * np.sqrt((variance[real] + variance[imaginary]) / 2),
         mean=float(found[0]),

@@ -75,15 +75,15 @@ def choose(
         if not (is_concrete(value) and value > 0):
             raise ValueError(f"accuracy of {name!r} = {value!r}: must be a positive number")
     models = (table or stored()).models.values()
-    asked: dict[str, tuple[Model, str, list[str]]] = {}
+    wanted_of: dict[str, tuple[Model, str, list[str]]] = {}
     found = {}
     for name in accuracy:
         if not (known := _known(models, name, conditions)):
             found[name] = _unmeasured(name)
             continue
         model, reason = _model(known, design, conditions, tolerances)
-        asked.setdefault(model.name, (model, reason, []))[2].append(name)
-    for model, reason, names in asked.values():  # outputs of one model share a level: one solution serves them all
+        wanted_of.setdefault(model.name, (model, reason, []))[2].append(name)
+    for model, reason, names in wanted_of.values():  # outputs of one model share a level: one solution serves them all
         size, problem = _size(model, tolerances)
         reason = reason or problem
         wanted = {name: accuracy[name] for name in names}
@@ -144,10 +144,10 @@ def as_given(design: Design, outputs: Sequence[str], conditions: object, *, tole
     return found
 
 
-def _no_fewer(value: PyTree, asked: PyTree) -> PyTree:
+def _no_fewer(value: PyTree, wanted_of: PyTree) -> PyTree:
     """A count of the exact level, or that of the conditions where it is larger: more angles are never less exact."""
-    counts = isinstance(value, int) and isinstance(asked, int) and not isinstance(value, bool)
-    return max(value, asked) if counts else value
+    counts = isinstance(value, int) and isinstance(wanted_of, int) and not isinstance(value, bool)
+    return max(value, wanted_of) if counts else value
 
 
 def _unmeasured(output: str) -> Choice:

@@ -258,10 +258,10 @@ def _compiled(
     cases: Cases, way: Way, given: Sequence[PyTree], own_design: bool = True
 ) -> tuple[Program, dict[str, float]]:
     """A level for a batch whose cases have a design of their own or one for all, compiled as studies do."""
-    asked = [(way.instead or {}).get(name, name) for name in cases.outputs] if cases.evaluate is None else []
+    outputs = [(way.instead or {}).get(name, name) for name in cases.outputs] if cases.evaluate is None else []
     one = lambda d, e, extra: evaluate(cases, way.settings, d, e, extra, way.instead)  # noqa: E731
     batch = jax.vmap(one, in_axes=(0 if own_design else None, 0, 0))
-    return compiled(batch, *given, options=models.kind(cases.design).compiler_options(asked))
+    return compiled(batch, *given, options=models.kind(cases.design).compiler_options(outputs))
 
 
 def _errors(

@@ -11,7 +11,7 @@ from rvjax.study.plausible import RATED, TORQUE
 from rvjax.study.problem import (
     Problem,
     Wide,
-    asked_of as identification_of,
+    identification_of,
     problem as inverse_problem,
     wide as with_candidates,
 )

@@ -65,21 +65,21 @@ class Problem:
     items: tuple[tuple[Run | Loop | Tones, ...], ...] = ()
 
     @property
-    def asked(self) -> Identification:
+    def identification(self) -> Identification:
         """The section [identify]."""
-        return asked_of(self.study)
+        return identification_of(self.study)
 
     def stacked(self) -> Seen:
         """The data with units on axis 0."""
         return {key: np.stack([data[key] for data in self.data]) for key in self.data[0]}
 
 
-def _model(study: Study, asked: Identification, runs: Sequence[Conditions]) -> Model:
-    active = tuple(asked.prior(study.tolerances))
-    return curve_model(asked.model, study.design, study.conditions, runs, asked.orders, asked.nuisance, active)
+def _model(study: Study, given: Identification, runs: Sequence[Conditions]) -> Model:
+    active = tuple(given.prior(study.tolerances))
+    return curve_model(given.model, study.design, study.conditions, runs, given.orders, given.nuisance, active)
 
 
-def asked_of(study: Study) -> Identification:
+def identification_of(study: Study) -> Identification:
     """Identification problem of a study.
 
     Raises:
@@ -101,19 +101,19 @@ def problem(study: Study, measured: Measured | None = None) -> Problem:
         ValueError: data of a kind that the model does not predict, runs that do not determine the orders, or
             a floor that nothing measures.
     """
-    asked = asked_of(study)
-    observations = models.kind(study.design).observations(asked.model)
-    kind = measured.kind if measured else planned_kind(observations, asked.orders)
+    given = identification_of(study)
+    observations = models.kind(study.design).observations(given.model)
+    kind = measured.kind if measured else planned_kind(observations, given.orders)
     if measured and kind not in observations:
         takes = " or ".join(observations)
-        raise ValueError(f"{measured.items[0].source}: holds {kind}; identify.model = {asked.model!r} takes {takes}")
-    if measured is None and asked.noise is None:
+        raise ValueError(f"{measured.items[0].source}: holds {kind}; identify.model = {given.model!r} takes {takes}")
+    if measured is None and given.noise is None:
         raise ValueError(f"{study.name}: identify.noise = 'floor': is read from data; give a number to check without")
-    if kind == "curve" and not asked.orders:
+    if kind == "curve" and not given.orders:
         raise ValueError(f"{study.name}: identify.orders is missing: orders of the output turn, such as [40, 80]")
-    if alien := [name for name in asked.nuisance if name in NUISANCES and name not in KINDS[kind].nuisances]:
+    if alien := [name for name in given.nuisance if name in NUISANCES and name not in KINDS[kind].nuisances]:
         raise ValueError(f"{study.name}: identify.nuisance = {alien[0]!r}: is for curves; the data holds {kind}")
-    return {"curve": _curves, "loop": _loops, "frequencies": _frequencies}[kind](study, asked, measured)
+    return {"curve": _curves, "loop": _loops, "frequencies": _frequencies}[kind](study, given, measured)
 
 
 def _made(
@@ -128,33 +128,33 @@ def _made(
     runs: tuple[Conditions, ...] = (),
 ) -> Problem:
     """The problem with its prior; `key` names the part of the observation whose noise is the usual one."""
-    asked = asked_of(study)
-    usual, prior = float(asked.noise or np.median(sd[key])), asked.prior(study.tolerances)
+    given = identification_of(study)
+    usual, prior = float(given.noise or np.median(sd[key])), given.prior(study.tolerances)
     noise = identify.Noise(sd)
-    return Problem(study, kind, prior, model, noise, usual, asked.nuisance, runs, units, tuple(data), items)
+    return Problem(study, kind, prior, model, noise, usual, given.nuisance, runs, units, tuple(data), items)
 
 
-def _observation(study: Study, asked: Identification, kind: str) -> Observation:
-    return models.kind(study.design).observations(asked.model)[kind]
+def _observation(study: Study, given: Identification, kind: str) -> Observation:
+    return models.kind(study.design).observations(given.model)[kind]
 
 
-def _curves(study: Study, asked: Identification, measured: Measured | None) -> Problem:
-    wanted = sorted({*asked.orders, *([1] if "mounting" in asked.nuisance else [])})
-    groups = [order_name(k) for k in wanted] + (["mean"] if "offset" in asked.nuisance else [])
+def _curves(study: Study, given: Identification, measured: Measured | None) -> Problem:
+    wanted = sorted({*given.orders, *([1] if "mounting" in given.nuisance else [])})
+    groups = [order_name(k) for k in wanted] + (["mean"] if "offset" in given.nuisance else [])
     data: list[Seen] = []
     sds: dict[str, np.ndarray] = {}
     units: tuple[str, ...] = ()
     items: tuple[tuple[Run, ...], ...] = ()
     if measured is None:
         runs = planned(study)
-        model = _model(study, asked, runs)
+        model = _model(study, given, runs)
     else:
-        beside = floor_orders(study.design, asked.orders)
+        beside = floor_orders(study.design, given.orders)
         units = tuple(measured.units)
         own = [_by_place([run for run in measured.runs if run.at.unit == name]) for name in units]
         places = list(dict.fromkeys(place for runs in own for place in runs))
         runs, items = tuple(place[0] for place in places), tuple(tuple(runs.values()) for runs in own)
-        model = _model(study, asked, runs)  # checks the orders before the data
+        model = _model(study, given, runs)  # checks the orders before the data
         sds = {key: np.full((len(units), len(runs)), np.nan) for key in groups}
         for u, found in enumerate(own):
             seen: Seen = {key: np.full(len(runs), np.nan, float if key == "mean" else complex) for key in groups}
@@ -166,10 +166,10 @@ def _curves(study: Study, asked: Identification, measured: Measured | None) -> P
                 if "mean" in seen:
                     seen["mean"][r] = fitted.mean
                 for key in groups:
-                    sds[key][u, r] = asked.noise or fitted.floor
+                    sds[key][u, r] = given.noise or fitted.floor
             data.append(seen)
-    if asked.noise is not None:
-        sd: PyTree = asked.noise
+    if given.noise is not None:
+        sd: PyTree = given.noise
     else:  # of each run; of several units the mean square, since one noise serves all
         sd = {key: np.sqrt(np.nanmean(values**2, axis=0)) for key, values in sds.items()}
     return _made(study, "curve", model, sd, groups[0], units, data, items, tuple(runs))
@@ -220,21 +220,21 @@ def floor_orders(design: RVReducer, orders: Sequence[int]) -> list[int]:
 
 def planned(study: Study) -> tuple[Conditions, ...]:
     """The runs that a study plans: its torques in its directions; without torques that of its conditions, forward."""
-    asked = asked_of(study)
-    if not asked.torques:
+    given = identification_of(study)
+    if not given.torques:
         return (Conditions(torque=study_torque(study.conditions)),)
-    return tuple(Conditions(torque=t, direction=d) for t in asked.torques for d in asked.directions)
+    return tuple(Conditions(torque=t, direction=d) for t in given.torques for d in given.directions)
 
 
 def candidates(problem: Problem) -> list[Conditions]:
     """Runs that could be measured next."""
-    asked = problem.asked
+    given = problem.identification
     if problem.kind != "curve":
         return []
     largest = np.max(np.abs(signed_torques(problem.runs, problem.study.conditions)), initial=0.0)
     largest = largest or rated_torque(problem.study.conditions)
-    torques = asked.torques or tuple(float(f"{share * largest:.3g}") for share in LEVELS)
-    return list(dict.fromkeys(Conditions(torque=t, direction=d) for t in torques for d in asked.directions))
+    torques = given.torques or tuple(float(f"{share * largest:.3g}") for share in LEVELS)
+    return list(dict.fromkeys(Conditions(torque=t, direction=d) for t in torques for d in given.directions))
 
 
 @dataclass(frozen=True)
@@ -261,7 +261,7 @@ def wide(problem: Problem) -> Wide:
     chosen = candidates(problem)
     count = len(problem.runs)
     given = problem.noise.sd
-    groups = [order_name(k) for k in problem.asked.orders]
+    groups = [order_name(k) for k in problem.identification.orders]
     groups += [key for key, name in ((order_name(1), "mounting"), ("mean", "offset")) if name in problem.nuisance]
     own = {key: np.broadcast_to(given[key] if isinstance(given, dict) else given, count) for key in groups}
     never = np.full(len(chosen), UNMEASURED)
@@ -275,24 +275,24 @@ def wide(problem: Problem) -> Wide:
 
     names = [run.text() for run in chosen]
     return Wide(
-        _model(problem.study, problem.asked, [*problem.runs, *chosen]),
+        _model(problem.study, problem.identification, [*problem.runs, *chosen]),
         made(1.0, None),
         {name: made(UNMEASURED / problem.sd, k) for k, name in enumerate(names)},
         {name: made(1.0, k) for k, name in enumerate(names)},
     )
 
 
-def _loops(study: Study, asked: Identification, measured: Measured | None) -> Problem:
+def _loops(study: Study, given: Identification, measured: Measured | None) -> Problem:
     units: tuple[str, ...] = ()
     items: tuple[tuple[Loop, ...], ...] = ()
     data: list[Seen] = []
     if measured is None:
-        most = max([*asked.torques, abs(study_torque(study.conditions)), rated_torque(study.conditions)])
+        most = max([*given.torques, abs(study_torque(study.conditions)), rated_torque(study.conditions)])
         if not most > 0:
             missing = "the largest torque of a loop, such as 412 N m"
             raise ValueError(f"{study.name}: identify.torques is missing: {missing}")
         torque = np.linspace(-most, most, GRID)
-        sd: PyTree = asked.noise
+        sd: PyTree = given.noise
     else:
         loops = [item for item in measured.items if isinstance(item, Loop)]
         units = tuple(loop.at.unit for loop in loops)
@@ -307,19 +307,19 @@ def _loops(study: Study, asked: Identification, measured: Measured | None) -> Pr
             for name in ("midline", "width", "sd")
         )
         data = [{"angle": y, "width": w} for y, w in zip(midline, width)]
-        sd = asked.noise or np.sqrt(np.mean(np.square(sds), axis=0))
-    if "drag" in asked.nuisance:  # a width is a difference of branches, a midline half of their sum
+        sd = given.noise or np.sqrt(np.mean(np.square(sds), axis=0))
+    if "drag" in given.nuisance:  # a width is a difference of branches, a midline half of their sum
         sd = {"angle": sd, "width": 2 * sd}
     else:
         sd, data = {"angle": sd}, [{"angle": seen["angle"]} for seen in data]
-    bench = tuple(name for name in asked.nuisance if name in NUISANCES)
-    model = Midline(study.design, -torque, _observation(study, asked, "loop"), study.conditions, bench)
+    bench = tuple(name for name in given.nuisance if name in NUISANCES)
+    model = Midline(study.design, -torque, _observation(study, given, "loop"), study.conditions, bench)
     return _made(study, "loop", model, sd, "angle", units, data, items)
 
 
-def _frequencies(study: Study, asked: Identification, measured: Measured | None) -> Problem:
-    observation = _observation(study, asked, "frequencies")
-    start = {name: np.broadcast_to(float(t.middle), t.shape) for name, t in asked.prior(study.tolerances).items()}
+def _frequencies(study: Study, given: Identification, measured: Measured | None) -> Problem:
+    observation = _observation(study, given, "frequencies")
+    start = {name: np.broadcast_to(float(t.middle), t.shape) for name, t in given.prior(study.tolerances).items()}
     units: tuple[str, ...] = ()
     items: tuple[tuple[Tones, ...], ...] = ()
     data: list[Seen] = []
@@ -327,7 +327,7 @@ def _frequencies(study: Study, asked: Identification, measured: Measured | None)
         nominal = observation.predict(study.design, study.design.error_record(), study.conditions)
         found = np.asarray(nominal[0])
         frequency = found[found > 0]
-        sd: PyTree = asked.noise
+        sd: PyTree = given.noise
     else:
         tones = [item for item in measured.items if isinstance(item, Tones)]
         units = tuple(tone.at.unit for tone in tones)
@@ -337,11 +337,11 @@ def _frequencies(study: Study, asked: Identification, measured: Measured | None)
         frequency, items = np.mean([tone.frequency for tone in tones], axis=0), tuple((tone,) for tone in tones)
         data = [{"frequency": tone.frequency} for tone in tones]
         own = np.sqrt(np.mean([tone.sd**2 for tone in tones], axis=0))
-        if asked.noise is None and np.any(np.isnan(own)):
+        if given.noise is None and np.any(np.isnan(own)):
             raise ValueError(
                 f"{tones[0].source}: no column 'sd [Hz]' for identify.noise = 'floor'; add it or give a number"
             )
-        sd = {"frequency": np.where(np.isnan(own), asked.noise, own)} if not np.all(np.isnan(own)) else asked.noise
+        sd = {"frequency": np.where(np.isnan(own), given.noise, own)} if not np.all(np.isnan(own)) else given.noise
     try:
         model = frequency_model(observation, study.design, study.conditions, frequency, start)
     except ValueError as error:

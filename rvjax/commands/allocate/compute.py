@@ -7,17 +7,17 @@ from rvjax.commands.allocate.inputs import Inputs
 from rvjax.commands.speak import READING, WRITING
 
 
-def phases(asked: Inputs) -> dict[str, float]:
+def phases(inputs: Inputs) -> dict[str, float]:
     """Phases of the command with their seconds.
 
     Args:
-        asked: what is computed.
+        inputs: what is computed.
     """
-    return forecast.phases_of(asked.study, READING, WRITING) if asked.kept is None else {}
+    return forecast.phases_of(inputs.study, READING, WRITING) if inputs.kept is None else {}
 
 
-def compute(asked: Inputs) -> Answer | None:
+def compute(inputs: Inputs) -> Answer | None:
     """Compute the result and solve the unit without errors; None if the result is stored."""
-    if asked.kept is not None:
+    if inputs.kept is not None:
         return None
-    return answer.answer(asked.study, progress=not asked.quiet, memo=asked.memo, measure=asked.measure)
+    return answer.answer(inputs.study, progress=not inputs.quiet, memo=inputs.memo, measure=inputs.measure)

@@ -45,14 +45,14 @@ def inputs(options: argparse.Namespace) -> Inputs:
     Raises:
         ValueError: one line that names the option or the key.
     """
-    asked = study.load(options.study, solve=False)
-    if asked.costly:
+    loaded = study.load(options.study, solve=False)
+    if loaded.costly:
         share_cores(1)
-    found = None if options.fresh else kept.folder(asked, options.results)
+    found = None if options.fresh else kept.folder(loaded, options.results)
     if found is not None:
-        return Inputs(asked, found, None, None, True)
-    folder = results_folder(options.results, asked.name)
-    forewarn(asked)
-    memo = kept.memo(asked, folder)
+        return Inputs(loaded, found, None, None, True)
+    folder = results_folder(options.results, loaded.name)
+    forewarn(loaded)
+    memo = kept.memo(loaded, folder)
     options.begun = lambda: memo.folder if memo and memo.folder.exists() else None
-    return Inputs(asked, None, folder, memo, options.quiet, not options.no_whole)
+    return Inputs(loaded, None, folder, memo, options.quiet, not options.no_whole)

@@ -13,7 +13,7 @@ from rvjax.commands.allocate.answer import Answer
 from rvjax.commands.allocate.figures import figures
 from rvjax.commands.allocate.inputs import Inputs
 from rvjax.commands.allocate.whole import whole_text
-from rvjax.commands.cells import assumed_text, failures_text, judged, limit_text, limits_data, limits_of, share
+from rvjax.commands.cells import assumed_text, evaluated, failures_text, limit_text, limits_data, limits_of, share
 from rvjax.outputs import Output
 from rvjax.render import (
     CSV,
@@ -44,20 +44,20 @@ MOVED = "middles moved"
 NOT_IN_FILE, IN_FILE = EVERYWHERE - {CSV}, frozenset({CSV})
 
 
-def report(asked: Inputs, found: Answer | None) -> Report:
+def report(inputs: Inputs, found: Answer | None) -> Report:
     """Report on a result, computed or read from a results folder.
 
     Args:
-        asked: inputs of the command.
+        inputs: inputs of the command.
         found: its result, None where a folder keeps it.
     """
     if found is not None:
         return report_on(found)
-    place = asked.kept
+    place = inputs.kept
     assert place is not None
     said = f"Unchanged since {place} was written, which contains this result; --fresh recomputes it."
     return Report(
-        title=asked.study.name,
+        title=inputs.study.name,
         content=(Note((place / "summary.txt").read_text("utf-8") + said),),
         ok=kept.status(place) == "OPTIMAL",
         data=json.loads((place / "result.json").read_text()) | {"results": str(place)},
@@ -282,7 +282,7 @@ def requirement_table(answer: Answer) -> Table:
     for name, requirement in study.requirements.items():
         output = study.output(name)
         verdicts = [side.verdicts[name] for side in (answer.certificate_before, allocation.certificate)]
-        cells = [judged(verdict, output) for verdict in verdicts]
+        cells = [evaluated(verdict, output) for verdict in verdicts]
         figure_unit = output.shown[0] if verdicts[0].kind == "response" else "-"
         goal = getattr(requirement, requirement.goal) if requirement.goal else None
         row: list[Cell] = [
@@ -293,7 +293,7 @@ def requirement_table(answer: Answer) -> Table:
             goal,
         ]
         row += [requirement.text(), figure_unit, *cells, verdicts[1].met, (allocation.multipliers[name], output)]
-        row += [judged(graded.certificate.verdicts[name], output)] if graded else []
+        row += [evaluated(graded.certificate.verdicts[name], output)] if graded else []
         rows.append([*row, verdicts[1].met])
     return Table("requirements", columns, rows)
 

@@ -92,19 +92,19 @@ class Assembled:
     prices: tuple[Price, ...] = ()
 
 
-def phases(asked: Inputs) -> dict[str, float]:
+def phases(inputs: Inputs) -> dict[str, float]:
     """Phases of the command; their times are not known before.
 
     Args:
-        asked: what is computed.
+        inputs: what is computed.
     """
-    return dict.fromkeys((READING, MATCHING, *([PRICING] if asked.prices else []), WRITING), 0.0)
+    return dict.fromkeys((READING, MATCHING, *([PRICING] if inputs.prices else []), WRITING), 0.0)
 
 
-def compute(asked: Inputs) -> Assembled:
+def compute(inputs: Inputs) -> Assembled:
     """Compute the plan, and prices if required."""
-    study, how = asked.study, table_of(asked.study)
-    parts = bench(study, asked.source)
+    study, how = inputs.study, table_of(inputs.study)
+    parts = bench(study, inputs.source)
     progress.begin(MATCHING)
     plan = assembly.plan(
         parts.response,
@@ -120,7 +120,7 @@ def compute(asked: Inputs) -> Assembled:
     if plan.status == "INFEASIBLE":
         study.check_nominal()  # the message is clearer if this unit fails too
     found = Assembled(parts, plan)
-    if not asked.prices:
+    if not inputs.prices:
         return found
     progress.begin(PRICING)
     return dataclasses.replace(found, prices=tuple(prices(study, parts)))

@@ -22,14 +22,14 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-def report(asked: Inputs, found: Assembled) -> Report:
+def report(inputs: Inputs, found: Assembled) -> Report:
     """The report on a plan.
 
     Args:
-        asked: inputs of the command.
+        inputs: inputs of the command.
         found: its result.
     """
-    study, plan, parts = asked.study, found.plan, found.parts
+    study, plan, parts = inputs.study, found.plan, found.parts
     output = study.output(parts.name)
     unit: Mapping[str, PyTree] = {"unit": output.unit, "read_in": output.read_in}
     gain = Quantity.of(plan.gain, **unit)
@@ -53,7 +53,7 @@ def report(asked: Inputs, found: Assembled) -> Report:
         data=about
         | {"requirement": parts.requirement, "prices": found.prices}
         | {f.name: getattr(plan, f.name) for f in dataclasses.fields(plan)},
-        files={"study.toml": study.text.encode(), "parts.csv": Path(asked.source).read_bytes()},
+        files={"study.toml": study.text.encode(), "parts.csv": Path(inputs.source).read_bytes()},
     )
 
 

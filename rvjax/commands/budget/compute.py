@@ -94,25 +94,27 @@ class Budget:
         return {name: value / total if total > 0 else 0.0 for name, value in sums.items()}
 
 
-def phases(asked: Inputs) -> dict[str, float]:
+def phases(inputs: Inputs) -> dict[str, float]:
     """Phases of the command; their times are not known before.
 
     Args:
-        asked: what is computed.
+        inputs: what is computed.
     """
     return dict.fromkeys((READING, COUNTED, WRITING), 0.0)
 
 
-def compute(asked: Inputs) -> Budget | ScalarBudget:
+def compute(inputs: Inputs) -> Budget | ScalarBudget:
     """The budget of the tolerances of the study."""
-    asked.study.check_nominal()
+    inputs.study.check_nominal()
     phase.begin(COUNTED)
-    named = tuple(asked.study.requirements) if asked.output is None else (asked.output,)
-    if set(named) <= set(asked.study.requirements) and curve_along(asked.study, named) is None:
-        if asked.loads:
+    named = tuple(inputs.study.requirements) if inputs.output is None else (inputs.output,)
+    if set(named) <= set(inputs.study.requirements) and curve_along(inputs.study, named) is None:
+        if inputs.loads:
             raise ValueError(f"--torque: {named[0]} has no curve along the output; its torque is that of the study")
-        return scalar_budget(asked.study, named[0], samples=asked.samples, seed=asked.seed)
-    return error_budget(asked.study, output=asked.output, loads=asked.loads, samples=asked.samples, seed=asked.seed)
+        return scalar_budget(inputs.study, named[0], samples=inputs.samples, seed=inputs.seed)
+    return error_budget(
+        inputs.study, output=inputs.output, loads=inputs.loads, samples=inputs.samples, seed=inputs.seed
+    )
 
 
 def error_budget(

@@ -17,14 +17,14 @@ ORDERS_SHOWN = 8  # of the output turn, the largest
 NOTHING = 1e-20  # of the mean square: rounding
 
 
-def report(asked: Inputs, found: Budget | ScalarBudget) -> Report:
+def report(inputs: Inputs, found: Budget | ScalarBudget) -> Report:
     """The report on a budget.
 
     Args:
-        asked: inputs of the command.
+        inputs: inputs of the command.
         found: its result.
     """
-    return report_on_scalar(found, asked.study) if isinstance(found, ScalarBudget) else report_on(found, asked.study)
+    return report_on_scalar(found, inputs.study) if isinstance(found, ScalarBudget) else report_on(found, inputs.study)
 
 
 def report_on(budget: Budget, study: Study) -> Report:

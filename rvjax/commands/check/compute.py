@@ -26,9 +26,9 @@ class Checked:
     levels: dict[str, Choice]
 
 
-def compute(asked: Inputs) -> Checked:
+def compute(inputs: Inputs) -> Checked:
     """Compute the derived values of a study."""
-    question = asked.study
+    question = inputs.study
     return Checked(list(facts_of(question.design)), _magnitudes(question), choices(question))
 
 

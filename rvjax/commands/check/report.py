@@ -12,18 +12,18 @@ from rvjax.render import Figure, Limits, Note, Report, Table, Text
 from rvjax.study import Study, numbers
 
 
-def report(asked: Inputs, found: Checked) -> Report:
+def report(inputs: Inputs, found: Checked) -> Report:
     """The report on a study.
 
     Args:
-        asked: inputs of the command.
+        inputs: inputs of the command.
         found: its result.
     """
     return Report(
-        title=f"{asked.study.name}: check",
-        content=tuple(_content(asked.study, found)),
-        data=_data(asked.study, found),
-        exports={asked.picture: drawing(asked.study.design).content()} if asked.picture else {},
+        title=f"{inputs.study.name}: check",
+        content=tuple(_content(inputs.study, found)),
+        data=_data(inputs.study, found),
+        exports={inputs.picture: drawing(inputs.study.design).content()} if inputs.picture else {},
     )
 
 

@@ -119,28 +119,28 @@ class Comparison:
     crossed: dict[str, Crossed]
 
 
-def phases(asked: Inputs) -> dict[str, float]:
+def phases(inputs: Inputs) -> dict[str, float]:
     """Phases of the command with their seconds.
 
     Args:
-        asked: what is computed.
+        inputs: what is computed.
     """
-    if asked.study is None:
+    if inputs.study is None:
         return {}
-    seconds = 5.0 + (forecast.unit_seconds(asked.study) or 0.0) * (asked.samples or asked.study.certificate_samples)
-    return dict.fromkeys(map(_drawing, asked.answers), seconds)
+    seconds = 5.0 + (forecast.unit_seconds(inputs.study) or 0.0) * (inputs.samples or inputs.study.certificate_samples)
+    return dict.fromkeys(map(_drawing, inputs.answers), seconds)
 
 
 def _drawing(letter: str) -> str:
     return f"units of {letter}"
 
 
-def compute(asked: Inputs) -> Comparison:
+def compute(inputs: Inputs) -> Comparison:
     """Compare two results; certify each under the study of --on."""
-    topics = compared(*asked.results.values()) if len(asked.results) == 2 else {}
+    topics = compared(*inputs.results.values()) if len(inputs.results) == 2 else {}
     found = {}
-    for letter, (_, tolerances) in asked.answers.items():
+    for letter, (_, tolerances) in inputs.answers.items():
         progress.begin(_drawing(letter))
-        assert asked.study is not None
-        found[letter] = crossed(asked.study, tolerances, samples=asked.samples)
+        assert inputs.study is not None
+        found[letter] = crossed(inputs.study, tolerances, samples=inputs.samples)
     return Comparison(topics, found)

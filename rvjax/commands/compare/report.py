@@ -4,7 +4,7 @@ import dataclasses
 import math
 from collections.abc import Mapping
 
-from rvjax.commands.cells import failures_text, judged, limit_text, limits_data, limits_of, share
+from rvjax.commands.cells import evaluated, failures_text, limit_text, limits_data, limits_of, share
 from rvjax.commands.compare.compute import Comparison, Crossed
 from rvjax.commands.compare.inputs import Inputs
 from rvjax.records import PyTree
@@ -14,25 +14,25 @@ from rvjax.study import Study, numbers, shown
 NEAR = 1e-9  # relative: numbers of two designs that are equal
 
 
-def report(asked: Inputs, found: Comparison) -> Report:
+def report(inputs: Inputs, found: Comparison) -> Report:
     """The report on a comparison.
 
     Args:
-        asked: inputs of the command.
+        inputs: inputs of the command.
         found: its result.
     """
-    paths = Note("\n".join(f"{letter}: {path}" for letter, path in asked.paths.items()))
+    paths = Note("\n".join(f"{letter}: {path}" for letter, path in inputs.paths.items()))
     content: list[Content] = [paths, *(_topic(topic, rows) for topic, rows in found.topics.items())]
     data: dict[str, object] = dict(found.topics)
-    if asked.study is not None:
-        own = {letter: answer for letter, (answer, _) in asked.answers.items()}
+    if inputs.study is not None:
+        own = {letter: answer for letter, (answer, _) in inputs.answers.items()}
         content += [
-            Note(f"On {asked.study.name}:"),
-            _yields(asked.study, found.crossed),
-            _tolerances(asked.study, found.crossed),
+            Note(f"On {inputs.study.name}:"),
+            _yields(inputs.study, found.crossed),
+            _tolerances(inputs.study, found.crossed),
             Note("\n".join(_explained(found.crossed, own))),
         ]
-        data["on"] = _data(asked.study, found.crossed, own)
+        data["on"] = _data(inputs.study, found.crossed, own)
     return Report("Comparison", tuple(content), data=data)
 
 
@@ -74,7 +74,7 @@ def _yields(study: Study, found: dict[str, Crossed]) -> Table:
         row: list[Cell] = [name, limit_text(requirement, output), requirement.text()]
         for one in found.values():
             verdict = one.statistics.verdicts[name]
-            row += [judged(verdict, output), "met" if verdict.met else "not met"]
+            row += [evaluated(verdict, output), "met" if verdict.met else "not met"]
         rows.append(row)
     joint = [each for one in found.values() if (each := one.statistics.joint_yield) is not None]
     if len(joint) == len(found):  # none where no requirement limits single units

@@ -63,22 +63,22 @@ class Corrections:
     tables: tuple[Table, ...] = ()
 
 
-def phases(asked: Inputs) -> dict[str, float]:
+def phases(inputs: Inputs) -> dict[str, float]:
     """Phases of the command; their times are not known before.
 
     Args:
-        asked: what is computed.
+        inputs: what is computed.
     """
     return dict.fromkeys((READING, CORRECTING, WRITING), 0.0)
 
 
-def compute(asked: Inputs) -> Corrections:
+def compute(inputs: Inputs) -> Corrections:
     """Corrections of all curves and their tables."""
     progress.begin(CORRECTING)
     found = corrections(
-        asked.study, asked.data, angle_sd=asked.angle_sd, count=asked.count, first_order=asked.first_order
+        inputs.study, inputs.data, angle_sd=inputs.angle_sd, count=inputs.count, first_order=inputs.first_order
     )
-    made = (table(c.correction, max(asked.points, _least(c.correction)), side=asked.side) for c in found.curves)
+    made = (table(c.correction, max(inputs.points, _least(c.correction)), side=inputs.side) for c in found.curves)
     return dataclasses.replace(found, tables=tuple(made))
 
 

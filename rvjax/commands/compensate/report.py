@@ -18,19 +18,19 @@ ARCSEC: dict[str, PyTree] = {"unit": "rad", "read_in": "arcsec"}
 BRIEF: dict[str, PyTree] = {"form": ".3g", **ARCSEC}
 
 
-def report(asked: Inputs, found: Corrections) -> Report:
+def report(inputs: Inputs, found: Corrections) -> Report:
     """The report on corrections.
 
     Args:
-        asked: inputs of the command.
+        inputs: inputs of the command.
         found: its result.
     """
-    study, curves = asked.study, found.curves
+    study, curves = inputs.study, found.curves
     left = [predicted(curve.correction, seed=study.seed) for curve in curves]
     noise = max(curve.found.residual_sd for curve in curves)
     head = f"Compensation {study.name}: ratio {curves[0].correction.ratio:g}, arcsec at the output"
     rest = f"Besides the orders the curves contain {noise / arcsec:.3g} arcsec (rms) that no table corrects."
-    paths = [] if asked.export is None else _paths(asked.export, curves)
+    paths = [] if inputs.export is None else _paths(inputs.export, curves)
     return Report(
         title=f"{study.name}: compensation",
         content=(
@@ -42,8 +42,8 @@ def report(asked: Inputs, found: Corrections) -> Report:
             _orders(curves),
             *(_figure(curve, end) for curve, end in zip(curves, _ends(curves))),
         ),
-        data=_data(asked, found, left),
-        files={"study.toml": study.text.encode(), "data.csv": Path(asked.data).read_bytes()}
+        data=_data(inputs, found, left),
+        files={"study.toml": study.text.encode(), "data.csv": Path(inputs.data).read_bytes()}
         | {f"table{end}.csv": exported(rows, ".csv") for rows, end in zip(found.tables, _ends(curves))},
         exports={path: exported(rows, path.suffix, seed=study.seed) for path, rows in zip(paths, found.tables)},
         told={"tables": list(map(str, paths))},
@@ -121,7 +121,7 @@ def _orders(curves: Sequence[Curve]) -> Table:
     return Table("orders", columns, rows, on=frozenset({CSV}))
 
 
-def _data(asked: Inputs, found: Corrections, left: Sequence[Left]) -> dict[str, object]:
+def _data(inputs: Inputs, found: Corrections, left: Sequence[Left]) -> dict[str, object]:
     curves = [
         {
             "unit": curve.run.at.unit,
@@ -138,7 +138,7 @@ def _data(asked: Inputs, found: Corrections, left: Sequence[Left]) -> dict[str, 
         }
         for curve, rows, stays in zip(found.curves, found.tables, left)
     ]
-    about = {"study": asked.study.name, "seed": asked.study.seed, "versions": versions()}
+    about = {"study": inputs.study.name, "seed": inputs.study.seed, "versions": versions()}
     return about | {"ratio": found.curves[0].correction.ratio, "curves": curves}
 
 

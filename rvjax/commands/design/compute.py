@@ -158,36 +158,36 @@ class Designed:
     front: list[Point]
 
 
-def phases(asked: Inputs) -> dict[str, float]:
+def phases(inputs: Inputs) -> dict[str, float]:
     """Phases of the command with their seconds.
 
     Args:
-        asked: what is computed.
+        inputs: what is computed.
     """
-    once = 60.0 if asked.study.costly else 15.0
-    more = {} if asked.alone else {STEPS: once, UNSCALED: once}
-    return {READING: 6.0, JOINT: once} | more | ({TRADE: once * asked.front} if asked.front else {}) | {WRITING: 10.0}
+    once = 60.0 if inputs.study.costly else 15.0
+    more = {} if inputs.alone else {STEPS: once, UNSCALED: once}
+    return {READING: 6.0, JOINT: once} | more | ({TRADE: once * inputs.front} if inputs.front else {}) | {WRITING: 10.0}
 
 
-def compute(asked: Inputs) -> Designed:
+def compute(inputs: Inputs) -> Designed:
     """All optima that the options require."""
-    study, laws = asked.study, laws_of(asked.study.design, asked.study.variables, asked.study.given)
-    memo = asked.memo
+    study, laws = inputs.study, laws_of(inputs.study.design, inputs.study.variables, inputs.study.given)
+    memo = inputs.memo
     progress.begin(JOINT)
-    joint = _optimum(asked, study.variables, memo=memo)
+    joint = _optimum(inputs, study.variables, memo=memo)
     two_step, fixed, unscaled, front = None, dict[str, float](), None, list[Point]()
-    if not asked.alone:
+    if not inputs.alone:
         progress.begin(STEPS)
         fixed = geometry_first(study)
         held = {path: _fixed(item, fixed[path]) if path in fixed else item for path, item in study.variables.items()}
-        two_step = _optimum(asked, held, memo=memo)
+        two_step = _optimum(inputs, held, memo=memo)
         if any(law.name != "gears" for law, _ in laws):
             progress.begin(UNSCALED)
-            unscaled = _optimum(asked, _from(study.variables, joint), similar=False, memo=memo)
-    if asked.front and joint.found.feasible:
+            unscaled = _optimum(inputs, _from(study.variables, joint), similar=False, memo=memo)
+    if inputs.front and joint.found.feasible:
         progress.begin(TRADE)
         near = _from(study.variables, joint)
-        front = [_optimum(asked, near, factor=factor, memo=memo) for factor in _factors(asked.front)]
+        front = [_optimum(inputs, near, factor=factor, memo=memo) for factor in _factors(inputs.front)]
     return Designed(joint, _outputs(study, {}), two_step, fixed, unscaled, laws, front)
 
 
@@ -208,9 +208,9 @@ def _from(variables: Mapping[str, Variable], point: Point) -> dict[str, Variable
 
 
 def _optimum(
-    asked: Inputs, variables: Mapping[str, Variable], *, similar: bool = True, factor: float = 1.0, memo: Memo | None
+    inputs: Inputs, variables: Mapping[str, Variable], *, similar: bool = True, factor: float = 1.0, memo: Memo | None
 ) -> Point:
-    study, units = asked.study, asked.study.certificate_samples
+    study, units = inputs.study, inputs.study.certificate_samples
     if memo is not None and not similar:
         memo = memo.apart("without scaling laws")  # the same numbers of a design mean another reducer
     try:
@@ -227,7 +227,7 @@ def _optimum(
             certificate_samples=units if factor == 1 else min(units, FRONT_SAMPLES),
             joint_target=study.joint_target,
             memo=memo,
-            progress=not asked.quiet,
+            progress=not inputs.quiet,
         )
     except ValueError as error:
         raise StudyError(f"{study.name}: {error}") from None

@@ -47,18 +47,18 @@ def inputs(options: argparse.Namespace) -> Inputs:
     Raises:
         ValueError: one line that names the option or the key.
     """
-    asked = study.load(options.study, solve=False)
-    if not asked.variables:
-        raise StudyError(f'{asked.name}: [variable] is missing; add one, such as [variable."cycloid.eccentricity"]')
+    loaded = study.load(options.study, solve=False)
+    if not loaded.variables:
+        raise StudyError(f'{loaded.name}: [variable] is missing; add one, such as [variable."cycloid.eccentricity"]')
     if options.front is not None and not 0 <= options.front <= MOST:
         raise ValueError(f"--front {options.front}: must lie between 0 and {MOST}")
-    asked.design_response()  # raises an error for what these conditions cannot give
-    if asked.costly:
+    loaded.design_response()  # raises an error for what these conditions cannot give
+    if loaded.costly:
         share_cores(1)
-    usual = 0 if asked.costly else FRONT
-    front = 0 if options.alone or not asked.objective else usual if options.front is None else options.front
-    folder = results_folder(options.results, f"{asked.name}-design")
-    forewarn(asked)
-    memo = kept.memo(asked, folder)
+    usual = 0 if loaded.costly else FRONT
+    front = 0 if options.alone or not loaded.objective else usual if options.front is None else options.front
+    folder = results_folder(options.results, f"{loaded.name}-design")
+    forewarn(loaded)
+    memo = kept.memo(loaded, folder)
     options.begun = lambda: memo.folder if memo and memo.folder.exists() else None
-    return Inputs(asked, front, options.alone, folder, memo, options.quiet)
+    return Inputs(loaded, front, options.alone, folder, memo, options.quiet)

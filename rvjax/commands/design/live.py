@@ -77,12 +77,12 @@ def data(study: Study, found: Designed) -> dict[str, Any]:
         "fields": fields,
         "cost": joint.cost,
         "other_cost": 0.0,
-        "units": [_judged(study, found, sliders, name) for name in study.requirements if name in joint.margins],
+        "units": [_distance(study, found, sliders, name) for name in study.requirements if name in joint.margins],
         "nominal": _nominal(study, found, sliders),
     }
 
 
-def _judged(study: Study, found: Designed, sliders: list[dict[str, Any]], name: str) -> dict[str, Any]:
+def _distance(study: Study, found: Designed, sliders: list[dict[str, Any]], name: str) -> dict[str, Any]:
     """Distance of a requirement from its limit, and its slopes."""
     joint, output = found.joint.found, study.output(name)
     unit, size = output.shown

@@ -8,7 +8,7 @@ from typing import Any
 import jax.numpy as jnp
 
 from rvjax.commands.allocate import shortfall_text
-from rvjax.commands.cells import assumed_text, failures_text, judged, limit_text, limits_data, limits_of, share
+from rvjax.commands.cells import assumed_text, evaluated, failures_text, limit_text, limits_data, limits_of, share
 from rvjax.commands.design import live
 from rvjax.commands.design.compute import Designed, Point
 from rvjax.commands.design.figures import figures
@@ -33,14 +33,14 @@ from rvjax.study import Study, fields_of, number_at, outside, shown
 from rvjax.units import readable
 
 
-def report(asked: Inputs, found: Designed) -> Report:
+def report(inputs: Inputs, found: Designed) -> Report:
     """The report on an optimum of design and tolerances.
 
     Args:
-        asked: inputs of the command.
+        inputs: inputs of the command.
         found: its result.
     """
-    study, joint = asked.study, found.joint.found
+    study, joint = inputs.study, found.joint.found
     certificate = joint.certificate
     fresh = f"Certificate: {certificate.samples:,} independent units, {failures_text(certificate)}"
     head = headline(study, found)
@@ -48,12 +48,12 @@ def report(asked: Inputs, found: Designed) -> Report:
         title=f"{study.name}: design and tolerances",
         content=(
             Note(head, frozenset({"text"})),
-            Section("Numbers of the design", (_numbers(study, found), *_named(asked, found, "section"))),
+            Section("Numbers of the design", (_numbers(study, found), *_named(inputs, found, "section"))),
             Section("Tolerances", (_tolerances(study, found),)),
             Section("Requirements", (*_requirements(study, found), Note(fresh))),
             Section("Prices in one currency", (prices(study, found),)),
             *((live.block(),) if joint.margins else ()),
-            Section("Other optima", (*_others(study, found), *_named(asked, found, "front"))),
+            Section("Other optima", (*_others(study, found), *_named(inputs, found, "front"))),
             Section("Scaling laws", tuple(_laws(study, found))),
             Note("\n".join(_notes(study, found))),
         ),
@@ -74,8 +74,8 @@ def report(asked: Inputs, found: Designed) -> Report:
     )
 
 
-def _named(asked: Inputs, found: Designed, name: str) -> Iterator[Any]:
-    yield from (figure for figure in figures(asked.study, found) if figure.name == name)
+def _named(inputs: Inputs, found: Designed, name: str) -> Iterator[Any]:
+    yield from (figure for figure in figures(inputs.study, found) if figure.name == name)
 
 
 def headline(study: Study, found: Designed) -> str:
@@ -190,7 +190,7 @@ def _requirements(study: Study, found: Designed) -> Iterator[Table]:
         verdict = joint.certificate.verdicts[name]
         met = "yes" if verdict.met else "no"
         price = limit_price(study, found.joint, name)
-        said = [limit_text(requirement, output), requirement.text(), judged(verdict, output)]
+        said = [limit_text(requirement, output), requirement.text(), evaluated(verdict, output)]
         rows.append([Titled(name, output.meaning), *said, met, price])
     yield Table("requirements", columns, rows)
     if names := study.without_errors:

@@ -83,21 +83,21 @@ class Identified:
         return [name for name in self.check.names if self.check.resolution[name] < WITHOUT]
 
 
-def phases(asked: Inputs) -> dict[str, float]:
+def phases(inputs: Inputs) -> dict[str, float]:
     """Phases of the command; their times are not known before.
 
     Args:
-        asked: what is computed.
+        inputs: what is computed.
     """
-    coming = (SEEING, RANKING) if asked.check else (SEEING, FITTING, RANKING, WRITING)
+    coming = (SEEING, RANKING) if inputs.check else (SEEING, FITTING, RANKING, WRITING)
     return dict.fromkeys((READING, *coming), 0.0)
 
 
-def compute(asked: Inputs) -> "Identified":
+def compute(inputs: Inputs) -> "Identified":
     """Identify what the data can distinguish, and most probable values if there are data."""
-    if asked.check or asked.data is None:
-        return check(asked.study, asked.data)
-    return answer(asked.study, asked.data, draws=asked.sample)
+    if inputs.check or inputs.data is None:
+        return check(inputs.study, inputs.data)
+    return answer(inputs.study, inputs.data, draws=inputs.sample)
 
 
 def check(study: Study, measured: Measured | None = None) -> Identified:
@@ -111,9 +111,9 @@ def check(study: Study, measured: Measured | None = None) -> Identified:
         ValueError: as `rvjax.study.inverse_problem`.
     """
     progress.begin(SEEING)
-    asked = inverse_problem(study, measured)
-    everything = with_candidates(asked)
-    return Identified(asked, _seen(asked, everything), gains=_gains(asked, everything, None))
+    case = inverse_problem(study, measured)
+    everything = with_candidates(case)
+    return Identified(case, _seen(case, everything), gains=_gains(case, everything, None))
 
 
 def answer(study: Study, measured: Measured, *, draws: bool = False) -> Identified:
@@ -128,52 +128,54 @@ def answer(study: Study, measured: Measured, *, draws: bool = False) -> Identifi
         ValueError: as `rvjax.study.inverse_problem`; draws of a batch.
     """
     progress.begin(SEEING)
-    asked = inverse_problem(study, measured)
-    everything = with_candidates(asked)
-    seen = _seen(asked, everything)
+    case = inverse_problem(study, measured)
+    everything = with_candidates(case)
+    seen = _seen(case, everything)
     progress.begin(FITTING)
-    options: dict[str, PyTree] = dict(noise=asked.noise, nuisance=asked.nuisance, seed=study.seed)
-    if len(asked.units) > 1 or asked.asked.shared:
+    options: dict[str, PyTree] = dict(noise=case.noise, nuisance=case.nuisance, seed=study.seed)
+    if len(case.units) > 1 or case.identification.shared:
         if draws:
-            raise ValueError(f"--sample: {len(asked.units)} units; sample one at a time")
-        batch = identify.solve_many(asked.model, asked.prior, asked.stacked(), shared=asked.asked.shared, **options)
-        return Identified(asked, seen, batch=batch, gains=_gains(asked, everything, None))
-    starts = 16 if "phase" in asked.nuisance else 8
-    found = identify.solve(asked.model, asked.prior, asked.data[0], starts=starts, **options)
+            raise ValueError(f"--sample: {len(case.units)} units; sample one at a time")
+        batch = identify.solve_many(
+            case.model, case.prior, case.stacked(), shared=case.identification.shared, **options
+        )
+        return Identified(case, seen, batch=batch, gains=_gains(case, everything, None))
+    starts = 16 if "phase" in case.nuisance else 8
+    found = identify.solve(case.model, case.prior, case.data[0], starts=starts, **options)
     return Identified(
-        asked,
+        case,
         seen,
         posterior=found,
         draws=identify.sample(found, seed=study.seed) if draws else None,
-        gains=_gains(asked, everything, found),
-        bands=_bands(asked, found) if asked.kind == "curve" and found.status not in ("NONFINITE", "MAX_STEPS") else (),
+        gains=_gains(case, everything, found),
+        bands=_bands(case, found) if case.kind == "curve" and found.status not in ("NONFINITE", "MAX_STEPS") else (),
     )
 
 
-def _seen(asked: Problem, everything: Wide) -> identify.Identifiability:
+def _seen(case: Problem, everything: Wide) -> identify.Identifiability:
     return identify.identifiability(
-        everything.model, asked.prior, noise=everything.noise, nuisance=asked.nuisance
+        everything.model, case.prior, noise=everything.noise, nuisance=case.nuisance
     )  # fmt: skip
 
 
-def _gains(asked: Problem, everything: Wide, given: identify.Posterior | None) -> dict[str, float]:
+def _gains(case: Problem, everything: Wide, given: identify.Posterior | None) -> dict[str, float]:
     """Gain of each candidate, best first: over the posterior, or over the runs of the study."""
     progress.begin(RANKING)
     if not everything.added or (given is not None and not given.modes):
         return {}
     noise = everything.again if given is not None else everything.added | {"": everything.noise}
     models = dict.fromkeys(noise, everything.model)
-    found = identify.rank_measurements(asked.prior, models, noise=noise, nuisance=asked.nuisance, given=given).gains
+    found = identify.rank_measurements(case.prior, models, noise=noise, nuisance=case.nuisance, given=given).gains
     gains = {name: float(found[name] - found.get("", 0.0)) for name in everything.added}
     return {name: gains[name] for name in sorted(gains, key=lambda name: -gains[name])}
 
 
-def _bands(asked: Problem, found: identify.Posterior) -> tuple[Band, ...]:
+def _bands(case: Problem, found: identify.Posterior) -> tuple[Band, ...]:
     """Compare the measured runs with the identified unit, over a few pitches of the ring.
 
     The band is that of Laplace's method: an observation is linear in u about the mode, a curve in its observation.
     """
-    study, orders = asked.study, asked.asked.orders
+    study, orders = case.study, case.identification.orders
     peak, layout = found.peaks[0], found.problem.layout
     mean = layout.tree(peak.observation)
     # One row for each independent number behind u, as changes of the observation.
@@ -181,14 +183,14 @@ def _bands(asked: Problem, found: identify.Posterior) -> tuple[Band, ...]:
     changes = layout.tree(np.ascontiguousarray(slopes.T))
     angle = np.linspace(0, 2 * np.pi * PITCHES / study.design.cycloid.pin_count, POINTS)
     wave = np.exp(1j * np.outer(orders, angle))
-    offset = "offset" in asked.nuisance
+    offset = "offset" in case.nuisance
 
     def curve(seen: Mapping[str, PyTree], r: int) -> np.ndarray:
         rows = np.stack([np.asarray(seen[order_name(k)])[..., r] for k in orders], axis=-1)
         return np.real(rows @ wave) + (np.asarray(seen["mean"])[..., r, None] if offset else 0.0)
 
     bands = []
-    for r, run in enumerate(asked.items[0]):
+    for r, run in enumerate(case.items[0]):
         assert isinstance(run, Run)
         value, half = curve(mean, r), 1.96 * np.sqrt(np.sum(curve(changes, r) ** 2, axis=0))
         fitted = identify.orders(run.angle, run.error, sorted({1, *orders}))

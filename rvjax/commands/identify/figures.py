@@ -23,15 +23,15 @@ SIDES = np.array([-1.959964, 1.959964])  # of a 95 % interval
 
 def figures(found: Identified) -> Iterator[Figure]:
     """The plots of an identification; none of a check or a batch."""
-    posterior, asked = found.posterior, found.problem
+    posterior, inputs = found.posterior, found.problem
     if posterior is None:
         return
     for k, band in enumerate(found.bands[:RUNS], 1):
         caption = f"Measured and identified transmission error, {band.run.at.text()}"
         yield Figure(f"curve_{k}", caption, partial(_curve, band))
-    if asked.kind == "curve":
+    if inputs.kind == "curve":
         yield Figure("orders", "Residual of each order, and the noise", partial(_orders, found))
-    if asked.kind == "loop" and isinstance(loop := asked.items[0][0], Loop):
+    if inputs.kind == "loop" and isinstance(loop := inputs.items[0][0], Loop):
         curves = loop.torque, loop.midline, loop.width, np.asarray(posterior.prediction["angle"])
         draw = lambda: rvjax.plotting.identified.loop(*curves)  # noqa: E731
         yield Figure("loop", "Midline of the measured loop and of the identified unit", draw)
@@ -61,9 +61,9 @@ def _orders(found: Identified) -> "Axes":
 
 
 def _elements(found: Identified) -> "Axes":
-    posterior, asked = found.posterior, found.problem
+    posterior, inputs = found.posterior, found.problem
     assert posterior is not None
-    prior = {name: tolerance for name, tolerance in asked.prior.items() if name not in asked.nuisance}
+    prior = {name: tolerance for name, tolerance in inputs.prior.items() if name not in inputs.nuisance}
     ends = [_at(prior, side) for side in SIDES]
     sides = (posterior.value, posterior.lower, posterior.upper)
     value, lower, upper = (elements({f: side[f] for f in prior}) for side in sides)

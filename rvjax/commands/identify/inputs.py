@@ -39,8 +39,8 @@ def inputs(options: argparse.Namespace) -> Inputs:
         ValueError: one line that names the option, the key or the cell.
     """
     question = study.load(options.study, solve=False)
-    asked = identification_of(question)
-    data = read_measured(options.data, asked.columns) if options.data else None
+    loaded = identification_of(question)
+    data = read_measured(options.data, loaded.columns) if options.data else None
     if data is None and not options.check:
         raise ValueError("no data: name at least one CSV file, or use --check for the identifiability")
     folder = None if options.check else results_folder(options.results, question.name)

@@ -53,23 +53,23 @@ NIL = 1e-4  # share of an interval, or chance, that is rounding
 RUNS = 4  # curves that are plotted
 
 
-def report(asked: Inputs, found: Identified) -> Report:
+def report(inputs: Inputs, found: Identified) -> Report:
     """The report on an identification.
 
     Args:
-        asked: inputs of the command.
+        inputs: inputs of the command.
         found: its result.
     """
-    study, drawn = asked.study, {figure.name: figure for figure in figures(found)}
+    study, drawn = inputs.study, {figure.name: figure for figure in figures(found)}
     mark = {None: "", True: "✔ ", False: "✘ "}[found.adequate]
     title, *more = headline(found).split("\n")
-    command = " ".join(["rvjax identify", *(shlex.quote(name) for name in (asked.source, *asked.paths))])
+    command = " ".join(["rvjax identify", *(shlex.quote(name) for name in (inputs.source, *inputs.paths))])
     return Report(
         title=f"{study.name}: cause of this curve",
         content=tuple(_content(found, drawn)),
         status=f"{mark}{title}",
         ok=found.adequate is not False,
-        data=_data(found) | {"data": asked.paths},
+        data=_data(found) | {"data": inputs.paths},
         files={"study.toml": study.text.encode()},
         page="",
         facts={
@@ -153,7 +153,7 @@ def _seen(found: Identified) -> Note:
 
 def _part_orders(found: Identified) -> tuple[int, ...]:
     """Orders of a curve that no effect of the housing and no head makes."""
-    return part_orders(found.study.design, found.problem.asked.orders) if found.problem.kind == "curve" else ()
+    return part_orders(found.study.design, found.problem.identification.orders) if found.problem.kind == "curve" else ()
 
 
 def _doubts(found: Identified) -> list[str]:
@@ -283,7 +283,7 @@ def _data(found: Identified) -> dict[str, object]:
     check, posterior, batch = found.check, found.posterior, found.batch
     said: dict[str, object] = {
         "study": found.study.name,
-        "model": found.problem.asked.model,
+        "model": found.problem.identification.model,
         "kind": found.problem.kind,
     }
     if posterior is not None:

@@ -20,9 +20,9 @@ QUESTIONS = {"rv": "rv-40e", "oscillatory-roller": "corr"}
 UNASKED = ("inertia", "stiffness", "mesh_variation", "damping", "contact", "bearings")  # its question reads none
 
 
-def compute(asked: Inputs) -> str:
+def compute(inputs: Inputs) -> str:
     """Text of the new study."""
-    return with_variables() if asked.design else written(asked.base)
+    return with_variables() if inputs.design else written(inputs.base)
 
 
 def with_variables() -> str:
@@ -46,9 +46,9 @@ def written(base: str) -> str:
     known: PyTree = BASES[choice(base, BASES, "--base")]
     design = _completed(known) if isinstance(known, RVReducer) else known
     question = (EMBEDDED / f"{QUESTIONS[design.kind]}.toml").read_text("utf-8")
-    asked = question[question.index("[conditions]") :]
+    inputs = question[question.index("[conditions]") :]
     if base in RATED:
-        asked = re.sub(r'output_torque = "[^"]*"', f'output_torque = "{shown(RATED[base], "N m")}"', asked)
+        inputs = re.sub(r'output_torque = "[^"]*"', f'output_torque = "{shown(RATED[base], "N m")}"', inputs)
     unprinted = frozenset(catalogue.assumed(base))
     named = f'kind = "{design.kind}"\n' + "\n".join(_lines(design, known, unprinted))
     head = (
@@ -58,11 +58,11 @@ def written(base: str) -> str:
         '# title = "..."\n# author = "..."\n\n[design]\n'
     )
     try:
-        parse_study(head + named + "\n\n" + asked, name=base, solve=False)
+        parse_study(head + named + "\n\n" + inputs, name=base, solve=False)
     except StudyError as contradiction:  # published so: possible by name alone
         own = "\n".join(_lines(design.cranks, known.cranks, unprinted, "cranks."))
         named = f'base = "{base}" # its published values contradict each other: {contradiction}\n{own}'
-    return head + named + "\n\n" + asked
+    return head + named + "\n\n" + inputs
 
 
 def _completed(design: RVReducer) -> RVReducer:

@@ -6,14 +6,14 @@ from rvjax.commands.init.inputs import Inputs
 from rvjax.render import Report
 
 
-def report(asked: Inputs, found: str) -> Report:
+def report(inputs: Inputs, found: str) -> Report:
     """The report on a new study.
 
     Args:
-        asked: inputs of the command.
+        inputs: inputs of the command.
         found: text of the study.
     """
-    file, base = asked.file, asked.base
+    file, base = inputs.file, inputs.base
     return Report(
         title=file,
         content=(),

@@ -157,11 +157,11 @@ def _wait(workers: Sequence[subprocess.Popen[bytes]], logs: Sequence[Path]) -> N
             raise ValueError(f"process {number + 1} of {len(workers)} ended with {code} {said[-1] if said else ''}")
 
 
-def work(asked: Callable[[], Batch], address: str, number: int, processes: int, target: str) -> None:
+def work(inputs: Callable[[], Batch], address: str, number: int, processes: int, target: str) -> None:
     """One of several processes; the first writes the result.
 
     Args:
-        asked: makes what to run, which may compute and so comes after the processes have found each other.
+        inputs: makes what to run, which may compute and so comes after the processes have found each other.
         address: of the first process.
         number: of this process.
         processes: their number.
@@ -172,7 +172,7 @@ def work(asked: Callable[[], Batch], address: str, number: int, processes: int, 
     threading.Thread(target=_end_with, args=(os.getppid(),), daemon=True).start()
     jax.distributed.initialize(address, num_processes=processes, process_id=number)
     try:
-        batch = asked()
+        batch = inputs()
         found = run(dataclasses.replace(batch, progress=batch.progress and number == 0))
         if number == 0:
             tolerances.save(found, target)

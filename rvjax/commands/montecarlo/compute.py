@@ -27,23 +27,23 @@ class Sampled:
     statistics: Statistics
 
 
-def phases(asked: Inputs) -> dict[str, float]:
+def phases(inputs: Inputs) -> dict[str, float]:
     """Phases of the command with their seconds.
 
     Args:
-        asked: what is computed.
+        inputs: what is computed.
     """
     return {READING: 6.0, COUNTED: 0.0}
 
 
-def compute(asked: Inputs) -> Sampled | None:
+def compute(inputs: Inputs) -> Sampled | None:
     """The statistics, after they are written to the files that options name; None in one of several processes."""
-    options = asked.options
+    options = inputs.options
     if options.worker:
         address, number, processes, target = options.worker
-        batch.work(lambda: _batch(asked), address, int(number), int(processes), target)
+        batch.work(lambda: _batch(inputs), address, int(number), int(processes), target)
         return None
-    wanted = _batch(asked)
+    wanted = _batch(inputs)
     forewarn(wanted.study)
     progress.begin(COUNTED)
     if options.processes == 1:
@@ -51,7 +51,7 @@ def compute(asked: Inputs) -> Sampled | None:
     else:
         text = wanted.study.text
         found = batch.run_in_processes(
-            options.command, options.processes, text=text, table=asked.table, chunk=wanted.chunk
+            options.command, options.processes, text=text, table=inputs.table, chunk=wanted.chunk
         )
     about = found.study | {"name": options.study, "toml": wanted.study.text}
     if options.json is not None:
@@ -61,11 +61,11 @@ def compute(asked: Inputs) -> Sampled | None:
     return Sampled(wanted.study, found)
 
 
-def _batch(asked: Inputs) -> batch.Batch:
-    options = asked.options
+def _batch(inputs: Inputs) -> batch.Batch:
+    options = inputs.options
     question = batch.question(options.study, options.worker)
-    save = asked.table and batch.table_of(
-        asked.table, question, options.study, errors=options.save_errors, worker=options.worker
+    save = inputs.table and batch.table_of(
+        inputs.table, question, options.study, errors=options.save_errors, worker=options.worker
     )
     return batch.Batch(
         study=question,
@@ -74,7 +74,7 @@ def _batch(asked: Inputs) -> batch.Batch:
         sobol=options.sobol,
         chunk=options.chunk or batch.CHUNK,
         checkpoint=options.checkpoint,
-        keep=options.save is not None and asked.table is None,
+        keep=options.save is not None and inputs.table is None,
         save=save or None,
         progress=not options.quiet,
     )

@@ -4,7 +4,7 @@ import dataclasses
 import time
 from typing import Any
 
-from rvjax.commands.cells import failures_text, judged, share
+from rvjax.commands.cells import evaluated, failures_text, share
 from rvjax.commands.montecarlo.compute import Sampled
 from rvjax.commands.montecarlo.inputs import Inputs
 from rvjax.render import Column, Note, Number, Quantity, Report, Table, Text
@@ -12,17 +12,17 @@ from rvjax.study import Study
 from rvjax.tolerances import Statistics
 
 
-def report(asked: Inputs, found: Sampled | None) -> Report:
+def report(inputs: Inputs, found: Sampled | None) -> Report:
     """The report on a sample; empty in one of several processes.
 
     Args:
-        asked: inputs of the command.
+        inputs: inputs of the command.
         found: its result.
     """
     if found is None:
         return Report("", ())
     made = report_on(found.statistics, found.study)
-    seconds = time.perf_counter() - asked.started
+    seconds = time.perf_counter() - inputs.started
     return dataclasses.replace(made, content=(*made.content, Note(f"{seconds:.1f} s, start and compilation included")))
 
 
@@ -76,7 +76,7 @@ def _verdicts(found: Statistics, study: Study) -> list[str]:
     lines = []
     for name, verdict in (found.verdicts or {}).items():
         if verdict.kind != "share":
-            value = judged(verdict, study.output(name)).text()
+            value = evaluated(verdict, study.output(name)).text()
             lines.append(f"{name}: {verdict.wanted}: {value}, {'met' if verdict.met else 'not met'}")
     if found.joint_yield is not None:
         lines.append(f"all requirements at once {share(found.joint_yield).text()}")

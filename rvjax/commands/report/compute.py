@@ -31,27 +31,27 @@ class Shown:
     lives: Lives | None = None
 
 
-def phases(asked: Inputs) -> dict[str, float]:
+def phases(inputs: Inputs) -> dict[str, float]:
     """Phases of the command with their seconds.
 
     Args:
-        asked: what is computed.
+        inputs: what is computed.
     """
-    if asked.shown:
+    if inputs.shown:
         return {}
-    if asked.answer is None:
-        return forecast.phases_of(asked.study, READING, SLIDERS, WRITING)
+    if inputs.answer is None:
+        return forecast.phases_of(inputs.study, READING, SLIDERS, WRITING)
     return {READING: 6.0, SLIDERS: 10.0, WRITING: 10.0}
 
 
-def compute(asked: Inputs) -> Shown | None:
+def compute(inputs: Inputs) -> Shown | None:
     """Compute or read the result; compute surrogate, budget and bearing lives. None if the page shows all that."""
-    if asked.shown:
+    if inputs.shown:
         return None
-    found = asked.answer or answer.answer(asked.study, progress=not asked.quiet)
+    found = inputs.answer or answer.answer(inputs.study, progress=not inputs.quiet)
     progress.begin(SLIDERS)
     moved = behind.surrogate(found)
-    budget = budget_if_any(asked.study, found.allocation.tolerances)
-    lives = lives_if_any(asked.study, found.allocation.tolerances)
+    budget = budget_if_any(inputs.study, found.allocation.tolerances)
+    lives = lives_if_any(inputs.study, found.allocation.tolerances)
     progress.begin(WRITING)
     return Shown(found, moved, budget, lives)

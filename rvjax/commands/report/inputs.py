@@ -46,19 +46,19 @@ def inputs(options: argparse.Namespace) -> Inputs:
         ValueError: one line that names the option or the key.
     """
     check_files(options, output=".html")
-    asked = study.load(options.study, solve=False)
-    if asked.costly:
+    loaded = study.load(options.study, solve=False)
+    if loaded.costly:
         share_cores(1)
-    kept, answer = restored_from(asked)
+    kept, answer = restored_from(loaded)
     output = None if options.output is None else Path(options.output)
     if output is None and kept is not None:
         output = kept / "report.html"
-    folder = results_folder(None, asked.name) if output is None else None
+    folder = results_folder(None, loaded.name) if output is None else None
     if output is not None:
         check_writable(output)
-    forewarn(asked)
+    forewarn(loaded)
     shown = kept is not None and output is not None and not options.fresh and shows(output, kept, options.study)
-    return Inputs(asked, options.study, answer, kept, output, shown, folder, options.quiet)
+    return Inputs(loaded, options.study, answer, kept, output, shown, folder, options.quiet)
 
 
 def mark(result: bytes, source: str) -> bytes:

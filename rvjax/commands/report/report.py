@@ -51,27 +51,27 @@ from rvjax.study import Study, facts_of, shown
 from rvjax.tolerances import Estimate
 
 
-def report(asked: Inputs, found: Shown | None) -> Report:
+def report(inputs: Inputs, found: Shown | None) -> Report:
     """The report on a page: on the terminal its headline, and where it is.
 
     Args:
-        asked: inputs of the command.
+        inputs: inputs of the command.
         found: its result, None where the page shows it already.
     """
     if found is None:
-        assert asked.answer is not None and asked.output is not None
-        said = f"Unchanged: {asked.output} shows this result; --fresh writes it again."
-        told = {"report": str(asked.output)}
+        assert inputs.answer is not None and inputs.output is not None
+        said = f"Unchanged: {inputs.output} shows this result; --fresh writes it again."
+        told = {"report": str(inputs.output)}
         return dataclasses.replace(
-            report_on(asked.answer), brief=headline(asked.answer), files={}, told=told, closing=(said,)
+            report_on(inputs.answer), brief=headline(inputs.answer), files={}, told=told, closing=(said,)
         )
     made = report_on(found.answer)
-    content = page_of(found, asked.source, date=time.strftime("%Y-%m-%d")).encode("utf-8")
-    stored = made.files[FILE] if asked.kept is None else (asked.kept / FILE).read_bytes()
-    content += mark(stored, asked.source)
+    content = page_of(found, inputs.source, date=time.strftime("%Y-%m-%d")).encode("utf-8")
+    stored = made.files[FILE] if inputs.kept is None else (inputs.kept / FILE).read_bytes()
+    content += mark(stored, inputs.source)
     brief = headline(found.answer)
-    if asked.output is not None:
-        path = asked.output
+    if inputs.output is not None:
+        path = inputs.output
         return dataclasses.replace(
             made, brief=brief, exports={path: content}, told={"report": str(path)}, closing=(f"Report: {path}",)
         )

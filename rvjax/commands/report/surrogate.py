@@ -178,8 +178,8 @@ def _parameters(answer: Answer) -> list[Parameter]:
             continue
         found.append(Parameter(field, False, half, REACH * half))
         if not tolerance.law.of_vectors:
-            asked = study.middles.get(field)
-            reach = max(SHIFT * half, (asked.upper - asked.lower) / 8 if asked else 0.0)
+            inputs = study.middles.get(field)
+            reach = max(SHIFT * half, (inputs.upper - inputs.lower) / 8 if inputs else 0.0)
             found.append(Parameter(field, True, placed(tolerance), reach))
     return found
 
@@ -238,16 +238,16 @@ def _calibrated(
 
 def _checks(found: Surrogate, answer: Answer, region: Region, response: Response) -> list[Check]:
     """Compare the surrogate with independent units, at points of the region and at the study if it is near."""
-    study, checks, judged = answer.study, [], _judged(answer)
+    study, checks, limited = answer.study, [], _limited(answer)
     for where, x in _points(found, study.seed):
         tolerances = region.population.with_tolerances(region.tolerances(x)).tolerances
         true = monte_carlo(
             response, tolerances, samples=FRESH, seed=study.seed + 3, chunk=BLOCK, requirements=study.requirements
         )
-        checks.append(_check(where, found, x, judged, true))
+        checks.append(_check(where, found, x, limited, true))
     own = found.place(study.tolerances)
     if (np.abs(own) <= 1).all():
-        checks.append(_check("the study's own tolerances", found, own, judged, answer.certificate_before))
+        checks.append(_check("the study's own tolerances", found, own, limited, answer.certificate_before))
     return checks
 
 
@@ -259,7 +259,7 @@ def _own_checks(found: Surrogate, answer: Answer, regions: Sequence[Region], goo
         exact = {name: row for region in regions for name, row in region.at(x, some).items()}
         here = np.isfinite(np.stack(list(exact.values()))).all(axis=0)
         figures = {}
-        for name, limits in _judged(answer).items():
+        for name, limits in _limited(answer).items():
             both = ours.of_units(np.flatnonzero(here))
             truth = dataclasses.replace(both, base={name: exact[name][here]}, columns={name: {}})
             mine, true = both.figures(name, x, limits), truth.figures(name, x, limits)
@@ -268,7 +268,7 @@ def _own_checks(found: Surrogate, answer: Answer, regions: Sequence[Region], goo
     return checks
 
 
-def _judged(answer: Answer) -> dict[str, Limits]:
+def _limited(answer: Answer) -> dict[str, Limits]:
     return {name: item for name, item in answer.study.requirements.items() if item.limits_values}
 
 
@@ -280,9 +280,9 @@ def _points(found: Surrogate, seed: int) -> list[tuple[str, np.ndarray]]:
     return points + [(f"random point {n + 1}", rng.uniform(-1, 1, len(width))) for n in range(_POINTS - len(points))]
 
 
-def _check(where: str, found: Surrogate, x: np.ndarray, judged: Mapping[str, Limits], true: Statistics) -> Check:
+def _check(where: str, found: Surrogate, x: np.ndarray, limited: Mapping[str, Limits], true: Statistics) -> Check:
     figures = {}
-    for name, limits in judged.items():
+    for name, limits in limited.items():
         ours = found.figures(name, x, limits)
         theirs = {"mean": true.mean[name].value, "sd": true.sd[name].value}
         share = (true.yield_ or {}).get(name)

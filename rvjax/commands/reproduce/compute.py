@@ -7,6 +7,6 @@ from rvjax.commands.reproduce.inputs import Inputs
 from rvjax.published import Comparison
 
 
-def compute(asked: Inputs) -> list[Comparison]:
+def compute(inputs: Inputs) -> list[Comparison]:
     """Compare every published value with the computed value."""
     return published.reproduce(say=lambda text: print(text, file=sys.stderr, flush=True))

@@ -7,14 +7,14 @@ from rvjax.published import Comparison, show
 from rvjax.render import Note, Report, Table, Text
 
 
-def report(asked: Inputs, found: Sequence[Comparison]) -> Report:
+def report(inputs: Inputs, found: Sequence[Comparison]) -> Report:
     """The report on the comparisons.
 
     Args:
-        asked: inputs of the command.
+        inputs: inputs of the command.
         found: its result.
     """
-    return report_on(found, notes=asked.notes)
+    return report_on(found, notes=inputs.notes)
 
 
 def report_on(rows: Sequence[Comparison], *, notes: bool = False) -> Report:

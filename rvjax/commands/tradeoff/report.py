@@ -8,17 +8,17 @@ from rvjax.commands.tradeoff.inputs import Inputs
 from rvjax.render import Figure, Note, Report, as_json
 
 
-def report(asked: Inputs, found: tuple[levels.Table, float]) -> Report:
+def report(inputs: Inputs, found: tuple[levels.Table, float]) -> Report:
     """The report on the levels.
 
     Args:
-        asked: inputs of the command.
+        inputs: inputs of the command.
         found: its result.
     """
     table, seconds = found
     plot = Figure("tradeoff", "Error against time", lambda: rvjax.plotting.tradeoff(table).axes[0])
-    files: dict[Path, bytes] = {asked.json: as_json(table.as_json()) + b"\n"} if asked.json else {}
-    files |= {asked.picture: plot.content()} if asked.picture else {}
+    files: dict[Path, bytes] = {inputs.json: as_json(table.as_json()) + b"\n"} if inputs.json else {}
+    files |= {inputs.picture: plot.content()} if inputs.picture else {}
     return Report(
         title="Levels",
         content=(Note(levels.report(table)), Note(f"{seconds:.1f} s, compilation included")),

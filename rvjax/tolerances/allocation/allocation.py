@@ -17,7 +17,7 @@ from rvjax.response import BLOCK, DesignResponse, Response, by_response, respons
 from rvjax.tolerances.allocation.certificate import DRAWS, Certifier
 from rvjax.tolerances.allocation.cost import COSTS, Cost
 from rvjax.tolerances.allocation.result import Allocation
-from rvjax.tolerances.allocation.rounding import Snapping
+from rvjax.tolerances.allocation.rounding import Rounding
 from rvjax.tolerances.allocation.sample_average import Point, Training
 from rvjax.tolerances.allocation.search import Search
 from rvjax.tolerances.batch.memo import Memo
@@ -179,7 +179,7 @@ def allocated(
     solved = None if training.followed is None else Solved(training, certifier)
     if not grades or not result.feasible:
         return unwrapped(result), solved
-    t, chosen, certificate = Snapping(search, certifier, priced).snap(found.half_widths, found.certificate)
+    t, chosen, certificate = Rounding(search, certifier, priced).graded(found.half_widths, found.certificate)
     status = "OPTIMAL" if certifier.holds(certificate) else "NOT_CERTIFIED"
     snapped = dataclasses.replace(found, status=status, half_widths=t, certificate=certificate)
     graded = dataclasses.replace(_result(search, snapped, *given), grades=chosen)

@@ -26,7 +26,7 @@ _NEAR = 0.01  # beyond a limit, in parts of the way there, within which the mode
 Places = dict[int, int]  # of graded fields on their ladders
 
 
-class Snapping:
+class Rounding:
     """Chooses grades for the fields with a size, and fits the half-widths of the other fields to them."""
 
     def __init__(self, search: Search, certifier: Certifier, priced: dict[str, Cost]) -> None:
@@ -37,7 +37,7 @@ class Snapping:
         self.known: list[tuple[np.ndarray, Statistics]] = []
         """Certified half-widths, whether their certificate holds or not."""
 
-    def snap(self, half_widths: np.ndarray, certificate: Statistics) -> tuple[np.ndarray, dict[str, str], Statistics]:
+    def graded(self, half_widths: np.ndarray, certificate: Statistics) -> tuple[np.ndarray, dict[str, str], Statistics]:
         """The loosest grades not wider than certified half-widths, then cheaper ones while a certificate holds.
 
         One grade at a time becomes coarser, by saving. A field without a size, or without a grade within its

@@ -250,9 +250,9 @@ class Training:
 
     def _ranges(self, half_widths: np.ndarray) -> dict[str, Extremes]:
         """Ranges of the responses with a requirement on the worst case."""
-        judged = [name for name, item in self.requirements.items() if item.of_extremes]
-        population = self.with_half_widths(half_widths) if judged else self.population
-        return {name: extremes(self.response, population, self.names, name) for name in judged}
+        limited = [name for name, item in self.requirements.items() if item.of_extremes]
+        population = self.with_half_widths(half_widths) if limited else self.population
+        return {name: extremes(self.response, population, self.names, name) for name in limited}
 
     def _unit_margins(self, values: np.ndarray) -> np.ndarray:
         """Margin of every unit to every limit (k, n), inf where it failed."""

@@ -41,9 +41,9 @@ class Memo:
         """
         return Memo(self.folder, {"of": self._about, "apart": what}, worth=self._worth)
 
-    def recall(self, asked: Mapping[str, str], compute: Callable[[], np.ndarray]) -> np.ndarray:
+    def recall(self, inputs: Mapping[str, str], compute: Callable[[], np.ndarray]) -> np.ndarray:
         """Return the stored array, or compute and store it."""
-        name = hashlib.sha256((self._about + repr(sorted(asked.items()))).encode()).hexdigest()[:_DIGITS]
+        name = hashlib.sha256((self._about + repr(sorted(inputs.items()))).encode()).hexdigest()[:_DIGITS]
         path = self.folder / f"{name}.npz"
         with contextlib.suppress(*DAMAGE, OSError):  # absent or damaged: computed and written
             return unpack(path.read_bytes())["found"]
@@ -56,7 +56,7 @@ class Memo:
         return found
 
     def units(
-        self, names: tuple[str, ...], asked: Mapping[str, str], compute: Callable[[], tuple[Values, jax.Array]]
+        self, names: tuple[str, ...], inputs: Mapping[str, str], compute: Callable[[], tuple[Values, jax.Array]]
     ) -> tuple[dict[str, np.ndarray], np.ndarray]:
         """Return values by name and status of a block of units, stored or computed."""
 
@@ -64,7 +64,7 @@ class Memo:
             values, status = compute()
             return np.stack([*(np.asarray(values[name]) for name in names), np.asarray(status)])
 
-        *values, status = self.recall(asked, rows)
+        *values, status = self.recall(inputs, rows)
         return dict(zip(names, values)), status.astype(np.int32)
 
     def clear(self) -> None:

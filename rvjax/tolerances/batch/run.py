@@ -105,9 +105,9 @@ class Run:
         }
         orders, any_units = counted.orders().items(), bool(counted.requirements)
         yields = {name: None if item.passed is None else item.share() for name, item in seen.items()}
-        nothing, judged = Estimate(*[math.nan] * 4), counted.requirements
+        nothing, limited = Estimate(*[math.nan] * 4), counted.requirements
         cp, cpk = (
-            {name: of(item, judged[name]) if name in judged else nothing for name, item in seen.items()}
+            {name: of(item, limited[name]) if name in limited else nothing for name, item in seen.items()}
             for of in (Sampled.cp, Sampled.cpk)
         )
         return Statistics(

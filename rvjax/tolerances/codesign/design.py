@@ -8,7 +8,7 @@ import numpy as np
 
 from rvjax.response import begin_programs
 from rvjax.tolerances.allocation.certificate import DRAWS, Certifier
-from rvjax.tolerances.allocation.rounding import Snapping
+from rvjax.tolerances.allocation.rounding import Rounding
 from rvjax.tolerances.allocation.sample_average import Training
 from rvjax.tolerances.allocation.search import Search
 from rvjax.tolerances.batch.monte_carlo import Statistics
@@ -213,10 +213,10 @@ class Designer:
         """Move the margins to what a certificate saw; False where that is nothing new."""
         if certificate.verdicts is None:
             return False
-        ways, judged = margins.central_ways(end.point.x), list(self.certifier.run.requirements)
+        ways, limited = margins.central_ways(end.point.x), list(self.certifier.run.requirements)
         by_name = dict(zip(margins.names, ways * margins.ways))
-        factors = self.certifier.factors(certificate, np.array([by_name[name] for name in judged]))
-        named = dict(zip(judged, factors)) | ({} if self.problem.joint_target is None else {JOINT: factors[-1]})
+        factors = self.certifier.factors(certificate, np.array([by_name[name] for name in limited]))
+        named = dict(zip(limited, factors)) | ({} if self.problem.joint_target is None else {JOINT: factors[-1]})
         changed = False
         for k, name in enumerate(margins.names):
             here = float(end.point.margins[k])
@@ -256,9 +256,9 @@ class Designer:
     def _search(self, x: np.ndarray) -> Search:
         """Search for half-widths alone, at these mid-points and numbers."""
         problem = self.problem
-        judged = {n: i for n, i in problem.requirements.items() if not isinstance(i, Nominal)}
+        limited = {n: i for n, i in problem.requirements.items() if not isinstance(i, Nominal)}
         training = Training(
-            problem.response, self.decisions.population(x), tuple(problem.priced), judged, problem.joint_target,
+            problem.response, self.decisions.population(x), tuple(problem.priced), limited, problem.joint_target,
             problem.samples, problem.seed, problem.memo,
         )  # fmt: skip
         return Search(training, problem.priced, problem.max_steps, problem.advance)
@@ -275,7 +275,7 @@ class Designer:
         """The solution with half-widths rounded to grades at its mid-points and numbers."""
         search = self._search(found.x)
         half_widths = self.decisions.half_widths(found.x)
-        t, grades, certificate = Snapping(search, self.certifier, self.problem.priced).snap(
+        t, grades, certificate = Rounding(search, self.certifier, self.problem.priced).graded(
             half_widths, found.certificate
         )
         status = "OPTIMAL" if self.certifier.holds(certificate) else "NOT_CERTIFIED"

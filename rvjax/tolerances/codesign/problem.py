@@ -74,9 +74,9 @@ class Problem:
     def margins(self, decisions: Decisions, most: int, *, aimed: bool = True) -> Margins:
         """Constraints on a sample of at most so many units, with targets that a certificate should confirm."""
         count = min(self.samples, most // _COSTLY if self.costly else most)
-        judged = self._aimed() if aimed else self.requirements
+        limited = self._aimed() if aimed else self.requirements
         return Margins(
-            self.response, decisions, judged, dict(self.objective), self.joint_target, count, self.seed, self.memo
+            self.response, decisions, limited, dict(self.objective), self.joint_target, count, self.seed, self.memo
         )  # fmt: skip
 
     def _aimed(self) -> dict[str, Limits]:

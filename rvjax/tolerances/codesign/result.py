@@ -133,7 +133,7 @@ def figures(
     t = decisions.half_widths(found.x)
     nothing = dict.fromkeys(names, 0.0)
     start = found.margins.total(designer.problem.start(decisions)) if math.isfinite(found.learned) else math.nan
-    judged, slopes = margins(found)
+    reached, slopes = margins(found)
     widths = zip(decisions.fields, problem.priced.values(), t)
     return dict(
         feasible=found.status != "INFEASIBLE",
@@ -156,7 +156,7 @@ def figures(
         bounds_active=bounds_active(found),
         value_prices=value_prices(found),
         ranges=ranges,
-        margins=judged,
+        margins=reached,
         margin_slopes=slopes,
         reason=reason(found),
     )
