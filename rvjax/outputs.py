@@ -17,6 +17,11 @@ Spectrum = tuple[Any, Any]  # mean and complex amplitudes of a curve
 Source = Callable[[Any, Any, Any], Any]  # (design, errors, conditions) -> a result
 
 
+def torque_condition(conditions: PyTree) -> str:
+    """Name of the condition that is the torque."""
+    return next(f.name for f in dataclasses.fields(conditions) if f.metadata["torque"])
+
+
 def condition(
     default: object,
     meaning: str,

@@ -5,7 +5,6 @@ The values are one flat dict: errors of the study by field, unknown numbers of t
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import jax
 import jax.numpy as jnp
@@ -15,13 +14,10 @@ from rvjax import models
 from rvjax.choices import unknown
 from rvjax.compile_cache import Options
 from rvjax.errors import described, read_by
-from rvjax.outputs import Observation
+from rvjax.outputs import Observation, torque_condition
 from rvjax.records import Array, Design, PyTree, Record, Scalar, field, record, text
 from rvjax.study.measured import Conditions
 from rvjax.study.nuisances import DRAGS, NUISANCES
-
-if TYPE_CHECKING:
-    from _typeshed import DataclassInstance
 
 Values = Mapping[str, PyTree]
 Seen = dict[str, PyTree]
@@ -237,9 +233,9 @@ def signed_torques(runs: Sequence[Conditions], conditions: PyTree) -> np.ndarray
     return np.array([run.sign for run in runs]) * given
 
 
-def study_torque(conditions: "DataclassInstance") -> float:
+def study_torque(conditions: PyTree) -> float:
     """The condition that is the load, N m."""
-    return float(next(getattr(conditions, f.name) for f in dataclasses.fields(conditions) if f.metadata["torque"]))
+    return float(getattr(conditions, torque_condition(conditions)))
 
 
 def rated_torque(conditions: PyTree) -> float:

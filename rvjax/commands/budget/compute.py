@@ -21,11 +21,11 @@ import numpy as np
 
 from rvjax import models, progress as phase
 from rvjax.choices import choose
-from rvjax.commands.budget.effects import BLOCK, FEWEST, MOST, Load, by_level, of_load
+from rvjax.commands.budget.effects import BLOCK, FEWEST, MOST, Load, by_level, of_load, parts_of
 from rvjax.commands.budget.inputs import Inputs
 from rvjax.commands.budget.scalar import ScalarBudget, scalar_budget
 from rvjax.commands.speak import READING, WRITING
-from rvjax.outputs import Curve
+from rvjax.outputs import Curve, torque_condition
 from rvjax.population import Population, drawn, root_key
 from rvjax.progress import progress_bar
 from rvjax.study import Study, naming
@@ -153,7 +153,6 @@ def error_budget(
         loads = {"loaded": torque, "unloaded": UNLOADED * torque}
     population = Population.of(study.tolerances if tolerances is None else tolerances)
     draw = partial(drawn, population, root_key(study.seed if seed is None else seed))
-    about = {f.name: f.metadata for f in dataclasses.fields(study.design.error_record)}
     blocks = -(-samples // BLOCK)
     found = {}
     with progress_bar(progress, len(loads) * blocks * (2 + len(population.active)), "solving", "batch") as advance:
@@ -176,15 +175,10 @@ def error_budget(
         unit=curve.unit,
         orders=np.arange(waves) / curve.turns(study.design, given),
         torque=dict(loads),
-        part={field: about[field]["part"] for field in population.active},
+        part=parts_of(study, population),
         samples=samples,
         **by_load,
     )
-
-
-def torque_condition(given: Any) -> str:
-    """Name of the condition that is the torque."""
-    return next(f.name for f in dataclasses.fields(given) if f.metadata["torque"])
 
 
 def waves_of(curves: np.ndarray) -> np.ndarray:

@@ -8,8 +8,9 @@ import jax
 import numpy as np
 
 from rvjax.choices import choose
-from rvjax.errors import STAGES
+from rvjax.errors import STAGES, described
 from rvjax.population import Population
+from rvjax.study import Study
 
 FEWEST, MOST = 16, 2**16
 BLOCK = 256  # units at once: all angles of a turn of each are solved together
@@ -91,6 +92,12 @@ def _solved(
         parts.append([solve(batch)[: samples - first] for batch in batches])
     one, another, *changed = (np.concatenate(values) for values in zip(*parts))
     return one, another, dict(zip(population.active, changed))
+
+
+def parts_of(study: Study, population: Population) -> dict[str, str]:
+    """Part of the reducer by error that varies; "" for an error of none."""
+    part = described(study.design.error_record, "part")
+    return {field: part.get(field, "") for field in population.active}
 
 
 def by_level(level: str, variance: dict[str, V], part: dict[str, str]) -> dict[str, V]:

@@ -4,14 +4,14 @@ With the errors x_i of unit i about their mean and its wave X_i, X_i = mean + c'
 c_f' S_ff c_f with the covariance S of the errors, less sigma^2 tr(S_ff (X' X)^-1_ff): what a coefficient has by chance.
 """
 
-from dataclasses import fields
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax.commands.budget.compute import Budget, curve_along, error_budget, torque_condition, waves_of
-from rvjax.commands.budget.effects import squares
+from rvjax.commands.budget.compute import Budget, curve_along, error_budget, waves_of
+from rvjax.commands.budget.effects import parts_of, squares
+from rvjax.outputs import torque_condition
 from rvjax.population import Population, drawn, root_key
 from rvjax.response import elements, parts
 from rvjax.study import CURVE, Study
@@ -58,14 +58,14 @@ def linear_budget(study: Study, tolerances: Any) -> Budget | None:
     if good.sum() <= numbers + 1:
         return None
     errors = np.asarray(elements(population, jnp.asarray(z)), float)[:, good]
-    about, load = {f.name: f.metadata["part"] for f in fields(study.design.error_record)}, "loaded"
+    load = "loaded"
     found = fitted(errors, waves[good], {name: int(np.prod(t.shape)) for name, t in population.active.items()})
     return Budget(
         title=curve.title,
         unit=curve.unit,
         orders=np.arange(waves.shape[1]) / curve.turns(study.design, study.conditions),
         torque={load: torque},
-        part={field: about[field] for field in population.active},
+        part=parts_of(study, population),
         samples=samples,
         failed={load: int(samples - good.sum())},
         linear=True,

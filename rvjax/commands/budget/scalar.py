@@ -1,13 +1,13 @@
 """Error budget of a response without a curve, such as a bearing life: shares of its variance over units, and slopes."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax.commands.budget.effects import BLOCK, FEWEST, LEVELS, MOST, by_level, of_load
+from rvjax.commands.budget.effects import BLOCK, FEWEST, LEVELS, MOST, by_level, of_load, parts_of
 from rvjax.population import Population, drawn, root_key
 from rvjax.progress import progress_bar
 from rvjax.render import Note, Number, Report, Table, Text, versions
@@ -96,7 +96,6 @@ def scalar_budget(
         part.response, population, np.asarray(elements(population, jnp.asarray(z))), weights, part.names
     )[1]
     squares = population.by_field(np.nanmean(np.where(np.isfinite(slopes), slopes, np.nan) ** 2, axis=1))
-    about = {f.name: f.metadata["part"] for f in fields(study.design.error_record)}
     return ScalarBudget(
         output=output,
         mean=float(np.nanmean(own)),
@@ -105,7 +104,7 @@ def scalar_budget(
         error=found.error,
         together=found.together,
         slope={name: float(np.sqrt(np.mean(value))) for name, value in squares.items()},
-        part={name: about[name] for name in population.active},
+        part=parts_of(study, population),
         samples=samples,
         failed=found.failed,
     )

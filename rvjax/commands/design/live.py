@@ -1,8 +1,6 @@
 """Section of the page with sliders for numbers of the design and half-widths: a linear prediction near the optimum."""
 
-import json
 import math
-from importlib import resources
 from typing import Any
 
 import jax
@@ -12,7 +10,7 @@ from markupsafe import Markup
 from rvjax.commands.cells import limit_text
 from rvjax.commands.design.compute import Designed
 from rvjax.commands.design.prices import unit_of_number
-from rvjax.commands.report import cost_data
+from rvjax.commands.report import cost_data, script_of
 from rvjax.plotting import words
 from rvjax.render import Block
 from rvjax.study import Study, number_at
@@ -34,10 +32,7 @@ def script(study: Study, found: Designed) -> Markup:
         study: with variables.
         found: with a feasible optimum.
     """
-    numbers = json.dumps(data(study, found), allow_nan=False).replace("<", "\\u003c").replace("&", "\\u0026")
-    live = (resources.files("rvjax.commands.report") / "live.js").read_text("utf-8")
-    page = (resources.files("rvjax.commands.design") / "live.js").read_text("utf-8")
-    return Markup(f'<script type="application/json" id="live-data">{numbers}</script>\n<script>\n{live}{page}</script>')
+    return script_of(data(study, found), "design/live.js")
 
 
 def data(study: Study, found: Designed) -> dict[str, Any]:

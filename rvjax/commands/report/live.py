@@ -44,11 +44,20 @@ def script(found: Surrogate, answer: Answer) -> Markup:
         found: from `surrogate`.
         answer: result that it belongs to.
     """
+    return script_of(data(found, answer), "report/live_page.js")
+
+
+def script_of(numbers: dict[str, Any], page: str) -> Markup:
+    """Numbers as JSON, and the script of all sliders with that of a page.
+
+    Args:
+        numbers: data of the script.
+        page: file in `rvjax.commands`.
+    """
     # The text of the user is inside: it must not end the element.
-    numbers = json.dumps(data(found, answer), allow_nan=False).replace("<", "\\u003c").replace("&", "\\u0026")
-    files = resources.files("rvjax.commands.report")
-    code = "".join((files / name).read_text("utf-8") for name in ("live.js", "live_page.js"))
-    return Markup(f'<script type="application/json" id="live-data">{numbers}</script>\n<script>\n{code}</script>')
+    text = json.dumps(numbers, allow_nan=False).replace("<", "\\u003c").replace("&", "\\u0026")
+    code = "".join((resources.files("rvjax.commands") / name).read_text("utf-8") for name in ("report/live.js", page))
+    return Markup(f'<script type="application/json" id="live-data">{text}</script>\n<script>\n{code}</script>')
 
 
 def data(found: Surrogate, answer: Answer) -> dict[str, Any]:
