@@ -46,9 +46,9 @@ def written(base: str) -> str:
     known: PyTree = BASES[choice(base, BASES, "--base")]
     design = _completed(known) if isinstance(known, RVReducer) else known
     question = (EMBEDDED / f"{QUESTIONS[design.kind]}.toml").read_text("utf-8")
-    inputs = question[question.index("[conditions]") :]
+    rest = question[question.index("[conditions]") :]
     if base in RATED:
-        inputs = re.sub(r'output_torque = "[^"]*"', f'output_torque = "{shown(RATED[base], "N m")}"', inputs)
+        rest = re.sub(r'output_torque = "[^"]*"', f'output_torque = "{shown(RATED[base], "N m")}"', rest)
     unprinted = frozenset(catalogue.assumed(base))
     named = f'kind = "{design.kind}"\n' + "\n".join(_lines(design, known, unprinted))
     head = (
@@ -58,11 +58,11 @@ def written(base: str) -> str:
         '# title = "..."\n# author = "..."\n\n[design]\n'
     )
     try:
-        parse_study(head + named + "\n\n" + inputs, name=base, solve=False)
+        parse_study(head + named + "\n\n" + rest, name=base, solve=False)
     except StudyError as contradiction:  # published so: possible by name alone
         own = "\n".join(_lines(design.cranks, known.cranks, unprinted, "cranks."))
         named = f'base = "{base}" # its published values contradict each other: {contradiction}\n{own}'
-    return head + named + "\n\n" + inputs
+    return head + named + "\n\n" + rest
 
 
 def _completed(design: RVReducer) -> RVReducer:
