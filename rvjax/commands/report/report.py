@@ -123,7 +123,7 @@ def _verdict(answer: Answer) -> str:
     if allocation.status == "OPTIMAL":
         return "✔ The requirements can be met, and these are the cheapest tolerances."
     if allocation.feasible:
-        return f"✘ Tolerances were found, but not with certainty: {allocation.status}."
+        return f"✘ Tolerances found, but not certified: {allocation.status}."
     return "✘ No tolerances within the process ranges were found to meet the requirements."
 
 
