@@ -22,7 +22,7 @@ from rvjax.commands.report import Shown, page_of
 from rvjax.commands.report.worst_units import WorstUnit, rows_of, worst_units
 from rvjax.population.sample_statistics import CentralMoments, Sampled
 from rvjax.render import write_files
-from rvjax.study.question import About
+from rvjax.study.study import About
 
 pytestmark = pytest.mark.usefixtures("answers")
 

@@ -162,7 +162,7 @@ def test_a_result_names_the_study_as_it_was_read(tmp_path, monkeypatch):
     assert cli.main(["montecarlo", "small.toml", "--samples", "100", "--quiet", "--json", "a.json"]) == 0
     assert origin("a.json").study["toml"] == SMALL
     (tmp_path / "study.toml").write_text(SMALL)  # what a worker is given, whatever the file says by now
-    assert batch.question("small.toml", ["address", "1", "2", str(tmp_path / "result.npz")]).text == SMALL
+    assert batch.study_of("small.toml", ["address", "1", "2", str(tmp_path / "result.npz")]).text == SMALL
 
 
 def test_escape_sequences_do_not_reach_the_terminal(tmp_path, monkeypatch, capsys):
@@ -186,7 +186,7 @@ def test_a_signal_ends_a_batch_in_order(tmp_path, number, code):
         "import sys, time; from rvjax import cli; from rvjax.commands.montecarlo import batch\n"
         "def run(wanted):\n    print('begun', flush=True)\n    time.sleep(60)\n"
         "batch.run = run\n"
-        "batch.question = lambda *_: type('Question', (), {'doubts': [], 'accuracy': {}})()\n"
+        "batch.study_of = lambda *_: type('Question', (), {'doubts': [], 'accuracy': {}})()\n"
         "sys.exit(cli.main(['montecarlo', 's.toml', '--checkpoint', 'c']))"
     )
     started = subprocess.Popen(

@@ -15,7 +15,7 @@ from rvjax.commands.cells import failures_text, judged, share
 from rvjax.commands.montecarlo import report_on
 from rvjax.population.estimates import Estimate
 from rvjax.study import load
-from rvjax.study.question import About
+from rvjax.study.study import About
 from rvjax.tolerances import Outcome, Requirement, monte_carlo
 from rvjax.units import arcmin, um
 

@@ -206,7 +206,7 @@ def test_missing_files_and_names(tmp_path):
 def test_a_costly_nominal_unit_is_solved_at_the_first_response(monkeypatch):
     """Compiling it takes seconds; who only reads the study does not wait, who computes is told."""
     from rvjax.commands.montecarlo import batch
-    from rvjax.study import question
+    from rvjax.study import study as definition
 
     solved = []
 
@@ -214,7 +214,7 @@ def test_a_costly_nominal_unit_is_solved_at_the_first_response(monkeypatch):
         solved.append(type(errors).__name__)
         raise ValueError("the unit without errors cannot be solved: CONTACT_OVERLOAD")
 
-    monkeypatch.setattr(question, "check_nominal", refused)
+    monkeypatch.setattr(definition, "check_nominal", refused)
     whole = study.load("rv-40e-whole")
     assert not solved and whole.fields
     with pytest.raises(study.StudyError, match=r"rv-40e-whole: the unit without errors .* CONTACT_OVERLOAD"):
@@ -222,7 +222,7 @@ def test_a_costly_nominal_unit_is_solved_at_the_first_response(monkeypatch):
     assert solved == ["RVErrors"]
     whole.response(solve=False), study.load("rv-40e-whole", solve=False).response()
     assert len(solved) == 1
-    monkeypatch.setattr(question, "check_nominal", lambda *_: solved.append("good"))
+    monkeypatch.setattr(definition, "check_nominal", lambda *_: solved.append("good"))
     whole.response(), whole.response()
     assert solved == ["RVErrors", "good"]
     # A run of units compiles nothing for that one, but asks where all have failed.

@@ -50,14 +50,14 @@ def say(text: str, file: TextIO | None = None) -> None:
         print("\n".join(lines), file=file)
 
 
-def forewarn(question: "Study") -> None:
+def forewarn(study: "Study") -> None:
     """Print warnings on input values and the level of each response with an accuracy, before any work."""
     from rvjax.commands import forecast
 
-    for line in question.doubts:
+    for line in study.doubts:
         say(f"rvjax: warning: {line}", file=sys.stderr)
-    if question.accuracy:
-        for line in [*forecast.level_lines(question), forecast.expected(question)]:
+    if study.accuracy:
+        for line in [*forecast.level_lines(study), forecast.expected(study)]:
             say(f"rvjax: {line}", file=sys.stderr)
 
 

@@ -1,4 +1,4 @@
-"""Studies: a question about one design, in Python or as a TOML file."""
+"""Studies: design, tolerances, costs and requirements, in Python or as a TOML file."""
 
 from rvjax.plausible import KNOWN_DESIGNS, numbers, shown
 from rvjax.study.bench import order_name
@@ -15,10 +15,10 @@ from rvjax.study.problem import (
     problem as inverse_problem,
     wide as with_candidates,
 )
-from rvjax.study.question import Study, StudyError
 from rvjax.study.read import EMBEDDED, embedded_names, load, parse_study
 from rvjax.study.response import CURVE as CURVE, Response as Response, refuse as refuse
 from rvjax.study.rewrite import template as study_template
+from rvjax.study.study import Study, StudyError
 from rvjax.study.values import choice, integer, known, naming, quantity, subtable
 from rvjax.study.variables import (
     Law as Law,

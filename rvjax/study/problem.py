@@ -25,7 +25,7 @@ from rvjax.study.branches import GRID
 from rvjax.study.identification import Identification, planned_kind
 from rvjax.study.measured import KINDS, Conditions, Loop, Measured, Run, Tones, checked
 from rvjax.study.nuisances import NUISANCES
-from rvjax.study.question import Study, StudyError
+from rvjax.study.study import Study, StudyError
 from rvjax.tolerances import Tolerance
 
 BESIDE = 20  # orders that no model names, for the floor
@@ -36,10 +36,10 @@ LEVELS = (0.1, 0.5, 1.0, 2.0)  # torques of candidates, of the largest one of th
 
 @dataclass(frozen=True)
 class Problem:
-    """One question to `rvjax.identify`.
+    """Problem for `rvjax.identify`.
 
     Attributes:
-        study: the question.
+        study: solved study.
         kind: "curve", "loop" or "frequencies".
         prior: flat dict of Tolerance.
         model: values -> observation.

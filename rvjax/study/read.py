@@ -16,7 +16,7 @@ from rvjax.study.design import parse_design
 from rvjax.study.identification import Identification, parse_identification
 from rvjax.study.origin import given_paths
 from rvjax.study.plausible import refuse_impossible
-from rvjax.study.question import Study, StudyError, parse_about
+from rvjax.study.study import Study, StudyError, parse_about
 from rvjax.study.toleranced import metadata, parse_tolerances, refuse_unplaced
 from rvjax.study.values import (
     Metadata,

@@ -34,7 +34,7 @@ CURVE = "curve"
 class Response(Record):
     """errors -> Outcome({output: value}, status) of one unit, with the required outputs only.
 
-    Its numbers are those of the design: a program that was compiled for one question serves every design of its kind.
+    Its numbers are those of the design: a program that was compiled for one study serves every design of its kind.
     """
 
     design: PyTree = field("-", "the reducer", kind="record")
@@ -55,7 +55,7 @@ class Response(Record):
         choices: Mapping[str, Choice] | None = None,
         bounds: Sequence[str] = (),
     ) -> Self:
-        """The response of a question.
+        """The response of a study.
 
         Args:
             design: the reducer.
@@ -206,7 +206,7 @@ def check_nominal(response: Response, errors: PyTree) -> None:
     """Raise an error if the unit without errors fails.
 
     Args:
-        response: of the question.
+        response: of the study.
         errors: of the unit.
 
     Raises:

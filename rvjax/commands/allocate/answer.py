@@ -86,7 +86,7 @@ class Answer:
     """Result of `rvjax allocate` and `rvjax report`.
 
     Attributes:
-        study: the question.
+        study: solved study.
         allocation: the cheapest tolerances and their certificate.
         certificate_before: statistics of the study's own tolerances, on the certificate's random numbers.
         before: the study's own tolerances.
@@ -110,7 +110,7 @@ def answer(study: Study, *, progress: bool = False, memo: Memo | None = None, me
     """Allocate the tolerances of a study and collect what the report shows.
 
     Args:
-        study: the question.
+        study: solved study.
         progress: show progress bars.
         memo: store of intermediate results, from which an interrupted run resumes.
         measure: measure the allocated units of a four-bar or lost-motion study on the whole reducer.

@@ -18,7 +18,7 @@ class Inputs:
     """Inputs of the command.
 
     Attributes:
-        study: the question.
+        study: solved study.
         kept: folder that holds the result, or None.
         folder: of the results, None where they are kept.
         memo: keeps what took long until the folder exists, or None.

@@ -52,17 +52,17 @@ class Inputs:
 
 def inputs(options: argparse.Namespace) -> Inputs:
     """The inputs that the options name; the unit without errors is solved with the parts."""
-    question = study.load(options.study, solve=False)
-    folder = results_folder(options.results, f"{question.name}-assembly")
-    return Inputs(question, options.parts, options.prices, folder)
+    loaded = study.load(options.study, solve=False)
+    folder = results_folder(options.results, f"{loaded.name}-assembly")
+    return Inputs(loaded, options.parts, options.prices, folder)
 
 
-def section(table: Mapping[str, object], question: Study) -> Assembly:
+def section(table: Mapping[str, object], loaded: Study) -> Assembly:
     """The table [assembly] of a study.
 
     Args:
         table: as written.
-        question: the study.
+        loaded: the study.
 
     Raises:
         ValueError: names the key, its value and the unit.
@@ -70,7 +70,7 @@ def section(table: Mapping[str, object], question: Study) -> Assembly:
     known(table, {f.name for f in dataclasses.fields(Assembly)}, "assembly")
     found: dict[str, PyTree] = {}
     if "response" in table:
-        found["response"] = choice(table["response"], question.requirements, "assembly.response")
+        found["response"] = choice(table["response"], loaded.requirements, "assembly.response")
     if "objective" in table:
         found["objective"] = choice(table["objective"], OBJECTIVES, "assembly.objective")
     if "turned" in table:
@@ -81,7 +81,7 @@ def section(table: Mapping[str, object], question: Study) -> Assembly:
         if key in table:
             found[key] = integer(table[key], f"assembly.{key}", 1, most)
     sd = subtable(table, "sd")
-    units = {f.name: f.metadata["unit"] for f in dataclasses.fields(question.design.error_record)}
+    units = {f.name: f.metadata["unit"] for f in dataclasses.fields(loaded.design.error_record)}
     known(sd, units, "assembly.sd")
     found["sd"] = {name: quantity(value, units[name], f"assembly.sd.{name}") for name, value in sd.items()}
     for name, value in found["sd"].items():

@@ -37,10 +37,10 @@ def inputs(options: argparse.Namespace) -> Inputs:
     Raises:
         ValueError: one line that names the option or the key.
     """
-    question = study.load(options.study, solve=False)
+    loaded = study.load(options.study, solve=False)
     loads = {torque: quantity(torque, "N m", "--torque") for torque in options.torque or ()}
     if len(set(loads.values())) < len(options.torque or ()):
         raise ValueError(f"--torque {', '.join(options.torque)}: each torque once")
-    folder = results_folder(options.results, f"{question.name}-budget")
-    forewarn(question)
-    return Inputs(question, options.output, loads or None, options.samples, options.seed, folder)
+    folder = results_folder(options.results, f"{loaded.name}-budget")
+    forewarn(loaded)
+    return Inputs(loaded, options.output, loads or None, options.samples, options.seed, folder)

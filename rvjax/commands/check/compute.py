@@ -28,26 +28,26 @@ class Checked:
 
 def compute(inputs: Inputs) -> Checked:
     """Compute the derived values of a study."""
-    question = inputs.study
-    return Checked(list(facts_of(question.design)), _magnitudes(question), choices(question))
+    study = inputs.study
+    return Checked(list(facts_of(study.design)), _magnitudes(study), choices(study))
 
 
-def _magnitudes(question: Study) -> list[tuple[str, str, str | None]]:
-    known = [dict(numbers(one)) for one in KNOWN_DESIGNS if type(one) is type(question.design)]
+def _magnitudes(study: Study) -> list[tuple[str, str, str | None]]:
+    known = [dict(numbers(one)) for one in KNOWN_DESIGNS if type(one) is type(study.design)]
     rows: list[tuple[str, str, str | None]] = []
-    for name, (value, unit) in numbers(question.design):
+    for name, (value, unit) in numbers(study.design):
         seen = [one[name][0] for one in known if name in one]
         span = f"{shown(min(seen), unit)} to {shown(max(seen), unit)}" if seen else None
         rows.append((name, shown(value, unit), span))
-    kind = models.kind(question.design)
+    kind = models.kind(study.design)
     for f in dataclasses.fields(kind.conditions):
-        value = getattr(question.conditions, f.name)
-        if f.name in kind.conditions_of(tuple(question.requirements)) and value is not None:
+        value = getattr(study.conditions, f.name)
+        if f.name in kind.conditions_of(tuple(study.requirements)) and value is not None:
             number = shown(value, f.metadata["unit"]) if isinstance(value, float) else str(value)
-            span = f"up to {shown(TORQUE[1], 'N m')}" if _rated(question, f) else None
+            span = f"up to {shown(TORQUE[1], 'N m')}" if _rated(study, f) else None
             rows.append((f"conditions.{f.name}", number, span))
     return rows
 
 
-def _rated(question: Study, condition: Field) -> bool:
-    return bool(condition.metadata["torque"]) and isinstance(question.design, RVReducer)
+def _rated(study: Study, condition: Field) -> bool:
+    return bool(condition.metadata["torque"]) and isinstance(study.design, RVReducer)

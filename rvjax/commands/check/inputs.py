@@ -30,8 +30,8 @@ def inputs(options: argparse.Namespace) -> Inputs:
         ValueError: one line that names the option or the key.
     """
     check_files(options, picture=".png")
-    question = study.load(options.study, solve=False)
-    if options.picture and not isinstance(question.design, RVReducer):
-        kind = type(question.design).__name__
+    loaded = study.load(options.study, solve=False)
+    if options.picture and not isinstance(loaded.design, RVReducer):
+        kind = type(loaded.design).__name__
         raise ValueError(f"--picture {options.picture}: plots RV reducers only, not a {kind}")
-    return Inputs(question, Path(options.picture) if options.picture else None)
+    return Inputs(loaded, Path(options.picture) if options.picture else None)

@@ -44,10 +44,10 @@ def inputs(options: argparse.Namespace) -> Inputs:
     results = {letter: result(path) for letter, path in paths.items()}
     if options.on is None:
         return Inputs(paths, results)
-    question = study.load(options.on, solve=False)  # a unit that fails counts among the others
+    loaded = study.load(options.on, solve=False)  # a unit that fails counts among the others
     answers = {letter: answered(path) for letter, path in paths.items()}
-    forewarn(question)
-    return Inputs(paths, results, question, answers, options.samples)
+    forewarn(loaded)
+    return Inputs(paths, results, loaded, answers, options.samples)
 
 
 def answered(path: str) -> tuple[Study, PyTree]:
@@ -65,13 +65,13 @@ def answered(path: str) -> tuple[Study, PyTree]:
         written = (folder / "study.toml").read_text("utf-8")
     except (OSError, UnicodeDecodeError):
         raise ValueError(f"{folder}: there is no study.toml next to the result, which has the distributions") from None
-    question = study.parse_study(written, name=str(found["study"]), folder=folder, solve=False)
+    loaded = study.parse_study(written, name=str(found["study"]), folder=folder, solve=False)
     try:
         limits = {name: (one["after"]["lower"], one["after"]["upper"]) for name, one in found["tolerances"].items()}
         tolerances = {
-            name: getattr(question.tolerances, name).replace(lower=lower, upper=upper)
+            name: getattr(loaded.tolerances, name).replace(lower=lower, upper=upper)
             for name, (lower, upper) in limits.items()
         }
     except (KeyError, TypeError, AttributeError) as error:
         raise ValueError(f"{path}: no result of the study next to it ({error!r})") from None
-    return question, question.tolerances.replace(**tolerances)
+    return loaded, loaded.tolerances.replace(**tolerances)

@@ -51,9 +51,9 @@ def inputs(options: argparse.Namespace) -> Inputs:
         raise ValueError(f"--export {export}: must end with one of {', '.join(FORMS)}")
     if export is not None and not export.absolute().parent.is_dir():
         raise ValueError(f"--export {export}: there is no such folder")
-    question = study.load(options.study, solve=False)
+    loaded = study.load(options.study, solve=False)
     return Inputs(
-        study=question,
+        study=loaded,
         data=options.data,
         export=export,
         angle_sd=quantity(options.angle_sd, "rad", "--angle-sd"),
@@ -61,5 +61,5 @@ def inputs(options: argparse.Namespace) -> Inputs:
         first_order=options.first_order,
         points=options.points or POINTS,
         side=options.side,
-        folder=results_folder(options.results, f"{question.name}-compensation"),
+        folder=results_folder(options.results, f"{loaded.name}-compensation"),
     )

@@ -38,10 +38,10 @@ def inputs(options: argparse.Namespace) -> Inputs:
     Raises:
         ValueError: one line that names the option, the key or the cell.
     """
-    question = study.load(options.study, solve=False)
-    loaded = identification_of(question)
-    data = read_measured(options.data, loaded.columns) if options.data else None
+    loaded = study.load(options.study, solve=False)
+    columns = identification_of(loaded).columns
+    data = read_measured(options.data, columns) if options.data else None
     if data is None and not options.check:
         raise ValueError("no data: name at least one CSV file, or use --check for the identifiability")
-    folder = None if options.check else results_folder(options.results, question.name)
-    return Inputs(question, options.study, options.data, data, options.check, options.sample, folder)
+    folder = None if options.check else results_folder(options.results, loaded.name)
+    return Inputs(loaded, options.study, options.data, data, options.check, options.sample, folder)

@@ -24,7 +24,7 @@ class Batch:
     """Arguments of a run.
 
     Attributes:
-        study: the question.
+        study: sampled study.
         samples: units; None: as many as the study certifies with.
         seed: None: that of the study.
         sobol: Sobol points instead of random numbers.
@@ -48,26 +48,26 @@ class Batch:
 
 def run(batch: Batch) -> Statistics:
     """The statistics, in this process or, where JAX's distributed runtime is on, with the others."""
-    question = batch.study
+    loaded = batch.study
     found = tolerances.monte_carlo(
-        question.response(solve=False),
-        question.tolerances,
-        samples=question.certificate_samples if batch.samples is None else batch.samples,
-        seed=question.seed if batch.seed is None else batch.seed,
+        loaded.response(solve=False),
+        loaded.tolerances,
+        samples=loaded.certificate_samples if batch.samples is None else batch.samples,
+        seed=loaded.seed if batch.seed is None else batch.seed,
         method="sobol" if batch.sobol else "random",
         chunk=batch.chunk,
-        requirements=question.requirements,
+        requirements=loaded.requirements,
         checkpoint=batch.checkpoint,
         keep=batch.keep,
         save=batch.save,
         progress=batch.progress,
     )
     if found.failed == found.samples:
-        question.response()  # says so where the unit without errors fails too
+        loaded.response()  # says so where the unit without errors fails too
     return found
 
 
-def question(source: str, worker: Sequence[str] | None = None) -> study.Study:
+def study_of(source: str, worker: Sequence[str] | None = None) -> study.Study:
     """The study of a command line, read once.
 
     Args:
@@ -87,20 +87,20 @@ def question(source: str, worker: Sequence[str] | None = None) -> study.Study:
 
 
 def table_of(
-    path: str, question: study.Study, source: str, *, errors: bool, worker: Sequence[str] | None = None
+    path: str, loaded: study.Study, source: str, *, errors: bool, worker: Sequence[str] | None = None
 ) -> UnitFile:
     """Table of units that a command line requires.
 
     Args:
         path: of the table.
-        question: study, with the measurement units of the responses.
+        loaded: study, with the measurement units of the responses.
         source: of the study, as it was named.
         errors: write the sampled errors too.
         worker: of one of several processes: its part is next to its target.
     """
-    units = {name: question.output(name).unit for name in question.requirements}
+    units = {name: loaded.output(name).unit for name in loaded.requirements}
     own = path if worker is None else Path(worker[-1]).with_name(Path(path).name)
-    return UnitFile(own, errors, units, {"name": source, "toml": question.text})
+    return UnitFile(own, errors, units, {"name": source, "toml": loaded.text})
 
 
 def run_in_processes(

@@ -63,12 +63,12 @@ def compute(inputs: Inputs) -> Sampled | None:
 
 def _batch(inputs: Inputs) -> batch.Batch:
     options = inputs.options
-    question = batch.question(options.study, options.worker)
+    loaded = batch.study_of(options.study, options.worker)
     save = inputs.table and batch.table_of(
-        inputs.table, question, options.study, errors=options.save_errors, worker=options.worker
+        inputs.table, loaded, options.study, errors=options.save_errors, worker=options.worker
     )
     return batch.Batch(
-        study=question,
+        study=loaded,
         samples=options.samples,
         seed=options.seed,
         sobol=options.sobol,

@@ -30,7 +30,7 @@ def bearing_section(lives: Lives, study: Study) -> Section:
 
     Args:
         lives: of units with the allocated tolerances.
-        study: the question.
+        study: solved study.
     """
     low, median = np.quantile(lives.life, (LOW, 0.5)) / HOUR
     failed = f" {lives.failed} further units have no life." if lives.failed else ""

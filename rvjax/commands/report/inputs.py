@@ -19,7 +19,7 @@ class Inputs:
     """Inputs of the command.
 
     Attributes:
-        study: the question.
+        study: solved study.
         source: of the study, as named.
         answer: stored result, or None.
         kept: this folder, or None.

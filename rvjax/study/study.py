@@ -71,7 +71,7 @@ def _line(value: object, where: str) -> str:
 
 @dataclass(frozen=True)
 class Study:
-    """A question about one design.
+    """A study of one design.
 
     Attributes:
         name: short name, from the file.
