@@ -66,7 +66,7 @@ def test_the_page_holds_the_answer_and_needs_nothing_else(written, answered):
     text = written.read_text("utf-8")
     tags = Tags(text)
     sections = ["Requirements", "Tolerances and cost", "What if", "The reducer", "Which error matters"]
-    sections += ["Error budget", "Worst units", "How exactly it was computed", "How to get this page again"]
+    sections += ["Error budget", "Worst units", "Accuracy of the computation", "How to get this page again"]
     assert tags.headings == ["small", *sections]
     images = [attrs for tag, attrs in tags.seen if tag == "img"]
     assert len(images) == len(PICTURES) + 2  # that of the error budget, and the drawing of the reducer

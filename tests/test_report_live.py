@@ -263,7 +263,7 @@ def test_the_sliders_in_a_browser(answered, tmp_path):
     assert float(seen["after"].split()[0]) < 100 * certified - 1
     assert seen["region"].startswith("Outside the region in which the error is known: ")
     assert "shift modification half-width" in seen["region"] and "disc runout half-width" in seen["region"]
-    assert "bearing clearance: below zero, which a study refuses" in seen["region"]
+    assert "bearing clearance: below zero, not allowed in a study" in seen["region"]
     assert seen["computed"] > 0 and seen["bars"] == 1
     assert tomllib.loads(seen["study"])["tolerances"]["pin_radius"] != tomllib.loads(PLAY)["tolerances"]["pin_radius"]
     assert seen["wide"] <= 0 and seen["outside"] == []

@@ -68,7 +68,7 @@ function startLive(section, data) {
       <text class="right" y="${HIGH + 14}" x="${WIDE}" text-anchor="end"></text></svg>`;
     const bars = element("ul", { class: "live-shares" });
     picture.append(element("figcaption", {}, `${response.label}: units now (filled), as allocated (line), limits; ` +
-      "below, who causes the variance"), bars);
+      "below, shares of the variance"), bars);
     $("pictures").append(picture);
     return { cells, svg: picture.querySelector("svg"), bars };
   });
@@ -142,9 +142,9 @@ function startLive(section, data) {
     const broken = data.fields.filter((f) => f.nonnegative && Live.limitsOf(f, at).lower < -1e-9);
     const away = found.outside.map((p) => p.label);
     $("region").textContent = [
-      away.length ? `Outside the region in which the error is known: ${away.join("; ")}. Let rvjax compute it.`
+      away.length ? `Outside the region in which the error is known: ${away.join("; ")}. Compute it with rvjax.`
         : `Inside the region: ${data.error}.`,
-      ...broken.map((f) => `${f.label}: below zero, which a study refuses.`),
+      ...broken.map((f) => `${f.label}: below zero, not allowed in a study.`),
     ].join(" ");
     $("region").className = away.length || broken.length ? "live-region far" : "live-region";
     $("study").value = Live.study(data, at);

@@ -173,7 +173,7 @@ def _requirements(answer: Answer, drawn: dict[str, Figure]) -> Section:
     )
     capability = (
         "Of the certified units. Cp = (upper - lower)/(6 sd) needs two limits; Cpk = distance of the mean from the "
-        "nearer limit/(3 sd). Both give the rejects only if the distribution is normal; the yield does for any."
+        "nearer limit/(3 sd). Both give the rejects only if the distribution is normal; the yield gives them for any distribution."
     )
     histograms = tuple(drawn[f"histogram_{name}"] for name in answer.study.requirements)
     parts = (requirement_table(answer), Note(certified), _capability(answer), Note(capability))
@@ -195,8 +195,7 @@ def _capability(answer: Answer) -> Table:
 
 def _tolerances(answer: Answer, drawn: dict[str, Figure]) -> Section:
     text = Note(
-        "An error without a cost keeps the tolerance of the study. The cost of an error is that of all its elements "
-        "together."
+        "An error without a cost keeps the tolerance of the study. The cost of an error includes all its elements."
     )
     curve = [drawn["cost_against_yield"]] if "cost_against_yield" in drawn else []
     return Section("Tolerances and cost", (*tolerance_tables(answer), text, *curve))
@@ -249,8 +248,8 @@ def _drawn(design: RVReducer) -> str:
 def _worst(answer: Answer, drawn: dict[str, Figure]) -> Section:
     text = (
         f"Of {shown_values(answer.study):,} sample units with the tolerances after (seed {answer.after.seed}). The bar "
-        "is the tolerance, the tick its middle, every dot one element of the error, or the length of a vector. Errors "
-        f"that explain less than {100 * SHARE_SHOWN:g} % of the variance are left out."
+        "is the tolerance, the tick its mid-point, every dot one element of the error, or the length of a vector. Errors "
+        f"that explain less than {100 * SHARE_SHOWN:g} % of the variance are not shown."
     )
     units = Block(
         "rvjax.commands.report:worst_units.html.j2", {"units": [rows_of(answer, u) for u in worst_units(answer)]}
@@ -277,10 +276,10 @@ def _levels(answer: Answer) -> Section:
         if (value := getattr(study.conditions, key)) is not None
     )
     text = (
-        "A level is one way to compute a response. Errors and times are measured ones, from the table that comes with "
-        f"rvjax; times are those of its computer, for comparison.\nConditions, SI: {conditions}."
+        "A level is one way to compute a response. Errors and times are measured; the table comes with "
+        f"rvjax. Times were measured on the computer of the table.\nConditions, SI: {conditions}."
     )
-    return Section("How exactly it was computed", (Table("levels", columns, rows), Note(text)))
+    return Section("Accuracy of the computation", (Table("levels", columns, rows), Note(text)))
 
 
 def _plain(value: object) -> str:
