@@ -173,7 +173,7 @@ def _requirements(answer: Answer, drawn: dict[str, Figure]) -> Section:
     )
     capability = (
         "Of the certified units. Cp = (upper - lower)/(6 sd) needs two limits; Cpk = distance of the mean from the "
-        "nearer limit/(3 sd). Both give the rejects only if the distribution is normal; the yield gives them for any distribution."
+        "nearer limit/(3 sd). Both give the rejects only of a normal distribution; the yield gives them of any."
     )
     histograms = tuple(drawn[f"histogram_{name}"] for name in answer.study.requirements)
     parts = (requirement_table(answer), Note(certified), _capability(answer), Note(capability))
@@ -248,7 +248,7 @@ def _drawn(design: RVReducer) -> str:
 def _worst(answer: Answer, drawn: dict[str, Figure]) -> Section:
     text = (
         f"Of {shown_values(answer.study):,} sample units with the tolerances after (seed {answer.after.seed}). The bar "
-        "is the tolerance, the tick its mid-point, every dot one element of the error, or the length of a vector. Errors "
+        "is the tolerance, the tick its mid-point, each dot one element of the error or the length of a vector. Errors "
         f"that explain less than {100 * SHARE_SHOWN:g} % of the variance are not shown."
     )
     units = Block(
