@@ -63,7 +63,7 @@ compiled in half the time."""
 
 
 def quick(*static: int, options: Options = QUICK) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """As `jax.jit`; called by itself, and not within another program, it is compiled with separate options.
+    """`jax.jit` with separate compiler options where the function is not part of another program.
 
     Under `jax.vmap` the options are `QUICK`: a batch of `loaded.torsion` compiles in 9 instead of 17 s.
 
@@ -144,7 +144,7 @@ def _caches() -> Path:
 
 
 def _processor() -> str:
-    """Digest of what the processor can do: a folder may be shared by machines of several kinds."""
+    """Digest of the processor features, because computers of several kinds may share a folder."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
         able = next((line for line in lines if line.startswith(("flags", "Features"))), "")

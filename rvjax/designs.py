@@ -124,7 +124,7 @@ class CycloidStage(Record):
 
 @record
 class CrankStage(Record):
-    """Crankshafts, equally spaced on a circle; two cranks are 2 * circle_radius apart."""
+    """Crankshafts, equally spaced on a circle; the distance of two cranks is 2 * circle_radius."""
 
     count: int = count("crankshafts, each with its planet", minimum=2, maximum=64)
     circle_radius: Scalar = field("m", "radius of the circle of crank axes, R", sign="positive")
@@ -240,7 +240,7 @@ class RVReducer(Record):
         return ratio_of(involute.sun_teeth, involute.planet_teeth, cycloid.disc_teeth, cycloid.pin_count)
 
     def stiffer(self, factor: Scalar) -> Self:
-        """The same reducer with every spring times a factor."""
+        """Reducer with all spring stiffnesses multiplied by a factor."""
         cranks, springs = self.cranks, self.stiffness
         if cranks.bearing_stiffness is not None:
             cranks = cranks.replace(bearing_stiffness=factor * cranks.bearing_stiffness)

@@ -118,6 +118,6 @@ def digest(arrays: Arrays) -> str:
 
 
 def versions(*packages: str) -> dict[str, str]:
-    """Versions of rvjax and of packages or "python", by name: what a result in a file depends on."""
+    """Versions of rvjax and of packages or "python", by name, for results in files."""
     found = {"python": platform.python_version()}
     return {n: found.get(n) or importlib.import_module(n).__version__ for n in ("rvjax", *packages)}

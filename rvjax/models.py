@@ -58,12 +58,12 @@ class Kind:
         return self.described[name].costly if own is None else own
 
     def compiler_options(self, outputs: Iterable[str]) -> tuple[tuple[str, bool | int], ...]:
-        """Of a program that computes some outputs: those of all their models."""
+        """Compiler options of a program of some outputs: the options of all their models."""
         return tuple(dict.fromkeys(o for name in outputs for o in self.described[name].compiler_options))
 
 
 def descriptions() -> tuple[Description, ...]:
-    """Of all models."""
+    """Descriptions of all models."""
     return tuple(importlib.import_module(f"{name}.outputs").DESCRIPTION for name in MODELS)
 
 

@@ -73,7 +73,7 @@ class Reading:
     take: Callable[..., Solved]
 
     def __call__(self, design: Design, errors: PyTree, given: object) -> Solved:
-        """The output alone."""
+        """The output without the results that it shares."""
         return self.within({}, design, errors, given)
 
     def within(self, found: dict[Source, PyTree], design: Design, errors: PyTree, given: object) -> Solved:

@@ -170,7 +170,7 @@ def begin(name: str) -> None:
 
 
 def detail(note: str, part: float = 0.0) -> bool:
-    """Report what the phase does now; False without a progress line."""
+    """Report the current work of the phase; False without a progress line."""
     _go_on()
     phases = _WATCHED.get()
     if phases is not None:

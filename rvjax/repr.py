@@ -15,7 +15,7 @@ _LONGEST = 60  # characters of a text or a tuple, beyond which its middle is lef
 
 
 def brief(record: "DataclassInstance") -> str:
-    """`Name(field=value unit, ...)` of a record; what is None, or the plain number that is its default, is left out.
+    """`Name(field=value unit, ...)` of a record, without fields that are None or have their default number.
 
     Args:
         record: a dataclass whose fields have a `unit` in their metadata.

@@ -46,7 +46,7 @@ _NUMBER_AND_UNIT = re.compile(r"([-+]?(?:\d[\d_]*\.?\d*|\.\d+|\d*inf|nan)(?:[eE]
 
 
 def spelling(name: str) -> str:
-    """Return a unit as this module spells it: "µm" is "um", "Nm" and "N·m" are "N m", "arcsec" stays."""
+    """Return the spelling of a unit in this module: "um" for "µm", "N m" for "Nm" and "N·m"."""
     name = name.strip().replace("\u00b5", "u").replace("\u03bc", "u").replace("\u00b2", "2")
     return re.sub(r"N\s*[·*.]?\s*m(?!m)\b", "N m", name)
 

@@ -52,7 +52,7 @@ def stopped() -> bool:
 
 
 def alternate(cost: np.ndarray, supply: Supply, starts: int, rng: np.random.Generator) -> Build:
-    """All slots fixed but one, that one assigned exactly, in turn, until none improves; the best of several starts."""
+    """Assign one slot after the other exactly, the others fixed, until none improves; the best of several starts."""
     big = beyond(cost, supply.units)
     priced = np.where(np.isfinite(cost), cost, big)
     return alternated_by(priced.__getitem__, supply, starts, rng)

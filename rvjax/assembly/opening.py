@@ -139,7 +139,7 @@ def _drawn(tolerance: Tolerance, z: jax.Array) -> jax.Array:
 
 
 def _widen(tolerances: PyTree, factor: float) -> PyTree:
-    """Every tolerance of a structure with its half-width times a factor."""
+    """Multiply the half-width of all tolerances of a structure by a factor."""
 
     def wider(leaf: object) -> PyTree:
         return leaf.with_half_width(factor * float(leaf.half_width)) if isinstance(leaf, Tolerance) else leaf

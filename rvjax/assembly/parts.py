@@ -1,4 +1,4 @@
-"""Parts with their measured errors, the kinds of parts a unit takes, and what is known of all parts of a kind."""
+"""Parts with measured errors, kinds of parts, and the distribution of the errors of a kind."""
 
 import dataclasses
 import operator

@@ -1,4 +1,4 @@
-"""Random assembly on fresh draws: what a plan is compared with."""
+"""Random assembly on independent draws, the reference of a plan."""
 
 from collections.abc import Mapping
 

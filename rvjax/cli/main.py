@@ -52,7 +52,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 class _Terminated(KeyboardInterrupt):
-    """SIGTERM ends a command as Ctrl-C does: what it has begun is cleared away."""
+    """SIGTERM ends a command as Ctrl-C does; unfinished files are removed."""
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -1,4 +1,4 @@
-"""Cells that several commands show: limits of errors, what a requirement evaluates, units that failed."""
+"""Cells of several commands: limits of errors, evaluated values of requirements, failed units."""
 
 import math
 
@@ -64,7 +64,7 @@ def limits_data(tolerance: Tolerance) -> dict[str, object]:
 
 
 def assumed_text(study: Study) -> str:
-    """List the assumed values; a part is listed alone if all its values are assumed."""
+    """List the assumed values; if all values of a part are assumed, only the part."""
     stated = [number for number in study.numbers if number.origin != "default"]
     known = {number.path.rpartition(".")[0] for number in stated if not number.assumed} | {""}
     paths = (number.path for number in stated if number.assumed)

@@ -15,7 +15,7 @@ from rvjax.identify import Orders
 
 
 def significant(found: Orders, chance: float = 0.001) -> np.ndarray:
-    """Places of the orders that noise alone would not show, with this chance that any of them is noise (s,).
+    """Positions of the orders that exceed noise; with this chance at least one of them is noise (s,).
 
     |value|^2/(2 sd^2) of pure noise is exponential; k orders pass ln(k/chance) with that chance at most.
     """

@@ -40,7 +40,7 @@ from rvjax.status import Gate, Status, admit, window
 
 @record
 class Lumped(Record):
-    """The numbers of a reducer that the lumped model reads; `eccentricity` and `force_arm` may vary apart."""
+    """Parameters of the lumped model; `eccentricity` and `force_arm` may vary independently."""
 
     cranks: int = count("planets and crankshafts, M", minimum=2)
     discs: int = count("discs, N")

@@ -131,7 +131,7 @@ def balance(
 
 
 def _mesh_displacement(unit: Unit, stage: str, orders: Orders, amplitude: jax.Array) -> tuple[Orders, jax.Array]:
-    """Errors of the varying meshes one by one: orders, and phasors (orders, meshes)."""
+    """Errors of each varying mesh: orders, and phasors (orders, meshes)."""
     lumped, errors = unit.lumped, unit.errors
     if stage == "cycloid":  # the mean acts on every disc
         values = amplitude[:, SPRINGS.index(MESH[stage])]

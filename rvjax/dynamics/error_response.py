@@ -233,7 +233,7 @@ def _transmission_error(
 
 
 def _first_order(unit: Unit, speed: jax.Array, outputs: tuple[str, ...], pin_harmonics: int) -> Balanced:
-    """Lines of the errors alone, at output speed `speed`, () rad/s."""
+    """Lines of the errors without load, at output speed `speed`, () rad/s."""
     orders = error_orders(unit, pin_harmonics)
     n = jnp.asarray([float(order) for order in orders], speed.dtype)
     excitation, _ = generators(unit, orders, pin_harmonics)
@@ -265,7 +265,7 @@ def speed_sweep(
     outputs: Sequence[str] = ("output.rotation",),
     pin_harmonics: int = 8,
 ) -> SpeedSweep:
-    """Every line of one unit over a range of speeds, and where it is largest; first order, one eigenproblem.
+    """Lines of one unit over a range of speeds with their maxima; first order, one eigenproblem.
 
     Args:
         design: as in `transmission_error`.

@@ -1,4 +1,4 @@
-"""Symmetry of equally spaced cranks and discs: the model falls apart into small systems.
+"""Symmetry of equally spaced cranks and discs: the model separates into small systems.
 
 In the coordinates sum_i e^{i k psi_i} q_i / sqrt(M) of the planets and cranks, and likewise of the discs, only
 few labels k couple with the central parts:
@@ -47,7 +47,7 @@ class Block(Record):
 
 @record
 class Blocks(Record):
-    """The systems into which M, N >= 3 cranks and discs fall apart."""
+    """Separate systems of M, N >= 3 cranks and discs."""
 
     rotational: Block = field("-", "central parts rotate, members alike", kind="record")
     translational: Block = field("-", "central parts translate; one of two conjugate systems", kind="record")

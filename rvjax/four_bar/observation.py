@@ -28,7 +28,7 @@ class Ways(Protocol):
 def _spectrum(
     design: RVReducer, errors: RVErrors, given: Ways, torques: Array | None, orders: tuple[int, ...], alike: bool
 ) -> Spectrum:
-    """Every turn of the cranks is like the next, so that only multiples of the pin count are not zero."""
+    """Crank revolutions are equal, so only multiples of the pin count are not zero."""
     pins = design.cycloid.pin_count
 
     def turn(torque: Scalar) -> Array:

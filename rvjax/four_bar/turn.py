@@ -127,7 +127,7 @@ def _all(along: Callable[[Crank], jax.Array], angles: int, places: bool, togethe
 
 
 def _at_once(along: Callable[[Crank], jax.Array], angles: int, places: bool) -> jax.Array:
-    """As `_all`, all angles at once: for few batch elements, where starting a kernel costs more than its work."""
+    """`_all` with all angles together: for few batch elements, where starting a kernel costs more than its work."""
     index = np.arange(angles)
     every = settle(along(Crank(np.cos(2 * np.pi / angles * index), np.sin(2 * np.pi / angles * index))))
     most, least = jnp.max(every), jnp.min(every)
@@ -138,7 +138,7 @@ def _at_once(along: Callable[[Crank], jax.Array], angles: int, places: bool) -> 
 
 
 def _near(along: Callable[[Crank], jax.Array], wave: Wave, angles: int, places: bool) -> jax.Array:
-    """As `_all`, of the angles next to the crest and the trough of the first harmonic; NaN unless these decide.
+    """`_all` of the angles next to the crest and the trough of the first harmonic; NaN unless these decide.
 
     One number, for XLA repeats for each result everything that leads to it.
     """

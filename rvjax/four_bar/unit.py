@@ -1,4 +1,4 @@
-"""One reducer taken apart into the numbers that place its discs.
+"""Parameters of one reducer that determine the position of its discs.
 
 Axes of cranks and discs are unrolled into lists: a batch of units then sees element-wise arithmetic
 only, which XLA turns into a few vector loops.

@@ -67,7 +67,7 @@ def figures(design: RVReducer, output_torque: Scalar = 0.0) -> Figures:
 
 
 def _masses(design: RVReducer) -> list[Any] | None:
-    """Of all parts that turn."""
+    """Masses of all rotating parts."""
     inertia, cranks = design.inertia, (design.cranks.count,)
     if inertia is None:
         return None

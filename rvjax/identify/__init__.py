@@ -1,4 +1,4 @@
-"""Identification: errors of the parts from measured observations, with what the data do not determine.
+"""Identification: errors of the parts from measurements, with the combinations that the data do not determine.
 
 This package is independent of gears: a model is any pure function of values to an observation. A prior is a record or
 dict of tolerances.

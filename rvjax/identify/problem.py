@@ -184,7 +184,7 @@ def counted(name: str, value: int, least: int) -> None:
 
 
 def integer(name: str, value: int) -> int:
-    """Return an integer; a ValueError names what is none."""
+    """Return an integer; a ValueError names a value that is not one."""
     try:
         if isinstance(value, bool):
             raise TypeError

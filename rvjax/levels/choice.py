@@ -113,7 +113,7 @@ def choose(
 
 
 def as_given(design: Design, outputs: Sequence[str], conditions: object, *, tolerances: PyTree) -> dict[str, Choice]:
-    """The level that the conditions themselves select for each output, and what is measured of it.
+    """Level that the conditions select for each output, with its measured error and time.
 
     Args:
         design: the reducer.
@@ -205,7 +205,7 @@ def _model(known: Sequence[Model], design: PyTree, conditions: PyTree, tolerance
 
 
 def _overridden(design: PyTree, prefix: str = "") -> dict[str, Scalar]:
-    """Numbers by path that differ beyond rounding from what the design would derive for them (`derived_NAME`)."""
+    """Numbers by path that differ from their derived value (`derived_NAME`) by more than rounding."""
     found: dict[str, Scalar] = {}
     for f in dataclasses.fields(design):
         value, derived = getattr(design, f.name), getattr(design, f"derived_{f.name}", None)
@@ -246,7 +246,7 @@ def reach(tolerances: PyTree) -> dict[str, float]:
 
 
 def design_numbers(design: PyTree, prefix: str = "") -> dict[str, float]:
-    """Every number of a design by path, counts included; each of an array by its place, NaN of one that is traced."""
+    """Numbers of a design by path, with counts and elements of arrays; NaN for a traced number."""
     found: dict[str, float] = {}
     for f in dataclasses.fields(design):
         value = getattr(design, f.name)

@@ -170,7 +170,7 @@ def evaluate(
 
 
 def measure_model(cases: Cases, *, seed: int, seconds: float = 0.3) -> Model:
-    """Every level of one model against its reference.
+    """Errors and times of all levels of one model.
 
     Args:
         cases: what to measure.

@@ -185,7 +185,7 @@ class Table:
         Path(path).write_text(json.dumps(self.as_json(), indent=1, allow_nan=False) + "\n", "utf-8")
 
     def as_json(self) -> dict[str, object]:
-        """As JSON values; an error without bound is null."""
+        """Table as JSON values; an error without bound is null."""
         return _plain(dataclasses.asdict(self))
 
     @classmethod
@@ -235,7 +235,7 @@ STEP = 5.0  # a level is mentioned if it is this many times as accurate as the l
 
 
 def report(table: Table) -> str:
-    """Every level of every model, with the sentence below."""
+    """Text of all levels of all models, each model with its advice."""
     blocks = [_model(model) for model in table.models.values()]
     facts = ", ".join(f"{key} {value}" for key, value in table.machine.items() if value not in ("", []))
     return "\n\n".join([*blocks, f"Measured on {facts}; seed {table.seed}."])

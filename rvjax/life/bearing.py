@@ -209,7 +209,7 @@ def bearing_life(
 
 
 def _floats(values: Array | np.ndarray) -> Array | np.ndarray:
-    """Arrays as they are; lists and whole numbers as floats."""
+    """Arrays unchanged; lists and whole numbers as floats."""
     dtype = getattr(values, "dtype", None)
     return values if dtype is not None and jnp.issubdtype(dtype, jnp.floating) else np.asarray(values, float)
 

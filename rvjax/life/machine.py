@@ -1,4 +1,4 @@
-"""All crank bearings of one reducer: what is read, what may be, and the damage that its forces do.
+"""All crank bearings of one reducer: inputs, valid values, and the damage by their forces.
 
 Loads of the two support bearings of a crank: statics of a beam, and thrust of tapered bearings.
 """

@@ -52,7 +52,7 @@ class Search(NamedTuple):
 
 
 def largest_root(evaluate: Evaluate, start: jax.Array, memory: jax.Array) -> Root:
-    """The root, what the evaluations remember of it, and how the search ended.
+    """Root, values stored at it, and end of the search.
 
     Args:
         evaluate: (x, memory) -> (value, status, steps of the equilibria, memory); CONTACT_OVERLOAD: x is too high.

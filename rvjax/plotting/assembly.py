@@ -83,7 +83,7 @@ def gain_against_gauge(
 def price_of_accuracy(
     shares: Sequence[float], alone: Sequence[float], matched: Sequence[float], *, axes: Axes | None = None
 ) -> Axes:
-    """Cost of the tolerances against yield, alone and opened as far as matching allows.
+    """Cost of the tolerances against yield, for random assembly and opened by matching.
 
     Args:
         shares: yields (k,).

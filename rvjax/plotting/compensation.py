@@ -11,7 +11,7 @@ from rvjax.units import arcsec
 def before_and_after(
     angle: Numbers, error: Numbers, correction: Correction, *, title: str = "", axes: Axes | None = None
 ) -> Axes:
-    """A measured error over the output angle, and what stays of it with the correction.
+    """A measured error over the output angle, and the rest after the correction.
 
     Args:
         angle: of the output, rad (n,).

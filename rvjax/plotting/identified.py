@@ -100,7 +100,7 @@ def elements(
     verdict: Mapping[str, str],
     axes: Axes | None = None,
 ) -> Axes:
-    """One bar for each element: the range of the drawing, what the data leave open, and the limits.
+    """One bar for each element: the range of the drawing, the posterior interval, and the limits.
 
     Args:
         names: elements, from the top.

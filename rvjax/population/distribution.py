@@ -90,7 +90,7 @@ class Distribution(Record):
 
     @classmethod
     def parameters(cls) -> tuple[str, ...]:
-        """Names of the parameters that belong to this distribution alone."""
+        """Names of the parameters that only this distribution has."""
         return tuple(f.name for f in dataclasses.fields(cls))
 
     @classmethod

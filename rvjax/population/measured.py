@@ -163,7 +163,7 @@ def measured(
 
 
 def _found(path: str | Path, about: Mapping[str, Metadata] | None) -> dict[str, str]:
-    """Every column whose header is a name and a known unit, by the name."""
+    """Columns by name, of those with a known unit in the header."""
     everything = {unit for family in KNOWN.values() for unit in family}
     heads = {text: split(text) for text in read_cells(path)[0]}
     found = {name: text for text, (name, unit) in heads.items() if unit and spelling(unit) in everything}

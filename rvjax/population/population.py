@@ -46,7 +46,7 @@ def mixing_matrix(active: Active, correlation: Mapping[tuple[str, str], float]) 
 
 
 def batch_correlation(active: Active) -> np.ndarray:
-    """Correlation matrix of the elements' z that comes from batches alone."""
+    """Correlation matrix of the elements' z that follows from batches."""
     matrix, stop = np.eye(sum(math.prod(t.shape) for t in active.values())), 0
     for tolerance in active.values():
         size = math.prod(tolerance.shape)

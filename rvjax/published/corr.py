@@ -207,7 +207,7 @@ def _centre_circle_change() -> float:
 
 
 def _largest_roller() -> float:
-    """Without undercut, mm: what a roller of 20 mm would have to stay below."""
+    """Largest roller without undercut, mm; a roller of 20 mm is larger."""
     return float(mesh_force.largest_roller_radius(CORR)) / mm
 
 

@@ -176,7 +176,7 @@ def _status(figure: Figure, computed: object) -> str:
 
 
 def _bands(figure: Figure, computed: object) -> list[tuple[float, float, float, float]]:
-    """Of every element: computed, published, half the last published digit, tolerance of the computed one."""
+    """Computed value, published value, half the last published digit and tolerance of each element."""
     published = _list(figure.get("presupposes", figure["value"]))
     ours, rounding, tolerance = _list(computed), _list(figure.get("rounding", 0.0)), _list(figure.get("tolerance", 0.0))
     rounding, tolerance = (x * len(published) if len(x) == 1 else x for x in (rounding, tolerance))

@@ -145,7 +145,7 @@ NAMES = ("crank_1", "coupler", "crank_3", "frame", "joint")
 
 @cache
 def _derivatives() -> dict[str, float]:
-    """Of the coupler angle at zero error, open branch."""
+    """Derivatives of the coupler angle at zero error, open branch."""
     slopes = jax.jit(jax.grad(partial(_coupler_angle, closure="closed_form")))(jnp.zeros(5))
     return dict(zip(NAMES, map(float, slopes)))
 

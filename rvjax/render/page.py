@@ -64,7 +64,7 @@ def label(name: str) -> Markup:
 
 
 def _by_indent(lines: list[str]) -> list[tuple[bool, list[str]]]:
-    """Indented lines, which are a list, apart from the others."""
+    """Separate indented lines, which are a list, from the others."""
     groups = itertools.groupby(lines, lambda line: line.startswith("  "))
     return [(indented, [line.strip() for line in own]) for indented, own in groups]
 

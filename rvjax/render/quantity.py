@@ -47,7 +47,7 @@ class Quantity:
         return ("" if name == "-" else name), size
 
     def numbers(self) -> list[float | None]:
-        """Value, lower end and upper end in the unit that is read; None for what is not finite."""
+        """Value, lower end and upper end in the shown unit; None if not finite."""
         size = 1.0 if self.read_in == "%" else self.shown[1]  # a share is a part of one in files
         return [number(x, size) for x in (self.value, self.lower, self.upper)]
 
@@ -68,7 +68,7 @@ class Quantity:
 
 
 def number(value: Scalar | None, size: float = 1.0) -> float | None:
-    """A number to ten digits in a unit; None for what is not finite.
+    """Number with ten digits in a unit; None if it is not finite.
 
     Args:
         value: SI; None stays.

@@ -1,4 +1,4 @@
-"""A report: what a command has to say. Text, tables of numbers, JSON and the HTML page follow from it."""
+"""Report of a command. Text, tables of numbers, JSON and the HTML page follow from it."""
 
 import dataclasses
 import itertools
@@ -99,7 +99,7 @@ class Report:
         yield from _flat(self.content)
 
     def text(self) -> str:
-        """The report for a person, with an empty line between paragraphs and tables."""
+        """Text of the report, with an empty line between paragraphs and tables."""
         parts = (part for part in self.parts() if not isinstance(part, Figure) and TEXT in part.on)
         return "\n\n".join(part.text() if isinstance(part, Table) else part.text for part in parts)
 

@@ -39,7 +39,7 @@ class Column:
     wraps: bool = False
 
     def text(self, cell: Cell) -> str:
-        """The cell for a person; words are shown as they are, also in a column of numbers."""
+        """Text of the cell; words are not changed, also in a column of numbers."""
         if isinstance(cell, str):
             return cell
         return self.missing if cell is None else self._said(cell)
@@ -177,7 +177,7 @@ class Table:
         return [(k, column) for k, column in enumerate(self.columns) if on in column.on]
 
     def texts(self, on: str = TEXT) -> tuple[list[str], list[list[str]]]:
-        """Headers and rows for a person."""
+        """Headers and rows as text."""
         columns = self.shown(on)
         return [column.title for _, column in columns], [[c.text(row[k]) for k, c in columns] for row in self.rows]
 

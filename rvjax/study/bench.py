@@ -67,7 +67,7 @@ def _taken(design: PyTree, values: Values) -> tuple[PyTree, PyTree]:
 
 
 def _with(record: PyTree, path: tuple[str, ...], value: Scalar) -> PyTree:
-    """The record with another number at a path, in the shape of what is there."""
+    """Record with another number at a path, in the shape of the old number."""
     name, rest = path[0], path[1:]
     now = getattr(record, name)
     if rest:
@@ -104,7 +104,7 @@ class Curves(Record):
 
     @property
     def compiler_options(self) -> Options:
-        """Of programs that evaluate it."""
+        """Compiler options of programs that evaluate it."""
         return self.observation.compiler_options
 
     def __call__(self, values: Values) -> Seen:
@@ -261,7 +261,7 @@ class Midline(Record):
 
     @property
     def compiler_options(self) -> Options:
-        """Of programs that evaluate it."""
+        """Compiler options of programs that evaluate it."""
         return self.observation.compiler_options
 
     def __call__(self, values: Values) -> Seen:

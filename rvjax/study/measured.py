@@ -153,7 +153,7 @@ class Measured:
 
     @property
     def runs(self) -> tuple[Run, ...]:
-        """Those of kind "curve"."""
+        """Items of kind "curve"."""
         return tuple(item for item in self.items if isinstance(item, Run))
 
 

@@ -1,4 +1,4 @@
-"""Nuisances of a bench: what a measurement contains that is no error of a part."""
+"""Nuisances of a bench: contributions to a measurement that are not errors of parts."""
 
 import math
 from collections.abc import Iterable, Sequence

@@ -60,7 +60,7 @@ class Number:
 
 
 def design_numbers(design: PyTree, given: Toml, text: str) -> list[Number]:
-    """Every number of a design, with where it comes from.
+    """Numbers of a design with their origin.
 
     Args:
         design: the reducer.

@@ -108,7 +108,7 @@ class Response(Record):
         return any(models.kind(self.design).costly(source) for source in self._sources().values())
 
     def parts(self) -> list[Self]:
-        """Its outputs in groups that share no result: each a response of its own, one with the curve."""
+        """Outputs in groups that share no result, each as a separate response, one with the curve."""
         joints = [{(None, source) for source in joint.sources} for joint in self._joints()]
         drawn = models.kind(self.design).curve(self.outputs)
         curve = None if drawn is None else drawn.source
@@ -186,7 +186,7 @@ class DesignResponse(Record):
         return self.response.costly
 
     def parts(self) -> list[Self]:
-        """Its outputs in groups that share no result: each a separate response."""
+        """Outputs in groups that share no result, each as a separate response."""
         return [self.replace(response=part) for part in self.response.parts()]
 
 

@@ -40,7 +40,7 @@ def spelled(design: Design, table: Toml) -> Toml:
 
 
 def _ring(table: Toml) -> Toml:
-    """Every pin of the ring with its own part and the share `batch` that all have in common."""
+    """Tolerances of each pin of the ring, with the common share `batch`."""
     where = f"tolerances.{RING}"
     known(table, {"position", "radius", "batch", "cp"}, where)
     if not {"position", "radius"} & set(table):

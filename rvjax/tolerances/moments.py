@@ -104,7 +104,7 @@ def rss(
 
 
 def influences(response: Response, tolerances: PyTree) -> tuple[PyTree, PyTree]:
-    """Contributions and sensitivities as `rss` has them, each by name of the response, at the price of gradients alone.
+    """Contributions and sensitivities of `rss` by name of the response, from gradients only.
 
     Args:
         response: pure function of the errors of one unit; a dict or record of scalars, or an `Outcome` of these.

@@ -1,4 +1,4 @@
-"""Sobol indices: which share of a response's variance each error carries, alone and with its interactions."""
+"""Sobol indices: share of each error in the variance of a response, without and with interactions."""
 
 import dataclasses
 import itertools

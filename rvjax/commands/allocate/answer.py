@@ -56,7 +56,7 @@ COSTLY_PASSES, COSTLY_CERTIFICATES, COSTLY_PART_OF_A_POINT = 8, 1.8, 0.6
 
 @dataclass(frozen=True)
 class Side:
-    """One set of tolerances and what it gives.
+    """One set of tolerances with its cost, shares and sample units.
 
     Attributes:
         tolerances: record with a Tolerance or None in each field.

@@ -18,7 +18,7 @@ YIELDS = (0.9, 0.95, 0.99)
 
 @dataclasses.dataclass(frozen=True)
 class Price:
-    """One yield and what it costs.
+    """One yield and its cost.
 
     Attributes:
         share: of good units.

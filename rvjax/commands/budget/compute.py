@@ -83,7 +83,7 @@ class Budget:
         return by_level(level, self.variance[load], self.part)
 
     def shares(self, level: str, load: str) -> dict[str, float]:
-        """Of the sum of all variances but those of the mean; they sum to 1, or are all 0 where nothing varies.
+        """Shares of the variance without the mean curve; they sum to 1, or are all 0 if nothing varies.
 
         Args:
             level: as in `by`.

@@ -1,4 +1,4 @@
-"""Total effects of errors on the waves of units: each error is sampled again while the others stay (Jansen 1999)."""
+"""Total effects of errors on the harmonics of units: one error is resampled, the others are kept (Jansen 1999)."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

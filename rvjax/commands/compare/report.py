@@ -95,7 +95,7 @@ def _tolerances(study: Study, found: dict[str, Crossed]) -> Table:
 
 
 def _explained(found: dict[str, Crossed], answers: dict[str, Study]) -> list[str]:
-    """Units of each certificate, and what the result and the study do not share."""
+    """Units of each certificate, and differences between result and study."""
     lines = []
     for letter, one in found.items():
         answer, name = answers[letter].name, one.study.name

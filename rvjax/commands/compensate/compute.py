@@ -38,12 +38,12 @@ class Curve:
 
     @property
     def direction(self) -> str:
-        """As the file has it; "" where it has none."""
+        """Direction in the file; "" if there is none."""
         return self.run.at.direction if self.run.at.stated else ""
 
     @property
     def label(self) -> str:
-        """Unit and conditions, for a person and for file names; "" where the file has none."""
+        """Unit and conditions as text, also for file names; "" if there are none."""
         at = self.run.at
         torque = [f"{self.torque:g} N m"] if at.torque is not None or self.direction else []
         warm = [] if at.temperature is None else [f"{at.temperature:g} degC"]

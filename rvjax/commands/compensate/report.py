@@ -103,7 +103,7 @@ def _crossed(curves: Sequence[Curve]) -> list[Table]:
 
 
 def _orders(curves: Sequence[Curve]) -> Table:
-    """Every order of every curve, and how much of it is stored."""
+    """Orders of all curves, and the stored part of each."""
     rows = []
     for curve in curves:
         made = curve.correction

@@ -179,7 +179,7 @@ def _tolerances(study: Study, found: Designed) -> Table:
 
 
 def _requirements(study: Study, found: Designed) -> Iterator[Table]:
-    """Requirements on units with what the certificate found, then limits without errors."""
+    """Requirements on units with certified values, then limits without errors."""
     joint = found.joint.found
     columns: list[Column] = [
         Text("requirement"), Text("limit"), Text("requires"), Interval("independent units"), Text("met"), Text("price"),
@@ -239,7 +239,7 @@ def _others(study: Study, found: Designed) -> Iterator[Table | Note]:
 
 
 def _laws(study: Study, found: Designed) -> Iterator[Table | Note]:
-    """Scaling laws that were used, with their sources and what they changed."""
+    """Applied scaling laws with sources and changes."""
     if not found.laws:
         yield Note("No number of the design follows the variables.")
         return

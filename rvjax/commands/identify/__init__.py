@@ -1,4 +1,4 @@
-"""`rvjax identify`: from what a bench measured of a unit to the errors of its parts."""
+"""`rvjax identify`: errors of the parts of a unit from bench measurements."""
 
 from rvjax.commands.identify.compute import Identified as Identified, answer as answer, check as check
 from rvjax.commands.identify.words import (

@@ -1,4 +1,4 @@
-"""Inputs of `rvjax identify`: a study with [identify], and what a bench measured."""
+"""Inputs of `rvjax identify`: a study with [identify], and bench data."""
 
 import argparse
 from dataclasses import dataclass

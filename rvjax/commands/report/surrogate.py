@@ -1,4 +1,4 @@
-"""A study near its allocated tolerances as a few numbers for each unit: what a page follows sliders with.
+"""Surrogate of a study near its allocated tolerances: a few numbers for each unit, for the sliders of the page.
 
 A sample of units keeps its random numbers while half-widths and places of the limits move. The response of unit i is
 
@@ -93,7 +93,7 @@ class Surrogate:
         return {"yield": (1 - self.failed) * within, "mean": mean, "sd": sd}
 
     def of_units(self, units: np.ndarray) -> Self:
-        """The same of some of its units.
+        """Surrogate of some of the units.
 
         Args:
             units: their numbers.

@@ -1,4 +1,4 @@
-"""The worst units of a sample: which they are, what they do, and the errors that make them so."""
+"""Worst units of a sample: numbers, responses and the errors that cause them."""
 
 from dataclasses import dataclass
 
@@ -34,7 +34,7 @@ class WorstUnit:
 
 
 def worst_units(answer: Answer) -> list[WorstUnit]:
-    """Of the sample behind the histograms: the first failed unit of each status, then the worst of each requirement."""
+    """First failed unit of each status, then the worst units of each requirement, in the sample of the histograms."""
     study, side = answer.study, answer.after
     found = [(index, "", status) for status, index in side.failed.items()]
     for name, requirement in study.requirements.items():

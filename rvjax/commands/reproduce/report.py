@@ -42,7 +42,7 @@ def report_on(rows: Sequence[Comparison], *, notes: bool = False) -> Report:
 
 
 def _whose_error(rows: Sequence[Comparison]) -> list[str]:
-    """Of contradicted values, for a reader who takes them for errors of this package."""
+    """Explain that contradicted values are not errors of this package."""
     wrong = [row.id.split(".")[0] for row in rows if row.status == "contradicted"]
     if not wrong:
         return []

@@ -100,7 +100,7 @@ class Lognormal(Distribution):
 
 @record
 class Uniform(Distribution):
-    """Every value between the limits is equally likely."""
+    """Uniform distribution between the limits."""
 
     name = "uniform"
     capable = False

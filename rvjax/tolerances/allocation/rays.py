@@ -50,7 +50,7 @@ class Rays:
         return all(seen[factor][k] <= 0 for k, factor in enumerate(self.training.correction))
 
     def moved(self, name: str, outward: float) -> "Rays":
-        """The same units with other limits of one requirement."""
+        """Rays with other limits of one requirement."""
         training = copy.copy(self.training)
         training.requirements = training.requirements | {name: training.requirements[name].widened(outward)}
         return Rays(training)

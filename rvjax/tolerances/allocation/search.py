@@ -214,7 +214,7 @@ class Search:
         return residual(self.costs, point, self.training.distance, self.low, self.high)
 
     def loosened(self, half_widths: np.ndarray) -> np.ndarray:
-        """Brought within the constraints, then every field loosened alone while they hold."""
+        """Move half-widths within the constraints, then loosen one field at a time while they hold."""
         rays = self.rays or Rays(self.training)
         t = half_widths if rays.met(half_widths) else self.inside(rays.scaled(half_widths))
         while not rays.met(t):  # the ray may leave and enter again

@@ -1,4 +1,4 @@
-"""Checkpoints of a Monte Carlo study, and the fingerprint that keeps two studies apart."""
+"""Checkpoints of a Monte Carlo study, and the fingerprint that distinguishes two studies."""
 
 import glob
 import hashlib

@@ -1,4 +1,4 @@
-"""Memo of an allocation: arrays that took long to compute, by what they were computed from.
+"""Memo of an allocation: expensive arrays, by their inputs.
 
 An interrupted allocation resumes from it with bit-identical results.
 """
@@ -34,7 +34,7 @@ class Memo:
         self._about = repr(sorted(fingerprint.items()))
 
     def apart(self, what: str) -> "Memo":
-        """The same folder for another response of the same study.
+        """Memo in the same folder for another response of the same study.
 
         Args:
             what: in which it differs.

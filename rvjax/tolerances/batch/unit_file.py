@@ -1,4 +1,4 @@
-"""Every unit of a run as a table on disk, written chunk by chunk: memory does not grow with the units."""
+"""Table of all units of a run on disk, written chunk by chunk in constant memory."""
 
 import contextlib
 import csv

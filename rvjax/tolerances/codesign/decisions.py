@@ -97,7 +97,7 @@ class Decisions:
         return found
 
     def rates(self) -> np.ndarray:
-        """Range of each mid-point (with the sign of its way) and number: what a part of 1 is."""
+        """Range of each mid-point (with the sign of its way) and number, for a part of 1."""
         moved = [way * (self.middles[name].upper - self.middles[name].lower) for name, way in self.moves]
         return np.array([*moved, *(self.variables[n].upper - self.variables[n].lower for n in self.free)])
 
@@ -150,5 +150,5 @@ def _along(cost: Cost, x: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 
 def _moved(tolerance: Tolerance, by: float) -> Tolerance:
-    """The same limits elsewhere."""
+    """Limits moved by a distance."""
     return tolerance.replace(lower=tolerance.lower + by, upper=tolerance.upper + by)

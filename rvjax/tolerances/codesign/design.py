@@ -210,7 +210,7 @@ class Designer:
         return self.certifier.draw(self.decisions.population(x))
 
     def _corrected(self, margins: Margins, end: End, certificate: Statistics, held: bool) -> bool:
-        """Move the margins to what a certificate saw; False where that is nothing new."""
+        """Correct the margins by a certificate; False if the change is negligible."""
         if certificate.verdicts is None:
             return False
         ways, limited = margins.central_ways(end.point.x), list(self.certifier.run.requirements)
@@ -254,7 +254,7 @@ class Designer:
         return found
 
     def _search(self, x: np.ndarray) -> Search:
-        """Search for half-widths alone, at these mid-points and numbers."""
+        """Search for half-widths at constant mid-points and numbers."""
         problem = self.problem
         limited = {n: i for n, i in problem.requirements.items() if not isinstance(i, Nominal)}
         training = Training(

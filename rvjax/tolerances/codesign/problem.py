@@ -63,11 +63,11 @@ class Problem:
         return bool(getattr(self.response, "costly", False))
 
     def decisions(self) -> Decisions:
-        """The vector of what is chosen."""
+        """Vector of decisions."""
         return Decisions(self.population, self.priced, self.middles, self.variables)
 
     def start(self, decisions: Decisions) -> np.ndarray:
-        """Its given value."""
+        """Start of the vector of decisions."""
         half_widths = np.array([float(self.population.active[name].half_width) for name in self.priced])
         return decisions.vector(half_widths, {name: item.first for name, item in self.variables.items()})
 

@@ -110,7 +110,7 @@ class Variable:
         return self.upper > self.lower and len(self.among) != 1
 
     def own_cost(self, value: float) -> float:
-        """Its own cost.
+        """Cost of the number.
 
         Args:
             value: of the number, SI.

@@ -31,5 +31,5 @@ def rare_factor(share: Estimate, target: float, deviate: float) -> float:
 
 
 def bounded(factor: float) -> float:
-    """Kept within what a single step may change; nan as 0."""
+    """Limit to the largest change of a single step; nan becomes 0."""
     return 0.0 if math.isnan(factor) else min(max(factor, 1 / MOST_FACTOR), MOST_FACTOR)

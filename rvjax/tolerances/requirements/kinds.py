@@ -129,7 +129,7 @@ class MeanWithin(Limits):
         return float(self.margin(valid.mean())) if valid.size else math.inf
 
     def pull(self, values: np.ndarray, margin: float, distance: float, lanes: int) -> Pull:
-        """Every unit moves the mean alike."""
+        """All units have equal weight in the mean."""
         units = _valid(values)
         sign = float(self.outward(values[units].mean())) if units.size else 0.0
         return Pull(units, np.full(units.size, sign), np.ones(units.size))
@@ -233,7 +233,7 @@ class WorstCaseWithin(Limits):
         return float(margins.max())
 
     def pull(self, values: np.ndarray, margin: float, distance: float, lanes: int) -> Pull:
-        """The worse end alone."""
+        """Value of the worse end."""
         worse = np.argmax(self.margin(values), keepdims=True)
         return Pull(worse, self.outward(values[worse]), np.ones(1))
 

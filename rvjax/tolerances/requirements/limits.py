@@ -172,7 +172,7 @@ class Limits:
         return float(special.ndtr((self.upper - mean) / sd) - special.ndtr((self.lower - mean) / sd))
 
     def limited(self, value: float) -> "Limits":
-        """The same requirement with its one limit elsewhere, or two limits this far from their mid-point."""
+        """Requirement with another limit, or with two limits this far from their mid-point."""
         if math.isinf(self.lower):
             return dataclasses.replace(self, upper=value)
         if math.isinf(self.upper):
@@ -181,11 +181,11 @@ class Limits:
         return dataclasses.replace(self, lower=middle - value, upper=middle + value)
 
     def widened(self, by: float) -> "Limits":
-        """The same requirement with every limit moved outwards."""
+        """Requirement with all limits moved outwards."""
         return dataclasses.replace(self, lower=self.lower - by, upper=self.upper + by)
 
     def aimed(self, value: float) -> "Limits":
-        """The same requirement with another goal."""
+        """Requirement with another goal."""
         if self.goal is None:
             raise ValueError(f"against = 'target': {type(self).__name__} has limits only")
         return dataclasses.replace(self, **{self.goal: value})
