@@ -45,7 +45,8 @@ def section(table: str) -> Reader | None:
 def run(name: str, options: argparse.Namespace) -> int:
     """Run a command; returns the exit code.
 
-    `inputs.inputs(options)` checks everything before any work; its result may have a `folder` for the results.
+    `inputs.inputs(options)` checks everything before any work; its result may have a `folder` for the results and a
+    `memo` of an interrupted run.
     `compute.compute(inputs)` works, in phases that `compute.phases(inputs)` lists with their expected seconds, if it
     has any; `compute.COUNTED` is the phase that reports which part of it is done.
     `report.report(inputs, found)` describes what was found.
@@ -59,6 +60,8 @@ def run(name: str, options: argparse.Namespace) -> int:
 
     inputs = module(name, "inputs").inputs(options)
     work, report = module(name, "compute"), module(name, "report").report
+    if (memo := getattr(inputs, "memo", None)) is not None:  # an interrupted run resumes from it
+        options.begun = lambda: memo.folder if memo.folder.exists() else None
     folder, quiet = getattr(inputs, "folder", None), getattr(inputs, "quiet", getattr(options, "quiet", True))
     as_json = options.format == "json" or getattr(options, "json", None) is True  # `--json` that names no file
     phases = work.phases(inputs) if hasattr(work, "phases") else {}
@@ -72,7 +75,8 @@ def run(name: str, options: argparse.Namespace) -> int:
             folder = write_files(found.folder(), folder)
     for path, content in found.exports.items():
         write_atomically(path, content)
-    getattr(inputs, "finished", lambda: None)()
+    if memo is not None:
+        memo.clear()
     wrote = {} if folder is None else {"report": folder / found.main} if found.main else {"results": folder}
     if as_json:
         more = dict(found.told) | {name: str(path) for name, path in wrote.items()}

@@ -1,7 +1,6 @@
 """Inputs of `rvjax allocate`: a study, and results folders that may hold its result."""
 
 import argparse
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -33,11 +32,6 @@ class Inputs:
     quiet: bool
     measure: bool = True
 
-    @property
-    def finished(self) -> Callable[[], None]:
-        """Called once the folder is written."""
-        return self.memo.clear if self.memo else lambda: None
-
 
 def inputs(options: argparse.Namespace) -> Inputs:
     """The inputs that the options name.
@@ -54,5 +48,4 @@ def inputs(options: argparse.Namespace) -> Inputs:
     folder = results_folder(options.results, loaded.name)
     forewarn(loaded)
     memo = kept.memo(loaded, folder)
-    options.begun = lambda: memo.folder if memo and memo.folder.exists() else None
     return Inputs(loaded, None, folder, memo, options.quiet, not options.no_whole)

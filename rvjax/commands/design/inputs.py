@@ -1,7 +1,6 @@
 """Inputs of `rvjax design`: a study with variables."""
 
 import argparse
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -35,11 +34,6 @@ class Inputs:
     memo: Memo | None
     quiet: bool
 
-    @property
-    def finished(self) -> Callable[[], None]:
-        """Called once the folder is written."""
-        return self.memo.clear if self.memo else lambda: None
-
 
 def inputs(options: argparse.Namespace) -> Inputs:
     """The inputs that the options name.
@@ -60,5 +54,4 @@ def inputs(options: argparse.Namespace) -> Inputs:
     folder = results_folder(options.results, f"{loaded.name}-design")
     forewarn(loaded)
     memo = kept.memo(loaded, folder)
-    options.begun = lambda: memo.folder if memo and memo.folder.exists() else None
     return Inputs(loaded, front, options.alone, folder, memo, options.quiet)
