@@ -176,18 +176,13 @@ def _pair_level(cost: np.ndarray, supply: Supply) -> float:
     return max(floors)
 
 
-def _columns(supply: Supply, allowed: np.ndarray) -> int:
-    """Unknowns of the exact program: slots of one stock are taken in one order."""
-    return int(allowed.sum()) // (2 if supply.shared else 1)
-
-
 def _prove(layers: Sequence[np.ndarray], supply: Supply, allowed: np.ndarray, exact_up_to: int) -> Build | None:
     """Return the best plan by HiGHS; None where there is none, or it is too large to prove.
 
     Raises:
         _TooLong: it took more than `PATIENCE`.
     """
-    if _columns(supply, allowed) > exact_up_to:
+    if int(allowed.sum()) // (2 if supply.shared else 1) > exact_up_to:  # slots of one stock are in one order
         return None
     combos = np.argwhere(allowed)
     one_cost = weigh(layers, supply.units)

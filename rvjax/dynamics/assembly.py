@@ -162,7 +162,8 @@ def admitted(lumped: Lumped, *conditions: PyTree) -> tuple[Lumped, tuple[PyTree,
     possible = (smallest > 0) & signs_hold(lumped.stiffness)
     possible &= jnp.abs(jnp.cos(lumped.force_angle)) >= 1e-9  # else the pins carry no torque
     refusals = ((~finite, Status.NONFINITE), (~possible, Status.INVALID_GEOMETRY))
-    lumped, gate = admit(lumped, _spare(lumped), *refusals)
+    sound = jax.tree.unflatten(jax.tree.structure(lumped), jax.tree.leaves(lump(RV_320E)))  # in its shape
+    lumped, gate = admit(lumped, sound, *refusals)
     judged = [jnp.any(~fits(c)) for c in jax.tree.leaves(conditions)]
     for_any = functools.reduce(operator.or_, judged, jnp.asarray(False))
     conditions = jax.tree.map(lambda c: jnp.where(fits(c), c, 1), conditions)
@@ -171,11 +172,6 @@ def admitted(lumped: Lumped, *conditions: PyTree) -> tuple[Lumped, tuple[PyTree,
 
 def _flat(leaves: list[PyTree]) -> jax.Array:
     return jnp.concatenate([jnp.ravel(leaf) for leaf in leaves])
-
-
-def _spare(lumped: Lumped) -> Lumped:
-    """Numbers of a sound reducer in the shape of `lumped`."""
-    return jax.tree.unflatten(jax.tree.structure(lumped), jax.tree.leaves(lump(RV_320E)))
 
 
 def assemble(design: RVReducer | Lumped) -> System:

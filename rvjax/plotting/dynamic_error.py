@@ -39,7 +39,10 @@ def campbell_amplitudes(
     axes = new_axes(axes)
     turns, order, height, shown = _lines(sweep, sun_speeds, ratio, output)
     largest = height.max(initial=0) or 1.0
-    lowest, top = largest / 10**DECADES, highest or _highest(turns, order)
+    lowest, top = (
+        largest / 10**DECADES,
+        highest or float(1.05 * order.max(initial=1) * np.abs(turns).max() / (2 * np.pi)),
+    )
     norm = LogNorm(lowest, largest)
     drawn: Any = None
     ends: dict[tuple[float, float], list[str]] = {}  # of lines side by side, one label
@@ -114,7 +117,3 @@ def _lines(
     shown, size = readable("rad")
     height = np.abs(np.asarray(sweep.amplitude)[:, :, output]) / size
     return np.asarray(sun_speeds) / ratio, np.asarray(sweep.order), height, shown
-
-
-def _highest(turns: np.ndarray, order: np.ndarray) -> float:
-    return float(1.05 * order.max(initial=1) * np.abs(turns).max() / (2 * np.pi))

@@ -78,11 +78,6 @@ def stiffness(size: str) -> float:
     return _secant(similar(TORQUE[size]).stiffer(factor()), TORQUE[size])
 
 
-def _more_discs() -> bool:
-    """True if the published value lies between two discs and three of a similar reducer."""
-    return stiffness("320e") < 980.0 < 1.5 * stiffness("320e")
-
-
 def _lost_motion() -> bool:
     """True if nineteen of twenty units of the study rv-40e lose at most the published arcminute."""
     question = study.load("rv-40e", solve=False)
@@ -94,6 +89,6 @@ def _lost_motion() -> bool:
 
 COMPUTED: dict[str, Callable[[], PyTree]] = {
     **{f"sizes.rv{size}.stiffness": partial(stiffness, size) for size in TORQUE if size != "320e"},
-    "sizes.rv320e.stiffness": _more_discs,
+    "sizes.rv320e.stiffness": lambda: stiffness("320e") < 980.0 < 1.5 * stiffness("320e"),  # two discs or three
     "sizes.rv40e.lost_motion": _lost_motion,
 }

@@ -7,7 +7,6 @@ from rvjax.commands.check.inputs import Inputs
 from rvjax.commands.forecast import choices
 from rvjax.designs import RVReducer
 from rvjax.levels import Choice
-from rvjax.records import Field
 from rvjax.study import KNOWN_DESIGNS, TORQUE, Study, facts_of, numbers, shown
 
 
@@ -44,10 +43,7 @@ def _magnitudes(study: Study) -> list[tuple[str, str, str | None]]:
         value = getattr(study.conditions, f.name)
         if f.name in kind.conditions_of(tuple(study.requirements)) and value is not None:
             number = shown(value, f.metadata["unit"]) if isinstance(value, float) else str(value)
-            span = f"up to {shown(TORQUE[1], 'N m')}" if _rated(study, f) else None
+            rated = f.metadata["torque"] and isinstance(study.design, RVReducer)
+            span = f"up to {shown(TORQUE[1], 'N m')}" if rated else None
             rows.append((f"conditions.{f.name}", number, span))
     return rows
-
-
-def _rated(study: Study, condition: Field) -> bool:
-    return bool(condition.metadata["torque"]) and isinstance(study.design, RVReducer)

@@ -179,7 +179,9 @@ def compute(inputs: Inputs) -> Designed:
     if not inputs.alone:
         progress.begin(STEPS)
         fixed = geometry_first(study)
-        held = {path: _fixed(item, fixed[path]) if path in fixed else item for path, item in study.variables.items()}
+        held = dict(study.variables)
+        for path, value in fixed.items():
+            held[path] = dataclasses.replace(held[path], lower=value, upper=value, start=value, among=())
         two_step = _optimum(inputs, held, memo=memo)
         if any(law.name != "gears" for law, _ in laws):
             progress.begin(UNSCALED)
@@ -195,11 +197,6 @@ def _factors(count: int) -> list[float]:
     """Factors on the prices, about 1 in equal ratios, without 1."""
     sides = [(k - (count - 1) / 2) / max((count - 1) / 2, 0.5) for k in range(count)]
     return [FACTORS**side for side in sides if side] if count > 1 else [FACTORS]
-
-
-def _fixed(item: Variable, value: float) -> Variable:
-    """The variable with one value."""
-    return dataclasses.replace(item, lower=value, upper=value, start=value, among=())
 
 
 def _from(variables: Mapping[str, Variable], point: Point) -> dict[str, Variable]:
