@@ -11,7 +11,7 @@ import pytest
 
 from rvjax import Status
 from rvjax.commands import allocate
-from rvjax.commands.cells import failures_text, judged, share
+from rvjax.commands.cells import failures_text, evaluated, share
 from rvjax.commands.montecarlo import report_on
 from rvjax.population.estimates import Estimate
 from rvjax.study import load
@@ -90,4 +90,4 @@ def test_a_shortfall_is_told_in_the_unit_of_its_limit():
 def test_a_figure_is_told_in_its_own_unit(kind, shown):
     verdict = SimpleNamespace(kind=kind, estimate=Estimate(0.9, 0.05, 0.8, 0.95))
     output = SimpleNamespace(unit="rad", read_in="arcmin")
-    assert judged(verdict, output).text() == shown
+    assert evaluated(verdict, output).text() == shown
