@@ -11,7 +11,7 @@ import pytest
 
 from rvjax import Status
 from rvjax.commands import allocate
-from rvjax.commands.cells import failures_text, evaluated, share
+from rvjax.commands.cells import evaluated, failures_text, share
 from rvjax.commands.montecarlo import report_on
 from rvjax.population.estimates import Estimate
 from rvjax.study import load
