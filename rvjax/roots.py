@@ -14,8 +14,10 @@ derivative zero, and leaves its neighbours as they are.
 
 from collections.abc import Callable
 from functools import partial
+from typing import TypeVar
 
 import jax
+import jax.ad_checkpoint
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import DTypeLike
@@ -25,7 +27,11 @@ from rvjax.status import SolveInfo, Status, succeeded
 
 __all__ = ["Root", "bracketed"]
 
+SOLVED = "solved"
+"""Name of what `solved` marks, for a policy of `jax.checkpoint`."""
+
 Residual = Callable[[Array, PyTree], jax.Array]
+R = TypeVar("R")
 
 _RUNNING = -1  # not a Status: the loop continues
 
@@ -36,6 +42,15 @@ class Root(Record):
 
     value: Array = field("as the unknown", "the root; NaN where the solve failed")
     info: SolveInfo = field("-", "residual is |residual(value)|", kind="record")
+
+
+def solved(state: R) -> R:
+    """Mark what an iteration has found: a program of slopes that saves it by name does not iterate again.
+
+    Args:
+        state: arrays without derivatives, outside of any loop.
+    """
+    return jax.ad_checkpoint.checkpoint_name(state, SOLVED)
 
 
 def bisect(

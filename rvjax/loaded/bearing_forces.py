@@ -11,6 +11,7 @@ from rvjax.loaded.equilibrium import judge, placed, prepare
 from rvjax.loaded.inputs import Read
 from rvjax.loaded.newton import Found
 from rvjax.loaded.system import Layout
+from rvjax.roots import solved
 from rvjax.status import SolveInfo, Status, succeeded
 
 
@@ -52,7 +53,7 @@ def bearing_forces(
         of_torques = jax.lax.stop_gradient(torques)
         return jax.vmap(solve, (0, None if start is None else 0))(of_torques, none if start is None else start)
 
-    found, info = jax.lax.map(lambda x: at(*x), (input_angles, start))
+    found, info = solved(jax.lax.map(lambda x: at(*x), (input_angles, start)))
     measure = jax.checkpoint(partial(_measure, layout))
     arm, support = jax.lax.map(lambda x: measure(read, torques, *x), (input_angles, found, info.status))
     q = jnp.where(succeeded(info.status)[..., None], found.q, jnp.nan)

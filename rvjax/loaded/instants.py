@@ -13,6 +13,7 @@ from rvjax.loaded.equilibrium import Case, judge, placed, prepare, pressures
 from rvjax.loaded.inputs import Read
 from rvjax.loaded.newton import Found
 from rvjax.loaded.system import Layout
+from rvjax.roots import solved
 from rvjax.status import SolveInfo, Status, succeeded
 
 Pair = tuple[jax.Array, jax.Array]
@@ -63,7 +64,7 @@ def instants(
         return (here, jnp.where(new, jnp.nan, last)), (found, info)
 
     none = jnp.full((layout.unknowns,), jnp.nan, torques.dtype)
-    _, (found, info) = jax.lax.scan(onward, (none, none), (torques, input_angles, jnp.asarray(first)))
+    found, info = solved(jax.lax.scan(onward, (none, none), (torques, input_angles, jnp.asarray(first)))[1])
     measure = jax.checkpoint(partial(_measure, layout), static_argnums=())
     error, loads, arm, support = jax.lax.map(lambda x: measure(read, *x), (torques, input_angles, found, info.status))
     return Instants(error, loads, arm, support, info)

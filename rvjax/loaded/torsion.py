@@ -16,6 +16,7 @@ from rvjax.loaded.newton import Found
 from rvjax.loaded.system import Layout
 from rvjax.plausible import checked
 from rvjax.records import Array, Record, Scalar, field, record
+from rvjax.roots import solved
 from rvjax.status import SolveInfo, succeeded, worst_of
 
 SHARES = (1.0, 0.5, 0.03, 1e-3)
@@ -127,7 +128,7 @@ def twisted(
         return jnp.where(succeeded(info.status)[:, None], found.q, jnp.nan), (found, info)
 
     cold = jnp.full((2, layout.unknowns), jnp.nan, sides.dtype)
-    _, (found, infos) = jax.lax.scan(lower, cold, sizes)
+    found, infos = solved(jax.lax.scan(lower, cold, sizes)[1])
     torque = sizes[:, None] * sides[None]
     of_one = partial(_angle, layout, read, case)
     error = jax.vmap(jax.vmap(of_one))(torque, found, infos.status)  # (n, 2)

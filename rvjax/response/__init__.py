@@ -9,7 +9,6 @@ from rvjax.response.gradients import (
     nominal_status as nominal_status,
 )
 from rvjax.response.parts import (
-    AT_ONCE as AT_ONCE,
     Part as Part,
     begin_programs as begin_programs,
     evaluator as evaluator,
@@ -27,11 +26,13 @@ from rvjax.response.response import (
     by_name as by_name,
     by_response as by_response,
     evaluate as evaluate,
+    is_costly as is_costly,
     per_response as per_response,
     respond as respond,
     respond_units as respond_units,
     response_names as response_names,
     unwrapped as unwrapped,
 )
+from rvjax.response.solving import AT_ONCE as AT_ONCE
 
 __all__ = ["Outcome", "Response"]

@@ -9,7 +9,8 @@ import numpy as np
 
 from rvjax.population import Population
 from rvjax.response.devices import NUMBERS, UNITS, mesh_of, on, shared_out
-from rvjax.response.response import Response, evaluate, per_response, response_names
+from rvjax.response.response import Response, evaluate, is_costly, per_response, response_names
+from rvjax.response.solving import begin, chunks, pulls, solution
 
 LANES = 256
 """Units at once: few, for a reverse pass keeps all that a unit needs on its way; the last ones are padded."""
@@ -77,26 +78,34 @@ def gradients(
         cotangents: (k, n) weights of the named responses.
         names: of the responses.
     """
-    values, slopes, dtype = [], [], jnp.result_type(float)
-    for start in range(0, errors.shape[1], LANES):
-        units = np.arange(start, min(start + LANES, errors.shape[1]))
-        lanes = np.resize(units, LANES)
+    if is_costly(response):
+        own, inverse = np.unique(errors, axis=1, return_inverse=True)  # a unit that is given twice is solved once
+        names_of = response_names(response, population)
+        rows = np.array([names_of.index(name) for name in names])
+        weights = np.zeros((len(names_of), errors.shape[1]))
+        weights[rows] = cotangents
+        values, _, state = solution(response, population, own.shape[1], lambda lanes: jnp.asarray(own[:, lanes]))
+        units = inverse.ravel()
+        return values[rows][:, units], pulls(response, population, errors, state[:, units], weights)
+    found, dtype = [], jnp.result_type(float)
+    for lanes in chunks(errors.shape[1], LANES):
         arrays = (jnp.asarray(rows[:, lanes], dtype) for rows in (errors, cotangents))
-        found, _, slope = _on_all_devices(response, population, *arrays, names=names)
-        values.append(np.asarray(found, float)[:, : len(units)])
-        slopes.append(np.asarray(slope, float)[:, : len(units)])
-    return np.concatenate(values, axis=1), np.concatenate(slopes, axis=1)
+        found.append(_on_all_devices(response, population, *arrays, names=names))
+    parts = zip(*((value, slope) for value, _, slope in found))
+    values, slopes = (np.concatenate([np.asarray(row, float) for row in part], axis=1) for part in parts)
+    return values[:, : errors.shape[1]], slopes[:, : errors.shape[1]]
 
 
 def begin_gradients(response: Response, population: Population) -> None:
     """Begin the program of the gradients, see `Compiled.begin`."""
+    if is_costly(response):
+        return begin(response, population, slopes=True)
     names, mesh, dtype = response_names(response, population), mesh_of(LANES), jnp.result_type(float)
     count = sum(math.prod(t.shape) for t in population.active.values())
     arrays = [jnp.zeros((rows, LANES), dtype) for rows in (count, len(names))]
     if mesh is None:
-        pulled.begin(response, population, *arrays, names=names)
-    else:
-        _pulled_on.begin(response, population, *(on(mesh, rows) for rows in arrays), names=names, mesh=mesh)
+        return pulled.begin(response, population, *arrays, names=names)
+    return _pulled_on.begin(response, population, *(on(mesh, rows) for rows in arrays), names=names, mesh=mesh)
 
 
 def nominal_status(response: Response, population: Population) -> int:

@@ -1,7 +1,6 @@
 """A response in parts, and any of its units: outputs that share no computation are solved for different units."""
 
-from collections.abc import Callable, Sequence
-from math import prod
+from collections.abc import Sequence
 from typing import Any
 
 import jax
@@ -9,14 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax.population import Population
-from rvjax.records import PyTree
-from rvjax.response.devices import UNITS, Evaluator, mesh_of, on, shared_out
-from rvjax.response.gradients import begin_gradients, elements
-from rvjax.response.response import Response, Values, evaluate, per_response, response_names
+from rvjax.response.devices import Evaluator
+from rvjax.response.gradients import begin_gradients, elements, gradients
+from rvjax.response.response import Response, Values, is_costly, response_names
+from rvjax.response.solving import Errors, Solution, begin, chunks, pulls, solution, solve, without_errors
 from rvjax.status import succeeded, worst
-
-AT_ONCE = 128
-"""Units of one call: a few blocks of a slow model, so that little is wasted where few units decide."""
 
 
 class Part:
@@ -24,60 +20,62 @@ class Part:
 
     def __init__(self, response: Response, population: Population) -> None:
         self.response, self.names = response, response_names(response, population)
-        self._mesh = mesh_of(AT_ONCE)
         self.solved = 0
         """Units solved so far."""
 
     def solve(self, population: Population, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Values (k, n) by `names`, and status (n,), of the units with random numbers z (numbers, n)."""
-        return self._of(population, z.shape[1], lambda lanes: elements(population, jnp.asarray(z[:, lanes])))
+        return self.solution(population, z)[:2]
+
+    def solution(self, population: Population, z: np.ndarray) -> Solution:
+        """Values (k, n), status (n,) and state (numbers, n): what `gradients` of these units need."""
+        return self._of(population, z.shape[1], _drawn(population, z))
+
+    def gradients(self, population: Population, z: np.ndarray, state: np.ndarray, cotangents: np.ndarray) -> np.ndarray:
+        """Gradients (elements, n) of weighted values of solved units, which are not solved again.
+
+        Args:
+            population: of the units.
+            z: random numbers (numbers, n).
+            state: of these units, by `solution`.
+            cotangents: weights (k, n) of the values.
+        """
+        own = _drawn(population, z)
+        errors = np.concatenate([np.asarray(own(lanes)) for lanes in chunks(z.shape[1])], axis=1)[:, : z.shape[1]]
+        if not is_costly(self.response):
+            return gradients(self.response, population, errors, cotangents, self.names)[1]
+        return pulls(self.response, population, errors, state, cotangents)
 
     def of_elements(self, population: Population, errors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Values (k, n) by `names`, nan where a unit failed, and status (n,), of units with errors (elements, n)."""
-        values, status = self._of(population, errors.shape[1], lambda lanes: jnp.asarray(errors[:, lanes]))
+        values, status, _ = self._of(population, errors.shape[1], lambda lanes: jnp.asarray(errors[:, lanes]))
         return np.where(np.asarray(succeeded(status)), values, np.nan), status
 
     def rows(self, population: Population, z: np.ndarray, name: str) -> np.ndarray:
         """Numbers name[0], name[1] ... (n, numbers) among the values of units with random numbers z (numbers, n)."""
         count = z.shape[1]
-        found = self._run(population, count, lambda lanes: elements(population, jnp.asarray(z[:, lanes])))
-        length = sum(key.startswith(f"{name}[") for key in found[0][0])
-        rows = [np.stack([np.asarray(values[f"{name}[{k}]"]) for k in range(length)]) for values, _ in found]
+        self.solved += count
+        found = solve(self.response, population, count, _drawn(population, z))
+        length = sum(key.startswith(f"{name}[") for key in found[0].values)
+        rows = [np.stack([np.asarray(each.values[f"{name}[{k}]"]) for k in range(length)]) for each in found]
         return np.concatenate(rows, axis=1)[:, :count].T
-
-    def begin(self, population: Population) -> None:
-        """Begin the program, see `Compiled.begin`."""
-        nothing = _nothing(population)
-        if self._mesh is None:
-            _solved.begin(self.response, population, nothing)
-        else:
-            _solved_on.begin(self.response, population, on(self._mesh, nothing), mesh=self._mesh)
 
     def nominal_status(self, population: Population) -> int:
         """Status of the unit without errors, by the program of all the others."""
-        return int(self._of(population, 1, lambda lanes: _nothing(population))[1][0])
+        return int(self._of(population, 1, lambda lanes: without_errors(population))[1][0])
 
-    def _of(self, population: Population, count: int, errors: PyTree) -> tuple[np.ndarray, np.ndarray]:
-        running = self._run(population, count, errors)
-        rows = [np.stack([np.asarray(values[name], float) for name in self.names]) for values, _ in running]
-        status = np.concatenate([np.asarray(status) for _, status in running])[:count]
-        return np.concatenate(rows, axis=1)[:, :count], status
-
-    def _run(self, population: Population, count: int, errors: PyTree) -> list[tuple[Values, jax.Array]]:
+    def _of(self, population: Population, count: int, errors: Errors) -> Solution:
         self.solved += count
-        starts = range(0, count, AT_ONCE)
-        lanes = (np.resize(np.arange(start, min(start + AT_ONCE, count)), AT_ONCE) for start in starts)
-        return [solved(self.response, population, errors(units), self._mesh) for units in lanes]
+        return solution(self.response, population, count, errors)
 
 
-def _nothing(population: Population) -> jax.Array:
-    """Errors (elements, `AT_ONCE`) of units without errors."""
-    return jnp.zeros((sum(prod(t.shape) for t in population.active.values()), AT_ONCE), jnp.result_type(float))
+def _drawn(population: Population, z: np.ndarray) -> Errors:
+    return lambda lanes: elements(population, jnp.asarray(z[:, lanes]))
 
 
 def parts(response: Response, population: Population) -> list[Part]:
     """A `costly` response in the `parts` that it names; another is a whole."""
-    split = getattr(response, "parts", None) if getattr(response, "costly", False) else None
+    split = getattr(response, "parts", None) if is_costly(response) else None
     own: Sequence[Response] = [response] if split is None else split()
     return [Part(part, population) for part in own]
 
@@ -110,7 +108,7 @@ def evaluator(response: Response, population: Population, seed: int, method: str
         method: of the random numbers.
         chunk: units at once.
     """
-    kind = InParts if getattr(response, "costly", False) else Evaluator
+    kind = InParts if is_costly(response) else Evaluator
     return kind(response, population, seed, method, chunk)
 
 
@@ -124,7 +122,7 @@ def begin_programs(response: Response, population: Population, *, slopes: bool =
     """
     own = parts(response, population)
     for part in own:
-        part.begin(population)
+        begin(part.response, population)
     for part in own if slopes else ():
         begin_gradients(part.response, population)
 
@@ -132,28 +130,3 @@ def begin_programs(response: Response, population: Population, *, slopes: bool =
 def status_without_errors(response: Response, population: Population) -> int:
     """Status of the unit without errors, the worst of all parts."""
     return int(worst(jnp.asarray([part.nominal_status(population) for part in parts(response, population)])))
-
-
-def solved(
-    response: Response, population: Population, errors: jax.Array, mesh: jax.sharding.Mesh | None
-) -> tuple[Values, jax.Array]:
-    """Values by name (n,) and status (n,) of units by their errors (elements, n) of the active fields.
-
-    The population gives only the elements of each field.
-    """
-    if mesh is None:
-        return _solved(response, population, errors)
-    return _solved_on(response, population, on(mesh, errors), mesh=mesh)
-
-
-@per_response()
-def _solved(response: Response, population: Population, errors: jax.Array) -> tuple[Values, jax.Array]:
-    one: Callable[[jax.Array], Any] = lambda vector: evaluate(response, population.fill(population.by_field(vector)))  # noqa: E731
-    return jax.vmap(one, in_axes=-1)(errors)
-
-
-@per_response(static=("mesh",))
-def _solved_on(
-    response: Response, population: Population, errors: jax.Array, *, mesh: jax.sharding.Mesh
-) -> tuple[Values, jax.Array]:
-    return shared_out(_solved, mesh, UNITS, response, population, errors)

@@ -194,6 +194,11 @@ def _named(result: object) -> dict[str, PyTree]:
     return dict(result)
 
 
+def is_costly(response: Response) -> bool:
+    """True if a unit is so expensive that only the units that decide are solved."""
+    return bool(getattr(response, "costly", False))
+
+
 def unwrapped(result: object) -> PyTree:
     """Result with dicts by name of the response, with plain values where it is a plain scalar."""
     if dataclasses.is_dataclass(result) and not isinstance(result, (type, Record)):

@@ -19,7 +19,7 @@ from rvjax import models
 from rvjax.commands.cells import share
 from rvjax.errors import described
 from rvjax.population import Estimate, Population, deviate_of, drawn, root_key, score_interval
-from rvjax.response import AT_ONCE, elements, parts
+from rvjax.response import AT_ONCE, elements, is_costly, parts
 from rvjax.status import succeeded
 from rvjax.study import CURVE, Response, Study
 
@@ -85,7 +85,7 @@ def whole(study: Study, tolerances: Any) -> Whole | None:
     values, known, curves = dict[str, np.ndarray](), dict[str, np.ndarray](), dict[str, np.ndarray]()
     status = np.zeros(UNITS, np.int32)
     for part in parts(response, population):
-        costly = getattr(part.response, "costly", False)
+        costly = is_costly(part.response)
         rows, own = part.solve(population, z[:, :UNITS] if costly else z)
         values |= dict(zip(part.names, rows[:, :UNITS]))
         known |= {} if costly else dict(zip(part.names, rows))

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax.population import Population, Tolerance
-from rvjax.response import Part, elements, gradients, respond
+from rvjax.response import Part, elements, gradients, is_costly, respond
 
 COSTLY_UNITS = 768  # three calls of the gradients' program
 PLACES = 2  # random ones of each unit
@@ -146,7 +146,7 @@ class Region:
             units: their numbers; by default all.
         """
         population = self.population.with_tolerances(self.tolerances(x))
-        if getattr(self.part.response, "costly", False):
+        if is_costly(self.part.response):
             z = np.asarray(self.z if units is None else self.z[:, units])
             return dict(zip(self.part.names, self.part.of_elements(population, errors_of(population, z))[0]))
         values, _ = respond(self.part.response, population, self.z)
@@ -154,7 +154,7 @@ class Region:
 
     def fitted(self, rng: np.random.Generator) -> tuple[dict[str, np.ndarray], dict[str, Columns]]:
         """Values as allocated, and slopes and bends by response."""
-        if getattr(self.part.response, "costly", False):
+        if is_costly(self.part.response):
             width = np.array([not p.place for p in self.parameters], float)
             found = regressed(self.part, self.population, self.tolerances, width, np.asarray(self.z), rng)
         else:

@@ -21,7 +21,7 @@ import numpy as np
 from rvjax.commands.allocate import Answer
 from rvjax.commands.report.region import COSTLY_UNITS, Columns, Parameter, Region
 from rvjax.population import Population, root_key
-from rvjax.response import BLOCK, Response, parts
+from rvjax.response import BLOCK, Response, is_costly, parts
 from rvjax.tolerances import Estimate, Limits, Statistics, Tolerance, monte_carlo
 
 UNITS = 2048
@@ -132,7 +132,7 @@ def surrogate(answer: Answer) -> Surrogate | None:
     """Surrogate of a result with its measured error; None if no unit is valid or nothing can move."""
     study, side = answer.study, answer.after
     names, response = tuple(study.requirements), study.response()
-    costly = getattr(response, "costly", False)
+    costly = is_costly(response)
     count = COSTLY_UNITS if costly else UNITS
     parameters = tuple(_parameters(answer))
     full = np.stack([np.asarray(side.values[name], float) for name in names])

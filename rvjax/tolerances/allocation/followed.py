@@ -20,7 +20,7 @@ import numpy as np
 from scipy import special
 
 from rvjax.population import Population, drawn, root_key
-from rvjax.response import AT_ONCE, BLOCK, Response, elements, parts
+from rvjax.response import AT_ONCE, BLOCK, Response, elements, is_costly, parts
 from rvjax.status import succeeded, worst
 from rvjax.tolerances.batch.memo import Memo
 from rvjax.tolerances.requirements.kinds import Requirement
@@ -57,7 +57,7 @@ class _Known:
 
 def followable(response: Response, requirements: dict[str, Limits]) -> bool:
     """True if units are costly and all requirements are shares within limits."""
-    return getattr(response, "costly", False) and all(isinstance(r, Requirement) for r in requirements.values())
+    return is_costly(response) and all(isinstance(r, Requirement) for r in requirements.values())
 
 
 class Followed:
@@ -72,6 +72,7 @@ class Followed:
         self._known: list[_Known] = []
         self._slopes: dict[str, tuple[np.ndarray, np.ndarray]] = {}
         self._random = np.random.default_rng(seed)
+        self._states: list[tuple[np.ndarray, dict[int, np.ndarray]]] = [(np.empty((0, 2)), {}) for _ in self.parts]
         key, block = root_key(seed), min(samples, BLOCK)
         blocks = [np.asarray(drawn(population, key, jnp.uint32(i), count=block)) for i in range(0, samples, block)]
         self.z = np.concatenate(blocks, axis=1)[:, :samples]
@@ -148,15 +149,50 @@ class Followed:
         part = self.parts[number]
 
         def compute() -> np.ndarray:
-            values, status = part.solve(population, self.z[:, units])
+            values, status, state = part.solution(population, self.z[:, units])
+            self._states_at(number, population).update(zip(units.tolist(), state.T))
             return np.concatenate([np.where(np.asarray(succeeded(status)), values, np.nan), status[None]])
 
-        if self._memo is None:
-            rows = compute()
-        else:
-            text = repr((part.names, self.seed, _place(population).tolist())).encode()
-            rows = self._memo.recall({"followed": hashlib.sha256(text + units.tobytes()).hexdigest()}, compute)
+        rows = self._recalled("followed", number, population, units.tobytes(), compute)
         return dict(zip(part.names, rows)), rows[-1].astype(np.int32)
+
+    def gradients(self, number: int, population: Population, units: np.ndarray, cotangents: np.ndarray) -> np.ndarray:
+        """Gradients (elements, n) of weighted values of some units of one part.
+
+        Units that were solved at this set of tolerances are not solved again.
+
+        Args:
+            number: of the part.
+            population: tolerances of the units.
+            units: (n,) indices.
+            cotangents: weights (k, n) of the values of the part.
+        """
+        part = self.parts[number]
+
+        def compute() -> np.ndarray:
+            states = self._states_at(number, population)
+            missing = np.array([unit for unit in dict.fromkeys(units.tolist()) if unit not in states], int)
+            if missing.size:
+                states.update(zip(missing.tolist(), part.solution(population, self.z[:, missing])[2].T))
+            state = np.stack([states[unit] for unit in units.tolist()], axis=1)
+            return part.gradients(population, self.z[:, units], state, cotangents)
+
+        return self._recalled("gradients", number, population, units.tobytes() + cotangents.tobytes(), compute)
+
+    def _states_at(self, number: int, population: Population) -> dict[int, np.ndarray]:
+        """States of the units of a part that were solved at these tolerances; those of others are forgotten."""
+        place = _place(population)
+        if not np.array_equal(self._states[number][0], place):
+            self._states[number] = place, {}
+        return self._states[number][1]
+
+    def _recalled(
+        self, what: str, number: int, population: Population, about: bytes, compute: Callable[[], np.ndarray]
+    ) -> np.ndarray:
+        if self._memo is None:
+            return compute()
+        text = repr((self.parts[number].names, self.seed, _place(population).tolist())).encode()
+        return self._memo.recall({what: hashlib.sha256(text + about).hexdigest()}, compute)
 
     def learn(self, name: str, units: np.ndarray, slopes: np.ndarray) -> None:
         """Gradients of a value to the errors of some units: these are predicted by them from now on.

@@ -300,9 +300,9 @@ class Training:
         if not len(pull.units):
             return np.zeros(len(self.fields))
         if self.followed is not None:
-            z, parts = self.followed.z, [(part.response, part.names) for part in self.followed.parts]
+            z, parts = self.followed.z, [part.names for part in self.followed.parts]
         else:
-            z, parts = np.concatenate([np.asarray(b) for b in self.blocks], axis=1), [(self.response, self.names)]
+            z, parts = np.concatenate([np.asarray(b) for b in self.blocks], axis=1), [self.names]
         given = dict(zip(self.fields, jnp.asarray(half_widths, z.dtype)))
         padded = np.resize(pull.units, -(-len(pull.units) // LANES) * LANES)  # one program, however many units
         both = (np.asarray(rows) for rows in elements_and_rates(self.population, given, z[:, padded]))
@@ -310,12 +310,17 @@ class Training:
         required = np.array(list(self.requirements))[of[pull.units]]
         self.evaluated[0] += len(pull.units)
         slopes = np.empty(errors.shape)
-        for response, names in parts:
+        for number, names in enumerate(parts):
             mine = np.isin(required, names)
-            if mine.any():
-                rows = np.array([names.index(name) for name in required[mine]])
-                cotangents = np.eye(len(names))[rows].T * pull.cotangents[mine]
-                slopes[:, mine] = self._gradients(response, names, errors[:, mine], cotangents)
+            if not mine.any():
+                continue
+            rows = np.array([names.index(name) for name in required[mine]])
+            cotangents = np.eye(len(names))[rows].T * pull.cotangents[mine]
+            if self.followed is None:
+                slopes[:, mine] = self._gradients(errors[:, mine], cotangents)
+            else:
+                there = self.with_half_widths(half_widths)
+                slopes[:, mine] = self.followed.gradients(number, there, pull.units[mine], cotangents)
         for name in np.unique(required):
             mine = (required == name) & (pull.cotangents != 0) & np.isfinite(slopes).all(axis=0)
             if self.followed is not None:
@@ -335,13 +340,11 @@ class Training:
         found = self.population.by_field(elements)
         return np.array([found[name].sum() for name in self.fields])
 
-    def _gradients(
-        self, response: Response, names: tuple[str, ...], errors: np.ndarray, cotangents: np.ndarray
-    ) -> np.ndarray:
+    def _gradients(self, errors: np.ndarray, cotangents: np.ndarray) -> np.ndarray:
         """Gradients (elements, n) of weighted responses."""
 
         def compute() -> Any:
-            return gradients(response, self.population, errors, cotangents, names)[1][: len(errors)]
+            return gradients(self.response, self.population, errors, cotangents, self.names)[1][: len(errors)]
 
         if self._memo is None:
             return compute()

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax.population import Population
-from rvjax.response import LANES, Part, Response, elements, elements_and_rates, gradients, parts, respond
+from rvjax.response import LANES, Part, Response, elements, elements_and_rates, gradients, is_costly, parts, respond
 from rvjax.status import succeeded
 from rvjax.tolerances.batch.checkpoint import describe
 from rvjax.tolerances.batch.memo import Memo
@@ -31,7 +31,7 @@ class Units:
         self.parts = [p for p in parts(response, decisions.base) if wanted & set(p.names)] if wanted else []
         self.evaluated = 0
         self._decisions, self._memo = decisions, memo
-        self._costly = bool(getattr(response, "costly", False))
+        self._costly = is_costly(response)
 
     def values(self, x: np.ndarray, z: np.ndarray, what: str) -> dict[str, np.ndarray]:
         """Values (n,) by name of units with these z, nan where one failed."""

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from rvjax.population import Population, deviate_of
-from rvjax.response import Response
+from rvjax.response import Response, is_costly
 from rvjax.tolerances.allocation.cost import Cost
 from rvjax.tolerances.batch.memo import Memo
 from rvjax.tolerances.batch.monte_carlo import Run
@@ -60,7 +60,7 @@ class Problem:
     @property
     def costly(self) -> bool:
         """True if units are."""
-        return bool(getattr(self.response, "costly", False))
+        return is_costly(self.response)
 
     def decisions(self) -> Decisions:
         """Vector of decisions."""
