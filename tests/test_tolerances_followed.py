@@ -3,6 +3,7 @@
 Oracles: every unit solved; the normal law, by which the yield of certified half-widths is known exactly.
 """
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from scipy import stats
 from rvjax import tolerances
 from rvjax.population import Population
 from rvjax.response import Part, elements, gradients, status_without_errors
+from rvjax.roots import solved
 from rvjax.status import Status
 from rvjax.tolerances import Outcome, ReciprocalPower, Requirement, Tolerance, allocate
 from rvjax.tolerances.allocation.followed import Followed
@@ -205,6 +207,50 @@ def test_numbers_beside_the_outputs_are_read_by_name():
     part = Part(Costly(lambda e: {"curve[0]": e["x"][0], "curve[1]": 2 * e["y"][1], "peak": e["z"]}), population(1.0))
     z = np.random.default_rng(0).normal(size=(13, 5))
     np.testing.assert_allclose(part.rows(population(3.0), z, "curve"), np.stack([z[0], 2 * z[7]], axis=1))
+
+
+@jax.custom_jvp
+def _at_root(a, root):
+    """The root, with the derivative of x^2 = a."""
+    return root
+
+
+@_at_root.defjvp
+def _(primals, tangents):
+    return primals[1], tangents[0] / (2 * primals[1])
+
+
+def rooted(e):
+    """A root by iteration, which is marked as solved, and a value without one."""
+    a = 2 + e["x"][0] * e["y"][1]
+    newton = lambda state: (state[0] - (state[0] ** 2 - a) / (2 * state[0]), state[1] + 1)  # noqa: E731
+    found = jax.lax.while_loop(lambda state: state[1] < 20, newton, (jnp.ones(()), jnp.int32(0)))[0]
+    return {"root": _at_root(a, solved(jax.lax.stop_gradient(found))), "product": jnp.sin(e["x"][1]) * e["z"]}
+
+
+def test_slopes_of_solved_units_come_from_their_state():
+    """They are those of the whole function; at another state they are those of that state: nothing is solved again."""
+    part, z = Part(Costly(rooted), population(1.0)), np.random.default_rng(0).normal(size=(13, 300))
+    values, status, state = part.solution(population(1.2), z)
+    own = np.asarray(elements(population(1.2), jnp.asarray(z)))
+    errors = {"x": own[:6], "y": own[6:12], "z": own[12]}
+    a = 2 + errors["x"][0] * errors["y"][1]
+    assert not status.any() and part.names == ("product", "root")
+    np.testing.assert_allclose(values[1], np.sqrt(a), rtol=1e-12)
+    weights = np.random.default_rng(1).normal(size=(2, 300))
+    due = np.zeros((13, 300))
+    due[0], due[7] = (weights[1] * errors[n][k] / (2 * np.sqrt(a)) for n, k in (("y", 1), ("x", 0)))
+    due[1], due[12] = weights[0] * np.cos(errors["x"][1]) * errors["z"], weights[0] * np.sin(errors["x"][1])
+    np.testing.assert_allclose(part.slopes(population(1.2), z, state, weights), due, atol=1e-12)
+    found, slopes = gradients(
+        part.response, population(1.2), np.repeat(own, 2, axis=1), np.repeat(weights, 2, 1), part.names
+    )
+    np.testing.assert_allclose(found[:, ::2], values, rtol=1e-15)
+    np.testing.assert_allclose(slopes[:, 1::2], due, atol=1e-12)
+    doubled = np.where(np.isclose(state, np.sqrt(a), rtol=1e-9), 2 * state, state)
+    assert (doubled != state).sum() == 300
+    due[0], due[7] = due[0] / 2, due[7] / 2
+    np.testing.assert_allclose(part.slopes(population(1.2), z, doubled, weights), due, atol=1e-12)
 
 
 COSTS = {n: ReciprocalPower(reference=1.0, finest=0.05, coarsest=20.0) for n in ("a", "b")}

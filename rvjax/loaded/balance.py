@@ -20,7 +20,7 @@ def balance(layout: Layout, system: System, start: jax.Array) -> Found:
     Args:
         layout: counts and methods.
         system: the case.
-        start: (n,), or NaN: the linear step of `newton`.
+        start: (n,), NaN: the linear step of `newton`, or inf: nothing is solved.
     """
     return in_lanes(minimise, layout)(system, start)
 

@@ -6,8 +6,8 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rvjax.loaded.balance import balance, forces
-from rvjax.loaded.equilibrium import judge, placed, prepare
+from rvjax.loaded.balance import forces
+from rvjax.loaded.equilibrium import placed, prepare, solve
 from rvjax.loaded.inputs import Read
 from rvjax.loaded.newton import Found
 from rvjax.loaded.system import Layout
@@ -45,13 +45,11 @@ def bearing_forces(
     def at(angle: jax.Array, start: jax.Array | None) -> tuple[Found, SolveInfo]:
         case = jax.lax.stop_gradient(prepare(layout, read, angle))
 
-        def solve(torque: jax.Array, start: jax.Array) -> tuple[Found, SolveInfo]:
-            loaded = case.loaded(torque)
-            found = balance(layout, loaded.system, start)
-            return found, judge(read, loaded, found)
+        def under(torque: jax.Array, start: jax.Array) -> tuple[Found, SolveInfo]:
+            return solve(layout, read, case.loaded(torque), start)
 
         of_torques = jax.lax.stop_gradient(torques)
-        return jax.vmap(solve, (0, None if start is None else 0))(of_torques, none if start is None else start)
+        return jax.vmap(under, (0, None if start is None else 0))(of_torques, none if start is None else start)
 
     found, info = solved(jax.lax.map(lambda x: at(*x), (input_angles, start)))
     measure = jax.checkpoint(partial(_measure, layout))

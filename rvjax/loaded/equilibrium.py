@@ -83,8 +83,8 @@ def _equilibrium(
 ) -> Loaded:
     read = admit(layout, design, errors, output_torque, input_angle)
     case = prepare(layout, read, read.angle).loaded(read.torque)
-    found = balance(layout, case.system, jnp.full((layout.unknowns,), jnp.nan, read.torque.dtype))
-    return outcome(layout, read, case, found, judge(read, case, found))
+    found, info = solve(layout, read, case, jnp.full((layout.unknowns,), jnp.nan, read.torque.dtype))
+    return outcome(layout, read, case, found, info)
 
 
 class Case(NamedTuple):
@@ -163,7 +163,20 @@ def prepare(layout: Layout, read: Read, input_angle: jax.Array) -> Case:
     return Case(system._replace(**kept), at.lever / one, jnp.sqrt(squeeze * rounding) / cycloid.pin_radius)
 
 
-def judge(read: Read, case: Case, found: Found) -> SolveInfo:
+def solve(layout: Layout, read: Read, case: Case, start: jax.Array) -> tuple[Found, SolveInfo]:
+    """Minimum of the energy of a case, without derivatives, and its status; input that failed a check costs no step.
+
+    Args:
+        layout: counts and methods.
+        read: finite and possible numbers.
+        case: the case.
+        start: (n,), or NaN: the linear step.
+    """
+    found = balance(layout, case.system, jnp.where(read.gate.good, start, jnp.inf))
+    return found, _judge(read, case, found)
+
+
+def _judge(read: Read, case: Case, found: Found) -> SolveInfo:
     """Status, steps and residual of the solve of a case.
 
     A torque so small that the centring springs carry it inside the clearances loads no contact. The forces are

@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from rvjax.loaded.balance import balance, forces
-from rvjax.loaded.equilibrium import Case, judge, placed, prepare, pressures
+from rvjax.loaded.balance import forces
+from rvjax.loaded.equilibrium import Case, placed, prepare, pressures, solve
 from rvjax.loaded.inputs import Read
 from rvjax.loaded.newton import Found
 from rvjax.loaded.system import Layout
@@ -58,8 +58,7 @@ def instants(
         start = jnp.where(jnp.isfinite(before), 2 * last - before, last)
         case = prepare(layout, read, jax.lax.stop_gradient(angle)).loaded(torque)
         case = jax.lax.stop_gradient(case)
-        found = balance(layout, case.system, jnp.where(new, jnp.nan, start))
-        info = judge(read, case, found)
+        found, info = solve(layout, read, case, jnp.where(new, jnp.nan, start))
         here = jnp.where(succeeded(info.status), found.q, jnp.nan)
         return (here, jnp.where(new, jnp.nan, last)), (found, info)
 

@@ -62,7 +62,7 @@ def minimise(layout: Layout, system: System, start: jax.Array) -> Found:
     Args:
         layout: counts and methods.
         system: leaves (cases or 1, ...).
-        start: (cases or 1, n); NaN for the linear start.
+        start: (cases or 1, n); NaN for the linear start, inf for a case that is not solved.
     """
     cases = max(len(leaf) for leaf in jax.tree.leaves((system, start)))
     width = min(cases, BLOCK)
@@ -118,7 +118,8 @@ def minimise(layout: Layout, system: System, start: jax.Array) -> Found:
     dtype = start.dtype
     zero, no, none = jnp.zeros((cases,), dtype), jnp.zeros((cases,), bool), jnp.zeros((cases,), jnp.int32)
     nothing = Found(jnp.zeros((cases, layout.unknowns), dtype), none, zero, zero, no, no, no)
-    return jax.lax.while_loop(goes_on, one_round, _Tour(jnp.int32(0), ~no, nothing)).found
+    wanted = jnp.broadcast_to(~jnp.any(jnp.isinf(start), axis=1), (cases,))
+    return jax.lax.while_loop(goes_on, one_round, _Tour(jnp.int32(0), wanted, nothing)).found
 
 
 def _working_first(s: System) -> System:

@@ -9,8 +9,7 @@ import jax.numpy as jnp
 from rvjax.compile_cache import quick
 from rvjax.designs import RVReducer
 from rvjax.errors import RVErrors
-from rvjax.loaded.balance import balance
-from rvjax.loaded.equilibrium import Case, judge, placed, prepare
+from rvjax.loaded.equilibrium import Case, placed, prepare, solve
 from rvjax.loaded.inputs import Read, admit, check_input
 from rvjax.loaded.newton import Found
 from rvjax.loaded.system import Layout
@@ -124,7 +123,9 @@ def twisted(
 
     def lower(start: jax.Array, share: jax.Array) -> tuple[jax.Array, tuple[Found, SolveInfo]]:
         """Both signs at one size of the torque, from the solutions at the one before."""
-        found, info = jax.vmap(partial(_solved, layout, read, case))(sides * share, start)
+        found, info = jax.vmap(lambda torque, start: solve(layout, read, case.loaded(torque), start))(
+            sides * share, start
+        )
         return jnp.where(succeeded(info.status)[:, None], found.q, jnp.nan), (found, info)
 
     cold = jnp.full((2, layout.unknowns), jnp.nan, sides.dtype)
@@ -139,12 +140,6 @@ def twisted(
 def _ascending(pairs: jax.Array) -> jax.Array:
     """(4, 2) [size falling, sign] in ascending order of the torque, (8,)."""
     return jnp.concatenate([pairs[:, 0], pairs[::-1, 1]])
-
-
-def _solved(layout: Layout, read: Read, case: Case, torque: jax.Array, start: jax.Array) -> tuple[Found, SolveInfo]:
-    loaded = case.loaded(torque)
-    found = balance(layout, loaded.system, start)
-    return found, judge(read, loaded, found)
 
 
 def _angle(layout: Layout, read: Read, case: Case, torque: jax.Array, found: Found, status: jax.Array) -> jax.Array:

@@ -104,8 +104,10 @@ def begin_gradients(response: Response, population: Population) -> None:
     count = sum(math.prod(t.shape) for t in population.active.values())
     arrays = [jnp.zeros((rows, LANES), dtype) for rows in (count, len(names))]
     if mesh is None:
-        return pulled.begin(response, population, *arrays, names=names)
-    return _pulled_on.begin(response, population, *(on(mesh, rows) for rows in arrays), names=names, mesh=mesh)
+        pulled.begin(response, population, *arrays, names=names)
+    else:
+        _pulled_on.begin(response, population, *(on(mesh, rows) for rows in arrays), names=names, mesh=mesh)
+    return None
 
 
 def nominal_status(response: Response, population: Population) -> int:

@@ -11,7 +11,7 @@ from rvjax.population import Population
 from rvjax.response.devices import Evaluator
 from rvjax.response.gradients import begin_gradients, elements, gradients
 from rvjax.response.response import Response, Values, is_costly, response_names
-from rvjax.response.solving import Errors, Solution, begin, chunks, pulls, solution, solve, without_errors
+from rvjax.response.solving import PULLED, Errors, Solution, begin, chunks, pulls, solution, solve, without_errors
 from rvjax.status import succeeded, worst
 
 
@@ -28,10 +28,10 @@ class Part:
         return self.solution(population, z)[:2]
 
     def solution(self, population: Population, z: np.ndarray) -> Solution:
-        """Values (k, n), status (n,) and state (numbers, n): what `gradients` of these units need."""
+        """Values (k, n), status (n,) and state (numbers, n): what `slopes` of these units need."""
         return self._of(population, z.shape[1], _drawn(population, z))
 
-    def gradients(self, population: Population, z: np.ndarray, state: np.ndarray, cotangents: np.ndarray) -> np.ndarray:
+    def slopes(self, population: Population, z: np.ndarray, state: np.ndarray, cotangents: np.ndarray) -> np.ndarray:
         """Gradients (elements, n) of weighted values of solved units, which are not solved again.
 
         Args:
@@ -41,7 +41,9 @@ class Part:
             cotangents: weights (k, n) of the values.
         """
         own = _drawn(population, z)
-        errors = np.concatenate([np.asarray(own(lanes)) for lanes in chunks(z.shape[1])], axis=1)[:, : z.shape[1]]
+        errors = np.concatenate([np.asarray(own(lanes)) for lanes in chunks(z.shape[1], PULLED)], axis=1)[
+            :, : z.shape[1]
+        ]
         if not is_costly(self.response):
             return gradients(self.response, population, errors, cotangents, self.names)[1]
         return pulls(self.response, population, errors, state, cotangents)
@@ -53,12 +55,11 @@ class Part:
 
     def rows(self, population: Population, z: np.ndarray, name: str) -> np.ndarray:
         """Numbers name[0], name[1] ... (n, numbers) among the values of units with random numbers z (numbers, n)."""
-        count = z.shape[1]
-        self.solved += count
-        found = solve(self.response, population, count, _drawn(population, z))
+        self.solved += z.shape[1]
+        found = solve(self.response, population, z.shape[1], _drawn(population, z))
         length = sum(key.startswith(f"{name}[") for key in found[0].values)
-        rows = [np.stack([np.asarray(each.values[f"{name}[{k}]"]) for k in range(length)]) for each in found]
-        return np.concatenate(rows, axis=1)[:, :count].T
+        rows = [np.stack([each.values[f"{name}[{k}]"] for k in range(length)]) for each in found]
+        return np.concatenate(rows, axis=1).T
 
     def nominal_status(self, population: Population) -> int:
         """Status of the unit without errors, by the program of all the others."""

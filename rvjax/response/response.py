@@ -94,7 +94,7 @@ class Compiled(Generic[R]):
         jitted, first = self._program(response, options)
         return jitted(*first, *arguments, **static)
 
-    def begin(self, response: Function, *arguments: PyTree, **static: object) -> None:
+    def begin(self, response: Function, *arguments: PyTree, **static: object) -> R | None:
         """Trace the program of such arguments and compile it while the caller goes on; later calls wait for it.
 
         Only where the command line keeps programs. An error is raised by the call that waits.
@@ -103,13 +103,19 @@ class Compiled(Generic[R]):
             response: as in the call.
             arguments: likewise; their values do not count, and the program computes them once.
             static: likewise.
+
+        Returns:
+            Shapes of the value; None where nothing was begun.
         """
         options = (*getattr(response, "compiler_options", ()), *self._options)
         if not isinstance(response, Record) or (folder := kept_folder()) is None:
-            return
+            return None
         key, kept, leaves = self._traced(folder, options, (response, *arguments), static)
-        if kept is not None and key not in self._begun:
+        if kept is None:
+            return None
+        if key not in self._begun:
             self._begun[key] = self._threads.submit(lambda: jax.block_until_ready(kept.call(*kept.given(leaves))))
+        return kept.put_together(jax.eval_shape(kept.call, *kept.given(leaves)))
 
     def _kept(self, folder: Path, options: Options, arguments: PyTree, static: dict[str, object]) -> R:
         """The function's value, by a program that this or an earlier process has traced."""

@@ -15,11 +15,14 @@ import numpy as np
 
 from rvjax.population import Population
 from rvjax.response.devices import NUMBERS, UNITS, mesh_of, on, shared_out
-from rvjax.response.response import Response, Values, evaluate, per_response, response_names
+from rvjax.response.response import Compiled, R, Response, Values, evaluate, per_response, response_names
 from rvjax.roots import SOLVED
 
-AT_ONCE = 128
-"""Units of one call: a few blocks of a slow model, so that little is wasted where few units decide."""
+AT_ONCE = 256
+"""Units of one call. Places that are not needed hold units of NaN, which a model does not solve."""
+
+PULLED = 256
+"""Units of a call for gradients: few, for a reverse pass keeps all that a unit needs on its way."""
 
 
 Errors = Callable[[np.ndarray], jax.Array]  # of the indices of some units
@@ -35,27 +38,39 @@ class Units(NamedTuple):
 
 
 def solve(response: Response, population: Population, count: int, errors: Errors) -> list[Units]:
-    """Solve some units, `AT_ONCE` in a call; the last call has more than are wanted.
+    """Solve some units, `AT_ONCE` in a call.
 
     Args:
         response: of one unit.
         population: gives the elements of each field; its tolerances have no effect.
         count: of the units.
         errors: (elements, n) of the active fields, of n of the units.
+
+    Returns:
+        Units of each call, as NumPy arrays.
     """
-    mesh = mesh_of(AT_ONCE)
-    if mesh is None:
-        return [Units(*_solved(response, population, errors(lanes))) for lanes in chunks(count)]
-    return [Units(*_solved_on(response, population, on(mesh, errors(lanes)), mesh=mesh)) for lanes in chunks(count)]
+    mesh, running = mesh_of(AT_ONCE), []
+    place = np.arange(AT_ONCE).reshape(1 if mesh is None else mesh.size, -1)  # of each unit, one device after another
+    unit = np.argsort(place.T.ravel())
+    for first in range(0, count, AT_ONCE):
+        rows = jnp.where(first + unit < count, errors(np.minimum(first + unit, count - 1)), jnp.nan)
+        if mesh is None:
+            running.append(Units(*_solved(response, population, rows)))
+        else:
+            running.append(Units(*_solved_on(response, population, on(mesh, rows), mesh=mesh)))
+    order = place.T.ravel()
+    return [
+        jax.tree.map(lambda x, n=count - number * AT_ONCE: np.asarray(x)[..., order[:n]], found)
+        for number, found in enumerate(running)
+    ]
 
 
 def solution(response: Response, population: Population, count: int, errors: Errors) -> Solution:
     """Values (k, n) by `response_names`, status (n,) and state (numbers, n) of some units, as in `solve`."""
     found, names = solve(response, population, count, errors), response_names(response, population)
-    rows = [np.stack([np.asarray(each.values[name], float) for name in names]) for each in found]
-    status = np.concatenate([np.asarray(each.status) for each in found])[:count]
-    state = np.concatenate([np.asarray(each.state) for each in found], axis=1)[:, :count]
-    return np.concatenate(rows, axis=1)[:, :count], status, state
+    values = [np.stack([np.asarray(each.values[name], float) for name in names]) for each in found]
+    rows = values, [each.status for each in found], [each.state for each in found]
+    return tuple(np.concatenate(parts, axis=-1) for parts in rows)  # type: ignore[return-value]
 
 
 def pulls(
@@ -72,8 +87,8 @@ def pulls(
         state: (numbers, n) of these units, by `solution`.
         cotangents: (k, n), values by `response_names`.
     """
-    mesh, dtype, found = mesh_of(AT_ONCE), jnp.result_type(float), []
-    for lanes in chunks(errors.shape[1]):
+    mesh, dtype, found = mesh_of(PULLED), jnp.result_type(float), []
+    for lanes in chunks(errors.shape[1], PULLED):
         rows = [jnp.asarray(each[:, lanes], dtype) for each in (errors, state, cotangents)]
         if mesh is None:
             found.append(_pulled(response, population, *rows))
@@ -83,26 +98,35 @@ def pulls(
 
 
 def begin(response: Response, population: Population, *, slopes: bool = False) -> None:
-    """Begin one of the two programs, see `Compiled.begin`.
+    """Begin the program that solves, see `Compiled.begin`, and the one for gradients.
 
     Args:
         response: as in `solve`.
         population: as in `solve`.
-        slopes: that of the gradients.
+        slopes: with the one for gradients.
     """
-    mesh, rows = mesh_of(AT_ONCE), [without_errors(population)]
-    if slopes:
-        shapes = jax.eval_shape(_solved.__wrapped__, response, population, rows[0])  # type: ignore[attr-defined]
-        counts = shapes[2].shape[0], len(response_names(response, population))
-        rows += [jnp.zeros((count, AT_ONCE), rows[0].dtype) for count in counts]
+    mesh, none = mesh_of(AT_ONCE), jnp.full_like(without_errors(population), jnp.nan)
+    solving = _begun(_solved, _solved_on, mesh, response, population, none)
+    if slopes and solving is not None:
+        counts = len(none), len(solving[2]), len(response_names(response, population))
+        rows = [jnp.zeros((count, PULLED), none.dtype) for count in counts]
+        _begun(_pulled, _pulled_on, mesh_of(PULLED), response, population, *rows)
+
+
+def _begun(
+    one: Compiled[R],
+    shared: Compiled[R],
+    mesh: jax.sharding.Mesh | None,
+    response: Response,
+    population: Population,
+    *rows: jax.Array,
+) -> R | None:
     if mesh is None:
-        (_pulled if slopes else _solved).begin(response, population, *rows)
-    else:
-        program = _pulled_on if slopes else _solved_on
-        program.begin(response, population, *(on(mesh, each) for each in rows), mesh=mesh)
+        return one.begin(response, population, *rows)
+    return shared.begin(response, population, *(on(mesh, each) for each in rows), mesh=mesh)
 
 
-def chunks(count: int, size: int = AT_ONCE) -> list[np.ndarray]:
+def chunks(count: int, size: int) -> list[np.ndarray]:
     """Indices (size,) of the units of each call; the last ones are repeated to fill it."""
     return [np.resize(np.arange(start, min(start + size, count)), size) for start in range(0, count, size)]
 

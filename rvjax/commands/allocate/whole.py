@@ -23,7 +23,7 @@ from rvjax.response import AT_ONCE, elements, is_costly, parts
 from rvjax.status import succeeded
 from rvjax.study import CURVE, Response, Study
 
-UNITS, MANY = 4 * AT_ONCE, 16384
+UNITS, MANY = 2 * AT_ONCE, 16384
 FOLDS = 4
 EDGES = np.array([-1.5, 0.0, 1.5])
 """Limits of the strata: predicted margin in standard deviations of its error; above 0 a unit is predicted to fail."""

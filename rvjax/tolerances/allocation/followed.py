@@ -20,13 +20,14 @@ import numpy as np
 from scipy import special
 
 from rvjax.population import Population, drawn, root_key
-from rvjax.response import AT_ONCE, BLOCK, Response, elements, is_costly, parts
+from rvjax.response import BLOCK, Response, elements, is_costly, parts
 from rvjax.status import succeeded, worst
 from rvjax.tolerances.batch.memo import Memo
 from rvjax.tolerances.requirements.kinds import Requirement
 from rvjax.tolerances.requirements.limits import Limits
 
 WRONG = 0.1  # units expected on the wrong side of a limit, at most
+_STEP = 128  # units solved next, at least
 _RANDOM = 32  # of the first units solved at a new set
 _IDLE = 0.5  # the same within which values that decide nothing are left as they were
 _FAR = 1.0  # change of a limit, in half-widths, beyond which nothing is predicted
@@ -156,7 +157,7 @@ class Followed:
         rows = self._recalled("followed", number, population, units.tobytes(), compute)
         return dict(zip(part.names, rows)), rows[-1].astype(np.int32)
 
-    def gradients(self, number: int, population: Population, units: np.ndarray, cotangents: np.ndarray) -> np.ndarray:
+    def slopes(self, number: int, population: Population, units: np.ndarray, cotangents: np.ndarray) -> np.ndarray:
         """Gradients (elements, n) of weighted values of some units of one part.
 
         Units that were solved at this set of tolerances are not solved again.
@@ -175,9 +176,9 @@ class Followed:
             if missing.size:
                 states.update(zip(missing.tolist(), part.solution(population, self.z[:, missing])[2].T))
             state = np.stack([states[unit] for unit in units.tolist()], axis=1)
-            return part.gradients(population, self.z[:, units], state, cotangents)
+            return part.slopes(population, self.z[:, units], state, cotangents)
 
-        return self._recalled("gradients", number, population, units.tobytes() + cotangents.tobytes(), compute)
+        return self._recalled("slopes", number, population, units.tobytes() + cotangents.tobytes(), compute)
 
     def _states_at(self, number: int, population: Population) -> dict[int, np.ndarray]:
         """States of the units of a part that were solved at these tolerances; those of others are forgotten."""
@@ -208,7 +209,7 @@ class Followed:
         """{name: units with gradients (n,), and the change (n,) that these predict from one set to another}."""
         found = {}
         for name, (units, slopes) in self._slopes.items():
-            lanes = np.resize(units, -(-len(units) // AT_ONCE) * AT_ONCE).reshape(-1, AT_ONCE)  # one program
+            lanes = np.resize(units, -(-len(units) // _STEP) * _STEP).reshape(-1, _STEP)  # one program
             here, there = (
                 np.concatenate([np.asarray(elements(p, jnp.asarray(self.z[:, row]))) for row in lanes], axis=1)
                 for p in (before, after)
@@ -262,7 +263,7 @@ class _Step:
                 first |= np.isnan(row)
                 for level in wanted.get(name, []):
                     if np.isfinite(level):
-                        first[np.argsort(np.abs(row - level))[: (AT_ONCE - _RANDOM) // len(part.names)]] = True
+                        first[np.argsort(np.abs(row - level))[: (_STEP - _RANDOM) // len(part.names)]] = True
             self._solve(number, np.flatnonzero(first))
             if any(np.isnan(self.values[n] - self.known.values[n])[self.random].any() for n in part.names):
                 self._solve(number, np.flatnonzero(~self.solved[number]))  # a line foresees no failures
@@ -279,7 +280,7 @@ class _Step:
             order = np.argsort(-wrong, kind="stable")
             left = wrong.sum() - np.cumsum(wrong[order])
             count = int(np.argmax(left <= most)) + 1
-            count = min(-(-count // AT_ONCE) * AT_ONCE, int((wrong > 0).sum()))
+            count = min(-(-count // _STEP) * _STEP, int((wrong > 0).sum()))
             self._solve(number, order[:count])
             more = True
         return more
