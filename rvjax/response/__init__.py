@@ -3,6 +3,7 @@
 from rvjax.response.devices import Evaluator as Evaluator, gathered as gathered, place as place
 from rvjax.response.gradients import (
     LANES as LANES,
+    begin_gradients as begin_gradients,
     elements as elements,
     elements_and_rates as elements_and_rates,
     gradients as gradients,

@@ -8,15 +8,18 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax.commands.allocate.whole import Whole, whole
+from rvjax.compile_cache import ONCE
 from rvjax.population import Population, drawn, root_key
 from rvjax.progress import begin, progress_bar
 from rvjax.records import Design, PyTree, Record, field, record, text
 from rvjax.response import (  # chunks of the certificate's size: the response compiles once
     BLOCK,
     Response,
+    begin_gradients,
     begin_programs,
     nominal_status,
     per_response,
+    respond,
     response_names,
     status_without_errors,
 )
@@ -120,6 +123,8 @@ def answer(study: Study, *, progress: bool = False, memo: Memo | None = None, me
     with progress_bar(progress, None, "checked", "unit") as advance:  # compiles the gradients: the longest wait
         if response.costly:
             begin_programs(response, Population.of(study.tolerances), slopes=True)
+        else:
+            _begin_programs(study, response)
         status_of = status_without_errors if response.costly else nominal_status
         refuse(status_of(response, Population.of(study.tolerances)))
         advance(1)
@@ -192,6 +197,17 @@ def solved_units(study: Study) -> dict[str, int]:
     return {phase: int(units) for phase, units in found.items()} | {SAMPLING: shown}
 
 
+def _begin_programs(study: Study, response: Response) -> None:
+    """Begin the programs of a response that is not costly, and of its curve, see `Compiled.begin`."""
+    population = Population.of(study.tolerances)
+    begin_gradients(response, population)
+    count = BLOCK if study.middles else min(study.samples, BLOCK)
+    respond.begin(response, population, jnp.zeros((population.numbers, count)))
+    if study.curve is not None:
+        nothing = jnp.zeros((population.numbers, SHOWN_UNITS))
+        _drawn_curves.begin(_Drawn(study.design, study.conditions, study.curve.evaluate), population, nothing)
+
+
 def _side(study: Study, response: Response, tolerances: PyTree, certificate: Statistics, curves: _Curves) -> Side:
     shares, sensitivities = influences(response, tolerances)
     kept = certificate
@@ -231,8 +247,7 @@ def _curves(study: Study, solved: Solved | None = None) -> _Curves:
 
         def solved_units(tolerances: PyTree, seed: int) -> tuple[np.ndarray, np.ndarray]:
             population = Population.of(tolerances)
-            z = np.asarray(drawn(population, root_key(seed), jnp.uint32(0), count=SHOWN_UNITS))
-            return angle, drawing[0].rows(population, z, CURVE)
+            return angle, drawing[0].rows(population, np.asarray(_shown(population, seed)), CURVE)
 
         return solved_units
 
@@ -240,11 +255,15 @@ def _curves(study: Study, solved: Solved | None = None) -> _Curves:
 
     def drawn_units(tolerances: PyTree, seed: int) -> tuple[np.ndarray, np.ndarray]:
         population = Population.of(tolerances)
-        z = drawn(population, root_key(seed), jnp.uint32(0), count=SHOWN_UNITS)
-        angles, values = _drawn_curves(unit, population, z)
+        angles, values = _drawn_curves(unit, population, _shown(population, seed))
         return np.asarray(angles)[0], np.asarray(values)
 
     return drawn_units
+
+
+def _shown(population: Population, seed: int) -> jax.Array:
+    """Random numbers of the units with a plotted curve, by the program that draws all others."""
+    return jnp.asarray(np.asarray(drawn(population, root_key(seed), jnp.uint32(0), count=BLOCK))[:, :SHOWN_UNITS])
 
 
 @record
@@ -261,7 +280,7 @@ class _Drawn(Record):
         return jnp.asarray(angle), values
 
 
-@per_response()
+@per_response(options=ONCE)
 def _drawn_curves(
     unit: Callable[..., tuple[jax.Array, jax.Array]], population: Population, z: jax.Array
 ) -> tuple[jax.Array, jax.Array]:

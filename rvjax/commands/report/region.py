@@ -5,11 +5,12 @@ import itertools
 from collections.abc import Sequence
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from rvjax.commands.report.regression import Columns, errors_of, regressed
 from rvjax.population import Population, Tolerance
-from rvjax.response import Part, respond
+from rvjax.response import BLOCK, Part, respond
 
 _KNOWN = 0.01  # of a standard deviation: a smaller misfit at a probe needs no mixed bends
 FELT = 2e-3  # of a standard deviation: columns that move no unit by more, root mean square, are left out
@@ -72,8 +73,11 @@ class Region:
         if getattr(self.part.response, "costly", False):
             z = np.asarray(self.z if units is None else self.z[:, units])
             return dict(zip(self.part.names, self.part.of_elements(population, errors_of(population, z))[0]))
-        values, _ = respond(self.part.response, population, self.z)
-        return {name: np.asarray(column, float)[... if units is None else units] for name, column in values.items()}
+        count = self.z.shape[1]
+        lanes = np.resize(np.arange(count), (-(-count // BLOCK), BLOCK))
+        found = [respond(self.part.response, population, jnp.asarray(self.z[:, some]))[0] for some in lanes]
+        values = {n: np.concatenate([np.asarray(each[n], float) for each in found])[:count] for n in self.part.names}
+        return {name: column[... if units is None else units] for name, column in values.items()}
 
     def fitted(self, rng: np.random.Generator) -> tuple[dict[str, np.ndarray], dict[str, Columns]]:
         """Values as allocated, and slopes and bends by response."""

@@ -31,7 +31,7 @@ REACH = 0.4  # of a half-width: how far it moves within the region, either way
 SHIFT = 0.25  # the same of the place of its limits, in half-widths
 _FLOOR = 0.5  # of the units are sampled evenly, the others from the tails
 _POINTS = 8  # of the region at which the error is measured
-FRESH = 2 * BLOCK  # units that measure it, at each point
+FRESH = 8 * BLOCK  # units that measure it, at each point
 COMPARED = 256  # of its own units, of which a costly response is computed at each point
 
 

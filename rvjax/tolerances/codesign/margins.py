@@ -18,6 +18,7 @@ from rvjax.tolerances.codesign.anchor import Anchor, AnchoredUnits
 from rvjax.tolerances.codesign.decisions import Decisions
 from rvjax.tolerances.codesign.nominal import Nominal, NominalOutputs
 from rvjax.tolerances.codesign.tail_sample import Centres, TailSample, centres_of, kernel, smooth_quantile
+from rvjax.tolerances.codesign.units import Weights
 from rvjax.tolerances.requirements.kinds import Requirement
 from rvjax.tolerances.requirements.limits import Limits
 from rvjax.tolerances.worst_case import Extremes, extremes
@@ -213,6 +214,20 @@ class Margins:
             x, decisions.cost(x), slopes, bends, float(priced), towards, margins, jacobian / self.ways[:, None]
         )
 
+    def of_others(self, x: np.ndarray, times: int) -> dict[int, float]:
+        """{row: margin in parts of its way, without correction} on shares, of so many times as many other units."""
+        population, found = self.decisions.population(x), dict[int, float]()
+        tails = TailSample(population.numbers, times * self.samples, self.seed + 1, self.tails.centres)
+        for number, shared in enumerate(self._shared(self._units.values(x, tails.z, "others"))):
+            k = self._row(number)
+            level = smooth_quantile(shared.margins, tails.weights, 1 - shared.target, self.widths[k])
+            found[k] = (level - self._widened(k, shared.target)) / self.ways[k]
+        return found
+
+    def _widened(self, k: int, target: float) -> float:
+        """Error of a smooth quantile: a normal tail at distance z, widened by h, is too wide by z h^2/2 (in sd)."""
+        return self.widths[k] * WIDTH * max(float(special.ndtri(target)), 0.0) / 2
+
     def total(self, x: np.ndarray) -> float:
         """Cost at a vector of decisions, with the objective."""
         outputs, _ = self._nominal.at(self.decisions.population(x))
@@ -268,20 +283,21 @@ class Margins:
         return found
 
     def _look_at_shares(self, x: np.ndarray, population: Population, margins: np.ndarray, jacobian: np.ndarray) -> None:
-        values = self._units.values(x, self.tails.z, "tails")
+        values, several = self._units.values(x, self.tails.z, "tails"), dict[int, tuple[np.ndarray, Weights]]()
         for number, shared in enumerate(self._shared(values)):
             own, target, k = shared.margins, shared.target, self._row(number)
-            margins[k] = smooth_quantile(own, self.tails.weights, 1 - target, self.widths[k])
-            if not math.isfinite(margins[k]):
+            level = smooth_quantile(own, self.tails.weights, 1 - target, self.widths[k])
+            margins[k] = level - self._widened(k, target)
+            if not math.isfinite(level):
                 continue
-            weights = kernel(own, self.tails.weights, margins[k], self.widths[k])
+            weights = kernel(own, self.tails.weights, level, self.widths[k])
             units = np.argsort(-weights, kind="stable")[: min(_MOST_LANES, int((weights > 0).sum()))]
             weights = weights[units] / weights[units].sum()
-            pulled = {name: pull[units] * weights for name, pull in shared.outward.items()}
             if np.isfinite(weights).all():
-                jacobian[k] = self._units.slope(x, population, self.tails.z[:, units], pulled, units)
-            # A normal tail at distance z, widened by h, is too wide by z h^2/2 (in standard deviations).
-            margins[k] -= self.widths[k] * WIDTH * max(float(special.ndtri(target)), 0.0) / 2
+                several[k] = units, {name: pull[units] * weights for name, pull in shared.outward.items()}
+        if several:
+            slopes = self._units.slopes(x, population, self.tails.z, list(several.values()))
+            jacobian[list(several)] = np.stack(slopes)
 
     def _look_at_statistics(
         self, x: np.ndarray, population: Population, margins: np.ndarray, jacobian: np.ndarray
