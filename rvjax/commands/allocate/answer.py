@@ -3,22 +3,20 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
 from rvjax.commands.allocate.whole import Whole, whole
-from rvjax.compile_cache import ONCE
+from rvjax.commands.curves import begin_curves, curves_of
 from rvjax.population import Population, drawn, root_key
 from rvjax.progress import begin, progress_bar
-from rvjax.records import Design, PyTree, Record, field, record, text
+from rvjax.records import PyTree
 from rvjax.response import (  # chunks of the certificate's size: the response compiles once
     BLOCK,
     Response,
     begin_gradients,
     begin_programs,
     nominal_status,
-    per_response,
     respond,
     response_names,
     status_without_errors,
@@ -204,8 +202,7 @@ def _begin_programs(study: Study, response: Response) -> None:
     count = BLOCK if study.middles else min(study.samples, BLOCK)
     respond.begin(response, population, jnp.zeros((population.numbers, count)))
     if study.curve is not None:
-        nothing = jnp.zeros((population.numbers, SHOWN_UNITS))
-        _drawn_curves.begin(_Drawn(study.design, study.conditions, study.curve.evaluate), population, nothing)
+        begin_curves(study.curve, study.design, study.conditions, population)
 
 
 def _side(study: Study, response: Response, tolerances: PyTree, certificate: Statistics, curves: _Curves) -> Side:
@@ -247,45 +244,20 @@ def _curves(study: Study, solved: Solved | None = None) -> _Curves:
 
         def solved_units(tolerances: PyTree, seed: int) -> tuple[np.ndarray, np.ndarray]:
             population = Population.of(tolerances)
-            return angle, drawing[0].rows(population, np.asarray(_shown(population, seed)), CURVE)
+            return angle, drawing[0].rows(population, _shown(population, seed), CURVE)
 
         return solved_units
 
-    unit = _Drawn(study.design, study.conditions, curve.evaluate)
-
     def drawn_units(tolerances: PyTree, seed: int) -> tuple[np.ndarray, np.ndarray]:
         population = Population.of(tolerances)
-        angles, values = _drawn_curves(unit, population, _shown(population, seed))
-        return np.asarray(angles)[0], np.asarray(values)
+        return curves_of(curve, study.design, study.conditions, population, _shown(population, seed))
 
     return drawn_units
 
 
-def _shown(population: Population, seed: int) -> jax.Array:
+def _shown(population: Population, seed: int) -> np.ndarray:
     """Random numbers of the units with a plotted curve, by the program that draws all others."""
-    return jnp.asarray(np.asarray(drawn(population, root_key(seed), jnp.uint32(0), count=BLOCK))[:, :SHOWN_UNITS])
-
-
-@record
-class _Drawn(Record):
-    """errors -> angles and curve of one unit."""
-
-    design: Design = field("-", "the reducer", kind="record")
-    conditions: object = text("how the reducer runs")
-    evaluate: Callable[..., tuple[jax.Array, jax.Array]] = text("of a model")
-
-    def __call__(self, errors: PyTree) -> tuple[jax.Array, jax.Array]:
-        """Angles and values (n,)."""
-        angle, values = self.evaluate(self.design, errors, self.conditions)
-        return jnp.asarray(angle), values
-
-
-@per_response(options=ONCE)
-def _drawn_curves(
-    unit: Callable[..., tuple[jax.Array, jax.Array]], population: Population, z: jax.Array
-) -> tuple[jax.Array, jax.Array]:
-    """Angles and curves (units, n) of the units with random numbers z (numbers, units)."""
-    return jax.vmap(lambda one: unit(population.errors(one)), in_axes=-1)(z)
+    return np.asarray(drawn(population, root_key(seed), jnp.uint32(0), count=BLOCK))[:, :SHOWN_UNITS]
 
 
 def _cost_curve(

@@ -10,8 +10,9 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax.commands.budget.compute import Budget, curve_along, error_budget, torque_condition, waves_of
+from rvjax.commands.budget.compute import Budget, curve_along, error_budget, waves_of
 from rvjax.commands.budget.effects import squares
+from rvjax.commands.curves import torque_condition
 from rvjax.population import Population, drawn, root_key
 from rvjax.response import elements, parts
 from rvjax.study import CURVE, Study

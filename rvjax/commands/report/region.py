@@ -4,7 +4,6 @@ import dataclasses
 import itertools
 from collections.abc import Sequence
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -48,7 +47,7 @@ class Region:
     part: Part
     population: Population
     parameters: Sequence[Parameter]
-    z: jax.Array
+    z: np.ndarray
 
     def tolerances(self, x: np.ndarray) -> dict[str, Tolerance]:
         """Tolerances of the fields that move, x in reaches."""
@@ -71,7 +70,7 @@ class Region:
         """
         population = self.population.with_tolerances(self.tolerances(x))
         if getattr(self.part.response, "costly", False):
-            z = np.asarray(self.z if units is None else self.z[:, units])
+            z = self.z if units is None else self.z[:, units]
             return dict(zip(self.part.names, self.part.of_elements(population, errors_of(population, z))[0]))
         count = self.z.shape[1]
         lanes = np.resize(np.arange(count), (-(-count // BLOCK), BLOCK))
@@ -83,7 +82,7 @@ class Region:
         """Values as allocated, and slopes and bends by response."""
         if getattr(self.part.response, "costly", False):
             width = np.array([not p.place for p in self.parameters], float)
-            found = regressed(self.part, self.population, self.tolerances, width, np.asarray(self.z), rng)
+            found = regressed(self.part, self.population, self.tolerances, width, self.z, rng)
         else:
             found = self._quadratic()
         base, columns = found

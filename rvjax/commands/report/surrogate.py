@@ -15,14 +15,14 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any, Self
 
-import jax
+import jax.numpy as jnp
 import numpy as np
 
 from rvjax.commands.allocate import Answer
 from rvjax.commands.report import regression
 from rvjax.commands.report.region import Parameter, Region
 from rvjax.commands.report.regression import Columns
-from rvjax.population import Population, root_key
+from rvjax.population import Population, drawn, root_key
 from rvjax.response import BLOCK, Response, parts
 from rvjax.tolerances import Estimate, Limits, Statistics, Tolerance, monte_carlo
 
@@ -144,7 +144,9 @@ def surrogate(answer: Answer) -> Surrogate | None:
     chance = _chances(full[:, valid], count)
     chosen = _thinned(chance, count, np.random.default_rng(study.seed))
     population = Population.of(side.tolerances)
-    z = jax.jit(lambda units: population.draw(root_key(side.seed), units))(valid[chosen].astype(np.uint32))
+    key, units = root_key(side.seed), valid[chosen]
+    blocks = [drawn(population, key, jnp.uint32(first), count=BLOCK) for first in range(0, int(units[-1]) + 1, BLOCK)]
+    z = np.concatenate([np.asarray(block) for block in blocks], axis=1)[:, units]
     designs = [Region(part, population, parameters, z) for part in parts(response, population)]
     base, columns = dict[str, np.ndarray](), dict[str, Columns]()
     for design in designs:

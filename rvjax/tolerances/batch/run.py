@@ -261,17 +261,17 @@ def _chunks(
     for XLA shares out no kernel of a few thousand units; the first chunk, which compiles, is started here.
     """
     process, processes = place()
-    ready: collections.deque[tuple[int, Callable[[], tuple[dict[str, PyTree], PyTree]]]] = collections.deque()
+    ready: collections.deque[tuple[int, Callable[[], tuple[Arrays, PyTree]]]] = collections.deque()
     with ThreadPoolExecutor(ahead, "units") as threads:
         for number in itertools.chain(numbers, [None] * ahead):
             if number is not None:
                 if number % processes != process and counted.settled:
                     continue
                 if ahead > 1 and ready:
-                    ready.append((number, threads.submit(_finished, start, number * chunk).result))
+                    waiting = threads.submit(_finished, start, number * chunk)
+                    ready.append((number, waiting.result))
                 else:
-                    running = start(number * chunk)
-                    ready.append((number, lambda running=running: running))
+                    ready.append((number, functools.partial(tuple, start(number * chunk))))
             if len(ready) > ahead or (number is None and ready):
                 done, wait = ready.popleft()
                 values, status = wait()
