@@ -28,6 +28,7 @@ from rvjax.response.response import (
     by_name as by_name,
     by_response as by_response,
     evaluate as evaluate,
+    numbers_of as numbers_of,
     per_response as per_response,
     respond as respond,
     respond_units as respond_units,

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from rvjax.choices import UnknownWord, meant
 from rvjax.compile_cache import Options, inside, kept_folder, understood
@@ -265,6 +266,13 @@ def respond_units(
     Sampling is a separate program, so that the response is compiled once for each number of units.
     """
     return respond(response, population, drawn(population, key, jnp.uint32(start), count=count))
+
+
+def numbers_of(population: Population, key: jax.Array, units: np.ndarray) -> np.ndarray:
+    """Random numbers (numbers, n) of any units, by the program that draws `BLOCK` of them."""
+    blocks, place = np.unique(np.asarray(units) // BLOCK, return_inverse=True)
+    rows = [np.asarray(drawn(population, key, jnp.uint32(BLOCK * block), count=BLOCK)) for block in blocks]
+    return np.stack(rows, axis=1)[:, place, np.asarray(units) % BLOCK]
 
 
 def response_names(response: Response, population: Population) -> tuple[str, ...]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from rvjax.commands.allocate.whole import Whole, whole
 from rvjax.commands.curves import begin_curves, curves_of
-from rvjax.population import Population, drawn, root_key
+from rvjax.population import Population, root_key
 from rvjax.progress import begin, progress_bar
 from rvjax.records import PyTree
 from rvjax.response import (  # chunks of the certificate's size: the response compiles once
@@ -17,6 +17,7 @@ from rvjax.response import (  # chunks of the certificate's size: the response c
     begin_gradients,
     begin_programs,
     nominal_status,
+    numbers_of,
     respond,
     response_names,
     status_without_errors,
@@ -256,8 +257,8 @@ def _curves(study: Study, solved: Solved | None = None) -> _Curves:
 
 
 def _shown(population: Population, seed: int) -> np.ndarray:
-    """Random numbers of the units with a plotted curve, by the program that draws all others."""
-    return np.asarray(drawn(population, root_key(seed), jnp.uint32(0), count=BLOCK))[:, :SHOWN_UNITS]
+    """Random numbers of the units with a plotted curve."""
+    return numbers_of(population, root_key(seed), np.arange(SHOWN_UNITS))
 
 
 def _cost_curve(

@@ -15,10 +15,9 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
-from rvjax import models, progress as phase, response
+from rvjax import models, progress as phase
 from rvjax.choices import choose
 from rvjax.commands.budget.effects import BLOCK, FEWEST, MOST, Load, by_level, of_load
 from rvjax.commands.budget.inputs import Inputs
@@ -26,8 +25,9 @@ from rvjax.commands.budget.scalar import ScalarBudget, scalar_budget
 from rvjax.commands.curves import curves_of, torque_condition
 from rvjax.commands.speak import READING, WRITING
 from rvjax.outputs import Curve
-from rvjax.population import Population, drawn, root_key
+from rvjax.population import Population, root_key
 from rvjax.progress import progress_bar
+from rvjax.response import numbers_of
 from rvjax.study import Study, naming
 
 UNLOADED = 1e-3  # of the torque: the limit of no load, as on a test bench
@@ -152,8 +152,8 @@ def error_budget(
     population = Population.of(study.tolerances if tolerances is None else tolerances)
     key = root_key(study.seed if seed is None else seed)
 
-    def draw(first: int, *, count: int) -> np.ndarray:  # by the program that draws all units
-        return np.asarray(drawn(population, key, jnp.uint32(first), count=response.BLOCK))[:, :count]
+    def draw(first: int, *, count: int) -> np.ndarray:
+        return numbers_of(population, key, first + np.arange(count))
 
     about = {f.name: f.metadata for f in dataclasses.fields(study.design.error_record)}
     blocks = -(-samples // BLOCK)

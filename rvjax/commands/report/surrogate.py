@@ -15,15 +15,14 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any, Self
 
-import jax.numpy as jnp
 import numpy as np
 
 from rvjax.commands.allocate import Answer
 from rvjax.commands.report import regression
 from rvjax.commands.report.region import Parameter, Region
 from rvjax.commands.report.regression import Columns
-from rvjax.population import Population, drawn, root_key
-from rvjax.response import BLOCK, Response, parts
+from rvjax.population import Population, root_key
+from rvjax.response import BLOCK, Response, numbers_of, parts
 from rvjax.tolerances import Estimate, Limits, Statistics, Tolerance, monte_carlo
 
 UNITS = 2048
@@ -144,9 +143,7 @@ def surrogate(answer: Answer) -> Surrogate | None:
     chance = _chances(full[:, valid], count)
     chosen = _thinned(chance, count, np.random.default_rng(study.seed))
     population = Population.of(side.tolerances)
-    key, units = root_key(side.seed), valid[chosen]
-    blocks = [drawn(population, key, jnp.uint32(first), count=BLOCK) for first in range(0, int(units[-1]) + 1, BLOCK)]
-    z = np.concatenate([np.asarray(block) for block in blocks], axis=1)[:, units]
+    z = numbers_of(population, root_key(side.seed), valid[chosen])
     designs = [Region(part, population, parameters, z) for part in parts(response, population)]
     base, columns = dict[str, np.ndarray](), dict[str, Columns]()
     for design in designs:
