@@ -12,20 +12,10 @@ from rvjax.choices import unknown
 from rvjax.designs import RVReducer, expect
 from rvjax.elementary import arctan2, divide
 from rvjax.errors import RVErrors
-from rvjax.four_bar.closures import Crank, stretch
-from rvjax.four_bar.fit import (
-    Fit,
-    Turning,
-    apart,
-    bore_excess,
-    direction,
-    fit,
-    misfit,
-    still_and_turning,
-    turning,
-    vector,
-)
+from rvjax.four_bar.closures import Crank
+from rvjax.four_bar.fit import Fit, Turning, direction, fit, still_and_turning, turning, vector
 from rvjax.four_bar.linkage import check_methods
+from rvjax.four_bar.misfits import most_misfit
 from rvjax.four_bar.reducer import TransmissionError, error_at
 from rvjax.four_bar.turn import Score, Wave, largest_and_smallest
 from rvjax.four_bar.unit import Unit, Vector, is_loaded, take_apart
@@ -207,7 +197,7 @@ def _on_the_way(unit: Unit, angles: int, wanted: tuple[str, ...] = PARTS) -> Fig
     if "error" in wanted:
         most, least = _without_load(unit, angles) if unit.load is None else _under_load(unit, angles)
     if "misfit" in wanted:
-        largest = _most_misfit(unit, angles)
+        largest = most_misfit(unit, angles)
     decides = most - least if "error" in wanted else largest
     (most, least, swing, largest), info = unit.gate.close(
         (most, least, most - least, largest), (~jnp.isfinite(decides), Status.NONFINITE), info=at_once(decides)
@@ -217,43 +207,6 @@ def _on_the_way(unit: Unit, angles: int, wanted: tuple[str, ...] = PARTS) -> Fig
 
 def _fits(unit: Unit) -> list[Fit]:
     return [fit(unit, k) for k in range(len(unit.parts.disc))]
-
-
-def _most_misfit(unit: Unit, angles: int) -> jax.Array:
-    def most(parts: PyTree, first: Crank) -> jax.Array:
-        unit, fits = parts
-        each = [jnp.abs(misfit(unit, own, unit.disc_crank(k, first))) for k, own in enumerate(fits)]
-        return jnp.max(jnp.stack(each))
-
-    if len(unit.axes) == 2:
-        ends = [_misfits_of_two(unit, k, angles) for k in range(len(unit.parts.disc))]
-        return jnp.max(jnp.stack([jnp.abs(end) for both in ends for end in both]))
-    return largest_and_smallest(most, (unit, _fits(unit)), angles, together=4)[0]
-
-
-def _misfits_of_two(unit: Unit, k: int, angles: int) -> tuple[jax.Array, jax.Array]:
-    """Largest and smallest misfit of a disc on two cranks without load.
-
-    The pins lie w = l + still + moving u apart, u the eccentric direction, and |w|^2 is a constant plus one harmonic,
-    2 Re(conj(l + still) moving u): the misfit, which rises with |w|, is largest next to its crest.
-    """
-    turn = unit.disc_crank(k, Crank(1, 0))
-
-    def value(parts: PyTree, first: Crank) -> jax.Array:
-        radius, (still, moving), excess = parts
-        crank = first.turned(turn.cosine, turn.sine)
-        x, y = _times((jnp.real(moving), jnp.imag(moving)), (crank.cosine, crank.sine))
-        return stretch(2 * radius, jnp.real(still) + x, jnp.imag(still) + y) - excess
-
-    def wave(parts: PyTree) -> Wave:
-        radius, (still, moving), _ = parts
-        back = (2 * radius + jnp.real(still), -jnp.imag(still))
-        x, y = _times(_times(back, (jnp.real(moving), jnp.imag(moving))), (turn.cosine, turn.sine))
-        return Wave(x, -y, jnp.zeros_like(x))
-
-    parts = (unit.radius, apart(unit, k), bore_excess(unit, k))
-    score = Score(lambda parts: lambda first: value(parts, first), lambda value: value, wave)
-    return largest_and_smallest(value, parts, angles, score=score, together=4)
 
 
 def _under_load(unit: Unit, angles: int) -> tuple[jax.Array, jax.Array]:

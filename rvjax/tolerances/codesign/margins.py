@@ -17,6 +17,7 @@ from rvjax.tolerances.batch.memo import Memo
 from rvjax.tolerances.codesign.anchor import Anchor, AnchoredUnits
 from rvjax.tolerances.codesign.decisions import Decisions
 from rvjax.tolerances.codesign.nominal import Nominal, NominalOutputs
+from rvjax.tolerances.codesign.sides import sides, size
 from rvjax.tolerances.codesign.tail_sample import Centres, TailSample, centres_of, kernel, smooth_quantile
 from rvjax.tolerances.codesign.units import Weights
 from rvjax.tolerances.requirements.kinds import Requirement
@@ -101,7 +102,7 @@ class Margins:
         self._shares = len(self.rows)
         for name, item in requirements.items():
             if not isinstance(item, Requirement):
-                self.rows += [Constraint(name, side) for side in _sides(item)]
+                self.rows += [Constraint(name, side) for side in sides(item)]
         outputs = {n for n, item in requirements.items() if isinstance(item, Nominal)} | set(objective)
         self._nominal = NominalOutputs(response, tuple(sorted(outputs)))
         self._plain = any(not isinstance(i, (Requirement, Nominal)) for i in requirements.values())
@@ -127,7 +128,7 @@ class Margins:
         values = self._units.values(x, self.tails.z, "tails") if self._units.parts else {}
         for k, row in enumerate(self.rows):
             if isinstance(row.item, Nominal):
-                self.ways[k] = _size(row.item) or abs(outputs[row.name]) or 1.0
+                self.ways[k] = size(row.item) or abs(outputs[row.name]) or 1.0
             else:
                 spread = float(np.nanstd(values[row.name])) if np.isfinite(values[row.name]).any() else 0.0
                 way = abs(float(row.item.margin(centre[row.name])))
@@ -245,7 +246,7 @@ class Margins:
 
     def limits(self) -> np.ndarray:
         """Sizes (c,) of the limits, unit of each response; the way of a margin where the limit is 0."""
-        found = [_size(row.item) or float(way) for row, way in zip(self.rows, self.ways)]
+        found = [size(row.item) or float(way) for row, way in zip(self.rows, self.ways)]
         return np.array(found + [1.0] * (len(self.names) - len(self.rows)))
 
     def leading(self, x: np.ndarray) -> dict[str, float]:
@@ -343,15 +344,3 @@ class Margins:
             found[-len(free) :] = [rates.get(name, 0.0) for name in free]
             found[-len(free) :] *= self.decisions.rates()[-len(free) :]
         return found
-
-
-def _sides(item: Limits) -> list[Limits]:
-    """The limits one by one, where the margin of both has a corner."""
-    if math.isinf(item.lower) or math.isinf(item.upper):
-        return [item]
-    return [dataclasses.replace(item, lower=-math.inf), dataclasses.replace(item, upper=math.inf)]
-
-
-def _size(item: Limits) -> float:
-    """Size of a limit."""
-    return abs(item.lower if math.isinf(item.upper) else item.upper)
