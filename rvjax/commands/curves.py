@@ -1,4 +1,4 @@
-"""Curves of units by one program, whichever command draws or analyses them, and whatever their torque."""
+"""Curves of units by one program for all commands and torques."""
 
 import dataclasses
 from collections.abc import Callable

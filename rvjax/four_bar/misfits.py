@@ -1,4 +1,4 @@
-"""Largest misfit of phase-locked discs over a crank turn, without load."""
+"""Largest misfit of phase-locked discs over a crank turn."""
 
 import jax
 import jax.numpy as jnp
@@ -19,13 +19,13 @@ def most_misfit(unit: Unit, angles: int) -> jax.Array:
         return jnp.max(jnp.stack(each))
 
     discs = range(len(unit.parts.disc))
-    if len(unit.axes) == 2:
+    if len(unit.axes) == 2 and unit.load is None:
         return jnp.max(jnp.stack([jnp.abs(end) for k in discs for end in _of_two(unit, k, angles)]))
     return largest_and_smallest(most, (unit, [fit(unit, k) for k in discs]), angles, together=4)[0]
 
 
 def _of_two(unit: Unit, k: int, angles: int) -> tuple[jax.Array, jax.Array]:
-    """Largest and smallest misfit of a disc on two cranks.
+    """Largest and smallest misfit of a disc on two cranks without load.
 
     The pins lie w = l + still + moving u apart, u the eccentric direction, and |w|^2 is a constant plus one harmonic,
     2 Re(conj(l + still) moving u): the misfit, which rises with |w|, is largest next to its crest.

@@ -60,7 +60,7 @@ class _Program:
 
 
 def _type_of(leaf: Any) -> object:
-    """What a program depends on of a leaf of its arguments."""
+    """Type of a leaf of the arguments, by which a program is found."""
     if type(leaf) in (float, int, bool):
         return type(leaf)
     return jax.typeof(leaf), getattr(leaf, "sharding", None)
