@@ -59,7 +59,8 @@ def exported(
     types = [jax.typeof(leaf) for leaf in leaves]
     if any(jnp.issubdtype(t.dtype, jax.dtypes.extended) for t in types):
         return None
-    packed = _packed(leaves, types)
+    packed = _packed(leaves, types)  # travel as one array: a Python number there, read from a file an array of one
+    types = [t.update(weak_type=False) if i in packed else t for i, t in enumerate(types)]
     rest = tuple(i for i in range(len(leaves)) if i not in packed)
     try:
         key = _spelled(

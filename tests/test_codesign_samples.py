@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 
 from rvjax.tolerances import MeanWithin
-from rvjax.tolerances.codesign.margins import _sides
+from rvjax.tolerances.codesign.sides import sides
 from rvjax.tolerances.codesign.tail_sample import Centres, TailSample, centres_of, kernel, smooth_quantile
 
 TWO = [Centres(np.array([[3.0, 0.0]]), np.array([1.0])), Centres(np.array([[0.0, -2.5]]), np.array([1.0]))]
@@ -59,7 +59,7 @@ def test_the_kernel_is_the_derivative_of_the_quantile():
 def test_two_sides_of_a_limit_have_no_corner_and_decide_as_one():
     both = MeanWithin(lower=-1.0, upper=2.0)
     values = np.linspace(-3.0, 4.0, 15)
-    sides = [np.array([float(side.margin(v)) for v in values]) for side in _sides(both)]
-    np.testing.assert_allclose(np.max(sides, axis=0), [float(both.margin(v)) for v in values])
-    for side in sides:
+    rows = [np.array([float(side.margin(v)) for v in values]) for side in sides(both)]
+    np.testing.assert_allclose(np.max(rows, axis=0), [float(both.margin(v)) for v in values])
+    for side in rows:
         np.testing.assert_allclose(np.diff(side, 2), 0.0, atol=1e-12)

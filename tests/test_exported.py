@@ -242,3 +242,13 @@ def test_numbers_of_several_fields_arrive_each_in_its_place(folder):
     found = another_process()(Weighted(np.array([2.0, 3.0, 5.0]), 7.0, long), x, names=("a",))[0]["a"]
     assert len(TRACED) == 1
     np.testing.assert_allclose(found, 7.0 * (2.0 + 3.0 * x + 5.0 * x**2) + long.sum(), rtol=1e-14)
+
+
+def test_a_number_and_an_array_of_one_number_share_a_program(folder):
+    """Records that were read from a file hold arrays."""
+    x, found = jnp.linspace(0.0, 2.0, 5), []
+    for size in (3.0, np.float64(3.0), np.array(3.0)):
+        found.append(another_process()(Weighted(np.ones(3), size, np.zeros(70)), x, names=("a",))[0]["a"])
+    assert len(TRACED) == 1 and len(list(folder.iterdir())) == 1
+    np.testing.assert_array_equal(found[1], found[0])
+    np.testing.assert_array_equal(found[2], found[0])

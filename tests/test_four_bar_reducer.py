@@ -227,6 +227,14 @@ def turned(angles):
     return jax.jit(jax.vmap(lambda e: four_bar.revolution(catalogue.RV_40E, e, angles=angles), in_axes=-1))
 
 
+def test_a_load_moves_the_pins_and_so_the_misfit():
+    """Its largest one is that of the curve: with a load the squared distance of two pins is no single harmonic."""
+    units = drawn(catalogue.RV_40E, 8, units=20)
+    turn = lambda e: four_bar.revolution(catalogue.RV_40E, e, angles=8, output_torque=412.0)  # noqa: E731
+    result = jax.jit(jax.vmap(turn, in_axes=-1))(units)
+    np.testing.assert_allclose(result.largest_misfit, np.abs(result.misfit).max(axis=(1, 2)), rtol=1e-12)
+
+
 TURNS = (
     (catalogue.RV_40E, dict(angles=16)),
     (reducer(3, 3), dict(output_torque=-100.0)),

@@ -37,7 +37,7 @@ def kept(monkeypatch, tmp_path):
 
 def at_rest(program):
     """Wait until all that has begun is compiled."""
-    futures.wait(program._begun.values())
+    futures.wait([one.begun for one in program._flat.values() if one.begun is not None])
 
 
 def test_a_call_finds_the_program_that_was_begun(kept, compiled):
@@ -60,7 +60,7 @@ def test_nothing_begins_where_no_programs_are_kept(compiled):
     program = per_response(static=("power",))(powers)
     compiled.clear()
     program.begin(Line(slope=1.0), np.zeros(41), power=2)
-    assert not program._begun and not compiled
+    assert not program._flat and not compiled
 
 
 def test_an_error_of_a_begun_program_is_raised_by_the_call(kept):

@@ -7,6 +7,7 @@ chunks are equal, moments agree to 1e-12.
 
 import dataclasses
 import math
+import threading
 
 import jax
 import jax.numpy as jnp
@@ -16,8 +17,11 @@ from scipy import stats
 
 import rvjax
 from oracles.programs import programs
+from rvjax import compile_cache
+from rvjax.population import Population, root_key
 from rvjax.population.estimates import wilson
 from rvjax.population.sample_statistics import CentralMoments
+from rvjax.response import BLOCK, Evaluator, numbers_of
 from rvjax.response.response import respond
 from rvjax.status import Status
 from rvjax.tolerances import Outcome, Requirement, Tolerance, for_design, monte_carlo, sample
@@ -347,3 +351,30 @@ def test_progress_bar(capsys):
     monte_carlo(linear, STACK, samples=1000, seed=0, progress=True)
     said = capsys.readouterr().err
     assert said.index("compiling") < said.rindex("Monte Carlo: 100%")
+
+
+def test_threads_of_a_command_give_the_same_bits(monkeypatch, tmp_path):
+    """Two threads evaluate chunks where a command keeps programs; they are counted in their order."""
+    options = dict(samples=9000, seed=4, chunk=1000, requirements={"sum": LIMITS}, keep=True)
+    alone = monte_carlo(pair, STACK, **options)
+    used = set()
+    started = Evaluator.start
+
+    def start(self, first):
+        used.add(threading.get_ident())
+        return started(self, first)
+
+    monkeypatch.setattr(compile_cache, "_folder", [tmp_path])
+    monkeypatch.setattr(Evaluator, "start", start)
+    together = monte_carlo(pair, STACK, **options)
+    assert len(used) > 1
+    for name in ("sum", "largest"):
+        np.testing.assert_array_equal(together.values[name], alone.values[name])
+    assert together.mean == alone.mean and together.joint_yield == alone.joint_yield
+
+
+def test_random_numbers_of_any_units_are_their_own():
+    population = Population.of(STACK)
+    units = np.array([5, BLOCK + 1, 2, 3 * BLOCK - 1])
+    found = numbers_of(population, root_key(3), units)
+    np.testing.assert_allclose(found, population.draw(root_key(3), jnp.asarray(units, jnp.uint32)), rtol=1e-13)

@@ -38,9 +38,7 @@ def fit(unit: Unit, k: int) -> Fit:
     mean = _mean(bores)
     seats = [(radius * u + (x - mean[0]), radius * v + (y - mean[1])) for (u, v), (x, y) in zip(unit.axes, bores)]
     along, across = map(list, zip(*_moves(unit, k)))
-    excess = jnp.zeros_like(radius)
-    if len(disc) == 2:
-        excess = stretch(2 * radius, disc[0][0] + disc[1][0], disc[0][1] + disc[1][1])
+    excess = bore_excess(unit, k) if len(disc) == 2 else jnp.zeros_like(radius)
     return Fit(
         seats,
         bores,
@@ -58,6 +56,19 @@ def fit(unit: Unit, k: int) -> Fit:
         ),
         bore_excess=excess,
     )
+
+
+def bore_excess(unit: Unit, k: int) -> Array:
+    """Distance of the two bores of disc k less its nominal value."""
+    disc = unit.parts.disc[k]
+    return stretch(2 * unit.radius, disc[0][0] + disc[1][0], disc[0][1] + disc[1][1])
+
+
+def apart(unit: Unit, k: int) -> tuple[jax.Array, jax.Array]:
+    """Second of two pins less the first without load, less its nominal value: still, and times the direction u."""
+    (x, y), (u, v) = (_cartesian(axis, polar) for axis, polar in zip(unit.axes, unit.parts.carrier))
+    (a, b), (c, d) = _moves(unit, k)
+    return _complex(u - x, v - y), _complex(c - a, d - b)
 
 
 class Turning(NamedTuple):

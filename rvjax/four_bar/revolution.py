@@ -13,8 +13,9 @@ from rvjax.designs import RVReducer, expect
 from rvjax.elementary import arctan2, divide
 from rvjax.errors import RVErrors
 from rvjax.four_bar.closures import Crank
-from rvjax.four_bar.fit import Fit, Turning, direction, fit, misfit, still_and_turning, turning, vector
+from rvjax.four_bar.fit import Fit, Turning, direction, fit, still_and_turning, turning, vector
 from rvjax.four_bar.linkage import check_methods
+from rvjax.four_bar.misfits import most_misfit
 from rvjax.four_bar.reducer import TransmissionError, error_at
 from rvjax.four_bar.turn import Score, Wave, largest_and_smallest
 from rvjax.four_bar.unit import Unit, Vector, is_loaded, take_apart
@@ -196,7 +197,7 @@ def _on_the_way(unit: Unit, angles: int, wanted: tuple[str, ...] = PARTS) -> Fig
     if "error" in wanted:
         most, least = _without_load(unit, angles) if unit.load is None else _under_load(unit, angles)
     if "misfit" in wanted:
-        largest = _most_misfit(unit, angles)
+        largest = most_misfit(unit, angles)
     decides = most - least if "error" in wanted else largest
     (most, least, swing, largest), info = unit.gate.close(
         (most, least, most - least, largest), (~jnp.isfinite(decides), Status.NONFINITE), info=at_once(decides)
@@ -206,15 +207,6 @@ def _on_the_way(unit: Unit, angles: int, wanted: tuple[str, ...] = PARTS) -> Fig
 
 def _fits(unit: Unit) -> list[Fit]:
     return [fit(unit, k) for k in range(len(unit.parts.disc))]
-
-
-def _most_misfit(unit: Unit, angles: int) -> jax.Array:
-    def most(parts: PyTree, first: Crank) -> jax.Array:
-        unit, fits = parts
-        each = [jnp.abs(misfit(unit, own, unit.disc_crank(k, first))) for k, own in enumerate(fits)]
-        return jnp.max(jnp.stack(each))
-
-    return largest_and_smallest(most, (unit, _fits(unit)), angles, together=4)[0]
 
 
 def _under_load(unit: Unit, angles: int) -> tuple[jax.Array, jax.Array]:

@@ -3,6 +3,7 @@
 from rvjax.response.devices import Evaluator as Evaluator, gathered as gathered, place as place
 from rvjax.response.gradients import (
     LANES as LANES,
+    begin_gradients as begin_gradients,
     elements as elements,
     elements_and_rates as elements_and_rates,
     gradients as gradients,
@@ -27,6 +28,7 @@ from rvjax.response.response import (
     by_response as by_response,
     evaluate as evaluate,
     is_costly as is_costly,
+    numbers_of as numbers_of,
     per_response as per_response,
     respond as respond,
     respond_units as respond_units,

@@ -33,6 +33,11 @@ class Evaluator:
         # Every device gets the same number of units; those past the end of the chunk are never looked at.
         self._count = -(-chunk // len(devices)) * len(devices)
 
+    @property
+    def shared(self) -> bool:
+        """True if several devices share each chunk."""
+        return self._mesh is not None
+
     def start(self, first: int) -> tuple[Values, jax.Array]:
         """Values and status of the chunk that begins with unit `first`, still being computed."""
         z = self._z(first)

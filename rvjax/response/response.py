@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from rvjax.choices import UnknownWord, meant
 from rvjax.compile_cache import Options, inside, kept_folder, understood
@@ -23,9 +24,9 @@ from rvjax.status import Status, succeeded, worst
 if TYPE_CHECKING:
     from rvjax.exported import Kept
 
-BLOCK = 16384
+BLOCK = 4096
 """Default number of units at once: the same everywhere, so that a response is compiled for it once; temporaries of
-a response over many angles then nearly fit the cache."""
+a response over many angles then fit the cache. A four-bar unit takes no longer than in blocks of 16,384."""
 
 PLAIN = ""
 """Name of the value of a response that returns one scalar."""
@@ -48,6 +49,21 @@ class DesignResponse(Protocol):
     """A response of a design with free numbers: of the errors of one unit, and of these numbers by name."""
 
     def __call__(self, errors: PyTree, values: dict[str, Any], /) -> PyTree: ...
+
+
+@dataclasses.dataclass
+class _Program:
+    """A program that the command line keeps, None where none can be kept, and its compilation in another thread."""
+
+    kept: "Kept | None"
+    begun: Future[Any] | None = None
+
+
+def _type_of(leaf: Any) -> object:
+    """Type of a leaf of the arguments, by which a program is found."""
+    if type(leaf) in (float, int, bool):
+        return type(leaf)
+    return jax.typeof(leaf), getattr(leaf, "sharding", None)
 
 
 class Compiled(Generic[R]):
@@ -73,8 +89,7 @@ class Compiled(Generic[R]):
             whole = functools.partial(function, response)
             return jax.jit(whole, static_argnames=static, compiler_options=understood(options))
 
-        self._flat: dict[Any, Any] = {}
-        self._begun: dict[Any, Future[Any]] = {}
+        self._flat: dict[Any, _Program] = {}
         self._shared, self._own = functools.lru_cache(PROGRAMS)(shared), functools.lru_cache(PROGRAMS)(own)
 
     def _program(self, response: Function, options: Options = ()) -> tuple[jax.stages.Wrapped, tuple[Record, ...]]:
@@ -110,35 +125,40 @@ class Compiled(Generic[R]):
         options = (*getattr(response, "compiler_options", ()), *self._options)
         if not isinstance(response, Record) or (folder := kept_folder()) is None:
             return None
-        key, kept, leaves = self._traced(folder, options, (response, *arguments), static)
+        program, leaves = self._traced(folder, options, (response, *arguments), static)
+        kept = program.kept
         if kept is None:
             return None
-        if key not in self._begun:
-            self._begun[key] = self._threads.submit(lambda: jax.block_until_ready(kept.call(*kept.given(leaves))))
+        if program.begun is None:
+            program.begun = self._threads.submit(lambda: jax.block_until_ready(kept.call(*kept.given(leaves))))
         return kept.put_together(jax.eval_shape(kept.call, *kept.given(leaves)))
 
     def _kept(self, folder: Path, options: Options, arguments: PyTree, static: dict[str, object]) -> R:
         """The function's value, by a program that this or an earlier process has traced."""
-        key, kept, leaves = self._traced(folder, options, arguments, static)
+        program, leaves = self._traced(folder, options, arguments, static)
+        kept = program.kept
         if kept is None:
             return self._shared(options)(*arguments, **static)
-        if key in self._begun:
-            self._begun.pop(key).result()
+        if program.begun is not None:
+            program.begun.result()
         return kept.put_together(kept.call(*kept.given(leaves)))
 
     def _traced(
         self, folder: Path, options: Options, arguments: PyTree, static: dict[str, object]
-    ) -> "tuple[object, Kept | None, list[Any]]":
-        """Key of a program, the program, or None where none can be kept, and its leaves."""
+    ) -> "tuple[_Program, list[Any]]":
+        """A program and its leaves."""
         from rvjax.exported import exported
 
         leaves, tree = jax.tree.flatten(arguments)
-        types = tuple((jax.typeof(leaf), getattr(leaf, "sharding", None)) for leaf in leaves)
+        # Not the types that JAX gives to a hundred Python numbers: hashing these took half of the time of a call.
+        types = tuple(map(_type_of, leaves))
         key = (folder, options, tree, types, tuple(sorted(static.items())))
-        if key not in self._flat:
+        known = self._flat.get(key)
+        if known is None:
             found = exported(folder, self.__wrapped__, static, arguments)  # type: ignore[attr-defined]
-            self._flat[key] = found and found._replace(call=jax.jit(found.call, compiler_options=understood(options)))
-        return key, self._flat[key], leaves
+            found = found and found._replace(call=jax.jit(found.call, compiler_options=understood(options)))
+            known = self._flat[key] = _Program(found)
+        return known, leaves
 
     def lowered(self, response: Function, *arguments: PyTree, **static: object) -> str:
         """Text of the program."""
@@ -257,6 +277,13 @@ def respond_units(
     Sampling is a separate program, so that the response is compiled once for each number of units.
     """
     return respond(response, population, drawn(population, key, jnp.uint32(start), count=count))
+
+
+def numbers_of(population: Population, key: jax.Array, units: np.ndarray) -> np.ndarray:
+    """Random numbers (numbers, n) of any units, by the program that draws `BLOCK` of them."""
+    blocks, place = np.unique(np.asarray(units) // BLOCK, return_inverse=True)
+    rows = [np.asarray(drawn(population, key, jnp.uint32(BLOCK * block), count=BLOCK)) for block in blocks]
+    return np.stack(rows, axis=1)[:, place, np.asarray(units) % BLOCK]
 
 
 def response_names(response: Response, population: Population) -> tuple[str, ...]:

@@ -9,10 +9,11 @@ import re
 from collections.abc import Iterator
 
 from rvjax import catalogue
-from rvjax.designs import CamRollerReducer, RVReducer
+from rvjax.compile_cache import ONCE, quick
+from rvjax.designs import CamRollerReducer, InvoluteStage, RVReducer
 from rvjax.geometry import contact_ratio, least_convex_radius
 from rvjax.plausible import shown, walk
-from rvjax.records import Design, PyTree
+from rvjax.records import Array, Design, PyTree, Scalar
 from rvjax.study.design import AGREE, BASES
 from rvjax.study.values import Toml
 
@@ -26,7 +27,8 @@ def facts_of(design: Design) -> Iterator[tuple[str, str]]:
     cycloid, stage = design.cycloid, design.involute
     gap = 2 * (cycloid.pin_circle_radius * math.sin(math.pi / cycloid.pin_count) - cycloid.pin_radius)
     k1 = cycloid.shortening_coefficient
-    least = float(least_convex_radius(k1, pins=cycloid.pin_count)) * cycloid.pin_circle_radius
+    smallest, ratio = map(float, _geometry(k1, stage, cycloid.pin_count))
+    least = smallest * cycloid.pin_circle_radius
     yield "ratio", f"{design.ratio:.6g}"
     yield "K1", f"{float(k1):.4g}"
     yield "gap between pins", shown(gap, "m")
@@ -35,7 +37,7 @@ def facts_of(design: Design) -> Iterator[tuple[str, str]]:
         "largest pin without undercut",
         f"{shown(least, 'm')} radius; the pins have {shown(cycloid.pin_radius, 'm')}: {sharp}",
     )
-    yield "contact ratio of the gears", f"{float(contact_ratio(stage)):.3g} (teeth without shift)"
+    yield "contact ratio of the gears", f"{ratio:.3g} (teeth without shift)"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -109,6 +111,12 @@ def _at(record: object, path: str) -> PyTree:
     for name in path.split("."):
         record = getattr(record, name, None)
     return record
+
+
+@quick(2, options=ONCE)  # one program instead of one for each operation
+def _geometry(k1: Scalar, stage: InvoluteStage, pins: int) -> tuple[Array, Array]:
+    """Least radius without undercut over that of the pin circle, and contact ratio."""
+    return least_convex_radius(k1, pins=pins), contact_ratio(stage)
 
 
 def given_paths(table: Toml, prefix: str = "") -> set[str]:

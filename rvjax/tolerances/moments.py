@@ -13,6 +13,7 @@ from rvjax.population import Correlation, Population, batch_correlation, drawn, 
 from rvjax.records import PyTree
 from rvjax.response import (
     BLOCK,
+    LANES,
     Response,
     by_name,
     by_response,
@@ -28,6 +29,7 @@ from rvjax.status import succeeded
 from rvjax.tolerances.requirements.kinds import Limits
 
 _TERMS = 23  # of Hermite series
+_SEEN = 16384  # units behind mean and sd of a response with a kink
 _PROBES = 255  # units whose gradients decide whether the response has a kink, and replace it
 _STEP = 1e-3  # of a unit's deviations: a smooth gradient is nearly constant so near the mean
 
@@ -267,8 +269,9 @@ def _sampled(gradients: np.ndarray, law: _Spread) -> _Propagated:
 
 def _seen(response: Response, population: Population, name: str) -> tuple[float, float]:
     """Mean and variance of a response over units."""
-    values, status = respond_units(response, population, root_key(0), 0, count=BLOCK)
-    valid = np.asarray(values[name], float)[np.asarray(succeeded(status))]
+    blocks = [respond_units(response, population, root_key(0), i, count=BLOCK) for i in range(0, _SEEN, BLOCK)]
+    found = [np.asarray(values[name], float)[np.asarray(succeeded(status))] for values, status in blocks]
+    valid = np.concatenate(found)
     return float(valid.mean()), float(valid.var(ddof=1))
 
 
@@ -286,7 +289,8 @@ def _derivatives(
     response: Response, population: Population, mean: np.ndarray, names: tuple[str, ...]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Values (k,) and gradients (k, n) at the mean; gradients (k, units, n) near it and at whole units."""
-    units = np.asarray(elements(population, drawn(population, root_key(0), jnp.uint32(0), count=_PROBES)))
+    z = np.asarray(drawn(population, root_key(0), jnp.uint32(0), count=BLOCK))[:, :LANES]  # shapes that are compiled
+    units = np.asarray(elements(population, z))[:, :_PROBES]
     away = units - mean[:, None]
     points = np.concatenate([mean[:, None], mean[:, None] + _STEP * away, units], axis=1)
     # One batch element per point and value: one reverse pass, units last, compiles in half the time of a Jacobian.

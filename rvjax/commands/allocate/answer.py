@@ -3,20 +3,22 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
 from rvjax.commands.allocate.whole import Whole, whole
-from rvjax.population import Population, drawn, root_key
+from rvjax.commands.curves import begin_curves, curves_of
+from rvjax.population import Population, root_key
 from rvjax.progress import begin, progress_bar
-from rvjax.records import Design, PyTree, Record, field, record, text
+from rvjax.records import PyTree
 from rvjax.response import (  # chunks of the certificate's size: the response compiles once
     BLOCK,
     Response,
+    begin_gradients,
     begin_programs,
     nominal_status,
-    per_response,
+    numbers_of,
+    respond,
     response_names,
     status_without_errors,
 )
@@ -48,7 +50,7 @@ YIELD_SWEEP = (0.9, 0.95, 0.99, 0.995, 0.999)
 
 # Counted in results of rv-40e, with moving mid-points and half-widths rounded to grades, and of rv-40e-whole.
 PASSES = {True: 108, False: 49}  # of a search over its learning sample, with and without moving mid-points
-CERTIFICATES = {True: 6, False: 4}
+CERTIFICATES = {True: 3, False: 4}
 PASSES_A_POINT = 6  # of the cost curve
 # The same of rv-40e-whole, whose units are costly: passes solve those that decide, certificates share a sample.
 COSTLY_PASSES, COSTLY_CERTIFICATES, COSTLY_PART_OF_A_POINT = 8, 1.8, 0.6
@@ -120,6 +122,8 @@ def answer(study: Study, *, progress: bool = False, memo: Memo | None = None, me
     with progress_bar(progress, None, "checked", "unit") as advance:  # compiles the gradients: the longest wait
         if response.costly:
             begin_programs(response, Population.of(study.tolerances), slopes=True)
+        else:
+            _begin_programs(study, response)
         status_of = status_without_errors if response.costly else nominal_status
         refuse(status_of(response, Population.of(study.tolerances)))
         advance(1)
@@ -192,6 +196,16 @@ def solved_units(study: Study) -> dict[str, int]:
     return {phase: int(units) for phase, units in found.items()} | {SAMPLING: shown}
 
 
+def _begin_programs(study: Study, response: Response) -> None:
+    """Begin the programs of a response that is not costly, and of its curve, see `Compiled.begin`."""
+    population = Population.of(study.tolerances)
+    begin_gradients(response, population)
+    count = BLOCK if study.middles else min(study.samples, BLOCK)
+    respond.begin(response, population, jnp.zeros((population.numbers, count)))
+    if study.curve is not None:
+        begin_curves(study.curve, study.design, study.conditions, population)
+
+
 def _side(study: Study, response: Response, tolerances: PyTree, certificate: Statistics, curves: _Curves) -> Side:
     shares, sensitivities = influences(response, tolerances)
     kept = certificate
@@ -231,42 +245,20 @@ def _curves(study: Study, solved: Solved | None = None) -> _Curves:
 
         def solved_units(tolerances: PyTree, seed: int) -> tuple[np.ndarray, np.ndarray]:
             population = Population.of(tolerances)
-            z = np.asarray(drawn(population, root_key(seed), jnp.uint32(0), count=SHOWN_UNITS))
-            return angle, drawing[0].rows(population, z, CURVE)
+            return angle, drawing[0].rows(population, _shown(population, seed), CURVE)
 
         return solved_units
 
-    unit = _Drawn(study.design, study.conditions, curve.evaluate)
-
     def drawn_units(tolerances: PyTree, seed: int) -> tuple[np.ndarray, np.ndarray]:
         population = Population.of(tolerances)
-        z = drawn(population, root_key(seed), jnp.uint32(0), count=SHOWN_UNITS)
-        angles, values = _drawn_curves(unit, population, z)
-        return np.asarray(angles)[0], np.asarray(values)
+        return curves_of(curve, study.design, study.conditions, population, _shown(population, seed))
 
     return drawn_units
 
 
-@record
-class _Drawn(Record):
-    """errors -> angles and curve of one unit."""
-
-    design: Design = field("-", "the reducer", kind="record")
-    conditions: object = text("how the reducer runs")
-    evaluate: Callable[..., tuple[jax.Array, jax.Array]] = text("of a model")
-
-    def __call__(self, errors: PyTree) -> tuple[jax.Array, jax.Array]:
-        """Angles and values (n,)."""
-        angle, values = self.evaluate(self.design, errors, self.conditions)
-        return jnp.asarray(angle), values
-
-
-@per_response()
-def _drawn_curves(
-    unit: Callable[..., tuple[jax.Array, jax.Array]], population: Population, z: jax.Array
-) -> tuple[jax.Array, jax.Array]:
-    """Angles and curves (units, n) of the units with random numbers z (numbers, units)."""
-    return jax.vmap(lambda one: unit(population.errors(one)), in_axes=-1)(z)
+def _shown(population: Population, seed: int) -> np.ndarray:
+    """Random numbers of the units with a plotted curve."""
+    return numbers_of(population, root_key(seed), np.arange(SHOWN_UNITS))
 
 
 def _cost_curve(

@@ -15,8 +15,6 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from rvjax import models, progress as phase
@@ -24,10 +22,12 @@ from rvjax.choices import choose
 from rvjax.commands.budget.effects import BLOCK, FEWEST, MOST, Load, by_level, of_load, parts_of
 from rvjax.commands.budget.inputs import Inputs
 from rvjax.commands.budget.scalar import ScalarBudget, scalar_budget
+from rvjax.commands.curves import curves_of, torque_condition
 from rvjax.commands.speak import READING, WRITING
-from rvjax.outputs import Curve, torque_condition
-from rvjax.population import Population, drawn, root_key
+from rvjax.outputs import Curve
+from rvjax.population import Population, root_key
 from rvjax.progress import progress_bar
+from rvjax.response import numbers_of
 from rvjax.study import Study, naming
 
 UNLOADED = 1e-3  # of the torque: the limit of no load, as on a test bench
@@ -152,15 +152,19 @@ def error_budget(
             raise ValueError(f"conditions.{name} = 0 N m: a budget under load needs one")
         loads = {"loaded": torque, "unloaded": UNLOADED * torque}
     population = Population.of(study.tolerances if tolerances is None else tolerances)
-    draw = partial(drawn, population, root_key(study.seed if seed is None else seed))
+    key = root_key(study.seed if seed is None else seed)
+
+    def draw(first: int, *, count: int) -> np.ndarray:
+        return numbers_of(population, key, first + np.arange(count))
+
     blocks = -(-samples // BLOCK)
     found = {}
     with progress_bar(progress, len(loads) * blocks * (2 + len(population.active)), "solving", "batch") as advance:
 
-        def solve(torque: float, z: jax.Array) -> np.ndarray:
-            waves = np.asarray(_waves(curve.evaluate, given, name, study.design, population, torque, z))
+        def solve(torque: float, z: np.ndarray) -> np.ndarray:
+            _, curves = curves_of(curve, study.design, given, population, z, torque)
             advance(1)
-            return waves
+            return waves_of(curves)
 
         for load, torque in loads.items():
             with naming(f"study {study.name}, {load}, {torque:g} N m"):
@@ -182,10 +186,10 @@ def error_budget(
 
 
 def waves_of(curves: np.ndarray) -> np.ndarray:
-    """Amplitudes of the waves (units, k) of curves (units, n), as `_waves` has them; NaN of a failed unit.
+    """Amplitudes X_k of y = Re sum X_k e^(2 pi i k j / n) below the half of n, (units, k); NaN of a failed unit.
 
     Args:
-        curves: over one cycle.
+        curves: over one cycle (units, n).
     """
     count = (curves.shape[1] + 1) // 2
     waves = np.fft.rfft(curves, axis=1)[:, :count] / curves.shape[1]
@@ -213,20 +217,3 @@ def curve_along(study: Study, outputs: Sequence[str]) -> Curve | None:
     described = models.kind(study.design).described
     curves = (described[name].curve for name in outputs)
     return next((curve for curve in curves if curve is not None and curve.turns is not None), None)
-
-
-@partial(jax.jit, static_argnums=(0, 1, 2))
-def _waves(
-    evaluate: Any, given: Any, name: str, design: Any, population: Population, torque: Any, z: jax.Array
-) -> jax.Array:
-    """Amplitudes X_k of y = Re sum X_k e^(2 pi i k j / n) below the half of n, (units, k); NaN of a failed unit."""
-
-    def of_unit(z: jax.Array) -> jax.Array:
-        _, values = evaluate(design, population.errors(z), dataclasses.replace(given, **{name: torque}))
-        fine = jnp.isfinite(values)
-        count = (len(values) + 1) // 2
-        wave = jnp.fft.rfft(jnp.where(fine, values, 0))[:count] / len(values)
-        wave = wave + wave.at[0].set(0)  # X_0 once, all others twice
-        return jnp.where(jnp.all(fine), wave, jnp.nan)
-
-    return jax.vmap(of_unit, in_axes=-1)(z)

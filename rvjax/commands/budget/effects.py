@@ -4,7 +4,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeVar
 
-import jax
 import numpy as np
 
 from rvjax.choices import choose
@@ -15,7 +14,7 @@ from rvjax.study import Study
 FEWEST, MOST = 16, 2**16
 BLOCK = 256  # units at once: all angles of a turn of each are solved together
 LEVELS = ("field", "part", "stage")
-Solve = Callable[[jax.Array], np.ndarray]  # random numbers of units -> their waves
+Solve = Callable[[np.ndarray], np.ndarray]  # random numbers of units -> their waves
 V = TypeVar("V", float, np.ndarray)
 
 
@@ -32,7 +31,7 @@ class Load:
 
 
 def of_load(
-    solve: Solve, draw: Callable[..., jax.Array], population: Population, samples: int, block: int = BLOCK
+    solve: Solve, draw: Callable[..., np.ndarray], population: Population, samples: int, block: int = BLOCK
 ) -> Load:
     """Variances by error from units, of which each error is sampled again.
 
@@ -81,7 +80,7 @@ def squares(count: int) -> np.ndarray:
 
 
 def _solved(
-    solve: Solve, draw: Callable[..., jax.Array], population: Population, samples: int, block: int
+    solve: Solve, draw: Callable[..., np.ndarray], population: Population, samples: int, block: int
 ) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
     """Waves (units, k) of units, of other units, and of the first with one error of the others, by that error."""
     block = min(block, samples)

@@ -11,7 +11,7 @@ import numpy as np
 
 from rvjax.commands.budget.compute import Budget, curve_along, error_budget, waves_of
 from rvjax.commands.budget.effects import parts_of, squares
-from rvjax.outputs import torque_condition
+from rvjax.commands.curves import torque_condition
 from rvjax.population import Population, drawn, root_key
 from rvjax.response import elements, parts
 from rvjax.study import CURVE, Study

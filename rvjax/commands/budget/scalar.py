@@ -1,9 +1,7 @@
 """Error budget of a response without a curve, such as a bearing life: shares of its variance over units, and slopes."""
 
 from dataclasses import dataclass
-from functools import partial
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -74,13 +72,17 @@ def scalar_budget(
     population = Population.of(study.tolerances)
     (part,) = (one for one in parts(study.response(), population) if output in one.names)
     row = part.names.index(output)
-    draw = partial(drawn, population, root_key(study.seed if seed is None else seed))
+    key = root_key(study.seed if seed is None else seed)
+
+    def draw(first: int, *, count: int) -> np.ndarray:
+        return np.asarray(drawn(population, key, jnp.uint32(first), count=count))
+
     batches, block = -(-samples // BLOCK) * (2 + len(population.active)), min(BLOCK, samples)
     seen: list[np.ndarray] = []
     with progress_bar(progress, batches, "solving", "batch") as advance:
 
-        def solve(z: jax.Array) -> np.ndarray:
-            values, status = part.solve(population, np.asarray(z))
+        def solve(z: np.ndarray) -> np.ndarray:
+            values, status = part.solve(population, z)
             advance(1)
             values = np.where(np.isin(status, SUCCESS), values[row], np.nan)
             seen.append(values)
@@ -89,7 +91,7 @@ def scalar_budget(
         found = of_load(solve, draw, population, samples)
     count = len(population.active) + 2
     own = np.concatenate(seen[::count])[:samples]
-    z = np.asarray(draw(jnp.uint32(0), count=block))
+    z = draw(0, count=block)
     weights = np.zeros((len(part.names), block))
     weights[row] = 1.0
     slopes = gradients(

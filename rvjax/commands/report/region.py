@@ -12,12 +12,11 @@ import dataclasses
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
 from rvjax.population import Population, Tolerance
-from rvjax.response import Part, elements, gradients, is_costly, respond
+from rvjax.response import BLOCK, Part, elements, gradients, is_costly, respond
 
 COSTLY_UNITS = 768  # three calls of the gradients' program
 PLACES = 2  # random ones of each unit
@@ -124,7 +123,7 @@ class Region:
     part: Part
     population: Population
     parameters: Sequence[Parameter]
-    z: jax.Array
+    z: np.ndarray
 
     def tolerances(self, x: np.ndarray) -> dict[str, Tolerance]:
         """Tolerances of the fields that move, x in reaches."""
@@ -147,16 +146,19 @@ class Region:
         """
         population = self.population.with_tolerances(self.tolerances(x))
         if is_costly(self.part.response):
-            z = np.asarray(self.z if units is None else self.z[:, units])
+            z = self.z if units is None else self.z[:, units]
             return dict(zip(self.part.names, self.part.of_elements(population, errors_of(population, z))[0]))
-        values, _ = respond(self.part.response, population, self.z)
-        return {name: np.asarray(column, float)[... if units is None else units] for name, column in values.items()}
+        count = self.z.shape[1]
+        lanes = np.resize(np.arange(count), (-(-count // BLOCK), BLOCK))
+        found = [respond(self.part.response, population, jnp.asarray(self.z[:, some]))[0] for some in lanes]
+        values = {n: np.concatenate([np.asarray(each[n], float) for each in found])[:count] for n in self.part.names}
+        return {name: column[... if units is None else units] for name, column in values.items()}
 
     def fitted(self, rng: np.random.Generator) -> tuple[dict[str, np.ndarray], dict[str, Columns]]:
         """Values as allocated, and slopes and bends by response."""
         if is_costly(self.part.response):
             width = np.array([not p.place for p in self.parameters], float)
-            found = regressed(self.part, self.population, self.tolerances, width, np.asarray(self.z), rng)
+            found = regressed(self.part, self.population, self.tolerances, width, self.z, rng)
         else:
             found = self._quadratic()
         base, columns = found

@@ -15,13 +15,12 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any, Self
 
-import jax
 import numpy as np
 
 from rvjax.commands.allocate import Answer
 from rvjax.commands.report.region import COSTLY_UNITS, Columns, Parameter, Region
 from rvjax.population import Population, root_key
-from rvjax.response import BLOCK, Response, is_costly, parts
+from rvjax.response import BLOCK, Response, is_costly, numbers_of, parts
 from rvjax.tolerances import Estimate, Limits, Statistics, Tolerance, monte_carlo
 
 UNITS = 2048
@@ -29,7 +28,7 @@ REACH = 0.4  # of a half-width: how far it moves within the region, either way
 SHIFT = 0.25  # the same of the place of its limits, in half-widths
 _FLOOR = 0.5  # of the units are sampled evenly, the others from the tails
 _POINTS = 8  # of the region at which the error is measured
-FRESH = 2 * BLOCK  # units that measure it, at each point
+FRESH = 8 * BLOCK  # units that measure it, at each point
 COMPARED = 256  # of its own units, of which a costly response is computed at each point
 
 
@@ -142,7 +141,7 @@ def surrogate(answer: Answer) -> Surrogate | None:
     chance = _chances(full[:, valid], count)
     chosen = _thinned(chance, count, np.random.default_rng(study.seed))
     population = Population.of(side.tolerances)
-    z = jax.jit(lambda units: population.draw(root_key(side.seed), units))(valid[chosen].astype(np.uint32))
+    z = numbers_of(population, root_key(side.seed), valid[chosen])
     designs = [Region(part, population, parameters, z) for part in parts(response, population)]
     base, columns = dict[str, np.ndarray](), dict[str, Columns]()
     for design in designs:

@@ -2,12 +2,12 @@
 
 from dataclasses import dataclass
 
-import jax
 import numpy as np
 
 from rvjax.commands.allocate import Answer
+from rvjax.population import Population, root_key
+from rvjax.response import LANES, elements, numbers_of
 from rvjax.status import MEANING, Status
-from rvjax.tolerances import sample
 from rvjax.units import readable
 
 EACH = 2  # worst units of a requirement
@@ -45,15 +45,17 @@ def worst_units(answer: Answer) -> list[WorstUnit]:
         found += [(int(index), name, "CONVERGED") for index in order[:EACH] if np.isfinite(margin[index])]
     if not found:
         return []
-    indices = np.array([index for index, _, _ in found], np.uint32)
-    drawn = jax.jit(jax.vmap(lambda index: sample(side.tolerances, index, seed=side.seed)))(indices)
+    population, count = Population.of(side.tolerances), len(found)
+    indices = np.array([index for index, _, _ in found])
+    z = numbers_of(population, root_key(side.seed), np.resize(indices, -(-count // LANES) * LANES))
+    drawn = [population.constants | population.by_field(unit) for unit in np.asarray(elements(population, z)).T]
     return [
         WorstUnit(
             index=index,
             requirement=name,
             status=status,
             values={other: float(side.values[other][index]) for other in study.requirements},
-            errors={f: np.atleast_1d(np.asarray(getattr(drawn, f))[k]).ravel() for f in study.fields},
+            errors={f: np.ravel(drawn[k].get(f, 0.0)) for f in study.fields},
         )
         for k, (index, name, status) in enumerate(found)
     ]

@@ -1,5 +1,6 @@
 """A Monte Carlo run: units sampled, evaluated and counted chunk by chunk; its checkpoint and table of units."""
 
+import collections
 import contextlib
 import dataclasses
 import functools
@@ -7,15 +8,17 @@ import itertools
 import math
 import os
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
 
-from rvjax.files import DAMAGE
+from rvjax.compile_cache import kept_folder
+from rvjax.files import DAMAGE, Arrays
 from rvjax.population import SCRAMBLES, Estimate, Population, Sampled
 from rvjax.progress import progress_bar
 from rvjax.records import PyTree
-from rvjax.response import Response, evaluator, gathered, place
+from rvjax.response import Evaluator, Response, evaluator, gathered, place
 from rvjax.status import PRECEDENCE
 from rvjax.tolerances.batch.accumulator import Accumulator
 from rvjax.tolerances.batch.checkpoint import (
@@ -207,7 +210,8 @@ class Run:
         label = self.label if processes == 1 else f"{self.label}, process {process + 1} of {processes}"
         reached = first * chunk
         with progress_bar(self.progress, samples, label, "unit", initial=reached) as advance:
-            for number, values, status in _chunks(start, counted, range(first, -(-samples // chunk)), chunk, samples):
+            numbers = range(first, -(-samples // chunk))
+            for number, values, status in _chunks(start, counted, numbers, chunk, samples, _ahead(evaluated)):
                 own, unit = number % processes == process, number * chunk
                 if number >= done:
                     counted.add(number, unit, values, status, own=own)
@@ -224,6 +228,11 @@ class Run:
                 advance(min((number + 1) * chunk, samples) - reached)
                 reached = min((number + 1) * chunk, samples)
             advance(samples - reached)  # the last chunks may be other processes'
+
+
+def _ahead(evaluated: Evaluator) -> int:
+    """Chunks evaluated at once, each by a thread: two where a command keeps programs and chunks are small."""
+    return 2 if kept_folder() is not None and type(evaluated) is Evaluator and not evaluated.shared else 1
 
 
 def check_memory(samples: int, responses: int) -> None:
@@ -244,22 +253,34 @@ def _chunks(
     numbers: range,
     chunk: int,
     samples: int,
+    ahead: int,
 ) -> Iterator[tuple[int, dict[str, np.ndarray], np.ndarray]]:
-    """Evaluated chunks of this process in order; the device works on the next one while the host reads this one.
+    """Evaluated chunks of this process in order; the device works on the next ones while the host reads this one.
 
-    Until the range of the histograms is known, those of other processes too.
+    Until the range of the histograms is known, those of other processes too. With several ahead, threads start them,
+    for XLA shares out no kernel of a few thousand units; the first chunk, which compiles, is started here.
     """
     process, processes = place()
-    ready = None
-    for number in itertools.chain(numbers, [None]):
-        after = None
-        if number is not None:
-            if number % processes != process and counted.settled:
-                continue
-            after = number, start(number * chunk)
-        if ready is not None:
-            done, (values, status) = ready
-            # The last chunk is evaluated as long as the others, and cut here: nothing is compiled twice.
-            count = min(chunk, samples - done * chunk)
-            yield done, {name: np.asarray(v)[:count] for name, v in values.items()}, np.asarray(status)[:count]
-        ready = after
+    ready: collections.deque[tuple[int, Callable[[], tuple[Arrays, PyTree]]]] = collections.deque()
+    with ThreadPoolExecutor(ahead, "units") as threads:
+        for number in itertools.chain(numbers, [None] * ahead):
+            if number is not None:
+                if number % processes != process and counted.settled:
+                    continue
+                if ahead > 1 and ready:
+                    waiting = threads.submit(_finished, start, number * chunk)
+                    ready.append((number, waiting.result))
+                else:
+                    ready.append((number, functools.partial(tuple, start(number * chunk))))
+            if len(ready) > ahead or (number is None and ready):
+                done, wait = ready.popleft()
+                values, status = wait()
+                # The last chunk is evaluated as long as the others, and cut here: nothing is compiled twice.
+                count = min(chunk, samples - done * chunk)
+                yield done, {name: np.asarray(v)[:count] for name, v in values.items()}, np.asarray(status)[:count]
+
+
+def _finished(start: Callable[[int], tuple[dict[str, PyTree], PyTree]], first: int) -> tuple[Arrays, np.ndarray]:
+    """Values and status of a chunk, computed."""
+    values, status = start(first)
+    return {name: np.asarray(row) for name, row in values.items()}, np.asarray(status)

@@ -9,19 +9,31 @@ Units of an allocation with design variables: their values and gradients at one 
 
 import dataclasses
 import hashlib
+import itertools
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from rvjax.population import Population
-from rvjax.response import LANES, Part, Response, elements, elements_and_rates, gradients, is_costly, parts, respond
+from rvjax.response import (
+    BLOCK,
+    LANES,
+    Part,
+    Response,
+    elements,
+    elements_and_rates,
+    gradients,
+    is_costly,
+    parts,
+    respond,
+)  # fmt: skip
 from rvjax.status import succeeded
 from rvjax.tolerances.batch.checkpoint import describe
 from rvjax.tolerances.batch.memo import Memo
 from rvjax.tolerances.codesign.decisions import Decisions
 
-_AT_ONCE = 512  # units of a call, at most: the coarse and the fine search share one program
+Weights = dict[str, np.ndarray]  # of units, by name of the response
 
 
 class Units:
@@ -52,9 +64,8 @@ class Units:
             if self._costly:
                 values, status = part.solve(population, z)
             else:
-                block = min(_AT_ONCE, LANES * -(-z.shape[1] // LANES))
-                padded = z[:, np.resize(np.arange(z.shape[1]), -(-z.shape[1] // block) * block)]
-                blocks = np.split(padded, padded.shape[1] // block, axis=1)
+                padded = z[:, np.resize(np.arange(z.shape[1]), -(-z.shape[1] // BLOCK) * BLOCK)]
+                blocks = np.split(padded, padded.shape[1] // BLOCK, axis=1)
                 found = [respond(part.response, population, jnp.asarray(b, jnp.result_type(float))) for b in blocks]
                 rows = [np.stack([np.asarray(values[name], float) for name in part.names]) for values, _ in found]
                 values = np.concatenate(rows, axis=1)[:, : z.shape[1]]
@@ -89,12 +100,35 @@ class Units:
         self.evaluated += errors.shape[1]
         return total
 
+    def slopes(
+        self, x: np.ndarray, population: Population, z: np.ndarray, several: list[tuple[np.ndarray, Weights]]
+    ) -> list[np.ndarray]:
+        """Derivatives (n,) of weighted sums of responses to the vector of decisions, each of its own units.
+
+        Args:
+            x: the vector.
+            population: with these decisions.
+            z: (numbers, n) of a sample.
+            several: units (m,) of the sample, and {response: weights (m,)}, of each sum.
+        """
+        if self._costly:  # each solves its own part of the response
+            return [self.slope(x, population, z[:, units], pulled, units) for units, pulled in several]
+        ends = np.cumsum([0, *(len(units) for units, _ in several)])
+        parts = [slice(*both) for both in itertools.pairwise(ends)]
+        names = sorted({name for _, pulled in several for name in pulled})
+        weights = {name: np.zeros(ends[-1]) for name in names}
+        for part, (_, pulled) in zip(parts, several):
+            for name, own in pulled.items():
+                weights[name][part] = own
+        units = np.concatenate([units for units, _ in several])
+        return self._sums(x, population, z[:, units], weights, None, parts)
+
     def slope(
         self,
         x: np.ndarray,
         population: Population,
         z: np.ndarray,
-        pulled: dict[str, np.ndarray],
+        pulled: Weights,
         units: np.ndarray | None = None,
     ) -> np.ndarray:
         """Derivative (n,) of a weighted sum of responses to the vector of decisions.
@@ -106,27 +140,44 @@ class Units:
             pulled: {response: weights (n,)}.
             units: (n,) their places in the sample of the tails, or None for others.
         """
+        return self._sums(x, population, z, pulled, units, [slice(None)])[0]
+
+    def _sums(
+        self,
+        x: np.ndarray,
+        population: Population,
+        z: np.ndarray,
+        pulled: Weights,
+        units: np.ndarray | None,
+        several: list[slice],
+    ) -> list[np.ndarray]:
+        """Derivatives as `slope`, of several parts of the units."""
         decisions, count = self._decisions, z.shape[1]
         given = dict(zip(decisions.fields, jnp.asarray(decisions.half_widths(x))))
-        padded = np.resize(np.arange(count), -(-count // LANES) * LANES)
+        most = LANES * max(len(several), -(-count // LANES))
+        padded = np.resize(np.arange(count), most)
         both = elements_and_rates(population, given, jnp.asarray(z[:, padded], jnp.result_type(float)))
         errors, rates = (np.asarray(rows, float)[:, :count] for rows in both)
         slopes = self._gradients(population, errors, pulled, units)
-        used = np.isfinite(slopes).all(axis=0)
-        own, free = slopes[: len(errors), used], slopes[len(errors) :, used].sum(axis=1)
-        widths = population.by_field((own * rates[:, used]).sum(axis=1))
-        places = population.by_field(own.sum(axis=1))
-        to_widths = [float(widths[name].sum()) for name in decisions.fields] * decisions.half_widths(x)
-        to_middles = [float(places[name].sum()) for name, _ in decisions.moves]
-        by_number = dict(zip(sorted(population.values or {}), free))
-        to_numbers = [float(by_number[name]) for name in decisions.free]
-        return np.concatenate([to_widths, np.array([*to_middles, *to_numbers]) * decisions.rates()])
+        by_width = slopes[: len(errors)] * rates
+        found = []
+        for part in several:
+            used = np.isfinite(slopes[:, part]).all(axis=0)
+            own, free = slopes[: len(errors), part][:, used], slopes[len(errors) :, part][:, used].sum(axis=1)
+            widths = population.by_field(by_width[:, part][:, used].sum(axis=1))
+            places = population.by_field(own.sum(axis=1))
+            to_widths = [float(widths[name].sum()) for name in decisions.fields] * decisions.half_widths(x)
+            to_middles = [float(places[name].sum()) for name, _ in decisions.moves]
+            by_number = dict(zip(sorted(population.values or {}), free))
+            to_numbers = [float(by_number[name]) for name in decisions.free]
+            found.append(np.concatenate([to_widths, np.array([*to_middles, *to_numbers]) * decisions.rates()]))
+        return found
 
     def slopes_to_z(self, population: Population, z: np.ndarray, pulled: dict[str, np.ndarray]) -> np.ndarray:
         """Gradients (numbers, n) of responses of units to their z."""
         padded = np.resize(np.arange(z.shape[1]), -(-z.shape[1] // LANES) * LANES)
         lanes = jnp.asarray(z[:, padded], jnp.result_type(float))
-        errors = np.asarray(_errors(population, lanes), float)[:, : z.shape[1]]
+        errors = np.asarray(elements(population, lanes), float)[:, : z.shape[1]]
         slopes = self._gradients(population, errors, pulled)[: len(errors)]
         return np.asarray(_to_z(population, lanes, jnp.asarray(slopes[:, padded])), float)[:, : z.shape[1]]
 
@@ -134,11 +185,6 @@ class Units:
 def _rows(population: Population, z: jax.Array) -> jax.Array:
     nothing = jnp.zeros((0, z.shape[-1]), z.dtype)
     return jnp.concatenate([nothing, *(v.reshape(-1, z.shape[-1]) for v in population.deviations(z).values())])
-
-
-@jax.jit
-def _errors(population: Population, z: jax.Array) -> jax.Array:
-    return _rows(population, z)
 
 
 @jax.jit

@@ -31,6 +31,7 @@ _MET = 0.01  # excess within the error of the sample
 _CORRECTED = 0.25  # largest correction by a certificate, logarithm of a factor
 _NEAR = 0.1  # a margin nearer to its limit than this part of its way may bind
 _CHANCE = 5e-3  # logarithm of a factor that a certificate may see by chance
+_SHARPENED, _OTHERS = 2, 16  # searches after such corrections, at most, and times as many units behind each
 _AGAIN = 0.2  # radius of the first step of a search that is repeated
 _ROOMY = 6e-3  # margin of a certificate that holds, above which another one is computed
 _WORTH = 2e-3  # margin of a certificate, in half-widths, above which another one is computed
@@ -179,6 +180,7 @@ class Designer:
 
     def _certified(self, margins: Margins, end: End) -> Found:
         """The end of a search, corrected by certificates until one holds with a small margin."""
+        end = self._sharpened(margins, end)
         certifier, decisions, learned = self.certifier, self.decisions, end.point.total
         kept: tuple[End, Statistics] | None = None
         certificate = self._drawn(end.point.x)
@@ -205,6 +207,21 @@ class Designer:
         if not certifier.holds(certificate) or end.excess > _MET:
             status = "NOT_CERTIFIED"
         return Found(status, decisions, x, end, margins, certificate, learned, None, self.history)
+
+    def _sharpened(self, margins: Margins, end: End) -> End:
+        """The end of a search, its margins corrected by many other units in the tails: a certificate costs more."""
+        if self.problem.costly or not self.problem.requirements:
+            return end
+        for _ in range(_SHARPENED):
+            own = end.point.margins - margins.offsets / margins.ways
+            seen = margins.of_others(end.point.x, _OTHERS)
+            moved = {k: margin - own[k] for k, margin in seen.items() if own[k] > -_NEAR and math.isfinite(margin)}
+            for k, by in moved.items():
+                margins.offsets[k] = float(np.clip(by, -_CORRECTED, _CORRECTED)) * margins.ways[k]
+            before, end = end, self._run(margins, end.point.x, _AGAIN, end.curvature)
+            if abs(end.point.total - before.point.total) <= _STILL * abs(end.point.total):
+                break
+        return end
 
     def _drawn(self, x: np.ndarray) -> Statistics:
         return self.certifier.draw(self.decisions.population(x))

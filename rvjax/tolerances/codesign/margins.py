@@ -14,9 +14,10 @@ from scipy import special
 from rvjax.population import Population, SobolPoints
 from rvjax.response import LANES, Response, response_names
 from rvjax.tolerances.batch.memo import Memo
-from rvjax.tolerances.codesign.anchor import Anchor, AnchoredUnits
+from rvjax.tolerances.codesign.anchor import Anchor, AnchoredUnits, Weights
 from rvjax.tolerances.codesign.decisions import Decisions
 from rvjax.tolerances.codesign.nominal import Nominal, NominalOutputs
+from rvjax.tolerances.codesign.sides import sides, size
 from rvjax.tolerances.codesign.tail_sample import Centres, TailSample, centres_of, kernel, smooth_quantile
 from rvjax.tolerances.requirements.kinds import Requirement
 from rvjax.tolerances.requirements.limits import Limits
@@ -100,7 +101,7 @@ class Margins:
         self._shares = len(self.rows)
         for name, item in requirements.items():
             if not isinstance(item, Requirement):
-                self.rows += [Constraint(name, side) for side in _sides(item)]
+                self.rows += [Constraint(name, side) for side in sides(item)]
         outputs = {n for n, item in requirements.items() if isinstance(item, Nominal)} | set(objective)
         self._nominal = NominalOutputs(response, tuple(sorted(outputs)))
         self._plain = any(not isinstance(i, (Requirement, Nominal)) for i in requirements.values())
@@ -126,7 +127,7 @@ class Margins:
         values = self._units.values(x, self.tails.z, "tails") if self._units.parts else {}
         for k, row in enumerate(self.rows):
             if isinstance(row.item, Nominal):
-                self.ways[k] = _size(row.item) or abs(outputs[row.name]) or 1.0
+                self.ways[k] = size(row.item) or abs(outputs[row.name]) or 1.0
             else:
                 spread = float(np.nanstd(values[row.name])) if np.isfinite(values[row.name]).any() else 0.0
                 way = abs(float(row.item.margin(centre[row.name])))
@@ -213,6 +214,20 @@ class Margins:
             x, decisions.cost(x), slopes, bends, float(priced), towards, margins, jacobian / self.ways[:, None]
         )
 
+    def of_others(self, x: np.ndarray, times: int) -> dict[int, float]:
+        """{row: margin in parts of its way, without correction} on shares, of so many times as many other units."""
+        population, found = self.decisions.population(x), dict[int, float]()
+        tails = TailSample(population.numbers, times * self.samples, self.seed + 1, self.tails.centres)
+        for number, shared in enumerate(self._shared(self._units.values(x, tails.z, "others"))):
+            k = self._row(number)
+            level = smooth_quantile(shared.margins, tails.weights, 1 - shared.target, self.widths[k])
+            found[k] = (level - self._widened(k, shared.target)) / self.ways[k]
+        return found
+
+    def _widened(self, k: int, target: float) -> float:
+        """Error of a smooth quantile: a normal tail at distance z, widened by h, is too wide by z h^2/2 (in sd)."""
+        return self.widths[k] * WIDTH * max(float(special.ndtri(target)), 0.0) / 2
+
     def total(self, x: np.ndarray) -> float:
         """Cost at a vector of decisions, with the objective."""
         outputs, _ = self._nominal.at(self.decisions.population(x))
@@ -230,7 +245,7 @@ class Margins:
 
     def limits(self) -> np.ndarray:
         """Sizes (c,) of the limits, unit of each response; the way of a margin where the limit is 0."""
-        found = [_size(row.item) or float(way) for row, way in zip(self.rows, self.ways)]
+        found = [size(row.item) or float(way) for row, way in zip(self.rows, self.ways)]
         return np.array(found + [1.0] * (len(self.names) - len(self.rows)))
 
     def leading(self, x: np.ndarray) -> dict[str, float]:
@@ -268,20 +283,21 @@ class Margins:
         return found
 
     def _look_at_shares(self, x: np.ndarray, population: Population, margins: np.ndarray, jacobian: np.ndarray) -> None:
-        values = self._units.values(x, self.tails.z, "tails")
+        values, several = self._units.values(x, self.tails.z, "tails"), dict[int, tuple[np.ndarray, Weights]]()
         for number, shared in enumerate(self._shared(values)):
             own, target, k = shared.margins, shared.target, self._row(number)
-            margins[k] = smooth_quantile(own, self.tails.weights, 1 - target, self.widths[k])
-            if not math.isfinite(margins[k]):
+            level = smooth_quantile(own, self.tails.weights, 1 - target, self.widths[k])
+            margins[k] = level - self._widened(k, target)
+            if not math.isfinite(level):
                 continue
-            weights = kernel(own, self.tails.weights, margins[k], self.widths[k])
+            weights = kernel(own, self.tails.weights, level, self.widths[k])
             units = np.argsort(-weights, kind="stable")[: min(_MOST_LANES, int((weights > 0).sum()))]
             weights = weights[units] / weights[units].sum()
-            pulled = {name: pull[units] * weights for name, pull in shared.outward.items()}
             if np.isfinite(weights).all():
-                jacobian[k] = self._units.slope(x, population, self.tails.z[:, units], pulled, units)
-            # A normal tail at distance z, widened by h, is too wide by z h^2/2 (in standard deviations).
-            margins[k] -= self.widths[k] * WIDTH * max(float(special.ndtri(target)), 0.0) / 2
+                several[k] = units, {name: pull[units] * weights for name, pull in shared.outward.items()}
+        if several:
+            slopes = self._units.slopes(x, population, self.tails.z, list(several.values()))
+            jacobian[list(several)] = np.stack(slopes)
 
     def _look_at_statistics(
         self, x: np.ndarray, population: Population, margins: np.ndarray, jacobian: np.ndarray
@@ -327,15 +343,3 @@ class Margins:
             found[-len(free) :] = [rates.get(name, 0.0) for name in free]
             found[-len(free) :] *= self.decisions.rates()[-len(free) :]
         return found
-
-
-def _sides(item: Limits) -> list[Limits]:
-    """The limits one by one, where the margin of both has a corner."""
-    if math.isinf(item.lower) or math.isinf(item.upper):
-        return [item]
-    return [dataclasses.replace(item, lower=-math.inf), dataclasses.replace(item, upper=math.inf)]
-
-
-def _size(item: Limits) -> float:
-    """Size of a limit."""
-    return abs(item.lower if math.isinf(item.upper) else item.upper)

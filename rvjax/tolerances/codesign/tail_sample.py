@@ -78,6 +78,7 @@ class TailSample:
 
     def __init__(self, numbers: int, samples: int, seed: int, centres: Centres | None = None) -> None:
         rng = np.random.default_rng(seed)
+        self.centres = centres
         self.z = rng.standard_normal((numbers, samples))
         self.weights = np.ones(samples)
         if centres is None or not len(centres.places) or not numbers:

@@ -1,0 +1,67 @@
+"""Margins of an allocation with mid-points: closed form of a linear response of normal errors, and sums one by one."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from rvjax.population import Population
+from rvjax.tolerances import ReciprocalPower, Requirement, Tolerance, allocate
+from rvjax.tolerances.codesign.decisions import Decisions
+from rvjax.tolerances.codesign.design import Designer
+from rvjax.tolerances.codesign.margins import Margins
+from rvjax.tolerances.codesign.middle import Middle
+
+PARTS = {name: Tolerance.symmetric(0.3) for name in "abc"}
+COSTS = dict.fromkeys("abc", ReciprocalPower(reference=1.0, finest=0.05, coarsest=5.0))
+NEED = {"y": Requirement(upper=1.0, target=0.9973), "v": Requirement(lower=-2.0, upper=2.0, target=0.99)}
+
+
+def response(errors):
+    return {"y": errors["a"] + 2 * errors["b"] - errors["c"], "v": errors["a"] - errors["b"]}
+
+
+def margins(samples, limit=1.0):
+    decisions = Decisions(Population.of(PARTS), COSTS, {}, {})
+    need = NEED | {"y": Requirement(upper=limit, target=0.9973)}
+    made = Margins(response, decisions, need, {}, None, samples, 0)
+    x = decisions.vector(np.full(3, 0.3), {})
+    made.begin(x)
+    return made, x
+
+
+def test_other_units_see_the_quantile_of_the_normal_law():
+    """Sixteen times 256 units: within 1 % of the way to the limit, nearer than the units of the search mostly are."""
+    made, x = margins(256, limit=1.3)
+    variance = float(PARTS["a"].moments()[1])
+    true = stats.norm.ppf(0.9973) * math.sqrt(6 * variance) - 1.3
+    seen = made.of_others(x, 16)
+    assert sorted(seen) == [0, 1]
+    assert seen[0] * made.ways[0] == pytest.approx(true, abs=0.01)
+    made.offsets[0] = 0.5  # which the units do not know
+    assert made.of_others(x, 16) == seen
+    assert made.look(x).margins[0] - 0.5 / made.ways[0] != pytest.approx(seen[0], abs=1e-6)
+
+
+def test_sums_of_several_groups_of_units_are_those_of_each_group():
+    made, x = margins(256)
+    units, population = made._units, made.decisions.population(x)
+    rng = np.random.default_rng(0)
+    several = [(rng.permutation(256)[:n], {name: rng.normal(size=n)}) for n, name in ((7, "y"), (250, "v"), (90, "y"))]
+    found = units.slopes(x, population, made.tails.z, several)
+    for slope, (own, pulled) in zip(found, several):
+        np.testing.assert_allclose(slope, units.slope(x, population, made.tails.z[:, own], pulled), rtol=1e-12)
+    assert not np.allclose(found[0], found[2])
+
+
+def test_margins_are_corrected_before_the_first_certificate(monkeypatch):
+    """A search on 128 units errs by more than a certificate sees by chance; corrected, one certificate does."""
+    options = dict(costs=COSTS, samples=128, certificate_samples=200_000, middles={"c": Middle(-0.1, 0.1)}, seed=2)
+    found = allocate(response, PARTS, NEED, **options)
+    monkeypatch.setattr(Designer, "_sharpened", lambda self, margins, end: end)
+    without = allocate(response, PARTS, NEED, **options)
+    drawn = [one.evaluations["certificates"] // 200_000 for one in (found, without)]
+    assert found.status == without.status == "OPTIMAL"
+    assert drawn[0] == 1 < drawn[1]
+    assert found.cost < 1.005 * without.cost
