@@ -9,11 +9,11 @@ from rvjax.study.measured import Conditions, Loop, Measured, Run, read as read_m
 from rvjax.study.nuisances import NUISANCES, part_orders as part_orders
 from rvjax.study.plausible import RATED, TORQUE
 from rvjax.study.problem import (
+    Candidate,
     Problem,
-    Wide,
     asked_of as identification_of,
+    candidates,
     problem as inverse_problem,
-    wide as with_candidates,
 )
 from rvjax.study.question import Study, StudyError
 from rvjax.study.read import EMBEDDED, embedded_names, load, parse_study
@@ -43,7 +43,7 @@ __all__ = [
     "Study",
     "StudyError",
     "TORQUE",
-    "Wide",
+    "Candidate",
     "choice",
     "embedded_names",
     "facts_of",
@@ -63,5 +63,5 @@ __all__ = [
     "shown",
     "study_template",
     "subtable",
-    "with_candidates",
+    "candidates",
 ]

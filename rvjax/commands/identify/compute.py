@@ -9,7 +9,7 @@ from rvjax import identify, progress
 from rvjax.commands.identify.inputs import Inputs
 from rvjax.commands.speak import READING, WRITING
 from rvjax.records import PyTree
-from rvjax.study import Measured, Problem, Run, Study, Wide, inverse_problem, order_name, with_candidates
+from rvjax.study import Measured, Problem, Run, Study, candidates, inverse_problem, order_name
 
 REJECTED = ("REJECTED", "MAX_STEPS", "NONFINITE")
 """Statuses without a result."""
@@ -18,6 +18,7 @@ PITCHES = 3  # of the ring over which a curve is plotted
 WITHOUT = 1e-4
 """Resolution below which the data say nothing of an element."""
 
+BEFORE = "the runs of the study"
 SEEING, FITTING, RANKING = "identifiability", "most probable values", "what to measure next"
 
 
@@ -112,8 +113,7 @@ def check(study: Study, measured: Measured | None = None) -> Identified:
     """
     progress.begin(SEEING)
     asked = inverse_problem(study, measured)
-    everything = with_candidates(asked)
-    return Identified(asked, _seen(asked, everything), gains=_gains(asked, everything, None))
+    return Identified(asked, _seen(asked), gains=_gains(asked, None))
 
 
 def answer(study: Study, measured: Measured, *, draws: bool = False) -> Identified:
@@ -129,15 +129,14 @@ def answer(study: Study, measured: Measured, *, draws: bool = False) -> Identifi
     """
     progress.begin(SEEING)
     asked = inverse_problem(study, measured)
-    everything = with_candidates(asked)
-    seen = _seen(asked, everything)
+    seen = _seen(asked)
     progress.begin(FITTING)
     options: dict[str, PyTree] = dict(noise=asked.noise, nuisance=asked.nuisance, seed=study.seed)
     if len(asked.units) > 1 or asked.asked.shared:
         if draws:
             raise ValueError(f"--sample: {len(asked.units)} units; sample one at a time")
         batch = identify.solve_many(asked.model, asked.prior, asked.stacked(), shared=asked.asked.shared, **options)
-        return Identified(asked, seen, batch=batch, gains=_gains(asked, everything, None))
+        return Identified(asked, seen, batch=batch, gains=_gains(asked, None))
     starts = 16 if "phase" in asked.nuisance else 8
     found = identify.solve(asked.model, asked.prior, asked.data[0], starts=starts, **options)
     return Identified(
@@ -145,27 +144,28 @@ def answer(study: Study, measured: Measured, *, draws: bool = False) -> Identifi
         seen,
         posterior=found,
         draws=identify.sample(found, seed=study.seed) if draws else None,
-        gains=_gains(asked, everything, found),
+        gains=_gains(asked, found),
         bands=_bands(asked, found) if asked.kind == "curve" and found.status not in ("NONFINITE", "MAX_STEPS") else (),
     )
 
 
-def _seen(asked: Problem, everything: Wide) -> identify.Identifiability:
-    return identify.identifiability(
-        everything.model, asked.prior, noise=everything.noise, nuisance=asked.nuisance
-    )  # fmt: skip
+def _seen(asked: Problem) -> identify.Identifiability:
+    return identify.identifiability(asked.model, asked.prior, noise=asked.noise, nuisance=asked.nuisance)
 
 
-def _gains(asked: Problem, everything: Wide, given: identify.Posterior | None) -> dict[str, float]:
+def _gains(asked: Problem, given: identify.Posterior | None) -> dict[str, float]:
     """Gain of each candidate, best first: over the posterior, or over the runs of the study."""
     progress.begin(RANKING)
-    if not everything.added or (given is not None and not given.modes):
+    coming = candidates(asked)
+    if not coming or (given is not None and not given.modes):
         return {}
-    noise = everything.again if given is not None else everything.added | {"": everything.noise}
-    models = dict.fromkeys(noise, everything.model)
-    found = identify.rank_measurements(asked.prior, models, noise=noise, nuisance=asked.nuisance, given=given).gains
-    gains = {name: float(found[name] - found.get("", 0.0)) for name in everything.added}
-    return {name: gains[name] for name in sorted(gains, key=lambda name: -gains[name])}
+    models, noise = ({name: getattr(one, key) for name, one in coming.items()} for key in ("model", "noise"))
+    if given is None:
+        models, noise = models | {BEFORE: asked.model}, noise | {BEFORE: asked.noise}
+    found = identify.rank_measurements(
+        asked.prior, models, noise=noise, nuisance=asked.nuisance, given=given, beside="" if given else BEFORE
+    ).gains
+    return {name: found[name] for name in sorted(coming, key=lambda name: -found[name])}
 
 
 def _bands(asked: Problem, found: identify.Posterior) -> tuple[Band, ...]:
