@@ -200,6 +200,7 @@ def _going(state: _State, max_steps: int) -> np.ndarray:
     return (state.away > state.enough) & (state.steps <= max_steps) & ~lost & ~ended
 
 
+@np.errstate(invalid="ignore", over="ignore")  # a trial that is not finite
 def _advanced(state: _State, trial: np.ndarray, found: Linearised, mixing: np.ndarray, dof: float | None) -> _State:
     """The state after a trial step, with the next one."""
     residual, slopes, observation, size = found

@@ -15,8 +15,10 @@ from rvjax.compile_cache import QUICK
 from rvjax.designs import RVReducer
 from rvjax.errors import RVErrors
 from rvjax.loaded.conditions import Conditions, ways
-from rvjax.loaded.equilibrium import equilibrium
+from rvjax.loaded.equilibrium import error_alone
 from rvjax.loaded.head import effects_of_a_head
+from rvjax.loaded.inputs import check_input
+from rvjax.loaded.system import Layout
 from rvjax.outputs import Observation, Spectrum
 from rvjax.records import Array, PyTree, Scalar
 
@@ -24,17 +26,15 @@ NEEDS = ("stiffness", "contact")
 PARTS = 5
 """Most parts of the angles of a turn of the output."""
 
-Methods = tuple[tuple[str, str], ...]
-
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _errors(methods: Methods, design: RVReducer, errors: RVErrors, torques: Array, angles: Array) -> jax.Array:
+def _errors(layout: Layout, design: RVReducer, errors: RVErrors, torques: Array, angles: Array) -> jax.Array:
     """Transmission error (t, n) at torques (t,) and input angles (n,)."""
-    return _each(functools.partial(_error, methods, design, errors), torques, angles)
+    return _each(functools.partial(_error, layout, design, errors), torques, angles)
 
 
-def _error(methods: Methods, design: RVReducer, errors: RVErrors, torque: Scalar, angle: Scalar) -> Array:
-    return equilibrium(design, errors, input_angle=angle, output_torque=torque, **dict(methods)).error
+def _error(layout: Layout, design: RVReducer, errors: RVErrors, torque: Scalar, angle: Scalar) -> jax.Array:
+    return error_alone(layout, design, errors, angle, torque)
 
 
 def _each(function: PyTree, torques: Array, angles: Array) -> PyTree:
@@ -44,7 +44,7 @@ def _each(function: PyTree, torques: Array, angles: Array) -> PyTree:
     return jax.tree.map(lambda leaf: leaf.reshape(*shape, *leaf.shape[1:]), jax.vmap(function)(*pairs))
 
 
-def _errors_jvp(methods: Methods, primals: PyTree, tangents: PyTree) -> tuple[jax.Array, jax.Array]:
+def _errors_jvp(layout: Layout, primals: PyTree, tangents: PyTree) -> tuple[jax.Array, jax.Array]:
     """One adjoint of each equilibrium, then sums: with ten observed numbers a tenth of their adjoints."""
     design, errors, torques, angles = primals
     leaves, tree = jax.tree.flatten((design, errors))
@@ -56,7 +56,7 @@ def _errors_jvp(methods: Methods, primals: PyTree, tangents: PyTree) -> tuple[ja
         whole = list(leaves)
         for i, leaf in zip(moving, own):
             whole[i] = leaf
-        return _error(methods, *jax.tree.unflatten(tree, whole), torque, angle)
+        return _error(layout, *jax.tree.unflatten(tree, whole), torque, angle)
 
     of = functools.partial(jax.value_and_grad(one, (0, 1, 2)), [leaves[i] for i in moving])
     error, (slopes, of_torque, of_angle) = _each(of, torques, angles)
@@ -108,7 +108,7 @@ def _spectrum(
     stiff, torques = errors.stiffened(design), jnp.asarray(torques)
     own = jnp.asarray(np.arange(0, count, parts), torques.dtype) + jnp.asarray(number, torques.dtype)
     angles = 2 * jnp.pi * design.ratio / step / count * own
-    error = _errors(tuple(ways(given).items()), stiff, errors, torques, angles)
+    error = _errors(check_input(stiff, errors, **ways(given)), stiff, errors, torques, angles)
     turned = np.outer(np.arange(count), [k // step for k in orders]) * 2 * np.pi / count
     waves = np.where([k % step == 0 for k in orders], 2 * parts / count * np.exp(-1j * turned), 0)
     waves = jnp.asarray(waves.reshape(-1, parts, len(orders)))[:, number]
@@ -119,7 +119,8 @@ def _spectrum(
 def _angle(design: RVReducer, errors: RVErrors, given: Conditions, torques: Array) -> Array:
     """Output angle at each torque, input held."""
     angle = jnp.asarray(given.input_angle, jnp.result_type(float))[None]
-    return _errors(tuple(ways(given).items()), errors.stiffened(design), errors, jnp.asarray(torques), angle)[:, 0]
+    stiff = errors.stiffened(design)
+    return _errors(check_input(stiff, errors, **ways(given)), stiff, errors, jnp.asarray(torques), angle)[:, 0]
 
 
 CURVE = Observation(
