@@ -113,7 +113,7 @@ def damped_step(
     n = z.shape[-1]
     above = np.concatenate([slopes, -residual[..., None]], axis=-1)
     below = np.concatenate([root[..., None] * np.eye(n), -(z / root)[..., None]], axis=-1)
-    factor = np.linalg.qr(np.concatenate([above, below], axis=-2), mode="r")
+    factor = np.asarray(np.linalg.qr(np.concatenate([above, below], axis=-2), mode="r"))
     step = np.linalg.solve(factor[:, :n, :n], factor[:, :n, n:])[..., 0]
     square = (factor[:, :n, n] ** 2).sum(axis=-1) + ((across / root) ** 2).sum(axis=-1)
     return (step if base is None else (base @ step[..., None])[..., 0] + across / root**2), np.sqrt(square)

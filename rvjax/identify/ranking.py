@@ -205,7 +205,7 @@ def _slopes(problems: list[Problem], u: np.ndarray) -> list[np.ndarray]:
     groups: dict[Hashable, dict[int, Problem]] = {}
     for each in problems:
         groups.setdefault(program_of(each.model), {})[id(each.model)] = each
-    found = {}
+    found: dict[int, np.ndarray] = {}
     for group in groups.values():
         first, *_ = same = list(group.values())
         found |= zip(group, slopes_at(first, u, [each.model for each in same]))

@@ -127,7 +127,7 @@ def _searched(
             peak = peak_of(problem, y, *(item[lane] for item in found[:5]))
             if any(_near(peak, other, APART) for other in peaks) or any(_near(peak, s, SAME) for s in saddles):
                 continue
-            bent = found.info.status[lane] != Status.CONVERGED
+            bent = bool(found.info.status[lane] != Status.CONVERGED)
             beside = lower_points(problem, y, peak, draws, bent)
             (saddles if beside else peaks).append(peak)
             pending += beside

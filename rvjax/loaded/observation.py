@@ -6,6 +6,7 @@ once, however many numbers are observed.
 """
 
 import functools
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
@@ -48,7 +49,8 @@ def _errors_jvp(layout: Layout, primals: PyTree, tangents: PyTree) -> tuple[jax.
     """One adjoint of each equilibrium, then sums: with ten observed numbers a tenth of their adjoints."""
     design, errors, torques, angles = primals
     leaves, tree = jax.tree.flatten((design, errors))
-    still = lambda tangent: isinstance(tangent, jax.custom_derivatives.SymbolicZero)  # noqa: E731
+    zero = jax.custom_derivatives.SymbolicZero
+    still: Callable[[object], bool] = lambda tangent: isinstance(tangent, zero)  # noqa: E731
     changes = jax.tree.leaves(tangents[:2], is_leaf=still)
     moving = [i for i, change in enumerate(changes) if not still(change)]
 
@@ -56,7 +58,8 @@ def _errors_jvp(layout: Layout, primals: PyTree, tangents: PyTree) -> tuple[jax.
         whole = list(leaves)
         for i, leaf in zip(moving, own):
             whole[i] = leaf
-        return _error(layout, *jax.tree.unflatten(tree, whole), torque, angle)
+        design, errors = jax.tree.unflatten(tree, whole)
+        return _error(layout, design, errors, torque, angle)
 
     of = functools.partial(jax.value_and_grad(one, (0, 1, 2)), [leaves[i] for i in moving])
     error, (slopes, of_torque, of_angle) = _each(of, torques, angles)
@@ -110,8 +113,8 @@ def _spectrum(
     angles = 2 * jnp.pi * design.ratio / step / count * own
     error = _errors(check_input(stiff, errors, **ways(given)), stiff, errors, torques, angles)
     turned = np.outer(np.arange(count), [k // step for k in orders]) * 2 * np.pi / count
-    waves = np.where([k % step == 0 for k in orders], 2 * parts / count * np.exp(-1j * turned), 0)
-    waves = jnp.asarray(waves.reshape(-1, parts, len(orders)))[:, number]
+    every = np.where([k % step == 0 for k in orders], 2 * parts / count * np.exp(-1j * turned), 0)
+    waves = jnp.asarray(every.reshape(-1, parts, len(orders)))[:, number]
     found = [jnp.matmul(error, w.astype(error.dtype), precision="highest") for w in (waves.real, waves.imag)]
     return jnp.mean(error, axis=1), jax.lax.complex(*found)
 
