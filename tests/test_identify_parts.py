@@ -87,16 +87,16 @@ def test_a_step_with_fewer_data_than_numbers():
     np.testing.assert_allclose(length, np.sqrt(-(gradient * due).sum(axis=1)), rtol=1e-10)
 
 
-def test_a_gain_beside_another_measurement():
+def test_a_gain_on_top_of_another_measurement():
     """ln det of both less that of the one that is measured in any case."""
     slopes = {"before": (2.0, 1.0), "next": (1.0, -1.0)}
     models = {name: lambda v, g=g: jnp.stack([g[0] * v["a"] + g[1] * v["b"]]) for name, g in slopes.items()}
-    found = identify.rank_measurements(PRIOR, models, noise=Noise(0.5), beside="before")
+    found = identify.rank_measurements(PRIOR, models, noise=Noise(0.5), already="before")
     rows = np.array(list(slopes.values())) / 0.5
     nats = [np.linalg.slogdet(np.eye(2) + g.T @ g)[1] / 2 for g in (rows, rows[:1])]
     assert found.gains == pytest.approx({"next": nats[0] - nats[1]}, rel=1e-10)
-    with pytest.raises(ValueError, match="beside = 'other'"):
-        identify.rank_measurements(PRIOR, models, noise=Noise(0.5), beside="other")
+    with pytest.raises(ValueError, match="already = 'other'"):
+        identify.rank_measurements(PRIOR, models, noise=Noise(0.5), already="other")
 
 
 def test_parts_of_a_turn_take_no_order_of_the_pins_for_another():

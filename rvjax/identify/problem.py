@@ -106,7 +106,7 @@ class Problem:
             x: standard numbers (k, p).
             models: of each unit, that differ in fields of their parts alone; by default all have that of the problem.
             plain: x are values themselves.
-            part: the first part of the model stands for all of it.
+            part: the first part of the model in place of all of it.
             together: units or parts in a block.
         """
         split = [parts_of(model) for model in models or [self.model]]
@@ -205,7 +205,7 @@ class Split(Protocol):
     """
 
     def split(self) -> tuple[Any, list[dict[str, Any]]]:
-        """The model of a part, a record, and which of its fields each part has; the first one stands for all."""
+        """The model of a part, a record, and which of its fields each part has; the first one is like all of them."""
 
 
 def parts_of(model: Model) -> tuple[Model, list[dict[str, Any]]]:

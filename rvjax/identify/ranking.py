@@ -55,7 +55,7 @@ def rank_measurements(
     costs: Mapping[str, float] | None = None,
     correlation: Correlation = None,
     exhaustive: int = 5000,
-    beside: str = "",
+    already: str = "",
 ) -> Ranking:
     """Rank measurements by their information about all elements except nuisances.
 
@@ -69,7 +69,7 @@ def rank_measurements(
         costs: {name: cost}; with a count of 1 the choice is the largest gain per cost.
         correlation: {(field or element, field or element): correlation of their u}.
         exhaustive: most sets that are all tried; beyond, the best is searched one by one and by exchanges.
-        beside: name of a candidate that is measured in any case, whose gain the others come on top of.
+        already: name of a candidate that is measured in any case; gains are on top of it.
 
     Raises:
         ValueError: an unknown name, or an argument that does not fit.
@@ -77,10 +77,10 @@ def rank_measurements(
     if not isinstance(candidates, Mapping) or not candidates:
         raise ValueError(f"candidates = {candidates!r}: must be a dict of models by name, unit -")
     counted("exhaustive", exhaustive, 1)
-    if beside and beside not in candidates:
-        raise ValueError(f"beside = {beside!r} is no candidate; these are: {', '.join(candidates)}")
-    gain = _Gain.of(prior, candidates, noise, nuisance, given, correlation, beside)
-    names = [name for name in candidates if name != beside]
+    if already and already not in candidates:
+        raise ValueError(f"already = {already!r} is no candidate; these are: {', '.join(candidates)}")
+    gain = _Gain.of(prior, candidates, noise, nuisance, given, correlation, already)
+    names = [name for name in candidates if name != already]
     gains = gain.of_sets([(k,) for k in range(len(names))])
     if costs is None:
         counted("count", count, 1)  # type: ignore[arg-type]
@@ -130,7 +130,7 @@ class _Gain:
 
     factors: np.ndarray  # (candidates, rows, n): of slopes over v, where z = z^ + L v
     open: np.ndarray  # Z (n, k)
-    beside: np.ndarray  # (rows, n): of what is measured in any case
+    already: np.ndarray  # (rows, n): of what is measured in any case
 
     @classmethod
     def of(
@@ -141,7 +141,7 @@ class _Gain:
         nuisance: str | Iterable[str],
         given: Posterior | None,
         correlation: Correlation,
-        beside: str,
+        already: str,
     ) -> "_Gain":
         if isinstance(noise, Mapping):
             for name in (*noise, *candidates):
@@ -174,7 +174,7 @@ class _Gain:
         factors = [np.linalg.qr(item, mode="r") if len(item) > item.shape[1] else item for item in slopes]
         rows = max(len(item) for item in factors)
         stacked = np.stack([np.pad(item, ((0, rows - len(item)), (0, 0))) for item in factors])
-        own = np.array([name == beside for name in candidates])
+        own = np.array([name == already for name in candidates])
         return cls(
             stacked[~own], np.linalg.svd(mixing[asked])[2][asked.size :].T, stacked[own].reshape(-1, root.shape[1])
         )
@@ -182,8 +182,8 @@ class _Gain:
     def of_sets(self, sets: list[tuple[int, ...]]) -> np.ndarray:
         """Gain of each set, all of one size."""
         rows = self.factors[np.array(sets, int)].reshape(len(sets), -1, self.factors.shape[-1])
-        both = np.concatenate([rows, np.tile(self.beside, (len(sets), 1, 1))], axis=1)
-        return self._about(both) - self._about(self.beside)
+        both = np.concatenate([rows, np.tile(self.already, (len(sets), 1, 1))], axis=1)
+        return self._about(both) - self._about(self.already)
 
     def _about(self, rows: np.ndarray) -> np.ndarray:
         """Nats about the elements of interest of rows (..., rows, n)."""

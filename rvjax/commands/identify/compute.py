@@ -163,7 +163,7 @@ def _gains(asked: Problem, given: identify.Posterior | None) -> dict[str, float]
     if given is None:
         models, noise = models | {BEFORE: asked.model}, noise | {BEFORE: asked.noise}
     found = identify.rank_measurements(
-        asked.prior, models, noise=noise, nuisance=asked.nuisance, given=given, beside="" if given else BEFORE
+        asked.prior, models, noise=noise, nuisance=asked.nuisance, given=given, already="" if given else BEFORE
     ).gains
     return {name: found[name] for name in sorted(coming, key=lambda name: -found[name])}
 
