@@ -172,7 +172,8 @@ class Observation:
         kind: of data, a key of `rvjax.study.measured.KINDS`.
         predict: measurement of one unit; arguments and value by kind:
             "curve": (design, errors, conditions, torques (t,) N m or None for no load, orders of the output turn,
-            whether one turn of the cranks is like the next) -> (mean (t,), complex amplitudes (t, orders)), rad;
+            whether one turn of the cranks is like the next, where there are parts the part) -> (mean (t,), complex
+            amplitudes (t, orders)), rad;
             "loop": (design, errors, conditions, torques (n,) N m) -> angle (n,) rad;
             "frequencies": (design, errors, conditions) -> (frequency (n,) Hz ascending, shapes (n, n) in columns).
         needs: optional parts of the design that it needs.
@@ -181,6 +182,8 @@ class Observation:
         sided: without load its value depends on the side of the backlash.
         head: of a curve, (design, conditions, torques, orders) -> effect of an encoder head per element of the nuisance
             "reading", (torques, orders, 6, 2) rad; None without such a nuisance.
+        parts: of a curve, (design, conditions, orders, alike) -> into how many parts its angles divide, each of which
+            `predict` evaluates with part = (its number, their count); their mean is the curve. None: it does not.
         compiler_options: of programs that compute it, such as `rvjax.compile_cache.QUICK`.
     """
 
@@ -191,6 +194,7 @@ class Observation:
     period: Callable[[Any], int] = _once
     sided: bool = False
     head: Callable[..., Any] | None = None
+    parts: Callable[[Any, Any, tuple[int, ...], bool], int] | None = None
     compiler_options: tuple[tuple[str, bool | int], ...] = ()
 
 

@@ -10,7 +10,7 @@ from scipy import optimize
 
 from rvjax import identify
 from rvjax.identify.elements import Elements
-from rvjax.identify.problem import slopes
+from rvjax.identify.problem import Problem, slopes
 from rvjax.identify.shares import contributions
 from rvjax.population.population import Population
 from rvjax.tolerances import Requirement, Tolerance
@@ -210,8 +210,8 @@ def test_shares_weigh_each_measurement_by_its_noise():
 def test_contributions_sum_to_the_whole_observation():
     """f(e) - f(0) of a polynomial of degree 3, which eight nodes integrate exactly."""
     model = lambda values: jnp.stack([values["a"] * values["b"] ** 2 + values["c"], values["c"] ** 3])  # noqa: E731
-    values = {"a": jnp.asarray(0.7), "b": jnp.asarray(-1.3), "c": jnp.asarray(2.0)}
-    found = contributions(model, Population.of(THREE), values, size=2)
+    values = {"a": 0.7, "b": -1.3, "c": 2.0}
+    found = contributions(Problem.of(model, THREE, noise=Noise(1.0)), np.array(list(values.values())))
     np.testing.assert_allclose(found.sum(axis=1), model(values), rtol=1e-10)
     np.testing.assert_allclose(found[1], [0.0, 0.0, 8.0], atol=1e-10)
 

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 
 from rvjax.designs import RVReducer
 from rvjax.errors import RVErrors
-from rvjax.four_bar.revolution import revolution
+from rvjax.four_bar.revolution import harmonics
 from rvjax.outputs import Observation, Spectrum
 from rvjax.records import Array, PyTree, Scalar
 
@@ -35,7 +35,7 @@ def _spectrum(
         ways: dict[str, PyTree] = dict(
             cranks=given.cranks, gear_stiffness_ratio=given.gear_stiffness_ratio, closure=given.closure
         )
-        return revolution(design, errors, output_torque=torque, angles=given.angles, **ways).harmonics
+        return harmonics(design, errors, output_torque=torque, angles=given.angles, **ways)
 
     waves = turn(0.0)[None] if torques is None else jax.vmap(turn)(torques)
     # The cranks turn against the output: X e^(i h crank) is conj(X) e^(i h pins output). A failed turn stays NaN.

@@ -122,6 +122,35 @@ def figures(
     return _figures((design, errors, output_torque, gear_stiffness_ratio), only=only, **ways)
 
 
+@checked
+def harmonics(
+    design: RVReducer,
+    errors: RVErrors,
+    *,
+    angles: int = 64,
+    output_torque: Scalar = 0.0,
+    cranks: str = "phase_locked",
+    gear_stiffness_ratio: Scalar | None = None,
+    closure: str | None = None,
+) -> jax.Array:
+    """The harmonics of `revolution` without its statistics, in a quarter of the tracing.
+
+    Args:
+        design: as in `revolution`.
+        errors: likewise.
+        angles: likewise.
+        output_torque: likewise.
+        cranks: likewise.
+        gear_stiffness_ratio: likewise.
+        closure: likewise.
+
+    Raises:
+        ValueError: as `revolution`.
+    """
+    ways = _ways(design, output_torque, cranks, gear_stiffness_ratio, closure, "open", angles)
+    return _harmonics_alone((design, errors, output_torque, gear_stiffness_ratio), **ways)
+
+
 def _ways(
     design: RVReducer,
     output_torque: Scalar,
@@ -151,15 +180,25 @@ def _revolution(numbers: Numbers, *, angles: int, loaded: bool, **methods: str) 
     unit, ratio = take_apart(*numbers, loaded=loaded)
     curve = _curve(unit, ratio, angles, methods)
     found = _on_the_way(unit, angles) if _is_direct(**methods) else _of_curve(curve)
-    spectrum = jnp.fft.rfft(curve.error)[: (angles + 1) // 2]  # orders below half the sampling rate
     return Revolution(
         crank_angle=_crank_angles(unit, angles),
         error=curve.error,
         misfit=curve.misfit,
         mean=jnp.mean(curve.error),
-        harmonics=spectrum * np.where(np.arange(len(spectrum)) == 0, 1, 2).astype(spectrum.dtype) / angles,
+        harmonics=_harmonics(curve.error),
         **vars(found),
     )
+
+
+def _harmonics(error: Array) -> jax.Array:
+    spectrum = jnp.fft.rfft(error)[: (len(error) + 1) // 2]  # orders below half the sampling rate
+    return spectrum * np.where(np.arange(len(spectrum)) == 0, 1, 2).astype(spectrum.dtype) / len(error)
+
+
+@functools.partial(jax.jit, inline=True, static_argnames=STATIC)
+def _harmonics_alone(numbers: Numbers, *, angles: int, loaded: bool, **methods: str) -> jax.Array:
+    unit, ratio = take_apart(*numbers, loaded=loaded)
+    return _harmonics(_curve(unit, ratio, angles, methods).error)
 
 
 @functools.partial(jax.jit, inline=True, static_argnames=(*STATIC, "only"))

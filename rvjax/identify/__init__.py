@@ -6,6 +6,7 @@ dict of tolerances.
 
 from rvjax.identify.batch import Batch, solve_many
 from rvjax.identify.check import identifiability
+from rvjax.identify.elements import mapped_values as mapped_values
 from rvjax.identify.fit import Fit as Fit
 from rvjax.identify.information import Direction, Identifiability
 from rvjax.identify.noise import Noise

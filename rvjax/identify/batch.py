@@ -4,19 +4,19 @@ import dataclasses
 from collections.abc import Iterable
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from rvjax.arguments import checked
-from rvjax.identify import fit as fits, gauss_newton
+from rvjax.identify import fit as fits
 from rvjax.identify.elements import mapped_values
 from rvjax.identify.fit import ADEQUATE, Fit
+from rvjax.identify.gauss_newton import Mode, info_of
 from rvjax.identify.information import Spectrum
 from rvjax.identify.noise import Noise
 from rvjax.identify.population import Process, process
 from rvjax.identify.posterior import outcome
-from rvjax.identify.problem import Model, Problem, counted, integer, modes
-from rvjax.identify.search import APART, FAINT, ended_near, evidence_of, lower_points
+from rvjax.identify.problem import Model, Problem, counted, integer
+from rvjax.identify.search import APART, FAINT, ended_near, evidence_of, follow, lower_points, peak_of
 from rvjax.identify.shared import Split, Units, joint_mode, linear_rows, triangular
 from rvjax.population import Correlation, deviate_of
 from rvjax.records import PyTree
@@ -143,25 +143,18 @@ def solve_many(
             worst=tuple(names for part in parts for names in part["worst"]),
         ),
         status=whole["outcome"],
-        info=_stack_info(whole["status"], whole["steps"], whole["away"]),
+        info=info_of(whole["status"], whole["steps"], whole["away"]),
         problem=problem,
         factors=whole["factors"],
     )
 
 
-def _stack_info(status: np.ndarray, steps: np.ndarray, away: np.ndarray) -> SolveInfo:
-    """One info for many units; a constructor takes one case."""
-    one = SolveInfo(jnp.int32(0))
-    return jax.tree.unflatten(jax.tree.structure(one), [jnp.asarray(item) for item in (status, steps, away)])
-
-
 def _separate(problem: Problem, y: np.ndarray, points: np.ndarray, max_steps: int, together: int) -> Units:
     """The heaviest modes of units y (k, m) that share nothing; one program however many units the last chunk has."""
-    padded = np.concatenate([y, np.repeat(y[:1], together - len(y), axis=0)])
     starts = len(points)
-    data, at = jnp.asarray(np.repeat(padded, starts, axis=0)), jnp.asarray(np.tile(points, (together, 1)))
-    found = modes(problem.model, problem.device, data, at, jnp.int32(max_steps))
-    lanes = jax.tree.map(lambda leaf: np.array(leaf).reshape(together, starts, *leaf.shape[1:])[: len(y)], found)
+    at = np.tile(points, (len(y), 1))
+    found = follow(problem, np.repeat(y, starts, axis=0), at, max_steps, together=together * starts)
+    lanes = jax.tree.map(lambda leaf: leaf.reshape(len(y), starts, *leaf.shape[1:]), found)
     _accept_kinks(problem, y, lanes)
     good = lanes.info.status == Status.CONVERGED
     z = np.where(good[..., None], lanes.z, 0.0)
@@ -186,15 +179,14 @@ def _separate(problem: Problem, y: np.ndarray, points: np.ndarray, max_steps: in
     return Units(z @ mixing.T, u_sd, residual, rows, several, info.status, info.steps, info.residual)
 
 
-def _accept_kinks(problem: Problem, y: np.ndarray, lanes: gauss_newton.Mode) -> None:
+def _accept_kinks(problem: Problem, y: np.ndarray, lanes: Mode) -> None:
     """Accept the lowest end of a unit (k, starts) without a mode, where it is the lowest point of a kink."""
     near = ended_near(lanes.info)
     wanting = near.any(axis=1) & (lanes.info.status != Status.CONVERGED).all(axis=1)
     for unit in np.flatnonzero(wanting):
         lane = int(np.argmin(np.where(near[unit], lanes.phi[unit], np.inf)))
-        spectrum = Spectrum.of(np.sqrt(problem.discount) * lanes.slopes[unit, lane] @ problem.elements.mixing)
-        z, phi = np.asarray(lanes.z[unit, lane]), float(lanes.phi[unit, lane])
-        if not lower_points(problem, y[unit], z, phi, spectrum.root, SIDES, bent=True):
+        peak = peak_of(problem, y[unit], *(item[unit, lane] for item in lanes[:5]))
+        if not lower_points(problem, y[unit], peak, SIDES, bent=True):
             lanes.info.status[unit, lane] = Status.CONVERGED
 
 

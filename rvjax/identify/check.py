@@ -1,14 +1,13 @@
 """`identifiability`: which elements a measurement identifies, before anything is measured."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
-import jax.numpy as jnp
 import numpy as np
 
-from rvjax.identify.elements import mapped
+from rvjax.identify.elements import mapped_values
 from rvjax.identify.information import Identifiability, Spectrum, findings
 from rvjax.identify.noise import Noise
-from rvjax.identify.problem import Model, Problem, linearise
+from rvjax.identify.problem import Model, Problem
 from rvjax.population import Correlation
 from rvjax.records import PyTree
 
@@ -37,17 +36,25 @@ def identifiability(
     """
     problem = Problem.of(model, prior, noise=noise, nuisance=nuisance, correlation=correlation)
     u = np.zeros(problem.elements.count) if at is None else problem.elements.at("at", at)
-    slopes = slopes_at(problem, u)
+    slopes = slopes_at(problem, u)[0] / problem.sd[:, None]
     mixing = problem.elements.mixing
     spectrum = Spectrum.of(np.sqrt(problem.discount) * slopes @ mixing)
     return findings(problem.elements.names, mixing, spectrum)
 
 
-def slopes_at(problem: Problem, u: np.ndarray) -> np.ndarray:
-    """Whitened slopes over u (m, p) at u; a ValueError where the model is not finite."""
-    observation, slopes = linearise(problem.model, problem.device, jnp.asarray(u))
-    found = np.asarray(slopes, float)
-    if not (np.isfinite(found).all() and np.isfinite(np.asarray(observation)).all()):
-        values = problem.elements.structure(np.asarray(mapped(problem.elements.population, jnp.asarray(u)[None])[0])[0])
+def slopes_at(problem: Problem, u: np.ndarray, models: Sequence[Model] = ()) -> np.ndarray:
+    """Slopes over u (k, m, p) of models at u (p,), by default of that of the problem; the model must be finite there.
+
+    Args:
+        problem: with its noise left out.
+        u: standard numbers.
+        models: that differ in fields of their parts alone.
+
+    Raises:
+        ValueError: a model that is not finite at u.
+    """
+    observation, found = problem.evaluate(np.tile(u, (max(len(models), 1), 1)), models=models)
+    if not (np.isfinite(found).all() and np.isfinite(observation).all()):
+        values = problem.elements.structure(mapped_values(problem.elements, u[None])[0])
         raise ValueError(f"model: its observation or its slope is not finite at {values}, in SI".replace("\n", " "))
     return found

@@ -14,12 +14,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax.batching import in_blocks
 from rvjax.columns import elements
 from rvjax.population import Correlation, Population
 from rvjax.records import PyTree
 
 FAR = 38.0
 """Standard deviations beyond which a normal distribution has no mass that a float distinguishes from 0."""
+
+FEW, MANY = 8, 4096
+"""Units in one call of the map: one program, and another one for draws."""
 
 _HALVINGS = 64  # of the interval (-FAR, FAR): to the last bit
 
@@ -60,7 +64,8 @@ def standard(population: Population, values: jax.Array) -> jax.Array:
 
 def mapped_values(elements: "Elements", u: np.ndarray) -> np.ndarray:
     """Values (k, p) of units u (k, p), on the host."""
-    return np.asarray(mapped(elements.population, jnp.asarray(u))[0], float)
+    few = lambda part: mapped(elements.population, part)[0]  # noqa: E731
+    return np.asarray(in_blocks(few, FEW if len(u) <= MANY else MANY, np.asarray(u, float)), float)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -188,7 +193,7 @@ class Elements:
             if tolerance.law.couples:
                 raise ValueError(f"{argument}.{name}: {tolerance.distribution} vectors cannot be placed")
         u = np.asarray(standard(self.population, jnp.asarray(wanted[None])))[0]
-        found = np.asarray(mapped(self.population, jnp.asarray(u[None]))[0])[0]
+        found = mapped_values(self, u[None])[0]
         widths = np.asarray([float(self.population.active[field].half_width) for field in self.fields])
         constant = widths == 0
         off = np.abs(found - wanted) > 1e-6 * np.maximum(widths, 1e-9 * np.abs(wanted))

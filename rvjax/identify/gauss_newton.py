@@ -15,13 +15,15 @@ in vain near it end the search; `rvjax.identify.search` then looks to all sides 
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
+from rvjax.identify.information import compress_rows
 from rvjax.records import Array
-from rvjax.status import SolveInfo, Status, first_failure
+from rvjax.status import SolveInfo, Status
 
 TOLERANCE = 1e-9
 """Posterior standard deviations that the last step may be away."""
@@ -41,72 +43,88 @@ VAIN = 3
 ROUNDINGS = 8.0
 """Units in the last place of the whitened observation that a residual may be off."""
 
-Linearise = Callable[[jax.Array], tuple[jax.Array, jax.Array, tuple[jax.Array, jax.Array]]]
-"""u (p,) -> residuals r (m,), slopes dr/du (m, p), the observation (m,) and the size of the numbers behind r."""
+Linearised = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+Linearise = Callable[[np.ndarray, np.ndarray], Linearised]
+"""Numbers of starts (k,) and their u (k, p) -> residuals r (k, m), slopes dr/du (k, m, p), the observation (k, m) and
+the size of the numbers behind r (k,)."""
 
 
 class Mode(NamedTuple):
-    """Result of the steps."""
+    """Results of the steps, of k starts."""
 
-    z: Array  # (n,)
-    residual: Array  # (m,)
-    slopes: Array  # over u (m, p)
-    observation: Array  # (m,)
-    phi: Array
+    z: np.ndarray  # (k, n)
+    residual: np.ndarray  # (k, m)
+    slopes: np.ndarray  # over u (k, m, p)
+    observation: np.ndarray  # (k, m)
+    phi: np.ndarray
     info: SolveInfo
 
 
 class _State(NamedTuple):
-    z: jax.Array
-    residual: jax.Array
-    slopes: jax.Array
-    observation: jax.Array
-    phi: jax.Array
-    slack: jax.Array  # what rounding may add to phi
-    step: jax.Array
-    away: jax.Array  # length of the undamped step in posterior standard deviations
-    enough: jax.Array  # the same, at which it ends
-    plain: jax.Array  # the same step before it was stretched or limited
-    as_it_is: jax.Array  # whether it was neither
-    promise: jax.Array  # predicted reduction of phi by the step
-    damping: jax.Array
-    growth: jax.Array
-    vain: jax.Array  # steps without a gain
-    steps: jax.Array
+    """Of k starts, each item (k, ..)."""
+
+    z: np.ndarray
+    residual: np.ndarray
+    slopes: np.ndarray
+    observation: np.ndarray
+    phi: np.ndarray
+    slack: np.ndarray  # what rounding may add to phi
+    step: np.ndarray
+    away: np.ndarray  # length of the undamped step in posterior standard deviations
+    enough: np.ndarray  # the same, at which it ends
+    plain: np.ndarray  # the same step before it was stretched or limited
+    as_it_is: np.ndarray  # whether it was neither
+    promise: np.ndarray  # predicted reduction of phi by the step
+    damping: np.ndarray
+    growth: np.ndarray
+    vain: np.ndarray  # steps without a gain
+    steps: np.ndarray
 
 
-def half_square(residual: jax.Array, dof: jax.Array | None) -> jax.Array:
-    """Contribution of the data to Phi: minus the logarithm of their density, up to a constant."""
+def half_square(residual: Array | np.ndarray, dof: Any) -> Any:
+    """Contribution of the data (..., m) to Phi: minus the logarithm of their density, up to a constant."""
+    library: Any = jnp if isinstance(residual, jax.Array) else np
     if dof is None:
-        return jnp.sum(residual**2) / 2
-    return (dof + 1) / 2 * jnp.sum(jnp.log1p(residual**2 / dof))
+        return library.sum(residual**2, axis=-1) / 2
+    return (dof + 1) / 2 * library.sum(library.log1p(residual**2 / dof), axis=-1)
 
 
-def roots_of_weights(residual: jax.Array, dof: jax.Array | None) -> jax.Array:
+def roots_of_weights(residual: np.ndarray, dof: float | None) -> np.ndarray:
     """sqrt(W) of each residual."""
     if dof is None:
-        return jnp.ones_like(residual)
-    return jnp.sqrt((dof + 1) / (dof + residual**2))
+        return np.ones_like(residual)
+    return np.sqrt((dof + 1) / (dof + residual**2))
 
 
 def damped_step(
-    z: jax.Array, residual: jax.Array, slopes: jax.Array, damping: jax.Array
-) -> tuple[jax.Array, jax.Array]:
-    """Return the step (n,) of weighted residuals and slopes, and its length in posterior standard deviations."""
-    n, root = z.shape[0], jnp.sqrt(1 + damping)
-    above = jnp.concatenate([slopes, -residual[:, None]], axis=1)
-    below = jnp.concatenate([root * jnp.eye(n, dtype=z.dtype), -(z / root)[:, None]], axis=1)
-    factor = jnp.linalg.qr(jnp.concatenate([above, below]), mode="r")
-    step = jax.scipy.linalg.solve_triangular(factor[:n, :n], factor[:n, n])
-    return step, jnp.linalg.norm(factor[:n, n])
+    z: np.ndarray, residual: np.ndarray, slopes: np.ndarray, damping: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the steps (k, n) of weighted residuals and slopes, and their lengths in posterior standard deviations.
+
+    With fewer data than numbers, slopes span m directions only: there it is a problem of m numbers, and across them the
+    step goes straight to the mid-point of the prior.
+    """
+    root = np.sqrt(1 + damping)[:, None]
+    across, base = np.zeros_like(z), None
+    if slopes.shape[-2] < slopes.shape[-1]:
+        base, triangle = np.linalg.qr(np.swapaxes(slopes, -1, -2))
+        slopes, along = np.swapaxes(triangle, -1, -2), (z[:, None] @ base)[:, 0]
+        across, z = (base @ along[..., None])[..., 0] - z, along
+    n = z.shape[-1]
+    above = np.concatenate([slopes, -residual[..., None]], axis=-1)
+    below = np.concatenate([root[..., None] * np.eye(n), -(z / root)[..., None]], axis=-1)
+    factor = np.asarray(np.linalg.qr(np.concatenate([above, below], axis=-2), mode="r"))
+    step = np.linalg.solve(factor[:, :n, :n], factor[:, :n, n:])[..., 0]
+    square = (factor[:, :n, n] ** 2).sum(axis=-1) + ((across / root) ** 2).sum(axis=-1)
+    return (step if base is None else (base @ step[..., None])[..., 0] + across / root**2), np.sqrt(square)
 
 
-def _stretch(step: jax.Array, before: jax.Array) -> jax.Array:
-    """Factor on a step (n,) that continues the step before it; 1 where they are not in line."""
-    square, along = jnp.sum(before**2), jnp.sum(step * before)
-    share = along / jnp.maximum(square, jnp.finfo(step.dtype).tiny)
-    in_line = along**2 > IN_LINE * square * jnp.sum(step**2)
-    return jnp.where(in_line & (jnp.abs(share) > 1 / 3) & (share < 1), 1 / (1 - jnp.minimum(share, 0.99)), 1.0)
+def _stretch(step: np.ndarray, before: np.ndarray) -> np.ndarray:
+    """Factor on steps (k, n) that continue the steps before them; 1 where they are not in line."""
+    square, along = (before**2).sum(axis=-1), (step * before).sum(axis=-1)
+    share = along / np.maximum(square, np.finfo(step.dtype).tiny)
+    in_line = along**2 > IN_LINE * square * (step**2).sum(axis=-1)
+    return np.where(in_line & (np.abs(share) > 1 / 3) & (share < 1), 1 / (1 - np.minimum(share, 0.99)), 1.0)
 
 
 def mixed(mixing: jax.Array, z: jax.Array) -> jax.Array:
@@ -114,10 +132,10 @@ def mixed(mixing: jax.Array, z: jax.Array) -> jax.Array:
     return jnp.matmul(mixing, z, precision="highest")
 
 
-def mode(
-    linearise: Linearise, size: int, mixing: jax.Array, start: jax.Array, dof: jax.Array | None, max_steps: jax.Array
+def modes(
+    linearise: Linearise, size: int, mixing: np.ndarray, starts: np.ndarray, dof: float | None, max_steps: int
 ) -> Mode:
-    """Return the mode reached from one start; under `vmap` every batch element stops separately.
+    """Return the modes reached from starts, each of which stops separately.
 
     `info.residual` is the undamped distance from the mode in posterior standard deviations. MAX_STEPS with a residual
     below NEAR: the steps ended at a kink, which may be a mode.
@@ -126,78 +144,106 @@ def mode(
         linearise: residuals and slopes.
         size: count of the residuals m.
         mixing: M (p, n), u = M z.
-        start: z (n,).
+        starts: z (k, n).
         dof: of Student noise; None is normal noise.
         max_steps: most evaluations of `linearise` behind the first one.
     """
-    dtype = start.dtype
-    least = ROUNDINGS * jnp.finfo(dtype).eps
+    state = _at_the_starts(starts, size, len(mixing))
+    while (going := _going(state, max_steps)).any():
+        (live,) = np.nonzero(going)
+        part = _State(*(item[live] for item in state))
+        trial = part.z + part.step
+        found = _advanced(part, trial, linearise(live, trial @ mixing.T), mixing, dof)
+        for whole, new in zip(state, found, strict=True):
+            whole[live] = new
+    converged, finite = state.away <= state.enough, np.isfinite(state.phi)
+    status = np.where(converged, Status.CONVERGED, Status.MAX_STEPS)
+    status = np.where(finite, status, Status.NONFINITE).astype(np.int32)
+    return Mode(*state[:5], info_of(status, np.maximum(state.steps - 1, 0), state.away))
 
-    def number(value: float) -> jax.Array:
-        return jnp.asarray(value, dtype)
 
-    def going(state: _State) -> jax.Array:
-        ended = (state.vain >= VAIN) & (state.away < NEAR)
-        lost = (state.steps > 0) & jnp.isinf(state.phi)
-        return (state.away > state.enough) & (state.steps <= max_steps) & ~lost & ~ended
+def info_of(status: np.ndarray, steps: np.ndarray, away: np.ndarray) -> SolveInfo:
+    """One info of many starts; a constructor takes one case."""
+    one = SolveInfo(jnp.int32(0))
+    return jax.tree.unflatten(jax.tree.structure(one), [status, steps, away])
 
-    def advance(state: _State) -> _State:
-        trial = state.z + state.step
-        residual, slopes, (observation, size) = linearise(mixed(mixing, trial))
-        phi = jnp.sum(trial**2) / 2 + half_square(residual, dof)
-        sound = jnp.isfinite(phi) & jnp.all(jnp.isfinite(slopes))
-        better = sound & (phi <= state.phi + state.slack)
-        rounding = least * (size + jnp.linalg.norm(trial))
-        slack = rounding * jnp.linalg.norm(residual) + rounding**2 + least * phi
-        tried = (trial, residual, slopes, observation, phi, slack)
-        z, residual, slopes, observation, phi, slack = (
-            jnp.where(better, new, old) for new, old in zip(tried, state[: len(tried)], strict=True)
-        )
-        growth = jnp.where(better, number(2.0), 2 * state.growth)
-        # Below rounding a gain has no meaning.
-        gain = jnp.where(state.promise > 10 * slack, (state.phi - phi) / state.promise, 1.0)
-        eased = state.damping * jnp.maximum(1 / 9, 1 - (2 * jnp.clip(gain, 0, 1) - 1) ** 3)
-        damping = jnp.where(better, eased, jnp.maximum(state.damping, 1e-3) * state.growth)
-        root = roots_of_weights(residual, dof)
-        weighted = root * residual, root[:, None] * mixed(slopes, mixing)
-        step, length = damped_step(z, *weighted, damping)
-        _, away = damped_step(z, *weighted, number(0.0))
-        stretch = jnp.where(better & state.as_it_is, _stretch(step, state.plain), 1.0)
-        longer = stretch * step
-        limit = jnp.minimum(1.0, LONGEST / jnp.maximum(jnp.max(jnp.abs(longer)), LONGEST / 2))
-        as_it_is = (stretch == 1) & (limit == 1)
-        part = limit * stretch
-        promise = part * length**2 - part**2 * (length**2 - damping * jnp.sum(step**2)) / 2
-        enough = jnp.where(better, TOLERANCE + rounding, state.enough)
-        missed = ~better | (gain < 0.25)
-        vain = jnp.where(state.phi - phi > NEAR**2 / 4, 0, state.vain + jnp.where(missed, 1, 0))
-        at = (z, residual, slopes, observation, phi, slack)
-        next_one = (limit * longer, away, enough, step, as_it_is, promise, damping, growth, vain)
-        return _State(*at, *next_one, state.steps + 1)
 
-    state = jax.lax.while_loop(
-        going,
-        advance,
-        _State(
-            start,
-            jnp.zeros(size, dtype),
-            jnp.zeros((size, mixing.shape[0]), dtype),
-            jnp.zeros(size, dtype),
-            number(jnp.inf),
-            number(0.0),
-            jnp.zeros_like(start),
-            number(jnp.inf),
-            number(TOLERANCE),
-            jnp.zeros_like(start),
-            jnp.asarray(False),
-            number(0.0),
-            number(0.0),
-            number(2.0),
-            jnp.int32(0),
-            jnp.int32(0),
-        ),
+def _at_the_starts(starts: np.ndarray, size: int, p: int) -> _State:
+    count = len(starts)
+
+    def full(value: float, kind: type = float) -> np.ndarray:
+        return np.full(count, value, kind)
+
+    return _State(
+        z=starts.copy(),
+        residual=np.zeros((count, size)),
+        slopes=np.zeros((count, size, p)),
+        observation=np.zeros((count, size)),
+        phi=full(np.inf),
+        slack=full(0.0),
+        step=np.zeros_like(starts),
+        away=full(np.inf),
+        enough=full(TOLERANCE),
+        plain=np.zeros_like(starts),
+        as_it_is=full(False, bool),
+        promise=full(0.0),
+        damping=full(0.0),
+        growth=full(2.0),
+        vain=full(0, np.int32),
+        steps=full(0, np.int32),
     )
-    status = first_failure(
-        (~jnp.isfinite(state.phi), Status.NONFINITE), (~(state.away <= state.enough), Status.MAX_STEPS)
+
+
+def _going(state: _State, max_steps: int) -> np.ndarray:
+    ended = (state.vain >= VAIN) & (state.away < NEAR)
+    lost = (state.steps > 0) & np.isinf(state.phi)
+    return (state.away > state.enough) & (state.steps <= max_steps) & ~lost & ~ended
+
+
+@np.errstate(invalid="ignore", over="ignore")  # a trial that is not finite
+def _advanced(state: _State, trial: np.ndarray, found: Linearised, mixing: np.ndarray, dof: float | None) -> _State:
+    """The state after a trial step, with the next one."""
+    residual, slopes, observation, size = found
+    least = ROUNDINGS * np.finfo(trial.dtype).eps
+    phi = (trial**2).sum(axis=-1) / 2 + half_square(residual, dof)
+    sound = np.isfinite(phi) & np.isfinite(slopes).all(axis=(-2, -1))
+    better = sound & (phi <= state.phi + state.slack)
+    rounding = least * (size + np.linalg.norm(trial, axis=-1))
+    slack = rounding * np.linalg.norm(residual, axis=-1) + rounding**2 + least * phi
+    tried = (trial, residual, slopes, observation, phi, slack)
+    z, residual, slopes, observation, phi, slack = (
+        np.where(better.reshape(-1, *[1] * (new.ndim - 1)), new, old)
+        for new, old in zip(tried, state[: len(tried)], strict=True)
     )
-    return Mode(*state[:5], SolveInfo(status, jnp.maximum(state.steps - 1, 0), state.away))
+    growth = np.where(better, 2.0, 2 * state.growth)
+    # Below rounding a gain has no meaning.
+    meant = state.promise > 10 * slack
+    gain = np.where(meant, (state.phi - phi) / np.where(meant, state.promise, 1.0), 1.0)
+    eased = state.damping * np.maximum(1 / 9, 1 - (2 * np.clip(gain, 0, 1) - 1) ** 3)
+    damping = np.where(better, eased, np.maximum(state.damping, 1e-3) * state.growth)
+    root = roots_of_weights(residual, dof)
+    rows = np.concatenate([root[..., None] * (slopes @ mixing), (root * residual)[..., None]], axis=-1)
+    rows = compress_rows(rows)
+    weighted = rows[..., -1], rows[..., :-1]
+    step, length = damped_step(z, *weighted, damping)
+    _, away = damped_step(z, *weighted, np.zeros_like(damping))
+    stretch = np.where(better & state.as_it_is, _stretch(step, state.plain), 1.0)
+    longer = stretch[:, None] * step
+    limit = np.minimum(1.0, LONGEST / np.maximum(np.abs(longer).max(axis=-1), LONGEST / 2))
+    part = limit * stretch
+    promise = part * length**2 - part**2 * (length**2 - damping * (step**2).sum(axis=-1)) / 2
+    missed = ~better | (gain < 0.25)
+    vain = np.where(state.phi - phi > NEAR**2 / 4, 0, state.vain + missed)
+    return _State(
+        *(z, residual, slopes, observation, phi, slack),
+        step=limit[:, None] * longer,
+        away=away,
+        enough=np.where(better, TOLERANCE + rounding, state.enough),
+        plain=step,
+        as_it_is=(stretch == 1) & (limit == 1),
+        promise=promise,
+        damping=damping,
+        growth=growth,
+        vain=vain,
+        steps=state.steps + 1,
+    )

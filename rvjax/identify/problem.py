@@ -3,16 +3,17 @@
 import dataclasses
 import math
 import operator
-from collections.abc import Callable, Iterable
-from functools import cached_property, lru_cache, partial
-from typing import Any, NamedTuple
+from collections.abc import Callable, Hashable, Iterable, Sequence
+from functools import cached_property, lru_cache
+from typing import Any, NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax.identify.elements import Elements, values_of
-from rvjax.identify.gauss_newton import Mode, half_square, mixed, mode
+from rvjax.batching import in_blocks
+from rvjax.identify.elements import Elements, elementwise, values_of
+from rvjax.identify.gauss_newton import Linearised, half_square, mixed
 from rvjax.identify.noise import Noise
 from rvjax.identify.observation import Layout, flatten
 from rvjax.population import Correlation, Population
@@ -21,7 +22,10 @@ from rvjax.response import PROGRAMS, per_response
 
 Model = Callable[[PyTree], PyTree]
 
-LANES = 64
+LANES = 8
+"""Units, or parts of them, that are linearised at once."""
+
+MANY = 64
 """Points that are evaluated at once where only the density is required."""
 
 
@@ -87,6 +91,60 @@ class Problem:
         dof = None if math.isinf(self.dof) else jnp.asarray(self.dof)
         return Given(self.elements.population, jnp.asarray(self.elements.mixing), jnp.asarray(self.sd), dof)
 
+    def evaluate(
+        self,
+        x: np.ndarray,
+        *,
+        models: Sequence[Model] = (),
+        plain: bool = False,
+        part: bool = False,
+        together: int = LANES,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Observations (k, m) and their slopes over x (k, m, p) of several units, block by block.
+
+        Args:
+            x: standard numbers (k, p).
+            models: of each unit, that differ in fields of their parts alone; by default all have that of the problem.
+            plain: x are values themselves.
+            part: the first part of the model in place of all of it.
+            together: units or parts in a block.
+        """
+        split = [parts_of(model) for model in models or [self.model]]
+        every = [fields[:1] if part else fields for _, fields in split] * (1 if models else len(x))
+        rows = np.repeat(np.arange(len(x)), [len(fields) for fields in every])
+        flat = [each for fields in every for each in fields]
+        names = list(flat[0])
+        columns = [np.stack([np.asarray(each[name]) for each in flat]) for name in names]
+
+        def block(x: np.ndarray, plain: np.ndarray, *columns: np.ndarray) -> tuple[jax.Array, jax.Array]:
+            fields = dict(zip(names, columns))
+            return linearise(split[0][0], self.elements.population, fields, x, plain, size=self.layout.size)
+
+        found = in_blocks(block, together, np.asarray(x, float)[rows], np.full(len(rows), plain), *columns)
+        first = np.flatnonzero(np.diff(rows, prepend=-1))
+        count = np.diff(np.append(first, len(rows)))
+        observation, slopes = (np.add.reduceat(np.asarray(item, float), first) for item in found)
+        return observation / count[:, None], slopes / count[:, None, None]
+
+    def whitened(self, observation: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Residuals (f - y)/sd (..., m), 0 where y is NaN, and the norm of what is subtracted (...,)."""
+        seen = ~np.isnan(y)
+        found, given = (np.where(seen, item, 0.0) / self.sd for item in (observation, y))
+        return found - given, np.linalg.norm(np.abs(found) + np.abs(given), axis=-1)
+
+    def linearise(self, y: np.ndarray, u: np.ndarray, **options: Any) -> Linearised:
+        """Residuals (k, m), their slopes over u (k, m, p), observations (k, m) and the size of the numbers behind.
+
+        Args:
+            y: data (k, m).
+            u: standard numbers (k, p).
+            options: of `evaluate`.
+        """
+        observation, slopes = self.evaluate(u, **options)
+        residual, size = self.whitened(observation, y)
+        slopes = np.where(np.isnan(y)[..., None], 0.0, slopes) / self.sd[:, None]
+        return residual, slopes, observation, size
+
 
 @lru_cache(PROGRAMS)
 def _layouts(model: Model) -> dict[object, Layout]:
@@ -140,29 +198,56 @@ def _reverse(function: Residual, u: jax.Array) -> tuple[jax.Array, jax.Array, Py
     return value, jax.vmap(lambda cotangent: pull(cotangent)[0])(jnp.eye(value.shape[0], dtype=value.dtype)), aux
 
 
-def linearised(
-    model: Model, given: Given, y: jax.Array, u: jax.Array
-) -> tuple[jax.Array, jax.Array, tuple[jax.Array, jax.Array]]:
-    """Residuals (m,), slopes over u (m, p), the observation (m,) and the size of the numbers behind the residuals."""
-    return slopes(lambda u: residuals(model, given, y, u), u, y.shape[0])
+class Split(Protocol):
+    """A model whose observation is the mean over parts of one structure, which one program evaluates.
+
+    Its slopes cost little more than its values.
+    """
+
+    def split(self) -> tuple[Any, list[dict[str, Any]]]:
+        """The model of a part, a record, and which of its fields each part has; the first one is like all of them."""
 
 
-@per_response()
-def linearise(model: Model, given: Given, u: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Return the whitened observation (m,) and its slopes over u (m, p) at one u."""
-    observation, jacobian, _ = linearised(model, given, jnp.zeros_like(given.sd), u)
-    return observation, jacobian
+def parts_of(model: Model) -> tuple[Model, list[dict[str, Any]]]:
+    """The model of a part and the fields of every part, as in `Split`; another model is its only part."""
+    split: Callable[[], tuple[Model, list[dict[str, Any]]]] | None = getattr(model, "split", None)
+    return split() if split else (model, [{}])
 
 
-@per_response()
-def modes(model: Model, given: Given, y: jax.Array, starts: jax.Array, max_steps: jax.Array) -> Mode:
-    """Return the modes of units y (k, m) from starts (k, n)."""
+def program_of(model: Model) -> Hashable:
+    """Equal for models that one program evaluates, which differ in the fields of their parts alone."""
+    base, fields = parts_of(model)
+    if not fields[0]:
+        return id(model)
+    leaves, structure = jax.tree_util.tree_flatten_with_path(base)
+    return structure, tuple(np.asarray(leaf).tobytes() for path, leaf in leaves if path[0].name not in fields[0])
 
-    def one(y: jax.Array, start: jax.Array) -> Mode:
-        linearise = partial(linearised, model, given, y)
-        return mode(linearise, y.shape[0], given.mixing, start, given.dof, max_steps)
 
-    return jax.vmap(one)(y, starts)
+@per_response(static=("size",))
+def linearise(
+    model: Model, population: Population, fields: dict[str, jax.Array], x: jax.Array, plain: jax.Array, *, size: int
+) -> tuple[jax.Array, jax.Array]:
+    """Observations (k, m) and their slopes over x (k, m, p) of several units.
+
+    Args:
+        model: of all of them.
+        population: the prior.
+        fields: of the model that differ from unit to unit (k, ...).
+        x: standard numbers (k, p); values themselves where `plain` (k,).
+        plain: which units.
+        size: m.
+    """
+
+    def one(fields: dict[str, jax.Array], x: jax.Array, plain: jax.Array) -> tuple[jax.Array, jax.Array]:
+        here: Any = model.replace(**fields) if fields else model  # type: ignore[attr-defined]
+
+        def seen(x: jax.Array) -> tuple[jax.Array, None]:
+            values = jnp.where(plain, x, elementwise(population, jnp.where(plain, 0, x)))
+            return flatten(here(population.fill(population.by_field(values)))), None
+
+        return slopes(seen, x, size)[:2]
+
+    return jax.vmap(one)(fields, x, plain)
 
 
 @per_response()
@@ -174,7 +259,7 @@ def densities(model: Model, given: Given, y: jax.Array, z: jax.Array) -> jax.Arr
         value = jnp.sum(z**2) / 2 + half_square(residual, given.dof)
         return jnp.where(jnp.isfinite(value), value, jnp.inf)
 
-    return jax.lax.map(phi, z, batch_size=LANES)
+    return jax.lax.map(phi, z, batch_size=MANY)
 
 
 def counted(name: str, value: int, least: int) -> None:

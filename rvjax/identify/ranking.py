@@ -10,7 +10,7 @@ cancel an offset that one cannot, so that choosing the best one after the other 
 import dataclasses
 import itertools
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from rvjax.arguments import checked
 from rvjax.identify.check import slopes_at
 from rvjax.identify.noise import Noise
 from rvjax.identify.posterior import Posterior
-from rvjax.identify.problem import Model, Problem, counted
+from rvjax.identify.problem import Model, Problem, counted, program_of
 from rvjax.population import Correlation
 from rvjax.records import PyTree
 
@@ -55,6 +55,7 @@ def rank_measurements(
     costs: Mapping[str, float] | None = None,
     correlation: Correlation = None,
     exhaustive: int = 5000,
+    already: str = "",
 ) -> Ranking:
     """Rank measurements by their information about all elements except nuisances.
 
@@ -68,6 +69,7 @@ def rank_measurements(
         costs: {name: cost}; with a count of 1 the choice is the largest gain per cost.
         correlation: {(field or element, field or element): correlation of their u}.
         exhaustive: most sets that are all tried; beyond, the best is searched one by one and by exchanges.
+        already: name of a candidate that is measured in any case; gains are on top of it.
 
     Raises:
         ValueError: an unknown name, or an argument that does not fit.
@@ -75,8 +77,10 @@ def rank_measurements(
     if not isinstance(candidates, Mapping) or not candidates:
         raise ValueError(f"candidates = {candidates!r}: must be a dict of models by name, unit -")
     counted("exhaustive", exhaustive, 1)
-    gain = _Gain.of(prior, candidates, noise, nuisance, given, correlation)
-    names = list(candidates)
+    if already and already not in candidates:
+        raise ValueError(f"already = {already!r} is no candidate; these are: {', '.join(candidates)}")
+    gain = _Gain.of(prior, candidates, noise, nuisance, given, correlation, already)
+    names = [name for name in candidates if name != already]
     gains = gain.of_sets([(k,) for k in range(len(names))])
     if costs is None:
         counted("count", count, 1)  # type: ignore[arg-type]
@@ -126,6 +130,7 @@ class _Gain:
 
     factors: np.ndarray  # (candidates, rows, n): of slopes over v, where z = z^ + L v
     open: np.ndarray  # Z (n, k)
+    already: np.ndarray  # (rows, n): of what is measured in any case
 
     @classmethod
     def of(
@@ -136,6 +141,7 @@ class _Gain:
         nuisance: str | Iterable[str],
         given: Posterior | None,
         correlation: Correlation,
+        already: str,
     ) -> "_Gain":
         if isinstance(noise, Mapping):
             for name in (*noise, *candidates):
@@ -163,15 +169,24 @@ class _Gain:
                 raise ValueError(f"given: status {given.status}, there is no mode to start from")
             u, root = given.u, given.peaks[0].spectrum.root
         mixing = elements.mixing @ root
-        slopes = [np.sqrt(each.discount) * slopes_at(each, u) @ mixing for each in problems]
+        raw = zip(problems, _slopes(problems, u))
+        slopes = [np.sqrt(each.discount) / each.sd[:, None] * found @ mixing for each, found in raw]
         factors = [np.linalg.qr(item, mode="r") if len(item) > item.shape[1] else item for item in slopes]
         rows = max(len(item) for item in factors)
         stacked = np.stack([np.pad(item, ((0, rows - len(item)), (0, 0))) for item in factors])
-        return cls(stacked, np.linalg.svd(mixing[asked])[2][asked.size :].T)
+        own = np.array([name == already for name in candidates])
+        return cls(
+            stacked[~own], np.linalg.svd(mixing[asked])[2][asked.size :].T, stacked[own].reshape(-1, root.shape[1])
+        )
 
     def of_sets(self, sets: list[tuple[int, ...]]) -> np.ndarray:
         """Gain of each set, all of one size."""
         rows = self.factors[np.array(sets, int)].reshape(len(sets), -1, self.factors.shape[-1])
+        both = np.concatenate([rows, np.tile(self.already, (len(sets), 1, 1))], axis=1)
+        return self._about(both) - self._about(self.already)
+
+    def _about(self, rows: np.ndarray) -> np.ndarray:
+        """Nats about the elements of interest of rows (..., rows, n)."""
         return _nats(rows) - (_nats(rows @ self.open) if self.open.size else 0.0)
 
     def best(self, sets: Iterable[tuple[int, ...]]) -> tuple[tuple[int, ...], float]:
@@ -183,6 +198,18 @@ class _Gain:
                 if gains.max() > found[1] or not found[0]:
                     found = block[int(np.argmax(gains))], float(gains.max())
         return found
+
+
+def _slopes(problems: list[Problem], u: np.ndarray) -> list[np.ndarray]:
+    """Slopes over u (m, p) of the model of each problem; those that share a program are evaluated side by side."""
+    groups: dict[Hashable, dict[int, Problem]] = {}
+    for each in problems:
+        groups.setdefault(program_of(each.model), {})[id(each.model)] = each
+    found: dict[int, np.ndarray] = {}
+    for group in groups.values():
+        first, *_ = same = list(group.values())
+        found |= zip(group, slopes_at(first, u, [each.model for each in same]))
+    return [found[id(each.model)] for each in problems]
 
 
 def _nats(rows: np.ndarray) -> np.ndarray:

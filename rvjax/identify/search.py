@@ -2,14 +2,14 @@
 
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy import special
 
-from rvjax.identify.gauss_newton import NEAR
+from rvjax.batching import in_blocks
+from rvjax.identify.gauss_newton import NEAR, Linearised, Mode, half_square, modes
 from rvjax.identify.information import Spectrum
-from rvjax.identify.problem import Problem, densities, modes
+from rvjax.identify.problem import LANES, Problem, densities, parts_of
 from rvjax.status import SolveInfo, Status
 
 APART = 1.0
@@ -26,6 +26,12 @@ STEP_ASIDE = 0.1
 
 ROUNDS = 8
 """Most times that starts are followed, those next to saddles included."""
+
+CHECKED, DOUBT = 8, 3.0
+"""Points at which a part of a model is checked against all of it; errors there within which a point is in doubt."""
+
+LOWEST = 3
+"""Ends of a search with a part of the model that all of it goes on from, and others apart from these."""
 
 
 class Peak(NamedTuple):
@@ -57,28 +63,72 @@ def evidence_of(
 def search(
     problem: Problem, y: np.ndarray, rng: np.random.Generator, starts: int, max_steps: int, draws: int
 ) -> tuple[tuple[Peak, ...], SolveInfo]:
-    """Return the distinct modes, heaviest first, and how the solver ended at the first; none where it found none."""
+    """Return the distinct modes, heaviest first, and how the solver ended at the first; none where it found none.
+
+    Where a model has parts, starts are followed with the first part alone, and then from the modes of that with all.
+    """
     points = rng.standard_normal((starts, problem.elements.mixing.shape[1]))
     points[0] = 0.0
-    rows = jnp.asarray(np.tile(y, (starts, 1)))
+    peaks, info = _searched(problem, y, _begun(problem, y, points, max_steps), max_steps, draws)
+    if not peaks and len(parts_of(problem.model)[1]) > 1:
+        peaks, info = _searched(problem, y, points, max_steps, draws)
+    return peaks, info
+
+
+def follow(
+    problem: Problem, y: np.ndarray, starts: np.ndarray, max_steps: int, *, part: bool = False, together: int = LANES
+) -> Mode:
+    """Follow starts (k, n) of units with the data y (k, m).
+
+    Args:
+        problem: what is solved.
+        y: data.
+        starts: standard numbers z.
+        max_steps: most steps of each.
+        part: with the first part of the model alone.
+        together: units that are evaluated at once.
+    """
+
+    def linearise(live: np.ndarray, u: np.ndarray) -> Linearised:
+        return problem.linearise(y[live], u, part=part, together=together)
+
+    dof = None if np.isinf(problem.dof) else problem.dof
+    return modes(linearise, problem.layout.size, problem.elements.mixing, starts, dof, max_steps)
+
+
+def _begun(problem: Problem, y: np.ndarray, points: np.ndarray, max_steps: int) -> np.ndarray:
+    """The points, or of the ends to which a part of the model leads from them the lowest and those that are apart."""
+    if len(parts_of(problem.model)[1]) == 1:
+        return points
+    found = follow(problem, np.tile(y, (len(points), 1)), points, max_steps, part=True)
+    ended: list[Peak] = []
+    for lane in np.argsort(found.phi):
+        if ended_near(found.info)[lane]:
+            peak = peak_of(problem, y, *(item[lane] for item in found[:5]))
+            if len(ended) < LOWEST or not any(_near(peak, other, APART) for other in ended):
+                ended.append(peak)
+    return np.stack([peak.z for peak in ended]) if ended else points
+
+
+def _searched(
+    problem: Problem, y: np.ndarray, points: np.ndarray, max_steps: int, draws: int
+) -> tuple[tuple[Peak, ...], SolveInfo]:
     pending = list(points)
     ended: list[Any] = []
     peaks: list[Peak] = []
     saddles: list[Peak] = []
     while pending and len(ended) < ROUNDS:
-        block, pending = pending[:starts], pending[starts:]
-        at = jnp.asarray(np.stack(block + block[-1:] * (starts - len(block))))
-        found = modes(problem.model, problem.device, rows, at, jnp.int32(max_steps))
-        found = jax.tree.map(np.array, found)
+        block, pending = pending[: len(points)], pending[len(points) :]
+        found = follow(problem, np.tile(y, (len(block), 1)), np.stack(block), max_steps)
         ended.append(found)
         for lane in np.argsort(found.phi):
             if not ended_near(found.info)[lane]:
                 continue
-            peak = _peak(problem, y, *(item[lane] for item in found[:5]))
+            peak = peak_of(problem, y, *(item[lane] for item in found[:5]))
             if any(_near(peak, other, APART) for other in peaks) or any(_near(peak, s, SAME) for s in saddles):
                 continue
-            bent = found.info.status[lane] != Status.CONVERGED
-            beside = lower_points(problem, y, peak.z, peak.phi, peak.spectrum.root, draws, bent)
+            bent = bool(found.info.status[lane] != Status.CONVERGED)
+            beside = lower_points(problem, y, peak, draws, bent)
             (saddles if beside else peaks).append(peak)
             pending += beside
             if not beside:  # at a kink too
@@ -104,7 +154,7 @@ def _final_info(ended: list[Any], found: bool) -> SolveInfo:
     return SolveInfo(jnp.int32(named), steps[lane], residual[lane])
 
 
-def _peak(
+def peak_of(
     problem: Problem,
     y: np.ndarray,
     z: np.ndarray,
@@ -113,6 +163,7 @@ def _peak(
     observation: np.ndarray,
     phi: np.ndarray,
 ) -> Peak:
+    """Return the maximum of which the steps found z, residuals, slopes over u, observation and Phi."""
     spectrum = Spectrum.of(np.sqrt(problem.discount) * slopes @ problem.elements.mixing)
     evidence = evidence_of(problem, z, residual, spectrum.nats, ~np.isnan(y))
     return Peak(z, residual, slopes, observation, float(phi), spectrum, float(evidence))
@@ -125,33 +176,66 @@ def _near(one: Peak, other: Peak, distance: float) -> bool:
     return bool(min(squares) < distance**2)
 
 
-def lower_points(
-    problem: Problem, y: np.ndarray, z: np.ndarray, phi: float, root: np.ndarray, draws: int, bent: bool
-) -> list[np.ndarray]:
+def lower_points(problem: Problem, y: np.ndarray, peak: Peak, draws: int, bent: bool) -> list[np.ndarray]:
     """Return two points next to a saddle or a kink, where Phi is lower to the side; none for a minimum.
 
     Args:
         problem: what is solved.
         y: data of one unit (m,).
-        z: the point (n,).
-        phi: its Phi.
-        root: of its posterior covariance (n, n), the least known combination last.
+        peak: the point.
         draws: points of a call.
         bent: the steps ended among bends of Phi, as far from a mode as `NEAR`.
     """
-    step = STEP_ASIDE * root[:, ::-1][:, : draws // 2]
-    points = np.concatenate([z + step.T, z - step.T])
-    found = phi_at(problem, y, np.concatenate([points, np.tile(z, (draws - len(points), 1))]))[: len(points)]
+    step = STEP_ASIDE * peak.spectrum.root[:, ::-1][:, : draws // 2]
+    points = np.concatenate([peak.z + step.T, peak.z - step.T])
     # At a minimum Phi rises by step^2/2; rounding of Phi is far below that.
     least = NEAR**2 / 2 if bent else 1e-3 * STEP_ASIDE**2 / 2
-    lower = found < phi - least - 1e-12 * abs(phi)
-    if not lower.any():
+    limit = peak.phi - least - 1e-12 * abs(peak.phi)
+    found, error = phi_about(problem, y, points, peak, draws)
+    if (open_ := found < limit + DOUBT * error).any() and error:
+        found[open_] = phi_at(problem, y, points[open_], draws)
+    if not (found < limit).any():
         return []
     half = len(step.T)
     k = int(np.argmin(found)) % half
     return [points[k], points[k + half]]
 
 
-def phi_at(problem: Problem, y: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Phi (k,) of points z (k, n), inf where the model is not finite."""
-    return np.asarray(densities(problem.model, problem.device, jnp.asarray(y), jnp.asarray(points)), float)
+def phi_about(problem: Problem, y: np.ndarray, points: np.ndarray, peak: Peak, draws: int) -> tuple[np.ndarray, float]:
+    """Phi (k,) of points z (k, n) near a mode, and its largest error at some of them.
+
+    Of a model with parts only the first is evaluated; what the others add is taken as linear about the mode.
+    """
+    if len(parts_of(problem.model)[1]) == 1:
+        return phi_at(problem, y, points, draws), 0.0
+    mixing = problem.elements.mixing
+    here, slopes = problem.evaluate((mixing @ peak.z)[None], part=True)
+    rest = peak.observation - here[0]
+    slope = problem.sd[:, None] * peak.slopes - np.where(np.isnan(y)[:, None], 0.0, slopes[0])
+    apart = (points - peak.z) @ mixing.T @ slope.T
+    found = _phi(problem, y, points, problem.evaluate(points @ mixing.T, part=True)[0] + rest + apart)
+    some = np.linspace(0, len(points) - 1, CHECKED).astype(int)
+    with np.errstate(invalid="ignore"):
+        error = float(np.abs(found[some] - phi_at(problem, y, points[some], draws)).max())
+    return found, error if np.isfinite(error) else np.inf
+
+
+def phi_at(problem: Problem, y: np.ndarray, points: np.ndarray, draws: int) -> np.ndarray:
+    """Phi (k,) of points z (k, n), inf where the model is not finite.
+
+    Args:
+        problem: what is solved.
+        y: data of one unit (m,).
+        points: z.
+        draws: points of a call.
+    """
+    if hasattr(problem.model, "split"):
+        return _phi(problem, y, points, problem.evaluate(points @ problem.elements.mixing.T)[0])
+    call = lambda part: densities(problem.model, problem.device, jnp.asarray(y), jnp.asarray(part))  # noqa: E731
+    return np.asarray(in_blocks(call, draws, points), float)
+
+
+def _phi(problem: Problem, y: np.ndarray, points: np.ndarray, observation: np.ndarray) -> np.ndarray:
+    dof = None if np.isinf(problem.dof) else problem.dof
+    found = (points**2).sum(axis=-1) / 2 + half_square(problem.whitened(observation, y)[0], dof)
+    return np.where(np.isfinite(found), found, np.inf)

@@ -11,15 +11,12 @@ import dataclasses
 from collections.abc import Iterable
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from rvjax.identify.elements import Elements
-from rvjax.identify.gauss_newton import LONGEST, ROUNDINGS, TOLERANCE, half_square, mixed, roots_of_weights
+from rvjax.identify.gauss_newton import LONGEST, ROUNDINGS, TOLERANCE, half_square, roots_of_weights
 from rvjax.identify.information import compress_rows
-from rvjax.identify.problem import Given, Model, Problem, linearised
-from rvjax.response import per_response
+from rvjax.identify.problem import Problem
 from rvjax.status import Status
 
 HOPELESS = 12
@@ -65,22 +62,6 @@ class Split:
             names = (elements.names[places[touched[places, column]][0]] for places in (common, own))
             raise ValueError("correlation: shared {} and own {} are correlated, unit -".format(*names))
         return cls(own, common, np.flatnonzero(~of_common), np.flatnonzero(of_common))
-
-
-@per_response()
-def factor_rows(model: Model, given: Given, y: jax.Array, z: jax.Array, order: jax.Array) -> tuple[jax.Array, ...]:
-    """Of units y (k, m) at z (k, n): triangular factors (k, n + 1, n + 1) of the weighted rows [J, -r] with the columns
-    in this order, what the data add to Phi (k,), residuals, slopes over u, and the size of the numbers behind them."""
-
-    def one(y: jax.Array, z: jax.Array) -> tuple[jax.Array, ...]:
-        residual, slopes, (_, size) = linearised(model, given, y, mixed(given.mixing, z))
-        root = roots_of_weights(residual, given.dof)
-        rows = root[:, None] * jnp.concatenate([mixed(slopes, given.mixing)[:, order], -residual[:, None]], axis=1)
-        short = max(rows.shape[1] - rows.shape[0], 0)
-        factor = jnp.linalg.qr(jnp.pad(rows, ((0, short), (0, 0))), mode="r")
-        return factor, half_square(residual, given.dof), residual, slopes, size
-
-    return jax.vmap(one)(y, z)
 
 
 def linear_rows(problem: Problem, slopes: np.ndarray, u: np.ndarray, residual: np.ndarray) -> np.ndarray:
@@ -144,16 +125,24 @@ class Joint:
         self.u_sd, self.shared_u, self.shared_sd = np.zeros((len(y), len(self.mixing))), self.w, self.w
 
     def evaluate(self, part: slice, z: np.ndarray, w: np.ndarray) -> list[np.ndarray]:
-        """Evaluate `factor_rows` for a chunk."""
-        together = self.rows[0].stop
-        numbers = np.zeros((together, self.mixing.shape[1]))
-        own = z[part]
-        numbers[: len(own), self.split.own_columns] = own
+        """Evaluate the units of a chunk.
+
+        Returns:
+            Triangular factors (k, n + 1, n + 1) of the weighted rows [J, -r] with the columns in this order, what the
+            data add to Phi (k,), residuals, slopes over u, and the size of the numbers behind them.
+        """
+        own, dof = z[part], None if np.isinf(self.problem.dof) else self.problem.dof
+        numbers = np.empty((len(own), self.mixing.shape[1]))
+        numbers[:, self.split.own_columns] = own
         numbers[:, self.split.shared_columns] = w
-        y = np.concatenate([self.y[part], np.repeat(self.y[:1], together - len(own), axis=0)])
-        arrays = map(jnp.asarray, (y, numbers, self.order))
-        found = factor_rows(self.problem.model, self.problem.device, *arrays)
-        return [np.asarray(item)[: len(own)] for item in found]
+        together = self.rows[0].stop
+        residual, slopes, _, size = self.problem.linearise(self.y[part], numbers @ self.mixing.T, together=together)
+        rows = np.concatenate([slopes @ self.mixing[:, self.order], -residual[..., None]], axis=-1)
+        rows = roots_of_weights(residual, dof)[..., None] * rows
+        fine = np.isfinite(rows).all(axis=(1, 2), keepdims=True)
+        padded = np.pad(np.where(fine, rows, 0.0), ((0, 0), (0, max(rows.shape[2] - rows.shape[1], 0)), (0, 0)))
+        factors = np.where(fine, triangular(padded), np.nan)
+        return [factors, half_square(residual, dof), residual, slopes, size]
 
     def all(self, z: np.ndarray, w: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Factors of all units, what their data add to Phi, and the size of the numbers."""

@@ -4,37 +4,26 @@ c_F = integral_0^1 (df/de_F)(t e) e_F dt, so that the contributions sum to f(e) 
 the share of F is <c_F, sum c>/<sum c, sum c>, weighed by 1/sd^2.
 """
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
-from rvjax.identify.observation import flatten
-from rvjax.identify.problem import Model, Problem, slopes
-from rvjax.population import Population
-from rvjax.response import per_response
+from rvjax.identify.problem import Problem
 
 NODES = 8
 
 
-@per_response(static=("size",))
-def contributions(model: Model, population: Population, values: dict[str, jax.Array], *, size: int) -> jax.Array:
-    """Contribution of each field (m, fields) to the observation of `values`."""
-
-    def along(parts: jax.Array) -> tuple[jax.Array, None]:
-        scaled = {name: parts[k] * value for k, (name, value) in enumerate(values.items())}
-        return flatten(model(population.fill(scaled))), None
-
+def contributions(problem: Problem, values: np.ndarray) -> np.ndarray:
+    """Contribution of each field (m, fields) to the observation of element values (p,)."""
     points, weights = np.polynomial.legendre.leggauss(NODES)
-    every = jnp.asarray(np.tile((points[:, None] + 1) / 2, len(values)))
-    found = jax.lax.map(lambda parts: slopes(along, parts, size)[1], every)
-    return jnp.tensordot(jnp.asarray(weights / 2), found, axes=1)
+    slopes = problem.evaluate((points[:, None] + 1) / 2 * values, plain=True)[1]
+    each = np.tensordot(weights / 2, slopes, axes=1) * values
+    fields = np.array(problem.elements.fields)
+    return np.stack([each[:, fields == name].sum(axis=1) for name in problem.elements.population.active], axis=1)
 
 
 def shares(problem: Problem, values: np.ndarray) -> dict[str, dict[str, float]]:
     """{group: {field: share}} of element values (p,); NaN where nothing is explained or the model fails on the way."""
-    population = problem.elements.population
-    fields = population.by_field(jnp.asarray(values))
-    found = np.asarray(contributions(problem.model, population, fields, size=problem.layout.size))
+    fields = problem.elements.population.active
+    found = contributions(problem, values)
     whitened = found / problem.sd[:, None]
     made = {}
     for group, places in problem.layout.groups.items():

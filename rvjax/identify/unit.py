@@ -17,11 +17,14 @@ from rvjax.identify.limits import broken, limits_of
 from rvjax.identify.noise import Noise
 from rvjax.identify.posterior import Mode, Outcome, Posterior, outcome
 from rvjax.identify.problem import Model, Problem, counted, integer
-from rvjax.identify.search import FAINT, Peak, phi_at, search
+from rvjax.identify.search import FAINT, Peak, phi_about, phi_at, search
 from rvjax.identify.shares import shares
 from rvjax.population import Correlation, deviate_of
 from rvjax.records import PyTree
 from rvjax.status import SolveInfo, Status
+
+AGREED = 0.2
+"""Largest error of the logarithm of a weight, over the spread of all, that leaves the tail of the weights as it is."""
 
 
 @checked
@@ -71,7 +74,7 @@ def solve(
     peaks, info = search(problem, y, rng, starts, max_steps, draws)
     if not peaks:
         return _lost(problem, y, info)
-    return _found(problem, y, peaks, info, rng, draws=draws, deviate=deviate, drawing=drawing, padding=starts)
+    return _found(problem, y, peaks, info, rng, draws=draws, deviate=deviate, drawing=drawing)
 
 
 def _found(
@@ -84,7 +87,6 @@ def _found(
     draws: int,
     deviate: float,
     drawing: np.ndarray,
-    padding: int,
 ) -> Posterior:
     elements, layout, mixing, peak = problem.elements, problem.layout, problem.elements.mixing, peaks[0]
     about = findings(elements.names, mixing, peak.spectrum)
@@ -92,10 +94,13 @@ def _found(
     weights = special.softmax([item.evidence for item in peaks])
     heavy = int((weights > FAINT).sum())
     picked = rng.standard_normal((draws, mixing.shape[1]))
-    log_weights = (picked**2).sum(axis=1) / 2 - phi_at(problem, y, peak.z + picked @ peak.spectrum.root.T)
+    drawn = peak.z + picked @ peak.spectrum.root.T
+    phi, error = phi_about(problem, y, drawn, peak, draws)
+    log_weights = (picked**2).sum(axis=1) / 2 - phi
+    if error > AGREED * log_weights.std():
+        log_weights += phi - phi_at(problem, y, drawn, draws)
     laplace = checks.reliability(log_weights, heavy)
     rows = [u, u - deviate * about.u_sd, u + deviate * about.u_sd, *(mixing @ item.z for item in peaks)]
-    rows += [u] * (-len(peaks) % padding)  # one program however many modes there are
     values = mapped_values(elements, np.stack(rows))
     fit = _goodness(problem, y, peak.residual, peak.slopes, u)
     adequate = bool(fit.p_model >= ADEQUATE)

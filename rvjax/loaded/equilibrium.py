@@ -87,6 +87,26 @@ def _equilibrium(
     return outcome(layout, read, case, found, info)
 
 
+def error_alone(
+    layout: Layout, design: RVReducer, errors: RVErrors, input_angle: Scalar, output_torque: Scalar
+) -> jax.Array:
+    """Error of an equilibrium and nothing else, NaN where it failed: half of the tracing of all.
+
+    Args:
+        layout: counts and methods.
+        design: as in `equilibrium`.
+        errors: likewise.
+        input_angle: likewise.
+        output_torque: likewise.
+    """
+    read = admit(layout, design, errors, output_torque, input_angle)
+    case = prepare(layout, read, read.angle).loaded(read.torque)
+    found, info = solve(layout, read, case, jnp.full((layout.unknowns,), jnp.nan, read.torque.dtype))
+    status = info.status
+    error = placed(layout, case, found, status)[layout.carried] / read.design.cranks.circle_radius
+    return jnp.where(succeeded(status), error, jnp.nan)
+
+
 class Case(NamedTuple):
     """One system, and what its results are derived with."""
 

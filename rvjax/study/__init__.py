@@ -9,11 +9,11 @@ from rvjax.study.nuisances import NUISANCES, part_orders as part_orders
 from rvjax.study.origin import facts_of
 from rvjax.study.plausible import RATED, TORQUE
 from rvjax.study.problem import (
+    Candidate,
     Problem,
-    Wide,
+    candidates,
     identification_of,
     problem as inverse_problem,
-    wide as with_candidates,
 )
 from rvjax.study.read import EMBEDDED, embedded_names, load, parse_study
 from rvjax.study.response import CURVE as CURVE, Response as Response, refuse as refuse
@@ -43,7 +43,7 @@ __all__ = [
     "Study",
     "StudyError",
     "TORQUE",
-    "Wide",
+    "Candidate",
     "choice",
     "embedded_names",
     "facts_of",
@@ -63,5 +63,5 @@ __all__ = [
     "shown",
     "study_template",
     "subtable",
-    "with_candidates",
+    "candidates",
 ]

@@ -101,6 +101,8 @@ class Curves(Record):
         "rad/s", "of the input, for the nuisance viscous_drag", shape=("torques",), default=None
     )
     least: Array | float = field("N m", "torque at which a run without load or drag is computed", default=0.0)
+    part: Array | int | None = field("-", "number of the part of the angles; None: all", kind="integer", default=None)
+    parts: int = text("of the angles", default=1)
 
     @property
     def compiler_options(self) -> Options:
@@ -111,7 +113,8 @@ class Curves(Record):
         """Predict the measurement of one unit."""
         unit, errors = _taken(self.design, values)
         torques = None if self.idle else self._transmitted(values)
-        mean, found = self.observation.predict(unit, errors, self.conditions, torques, self.orders, self.alike)
+        part = {} if self.part is None else {"part": (self.part, self.parts)}
+        mean, found = self.observation.predict(unit, errors, self.conditions, torques, self.orders, self.alike, **part)
         place = np.array(self.place)
         seen: Seen = {}
         for k, order in enumerate(self.orders):
@@ -129,6 +132,16 @@ class Curves(Record):
         if "offset" in self.nuisances:
             seen["mean"] = mean[place] + values["offset"]
         return seen
+
+    def split(self) -> tuple["Curves", list[dict[str, PyTree]]]:
+        """The curves over a part of the angles, and the fields of each part: see `rvjax.identify.problem.Split`."""
+        given = {name: getattr(self, name) for name in ("torques", "reading", "speeds", "least")}
+        fields = {name: value for name, value in given.items() if value is not None}
+        divide = self.observation.parts
+        count = divide(self.design, self.conditions, self.orders, self.alike) if divide else 1
+        if count == 1:
+            return self, [fields]
+        return self.replace(part=0, parts=count), [fields | {"part": number} for number in range(count)]
 
     def shapes(self, dtype: np.dtype) -> Seen:
         """Shapes and types of a measurement, without tracing a model.

@@ -11,6 +11,7 @@ from rvjax.designs import RVReducer
 from rvjax.outputs import Observation
 from rvjax.records import PyTree
 from rvjax.study.bench import (
+    Curves,
     Midline,
     Model,
     Seen,
@@ -31,6 +32,7 @@ from rvjax.tolerances import Tolerance
 BESIDE = 20  # orders that no model names, for the floor
 MEDIAN = np.sqrt(2 * np.log(2))  # of the Rayleigh-distributed amplitude of noise, sd 1 in real and imaginary part
 UNMEASURED = 1e6  # rad: noise of a run without weight
+PER_TORQUE = ("torques", "reading", "speeds")  # fields of curves
 LEVELS = (0.1, 0.5, 1.0, 2.0)  # torques of candidates, of the largest one of the data, where the study names none
 
 
@@ -74,7 +76,7 @@ class Problem:
         return {key: np.stack([data[key] for data in self.data]) for key in self.data[0]}
 
 
-def _model(study: Study, given: Identification, runs: Sequence[Conditions]) -> Model:
+def _model(study: Study, given: Identification, runs: Sequence[Conditions]) -> Curves:
     active = tuple(given.prior(study.tolerances))
     return curve_model(given.model, study.design, study.conditions, runs, given.orders, given.nuisance, active)
 
@@ -226,60 +228,45 @@ def planned(study: Study) -> tuple[Conditions, ...]:
     return tuple(Conditions(torque=t, direction=d) for t in given.torques for d in given.directions)
 
 
-def candidates(problem: Problem) -> list[Conditions]:
-    """Runs that could be measured next."""
-    given = problem.identification
-    if problem.kind != "curve":
-        return []
-    largest = np.max(np.abs(signed_torques(problem.runs, problem.study.conditions)), initial=0.0)
-    largest = largest or rated_torque(problem.study.conditions)
-    torques = given.torques or tuple(float(f"{share * largest:.3g}") for share in LEVELS)
-    return list(dict.fromkeys(Conditions(torque=t, direction=d) for t in torques for d in given.directions))
-
-
 @dataclass(frozen=True)
-class Wide:
-    """The runs of a problem and those that could come next, as one model, compiled once.
+class Candidate:
+    """A run that could be measured next.
 
     Attributes:
-        model: of all runs.
-        noise: when only those of the problem are measured.
-        again: {candidate: noise when it alone is measured}.
-        added: {candidate: noise when it is measured in addition to those of the problem}.
+        model: of the runs of the problem under other torques, one of them that of the candidate.
+        noise: when the candidate alone is measured.
     """
 
     model: Model
     noise: identify.Noise
-    again: dict[str, identify.Noise]
-    added: dict[str, identify.Noise]
 
 
-def wide(problem: Problem) -> Wide:
-    """The problem with its candidates."""
-    if problem.kind != "curve":
-        return Wide(problem.model, problem.noise, {}, {})
-    chosen = candidates(problem)
-    count = len(problem.runs)
-    given = problem.noise.sd
-    groups = [order_name(k) for k in problem.identification.orders]
+def candidates(problem: Problem) -> dict[str, Candidate]:
+    """Runs that could be measured next, by their text; several of them share a model, and all of them its program."""
+    given, model = problem.identification, problem.model
+    if not isinstance(model, Curves):
+        return {}
+    largest = np.max(np.abs(signed_torques(problem.runs, problem.study.conditions)), initial=0.0)
+    largest = largest or rated_torque(problem.study.conditions)
+    torques = given.torques or tuple(float(f"{share * largest:.3g}") for share in LEVELS)
+    chosen = list(dict.fromkeys(Conditions(torque=t, direction=d) for t in torques for d in given.directions))
+    wide = _model(problem.study, given, [*problem.runs, *chosen])
+    groups = [order_name(k) for k in given.orders]
     groups += [key for key, name in ((order_name(1), "mounting"), ("mean", "offset")) if name in problem.nuisance]
-    own = {key: np.broadcast_to(given[key] if isinstance(given, dict) else given, count) for key in groups}
-    never = np.full(len(chosen), UNMEASURED)
-
-    def made(first: float, k: int | None) -> identify.Noise:
-        """Noise where the runs of the problem have `first` times their own and candidate k is measured."""
-        then = never.copy()
-        if k is not None:
-            then[k] = problem.sd
-        return identify.Noise({key: np.append(first * sd, then) for key, sd in own.items()})
-
-    names = [run.text() for run in chosen]
-    return Wide(
-        _model(problem.study, problem.identification, [*problem.runs, *chosen]),
-        made(1.0, None),
-        {name: made(UNMEASURED / problem.sd, k) for k, name in enumerate(names)},
-        {name: made(1.0, k) for k, name in enumerate(names)},
-    )
+    places = wide.place[len(problem.runs) :]
+    distinct, size, runs = list(dict.fromkeys(places)), len(model.torques), len(problem.runs)
+    found = {}
+    for first in range(0, len(distinct), size):
+        several = distinct[first : first + size]
+        index = np.array(several + several[-1:] * (size - len(several)))
+        own = {name: value[index] for name in PER_TORQUE if (value := getattr(wide, name)) is not None}
+        part = model.replace(**own, idle=wide.idle, least=wide.least)
+        for run, place in zip(chosen, places):
+            if place in several:
+                sd = np.full(runs, UNMEASURED)
+                sd[model.place.index(several.index(place))] = problem.sd
+                found[run.text()] = Candidate(part, identify.Noise(dict.fromkeys(groups, sd)))
+    return {run.text(): found[run.text()] for run in chosen}
 
 
 def _loops(study: Study, given: Identification, measured: Measured | None) -> Problem:

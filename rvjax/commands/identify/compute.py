@@ -9,7 +9,7 @@ from rvjax import identify, progress
 from rvjax.commands.identify.inputs import Inputs
 from rvjax.commands.speak import READING, WRITING
 from rvjax.records import PyTree
-from rvjax.study import Measured, Problem, Run, Study, Wide, inverse_problem, order_name, with_candidates
+from rvjax.study import Measured, Problem, Run, Study, candidates, inverse_problem, order_name
 
 REJECTED = ("REJECTED", "MAX_STEPS", "NONFINITE")
 """Statuses without a result."""
@@ -18,6 +18,7 @@ PITCHES = 3  # of the ring over which a curve is plotted
 WITHOUT = 1e-4
 """Resolution below which the data say nothing of an element."""
 
+BEFORE = "the runs of the study"
 SEEING, FITTING, RANKING = "identifiability", "most probable values", "what to measure next"
 
 
@@ -112,8 +113,7 @@ def check(study: Study, measured: Measured | None = None) -> Identified:
     """
     progress.begin(SEEING)
     case = inverse_problem(study, measured)
-    everything = with_candidates(case)
-    return Identified(case, _seen(case, everything), gains=_gains(case, everything, None))
+    return Identified(case, _seen(case), gains=_gains(case, None))
 
 
 def answer(study: Study, measured: Measured, *, draws: bool = False) -> Identified:
@@ -129,8 +129,7 @@ def answer(study: Study, measured: Measured, *, draws: bool = False) -> Identifi
     """
     progress.begin(SEEING)
     case = inverse_problem(study, measured)
-    everything = with_candidates(case)
-    seen = _seen(case, everything)
+    seen = _seen(case)
     progress.begin(FITTING)
     options: dict[str, PyTree] = dict(noise=case.noise, nuisance=case.nuisance, seed=study.seed)
     if len(case.units) > 1 or case.identification.shared:
@@ -139,7 +138,7 @@ def answer(study: Study, measured: Measured, *, draws: bool = False) -> Identifi
         batch = identify.solve_many(
             case.model, case.prior, case.stacked(), shared=case.identification.shared, **options
         )
-        return Identified(case, seen, batch=batch, gains=_gains(case, everything, None))
+        return Identified(case, seen, batch=batch, gains=_gains(case, None))
     starts = 16 if "phase" in case.nuisance else 8
     found = identify.solve(case.model, case.prior, case.data[0], starts=starts, **options)
     return Identified(
@@ -147,27 +146,28 @@ def answer(study: Study, measured: Measured, *, draws: bool = False) -> Identifi
         seen,
         posterior=found,
         draws=identify.sample(found, seed=study.seed) if draws else None,
-        gains=_gains(case, everything, found),
+        gains=_gains(case, found),
         bands=_bands(case, found) if case.kind == "curve" and found.status not in ("NONFINITE", "MAX_STEPS") else (),
     )
 
 
-def _seen(case: Problem, everything: Wide) -> identify.Identifiability:
-    return identify.identifiability(
-        everything.model, case.prior, noise=everything.noise, nuisance=case.nuisance
-    )  # fmt: skip
+def _seen(case: Problem) -> identify.Identifiability:
+    return identify.identifiability(case.model, case.prior, noise=case.noise, nuisance=case.nuisance)
 
 
-def _gains(case: Problem, everything: Wide, given: identify.Posterior | None) -> dict[str, float]:
+def _gains(case: Problem, given: identify.Posterior | None) -> dict[str, float]:
     """Gain of each candidate, best first: over the posterior, or over the runs of the study."""
     progress.begin(RANKING)
-    if not everything.added or (given is not None and not given.modes):
+    coming = candidates(case)
+    if not coming or (given is not None and not given.modes):
         return {}
-    noise = everything.again if given is not None else everything.added | {"": everything.noise}
-    models = dict.fromkeys(noise, everything.model)
-    found = identify.rank_measurements(case.prior, models, noise=noise, nuisance=case.nuisance, given=given).gains
-    gains = {name: float(found[name] - found.get("", 0.0)) for name in everything.added}
-    return {name: gains[name] for name in sorted(gains, key=lambda name: -gains[name])}
+    models, noise = ({name: getattr(one, key) for name, one in coming.items()} for key in ("model", "noise"))
+    if given is None:
+        models, noise = models | {BEFORE: case.model}, noise | {BEFORE: case.noise}
+    found = identify.rank_measurements(
+        case.prior, models, noise=noise, nuisance=case.nuisance, given=given, already="" if given else BEFORE
+    ).gains
+    return {name: found[name] for name in sorted(coming, key=lambda name: -found[name])}
 
 
 def _bands(case: Problem, found: identify.Posterior) -> tuple[Band, ...]:

@@ -4,15 +4,14 @@ from collections.abc import Iterator
 from functools import partial
 from typing import TYPE_CHECKING
 
-import jax.numpy as jnp
 import numpy as np
 
 import rvjax
 from rvjax.commands.identify.compute import Band, Identified
 from rvjax.commands.identify.words import elements, field_of
+from rvjax.identify import mapped_values
 from rvjax.render import Figure
 from rvjax.study import Loop
-from rvjax.tolerances import Tolerance
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -64,7 +63,9 @@ def _elements(found: Identified) -> "Axes":
     posterior, inputs = found.posterior, found.problem
     assert posterior is not None
     prior = {name: tolerance for name, tolerance in inputs.prior.items() if name not in inputs.nuisance}
-    ends = [_at(prior, side) for side in SIDES]
+    held = posterior.problem.elements
+    reached = held.structure(mapped_values(held, np.outer(SIDES, np.ones(held.count))))
+    ends = [elements({f: reached[f][k] for f in prior}) for k in range(len(SIDES))]
     sides = (posterior.value, posterior.lower, posterior.upper)
     value, lower, upper = (elements({f: side[f] for f in prior}) for side in sides)
     limits = {f: (float(t.lower), float(t.upper)) for f, t in prior.items()}
@@ -76,8 +77,3 @@ def _elements(found: Identified) -> "Axes":
         limits={name: limits[field_of(name)] for name in names},
         verdict=found.check.verdict,
     )
-
-
-def _at(prior: dict[str, Tolerance], side: float) -> dict[str, float]:
-    """{element: value} of every element at a quantile of its distribution."""
-    return elements({f: t.deviate(jnp.full(t.shape, side)) for f, t in prior.items()})
