@@ -39,11 +39,13 @@ def first_failures(
     right.barh(rows + 0.2, force[:, 1] / 1e3, height=0.4, color=BEFORE, hatch="//", edgecolor="white",
                label="root mean square over the units")  # fmt: skip
     right.set_yticks(rows, orders)
-    right.set(xlabel="amplitude (kN)", title=f"Force on {weakest}")
-    right.legend(loc="lower right", fontsize=8)
+    right.set(xlabel="amplitude (kN)", title=f"Force on {weakest}, by order")
+    right.legend(loc="upper center", bbox_to_anchor=(0.4, -0.16), fontsize=8)
+    left.margins(x=0.12)
     for axes in (left, right):
         axes.invert_yaxis()
         axes.grid(axis="y", visible=False)
+    figure.subplots_adjust(wspace=0.8)  # names of the orders
     return figure
 
 
