@@ -28,7 +28,8 @@ def first_failures(
         weakest: name of the arm bearing.
     """
     share, force = np.asarray(share), np.asarray(force)
-    figure, (left, right) = plt.subplots(1, 2, figsize=(9.6, 0.36 * max(len(bearings), len(orders)) + 1.6))
+    size = (9.6, 0.36 * max(len(bearings), len(orders)) + 1.6)
+    figure, (left, right) = plt.subplots(1, 2, figsize=size, layout="constrained", gridspec_kw={"wspace": 0.1})
     left.barh(range(len(share)), 100 * share, color=AFTER)
     for row, value in enumerate(share):
         left.text(100 * value, row, f" {100 * value:.0f}", va="center", fontsize=9)
@@ -45,7 +46,6 @@ def first_failures(
     for axes in (left, right):
         axes.invert_yaxis()
         axes.grid(axis="y", visible=False)
-    figure.subplots_adjust(wspace=0.8)  # names of the orders
     return figure
 
 
