@@ -1,6 +1,6 @@
 """Bearing life of RV-40E units: the damage integral of 8 bearings, a rating next to a revolution, a batch of a study.
 
-The damage of 48 forces by size (`basic`) and by point of both rings (`raceway`, 48 each) runs in the library, in C (gcc
+The damage of 48 forces by size (`basic`) and by point of both rings (`raceway`, 32 each) runs in the library, in C (gcc
 -O3 -march=native -ffast-math, one thread) and in SciPy (a quadrature over the ring for each bearing); all are compared
 before anything is timed. `taskset -c 0` for the ratio on one core. The rating is compared with a crank turn of as many
 angles, in which every equilibrium starts from those before.
@@ -30,7 +30,7 @@ from rvjax.records import promote  # noqa: E402
 from rvjax.response.response import BLOCK  # noqa: E402
 from rvjax.tolerances import monte_carlo  # noqa: E402
 
-HISTORIES, SAMPLES, POINTS, LOOP, UNITS = 512 * 8, 48, 48, 4, 256  # bearings; forces; of a ring; SciPy; rating
+HISTORIES, SAMPLES, POINTS, LOOP, UNITS = 512 * 8, 48, 32, 4, 256  # bearings; forces; of a ring; SciPy; rating
 BATCH = 4096  # units of a study
 BEARING = RollerBearing(14, 6e-3, 11e-3, 32e-3)
 DESIGN = MACHINE.replace(bearings=catalogue.RV_40E.bearings)

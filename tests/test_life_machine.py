@@ -202,6 +202,29 @@ def test_what_cannot_be_is_one_line(call, told):
     assert "\n" not in str(raised.value)
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ('time = "1 h"', 'time = "-1 h"', r"duty\[0\].time = -3600 s: must not be negative"),
+        ('time = "1 h"', 'time = "0 h"', "duty.time = 0 s in all phases: must have a positive sum"),
+        ('time = "1 h"', "", r"duty\[0\].time is missing: every phase has one, in s"),
+        ('time = "1 h"', 'time = ["1 h", "2 h"]', r"duty\[0\].time = \['1 h', '2 h'\]: needs one number"),
+        ("[conditions]", '[design.bearings.arm]\ncapacity = "31 N"\n[conditions]', "arm.capacity = 31 N: must be"),
+        ("[conditions]", "[design.bearings.arm]\nrollers = 30\n[conditions]", "roller_diameter = 0.006 m: .* overlap"),
+        (
+            "[conditions]", '[design.bearings]\ndisc_position = ["1 mm", "2 mm", "3 mm"]\n[conditions]',
+            r"design.bearings.disc_position: shape \(3,\) does not fit",
+        ),
+    ],
+)  # fmt: skip
+def test_a_study_that_cannot_have_a_life_is_one_line(old, new, told):
+    text = study.load("rv-40e-whole", solve=False).text
+    assert old in text
+    with pytest.raises(study.StudyError, match=told) as raised:
+        study.parse_study(text.replace(old, new, 1), name="x", solve=False)
+    assert "\n" not in str(raised.value)
+
+
 @pytest.mark.long
 def test_the_example_of_the_page():
     """RV-40E with the bearings of the catalogue: docs/models/life.md prints these numbers."""

@@ -17,7 +17,7 @@ from rvjax.life.ratings import Ratings
 METHODS = ("basic", "raceway", "slices")
 LIFE, WEIBULL = 10 / 3, 9 / 8  # exponent of life (Eq. 6); slope of a system (Eqs. 8, 15, 24)
 
-_RING = 48  # points of a ring; Eq. 8 to 1e-8
+_RING = 32  # points of a ring; Eq. 8 to 1e-7; halves of them fill the vectors of a processor
 
 
 def mean_cosine(m: float) -> float:

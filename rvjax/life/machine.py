@@ -4,7 +4,7 @@ Loads of the two support bearings of a crank: statics of a beam, and thrust of t
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import jax
@@ -114,9 +114,7 @@ def check_plan(
     for name, bearing in (("arm", bearings.arm), ("support", bearings.support)):
         if bearing is not None:
             check_ratings(bearing, f"Bearings.{name}")
-    for name in ("disc_position", "planet_position", "support_span", "preload"):
-        if (value := getattr(bearings, name)) is not None:
-            fit(f"Bearings.{name}", value, ("discs",) if name == "disc_position" else (), design.counts)
+    check_places(bearings, design.counts, "Bearings")
     if bearings.preload is not None and method != "basic":
         raise ValueError(
             f'method = {method!r}: must be "basic" with tapered supports (Bearings.preload, support.contact_angle > 0)'
@@ -131,6 +129,22 @@ def check_plan(
     if concrete(reliability) and not np.all((np.asarray(reliability) > 0) & (np.asarray(reliability) < 1)):
         raise ValueError(f"reliability = {quantity(reliability, '-')}: must lie between 0 and 1")
     return Plan(layout, int(samples), crank_turns, method)
+
+
+def check_places(bearings: Bearings, counts: Mapping[str, int], name: str) -> None:
+    """Raise ValueError for axial positions, a span or a preload whose shape does not fit the reducer.
+
+    Args:
+        bearings: of the cranks.
+        counts: of the design.
+        name: of the bearings, for the message.
+
+    Raises:
+        ValueError: names the field and its shape.
+    """
+    for place in ("disc_position", "planet_position", "support_span", "preload"):
+        if (value := getattr(bearings, place)) is not None:
+            fit(f"{name}.{place}", value, ("discs",) if place == "disc_position" else (), counts)
 
 
 def input_angles(plan: Plan, design: RVReducer, dtype: DTypeLike) -> jax.Array:

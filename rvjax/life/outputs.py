@@ -21,7 +21,7 @@ from rvjax.designs import Contact, RVReducer, Stiffness
 from rvjax.errors import RVErrors, read_by
 from rvjax.life.duty import Duty
 from rvjax.life.histories import METHODS
-from rvjax.life.machine import check_plan, input_angles
+from rvjax.life.machine import check_places, check_plan, input_angles
 from rvjax.life.rated import RatedTorque, rated_torque
 from rvjax.life.rating import Rating, by_forces, rating, under
 from rvjax.life.ratings import check_ratings
@@ -185,6 +185,7 @@ def _refusing(name: str, own: Callable[[Conditions], None]) -> Callable[[RVReduc
         for place, bearing in (("arm", design.bearings.arm), ("support", design.bearings.support)):
             if bearing is not None:
                 check_ratings(bearing, f"design.bearings.{place}")
+        check_places(design.bearings, design.counts, "design.bearings")
         if not 0 < given.reliability < 1:
             raise ValueError(f"conditions.reliability = {given.reliability:g}: must lie between 0 and 1")
         if design.bearings.preload is not None and given.life_method != "basic":

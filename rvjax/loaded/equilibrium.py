@@ -102,9 +102,8 @@ def error_alone(
     read = admit(layout, design, errors, output_torque, input_angle)
     case = prepare(layout, read, read.angle).loaded(read.torque)
     found, info = solve(layout, read, case, jnp.full((layout.unknowns,), jnp.nan, read.torque.dtype))
-    status = info.status
-    error = placed(layout, case, found, status)[layout.carried] / read.design.cranks.circle_radius
-    return jnp.where(succeeded(status), error, jnp.nan)
+    error = placed(layout, case, found, info.status)[layout.carried] / read.design.cranks.circle_radius
+    return jnp.where(succeeded(info.status), error, jnp.nan)
 
 
 class Case(NamedTuple):

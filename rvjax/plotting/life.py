@@ -28,7 +28,8 @@ def first_failures(
         weakest: name of the arm bearing.
     """
     share, force = np.asarray(share), np.asarray(force)
-    figure, (left, right) = plt.subplots(1, 2, figsize=(9.6, 0.36 * max(len(bearings), len(orders)) + 1.6))
+    size = (9.6, 0.36 * max(len(bearings), len(orders)) + 1.6)
+    figure, (left, right) = plt.subplots(1, 2, figsize=size, layout="constrained", gridspec_kw={"wspace": 0.1})
     left.barh(range(len(share)), 100 * share, color=AFTER)
     for row, value in enumerate(share):
         left.text(100 * value, row, f" {100 * value:.0f}", va="center", fontsize=9)
@@ -39,8 +40,9 @@ def first_failures(
     right.barh(rows + 0.2, force[:, 1] / 1e3, height=0.4, color=BEFORE, hatch="//", edgecolor="white",
                label="root mean square over the units")  # fmt: skip
     right.set_yticks(rows, orders)
-    right.set(xlabel="amplitude (kN)", title=f"Force on {weakest}")
-    right.legend(loc="lower right", fontsize=8)
+    right.set(xlabel="amplitude (kN)", title=f"Force on {weakest}, by order")
+    right.legend(loc="upper center", bbox_to_anchor=(0.4, -0.16), fontsize=8)
+    left.margins(x=0.12)
     for axes in (left, right):
         axes.invert_yaxis()
         axes.grid(axis="y", visible=False)

@@ -55,7 +55,7 @@ def section_on(budget: Budget) -> Section:
     """The budget on the page of other results: a plot, and the shares of the parts."""
     how = "change of the harmonics of {:,} units when one error is resampled."
     if budget.linear:
-        how = "regression of the harmonics of {:,} units on their errors. `rvjax budget` adds the unloaded reducer."
+        how = "regression of the harmonics of {:,} units on their errors. Not included: no load, see rvjax budget."
     about = f"{budget.title}, with the tolerances after: {how.format(budget.samples)}"
     lines = Note("\n".join(f"{line}." for line in _load_lines(budget)))
     return Section("Error budget", (Note(about), _figure(budget), lines, _shares(budget, ("part",), errors=False)))
