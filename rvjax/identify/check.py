@@ -5,6 +5,7 @@ from collections.abc import Iterable
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax.arguments import checked
 from rvjax.identify.elements import mapped
 from rvjax.identify.information import Identifiability, Spectrum, findings
 from rvjax.identify.noise import Noise
@@ -13,6 +14,7 @@ from rvjax.population import Correlation
 from rvjax.records import PyTree
 
 
+@checked
 def identifiability(
     model: Model,
     prior: PyTree,

@@ -74,6 +74,9 @@ def rank_measurements(
     """
     if not isinstance(candidates, Mapping) or not candidates:
         raise ValueError(f"candidates = {candidates!r}: must be a dict of models by name, unit -")
+    for name, model in candidates.items():
+        if not callable(model):
+            raise ValueError(f"candidates: {name} = {model!r}: must be a function")
     counted("exhaustive", exhaustive, 1)
     gain = _Gain.of(prior, candidates, noise, nuisance, given, correlation)
     names = list(candidates)

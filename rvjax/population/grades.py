@@ -2,6 +2,7 @@
 
 import math
 
+from rvjax.arguments import checked
 from rvjax.records import Scalar, quantity
 from rvjax.units import mm, um
 
@@ -26,6 +27,7 @@ _WIDTHS = {  # sizes up to and including, in mm
 }
 
 
+@checked
 def it_width(grade: str, size: Scalar) -> float:
     """Width of the tolerance zone, m; the limits of a centred zone are +- half of it.
 
@@ -38,7 +40,7 @@ def it_width(grade: str, size: Scalar) -> float:
     Raises:
         ValueError: unknown grade, or a size outside the table.
     """
-    if grade not in GRADES:
+    if not isinstance(grade, str) or grade not in GRADES:
         raise ValueError(f"grade = {grade!r}: unknown, the table holds {', '.join(GRADES)}")
     in_mm = float(size) / mm
     if not 0 < in_mm <= 500 * (1 + 1e-12):

@@ -13,6 +13,7 @@ from typing import Any, Self, cast
 import jax
 import numpy as np
 
+from rvjax.arguments import checked
 from rvjax.population.distribution import DISTRIBUTIONS, Distribution, Moments, bad, distribution_of
 from rvjax.population.distributions import classic, empirical, spectrum, von_mises
 from rvjax.population.grades import it_width
@@ -99,6 +100,7 @@ class Tolerance(Record):
         self.__post_init__()
 
     @classmethod
+    @checked
     def symmetric(cls, half_width: Scalar, **options: Any) -> Self:
         """Limits on both sides alike.
 
