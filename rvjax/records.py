@@ -290,7 +290,7 @@ def _number(owner: str, f: Field, value: object) -> PyTree:
         return float(value)
     if isinstance(value, np.ndarray) and value.dtype.kind in "iu":
         return value.astype(float)
-    if jnp.issubdtype(getattr(value, "dtype", object), jnp.complexfloating) or not hasattr(value, "dtype"):
+    if not hasattr(value, "dtype") or (is_concrete(value) and np.ndim(value) == 0 and np.iscomplexobj(value)):
         raise ValueError(f"{owner}.{f.name} = {value!r}: must be a number in {f.metadata['unit']}")
     return value
 
