@@ -75,7 +75,7 @@ def _is_number(value: object) -> bool:
 
 
 class _Kind(NamedTuple):
-    """What a number or an array of numbers may be."""
+    """Kind of a number, or of an array of numbers."""
 
     single: bool = False
     optional: bool = False
@@ -105,7 +105,7 @@ def _kind(annotation: object) -> _Kind | None:
 
 
 def _classes(annotation: object) -> tuple[type, ...] | None:
-    """What an argument of another kind must be an instance of; None where any object may be right."""
+    """Classes of which an argument must be an instance; None if no check is possible."""
     members, optional = _members(annotation)
     found: list[Any] = []
     for member in members:

@@ -17,7 +17,10 @@ from rvjax.units import GPa, mm, rpm
 
 HOUR = 3600.0
 RATED_LIFE, RATED_SPEED = 6000 * HOUR, 15 * rpm
-TORQUE = {"rv20e": 167.0, "rv40e": 412.0, "rv80e": 784.0, "rv320e": 3136.0}  # N m at 15 r/min
+TORQUE = {  # N m at 15 r/min
+    "rv20e": 167.0, "rv40e": 412.0, "rv42n": 412.0, "rv80e": 784.0, "rv110e": 1078.0, "rv160e": 1568.0,
+    "rv320e": 3136.0,
+}  # fmt: skip
 SPEEDS = (5.0, 10.0, 20.0, 25.0, 30.0, 40.0, 50.0, 60.0)  # r/min, of the table of the RV-40E besides 15
 ERRORS = RVErrors()
 SAMPLES = 12  # error-free machines need no more
@@ -55,9 +58,10 @@ def _torque(size: str, speed: float) -> float:
     return float(found.torque)
 
 
-def _torque_at(size: str, speed: float) -> float:
-    """Published torque at 15 r/min times the ratio of the computed torques."""
-    return TORQUE[size] * _torque(size, speed) / _torque(size, 15.0)
+def _torque_at(size: str, speed: float, ratio_of: str = "") -> float:
+    """Published torque at 15 r/min times the ratio of the computed torques, of this size or of another one."""
+    of = ratio_of or size
+    return TORQUE[size] * _torque(of, speed) / _torque(of, 15.0)
 
 
 def _duty(phases: tuple[tuple[float, float, float], ...]) -> life.Duty:
@@ -126,11 +130,14 @@ COMPUTED: dict[str, Callable[[], float | bool | list[float]]] = {
     "catalogue.rv20e.torque_at_5": lambda: _torque_at("rv20e", 5.0),
     "catalogue.rv20e.torque_at_60": lambda: _torque_at("rv20e", 60.0),
     "catalogue.rv40e.torques": lambda: [_torque_at("rv40e", speed) for speed in SPEEDS],
+    "catalogue.sizes.torque_at_5": lambda: [
+        _torque_at(size, 5.0, ratio_of="rv40e") for size in ("rv80e", "rv110e", "rv160e", "rv320e")
+    ],
     "catalogue.rv40e.duty_formula": _hours_of_duty,
     "catalogue.rv40e.bearing_fits_disc": lambda: _fits_the_disc(RV_40E, TORQUE["rv40e"]),
     "catalogue.rv320e.bearing_fits_disc": lambda: _fits_the_disc(catalogue.RV_320E, TORQUE["rv320e"]),
-    "catalogue.sizes.start_stop_torque": lambda: [2.5 * TORQUE[size] for size in ("rv20e", "rv40e", "rv80e")],
-    "catalogue.sizes.momentary_torque": lambda: [5.0 * TORQUE[size] for size in ("rv20e", "rv40e")],
+    "catalogue.sizes.start_stop_torque": lambda: [2.5 * TORQUE[size] for size in ("rv20e", "rv40e", "rv80e", "rv42n")],
+    "catalogue.sizes.momentary_torque": lambda: [5.0 * TORQUE[size] for size in ("rv20e", "rv40e", "rv42n")],
     **{f"catalogue.{size}.start_stop_torque": partial(_safe_at, size, 2.5, 2.0) for size in SIZES},
     **{f"catalogue.{size}.momentary_torque": partial(_safe_at, size, 5.0, 1.0) for size in SIZES},
 }
