@@ -48,7 +48,10 @@ COMMANDS = {
     "reproduce": [],
 }
 LOUD = ("check", "reproduce")  # without the option --quiet
-AGAIN = ("montecarlo", "identify")  # by default; with what the first run kept: programs and traced functions, of all commands alike
+AGAIN = (
+    "montecarlo",
+    "identify",
+)  # by default; with what the first run kept: programs and traced functions, of all commands alike
 RUN = """
 import sys
 import jax
