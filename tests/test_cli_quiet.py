@@ -1,4 +1,4 @@
-"""Nothing of a library on the terminal: each command runs once, two of them (long profile: all) again with kept programs."""
+"""Nothing of a library on the terminal: each command runs once, some (long profile: all) again with kept programs."""
 
 import os
 import re

@@ -104,7 +104,7 @@ def curves(runs, orders):
 def test_orders_too_fine_for_the_angles():
     """64 angles of a crank turn determine 31 waves of it: orders 40 to 1240."""
     assert curves([Conditions(torque=1.0)], (40 * 31,)).orders == (1240,)
-    with pytest.raises(ValueError, match="order 1280 is crank order 32, too fine for conditions.angles = 64"):
+    with pytest.raises(ValueError, match=r"order 1280 is crank order 32, too fine for conditions\.angles = 64"):
         curves([Conditions(torque=1.0)], (40 * 32,))
 
 
