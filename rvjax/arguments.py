@@ -4,7 +4,7 @@ import functools
 import inspect
 import types
 import typing
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple, ParamSpec, TypeVar
 
 import jax
@@ -35,7 +35,8 @@ def checked(function: Callable[P, R], of_design: Callable[[object, str], None] |
     where = f"{function.__module__.split('.')[1]}.{function.__name__}"
     place_of_design = list(parameters).index("design") if "design" in parameters else None
     places = tuple((place, name) for place, name in enumerate(parameters) if name in kinds)
-    classes = {} if of_design else {n: c for n, p in parameters.items() if (c := _classes(p.annotation)) is not None}
+    known = {} if of_design else {name: p for name, p in parameters.items() if name not in kinds}
+    classes = {name: found for name, p in known.items() if (found := _classes(p.annotation)) is not None}
     others = [(place, name) for place, name in enumerate(parameters) if name in classes]
     counts = [
         (place, name, kind == int | None)
@@ -84,7 +85,14 @@ class _Kind(NamedTuple):
 
 _ABSENT = object()
 _ANY = {int, float, object, np.ndarray, Array, Any, inspect.Parameter.empty}  # checked elsewhere, or not at all
-_WORDS = {bool: "True or False", Callable: "a function", Mapping: "a dictionary", Iterable: "a sequence"}
+_UNNAMED = (np.bool_, np.ndarray, type(None))
+_WORDS = {
+    bool: "True or False",
+    Callable: "a function",
+    Mapping: "a dictionary",
+    Iterable: "a sequence",
+    Sequence: "a sequence",
+}
 
 
 def _members(annotation: object) -> tuple[set[object], bool]:
@@ -114,15 +122,15 @@ def _classes(annotation: object) -> tuple[type, ...] | None:
             kind = Callable
         if not isinstance(kind, type) or (getattr(kind, "_is_protocol", False) and kind is not Callable):
             return None
-        found.append(kind)
-    if not found or members == {str} or not _ANY.isdisjoint(found):
+        found += [Sequence, np.ndarray] if kind in (Sequence, tuple, list) else [Mapping if kind is dict else kind]
+    if not found or members == {str} or not _ANY.isdisjoint(members):
         return None  # words have messages of their own
     return (*found, *((np.bool_,) if bool in found else ()), *((type(None),) if optional else ()))
 
 
 def _named(classes: tuple[type, ...]) -> str:
     words = [_WORDS.get(kind, "text" if kind is str else f"of kind {kind.__name__}") for kind in classes]
-    return " or ".join(dict.fromkeys(word for kind, word in zip(classes, words) if kind not in (np.bool_, type(None))))
+    return " or ".join(dict.fromkeys(word for kind, word in zip(classes, words) if kind not in _UNNAMED))
 
 
 def numbers(name: str, value: object, dtype: type = float) -> np.ndarray:

@@ -96,3 +96,13 @@ def test_a_field_of_a_record_holds_real_numbers(bad):
 def test_every_listed_function_has_these_arguments():
     for function, rights in CALLS.items():
         assert rights.keys() <= inspect.signature(function).parameters.keys()
+
+
+def test_sequences_of_every_kind_pass():
+    """Lists, tuples and arrays for a sequence; `values` of a curve and `quantiles` of a sample."""
+    for kind in (list, tuple, np.array):
+        found = tolerances.monte_carlo(response, PARTS, samples=9, seed=0, quantiles=kind([0.25, 0.5]))
+        assert list(found.quantiles) == [0.25, 0.5]
+        assert len(identify.orders(np.arange(9.0), np.arange(9.0) ** 2, kind([1.0, 2.0])).value) == 2
+        with pytest.raises(ValueError, match="requirements = None: must be a requirement"):  # the values have passed
+            tolerances.cost_curve(response, PARTS, None, costs=None, values=kind([1.0, 2.0]))
