@@ -1,11 +1,11 @@
-"""Numbers and counts that public functions take: checked before JAX sees them, so that errors name the argument."""
+"""Arguments of public functions: checked before JAX sees them, so that errors name the argument."""
 
 import functools
 import inspect
 import types
 import typing
-from collections.abc import Callable
-from typing import Any, ParamSpec, TypeVar
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, NamedTuple, ParamSpec, TypeVar
 
 import jax
 import numpy as np
@@ -17,22 +17,32 @@ R = TypeVar("R")
 
 
 def checked(function: Callable[P, R], of_design: Callable[[object, str], None] | None = None) -> Callable[P, R]:
-    """Check the arguments that a function declares as `int`, `Scalar` or arrays of numbers; tracers pass.
+    """Check the arguments that a function declares as numbers, arrays, counts, switches or functions; tracers pass.
+
+    Without `of_design` also those that it declares as other classes; with it the function names the kinds of design.
 
     Args:
         function: public function.
         of_design: gets its argument `design` and its name.
 
     Raises:
-        ValueError: where a call gives text, complex numbers, an array for a `Scalar`, or for an `int` anything but a
-            whole number of at least 0; it names the argument.
+        ValueError: where a call gives something else, such as text, a complex number, or an array for a `Scalar`; it
+            names the argument.
     """
-    parameters = inspect.signature(function).parameters
+    given_by_name = inspect.signature(function).parameters
+    parameters = {name: p for name, p in given_by_name.items() if p.kind is not p.VAR_KEYWORD}
     kinds = {name: kind for name, p in parameters.items() if (kind := _kind(p.annotation)) is not None}
     where = f"{function.__module__.split('.')[1]}.{function.__name__}"
     place_of_design = list(parameters).index("design") if "design" in parameters else None
     places = tuple((place, name) for place, name in enumerate(parameters) if name in kinds)
-    counts = [(place, name) for place, name in enumerate(parameters) if _is_count(parameters[name].annotation)]
+    known = {} if of_design else {name: p for name, p in parameters.items() if name not in kinds}
+    classes = {name: found for name, p in known.items() if (found := _classes(p.annotation)) is not None}
+    others = [(place, name) for place, name in enumerate(parameters) if name in classes]
+    counts = [
+        (place, name, kind == int | None)
+        for place, (name, kind) in enumerate((name, p.annotation) for name, p in parameters.items())
+        if kind in (int, int | None)
+    ]
 
     @functools.wraps(function)
     def call(*arguments: P.args, **named: P.kwargs) -> R:
@@ -40,50 +50,137 @@ def checked(function: Callable[P, R], of_design: Callable[[object, str], None] |
             given = arguments[place_of_design] if place_of_design < len(arguments) else named.get("design")
             of_design(given, where)
         for place, name in places:
-            value: Any = arguments[place] if place < len(arguments) else named.get(name, 0.0)
-            if type(value) is not float and not isinstance(value, jax.core.Tracer):
-                _check(name, value, *kinds[name])
-        for place, name in counts:
+            value: Any = arguments[place] if place < len(arguments) else named.get(name, _ABSENT)
+            if value is not _ABSENT and type(value) is not float and not isinstance(value, jax.core.Tracer):
+                _check(name, value, kinds[name])
+        for place, name, optional in counts:
             count: Any = arguments[place] if place < len(arguments) else named.get(name, 0)
-            if count is not None and not (_is_whole(count) and count >= 0):
+            if not (_is_whole(count) and count >= 0) and not (optional and count is None):
                 raise ValueError(f"{name} = {_short(count)}: must be a whole number of at least 0")
+        for place, name in others:
+            value = arguments[place] if place < len(arguments) else named.get(name, _ABSENT)
+            if value is not _ABSENT and (not isinstance(value, classes[name]) or _is_number(value)):
+                raise ValueError(f"{name} = {_short(value)}: must be {_named(classes[name])}")
         return function(*arguments, **named)
 
     return call
-
-
-def _is_count(annotation: object) -> bool:
-    return annotation is int or annotation == int | None
 
 
 def _is_whole(value: object) -> bool:
     return isinstance(value, (int, np.integer)) and not isinstance(value, bool)
 
 
-def _kind(annotation: object) -> tuple[bool, bool] | None:
-    """(the argument is one number, None is allowed); None for an argument that is no number."""
+def _is_number(value: object) -> bool:
+    """An array of one number has `__iter__`, too."""
+    return isinstance(value, (jax.Array, np.ndarray)) and value.ndim == 0
+
+
+class _Kind(NamedTuple):
+    """Kind of a number, or of an array of numbers."""
+
+    single: bool = False
+    optional: bool = False
+    sequence: bool = False  # never one number
+
+
+_ABSENT = object()
+_ANY = {int, float, object, np.ndarray, Array, Any, inspect.Parameter.empty}  # checked elsewhere, or not at all
+_UNNAMED = (np.bool_, np.ndarray, type(None))
+_WORDS = {
+    bool: "True or False",
+    Callable: "a function",
+    Mapping: "a dictionary",
+    Iterable: "a sequence",
+    Sequence: "a sequence",
+}
+
+
+def _members(annotation: object) -> tuple[set[object], bool]:
+    """(kinds of a union, None is one of them)."""
     union = isinstance(annotation, types.UnionType) or typing.get_origin(annotation) is typing.Union
     members = set(typing.get_args(annotation)) if union else {annotation}
-    optional = type(None) in members
-    members.discard(type(None))
-    if members == set(typing.get_args(Scalar)):
-        return True, optional
-    return (False, optional) if members and members <= {Array, np.ndarray} else None
+    return members - {type(None)}, type(None) in members
 
 
-def _check(name: str, value: object, single: bool, optional: bool) -> None:
-    if value is None and optional:
+def _kind(annotation: object) -> _Kind | None:
+    """Of an argument that is a number or an array of numbers; None of others."""
+    members, optional = _members(annotation)
+    if members in (set(typing.get_args(Scalar)), {float}):
+        return _Kind(True, optional)
+    sequences = {member for member in members if typing.get_args(member)[:1] == (float,)}
+    arrays = members - sequences <= {Array, np.ndarray}
+    return _Kind(False, optional, bool(sequences)) if members and arrays else None
+
+
+def _classes(annotation: object) -> tuple[type, ...] | None:
+    """Classes of which an argument must be an instance; None if no check is possible."""
+    members, optional = _members(annotation)
+    found: list[Any] = []
+    for member in members:
+        kind: Any = typing.get_origin(member) or member
+        if kind is Callable or (getattr(kind, "_is_protocol", False) and "__call__" in vars(kind)):
+            kind = Callable
+        if not isinstance(kind, type) or (getattr(kind, "_is_protocol", False) and kind is not Callable):
+            return None
+        found += [Sequence, np.ndarray] if kind in (Sequence, tuple, list) else [Mapping if kind is dict else kind]
+    if not found or members == {str} or not _ANY.isdisjoint(members):
+        return None  # words have messages of their own
+    return (*found, *((np.bool_,) if bool in found else ()), *((type(None),) if optional else ()))
+
+
+def _named(classes: tuple[type, ...]) -> str:
+    words = [_WORDS.get(kind, "text" if kind is str else f"of kind {kind.__name__}") for kind in classes]
+    return " or ".join(dict.fromkeys(word for kind, word in zip(classes, words) if kind not in _UNNAMED))
+
+
+def numbers(name: str, value: object, dtype: type = float) -> np.ndarray:
+    """An array of numbers on the host.
+
+    Args:
+        name: of the argument.
+        value: number, sequence or array.
+        dtype: float or complex.
+
+    Raises:
+        ValueError: text, objects, or complex numbers for real ones; it names the argument.
+    """
+    try:
+        given = np.asarray(value)
+        if given.dtype.kind not in ("iufc" if dtype is complex else "iuf"):
+            raise TypeError
+        return given.astype(dtype)
+    except (TypeError, ValueError):
+        what = "numbers" if dtype is complex else "real numbers"
+        raise ValueError(f"{name} = {_short(value)}: must be {what}") from None
+
+
+def number(name: str, value: object) -> float:
+    """One real number.
+
+    Args:
+        name: of the argument.
+        value: given.
+
+    Raises:
+        ValueError: something else; it names the argument.
+    """
+    _check(name, value, _Kind(True))
+    return float(value)  # type: ignore[arg-type]
+
+
+def _check(name: str, value: object, kind: _Kind) -> None:
+    if value is None and kind.optional:
         return
     if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(value)):
         return  # a list of tracers
-    wanted = "one real number" if single else "an array of real numbers"
+    wanted = "one real number" if kind.single else "an array of real numbers"
     try:
         array = value if isinstance(value, (jax.Array, np.ndarray, np.generic)) else np.asarray(value)
     except (TypeError, ValueError):
         raise ValueError(f"{name} = {_short(value)}: must be {wanted}") from None
-    if np.dtype(array.dtype).kind in "cOSUMmV":
+    if np.dtype(array.dtype).kind in "cOSUMmV" or (kind.sequence and not array.ndim):
         raise ValueError(f"{name} = {_short(value)}: must be {wanted}")
-    if single and array.ndim:
+    if kind.single and array.ndim:
         raise ValueError(f"{name}: shape {array.shape}, must be {wanted}; sweep arrays with jax.vmap")
 
 

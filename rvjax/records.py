@@ -290,6 +290,9 @@ def _number(owner: str, f: Field, value: object) -> PyTree:
         return float(value)
     if isinstance(value, np.ndarray) and value.dtype.kind in "iu":
         return value.astype(float)
+    number: Any = value
+    if not hasattr(value, "dtype") or (is_concrete(value) and np.ndim(number) == 0 and np.iscomplexobj(number)):
+        raise ValueError(f"{owner}.{f.name} = {value!r}: must be a number in {f.metadata['unit']}")
     return value
 
 

@@ -22,6 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import DTypeLike
 
+from rvjax.arguments import checked
 from rvjax.records import Array, PyTree, Record, Scalar, field, promote, record
 from rvjax.status import SolveInfo, Status, succeeded
 
@@ -72,6 +73,7 @@ def bisect(
     return low, high
 
 
+@checked
 def bracketed(
     residual: Residual,
     params: PyTree,
@@ -100,6 +102,9 @@ def bracketed(
     Returns:
         Root with status CONVERGED, NO_BRACKET, MAX_STEPS or NONFINITE.
     """
+    for leaf in jax.tree.leaves(params):
+        if np.dtype(getattr(leaf, "dtype", type(leaf))).kind not in "biufV":  # V: formats such as bfloat16
+            raise ValueError(f"params: {leaf!r} must be a real number, or an array of them")
     return _bracketed(residual, params, lower, upper, start, max_steps=max_steps, tolerance=tolerance)
 
 

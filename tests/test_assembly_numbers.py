@@ -15,7 +15,7 @@ from rvjax.assembly.costs import Machine
 from rvjax.assembly.on_demand import OnDemand
 from rvjax.assembly.parts import known
 from rvjax.assembly.plan import draw
-from rvjax.assembly.supply import Supply
+from rvjax.assembly.supply import Supply, beyond
 from rvjax.tolerances import Requirement, Tolerance
 
 
@@ -75,6 +75,15 @@ def test_units_that_fail_cost_more_than_any_others(size):
 
     kinds = {slot: kind(values) for slot, values in {"a": [3.0, 0.0], "b": [1.5, 0.0], "c": [0.0, 0.0]}.items()}
     assert sorted(plan(response, kinds, most_valued=1).values) == [1.5 * size, 3.0 * size]
+
+
+@pytest.mark.parametrize("units", [1, 2, 30])
+def test_one_forbidden_unit_costs_more_than_any_plan_without(units):
+    """With the cheapest others, against the dearest everywhere; equal costs and failed combinations included."""
+    rng = np.random.default_rng(units)
+    for cost in (rng.normal(size=20), 1e-9 * rng.normal(size=5), np.full(3, 7.0), np.array([2.0, np.inf, -5.0])):
+        cheapest, dearest = cost.min(), cost[np.isfinite(cost)].max()
+        assert beyond(cost, units) + (units - 1) * cheapest > units * dearest
 
 
 def test_the_margin_grows_with_estimates_that_turn_out_too_high():

@@ -1,10 +1,11 @@
-"""Nothing of a library on the terminal: each command runs once, two of them again with kept programs."""
+"""Nothing of a library on the terminal: each command runs once, some (long profile: all) again with kept programs."""
 
 import os
 import re
 import subprocess
 import sys
 
+import pytest
 from cli_study import GOOD
 
 # Lost motion only, with a limit that no unit comes near: every yield is 1, which a logarithmic axis cannot show.
@@ -47,7 +48,10 @@ COMMANDS = {
     "reproduce": [],
 }
 LOUD = ("check", "reproduce")  # without the option --quiet
-AGAIN = ("montecarlo", "identify")  # with what the first run kept: programs and traced functions, of all commands alike
+AGAIN = (
+    "montecarlo",
+    "identify",
+)  # by default; with what the first run kept: programs and traced functions, of all commands alike
 RUN = """
 import sys
 import jax
@@ -67,7 +71,8 @@ for run, commands in ((1, {commands!r}), (2, {again!r})):
 """
 
 
-def test_nothing_of_a_library_reaches_the_terminal(tmp_path):
+@pytest.mark.parametrize("twice", [AGAIN, pytest.param(tuple(COMMANDS), marks=pytest.mark.long)], ids=["some", "all"])
+def test_nothing_of_a_library_reaches_the_terminal(tmp_path, twice):
     """JAX leaves "1" in the environment of whatever a notebook or script starts, and here it is loaded before."""
     for name, text in {"flat.toml": FLAT, "unit.toml": UNIT, "curve.csv": CURVE, "parts.csv": PARTS}.items():
         (tmp_path / name).write_text(text)
@@ -76,12 +81,12 @@ def test_nothing_of_a_library_reaches_the_terminal(tmp_path):
         "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
         "TF_CPP_MIN_LOG_LEVEL": "1",
     }
-    again = {name: COMMANDS[name] for name in AGAIN}
+    again = {name: COMMANDS[name] for name in twice}
     done = subprocess.run(
         [sys.executable, "-c", RUN.format(commands=COMMANDS, again=again, loud=LOUD)],
         cwd=tmp_path, env=os.environ | own, capture_output=True, text=True, timeout=590,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     said = done.stderr.splitlines()
-    assert sum(line.startswith("begin ") for line in said) == len(COMMANDS) + len(AGAIN)
+    assert sum(line.startswith("begin ") for line in said) == len(COMMANDS) + len(twice)
     assert [line for line in said if not line.startswith(("begin ", "rvjax: warning: ", "computing rv20e, "))] == []

@@ -40,3 +40,13 @@ def test_stiffness_grows_between_bearings_and_shafts():
         grown, ratio = sizes.stiffness(size) / sizes.PUBLISHED, (sizes.TORQUE[size] / 412.0) ** (1 / 3)
         low, high = np.sort(ratio ** np.array([2.8, 3.0]))
         assert 0.995 * low < grown < 1.005 * high
+
+
+def test_discs_of_a_similar_reducer_weigh_as_its_torque(monkeypatch):
+    """Equal stresses: mass grows as length cubed, as the torque does. Two plates of 61 mm radius and 12 mm: 2.2 kg."""
+    base = sizes.disc_mass("40e")
+    assert base == pytest.approx(2 * np.pi * 0.061**2 * 0.012 * 7850, rel=1e-9)
+    assert sizes.disc_mass("160e") / base == pytest.approx(1568 / 412, rel=1e-9)
+    assert sizes.COMPUTED["sizes.weight"]()
+    monkeypatch.setitem(sizes.WEIGHT, "320e", 1.9 * sizes.disc_mass("320e"))  # lighter than what turns in it
+    assert not sizes.COMPUTED["sizes.weight"]()

@@ -4,11 +4,12 @@ import jax
 import numpy as np
 import pytest
 
-from rvjax import study
+from rvjax import models, study
+from rvjax.published.rv160 import READ
 from rvjax.study import bench, measured
-from rvjax.study.branches import _local
+from rvjax.study.branches import _local, branches
 from rvjax.study.measured import Conditions
-from rvjax.study.problem import problem
+from rvjax.study.problem import UNMEASURED, _by_place, candidates, problem, wide
 from rvjax.units import arcsec, um
 
 STUDY = """
@@ -75,19 +76,84 @@ def test_load_opposes_the_motion():
 def test_an_index_mark_and_an_encoder_change_the_curve():
     """The curve is that of an angle less the mark's, plus c cos + s sin; its orders are sums over a turn."""
     question = study.load("rv-40e", solve=False)
-    fields = ("crank_eccentricity", "phase", "mounting")
+    fields = ("crank_eccentricity", "phase", "mounting", "offset")
     model = bench.curve_model(
         "four_bar", question.design, question.conditions, [Conditions(torque=412.0)], (40, 80), fields[1:], fields
     )
     throw = np.array([[4.0, -2.0], [1.0, 3.0]]) * um
     mark, mounting = 0.01, np.array([3.0, -2.0]) * arcsec
     model = jax.jit(model)
-    plain = model({"crank_eccentricity": throw, "phase": 0.0, "mounting": np.zeros(2)})
-    found = model({"crank_eccentricity": throw, "phase": mark, "mounting": mounting})
+    plain = model({"crank_eccentricity": throw, "phase": 0.0, "mounting": np.zeros(2), "offset": 0.0})
+    found = model({"crank_eccentricity": throw, "phase": mark, "mounting": mounting, "offset": 5 * arcsec})
+    assert found["mean"] - plain["mean"] == pytest.approx(5 * arcsec, rel=1e-9)
     angle = np.arange(512) * 2 * np.pi / 512
     value = {order: complex(plain[bench.order_name(order)][0]) for order in (40, 80)}
+    assert abs(value[80]) < 0.01 * abs(value[40])  # the second wave of a crank turn is of second order in the throws
     curve = sum(np.real(v * np.exp(1j * order * (angle - mark))) for order, v in value.items())
     curve += mounting[0] * np.cos(angle) + mounting[1] * np.sin(angle)
     for order in (1, 40, 80):
         due = 2 * np.mean(curve * np.exp(-1j * order * angle))
         assert complex(found[bench.order_name(order)][0]) == pytest.approx(due, abs=1e-9 * arcsec + 1e-12 * abs(due))
+
+
+def curves(runs, orders):
+    question = study.load("rv-40e", solve=False)
+    return bench.curve_model("four_bar", question.design, question.conditions, runs, orders, (), ())
+
+
+def test_orders_too_fine_for_the_angles():
+    """64 angles of a crank turn determine 31 waves of it: orders 40 to 1240."""
+    assert curves([Conditions(torque=1.0)], (40 * 31,)).orders == (1240,)
+    with pytest.raises(ValueError, match=r"order 1280 is crank order 32, too fine for conditions\.angles = 64"):
+        curves([Conditions(torque=1.0)], (40 * 32,))
+
+
+def test_no_load_lies_on_the_side_of_its_direction():
+    """At a thousandth of the rated torque; drag alone takes its place."""
+    runs = [Conditions(torque=0.0), Conditions(torque=0.0, direction="backward"), Conditions(torque=100.0)]
+    given = models.kind(READ).conditions(rated_torque=1600.0, samples=16)
+    made, dragged = (bench.curve_model("loaded", READ, given, runs, (40,), names, ()) for names in ((), ("drag",)))
+    assert np.asarray(made.torques)[list(made.place)] == pytest.approx([1.6, -1.6, 100.0])
+    for drag, due in ((0.0, [1.6, -1.6, 100.0]), (5.0, [5.0, -5.0, 105.0])):
+        assert np.asarray(dragged._transmitted({"drag": drag}))[list(dragged.place)] == pytest.approx(due, rel=1e-12)
+
+
+def test_a_planned_run_is_as_fast_as_the_fastest():
+    assert bench._speeds([Conditions(speed=2.0), Conditions(speed=5.0), Conditions()]).tolist() == [2.0, 5.0, 5.0]
+
+
+def test_unlike_branches_are_compared_where_both_are():
+    """The falling branch ends at -60 N m: the grid does, and the width is that of the branches."""
+    up, down = np.linspace(-100, 100, 400), np.linspace(100, -60, 400)
+    torque = np.concatenate([up, down])
+    angle = torque * 1e-6 + np.repeat([0.0, 3e-5], 400)
+    grid, midline, width, *_ = branches("x", torque, angle)
+    assert -60 < grid[0] < -55 and 95 < grid[-1] < 100
+    inner = grid < 90  # the turning point mixes the branches over one sample in a hundred
+    assert width[inner] == pytest.approx(3e-5, rel=1e-6)
+    assert midline[inner] == pytest.approx(1e-6 * grid[inner] + 1.5e-5, rel=1e-6)
+
+
+def test_samples_of_a_whole_turn_stand_for_their_steps():
+    """180 samples at 2 deg cover 360 deg, though the last lies 358 deg from the first."""
+    run = measured.Run("a.csv", Conditions(), np.arange(180) * 2 * np.pi / 180, np.zeros(180))
+    assert len(measured.checked(run, 40).angle) == 180
+
+
+def test_repeated_runs_are_runs():
+    run = measured.Run("a.csv", Conditions(torque=5.0), np.zeros(1), np.zeros(1))
+    assert list(_by_place([run, run]).values()) == [run, run]
+
+
+def test_candidates_of_the_next_run_and_their_noise():
+    """Shares of the largest torque, and one candidate measured alone, or with the runs of the study."""
+    text = STUDY.replace('"floor"', '"0.2 arcsec"').replace("[40, 80]", "[40]")
+    found = problem(study.parse_study(text, name="bench", solve=False))
+    assert {run.torque for run in candidates(found)} == {41.2, 206.0, 412.0, 824.0}
+    several = wide(found)
+    for k, name in enumerate(several.again):
+        weights = np.full(1 + len(several.again), UNMEASURED)
+        weights[1 + k] = found.sd
+        assert several.again[name].sd["order 040"] == pytest.approx(weights)
+        weights[0] = found.sd
+        assert several.added[name].sd["order 040"] == pytest.approx(weights)

@@ -304,3 +304,16 @@ def test_intervals_hold_where_few_heavy_units_decide(fields, corner, samples):
     random, exact = np.random.default_rng(0), stats.norm.sf(corner) ** fields
     intervals = [search.draw(random, samples)[0] for _ in range(400)]
     assert np.mean([one.lower <= exact <= one.upper for one in intervals]) > 0.92
+
+
+@pytest.mark.parametrize("away", [27, 30, 37, 50, 1e6])
+def test_limits_far_beyond_every_unit(away):
+    """Squares of the weights, then the weights themselves, are below the smallest number: 0 / 0 before."""
+    tolerances = {"a": Tolerance.symmetric(3 * um), "b": Tolerance.symmetric(4 * um)}
+    limit = Requirement(upper=away * 5 / 3 * um)
+    found = failure_probability(lambda e: e["a"] + e["b"], tolerances, limit, samples=2000, seed=0)
+    exact = stats.norm.sf(away)
+    assert found.reliability_index == pytest.approx(away, rel=1e-9)
+    assert found.probability.lower <= exact <= found.probability.upper
+    assert exact == 0 or abs(found.probability.value / exact - 1) < 0.2
+    assert exact > 0 or (found.probability.value == 0 and "FEW_EFFECTIVE_SAMPLES" in found.status)

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import special
 
+from rvjax.arguments import checked, numbers
 from rvjax.records import PyTree, Scalar
 from rvjax.tolerances import Tolerance
 
@@ -56,6 +57,7 @@ class Belief:
         return np.moveaxis(np.stack(found, axis=1).reshape(draws, *self.mean.shape), 0, 1)
 
 
+@checked
 def believed(value: object, sd: PyTree, tolerance: Tolerance | None) -> tuple[Scalar, Scalar]:
     """Mean and standard deviation of an error that was measured.
 
@@ -71,7 +73,9 @@ def believed(value: object, sd: PyTree, tolerance: Tolerance | None) -> tuple[Sc
     Raises:
         ValueError: a value that is not finite, or a negative standard deviation.
     """
-    values, sds = np.asarray(value, float), np.asarray(sd, float)
+    values, sds = numbers("value", value), numbers("sd", sd)
+    if sds.shape not in ((), values.shape):
+        raise ValueError(f"sd: shape {sds.shape}: must be one number or of the shape of value, {values.shape}")
     if not np.isfinite(values).all():
         raise ValueError(f"value = {value!r}: must be finite")
     if not (sds >= 0).all():

@@ -2,7 +2,7 @@
 
 import dataclasses
 import operator
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable, Iterable, Sequence
 from typing import SupportsIndex
 
 import jax
@@ -67,7 +67,11 @@ class Kind:
     population: PyTree = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "parts", tuple(self.parts))
+        parts = tuple(self.parts) if isinstance(self.parts, Iterable) else (self.parts,)
+        for part in parts:
+            if not isinstance(part, Part):
+                raise ValueError(f"parts: {part!r} must be a Part")
+        object.__setattr__(self, "parts", parts)
         if not self.parts:
             raise ValueError("parts: there are none")
         seen = set()
@@ -78,6 +82,8 @@ class Kind:
         if _whole(self.indices) < 1:
             raise ValueError(f"indices = {self.indices!r}: must be a whole number of at least 1")
         if self.stock is not None:
+            if not isinstance(self.stock, Sequence | np.ndarray):
+                raise ValueError(f"stock = {self.stock!r}: must be a sequence of whole numbers, one for each part")
             if len(self.stock) != len(self.parts):
                 raise ValueError(f"stock: {len(self.stock)} numbers for {len(self.parts)} parts")
             for part, pieces in zip(self.parts, self.stock):

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rvjax.arguments import checked
+from rvjax.arguments import checked, numbers
 from rvjax.records import PyTree, Scalar
 from rvjax.tolerances import Estimate
 
@@ -141,7 +141,7 @@ def correction(
         sd = value.sd if np.ndim(sd) == 0 and sd == 0.0 else sd
         value = value.value
     orders, values = _curve(order, value)
-    sds = np.asarray(sd, float)
+    sds = numbers("sd", sd)
     if sds.ndim and sds.shape != values.shape:
         raise ValueError(f"sd: {sds.size} numbers in rad for {values.size} orders")
     sds = np.broadcast_to(sds, values.shape)
@@ -224,13 +224,13 @@ def rated(
 
 def _curve(order: ArrayLike, value: object) -> tuple[np.ndarray, np.ndarray]:
     """Orders as integers and values as complex numbers, in the order given."""
-    orders, values = np.asarray(order), np.asarray(value, complex)
+    orders, values = numbers("order", order), numbers("value", value, complex)
     if orders.ndim != 1 or orders.shape != values.shape:
         raise ValueError(f"value: {values.size} numbers in rad for {orders.size} orders")
     whole = orders.astype(np.int64) if np.isfinite(orders).all() else np.zeros(orders.shape, np.int64)
     for given, own in zip(orders, whole):
         if given != own or own < 1:
-            raise ValueError(f"order = {given}: must be a whole number per output turn, at least 1")
+            raise ValueError(f"order = {given:g}: must be a whole number per output turn, at least 1")
     kinds, times = np.unique(whole, return_counts=True)
     if (times > 1).any():
         raise ValueError(f"order = {kinds[times > 1][0]}: duplicate")
@@ -240,6 +240,7 @@ def _curve(order: ArrayLike, value: object) -> tuple[np.ndarray, np.ndarray]:
     return whole, values
 
 
+@checked
 def residual(correction: Correction, order: ArrayLike, value: object, *, shift: float = 0.0) -> Residual:
     """Compute the residual of a curve if the table is turned by `shift`: v_k - stored_k exp(i k shift).
 
@@ -262,6 +263,7 @@ def residual(correction: Correction, order: ArrayLike, value: object, *, shift: 
     return Residual(both, left, float(np.sqrt(np.sum(np.abs(left) ** 2) / 2)))
 
 
+@checked
 def phase_residual(order: ArrayLike, shift: Scalar) -> np.ndarray:
     """Compute the share of an order's amplitude that remains if its exact correction is turned: 2 |sin(order shift/2)|.
 
@@ -271,7 +273,7 @@ def phase_residual(order: ArrayLike, shift: Scalar) -> np.ndarray:
         order: per output turn.
         shift: rad of the output.
     """
-    return 2 * np.abs(np.sin(np.asarray(order) * np.asarray(shift) / 2))
+    return 2 * np.abs(np.sin(numbers("order", order) * shift / 2))
 
 
 @checked

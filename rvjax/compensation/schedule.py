@@ -6,6 +6,7 @@ from collections.abc import Hashable, Mapping
 
 import numpy as np
 
+from rvjax.arguments import checked
 from rvjax.compensation.correction import Correction, rated, saved_by
 
 
@@ -60,6 +61,7 @@ def _between(first: Correction, second: Correction, share: float) -> Correction:
     return rated(order, value, stored, np.sqrt(variance), angle_sd, first.ratio, chosen, saved)
 
 
+@checked
 def schedule(corrections: Mapping[tuple[float, Hashable], Correction]) -> Schedule:
     """Corrections by torque and direction.
 
@@ -71,6 +73,9 @@ def schedule(corrections: Mapping[tuple[float, Hashable], Correction]) -> Schedu
     """
     if not corrections:
         raise ValueError("corrections: there are none")
+    for key, found in corrections.items():
+        if not isinstance(found, Correction):
+            raise ValueError(f"corrections: {key!r} = {found!r}: must be a Correction")
     ratios = {found.ratio for found in corrections.values()}
     if len(ratios) > 1:
         raise ValueError(f"ratio: corrections of {', '.join(f'{r:g}' for r in sorted(ratios))} belong to no one unit")

@@ -4,6 +4,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
+from rvjax.arguments import checked
 from rvjax.identify.elements import mapped_values
 from rvjax.identify.information import Identifiability, Spectrum, findings
 from rvjax.identify.noise import Noise
@@ -12,6 +13,7 @@ from rvjax.population import Correlation
 from rvjax.records import PyTree
 
 
+@checked
 def identifiability(
     model: Model,
     prior: PyTree,

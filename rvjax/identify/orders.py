@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from rvjax.arguments import checked
 from rvjax.records import Array
 
 DEPENDENT = 1e-8
@@ -30,6 +31,7 @@ class Orders:
     residual_sd: float
 
 
+@checked
 def orders(
     angle: Array | np.ndarray, value: Array | np.ndarray, orders: Sequence[float] | np.ndarray, *, drift: bool = False
 ) -> Orders:

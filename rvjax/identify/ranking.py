@@ -76,6 +76,9 @@ def rank_measurements(
     """
     if not isinstance(candidates, Mapping) or not candidates:
         raise ValueError(f"candidates = {candidates!r}: must be a dict of models by name, unit -")
+    for name, model in candidates.items():
+        if not callable(model):
+            raise ValueError(f"candidates: {name} = {model!r}: must be a function")
     counted("exhaustive", exhaustive, 1)
     if already and already not in candidates:
         raise ValueError(f"already = {already!r} is no candidate; these are: {', '.join(candidates)}")

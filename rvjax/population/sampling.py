@@ -129,7 +129,7 @@ def sample(
         The structure of `tolerances` with errors in place of tolerances; inactive fields are 0.0.
     """
     check_method(method)
-    if is_concrete(index) and (int(index) != index or index < 0):
+    if is_concrete(index) and not (index >= 0 and float(index).is_integer()):
         raise ValueError(f"index = {index!r}: must be an integer of at least 0")
     population = Population.of(tolerances, correlation)
     if method == "random":

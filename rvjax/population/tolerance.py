@@ -15,6 +15,7 @@ from typing import Any, Self, cast
 import jax
 import numpy as np
 
+from rvjax.arguments import checked
 from rvjax.population.distribution import DISTRIBUTIONS, Distribution, Moments, bad, distribution_of
 from rvjax.population.distributions import classic, empirical, spectrum, von_mises
 from rvjax.records import Array, Record, Scalar, concrete, field, quantity, record, text
@@ -41,6 +42,7 @@ _WIDTHS = {  # sizes up to and including, in mm
 }
 
 
+@checked
 def it_width(grade: str, size: Scalar) -> float:
     """Width of the tolerance zone, m; the limits of a centred zone are +- half of it.
 
@@ -53,7 +55,7 @@ def it_width(grade: str, size: Scalar) -> float:
     Raises:
         ValueError: unknown grade, or a size outside the table.
     """
-    if grade not in GRADES:
+    if not isinstance(grade, str) or grade not in GRADES:
         raise ValueError(f"grade = {grade!r}: unknown, the table holds {', '.join(GRADES)}")
     in_mm = float(size) / mm
     if not 0 < in_mm <= 500 * (1 + 1e-12):
@@ -144,6 +146,7 @@ class Tolerance(Record):
         self.__post_init__()
 
     @classmethod
+    @checked
     def symmetric(cls, half_width: Scalar, **options: Any) -> Self:
         """Limits on both sides alike.
 

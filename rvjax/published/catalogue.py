@@ -17,7 +17,7 @@ from rvjax.units import GPa, mm, rpm
 
 HOUR = 3600.0
 RATED_LIFE, RATED_SPEED = 6000 * HOUR, 15 * rpm
-TORQUE = {"rv20e": 167.0, "rv40e": 412.0, "rv80e": 784.0, "rv320e": 3136.0}  # N m at 15 r/min
+TORQUE = {"rv20e": 167.0, "rv40e": 412.0, "rv42n": 412.0, "rv80e": 784.0, "rv320e": 3136.0}  # N m at 15 r/min
 SPEEDS = (5.0, 10.0, 20.0, 25.0, 30.0, 40.0, 50.0, 60.0)  # r/min, of the table of the RV-40E besides 15
 ERRORS = RVErrors()
 SAMPLES = 12  # error-free machines need no more
@@ -129,8 +129,8 @@ COMPUTED: dict[str, Callable[[], float | bool | list[float]]] = {
     "catalogue.rv40e.duty_formula": _hours_of_duty,
     "catalogue.rv40e.bearing_fits_disc": lambda: _fits_the_disc(RV_40E, TORQUE["rv40e"]),
     "catalogue.rv320e.bearing_fits_disc": lambda: _fits_the_disc(catalogue.RV_320E, TORQUE["rv320e"]),
-    "catalogue.sizes.start_stop_torque": lambda: [2.5 * TORQUE[size] for size in ("rv20e", "rv40e", "rv80e")],
-    "catalogue.sizes.momentary_torque": lambda: [5.0 * TORQUE[size] for size in ("rv20e", "rv40e")],
+    "catalogue.sizes.start_stop_torque": lambda: [2.5 * TORQUE[size] for size in ("rv20e", "rv40e", "rv80e", "rv42n")],
+    "catalogue.sizes.momentary_torque": lambda: [5.0 * TORQUE[size] for size in ("rv20e", "rv40e", "rv42n")],
     **{f"catalogue.{size}.start_stop_torque": partial(_safe_at, size, 2.5, 2.0) for size in SIZES},
     **{f"catalogue.{size}.momentary_torque": partial(_safe_at, size, 5.0, 1.0) for size in SIZES},
 }

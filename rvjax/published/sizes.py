@@ -22,6 +22,10 @@ from rvjax.units import arcmin
 
 TORQUE = {"20e": 167.0, "40e": 412.0, "42n": 412.0, "80e": 784.0, "110e": 1078.0, "160e": 1568.0, "320e": 3136.0}
 """Rated torque at 15 r/min, N m."""
+WEIGHT = {"20e": 4.7, "40e": 9.3, "80e": 13.1, "110e": 17.4, "160e": 26.4, "320e": 44.3}
+"""Published weight, kg."""
+STEEL = 7850.0
+"""Density, kg/m3."""
 PUBLISHED = 108.0
 """Torsional stiffness of the RV-40E, N m/arcmin: what the springs are calibrated on."""
 SIZES = {
@@ -78,6 +82,23 @@ def stiffness(size: str) -> float:
     return _secant(similar(TORQUE[size]).stiffer(factor()), TORQUE[size])
 
 
+def disc_mass(size: str) -> float:
+    """Mass of the discs of a similar reducer, steel without holes, kg.
+
+    Args:
+        size: of `TORQUE`.
+    """
+    design = similar(TORQUE[size])
+    assert design.contact is not None
+    radius = float(design.cycloid.pin_circle_radius - design.cycloid.pin_radius)
+    return design.cycloid.disc_count * math.pi * radius**2 * float(design.contact.face_width) * STEEL
+
+
+def _weights() -> bool:
+    """True if every size weighs two to six times its discs."""
+    return all(2 < WEIGHT[size] / disc_mass(size) < 6 for size in WEIGHT)
+
+
 def _lost_motion() -> bool:
     """True if nineteen of twenty units of the study rv-40e lose at most the published arcminute."""
     question = study.load("rv-40e", solve=False)
@@ -91,4 +112,5 @@ COMPUTED: dict[str, Callable[[], PyTree]] = {
     **{f"sizes.rv{size}.stiffness": partial(stiffness, size) for size in TORQUE if size != "320e"},
     "sizes.rv320e.stiffness": lambda: stiffness("320e") < 980.0 < 1.5 * stiffness("320e"),  # two discs or three
     "sizes.rv40e.lost_motion": _lost_motion,
+    "sizes.weight": _weights,
 }

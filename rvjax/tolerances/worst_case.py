@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax.arguments import checked
 from rvjax.batching import in_blocks
 from rvjax.population import Population
 from rvjax.records import PyTree
@@ -39,6 +40,7 @@ class WorstCase:
     failed: PyTree
 
 
+@checked
 def worst_case(response: Response, tolerances: PyTree, *, refine: bool = True) -> WorstCase:
     """Smallest and largest response when every error may lie anywhere between its limits.
 

@@ -111,6 +111,8 @@ class Table(Cost):
             return
         if np.ndim(self.half_widths) != 1 or np.size(self.half_widths) < 2:
             raise ValueError(f"Table.half_widths = {self.half_widths!r}: needs at least two")
+        if np.shape(self.costs) != np.shape(self.half_widths):
+            raise ValueError(f"Table.costs = {self.costs!r}: must have one cost for each half-width")
         if not np.all(np.diff(self.half_widths) > 0):
             raise ValueError(f"Table.half_widths = {np.asarray(self.half_widths)}: must ascend")
         if not np.all(np.diff(self.costs) < 0):

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from rvjax.arguments import checked
 from rvjax.choices import choose
 from rvjax.population import Population
 from rvjax.response import Response
@@ -49,8 +50,9 @@ class CostCurve:
     allocations: tuple[Allocation, ...]
 
 
+@checked
 def cost_curve(
-    response: Any,
+    response: Response,
     tolerances: Any,
     requirements: Any,
     *,
@@ -123,6 +125,8 @@ def _moved(requirements: Any, against: str, of: str | None, value: float) -> Any
         return {
             name: _moved(item, against, None, value) if name in moving else item for name, item in requirements.items()
         }
+    if not isinstance(requirements, Limits):
+        raise ValueError(f"requirements = {requirements!r}: must be a requirement, or a dict of them")
     return requirements.aimed(value) if against == "target" else requirements.limited(value)
 
 

@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 from jax.interpreters import partial_eval
 
+from rvjax.arguments import number
 from rvjax.population import Population, Tolerance
 from rvjax.records import Array
 from rvjax.response import Response, evaluate
@@ -32,6 +33,8 @@ class Middle:
     scale: float = 0.0
 
     def __post_init__(self) -> None:
+        for name in ("lower", "upper", "scale"):
+            number(f"Middle.{name}", getattr(self, name))
         if not (math.isfinite(self.lower) and math.isfinite(self.upper) and self.lower <= self.upper):
             raise ValueError(f"Middle.lower = {self.lower!r}, upper = {self.upper!r}: must be finite and ascend")
         if not (math.isfinite(self.scale) and self.scale >= 0):

@@ -258,6 +258,7 @@ class _Search:
             if not pool.shape[1]:
                 break
             weights = self.mixture.weights(pool)
+            weights = weights if weights.any() else np.ones(len(weights))  # all beyond 38 standard deviations
             count = min(LANES, pool.shape[1])
             starts = pool[:, random.choice(pool.shape[1], count, replace=False, p=weights / weights.sum())]
             values, new = self.units.values(starts), False
@@ -283,19 +284,25 @@ class _Search:
 
     def draw(self, random: np.random.Generator, samples: int) -> tuple[Estimate, float, float]:
         """Share of units that differ from the origin, its effective samples and the mean weight of these units."""
-        total, squares, cubes, hits = 0.0, 0.0, 0.0, 0
+        total, squares, cubes, hits, unit = 0.0, 0.0, 0.0, 0, 0.0
         for start in range(0, samples, BATCH):
             z = self.mixture.sample(random, min(BATCH, samples - start))
             seen = self.mixture.weights(z[:, self.differ(z)])
+            if not unit and seen.any():
+                unit = math.ldexp(1.0, math.frexp(float(seen.max()))[1])  # their squares would be 0 beyond 26 sd
+            seen = seen / unit if unit else seen
             total, squares, cubes = (have + float((seen**k).sum()) for k, have in enumerate((total, squares, cubes), 1))
             hits += len(seen)
         if not hits:
             plain = max(1, int(samples * self.mixture.plain))
             return dataclasses.replace(wilson(0, plain, 0.95), error=0.0), 0.0, math.inf
+        if not total:  # beyond 38 standard deviations: below the smallest number
+            return Estimate(0.0, 0.0, 0.0, np.finfo(float).tiny), 0.0, math.inf
         share = total / samples
         variance = max(0.0, squares / samples - share**2)
         error, deviate = math.sqrt(variance / (samples - 1)), deviate_of(0.95)
         third = cubes / samples - 3 * share * squares / samples + 2 * share**3
         skewness = third / variance**1.5 if variance > 0 else 0.0
-        found = _widest(rare(share, error, deviate), skewed(share, error, skewness, samples, deviate))
-        return found, total**2 / squares, squares / total
+        seen_as = share * unit, error * unit
+        found = _widest(rare(*seen_as, deviate), skewed(*seen_as, skewness, samples, deviate))
+        return found, total**2 / squares, squares / total * unit

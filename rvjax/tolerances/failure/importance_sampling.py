@@ -180,6 +180,8 @@ class Mixture:
         if not self.count:
             return np.eye(1, len(middle))[0]
         likely = special.ndtr(-self.distances)
+        if not likely.any():  # all beyond 38 standard deviations
+            likely = special.softmax(special.log_ndtr(-self.distances))
         return np.concatenate([middle, (1 - middle.sum()) * likely / likely.sum()])
 
     @property
