@@ -63,7 +63,7 @@ def test_machines_agree_with_the_independent_ones(name):
 
 
 def test_methods_reach_the_equilibrium(monkeypatch):
-    """Nothing is compiled: the equilibrium has its own tests for each method, and the reference cases of most run in the long profile."""
+    """Nothing is compiled: the equilibrium is tested for each method, most reference cases in the long profile."""
     design, errors = unit_of(NAMED[BASIC])
     methods = dict(contact="linear", carrier="floating", sun="floating")
     for module, name in (("rated", "_rated_torque"), ("rating", "_rating")):  # functions hide modules of their name
