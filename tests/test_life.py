@@ -2,15 +2,18 @@
 ratings 1e-12; histories basic 1e-12, raceway 1e-6, slices 1e-4; machines basic 1e-7, raceway 1e-6, slices 1e-4.
 """
 
+import sys
+
 import numpy as np
 import pytest
-from life_cases import CASES, NAMED, duty_of, unit_of
+from life_cases import BASIC, CASES, NAMED, duty_of, unit_of
 
 from rvjax import RollerBearing, Status, life
 
 HISTORY = {"basic": 1e-12, "raceway": 1e-6, "slices": 1e-4}
 MACHINE = {"basic": 1e-7, "raceway": 1e-6, "slices": 1e-4}
 LONG = ("three", "rv40: no errors, rated", "rv40: no errors, linear", "rv40: all errors, four phases, raceway")
+LONG += ("rv40: torque for 6000 h at 15 r/min, no errors, linear",)
 
 
 def names(kind):
@@ -57,6 +60,21 @@ def test_machines_agree_with_the_independent_ones(name):
         else:
             tolerance = MACHINE[case["options"]["method"]]
             np.testing.assert_allclose(getattr(found, field), value, rtol=tolerance, err_msg=field)
+
+
+def test_methods_reach_the_equilibrium(monkeypatch):
+    """Nothing is compiled: the equilibrium is tested for each method, most reference cases in the long profile."""
+    design, errors = unit_of(NAMED[BASIC])
+    methods = dict(contact="linear", carrier="floating", sun="floating")
+    for module, name in (("rated", "_rated_torque"), ("rating", "_rating")):  # functions hide modules of their name
+        monkeypatch.setattr(sys.modules[f"rvjax.life.{module}"], name, lambda plan, *_: plan)
+    plans = (
+        life.rating(design, errors, duty_of(NAMED[BASIC]), samples=24, method="raceway", **methods),
+        life.rated_torque(design, errors, life=1e7, output_speed=1.0, samples=24, method="raceway", **methods),
+    )
+    for plan in plans:
+        assert (plan.layout.law, plan.layout.carrier, plan.layout.sun) == ("linear", "floating", "floating")
+        assert (plan.samples, plan.method) == (24, "raceway")
 
 
 @pytest.mark.parametrize("name", names("rated"))

@@ -113,8 +113,11 @@ def test_weights_are_shares_of_revolutions(method):
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_derivatives_are_those_of_the_plain_value(method):
-    """Steps of 1e-4: differences are good to 1e-7 of the value, slices are solved to 1e-13."""
+def test_derivatives_are_those_of_the_plain_value(method, thorough):
+    """Steps of 1e-4: differences are good to 1e-7 of the value, slices are solved to 1e-13.
+
+    Reverse mode transposes forward mode: right slopes of the first need right ones of the second.
+    """
     force = fixed(2000.0) + turning(1500.0, ANGLES + 0.3)
     weight = 1 + 0.3 * np.sin(ANGLES)
 
@@ -129,10 +132,10 @@ def test_derivatives_are_those_of_the_plain_value(method):
     value = jax.jit(value)
     at, step = jnp.ones(8), 1e-4 * jnp.eye(8)
     slope = jax.jit(jax.grad(value))(at)
-    forward = jax.jit(jax.jacfwd(value))(at)
     differences = np.array([(value(at + h) - value(at - h)) / 2e-4 for h in step])
     np.testing.assert_allclose(slope, differences, rtol=1e-5, atol=1e-5)
-    np.testing.assert_allclose(forward, slope, rtol=1e-9, atol=1e-12)
+    if thorough:
+        np.testing.assert_allclose(jax.jit(jax.jacfwd(value))(at), slope, rtol=1e-9, atol=1e-12)
 
 
 @pytest.mark.parametrize("method", METHODS)
