@@ -81,7 +81,9 @@ def test_an_array_for_one_number_names_the_way_to_sweep(function):
                 function(**CALLS[function] | {name: np.array([0.1, 0.2])})
 
 
-@pytest.mark.parametrize("bad", [0.3 + 1j, np.array(1j), jnp.asarray(1j), object(), {"q": 1}], ids=str)
+@pytest.mark.parametrize(
+    "bad", [0.3 + 1j, np.array(1j), jnp.asarray(1j), object(), {"q": 1}], ids=lambda bad: type(bad).__name__
+)
 def test_a_field_of_a_record_holds_real_numbers(bad):
     """Of a cost, a tolerance and a design: before, a complex number became part of the record."""
     for made in (

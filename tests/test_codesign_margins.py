@@ -11,7 +11,7 @@ from rvjax.tolerances import ReciprocalPower, Requirement, Tolerance, allocate
 from rvjax.tolerances.codesign.decisions import Decisions
 from rvjax.tolerances.codesign.design import Designer
 from rvjax.tolerances.codesign.margins import Margins
-from rvjax.tolerances.codesign.middle import Middle
+from rvjax.tolerances.codesign.variable import Middle
 
 PARTS = {name: Tolerance.symmetric(0.3) for name in "abc"}
 COSTS = dict.fromkeys("abc", ReciprocalPower(reference=1.0, finest=0.05, coarsest=5.0))

@@ -9,7 +9,7 @@ from rvjax.published.rv160 import READ
 from rvjax.study import bench, measured
 from rvjax.study.branches import _local, branches
 from rvjax.study.measured import Conditions
-from rvjax.study.problem import UNMEASURED, _by_place, candidates, problem, wide
+from rvjax.study.problem import UNMEASURED, _by_place, candidates, problem
 from rvjax.units import arcsec, um
 
 STUDY = """
@@ -146,14 +146,14 @@ def test_repeated_runs_are_runs():
 
 
 def test_candidates_of_the_next_run_and_their_noise():
-    """Shares of the largest torque, and one candidate measured alone, or with the runs of the study."""
+    """Shares of the largest torque; each candidate is one run of its model, and the only one that is measured."""
     text = STUDY.replace('"floor"', '"0.2 arcsec"').replace("[40, 80]", "[40]")
     found = problem(study.parse_study(text, name="bench", solve=False))
-    assert {run.torque for run in candidates(found)} == {41.2, 206.0, 412.0, 824.0}
-    several = wide(found)
-    for k, name in enumerate(several.again):
-        weights = np.full(1 + len(several.again), UNMEASURED)
-        weights[1 + k] = found.sd
-        assert several.again[name].sd["order 040"] == pytest.approx(weights)
-        weights[0] = found.sd
-        assert several.added[name].sd["order 040"] == pytest.approx(weights)
+    torques = []
+    for one in candidates(found).values():
+        sd = np.asarray(one.noise.sd["order 040"])
+        (run,) = np.flatnonzero(sd == found.sd)
+        assert (np.delete(sd, run) == UNMEASURED).all()
+        torques.append(float(one.model.torques[one.model.place[run]]))
+    sizes = np.array([41.2, 206.0, 412.0, 824.0])
+    assert sorted(torques) == pytest.approx(sorted([*sizes, *-sizes]))  # of both directions

@@ -320,7 +320,8 @@ class Training:
                 slopes[:, mine] = self._gradients(errors[:, mine], cotangents)
             else:
                 there = self.with_half_widths(half_widths)
-                slopes[:, mine] = self.followed.slopes(number, there, pull.units[mine], cotangents)
+                found = self.followed.slopes(number, there, pull.units[mine], cotangents)
+                slopes[:, mine] = found[: len(errors)]  # numbers of the design follow
         for name in np.unique(required):
             mine = (required == name) & (pull.cotangents != 0) & np.isfinite(slopes).all(axis=0)
             if self.followed is not None:
