@@ -170,7 +170,7 @@ BAD_PARTS = [
     ("kind,id,pin_radius [um]\npins,a,1,2\n", "row 2 has 4 cells, the header 3"),
     ("kind,id,pin_radius [um]\npins,a,\n", "parts of kind 'pins' have no error"),
     ("kind,id,disc_bore[0][0] [um]\ndisc_4,a,1\n", "kind = 'disc_4': this design has 2 discs, counted from 0"),
-    ("kind,id,disc_pitch[0] [um]\ndisc,a,1\n", "disc_pitch is not measured in full, and no tolerance says"),
+    ("kind,id,disc_pitch[0] [um]\ndisc,a,1\n", "not all elements of disc_pitch are measured"),
 ]
 
 

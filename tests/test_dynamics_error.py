@@ -265,7 +265,7 @@ def test_what_cannot_be_asked_is_refused_by_name():
     unequal = DESIGN.replace(inertia=DESIGN.inertia.replace(planet_mass=np.array([1.0, 1.0, 1.1])))
     refused = {
         "disc_count": lambda: dynamics.transmission_error(one, errors, **spin),
-        "members alike": lambda: dynamics.error_transfer(unequal, frequency=1.0),
+        "one number in each field": lambda: dynamics.error_transfer(unequal, frequency=1.0),
         "output.x": lambda: dynamics.transmission_error(DESIGN, errors, outputs=("output.x",), **spin),
         "method": lambda: dynamics.transmission_error(DESIGN, errors, method="exact", **spin),
         "stage": lambda: dynamics.transmission_error(DESIGN, errors, stage="third", **spin),

@@ -244,7 +244,7 @@ def test_series_are_tolerances_of_a_study(joint):
         ("loss_factor = 0.04", "loss_factor = 0", "the unit without errors cannot be solved: SINGULAR"),
         ("speeds = 12", "speeds = 1", "conditions.speeds = 1: must be an integer of at least 2"),
         ('base = "rv-40e"', 'base = "rv-40e"\ncycloid.disc_count = 1', "disc_count = 1"),
-        ('planet_mass = "0.18 kg"', 'planet_mass = ["0.18 kg", "0.2 kg"]', "members alike"),
+        ('planet_mass = "0.18 kg"', 'planet_mass = ["0.18 kg", "0.2 kg"]', "one number in each field"),
     ],
 )
 def test_a_study_of_a_joint_says_what_is_wrong(old, new, words):
