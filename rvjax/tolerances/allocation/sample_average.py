@@ -317,11 +317,11 @@ class Training:
             rows = np.array([names.index(name) for name in required[mine]])
             cotangents = np.eye(len(names))[rows].T * pull.cotangents[mine]
             if self.followed is None:
-                slopes[:, mine] = self._gradients(errors[:, mine], cotangents)
+                found = self._gradients(errors[:, mine], cotangents)
             else:
                 there = self.with_half_widths(half_widths)
                 found = self.followed.slopes(number, there, pull.units[mine], cotangents)
-                slopes[:, mine] = found[: len(errors)]  # numbers of the design follow
+            slopes[:, mine] = found[: len(errors)]  # those to numbers of the design follow
         for name in np.unique(required):
             mine = (required == name) & (pull.cotangents != 0) & np.isfinite(slopes).all(axis=0)
             if self.followed is not None:
@@ -345,7 +345,7 @@ class Training:
         """Gradients (elements, n) of weighted responses."""
 
         def compute() -> Any:
-            return gradients(self.response, self.population, errors, cotangents, self.names)[1][: len(errors)]
+            return gradients(self.response, self.population, errors, cotangents, self.names)[1]
 
         if self._memo is None:
             return compute()
