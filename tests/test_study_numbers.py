@@ -145,15 +145,17 @@ def test_repeated_runs_are_runs():
     assert list(_by_place([run, run]).values()) == [run, run]
 
 
-def test_candidates_of_the_next_run_and_their_noise():
-    """Shares of the largest torque; each candidate is one run of its model, and the only one that is measured."""
-    text = STUDY.replace('"floor"', '"0.2 arcsec"').replace("[40, 80]", "[40]")
+@pytest.mark.parametrize(
+    ("planned", "sizes"), [("", [41.2, 206.0, 412.0, 824.0]), ('torques = ["206 N m", "412 N m"]', [206.0, 412.0])]
+)
+def test_candidates_of_the_next_run_and_their_noise(planned, sizes):
+    """Shares of the largest torque or the planned ones; each is one run of its model, the only one that is measured."""
+    text = STUDY.replace('"floor"', '"0.2 arcsec"').replace("[40, 80]", "[40]") + planned
     found = problem(study.parse_study(text, name="bench", solve=False))
     torques = []
     for one in candidates(found).values():
         sd = np.asarray(one.noise.sd["order 040"])
         (run,) = np.flatnonzero(sd == found.sd)
-        assert (np.delete(sd, run) == UNMEASURED).all()
+        assert len(sd) == len(found.runs) and (np.delete(sd, run) == UNMEASURED).all()
         torques.append(float(one.model.torques[one.model.place[run]]))
-    sizes = np.array([41.2, 206.0, 412.0, 824.0])
-    assert sorted(torques) == pytest.approx(sorted([*sizes, *-sizes]))  # of both directions
+    assert sorted(torques) == pytest.approx(sorted([*sizes, *(-size for size in sizes)]))  # of both directions
