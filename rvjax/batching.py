@@ -2,17 +2,82 @@
 
 import functools
 from collections.abc import Callable
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.extend.core import Primitive
+from jax.interpreters import batching, mlir
 
 from rvjax.records import PyTree
 
 Result = TypeVar("Result")
 
 _WINDOW = 32  # neighbouring batch elements that are recomputed together
+
+
+_traced_late = Primitive("traced_late")
+_traced_late.multiple_results = True
+
+
+class TracedLate:
+    """A function with a rule of its own under `jax.vmap`, traced once: when the program that calls it is lowered.
+
+    `jax.custom_batching.custom_vmap` traces it for one case and again at every level of `jax.vmap`: two or three times
+    as long for a batch of `loaded`. It has no derivatives.
+    """
+
+    def __init__(self, function: Callable[..., PyTree], shapes: Callable[..., PyTree]) -> None:
+        """A function of arrays.
+
+        Args:
+            function: to compute.
+            shapes: of its results, from its arguments.
+        """
+        self._function, self._shapes = jax.jit(function), shapes
+        self.rule: Callable[..., PyTree] | None = None
+        """(size, whether each argument is batched, first axis; *arguments) -> results, batch first."""
+
+    def __call__(self, *arguments: PyTree) -> PyTree:
+        """The results."""
+        leaves, tree = jax.tree.flatten(arguments)
+        found = _traced_late.bind(*leaves, late=self, tree=tree)
+        return jax.tree.unflatten(jax.tree.structure(self._shapes(*arguments)), found)
+
+    def flat(self, *leaves: Any, tree: Any) -> list[jax.Array]:
+        """Leaves of the results."""
+        return jax.tree.leaves(self._function(*jax.tree.unflatten(tree, leaves)))
+
+    def types(self, *leaves: Any, tree: Any) -> list[Any]:
+        """Types of these."""
+        found = jax.tree.leaves(self._shapes(*jax.tree.unflatten(tree, leaves)))
+        return [leaves[0].update(shape=leaf.shape, dtype=leaf.dtype, weak_type=False) for leaf in found]
+
+
+@_traced_late.def_impl
+def _computed(*leaves: jax.Array, late: TracedLate, tree: Any) -> list[jax.Array]:
+    return late.flat(*leaves, tree=tree)
+
+
+@_traced_late.def_abstract_eval
+def _typed(*leaves: Any, late: TracedLate, tree: Any) -> list[Any]:
+    return late.types(*leaves, tree=tree)
+
+
+def _batched(leaves: Any, axes: Any, *, late: TracedLate, tree: Any) -> tuple[list[jax.Array], list[int]]:
+    own = [axis is not batching.not_mapped for axis in axes]
+    size = next(leaf.shape[axis] for leaf, axis, is_own in zip(leaves, axes, own) if is_own)
+    moved = [jnp.moveaxis(leaf, axis, 0) if is_own else leaf for leaf, axis, is_own in zip(leaves, axes, own)]
+    assert late.rule is not None
+    found = jax.tree.leaves(late.rule(size, jax.tree.unflatten(tree, own), *jax.tree.unflatten(tree, moved)))
+    return found, [0] * len(found)
+
+
+batching.primitive_batchers[_traced_late] = _batched
+mlir.register_lowering(
+    _traced_late, mlir.lower_fun(lambda *leaves, late, tree: late.flat(*leaves, tree=tree), multiple_results=True)
+)
 
 
 def along_lanes(function: Callable[..., Result]) -> Callable[..., Result]:

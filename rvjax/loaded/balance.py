@@ -4,6 +4,7 @@ import functools
 from typing import NamedTuple
 
 import jax
+from jax.typing import DTypeLike
 
 from rvjax.loaded.batching import in_blocks, in_lanes
 from rvjax.loaded.contacts import contacts, gradient, hessian
@@ -22,7 +23,7 @@ def balance(layout: Layout, system: System, start: jax.Array) -> Found:
         system: the case.
         start: (n,), NaN: the linear step of `newton`, or inf: nothing is solved.
     """
-    return in_lanes(minimise, layout)(system, start)
+    return in_lanes(minimise, layout, Found.shapes)(system, start)
 
 
 @balance.defjvp
@@ -38,6 +39,12 @@ class Forces(NamedTuple):
     gear: jax.Array  # (c, 2)
     bearing: jax.Array  # (b, 2), sign of grad E
 
+    @classmethod
+    def shapes(cls, layout: Layout, dtype: DTypeLike) -> PyTree:
+        """Shapes of one case."""
+        sizes = (layout.discs, layout.pins), (layout.cranks, 2), (layout.bearings, 2)
+        return cls(*(jax.ShapeDtypeStruct(size, dtype) for size in sizes))  # type: ignore[arg-type]
+
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
 def forces(layout: Layout, system: System, q: jax.Array) -> Forces:
@@ -48,7 +55,7 @@ def forces(layout: Layout, system: System, q: jax.Array) -> Forces:
         system: the case.
         q: its equilibrium (n,).
     """
-    return in_lanes(_forces, layout)(system, q)
+    return in_lanes(_forces, layout, Forces.shapes)(system, q)
 
 
 @forces.defjvp
@@ -87,9 +94,13 @@ def compliance(layout: Layout, system: System, q: jax.Array, load: jax.Array) ->
         return jax.jvp(lambda x: residual(layout, system, x), (q,), (v,))[1]
 
     def divided(_: object, b: jax.Array) -> jax.Array:
-        return in_lanes(_compliance, layout)(jax.lax.stop_gradient(system), jax.lax.stop_gradient(q), b)
+        return in_lanes(_compliance, layout, _unknowns)(jax.lax.stop_gradient(system), jax.lax.stop_gradient(q), b)
 
     return jax.lax.custom_linear_solve(times, load, divided, symmetric=True)
+
+
+def _unknowns(layout: Layout, dtype: DTypeLike) -> jax.ShapeDtypeStruct:
+    return jax.ShapeDtypeStruct((layout.unknowns,), dtype)
 
 
 def _compliance(layout: Layout, system: System, q: jax.Array, load: jax.Array) -> jax.Array:

@@ -7,10 +7,12 @@ vary becomes elements, any other becomes groups.
 
 import functools
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 
+from rvjax.batching import TracedLate
 from rvjax.loaded.system import Layout, System
 from rvjax.records import PyTree
 
@@ -21,17 +23,24 @@ _FEW = 8  # elements of a group; with fewer each case is an element with a separ
 
 
 @functools.lru_cache(maxsize=64)
-def in_lanes(kernel: Kernel, layout: Layout) -> Kernel:
+def in_lanes(kernel: Kernel, layout: Layout, shapes: Callable[[Layout, Any], PyTree]) -> Kernel:
     """The function (system, *arrays) of one case that `kernel` computes for many.
 
     Args:
         kernel: (layout, system, *arrays) -> arrays, cases first; leaves of one case are shared by all.
         layout: counts and methods.
+        shapes: (layout, dtype) -> shapes and dtypes of the results of one case.
     """
-    grouped = jax.custom_batching.custom_vmap(jax.jit(functools.partial(_over_groups, kernel, layout)))
 
-    @grouped.def_vmap
-    def _rule(size: int, batched: list[PyTree], *arguments: PyTree) -> tuple[PyTree, PyTree]:
+    def results(*arguments: PyTree) -> PyTree:
+        leaves = jax.tree.leaves(arguments)
+        batch = tuple(max(leaf.shape[axis] for leaf in leaves) for axis in (0, 1))
+        one = shapes(layout, leaves[-1].dtype)
+        return jax.tree.map(lambda leaf: jax.ShapeDtypeStruct((*batch, *leaf.shape), leaf.dtype), one)
+
+    grouped = TracedLate(functools.partial(_over_groups, kernel, layout), results)
+
+    def rule(size: int, batched: list[PyTree], *arguments: PyTree) -> PyTree:
         leaves, tree = jax.tree.flatten(arguments)
         flags = jax.tree.leaves(batched)
         groups = max(leaf.shape[flag] for leaf, flag in zip(leaves, flags))
@@ -55,8 +64,9 @@ def in_lanes(kernel: Kernel, layout: Layout) -> Kernel:
                 return leaf.reshape(size, groups, *leaf.shape[1:])
             return jnp.swapaxes(leaf.reshape(groups, size, lanes, *leaf.shape[2:]), 0, 1)
 
-        found = jax.tree.map(split, found)
-        return found, jax.tree.map(lambda _: True, found)
+        return jax.tree.map(split, found)
+
+    grouped.rule = rule
 
     def of_one(*arguments: PyTree) -> PyTree:
         found = grouped(*jax.tree.map(lambda leaf: leaf[None, None], arguments))

@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax.typing import DTypeLike
 
 from rvjax.batching import folded, stored
 from rvjax.loaded import laws
@@ -23,6 +24,7 @@ from rvjax.loaded.elimination import solve
 from rvjax.loaded.interior import approach
 from rvjax.loaded.system import Layout, System
 from rvjax.loaded.watchdog import Judged, State, decided, fresh, is_open, onward, packed, unpacked
+from rvjax.records import PyTree
 
 MAX_STEPS = 300
 _DIRECT = 80  # of them before the interior point method
@@ -38,6 +40,14 @@ class Found(NamedTuple):
     converged: jax.Array  # (l,)
     overload: jax.Array  # (l,) a pin beyond its contact law, at the start or on the way
     finite: jax.Array  # (l,)
+
+    @classmethod
+    def shapes(cls, layout: Layout, dtype: DTypeLike) -> PyTree:
+        """Shapes and dtypes of one case."""
+        of = functools.partial(jax.ShapeDtypeStruct, ())
+        return cls(  # type: ignore[arg-type]
+            jax.ShapeDtypeStruct((layout.unknowns,), dtype), of(jnp.int32), of(dtype), of(dtype), of(bool), of(bool), of(bool)
+        )  # fmt: skip
 
 
 class _Tour(NamedTuple):

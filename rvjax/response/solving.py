@@ -7,16 +7,17 @@ errors, and so the iteration is compiled once.
 import functools
 from collections.abc import Callable
 from math import prod
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from rvjax.population import Population
+from rvjax.records import Record
 from rvjax.response.devices import NUMBERS, UNITS, mesh_of, on, shared_out
+from rvjax.response.marked import Marked
 from rvjax.response.response import Compiled, R, Response, Values, evaluate, per_response, response_names
-from rvjax.roots import SOLVED
 
 AT_ONCE = 256
 """Units of one call. Places that are not needed hold units of NaN, which a model does not solve."""
@@ -136,40 +137,40 @@ def without_errors(population: Population) -> jax.Array:
     return jnp.zeros((sum(prod(t.shape) for t in population.active.values()), AT_ONCE), jnp.result_type(float))
 
 
-class _Linear(NamedTuple):
-    """One unit and its linear part."""
-
-    values: Values
-    status: jax.Array
-    pull: Callable[[jax.Array], tuple[jax.Array, dict[str, jax.Array]]]  # to gradients of elements, numbers of a design
-
-
-def _linear(response: Response, population: Population, free: dict[str, jax.Array], vector: jax.Array) -> _Linear:
-    names = response_names(response, population)
-
-    @functools.partial(jax.checkpoint, policy=jax.checkpoint_policies.save_only_these_names(SOLVED))
-    def values(vector: jax.Array, free: dict[str, jax.Array]) -> tuple[jax.Array, tuple[Values, jax.Array]]:
-        there = population.replace(values=free) if free else population
-        found, status = evaluate(response, there.fill(there.by_field(vector)))
-        return jnp.stack([found[name] for name in names]), (found, status)
-
-    _, pull, (found, status) = jax.vjp(values, vector, free, has_aux=True)
-    return _Linear(found, status, pull)
+def _unit(
+    response: Response, population: Population, vector: jax.Array, free: dict[str, jax.Array]
+) -> tuple[Values, jax.Array]:
+    there = population.replace(values=free) if free else population
+    return evaluate(response, there.fill(there.by_field(vector)))
 
 
-def _own(leaf: jax.Array) -> bool:
-    """True if a number differs between the units of a batch."""
-    return hasattr(leaf, "batch_dim")  # JAX exports no type of these tracers
+_unit_of_record = jax.jit(_unit)  # the program of the slopes need not trace it again
+
+
+class _Traced(NamedTuple):
+    """One unit, traced, and its first arguments."""
+
+    marked: Marked
+    first: tuple[Record, ...]
+
+    @classmethod
+    def of(cls, response: Response, population: Population, errors: jax.Array, free: dict[str, jax.Array]) -> "_Traced":
+        """The unit of these responses; a plain function is no argument."""
+        plain = not isinstance(response, Record)
+        function: Any = functools.partial(_unit, response) if plain else _unit_of_record
+        first: Any = (population,) if plain else (response, population)
+        return cls(Marked.of(function, *first, jax.ShapeDtypeStruct(errors.shape[:1], errors.dtype), free), first)
 
 
 @per_response()
 def _solved(response: Response, population: Population, errors: jax.Array) -> tuple[Values, jax.Array, jax.Array]:
     free = _free(population, errors)
+    unit, first = _Traced.of(response, population, errors, free)
 
     def one(vector: jax.Array) -> tuple[Values, jax.Array, jax.Array]:
-        found = _linear(response, population, free, vector)
-        kept = [jnp.ravel(leaf).astype(errors.dtype) for leaf in jax.tree.leaves(found.pull) if _own(leaf)]
-        return found.values, found.status, jnp.concatenate([jnp.zeros(0, errors.dtype), *kept])
+        (values, status), state = unit.with_state(*first, vector, free)
+        kept = [jnp.ravel(leaf).astype(errors.dtype) for leaf in state]
+        return values, status, jnp.concatenate([jnp.zeros(0, errors.dtype), *kept])
 
     return jax.vmap(one, in_axes=-1, out_axes=(0, 0, -1))(errors)
 
@@ -179,14 +180,15 @@ def _pulled(
     response: Response, population: Population, errors: jax.Array, state: jax.Array, cotangents: jax.Array
 ) -> jax.Array:
     free = _free(population, errors)
+    unit, first = _Traced.of(response, population, errors, free)
+    names = response_names(response, population)
 
     def one(vector: jax.Array, state: jax.Array, cotangent: jax.Array) -> jax.Array:
-        found = _linear(response, population, free, vector)  # XLA removes what only the values need
-        leaves, tree = jax.tree.flatten(found.pull)
-        sizes = [np.size(leaf) if _own(leaf) else 0 for leaf in leaves]
-        parts = jnp.split(state, np.cumsum(sizes)[:-1])
-        leaves = [p.reshape(x.shape).astype(x.dtype) if _own(x) else x for p, x in zip(parts, leaves)]
-        slope, to_free = jax.tree.unflatten(tree, leaves)(cotangent)
+        def weighted(vector: jax.Array, free: dict[str, jax.Array]) -> jax.Array:
+            values, _ = unit.from_state(state, *first, vector, free)
+            return jnp.stack([values[name] for name in names])
+
+        slope, to_free = jax.vjp(weighted, vector, free)[1](cotangent)
         return jnp.concatenate([slope, jnp.stack(list(to_free.values()))]) if to_free else slope
 
     return jax.vmap(one, in_axes=-1, out_axes=-1)(errors, state, cotangents)

@@ -1,0 +1,99 @@
+"""A function in the place of its jaxpr: what `roots.solved` marks is read, or given and not computed again."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from jax.extend.core import ClosedJaxpr, Literal
+
+from rvjax.records import PyTree
+from rvjax.roots import SOLVED
+
+
+class Marked(NamedTuple):
+    """A traced function of arrays."""
+
+    jaxpr: ClosedJaxpr
+    tree: Any  # of its results
+
+    @classmethod
+    def of(cls, function: Callable[..., PyTree], *arguments: PyTree) -> "Marked":
+        """Trace a function for arguments of these shapes."""
+        jaxpr, shapes = jax.make_jaxpr(function, return_shape=True)(*arguments)
+        return cls(jaxpr, jax.tree.structure(shapes))
+
+    def with_state(self, *arguments: PyTree) -> tuple[PyTree, list[jax.Array]]:
+        """Results, and what is marked, in the order of the program."""
+        state: list[jax.Array] = []
+        found = _evaluated(self.jaxpr, jax.tree.leaves(arguments), lambda _, value: state.append(value) or value)
+        return jax.tree.unflatten(self.tree, found), state
+
+    def from_state(self, state: jax.Array, *arguments: PyTree) -> PyTree:
+        """Results with what is marked taken from a vector, and so without what leads there.
+
+        Args:
+            state: all numbers of `with_state`, one after the other.
+            arguments: of the function.
+        """
+        place = 0
+
+        def taken(kind: Any, _: None) -> jax.Array:
+            nonlocal place
+            part = state[place : place + np.prod(kind.shape, dtype=int)]
+            place += part.size
+            return part.reshape(kind.shape).astype(kind.dtype)
+
+        return jax.tree.unflatten(self.tree, _evaluated(self.jaxpr, jax.tree.leaves(arguments), taken, given=True))
+
+
+def _evaluated(
+    closed: ClosedJaxpr, arguments: list[Any], mark: Callable[[Any, Any], jax.Array], *, given: bool = False
+) -> list[Any]:
+    """Results of a jaxpr; `mark` (type, value) has a value for each mark, whose own is None where it is given."""
+    jaxpr, known = closed.jaxpr, dict[Any, Any]()
+    known |= dict(zip([*jaxpr.constvars, *jaxpr.invars], [*closed.consts, *arguments]))
+
+    def read(variable: Any) -> Any:
+        return variable.val if isinstance(variable, Literal) else known.get(variable)
+
+    wanted = _wanted(jaxpr) if given else None
+    for number, equation in enumerate(jaxpr.eqns):
+        inner, values = _program(equation), [read(variable) for variable in equation.invars]
+        if _is_mark(equation):
+            found = [mark(equation.outvars[0].aval, values[0])]
+        elif wanted is not None and number not in wanted:
+            continue
+        elif inner is not None and _has_marks(inner.jaxpr):
+            found = _evaluated(inner, values, mark, given=given)
+        else:
+            bound = equation.primitive.bind(*values, **equation.primitive.get_bind_params(equation.params))
+            found = bound if equation.primitive.multiple_results else [bound]
+        known |= dict(zip(equation.outvars, found))
+    return [read(variable) for variable in jaxpr.outvars]
+
+
+def _wanted(jaxpr: Any) -> set[int]:
+    """Numbers of the equations that the results need, apart from those that only lead to a mark."""
+    needed, wanted = {v for v in jaxpr.outvars if not isinstance(v, Literal)}, set()
+    for number, equation in reversed(list(enumerate(jaxpr.eqns))):
+        inner = _program(equation)
+        if _is_mark(equation) or (needed.isdisjoint(equation.outvars) and not (inner and _has_marks(inner.jaxpr))):
+            continue
+        wanted.add(number)
+        needed |= {v for v in equation.invars if not isinstance(v, Literal)}
+    return wanted
+
+
+def _program(equation: Any) -> ClosedJaxpr | None:
+    """What a call of `jax.jit` computes; None for anything else."""
+    return equation.params["jaxpr"] if equation.primitive.name in ("jit", "pjit") else None
+
+
+def _is_mark(equation: Any) -> bool:
+    return equation.primitive.name == "name" and equation.params["name"] == SOLVED
+
+
+def _has_marks(jaxpr: Any) -> bool:
+    programs = [_program(equation) for equation in jaxpr.eqns]
+    return any(map(_is_mark, jaxpr.eqns)) or any(inner and _has_marks(inner.jaxpr) for inner in programs)
