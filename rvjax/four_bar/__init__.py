@@ -9,9 +9,10 @@ Source: "original error" analysis of an RV-40E as a four-bar linkage (anonymous 
 equations are unnumbered; here (S1) is the closure, (S2) its quadratic, (S4) the loaded crank length.
 """
 
+from rvjax.four_bar.extremes import Figures
 from rvjax.four_bar.linkage import Closure, LinkDeviations, solve_closure
 from rvjax.four_bar.reducer import TransmissionError, transmission_error
-from rvjax.four_bar.revolution import Figures, Revolution, figures, revolution
+from rvjax.four_bar.revolution import Revolution, figures, revolution
 
 __all__ = [
     "Closure",
