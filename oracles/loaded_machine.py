@@ -271,12 +271,8 @@ class Machine:
         on = d > 0
         x = np.where(on, d, 1)
         if self.case.law == "linear":
-            force, slope, energy, y = (
-                self.k_pin * x,
-                self.k_pin + 0 * x,
-                self.k_pin * x * x / 2,
-                np.full_like(x, np.inf),
-            )
+            force, slope = self.k_pin * x, self.k_pin + 0 * x
+            energy, y = force * x / 2, np.full_like(x, np.inf)
         elif self.case.law == "palmgren":
             force = (x / self.c_pin) ** (REAL(10) / 9)
             slope, energy, y = 10 * force / (9 * x), 9 * force * x / 19, np.full_like(x, np.inf)

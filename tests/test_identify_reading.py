@@ -6,7 +6,8 @@ import pytest
 from loaded_turns import found_over_a_turn, orders_read, sprung
 
 from rvjax import catalogue, identify, loaded, models
-from rvjax.published.rv160 import ENCODER, NONE, READ
+from rvjax.published.rv160 import ENCODER, READ
+from rvjax.published.rv160_reducer import NONE
 from rvjax.study import bench
 from rvjax.study.measured import Conditions
 from rvjax.study.nuisances import NUISANCES, nuisance, part_orders

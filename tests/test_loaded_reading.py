@@ -22,7 +22,7 @@ from loaded_turns import (
 
 import rvjax
 from rvjax import Status, loaded
-from rvjax.published.rv160 import MACHINE, NONE
+from rvjax.published.rv160_reducer import MACHINE, NONE
 from rvjax.units import arcsec, mm
 
 
