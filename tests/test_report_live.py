@@ -202,7 +202,7 @@ def browser():
 
 LOOK = """
 const told = {}, section = document.querySelector("#live");
-const figure = () => section.querySelector("[data-label=figure]").textContent;
+const figure = () => section.querySelector("[data-label=value]").textContent;
 const range = section.querySelector("[aria-label^=pin], #live-0");
 const settled = async () => {
   const was = section.dataset.computed;

@@ -73,7 +73,7 @@ def _rows(first: Result, second: Result) -> Iterator[tuple[str, str, str, PyTree
     yield both("cost", "before", "number", "cost", "before")
     yield both("cost", "after", "number", "cost", "after")
     if _at(first, "cost", "middles") or _at(second, "cost", "middles"):
-        yield both("cost", "after, of it middles moved", "number", "cost", "middles")
+        yield both("cost", "moved middles, after", "number", "cost", "middles")
     yield both("cost", "with ISO 286 grades", "number", "graded", "cost")
     for name in _names(first, second, "tolerances"):
         unit = (first["tolerances"].get(name) or second["tolerances"][name])["unit"]
@@ -84,7 +84,7 @@ def _rows(first: Result, second: Result) -> Iterator[tuple[str, str, str, PyTree
                 yield f"tolerances {when}", f"{name}, middle", unit, a and _middle(a), b and _middle(b)
     for name in _names(first, second, "certificate", "verdicts"):
         yield both("requirements", f"{name}, limits", "text", "limits", name)
-        yield both("requirements", ", ".join((name, "asked")), "text", "certificate", "verdicts", name, "wanted")
+        yield both("requirements", f"{name}, required", "text", "certificate", "verdicts", name, "wanted")
         yield both("requirements", f"{name}, met", "text", "certificate", "verdicts", name, "met")
         yield both("requirements", f"{name}, yield", "share", "certificate", "yield_", name, "value")
         yield both("requirements", f"{name}, Cpk", "number", "certificate", "cpk", name)

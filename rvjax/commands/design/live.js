@@ -64,8 +64,8 @@ function startDesign(section, data) {
     };
   });
   const verdict = (found) => (found.met ? "✔ met" : "✘ not met");
-  const units = tabled("units", data.units, ["limit", "asked", "distance", "verdict"],
-    (row, found) => [row.limit, row.asked, shown(found.distance, row.unit), verdict(found)]);
+  const units = tabled("units", data.units, ["limit", "required", "distance", "verdict"],
+    (row, found) => [row.limit, row.required, shown(found.distance, row.unit), verdict(found)]);
   const nominal = tabled("nominal", data.nominal, ["limit", "value", "verdict"],
     (row, found) => [row.limit, shown(found.value, row.unit), found.judged ? verdict(found) : "-"]);
 

@@ -84,7 +84,7 @@ def _distance(study: Study, found: Designed, sliders: list[dict[str, Any]], name
     slopes = joint.margin_slopes[name]
     return {
         "label": words(name), "limit": limit_text(study.requirements[name], output), "unit": unit,
-        "asked": study.requirements[name].text(), "margin": min(joint.margins[name], 0.0) / size,
+        "required": study.requirements[name].text(), "margin": min(joint.margins[name], 0.0) / size,
         "slopes": [slopes.get(one["name"], 0.0) * one["size"] / size for one in sliders],
         "scale": max(abs(x) for x in _ends(study.requirements[name])) / size,
     }  # fmt: skip

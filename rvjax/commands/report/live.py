@@ -184,7 +184,7 @@ def _response(name: str, found: Surrogate, answer: Answer) -> dict[str, Any]:
         "own": own,
         "range": ranges,
         "wanted": getattr(requirement, requirement.goal) if requirement.goal else None,
-        "asked": requirement.text(),
+        "required": requirement.text(),
         "shares": shares,
         "base": _floats(found.base[name] / size),
         "columns": [{"terms": list(key)} | _integers(c / size) for key, c in found.columns[name].items()],

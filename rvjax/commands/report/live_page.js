@@ -59,7 +59,7 @@ function startLive(section, data) {
   });
 
   const judged = data.responses.map((response) => {
-    const cells = ["figure", "asked", "mean", "sd", "Cpk", "verdict"].map((name) =>
+    const cells = ["value", "required", "mean", "sd", "Cpk", "verdict"].map((name) =>
       element("td", { "data-label": name }));
     $("figures").append(element("tr", {}, element("th", { scope: "row" }, response.label), ...cells));
     const picture = element("figure", { class: "live-figure" });
@@ -128,7 +128,7 @@ function startLive(section, data) {
       const figure = found.figures[k], { cells } = judged[k], unit = response.unit;
       const main = { share: percent(figure.yield), cpk: read(figure.cpk), mean: shown(figure.mean, unit),
         sd: shown(figure.sd, unit), worst: "-" }[response.kind];
-      const texts = [main, response.asked, shown(figure.mean, unit), shown(figure.sd, unit),
+      const texts = [main, response.required, shown(figure.mean, unit), shown(figure.sd, unit),
         response.of_units ? read(figure.cpk) : "-", signs[figure.met]];
       cells.forEach((cell, i) => { cell.textContent = texts[i]; });
       cells[5].className = figure.met === false ? "missed-mark" : figure.met ? "met" : "";
