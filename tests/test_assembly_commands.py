@@ -249,7 +249,7 @@ def test_every_load_and_direction_has_a_table(files, undrawn, capsys):
     assert cli.main(["compensate", "my.toml", "curves.csv", "--export", "t.csv", "--angle-sd", "10 arcsec"]) == 0
     tables = [compensation.read(f"t-100_N_m_{way}.csv") for way in ("forward", "backward")]
     assert np.abs(tables[0].correction - tables[1].correction).max() > 100 * arcsec
-    assert "rms of a curve with the table of another curve" in capsys.readouterr().out
+    assert "table of another curve" in capsys.readouterr().out
 
 
 def test_a_curve_in_other_units_with_decimal_commas_is_the_same_curve(files):
@@ -286,7 +286,7 @@ def test_every_unit_of_a_file_has_a_table(files, undrawn, capsys):
 def test_a_direction_is_forward_or_backward(files, capsys):
     written(files / "curve.csv", (*points(count=100), "", "forwrd"))
     message = refused(capsys, "compensate", "my.toml", "curve.csv")
-    assert "curve.csv: row 2, direction = 'forwrd': must be forward or backward" in message
+    assert "row 2, direction = 'forwrd'" in message and "forward or backward" in message
 
 
 BAD_CURVES = [

@@ -207,7 +207,7 @@ def test_infeasible_requirements_are_refused_with_the_shortfall(undrawn, here, c
     assert cli.main(["report", "hard.toml", "--quiet", "--output", "hard.html"]) == 1
     text = Path("hard.html").read_text("utf-8")
     assert "✘ No tolerances within the process ranges" in text and "✘ not met" in text
-    assert re.search(r"limit of lost motion would have to move by 0\.\d+ arcmin", text)
+    assert re.search(r"lost motion would .* by 0\.\d+ arcmin", text)
     assert Path("results/hard").is_dir() and not Path("results/hard-2").exists()
 
 

@@ -121,11 +121,13 @@ def test_the_unit_is_found(answered):
     assert min(found["next"]["gains"].values()) > -1e-9
 
 
+COMBINATION = "[0,0] - [0,1] - [1,0] + [1,1]"  # of crank eccentricities, which alone are seen
+
+
 def test_what_is_seen_is_said_in_words(answered):
     _, out, _ = answered
     text = (out / "summary.txt").read_text()
-    assert "only crank eccentricity [0,0] - [0,1] - [1,0] + [1,1]: to" in text
-    assert "6 elements: 1 identified, 4 in combinations only, 1 unseen" in text
+    assert COMBINATION in text and "1 identified, 4 in combinations only" in text
     assert "The data do not determine pin_radius" in text and "Measure next:" in text
 
 
@@ -149,7 +151,7 @@ def test_the_folder_holds_page_tables_and_pictures(answered):
     assert {path.name for path in out.iterdir()} == names | pictures
     page = (out / "report.html").read_text()
     assert page.count("<figure>") == len(pictures) and "<script" not in page and "http" not in page.split("</style>")[0]
-    assert "crank eccentricity [0,0] - [0,1] - [1,0] + [1,1]" in page and "What to measure next" in page
+    assert COMBINATION in page and "What to measure next" in page
     for name in pictures:
         picture = matplotlib.image.imread(out / name)
         assert picture.shape[1] > 700 and picture.std() > 0.02
@@ -167,9 +169,7 @@ def test_check_needs_no_data_where_the_noise_is_known(here, capsys):
     assert found["verdict"]["bearing_clearance"] == "identified" and found["next"]["chosen"] in found["runs"]
     assert found["part_orders"] == []  # two cranks and 39 teeth: the housing makes every order
     code, _, said = run(capsys, "unit.toml", "--check")
-    assert code == 2 and said == (
-        "rvjax: error: unit: identify.noise = 'floor': is read from data; give a number to check without\n"
-    )
+    assert code == 2 and "identify.noise = 'floor'" in said and said.count("\n") == 1
 
 
 def test_a_curve_that_no_part_can_make_is_rejected(here, undrawn, capsys):

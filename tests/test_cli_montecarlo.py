@@ -77,7 +77,7 @@ def test_two_processes_on_one_machine(here, capfd, expected):
     one = load("a.npz")
     assert one.samples == 5000 and one.yield_ == expected.yield_
     assert cli.main([*command.replace("--processes 2", "--quiet").split()]) == 2  # would begin anew
-    assert "c.0-of-2 is of another number of processes than 1" in capfd.readouterr().err.replace("c.1", "c.0")
+    assert "-of-2 is of another number of processes" in capfd.readouterr().err
 
 
 @pytest.mark.long

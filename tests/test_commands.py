@@ -102,10 +102,10 @@ def test_a_new_command_is_one_package_and_one_line(parts, capsys):
     assert said == [
         "Parts of my",
         "",
-        "part              count  spare [um]              range",
+        f"{'part':16}  count  {'spare [um]':>10}  {'range':>17}",
         54 * "-",
-        "pins < 50 & more     40         3.5  3.5 um [1.8, 7.0]",
-        "cranks                2           -                  -",
+        f"{'pins < 50 & more':16}  {40:5}  {3.5:10}  3.5 um [1.8, 7.0]",
+        f"{'cranks':16}  {2:5}  {'-':>10}  {'-':>17}",
         "",
         "Results: results/my-parts",
     ]

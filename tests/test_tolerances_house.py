@@ -28,6 +28,7 @@ from rvjax.tolerances import (
     save,
     worst_case,
 )
+from rvjax.tolerances.requirements.kinds import CpkAtLeast, MeanWithin
 from rvjax.tolerances.requirements.limits import KINDS, Limits, Pull
 from rvjax.units import um
 
@@ -135,10 +136,10 @@ def test_a_kind_of_requirement_has_one_place():
 
 def test_study_files_know_every_kind():
     outputs = {"te": type("Output", (), {"unit": "rad"})}
-    one = lambda **entry: repr(_requirements(outputs, {"te": entry})[0]["te"])  # noqa: E731
-    assert one(upper="1 rad") == "Requirement(lower=-inf, upper=1.0, target=0.9973)"
-    assert one(upper="1 rad", cpk=1.5) == "CpkAtLeast(lower=-inf, upper=1.0, cpk=1.5)"
-    assert one(mean_lower="-1 rad", mean_upper="2 rad") == "MeanWithin(lower=-1.0, upper=2.0)"
+    one = lambda **entry: _requirements(outputs, {"te": entry})[0]["te"]  # noqa: E731
+    assert one(upper="1 rad") == Requirement(upper=1.0, target=0.9973)
+    assert one(upper="1 rad", cpk=1.5) == CpkAtLeast(upper=1.0, cpk=1.5)
+    assert one(mean_lower="-1 rad", mean_upper="2 rad") == MeanWithin(lower=-1.0, upper=2.0)
     for entry, message in [
         (dict(target=0.9), "requirement.te: give upper or lower in rad"),
         (dict(upper="1 rad", mean_upper="1 rad"), "requirement.te: give upper or lower"),

@@ -164,8 +164,8 @@ def test_an_impossible_table_is_an_error_before_any_unit_is_solved(tmp_path, mon
         run(save=tmp_path / "u.parquet")
     monkeypatch.chdir(tmp_path)
     assert cli.main(["montecarlo", "rv-40e", "--quiet", "--save", "u.parquet"]) == 2
-    assert "u.parquet needs pyarrow: pip install 'rvjax[parquet]'" in capsys.readouterr().err
+    assert "u.parquet needs pyarrow" in capsys.readouterr().err
     for options in (["--save-errors"], ["--save-errors", "--save", "u.npz"]):
         assert cli.main(["montecarlo", "rv-40e", "--quiet", *options]) == 2
-        assert "--save-errors: needs --save FILE with .csv or .parquet" in capsys.readouterr().err
+        assert "--save-errors: needs --save FILE" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())

@@ -30,12 +30,8 @@ def private_words(text):
 
 
 def test_the_list_finds_a_private_word():
-    assert private_words("Whoever asks `asks` the dear machine (machine-readable) [x](asks.md)") == [
-        "Whoever",
-        "asks",
-        "dear",
-        "machine",
-    ]
+    assert private_words("Whoever asks `asks` dear") == ["Whoever", "asks", "dear"]
+    assert private_words("machine (machine-readable) [x](asks.md)") == ["machine"]
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: str(p.relative_to(ROOT)))
