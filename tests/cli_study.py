@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import functools
 from collections.abc import Iterator
 from importlib import resources
 
@@ -24,7 +25,7 @@ FOUND: dict = {}  # answers by the text of their study
 def answered_once() -> Iterator[dict]:
     """Every study is answered once, whichever command asks."""
     import rvjax.commands.allocate.answer
-    from rvjax.commands import module
+    from rvjax.commands.report import surrogate as behind
 
     real = rvjax.commands.allocate.answer.answer
 
@@ -36,6 +37,6 @@ def answered_once() -> Iterator[dict]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(rvjax.commands.allocate.answer, "answer", once)
         # Few points, and units in blocks of those of the search, for which the response is compiled already.
-        for name, few in dict(_POINTS=2, UNITS=1024, BLOCK=1024, FRESH=8192).items():
-            patch.setattr(module("report", "surrogate"), name, few)
+        few = functools.partial(behind.surrogate, points=2, units=1024, chunk=1024, fresh=8192)
+        patch.setattr(behind, "surrogate", few)
         yield FOUND

@@ -1,10 +1,6 @@
 """A small study with its answer and what follows its sliders, computed once for the tests of both."""
 
-import contextlib
 import functools
-from collections.abc import Iterator
-
-import pytest
 
 from rvjax import study
 from rvjax.commands.allocate.answer import Answer, answer
@@ -66,13 +62,7 @@ certificate_samples = 32768
 """
 
 
-@contextlib.contextmanager
-def fewer_points() -> Iterator[None]:
-    """Points and fresh units that tell as much, sooner."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(surrogate, "_POINTS", 4)
-        patch.setattr(surrogate, "FRESH", BLOCK)
-        yield
+FEW = dict(points=4, fresh=BLOCK)  # points and independent units that show as much, sooner
 
 
 @functools.cache
@@ -80,7 +70,6 @@ def played() -> tuple[Answer, surrogate.Surrogate]:
     """The study's answer and surrogate."""
     found = answer(study.parse_study(PLAY, name="play"))
     assert found.allocation.feasible
-    with fewer_points():
-        made = surrogate.surrogate(found)
+    made = surrogate.surrogate(found, **FEW)
     assert made is not None
     return found, made

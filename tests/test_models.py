@@ -12,11 +12,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-import rvjax.commands.allocate.answer
 from oracles.dynamics import Oracle
 from rvjax import cli, levels, models, study
 from rvjax.catalogue import CORR, RV_20E, RV_40E, RV_320E
-from rvjax.commands import module
 from rvjax.designs import RVReducer
 from rvjax.dynamics import assemble
 from rvjax.errors import RVErrors
@@ -55,21 +53,7 @@ certificate_samples = 65536
 """
 
 
-@pytest.fixture
-def answered_once(monkeypatch):
-    """Both commands share one answer, whose page has fewer points of its surrogate."""
-    found, real = {}, rvjax.commands.allocate.answer.answer
-
-    def once(question, *, progress=False, memo=None, measure=True):
-        if question.text not in found:
-            found[question.text] = real(question, progress=progress)
-        return dataclasses.replace(found[question.text], study=question)
-
-    monkeypatch.setattr(rvjax.commands.allocate.answer, "answer", once)
-    monkeypatch.setattr(module("report", "surrogate"), "_POINTS", 2)
-
-
-def test_a_model_costs_one_package_and_one_line(fake_model, answered_once, tmp_path, capsys):
+def test_a_model_costs_one_package_and_one_line(fake_model, answers, tmp_path, capsys):
     """A study, an allocation and a page of it."""
     (tmp_path / "joint.toml").write_text(TEXT)
     page, folder = tmp_path / "joint.html", tmp_path / "joint"

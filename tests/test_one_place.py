@@ -12,12 +12,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from cli_study import answered_once
 
 from rvjax import cli, errors, mounting, study
 from rvjax.catalogue import RV_40E
 from rvjax.commands import identify as identified
 from rvjax.commands.allocate import answer
-from rvjax.commands.report import surrogate
 from rvjax.designs import RVReducer
 from rvjax.errors import Bound, RVErrors, deviation, read_by
 from rvjax.outputs import Observation
@@ -165,15 +165,14 @@ def test_a_cost_law_is_one_place(fake_model, monkeypatch, tmp_path):
             3
         )  # half way in logs
         (tmp_path / "joint.toml").write_text(text)
-        answered = answer.answer(study.load(str(tmp_path / "joint.toml")))
+        with answered_once():
+            answered = answer.answer(study.load(str(tmp_path / "joint.toml")))
+            page = tmp_path / "joint.html"
+            assert cli.main(["report", str(tmp_path / "joint.toml"), "--output", str(page), "--quiet"]) == 0
         half = {name: float(getattr(answered.after.tolerances, name).half_width) for name in answered.study.costs}
         slope_key, slope_slot = 10 * um / half["key_width"] ** 2, 0.25 / um
         # d cost / d t over d variance / d t, variance = t_key^2 + t_slot^2 / 2 in parts of (3 r)^2
         assert slope_key / (2 * half["key_width"]) == pytest.approx(slope_slot / half["slot_width"], rel=0.05)
-        monkeypatch.setattr(answer, "answer", lambda *_, **__: answered)
-        monkeypatch.setattr(surrogate, "_POINTS", 2)
-        page = tmp_path / "joint.html"
-        assert cli.main(["report", str(tmp_path / "joint.toml"), "--output", str(page), "--quiet"]) == 0
         first = re.search(r'"points": ?\[\[([^,]+),([^]]+)\]', page.read_text())
         assert [float(x) for x in first.groups()] == pytest.approx([2.0, 0.25 * 58])  # um, currency
     finally:

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from live_study import fewer_points
+from live_study import FEW
 
 import rvjax
 from rvjax import tolerances
@@ -15,12 +15,6 @@ from rvjax.commands.report import region, surrogate
 from rvjax.response.response import BLOCK
 
 UNITS = 2 * BLOCK
-
-
-@pytest.fixture(autouse=True, scope="module")
-def fewer():
-    with fewer_points():
-        yield
 
 
 def made(response, upper):
@@ -59,9 +53,9 @@ def bent(errors):
 
 
 @pytest.fixture(scope="module")
-def of_linear(fewer):
+def of_linear():
     question = made(linear, 14e-6)
-    return question, surrogate.surrogate(question)
+    return question, surrogate.surrogate(question, **FEW)
 
 
 def direct(found, response):
@@ -97,7 +91,7 @@ def test_a_linear_response_is_met_exactly(of_linear):
 def test_a_quadratic_response_is_met_to_what_is_left_out():
     """Half-widths and places enter a product of errors bilinearly: bends between all; each column left out moves the
     response by less than 0.2 % of its spread (root mean square), of the 21 at most."""
-    found = surrogate.surrogate(made(bent, 6.0))
+    found = surrogate.surrogate(made(bent, 6.0), **FEW)
     assert any(key[0] != key[-1] for key in found.columns["y"])
     values = direct(found, bent)
     miss = np.sqrt(np.mean((found.values("y", X) - values) ** 2))
@@ -116,8 +110,8 @@ def test_weights_give_the_figures_of_the_certificate(of_linear):
     # Elsewhere: fresh units and a thinned sample, of which half is drawn evenly: five standard errors of both.
     for check in found.checks:
         ours, true = check.figures["y"]["yield"]
-        assert abs(ours - true) < 5 * np.sqrt(true * (1 - true) * (1 / surrogate.FRESH + 2 / surrogate.UNITS)) + 1e-4
-    assert len(found.checks) == surrogate._POINTS + 1
+        assert abs(ours - true) < 5 * np.sqrt(true * (1 - true) * (1 / FEW["fresh"] + 2 / surrogate.UNITS)) + 1e-4
+    assert len(found.checks) == FEW["points"] + 1
 
 
 def test_the_thinned_sample_keeps_the_tails():
@@ -143,7 +137,7 @@ def test_units_that_fail_at_one_end_go_on_from_the_other():
         return {"y": jnp.where(y > 15e-6, jnp.nan, y)}
 
     question = made(failing, 12e-6)
-    found = surrogate.surrogate(question)
+    found = surrogate.surrogate(question, **FEW)
     assert all(np.isfinite(c).all() for c in found.columns["y"].values())
     failed = question.allocation.certificate.failed / question.allocation.certificate.samples
     assert found.failed == failed > 0
@@ -168,17 +162,17 @@ costly_linear.costly = costly_bent.costly = True  # type: ignore[attr-defined]
 
 
 def test_a_costly_linear_response_is_met_by_the_derivatives_alone():
-    found = surrogate.surrogate(made(costly_linear, 14e-6))
+    found = surrogate.surrogate(made(costly_linear, 14e-6), **FEW)
     assert len(found.weights) == region.COSTLY_UNITS and found.compared == "own"
     assert set(found.columns["y"]) == {(k,) for k in range(6)}
     values = direct(found, linear)
     np.testing.assert_allclose(found.values("y", X), values, atol=1e-9 * np.abs(values).max())
-    assert found.error("yield") < 1e-6 and found.error("mean") < 1e-6 and len(found.checks) == surrogate._POINTS
+    assert found.error("yield") < 1e-6 and found.error("mean") < 1e-6 and len(found.checks) == FEW["points"]
 
 
 def test_bends_that_all_units_share_are_found_at_random_places():
     """z = m + h u has the square m^2 + 2 m h u + h^2 u^2: the first is a bend of the mid-point that all units share."""
-    found = surrogate.surrogate(made(costly_bent, 6.0))
+    found = surrogate.surrogate(made(costly_bent, 6.0), **FEW)
     (place,) = (k for k, p in enumerate(found.parameters) if p.field == "carrier_bore" and p.place)
     reach = 1e6 * found.parameters[place].reach
     # The products 2 m h u act as noise on it, of which 768 units at three places leave a twentieth

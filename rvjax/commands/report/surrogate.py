@@ -12,7 +12,8 @@ those of the certificate (Deville and Sarndal 1992). What is left is measured at
 
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any, Self
 
 import numpy as np
@@ -20,16 +21,17 @@ import numpy as np
 from rvjax.commands.allocate import Answer
 from rvjax.commands.report.region import COSTLY_UNITS, Columns, Parameter, Region
 from rvjax.population import Population, root_key
-from rvjax.response import BLOCK, Response, is_costly, numbers_of, parts
+from rvjax.response import BLOCK, is_costly, numbers_of, parts
 from rvjax.tolerances import Estimate, Limits, Statistics, Tolerance, monte_carlo
 
 UNITS = 2048
 REACH = 0.4  # of a half-width: how far it moves within the region, either way
 SHIFT = 0.25  # the same of the place of its limits, in half-widths
 _FLOOR = 0.5  # of the units are sampled evenly, the others from the tails
-_POINTS = 8  # of the region at which the error is measured
+POINTS = 8  # of the region at which the error is measured
 FRESH = 8 * BLOCK  # units that measure it, at each point
 COMPARED = 256  # of its own units, of which a costly response is computed at each point
+Places = list[tuple[str, np.ndarray]]  # points of the region: name, parameters in reaches
 
 
 @dataclasses.dataclass(frozen=True)
@@ -127,12 +129,22 @@ class Surrogate:
         return max(misses, default=0.0)
 
 
-def surrogate(answer: Answer) -> Surrogate | None:
-    """Surrogate of a result with its measured error; None if no unit is valid or nothing can move."""
+def surrogate(
+    answer: Answer, *, units: int = UNITS, points: int = POINTS, fresh: int = FRESH, chunk: int = BLOCK
+) -> Surrogate | None:
+    """Surrogate of a result with its measured error; None if no unit is valid or nothing can move.
+
+    Args:
+        answer: result of an allocation.
+        units: of the surrogate; a costly response has `COSTLY_UNITS`.
+        points: of the region at which the error is measured.
+        fresh: independent units at each point; a costly response has `COMPARED` of its own units.
+        chunk: units in one call.
+    """
     study, side = answer.study, answer.after
     names, response = tuple(study.requirements), study.response()
     costly = is_costly(response)
-    count = COSTLY_UNITS if costly else UNITS
+    count = COSTLY_UNITS if costly else units
     parameters = tuple(_parameters(answer))
     full = np.stack([np.asarray(side.values[name], float) for name in names])
     valid = np.flatnonzero(np.isfinite(full).all(axis=0))
@@ -154,7 +166,12 @@ def surrogate(answer: Answer) -> Surrogate | None:
     found = found.of_units(np.flatnonzero(good))
     weights = _calibrated(found.weights, found.base, study.requirements, certificate, failed)
     found = dataclasses.replace(found, weights=weights)
-    checks = _own_checks(found, answer, designs, good) if costly else _checks(found, answer, designs[0], response)
+    places = _points(found, study.seed, points)
+    if costly:
+        checks = _own_checks(found, answer, designs, good, places)
+    else:
+        run = partial(monte_carlo, response, samples=fresh, chunk=chunk)
+        checks = _checks(found, answer, designs[0], run, places)
     return dataclasses.replace(found, checks=tuple(checks))
 
 
@@ -235,14 +252,14 @@ def _calibrated(
     return moved if (moved > 0).all() else weights
 
 
-def _checks(found: Surrogate, answer: Answer, region: Region, response: Response) -> list[Check]:
+def _checks(
+    found: Surrogate, answer: Answer, region: Region, run: Callable[..., Statistics], places: Places
+) -> list[Check]:
     """Compare the surrogate with independent units, at points of the region and at the study if it is near."""
     study, checks, limited = answer.study, [], _limited(answer)
-    for where, x in _points(found, study.seed):
+    for where, x in places:
         tolerances = region.population.with_tolerances(region.tolerances(x)).tolerances
-        true = monte_carlo(
-            response, tolerances, samples=FRESH, seed=study.seed + 3, chunk=BLOCK, requirements=study.requirements
-        )
+        true = run(tolerances, seed=study.seed + 3, requirements=study.requirements)
         checks.append(_check(where, found, x, limited, true))
     own = found.place(study.tolerances)
     if (np.abs(own) <= 1).all():
@@ -250,11 +267,13 @@ def _checks(found: Surrogate, answer: Answer, region: Region, response: Response
     return checks
 
 
-def _own_checks(found: Surrogate, answer: Answer, regions: Sequence[Region], good: np.ndarray) -> list[Check]:
+def _own_checks(
+    found: Surrogate, answer: Answer, regions: Sequence[Region], good: np.ndarray, places: Places
+) -> list[Check]:
     """Compare the surrogate with the responses of some of its own units, at points of the region."""
     place = np.arange(0, len(found.weights), -(-len(found.weights) // COMPARED))
     ours, some, checks = found.of_units(place), np.flatnonzero(good)[place], []
-    for where, x in _points(found, answer.study.seed):
+    for where, x in places:
         exact = {name: row for region in regions for name, row in region.at(x, some).items()}
         here = np.isfinite(np.stack(list(exact.values()))).all(axis=0)
         figures = {}
@@ -271,12 +290,12 @@ def _limited(answer: Answer) -> dict[str, Limits]:
     return {name: item for name, item in answer.study.requirements.items() if item.limits_values}
 
 
-def _points(found: Surrogate, seed: int) -> list[tuple[str, np.ndarray]]:
+def _points(found: Surrogate, seed: int, count: int) -> Places:
     """Points of the region: all finer, all coarser, random ones."""
     width = np.array([not p.place for p in found.parameters], float)
     rng = np.random.default_rng(seed + 1)
     points = [("all half-widths finer", -width), ("all half-widths coarser", width)]
-    return points + [(f"random point {n + 1}", rng.uniform(-1, 1, len(width))) for n in range(_POINTS - len(points))]
+    return points + [(f"random point {n + 1}", rng.uniform(-1, 1, len(width))) for n in range(count - len(points))]
 
 
 def _check(where: str, found: Surrogate, x: np.ndarray, limited: Mapping[str, Limits], true: Statistics) -> Check:
