@@ -263,7 +263,7 @@ def cut(text: str, random: np.random.Generator) -> bytes:
     return data if random.random() < 0.9 else data[:at] + (b"" if random.random() < 0.5 else b"\xff\xfe\0" + data[at:])
 
 
-def ends(arguments: list[str]) -> tuple[int | None, list[str], str]:
+def ends(arguments: list[str], limit: float = LIMIT) -> tuple[int | None, list[str], str]:
     """Exit code of a command (None: an exception), its lines on standard error, and what is wrong with them."""
     from rvjax import cli
 
@@ -272,12 +272,12 @@ def ends(arguments: list[str]) -> tuple[int | None, list[str], str]:
 
     out, err, code, wrong = io.StringIO(), io.StringIO(), None, ""
     before = signal.signal(signal.SIGPROF, stop)
-    signal.setitimer(signal.ITIMER_PROF, LIMIT)
+    signal.setitimer(signal.ITIMER_PROF, limit)
     try:
         with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
             code = cli.main(arguments)
     except TooLong:
-        wrong = f"no end within {LIMIT} s"
+        wrong = f"no end within {limit} s"
     except BaseException:  # every one would be a traceback
         wrong = traceback.format_exc()
     finally:

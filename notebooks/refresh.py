@@ -7,6 +7,7 @@ from pathlib import Path
 
 import nbformat
 from nbclient import NotebookClient
+from nbformat import NotebookNode
 from PIL import Image
 
 HERE = Path(__file__).parent
@@ -18,6 +19,17 @@ def smaller(picture: str) -> str:
     image = Image.open(io.BytesIO(base64.b64decode(picture))).convert("RGB")
     image.quantize(256).save(file, "PNG", optimize=True)
     return base64.b64encode(file.getvalue()).decode()
+
+
+def joined(outputs: list[NotebookNode]) -> list[NotebookNode]:
+    """The same outputs with the parts of one stream, which the kernel cuts by time, as one."""
+    found: list[NotebookNode] = []
+    for output in outputs:
+        if found and output.output_type == "stream" == found[-1].output_type and output.name == found[-1].name:
+            found[-1].text += output.text
+        else:
+            found.append(output)
+    return found
 
 
 def main(names: list[str]) -> None:
@@ -33,6 +45,8 @@ def main(names: list[str]) -> None:
         }
         for cell in notebook.cells:
             cell.metadata = {}  # time stamps
+            if "outputs" in cell:
+                cell.outputs = joined(cell.outputs)
             for output in cell.get("outputs", []):
                 if "image/png" in output.get("data", {}):
                     output.data["image/png"] = smaller(output.data["image/png"])

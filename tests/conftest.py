@@ -31,7 +31,7 @@ from cli_study import SMALL, answered_once
 from hypothesis import settings
 
 import rvjax
-from rvjax import cli, models
+from rvjax import cli, compile_cache, models
 from rvjax.render import Figure
 
 gc.set_threshold(200_000, 20, 100)  # tracing makes millions of objects; looking through them all cost a tenth
@@ -105,6 +105,15 @@ def answered(tmp_path_factory):
 def undrawn(monkeypatch):
     """Pages and folders with empty plots, two seconds sooner each: for tests of their words."""
     monkeypatch.setattr(Figure, "content", lambda *_: b"")
+
+
+@pytest.fixture
+def kept_programs(tmp_path, monkeypatch):
+    """A folder in which programs are kept, as if the command line ran."""
+    folder = tmp_path / "programs"
+    folder.mkdir()
+    monkeypatch.setattr(compile_cache, "_folder", [folder])
+    return folder
 
 
 @pytest.fixture

@@ -44,11 +44,10 @@ def computed(response, x, *, names):
 
 
 @pytest.fixture
-def folder(monkeypatch, tmp_path):
-    """As if the command line kept its programs here."""
-    monkeypatch.setattr(compile_cache, "_folder", [tmp_path])
+def folder(kept_programs):
+    """Programs are kept in an empty folder; nothing was traced."""
     TRACED.clear()
-    return tmp_path
+    return kept_programs
 
 
 def another_process():

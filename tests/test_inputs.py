@@ -42,5 +42,4 @@ def test_a_fault_is_seen(monkeypatch):
 
     for main, word in ((fails, "KeyError"), (lambda _: 3, "exit code 3"), (two_lines, "2 lines"), (endless, "no end")):
         monkeypatch.setattr(cli, "main", main)
-        monkeypatch.setattr(inputs, "LIMIT", 0.2)
-        assert word in inputs.ends([])[2]
+        assert word in inputs.ends([], limit=0.2)[2]

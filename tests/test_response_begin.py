@@ -29,18 +29,12 @@ def powers(response, x, *, power):
     return {"y": jnp.sin(response(x)) ** power}
 
 
-@pytest.fixture
-def kept(monkeypatch, tmp_path):
-    """As if the command line kept its programs here."""
-    monkeypatch.setattr(compile_cache, "_folder", [tmp_path])
-
-
 def at_rest(program):
     """Wait until all that has begun is compiled."""
     futures.wait([one.begun for one in program._flat.values() if one.begun is not None])
 
 
-def test_a_call_finds_the_program_that_was_begun(kept, compiled):
+def test_a_call_finds_the_program_that_was_begun(kept_programs, compiled):
     x, program = jnp.linspace(0.1, 2.0, 37), per_response(static=("power",))(powers)
     expected = jax.jit(lambda x: jnp.sin(3.0 * x) ** 2)(x)
     program.begin(Line(slope=1.0), jnp.zeros(37), power=2)
@@ -63,7 +57,7 @@ def test_nothing_begins_where_no_programs_are_kept(compiled):
     assert not program._flat and not compiled
 
 
-def test_an_error_of_a_begun_program_is_raised_by_the_call(kept):
+def test_an_error_of_a_begun_program_is_raised_by_the_call(kept_programs):
     @per_response()
     def too_large(response, x):
         return jnp.sum(jnp.sort(response(x)[0] + jnp.arange(2.0**46)))

@@ -16,7 +16,6 @@ from scipy import stats
 
 import rvjax
 from oracles.programs import programs
-from rvjax import compile_cache
 from rvjax.population import Population, root_key
 from rvjax.population.estimates import wilson
 from rvjax.response import BLOCK, Evaluator, numbers_of
@@ -316,7 +315,7 @@ def test_progress_bar(capsys):
     assert said.index("compiling") < said.rindex("Monte Carlo: 100%")
 
 
-def test_threads_of_a_command_give_the_same_bits(monkeypatch, tmp_path):
+def test_threads_of_a_command_give_the_same_bits(monkeypatch, request):
     """Two threads evaluate chunks where a command keeps programs; they are counted in their order."""
     options = dict(samples=9000, seed=4, chunk=1000, requirements={"sum": LIMITS}, keep=True)
     alone = monte_carlo(pair, STACK, **options)
@@ -327,7 +326,7 @@ def test_threads_of_a_command_give_the_same_bits(monkeypatch, tmp_path):
         used.add(threading.get_ident())
         return started(self, first)
 
-    monkeypatch.setattr(compile_cache, "_folder", [tmp_path])
+    request.getfixturevalue("kept_programs")
     monkeypatch.setattr(Evaluator, "start", start)
     together = monte_carlo(pair, STACK, **options)
     assert len(used) > 1
