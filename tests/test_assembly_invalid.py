@@ -13,12 +13,12 @@ ONE = kind([1.0, 2.0])
 
 BAD = [
     (lambda: Kind([Part("a", 1.0), Part("a", 2.0)]), "part 'a': duplicate id"),
-    (lambda: Kind([]), "parts: there are none"),
+    (lambda: Kind([]), "parts: must hold"),
     (lambda: kind([1.0], indices=0), "indices = 0: must be a whole number of at least 1"),
     (lambda: kind([1.0], indices=1.5), "indices = 1.5: must be a whole number of at least 1"),
     (lambda: kind([1.0], stock=[1, 2]), "stock: 2 numbers for 1 parts"),
     (lambda: kind([1.0], stock=[-1]), "stock = -1 of part 'p0': must be a whole number, 0 or more"),
-    (lambda: kind([1.0], stock=[0]), "stock: there are no pieces"),
+    (lambda: kind([1.0], stock=[0]), "stock: must hold"),
     (lambda: Part("a", {"x": math.nan}), "part 'a': x = nan: must be finite"),
     (lambda: Part("a", {"x": 1.0}, -1e-6), "part 'a': sd of x = -1e-06: must be zero or positive"),
     (lambda: Part("a", {"x": 1.0}, {"x": math.nan}), "part 'a': sd of x = nan: must be zero or positive"),
@@ -40,7 +40,7 @@ BAD = [
     (lambda: believed(1.0, -0.1, UNIT), "sd = -0.1: must be zero or positive"),
     (
         lambda: opening(square, {"a": ONE, "b": ONE}, {"y": UNIT}, requirement=Requirement(upper=1.0)),
-        "tolerances: none of the parts' errors has one",
+        "tolerances: must hold a Tolerance",
     ),
 ]
 

@@ -188,7 +188,7 @@ def test_a_schedule_follows_the_load_where_one_table_does_not():
     assert held[0] is made[(1.2, 1)] and held[1] is made[(0.4, 1)]
     back = found.at(0.8, -1)  # half of either, and nothing of the other direction
     np.testing.assert_allclose(back.value, 0.5 * made[(0.4, -1)].value + 0.5 * np.array([9e-6, 0, 0, 0, 0]), rtol=1e-12)
-    with pytest.raises(ValueError, match=r"direction = 0: was not measured; there are 1, -1"):
+    with pytest.raises(ValueError, match=r"direction = 0: .* 1, -1"):
         found.at(1.0, 0)
 
 
@@ -339,8 +339,8 @@ def test_bad_tables_and_files_are_one_line(tmp_path):
             call(tmp_path / "t.dat")
     with pytest.raises(ValueError, match=r"joint\['mass'\] = 1.0: must be a finite number of stiffness"):
         export(table(CURVE), tmp_path / "t.xml", joint={"mass": 1.0})
-    with pytest.raises(ValueError, match="corrections: there are none"):
+    with pytest.raises(ValueError, match="corrections: must hold"):
         schedule({})
-    with pytest.raises(ValueError, match="ratio: corrections of 40, 121 belong to no one unit"):
+    with pytest.raises(ValueError, match=r"ratio: .* 40, 121"):
         schedule({(1.0, 1): CURVE, (2.0, 1): correction([1], [1e-6], ratio=40.0)})
     assert not list(tmp_path.iterdir()) and compensation.__all__

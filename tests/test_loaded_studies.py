@@ -97,7 +97,7 @@ def test_a_reducer_without_stiffnesses_carries_no_load():
 )
 def test_a_placed_tolerance_needs_a_model_that_places_it(entry, field):
     text = f'[design]\nbase = "rv-40e"\n[tolerances.{entry}\n[requirement.misfit]\nupper = "30 um"'
-    refused(text, f"tolerances.{field}: no response required here can place it, only .*loaded_transmission_error")
+    refused(text, f"tolerances.{field}: required responses do not use it, only .*loaded_transmission_error")
 
 
 def refused(text, words):

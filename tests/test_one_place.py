@@ -75,7 +75,7 @@ def test_an_error_is_one_place(fake_model, monkeypatch, tmp_path, capsys):
         hub_centre: Scalar = deviation("m", "x, y", shape=(2,), part="hub", vector="xy", placed=True)
 
     monkeypatch.setattr(fake_model.KeyJoint, "error_record", Unread)
-    with pytest.raises(study.StudyError, match=r"tolerances\.hub_centre: no response required here can place it"):
+    with pytest.raises(study.StudyError, match=r"tolerances\.hub_centre: required responses do not use it"):
         study.parse_study(JOINT, name="x")
 
 
@@ -108,7 +108,7 @@ def test_an_error_of_a_disc_is_one_place(monkeypatch):
     text = '[design]\nbase = "rv-40e"\n[tolerances.bore_bevel]\nhalf_width = "1 um"\n'
     asked = study.parse_study(text + '[requirement.lost_motion]\nupper = "2 arcmin"\n', name="x", solve=False)
     assert asked.response().bounds == ("largest_bevel",)
-    with pytest.raises(study.StudyError, match="bore_bevel: no response required here can place it"):
+    with pytest.raises(study.StudyError, match="bore_bevel: required responses do not use it"):
         study.parse_study(text + '[requirement.misfit]\nupper = "2 um"\n', name="x", solve=False)
 
 

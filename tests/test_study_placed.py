@@ -70,7 +70,7 @@ REFUSED = [
     ('position = "diametral 20 um"', "", ["tolerances.pin_ring", "position, radius or both"]),
     ("batch = 0.4", 'radius = "1 um"', ["tolerances.pin_radii", "no response", "loaded_transmission_error"]),
     ("[tolerances.disc_pitch]", "[tolerances.sun_runout]", ["sun_runout.cumulative", "disc_pitch"]),
-    ("disc_centre", "sun_runout", ["tolerances.sun_runout", "can place it", "loaded_transmission_error"]),
+    ("disc_centre", "sun_runout", ["tolerances.sun_runout", "do not use it", "loaded_transmission_error"]),
     ("spectrum = [1, 0.5]", "spectrum = [0, 0]", ["disc_pitch", "spectrum", "not all zero"]),
     ("[1, 0.5]", str([1] * 20), ["disc_pitch", "20 waves", "19"]),
     ("[1, 0.5]", "[1, 0.5]\nbatch = 0.2", ["disc_pitch", "batch", "spectrum"]),

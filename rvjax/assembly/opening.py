@@ -80,7 +80,7 @@ def opening(
         for number, (slot, kind) in enumerate(kinds.items())
     }
     if not any(stock.moving for stock in stocks.values()):
-        raise ValueError("tolerances: none of the parts' errors has one")
+        raise ValueError("tolerances: must hold a Tolerance of an error of the parts")
     tried: dict[float, tuple[float, float]] = {}
 
     def kept(power: float | np.ndarray) -> bool:

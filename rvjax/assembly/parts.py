@@ -73,7 +73,7 @@ class Kind:
                 raise ValueError(f"parts: {part!r} must be a Part")
         object.__setattr__(self, "parts", parts)
         if not self.parts:
-            raise ValueError("parts: there are none")
+            raise ValueError("parts: must hold at least one part")
         seen = set()
         for part in self.parts:
             if part.id in seen:
@@ -90,7 +90,7 @@ class Kind:
                 if _whole(pieces) < 0:
                     raise ValueError(f"stock = {pieces!r} of part {part.id!r}: must be a whole number, 0 or more")
             if not sum(self.stock):
-                raise ValueError("stock: there are no pieces")
+                raise ValueError("stock: must hold at least one piece")
 
     @property
     def pieces(self) -> np.ndarray:
@@ -195,7 +195,7 @@ def known(kind: Kind, slot: str) -> Known:
     for part in kind.parts:
         leaves, own = jax.tree_util.tree_flatten_with_path(part.errors)
         if structure is not None and own != structure:
-            raise ValueError(f"{slot}: the errors of part {part.id!r} have another structure than those before it")
+            raise ValueError(f"{slot}: the errors of part {part.id!r} must have the structure of the parts before it")
         structure = own
         columns.append(leaves)
     population = getattr(kind.population, "tolerances", kind.population)
@@ -216,9 +216,9 @@ def known(kind: Kind, slot: str) -> Known:
                 np.broadcast_to(np.asarray(at_path(p.sd, path, 0.0), float), stacked.shape[1:]) for p in kind.parts
             ]
         except ValueError:
-            raise ValueError(f"{slot}: {name} has other shapes in other parts") from None
+            raise ValueError(f"{slot}: {name} must have one shape in all parts") from None
         if tolerance is None and np.isinf(spread).any():
-            raise ValueError(f"{slot}: {name} was not measured (sd = inf), and no population says what it may be")
+            raise ValueError(f"{slot}: {name} is not measured (sd = inf); give its population")
         values.append(stacked if np.iscomplexobj(stacked) else stacked.astype(float))
         spreads.append(np.stack(spread))
         tolerances.append(tolerance)

@@ -216,7 +216,7 @@ def supply_of(slots: Mapping[str, Known]) -> Supply:
     pieces = tuple(one.pieces for one in slots.values())
     units = min(int(own.sum()) // group.count(number) for own, number in zip(pieces, group))
     if units < 1:
-        raise ValueError("kinds: the parts are too few for one unit")
+        raise ValueError("kinds: must have parts for one unit")
     return Supply(pieces, group, units)
 
 

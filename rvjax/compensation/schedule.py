@@ -32,7 +32,7 @@ class Schedule:
         """
         if direction not in self.corrections:
             known = ", ".join(map(repr, self.corrections))
-            raise ValueError(f"direction = {direction!r}: was not measured; there are {known}")
+            raise ValueError(f"direction = {direction!r}: must be measured; measured are {known}")
         if not math.isfinite(torque):
             raise ValueError(f"torque = {torque!r} N m: must be finite")
         measured = self.corrections[direction]
@@ -72,13 +72,13 @@ def schedule(corrections: Mapping[tuple[float, Hashable], Correction]) -> Schedu
         ValueError: none at all, a torque that is not finite, or different ratios.
     """
     if not corrections:
-        raise ValueError("corrections: there are none")
+        raise ValueError("corrections: must hold at least one")
     for key, found in corrections.items():
         if not isinstance(found, Correction):
             raise ValueError(f"corrections: {key!r} = {found!r}: must be a Correction")
     ratios = {found.ratio for found in corrections.values()}
     if len(ratios) > 1:
-        raise ValueError(f"ratio: corrections of {', '.join(f'{r:g}' for r in sorted(ratios))} belong to no one unit")
+        raise ValueError(f"ratio: corrections must have one ratio, not {', '.join(f'{r:g}' for r in sorted(ratios))}")
     by_direction: dict[Hashable, list[tuple[float, Correction]]] = {}
     for (torque, direction), found in corrections.items():
         if not math.isfinite(torque):

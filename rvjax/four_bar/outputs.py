@@ -110,5 +110,5 @@ DESCRIPTION = Description(
     ),
     cases=_cases,
     observations=(CURVE,),
-    unknown="pins, flanks and the first stage: discs are rigid, averaged, and held by their crank bearings alone",
+    unknown="pins, flanks, first stage; discs are rigid, only their crank bearings carry them, and their mean counts",
 )

@@ -38,4 +38,4 @@ class Noise:
                 worst = float(sd[bad].flat[0])
                 raise ValueError(f"{name} = {worst:.6g}: must be positive and finite, unit of the observation")
         if isinstance(self.dof, bool) or not isinstance(self.dof, (int, float)) or not self.dof > 0:
-            raise ValueError(f"Noise.dof = {self.dof!r}: must be a positive number (inf: normal noise), unit -")
+            raise ValueError(f"Noise.dof = {self.dof!r}: must be a positive number (inf: normal noise)")

@@ -44,7 +44,7 @@ def predict(
     deviate_of(confidence)
     source = posterior.posterior if isinstance(posterior, Draws) else posterior
     if not source.peaks:
-        raise ValueError(f"posterior: status {source.status}, there is no mode to predict from")
+        raise ValueError(f"posterior: status {source.status}, it must have a mode")
     rng = np.random.default_rng(integer("seed", seed) % 2**64)
     z = _pick(posterior, draws, rng) if isinstance(posterior, Draws) else _drawn(posterior, draws, rng)
     values, status = respond(response, source.problem.elements.population, jnp.asarray(z.T))

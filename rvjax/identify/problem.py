@@ -265,7 +265,7 @@ def densities(model: Model, given: Given, y: jax.Array, z: jax.Array) -> jax.Arr
 def counted(name: str, value: int, least: int) -> None:
     """Raise ValueError for a value that is no count."""
     if integer(name, value) < least:
-        raise ValueError(f"{name} = {value!r}: must be at least {least}, unit -")
+        raise ValueError(f"{name} = {value!r}: must be at least {least}")
 
 
 def integer(name: str, value: int) -> int:
@@ -275,4 +275,4 @@ def integer(name: str, value: int) -> int:
             raise TypeError
         return operator.index(value)
     except TypeError:
-        raise ValueError(f"{name} = {value!r}: must be an integer, unit -") from None
+        raise ValueError(f"{name} = {value!r}: must be an integer") from None

@@ -75,7 +75,7 @@ def rank_measurements(
         ValueError: an unknown name, or an argument that does not fit.
     """
     if not isinstance(candidates, Mapping) or not candidates:
-        raise ValueError(f"candidates = {candidates!r}: must be a dict of models by name, unit -")
+        raise ValueError(f"candidates = {candidates!r}: must be a dict of models by name")
     for name, model in candidates.items():
         if not callable(model):
             raise ValueError(f"candidates: {name} = {model!r}: must be a function")
@@ -88,7 +88,7 @@ def rank_measurements(
     if costs is None:
         counted("count", count, 1)  # type: ignore[arg-type]
         if count > len(names):
-            raise ValueError(f"count = {count!r}: there are only {len(names)} candidates, unit -")
+            raise ValueError(f"count = {count!r}: there are only {len(names)} candidates")
         number = int(count)
         sets: Iterable[tuple[int, ...]] = itertools.combinations(range(len(names)), number)
         chosen, total, proved = _choose(
@@ -149,7 +149,7 @@ class _Gain:
         if isinstance(noise, Mapping):
             for name in (*noise, *candidates):
                 if name not in candidates or name not in noise:
-                    raise ValueError(f"noise: {name!r} must be both a candidate and have a Noise, unit -")
+                    raise ValueError(f"noise: {name!r} must be a candidate with a Noise")
         problems = [
             Problem.of(
                 model,
@@ -169,7 +169,7 @@ class _Gain:
             if given.names != elements.names:
                 raise ValueError(f"given: has the elements {', '.join(given.names)}, prior {', '.join(elements.names)}")
             if not given.peaks:
-                raise ValueError(f"given: status {given.status}, there is no mode to start from")
+                raise ValueError(f"given: status {given.status}, it must have a mode")
             u, root = given.u, given.peaks[0].spectrum.root
         mixing = elements.mixing @ root
         raw = zip(problems, _slopes(problems, u))

@@ -83,7 +83,7 @@ def sample(posterior: Posterior, *, chains: int = 4, warmup: int = 500, draws: i
     for name, value, least in (("chains", chains, 1), ("warmup", warmup, 20), ("draws", draws, 4)):
         counted(name, value, least)
     if not posterior.peaks:
-        raise ValueError(f"posterior: status {posterior.status}, there is no mode to start from")
+        raise ValueError(f"posterior: status {posterior.status}, it must have a mode")
     frames.needed("blackjax", "rvjax.identify.sample", "sampler")
     problem, peak = posterior.problem, posterior.peaks[0]
     key = root_key(seed)

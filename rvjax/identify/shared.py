@@ -60,7 +60,7 @@ class Split:
         if both.any():
             column = int(np.argmax(both))
             names = (elements.names[places[touched[places, column]][0]] for places in (common, own))
-            raise ValueError("correlation: shared {} and own {} are correlated, unit -".format(*names))
+            raise ValueError("correlation: shared {} and own {} must be independent".format(*names))
         return cls(own, common, np.flatnonzero(~of_common), np.flatnonzero(of_common))
 
 

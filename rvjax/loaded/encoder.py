@@ -169,7 +169,7 @@ def housing_orders(design: RVReducer, harmonic: int, most: int = 240) -> tuple[i
     expect(design, "loaded.housing_orders", RVReducer)
     for name, value in (("harmonic", harmonic), ("most", most)):
         if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 0:
-            raise ValueError(f"{name} = {value!r}: must be an integer of at least 0, unit -")
+            raise ValueError(f"{name} = {value!r}: must be an integer of at least 0")
     pins, cranks = design.cycloid.pin_count, design.cranks.count
     farthest = (most + harmonic) // pins + 1
     turns = (p for p in range(-farthest, farthest + 1) if (p - harmonic) % cranks == 0)

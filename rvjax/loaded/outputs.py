@@ -227,7 +227,7 @@ DESCRIPTION = Description(
     }) | {
         "flank_clearance": Output(
             "m", "least clearance of flanks and pins over the span, discs turned to where it is largest", _clearance,
-            below_zero="interference: at least two pins are pressed at any rotation of the discs", refuse=_one_more,
+            below_zero="interference, at least two pins are pressed at any rotation of the discs", refuse=_one_more,
             costly=False,
         )
     },

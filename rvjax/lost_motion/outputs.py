@@ -65,7 +65,7 @@ DESCRIPTION = Description(
             "rad",
             "free angle of the output, < 0: interference",
             _lost_motion,
-            below_zero="interference, no backlash: teeth and bearings are preloaded by this angle",
+            below_zero="interference, no backlash; teeth and bearings are preloaded by this angle",
             exact="bench_lost_motion",
         )
     },

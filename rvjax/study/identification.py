@@ -91,7 +91,7 @@ def parse_identification(
             unit = number_of_design(design, name)[1]
             unknown[name] = parse_tolerance(subtable(given, name), unit, where, folder)
         if isinstance(getattr(tolerances, name, None), Tolerance):
-            raise ValueError(f"{where}: [tolerances.{name}] names an error so; only one of them can vary")
+            raise ValueError(f"{where}: [tolerances.{name}] has the same name; remove one of them")
     fields = [f.name for f in dataclasses.fields(tolerances) if isinstance(getattr(tolerances, f.name), Tolerance)]
     own = [*fields, *unknown]
     nuisances = tuple(choice(name, [*NUISANCES, *own], "identify.nuisance") for name in _list(table, "nuisance"))
@@ -101,7 +101,7 @@ def parse_identification(
         has = name != "reading" or any(seen.head for seen in observations.values())
         has = has and (name not in DRAGS or any(seen.sided for seen in observations.values()))
         if name not in data.nuisances or not has:
-            raise ValueError(f"identify.nuisance = {name!r}: nothing that model {model!r} predicts here has one")
+            raise ValueError(f"identify.nuisance = {name!r}: no observation of model {model!r} has it")
     shared = tuple(choice(name, own, "identify.shared") for name in _list(table, "shared"))
     torques = tuple(quantity(t, "N m", "identify.torques") for t in _list(table, "torques"))
     directions = tuple(choice(d, DIRECTIONS, "identify.directions") for d in _list(table, "directions")) or tuple(

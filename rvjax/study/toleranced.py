@@ -114,7 +114,7 @@ def refuse_unplaced(kind: models.Kind, outputs: Sequence[str], tolerances: PyTre
         if getattr(tolerances, field) is not None and not any(field in by_output[name] for name in outputs):
             able = sorted((n for n in kind.outputs if field in by_output[n]), key=lambda n: -len(by_output[n]))
             shown = ", ".join(able[:3]) + (" .." if len(able) > 3 else "")
-            raise ValueError(f"tolerances.{field}: no response required here can place it, only {shown}")
+            raise ValueError(f"tolerances.{field}: required responses do not use it, only {shown}")
 
 
 def metadata(record: PyTree, field: str) -> Metadata:

@@ -17,7 +17,7 @@ Numbers = float | list["Numbers"]
 
 
 class StudyError(ValueError):
-    """A study that cannot be used: says the file, the key, its value and why."""
+    """Invalid study; the message names file, key, value and rule."""
 
 
 @contextmanager

@@ -55,7 +55,7 @@ def report(inputs: Inputs, found: Answer | None) -> Report:
         return report_on(found)
     place = inputs.kept
     assert place is not None
-    said = f"Unchanged since {place} was written, which contains this result; --fresh recomputes it."
+    said = f"Unchanged since {place} was written: this is its stored result. --fresh recomputes it."
     return Report(
         title=inputs.study.name,
         content=(Note((place / "summary.txt").read_text("utf-8") + said),),
@@ -127,7 +127,7 @@ def limits_of_the_answer(answer: Answer) -> list[str]:
     for name, values in answer.after.values.items():
         below = float(np.mean(np.asarray(values) < 0))
         if (meaning := study.output(name).below_zero) and below > 0:
-            lines.append(f"Below zero: {name} of {100 * below:.3g} % of the units, {meaning}")
+            lines.append(f"Negative {name} in {100 * below:.3g} % of the units: {meaning}")
     lines += [f"Not modelled: {line}" for line in study.left_out]
     return lines + ([whole_text(answer.whole, study)] if answer.whole is not None else [])
 

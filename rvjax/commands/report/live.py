@@ -94,11 +94,11 @@ def data(found: Surrogate, answer: Answer) -> dict[str, Any]:
 def error_text(found: Surrogate) -> str:
     """Text on the measured error of the surrogate."""
     share, mean, sd = (100 * found.error(figure) for figure in ("yield", "mean", "sd"))
-    where = f"{len(found.checks)} points of it"
+    where = f"{len(found.checks)} points"
     where += f" with {COMPARED} of the same units" if found.compared == "own" else ""
     return (
-        f"yields were within {share:.2g} % of the units of computed ones at {where}, means "
-        f"within {mean:.2g} % of a standard deviation, standard deviations within {sd:.2g} %"
+        f"largest errors at {where}: yield {share:.2g} % of the units, mean {mean:.2g} % of a standard deviation, "
+        f"standard deviation {sd:.2g} %"
     )
 
 

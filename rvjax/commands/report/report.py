@@ -173,7 +173,7 @@ def _requirements(answer: Answer, drawn: dict[str, Figure]) -> Section:
     )
     capability = (
         "Of the certified units. Cp = (upper - lower)/(6 sd) needs two limits; Cpk = distance of the mean from the "
-        "nearer limit/(3 sd). Both give the rejects only of a normal distribution; the yield gives them of any."
+        "nearer limit/(3 sd). They give the share of rejects for a normal distribution only; the yield holds for any."
     )
     histograms = tuple(drawn[f"histogram_{name}"] for name in answer.study.requirements)
     parts = (requirement_table(answer), Note(certified), _capability(answer), Note(capability))
