@@ -21,7 +21,7 @@ _UNSEARCHED: ContextVar[list[int] | None] = ContextVar("unsearched", default=Non
 
 @contextlib.contextmanager
 def best_so_far(wanted: bool) -> Iterator[list[int]]:
-    """Let an interruption inside end the search with its best plan; yields the counts of random plans left then.
+    """End an interrupted search with its best plan; yields the counts of random plans that were left.
 
     Args:
         wanted: False lets it pass as always.
@@ -36,7 +36,7 @@ def best_so_far(wanted: bool) -> Iterator[list[int]]:
 
 @contextlib.contextmanager
 def keeps_best() -> Iterator[None]:
-    """An interruption inside ends the search, where `best_so_far` wants its best plan."""
+    """End the search at an interruption if `best_so_far` requires its best plan."""
     try:
         yield
     except KeyboardInterrupt:
@@ -148,7 +148,7 @@ def _exchanged(price: Price, supply: Supply, places: np.ndarray) -> float:
 
 
 def lagrangian(cost: np.ndarray, supply: Supply, upper: float) -> float:
-    """No plan has a lower sum: all stocks but those of two slots are priced, these two assigned exactly.
+    """Lower bound of the sum of any plan: all stocks but those of two slots are priced, these two are assigned exactly.
 
     Held, 1981: subgradient steps of Polyak's length towards the sum of the plan found.
     """

@@ -39,7 +39,7 @@ class Belief:
 
     @property
     def certain(self) -> bool:
-        """Nothing is left to draw."""
+        """Whether no error is random."""
         return not self.sd.any()
 
     def drawn(self, z: np.ndarray) -> np.ndarray:
@@ -111,7 +111,7 @@ def _quantile(tolerance: Tolerance, z: jax.Array) -> jax.Array:
 
 
 def _on_nodes(tolerance: Tolerance, value: np.ndarray, sd: np.ndarray) -> Belief:
-    """Nodes in z, closed in on where the posterior lives; all elements at once."""
+    """Nodes in z around the bulk of the posterior; all elements at once."""
     y, s = value.reshape(-1), np.maximum(sd.reshape(-1), 1e-9 * max(float(tolerance.half_width), 1e-300))
     low, high = np.full(y.size, -_REACH), np.full(y.size, _REACH)
     steps = np.linspace(0.0, 1.0, NODES)[:, None]

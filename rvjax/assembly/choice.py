@@ -30,7 +30,7 @@ SCALE = 1e6  # of the largest cost in HiGHS, whose gap is absolute: 1e-6
 
 
 class _TooLong(Exception):
-    """HiGHS has found no proof in time."""
+    """HiGHS found no proof in time."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -115,7 +115,7 @@ def least_largest(
 def _prove_least(
     cost: np.ndarray, supply: Supply, allowed: np.ndarray, levels: np.ndarray, floor: float, exact_up_to: int
 ) -> Build | None:
-    """By bisection over the levels of cost, each step a program; None where it is too large to prove."""
+    """Prove the least largest cost by bisection over its levels, each step a program; None if too large."""
     best = _prove([cost], supply, allowed, exact_up_to)
     if best is None:
         return None
@@ -131,7 +131,7 @@ def _prove_least(
 
 
 def weigh(layers: Sequence[np.ndarray], units: int) -> np.ndarray:
-    """One cost whose sums order like the sums of the layers, one after the other; the last layer alone is as it is.
+    """One cost whose sums have the order of the sums of the layers, first layer first; a single layer is unchanged.
 
     Args:
         layers: the first counts most; all but the last are whole multiples of the least step between their values.
@@ -165,7 +165,7 @@ def _least_level(cost: np.ndarray, supply: Supply, levels: np.ndarray) -> float:
 
 
 def _pair_level(cost: np.ndarray, supply: Supply) -> float:
-    """No plan has a lower largest cost: each pair of slots on its own, the others as they fit best."""
+    """Lower bound of the largest cost of any plan: each pair of slots separately, the others at their best fit."""
     floors = []
     for first, second in itertools.combinations(range(len(supply.shape)), 2):
         others = tuple(k for k in range(len(supply.shape)) if k not in (first, second))

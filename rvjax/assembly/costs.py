@@ -91,7 +91,7 @@ class Structures:
 
     @property
     def of(self) -> dict[str, Shape]:
-        """By slot."""
+        """Return the shapes of all slots."""
         return dict(self.pairs)
 
 
@@ -181,7 +181,7 @@ class Costs:
 
     @property
     def count(self) -> int:
-        """Combinations, all of which are valued."""
+        """Number of combinations; all are valued."""
         return self.mean.size
 
     def of(self, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -229,7 +229,7 @@ def valued(
     cells: np.ndarray,
     turns: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Expected response, inf where a unit fails, and share of draws in which it is no good, each (cells, positions).
+    """Expected response, inf where a unit fails, and share of draws outside the limits, each (cells, positions).
 
     Args:
         machine: response and parts.

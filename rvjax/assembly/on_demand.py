@@ -325,7 +325,7 @@ def chosen_on_demand(
 
 
 def _bound(found: OnDemand, supply: Supply, objective: str, rng: np.random.Generator) -> float:
-    """No plan has a lower objective, if no estimate exceeds its exact value by more than the margin."""
+    """Lower bound of the objective of any plan, if no estimate exceeds its exact value by more than the margin."""
     if stopped() or not np.isfinite(found.margin):
         return -np.inf
     lower = np.where(found.known, found.mean, found.mean - found.margin)

@@ -155,7 +155,7 @@ class Known:
 
     @property
     def certain(self) -> bool:
-        """Nothing is left to draw."""
+        """Whether no error is random."""
         return all(one.certain for one in self.beliefs)
 
     def id_of(self, place: int) -> Hashable:

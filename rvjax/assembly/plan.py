@@ -223,7 +223,7 @@ def supply_of(slots: Mapping[str, Known]) -> Supply:
 def draw(
     slots: Mapping[str, Known], seed: int, purpose: int, draws: int, *, alike: bool
 ) -> dict[str, list[np.ndarray]]:
-    """Errors of all parts by slot; the draws of a slot hang on its name, not on its place.
+    """Errors of all parts by slot; the draws of a slot depend on its name, not on its place.
 
     Args:
         slots: what is known of the parts.
@@ -286,7 +286,7 @@ def chosen(
 
 
 def _as_they_lie(slots: Mapping[str, Known], supply: Supply) -> Build:
-    """Return the first pieces of every stock with each other; of a shared one the first go into the first slot."""
+    """Combine the first pieces of every stock; the first pieces of a shared stock go into the first slot."""
     rows: list[np.ndarray] = [np.empty(0)] * len(slots)
     for group in set(supply.group):
         own = supply.slots(group)

@@ -29,11 +29,11 @@ class Supply:
 
     @property
     def shared(self) -> bool:
-        """Two slots are fed by one stock."""
+        """Whether one stock feeds two slots."""
         return len(set(self.group)) < len(self.group)
 
     def slots(self, group: int) -> list[int]:
-        """Fed by a stock."""
+        """Slots that a stock feeds."""
         return [slot for slot, own in enumerate(self.group) if own == group]
 
     def weight(self) -> np.ndarray:
@@ -78,6 +78,6 @@ def assigned(cost: np.ndarray, supply: Supply) -> Build:
 
 
 def beyond(cost: np.ndarray, units: int) -> float:
-    """Return a price that no plan pays if it need not."""
+    """Return the price of a forbidden combination, above all differences between plans."""
     finite = cost[np.isfinite(cost)]
     return float(finite.max() + (units + 1) * (np.ptp(finite) + 1e-9 * np.abs(finite).max() + 1e-300))

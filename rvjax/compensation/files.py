@@ -72,7 +72,7 @@ def exported(table: Table, ending: str, *, joint: Joint | None = None, seed: int
 
 
 def read(path: str | Path) -> Table:
-    """Return the table in a file that `export` wrote, with all bits.
+    """Return the table in a file of `export`, bit for bit.
 
     Raises:
         ValueError: another ending, or a file that holds no such table.

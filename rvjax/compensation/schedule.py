@@ -1,4 +1,4 @@
-"""Corrections over torque and direction: an error has a part that grows with the load, and another one backwards."""
+"""Corrections over torque and direction: a part of the error grows with the load, and the directions differ."""
 
 import dataclasses
 import math
@@ -47,7 +47,7 @@ class Schedule:
 
 
 def _between(first: Correction, second: Correction, share: float) -> Correction:
-    """Both measurements weighted; their errors are independent. An order that one side lacks is 0 there."""
+    """Weighted mean of two measurements with independent errors. An order that one of them lacks is 0 there."""
     order = np.union1d(first.given_order, second.given_order)
     value, stored, variance = np.zeros(len(order), complex), np.zeros(len(order), complex), np.zeros(len(order))
     for weight, side in ((1 - share, first), (share, second)):

@@ -28,7 +28,7 @@ SIDES = ("input", "output")
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Table:
-    """Rows of angle and correction; the last row is the first one, a turn later.
+    """Rows of angle and correction; the last row is the first row, one turn later.
 
     Attributes:
         angle: of the output, rad, 0 to 2 pi (points + 1,).

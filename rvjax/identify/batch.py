@@ -150,7 +150,7 @@ def solve_many(
 
 
 def _separate(problem: Problem, y: np.ndarray, points: np.ndarray, max_steps: int, together: int) -> Units:
-    """The heaviest modes of units y (k, m) that share nothing; one program however many units the last chunk has."""
+    """Modes of largest weight of separate units y (k, m); one program for any number of units in the last chunk."""
     starts = len(points)
     at = np.tile(points, (len(y), 1))
     found = follow(problem, np.repeat(y, starts, axis=0), at, max_steps, together=together * starts)

@@ -80,7 +80,7 @@ class Elements:
 
     @classmethod
     def of(cls, prior: PyTree, correlation: Correlation = None) -> "Elements":
-        """Return the elements of what users give as a prior.
+        """Return the elements of a prior.
 
         Raises:
             ValueError: no field has a tolerance, or as `Population.of`.

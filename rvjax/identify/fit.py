@@ -87,7 +87,7 @@ class Components:
         return self._sums(data, 0.0)
 
     def simulated(self, noise: np.ndarray, parts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The same of one unit's simulated data: whitened noise (s, m) and standard numbers (s, k) of the parts."""
+        """Simulated sums of one unit: whitened noise (s, m), standard numbers of the parts (s, k)."""
         return self._sums(noise * self.seen, parts[:, : self.eigenvalues.size] * np.sqrt(self.eigenvalues))
 
     def _sums(self, data: np.ndarray, moved: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:

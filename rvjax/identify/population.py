@@ -46,7 +46,7 @@ class Process:
 
 
 def process(elements: Elements, names: tuple[str, ...], factors: np.ndarray) -> Process:
-    """Return the process behind units.
+    """Estimate the process from its units.
 
     Args:
         elements: of the prior.

@@ -15,7 +15,7 @@ from rvjax.status import SolveInfo, Status
 
 
 class Outcome(enum.StrEnum):
-    """Status of an identification; the first that holds is returned."""
+    """Status of an identification; the first that applies is returned."""
 
     NONFINITE = "NONFINITE"
     MAX_STEPS = "MAX_STEPS"
@@ -93,7 +93,7 @@ class Posterior(Identifiability):
 
 
 def outcome(solver: int, adequate: bool, heavy: int, trusted: bool) -> Outcome:
-    """Return the first outcome that holds."""
+    """Return the first outcome that applies."""
     if solver == Status.NONFINITE:
         return Outcome.NONFINITE
     if solver == Status.MAX_STEPS:

@@ -1,4 +1,4 @@
-"""`predict`: what follows for another response of the same unit."""
+"""`predict`: another response of the same unit, with its uncertainty."""
 
 import jax.numpy as jnp
 import numpy as np

@@ -215,7 +215,7 @@ def parts_of(model: Model) -> tuple[Model, list[dict[str, Any]]]:
 
 
 def program_of(model: Model) -> Hashable:
-    """Equal for models that one program evaluates, which differ in the fields of their parts alone."""
+    """Key of the program of a model; equal for models that differ only in the fields of their parts."""
     base, fields = parts_of(model)
     if not fields[0]:
         return id(model)

@@ -1,4 +1,4 @@
-"""Modes of one unit's posterior: from the mid-point of the prior and from units sampled from it."""
+"""Modes of the posterior of one unit. Starts: the mid-point of the prior, and units sampled from it."""
 
 from typing import Any, NamedTuple
 
@@ -63,7 +63,7 @@ def evidence_of(
 def search(
     problem: Problem, y: np.ndarray, rng: np.random.Generator, starts: int, max_steps: int, draws: int
 ) -> tuple[tuple[Peak, ...], SolveInfo]:
-    """Return the distinct modes, heaviest first, and how the solver ended at the first; none where it found none.
+    """Return the distinct modes, largest weight first, and how the solver ended at the first; may be empty.
 
     Where a model has parts, starts are followed with the first part alone, and then from the modes of that with all.
     """
@@ -170,7 +170,7 @@ def peak_of(
 
 
 def _near(one: Peak, other: Peak, distance: float) -> bool:
-    """Closer than this in standard deviations of the wider of the two."""
+    """Whether two modes are closer than this, in standard deviations of the wider one."""
     apart = one.z - other.z
     squares = (np.sum((peak.spectrum.right.T @ apart) ** 2 * (1 + peak.spectrum.eigenvalues)) for peak in (one, other))
     return bool(min(squares) < distance**2)

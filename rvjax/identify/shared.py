@@ -47,7 +47,7 @@ class Split:
 
     @classmethod
     def of(cls, elements: Elements, shared: str | Iterable[str]) -> "Split":
-        """Return the split of what users name.
+        """Return the split of the elements that users name.
 
         Raises:
             ValueError: an unknown name, or a correlation between shared and separate elements.
@@ -88,7 +88,7 @@ class _Step(NamedTuple):
 
 
 def _step(factors: np.ndarray, z: np.ndarray, w: np.ndarray, damping: np.ndarray) -> _Step:
-    """Return the step with a damping of each unit, and of what is shared (units + 1,)."""
+    """Return the step; `damping` (units + 1,) is that of each unit and of the shared elements."""
     units, no = z.shape
     ns, root, own = w.size, np.sqrt(1 + damping[-1]), np.sqrt(1 + damping[:-1, None])
     prior = np.zeros((units, no, no + ns + 1))

@@ -97,7 +97,7 @@ def parse_design(table: Toml) -> PyTree:
 
 
 def _changed(record: Record, changes: object, where: str) -> PyTree:
-    """A record with some fields changed; a part that it lacks is made from nothing."""
+    """A record with some fields changed; a missing part is created."""
     return record.replace(**_values(type(record), changes, where, record))
 
 

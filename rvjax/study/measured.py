@@ -47,7 +47,7 @@ USUAL = {
 
 @dataclass(frozen=True)
 class Conditions:
-    """Under which something was measured.
+    """Conditions of a measurement.
 
     Attributes:
         unit: name of the unit, "" where the file has no column for it.
@@ -71,7 +71,7 @@ class Conditions:
         return DIRECTIONS[self.direction]
 
     def text(self) -> str:
-        """For a person, such as "412 N m forward, 25 degC"."""
+        """Text such as "412 N m forward, 25 degC"."""
         torque = "" if self.torque is None else f"{self.torque:g} N m "
         speed = "" if self.speed is None else f", {self.speed / rpm:g} r/min"
         return f"{torque}{self.direction}{speed}" + ("" if self.temperature is None else f", {self.temperature:g} degC")

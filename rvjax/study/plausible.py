@@ -102,7 +102,7 @@ def _fits_together(design: RVReducer) -> None:
 
 
 def _collisions(design: RVReducer) -> list[str]:
-    """Neighbouring planets of one plane whose teeth overlap; published numbers that do so stay without a word."""
+    """Neighbouring planets of one plane whose teeth overlap; published numbers with such an overlap give no warning."""
     stage, cranks = design.involute, design.cranks
     counted = stage.sun_teeth, stage.planet_teeth, cranks.count
     if any(counted == (k.involute.sun_teeth, k.involute.planet_teeth, k.cranks.count) for k in KNOWN_DESIGNS[1:]):
@@ -118,7 +118,7 @@ def _collisions(design: RVReducer) -> list[str]:
 
 
 def _part(design: Design, path: str) -> float | None:
-    """The size of what an error deviates from, or None."""
+    """Nominal size that an error deviates from, or None."""
     if not path:
         return None
     for name in path.split("."):

@@ -1,4 +1,4 @@
-"""From a study and what was measured to the problem that `rvjax.identify` solves: model, prior, data, noise."""
+"""Problem that `rvjax.identify` solves, from a study and its measurements: model, prior, data, noise."""
 
 import dataclasses
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""The text of a study with other limits: everything else keeps its own words."""
+"""The text of a study with other limits; all other text is unchanged."""
 
 import json
 import re

@@ -24,7 +24,7 @@ LIMITS = {"lower", "upper", "half_width", "grade"}
 
 
 def spelled(design: Design, table: Toml) -> Toml:
-    """The table [tolerances] with the words of drawings as limits and distributions.
+    """The table [tolerances]; terms of drawings become limits and distributions.
 
     Raises:
         ValueError: names the key, its value and the unit.
@@ -56,7 +56,7 @@ def _ring(table: Toml) -> Toml:
 
 
 def _limits(error_record: object, field: str, table: Toml) -> Toml:
-    """One tolerance with limits in the place of a word."""
+    """One tolerance with limits instead of the term of a drawing."""
     where, words = f"tolerances.{field}", [word for word in WORDS if word in table]
     if "spectrum" in table:
         table = {"distribution": "spectrum"} | table
@@ -81,11 +81,11 @@ def _limits(error_record: object, field: str, table: Toml) -> Toml:
 
 
 def _length(value: object, where: str, before: str = "") -> float:
-    """A length, not negative, that may have to begin with a word that says how it is meant."""
+    """A length >= 0; some need a leading word such as "diametral"."""
     if before:
         words = value.split(maxsplit=1) if isinstance(value, str) else []
         if len(words) != 2 or words[0] != before:
-            raise ValueError(f'{where} = {value!r}: say the diameter of the zone, as in "{before} 20 um"')
+            raise ValueError(f'{where} = {value!r}: must be the diameter of the zone, such as "{before} 20 um"')
         found = quantity(words[1], "m", where)
     else:
         found = quantity(value, "m", where)
