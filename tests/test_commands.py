@@ -16,7 +16,6 @@ table = "parts"
 [options]
 study = { metavar = "STUDY", help = "a study file" }
 --results = { metavar = "DIR", help = "new folder" }
---format = { default = "text", choices = ["text", "json"], help = "form of the result" }
 """,
     "inputs.py": """
 import dataclasses

@@ -68,7 +68,7 @@ def _parser() -> argparse.ArgumentParser:
     for name in listed.COMMANDS:
         command = listed.about(name)
         command.pop("table", None)
-        options = command.pop("options")
+        options = command.pop("options") | about["options"]
         subparser = commands.add_parser(name, formatter_class=as_written, **command)
         subparser.set_defaults(run=functools.partial(run, name))
         for flag, option in options.items():

@@ -194,16 +194,12 @@ DRAG = 10.2
 """Fitted rise of the friction torque at the output from 100 to 1000 r/min of the input, N m."""
 
 
-def faster(torque: Any, drag: float = DRAG) -> np.ndarray:
-    """Half of backward less forward transmission error of the fit at 1000 r/min, (n,) rad.
+def faster(torque: Any) -> np.ndarray:
+    """Half of backward less forward transmission error of the fit at 1000 r/min, (n,) rad, at bench torques (n,), N m.
 
-    Load and drag both oppose the motion, so drag adds to the torque of the bench.
-
-    Args:
-        torque: of the bench, N m (n,).
-        drag: friction torque at the output beyond that at 100 r/min, N m.
+    Load and drag both oppose the motion, so `DRAG` adds to the torque of the bench.
     """
-    return half_difference(_fit().values, pattern(), np.asarray(torque, float) + drag)[0]
+    return half_difference(_fit().values, pattern(), np.asarray(torque, float) + DRAG)[0]
 
 
 @cache

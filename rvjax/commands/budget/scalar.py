@@ -52,9 +52,7 @@ class ScalarBudget:
         return by_level(level, self.variance, self.part)
 
 
-def scalar_budget(
-    study: Study, output: str, *, samples: int = 256, seed: int | None = None, progress: bool = False
-) -> ScalarBudget:
+def scalar_budget(study: Study, output: str, *, samples: int = 256, seed: int | None = None) -> ScalarBudget:
     """The error budget of a response by total effects: each error of a unit is sampled again.
 
     Args:
@@ -62,7 +60,6 @@ def scalar_budget(
         output: required response of the study.
         samples: units; each is solved twice, and once for every error.
         seed: by default that of the study.
-        progress: show a progress bar.
 
     Raises:
         ValueError: fewer than 16 samples or more than 65536, or none of the units has a value.
@@ -79,7 +76,7 @@ def scalar_budget(
 
     batches, block = -(-samples // BLOCK) * (2 + len(population.active)), min(BLOCK, samples)
     seen: list[np.ndarray] = []
-    with progress_bar(progress, batches, "solving", "batch") as advance:
+    with progress_bar(False, batches, "solving", "batch") as advance:
 
         def solve(z: np.ndarray) -> np.ndarray:
             values, status = part.solve(population, z)

@@ -97,14 +97,9 @@ def _what(answer: Identified) -> str:
     return f"{len(runs)} run{'s' if len(runs) > 1 else ''} ({'; '.join(runs)})"
 
 
-def next_lines(answer: Identified, most: int = 3) -> list[str]:
-    """List the next measurements, best first.
-
-    Args:
-        answer: result with gains.
-        most: lines.
-    """
-    return [f"{name}: {gain:.3g} nats" for name, gain in list((answer.gains or {}).items())[:most]]
+def next_lines(answer: Identified) -> list[str]:
+    """List the three best next measurements, best first."""
+    return [f"{name}: {gain:.3g} nats" for name, gain in list((answer.gains or {}).items())[:3]]
 
 
 def head_lines(head: Head) -> list[str]:
