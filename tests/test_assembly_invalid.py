@@ -34,7 +34,7 @@ BAD = [
     ),
     (
         lambda: plan(square, {"a": Kind([Part(0, 1.0), Part(1, {"x": 1.0})]), "b": ONE}),
-        "a: the errors of part 1 have another structure",
+        "a: the errors of part 1 must have",
     ),
     (lambda: believed(math.nan, 0.1, UNIT), "value = nan: must be finite"),
     (lambda: believed(1.0, -0.1, UNIT), "sd = -0.1: must be zero or positive"),

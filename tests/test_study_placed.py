@@ -68,7 +68,7 @@ REFUSED = [
     ('"diametral 20 um"\nbatch = 0.4', '"diametral 20 um"\nbatch = 1', ["pin_offset", "batch", "below 1"]),
     ("batch = 0.4", 'colour = "red"', ["tolerances.pin_ring.colour", "batch"]),
     ('position = "diametral 20 um"', "", ["tolerances.pin_ring", "position, radius or both"]),
-    ("batch = 0.4", 'radius = "1 um"', ["tolerances.pin_radii", "no response", "loaded_transmission_error"]),
+    ("batch = 0.4", 'radius = "1 um"', ["tolerances.pin_radii", "do not use it", "loaded_transmission_error"]),
     ("[tolerances.disc_pitch]", "[tolerances.sun_runout]", ["sun_runout.cumulative", "disc_pitch"]),
     ("disc_centre", "sun_runout", ["tolerances.sun_runout", "do not use it", "loaded_transmission_error"]),
     ("spectrum = [1, 0.5]", "spectrum = [0, 0]", ["disc_pitch", "spectrum", "not all zero"]),

@@ -39,7 +39,7 @@ class Belief:
 
     @property
     def certain(self) -> bool:
-        """Whether no error is random."""
+        """True if no error is random."""
         return not self.sd.any()
 
     def drawn(self, z: np.ndarray) -> np.ndarray:

@@ -155,7 +155,7 @@ class Known:
 
     @property
     def certain(self) -> bool:
-        """Whether no error is random."""
+        """True if no error is random."""
         return all(one.certain for one in self.beliefs)
 
     def id_of(self, place: int) -> Hashable:

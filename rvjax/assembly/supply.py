@@ -29,7 +29,7 @@ class Supply:
 
     @property
     def shared(self) -> bool:
-        """Whether one stock feeds two slots."""
+        """True if one stock feeds two slots."""
         return len(set(self.group)) < len(self.group)
 
     def slots(self, group: int) -> list[int]:

@@ -170,7 +170,7 @@ def peak_of(
 
 
 def _near(one: Peak, other: Peak, distance: float) -> bool:
-    """Whether two modes are closer than this, in standard deviations of the wider one."""
+    """True if two modes are closer than this, in standard deviations of the wider one."""
     apart = one.z - other.z
     squares = (np.sum((peak.spectrum.right.T @ apart) ** 2 * (1 + peak.spectrum.eigenvalues)) for peak in (one, other))
     return bool(min(squares) < distance**2)
