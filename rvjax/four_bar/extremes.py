@@ -10,18 +10,7 @@ import numpy as np
 
 from rvjax.elementary import arctan2, divide
 from rvjax.four_bar.closures import Crank, stretch
-from rvjax.four_bar.fit import (
-    Fit,
-    Turning,
-    apart,
-    bore_excess,
-    direction,
-    fit,
-    misfit,
-    still_and_turning,
-    turning,
-    vector,
-)
+from rvjax.four_bar.fit import Turning, apart, bore_excess, direction, fit, misfit, still_and_turning, turning, vector
 from rvjax.four_bar.turn import Score, Wave, largest_and_smallest
 from rvjax.four_bar.unit import Unit, Vector
 from rvjax.records import Array, PyTree, Record, field, record
@@ -62,13 +51,9 @@ def extremes(unit: Unit, angles: int, wanted: tuple[str, ...] = PARTS) -> Figure
     return Figures(most, least, swing, largest, info)
 
 
-def _fits(unit: Unit) -> list[Fit]:
-    return [fit(unit, k) for k in range(len(unit.parts.disc))]
-
-
 def _under_load(unit: Unit, angles: int) -> tuple[jax.Array, jax.Array]:
     """Largest and smallest error."""
-    fits = _fits(unit)
+    fits = [fit(unit, k) for k in range(len(unit.parts.disc))]
 
     def vectors(parts: PyTree, first: Crank) -> list[Vector]:
         unit, fits = parts

@@ -9,7 +9,7 @@ import numpy as np
 
 from rvjax.designs import Contact, CrankStage, CycloidStage, InvoluteStage, RVReducer, Stiffness
 from rvjax.errors import RVErrors
-from rvjax.units import arcmin, deg, mm, um
+from rvjax.units import arcmin, mm, um
 
 RATED = 1600.0  # assumed: torque of an RV-160, N m
 MACHINE = RVReducer(
@@ -40,10 +40,6 @@ MACHINE = RVReducer(
 TORQUE = np.array([0.0, 100, 200, 300, 400, 500, 700, 900, 1000, 1200, 1300, 1400])
 MEASURED = np.array([0.182, 0.599, 0.879, 1.132, 1.368, 1.513, 1.990, 2.436, 2.688, 3.143, 3.371, 3.560]) * arcmin
 FITTED = np.arange(len(TORQUE)) % 2 == 0
-# Forward, 200 to 1400 N m at 100 r/min and 25 C, of the quadratic fit to 675 curves that the source publishes.
-GROWTH_PHASE = 25.1 * deg
-# Median amplitudes over all torques, orders of the output turn.
-AMPLITUDE = {2: 0.98, 3: 2.84, 39: 3.81, 40: 3.02, 78: 3.38, 80: 0.74, 81: 1.08, 120: 0.61, 159: 1.03}
 
 DISCS, CRANKS, PINS, TEETH = (MACHINE.counts[name] for name in ("discs", "cranks", "pins", "teeth"))
 SHAPES: dict[str, tuple[int, ...]] = {
