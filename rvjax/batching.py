@@ -55,12 +55,10 @@ class TracedLate:
         return [leaves[0].update(shape=leaf.shape, dtype=leaf.dtype, weak_type=False) for leaf in found]
 
 
-@_traced_late.def_impl
 def _computed(*leaves: jax.Array, late: TracedLate, tree: Any) -> list[jax.Array]:
     return late.flat(*leaves, tree=tree)
 
 
-@_traced_late.def_abstract_eval
 def _typed(*leaves: Any, late: TracedLate, tree: Any) -> list[Any]:
     return late.types(*leaves, tree=tree)
 
@@ -74,6 +72,8 @@ def _batched(leaves: Any, axes: Any, *, late: TracedLate, tree: Any) -> tuple[li
     return found, [0] * len(found)
 
 
+_traced_late.def_impl(_computed)
+_traced_late.def_abstract_eval(_typed)
 batching.primitive_batchers[_traced_late] = _batched
 mlir.register_lowering(
     _traced_late, mlir.lower_fun(lambda *leaves, late, tree: late.flat(*leaves, tree=tree), multiple_results=True)

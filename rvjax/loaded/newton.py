@@ -44,10 +44,9 @@ class Found(NamedTuple):
     @classmethod
     def shapes(cls, layout: Layout, dtype: DTypeLike) -> PyTree:
         """Shapes and dtypes of one case."""
-        of = functools.partial(jax.ShapeDtypeStruct, ())
-        return cls(  # type: ignore[arg-type]
-            jax.ShapeDtypeStruct((layout.unknowns,), dtype), of(jnp.int32), of(dtype), of(dtype), of(bool), of(bool), of(bool)
-        )  # fmt: skip
+        vector = jax.ShapeDtypeStruct((layout.unknowns,), dtype)
+        kinds = jnp.int32, dtype, dtype, bool, bool, bool
+        return cls(vector, *(jax.ShapeDtypeStruct((), kind) for kind in kinds))  # type: ignore[arg-type]
 
 
 class _Tour(NamedTuple):

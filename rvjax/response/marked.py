@@ -26,7 +26,12 @@ class Marked(NamedTuple):
     def with_state(self, *arguments: PyTree) -> tuple[PyTree, list[jax.Array]]:
         """Results, and what is marked, in the order of the program."""
         state: list[jax.Array] = []
-        found = _evaluated(self.jaxpr, jax.tree.leaves(arguments), lambda _, value: state.append(value) or value)
+
+        def kept(_: Any, value: jax.Array) -> jax.Array:
+            state.append(value)
+            return value
+
+        found = _evaluated(self.jaxpr, jax.tree.leaves(arguments), kept)
         return jax.tree.unflatten(self.tree, found), state
 
     def from_state(self, state: jax.Array, *arguments: PyTree) -> PyTree:
@@ -86,7 +91,7 @@ def _wanted(jaxpr: Any) -> set[int]:
 
 
 def _program(equation: Any) -> ClosedJaxpr | None:
-    """What a call of `jax.jit` computes; None for anything else."""
+    """The jaxpr of a call of `jax.jit`; None for any other equation."""
     return equation.params["jaxpr"] if equation.primitive.name in ("jit", "pjit") else None
 
 
