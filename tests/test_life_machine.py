@@ -208,6 +208,7 @@ def test_what_cannot_be_is_one_line(call, told):
     [
         ('time = "1 h"', 'time = "-1 h"', r"duty\[0\].time = -3600 s: must not be negative"),
         ('time = "1 h"', 'time = "0 h"', "duty.time = 0 s in all phases: must have a positive sum"),
+        ('"15 rpm"', '"0 rpm"', "duty.output_speed = 0 rad/s in all phases that last: must not be 0 in all of them"),
         ('time = "1 h"', "", r"duty\[0\].time is missing: every phase has one, in s"),
         ('time = "1 h"', 'time = ["1 h", "2 h"]', r"duty\[0\].time = \['1 h', '2 h'\]: needs one number"),
         ("[conditions]", '[design.bearings.arm]\ncapacity = "31 N"\n[conditions]', "arm.capacity = 31 N: must be"),

@@ -212,6 +212,16 @@ def _with_duty(given: Conditions) -> None:
         raise ValueError("duty.time = 0 s in all phases: must have a positive sum")
 
 
+def _moving(given: Conditions) -> None:
+    _with_duty(given)
+    assert given.duty is not None
+    if not any(speed and time for _, speed, time in given.duty):
+        raise ValueError(
+            "duty.output_speed = 0 rad/s in all phases that last: must not be 0 in all of them; at rest no bearing "
+            "has a life"
+        )
+
+
 def _with_life(given: Conditions) -> None:
     assert given.rated_life is not None
     if given.rated_life <= 0:
@@ -221,7 +231,8 @@ def _with_life(given: Conditions) -> None:
 
 
 def _of_duty(name: str, unit: str, meaning: str, take: Callable[..., Solved], read_in: str | None = None) -> Output:
-    return Output(unit, meaning, Reading((rated,), take), (), read_in, refuse=_refusing(name, _with_duty))
+    own = _with_duty if name == "static_safety" else _moving
+    return Output(unit, meaning, Reading((rated,), take), (), read_in, refuse=_refusing(name, own))
 
 
 UNKNOWN = (
