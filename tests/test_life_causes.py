@@ -67,18 +67,18 @@ def test_the_orders_of_the_force_without_errors():
     assert max(value for order, value in size.items() if order % pins) < 1e-6 * size[0]
 
 
-def made(phases=2, **changes):
+def made(phases=3, **changes):
     """Lives of four units with two arm bearings and a support."""
     each = HOUR * np.array([[9e3, 8e3, 9e4], [8e3, 7e3, 9e4], [9e3, 9e3, 9e4], [7e3, 6e3, 9e4]])
     names = ("disc 0, crank 0", "disc 1, crank 0", "support 0, crank 0")
-    duty = np.array([[412.0, 15 * rpm, 2.0], [-100.0, 30 * rpm, 6.0]])[:phases]
+    duty = np.array([[412.0, 15 * rpm, 2.0], [-100.0, -30 * rpm, 5.0], [50.0, 0.0, 1.0]])[:phases]
     orders = np.array([0, 1, 40, -40, -1])
     force = np.array([[2e3, 2e3], [0, 300.0], [0, 10.0], [1e3, 1e3], [0, 200.0]])
     lives = Lives(
         method="raceway", samples=12, reliability=0.95, life=np.array([4e3, 3e3, 5e3, 2e3]) * HOUR, failed=3,
         bearings=names, centre=each[0], each=each, load=each / HOUR, first=np.array([0.3, 0.6, 0.1]),
         held={"pin_ring": (10 * HOUR, 5 * HOUR), "disc_bore": (90 * HOUR, 70 * HOUR)}, duty=duty,
-        phases=np.array([0.9, 0.1])[:phases], torque=np.array([200.0, 400.0]), speed=15 * rpm,
+        phases=np.array([0.9, 0.1, 0.0])[:phases], torque=np.array([200.0, 400.0]), speed=15 * rpm,
         of_torque=np.array([[9.0, 5, 7, 8], [0.9, 0.5, 0.7, 0.8]]) * 1e3 * HOUR, orders=orders, force=force, pins=40,
     )  # fmt: skip
     return dataclasses.replace(lives, **changes)
@@ -99,10 +99,15 @@ def test_the_page_says_which_bearing_fails_first_and_why(question):
     assert list(orders) == ["0", "-40", "1", "-1", "40"]
     assert orders["0"] == "fixed in the carrier" and orders["-40"] == "turns with the crank"
     assert orders["40"] == "pins and teeth" and orders["1"] == "errors of the parts"
+    captions = {part.name: part.caption for part in found.content if isinstance(part, Table)}
+    assert captions["bearing_orders"] == (
+        "Force on the bearing of disc 1, crank 0 under 412 N m, by order of the output revolution"
+    )
     assert [row[0] for row in tables["bearing_errors"]] == ["disc bore", "pin ring"]
     assert tables["duty_phases"] == [
-        ["412 N m, 15 r/min", "25.0 %", "90.0 %"],
-        ["-100 N m, 30 r/min", "75.0 %", "10.0 %"],
+        ["0: 412 N m, 15 r/min", "25.0 %", "90.0 %"],
+        ["1: -100 N m, -30 r/min", "62.5 %", "10.0 %"],
+        ["2: 50 N m, at rest", "12.5 %", "0.0 %"],
     ]
     figures = [part for part in found.content if isinstance(part, Figure)]
     assert len(figures) == 3 and all(figure.content("png").startswith(b"\x89PNG") for figure in figures)

@@ -10,7 +10,10 @@ from life_cases import BASIC, NAMED, PLAN, duty_of, rate, unit_of
 
 import rvjax
 from rvjax import RVErrors, Status, life, study
+from rvjax.life.machine import check_plan, input_angles
+from rvjax.loaded import admit, bearing_forces
 from rvjax.population import Population, drawn, root_key
+from rvjax.records import promote
 from rvjax.study import Response
 from rvjax.units import rpm
 
@@ -208,6 +211,7 @@ def test_what_cannot_be_is_one_line(call, told):
     [
         ('time = "1 h"', 'time = "-1 h"', r"duty\[0\].time = -3600 s: must not be negative"),
         ('time = "1 h"', 'time = "0 h"', "duty.time = 0 s in all phases: must have a positive sum"),
+        ('"15 rpm"', '"0 rpm"', "duty.output_speed = 0 rad/s in all phases that last: must not be 0 in all of them"),
         ('time = "1 h"', "", r"duty\[0\].time is missing: every phase has one, in s"),
         ('time = "1 h"', 'time = ["1 h", "2 h"]', r"duty\[0\].time = \['1 h', '2 h'\]: needs one number"),
         ("[conditions]", '[design.bearings.arm]\ncapacity = "31 N"\n[conditions]', "arm.capacity = 31 N: must be"),
@@ -264,3 +268,23 @@ def test_a_crank_turn_and_a_life_in_one_loop_are_what_they_are_apart():
     apart = turn(errors).value | life_(errors).value
     for name, value in whole(errors).value.items():
         np.testing.assert_allclose(value, apart[name], rtol=1e-9, err_msg=name)
+
+
+@pytest.mark.long
+def test_near_angles_start_from_the_one_before():
+    """24 angles start from the one before and give the forces of cold starts; 12 start from the linear step."""
+    plans = [check_plan(DESIGN, ERRORS, n, 1.0, "basic", 0.9, 0.0, ("hertz", "fixed", "fixed")) for n in (12, 24)]
+    assert [plan.near for plan in plans] == [False, True]
+    plan = plans[1]
+
+    @jax.jit
+    def both(design, errors):
+        read = admit(plan.layout, *promote(design, errors), jnp.array([412.0, -200.0]), 0.0)
+        angles = input_angles(plan, read.design, read.torque.dtype)
+        return [bearing_forces(plan.layout, read, read.torque, angles, near=near) for near in (False, True)]
+
+    cold, warm = both(DESIGN, ERRORS)
+    assert np.all(cold.info.status == Status.CONVERGED) and np.all(warm.info.status == Status.CONVERGED)
+    np.testing.assert_allclose(warm.arm, cold.arm, rtol=1e-9, atol=1e-6)
+    assert np.array_equal(warm.info.steps[0], cold.info.steps[0])  # nothing lies before it
+    assert np.any(warm.info.steps != cold.info.steps)

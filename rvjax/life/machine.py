@@ -70,6 +70,7 @@ def tapered(bearings: Bearings, force: jax.Array) -> Equivalent:
 
 
 _GOLDEN = (np.sqrt(5) - 1) / 2
+_NEAR = 24  # samples of a crank turn from which on neighbours have similar displacements
 
 
 class Plan(NamedTuple):
@@ -79,6 +80,11 @@ class Plan(NamedTuple):
     samples: int
     crank_turns: int
     method: str
+
+    @property
+    def near(self) -> bool:
+        """True if the equilibrium at the sample before is a better start than the linear step."""
+        return self.samples >= _NEAR
 
 
 def check_plan(

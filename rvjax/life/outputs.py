@@ -131,15 +131,17 @@ def turned_and_rated(design: RVReducer, errors: RVErrors, given: PyTree) -> tupl
 
     along = 2 * np.pi * design.ratio * turns_of(design, given) * np.arange(n) / n
     spread = input_angles(plan, design, read.torque.dtype)
-    torques = jnp.concatenate([jnp.full(n, read.torque[-1]), jnp.tile(read.torque[:-1], plan.samples)])
-    angles = jnp.concatenate([jnp.asarray(along, read.torque.dtype), jnp.repeat(spread, phases)])
-    first = np.concatenate([np.arange(n) == 0, np.ones(plan.samples * phases, bool)])
-    found = instants(plan.layout, read, torques, angles, first)
+    torques = jnp.concatenate([jnp.full(n, read.torque[-1]), jnp.repeat(read.torque[:-1], plan.samples)])
+    angles = jnp.concatenate([jnp.asarray(along, read.torque.dtype), jnp.tile(spread, phases)])
+    before = np.concatenate(
+        [np.minimum(2 * np.arange(n), 2), np.tile((np.arange(plan.samples) > 0) & plan.near, phases)]
+    )
+    found = instants(plan.layout, read, torques, angles, before)
 
     around, rest = jax.tree.map(lambda x: x[:n], found), jax.tree.map(lambda x: x[n:], found)
 
     def each(x: jax.Array) -> jax.Array:
-        return x.reshape(plan.samples, phases, *x.shape[1:])
+        return jnp.swapaxes(x.reshape(phases, plan.samples, *x.shape[1:]), 0, 1)
 
     forces = BearingForces(each(rest.arm), each(rest.support), jax.tree.map(each, rest.info), None)
     return summary(around), by_forces(plan, numbers, read.errors, forces)
@@ -210,6 +212,16 @@ def _with_duty(given: Conditions) -> None:
         raise ValueError("duty.time = 0 s in all phases: must have a positive sum")
 
 
+def _moving(given: Conditions) -> None:
+    _with_duty(given)
+    assert given.duty is not None
+    if not any(speed and time for _, speed, time in given.duty):
+        raise ValueError(
+            "duty.output_speed = 0 rad/s in all phases that last: must not be 0 in all of them; at rest no bearing "
+            "has a life"
+        )
+
+
 def _with_life(given: Conditions) -> None:
     assert given.rated_life is not None
     if given.rated_life <= 0:
@@ -219,7 +231,8 @@ def _with_life(given: Conditions) -> None:
 
 
 def _of_duty(name: str, unit: str, meaning: str, take: Callable[..., Solved], read_in: str | None = None) -> Output:
-    return Output(unit, meaning, Reading((rated,), take), (), read_in, refuse=_refusing(name, _with_duty))
+    own = _with_duty if name == "static_safety" else _moving
+    return Output(unit, meaning, Reading((rated,), take), (), read_in, refuse=_refusing(name, own))
 
 
 UNKNOWN = (

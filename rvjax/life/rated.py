@@ -201,7 +201,8 @@ def _missing(plan: Plan, given: Given, x: jax.Array, start: jax.Array) -> Evalua
     refused = Gate(((given.sound < 0.5, Status.NONFINITE),))
     torque = jnp.exp(x)[None]
     read = Read(given.design, given.errors, given.eccentricity, torque, jnp.zeros_like(x), refused)
-    forces = bearing_forces(plan.layout, read, torque, input_angles(plan, given.design, x.dtype), start)
+    angles = input_angles(plan, given.design, x.dtype)
+    forces = bearing_forces(plan.layout, read, torque, angles, start, near=plan.near)
     found = damages(plan, given.bearings, given.errors, forces, jnp.ones_like(torque), given.tilt)
     share = found.whole * given.budget / 1e6  # of the life that the wanted revolutions take
     loaded = share > 0

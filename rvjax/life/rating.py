@@ -86,7 +86,8 @@ def _rating(
 ) -> Rating:
     read = admit(plan.layout, design, errors, jnp.broadcast_to(duty.output_torque, (phases,)), 0.0)
     given = under(duty, phases, design, read, reliability, tilt)
-    forces = bearing_forces(plan.layout, read, read.torque, input_angles(plan, design, read.torque.dtype))
+    angles = input_angles(plan, design, read.torque.dtype)
+    forces = bearing_forces(plan.layout, read, read.torque, angles, near=plan.near)
     return by_forces(plan, given, read.errors, forces)
 
 

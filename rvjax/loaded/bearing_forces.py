@@ -28,7 +28,13 @@ class BearingForces(NamedTuple):
 
 
 def bearing_forces(
-    layout: Layout, read: Read, torques: jax.Array, input_angles: jax.Array, start: jax.Array | None = None
+    layout: Layout,
+    read: Read,
+    torques: jax.Array,
+    input_angles: jax.Array,
+    start: jax.Array | None = None,
+    *,
+    near: bool = False,
 ) -> BearingForces:
     """Equilibria at every angle under every torque.
 
@@ -36,22 +42,26 @@ def bearing_forces(
         layout: counts and methods.
         read: finite and possible numbers; its torque and angle are not read.
         torques: of the discs on the carrier, (t,) N m.
-        input_angles: of the sun, (n,) rad, constants. Far from each other the angle before is no better start than the
-            linear step.
-        start: displacements (n, t, unknowns) to start from; None: the linear step.
+        input_angles: of the sun, (n,) rad, constants.
+        start: displacements (n, t, unknowns) to start from; NaN or None: the linear step, or those at the angle before.
+        near: start from the angle before, because the crank angle differs little.
     """
-    none = jnp.full((layout.unknowns,), jnp.nan, torques.dtype)
+    none = jnp.full((len(torques), layout.unknowns), jnp.nan, torques.dtype)
+    of_torques = jax.lax.stop_gradient(torques)
 
-    def at(angle: jax.Array, start: jax.Array | None) -> tuple[Found, SolveInfo]:
+    def onward(last: jax.Array, at: tuple[jax.Array, jax.Array | None]) -> tuple[jax.Array, tuple[Found, SolveInfo]]:
+        angle, given = at
         case = jax.lax.stop_gradient(prepare(layout, read, angle))
 
         def under(torque: jax.Array, start: jax.Array) -> tuple[Found, SolveInfo]:
             return solve(layout, read, case.loaded(torque), start)
 
-        of_torques = jax.lax.stop_gradient(torques)
-        return jax.vmap(under, (0, None if start is None else 0))(of_torques, none if start is None else start)
+        begin = last if given is None else jnp.where(jnp.isfinite(given), given, last)
+        found, info = jax.vmap(under)(of_torques, begin)
+        here = jnp.where(succeeded(info.status)[:, None], found.q, jnp.nan) if near else none
+        return here, (found, info)
 
-    found, info = solved(jax.lax.map(lambda x: at(*x), (input_angles, start)))
+    found, info = solved(jax.lax.scan(onward, none, (input_angles, start))[1])
     measure = jax.checkpoint(partial(_measure, layout))
     arm, support = jax.lax.map(lambda x: measure(read, torques, *x), (input_angles, found, info.status))
     q = jnp.where(succeeded(info.status)[..., None], found.q, jnp.nan)

@@ -41,29 +41,30 @@ class Instants(NamedTuple):
 
 
 def instants(
-    layout: Layout, read: Read, torques: jax.Array, input_angles: jax.Array, first: NDArray[np.bool_]
+    layout: Layout, read: Read, torques: jax.Array, input_angles: jax.Array, before: NDArray[np.integer]
 ) -> Instants:
-    """Equilibria one after the other, each from the line through the two before.
+    """Equilibria one after the other, each from those before.
 
     Args:
         layout: counts and methods.
         read: finite and possible numbers; its torque and angle are not read.
         torques: of the discs on the carrier, (n,) N m.
         input_angles: of the sun, (n,) rad.
-        first: (n,); True: from the linear step, because the instant before is far away.
+        before: (n,) instants that the start of each follows from: none (the linear step), the last, or the line through
+            the last two.
     """
 
     def onward(known: Pair, at: tuple[jax.Array, ...]) -> tuple[Pair, tuple[Found, SolveInfo]]:
-        (last, before), (torque, angle, new) = known, at  # NaN where there is none
-        start = jnp.where(jnp.isfinite(before), 2 * last - before, last)
+        (last, earlier), (torque, angle, number) = known, at  # NaN where there is none
+        start = jnp.where((number == 2) & jnp.isfinite(earlier), 2 * last - earlier, last)
         case = prepare(layout, read, jax.lax.stop_gradient(angle)).loaded(torque)
         case = jax.lax.stop_gradient(case)
-        found, info = solve(layout, read, case, jnp.where(new, jnp.nan, start))
+        found, info = solve(layout, read, case, jnp.where(number == 0, jnp.nan, start))
         here = jnp.where(succeeded(info.status), found.q, jnp.nan)
-        return (here, jnp.where(new, jnp.nan, last)), (found, info)
+        return (here, jnp.where(number == 0, jnp.nan, last)), (found, info)
 
     none = jnp.full((layout.unknowns,), jnp.nan, torques.dtype)
-    found, info = solved(jax.lax.scan(onward, (none, none), (torques, input_angles, jnp.asarray(first)))[1])
+    found, info = solved(jax.lax.scan(onward, (none, none), (torques, input_angles, jnp.asarray(before)))[1])
     measure = jax.checkpoint(partial(_measure, layout), static_argnums=())
     error, loads, arm, support = jax.lax.map(lambda x: measure(read, *x), (torques, input_angles, found, info.status))
     return Instants(error, loads, arm, support, info)

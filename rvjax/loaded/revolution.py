@@ -79,7 +79,13 @@ def _revolution(
     order = jnp.arange(samples, dtype=read.torque.dtype)
     step = 2 * jnp.pi * design.ratio * read.angle / samples  # `admit` checked the turns in the place of the angle
     return summary(
-        instants(layout, read, jnp.broadcast_to(read.torque, order.shape), step * order, np.arange(samples) == 0)
+        instants(
+            layout,
+            read,
+            jnp.broadcast_to(read.torque, order.shape),
+            step * order,
+            np.minimum(2 * np.arange(samples), 2),
+        )
     )
 
 

@@ -100,7 +100,9 @@ def _orders(lives: Lives) -> Table:
     ]
     rows = [[int(lives.orders[k]), _meaning(int(lives.orders[k]), lives.pins), *lives.force[k]]
             for k in _largest_orders(lives)]  # fmt: skip
-    caption = f"Force on the bearing of {lives.bearings[lives.weakest]}, by order of the output revolution"
+    torque = float(np.max(np.abs(lives.duty[:, 0])))
+    bearing = lives.bearings[lives.weakest]
+    caption = f"Force on the bearing of {bearing} under {torque:.4g} N m, by order of the output revolution"
     return Table("bearing_orders", columns, rows, caption=caption)
 
 
@@ -116,7 +118,10 @@ def _errors(lives: Lives) -> Table:
 
 
 def _phase_names(lives: Lives) -> list[str]:
-    return [f"{torque:.4g} N m, {abs(speed) / rpm:.3g} r/min" for torque, speed, _ in lives.duty]
+    def motion(speed: float) -> str:
+        return f"{speed / rpm:.3g} r/min" if speed else "at rest"
+
+    return [f"{k}: {torque:.4g} N m, {motion(speed)}" for k, (torque, speed, _) in enumerate(lives.duty)]
 
 
 def _phases(lives: Lives) -> Table:
