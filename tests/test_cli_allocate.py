@@ -87,7 +87,7 @@ def test_allocate_writes_tables_and_pictures(answered):
         "joint yield: 99.",
         "no joint_target set",
         "no slope: the model ignores this error",
-        "% of the units, interference, no backlash",
+        "Negative lost_motion in",
         "Not modelled: pins, flanks and the first stage",
     ):
         assert words in text

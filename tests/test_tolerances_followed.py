@@ -221,11 +221,12 @@ def _(primals, tangents):
 
 
 def rooted(e):
-    """A root by iteration, which is marked as solved, and a value without one."""
+    """A root by iteration, which is marked as solved with its square, and a value that the square scales."""
     a = 2 + e["x"][0] * e["y"][1]
     newton = lambda state: (state[0] - (state[0] ** 2 - a) / (2 * state[0]), state[1] + 1)  # noqa: E731
     found = jax.lax.while_loop(lambda state: state[1] < 20, newton, (jnp.ones(()), jnp.int32(0)))[0]
-    return {"root": _at_root(a, solved(jax.lax.stop_gradient(found))), "product": jnp.sin(e["x"][1]) * e["z"]}
+    root, square = solved(jax.lax.stop_gradient((found, found**2)))
+    return {"root": _at_root(a, root), "product": jnp.sin(e["x"][1]) * e["z"] * square}
 
 
 def test_slopes_of_solved_units_come_from_their_state():
@@ -240,7 +241,8 @@ def test_slopes_of_solved_units_come_from_their_state():
     weights = np.random.default_rng(1).normal(size=(2, 300))
     due = np.zeros((13, 300))
     due[0], due[7] = (weights[1] * errors[n][k] / (2 * np.sqrt(a)) for n, k in (("y", 1), ("x", 0)))
-    due[1], due[12] = weights[0] * np.cos(errors["x"][1]) * errors["z"], weights[0] * np.sin(errors["x"][1])
+    scaled = weights[0] * a
+    due[1], due[12] = scaled * np.cos(errors["x"][1]) * errors["z"], scaled * np.sin(errors["x"][1])
     np.testing.assert_allclose(part.slopes(population(1.2), z, state, weights), due, atol=1e-12)
     found, slopes = gradients(
         part.response, population(1.2), np.repeat(own, 2, axis=1), np.repeat(weights, 2, 1), part.names

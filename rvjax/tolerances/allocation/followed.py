@@ -34,7 +34,7 @@ _FAR = 1.0  # change of a limit, in half-widths, beyond which nothing is predict
 _LARGEST = 3.0  # standard deviations of the largest of 32 deviations, more than it has by chance (2.1)
 _CAUTION = 1.2  # on the spread, which comes from few units
 _FEWEST = 8  # solved units behind a line of units with gradients
-_KEPT = 96  # sets of tolerances that are remembered, a third of a megabyte each
+_KEPT = 24  # sets of tolerances that are remembered
 
 Aims = Callable[[dict[str, np.ndarray], float], dict[str, list[float]]]
 """Values (n,) of all units by name, nan where one failed, and how far limits have moved since, in parts of the larger

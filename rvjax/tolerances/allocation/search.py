@@ -125,17 +125,13 @@ class Search:
 
     def opened(self, start: np.ndarray) -> tuple[Point, bool]:
         """Start of a search, and True if half-widths meet every requirement on the sample."""
-        point = self.begin(start)
-        if not np.isfinite(point.margins).all():
-            few = self.training.margins_of_few(self.low)
-            return point, self.excess(self.training.margins(self.low) if few is None else few) <= 0
-        found, _ = self.run(point)  # finer need not be better: errors may take up errors
-        reached = self.excess(found.margins)
-        if reached <= self.settled:
-            return found, True  # the finest half-widths need not be solved
-        few = self.training.margins_of_few(self.low)
+        point, few = self.begin(start), self.training.margins_of_few(self.low)
         finest = self.excess(self.training.margins(self.low) if few is None else few)
-        return (point if finest <= 0 else found), finest <= 0 or (reached <= NOISE and reached < finest / 2)
+        if finest <= 0 or not np.isfinite(point.margins).all():
+            return point, finest <= 0
+        point, _ = self.run(point)  # finer need not be better: errors may take up errors
+        reached = self.excess(point.margins)
+        return point, reached <= NOISE and reached < finest / 2
 
     def promising(self, half_widths: np.ndarray, beyond: float = BEYOND) -> bool:
         """True if a certificate may hold: the sample exceeds no limit by more than `beyond` of the way there."""
