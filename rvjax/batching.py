@@ -64,7 +64,7 @@ def _typed(*leaves: Any, late: TracedLate, tree: Any) -> list[Any]:
 
 
 def _batched(leaves: Any, axes: Any, *, late: TracedLate, tree: Any) -> tuple[list[jax.Array], list[int]]:
-    own = [axis is not batching.not_mapped for axis in axes]
+    own = [axis is not None for axis in axes]
     size = next(leaf.shape[axis] for leaf, axis, is_own in zip(leaves, axes, own) if is_own)
     moved = [jnp.moveaxis(leaf, axis, 0) if is_own else leaf for leaf, axis, is_own in zip(leaves, axes, own)]
     assert late.rule is not None

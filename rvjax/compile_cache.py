@@ -32,12 +32,17 @@ twice as long."""
 
 @functools.lru_cache(maxsize=16)
 def understood(options: Options) -> dict[str, bool | int] | None:
-    """Options for `jax.jit`; None where this version of XLA lacks one of them, or none are given."""
+    """Options for `jax.jit`, those that this version of XLA has; None for none."""
+    return dict(option for option in options if _known(option)) or None
+
+
+@functools.cache
+def _known(option: tuple[str, bool | int]) -> bool:
     try:
-        jax.jit(lambda x: x, compiler_options=dict(options)).lower(0.0).compile()
+        jax.jit(lambda x: x, compiler_options=dict([option])).lower(0.0).compile()
     except (jax.errors.JaxRuntimeError, ValueError):
-        return None
-    return dict(options) or None
+        return False
+    return True
 
 
 def inside(*arguments: object) -> bool:

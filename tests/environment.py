@@ -1,6 +1,7 @@
 """Variables of the process that must be set before JAX is imported; importing this module sets them."""
 
 import os
+from importlib.metadata import version
 from pathlib import Path
 
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path(__file__).parents[1] / ".pytest_cache" / "jax"))
@@ -10,8 +11,10 @@ if "xla_backend_optimization_level" not in os.environ.get("XLA_FLAGS", ""):
     # XLA's older code generator, in one piece, no optimisation: 15 s of compilation -> 3 s in a mix of three models.
     quick = (
         "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true "
-        "--xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1"
+        "--xla_cpu_parallel_codegen_split_count=1"
     )
+    if int(version("jaxlib").split(".")[1]) < 10:  # later ones end the process: they lack the older code generator
+        quick += " --xla_cpu_use_fusion_emitters=false"
     os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {quick}".strip()
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")  # hundreds of small ones cost a quarter
 os.environ.setdefault("JAX_TRACEBACK_IN_LOCATIONS_LIMIT", "0")  # no line of source beside every operation
