@@ -5,7 +5,7 @@ import pytest
 from codesign_cases import CASES, arguments
 
 from rvjax.tolerances import Memo, Middle, Nominal, ReciprocalPower, Requirement, Tolerance, Variable, allocate
-from rvjax.tolerances.codesign import anchor
+from rvjax.tolerances.codesign import units
 from rvjax.tolerances.codesign.tail_sample import smooth_quantile
 
 UNITS = 200_000  # of a certificate: their error of the 99.73 % quantile costs about 1 %
@@ -165,8 +165,8 @@ def test_a_killed_run_continues_from_its_memo(tmp_path, monkeypatch):
 
     options = dict(certificate_samples=4096, samples=512, memo=Memo(tmp_path, {}, worth=0.0))
     first = levered(**options)
-    monkeypatch.setattr(anchor, "respond", gone)
-    monkeypatch.setattr(anchor, "gradients", gone)
+    monkeypatch.setattr(units, "respond", gone)
+    monkeypatch.setattr(units, "gradients", gone)
     again = levered(**options)
     assert (again.values, again.cost, again.history) == (first.values, first.cost, first.history)
 

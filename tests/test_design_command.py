@@ -16,7 +16,7 @@ from rvjax.commands.design.figures import figures
 from rvjax.commands.design.prices import multiplier
 from rvjax.commands.design.report import saved_part
 from rvjax.tolerances import Memo, Nominal, Variable, allocate
-from rvjax.tolerances.codesign import anchor
+from rvjax.tolerances.codesign import units
 from rvjax.units import mm, um
 
 CASE = next(
@@ -300,7 +300,7 @@ def test_a_killed_command_continues_from_its_journal(designed, tmp_path, monkeyp
     study_file, out, journal = designed[1].with_name("small.toml"), tmp_path / "out", tmp_path / "out.part"
     call = ["design", str(study_file), "--alone", "--results", str(out), "--quiet"]
     monkeypatch.setattr(kept, "memo", lambda study, place: Memo(place.with_name("out.part"), {}, worth=0.0))
-    plain, asked = anchor.gradients, []
+    plain, asked = units.gradients, []
 
     def killed(response, population, errors, cotangents, names):
         asked.append((errors.tobytes(), cotangents.tobytes(), repr(population.values)))
@@ -308,7 +308,7 @@ def test_a_killed_command_continues_from_its_journal(designed, tmp_path, monkeyp
             raise KeyboardInterrupt
         return plain(response, population, errors, cotangents, names)
 
-    monkeypatch.setattr(anchor, "gradients", killed)
+    monkeypatch.setattr(units, "gradients", killed)
     assert cli.main(call) == 130 and not out.exists() and len(list(journal.iterdir())) > 9
     assert cli.main(call) == 0 and not journal.exists()
     assert not set(asked[:9]) & set(asked[10:]) and asked[9] == asked[10]

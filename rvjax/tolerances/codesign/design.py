@@ -15,7 +15,8 @@ from rvjax.tolerances.batch.monte_carlo import Statistics
 from rvjax.tolerances.codesign.decisions import Decisions
 from rvjax.tolerances.codesign.feasibility import Shortage, least_shortage
 from rvjax.tolerances.codesign.lists import Lists, Places
-from rvjax.tolerances.codesign.margins import JOINT, Local, Margins
+from rvjax.tolerances.codesign.local import Local
+from rvjax.tolerances.codesign.margins import JOINT, Margins
 from rvjax.tolerances.codesign.nominal import Nominal
 from rvjax.tolerances.codesign.problem import Problem
 from rvjax.tolerances.codesign.programme import End, Programme
@@ -51,6 +52,7 @@ class Found:
         learned: cost before certification.
         shortage: of an infeasible problem.
         history: one dict per vector.
+        others: the end with prices from parts of the units, whose differences show their error.
     """
 
     status: str
@@ -62,6 +64,7 @@ class Found:
     learned: float
     shortage: Shortage | None
     history: list[dict[str, Any]]
+    others: list[End] = dataclasses.field(default_factory=list)
 
 
 class Designer:
@@ -206,7 +209,15 @@ class Designer:
             status = "SUBOPTIMAL"
         if not certifier.holds(certificate) or end.excess > _MET:
             status = "NOT_CERTIFIED"
-        return Found(status, decisions, x, end, margins, certificate, learned, None, self.history)
+        others = self._priced_by_parts(margins, end)
+        return Found(status, decisions, x, end, margins, certificate, learned, None, self.history, others)
+
+    def _priced_by_parts(self, margins: Margins, end: End) -> list[End]:
+        """The end with prices from parts of the units; none where gradients of units would have to be solved."""
+        if self.problem.costly and margins.anchor is None:
+            return []
+        programme = Programme(margins.look, self.low, self.high, self.decisions.reach, 1)
+        return [programme.priced(end, part) for part in margins.without_blocks(end.point.x, end.point.jacobian)]
 
     def _sharpened(self, margins: Margins, end: End) -> End:
         """The end of a search, its margins corrected by many other units in the tails: a certificate costs more."""
@@ -218,8 +229,11 @@ class Designer:
             moved = {k: margin - own[k] for k, margin in seen.items() if own[k] > -_NEAR and math.isfinite(margin)}
             for k, by in moved.items():
                 margins.offsets[k] = float(np.clip(by, -_CORRECTED, _CORRECTED)) * margins.ways[k]
+            margins.draw_lines(end.point.x, {k: seen[k] for k in moved})
+            margins.offsets[list(margins.lines)] = 0.0
             before, end = end, self._run(margins, end.point.x, _AGAIN, end.curvature)
-            if abs(end.point.total - before.point.total) <= _STILL * abs(end.point.total):
+            same = abs(end.point.total - before.point.total) <= _STILL * abs(end.point.total)
+            if same or set(margins.lines) >= set(moved):
                 break
         return end
 
