@@ -83,10 +83,10 @@ class Problem:
             """Shares as deviates beyond their targets, and the nominal limit; >= 0."""
             t, d = jnp.exp(x[:count]), x[count:]
             slopes = self.coefficients(d)
-            by = slopes * t / 3
-            first = slopes[:, :1] * t[0] * NODES if self.uniform else jnp.zeros((len(slopes), len(NODES)))
+            by = slopes * t[None] / 3
+            first = slopes[:, :1] * t[0] * NODES[None] if self.uniform else jnp.zeros((len(slopes), len(NODES)))
             sd = jnp.sqrt((by[:, 1:] if self.uniform else by) ** 2 @ jnp.ones(count - self.uniform))
-            middle = (self.mean @ (d - 1))[:, None] + first
+            middle = (self.mean @ (d - 1))[:, None] + first  # (r, nodes)
             shares = []
             for r, (low, high) in enumerate(self.limits):
                 ends = [self._straight(end) for end in (low - wider[r], high + wider[r])]

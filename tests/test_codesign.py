@@ -201,14 +201,13 @@ def test_half_widths_of_costly_units_are_rounded_to_grades():
     assert set(found.graded.grades) == {"a", "b"}
 
 
-def test_prices_are_differences_of_solved_problems_on_both_sides():
-    """The price of a limit lies between the differences to a wider and a narrower one, and within 5 % of each."""
+def test_the_price_of_a_limit_is_exact_and_the_difference_of_solved_problems():
+    """The cost of the lever is 2 sqrt(2) z/(3 limit) for a share with deviate z, so that its price is cost/limit."""
     wide, here, narrow = (
         levered(requirements={"y": Requirement(lower=-limit, upper=limit)}) for limit in (1.02, 1.0, 0.98)
     )
-    gained, lost = (wide.learned - here.learned) / 0.02, (here.learned - narrow.learned) / 0.02
-    for price in (gained, lost):
-        assert here.multipliers["y"] == pytest.approx(price, rel=0.05)
+    assert here.multipliers["y"] == pytest.approx(-here.learned, rel=2e-3)
+    assert here.multipliers["y"] == pytest.approx((wide.learned - narrow.learned) / 0.04, rel=0.01)
 
 
 def test_failed_units_are_rejects_of_a_quantile():

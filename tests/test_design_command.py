@@ -134,7 +134,14 @@ def test_the_tables_are_read():
         ("price = 2.0, per", "price = 2.0, pre", "unknown key objective.mass.pre"),
         ('per = "1 kg"', 'per = "0 kg"', "per = '0 kg': must be positive"),
         ('nominal_lower = "1 mm"', "", "requirement.convex_radius: give upper or lower"),
-        ('nominal_lower = "1 mm"', 'nominal_lower = "2 mm"\nnominal_upper = "1 mm"', "requirement.convex_radius"),
+        (
+            'nominal_lower = "1 mm"', 'nominal_lower = "2 mm"\nnominal_upper = "1 mm"',
+            "requirement.convex_radius.nominal_lower = '2 mm': must not lie above nominal_upper = '1 mm'",
+        ),
+        (
+            'nominal_lower = "1 mm"', 'nominal_lower = "1 mm"\ntarget = 0.99',
+            "requirement.convex_radius.target = 0.99: must not be given with nominal_lower; remove it",
+        ),
         ("[run]", '[middle.equidistant_modification]\nlower = "0 um"\nupper = "1 um"\n'
          '[tolerances.equidistant_modification]\nhalf_width = "1 um"\n[run]', "moves the same number; give only one"),
     ],

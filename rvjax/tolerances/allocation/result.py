@@ -39,8 +39,6 @@ class Allocation:
         values: {variable: number of the design}.
         bounds_active: {variable: "lower" or "upper" where it is at a bound, else None}.
         value_prices: {variable: d cost / d bound of the bound at which it is, else 0}.
-        price_errors: {requirement or variable: standard error of its price} from the chance of sampled derivatives of
-            shares of units; empty where it is not known.
         ranges: {variable: (least, largest) value with which, all else chosen anew, the cost stays within 0.5 %};
             empty where units are costly.
         margins: {requirement: distance beyond the limit of what it judges at the end of the search, <= 0 within it}
@@ -68,7 +66,6 @@ class Allocation:
     values: dict[str, float] = dataclasses.field(default_factory=dict)
     bounds_active: dict[str, str | None] = dataclasses.field(default_factory=dict)
     value_prices: dict[str, float] = dataclasses.field(default_factory=dict)
-    price_errors: dict[str, float] = dataclasses.field(default_factory=dict)
     ranges: dict[str, tuple[float, float]] = dataclasses.field(default_factory=dict)
     margins: dict[str, float] = dataclasses.field(default_factory=dict)
     margin_slopes: dict[str, dict[str, float]] = dataclasses.field(default_factory=dict)

@@ -52,7 +52,6 @@ class Found:
         learned: cost before certification.
         shortage: of an infeasible problem.
         history: one dict per vector.
-        others: the end with prices from parts of the units, whose differences show their error.
     """
 
     status: str
@@ -64,7 +63,6 @@ class Found:
     learned: float
     shortage: Shortage | None
     history: list[dict[str, Any]]
-    others: list[End] = dataclasses.field(default_factory=list)
 
 
 class Designer:
@@ -209,15 +207,7 @@ class Designer:
             status = "SUBOPTIMAL"
         if not certifier.holds(certificate) or end.excess > _MET:
             status = "NOT_CERTIFIED"
-        others = self._priced_by_parts(margins, end)
-        return Found(status, decisions, x, end, margins, certificate, learned, None, self.history, others)
-
-    def _priced_by_parts(self, margins: Margins, end: End) -> list[End]:
-        """The end with prices from parts of the units; none where gradients of units would have to be solved."""
-        if self.problem.costly and margins.anchor is None:
-            return []
-        programme = Programme(margins.look, self.low, self.high, self.decisions.reach, 1)
-        return [programme.priced(end, part) for part in margins.without_blocks(end.point.x, end.point.jacobian)]
+        return Found(status, decisions, x, end, margins, certificate, learned, None, self.history)
 
     def _sharpened(self, margins: Margins, end: End) -> End:
         """The end of a search, its margins corrected by many other units in the tails: a certificate costs more."""

@@ -15,8 +15,6 @@ from rvjax.tolerances.codesign.tail_sample import Centres
 from rvjax.tolerances.codesign.units import Units
 
 _LINES, _FEWEST = 1024, 64  # of one limit, and of one of its centres at least
-BLOCKS = 8
-"""Groups of units whose differences show the error of a slope."""
 
 
 class LimitLines:
@@ -43,16 +41,6 @@ class LimitLines:
             return None
         slopes, rates = self._last
         return found.level, self._units.to_vector(x, self._units.population(x), slopes * found.weights, rates)
-
-    def without_blocks(self, x: np.ndarray) -> np.ndarray | None:
-        """The derivatives (b, n) without each block of the lines; None where lines miss the quantile."""
-        found = self._cross(x)
-        if found is None:
-            return None
-        (slopes, rates), half, population = self._last, self._each // 2, self._units.population(x)
-        block = np.arange(len(found.weights)) % half * BLOCKS // half  # a line and its opposite are in one block
-        several = [np.where(block == b, 0.0, found.weights) for b in range(BLOCKS)]
-        return np.stack([self._units.to_vector(x, population, slopes * w / w.sum(), rates) for w in several])
 
     def _cross(self, x: np.ndarray) -> Crossing | None:
         population = self._units.population(x)

@@ -17,7 +17,7 @@ from rvjax.response import LANES, Response, response_names
 from rvjax.tolerances.batch.memo import Memo
 from rvjax.tolerances.codesign.anchor import Anchor, AnchoredUnits
 from rvjax.tolerances.codesign.decisions import Decisions
-from rvjax.tolerances.codesign.limit_lines import BLOCKS, LimitLines
+from rvjax.tolerances.codesign.limit_lines import LimitLines
 from rvjax.tolerances.codesign.local import Local
 from rvjax.tolerances.codesign.nominal import Nominal, NominalOutputs
 from rvjax.tolerances.codesign.share import Share, joint_share, share_of
@@ -301,34 +301,6 @@ class Margins:
         units = np.argsort(-weights, kind="stable")[: min(_MOST_LANES, int((weights > 0).sum()))]
         weights = weights[units] / weights[units].sum()
         return (units, weights) if np.isfinite(weights).all() else (units[:0], weights[:0])
-
-    def without_blocks(self, x: np.ndarray, jacobian: np.ndarray) -> np.ndarray:
-        """Derivatives (b, c, n) of the margins, each without one of `BLOCKS` parts of the units behind the quantiles.
-
-        Args:
-            x: the vector.
-            jacobian: (c, n) derivatives with all units.
-        """
-        found, population = np.repeat(jacobian[None], BLOCKS, axis=0), self.decisions.population(x)
-        values = self._units.values(x, self.tails.z, "tails") if self._shares else {}
-        for k in map(self._row, range(self._shares + (self.joint_target is not None))):
-            own = self.lines[k].without_blocks(x) if k in self.lines else None
-            several = self._without_units(k, self._share(k, values), x, population) if own is None else own
-            if several is not None:
-                found[:, k] = several / self.ways[k]
-        return found
-
-    def _without_units(self, k: int, shared: Share, x: np.ndarray, population: Population) -> np.ndarray | None:
-        level = smooth_quantile(shared.margins, self.tails.weights, 1 - shared.target, self.widths[k])
-        units, weights = self._deciding(k, shared.margins, level)
-        if len(units) < 2 * BLOCKS:
-            return None
-        block = np.random.default_rng(0).permutation(len(units)) * BLOCKS // len(units)
-        each = [np.flatnonzero(block == b) for b in range(BLOCKS)]
-        parts = [(units[b], {n: pull[units[b]] * weights[b] for n, pull in shared.outward.items()}) for b in each]
-        sums = np.stack(self._units.slopes(x, population, self.tails.z, parts))
-        left = 1 - np.array([weights[b].sum() for b in each])
-        return np.asarray((sums.sum(axis=0) - sums) / left[:, None])
 
     def _look_at_statistics(
         self, x: np.ndarray, population: Population, margins: np.ndarray, jacobian: np.ndarray

@@ -148,13 +148,6 @@ class Programme:
             plan = self._plan(best, hessian, elastic, radius)
         return self._end(best, hessian, elastic, settled)
 
-    def priced(self, end: End, jacobian: np.ndarray) -> End:
-        """An end with the prices that other derivatives (c, n) of the margins give."""
-        self._planes, count = [], len(end.prices)
-        elastic = np.full(count, 10 * (self._size(end.point) + float(end.prices.max(initial=0.0))))
-        there = dataclasses.replace(end.point, jacobian=jacobian)
-        return self._end(there, end.curvature, elastic, end.settled)
-
     def _reached(self, best: Local, plan: Minimum) -> np.ndarray:
         """End of a step, at a bound where it is a rounding error away."""
         x = best.x + plan.step

@@ -3,13 +3,11 @@
 Prices of limits and of bounds, active bounds, and the reason of an infeasible problem.
 """
 
-import dataclasses
 import math
 from collections.abc import Mapping
 from typing import Any
 
 import jax.numpy as jnp
-import numpy as np
 
 from rvjax.tolerances.codesign.design import Designer, Found
 from rvjax.tolerances.codesign.margins import JOINT
@@ -56,20 +54,6 @@ def multipliers(found: Found) -> dict[str, float]:
         for name, part in found.margins.leading(found.x).items():
             prices[name] -= float(found.end.prices[-1]) * part
     return prices
-
-
-def price_errors(found: Found) -> dict[str, float]:
-    """Standard errors of the prices of limits and bounds from the chance of sampled derivatives (jackknife)."""
-    several = []
-    for end in found.others:
-        there = dataclasses.replace(found, end=end)
-        several.append(multipliers(there) | value_prices(there))
-    count = len(several)
-    return (
-        {name: math.sqrt(count - 1) * float(np.std([each[name] for each in several])) for name in several[0]}
-        if several
-        else {}
-    )
 
 
 def margins(found: Found) -> tuple[dict[str, float], dict[str, dict[str, float]]]:
@@ -172,7 +156,6 @@ def figures(
         bounds_active=bounds_active(found),
         value_prices=value_prices(found),
         ranges=ranges,
-        price_errors=price_errors(found),
         margins=reached,
         margin_slopes=slopes,
         reason=reason(found),
