@@ -32,7 +32,7 @@ Measure = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 @dataclasses.dataclass(frozen=True)
 class Crossing:
-    """Where lines meet the quantile of a margin.
+    """Crossings of lines with the quantile of a margin.
 
     Attributes:
         level: the quantile.
@@ -86,7 +86,7 @@ class Lines:
         return np.exp(-(r**2) / 2) / math.sqrt(2 * math.pi) * self._part(r[:, None])[:, 0] / self._count
 
     def cross(self, measure: Measure, rejects: float) -> Crossing | None:
-        """Where the share of `rejects` lies beyond; None where lines do not find it."""
+        """Find the crossings beyond which the share of `rejects` lies; None where lines do not meet it."""
         r = self._r
         for _ in range(_ITERATIONS):
             z = self._across + r * self._along
