@@ -5,7 +5,7 @@ import pytest
 from codesign_cases import CASES, arguments
 
 from rvjax.tolerances import Memo, Middle, Nominal, ReciprocalPower, Requirement, Tolerance, Variable, allocate
-from rvjax.tolerances.codesign import anchor
+from rvjax.tolerances.codesign import units
 from rvjax.tolerances.codesign.tail_sample import smooth_quantile
 
 UNITS = 200_000  # of a certificate: their error of the 99.73 % quantile costs about 1 %
@@ -165,8 +165,8 @@ def test_a_killed_run_continues_from_its_memo(tmp_path, monkeypatch):
 
     options = dict(certificate_samples=4096, samples=512, memo=Memo(tmp_path, {}, worth=0.0))
     first = levered(**options)
-    monkeypatch.setattr(anchor, "respond", gone)
-    monkeypatch.setattr(anchor, "gradients", gone)
+    monkeypatch.setattr(units, "respond", gone)
+    monkeypatch.setattr(units, "gradients", gone)
     again = levered(**options)
     assert (again.values, again.cost, again.history) == (first.values, first.cost, first.history)
 
@@ -201,14 +201,13 @@ def test_half_widths_of_costly_units_are_rounded_to_grades():
     assert set(found.graded.grades) == {"a", "b"}
 
 
-def test_prices_are_differences_of_solved_problems_on_both_sides():
-    """The price of a limit lies between the differences to a wider and a narrower one, and within 5 % of each."""
+def test_the_price_of_a_limit_is_exact_and_the_difference_of_solved_problems():
+    """The cost of the lever is 2 sqrt(2) z/(3 limit) for a share with deviate z, so that its price is cost/limit."""
     wide, here, narrow = (
         levered(requirements={"y": Requirement(lower=-limit, upper=limit)}) for limit in (1.02, 1.0, 0.98)
     )
-    gained, lost = (wide.learned - here.learned) / 0.02, (here.learned - narrow.learned) / 0.02
-    for price in (gained, lost):
-        assert here.multipliers["y"] == pytest.approx(price, rel=0.05)
+    assert here.multipliers["y"] == pytest.approx(-here.learned, rel=2e-3)
+    assert here.multipliers["y"] == pytest.approx((wide.learned - narrow.learned) / 0.04, rel=0.01)
 
 
 def test_failed_units_are_rejects_of_a_quantile():

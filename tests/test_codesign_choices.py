@@ -21,9 +21,9 @@ from rvjax.tolerances import (
     allocate,
     it_width,
 )
-from rvjax.tolerances.codesign.anchor import Units
 from rvjax.tolerances.codesign.decisions import Decisions
 from rvjax.tolerances.codesign.lists import Lists
+from rvjax.tolerances.codesign.units import Units
 from rvjax.units import mm, um
 
 COST = ReciprocalPower(reference=1.0, finest=0.05, coarsest=5.0)

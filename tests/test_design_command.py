@@ -16,7 +16,7 @@ from rvjax.commands.design.figures import figures
 from rvjax.commands.design.prices import multiplier
 from rvjax.commands.design.report import saved_part
 from rvjax.tolerances import Memo, Nominal, Variable, allocate
-from rvjax.tolerances.codesign import anchor
+from rvjax.tolerances.codesign import units
 from rvjax.units import mm, um
 
 CASE = next(
@@ -134,7 +134,14 @@ def test_the_tables_are_read():
         ("price = 2.0, per", "price = 2.0, pre", "unknown key objective.mass.pre"),
         ('per = "1 kg"', 'per = "0 kg"', "per = '0 kg': must be positive"),
         ('nominal_lower = "1 mm"', "", "requirement.convex_radius: give upper or lower"),
-        ('nominal_lower = "1 mm"', 'nominal_lower = "2 mm"\nnominal_upper = "1 mm"', "requirement.convex_radius"),
+        (
+            'nominal_lower = "1 mm"', 'nominal_lower = "2 mm"\nnominal_upper = "1 mm"',
+            "requirement.convex_radius.nominal_lower = '2 mm': must not lie above nominal_upper = '1 mm'",
+        ),
+        (
+            'nominal_lower = "1 mm"', 'nominal_lower = "1 mm"\ntarget = 0.99',
+            "requirement.convex_radius.target = 0.99: must not be given with nominal_lower; remove it",
+        ),
         ("[run]", '[middle.equidistant_modification]\nlower = "0 um"\nupper = "1 um"\n'
          '[tolerances.equidistant_modification]\nhalf_width = "1 um"\n[run]', "moves the same number; give only one"),
     ],
@@ -300,7 +307,7 @@ def test_a_killed_command_continues_from_its_journal(designed, tmp_path, monkeyp
     study_file, out, journal = designed[1].with_name("small.toml"), tmp_path / "out", tmp_path / "out.part"
     call = ["design", str(study_file), "--alone", "--results", str(out), "--quiet"]
     monkeypatch.setattr(kept, "memo", lambda study, place: Memo(place.with_name("out.part"), {}, worth=0.0))
-    plain, asked = anchor.gradients, []
+    plain, asked = units.gradients, []
 
     def killed(response, population, errors, cotangents, names):
         asked.append((errors.tobytes(), cotangents.tobytes(), repr(population.values)))
@@ -308,7 +315,7 @@ def test_a_killed_command_continues_from_its_journal(designed, tmp_path, monkeyp
             raise KeyboardInterrupt
         return plain(response, population, errors, cotangents, names)
 
-    monkeypatch.setattr(anchor, "gradients", killed)
+    monkeypatch.setattr(units, "gradients", killed)
     assert cli.main(call) == 130 and not out.exists() and len(list(journal.iterdir())) > 9
     assert cli.main(call) == 0 and not journal.exists()
     assert not set(asked[:9]) & set(asked[10:]) and asked[9] == asked[10]

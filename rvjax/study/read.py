@@ -256,6 +256,20 @@ def _accuracy(outputs: Mapping[str, Output], requirements: Mapping[str, Limits],
     return found
 
 
+def _together(where: str, given: Toml) -> None:
+    """Raise ValueError for keys of different kinds of requirements."""
+    kinds = [kind for kind in KINDS if set(given) & set(kind.limit_keys())]
+    if not kinds:
+        return
+    nearest = min(kinds, key=lambda kind: len(set(given) - set(kind.file_keys())))
+    alien = next(key for key in given if key not in nearest.file_keys())
+    own, ways = [key for key in given if key in nearest.file_keys()], ", ".join(nearest.file_keys())
+    raise ValueError(
+        f"{where}.{alien} = {given[alien]!r}: must not be given with {', '.join(own)}; "
+        f"remove it (keys of such a requirement: {ways})"
+    )
+
+
 def _requirements(outputs: Mapping[str, Output], table: Toml) -> tuple[dict[str, Limits], dict[str, str]]:
     """The requirements, and the unit of the first limit of each response."""
     requirements: dict[str, Limits] = {}
@@ -270,6 +284,7 @@ def _requirements(outputs: Mapping[str, Output], table: Toml) -> tuple[dict[str,
         unit = outputs[response].unit
         kinds = [kind for kind in KINDS if set(given) <= set(kind.file_keys()) and set(given) & set(kind.limit_keys())]
         if not kinds:
+            _together(where, given)
             ways = "; or ".join(", ".join(kind.file_keys()) for kind in KINDS)
             raise ValueError(f"{where}: give upper or lower in {unit} (of these keys: {ways})")
         limits = kinds[0].limit_keys()
@@ -278,6 +293,9 @@ def _requirements(outputs: Mapping[str, Output], table: Toml) -> tuple[dict[str,
             for key, field in kinds[0].file_keys().items()
             if key in given
         }
+        if {"lower", "upper"} <= set(values) and values["lower"] > values["upper"]:
+            low, high = (f"{key} = {given[key]!r}" for key in limits)
+            raise ValueError(f"{where}.{low}: must not lie above {high}")
         with naming_field(where):
             requirements[response] = kinds[0](**values)
         if unit != "-":  # limits are texts with units, they have been read before

@@ -101,6 +101,14 @@ class Decisions:
         moved = [way * (self.middles[name].upper - self.middles[name].lower) for name, way in self.moves]
         return np.array([*moved, *(self.variables[n].upper - self.variables[n].lower for n in self.free)])
 
+    def by_number(self, rates: Mapping[str, float]) -> np.ndarray:
+        """Derivatives (n,) to the vector from those by number of the design."""
+        found = np.zeros(self.size)
+        if self.free:
+            found[-len(self.free) :] = [rates.get(name, 0.0) for name in self.free]
+            found[-len(self.free) :] *= self.rates()[-len(self.free) :]
+        return found
+
     def population(self, x: np.ndarray) -> Population:
         """Units with these half-widths, mid-points and numbers."""
         moved = {n: _moved(self.base.active[n], m - self.given[n]) for n, m in self.middles_at(x).items()}

@@ -15,7 +15,8 @@ from rvjax.tolerances.batch.monte_carlo import Statistics
 from rvjax.tolerances.codesign.decisions import Decisions
 from rvjax.tolerances.codesign.feasibility import Shortage, least_shortage
 from rvjax.tolerances.codesign.lists import Lists, Places
-from rvjax.tolerances.codesign.margins import JOINT, Local, Margins
+from rvjax.tolerances.codesign.local import Local
+from rvjax.tolerances.codesign.margins import JOINT, Margins
 from rvjax.tolerances.codesign.nominal import Nominal
 from rvjax.tolerances.codesign.problem import Problem
 from rvjax.tolerances.codesign.programme import End, Programme
@@ -218,8 +219,11 @@ class Designer:
             moved = {k: margin - own[k] for k, margin in seen.items() if own[k] > -_NEAR and math.isfinite(margin)}
             for k, by in moved.items():
                 margins.offsets[k] = float(np.clip(by, -_CORRECTED, _CORRECTED)) * margins.ways[k]
+            margins.draw_lines(end.point.x, {k: seen[k] for k in moved})
+            margins.offsets[list(margins.lines)] = 0.0
             before, end = end, self._run(margins, end.point.x, _AGAIN, end.curvature)
-            if abs(end.point.total - before.point.total) <= _STILL * abs(end.point.total):
+            same = abs(end.point.total - before.point.total) <= _STILL * abs(end.point.total)
+            if same or set(margins.lines) >= set(moved):
                 break
         return end
 

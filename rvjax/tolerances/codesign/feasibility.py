@@ -5,7 +5,8 @@ import dataclasses
 import numpy as np
 
 from rvjax.tolerances.codesign.decisions import Decisions
-from rvjax.tolerances.codesign.margins import Local, Margins
+from rvjax.tolerances.codesign.local import Local
+from rvjax.tolerances.codesign.margins import Margins
 from rvjax.tolerances.codesign.programme import End, Programme
 
 

@@ -6,6 +6,7 @@ them. Every margin is a part of its way: of the distance of the central response
 """
 
 import dataclasses
+import functools
 import math
 
 import numpy as np
@@ -14,59 +15,25 @@ from scipy import special
 from rvjax.population import Population, SobolPoints
 from rvjax.response import LANES, Response, response_names
 from rvjax.tolerances.batch.memo import Memo
-from rvjax.tolerances.codesign.anchor import Anchor, AnchoredUnits, Weights
+from rvjax.tolerances.codesign.anchor import Anchor, AnchoredUnits
 from rvjax.tolerances.codesign.decisions import Decisions
+from rvjax.tolerances.codesign.limit_lines import LimitLines
+from rvjax.tolerances.codesign.local import Local
 from rvjax.tolerances.codesign.nominal import Nominal, NominalOutputs
+from rvjax.tolerances.codesign.share import Share, joint_share, share_of
 from rvjax.tolerances.codesign.sides import sides, size
 from rvjax.tolerances.codesign.tail_sample import Centres, TailSample, centres_of, kernel, smooth_quantile
+from rvjax.tolerances.codesign.units import Weights
+from rvjax.tolerances.codesign.worst_case_margin import worst_case
 from rvjax.tolerances.requirements.kinds import Requirement
 from rvjax.tolerances.requirements.limits import Limits
-from rvjax.tolerances.worst_case import Extremes, extremes
+from rvjax.tolerances.worst_case import extremes
 
 WIDTH = 0.06  # of the smoothing of quantiles, standard deviations of the response along its gradient
-_STEP = 1e-4  # of differences of a worst case, part of a range
 _MOST_LANES = 2 * LANES  # units behind the slope of a quantile
+_AGREE = 0.02  # of the way to a limit, by which lines may differ from a sample
 JOINT = "joint"
 """Name of the constraint on units that meet all limits."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Local:
-    """Cost and margins at one vector of decisions, with derivatives.
-
-    Attributes:
-        x: (n,) the vector.
-        cost: without the objective.
-        slopes: (n,) its derivatives.
-        bends: (n,) its curvatures.
-        objective: priced outputs without errors.
-        objective_slopes: (n,) their derivatives.
-        margins: (c,) of the constraints, in parts of their ways; <= 0 is met.
-        jacobian: (c, n) their derivatives.
-    """
-
-    x: np.ndarray
-    cost: float
-    slopes: np.ndarray
-    bends: np.ndarray
-    objective: float
-    objective_slopes: np.ndarray
-    margins: np.ndarray
-    jacobian: np.ndarray
-
-    @property
-    def total(self) -> float:
-        """Cost with the objective."""
-        return self.cost + self.objective
-
-
-@dataclasses.dataclass(frozen=True)
-class _Share:
-    """Margins (n,) of units, derivatives (n,) of these to each response, and the share that must keep a limit."""
-
-    margins: np.ndarray
-    outward: dict[str, np.ndarray]
-    target: float
 
 
 @dataclasses.dataclass(frozen=True)
@@ -111,6 +78,8 @@ class Margins:
         self.widths = np.ones(len(self.names))
         numbers = decisions.base.numbers
         self.tails = TailSample(numbers, samples, seed)
+        self._centres: dict[int, Centres] = {}
+        self.lines: dict[int, LimitLines] = {}
         self.plain = SobolPoints(numbers, seed).z(0, samples) if self._plain else np.zeros((numbers, 0))
 
     @property
@@ -142,7 +111,8 @@ class Margins:
             return
         population = self.decisions.population(x)
         values = self._units.values(x, self.tails.z, "tails")
-        found = []
+        found: list[Centres] = []
+        self.lines, self._centres = {}, {}
         for k, shared in enumerate(self._shared(values)):
             margins, target = shared.margins, shared.target
             order = np.argsort(margins)
@@ -159,11 +129,28 @@ class Margins:
             weights = self.tails.weights[units] / (near + np.median(near) + 1e-300)
             sizes = np.linalg.norm(slopes, axis=0)
             self.widths[self._row(k)] = WIDTH * float(np.median(sizes)) or WIDTH * self.ways[self._row(k)]
-            found.append(centres_of(self.tails.z[:, units], slopes, weights, float(special.ndtri(max(target, 0.6)))))
-        found = [item for item in found if len(item.places)]
+            placed = centres_of(self.tails.z[:, units], slopes, weights, float(special.ndtri(max(target, 0.6))))
+            if len(placed.places):
+                self._centres[self._row(k)] = placed
+                found.append(placed)
         if found:
             self._units.anchor = None
             self.tails = TailSample(self.decisions.base.numbers, self.samples, self.seed, Centres.joined(found))
+
+    def draw_lines(self, x: np.ndarray, due: dict[int, float]) -> None:
+        """Take quantiles and their derivatives from lines where these agree with what a large sample saw at x.
+
+        Args:
+            x: the vector.
+            due: {row: margin in parts of its way, without correction}.
+        """
+        values = self._units.values(x, self.tails.z, "tails")
+        for k, centres in self._centres.items():
+            if k in due and np.isfinite(self._share(k, values).margins).all():
+                lines = LimitLines(self._units, functools.partial(self._share, k), self._reads(k), centres, self.seed)
+                found = lines.look(x)
+                if found is not None and abs(found[0] / self.ways[k] - due[k]) < _AGREE:
+                    self.lines[k] = lines
 
     def follow(self, x: np.ndarray) -> None:
         """Solve the units that decide at x; values elsewhere follow their gradients from there."""
@@ -205,10 +192,10 @@ class Margins:
             if isinstance(row.item, Nominal):
                 value = outputs[row.name]
                 margins[k] = row.item.margin(value) if math.isfinite(value) else math.inf
-                jacobian[k] = float(row.item.outward(np.array(value))) * self._to_numbers(rates[row.name])
+                jacobian[k] = float(row.item.outward(np.array(value))) * decisions.by_number(rates[row.name])
         slopes, bends = decisions.cost_slopes(x)
         priced = sum(price * outputs[name] for name, price in self.objective.items())
-        towards = sum((p * self._to_numbers(rates[name]) for name, p in self.objective.items()), np.zeros(n))
+        towards = sum((p * decisions.by_number(rates[name]) for name, p in self.objective.items()), np.zeros(n))
         margins = (margins + self.offsets) / self.ways
         return Local(
             x, decisions.cost(x), slopes, bends, float(priced), towards, margins, jacobian / self.ways[:, None]
@@ -261,43 +248,59 @@ class Margins:
         values = self._units.values(x, np.zeros((self.decisions.base.numbers, 1)), "centre")
         return {name: float(row[0]) for name, row in values.items()}
 
-    def _shared(self, values: dict[str, np.ndarray]) -> list[_Share]:
+    def _shared(self, values: dict[str, np.ndarray]) -> list[Share]:
         """Units of each constraint on a share."""
-        found = []
-        for row in self.rows[: self._shares]:
+        joint = [len(self.names) - 1] if self.joint_target is not None else []
+        return [self._share(k, values) for k in [*range(self._shares), *joint]]
+
+    def _reads(self, k: int) -> tuple[str, ...]:
+        """Responses of a row on a share."""
+        every = (n for n, i in self.requirements.items() if i.of_units)
+        return (self.rows[k].name,) if k < len(self.rows) else tuple(every)
+
+    def _share(self, k: int, values: dict[str, np.ndarray]) -> Share:
+        """Units of a row on a share."""
+        if k < len(self.rows):
+            row = self.rows[k]
             assert isinstance(row.item, Requirement)
-            own = values[row.name]
-            outward = np.where(np.isnan(own), 0.0, row.item.outward(own))
-            found.append(_Share(row.item.margins(own), {row.name: outward}, row.item.target))
-        if self.joint_target is not None:
-            items = {n: i for n, i in self.requirements.items() if i.of_units}
-            ways = {n: float(self.ways[self.names.index(n)]) for n in items}
-            failed = np.any([np.isnan(values[n]) for n in items], axis=0)
-            scaled = np.stack([item.margin(values[n]) / ways[n] for n, item in items.items()])
-            leading = np.where(failed, -1, scaled.argmax(axis=0))
-            pulls = {
-                n: np.where(leading == i, item.outward(values[n]) / ways[n], 0.0)
-                for i, (n, item) in enumerate(items.items())
-            }
-            found.append(_Share(np.where(failed, np.inf, scaled.max(axis=0)), pulls, self.joint_target))
-        return found
+            return share_of(row.name, row.item, values[row.name])
+        assert self.joint_target is not None
+        items = {n: i for n, i in self.requirements.items() if i.of_units}
+        ways = {n: float(self.ways[self.names.index(n)]) for n in items}
+        return joint_share(items, ways, values, self.joint_target)
 
     def _look_at_shares(self, x: np.ndarray, population: Population, margins: np.ndarray, jacobian: np.ndarray) -> None:
-        values, several = self._units.values(x, self.tails.z, "tails"), dict[int, tuple[np.ndarray, Weights]]()
+        several = dict[int, tuple[np.ndarray, Weights]]()
+        for k, lines in list(self.lines.items()):
+            found = lines.look(x)
+            if found is None:  # as before, from units in the tails
+                del self.lines[k]
+            else:
+                margins[k], jacobian[k] = found
+        if len(self.lines) == self._shares + (self.joint_target is not None):
+            return
+        values = self._units.values(x, self.tails.z, "tails")
         for number, shared in enumerate(self._shared(values)):
             own, target, k = shared.margins, shared.target, self._row(number)
+            if k in self.lines:
+                continue
             level = smooth_quantile(own, self.tails.weights, 1 - target, self.widths[k])
             margins[k] = level - self._widened(k, target)
-            if not math.isfinite(level):
-                continue
-            weights = kernel(own, self.tails.weights, level, self.widths[k])
-            units = np.argsort(-weights, kind="stable")[: min(_MOST_LANES, int((weights > 0).sum()))]
-            weights = weights[units] / weights[units].sum()
-            if np.isfinite(weights).all():
+            units, weights = self._deciding(k, own, level)
+            if len(units):
                 several[k] = units, {name: pull[units] * weights for name, pull in shared.outward.items()}
         if several:
             slopes = self._units.slopes(x, population, self.tails.z, list(several.values()))
             jacobian[list(several)] = np.stack(slopes)
+
+    def _deciding(self, k: int, margins: np.ndarray, level: float) -> tuple[np.ndarray, np.ndarray]:
+        """Units (m,) that decide a quantile, and their weights (m,) in its derivative; empty where there are none."""
+        if not math.isfinite(level):
+            return np.zeros(0, int), np.zeros(0)
+        weights = kernel(margins, self.tails.weights, level, self.widths[k])
+        units = np.argsort(-weights, kind="stable")[: min(_MOST_LANES, int((weights > 0).sum()))]
+        weights = weights[units] / weights[units].sum()
+        return (units, weights) if np.isfinite(weights).all() else (units[:0], weights[:0])
 
     def _look_at_statistics(
         self, x: np.ndarray, population: Population, margins: np.ndarray, jacobian: np.ndarray
@@ -308,7 +311,8 @@ class Margins:
             if isinstance(item, (Requirement, Nominal)):
                 continue
             if item.of_extremes:
-                margins[k], jacobian[k] = self._worst(x, row, self.ways[k])
+                both = functools.partial(extremes, self.response, names=self._outputs, name=row.name)
+                margins[k], jacobian[k] = worst_case(both, self.decisions, x, item, self.ways[k])
                 continue
             own = values[row.name]
             valid = own if item.most_failed >= 1 else own[~np.isnan(own)]
@@ -317,29 +321,3 @@ class Margins:
             if len(pull.units) and math.isfinite(margins[k]):
                 weighted = {row.name: pull.cotangents / pull.norms.sum()}
                 jacobian[k] = self._units.slope(x, population, self.plain[:, pull.units], weighted)
-
-    def _worst(self, x: np.ndarray, row: Constraint, way: float) -> tuple[float, np.ndarray]:
-        """Margin of a worst case and its derivatives; those to mid-points and numbers by differences."""
-
-        def ends(x: np.ndarray) -> Extremes:
-            return extremes(self.response, self.decisions.population(x), self._outputs, row.name)
-
-        here, found, count = ends(x), np.zeros(len(x)), len(self.decisions.fields)
-        margin = row.item.learned(here.values, way)
-        pull = row.item.pull(here.values, margin, way, self.samples)
-        active = list(self.decisions.base.active)
-        by_width = pull.cotangents @ here.slopes[pull.units]
-        found[:count] = by_width[[active.index(name) for name in self.decisions.fields]]
-        for j in range(count, len(x)):
-            there = x.copy()
-            there[j] += _STEP if x[j] + _STEP <= self.decisions.high[j] else -_STEP
-            found[j] = (row.item.learned(ends(there).values, way) - margin) / (there[j] - x[j])
-        return margin, found
-
-    def _to_numbers(self, rates: dict[str, float]) -> np.ndarray:
-        """Derivatives by number of the design as those to the vector."""
-        found, free = np.zeros(self.decisions.size), self.decisions.free
-        if free:
-            found[-len(free) :] = [rates.get(name, 0.0) for name in free]
-            found[-len(free) :] *= self.decisions.rates()[-len(free) :]
-        return found

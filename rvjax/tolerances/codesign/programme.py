@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from rvjax.tolerances.codesign.margins import Local
+from rvjax.tolerances.codesign.local import Local
 from rvjax.tolerances.codesign.quadratic import Minimum, minimum
 
 SETTLED = 2e-5

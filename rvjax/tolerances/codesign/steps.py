@@ -18,7 +18,8 @@ from collections.abc import Callable
 import numpy as np
 
 from rvjax.tolerances.codesign.decisions import Decisions
-from rvjax.tolerances.codesign.margins import Local, Margins
+from rvjax.tolerances.codesign.local import Local
+from rvjax.tolerances.codesign.margins import Margins
 from rvjax.tolerances.codesign.programme import MET, End, Programme
 
 _MOST = 6  # vectors where units are solved, in one search

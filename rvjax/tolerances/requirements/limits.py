@@ -124,7 +124,8 @@ class Limits:
             except (TypeError, ValueError):
                 raise ValueError(f"{owner}.{f.name} = {getattr(self, f.name)!r}: must be a number") from None
         if not self.lower <= self.upper:
-            raise ValueError(f"{owner}.lower = {self.lower:.6g}: lies above upper = {self.upper:.6g}")
+            limits = f"lower = {self.lower:.6g}: lies above upper = {self.upper:.6g}"
+            raise ValueError(f"{owner}.{limits} (both in the unit of the response)")
         if math.isinf(self.lower) and math.isinf(self.upper):
             raise ValueError(f"{owner}: needs a lower or an upper limit")
 
