@@ -88,7 +88,7 @@ def test_allocate_writes_tables_and_pictures(answered):
         "no joint_target set",
         "no slope: the model ignores this error",
         "Negative lost_motion in",
-        "Not modelled: pins, flanks and the first stage",
+        "Not modelled: pins, flanks",
     ):
         assert words in text
     assert "Doubtful" not in text

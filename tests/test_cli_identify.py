@@ -235,7 +235,7 @@ def test_several_units_share_a_question(here, capsys):
         (('"four_bar"', '"six_bar"'), "identify.model = 'six_bar': must be one of four_bar, dynamics, loaded"),
         (('"four_bar"', '"loaded"'), "identify.model = 'loaded': the design has no stiffness and no contact"),
         (('["offset",', '["ofset",'), "identify.nuisance = 'ofset' (did you mean offset?): must be one of offset"),
-        (('["offset",', '["reading",'), "identify.nuisance = 'reading': nothing that model 'four_bar' predicts"),
+        (('["offset",', '["reading",'), "identify.nuisance = 'reading': no observation of model 'four_bar'"),
         (("nuisance =", "shared = [\"ring\"]\nnuisance ="), "identify.shared = 'ring': must be one of crank_ecc"),
         (("nuisance =", "unknown.speed = {}\nnuisance ="), "identify.unknown.speed: no number of this design"),
         (
