@@ -14,7 +14,6 @@ from collections.abc import Callable
 
 import numpy as np
 from scipy import special
-from scipy.stats import qmc
 
 from rvjax.tolerances.codesign.tail_sample import Centres
 
@@ -54,8 +53,9 @@ class Lines:
             logs = np.log(centres.shares)
         numbers, pieces = places.shape[1], []
         for k, (place, size) in enumerate(zip(places, sizes)):
-            points = qmc.Sobol(numbers, seed=seed + k).random(count // 2)
-            p = special.ndtri(np.clip(points, 1e-12, 1 - 1e-12)).T
+            draw, row = np.random.default_rng((seed, k)), np.arange(count // 2)  # scipy.stats takes a second to import
+            places_of = draw.permuted(np.broadcast_to(row, (numbers, len(row))), axis=1)  # Latin hypercube
+            p = special.ndtri((places_of + 0.5) / len(row))
             p -= np.outer(place, place @ p) / size**2
             pieces.append(np.concatenate([p, -p], axis=1))
         self._across = np.concatenate(pieces, axis=1)
