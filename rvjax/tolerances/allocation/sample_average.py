@@ -41,8 +41,7 @@ _REMEMBERED = 8  # sets of half-widths whose values are kept, because they are o
 class Point:
     """Margins and slopes of the sample at one set of half-widths.
 
-    Constraints are the requirements, then the share of failed units where any of them is a statistic of the valid
-    units, then the joint one.
+    Constraints are the requirements, the share of failed units where one is a statistic of valid units, the joint one.
 
     Attributes:
         half_widths: (j,) of the fields that have a cost.
@@ -100,21 +99,20 @@ class Training:
         finite = np.where(np.isfinite(own), np.abs(own), 0.0).max(axis=1)
         spread = np.where(finite > 0, finite, 1.0)  # a positive size where the nominal value touches the limit
         self.scales = np.where(np.isfinite(nominal) & (nominal > 0), nominal, spread)
-        most = [item.most_failed for item in requirements.values() if item.most_failed < 1]
-        self.most_failed = min(most, default=None)  # with statistics of the valid units failures are a constraint too
+        # With statistics of the valid units failures are a constraint too.
+        self.most_failed = min((i.most_failed for i in requirements.values() if i.most_failed < 1), default=None)
         self.distance = np.append(self.scales, np.ones((self.most_failed is not None) + (joint_target is not None)))
-        self.correction = np.ones(len(self.distance))
-        self.powers = np.full(len(self.distance), 2.0)  # by which the half-widths of each constraint add up
-        self.powers[: len(requirements)] = [item.power for item in requirements.values()]
+        self.correction, self.powers = np.ones(len(self.distance)), np.full(len(self.distance), 2.0)
+        self.powers[: len(requirements)] = [item.power for item in requirements.values()]  # by which half-widths add up
 
     def _nominal(self) -> np.ndarray:
         """Required responses (k, n) of units whose only errors are those without a cost: all, or enough of them."""
         nothing = np.zeros(len(self.fields))
         if self.followed is None:
             return self.values(nothing)
-        found = self.followed.some_at(self.with_half_widths(nothing), np.arange(min(_MEASURED, self.samples)))
         self.evaluated[0] += _MEASURED
-        return self._rows(found)
+        few = np.arange(min(_MEASURED, self.samples))
+        return self._rows(self.followed.some_at(self.with_half_widths(nothing), few))
 
     def aimed(self, requirements: dict[str, Limits]) -> Self:
         """The same units for other targets of the same limits."""
@@ -212,8 +210,7 @@ class Training:
         self.evaluated[0] += self.samples
         for k, z in enumerate(self.blocks):
             values, status = self._block(population, k, z)
-            found = np.stack([np.asarray(values[name], float) for name in self.requirements])
-            rows.append(np.where(np.asarray(succeeded(status)), found, np.nan))
+            rows.append(np.where(np.asarray(succeeded(status)), self._rows(values), np.nan))
         return self._remembered(asked, np.concatenate(rows, axis=1)[:, : self.samples])
 
     def _remembered(self, asked: bytes, values: np.ndarray) -> np.ndarray:
