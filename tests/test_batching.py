@@ -1,0 +1,41 @@
+"""Functions of whole batches: traced once, whatever the levels of `jax.vmap`."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from rvjax.batching import TracedLate
+
+
+def late():
+    """Sum over the elements of a row (batch, n), which says how often it was traced."""
+    traced = []
+
+    def function(x):
+        traced.append(x.shape)
+        return jnp.sum(x, axis=1)
+
+    made = TracedLate(function, lambda x: jax.ShapeDtypeStruct(x.shape[:1], x.dtype))
+    made.rule = lambda size, batched, x: made(x.reshape(-1, x.shape[-1])).reshape(size, -1)
+    return (lambda row: made(row[None])[0]), traced
+
+
+@pytest.mark.parametrize("levels", [0, 1, 2, 3])
+def test_a_function_is_traced_once_at_any_level(levels):
+    one, traced = late()
+    x = np.random.default_rng(0).normal(size=(2, 3, 4)[:levels] + (5,))
+    many = one
+    for _ in range(levels):
+        many = jax.vmap(many)
+    program = jax.jit(many)
+    np.testing.assert_allclose(program(x), x.sum(axis=-1), rtol=1e-14)
+    np.testing.assert_allclose(program(2 * x), 2 * x.sum(axis=-1), rtol=1e-14)
+    assert traced == [(int(np.prod(x.shape[:-1])), 5)]
+
+
+def test_a_batch_along_another_axis_is_its_cases():
+    one, _ = late()
+    x = np.arange(12.0).reshape(3, 4)
+    np.testing.assert_allclose(jax.vmap(one, in_axes=1)(x), x.sum(axis=0))
+    np.testing.assert_allclose(one(jnp.asarray(x[0])), x[0].sum())  # outside of any program
