@@ -18,14 +18,14 @@ def late():
 
     made = TracedLate(function, lambda x: jax.ShapeDtypeStruct(x.shape[:1], x.dtype))
     made.rule = lambda size, batched, x: made(x.reshape(-1, x.shape[-1])).reshape(size, -1)
-    return (lambda row: made(row[None])[0]), traced
+    return made, traced
 
 
 @pytest.mark.parametrize("levels", [0, 1, 2, 3])
 def test_a_function_is_traced_once_at_any_level(levels):
-    one, traced = late()
-    x = np.random.default_rng(0).normal(size=(2, 3, 4)[:levels] + (5,))
-    many = one
+    made, traced = late()
+    x = np.random.default_rng(0).normal(size=(*(2, 3, 4)[:levels], 5))
+    many = lambda row: made(row[None])[0]  # noqa: E731
     for _ in range(levels):
         many = jax.vmap(many)
     program = jax.jit(many)
@@ -35,7 +35,7 @@ def test_a_function_is_traced_once_at_any_level(levels):
 
 
 def test_a_batch_along_another_axis_is_its_cases():
-    one, _ = late()
-    x = np.arange(12.0).reshape(3, 4)
-    np.testing.assert_allclose(jax.vmap(one, in_axes=1)(x), x.sum(axis=0))
-    np.testing.assert_allclose(one(jnp.asarray(x[0])), x[0].sum())  # outside of any program
+    made, _ = late()
+    x = np.arange(30.0).reshape(2, 3, 5)
+    np.testing.assert_allclose(jax.vmap(made, in_axes=1)(x), x.sum(axis=-1).T)
+    np.testing.assert_allclose(made(jnp.asarray(x[0])), x[0].sum(axis=-1))  # outside of any program
