@@ -11,10 +11,10 @@ import pytest
 
 from rvjax import cli, study
 from rvjax.commands.allocate import kept
-from rvjax.commands.design.compute import geometry_first
+from rvjax.commands.design.compute import Designed, Point, geometry_first
 from rvjax.commands.design.figures import figures
 from rvjax.commands.design.prices import multiplier
-from rvjax.commands.design.report import saved_part
+from rvjax.commands.design.report import others, saved_part
 from rvjax.tolerances import Memo, Nominal, Variable, allocate
 from rvjax.tolerances.codesign import units
 from rvjax.units import mm, um
@@ -268,17 +268,41 @@ def test_dearer_mass_makes_a_lighter_reducer(designed):
 def test_points_of_the_front_say_what_misses_limits(start, feasible, missing):
     """The study before costs less than an optimum only where it misses a limit."""
 
-    def point(cost, feasible=True):
-        ended = SimpleNamespace(cost=cost, feasible=feasible, start_cost=start)
-        return SimpleNamespace(found=ended, priced=lambda _: 4.0, of_tolerances=lambda _: cost - 4.0)
-
-    asked = SimpleNamespace(design=None, costs={}, tolerances=None, objective={"mass": lambda kg: 2.0 * kg})
-    found = SimpleNamespace(
-        front=(point(11.0),), joint=point(10.0), two_step=point(12.0, feasible), start={"mass": 2.0}
-    )
-    (front,) = figures(asked, found)
+    found = trade([optimum(11.0)], optimum(10.0, start=start), optimum(12.0, feasible=feasible))
+    (front,) = figures(PRICED, found)
     words = [text.get_text() for text in front.draw().get_legend().get_texts()]
     assert sum("misses limits" in word for word in words) == missing and len(words) == 4
+
+
+PRICED = SimpleNamespace(
+    design=None, costs={}, tolerances=None, variables={}, objective={"mass": lambda kg: 2.0 * kg},
+)  # fmt: skip
+
+
+def optimum(cost, *, status="OPTIMAL", start=20.0, feasible=True, factor=1.0):
+    ended = SimpleNamespace(cost=cost, status=status, start_cost=start, feasible=feasible, values={})
+    return Point(ended, None, {"mass": 2.0}, factor)
+
+
+def trade(front, joint, two_step=None):
+    return Designed(joint, {"mass": 2.0}, two_step, {}, None, [], front)
+
+
+@pytest.mark.parametrize("status", ["NOT_CERTIFIED", "INFEASIBLE"])
+def test_points_that_are_not_certified_are_hollow_and_named(status):
+    """They are no optima: the line of the front leaves them out, and a warning names their prices."""
+    front = [optimum(11.0, factor=0.125), optimum(30.0, status=status, factor=8.0)]
+    found = trade(front, optimum(10.0))
+    (figure,) = figures(PRICED, found)
+    drawn = {line.get_label(): line for line in figure.draw().get_lines()}
+    hollow = drawn["at other prices, not certified"]
+    assert hollow.get_markerfacecolor() == "white"
+    assert list(zip(hollow.get_xdata(), hollow.get_ydata())) == [(4.0, 30.0 - 8 * 4.0)]
+    assert len(drawn["optima at other prices"].get_xdata()) == 2
+    *_, note = others(PRICED, found)
+    assert note.text.startswith("warning: not certified at prices times 8:")
+    (figure,) = figures(PRICED, trade(front[:1], optimum(10.0)))
+    assert "at other prices, not certified" not in [line.get_label() for line in figure.draw().get_lines()]
 
 
 def test_prices_are_in_one_currency(designed):

@@ -184,6 +184,7 @@ def trade_front(
     chosen: tuple[float, float],
     others: Mapping[str, tuple[float, float]],
     label: str,
+    uncertified: Sequence[tuple[float, float]] = (),
     axes: Axes | None = None,
 ) -> Axes:
     """Cost of the tolerances against the cost of priced outputs, for optima at several prices.
@@ -193,11 +194,14 @@ def trade_front(
         chosen: the optimum at the prices of the study.
         others: further points, by name; the first one is the study before.
         label: of the priced outputs.
+        uncertified: optima whose certificate does not hold; drawn hollow, off the line.
         axes: where to draw; a new figure by default.
     """
     axes = new_axes(axes)
     axes.plot(*zip(*sorted(points)), "o-", color=AFTER, label="optima at other prices")
-    axes.plot(*chosen, "*", ms=15, color=LIMIT, label="this study", zorder=3)
+    if uncertified:
+        axes.plot(*zip(*uncertified), "o", mfc="white", color=AFTER, label="at other prices, not certified", zorder=3)
+    axes.plot(*chosen, "*", ms=15, color=LIMIT, label="joint optimum", zorder=4)
     for number, (name, point) in enumerate(others.items()):
         axes.plot(*point, "Ds"[number == 0], ms=8, color=look(2)[0] if number else BEFORE, label=name, zorder=3)
     axes.set(xlabel=f"cost of {label}", ylabel="cost of the tolerances", title="Trade front")

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from typing import Any
 
-from rvjax.commands.design.compute import Designed
+from rvjax.commands.design.compute import Designed, Point
 from rvjax.designs import RVReducer
 from rvjax.render import Figure
 from rvjax.study import Study
@@ -29,19 +29,30 @@ def figures(study: Study, found: Designed) -> Iterator[Figure]:
         def front() -> Any:
             from rvjax import plotting
 
-            points = [*found.front, found.joint]
+            place = lambda point: (point.priced(study), point.of_tolerances(study))  # noqa: E731
+            points = [*(point for point in found.front if certified(point)), found.joint]
             before = sum(price(found.start[name]) for name, price in study.objective.items()), _start(study)
-            others = {_named("before", found.joint.found.start_cost >= found.joint.found.cost): before}
+            others = {_named("study, before", found.joint.found.start_cost >= found.joint.found.cost): before}
             if (first := found.two_step) is not None:
-                others[_named("geometry first", first.found.feasible)] = first.priced(study), first.of_tolerances(study)
+                others[_named("geometry first", first.found.feasible)] = place(first)
             return plotting.trade_front(
-                [(point.priced(study), point.of_tolerances(study)) for point in points],
-                chosen=(found.joint.priced(study), found.joint.of_tolerances(study)),
+                [place(point) for point in points],
+                uncertified=[place(point) for point in found.front if not certified(point)],
+                chosen=place(found.joint),
                 others=others,
                 label=", ".join(name.replace("_", " ") for name in study.objective),
             )
 
         yield Figure("front", "Cost of the tolerances against the priced outputs, at the prices of the study", front)
+
+
+def certified(point: Point) -> bool:
+    """True if independent units meet the requirements at an optimum.
+
+    Args:
+        point: the optimum.
+    """
+    return point.found.status not in ("NOT_CERTIFIED", "INFEASIBLE")
 
 
 def _named(name: str, meets: bool) -> str:

@@ -11,7 +11,7 @@ from rvjax.commands.allocate import shortfall_text
 from rvjax.commands.cells import assumed_text, evaluated, failures_text, limit_text, limits_data, limits_of, share
 from rvjax.commands.design import live
 from rvjax.commands.design.compute import Designed, Point
-from rvjax.commands.design.figures import figures
+from rvjax.commands.design.figures import certified, figures
 from rvjax.commands.design.inputs import Inputs
 from rvjax.commands.design.prices import limit_price, priced_per, prices, slope, unit_of_number
 from rvjax.plausible import steep
@@ -53,7 +53,7 @@ def report(inputs: Inputs, found: Designed) -> Report:
             Section("Requirements", (*_requirements(study, found), Note(fresh))),
             Section("Prices in one currency", (prices(study, found),)),
             *((live.block(),) if joint.margins else ()),
-            Section("Other optima", (*_others(study, found), *_named(inputs, found, "front"))),
+            Section("Other optima", (*others(study, found), *_named(inputs, found, "front"))),
             Section("Scaling laws", tuple(_laws(study, found))),
             Note("\n".join(_notes(study, found))),
         ),
@@ -211,8 +211,13 @@ def _requirements(study: Study, found: Designed) -> Iterator[Table]:
         yield Table("nominal", columns, rows)
 
 
-def _others(study: Study, found: Designed) -> Iterator[Table | Note]:
-    """Start, optimum in two steps, joint optimum, optimum without scaling laws, front: costs and numbers."""
+def others(study: Study, found: Designed) -> Iterator[Table | Note]:
+    """Joint optimum, optimum in two steps, optimum without scaling laws, front: costs and numbers.
+
+    Args:
+        study: with variables.
+        found: result of the command.
+    """
     paths = list(study.variables)
     columns: list[Column] = [
         Text("optimum"), Text("status"), Number("cost", form=".3f"), Number("tolerances", form=".3f"),
@@ -236,6 +241,11 @@ def _others(study: Study, found: Designed) -> Iterator[Table | Note]:
         )
     if found.front:
         yield Note("Costs are at the prices of the study.")
+    if missed := [f"{point.factor:.3g}" for point in found.front if not certified(point)]:
+        yield Note(
+            f"warning: not certified at prices times {', '.join(missed)}: independent units miss a requirement there. "
+            "The cost of such a point is too low, and the plot shows the point hollow."
+        )
 
 
 def _laws(study: Study, found: Designed) -> Iterator[Table | Note]:
