@@ -29,7 +29,9 @@ def figures(study: Study, found: Designed) -> Iterator[Figure]:
         def front() -> Any:
             from rvjax import plotting
 
-            place = lambda point: (point.priced(study), point.of_tolerances(study))  # noqa: E731
+            def place(point: Point) -> tuple[float, float]:
+                return point.priced(study), point.of_tolerances(study)
+
             points = [*(point for point in found.front if certified(point)), found.joint]
             before = sum(price(found.start[name]) for name, price in study.objective.items()), _start(study)
             others = {_named("study, before", found.joint.found.start_cost >= found.joint.found.cost): before}
