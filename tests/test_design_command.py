@@ -13,8 +13,8 @@ from rvjax import cli, study
 from rvjax.commands.allocate import kept
 from rvjax.commands.design.compute import Designed, Point, geometry_first
 from rvjax.commands.design.figures import figures
-from rvjax.commands.design.prices import multiplier
-from rvjax.commands.design.report import others, saved_part
+from rvjax.commands.design.prices import multiplier, nominal_limit
+from rvjax.commands.design.report import numbers, others, saved_part
 from rvjax.tolerances import Memo, Nominal, Variable, allocate
 from rvjax.tolerances.codesign import units
 from rvjax.units import mm, um
@@ -305,6 +305,27 @@ def test_points_that_are_not_certified_are_hollow_and_named(status):
     assert "at other prices, not certified" not in [line.get_label() for line in figure.draw().get_lines()]
 
 
+def test_limits_without_a_unit_end_with_their_number():
+    """A ratio has no unit: no dash follows its limit."""
+    asked = SimpleNamespace(
+        nominal={"ratio": Nominal(lower=1.3, upper=2.0)}, output=lambda _: SimpleNamespace(shown=("-", 1.0))
+    )
+    assert nominal_limit(asked, "ratio") == ">= 1.3 and <= 2" and nominal_limit(asked, "mass") == "-"
+
+
+def test_the_price_of_a_bound_is_what_one_unit_of_room_saves():
+    """An upper bound of 2 mm with d cost / d bound = -2330 per metre: 2.33 per mm, as in the list of prices."""
+    path = "involute.module"
+    asked = study.load("rv-40e-design-four-bar", solve=False)
+    item = asked.variables[path]
+    asked = SimpleNamespace(design=asked.design, variables={path: item})
+    ended = SimpleNamespace(ranges={}, values={path: item.upper}, value_prices={path: -2330.0})
+    ended.bounds_active = {path: "upper"}
+    found = trade([], Point(ended, None, {}))
+    ((*_, bound, price),) = numbers(asked, found).rows
+    assert (bound, price) == ("upper", "2.33 /mm")
+
+
 def test_prices_are_in_one_currency(designed):
     """A micron of a half-width is worth the slope of its cost: 2 (5 um / t) / t."""
     _, out, result = designed
@@ -312,7 +333,7 @@ def test_prices_are_in_one_currency(designed):
     price = 2 * 5 * um / half**2
     assert result["tolerances"]["pin_circle_radius"]["price"] == pytest.approx(price, rel=1e-6)
     text = (out / "summary.txt").read_text()
-    assert f"1 um of pin_circle_radius: {price * um:.3g}" in text and "1 kg of mass: 2" in text
+    assert f"1 um of the half-width of pin_circle_radius: {price * um:.3g}" in text and "1 kg of mass: 2" in text
     assert "arcmin of the limit of lost_motion" in text and "together saves" in text
 
 

@@ -9,7 +9,7 @@ from markupsafe import Markup
 
 from rvjax.commands.cells import limit_text
 from rvjax.commands.design.compute import Designed
-from rvjax.commands.design.prices import unit_of_number
+from rvjax.commands.design.prices import nominal_limit, unit_of_number
 from rvjax.commands.report import cost_data, script_of
 from rvjax.plotting import words
 from rvjax.render import Block
@@ -53,7 +53,7 @@ def data(study: Study, found: Designed) -> dict[str, Any]:
         before = float(number_at(study.design, path)) / size
         own = 0.0 if item.cost is None else (item.own_cost(item.upper) - item.own_cost(item.lower)) * size
         sliders.append(
-            {"name": path, "label": path, "unit": unit, "low": item.lower / size, "high": item.upper / size}
+            {"name": path, "label": words(path), "unit": unit, "low": item.lower / size, "high": item.upper / size}
             | {"centre": joint.values[path] / size, "before": before, "size": size, "number": True}
             | {"reach": NEAR * (item.upper - item.lower) / size, "own": own / (item.upper - item.lower)}
         )
@@ -108,7 +108,7 @@ def _nominal(study: Study, found: Designed, sliders: list[dict[str, Any]]) -> li
         rows.append(
             {"label": words(name), "unit": unit, "value": found.joint.outputs[name] / size, "price": price}
             | {"lower": lower, "upper": upper, "slopes": rates}
-            | {"limit": limit_text(limits, output) if limits is not None else "-"}
+            | {"limit": nominal_limit(study, name)}
         )
     return rows
 

@@ -5,6 +5,7 @@ import math
 import jax
 import jax.numpy as jnp
 
+from rvjax.commands.cells import limit_text
 from rvjax.commands.design.compute import Designed, Point
 from rvjax.render import Note
 from rvjax.study import Study, fields_of
@@ -76,6 +77,18 @@ def limit_price(study: Study, point: Point, name: str) -> str:
     return f"{price * size:.3g} /{unit}".removesuffix(" /-") if price else "not binding"
 
 
+def nominal_limit(study: Study, name: str) -> str:
+    """Limits of an output without errors, as text; "-" without any.
+
+    Args:
+        study: with variables.
+        name: of the output.
+    """
+    if name not in study.nominal:
+        return "-"
+    return f"{limit_text(study.nominal[name], study.output(name))} ".replace(" - ", " ").strip()
+
+
 def prices(study: Study, found: Designed) -> Note:
     """Prices of one unit each of half-widths, limits, priced outputs and active bounds, in the unit of cost.
 
@@ -86,7 +99,7 @@ def prices(study: Study, found: Designed) -> Note:
     joint, said = found.joint, []
     for field in joint.found.costs:
         name, size = readable(study.unit(field))
-        said.append((f"1 {name} of {field}", -slope(study, joint, field) * size))
+        said.append((f"1 {name} of the half-width of {field}", -slope(study, joint, field) * size))
     for name in joint.found.multipliers:
         output = study.output(name)
         unit, size = priced_per(output.unit, output.read_in)

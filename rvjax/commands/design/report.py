@@ -13,7 +13,7 @@ from rvjax.commands.design import live
 from rvjax.commands.design.compute import Designed, Point
 from rvjax.commands.design.figures import certified, figures
 from rvjax.commands.design.inputs import Inputs
-from rvjax.commands.design.prices import limit_price, priced_per, prices, slope, unit_of_number
+from rvjax.commands.design.prices import limit_price, nominal_limit, priced_per, prices, slope, unit_of_number
 from rvjax.plausible import steep
 from rvjax.render import (
     Column,
@@ -48,7 +48,7 @@ def report(inputs: Inputs, found: Designed) -> Report:
         title=f"{study.name}: design and tolerances",
         content=(
             Note(head, frozenset({"text"})),
-            Section("Numbers of the design", (_numbers(study, found), *_named(inputs, found, "section"))),
+            Section("Numbers of the design", (numbers(study, found), *_named(inputs, found, "section"))),
             Section("Tolerances", (_tolerances(study, found),)),
             Section("Requirements", (*_requirements(study, found), Note(fresh))),
             Section("Prices in one currency", (prices(study, found),)),
@@ -124,8 +124,13 @@ def saved_part(together: float, in_steps: float) -> str:
     return f"{100 * (1 - together / in_steps):.1f} %" if in_steps else "-"
 
 
-def _numbers(study: Study, found: Designed) -> Table:
-    """Variables before and after, with range, active bound and price."""
+def numbers(study: Study, found: Designed) -> Table:
+    """Variables before and after, with range, active bound and price.
+
+    Args:
+        study: with variables.
+        found: result of the command.
+    """
     joint = found.joint.found
     ranges = [Text("cost within 0.5 %")] if joint.ranges else []
     columns: list[Column] = [
@@ -152,7 +157,7 @@ def _numbers(study: Study, found: Designed) -> Table:
                 f"{shown(item.lower, unit)} to {shown(item.upper, unit)}",
                 *(["-" if kept is None else f"{shown(kept[0], unit)} to {shown(kept[1], unit)}"] if ranges else []),
                 bound or "-",
-                f"{price * size:.3g} /{name}" if bound and price else "-",
+                f"{abs(price) * size:.3g} /{name}" if bound and price else "-",
             ]
         )
     return Table("variables", columns, rows)
@@ -199,7 +204,7 @@ def _requirements(study: Study, found: Designed) -> Iterator[Table]:
         for name in names:
             output = study.output(name)
             unit, size = output.shown
-            limit = limit_text(study.nominal[name], output) if name in study.nominal else "-"
+            limit = nominal_limit(study, name)
             price = limit_price(study, found.joint, name)
             values = [
                 f"{side[name] / size:.5g} {unit}".removesuffix(" -") for side in (found.start, found.joint.outputs)
@@ -226,7 +231,7 @@ def others(study: Study, found: Designed) -> Iterator[Table | Note]:
     points = [("joint", found.joint)]
     points += [("geometry first, tolerances after", found.two_step)] if found.two_step else []
     points += [("without scaling laws", found.unscaled)] if found.unscaled else []
-    points += [(f"prices of the objective times {point.factor:.3g}", point) for point in found.front]
+    points += [(f"prices times {point.factor:.3g}", point) for point in found.front]
     rows: list[list[Any]] = []
     for name, point in points:
         values = [shown(point.found.values[path], unit_of_number(study, path)) for path in paths]
@@ -240,7 +245,8 @@ def others(study: Study, found: Designed) -> Iterator[Table | Note]:
             "then the cheapest tolerances for that geometry. It never costs less than the joint optimum."
         )
     if found.front:
-        yield Note("Costs are at the prices of the study.")
+        named = ", ".join(name.replace("_", " ") for name in study.objective)
+        yield Note(f"Prices times N: optimum at N times the price of {named}. Costs are at the prices of the study.")
     if missed := [f"{point.factor:.3g}" for point in found.front if not certified(point)]:
         yield Note(
             f"warning: not certified at prices times {', '.join(missed)}: independent units miss a requirement there. "
@@ -257,12 +263,12 @@ def _laws(study: Study, found: Designed) -> Iterator[Table | Note]:
         Text("follows"), Text("as"), Text("factor here"), Text("interval (assumed)"), Text("source", wraps=True),
     ]  # fmt: skip
     rows = []
-    for law, numbers in found.laws:
+    for law, followers in found.laws:
         powers = " ".join(f"{path}^{power:.3g}" if power != 1 else path for path, power in law.follows.items())
-        before, after = (number_at(design, numbers[0]) for design in (study.design, found.joint.design))
+        before, after = (number_at(design, followers[0]) for design in (study.design, found.joint.design))
         ratio = float(jnp.ravel(jnp.asarray(after))[0] / jnp.ravel(jnp.asarray(before))[0])
         interval = f"{law.interval[0]:g} to {law.interval[1]:g} times"
-        rows.append([", ".join(numbers), powers, f"{ratio:.4g}", interval, law.source])
+        rows.append([", ".join(followers), powers, f"{ratio:.4g}", interval, law.source])
     yield Table("scaling", columns, rows)
     if found.unscaled is not None:
         cost, joint = found.unscaled.found.cost, found.joint.found.cost
@@ -334,14 +340,8 @@ def _data(study: Study, found: Designed) -> dict[str, Any]:
         "without_scaling_laws": _point(study, found.unscaled),
         "front": [_point(study, point) for point in found.front],
         "scaling_laws": [
-            {
-                "name": law.name,
-                "numbers": numbers,
-                "follows": law.follows,
-                "interval": law.interval,
-                "source": law.source,
-            }
-            for law, numbers in found.laws
+            dict(name=law.name, numbers=followers, follows=law.follows, interval=law.interval, source=law.source)
+            for law, followers in found.laws
         ],
         "certificate": joint.certificate,
     }
