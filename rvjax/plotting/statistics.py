@@ -194,7 +194,7 @@ def trade_front(
         chosen: the optimum at the prices of the study.
         others: further points, by name; the first one is the study before.
         label: of the priced outputs.
-        uncertified: optima whose certificate does not hold; drawn hollow, off the line.
+        uncertified: optima whose certificate does not hold; hollow, off the line.
         axes: where to draw; a new figure by default.
     """
     axes = new_axes(axes)
