@@ -5,6 +5,7 @@ import pytest
 
 from rvjax.population import Population
 from rvjax.tolerances import Nominal, ReciprocalPower, Requirement, Tolerance, Variable, allocate
+from rvjax.tolerances.allocation.certificate import Certifier
 from rvjax.tolerances.codesign.anchor import Anchor
 from rvjax.tolerances.codesign.decisions import Decisions
 from rvjax.tolerances.codesign.margins import Margins
@@ -123,3 +124,24 @@ def test_an_infeasible_problem_of_costly_units_has_its_least_shortage():
     )
     assert found.status == "INFEASIBLE" and found.values["arm"] == pytest.approx(1.0, abs=0.05)
     assert found.shortfall["y"] == pytest.approx(0.05 * np.sqrt(2) - 0.05, rel=0.05)
+
+
+@pytest.mark.parametrize("seed", [5, 7])
+def test_limits_that_oppose_each_other_are_certified_soon(monkeypatch, seed):
+    """A number raises u and lowers w: if a met limit were loosened as far as it seems, both would miss in turn."""
+
+    def opposed(errors, values):
+        m = values["m"]
+        a, b, c = (errors[name] for name in "abc")
+        return {"u": m + a + 0.3 * c + 0.1 * a * c, "w": (1 + b - 0.2 * c) / m**2, "q": a - b + 0.5 * c * m}
+
+    opposed.costly = True
+    need = {"u": Requirement(upper=1.8), "w": Requirement(upper=0.9), "q": Requirement(lower=-0.6, upper=0.6)}
+    drawn, real = [], Certifier.draw
+    monkeypatch.setattr(Certifier, "draw", lambda self, *given: drawn.append(1) or real(self, *given))
+    found = allocate(
+        opposed, {n: Tolerance.symmetric(0.1) for n in "abc"}, {n: item.aimed(0.99) for n, item in need.items()},
+        costs=dict.fromkeys("abc", ReciprocalPower(reference=1.0, finest=0.02, coarsest=5.0)),
+        variables={"m": Variable(0.6, 2.0, 1.2)}, samples=512, certificate_samples=2000, seed=seed,
+    )  # fmt: skip
+    assert found.status == "OPTIMAL" and len(drawn) <= 4  # six before

@@ -244,8 +244,9 @@ class Designer:
             if name not in named or here < -_NEAR * ways[k]:
                 continue
             factor = math.exp(float(np.clip(math.log(max(named[name], 1e-3)), -_CORRECTED, _CORRECTED)))
-            if held or abs(math.log(factor)) < _CHANCE:
-                factor = math.sqrt(factor)  # half of what a certificate sees may be chance
+            if held or abs(math.log(factor)) < _CHANCE or (self.follows and factor > 1):
+                # Half of what a certificate sees may be chance, and opposed limits would loosen in turn for ever.
+                factor = math.sqrt(factor)
             seen = ways[k] * (1 / factor - 1)
             if not held and seen <= here and name in self._failing(certificate):
                 seen = here + _WORTH * ways[k]
