@@ -244,11 +244,13 @@ class Designer:
             if name not in named or here < -_NEAR * ways[k]:
                 continue
             factor = math.exp(float(np.clip(math.log(max(named[name], 1e-3)), -_CORRECTED, _CORRECTED)))
-            if held or abs(math.log(factor)) < _CHANCE or (self.follows and factor > 1):
+            missed = not held and name in self._failing(certificate)
+            small = held or abs(math.log(factor)) < _CHANCE or (self.follows and factor > 1)
+            if small and not (self.follows and missed):
                 # Half of what a certificate sees may be chance, and opposed limits would loosen in turn for ever.
                 factor = math.sqrt(factor)
             seen = ways[k] * (1 / factor - 1)
-            if not held and seen <= here and name in self._failing(certificate):
+            if missed and seen <= here + self.follows * _WORTH * ways[k]:
                 seen = here + _WORTH * ways[k]
             margins.offsets[k] += (seen - here) * margins.ways[k]
             least = _ROOMY / 2 if held else _WORTH
