@@ -142,8 +142,8 @@ def test_study_files_know_every_kind():
     assert one(mean_lower="-1 rad", mean_upper="2 rad") == MeanWithin(lower=-1.0, upper=2.0)
     for entry, message in [
         (dict(target=0.9), "requirement.te: give upper or lower in rad"),
-        (dict(upper="1 rad", mean_upper="1 rad"), "requirement.te: give upper or lower"),
-        (dict(upper="1 rad", target=0.9, cpk=1.0), "requirement.te: give upper or lower"),
+        (dict(upper="1 rad", mean_upper="1 rad"), "requirement.te.mean_upper = '1 rad': must not be given with upper"),
+        (dict(upper="1 rad", target=0.9, cpk=1.0), "requirement.te.cpk = 1.0: must not be given with upper, target"),
         (dict(upper="1 rad", cpl=1.0), "unknown key requirement.te.cpl"),
         (dict(upper="1 rad", cpk="1"), "requirement.te.cpk = '1': must be a plain finite number"),
         (dict(upper="1 rad", cpk=0.0), "requirement.te: CpkAtLeast.cpk = 0"),
