@@ -55,12 +55,8 @@ class TracedLate:
         return [leaves[0].update(shape=leaf.shape, dtype=leaf.dtype, weak_type=False) for leaf in found]
 
 
-def _computed(*leaves: jax.Array, late: TracedLate, tree: Any) -> list[jax.Array]:
+def _computed(*leaves: Any, late: TracedLate, tree: Any) -> list[jax.Array]:
     return late.flat(*leaves, tree=tree)
-
-
-def _typed(*leaves: Any, late: TracedLate, tree: Any) -> list[Any]:
-    return late.types(*leaves, tree=tree)
 
 
 def _batched(leaves: Any, axes: Any, *, late: TracedLate, tree: Any) -> tuple[list[jax.Array], list[int]]:
@@ -73,11 +69,9 @@ def _batched(leaves: Any, axes: Any, *, late: TracedLate, tree: Any) -> tuple[li
 
 
 _traced_late.def_impl(_computed)
-_traced_late.def_abstract_eval(_typed)
+_traced_late.def_abstract_eval(lambda *leaves, late, tree: late.types(*leaves, tree=tree))
 batching.primitive_batchers[_traced_late] = _batched
-mlir.register_lowering(
-    _traced_late, mlir.lower_fun(lambda *leaves, late, tree: late.flat(*leaves, tree=tree), multiple_results=True)
-)
+mlir.register_lowering(_traced_late, mlir.lower_fun(_computed, multiple_results=True))
 
 
 def along_lanes(function: Callable[..., Result]) -> Callable[..., Result]:

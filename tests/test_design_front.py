@@ -1,0 +1,92 @@
+"""Front, prices and limits of a design as tables and plots show them, of results made by hand."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from rvjax import study
+from rvjax.commands.design.compute import Designed, Point
+from rvjax.commands.design.figures import figures
+from rvjax.commands.design.prices import multiplier, nominal_limit
+from rvjax.commands.design.report import numbers, others, saved_part
+from rvjax.tolerances import Nominal
+from rvjax.units import um
+
+PRICED = SimpleNamespace(
+    design=None, costs={}, tolerances=None, variables={}, objective={"mass": lambda kg: 2.0 * kg},
+)  # fmt: skip
+
+
+def optimum(cost, *, status="OPTIMAL", start=20.0, feasible=True, factor=1.0):
+    ended = SimpleNamespace(cost=cost, status=status, start_cost=start, feasible=feasible, values={})
+    return Point(ended, None, {"mass": 2.0}, factor)
+
+
+def trade(front, joint, two_step=None):
+    return Designed(joint, {"mass": 2.0}, two_step, {}, None, [], front)
+
+
+def test_a_study_without_prices_saves_no_part():
+    assert saved_part(0.0, 0.0) == "-" and saved_part(3.0, 4.0) == "25.0 %"
+
+
+@pytest.mark.parametrize(
+    ("limit", "price", "due"), [(0.0, 2e6, 2e6), (1e-3, 2e3, 2e3), (0.0, 1e-3, 0.0), (1e-3, 1e-6, 0.0)]
+)
+def test_a_limit_of_nothing_binds_as_any_other(limit, price, due):
+    """At a cost of 10: 2 /um at 0 um, 2 /mm at 1 mm; next to nothing is rounding."""
+    asked = SimpleNamespace(
+        requirements={"gap": Nominal(lower=limit)}, nominal={}, output=lambda _: SimpleNamespace(shown=("um", um))
+    )
+    point = SimpleNamespace(found=SimpleNamespace(multipliers={"gap": -price}, cost=10.0))
+    assert multiplier(asked, point, "gap") == due
+
+
+@pytest.mark.parametrize(
+    ("start", "feasible", "missing"), [(20.0, True, 0), (9.0, True, 1), (20.0, False, 1), (9.0, False, 2)]
+)
+def test_points_of_the_front_say_what_misses_limits(start, feasible, missing):
+    """The study before costs less than an optimum only where it misses a limit."""
+
+    found = trade([optimum(11.0)], optimum(10.0, start=start), optimum(12.0, feasible=feasible))
+    (front,) = figures(PRICED, found)
+    words = [text.get_text() for text in front.draw().get_legend().get_texts()]
+    assert sum("misses limits" in word for word in words) == missing and len(words) == 4
+
+
+@pytest.mark.parametrize("status", ["NOT_CERTIFIED", "INFEASIBLE"])
+def test_points_that_are_not_certified_are_hollow_and_named(status):
+    """They are no optima: the line of the front leaves them out, and a warning names their prices."""
+    front = [optimum(11.0, factor=0.125), optimum(30.0, status=status, factor=8.0)]
+    found = trade(front, optimum(10.0))
+    (figure,) = figures(PRICED, found)
+    drawn = {line.get_label(): line for line in figure.draw().get_lines()}
+    hollow = drawn["at other prices, not certified"]
+    assert hollow.get_markerfacecolor() == "white"
+    assert list(zip(hollow.get_xdata(), hollow.get_ydata())) == [(4.0, 30.0 - 8 * 4.0)]
+    assert len(drawn["optima at other prices"].get_xdata()) == 2
+    *_, note = others(PRICED, found)
+    assert note.text.startswith("warning: not certified at prices times 8:")
+    (figure,) = figures(PRICED, trade(front[:1], optimum(10.0)))
+    assert "at other prices, not certified" not in [line.get_label() for line in figure.draw().get_lines()]
+
+
+def test_limits_without_a_unit_end_with_their_number():
+    """A ratio has no unit: no dash follows its limit."""
+    asked = SimpleNamespace(
+        nominal={"ratio": Nominal(lower=1.3, upper=2.0)}, output=lambda _: SimpleNamespace(shown=("-", 1.0))
+    )
+    assert nominal_limit(asked, "ratio") == ">= 1.3 and <= 2" and nominal_limit(asked, "mass") == "-"
+
+
+def test_the_price_of_a_bound_is_what_one_unit_of_room_saves():
+    """An upper bound of 2 mm with d cost / d bound = -2330 per metre: 2.33 per mm, as in the list of prices."""
+    path = "involute.module"
+    asked = study.load("rv-40e-design-four-bar", solve=False)
+    item = asked.variables[path]
+    asked = SimpleNamespace(design=asked.design, variables={path: item})
+    ended = SimpleNamespace(ranges={}, values={path: item.upper}, value_prices={path: -2330.0})
+    ended.bounds_active = {path: "upper"}
+    found = trade([], Point(ended, None, {}))
+    ((*_, bound, price),) = numbers(asked, found).rows
+    assert (bound, price) == ("upper", "2.33 /mm")
