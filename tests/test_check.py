@@ -62,6 +62,26 @@ def test_what_is_far_from_every_known_reducer_is_said(old, new, words):
     assert len(changed.doubts) == 1 and words in changed.doubts[0]
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('"15 rpm"', '"15000 rpm"', "duty[0].output_speed = 1571 rad/s: known reducers have up to 10.47 rad/s"),
+        ('= "412 N m"\noutput_speed', '= "-412 kN m"\noutput_speed', "duty[0].output_torque = 412 kN m"),
+        (
+            "[conditions]", '[design.bearings.arm]\ncapacity = "31000 kN"\n[conditions]',
+            "design.bearings.arm.capacity = 3.1e+04 kN: its rollers have a rating of 3",
+        ),
+        (
+            "[conditions]", '[design.bearings.support]\nstatic_capacity = "40 N"\n[conditions]',
+            "support.static_capacity = 40 N: its rollers have a rating of 52.77 kN",  # 44 (1 - 7/38) 15 14 7 N
+        ),
+    ],
+)  # fmt: skip
+def test_a_life_far_from_every_known_reducer_is_said(old, new, words):
+    found = asked(old, new, study.load("rv-40e-whole", solve=False).text).doubts
+    assert len(found) == 1 and words in found[0]
+
+
 def test_known_reducers_and_the_studies_raise_no_doubt():
     for name in study.embedded_names():
         assert study.load(name, solve=False).doubts == []

@@ -10,12 +10,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rvjax.designs import RVReducer
+from rvjax.designs import RollerBearing, RVReducer
 from rvjax.errors import described
+from rvjax.life import dynamic_rating, static_rating
 from rvjax.plausible import KNOWN_DESIGNS, doubt, doubtful, shown, steep
 from rvjax.records import Design, PyTree
 from rvjax.study.values import Metadata
 from rvjax.tolerances import Cost, Middle, Tolerance
+from rvjax.units import rpm
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -23,6 +25,8 @@ if TYPE_CHECKING:
 MOST_PRESSURE = math.radians(45)  # beyond, no tooth has a tip
 RATED = {"rv-20e": 167.0, "rv-40e": 412.0, "rv-80e": 784.0, "rv-320e": 3136.0}  # N m at 15 rpm, as makers print it
 TORQUE = min(RATED.values()), max(RATED.values())
+FAR_RATING = 5.0  # between a maker's rating and that of the same rollers; grades of steel and rows differ less
+SPEED = 100 * rpm  # of the output: no larger one is in makers' tables
 HALF_WIDTH = {"m": (0.5e-6, 40e-6), "rad": (1e-4, 9e-3), "-": (0.01, 0.3)}  # of the studies and sources in this package
 
 
@@ -59,6 +63,9 @@ def doubts(design: PyTree, conditions: "DataclassInstance", tolerances: PyTree) 
         if f.metadata["torque"] and isinstance(design, RVReducer):
             value = abs(getattr(conditions, f.name) or 0.0)
             found += doubt(f"conditions.{f.name}", value, "N m", 0.0, TORQUE[1])  # small loads are tests
+    for number, (torque, speed, _) in enumerate(getattr(conditions, "duty", None) or ()):
+        found += doubt(f"duty[{number}].output_torque", abs(torque), "N m", 0.0, TORQUE[1])
+        found += doubt(f"duty[{number}].output_speed", abs(speed), "rad/s", 0.0, SPEED)
     for field, tolerance, about in _toleranced(tolerances):
         half, unit = float(tolerance.half_width), about["unit"]
         if half and unit in HALF_WIDTH:
@@ -72,7 +79,7 @@ def doubts(design: PyTree, conditions: "DataclassInstance", tolerances: PyTree) 
     ]
     if isinstance(design, RVReducer) and (odd := design.cycloid.pin_count - design.cycloid.disc_teeth) != 1:
         found.append(f"design.cycloid.pin_count: {odd} more than disc_teeth; known reducers have one more")
-    return found + (_collisions(design) if isinstance(design, RVReducer) else [])
+    return found + (_bearings(design) + _collisions(design) if isinstance(design, RVReducer) else [])
 
 
 def _fits_together(design: RVReducer) -> None:
@@ -99,6 +106,22 @@ def _fits_together(design: RVReducer) -> None:
             f"design.cranks.circle_radius = {shown(cranks.circle_radius, 'm')}: the cranks lie outside the discs, "
             f"whose teeth end {shown(root, 'm')} from the centre"
         )
+
+
+def _bearings(design: RVReducer) -> list[str]:
+    """Given ratings of the crank bearings that are far from what their rollers can carry."""
+    found = []
+    for place in ("arm", "support"):
+        bearing: RollerBearing | None = getattr(design.bearings, place, None)
+        for name, rating in (("capacity", dynamic_rating), ("static_capacity", static_rating)):
+            if bearing is not None and (given := getattr(bearing, name)) is not None:
+                own = float(rating(bearing.replace(**{name: None})))
+                if not own / FAR_RATING <= float(given) <= own * FAR_RATING:
+                    found.append(
+                        f"design.bearings.{place}.{name} = {shown(given, 'N')}: its rollers have a rating of "
+                        f"{shown(own, 'N')}; check the unit"
+                    )
+    return found
 
 
 def _collisions(design: RVReducer) -> list[str]:
