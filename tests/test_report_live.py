@@ -63,6 +63,11 @@ def in_node(program, *inputs):
     return json.loads(done.stdout)
 
 
+def test_a_change_that_rounds_to_nothing_has_no_sign():
+    told = in_node("return input.map((change) => Live.signed(change, 1));", -0.04, 0.04, -1.26, 1250)
+    assert told == ["0.0", "0.0", "-1.3", "+1250.0"]
+
+
 AT = {"pin_radius": (5e-6, 1e-6), "shift_modification": (2e-6, 3e-6), "pin_hole_clearance": (2e-6, 1e-6)}
 MOVE = """
 const [raw, moved, limits] = input, data = Live.opened(raw), at = Live.begin(data, "centre");

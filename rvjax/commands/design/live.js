@@ -75,7 +75,7 @@ function startDesign(section, data) {
     units.forEach((one, k) => one(found.units[k]));
     nominal.forEach((one, k) => one(found.nominal[k]));
     $("cost").textContent = found.cost.toFixed(3);
-    $("change").textContent = `${change >= 0 ? "+" : ""}${change.toFixed(3)} compared with the optimum`;
+    $("change").textContent = `${Live.signed(change, 3)} compared with the optimum`;
     $("region").textContent = found.far.length
       ? `Far from the optimum, the prediction is rough: ${found.far.map((slider) => slider.label).join("; ")}.`
       : "Near the optimum.";

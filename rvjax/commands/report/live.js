@@ -134,7 +134,12 @@ const Live = (() => {
     };
   }
 
-  return { opened, begin, all, cost, study, limitsOf, values, places };
+  /* A change with its sign; what rounds to nothing has none. */
+  const signed = (value, digits) => new Intl.NumberFormat("en", {
+    minimumFractionDigits: digits, maximumFractionDigits: digits, signDisplay: "exceptZero", useGrouping: false,
+  }).format(value);
+
+  return { opened, begin, all, cost, study, limitsOf, values, places, signed };
 })();
 
 if (typeof module !== "undefined") module.exports = Live;

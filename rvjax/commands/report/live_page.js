@@ -136,7 +136,7 @@ function startLive(section, data) {
     });
     const change = 100 * (found.cost / start.cost - 1);
     $("cost").textContent = data.priced ? `${found.cost.toFixed(3)}` : "-";
-    $("change").textContent = data.priced ? `${change >= 0 ? "+" : ""}${change.toFixed(1)} % from the allocated cost` : "";
+    $("change").textContent = data.priced ? `${Live.signed(change, 1)} % from the allocated cost` : "";
     $("joint").textContent = found.joint === null ? "-" : percent(found.joint);
     if (found.x.some((x, k) => x !== 0 && data.parameters[k].place)) $("middles").parentElement.open = true;
     const broken = data.fields.filter((f) => f.nonnegative && Live.limitsOf(f, at).lower < -1e-9);
