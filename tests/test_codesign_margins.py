@@ -1,6 +1,7 @@
 """Margins of an allocation with mid-points: closed form of a linear response of normal errors, and sums one by one."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from scipy import stats
 
 from rvjax.population import Population
 from rvjax.tolerances import ReciprocalPower, Requirement, Tolerance, allocate
+from rvjax.tolerances.codesign.correction import Correction
 from rvjax.tolerances.codesign.decisions import Decisions
 from rvjax.tolerances.codesign.design import Designer
 from rvjax.tolerances.codesign.margins import Margins
@@ -65,3 +67,17 @@ def test_margins_are_corrected_before_the_first_certificate(monkeypatch):
     assert found.status == without.status == "OPTIMAL"
     assert drawn[0] == 1 < drawn[1]
     assert found.cost < 1.005 * without.cost
+
+
+@pytest.mark.parametrize(("factor", "held", "due"), [(0.8, False, 0.25), (1.21, True, 1 / 1.1 - 1)])
+def test_a_limit_moves_to_where_the_certificate_sees_the_units(factor, held, due):
+    """Units reach 1 / factor of the way to their limit; half of what lies within it may be chance."""
+    certifier = SimpleNamespace(
+        run=SimpleNamespace(requirements={"y": Requirement(upper=1.0)}), joint_target=None, follows=False,
+        factors=lambda certificate, distance: np.array([factor]),
+    )  # fmt: skip
+    margins = SimpleNamespace(names=["y"], ways=np.ones(1), offsets=np.zeros(1), central_ways=lambda x: np.ones(1))
+    end = SimpleNamespace(point=SimpleNamespace(x=None, margins=np.zeros(1)))
+    certificate = SimpleNamespace(verdicts={"y": SimpleNamespace(met=held)})
+    assert Correction(certifier).apply(margins, end, certificate, held)
+    assert margins.offsets[0] == pytest.approx(due)

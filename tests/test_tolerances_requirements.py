@@ -14,6 +14,7 @@ import pytest
 from scipy import stats
 
 from oracles.linear_pair import COSTS, PAIR, linear
+from rvjax.population import score_interval
 from rvjax.population.sample_statistics import CentralMoments, Sampled
 from rvjax.status import Status
 from rvjax.tolerances import (
@@ -190,3 +191,18 @@ def test_failed_units_are_no_way_to_meet_a_mean_or_a_capability(requirement, tho
 def test_bad_requirements_are_named(make, message):
     with pytest.raises(ValueError, match=message):
         make()
+
+
+@pytest.mark.parametrize("limits", [{"upper": 1.0}, {"lower": -1.0, "upper": 1.2}])
+def test_the_certified_margin_is_where_a_share_just_proves_its_target(limits):
+    """Limits that move outwards by it hold, by a rounding less they do not; a failed unit is a reject."""
+    values = np.random.default_rng(3).normal(0.0, 0.5, 900)
+    values[::100] = math.nan
+    margin = Requirement(**limits, target=0.95).certified_margin(values, 1.96)
+
+    def holds(by):
+        moved = Requirement(target=0.95, **{k: v + by if k == "upper" else v - by for k, v in limits.items()})
+        return score_interval(float(np.mean(moved.margins(values) <= 0)), 900, 1.96)[0] >= 0.95
+
+    assert holds(margin + 1e-9) and not holds(margin - 1e-9)
+    assert Requirement(**limits, target=0.95).certified_margin(values[:40], 1.96) == math.inf

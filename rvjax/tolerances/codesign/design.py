@@ -12,11 +12,12 @@ from rvjax.tolerances.allocation.rounding import Rounding
 from rvjax.tolerances.allocation.sample_average import Training
 from rvjax.tolerances.allocation.search import Search
 from rvjax.tolerances.batch.monte_carlo import Statistics
+from rvjax.tolerances.codesign.correction import MOST, NEAR, WORTH, Correction
 from rvjax.tolerances.codesign.decisions import Decisions
 from rvjax.tolerances.codesign.feasibility import Shortage, least_shortage
 from rvjax.tolerances.codesign.lists import Lists, Places
 from rvjax.tolerances.codesign.local import Local
-from rvjax.tolerances.codesign.margins import JOINT, Margins
+from rvjax.tolerances.codesign.margins import Margins
 from rvjax.tolerances.codesign.nominal import Nominal
 from rvjax.tolerances.codesign.problem import Problem
 from rvjax.tolerances.codesign.programme import End, Programme
@@ -29,13 +30,8 @@ FINE = 4096
 _ROUNDS = 3  # of searches, each with its units placed at the end of the one before, at most
 _STILL = 2e-3  # change of the cost between rounds that ends them, as a part of it
 _MET = 0.01  # excess within the error of the sample
-_CORRECTED = 0.25  # largest correction by a certificate, logarithm of a factor
-_NEAR = 0.1  # a margin nearer to its limit than this part of its way may bind
-_CHANCE = 5e-3  # logarithm of a factor that a certificate may see by chance
 _SHARPENED, _OTHERS = 2, 16  # searches after such corrections, at most, and times as many units behind each
 _AGAIN = 0.2  # radius of the first step of a search that is repeated
-_ROOMY = 6e-3  # margin of a certificate that holds, above which another one is computed
-_WORTH = 2e-3  # margin of a certificate, in half-widths, above which another one is computed
 
 
 @dataclasses.dataclass(frozen=True)
@@ -74,6 +70,7 @@ class Designer:
         self.history: list[dict[str, Any]] = []
         self.follows = problem.costly and self._only_shares(problem)
         self.certifier = Certifier(problem.run, problem.joint_target, follows=self.follows)
+        self.correction = Correction(self.certifier)
 
     @staticmethod
     def _only_shares(problem: Problem) -> bool:
@@ -186,12 +183,13 @@ class Designer:
         kept: tuple[End, Statistics] | None = None
         certificate = self._drawn(end.point.x)
         for _ in range(DRAWS - 1):
-            held = certifier.holds(certificate)
-            if held and (kept is None or end.point.total < kept[0].point.total):
+            held, before = certifier.holds(certificate), math.inf if kept is None else kept[0].point.total
+            if held and end.point.total < before:
                 kept = end, certificate
-            if not self._corrected(margins, end, certificate, held) or (not held and certifier.hopeless()):
-                break
-            if held and certifier.drawn > 2 - self.follows:
+            corrected = self.correction.apply(margins, end, certificate, held)
+            little = kept is not None and end.point.total > before - WORTH * abs(before)
+            enough = little or (not self.follows and certifier.drawn > 2)
+            if not corrected or (enough if held else certifier.hopeless()):
                 break
             end = self._run(margins, end.point.x, _AGAIN, end.curvature)
             certificate = self._drawn(end.point.x)
@@ -216,9 +214,9 @@ class Designer:
         for _ in range(_SHARPENED):
             own = end.point.margins - margins.offsets / margins.ways
             seen = margins.of_others(end.point.x, _OTHERS)
-            moved = {k: margin - own[k] for k, margin in seen.items() if own[k] > -_NEAR and math.isfinite(margin)}
+            moved = {k: margin - own[k] for k, margin in seen.items() if own[k] > -NEAR and math.isfinite(margin)}
             for k, by in moved.items():
-                margins.offsets[k] = float(np.clip(by, -_CORRECTED, _CORRECTED)) * margins.ways[k]
+                margins.offsets[k] = float(np.clip(by, -MOST, MOST)) * margins.ways[k]
             margins.draw_lines(end.point.x, {k: seen[k] for k in moved})
             margins.offsets[list(margins.lines)] = 0.0
             before, end = end, self._run(margins, end.point.x, _AGAIN, end.curvature)
@@ -229,37 +227,6 @@ class Designer:
 
     def _drawn(self, x: np.ndarray) -> Statistics:
         return self.certifier.draw(self.decisions.population(x))
-
-    def _corrected(self, margins: Margins, end: End, certificate: Statistics, held: bool) -> bool:
-        """Correct the margins by a certificate; False if the change is negligible."""
-        if certificate.verdicts is None:
-            return False
-        ways, limited = margins.central_ways(end.point.x), list(self.certifier.run.requirements)
-        by_name = dict(zip(margins.names, ways * margins.ways))
-        factors = self.certifier.factors(certificate, np.array([by_name[name] for name in limited]))
-        named = dict(zip(limited, factors)) | ({} if self.problem.joint_target is None else {JOINT: factors[-1]})
-        changed = False
-        for k, name in enumerate(margins.names):
-            here = float(end.point.margins[k])
-            if name not in named or here < -_NEAR * ways[k]:
-                continue
-            factor = math.exp(float(np.clip(math.log(max(named[name], 1e-3)), -_CORRECTED, _CORRECTED)))
-            missed = not held and name in self._failing(certificate)
-            small = held or abs(math.log(factor)) < _CHANCE or (self.follows and factor > 1)
-            if small and not (self.follows and missed):
-                # Half of what a certificate sees may be chance, and opposed limits would loosen in turn for ever.
-                factor = math.sqrt(factor)
-            seen = ways[k] * (1 / factor - 1)
-            if missed and seen <= here + self.follows * _WORTH * ways[k]:
-                seen = here + _WORTH * ways[k]
-            margins.offsets[k] += (seen - here) * margins.ways[k]
-            least = _ROOMY / 2 if held else _WORTH
-            changed = changed or abs(seen - here) > least * ways[k] or (not held and seen > here)
-        return changed
-
-    @staticmethod
-    def _failing(certificate: Statistics) -> set[str]:
-        return {name for name, verdict in (certificate.verdicts or {}).items() if not verdict.met} | {JOINT}
 
     def _tightened(self, x: np.ndarray, certificate: Statistics) -> tuple[np.ndarray, Statistics]:
         """Half-widths made smaller at these numbers until a certificate holds; the last one otherwise."""
@@ -307,7 +274,11 @@ class Designer:
         return there, grades
 
     def _refused(self, margins: Margins, shortage: Shortage) -> Found:
-        """The solution where no vector meets all requirements."""
+        """The solution where no vector meets all requirements.
+
+        A smoothed quantile is too wide where units crowd at a limit. So a certificate that holds there decides.
+        """
         x, certificate = shortage.x, self._drawn(shortage.x)
-        total = margins.total(x)
-        return Found("INFEASIBLE", self.decisions, x, None, margins, certificate, total, shortage, self.history)
+        held, total = self.certifier.holds(certificate), margins.total(x)
+        status, missed = ("SUBOPTIMAL", None) if held else ("INFEASIBLE", shortage)
+        return Found(status, self.decisions, x, None, margins, certificate, total, missed, self.history)

@@ -6,7 +6,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from rvjax.population import Estimate, Sampled, wilson
+from rvjax.population import Estimate, Sampled, score_interval, wilson
 from rvjax.tolerances.requirements.factors import CUSHION, MOST_FACTOR, bounded, rare_factor, share_factor
 from rvjax.tolerances.requirements.limits import (
     KINDS,
@@ -97,6 +97,18 @@ class Requirement(Limits):
         share = Estimate(1 - failing.value, failing.error, 1 - failing.upper, 1 - failing.lower)
         how = "importance sampling" if trusted else "importance sampling, not to be trusted"
         return Verdict(f"{self.text()}, {how}", self.judges, share, trusted and self.holds(share))
+
+    def certified_margin(self, values: np.ndarray, deviate: float) -> float:
+        """Margin of the unit at which these units would just prove the target; inf where no share would.
+
+        Args:
+            values: (n,) of independent units, nan where one failed.
+            deviate: standard errors by which the share must exceed the target.
+        """
+        n = len(values)
+        counts = range(math.ceil(self.target * n), n + 1)
+        enough = next((k for k in counts if score_interval(k / n, n, deviate)[0] >= self.target), 0)
+        return float(np.sort(self.margins(values))[enough - 1]) if enough else math.inf
 
     def shortfall(self, values: np.ndarray, joint_target: float) -> float:
         """The sampled quantile itself, at the stricter of both targets."""
