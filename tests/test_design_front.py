@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import pytest
 
 from rvjax import study
+from rvjax.commands.design import compute
 from rvjax.commands.design.compute import Designed, Point
 from rvjax.commands.design.figures import figures
 from rvjax.commands.design.prices import multiplier, nominal_limit
@@ -69,6 +70,22 @@ def test_points_that_are_not_certified_are_hollow_and_named(status):
     assert note.text.startswith("warning: not certified at prices times 8:")
     (figure,) = figures(PRICED, trade(front[:1], optimum(10.0)))
     assert "at other prices, not certified" not in [line.get_label() for line in figure.draw().get_lines()]
+
+
+@pytest.mark.parametrize(
+    ("front", "again", "due"),
+    [
+        (optimum(10.5, factor=0.5), optimum(9.0), 10.0),  # 12.5 at the prices of the study
+        (optimum(7.5, factor=0.5), optimum(9.0), 9.0),
+        (optimum(7.5, factor=0.5), optimum(10.2), 10.0),
+        (optimum(7.5, factor=0.5), optimum(9.0, status="NOT_CERTIFIED"), 10.0),
+        (optimum(7.5, factor=0.5, status="NOT_CERTIFIED"), optimum(9.0), 10.0),
+    ],
+)
+def test_a_cheaper_point_of_the_front_is_another_start(monkeypatch, front, again, due):
+    """The least cost is at most that of any certified point, at the prices of the study (4 for 2 kg)."""
+    monkeypatch.setattr(compute, "_optimum", lambda *given, **named: again)
+    assert compute._cheaper(SimpleNamespace(study=PRICED), optimum(10.0), [front], None).found.cost == due
 
 
 def test_limits_without_a_unit_end_with_their_number():

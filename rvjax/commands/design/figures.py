@@ -32,29 +32,20 @@ def figures(study: Study, found: Designed) -> Iterator[Figure]:
             def place(point: Point) -> tuple[float, float]:
                 return point.priced(study), point.of_tolerances(study)
 
-            points = [*(point for point in found.front if certified(point)), found.joint]
+            points = [*(point for point in found.front if point.certified), found.joint]
             before = sum(price(found.start[name]) for name, price in study.objective.items()), _start(study)
             others = {_named("study, before", found.joint.found.start_cost >= found.joint.found.cost): before}
             if (first := found.two_step) is not None:
                 others[_named("geometry first", first.found.feasible)] = place(first)
             return plotting.trade_front(
                 [place(point) for point in points],
-                uncertified=[place(point) for point in found.front if not certified(point)],
+                uncertified=[place(point) for point in found.front if not point.certified],
                 chosen=place(found.joint),
                 others=others,
                 label=", ".join(name.replace("_", " ") for name in study.objective),
             )
 
         yield Figure("front", "Cost of the tolerances against the priced outputs, at the prices of the study", front)
-
-
-def certified(point: Point) -> bool:
-    """True if independent units meet the requirements at an optimum.
-
-    Args:
-        point: the optimum.
-    """
-    return point.found.status not in ("NOT_CERTIFIED", "INFEASIBLE")
 
 
 def _named(name: str, meets: bool) -> str:

@@ -11,7 +11,7 @@ from rvjax.commands.allocate import shortfall_text
 from rvjax.commands.cells import assumed_text, evaluated, failures_text, limit_text, limits_data, limits_of, share
 from rvjax.commands.design import live
 from rvjax.commands.design.compute import Designed, Point
-from rvjax.commands.design.figures import certified, figures
+from rvjax.commands.design.figures import figures
 from rvjax.commands.design.inputs import Inputs
 from rvjax.commands.design.prices import limit_price, nominal_limit, priced_per, prices, slope, unit_of_number
 from rvjax.plausible import steep
@@ -235,9 +235,8 @@ def others(study: Study, found: Designed) -> Iterator[Table | Note]:
     rows: list[list[Any]] = []
     for name, point in points:
         values = [shown(point.found.values[path], unit_of_number(study, path)) for path in paths]
-        priced, tolerances = point.priced(study), point.of_tolerances(study)
-        total = point.found.cost + (1 - point.factor) * priced
-        rows.append([name, point.found.status, total, tolerances, priced, *values])
+        costs = point.total(study), point.of_tolerances(study), point.priced(study)
+        rows.append([name, point.found.status, *costs, *values])
     yield Table("optima", columns, rows)
     if found.two_step is not None:
         yield Note(
@@ -247,7 +246,7 @@ def others(study: Study, found: Designed) -> Iterator[Table | Note]:
     if found.front:
         named = ", ".join(name.replace("_", " ") for name in study.objective)
         yield Note(f"Prices times N: optimum at N times the price of {named}. Costs are at the prices of the study.")
-    if missed := [f"{point.factor:.3g}" for point in found.front if not certified(point)]:
+    if missed := [f"{point.factor:.3g}" for point in found.front if not point.certified]:
         yield Note(
             f"warning: not certified at prices times {', '.join(missed)}: independent units miss a requirement there. "
             "The cost of such a point is too low, and the plot shows the point hollow."
