@@ -53,7 +53,7 @@ certificate_samples = 65536
 """
 
 
-def test_a_model_costs_one_package_and_one_line(fake_model, answers, tmp_path, capsys):
+def test_a_model_costs_one_package_and_one_line(fake_model, answers, undrawn, tmp_path, capsys):
     """A study, an allocation and a page of it."""
     (tmp_path / "joint.toml").write_text(TEXT)
     page, folder = tmp_path / "joint.html", tmp_path / "joint"
