@@ -1,6 +1,7 @@
 """Lint, format and types of the whole tree, side by side with the other tests: they take one core half a minute."""
 
 import ast
+import functools
 import subprocess
 import sys
 from pathlib import Path
@@ -24,14 +25,17 @@ TYPED += ("outputs", "plotting", "progress", "render", "study", "tolerances", "u
 """Layers whose signatures name what they take and return."""
 
 
+@functools.cache
 def annotations(path):
     """Of every parameter and result of every function of a file."""
+    found = []
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
             given = node.args
             every = [*given.posonlyargs, *given.args, *given.kwonlyargs, given.vararg, given.kwarg]
-            yield from (one.annotation for one in every if one is not None and one.annotation is not None)
-            yield from [] if node.returns is None else [node.returns]
+            found += [one.annotation for one in every if one is not None and one.annotation is not None]
+            found += [] if node.returns is None else [node.returns]
+    return found
 
 
 def says_any(annotation):

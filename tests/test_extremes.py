@@ -65,7 +65,7 @@ def test_figures_of_a_turn_beyond_a_right_angle(dtype):
     np.testing.assert_allclose(np.roll(again, -17), most, 1e-5 if dtype == np.float32 else 1e-12)
 
 
-@pytest.mark.parametrize("angles", [1, 2, pytest.param(5, marks=pytest.mark.long)])
+@pytest.mark.parametrize("angles", [1, *(pytest.param(n, marks=pytest.mark.long) for n in (2, 5))])
 def test_any_number_of_angles_and_any_batch_axis(angles):
     rng = np.random.default_rng(angles)
     bore = rng.uniform(-1e-5, 1e-5, (2, 2, 4))

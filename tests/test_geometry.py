@@ -32,6 +32,12 @@ def reducer(e, ring, pin, width, **contact):
     return RV_40E.replace(cycloid=cycloid, contact=Contact(206e9, 0.3, width), **contact)
 
 
+def seven(*numbers):
+    """Figures of seven reducers, and of no other number, so that one program serves: numbers of all or of each."""
+    rows = np.broadcast_arrays(*numbers, np.zeros(7))[:-1]
+    return jax.vmap(lambda *row: geometry.figures(reducer(*row[:4]), row[4]))(*map(jnp.asarray, rows))
+
+
 @pytest.mark.parametrize("case", FIGURES, ids=[case["id"] for case in FIGURES])
 def test_figures_of_the_reference(case):
     given = case["given"]
@@ -50,9 +56,8 @@ def test_figures_of_the_reference(case):
 def test_pressure_and_crank_force_over_the_shortening():
     """Nominal design of an RV-40E: the lowest pressure lies at K1 = 0.637."""
     due = {0.5: 1034, 0.6: 1004, 0.637: 1001, 0.7: 1012, 0.75: 1040, 0.8125: 1127, 0.85: 1254}  # MPa
-    found = jax.vmap(lambda k1: geometry.figures(reducer(k1 * 64 * mm / 40, 64 * mm, 3.07 * mm, 10.411 * mm), TORQUE))(
-        jnp.array(list(due))
-    )
+    e = [k1 * 64 * mm / 40 for k1 in due]
+    found = seven(e, 64 * mm, 3.07 * mm, 10.411 * mm, TORQUE)
     np.testing.assert_allclose(found.pin_pressure / MPa, list(due.values()), atol=0.6)
 
 
@@ -154,13 +159,13 @@ def test_float32_gives_the_same_to_its_rounding():
 
 def test_a_batch_gives_each_its_own_status():
     """An undercut flank keeps its figures; a design that cannot be has none, and harms no neighbour."""
-    ring = jnp.array([64 * mm, 64 * mm, 50 * mm, jnp.nan])
-    pin = jnp.array([3 * mm, 7 * mm, 3 * mm, 3 * mm])
-    found = jax.vmap(lambda ring, pin: geometry.figures(reducer(1.3 * mm, ring, pin, 12 * mm), 412.0))(ring, pin)
-    due = [Status.CONVERGED, Status.UNDERCUT, Status.INVALID_GEOMETRY, Status.NONFINITE]
+    ring = np.array([64 * mm, 64 * mm, 50 * mm, np.nan, *[64 * mm] * 3])
+    pin = np.array([3 * mm, 7 * mm, *[3 * mm] * 5])
+    found = seven(1.3 * mm, ring, pin, 12 * mm, 412.0)
+    due = [Status.CONVERGED, Status.UNDERCUT, Status.INVALID_GEOMETRY, Status.NONFINITE, *[Status.CONVERGED] * 3]
     assert found.info.status.tolist() == due
-    assert np.isfinite(found.convex_radius).tolist() == [True, True, False, False]
-    assert np.isfinite(found.pin_pressure).tolist() == [True, False, False, False]
+    assert np.isfinite(found.convex_radius).tolist() == [True, True, False, False, True, True, True]
+    assert np.isfinite(found.pin_pressure).tolist() == [True, False, False, False, True, True, True]
     assert found.convex_radius[1] < 0
 
     def pressure(e):
@@ -283,9 +288,13 @@ def test_a_profile_modification_is_material_of_every_disc():
     waves[1:, 0] = AMPLITUDES
     designed = MACHINE.replace(cycloid=MACHINE.cycloid.replace(profile_modification=AMPLITUDES))
     errors = [RVErrors(disc_profile=waves[None] * np.ones((2, 1, 1))), RVErrors(disc_profile=np.zeros((2, 5, 2)))]
-    e, flank = jnp.asarray(MACHINE.cycloid.eccentricity), jnp.ones((2, 2, 2))
-    at = geometry_at(MACHINE, e, jnp.asarray(0.3))
-    due, found = (gaps(d, own, at, e, flank).pins for d, own in zip((MACHINE, designed), errors))
+
+    @jax.jit
+    def pins(design, own):
+        e = jnp.asarray(MACHINE.cycloid.eccentricity)
+        return gaps(design, own, geometry_at(MACHINE, e, jnp.asarray(0.3)), e, jnp.ones((2, 2, 2))).pins
+
+    due, found = (pins(d, own) for d, own in zip((MACHINE, designed), errors))
     np.testing.assert_allclose(found, due, rtol=1e-12, atol=1e-18)
     assert np.max(np.abs(due)) > 5e-6
 

@@ -125,7 +125,7 @@ certificate_samples = 65536
 """
 
 
-def test_a_cost_law_is_one_place(fake_model, monkeypatch, tmp_path):
+def test_a_cost_law_is_one_place(fake_model, undrawn, monkeypatch, tmp_path):
     """A law in steps of a currency per micron: read from a study, allocated, on the page of the answer; a table too.
 
     Oracle: Lagrange for the two errors of a linear response, as in `test_models`.

@@ -31,7 +31,7 @@ def test_the_page_shows_the_census_of_the_file():
 
 SMALL = [  # the quickest, and in the long profile one of every group
     "four_bar linkage free open closed_form",
-    "lost_motion closed_form 39 teeth",
+    pytest.param("lost_motion closed_form 39 teeth", marks=pytest.mark.long),  # test_lost_motion_limits.py has extremes
     pytest.param("mesh_force linear 2 teeth", marks=pytest.mark.long),  # test_mesh_force_properties.py has a census
     pytest.param("loaded hertz 3 cranks 2 discs 24 teeth carrier floating", marks=pytest.mark.long),
     pytest.param("four_bar reducer 2 cranks 1 discs", marks=pytest.mark.long),
