@@ -272,7 +272,7 @@ def reached(found):
 
 def test_certificates_on_units_that_are_followed_hold(thorough):
     """Of 95 % intervals one end in 40 may miss. More would miss than the bound once in 500 trials."""
-    runs = 200 if thorough else 12
+    runs = 200 if thorough else 24
     options = dict(costs=COSTS, samples=1024, certificate_samples=1024)
     costly = Costly(pair)  # compiled once
     found = [allocate(costly, PAIR, WANTED, seed=7 * seed, **options) for seed in range(runs)]
