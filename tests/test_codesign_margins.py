@@ -9,7 +9,7 @@ from scipy import stats
 
 from rvjax.population import Population
 from rvjax.tolerances import ReciprocalPower, Requirement, Tolerance, allocate
-from rvjax.tolerances.codesign.correction import Correction
+from rvjax.tolerances.codesign.correction import WORTH, Correction
 from rvjax.tolerances.codesign.decisions import Decisions
 from rvjax.tolerances.codesign.design import Designer
 from rvjax.tolerances.codesign.margins import Margins
@@ -69,9 +69,14 @@ def test_margins_are_corrected_before_the_first_certificate(monkeypatch):
     assert found.cost < 1.005 * without.cost
 
 
-@pytest.mark.parametrize(("factor", "held", "due"), [(0.8, False, 0.25), (1.21, True, 1 / 1.1 - 1)])
+@pytest.mark.parametrize(
+    ("factor", "held", "due"), [(0.8, False, 0.25), (1.21, True, 1 / 1.1 - 1), (1.0, False, WORTH)]
+)
 def test_a_limit_moves_to_where_the_certificate_sees_the_units(factor, held, due):
-    """Units reach 1 / factor of the way to their limit; half of what lies within it may be chance."""
+    """Units reach 1 / factor of the way to their limit; half of what lies within it may be chance.
+
+    A miss moves the limit in any case.
+    """
     certifier = SimpleNamespace(
         run=SimpleNamespace(requirements={"y": Requirement(upper=1.0)}), joint_target=None, follows=False,
         factors=lambda certificate, distance: np.array([factor]),

@@ -1,5 +1,6 @@
 """Front, prices and limits of a design as tables and plots show them, of results made by hand."""
 
+import math
 from types import SimpleNamespace
 
 import pytest
@@ -8,10 +9,10 @@ from rvjax import study
 from rvjax.commands.design import compute
 from rvjax.commands.design.compute import Designed, Point
 from rvjax.commands.design.figures import figures
-from rvjax.commands.design.prices import multiplier, nominal_limit
+from rvjax.commands.design.prices import limit_price, multiplier, nominal_limit
 from rvjax.commands.design.report import numbers, others, saved_part
 from rvjax.tolerances import Nominal
-from rvjax.units import um
+from rvjax.units import mm, um
 
 PRICED = SimpleNamespace(
     design=None, costs={}, tolerances=None, variables={}, objective={"mass": lambda kg: 2.0 * kg},
@@ -86,6 +87,19 @@ def test_a_cheaper_point_of_the_front_is_another_start(monkeypatch, front, again
     """The least cost is at most that of any certified point, at the prices of the study (4 for 2 kg)."""
     monkeypatch.setattr(compute, "_optimum", lambda *given, **named: again)
     assert compute._cheaper(SimpleNamespace(study=PRICED), optimum(10.0), [front], None).found.cost == due
+
+
+def test_a_price_that_no_search_found_is_unknown():
+    """It is not the price of a limit that does not bind."""
+    asked = SimpleNamespace(
+        requirements={}, nominal={"gap": Nominal(lower=1e-3)},
+        output=lambda _: SimpleNamespace(unit="m", read_in=None, shown=("mm", mm)),
+    )  # fmt: skip
+    prices = {
+        price: limit_price(asked, SimpleNamespace(found=SimpleNamespace(multipliers={"gap": price}, cost=10.0)), "gap")
+        for price in (math.nan, 0.0, -2e3)
+    }
+    assert list(prices.values()) == ["unknown", "not binding", "2 /mm"]
 
 
 def test_limits_without_a_unit_end_with_their_number():

@@ -3,6 +3,7 @@
 Oracle: the same numbers converted by hand.
 """
 
+import math
 from types import SimpleNamespace
 
 import jax.numpy as jnp
@@ -11,6 +12,7 @@ import pytest
 
 from rvjax import Status
 from rvjax.commands import allocate
+from rvjax.commands.allocate.report import _Price
 from rvjax.commands.cells import evaluated, failures_text, share
 from rvjax.commands.montecarlo import report_on
 from rvjax.population.estimates import Estimate
@@ -32,6 +34,12 @@ def headline(**changes):
         name="s", about=About(), joint_target=target, output=lambda name: SimpleNamespace(shown=("arcmin", arcmin))
     )
     return allocate.headline(SimpleNamespace(study=study, allocation=allocation(**changes))).split("\n")
+
+
+def test_a_price_that_no_search_found_is_unknown():
+    error = SimpleNamespace(shown=("arcmin", arcmin))
+    said = [_Price("shadow price").text((price, error)) for price in (math.nan, 0.0, -2 / arcmin)]
+    assert said == ["unknown", "not binding", "-2 /arcmin"]
 
 
 def test_a_yield_has_both_ends_of_its_interval():

@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 MOST_PRESSURE = math.radians(45)  # beyond, no tooth has a tip
 RATED = {"rv-20e": 167.0, "rv-40e": 412.0, "rv-80e": 784.0, "rv-320e": 3136.0}  # N m at 15 rpm, as makers print it
 TORQUE = min(RATED.values()), max(RATED.values())
-FAR_RATING = 5.0  # between a maker's rating and that of the same rollers; grades of steel and rows differ less
-SPEED = 100 * rpm  # of the output: no larger one is in makers' tables
+FAR_RATING = 5.0  # between a given rating and that of the same rollers; assumed
+SPEED = 75 * rpm  # of the output, at most: an RV-20E, as its maker prints it
 HALF_WIDTH = {"m": (0.5e-6, 40e-6), "rad": (1e-4, 9e-3), "-": (0.01, 0.3)}  # of the studies and sources in this package
 
 

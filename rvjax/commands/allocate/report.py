@@ -242,7 +242,9 @@ class _Price(Column):
 
     def _said(self, cell: Cell) -> str:
         price, (unit, size) = cell[0], cell[1].shown
-        return f"{price * size:.4g} /{unit}" if price else "not binding"
+        if not price:
+            return "not binding"
+        return "unknown" if math.isnan(price) else f"{price * size:.4g} /{unit}"
 
     def _given(self, cell: Cell) -> list[Value]:
         return [number(cell[0] * cell[1].shown[1])]

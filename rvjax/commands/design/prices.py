@@ -49,7 +49,7 @@ def slope(study: Study, found: Point, field: str) -> float:
 
 
 def multiplier(study: Study, point: Point, name: str) -> float:
-    """d cost / d limit, outwards >= 0; 0 for a limit that is not binding but for rounding.
+    """d cost / d limit, outwards >= 0; 0 for a limit that is not binding but for rounding, nan where it is unknown.
 
     Args:
         study: with variables.
@@ -60,7 +60,7 @@ def multiplier(study: Study, point: Point, name: str) -> float:
     limits = {**study.requirements, **study.nominal}.get(name)
     sizes = [abs(x) for x in (limits.lower, limits.upper) if math.isfinite(x)] if limits else [1.0]
     size = max(sizes, default=0.0) or study.output(name).shown[1]
-    return price if price * size > BINDING * abs(point.found.cost) else 0.0
+    return 0.0 if price * size <= BINDING * abs(point.found.cost) else price
 
 
 def limit_price(study: Study, point: Point, name: str) -> str:
@@ -74,7 +74,9 @@ def limit_price(study: Study, point: Point, name: str) -> str:
     price = multiplier(study, point, name)
     output = study.output(name)
     unit, size = priced_per(output.unit, output.read_in)
-    return f"{price * size:.3g} /{unit}".removesuffix(" /-") if price else "not binding"
+    if not price > 0:
+        return "unknown" if math.isnan(price) else "not binding"
+    return f"{price * size:.3g} /{unit}".removesuffix(" /-")
 
 
 def nominal_limit(study: Study, name: str) -> str:
@@ -111,7 +113,7 @@ def prices(study: Study, found: Designed) -> Note:
     for path, price in joint.found.value_prices.items():
         name, size = priced_per(unit_of_number(study, path))
         said.append((f"1 {name} of the bound of {path}", abs(price) * size))
-    lines = [f"  {what}: {price:.3g}" for what, price in said if price]
+    lines = [f"  {what}: {price:.3g}" for what, price in said if price and math.isfinite(price)]
     return Note("\n".join(["At the optimum, in the unit of the costs:", *lines]))
 
 

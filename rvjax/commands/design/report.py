@@ -157,7 +157,7 @@ def numbers(study: Study, found: Designed) -> Table:
                 f"{shown(item.lower, unit)} to {shown(item.upper, unit)}",
                 *(["-" if kept is None else f"{shown(kept[0], unit)} to {shown(kept[1], unit)}"] if ranges else []),
                 bound or "-",
-                f"{abs(price) * size:.3g} /{name}" if bound and price else "-",
+                f"{abs(price) * size:.3g} /{name}" if bound and price and math.isfinite(price) else "-",
             ]
         )
     return Table("variables", columns, rows)

@@ -30,8 +30,8 @@ _STEEPNESS = 0.5, 5.0  # of that effect, at least and at most
 class Correction:
     """Corrects margins, one certificate after the other.
 
-    Costly units serve all certificates, so their values say how far a limit is: there is no other chance. A common
-    factor on all half-widths says less, and nothing of a response whose units without errors lie at the limit, such as
+    Costly units are one sample for all certificates, so their values give the distance of a limit. A common factor on
+    all half-widths is less exact. It has no effect on a response whose units without errors lie at the limit, such as
     a lost motion that errors of the pins reduce.
     """
 
@@ -81,16 +81,18 @@ class Correction:
         return found
 
     def _of_units(self, margins: Margins, certificate: Statistics) -> dict[int, float]:
-        """The same of limits on a share of costly units, from their values."""
+        """The same of limits on a share of costly units, from their values, if these are enough."""
         if not self._certifier.follows or certificate.values is None:
             return {}
         run = self._certifier.run
-        deviate = deviate_of(run.confidence) + _SPARE
-        return {
-            k: item.certified_margin(certificate.values[row.name], deviate) / float(margins.ways[k])
-            for k, row in enumerate(margins.rows)
-            if isinstance(item := run.requirements.get(row.name), Requirement)
-        }
+        deviate, found = deviate_of(run.confidence) + _SPARE, dict[int, float]()
+        for k, row in enumerate(margins.rows):
+            item = run.requirements.get(row.name)
+            if isinstance(item, Requirement):
+                margin = item.certified_margin(certificate.values[row.name], deviate)
+                if math.isfinite(margin):
+                    found[k] = margin / float(margins.ways[k])
+        return found
 
     def _steepness(self, margins: Margins, k: int, seen: float) -> float:
         """Change of a margin as certificates see it, for a change of its correction by one; 1 where it is unknown."""

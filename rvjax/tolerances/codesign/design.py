@@ -77,7 +77,13 @@ class Designer:
         return all(isinstance(item, (Requirement, Nominal)) for item in problem.requirements.values())
 
     def solution(self) -> Found:
-        """The cheapest certified vector, or the least shortage."""
+        """The cheapest certified vector, or the least shortage; values of units only where these are few."""
+        found = self._solution()
+        if self.problem.run.keep or found.certificate.values is None:
+            return found
+        return dataclasses.replace(found, certificate=dataclasses.replace(found.certificate, values=None))
+
+    def _solution(self) -> Found:
         decisions, lists = self.decisions, Lists(self.decisions)
         start = self.problem.start(decisions)
         if lists.entries:
@@ -183,11 +189,11 @@ class Designer:
         kept: tuple[End, Statistics] | None = None
         certificate = self._drawn(end.point.x)
         for _ in range(DRAWS - 1):
-            held, before = certifier.holds(certificate), math.inf if kept is None else kept[0].point.total
-            if held and end.point.total < before:
+            held, before = certifier.holds(certificate), None if kept is None else kept[0].point.total
+            if held and (before is None or end.point.total < before):
                 kept = end, certificate
             corrected = self.correction.apply(margins, end, certificate, held)
-            little = kept is not None and end.point.total > before - WORTH * abs(before)
+            little = before is not None and end.point.total > before - WORTH * abs(before)
             enough = little or (not self.follows and certifier.drawn > 2)
             if not corrected or (enough if held else certifier.hopeless()):
                 break
@@ -226,7 +232,8 @@ class Designer:
         return end
 
     def _drawn(self, x: np.ndarray) -> Statistics:
-        return self.certifier.draw(self.decisions.population(x))
+        """Certificate; values of costly units correct the margins."""
+        return self.certifier.draw(self.decisions.population(x), keep=True if self.follows else None)
 
     def _tightened(self, x: np.ndarray, certificate: Statistics) -> tuple[np.ndarray, Statistics]:
         """Half-widths made smaller at these numbers until a certificate holds; the last one otherwise."""

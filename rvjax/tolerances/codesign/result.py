@@ -29,8 +29,8 @@ def bounds_active(found: Found) -> dict[str, str | None]:
 
 
 def value_prices(found: Found) -> dict[str, float]:
-    """d cost / d bound of each number, of the bound at which it is; 0 elsewhere."""
-    decisions, prices = found.decisions, dict.fromkeys(found.decisions.variables, 0.0)
+    """d cost / d bound of each number, of the bound at which it is; 0 elsewhere, nan without a search."""
+    decisions, prices = found.decisions, dict.fromkeys(found.decisions.variables, _unsearched(found))
     if found.end is None:
         return prices
     first = len(decisions.fields) + len(decisions.moves)
@@ -42,9 +42,14 @@ def value_prices(found: Found) -> dict[str, float]:
     return prices
 
 
+def _unsearched(found: Found) -> float:
+    """Price to begin with: nan where a certificate holds that no search led to."""
+    return math.nan if found.end is None and found.shortage is None else 0.0
+
+
 def multipliers(found: Found) -> dict[str, float]:
-    """d cost / d limit by requirement, all its limits moving outwards; <= 0."""
-    prices = dict.fromkeys(found.margins.requirements, 0.0)
+    """d cost / d limit by requirement, all its limits moving outwards; <= 0, nan without a search."""
+    prices = dict.fromkeys(found.margins.requirements, _unsearched(found))
     if found.end is None:
         return prices
     for name, price, way in zip(found.margins.names, found.end.prices, found.margins.ways):
