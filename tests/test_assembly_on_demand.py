@@ -178,7 +178,7 @@ def test_an_interrupted_search_keeps_its_best_plan(monkeypatch, name, after, lef
     assert (
         found.status == "SEARCHED"
         and found.unsearched
-        and abs(found.unsearched - left) <= (name, after).count(60)
+        and abs(found.unsearched - left) <= off
         and found.lower_bound == -math.inf
     )
     assert len(found.build) == 12 and all(len({unit[slot] for unit in found.build}) == 12 for slot in kinds)
