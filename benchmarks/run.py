@@ -1,6 +1,6 @@
 """All benchmarks with one command: each script in a process of its own, one JSON file and one table.
 
-    python -m benchmarks.run                       everything, about half an hour
+    python -m benchmarks.run                       everything but `gpu`, about half an hour
     python -m benchmarks.run --budget 300          what fits into five minutes, the quick ones first
     python -m benchmarks.run --only four_bar lost_motion --repeat 3
     python -m benchmarks.run --compare             the last two entries of the history: what got slower or faster
@@ -30,6 +30,7 @@ SMALL = {
     "choices": ["--scenes", "200"],
     "whole": ["--only", "study.load", "first"],
 }
+ON_REQUEST = ("gpu",)  # needs one
 LAST = ("allocation", "choices", "dynamics", "monte_carlo", "rare_failures", "whole")  # the slow ones
 
 
@@ -90,7 +91,7 @@ def main() -> None:
     if options.compare is not None:
         sys.exit(compare(options.compare, options.history))
     end = time.monotonic() + options.budget if options.budget else None
-    for name in options.only or scripts():
+    for name in options.only or [name for name in scripts() if name not in ON_REQUEST]:
         runs: list[dict] = []
         for number in range(options.repeat):
             left = None if end is None else end - time.monotonic()

@@ -14,6 +14,8 @@ import rvjax
 from oracles import cam_roller
 from oracles.cam_roller import corr, geometry, half_widths
 from rvjax import CamRollerErrors, Status, mesh_force
+from rvjax.mesh_force import equilibrium
+from rvjax.mesh_force.equilibrium import solve_block
 from rvjax.published.corr import CALIBRATED_TORQUE as TORQUE, PUBLISHED_STUDIES
 
 CORR = rvjax.catalogue.CORR
@@ -133,3 +135,24 @@ def test_random_errors_are_one_batch():
     batch = cam_roller.solve(25, corr(3, errors_roller_radius=radii), "linear").cam.max(axis=1)
     alone = [cam_roller.solve(25, corr(1, errors_roller_radius=row), "linear").cam.max() for row in radii]
     np.testing.assert_allclose(batch, alone, rtol=1e-12)
+
+
+def test_a_batch_of_several_blocks_is_that_of_one(monkeypatch):
+    """A processor solves 600 cases in blocks, a GPU all at once: the same forces, of all cases in their order."""
+    radii = np.random.default_rng(2).normal(size=(601, 6)) * 1e-6
+    design = CORR.replace(gear_teeth=5)
+
+    def forces(row):
+        return mesh_force.solve(
+            design, CamRollerErrors(roller_radius=row), input_torque=50.0, output_angle=0.1, contact="linear"
+        ).cam
+
+    several = np.asarray(jax.vmap(forces)(radii[:600]))
+    sizes = []
+    monkeypatch.setattr(equilibrium, "solve_block", lambda *given: sizes.append(given[-1]) or solve_block(*given))
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    whole = np.asarray(jax.vmap(forces)(radii))  # another size, so that it is traced again
+    assert sizes == [601]
+    np.testing.assert_allclose(several, whole[:600], rtol=1e-12, atol=1e-9)
+    for k in (0, 511, 512, 599):
+        np.testing.assert_allclose(several[k], forces(radii[k]), rtol=1e-12, atol=1e-9)
