@@ -126,11 +126,17 @@ def _of_units(of_block: Callable[[jax.Array], jax.Array]) -> Callable[[jax.Array
 
 
 def _first(square: jax.Array) -> jax.Array:
-    """Index of the largest value along axis 1, the first of equal values."""
-    last = square.shape[1] - 1
-    number = jnp.arange(last + 1, dtype=square.dtype)[:, None, None]
-    highest = folded(square, 1, by=jnp.maximum)[:, None]
-    return folded(jnp.where(square == highest, number, last), 1, by=jnp.minimum)
+    """Index of the largest value along axis 1, the first of equal values.
+
+    Values travel with their places: XLA may compute a value again for another reader, with another rounding.
+    """
+    place = jnp.broadcast_to(jnp.arange(square.shape[1], dtype=square.dtype)[:, None, None], square.shape)
+    while (count := square.shape[1]) > 1:
+        half = (count + 1) // 2  # of an odd number, both halves hold the middle
+        ends = [jax.lax.slice_in_dim(x, i, i + half, axis=1) for x in (square, place) for i in (0, count - half)]
+        second = (ends[0] < ends[1]) | ((ends[0] == ends[1]) & (ends[3] < ends[2]))
+        square, place = jnp.where(second, ends[1], ends[0]), jnp.where(second, ends[3], ends[2])
+    return jax.lax.squeeze(place, (1,))
 
 
 _highest = _of_units(lambda square: folded(square, 1, by=jnp.maximum))
