@@ -1,5 +1,7 @@
 """Costly units with design variables: solved at one vector of decisions, followed along their gradients from there."""
 
+from types import SimpleNamespace
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -8,8 +10,10 @@ from scipy import integrate, stats
 from rvjax.population import Population
 from rvjax.tolerances import Nominal, ReciprocalPower, Requirement, Tolerance, Variable, allocate
 from rvjax.tolerances.allocation.certificate import Certifier
+from rvjax.tolerances.codesign import steps
 from rvjax.tolerances.codesign.anchor import Anchor
 from rvjax.tolerances.codesign.decisions import Decisions
+from rvjax.tolerances.codesign.local import Local
 from rvjax.tolerances.codesign.margins import Margins
 
 PARTS = {"a": Tolerance.symmetric(0.1), "b": Tolerance.symmetric(0.1), "c": Tolerance.symmetric(0.02)}
@@ -126,6 +130,27 @@ def test_an_infeasible_problem_of_costly_units_has_its_least_shortage():
     )
     assert found.status == "INFEASIBLE" and found.values["arm"] == pytest.approx(1.0, abs=0.05)
     assert found.shortfall["y"] == pytest.approx(0.05 * np.sqrt(2) - 0.05, rel=0.05)
+
+
+@pytest.mark.parametrize("start", [0.15, 0.2, 0.85])
+def test_a_step_that_turns_out_dearer_is_not_taken(start):
+    """Cost (x - 0.5)^2, followed along its tangent: a step to the end of the box would pass the optimum each time."""
+
+    class Tangent:
+        decisions, anchor = SimpleNamespace(reach=np.ones(1)), None
+
+        def follow(self, x):
+            self.anchor = SimpleNamespace(x=x)
+
+        def look(self, x):
+            at, nothing = self.anchor.x, np.zeros(1)
+            slope = 2 * (at - 0.5)
+            cost = 1.0 + float((at - 0.5) @ (at - 0.5) + slope @ (x - at))
+            return Local(x, cost, slope, nothing, 0.0, nothing, np.zeros(0), np.zeros((0, 1)))
+
+    line = Tangent()
+    end = steps.followed(line, line.look, np.zeros(1), np.ones(1), np.array([start]), 30)
+    assert abs(end.point.x[0] - 0.5) < 0.16
 
 
 @pytest.mark.parametrize("seed", [5, 7])
