@@ -51,7 +51,7 @@ def data(branches):
 def test_a_loop_is_as_wide_as_its_drag(data):
     """The width is drag times compliance, from the branches; the midline has the clearance."""
     known = dict(bearing_clearance=CLEARANCE, stiffness=STIFFNESS, offset=0.0, drag=DRAG)
-    seen = midline(("offset", "drag"))(known)
+    seen = jax.jit(midline(("offset", "drag")).__call__)(known)
     np.testing.assert_allclose(seen["angle"], data["angle"], atol=1e-12)
     np.testing.assert_allclose(seen["width"], data["width"], atol=1e-12)
 
@@ -78,7 +78,8 @@ def test_a_measured_loop_is_that_of_its_unit(data):
     loop = Loop("loop.csv", Conditions(), TORQUE, **seen, clipped=False)
     made = problem.problem(asked, Measured("loop", (loop,)))
     (measured,) = made.data
-    predicted = made.model(dict(bearing_clearance=CLEARANCE, stiffness=STIFFNESS, offset=0.0, drag=DRAG))
+    known = dict(bearing_clearance=CLEARANCE, stiffness=STIFFNESS, offset=0.0, drag=DRAG)
+    predicted = jax.jit(made.model.__call__)(known)
     for name in ("angle", "width"):
         np.testing.assert_allclose(predicted[name], measured[name], atol=1e-12)
 
@@ -99,13 +100,14 @@ def test_a_curve_runs_under_load_and_drag():
     ways = [(t, way, n) for t in (0.0, 500.0) for way in ("forward", "backward") for n in (100.0, 1000.0)]
     runs = [Conditions(torque=t, direction=way, speed=n * rpm) for t, way, n in ways]
     made = bench.curve_model("loaded", READ, GIVEN, runs, (40,), ("offset", "drag", "viscous_drag"), ())
-    seen = made({"offset": 0.0, "drag": 15.0, "viscous_drag": 0.1})["mean"]
+    seen = jax.jit(made.__call__)({"offset": 0.0, "drag": 15.0, "viscous_drag": 0.1})["mean"]
     sign = np.array([run.sign for run in runs])
     load = sign * [t + 15.0 + 0.1 * n * rpm for t, _, n in ways]
     some = np.array([0, 3, 4, 5, 6, 7])  # with those at standstill as many as above: one program
     due = [Conditions(torque=abs(t), direction="forward" if t > 0 else "backward") for t in load[some]]
     still = [Conditions(torque=0.0, direction=way) for way in ("forward", "backward")]
-    plain = bench.curve_model("loaded", READ, GIVEN, [*due, *still], (40,), ("offset",), ())({"offset": 0.0})["mean"]
+    bare = bench.curve_model("loaded", READ, GIVEN, [*due, *still], (40,), ("offset",), ())
+    plain = jax.jit(bare.__call__)({"offset": 0.0})["mean"]
     np.testing.assert_allclose(seen[some], plain[:6], rtol=1e-9)
     windup = np.asarray((seen[2:4] - seen[:2]) / 2)
     assert 0 < windup[0] < windup[1]  # no load: the faster run winds up more

@@ -39,7 +39,7 @@ def test_six_numbers_make_every_run(measured):
     """Linear in them; both directions and both torques to 1 % of the largest, for the forces are of equal throws."""
     made = model(("reading",))
     batch = jax.vmap(lambda numbers: made({"crank_eccentricity": THROW, "reading": numbers}))  # equilibria once for all
-    seen = jax.device_get(batch(np.eye(7)[:, :6]))
+    seen = jax.device_get(jax.jit(batch)(np.eye(7)[:, :6]))
     found = np.stack([seen[name] for name in NAMES], axis=1)
     without, slopes = found[6], np.moveaxis(found[:6] - found[6], 0, -1)
     due = np.stack([measured[name] for name in NAMES])
