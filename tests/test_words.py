@@ -48,6 +48,33 @@ def test_the_command_line_uses_terms_of_the_field():
         assert private_words("\n".join(line for line in lines if not line.startswith("#"))) == [], file
 
 
+LONGEST = 25  # words of a sentence
+NOT_TEXT = re.compile(r"```.*?```|<!--.*?-->|^( {4}|\t|\||#|:::).*?$", re.DOTALL | re.MULTILINE)
+TERM = re.compile(r"\$\$.*?\$\$|\$[^$]*\$|`[^`]*`", re.DOTALL)  # counts as one word, which may begin a sentence
+END = re.compile(r"(?<=[.!?:;])\s+(?=[A-Z\[*(\"])|[:;]\s+")
+
+
+def long_sentences(text):
+    """Sentences, or parts of one up to a colon or semicolon, of more than `LONGEST` words; without tables and code."""
+    text = re.sub(r"\]\([^)]*\)", "]", TERM.sub("Term", NOT_TEXT.sub("\n\n", text)))
+    parts = [part for whole in re.split(r"\n\s*\n|\n\s*(?=[-*] |\d+\. )", text) for part in END.split(whole)]
+    return [" ".join(part.split()) for part in parts if len(re.findall(r"[A-Za-z0-9][^\s]*", part)) > LONGEST]
+
+
+def test_a_long_sentence_is_found():
+    short, long = "one " * LONGEST + "`code`. Next one; ", "word " * (LONGEST + 1)
+    assert long_sentences(short.replace("one ", "", 1)) == []
+    assert long_sentences(f"{short}\n\n- item\n- {long}\n\n| {long} |") == [
+        f"{short.split('.')[0][:-6]}Term.",
+        "- " + long.strip(),
+    ]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: str(p.relative_to(ROOT)))
+def test_a_page_has_short_sentences(page):
+    assert long_sentences(page.read_text("utf-8")) == []
+
+
 PLAIN = ["rvjax", "oracles", "benchmarks", "census", "docs"]
 """Folders whose comments, docstrings and messages use the terms of the field."""
 NAMES = re.compile(r"^\s+\w+: |\b[A-Z][A-Z_]+\b|\{[^{}]*\}|^[rf]*['\"][\w.]*(?: \| \w+)*['\"]$", re.MULTILINE)
