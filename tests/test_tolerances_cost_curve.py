@@ -15,6 +15,7 @@ import pytest
 from oracles.linear_pair import COSTS, LIMIT, PAIR, WIDE, linear, radius
 from oracles.programs import programs
 from rvjax import plotting
+from rvjax.population import Population
 from rvjax.response.gradients import pulled
 from rvjax.response.response import respond
 from rvjax.tolerances import (
@@ -24,11 +25,14 @@ from rvjax.tolerances import (
     Tolerance,
     allocate,
     cost_curve,
+    cost_of_yields,
     it_width,
     rss,
     worst_case,
 )
 from rvjax.tolerances.allocation import conlin
+from rvjax.tolerances.allocation.sample_average import Training
+from rvjax.tolerances.allocation.search import Search
 from rvjax.units import mm, um
 
 
@@ -110,6 +114,33 @@ def test_each_point_starts_from_the_last(of_bent):
     for before, after in zip(of_bent.allocations, of_bent.allocations[1:]):
         assert after.history[0]["half_widths"] == pytest.approx(before.half_widths)
     assert max(of_bent.evaluations[1:]) <= of_bent.evaluations[0]
+
+
+def test_costs_of_yields_are_those_of_the_closed_form_in_any_order():
+    """Costs of targets on either side of the required one, from the closed form of a share on a sample of 65536."""
+    at = closed_cost(0.99) / closed_cost(0.9973)
+    found = {name: Tolerance.symmetric(float(item.upper) / at) for name, item in PAIR.items()}
+    options = dict(costs=COSTS, samples=65536, seed=0, units=200_000)
+    need = {"": Requirement(lower=-LIMIT, upper=LIMIT, target=0.99)}
+    for targets in ([0.9, 0.999, 0.99, 0.95], [0.99, 0.95, 0.9, 0.999]):
+        points = cost_of_yields(linear, found, need, targets=targets, **options)
+        assert sorted(targets) == pytest.approx(sorted(share for share, _ in points), abs=2e-3)
+        for (_, cost), target in zip(sorted(points), sorted(targets)):
+            assert cost == pytest.approx(closed_cost(target), rel=0.02)
+
+
+def test_a_search_ends_where_its_model_promises_no_cheaper_optimum():
+    fields = tuple(PAIR)
+    need = {"": Requirement(lower=-LIMIT, upper=LIMIT)}
+    training = Training(linear, Population.of(PAIR), fields, need, None, 4096, 0)
+    start = np.array([2 * um, 2 * um])
+    optimum = Search(training, COSTS, 50)
+    cost = optimum.cost(optimum.run(optimum.look(start))[0].half_widths)
+    for part, ends in ((0.9, True), (1.1, False)):
+        search = Search(training, COSTS, 50)
+        found, settled = search.run(search.look(start), part * cost)
+        assert (len(search.history) == 1) is ends and settled is not ends
+        assert ends or search.cost(found.half_widths) == pytest.approx(cost, rel=1e-6)
 
 
 def test_a_cost_curve_compiles_no_further_program(of_bent):

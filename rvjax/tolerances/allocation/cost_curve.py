@@ -159,7 +159,8 @@ def cost_of_yields(
         tolerances: record or dict with a `Tolerance` or None in each field; where the first search starts.
         requirements: by name of the response.
         costs: by field.
-        targets: of all shares of units, ascending.
+        targets: of all shares of units, in any order. Searches go away from the targets of the requirements, each from
+            the last result: units move least, and so fewest are solved again.
         samples: units to learn from.
         seed: of these units; the fresh ones have the one after it.
         units: fresh ones behind each yield.
@@ -168,27 +169,30 @@ def cost_of_yields(
     """
     population, points = Population.of(tolerances), []
     priced = {name: costs[name] for name in population.active if name in costs}
-    t = np.array([float(population.active[name].half_width) for name in priced])
-    for target in targets:
-        required = _moved(requirements, "target", None, target)
-        if solved is not None:
-            training = solved.training.aimed(required)
-        else:
-            training = Training(response, population, tuple(priced), required, None, samples, seed, memo)
-        search = Search(training, priced, _STEPS)
-        if solved is not None:
-            search.settled, search.gain = _DRAWN_TO, _DRAWN_TO
-        point, _ = search.run(search.begin(t))
-        if not (point.margins <= NOISE * training.distance).all():
-            continue
-        t = point.half_widths
-        made = training.with_half_widths(t)
-        if solved is not None:
-            fresh = solved.certifier.draw(made, wrong=_WRONG)
-        else:
-            drawn = units, seed + 1, block(samples, units)
-            fresh = Run(response, made, training.names, required, *drawn, memo=memo).statistics()
-        points.append((least_yield(fresh), search.cost(t)))
+    start = np.array([float(population.active[name].half_width) for name in priced])
+    goal = min(item.target for item in requirements.values() if item.goal == "target")
+    for side in (sorted((x for x in targets if x < goal), reverse=True), sorted(x for x in targets if x >= goal)):
+        t = start
+        for target in side:
+            required = _moved(requirements, "target", None, target)
+            if solved is not None:
+                training = solved.training.aimed(required)
+            else:
+                training = Training(response, population, tuple(priced), required, None, samples, seed, memo)
+            search = Search(training, priced, _STEPS)
+            if solved is not None:
+                search.settled, search.gain = _DRAWN_TO, _DRAWN_TO
+            point, _ = search.run(search.begin(t))
+            if not (point.margins <= NOISE * training.distance).all():
+                continue
+            t = point.half_widths
+            made = training.with_half_widths(t)
+            if solved is not None:
+                fresh = solved.certifier.draw(made, wrong=_WRONG)
+            else:
+                drawn = units, seed + 1, block(samples, units)
+                fresh = Run(response, made, training.names, required, *drawn, memo=memo).statistics()
+            points.append((least_yield(fresh), search.cost(t)))
     return points
 
 

@@ -13,7 +13,7 @@ from rvjax.tolerances.allocation.certificate import Certifier
 from rvjax.tolerances.allocation.conlin import cheapest, predicted
 from rvjax.tolerances.allocation.cost import Cost
 from rvjax.tolerances.allocation.sample_average import Point
-from rvjax.tolerances.allocation.search import BEYOND, Search
+from rvjax.tolerances.allocation.search import BEYOND, RADIUS, Search
 from rvjax.tolerances.batch.monte_carlo import Statistics
 from rvjax.tolerances.requirements.factors import CUSHION
 
@@ -21,6 +21,7 @@ _DRAWS = 2  # certificates of one set of grades, whose free fields shrink betwee
 _EXCHANGES = 6  # certificates of exchanged grades, at most
 _TRIED = 12  # sets of exchanged grades evaluated on the learning sample, at most, after each accepted set
 _MOVES = 5000  # sets of three or four exchanged grades evaluated on the model, at most
+_LEAST_SURPLUS = 0.5  # of the cost of a certificate, which differs between sets of grades
 _NEAR = 0.01  # beyond a limit, in parts of the way there, within which the model or the sample may err
 
 Places = dict[int, int]  # of graded fields on their ladders
@@ -36,6 +37,8 @@ class Rounding:
         self.ladders = {j: _ladder(active[name].size, cost) for j, (name, cost) in enumerate(priced.items())}
         self.known: list[tuple[np.ndarray, Statistics]] = []
         """Certified half-widths, whether their certificate holds or not."""
+        self.surplus = 1.0
+        """Part of the cost by which certified half-widths exceed the optimum of the sample, at least."""
 
     def graded(self, half_widths: np.ndarray, certificate: Statistics) -> tuple[np.ndarray, dict[str, str], Statistics]:
         """The loosest grades not wider than certified half-widths, then cheaper ones while a certificate holds.
@@ -56,6 +59,8 @@ class Rounding:
                 places[j] = fitting - 1
         if not places:
             return half_widths, {}, certificate
+        learned = self.cost(self.search.model_optimum(self.search.look(half_widths), RADIUS)[0])
+        self.surplus = 1 + _LEAST_SURPLUS * max(self.cost(half_widths) / learned - 1, 0.0)
         best = self.at(places, half_widths)
         proof: Statistics | None = None  # none yet: finer than what is certified, and most often not the last word
         open_ = set(places)
@@ -63,7 +68,9 @@ class Rounding:
         trial = dict(places) if len(places) < len(self.priced) else None
         while proof is None or self.certifier.holds(proof):
             if trial is not None:
-                found, drawn = self.certified(trial, best)
+                found, drawn = best, None
+                if self.cost(self.fitted(trial, self.search.look(best))) < (1 + _NEAR) * self.dearest(best):
+                    found, drawn = self.certified(trial, best)
                 if drawn is not None and self.certifier.holds(drawn) and self.cost(found) < self.cost(best):
                     best, places, proof = found, trial, drawn
                 else:
@@ -143,7 +150,9 @@ class Rounding:
             finest = predicted(point, self.training.distance, self.training.powers, search.low[None])
             if not (finest <= 1 + beyond).all():
                 return t, None
-            point, _ = search.run(point)
+            point, _ = search.run(point, self.dearest(half_widths))
+            if self.cost(search.model_optimum(point, RADIUS)[0]) > self.dearest(half_widths):
+                return t, None
             t = point.half_widths
         drawn: Statistics | None = None
         for _ in range(_DRAWS if free else 1):
@@ -157,6 +166,10 @@ class Rounding:
             if self.certifier.holds(drawn):
                 break
         return t, drawn
+
+    def dearest(self, half_widths: np.ndarray) -> float:
+        """Cost of an optimum of the sample beyond which its certificate would cost more than these half-widths."""
+        return self.cost(half_widths) / self.surplus
 
     def foreseen(self, half_widths: np.ndarray, more: float = 0.0) -> np.ndarray:
         """Way of each constraint (c,) to its limit, 1 where a certificate would just hold.

@@ -162,11 +162,16 @@ class Search:
         best = self.look(min([t for t in ends if self.rays.met(t)] or ends, key=self.cost))
         return best, len(self.history) < self.max_steps and self.residual(best) <= _STATIONARY_APART * self.doubt
 
-    def run(self, best: Point) -> tuple[Point, bool]:
-        """Cheapest point from a given one, and True if the steps settled there."""
+    def run(self, best: Point, dearest: float = math.inf) -> tuple[Point, bool]:
+        """Cheapest point from a given one, and True if the steps settled there.
+
+        Ends early where the model promises no cost up to `dearest`.
+        """
         distance, radius = self.training.distance, RADIUS
         while len(self.history) < self.max_steps:
             wanted, prices = self.model_optimum(best, radius)
+            if radius >= RADIUS and self.cost(wanted) > dearest:
+                return best, False
             step = float(np.abs(np.log(wanted / best.half_widths)).max())
             excess = self.excess(best.margins)
             met = excess <= self.settled
