@@ -18,7 +18,6 @@ from rvjax.tolerances.allocation.sample_average import Training
 from rvjax.tolerances.allocation.search import NOISE, Search
 from rvjax.tolerances.batch.memo import Memo
 from rvjax.tolerances.batch.monte_carlo import Run, Statistics
-from rvjax.tolerances.requirements.kinds import Requirement
 from rvjax.tolerances.requirements.limits import Limits
 
 _DRAWN_TO = 0.01  # part of a cost, or of the way to a limit, to which a point of costly units is searched
@@ -171,7 +170,7 @@ def cost_of_yields(
     population, points = Population.of(tolerances), []
     priced = {name: costs[name] for name in population.active if name in costs}
     start = np.array([float(population.active[name].half_width) for name in priced])
-    goal = min(item.target for item in requirements.values() if isinstance(item, Requirement))
+    goal = min(float(getattr(item, item.goal)) for item in requirements.values() if item.goal == "target")
     for side in (sorted((x for x in targets if x < goal), reverse=True), sorted(x for x in targets if x >= goal)):
         t = start
         for target in side:

@@ -60,7 +60,7 @@ class Rounding:
         if not places:
             return half_widths, {}, certificate
         learned = self.cost(self.search.model_optimum(self.search.look(half_widths), RADIUS)[0])
-        self.surplus = 1 + _LEAST_SURPLUS * max(self.cost(half_widths) / learned - 1, 0.0)
+        self.surplus = 1 + _LEAST_SURPLUS * max(self.cost(half_widths) / learned - 1, 0.0) if learned > 0 else 1.0
         best = self.at(places, half_widths)
         proof: Statistics | None = None  # none yet: finer than what is certified, and most often not the last word
         open_ = set(places)
@@ -68,9 +68,7 @@ class Rounding:
         trial = dict(places) if len(places) < len(self.priced) else None
         while proof is None or self.certifier.holds(proof):
             if trial is not None:
-                found, drawn = best, None
-                if self.cost(self.fitted(trial, self.search.look(best))) < (1 + _NEAR) * self.dearest(best):
-                    found, drawn = self.certified(trial, best)
+                found, drawn = self.certified(trial, best) if self.promising(trial, best) else (best, None)
                 if drawn is not None and self.certifier.holds(drawn) and self.cost(found) < self.cost(best):
                     best, places, proof = found, trial, drawn
                 else:
@@ -167,9 +165,15 @@ class Rounding:
                 break
         return t, drawn
 
+    def promising(self, places: Places, best: np.ndarray) -> bool:
+        """False if free fields fitted to these grades cost too much, by the model around `best`."""
+        if len(places) == len(self.priced):
+            return True
+        return self.cost(self.fitted(places, self.search.look(best))) < (1 + _NEAR) * self.dearest(best)
+
     def dearest(self, half_widths: np.ndarray) -> float:
         """Cost of an optimum of the sample beyond which its certificate would cost more than these half-widths."""
-        return self.cost(half_widths) / self.surplus
+        return self.cost(half_widths) / self.surplus if self.search.rays is None else math.inf
 
     def foreseen(self, half_widths: np.ndarray, more: float = 0.0) -> np.ndarray:
         """Way of each constraint (c,) to its limit, 1 where a certificate would just hold.
