@@ -1,6 +1,8 @@
 """The command line as a whole: bad input, help, version, answers for machines."""
 
+import importlib
 import json
+import os
 import subprocess
 import sys
 
@@ -69,3 +71,12 @@ def test_help_names_every_command(capsys):
     text = capsys.readouterr().out
     for words in ("allocate", "report", "compare", "montecarlo", "reproduce", "tradeoff", "exit codes", "examples"):
         assert words in text
+
+
+@pytest.mark.parametrize(("given", "due"), [(None, "cpu"), ("cuda", "cuda")])
+def test_commands_use_the_processor_unless_a_platform_is_named(monkeypatch, given, due):
+    monkeypatch.setenv("JAX_PLATFORMS", given or "")
+    if given is None:
+        monkeypatch.delenv("JAX_PLATFORMS")
+    importlib.import_module("rvjax.cli.main")._prepare()
+    assert os.environ["JAX_PLATFORMS"] == due

@@ -12,6 +12,7 @@ from jax.flatten_util import ravel_pytree
 from oracles.dynamics import Oracle
 from rvjax import Damping, MeshVariation, RVErrors, Status, dynamics
 from rvjax.catalogue import RV_320E
+from rvjax.dynamics import error_response
 
 OUTPUTS = ("output.rotation", "sun.rotation", "transmission_error")
 SPEED, MICRON = 200.0, 1e-6
@@ -75,6 +76,13 @@ def test_peaks_of_a_batch_are_those_of_its_lines():
     np.testing.assert_allclose(slope, found.peak, rtol=1e-13)  # lines are linear in the errors
     nothing = swept(*(0 * drawn))
     assert (nothing.peak == 0).all() and (nothing.peak_speed == speeds[0]).all()
+
+
+@pytest.mark.parametrize("speeds", [1, 2, 3, 5, 7, 41])
+def test_the_place_of_a_peak_is_the_first_of_the_largest_values(speeds):
+    """Small whole numbers are often equal; each place is the largest for some unit."""
+    squares = np.random.default_rng(6).integers(0, 4, size=(2, speeds, 1, 500)).astype(float)
+    np.testing.assert_array_equal(error_response._first(squares), squares.argmax(1))
 
 
 def test_static_limit_is_the_closed_form():

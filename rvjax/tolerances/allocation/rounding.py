@@ -21,7 +21,7 @@ _DRAWS = 2  # certificates of one set of grades, whose free fields shrink betwee
 _EXCHANGES = 6  # certificates of exchanged grades, at most
 _TRIED = 12  # sets of exchanged grades evaluated on the learning sample, at most, after each accepted set
 _MOVES = 5000  # sets of three or four exchanged grades evaluated on the model, at most
-_LEAST_SURPLUS = 0.5  # of the cost of a certificate, which differs between sets of grades
+_LEAST_SURPLUS = 0.5  # of what the first certificate added to the cost: other sets of grades may need less
 _NEAR = 0.01  # beyond a limit, in parts of the way there, within which the model or the sample may err
 
 Places = dict[int, int]  # of graded fields on their ladders
@@ -38,7 +38,7 @@ class Rounding:
         self.known: list[tuple[np.ndarray, Statistics]] = []
         """Certified half-widths, whether their certificate holds or not."""
         self.surplus = 1.0
-        """Part of the cost by which certified half-widths exceed the optimum of the sample, at least."""
+        """Cost of certified half-widths over that of the optimum of the sample, at least."""
 
     def graded(self, half_widths: np.ndarray, certificate: Statistics) -> tuple[np.ndarray, dict[str, str], Statistics]:
         """The loosest grades not wider than certified half-widths, then cheaper ones while a certificate holds.
@@ -68,7 +68,7 @@ class Rounding:
         trial = dict(places) if len(places) < len(self.priced) else None
         while proof is None or self.certifier.holds(proof):
             if trial is not None:
-                found, drawn = self.certified(trial, best) if self.promising(trial, best) else (best, None)
+                found, drawn = self.certified(trial, best) if self.may_be_cheaper(trial, best) else (best, None)
                 if drawn is not None and self.certifier.holds(drawn) and self.cost(found) < self.cost(best):
                     best, places, proof = found, trial, drawn
                 else:
@@ -165,7 +165,7 @@ class Rounding:
                 break
         return t, drawn
 
-    def promising(self, places: Places, best: np.ndarray) -> bool:
+    def may_be_cheaper(self, places: Places, best: np.ndarray) -> bool:
         """False if free fields fitted to these grades cost too much, by the model around `best`."""
         if len(places) == len(self.priced):
             return True
