@@ -1,4 +1,4 @@
-"""Does `rvjax.elementary` still pay on the installed JAX? Each function next to that of JAX, float64, one element each.
+"""Measure whether `rvjax._jax.elementary` still pays on the installed JAX: each function next to that of JAX.
 
 Each is used as in the models: its result feeds arithmetic that uses it twice. Run on one core (`taskset -c 0`).
 """
@@ -11,7 +11,7 @@ settings()
 
 import jax.numpy as jnp  # noqa: E402
 
-from rvjax import elementary  # noqa: E402
+from rvjax._jax import elementary  # noqa: E402
 
 NUMBERS = 65_536
 

@@ -17,7 +17,7 @@ import jax  # noqa: E402
 import jax.numpy as jnp  # noqa: E402
 
 from rvjax import LinkDeviations, four_bar  # noqa: E402
-from rvjax.elementary import _ARCTAN, _COSINE, _SINE  # noqa: E402
+from rvjax._jax.elementary import _ARCTAN, _COSINE, _SINE  # noqa: E402
 
 CASES = 65_536
 E, L = 1.3e-3, 72e-3

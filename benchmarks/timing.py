@@ -26,7 +26,7 @@ def settings() -> None:
         flags.append("--xla_cpu_prefer_vector_width=512")
     os.environ["XLA_FLAGS"] = " ".join([os.environ.get("XLA_FLAGS", ""), *flags]).strip()
     import rvjax
-    from rvjax import malloc
+    from rvjax._ground import malloc
 
     rvjax.enable_x64()
     malloc.keep()

@@ -8,7 +8,7 @@ part tolerances into the distribution of a response and a required yield into th
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from rvjax import sections as _sections
+from rvjax._ground import sections as _sections
 
 if TYPE_CHECKING:
     from rvjax import catalogue, plotting, units
@@ -59,6 +59,7 @@ _MODULES = (
 _LAZY = {name: home for home, names in _HOMES.items() for name in names.split()} | dict.fromkeys(_MODULES.split())
 
 _GROUND = ("designs", "errors", "records", "status")  # submodules whose names are all above
+_DEPRECATED = ("compile_cache",)
 
 __all__ = ["enable_x64", *sorted(_LAZY)]
 
@@ -71,7 +72,7 @@ def enable_x64() -> None:
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _LAZY and name not in _GROUND:
+    if name not in (*_LAZY, *_GROUND, *_DEPRECATED):
         raise AttributeError(f"module 'rvjax' has no attribute {name!r}")
     home = _LAZY.get(name)
     if home is None:

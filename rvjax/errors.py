@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Self, TypeVar
 import jax
 import jax.numpy as jnp
 
-from rvjax.deviations import STAGES, Bound, Errors, described, deviation, part, placed_by, read_by
+from rvjax._reducer.deviations import STAGES, Bound, Errors, described, deviation, part, placed_by, read_by
 from rvjax.records import Design, Scalar, record
 
 __all__ = ["STAGES", "Bound", "CamRollerErrors", "Errors", "RVErrors", "described", "deviation", "part"]

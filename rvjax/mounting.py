@@ -16,8 +16,8 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax.axes import axis_sizes
-from rvjax.choices import unknown
+from rvjax._ground.axes import axis_sizes
+from rvjax._ground.choices import unknown
 from rvjax.designs import RVReducer
 from rvjax.errors import RVErrors, described
 from rvjax.records import Array, Scalar

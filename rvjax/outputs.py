@@ -18,8 +18,14 @@ Source = Callable[[Any, Any, Any], Any]  # (design, errors, conditions) -> a res
 
 
 def torque_condition(conditions: PyTree) -> str:
-    """Name of the condition that is the torque."""
-    return next(f.name for f in dataclasses.fields(conditions) if f.metadata["torque"])
+    """Name of the condition that is the torque; "" for conditions without a torque."""
+    return next((f.name for f in dataclasses.fields(conditions) if f.metadata["torque"]), "")
+
+
+def torque_of(conditions: PyTree) -> Any:
+    """Torque of the conditions, N m; 0 for conditions without a torque, None if it is not given."""
+    name = torque_condition(conditions)
+    return getattr(conditions, name) if name else 0.0
 
 
 def condition(
@@ -184,7 +190,7 @@ class Observation:
             "reading", (torques, orders, 6, 2) rad; None without such a nuisance.
         parts: of a curve, (design, conditions, orders, alike) -> into how many parts its angles divide, each of which
             `predict` evaluates with part = (its number, their count); their mean is the curve. None: it does not.
-        compiler_options: of programs that compute it, such as `rvjax.compile_cache.QUICK`.
+        compiler_options: of programs that compute it, such as `rvjax._jax.compile_cache.QUICK`.
     """
 
     kind: str
@@ -276,7 +282,7 @@ class Description:
         cases: quick -> cases by which levels are measured, fewer in a quick run; None where none are.
         unknown: what the model leaves out, one line for a person who reads its results.
         observations: what a bench can measure of it.
-        compiler_options: of programs that compute an output of it, such as `rvjax.compile_cache.QUICK`.
+        compiler_options: of programs that compute an output of it, such as `rvjax._jax.compile_cache.QUICK`.
         costly: whether a unit takes so long that an allocation solves only the units that decide.
         parts: optional parts of a design that no other model reads.
         joints: results, its own and those of models above it, that are cheaper computed together.

@@ -15,13 +15,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax import frames
-from rvjax.axes import Shape as Shape, fit, shape_text
-from rvjax.choices import unknown
-from rvjax.repr import brief
+from rvjax._ground import frames
+from rvjax._ground.axes import Shape as Shape, fit, shape_text
+from rvjax._ground.choices import unknown
+from rvjax._ground.repr import brief
 
 if TYPE_CHECKING:
-    from rvjax.frames import DataFrame, Dataset
+    from rvjax._ground.frames import DataFrame, Dataset
 
 Array = jax.Array
 # One number; under `jax.vmap` and in a stack of records one for each case. An ndarray of any type doubled mypy's time.

@@ -22,14 +22,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import DTypeLike
 
-from rvjax.arguments import checked
+from rvjax._jax.arguments import checked
+from rvjax._jax.marked import SOLVED
 from rvjax.records import Array, PyTree, Record, Scalar, field, promote, record
 from rvjax.status import SolveInfo, Status, succeeded
 
 __all__ = ["Root", "bracketed"]
-
-SOLVED = "solved"
-"""Name of what `solved` marks, for a policy of `jax.checkpoint`."""
 
 Residual = Callable[[Array, PyTree], jax.Array]
 R = TypeVar("R")

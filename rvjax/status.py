@@ -9,8 +9,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax._ground.repr import numbers_of, value_text
 from rvjax.records import Array, PyTree, Record, field, record
-from rvjax.repr import numbers_of, value_text
 
 Result = TypeVar("Result")
 

@@ -7,7 +7,7 @@ N m, kg, s, Pa); text with units ("3.5 mm") is for study files and reports only.
 import math
 import re
 
-from rvjax.choices import unknown
+from rvjax._ground.choices import unknown
 
 mm = 1e-3
 um = 1e-6

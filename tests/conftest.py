@@ -31,7 +31,8 @@ from cli_study import SMALL, answered_once
 from hypothesis import settings
 
 import rvjax
-from rvjax import cli, compile_cache, models
+from rvjax import cli, models
+from rvjax._jax import compile_cache
 from rvjax.render import Figure
 
 gc.set_threshold(200_000, 20, 100)  # tracing makes millions of objects; looking through them all cost a tenth

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rvjax.batching import TracedLate
+from rvjax._jax.batching import TracedLate
 
 
 def late():

@@ -10,9 +10,11 @@ from types import SimpleNamespace
 
 import pytest
 
-from rvjax import catalogue, cli, designs, plausible, study
-from rvjax.commands import module, speak
-from rvjax.commands.allocate import answer
+from rvjax import catalogue, cli, designs, study
+from rvjax._reducer import plausible
+from rvjax.commands import module
+from rvjax.commands.allocate import answer, expected
+from rvjax.commands.forecast import forewarn
 from rvjax.commands.init.compute import UNASKED, written as template
 from rvjax.study.design import BASES
 from rvjax.study.plausible import doubts
@@ -135,7 +137,8 @@ def test_a_doubt_and_the_levels_are_said_before_the_run(tmp_path, monkeypatch, c
         GOOD.replace('half_width = "5 um"', 'half_width = "2 mm"') + '\n[accuracy]\ntransmission_error = "2 arcsec"\n'
     )
     (tmp_path / "mine.toml").write_text(text)
-    speak.forewarn(study.load("mine.toml", solve=False))
+    asked = study.load("mine.toml", solve=False)
+    forewarn(asked, expected(asked))
     said = capsys.readouterr().err
     warning = next(line for line in said.splitlines() if "warning" in line)
     assert "tolerances.pin_circle_radius" in warning and "2 mm" in warning

@@ -14,7 +14,15 @@ import rvjax
 import rvjax.commands.allocate.answer
 from rvjax import cli
 from rvjax.commands.allocate import kept as again, report_on
-from rvjax.commands.allocate.answer import CERTIFICATES, CERTIFYING, PASSES, PRICING, SAMPLING, SEARCHING, solved_units
+from rvjax.commands.allocate.forecast import (
+    CERTIFICATES,
+    CERTIFYING,
+    PASSES,
+    PRICING,
+    SAMPLING,
+    SEARCHING,
+    solved_units,
+)
 from rvjax.render import Report, results_folder, write_files
 
 pytestmark = pytest.mark.usefixtures("answers")

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import pytest
 
-from rvjax import compile_cache
+from rvjax._jax import compile_cache
 
 
 @pytest.fixture
@@ -97,3 +97,10 @@ def test_a_quick_function_is_compiled_with_the_quick_options():
     assert square(3.0) == 9.0 and compile_cache.understood.cache_info().misses == 1
     compile_cache.understood(compile_cache.QUICK)
     assert compile_cache.understood.cache_info().misses == 1
+
+
+def test_the_former_name_of_the_module_warns():
+    sys.modules.pop("rvjax.compile_cache", None)
+    with pytest.warns(DeprecationWarning, match="jax.jit"):
+        from rvjax.compile_cache import QUICK
+    assert QUICK is compile_cache.QUICK

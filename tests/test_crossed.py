@@ -6,7 +6,8 @@ import jax
 import numpy as np
 import pytest
 
-from rvjax import cli, progress, tolerances
+from rvjax import cli, tolerances
+from rvjax._ground import progress
 from rvjax.commands.compare import cost_of, put_into
 from rvjax.commands.compare.report import differences
 from rvjax.study import load, parse_study

@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 
 from rvjax import cli
+from rvjax._ground.files import digest, pack, unpack
 from rvjax.commands.montecarlo import batch
-from rvjax.files import digest, pack, unpack
 from rvjax.render import Note, Report, new_folder, results_folder, write_files
 from rvjax.tolerances import Requirement, Tolerance, load, monte_carlo, origin
 from tests.test_cli_montecarlo import SMALL
@@ -123,7 +123,7 @@ def test_two_processes_that_write_one_file_do_not_mix(tmp_path):
     """Each writes its own letter, longer every time; whoever reads meanwhile finds the whole of one of them."""
     path = tmp_path / "a"
     script = (
-        "import sys; from pathlib import Path; from rvjax.files import write_atomically\n"
+        "import sys; from pathlib import Path; from rvjax._ground.files import write_atomically\n"
         "for k in range(1, 200): write_atomically(Path(sys.argv[1]), sys.argv[2].encode() * 1000 * k)"
     )
     writers = [subprocess.Popen([sys.executable, "-c", script, str(path), letter]) for letter in "ab"]

@@ -6,7 +6,7 @@ import mpmath
 import numpy as np
 import pytest
 
-from rvjax import elementary
+from rvjax._jax import elementary
 
 ULP = 2.0**-52
 

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rvjax import compile_cache, exported
+from rvjax._jax import compile_cache, exported
 from rvjax.records import Record, field, record, text
 from rvjax.response import per_response
 from rvjax.response.response import Compiled

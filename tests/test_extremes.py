@@ -16,7 +16,7 @@ from hypothesis import given, strategies as st
 import rvjax
 from oracles import cam_roller
 from rvjax import CamRollerErrors, LinkDeviations, RVErrors, Status, catalogue, four_bar, lost_motion
-from rvjax.elementary import LARGEST_ANGLE
+from rvjax._jax.elementary import LARGEST_ANGLE
 
 KEPT = (Status.CONVERGED, Status.UNLOADED, Status.CHANGE_POINT, Status.SINGULAR)
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from oracles.linear_pair import COSTS, PAIR, WIDE, linear
-from rvjax.files import PARTIAL, write_atomically
+from rvjax._ground.files import PARTIAL, write_atomically
 from rvjax.study import StudyError
 from rvjax.study.read import EMBEDDED, parse_study
 from rvjax.tolerances import Requirement, Tolerance, allocate, monte_carlo, save

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import rvjax
-from rvjax import cli, four_bar, frames
+from rvjax import cli, four_bar
+from rvjax._ground import frames
 from rvjax.catalogue import RV_40E
 from rvjax.tolerances import Allocation, Requirement, Tolerance, monte_carlo, sobol_indices
 

@@ -12,13 +12,13 @@ import pytest
 from scipy import optimize
 
 from rvjax import RVErrors, geometry, lost_motion
+from rvjax._reducer.plausible import ImplausibleDesign
 from rvjax.catalogue import CORR, RV_40E, RV_320E
 from rvjax.designs import Contact, CrankStage, CycloidStage, InvoluteStage
 from rvjax.geometry import contact_ratio, least_convex_radius
 from rvjax.loaded.cases import MACHINE
 from rvjax.loaded.gaps import flank_rounding, gaps
 from rvjax.loaded.geometry import Turn, geometry as geometry_at
-from rvjax.plausible import ImplausibleDesign
 from rvjax.status import Status
 from rvjax.units import MPa, mm
 

@@ -23,31 +23,96 @@ FLOORS = tuple(tuple(re.split(r" {2,}", line)[0].split()) for line in DIAGRAM.sp
 FLOOR = {name: number for number, names in enumerate(FLOORS) for name in names}
 
 
+PRIVATE = ("_ground", "_jax", "_reducer")  # folders of single modules, without names in their `__init__`
+
+
 def rooms():
-    return sorted(path for path in PACKAGE.rglob("*.py") if path.parent != PACKAGE or path.name != "__init__.py")
+    """Every file but the top `__init__` and modules that only warn of their removal."""
+    top = {"__init__", *rvjax._DEPRECATED}
+    return sorted(path for path in PACKAGE.rglob("*.py") if path.parent != PACKAGE or path.stem not in top)
 
 
-def room_of(path):
-    return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+def name_of(path):
+    """Dotted name below rvjax: ("loaded", "newton"); a package for its `__init__`."""
+    parts = path.relative_to(PACKAGE).with_suffix("").parts
+    return parts[:-1] if parts[-1] == "__init__" else parts
 
 
-def imports(path):
-    for node in ast.walk(ast.parse(path.read_text())):
+NAMES = {name_of(path) for path in rooms()} | {()}
+
+
+def type_only(tree):
+    """Imports below `if TYPE_CHECKING:`, which no program runs."""
+    checks = (node for node in ast.walk(tree) if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING")
+    return {inner for node in checks for inner in ast.walk(node)}
+
+
+def imports(path, *, types=True):
+    """Dotted names below rvjax that a file imports."""
+    tree = ast.parse(path.read_text())
+    skipped = set() if types else type_only(tree)
+    for node in ast.walk(tree):
+        if node in skipped:
+            continue
         if isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] == "rvjax":
-            parts = node.module.split(".")
-            yield from [parts[1]] if len(parts) > 1 else [alias.name for alias in node.names]
+            module = tuple(node.module.split(".")[1:])
+            for alias in node.names:
+                deeper = (*module, alias.name)
+                yield deeper if deeper in NAMES or not module else module
         elif isinstance(node, ast.Import):
-            yield from (alias.name.split(".")[1] for alias in node.names if alias.name.startswith("rvjax."))
+            yield from (tuple(a.name.split(".")[1:]) for a in node.names if a.name.startswith("rvjax."))
+
+
+def floor_name(name):
+    """Entry of the diagram: the module of a private folder if it has a separate line, else the first part."""
+    return ".".join(name[:2]) if ".".join(name[:2]) in FLOOR else name[0]
 
 
 def test_imports_run_downwards():
     for path in rooms():
-        room = room_of(path)
-        assert room in FLOOR, f"{room} is missing in docs/architecture.md"
+        name = floor_name(name_of(path))
+        assert name in FLOOR, f"{name} is missing in docs/architecture.md"
         for other in imports(path):
-            if other == room or other not in FLOOR:
+            if other[0] not in FLOOR or (other[0] == name_of(path)[0] and other[0] not in PRIVATE):
                 continue
-            assert FLOOR[other] < FLOOR[room], f"{path.relative_to(ROOT)} imports {other}"
+            above = FLOOR[floor_name(other)] >= FLOOR[name]
+            assert not above or other[0] == name, f"{path.relative_to(ROOT)} imports {'.'.join(other)}"
+
+
+def circles(edges):
+    """Names that import each other, over any number of steps: {name: set of the names that it imports}."""
+    reached = {name: set(others) for name, others in edges.items()}
+    for middle in edges:
+        for others in reached.values():
+            if middle in others:
+                others |= reached[middle]
+    return sorted(name for name in edges if name in reached[name])
+
+
+def test_the_search_for_circles_finds_them():
+    assert circles({"a": {"b"}, "b": {"c"}, "c": {"b"}, "d": {"a"}}) == ["b", "c"]
+    assert circles({"a": {"b", "c"}, "b": {"c"}, "c": set()}) == []
+
+
+def test_no_packages_import_each_other():
+    """In every folder: its modules and subpackages, as one name each; private folders are checked by module above."""
+    found = {}
+    for folder in sorted({name[:depth] for name in NAMES for depth in range(len(name))}):
+        edges = {}
+        for path in rooms():
+            name = name_of(path)
+            if name[: len(folder)] != folder or len(name) == len(folder):
+                continue
+            own = name[len(folder)]
+            others = edges.setdefault(own, set())
+            for other in imports(path, types=False):
+                if other[: len(folder)] == folder and len(other) > len(folder) and other[len(folder)] != own:
+                    others.add(other[len(folder)])
+        edges = {name: others for name, others in edges.items() if name not in PRIVATE}
+        edges = {name: {other for other in others if other in edges} for name, others in edges.items()}
+        if circles(edges):
+            found[".".join(folder)] = circles(edges)
+    assert found == {}
 
 
 def test_packages_are_imported_through_their_init():
@@ -56,8 +121,8 @@ def test_packages_are_imported_through_their_init():
     for path in rooms():
         for node in ast.walk(ast.parse(path.read_text())):
             parts = node.module.split(".") if isinstance(node, ast.ImportFrom) and node.module else []
-            below = len(parts) > 2 and parts[0] == "rvjax" and parts[1] != room_of(path)
-            if below and (PACKAGE / parts[1]).is_dir():
+            below = len(parts) > 2 and parts[0] == "rvjax" and parts[1] != name_of(path)[0]
+            if below and (PACKAGE / parts[1]).is_dir() and parts[1] not in PRIVATE:
                 deep.append(f"{path.relative_to(PACKAGE)}: {node.module}")
     assert deep == []
 
@@ -75,12 +140,12 @@ def test_the_top_level_holds_what_belongs_there():
 
 def test_statistics_know_no_gears():
     """The package itself is named for its version alone."""
-    ground = {"__version__", "axes", "batching", "columns", "compile_cache", "exported", "files", "frames", "progress"}
-    ground |= {"arguments", "records", "choices", "roots", "status", "units", "population", "response", "tolerances"}
+    ground = {"__version__", "_ground", "_jax", "records", "roots", "status", "units"}
+    ground |= {"population", "response", "tolerances"}
     for room in ("population", "response", "tolerances", "identify", "assembly", "compensation"):
         for path in (PACKAGE / room).rglob("*.py"):
             below = {"identify"} if room == "compensation" else set()  # orders of a curve
-            assert set(imports(path)) <= ground | below | {room}, path.name
+            assert {other[0] for other in imports(path)} <= ground | below | {room}, path.name
 
 
 def public_functions():
@@ -168,7 +233,7 @@ def overrides(name):
 def test_every_exported_function_of_two_parameters_tells_each():
     """The test above holds that the section names them all, in their order."""
     assert {"rvjax.four_bar.revolution.revolution", "rvjax.records.field", "rvjax.status.worst"} <= set(EXPORTED)
-    assert "rvjax.deviations.Errors.for_design" in EXPORTED  # a method of a base of records
+    assert "rvjax._reducer.deviations.Errors.for_design" in EXPORTED  # a method of a base of records
     several = [name for name in EXPORTED if len(parameters(PUBLIC[name])) > 1 and not overrides(name)]
     assert [name for name in several if "\nArgs:\n" not in inspect.cleandoc(PUBLIC[name].__doc__)] == []
 

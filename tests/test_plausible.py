@@ -7,9 +7,9 @@ import jax
 import pytest
 
 from rvjax import CamRollerErrors, RVErrors, dynamics, four_bar, loaded, lost_motion, mesh_force, study
+from rvjax._reducer.plausible import KNOWN_DESIGNS, ImplausibleDesign, doubtful
 from rvjax.catalogue import CORR, RV_20E, RV_40E, RV_80E, RV_320E
 from rvjax.loaded.cases import MACHINE
-from rvjax.plausible import KNOWN_DESIGNS, ImplausibleDesign, doubtful
 
 MODELS = {
     "four_bar.transmission_error": (

@@ -8,7 +8,8 @@ import time
 
 import pytest
 
-from rvjax import progress, tolerances
+from rvjax import tolerances
+from rvjax._ground import progress
 
 EXPECTED = {"reading": 10.0, "searching": 30.0, "writing": 10.0}
 

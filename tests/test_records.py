@@ -150,7 +150,8 @@ def test_forgotten_float64_is_said_once():
     """In a process of its own, at whatever makes the errors; float32 on purpose is silent."""
     code = """if True:
     import warnings, numpy, rvjax
-    from rvjax import RVErrors, catalogue, deviations
+    from rvjax import RVErrors, catalogue
+    from rvjax._reducer import deviations
     made = (
         lambda: RVErrors.for_design(catalogue.RV_40E, crank_phase=1e-4),
         lambda: rvjax.lost_motion.geometric(catalogue.RV_20E, RVErrors(bearing_clearance=1e-6)),

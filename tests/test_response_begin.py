@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rvjax import compile_cache
+from rvjax._jax import compile_cache
 from rvjax.records import Record, Scalar, field, record
 from rvjax.response import per_response
 

@@ -15,7 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rvjax import RVErrors, cli, four_bar, plotting, progress, study
+from rvjax import RVErrors, cli, four_bar, plotting, study
+from rvjax._ground import progress
 from rvjax.commands.budget import compute as budget, effects, error_budget, regression, report_on, scalar, section_on
 from rvjax.errors import STAGES
 from rvjax.population import Population, Tolerance, drawn, root_key

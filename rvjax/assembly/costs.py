@@ -9,8 +9,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax._jax.batching import in_blocks
 from rvjax.assembly.parts import Known
-from rvjax.batching import in_blocks
 from rvjax.records import PyTree, Scalar
 from rvjax.response import evaluate, per_response
 from rvjax.status import succeeded

@@ -7,7 +7,8 @@ from collections.abc import Hashable, Mapping
 
 import numpy as np
 
-from rvjax.arguments import checked
+from rvjax._ground.choices import choose
+from rvjax._jax.arguments import checked
 from rvjax.assembly.alternation import best_so_far
 from rvjax.assembly.choice import CLOSE, EXACT, least_largest, least_sum
 from rvjax.assembly.costs import Costs, Machine, UnitResponse, costs, good
@@ -15,7 +16,6 @@ from rvjax.assembly.on_demand import MOST_VALUED, PILOTS, OnDemand, chosen_on_de
 from rvjax.assembly.parts import Kind, Known, known
 from rvjax.assembly.random_assembly import MOST_FRESH, random_assembly
 from rvjax.assembly.supply import Build, Supply
-from rvjax.choices import choose
 from rvjax.tolerances import Estimate, Requirement
 
 OBJECTIVES = ("mean", "bottleneck", "yield")

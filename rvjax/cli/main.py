@@ -30,8 +30,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except SystemExit as stop:  # argparse wrote the error or the help
         return int(stop.code or 0)
     _prepare()
-    from rvjax.frames import MissingExtra
-    from rvjax.progress import ended_by
+    from rvjax._ground.frames import MissingExtra
+    from rvjax._ground.progress import ended_by
 
     try:
         with ended_by(signal.SIGTERM, _Terminated()):
@@ -109,7 +109,8 @@ def _prepare() -> None:
     import jax
 
     import rvjax
-    from rvjax import compile_cache, malloc
+    from rvjax._ground import malloc
+    from rvjax._jax import compile_cache
 
     rvjax.enable_x64()
     if quiet:

@@ -12,7 +12,6 @@ from rvjax.commands.speak import (
     READING as READING,
     WRITING as WRITING,
     check_files as check_files,
-    forewarn as forewarn,
     say as say,
     share_cores as share_cores,
 )

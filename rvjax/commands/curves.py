@@ -7,14 +7,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax.compile_cache import QUICK
-from rvjax.outputs import Curve
+from rvjax._jax.blocks import AT_ONCE
+from rvjax._jax.compile_cache import QUICK
+from rvjax.outputs import Curve, torque_condition
 from rvjax.population import Population
 from rvjax.records import Design, PyTree, Record, Scalar, field, record, text
 from rvjax.response import per_response
-
-AT_ONCE = 256
-"""Units of one call."""
 
 
 @record
@@ -34,11 +32,6 @@ class _Drawn(Record):
             given = dataclasses.replace(given, **{self.condition: self.torque})  # type: ignore[type-var]
         angle, values = self.evaluate(self.design, errors, given)
         return jnp.asarray(angle), values
-
-
-def torque_condition(given: object) -> str:
-    """Name of the condition that is the torque; "" without one."""
-    return next((f.name for f in dataclasses.fields(given) if f.metadata["torque"]), "")  # type: ignore[arg-type]
 
 
 def curves_of(

@@ -12,9 +12,9 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from rvjax import progress
+from rvjax._ground import progress
+from rvjax._ground.sections import Reader
 from rvjax.commands.speak import EXIT_NO_ANSWER, EXIT_OK, READING, WRITING, say
-from rvjax.sections import Reader
 
 
 def about(name: str) -> dict[str, Any]:
@@ -55,7 +55,7 @@ def run(name: str, options: argparse.Namespace) -> int:
         name: of the command.
         options: as parsed.
     """
-    from rvjax.files import write_atomically  # the help does not wait for NumPy
+    from rvjax._ground.files import write_atomically  # the help does not wait for NumPy
     from rvjax.render import plain, write_files
 
     inputs = module(name, "inputs").inputs(options)

@@ -6,12 +6,8 @@ A device of JAX for each core, where units take longer than their start.
 import argparse
 import contextlib
 import os
-import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, TextIO
-
-if TYPE_CHECKING:
-    from rvjax.study import Study
+from typing import TextIO
 
 # A loop over blocks of units has one thread, so each core becomes a device of JAX, which takes its part of every chunk;
 # more devices would leave each too few blocks.
@@ -40,7 +36,7 @@ def say(text: str, file: TextIO | None = None) -> None:
         text: one or several lines.
         file: stream; None is standard output.
     """
-    from rvjax import progress
+    from rvjax._ground import progress
 
     lines = (
         "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)
@@ -48,17 +44,6 @@ def say(text: str, file: TextIO | None = None) -> None:
     )
     with progress.aside():
         print("\n".join(lines), file=file)
-
-
-def forewarn(study: "Study") -> None:
-    """Print warnings on input values and the level of each response with an accuracy, before any work."""
-    from rvjax.commands import forecast
-
-    for line in study.doubts:
-        say(f"rvjax: warning: {line}", file=sys.stderr)
-    if study.accuracy:
-        for line in [*forecast.level_lines(study), forecast.expected(study)]:
-            say(f"rvjax: {line}", file=sys.stderr)
 
 
 def check_files(options: argparse.Namespace, **endings: str | tuple[str, ...]) -> None:

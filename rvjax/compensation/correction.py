@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rvjax.arguments import checked, numbers
+from rvjax._jax.arguments import checked, numbers
 from rvjax.records import PyTree, Scalar
 from rvjax.tolerances import Estimate
 

@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
+from rvjax._ground.files import versions, write_atomically
 from rvjax.compensation.table import Table
-from rvjax.files import versions, write_atomically
 
 COLUMNS = ("angle [rad]", "correction [rad]")
 JOINT = ("stiffness", "damping", "frictionloss")
@@ -130,7 +130,7 @@ def _write_json(table: Table, joint: Joint, seed: int | None) -> str:
         "orders": list(table.orders),
         "error_bound": table.error_bound if math.isfinite(table.error_bound) else None,
         "seed": seed,
-        "versions": versions("jax"),
+        "versions": versions(),
     }
     lines = [f' "{key}": {json.dumps(value)},' for key, value in about.items()]
     lines += [f' "angle": {numbers.format(_join(table.angle, ", "))},']

@@ -8,8 +8,8 @@ import math
 
 import numpy as np
 
-from rvjax.arguments import checked
-from rvjax.choices import choose
+from rvjax._ground.choices import choose
+from rvjax._jax.arguments import checked
 from rvjax.compensation.correction import Correction
 from rvjax.identify import Orders
 

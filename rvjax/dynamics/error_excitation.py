@@ -17,12 +17,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax.axes import fit
+from rvjax._ground.axes import fit
+from rvjax._reducer.plausible import checked
 from rvjax.designs import RVReducer, expect
 from rvjax.dynamics.assembly import Lumped, admitted, circle, loaded, lump
 from rvjax.dynamics.pin_series import in_phase, series
 from rvjax.errors import RVErrors, described, read_by
-from rvjax.plausible import checked
 from rvjax.records import Array, PyTree, Record, Scalar, field, promote, record, text
 from rvjax.status import Gate, SolveInfo, Status, at_once, window
 

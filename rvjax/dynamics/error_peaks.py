@@ -11,15 +11,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax._jax.elementary import root
+from rvjax._reducer.plausible import checked
 from rvjax.designs import RVReducer
 from rvjax.dynamics.assembly import Lumped
 from rvjax.dynamics.error_excitation import Case, Orders, case_of, error_orders, generators, read
 from rvjax.dynamics.error_response import curve_range
 from rvjax.dynamics.error_transfer import KEY, close, output_rows, output_speed, transfer
 from rvjax.dynamics.modal import modal_sectors
-from rvjax.elementary import root
 from rvjax.errors import RVErrors
-from rvjax.plausible import checked
 from rvjax.records import Array, Record, Scalar, concrete, field, record
 from rvjax.status import SolveInfo
 

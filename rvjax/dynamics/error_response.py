@@ -17,8 +17,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax.batching import folded
-from rvjax.choices import choose
+from rvjax._ground.choices import choose
+from rvjax._jax.batching import folded
+from rvjax._jax.elementary import root
+from rvjax._reducer.plausible import checked
 from rvjax.designs import RVReducer
 from rvjax.dynamics.error_balance import balance
 from rvjax.dynamics.error_excitation import Case, Orders, Unit, case_of, error_orders, generators, read
@@ -33,9 +35,7 @@ from rvjax.dynamics.error_transfer import (
 )
 from rvjax.dynamics.excitation import check_stage
 from rvjax.dynamics.response import METHODS
-from rvjax.elementary import root
 from rvjax.errors import RVErrors
-from rvjax.plausible import checked
 from rvjax.records import Array, PyTree, Record, Scalar, field, record, text
 from rvjax.status import SolveInfo
 

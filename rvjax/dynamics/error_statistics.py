@@ -11,12 +11,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax.axes import axis_sizes
+from rvjax._ground.axes import axis_sizes
+from rvjax._reducer.plausible import checked
 from rvjax.designs import RVReducer
 from rvjax.dynamics.error_excitation import Case, case_of, error_orders, generators, read
 from rvjax.dynamics.error_transfer import check_outputs, close, output_rows, output_speed, transfer
 from rvjax.errors import RVErrors, described, read_by
-from rvjax.plausible import checked
 from rvjax.records import Array, Record, Scalar, field, is_concrete, record, text
 from rvjax.status import SolveInfo
 

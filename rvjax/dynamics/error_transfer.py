@@ -12,14 +12,14 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rvjax.choices import unknown
+from rvjax._ground.choices import unknown
+from rvjax._reducer.plausible import checked
 from rvjax.designs import RVReducer
 from rvjax.dynamics.assembly import Lumped, admitted, loaded
 from rvjax.dynamics.error_excitation import Orders, Unit, symmetric
 from rvjax.dynamics.modal import dynamic_stiffness, matrix_root, modal_sectors, modal_solve, on_resonance, residual
 from rvjax.dynamics.static import MeanState, linear_ratio, mean_state, mesh_rows
 from rvjax.dynamics.symmetry import sector_mass
-from rvjax.plausible import checked
 from rvjax.records import Array, PyTree, Scalar
 from rvjax.status import SolveInfo, Status, converged
 

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax._reducer.plausible import checked
 from rvjax.designs import RVReducer
 from rvjax.dynamics.assembly import (
     Lumped,
@@ -15,7 +16,6 @@ from rvjax.dynamics.assembly import (
 )
 from rvjax.dynamics.modal import stacked
 from rvjax.dynamics.symmetry import KINDS, WHOLE, kinds, sector, sector_mass, sector_rows, sector_stiffness
-from rvjax.plausible import checked
 from rvjax.records import Array, PyTree, Record, Scalar, field, record
 from rvjax.status import SolveInfo, Status, at_once
 

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax._jax.elementary import root
 from rvjax.catalogue import RV_320E
 from rvjax.designs import Damping, RVReducer
 from rvjax.dynamics.assembly import Lumped, loaded, lump
@@ -18,7 +19,6 @@ from rvjax.dynamics.observation import FREQUENCIES
 from rvjax.dynamics.periodic import periodic
 from rvjax.dynamics.response import METHODS, response
 from rvjax.dynamics.symmetry import KINDS
-from rvjax.elementary import root
 from rvjax.errors import RVErrors
 from rvjax.outputs import Cases, Description, Output, Solved, Way, condition
 from rvjax.records import Array, PyTree, Scalar

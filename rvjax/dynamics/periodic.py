@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax._reducer.plausible import checked
 from rvjax.designs import RVReducer
 from rvjax.dynamics.assembly import Lumped, admitted, lump, spring_table
 from rvjax.dynamics.excitation import MESH, check_stage, mesh_frequency, mesh_phases
@@ -19,7 +20,6 @@ from rvjax.dynamics.harmonics import OUTPUTS, output_indices
 from rvjax.dynamics.linear import solve
 from rvjax.dynamics.modal import ModalSector, matrix_root, modal_sectors
 from rvjax.dynamics.static import linear_ratio, mesh_stiffness
-from rvjax.plausible import checked
 from rvjax.records import Array, PyTree, Record, Scalar, concrete, field, record, text
 from rvjax.status import Gate, SolveInfo, Status, at_once, converged
 

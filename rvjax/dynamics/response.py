@@ -10,7 +10,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax.choices import choose
+from rvjax._ground.choices import choose
+from rvjax._reducer.plausible import checked
 from rvjax.designs import RVReducer
 from rvjax.dynamics.assembly import Lumped, admitted, lump, spring_table
 from rvjax.dynamics.excitation import MESH, check_stage, mesh_frequency, phases, wave_coefficients
@@ -28,7 +29,6 @@ from rvjax.dynamics.harmonics import (
 from rvjax.dynamics.modal import dynamic_stiffness, modal_sectors, modal_solve, on_resonance, residual
 from rvjax.dynamics.static import Torques, balancing_torque, mean_state, mesh_rows, mesh_stiffness, torque_kind
 from rvjax.dynamics.symmetry import is_symmetric, sector
-from rvjax.plausible import checked
 from rvjax.records import Array, Record, Scalar, field, record, text
 from rvjax.status import SolveInfo, Status, converged
 

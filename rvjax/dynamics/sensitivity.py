@@ -9,12 +9,12 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 
-from rvjax.choices import choose
+from rvjax._ground.choices import choose
+from rvjax._reducer.plausible import checked
 from rvjax.designs import RVReducer
 from rvjax.dynamics.assembly import Lumped
 from rvjax.dynamics.harmonics import OUTPUTS
 from rvjax.dynamics.response import constant_forcing, response
-from rvjax.plausible import checked
 from rvjax.records import Array, PyTree, Record, Scalar, promote
 
 

@@ -6,11 +6,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax._reducer.plausible import checked
 from rvjax.designs import RVReducer
 from rvjax.dynamics.assembly import Lumped, admitted, deflections, lump, spring_stiffness, spring_table
 from rvjax.dynamics.linear import solve
 from rvjax.dynamics.symmetry import is_symmetric, sector, sector_rows, sector_stiffness
-from rvjax.plausible import checked
 from rvjax.records import Array, PyTree, Record, Scalar, field, record
 from rvjax.status import SolveInfo, Status, converged
 

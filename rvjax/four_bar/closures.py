@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax import roots
-from rvjax.elementary import LARGEST_ANGLE, arctan2, sin_cos
+from rvjax._jax.elementary import LARGEST_ANGLE, arctan2, sin_cos
 from rvjax.records import Array, PyTree, Scalar
 from rvjax.status import Check, SolveInfo, Status, at_once, first_failure
 

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax.elementary import arctan2, divide
+from rvjax._jax.elementary import arctan2, divide
 from rvjax.four_bar.closures import Crank, stretch
 from rvjax.four_bar.fit import Turning, apart, bore_excess, direction, fit, misfit, still_and_turning, turning, vector
 from rvjax.four_bar.turn import Score, Wave, largest_and_smallest

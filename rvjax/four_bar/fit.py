@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rvjax.elementary import arctan2, divide, sin_cos
+from rvjax._jax.elementary import arctan2, divide, sin_cos
 from rvjax.four_bar.closures import Crank, stretch
 from rvjax.four_bar.unit import Unit, Vector
 from rvjax.records import Array, PyTree

@@ -6,14 +6,14 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from rvjax._jax.elementary import arctan2, sin_cos
+from rvjax._reducer.plausible import checked
 from rvjax.designs import RVReducer, expect
-from rvjax.elementary import arctan2, sin_cos
 from rvjax.errors import RVErrors
 from rvjax.four_bar import closures, fit
 from rvjax.four_bar.closures import Crank, crank_direction
 from rvjax.four_bar.linkage import LinkDeviations, check_methods, close
 from rvjax.four_bar.unit import Unit, is_loaded, take_apart
-from rvjax.plausible import checked
 from rvjax.records import Array, Record, Scalar, field, record
 from rvjax.status import SolveInfo, Status, admit, at_once, worst_of
 

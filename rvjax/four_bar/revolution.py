@@ -7,14 +7,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax.choices import unknown
+from rvjax._ground.choices import unknown
+from rvjax._reducer.plausible import checked
 from rvjax.designs import RVReducer, expect
 from rvjax.errors import RVErrors
 from rvjax.four_bar.extremes import PARTS, Figures, extremes
 from rvjax.four_bar.linkage import check_methods
 from rvjax.four_bar.reducer import TransmissionError, error_at
 from rvjax.four_bar.unit import Unit, is_loaded, take_apart
-from rvjax.plausible import checked
 from rvjax.records import Array, PyTree, Record, Scalar, field, record
 from rvjax.status import SolveInfo, worst_of
 

@@ -11,8 +11,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax._jax.elementary import LARGEST_ANGLE
 from rvjax.designs import RVReducer
-from rvjax.elementary import LARGEST_ANGLE
 from rvjax.errors import RVErrors
 from rvjax.four_bar import forces
 from rvjax.four_bar.closures import Crank

@@ -1,6 +1,6 @@
 """Geometry of an RV reducer without errors: curvature of the flank, space between the parts, size, nominal pressure."""
 
-from rvjax.flank import (
+from rvjax._reducer.flank import (
     curvature as curvature,
     least_convex_radius as least_convex_radius,
     relative_radius as relative_radius,

@@ -9,9 +9,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax._reducer.flank import Ground, modified, relative_radius
+from rvjax._reducer.plausible import checked
 from rvjax.designs import Contact, CycloidStage, InvoluteStage, RVReducer, expect
-from rvjax.flank import Ground, modified, relative_radius
-from rvjax.plausible import checked
 from rvjax.records import Array, PyTree, Record, Scalar, field, promote, record
 from rvjax.status import SolveInfo, Status, admit
 

@@ -14,8 +14,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax.batching import in_blocks
-from rvjax.columns import elements
+from rvjax._ground.columns import elements
+from rvjax._jax.batching import in_blocks
 from rvjax.population import Correlation, Population
 from rvjax.records import PyTree
 

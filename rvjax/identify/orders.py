@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rvjax.arguments import checked
+from rvjax._jax.arguments import checked
 from rvjax.records import Array
 
 DEPENDENT = 1e-8

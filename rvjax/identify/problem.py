@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax.batching import in_blocks
+from rvjax._jax.batching import in_blocks
 from rvjax.identify.elements import Elements, elementwise, values_of
 from rvjax.identify.gauss_newton import Linearised, half_square, mixed
 from rvjax.identify.noise import Noise

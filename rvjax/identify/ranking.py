@@ -14,7 +14,7 @@ from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
 
 import numpy as np
 
-from rvjax.arguments import checked
+from rvjax._jax.arguments import checked
 from rvjax.identify.check import slopes_at
 from rvjax.identify.noise import Noise
 from rvjax.identify.posterior import Posterior

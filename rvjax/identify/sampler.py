@@ -15,8 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import special
 
-from rvjax import frames
-from rvjax.arguments import checked
+from rvjax._ground import frames
+from rvjax._jax.arguments import checked
 from rvjax.identify.elements import mapped_values
 from rvjax.identify.gauss_newton import half_square, mixed
 from rvjax.identify.posterior import Posterior

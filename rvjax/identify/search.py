@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import special
 
-from rvjax.batching import in_blocks
+from rvjax._jax.batching import in_blocks
 from rvjax.identify.gauss_newton import NEAR, Linearised, Mode, half_square, modes
 from rvjax.identify.information import Spectrum
 from rvjax.identify.problem import LANES, Problem, densities, parts_of

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from rvjax.choices import unknown
+from rvjax._ground.choices import unknown
 from rvjax.levels.table import Model, Table, stored
-from rvjax.outputs import torque_condition
+from rvjax.outputs import torque_of
 from rvjax.population import Tolerance
 from rvjax.records import Design, PyTree, Record, Scalar, is_concrete
 from rvjax.units import readable
@@ -198,7 +198,7 @@ def _model(known: Sequence[Model], design: PyTree, conditions: PyTree, tolerance
         if name not in model.design:  # it was measured as derived
             return model, f"{name} = {own}"
     if model.torque is not None:
-        torque = getattr(conditions, torque_condition(conditions))
+        torque = torque_of(conditions)
         if not (is_concrete(torque) and model.torque[0] <= torque <= model.torque[1]):
             return model, f"torque = {torque} N m" if is_concrete(torque) else "a torque that is traced"
     return model, ""

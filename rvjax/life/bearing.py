@@ -10,14 +10,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax import status
-from rvjax.bearings import RollerBearing
-from rvjax.choices import choose
-from rvjax.compile_cache import quick
+from rvjax._ground.choices import choose
+from rvjax._jax.compile_cache import quick
+from rvjax._jax.elementary import log, power
+from rvjax._reducer.bearings import RollerBearing
+from rvjax._reducer.plausible import checked
 from rvjax.designs import expect
-from rvjax.elementary import log, power
 from rvjax.life.histories import LIFE, METHODS, WEIBULL, Damage, basic, magnitude, points, raceway, turned_back
 from rvjax.life.ratings import Ratings, check_ratings, harmless, ratings, unfit
-from rvjax.plausible import checked
 from rvjax.records import Array, Record, Scalar, concrete, field, promote, quantity, record
 from rvjax.roots import bracketed
 from rvjax.status import SolveInfo, Status, succeeded, worst_of

@@ -7,8 +7,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax._jax.elementary import power
 from rvjax.designs import RVReducer
-from rvjax.elementary import power
 from rvjax.errors import RVErrors
 from rvjax.life.duty import Duty
 from rvjax.life.histories import WEIBULL

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import DTypeLike
 
-from rvjax.elementary import power
+from rvjax._jax.elementary import power
 from rvjax.life.ratings import Ratings
 
 METHODS = ("basic", "raceway", "slices")

@@ -13,10 +13,10 @@ import numpy as np
 from jax.typing import DTypeLike
 
 from rvjax import status
-from rvjax.axes import fit
-from rvjax.bearings import Bearings, RollerBearing
+from rvjax._ground.axes import fit
+from rvjax._jax.elementary import power
+from rvjax._reducer.bearings import Bearings, RollerBearing
 from rvjax.designs import RVReducer
-from rvjax.elementary import power
 from rvjax.errors import RVErrors
 from rvjax.life.bearing import Looseness, check_method, damaged
 from rvjax.life.histories import WEIBULL, Damage, basic, magnitude

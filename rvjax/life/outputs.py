@@ -15,8 +15,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax._jax.compile_cache import QUICK
 from rvjax.catalogue import RV_40E
-from rvjax.compile_cache import QUICK
 from rvjax.designs import Contact, RVReducer, Stiffness
 from rvjax.errors import RVErrors, read_by
 from rvjax.life.duty import Duty

@@ -14,15 +14,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax.bearings import Bearings
-from rvjax.compile_cache import quick
+from rvjax._jax.compile_cache import quick
+from rvjax._reducer.bearings import Bearings
+from rvjax._reducer.plausible import checked
 from rvjax.designs import RVReducer, expect
 from rvjax.errors import RVErrors
 from rvjax.life.histories import LIFE
 from rvjax.life.machine import Plan, check_plan, damages, entered, input_angles
 from rvjax.life.ratings import ratings
 from rvjax.loaded import Read, admit, bearing_forces
-from rvjax.plausible import checked
 from rvjax.records import Record, Scalar, concrete, field, quantity, record
 from rvjax.status import Gate, SolveInfo, Status, succeeded, worst
 

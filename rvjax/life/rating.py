@@ -5,14 +5,14 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from rvjax.compile_cache import quick
+from rvjax._jax.compile_cache import quick
+from rvjax._reducer.plausible import checked
 from rvjax.designs import RVReducer, expect
 from rvjax.errors import RVErrors
 from rvjax.life.bearing import inverse
 from rvjax.life.duty import Duty, check_phases, revolutions
 from rvjax.life.machine import Entered, Plan, check_plan, damages, entered, input_angles
 from rvjax.loaded import BearingForces, Read, admit, bearing_forces
-from rvjax.plausible import checked
 from rvjax.records import Record, Scalar, field, record
 from rvjax.status import SolveInfo, Status, succeeded, worst
 

@@ -7,9 +7,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax.bearings import RollerBearing
+from rvjax._jax.elementary import power
+from rvjax._reducer.bearings import RollerBearing
 from rvjax.designs import expect
-from rvjax.elementary import power
 from rvjax.records import concrete, promote, quantity
 from rvjax.status import Check, Status
 from rvjax.units import mm

@@ -12,7 +12,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from rvjax.batching import TracedLate
+from rvjax._jax.batching import TracedLate
 from rvjax.loaded.system import Layout, System
 from rvjax.records import PyTree
 

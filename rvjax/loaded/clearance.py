@@ -9,14 +9,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax.compile_cache import quick
+from rvjax._jax.compile_cache import quick
+from rvjax._reducer.flank import Ground
+from rvjax._reducer.plausible import checked
 from rvjax.designs import RVReducer, expect
 from rvjax.errors import RVErrors
-from rvjax.flank import Ground
 from rvjax.loaded.gaps import pin_depths
 from rvjax.loaded.geometry import geometry
 from rvjax.loaded.inputs import check_teeth
-from rvjax.plausible import checked
 from rvjax.records import Array, Record, Scalar, field, promote, record
 from rvjax.status import SolveInfo, Status, admit, converged
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rvjax.batching import folded
+from rvjax._jax.batching import folded
 from rvjax.loaded import laws
 from rvjax.loaded.elimination import Hessian
 from rvjax.loaded.system import Layout, System

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax.batching import folded, stored
+from rvjax._jax.batching import folded, stored
 from rvjax.loaded.system import Layout
 
 

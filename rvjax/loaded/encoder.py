@@ -8,11 +8,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax.compile_cache import quick
+from rvjax._jax.compile_cache import quick
+from rvjax._reducer.plausible import checked
 from rvjax.designs import RVReducer, expect
 from rvjax.loaded.equilibrium import Loaded
 from rvjax.loaded.geometry import Geometry, Turn, geometry, turn
-from rvjax.plausible import checked
 from rvjax.records import Array, PyTree, Record, Scalar, field, is_concrete, quantity, record
 from rvjax.status import succeeded
 

@@ -7,7 +7,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax.compile_cache import ONCE, quick
+from rvjax._jax.compile_cache import ONCE, quick
+from rvjax._reducer.plausible import checked
 from rvjax.designs import RVReducer
 from rvjax.errors import RVErrors
 from rvjax.loaded.balance import attach, balance, compliance, forces
@@ -16,7 +17,6 @@ from rvjax.loaded.geometry import geometry
 from rvjax.loaded.inputs import Read, admit, check_input, mesh_stiffness, pin_compliance
 from rvjax.loaded.newton import Found
 from rvjax.loaded.system import Layout, System, bearing_rows, directions, gear_rows
-from rvjax.plausible import checked
 from rvjax.records import Array, Record, Scalar, field, record
 from rvjax.status import SolveInfo, Status, succeeded
 

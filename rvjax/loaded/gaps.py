@@ -5,9 +5,9 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from rvjax._reducer.flank import Ground, curvature, modified, profile
 from rvjax.designs import CycloidStage, RVReducer
 from rvjax.errors import RVErrors
-from rvjax.flank import Ground, curvature, modified, profile
 from rvjax.loaded.geometry import Geometry
 from rvjax.loaded.system import directions
 from rvjax.records import Scalar

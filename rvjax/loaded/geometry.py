@@ -10,8 +10,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax._jax.elementary import sin_cos
 from rvjax.designs import RVReducer
-from rvjax.elementary import sin_cos
 
 
 class Turn(NamedTuple):

@@ -8,10 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax import status
-from rvjax.axes import fit
-from rvjax.choices import choose
+from rvjax._ground.axes import fit
+from rvjax._ground.choices import choose
+from rvjax._jax.elementary import LARGEST_ANGLE
 from rvjax.designs import Contact, CycloidStage, RVReducer, expect
-from rvjax.elementary import LARGEST_ANGLE
 from rvjax.errors import RVErrors, read_by
 from rvjax.geometry import least_convex_radius
 from rvjax.loaded import laws

@@ -13,7 +13,7 @@ import math
 import jax
 import jax.numpy as jnp
 
-from rvjax.elementary import log, power
+from rvjax._jax.elementary import log, power
 from rvjax.records import PyTree
 
 CONTACTS = ("hertz", "linear", "palmgren")

@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 from jax.typing import DTypeLike
 
-from rvjax.batching import folded, stored
+from rvjax._jax.batching import folded, stored
 from rvjax.loaded import laws
 from rvjax.loaded.batching import BLOCK, take
 from rvjax.loaded.contacts import Bearing, Contacts, depths, energy, frame, gradient, hessian, joints

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax.compile_cache import QUICK
+from rvjax._jax.compile_cache import QUICK
 from rvjax.designs import Contact, RVReducer, Stiffness
 from rvjax.errors import RVErrors
 from rvjax.loaded.cases import cases

@@ -6,14 +6,14 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 
-from rvjax.compile_cache import quick
+from rvjax._jax.compile_cache import quick
+from rvjax._reducer.plausible import checked
 from rvjax.designs import RVReducer
 from rvjax.errors import RVErrors
 from rvjax.loaded.equilibrium import Case, placed, prepare, solve
 from rvjax.loaded.inputs import Read, admit, check_input
 from rvjax.loaded.newton import Found
 from rvjax.loaded.system import Layout
-from rvjax.plausible import checked
 from rvjax.records import Array, Record, Scalar, field, record
 from rvjax.roots import solved
 from rvjax.status import SolveInfo, succeeded, worst_of

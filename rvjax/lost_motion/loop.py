@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax.plausible import checked
+from rvjax._reducer.plausible import checked
 from rvjax.records import Array, PyTree, Record, Scalar, concrete, field, promote, quantity, record
 
 

@@ -5,12 +5,12 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 
-from rvjax.choices import choose
+from rvjax._ground.choices import choose
+from rvjax._reducer.plausible import checked
 from rvjax.designs import CycloidStage, RVReducer, expect
 from rvjax.errors import RVErrors, read_by
 from rvjax.lost_motion import flank as flanks
 from rvjax.lost_motion.terms import FLANK_TERMS, LostMotionTerms, Teeth, Unit, contributions, harmless
-from rvjax.plausible import checked
 from rvjax.records import Array, PyTree, Record, Scalar, field, promote, record
 from rvjax.status import SolveInfo, Status, admit, converged, window
 

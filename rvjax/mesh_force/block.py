@@ -26,7 +26,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rvjax.elementary import power
+from rvjax._jax.elementary import power
 from rvjax.mesh_force import laws, line_contact, safe
 from rvjax.mesh_force.case import Case, all_rollers, lever
 from rvjax.mesh_force.laws import Compliance

@@ -9,8 +9,8 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from rvjax._jax.elementary import sin_cos
 from rvjax.designs import CamRollerReducer
-from rvjax.elementary import sin_cos
 from rvjax.errors import CamRollerErrors
 from rvjax.mesh_force import geometry, line_contact
 from rvjax.mesh_force.laws import Compliance

@@ -16,11 +16,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax._reducer.plausible import checked
 from rvjax.designs import CamRollerReducer, expect
 from rvjax.errors import CamRollerErrors
 from rvjax.mesh_force import geometry, line_contact
 from rvjax.mesh_force.equilibrium import MeshForces, solve
-from rvjax.plausible import checked
 from rvjax.records import Array, Record, Scalar, field, promote, record
 from rvjax.status import SolveInfo, worst_of
 

@@ -16,16 +16,16 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import DTypeLike
 
-from rvjax.batching import along_lanes
-from rvjax.choices import choose
+from rvjax._ground.choices import choose
+from rvjax._jax.batching import along_lanes
+from rvjax._jax.elementary import LARGEST_ANGLE
+from rvjax._reducer.plausible import checked
 from rvjax.designs import CamRollerReducer, expect
-from rvjax.elementary import LARGEST_ANGLE
 from rvjax.errors import CamRollerErrors
 from rvjax.mesh_force import geometry, laws, line_contact
 from rvjax.mesh_force.block import Found, solve_block
 from rvjax.mesh_force.case import Case, all_rollers, lever, take_apart
 from rvjax.mesh_force.laws import Compliance
-from rvjax.plausible import checked
 from rvjax.records import Array, PyTree, Record, Scalar, field, promote, record, signs_hold
 from rvjax.status import SolveInfo, Status, admit, converged, window
 

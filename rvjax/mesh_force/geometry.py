@@ -16,8 +16,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import DTypeLike
 
+from rvjax._reducer.plausible import checked
 from rvjax.designs import CamRollerReducer, expect
-from rvjax.plausible import checked
 from rvjax.records import Array, Record, Scalar, field, promote, record
 
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rvjax.elementary import power
+from rvjax._jax.elementary import power
 from rvjax.mesh_force import line_contact
 
 CONTACTS = ("hertz", "linear", "palmgren")

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from scipy import special
 
-from rvjax import frames
-from rvjax.axes import axis_sizes
-from rvjax.choices import unknown
-from rvjax.columns import read_cells, read_table, split
+from rvjax._ground import frames
+from rvjax._ground.axes import axis_sizes
+from rvjax._ground.choices import unknown
+from rvjax._ground.columns import read_cells, read_table, split
 from rvjax.population.estimates import Estimate, deviate_of
 from rvjax.population.tolerance import Tolerance
 from rvjax.records import Design, Metadata, PyTree

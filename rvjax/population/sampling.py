@@ -15,9 +15,9 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import special
 
-from rvjax.arguments import checked
-from rvjax.axes import axis_sizes
-from rvjax.choices import choose, unknown
+from rvjax._ground.axes import axis_sizes
+from rvjax._ground.choices import choose, unknown
+from rvjax._jax.arguments import checked
 from rvjax.population.population import Correlation, Population, root_key
 from rvjax.population.tolerance import Tolerance
 from rvjax.records import Design, PyTree, Scalar, is_concrete

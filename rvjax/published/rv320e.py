@@ -13,7 +13,7 @@ import jax
 import numpy as np
 
 from rvjax import dynamics
-from rvjax.batching import in_blocks
+from rvjax._jax.batching import in_blocks
 from rvjax.catalogue import RV_320E
 from rvjax.designs import InvoluteStage, RVReducer
 from rvjax.published.rv320e_appendix import printed_stiffness

@@ -1,5 +1,6 @@
 """Reports of commands: tables whose cells are numbers in SI, and the text, CSV, JSON and HTML that follow from them."""
 
+from rvjax.render.content import Block as Block, Content as Content, Note as Note, Section as Section
 from rvjax.render.figure import Figure as Figure, saved as saved
 from rvjax.render.folders import (
     new_folder as new_folder,
@@ -9,15 +10,10 @@ from rvjax.render.folders import (
 )
 from rvjax.render.quantity import Quantity as Quantity, number as number
 from rvjax.render.report import (
-    Block as Block,
-    Content as Content,
-    Note as Note,
     Report as Report,
-    Section as Section,
     as_json as as_json,
     leading_comment as leading_comment,
     plain as plain,
-    versions as versions,
 )
 from rvjax.render.table import (
     CSV as CSV,

@@ -6,7 +6,7 @@ import tempfile
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from rvjax.files import check_writable
+from rvjax._ground.files import check_writable
 
 
 def results_folder(option: str | None, name: str) -> Path:

@@ -5,17 +5,22 @@ import itertools
 import re
 from functools import cache
 from importlib import resources
+from typing import TYPE_CHECKING
 
 from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup, escape
 
 import rvjax
+from rvjax._ground.files import versions
+from rvjax.render.content import Block, Note, Section
 from rvjax.render.figure import Figure
-from rvjax.render.report import Block, Note, Report, Section, versions
 from rvjax.render.table import PAGE, Table
 
+if TYPE_CHECKING:
+    from rvjax.render.report import Report
 
-def page(report: Report) -> str:
+
+def page(report: "Report") -> str:
     """The page that the template of a report makes.
 
     Args:

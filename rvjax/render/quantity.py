@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass
 
-from rvjax.frames import Interval
+from rvjax._ground.frames import Interval
 from rvjax.records import Scalar
 from rvjax.units import readable
 

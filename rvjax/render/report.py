@@ -10,54 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
-import rvjax.files
 from rvjax.records import PyTree
+from rvjax.render.content import Block, Content, Note, Section
 from rvjax.render.figure import Figure
-from rvjax.render.table import CSV, EVERYWHERE, TEXT, Table
-
-
-@dataclass(frozen=True)
-class Note:
-    """A paragraph.
-
-    Attributes:
-        text: one or several lines.
-        on: where it is shown.
-    """
-
-    text: str
-    on: frozenset[str] = EVERYWHERE
-
-
-@dataclass(frozen=True)
-class Section:
-    """A part of a page under its own heading; the text shows its paragraphs and tables without the heading.
-
-    Attributes:
-        title: heading, "" for a group without one.
-        content: in reading order.
-        style: class of the style sheet for all of it, "" for none.
-    """
-
-    title: str
-    content: tuple["Content", ...]
-    style: str = ""
-
-
-@dataclass(frozen=True)
-class Block:
-    """A part of a page with a template; the text and the folder do not contain it.
-
-    Attributes:
-        template: "package:file".
-        facts: values for it.
-    """
-
-    template: str
-    facts: Mapping[str, object]
-
-
-Content = Note | Table | Figure | Section | Block
+from rvjax.render.table import CSV, TEXT, Table
 
 
 @dataclass(frozen=True)
@@ -120,7 +76,7 @@ class Report:
 
     def html(self) -> str:
         """The page: one file that needs no other."""
-        from rvjax.render.page import page
+        from rvjax.render.page import page  # Jinja2 is loaded for a page only
 
         return page(self)
 
@@ -137,11 +93,6 @@ def leading_comment(text: str) -> str:
     """Leading comment of a study file."""
     lines = itertools.takewhile(lambda line: line.startswith("#"), text.splitlines())
     return " ".join(line.lstrip("# ") for line in lines)
-
-
-def versions() -> dict[str, str]:
-    """Versions that made a result."""
-    return rvjax.files.versions("jax", "python")
 
 
 def plain(value: PyTree) -> PyTree:

@@ -2,7 +2,6 @@
 
 from rvjax.response.devices import Evaluator as Evaluator, gathered as gathered, place as place
 from rvjax.response.gradients import (
-    LANES as LANES,
     begin_gradients as begin_gradients,
     elements as elements,
     elements_and_rates as elements_and_rates,
@@ -35,6 +34,5 @@ from rvjax.response.response import (
     response_names as response_names,
     unwrapped as unwrapped,
 )
-from rvjax.response.solving import AT_ONCE as AT_ONCE
 
 __all__ = ["Outcome", "Response"]

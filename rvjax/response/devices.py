@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax.files import Arrays, pack, unpack
+from rvjax._ground.files import Arrays, pack, unpack
 from rvjax.population import Population, SobolPoints, drawn, root_key
 from rvjax.records import PyTree, Record
 from rvjax.response.response import R, Response, Values, per_response, respond

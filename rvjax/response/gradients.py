@@ -7,13 +7,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax._jax.blocks import PULLED
 from rvjax.population import Population
 from rvjax.response.devices import NUMBERS, UNITS, mesh_of, on, shared_out
 from rvjax.response.response import Response, evaluate, is_costly, per_response, response_names
 from rvjax.response.solving import begin, chunks, pulls, solution
-
-LANES = 256
-"""Units at once: few, for a reverse pass keeps all that a unit needs on its way; the last ones are padded."""
 
 
 @per_response(static=("names", "mesh"))
@@ -88,7 +86,7 @@ def gradients(
         units = inverse.ravel()
         return values[rows][:, units], pulls(response, population, errors, state[:, units], weights)
     found, dtype = [], jnp.result_type(float)
-    for lanes in chunks(errors.shape[1], LANES):
+    for lanes in chunks(errors.shape[1], PULLED):
         arrays = (jnp.asarray(rows[:, lanes], dtype) for rows in (errors, cotangents))
         found.append(_on_all_devices(response, population, *arrays, names=names))
     parts = zip(*((value, slope) for value, _, slope in found))
@@ -100,9 +98,9 @@ def begin_gradients(response: Response, population: Population) -> None:
     """Begin the program of the gradients, see `Compiled.begin`."""
     if is_costly(response):
         return begin(response, population, slopes=True)
-    names, mesh, dtype = response_names(response, population), mesh_of(LANES), jnp.result_type(float)
+    names, mesh, dtype = response_names(response, population), mesh_of(PULLED), jnp.result_type(float)
     count = sum(math.prod(t.shape) for t in population.active.values())
-    arrays = [jnp.zeros((rows, LANES), dtype) for rows in (count, len(names))]
+    arrays = [jnp.zeros((rows, PULLED), dtype) for rows in (count, len(names))]
     if mesh is None:
         pulled.begin(response, population, *arrays, names=names)
     else:
@@ -113,7 +111,7 @@ def begin_gradients(response: Response, population: Population) -> None:
 def nominal_status(response: Response, population: Population) -> int:
     """Status of the unit without errors, by the program of the gradients."""
     names, count = response_names(response, population), sum(math.prod(t.shape) for t in population.active.values())
-    lanes = (jnp.zeros((rows, LANES), jnp.result_type(float)) for rows in (count, len(names)))
+    lanes = (jnp.zeros((rows, PULLED), jnp.result_type(float)) for rows in (count, len(names)))
     return int(_on_all_devices(response, population, *lanes, names=names)[1][0])
 
 

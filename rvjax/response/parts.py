@@ -7,11 +7,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax._jax.blocks import PULLED
 from rvjax.population import Population
 from rvjax.response.devices import Evaluator
 from rvjax.response.gradients import begin_gradients, elements, gradients
 from rvjax.response.response import Response, Values, is_costly, response_names
-from rvjax.response.solving import PULLED, Errors, Solution, begin, chunks, pulls, solution, solve, without_errors
+from rvjax.response.solving import Errors, Solution, begin, chunks, pulls, solution, solve, without_errors
 from rvjax.status import succeeded, worst
 
 

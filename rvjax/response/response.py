@@ -15,14 +15,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax.choices import UnknownWord, meant
-from rvjax.compile_cache import Options, inside, kept_folder, understood
+from rvjax._ground.choices import UnknownWord, meant
+from rvjax._jax.compile_cache import Options, inside, kept_folder, understood
 from rvjax.population import Given, Population, drawn
 from rvjax.records import Array, PyTree, Record, field, record
 from rvjax.status import Status, succeeded, worst
 
 if TYPE_CHECKING:
-    from rvjax.exported import Kept
+    from rvjax._jax.exported import Kept
 
 BLOCK = 4096
 """Default number of units at once: the same everywhere, so that a response is compiled for it once; temporaries of
@@ -147,7 +147,7 @@ class Compiled(Generic[R]):
         self, folder: Path, options: Options, arguments: PyTree, static: dict[str, object]
     ) -> "tuple[_Program, list[Any]]":
         """A program and its leaves."""
-        from rvjax.exported import exported
+        from rvjax._jax.exported import exported
 
         leaves, tree = jax.tree.flatten(arguments)
         # Not the types that JAX gives to a hundred Python numbers: hashing these took half of the time of a call.

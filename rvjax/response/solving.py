@@ -13,18 +13,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax._jax.blocks import AT_ONCE, PULLED
+from rvjax._jax.marked import Marked
 from rvjax.population import Population
 from rvjax.records import Record
 from rvjax.response.devices import NUMBERS, UNITS, mesh_of, on, shared_out
-from rvjax.response.marked import Marked
 from rvjax.response.response import Compiled, R, Response, Values, evaluate, per_response, response_names
-
-AT_ONCE = 256
-"""Units of one call. Places that are not needed hold units of NaN, which a model does not solve."""
-
-PULLED = 256
-"""Units of a call for gradients: few, for a reverse pass keeps all that a unit needs on its way."""
-
 
 Errors = Callable[[np.ndarray], jax.Array]  # of the indices of some units
 Solution = tuple[np.ndarray, np.ndarray, np.ndarray]

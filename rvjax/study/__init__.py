@@ -1,6 +1,6 @@
 """Studies: design, tolerances, costs and requirements, in Python or as a TOML file."""
 
-from rvjax.plausible import KNOWN_DESIGNS, numbers, shown
+from rvjax._reducer.plausible import KNOWN_DESIGNS, numbers, shown
 from rvjax.study.bench import order_name
 from rvjax.study.design import BASES
 from rvjax.study.identification import field_unit

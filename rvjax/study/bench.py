@@ -11,10 +11,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax import models
-from rvjax.choices import unknown
-from rvjax.compile_cache import Options
+from rvjax._ground.choices import unknown
+from rvjax._jax.compile_cache import Options
 from rvjax.errors import described, read_by
-from rvjax.outputs import Observation, torque_condition
+from rvjax.outputs import Observation, torque_of
 from rvjax.records import Array, Design, PyTree, Record, Scalar, field, record, text
 from rvjax.study.measured import Conditions
 from rvjax.study.nuisances import DRAGS, NUISANCES
@@ -241,14 +241,9 @@ def signed_torques(runs: Sequence[Conditions], conditions: PyTree) -> np.ndarray
         runs: a run whose file says no torque has that of the conditions.
         conditions: of the study.
     """
-    own = study_torque(conditions)
+    own = float(torque_of(conditions))
     given = np.array([own if run.torque is None else run.torque for run in runs])
     return np.array([run.sign for run in runs]) * given
-
-
-def study_torque(conditions: PyTree) -> float:
-    """The condition that is the load, N m."""
-    return float(getattr(conditions, torque_condition(conditions)))
 
 
 def rated_torque(conditions: PyTree) -> float:

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from rvjax import columns as cells
-from rvjax.columns import Table
+from rvjax._ground import columns as cells
+from rvjax._ground.columns import Table
 from rvjax.study.branches import branches
 from rvjax.units import KNOWN, deg, rpm
 
@@ -31,7 +31,7 @@ WORDS = ("direction", "unit")
 
 
 def read_table(path: str | Path, columns: Mapping[str, object] | None = None) -> cells.Table:
-    """A table that a bench has written; see `rvjax.columns.read_table`."""
+    """A table that a bench has written; see `rvjax._ground.columns.read_table`."""
     return cells.read_table(path, columns, units=UNITS, words=WORDS)
 
 

@@ -9,10 +9,10 @@ import re
 from collections.abc import Iterator
 
 from rvjax import catalogue
-from rvjax.compile_cache import ONCE, quick
+from rvjax._jax.compile_cache import ONCE, quick
+from rvjax._reducer.plausible import shown, walk
 from rvjax.designs import CamRollerReducer, InvoluteStage, RVReducer
 from rvjax.geometry import contact_ratio, least_convex_radius
-from rvjax.plausible import shown, walk
 from rvjax.records import Array, Design, PyTree, Scalar
 from rvjax.study.design import AGREE, BASES
 from rvjax.study.values import Toml

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from rvjax._reducer.plausible import KNOWN_DESIGNS, doubt, doubtful, shown, steep
 from rvjax.designs import RollerBearing, RVReducer
 from rvjax.errors import described
 from rvjax.life import dynamic_rating, static_rating
-from rvjax.plausible import KNOWN_DESIGNS, doubt, doubtful, shown, steep
 from rvjax.records import Design, PyTree
 from rvjax.study.values import Metadata
 from rvjax.tolerances import Cost, Middle, Tolerance

@@ -8,7 +8,7 @@ import numpy as np
 
 from rvjax import identify, models
 from rvjax.designs import RVReducer
-from rvjax.outputs import Observation
+from rvjax.outputs import Observation, torque_of
 from rvjax.records import PyTree
 from rvjax.study.bench import (
     Curves,
@@ -20,7 +20,6 @@ from rvjax.study.bench import (
     order_name,
     rated_torque,
     signed_torques,
-    study_torque,
 )
 from rvjax.study.branches import GRID
 from rvjax.study.identification import Identification, planned_kind
@@ -224,7 +223,7 @@ def planned(study: Study) -> tuple[Conditions, ...]:
     """The runs that a study plans: its torques in its directions; without torques that of its conditions, forward."""
     given = identification_of(study)
     if not given.torques:
-        return (Conditions(torque=study_torque(study.conditions)),)
+        return (Conditions(torque=float(torque_of(study.conditions))),)
     return tuple(Conditions(torque=t, direction=d) for t in given.torques for d in given.directions)
 
 
@@ -274,7 +273,7 @@ def _loops(study: Study, given: Identification, measured: Measured | None) -> Pr
     items: tuple[tuple[Loop, ...], ...] = ()
     data: list[Seen] = []
     if measured is None:
-        most = max([*given.torques, abs(study_torque(study.conditions)), rated_torque(study.conditions)])
+        most = max([*given.torques, abs(float(torque_of(study.conditions))), rated_torque(study.conditions)])
         if not most > 0:
             missing = "the largest torque of a loop, such as 412 N m"
             raise ValueError(f"{study.name}: identify.torques is missing: {missing}")

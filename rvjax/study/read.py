@@ -7,11 +7,11 @@ from importlib import resources
 from pathlib import Path
 
 from rvjax import models
-from rvjax.choices import meant
-from rvjax.deviations import remind_of_precision
+from rvjax._ground.choices import meant
+from rvjax._ground.sections import reader as sections_reader
+from rvjax._reducer.deviations import remind_of_precision
 from rvjax.outputs import Output
 from rvjax.records import IN_ERROR_UNIT, PyTree
-from rvjax.sections import reader as sections_reader
 from rvjax.study.design import parse_design
 from rvjax.study.identification import Identification, parse_identification
 from rvjax.study.origin import given_paths

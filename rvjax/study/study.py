@@ -10,10 +10,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from rvjax import models
-from rvjax.choices import unknown
+from rvjax._ground.choices import unknown
+from rvjax._reducer.plausible import accept
 from rvjax.levels import Choice, choose
 from rvjax.outputs import Curve, Output
-from rvjax.plausible import accept
 from rvjax.records import PyTree, Scalar
 from rvjax.study.identification import Identification
 from rvjax.study.origin import Number, design_numbers, given_paths

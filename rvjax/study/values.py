@@ -4,7 +4,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
-from rvjax.choices import UnknownWord, choose, unknown
+from rvjax._ground.choices import UnknownWord, choose, unknown
 from rvjax.units import parse
 
 Toml = dict[str, object]

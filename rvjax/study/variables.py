@@ -16,7 +16,7 @@ from importlib import resources
 
 import jax.numpy as jnp
 
-from rvjax.choices import unknown
+from rvjax._ground.choices import unknown
 from rvjax.designs import RVReducer
 from rvjax.outputs import Output
 from rvjax.records import Design, PyTree, Scalar

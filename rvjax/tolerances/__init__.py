@@ -9,7 +9,7 @@ import dataclasses
 
 from rvjax.population import Estimate, MeasuredColumn, MeasuredParts, Tolerance, for_design, it_width, measured, sample
 from rvjax.response import Outcome
-from rvjax.tolerances.allocation.allocation import (
+from rvjax.tolerances.allocating import (
     FEWEST as FEWEST,
     KEPT as KEPT,
     Solved as Solved,
@@ -18,14 +18,7 @@ from rvjax.tolerances.allocation.allocation import (
     block as block,
 )
 from rvjax.tolerances.allocation.cost import COSTS as COSTS, Cost as Cost, Exponential, ReciprocalPower, Table
-from rvjax.tolerances.allocation.cost_curve import (
-    CostCurve,
-    cost_curve,
-    cost_of_yields as cost_of_yields,
-    least_yield as least_yield,
-)
 from rvjax.tolerances.allocation.result import Allocation
-from rvjax.tolerances.batch.checkpoint import versions as versions
 from rvjax.tolerances.batch.memo import Memo as Memo
 from rvjax.tolerances.batch.monte_carlo import monte_carlo
 from rvjax.tolerances.batch.run import Run as Run
@@ -33,6 +26,12 @@ from rvjax.tolerances.batch.statistics import Statistics
 from rvjax.tolerances.batch.unit_file import ENDINGS as ENDINGS, UnitFile, joined as joined
 from rvjax.tolerances.codesign.nominal import Nominal
 from rvjax.tolerances.codesign.variable import Middle, Variable, check_middles as check_middles
+from rvjax.tolerances.cost_curve import (
+    CostCurve,
+    cost_curve,
+    cost_of_yields as cost_of_yields,
+    least_yield as least_yield,
+)
 from rvjax.tolerances.failure.failure import FailureProbability, failure_probability
 from rvjax.tolerances.moments import Moments, influences as influences, rss
 from rvjax.tolerances.requirements.kinds import (

@@ -8,12 +8,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax.arguments import checked
+from rvjax._jax.arguments import checked
+from rvjax._jax.blocks import PULLED
 from rvjax.population import Correlation, Population, batch_correlation, drawn, root_key
 from rvjax.records import PyTree
 from rvjax.response import (
     BLOCK,
-    LANES,
     Response,
     by_name,
     by_response,
@@ -289,7 +289,7 @@ def _derivatives(
     response: Response, population: Population, mean: np.ndarray, names: tuple[str, ...]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Values (k,) and gradients (k, n) at the mean; gradients (k, units, n) near it and at whole units."""
-    z = np.asarray(drawn(population, root_key(0), jnp.uint32(0), count=BLOCK))[:, :LANES]  # shapes that are compiled
+    z = np.asarray(drawn(population, root_key(0), jnp.uint32(0), count=BLOCK))[:, :PULLED]  # shapes that are compiled
     units = np.asarray(elements(population, z))[:, :_PROBES]
     away = units - mean[:, None]
     points = np.concatenate([mean[:, None], mean[:, None] + _STEP * away, units], axis=1)

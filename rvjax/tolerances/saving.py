@@ -13,9 +13,8 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from rvjax.files import DAMAGE, pack, unpack, write_atomically
+from rvjax._ground.files import DAMAGE, pack, unpack, versions, write_atomically
 from rvjax.records import PyTree, Record
-from rvjax.tolerances.batch.checkpoint import versions
 from rvjax.tolerances.batch.unit_file import parquet_frame, parquet_origin
 
 _FORMAT = 2

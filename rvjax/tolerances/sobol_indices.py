@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax import frames
-from rvjax.arguments import checked
+from rvjax._ground import frames
+from rvjax._jax.arguments import checked
 from rvjax.population import SCRAMBLES, Correlation, Estimate, Population, SobolPoints, of_groups
 from rvjax.records import PyTree
 from rvjax.response import Response, respond, response_names, unwrapped
 from rvjax.status import succeeded
 
 if TYPE_CHECKING:
-    from rvjax.frames import DataFrame
+    from rvjax._ground.frames import DataFrame
 
 _FEWEST = 2 * SCRAMBLES
 

@@ -8,8 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax.arguments import checked
-from rvjax.batching import in_blocks
+from rvjax._jax.arguments import checked
+from rvjax._jax.batching import in_blocks
 from rvjax.population import Population
 from rvjax.records import PyTree
 from rvjax.response import Response, by_name, evaluate, per_response, response_names

@@ -1,16 +1,11 @@
 """`rvjax allocate`: the cheapest tolerances that meet the requirements of a study."""
 
 from rvjax.commands.allocate.answer import (
-    CERTIFYING as CERTIFYING,
-    PRICING as PRICING,
-    SAMPLING as SAMPLING,
-    SEARCHING as SEARCHING,
     Answer as Answer,
     Side as Side,
-    shown_values as shown_values,
-    solved_units as solved_units,
 )
 from rvjax.commands.allocate.figures import figures as figures
+from rvjax.commands.allocate.forecast import expected as expected, phases_of as phases_of, shown_values as shown_values
 from rvjax.commands.allocate.kept import FILE as FILE, restored_from as restored_from
 from rvjax.commands.allocate.report import (
     headline as headline,

@@ -6,10 +6,11 @@ from dataclasses import dataclass
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax._ground.progress import begin, progress_bar
+from rvjax.commands.allocate.forecast import CERTIFYING, PRICING, SAMPLING, SEARCHING, shown_values, targets
 from rvjax.commands.allocate.whole import Whole, whole
 from rvjax.commands.curves import begin_curves, curves_of
 from rvjax.population import Population, root_key
-from rvjax.progress import begin, progress_bar
 from rvjax.records import PyTree
 from rvjax.response import (  # chunks of the certificate's size: the response compiles once
     BLOCK,
@@ -24,7 +25,6 @@ from rvjax.response import (  # chunks of the certificate's size: the response c
 )
 from rvjax.study import CURVE, Study, refuse
 from rvjax.tolerances import (
-    KEPT,
     Allocation,
     Memo,
     Requirement,
@@ -42,18 +42,6 @@ from rvjax.tolerances import (
 _Curves = Callable[[PyTree, int], tuple[np.ndarray, np.ndarray]]
 
 SHOWN_UNITS = 24  # units with a plotted curve
-SHOWN_VALUES = KEPT  # units behind a histogram: those of the certificate where it has no more
-FEWEST_BEYOND = 8  # units of the learning sample beyond a limit, below which a point of the cost curve is left out
-SEARCHING, CERTIFYING = "cheapest tolerances", "yield before"  # phases of a run
-SAMPLING, PRICING = "sample units", "cost against yield"
-YIELD_SWEEP = (0.9, 0.95, 0.99, 0.995, 0.999)
-
-# Counted in results of rv-40e, with moving mid-points and half-widths rounded to grades, and of rv-40e-whole.
-PASSES = {True: 108, False: 49}  # of a search over its learning sample, with and without moving mid-points
-CERTIFICATES = {True: 5, False: 4}
-PASSES_A_POINT = 6  # of the cost curve
-# The same of rv-40e-whole, whose units are costly: passes solve those that decide, certificates share a sample.
-COSTLY_PASSES, COSTLY_CERTIFICATES, COSTLY_PART_OF_A_POINT = 8, 1.8, 0.6
 
 
 @dataclass(frozen=True)
@@ -177,25 +165,6 @@ def answer(study: Study, *, progress: bool = False, memo: Memo | None = None, me
     )
 
 
-def solved_units(study: Study) -> dict[str, int]:
-    """Estimate the number of solved units in each phase of a run."""
-    middles, drawn, points = bool(study.middles), study.certificate_samples, len(_targets(study))
-    shown = 2 * SHOWN_VALUES if drawn > KEPT else 0
-    if study.costly:
-        found = {
-            SEARCHING: COSTLY_PASSES * study.samples + COSTLY_CERTIFICATES * drawn,
-            CERTIFYING: 0,  # units of the search
-            PRICING: points * COSTLY_PART_OF_A_POINT * (study.samples + drawn / 2),
-        }
-    else:
-        found = {
-            SEARCHING: PASSES[middles] * study.samples + CERTIFICATES[middles] * drawn,
-            CERTIFYING: drawn,
-            PRICING: points * (PASSES_A_POINT * study.samples + shown_values(study)),
-        }
-    return {phase: int(units) for phase, units in found.items()} | {SAMPLING: shown}
-
-
 def _begin_programs(study: Study, response: Response) -> None:
     """Begin the programs of a response that is not costly, and of its curve, see `Compiled.begin`."""
     population = Population.of(study.tolerances)
@@ -227,11 +196,6 @@ def _side(study: Study, response: Response, tolerances: PyTree, certificate: Sta
         failed=kept.examples,
         seed=kept.seed,
     )
-
-
-def shown_values(study: Study) -> int:
-    """Units behind a histogram."""
-    return min(SHOWN_VALUES, study.certificate_samples)
 
 
 def _curves(study: Study, solved: Solved | None = None) -> _Curves:
@@ -268,8 +232,8 @@ def _cost_curve(
     memo: Memo | None,
     solved: Solved | None = None,
 ) -> list[tuple[float, float]]:
-    targets = _targets(study)
-    if not found.feasible or not targets:
+    aims = targets(study)
+    if not found.feasible or not aims:
         return []  # no place to start from
     moved = found.cost - sum(found.costs.values())  # the curve includes the cost of moved mid-points
     curve = cost_of_yields(
@@ -277,7 +241,7 @@ def _cost_curve(
         found.tolerances,
         study.requirements,
         costs=study.costs,
-        targets=targets,
+        targets=aims,
         samples=study.samples,
         seed=study.seed,
         units=shown_values(study),
@@ -289,10 +253,3 @@ def _cost_curve(
     if len(goals) == 1 and study.joint_target is None:  # the allocation is a point of the curve
         points.append((least_yield(found.certificate), found.cost))
     return sorted(points)
-
-
-def _targets(study: Study) -> list[float]:
-    """Target yields of the points of the cost curve; none if no requirement has a target."""
-    if all(requirement.goal != "target" for requirement in study.requirements.values()):
-        return []
-    return [target for target in YIELD_SWEEP if study.samples * (1 - target) >= FEWEST_BEYOND]

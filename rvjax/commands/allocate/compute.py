@@ -1,8 +1,8 @@
 """Result of a study, computed or read from a results folder."""
 
-from rvjax.commands import forecast
 from rvjax.commands.allocate import answer
 from rvjax.commands.allocate.answer import Answer
+from rvjax.commands.allocate.forecast import phases_of
 from rvjax.commands.allocate.inputs import Inputs
 from rvjax.commands.speak import READING, WRITING
 
@@ -13,7 +13,7 @@ def phases(inputs: Inputs) -> dict[str, float]:
     Args:
         inputs: what is computed.
     """
-    return forecast.phases_of(inputs.study, READING, WRITING) if inputs.kept is None else {}
+    return phases_of(inputs.study, READING, WRITING) if inputs.kept is None else {}
 
 
 def compute(inputs: Inputs) -> Answer | None:

@@ -6,7 +6,9 @@ from pathlib import Path
 
 from rvjax import study
 from rvjax.commands.allocate import kept
-from rvjax.commands.speak import forewarn, share_cores
+from rvjax.commands.allocate.forecast import expected
+from rvjax.commands.forecast import forewarn
+from rvjax.commands.speak import share_cores
 from rvjax.render import results_folder
 from rvjax.study import Study
 from rvjax.tolerances import Memo
@@ -46,6 +48,6 @@ def inputs(options: argparse.Namespace) -> Inputs:
     if found is not None:
         return Inputs(loaded, found, None, None, True)
     folder = results_folder(options.results, loaded.name)
-    forewarn(loaded)
+    forewarn(loaded, expected(loaded))
     memo = kept.memo(loaded, folder)
     return Inputs(loaded, None, folder, memo, options.quiet, not options.no_whole)

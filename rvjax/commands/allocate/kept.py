@@ -8,12 +8,13 @@ from pathlib import Path
 
 import rvjax
 from rvjax import tolerances
+from rvjax._ground.files import versions
 from rvjax.commands.allocate.answer import Answer, Side
 from rvjax.commands.allocate.whole import Whole
 from rvjax.records import PyTree
 from rvjax.render import numbered_folders
 from rvjax.study import Study
-from rvjax.tolerances import Memo, versions
+from rvjax.tolerances import Memo
 
 
 def folder(study: Study, option: str | None) -> Path | None:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rvjax._ground.files import versions
 from rvjax.commands.allocate import kept
 from rvjax.commands.allocate.answer import Answer
 from rvjax.commands.allocate.figures import figures
@@ -31,7 +32,6 @@ from rvjax.render import (
     Titled,
     Value,
     number,
-    versions,
 )
 from rvjax.study import Study
 from rvjax.tolerances import Allocation, Tolerance

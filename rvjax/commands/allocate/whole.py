@@ -16,10 +16,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax import models
+from rvjax._jax.blocks import AT_ONCE
 from rvjax.commands.cells import share
 from rvjax.errors import described
 from rvjax.population import Estimate, Population, deviate_of, drawn, root_key, score_interval
-from rvjax.response import AT_ONCE, elements, is_costly, parts
+from rvjax.response import elements, is_costly, parts
 from rvjax.status import succeeded
 from rvjax.study import CURVE, Response, Study
 

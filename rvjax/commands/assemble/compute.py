@@ -5,7 +5,8 @@ Tighter tolerances or matching: which is cheaper? The cheapest tolerances for ra
 
 import dataclasses
 
-from rvjax import assembly, progress
+from rvjax import assembly
+from rvjax._ground import progress
 from rvjax.assembly import Plan, opening
 from rvjax.commands.assemble.inputs import Inputs
 from rvjax.commands.assemble.parts import REST, Bench, bench, table_of

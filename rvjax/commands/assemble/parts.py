@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from rvjax import columns
+from rvjax._ground import columns
+from rvjax._ground.axes import axis_sizes
+from rvjax._ground.choices import unknown
 from rvjax.assembly import Kind, Machine, Part, Plan, UnitResponse, draw, known as known_parts, supply_of
-from rvjax.axes import axis_sizes
-from rvjax.choices import unknown
 from rvjax.commands.assemble.inputs import Assembly
 from rvjax.designs import RVReducer
 from rvjax.mounting import carried, disc_mountings, drawing, unit_errors

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 import rvjax
+from rvjax._ground.files import versions
 from rvjax.assembly import Plan
 from rvjax.commands.assemble.compute import Assembled, Price
 from rvjax.commands.assemble.inputs import Inputs
@@ -15,7 +16,7 @@ from rvjax.commands.assemble.parts import REST, unit_values
 from rvjax.designs import RVReducer
 from rvjax.mounting import disc_mountings, drawing
 from rvjax.records import PyTree
-from rvjax.render import CSV, TEXT, Cell, Figure, Interval, Note, Number, Quantity, Report, Share, Table, Text, versions
+from rvjax.render import CSV, TEXT, Cell, Figure, Interval, Note, Number, Quantity, Report, Share, Table, Text
 from rvjax.study import Study
 
 if TYPE_CHECKING:

@@ -17,16 +17,18 @@ from typing import Any
 
 import numpy as np
 
-from rvjax import models, progress as phase
-from rvjax.choices import choose
-from rvjax.commands.budget.effects import BLOCK, FEWEST, MOST, Load, by_level, of_load, parts_of
+from rvjax import models
+from rvjax._ground import progress as phase
+from rvjax._ground.choices import choose
+from rvjax._ground.progress import progress_bar
+from rvjax._jax.blocks import AT_ONCE
+from rvjax.commands.budget.effects import FEWEST, MOST, Load, by_level, of_load, parts_of
 from rvjax.commands.budget.inputs import Inputs
 from rvjax.commands.budget.scalar import ScalarBudget, scalar_budget
-from rvjax.commands.curves import curves_of, torque_condition
+from rvjax.commands.curves import curves_of
 from rvjax.commands.speak import READING, WRITING
-from rvjax.outputs import Curve
+from rvjax.outputs import Curve, torque_condition, torque_of
 from rvjax.population import Population, root_key
-from rvjax.progress import progress_bar
 from rvjax.response import numbers_of
 from rvjax.study import Study, naming
 
@@ -148,8 +150,8 @@ def error_budget(
     given = study.conditions
     name = torque_condition(given)
     if loads is None:
-        if not (torque := getattr(given, name)):
-            raise ValueError(f"conditions.{name} = 0 N m: a budget under load needs one")
+        if not (torque := torque_of(given)):
+            raise ValueError(f"conditions.{name or 'torque'} = 0 N m: a budget under load needs a torque")
         loads = {"loaded": torque, "unloaded": UNLOADED * torque}
     population = Population.of(study.tolerances if tolerances is None else tolerances)
     key = root_key(study.seed if seed is None else seed)
@@ -157,7 +159,7 @@ def error_budget(
     def draw(first: int, *, count: int) -> np.ndarray:
         return numbers_of(population, key, first + np.arange(count))
 
-    blocks = -(-samples // BLOCK)
+    blocks = -(-samples // AT_ONCE)
     found = {}
     with progress_bar(progress, len(loads) * blocks * (2 + len(population.active)), "solving", "batch") as advance:
 

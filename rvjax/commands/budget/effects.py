@@ -6,13 +6,13 @@ from typing import TypeVar
 
 import numpy as np
 
-from rvjax.choices import choose
+from rvjax._ground.choices import choose
+from rvjax._jax.blocks import AT_ONCE
 from rvjax.errors import STAGES, described
 from rvjax.population import Population
 from rvjax.study import Study
 
 FEWEST, MOST = 16, 2**16
-BLOCK = 256  # units at once: all angles of a turn of each are solved together
 LEVELS = ("field", "part", "stage")
 Solve = Callable[[np.ndarray], np.ndarray]  # random numbers of units -> their waves
 V = TypeVar("V", float, np.ndarray)
@@ -31,7 +31,7 @@ class Load:
 
 
 def of_load(
-    solve: Solve, draw: Callable[..., np.ndarray], population: Population, samples: int, block: int = BLOCK
+    solve: Solve, draw: Callable[..., np.ndarray], population: Population, samples: int, block: int = AT_ONCE
 ) -> Load:
     """Variances by error from units, of which each error is sampled again.
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rvjax import study
-from rvjax.commands.speak import forewarn
+from rvjax.commands.forecast import forewarn
 from rvjax.render import results_folder
 from rvjax.study import Study, quantity
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from rvjax.commands.budget.compute import Budget, curve_along, error_budget, waves_of
 from rvjax.commands.budget.effects import parts_of, squares
-from rvjax.commands.curves import torque_condition
+from rvjax.outputs import torque_of
 from rvjax.population import Population, drawn, root_key
 from rvjax.response import elements, parts
 from rvjax.study import CURVE, Study
@@ -29,9 +29,7 @@ def budget_if_any(study: Study, tolerances: Any = None) -> Budget | None:
         study: design, conditions and tolerances.
         tolerances: other than those of the study.
     """
-    if curve_along(study, tuple(study.requirements)) is None or not getattr(
-        study.conditions, torque_condition(study.conditions)
-    ):
+    if curve_along(study, tuple(study.requirements)) is None or not torque_of(study.conditions):
         return None
     found = linear_budget(study, study.tolerances if tolerances is None else tolerances) if study.costly else None
     return found or error_budget(study, tolerances=tolerances)
@@ -49,7 +47,7 @@ def linear_budget(study: Study, tolerances: Any) -> Budget | None:
     drawing = [part for part in parts(response, population) if getattr(part.response, "curve", False)]
     if curve is None or curve is not study.curve or curve.turns is None or not (response.costly and drawing):
         return None
-    torque = getattr(study.conditions, torque_condition(study.conditions))
+    torque = torque_of(study.conditions)
     numbers = sum(int(np.prod(t.shape)) for t in population.active.values())
     samples = max(FEWEST, PER_ELEMENT * numbers)
     z = np.asarray(drawn(population, root_key(study.seed), jnp.uint32(0), count=samples))

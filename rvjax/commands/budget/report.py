@@ -5,11 +5,12 @@ from typing import Any
 
 import numpy as np
 
+from rvjax._ground.files import versions
 from rvjax.commands.budget.compute import Budget
 from rvjax.commands.budget.effects import LEVELS
 from rvjax.commands.budget.inputs import Inputs
 from rvjax.commands.budget.scalar import ScalarBudget, report_on_scalar
-from rvjax.render import CSV, EVERYWHERE, Column, Figure, Note, Number, Report, Section, Table, Text, versions
+from rvjax.render import CSV, EVERYWHERE, Column, Figure, Note, Number, Report, Section, Table, Text
 from rvjax.study import Study
 from rvjax.units import arcsec, readable
 

@@ -5,10 +5,12 @@ from dataclasses import dataclass
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax.commands.budget.effects import BLOCK, FEWEST, LEVELS, MOST, by_level, of_load, parts_of
+from rvjax._ground.files import versions
+from rvjax._ground.progress import progress_bar
+from rvjax._jax.blocks import AT_ONCE
+from rvjax.commands.budget.effects import FEWEST, LEVELS, MOST, by_level, of_load, parts_of
 from rvjax.population import Population, drawn, root_key
-from rvjax.progress import progress_bar
-from rvjax.render import Note, Number, Report, Table, Text, versions
+from rvjax.render import Note, Number, Report, Table, Text
 from rvjax.response import elements, gradients, parts
 from rvjax.status import SUCCESS
 from rvjax.study import Study
@@ -74,7 +76,7 @@ def scalar_budget(study: Study, output: str, *, samples: int = 256, seed: int | 
     def draw(first: int, *, count: int) -> np.ndarray:
         return np.asarray(drawn(population, key, jnp.uint32(first), count=count))
 
-    batches, block = -(-samples // BLOCK) * (2 + len(population.active)), min(BLOCK, samples)
+    batches, block = -(-samples // AT_ONCE) * (2 + len(population.active)), min(AT_ONCE, samples)
     seen: list[np.ndarray] = []
     with progress_bar(False, batches, "solving", "batch") as advance:
 

@@ -3,10 +3,11 @@
 import dataclasses
 
 import rvjax
+from rvjax.commands.allocate import expected
 from rvjax.commands.cells import assumed_text, limits_data, limits_of
 from rvjax.commands.check.compute import Checked
 from rvjax.commands.check.inputs import Inputs
-from rvjax.commands.forecast import expected, level_lines
+from rvjax.commands.forecast import level_lines
 from rvjax.designs import RVReducer
 from rvjax.render import Figure, Limits, Note, Report, Table, Text
 from rvjax.study import Study, numbers

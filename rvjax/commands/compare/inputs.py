@@ -6,7 +6,7 @@ from pathlib import Path
 
 from rvjax import study
 from rvjax.commands.compare.results import Result, result
-from rvjax.commands.speak import forewarn
+from rvjax.commands.forecast import forewarn
 from rvjax.records import PyTree
 from rvjax.study import Study
 

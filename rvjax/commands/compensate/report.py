@@ -7,11 +7,12 @@ from pathlib import Path
 import numpy as np
 
 import rvjax
+from rvjax._ground.files import versions
 from rvjax.commands.compensate.compute import Corrections, Curve
 from rvjax.commands.compensate.inputs import Inputs
 from rvjax.compensation import Left, exported, predicted, residual
 from rvjax.records import PyTree
-from rvjax.render import CSV, TEXT, Figure, Interval, Note, Number, Quantity, Report, Table, Text, versions
+from rvjax.render import CSV, TEXT, Figure, Interval, Note, Number, Quantity, Report, Table, Text
 from rvjax.units import arcsec
 
 ARCSEC: dict[str, PyTree] = {"unit": "rad", "read_in": "arcsec"}

@@ -6,7 +6,8 @@ from pathlib import Path
 
 from rvjax import study
 from rvjax.commands.allocate import kept
-from rvjax.commands.speak import forewarn, share_cores
+from rvjax.commands.forecast import forewarn
+from rvjax.commands.speak import share_cores
 from rvjax.render import results_folder
 from rvjax.study import Study, StudyError
 from rvjax.tolerances import Memo

@@ -7,6 +7,8 @@ from typing import Any
 
 import jax.numpy as jnp
 
+from rvjax._ground.files import versions
+from rvjax._reducer.plausible import steep
 from rvjax.commands.allocate import shortfall_text
 from rvjax.commands.cells import assumed_text, evaluated, failures_text, limit_text, limits_data, limits_of, share
 from rvjax.commands.design import live
@@ -14,7 +16,6 @@ from rvjax.commands.design.compute import Designed, Point
 from rvjax.commands.design.figures import figures
 from rvjax.commands.design.inputs import Inputs
 from rvjax.commands.design.prices import limit_price, nominal_limit, priced_per, prices, slope, unit_of_number
-from rvjax.plausible import steep
 from rvjax.render import (
     Column,
     Interval,
@@ -27,7 +28,6 @@ from rvjax.render import (
     Text,
     Titled,
     leading_comment,
-    versions,
 )
 from rvjax.study import Study, fields_of, number_at, outside, shown
 from rvjax.units import readable

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rvjax import identify, progress
+from rvjax import identify
+from rvjax._ground import progress
 from rvjax.commands.identify.inputs import Inputs
 from rvjax.commands.speak import READING, WRITING
 from rvjax.records import PyTree

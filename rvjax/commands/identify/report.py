@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from rvjax import identify
-from rvjax.columns import place_of
+from rvjax._ground.columns import place_of
+from rvjax._ground.files import versions
 from rvjax.commands.identify.compute import Identified
 from rvjax.commands.identify.figures import figures
 from rvjax.commands.identify.head import head_of
@@ -42,7 +43,6 @@ from rvjax.render import (
     Text,
     Value,
     leading_comment,
-    versions,
 )
 from rvjax.study import NUISANCES, field_unit, part_orders
 from rvjax.units import KNOWN, arcsec, readable

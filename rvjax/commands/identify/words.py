@@ -5,7 +5,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from rvjax.columns import element, place_of
+from rvjax._ground.columns import element, place_of
 from rvjax.commands.identify.compute import Identified
 from rvjax.commands.identify.head import CONSISTENT, Head
 from rvjax.records import PyTree

@@ -4,8 +4,8 @@ import argparse
 from dataclasses import dataclass
 from pathlib import Path
 
+from rvjax._ground.files import check_writable
 from rvjax.commands.speak import check_files
-from rvjax.files import check_writable
 
 
 @dataclass(frozen=True)

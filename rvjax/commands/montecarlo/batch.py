@@ -13,10 +13,10 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from rvjax import study, tolerances
+from rvjax._jax.blocks import CHUNK
 from rvjax.tolerances import Statistics, UnitFile, joined
 
 _STUDY = "study.toml"
-CHUNK = 32768  # keeps the temporaries of a turn of 64 angles near the cache
 
 
 @dataclasses.dataclass(frozen=True)

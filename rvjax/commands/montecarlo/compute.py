@@ -3,10 +3,13 @@
 import dataclasses
 from dataclasses import dataclass
 
-from rvjax import progress, tolerances
+from rvjax import tolerances
+from rvjax._ground import progress
+from rvjax._jax.blocks import CHUNK
+from rvjax.commands.forecast import forewarn
 from rvjax.commands.montecarlo import batch
 from rvjax.commands.montecarlo.inputs import Inputs
-from rvjax.commands.speak import READING, forewarn
+from rvjax.commands.speak import READING
 from rvjax.study import Study
 from rvjax.tolerances import Statistics
 
@@ -72,7 +75,7 @@ def _batch(inputs: Inputs) -> batch.Batch:
         samples=options.samples,
         seed=options.seed,
         sobol=options.sobol,
-        chunk=options.chunk or batch.CHUNK,
+        chunk=options.chunk or CHUNK,
         checkpoint=options.checkpoint,
         keep=options.save is not None and inputs.table is None,
         save=save or None,

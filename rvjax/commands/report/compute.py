@@ -2,9 +2,8 @@
 
 from dataclasses import dataclass
 
-from rvjax import progress
-from rvjax.commands import forecast
-from rvjax.commands.allocate import Answer, answer
+from rvjax._ground import progress
+from rvjax.commands.allocate import Answer, answer, phases_of
 from rvjax.commands.budget import Budget, budget_if_any
 from rvjax.commands.report import surrogate as behind
 from rvjax.commands.report.inputs import Inputs
@@ -40,7 +39,7 @@ def phases(inputs: Inputs) -> dict[str, float]:
     if inputs.shown:
         return {}
     if inputs.answer is None:
-        return forecast.phases_of(inputs.study, READING, SLIDERS, WRITING)
+        return phases_of(inputs.study, READING, SLIDERS, WRITING)
     return {READING: 6.0, SLIDERS: 10.0, WRITING: 10.0}
 
 

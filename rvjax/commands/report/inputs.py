@@ -7,9 +7,10 @@ from pathlib import Path
 
 import rvjax
 from rvjax import study
-from rvjax.commands.allocate import FILE, Answer, restored_from
-from rvjax.commands.speak import check_files, forewarn, share_cores
-from rvjax.files import check_writable
+from rvjax._ground.files import check_writable
+from rvjax.commands.allocate import FILE, Answer, expected, restored_from
+from rvjax.commands.forecast import forewarn
+from rvjax.commands.speak import check_files, share_cores
 from rvjax.render import results_folder
 from rvjax.study import Study
 
@@ -56,7 +57,7 @@ def inputs(options: argparse.Namespace) -> Inputs:
     folder = results_folder(None, loaded.name) if output is None else None
     if output is not None:
         check_writable(output)
-    forewarn(loaded)
+    forewarn(loaded, expected(loaded))
     shown = kept is not None and output is not None and not options.fresh and shows(output, kept, options.study)
     return Inputs(loaded, options.study, answer, kept, output, shown, folder, options.quiet)
 

@@ -4,9 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rvjax._jax.blocks import PULLED
 from rvjax.commands.allocate import Answer
 from rvjax.population import Population, root_key
-from rvjax.response import LANES, elements, numbers_of
+from rvjax.response import elements, numbers_of
 from rvjax.status import MEANING, Status
 from rvjax.units import readable
 
@@ -47,7 +48,7 @@ def worst_units(answer: Answer) -> list[WorstUnit]:
         return []
     population, count = Population.of(side.tolerances), len(found)
     indices = np.array([index for index, _, _ in found])
-    z = numbers_of(population, root_key(side.seed), np.resize(indices, -(-count // LANES) * LANES))
+    z = numbers_of(population, root_key(side.seed), np.resize(indices, -(-count // PULLED) * PULLED))
     drawn = [population.constants | population.by_field(unit) for unit in np.asarray(elements(population, z)).T]
     return [
         WorstUnit(

@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import ndtr
 
-from rvjax.choices import unknown
-from rvjax.columns import read_table
+from rvjax._ground.choices import unknown
+from rvjax._ground.columns import read_table
 from rvjax.population.distribution import Distribution, Moments, bad
 from rvjax.records import IN_ERROR_UNIT, Array, Scalar, concrete, field, is_concrete, record
 from rvjax.units import KNOWN

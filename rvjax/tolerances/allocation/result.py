@@ -3,7 +3,7 @@
 import dataclasses
 from typing import Any
 
-from rvjax import frames
+from rvjax._ground import frames
 from rvjax.population import Population
 from rvjax.tolerances.batch.monte_carlo import Statistics
 

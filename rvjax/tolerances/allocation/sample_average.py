@@ -14,8 +14,9 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import special
 
+from rvjax._jax.blocks import PULLED
 from rvjax.population import Population, Tolerance, drawn, root_key
-from rvjax.response import BLOCK, LANES, Response, elements_and_rates, gradients, respond, response_names
+from rvjax.response import BLOCK, Response, elements_and_rates, gradients, respond, response_names
 from rvjax.status import succeeded
 from rvjax.tolerances.allocation.followed import Followed, followable
 from rvjax.tolerances.allocation.shrinkage import MANY, total_of_many
@@ -301,7 +302,7 @@ class Training:
         else:
             z, parts = np.concatenate([np.asarray(b) for b in self.blocks], axis=1), [self.names]
         given = dict(zip(self.fields, jnp.asarray(half_widths, z.dtype)))
-        padded = np.resize(pull.units, -(-len(pull.units) // LANES) * LANES)  # one program, however many units
+        padded = np.resize(pull.units, -(-len(pull.units) // PULLED) * PULLED)  # one program, however many units
         both = (np.asarray(rows) for rows in elements_and_rates(self.population, given, z[:, padded]))
         errors, rates = (rows[:, : len(pull.units)] for rows in both)
         required = np.array(list(self.requirements))[of[pull.units]]

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from rvjax.files import Arrays
+from rvjax._ground.files import Arrays
 from rvjax.population import CentralMoments, Pairwise
 from rvjax.status import SUCCESS
 from rvjax.tolerances.batch.quantiles import ExactOrder, Order

@@ -14,8 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax import files
-from rvjax.files import DAMAGE, PARTIAL, Arrays, digest, pack, unpack, write_atomically
+from rvjax._ground.files import DAMAGE, PARTIAL, Arrays, digest, pack, unpack, write_atomically
 from rvjax.population import Population
 from rvjax.records import PyTree, Record
 from rvjax.response import Response, respond
@@ -25,11 +24,6 @@ _SHARE = 10  # times as long computing as writing
 _FORMAT = 2
 LARGEST = 2**26
 """Bytes of a state for each response, at most: 16 histograms and what waits for one are 16 MiB."""
-
-
-def versions() -> dict[str, str]:
-    """Versions that a result belongs to."""
-    return files.versions("jax", "scipy")
 
 
 def describe(population: Population, requirements: Mapping[str, Limits]) -> dict[str, str]:

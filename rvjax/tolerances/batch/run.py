@@ -13,10 +13,10 @@ from pathlib import Path
 
 import numpy as np
 
-from rvjax.compile_cache import kept_folder
-from rvjax.files import DAMAGE, Arrays
+from rvjax._ground.files import DAMAGE, Arrays, versions
+from rvjax._ground.progress import progress_bar
+from rvjax._jax.compile_cache import kept_folder
 from rvjax.population import SCRAMBLES, Estimate, Population, Sampled
-from rvjax.progress import progress_bar
 from rvjax.records import PyTree
 from rvjax.response import Evaluator, Response, evaluator, gathered, place
 from rvjax.status import PRECEDENCE
@@ -28,7 +28,6 @@ from rvjax.tolerances.batch.checkpoint import (
     of_number,
     of_process,
     response_hash,
-    versions,
 )
 from rvjax.tolerances.batch.memo import Memo
 from rvjax.tolerances.batch.quantiles import quantile_estimate

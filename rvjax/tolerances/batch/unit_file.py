@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, TextIO
 
 import numpy as np
 
-from rvjax import frames
-from rvjax.columns import elements
-from rvjax.files import check_writable, replacing
+from rvjax._ground import frames
+from rvjax._ground.columns import elements
+from rvjax._ground.files import check_writable, replacing
 from rvjax.population import Population
 from rvjax.records import PyTree
 from rvjax.status import SUCCESS, Status
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from pyarrow import Schema
     from pyarrow.parquet import ParquetWriter
 
-    from rvjax.frames import DataFrame
+    from rvjax._ground.frames import DataFrame
 
 ENDINGS = (".csv", ".parquet")
 FORMAT = 1

@@ -10,8 +10,9 @@ import dataclasses
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax._jax.blocks import PULLED
 from rvjax.population import Population
-from rvjax.response import LANES, elements
+from rvjax.response import elements
 from rvjax.tolerances.codesign.units import Units
 
 SOLVED = 512
@@ -96,7 +97,7 @@ class AnchoredUnits(Units):
         numbers = _numbers(population, z)
         count, sloped, slopes = len(population.values or {}), dict[str, np.ndarray](), dict[str, np.ndarray]()
         for name, row in away.items():
-            units = nearest(np.where(np.isfinite(values[name]), row, np.inf), LANES)
+            units = nearest(np.where(np.isfinite(values[name]), row, np.inf), PULLED)
             own = super()._gradients(population, numbers[: len(numbers) - count, units], {name: np.ones(len(units))})
             good = np.isfinite(own).all(axis=0)
             sloped[name], slopes[name] = units[good], own[:, good]

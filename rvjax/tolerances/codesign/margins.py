@@ -12,8 +12,9 @@ import math
 import numpy as np
 from scipy import special
 
+from rvjax._jax.blocks import PULLED
 from rvjax.population import Population, SobolPoints
-from rvjax.response import LANES, Response, response_names
+from rvjax.response import Response, response_names
 from rvjax.tolerances.batch.memo import Memo
 from rvjax.tolerances.codesign.anchor import Anchor, AnchoredUnits
 from rvjax.tolerances.codesign.decisions import Decisions
@@ -30,7 +31,7 @@ from rvjax.tolerances.requirements.limits import Limits
 from rvjax.tolerances.worst_case import extremes
 
 WIDTH = 0.06  # of the smoothing of quantiles, standard deviations of the response along its gradient
-_MOST_LANES = 2 * LANES  # units behind the slope of a quantile
+_MOST_LANES = 2 * PULLED  # units behind the slope of a quantile
 _AGREE = 0.02  # of the way to a limit, by which lines may differ from a sample
 JOINT = "joint"
 """Name of the constraint on units that meet all limits."""
@@ -118,8 +119,8 @@ class Margins:
             order = np.argsort(margins)
             order = order[np.isfinite(margins[order])]
             beyond = np.cumsum(self.tails.weights[order[::-1]])[::-1] / self.samples
-            at = min(int(np.searchsorted(-beyond, -(1 - target))), max(len(order) - LANES // 2, 0))
-            units = order[max(0, at - LANES // 2) : max(0, at - LANES // 2) + LANES]
+            at = min(int(np.searchsorted(-beyond, -(1 - target))), max(len(order) - PULLED // 2, 0))
+            units = order[max(0, at - PULLED // 2) : max(0, at - PULLED // 2) + PULLED]
             if not len(units):
                 continue
             cotangents = {name: pull[units] for name, pull in shared.outward.items()}

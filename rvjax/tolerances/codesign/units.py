@@ -7,10 +7,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax._jax.blocks import PULLED
 from rvjax.population import Population
 from rvjax.response import (
     BLOCK,
-    LANES,
     Part,
     Response,
     elements,
@@ -164,7 +164,7 @@ class Units:
     ) -> list[np.ndarray]:
         """Derivatives as `slope`, of several parts of the units."""
         count = z.shape[1]
-        most = LANES * max(len(several), -(-count // LANES))
+        most = PULLED * max(len(several), -(-count // PULLED))
         both = self.errors_and_rates(x, population, z[:, np.resize(np.arange(count), most)])
         errors, rates = (rows[:, :count] for rows in both)
         slopes = self._gradients(population, errors, pulled, units)
@@ -204,7 +204,7 @@ class Units:
 
     def slopes_to_z(self, population: Population, z: np.ndarray, pulled: dict[str, np.ndarray]) -> np.ndarray:
         """Gradients (numbers, n) of responses of units to their z."""
-        padded = np.resize(np.arange(z.shape[1]), -(-z.shape[1] // LANES) * LANES)
+        padded = np.resize(np.arange(z.shape[1]), -(-z.shape[1] // PULLED) * PULLED)
         lanes = jnp.asarray(z[:, padded], jnp.result_type(float))
         errors = np.asarray(elements(population, lanes), float)[:, : z.shape[1]]
         slopes = self._gradients(population, errors, pulled)[: len(errors)]

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax.arguments import checked
+from rvjax._jax.arguments import checked
 from rvjax.population import Correlation, Estimate, Population, deviate_of, rare, skewed, student, wilson
 from rvjax.records import PyTree
 from rvjax.response import Response, by_name, by_response, response_names

@@ -9,9 +9,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax.arguments import checked
+from rvjax._ground.progress import progress_bar
+from rvjax._jax.arguments import checked
 from rvjax.population import Correlation, Population, Tolerance
-from rvjax.progress import progress_bar
 from rvjax.records import Record
 from rvjax.response import BLOCK, DesignResponse, Response, by_response, response_names, unwrapped
 from rvjax.tolerances.allocation.certificate import DRAWS, Certifier

@@ -12,7 +12,9 @@ from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 import jax
 import numpy as np
 
-from rvjax import arguments, catalogue, flank
+from rvjax import catalogue
+from rvjax._jax import arguments
+from rvjax._reducer import flank
 from rvjax.records import PyTree, Scalar, concrete
 from rvjax.units import suited
 

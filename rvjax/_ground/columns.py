@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rvjax.choices import unknown
+from rvjax._ground.choices import unknown
 from rvjax.units import spelling
 
 Units = Mapping[str, Mapping[str, float]]

@@ -8,7 +8,9 @@ import numpy as np
 from jax.extend.core import ClosedJaxpr, Literal
 
 from rvjax.records import PyTree
-from rvjax.roots import SOLVED
+
+SOLVED = "solved"
+"""Name of a value that `roots.solved` marks in a program."""
 
 
 class Marked(NamedTuple):

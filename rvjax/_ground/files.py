@@ -117,7 +117,8 @@ def digest(arrays: Arrays) -> str:
     return found.hexdigest()
 
 
-def versions(*packages: str) -> dict[str, str]:
-    """Versions of rvjax and of packages or "python", by name, for results in files."""
-    found = {"python": platform.python_version()}
-    return {n: found.get(n) or importlib.import_module(n).__version__ for n in ("rvjax", *packages)}
+def versions() -> dict[str, str]:
+    """Versions that a result in a file belongs to, by name."""
+    return {name: importlib.import_module(name).__version__ for name in ("rvjax", "jax", "scipy")} | {
+        "python": platform.python_version()
+    }

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from rvjax.arguments import checked
-from rvjax.choices import choose
+from rvjax._ground.choices import choose
+from rvjax._jax.arguments import checked
 from rvjax.population import Population
 from rvjax.response import Response
-from rvjax.tolerances.allocation.allocation import Solved, allocate, block
+from rvjax.tolerances.allocating import Solved, allocate, block
 from rvjax.tolerances.allocation.cost import Cost
 from rvjax.tolerances.allocation.result import Allocation
 from rvjax.tolerances.allocation.sample_average import Training

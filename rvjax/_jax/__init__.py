@@ -1,0 +1,1 @@
+"""All code that depends on internals of JAX or tunes its compiler; each part names its measured gain."""

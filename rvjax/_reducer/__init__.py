@@ -1,0 +1,1 @@
+"""Private parts of the description of a reducer: error metadata, crank bearings, the flank, plausible ranges."""

@@ -1,0 +1,76 @@
+"""Forecast of an allocation: phases, solved units of each, seconds."""
+
+from rvjax._ground.progress import spelled
+from rvjax.commands.forecast import unit_seconds
+from rvjax.response import BLOCK
+from rvjax.study import Study
+from rvjax.tolerances import KEPT
+
+SEARCHING, CERTIFYING = "cheapest tolerances", "yield before"  # phases of a run
+SAMPLING, PRICING = "sample units", "cost against yield"
+SHOWN_VALUES = KEPT  # units behind a histogram: those of the certificate where it has no more
+FEWEST_BEYOND = 8  # units of the learning sample beyond a limit, below which a point of the cost curve is left out
+YIELD_SWEEP = (0.9, 0.95, 0.99, 0.995, 0.999)
+
+# Counted in results of rv-40e, with moving mid-points and half-widths rounded to grades, and of rv-40e-whole.
+PASSES = {True: 108, False: 49}  # of a search over its learning sample, with and without moving mid-points
+CERTIFICATES = {True: 5, False: 4}
+PASSES_A_POINT = 6  # of the cost curve
+# The same of rv-40e-whole, whose units are costly: passes solve those that decide, certificates share a sample.
+COSTLY_PASSES, COSTLY_CERTIFICATES, COSTLY_PART_OF_A_POINT = 8, 1.8, 0.6
+
+
+def solved_units(study: Study) -> dict[str, int]:
+    """Estimate the number of solved units in each phase of a run."""
+    middles, drawn, points = bool(study.middles), study.certificate_samples, len(targets(study))
+    shown = 2 * SHOWN_VALUES if drawn > KEPT else 0
+    if study.costly:
+        found = {
+            SEARCHING: COSTLY_PASSES * study.samples + COSTLY_CERTIFICATES * drawn,
+            CERTIFYING: 0,  # units of the search
+            PRICING: points * COSTLY_PART_OF_A_POINT * (study.samples + drawn / 2),
+        }
+    else:
+        found = {
+            SEARCHING: PASSES[middles] * study.samples + CERTIFICATES[middles] * drawn,
+            CERTIFYING: drawn,
+            PRICING: points * (PASSES_A_POINT * study.samples + shown_values(study)),
+        }
+    return {phase: int(units) for phase, units in found.items()} | {SAMPLING: shown}
+
+
+def targets(study: Study) -> list[float]:
+    """Target yields of the points of the cost curve; none if no requirement has a target."""
+    if all(requirement.goal != "target" for requirement in study.requirements.values()):
+        return []
+    return [target for target in YIELD_SWEEP if study.samples * (1 - target) >= FEWEST_BEYOND]
+
+
+def shown_values(study: Study) -> int:
+    """Units behind a histogram."""
+    return min(SHOWN_VALUES, study.certificate_samples)
+
+
+def expected(study: Study) -> str:
+    """Time and memory of an allocation, from the measured time of a unit, in words."""
+    unit = unit_seconds(study)
+    if unit is None:
+        return "time: unknown, these levels are not measured"
+    return (
+        f"time: about {spelled(unit * sum(solved_units(study).values()))} of computation on the two cores of the "
+        "measured table, besides tracing and compilation (20 s for an RV-40E, 45 s at the first run); "
+        f"chunks of {BLOCK:,} units, memory does not grow with their number"
+    )
+
+
+def phases_of(study: Study, before: str, *after: str) -> dict[str, float]:
+    """Seconds of each phase of a run, on the computer of the measured table, including compilation.
+
+    Args:
+        study: whose allocation is computed.
+        before: phase before it.
+        *after: phases after it.
+    """
+    unit, compiling = unit_seconds(study) or 0.0, {SEARCHING: 20.0, CERTIFYING: 1.0, SAMPLING: 16.0, PRICING: 12.0}
+    spent = {phase: compiling[phase] + unit * units for phase, units in solved_units(study).items()}
+    return {before: 6.0} | spent | dict.fromkeys(after, 10.0)
