@@ -1,7 +1,7 @@
 """Interruptions of a run: signals, a full and a read-only disk, other devices and threads; each with its outcome.
 
 Every case is a process of its own that counts units of one study. Its figures, to the last bit, are compared with those
-of an undisturbed run: the table of docs/stability.md.
+of an undisturbed run: the table of benchmarks/NOTES.md.
 
     python -m benchmarks.interruptions
 """

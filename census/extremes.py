@@ -3,7 +3,7 @@
     python -m census.extremes --inputs 1e6          one million inputs for each group of models
     python -m census.extremes --budget 5            what fits into five minutes
     python -m census.extremes --model mesh_force    groups or models whose name begins so
-    python -m census.extremes --page                only write the table of docs/stability.md
+    python -m census.extremes --page                only write the tables of docs/stability.md and census/NOTES.md
 
 Result on screen and in census.json, per model: how many inputs ended with which status; silent NaN or infinity, and
 finite values where NaN is due; statuses and values against an independent computation; the largest residual;
@@ -22,7 +22,7 @@ import numpy as np
 import tqdm
 
 from benchmarks.timing import settings
-from census.table import CENSUS, PAGE, stored, write_page
+from census.table import CENSUS, PAGE, stored, write_pages
 
 
 def main() -> None:
@@ -33,12 +33,12 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--json", type=Path, default=CENSUS)
     parser.add_argument("--fresh", action="store_true", help="forget what the file holds")
-    parser.add_argument("--page", action="store_true", help="only write the table of the page from the file")
+    parser.add_argument("--page", action="store_true", help="only write the tables of the pages from the file")
     options = parser.parse_args()
     if not options.page:
         take_census(options)
     if options.json == CENSUS and PAGE.exists():
-        write_page(stored(), PAGE)
+        write_pages(stored())
 
 
 def take_census(options: argparse.Namespace) -> None:

@@ -1,4 +1,4 @@
-"""Results of a census, as the tables of the page on stability."""
+"""Results of a census, as tables of the page on stability (docs/stability.md) and of census/NOTES.md."""
 
 import json
 from pathlib import Path
@@ -6,6 +6,7 @@ from typing import Any
 
 CENSUS = Path(__file__).parent / "census.json"
 PAGE = Path(__file__).parents[1] / "docs" / "stability.md"
+NOTES = Path(__file__).parent / "NOTES.md"
 BEGIN, END = "<!-- census begins -->\n", "<!-- census ends -->\n"
 
 
@@ -14,14 +15,21 @@ def stored() -> dict[str, Any]:
     return json.loads(CENSUS.read_text())
 
 
-def tables(file: dict[str, Any]) -> str:
-    """The census in two tables of Markdown: outcomes, and how far off."""
+def outcomes(file: dict[str, Any], *, statuses: bool) -> str:
+    """Outcomes of every group of models in a table of Markdown.
+
+    Args:
+        file: the census.
+        statuses: also the count of every status.
+    """
     entries = file["census"]
     groups = list(dict.fromkeys(e["group"] for e in entries))
     rows = [
-        "| models | inputs | silent NaN or inf | wrong statuses of checked | poisoned gradients | statuses |",
-        "|---|---:|---:|---:|---:|---|",
+        "| models | inputs | silent NaN or inf | wrong statuses of checked | poisoned gradients |",
+        "|---|---:|---:|---:|---:|",
     ]
+    if statuses:
+        rows = [rows[0] + " statuses |", rows[1] + "---|"]
     for group in groups:
         own = [e for e in entries if e["group"] == group]
         counts: dict[str, int] = {}
@@ -30,17 +38,21 @@ def tables(file: dict[str, Any]) -> str:
                 counts[name] = counts.get(name, 0) + many
         total = {key: sum(e[key] for e in own) for key in own[0] if isinstance(own[0][key], int)}
         silent = total["silent"] + total["finite where NaN is due"] + total["float32 silent"]
-        statuses = ", ".join(f"{name} {many:,}" for name, many in sorted(counts.items(), key=lambda item: -item[1]))
+        listed = ", ".join(f"{name} {many:,}" for name, many in sorted(counts.items(), key=lambda item: -item[1]))
         rows.append(
             f"| {group} | {total['inputs']:,} | {silent} | {total['wrong status']} of {total['judged']:,} "
-            f"| {total['poisoned gradients']} | {statuses} |"
+            f"| {total['poisoned gradients']} |" + statuses * f" {listed} |"
         )
-    rows += [
-        "",
+    return "\n".join(rows) + "\n"
+
+
+def deviations(file: dict[str, Any]) -> str:
+    """Largest deviations of every model in a table of Markdown."""
+    rows = [
         "| model | largest residual | value off | derivatives above 1e-6 | worst derivative | float32 off |",
         "|---|---:|---:|---:|---:|---:|",
     ]
-    for entry in entries:
+    for entry in file["census"]:
         figures = [entry["worst"].get(name, {"figure": 0.0})["figure"] for name in
                    ("residual", "value", "derivative", "float32")]  # fmt: skip
         residual, value, derivative, single = (f"{figure:.1e}" if figure else "0" for figure in figures)
@@ -49,8 +61,13 @@ def tables(file: dict[str, Any]) -> str:
     return "\n".join(rows) + "\n"
 
 
-def write_page(file: dict[str, Any], page: Path) -> None:
-    """Put the tables between the marks of the page."""
-    text = page.read_text()
-    before, rest = text.split(BEGIN)
-    page.write_text(before + BEGIN + "\n" + tables(file) + "\n" + END + rest.split(END)[1])
+def pages(file: dict[str, Any]) -> dict[Path, str]:
+    """Text between the marks of each page."""
+    return {PAGE: outcomes(file, statuses=False), NOTES: outcomes(file, statuses=True) + "\n" + deviations(file)}
+
+
+def write_pages(file: dict[str, Any]) -> None:
+    """Put the tables between the marks of the pages."""
+    for page, tables in pages(file).items():
+        before, rest = page.read_text().split(BEGIN)
+        page.write_text(before + BEGIN + "\n" + tables + "\n" + END + rest.split(END)[1])

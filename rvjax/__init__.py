@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from rvjax.records import Record
     from rvjax.status import SolveError, SolveInfo, Status, check
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 # Homes of names that are loaded at first use, because importing JAX takes a second.
 _HOMES = {

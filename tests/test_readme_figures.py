@@ -1,4 +1,4 @@
-"""The speed figures of README and docs/speed.md are those of the benchmarks.
+"""The speed figures of README, docs/speed.md and benchmarks/NOTES.md are those of the benchmarks.
 
 Oracle: the newest of benchmarks/history, written by `python -m benchmarks.run`. Each figure is followed by a
 comment with the script and the name of its figure, such as `44 <!-- four_bar: numpy_over_library -->`, and by a factor
@@ -50,7 +50,7 @@ def test_the_comparison_finds_what_is_wrong():
         assert len(differences(good.replace(old, new), results)[1]) == 1, new
 
 
-@pytest.mark.parametrize("page", ["README.md", "docs/speed.md"])
+@pytest.mark.parametrize("page", ["README.md", "docs/speed.md", "benchmarks/NOTES.md"])
 def test_the_page_prints_what_was_measured(page):
     marks, wrong = differences((ROOT / page).read_text("utf-8"), history.newest())
     assert not wrong, "\n".join(wrong)

@@ -20,6 +20,7 @@ ALLOWED = re.compile(ALLOWED, re.IGNORECASE)
 CODE = re.compile(r"```.*?```|<!--.*?-->|`[^`]*`|\]\([^)]*\)|\$[^$]*\$|<[^>]*>|--[a-z-]+", re.DOTALL)
 
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "notebooks" / "README.md"]
+PAGES += [ROOT / "benchmarks" / "NOTES.md", ROOT / "census" / "NOTES.md"]
 PAGES += (ROOT / "docs").rglob("*.md")
 PAGES = sorted(page for page in PAGES if not {"_build", "_made"} & set(page.parts))
 

@@ -99,7 +99,7 @@ def _prepare() -> None:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
     os.environ.setdefault("MPLBACKEND", "Agg")
-    os.environ.setdefault("JAX_PLATFORMS", "cpu")  # the loaded reducer is slower on a GPU
+    os.environ.setdefault("JAX_PLATFORMS", "cpu")  # blocks of the loaded reducer are sized for a processor
     # XLA logs lines for every kept program: it takes preferences such as prefer-no-gather for instructions that the
     # processor lacks (the folder of kept programs is that of one processor). JAX sets "1", which its children inherit.
     quiet = os.environ.get("TF_CPP_MIN_LOG_LEVEL") != "0"

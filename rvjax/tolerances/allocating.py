@@ -74,12 +74,16 @@ def allocate(
 ) -> Allocation:
     """The cheapest half-widths with every requirement met: shares of units, means, capabilities.
 
-    Changing a half-width scales the limits about their mid-point; shift and cp stay. One sample of units
-    serves all steps. Each step models every constraint as a root sum of squares with the sampled
-    margins and slopes, solves that model by an augmented Lagrangian, and is accepted if the sampled
-    cost and violation fall. A larger sample corrects the margins once. Independent units then certify
-    the result: a value counts by the worse end of its confidence interval, and half-widths are tightened where
-    that costs least until it holds.
+    Changing a half-width scales the limits about their mid-point; shift and cp stay. One sample of units serves all
+    steps. Each step models every constraint as a root sum of squares with the sampled margins and slopes. The model
+    is separable: prices of the constraints that maximise its dual function give its optimum in a trust region. The
+    step is accepted if the sampled cost and violation fall. Where an audit finds that derivatives mislead,
+    differences along rays take their place. A larger sample corrects the margins once, unless units are costly: of
+    these only units that decide are solved. Independent units then certify the result: a value counts by the worse
+    end of its confidence interval, and half-widths are tightened where that costs least until it holds.
+
+    With `middles`, `variables`, `objective` or a `Nominal` requirement a sequential quadratic programme finds all
+    decisions together (docs/codesign.md).
 
     Args:
         response: pure function of the errors of one unit; a scalar, a dict or record of scalars, or `Outcome`.

@@ -29,7 +29,7 @@ from rvjax.tolerances.requirements.limits import Limits
 WRONG = 0.1  # units expected on the wrong side of a limit, at most
 _STEP = 128  # units solved next, at least
 _RANDOM = 32  # of the first units solved at a new set
-_IDLE = 0.5  # the same within which values that decide nothing are left as they were
+_IDLE = 0.5  # change of a limit, in half-widths, up to which outputs that decide nothing are not solved again
 _FAR = 1.0  # change of a limit, in half-widths, beyond which nothing is predicted
 _LARGEST = 3.0  # standard deviations of the largest of 32 deviations, more than it has by chance (2.1)
 _CAUTION = 1.2  # on the spread, which comes from few units

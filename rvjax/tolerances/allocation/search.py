@@ -65,8 +65,8 @@ RADIUS = 1.5  # first step, at most, in logarithms of the half-widths
 SETTLED = 2e-3  # steps and violations (as parts of the way to the limit) smaller than this end the search
 NOISE = 0.02  # violation within the error of the sample; the certificate corrects it
 BEYOND = 0.05  # beyond a limit by this part of the way there no certificate is tried
-GAIN = 1e-4  # and so does a step that saves less of the cost
-_COARSE = 5.0  # times these where units are costly: their sample gives the optimum no better
+GAIN = 1e-4  # a step that saves less than this part of the cost ends the search
+_COARSE = 5.0  # on SETTLED and GAIN where units are costly: their sample gives the optimum no better
 
 _BINDING = 0.1  # a constraint with a larger margin, in parts of the way to its limit, has no effect
 
