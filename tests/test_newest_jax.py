@@ -17,7 +17,7 @@ NEEDED = ("pytest", "pytest-xdist", "hypothesis", "mpmath")  # others of `dev` m
 BY_PUBLIC_NAMES = ("arguments", "arguments_elsewhere", "compiled_once", "loaded_batches", "only_required_outputs")
 
 
-def tests_of_jax():
+def files_of_jax():
     """Test files that import `rvjax._jax`, and those that reach it through public names."""
     files = [path for path in (ROOT / "tests").glob("test_*.py") if path != Path(__file__)]
     named = {f"test_{name}" for name in BY_PUBLIC_NAMES}
@@ -52,6 +52,6 @@ def test_what_leans_on_jax_passes_on_the_newest_version(tmp_path, capsys):
     version = run(python, "-c", asked)
     with capsys.disabled():
         print(f"\n{version}", flush=True)
-    said = run(python, "-m", "pytest", "-n", "0", "-p", "no:cacheprovider", *tests_of_jax())
+    said = run(python, "-m", "pytest", "-n", "0", "-p", "no:cacheprovider", *files_of_jax())
     with capsys.disabled():
         print(said.splitlines()[-1])
