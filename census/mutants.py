@@ -149,7 +149,9 @@ def session(folder: Path, tests: str, said: Path) -> None:
     os.chdir(folder)
     sys.path[:] = [str(folder), *(place for place in sys.path if place and Path(place) not in (ROOT, folder))]
     os.environ["PYTHONPATH"] = str(folder)
-    sys.dont_write_bytecode = False  # a third of a short run
+    # A third of a short run; next to the sources, where `_write` finds it.
+    sys.dont_write_bytecode, sys.pycache_prefix = False, None
+    os.environ.pop("PYTHONPYCACHEPREFIX", None)
     import pytest
 
     rewritten = "ignore::pytest.PytestAssertRewriteWarning"  # of hypothesis, which is imported already

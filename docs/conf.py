@@ -60,5 +60,5 @@ def as_rest(app, what, name, obj, options, lines):
 
 
 def setup(app):
-    made.everything(HERE / "_made", draft=bool(os.environ.get("RVJAX_DRAFT")))
+    made.everything(HERE / "_made")
     app.connect("autodoc-process-docstring", as_rest, priority=100)  # before napoleon

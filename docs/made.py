@@ -17,17 +17,14 @@ from rvjax.status import MEANING, PRECEDENCE, SUCCESS
 from rvjax.units import arcsec, readable
 
 
-def everything(folder: Path, draft: bool = False) -> None:
-    """Write all pictures and tables; the pictures of a draft are empty."""
+def everything(folder: Path) -> None:
+    """Write all pictures and tables."""
     folder.mkdir(exist_ok=True)
     rvjax.enable_x64()
     for name, text in TEXTS.items():
         _write(folder / f"{name}.md", text().encode())
     with plotting.style():
         for name, (draw, size) in pictures.PICTURES.items():
-            if draft:
-                plt.imsave(folder / f"{name}.png", [[0.0]])
-                continue
             figure = draw(plt.subplots(figsize=size)[1] if size else None)
             getattr(figure, "figure", figure).savefig(folder / f"{name}.png", dpi=110)
             plt.close("all")

@@ -41,7 +41,8 @@ jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")
 matplotlib.use("Agg")
 
-# `HYPOTHESIS_PROFILE=long pytest ...` draws many times more examples in every property test and runs tests marked long.
+# `HYPOTHESIS_PROFILE=long pytest ...` draws many times more examples in every property test and runs tests marked long:
+# dearer cases, and what is a job of the workflow (types, pages, notebooks, wheel, terminal, newest JAX).
 settings.register_profile("default", max_examples=60, deadline=None)
 settings.register_profile("long", max_examples=2000, deadline=None)
 PROFILE = os.environ.get("HYPOTHESIS_PROFILE", "default")
@@ -131,7 +132,7 @@ def thorough():
 
 
 def pytest_collection_modifyitems(config, items):
-    """Further methods of a model whose first one stays, for the long profile."""
+    """Tests marked long are for the long profile; the others in the order of their families."""
     left = [item for item in items if PROFILE != "long" and item.get_closest_marker("long")]
     config.hook.pytest_deselected(items=left)
     items[:] = [item for item in items if item not in left]

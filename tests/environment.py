@@ -1,9 +1,15 @@
 """Variables of the process that must be set before JAX is imported; importing this module sets them."""
 
 import os
+import sys
 from importlib.metadata import version
 from pathlib import Path
 
+if sys.dont_write_bytecode:  # dozens of processes: each would compile what it imports, 3 s of JAX alone
+    sys.dont_write_bytecode = False
+    sys.pycache_prefix = str(Path(__file__).parents[1] / ".pytest_cache" / "bytecode")  # not next to the sources
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+    os.environ["PYTHONPYCACHEPREFIX"] = sys.pycache_prefix
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path(__file__).parents[1] / ".pytest_cache" / "jax"))
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # a worker for each core: threads of small products took 6 % more
 os.environ.setdefault("JAX_NUM_CPU_DEVICES", "1")  # not one a core from whichever test runs a command first

@@ -66,6 +66,15 @@ def test_every_command_answers_machines(here, capsys, monkeypatch):
         assert json.loads(capsys.readouterr().out) == [row.as_json()]
 
 
+def test_help_shows_every_option_for_users(capsys):
+    """Only that of one of several processes has no help; argparse shows an option unless told by its constant."""
+    options = [(name, *item) for name in commands.COMMANDS for item in commands.about(name)["options"].items()]
+    assert [(name, flag) for name, flag, option in options if "help" not in option] == [("montecarlo", "--worker")]
+    assert cli.main(["montecarlo", "--help"]) == 0
+    shown = capsys.readouterr().out
+    assert "--processes" in shown and "worker" not in shown.lower() and "SUPPRESS" not in shown
+
+
 def test_help_names_every_command(capsys):
     assert cli.main(["--help"]) == 0
     text = capsys.readouterr().out

@@ -1,4 +1,4 @@
-"""Nothing of a library on the terminal: each command runs once, some (long profile: all) again with kept programs."""
+"""Nothing of a library on the terminal: each command runs once, and again with kept programs. A job of the workflow."""
 
 import os
 import re
@@ -48,10 +48,6 @@ COMMANDS = {
     "reproduce": [],
 }
 LOUD = ("check", "reproduce")  # without the option --quiet
-AGAIN = (
-    "montecarlo",
-    "identify",
-)  # by default; with what the first run kept: programs and traced functions, of all commands alike
 RUN = """
 import sys
 import jax
@@ -60,8 +56,8 @@ from rvjax import cli, published
 published.reproduce = functools.partial(published.reproduce, ("rv20e",))  # the others take a minute
 hits = []
 jax.monitoring.register_event_listener(lambda event, **_: hits.append(event) if "cache_hits" in event else None)
-for run, commands in ((1, {commands!r}), (2, {again!r})):
-    for command, arguments in commands.items():
+for run in (1, 2):  # the second one with what the first one kept: programs and traced functions
+    for command, arguments in {commands!r}.items():
         print("begin", run, command, file=sys.stderr, flush=True)
         code = cli.main([command, *arguments, *(["--quiet"] if command not in {loud!r} else [])])
         assert code == 0, (command, code)
@@ -71,8 +67,8 @@ for run, commands in ((1, {commands!r}), (2, {again!r})):
 """
 
 
-@pytest.mark.parametrize("twice", [AGAIN, pytest.param(tuple(COMMANDS), marks=pytest.mark.long)], ids=["some", "all"])
-def test_nothing_of_a_library_reaches_the_terminal(tmp_path, twice):
+@pytest.mark.long
+def test_nothing_of_a_library_reaches_the_terminal(tmp_path):
     """JAX leaves "1" in the environment of whatever a notebook or script starts, and here it is loaded before."""
     for name, text in {"flat.toml": FLAT, "unit.toml": UNIT, "curve.csv": CURVE, "parts.csv": PARTS}.items():
         (tmp_path / name).write_text(text)
@@ -81,12 +77,11 @@ def test_nothing_of_a_library_reaches_the_terminal(tmp_path, twice):
         "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
         "TF_CPP_MIN_LOG_LEVEL": "1",
     }
-    again = {name: COMMANDS[name] for name in twice}
     done = subprocess.run(
-        [sys.executable, "-c", RUN.format(commands=COMMANDS, again=again, loud=LOUD)],
+        [sys.executable, "-c", RUN.format(commands=COMMANDS, loud=LOUD)],
         cwd=tmp_path, env=os.environ | own, capture_output=True, text=True, timeout=590,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     said = done.stderr.splitlines()
-    assert sum(line.startswith("begin ") for line in said) == len(COMMANDS) + len(twice)
+    assert sum(line.startswith("begin ") for line in said) == 2 * len(COMMANDS)
     assert [line for line in said if not line.startswith(("begin ", "rvjax: warning: ", "computing rv20e, "))] == []

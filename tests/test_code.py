@@ -1,4 +1,4 @@
-"""Lint, format and types of the whole tree, side by side with the other tests: they take one core half a minute."""
+"""Lint and format of the whole tree; types, which take one core half a minute, are a job of the workflow."""
 
 import ast
 import functools
@@ -12,7 +12,12 @@ ROOT = Path(__file__).parents[1]
 
 
 @pytest.mark.parametrize(
-    "command", [("mypy",), ("ruff", "check", "."), ("ruff", "format", "--check", ".")], ids=["types", "lint", "format"]
+    "command",
+    [
+        pytest.param(("mypy",), id="types", marks=pytest.mark.long),
+        pytest.param(("ruff", "check", "."), id="lint"),
+        pytest.param(("ruff", "format", "--check", "."), id="format"),
+    ],
 )
 def test_the_code_is_clean(command):
     """As on the command line, by the settings in pyproject.toml."""

@@ -184,7 +184,7 @@ import sys
 from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
-from rvjax import compile_cache
+from rvjax._jax import compile_cache
 from rvjax.catalogue import CORR
 from rvjax.response import per_response
 compile_cache._folder[:] = [Path(sys.argv[1])]

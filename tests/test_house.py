@@ -256,7 +256,18 @@ def test_readme_begins_with_the_two_commands():
     blocks = re.findall(r"^```(\w*)\n(.*?)^```", (ROOT / "README.md").read_text(), re.MULTILINE | re.DOTALL)
     shell = [text for language, text in blocks if language == "sh"]
     assert "rvjax allocate" in shell[0]
-    assert shell[1].endswith("-e '.[dev]' && .venv/bin/pytest\n")  # all of it: lint and types are tests
+    assert shell[1].endswith("-e '.[dev]' && .venv/bin/pytest\n")  # with lint, which is a test
+
+
+def test_continuous_integration_runs_the_jobs_that_contributing_lists():
+    """And the default profile has no test of the files that are jobs."""
+    text = (ROOT / "CONTRIBUTING.md").read_text()
+    listed = re.findall(r"^ {4}(mypy|HYPOTHESIS_PROFILE=long pytest (tests/\w+\.py)) {2,}", text, re.MULTILINE)
+    assert len(listed) == 6
+    steps = "".join(path.read_text() for path in (ROOT / ".github" / "workflows").glob("*.yml"))
+    for command, file in listed:
+        assert re.search(rf"\b{re.escape(file or command)}\n", steps), command
+        assert not file or "pytest.mark.long" in (ROOT / file).read_text(), file
 
 
 def test_the_python_of_the_readme_runs(capsys):

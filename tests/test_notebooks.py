@@ -9,10 +9,9 @@ import re
 import sys
 from pathlib import Path
 
-import nbformat
 import pytest
-from jupyter_client import KernelManager
-from nbclient import NotebookClient
+
+pytestmark = pytest.mark.long  # a job of the workflow; its packages are imported where they are used
 
 FOLDER = Path(__file__).parents[1] / "notebooks"
 NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
@@ -27,14 +26,11 @@ def pictures(notebook):
     return sum("image/png" in output.get("data", {}) for output in outputs(notebook))
 
 
-# What the others show, the ledger and the tests of the models have too. A job of the workflow runs them all.
-QUICK = ("04_lost_motion",)
-RUN = [p if p.stem in QUICK else pytest.param(p, marks=pytest.mark.long) for p in NOTEBOOKS]
-
-
 @pytest.fixture(scope="module")
 def kernel(tmp_path_factory):
     """A running kernel of this environment, whatever kernels the user has installed."""
+    from jupyter_client import KernelManager
+
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("RVJAX_SMALL", "1")
         patch.setenv("PYTHONPATH", str(FOLDER.parent))
@@ -49,6 +45,8 @@ def kernel(tmp_path_factory):
 
 
 def run_in(kernel, notebook):
+    from nbclient import NotebookClient
+
     client = NotebookClient(notebook, km=kernel, timeout=300)
     with client.setup_kernel(cleanup_kc=False):  # which would take the kernel along
         try:
@@ -58,8 +56,10 @@ def run_in(kernel, notebook):
             client.kc.stop_channels()
 
 
-@pytest.mark.parametrize("path", RUN, ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_runs_shrunk(path, tmp_path, kernel):
+    import nbformat
+
     notebook = nbformat.read(path, as_version=4)
     drawn = pictures(notebook)
     work = tmp_path / "work"
@@ -75,6 +75,8 @@ def test_runs_shrunk(path, tmp_path, kernel):
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_is_stored_small_clean_and_with_its_pictures(path):
+    import nbformat
+
     assert path.stat().st_size < LARGEST
     notebook = nbformat.read(path, as_version=4)
     nbformat.validate(notebook)

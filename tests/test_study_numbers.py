@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from rvjax import models, study
+from rvjax.outputs import torque_of
 from rvjax.published.rv160 import READ
 from rvjax.study import bench, measured
 from rvjax.study.branches import _local, branches
@@ -69,7 +70,7 @@ def test_a_line_knows_the_spread_of_its_value():
 def test_load_opposes_the_motion():
     runs = [Conditions(torque=100.0, direction="backward"), Conditions(torque=100.0), Conditions(direction="backward")]
     conditions = study.load("rv-40e", solve=False).conditions
-    own = bench.study_torque(conditions)
+    own = torque_of(conditions)
     assert bench.signed_torques(runs, conditions).tolist() == [-100.0, 100.0, -own] and own > 0
 
 

@@ -56,7 +56,7 @@ class _Terminated(KeyboardInterrupt):
 
 
 def _parser() -> argparse.ArgumentParser:
-    """All commands, their options and their help, as `cli.toml` lists them."""
+    """All commands, their options and their help, as `cli.toml` lists them; an option without help is not shown."""
     import rvjax
 
     about = tomllib.loads((resources.files("rvjax.cli") / "cli.toml").read_text("utf-8"))
@@ -72,7 +72,8 @@ def _parser() -> argparse.ArgumentParser:
         subparser = commands.add_parser(name, formatter_class=as_written, **command)
         subparser.set_defaults(run=functools.partial(run, name))
         for flag, option in options.items():
-            subparser.add_argument(flag, **option | ({"type": types[option["type"]]} if "type" in option else {}))
+            kind = {"type": types[option["type"]]} if "type" in option else {}
+            subparser.add_argument(flag, **{"help": argparse.SUPPRESS} | option | kind)
     return parser
 
 
