@@ -4,7 +4,7 @@ import contextlib
 
 import numpy as np
 import pytest
-from codesign_cases import CASES, arguments, one_start
+from codesign_cases import CASES, LENGTH, NEED, OPTIONS, PARTS, arguments, levered, one_start
 
 from oracles.responses import Lever, Linear
 from rvjax.tolerances import Memo, Middle, Nominal, ReciprocalPower, Requirement, Tolerance, Variable, allocate
@@ -56,22 +56,6 @@ def test_an_infeasible_problem_names_what_fails_and_what_would_help():
     assert "y misses its limit by 0.36" in found.reason and "upper bound of arm" in found.reason
 
 
-PARTS = {name: Tolerance.symmetric(0.1, size=0.02) for name in "ab"}
-COSTS = dict.fromkeys("ab", ReciprocalPower(reference=1.0, finest=0.05, coarsest=5.0))
-NEED = {"y": Requirement(lower=-1.0, upper=1.0)}
-LENGTH = Variable(0.4, 3.0, 2.0)
-
-
-OPTIONS = dict(costs=COSTS, certificate_samples=20_000, samples=2048)
-
-
-@one_start()
-def levered(response=Lever(), variables=None, requirements=None, **changes):
-    return allocate(
-        response, PARTS, requirements or NEED, variables=variables or {"length": LENGTH}, **(OPTIONS | changes)
-    )
-
-
 @pytest.fixture(scope="module")
 def solved_lever():
     """The lever as it stands, beside which others are looked at."""
@@ -111,7 +95,8 @@ def test_a_variable_that_shifts_an_error_is_a_middle():
 def test_an_objective_and_nominal_limits_without_units():
     """Least 10 length with length^2 >= 2 and no tolerances at all: a nominal programme, exact."""
     found = allocate(
-        lambda e, v: {"square": v["length"] ** 2 + 0.0 * e["a"], "size": 10.0 * v["length"]}, {"a": Tolerance(0.0, 0.0)},
+        lambda e, v: {"square": v["length"] ** 2 + 0.0 * e["a"], "size": 10.0 * v["length"]},
+        {"a": Tolerance(0.0, 0.0)},
         {"square": Nominal(lower=2.0)}, costs={}, variables={"length": LENGTH}, objective={"size": 1.5},
     )  # fmt: skip
     assert (found.status, found.values["length"]) == ("OPTIMAL", pytest.approx(np.sqrt(2.0), rel=1e-4))
