@@ -84,16 +84,16 @@ def problem(seed: int) -> Problem:
     return Problem(slopes, 0.1 * (seed % 2), widths, costs, sizes, limit, target)
 
 
-def allocated(given: Problem) -> Any:
-    """Result of `allocate` with grades."""
+def allocated(given: Problem, units: int = UNITS) -> Any:
+    """Result of `allocate` with grades, with so many units in a certificate."""
     fields = names(len(given.sizes))
     parts = {name: Tolerance.symmetric(5 * um, size=size) for name, size in zip(fields, given.sizes)}
     costs = {name: Table(t, c) for name, t, c in zip(fields, given.widths, given.costs)}
     required = Requirement(lower=-given.limit, upper=given.limit, target=given.target)
-    return allocate(given.response, parts, required, costs=costs, certificate_samples=UNITS, grades=True)
+    return allocate(given.response, parts, required, costs=costs, certificate_samples=units, grades=True)
 
 
-def bounds(given: Problem, drawn: np.ndarray) -> tuple[float, float]:
+def bounds(given: Problem, drawn: np.ndarray, units: int = UNITS) -> tuple[float, float]:
     """Least cost that meets the target by the luck of a certificate, and that meets it for certain."""
     spread = math.sqrt(given.target * (1 - given.target))
     chance = 3 * spread / math.sqrt(drawn.shape[1]) if given.curved else 0.0
@@ -106,7 +106,7 @@ def bounds(given: Problem, drawn: np.ndarray) -> tuple[float, float]:
         share = given.share(np.array([row[k] for row, k in zip(given.widths, places)]), drawn)
         if share >= given.target - chance:
             nearly = min(nearly, cost)
-        if share >= given.target + chance + _SURE * spread / math.sqrt(UNITS):
+        if share >= given.target + chance + _SURE * spread / math.sqrt(units):
             return nearly, cost
     return nearly, math.inf
 

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import optimize, stats
 
+from oracles.responses import Linear
 from rvjax.tolerances import Exponential, ReciprocalPower, Requirement, Tolerance, WorstCaseWithin
 
 INCH, MM = 0.0254, 1e-3
@@ -32,6 +33,7 @@ class Case:
         requirements: of the response.
         costs: by field.
         optimum: least cost.
+        share: of the good units with half-widths, in the order of the costs.
         published: least cost as published; None where there is none.
     """
 
@@ -41,6 +43,7 @@ class Case:
     requirements: Any
     costs: dict[str, Any]
     optimum: float
+    share: Callable[[np.ndarray], float] | None = None
     published: float | None = None
 
 
@@ -69,7 +72,12 @@ def squares(slopes: dict[str, float], costs: dict[str, Any], radius: float) -> C
     return lambda t: 1 - float(np.sum((a * t) ** 2)) / radius**2
 
 
-def shaft_and_housing(arithmetic: bool) -> Case:
+def _within(slopes: np.ndarray, limit: float, fixed: float = 0.0) -> Callable[[np.ndarray], float]:
+    """Share of the units with |sum a_j e_j| <= limit by half-widths; `fixed`: square of what other errors take."""
+    return lambda t: float(2 * stats.norm.cdf(3 * limit / math.sqrt(np.sum((slopes * t) ** 2) + fixed)) - 1)
+
+
+def shaft_and_housing(arithmetic: bool, target: float = THREE_SIGMA) -> Case:
     """The clearance -A + B - C + D - E + F - G = 0.020 +- 0.015 in; A, C and G are bought parts."""
     fitted = {"B": (0.15997, 0.43899), "D": (0.07202, 0.46823), "E": (0.12576, 0.46537), "F": (0.07202, 0.46823)}
     start = dict(A=0.0015, B=0.008, C=0.0025, D=0.002, E=0.006, F=0.002, G=0.0025)
@@ -77,7 +85,8 @@ def shaft_and_housing(arithmetic: bool) -> Case:
     bought, limit = [start[name] for name in "ACG"], 0.015
     b, k = np.array(list(fitted.values())).T
     power = 1 if arithmetic else 2
-    left = limit**power - sum(t**power for t in bought)
+    reach = limit if arithmetic else 3 * limit / stats.norm.ppf((1 + target) / 2)
+    left = reach**power - sum(t**power for t in bought)
     t = lambda price: (k * b / price) ** (1 / (k + power))  # noqa: E731
     price = optimize.brentq(lambda log: np.sum(t(math.exp(log)) ** power) - left, -30, 30, xtol=1e-14)
     optimum = len(b) + float(np.sum(b * t(math.exp(price)) ** -k))
@@ -86,11 +95,12 @@ def shaft_and_housing(arithmetic: bool) -> Case:
     return Case(
         "Chase (1999), Tolerance allocation methods for designers, ADCATS 99-6: shaft and housing, "
         + ("worst case" if arithmetic else "root sum squares"),
-        lambda e: sum(slope * e[name] for name, slope in slopes.items()),
+        Linear(slopes),
         {name: Tolerance.symmetric(size * INCH) for name, size in start.items()},
-        WorstCaseWithin(**limits) if arithmetic else Requirement(target=THREE_SIGMA, **limits),
+        WorstCaseWithin(**limits) if arithmetic else Requirement(target=target, **limits),
         {name: ReciprocalPower(scale=scale, power=power, **process) for name, (scale, power) in fitted.items()},
         optimum,
+        _within(np.ones(4), limit * INCH, sum((t * INCH) ** 2 for t in bought)),
         11.07 if arithmetic else 8.06,
     )
 
@@ -139,7 +149,7 @@ def shared_chains() -> Case:
     radius = {name: 3 * limit / stats.norm.ppf(1 - 0.0027 / 2) for name, limit in limits.items()}
     return Case(
         "two chains that share two dimensions",
-        lambda e: {name: sum(slope * e[n] for n, slope in own.items()) for name, own in slopes.items()},
+        Linear(slopes),
         {name: Tolerance.symmetric(10e-6) for name in scales},
         {name: Requirement(lower=-limit, upper=limit, target=0.9973) for name, limit in limits.items()},
         costs,
@@ -157,7 +167,7 @@ def exponential_costs() -> Case:
     radius = 3 * 40e-6 / stats.norm.ppf(0.995)
     return Case(
         "exponential costs",
-        lambda e: sum(slope * e[name] for name, slope in slopes.items()),
+        Linear(slopes),
         {name: Tolerance.symmetric(10e-6) for name in slopes},
         Requirement(lower=-40e-6, upper=40e-6, target=0.99),
         costs,
@@ -165,7 +175,7 @@ def exponential_costs() -> Case:
     )
 
 
-def pin_hinge() -> Case:
+def pin_hinge(target: float = 0.99) -> Case:
     """A hinge pin must enter the holes of both leaves: 99 % of the hinges. Dimensions and costs assumed here.
 
     The gap is the radial clearance of pin and hole, less the distance between the axes of the holes. The holes of the
@@ -191,9 +201,10 @@ def pin_hinge() -> Case:
         "pin and two leaves, dimensions and costs assumed",
         lambda e: nominal + e["hole"] - e["pin"] - jnp.hypot(e["body_x"] - e["leaf_x"], e["body_y"] - e["leaf_y"]),
         {name: Tolerance.symmetric(20e-6) for name in scales},
-        Requirement(lower=0.0, target=0.99),
+        Requirement(lower=0.0, target=target),
         costs,
-        least(costs, [lambda t: 1 - failing(t) / 0.01], 20e-6),
+        least(costs, [lambda t: 1 - failing(t) / (1 - target)], 20e-6),
+        lambda t: 1 - failing(t),
     )
 
 
@@ -207,7 +218,7 @@ def many_fields(count: int = 200, target: float = 0.9973) -> Case:
     price = optimize.brentq(lambda log: math.log(np.sum((slopes * t(log)) ** 2) / radius**2), 0, 100, xtol=1e-13)
     return Case(
         f"{count} fields, closed form",
-        lambda e: jnp.stack([e[name] for name in names]) @ slopes,
+        Linear(dict(zip(names, slopes.tolist()))),
         {name: Tolerance.symmetric(5e-6) for name in names},
         Requirement(lower=-limit, upper=limit, target=target),
         {
@@ -215,6 +226,7 @@ def many_fields(count: int = 200, target: float = 0.9973) -> Case:
             for name, scale, power in zip(names, scales, powers)
         },
         float(np.sum(scales * (1e-5 / t(price)) ** powers)),
+        _within(slopes, limit),
     )
 
 

@@ -81,6 +81,7 @@ _RANK[[int(status) for status in PRECEDENCE]] = np.arange(len(PRECEDENCE))
 _ORDER = np.array([int(status) for status in PRECEDENCE], np.int32)
 
 
+Statuses = TypeVar("Statuses", jax.Array, np.ndarray)
 Check = tuple[Any, Status]  # a condition, and what it is called where it holds
 
 
@@ -107,13 +108,15 @@ class SolveError(RuntimeError):
     """Raised by `check`: more cases failed than allowed."""
 
 
-def worst(status: Array | np.ndarray, axis: int | tuple[int, ...] | None = None) -> jax.Array:
-    """Return the worst of several statuses, by `PRECEDENCE`.
+def worst(status: Statuses, axis: int | tuple[int, ...] | None = None) -> Statuses:
+    """Return the worst of several statuses, by `PRECEDENCE`, as an array of the library of the given one.
 
     Args:
         status: integer array.
         axis: reduced; None reduces all.
     """
+    if isinstance(status, np.ndarray):  # a dozen programs for each shape otherwise
+        return _ORDER[np.min(_RANK[status], axis=axis)]
     rank = jnp.asarray(_RANK)[status]
     return jnp.asarray(_ORDER)[jnp.min(rank, axis=axis)]
 
@@ -214,9 +217,9 @@ def window(like: Array, power: float) -> tuple[float, float]:
     return float(limits.tiny) ** power, float(limits.max) ** power
 
 
-def succeeded(status: Array | np.ndarray) -> jax.Array:
-    """True where a status counts as success: CONVERGED and UNLOADED."""
-    return jnp.logical_or(status == Status.CONVERGED, status == Status.UNLOADED)
+def succeeded(status: Statuses) -> Statuses:
+    """True where a status counts as success: CONVERGED and UNLOADED; an array of the library of the given one."""
+    return (status == Status.CONVERGED) | (status == Status.UNLOADED)
 
 
 def check(result: Result, max_failed_fraction: float = 0.0) -> Result:

@@ -4,16 +4,37 @@ import functools
 import json
 import math
 from pathlib import Path
+from unittest import mock
 
 import jax.numpy as jnp
 
-from rvjax.tolerances import CpkAtLeast, Middle, Nominal, ReciprocalPower, Requirement, Tolerance, Variable
+from oracles.responses import Lever
+from rvjax.tolerances import CpkAtLeast, Middle, Nominal, ReciprocalPower, Requirement, Tolerance, Variable, allocate
+from rvjax.tolerances.codesign import design
 
 CASES = {
     case["id"]: case
     for case in json.loads((Path(__file__).parent / "reference" / "codesign.json").read_text())["cases"]
 }
 PROGRAMMES = [name for name, case in CASES.items() if case["given"].get("family") in ("sums", "larger", "flank")]
+
+one_start = functools.partial(mock.patch.object, design, "starts", lambda decisions, x, low, high: [x])
+"""Context of a search for one valley, from the given start: three quarters of the time are the other starts."""
+
+# The lever of most tests.
+PARTS = {name: Tolerance.symmetric(0.1, size=0.02) for name in "ab"}
+COST = ReciprocalPower(reference=1.0, finest=0.05, coarsest=5.0)
+NEED = {"y": Requirement(lower=-1.0, upper=1.0)}
+LEVER, LENGTH = Lever(), Variable(0.4, 3.0, 2.0)
+OPTIONS = dict(costs=dict.fromkeys("ab", COST), certificate_samples=20_000, samples=2048)
+
+
+@one_start()
+def levered(response=LEVER, variables=None, requirements=None, **changes):
+    """An allocation of the lever, or of what differs from it."""
+    return allocate(
+        response, PARTS, requirements or NEED, variables=variables or {"length": LENGTH}, **(OPTIONS | changes)
+    )
 
 
 def total(terms, values):

@@ -13,6 +13,7 @@ import numpy as np
 from scipy import optimize
 
 from rvjax.tolerances import Nominal, ReciprocalPower, Requirement, Tolerance, Variable
+from rvjax.tolerances.requirements.factors import CUSHION
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(40)
 LEAST, MOST = 0.05, 3.0  # half-widths
@@ -72,12 +73,20 @@ class Problem:
             variables={name: Variable(0.5, 2.0, 1.2, cost=cost) for name, cost in zip(self.numbers, own)},
         ) | changes  # fmt: skip
 
+    def aimed(self, units: int) -> "Problem":
+        """The problem whose targets lie as far above as a certificate of so many units needs them."""
+        away = (1.96 + CUSHION) * np.sqrt(self.targets * (1 - self.targets) / units)
+        return dataclasses.replace(self, targets=self.targets + away)
+
     def exact(self) -> tuple[float, dict[str, float], np.ndarray]:
         """Least cost, {requirement: d cost / d limit}, and the vector (logarithms of half-widths, numbers)."""
         count = len(self.prices)
 
-        def cost(x: jax.Array) -> jax.Array:
-            return (self.prices * jnp.exp(-x[:count])).sum() + (self.own * x[count:] ** 2).sum()
+        def cost(x: np.ndarray) -> float:
+            return float((self.prices * np.exp(-x[:count])).sum() + (self.own * x[count:] ** 2).sum())
+
+        def slope(x: np.ndarray) -> np.ndarray:
+            return np.append(-self.prices * np.exp(-x[:count]), 2 * self.own * x[count:])
 
         def held(x: jax.Array, wider: jax.Array) -> jax.Array:
             """Shares as deviates beyond their targets, and the nominal limit; >= 0."""
@@ -87,18 +96,14 @@ class Problem:
             first = slopes[:, :1] * t[0] * NODES[None] if self.uniform else jnp.zeros((len(slopes), len(NODES)))
             sd = jnp.sqrt((by[:, 1:] if self.uniform else by) ** 2 @ jnp.ones(count - self.uniform))
             middle = (self.mean @ (d - 1))[:, None] + first  # (r, nodes)
-            shares = []
-            for r, (low, high) in enumerate(self.limits):
-                ends = [self._straight(end) for end in (low - wider[r], high + wider[r])]
-                outside = jax.scipy.special.ndtr((ends[0] - middle[r]) / sd[r])
-                outside += jax.scipy.special.ndtr((middle[r] - ends[1]) / sd[r])
-                shares.append((outside * WEIGHTS / 2).sum())
+            ends = self._straight(self.limits + jnp.stack([-wider[:-1], wider[:-1]], axis=1))  # (r, 2)
+            off = jnp.stack([ends[:, :1] - middle, middle - ends[:, 1:]]) / sd[None, :, None]
+            shares = jax.scipy.special.ndtr(off).sum(axis=0) @ WEIGHTS / 2
             due = jax.scipy.special.ndtri(1 - jnp.asarray(self.targets))
             sized = jnp.prod(d) - self.size + wider[-1]
-            return jnp.append(due - jax.scipy.special.ndtri(jnp.stack(shares)), sized)
+            return jnp.append(due - jax.scipy.special.ndtri(shares), sized)
 
         nothing = np.zeros(len(self.limits) + 1)
-        value, slope = jax.jit(cost), jax.jit(jax.grad(cost))
         margin, rates = jax.jit(held), jax.jit(jax.jacrev(held, argnums=(0, 1)))
         low = np.array([np.log(LEAST)] * count + [0.5] * len(self.own))
         high = np.array([np.log(MOST)] * count + [2.0] * len(self.own))
@@ -111,8 +116,8 @@ class Problem:
                 "jac": lambda x: np.asarray(rates(x, nothing)[0]),
             }
             end = optimize.minimize(
-                lambda x: float(value(x)), start, jac=lambda x: np.asarray(slope(x)), constraints=[met],
-                bounds=list(zip(low, high)), method="SLSQP", options={"ftol": 1e-13, "maxiter": 500},
+                cost, start, jac=slope, constraints=[met], bounds=list(zip(low, high)), method="SLSQP",
+                options={"ftol": 1e-13, "maxiter": 500},
             )  # fmt: skip
             if end.success and margin(end.x, nothing).min() > -1e-7 and (best is None or end.fun < best.fun):
                 best = end
@@ -120,7 +125,7 @@ class Problem:
         by_x, by_limit = (np.asarray(v) for v in rates(x, nothing))
         binding = np.flatnonzero(np.asarray(margin(x, nothing)) < _BINDS)
         inner = (x > low + 1e-6) & (x < high - 1e-6)
-        found, _ = optimize.nnls(by_x[binding][:, inner].T, np.asarray(slope(x))[inner])
+        found, _ = optimize.nnls(by_x[binding][:, inner].T, slope(x)[inner])
         prices = np.zeros(len(nothing))
         prices[binding] = -found
         names = [*(f"y{r}" for r in range(len(self.limits))), "size"]

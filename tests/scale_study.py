@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import jax
 import jax.numpy as jnp
 import pytest
 
@@ -34,7 +35,7 @@ def run(samples=9000, *, respond=response, **options):
 
 def bits(statistics):
     """Every figure as text that changes with its last bit; what was asked is compared apart."""
-    kept = statistics.values and {name: v.tobytes() for name, v in statistics.values.items()}
+    kept = jax.tree.map(lambda values: values.tobytes(), statistics.values)
     return repr(dataclasses.replace(statistics, values=kept, study={}))
 
 

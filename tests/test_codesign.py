@@ -1,14 +1,17 @@
 """Numbers of the design, mid-points and half-widths in one programme: exact optima, invariants, refusals."""
 
+import contextlib
+
 import numpy as np
 import pytest
-from codesign_cases import CASES, arguments
+from codesign_cases import CASES, LENGTH, NEED, OPTIONS, PARTS, arguments, levered, one_start
 
+from oracles.responses import Lever, Linear
 from rvjax.tolerances import Memo, Middle, Nominal, ReciprocalPower, Requirement, Tolerance, Variable, allocate
 from rvjax.tolerances.codesign import units
 from rvjax.tolerances.codesign.tail_sample import smooth_quantile
 
-UNITS = 200_000  # of a certificate: their error of the 99.73 % quantile costs about 1 %
+UNITS = 50_000  # of a certificate: their error of the 99.73 % quantile costs about 2 %
 
 
 def solved(name, **changes):
@@ -19,9 +22,10 @@ def solved(name, **changes):
 @pytest.mark.parametrize("name", ["bound-0", "middle-0", "capability-0"])
 def test_reference_problems(name):
     """Cost, values, active bounds and prices of exact optima; the rest of the table is in the benchmark."""
-    found, expected = solved(name), CASES[name]["expected"]
+    with contextlib.nullcontext() if name == "bound-0" else one_start():
+        found, expected = solved(name), CASES[name]["expected"]
     assert found.status == "OPTIMAL"
-    assert 0.999 * expected["cost"] < found.cost < 1.02 * expected["cost"]
+    assert 0.999 * expected["cost"] < found.cost < 1.03 * expected["cost"]
     assert found.bounds_active == expected["bounds_active"]
     for value, (least, most) in expected["ranges"].items():
         assert least * (1 - 1e-6) <= found.values[value] <= most * (1 + 1e-6)
@@ -35,12 +39,14 @@ def test_reference_problems(name):
         assert float(found.tolerances[field].middle) == pytest.approx(middle, abs=0.03)
 
 
+@one_start()
 def test_a_list_takes_the_cheapest_of_its_values():
     found, expected = solved("listed-0"), CASES["listed-0"]["expected"]
     assert found.values == expected["values"]
-    assert found.cost < 1.02 * expected["cost"] and found.learned < expected["nearest"]
+    assert found.cost < 1.03 * expected["cost"] and found.learned < expected["nearest"]
 
 
+@one_start()
 def test_an_infeasible_problem_names_what_fails_and_what_would_help():
     found, expected = solved("refused-0"), CASES["refused-0"]["expected"]
     assert (found.feasible, found.status) == (False, "INFEASIBLE")
@@ -48,21 +54,6 @@ def test_an_infeasible_problem_names_what_fails_and_what_would_help():
     assert found.values["arm"] == pytest.approx(expected["values"]["arm"])
     assert found.half_widths == {"a": 0.05, "b": 0.05}
     assert "y misses its limit by 0.36" in found.reason and "upper bound of arm" in found.reason
-
-
-def lever(errors, values):
-    return {"y": values["arm"] * errors["a"] + errors["b"] / values["arm"], "size": 10.0 * values["arm"]}
-
-
-PARTS = {"a": Tolerance.symmetric(0.1), "b": Tolerance.symmetric(0.1)}
-COSTS = dict.fromkeys("ab", ReciprocalPower(reference=1.0, finest=0.05, coarsest=5.0))
-NEED = {"y": Requirement(lower=-1.0, upper=1.0)}
-ARM = Variable(0.4, 3.0, 2.0)
-
-
-def levered(response=lever, variables=None, requirements=None, **changes):
-    options = {"costs": COSTS, "certificate_samples": 20_000, "samples": 2048} | changes
-    return allocate(response, PARTS, requirements or NEED, variables=variables or {"arm": ARM}, **options)
 
 
 @pytest.fixture(scope="module")
@@ -73,70 +64,67 @@ def solved_lever():
 
 def test_another_unit_of_a_number_changes_nothing(solved_lever):
     """Millimetres for metres: the numbers are parts of their ranges."""
-
-    def in_millimetres(errors, values):
-        return lever(errors, {"arm": values["arm"] / 1000})
-
-    one, other = solved_lever, levered(in_millimetres, variables={"arm": Variable(400.0, 3000.0, 2000.0)})
-    assert other.values["arm"] == pytest.approx(1000 * one.values["arm"], rel=1e-3)
+    one, other = solved_lever, levered(Lever(1e-3), variables={"length": Variable(400.0, 3000.0, 2000.0)})
+    assert other.values["length"] == pytest.approx(1000 * one.values["length"], rel=1e-3)
     assert other.cost == pytest.approx(one.cost, rel=1e-4)
 
 
-def test_a_variable_without_room_is_a_constant():
-    found = levered(variables={"arm": Variable(1.5, 1.5)})
-    assert found.values == {"arm": 1.5} and found.bounds_active == {"arm": None}
-    fixed = allocate(
-        lambda e: lever(e, {"arm": 1.5}), PARTS, NEED, costs=COSTS, certificate_samples=20_000, samples=2048
-    )
-    assert found.cost == pytest.approx(fixed.cost, rel=0.02)
+def test_a_variable_without_room_is_a_constant(solved_lever):
+    """Costs 1/t of errors with slopes s go like (the sum of s^(2/3))^(3/2): 2 sqrt(2) at the best length of 1."""
+    found = levered(variables={"length": Variable(1.5, 1.5)})
+    assert found.values == {"length": 1.5} and found.bounds_active == {"length": None}
+    dearer = (1.5 ** (2 / 3) + 1.5 ** (-2 / 3)) ** 1.5 / 2**1.5
+    assert found.learned / solved_lever.learned == pytest.approx(dearer, rel=2e-3)
+    assert found.cost / solved_lever.cost == pytest.approx(dearer, rel=0.02)
 
 
+@one_start()
 def test_a_variable_that_shifts_an_error_is_a_middle():
     limits = {"y": Requirement(lower=-1.0, upper=2.0)}
-    options = dict(costs=COSTS, certificate_samples=20_000, samples=2048)
     moved = allocate(
-        lambda e, v: {"y": e["a"] + e["b"] + v["offset"]}, PARTS, limits,
-        variables={"offset": Variable(-1.0, 1.0, 0.0)}, **options,
+        Linear({"y": dict(a=1.0, b=1.0, length=1.0)}), PARTS, limits,
+        variables={"length": Variable(-1.0, 1.0, 0.0)}, **OPTIONS,
     )  # fmt: skip
-    middle = allocate(
-        lambda e: {"y": e["a"] + e["b"]}, PARTS, limits, middles={"a": Middle(-1.0, 1.0)}, **options
-    )  # fmt: skip
-    assert moved.values["offset"] == pytest.approx(0.5, abs=0.03)
-    assert float(middle.tolerances["a"].middle) == pytest.approx(moved.values["offset"], abs=0.01)
+    middle = allocate(Linear({"y": dict(a=1.0, b=1.0)}), PARTS, limits, middles={"a": Middle(-1.0, 1.0)}, **OPTIONS)
+    assert moved.values["length"] == pytest.approx(0.5, abs=0.03)
+    assert float(middle.tolerances["a"].middle) == pytest.approx(moved.values["length"], abs=0.01)
     assert middle.cost == pytest.approx(moved.cost, rel=0.01)
 
 
+@one_start()
 def test_an_objective_and_nominal_limits_without_units():
-    """Least 10 arm with arm^2 >= 2 and no tolerances at all: a nominal programme, exact."""
+    """Least 10 length with length^2 >= 2 and no tolerances at all: a nominal programme, exact."""
     found = allocate(
-        lambda e, v: {"square": v["arm"] ** 2 + 0.0 * e["a"], "size": 10.0 * v["arm"]}, {"a": Tolerance(0.0, 0.0)},
-        {"square": Nominal(lower=2.0)}, costs={}, variables={"arm": ARM}, objective={"size": 1.5},
+        lambda e, v: {"square": v["length"] ** 2 + 0.0 * e["a"], "size": 10.0 * v["length"]},
+        {"a": Tolerance(0.0, 0.0)},
+        {"square": Nominal(lower=2.0)}, costs={}, variables={"length": LENGTH}, objective={"size": 1.5},
     )  # fmt: skip
-    assert (found.status, found.values["arm"]) == ("OPTIMAL", pytest.approx(np.sqrt(2.0), rel=1e-4))
+    assert (found.status, found.values["length"]) == ("OPTIMAL", pytest.approx(np.sqrt(2.0), rel=1e-4))
     assert found.cost == pytest.approx(15 * np.sqrt(2.0), rel=1e-4) and found.start_cost == pytest.approx(30.0)
-    assert found.multipliers["square"] == pytest.approx(-15 / (2 * np.sqrt(2.0)), rel=1e-3)  # 15 d arm/d limit
+    assert found.multipliers["square"] == pytest.approx(-15 / (2 * np.sqrt(2.0)), rel=1e-3)  # 15 d length/d limit
 
 
+@one_start()
 def test_where_all_half_widths_are_finest_a_number_makes_the_room():
-    """Error c has no cost and takes nearly all of the limit; only a longer arm leaves more room."""
-    parts = {"a": Tolerance.symmetric(0.1), "c": Tolerance.symmetric(0.8)}
+    """Error b has no cost and takes nearly all of the limit; only a longer design leaves more room."""
+    parts = PARTS | {"b": Tolerance.symmetric(0.8, size=0.02)}
     found = allocate(
-        lambda e, v: {"y": (e["a"] + e["c"]) / v["arm"]}, parts, NEED,
+        lambda e, v: {"y": (e["a"] + e["b"]) / v["length"]}, parts, NEED,
         costs={"a": ReciprocalPower(reference=1.0, finest=0.3, coarsest=0.3001)}, samples=2048,
-        variables={"arm": Variable(0.5, 3.0, 0.6, cost=lambda arm: 10 * arm)}, certificate_samples=UNITS,
+        variables={"length": Variable(0.5, 3.0, 0.6, cost=lambda length: 10 * length)}, certificate_samples=200_000,
     )  # fmt: skip
     assert found.status == "OPTIMAL"
-    assert found.values["arm"] == pytest.approx(1.006 * np.hypot(0.3, 0.8), rel=0.012)  # 0.6 % for the certificate
+    assert found.values["length"] == pytest.approx(1.006 * np.hypot(0.3, 0.8), rel=0.012)  # 0.6 % for the certificate
 
 
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"variables": {"leg": ARM}, "response": lambda e, v: e["a"]}, "leg: the response does not read it"),
+        ({"variables": {"leg": LENGTH}, "response": lambda e, v: e["a"]}, "leg: the response does not read it"),
         ({"response": lambda e: {"y": e["a"]}}, "takes no values"),
         ({"objective": {"mass": 1.0}}, "'mass' is no output of the response; it has size, y"),
         ({"objective": {"size": np.inf}}, "the price of size = inf: must be finite"),
-        ({"variables": {"arm": (0.4, 3.0)}}, "must be a Variable"),
+        ({"variables": {"length": (0.4, 3.0)}}, "must be a Variable"),
     ],
 )
 def test_bad_problems(changes, words):
@@ -179,40 +167,28 @@ def test_a_killed_run_continues_from_its_memo(tmp_path, monkeypatch):
 
 def test_costly_units_are_followed_between_designs(solved_lever):
     """Units of a costly response: fewer in the search, and certificates that solve those near a limit."""
-
-    def costly(errors, values):
-        return lever(errors, values)
-
-    costly.costly = True
-    found, plain = levered(costly), solved_lever
+    found, plain = levered(Lever(costly=True)), solved_lever
     assert found.status == "OPTIMAL" and found.cost == pytest.approx(plain.cost, rel=0.03)
     assert found.evaluations["search"] < 0.6 * plain.evaluations["search"]
-    assert found.ranges == {} and plain.ranges["arm"][0] < plain.values["arm"] < plain.ranges["arm"][1]
+    assert found.ranges == {} and plain.ranges["length"][0] < plain.values["length"] < plain.ranges["length"][1]
 
 
 def test_half_widths_of_costly_units_are_rounded_to_grades():
     """Gradients of units have rows for the numbers of the design, which half-widths alone do not read."""
-
-    def costly(errors, values):
-        return lever(errors, values)
-
-    costly.costly = True
-    sized = {name: Tolerance.symmetric(0.1, size=0.02) for name in "ab"}
     widths = dict.fromkeys("ab", ReciprocalPower(reference=1e-5, finest=1e-6, coarsest=1e-3))
-    found = allocate(
-        costly, sized, {"y": Requirement(lower=-3e-5, upper=3e-5)}, costs=widths, variables={"arm": ARM},
-        certificate_samples=8192, samples=2048, grades=True,
+    found = levered(
+        Lever(costly=True), requirements={"y": Requirement(lower=-3e-5, upper=3e-5)}, costs=widths,
+        certificate_samples=8192, grades=True,
     )  # fmt: skip
     assert found.graded.status == "OPTIMAL" and found.graded.cost >= found.cost * 0.99
     assert set(found.graded.grades) == {"a", "b"}
 
 
-def test_the_price_of_a_limit_is_exact_and_the_difference_of_solved_problems(solved_lever):
+def test_the_price_of_a_limit_is_exact(solved_lever):
     """The cost of the lever is 2 sqrt(2) z/(3 limit) for a share with deviate z, so that its price is cost/limit."""
-    wide, narrow = (levered(requirements={"y": Requirement(lower=-limit, upper=limit)}) for limit in (1.02, 0.98))
-    here = solved_lever  # its limit is 1
-    assert here.multipliers["y"] == pytest.approx(-here.learned, rel=2e-3)
-    assert here.multipliers["y"] == pytest.approx((wide.learned - narrow.learned) / 0.04, rel=0.01)
+    assert solved_lever.multipliers["y"] == pytest.approx(-solved_lever.learned, rel=2e-3)
+    wide = levered(requirements={"y": Requirement(lower=-2.0, upper=2.0)})
+    assert wide.learned == pytest.approx(solved_lever.learned / 2, rel=2e-3)
 
 
 def test_failed_units_are_rejects_of_a_quantile():

@@ -2,14 +2,18 @@
 
 import itertools
 import math
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from codesign_cases import COST, levered, one_start
 from scipy import optimize, stats
 
+from oracles.responses import Linear
 from rvjax import Status
 from rvjax.population import Population
+from rvjax.records import Record, field, record
 from rvjax.tolerances import (
     Middle,
     Nominal,
@@ -26,23 +30,31 @@ from rvjax.tolerances.codesign.lists import Lists
 from rvjax.tolerances.codesign.units import Units
 from rvjax.units import mm, um
 
-COST = ReciprocalPower(reference=1.0, finest=0.05, coarsest=5.0)
 TARGET, UNITS = 0.999, 50_000
 RARE = 2 * stats.norm.sf(3.0)  # share of the units with |c| > 3
+
+
+@record
+class Rare(Record):
+    """A lever with another slope to a in rare units."""
+
+    slope: Any = field("-", "in units with |c| > 3")
+
+    def __call__(self, e, v):
+        """Its best length is 1."""
+        lever = (v["arm"] + 1 / v["arm"]) / 2
+        return {"y": lever * (jnp.where(jnp.abs(e["c"]) > 3.0, self.slope, 1.0) * e["a"] + e["b"])}
 
 
 @pytest.fixture(scope="module")
 def few_units():
     """Allocations that learn from 128 units, by the slope to a in rare units; none of the 128 is one of these."""
 
+    @one_start()
     def found(slope):
-        def response(e, v):
-            lever = (v["arm"] + 1 / v["arm"]) / 2  # its best length is 1
-            return {"y": lever * (jnp.where(jnp.abs(e["c"]) > 3.0, slope, 1.0) * e["a"] + e["b"])}
-
         parts = {"a": Tolerance.symmetric(0.1), "b": Tolerance.symmetric(0.1), "c": Tolerance.symmetric(3.0)}
         return allocate(
-            response, parts, {"y": Requirement(lower=-1.0, upper=1.0, target=TARGET)}, samples=128, seed=1,
+            Rare(slope), parts, {"y": Requirement(lower=-1.0, upper=1.0, target=TARGET)}, samples=128, seed=1,
             costs=dict.fromkeys("ab", COST), variables={"arm": Variable(0.4, 3.0, 2.0)}, certificate_samples=UNITS,
         )  # fmt: skip
 
@@ -80,11 +92,7 @@ def test_certificates_correct_what_few_units_taught(few_units, slope):
 
 def test_units_too_few_for_any_certificate_certify_nothing():
     """1000 units without a reject show a share of 1000/1003.84 = 99.62 %, not 99.73 %."""
-    found = allocate(
-        lambda e, v: {"y": v["arm"] * e["a"]}, {"a": Tolerance.symmetric(0.1)}, {"y": Requirement(upper=1.0)},
-        costs={"a": COST}, variables={"arm": Variable(1.0, 2.0)}, samples=256, certificate_samples=1000,
-        joint_target=0.9973,
-    )  # fmt: skip
+    found = levered(samples=256, certificate_samples=1000, joint_target=0.9973)
     assert found.feasible and found.status == "NOT_CERTIFIED"
 
 
@@ -95,7 +103,8 @@ def listed(among, costs, need):
     """Numbers from lists at the least cost with sqrt(x y z) large enough; no errors."""
     names = "xyz"[: len(costs)]
     given = {n: Variable(0.3, 3.0, cost=cost, among=among) for n, cost in zip(names, costs)}
-    found = allocate(
+    with one_start():
+        found = allocate(
         lambda e, v: {"size": jnp.sqrt(math.prod(v[n] for n in names)) + 0.0 * e["a"]}, {"a": Tolerance(0.0, 0.0)},
         {"size": Nominal(lower=need)}, costs={}, variables=given,
     )  # fmt: skip
@@ -148,6 +157,7 @@ def test_the_deeper_of_two_valleys():
     assert found.cost == pytest.approx(own(grid).min(), rel=1e-5)
 
 
+@one_start()
 def test_two_bounds_with_their_prices_and_ranges():
     """Two numbers that get cheaper beyond opposite bounds: nothing is left of the savings (Karush, Kuhn, Tucker).
 
@@ -165,6 +175,7 @@ def test_two_bounds_with_their_prices_and_ranges():
         assert found.ranges[name] == pytest.approx(ends, abs=0.15 * (ends[1] - ends[0]))
 
 
+@one_start()
 def test_grades_at_a_variable_are_half_widths_of_the_table():
     """The cheapest grades by enumeration at the best arm of 1: t_a^2 + t_b^2 within the share."""
     reach = 3 * 30 * um / stats.norm.ppf((1 + 0.99) / 2)
@@ -187,13 +198,14 @@ def test_grades_at_a_variable_are_half_widths_of_the_table():
     assert found.half_widths == {name: pytest.approx(widths[name][grade]) for name, grade in best.items()}
 
 
+@one_start()
 @pytest.mark.parametrize("way", [1, -1])
 def test_a_mid_point_ends_at_its_bound_on_either_side_at_its_price(way):
     """Limits of -1 and 2 pull the mid-point to 0.5, or to -0.5 where they are mirrored; it may move by 0.2 that way."""
     lower, upper = sorted((-1.0 * way, 2.0 * way))
     least, most = sorted((-0.9 * way, 0.2 * way))
     found = allocate(
-        lambda e: {"y": e["a"]}, {"a": Tolerance.symmetric(0.1)},
+        Linear({"y": {"a": 1.0}}), {"a": Tolerance.symmetric(0.1)},
         {"y": Requirement(lower=lower, upper=upper, target=0.99)}, costs={"a": COST}, samples=2048,
         middles={"a": Middle(least, most, scale=0.3)}, certificate_samples=100_000,
     )  # fmt: skip

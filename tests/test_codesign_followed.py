@@ -1,13 +1,15 @@
 """Costly units with design variables: solved at one vector of decisions, followed along their gradients from there."""
 
 from types import SimpleNamespace
+from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
+from codesign_cases import one_start
 from scipy import integrate, stats
 
 from rvjax.population import Population
+from rvjax.records import Record, field, record, text
 from rvjax.tolerances import Nominal, ReciprocalPower, Requirement, Tolerance, Variable, allocate
 from rvjax.tolerances.allocation.certificate import Certifier
 from rvjax.tolerances.codesign import steps
@@ -26,14 +28,27 @@ NEED = {
 ARM = Variable(0.4, 3.0, 2.0)
 
 
-def response(errors, values):
+@record
+class Living(Record):
     """A lever with a life: a power of its arm, that scatters little."""
-    arm = values["arm"]
-    y = arm * errors["a"] + errors["b"] / arm + errors["a"] * errors["b"]
-    return {"y": y, "life": 2.5 * arm**-1.5 * (1 + errors["c"] - 0.3 * errors["a"]), "size": 10.0 * arm}
+
+    costly: bool = text("whether units are followed", default=True)
+
+    def __call__(self, errors, values):
+        arm = values["arm"]
+        y = arm * errors["a"] + errors["b"] / arm + errors["a"] * errors["b"]
+        return {"y": y, "life": 2.5 * arm**-1.5 * (1 + errors["c"] - 0.3 * errors["a"]), "size": 10.0 * arm}
 
 
-response.costly = True
+response = Living()
+OPTIONS = dict(costs=COSTS, variables={"arm": ARM}, samples=4096, certificate_samples=20_000)
+
+
+@pytest.fixture(scope="module")
+def all_solved():
+    """The lever with every unit solved."""
+    with one_start():
+        return allocate(Living(costly=False), PARTS, NEED, **OPTIONS)
 
 
 def margins(samples=512):
@@ -94,12 +109,8 @@ def test_a_second_anchor_solves_the_units_that_decide():
     assert after - before < 2048  # solved: a part of all units, and the gradients
 
 
-def test_the_optimum_is_that_of_units_which_are_all_solved():
-    def plain(errors, values):
-        return response(errors, values)
-
-    options = dict(costs=COSTS, variables={"arm": ARM}, samples=4096, certificate_samples=20_000)
-    followed, solved = (allocate(made, PARTS, NEED, **options) for made in (response, plain))
+def test_the_optimum_is_that_of_units_which_are_all_solved(all_solved):
+    followed, solved = allocate(response, PARTS, NEED, **OPTIONS), all_solved
     assert followed.status == solved.status == "OPTIMAL"
     assert followed.cost == pytest.approx(solved.cost, rel=0.02)
     assert followed.values["arm"] == pytest.approx(solved.values["arm"], rel=0.03)
@@ -107,12 +118,9 @@ def test_the_optimum_is_that_of_units_which_are_all_solved():
         assert followed.multipliers[name] == pytest.approx(solved.multipliers[name], rel=0.15)
 
 
-def test_margins_and_their_slopes_are_reported():
+def test_margins_and_their_slopes_are_reported(all_solved):
     """Slopes at the optimum, held against the prices: cost slope + sum of prices times slopes is nothing inside."""
-    found = allocate(
-        lambda e, v: response(e, v), PARTS, NEED, costs=COSTS, variables={"arm": ARM}, samples=4096,
-        certificate_samples=20_000,
-    )  # fmt: skip
+    found = all_solved
     for name, half in found.half_widths.items():
         priced = sum(-found.multipliers[r] * found.margin_slopes[r][name] for r in found.margin_slopes)
         assert priced == pytest.approx(1 / half**2, rel=0.05)  # cost 1/t
@@ -124,10 +132,7 @@ def test_margins_and_their_slopes_are_reported():
 
 def test_an_infeasible_problem_of_costly_units_has_its_least_shortage():
     """Finest half-widths leave y a limit of z(0.9973) 0.05 (arm^2 + 1/arm^2)^(1/2) / 3, least at arm = 1: 0.0707."""
-    limits = {"y": Requirement(lower=-0.05, upper=0.05)}
-    found = allocate(
-        response, PARTS, limits, costs=COSTS, variables={"arm": ARM}, samples=4096, certificate_samples=20_000
-    )
+    found = allocate(response, PARTS, {"y": Requirement(lower=-0.05, upper=0.05)}, **OPTIONS)
     assert found.status == "INFEASIBLE" and found.values["arm"] == pytest.approx(1.0, abs=0.05)
     assert found.shortfall["y"] == pytest.approx(0.05 * np.sqrt(2) - 0.05, rel=0.05)
 
@@ -153,32 +158,52 @@ def test_a_step_that_turns_out_dearer_is_not_taken(start):
     assert abs(end.point.x[0] - 0.5) < 0.16
 
 
-@pytest.mark.parametrize("seed", [5, 7])
-def test_limits_that_oppose_each_other_are_certified_soon(monkeypatch, seed):
-    """A number raises u and lowers w: if a met limit were loosened as far as it seems, both would miss in turn."""
+@record
+class Opposed(Record):
+    """A number raises u and lowers w."""
 
-    def opposed(errors, values):
+    costly = True
+
+    def __call__(self, errors, values):
         m = values["m"]
         a, b, c = (errors[name] for name in "abc")
         return {"u": m + a + 0.3 * c + 0.1 * a * c, "w": (1 + b - 0.2 * c) / m**2, "q": a - b + 0.5 * c * m}
 
-    opposed.costly = True
+
+@pytest.mark.parametrize("seed", [5, 7])
+def test_limits_that_oppose_each_other_are_certified_soon(monkeypatch, seed):
+    """If a met limit were loosened as far as it seems, both would miss in turn."""
     need = {"u": Requirement(upper=1.8), "w": Requirement(upper=0.9), "q": Requirement(lower=-0.6, upper=0.6)}
     drawn, real = [], Certifier.draw
     monkeypatch.setattr(Certifier, "draw", lambda *given, **named: drawn.append(1) or real(*given, **named))
     found = allocate(
-        opposed, {n: Tolerance.symmetric(0.1) for n in "abc"}, {n: item.aimed(0.99) for n, item in need.items()},
+        Opposed(), {n: Tolerance.symmetric(0.1) for n in "abc"}, {n: item.aimed(0.99) for n, item in need.items()},
         costs=dict.fromkeys("abc", ReciprocalPower(reference=1.0, finest=0.02, coarsest=5.0)),
         variables={"m": Variable(0.6, 2.0, 1.2)}, samples=512, certificate_samples=2000, seed=seed,
     )  # fmt: skip
     assert found.status == "OPTIMAL" and len(drawn) <= 4  # six before
 
 
-def at_its_limit(response, errors, **given):
+@record
+class Taken(Record):
+    """A play without errors, c m, and what is taken of it: powers of the squares of other errors."""
+
+    play: Any = field("-", "without errors")
+    power: Any = field("-", "of the squares", default=1.0)
+    weights: Any = field("-", "of the powers", shape=(5,), default=0.0)
+
+    costly = True
+
+    def __call__(self, errors, values):
+        taken = sum(self.weights[k] * (errors[name] ** 2 + 1e-12) ** self.power for k, name in enumerate("defgh"))
+        return {"play": self.play + errors["c"] * values["m"] - taken}
+
+
+def at_its_limit(power, weights, **given):
     """An allocation of costly units whose play without errors is at its limit of 1."""
-    response.costly = True
     return allocate(
-        response, {name: Tolerance.symmetric(3.0) for name in errors}, {"play": Requirement(upper=1, target=0.99)},
+        Taken(1.0, power, weights), {name: Tolerance.symmetric(3.0) for name in "cdefgh"},
+        {"play": Requirement(upper=1, target=0.99)},
         costs={"c": ReciprocalPower(reference=1.0, finest=1e-3, coarsest=9.0)}, samples=512,
         variables={"m": Variable(0.9, 1.1, 1.0, cost=lambda m: 10 * (m - 1) ** 2)}, **given,
     )  # fmt: skip
@@ -193,11 +218,7 @@ def test_room_that_a_certificate_sees_is_used_where_the_centre_is_at_the_limit(s
 
     Of the third sample the search learns a cost that is a quarter too low, and slopes that are half of the true ones.
     """
-
-    def response(errors, values):
-        return {"play": 1 + errors["c"] * values["m"] - sum(errors[name] ** 2 for name in "defgh")}
-
-    found = at_its_limit(response, "cdefgh", seed=seed, certificate_samples=units)
+    found = at_its_limit(1.0, np.ones(5), seed=seed, certificate_samples=units)
     share = found.certificate.verdicts["play"].estimate
     assert found.status == status and 0.99 <= share.lower <= 0.99 + most * share.error
     sd = found.half_widths["c"] * found.values["m"] / 3
@@ -207,11 +228,7 @@ def test_room_that_a_certificate_sees_is_used_where_the_centre_is_at_the_limit(s
 
 def test_what_a_certificate_proves_is_not_infeasible():
     """1 + c - |d|: units crowd at their limit, where |d| is small, nearer than a quantile is smoothed (0.06)."""
-
-    def response(errors, values):
-        return {"play": 1 + errors["c"] * values["m"] - jnp.sqrt(errors["d"] ** 2 + 1e-12)}
-
-    found = at_its_limit(response, "cd", certificate_samples=8000)
+    found = at_its_limit(0.5, np.array([1.0, 0.0, 0.0, 0.0, 0.0]), certificate_samples=8000)
     assert found.status == "SUBOPTIMAL" and found.certificate.verdicts["play"].met and found.reason is None
     assert np.isnan([found.multipliers["play"], found.value_prices["m"]]).all()  # no search led there
 
@@ -220,13 +237,9 @@ def test_what_a_certificate_proves_is_not_infeasible():
 def test_large_certificates_and_rare_failures_leave_no_room(monkeypatch, units, target):
     """c m within 1: the half-width is 3/(m z), with the deviate z of the target. Beyond the units of a certificate
     a probability of failure decides."""
-
-    def response(errors, values):
-        return {"play": errors["c"] * values["m"]}
-
-    response.costly = True
+    parts = {name: Tolerance.symmetric(0.5) for name in "cdefgh"}
     found = allocate(
-        response, {"c": Tolerance.symmetric(0.5)}, {"play": Requirement(upper=1.0, target=target)}, samples=512,
+        Taken(0.0, weights=np.zeros(5)), parts, {"play": Requirement(upper=1.0, target=target)}, samples=512,
         costs={"c": ReciprocalPower(reference=1.0, finest=1e-3, coarsest=9.0)}, certificate_samples=units, seed=1,
         variables={"m": Variable(0.5, 1.5, 1.0, cost=lambda m: 10 * (m - 1) ** 2)},
     )  # fmt: skip

@@ -5,8 +5,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from codesign_cases import one_start
 from scipy import stats
 
+from oracles.responses import Linear
 from rvjax.population import Population
 from rvjax.tolerances import ReciprocalPower, Requirement, Tolerance, allocate
 from rvjax.tolerances.codesign.correction import WORTH, Correction
@@ -20,14 +22,13 @@ COSTS = dict.fromkeys("abc", ReciprocalPower(reference=1.0, finest=0.05, coarses
 NEED = {"y": Requirement(upper=1.0, target=0.9973), "v": Requirement(lower=-2.0, upper=2.0, target=0.99)}
 
 
-def response(errors):
-    return {"y": errors["a"] + 2 * errors["b"] - errors["c"], "v": errors["a"] - errors["b"]}
+RESPONSE = Linear({"y": dict(a=1.0, b=2.0, c=-1.0), "v": dict(a=1.0, b=-1.0)})
 
 
 def margins(samples, limit=1.0):
     decisions = Decisions(Population.of(PARTS), COSTS, {}, {})
     need = NEED | {"y": Requirement(upper=limit, target=0.9973)}
-    made = Margins(response, decisions, need, {}, None, samples, 0)
+    made = Margins(RESPONSE, decisions, need, {}, None, samples, 0)
     x = decisions.vector(np.full(3, 0.3), {})
     made.begin(x)
     return made, x
@@ -57,13 +58,14 @@ def test_sums_of_several_groups_of_units_are_those_of_each_group():
     assert not np.allclose(found[0], found[2])
 
 
+@one_start()
 def test_margins_are_corrected_before_the_first_certificate(monkeypatch):
     """A search on 128 units errs by more than a certificate sees by chance; corrected, one certificate does."""
-    options = dict(costs=COSTS, samples=128, certificate_samples=200_000, middles={"c": Middle(-0.1, 0.1)}, seed=2)
-    found = allocate(response, PARTS, NEED, **options)
+    options = dict(costs=COSTS, samples=128, certificate_samples=100_000, middles={"c": Middle(-0.1, 0.1)}, seed=2)
+    found = allocate(RESPONSE, PARTS, NEED, **options)
     monkeypatch.setattr(Designer, "_sharpened", lambda self, margins, end: end)
-    without = allocate(response, PARTS, NEED, **options)
-    drawn = [one.evaluations["certificates"] // 200_000 for one in (found, without)]
+    without = allocate(RESPONSE, PARTS, NEED, **options)
+    drawn = [one.evaluations["certificates"] // 100_000 for one in (found, without)]
     assert found.status == without.status == "OPTIMAL"
     assert drawn[0] == 1 < drawn[1]
     assert found.cost < 1.005 * without.cost

@@ -1,9 +1,8 @@
 """Allocation seen from its requirements: shadow prices, requirement curves, grades beside free fields, many fields.
 
 Oracles: the closed form of a linear response with costs 1/t (sqrt(sum a_j^2 t_j^2) = 3 L / z(target), hence a cost
-~ z/L), and finite differences of the allocated cost itself. The certificate's confidence bound costs about
-0.5 % of half-width at 4 million units, 1 % to 1.5 % at one million, 3 % at 100 000; a sample of 65536 knows a
-quantile to half a percent. Costs are judged to 1 %, prices to 4 %.
+~ z/L), and finite differences of the allocated cost itself. A sample of 16384 units knows the quantiles of these
+targets to 1 %. Prices are judged to 4 %.
 """
 
 import math
@@ -12,8 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from oracles.linear_pair import COSTS, LIMIT, PAIR, WIDE, linear, radius
+from oracles.linear_pair import COSTS, LIMIT, PAIR, WIDE, above, closed_cost, linear, radius, share, two
 from oracles.programs import programs
+from oracles.responses import Linear
 from rvjax import plotting
 from rvjax.population import Population
 from rvjax.response.gradients import pulled
@@ -41,11 +41,6 @@ def bent(e):
     return jnp.sqrt((10 * um) ** 2 + e["a"] ** 2 + 3 * e["b"] ** 2) - 10 * um + 0.3 * e["a"]
 
 
-def closed_cost(target, limit=LIMIT):
-    b = radius(target, limit) / math.sqrt(4 ** (2 / 3) + 4)
-    return 10 * um * (1 / (4 ** (1 / 3) * b) + 1 / b)
-
-
 @pytest.mark.long  # the optima in print of test_tolerances_optimality.py run by default
 def test_closed_form_within_one_percent():
     found = allocate(
@@ -60,14 +55,15 @@ def test_closed_form_within_one_percent():
     assert found.cost == pytest.approx(closed_cost(0.9973), rel=0.01)
 
 
-@pytest.mark.parametrize("count", [20, *(pytest.param(n, marks=pytest.mark.long) for n in (60, 200))])
+@pytest.mark.long  # 32 fields of test_tolerances_optimality.py run by default
+@pytest.mark.parametrize("count", [20, 60, 200])
 def test_many_fields(count):
     """Costs c_j/t and slopes a_j: t_j ~ (c_j/a_j^2)^(1/3)."""
     names = [f"e{k:03d}" for k in range(count)]
     slope = dict(zip(names, np.linspace(0.2, 3.0, count)))
     scale = dict(zip(names, 1 + np.arange(count) % 7))
     tolerances = {n: Tolerance.symmetric(5 * um) for n in names}
-    response = lambda e: sum(slope[n] * e[n] for n in names)  # noqa: E731
+    response = Linear({n: float(a) for n, a in slope.items()})
     row = {"e": Tolerance.symmetric(5 * um, shape=(count,))}
     summed = lambda e: jnp.sum(np.array(list(slope.values())) * e["e"])  # noqa: E731
     assert rss(summed, row).sd == pytest.approx(5 / 3 * um * math.sqrt(sum(a**2 for a in slope.values())), rel=1e-12)
@@ -92,7 +88,7 @@ def test_many_fields(count):
 
 @pytest.fixture(scope="module")
 def of_bent():
-    options = dict(samples=65536, certificate_samples=100_000)
+    options = dict(samples=16384, certificate_samples=20_000)
     costs = {"a": WIDE, "b": Exponential(decay=8 * um, finest=1 * um, coarsest=100 * um, scale=4.0)}
     return cost_curve(
         bent, PAIR, Requirement(upper=12 * um), costs=costs, values=np.array([11, 12, 13]) * um, **options
@@ -117,14 +113,15 @@ def test_each_point_starts_from_the_last(of_bent):
 
 
 def test_costs_of_yields_are_those_of_the_closed_form_in_any_order():
-    """Costs of targets on either side of the required one, from the closed form of a share on a sample of 65536."""
-    at = closed_cost(0.99) / closed_cost(0.9973)
+    """Costs of targets on either side of the required one, from the closed form of a share."""
+    at = closed_cost(0.95) / closed_cost(0.9973)
     found = {name: Tolerance.symmetric(float(item.upper) / at) for name, item in PAIR.items()}
-    options = dict(costs=COSTS, samples=65536, seed=0, units=200_000)
-    need = {"": Requirement(lower=-LIMIT, upper=LIMIT, target=0.99)}
-    for targets in ([0.9, 0.999, 0.99, 0.95], [0.99, 0.95, 0.9, 0.999]):
+    options = dict(costs=COSTS, samples=16384, seed=0, units=50_000)
+    need = {"": Requirement(lower=-LIMIT, upper=LIMIT, target=0.95)}
+    for targets in ([0.8, 0.98, 0.95, 0.9], [0.95, 0.9, 0.8, 0.98]):
         points = cost_of_yields(linear, found, need, targets=targets, **options)
-        assert sorted(targets) == pytest.approx(sorted(share for share, _ in points), abs=2e-3)
+        for (seen, _), target in zip(sorted(points), sorted(targets)):
+            assert abs(above(seen, target, 10_000)) < 4  # of both samples together
         for (_, cost), target in zip(sorted(points), sorted(targets)):
             assert cost == pytest.approx(closed_cost(target), rel=0.02)
 
@@ -148,7 +145,7 @@ def test_a_cost_curve_compiles_no_further_program(of_bent):
     before = count()
     first = of_bent.allocations[0]
     costs = {"a": WIDE, "b": Exponential(decay=9 * um, finest=1 * um, coarsest=90 * um, scale=3.0)}
-    options = dict(samples=65536, certificate_samples=100_000)
+    options = dict(samples=16384, certificate_samples=20_000)
     curve = cost_curve(bent, first.tolerances, Requirement(upper=1.0), costs=costs, values=(11.5 * um,), **options)
     assert curve.costs[0] > 0
     assert count() == before
@@ -174,10 +171,9 @@ def test_curve_against_the_target():
 
 
 def test_curve_against_one_of_two_limits():
-    response = lambda e: {"y": linear(e), "b": jnp.abs(e["b"])}  # noqa: E731
     required = {"y": Requirement(lower=-LIMIT, upper=LIMIT, target=0.99), "b": Requirement(upper=1.0)}
-    options = dict(costs=COSTS, values=(40 * um, 20 * um, 1 * um), certificate_samples=100_000)
-    curve = cost_curve(response, PAIR, required, of="y", **options)
+    options = dict(costs=COSTS, values=(40 * um, 20 * um, 1 * um), certificate_samples=20_000)
+    curve = cost_curve(two, PAIR, required, of="y", **options)
     assert curve.learned[:2] == pytest.approx([closed_cost(0.99, limit) for limit in (40 * um, 20 * um)], rel=0.03)
     assert curve.multipliers[1] == pytest.approx(-curve.learned[1] / (20 * um), rel=0.04)
     assert math.isnan(curve.costs[2]) and not curve.allocations[2].feasible
@@ -202,38 +198,39 @@ def test_curve_against_one_of_two_limits():
 def test_bad_curves_are_named(options, message):
     with pytest.raises(ValueError, match=message):
         cost_curve(linear, PAIR, Requirement(upper=LIMIT), costs=COSTS, **{"values": (LIMIT,), **options})
-    two = {"y": Requirement(upper=LIMIT), "z": Requirement(upper=LIMIT)}
+    both = {"y": Requirement(upper=LIMIT), "z": Requirement(upper=LIMIT)}
     with pytest.raises(ValueError, match="name the requirement whose limit moves, one of y, z"):
-        cost_curve(linear, PAIR, two, costs=COSTS, values=(LIMIT,))
+        cost_curve(linear, PAIR, both, costs=COSTS, values=(LIMIT,))
 
 
 def test_free_fields_take_up_what_the_grades_leave():
     """a is snapped to a grade; b is what the closed-form limit then allows."""
     sized = {**PAIR, "a": PAIR["a"].replace(size=25 * mm)}
     requirement = Requirement(lower=-LIMIT, upper=LIMIT)
-    found = allocate(linear, sized, requirement, costs=COSTS, samples=65536, certificate_samples=300_000, grades=True)
+    units = 50_000
+    found = allocate(linear, sized, requirement, costs=COSTS, samples=4096, certificate_samples=units, grades=True)
     graded = found.graded
     assert list(graded.grades) == ["a"]
     a = it_width(graded.grades["a"], 25 * mm) / 2
     assert graded.half_widths["a"] == pytest.approx(a)
-    b = math.sqrt(radius(0.9973) ** 2 - a**2) / 2
-    assert 0.97 * b < graded.half_widths["b"] < b  # from the safe side
+    assert 0 < above(share(graded.half_widths), 0.9973, units) < 5
     assert graded.half_widths["b"] != found.half_widths["b"]
     assert graded.certificate.yield_.lower >= 0.9973
     # The cheapest of all grades, each with the b that the closed form leaves.
+    reach = radius(share(graded.half_widths))
     halves = [it_width(f"IT{k}", 25 * mm) / 2 for k in range(1, 12)]
-    halves = [t for t in halves if 1 * um <= t and t < radius(0.9973)]
-    total = [10 * um / t + 20 * um / math.sqrt(radius(0.9973) ** 2 - t**2) for t in halves]
-    assert graded.cost == pytest.approx(min(total), rel=0.025)
+    halves = [t for t in halves if 1 * um <= t and t < reach]
+    total = [10 * um / t + 20 * um / math.sqrt(reach**2 - t**2) for t in halves]
+    assert graded.cost == pytest.approx(min(total), rel=1e-6)
 
 
 def test_the_learned_cost_is_that_of_an_accepted_set():
-    three, slopes = {k: Tolerance.symmetric(1.0) for k in "abc"}, dict(a=1.0, b=3.0, c=0.2)
-    costs = {k: ReciprocalPower(finest=0.1, coarsest=3.0, reference=1.0, scale=scale) for k, scale in slopes.items()}
-    steps = lambda e: jnp.floor(8 * jnp.abs(e["a"] + e["b"])) / 8 + 0.3 * jnp.abs(e["c"])  # noqa: E731
+    half, scales = {k: Tolerance.symmetric(1.0) for k in "ab"}, dict(a=1.0, b=3.0)
+    costs = {k: ReciprocalPower(finest=0.1, coarsest=3.0, reference=1.0, scale=scale) for k, scale in scales.items()}
+    steps = lambda e: jnp.floor(8 * jnp.abs(e["a"] + e["b"])) / 8  # noqa: E731
     required = Requirement(upper=0.6, target=0.95)
-    options = dict(costs=costs, samples=1000, certificate_samples=4000)
-    curve = cost_curve(steps, three, required, values=(0.6,), **options)
+    options = dict(costs=costs, samples=512, certificate_samples=512)
+    curve = cost_curve(steps, half, required, values=(0.6,), **options)
     tried = {trial["cost"]: trial["margins"]["response"] for trial in curve.allocations[0].history}
     assert tried[curve.learned[0]] <= 0.0
     assert min(tried) < curve.learned[0]  # others were cheaper, and refused
@@ -246,6 +243,6 @@ def test_a_curve_whose_search_found_nothing():
     limit = 0.5 / 3 * math.sqrt(2) * 1.959964  # of 95 % at the finest
     required = Requirement(lower=-limit, upper=limit, target=0.95)
     options = dict(costs=costs, samples=1000, seed=1, certificate_samples=20_000)
-    curve = cost_curve(lambda e: e["a"] + e["b"], half, required, values=(0.95,), against="target", **options)
+    curve = cost_curve(Linear({"a": 1.0, "b": 1.0}), half, required, values=(0.95,), against="target", **options)
     assert curve.allocations[0].half_widths == {"a": 0.5, "b": 0.5} and curve.allocations[0].feasible
     assert curve.learned == pytest.approx((4.0,))

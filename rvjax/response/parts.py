@@ -97,7 +97,7 @@ class InParts(Evaluator):
             rows, own = part.solve(self._population, z)
             values |= dict(zip(part.names, rows))
             status.append(own)
-        return values, worst(jnp.asarray(np.stack(status)), axis=0)
+        return values, worst(np.stack(status), axis=0)
 
 
 def evaluator(response: Response, population: Population, seed: int, method: str, chunk: int) -> Evaluator:
@@ -131,4 +131,4 @@ def begin_programs(response: Response, population: Population, *, slopes: bool =
 
 def status_without_errors(response: Response, population: Population) -> int:
     """Status of the unit without errors, the worst of all parts."""
-    return int(worst(jnp.asarray([part.nominal_status(population) for part in parts(response, population)])))
+    return int(worst(np.array([part.nominal_status(population) for part in parts(response, population)])))
