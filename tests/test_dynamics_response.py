@@ -8,7 +8,6 @@ exact periodic solution, to which harmonic balance must tend.
 from functools import cache
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
