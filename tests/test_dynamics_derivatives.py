@@ -265,7 +265,8 @@ def test_no_nan_at_pairs_of_modes_or_empty_excitation_nor_next_to_a_failed_lane(
     def total(shared, lanes):
         def lane(torque, swing, torsion, support):
             design = changed(RV_320E, "mesh_variation.planetary_swing", swing)
-            design = changed(changed(design, "stiffness.sun_torsion", torsion), "stiffness.sun_support", shared + support)
+            design = changed(design, "stiffness.sun_torsion", torsion)
+            design = changed(design, "stiffness.sun_support", shared + support)
             full = dynamics.response(design, sun_speed=RATED, output_torque=torque, method=method, harmonics=2)
             parts = [full.amplitude.real, full.amplitude.imag, full.mean, jnp.minimum(full.resonance_distance, 1e3)]
             return sum(jnp.sum(jnp.sin(1e3 * part + 1)) for part in parts)
