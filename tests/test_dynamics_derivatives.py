@@ -99,15 +99,16 @@ def test_derivatives_of_harmonic_balance_equal_finite_differences(form, thorough
 def test_second_derivatives():
     """Forward over reverse against second differences, of sixth order, of the plain squared amplitude.
 
-    Steps of 3e-3 leave their sixth power, 1e-15, of what varies on a hundredth; values are good to 1e-13, over 1e-5.
+    Steps of 1.5e-3 leave 2e-8 of the fourth harmonic, a sixty-fourth of what 3e-3 leave; values are good to 1e-13,
+    over 2e-6.
     """
-    function, point = amplitudes_of("first_order", harmonics=1, outputs=("output.x",))
+    function, point = amplitudes_of("first_order", harmonics=4, outputs=("output.rotation",))
     direction = point * np.linspace(0.5, 1.5, len(point))
 
     def power(share):
-        return jnp.sum(function(point + share * direction) ** 2) * 1e16
+        return jnp.sum(function(point + share * direction) ** 2) * 1e16  # the fourth harmonic alone turns the output
 
-    h, weights, value = 3e-3, np.array([2, -27, 270, -490, 270, -27, 2]) / 180, jax.jit(power)
+    h, weights, value = 1.5e-3, np.array([2, -27, 270, -490, 270, -27, 2]) / 180, jax.jit(power)
     due = weights @ [float(value(share)) for share in h * np.arange(-3.0, 4.0)] / h**2
     second = jax.jit(lambda share: jax.jvp(jax.grad(power), (share,), (1.0,))[1])
     assert float(second(0.0)) == pytest.approx(due, rel=1e-6)
@@ -117,12 +118,11 @@ OUTPUTS = ("output.x", "output.y", "output.rotation", "planet1.y")
 
 
 @cache
-def logs(stage="planetary", formula="total", harmonics=4):
+def logs(stage="planetary", harmonics=1, outputs=("output.x",)):
     """Log-sensitivities of the lumped parameters, in which the eccentricity leaves the force arm alone."""
     found = dynamics.log_sensitivities(
         dynamics.lump(RV_320E),
-        **dict(sun_speed=RATED, output_torque=TORQUE, stage=stage, outputs=OUTPUTS),
-        **dict(formula=formula, harmonics=harmonics),
+        **dict(sun_speed=RATED, output_torque=TORQUE, stage=stage, outputs=outputs, harmonics=harmonics),
     )
     return jax.tree.map(np.asarray, found)
 
@@ -212,7 +212,8 @@ def test_log_sensitivities_of_a_whole_reducer():
 )
 def test_eq_14_leaves_out_the_forcing(stage, printed, total):
     """Right for inertia and stiffness, wrong for geometry; the eccentricity alone (planetary) and with rc (cycloid)."""
-    count, whole = max(harmonic for harmonic, _ in printed), logs(stage)
+    count, outputs = (3, OUTPUTS) if stage == "cycloid" else (1, ("output.x",))
+    whole = logs(stage, count, outputs)
     lumped = jax.tree.map(jnp.asarray, dynamics.lump(RV_320E))
     names = ("eccentricity", "force_arm", "stiffness.sun_support", "inertia.disc_inertia")
 
@@ -224,7 +225,7 @@ def test_eq_14_leaves_out_the_forcing(stage, printed, total):
                 design = changed(design, name, get(lumped, name) * (1 + share))
             else:
                 design = design.replace(**{name: getattr(lumped, name) * (1 + share)})
-        conditions = dict(sun_speed=RATED, output_torque=TORQUE, stage=stage, harmonics=count, outputs=OUTPUTS)
+        conditions = dict(sun_speed=RATED, output_torque=TORQUE, stage=stage, harmonics=count, outputs=outputs)
         found = dynamics.constant_forcing(design, **conditions).amplitude
         return found, found
 
@@ -233,25 +234,34 @@ def test_eq_14_leaves_out_the_forcing(stage, printed, total):
     for found, expected in ((without, printed), (whole, total)):
         slope = found["eccentricity"] + (found["force_arm"] if stage == "cycloid" else 0)
         for (harmonic, output), number in expected.items():
-            assert slope[harmonic - 1, OUTPUTS.index(output)].real == pytest.approx(number, abs=6e-5)
+            assert slope[harmonic - 1, outputs.index(output)].real == pytest.approx(number, abs=6e-5)
     for name in names[2:]:
-        np.testing.assert_allclose(without[name], whole[name][:count], rtol=1e-9, atol=1e-10, err_msg=name)
+        np.testing.assert_allclose(without[name], whole[name], rtol=1e-9, atol=1e-10, err_msg=name)
 
 
+CENTRAL_ROTATION = [f"stiffness.{part}_torsion" for part in ("sun", "output")]
+CENTRAL_ROTATION += [f"inertia.{part}_inertia" for part in ("sun", "output")]
+
+
+def test_translations_ignore_central_torsion_and_inertia():
+    found = logs()
+    assert all(abs(found[name][0, 0]) < 1e-12 for name in CENTRAL_ROTATION)
+    assert min(abs(found[name][0, 0]) for name in ("stiffness.sun_support", "inertia.output_mass")) > 1e-2
+
+
+@pytest.mark.long  # kinds of modes, test_dynamics.py, have the same zeros
 def test_zero_sensitivities():
     """Section 4: rotational responses ignore central supports and masses, translational ones central torsion and
     inertia, planetary ones all central values; harmonic balance mixes them."""
     translation = [f"stiffness.{part}_support" for part in ("sun", "output")]
     translation += [f"inertia.{part}_mass" for part in ("sun", "output")]
-    rotation = [f"stiffness.{part}_torsion" for part in ("sun", "output")]
-    rotation += [f"inertia.{part}_inertia" for part in ("sun", "output")]
-    found, (x, turn, planet) = logs(), (OUTPUTS.index(n) for n in ("output.x", "output.rotation", "planet1.y"))
+    found = logs(harmonics=4, outputs=OUTPUTS)
+    x, turn, planet = (OUTPUTS.index(n) for n in ("output.x", "output.rotation", "planet1.y"))
     for name in translation:
         assert np.all(found[name][3, turn] == 0) and abs(found[name][1, planet]) < 1e-12
-    for name in rotation:
+    for name in CENTRAL_ROTATION:
         assert abs(found[name][0, x]) < 1e-12 and abs(found[name][1, planet]) < 1e-12
     assert min(abs(found[name][3, turn]) for name in ("stiffness.sun_torsion", "inertia.sun_inertia")) > 0.1
-    assert min(abs(found[name][0, x]) for name in ("stiffness.sun_support", "inertia.output_mass")) > 1e-2
     assert all(value[1, x] == 0 for value in found.values())  # a suppressed output
 
 
@@ -318,8 +328,8 @@ def test_frequencies_and_shapes_of_modes_turn_as_differences_say():
 
 def test_a_frequency_that_meets_a_mode_is_told():
     """Undamped, w^2 equal to a square or one rounding beside; damped never."""
-    modal = ModalSector(None, None, None, None, jnp.asarray([4.0, 9.0]))
+    modal, met_by = ModalSector(None, None, None, None, np.array([4.0, 9.0])), jax.jit(on_resonance)
     for square, met in ((9.0, True), (9.0 * (1 + 2e-16), True), (9.0 * (1 + 1e-12), False), (6.0, False)):
-        z = [jnp.asarray([complex(x)]) for x in (1.0, 0.0, -square)]
-        assert bool(on_resonance(modal, DynamicStiffness(*z))) == met
-        assert not on_resonance(modal, DynamicStiffness(z[0] * (1 + 1e-6j), *z[1:]))
+        z = [np.array([complex(x)]) for x in (1.0, 0.0, -square)]
+        assert bool(met_by(modal, DynamicStiffness(*z))) == met
+        assert not met_by(modal, DynamicStiffness(z[0] * (1 + 1e-6j), *z[1:]))
