@@ -8,9 +8,28 @@ from rvjax import CrankStage, CycloidStage, InvoluteStage, RVErrors, RVReducer, 
 from rvjax.units import mm, um
 
 STATIC = ("angles", "cranks", "closure", "branch")
-revolution = jax.jit(four_bar.revolution, static_argnames=STATIC)
-transmission_error = jax.jit(four_bar.transmission_error, static_argnames=STATIC[1:])
+_revolution = jax.jit(four_bar.revolution, static_argnames=STATIC)
+_transmission_error = jax.jit(four_bar.transmission_error, static_argnames=STATIC[1:])
 READ = ("crank_eccentricity", "crank_phase", "disc_bore", "carrier_bore", "bearing_clearance", "eccentricity")
+
+
+def numbers(tree, dtype=float):
+    """Every number as an array of one precision, so that tests share programs."""
+    return jax.tree.map(lambda x: np.asarray(x, dtype), tree)
+
+
+def revolution(design, errors, output_torque=None, dtype=float, **methods):
+    """A turn of one unit; with no torque the program without load."""
+    given = {} if output_torque is None else {"output_torque": output_torque}
+    design, errors, given = numbers((design, errors, given), dtype)
+    return jax.tree.map(np.asarray, _revolution(design, errors, **given, **methods))
+
+
+def transmission_error(design, errors, *, crank_angle, output_torque=0.0, dtype=float, ratio=None, **methods):
+    """The error of one unit at one angle, by the program with load."""
+    design, errors, angle, torque, ratio = numbers((design, errors, crank_angle, output_torque, ratio), dtype)
+    given = dict(crank_angle=angle, output_torque=torque, gear_stiffness_ratio=ratio)
+    return jax.tree.map(np.asarray, _transmission_error(design, errors, **given, **methods))
 
 
 def reducer(cranks=2, discs=2, e=1.3 * mm, radius=36 * mm, stiffness=6e8, teeth=(10, 26, 39, 40), pins=64 * mm):
@@ -35,12 +54,7 @@ def referenced(case, dtype=np.float64):
         d["pin_circle_radius_mm"] * mm,
     )
     errors = {n: np.asarray(v) * (1 if n == "crank_phase" else mm) for n, v in case["errors_mm_rad"].items()}
-    return design, cast(RVErrors.for_design(design, **errors), dtype)
-
-
-def cast(errors, dtype):
-    """Errors in one precision."""
-    return jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), errors)
+    return design, numbers(RVErrors.for_design(design, **errors), dtype)
 
 
 def disc_couple(design, torque):

@@ -154,7 +154,7 @@ def test_kinds_mean_what_they_say():
     assert np.abs(sums / scale)[~alike].max() < 1e-9
 
 
-@pytest.mark.parametrize(("cranks", "discs"), [(4, 3), (5, 4), (6, 5)])
+@pytest.mark.parametrize(("cranks", "discs"), [(4, 3), (5, 4), pytest.param(6, 5, marks=pytest.mark.long)])
 def test_blocks_have_the_spectrum_of_the_whole(cases, cranks, discs):
     design = layout(RV_320E, cranks, discs, disc_phase=0.7)
     parts = dynamics.blocks(design)
@@ -215,7 +215,7 @@ def test_the_mean_state_is_that_of_the_reference(cases):
     np.testing.assert_allclose(found.cycloid_force, carried / (3 * np.cos(30 * deg) * (0.0858 + 0.0022)), rtol=1e-9)
 
 
-@pytest.mark.parametrize(("cranks", "discs"), [(3, 2), (3, 1), (2, 2)])
+@pytest.mark.parametrize(("cranks", "discs"), [pytest.param(3, 2, marks=pytest.mark.long), (3, 1), (2, 2)])
 def test_the_mean_state_of_other_layouts(cranks, discs):
     design = layout(RV_320E, cranks, discs, disc_phase=0.3)
     oracle = Oracle(design)

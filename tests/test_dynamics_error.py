@@ -38,9 +38,16 @@ def none():
     return {name: np.zeros(shape) for name, shape in SHAPES.items()}
 
 
-@jax.jit
-def respond(errors, speed):
-    return dynamics.transmission_error(DESIGN, RVErrors(**errors), sun_speed=speed, load_inertia=3.0)
+def response(design, errors, speed, load):
+    return dynamics.transmission_error(design, RVErrors(**errors), sun_speed=speed, load_inertia=load)
+
+
+program = jax.jit(response)
+
+
+def respond(errors, speed, design=DESIGN, load=3.0):
+    """The response of one unit; designs and errors are traced, so that one program serves."""
+    return jax.tree.map(np.asarray, program(design, errors, float(speed), load))
 
 
 @jax.jit
@@ -53,36 +60,74 @@ def transferred(design, frequency, load):
     return dynamics.error_transfer(design, frequency=frequency, load_inertia=load, outputs=OUTPUTS)
 
 
+@jax.jit
+def slopes(errors, weights):
+    """Derivatives of the parts of all lines, weighted, and of the peak to peak, weighted."""
+
+    def total(errors):
+        found = response(DESIGN, errors, SPEED, 3.0)
+        line = found.amplitude[:, 0]
+        return jnp.sum(weights[0] * line.real + weights[1] * line.imag) + weights[2, 0] * found.peak_to_peak[0]
+
+    return jax.grad(total)(errors)
+
+
+SWEPT, SPEEDS = ("disc_centre", "ring_flank"), np.linspace(30, 300, 301)
+
+
+@jax.jit
+def sweep(scale, *errors):
+    """Sweeps of a batch of units, and their peaks with the derivatives to the scale of the errors."""
+
+    def one(scale, *errors):
+        errors = RVErrors(**{name: scale * value for name, value in zip(SWEPT, errors)})
+        return dynamics.speed_sweep(DESIGN, errors, sun_speeds=SPEEDS, load_inertia=3.0)
+
+    def peaks(scale):
+        return jax.vmap(lambda *x: one(scale, *x).peak)(*errors)
+
+    return jax.vmap(lambda *x: one(scale, *x))(*errors), jax.jvp(peaks, (scale,), (1.0,))
+
+
+UNITS = MICRON * np.random.default_rng(5).normal(size=(2, 75, 2, 2))
+
+
 def test_peaks_of_a_batch_are_those_of_its_lines():
     """A batch of several blocks and a part of one, over a number of speeds whose halves are odd; the slope of a peak is
     that of the line at its speed."""
-    speeds, size = np.linspace(30, 300, 301), 75
-    names, shape = ("disc_centre", "ring_flank"), (size, 2, 2)
-    drawn = MICRON * np.random.default_rng(5).normal(size=(2, *shape))
-
-    def sweep(*errors):
-        return dynamics.speed_sweep(DESIGN, RVErrors(**dict(zip(names, errors))), sun_speeds=speeds, load_inertia=3.0)
-
-    def peaks(scale, *errors):
-        return jax.vmap(lambda *x: sweep(*(scale * e for e in x)).peak)(*errors)
-
-    swept = jax.jit(jax.vmap(sweep))
-    found = swept(*drawn)
+    found, (value, slope) = jax.tree.map(np.asarray, sweep(1.0, *UNITS))
     size_of_lines = np.abs(found.amplitude)  # (units, speeds, orders, outputs)
     np.testing.assert_allclose(found.peak, size_of_lines.max(1), rtol=1e-13)
-    np.testing.assert_array_equal(found.peak_speed, speeds[size_of_lines.argmax(1)])
-    value, slope = jax.jit(lambda s: jax.jvp(lambda s: peaks(s, *drawn), (s,), (1.0,)))(1.0)
+    np.testing.assert_array_equal(found.peak_speed, SPEEDS[size_of_lines.argmax(1)])
     np.testing.assert_allclose(value, found.peak, rtol=1e-13)
     np.testing.assert_allclose(slope, found.peak, rtol=1e-13)  # lines are linear in the errors
-    nothing = swept(*(0 * drawn))
-    assert (nothing.peak == 0).all() and (nothing.peak_speed == speeds[0]).all()
+    centre, ring = UNITS[:, 7]
+    at = respond(none() | {"disc_centre": centre, "ring_flank": np.concatenate([ring, 0 * ring])}, SPEEDS[100])
+    rows = [list(at.order).index(order) for order in found.order[7]]  # others are of errors that are zero here
+    np.testing.assert_allclose(found.amplitude[7, 100], at.amplitude[rows], rtol=1e-11)
+    nothing, _ = sweep(0.0, *UNITS)
+    assert (nothing.peak == 0).all() and (nothing.peak_speed == SPEEDS[0]).all()
+
+
+def test_a_batch_leaves_neighbours_alone():
+    lost = UNITS.copy()
+    lost[0, 40, 1, 0] = np.nan
+    (found, (value, slope)), (sound, (_, due)) = (
+        jax.tree.map(np.asarray, sweep(1.0, *units)) for units in (lost, UNITS)
+    )
+    others = np.arange(75) != 40
+    np.testing.assert_array_equal(found.info.status, np.where(others, Status.CONVERGED, Status.NONFINITE))
+    assert np.isnan(found.amplitude[40]).all() and np.isnan(found.peak[40]).all() and np.isnan(value[40]).all()
+    np.testing.assert_array_equal(found.amplitude[others], sound.amplitude[others])
+    np.testing.assert_array_equal(found.peak[others], sound.peak[others])
+    np.testing.assert_array_equal(slope[others], due[others])
 
 
 @pytest.mark.parametrize("speeds", [1, 2, 3, 5, 7, 41])
 def test_the_place_of_a_peak_is_the_first_of_the_largest_values(speeds):
     """Small whole numbers are often equal; each place is the largest for some unit."""
     squares = np.random.default_rng(6).integers(0, 4, size=(2, speeds, 1, 500)).astype(float)
-    np.testing.assert_array_equal(error_response._first(squares), squares.argmax(1))
+    np.testing.assert_array_equal(jax.jit(error_response._first)(squares), squares.argmax(1))
 
 
 def test_static_limit_is_the_closed_form():
@@ -176,7 +221,7 @@ def test_reversed_speed_conjugates_the_transfer_alone():
     for speed in (SPEED, -SPEED):
         found = respond(errors, speed)
         f = np.asarray(found.order) * speed / DESIGN.ratio / (2 * np.pi)
-        rows = [np.asarray(transferred(DESIGN, x, 3.0))[0] @ line for x, line in zip(f, g)]
+        rows = [np.asarray(transferred(DESIGN, float(x), 3.0))[0] @ line for x, line in zip(f, g)]
         np.testing.assert_allclose(found.amplitude[:, 0], rows, rtol=1e-10, atol=1e-20)
 
 
@@ -186,8 +231,11 @@ def test_response_is_linear_and_its_derivative_gives_it_back():
     first, second, both = (respond(x, SPEED).amplitude for x in (a, b, mixed))
     size = np.abs(both).max()
     np.testing.assert_allclose(both, 2 * first - 3 * second, rtol=0, atol=1e-12 * size)
-    _, along = jax.jvp(lambda x: respond(x, SPEED).amplitude, (none(),), (a,))
-    np.testing.assert_allclose(along, first, rtol=0, atol=1e-12 * np.abs(first).max())
+    weights = np.random.default_rng(4).normal(size=(3, len(first)))
+    weights[2] = 0.0
+    along = sum(np.sum(slope * a[name]) for name, slope in slopes(none(), weights).items())
+    due = np.sum(weights[0] * first[:, 0].real + weights[1] * first[:, 0].imag)
+    np.testing.assert_allclose(along, due, rtol=0, atol=1e-12 * np.abs(weights).max() * np.abs(first).sum())
 
 
 def test_peak_to_peak_is_that_of_the_curve():
@@ -222,40 +270,30 @@ def test_what_the_mean_cancels_is_exactly_zero_with_finite_gradients():
     found = respond(none() | harmless, SPEED)
     assert (np.asarray(found.amplitude) == 0).all() and found.peak_to_peak[0] == 0
 
-    def figures(errors):
-        found = respond(errors, SPEED)
-        return found.peak_to_peak[0] + jnp.sum(jnp.abs(found.amplitude.real))
-
-    slopes = jax.grad(figures)(none())
-    assert all(np.isfinite(slope).all() for slope in slopes.values())
-    assert (np.asarray(slopes["sun_runout"]) == 0).all() and (np.asarray(slopes["ring_centre"]) == 0).all()
-    assert np.abs(jax.grad(figures)(drawn(7))["disc_bore"]).min() > 0
-
-
-def test_a_batch_leaves_neighbours_alone():
-    lanes = [drawn(8), drawn(9), none()]
-    lanes[1]["disc_bore"][0, 0, 0] = np.nan
-    speeds = np.array([SPEED, SPEED, 0.0])
-    found = jax.vmap(respond)(jax.tree.map(lambda *x: np.stack(x), *lanes), speeds)
-    np.testing.assert_array_equal(found.info.status, [Status.CONVERGED, Status.NONFINITE, Status.CONVERGED])
-    assert np.isnan(found.amplitude[1]).all() and not np.isnan(found.amplitude[2]).any()
-    np.testing.assert_allclose(found.amplitude[0], respond(lanes[0], SPEED).amplitude, rtol=1e-12, atol=1e-22)
+    weights = np.ones((3, len(found.order)))
+    at_none = slopes(none(), weights)
+    assert all(np.isfinite(slope).all() for slope in at_none.values())
+    assert (np.asarray(at_none["sun_runout"]) == 0).all() and (np.asarray(at_none["ring_centre"]) == 0).all()
+    assert np.abs(slopes(drawn(7), weights)["disc_bore"]).min() > 0
 
 
 def test_hostile_designs_have_a_status():
-    free = DESIGN.replace(stiffness=DESIGN.stiffness.replace(sun_torsion=0.0))
+    """Put together as a batch is, without the checks of a constructor."""
+    leaves, tree = jax.tree.flatten(DESIGN)
+    errors = none() | {"disc_centre": np.full((2, 2), MICRON)}
+    names = dict(
+        torsion=lambda d: d.stiffness.sun_torsion,
+        angle=lambda d: d.cycloid.force_angle,
+        e=lambda d: d.cycloid.eccentricity,
+    )
+    places = {name: read(tree.unflatten(range(len(leaves)))) for name, read in names.items()}
 
-    @jax.jit
-    def status(speed, torsion, angle, e, load):
-        design = DESIGN.replace(
-            stiffness=DESIGN.stiffness.replace(sun_torsion=torsion),
-            cycloid=DESIGN.cycloid.replace(force_angle=angle, eccentricity=e),
-        )
-        found = dynamics.transmission_error(design, RVErrors(disc_centre=MICRON), sun_speed=speed, load_inertia=load)
+    def ask(speed=SPEED, load=0.0, **changes):
+        own = list(leaves)
+        for name, value in changes.items():
+            own[places[name]] = value
+        found = respond(errors, speed, tree.unflatten(own), load)
         return found.info.status, found.amplitude, found.static
-
-    def ask(speed=SPEED, torsion=1e4, angle=0.5, e=0.0022, load=0.0):
-        return status(speed, torsion, angle, e, load)
 
     assert ask()[0] == Status.CONVERGED
     assert ask(torsion=0.0)[0] == Status.CONVERGED and not np.isnan(ask(torsion=0.0)[2]).any()
@@ -264,6 +302,7 @@ def test_hostile_designs_have_a_status():
     for impossible in (dict(angle=np.pi / 2), dict(e=-1e-3), dict(e=0.1), dict(load=-1.0)):
         state, amplitude, _ = ask(**impossible)
         assert state == Status.INVALID_GEOMETRY and np.isnan(amplitude).all(), impossible
+    free = DESIGN.replace(stiffness=DESIGN.stiffness.replace(sun_torsion=0.0))
     assert np.isnan(transferred(free, 0.0, 0.0)).all() and not np.isnan(transferred(free, 1.0, 0.0)).any()
 
 

@@ -60,39 +60,36 @@ def test_every_error_acts_through_its_mean_over_the_members():
         assert (np.abs(found.get(order, 0) - line) <= allowed * size).all(), order
 
 
-@pytest.fixture(scope="module")
-def sidebands():
-    """Lines of an eccentric sun and of all sun-planet errors under load, marched and balanced."""
+def sidebands(alone):
+    """Lines of an eccentric sun, alone or with all sun-planet errors under load, marched and balanced."""
     design, speed, harmonics = small(3, 3), -700.0, 6
     draw = np.random.default_rng(12).normal
     runout = 1e-5 * draw(size=2)
     others = dict(planet_runout=1e-5 * draw(size=(3, 2)), sun_flank=1e-5 * draw(size=(4, 2)))
-    nothing = {name: np.zeros_like(value) for name, value in others.items()}
+    if alone:
+        others = {name: np.zeros_like(value) for name, value in others.items()}
     mesh = dict(stage="planetary", harmonics=2 * harmonics)
-    both = {}
-    for name, errors, torque in (("sun", nothing, 0.0), ("all", others, -1000.0)):
-        errors = errors | {"sun_runout": runout}
-        due = marched(design, errors, speed, 1, 300, output_torque=torque, **mesh)
-        found = dynamics.transmission_error(
-            *(design, RVErrors(**errors)),
-            sun_speed=speed,
-            outputs=SHOWN,
-            method="harmonic_balance",
-            harmonics=harmonics,
-            output_torque=torque,
-        )
-        both[name] = due, by_order(found)
-    return both
+    errors, torque = others | {"sun_runout": runout}, 0.0 if alone else -1000.0
+    due = marched(design, errors, speed, 1, 300, output_torque=torque, **mesh)
+    found = dynamics.transmission_error(
+        *(design, RVErrors(**errors)),
+        sun_speed=speed,
+        outputs=SHOWN,
+        method="harmonic_balance",
+        harmonics=harmonics,
+        output_torque=torque,
+    )
+    return due, by_order(found)
 
 
 @pytest.mark.long
-def test_a_later_planet_meets_the_tooth_later(sidebands):
+def test_a_later_planet_meets_the_tooth_later():
     """The eccentric sun, order 8, reaches the output at 32 - 8 and 64 + 8, never at their mirror images.
 
     It lies in label 1 of the planets, the variation of order 32 l in -4 l mod 3: with phases of the other sign the
     mirror images would appear.
     """
-    due, found = sidebands["sun"]
+    due, found = sidebands(alone=True)
     largest = max(np.abs(due[order][0]) for order in due)
     for order in (24, 72):
         assert np.abs(due[order][0]) > 1e-3 * largest
@@ -101,15 +98,16 @@ def test_a_later_planet_meets_the_tooth_later(sidebands):
         assert np.abs(due[order][0]) < 1e-9 * largest and np.abs(found[order][0]) < 1e-9 * largest
 
 
-def test_errors_and_mesh_together_are_those_of_a_march(sidebands):
+def test_errors_and_mesh_together_are_those_of_a_march():
     """Kept harmonics reach to order 192: what the march sees beyond, and its steps, leave 1e-5 below order 60."""
-    due, found = sidebands["all"]
+    due, found = sidebands(alone=False)
     size = np.max([np.abs(line) for line in due.values()], axis=0)
     for order in range(4, 60, 4):
         assert (np.abs(found.get(order, 0) - due[order]) <= 5e-5 * size).all(), order
     assert np.abs(due[36] - due[28])[0] > 1e-3 * size[0]  # the mirror images differ by more than that
 
 
+@pytest.mark.long  # references of their own hold both models
 def test_standstill_is_that_of_the_loaded_reducer():
     """Linear pins under load, forwards: every error that both models know, one at a time, constant part included.
 

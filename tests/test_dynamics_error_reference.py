@@ -71,7 +71,11 @@ def assert_lines(found, expected, rtol, ratio):
     assert (np.abs(np.asarray(found) - expected).max(axis=0) <= allowed).all()
 
 
-@pytest.mark.parametrize("number", [301, 302, 303, 304, 305, 306, 307])
+# By default one layout of each kind: the closed form at standstill, responses and statistics have the others.
+LAYOUTS = [pytest.param(number, marks=pytest.mark.long) for number in (302, 303, 307)]
+
+
+@pytest.mark.parametrize("number", [301, 304, 305, 306, *LAYOUTS])
 def test_transfer_is_that_of_the_reference(cases, number):
     case = cases[number]
     frequency, load = case.get("frequency", 0.0), case.get("load_inertia", 0.0)
@@ -83,7 +87,8 @@ def test_transfer_is_that_of_the_reference(cases, number):
         assert_lines(found.T, phasors(case["out"]).T, 1e-9, case["design"].ratio)
 
 
-@pytest.mark.parametrize("number", [308, 309, 310])
+# Responses have the errors of 308.
+@pytest.mark.parametrize("number", [pytest.param(308, marks=pytest.mark.long), 309, 310])
 def test_excitation_is_that_of_the_reference(cases, number):
     case = cases[number]
     found = dynamics.error_excitation(case["design"], unit(case["errors"]), pin_harmonics=case["pin_harmonics"])
@@ -111,6 +116,7 @@ def test_response_is_that_of_the_reference(cases, number):
     np.testing.assert_allclose(found.frequency, np.abs(turns) * np.array(sorted(expected)), rtol=1e-12)
 
 
+@pytest.mark.long  # lines of a sweep are those of the response, test_dynamics_error.py
 def test_sweep_is_that_of_the_reference(cases):
     case = cases[318]
     options = {name: case[name] for name in ("load_inertia", "pin_harmonics")}
