@@ -4,7 +4,9 @@ Oracles: closed forms of the plane model without errors, the makers' duty formul
 """
 
 import dataclasses
+from functools import partial
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -13,8 +15,10 @@ from life_cases import BASIC, NAMED, unit_of
 from rvjax import RVErrors, Status, life, study
 from rvjax.commands.report.bearings import bearing_section
 from rvjax.commands.report.lives import Lives, lives_if_any
+from rvjax.life import causes
+from rvjax.loaded import BearingForces
 from rvjax.render import Figure, Note, Table
-from rvjax.status import at_once
+from rvjax.status import SolveInfo, at_once
 from rvjax.units import rpm
 
 HOUR = 3600.0
@@ -29,14 +33,17 @@ def rated(arm, support=None):
     return life.Rating(jnp.asarray(whole), jnp.asarray(arm), support, none, none, none, at_once(none))
 
 
+first_failures = jax.jit(life.first_failures)  # in one program
+
+
 def test_shares_of_the_failures_are_those_of_a_weibull_system():
-    found = life.first_failures(rated(np.full((2, 3), 7.0)))
+    found = first_failures(rated(np.full((2, 3), 7.0)))
     np.testing.assert_allclose(found.arm, np.full((2, 3), 1 / 6), rtol=1e-12)
-    mixed = life.first_failures(rated(np.array([[1.0, 2.0]]), np.array([[4.0, np.inf], [3.0, 3.0]])))
+    mixed = first_failures(rated(np.array([[1.0, 2.0]]), np.array([[4.0, np.inf], [3.0, 3.0]])))
     assert float(np.sum(mixed.arm) + np.sum(mixed.support)) == pytest.approx(1, rel=1e-12)
     assert float(mixed.arm[0, 0] / mixed.arm[0, 1]) == pytest.approx(2**1.125, rel=1e-12)
     assert float(mixed.support[0, 1]) == 0
-    assert not np.any(life.first_failures(rated(np.full((1, 2), np.inf))).arm)
+    assert not np.any(first_failures(rated(np.full((1, 2), np.inf))).arm)
 
 
 def test_a_phase_has_its_share_of_the_damage():
@@ -52,11 +59,35 @@ def test_a_phase_has_its_share_of_the_damage():
     np.testing.assert_allclose(life.phase_shares(of, duty).T, due / due.sum(1, keepdims=True), rtol=1e-6, atol=0)
 
 
+def test_the_orders_of_forces_that_are_told(monkeypatch):
+    """One force fixed in the carrier, one that turns with the crank, and one the other way; others are none."""
+    design, errors = unit_of(NAMED[BASIC])
+    waves = {0: 3.0 - 1.0j, -40: 2.0j, 3: 0.5}
+
+    def told(layout, read, torques, angles):
+        turned = {order: order * angles / design.ratio for order in waves}
+        size = sum(size * jax.lax.complex(jnp.cos(turned[k]), jnp.sin(turned[k])) for k, size in waves.items())
+        force = jnp.stack([size.real, size.imag], -1)[:, None, None, None]
+        shape = len(angles), 1
+        info = SolveInfo(jnp.zeros(shape, jnp.int32), jnp.ones(shape, jnp.int32), jnp.zeros(shape))
+        return BearingForces(
+            jnp.broadcast_to(force, (*shape, layout.discs, layout.cranks, 2)), force[:, :, 0], info, None
+        )
+
+    monkeypatch.setattr(causes, "bearing_forces", told)
+    found = jax.jit(partial(life.force_orders, samples=100))(design, errors, output_torque=412.0)
+    due = [waves.get(int(order), 0.0) for order in found.order]
+    assert found.amplitude.shape == (2, design.cranks.count, 100)
+    np.testing.assert_allclose(found.amplitude, np.broadcast_to(due, found.amplitude.shape), atol=1e-12)
+
+
+@pytest.mark.long  # a program of its own
 def test_the_orders_of_the_force_without_errors():
     """M/(c R) is fixed in the carrier, M/(c e zc) across the eccentric turns with the crank; the rest is ripple."""
     design, _ = unit_of(NAMED[BASIC])
     pins, cranks = design.cycloid.pin_count, design.cranks.count
-    found = life.force_orders(design, RVErrors(), output_torque=412.0, samples=4 * pins, contact="linear")
+    orders = jax.jit(partial(life.force_orders, samples=4 * pins, contact="linear"))
+    found = orders(design, RVErrors(), output_torque=412.0)
     assert int(found.info.status) == Status.CONVERGED and found.amplitude.shape == (2, cranks, 4 * pins)
     teeth = design.cycloid.disc_teeth
     moment = 412.0 * teeth / (2 * (pins + design.involute.sun_teeth / design.involute.planet_teeth))

@@ -1,25 +1,33 @@
-"""All crank bearings of one reducer: invariants, derivatives against differences, extremes. One program serves most."""
+"""All crank bearings of one reducer: invariants, derivatives against differences, extremes. One program serves most.
+
+The search for a torque runs on forces by a closed form; `test_life.py` and the long profile have those of equilibria.
+"""
 
 import dataclasses
+import sys
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from life_cases import BASIC, NAMED, PLAN, duty_of, rate, unit_of
+from loaded_cases import plain
 
 import rvjax
-from rvjax import RVErrors, Status, life, study
+from rvjax import Bearings, RVErrors, Status, life, study
+from rvjax.life.histories import LIFE, WEIBULL
 from rvjax.life.machine import check_plan, input_angles
-from rvjax.loaded import admit, bearing_forces
+from rvjax.loaded import BearingForces, admit, bearing_forces, unchecked
 from rvjax.population import Population, drawn, root_key
 from rvjax.records import promote
+from rvjax.status import SolveInfo
 from rvjax.study import Response
 from rvjax.units import rpm
 
 CASE = NAMED[BASIC]
 DESIGN, ERRORS = unit_of(CASE)
 DUTY = duty_of(CASE)
+ARM, SUPPORT = DESIGN.bearings.arm, DESIGN.bearings.support
 FIELDS = ("life", "arm", "support", "arm_load", "support_load", "static_safety")
 
 
@@ -77,24 +85,29 @@ def test_reliability_scales_all_lives_alike(rated):
         assert a1 == pytest.approx(factor, abs=0.005)
 
 
-@pytest.mark.long  # compiles the gradient to every number
+@jax.jit
+def slopes(design, errors, duty, reliability):
+    """Of the logarithm of a life, to every number."""
+    given = design, errors, duty, reliability
+    return jax.grad(lambda d, e, u, r: jnp.log(rate(d, e, u, reliability=r).life), argnums=(0, 1, 2, 3))(*given)
+
+
 def test_derivatives_are_those_of_the_plain_value():
-    """A unit whose contacts stay closed near this torque; a step of 1e-9 m, 1e-5 of the rest: 1e-4 of the value."""
-    number = jax.jit(lambda d, e, u, r: jnp.log(rate(d, e, u, reliability=r).life))
-    given = jax.tree.map(jnp.asarray, (DESIGN, ERRORS, DUTY, 0.95))
-    slope = jax.jit(jax.grad(number, argnums=(0, 1, 2, 3)))(*given)
+    """A unit whose contacts stay closed near this torque; a step of 1e-9 m, 1e-6 of the rest: 1e-3 of the slope."""
+    given = (DESIGN, ERRORS, DUTY, 0.95)
+    slope = slopes(*given)
     rng = np.random.default_rng(0)
+
+    def number(part, step):
+        design, errors, duty, reliability = (*given[:part], jax.tree.map(np.add, given[part], step), *given[part + 1 :])
+        return np.log(float(rate(*plain((design, errors, duty)), reliability=float(reliability)).life))
+
     for part in range(4):
         sizes = jax.tree.map(lambda x, part=part: 1e-9 if part == 1 else 1e-6 * np.abs(x), given[part])
         step = jax.tree.map(lambda x, s: s * rng.choice([-1.0, 1.0], np.shape(x)), given[part], sizes)
-        ends = [
-            number(
-                *given[:part], jax.tree.map(lambda x, s, side=side: x + side * s, given[part], step), *given[part + 1 :]
-            )
-            for side in (-1, 1)
-        ]
+        ends = [number(part, jax.tree.map(lambda s, side=side: side * s, step)) for side in (-1, 1)]
         due = sum(np.sum(a * b) for a, b in zip(*map(jax.tree.leaves, (slope[part], step))))
-        assert float(ends[1] - ends[0]) / 2 == pytest.approx(float(due), rel=1e-3, abs=1e-9), part
+        assert (ends[1] - ends[0]) / 2 == pytest.approx(float(due), rel=1e-3, abs=1e-9), part
     for name in ("pin_position", "disc_runout", "disc_cumulative_pitch", "sun_flank"):
         assert not np.any(getattr(slope[1], name)), name  # bounds, and errors of other models
     assert float(slope[3]) < 0
@@ -102,15 +115,13 @@ def test_derivatives_are_those_of_the_plain_value():
 
 def test_nothing_that_turns_under_load_is_an_infinite_life():
     still = DUTY.replace(output_speed=np.zeros(4))
-    torque = jnp.asarray(DUTY.output_torque)
-    slope = jax.grad(lambda t: rate(DESIGN, ERRORS, still.replace(output_torque=t)).life)(torque)
-    assert not np.any(slope)
+    assert not any(np.any(slope) for slope in jax.tree.leaves(slopes(DESIGN, ERRORS, still, 0.9)))
     found = rate(DESIGN, ERRORS, still)
     assert int(found.info.status) == Status.UNLOADED and np.isinf(found.arm).all() and np.isinf(found.support).all()
     assert not np.any(found.arm_load) and np.isfinite(found.static_safety)
 
 
-def test_a_bad_number_is_a_status_and_leaves_its_neighbours(rated):
+def test_a_bad_number_is_a_status_and_leaves_its_neighbours(rated, thorough):
     """In any column, of a phase at rest too; a bearing that cannot be, a negative time, nothing but zero times."""
     column = {name: np.tile(getattr(DUTY, name), (8, 1)) for name in ("output_torque", "output_speed", "time")}
     column["output_torque"][1, 3] = np.nan
@@ -119,57 +130,122 @@ def test_a_bad_number_is_a_status_and_leaves_its_neighbours(rated):
     column["time"][4] = 0.0
     diameter = np.full(8, 6e-3)
     diameter[5], diameter[6] = 33e-3, np.nan
-    errors = jax.tree.map(lambda x: np.tile(x, (8,) + (1,) * np.ndim(x)), ERRORS)
-    errors.pin_radius[7] = np.nan
+    radius = np.zeros(8) + ERRORS.pin_radius
+    radius[7] = np.nan
 
-    def one(duty, diameter, errors):
-        arm = DESIGN.bearings.arm.replace(roller_diameter=diameter)
-        return rate(DESIGN.replace(bearings=DESIGN.bearings.replace(arm=arm)), errors, duty)
+    def one(torque, speed, time, diameter, radius):
+        duty = unchecked(DUTY, output_torque=torque, output_speed=speed, time=time)
+        arm = unchecked(DESIGN.bearings.arm, roller_diameter=diameter)
+        design = DESIGN.replace(bearings=unchecked(DESIGN.bearings, arm=arm))
+        return rate(design, ERRORS.replace(pin_radius=radius), duty)
 
-    made = jax.vmap(lambda a, b, c, d, e: one(life.Duty(a, b, c), d, e))
-    found = made(*jax.tree.map(jnp.asarray, (*column.values(), diameter, errors)))
+    cases = list(zip(*column.values(), map(float, diameter), map(float, radius)))
+    found = jax.tree.map(lambda *leaves: np.stack(leaves), *(one(*case) for case in cases))
     finite, fits = Status.NONFINITE, Status.INVALID_GEOMETRY
-    assert [int(s) for s in found.info.status] == [Status.CONVERGED, finite, finite, fits, fits, fits, finite, finite]
-    for name in FIELDS:
-        values = np.asarray(getattr(found, name))
-        assert np.isnan(values[1:]).all(), name
-        np.testing.assert_allclose(values[0], getattr(rated, name), rtol=1e-9)
+    due = [Status.CONVERGED, finite, finite, fits, fits, fits, finite, finite]
+    for result in (found, *([jax.vmap(one)(*column.values(), diameter, radius)] if thorough else [])):
+        assert [int(s) for s in result.info.status] == due
+        for name in FIELDS:
+            values = np.asarray(getattr(result, name))
+            assert np.isnan(values[1:]).all(), name
+            np.testing.assert_allclose(values[0], getattr(rated, name), rtol=1e-9)
 
 
-def test_single_precision_is_good_to_a_percent(rated):
+def test_single_precision_is_good_to_a_percent(rated, thorough):
+    """By default the types alone: equilibria and bearings have their numbers elsewhere."""
     small = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), (DESIGN, ERRORS, DUTY))
-    found = rate(*small)
+    found = rate(*small) if thorough else jax.eval_shape(rate, *small)
     for name in FIELDS:
         assert getattr(found, name).dtype == jnp.float32, name
-        np.testing.assert_allclose(getattr(found, name), getattr(rated, name), rtol=0.01)
+        if thorough:
+            np.testing.assert_allclose(getattr(found, name), getattr(rated, name), rtol=0.01)
 
 
-def test_a_torque_for_a_life_gives_it_back(rated):
-    """And falls with life and speed; its derivatives are those of its differences."""
-    options = PLAN | dict(life=2e7, output_speed=15 * rpm)
-    found = rvjax.check(life.rated_torque(DESIGN, ERRORS, **options))
+# --- the torque for a life
+
+SOUGHT = PLAN | dict(life=2e7, output_speed=15 * rpm)
+
+
+def test_a_torque_for_a_life_gives_it_back(thorough):
+    """And falls with life and speed; long: its derivatives are those of its differences."""
+    found = rvjax.check(life.rated_torque(DESIGN, ERRORS, **SOUGHT))
     duty = life.Duty(np.full(4, float(found.torque)), np.full(4, -15 * rpm), np.ones(4))
     assert float(rate(DESIGN, ERRORS, duty).life) == pytest.approx(2e7, rel=1e-9)
-    twice = life.rated_torque(DESIGN, ERRORS, **(options | dict(life=1e7, output_speed=30 * rpm)))
+    twice = life.rated_torque(DESIGN, ERRORS, **(SOUGHT | dict(life=1e7, output_speed=30 * rpm)))
     assert float(twice.torque) == pytest.approx(float(found.torque), rel=1e-9)  # as many revolutions
-    asked = lambda x: life.rated_torque(DESIGN, ERRORS, **(options | dict(life=x))).torque  # noqa: E731
-    _, slope = jax.jvp(asked, (2e7,), (1.0,))  # the rule is one of forward mode; test_derivatives.py transposes it
-    ends = [life.rated_torque(DESIGN, ERRORS, **(options | dict(life=2e7 * s))).torque for s in (1 - 1e-4, 1 + 1e-4)]
-    assert float(slope) == pytest.approx(float(ends[1] - ends[0]) / 4e3, rel=1e-4) and float(slope) < 0
+    if thorough:
+        asked = lambda x: life.rated_torque(DESIGN, ERRORS, **(SOUGHT | dict(life=x))).torque  # noqa: E731
+        _, slope = jax.jvp(asked, (2e7,), (1.0,))  # the rule is one of forward mode; test_derivatives.py transposes it
+        ends = [asked(2e7 * share) for share in (1 - 1e-4, 1 + 1e-4)]
+        assert float(slope) == pytest.approx(float(ends[1] - ends[0]) / 4e3, rel=1e-4) and float(slope) < 0
 
 
-def test_no_torque_gives_more_than_interference_leaves():
-    found = life.rated_torque(DESIGN, ERRORS, **(PLAN | dict(life=1e15, output_speed=15 * rpm)))
+def test_no_torque_gives_more_than_interference_leaves(thorough):
+    found = life.rated_torque(DESIGN, ERRORS, **(SOUGHT | dict(life=1e15)))
     assert int(found.info.status) == Status.NO_BRACKET and np.isnan(found.torque)
-    found = life.rated_torque(DESIGN, ERRORS, **(PLAN | dict(life=1e-6, output_speed=15 * rpm)))
-    assert int(found.info.status) == Status.CONTACT_OVERLOAD and np.isnan(found.torque)
+    if thorough:  # many steps of many equilibria
+        found = life.rated_torque(DESIGN, ERRORS, **(SOUGHT | dict(life=1e-6)))
+        assert int(found.info.status) == Status.CONTACT_OVERLOAD and np.isnan(found.torque)
+
+
+LEFT, MOST = 50.0, 200.0  # N of interference; N m at which a contact law ends, between the start and the root
+
+
+def told(layout, read, torques, angles, start, *, near):
+    """Forces that are the same at every angle: the torque over the circle of the cranks, and what interference adds."""
+    size = torques / read.design.cranks.circle_radius + LEFT
+    force = jnp.stack([size, 0 * size], axis=-1)[None, :, None, :]
+    many, supports = (len(angles), len(torques)), (len(angles), len(torques), layout.cranks, 2)
+    arm = jnp.broadcast_to(force[:, :, None], (*many, layout.discs, layout.cranks, 2))
+    status = jnp.broadcast_to(jnp.where(torques > MOST, int(Status.CONTACT_OVERLOAD), 0).astype(jnp.int32), many)
+    info = SolveInfo(status, jnp.ones(many, jnp.int32), jnp.zeros(many))
+    return BearingForces(arm, jnp.broadcast_to(force, supports), info, start)
+
+
+def test_the_search_for_a_torque_under_forces_of_a_closed_form(monkeypatch):
+    """Force P = T/R + interference; a series of arms under P and supports under P/2, Eqs. 6, 21 and 24."""
+    monkeypatch.setattr(sys.modules["rvjax.life.rated"], "bearing_forces", told)
+    design = DESIGN.replace(bearings=Bearings(arm=ARM, support=SUPPORT))
+    options = PLAN | dict(samples=5, output_speed=-15 * rpm, reliability=0.95)  # a program that no other test has
+
+    def search(time):
+        found = life.rated_torque(design, ERRORS, life=time, **options)
+        return float(found.torque), int(found.info.status)
+
+    rates = [(share / float(life.dynamic_rating(b))) ** LIFE for b, share in ((ARM, 1.0), (SUPPORT, 0.5))]
+    system = np.sum(4 * np.power(rates, WEIBULL)) ** (1 / WEIBULL)  # four of each, under 1 N
+    factor = (np.log(0.95) / np.log(0.9)) ** (1 / 1.5)
+    force = (1e6 / system / (2e7 * 15 * rpm * 40 / (2 * np.pi) / factor)) ** (1 / LIFE)
+    assert search(2e7) == (pytest.approx((force - LEFT) * design.cranks.circle_radius, rel=1e-9), Status.CONVERGED)
+    assert search(1e15) == (pytest.approx(np.nan, nan_ok=True), Status.NO_BRACKET)
+    assert search(1e-6) == (pytest.approx(np.nan, nan_ok=True), Status.CONTACT_OVERLOAD)
+
+
+def test_the_slope_of_a_torque_for_a_life(monkeypatch):
+    """Of ln T, where 0 = 30 - ln(budget) - 4 ln T - tilt T; the rule is linear, `test_derivatives.py` transposes it."""
+    rated = sys.modules["rvjax.life.rated"]
+
+    def missing(plan, given, x, start):
+        return 30 - jnp.log(given.budget) - 4 * x - given.tilt * jnp.exp(x), jnp.int32(0), jnp.int32(1), start
+
+    monkeypatch.setattr(rated, "_missing", missing)
+    plan = check_plan(DESIGN, ERRORS, 5, 1.0, "basic", 0.9, 0.0, ("hertz", "fixed", "fixed"))
+    design, errors, one = promote(DESIGN, ERRORS, 1.0)
+
+    def solved(budget, tilt):
+        return rated._solve(plan, rated.Given(design, errors, one, design.bearings, budget, tilt, one))[0]
+
+    given = jnp.array(3.0), jnp.array(2e-4)
+    x, slope = jax.jvp(solved, given, (jnp.array(0.7), jnp.array(-1e-4)))
+    torque = float(jnp.exp(x))
+    assert 30 - np.log(3.0) - 4 * float(x) == pytest.approx(2e-4 * torque, rel=1e-9)
+    assert float(slope) == pytest.approx((-0.7 / 3.0 + 1e-4 * torque) / (4 + 2e-4 * torque), rel=1e-9)
 
 
 def lacking(**changes):
     return DESIGN.replace(bearings=DESIGN.bearings.replace(**changes))
 
 
-ARM, SUPPORT = DESIGN.bearings.arm, DESIGN.bearings.support
 TAPERED = dict(support=SUPPORT.replace(contact_angle=0.2), preload=900.0)
 
 
