@@ -33,6 +33,7 @@ def test_the_rated_torque_twists_the_gears_of_every_size_alike():
             assert getattr(grown, name) / getattr(base, name) == pytest.approx(length**0.8), name
 
 
+@pytest.mark.long  # with the values of this source
 def test_stiffness_grows_between_bearings_and_shafts():
     """Every spring that turns the output grows as the length to the power of 2.8 (bearings) to 3 (shafts, flanks)."""
     assert sizes.stiffness("40e") == pytest.approx(sizes.PUBLISHED, rel=1e-4)
