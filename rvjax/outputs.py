@@ -10,11 +10,15 @@ from dataclasses import dataclass
 from typing import Any
 
 from rvjax.records import Design, PyTree
-from rvjax.units import KNOWN, readable
+from rvjax.units import KNOWN, arcsec, readable
 
 Solved = tuple[Any, Any]  # value and status
 Spectrum = tuple[Any, Any]  # mean and complex amplitudes of a curve
 Source = Callable[[Any, Any, Any], Any]  # (design, errors, conditions) -> a result
+
+
+KNOWN_ERROR = 10 * arcsec
+"""Transmission error and lost motion of the most accurate known reducers; assumed: makers promise 50 arcsec or more."""
 
 
 def torque_condition(conditions: PyTree) -> str:
@@ -125,6 +129,7 @@ class Output:
             cannot give it.
         exact: output of a costlier model that is the same quantity of the whole reducer, or None.
         costly: as in `Description`; None: as its model.
+        least: smallest value of known reducers, SI; a study is warned of a limit far below it. 0 for none.
     """
 
     unit: str
@@ -136,6 +141,7 @@ class Output:
     refuse: Callable[[Any, Any], None] | None = None
     exact: str | None = None
     costly: bool | None = None
+    least: float = 0.0
 
     @property
     def shown(self) -> tuple[str, float]:

@@ -84,6 +84,47 @@ def test_a_life_far_from_every_known_reducer_is_said(old, new, words):
     assert len(found) == 1 and words in found[0]
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        (
+            'upper = "1 arcmin"', 'upper = "0.01 arcmin"',
+            "requirement.loaded_transmission_error.upper = 0.01 arcmin: no known reducer has less than 0.1667 arcmin",
+        ),
+        (
+            'face_width = "12 mm"', 'face_width = "12 um"',
+            "design.contact.face_width = 12 um: known reducers have 12 mm to 12 mm",
+        ),
+        (
+            'output_torque = "412 N m"\noutput_speed', 'output_torque = "784 N m"\noutput_speed',
+            "duty[0].output_torque = 784 N m: rated torque of the rv-80e; with this pin circle known reducers have "
+            "235.9 N m to 720.9 N m",  # 0.9e6 and 2.75e6 times 0.064^3
+        ),
+        ('rated_torque = "412 N m"', 'rated_torque = "3136 N m"', "conditions.rated_torque = 3.136 kN m: rated torque"),
+        (
+            'reference = "10 um"\nfinest = "2 um"', 'reference = "10 um"\nfinest = "0.002 um"',
+            "cost.crank_eccentricity.finest = 0.002 um: known reducers have 0.5 um to 40 um",
+        ),
+        (
+            'coarsest = "6 um"', 'coarsest = "2 um"',
+            "cost.shift_modification: the process holds half-widths of 1 um to 2 um; the initial one is 3 um",
+        ),
+    ],
+)  # fmt: skip
+def test_a_limit_a_process_or_a_torque_far_from_every_known_reducer_is_said(old, new, words):
+    found = asked(old, new, study.load("rv-40e-whole", solve=False).text).doubts
+    assert len(found) == 1 and words in found[0]
+
+
+def test_check_shows_requirements_and_costs(capsys):
+    """All that the study asks for, with the words and numbers of its file."""
+    assert cli.main(["check", "rv-40e-whole"]) == 0
+    lines = {line.split()[0]: line.split() for line in capsys.readouterr().out.splitlines() if line.strip()}
+    assert lines["life"][1:6] == [">=", "6000", "h", "99", "%"] and lines["misfit"][1:4] == ["<=", "30", "um"]
+    assert lines["disc_pitch"][1:] == ["3.158", "2", "um", "9.5", "um", "20", "um"]  # 3 (10/9.5)
+    assert lines["conditions.duty"][1:4] == ["412", "N", "m,"]
+
+
 def test_known_reducers_and_the_studies_raise_no_doubt():
     for name in study.embedded_names():
         assert study.load(name, solve=False).doubts == []

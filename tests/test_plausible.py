@@ -8,7 +8,7 @@ import pytest
 
 from rvjax import CamRollerErrors, RVErrors, dynamics, four_bar, loaded, lost_motion, mesh_force, study
 from rvjax._reducer.plausible import KNOWN_DESIGNS, ImplausibleDesign, doubtful
-from rvjax.catalogue import CORR, RV_20E, RV_40E, RV_80E, RV_320E
+from rvjax.catalogue import CORR, RV_20E, RV_40E, RV_40E_WHOLE, RV_80E, RV_320E
 from rvjax.loaded.cases import MACHINE
 
 MODELS = {
@@ -80,3 +80,13 @@ def test_a_design_of_another_size_is_not_doubted():
         assert doubtful(soft)
         for design in (RV_20E, RV_80E, soft, scaled(RV_40E, 3.0)):
             lost_motion.geometric(scaled(design, 1.0), RVErrors())
+
+
+@pytest.mark.parametrize(
+    ("part", "name", "value"), [("stiffness", "turning_arm_bearing", 600.0), ("contact", "face_width", 12.0)]
+)
+def test_stiffness_and_face_width_in_a_wrong_unit_are_doubted(part, name, value):
+    """600 N/um without its micro, and 12 mm without its milli."""
+    wrong = RV_40E_WHOLE.replace(**{part: getattr(RV_40E_WHOLE, part).replace(**{name: value})})
+    with pytest.warns(ImplausibleDesign, match=rf"design\.{part}\.{name} = .*check the unit"):
+        lost_motion.geometric(wrong, RVErrors())

@@ -32,14 +32,25 @@ modal_ratio = 0.01 # of a tap test"""
 def test_a_number_comes_from_the_study_the_base_or_others():
     found = {number.path: (number.origin, number.assumed) for number in asked(CHANGED).numbers}
     assert found["involute.module"] == ("this study", False)
-    assert found["involute.sun_radius"] == ("follows from teeth and module", False)
-    assert found["cranks.circle_radius"] == ("follows: the centre distance", False)
+    assert found["involute.sun_radius"] == ("derived: 2.5 mm * 10/2", False)
+    assert found["cranks.circle_radius"] == ("derived: the centre distance", False)
     assert found["cycloid.pin_count"] == ("rv-40e: Table 1", False)
     assert found["cycloid.disc_count"] == ("rv-40e: assumed: usual layout, opposed discs", True)
     assert found["cycloid.eccentricity"] == ("this study", True)
     assert found["cycloid.force_angle"] == ("default", False)
     assert found["damping.loss_factor"] == found["damping.modal_ratio"] == ("this study", True)
     assert found["damping.rayleigh_mass"] == ("default", False)
+
+
+def test_a_derived_number_names_the_numbers_of_this_study():
+    """The centre distance is 42 mm with the gears of the base too; its derivation is that of this study."""
+    own = '[design]\nbase = "rv-80e"\ninvolute.sun_teeth = 14\ninvolute.planet_teeth = 42\ninvolute.module = "1.5 mm"'
+    found = {number.path: number.origin for number in asked(own).numbers}
+    assert found["involute.centre_distance"] == "derived: 1.5 mm (14 + 42)/2"
+    assert found["involute.planet_base_radius"] == "derived: 1.5 mm * 42/2 * cos 20 deg"
+    assert found["cranks.circle_radius"] == "derived: the centre distance"
+    base = {number.path: number.origin for number in asked('[design]\nbase = "rv-80e"').numbers}
+    assert base["involute.centre_distance"] == "rv-80e: derived: 1.75 mm (10 + 38) / 2"
 
 
 def test_a_part_of_which_all_is_assumed_is_named_as_one():

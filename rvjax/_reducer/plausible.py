@@ -25,8 +25,12 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 FAR = 30.0  # factor from every known reducer beyond which a number is doubted
+FAR_STIFFNESS = 600.0  # in Python, where calibrations move it: less than the thousand between N/mm and N/m
+STIFFNESS = ("N/m", "N m/rad")
 FAR_INERTIA = 1000.0  # grows with the fifth power of a length: 50 between the sizes 20 and 320
-KNOWN_DESIGNS = (catalogue.CORR, catalogue.RV_20E, catalogue.RV_40E, catalogue.RV_80E, catalogue.RV_320E)
+KNOWN_DESIGNS = (
+    catalogue.CORR, catalogue.RV_20E, catalogue.RV_40E, catalogue.RV_40E_WHOLE, catalogue.RV_80E, catalogue.RV_320E,
+)  # fmt: skip
 
 
 class ImplausibleDesign(UserWarning):
@@ -42,9 +46,9 @@ def checked(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def doubt_once(design: object, where: str) -> None:
-    """Warn of a design whose lengths are far from every known reducer, once for each design; tracers pass.
+    """Warn of a design whose lengths or stiffnesses are far from every known reducer, once for each; tracers pass.
 
-    Stiffnesses and inertias vary more, and calibrations move them: only studies list those.
+    Calibrations move stiffnesses, so their range is wider than in studies. Only studies list inertias.
 
     Args:
         design: as given.
@@ -52,7 +56,9 @@ def doubt_once(design: object, where: str) -> None:
     """
     known = _seen.get(id(design))
     new = known is None or known() is not design
-    if new and type(design) in _spans() and accept(design) and (found := steep(design) + doubtful(design, ("m",))):
+    if not (new and type(design) in _spans() and accept(design)):
+        return
+    if found := steep(design) + doubtful(design, ("m",)) + doubtful(design, STIFFNESS, FAR_STIFFNESS):
         more = f" (and {len(found) - 1} more values)" if len(found) > 1 else ""
         warnings.warn(f"{where}: design.{found[0]}{more}", ImplausibleDesign, stacklevel=_caller())
 
@@ -70,19 +76,20 @@ def accept(design: object) -> bool:
     return True
 
 
-def doubtful(design: PyTree, units: tuple[str, ...] = ()) -> list[str]:
+def doubtful(design: PyTree, units: tuple[str, ...] = (), far: float = FAR) -> list[str]:
     """Values of a design that are far from those of every known reducer, a line each.
 
     Args:
         design: any; one of a class without known reducers gives none.
         units: of the values that are checked; all without one.
+        far: factor from every known reducer beyond which a value is listed.
     """
     spans = _spans().get(type(design), {})
     return [
         line
         for name, (value, unit) in numbers(design)
         if value and name in spans and (not units or unit in units)
-        for line in doubt(name, abs(value), unit, *spans[name])
+        for line in doubt(name, abs(value), unit, *spans[name], far=far)
     ]
 
 
@@ -113,7 +120,7 @@ def _spans() -> dict[type, dict[str, tuple[float, float]]]:
     return found
 
 
-def doubt(name: str, value: float, unit: str, least: float, most: float) -> list[str]:
+def doubt(name: str, value: float, unit: str, least: float, most: float, *, far: float = FAR) -> list[str]:
     """Return a line for a value that is far outside a range, else nothing.
 
     Args:
@@ -122,8 +129,9 @@ def doubt(name: str, value: float, unit: str, least: float, most: float) -> list
         unit: SI.
         least: smallest known value; 0 for none.
         most: largest known value.
+        far: factor beyond which it is far; larger for inertias.
     """
-    far = FAR_INERTIA if unit == "kg m2" else FAR
+    far = FAR_INERTIA if unit == "kg m2" else far
     if least / far <= value <= far * most:
         return []
     span = f"{shown(least, unit)} to {shown(most, unit)}" if least else f"up to {shown(most, unit)}"

@@ -9,7 +9,7 @@ from rvjax.errors import RVErrors
 from rvjax.four_bar.linkage import ALLOWED
 from rvjax.four_bar.observation import CURVE
 from rvjax.four_bar.revolution import figures, revolution
-from rvjax.outputs import Cases, Curve, Description, Output, Solved, Way, condition
+from rvjax.outputs import KNOWN_ERROR, Cases, Curve, Description, Output, Solved, Way, condition
 from rvjax.records import Array, PyTree
 from rvjax.units import arcmin, um
 
@@ -101,7 +101,11 @@ DESCRIPTION = Description(
     conditions=Conditions,
     outputs={
         "transmission_error": Output(
-            "rad", "peak to peak over a crank turn under load", _transmission_error, exact="loaded_transmission_error"
+            "rad",
+            "peak to peak over a crank turn under load",
+            _transmission_error,
+            exact="loaded_transmission_error",
+            least=KNOWN_ERROR,
         ),
         "misfit": Output("m", "largest misfit of a disc on the cranks without load (assembly)", _misfit),
     },

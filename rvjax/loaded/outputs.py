@@ -24,7 +24,7 @@ from rvjax.loaded.observation import CURVE, LOOP
 from rvjax.loaded.revolution import Revolution
 from rvjax.loaded.sources import HALF, PROBE, RATED, SLIGHT, second_turn, turn, turns_of, unloaded_turn
 from rvjax.loaded.torsion import secant, twisted
-from rvjax.outputs import Curve, Description, Output, Reading, Solved
+from rvjax.outputs import KNOWN_ERROR, Curve, Description, Output, Reading, Solved
 from rvjax.status import SolveInfo, worst, worst_of
 
 Refuse = Callable[[RVReducer, Conditions], None]
@@ -159,8 +159,8 @@ def _resolved(design: RVReducer, given: Conditions) -> None:
         )
 
 
-def _of_turn(unit: str, meaning: str, name: str, refuse: Refuse | None = None) -> Output:
-    return Output(unit, meaning, Reading((turn,), _figure(name)), refuse=refuse)
+def _of_turn(unit: str, meaning: str, name: str, refuse: Refuse | None = None, least: float = 0.0) -> Output:
+    return Output(unit, meaning, Reading((turn,), _figure(name)), refuse=refuse, least=least)
 
 
 NEEDS = ("rated_torque",)
@@ -170,7 +170,7 @@ DESCRIPTION = Description(
     conditions=Conditions,
     outputs=_carrying({
         "loaded_transmission_error": _of_turn(
-            "rad", "peak to peak over the span, every pin under load", "peak_to_peak"
+            "rad", "peak to peak over the span, every pin under load", "peak_to_peak", least=KNOWN_ERROR
         ),
         "second_transmission_error": Output(
             "rad",
@@ -218,7 +218,7 @@ DESCRIPTION = Description(
         ),
         "bench_lost_motion": Output(
             "rad", "at +-3 % of rated torque, largest of the probe angles",
-            Reading((LOST_MOTION,), _play), NEEDS, refuse=_rated,
+            Reading((LOST_MOTION,), _play), NEEDS, refuse=_rated, least=KNOWN_ERROR,
         ),
         "torsional_stiffness": Output(
             "N m/rad", "between half and full rated torque, least of the probe angles",

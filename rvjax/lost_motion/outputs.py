@@ -7,7 +7,7 @@ from rvjax.catalogue import RV_20E
 from rvjax.designs import RVReducer
 from rvjax.errors import RVErrors
 from rvjax.lost_motion.reducer import PROFILES, geometric
-from rvjax.outputs import Cases, Description, Output, Solved, Way, condition
+from rvjax.outputs import KNOWN_ERROR, Cases, Description, Output, Solved, Way, condition
 from rvjax.units import um
 
 
@@ -67,6 +67,7 @@ DESCRIPTION = Description(
             _lost_motion,
             below_zero="interference, no backlash; teeth and bearings are preloaded by this angle",
             exact="bench_lost_motion",
+            least=KNOWN_ERROR,
         )
     },
     cases=_cases,

@@ -14,7 +14,7 @@ from rvjax._reducer.plausible import shown, walk
 from rvjax.designs import CamRollerReducer, InvoluteStage, RVReducer
 from rvjax.geometry import contact_ratio, least_convex_radius
 from rvjax.records import Array, Design, PyTree, Scalar
-from rvjax.study.design import AGREE, BASES
+from rvjax.study.design import AGREE, BASES, GEARS
 from rvjax.study.values import Toml
 
 
@@ -78,17 +78,37 @@ def design_numbers(design: PyTree, given: Toml, text: str) -> list[Number]:
         kept = published is not None and path in sources and _same(value, _at(published, path))
         if path in stated:
             origin, said = "this study", own.get(path, "")
+        elif (derived := _derived(design, path, value)) and not (kept and stated.isdisjoint(_FROM)):
+            origin, said = derived, ""
         elif kept:
             said = sources[path]
             origin = f"{base}: {said}" if said else base
-        elif isinstance(design, RVReducer) and path.partition(".")[2] in AGREE:
-            origin, said = "follows from teeth and module", ""
-        elif path == "cranks.circle_radius":
-            origin, said = "follows: the centre distance", ""
         else:
             origin, said = "default", ""
         found.append(Number(path, value, about["unit"], about["meaning"], origin, bool(catalogue.ASSUMED.search(said))))
     return found
+
+
+_FROM = {f"involute.{name}" for name in (*GEARS, *AGREE)}  # paths that gears and crank circle are derived from
+
+
+def _derived(design: PyTree, path: str, value: Scalar) -> str:
+    """Derivation of a number of standard gears, or of the crank circle, with the numbers of this design; else ""."""
+    if not isinstance(design, RVReducer):
+        return ""
+    stage = design.involute
+    gears = InvoluteStage.from_teeth(**{name: getattr(stage, name) for name in GEARS})
+    module, angle = shown(stage.module, "m"), f"cos {math.degrees(float(stage.pressure_angle)):g} deg"
+    how = {
+        "involute.centre_distance": (gears.centre_distance, f"{module} ({stage.sun_teeth} + {stage.planet_teeth})/2"),
+        "involute.sun_radius": (gears.sun_radius, f"{module} * {stage.sun_teeth}/2"),
+        "involute.sun_base_radius": (gears.sun_base_radius, f"{module} * {stage.sun_teeth}/2 * {angle}"),
+        "involute.planet_base_radius": (gears.planet_base_radius, f"{module} * {stage.planet_teeth}/2 * {angle}"),
+        "cranks.circle_radius": (stage.centre_distance, "the centre distance"),
+    }
+    if path not in how or not math.isclose(float(value), float(how[path][0]), rel_tol=1e-9):
+        return ""
+    return f"derived: {how[path][1]}"
 
 
 def comments(text: str) -> dict[str, str]:

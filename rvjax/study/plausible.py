@@ -5,7 +5,7 @@ A wrong unit in a file is not detected elsewhere.
 
 import dataclasses
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,9 +14,10 @@ from rvjax._reducer.plausible import KNOWN_DESIGNS, doubt, doubtful, shown, stee
 from rvjax.designs import RollerBearing, RVReducer
 from rvjax.errors import described
 from rvjax.life import dynamic_rating, static_rating
+from rvjax.outputs import Output
 from rvjax.records import Design, PyTree
 from rvjax.study.values import Metadata
-from rvjax.tolerances import Cost, Middle, Tolerance
+from rvjax.tolerances import Cost, Limits, Middle, Tolerance
 from rvjax.units import rpm
 
 if TYPE_CHECKING:
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
 MOST_PRESSURE = math.radians(45)  # beyond, no tooth has a tip
 RATED = {"rv-20e": 167.0, "rv-40e": 412.0, "rv-80e": 784.0, "rv-320e": 3136.0}  # N m at 15 rpm, as makers print it
 TORQUE = min(RATED.values()), max(RATED.values())
+FAR_LIMIT = 10.0  # below the smallest known value of an output; assumed
+OF_SIZE = 0.9e6, 2.75e6  # rated torque over the cube of the pin circle, N/m2: 1.2e6 to 2.1e6 in RATED, widened by 1.3
 FAR_RATING = 5.0  # between a given rating and that of the same rollers; assumed
 SPEED = 75 * rpm  # of the output, at most: an RV-20E, as its maker prints it
 HALF_WIDTH = {"m": (0.5e-6, 40e-6), "rad": (1e-4, 9e-3), "-": (0.01, 0.3)}  # of the studies and sources in this package
@@ -66,6 +69,8 @@ def doubts(design: PyTree, conditions: "DataclassInstance", tolerances: PyTree) 
     for number, (torque, speed, _) in enumerate(getattr(conditions, "duty", None) or ()):
         found += doubt(f"duty[{number}].output_torque", abs(torque), "N m", 0.0, TORQUE[1])
         found += doubt(f"duty[{number}].output_speed", abs(speed), "rad/s", 0.0, SPEED)
+        found += _of_another_size(design, f"duty[{number}].output_torque", abs(torque))
+    found += _of_another_size(design, "conditions.rated_torque", abs(getattr(conditions, "rated_torque", None) or 0.0))
     for field, tolerance, about in _toleranced(tolerances):
         half, unit = float(tolerance.half_width), about["unit"]
         if half and unit in HALF_WIDTH:
@@ -80,6 +85,62 @@ def doubts(design: PyTree, conditions: "DataclassInstance", tolerances: PyTree) 
     if isinstance(design, RVReducer) and (odd := design.cycloid.pin_count - design.cycloid.disc_teeth) != 1:
         found.append(f"design.cycloid.pin_count: {odd} more than disc_teeth; known reducers have one more")
     return found + (_bearings(design) + _collisions(design) if isinstance(design, RVReducer) else [])
+
+
+def _of_another_size(design: Design, name: str, torque: float) -> list[str]:
+    """A rated torque of catalogues that does not fit the pin circle: it may be left from the study of another size."""
+    sizes = [size for size, rated in RATED.items() if math.isclose(torque, rated, rel_tol=1e-3)]
+    if not sizes or not isinstance(design, RVReducer):
+        return []
+    least, most = (share * float(design.cycloid.pin_circle_radius) ** 3 for share in OF_SIZE)
+    if least <= torque <= most:
+        return []
+    return [
+        f"{name} = {shown(torque, 'N m')}: rated torque of the {sizes[0]}; with this pin circle known reducers have "
+        f"{shown(least, 'N m')} to {shown(most, 'N m')}"
+    ]
+
+
+def doubtful_limits(requirements: Mapping[str, Limits], outputs: Mapping[str, Output]) -> list[str]:
+    """Upper limits far below what any known reducer has, a line each.
+
+    Args:
+        requirements: by name of the output.
+        outputs: by name.
+    """
+    found = []
+    for name, requirement in requirements.items():
+        (unit, size), least = outputs[name].shown, outputs[name].least
+        if 0 < requirement.upper < least / FAR_LIMIT:
+            found.append(
+                f"requirement.{name}.upper = {requirement.upper / size:.4g} {unit}: no known reducer has less than "
+                f"{least / size:.4g} {unit}; check the unit"
+            )
+    return found
+
+
+def doubtful_costs(costs: Mapping[str, Cost], tolerances: PyTree) -> list[str]:
+    """Process ranges that are far from those of known parts, or that exclude the initial tolerance, a line each.
+
+    Args:
+        costs: by field.
+        tolerances: of the study.
+    """
+    found = []
+    for field, tolerance, about in _toleranced(tolerances):
+        if field not in costs:
+            continue
+        unit, half = about["unit"], float(tolerance.half_width)
+        finest, coarsest = float(costs[field].finest), float(costs[field].coarsest)
+        for name, value in (("finest", finest), ("coarsest", coarsest)):
+            if unit in HALF_WIDTH:
+                found += doubt(f"cost.{field}.{name}", value, unit, *HALF_WIDTH[unit])
+        if half and not finest * (1 - 1e-9) <= half <= coarsest * (1 + 1e-9):
+            found.append(
+                f"cost.{field}: the process holds half-widths of {shown(finest, unit)} to {shown(coarsest, unit)}; "
+                f"the initial one is {shown(half, unit)}"
+            )
+    return found
 
 
 def _fits_together(design: RVReducer) -> None:

@@ -17,7 +17,7 @@ from rvjax.outputs import Curve, Output
 from rvjax.records import PyTree, Scalar
 from rvjax.study.identification import Identification
 from rvjax.study.origin import Number, design_numbers, given_paths
-from rvjax.study.plausible import doubts
+from rvjax.study.plausible import doubtful_costs, doubtful_limits, doubts
 from rvjax.study.response import DesignResponse, Response, check_nominal, followed_bounds
 from rvjax.study.values import (
     StudyError as StudyError,  # other modules take it from here
@@ -224,8 +224,13 @@ class Study:
 
     @property
     def doubts(self) -> list[str]:
-        """Numbers far from those of every known reducer, a line each."""
-        return doubts(self.design, self.conditions, self.tolerances)
+        """Numbers, process ranges and limits far from those of every known reducer, a line each."""
+        outputs = {name: self.output(name) for name in self.requirements}
+        return [
+            *doubts(self.design, self.conditions, self.tolerances),
+            *doubtful_costs(self.costs, self.tolerances),
+            *doubtful_limits(self.requirements, outputs),
+        ]
 
     @property
     def assumed(self) -> list[str]:

@@ -4,13 +4,13 @@ import dataclasses
 
 import rvjax
 from rvjax.commands.allocate import expected
-from rvjax.commands.cells import assumed_text, limits_data, limits_of
+from rvjax.commands.cells import assumed_text, limit_text, limits_data, limits_of
 from rvjax.commands.check.compute import Checked
 from rvjax.commands.check.inputs import Inputs
 from rvjax.commands.forecast import level_lines
 from rvjax.designs import RVReducer
-from rvjax.render import Figure, Limits, Note, Report, Table, Text
-from rvjax.study import Study, numbers
+from rvjax.render import Cell, Figure, Limits, Note, Number, Report, Table, Text
+from rvjax.study import Study, numbers, shown
 
 
 def report(inputs: Inputs, found: Checked) -> Report:
@@ -37,6 +37,19 @@ def _content(study: Study, found: Checked) -> list[Note | Table]:
         [Text("error"), Limits("limits"), Text("distribution")],
         [[field, limits_of(tolerance, study.unit(field)), tolerance.distribution] for tolerance, field in rows],
     )
+    requirements = Table(
+        "requirements",
+        [Text("requirement"), Text("limit"), Text("target"), Text("meaning", wraps=True)],
+        [
+            [name, limit_text(one, study.output(name)), one.text(), study.output(name).meaning]
+            for name, one in study.requirements.items()
+        ],
+    )
+    costs = Table(
+        "costs",
+        [Text("error"), Number("cost"), Text("finest"), Text("now"), Text("coarsest")],
+        [_cost(study, field) for field in study.costs],
+    )
     how = [f"  {line}" for line in [*level_lines(study), expected(study)]]
     left = ["Ignored by the required models:", *(f"  {line}" for line in study.left_out)]
     said: list[Note | Table] = [
@@ -44,12 +57,22 @@ def _content(study: Study, found: Checked) -> list[Note | Table]:
         Note("\n".join(f"{name:32} {value}" for name, value in found.facts)),
         magnitudes,
         tolerances,
+        *([requirements] if study.requirements else []),
+        *([costs] if study.costs else []),
         Note("\n".join(["How it will be computed:", *how])),
         *([Note(f"Assumed (not published): {assumed_text(study)}")] if study.assumed else []),
         Note("\n".join(left)),
         Note("\n".join(f"warning: {line}" for line in study.doubts) or "No warnings."),
     ]
     return [part for part in said if not isinstance(part, Note) or part.text]
+
+
+def _cost(study: Study, field: str) -> list[Cell]:
+    """Cost of the initial half-width, next to the range of its process."""
+    cost, unit = study.costs[field], study.unit(field)
+    half = getattr(study.tolerances, field).half_width
+    widths = (shown(width, unit) for width in (cost.finest, half, cost.coarsest))
+    return [field, float(cost(half)), *widths]
 
 
 def _data(study: Study, found: Checked) -> dict[str, object]:
@@ -62,6 +85,15 @@ def _data(study: Study, found: Checked) -> dict[str, object]:
         "conditions": dataclasses.asdict(study.conditions),
         "tolerances": {
             field: {"unit": study.unit(field)} | limits_data(getattr(study.tolerances, field)) for field in study.fields
+        },
+        "requirements": {
+            name: {"lower": one.lower, "upper": one.upper, "requires": one.text(), "unit": study.output(name).unit}
+            for name, one in study.requirements.items()
+        },
+        "costs": {
+            field: {"cost": float(cost(getattr(study.tolerances, field).half_width)), "unit": study.unit(field)}
+            | {name: float(getattr(cost, name)) for name in ("finest", "coarsest")}
+            for field, cost in study.costs.items()
         },
         "levels": {
             name: {"level": choice.level, "error": choice.bound, "unit": study.output(name).unit, "why": choice.why}
