@@ -65,7 +65,15 @@ def written(answered, tmp_path_factory):
 def test_the_page_holds_the_answer_and_needs_nothing_else(written, answered):
     text = written.read_text("utf-8")
     tags = Tags(text)
-    sections = ["Requirements", "Tolerances and cost", "What if", "The reducer", "Which error matters"]
+    sections = [
+        "Result",
+        "Limits of this result",
+        "Requirements in detail",
+        "Cost",
+        "What if",
+        "The reducer",
+        "Which error matters",
+    ]
     sections += ["Error budget", "Worst units", "Accuracy of the computation", "How to get this page again"]
     assert tags.headings == ["small", *sections]
     images = [attrs for tag, attrs in tags.seen if tag == "img"]

@@ -28,11 +28,13 @@ class Section:
         title: heading, "" for a group without one.
         content: in reading order.
         style: class of the style sheet for all of it, "" for none.
+        fold: line under which the page folds the content away; "" for content that is always shown.
     """
 
     title: str
     content: tuple["Content", ...]
     style: str = ""
+    fold: str = ""
 
 
 @dataclass(frozen=True)

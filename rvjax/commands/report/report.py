@@ -88,7 +88,8 @@ def page_of(found: Shown, source: str, *, date: str = "") -> str:
     """
     answer, drawn = found.answer, {figure.name: figure for figure in figures(found.answer)}
     study = answer.study
-    sections: list[Content] = [_requirements(answer, drawn), _tolerances(answer, drawn)]
+    result = Section("Result", (requirement_table(answer), *tolerance_tables(answer)))
+    sections: list[Content] = [result, _requirements(answer, drawn), _tolerances(drawn)]
     sections += [live.block(found.surrogate, answer)] if found.surrogate else []
     sections += [design_section(study), _influence(answer, drawn)]
     sections += [section_on(found.budget)] if found.budget else []
@@ -176,8 +177,8 @@ def _requirements(answer: Answer, drawn: dict[str, Figure]) -> Section:
         "nearer limit/(3 sd). They give the share of rejects for a normal distribution only; the yield holds for any."
     )
     histograms = tuple(drawn[f"histogram_{name}"] for name in answer.study.requirements)
-    parts = (requirement_table(answer), Note(certified), _capability(answer), Note(capability))
-    return Section("Requirements", (*parts, Section("", histograms, style="pair")))
+    parts = (Note(certified), _capability(answer), Note(capability))
+    return Section("Requirements in detail", (*parts, Section("", histograms, style="pair")))
 
 
 def _capability(answer: Answer) -> Table:
@@ -193,12 +194,12 @@ def _capability(answer: Answer) -> Table:
     return Table("capability", columns, rows)
 
 
-def _tolerances(answer: Answer, drawn: dict[str, Figure]) -> Section:
+def _tolerances(drawn: dict[str, Figure]) -> Section:
     text = Note(
         "An error without a cost keeps the tolerance of the study. The cost of an error includes all its elements."
     )
     curve = [drawn["cost_against_yield"]] if "cost_against_yield" in drawn else []
-    return Section("Tolerances and cost", (*tolerance_tables(answer), text, *curve))
+    return Section("Cost", (text, *curve))
 
 
 def _influence(answer: Answer, drawn: dict[str, Figure]) -> Section:
@@ -225,7 +226,8 @@ def design_section(study: Study) -> Section:
         parts.append(Note(f"{study.base} is {catalogue.citation(study.base)}"))
     columns = [Text("number"), Text("value", wraps=True), Text("from", wraps=True), Text("note")]
     listed = Table("design", columns, rows)
-    return Section("The reducer", (Section("", (*parts, listed), style="reducer"),))
+    numbers = Section("", (listed,), fold=f"All {len(rows)} numbers of the design and their sources")
+    return Section("The reducer", (Section("", tuple(parts), style="reducer"), numbers))
 
 
 def _value(value: PyTree, unit: str) -> str:
@@ -279,7 +281,8 @@ def _levels(answer: Answer) -> Section:
         "A level is one way to compute a response. Errors and times are measured; the table comes with "
         f"rvjax. Times were measured on the computer of the table.\nConditions, SI: {conditions}."
     )
-    return Section("Accuracy of the computation", (Table("levels", columns, rows), Note(text)))
+    fold = "Level of each response, measured errors and times, conditions"
+    return Section("Accuracy of the computation", (Table("levels", columns, rows), Note(text)), fold=fold)
 
 
 def _plain(value: object) -> str:
