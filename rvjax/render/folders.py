@@ -6,7 +6,7 @@ import tempfile
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from rvjax._ground.files import check_writable
+from rvjax._ground.files import check_writable, naming
 
 
 def results_folder(option: str | None, name: str) -> Path:
@@ -59,7 +59,8 @@ def write_files(files: Iterable[tuple[str, bytes]], folder: Path) -> Path:
         folder: wanted one; where another run has made it meanwhile, the next free number.
     """
     folder.parent.mkdir(parents=True, exist_ok=True)
-    scratch = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
+    with naming(folder, folder.absolute().parent):
+        scratch = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
     try:
         for name, content in files:
             (scratch / name).write_bytes(content)
