@@ -182,7 +182,7 @@ def placed(tolerance: Tolerance) -> float:
 
 def grows_from_lower(tolerance: Tolerance) -> bool:
     """True if a larger half-width does not move the lower limit."""
-    return float(tolerance.with_half_width(2 * tolerance.half_width).lower) == float(tolerance.lower)
+    return float(tolerance.scaled(2 * tolerance.half_width).lower) == float(tolerance.lower)
 
 
 def _parameters(answer: Answer) -> list[Parameter]:
