@@ -10,7 +10,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from rvjax.render.quantity import Quantity
+from rvjax.render.quantity import Quantity, Zone, number
 
 TEXT, CSV, PAGE = "text", "csv", "page"
 EVERYWHERE = frozenset((TEXT, CSV, PAGE))
@@ -133,21 +133,14 @@ class Interval(Number):
 
 @dataclass(frozen=True)
 class Limits(Column):
-    """A column of limits: quantities whose ends are the limits of an error, "+-3.00 um" or "8.00 +-4.00 um"."""
+    """A column of limits of errors (`Zone`); in a file both ends, and the number of the drawing where it has one."""
 
     def headers(self) -> list[str]:
         """Headers in a CSV file."""
-        return [f"{end} {self.title}" for end in ("lower", "upper")]
+        return [f"{part} {self.title}" for part in ("lower", "upper", "drawing")]
 
-    def _said(self, cell: Quantity) -> str:
-        assert cell.lower is not None and cell.upper is not None
-        name, size = cell.shown
-        middle, half = (cell.upper + cell.lower) / 2 / size, (cell.upper - cell.lower) / 2 / size
-        about = "" if abs(middle) < 1e-9 * abs(half) else f"{middle:.2f} "
-        return f"{about}+-{half:.2f} {name}"
-
-    def _given(self, cell: Quantity) -> list[Value]:
-        return list(cell.numbers()[1:])
+    def _given(self, cell: Zone) -> list[Value]:
+        return [*cell.numbers()[1:], number(cell.drawn, cell.shown[1])]
 
 
 @dataclass(frozen=True)

@@ -35,7 +35,7 @@ def _content(study: Study, found: Checked) -> list[Note | Table]:
     tolerances = Table(
         "tolerances",
         [Text("error"), Limits("limits"), Text("distribution")],
-        [[field, limits_of(tolerance, study.unit(field)), tolerance.distribution] for tolerance, field in rows],
+        [[field, limits_of(study, field, tolerance), tolerance.distribution] for tolerance, field in rows],
     )
     how = [f"  {line}" for line in [*level_lines(study), expected(study)]]
     left = ["Ignored by the required models:", *(f"  {line}" for line in study.left_out)]
@@ -61,7 +61,8 @@ def _data(study: Study, found: Checked) -> dict[str, object]:
         "numbers": {name: {"value": value, "unit": unit} for name, (value, unit) in numbers(study.design)},
         "conditions": dataclasses.asdict(study.conditions),
         "tolerances": {
-            field: {"unit": study.unit(field)} | limits_data(getattr(study.tolerances, field)) for field in study.fields
+            field: {"unit": study.unit(field)} | limits_data(study, field, getattr(study.tolerances, field))
+            for field in study.fields
         },
         "levels": {
             name: {"level": choice.level, "error": choice.bound, "unit": study.output(name).unit, "why": choice.why}

@@ -89,7 +89,7 @@ def _tolerances(study: Study, found: dict[str, Crossed]) -> Table:
     for name in study.fields:
         used, cost = [getattr(one.tolerances, name) for one in found.values()], study.costs.get(name)
         prices = [float(cost(tolerance.half_width)) if cost else None for tolerance in used]
-        rows.append([name, *(limits_of(tolerance, study.unit(name)) for tolerance in used), *prices])
+        rows.append([name, *(limits_of(study, name, tolerance) for tolerance in used), *prices])
     rows.append(["sum", *(None for _ in found), *(one.cost for one in found.values())])
     return Table("tolerances", [Text("error"), *(Limits(k, missing="") for k in found), *costs], rows, total=True)
 
@@ -137,7 +137,8 @@ def _data(study: Study, found: dict[str, Crossed], answers: dict[str, Study]) ->
             "design": differences(answers[letter], study),
             "cost": one.cost,
             "tolerances": {
-                name: {"unit": study.unit(name)} | limits_data(getattr(one.tolerances, name)) for name in study.fields
+                name: {"unit": study.unit(name)} | limits_data(study, name, getattr(one.tolerances, name))
+                for name in study.fields
             },
             "certificate": dataclasses.replace(one.statistics, values=None),
         }
