@@ -65,6 +65,21 @@ def evaluated(verdict: Verdict, output: Output) -> Quantity:
     return Quantity.of(verdict.estimate)
 
 
+def met_text(requirement: Limits, verdict: Verdict, samples: int) -> str:
+    """Text on a requirement: met, not met, or met by the estimate while the interval of so few units is too wide.
+
+    Args:
+        requirement: as required.
+        verdict: on it.
+        samples: units behind the verdict.
+    """
+    one, value = verdict.estimate, verdict.estimate.value
+    if verdict.met:
+        return "met"
+    unsure = requirement.holds(Estimate(value, 0.0, value, value)) and not requirement.holds(one)
+    return f"not shown with {samples:,} units" if unsure else "not met"
+
+
 def failures_text(found: Statistics) -> str:
     """Text on failed units: number, statuses, and one unit of each status."""
     if not found.failed:
