@@ -6,12 +6,15 @@ A column turns a cell into one text and into one or several numbers. None is the
 import csv
 import io
 import math
+import textwrap
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from rvjax._ground.lines import wrapped
 from rvjax.render.quantity import Quantity, Zone, number
 
+GAP = "  "  # between columns
 TEXT, CSV, PAGE = "text", "csv", "page"
 EVERYWHERE = frozenset((TEXT, CSV, PAGE))
 """Media of a report: the terminal, a file of numbers, the HTML page."""
@@ -29,7 +32,7 @@ class Column:
         missing: text of a cell without a value.
         on: where the column is shown.
         file_title: header in the CSV file; None: the title.
-        wraps: the page may break a cell into lines, as prose.
+        wraps: cells are prose: page and terminal may break them into lines.
     """
 
     title: str
@@ -37,6 +40,11 @@ class Column:
     on: frozenset[str] = EVERYWHERE
     file_title: str | None = None
     wraps: bool = False
+
+    @property
+    def narrow(self) -> int:
+        """Characters to which cells may be broken where a table is too wide; 0: they may not."""
+        return 20 if self.wraps else 0
 
     def text(self, cell: Cell) -> str:
         """Text of the cell; words are not changed, also in a column of numbers."""
@@ -135,6 +143,11 @@ class Interval(Number):
 class Limits(Column):
     """A column of limits of errors (`Zone`); in a file both ends, and the number of the drawing where it has one."""
 
+    @property
+    def narrow(self) -> int:
+        """The words of a drawing and its number may be on two lines."""
+        return 18
+
     def headers(self) -> list[str]:
         """Headers in a CSV file."""
         return [f"{part} {self.title}" for part in ("lower", "upper", "drawing")]
@@ -180,31 +193,98 @@ class Table:
         headers = [header for _, column in columns for header in column.headers()]
         return headers, [[value for k, c in columns for value in c.values(row[k])] for row in self.rows]
 
-    def text(self) -> str:
-        """The table as plain text with its caption and note."""
-        return "\n".join(filter(None, [self.caption, aligned(*self.texts()), self.note]))
+    def text(self, width: int | None = None) -> str:
+        """The table as plain text with its caption and note.
+
+        Args:
+            width: characters of a line; None: as wide as it is.
+        """
+        drawn = aligned(*self.texts(), width, [column for _, column in self.shown(TEXT)])
+        return "\n".join(filter(None, [wrapped(self.caption, width), drawn, wrapped(self.note, width)]))
 
     def csv(self) -> bytes:
         """The content of a CSV file."""
         return as_csv(*self.values())
 
 
-def aligned(headers: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+def aligned(
+    headers: Sequence[str], rows: Iterable[Sequence[str]], width: int | None = None, columns: Sequence[Column] = ()
+) -> str:
     """A plain text table: the first column left aligned, the others right aligned.
+
+    A table that is too wide becomes blocks of columns, each with the first column. A column without a title of its own
+    stays next to the one before.
 
     Args:
         headers: of the columns.
         rows: cells.
+        width: characters of a line; None: as wide as it is.
+        columns: what is known of each column; none where no cell may be broken into lines.
     """
-    cells = [list(headers), *(list(row) for row in rows)]
-    widths = [max(len(row[k]) for row in cells) for k in range(len(headers))]
-    lines = [
-        "  ".join(
-            cell.ljust(width) if k == 0 else cell.rjust(width) for k, (cell, width) in enumerate(zip(row, widths))
-        )
-        for row in cells
+    texts = [list(column) for column in zip(headers, *rows, strict=True)]
+    full = [max(map(len, column)) for column in texts]
+    left = [k == 0 for k in range(len(texts))]
+    if width is None or _total(full) <= width:
+        return "\n".join(_drawn(texts, full, left))
+    about = columns or [Text(title) for title in headers]
+    left = [k == 0 or column.wraps for k, column in enumerate(about)]
+    least = [
+        max(map(len, [*column[0].split(), *([" " * min(one.narrow, wide)] if one.narrow else column[1:])]), default=0)
+        for column, one, wide in zip(texts, about, full)
     ]
-    return "\n".join([lines[0], "-" * len(lines[0]), *lines[1:]])
+    blocks = [[0]]
+    for group in _groups(headers):
+        if len(blocks[-1]) > 1 and _total([least[k] for k in blocks[-1] + group]) > width:
+            blocks.append([0])
+        blocks[-1] += group
+    drawn = []
+    for block in blocks:
+        for k in block:  # room that is left goes to cells that were broken
+            room = width - _total([least[j] for j in block])
+            if about[k].narrow and room > 0:
+                least[k] = min(full[k], least[k] + room)
+        lines = _drawn(*([one[k] for k in block] for one in (texts, least, left)))
+        drawn.append("\n".join(map(str.rstrip, lines)))
+    return "\n\n".join(drawn)
+
+
+def _groups(headers: Sequence[str]) -> list[list[int]]:
+    """Columns but for the first; one without a title, or with that of others, goes with the column before it."""
+    groups: list[list[int]] = []
+    for k, title in enumerate(headers):
+        if k == 0:
+            continue
+        if groups and (not title or list(headers).count(title) > 1):
+            groups[-1].append(k)
+        else:
+            groups.append([k])
+    return groups
+
+
+def _total(widths: Sequence[int]) -> int:
+    return sum(widths) + len(GAP) * (len(widths) - 1)
+
+
+def _drawn(texts: Sequence[Sequence[str]], widths: Sequence[int], left: Sequence[bool]) -> list[str]:
+    """Lines of a block of columns; a title or cell that is too long has several."""
+    lines: list[str] = []
+    for number, row in enumerate(zip(*texts, strict=True)):
+        cells = [
+            textwrap.wrap(cell, width, break_long_words=False, break_on_hyphens=False)
+            if len(cell) > width
+            else [cell]
+            for cell, width in zip(row, widths)
+        ]
+        high = max(map(len, cells))
+        filled = []
+        for cell, wide, first in zip(cells, widths, left):
+            rest = [""] * (high - len(cell))
+            own = rest + cell if number == 0 else cell + rest  # titles stand on the rule
+            filled.append([text.ljust(wide) if first else text.rjust(wide) for text in own])
+        lines += [GAP.join(line) for line in zip(*filled, strict=True)]
+        if number == 0:
+            lines.append("-" * len(lines[0]))
+    return lines
 
 
 def as_csv(headers: Sequence[str], rows: Iterable[Sequence[Value]]) -> bytes:

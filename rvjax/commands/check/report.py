@@ -30,7 +30,8 @@ def report(inputs: Inputs, found: Checked) -> Report:
 
 def _content(study: Study, found: Checked) -> list[Note | Table]:
     head = [f"Study {study.name}: {type(study.design).__name__}", *filter(None, [study.about.line()])]
-    magnitudes = Table("numbers", [Text(t) for t in ("number", "this study", "known reducers")], found.magnitudes)
+    titles = [Text("number"), Text("this study", wraps=True), Text("known reducers", wraps=True)]
+    magnitudes = Table("numbers", titles, found.magnitudes)
     rows = [(getattr(study.tolerances, field), field) for field in study.fields]
     tolerances = Table(
         "tolerances",
