@@ -46,8 +46,8 @@ def section(table: str) -> Reader | None:
 def run(name: str, options: argparse.Namespace) -> int:
     """Run a command; returns the exit code.
 
-    `inputs.inputs(options)` checks everything before any work; its result may have a `folder` for the results and a
-    `memo` of an interrupted run.
+    `inputs.inputs(options)` checks everything before any work; its result may have a `folder` for the results, `over`
+    whether they take the place of those in it, and a `memo` of an interrupted run.
     `compute.compute(inputs)` works, in phases that `compute.phases(inputs)` lists with their expected seconds, if it
     has any; `compute.COUNTED` is the phase that reports which part of it is done.
     `report.report(inputs, found)` describes what was found.
@@ -74,7 +74,7 @@ def run(name: str, options: argparse.Namespace) -> int:
             say(found.text(width) if found.brief is None else wrapped(found.brief, width))
         if folder is not None:
             progress.begin(WRITING)
-            folder = write_files(found.folder(), folder)
+            folder = write_files(found.folder(), folder, over=getattr(inputs, "over", False))
     for path, content in found.exports.items():
         write_atomically(path, content)
     if memo is not None:

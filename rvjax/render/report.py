@@ -14,6 +14,7 @@ from rvjax._ground.lines import wrapped
 from rvjax.records import PyTree
 from rvjax.render.content import Block, Content, Note, Section
 from rvjax.render.figure import Figure
+from rvjax.render.folders import PAGE_FILE
 from rvjax.render.table import CSV, TEXT, Table
 
 
@@ -79,7 +80,7 @@ class Report:
         yield from ((f"{part.name}.csv", part.csv()) for part in parts if isinstance(part, Table) and CSV in part.on)
         yield from ((f"{part.name}.png", part.content()) for part in parts if isinstance(part, Figure))
         if self.page is not None:
-            yield "report.html", self.html().encode()
+            yield PAGE_FILE, self.html().encode()
 
     def html(self) -> str:
         """The page: one file that needs no other."""

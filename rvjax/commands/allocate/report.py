@@ -55,10 +55,12 @@ def report(inputs: Inputs, found: Answer | None) -> Report:
         return report_on(found)
     place = inputs.kept
     assert place is not None
-    said = f"Unchanged since {place} was written: this is its stored result. --fresh recomputes it."
+    said = f"Unchanged since {place} was written: this is its stored result. --fresh replaces it."
+    stored = kept.restored(inputs.study, place)  # fits the terminal; the summary has the lines of a file
+    shown = report_on(stored).content if stored else (Note((place / "summary.txt").read_text("utf-8").strip()),)
     return Report(
         title=inputs.study.name,
-        content=(Note((place / "summary.txt").read_text("utf-8") + said),),
+        content=(*shown, Note(said)),
         ok=kept.status(place) == "OPTIMAL",
         data=json.loads((place / "result.json").read_text()) | {"results": str(place)},
     )
