@@ -158,7 +158,7 @@ def test_an_unchanged_study_is_answered_from_its_folder(answered, undrawn, here,
 
 
 def test_a_fresh_result_takes_the_place_of_the_stored_one(answers, undrawn, here, capsys, monkeypatch):
-    """Of the same study only; what the user put there stays, the page of the old result does not; nothing on failure."""
+    """Of the same study only; files of the user stay, the page of the old result does not; nothing on failure."""
     (here / "small.toml").write_text(SMALL)
     command = ["allocate", "small.toml", "--quiet"]
     assert cli.main(command) == 0

@@ -185,7 +185,7 @@ def sliders(answer):
 
 
 def test_sliders_have_the_numbers_of_the_drawing(answer, sliders):
-    made, data = sliders
+    _, data = sliders
     fields = {field["name"]: field for field in data["fields"]}
     for field, words in STATED.items():
         slider = data["parameters"][fields[field]["half"]]
@@ -199,7 +199,7 @@ def test_sliders_have_the_numbers_of_the_drawing(answer, sliders):
 
 
 def test_the_study_that_a_slider_saves_has_the_words_of_the_drawing(answer, sliders):
-    made, data = sliders
+    _, data = sliders
     program = """
     const [raw, key, factor] = input, data = Live.opened(raw), at = Live.begin(data, key);
     for (const field of data.fields) at.parameters[field.half] *= factor;

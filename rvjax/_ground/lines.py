@@ -21,14 +21,14 @@ def wrapped(text: str, width: int | None) -> str:
     return text if width is None else "\n".join(_line(line, width) for line in text.split("\n"))
 
 
-def _line(line: str, width: int) -> str:
+def _line(line: str, width: int, indent: int | None = None) -> str:
+    """A line in several, those after the first with an indent; None: below the text of the first."""
     if len(line) <= width:
         return line
-    name = re.match(r"\s*\S+(?: \S+)*? {2,}(?=\S)", line)
-    indent = name.end() if name and name.end() <= width // 2 else len(line) - len(line.lstrip()) + 2
-    return textwrap.fill(
-        line, width, subsequent_indent=" " * indent, break_long_words=False, break_on_hyphens=False
-    )
+    if indent is None:
+        name = re.match(r"\s*\S+(?: \S+)*? {2,}(?=\S)", line)
+        indent = name.end() if name and name.end() <= width // 2 else len(line) - len(line.lstrip()) + 2
+    return textwrap.fill(line, width, subsequent_indent=" " * indent, break_long_words=False, break_on_hyphens=False)
 
 
 def refilled(text: str, width: int) -> str:
@@ -39,7 +39,4 @@ def refilled(text: str, width: int) -> str:
         width: characters of a line.
     """
     paragraphs = re.sub(r"(?<=\S)\n(?=\S)", " ", text)
-    return "\n".join(
-        textwrap.fill(line, width, break_long_words=False, break_on_hyphens=False) if line[:1].strip() else _line(line, width)
-        for line in paragraphs.split("\n")
-    )
+    return "\n".join(_line(line, width, 0 if line[:1].strip() else None) for line in paragraphs.split("\n"))

@@ -210,7 +210,7 @@ class Tolerance(Record):
         Warns of a clearance that would be negative.
         """
         made = self.scaled(half_width)
-        if self.clearance and concrete(made.lower, made.upper) and made.lower < -1e-12 * abs(made.upper):
+        if self.clearance and concrete(made.lower, made.upper) and made.lower < -1e-12 * made.half_width:
             limits = f"limits from {made.lower:.6g} on, but a clearance cannot be negative"
             warnings.warn(f"Tolerance.half_width = {half_width:.6g}: {limits}", stacklevel=2)
         return made

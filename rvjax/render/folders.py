@@ -9,7 +9,6 @@ from pathlib import Path
 
 from rvjax._ground.files import check_writable, naming
 
-
 PAGE_FILE = "report.html"
 
 

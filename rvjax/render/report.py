@@ -63,9 +63,7 @@ class Report:
             width: characters of a line of a terminal; None: as in files.
         """
         parts = (part for part in self.parts() if not isinstance(part, Figure) and TEXT in part.on)
-        return "\n\n".join(
-            part.text(width) if isinstance(part, Table) else wrapped(part.text, width) for part in parts
-        )
+        return "\n\n".join(part.text(width) if isinstance(part, Table) else wrapped(part.text, width) for part in parts)
 
     def json(self) -> PyTree:
         """The report as JSON values."""

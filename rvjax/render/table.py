@@ -5,9 +5,10 @@ A column turns a cell into one text and into one or several numbers. None is the
 
 import csv
 import io
+import itertools
 import math
 import textwrap
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -228,12 +229,9 @@ def aligned(
         return "\n".join(_drawn(texts, full, left))
     about = columns or [Text(title) for title in headers]
     left = [k == 0 or column.wraps for k, column in enumerate(about)]
-    least = [
-        max(map(len, [*column[0].split(), *([" " * min(one.narrow, wide)] if one.narrow else column[1:])]), default=0)
-        for column, one, wide in zip(texts, about, full)
-    ]
+    least = [_least(column, one.narrow) for column, one in zip(texts, about)]
     blocks = [[0]]
-    for group in _groups(headers):
+    for group in _groups(headers, lambda columns: _total([least[0], *(least[k] for k in columns)]) <= width):
         if len(blocks[-1]) > 1 and _total([least[k] for k in blocks[-1] + group]) > width:
             blocks.append([0])
         blocks[-1] += group
@@ -243,22 +241,34 @@ def aligned(
             room = width - _total([least[j] for j in block])
             if about[k].narrow and room > 0:
                 least[k] = min(full[k], least[k] + room)
-        lines = _drawn(*([one[k] for k in block] for one in (texts, least, left)))
+        lines = _drawn([texts[k] for k in block], [least[k] for k in block], [left[k] for k in block])
         drawn.append("\n".join(map(str.rstrip, lines)))
     return "\n\n".join(drawn)
 
 
-def _groups(headers: Sequence[str]) -> list[list[int]]:
-    """Columns but for the first; one without a title, or with that of others, goes with the column before it."""
+def _least(column: Sequence[str], narrow: int) -> int:
+    """Least width of a column: titles are broken at spaces, cells where they may be narrow."""
+    title, *cells = column
+    words = [word for text in [title, *(cells if narrow else [])] for word in _glued(text).split(" ")]
+    whole = [min(len(cell), narrow) if narrow else len(cell) for cell in cells]
+    return max([*map(len, words), *whole])
+
+
+def _groups(headers: Sequence[str], fits: Callable[[list[int]], bool]) -> Iterator[list[int]]:
+    """Columns but for the first that stay together: one without a title, or with that of others, with the one before.
+
+    Those whose titles begin with the same word too, if they fit.
+    """
     groups: list[list[int]] = []
-    for k, title in enumerate(headers):
-        if k == 0:
-            continue
+    for k, title in list(enumerate(headers))[1:]:
         if groups and (not title or list(headers).count(title) > 1):
             groups[-1].append(k)
         else:
             groups.append([k])
-    return groups
+    for _, family in itertools.groupby(groups, lambda group: headers[group[0]].split(" ")[0]):
+        own = list(family)
+        together = list(itertools.chain(*own))
+        yield from [together] if fits(together) else own
 
 
 def _total(widths: Sequence[int]) -> int:
@@ -268,23 +278,30 @@ def _total(widths: Sequence[int]) -> int:
 def _drawn(texts: Sequence[Sequence[str]], widths: Sequence[int], left: Sequence[bool]) -> list[str]:
     """Lines of a block of columns; a title or cell that is too long has several."""
     lines: list[str] = []
-    for number, row in enumerate(zip(*texts, strict=True)):
-        cells = [
-            textwrap.wrap(cell, width, break_long_words=False, break_on_hyphens=False)
-            if len(cell) > width
-            else [cell]
-            for cell, width in zip(row, widths)
-        ]
+    for place, row in enumerate(zip(*texts, strict=True)):
+        cells = [_broken(cell, width) for cell, width in zip(row, widths)]
         high = max(map(len, cells))
         filled = []
         for cell, wide, first in zip(cells, widths, left):
             rest = [""] * (high - len(cell))
-            own = rest + cell if number == 0 else cell + rest  # titles stand on the rule
+            own = rest + cell if place == 0 else cell + rest  # titles stand on the rule
             filled.append([text.ljust(wide) if first else text.rjust(wide) for text in own])
         lines += [GAP.join(line) for line in zip(*filled, strict=True)]
-        if number == 0:
+        if place == 0:
             lines.append("-" * len(lines[0]))
     return lines
+
+
+def _broken(cell: str, width: int) -> list[str]:
+    """Lines of a cell; a number stays with its percent sign."""
+    if len(cell) <= width:
+        return [cell]
+    lines = textwrap.wrap(_glued(cell), width, break_long_words=False, break_on_hyphens=False)
+    return [line.replace("\xa0", " ") for line in lines]
+
+
+def _glued(text: str) -> str:
+    return text.replace(" %", "\xa0%")
 
 
 def as_csv(headers: Sequence[str], rows: Iterable[Sequence[Value]]) -> bytes:

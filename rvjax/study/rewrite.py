@@ -87,7 +87,8 @@ def _fits(parts: Parts, tables: dict[str, PyTree], gaps: _Gaps) -> bool:
     if sum(not isinstance(part, str) for part in parts) != sum(map(len, gaps.values())):
         return False
     try:
-        filled = tomllib.loads("".join(p if isinstance(p, str) else f"{_filled(*next(iter(p.items())))} = 0\n" for p in parts))
+        written = (p if isinstance(p, str) else f"{_filled(*next(iter(p.items())))} = 0\n" for p in parts)
+        filled = tomllib.loads("".join(written))
     except tomllib.TOMLDecodeError:
         return False
     for (table, name), own in gaps.items():

@@ -52,7 +52,8 @@ class Form:
     def number(self, tolerance: Tolerance) -> float | None:
         """Number of the drawing, SI; None if it does not define the limits."""
         lower, upper = float(tolerance.lower), float(tolerance.upper)
-        return self.half_widths * (upper - lower) / 2 if abs(lower if self.vector else lower + upper) <= 1e-9 * upper else None
+        moved = abs(lower if self.vector else lower + upper) > 1e-9 * upper
+        return None if moved else self.half_widths * (upper - lower) / 2
 
 
 FORMS = {
@@ -87,7 +88,7 @@ def forms(table: Toml) -> dict[str, Form]:
     found = {field: form for field, form in RING_FORMS.items() if form.word in ring}
     for field, entry in table.items():
         if field != RING and isinstance(entry, dict):
-            found |= {field: form for word, form in FORMS.items() if word in entry}
+            found.update((field, form) for word, form in FORMS.items() if word in entry)
     return found
 
 

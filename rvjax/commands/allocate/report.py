@@ -34,7 +34,7 @@ from rvjax.render import (
     number,
 )
 from rvjax.study import Study
-from rvjax.tolerances import Allocation, Tolerance
+from rvjax.tolerances import Allocation
 from rvjax.units import readable
 
 UNMOVED = "no slope"

@@ -57,14 +57,15 @@ def _on(found: Crossed) -> str:
         said.setdefault(met_text(found.study.requirements[name], verdict, count), []).append(name)
     if list(said) == ["met"]:
         return "all requirements met"
-    return "; ".join(f"{what}: {', '.join(names)}" for what, names in sorted(said.items(), key=lambda item: item[0] == "met"))
+    last = sorted(said, key=lambda what: what == "met")
+    return "; ".join(f"{what}: {', '.join(said[what])}" for what in last)
 
 
 def _differences(results: Mapping[str, Result], topics: Topics) -> Iterator[Note | Table]:
     """What only one result has, a table for each topic with what differs, and what is the same."""
     alone: list[str] = []
     hidden: set[str] = set()
-    for (letter, one), other in zip(results.items(), reversed(results.values())):
+    for (letter, one), other in zip(results.items(), reversed(list(results.values()))):
         limits = only(one, other, "certificate", "verdicts")
         errors = only(one, other, "tolerances")
         hidden |= {*limits, *errors}
@@ -81,8 +82,8 @@ def _differences(results: Mapping[str, Result], topics: Topics) -> Iterator[Note
         if differing := {name: row for name, row in rows.items() if not row["same"]}:
             yield _topic(topic, differing)
         if same := [name for name, row in rows.items() if row["same"]]:
-            listed = "all" if len(same) == len(rows) else ", ".join(same) if len(same) <= LISTED else f"{len(same)} others"
-            equal.append(f"  {topic}: {listed}")
+            listed = ", ".join(same) if len(same) <= LISTED else f"{len(same)} others"
+            equal.append(f"  {topic}: {'all' if len(same) == len(rows) else listed}")
     if equal:
         yield Note("\n".join(["The same in both:", *equal]))
 

@@ -114,8 +114,9 @@ def shown(topic: str, rows: Rows) -> Rows:
     """The rows of a topic that a person reads: without half-width and middle of what a drawing states otherwise."""
     if not topic.startswith("tolerances"):
         return rows
-    stated = {name.rpartition(", ")[0] for name in rows if name.rpartition(", ")[2] not in (HALF, MIDDLE)}
-    return {name: row for name, row in rows.items() if not (name.endswith((HALF, MIDDLE)) and name.rpartition(", ")[0] in stated)}
+    parts = {name: name.rpartition(", ") for name in rows}
+    stated = {field for field, _, what in parts.values() if what not in (HALF, MIDDLE)}
+    return {n: row for n, row in rows.items() if parts[n][2] not in (HALF, MIDDLE) or parts[n][0] not in stated}
 
 
 def only(first: Result, second: Result, *keys: str) -> list[str]:

@@ -10,7 +10,16 @@ import jax.numpy as jnp
 from rvjax._ground.files import versions
 from rvjax._reducer.plausible import steep
 from rvjax.commands.allocate import shortfall_text
-from rvjax.commands.cells import assumed_text, evaluated, failures_text, limit_text, limits_data, limits_of, share, stated_by
+from rvjax.commands.cells import (
+    assumed_text,
+    evaluated,
+    failures_text,
+    limit_text,
+    limits_data,
+    limits_of,
+    share,
+    stated_by,
+)
 from rvjax.commands.design import live
 from rvjax.commands.design.compute import Designed, Point
 from rvjax.commands.design.figures import figures

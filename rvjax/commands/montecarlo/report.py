@@ -77,7 +77,8 @@ def _verdicts(found: Statistics, study: Study) -> list[str]:
     for name, verdict in (found.verdicts or {}).items():
         if verdict.kind != "share":
             value = evaluated(verdict, study.output(name)).text()
-            lines.append(f"{name}: {verdict.wanted}: {value}, {met_text(study.requirements[name], verdict, found.samples)}")
+            met = met_text(study.requirements[name], verdict, found.samples)
+            lines.append(f"{name}: {verdict.wanted}: {value}, {met}")
     if found.joint_yield is not None:
         lines.append(f"all requirements at once {share(found.joint_yield).text()}")
     return lines
