@@ -24,7 +24,7 @@ def limits_of(study: Study, field: str, tolerance: Tolerance) -> Zone:
 
 
 def stated_by(study: Study, field: str) -> tuple[str, float]:
-    """What states a tolerance, and its number in half-widths: ("half-width", 1), ("runout", 4).
+    """The words that state a tolerance, and their number in half-widths: ("half-width", 1), ("runout", 4).
 
     Args:
         study: that the error belongs to.

@@ -69,9 +69,15 @@ class Quantity:
 
 @dataclass(frozen=True)
 class Zone(Quantity):
-    """Limits of an error: mid-point and ends.
+    """Limits of an error, and how a drawing states them.
 
     Attributes:
+        value: mid-point of the limits, SI.
+        unit: SI unit.
+        lower: lower limit, SI.
+        upper: upper limit, SI.
+        read_in: unit in which a person reads it; None: the usual one.
+        form: format of its numbers; not used.
         stated: words of a drawing before its number, such as "runout"; "" for limits.
         drawn: number of the drawing, SI; None for limits.
     """

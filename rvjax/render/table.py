@@ -7,6 +7,7 @@ import csv
 import io
 import itertools
 import math
+import re
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -237,10 +238,10 @@ def aligned(
         blocks[-1] += group
     drawn = []
     for block in blocks:
-        for k in block:  # room that is left goes to cells that were broken
-            room = width - _total([least[j] for j in block])
-            if about[k].narrow and room > 0:
-                least[k] = min(full[k], least[k] + room)
+        for k in block:  # the rest of the width goes to cells that were broken
+            rest = width - _total([least[j] for j in block])
+            if about[k].narrow and rest > 0:
+                least[k] = min(full[k], least[k] + rest)
         lines = _drawn([texts[k] for k in block], [least[k] for k in block], [left[k] for k in block])
         drawn.append("\n".join(map(str.rstrip, lines)))
     return "\n\n".join(drawn)
@@ -284,7 +285,7 @@ def _drawn(texts: Sequence[Sequence[str]], widths: Sequence[int], left: Sequence
         filled = []
         for cell, wide, first in zip(cells, widths, left):
             rest = [""] * (high - len(cell))
-            own = rest + cell if place == 0 else cell + rest  # titles stand on the rule
+            own = rest + cell if place == 0 else cell + rest  # titles end at the rule
             filled.append([text.ljust(wide) if first else text.rjust(wide) for text in own])
         lines += [GAP.join(line) for line in zip(*filled, strict=True)]
         if place == 0:
@@ -293,7 +294,7 @@ def _drawn(texts: Sequence[Sequence[str]], widths: Sequence[int], left: Sequence
 
 
 def _broken(cell: str, width: int) -> list[str]:
-    """Lines of a cell; a number stays with its percent sign."""
+    """Lines of a cell; a number stays with its unit."""
     if len(cell) <= width:
         return [cell]
     lines = textwrap.wrap(_glued(cell), width, break_long_words=False, break_on_hyphens=False)
@@ -301,7 +302,7 @@ def _broken(cell: str, width: int) -> list[str]:
 
 
 def _glued(text: str) -> str:
-    return text.replace(" %", "\xa0%")
+    return re.sub(r"(?<=\d) (?=[A-Za-z%])", "\xa0", text)
 
 
 def as_csv(headers: Sequence[str], rows: Iterable[Sequence[Value]]) -> bytes:

@@ -256,7 +256,7 @@ class Study:
 
     @functools.cached_property
     def forms(self) -> dict[str, Form]:
-        """How the file states the tolerances that it states in the words of drawings, by error."""
+        """Forms of the tolerances that the file states in the words of drawings, by error."""
         return forms(tomllib.loads(self.text)["tolerances"])
 
     @property

@@ -36,22 +36,21 @@ def report(inputs: Inputs, found: Comparison) -> Report:
         ]
         data["on"] = _data(inputs.study, found.crossed, own)
     if found.topics:
-        said += _verdicts(inputs.results)
+        said += _verdicts(found.topics)
         content += _differences(inputs.results, found.topics)
     return Report("Comparison", (Note("\n".join(said)), *content), data=data)
 
 
-def _verdicts(results: Mapping[str, Result]) -> list[str]:
+def _verdicts(topics: Topics) -> list[str]:
     """Status and cost of each result, of the second with its difference."""
-    lines, costs = [], [one["cost"].get("after") for one in results.values()]
-    for (letter, one), cost in zip(results.items(), costs):
-        change = f" ({_change(costs[0], cost, 'number')})" if letter != "A" and all(costs) and cost != costs[0] else ""
-        lines.append(f"{letter}: {one['status']}" + (f", cost {cost:.3f}{change}" if cost else ""))
-    return lines
+    status, cost = topics["run"]["verdict"], topics["cost"]["after"]
+    lines = [f"{side.upper()}: {status[side]}" + (f", cost {cost[side]:.3f}" if cost[side] else "") for side in "ab"]
+    change = f" ({_change(cost['a'], cost['b'], 'number')})" if cost["a"] and cost["b"] and not cost["same"] else ""
+    return [lines[0], lines[1] + change]
 
 
 def _on(found: Crossed) -> str:
-    """Which requirements of the study hold."""
+    """Text on the requirements of a study: met, not met, not shown."""
     count, said = found.statistics.samples, dict[str, list[str]]()
     for name, verdict in (found.statistics.verdicts or {}).items():
         said.setdefault(met_text(found.study.requirements[name], verdict, count), []).append(name)
@@ -62,7 +61,7 @@ def _on(found: Crossed) -> str:
 
 
 def _differences(results: Mapping[str, Result], topics: Topics) -> Iterator[Note | Table]:
-    """What only one result has, a table for each topic with what differs, and what is the same."""
+    """Names in one result only, a table for each topic with values that differ, and names of equal values."""
     alone: list[str] = []
     hidden: set[str] = set()
     for (letter, one), other in zip(results.items(), reversed(list(results.values()))):
