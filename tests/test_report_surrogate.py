@@ -10,7 +10,7 @@ from live_study import FEW
 
 import rvjax
 from rvjax import tolerances
-from rvjax.commands.allocate.answer import SHOWN_VALUES
+from rvjax.commands.allocate.forecast import SHOWN_VALUES
 from rvjax.commands.report import region, surrogate
 from rvjax.response.response import BLOCK
 
@@ -26,7 +26,7 @@ def made(response, upper):
     names = ["eccentricity", "pin_radius", "carrier_bore"]
     return SimpleNamespace(
         study=SimpleNamespace(
-            requirements=required, response=lambda: response, fields=names, tolerances=FIELDS, seed=0, middles={}
+            requirements=required, response=lambda: response, fields=names, tolerances=FIELDS, seed=0, middles={}, forms={}
         ),
         after=SimpleNamespace(tolerances=FIELDS, values=kept.values, seed=2),
         allocation=SimpleNamespace(certificate=certificate),
