@@ -19,6 +19,7 @@ from rvjax.commands.allocate import answer as computed, report_on
 from rvjax.commands.cells import limits_of
 from rvjax.commands.compare.inputs import Inputs
 from rvjax.commands.compare.report import report as compared
+from rvjax.commands.design import live as design_live, prices as design_prices
 from rvjax.commands.report import live, surrogate
 from rvjax.render import Limits
 from rvjax.study import rewrite
@@ -228,3 +229,22 @@ def test_the_radius_of_a_ring_is_written_in_its_table(asked):
     gaps = {fields[part["field"]]: part["own"] for part in parts if not isinstance(part, str) and "field" in part}
     assert gaps["pin_radii"] == 'radius = "1 um" # of every pin\n'
     assert gaps["pin_offset"] == 'position = "diametral 20 um"\n'
+
+
+def test_sliders_and_prices_of_a_design_are_those_of_the_drawing(asked):
+    """Cost 2 (5 um / half-width): at 2 um a micron of half-width saves 2.5, one of the runout a quarter of that."""
+    half = {"disc_centre": 2 * um}
+    at = asked.tolerances.replace(disc_centre=asked.tolerances.disc_centre.with_half_width(2 * um))
+    joint = SimpleNamespace(
+        values={}, half_widths=half, margins={}, cost=5.0, tolerances=at, costs={"disc_centre": 5.0}
+    )
+    joint.multipliers = joint.value_prices = {}
+    found = SimpleNamespace(joint=SimpleNamespace(found=joint))
+    (slider,) = design_live.data(asked, found)["sliders"]
+    shown = {key: slider[key] for key in ("label", "centre", "before", "low", "high")}
+    assert shown == {"label": "disc centre runout"} | {
+        key: pytest.approx(4 * size) for key, size in dict(centre=2.0, before=3.75, low=1.0, high=20.0).items()
+    }
+    (field,) = design_live.data(asked, found)["fields"]
+    assert field["cost"] == {"fixed": 0.0, "scale": 2.0, "reference": pytest.approx(20.0), "power": 1.0}
+    assert "1 um of the runout of disc_centre: 0.625" in design_prices.prices(asked, found).text
