@@ -4,8 +4,8 @@ import numpy as np
 from stored import stored, table
 
 from rvjax import plotting, study
-from rvjax.commands.allocate import tolerance_text
 from rvjax.commands.budget import Budget
+from rvjax.commands.cells import limits_of
 from rvjax.plotting.style import AFTER, BEFORE
 
 JUDGED = {
@@ -84,7 +84,7 @@ def tolerances():
         for asked, sets in ((four, limits[:1]), (start, limits[1:])):
             before = getattr(asked.tolerances, name)
             after = [before.replace(**dict(zip(("lower", "upper"), x[name]))) if name in x else before for x in sets]
-            cells += [tolerance_text(one, asked.unit(name)) if one else "-" for one in (before, *after)]
+            cells += [limits_of(asked, name, one).text() if one else "-" for one in (before, *after)]
         rows.append((f"`{name}`", *cells))
     heads = ["error", "rv-40e", "its optimum", "rv-40e-whole", "without limits on forces", "its optimum"]
     return table(heads, rows)

@@ -7,7 +7,7 @@ N m, kg, s, Pa); text with units ("3.5 mm") is for study files and reports only.
 import math
 import re
 
-from rvjax._ground.choices import unknown
+from rvjax._ground.choices import meant, unknown
 
 mm = 1e-3
 um = 1e-6
@@ -23,7 +23,7 @@ KNOWN: dict[str, dict[str, float]] = {
     "m": {"m": 1.0, "mm": mm, "um": um},
     "m3": {"m3": 1.0, "cm3": 1e-6, "mm3": 1e-9},
     "rad": {"rad": 1.0, "deg": deg, "arcmin": arcmin, "arcsec": arcsec},
-    "rad/s": {"rad/s": 1.0, "rpm": rpm},
+    "rad/s": {"rad/s": 1.0, "rpm": rpm, "r/min": rpm},
     "rad/s2": {"rad/s2": 1.0},
     "N": {"N": 1.0, "kN": 1e3},
     "N m": {"N m": 1.0, "kN m": 1e3},
@@ -37,6 +37,11 @@ KNOWN: dict[str, dict[str, float]] = {
     "1/s": {"1/s": 1.0},
     "Hz": {"Hz": 1.0, "kHz": 1e3},
 }
+
+# What people write for a unit, for the hint of an error.
+_WORDS = {"h": ("hour", "hours", "hr", "hrs"), "s": ("sec", "second", "seconds"), "um": ("micron", "microns"),
+          "deg": ("degree", "degrees"), "r/min": ("rev/min", "1/min", "min-1", "r.p.m.", "turns/min")}  # fmt: skip
+_MEANT = {word: unit for unit, words in _WORDS.items() for word in words}
 
 # The unit in which a person reads a manufacturing error or a response.
 READ_IN = {"m": "um", "m3": "cm3", "rad": "arcmin", "Pa": "MPa"}
@@ -67,23 +72,35 @@ def parse(value: object, unit: str) -> float:
                 return float(value)
         except OverflowError:  # an integer beyond every float
             pass
-        raise ValueError(f"{value!r}: must be a plain finite number")
+        hint = point_for(value) if isinstance(value, str) else ""
+        raise ValueError(f"{value!r}: must be a plain finite number{hint}")
     units = KNOWN[unit]
     if not isinstance(value, str):
         one = "one number" if isinstance(value, (list, dict, bool)) else "a unit"
         raise ValueError(f'{value!r}: needs {one} in quotes, like "3.5 {next(iter(units))}" ({", ".join(units)})')
     split = _NUMBER_AND_UNIT.fullmatch(value.strip())
     if split is None:
-        comma = _NUMBER_AND_UNIT.fullmatch(value.strip().replace(",", ".", 1))
-        hint = "; decimals are written with a point" if comma and "," in value else ""
         example = f'must be a number, a space and a unit, like "3.5 {next(iter(units))}"'
-        raise ValueError(f"{value!r}: {example}{hint}")
+        raise ValueError(f"{value!r}: {example}{point_for(value)}")
     result, name = float(split[1]), spelling(split[2])
     if name not in units:
-        raise unknown(f"{value!r}: unit {name!r}", name, units, " is not one of")
+        hint = f" (did you mean {_MEANT[name.lower()]}?)" if _MEANT.get(name.lower()) in units else meant(name, units)
+        raise unknown(f"{value!r}: unit {name!r}{hint}", "", units, " is not one of")
     if not math.isfinite(result * units[name]):
         raise ValueError(f"{value!r}: must be finite, in {unit} too")
     return result * units[name]
+
+
+def point_for(text: str) -> str:
+    """Hint for a number with a decimal comma: the same with a point, in quotes if it has a unit; else "".
+
+    Args:
+        text: a number and perhaps a unit, as written.
+    """
+    right = text.strip().replace(",", ".", 1)
+    if "," not in text or (split := _NUMBER_AND_UNIT.fullmatch(right)) is None:
+        return ""
+    return "; decimals are written with a point: " + (f'"{right}"' if split[2] else right)
 
 
 def unit_of(value: str, unit: str) -> str:

@@ -1,6 +1,12 @@
 """A small study with its answer and what follows its sliders, computed once for the tests of both."""
 
 import functools
+import json
+import shutil
+import subprocess
+from importlib import resources
+
+import pytest
 
 from rvjax import study
 from rvjax.commands.allocate.answer import Answer, answer
@@ -73,3 +79,15 @@ def played() -> tuple[Answer, surrogate.Surrogate]:
     made = surrogate.surrogate(found, **FEW)
     assert made is not None
     return found, made
+
+
+def in_node(program, *inputs):
+    node = shutil.which("node")
+    if node is None:
+        pytest.skip("no node on PATH: the arithmetic of the page is not run")
+    code = (resources.files("rvjax.commands.report") / "live.js").read_text("utf-8")
+    run = "const input = JSON.parse(require('fs').readFileSync(0, 'utf-8'));\n"
+    command = [node, "-e", f"{code}\n{run}console.log(JSON.stringify((() => {{{program}}})()));"]
+    done = subprocess.run(command, input=json.dumps(inputs), capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)

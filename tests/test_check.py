@@ -67,7 +67,7 @@ def test_what_is_far_from_every_known_reducer_is_said(old, new, words):
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ('"15 rpm"', '"15000 rpm"', "duty[0].output_speed = 1571 rad/s: known reducers have up to 7.854 rad/s"),
+        ('"15 rpm"', '"15000 rpm"', "duty[0].output_speed = 1.5e+04 r/min: known reducers have up to 75 r/min"),
         ('= "412 N m"\noutput_speed', '= "-412 kN m"\noutput_speed', "duty[0].output_torque = 412 kN m"),
         (
             "[conditions]", '[design.bearings.arm]\ncapacity = "31000 kN"\n[conditions]',

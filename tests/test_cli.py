@@ -5,12 +5,14 @@ import json
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 from cli_study import SMALL
 
 import rvjax
 from rvjax import cli, commands, published
+from rvjax._ground.files import write_atomically
 
 
 @pytest.mark.parametrize(
@@ -45,6 +47,22 @@ def test_bad_input_is_one_line_and_exit_code_2(here, capsys, arguments, words):
         assert word in message
     assert "Traceback" not in captured.err and captured.out == ""
     assert sorted(here.rglob("*")) == before
+
+
+def test_a_folder_without_permission_is_named_and_not_its_trial_file(here, monkeypatch, capsys):
+    """Also where the right to write is lost during the run; who runs the tests may write everywhere."""
+
+    def refused(self, *_, **__):
+        raise PermissionError(13, "Permission denied", str(self))
+
+    (here / "good.toml").write_text(SMALL)
+    monkeypatch.setattr(Path, "touch", refused)
+    assert cli.main(["allocate", "good.toml", "--results", "mine/first", "--quiet"]) == 2
+    said = capsys.readouterr().err
+    assert said == f"rvjax: error: mine/first: cannot be written in {here} (Permission denied)\n"
+    monkeypatch.setattr(Path, "write_bytes", refused)
+    with pytest.raises(PermissionError, match=rf"page\.html: cannot be written in {here} \(Permission denied\)$"):
+        write_atomically(here / "page.html", b"")
 
 
 def test_version_and_module_entry():

@@ -23,7 +23,7 @@ from rvjax.commands.allocate.forecast import (
     SEARCHING,
     solved_units,
 )
-from rvjax.render import Report, results_folder, write_files
+from rvjax.render import Report, folders, results_folder, write_files
 
 pytestmark = pytest.mark.usefixtures("answers")
 
@@ -107,7 +107,7 @@ def test_allocate_writes_tables_and_pictures(answered):
 
 
 def test_allocate_tells_machines_what_it_wrote(answered, here, monkeypatch, capsys):
-    monkeypatch.setattr(rvjax.render, "write_files", lambda files, folder: folder)  # as written by the test above
+    monkeypatch.setattr(rvjax.render, "write_files", lambda files, folder, **_: folder)  # as written by the test above
     (here / "small.toml").write_text(SMALL)
     assert cli.main(["allocate", "small.toml", "--quiet", "--results", "new", "--format", "json"]) == 0
     told = json.loads(capsys.readouterr().out)
@@ -155,6 +155,43 @@ def test_an_unchanged_study_is_answered_from_its_folder(answered, undrawn, here,
         assert "computed anew" in capsys.readouterr().err
     assert again._names_files({"tolerances": {"x": {"values": [{"file": "a.csv"}]}}})
     assert not again._names_files({"tolerances": {"x": {"values": [1, "file"]}}})
+
+
+def test_a_fresh_result_takes_the_place_of_the_stored_one(answers, undrawn, here, capsys, monkeypatch):
+    """Of the same study only; files of the user stay, the page of the old result does not; nothing on failure."""
+    (here / "small.toml").write_text(SMALL)
+    command = ["allocate", "small.toml", "--quiet"]
+    assert cli.main(command) == 0
+    place = here / "results" / "small"
+    written = sorted(path.name for path in place.iterdir())
+    (place / "notes.txt").write_text("of the user")
+    (place / "report.html").write_text("of the old result")
+
+    def stale():
+        (place / "summary.txt").write_text("old")
+
+    def fails(*_, **__):
+        raise OSError("disk full")
+
+    for owner, name in ((rvjax.commands.allocate.answer, "answer"), (Report, "json"), (folders.os, "replace")):
+        stale()
+        with monkeypatch.context() as patch:
+            patch.setattr(owner, name, fails)
+            assert cli.main([*command, "--fresh"]) == 2 and "disk full" in capsys.readouterr().err
+        assert (place / "summary.txt").read_text() == "old" and (place / "notes.txt").exists(), name
+        assert [path.name for path in place.parent.iterdir() if "part" not in path.name] == ["small"], name
+    for more in ([], ["--results", "results/small"]):
+        stale()
+        assert cli.main([*command, "--fresh", *more]) == 0
+        assert "Results: results/small\n" in capsys.readouterr().out
+        assert "OPTIMAL" in (place / "summary.txt").read_text()
+        assert sorted(path.name for path in place.iterdir()) == sorted([*written, "notes.txt"])
+        assert [path.name for path in place.parent.iterdir()] == ["small"]
+    (here / "small.toml").write_text(SMALL + "\n")  # another study of that name
+    answers[SMALL + "\n"] = answers[SMALL]
+    assert cli.main([*command, "--fresh", "--results", "results/small"]) == 2
+    assert "exists already" in capsys.readouterr().err
+    assert cli.main([*command, "--fresh"]) == 0 and "Results: results/small-2\n" in capsys.readouterr().out
 
 
 def test_an_answer_solves_about_as_many_units_as_check_tells(answers, answered):

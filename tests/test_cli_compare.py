@@ -21,16 +21,25 @@ def test_two_answers_side_by_side(answered, answers, here, capsys):
     other |= {"seed": 7, "status": "NOT_CERTIFIED"}
     (here / "b.json").write_text(json.dumps(other))
     assert cli.main(["compare", str(out), "b.json"]) == 0
-    lines = [re.split(r"\s{2,}", line.strip()) for line in capsys.readouterr().out.splitlines()]
+    said = capsys.readouterr().out
+    cost = other["cost"]["after"]
+    assert said.splitlines()[:5] == [
+        f"A: {out}",
+        "B: b.json",
+        "",
+        f"A: OPTIMAL, cost {cost:.3f}",
+        f"B: NOT_CERTIFIED, cost {cost:.3f}",
+    ]
+    lines = [re.split(r"\s{2,}", line.strip()) for line in said.splitlines()]
     rows = {line[0]: line[1:] for line in lines}
     assert rows["verdict"] == ["OPTIMAL", "NOT_CERTIFIED", "differs"]
-    assert rows["seed"] == ["0", "7", "differs"] and rows["study"] == ["small", "small"]
-    assert rows["version of rvjax"] == [rvjax.__version__] * 2
+    assert rows["seed"] == ["0", "7", "differs"] and "study" not in rows
     assert rows["crank_phase, half-width"][2] == "+25.0 %"
-    assert rows["pin_radius, half-width"] == ["2 um", "-", "differs"]
-    assert rows["bearing_clearance, middle"] == ["8 um", "8 um"]
-    assert rows["misfit, limits"] == ["<= 30 um"] * 2
+    assert "\nErrors only in A: pin_radius\n" in said and "pin_radius, half-width" not in rows
     assert rows["misfit, Cpk"][1:] == ["-", "differs"]
+    same = said.partition("The same in both:\n")[2].splitlines()
+    assert "  tolerances before: all" in same and "  variance of misfit, after: all" in same
+    assert any(line.startswith("  requirements: ") for line in same) and "misfit, limits" not in rows
     assert cli.main(["compare", str(out), "b.json", "--format", "json"]) == 0
     found = json.loads(capsys.readouterr().out)
     half = answers[SMALL].allocation.tolerances.crank_phase.half_width
@@ -38,11 +47,27 @@ def test_two_answers_side_by_side(answered, answers, here, capsys):
     assert phase == {"unit": "rad", "a": pytest.approx(half), "b": pytest.approx(1.25 * half), "same": False}
     seen = found["variance of misfit, after"]["crank_phase"]
     assert seen == {"unit": "share", "a": share, "b": share, "same": True}
-    assert found["cost"]["after"]["same"] is True
+    assert found["cost"]["after"]["same"] is True and found["requirements"]["misfit, limits"]["a"] == "<= 30 um"
+    assert found["tolerances after"]["pin_radius, half-width"]["b"] is None
+    assert found["run"]["version of rvjax"]["a"] == rvjax.__version__
     written = csv.DictReader((out / "tolerances.csv").read_text().splitlines())
     total = sum(float(row["cost after"] or 0) for row in written)
     assert found["cost"]["after"]["a"] == pytest.approx(total, rel=1e-12)
     assert 0 < found["cost"]["moved middles, after"]["a"] < total
+
+
+def test_requirements_of_one_side_are_a_line(answered, here, capsys):
+    """The other side names its requirement and has its own shares of variance; nothing else differs."""
+    _, out = answered
+    other = json.loads((out / "result.json").read_text())
+    for table in (other["certificate"]["verdicts"], other["limits"], other["shares"]["after"]):
+        table["life"] = table.pop("misfit")
+    other["limits"]["life"] = ">= 6000 h"
+    (here / "b.json").write_text(json.dumps(other))
+    assert cli.main(["compare", str(out), "b.json"]) == 0
+    said = capsys.readouterr().out
+    assert "\nRequirements only in A: misfit (<= 30 um)\nRequirements only in B: life (>= 6000 h)\n" in said
+    assert len(re.findall(r"\b(?:misfit|life)\b", said)) == 2 and "differs" not in said
 
 
 @pytest.mark.parametrize("content", [None, "{", "[]", '{"study": 1}', "\0"])

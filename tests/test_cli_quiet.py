@@ -1,4 +1,7 @@
-"""Nothing of a library on the terminal: each command runs once, and again with kept programs. A job of the workflow."""
+"""What a terminal shows: nothing of a library, and no line beyond its width. A job of the workflow.
+
+Each command runs once, and again with kept programs.
+"""
 
 import os
 import re
@@ -49,17 +52,29 @@ COMMANDS = {
 }
 LOUD = ("check", "reproduce")  # without the option --quiet
 RUN = """
+import contextlib
+import io
+import os
 import sys
 import jax
 import functools
 from rvjax import cli, published
 published.reproduce = functools.partial(published.reproduce, ("rv20e",))  # the others take a minute
+class Terminal(io.StringIO):
+    def isatty(self):
+        return True
+
+os.environ["COLUMNS"] = "80"
 hits = []
 jax.monitoring.register_event_listener(lambda event, **_: hits.append(event) if "cache_hits" in event else None)
 for run in (1, 2):  # the second one with what the first one kept: programs and traced functions
     for command, arguments in {commands!r}.items():
         print("begin", run, command, file=sys.stderr, flush=True)
-        code = cli.main([command, *arguments, *(["--quiet"] if command not in {loud!r} else [])])
+        with contextlib.redirect_stdout(Terminal()) as shown:
+            code = cli.main([command, *arguments, *(["--quiet"] if command not in {loud!r} else [])])
+        for line in shown.getvalue().split("\\n"):
+            if len(line) > 80:
+                print("too wide", command, line, file=sys.stderr)
         assert code == 0, (command, code)
     assert run == 1 or len(hits) > 5, hits
     hits.clear()

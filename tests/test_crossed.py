@@ -1,6 +1,7 @@
 """Answers judged by the question of another study: `rvjax compare A --on STUDY`."""
 
 import json
+import re
 
 import jax
 import numpy as np
@@ -8,10 +9,11 @@ import pytest
 
 from rvjax import cli, tolerances
 from rvjax._ground import progress
+from rvjax.commands.cells import met_text
 from rvjax.commands.compare import cost_of, put_into
 from rvjax.commands.compare.report import differences
 from rvjax.study import load, parse_study
-from rvjax.tolerances import Tolerance
+from rvjax.tolerances import MeanWithin, Requirement, Tolerance
 from rvjax.units import um
 
 ANSWER = """
@@ -105,6 +107,7 @@ def test_an_answer_is_judged_by_another_study(folder, capsys, monkeypatch):
     assert cli.main(["compare", "a", "--on", "judge.toml"]) == 0
     told = capsys.readouterr().out
     for words in (
+        "\nA on judge: all requirements met\n",
         f"{100 * good:.3f} % [",
         "+-9.00 um",
         "A: answer has no tolerance for crank_eccentricity: the tolerances of judge are used",
@@ -114,6 +117,35 @@ def test_an_answer_is_judged_by_another_study(folder, capsys, monkeypatch):
         "all at once",
     ):
         assert words in told, words
+
+
+def test_too_few_units_show_nothing_rather_than_the_contrary(folder, capsys):
+    """The target lies between the estimate of 200 units and the lower end of its interval; then above both."""
+    for samples, target, due in ((200, "below", "not shown with 200 units"), (200, "above", "not met")):
+        command = ["compare", "a", "--on", "judge.toml", "--samples", str(samples)]
+        assert cli.main([*command, "--format", "json"]) == 0
+        found = json.loads(capsys.readouterr().out)["on"]["answers"]["a"]["certificate"]["yield_"]["misfit"]
+        goal = found["value"] + (-0.25 if target == "below" else 0.25) * (found["value"] - found["lower"])
+        (folder.parent / "judge.toml").write_text(JUDGE.replace("target = 0.5", f"target = {goal}"))
+        assert cli.main(command) == 0
+        told = capsys.readouterr().out
+        assert f"\nA on judge: {due}: misfit\n" in told and re.search(rf"\] +{due}$", told, re.M)
+        (folder.parent / "judge.toml").write_text(JUDGE)
+
+
+def test_what_is_met_is_said_of_every_kind_of_requirement():
+    """The case of a user: 99.500 % [98.835, 99.786] for 99 %. Too many failed units are no matter of the interval."""
+    share = tolerances.Estimate(0.995, 0.002, 0.98835, 0.99786)
+    mean = tolerances.Estimate(9.0, 1.0, 7.0, 11.0)
+    for need, estimate, met, due in (
+        (Requirement(upper=1.0, target=0.99), share, False, "not shown with 1,000 units"),
+        (Requirement(upper=1.0, target=0.98), share, True, "met"),
+        (Requirement(upper=1.0, target=0.996), share, False, "not met"),
+        (MeanWithin(upper=10.0), mean, False, "not shown with 1,000 units"),
+        (MeanWithin(upper=8.0), mean, False, "not met"),
+        (MeanWithin(upper=12.0), mean, False, "not met"),  # failed units
+    ):
+        assert met_text(need, tolerances.Verdict("", "", estimate, met), 1000) == due
 
 
 def test_what_cannot_be_judged_is_one_line(folder, capsys):

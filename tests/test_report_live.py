@@ -11,11 +11,10 @@ import re
 import shutil
 import subprocess
 import tomllib
-from importlib import resources
 
 import numpy as np
 import pytest
-from live_study import PLAY, played
+from live_study import PLAY, in_node, played
 
 import rvjax
 from rvjax import study, tolerances
@@ -49,18 +48,6 @@ def test_the_page_carries_numbers_of_its_own(answered):
     assert f"{100 * made.error('yield'):.2g} %" in numbers["error"]
     hostile = dataclasses.replace(found, study=dataclasses.replace(found.study, name="</script><script>alert(1)"))
     assert live.script(made, hostile).count("<") == live.script(made, found).count("<")
-
-
-def in_node(program, *inputs):
-    node = shutil.which("node")
-    if node is None:
-        pytest.skip("no node on PATH: the arithmetic of the page is not run")
-    code = (resources.files("rvjax.commands.report") / "live.js").read_text("utf-8")
-    run = "const input = JSON.parse(require('fs').readFileSync(0, 'utf-8'));\n"
-    command = [node, "-e", f"{code}\n{run}console.log(JSON.stringify((() => {{{program}}})()));"]
-    done = subprocess.run(command, input=json.dumps(inputs), capture_output=True, text=True, timeout=60, check=False)
-    assert done.returncode == 0, done.stderr
-    return json.loads(done.stdout)
 
 
 def test_a_change_that_rounds_to_nothing_has_no_sign():
@@ -173,29 +160,18 @@ upper = '1 arcmin'
         PLAY.replace("\n", "\r\n"),
         SAID_OTHERWISE,
         PLAY.replace('half_width = "3 um"', '"half_width" = "3 um"'),
-        *(
-            (study.read.EMBEDDED / f"{name}.toml").read_text("utf-8")
-            for name in study.embedded_names()
-            if name not in ("rv-40e-whole", "rv-40e-design")  # words of drawings
-        ),
+        *((study.read.EMBEDDED / f"{name}.toml").read_text("utf-8") for name in study.embedded_names()),
     ],
 )
 def test_any_way_to_say_a_study_can_be_written_again(text):
     question = study.parse_study(text, name="x", solve=False)
     parts = rewrite.template(text, question.requirements, question.fields)
     own = "".join(part if isinstance(part, str) else part["own"] for part in parts)
-    assert tomllib.loads(own) == tomllib.loads(text)
+    assert tomllib.loads(own) == tomllib.loads(text) == tomllib.loads(rewrite.canonical(tomllib.loads(text)))
     gaps = [part for part in parts if not isinstance(part, str)]
     assert len(gaps) == len(question.fields) + len(question.requirements)
     if text is not SAID_OTHERWISE and '"half_width"' not in text:
         assert own.splitlines() == text.splitlines()  # comments and all
-
-
-def test_the_words_of_drawings_are_left_to_the_file():
-    question = study.load("rv-40e-whole", solve=False)
-    assert rewrite.template(question.text, question.requirements, question.fields) is None
-    tables = tomllib.loads(question.text)
-    assert tables["duty"] and tomllib.loads(rewrite.canonical(tables)) == tables  # phases of a duty too
 
 
 def browser():

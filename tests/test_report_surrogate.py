@@ -26,7 +26,13 @@ def made(response, upper):
     names = ["eccentricity", "pin_radius", "carrier_bore"]
     return SimpleNamespace(
         study=SimpleNamespace(
-            requirements=required, response=lambda: response, fields=names, tolerances=FIELDS, seed=0, middles={}
+            requirements=required,
+            response=lambda: response,
+            fields=names,
+            tolerances=FIELDS,
+            seed=0,
+            middles={},
+            forms={},
         ),
         after=SimpleNamespace(tolerances=FIELDS, values=kept.values, seed=2),
         allocation=SimpleNamespace(certificate=certificate),

@@ -177,6 +177,9 @@ def test_a_published_design_keeps_its_numbers_until_they_are_changed():
         ),
         ("seed = 0", "sead = 0", ["run.sead"]),
         ("[run]", "[runs]", ["[runs]"]),
+        ("seed = 0", "seed = 6,5", ["TOML", "line", "decimals are written with a point: 6.5"]),
+        ("target = 0.9973", 'target = "0,99"', ["target = '0,99'", "with a point: 0.99"]),
+        ('half_width = "5 arcmin"', "half_width = 5,5 arcmin", ["TOML", "decimals are written with a point: 5.5"]),
         ("[design]", "[design", ["TOML", "line"]),
         ("[design]", "[design]\nbase = 3 #", ["TOML"]),
     ],
@@ -195,6 +198,11 @@ def test_missing_files_and_names(tmp_path):
         study.load(str(tmp_path / "absent.toml"))
     with pytest.raises(FileNotFoundError, match="rv-40e"):
         study.load("rv-41e")
+    with pytest.raises(FileNotFoundError, match=r"is a folder; it contains no study.toml$"):
+        study.load(str(tmp_path))
+    (tmp_path / "study.toml").write_text(GOOD)
+    with pytest.raises(FileNotFoundError, match=rf"^{tmp_path}: is a folder; its study is {tmp_path}/study.toml$"):
+        study.load(str(tmp_path))
     (tmp_path / "binary.toml").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(StudyError, match="cannot be read"):
         study.load(str(tmp_path / "binary.toml"))

@@ -30,6 +30,8 @@ def test_multipliers():
         ("600 N/µm", "N/m", 6e8),
         ("5 N/mm", "N/m", 5e3),
         ("1 kg m²", "kg m2", 1.0),
+        ("15 r/min", "rad/s", math.pi / 2),
+        ("15 rpm", "rad/s", math.pi / 2),
     ],
 )
 def test_parse(text, unit, value):
@@ -41,7 +43,11 @@ def test_parse(text, unit, value):
     [
         ("3.5 kg", "m", "unit 'kg' is not one of m, mm, um"),
         ("mm 3.5", "m", "a number, a space and a unit"),
-        ("3,5 mm", "m", "decimals are written with a point"),
+        ("3,5 mm", "m", 'decimals are written with a point: "3.5 mm"'),
+        ("6,5", "-", "'6,5': must be a plain finite number; decimals are written with a point: 6.5$"),
+        ("6000 hours", "s", r"unit 'hours' \(did you mean h\?\) is not one of s, h"),
+        ("3 microns", "m", r"unit 'microns' \(did you mean um\?\)"),
+        ("15 rev/min", "rad/s", r"unit 'rev/min' \(did you mean r/min\?\)"),
         ("1 000 mm", "m", "a number, a space and a unit"),
         ("3.5", "m", "unit '' is not one of"),
         (3.5, "m", "needs a unit"),

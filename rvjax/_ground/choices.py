@@ -43,6 +43,11 @@ def choose(where: str, word: object, words: Iterable[str]) -> str:
 
 
 def meant(word: object, words: Iterable[str]) -> str:
-    """Return the nearest of the words in brackets, at most three; "" where none is near."""
+    """Return the nearest of the words in brackets, at most three; "" where none is near.
+
+    Args:
+        word: as given.
+        words: that are allowed.
+    """
     near = difflib.get_close_matches(str(word)[:_LONGEST], list(words), 3)
     return f" (did you mean {' or '.join(near)}?)" if near else ""

@@ -44,8 +44,28 @@ def check_writable(path: Path) -> None:
         raise NotADirectoryError(f"{path}: {folder} is not a folder")
     trial = folder / (path.name + PARTIAL)  # the name itself may be too long, the disk read-only
     if not trial.exists():
-        trial.touch()
-        trial.unlink()
+        with naming(path, folder):
+            trial.touch()
+            trial.unlink()
+
+
+@contextlib.contextmanager
+def naming(path: Path, folder: Path) -> Iterator[None]:
+    """Errors of the system name a file that is to be written, and not the scratch file next to it.
+
+    Args:
+        path: of the file.
+        folder: that the scratch file is in.
+
+    Raises:
+        OSError: of the same kind.
+    """
+    try:
+        yield
+    except OSError as error:
+        if error.strerror is None:
+            raise
+        raise type(error)(f"{path}: cannot be written in {folder} ({error.strerror})") from None
 
 
 def write_atomically(path: Path, content: bytes) -> None:
@@ -74,10 +94,11 @@ def replacing(path: Path) -> Iterator[Path]:
     """
     partial = path.with_name(f"{path.name}.{os.getpid()}{PARTIAL}")  # two processes never share one
     try:
-        yield partial
-        with partial.open("rb+") as file:
-            os.fsync(file.fileno())
-        partial.replace(path)
+        with naming(path, path.absolute().parent):
+            yield partial
+            with partial.open("rb+") as file:
+                os.fsync(file.fileno())
+            partial.replace(path)
     except BaseException:
         partial.unlink(missing_ok=True)
         raise

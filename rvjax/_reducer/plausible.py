@@ -16,7 +16,7 @@ from rvjax import catalogue
 from rvjax._jax import arguments
 from rvjax._reducer import flank
 from rvjax.records import PyTree, Scalar, concrete
-from rvjax.units import suited
+from rvjax.units import rpm, suited
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -162,13 +162,13 @@ def walk(record: "DataclassInstance", prefix: str = "") -> Iterator[tuple[str, P
 
 
 def shown(value: Scalar, unit: str) -> str:
-    """A number with the largest unit in which it is at least one.
+    """A number with the largest unit in which it is at least one; a speed in revolutions per minute.
 
     Args:
         value: SI.
         unit: its SI unit.
     """
-    name, size = suited(float(value), unit)
+    name, size = ("r/min", rpm) if unit == "rad/s" else suited(float(value), unit)
     return f"{float(value) / size:.4g} {name}" if unit != "-" else f"{float(value):.4g}"
 
 

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from rvjax import commands as listed
+from rvjax._ground.lines import refilled, terminal_width
 from rvjax.commands import EXIT_BAD_INPUT, EXIT_OK, run, say
 
 
@@ -60,7 +61,7 @@ def _parser() -> argparse.ArgumentParser:
     import rvjax
 
     about = tomllib.loads((resources.files("rvjax.cli") / "cli.toml").read_text("utf-8"))
-    as_written = argparse.RawDescriptionHelpFormatter
+    as_written = _Formatter
     parser = argparse.ArgumentParser("rvjax", None, about["description"], about["epilog"], formatter_class=as_written)
     parser.add_argument("--version", action="version", version=f"rvjax {rvjax.__version__}")
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
@@ -75,6 +76,14 @@ def _parser() -> argparse.ArgumentParser:
             kind = {"type": types[option["type"]]} if "type" in option else {}
             subparser.add_argument(flag, **{"help": argparse.SUPPRESS} | option | kind)
     return parser
+
+
+class _Formatter(argparse.RawDescriptionHelpFormatter):
+    """Descriptions as they are written; on a terminal, in lines that fit."""
+
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        columns = terminal_width()
+        return super()._fill_text(text if columns is None else refilled(text, columns), width, indent)
 
 
 def _count(text: str) -> int:

@@ -3,19 +3,35 @@
 import math
 
 from rvjax.outputs import Output
-from rvjax.render import Quantity
+from rvjax.render import Quantity, Zone
 from rvjax.study import Study
 from rvjax.tolerances import Estimate, Limits, Statistics, Tolerance, Verdict
 
 
-def limits_of(tolerance: Tolerance, unit: str) -> Quantity:
-    """The limits of an error about its mid-point.
+def limits_of(study: Study, field: str, tolerance: Tolerance) -> Zone:
+    """The limits of an error, as the study states them: like a drawing, or about their mid-point.
 
     Args:
-        tolerance: of the error.
-        unit: SI unit of the error.
+        study: that the error belongs to.
+        field: name of the error.
+        tolerance: of the error; not that of the study where it is allocated.
     """
-    return Quantity(float(tolerance.middle), unit, float(tolerance.lower), float(tolerance.upper))
+    ends = float(tolerance.middle), study.unit(field), float(tolerance.lower), float(tolerance.upper)
+    form = study.forms.get(field)
+    if form is None or not form.stated or (drawn := form.number(tolerance)) is None:
+        return Zone(*ends)
+    return Zone(*ends, stated=form.stated, drawn=drawn)
+
+
+def stated_by(study: Study, field: str) -> tuple[str, float]:
+    """The words that state a tolerance, and their number in half-widths: ("half-width", 1), ("runout", 4).
+
+    Args:
+        study: that the error belongs to.
+        field: name of the error.
+    """
+    form = study.forms.get(field)
+    return (form.stated, form.half_widths) if form is not None and form.stated else ("half-width", 1.0)
 
 
 def limit_text(requirement: Limits, output: Output) -> str:
@@ -49,6 +65,21 @@ def evaluated(verdict: Verdict, output: Output) -> Quantity:
     return Quantity.of(verdict.estimate)
 
 
+def met_text(requirement: Limits, verdict: Verdict, samples: int) -> str:
+    """Text on a requirement: met, not met, or met by the estimate while the interval of so few units is too wide.
+
+    Args:
+        requirement: as required.
+        verdict: on it.
+        samples: units behind the verdict.
+    """
+    one, value = verdict.estimate, verdict.estimate.value
+    if verdict.met:
+        return "met"
+    unsure = requirement.holds(Estimate(value, 0.0, value, value)) and not requirement.holds(one)
+    return f"not shown with {samples:,} units" if unsure else "not met"
+
+
 def failures_text(found: Statistics) -> str:
     """Text on failed units: number, statuses, and one unit of each status."""
     if not found.failed:
@@ -57,10 +88,18 @@ def failures_text(found: Statistics) -> str:
     return f"{found.failed:,} failed, each a reject in every yield: {', '.join(kinds)}"
 
 
-def limits_data(tolerance: Tolerance) -> dict[str, object]:
-    """Limits and distribution of a tolerance as JSON values, SI."""
+def limits_data(study: Study, field: str, tolerance: Tolerance) -> dict[str, object]:
+    """Limits and distribution of a tolerance as JSON values, SI, with form and number of the drawing if it has them.
+
+    Args:
+        study: that the error belongs to.
+        field: name of the error.
+        tolerance: of the error.
+    """
     lower, upper, cp, shift = (float(getattr(tolerance, name)) for name in ("lower", "upper", "cp", "shift"))
-    return {"lower": lower, "upper": upper, "distribution": tolerance.distribution, "cp": cp, "shift": shift}
+    zone = limits_of(study, field, tolerance)
+    drawn = {} if zone.drawn is None else {"form": zone.stated, "drawing": zone.drawn}
+    return {"lower": lower, "upper": upper, "distribution": tolerance.distribution, "cp": cp, "shift": shift, **drawn}
 
 
 def assumed_text(study: Study) -> str:

@@ -13,6 +13,7 @@ from types import ModuleType
 from typing import Any
 
 from rvjax._ground import progress
+from rvjax._ground.lines import terminal_width, wrapped
 from rvjax._ground.sections import Reader
 from rvjax.commands.speak import EXIT_NO_ANSWER, EXIT_OK, READING, WRITING, say
 
@@ -45,8 +46,8 @@ def section(table: str) -> Reader | None:
 def run(name: str, options: argparse.Namespace) -> int:
     """Run a command; returns the exit code.
 
-    `inputs.inputs(options)` checks everything before any work; its result may have a `folder` for the results and a
-    `memo` of an interrupted run.
+    `inputs.inputs(options)` checks everything before any work; its result may have a `folder` for the results, `over`
+    whether they take the place of those in it, and a `memo` of an interrupted run.
     `compute.compute(inputs)` works, in phases that `compute.phases(inputs)` lists with their expected seconds, if it
     has any; `compute.COUNTED` is the phase that reports which part of it is done.
     `report.report(inputs, found)` describes what was found.
@@ -64,15 +65,16 @@ def run(name: str, options: argparse.Namespace) -> int:
         options.begun = lambda: memo.folder if memo.folder.exists() else None
     folder, quiet = getattr(inputs, "folder", None), getattr(inputs, "quiet", getattr(options, "quiet", True))
     as_json = options.format == "json" or getattr(options, "json", None) is True  # `--json` that names no file
+    width = terminal_width()
     phases = work.phases(inputs) if hasattr(work, "phases") else {}
     with progress.shown(phases, counted=getattr(work, "COUNTED", ""), quiet=quiet):
         progress.begin(READING)
         found = report(inputs, work.compute(inputs))
         if not as_json and found.content:  # before the folder is made, which may fail
-            say(found.text() if found.brief is None else found.brief)
+            say(found.text(width) if found.brief is None else wrapped(found.brief, width))
         if folder is not None:
             progress.begin(WRITING)
-            folder = write_files(found.folder(), folder)
+            folder = write_files(found.folder(), folder, over=getattr(inputs, "over", False))
     for path, content in found.exports.items():
         write_atomically(path, content)
     if memo is not None:
@@ -82,5 +84,5 @@ def run(name: str, options: argparse.Namespace) -> int:
         more = dict(found.told) | {name: str(path) for name, path in wrote.items()}
         print(json.dumps(plain(found.data | more if more else found.data), indent=1, allow_nan=False))
     elif closing := [*found.closing, *(f"{'' if found.main else chr(10)}{n.title()}: {p}" for n, p in wrote.items())]:
-        say("\n".join(closing))
+        say(wrapped("\n".join(closing), width))
     return EXIT_OK if found.ok else EXIT_NO_ANSWER

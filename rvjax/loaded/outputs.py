@@ -237,7 +237,8 @@ DESCRIPTION = Description(
     ),
     cases=cases,
     observations=(CURVE, LOOP),
-    unknown="friction, inertia, tilting; errors without a place (pin position, runout and pitch as bounds)",
+    unknown="friction, inertia, tilting; pin_position, disc_runout and disc_cumulative_pitch (largest errors without "
+    "direction: give pin_offset, disc_centre and disc_pitch)",
     compiler_options=QUICK,
     costly=True,
 )  # fmt: skip

@@ -77,6 +77,7 @@ def for_design(design: Design, **tolerances: Tolerance | None) -> PyTree:
     """
     cls, filled = design.error_record, {}
     declared = {f.name: f.metadata["shape"] for f in dataclasses.fields(cls)}
+    signs = {f.name: f.metadata["sign"] for f in dataclasses.fields(cls)}
     for name in tolerances:
         if name not in declared:
             raise unknown(f"{cls.__name__} has no field {name!r}", name, sorted(declared), "; it has")
@@ -94,7 +95,7 @@ def for_design(design: Design, **tolerances: Tolerance | None) -> PyTree:
                 )
             # An axis of two cranks is no vector; only a literal 2 in the record is [radial, tangential].
             vector = bool(axes) and axes[-1] == 2
-            tolerance = tolerance.replace(shape=sizes, vector=vector)
+            tolerance = tolerance.replace(shape=sizes, vector=vector, clearance=signs[name] == "nonnegative")
             tolerance.law.check_field(name, tolerance)
         filled[name] = tolerance
     return cls(**filled)

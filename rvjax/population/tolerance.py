@@ -10,6 +10,7 @@ import dataclasses
 import hashlib
 import math
 import operator
+import warnings
 from typing import Any, Self, cast
 
 import jax
@@ -106,6 +107,7 @@ class Tolerance(Record):
     size: Scalar | None = field("m", "nominal size of the part, for grades", sign="positive")
     shape: tuple[int, ...] = text("shape of the error, () is a scalar")
     vector: bool | None = text("last axis is [radial, tangential]; None: if its length is 2")
+    clearance: bool = text("a clearance, which cannot be negative")
 
     def __init__(
         self,
@@ -119,6 +121,7 @@ class Tolerance(Record):
         size: Scalar | None = None,
         shape: tuple[int, ...] = (),
         vector: bool | None = None,
+        clearance: bool = False,
         **parameters: object,
     ) -> None:
         """Limits and a distribution.
@@ -133,6 +136,7 @@ class Tolerance(Record):
             size: nominal size of the part, m, for grades.
             shape: of the error, () is a scalar.
             vector: whether the last axis is [radial, tangential]; None: if its length is 2.
+            clearance: whether the error is a clearance; a half-width that makes it negative gives a warning.
             **parameters: that belong to the distribution alone: `beta`, `log_sd`, `concentration`, `direction`,
                 `spectrum`, `values`.
 
@@ -141,7 +145,8 @@ class Tolerance(Record):
         """
         law = distribution_of(distribution, parameters)
         values = dict(lower=lower, upper=upper, law=law, cp=cp, shift=shift)
-        for name, value in (values | dict(batch=batch, size=size, shape=shape, vector=vector)).items():
+        given = dict(batch=batch, size=size, shape=shape, vector=vector, clearance=clearance)
+        for name, value in (values | given).items():
             object.__setattr__(self, name, value)
         self.__post_init__()
 
@@ -200,7 +205,18 @@ class Tolerance(Record):
         return self.law.of_vectors and (last_is_pair if self.vector is None else self.vector)
 
     def with_half_width(self, half_width: Scalar) -> Self:
-        """The same distribution scaled about the mid-point of its limits, or about its start; shift and cp stay."""
+        """The same distribution scaled about the mid-point of its limits, or about its start; shift and cp stay.
+
+        Warns of a clearance that would be negative.
+        """
+        made = self.scaled(half_width)
+        if self.clearance and concrete(made.lower, made.upper) and made.lower < -1e-12 * made.half_width:
+            limits = f"limits from {made.lower:.6g} on, but a clearance cannot be negative"
+            warnings.warn(f"Tolerance.half_width = {half_width:.6g}: {limits}", stacklevel=2)
+        return made
+
+    def scaled(self, half_width: Scalar) -> Self:
+        """As `with_half_width`, without a warning: for what is only looked at."""
         return self.replace(**self.law.scaled(self, half_width))
 
     def deviate(self, z: jax.Array) -> Array:

@@ -67,6 +67,42 @@ class Quantity:
         return f"{said} [{self.lower / size:{form}}, {self.upper / size:{form}}]"
 
 
+@dataclass(frozen=True)
+class Zone(Quantity):
+    """Limits of an error, and how a drawing states them.
+
+    Attributes:
+        value: mid-point of the limits, SI.
+        unit: SI unit.
+        lower: lower limit, SI.
+        upper: upper limit, SI.
+        read_in: unit in which a person reads it; None: the usual one.
+        form: format of its numbers; not used.
+        stated: words of a drawing before its number, such as "runout"; "" for limits.
+        drawn: number of the drawing, SI; None for limits.
+    """
+
+    stated: str = ""
+    drawn: float | None = None
+
+    def text(self, form: str = ".2f", *, named: bool = True) -> str:
+        """As a drawing states it: "runout 7.5 um", "+-3.00 um" or "8.00 +-4.00 um".
+
+        Args:
+            form: format of limits.
+            named: with the name of the unit.
+        """
+        assert self.lower is not None and self.upper is not None
+        name, size = self.shown
+        unit = f" {name}" if named else ""
+        if self.drawn is not None and self.stated:
+            found = self.drawn / size
+            return f"{self.stated} {found:{'.1f' if found >= 1 else '.2g'}}{unit}"
+        middle, half = (self.upper + self.lower) / 2 / size, (self.upper - self.lower) / 2 / size
+        about = "" if abs(middle) < 1e-9 * abs(half) else f"{middle:{form}} "
+        return f"{about}+-{half:{form}}{unit}"
+
+
 def number(value: Scalar | None, size: float = 1.0) -> float | None:
     """Number with ten digits in a unit; None if it is not finite.
 

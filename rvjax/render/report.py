@@ -10,9 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
+from rvjax._ground.lines import wrapped
 from rvjax.records import PyTree
 from rvjax.render.content import Block, Content, Note, Section
 from rvjax.render.figure import Figure
+from rvjax.render.folders import PAGE_FILE
 from rvjax.render.table import CSV, TEXT, Table
 
 
@@ -54,10 +56,14 @@ class Report:
         """Paragraphs, tables and figures in reading order, those of sections too."""
         yield from _flat(self.content)
 
-    def text(self) -> str:
-        """Text of the report, with an empty line between paragraphs and tables."""
+    def text(self, width: int | None = None) -> str:
+        """Text of the report, with an empty line between paragraphs and tables.
+
+        Args:
+            width: characters of a line of a terminal; None: as in files.
+        """
         parts = (part for part in self.parts() if not isinstance(part, Figure) and TEXT in part.on)
-        return "\n\n".join(part.text() if isinstance(part, Table) else part.text for part in parts)
+        return "\n\n".join(part.text(width) if isinstance(part, Table) else wrapped(part.text, width) for part in parts)
 
     def json(self) -> PyTree:
         """The report as JSON values."""
@@ -72,7 +78,7 @@ class Report:
         yield from ((f"{part.name}.csv", part.csv()) for part in parts if isinstance(part, Table) and CSV in part.on)
         yield from ((f"{part.name}.png", part.content()) for part in parts if isinstance(part, Figure))
         if self.page is not None:
-            yield "report.html", self.html().encode()
+            yield PAGE_FILE, self.html().encode()
 
     def html(self) -> str:
         """The page: one file that needs no other."""

@@ -5,13 +5,18 @@ A column turns a cell into one text and into one or several numbers. None is the
 
 import csv
 import io
+import itertools
 import math
-from collections.abc import Iterable, Sequence
+import re
+import textwrap
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from rvjax.render.quantity import Quantity
+from rvjax._ground.lines import wrapped
+from rvjax.render.quantity import Quantity, Zone, number
 
+GAP = "  "  # between columns
 TEXT, CSV, PAGE = "text", "csv", "page"
 EVERYWHERE = frozenset((TEXT, CSV, PAGE))
 """Media of a report: the terminal, a file of numbers, the HTML page."""
@@ -29,7 +34,7 @@ class Column:
         missing: text of a cell without a value.
         on: where the column is shown.
         file_title: header in the CSV file; None: the title.
-        wraps: the page may break a cell into lines, as prose.
+        wraps: cells are prose: page and terminal may break them into lines.
     """
 
     title: str
@@ -37,6 +42,11 @@ class Column:
     on: frozenset[str] = EVERYWHERE
     file_title: str | None = None
     wraps: bool = False
+
+    @property
+    def narrow(self) -> int:
+        """Characters to which cells may be broken where a table is too wide; 0: they may not."""
+        return 20 if self.wraps else 0
 
     def text(self, cell: Cell) -> str:
         """Text of the cell; words are not changed, also in a column of numbers."""
@@ -133,21 +143,19 @@ class Interval(Number):
 
 @dataclass(frozen=True)
 class Limits(Column):
-    """A column of limits: quantities whose ends are the limits of an error, "+-3.00 um" or "8.00 +-4.00 um"."""
+    """A column of limits of errors (`Zone`); in a file both ends, and the number of the drawing where it has one."""
+
+    @property
+    def narrow(self) -> int:
+        """The words of a drawing and its number may be on two lines."""
+        return 18
 
     def headers(self) -> list[str]:
         """Headers in a CSV file."""
-        return [f"{end} {self.title}" for end in ("lower", "upper")]
+        return [f"{part} {self.title}" for part in ("lower", "upper", "drawing")]
 
-    def _said(self, cell: Quantity) -> str:
-        assert cell.lower is not None and cell.upper is not None
-        name, size = cell.shown
-        middle, half = (cell.upper + cell.lower) / 2 / size, (cell.upper - cell.lower) / 2 / size
-        about = "" if abs(middle) < 1e-9 * abs(half) else f"{middle:.2f} "
-        return f"{about}+-{half:.2f} {name}"
-
-    def _given(self, cell: Quantity) -> list[Value]:
-        return list(cell.numbers()[1:])
+    def _given(self, cell: Zone) -> list[Value]:
+        return [*cell.numbers()[1:], number(cell.drawn, cell.shown[1])]
 
 
 @dataclass(frozen=True)
@@ -187,31 +195,114 @@ class Table:
         headers = [header for _, column in columns for header in column.headers()]
         return headers, [[value for k, c in columns for value in c.values(row[k])] for row in self.rows]
 
-    def text(self) -> str:
-        """The table as plain text with its caption and note."""
-        return "\n".join(filter(None, [self.caption, aligned(*self.texts()), self.note]))
+    def text(self, width: int | None = None) -> str:
+        """The table as plain text with its caption and note.
+
+        Args:
+            width: characters of a line; None: as wide as it is.
+        """
+        drawn = aligned(*self.texts(), width, [column for _, column in self.shown(TEXT)])
+        return "\n".join(filter(None, [wrapped(self.caption, width), drawn, wrapped(self.note, width)]))
 
     def csv(self) -> bytes:
         """The content of a CSV file."""
         return as_csv(*self.values())
 
 
-def aligned(headers: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+def aligned(
+    headers: Sequence[str], rows: Iterable[Sequence[str]], width: int | None = None, columns: Sequence[Column] = ()
+) -> str:
     """A plain text table: the first column left aligned, the others right aligned.
+
+    A table that is too wide becomes blocks of columns, each with the first column. A column without a title of its own
+    stays next to the one before.
 
     Args:
         headers: of the columns.
         rows: cells.
+        width: characters of a line; None: as wide as it is.
+        columns: what is known of each column; none where no cell may be broken into lines.
     """
-    cells = [list(headers), *(list(row) for row in rows)]
-    widths = [max(len(row[k]) for row in cells) for k in range(len(headers))]
-    lines = [
-        "  ".join(
-            cell.ljust(width) if k == 0 else cell.rjust(width) for k, (cell, width) in enumerate(zip(row, widths))
-        )
-        for row in cells
-    ]
-    return "\n".join([lines[0], "-" * len(lines[0]), *lines[1:]])
+    texts = [list(column) for column in zip(headers, *rows, strict=True)]
+    full = [max(map(len, column)) for column in texts]
+    left = [k == 0 for k in range(len(texts))]
+    if width is None or _total(full) <= width:
+        return "\n".join(_drawn(texts, full, left))
+    about = columns or [Text(title) for title in headers]
+    left = [k == 0 or column.wraps for k, column in enumerate(about)]
+    least = [_least(column, one.narrow) for column, one in zip(texts, about)]
+    blocks = [[0]]
+    for group in _groups(headers, lambda columns: _total([least[0], *(least[k] for k in columns)]) <= width):
+        if len(blocks[-1]) > 1 and _total([least[k] for k in blocks[-1] + group]) > width:
+            blocks.append([0])
+        blocks[-1] += group
+    drawn = []
+    for block in blocks:
+        for k in block:  # the rest of the width goes to cells that were broken
+            rest = width - _total([least[j] for j in block])
+            if about[k].narrow and rest > 0:
+                least[k] = min(full[k], least[k] + rest)
+        lines = _drawn([texts[k] for k in block], [least[k] for k in block], [left[k] for k in block])
+        drawn.append("\n".join(map(str.rstrip, lines)))
+    return "\n\n".join(drawn)
+
+
+def _least(column: Sequence[str], narrow: int) -> int:
+    """Least width of a column: titles are broken at spaces, cells where they may be narrow."""
+    title, *cells = column
+    words = [word for text in [title, *(cells if narrow else [])] for word in _glued(text).split(" ")]
+    whole = [min(len(cell), narrow) if narrow else len(cell) for cell in cells]
+    return max([*map(len, words), *whole])
+
+
+def _groups(headers: Sequence[str], fits: Callable[[list[int]], bool]) -> Iterator[list[int]]:
+    """Columns but for the first that stay together: one without a title, or with that of others, with the one before.
+
+    Those whose titles begin with the same word too, if they fit.
+    """
+    groups: list[list[int]] = []
+    for k, title in list(enumerate(headers))[1:]:
+        if groups and (not title or list(headers).count(title) > 1):
+            groups[-1].append(k)
+        else:
+            groups.append([k])
+    for _, family in itertools.groupby(groups, lambda group: headers[group[0]].split(" ")[0]):
+        own = list(family)
+        together = list(itertools.chain(*own))
+        yield from [together] if fits(together) else own
+
+
+def _total(widths: Sequence[int]) -> int:
+    return sum(widths) + len(GAP) * (len(widths) - 1)
+
+
+def _drawn(texts: Sequence[Sequence[str]], widths: Sequence[int], left: Sequence[bool]) -> list[str]:
+    """Lines of a block of columns; a title or cell that is too long has several."""
+    lines: list[str] = []
+    for place, row in enumerate(zip(*texts, strict=True)):
+        cells = [_broken(cell, width) for cell, width in zip(row, widths)]
+        high = max(map(len, cells))
+        filled = []
+        for cell, wide, first in zip(cells, widths, left):
+            rest = [""] * (high - len(cell))
+            own = rest + cell if place == 0 else cell + rest  # titles end at the rule
+            filled.append([text.ljust(wide) if first else text.rjust(wide) for text in own])
+        lines += [GAP.join(line) for line in zip(*filled, strict=True)]
+        if place == 0:
+            lines.append("-" * len(lines[0]))
+    return lines
+
+
+def _broken(cell: str, width: int) -> list[str]:
+    """Lines of a cell; a number stays with its unit."""
+    if len(cell) <= width:
+        return [cell]
+    lines = textwrap.wrap(_glued(cell), width, break_long_words=False, break_on_hyphens=False)
+    return [line.replace("\xa0", " ") for line in lines]
+
+
+def _glued(text: str) -> str:
+    return re.sub(r"(?<=\d) (?=[A-Za-z%])", "\xa0", text)
 
 
 def as_csv(headers: Sequence[str], rows: Iterable[Sequence[Value]]) -> bytes:

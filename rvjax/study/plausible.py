@@ -46,7 +46,7 @@ def refuse_impossible(design: Design, tolerances: PyTree, costs: dict[str, Cost]
         widest = {f"tolerances.{field}": tolerance}
         if field in costs:
             coarsest = max(costs[field].coarsest, float(tolerance.half_width))
-            widest[f"cost.{field}.coarsest = {shown(coarsest, about['unit'])}"] = tolerance.with_half_width(coarsest)
+            widest[f"cost.{field}.coarsest = {shown(coarsest, about['unit'])}"] = tolerance.scaled(coarsest)
         if field in middles:
             half, lowest = max(float(t.half_width) for t in widest.values()), middles[field].lower
             widest[f"middle.{field}.lower = {shown(lowest, about['unit'])}"] = Tolerance(lowest - half, lowest + half)

@@ -1,6 +1,7 @@
 """Studies read from TOML with units in strings; an error is one line that names key, value and unit."""
 
 import dataclasses
+import re
 import tomllib
 from collections.abc import Mapping
 from importlib import resources
@@ -33,7 +34,7 @@ from rvjax.study.values import (
 )
 from rvjax.study.variables import parse_objective, parse_variables
 from rvjax.tolerances import COSTS, FEWEST, KINDS, Cost, Limits, Middle, Nominal, check_middles
-from rvjax.units import unit_of
+from rvjax.units import point_for, unit_of
 
 TABLES = {"about", "accuracy", "columns", "conditions", "cost", "design", "identify", "middle"}
 TABLES |= {"objective", "requirement", "run", "tolerances", "variable"}
@@ -62,6 +63,10 @@ def load(source: str, *, solve: bool = True) -> Study:
             raise StudyError(f"{source}: cannot be read as text in UTF-8 ({error})") from None
         return parse_study(text, name=path.stem, folder=path.parent, solve=solve)
     embedded = EMBEDDED / f"{source}.toml"
+    if not embedded.is_file() and path.is_dir():
+        own = path / "study.toml"
+        found = f"its study is {own}" if own.is_file() else "it contains no study.toml"
+        raise FileNotFoundError(f"{source}: is a folder; {found}")
     if not embedded.is_file():
         names = embedded_names()
         near = meant(source, [*names, *([f"{source}.toml"] if Path(f"{source}.toml").is_file() else [])])
@@ -92,7 +97,7 @@ def parse_study(text: str, *, name: str, folder: Path = Path(), solve: bool = Tr
         try:
             tables = tomllib.loads(text)
         except (tomllib.TOMLDecodeError, RecursionError) as error:
-            raise ValueError(f"not valid TOML: {error}") from None
+            raise ValueError(f"not valid TOML: {error}{_decimal_comma(text, str(error))}") from None
         sections = {table: read for table in tables if table not in TABLES and (read := sections_reader(table))}
         known(tables, TABLES | set(sections) | models.tables(), "")
         for key in ("design", "tolerances", *(() if "identify" in tables else ("requirement",))):
@@ -154,6 +159,14 @@ def parse_study(text: str, *, name: str, folder: Path = Path(), solve: bool = Tr
     if requirements and solve:
         study.check_nominal()
     return study
+
+
+def _decimal_comma(text: str, error: str) -> str:
+    """Hint for a line of TOML that is invalid because of a decimal comma, else ""."""
+    place = re.search(r"at line (\d+)", error)
+    line = text.splitlines()[int(place[1]) - 1] if place else ""
+    number = re.search(r"=\s*([-+]?\d+,\d+)", line)
+    return point_for(number[1]) if number else ""
 
 
 def _conditions(

@@ -6,20 +6,20 @@ import tomllib
 from collections.abc import Mapping, Sequence
 
 from rvjax.records import PyTree
+from rvjax.study.toleranced import FORMS, RING, RING_FORMS
 from rvjax.tolerances import Limits
 
-_LIMITS = ("half_width", "lower", "upper", "grade")  # keys that say where the limits of an error are
+_LIMITS = ("half_width", "lower", "upper", "grade", *FORMS)  # keys that say where the limits of an error are
 Parts = list[str | dict[str, PyTree]]
-_Gaps = dict[tuple[str, ...], tuple[str, int, tuple[str, ...]]]
-"""{names of the header: (kind of gap, its number, keys that go into it)}"""
-_NO_GAP: tuple[str, int, tuple[str, ...]] = ("", 0, ())
+_Gaps = dict[tuple[str, ...], list[tuple[str, int, tuple[str, ...]]]]
+"""{names of the header: [(kind of gap, its number, keys that go into it)]}"""
 
 
 def template(text: str, requirements: Mapping[str, Limits], fields: Sequence[str]) -> Parts | None:
     """A study's text with gaps for limits: strings, and {"field" or "response": number, "own": its own lines}.
 
-    A file that says its tables in another way than with a header each, or a key over several lines, is rewritten;
-    a file with limits in the words of drawings (`runout`, `pin_ring`) is not: None.
+    A file that says its tables in another way than with a header each, or a key over several lines, is rewritten.
+    None if that fails.
 
     Args:
         text: of the study.
@@ -27,13 +27,19 @@ def template(text: str, requirements: Mapping[str, Limits], fields: Sequence[str
         fields: names of the errors that may change, in their order.
     """
     tables = tomllib.loads(text)
-    gaps: _Gaps = {("tolerances", name): ("field", k, _LIMITS) for k, name in enumerate(fields)}
+    ring = tables["tolerances"].get(RING, {})
+    gaps: _Gaps = {}
+    for k, name in enumerate(fields):
+        form = RING_FORMS.get(name)
+        ringed = form is not None and form.word in ring
+        where = "tolerances", RING if ringed else name
+        gaps.setdefault(where, []).append(("field", k, (form.word,) if form is not None and ringed else _LIMITS))
     responses = list(requirements)
     for key, entry in tables["requirement"].items():
         if (name := entry.get("response", key)) not in requirements:
             continue  # of the nominal design: no unit decides it
         keys = tuple(requirements[name].prefix + end for end in ("lower", "upper"))
-        gaps["requirement", key] = ("response", responses.index(name), keys)
+        gaps["requirement", key] = [("response", responses.index(name), keys)]
     for written in (text, canonical(tables)):
         parts = _with_gaps(written, gaps)
         if _fits(parts, tables, gaps):
@@ -43,18 +49,19 @@ def template(text: str, requirements: Mapping[str, Limits], fields: Sequence[str
 
 def _with_gaps(text: str, gaps: _Gaps) -> Parts:
     parts: Parts = []
-    kind, number, keys = _NO_GAP
-    gap: dict[str, PyTree] | None = None
+    here: dict[str, tuple[str, int]] = {}  # kind and number of the gap of each key in this table
+    made: dict[tuple[str, int], dict[str, PyTree]] = {}
     for line in (f"{line}\n" for line in text.removesuffix("\n").split("\n")):
         if line.lstrip().startswith("["):
-            kind, number, keys = gaps.get(_header(line), _NO_GAP)
-            gap = None
+            here = {key: (kind, number) for kind, number, keys in gaps.get(_header(line), []) for key in keys}
+            made = {}
         key = re.match(r"\s*([\w-]+)\s*=", line)
-        if key and key[1] in keys:
-            if gap is None:
-                gap = {kind: number, "own": ""}
-                parts.append(gap)
-            gap["own"] += line
+        if key and key[1] in here:
+            kind, number = here[key[1]]
+            if (kind, number) not in made:
+                made[kind, number] = {kind: number, "own": ""}
+                parts.append(made[kind, number])
+            made[kind, number]["own"] += line
         elif parts and isinstance(last := parts[-1], str):
             parts[-1] = last + line
         else:
@@ -77,21 +84,27 @@ def _header(line: str) -> tuple[str, ...]:
 
 def _fits(parts: Parts, tables: dict[str, PyTree], gaps: _Gaps) -> bool:
     """True if every gap occurs once and filling it replaces only the limits."""
-    if sum(not isinstance(part, str) for part in parts) != len(gaps):
+    if sum(not isinstance(part, str) for part in parts) != sum(map(len, gaps.values())):
         return False
     try:
-        filled = tomllib.loads("".join(p if isinstance(p, str) else 'filled = "gap"\n' for p in parts))
+        written = (p if isinstance(p, str) else f"{_filled(*next(iter(p.items())))} = 0\n" for p in parts)
+        filled = tomllib.loads("".join(written))
     except tomllib.TOMLDecodeError:
         return False
-    for (table, name), (_, _, keys) in gaps.items():
+    for (table, name), own in gaps.items():
         entry = tables[table].get(name)
         if entry is None:
             return False
-        expected = {key: value for key, value in entry.items() if key not in keys} | {"filled": "gap"}
-        if filled.get(table, {}).get(name) != expected:
+        moved = {key for _, _, keys in own for key in keys}
+        expected = {key: value for key, value in entry.items() if key not in moved}
+        if filled.get(table, {}).get(name) != expected | {_filled(kind, number): 0 for kind, number, _ in own}:
             return False
         filled[table][name] = entry
     return filled == tables
+
+
+def _filled(kind: str, number: int) -> str:
+    return f"filled-{kind}-{number}"
 
 
 def canonical(tables: dict[str, PyTree]) -> str:

@@ -19,6 +19,7 @@ from rvjax.study.identification import Identification
 from rvjax.study.origin import Number, design_numbers, given_paths
 from rvjax.study.plausible import doubtful_costs, doubtful_limits, doubts
 from rvjax.study.response import DesignResponse, Response, check_nominal, followed_bounds
+from rvjax.study.toleranced import Form, forms
 from rvjax.study.values import (
     StudyError as StudyError,  # other modules take it from here
     known,
@@ -257,6 +258,11 @@ class Study:
     def given(self) -> frozenset[str]:
         """Paths of the numbers of the design that the study gives; they do not follow others."""
         return frozenset(given_paths(tomllib.loads(self.text)["design"]))
+
+    @functools.cached_property
+    def forms(self) -> dict[str, Form]:
+        """Forms of the tolerances that the file states in the words of drawings, by error."""
+        return forms(tomllib.loads(self.text)["tolerances"])
 
     @property
     def base(self) -> str:

@@ -1,6 +1,6 @@
 """Table [tolerances] of a study.
 
-Tolerances of errors with a place, in the words of a drawing.
+Tolerances of errors with a place, in the words of a drawing, and back: tables and study files state them so.
 
 A runout of 15 um is an eccentricity of up to 7.5 um in any direction, a position "diametral 20 um" one of up to 10 um.
 Models without places use the same table: their bounds follow from the placed errors of each unit.
@@ -18,8 +18,51 @@ from rvjax.records import Design, PyTree, Shape
 from rvjax.study.values import Metadata, Toml, choice, integer, known, naming_field, quantity, subtable
 from rvjax.tolerances import Tolerance, for_design
 
-WORDS = ("runout", "position", "cumulative")
 RING = "pin_ring"  # positions and radii of all pins, as one field
+
+
+@dataclasses.dataclass(frozen=True)
+class Form:
+    """Way in which a drawing states a tolerance.
+
+    Attributes:
+        word: key of the study.
+        half_widths: its number, in half-widths of the error.
+        before: word before the number.
+        vector: whether it limits the length of a vector; else deviations to both sides.
+    """
+
+    word: str
+    half_widths: float
+    before: str = ""
+    vector: bool = False
+
+    @property
+    def stated(self) -> str:
+        """Words before the number in a table; "" for limits on both sides, which a drawing states as limits."""
+        return "" if self.half_widths == 1 else f"{self.word} {self.before}".strip()
+
+    def limits(self, number: float) -> Toml:
+        """Limits and distribution in a study, from the number of the drawing, SI."""
+        half = number / self.half_widths
+        if not self.vector:
+            return {"half_width": _text(half)}
+        return {"distribution": "rayleigh", "lower": _text(0.0), "upper": _text(2 * half)}
+
+    def number(self, tolerance: Tolerance) -> float | None:
+        """Number of the drawing, SI; None if it does not define the limits."""
+        lower, upper = float(tolerance.lower), float(tolerance.upper)
+        moved = abs(lower if self.vector else lower + upper) > 1e-9 * upper
+        return None if moved else self.half_widths * (upper - lower) / 2
+
+
+FORMS = {
+    "runout": Form("runout", 4.0, vector=True),  # twice the largest eccentricity
+    "position": Form("position", 4.0, "diametral", vector=True),  # diameter of the zone
+    "cumulative": Form("cumulative", 2.0),  # from the highest to the lowest tooth
+}
+RING_FORMS = {"pin_offset": FORMS["position"], "pin_radii": Form("radius", 1.0)}
+"""Fields of a ring of pins."""
 LIMITS = {"lower", "upper", "half_width", "grade"}
 
 
@@ -39,6 +82,16 @@ def spelled(design: Design, table: Toml) -> Toml:
     return {name: _limits(own, name, entry) if isinstance(entry, dict) else entry for name, entry in fields.items()}
 
 
+def forms(table: Toml) -> dict[str, Form]:
+    """Fields that a table [tolerances] states in the words of drawings, with their forms."""
+    ring = subtable(table, RING)
+    found = {field: form for field, form in RING_FORMS.items() if form.word in ring}
+    for field, entry in table.items():
+        if field != RING and isinstance(entry, dict):
+            found.update((field, form) for word, form in FORMS.items() if word in entry)
+    return found
+
+
 def _ring(table: Toml) -> Toml:
     """Tolerances of each pin of the ring, with the common share `batch`."""
     where = f"tolerances.{RING}"
@@ -48,16 +101,15 @@ def _ring(table: Toml) -> Toml:
     common = {key: table[key] for key in ("batch", "cp") if key in table}
     made: Toml = {}
     with naming_field(where):
-        if "position" in table:
-            made["pin_offset"] = common | _vector(_length(table["position"], f"{where}.position", "diametral"))
-        if "radius" in table:
-            made["pin_radii"] = common | {"half_width": _text(_length(table["radius"], f"{where}.radius"))}
+        for field, form in RING_FORMS.items():
+            if form.word in table:
+                made[field] = common | form.limits(_length(table[form.word], f"{where}.{form.word}", form.before))
     return made
 
 
 def _limits(error_record: object, field: str, table: Toml) -> Toml:
     """One tolerance with limits instead of the term of a drawing."""
-    where, words = f"tolerances.{field}", [word for word in WORDS if word in table]
+    where, words = f"tolerances.{field}", [word for word in FORMS if word in table]
     if "spectrum" in table:
         table = {"distribution": "spectrum"} | table
     if not words:
@@ -67,17 +119,17 @@ def _limits(error_record: object, field: str, table: Toml) -> Toml:
         raise ValueError(f"{where}: give {word} or {other[0]}, not both")
     vectors = described(error_record, "vector")
     teeth = [name for name, axes in described(error_record, "shape").items() if axes[-1] == "teeth"]
-    if word == "cumulative" and field not in teeth:
-        raise ValueError(f"{where}.cumulative = {table[word]!r}: only errors of teeth have it: {', '.join(teeth)}")
-    if word != "cumulative" and field not in vectors:
+    form = FORMS[word]
+    if not form.vector and field not in teeth:
+        raise ValueError(f"{where}.{word} = {table[word]!r}: only errors of teeth have it: {', '.join(teeth)}")
+    if form.vector and field not in vectors:
         raise ValueError(f"{where}.{word} = {table[word]!r}: only vectors have it: {', '.join(vectors)}")
     rest = {key: value for key, value in table.items() if key != word}
-    size = _length(table[word], f"{where}.{word}", "diametral" if word == "position" else "")
-    if word == "cumulative":  # from the highest to the lowest tooth
-        return rest | {"half_width": _text(size / 2)}
-    laws = [name for name, law in DISTRIBUTIONS.items() if law.of_vectors]
-    choice(rest.get("distribution", "rayleigh"), laws, f"{where}.distribution")
-    return _vector(size) | rest
+    limits = form.limits(_length(table[word], f"{where}.{word}", form.before))
+    if form.vector:
+        laws = [name for name, law in DISTRIBUTIONS.items() if law.of_vectors]
+        choice(rest.get("distribution", "rayleigh"), laws, f"{where}.distribution")
+    return limits | rest
 
 
 def _length(value: object, where: str, before: str = "") -> float:
@@ -92,11 +144,6 @@ def _length(value: object, where: str, before: str = "") -> float:
     if found < 0:
         raise ValueError(f"{where} = {value!r}: must not be negative")
     return found
-
-
-def _vector(diameter: float) -> Toml:
-    """Vectors of any direction, of a length up to half of a runout or of the diameter of a zone."""
-    return {"distribution": "rayleigh", "lower": _text(0.0), "upper": _text(diameter / 2)}
 
 
 def _text(value: float) -> str:

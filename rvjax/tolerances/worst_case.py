@@ -101,13 +101,13 @@ def extremes(response: Response, population: Population, names: tuple[str, ...],
 def _scaling(population: Population, place: np.ndarray, gradient: np.ndarray) -> np.ndarray:
     """Derivatives (fields,) of a response to the logarithms of the half-widths where unit coordinates stay in place."""
     here = _unit_errors(population, jnp.asarray(place))
-    twice = population.with_half_widths({name: 2 * float(t.half_width) for name, t in population.active.items()})
-    there = _unit_errors(twice, jnp.asarray(place))
+    halved = population.with_half_widths({name: float(t.half_width) / 2 for name, t in population.active.items()})
+    there = _unit_errors(halved, jnp.asarray(place))
     slopes = []
     for name, to_unit in population.by_field(gradient).items():
         tolerance = population.active[name]
         unit = float(tolerance.upper if tolerance.is_vector else tolerance.half_width)  # d error/d coordinate
-        moved = np.asarray(there[name] - here[name])  # errors are linear in the half-width
+        moved = 2 * np.asarray(here[name] - there[name])  # errors are linear in the half-width
         slopes.append(float(np.sum(to_unit * moved)) / unit if unit > 0 else 0.0)
     return np.array(slopes)
 

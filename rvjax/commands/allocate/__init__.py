@@ -15,5 +15,4 @@ from rvjax.commands.allocate.report import (
     requirement_table as requirement_table,
     shortfall_text as shortfall_text,
     tolerance_tables as tolerance_tables,
-    tolerance_text as tolerance_text,
 )

@@ -25,6 +25,7 @@ class Inputs:
         memo: keeps what took long until the folder exists, or None.
         quiet: show no progress.
         measure: measure the allocated units of a four-bar or lost-motion study on the whole reducer.
+        over: the result takes the place of the stored one of the same study.
     """
 
     study: Study
@@ -33,6 +34,7 @@ class Inputs:
     memo: Memo | None
     quiet: bool
     measure: bool = True
+    over: bool = False
 
 
 def inputs(options: argparse.Namespace) -> Inputs:
@@ -44,10 +46,10 @@ def inputs(options: argparse.Namespace) -> Inputs:
     loaded = study.load(options.study, solve=False)
     if loaded.costly:
         share_cores(1)
-    found = None if options.fresh else kept.folder(loaded, options.results)
-    if found is not None:
+    found = kept.folder(loaded, options.results)
+    if found is not None and not options.fresh:
         return Inputs(loaded, found, None, None, True)
-    folder = results_folder(options.results, loaded.name)
+    folder = results_folder(options.results, loaded.name, found)
     forewarn(loaded, expected(loaded))
     memo = kept.memo(loaded, folder)
-    return Inputs(loaded, None, folder, memo, options.quiet, not options.no_whole)
+    return Inputs(loaded, None, folder, memo, options.quiet, not options.no_whole, over=found is not None)

@@ -59,15 +59,19 @@ def stored(answer: Answer) -> bytes:
 def restored_from(study: Study) -> tuple[Path, Answer] | tuple[None, None]:
     """Find the latest results folder with the result of a study, and read the result; None without a folder."""
     place = folder(study, None)
-    if place is None:
-        return None, None
+    found = None if place is None else restored(study, place)
+    return (None, None) if place is None or found is None else (place, found)
+
+
+def restored(study: Study, place: Path) -> Answer | None:
+    """Read the result of a study from its folder; None without the file, or with one of another rvjax."""
     try:
         found: dict[str, PyTree] = tolerances.load(place / FILE)
         found |= {name: Side(**found[name]) for name in ("before", "after")}
         found |= {"whole": Whole(**found["whole"])} if "whole" in found else {}
-        return place, Answer(study=study, **found)
-    except (OSError, ValueError, TypeError, KeyError):  # without the file, or by another rvjax
-        return None, None
+        return Answer(study=study, **found)
+    except (OSError, ValueError, TypeError, KeyError):
+        return None
 
 
 def status(place: Path) -> str:

@@ -34,7 +34,7 @@ from rvjax.render import (
     number,
 )
 from rvjax.study import Study
-from rvjax.tolerances import Allocation, Tolerance
+from rvjax.tolerances import Allocation
 from rvjax.units import readable
 
 UNMOVED = "no slope"
@@ -55,10 +55,12 @@ def report(inputs: Inputs, found: Answer | None) -> Report:
         return report_on(found)
     place = inputs.kept
     assert place is not None
-    said = f"Unchanged since {place} was written: this is its stored result. --fresh recomputes it."
+    said = f"Unchanged since {place} was written: this is its stored result. --fresh replaces it."
+    stored = kept.restored(inputs.study, place)  # fits the terminal; the summary has the lines of a file
+    shown = report_on(stored).content if stored else (Note((place / "summary.txt").read_text("utf-8").strip()),)
     return Report(
         title=inputs.study.name,
-        content=(Note((place / "summary.txt").read_text("utf-8") + said),),
+        content=(*shown, Note(said)),
         ok=kept.status(place) == "OPTIMAL",
         data=json.loads((place / "result.json").read_text()) | {"results": str(place)},
     )
@@ -132,16 +134,6 @@ def limits_of_the_answer(answer: Answer) -> list[str]:
     return lines + ([whole_text(answer.whole, study)] if answer.whole is not None else [])
 
 
-def tolerance_text(tolerance: Tolerance, unit: str) -> str:
-    """Limits in the unit in which a person reads them, such as "+-6.50 um" or "8.00 +-4.00 um".
-
-    Args:
-        tolerance: of an error.
-        unit: SI unit of the error.
-    """
-    return Limits("").text(limits_of(tolerance, unit))
-
-
 def moved(allocation: Allocation) -> float:
     """Cost of moved mid-points; 0 if it is rounding."""
     found = allocation.cost - sum(allocation.costs.values())
@@ -158,6 +150,7 @@ def tolerance_tables(answer: Answer) -> list[Table]:
     columns: list[Column] = [
         Text("error"),
         Text("unit", on=IN_FILE),
+        Text("stated as", on=IN_FILE),
         Limits("before"),
         Limits("after"),
         Number("cost before", form=".3f"),
@@ -168,16 +161,16 @@ def tolerance_tables(answer: Answer) -> list[Table]:
     for field in study.fields:
         unit, elements = study.unit(field), math.prod(getattr(study.tolerances, field).shape)
         name = Titled(field, f"{elements} elements, each with a separate value" if elements > 1 else "")
-        row: list[Cell] = [name, readable(unit)[0]]
-        row += [limits_of(getattr(side, field), unit) for side in (study.tolerances, allocation.tolerances)]
+        zones = [limits_of(study, field, getattr(side, field)) for side in (study.tolerances, allocation.tolerances)]
+        row: list[Cell] = [name, readable(unit)[0], zones[0].stated or "limits", *zones]
         row += [side.cost.get(field) for side in (answer.before, answer.after)]
         if graded:
-            row += [limits_of(getattr(graded.tolerances, field), unit), (graded.grades or {}).get(field)]
+            row += [limits_of(study, field, getattr(graded.tolerances, field)), (graded.grades or {}).get(field)]
             row.append(graded.costs.get(field))
         rows.append(row)
     if price := moved(allocation):
-        rows.append([MOVED, "", "", "", "", price, *(["", "", price] if graded else [])])
-    total = ["sum", "", "", "", allocation.start_cost, allocation.cost, *(["", "", graded.cost] if graded else [])]
+        rows.append([MOVED, "", "", "", "", "", price, *(["", "", price] if graded else [])])
+    total = ["sum", "", "", "", "", allocation.start_cost, allocation.cost, *(["", "", graded.cost] if graded else [])]
     return [
         Table("tolerances", columns, rows, on=IN_FILE),
         Table("tolerances", columns, [*rows, total], on=NOT_IN_FILE, total=True),
@@ -317,9 +310,9 @@ def _data(answer: Answer) -> dict[str, object]:
         "tolerances": {
             field: {
                 "unit": study.unit(field),
-                "before": limits_data(getattr(study.tolerances, field)),
-                "after": limits_data(getattr(allocation.tolerances, field)),
-                "graded": limits_data(getattr(graded.tolerances, field)) if graded else None,
+                "before": limits_data(study, field, getattr(study.tolerances, field)),
+                "after": limits_data(study, field, getattr(allocation.tolerances, field)),
+                "graded": limits_data(study, field, getattr(graded.tolerances, field)) if graded else None,
             }
             for field in study.fields
         },

@@ -30,12 +30,13 @@ def report(inputs: Inputs, found: Checked) -> Report:
 
 def _content(study: Study, found: Checked) -> list[Note | Table]:
     head = [f"Study {study.name}: {type(study.design).__name__}", *filter(None, [study.about.line()])]
-    magnitudes = Table("numbers", [Text(t) for t in ("number", "this study", "known reducers")], found.magnitudes)
+    titles = [Text("number"), Text("this study", wraps=True), Text("known reducers", wraps=True)]
+    magnitudes = Table("numbers", titles, found.magnitudes)
     rows = [(getattr(study.tolerances, field), field) for field in study.fields]
     tolerances = Table(
         "tolerances",
         [Text("error"), Limits("limits"), Text("distribution")],
-        [[field, limits_of(tolerance, study.unit(field)), tolerance.distribution] for tolerance, field in rows],
+        [[field, limits_of(study, field, tolerance), tolerance.distribution] for tolerance, field in rows],
     )
     requirements = Table(
         "requirements",
@@ -84,7 +85,8 @@ def _data(study: Study, found: Checked) -> dict[str, object]:
         "numbers": {name: {"value": value, "unit": unit} for name, (value, unit) in numbers(study.design)},
         "conditions": dataclasses.asdict(study.conditions),
         "tolerances": {
-            field: {"unit": study.unit(field)} | limits_data(getattr(study.tolerances, field)) for field in study.fields
+            field: {"unit": study.unit(field)} | limits_data(study, field, getattr(study.tolerances, field))
+            for field in study.fields
         },
         "requirements": {
             name: {"lower": one.lower, "upper": one.upper, "requires": one.text(), "unit": study.output(name).unit}

@@ -2,46 +2,103 @@
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
-from rvjax.commands.cells import evaluated, failures_text, limit_text, limits_data, limits_of, share
+from rvjax.commands.cells import evaluated, failures_text, limit_text, limits_data, limits_of, met_text, share
 from rvjax.commands.compare.compute import Comparison, Crossed
 from rvjax.commands.compare.inputs import Inputs
+from rvjax.commands.compare.results import Result, Rows, Topics, only, shown
 from rvjax.records import PyTree
 from rvjax.render import Cell, Column, Content, Limits, Note, Number, Quantity, Report, Table, Text
-from rvjax.study import Study, numbers, shown
+from rvjax.study import Study, numbers, shown as sized
 
+LISTED = 8  # names of equal values that are listed
 NEAR = 1e-9  # relative: numbers of two designs that are equal
 
 
 def report(inputs: Inputs, found: Comparison) -> Report:
-    """The report on a comparison.
+    """The report on a comparison: verdicts, then what differs.
 
     Args:
         inputs: inputs of the command.
         found: its result.
     """
-    paths = Note("\n".join(f"{letter}: {path}" for letter, path in inputs.paths.items()))
-    content: list[Content] = [paths, *(_topic(topic, rows) for topic, rows in found.topics.items())]
+    said = [*(f"{letter}: {path}" for letter, path in inputs.paths.items()), ""]
     data: dict[str, object] = dict(found.topics)
+    content: list[Content] = []
     if inputs.study is not None:
         own = {letter: answer for letter, (answer, _) in inputs.answers.items()}
+        said += [f"{letter} on {inputs.study.name}: {_on(one)}" for letter, one in found.crossed.items()]
         content += [
-            Note(f"On {inputs.study.name}:"),
             _yields(inputs.study, found.crossed),
             _tolerances(inputs.study, found.crossed),
             Note("\n".join(_explained(found.crossed, own))),
         ]
         data["on"] = _data(inputs.study, found.crossed, own)
-    return Report("Comparison", tuple(content), data=data)
+    if found.topics:
+        said += _verdicts(found.topics)
+        content += _differences(inputs.results, found.topics)
+    return Report("Comparison", (Note("\n".join(said)), *content), data=data)
 
 
-def _topic(topic: str, rows: Mapping[str, Mapping[str, PyTree]]) -> Table:
+def _verdicts(topics: Topics) -> list[str]:
+    """Status and cost of each result, of the second with its difference."""
+    status, cost = topics["run"]["verdict"], topics["cost"]["after"]
+    lines = [f"{side.upper()}: {status[side]}" + (f", cost {cost[side]:.3f}" if cost[side] else "") for side in "ab"]
+    change = f" ({_change(cost['a'], cost['b'], 'number')})" if cost["a"] and cost["b"] and not cost["same"] else ""
+    return [lines[0], lines[1] + change]
+
+
+def _on(found: Crossed) -> str:
+    """Text on the requirements of a study: met, not met, not shown."""
+    count, said = found.statistics.samples, dict[str, list[str]]()
+    for name, verdict in (found.statistics.verdicts or {}).items():
+        said.setdefault(met_text(found.study.requirements[name], verdict, count), []).append(name)
+    if list(said) == ["met"]:
+        return "all requirements met"
+    last = sorted(said, key=lambda what: what == "met")
+    return "; ".join(f"{what}: {', '.join(said[what])}" for what in last)
+
+
+def _differences(results: Mapping[str, Result], topics: Topics) -> Iterator[Note | Table]:
+    """Names in one result only, a table for each topic with values that differ, and names of equal values."""
+    alone: list[str] = []
+    hidden: set[str] = set()
+    for (letter, one), other in zip(results.items(), reversed(list(results.values()))):
+        limits = only(one, other, "certificate", "verdicts")
+        errors = only(one, other, "tolerances")
+        hidden |= {*limits, *errors}
+        alone += [f"Requirements only in {letter}: {', '.join(_limit(one, name) for name in limits)}"] if limits else []
+        alone += [f"Errors only in {letter}: {', '.join(errors)}"] if errors else []
+    if alone:
+        yield Note("\n".join(alone))
+    equal = []
+    for topic, every in topics.items():
+        if topic.removeprefix("variance of ").partition(",")[0] in hidden:
+            continue
+        rows = {name: row for name, row in shown(topic, every).items() if name.rpartition(", ")[0] not in hidden}
+        rows = {name: row for name, row in rows.items() if name not in hidden}
+        if differing := {name: row for name, row in rows.items() if not row["same"]}:
+            yield _topic(topic, differing)
+        if same := [name for name, row in rows.items() if row["same"]]:
+            listed = ", ".join(same) if len(same) <= LISTED else f"{len(same)} others"
+            equal.append(f"  {topic}: {'all' if len(same) == len(rows) else listed}")
+    if equal:
+        yield Note("\n".join(["The same in both:", *equal]))
+
+
+def _limit(result: Result, name: str) -> str:
+    """A requirement with its limits, if the result has them."""
+    said = (result.get("limits") or {}).get(name)
+    return f"{name} ({said})" if said else name
+
+
+def _topic(topic: str, rows: Rows) -> Table:
     """Table of one topic: values of both results, and the change from the first to the second."""
     cells = []
     for name, row in rows.items():
         a, b, unit = row["a"], row["b"], row["unit"]
-        cells.append([name, _cell(a, unit), _cell(b, unit), "" if row["same"] else _change(a, b, unit)])
+        cells.append([name, _cell(a, unit), _cell(b, unit), _change(a, b, unit)])
     return Table(topic, [Text(topic), Column("A"), Column("B"), Text("change")], cells)
 
 
@@ -74,7 +131,7 @@ def _yields(study: Study, found: dict[str, Crossed]) -> Table:
         row: list[Cell] = [name, limit_text(requirement, output), requirement.text()]
         for one in found.values():
             verdict = one.statistics.verdicts[name]
-            row += [evaluated(verdict, output), "met" if verdict.met else "not met"]
+            row += [evaluated(verdict, output), met_text(requirement, verdict, one.statistics.samples)]
         rows.append(row)
     joint = [each for one in found.values() if (each := one.statistics.joint_yield) is not None]
     if len(joint) == len(found):  # none where no requirement limits single units
@@ -89,7 +146,7 @@ def _tolerances(study: Study, found: dict[str, Crossed]) -> Table:
     for name in study.fields:
         used, cost = [getattr(one.tolerances, name) for one in found.values()], study.costs.get(name)
         prices = [float(cost(tolerance.half_width)) if cost else None for tolerance in used]
-        rows.append([name, *(limits_of(tolerance, study.unit(name)) for tolerance in used), *prices])
+        rows.append([name, *(limits_of(study, name, tolerance) for tolerance in used), *prices])
     rows.append(["sum", *(None for _ in found), *(one.cost for one in found.values())])
     return Table("tolerances", [Text("error"), *(Limits(k, missing="") for k in found), *costs], rows, total=True)
 
@@ -121,7 +178,7 @@ def differences(answer: Study, study: Study) -> list[str]:
     """
     ours, theirs = dict(numbers(study.design)), dict(numbers(answer.design))
     return [
-        f"{name} is {shown(theirs[name][0], unit)} in {answer.name} and {shown(value, unit)} in {study.name}"
+        f"{name} is {sized(theirs[name][0], unit)} in {answer.name} and {sized(value, unit)} in {study.name}"
         for name, (value, unit) in ours.items()
         if name in theirs and abs(theirs[name][0] - value) > NEAR * max(abs(theirs[name][0]), abs(value))
     ]
@@ -137,7 +194,8 @@ def _data(study: Study, found: dict[str, Crossed], answers: dict[str, Study]) ->
             "design": differences(answers[letter], study),
             "cost": one.cost,
             "tolerances": {
-                name: {"unit": study.unit(name)} | limits_data(getattr(one.tolerances, name)) for name in study.fields
+                name: {"unit": study.unit(name)} | limits_data(study, name, getattr(one.tolerances, name))
+                for name in study.fields
             },
             "certificate": dataclasses.replace(one.statistics, values=None),
         }

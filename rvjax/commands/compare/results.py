@@ -1,7 +1,7 @@
 """Two results folders side by side: what each found, and what differs."""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from rvjax.records import PyTree
@@ -12,6 +12,9 @@ Result = dict[str, PyTree]
 Topics = dict[str, dict[str, dict[str, PyTree]]]
 """{topic: {name: {"unit", "a", "b", "same"}}}."""
 
+Rows = Mapping[str, Mapping[str, PyTree]]
+
+HALF, MIDDLE = "half-width", "middle"
 _DAMAGE = (OSError, ValueError, RecursionError)
 
 
@@ -79,9 +82,11 @@ def _rows(first: Result, second: Result) -> Iterator[tuple[str, str, str, PyTree
         unit = (first["tolerances"].get(name) or second["tolerances"][name])["unit"]
         for when in ("before", "after"):
             a, b = (_at(side, "tolerances", name, when) for side in (first, second))
-            yield f"tolerances {when}", f"{name}, half-width", unit, _half(a), _half(b)
+            if form := _form(a) == _form(b) and _form(a):
+                yield f"tolerances {when}", f"{name}, {form}", unit, a["drawing"], b["drawing"]
+            yield f"tolerances {when}", f"{name}, {HALF}", unit, _half(a), _half(b)
             if any(one and abs(_middle(one)) > 1e-9 * abs(_half(one) or 1.0) for one in (a, b)):
-                yield f"tolerances {when}", f"{name}, middle", unit, a and _middle(a), b and _middle(b)
+                yield f"tolerances {when}", f"{name}, {MIDDLE}", unit, a and _middle(a), b and _middle(b)
     for name in _names(first, second, "certificate", "verdicts"):
         yield both("requirements", f"{name}, limits", "text", "limits", name)
         yield both("requirements", f"{name}, required", "text", "certificate", "verdicts", name, "wanted")
@@ -103,6 +108,31 @@ def _at(found: PyTree, *keys: str) -> PyTree:
 def _names(first: Result, second: Result, *keys: str) -> list[str]:
     """Names in either, those of the first in its order."""
     return list(dict.fromkeys([*(_at(first, *keys) or ()), *(_at(second, *keys) or ())]))
+
+
+def shown(topic: str, rows: Rows) -> Rows:
+    """The rows of a topic that a person reads: without half-width and middle of what a drawing states otherwise."""
+    if not topic.startswith("tolerances"):
+        return rows
+    parts = {name: name.rpartition(", ") for name in rows}
+    stated = {field for field, _, what in parts.values() if what not in (HALF, MIDDLE)}
+    return {n: row for n, row in rows.items() if parts[n][2] not in (HALF, MIDDLE) or parts[n][0] not in stated}
+
+
+def only(first: Result, second: Result, *keys: str) -> list[str]:
+    """Names that the first result has and the second has not.
+
+    Args:
+        first: a result.
+        second: another one.
+        *keys: of the table of names.
+    """
+    return [name for name in _at(first, *keys) or () if name not in (_at(second, *keys) or ())]
+
+
+def _form(limits: dict[str, PyTree] | None) -> str:
+    """Words of the drawing, "" for limits."""
+    return str(limits.get("form", "")) if limits else ""
 
 
 def _half(limits: dict[str, float] | None) -> float | None:

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from markupsafe import Markup
 
-from rvjax.commands.cells import limit_text
+from rvjax.commands.cells import limit_text, stated_by
 from rvjax.commands.design.compute import Designed
 from rvjax.commands.design.prices import nominal_limit, unit_of_number
 from rvjax.commands.report import cost_data, script_of
@@ -59,11 +59,14 @@ def data(study: Study, found: Designed) -> dict[str, Any]:
         )
     for name, half in joint.half_widths.items():
         (unit, size), cost = readable(study.unit(name)), study.costs[name]
+        what, half_widths = stated_by(study, name)
+        sign = "±" if what == "half-width" else what
+        size /= half_widths  # the slider has the number of the drawing
         before = float(getattr(study.tolerances, name).half_width) / size
         ends = [half / size, before, float(cost.finest) / size, float(cost.coarsest) / size]
         fields.append({"half": len(sliders), "place": None, "stands": 0, "cost": cost_data(cost, size)})
         sliders.append(
-            {"name": name, "label": f"{words(name)} ±", "unit": unit, "low": min(ends), "high": max(ends)}
+            {"name": name, "label": f"{words(name)} {sign}", "unit": unit, "low": min(ends), "high": max(ends)}
             | {"centre": half / size, "before": before, "size": size, "number": False}
             | {"reach": NEAR * half / size, "own": 0.0}
         )

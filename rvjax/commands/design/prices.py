@@ -5,7 +5,7 @@ import math
 import jax
 import jax.numpy as jnp
 
-from rvjax.commands.cells import limit_text
+from rvjax.commands.cells import limit_text, stated_by
 from rvjax.commands.design.compute import Designed, Point
 from rvjax.render import Note
 from rvjax.study import Study, fields_of
@@ -100,8 +100,8 @@ def prices(study: Study, found: Designed) -> Note:
     """
     joint, said = found.joint, []
     for field in joint.found.costs:
-        name, size = readable(study.unit(field))
-        said.append((f"1 {name} of the half-width of {field}", -slope(study, joint, field) * size))
+        (name, size), (what, half_widths) = readable(study.unit(field)), stated_by(study, field)
+        said.append((f"1 {name} of the {what} of {field}", -slope(study, joint, field) * size / half_widths))
     for name in joint.found.multipliers:
         output = study.output(name)
         unit, size = priced_per(output.unit, output.read_in)

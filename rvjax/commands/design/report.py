@@ -10,7 +10,16 @@ import jax.numpy as jnp
 from rvjax._ground.files import versions
 from rvjax._reducer.plausible import steep
 from rvjax.commands.allocate import shortfall_text
-from rvjax.commands.cells import assumed_text, evaluated, failures_text, limit_text, limits_data, limits_of, share
+from rvjax.commands.cells import (
+    assumed_text,
+    evaluated,
+    failures_text,
+    limit_text,
+    limits_data,
+    limits_of,
+    share,
+    stated_by,
+)
 from rvjax.commands.design import live
 from rvjax.commands.design.compute import Designed, Point
 from rvjax.commands.design.figures import figures
@@ -164,7 +173,7 @@ def numbers(study: Study, found: Designed) -> Table:
 
 
 def _tolerances(study: Study, found: Designed) -> Table:
-    """Limits and cost of each error, before and after, and the price of a unit of half-width."""
+    """Limits and cost of each error, before and after, and the price of a unit of what states it."""
     joint = found.joint.found
     columns: list[Column] = [
         Text("error"),
@@ -175,10 +184,9 @@ def _tolerances(study: Study, found: Designed) -> Table:
     ]
     rows: list[list[Any]] = []
     for field in study.fields:
-        unit = study.unit(field)
-        name, size = readable(unit)
-        limits = [limits_of(getattr(side, field), unit) for side in (study.tolerances, joint.tolerances)]
-        price = f"{-slope(study, found.joint, field) * size:.3g} /{name}" if field in joint.costs else "-"
+        (name, size), (_, half_widths) = readable(study.unit(field)), stated_by(study, field)
+        limits = [limits_of(study, field, getattr(side, field)) for side in (study.tolerances, joint.tolerances)]
+        price = f"{-slope(study, found.joint, field) * size / half_widths:.3g} /{name}" if field in joint.costs else "-"
         rows.append([field, *limits, joint.costs.get(field), price])
     return Table("tolerances", columns, rows)
 
@@ -329,7 +337,7 @@ def _data(study: Study, found: Designed) -> dict[str, Any]:
         "multipliers": joint.multipliers,
         "shortfall": joint.shortfall,
         "tolerances": {
-            field: {"unit": study.unit(field), "after": limits_data(getattr(joint.tolerances, field))}
+            field: {"unit": study.unit(field), "after": limits_data(study, field, getattr(joint.tolerances, field))}
             | ({"price": -slope(study, found.joint, field)} if field in joint.costs else {})
             for field in study.fields
         },

@@ -4,7 +4,7 @@ import dataclasses
 import time
 from typing import Any
 
-from rvjax.commands.cells import evaluated, failures_text, share
+from rvjax.commands.cells import evaluated, failures_text, met_text, share
 from rvjax.commands.montecarlo.compute import Sampled
 from rvjax.commands.montecarlo.inputs import Inputs
 from rvjax.render import Column, Note, Number, Quantity, Report, Table, Text
@@ -77,7 +77,8 @@ def _verdicts(found: Statistics, study: Study) -> list[str]:
     for name, verdict in (found.verdicts or {}).items():
         if verdict.kind != "share":
             value = evaluated(verdict, study.output(name)).text()
-            lines.append(f"{name}: {verdict.wanted}: {value}, {'met' if verdict.met else 'not met'}")
+            met = met_text(study.requirements[name], verdict, found.samples)
+            lines.append(f"{name}: {verdict.wanted}: {value}, {met}")
     if found.joint_yield is not None:
         lines.append(f"all requirements at once {share(found.joint_yield).text()}")
     return lines

@@ -62,7 +62,7 @@ const Live = (() => {
   }
 
   const limitsOf = (field, at) => {
-    const half = at.parameters[field.half];
+    const half = at.parameters[field.half] / (field.half_widths ?? 1);
     const place = field.place === null ? field.stands : at.parameters[field.place];
     const lower = field.grows ? place : place - half;
     return { half, lower, upper: lower + 2 * half, middle: lower + half };
@@ -102,13 +102,18 @@ const Live = (() => {
 
   /* The study with these tolerances and limits; what has not changed keeps its own words. */
   function study(data, at) {
-    if (!data.template) return "# This study says limits in the words of drawings: set them there, this page cannot.\n";
+    if (!data.template) return "# This page cannot write this study: change the study by hand.\n";
     return data.template.map((part) => {
       if (typeof part === "string") return part;
       if (part.field !== undefined) {
         const field = data.fields[part.field], { half, lower, upper } = limitsOf(field, at);
         const [low, high] = field.own;
         if (same(lower, low, half) && same(upper, high, half)) return part.own;
+        if (field.drawing && (same(lower, -upper, half) || same(lower, 0, half))) {
+          const [word, before] = field.drawing.split(" ");
+          const size = `${number(field.half_widths * half)} ${field.unit}`;
+          return `${word} = "${before ? `${before} ` : ""}${size}"\n`;
+        }
         if (same(lower, -upper, half)) return `half_width = ${quantity(half, field.unit)}\n`;
         return `lower = ${quantity(lower, field.unit)}\nupper = ${quantity(upper, field.unit)}\n`;
       }

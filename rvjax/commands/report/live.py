@@ -11,6 +11,7 @@ import numpy as np
 from markupsafe import Markup
 
 from rvjax.commands.allocate import Answer
+from rvjax.commands.cells import stated_by
 from rvjax.commands.report.surrogate import COMPARED, Surrogate, grows_from_lower, placed
 from rvjax.plotting import words
 from rvjax.render import Block
@@ -67,14 +68,16 @@ def data(found: Surrogate, answer: Answer) -> dict[str, Any]:
     own = found.place(study.tolerances)
     parameters: list[dict[str, Any]] = []
     for k, p in enumerate(found.parameters):
-        unit, size = readable(study.unit(p.field))
+        (unit, size), (what, half_widths) = readable(study.unit(p.field)), stated_by(study, p.field)
+        size /= 1.0 if p.place else half_widths  # a slider has the number of the drawing
         low, high = _range(found, k, answer)
         at = {"own": own[k], **({} if graded is None else {"graded": graded[k]})}
         parameters.append(
-            {"label": f"{words(p.field)} {'middle' if p.place else 'half-width'}", "place": p.place, "unit": unit}
+            {"label": f"{words(p.field)} {'middle' if p.place else what}", "place": p.place, "unit": unit}
             | {"centre": p.centre / size, "reach": p.reach / size, "low": low / size, "high": high / size}
             | {key: (p.centre + x * p.reach) / size for key, x in at.items()}
         )
+    unwritten = any(not form.stated and name in study.middles for name, form in study.forms.items())  # of pin_ring
     fields = [_field(name, found, answer) for name in dict.fromkeys(p.field for p in found.parameters)]
     places = [field["name"] for field in fields]
     return {
@@ -87,7 +90,7 @@ def data(found: Surrogate, answer: Answer) -> dict[str, Any]:
         "priced": bool(study.costs),
         "other_cost": sum(cost for name, cost in answer.after.cost.items() if name not in places),
         "error": error_text(found),
-        "template": study_template(study.text, study.requirements, places),
+        "template": None if unwritten else study_template(study.text, study.requirements, places),
     }
 
 
@@ -120,7 +123,7 @@ def _range(found: Surrogate, k: int, answer: Answer) -> tuple[float, float]:
 
 def _field(name: str, found: Surrogate, answer: Answer) -> dict[str, Any]:
     study, tolerance = answer.study, getattr(answer.after.tolerances, name)
-    unit, size = readable(study.unit(name))
+    (unit, size), (what, half_widths), form = readable(study.unit(name)), stated_by(study, name), study.forms.get(name)
     places = {p.place: k for k, p in enumerate(found.parameters) if p.field == name}
     given, cost = getattr(study.tolerances, name), study.costs.get(name)
     priced = None if cost is None else cost_data(cost, size)
@@ -132,6 +135,9 @@ def _field(name: str, found: Surrogate, answer: Answer) -> dict[str, Any]:
         "name": name,
         "label": words(name),
         "unit": unit,
+        "sign": "±" if what == "half-width" else what,
+        "half_widths": half_widths,
+        "drawing": None if form is None else f"{form.word} {form.before}".strip(),
         "half": places[False],
         "place": places.get(True),
         "stands": placed(tolerance) / size,

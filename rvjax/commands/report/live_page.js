@@ -46,7 +46,7 @@ function startLive(section, data) {
     control($(p.place ? "middles" : "half-widths"), label, p.unit, p.low, p.high, () => at.parameters[k],
       (value) => { at.parameters[k] = value; }, () => Math.abs(at.parameters[k] - p.centre) > p.reach * (1 + 1e-9));
   };
-  for (const field of data.fields) parameter(field.half, `${field.label} ±`);
+  for (const field of data.fields) parameter(field.half, `${field.label} ${field.sign}`);
   for (const field of data.fields)
     if (field.place !== null) parameter(field.place, `${field.label}, ${field.grows ? "lower limit" : "middle"}`);
   data.responses.forEach((response, k) => {

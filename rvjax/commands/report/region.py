@@ -134,7 +134,7 @@ class Region:
                 way = step * p.reach
                 made[p.field] = tolerance.replace(lower=tolerance.lower + way, upper=tolerance.upper + way)
             else:
-                made[p.field] = tolerance.with_half_width(p.centre + step * p.reach)
+                made[p.field] = tolerance.scaled(p.centre + step * p.reach)  # also of a clearance below 0
         return made
 
     def at(self, x: np.ndarray, units: np.ndarray | None = None) -> dict[str, np.ndarray]:

@@ -182,7 +182,7 @@ def placed(tolerance: Tolerance) -> float:
 
 def grows_from_lower(tolerance: Tolerance) -> bool:
     """True if a larger half-width does not move the lower limit."""
-    return float(tolerance.with_half_width(2 * tolerance.half_width).lower) == float(tolerance.lower)
+    return float(tolerance.scaled(2 * tolerance.half_width).lower) == float(tolerance.lower)
 
 
 def _parameters(answer: Answer) -> list[Parameter]:
@@ -193,8 +193,8 @@ def _parameters(answer: Answer) -> list[Parameter]:
         if half == 0 or tolerance.law.name == "empirical":  # constant, or measured: its limits do not say where it is
             continue
         found.append(Parameter(field, False, half, REACH * half))
-        if not tolerance.law.of_vectors:
-            inputs = study.middles.get(field)
+        inputs = study.middles.get(field)
+        if not tolerance.law.of_vectors and (inputs or field not in study.forms):  # a drawing states widths only
             reach = max(SHIFT * half, (inputs.upper - inputs.lower) / 8 if inputs else 0.0)
             found.append(Parameter(field, True, placed(tolerance), reach))
     return found

@@ -1,0 +1,133 @@
+"""Text that fits a terminal: tables in blocks, paragraphs in lines; files and pipes have it as it is.
+
+Oracle: the words themselves. What fits has no line beyond the width, and no cell is lost, doubled or out of its row.
+"""
+
+import contextlib
+import fcntl
+import os
+import pty
+import struct
+import sys
+import termios
+import threading
+
+import pytest
+from hypothesis import given, strategies as st
+
+from rvjax import cli
+from rvjax._ground.lines import refilled, wrapped
+from rvjax.render import Note, Report, Table, Text, aligned
+
+WORDS = st.text("abc,.", min_size=1, max_size=14)
+
+
+@st.composite
+def tables(draw):
+    columns, rows = draw(st.integers(1, 7)), draw(st.integers(0, 4))
+    titles = [f"{draw(WORDS)}{k}" for k in range(columns)]
+    return titles, [[f"{draw(WORDS)}{k}_{r}" for k in range(columns)] for r in range(rows)]
+
+
+@given(tables(), st.integers(10, 120))
+def test_a_table_is_as_wide_as_the_terminal(table, width):
+    """A block has one column besides the first at least: that one may be too wide, as a cell is not broken."""
+    titles, rows = table
+    blocks = [block.split("\n") for block in aligned(titles, rows, width).split("\n\n")]
+    seen = []
+    for block in blocks:
+        head = block[0].split()
+        assert head[0] == titles[0] and set(block[1]) == {"-"} and len(block) == 2 + len(rows)
+        assert max(len(line) for line in block) == len(block[1])
+        assert len(block[1]) <= width or len(head) <= 2
+        for line, row in zip(block[2:], rows):
+            assert line.split() == [row[titles.index(title)] for title in head]
+        seen += head[1:]
+    assert seen == titles[1:]
+    assert len(blocks) == 1 or len(aligned(titles, rows).split("\n")[0]) > width
+    wide = max(len(line) for line in aligned(titles, rows).split("\n"))
+    assert aligned(titles, rows, wide) == aligned(titles, rows) == aligned(titles, rows, None)
+
+
+def test_a_share_stays_next_to_what_it_is_a_share_of():
+    """Titles break at spaces before a table is split; a column whose title is empty or not its own is never alone."""
+    titles = ["error", "d first / d error", "share", "d second / d error", "share", "met", ""]
+    rows = [["one", "0.1 um/um", "1 %", "0.2 um/um", "2 %", "9", "yes"]]
+    first, second = (block.split("\n") for block in aligned(titles, rows, 46).split("\n\n"))
+    assert first == [
+        "       d first /          d second",
+        "error    d error  share  / d error  share",
+        "-----------------------------------------",
+        "one    0.1 um/um    1 %  0.2 um/um    2 %",
+    ]
+    assert second == ["error  met", "---------------", "one      9  yes"]
+    titles = ["owner", "of", "loaded rms", "loaded share", "unloaded rms", "unloaded 99 %"]
+    blocks = aligned(titles, [["crank_eccentricity"] + ["0.123"] * 5], 48).split("\n\n")
+    assert [block.split("\n")[-1].count("0.123") for block in blocks] == [3, 2]  # 4 columns would fit
+    assert "99 %" in blocks[1].split("\n")[1]
+
+
+def test_prose_in_a_table_is_broken_into_lines():
+    said = "a reason that is so long that nobody would read it in a single line of a terminal"
+    table = Table("t", [Text("name"), Text("why", wraps=True), Text("n")], [["x", said, "1"], ["y", "short", "2"]])
+    lines = table.text(50).split("\n")
+    assert max(map(len, lines)) <= 50 and " ".join(" ".join(lines[2:-1]).split()).replace(" 1", "", 1) == f"x {said}"
+    assert lines[-1].split() == ["y", "short", "2"] and table.text().split("\n")[2].split("  ")[-1] == "1"
+
+
+@given(st.lists(st.lists(WORDS, max_size=30).map(" ".join), max_size=4), st.integers(20, 90))
+def test_paragraphs_keep_their_words(lines, width):
+    for fit in (wrapped, refilled):
+        found = fit("\n".join(lines), width)
+        assert found.split() == " ".join(lines).split()
+        assert all(len(line) <= width for line in found.split("\n"))
+    assert wrapped("\n".join(lines), None) == "\n".join(lines)
+
+
+def test_a_broken_line_goes_on_under_its_text():
+    assert wrapped("a b c d", 3) == "a b\n  c\n  d"
+    assert wrapped("  a b c d", 5) == "  a b\n    c\n    d"
+    assert wrapped("name  one two three", 13) == "name  one two\n      three"
+    assert refilled("one\ntwo three\n\n  code  is kept\n  so", 9) == "one two\nthree\n\n  code\n    is\n    kept\n  so"
+
+
+def test_captions_and_notes_fit_too():
+    table = Table("t", [Text("a")], [["x"]], caption="a caption of a table", note="no slope: nothing is said")
+    report = Report("r", (Note("a paragraph with some words"), table))
+    assert max(map(len, report.text(12).split("\n"))) <= 12
+    assert report.text() == "a paragraph with some words\n\na caption of a table\na\n-\nx\nno slope: nothing is said"
+
+
+class Terminal:
+    """A terminal of some width, on which a command prints."""
+
+    def __init__(self, monkeypatch, columns):
+        ours, theirs = pty.openpty()
+        fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 50, columns, 0, 0))
+        monkeypatch.delenv("COLUMNS", raising=False)
+        self.stream, self.patch, self.said = os.fdopen(theirs, "w"), monkeypatch, b""
+        self.reader = threading.Thread(target=self._read, args=(ours,))  # a terminal holds 4 kB
+        self.reader.start()
+
+    def _read(self, end):
+        with os.fdopen(end, "rb", buffering=0) as file, contextlib.suppress(OSError):  # the other end is closed
+            while part := file.read(65536):
+                self.said += part
+
+    def run(self, *arguments):
+        """Exit code and text of a command."""
+        with self.patch.context() as patch:  # pytest has its own streams between set-up and call
+            patch.setattr(sys, "stdout", self.stream)
+            patch.setattr(sys, "__stdout__", self.stream)
+            code = cli.main(list(arguments))
+        self.stream.close()
+        self.reader.join()
+        return code, self.said.decode().replace("\r\n", "\n")
+
+
+@pytest.mark.parametrize("columns", [80, 120])
+@pytest.mark.parametrize("arguments", ["--help", "compare --help", "check rv-40e-whole", "check rv-40e-design"])
+def test_commands_fit_the_terminal(monkeypatch, arguments, columns):
+    code, said = Terminal(monkeypatch, columns).run(*arguments.split())
+    assert code == 0 and said
+    assert [line for line in said.split("\n") if len(line) > columns] == []
