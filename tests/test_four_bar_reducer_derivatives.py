@@ -23,7 +23,7 @@ def turn(design, errors, torque, angle):
 
 
 def stand(design, errors, torque, angle):
-    """Figures at one crank angle under load, and its status; the rule of Newton's root: test_four_bar_derivatives.py."""
+    """Figures at one crank angle under load, and its status; test_four_bar_derivatives.py has Newton's root."""
     given = dict(crank_angle=angle, output_torque=torque, closure="closed_form")
     result = four_bar.transmission_error(design, errors, **given)
     return jnp.concatenate([result.error[None], result.per_disc, result.misfit]), result.info.status
