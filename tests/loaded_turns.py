@@ -23,12 +23,15 @@ RING, TILT = ENCODER.replace(ring_gain=2e-9), ENCODER.replace(tilt_gain=1e-7)
 ALL = ENCODER.replace(ring_gain=2e-9, tilt_gain=1e-7, dent=5.4e-9, scale_eccentricity=(3e-6, -2e-6))
 
 
-SUPPORT = np.full(40, 1e8)
+SUPPORT, NOTHING = np.full(40, 1e8), np.zeros(40)
 
 
 def sprung(support=SUPPORT, stiffness=MACHINE.stiffness, **contact):
-    """The reducer on other supports of its pins, by default an array: one program serves most tests."""
-    springs = stiffness.replace(turning_arm_bearing=np.broadcast_to(stiffness.turning_arm_bearing, (2, 3)))
+    """The reducer on a support of each pin, and with other springs: one program serves all."""
+    arms, seats = (
+        np.broadcast_to(x, s) for x, s in ((stiffness.turning_arm_bearing, (2, 3)), (stiffness.support_bearing, 3))
+    )
+    springs = stiffness.replace(turning_arm_bearing=arms, support_bearing=seats)
     held = MACHINE.contact.replace(pin_support=support, **contact)
     return plain(MACHINE.replace(stiffness=springs, contact=held))
 
@@ -38,16 +41,27 @@ def harmonics(y):
     return np.fft.rfft(np.asarray(y)) * 2 / SAMPLES
 
 
-@partial(jax.jit, static_argnums=3)
-def solved_over_a_turn(design, errors, torque, law):
-    one = partial(loaded.equilibrium, design, errors, output_torque=torque, contact=law)
-    return jax.vmap(lambda angle: one(input_angle=angle))(TURN * MACHINE.ratio)
+@jax.jit
+def solved_over_a_turn(design, errors, torque, shape, pull):
+    """Equilibria, and their slopes to eps: supports yield times 1 + eps shape, and the torque grows by eps pull."""
+
+    def solved(eps):
+        held = design.contact.replace(pin_support=design.contact.pin_support / (1 + eps * shape))
+        one = partial(loaded.equilibrium, design.replace(contact=held), errors, output_torque=torque + eps * pull)
+        return jax.vmap(lambda angle: one(input_angle=angle))(TURN * MACHINE.ratio)
+
+    return jax.jvp(solved, (0.0,), (1.0,))
 
 
-def found_over_a_turn(design, torque, law="hertz", errors=NONE):
-    found = solved_over_a_turn(design, plain(errors), float(torque), law)
+def found_over_a_turn(design, torque, errors=NONE):
+    return slopes_over_a_turn(design, torque, errors=errors)[0]
+
+
+def slopes_over_a_turn(design, torque, shape=NOTHING, pull=0.0, errors=NONE):
+    """Equilibria and slopes, by one program."""
+    found, slopes = solved_over_a_turn(design, plain(errors), float(torque), shape, pull)
     assert succeeded(found.info.status).all()
-    return found
+    return found, slopes
 
 
 @jax.jit

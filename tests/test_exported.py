@@ -1,8 +1,10 @@
 """Traced programs that the command line keeps: found again, traced again when anything differs, never in the way."""
 
 import functools
+import os
 import subprocess
 import sys
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -179,32 +181,38 @@ def test_studies_and_bench_models_have_names():
         assert type(model).__qualname__ in spelled and " at 0x" not in spelled
 
 
+def factors(design, x):
+    return jnp.linalg.eigh(x)[0], jnp.linalg.svd(x)[1], jnp.linalg.solve(x, x), jnp.linalg.qr(x)[0]
+
+
 LAPACK = """
 import sys
 from pathlib import Path
-import jax.numpy as jnp
-import numpy as np
+import jax
+jax.config.update("jax_enable_x64", True)
+jax.config.update("jax_numpy_dtype_promotion", "strict")
 from rvjax._jax import compile_cache
-from rvjax.catalogue import CORR
-from rvjax.response import per_response
 compile_cache._folder[:] = [Path(sys.argv[1])]
-
-def both(design, x):
-    return jnp.linalg.eigh(x)[0], jnp.linalg.svd(x)[1], jnp.linalg.solve(x, x), jnp.linalg.qr(x)[0]
-
-found = per_response()(both)(CORR, np.diag([1.0, 2.0, 3.0]))
-print(*np.asarray(found[0]), *np.asarray(found[1]))
+import test_exported
+print(*test_exported.singular_values())
 """
 
 
-def test_linear_algebra_of_another_process(tmp_path):
+def singular_values():
+    found = per_response()(factors)(Power(3.0, 2), np.diag([1.0, 2.0, 3.0]))
+    return [*map(float, found[0]), *map(float, found[1])]
+
+
+def test_linear_algebra_of_another_process(folder):
     """JAX loads LAPACK while it lowers; without that a program from a file ends in a segmentation fault."""
-    for files in (1, 1):
-        run = [sys.executable, "-c", LAPACK, str(tmp_path)]
-        done = subprocess.run(run, capture_output=True, text=True, timeout=120)
-        assert done.returncode == 0, done.stderr
-        assert [float(x) for x in done.stdout.split()] == pytest.approx([1, 2, 3, 3, 2, 1])
-        assert len(list(tmp_path.glob("*.traced"))) == files
+    assert singular_values() == pytest.approx([1, 2, 3, 3, 2, 1])
+    (kept,) = folder.iterdir()
+    run = [sys.executable, "-c", LAPACK, str(folder)]
+    own = os.environ | {"PYTHONPATH": str(Path(__file__).parent)}
+    done = subprocess.run(run, capture_output=True, text=True, timeout=120, env=own, cwd=Path(__file__).parents[1])
+    assert done.returncode == 0, done.stderr
+    assert [float(x) for x in done.stdout.split()] == pytest.approx([1, 2, 3, 3, 2, 1])
+    assert list(folder.iterdir()) == [kept]
 
 
 def test_options_of_the_compiler_are_given_to_a_kept_program(folder, traced_option):

@@ -9,71 +9,74 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from four_bar_reducers import READ, cast, changed, disc_couple, drawn, reducer, transmission_error
+from four_bar_reducers import READ, changed, disc_couple, drawn, numbers, reducer, transmission_error
 
 from rvjax import CrankStage, RVErrors, Status, catalogue, four_bar
 from rvjax.units import mm, um
 
 
-def test_torque_through_zero():
-    """Without load clearance has no direction: a jump whose one-sided limits are opposite."""
-    design, errors = catalogue.RV_40E, RVErrors(bearing_clearance=5 * um)
-
-    def plain(torque, clearance):
-        return transmission_error(
-            design, errors.replace(bearing_clearance=clearance), crank_angle=np.pi / 2, output_torque=torque
-        ).error
-
-    both = jax.jit(jax.value_and_grad(plain, argnums=(0, 1)))
-
-    def error(torque, clearance):
-        return both(torque, clearance)[0]
-
-    value, slopes = both(0.0, 5 * um)
-    assert value == 0
-    assert slopes[1] == 0
-    np.testing.assert_allclose(slopes[0], -2 * disc_couple(design, 1.0) / (6e8 * (72 * mm) ** 2), rtol=1e-9)
-    np.testing.assert_allclose(error(1e-9, 5 * um), -error(-1e-9, 5 * um), rtol=1e-2)
-    assert abs(error(1e-9, 5 * um)) > 1e-4
-    clearance_slope = both(412.0, 5 * um)[1][1]
-    difference = (error(412.0, 6 * um) - error(412.0, 4 * um)) / (2 * um)
-    np.testing.assert_allclose(clearance_slope, difference, rtol=1e-5)
-
-
-def turn(design, errors):
+def turn(design, errors, torque, angle):
     """Six figures of a loaded turn, and its status."""
-    result = four_bar.revolution(design, errors, output_torque=412.0)
+    result = four_bar.revolution(design, errors, output_torque=torque)
     parts = [result.maximum, result.minimum, result.largest_misfit, result.mean, result.error[5]]
     return jnp.stack([*parts, result.peak_to_peak]), result.info.status
 
 
-def stand(design, errors):
-    """Figures at one crank angle under load, and its status."""
-    result = transmission_error(design, errors, crank_angle=0.8, output_torque=412.0)
+def stand(design, errors, torque, angle):
+    """Figures at one crank angle under load, and its status; test_four_bar_derivatives.py has Newton's root."""
+    given = dict(crank_angle=angle, output_torque=torque, closure="closed_form")
+    result = four_bar.transmission_error(design, errors, **given)
     return jnp.concatenate([result.error[None], result.per_disc, result.misfit]), result.info.status
+
+
+LANES = 6
 
 
 @functools.cache
 def batches(figures):
     """Figures of a batch of units, and the derivatives of a weighted sum of them, compiled once."""
-    plain = jax.vmap(figures, in_axes=(None, -1))
+    plain = jax.vmap(figures, in_axes=(None, -1, 0, 0))
 
-    def total(design, units, weights):
-        values, status = plain(design, units)
+    def total(design, units, torque, angle, weights):
+        values, status = plain(design, units, torque, angle)
         return jnp.sum(weights * jnp.where((status == 0)[:, None], values, 0)), (values, status)
 
-    return jax.jit(plain), jax.jit(jax.grad(total, argnums=(0, 1), has_aux=True))
+    return jax.jit(plain), jax.jit(jax.grad(total, argnums=(0, 1, 2), has_aux=True))
+
+
+def slopes(units, weights, torque=412.0, angle=0.8, figures=stand):
+    """Derivatives of a batch of RV-40E to design, units and torque, with the figures and their statuses."""
+    torque, angle = (np.broadcast_to(np.asarray(x, float), LANES) for x in (torque, angle))
+    return jax.tree.map(np.asarray, batches(figures)[1](numbers(reducer()), units, torque, angle, weights))
+
+
+def test_torque_through_zero():
+    """Without load clearance has no direction: a jump whose one-sided limits are opposite."""
+    design = reducer()
+    torque, clearance = [0.0, 1e-9, -1e-9, 412.0, 412.0, 412.0], np.array([5, 5, 5, 5, 6, 4]) * um
+    units = changed(
+        drawn(design, 0, size=0.0, units=LANES), bearing_clearance=clearance, crank_phase=np.zeros((2, LANES))
+    )
+    (_, by_error, by_torque), (values, _) = slopes(units, np.eye(5)[[0] * LANES], torque, np.pi / 2)
+    error, by_clearance = values[:, 0], by_error.bearing_clearance
+    assert error[0] == 0
+    assert by_clearance[0] == 0
+    np.testing.assert_allclose(by_torque[0], -2 * disc_couple(design, 1.0) / (6e8 * (72 * mm) ** 2), rtol=1e-9)
+    np.testing.assert_allclose(error[1], -error[2], rtol=1e-2)
+    assert abs(error[1]) > 1e-4
+    np.testing.assert_allclose(by_clearance[3], (error[4] - error[5]) / (2 * um), rtol=1e-5)
 
 
 @pytest.mark.long  # test_derivatives.py has every output of studies by default
 def test_derivatives_equal_differences():
     """Reverse mode, which is forward mode transposed, for random sums of figures along random directions."""
-    design, rng = catalogue.RV_40E, np.random.default_rng(1)
-    plain, gradient = batches(turn)
-    units, weights = drawn(design, 9, units=6), rng.normal(size=(6, 6))
-    (_, by_error), (values, status) = gradient(design, units, weights)
-    assert set(np.asarray(status)) == {0}
-    np.testing.assert_allclose(values, plain(design, units)[0], rtol=1e-12)
+    design, rng = reducer(), np.random.default_rng(1)
+    units, weights = drawn(design, 9, units=LANES), rng.normal(size=(LANES, 6))
+    (_, by_error, _), (values, status) = slopes(units, weights, figures=turn)
+    plain = functools.partial(batches(turn)[0], numbers(design))
+    load, angle = np.full(LANES, 412.0), np.full(LANES, 0.8)
+    assert set(status) == {0}
+    np.testing.assert_allclose(values, plain(units, load, angle)[0], rtol=1e-12)
     blank = jax.tree.map(jnp.zeros_like, units)
     for name in RVErrors.__dataclass_fields__:
         found = np.asarray(getattr(by_error, name))
@@ -82,15 +85,24 @@ def test_derivatives_equal_differences():
             continue
         direction = changed(blank, **{name: rng.normal(size=found.shape)})
         ends = [jax.tree.map(lambda x, d, s=s: x + s * 1e-9 * d, units, direction) for s in (1, -1)]
-        above, below = (np.asarray(plain(design, end)[0]) for end in ends)
+        above, below = (np.asarray(plain(end, load, angle)[0]) for end in ends)
         expected = np.sum(weights * (above - below), axis=1) / 2e-9  # of each unit
         slope = np.sum((found * getattr(direction, name)).reshape(-1, 6), axis=0)
         np.testing.assert_allclose(slope, expected, rtol=1e-5, atol=1e-5 * np.abs(weights).max())
 
 
-@pytest.mark.parametrize("cranks", [2, pytest.param(3, marks=pytest.mark.long)])
-def test_zero_errors_are_exactly_zero_with_finite_derivatives(cranks):
+def test_zero_errors_are_exactly_zero_with_finite_derivatives():
     """At every crank angle; a random weight on each makes one lost derivative spoil the sum."""
+    units = jax.tree.map(np.zeros_like, drawn(reducer(), 0, units=LANES))
+    for angles in np.linspace(0, 2 * np.pi, 4 * LANES + 1)[:-1].reshape(-1, LANES):
+        found, (values, _) = slopes(units, np.random.default_rng(0).normal(size=(LANES, 5)), 0.0, angles)
+        assert np.all(values == 0)
+        assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(found))
+
+
+@pytest.mark.long  # a further number of cranks, without load
+@pytest.mark.parametrize("cranks", [2, 3])
+def test_zero_errors_of_unloaded_reducers(cranks):
     design, angles = reducer(cranks), np.linspace(0, 2 * np.pi, 25)
 
     def figures(errors, design=design, angles=angles):
@@ -105,21 +117,18 @@ def test_zero_errors_are_exactly_zero_with_finite_derivatives(cranks):
         value, pull = jax.vjp(figures, errors)
         return value, pull(weights)[0]
 
-    zero = cast(RVErrors.for_design(design), np.float64)
-    value, gradient = pulled(zero, np.random.default_rng(0).normal(size=(25, 4)))
+    value, gradient = pulled(numbers(RVErrors.for_design(design)), np.random.default_rng(0).normal(size=(25, 4)))
     assert np.all(np.asarray(value) == 0)
-    for leaf in jax.tree.leaves(gradient):
-        assert np.all(np.isfinite(leaf))
+    assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(gradient))
 
 
 @pytest.mark.long  # those of one linkage run by default, test_four_bar_derivatives.py
 def test_second_derivatives_of_a_curve():
-    design, errors = catalogue.RV_40E, drawn(catalogue.RV_40E, 10)
+    design, errors = reducer(), drawn(reducer(), 10)
 
     def error(delta):
-        return transmission_error(
-            design, errors.replace(crank_eccentricity=delta), crank_angle=0.8, output_torque=412.0
-        ).error
+        moved = errors.replace(crank_eccentricity=delta)
+        return four_bar.transmission_error(design, moved, crank_angle=0.8, output_torque=412.0).error
 
     delta = errors.crank_eccentricity
     second = np.asarray(jax.jit(jax.hessian(error))(delta)).reshape(4, 4)
@@ -132,13 +141,10 @@ def test_second_derivatives_of_a_curve():
 
 @pytest.mark.parametrize("figures", [stand, pytest.param(turn, marks=pytest.mark.long)])
 def test_lost_units_leave_their_neighbours_alone(figures):
-    design = catalogue.RV_40E
-    units = drawn(design, 11, units=6)
-
-    weights = np.repeat([1.0, 0.0], 3)[:, None]
-    _, gradient = batches(figures)
-    (shared, each), (values, status) = gradient(design, units, weights)
-    assert set(np.asarray(status)) == {0}
+    units, weights = drawn(reducer(), 11, units=LANES), np.repeat([1.0, 0.0], 3)[:, None]
+    weights = weights * np.ones(5 if figures is stand else 6)
+    (shared, each, _), (values, status) = slopes(units, weights, figures=figures)
+    assert set(status) == {0}
     carrier = np.array(units.carrier_bore)
     carrier[0, 0, 3] = -80 * mm  # the carrier bores change places
     phase = np.array(units.crank_phase)
@@ -146,7 +152,7 @@ def test_lost_units_leave_their_neighbours_alone(figures):
     clearance = np.array(units.bearing_clearance)
     clearance[5] = np.inf
     lost = changed(units, carrier_bore=carrier, crank_phase=phase, bearing_clearance=clearance)
-    (lost_shared, lost_each), (lost_values, lost_status) = gradient(design, lost, weights)
+    (lost_shared, lost_each, _), (lost_values, lost_status) = slopes(lost, weights, figures=figures)
     assert [Status(int(s)).name for s in lost_status[3:]] == ["INVALID_GEOMETRY", "NONFINITE", "NONFINITE"]
     assert np.all(np.isnan(lost_values[3:]))
     assert np.array_equal(lost_values[:3], values[:3])
@@ -158,26 +164,29 @@ def test_lost_units_leave_their_neighbours_alone(figures):
 
 
 def test_statuses():
-    def status(design=catalogue.RV_40E, errors=None, **arguments):
-        arguments = dict(crank_angle=1.0, output_torque=1.0) | arguments
-        errors = RVErrors.for_design(catalogue.RV_40E, **errors or {})  # one shape, one program
-        result = four_bar.transmission_error(design, errors, **arguments)
+    plain = reducer()
+
+    def status(design=plain, errors=None, angle=1.0, **arguments):
+        errors = RVErrors.for_design(plain, **errors or {})
+        arguments = dict(output_torque=1.0) | arguments
+        result = transmission_error(design, errors, crank_angle=angle, branch="open", **arguments)
         assert np.isnan(result.error) == (int(result.info.status) not in (Status.CONVERGED, Status.CHANGE_POINT))
         return Status(int(result.info.status)).name
 
-    assert status() == "CONVERGED"
-    assert status(crank_angle=np.nan) == "NONFINITE"
-    assert status(output_torque=np.inf) == "NONFINITE"
-    assert status(errors=dict(eccentricity=np.nan)) == "NONFINITE"
-    assert status(errors=dict(pin_radius=np.nan)) == "CONVERGED"  # not read by this model
-    assert status(catalogue.RV_40E.replace(cranks=CrankStage(2, np.nan, 6e8))) == "NONFINITE"
-    assert status(crank_angle=0.0, cranks="free", output_torque=0.0) == "CHANGE_POINT"
-    assert (
-        status(errors=dict(disc_bore=np.full((2, 2, 2), 1 * mm)), cranks="free", output_torque=0.0) == "NOT_ASSEMBLABLE"
-    )
-    steep = jax.tree.map(lambda leaf: leaf, catalogue.RV_40E)
-    object.__setattr__(steep.cycloid, "shortening", 1.0)  # a batch is not checked
-    assert status(steep) == "INVALID_GEOMETRY"
+    locked = dict(cranks="phase_locked", closure="newton")
+    assert status(**locked) == "CONVERGED"
+    assert status(angle=np.nan, **locked) == "NONFINITE"
+    assert status(output_torque=np.inf, **locked) == "NONFINITE"
+    assert status(errors=dict(eccentricity=np.nan), **locked) == "NONFINITE"
+    assert status(errors=dict(pin_radius=np.nan), **locked) == "CONVERGED"  # not read by this model
+    assert status(plain.replace(cranks=CrankStage(2, np.nan, 6e8)), **locked) == "NONFINITE"
+    steep = jax.tree.map(lambda leaf: leaf, plain)
+    object.__setattr__(steep.cycloid, "eccentricity", 64 * mm / 40)  # K1 = 1: a batch is not checked
+    assert status(steep, **locked) == "INVALID_GEOMETRY"
+    plain = reducer(2, 1, teeth=(14, 42, 29, 30))  # of the reference, so that one program serves
+    free = dict(cranks="free", closure="closed_form", output_torque=0.0)
+    assert status(plain, angle=0.0, **free) == "CHANGE_POINT"
+    assert status(plain, errors=dict(disc_bore=np.full((1, 2, 2), 1 * mm)), **free) == "NOT_ASSEMBLABLE"
 
 
 def test_impossible_arguments():

@@ -7,8 +7,7 @@ import pytest
 from loaded_cases import NAMED, assert_same, at, design_of, errors_of, solve
 
 from rvjax import Status, loaded
-from rvjax.loaded.balance import balance
-from rvjax.loaded.equilibrium import prepare
+from rvjax.loaded.equilibrium import outcome, prepare, solve as solve_from
 from rvjax.loaded.inputs import admit, check_input
 
 CASE = NAMED["rv40: all errors, rated, hertz"]
@@ -35,12 +34,24 @@ def unit(errors, n):
 
 
 @jax.jit
-def solve_units(errors, torques):
-    """Units at two angles with a torque each: groups of one geometry, in more lanes than a block has."""
+def solve_units(errors, torques, starts):
+    """Units at two angles with a torque each: groups of one geometry, in more lanes than a block has.
+
+    As `loaded.equilibrium`, from a start of its own for each unit."""
     errors = errors.replace(**dict.fromkeys(FIXED, 0.0))
+
+    def one(errors, torque, angle, start):
+        layout = check_input(DESIGN, errors, "hertz", "fixed", "fixed")
+        read = admit(layout, DESIGN, errors, torque, angle)
+        case = prepare(layout, read, read.angle).loaded(read.torque)
+        return outcome(layout, read, case, *solve_from(layout, read, case, jnp.full(layout.unknowns, start)))
+
     of_unit = jax.tree.map(lambda leaf: 0 if np.ndim(leaf) else None, errors)
-    of_angle = jax.vmap(solve_case, in_axes=(None, of_unit, None, None))
-    return jax.vmap(of_angle, in_axes=(None, None, 0, 0))(DESIGN, errors, torques, jnp.asarray(ANGLES, torques.dtype))
+    of_angle = jax.vmap(one, in_axes=(of_unit, None, None, 0))
+    return jax.vmap(of_angle, in_axes=(None, 0, 0, None))(errors, torques, jnp.asarray(ANGLES), starts)
+
+
+COLD = np.full(UNITS, np.nan)  # from the linear step
 
 
 def solve_case(design, errors, torque, angle):
@@ -56,7 +67,7 @@ def test_many_units_at_little_torque_all_converge_and_agree_with_each_alone():
     """100 units at 3 % of rated torque with clearance, where a median case takes 7 steps and the worst near 100: more
     lanes than a block has, so that cases take the places of others. 1e-8: condition 1e7 of rounding, 1e-15."""
     errors, torques = sampled(UNITS), 0.03 * RATED * np.array([1.0, -1.0])
-    found = jax.tree.map(np.asarray, solve_units(errors, torques))
+    found = jax.tree.map(np.asarray, solve_units(errors, torques, COLD))
     assert np.all(found.info.status == Status.CONVERGED)
     steps = found.info.steps
     assert steps.max() > 3 * np.median(steps)  # there were slow ones
@@ -70,7 +81,7 @@ def test_many_units_at_little_torque_all_converge_and_agree_with_each_alone():
 @pytest.fixture(scope="module")
 def good():
     """Forwards and backwards at rated torque."""
-    return jax.tree.map(np.asarray, solve_units(sampled(UNITS), RATED * SIGNS))
+    return jax.tree.map(np.asarray, solve_units(sampled(UNITS), RATED * SIGNS, COLD))
 
 
 def test_batches_of_batches_are_their_cases(good):
@@ -90,7 +101,7 @@ def test_a_failed_lane_disturbs_no_neighbour(good):
         for lane, value in values.items():
             leaf = leaf.at[lane].set(value)
         object.__setattr__(spoilt, name, leaf)
-    bad = jax.tree.map(np.asarray, solve_units(spoilt, RATED * SIGNS))
+    bad = jax.tree.map(np.asarray, solve_units(spoilt, RATED * SIGNS, COLD))
     expected = {3: Status.NONFINITE, 7: Status.CONTACT_OVERLOAD, 9: Status.NONFINITE}
     for lane, status in expected.items():
         assert np.all(bad.info.status[:, lane] == status) and np.all(np.isnan(bad.error[:, lane]))
@@ -194,17 +205,13 @@ def test_other_numbers_compile_nothing(compiled):
 
 def test_a_start_beyond_the_law_of_a_pin_is_replaced():
     """By the linear one: metres of approach find the equilibrium too, with and without load."""
-    errors = errors_of(CASE, DESIGN)
-    layout = check_input(DESIGN, errors, "hertz", "fixed", "fixed")
-
-    @jax.jit
-    def solve(torque, start):
-        read = admit(layout, DESIGN, errors, torque, jnp.asarray(0.7))
-        return balance(layout, prepare(layout, read, read.angle).loaded(read.torque).system, start)
-
-    for torque in (412.0, 0.0):
-        cold = solve(torque, jnp.full(layout.unknowns, jnp.nan))
-        for start in (1e-3, -1.0, 1e30):
-            found = solve(torque, jnp.full(layout.unknowns, start))
-            assert found.converged and not found.overload
-            np.testing.assert_allclose(found.q, cold.q, rtol=0, atol=1e-12 * np.max(np.abs(cold.q)))
+    errors = jax.tree.map(lambda leaf: np.tile(leaf, (UNITS, *[1] * np.ndim(leaf))), errors_of(CASE, DESIGN))
+    starts = np.r_[1e-3, -1.0, 1e30, COLD[3:]]
+    found = jax.tree.map(np.asarray, solve_units(errors, np.array([412.0, 0.0]), starts))
+    assert set(found.info.status[0]) == {Status.CONVERGED}
+    for angle in range(2):
+        cold = at(found, (angle, -1))
+        assert set(found.info.status[angle]) == {cold.info.status}
+        for n in range(3):
+            np.testing.assert_allclose(found.error[angle, n], cold.error, rtol=1e-12)
+            np.testing.assert_allclose(found.pins[angle, n], cold.pins, rtol=0, atol=1e-9 * np.max(cold.pins))

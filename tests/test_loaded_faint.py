@@ -62,7 +62,7 @@ def test_converged_cases_have_forces_and_failed_cases_keep_their_error():
     assert lost > 0 and known > 0.9 * LANES * len(SEEDS)
 
 
-@pytest.mark.parametrize("law", [pytest.param("linear", marks=pytest.mark.long), "palmgren"])
+@pytest.mark.parametrize("law", ["linear", pytest.param("palmgren", marks=pytest.mark.long)])
 def test_a_torque_that_the_centring_springs_carry_is_no_load(law):
     """Clearances of 10 um and 1e-9 N m: before, some angles were CONVERGED with a residual of 1e33.
 

@@ -4,6 +4,9 @@ Oracles: d = c F (A - ln F), F = k d and d = C F^0.9 put back in; differences of
 whose steps of 1e-3 leave 1e-12 and rounding 1e-13 / 1e-3.
 """
 
+from functools import partial
+
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -11,40 +14,44 @@ import pytest
 from rvjax.loaded import laws
 from rvjax.units import um
 
-DEPTH = jnp.asarray([0.05, 0.3, 1.0, 4.0, 12.0]) * um
+DEPTH = np.array([0.05, 0.3, 1.0, 4.0, 12.0]) * um
 CASES = {"hertz": (2.34e-10, 28.0), "linear": (4e8, None), "palmgren": (8e-9, None)}  # steel, 12 mm wide
 
 
-def force(law, depth=DEPTH):
-    compliance, level = CASES[law]
-    return laws.force(law, depth, jnp.asarray(compliance), None if level is None else jnp.asarray(level))
-
-
-def difference(function):
-    h = 1e-3 * DEPTH
-    near, far = (function(DEPTH + s * h) - function(DEPTH - s * h) for s in (1, 2))
-    return (8 * near - far) / (12 * h)
+@partial(jax.jit, static_argnums=0)
+def found(law, depth):
+    """Force, slope and energy at depths."""
+    compliance, level = (None if x is None else jnp.asarray(x, depth.dtype) for x in CASES[law])
+    load = laws.force(law, depth, compliance, level)
+    return load, laws.slope(law, depth, load, compliance), laws.energy(law, depth, load, compliance)
 
 
 @pytest.mark.parametrize("law", laws.CONTACTS)
 def test_force_slope_and_energy_belong_together(law):
     compliance, level = CASES[law]
-    load = force(law)
+    load, slope, _ = map(np.asarray, found(law, DEPTH))
     depth = {
         "hertz": lambda: compliance * load * (level - np.log(load)),
         "linear": lambda: load / compliance,
         "palmgren": lambda: compliance * load**0.9,
     }[law]()
     np.testing.assert_allclose(depth, DEPTH, rtol=1e-13)
-    slope = laws.slope(law, DEPTH, load, jnp.asarray(compliance))
-    np.testing.assert_allclose(slope, difference(lambda d: force(law, d)), rtol=1e-9)
-    stored = difference(lambda d: laws.energy(law, d, force(law, d), jnp.asarray(compliance)))
-    np.testing.assert_allclose(stored, load, rtol=1e-9)
+    h = 1e-3 * DEPTH
+    near, far = ([a - b for a, b in zip(found(law, DEPTH + s * h), found(law, DEPTH - s * h))] for s in (1, 2))
+    rise, _, work = ((8 * a - b) / (12 * h) for a, b in zip(near, far))
+    np.testing.assert_allclose(slope, rise, rtol=1e-9)
+    np.testing.assert_allclose(work, load, rtol=1e-9)
+
+
+@pytest.mark.parametrize("law", laws.CONTACTS)
+def test_single_precision(law):
+    single = found(law, np.asarray(DEPTH, np.float32))
+    for one, double in zip(single, found(law, DEPTH)):
+        assert one.dtype == jnp.float32
+        np.testing.assert_allclose(one, double, rtol=1e-5)
 
 
 @pytest.mark.parametrize("law", laws.CONTACTS)
 def test_contacts_that_do_not_touch_carry_no_force(law):
-    apart, compliance = jnp.asarray([-1e-6, 0.0]), jnp.asarray(CASES[law][0])
-    load = force(law, apart)
-    assert np.all(load == 0) and np.all(laws.slope(law, apart, load, compliance) == 0)
-    assert np.all(laws.energy(law, apart, load, compliance) == 0)
+    for values in found(law, np.array([-1e-6, 0.0, -1e-9, -1e-3, -1.0])):
+        assert np.all(np.asarray(values) == 0)

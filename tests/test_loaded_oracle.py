@@ -66,7 +66,7 @@ def agree(found, due):
     np.testing.assert_allclose(np.asarray(found.pressure) ** 2, due["pressure"] ** 2, rtol=0, atol=1e-8 * top**2)
 
 
-DEFAULT = (3,)  # test_loaded_reference.py has every law and support too; each case is a program of its own
+DEFAULT = (11,)  # test_loaded_reference.py has other laws; each case is a program of its own
 LONG = [c if k in DEFAULT else pytest.param(*c, marks=pytest.mark.long) for k, c in enumerate(CASES)]
 
 

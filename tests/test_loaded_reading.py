@@ -3,9 +3,10 @@
 from functools import partial
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
-from loaded_cases import plain, solve
+from loaded_cases import NAMED, at, design_of, errors_of, plain, solve, supported
 from loaded_turns import (
     ALL,
     ENCODER,
@@ -16,12 +17,14 @@ from loaded_turns import (
     loaded_turn,
     orders_read,
     read_over_a_turn,
-    solved_over_a_turn,
+    slopes_over_a_turn,
     sprung,
 )
 
 import rvjax
 from rvjax import Status, loaded
+from rvjax.loaded.equilibrium import prepare
+from rvjax.loaded.inputs import admit, check_input
 from rvjax.published.rv160_reducer import MACHINE, NONE
 from rvjax.units import arcsec, mm
 
@@ -55,8 +58,8 @@ def in_the_housing(found, reading, angle, torque):
 
 def test_the_reading_is_that_of_vectors_in_the_housing():
     reading = ALL.replace(heads=(0.4, 2.9), ring_gain=1e-9)
-    for angle, torque in ((3.7, 800.0), (411.0, -500.0)):
-        found = loaded.equilibrium(sprung(), plain(NONE), input_angle=angle, output_torque=torque)
+    for number, torque in ((17, 800.0), (411, -500.0)):
+        found, angle = at(found_over_a_turn(sprung(), torque), number), TURN[number] * MACHINE.ratio
         read = loaded.reading(found, MACHINE, reading, input_angle=angle, output_torque=torque)
         due = in_the_housing(found, reading, angle, torque) - found.error
         assert abs(due) > 0.2 * arcsec
@@ -89,24 +92,10 @@ def test_orders_of_the_table():
     assert twice == (39, 41, 119, 121)
 
 
-@jax.jit
-def slopes_of_a_wave(base, shape):
-    """d alpha / d eps of a support with the compliance 1 + eps shape; one program for every shape and stiffness."""
-
-    def error(eps):
-        support = 1e8 / (1 + eps * shape)
-        return solved_over_a_turn(
-            base.replace(contact=base.contact.replace(pin_support=support)), plain(NONE), 1000.0, "hertz"
-        ).error
-
-    return jax.jvp(error, (0.0,), (1.0,))[1]
-
-
 def wave(harmonic, stiffness=MACHINE.stiffness):
     """Spectrum of d alpha / d eps for a wave 1 + eps cos(m phi) of the support's compliance, arcsec."""
-    seats = np.broadcast_to(stiffness.support_bearing, (3,))
-    base = sprung(stiffness=stiffness.replace(support_bearing=seats))
-    return np.abs(harmonics(slopes_of_a_wave(base, np.cos(harmonic * PINS)))) / arcsec
+    shape = np.cos(harmonic * PINS)
+    return np.abs(harmonics(slopes_over_a_turn(sprung(stiffness=stiffness), 1000.0, shape)[1].error)) / arcsec
 
 
 UNLIKE = MACHINE.stiffness.replace(turning_arm_bearing=np.array([[7e8] * 3, [8e8] * 3]))
@@ -138,31 +127,42 @@ def test_an_unequal_crank_breaks_the_rule():
 # --- pins on supports of their own
 
 
-def at_one_angle(support, law="linear", torque=1000.0, **contact):
-    design = sprung(np.broadcast_to(support, (40,)), **contact)
-    return loaded.equilibrium(design, plain(NONE), input_angle=3.7, output_torque=torque, contact=law)
+def in_the_turn(support, torque):
+    """Error and pins at one angle, by the program of a turn."""
+    found = at(found_over_a_turn(sprung(support), torque), 17)
+    return float(found.error), found.pins
 
 
-@pytest.mark.parametrize("law", ["linear", "hertz"])
-def test_yielding_of_a_pin_turns_the_output_by_its_work(law):
-    """d alpha = -sum dC_j F_j dF_j/dT, for any added compliance dC_j of the pins, against differences."""
-    stiff = dict(pin_stiffness=5e7) if law == "linear" else {}
-    random = np.random.default_rng(0).uniform(-1, 1, 40) / 1e8
-    for added in (np.cos(2 * PINS) / 1e8, random):
-        error = lambda eps: float(at_one_angle(1 / (1e-8 + eps * added), law, **stiff).error)  # noqa: B023, E731
-        near, far = (error(step) - error(-step) for step in (1e-3, 2e-3))
-        pins = lambda torque: np.asarray(at_one_angle(1e8, law, torque, **stiff).pins)  # noqa: E731
-        low, high = (pins(1000.0 + step) - pins(1000.0 - step) for step in (0.5, 1.0))
-        due = -np.sum(added * pins(1000.0) * (8 * low - high) / 6)
-        assert abs(due) > 0.05 * arcsec
-        np.testing.assert_allclose((8 * near - far) / 12e-3, due, rtol=2e-8)
+def of_linear_pins(support, torque):
+    """The same of an RV-40E."""
+    design = supported(design_of(NAMED["rv40: all errors, rated, linear"]), support)
+    found = solve(design, errors_of({"errors": {}}, design), 3.7, torque, contact="linear")
+    return float(found.error), found.pins
+
+
+@pytest.mark.parametrize("solved", [in_the_turn, of_linear_pins])
+def test_yielding_of_a_pin_turns_the_output_by_its_work(solved):
+    """d alpha = -sum dC_j F_j dF_j/dT, for any added compliance dC_j of the pins, against differences.
+
+    The mesh stiffness of linear pins includes the mean support: an added compliance of mean 0."""
+    added = np.random.default_rng(0).uniform(-1, 1, 40) / 1e8
+    added -= np.mean(added)
+    error = lambda eps: solved(1 / (1e-8 + eps * added), 1000.0)[0]  # noqa: E731
+    near, far = (error(step) - error(-step) for step in (1e-3, 2e-3))
+    pins = lambda torque: np.asarray(solved(np.full(40, 1e8), torque)[1])  # noqa: E731
+    low, high = (pins(1000.0 + step) - pins(1000.0 - step) for step in (0.5, 1.0))
+    due = -np.sum(added * pins(1000.0) * (8 * low - high) / 6)
+    assert abs(due) > 0.05 * arcsec
+    np.testing.assert_allclose((8 * near - far) / 12e-3, due, rtol=2e-8)
 
 
 def rigid_bearings(support, torque):
-    """(Stiffness factor, equilibria over a turn): bearings yield as 1/factor, and the centring springs grow with it."""
+    """(Stiffness factor, equilibria over a turn): bearings yield as 1/factor, and the centring springs grow with it.
+
+    Pins and discs are a hundred thousand times as stiff as steel, so that their supports alone yield, in proportion."""
     for factor in (500.0, 1000.0, 2000.0):
         springs = jax.tree.map(lambda k: factor * k, MACHINE.stiffness)  # noqa: B023
-        yield factor, found_over_a_turn(sprung(support, springs, pin_stiffness=1e14), torque, "linear")
+        yield factor, found_over_a_turn(sprung(support, springs, young_modulus=2e16), torque)
 
 
 def at_rigid(factors, values):
@@ -201,31 +201,50 @@ def test_the_couple_of_the_discs_tilts_the_scale_by_its_closed_form():
     np.testing.assert_allclose(found, 0.75 * 22 * mm * force * 1e-9, rtol=2e-4)  # 40 pins in place of an integral
 
 
-@pytest.mark.parametrize(
-    ("law", "more"),
-    [("hertz", {}), ("linear", {}), pytest.param("linear", dict(pin_stiffness=5e7), marks=pytest.mark.long)],
-)
-def test_equal_supports_are_one_support(law, more):
-    """To rounding; the mesh stiffness includes the mean support, so that only differences count beside it."""
-    one, many = (solve(sprung(support, **more), NONE, 3.7, 900.0, contact=law) for support in (2e8, np.full(40, 2e8)))
-    np.testing.assert_allclose(many.error, one.error, rtol=1e-13)
-    np.testing.assert_allclose(many.pins, one.pins, atol=1e-10 * np.max(one.pins))
-    stiff = solve(sprung(np.full(40, 1e20), **more), NONE, 3.7, 900.0, contact=law)
-    same = law == "linear" and not more
-    assert abs(stiff.error / one.error - 1) < 1e-13 if same else abs(stiff.error / one.error - 1) > 0.01
+def compliances(law, **contact):
+    """Coefficients of the contact law of each pin, and the level of Hertzian ones, (1 or 40,)."""
+    design = MACHINE.replace(contact=MACHINE.contact.replace(**contact))
+
+    @jax.jit
+    def found(design, errors):
+        layout = check_input(design, errors, law, "fixed", "fixed")
+        system = prepare(layout, admit(layout, design, errors, 900.0, 3.7), jnp.asarray(3.7)).system
+        return system.compliance, system.level
+
+    return found(*plain((design, NONE)))
 
 
-def test_a_very_stiff_support_is_none():
-    """Rigid ring: results as without a support."""
-    none, stiff = (solve(sprung(k), NONE, 3.7, 900.0) for k in (None, np.full(40, 1e20)))
-    np.testing.assert_allclose(stiff.error, none.error, rtol=1e-10)
+def test_equal_supports_are_one_support():
+    """To rounding; and a very stiff support is none."""
+    one, many, stiff = (compliances("hertz", pin_support=k) for k in (2e8, np.full(40, 2e8), np.full(40, 1e30)))
+    rigid = compliances("hertz")
+    np.testing.assert_allclose(many[1], one[1], rtol=1e-14)
+    np.testing.assert_allclose(stiff[1], rigid[1], rtol=1e-14)
+    (approach,) = rigid[0]
+    assert {float(coefficient) for (coefficient,), _ in (one, many, stiff)} == {float(approach)}
+    np.testing.assert_allclose(one[1] - rigid[1], 1 / (2e8 * float(approach)), rtol=1e-12)  # d = F/k + that of a pin
+
+
+def test_linear_pins_stand_on_their_supports():
+    """In series where their own stiffness is given; the mesh stiffness includes the mean support, so that only
+    differences count beside it."""
+    rng = np.random.default_rng(1)
+    supports, rigid = 1e8 * rng.uniform(0.5, 2, 40), float(compliances("linear")[0][0])
+    for equal in (2e8, np.full(40, 2e8)):
+        np.testing.assert_allclose(compliances("linear", pin_support=equal)[0], rigid, rtol=1e-14)
+        series = compliances("linear", pin_support=equal, pin_stiffness=5e7)[0]
+        np.testing.assert_allclose(series, 4e7, rtol=1e-14)
+    found = 1 / np.asarray(compliances("linear", pin_support=supports)[0])
+    np.testing.assert_allclose(found - np.mean(found), 1 / supports - np.mean(1 / supports), rtol=1e-12, atol=1e-22)
+    np.testing.assert_allclose(np.mean(found), 1 / rigid, rtol=1e-13)
 
 
 def test_softer_than_the_mesh_has_no_answer():
     """A pin whose support alone yields less than the mean of all by more than the whole mesh."""
     support = np.full(40, 1e6)
     support[0] = 1e9
-    found = solve(sprung(support), NONE, 3.7, 900.0, contact="linear")
+    design = supported(design_of(NAMED["rv40: all errors, rated, linear"]), support)
+    found = solve(design, errors_of({"errors": {}}, design), 3.7, 900.0, contact="linear")
     assert Status(int(found.info.status)) == Status.INVALID_GEOMETRY and np.isnan(found.error)
 
 

@@ -33,7 +33,7 @@ def batch(cases):
     ("teeth", "contact"),
     [
         (25, "hertz"),
-        (25, "linear"),
+        pytest.param(25, "linear", marks=pytest.mark.long),  # below is its closed form
         pytest.param(25, "palmgren", marks=pytest.mark.long),  # test_mesh_force_properties.py has a census of it
         (8, "hertz"),
         pytest.param(24, "hertz", marks=pytest.mark.long),
@@ -146,9 +146,12 @@ BAD = (
 )
 
 
-@pytest.mark.parametrize("contact", ["hertz", "linear", pytest.param("palmgren", marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    "contact", ["hertz", *(pytest.param(law, marks=pytest.mark.long) for law in ("linear", "palmgren"))]
+)
 def test_bad_lanes_have_a_status_and_leave_their_neighbours_alone(contact):
-    """Every bad lane stands between good ones, whose values and gradients equal those of a clean batch."""
+    """Every bad lane stands between good ones, whose values equal those of a clean batch; test_mesh_force_properties.py
+    has their gradients."""
     rng = np.random.default_rng(3)
     clean = corr(2 * len(BAD), errors_roller_radius=rng.normal(size=(2 * len(BAD), 26)) * 3e-6)
     dirty = {name: v.copy() for name, v in clean.items()}
@@ -164,20 +167,6 @@ def test_bad_lanes_have_a_status_and_leave_their_neighbours_alone(contact):
         assert np.isnan(found.windup[2 * k]) and np.isnan(found.gear[2 * k]).all()
     for name in (*FORCES, "windup"):
         np.testing.assert_array_equal(getattr(found, name)[1::2], getattr(expected, name)[1::2])
-
-    if contact == "linear":
-        return
-
-    def total(cases):
-        result = jax.vmap(lambda case: cam_roller.single(25, contact, case))(cases)
-        good = (result.info.status == Status.CONVERGED)[:, None]
-        return jnp.sum(jnp.where(good, jnp.sqrt(1 + result.cam), 0))
-
-    gradient = jax.jit(jax.grad(total))
-    expected = gradient(clean)
-    for name, slope in gradient(dirty).items():
-        assert np.isfinite(slope).all(), name
-        np.testing.assert_array_equal(slope[1::2], expected[name][1::2])
 
 
 def test_eager_refusals():
@@ -250,8 +239,8 @@ def test_interference_loads_all_rollers():
 
 def test_closed_form_without_errors():
     """Linear contacts: tau = T / sum over the working half of K a^2."""
-    units = corr(5, angle=np.linspace(0.01, 1.7, 5), torque=[3.0, 30.0, 100.0, -20.0, 500.0])
-    result, place = solve(25, units, "linear"), cam_roller.geometry(25, units)
+    units = corr(5, 8, angle=np.linspace(0.01, 1.7, 5), torque=[3.0, 30.0, 100.0, -20.0, 500.0])
+    result, place = solve(8, units, "linear"), cam_roller.geometry(8, units)
     modulus = 2 * (1 - 0.3**2) / 2.06e11
     stiffness = np.pi * 0.012 / (2 * modulus * (1 + place["cage_ratio"] ** 2 + place["gear_ratio"] ** 2))
     torque = 0.55 * units["torque"][:, None]
@@ -281,14 +270,15 @@ def test_float32(contact):
     rng = np.random.default_rng(5)
     units = corr(
         32,
+        8,
         torque=rng.uniform(20, 200, 32),
-        angle=rng.uniform(-6, 6, 32),
-        errors_roller_radius=rng.normal(size=(32, 26)) * 1e-5,
+        angle=rng.uniform(-18, 18, 32),
+        errors_roller_radius=rng.normal(size=(32, 9)) * 1e-5,
         errors_cam_radius=rng.normal(size=32) * 1e-5,
     )
     single = {name: v.astype(np.float32) for name, v in units.items()}
-    exact = solve(25, {name: v.astype(np.float64) for name, v in single.items()}, contact)
-    result = solve(25, single, contact)
+    exact = solve(8, {name: v.astype(np.float64) for name, v in single.items()}, contact)
+    result = solve(8, single, contact)
     assert result.cam.dtype == result.windup.dtype == np.float32
     assert (result.info.status == Status.CONVERGED).all()
     largest = np.max(exact.gear, axis=1, keepdims=True)

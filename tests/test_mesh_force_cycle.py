@@ -7,6 +7,7 @@ theorems of statics that hold whatever the contact law.
 from functools import partial
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -15,35 +16,41 @@ from oracles import cam_roller
 from oracles.cam_roller import corr, geometry, half_widths
 from rvjax import CamRollerErrors, Status, mesh_force
 from rvjax.mesh_force import equilibrium
-from rvjax.mesh_force.equilibrium import solve_block
+from rvjax.mesh_force.block import Found
+from rvjax.mesh_force.case import Case
 from rvjax.published.corr import CALIBRATED_TORQUE as TORQUE, PUBLISHED_STUDIES
 
 CORR = rvjax.catalogue.CORR
 
 
-@pytest.mark.parametrize(
-    ("figure", "contact"),
-    [
-        ("11", "hertz"),
-        *(
-            pytest.param(f, c, marks=pytest.mark.long)
-            for f, c in (("12", "hertz"), ("14", "hertz"), ("14", "palmgren"))
-        ),
-    ],
-)
+def assert_study(found, study):
+    """Statistics of one value of a study, with what is left of them on the way."""
+    expected = study["statistics"]
+    if "status" in expected:
+        assert Status(int(found.info.status)).name == expected["status"]
+        assert np.isnan(found.cam_mean)
+        return
+    for name, value in expected.items():
+        assert float(getattr(found, name)) == pytest.approx(value, rel=1e-9), (study["value"], name)
+
+
+def test_statistics_are_those_of_the_reference(reference):
+    """Over the eccentricity; sweeps of all parameters in the long profile."""
+    for study in reference("mesh_force")["studies"]:
+        if (study["figure"], study["contact"]) == ("11", "hertz"):
+            design = CORR.replace(eccentricity=study["value"])
+            assert_study(mesh_force.cycle_statistics(design, CamRollerErrors(), input_torque=TORQUE), study)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("figure", "contact"), [("11", "hertz"), ("12", "hertz"), ("14", "hertz"), ("14", "palmgren")])
 def test_reference_studies(reference, figure, contact):
     studies = [s for s in reference("mesh_force")["studies"] if (s["figure"], s["contact"]) == (figure, contact)]
     parameter = PUBLISHED_STUDIES[figure][0]
     values = np.array([s["value"] for s in studies])
     found = mesh_force.sweep(CORR, CamRollerErrors(), parameter, values, input_torque=TORQUE, contact=contact)
     for k, study in enumerate(studies):
-        expected = study["statistics"]
-        if "status" in expected:
-            assert Status(int(found.info.status[k])).name == expected["status"]
-            assert np.isnan(found.cam_mean[k])
-            continue
-        for name, value in expected.items():
-            assert float(getattr(found, name)[k]) == pytest.approx(value, rel=1e-9), (study["value"], name)
+        assert_study(jax.tree.map(lambda leaf, k=k: leaf[k], found), study)
 
 
 @pytest.mark.long
@@ -61,11 +68,8 @@ def test_statistics_with_one_error_per_roller():
 
 
 def test_a_reversed_torque_works_in_the_other_half():
-    design, errors = CORR.replace(gear_teeth=5), CamRollerErrors(roller_radius=1e-6)
-    there, back = (
-        mesh_force.cycle_statistics(design, errors, input_torque=torque, contact="linear", samples=6)
-        for torque in (50.0, -50.0)
-    )
+    errors = CamRollerErrors(roller_radius=1e-6)
+    there, back = (mesh_force.cycle_statistics(CORR, errors, input_torque=torque) for torque in (50.0, -50.0))
     for name in ("cam_mean", "cam_peak", "gear_mean", "gear_peak", "cage_peak_to_peak", "pressure_peak"):
         assert float(getattr(back, name)) == pytest.approx(float(getattr(there, name)), rel=1e-9), name
     assert float(back.cage_mean) == pytest.approx(-float(there.cage_mean), rel=1e-9)
@@ -132,27 +136,32 @@ def test_statics_forbid_the_published_cage_forces(thorough):
 def test_random_errors_are_one_batch():
     """26 independent radii: the peak force of a batch is what every unit gives alone."""
     radii = np.random.default_rng(1).normal(size=(3, 26)) * 1e-6
-    batch = cam_roller.solve(25, corr(3, errors_roller_radius=radii), "linear").cam.max(axis=1)
-    alone = [cam_roller.solve(25, corr(1, errors_roller_radius=row), "linear").cam.max() for row in radii]
+    batch = cam_roller.solve(25, corr(3, errors_roller_radius=radii)).cam.max(axis=1)
+    alone = [cam_roller.solve(25, corr(1, errors_roller_radius=row)).cam.max() for row in radii]
     np.testing.assert_allclose(batch, alone, rtol=1e-12)
 
 
-def test_a_batch_of_several_blocks_is_that_of_one(monkeypatch):
-    """A processor solves 600 cases in blocks, a GPU all at once: the same forces, of all cases in their order."""
-    radii = np.random.default_rng(2).normal(size=(601, 6)) * 1e-6
-    design = CORR.replace(gear_teeth=5)
+@pytest.mark.parametrize("backend", ["cpu", "gpu"])
+def test_a_batch_of_several_blocks_is_that_of_one(monkeypatch, backend):
+    """A processor solves 600 cases in blocks, a GPU all at once, each at its place; a number that all share stays one.
 
-    def forces(row):
-        return mesh_force.solve(
-            design, CamRollerErrors(roller_radius=row), input_torque=50.0, output_angle=0.1, contact="linear"
-        ).cam
-
-    several = np.asarray(jax.vmap(forces)(radii[:600]))
+    What solves a block is replaced by sums of what it gets.
+    """
     sizes = []
-    monkeypatch.setattr(equilibrium, "solve_block", lambda *given: sizes.append(given[-1]) or solve_block(*given))
-    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
-    whole = np.asarray(jax.vmap(forces)(radii))  # another size, so that it is traced again
-    assert sizes == [601]
-    np.testing.assert_allclose(several, whole[:600], rtol=1e-12, atol=1e-9)
-    for k in (0, 511, 512, 599):
-        np.testing.assert_allclose(several[k], forces(radii[k]), rtol=1e-12, atol=1e-9)
+
+    def instead(law, teeth, case, size):
+        sizes.append(size)
+        assert case.palmgren.shape == (1,) and case.radius_error.shape == (size, teeth + 1)
+        load = case.torque[:, None] + case.radius_error * case.palmgren[:, None]
+        return Found(case.torque, load, *(case.sine + k for k in range(4)))
+
+    monkeypatch.setattr(equilibrium, "solve_block", instead)
+    monkeypatch.setattr(jax, "default_backend", lambda: backend)
+    draw = np.random.default_rng(2).normal
+    numbers = {name: draw(size=600) for name in Case._fields} | {"radius_error": draw(size=(600, 6))}
+    case = Case(**numbers | {"palmgren": np.array([3.0])})
+    found = equilibrium._in_blocks("linear", 5, jax.tree.map(jnp.asarray, case))
+    assert sizes == ([512] if backend == "cpu" else [600])
+    np.testing.assert_array_equal(found.windup, case.torque)
+    np.testing.assert_allclose(found.load, case.torque[:, None] + 3 * case.radius_error, rtol=1e-15)
+    np.testing.assert_array_equal(found.finite, case.sine + 3)

@@ -134,6 +134,7 @@ def test_symmetries(contact):
 
 
 LANES, EIGHT = 64, 8
+ROWS = 3 * (EIGHT + 1) + 1  # cam, cage, gear, wind-up
 
 
 def outputs(contact, case):
@@ -144,27 +145,35 @@ def outputs(contact, case):
 
 @functools.cache
 def program(contact):
-    """All derivatives of that row by reverse mode, and the row itself."""
+    """That row, and by reverse mode the derivatives of a weighted sum of it."""
 
-    def twice(case):
-        row = outputs(contact, case)
-        return row, row
+    def pulled(case, weights):
+        row, pull = jax.vjp(functools.partial(outputs, contact), case)
+        return row, pull(weights)[0]
 
-    return jax.jit(jax.vmap(jax.jacrev(twice, has_aux=True)))
+    return jax.jit(jax.vmap(pulled))
 
 
-def slopes(contact, cases):
-    """Derivatives of the rows of a batch, and the rows; the last unit fills the batch, so that one program serves."""
+def pull(contact, cases, weights):
+    """Derivatives of the weighted rows of a batch, and the rows; the last unit fills it, so that one program serves."""
     count = len(cases["torque"])
     index = np.minimum(np.arange(LANES), count - 1)
-    found = program(contact)({name: v[index] for name, v in cases.items()})
-    return jax.tree.map(lambda leaf: np.asarray(leaf)[:count], found)
+    rows, found = program(contact)(
+        {name: v[index] for name, v in cases.items()}, np.broadcast_to(weights, (count, ROWS)).astype(float)[index]
+    )
+    return jax.tree.map(lambda leaf: np.asarray(leaf)[:count], (found, rows))
+
+
+def slopes(contact, cases, read=range(ROWS)):
+    """Derivatives of some numbers of each row, (units, numbers, ...), and the rows."""
+    each = [pull(contact, cases, np.eye(ROWS)[k]) for k in read]
+    return {name: np.stack([found[name] for found, _ in each], axis=1) for name in cases}, each[0][1]
 
 
 def test_reciprocity_and_the_balance_of_derivatives():
     """dF_i/dg_j is symmetric, and an interference changes no moment: sum_i a_i dF_i/dg_j = 0."""
     cases = random_units(EIGHT, LANES, np.random.default_rng(6), torque=(0, 2), error=(-7, -6))
-    jacobian = slopes("hertz", cases)[0]["errors.roller_radius"][:, : EIGHT + 1]  # of the cam
+    jacobian = slopes("hertz", cases, range(EIGHT + 1))[0]["errors.roller_radius"]  # of the cam
     place = geometry(EIGHT, cases)
     jacobian = jacobian / (1 + np.abs(place["cage_ratio"]) + place["gear_ratio"])[:, None, :]  # by g_j
     size = np.abs(jacobian).max((1, 2), keepdims=True)
@@ -232,11 +241,11 @@ def test_derivatives_at_a_contact_change_are_one_sided(contact):
     h = 1e-12
     close = {n: np.repeat(v, 3, axis=0) for n, v in cases.items()}
     close["errors.roller_radius"][:, roller] = touch + h * np.array([0, -1, 1])
-    found, rows = slopes(contact, close)
-    read = [-1, *range(teeth + 1)]  # wind-up and cam
+    read = [ROWS - 1, *range(teeth + 1)]  # wind-up and cam
+    found, rows = slopes(contact, close, read)
     size = np.array([1e6, *[1.0] * (teeth + 1)])
     value, below, above = rows[:, read] * size
-    slope = found["errors.roller_radius"][0, read, roller] * size
+    slope = found["errors.roller_radius"][0, :, roller] * size
     sides = [(value - below) / h, (above - value) / h]
     assert np.isfinite(slope).all()
     size = np.abs(sides[1]).max()  # difference quotients: 12 digits over 1 pm
@@ -268,5 +277,36 @@ def test_zero_errors_have_finite_derivatives_without_torque():
     angles = np.where(np.arange(32) % 4 < 2, 0.0, 0.0013)
     cases = corr(32, torque=np.where(np.arange(32) % 2, 0.0, 100.0), angle=angles, teeth=8)
 
-    for slope in slopes("palmgren", cases)[0].values():
+    weights = np.random.default_rng(9).normal(size=(32, ROWS))
+    for slope in pull("palmgren", cases, weights)[0].values():
         assert np.isfinite(slope).all()
+
+
+BAD = {
+    "eccentricity": 0.05,  # undercut
+    "poisson_ratio": 1.5,
+    "cam_radius": -0.1,
+    "young_modulus": 0.0,
+    "torque": np.nan,
+    "angle": np.inf,
+    "errors.cam_radius": np.nan,
+    "errors.roller_radius": np.inf,
+    "roller_length": 1e-9,  # overloaded, where the law has a limit
+}
+
+
+@pytest.mark.parametrize("contact", ["hertz", "palmgren"])
+def test_gradients_next_to_bad_lanes(contact):
+    """A sum over the good units: bad ones between them get no derivative and change none."""
+    good = np.arange(2 * len(BAD)) % 2 == 1
+    radii = np.random.default_rng(3).normal(size=(len(good), EIGHT + 1)) * 3e-6
+    clean = corr(len(good), EIGHT, errors_roller_radius=radii)
+    dirty = {name: v.copy() for name, v in clean.items()}
+    for k, (name, value) in enumerate(BAD.items()):
+        dirty[name][2 * k] = value
+    weights = good[:, None] * np.random.default_rng(4).normal(size=(len(good), ROWS))
+    (expected, _), (found, rows) = (pull(contact, cases, weights) for cases in (clean, dirty))
+    assert np.isfinite(rows[good]).all() and np.isnan(rows[~good][:-1]).any(axis=1).all()
+    for name, slope in found.items():
+        assert np.isfinite(slope).all(), name
+        np.testing.assert_array_equal(slope[good], expected[name][good])

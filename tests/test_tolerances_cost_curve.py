@@ -120,6 +120,7 @@ def test_costs_of_yields_are_those_of_the_closed_form_in_any_order():
     need = {"": Requirement(lower=-LIMIT, upper=LIMIT, target=0.95)}
     for targets in ([0.8, 0.98, 0.95, 0.9], [0.95, 0.9, 0.8, 0.98]):
         points = cost_of_yields(linear, found, need, targets=targets, **options)
+        assert len(points) == len(targets)
         for (seen, _), target in zip(sorted(points), sorted(targets)):
             assert abs(above(seen, target, 10_000)) < 4  # of both samples together
         for (_, cost), target in zip(sorted(points), sorted(targets)):
